@@ -322,8 +322,6 @@ UNREACHED = {
             "bathymetry/through_water.py",
             "calibration/fixed_camera.py",
             "calibration/lens.py",
-            "deformation/shapes.py",
-            "deformation/surfaces.py",
             "figures/survey/gnss.py",
             "ingest/ppk/exports.py",
         ),

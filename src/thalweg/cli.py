@@ -100,8 +100,9 @@ def _parser() -> argparse.ArgumentParser:
     new.add_argument(
         "--epochs",
         nargs="+",
-        metavar="ID",
-        help="compare these campaigns of the folder, two or more in the order of time",
+        metavar="ID|FILE[@DATE]",
+        help="compare these epochs, two or more in the order of time: campaigns of the folder, or clouds and "
+        "surface models (.tif) with the day of the survey, such as bank.laz@2019-03-13",
     )
     new.set_defaults(command=_new_campaign)
 
@@ -152,7 +153,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _new_campaign(options: argparse.Namespace) -> int:
-    from thalweg.settings import ID_PATTERN, campaign_text, epochs_text, load_campaign
+    from thalweg.settings import ID_PATTERN, campaign_text
 
     name, folder = options.id, options.folder
     if not re.fullmatch(ID_PATTERN, name):
@@ -166,8 +167,7 @@ def _new_campaign(options: argparse.Namespace) -> int:
         raise ConfigError("the file exists already", where=path, cure="Choose another id, or edit this file")
     schema = Path(os.path.relpath(CAMPAIGNS.parent.absolute() / "schema.json", folder.absolute())).as_posix()
     if options.epochs:
-        first = load_campaign(folder / f"{options.epochs[0]}.yaml")
-        text = epochs_text(name, options.epochs, first, schema=schema)
+        text = _epochs_text(name, options, schema)
     else:
         files = _sort_logs(options.from_logs) if options.from_logs else None
         text = campaign_text(
@@ -181,6 +181,27 @@ def _new_campaign(options: argparse.Namespace) -> int:
     path.write_text(text, encoding="utf-8")
     print(f"Wrote {path}. Edit the lines marked CHANGE, then run: thalweg check-config {path}")
     return 0
+
+
+def _epochs_text(name: str, options: argparse.Namespace, schema: str) -> str:
+    """Text of a campaign of epochs: of campaigns and of files."""
+    from thalweg.deformation import place_of_file
+    from thalweg.settings import epochs_text, load_campaign
+    from thalweg.settings.sections import CLOUD_ENDINGS, DSM_ENDINGS, TEXT_ENDINGS
+
+    endings = (*CLOUD_ENDINGS, *TEXT_ENDINGS, *DSM_ENDINGS)
+    epochs: list[str | tuple[Path, str]] = []
+    for item in options.epochs:
+        path, _, date = item.partition("@")
+        epochs.append((Path(path).absolute(), date) if Path(path).suffix.lower() in endings else item)
+    surveys = [each for each in epochs if isinstance(each, str)]
+    files = [each[0] for each in epochs if not isinstance(each, str)]
+    if surveys:
+        place = load_campaign(options.folder / f"{surveys[0]}.yaml").campaign
+        crs, origin = place.crs, (place.origin.lat_deg, place.origin.lon_deg, place.origin.h_ell_m)
+    else:
+        crs, origin = place_of_file(files[0], tuple(options.origin) if options.origin else None)
+    return epochs_text(name, epochs, crs, origin, folder=options.folder, schema=schema)
 
 
 def _sort_logs(folder: Path) -> dict[str, list[Path]]:
@@ -260,10 +281,15 @@ def _check_config(options: argparse.Namespace) -> int:
 
     for name, campaign in load_campaigns(options.files, CAMPAIGNS).items():
         _check_contents(campaign)
+        _check_epochs(campaign)
         counts = {stream: len(campaign.log_files(stream)) for stream in STREAM_KEYS}
         files = ", ".join(f"{n} {stream}" for stream, n in counts.items() if n)
         source = f"files: {files}" if campaign.logs else "digital twin"
         identity = campaign.campaign
+        if campaign.is_change:
+            epochs = ", ".join(campaign.epoch_names)
+            print(f"{name}: ok. {identity.title}; {identity.crs}; epochs {epochs}")
+            continue
         print(
             f"{name}: ok. {identity.title}; {identity.crs}; "
             f"positions from {campaign.orientation.position_source}; {source}"
@@ -319,6 +345,24 @@ def _check_contents(campaign: "Campaign") -> None:
             where=campaign.id,
             cure="Name each file under its own key; `thalweg describe FILE` says what a file is",
         )
+
+
+def _check_epochs(campaign: "Campaign") -> None:
+    """Do files of epochs hold what the campaign file says? All mistakes are named at once."""
+    if not any(epoch.of_files for epoch in campaign.epochs or []):
+        return
+    from thalweg.core import LocalFrame
+    from thalweg.deformation import check_epoch_files
+
+    wrong = []
+    frame = LocalFrame(**campaign.campaign.origin.model_dump())
+    for number, epoch in enumerate(campaign.epochs or []):
+        try:
+            check_epoch_files(epoch, frame, campaign.campaign.crs)
+        except ThalwegError as error:
+            wrong.append(f"  epochs[{number}]: {error}")
+    if wrong:
+        raise ConfigError("files of epochs that cannot be used:\n" + "\n".join(wrong), where=campaign.id)
 
 
 def _describe(options: argparse.Namespace) -> int:

@@ -259,8 +259,10 @@ def _compare_surfaces(options: argparse.Namespace) -> int:
 
     before, after = (read_dsm(path, nodata=options.nodata) for path in (options.before, options.after))
     stated = (
-        None if sigma is None else HeightErrors(sigma, options.correlation)
-        for sigma in (options.sigma_a, options.sigma_b)
+        HeightErrors.of_bands(surface, options.correlation)
+        if sigma is None
+        else HeightErrors(sigma, options.correlation)
+        for surface, sigma in ((before, options.sigma_a), (after, options.sigma_b))
     )
     found = difference_of_surfaces(
         before,

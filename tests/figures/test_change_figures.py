@@ -2,13 +2,15 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
+from pyproj import CRS
 
-from thalweg.core import InputError, frame_of, write_table
+from thalweg.core import Grid, InputError, frame_of, write_raster, write_table
 from thalweg.deformation import (
     CHANGES,
     CORE_POINTS,
@@ -16,10 +18,15 @@ from thalweg.deformation import (
     HEIGHTS,
     SERIES,
     VISIBILITY,
+    Dsm,
+    SurfaceDifference,
     fit_series,
     heights_table,
+    read_difference,
+    write_difference,
 )
 from thalweg.figures.deformation import change_page, read_pair_facts
+from thalweg.figures.deformation.heights import draw_height_difference
 from thalweg.figures.deformation.maps import draw_change_map, draw_not_seen, draw_significance_map, read_pairs
 from thalweg.figures.deformation.page import direction, largest_patches, limits, verdict
 from thalweg.figures.deformation.statistics import (
@@ -112,6 +119,8 @@ def bank(tmp_path_factory):
         for start, v in zip((-10.0, 0.0), both, strict=True)
     ]
     pd.DataFrame(along).to_csv(folder / "volumes_along_1-2.csv", index=False)
+    dod = volume("net", -1.7, 0.8, 118.0) | {"part": "net", "n_cells": 472}
+    pd.DataFrame([dod]).to_csv(folder / "dod_1-2.csv", index=False)
     patch = {"cores": 25, "east_m": 0.0, "north_m": 0.0}
     pd.DataFrame(
         [
@@ -152,6 +161,7 @@ def bank(tmp_path_factory):
         control=of_pair("changes_{}.json"), registrations=of_pair("registration_{}.json"),
         weights=of_pair("registration_{}.npz"), volumes=of_pair("volumes_{}.csv"),
         along=of_pair("volumes_along_{}.csv"), patches=of_pair("patches_{}.csv"),
+        differences=of_pair("dod_{}.csv"),
         core_points=folder / "core_points.parquet", points=points, errors=errors, n=k, s=s, up=up,
     )  # fmt: skip
 
@@ -170,6 +180,7 @@ def facts(bank):
         bank.registrations,
         bank.volumes,
         bank.patches,
+        bank.differences,
         bank.core_points,
     )[0]
 
@@ -299,6 +310,39 @@ def test_error_variogram_is_drawn(bank, look, tmp_path):
     look.drawn(figure, tmp_path)
 
 
+@pytest.mark.parametrize("tall", [False, True])
+def test_difference_of_heights_is_drawn_with_its_sigma(look, tmp_path, tall):
+    height = np.full((8, 30), 0.02)
+    height[:, :3], height[2:5, 10:16], height[0, 29] = np.nan, -0.29, 2.5
+    height = height.T if tall else height
+    raster = Dsm(
+        height, np.array([377_310.0, 5_656_780.0]), np.full(2, 0.5), CRS.from_epsg(25833), None, Path("a")
+    )
+    sigma = np.where(np.isfinite(height), 0.04, np.nan)
+    found = SurfaceDifference(raster, sigma, pd.DataFrame(), [])
+    write_difference(tmp_path / "dod_1-2.tif", found)
+    back = read_difference(tmp_path / "dod_1-2.tif")
+    np.testing.assert_allclose(back.raster.height_m, height.astype(np.float32))
+    assert back.raster.corner_m.tolist() == raster.corner_m.tolist()
+    figure = draw_height_difference(differences=[tmp_path / "dod_1-2.tif"], **WORDS)
+    words = look.texts(figure)
+    assert "epochs 1 to 2, n = 216 cells, from −29 to +250 cm" in words
+    assert "standard deviation, median 4.0 cm" in words
+    assert "east of 377300 m / m" in words
+    assert "north of 5656600 m / m" in words
+    drawn = look.artists(figure, "difference")[0]
+    assert drawn.get_extent()[0] == pytest.approx(10.0)
+    assert drawn.get_clim() == (-30.0, 30.0)  # 99 % of the differences
+    look.drawn(figure, tmp_path)
+    write_raster(
+        tmp_path / "other.tif",
+        Grid.around(np.zeros((1, 2)) + 1e5, 1.0, CRS.from_epsg(25833), margin_m=2),
+        {"z": np.zeros((4, 4))},
+    )
+    with pytest.raises(InputError, match="bands z"):
+        read_difference(tmp_path / "other.tif")
+
+
 def test_volumes_along_the_bank(bank, look, tmp_path):
     figure = draw_volume_along(along=bank.along, **WORDS)
     words = look.texts(figure)
@@ -322,6 +366,30 @@ def test_epochs_from_above(bank, look, tmp_path):
     assert 2.9 < picture.max() < 3.1
     assert len(look.artists(figure, "track")) == 2
     look.drawn(figure, tmp_path)
+
+
+def test_an_epoch_of_files_has_no_boat_and_its_notes_stand_on_the_page(bank, facts, look, tmp_path):
+    own = tmp_path / "files"
+    own.mkdir()
+    with np.load(bank.points[1]) as stored:
+        np.savez(own / "points.npz", xyz_m=stored["xyz_m"], boat_m=np.empty((0, 3)))
+    group = {"name": "stated", "correlation_s": None, "correlation_m": 20.0, "cell_m": 2.5, "unit": "m"}
+    about = json.loads(bank.errors[1].read_text()) | {"groups": [group | {"sigma": [0.0, 0.0, 0.03]}]}
+    (own / "errors.json").write_text(json.dumps(about))
+    figure = draw_epochs_from_above(
+        points=[bank.points[0], own / "points.npz"], errors=[bank.errors[0], own / "errors.json"], **WORDS
+    )
+    assert len(look.artists(figure, "track")) == 1
+    assert "files, no trajectory" in look.texts(figure)
+    noted = replace(facts, control=facts.control | {"notes": ["No sigma is stated of scanner."]})
+    html = change_page([json.loads(bank.errors[0].read_text()), about], [noted]).html()
+    for words in (
+        "Epochs 1 to 2: No sigma is stated of scanner.",
+        "stated of the files",
+        "correlation length",
+    ):
+        assert words in html, words
+    assert "correlation length" not in change_page([json.loads(bank.errors[0].read_text())], [facts]).html()
 
 
 def test_profiles_go_through_the_largest_and_the_lowest_change(bank, pair):
@@ -415,12 +483,18 @@ def test_the_page_holds_all_tables_and_pictures(bank, facts, look, tmp_path):
     look.drawn(draw_volume_along(along=bank.along, **WORDS), tmp_path)
     (tmp_path / "a.png").rename(picture)
     truth = {"1-2": pd.DataFrame({"measure": ["specificity", "new_one"], "value": [0.99, 2.0], "n": [10, 1]})}
+    polygon = {"kind": "erosion", "area_m2": 24.0, "true_m3": -2.4, "sigma_m3": 0.25, "measured_m2": 23.0}
+    known = {"cores": 140, "measured_m3": -2.0, "expected_m3": -2.25}
+    polygons = pd.DataFrame(
+        [{"name": "patch_-0.10", **polygon, **known}, {"name": "niche", **polygon, **known, "cores": 0}]
+    )
     html = change_page(
         [json.loads(path.read_text()) for path in bank.errors],
         [facts, facts],
         pictures=[picture],
         captions={"volume_along": "Bars of volume."},
         truth=truth,
+        polygons={"1-2": polygons},
         title="Change of the bank",
         twin=True,
     ).html()
@@ -430,13 +504,17 @@ def test_the_page_holds_all_tables_and_pictures(bank, facts, look, tmp_path):
         "direction of the scanner on the boat",
         "share of unchanged ground that was called unchanged",
         "new one",
+        "<td>patch -0.10</td>",
+        "error over sigma",
         "at most 5 % did not change",
         "<td>water</td>",
         "2021-",  # the start of the first epoch
         "The digital twin made these data",
+        "Volumes of the difference of heights",
     ):
         assert words in html, words
     assert html.count("by erosion on") == 2
+    assert "<td>niche</td>" not in html  # nobody saw it
     plain = change_page([json.loads(path.read_text()) for path in bank.errors], [facts]).html()
     assert "digital twin" not in plain
 
@@ -483,7 +561,7 @@ def test_six_series_are_drawn_the_largest_trend_first(bank, retreating, look, tm
 def test_a_page_of_many_epochs_names_those_that_jump(bank):
     facts = read_pair_facts(
         bank.changes, bank.visibility, bank.control, bank.registrations, bank.volumes, bank.patches,
-        bank.core_points,
+        bank.differences, bank.core_points,
     )  # fmt: skip
     errors = [json.loads(path.read_text()) for path in bank.errors]
     jump = {"n": 200, "before_m": 0.2, "after_m": -0.21, "share": 0.9, "flagged": True, "name": "autumn"}

@@ -1,13 +1,24 @@
 """The truth of changes, by hand: planes, patches, boxes, overhangs, and what no distance can be told of."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from thalweg.core import ArrayF, ArrayI, ConfigError, GeometryError, InputError
 from thalweg.settings.twin import TwinConfig
+from thalweg.surface import Area
 from thalweg_lab.changes import Patch
 from thalweg_lab.river import BOX_FACES, Material, MeshParts, Scene, boxes
-from thalweg_lab.truth import change_outlines, true_changes, true_volumes
+from thalweg_lab.truth import (
+    change_outlines,
+    judge_places,
+    judge_polygons,
+    outlines_of,
+    true_changes,
+    true_points,
+    true_polygons,
+    true_volumes,
+)
 
 SQUARE = np.array([[-8.0, -8.0], [8.0, -8.0], [8.0, 8.0], [-8.0, 8.0]])
 SLOPE = np.deg2rad(33.0)
@@ -156,3 +167,85 @@ def test_outlines_name_what_either_epoch_has() -> None:
         change_outlines(first, TwinConfig.of_size("tiny", scene={"width_m": 25.0}).scene, 4)
     with pytest.raises(ConfigError, match="seed 5"):
         change_outlines(first, second, 5)
+
+
+# ---------------------------------------------------------------- as files, and against them
+
+
+def lowered() -> tuple[Scene, Scene, dict[str, ArrayF]]:
+    """A slope, the same with a square of 4 m that is 0.3 m lower, and outlines of it and of a quiet one."""
+    x, y = grid(160)
+    slope = 0.3 * y
+    hollow = slope - 0.3 * ((np.abs(x) < 2.0) & (np.abs(y) < 2.0))
+    square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    outlines = {"hollow": 2.2 * square, "new_boulders": 1.5 * square + 4.0}
+    return scene(slope, cells=160), scene(hollow, cells=160), outlines
+
+
+def test_places_of_true_change_lie_evenly_on_the_ground_and_know_their_polygon() -> None:
+    before, after, outlines = lowered()
+    area = Area(polygon_en_m=0.75 * SQUARE)
+    table = true_points(before, after, outlines, area, radius_m=0.0, reach_m=2.0, seed=1)
+    assert len(table) == pytest.approx(4.0 * 12.0**2 / np.cos(np.arctan(0.3)), rel=0.01)
+    place = table[["east_m", "north_m", "up_m"]].to_numpy()
+    assert place[:, 2] == pytest.approx(0.3 * place[:, 1], abs=1e-6)
+    # about four in each square metre of the map
+    counts = np.histogram2d(place[:, 0], place[:, 1], bins=[np.arange(-6.0, 6.1, 3.0)] * 2)[0]
+    assert counts == pytest.approx(np.full((4, 4), len(table) / 16), rel=0.5)
+    inner = table[(np.abs(place[:, :2]) < 1.7).all(axis=1)]
+    assert (inner["polygon"] == "hollow").all()
+    assert (inner["kind"] == "erosion").all()
+    assert inner["distance_m"].to_numpy() == pytest.approx(-0.3 * np.cos(np.arctan(0.3)), abs=0.01)
+    outer = table[(np.abs(place[:, :2]) > 2.5).any(axis=1)]
+    assert (outer["kind"] == "unchanged").all()
+    assert set(table["polygon"]) == {"", "hollow", "new_boulders"}
+    with pytest.raises(GeometryError, match="no ground of the first epoch"):
+        true_points(before, after, {}, Area(lowest_m=50.0), radius_m=0.5, reach_m=2.0, seed=1)
+
+
+def test_polygons_have_volumes_classes_and_outlines_that_are_read_again() -> None:
+    before, after, outlines = lowered()
+    table = true_polygons(before, after, outlines).set_index("name")
+    assert table.loc["hollow", "kind"] == "erosion"
+    assert table.loc["hollow", "net_m3"] == pytest.approx(-0.3 * 3.875**2, rel=0.01)
+    assert table.loc["new_boulders", "kind"] == "object"
+    back = outlines_of(table.reset_index())
+    for name, outline in outlines.items():
+        assert back[name] == pytest.approx(outline, abs=5e-4)
+
+
+def test_volumes_and_places_are_held_against_the_truth() -> None:
+    before, after, outlines = lowered()
+    plan = np.stack(np.meshgrid(*[np.arange(-5.75, 6.0, 0.5)] * 2), axis=-1).reshape(-1, 2)
+    inside = (np.abs(plan) < 2.0).all(axis=1)
+    tilt = np.cos(np.arctan(0.3))
+    true = np.where(inside, -0.3 * tilt, 0.0)
+    state = np.where(inside, "erosion", "no significant change").astype(object)
+    unseen = inside & (plan[:, 0] > 1.0)
+    state[unseen] = "not seen in second"
+    changes = pd.DataFrame(
+        {
+            "east_m": plan[:, 0],
+            "north_m": plan[:, 1],
+            "up_m": 0.3 * plan[:, 1],
+            "distance_m": np.where(unseen, np.nan, true + 0.01),
+            "state": state,
+        }
+    )
+    cores = pd.DataFrame({"area_m2": np.full(len(plan), 0.25 / tilt)})
+    draws = pd.DataFrame({"core": np.arange(len(plan)), "draw_00_m": 0.01, "draw_01_m": -0.01})
+    polygons = true_polygons(before, after, outlines)
+    row = judge_polygons(changes, cores, draws, true, polygons).set_index("name").loc["hollow"]
+    seen = 3.0 * 4.0  # a quarter of the square was not seen
+    assert row["expected_m3"] == pytest.approx(-0.3 * seen)
+    assert row["measured_m3"] - row["expected_m3"] == pytest.approx(0.01 * row["measured_m2"])
+    assert row["sigma_m3"] == pytest.approx(0.01 * row["measured_m2"])  # one error of all
+    assert row["true_m3"] == pytest.approx(-0.3 * 3.875**2, rel=0.01)
+    area = Area(polygon_en_m=0.75 * SQUARE)
+    truth = true_points(before, after, outlines, area, radius_m=0.0, reach_m=2.0, seed=1)
+    found = {measure: value for measure, value, _ in judge_places(changes, truth, 0.25)}
+    assert found["true_changes_seen"] == pytest.approx(
+        0.78, abs=0.08
+    )  # three quarters, and some of the border
+    assert found["true_changes_called"] > 0.9  # at the border the nearest core point may lie beyond it
+    assert judge_places(changes, truth[truth["kind"] == "unchanged"], 0.25) == []

@@ -3,11 +3,14 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
+from pyproj import CRS
 
 from thalweg.cli import main
 from thalweg.core import ConfigError
+from thalweg.core.las import write_laz
 from thalweg.settings import load_campaigns, with_calibrations
 from thalweg.workflow import CampaignFiles
 
@@ -22,8 +25,9 @@ def write(folder: Path, name: str, **sections: Any) -> None:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    for name in ("spring", "autumn", "winter"):
-        write(tmp_path, name, twin={"size": "tiny", "time_lapse": None}, mounts=MOUNTS)
+    for month, name in ((4, "spring"), (9, "autumn"), (12, "winter")):
+        start = f"2021-{month:02d}-12T08:59:48Z"
+        write(tmp_path, name, twin={"size": "tiny", "time_lapse": None, "start_utc": start}, mounts=MOUNTS)
     write(tmp_path, "change", epochs=[{"campaign": "spring"}, {"campaign": "autumn"}])
     return tmp_path
 
@@ -82,11 +86,90 @@ def test_three_epochs_are_compared_one_after_the_other_and_first_with_last(folde
             {"epochs": [{"campaign": "spring"}, {"campaign": "autumn"}], "deformation": {"reach_m": 0.2}},
             "the cylinders would be discs",
         ),
+        (
+            {"epochs": [{"campaign": "autumn"}, {"campaign": "spring"}]},
+            "epochs[1].campaign: 2021-04-12 08:59 UTC, before epoch 1; expected epochs in the order of time",
+        ),
+        (
+            {"epochs": [{"campaign": "spring"}, {"campaign": "autumn", "surface": "bed"}]},
+            "surface 'bed' without correlation_m",
+        ),
+        (
+            {"epochs": [{"campaign": "spring"}, {"campaign": "autumn", "sigma_m": 0.1}]},
+            "sigma_m beside campaign",
+        ),
+        ({"epochs": [{"campaign": "spring"}, {"chain": "ins"}]}, "neither campaign nor clouds nor dsm"),
+        ({"epochs": [{"campaign": "spring"}, {"campaign": "autumn", "dsm": "a.tif"}]}, "campaign and dsm"),
     ],
 )
 def test_mistakes_name_what_to_do(folder: Path, change: dict[str, Any], words: str) -> None:
     write(folder, "change", **change)
     assert words in told(folder)
+
+
+@pytest.mark.parametrize(
+    ("files", "words"),
+    [
+        ([{"date_utc": None}], "epochs[1]: files without a date; expected date_utc: the day of the survey"),
+        ([{"date_utc": "13.3.2021"}], "not a day such as 2021-05-12 or a UTC time"),
+        ([{}, {"clouds": ["b.xyz"]}], "the time of epoch 2 too"),
+        ([{"date_utc": "2021-04-12T08:59:48Z"}], "the time of epoch 1 too"),
+        ([{}, {"clouds": ["b.xyz"], "date_utc": "2021-04-20"}], "before epoch 2; expected epochs in the ord"),
+        ([{"clouds": ["b.laz"]}], "b.laz: no such file"),
+        ([{"clouds": ["none/*.laz"]}], "the pattern matches no file"),
+        ([{"clouds": ["empty.laz"]}], "empty.laz: the file is empty"),
+        ([{"clouds": ["a.tif"]}], "files that end in .tif are not read here"),
+        ([{"clouds": [], "dsm": "a.laz"}], "surface models stand under dsm, points under clouds"),
+        ([{}, {"clouds": ["a.laz"], "date_utc": "2021-06-01"}], "already the surface of epoch 2"),
+        ([{"sigma_m": 0.1}], "sigma_m without correlation_m"),
+        ([{"correlation_m": 10.0}], "correlation_m without sigma_m"),
+        ([{"sigma_m": -0.1, "correlation_m": 10.0}], "of at least 0"),
+        ([{"crs": "EPSG:99999"}], "epochs[1].crs: 'EPSG:99999' is unknown to PROJ"),
+        ([{"crs": "EPSG:4326"}], "epochs[1].crs: 'EPSG:4326' is not projected"),
+        ([{"crs": "EPSG:32631"}], "outside the area of use of EPSG:32631"),
+        ([{"crs": "EPSG:25833+7837"}], "has heights 'DHHN2016 height', epoch 1 (spring) 'ellipsoidal'"),
+        ([{"name": "autumn"}], "the name 'autumn' is that of a campaign"),
+        ([{"chain": "ins"}], "chain beside clouds"),
+        ([{"leave_out": ["water.gpkg?day=1"]}], "water.gpkg: no such file"),
+    ],
+)
+def test_mistakes_of_files_are_told_before_anything_runs(
+    folder: Path, files: list[dict[str, Any]], words: str
+) -> None:
+    for name, text in (("a.laz", "points"), ("b.xyz", "1 2 3"), ("a.tif", "heights"), ("empty.laz", "")):
+        (folder / name).write_text(text)
+    usual = {"clouds": ["a.laz"], "date_utc": "2021-05-12"}
+    write(folder, "change", epochs=[{"campaign": "spring"}, *({**usual, **each} for each in files)])
+    assert words in told(folder)
+
+
+def test_files_join_the_epochs_under_names_of_their_own(folder: Path) -> None:
+    for name in ("a.laz", "b1.xyz", "b2.xyz", "c.tif"):
+        (folder / name).write_text("points")
+    entries = [
+        {"clouds": ["a.laz"], "date_utc": "2020-05-12"},
+        {"campaign": "spring"},
+        {"clouds": ["b*.xyz"], "date_utc": "2021-05-12", "name": "scanner"},
+        {"dsm": "c.tif", "date_utc": "2021-05-12T18:00:00Z", "leave_out": ["a.laz?x=1"]},
+        {"campaign": "autumn", "surface": "bed", "correlation_m": 8.0},
+    ]
+    entries[3].pop("leave_out")
+    write(folder, "change", epochs=entries)
+    campaigns = with_calibrations(load_campaigns("change", folder), folder)
+    files = CampaignFiles(name="change", campaigns=campaigns)
+    assert files.epoch_names() == ["epoch_1", "spring", "scanner", "epoch_4", "autumn_bed"]
+    assert files.epochs_with_trajectory(wanted=True) == ["spring"]
+    assert files.epoch_surface("scanner") == [str(folder / "b1.xyz"), str(folder / "b2.xyz")]
+    assert files.epoch_surface("autumn_bed") == ["results/autumn/bathymetry/bed.tif"]
+    assert files.epoch_positions("autumn_bed") == ["results/autumn/ingest/positions.parquet"]
+    assert files.epoch_statement("autumn_bed")["correlation_m"] == 8.0
+    assert files.surface_statements("3-4") == []
+    assert [each["dsm"] for each in files.surface_statements("4-5")] == [
+        str(folder / "c.tif"),
+        "results/autumn/bathymetry/bed.tif",
+    ]
+    assert files.change_truth() == []  # of files no truth is known
+    assert files.is_twin()
 
 
 def test_mistakes_of_an_epoch_are_told_with_its_file(folder: Path) -> None:
@@ -102,3 +185,34 @@ def test_a_new_campaign_of_epochs_is_a_good_one(folder: Path, capsys: pytest.Cap
     text = (folder / "flood.yaml").read_text().replace("flood  # CHANGE", "flood # changed")
     (folder / "flood.yaml").write_text(text)
     assert load_campaigns("flood", folder)["flood"].is_change
+
+
+def test_a_new_campaign_of_files_has_their_grid_and_place(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    xyz = np.random.default_rng(1).uniform(0.0, 20.0, (50, 3))
+    xyz += np.array([377_000.0, 5_657_000.0, 295.0])
+    for name in ("a.laz", "b.laz"):
+        write_laz(folder / name, [{"xyz_m": xyz}], CRS.from_epsg(25833))
+    new = ["new-campaign", "flood", "--folder", str(folder), "--epochs"]
+    assert main([*new, f"{folder}/a.laz@2019-03-13", f"{folder}/b.laz"]) == 0
+    text = (folder / "flood.yaml").read_text()
+    assert "- clouds: [a.laz]\n    date_utc: 2019-03-13" in text
+    assert "date_utc: CHANGE" in text
+    capsys.readouterr()
+    assert main(["check-config", str(folder / "flood.yaml")]) == 2
+    assert "not a day such as" in capsys.readouterr().err
+    (folder / "flood.yaml").write_text(text.replace("CHANGE  # day", "2020-03-13  # day"))
+    assert main(["check-config", str(folder / "flood.yaml")]) == 0
+    assert "epochs epoch_1, epoch_2" in capsys.readouterr().out
+    place = load_campaigns("flood", folder)["flood"].campaign
+    assert place.crs == "EPSG:25833"
+    assert (place.origin.lat_deg, place.origin.lon_deg) == pytest.approx((51.05, 13.25), abs=0.01)
+    # what the headers say is refused by the same command
+    write_laz(folder / "b.laz", [{"xyz_m": xyz}], CRS.from_epsg(25832))
+    (folder / "flood.yaml").write_text(
+        (folder / "flood.yaml").read_text().replace("# crs: EPSG:25833+7837", "crs: EPSG:25833")
+    )
+    assert main(["check-config", str(folder / "flood.yaml")]) == 2
+    assert "epochs[1]: " in (shown := capsys.readouterr().err)
+    assert "the file states ETRS89 / UTM zone 32N, the campaign file ETRS89 / UTM zone 33N" in shown

@@ -5,11 +5,14 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+import rasterio
+import yaml
 
 from thalweg.cli import main
 
 pytestmark = pytest.mark.workflow
 
+ORIGIN = {"lat_deg": 51.05, "lon_deg": 13.25, "h_ell_m": 300.0}
 FOLDER = "results/tiny_change/deformation"
 
 
@@ -67,6 +70,66 @@ def test_the_registration_says_what_the_ground_does_not_show(changed) -> None:
     lost = np.array(facts["not_shown"])
     assert len(lost) == 1
     assert abs(lost[0, 0]) > 0.9  # along the bank, which runs from west to east
+
+
+def test_volumes_of_each_change_agree_with_the_truth(changed) -> None:
+    table = pd.read_csv(changed / "truth_polygons_1-2.csv").set_index("name")
+    patches = table[table.index.str.startswith("patch")]
+    assert len(patches) == 5
+    assert (patches["measured_m2"] > 0.9 * patches["area_m2"]).all()
+    z = (patches["measured_m3"] - patches["expected_m3"]) / patches["sigma_m3"]
+    assert z.abs().max() < 3.5  # fifty draws know a sigma to 10 %
+    # what a patch of 6 x 4 m with this displacement holds, and the sign of it
+    for name, row in patches.iterrows():
+        assert row["true_m3"] == pytest.approx(24.0 * float(name.removeprefix("patch_")), rel=0.05)
+    found = pd.read_csv(changed / "truth_1-2.csv").set_index("measure")["value"]
+    assert found["true_changes_seen"] > 0.95
+    places = pd.read_parquet(changed.parent / "simulation/truth/change_1-2.parquet")
+    assert {"unchanged", "erosion", "deposition"} <= set(places["kind"])
+
+
+def test_differences_of_heights_show_the_patches_in_the_map(changed) -> None:
+    with rasterio.open(changed / "dod_1-2.tif") as file:
+        assert file.descriptions == ("difference_m", "sigma_m")
+        assert file.crs.to_epsg() == 25833
+        difference, sigma = file.read()
+    known = np.isfinite(difference)
+    assert (np.isfinite(sigma) == known).all()
+    assert 0.01 < np.median(sigma[known]) < 0.1
+    z = difference[known] / sigma[known]
+    assert np.median(np.abs(z)) / 0.6745 < 2.0  # most of the bank did not change
+    table = pd.read_csv(changed / "dod_1-2.csv").set_index("part")
+    assert table.loc["net", "volume_m3"] == pytest.approx(np.nansum(difference) * 0.25, rel=1e-4)
+    assert abs(table.loc["net", "volume_m3"]) < 4.0 * table.loc["net", "sigma_m3"]
+
+
+def test_clouds_from_elsewhere_are_compared_on_a_map(house_builder, repository, tmp_path_factory) -> None:
+    house = house_builder(repository, tmp_path_factory.mktemp("files"))
+    rng = np.random.default_rng(1)
+    for name, lift in (("a", 0.0), ("b", 0.1)):
+        plan = rng.uniform(0.0, (12.0, 10.0), (3000, 2))
+        height = 295.0 + lift + 0.1 * plan[:, 0] + rng.normal(0.0, 0.01, 3000)
+        xyz = np.column_stack([plan + np.array([377_320.0, 5_656_830.0]), height])
+        np.savetxt(house.root / f"config/campaigns/{name}.xyz", xyz, fmt="%.4f")
+    stated = {"sigma_m": 0.01, "correlation_m": 3.0, "crs": "EPSG:25833"}
+    campaign = {
+        "campaign": {"id": "files", "title": "Files", "crs": "EPSG:25833", "origin": ORIGIN},
+        "epochs": [
+            {"clouds": ["a.xyz"], "date_utc": "2019-03-13", "name": "spring", **stated},
+            {"clouds": ["b.xyz"], "date_utc": "2019-10-13", **stated},
+        ],
+        "deformation": {"core_spacing_m": 1.0, "cylinder_radius_m": 0.8, "registration": "none"},
+    }
+    (house.root / "config/campaigns/files.yaml").write_text(yaml.safe_dump(campaign))
+    folder = "results/files/deformation"
+    house.snakemake("--config", "campaign=files", "--", f"{folder}/dod_1-2.tif")
+    facts = json.loads((house.root / folder / "epochs/spring/errors.json").read_text())
+    assert (facts["kind"], facts["points"], facts["heights"]) == ("files", 3000, "ellipsoidal")
+    row = pd.read_csv(house.root / folder / "dod_1-2.csv").set_index("part").loc["net"]
+    assert row["volume_m3"] / row["area_m2"] == pytest.approx(0.1, abs=0.005)
+    # of a mean over four correlation lengths each way
+    assert 0.002 < row["sigma_m3"] / row["area_m2"] < 0.01
+    assert (house.root / folder / "epochs/epoch_2/points.npz").is_file()
 
 
 def test_the_summary_says_what_changed(changed, capsys: pytest.CaptureFixture[str]) -> None:

@@ -76,6 +76,15 @@ def raw(stream):
     return of(CampaignFiles.logs, stream)
 
 
+def names_of_epochs(with_trajectory):
+    """Pattern of the names of epochs with a boat's trajectory, or of those without."""
+    files = FILES.values()
+    names = {
+        name for each in files for name in each.epochs_with_trajectory(with_trajectory)
+    }
+    return "|".join(sorted(names)) or "none"
+
+
 def of_page(page):
     """Input function: the pictures of a page."""
     return lambda wildcards: FIGURES.files(FILES[wildcards.campaign], page)

@@ -2,7 +2,6 @@
 
 
 wildcard_constraints:
-    epoch="|".join(sorted(CAMPAIGNS)),
     pair=r"\d+-\d+",
 
 
@@ -21,6 +20,8 @@ rule prepare_epoch:
         "logs/{campaign}/deformation/prepare_epoch_{epoch}.log",
     benchmark:
         "benchmarks/{campaign}/deformation/prepare_epoch_{epoch}.jsonl"
+    wildcard_constraints:
+        epoch=names_of_epochs(with_trajectory=True),
     conda:
         "../../envs/thalweg.yaml"
     threads: 1
@@ -38,6 +39,37 @@ rule prepare_epoch:
         ),
     script:
         "../scripts/prepare_epoch.py"
+
+
+rule prepare_foreign_epoch:
+    """Points of a cloud or surface model from elsewhere, or of a riverbed, with the errors stated of them."""
+    input:
+        surface=of_wildcard("epoch", CampaignFiles.epoch_surface),
+        masks=of_wildcard("epoch", CampaignFiles.epoch_masks),
+        positions=of_wildcard("epoch", CampaignFiles.epoch_positions),
+    output:
+        prepared="results/{campaign}/deformation/epochs/{epoch}/points.npz",
+        errors="results/{campaign}/deformation/epochs/{epoch}/errors.json",
+    log:
+        "logs/{campaign}/deformation/prepare_foreign_epoch_{epoch}.log",
+    benchmark:
+        "benchmarks/{campaign}/deformation/prepare_foreign_epoch_{epoch}.jsonl"
+    wildcard_constraints:
+        epoch=names_of_epochs(with_trajectory=False),
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(3000, 10),
+        runtime=minutes(10, 60),
+    params:
+        code=code_version("prepare_foreign_epoch"),
+        campaign=identity("origin", "crs"),
+        deformation=section("deformation"),
+        name=lambda wildcards: wildcards.epoch,
+        stated=of_wildcard("epoch", CampaignFiles.epoch_statement),
+    script:
+        "../scripts/prepare_foreign_epoch.py"
 
 
 rule place_core_points:
@@ -124,6 +156,36 @@ rule compare_epochs:
         "../scripts/compare_epochs.py"
 
 
+rule difference_of_surfaces:
+    """Difference of the heights of two epochs on a grid of the map, with sigmas, and volumes."""
+    input:
+        epochs=of_wildcard("pair", CampaignFiles.epochs_of, "points.npz"),
+        core_points="results/{campaign}/deformation/core_points.parquet",
+        registration="results/{campaign}/deformation/registration_{pair}.json",
+        weights="results/{campaign}/deformation/registration_{pair}.npz",
+        surfaces=of_wildcard("pair", CampaignFiles.surface_files),
+    output:
+        difference="results/{campaign}/deformation/dod_{pair}.tif",
+        volumes="results/{campaign}/deformation/dod_{pair}.csv",
+    log:
+        "logs/{campaign}/deformation/difference_of_surfaces_{pair}.log",
+    benchmark:
+        "benchmarks/{campaign}/deformation/difference_of_surfaces_{pair}.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(4000, 10),
+        runtime=minutes(20, 60),
+    params:
+        code=code_version("difference_of_surfaces"),
+        campaign=identity("origin", "crs"),
+        deformation=section("deformation"),
+        models=of_wildcard("pair", CampaignFiles.surface_statements),
+    script:
+        "../scripts/difference_of_surfaces.py"
+
+
 rule change_series:
     """Trend and step at each core point over more than two epochs, and epochs that jump and return."""
     input:
@@ -151,18 +213,51 @@ rule change_series:
         "../scripts/change_series.py"
 
 
+rule simulate_change:
+    """What truly changed between two epochs of a twin, at places and by polygon; for the comparison alone."""
+    input:
+        scenes=of_wildcard(
+            "pair", CampaignFiles.surveys_of, "simulation/truth/scene.npz"
+        ),
+    output:
+        points="results/{campaign}/simulation/truth/change_{pair}.parquet",
+        polygons="results/{campaign}/simulation/truth/change_{pair}.csv",
+    log:
+        "logs/{campaign}/simulation/simulate_change_{pair}.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_change_{pair}.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(20),
+    params:
+        **calls("thalweg_lab.truth.change:simulate_change"),
+        settings=of_wildcard("pair", CampaignFiles.scenes_of),
+        seeds=of_wildcard("pair", CampaignFiles.seeds_of),
+        campaign=identity("origin", "crs"),
+        deformation=of(CampaignFiles.change_places),
+    script:
+        "../scripts/call.py"
+
+
 rule compare_change_with_truth:
     """Measured changes of a twin against what truly changed."""
     input:
         changes="results/{campaign}/deformation/changes_{pair}.parquet",
         core_points="results/{campaign}/deformation/core_points.parquet",
         volumes="results/{campaign}/deformation/volumes_{pair}.csv",
+        draws="results/{campaign}/deformation/draws_{pair}.parquet",
+        places="results/{campaign}/simulation/truth/change_{pair}.parquet",
+        polygons="results/{campaign}/simulation/truth/change_{pair}.csv",
         scenes=of_wildcard(
             "pair", CampaignFiles.surveys_of, "simulation/truth/scene.npz"
         ),
     output:
         measures="results/{campaign}/deformation/truth_{pair}.csv",
         cores="results/{campaign}/deformation/truth_{pair}.parquet",
+        by_polygon="results/{campaign}/deformation/truth_polygons_{pair}.csv",
     log:
         "logs/{campaign}/deformation/compare_change_with_truth_{pair}.log",
     benchmark:

@@ -9,10 +9,10 @@ from thalweg.deformation import (
     CORE_POINTS,
     HEIGHTS,
     SERIES,
-    Epoch,
     find_jumps,
     fit_series,
     heights_table,
+    read_epoch,
     series_of_epochs,
 )
 from thalweg.settings.sections import Deformation
@@ -29,7 +29,7 @@ def main(
     retreat: Path,
     deformation: Deformation,
 ) -> None:
-    read = [Epoch.read(path.parent) for path in epochs]
+    read = [read_epoch(path.parent) for path in epochs]
     found = series_of_epochs(read_table(core_points, CORE_POINTS)[0], read, deformation)
     write_table(series, fit_series(found.years, found.height_m, found.sigma_m), SERIES)
     write_table(heights, heights_table(found.years, found.height_m, found.sigma_m), HEIGHTS)

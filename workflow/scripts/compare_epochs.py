@@ -11,13 +11,15 @@ from thalweg.deformation import (
     DRAWS,
     VISIBILITY,
     YEAR_S,
-    Epoch,
     classify_changes,
     compare_epochs,
     draw_errors,
     estimate_retreat,
     estimate_volumes,
+    highest_water_m,
+    notes_of_pair,
     observe_visibility,
+    read_epoch,
     read_registration,
     write_changes,
 )
@@ -43,7 +45,7 @@ def main(
     campaign: dict[str, Any],
     deformation: Deformation,
 ) -> None:
-    before, after = (Epoch.read(path.parent) for path in epochs)
+    before, after = (read_epoch(path.parent) for path in epochs)
     cores = read_table(core_points, CORE_POINTS)[0]
     moved = read_registration(registration, weights)
     table, compared, found = compare_epochs(cores, before, after, moved, deformation, campaign["seed"])
@@ -62,10 +64,11 @@ def main(
         table,
         compared,
         deformation,
-        water_m=max(float(epoch.water_m.max()) for epoch in (before, after)),
+        water_m=highest_water_m((before, after)),
         years=(after.start_gps_s - before.start_gps_s) / YEAR_S,
     )
     moved_lines.to_csv(retreat, index=False)
+    found |= {"notes": notes_of_pair(before, after, places.n)}
     facts.write_text(json.dumps(found, indent=2) + "\n")
 
 

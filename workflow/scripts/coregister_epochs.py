@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from thalweg.core import read_table
-from thalweg.deformation import CORE_POINTS, Epoch, measure_pair, register_pair, write_registration
+from thalweg.deformation import CORE_POINTS, measure_pair, read_epoch, register_pair, write_registration
 from thalweg.settings.sections import Deformation
 from thalweg.workflow import run_job
 
@@ -11,7 +11,7 @@ from thalweg.workflow import run_job
 def main(
     *, epochs: list[Path], core_points: Path, registration: Path, weights: Path, deformation: Deformation
 ) -> None:
-    before, after = (Epoch.read(path.parent) for path in epochs)
+    before, after = (read_epoch(path.parent) for path in epochs)
     pair = measure_pair(read_table(core_points, CORE_POINTS)[0], before, after, deformation)
     write_registration(registration, weights, register_pair(pair, deformation))
 

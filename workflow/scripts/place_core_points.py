@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from thalweg.core import LocalFrame, write_table
-from thalweg.deformation import CORE_POINTS, Epoch, check_order, place_core_points
+from thalweg.deformation import CORE_POINTS, check_order, place_core_points, read_epoch
 from thalweg.settings.sections import Deformation
 from thalweg.surface import Area
 from thalweg.workflow import run_job
@@ -13,7 +13,7 @@ from thalweg.workflow import run_job
 def main(
     *, epochs: list[Path], core_points: Path, campaign: dict[str, Any], deformation: Deformation
 ) -> None:
-    read = [Epoch.read(path.parent) for path in epochs]
+    read = [read_epoch(path.parent) for path in epochs]
     check_order(read)
     area = Area.from_section(deformation.area, LocalFrame(**campaign["origin"]), campaign["crs"])
     write_table(core_points, place_core_points(read, deformation, area), CORE_POINTS)

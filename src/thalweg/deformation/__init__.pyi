@@ -17,7 +17,16 @@ from .coregistration import (
     read_registration as read_registration,
     write_registration as write_registration,
 )
-from .epochs import Epoch as Epoch, check_order as check_order, prepare_epoch as prepare_epoch
+from .differences import (
+    difference_of_epochs as difference_of_epochs,
+    difference_of_models as difference_of_models,
+)
+from .epochs import (
+    Epoch as Epoch,
+    check_order as check_order,
+    highest_water_m as highest_water_m,
+    prepare_epoch as prepare_epoch,
+)
 from .field import ErrorField as ErrorField, benjamini_hochberg as benjamini_hochberg
 from .foreign import (
     DISTANCES as DISTANCES,
@@ -27,6 +36,14 @@ from .foreign import (
     read_points as read_points,
     sigma_of_mean as sigma_of_mean,
     write_changes as write_changes,
+)
+from .foreign_epochs import (
+    ForeignEpoch as ForeignEpoch,
+    check_epoch_files as check_epoch_files,
+    notes_of_pair as notes_of_pair,
+    place_of_file as place_of_file,
+    prepare_foreign_epoch as prepare_foreign_epoch,
+    read_epoch as read_epoch,
 )
 from .series import (
     HEIGHTS as HEIGHTS,
@@ -40,9 +57,11 @@ from .shapes import Shapes as Shapes, read_shapes as read_shapes
 from .surfaces import (
     Dsm as Dsm,
     HeightErrors as HeightErrors,
+    SurfaceDifference as SurfaceDifference,
     difference_of_surfaces as difference_of_surfaces,
     difference_on_lines as difference_on_lines,
     onto_grid as onto_grid,
+    read_difference as read_difference,
     read_dsm as read_dsm,
     write_difference as write_difference,
 )

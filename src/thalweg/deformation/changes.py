@@ -15,8 +15,8 @@ from thalweg.core import ArrayB, ArrayF, column, frame_of, table_kind
 from thalweg.deformation.compare import Comparison, Distances, distances_along, judge_changes
 from thalweg.deformation.core_points import bank_line_m, lines_of_bank
 from thalweg.deformation.coregistration import Registration, coregister
-from thalweg.deformation.epochs import Epoch
-from thalweg.deformation.field import ErrorField, ErrorGroup
+from thalweg.deformation.epochs import Epoch, highest_water_m
+from thalweg.deformation.field import ErrorField, ErrorGroup, SharedErrors
 from thalweg.deformation.m3c2 import ColumnIndex, Cylinders, cut_cylinders, mean_in_cylinders
 from thalweg.deformation.series import Closure, closure
 from thalweg.settings.sections import Deformation
@@ -197,7 +197,7 @@ def series_of_epochs(cores: pd.DataFrame, epochs: Sequence[Epoch], settings: Def
         apart.append(float(np.sqrt(pair.field.combined(row).variances()[0])))
     raw = np.array([np.zeros(len(cores)), *(pair.found.distance_m for pair in offsets)])
     bare = np.all([pair.calm for pair in offsets], axis=0) & np.isfinite(height).all(axis=0)
-    water = max(float(epoch.water_m.max()) for epoch in epochs)
+    water = highest_water_m(epochs)
     lines, products = lines_of_bank(cores, bare, settings, bank_line_m(settings, water))
     own = [
         alone.field.combined(products).variances() + products**2 @ np.nan_to_num(alone.white_m) ** 2
@@ -218,15 +218,16 @@ def series_of_epochs(cores: pd.DataFrame, epochs: Sequence[Epoch], settings: Def
 
 def difference_of(before: ErrorField, after: ErrorField, *, common_mounts: bool) -> ErrorField:
     """Errors of ``after - before``: those of both, but the errors of common mounts once, as a difference."""
-    groups: list[ErrorGroup] = []
+    groups: list[SharedErrors] = []
     rows: list[sp.csr_matrix] = []
     later = {group.name: i for i, group in enumerate(after.groups)}
     shared: set[str] = set()
     for group, own in zip(before.groups, before.rows, strict=True):
-        if common_mounts and group.name.startswith("mount") and group.name in later:
-            other = later[group.name]
+        other = later.get(group.name, -1)
+        second = after.groups[other]
+        mounted = common_mounts and group.name.startswith("mount") and other >= 0
+        if mounted and isinstance(group, ErrorGroup) and isinstance(second, ErrorGroup):
             shared.add(group.name)
-            second = after.groups[other]
             t = np.concatenate([group.t_s, group.t_s[-1] + second.t_s])
             groups.append(ErrorGroup(group.name, t, np.concatenate([group.root, second.root]), np.inf))
             rows.append(sp.hstack([-own, after.rows[other]]).tocsr())

@@ -58,7 +58,7 @@ def place_core_points(epochs: list[Epoch], settings: Deformation, area: Area) ->
             continue
         index = ColumnIndex.of(epoch.xyz_m, max(settings.cylinder_radius_m, 0.5 * max(settings.scales_m)))
         cores = place[use]
-        towards = epoch.scanner_m[cKDTree(epoch.scanner_m).query(cores)[1]] - cores
+        towards = _sight(cores, epoch, epochs, settings)
         normals, scale = multiscale_normals(cores, index, tuple(settings.scales_m), towards=towards)
         known = np.isfinite(normals).all(axis=1)
         area_m2 = _areas(cells[use][known], n[use][known], normals[known], spacing)
@@ -84,6 +84,14 @@ def place_core_points(epochs: list[Epoch], settings: Deformation, area: Area) ->
             "s_m": (cores[:, :2] - cores[:, :2].mean(axis=0)) @ _along(cores, normals),
         },
     )
+
+
+def _sight(cores_m: ArrayF, epoch: Epoch, epochs: list[Epoch], settings: Deformation) -> ArrayF:
+    """Direction (c, 3) to the scanner of an epoch, of another one if it has none, or as stated."""
+    scanner = next((each.scanner_m for each in (epoch, *epochs) if len(each.scanner_m)), None)
+    if scanner is None:
+        return np.broadcast_to(np.asarray(settings.towards, float), cores_m.shape)
+    return np.asarray(scanner[cKDTree(scanner).query(cores_m)[1]] - cores_m)
 
 
 def _cells(xyz_m: ArrayF, edge_m: float) -> tuple[ArrayI, ArrayF, ArrayI]:

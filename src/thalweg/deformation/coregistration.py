@@ -64,6 +64,11 @@ class Registration:
         return np.asarray(error_m - self.design @ (self.weights @ known))
 
 
+def design_of(cores_m: ArrayF, normals: ArrayF, middle_m: ArrayF) -> ArrayF:
+    """Change (k, 6) of distances along normals for each of `PARAMETERS`, rotations about a middle."""
+    return np.column_stack([normals, np.cross(cores_m - middle_m, normals)])
+
+
 def coregister(
     cores_m: ArrayF,
     normals: ArrayF,
@@ -90,7 +95,7 @@ def coregister(
     """
     model = _MODELS[settings.registration]
     middle = cores_m.mean(axis=0)
-    design = np.column_stack([normals, np.cross(cores_m - middle, normals)])
+    design = design_of(cores_m, normals, middle)
     areas = _areas(cores_m, settings.stable)
     candidates = np.isfinite(distance_m) & np.isfinite(white_m) & calm & areas.any(axis=0)
     nothing = Registration(

@@ -20,7 +20,7 @@ attitude moves is ``C A^-1`` times the attitude's error, and belongs to its grou
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -43,7 +43,7 @@ from thalweg.core import (
     iter_laz,
     laz_header,
 )
-from thalweg.deformation.field import ErrorField, ErrorGroup, rows_of_weights
+from thalweg.deformation.field import ErrorField, ErrorGroup, SharedErrors, rows_of_weights
 from thalweg.deformation.m3c2 import ColumnIndex, Weights, pose_weights
 from thalweg.navigation.ins_gnss import PoseCorrelation
 from thalweg.surface import Area
@@ -80,7 +80,7 @@ class Epoch:
     t_s: ArrayF
     boat_m: ArrayF
     scanner_m: ArrayF
-    groups: tuple[ErrorGroup, ...]
+    groups: tuple[SharedErrors, ...]
     levers: ArrayF
     water_m: ArrayF
 
@@ -130,6 +130,7 @@ class Epoch:
                     "unit": "rad" if group.name in TURNS else "m",
                 }
                 for group in self.groups
+                if isinstance(group, ErrorGroup)
             ],
         }
 
@@ -150,6 +151,21 @@ class Epoch:
             for each, root in zip(facts["groups"], roots, strict=True)
         )
         return cls(name=facts["name"], start_gps_s=facts["start_gps_s"], groups=groups, **arrays)
+
+    @property
+    def heights(self) -> str:
+        """System of heights, in words."""
+        return "ellipsoidal"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader has to know of the epoch."""
+        return ()
+
+    @property
+    def sigma_known(self) -> bool:
+        """Whether errors that points share are known."""
+        return True
 
 
 def prepare_epoch(
@@ -197,11 +213,11 @@ def prepare_epoch(
             where=points,
             cure="Set georeferencing.correlations to true and georeference again",
         )
-    turn, shift = _between_frames(header.frame, frame)
+    turn, shift = between_frames(header.frame, frame)
     moments = _Moments(trajectory, scanner, moment_s, correlation, turn, shift, water_line_ics_m)
     parts: list[tuple[AnyArray, ...]] = []
     read = 0
-    low, high = _box(area, margin_m)
+    low, high = area.box(margin_m)
     for chunk in iter_laz(points):
         xyz = chunk["xyz_m"] @ turn.T + shift
         read += len(xyz)
@@ -237,21 +253,12 @@ def prepare_epoch(
     )
 
 
-def _between_frames(own: LocalFrame, common: LocalFrame) -> tuple[ArrayF, ArrayF]:
+def between_frames(own: LocalFrame, common: LocalFrame) -> tuple[ArrayF, ArrayF]:
     """Rotation (3, 3) and shift (3,) from one local frame to another, exactly: both are Cartesian."""
     if own == common:
         return np.eye(3), np.zeros(3)
     turn = common.R_ecef_enu.T @ own.R_ecef_enu
     return turn, common.R_ecef_enu.T @ (own.origin_ecef_m - common.origin_ecef_m)
-
-
-def _box(area: Area, margin_m: float) -> tuple[ArrayF, ArrayF]:
-    """Corners (3,) of the box about an area and its margin."""
-    low, high = np.array([-np.inf] * 3), np.array([np.inf] * 3)
-    if area.polygon_en_m is not None:
-        low[:2], high[:2] = area.polygon_en_m.min(axis=0), area.polygon_en_m.max(axis=0)
-    low[2], high[2] = area.lowest_m, area.highest_m
-    return low - margin_m, high + margin_m
 
 
 class _Moments:
@@ -362,14 +369,27 @@ def roots_of(cov: ArrayF, axes: ArrayF) -> ArrayF:
     return np.asarray(axes @ own)
 
 
+def highest_water_m(epochs: Sequence[Epoch]) -> float:
+    """Highest water at the boats of epochs; NaN if none had a boat."""
+    heights = np.concatenate([epoch.water_m for epoch in epochs])
+    return float(heights.max()) if len(heights) else np.nan
+
+
 def check_order(epochs: list[Epoch]) -> None:
-    """Epochs come in the order of time.
+    """Epochs come in the order of time, with one system of heights.
 
     Raises
     ------
-    InputError : swapped or equal dates.
+    InputError : swapped or equal dates, or heights of two systems.
     """
     for before, after in pairwise(epochs):
+        if before.heights != after.heights:
+            raise InputError(
+                f"{before.name!r} has heights '{before.heights}', {after.name!r} '{after.heights}'",
+                expected="one system of heights for all epochs",
+                where="epochs",
+                cure="Transform the heights of the files; clouds of campaigns have ellipsoidal ones",
+            )
         if after.start_gps_s <= before.start_gps_s:
             same = after.start_gps_s == before.start_gps_s
             raise InputError(

@@ -21,12 +21,34 @@ Source: Gelb (1974), Applied Optimal Estimation, 2.2, for the process; the sums 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
 
 from thalweg.core import AnyArray, ArrayF, GeometryError, njit, prange
 from thalweg.deformation.m3c2 import Weights
+
+
+class SharedErrors(Protocol):
+    """One kind of error at m moments or places: what a field needs to know of it."""
+
+    @property
+    def name(self) -> str:
+        """What errs."""
+
+    @property
+    def root(self) -> ArrayF:
+        """Roots (m, 3, 3) of the covariance at each moment or place."""
+
+    def variances(self, rows: sp.csr_matrix) -> ArrayF:
+        """Variance (k,) of products with these derivatives (k, 3 m)."""
+
+    def times_covariance(self, columns: ArrayF) -> ArrayF:
+        """Covariance matrix of all errors (3 m, 3 m) times columns (3 m, q), without the matrix."""
+
+    def draw(self, rng: np.random.Generator) -> ArrayF:
+        """Errors (3 m,), drawn."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +90,21 @@ class ErrorGroup:
             rest = np.exp(-np.diff(self.t_s) / self.correlation_s)
         return np.r_[0.0, np.nan_to_num(rest, nan=1.0)]
 
+    def variances(self, rows: sp.csr_matrix) -> ArrayF:
+        """Variance (k,) of products with these derivatives (k, 3 m)."""
+        return np.asarray(
+            _variances(rows.indptr, rows.indices, rows.data, self.t_s, self.root, self.correlation_s)
+        )
+
+    def times_covariance(self, columns: ArrayF) -> ArrayF:
+        """Covariance matrix of all moments' errors (3 m, 3 m) times columns (3 m, q), without the matrix."""
+        return _times_covariance(self, columns)
+
+    def draw(self, rng: np.random.Generator) -> ArrayF:
+        """Errors (3 m,) of all moments, drawn."""
+        process = _gauss_markov(rng.standard_normal((len(self.t_s), 3)), self.decay)
+        return np.einsum("kij,kj->ki", self.root, process).ravel()
+
 
 @dataclass(frozen=True, slots=True)
 class ErrorField:
@@ -81,7 +118,7 @@ class ErrorField:
         component by component of each moment.
     """
 
-    groups: tuple[ErrorGroup, ...]
+    groups: tuple[SharedErrors, ...]
     rows: tuple[sp.csr_matrix, ...]
 
     @classmethod
@@ -99,9 +136,7 @@ class ErrorField:
         """Variance (k,) of each product."""
         total = np.zeros(self.rows[0].shape[0])
         for group, rows in zip(self.groups, self.rows, strict=True):
-            total += _variances(
-                rows.indptr, rows.indices, rows.data, group.t_s, group.root, group.correlation_s
-            )
+            total += group.variances(rows)
         return total
 
     def combined(self, combination: ArrayF | sp.csr_matrix) -> "ErrorField":
@@ -113,17 +148,14 @@ class ErrorField:
         """Covariance (k, q) of these products with a few others of the same epoch."""
         total = np.zeros((self.rows[0].shape[0], others.rows[0].shape[0]))
         for group, rows, few in zip(self.groups, self.rows, others.rows, strict=True):
-            total += rows @ _times_covariance(group, few.toarray().T)
+            total += rows @ group.times_covariance(few.toarray().T)
         return total
 
     def draw(self, rng: np.random.Generator) -> ArrayF:
         """Errors (k,) of the products for one draw of the errors of all moments."""
         total = np.zeros(self.rows[0].shape[0])
         for group, rows in zip(self.groups, self.rows, strict=True):
-            normal = rng.standard_normal((len(group.t_s), 3))
-            decay = group.decay
-            process = _gauss_markov(normal, decay)
-            total += rows @ np.einsum("kij,kj->ki", group.root, process).ravel()
+            total += rows @ group.draw(rng)
         return total
 
 

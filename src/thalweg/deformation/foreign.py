@@ -14,6 +14,7 @@ from scipy.spatial.distance import pdist
 from thalweg.accuracy import describe_errors, outlier_limits
 from thalweg.core import (
     ArrayF,
+    ArrayI,
     CoverageError,
     Frame,
     InputError,
@@ -26,11 +27,11 @@ from thalweg.core import (
 from thalweg.core.geometry import TriangleMesh
 from thalweg.deformation.compare import CHANGES, Comparison, judge_changes, measure_distances
 from thalweg.ingest.clouds import read_cloud
-from thalweg.settings.sections import ReferenceSettings
+from thalweg.settings.sections import TEXT_ENDINGS, ReferenceSettings
 from thalweg.surface import Surface, mesh_reference, read_triangles
 
-TEXT = {".xyz", ".txt", ".csv", ".asc", ".pts"}
-"""Suffixes of tables of points: x, y, z in the first three columns, a head of any number of lines."""
+TEXT = frozenset(TEXT_ENDINGS)
+"""Suffixes of tables of points."""
 TABLES = {".csv", ".parquet", ".laz"}
 """Suffixes of results."""
 DISTANCES: Final = table_kind(
@@ -81,7 +82,12 @@ def read_points(path: Path) -> Points:
                 break
             skipped += 1
         else:
-            raise InputError("no line of three numbers", expected="x, y, z in each line", where=path)
+            raise InputError(
+                "no line of three numbers",
+                expected="x, y, z in each line",
+                where=path,
+                cure="Export the points again, or name another file",
+            )
     separator = next((mark for mark in ",;" if mark in line), r"\s+")
     try:
         table = pd.read_csv(
@@ -137,18 +143,8 @@ def compare_clouds(
     cores = first[::core_every].copy()
     found = measure_distances(cores, first, second, options, towards=np.asarray(towards, float))
     if None in sigma_m:
-        notes.append(
-            "Without sigmas of both clouds the level of detection is that of roughness alone: errors that "
-            "the points of a cloud share are in no limit, and what counts as significant may be theirs."
-        )
-    both = found.n[(found.n > 0).all(axis=1)]
-    denser = float(np.median(both[:, 0] / both[:, 1]))
-    if not 1.0 / _MUCH_DENSER < denser < _MUCH_DENSER:
-        which = ("first", "second") if denser > 1.0 else ("second", "first")
-        notes.append(
-            f"The {which[0]} cloud is {max(denser, 1.0 / denser):.0f} times as dense as the {which[1]}, "
-            "whose few points rule the level of detection; where cylinders hold too few, take wider ones."
-        )
+        notes.append(ROUGHNESS_ALONE)
+    notes += density_notes(found.n)
     shared = np.hypot(sigma_m[0] or 0.0, sigma_m[1] or 0.0)
     k = len(cores)
     table = judge_changes(
@@ -160,6 +156,25 @@ def compare_clouds(
     )
     table[["east_m", "north_m", "up_m"]] += shift
     return table, frame, notes
+
+
+ROUGHNESS_ALONE: Final = (
+    "Without sigmas of both clouds the level of detection is that of roughness alone: errors that the points "
+    "of a cloud share are in no limit, and what counts as significant may be theirs."
+)
+
+
+def density_notes(n: ArrayI) -> list[str]:
+    """A sentence where one cloud is much denser than the other, by their points (k, 2) in the cylinders."""
+    both = n[(n > 0).all(axis=1)]
+    denser = float(np.median(both[:, 0] / both[:, 1])) if len(both) else 1.0
+    if 1.0 / _MUCH_DENSER < denser < _MUCH_DENSER:
+        return []
+    which = ("first", "second") if denser > 1.0 else ("second", "first")
+    return [
+        f"The {which[0]} cloud is {max(denser, 1.0 / denser):.0f} times as dense as the {which[1]}, "
+        "whose few points rule the level of detection; where cylinders hold too few, take wider ones."
+    ]
 
 
 _SAMPLE = 1500

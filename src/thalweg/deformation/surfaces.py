@@ -13,6 +13,7 @@ tend to sigma^2 2 pi L^2 / area for the variance of the mean height; independent
 sigma^2 / n.
 """
 
+import struct
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -36,6 +37,7 @@ from thalweg.core import (
     UnsupportedError,
     column,
     frame_of,
+    read_raster,
     robust_sigma,
     table_kind,
     write_table,
@@ -43,9 +45,8 @@ from thalweg.core import (
 from thalweg.core.geometry import TriangleMesh
 from thalweg.deformation.foreign import one_frame
 from thalweg.deformation.shapes import Shapes
+from thalweg.settings.sections import DSM_ENDINGS
 
-SUFFIXES = {".tif", ".tiff"}
-"""Suffixes of rasters of heights."""
 SAME_GRID_CELLS = 0.05
 """Cells whose centres differ by less than this part of a cell are the same cell."""
 RESAMPLING = ("nearest", "bilinear")
@@ -81,6 +82,7 @@ _LIMITS_M = (-12_000.0, 9_000.0)
 _USUAL = (-9999.0, -10_000.0, -32_767.0, -32_768.0, -99_999.0)
 """What programs write where there is no height; no land lies so deep."""
 _LEAST_ZEROS = 10
+_DIFFERENCE_BANDS = ("difference_m", "sigma_m")
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +97,8 @@ class Dsm:
     frame : coordinate system of the map, None where the file states none.
     heights : EPSG code of the heights' coordinate system, None where none is stated.
     notes : what was masked on reading, with counts.
+    sigma_m : (rows, columns) standard deviation of each height, where a band holds it (a kriged bed).
+    common_m : (rows, columns) its part that all heights of the raster share, in addition to ``sigma_m``.
     """
 
     height_m: ArrayF
@@ -104,6 +108,8 @@ class Dsm:
     heights: int | None
     path: Path
     notes: tuple[str, ...] = ()
+    sigma_m: ArrayF | None = None
+    common_m: ArrayF | None = None
 
     @property
     def cell_area_m2(self) -> float:
@@ -160,20 +166,47 @@ class HeightErrors:
 
     Attributes
     ----------
-    sigma_m : standard deviation of a height.
+    sigma_m : standard deviation of a height, or (rows, columns) of each.
     correlation_m : distance at which the correlation of two heights has fallen to 1/e; 0 for independent
         cells.
+    common_m : standard deviation that all heights share, in addition, or (rows, columns) with one sign.
     """
 
-    sigma_m: float
+    sigma_m: float | ArrayF
     correlation_m: float = 0.0
+    common_m: float | ArrayF = 0.0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.sigma_m < np.inf or not self.correlation_m >= 0:
+        sigma, common = (np.asarray(each, np.float64) for each in (self.sigma_m, self.common_m))
+        known = [each[~np.isnan(each)] if each.ndim else each for each in (sigma, common)]
+        if not all(((each >= 0) & (each < np.inf)).all() for each in known) or not self.correlation_m >= 0:
+            low = min(float(each.min()) for each in known if each.size)
             raise InputError(
-                f"heights with {self.sigma_m:g} m, correlated over {self.correlation_m:g} m",
+                f"heights with {low:g} m, correlated over {self.correlation_m:g} m",
                 expected="a standard deviation and a length of zero or more",
             )
+
+    @classmethod
+    def of_bands(cls, surface: Dsm, correlation_m: float) -> "HeightErrors | None":
+        """What the bands of a raster say of its errors; None if it has none."""
+        if surface.sigma_m is None:
+            return None
+        return cls(surface.sigma_m, correlation_m, 0.0 if surface.common_m is None else surface.common_m)
+
+    def resampled(self, surface: Dsm, centres_m: ArrayF, shape: tuple[int, ...], how: str) -> "HeightErrors":
+        """Rasters of errors at other centres (n, 2), as the heights of their surface are."""
+        on_grid = [
+            each
+            if isinstance(each, float)
+            else replace(surface, height_m=np.asarray(each)).at(centres_m, how).reshape(shape)
+            for each in (self.sigma_m, self.common_m)
+        ]
+        return HeightErrors(on_grid[0], self.correlation_m, on_grid[1])
+
+    @property
+    def single_m(self) -> float | ArrayF:
+        """Standard deviation of a single height."""
+        return np.hypot(self.sigma_m, self.common_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +230,10 @@ class SurfaceDifference:
 
 
 def read_dsm(path: Path, *, nodata: float | None = None) -> Dsm:
-    """Heights of a GeoTIFF with one band.
+    """Heights of a GeoTIFF.
+
+    A raster with bands ``height_m`` and ``sigma_m`` (``bed.tif``, ``dtm.tif`` of this pipeline) gives the
+    standard deviations too.
 
     Cells with the declared value for "no height", NaN, or a value that only stands for that (-9999, -10000,
     ...) have none; how many is told in the notes. A value that may be either is refused: exact zeros in ten
@@ -212,40 +248,67 @@ def read_dsm(path: Path, *, nodata: float | None = None) -> Dsm:
     InputError : no such file, no raster, no place on the map, no heights, or values that may be no heights.
     UnsupportedError : several bands, rotated rasters, degrees, feet, a coordinate system without EPSG code.
     """
+    if (named := _named_bands(path)) is not None:
+        return named
     tags, values = _read_tiff(path)
     keys = _geo_keys(tags)
     frame, heights = _frame(keys, path)
     corner, cell = _placement(tags, keys, path)
+    whole = np.issubdtype(values.dtype, np.integer)
+    declared = _number(tags[_NODATA], path) if _NODATA in tags else None
+    values, notes = mask_missing(
+        values.astype(np.float64), path, "cells", nodata=nodata, declared=declared, zeros=not whole
+    )
+    return Dsm(values, corner, cell, frame, heights, path, notes)
+
+
+def mask_missing(
+    heights_m: ArrayF,
+    path: Path,
+    what: str,
+    *,
+    nodata: float | None,
+    declared: float | None = None,
+    zeros: bool = True,
+) -> tuple[ArrayF, tuple[str, ...]]:
+    """Heights with NaN where there is none, and sentences that count them; rules of `read_dsm`.
+
+    Parameters
+    ----------
+    what : "cells" or "points".
+    nodata, declared : values without a height, as stated and as the file declares.
+    zeros : ten exact zeros and more are refused unless ``nodata`` says what they are.
+    """
+    values = heights_m
     masked: dict[str, int] = {}
 
-    def mask(which: ArrayB, what: str) -> None:
-        """Make cells empty, and count the heights that this takes."""
+    def mask(which: ArrayB, words: str) -> None:
+        """Make heights empty, and count those that this takes."""
+        nonlocal values
         if n := int((which & np.isfinite(values)).sum()):
-            masked[what] = n
-            values[which] = np.nan
+            masked[words] = n
+            values = np.where(which, np.nan, values)
 
-    whole = np.issubdtype(values.dtype, np.integer)
-    values = values.astype(np.float64)
     if not np.isfinite(values).all():
         masked["NaN"] = int((~np.isfinite(values)).sum())
-        values[~np.isfinite(values)] = np.nan
-    if _NODATA in tags:
-        declared = _number(tags[_NODATA], path)
-        if np.isfinite(declared):
-            mask(np.isclose(values, declared, rtol=1e-6, atol=0.0), f"declared value {declared:g}")
+        values = np.where(np.isfinite(values), values, np.nan)
+    if declared is not None and np.isfinite(declared):
+        mask(np.isclose(values, declared, rtol=1e-6, atol=0.0), f"declared value {declared:g}")
     if nodata is not None and np.isfinite(nodata):
         mask(np.isclose(values, nodata, rtol=1e-6, atol=0.0), f"value {nodata:g}, as stated")
     for usual in _USUAL:
         mask(values == usual, f"undeclared value {usual:g}")
     mask(np.abs(values) > 1e30, "undeclared value beyond 1e30")
+    one = what.removesuffix("s")
     if not np.isfinite(values).any():
-        raise InputError("no cell has a height", expected="heights in metres", where=path)
-    if nodata is None and not whole and (n := int((values == 0.0).sum())) >= _LEAST_ZEROS:
+        raise InputError(f"no {one} has a height", expected="heights in metres", where=path)
+    if nodata is None and zeros and (n := int((values == 0.0).sum())) >= _LEAST_ZEROS:
         raise InputError(
-            f"{n:,} of {values.size:,} cells are exactly 0 m, and no value for missing heights is declared",
+            f"{n:,} of {values.size:,} {what} are exactly 0 m, and no value for missing heights is declared",
             expected="heights, or a declared value where there are none",
             where=path,
-            cure="State --nodata 0 where they are no heights, or --nodata none where they are",
+            cure="State --nodata 0 where they are no heights, or --nodata none where they are (in a "
+            "campaign: nodata)",
         )
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     if low < _LIMITS_M[0] or high > _LIMITS_M[1]:
@@ -253,11 +316,63 @@ def read_dsm(path: Path, *, nodata: float | None = None) -> Dsm:
             f"heights from {low:g} to {high:g} m",
             expected=f"heights between {_LIMITS_M[0]:g} and {_LIMITS_M[1]:g} m",
             where=path,
-            cure="State the value that stands for missing heights (--nodata), or export metres",
+            cure="State the value that stands for missing heights (--nodata; in a campaign nodata), or "
+            "export metres",
         )
-    count = f"of {values.size:,} cells without a height"
-    notes = tuple(f"{path.name}: {n:,} {count} ({what})." for what, n in masked.items())
-    return Dsm(values, corner, cell, frame, heights, path, notes)
+    count = f"of {values.size:,} {what} without a height"
+    return values, tuple(f"{path.name}: {n:,} {count} ({words})." for words, n in masked.items())
+
+
+def _named_bands(path: Path) -> Dsm | None:
+    """A raster of this pipeline, whose bands have names; None of others.
+
+    Raises
+    ------
+    InputError : it is turned, or has no coordinate system.
+    """
+    try:
+        with path.open("rb") as file:
+            header = file.read(8)
+            header += file.read(8) if 43 in header[2:4] else b""  # BigTIFF
+            first = TiffImagePlugin.ImageFileDirectory_v2(header)
+            file.seek(first.next)
+            first.load(file)
+            described = str(first.get(_METADATA, ""))
+    except (SyntaxError, OSError, ValueError, struct.error):
+        return None  # whoever reads it says what it is
+    if not all(f'role="description">{name}<' in described for name in ("height_m", "sigma_m")):
+        return None
+    grid, bands, tags = read_raster(path)
+    heights = tags.get("heights", "ellipsoidal")
+    known = np.isfinite(bands["height_m"])
+    return Dsm(
+        bands["height_m"],
+        np.array([grid.west_m, grid.north_m]),
+        np.full(2, grid.cell_m),
+        grid.crs,
+        _vertical_code(heights, path),
+        path,
+        (),
+        np.where(known, bands["sigma_m"], np.nan),
+        np.where(known, bands["sigma_common_m"], np.nan) if "sigma_common_m" in bands else None,
+    )
+
+
+def _vertical_code(heights: str, path: Path) -> int | None:
+    """EPSG code of heights that a tag names; None of ellipsoidal ones.
+
+    Raises
+    ------
+    UnsupportedError : PROJ does not know them.
+    """
+    if heights.startswith("ellipsoidal"):
+        return None
+    try:
+        return CRS.from_user_input(heights).to_epsg()
+    except CRSError as error:
+        raise UnsupportedError(
+            f"heights {heights!r}", expected="a height system that PROJ knows", where=path
+        ) from error
 
 
 def _read_tiff(path: Path) -> tuple[dict[int, object], ArrayF]:
@@ -386,7 +501,8 @@ def onto_grid(surface: Dsm, grid: Dsm, resample: str | None = None) -> tuple[Dsm
             f"{grid.path.name}: {grid.cell_m.round(5).tolist()} m from {grid.corner_m.tolist()} m",
             expected="one grid",
             where=surface.path,
-            cure="Export both on one grid, or resample the second (--resample nearest or bilinear)",
+            cure="Export both on one grid, or resample the second (--resample nearest or bilinear; in a "
+            "campaign deformation.resample)",
         )
     heights = surface.at(centres, resample or "nearest").reshape(grid.height_m.shape)
     return replace(surface, height_m=heights, corner_m=grid.corner_m, cell_m=grid.cell_m), apart
@@ -397,22 +513,25 @@ def volume_variance(cells: ArrayB, cell_m: ArrayF, errors: HeightErrors) -> floa
 
     The sum of the covariances of all pairs of cells; pairs at more than 30 correlation lengths are left out.
     """
-    n = int(cells.sum())
     area = float(cell_m[0] * cell_m[1])
-    if not n or errors.correlation_m == 0:
-        return area**2 * errors.sigma_m**2 * n
+    weight, common = (
+        np.where(cells, np.broadcast_to(each, cells.shape), 0.0) for each in (errors.sigma_m, errors.common_m)
+    )
+    shared = float(common.sum()) ** 2
+    if not cells.any() or errors.correlation_m == 0:
+        return area**2 * (float((weight**2).sum()) + shared)
     rows, columns = np.flatnonzero(cells.any(axis=1)), np.flatnonzero(cells.any(axis=0))
-    part = cells[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    part = weight[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     reach = [
         int(min(size - 1, np.ceil(30.0 * errors.correlation_m / each)))
         for size, each in zip(part.shape, cell_m[::-1], strict=True)
     ]
     shape = tuple(next_fast_len(size + far, real=True) for size, far in zip(part.shape, reach, strict=True))
-    pairs = irfft2(np.abs(rfft2(part.astype(np.float64), shape)) ** 2, shape)
+    pairs = irfft2(np.abs(rfft2(part, shape)) ** 2, shape)
     down, right = (np.r_[0 : far + 1, -far:0] for far in reach)
     distance = np.hypot(down[:, None] * cell_m[1], right * cell_m[0])
-    counted = np.rint(pairs[np.ix_(down, right)])
-    return float(area**2 * errors.sigma_m**2 * (counted * np.exp(-distance / errors.correlation_m)).sum())
+    products = pairs[np.ix_(down, right)]
+    return area**2 * (float((products * np.exp(-distance / errors.correlation_m)).sum()) + shared)
 
 
 def difference_of_surfaces(
@@ -466,10 +585,12 @@ def difference_of_surfaces(
         )
     _refuse_other_units(before, second, known)
     stated = [each or HeightErrors(0.0) for each in errors]
+    shape = before.height_m.shape
+    stated[1] = stated[1].resampled(after, before.centres_m(), shape, resample or "nearest")
     if unknown := None in errors:
         notes.append("Without sigmas of both rasters there are no limits and no intervals.")
         sigma_registration_m = np.nan
-    sigma = float(np.hypot(np.hypot(stated[0].sigma_m, stated[1].sigma_m), sigma_registration_m))
+    sigma = np.hypot(np.hypot(stated[0].single_m, stated[1].single_m), sigma_registration_m)
     limit = float(norm.isf(0.025)) * sigma
 
     def volume(part: str, cells: ArrayB, *, measured: bool = True) -> dict[str, object]:
@@ -566,7 +687,7 @@ def write_difference(path: Path, found: SurfaceDifference) -> None:
     InputError : another suffix, or a folder that is not there.
     """
     suffix = path.suffix.lower()
-    if suffix not in {*SUFFIXES, ".csv", ".parquet"}:
+    if suffix not in {*DSM_ENDINGS, ".csv", ".parquet"}:
         raise InputError(f"suffix {path.suffix!r}", expected=".tif, .csv or .parquet", where=path)
     if not path.parent.is_dir():
         raise InputError("no such folder", where=path.parent, cure="Make it, or name another file")
@@ -575,7 +696,35 @@ def write_difference(path: Path, found: SurfaceDifference) -> None:
     elif suffix == ".parquet":
         write_table(path, found.volumes, VOLUMES)
     else:
-        _write_bands(path, found.raster, {"difference_m": found.raster.height_m, "sigma_m": found.sigma_m})
+        bands = (found.raster.height_m, found.sigma_m)
+        _write_bands(path, found.raster, dict(zip(_DIFFERENCE_BANDS, bands, strict=True)))
+
+
+def read_difference(path: Path) -> SurfaceDifference:
+    """Both bands of a GeoTIFF of `write_difference`; its volumes are in no raster.
+
+    Raises
+    ------
+    InputError : no such file, or a raster with other bands.
+    """
+    import rasterio
+    from rasterio.errors import RasterioError
+
+    try:
+        with rasterio.open(path) as file:
+            names = tuple(file.descriptions)
+            bands = file.read().astype(np.float64) if names == _DIFFERENCE_BANDS else None
+            place, crs = file.transform, file.crs
+    except RasterioError as error:
+        raise InputError(f"{error}", where=path, expected="a difference of surfaces (.tif)") from error
+    if bands is None:
+        raise InputError(
+            f"bands {', '.join(map(str, names))}", expected=" and ".join(_DIFFERENCE_BANDS), where=path
+        )
+    corner, cell = np.array([place.c, place.f]), np.array([place.a, -place.e])
+    frame = None if crs is None else CRS.from_wkt(crs.to_wkt())
+    none = frame_of(VOLUMES, {item.name: np.empty(0, item.type.to_pandas_dtype()) for item in VOLUMES})
+    return SurfaceDifference(Dsm(bands[0], corner, cell, frame, None, path), bands[1], none, [])
 
 
 def _write_bands(path: Path, grid: Dsm, bands: dict[str, ArrayF]) -> None:

@@ -13,8 +13,8 @@ from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, column, frame_of, nji
 from thalweg.deformation.epochs import Epoch
 from thalweg.settings.sections import Deformation
 
-REASONS = ("", "water", "range", "incidence", "occlusion", "not swept", "free space")
-"""Why an epoch has no points at a core point; nothing if it has."""
+REASONS = ("", "water", "range", "incidence", "occlusion", "not swept", "free space", "no trajectory")
+"""Why an epoch has no points at a core point; nothing if it has. Of an epoch of files nobody knows."""
 
 VISIBILITY = table_kind(
     "visibility",
@@ -62,6 +62,13 @@ def observe_visibility(
     columns: dict[str, AnyArray] = {"core": np.arange(len(cores_m))}
     for i, epoch in enumerate(epochs, start=1):
         seen = n[:, i - 1] >= settings.least_in_cylinder
+        if not len(epoch.scanner_m):
+            columns |= {
+                f"seen_{i}": seen,
+                f"reason_{i}": np.where(seen, "", REASONS[-1]),
+                f"beams_through_{i}": np.zeros(len(seen), dtype=np.int64),
+            }
+            continue
         through = beams_through(cores_m, normals, epoch, settings)
         reason = _reasons(cores_m, normals, epoch, settings)
         # a beam through the place where the other epoch has a surface outranks all other reasons

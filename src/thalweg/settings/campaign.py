@@ -161,6 +161,11 @@ class Campaign(Section):
         """True if the campaign compares epochs that other campaigns surveyed."""
         return self.epochs is not None
 
+    @property
+    def epoch_names(self) -> list[str]:
+        """Names of the epochs, in the order of time."""
+        return [epoch.called(number) for number, epoch in enumerate(self.epochs or [])]
+
     def log_files(self, stream: str) -> list[Path]:
         """Files of one stream of a real survey, absolute; empty for a twin.
 

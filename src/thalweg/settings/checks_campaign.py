@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from thalweg.core import Key, Mistake
 from thalweg.settings.campaign import ID_PATTERN
+from thalweg.settings.checks_epochs import check_epochs
 from thalweg.settings.checks_files import check_files
 from thalweg.settings.checks_light_sheet import check_sheet_logs, check_sheet_twin
 from thalweg.settings.checks_place import (
@@ -450,7 +451,7 @@ def domain_mistakes(parts: Parts) -> tuple[list[Mistake], dict[str, tuple[str, .
             parts.raw("twin"),
             parts.raw("orientation"),
         ),
-        *_check_epochs(parts),
+        *check_epochs(parts.raw("epochs"), parts.raw("campaign") or {}, parts.path.parent),
         *_check_lists(parts),
         *_check_ppk(parts),
         *_check_bed(parts),
@@ -516,20 +517,6 @@ def _check_input(parts: Parts) -> Iterator[Mistake]:
             expected=expected,
             cure="Add a section `logs:` with the files of your survey, or `twin: {size: tiny}`",
         )
-
-
-def _check_epochs(parts: Parts) -> Iterator[Mistake]:
-    """No epoch twice, and none that is the campaign itself."""
-    epochs = parts.raw("epochs")
-    names = [each.get("campaign") for each in epochs or [] if isinstance(each, dict)]
-    for i, name in enumerate(names):
-        if name is not None and (name in names[:i] or name == parts.raw("campaign", "id")):
-            yield Mistake(
-                path=("epochs", i, "campaign"),
-                found=f"{name!r} " + ("a second time" if name in names[:i] else "is this campaign itself"),
-                expected="each survey once, in the order of time",
-                cure="Name the campaign of another survey",
-            )
 
 
 def _check_ranges(parts: Parts) -> Iterator[Mistake]:

@@ -59,7 +59,7 @@ def check_files(logs: Logs, folder: Path) -> tuple[list[Mistake], dict[str, tupl
                 continue
             matches = expand(text, folder)
             if not matches:
-                mistakes.append(_no_match(where, text, folder))
+                mistakes.append(no_match(where, text, folder))
             for path in matches:
                 photographs = stream in PHOTOGRAPHS or (keys[-1] == "images" and keys[0] == "light_sheet")
                 if (photographs or stream in FOLDERS) and path.is_dir():
@@ -67,7 +67,7 @@ def check_files(logs: Logs, folder: Path) -> tuple[list[Mistake], dict[str, tupl
                     if photographs:
                         searched.setdefault(path.resolve(), where)
                 else:
-                    mistakes += _check_file(where, text, path)
+                    mistakes += check_file(where, text, path)
                 mistakes += _check_twice(where, path, first_use)
                 paths.append(str(path))
         files[stream] = tuple(paths)
@@ -80,7 +80,8 @@ def _no_path(where: tuple[Key, ...], text: str) -> Mistake:
     )
 
 
-def _no_match(where: tuple[Key, ...], text: str, folder: Path) -> Mistake:
+def no_match(where: tuple[Key, ...], text: str, folder: Path) -> Mistake:
+    """The mistake of a pattern that matches no file below a folder."""
     path = anchor(text, folder)
     fixed = path.parent
     while is_pattern(str(fixed)):
@@ -93,7 +94,8 @@ def _no_match(where: tuple[Key, ...], text: str, folder: Path) -> Mistake:
     )
 
 
-def _check_file(where: tuple[Key, ...], text: str, path: Path) -> Iterator[Mistake]:
+def check_file(where: tuple[Key, ...], text: str, path: Path) -> Iterator[Mistake]:
+    """A path, written as ``text``, is a file that can be read and holds something."""
     try:
         if path.is_dir():
             yield Mistake(

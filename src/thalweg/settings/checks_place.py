@@ -41,12 +41,12 @@ def parse_crs(text: str) -> "CRS | str":
         return str(error)
 
 
-def check_crs(text: Any, origin: Any) -> Iterator[Mistake]:
+def check_crs(text: Any, origin: Any, path: tuple[Key, ...] = _CRS_PATH) -> Iterator[Mistake]:
     """The CRS parses, is projected and metric, and its area of use holds the origin.
 
     Parameters
     ----------
-    text : ``campaign.crs`` as written.
+    text : ``campaign.crs`` as written, or another grid at ``path``.
     origin : ``campaign.origin`` as written.
     """
     if not isinstance(text, str):
@@ -57,7 +57,7 @@ def check_crs(text: Any, origin: Any) -> Iterator[Mistake]:
     if isinstance(crs, str):
         reason = "is unknown to PROJ" if "not found" in crs else "is no CRS"
         yield Mistake(
-            path=_CRS_PATH,
+            path=path,
             found=f"{text!r} {reason}",
             expected="an EPSG code like EPSG:25833, or a definition that PROJ understands",
             cure=proposal or "Look the code up at epsg.org",
@@ -65,7 +65,7 @@ def check_crs(text: Any, origin: Any) -> Iterator[Mistake]:
         return
     if not crs.is_projected:
         yield Mistake(
-            path=_CRS_PATH,
+            path=path,
             found=f"{text!r} is not projected ({crs.name})",
             expected="a map projection in metres",
             cure=proposal or "Write the national grid of the survey area, like EPSG:25833",
@@ -74,19 +74,19 @@ def check_crs(text: Any, origin: Any) -> Iterator[Mistake]:
     units = {axis.unit_name for axis in crs.axis_info if abs(axis.unit_conversion_factor - 1) > 1e-9}
     if units:
         yield Mistake(
-            path=_CRS_PATH,
+            path=path,
             found=f"{text!r} is in {', '.join(sorted(units))} ({crs.name})",
             expected="a map projection in metres",
             cure=proposal or "Write the metric variant of this grid",
         )
     if place:
-        outside = list(_check_area(text, crs, place))
+        outside = list(_check_area(text, crs, place, path))
         yield from outside
         if not (outside or units):
-            yield from _check_export(crs, place)
+            yield from _check_export(crs, place, path)
 
 
-def _check_export(crs: "CRS", place: tuple[float, float, float]) -> Iterator[Mistake]:
+def _check_export(crs: "CRS", place: tuple[float, float, float], path: tuple[Key, ...]) -> Iterator[Mistake]:
     """Can points near the origin be written in this grid? The exports themselves are asked."""
     from thalweg.core import GeometryError, LocalFrame
 
@@ -94,10 +94,12 @@ def _check_export(crs: "CRS", place: tuple[float, float, float]) -> Iterator[Mis
         LocalFrame(lat_deg=place[0], lon_deg=place[1], h_ell_m=place[2]).to_map([[0.0, 0.0, 0.0]], crs)
     except GeometryError as error:
         cure = f"Write for instance {utm_code(*place[:2])}, UTM at the origin"
-        yield Mistake(path=_CRS_PATH, found=error.found, expected=error.expected, cure=cure)
+        yield Mistake(path=path, found=error.found, expected=error.expected, cure=cure)
 
 
-def _check_area(text: str, crs: "CRS", place: tuple[float, float, float]) -> Iterator[Mistake]:
+def _check_area(
+    text: str, crs: "CRS", place: tuple[float, float, float], path: tuple[Key, ...]
+) -> Iterator[Mistake]:
     area = crs.area_of_use or (crs.sub_crs_list[0].area_of_use if crs.is_compound else None)
     lat, lon, _ = place
     if area is None or _inside(area, lat, lon):
@@ -114,7 +116,7 @@ def _check_area(text: str, crs: "CRS", place: tuple[float, float, float]) -> Ite
     else:
         cure = f"Correct campaign.origin, or take a CRS of that place, for instance {utm_code(lat, lon)}"
     yield Mistake(
-        path=("campaign", "origin"),
+        path=("campaign", "origin") if path == _CRS_PATH else path,
         found=f"lat_deg {lat:g}, lon_deg {lon:g} lies outside the area of use of {text}",
         expected=f"lat {area.south:g} .. {area.north:g}, lon {area.west:g} .. {area.east:g} ({crs.name})",
         cure=cure,

@@ -1,6 +1,7 @@
 """Load campaign files: one, or those that ``config.yaml`` or the command line choose."""
 
 import copy
+import datetime as dt
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -11,9 +12,10 @@ from pydantic import TypeAdapter, ValidationError
 from thalweg.core import Document, Key, Mistake, read_yaml
 from thalweg.settings.campaign import Campaign
 from thalweg.settings.checks_campaign import Parts, domain_mistakes
+from thalweg.settings.checks_epochs import check_dates
 from thalweg.settings.checks_place import SETTING
-from thalweg.settings.messages import CampaignError, anchor, mistake_of, nearest, show
-from thalweg.settings.sections import Logs, is_calibration_path
+from thalweg.settings.messages import CampaignError, anchor, expand, mistake_of, nearest, show
+from thalweg.settings.sections import Epoch, Logs, is_calibration_path
 
 # ---------------------------------------------------------------- from the data of a campaign file to a
 # `Campaign`, with all mistakes collected first
@@ -68,7 +70,21 @@ def _anchored(campaign: Campaign | None, path: Path) -> Campaign | None:
         camera = campaign.calibration.boat_camera.model_copy(update=update)
         section = campaign.calibration.model_copy(update={"boat_camera": camera})
         campaign = campaign.model_copy(update={"calibration": section})
+    if campaign.epochs is not None:
+        epochs = [_anchored_epoch(epoch, path.parent) for epoch in campaign.epochs]
+        campaign = campaign.model_copy(update={"epochs": epochs})
     return campaign
+
+
+def _anchored_epoch(epoch: Epoch, folder: Path) -> Epoch:
+    """An epoch with the absolute paths of its files, patterns replaced by what matches."""
+    return epoch.model_copy(
+        update={
+            "clouds": [str(path) for text in epoch.clouds for path in expand(text, folder)],
+            "dsm": None if epoch.dsm is None else str(anchor(epoch.dsm, folder)),
+            "leave_out": [str(anchor(text, folder)) for text in epoch.leave_out],
+        }
+    )
 
 
 def _place(mistake: Mistake, document: Document, path: Path) -> Mistake:
@@ -277,7 +293,10 @@ def named_epochs(campaign: Campaign, folder: Path) -> tuple[list[Campaign], list
     """
     found: list[Campaign] = []
     mistakes: list[Mistake] = []
+    starts: dict[str, dt.datetime] = {}
     for i, epoch in enumerate(campaign.epochs or []):
+        if epoch.campaign is None:
+            continue
         path = folder / f"{epoch.campaign}.yaml"
         survey, wrong = check_campaign(path) if path.is_file() else (None, [])
         if survey is None or survey.is_change or survey.is_calibration or survey.is_basin:
@@ -312,6 +331,29 @@ def named_epochs(campaign: Campaign, folder: Path) -> tuple[list[Campaign], list
                 )
             )
             continue
+        depths = survey.twin is not None or bool(survey.log_files("depth"))
+        if epoch.surface == "bed" and not depths:
+            mistakes.append(
+                Mistake(
+                    path=("epochs", i, "surface"),
+                    found=f"surface 'bed', but {epoch.campaign!r} has no soundings",
+                    expected="surface: bank",
+                    cure="Remove the line, or add the log of the echo sounder to that campaign",
+                )
+            )
+            continue
+        if epoch.surface == "bed" and epoch.correlation_m is None:
+            mistakes.append(
+                Mistake(
+                    path=("epochs", i, "surface"),
+                    found="surface 'bed' without correlation_m",
+                    expected="the distance at which the correlation of errors of the bed is 1/e",
+                    cure="Write correlation_m, about half the distance of the lines of soundings",
+                )
+            )
+            continue
+        if survey.twin is not None:
+            starts[epoch.campaign] = dt.datetime.fromisoformat(survey.twin.start_utc)
         if survey.campaign.crs != campaign.campaign.crs:
             mistakes.append(
                 Mistake(
@@ -326,6 +368,7 @@ def named_epochs(campaign: Campaign, folder: Path) -> tuple[list[Campaign], list
         before, wrong = named_calibration(survey.mounts.calibration, folder, (survey.id,))
         mistakes += [_placed(m, path) for m in wrong]
         found += [*before, survey]
+    mistakes += check_dates(campaign.epochs or [], starts)
     return found, mistakes
 
 

@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from thalweg.settings.campaign import Campaign
 from thalweg.settings.checks_place import utm_code
+from thalweg.settings.sections import DSM_ENDINGS
 
 PLACEHOLDERS: Mapping[str, Sequence[str]] = {
     "lidar": ["raw/lidar/*.pcap"],
@@ -95,30 +95,38 @@ def campaign_text(
     return "\n".join(lines) + "\n"
 
 
-def epochs_text(name: str, epochs: Sequence[str], first: Campaign, *, schema: str = "../schema.json") -> str:
+def epochs_text(
+    name: str,
+    epochs: Sequence[str | tuple[Path, str]],
+    crs: str,
+    origin: tuple[float, float, float],
+    *,
+    folder: Path,
+    schema: str = "../schema.json",
+) -> str:
     """Text of a campaign file that compares surveys.
 
     Parameters
     ----------
     name : id of the campaign.
-    epochs : ids of the campaigns that surveyed the bank, in the order of time.
-    first : the first of them: its map, and the origin of the frame of all.
-    schema : as for `campaign_text`.
+    epochs : in the order of time: ids of campaigns that surveyed the bank, or a file of a cloud or surface
+        model with its date (empty if unknown).
+    crs : map grid; origin : latitude, longitude, ellipsoidal height of the frame of all.
+    folder : as for `campaign_text`; schema : likewise.
     """
-    origin = first.campaign.origin
-    place = f"lat_deg: {origin.lat_deg}, lon_deg: {origin.lon_deg}, h_ell_m: {origin.h_ell_m}"
+    place = f"lat_deg: {origin[0]}, lon_deg: {origin[1]}, h_ell_m: {origin[2]}"
     lines = [
         f"# yaml-language-server: $schema={schema}",
         "# Every key, its unit and its default: config/README.md. Check with: thalweg check-config THIS_FILE",
         "campaign:",
         f"  id: {name}",
         f"  title: {name}  # CHANGE: one line for figures and reports",
-        f"  crs: {first.campaign.crs}",
+        f"  crs: {crs}",
         f"  origin: {{{place}}}",
         "  seed: 1",
         "",
         "epochs:  # in the order of time; chain: ins, camera or fused",
-        *(f"  - {{campaign: {epoch}, chain: ins}}" for epoch in epochs),
+        *(line for epoch in epochs for line in _epoch(epoch, folder)),
         "",
         "deformation:",
         "  # area: {polygon: [[east, north], ...], min_height_m: 0.0}  # part of the bank to compare",
@@ -127,6 +135,22 @@ def epochs_text(name: str, epochs: Sequence[str], first: Campaign, *, schema: st
         "  reach_m: 3.0  # farther than the largest retreat",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _epoch(epoch: str | tuple[Path, str], folder: Path) -> list[str]:
+    """Lines of one epoch."""
+    if isinstance(epoch, str):
+        return [f"  - {{campaign: {epoch}, chain: ins}}"]
+    path, date = epoch
+    text = _relative(path, folder)
+    key = f"dsm: {text}" if path.suffix.lower() in DSM_ENDINGS else f"clouds: [{text}]"
+    return [
+        f"  - {key}",
+        f"    date_utc: {date}" if date else "    date_utc: CHANGE  # day or UTC time of the survey",
+        "    # crs: EPSG:25833+7837  # grid and heights, where the file states none",
+        "    # sigma_m: 0.03  # errors that neighbouring points share; without, limits hold roughness alone",
+        "    # correlation_m: 20.0  # distance over which they are alike",
+    ]
 
 
 def _photographs(listed: Mapping[str, Sequence[str]]) -> list[str]:

@@ -142,6 +142,14 @@ class Area:
         """Area of the polygon in plan; infinite without one."""
         return float(np.inf) if self.polygon_en_m is None else polygon_area_m2(self.polygon_en_m)
 
+    def box(self, margin_m: float) -> tuple[ArrayF, ArrayF]:
+        """Lowest and highest corner (3,) of the box about the area and a margin; infinite without limits."""
+        low, high = np.array([-np.inf] * 3), np.array([np.inf] * 3)
+        if self.polygon_en_m is not None:
+            low[:2], high[:2] = self.polygon_en_m.min(axis=0), self.polygon_en_m.max(axis=0)
+        low[2], high[2] = self.lowest_m, self.highest_m
+        return low - margin_m, high + margin_m
+
     def describe(self) -> str:
         """The limits in words."""
         if self.is_everything:

@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Any, Final, Literal
 
 from thalweg.settings import Campaign
-from thalweg.settings.sections import scan_stream
+from thalweg.settings.sections import Epoch, scan_stream
 
 TwinLogs = Callable[[Campaign], Mapping[str, Sequence[str]]]
 """Logs that a digital twin writes: stream -> names below ``results/<campaign>/simulation/logs``."""
@@ -130,7 +130,7 @@ class CampaignFiles:
 
     def is_twin(self) -> bool:
         """True if the digital twin writes the logs; of epochs: of one of them."""
-        epochs = (self.of(name).is_twin() for name in self.epoch_names())
+        epochs = (self.of(name).is_twin() for name in self._surveys())
         return self.campaign.twin is not None or any(epochs)
 
     def logs(self, stream: str) -> list[str]:
@@ -684,15 +684,65 @@ class CampaignFiles:
 
     def is_epoch(self) -> bool:
         """True if another chosen campaign compares this one with other epochs."""
-        return any(self.name in self.of(name).epoch_names() for name in self.campaigns)
+        return any(self.name in self.of(name)._surveys() for name in self.campaigns)
+
+    def _surveys(self) -> list[str]:
+        """Campaigns that surveyed the epochs, in the order of time; epochs of files have none."""
+        return [epoch.campaign for epoch in self.campaign.epochs or [] if epoch.campaign is not None]
 
     def epoch_names(self) -> list[str]:
-        """Names of the epochs: those of their campaigns, in the order of time."""
-        return [epoch.campaign for epoch in self.campaign.epochs or []]
+        """Names of the epochs, in the order of time."""
+        return self.campaign.epoch_names
+
+    def epochs_with_trajectory(self, wanted: bool) -> list[str]:
+        """Names of the epochs with a boat's trajectory, or of those without."""
+        epochs = zip(self.epoch_names(), self.campaign.epochs or [], strict=True)
+        return [name for name, epoch in epochs if epoch.has_trajectory is wanted]
+
+    def _epoch(self, name: str) -> Epoch:
+        """What the campaign file says of an epoch."""
+        return (self.campaign.epochs or [])[self.epoch_names().index(name)]
 
     def epoch_result(self, epoch: str, name: str) -> str:
         """A result of the campaign that surveyed an epoch."""
-        return self.of(epoch)._result(name)
+        return self.of(self._epoch(epoch).campaign or epoch)._result(name)
+
+    def epoch_surface(self, epoch: str) -> list[str]:
+        """Files of an epoch without a trajectory: a cloud, a surface model, or the bed of a campaign."""
+        stated = self._epoch(epoch)
+        if stated.campaign is not None:
+            return [self.epoch_result(epoch, "bathymetry/bed.tif")]
+        return [stated.dsm] if stated.dsm is not None else stated.clouds
+
+    def epoch_masks(self, epoch: str) -> list[str]:
+        """Files of polygons that are left out of an epoch."""
+        return [text.partition("?")[0] for text in self._epoch(epoch).leave_out]
+
+    def epoch_positions(self, epoch: str) -> list[str]:
+        """Positions of the boat that sounded the bed of an epoch, which say when."""
+        bed = self._epoch(epoch).campaign is not None
+        return [self.epoch_result(epoch, "ingest/positions.parquet")] if bed else []
+
+    def epoch_statement(self, epoch: str) -> dict[str, Any]:
+        """What is stated of an epoch without a trajectory; the bed of a campaign is a surface model too."""
+        stated = self._epoch(epoch)
+        if stated.campaign is not None:
+            stated = Epoch(dsm=self.epoch_surface(epoch)[0], correlation_m=stated.correlation_m)
+        return stated.model_dump(mode="json")
+
+    def surface_statements(self, pair: str) -> list[dict[str, Any]]:
+        """Statements of both epochs of a pair if both are surface models, else none."""
+        names = self._pair(pair)
+        if any(self._epoch(name).has_trajectory for name in names):
+            return []
+        statements = [self.epoch_statement(name) for name in names]
+        return statements if all(each["dsm"] for each in statements) else []
+
+    def surface_files(self, pair: str) -> list[str]:
+        """Files of those statements."""
+        names = self._pair(pair)
+        both = self.surface_statements(pair)
+        return [file for name in names for file in self.epoch_surface(name) + self.epoch_masks(name) if both]
 
     def epoch_points(self, epoch: str) -> str:
         """The cloud of an epoch, by the trajectory that the campaign of epochs chose."""
@@ -717,7 +767,7 @@ class CampaignFiles:
 
     def chain_of(self, epoch: str) -> str:
         """The chain whose trajectory georeferenced the cloud of an epoch."""
-        return next(each.chain for each in self.campaign.epochs or [] if each.campaign == epoch)
+        return self._epoch(epoch).chain
 
     def epoch_pairs(self) -> list[str]:
         """Pairs of epochs that are compared, such as ``1-2``: neighbours, and the first with the last."""
@@ -727,13 +777,28 @@ class CampaignFiles:
 
     def epochs_of(self, pair: str, name: str) -> list[str]:
         """That file of the prepared epochs of a pair."""
-        names = self.epoch_names()
-        return [self._result(f"deformation/epochs/{names[int(i) - 1]}/{name}") for i in pair.split("-")]
+        return [self._result(f"deformation/epochs/{epoch}/{name}") for epoch in self._pair(pair)]
 
     def surveys_of(self, pair: str, name: str) -> list[str]:
         """That result of the campaigns that surveyed the epochs of a pair."""
+        return [self.epoch_result(epoch, name) for epoch in self._pair(pair)]
+
+    def scenes_of(self, pair: str) -> list[dict[str, Any]]:
+        """Scenes that the twins of a pair of epochs simulate."""
+        return [self.of(name).section("twin", "scene") for name in self._pair(pair)]
+
+    def seeds_of(self, pair: str) -> list[int]:
+        """Seeds of the campaigns of a pair of epochs."""
+        return [self.of(name).section("campaign", "seed") for name in self._pair(pair)]
+
+    def _pair(self, pair: str) -> list[str]:
         names = self.epoch_names()
-        return [self.epoch_result(names[int(i) - 1], name) for i in pair.split("-")]
+        return [names[int(i) - 1] for i in pair.split("-")]
+
+    def change_places(self) -> dict[str, Any]:
+        """The section `deformation` as far as the truth of a change depends on it."""
+        keys = ("area", "cylinder_radius_m", "reach_m")
+        return {key: self.plain["deformation"][key] for key in keys}
 
     def all_epochs(self, name: str) -> list[str]:
         """That file of every prepared epoch."""
@@ -743,10 +808,11 @@ class CampaignFiles:
         """That file of every pair; ``{}`` stands for the pair."""
         return [self._result(f"deformation/{name.format(pair)}") for pair in self.epoch_pairs()]
 
-    def change_truth(self) -> list[str]:
-        """The comparison with the true change, where all epochs are a digital twin's."""
-        twins = all(self.of(name).is_twin() for name in self.epoch_names())
-        return self.of_pairs("truth_{}.csv") if self.campaign.is_change and twins else []
+    def change_truth(self, name: str = "truth_{}.csv") -> list[str]:
+        """The comparison with the true change, a file of it, where all epochs are a digital twin's."""
+        surveyed = not self.epochs_with_trajectory(wanted=False)
+        twins = surveyed and all(self.of(name).is_twin() for name in self._surveys())
+        return self.of_pairs(name) if self.campaign.is_change and twins else []
 
     def has_many_epochs(self) -> bool:
         """True if more than two epochs are compared."""
@@ -764,6 +830,7 @@ class CampaignFiles:
             *self.of_pairs("volumes_{}.csv"),
             *self.of_pairs("volumes_along_{}.csv"),
             *self.of_pairs("retreat_{}.csv"),
+            *self.of_pairs("dod_{}.tif"),
             *self._where(self.has_many_epochs(), "deformation/series.parquet"),
             *self.change_truth(),
             self._result("deformation/index.html"),

@@ -1,8 +1,14 @@
 from .calibration import compare_calibration as compare_calibration, compare_sensor as compare_sensor
 from .change import (
+    POINTS as POINTS,
     change_outlines as change_outlines,
     judge_changes as judge_changes,
+    judge_places as judge_places,
+    judge_polygons as judge_polygons,
+    outlines_of as outlines_of,
     true_changes as true_changes,
+    true_points as true_points,
+    true_polygons as true_polygons,
     true_volumes as true_volumes,
 )
 from .honesty import honesty_by_range as honesty_by_range, ratio_of_surveys as ratio_of_surveys

@@ -7,13 +7,29 @@ those of the ground between both surfaces, column by column, so that a hollow be
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+from scipy.spatial import cKDTree
 
-from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, ConfigError, GeometryError
+from thalweg.core import (
+    AnyArray,
+    ArrayB,
+    ArrayF,
+    ArrayI,
+    ConfigError,
+    GeometryError,
+    LocalFrame,
+    column,
+    frame_of,
+    table_kind,
+    write_table,
+)
 from thalweg.core.geometry import RayCaster, polygon_area_m2
+from thalweg.settings.sections import Deformation
 from thalweg.settings.twin import Change, TwinScene
 from thalweg.surface import Area
 from thalweg_lab.changes import (
@@ -29,6 +45,7 @@ from thalweg_lab.changes import (
 from thalweg_lab.reach import BAR_PLACE, River
 from thalweg_lab.river import BARE_GROUND, VEGETATION, Material, Scene
 
+_AXES: Final = ("east", "north", "up")
 CLASSES: Final = ("unchanged", "erosion", "deposition", "object", "vegetation", "water", "outside")
 """What a place may be; ``outside``: one of the scenes has no surface there."""
 
@@ -381,6 +398,231 @@ def _gone_and_new(
     went = np.sum(length * (solid_one & ~solid_two), axis=1)
     came = np.sum(length * (solid_two & ~solid_one), axis=1)
     return went, came
+
+
+# ---------------------------------------------------------------- the truth as files
+
+POINTS: Final = table_kind(
+    "true_change_points",
+    1,
+    [
+        *(
+            column(f"{axis}_m", pa.float64(), "m", f"place on the first ground, {axis} in wcs")
+            for axis in _AXES
+        ),
+        *(column(f"normal_{axis}", pa.float64(), "1", f"normal of the ground, {axis}") for axis in _AXES),
+        column("distance_m", pa.float64(), "m", "true change along the normal, mean over the cylinder"),
+        column("kind", pa.string(), "1", "class of the change"),
+        column("polygon", pa.string(), "1", "change that the place belongs to; empty: none"),
+    ],
+)
+"""One row a place on the ground of the first epoch."""
+_PER_M2: Final = 4.0
+"""Places on a square metre."""
+_THINGS: Final = ("moved_boulders", "new_boulders", "fallen_tree")
+"""Changes of things, which no volume of ground holds."""
+
+
+def simulate_change(
+    *,
+    scenes: list[Path],
+    points: Path,
+    polygons: Path,
+    settings: list[dict[str, Any]],
+    seeds: list[int],
+    campaign: dict[str, Any],
+    deformation: Deformation,
+) -> None:
+    """What truly changed: at places on the first ground in the area, and by polygon with volumes and classes.
+
+    Parameters
+    ----------
+    scenes : of both epochs.
+    points : table `POINTS`; polygons : CSV, see `true_polygons`.
+    settings : sections ``twin.scene`` of both epochs; seeds : of both campaigns.
+    campaign : origin and map grid; deformation : area, cylinders.
+    """
+    before, after = (Scene.read(path) for path in scenes)
+    first, second = (TwinScene(**each) for each in settings)
+    outlines = change_outlines(first, second, seeds[0] if first.seed is None else first.seed)
+    area = Area.from_section(deformation.area, LocalFrame(**campaign["origin"]), campaign["crs"])
+    true_polygons(before, after, outlines).to_csv(polygons, index=False)
+    write_table(
+        points,
+        true_points(
+            before,
+            after,
+            outlines,
+            area,
+            radius_m=deformation.cylinder_radius_m,
+            reach_m=deformation.reach_m,
+            seed=seeds[0],
+        ),
+        POINTS,
+    )
+
+
+def true_polygons(before: Scene, after: Scene, outlines: Mapping[str, ArrayF]) -> pd.DataFrame:
+    """Volumes of ground by outline, above the water of both epochs.
+
+    Returns
+    -------
+    A row a polygon: ``name, kind`` ("object" where things came or went, else what most of the volume is),
+    ``area_m2, erosion_m3, deposition_m3, net_m3`` (see `true_volumes`) and ``outline``, its corners as text.
+    """
+    level = max(before.water_level_m, after.water_level_m)
+    table = true_volumes(before, after, outlines, above_m=level)
+    ground = np.where(
+        table["net_m3"] < 0, "erosion", np.where(table["net_m3"] > 0, "deposition", "unchanged")
+    )
+    table.insert(1, "kind", np.where(table["name"].isin(_THINGS), "object", ground))
+    table["outline"] = [
+        "; ".join(f"{east:.3f} {north:.3f}" for east, north in outlines[name]) for name in table["name"]
+    ]
+    return table
+
+
+def outlines_of(polygons: pd.DataFrame) -> dict[str, ArrayF]:
+    """Corners (k, 2) of the polygons of `true_polygons`, by name."""
+    return {
+        str(row["name"]): np.array([corner.split() for corner in str(row["outline"]).split(";")], np.float64)
+        for row in polygons.to_dict("records")
+    }
+
+
+def true_points(
+    before: Scene,
+    after: Scene,
+    outlines: Mapping[str, ArrayF],
+    area: Area,
+    *,
+    radius_m: float,
+    reach_m: float,
+    seed: int,
+) -> pd.DataFrame:
+    """Table `POINTS`: true changes at random places on the ground of the first epoch, four a square metre.
+
+    Raises
+    ------
+    GeometryError : no ground of the first epoch lies in the area.
+    """
+    ground = before.only(*_GROUND)
+    corners = ground.vertices_wcs_m[ground.triangles]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inside = area.contains(corners.mean(axis=1))
+    if not inside.any():
+        raise GeometryError(
+            "no ground of the first epoch lies in deformation.area",
+            expected="an area on the bank of the twin",
+        )
+    corners, across = corners[inside], across[inside]
+    size = 0.5 * np.linalg.norm(across, axis=1)
+    rng = np.random.default_rng(seed)
+    chosen = rng.choice(len(size), int(np.ceil(_PER_M2 * size.sum())), p=size / size.sum())
+    u, v = rng.random((2, len(chosen)))
+    fold = u + v > 1.0
+    u, v = np.where(fold, 1.0 - u, u), np.where(fold, 1.0 - v, v)
+    a, b, c = (corners[chosen, i] for i in range(3))
+    place = a + u[:, None] * (b - a) + v[:, None] * (c - a)
+    # the mean normal of the ground about a place: single triangles are as rough as the soil
+    near = cKDTree(corners.mean(axis=1)).query_ball_point(place, radius_m)
+    normal = np.array(
+        [across[rows].sum(axis=0) if rows else across[k] for k, rows in zip(chosen, near, strict=True)]
+    )
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    found = true_changes(before, after, place, normal, radius_m=radius_m, reach_m=reach_m)
+    polygon = np.full(len(place), "", dtype=object)
+    for name, outline in outlines.items():
+        polygon[Area(polygon_en_m=outline).contains(place)] = name
+    return frame_of(
+        POINTS,
+        {
+            **{f"{axis}_m": place[:, i] for i, axis in enumerate(_AXES)},
+            **{f"normal_{axis}": normal[:, i] for i, axis in enumerate(_AXES)},
+            "distance_m": found.distance_m,
+            "kind": found.kind,
+            "polygon": polygon,
+        },
+    )
+
+
+_NEAR: Final = 1.5
+"""A core point within so many spacings tells of a place."""
+
+
+def judge_places(
+    changes: pd.DataFrame, truth: pd.DataFrame, spacing_m: float
+) -> list[tuple[str, float, int]]:
+    """What became of the true changes of 10 cm and more on bare ground, wherever core points lie.
+
+    Parameters
+    ----------
+    changes : measured; truth : table `POINTS`; spacing_m : of the core points.
+
+    Returns
+    -------
+    measure, value, number of places: share that a core point with a distance stands for, and share of these
+    that was called erosion or deposition with the right sign.
+    """
+    large = truth[truth["kind"].isin(("erosion", "deposition")) & (truth["distance_m"].abs() >= 0.1)]
+    if not len(large):
+        return []
+    measured = changes[changes["distance_m"].notna()]
+    tree = cKDTree(measured[[f"{axis}_m" for axis in _AXES]].to_numpy())
+    off, nearest = tree.query(large[[f"{axis}_m" for axis in _AXES]].to_numpy())
+    seen = np.asarray(off <= _NEAR * spacing_m)
+    state = measured["state"].to_numpy()[nearest]
+    called = seen & (state == large["kind"].to_numpy())
+    return [
+        ("true_changes_seen", float(seen.mean()), len(large)),
+        ("true_changes_called", float(called[seen].mean()) if seen.any() else np.nan, int(seen.sum())),
+    ]
+
+
+def judge_polygons(
+    changes: pd.DataFrame,
+    core_points: pd.DataFrame,
+    draws: pd.DataFrame,
+    true_distance_m: ArrayF,
+    polygons: pd.DataFrame,
+) -> pd.DataFrame:
+    """Measured and true net volume of each polygon of true change.
+
+    Parameters
+    ----------
+    changes, core_points, draws : results of the comparison of two epochs.
+    true_distance_m : (k,) of the core points.
+    polygons : see `true_polygons`.
+
+    Returns
+    -------
+    A row a polygon: ``name, kind, area_m2``, ``true_m3`` of all ground in it, and of the core points that
+    were measured ``cores, measured_m2, measured_m3``, ``expected_m3`` by their true distances,
+    and ``sigma_m3`` from the draws of all errors.
+    """
+    area = core_points["area_m2"].to_numpy()
+    distance = changes["distance_m"].to_numpy()
+    use = changes["state"].isin(("erosion", "deposition", "no significant change"))
+    use &= np.isfinite(distance) & np.isfinite(true_distance_m)
+    errors = np.nan_to_num(draws.drop(columns="core").to_numpy())
+    places = changes[[f"{axis}_m" for axis in _AXES]].to_numpy()
+    rows = []
+    outlines = outlines_of(polygons)
+    for row in polygons.to_dict("records"):
+        inside = use.to_numpy() & Area(polygon_en_m=outlines[row["name"]]).contains(places)
+        weight = np.where(inside, area, 0.0)
+        rows.append(
+            {
+                **{key: row[key] for key in ("name", "kind", "area_m2")},
+                "true_m3": row["net_m3"],
+                "cores": int(inside.sum()),
+                "measured_m2": float(weight.sum()),
+                "measured_m3": float(weight @ np.nan_to_num(distance)),
+                "expected_m3": float(weight @ np.nan_to_num(true_distance_m)),
+                "sigma_m3": float(np.sqrt(np.mean((weight @ errors) ** 2))),
+            }
+        )
+    return pd.DataFrame(rows)
 
 
 # ---------------------------------------------------------------- where the changes are

@@ -53,6 +53,7 @@ REASON_LOOK: Final[dict[str, tuple[str, str]]] = {
     "occlusion": (VERMILION, "D"),
     "not swept": ("black", "x"),
     "free space": (GREEN, "o"),
+    "no trajectory": (GREY, "1"),
 }
 """Colour and marker of each reason why a place was not seen."""
 NOT_SEEN: Final = ("not seen", "not seen in first", "not seen in second")

@@ -21,7 +21,17 @@ GROUPS_IN_WORDS: Final = {
     "attitude": "attitude",
     "mount, shift": "place of the scanner on the boat",
     "mount, rotation": "direction of the scanner on the boat",
+    "stated": "stated of the files",
+    "stated, common to all": "stated of the files, the same everywhere",
+    "not stated": "not stated",
 }
+DIFFERENCES: Final = (
+    ("volume_m3", "volume", "m³"),
+    ("sigma_m3", "sigma", "m³"),
+    ("low_m3", "95 % from", "m³"),
+    ("high_m3", "to", "m³"),
+    ("area_m2", "area", "m²"),
+)
 CONTROL_IN_WORDS: Final = {
     "fdr": "of all core points that are called changed, at most {percent:g} % did not change (Benjamini and "
     "Hochberg)",
@@ -49,6 +59,8 @@ TRUTH_IN_WORDS: Final = {
     "largest_retreat_measured_m": "largest retreat: measured, m",
     "unseen_called_change": "places not seen that were called changes",
     "unseen_called_change_wrongly": "of these wrongly",
+    "true_changes_seen": "true changes of 10 cm and more: share of their area that was measured",
+    "true_changes_called": "of this the share that was called so, with the right sign",
     "plants_called_change": "share of plants that were called changes",
     "things_called_change": "share of things on the bank that were called changes",
 }
@@ -87,6 +99,7 @@ class PairFacts:
     control : how significance is controlled, ``changes_<pair>.json``.
     registration : ``registration_<pair>.json``.
     volumes, patches : tables ``volumes_<pair>.csv`` and ``patches_<pair>.csv``.
+    difference : table ``dod_<pair>.csv``, volumes of the difference of heights.
     """
 
     name: str
@@ -97,6 +110,7 @@ class PairFacts:
     registration: Mapping[str, Any]
     volumes: pd.DataFrame
     patches: pd.DataFrame
+    difference: pd.DataFrame
 
     @property
     def words(self) -> str:
@@ -130,6 +144,7 @@ def read_pair_facts(
     registrations: Sequence[Path],
     volumes: Sequence[Path],
     patches: Sequence[Path],
+    differences: Sequence[Path],
     core_points: Path,
 ) -> list[PairFacts]:
     """Results of all pairs, from the files that `workflow/rules/deformation.smk` names.
@@ -149,9 +164,10 @@ def read_pair_facts(
             registration=json.loads(moved.read_text()),
             volumes=pd.read_csv(volume),
             patches=pd.read_csv(patch),
+            difference=pd.read_csv(difference),
         )
-        for change, seen, how, moved, volume, patch in zip(
-            changes, visibility, control, registrations, volumes, patches, strict=True
+        for change, seen, how, moved, volume, patch, difference in zip(
+            changes, visibility, control, registrations, volumes, patches, differences, strict=True
         )
     ]
 
@@ -289,6 +305,7 @@ def change_page(
     captions: Mapping[str, str] | None = None,
     series: tuple[Mapping[str, Any], pd.DataFrame] | None = None,
     truth: Mapping[str, pd.DataFrame] | None = None,
+    polygons: Mapping[str, pd.DataFrame] | None = None,
     title: str = "Change between epochs",
     twin: bool = False,
 ) -> Page:
@@ -302,6 +319,7 @@ def change_page(
     captions : stem of a picture -> its caption.
     series : of more than two epochs, ``jumps.json`` and ``retreat_rates.csv``.
     truth : for a twin, ``measure, value, n`` of the comparison with the true change by pair.
+    polygons : for a twin, measured and true volumes of each change by pair.
     title : heading.
     twin : true if the digital twin made the data.
 
@@ -312,6 +330,9 @@ def change_page(
     page = Page(title, verdict(pairs[0]) if pairs else "No pair of epochs.")
     for pair in pairs[1:]:
         page.text(verdict(pair))
+    notes = [f"{pair.words}: {note}" for pair in pairs for note in pair.control.get("notes", ())]
+    if notes:
+        page.text("\n\n".join(notes))
     if twin:
         page.text(
             "The digital twin made these data: the surveys and the change between them are simulated. The "
@@ -325,11 +346,12 @@ def change_page(
         page.figure(picture, (captions or {}).get(picture.stem, picture.stem.replace("_", " ")))
     if series is not None:
         _series(page, *series)
+    _differences(page, pairs)
     _registration(page, pairs)
     _unseen(page, pairs)
     _epochs(page, epochs)
     if truth:
-        _truth(page, truth)
+        _truth(page, truth, polygons or {})
     page.section("Limits").text(limits(pairs))
     return page
 
@@ -343,9 +365,11 @@ def write_change_page(
     registrations: list[Path],
     volumes: list[Path],
     patches: list[Path],
+    differences: list[Path],
     core_points: Path,
     series: list[Path],
     truth: list[Path],
+    polygons: list[Path],
     pictures: list[Path],
     captions: dict[str, str],
     title: str,
@@ -355,11 +379,14 @@ def write_change_page(
     """The same from files, as the workflow has them: one of each for a pair; `title`: of the campaign."""
     change_page(
         [json.loads(path.read_text()) for path in errors],
-        read_pair_facts(changes, visibility, control, registrations, volumes, patches, core_points),
+        read_pair_facts(
+            changes, visibility, control, registrations, volumes, patches, differences, core_points
+        ),
         pictures=pictures,
         captions=captions,
         series=(json.loads(series[0].read_text()), pd.read_csv(series[1])) if series else None,
         truth={path.stem.rpartition("_")[2]: pd.read_csv(path) for path in truth},
+        polygons={path.stem.rpartition("_")[2]: pd.read_csv(path) for path in polygons},
         title=f"Change of the bank: {title}",
         twin=twin,
     ).write(page)
@@ -393,6 +420,17 @@ def _volumes(page: Page, pairs: Sequence[PairFacts]) -> None:
     if n:
         caption = f"Connected patches, the largest first: {len(table)} of {n}; places in the local frame"
         page.table(table, caption, units, digits=3)
+
+
+def _differences(page: Page, pairs: Sequence[PairFacts]) -> None:
+    page.section("Difference of heights").text(
+        "Heights of both epochs in cells of the map and their difference (dod_<pair>.tif: difference and "
+        "standard deviation). Of clouds it is the mean height about the middle of each cell, registered as "
+        "the distances are; of two surface models the difference of the rasters, not registered. On a steep "
+        "bank the distances along normals say more."
+    )
+    table, units = _of_pairs([(pair, pair.difference) for pair in pairs], DIFFERENCES, "part")
+    page.table(table, "Volumes of the difference of heights", units, digits=3)
 
 
 def _states(page: Page, pairs: Sequence[PairFacts]) -> None:
@@ -527,8 +565,9 @@ def _unseen(page: Page, pairs: Sequence[PairFacts]) -> None:
 
 def _epochs(page: Page, epochs: Sequence[Mapping[str, Any]]) -> None:
     page.section("Epochs and their errors").text(
-        "Errors of the poses that points of a moment share, by group: root mean squares over the survey. "
-        "Groups without a correlation time stay the same for a whole survey."
+        "Errors that points share, by group: root mean squares over the survey. Those of poses are shared by "
+        "the points of a moment; groups without a correlation time stay the same for a whole survey. Of "
+        "clouds and surface models from elsewhere they are what the campaign file states."
     )
     about = [
         {
@@ -542,6 +581,7 @@ def _epochs(page: Page, epochs: Sequence[Mapping[str, Any]]) -> None:
     ]
     page.table(pd.DataFrame(about), "Epochs")
     rows = []
+    lengths = any(group.get("correlation_m") for each in epochs for group in each["groups"])
     for i, each in enumerate(epochs, start=1):
         for group in each["groups"]:
             turn = group["unit"] == "rad"
@@ -553,15 +593,17 @@ def _epochs(page: Page, epochs: Sequence[Mapping[str, Any]]) -> None:
                     "correlation time": float("nan")
                     if group["correlation_s"] is None
                     else float(group["correlation_s"]),
+                    **({"correlation length": group.get("correlation_m") or float("nan")} if lengths else {}),
                     **dict(zip(_ENU, sizes.tolist(), strict=True)),
                     "unit": "°" if turn else "cm",
                 }
             )
     caption = "Standard deviations along east, north and up; of rotations about these axes"
-    page.table(pd.DataFrame(rows), caption, {"correlation time": "s"}, digits=2)
+    units = {"correlation time": "s", **({"correlation length": "m"} if lengths else {})}
+    page.table(pd.DataFrame(rows), caption, units, digits=2)
 
 
-def _truth(page: Page, truth: Mapping[str, pd.DataFrame]) -> None:
+def _truth(page: Page, truth: Mapping[str, pd.DataFrame], polygons: Mapping[str, pd.DataFrame]) -> None:
     page.section("Against the truth of the digital twin").text(
         "The twin knows the true surface of each epoch, which no processing saw. Bare ground counts: "
         "measured places without plants and things. Honest sigmas leave squared errors over "
@@ -572,3 +614,28 @@ def _truth(page: Page, truth: Mapping[str, pd.DataFrame]) -> None:
         words = table["measure"].map(lambda each: TRUTH_IN_WORDS.get(each, each.replace("_", " ")))
         rows = pd.DataFrame({"measure": words, "value": table["value"], "n": table["n"]})
         page.table(rows, f"Epochs {name.replace('-', ' to ')}: measured and true change", digits=3)
+        if name in polygons:
+            _polygons(page, name, polygons[name])
+
+
+def _polygons(page: Page, name: str, table: pd.DataFrame) -> None:
+    """Volumes of the changes that the twin has."""
+    shown = table[table["cores"] > 0]
+    units = {"true": "m³", "of what was seen": "m³", "measured": "m³", "sigma": "m³"}
+    rows = pd.DataFrame(
+        {
+            "change": shown["name"].str.replace("_", " "),
+            "kind": shown["kind"],
+            "n": shown["cores"],
+            "true": shown["true_m3"],
+            "of what was seen": shown["expected_m3"],
+            "measured": shown["measured_m3"],
+            "sigma": shown["sigma_m3"],
+            "error over sigma": (shown["measured_m3"] - shown["expected_m3"]) / shown["sigma_m3"],
+        }
+    )
+    caption = (
+        f"Epochs {name.replace('-', ' to ')}: net volumes of ground by change. True: of all ground above the "
+        "water; of what was seen: true change at the n core points that the measured volume sums"
+    )
+    page.table(rows, caption, units, digits=3)

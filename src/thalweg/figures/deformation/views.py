@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from scipy.spatial import cKDTree
 
 from thalweg.core import ArrayF, utc_text_from_gps
 from thalweg.figures import (
@@ -80,7 +81,7 @@ def epochs_from_above(clouds: Sequence[CloudOfEpoch], *, title: str, twin: bool)
     wide, tall = high - low
     side_by_side = tall > 0.8 * wide
     rows, columns = (1, len(clouds)) if side_by_side else (len(clouds), 1)
-    panel_mm = tall / wide * (WIDTH_MM - 30.0) / columns
+    panel_mm = tall / wide * (WIDTH_MM - 30.0) / columns + (8.0 if side_by_side else 0.0)
     n = count(sum(len(each.xyz_m) for each in clouds))
     figure = new_figure(rows * (panel_mm + 12.0) + 24.0, f"{title}, n = {n} points", twin=twin)
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
@@ -99,14 +100,17 @@ def epochs_from_above(clouds: Sequence[CloudOfEpoch], *, title: str, twin: bool)
             vmax=limits[1],
             gid="heights",
         )
-        ax.plot(*each.boat_m[:, :2].T, color=VERMILION, lw=1.2, gid="track")
-        ax.plot(*each.boat_m[0, :2], color=VERMILION, marker="o", ms=4, ls="none", gid="start")
+        if len(each.boat_m):
+            ax.plot(*each.boat_m[:, :2].T, color=VERMILION, lw=1.2, gid="track")
+            ax.plot(*each.boat_m[0, :2], color=VERMILION, marker="o", ms=4, ls="none", gid="start")
+        track = "line: the boat from the circle" if len(each.boat_m) else "files, no trajectory"
+        after = "\n" if side_by_side else " "  # narrow panels
         ax.set_xlim(low[0], high[0])
         ax.set_ylim(low[1], high[1])
         ax.set_aspect("equal")
         ax.set_title(
-            f"epoch {each.number}, {each.name}: {utc_text_from_gps(each.start_gps_s, 0)},\n"
-            f"n = {count(len(each.xyz_m))}; line: the boat from the circle"
+            f"epoch {each.number}, {each.name}:{after}{utc_text_from_gps(each.start_gps_s, 0)},\n"
+            f"n = {count(len(each.xyz_m))};{after}{track}"
         )
         ax.set_ylabel("north / m")
         marks_in_free_corners(ax, np.concatenate([each.xyz_m[::50, :2], each.boat_m[:, :2]]))
@@ -124,8 +128,10 @@ def epochs_from_above(clouds: Sequence[CloudOfEpoch], *, title: str, twin: bool)
 
 
 def _highest(xyz_m: ArrayF, low: ArrayF, high: ArrayF) -> ArrayF:
-    """Height of the highest point of each pixel; NaN without any."""
-    pixel = float(np.max(high - low)) / PIXELS
+    """Height of the highest point of each pixel, which a thin cloud or raster fills; NaN without any."""
+    some = xyz_m[:: -(-len(xyz_m) // 2000), :2]
+    apart = np.median(cKDTree(xyz_m[:, :2]).query(some, k=2)[0][:, 1]) if len(xyz_m) > 1 else 0.0
+    pixel = max(float(np.max(high - low)) / PIXELS, 1.5 * float(apart))
     columns, rows = (int(np.ceil(span / pixel)) for span in high - low)
     at = ((xyz_m[:, :2] - low) / pixel).astype(np.int64)
     picture = np.full(rows * columns, -np.inf)

@@ -1,2 +1,2 @@
 from .reader import read_cloud as read_cloud, read_pcd as read_pcd
-from .reference import gather_reference as gather_reference
+from .reference import gather_reference as gather_reference, to_world as to_world

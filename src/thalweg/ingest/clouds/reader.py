@@ -119,7 +119,12 @@ def read_las(path: Path, report: IntegrityReport) -> RawCloud:
         report.note(f"The file is cut or damaged: {error.found}.")
     n = sum(len(part["xyz_m"]) for part in parts)
     if not n:
-        raise InputError("the cloud has no points", expected="at least one point", where=path)
+        raise InputError(
+            "the cloud has no points",
+            expected="at least one point",
+            where=path,
+            cure="Export it again, or name another file",
+        )
     if n < header.n_points:
         report.lose("points_missing", header.n_points - n)
         report.note(f"{n:,} of {header.n_points:,} points could be read.")

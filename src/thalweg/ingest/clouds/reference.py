@@ -8,7 +8,7 @@ import numpy as np
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
-from thalweg.core import AnyArray, ArrayF, GeometryError, InputError, LazWriter, LocalFrame
+from thalweg.core import AnyArray, ArrayF, Frame, GeometryError, InputError, LazWriter, LocalFrame
 from thalweg.ingest import IntegrityReport
 from thalweg.ingest.clouds.reader import NO_CRS, WEEK_TIMES, Cloud, read_cloud
 
@@ -148,12 +148,13 @@ _ENOUGH: Final = 1000
 _SAMPLE: Final = 200_000
 
 
-def to_world(cloud: Cloud, frame: LocalFrame, crs: str, where: Path) -> tuple[ArrayF, str]:
+def to_world(points: ArrayF, stated: Frame, frame: LocalFrame, crs: str, where: Path) -> tuple[ArrayF, str]:
     """Points of a cloud in the world frame, and a note about what had to be assumed.
 
     Parameters
     ----------
-    cloud : in a map grid with ellipsoidal heights, in a local frame, or without a stated frame.
+    points : (n, 3) as the file has them, map heights are ellipsoidal.
+    stated : frame of the file: a map grid, a local frame, or None.
     frame : the world frame.
     crs : map grid of the campaign; assumed where the file states none.
     where : file, for messages.
@@ -164,26 +165,26 @@ def to_world(cloud: Cloud, frame: LocalFrame, crs: str, where: Path) -> tuple[Ar
     GeometryError : the coordinates do not lie in the map grid, or more than 20 km from the origin; the
         message says where they lie and what they may be.
     """
-    if isinstance(cloud.frame, LocalFrame):
-        if cloud.frame != frame:
+    if isinstance(stated, LocalFrame):
+        if stated != frame:
             raise InputError(
-                f"the cloud is in the local frame at {cloud.frame}",
+                f"the cloud is in the local frame at {stated}",
                 expected=f"the campaign's own, {frame}",
                 where=where,
                 cure="Process both with the same campaign.origin",
             )
-        return cloud.points, ""
-    stated = "" if cloud.frame is None else cloud.frame.name
+        return points, ""
+    name = "" if stated is None else stated.name
     try:
-        local = frame.from_map(cloud.points, cloud.frame or CRS.from_user_input(crs))
+        local = frame.from_map(points, stated or CRS.from_user_input(crs))
     except GeometryError as error:
-        raise misplaced(error.found, cloud.points, frame, crs, stated, where) from error
-    check_near(local, cloud.points, frame, crs, stated, where)
-    if cloud.frame is None:
+        raise misplaced(error.found, points, frame, crs, name, where) from error
+    check_near(local, points, frame, crs, name, where)
+    if stated is None:
         return local, f"{where.name} states no CRS: taken as {crs} with ellipsoidal heights."
     note = ""
-    if cloud.frame.is_compound:
-        note = f"{where.name}: heights of '{cloud.frame.name}' are taken as ellipsoidal, no geoid applied."
+    if stated.is_compound:
+        note = f"{where.name}: heights of '{stated.name}' are taken as ellipsoidal, no geoid applied."
     return local, note
 
 
@@ -217,7 +218,7 @@ def gather_reference(files: list[Path], out: Path, frame: LocalFrame, crs: str) 
     with LazWriter(out, frame) as writer:
         for number, path in enumerate(files, start=1):
             cloud = read_cloud(path)
-            points, note = to_world(cloud, frame, crs, path)
+            points, note = to_world(cloud.points, cloud.frame, frame, crs, path)
             _refuse_coarse(cloud, path)
             for sentence in filter(None, (note, *_stepped(cloud.points, path))):
                 total.note(sentence)

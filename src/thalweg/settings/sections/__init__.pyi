@@ -22,6 +22,9 @@ from .calibration import (
     RunErrors as RunErrors,
 )
 from .deformation import (
+    CLOUD_ENDINGS as CLOUD_ENDINGS,
+    DSM_ENDINGS as DSM_ENDINGS,
+    TEXT_ENDINGS as TEXT_ENDINGS,
     Classes as Classes,
     Deformation as Deformation,
     Epoch as Epoch,

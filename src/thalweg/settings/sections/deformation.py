@@ -1,20 +1,116 @@
 """Sections ``epochs`` and ``deformation``: surveys of one bank at different times, and what changed."""
 
-from typing import Annotated, Literal, Self
+import datetime as dt
+from typing import Annotated, Final, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from thalweg.settings.sections.accuracy import Area, Corner
-from thalweg.settings.sections.base import NonNegative, Positive, Section
+from thalweg.settings.sections.base import Finite, NonNegative, Positive, Section, Vector3
+
+
+def _moment(text: str) -> dt.datetime | None:
+    """A UTC time, or noon of a day; None if the text is neither."""
+    try:
+        moment = dt.datetime.fromisoformat(text)
+    except ValueError:
+        return None
+    if len(text) == len("2021-05-12"):
+        return moment.replace(hour=12, tzinfo=dt.UTC)
+    return moment if moment.utcoffset() == dt.timedelta(0) else None
+
+
+def _day_or_time(text: str) -> str:
+    if _moment(text) is None:
+        raise ValueError("not a day such as 2021-05-12 or a UTC time such as 2021-05-12T08:31:07Z")
+    return text
+
+
+CLOUD_ENDINGS: Final = (".las", ".laz", ".ply", ".e57")
+"""Files of point clouds."""
+TEXT_ENDINGS: Final = (".xyz", ".txt", ".csv", ".asc", ".pts")
+"""Tables of points: x, y, z in the first three columns, a head of any number of lines."""
+DSM_ENDINGS: Final = (".tif", ".tiff")
+"""Rasters of heights."""
 
 
 class Epoch(Section):
-    """One survey of the series."""
+    """One survey of the series: a campaign, or a cloud or surface model from elsewhere with its date."""
 
-    campaign: str = Field(description="Id of the campaign whose cloud is compared", examples=["mulde"])
+    campaign: str | None = Field(
+        default=None, description="Id of the campaign whose cloud is compared", examples=["mulde"]
+    )
     chain: Literal["ins", "camera", "fused"] = Field(
         default="ins", description="Trajectory that georeferenced its cloud: of the INS, the camera, or all"
     )
+    surface: Literal["bank", "bed"] = Field(
+        default="bank", description="Of a campaign: the cloud of its bank, or the riverbed of its soundings"
+    )
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=60)] | None = Field(
+        default=None, description="Of files: short name in tables and pictures; null: epoch_ and its number"
+    )
+    clouds: list[str] = Field(
+        default=[],
+        description="Point cloud from elsewhere: LAS, LAZ, PLY, E57, x y z text; several files are one epoch",
+        examples=[["tls_2019/*.laz"]],
+    )
+    dsm: str | None = Field(
+        default=None,
+        description="Surface model from elsewhere: GeoTIFF of heights in metres; a band sigma_m is used",
+        examples=["dsm_20190313.tif"],
+    )
+    date_utc: Annotated[str, AfterValidator(_day_or_time)] | None = Field(
+        default=None,
+        description="Of files: day or UTC time of the survey",
+        examples=["2019-03-13", "2019-03-13T10:20:00Z"],
+    )
+    crs: str | None = Field(
+        default=None,
+        description="Of files: map grid, with its heights if they are not ellipsoidal (EPSG:25833+7837); "
+        "null: as the file states, or campaign.crs",
+    )
+    sigma_m: NonNegative | None = Field(
+        default=None,
+        description="Of files: standard deviation that neighbouring points share (of clouds: of each "
+        "coordinate; of surface models: of the height), metres; null: unknown, limits hold roughness alone",
+    )
+    correlation_m: NonNegative | None = Field(
+        default=None,
+        le=100_000,
+        description="With sigma_m or the bed of a campaign: distance at which the correlation of shared "
+        "errors is 1/e, metres; 0: none",
+    )
+    nodata: Finite | Literal["none"] | None = Field(
+        default=None,
+        description="Of files: value of missing heights beside the declared one; `none`: there is no other",
+    )
+    leave_out: list[str] = Field(
+        default=[],
+        description="Of files: polygons (GeoPackage) without comparison, such as water; "
+        "FILE?COLUMN=VALUE,... chooses some of a file",
+        examples=[["watermasks.gpkg?location=mar,raw_date=20180727"]],
+    )
+
+    @property
+    def of_files(self) -> bool:
+        """True if the epoch is a cloud or surface model from elsewhere."""
+        return self.campaign is None
+
+    @property
+    def has_trajectory(self) -> bool:
+        """True if a boat's trajectory says what errs: the cloud of a campaign's bank."""
+        return self.campaign is not None and self.surface == "bank"
+
+    def called(self, number: int) -> str:
+        """Name of the epoch with a number from 0: of its campaign (``_bed`` for its bed), or its own."""
+        if self.campaign is not None:
+            return self.campaign if self.surface == "bank" else f"{self.campaign}_bed"
+        return self.name or f"epoch_{number + 1}"
+
+    @property
+    def moment_utc(self) -> dt.datetime | None:
+        """Time of the survey, if stated."""
+        return None if self.date_utc is None else _moment(self.date_utc)
 
 
 class EpochErrors(Section):
@@ -95,6 +191,15 @@ class Deformation(Section):
     registration: Literal["none", "shift", "shift+heading", "rigid"] = Field(
         default="shift+heading", description="Motion between the epochs that stable ground shows"
     )
+    towards: Vector3 = Field(
+        default=(0.0, 0.0, 1.0),
+        description="Direction to which normals point and in which distances are positive, east, north, up, "
+        "where no epoch has a trajectory of the scanner",
+    )
+    resample: Literal["nearest", "bilinear"] | None = Field(
+        default=None,
+        description="How the second of two surface models comes onto the grid of the first; null: not at all",
+    )
     largest_shift_m: Positive = Field(
         default=0.5,
         le=10,
@@ -128,4 +233,6 @@ class Deformation(Section):
                 f"reach_m {self.reach_m:g} is below cylinder_radius_m {self.cylinder_radius_m:g}: the "
                 "cylinders would be discs"
             )
+        if not any(self.towards):
+            raise ValueError("towards (0, 0, 0) is no direction")
         return self

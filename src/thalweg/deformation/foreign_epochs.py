@@ -1,0 +1,470 @@
+"""Epochs from elsewhere: clouds and surface models with a date, in the frame of all epochs.
+
+Of their errors is known what somebody states: a standard deviation that neighbouring points share, and how
+far (`thalweg.deformation.spatial`). They have no trajectory: nothing is known of what they could have seen.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Self
+
+import numpy as np
+from pyproj import CRS
+
+from thalweg.core import (
+    AnyArray,
+    ArrayB,
+    ArrayF,
+    ArrayI,
+    CoverageError,
+    Frame,
+    InputError,
+    LocalFrame,
+    gps_from_unix,
+    laz_header,
+)
+from thalweg.deformation.epochs import Epoch, between_frames
+from thalweg.deformation.field import ErrorField, ErrorGroup, rows_of_weights
+from thalweg.deformation.foreign import ROUGHNESS_ALONE, density_notes, one_frame, read_points
+from thalweg.deformation.m3c2 import ColumnIndex, pose_weights
+from thalweg.deformation.shapes import Shapes, read_shapes
+from thalweg.deformation.spatial import SpatialErrors, place_in_cells
+from thalweg.deformation.surfaces import Dsm, mask_missing, read_dsm
+from thalweg.ingest.clouds import to_world
+from thalweg.settings import utm_code
+from thalweg.settings.sections import DSM_ENDINGS, Epoch as Statement
+from thalweg.surface import Area
+
+KIND: Final = "files"
+"""Of epochs from elsewhere, in ``errors.json``."""
+STATED, COMMON, UNKNOWN = "stated", "stated, common to all", "not stated"
+"""Groups of errors."""
+_LAS: Final = (".las", ".laz")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForeignEpoch(Epoch):
+    """Points of files in the frame of all epochs; its "moments" are cells of the plan.
+
+    Attributes
+    ----------
+    statement : ``heights`` (system, in words), ``notes`` (sentences for the reader), ``sigma_known``.
+    """
+
+    statement: Mapping[str, Any]
+
+    @property
+    def heights(self) -> str:
+        """System of heights, in words."""
+        return str(self.statement["heights"])
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was assumed and left out."""
+        return tuple(self.statement["notes"])
+
+    @property
+    def sigma_known(self) -> bool:
+        """Whether errors that points share are stated."""
+        return bool(self.statement["sigma_known"])
+
+    def field(
+        self, cores_m: ArrayF, normals: ArrayF, index: ColumnIndex, *, radius_m: float, half_length_m: float
+    ) -> ErrorField:
+        """Shared errors of the mean positions along normals of `thalweg.deformation.m3c2.cut_cylinders`."""
+        m = len(self.t_s)
+        how = {"radius_m": radius_m, "half_length_m": half_length_m}
+        weights = pose_weights(cores_m, normals, index, self.moment, np.zeros((m, 3)), **how)
+        rows = rows_of_weights(weights, weights.shift, m)
+        return ErrorField(self.groups, (rows,) * len(self.groups))
+
+    def report(self) -> dict[str, Any]:
+        """Facts about the epoch and its errors, for people and for `read`."""
+        return {
+            "name": self.name,
+            "kind": KIND,
+            "start_gps_s": self.start_gps_s,
+            "points": len(self.xyz_m),
+            "moments": len(self.t_s),
+            **self.statement,
+            "groups": [
+                {
+                    "name": group.name,
+                    "correlation_s": None,
+                    "correlation_m": group.correlation_m if isinstance(group, SpatialErrors) else None,
+                    "cell_m": group.cell_m if isinstance(group, SpatialErrors) else None,
+                    "sigma": np.sqrt(np.mean(np.sum(group.root**2, axis=2), axis=0)).tolist(),
+                    "unit": "m",
+                }
+                for group in self.groups
+            ],
+        }
+
+    def write(self, points: Path, errors: Path) -> None:
+        """Write ``points.npz``, and ``errors.json`` beside it, what `read` reads."""
+        arrays = {
+            name: getattr(self, name)
+            for name in (
+                "xyz_m", "moment", "white_m2", "several_returns",
+                "t_s", "boat_m", "scanner_m", "levers", "water_m",
+            )
+        }  # fmt: skip
+        for i, group in enumerate(self.groups):
+            arrays[f"root_{i}"] = group.root
+            if isinstance(group, SpatialErrors):
+                arrays[f"cell_{i}"] = group.cell
+        np.savez(points, allow_pickle=False, **arrays)
+        errors.write_text(json.dumps(self.report(), indent=2) + "\n")
+
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """Read what `write` wrote."""
+        facts = json.loads((folder / "errors.json").read_text())
+        with np.load(folder / "points.npz") as stored:
+            arrays = dict(stored)
+        groups: list[SpatialErrors | ErrorGroup] = []
+        for i, each in enumerate(facts["groups"]):
+            root, cell = arrays.pop(f"root_{i}"), arrays.pop(f"cell_{i}", None)
+            groups.append(
+                ErrorGroup(each["name"], arrays["t_s"], root, np.inf)
+                if cell is None
+                else SpatialErrors(each["name"], cell, each["cell_m"], root, each["correlation_m"])
+            )
+        return cls(
+            name=facts["name"],
+            start_gps_s=facts["start_gps_s"],
+            groups=tuple(groups),
+            statement={key: facts[key] for key in ("heights", "notes", "sigma_known")},
+            **arrays,
+        )
+
+
+def read_epoch(folder: Path) -> Epoch:
+    """A prepared epoch, of a survey or of files, by its ``errors.json``."""
+    kind = json.loads((folder / "errors.json").read_text()).get("kind")
+    return ForeignEpoch.read(folder) if kind == KIND else Epoch.read(folder)
+
+
+def notes_of_pair(before: Epoch, after: Epoch, n: ArrayI) -> list[str]:
+    """What a reader of a comparison has to know: assumptions, unknown sigmas, densities.
+
+    Parameters
+    ----------
+    n : (k, 2) points of both epochs in the cylinders.
+    """
+    notes = [f"{epoch.name}: {note}" for epoch in (before, after) for note in epoch.notes]
+    unknown = [epoch.name for epoch in (before, after) if not epoch.sigma_known]
+    if unknown:
+        notes.append(f"No sigma is stated of {' and '.join(unknown)}. {ROUGHNESS_ALONE}")
+    return notes + density_notes(n)
+
+
+# ---------------------------------------------------------------- from files
+
+
+@dataclass(frozen=True, slots=True)
+class _Heights:
+    """Points (n, 3) of the world frame, standard deviations (n,) or None, system of heights, notes."""
+
+    xyz_m: ArrayF
+    sigma_m: ArrayF | None
+    common_m: ArrayF | None
+    heights: str
+    notes: list[str]
+
+
+def prepare_foreign_epoch(
+    name: str,
+    stated: Statement,
+    *,
+    frame: LocalFrame,
+    crs: str,
+    area: Area,
+    margin_m: float,
+    start_gps_s: float | None = None,
+) -> ForeignEpoch:
+    """Points of a cloud or surface model and their stated errors, in the frame of all epochs.
+
+    Parameters
+    ----------
+    name : of the epoch.
+    stated : files, date, map grid, sigma and correlation length.
+    frame : of all epochs; crs : map grid of the campaign, of files that state none.
+    area : points farther outside than ``margin_m`` are left out.
+    start_gps_s : time of the survey where ``stated`` has no date.
+
+    Raises
+    ------
+    InputError : files that cannot be read, are empty, state another grid, or hold values that may be no
+        heights; no date.
+    GeometryError : files that lie elsewhere.
+    CoverageError : no point lies in the area.
+    """
+    moment = stated.moment_utc
+    if moment is None and start_gps_s is None:
+        raise InputError("no date", expected="date_utc: the day of the survey", where=f"epochs, {name}",
+                         cure="Write date_utc")  # fmt: skip
+    time_s = float(gps_from_unix(moment.timestamp())) if moment is not None else float(start_gps_s or 0.0)
+    masks = masks_of(stated)
+    if stated.dsm is not None:
+        parts = [_of_dsm(dsm_of(stated), stated, frame, crs, masks)]
+    else:
+        parts = [_of_cloud(Path(path), stated, frame, crs, masks) for path in stated.clouds]
+    heights = sorted({part.heights for part in parts})
+    if len(heights) > 1:
+        raise InputError(f"files with heights {' and '.join(heights)}", expected="one system of heights",
+                         where=f"epochs, {name}", cure="Transform one of them")  # fmt: skip
+    xyz = np.concatenate([part.xyz_m for part in parts])
+    low, high = area.box(margin_m)
+    near = ((xyz >= low) & (xyz <= high)).all(axis=1)
+    if not near.any():
+        middle = np.median(xyz, axis=0)
+        raise CoverageError(
+            f"none of {len(xyz):,} points lies in deformation.area; their middle is at east {middle[0]:.1f}, "
+            f"north {middle[1]:.1f}, height {middle[2]:.1f} m",
+            where=f"epochs, {name}",
+            expected="an area that the survey covers",
+            cure="Check the polygon and its frame, crs and heights of the files, and campaign.origin",
+        )
+    xyz = xyz[near]
+    first = parts[0]  # of several files all are clouds, whose sigma is one number
+    banded = None if first.sigma_m is None else first.sigma_m[near]
+    common = None if first.common_m is None else first.common_m[near]
+    groups, node, white = _errors(xyz, stated, banded, common)
+    m = len(groups[0].root)
+    return ForeignEpoch(
+        name=name,
+        start_gps_s=time_s,
+        xyz_m=xyz,
+        moment=node,
+        white_m2=white.astype(np.float32),
+        several_returns=np.zeros(len(xyz), dtype=np.bool_),
+        t_s=np.zeros(m),
+        boat_m=np.empty((0, 3)),
+        scanner_m=np.empty((0, 3)),
+        groups=groups,
+        levers=np.empty((2, 0, 3, 3)),
+        water_m=np.empty(0),
+        statement={
+            "heights": heights[0],
+            "notes": [note for part in parts for note in part.notes],
+            "sigma_known": stated.sigma_m is not None or banded is not None,
+        },
+    )
+
+
+def check_epoch_files(stated: Statement, frame: LocalFrame, crs: str) -> None:
+    """What can be known of the files of an epoch before anything is computed, by the code that reads them.
+
+    Surface models and masks are read as a whole, of LAS and LAZ the headers.
+
+    Raises
+    ------
+    InputError, GeometryError : as `prepare_foreign_epoch`.
+    """
+    masks = masks_of(stated)
+    if stated.dsm is not None:
+        _of_dsm(dsm_of(stated), stated, frame, crs, masks)
+    for path in map(Path, stated.clouds):
+        if path.suffix.lower() in _LAS:
+            header = laz_header(path)
+            if not header.n_points:
+                raise InputError("a cloud without points", expected="the points of a survey", where=path,
+                                 cure="Export it again, or name another file")  # fmt: skip
+            _grid_of(header.frame, stated, crs, path)
+
+
+def place_of_file(
+    path: Path, origin: tuple[float, float, float] | None = None
+) -> tuple[str, tuple[float, float, float]]:
+    """Map grid and origin (latitude, longitude, degrees; ellipsoidal height, m) for a campaign of files.
+
+    Parameters
+    ----------
+    origin : as stated; None: the middle of the file.
+
+    Raises
+    ------
+    InputError : the file cannot be read, or has neither a grid nor a stated origin.
+    """
+    if path.suffix.lower() in DSM_ENDINGS:
+        dsm = read_dsm(path, nodata=float("nan"))
+        points, file = dsm.points_m(), dsm.frame
+    else:
+        cloud = read_points(path)
+        points, file = cloud.xyz_m, cloud.frame
+    if isinstance(file, LocalFrame):
+        origin = origin or (file.lat_deg, file.lon_deg, file.h_ell_m)
+        file = None
+    if origin is None:
+        if file is None:
+            raise InputError(
+                "no grid is stated", expected="a file with the coordinate system of its points", where=path,
+                cure="State --origin LAT_DEG LON_DEG H_ELL_M, a point near the survey",
+            )  # fmt: skip
+        anywhere = LocalFrame(lat_deg=0.0, lon_deg=0.0, h_ell_m=0.0)
+        lat, lon, h = anywhere.to_geodetic(anywhere.from_map(np.median(points, axis=0)[None], file)[0])
+        origin = (round(float(lat), 4), round(float(lon), 4), round(float(h)))
+    horizontal = None if file is None else _part(file, 0)
+    code = None if horizontal is None else horizontal.to_epsg()
+    return (utm_code(*origin[:2]) if code is None else f"EPSG:{code}"), origin
+
+
+def masks_of(stated: Statement) -> list[Shapes]:
+    """Polygons that are left out of an epoch."""
+    masks = []
+    for text in stated.leave_out:
+        name, _, rest = text.partition("?")
+        chosen = dict(part.partition("=")[::2] for part in rest.split(",") if part)
+        masks.append(read_shapes(Path(name), chosen))
+    return masks
+
+
+def dsm_of(stated: Statement) -> Dsm:
+    """The surface model of an epoch."""
+    return read_dsm(Path(str(stated.dsm)), nodata=_nodata(stated))
+
+
+def _nodata(stated: Statement) -> float | None:
+    return float("nan") if stated.nodata == "none" else stated.nodata
+
+
+def _grid_of(file: Frame, stated: Statement, crs: str, path: Path) -> tuple[Frame, str, list[str]]:
+    """Frame of a file's coordinates, its system of heights in words, and what was assumed.
+
+    Raises
+    ------
+    InputError : the file states another grid or other heights than the campaign file says of it.
+    """
+    if isinstance(file, LocalFrame):
+        return file, "ellipsoidal", []
+    said = None if stated.crs is None else CRS.from_user_input(stated.crs)
+    if file is not None and said is not None:
+        for what, a, b in (
+            ("", _part(file, 0), _part(said, 0)),
+            ("heights ", _part(file, 1), _part(said, 1)),
+        ):
+            if a is not None and b is not None and not a.equals(b, ignore_axis_order=True):
+                raise InputError(
+                    f"the file states {what}{a.name}, the campaign file {b.name}",
+                    expected="one of them to be right",
+                    where=path,
+                    cure="Correct crs in the campaign file, or the file",
+                )
+    grid = file or said or CRS.from_user_input(crs)
+    notes = [] if file is not None or said is not None else [f"{path.name} states no grid: taken as {crs}."]
+    vertical = next((v for each in (file, said) if each is not None and (v := _part(each, 1))), None)
+    if vertical is None and stated.crs is None:
+        notes.append(f"{path.name} states no system of heights: taken as ellipsoidal.")
+    return grid, "ellipsoidal" if vertical is None else vertical.name, notes
+
+
+def _part(crs: CRS, number: int) -> CRS | None:
+    """Horizontal (0) or vertical (1) part of a coordinate system."""
+    if crs.is_compound:
+        return crs.sub_crs_list[number]
+    return crs if number == 0 else None
+
+
+def _left_out(plan: ArrayF, masks: Sequence[Shapes], path: Path) -> tuple[ArrayB, list[str]]:
+    """Points (n,) in polygons, and a sentence about them."""
+    out = np.zeros(len(plan), bool)
+    for mask in masks:
+        out |= mask.contain(plan)
+    n = int(out.sum())
+    return out, [f"{path.name}: {n:,} of {len(plan):,} points left out by polygons."] if masks else []
+
+
+def _of_cloud(
+    path: Path, stated: Statement, frame: LocalFrame, crs: str, masks: Sequence[Shapes]
+) -> _Heights:
+    """Points of one cloud."""
+    cloud = read_points(path)
+    xyz = cloud.xyz_m
+    grid, heights, notes = _grid_of(cloud.frame, stated, crs, path)
+    notes += one_frame([cloud, *masks])[1] if masks else []
+    # a height of zero is one height among others where there are heights about it
+    near = np.abs(xyz[:, 2]) < 1.0
+    gap = 2 * int((xyz[:, 2] == 0.0).sum()) > int(near.sum())
+    z, masked = mask_missing(xyz[:, 2], path, "points", nodata=_nodata(stated), zeros=gap)
+    out, words = _left_out(xyz[:, :2], masks, path)
+    keep = np.isfinite(z) & ~out
+    return _placed(xyz[keep], None, None, grid, heights, [*masked, *words, *notes], frame, crs, path)
+
+
+def _of_dsm(dsm: Dsm, stated: Statement, frame: LocalFrame, crs: str, masks: Sequence[Shapes]) -> _Heights:
+    """Centres of the cells of a raster that have a height."""
+    path = dsm.path
+    one_frame([dsm, *masks])
+    grid, heights, notes = _grid_of(dsm.frame, stated, crs, path)
+    if dsm.heights is not None:
+        heights = CRS.from_epsg(dsm.heights).name
+        notes = [note for note in notes if "heights" not in note]
+    if dsm.sigma_m is not None and stated.correlation_m is None:
+        raise InputError(
+            "a raster with a band of standard deviations, and no correlation length of its errors",
+            expected="correlation_m",
+            where=path,
+            cure="Write correlation_m: of a bed about half the distance of the lines of soundings",
+        )
+    out, words = _left_out(dsm.centres_m(), masks, path)
+    keep = np.isfinite(dsm.height_m.ravel()) & ~out
+    xyz = np.column_stack([dsm.centres_m(), dsm.height_m.ravel()])[keep]
+    bands = [None if band is None else band.ravel()[keep] for band in (dsm.sigma_m, dsm.common_m)]
+    return _placed(xyz, bands[0], bands[1], grid, heights, [*dsm.notes, *words, *notes], frame, crs, path)
+
+
+def _placed(
+    xyz: ArrayF,
+    sigma_m: ArrayF | None,
+    common_m: ArrayF | None,
+    grid: Frame,
+    heights: str,
+    notes: list[str],
+    frame: LocalFrame,
+    crs: str,
+    path: Path,
+) -> _Heights:
+    """Points of a file in the world frame."""
+    if not len(xyz):
+        raise InputError(
+            "no point is left", expected="points outside of the polygons of leave_out", where=path,
+            cure="Check which polygons are meant (FILE?COLUMN=VALUE)",
+        )  # fmt: skip
+    if isinstance(grid, LocalFrame):
+        turn, shift = between_frames(grid, frame)
+        return _Heights(xyz @ turn.T + shift, sigma_m, common_m, heights, notes)
+    return _Heights(to_world(xyz, grid, frame, crs, path)[0], sigma_m, common_m, heights, notes)
+
+
+def _errors(
+    xyz_m: ArrayF, stated: Statement, banded: ArrayF | None, common: ArrayF | None
+) -> tuple[tuple[SpatialErrors | ErrorGroup, ...], ArrayI, ArrayF]:
+    """Groups of shared errors, node (n,) of each point, and noise (n, 6) of single points."""
+    white = np.zeros((len(xyz_m), 6))
+    length = stated.correlation_m or 0.0
+    shares = length > 0
+    axes = np.array([0.0, 0.0, 1.0]) if stated.dsm is not None else np.ones(3)
+    sigma: AnyArray = np.zeros(len(xyz_m))
+    if stated.sigma_m is not None:
+        sigma = np.full(len(xyz_m), stated.sigma_m)
+    elif banded is not None:
+        sigma = banded
+    if not shares:  # noise of single points, which the cylinders average; unknown errors have no size
+        white[:, [0, 3, 5]] = sigma[:, None] ** 2 * axes
+    extent = max(float(np.ptp(xyz_m[:, :2], axis=0).max()), 1.0)
+    length = length if shares else extent
+    node, cell, cell_m = place_in_cells(xyz_m[:, :2], length)
+    n = np.bincount(node)
+    of_node = np.sqrt(np.bincount(node, sigma**2) / n) if shares else np.zeros(len(cell))
+    root = of_node[:, None, None] * np.diag(axes)
+    known = stated.sigma_m is not None or banded is not None
+    groups: list[SpatialErrors | ErrorGroup] = [
+        SpatialErrors(STATED if known else UNKNOWN, cell, cell_m, root, length)
+    ]
+    if common is not None and stated.sigma_m is None:
+        of_all = np.bincount(node, np.nan_to_num(common)) / n
+        groups.append(ErrorGroup(COMMON, np.zeros(len(cell)), of_all[:, None, None] * np.diag(axes), np.inf))
+    return tuple(groups), node, white

@@ -1,0 +1,206 @@
+"""Do the epochs of a campaign belong together: each a survey or files with a date, in the order of time?"""
+
+import datetime as dt
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from thalweg.core import Key, Mistake
+from thalweg.settings.checks_files import check_file, no_match
+from thalweg.settings.checks_place import check_crs, parse_crs
+from thalweg.settings.messages import expand
+from thalweg.settings.sections import CLOUD_ENDINGS, DSM_ENDINGS, TEXT_ENDINGS, Epoch
+
+_SOURCES: Final = ("campaign", "clouds", "dsm")
+_OF_CAMPAIGNS: Final = ("chain", "surface")
+_OF_FILES: Final = ("name", "date_utc", "crs", "sigma_m", "nodata", "leave_out")
+"""``correlation_m`` also belongs to the bed of a campaign, whose kriging gives the sigmas."""
+_MASK_ENDINGS: Final[tuple[str, ...]] = (".gpkg",)
+
+
+def check_epochs(raw: object, identity: Mapping[str, Any], folder: Path) -> Iterator[Mistake]:
+    """Mistakes in the section ``epochs``, without the files of other campaigns.
+
+    Parameters
+    ----------
+    raw : the section as written.
+    identity : the section ``campaign`` as written.
+    folder : of the campaign file.
+    """
+    entries = [each if isinstance(each, dict) else {} for each in raw] if isinstance(raw, list) else []
+    others = {path.stem for path in folder.glob("*.yaml")}
+    named: list[object] = []
+    files: dict[Path, int] = {}
+    for i, each in enumerate(entries):
+        where: tuple[Key, ...] = ("epochs", i)
+        given = [key for key in _SOURCES if each.get(key)]
+        if len(given) != 1:
+            yield Mistake(
+                path=where,
+                found=" and ".join(given) + " in one epoch"
+                if given
+                else "neither campaign nor clouds nor dsm",
+                expected="exactly one of them",
+                cure="Name a campaign of this folder, or files of a cloud (clouds) or a surface model (dsm)",
+            )
+            continue
+        yield from _check_keys(each, given[0], where)
+        if given[0] == "campaign":
+            name = each["campaign"]
+            if name in named or name == identity.get("id"):
+                yield Mistake(
+                    path=(*where, "campaign"),
+                    found=f"{name!r} " + ("a second time" if name in named else "is this campaign itself"),
+                    expected="each survey once, in the order of time",
+                    cure="Name the campaign of another survey",
+                )
+            named.append(name)
+            continue
+        name = each.get("name") or Epoch().called(i)
+        if name in named or name in others:
+            yield Mistake(
+                path=(*where, "name") if "name" in each else where,
+                found=f"the name {name!r} " + ("a second time" if name in named else "is that of a campaign"),
+                expected="a name of its own for each epoch",
+                cure="Write another name",
+            )
+        named.append(name)
+        yield from _check_statements(each, given[0], where)
+        yield from _check_files(each, given[0], where, folder, files)
+        yield from check_crs(each.get("crs"), identity.get("origin"), (*where, "crs"))
+    yield from _check_heights(entries)
+
+
+def _check_keys(each: Mapping[str, Any], source: str, where: tuple[Key, ...]) -> Iterator[Mistake]:
+    """Keys of files beside a campaign, and the other way round."""
+    of_campaign = source == "campaign"
+    keys = [*_OF_FILES, *([] if each.get("surface") == "bed" else ["correlation_m"])]
+    for key in keys if of_campaign else _OF_CAMPAIGNS:
+        if key in each:
+            yield Mistake(
+                path=(*where, key),
+                found=f"{key} beside {source}",
+                expected="keys of campaigns (chain, surface) or of files (date_utc, crs, sigma_m, ...)",
+                cure="Remove it: the survey's own campaign states that" if of_campaign else "Remove it",
+            )
+
+
+def _check_statements(each: Mapping[str, Any], source: str, where: tuple[Key, ...]) -> Iterator[Mistake]:
+    """A date, and both or neither of sigma and correlation length."""
+    if each.get("date_utc") is None:
+        yield Mistake(
+            path=where,
+            found="files without a date",
+            expected="date_utc: the day of the survey, such as 2019-03-13, or its UTC time",
+            cure="Write date_utc; rates of change and the order of epochs rest on it",
+        )
+    sigma, correlation = each.get("sigma_m"), each.get("correlation_m")
+    if sigma is not None and correlation is None:
+        yield Mistake(
+            path=(*where, "sigma_m"),
+            found="sigma_m without correlation_m",
+            expected="the distance at which the correlation of these errors is 1/e",
+            cure="Write correlation_m: 0 for independent points, tens of metres for image blocks, the length "
+            "of a strip for scanners that move",
+        )
+    if sigma is None and correlation is not None and source == "clouds":
+        yield Mistake(
+            path=(*where, "correlation_m"),
+            found="correlation_m without sigma_m",
+            expected="both, or neither",
+            cure="Write sigma_m, the standard deviation that neighbouring points share",
+        )
+
+
+def _check_files(
+    each: Mapping[str, Any], source: str, where: tuple[Key, ...], folder: Path, before: dict[Path, int]
+) -> Iterator[Mistake]:
+    """Files are there, hold something, have an ending that is read, and belong to one epoch."""
+    listed: list[tuple[tuple[Key, ...], object, tuple[str, ...]]] = []
+    if source == "clouds" and isinstance(each["clouds"], list):
+        endings: tuple[str, ...] = (*CLOUD_ENDINGS, *TEXT_ENDINGS)
+        listed += [((*where, "clouds", k), text, endings) for k, text in enumerate(each["clouds"])]
+    elif source == "dsm":
+        listed.append(((*where, "dsm"), each["dsm"], DSM_ENDINGS))
+    masks = each.get("leave_out")
+    for k, text in enumerate(masks if isinstance(masks, list) else []):
+        listed.append(((*where, "leave_out", k), text, _MASK_ENDINGS))
+    for place, text, endings in listed:
+        if not isinstance(text, str):
+            continue
+        name = text.partition("?")[0] if endings == _MASK_ENDINGS else text
+        matches = [Path(path) for path in expand(name, folder)]
+        if not matches:
+            yield no_match(place, name, folder)
+        for path in matches:
+            wrong = list(check_file(place, name, path))
+            yield from wrong
+            if wrong:
+                continue
+            if path.suffix.lower() not in endings:
+                yield Mistake(
+                    path=place,
+                    found=f"{path.name}: files that end in {path.suffix or 'nothing'} are not read here",
+                    expected=", ".join(endings),
+                    cure="Export it as one of these; surface models stand under dsm, points under clouds",
+                )
+            elif endings != _MASK_ENDINGS:
+                first = before.setdefault(path.resolve(), int(str(where[1])))
+                if first != where[1]:
+                    yield Mistake(
+                        path=place,
+                        found=f"{path.name} is already the surface of epoch {first + 1}",
+                        expected="files of its own for each epoch",
+                        cure="Name the files of the other survey",
+                    )
+
+
+def _check_heights(entries: Sequence[Mapping[str, Any]]) -> Iterator[Mistake]:
+    """One system of heights: ellipsoidal for surveys of campaigns, what ``crs`` states for files."""
+    first: tuple[str, str] | None = None
+    for i, each in enumerate(entries):
+        stated = each.get("crs")
+        crs = parse_crs(stated.strip()) if isinstance(stated, str) else None
+        if each.get("campaign"):
+            heights = "ellipsoidal"
+        elif crs is None or isinstance(crs, str) or not crs.is_compound:
+            continue  # of the file, or ellipsoidal: known when it is read
+        else:
+            heights = crs.sub_crs_list[1].name
+        words = f"epoch {i + 1} ({each.get('campaign') or stated})"
+        if first is not None and heights != first[1]:
+            yield Mistake(
+                path=("epochs", i, "campaign" if each.get("campaign") else "crs"),
+                found=f"{words} has heights '{heights}', {first[0]} '{first[1]}'",
+                expected="one system of heights for all epochs",
+                cure="Transform the heights of the files, to ellipsoidal ones where a campaign is among the "
+                "epochs",
+            )
+        first = first or (words, heights)
+
+
+def check_dates(epochs: Sequence[Epoch], starts: Mapping[str, dt.datetime]) -> Iterator[Mistake]:
+    """Epochs come in the order of time, as far as their times are known before anything is read.
+
+    Parameters
+    ----------
+    epochs : the section.
+    starts : start of those campaigns that state it, a twin's.
+    """
+    before: tuple[int, dt.datetime] | None = None
+    for i, epoch in enumerate(epochs):
+        moment = epoch.moment_utc if epoch.of_files else starts.get(epoch.campaign or "")
+        if moment is None:
+            continue
+        if before is not None and moment <= before[1]:
+            same = moment == before[1]
+            yield Mistake(
+                path=("epochs", i, "date_utc" if epoch.of_files else "campaign"),
+                found=f"{moment:%Y-%m-%d %H:%M} UTC, "
+                + (f"the time of epoch {before[0] + 1} too" if same else f"before epoch {before[0] + 1}"),
+                expected="epochs in the order of time",
+                cure="Correct one of the dates; two surveys of a day need their times, and one is one epoch"
+                if same
+                else "Change the order of the epochs, or correct the date",
+            )
+        before = (i, moment)

@@ -1,0 +1,53 @@
+"""Two registered epochs, or two surface models -> differences of heights with sigmas, and volumes."""
+
+from pathlib import Path
+from typing import Any
+
+from thalweg.core import LocalFrame, read_table
+from thalweg.deformation import (
+    CORE_POINTS,
+    difference_of_epochs,
+    difference_of_models,
+    read_epoch,
+    read_registration,
+    write_difference,
+)
+from thalweg.settings.sections import Deformation, Epoch
+from thalweg.surface import Area
+from thalweg.workflow import run_job
+
+
+def main(
+    *,
+    epochs: list[Path],
+    core_points: Path,
+    registration: Path,
+    weights: Path,
+    difference: Path,
+    volumes: Path,
+    models: list[dict[str, Any]],
+    campaign: dict[str, Any],
+    deformation: Deformation,
+) -> None:
+    if models:
+        first, second = (Epoch(**each) for each in models)
+        found = difference_of_models(first, second, deformation, campaign["crs"])
+    else:
+        frame = LocalFrame(**campaign["origin"])
+        before, after = (read_epoch(path.parent) for path in epochs)
+        found = difference_of_epochs(
+            read_table(core_points, CORE_POINTS)[0],
+            before,
+            after,
+            read_registration(registration, weights),
+            deformation,
+            Area.from_section(deformation.area, frame, campaign["crs"]),
+            frame=frame,
+            crs=campaign["crs"],
+        )
+    write_difference(difference, found)
+    write_difference(volumes, found)
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

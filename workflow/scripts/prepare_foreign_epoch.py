@@ -1,0 +1,37 @@
+"""Clouds or a surface model from elsewhere -> points with the errors that are stated of them."""
+
+from pathlib import Path
+from typing import Any
+
+from thalweg.core import LocalFrame, read_parquet
+from thalweg.deformation import prepare_foreign_epoch
+from thalweg.settings.sections import Deformation, Epoch
+from thalweg.surface import Area
+from thalweg.workflow import run_job
+
+
+def main(
+    *,
+    positions: list[Path],
+    prepared: Path,
+    errors: Path,
+    name: str,
+    stated: Epoch,
+    campaign: dict[str, Any],
+    deformation: Deformation,
+) -> None:
+    frame = LocalFrame(**campaign["origin"])
+    epoch = prepare_foreign_epoch(
+        name,
+        stated,
+        frame=frame,
+        crs=campaign["crs"],
+        area=Area.from_section(deformation.area, frame, campaign["crs"]),
+        margin_m=deformation.reach_m + 1.0,
+        start_gps_s=float(read_parquet(positions[0])["t_gps_s"].min()) if positions else None,
+    )
+    epoch.write(prepared, errors)
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)
