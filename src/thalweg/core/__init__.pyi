@@ -50,6 +50,7 @@ from .errors import (
     ThalwegError as ThalwegError,
     UnsupportedError as UnsupportedError,
 )
+from .files import UNFINISHED as UNFINISHED, final_path as final_path
 from .frames import (
     GRS80_SEMI_MAJOR_M as GRS80_SEMI_MAJOR_M,
     R_ENU_NED as R_ENU_NED,
