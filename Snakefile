@@ -52,6 +52,22 @@ include: "workflow/rules/reproduction.smk"
 include: "workflow/rules/studies.smk"
 
 
+# On a cluster the short jobs of a campaign that these files make of each other go to it as one.
+GROUPED = (
+    "simulation",
+    "ingest",
+    "accuracy",
+    "accuracy_truth",
+    "bathymetry",
+    "fusion",
+    "figures",
+    "figures_pages",
+)
+for each in workflow.rules:
+    stem = Path(each.snakefile).stem
+    each.group = stem.split("_")[0] if stem in GROUPED else None
+
+
 localrules:
     all,
     ingest,
@@ -128,7 +144,22 @@ rule reproduce:
         "tee {log} < {input.text}"
 
 
+DRIVERS = []  # of this folder: one, as long as it works
+
+
+onstart:
+    if workflow.is_main_process:
+        DRIVERS.append(start_driver(Path.cwd()))
+
+
+onsuccess:
+    for driver in DRIVERS:
+        driver.give_up()
+
+
 onerror:
+    for driver in DRIVERS:
+        driver.give_up()
     print(
         "\nA job failed. Its message stands above; the traceback is in the file under logs/ named there."
     )

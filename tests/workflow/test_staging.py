@@ -333,7 +333,7 @@ rule all:
 rule first:
     output: table="results/first/{name}.csv", folder=directory("results/first/{name}")
     log: "logs/first_{name}.log"
-    params: code="1", name=lambda wildcards: wildcards.name
+    params: code="1", name=lambda wildcards: wildcards.name, place="results/first"
     script: "first.py"
 
 rule second:
@@ -348,8 +348,9 @@ import time
 from pathlib import Path
 from thalweg.workflow import run_job
 
-def main(*, table: Path, folder: Path, name: str) -> None:
+def main(*, table: Path, folder: Path, name: str, place: Path) -> None:
     folder.mkdir()
+    assert place == table.parent  # what a function is given as the folder that it fills
     with table.open("w") as file:
         for k in range(20):
             file.write(f"{name} {k}\\n")

@@ -6,11 +6,24 @@ import yaml
 from snakemake.exceptions import WorkflowError
 
 from thalweg.settings import load_campaigns, with_calibrations
-from thalweg.workflow import CampaignFiles, code_version, fork_scripts, read_figures
+from thalweg.workflow import (
+    CampaignFiles,
+    check_cluster,
+    code_version,
+    fork_scripts,
+    read_figures,
+    start_driver,
+)
 from thalweg_lab import campaign_files as laboratory
 
-if workflow.is_main_process:
-    fork_scripts()
+if workflow.is_main_process or len(workflow.dag_settings.target_jobs) > 1:
+    fork_scripts()  # here, and within a group of jobs on a cluster
+
+if workflow.is_main_process and workflow.non_local_exec and not workflow.dryrun:
+    given = workflow.resource_settings._parsed_default_resources
+    check_cluster(
+        given["slurm_partition"].value if "slurm_partition" in given else None
+    )
 
 ROOT = Path(workflow.basedir)
 CHOSEN = load_campaigns(config["campaign"], ROOT / "config" / "campaigns")

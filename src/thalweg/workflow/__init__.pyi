@@ -1,4 +1,13 @@
 from .campaign_files import CampaignFiles as CampaignFiles
+from .cluster import (
+    cancel as cancel,
+    check_cluster as check_cluster,
+    check_nodes as check_nodes,
+    jobs_of as jobs_of,
+    living_driver as living_driver,
+    start_driver as start_driver,
+    unfinished as unfinished,
+)
 from .codehash import code_version as code_version
 from .figures import read_figures as read_figures
 from .forked import fork_scripts as fork_scripts

@@ -81,7 +81,9 @@ class Staging:
     @contextmanager
     def in_place_of_outputs(self, job: Any) -> Iterator[None]:
         """Within the block a job of Snakemake names the places where its outputs are until they are whole."""
-        before = [(part, list(part)) for part in (job.output, job.params)]
+        # Snakemake answers with a copy of its store each time that params are asked for.
+        params = getattr(job, "_params_store", job.params)
+        before = [(part, list(part)) for part in (job.output, params)]
         try:
             for part, values in before:
                 _put(part, [self.path(str(each)) if isinstance(each, str) else each for each in values])
