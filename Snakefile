@@ -160,6 +160,17 @@ onsuccess:
 onerror:
     for driver in DRIVERS:
         driver.give_up()
+    for name, lacking in [
+        (
+            files.name,
+            [each for each in files.final_outputs() if not Path(each).exists()],
+        )
+        for files in BUILT
+    ]:
+        if len(BUILT) > 1:
+            print(
+                f"{name}: {f'{len(lacking)} results are missing' if lacking else 'done'}"
+            )
     print(
         "\nA job failed. Its message stands above; the traceback is in the file under logs/ named there."
     )

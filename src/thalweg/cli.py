@@ -19,6 +19,7 @@ from thalweg.cli_calibration import add_calibration_commands, describe_marked
 from thalweg.cli_cluster import add_cluster_commands
 from thalweg.cli_deformation import add_deformation_commands, summarise_changes
 from thalweg.cli_images import add_image_commands
+from thalweg.cli_results import add_result_commands
 from thalweg.cli_survey import add_survey_commands
 from thalweg.core import ConfigError, InputError, ThalwegError, to_terminal
 
@@ -143,6 +144,7 @@ def _parser() -> argparse.ArgumentParser:
     budget.add_argument("--csv", type=Path, metavar="OUT", help="write all influences to a CSV file")
     budget.set_defaults(command=_budget)
 
+    add_result_commands(commands)
     add_cluster_commands(commands)
     schema = commands.add_parser("schema", help="JSON schema of campaign files")
     schema.add_argument("--write", action="store_true", help="write the generated files of the config folder")

@@ -229,3 +229,21 @@ def test_natural_order_of_names():
         "a2/x",
         "a10/x",
     ]
+
+
+def test_a_pattern_names_campaigns(write, tmp_path, monkeypatch):
+    """A whole season in one run, in the order of names; what is no campaign file is no mistake."""
+    good = write()
+    season = tmp_path / "season"
+    season.mkdir()
+    for name in ("b", "a"):
+        text = good.read_text().replace("id: good", f"id: {name}").replace("raw/", f"{good.parent}/raw/")
+        (season / f"{name}.yaml").write_text(text)
+    (season / "notes.txt").write_text("sunny")
+    monkeypatch.chdir(tmp_path)
+    assert list(load_campaigns("season/*", tmp_path)) == ["a", "b"]
+    assert list(load_campaigns(["season/b*", str(season / "a.yaml")], tmp_path)) == ["b", "a"]
+    monkeypatch.chdir("/")
+    assert list(load_campaigns("season/*", tmp_path)) == ["a", "b"]
+    with pytest.raises(CampaignError, match=r"no campaign file matches 'winter/\*'.*the shell must not"):
+        load_campaigns("winter/*", tmp_path)
