@@ -8,6 +8,7 @@ from snakemake.exceptions import WorkflowError
 from thalweg.settings import load_campaigns, with_calibrations
 from thalweg.workflow import (
     CampaignFiles,
+    Measured,
     check_cluster,
     code_version,
     fork_scripts,
@@ -34,6 +35,8 @@ FILES = {
 }
 # Of the surveys that a campaign of epochs names only what the comparison needs is built.
 BUILT = [f for n, f in FILES.items() if n in CHOSEN or not f.is_epoch()]
+
+MEASURED = Measured.read(ROOT / "config" / "resources.yaml")
 
 FIGURES = read_figures(ROOT / "workflow" / "figures.yaml")
 # workflow/report/figure.rst finds the words for a picture here; as params they would draw it again when they change.
@@ -95,20 +98,23 @@ def of_page(page):
 
 
 def memory(base_mb, per_input_mb=0.0):
-    """Resource function: memory from the size of the inputs, more on each attempt."""
-    return lambda wildcards, input, attempt: int(
-        (base_mb + per_input_mb * input.size_mb) * attempt
-    )
+    """Resource function: memory as measured, or else from the size of the inputs; twice as much on each attempt."""
+
+    def asked_mb(wildcards, input, attempt, rulename):
+        return MEASURED.memory_mb(
+            rulename, input.size_mb, attempt, base_mb, per_input_mb
+        )
+
+    return asked_mb
 
 
 def minutes(base, per_input_gb=0.0):
-    """Resource function: wall time in minutes from the size of the inputs, more on each attempt."""
-    return (
-        lambda wildcards, input, attempt: int(
-            (base + per_input_gb * input.size_mb / 1000) * attempt
-        )
-        + 1
-    )
+    """Resource function: wall time in minutes, in the same way."""
+
+    def asked_min(wildcards, input, attempt, rulename):
+        return MEASURED.minutes(rulename, input.size_mb, attempt, base, per_input_gb)
+
+    return asked_min
 
 
 def recording_files(key):

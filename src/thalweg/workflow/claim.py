@@ -104,6 +104,9 @@ class Claim:
                     break
         finally:
             shutil.rmtree(made, ignore_errors=True)
+        for left in self.folder.parent.glob(f"{self.folder.name}-{CLAIM}-*"):  # on its way in, or out
+            if not _lives(left.name.removeprefix(f"{self.folder.name}-"), left):
+                shutil.rmtree(left, ignore_errors=True)
         threading.Thread(target=self._renew, daemon=True).start()
         return None
 
@@ -169,14 +172,21 @@ def claim_of(folder: Path) -> Path | None:
 
 def owner_of(claimed: Path) -> Owner | None:
     """The process that lives and made or took this claim; None if it has died or given it up."""
-    _, place, process, started, _ = claimed.name.split("-")
     try:
-        alive = _started(int(process)) == started if place == _place() else _age_s(claimed) < STALE_AFTER_S
-        return Owner(**json.loads(claimed.read_text(encoding="utf-8"))) if alive else None
+        lives = _lives(claimed.name, claimed)
+        return Owner(**json.loads(claimed.read_text(encoding="utf-8"))) if lives else None
     except FileNotFoundError:
         return None
     except (ValueError, TypeError):
         return UNKNOWN
+
+
+def _lives(name: str, path: Path) -> bool:
+    """Whether the process that a claim names lives; of another computer: whether it was renewed lately."""
+    _, place, process, started, _ = name.split("-")
+    if place == _place():
+        return _started(int(process)) == started
+    return _age_s(path) < STALE_AFTER_S
 
 
 def _age_s(path: Path) -> float:

@@ -16,6 +16,7 @@ from types import TracebackType
 from typing import Any, get_args, get_origin, get_type_hints
 
 from thalweg.core import UNFINISHED, InputError, ThalwegError
+from thalweg.workflow.costs import costs_of, memory_now_mb
 from thalweg.workflow.provenance import META, is_made_of, origin, write_provenance
 from thalweg.workflow.staging import refuse_changes, staged, state_of
 from thalweg.workflow.truth import truth_closed
@@ -65,14 +66,17 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
             if outputs and all(is_made_of(output, made_of) for output in outputs):
                 log.warning("the outputs of %s are those of this job", waited)
                 return
-        start, cpu_start_s = time.perf_counter(), _cpu_s()
+        start, cpu_start_s, memory_start_mb = time.perf_counter(), _cpu_s(), memory_now_mb()
         with staging.in_place_of_outputs(snakemake):
             main(**job_arguments(main, snakemake))
         wall_s, cpu_s = time.perf_counter() - start, _cpu_s() - cpu_start_s
         if absent := staging.absent():
             raise InputError(f"outputs were not written: {absent}", where=f"rule {rule}")
         made_of = origin(rule=rule, inputs=inputs, params=params, code=code)
-        write_provenance(staging.places(), made_of, threads=snakemake.threads, wall_s=wall_s, cpu_s=cpu_s)
+        costs = costs_of(snakemake, before, staging.places().values(), memory_start_mb)
+        write_provenance(
+            staging.places(), made_of, threads=snakemake.threads, wall_s=wall_s, cpu_s=cpu_s, costs=costs
+        )
         refuse_changes(before, inputs, rule)
         staging.commit(beside=[META])
     log.info("rule %s done in %.1f s", rule, wall_s)

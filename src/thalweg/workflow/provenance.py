@@ -100,7 +100,13 @@ def meta_file(output: Path) -> Path:
 
 
 def write_provenance(
-    outputs: Mapping[Path, Path], made_of: Mapping[str, Any], *, threads: int, wall_s: float, cpu_s: float
+    outputs: Mapping[Path, Path],
+    made_of: Mapping[str, Any],
+    *,
+    threads: int,
+    wall_s: float,
+    cpu_s: float,
+    costs: Mapping[str, float | None],
 ) -> None:
     """Write ``<output>.meta.json`` beside each output of a job.
 
@@ -111,6 +117,7 @@ def write_provenance(
     ----------
     outputs : final names, and where each lies now.
     made_of : `origin` of the job.
+    threads, wall_s, cpu_s, costs : what the job took.
     """
     record = {
         **made_of,
@@ -119,6 +126,7 @@ def write_provenance(
         "threads": threads,
         "wall_s": round(wall_s, 3),
         "cpu_s": round(cpu_s, 3),
+        "costs": costs,
         "written_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
     }
     for output, lies in outputs.items():
