@@ -136,8 +136,10 @@ def test_a_job_killed_at_any_moment_leaves_whole_outputs_or_none(tmp_path: Path)
     assert any(0 < n < 4 for n, *_ in outcomes), "no job died between two renamings"
 
 
-def test_what_libraries_leave_beside_an_output_goes(tmp_path: Path) -> None:
+def test_what_libraries_leave_beside_an_output_goes(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    run_job(several, Job(tmp_path, "old"))
     run_job(several, Job(tmp_path))
+    assert caplog.messages.count("not declared as outputs, and removed: deep/cloud.laz.wal") == 2
     assert found(tmp_path) == whole("new")
     assert left_over(tmp_path) == []
     names = {p.name for p in (tmp_path / "results").rglob("*.meta.json")}

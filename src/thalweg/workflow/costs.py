@@ -181,9 +181,9 @@ class Measured:
             rules = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
             numbers = {name: [*r["memory_mb"], *r["minutes"], r["input_mb"]] for name, r in rules.items()}
             wrong = [name for name, each in numbers.items() if not _five(each)]
-            problem: Exception | str = f"rule {wrong[0]}" if wrong else ""
+            problem = f"rule {wrong[0]}" if wrong else ""
         except (yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
-            problem = error
+            problem = " ".join(str(error).split())
         if problem:
             raise InputError(
                 f"no measured resources ({problem})",
@@ -246,4 +246,4 @@ def _line(x: ArrayF, y: ArrayF, digits: int) -> list[float]:
         spread = float(np.sqrt(((rest - rest.mean()) ** 2).sum() / free))
         base = float(rest.mean()) + float(student.ppf(CONFIDENCE, free)) * spread * math.sqrt(1 + 1 / n)
     step = 10.0**-digits
-    return [round(math.ceil(max(base, float(rest.max()), 0.0) / step) * step, digits), round(slope, 6)]
+    return [round(math.ceil(max(base, float(rest.max()), 0.0) / step - 1e-6) * step, digits), round(slope, 6)]

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from thalweg.core import UNFINISHED, InputError, ThalwegError
-from thalweg.workflow.claim import Claim, Owner
+from thalweg.workflow.claim import CLAIM, Claim, Owner
 
 log = logging.getLogger("thalweg")
 
@@ -122,6 +122,18 @@ class Staging:
         for staged, output in pairs:
             staged.rename(output)
         _sync_each(list(dict.fromkeys(output.parent for _, output in pairs)))
+        if undeclared := self._others():
+            log.warning("not declared as outputs, and removed: %s", ", ".join(undeclared))
+
+    def _others(self) -> list[str]:
+        """What was written beside the outputs: left by libraries, or a result that the rule does not name."""
+        old = f"{UNFINISHED}before-"
+        return [
+            path.relative_to(top / self.name).as_posix()
+            for top in self._folders
+            for path in sorted((top / self.name).rglob("*"))
+            if path.is_file() and not path.name.startswith(CLAIM) and old not in path.as_posix()
+        ]
 
     def end(self) -> None:
         """Remove what is left of the folders, and give the outputs up to others."""
