@@ -263,6 +263,9 @@ def _check_config(options: argparse.Namespace) -> int:
     from thalweg.workflow import CampaignFiles
 
     for name, campaign in load_campaigns(options.files, CAMPAIGNS).items():
+        for path in [path for stream in STREAM_KEYS for path in campaign.log_files(stream)]:
+            if path.is_symlink() and not path.resolve().is_relative_to(path.parent.resolve()):
+                print(f"note: {path} is a link out of its folder, to {path.resolve()}", file=sys.stderr)
         _check_contents(campaign)
         counts = {stream: len(campaign.log_files(stream)) for stream in STREAM_KEYS}
         files = ", ".join(f"{n} {stream}" for stream, n in counts.items() if n)
