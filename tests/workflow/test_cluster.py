@@ -35,7 +35,14 @@ def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Command:
     return put
 
 
-SINFO = "echo 'main*|up|1-00:00:00\nlong|up|infinite\nold|drain|infinite\nquick|up|30:00'"
+PARTITIONS = (
+    "main*|up|1-00:00:00|4+",
+    "long|up|infinite|64",
+    "old|drain|infinite|4",
+    "quick|up|30:00|1",
+    "quick|up|30:00|2",
+)
+SINFO = "echo '" + "\n".join(PARTITIONS) + "'"
 
 
 def test_a_computer_without_slurm_is_named(command: Command) -> None:
@@ -60,10 +67,18 @@ def test_the_partition_is_looked_up(
     command("sbatch", "echo slurm-wlm 22.05.8")
     command("sinfo", SINFO)
     if answer is None:
-        cluster.check_cluster(partition, minutes)
+        cluster.check_cluster(partition, minutes=minutes)
         return
     with pytest.raises(InputError, match=answer):
-        cluster.check_cluster(partition, minutes)
+        cluster.check_cluster(partition, minutes=minutes)
+
+
+def test_a_job_that_would_wait_for_ever_is_refused(command: Command) -> None:
+    command("sbatch", "echo slurm-wlm 22.05.8")
+    command("sinfo", SINFO)
+    cluster.check_cluster("quick", cpus=2)
+    with pytest.raises(InputError, match=r"'quick' have 2 processors; expected 4.*Set `cores: 2`"):
+        cluster.check_cluster("quick", cpus=4)
 
 
 @pytest.mark.parametrize(

@@ -17,13 +17,14 @@ from thalweg.workflow import (
 )
 from thalweg_lab import campaign_files as laboratory
 
-if workflow.is_main_process or len(workflow.dag_settings.target_jobs) > 1:
-    fork_scripts()  # here, and within a group of jobs on a cluster
+if workflow.is_main_process or workflow.remote_exec:
+    fork_scripts(after=0 if workflow.is_main_process else 1)
 
 if workflow.is_main_process and workflow.non_local_exec and not workflow.dryrun:
     given = workflow.resource_settings._parsed_default_resources
     check_cluster(
-        given["slurm_partition"].value if "slurm_partition" in given else None
+        given["slurm_partition"].value if "slurm_partition" in given else None,
+        cpus=workflow.global_resources["_cores"].value,
     )
 
 ROOT = Path(workflow.basedir)

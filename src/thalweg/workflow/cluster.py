@@ -176,30 +176,32 @@ _CURES: Final = {
 }
 
 
-def check_cluster(partition: str | None, minutes: int | None = None) -> None:
+def check_cluster(partition: str | None, *, minutes: int | None = None, cpus: int | None = None) -> None:
     """Before the first job: is there SLURM, does it answer, is the partition one of its own and open?
 
     Parameters
     ----------
     partition : name, or None for the default one.
     minutes : wall time of the shortest job, which the partition has to allow.
+    cpus : of one job or group of jobs; a job that asks for more than any node has would wait for ever.
 
     Raises
     ------
     InputError : what is wrong, and what to do.
     """
     slurm("sbatch", "--version")
-    rows = [line.split("|") for line in slurm("sinfo", "--noheader", "--format", "%P|%a|%l").splitlines()]
-    names = [name.rstrip("*") for name, _, _ in rows]
+    rows = [line.split("|") for line in slurm("sinfo", "--noheader", "--format", "%P|%a|%l|%c").splitlines()]
+    names = [row[0].rstrip("*") for row in rows]
     if partition is None:
-        if not any(name.endswith("*") for name, _, _ in rows):
+        default = [row[0].rstrip("*") for row in rows if row[0].endswith("*")]
+        if not default:
             raise InputError(
                 "this cluster has no default partition",
                 expected=f"one of {', '.join(dict.fromkeys(names))}",
                 where="default-resources, slurm_partition in profiles/slurm/profile.yaml",
                 cure="Name one there",
             )
-        partition = next(name.rstrip("*") for name, _, _ in rows if name.endswith("*"))
+        partition = default[0]
     if partition not in names:
         raise InputError(
             f"no partition '{partition}' on this cluster",
@@ -207,7 +209,8 @@ def check_cluster(partition: str | None, minutes: int | None = None) -> None:
             where="default-resources, slurm_partition in profiles/slurm/profile.yaml",
             cure="Name one of these there",
         )
-    _, state, limit = next(row for row in rows if row[0].rstrip("*") == partition)
+    own = [row for row in rows if row[0].rstrip("*") == partition]
+    _, state, limit, _ = own[0]
     if state != "up":
         raise InputError(
             f"partition '{partition}' is {state}",
@@ -221,6 +224,14 @@ def check_cluster(partition: str | None, minutes: int | None = None) -> None:
             expected=f"{minutes} minutes, which the shortest job asks for",
             where="sinfo",
             cure="Name a partition with a longer limit",
+        )
+    most_cpus = max(int(row[3].rstrip("+")) for row in own)
+    if cpus is not None and most_cpus < cpus:
+        raise InputError(
+            f"nodes of partition '{partition}' have {most_cpus} processors",
+            expected=f"{cpus}, which a job may ask for",
+            where="sinfo",
+            cure=f"Set `cores: {most_cpus}` in profiles/slurm/profile.yaml, or name another partition",
         )
 
 
