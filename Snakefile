@@ -52,6 +52,22 @@ include: "workflow/rules/reproduction.smk"
 include: "workflow/rules/studies.smk"
 
 
+# On a cluster the short jobs of a campaign that these files make of each other go to it as one.
+GROUPED = (
+    "simulation",
+    "ingest",
+    "accuracy",
+    "accuracy_truth",
+    "bathymetry",
+    "fusion",
+    "figures",
+    "figures_pages",
+)
+for each in workflow.rules:
+    stem = Path(each.snakefile).stem
+    each.group = stem.split("_")[0] if stem in GROUPED else None
+
+
 localrules:
     all,
     ingest,
@@ -128,7 +144,33 @@ rule reproduce:
         "tee {log} < {input.text}"
 
 
+DRIVERS = []  # of this folder: one, as long as it works
+
+
+onstart:
+    if workflow.is_main_process:
+        DRIVERS.append(start_driver(Path.cwd()))
+
+
+onsuccess:
+    for driver in DRIVERS:
+        driver.give_up()
+
+
 onerror:
+    for driver in DRIVERS:
+        driver.give_up()
+    for name, lacking in [
+        (
+            files.name,
+            [each for each in files.final_outputs() if not Path(each).exists()],
+        )
+        for files in BUILT
+    ]:
+        if len(BUILT) > 1:
+            print(
+                f"{name}: {f'{len(lacking)} results are missing' if lacking else 'done'}"
+            )
     print(
         "\nA job failed. Its message stands above; the traceback is in the file under logs/ named there."
     )

@@ -16,8 +16,10 @@ from typing import TYPE_CHECKING
 import thalweg
 from thalweg.cli_bathymetry import add_bathymetry_commands
 from thalweg.cli_calibration import add_calibration_commands, describe_marked
+from thalweg.cli_cluster import add_cluster_commands
 from thalweg.cli_deformation import add_deformation_commands, summarise_changes
 from thalweg.cli_images import add_image_commands
+from thalweg.cli_results import add_result_commands
 from thalweg.cli_survey import add_survey_commands
 from thalweg.core import ConfigError, InputError, ThalwegError, to_terminal
 
@@ -143,6 +145,8 @@ def _parser() -> argparse.ArgumentParser:
     budget.add_argument("--csv", type=Path, metavar="OUT", help="write all influences to a CSV file")
     budget.set_defaults(command=_budget)
 
+    add_result_commands(commands)
+    add_cluster_commands(commands)
     schema = commands.add_parser("schema", help="JSON schema of campaign files")
     schema.add_argument("--write", action="store_true", help="write the generated files of the config folder")
     schema.add_argument(
@@ -280,6 +284,9 @@ def _check_config(options: argparse.Namespace) -> int:
     from thalweg.workflow import CampaignFiles
 
     for name, campaign in load_campaigns(options.files, CAMPAIGNS).items():
+        for path in [path for stream in STREAM_KEYS for path in campaign.log_files(stream)]:
+            if path.is_symlink() and not path.resolve().is_relative_to(path.parent.resolve()):
+                print(f"note: {path} is a link out of its folder, to {path.resolve()}", file=sys.stderr)
         _check_contents(campaign)
         _check_epochs(campaign)
         counts = {stream: len(campaign.log_files(stream)) for stream in STREAM_KEYS}

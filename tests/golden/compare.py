@@ -24,7 +24,7 @@ from PIL import Image
 
 NO_RESULTS = re.compile(
     r"sha256|commit|code|thalweg|libraries|created.*|written.*|.*_(seconds|cpu_s|wall_s)|seconds|host|python|params|"
-    r"generated.*|command|memory.*"
+    r"costs|generated.*|command|memory.*"
 )
 """Keys of JSON and YAML that tell how a file was made, not what was found."""
 NO_TEXT = [

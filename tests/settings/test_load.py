@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from thalweg.cli import main
 from thalweg.settings import load_campaigns, natural_order
 from thalweg.settings.load import load_campaign
 from thalweg.settings.messages import CampaignError
@@ -229,3 +230,38 @@ def test_natural_order_of_names():
         "a2/x",
         "a10/x",
     ]
+
+
+def test_a_pattern_names_campaigns(write, tmp_path, monkeypatch):
+    """A whole season in one run, in the order of names; what is no campaign file is no mistake."""
+    good = write()
+    season = tmp_path / "season"
+    season.mkdir()
+    for name in ("b", "a"):
+        text = good.read_text().replace("id: good", f"id: {name}").replace("raw/", f"{good.parent}/raw/")
+        (season / f"{name}.yaml").write_text(text)
+    (season / "notes.txt").write_text("sunny")
+    monkeypatch.chdir(tmp_path)
+    assert list(load_campaigns("season/*", tmp_path)) == ["a", "b"]
+    assert list(load_campaigns(["season/b*", str(season / "a.yaml")], tmp_path)) == ["b", "a"]
+    monkeypatch.chdir("/")
+    assert list(load_campaigns("season/*", tmp_path)) == ["a", "b"]
+    with pytest.raises(CampaignError, match=r"no campaign file matches 'winter/\*'.*the shell must not"):
+        load_campaigns("winter/*", tmp_path)
+
+
+def test_a_link_out_of_the_survey_is_named(write, survey, tmp_path, capsys):
+    """It is followed, as people keep logs on other disks; `check-config` says where it leads."""
+    file = write()
+    away = tmp_path / "disk"
+    away.mkdir()
+    log = survey / "raw/lidar_1.pcap"
+    log.rename(away / "lidar_1.pcap")
+    log.symlink_to(away / "lidar_1.pcap")
+    other = survey / "raw/lidar_2.pcap"
+    other.rename(other.with_name("kept.pcap"))
+    other.symlink_to("kept.pcap")
+    main(["check-config", str(file)])
+    said = capsys.readouterr().err
+    assert f"{log} is a link out of its folder, to {away / 'lidar_1.pcap'}" in said
+    assert "lidar_2.pcap is a link" not in said

@@ -85,6 +85,19 @@ def test_a_fork_has_a_folder_threads_and_environment_of_its_own(
     assert record.running_time > 0
 
 
+def test_on_a_cluster_the_first_job_is_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may be the only one, which a server for others would delay; those after it are forked."""
+    monkeypatch.chdir(tmp_path)
+    seen: list[str] = []
+    context = get_context("forkserver")
+    execute = forked._forking(lambda script, fname, *, edit: seen.append(fname), context, 1)
+    (tmp_path / "second.py").write_text("from pathlib import Path\nPath('ran').write_text('')\n")
+    execute(script_of(), "first.py")
+    execute(script_of(), "second.py")
+    assert seen == ["first.py"]
+    assert (tmp_path / "ran").exists()
+
+
 def test_a_job_that_fails_asks_the_hook_that_it_has_set(
     execute: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,11 +6,26 @@ import yaml
 from snakemake.exceptions import WorkflowError
 
 from thalweg.settings import load_campaigns, with_calibrations
-from thalweg.workflow import CampaignFiles, code_version, fork_scripts, read_figures
+from thalweg.workflow import (
+    CampaignFiles,
+    Measured,
+    check_cluster,
+    code_version,
+    fork_scripts,
+    read_figures,
+    start_driver,
+)
 from thalweg_lab import campaign_files as laboratory
 
-if workflow.is_main_process:
-    fork_scripts()
+if workflow.is_main_process or workflow.remote_exec:
+    fork_scripts(after=0 if workflow.is_main_process else 1)
+
+if workflow.is_main_process and workflow.non_local_exec and not workflow.dryrun:
+    given = workflow.resource_settings._parsed_default_resources
+    check_cluster(
+        given["slurm_partition"].value if "slurm_partition" in given else None,
+        cpus=workflow.global_resources["_cores"].value,
+    )
 
 ROOT = Path(workflow.basedir)
 CHOSEN = load_campaigns(config["campaign"], ROOT / "config" / "campaigns")
@@ -21,6 +36,8 @@ FILES = {
 }
 # Of the surveys that a campaign of epochs names only what the comparison needs is built.
 BUILT = [f for n, f in FILES.items() if n in CHOSEN or not f.is_epoch()]
+
+MEASURED = Measured.read(ROOT / "config" / "resources.yaml")
 
 FIGURES = read_figures(ROOT / "workflow" / "figures.yaml")
 # workflow/report/figure.rst finds the words for a picture here; as params they would draw it again when they change.
@@ -91,20 +108,23 @@ def of_page(page):
 
 
 def memory(base_mb, per_input_mb=0.0):
-    """Resource function: memory from the size of the inputs, more on each attempt."""
-    return lambda wildcards, input, attempt: int(
-        (base_mb + per_input_mb * input.size_mb) * attempt
-    )
+    """Resource function: memory as measured, or else from the size of the inputs; twice as much on each attempt."""
+
+    def asked_mb(wildcards, input, attempt, rulename):
+        return MEASURED.memory_mb(
+            rulename, input.size_mb, attempt, base_mb, per_input_mb
+        )
+
+    return asked_mb
 
 
 def minutes(base, per_input_gb=0.0):
-    """Resource function: wall time in minutes from the size of the inputs, more on each attempt."""
-    return (
-        lambda wildcards, input, attempt: int(
-            (base + per_input_gb * input.size_mb / 1000) * attempt
-        )
-        + 1
-    )
+    """Resource function: wall time in minutes, in the same way."""
+
+    def asked_min(wildcards, input, attempt, rulename):
+        return MEASURED.minutes(rulename, input.size_mb, attempt, base, per_input_gb)
+
+    return asked_min
 
 
 def recording_files(key):

@@ -55,6 +55,8 @@ rule simulate_sheet_grid:
         images=directory(
             "results/{campaign}/simulation/logs/light_sheet/calibration/images"
         ),
+        notes="results/{campaign}/simulation/logs/light_sheet/calibration/images.csv",
+        pulses="results/{campaign}/simulation/logs/light_sheet/calibration/trigger_pulses.csv",
         grid="results/{campaign}/simulation/logs/light_sheet/calibration/grid_1.yaml",
         truth=directory("results/{campaign}/simulation/truth/light_sheet/calibration"),
     log:
@@ -83,6 +85,7 @@ rule simulate_sheet_panels:
     output:
         images=directory("results/{campaign}/simulation/logs/light_sheet/panels/images"),
         panels="results/{campaign}/simulation/logs/light_sheet/panels/images.csv",
+        pulses="results/{campaign}/simulation/logs/light_sheet/panels/trigger_pulses.csv",
         truth=directory("results/{campaign}/simulation/truth/light_sheet/panels"),
     log:
         "logs/{campaign}/simulation/simulate_sheet_panels.log",

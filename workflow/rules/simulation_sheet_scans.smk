@@ -5,6 +5,7 @@ rule simulate_sheet_scan:
     """Scan of an object with panel, standing camera, reference mesh and picked pairs (P4 7.3)."""
     output:
         images=directory("results/{campaign}/simulation/logs/light_sheet/{scan}/images"),
+        notes="results/{campaign}/simulation/logs/light_sheet/{scan}/images.csv",
         pulses="results/{campaign}/simulation/logs/light_sheet/{scan}/trigger_pulses.csv",
         panel="results/{campaign}/simulation/logs/light_sheet/{scan}/six_dof/panel.csv",
         marks="results/{campaign}/simulation/logs/light_sheet/{scan}/six_dof/marks.csv",

@@ -40,6 +40,7 @@ from thalweg.core import (
     adjust,
     beam_axes,
     cross_matrix,
+    decode_picture,
     exp_rotation,
     plane_rates,
     root_mean_square,
@@ -859,7 +860,7 @@ def read_grey(path: Path) -> AnyArray:
     """
     if not path.is_file():
         raise InputError("file not found", expected="a picture", where=path)
-    picture = cv2.imdecode(
+    picture = decode_picture(
         np.frombuffer(path.read_bytes(), dtype=np.uint8), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
     )
     if picture is None:

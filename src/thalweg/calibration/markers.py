@@ -30,6 +30,7 @@ from thalweg.core import (
     GeometryError,
     InputError,
     column,
+    decode_picture,
     steps,
     table_kind,
 )
@@ -144,9 +145,7 @@ def read_grey(path: Path) -> ArrayU8:
     InputError : the file is missing or no picture.
     """
     data = np.fromfile(path, dtype=np.uint8) if path.is_file() else np.empty(0, np.uint8)
-    picture = None
-    if len(data):
-        picture = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+    picture = decode_picture(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
     if picture is None:
         found = "not a picture" if path.is_file() else "file not found"
         raise InputError(found, expected="a JPEG, PNG or TIFF picture", where=path)

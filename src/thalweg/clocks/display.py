@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 from PIL import Image, ImageDraw, ImageFont
 
-from thalweg.core import NMAD, AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8, InputError
+from thalweg.core import NMAD, AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8, InputError, decode_picture
 
 _SAMPLE: Final = 40
 _TRAINING: Final = 200
@@ -523,7 +523,7 @@ def _photo(path: Path, reduction: int) -> ArrayU8 | None:
         data = np.fromfile(path, np.uint8)
     except OSError:
         return None
-    image = cv2.imdecode(data, flag) if data.size else None
+    image = decode_picture(data, flag)
     return None if image is None else np.asarray(image.max(axis=2), dtype=np.uint8)
 
 

@@ -50,6 +50,12 @@ from .errors import (
     ThalwegError as ThalwegError,
     UnsupportedError as UnsupportedError,
 )
+from .files import (
+    UNFINISHED as UNFINISHED,
+    decode_picture as decode_picture,
+    final_path as final_path,
+    parse_xml as parse_xml,
+)
 from .frames import (
     GRS80_SEMI_MAJOR_M as GRS80_SEMI_MAJOR_M,
     R_ENU_NED as R_ENU_NED,

@@ -32,6 +32,7 @@ from numpy.typing import ArrayLike
 
 from thalweg.core.documents import parse_yaml
 from thalweg.core.errors import GeometryError, InputError, UnsupportedError
+from thalweg.core.files import parse_xml
 from thalweg.core.types import ArrayF
 
 Model = Literal["perspective", "fisheye"]
@@ -387,7 +388,7 @@ def read_metashape(path: Path) -> Camera:
     UnsupportedError : a skew, a fourth radial or a higher tangential term other than zero.
     """
     try:
-        root = ElementTree.fromstring(_text(path))
+        root = parse_xml(_text(path))
         found = {e.tag: (e.text or "").strip() for e in root}
         size = (int(found["width"]), int(found["height"]))
         p = {k: float(found.get(k, 0.0)) for k in _METASHAPE}

@@ -10,7 +10,7 @@ from typing import Any, Final
 import pandas as pd
 
 from thalweg.accuracy import number_text
-from thalweg.core import InputError
+from thalweg.core import InputError, final_path
 from thalweg.figures.page import Page
 from thalweg.figures.style import note_of
 
@@ -48,7 +48,7 @@ def front_page(
 
     def at(path: Path | str) -> str:
         """Address from the front page."""
-        return Path(relpath(path, target.parent)).as_posix()
+        return Path(relpath(path, final_path(target).parent)).as_posix()
 
     page = Page(title, "Digital twin: simulated instruments wrote these logs." if twin else "")
     if pages:

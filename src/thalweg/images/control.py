@@ -24,7 +24,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from thalweg.calibration import fit_saddles
-from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayU8, GeometryError, InputError, LocalFrame
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayU8, GeometryError, InputError, LocalFrame, parse_xml
 from thalweg.images.model import (
     ControlMarks,
     ControlPoints,
@@ -762,7 +762,7 @@ def gcp_points(path: Path, text: str) -> tuple[list[dict[str, str]], str]:
 
 def _metashape(path: Path, text: str) -> ElementTree.Element:
     try:
-        root = ElementTree.fromstring(text)
+        root = parse_xml(text)
     except ElementTree.ParseError as error:
         raise InputError(
             f"no XML ({error})", expected="markers as Metashape exports them", where=path

@@ -212,7 +212,8 @@ def load_campaigns(choice: object, folder: Path) -> dict[str, Campaign]:
 
     Parameters
     ----------
-    choice : an id (a file ``<id>.yaml`` in ``folder``), a path to a YAML file, or a list of them.
+    choice : an id (a file ``<id>.yaml`` in ``folder``), a path to a YAML file, a pattern of paths such as
+        ``survey_2026/*``, or a list of them.
     folder : folder of campaign files.
 
     Returns
@@ -225,11 +226,15 @@ def load_campaigns(choice: object, folder: Path) -> dict[str, Campaign]:
     CampaignError : lists the mistakes of all chosen files and of the calibration campaigns that they name,
         unknown ids, and ids that stand twice.
     """
-    entries = list(choice) if isinstance(choice, list | tuple) else [choice]
     mistakes: list[Mistake] = []
+    entries: list[object] = []
+    for entry in choice if isinstance(choice, list | tuple) else [choice]:
+        matching = _matching(entry, folder) if isinstance(entry, str) and set(entry) & set("*?[") else [entry]
+        mistakes += [each for each in matching if isinstance(each, Mistake)]
+        entries += [each for each in matching if not isinstance(each, Mistake)]
     campaigns: dict[str, Campaign] = {}
     files: dict[str, Path] = {}
-    if not entries:
+    if not entries and not mistakes:
         mistakes.append(_no_choice(choice, folder))
     for entry in entries:
         path = campaign_path(entry, folder)
@@ -467,6 +472,27 @@ def _wrong_calibration(found: str, folder: Path, cure: str = "") -> Mistake:
         expected=f"a calibration campaign{names}, or the path of a calibration file",
         cure=cure or "Name a campaign with a calibration field, or the path of a calibration file",
     )
+
+
+def _matching(pattern: str, folder: Path) -> list[str] | list[Mistake]:
+    """Campaign files that a pattern names, here or in the folder of campaigns, by name."""
+    words = pattern.strip()
+    named = words if words.endswith((".yaml", ".yml", "*")) else f"{words}.yaml"
+    for base in (Path(), folder):
+        paths = (
+            sorted(base.glob(named)) if not Path(named).is_absolute() else sorted(Path("/").glob(named[1:]))
+        )
+        files = [str(path) for path in paths if path.suffix in {".yaml", ".yml"} and path.is_file()]
+        if files:
+            return files
+    return [
+        Mistake(
+            path=("campaign",),
+            found=f"no campaign file matches {words!r}",
+            expected=f"files *.yaml here or in {folder}",
+            cure="Correct the pattern; the shell must not see it: --config 'campaign=survey_2026/*'",
+        )
+    ]
 
 
 def campaign_path(entry: object, folder: Path) -> Path | Mistake:

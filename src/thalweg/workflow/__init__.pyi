@@ -1,5 +1,22 @@
 from .campaign_files import CampaignFiles as CampaignFiles
+from .cluster import (
+    cancel as cancel,
+    check_cluster as check_cluster,
+    check_nodes as check_nodes,
+    jobs_of as jobs_of,
+    living_driver as living_driver,
+    start_driver as start_driver,
+    unfinished as unfinished,
+)
 from .codehash import code_version as code_version
+from .costs import (
+    Measured as Measured,
+    costs_of as costs_of,
+    fitted as fitted,
+    memory_now_mb as memory_now_mb,
+    per_rule as per_rule,
+    read_costs as read_costs,
+)
 from .figures import read_figures as read_figures
 from .forked import fork_scripts as fork_scripts
 from .job import job_arguments as job_arguments, run_job as run_job

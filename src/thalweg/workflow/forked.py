@@ -4,8 +4,9 @@ As Snakemake starts it, each job is a Python of its own that spends one to two s
 imports before its work begins, and most jobs work for less. Here the first job starts a server (start method
 ``forkserver`` of `multiprocessing`) that imports once what nearly all scripts import (`preload`). A job is
 then a fork of it: a process with a folder, an environment and a number of threads of its own, as before.
-Jobs in conda, in a container or on a cluster start as Snakemake starts them, and so do all where Linux is
-not.
+Jobs in conda or in a container start as Snakemake starts them, and so do all where Linux is not. On a
+cluster the first job that a Snakemake runs there is started, as it may be the only one, and those after it
+are forked.
 """
 
 import ctypes
@@ -23,23 +24,33 @@ _THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS",
 _SCRATCH: Final = ("TMPDIR", "TMP", "TEMP", "TEMPDIR")
 
 
-def fork_scripts() -> None:
-    """From now on this Snakemake forks the scripts of its own jobs; see above."""
+def fork_scripts(*, after: int = 0) -> None:
+    """From now on Snakemake forks the scripts of its own jobs, but the first ones; see above.
+
+    Parameters
+    ----------
+    after : so many are started before.
+    """
     from snakemake.script import PythonScript
 
     if sys.platform != "linux" or hasattr(PythonScript.execute_script, "started"):
         return
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["thalweg.workflow.preload"])
-    PythonScript.execute_script = _forking(PythonScript.execute_script, context)
+    PythonScript.execute_script = _forking(PythonScript.execute_script, context, after)
 
 
-def _forking(started: Callable[..., None], context: Any) -> Callable[..., None]:
+def _forking(started: Callable[..., None], context: Any, after: int = 0) -> Callable[..., None]:
     """The method of a script that executes it, by a fork where that is possible."""
+    first = iter(range(after))
 
     def execute_script(script: Any, fname: str, edit: bool = False) -> None:
         """Run the script, and raise CalledProcessError if it fails."""
-        if edit or any((script.conda_env, script.container_img, script.env_modules, script.shadow_dir)):
+        if (
+            edit
+            or next(first, None) is not None
+            or any((script.conda_env, script.container_img, script.env_modules, script.shadow_dir))
+        ):
             started(script, fname, edit=edit)
             return
         from snakemake.benchmark import benchmarked

@@ -4,6 +4,7 @@ import inspect
 import logging
 import os
 import random
+import re
 import resource
 import sys
 import time
@@ -14,13 +15,17 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, get_args, get_origin, get_type_hints
 
-from thalweg.core import InputError, ThalwegError
-from thalweg.workflow.provenance import write_provenance
+from thalweg.core import UNFINISHED, InputError, ThalwegError
+from thalweg.workflow.costs import costs_of, memory_now_mb
+from thalweg.workflow.provenance import META, is_made_of, origin, write_provenance
+from thalweg.workflow.staging import refuse_changes, staged, state_of
 from thalweg.workflow.truth import truth_closed
 
 log = logging.getLogger("thalweg")
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_UNFINISHED = re.compile(rf"{re.escape(UNFINISHED)}[0-9a-f]+/")
+"""Messages name files by their final names."""
 
 
 def run_job(main: Callable[..., None], snakemake: Any) -> None:
@@ -30,40 +35,51 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
     then ``threads``; files become `Path` (or ``list[Path]`` where the annotation says so), and plain
     values the section of settings, the dataclass or the path that the annotation names. The helper sets up
     the log file and an excepthook that writes the traceback there, limits threads, and on success writes
-    ``<output>.meta.json``.
+    ``<output>.meta.json``. ``main`` writes into a folder beside the outputs; they get their names when all
+    are whole (`staging`). Where another living process writes the same outputs the job waits for it, and
+    keeps what it made if that is of the same inputs, parameters and code.
 
     Raises
     ------
-    InputError : a keyword of ``main`` has no counterpart in the rule; or the rule opens the truth of the
-        digital twin without being one that may.
+    InputError : a keyword of ``main`` has no counterpart in the rule; the rule opens the truth of the
+        digital twin without being one that may; an input changed meanwhile; the disk is full or read-only.
     """
     _start_log(Path(snakemake.log[0]) if snakemake.log else None)
     _limit_threads(snakemake.threads)
+    rule, outputs, inputs = (
+        snakemake.rule,
+        [Path(p) for p in snakemake.output],
+        [Path(p) for p in snakemake.input],
+    )
     params = dict(snakemake.params.items())
     code = str(params.pop("code", ""))
     # Nothing in the library draws from these global generators; seeding them covers third-party code.
     random.seed(int(params.get("seed", params.get("campaign", {}).get("seed", 0))))
-    arguments = job_arguments(main, snakemake)
-    log.info("rule %s starts with %d threads", snakemake.rule, snakemake.threads)
-    start, cpu_start_s = time.perf_counter(), _cpu_s()
-    with truth_closed(snakemake.rule, [snakemake.input, snakemake.output, params]):
-        main(**arguments)
-    wall_s, cpu_s = time.perf_counter() - start, _cpu_s() - cpu_start_s
-    outputs = [Path(p) for p in snakemake.output]
-    absent = [str(p) for p in outputs if not p.exists()]
-    if absent:
-        raise InputError(f"outputs were not written: {absent}", where=f"rule {snakemake.rule}")
-    write_provenance(
-        outputs,
-        rule=snakemake.rule,
-        inputs=[Path(p) for p in snakemake.input],
-        params=params,
-        code=code,
-        threads=snakemake.threads,
-        wall_s=wall_s,
-        cpu_s=cpu_s,
-    )
-    log.info("rule %s done in %.1f s", snakemake.rule, wall_s)
+    log.info("rule %s starts with %d threads", rule, snakemake.threads)
+    with (
+        truth_closed(rule, [snakemake.input, snakemake.output, params]),
+        staged(outputs, rule) as (staging, waited),
+    ):
+        before = state_of(inputs)
+        if waited is not None:
+            made_of = origin(rule=rule, inputs=inputs, params=params, code=code)
+            if outputs and all(is_made_of(output, made_of) for output in outputs):
+                log.warning("the outputs of %s are those of this job", waited)
+                return
+        start, cpu_start_s, memory_start_mb = time.perf_counter(), _cpu_s(), memory_now_mb()
+        with staging.in_place_of_outputs(snakemake):
+            main(**job_arguments(main, snakemake))
+        wall_s, cpu_s = time.perf_counter() - start, _cpu_s() - cpu_start_s
+        if absent := staging.absent():
+            raise InputError(f"outputs were not written: {absent}", where=f"rule {rule}")
+        made_of = origin(rule=rule, inputs=inputs, params=params, code=code)
+        costs = costs_of(snakemake, before, staging.places().values(), memory_start_mb)
+        write_provenance(
+            staging.places(), made_of, threads=snakemake.threads, wall_s=wall_s, cpu_s=cpu_s, costs=costs
+        )
+        refuse_changes(before, inputs, rule)
+        staging.commit(beside=[META])
+    log.info("rule %s done in %.1f s", rule, wall_s)
 
 
 def _cpu_s() -> float:
@@ -144,7 +160,8 @@ def _start_log(path: Path | None) -> None:
         """Traceback to the log, message to the people."""
         log.critical("job failed", exc_info=(kind, error, trace))
         # People see the message; the traceback is for whoever opens the log.
-        sys.stderr.write(f"\n{kind.__name__}: {error}\n" if isinstance(error, ThalwegError) else "")
+        text = _UNFINISHED.sub("", f"\n{kind.__name__}: {error}\n")
+        sys.stderr.write(text if isinstance(error, ThalwegError) else "")
         if not isinstance(error, ThalwegError):
             sys.__excepthook__(kind, error, trace)
         if path is not None:

@@ -8,7 +8,7 @@ import subprocess
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import thalweg
 
@@ -69,40 +69,66 @@ def library_versions() -> dict[str, str]:
     return versions
 
 
-def write_provenance(
-    outputs: list[Path],
-    *,
-    rule: str,
-    inputs: list[Path],
-    params: Mapping[str, Any],
-    code: str,
-    threads: int,
-    wall_s: float,
-    cpu_s: float,
-) -> None:
-    """Write ``<output>.meta.json`` beside each output of a job.
-
-    It holds the version, the commit, the code hash, the parameters, the checksums of all inputs and of the
-    output itself, the library versions, threads, wall time and time of the processor. No host, user or
-    absolute path of the package is recorded.
-    """
-    record = {
+def origin(*, rule: str, inputs: list[Path], params: Mapping[str, Any], code: str) -> dict[str, Any]:
+    """What decides the outputs of a job: rule, version, code hash, parameters and checksums of all inputs."""
+    return {
         "format_version": FORMAT_VERSION,
         "rule": rule,
         "thalweg": thalweg.__version__,
-        "commit": git_commit(Path(thalweg.__file__).parent),
         "code": code,
         "params": {k: params[k] for k in sorted(params)},
         "inputs": {str(p): sha256_of(p) for p in inputs if p.exists()},
+    }
+
+
+def is_made_of(output: Path, wanted: Mapping[str, Any]) -> bool:
+    """Whether an output is whole and was made of just this `origin`."""
+    try:
+        record = json.loads(meta_file(output).read_text(encoding="utf-8"))
+        same = {key: record.get(key) for key in wanted} == json.loads(json.dumps(wanted, default=str))
+        return same and record["sha256"] == sha256_of(output)
+    except (OSError, ValueError, AttributeError, KeyError):
+        return False
+
+
+META: Final = ".meta.json"
+
+
+def meta_file(output: Path) -> Path:
+    """Where the provenance of an output lies."""
+    return output.with_name(output.name + META)
+
+
+def write_provenance(
+    outputs: Mapping[Path, Path],
+    made_of: Mapping[str, Any],
+    *,
+    threads: int,
+    wall_s: float,
+    cpu_s: float,
+    costs: Mapping[str, float | None],
+) -> None:
+    """Write ``<output>.meta.json`` beside each output of a job.
+
+    It holds the origin, the commit, the checksum of the output itself, the library versions, threads, wall
+    time and time of the processor. No host, user or absolute path of the package is recorded.
+
+    Parameters
+    ----------
+    outputs : final names, and where each lies now.
+    made_of : `origin` of the job.
+    threads, wall_s, cpu_s, costs : what the job took.
+    """
+    record = {
+        **made_of,
+        "commit": git_commit(Path(thalweg.__file__).parent),
         "libraries": library_versions(),
         "threads": threads,
         "wall_s": round(wall_s, 3),
         "cpu_s": round(cpu_s, 3),
+        "costs": costs,
         "written_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
     }
-    for output in outputs:
-        beside = output.with_name(output.name + ".meta.json")
-        text = json.dumps(
-            {"output": str(output), "sha256": sha256_of(output), **record}, indent=2, default=str
-        )
-        beside.write_text(text + "\n")
+    for output, lies in outputs.items():
+        text = json.dumps({"output": str(output), "sha256": sha256_of(lies), **record}, indent=2, default=str)
+        meta_file(lies).write_text(text + "\n", encoding="utf-8")

@@ -22,6 +22,7 @@ from thalweg.core import (
     LocalFrame,
     Rigid,
     ThalwegError,
+    decode_picture,
     root_mean_square,
 )
 from thalweg.core.calibration import Source, write_calibration
@@ -691,7 +692,7 @@ def mask_loader(folder: Path | None) -> Loader:
 def _picture(path: Path, flags: int) -> ArrayU8 | None:
     """Pixels (h, w) of a file; None if it is damaged."""
     stored = np.fromfile(path, np.uint8) if path.is_file() else np.empty(0, np.uint8)
-    picture = cv2.imdecode(stored, flags) if stored.size else None
+    picture = decode_picture(stored, flags)
     return None if picture is None else np.asarray(picture, np.uint8)
 
 

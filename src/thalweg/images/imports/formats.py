@@ -17,7 +17,16 @@ import numpy as np
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from thalweg.core import PARAMETERS, ArrayF, Camera, GeometryError, InputError, Model, from_metashape
+from thalweg.core import (
+    PARAMETERS,
+    ArrayF,
+    Camera,
+    GeometryError,
+    InputError,
+    Model,
+    from_metashape,
+    parse_xml,
+)
 from thalweg.images.imports.source import (
     Angles,
     Finished,
@@ -446,7 +455,7 @@ def read_metashape(path: Path, crs: str | None) -> Finished:
 
 def _chunk(path: Path) -> ElementTree.Element:
     try:
-        root = ElementTree.parse(path).getroot()
+        root = parse_xml(path.read_bytes())
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise InputError(f"no XML ({error})", expected="a cameras XML of Metashape", where=path) from error
     chunks = [

@@ -15,7 +15,7 @@ import pandas as pd
 from PIL import Image
 
 from thalweg.calibration import read_camera
-from thalweg.core import ArrayU8, Camera, InputError
+from thalweg.core import ArrayU8, Camera, InputError, decode_picture
 from thalweg.images.masks.learning import LAND, PARTS, read_reduced
 from thalweg.images.masks.series import ASPECT, Horizons, SeriesModel, learn_series
 from thalweg.images.model import ImagePoses, cameras_of, check_flat_masks, find_mask, named_once
@@ -150,11 +150,7 @@ def _supplied_masks(
         if file is None:
             problems[name] = ["no supplied mask"]
             continue
-        mask = (
-            cv2.imdecode(np.fromfile(file, dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
-            if file.stat().st_size
-            else None
-        )
+        mask = decode_picture(np.fromfile(file, dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
         size = size_of(path)
         if mask is None:
             problems[name] = ["the supplied mask is no picture"]

@@ -15,7 +15,18 @@ import cv2
 import numpy as np
 from scipy.optimize import minimize
 
-from thalweg.core import NMAD, AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8, InputError, njit
+from thalweg.core import (
+    NMAD,
+    AnyArray,
+    ArrayB,
+    ArrayF,
+    ArrayF32,
+    ArrayI,
+    ArrayU8,
+    InputError,
+    decode_picture,
+    njit,
+)
 
 SAMPLES: Final = 2000
 """Pixels of each part a model learns from."""
@@ -444,7 +455,7 @@ def read_reduced(path: Path, longest_px: int) -> tuple[ArrayU8, tuple[int, int]]
         data = np.fromfile(path, dtype=np.uint8)
     except OSError as error:
         raise InputError(f"the image cannot be read ({error.strerror})", where=path) from error
-    image = cv2.imdecode(data, flags) if data.size else None
+    image = decode_picture(data, flags)
     if image is None:
         raise InputError("no picture", expected="JPEG, PNG or TIFF", where=path, cure="Copy the file again")
     h, w = image.shape[:2]

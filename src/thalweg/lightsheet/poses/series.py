@@ -20,6 +20,7 @@ from thalweg.core import (
     InputError,
     ThalwegError,
     column,
+    decode_picture,
     frame_of,
     table_kind,
 )
@@ -72,7 +73,7 @@ def read_sheet_image(path: Path) -> AnyArray:
     InputError : the file is no image.
     """
     stored = np.fromfile(path, np.uint8) if path.is_file() else np.empty(0, np.uint8)
-    data = cv2.imdecode(stored, cv2.IMREAD_UNCHANGED) if stored.size else None
+    data = decode_picture(stored, cv2.IMREAD_UNCHANGED)
     if data is None:
         found = "cannot be read as an image" if stored.size else "the file is empty or missing"
         raise InputError(

@@ -1,0 +1,322 @@
+"""Runs on a cluster: what SLURM knows of the jobs of a folder, and what has to be right before the first job.
+
+Snakemake gives each job of a run the folder of the run as its working folder and the name of the rule as its
+comment; by both they are found again, also when the driver that sent them is dead.
+"""
+
+import getpass
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from thalweg.core import UNFINISHED, InputError
+from thalweg.workflow.claim import Claim, Owner, claim_of, owner_of
+
+DRIVER: Final = Path(".snakemake") / f"{UNFINISHED}driver"
+"""What the driver of a run claims below its folder as long as it lives."""
+CLOCKS_APART_S: Final = 2.0
+"""Snakemake compares times of files that different nodes wrote; a job is seldom shorter."""
+_FORMAT: Final = "%i|%T|%j|%N|%M|%r|%k|%Z"
+_ENDED_WITHIN_S: Final = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class ClusterJob:
+    """A job that SLURM holds or runs: number, state, run that sent it, node, time so far, reason, rule."""
+
+    number: str
+    state: str
+    run: str
+    node: str
+    elapsed: str
+    reason: str
+    rule: str
+
+
+def driver_claim(folder: Path) -> Claim:
+    """The claim of a driver on a folder of results."""
+    return Claim(folder / DRIVER, "driver")
+
+
+def start_driver(folder: Path) -> Claim:
+    """Claim a folder for this driver, or refuse a second one.
+
+    Raises
+    ------
+    InputError : another driver lives, here or on another computer.
+    """
+    claim = driver_claim(folder)
+    if (owner := claim.take()) is not None:
+        raise InputError(
+            f"another driver works in this folder: {owner}",
+            expected="one Snakemake in a folder of results",
+            where=folder.absolute(),
+            cure="Let it finish, or end it with Ctrl-C there. If its computer was switched off, it counts as"
+            " gone after two minutes; `thalweg cluster status` tells",
+        )
+    return claim
+
+
+def living_driver(folder: Path) -> Owner | None:
+    """The driver that works in a folder; None if there is none."""
+    claimed = claim_of(folder / DRIVER)
+    return owner_of(claimed) if claimed else None
+
+
+def jobs_of(folder: Path) -> list[ClusterJob]:
+    """Jobs of a folder that wait or run, of any driver.
+
+    Raises
+    ------
+    InputError : SLURM is not there or does not answer.
+    """
+    here, found = folder.resolve(), []
+    command = ["squeue", "--user", getpass.getuser(), "--noheader", "--format", _FORMAT]
+    for line in slurm(*command).splitlines():
+        number, state, run, node, elapsed, reason, comment, place = line.strip().split("|", 7)
+        if Path(place).resolve() == here and comment.startswith(("rule_", "group_")):
+            rule = comment.removeprefix("rule_").replace("_wildcards_", " ")
+            found.append(ClusterJob(number, state, run, node, elapsed, reason, rule))
+    return found
+
+
+def cancel(folder: Path) -> list[ClusterJob]:
+    """Cancel all jobs of a folder whose driver is dead, wait for their end, and remove half-made outputs.
+
+    Returns
+    -------
+    list of ClusterJob
+        Those that were cancelled.
+
+    Raises
+    ------
+    InputError : the driver lives; SLURM does not answer; a job does not end.
+    """
+    if (owner := living_driver(folder)) is not None:
+        raise InputError(
+            f"the driver of these jobs works: {owner}",
+            expected="a driver that is dead",
+            where=folder.absolute(),
+            cure="End it with Ctrl-C: it cancels its jobs itself",
+        )
+    jobs = jobs_of(folder)
+    if jobs:
+        slurm("scancel", *(job.number for job in jobs))
+    end = time.monotonic() + _ENDED_WITHIN_S
+    while jobs and (left := jobs_of(folder)):
+        if time.monotonic() > end:
+            raise InputError(
+                f"jobs do not end: {', '.join(job.number for job in left)}",
+                where=folder.absolute(),
+                cure="Ask the operators of the cluster; then run the command again",
+            )
+        time.sleep(1)
+    for part in unfinished(folder):
+        claimed = claim_of(part)
+        if claimed is None or owner_of(claimed) is None:
+            shutil.rmtree(part, ignore_errors=True)
+    return jobs
+
+
+def unfinished(folder: Path) -> Iterator[Path]:
+    """Folders with outputs of jobs that did not finish, or have not yet."""
+    for where, names, _ in os.walk(folder / "results"):
+        for name in [name for name in names if name.startswith(UNFINISHED)]:
+            names.remove(name)
+            yield Path(where, name)
+
+
+def slurm(*command: str) -> str:
+    """What a command of SLURM answers.
+
+    Raises
+    ------
+    InputError : it is not there, or failed; with its own words and a cure.
+    """
+    try:
+        run = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    except FileNotFoundError as error:
+        raise InputError(
+            f"no command {command[0]}",
+            expected="a computer from which jobs are sent to SLURM",
+            where="PATH",
+            cure="Log in to a login node of the cluster, or load its module for SLURM. On this computer"
+            " alone: --profile profiles/default",
+        ) from error
+    except subprocess.TimeoutExpired as error:
+        raise InputError(
+            f"`{command[0]}` does not answer within 120 s", cure=_CURES["Unable to contact"]
+        ) from error
+    if run.returncode:
+        said = " ".join((run.stderr or run.stdout).split())
+        cure = next((cure for words, cure in _CURES.items() if words.lower() in said.lower()), "")
+        raise InputError(
+            f"`{command[0]}` failed: {said}",
+            expected="an answer of SLURM",
+            where=" ".join(command[:6]),
+            cure=cure or "Ask the operators of the cluster with these words",
+        )
+    return run.stdout
+
+
+_CURES: Final = {
+    "munge": "The service munge, which tells SLURM who asks, is down or has another key on this computer:"
+    " ask the operators to start it (`systemctl status munge`)",
+    "Unable to contact": "The controller of SLURM does not answer: wait for the end of its maintenance,"
+    " or ask the operators",
+    "invalid partition": "Choose one of `sinfo --summarize`: default-resources, slurm_partition in"
+    " profiles/slurm/profile.yaml",
+    "limit": "A limit of jobs is reached: let some end, or lower `jobs` in profiles/slurm/profile.yaml",
+    "account": "Name the account: default-resources, slurm_account in profiles/slurm/profile.yaml",
+}
+
+
+def check_cluster(partition: str | None, *, minutes: int | None = None, cpus: int | None = None) -> None:
+    """Before the first job: is there SLURM, does it answer, is the partition one of its own and open?
+
+    Parameters
+    ----------
+    partition : name, or None for the default one.
+    minutes : wall time of the shortest job, which the partition has to allow.
+    cpus : of one job or group of jobs; a job that asks for more than any node has would wait for ever.
+
+    Raises
+    ------
+    InputError : what is wrong, and what to do.
+    """
+    slurm("sbatch", "--version")
+    rows = [line.split("|") for line in slurm("sinfo", "--noheader", "--format", "%P|%a|%l|%c").splitlines()]
+    names = [row[0].rstrip("*") for row in rows]
+    if partition is None:
+        default = [row[0].rstrip("*") for row in rows if row[0].endswith("*")]
+        if not default:
+            raise InputError(
+                "this cluster has no default partition",
+                expected=f"one of {', '.join(dict.fromkeys(names))}",
+                where="default-resources, slurm_partition in profiles/slurm/profile.yaml",
+                cure="Name one there",
+            )
+        partition = default[0]
+    if partition not in names:
+        raise InputError(
+            f"no partition '{partition}' on this cluster",
+            expected=f"one of {', '.join(dict.fromkeys(names))}",
+            where="default-resources, slurm_partition in profiles/slurm/profile.yaml",
+            cure="Name one of these there",
+        )
+    own = [row for row in rows if row[0].rstrip("*") == partition]
+    _, state, limit, _ = own[0]
+    if state != "up":
+        raise InputError(
+            f"partition '{partition}' is {state}",
+            expected="a partition that is up",
+            where="sinfo",
+            cure="Wait for the end of its maintenance, or name another one",
+        )
+    if minutes is not None and (most := _minutes(limit)) is not None and most < minutes:
+        raise InputError(
+            f"partition '{partition}' ends jobs after {most} minutes",
+            expected=f"{minutes} minutes, which the shortest job asks for",
+            where="sinfo",
+            cure="Name a partition with a longer limit",
+        )
+    most_cpus = max(int(row[3].rstrip("+")) for row in own)
+    if cpus is not None and most_cpus < cpus:
+        raise InputError(
+            f"nodes of partition '{partition}' have {most_cpus} processors",
+            expected=f"{cpus}, which a job may ask for",
+            where="sinfo",
+            cure=f"Set `cores: {most_cpus}` in profiles/slurm/profile.yaml, or name another partition",
+        )
+
+
+def _minutes(limit: str) -> int | None:
+    """Minutes of a limit as SLURM writes it (``2-00:00:00``, ``30:00``); None: no limit."""
+    if not limit[:1].isdigit():
+        return None
+    days, _, clock = limit.rpartition("-")
+    parts = [int(each) for each in clock.split(":")]
+    hours, minute = (parts[0], parts[1]) if len(parts) == 3 else (0, parts[0])
+    return int(days or 0) * 1440 + hours * 60 + minute
+
+
+def check_nodes(folder: Path, partition: str | None, python: str) -> list[str]:
+    """Ask each free node of a partition whether it sees the folder, the clock and the code of this computer.
+
+    Parameters
+    ----------
+    folder : where Snakemake runs.
+    partition : name, or None for the default one.
+    python : interpreter that jobs use.
+
+    Returns
+    -------
+    list of str
+        A line for each node: what is wrong and what to do, or that all is well.
+
+    Raises
+    ------
+    InputError : SLURM does not answer.
+    """
+    chosen = ["--partition", partition] if partition else []
+    nodes = slurm("sinfo", "--noheader", "--Node", "--states", "idle,mix", "--format", "%N", *chosen).split()
+    probe = folder.absolute() / f".thalweg-probe-{os.getpid()}"
+    probe.write_text("seen\n", encoding="utf-8")
+    script = (
+        f'cat "$1" 2>/dev/null || echo unseen; date +%s.%N; "$2" -c "{_CODE}" 2>/dev/null || echo no-python'
+    )
+    said = []
+    try:
+        own = subprocess.run(
+            [python, "-c", _CODE], capture_output=True, text=True, check=False
+        ).stdout.strip()
+        for node in dict.fromkeys(nodes):
+            command = (
+                "srun",
+                "--quiet",
+                "--chdir=/",
+                "--immediate=30",
+                "--nodelist",
+                node,
+                *chosen,
+                "--ntasks=1",
+            )
+            before = time.time()
+            answer = slurm(*command, "sh", "-c", script, "sh", str(probe), python).split("\n")
+            after = time.time()
+            said.append(f"{node}: {_verdict(answer, own, folder, before, after, python)}")
+    finally:
+        probe.unlink(missing_ok=True)
+    return said
+
+
+_CODE: Final = (
+    "import thalweg, hashlib, pathlib; p = pathlib.Path(thalweg.__file__).parent;"
+    " h = hashlib.sha256(b''.join(f.read_bytes() for f in sorted(p.rglob('*.py')))).hexdigest()[:12];"
+    " print(thalweg.__version__, h)"
+)
+
+
+def _verdict(answer: Sequence[str], own: str, folder: Path, before: float, after: float, python: str) -> str:
+    seen, clock, code = answer[:3]
+    if seen != "seen":
+        return (
+            f"does not see {folder.absolute()}; expected a file system that all nodes share."
+            " Move the folder there, or leave this node out (slurm_extra: --exclude)."
+        )
+    apart = max(before - float(clock), float(clock) - after, 0.0)
+    if apart > CLOCKS_APART_S:
+        return (
+            f"its clock is {apart:.0f} s apart; expected {CLOCKS_APART_S:.0f} s at most, as times of files"
+            " decide what is made again. Ask the operators to synchronise it (chrony), or leave it out."
+        )
+    if code == "no-python":
+        return f"has no {python} with thalweg. Make the environment on a disk that all nodes share."
+    if code != own:
+        return f"has thalweg {code}, this computer {own}. Install one version on a disk that all nodes share."
+    return f"sees the folder, its clock is {apart:.1f} s apart, thalweg {code}"

@@ -1,0 +1,249 @@
+"""What jobs took, what they asked for, and what they will ask for.
+
+Each job writes its costs into the provenance of its outputs. From these a straight line over the size of the
+inputs is fitted for each rule, with head room, into ``config/resources.yaml``; rules ask for what stands
+there as long as their inputs are not much larger than any that was measured, and otherwise for what the rule
+states.
+"""
+
+import json
+import math
+import resource
+import sys
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Self
+
+import numpy as np
+import pandas as pd
+import yaml
+
+from thalweg.core import ArrayF, InputError
+
+BESIDE_MB: Final = 400
+"""On a cluster a job is accompanied by two Snakemakes of some 180 MB, which count as its memory."""
+FLOOR_MB: Final = 700
+"""Nothing less is asked for: the libraries take 200 MB before a job begins, beside the two Snakemakes."""
+FLOOR_MIN: Final = 5
+"""Starting takes some seconds on a node, and minutes on a network disk that is busy."""
+CONFIDENCE: Final = 0.95
+SLOWER: Final = 3.0
+"""A node of a cluster that others use too may be so much slower than the computer that was measured."""
+REACH: Final = 2.0
+"""Lines are used up to inputs so many times as large as the largest measured ones."""
+SPAN: Final = 4.0
+"""A slope is fitted where the largest input is so many times as large as the smallest."""
+WASTE: Final = 0.25
+"""A request of which less is used, beyond the floor, is told."""
+
+COLUMNS: Final = (
+    *("campaign", "rule", "wall_s", "cpu_s", "threads"),
+    *("memory_mb", "input_mb", "output_mb", "asked_mb", "asked_min"),
+)
+
+
+def memory_now_mb() -> float:
+    """Memory of this process, MB; 0 where the system does not tell."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[1])
+    except OSError:
+        return 0.0
+    return pages * resource.getpagesize() / 1e6
+
+
+def costs_of(
+    snakemake: Any, inputs: Mapping[str, tuple[int, int]], outputs: Iterable[Path], memory_start_mb: float
+) -> dict[str, float | None]:
+    """What a job took beside time: memory, own and with libraries, sizes, and what it had asked for.
+
+    Parameters
+    ----------
+    snakemake : the job.
+    inputs : size in bytes of each file, first of its pair.
+    outputs : where they lie.
+    memory_start_mb : of the process before its work.
+    """
+    unit = 1024.0 if sys.platform == "darwin" else 1.0  # bytes there, kilobytes elsewhere
+    peaks = [resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    peak_mb = max(peaks) / unit * 1024 / 1e6
+    files = [p for each in outputs for p in (each.rglob("*") if each.is_dir() else [each]) if p.is_file()]
+    asked = getattr(snakemake, "resources", None)
+
+    def wanted(name: str) -> float | None:
+        value = asked.get(name) if asked is not None else None
+        return float(value) if isinstance(value, int | float) else None
+
+    return {
+        "memory_mb": round(max(peak_mb - memory_start_mb, 0.0), 1),
+        "memory_with_libraries_mb": round(peak_mb, 1),
+        "input_mb": round(sum(size for size, _ in inputs.values()) / 1e6, 3),
+        "output_mb": round(sum(p.stat().st_size for p in files) / 1e6, 3),
+        "asked_mb": wanted("mem_mb"),
+        "asked_min": wanted("runtime"),
+    }
+
+
+def read_costs(results: Path) -> pd.DataFrame:
+    """A row for each job whose outputs are in a folder of results; columns `COLUMNS`.
+
+    ``memory_mb`` is all that counts on a cluster: the process with its libraries, and `BESIDE_MB`.
+
+    Raises
+    ------
+    InputError : no job left its costs there.
+    """
+    rows, seen = [], set()
+    for path in sorted(results.rglob("*.meta.json")):
+        try:
+            meta = json.loads(path.read_text(encoding="utf-8"))
+            costs = meta["costs"]
+        except (ValueError, KeyError):
+            continue  # of an older version, or not ours
+        job = (meta["rule"], meta["written_utc"], meta["wall_s"], tuple(meta["inputs"]))
+        if job in seen:
+            continue
+        seen.add(job)
+        values = {
+            "campaign": path.relative_to(results).parts[0],
+            **{key: meta[key] for key in ("rule", "wall_s", "cpu_s", "threads")},
+            **{key: costs[key] for key in ("input_mb", "output_mb", "asked_mb", "asked_min")},
+            "memory_mb": costs["memory_with_libraries_mb"] + BESIDE_MB,
+        }
+        rows.append(values)
+    if not rows:
+        raise InputError(
+            "no job left its costs",
+            expected="*.meta.json with costs, beside results of this version",
+            where=results,
+            cure="Run a campaign with this version first",
+        )
+    return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"asked_mb": float, "asked_min": float})
+
+
+def per_rule(jobs: pd.DataFrame) -> pd.DataFrame:
+    """Sums and maxima of each rule, the most expensive first, and a verdict on its request."""
+    group = jobs.assign(
+        used=jobs["memory_mb"] / jobs["asked_mb"], used_time=jobs["wall_s"] / 60 / jobs["asked_min"]
+    ).groupby("rule")
+    table = pd.DataFrame(
+        {
+            "jobs": group.size(),
+            "wall_s": group["wall_s"].sum(),
+            "cpu_s": group["cpu_s"].sum(),
+            "longest_s": group["wall_s"].max(),
+            "memory_mb": group["memory_mb"].max(),
+            "asked_mb": group["asked_mb"].max(),
+            "used_memory": group["used"].max(),
+            "used_time": group["used_time"].max(),
+            "input_mb": group["input_mb"].sum(),
+            "output_mb": group["output_mb"].sum(),
+        }
+    )
+    table["remark"] = [
+        _remark(*row)
+        for row in table[["used_memory", "used_time", "asked_mb"]].itertuples(index=False, name=None)
+    ]
+    return table.sort_values("cpu_s", ascending=False).reset_index()
+
+
+def _remark(used: float, used_time: float, asked_mb: float) -> str:
+    if used > 1.0:
+        return "more memory than asked for"
+    if used_time > 1.0:
+        return "more time than asked for"
+    return "less than a quarter of the memory asked for" if used < WASTE and asked_mb > FLOOR_MB else ""
+
+
+# ---------------------------------------------------------------- requests from measurements
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """Lines of memory (MB) and time (minutes) over the size of the inputs (MB) for each rule.
+
+    ``rules`` has for each rule ``memory_mb`` and ``minutes`` as (base, slope), and ``input_mb``, the largest.
+    """
+
+    rules: Mapping[str, Mapping[str, Any]]
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """From a file; without one nothing has been measured.
+
+        Raises
+        ------
+        InputError : the file is not what `fitted` gives.
+        """
+        if not path.is_file():
+            return cls({})
+        try:
+            rules = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
+            numbers = {name: [*r["memory_mb"], *r["minutes"], r["input_mb"]] for name, r in rules.items()}
+            wrong = [name for name, each in numbers.items() if not _five(each)]
+            problem = f"rule {wrong[0]}" if wrong else ""
+        except (yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
+            problem = " ".join(str(error).split())
+        if problem:
+            raise InputError(
+                f"no measured resources ({problem})",
+                expected="rule: {memory_mb: [base, per MB], minutes: [base, per MB], input_mb: largest}",
+                where=path,
+                cure="Remove it, or write it anew with `thalweg costs results --write`",
+            )
+        return cls(rules)
+
+    def memory_mb(self, rule: str, input_mb: float, attempt: int, base_mb: float, per_input_mb: float) -> int:
+        """Memory that a job asks for: as measured, or else the line that its rule states."""
+        return self._asked("memory_mb", rule, input_mb, attempt, base_mb + per_input_mb * input_mb, FLOOR_MB)
+
+    def minutes(self, rule: str, input_mb: float, attempt: int, base_min: float, per_input_gb: float) -> int:
+        """Wall time that a job asks for."""
+        return self._asked(
+            "minutes", rule, input_mb, attempt, base_min + per_input_gb * input_mb / 1000, FLOOR_MIN
+        )
+
+    def _asked(self, what: str, rule: str, input_mb: float, attempt: int, stated: float, floor: float) -> int:
+        line = self.rules.get(rule)
+        if line is not None and input_mb <= REACH * max(line["input_mb"], 1.0):
+            base, slope = line[what]
+            stated = max(base + slope * input_mb, floor)
+        return math.ceil(stated * 2 ** (attempt - 1))
+
+
+def _five(numbers: list[Any]) -> bool:
+    return len(numbers) == 5 and all(isinstance(n, int | float) and n >= 0 for n in numbers)
+
+
+def fitted(jobs: pd.DataFrame) -> dict[str, dict[str, Any]]:
+    """Lines for `Measured` from measured jobs.
+
+    The base is raised to the upper bound, at 95 %, of what one more job of the rule will take (Student's t),
+    and above every job that was measured; a rule with one job gets half as much again.
+    """
+    found = {}
+    for rule, group in jobs.groupby("rule"):
+        x = group["input_mb"].to_numpy(float)
+        found[str(rule)] = {
+            "memory_mb": _line(x, group["memory_mb"].to_numpy(float), digits=0),
+            "minutes": _line(x, SLOWER * group["wall_s"].to_numpy(float) / 60, digits=2),
+            "input_mb": round(float(x.max()), 1),
+        }
+    return found
+
+
+def _line(x: ArrayF, y: ArrayF, digits: int) -> list[float]:
+    from scipy.stats import t as student
+
+    n, slope = len(x), 0.0
+    if n >= 3 and x.max() >= SPAN * max(x.min(), 1.0):
+        slope = max(float(np.polyfit(x, y, 1)[0]), 0.0)
+    rest = y - slope * x
+    free = n - (2 if slope else 1)
+    if free < 1:
+        base = 1.5 * float(rest.max())
+    else:
+        spread = float(np.sqrt(((rest - rest.mean()) ** 2).sum() / free))
+        base = float(rest.mean()) + float(student.ppf(CONFIDENCE, free)) * spread * math.sqrt(1 + 1 / n)
+    step = 10.0**-digits
+    return [round(math.ceil(max(base, float(rest.max()), 0.0) / step - 1e-6) * step, digits), round(slope, 6)]

@@ -1,0 +1,214 @@
+"""What is wrong with a cluster is said before the first job: found, expected, where, cure."""
+
+import os
+import re
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import yaml
+
+from thalweg.cli import main
+from thalweg.core import InputError
+from thalweg.workflow import cluster
+from thalweg.workflow.claim import Claim, claim_name
+
+Command = Callable[[str, str], None]
+
+
+@pytest.fixture
+def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Command:
+    """Put a command of SLURM on the path, as a text for the shell; nothing else of SLURM is there."""
+    folder = tmp_path / "bin"
+    folder.mkdir()
+    for name in ("sh", "cat", "date", "echo"):
+        (folder / name).symlink_to(f"/bin/{name}")
+    monkeypatch.setenv("PATH", str(folder))
+
+    def put(name: str, text: str) -> None:
+        (folder / name).write_text(f"#!/bin/sh\n{text}\n")
+        (folder / name).chmod(0o755)
+
+    return put
+
+
+PARTITIONS = (
+    "main*|up|1-00:00:00|4+",
+    "long|up|infinite|64",
+    "old|drain|infinite|4",
+    "quick|up|30:00|1",
+    "quick|up|30:00|2",
+)
+SINFO = "echo '" + "\n".join(PARTITIONS) + "'"
+
+
+def test_a_computer_without_slurm_is_named(command: Command) -> None:
+    with pytest.raises(InputError, match=r"no command sbatch; expected .* Log in to a login node"):
+        cluster.check_cluster(None)
+
+
+@pytest.mark.parametrize(
+    ("partition", "minutes", "answer"),
+    [
+        (None, 60, None),
+        ("long", 100_000, None),
+        ("gpu", None, r"no partition 'gpu' on this cluster; expected one of main, long, old, quick"),
+        ("old", None, r"'old' is drain; expected a partition that is up\. Wait"),
+        ("quick", 60, r"'quick' ends jobs after 30 minutes; expected 60 minutes.*longer limit"),
+        ("main", 1500, r"'main' ends jobs after 1440 minutes"),
+    ],
+)
+def test_the_partition_is_looked_up(
+    command: Command, partition: str | None, minutes: int | None, answer: str | None
+) -> None:
+    command("sbatch", "echo slurm-wlm 22.05.8")
+    command("sinfo", SINFO)
+    if answer is None:
+        cluster.check_cluster(partition, minutes=minutes)
+        return
+    with pytest.raises(InputError, match=answer):
+        cluster.check_cluster(partition, minutes=minutes)
+
+
+def test_a_job_that_would_wait_for_ever_is_refused(command: Command) -> None:
+    command("sbatch", "echo slurm-wlm 22.05.8")
+    command("sinfo", SINFO)
+    cluster.check_cluster("quick", cpus=2)
+    with pytest.raises(InputError, match=r"'quick' have 2 processors; expected 4.*Set `cores: 2`"):
+        cluster.check_cluster("quick", cpus=4)
+
+
+@pytest.mark.parametrize(
+    ("said", "cure"),
+    [
+        ("error: Munge encode failed: Failed to access /run/munge/munge.socket.2", "systemctl status munge"),
+        ("slurm_load_partitions: Unable to contact slurm controller (connect failure)", "maintenance"),
+        ("error: AssocMaxSubmitJobLimit", "lower `jobs`"),
+        ("error: something new", "Ask the operators of the cluster with these words"),
+    ],
+)
+def test_a_slurm_that_refuses_is_quoted_with_a_cure(command: Command, said: str, cure: str) -> None:
+    command("sbatch", f"echo '{said}' >&2; exit 1")
+    with pytest.raises(InputError) as error:
+        cluster.check_cluster("main")
+    assert said in error.value.found
+    assert cure in error.value.cure
+
+
+@pytest.mark.parametrize(
+    ("answer", "verdict", "code"),
+    [
+        ('cat "{probe}"; date +%s.%N; echo {code}', "sees the folder, its clock is 0.0 s apart", 0),
+        ("echo unseen; date +%s.%N; echo {code}", "expected a file system that all nodes share", 2),
+        ('cat "{probe}"; echo 1000.0; echo {code}', "its clock is .* apart; expected 2 s at most", 2),
+        ('cat "{probe}"; date +%s.%N; echo 0.0.9 abc', r"has thalweg 0\.0\.9 abc, this computer 0\.1", 2),
+        ('cat "{probe}"; date +%s.%N; echo no-python', "Make the environment on a disk that all nodes", 2),
+    ],
+    ids=["well", "no shared folder", "clocks apart", "mixed versions", "no environment"],
+)
+def test_nodes_are_asked(
+    command: Command,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    answer: str,
+    verdict: str,
+    code: int,
+) -> None:
+    own = subprocess.run([sys.executable, "-c", cluster._CODE], capture_output=True, text=True, check=True)
+    command("sbatch", "echo slurm-wlm 22.05.8")
+    command("sinfo", f'case "$*" in *Node*) echo node1;; *) {SINFO};; esac')
+    probe = tmp_path / f".thalweg-probe-{os.getpid()}"
+    command("srun", answer.format(probe=probe, code=own.stdout.strip()))
+    assert main(["cluster", "check", "--folder", str(tmp_path)]) == code
+    said = capsys.readouterr().out
+    assert said.startswith("node1: ")
+    assert re.search(verdict, said), said
+    assert not probe.exists()
+
+
+def test_jobs_without_driver_are_found_and_cancelled(
+    command: Command, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    here = tmp_path / "run"
+    half, others = here / "results/tiny/.part-0a/half.laz", tmp_path / "other"
+    half.parent.mkdir(parents=True)
+    half.write_text("half")
+    rows = "\n".join(
+        f"{n}|RUNNING|uuid|node1|0:12|None|{comment}|{place}"
+        for n, comment, place in (
+            (7, "rule_scan_lidar_wildcards_tiny", here),
+            (8, "rule_scan_lidar_wildcards_tiny", others),
+            (9, "of somebody else", here),
+        )
+    )
+    command("squeue", f"[ -e {tmp_path}/cancelled ] || echo '{rows}'")
+    command("scancel", f"echo $* > {tmp_path}/cancelled")
+    assert main(["cluster", "status", "--folder", str(here)]) == 0
+    said = capsys.readouterr().out
+    assert "driver: none" in said
+    assert "1 jobs wait or run; 1 sets of outputs" in said
+    assert "scan_lidar tiny" in said
+    assert main(["cluster", "clean", "--folder", str(here)]) == 0
+    assert (tmp_path / "cancelled").read_text() == "7\n"
+    assert (
+        "cancelled 7: scan_lidar tiny\n1 jobs cancelled. Now `snakemake --unlock`" in capsys.readouterr().out
+    )
+    assert not half.parent.exists()
+
+
+def test_jobs_of_a_living_driver_are_left_alone(command: Command, tmp_path: Path) -> None:
+    command("squeue", "true")
+    driver = cluster.start_driver(tmp_path)
+    try:
+        with pytest.raises(InputError, match=rf"the driver of these jobs works: process {os.getpid()}"):
+            cluster.cancel(tmp_path)
+        with pytest.raises(InputError, match=r"another driver works in this folder: .*one Snakemake"):
+            cluster.start_driver(tmp_path)
+    finally:
+        driver.give_up()
+    assert cluster.living_driver(tmp_path) is None
+    cluster.start_driver(tmp_path).give_up()
+
+
+def test_the_files_of_a_living_job_stay(command: Command, tmp_path: Path) -> None:
+    """One that runs on this computer without SLURM."""
+    command("squeue", "true")
+    claim = Claim(tmp_path / "results/.part-0b", "several")
+    claim.take()
+    try:
+        cluster.cancel(tmp_path)
+        assert claim.file.exists()
+    finally:
+        claim.give_up()
+
+
+def test_a_claim_is_renewed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("thalweg.workflow.claim.RENEWED_EVERY_S", 0.02)
+    claim = Claim(tmp_path / ".part-0c", "several")
+    claim.take()
+    os.utime(claim.file, (0, 0))
+    renewed = threading.Event()
+    for _ in range(100):
+        if claim.file.stat().st_mtime > 1e9:
+            renewed.set()
+            break
+        threading.Event().wait(0.02)
+    claim.give_up()
+    assert renewed.is_set()
+    assert claim.file.name.split("-")[:3] == claim_name(os.getpid()).split("-")[:3]
+
+
+def test_both_profiles_ask_for_the_same(repository: Path) -> None:
+    """All but how the end of a job is learnt, and how many may be sent."""
+    read = [
+        yaml.safe_load((repository / "profiles" / name / "profile.yaml").read_text())
+        for name in ("slurm", "slurm-accounting")
+    ]
+    own = {"jobs", "slurm-status-command", "slurm-init-seconds-before-status-checks"}
+    same = [{k: v for k, v in each.items() if k not in own and "efficiency" not in k} for each in read]
+    assert same[0] == same[1]
+    assert [each["slurm-status-command"] for each in read] == ["squeue", "sacct"]
