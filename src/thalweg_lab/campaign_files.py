@@ -118,7 +118,7 @@ def sheet_basin(files: CampaignFiles) -> dict[str, Any]:
 
 # ---------------------------------------------------------------- ledger of published numbers
 
-LEDGER: Final = "resources/published/ledger.yaml"
+LEDGER: Final = "resources/published/light_sheet.yaml"
 STORED: Final = (
     "resources/light_sheet/paper_3.yaml",
     "resources/light_sheet/paper_4.yaml",

@@ -61,7 +61,7 @@ PRINTED = re.compile(
 
 @pytest.fixture(scope="module")
 def ledger(repository: Path) -> tuple[Entry, ...]:
-    return read_ledger(repository / "resources/published/ledger.yaml")
+    return read_ledger(repository / "resources/published/light_sheet.yaml")
 
 
 @pytest.fixture(scope="module")
