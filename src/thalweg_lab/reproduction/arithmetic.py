@@ -1,7 +1,7 @@
-"""Numbers of T, P1 and P2 that need no campaign: identities of equations, arithmetic of printed numbers, misprints.
+"""Numbers of T, P1 and P2 that need no campaign: identities, arithmetic of printed numbers, misprints.
 
-Functions as in `thalweg_lab.reproduction.ledger`: each takes the published numbers by the names of their entries,
-so that nothing printed is typed in here, and the arguments of its entry (``with:``).
+Functions as in `thalweg_lab.reproduction.ledger`: each takes the published numbers by the names of their
+entries, so that nothing printed is typed in here, and the arguments of its entry (``with:``).
 """
 
 import math
@@ -42,15 +42,17 @@ def _cells(published: Published, rows: list[str], distance_m: float) -> ArrayF:
 
 
 def transform_identity(published: Published) -> Found:
-    """Largest difference of `Rigid.apply` from ``T + R x`` and of its inverse from ``R (x - X0)``, m (P1 eq. 1, 4,
-    7, 8)."""
+    """Largest difference of `Rigid.apply` from ``T + R x`` and of its inverse from ``R (x - X0)``, m.
+
+    P1 eq. 1, 4, 7, 8.
+    """
     T, shift, x = Rigid(R=_TURN, shift_m=np.array([0.3, -1.2, 0.8])), np.array([0.3, -1.2, 0.8]), _points()
     off = [T.apply(x) - (x @ _TURN.T + shift), T.inverse().apply(x) - (x - shift) @ _TURN]
     return Found(value=float(np.abs(off).max()), n=float(_N))
 
 
 def chain_identity(published: Published) -> Found:
-    """Largest difference of two transforms in a row from the product of their 4 x 4 matrices, m (P2 eq. 3, T 3.1.1)."""
+    """Largest difference of two transforms in a row from the product of their matrices, m (P2 eq. 3)."""
     first = Rigid(R=_TURN, shift_m=np.array([0.3, -1.2, 0.8]))
     second = Rigid(R=rotation_opk(-1.1, 0.2, 0.5), shift_m=np.array([5.0, 2.0, -1.0]))
     M = [np.block([[T.R, T.shift_m[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]]) for T in (second, first)]
@@ -65,8 +67,10 @@ def _fisheye() -> Camera:
 
 
 def fisheye_identity(published: Published) -> Found:
-    """Largest difference of the fisheye camera from P1 eq. 2-3, px; points up to 95 degrees off the axis, and one
-    on it, where the equations have the limit ``x'_0``."""
+    """Largest difference of the fisheye camera from P1 eq. 2-3, px.
+
+    Points up to 95 degrees off the axis, and one on it, where the equations have the limit ``x'_0``.
+    """
     rng = np.random.default_rng(_SEED)
     alpha, around = rng.uniform(0.0, np.deg2rad(95.0), _N), rng.uniform(0.0, 2 * np.pi, _N)
     alpha[0] = 0.0
@@ -98,8 +102,10 @@ def _on_cone(cone: Cone) -> ArrayF:
 
 
 def cone_condition(published: Published) -> Found:
-    """Largest ``|x^2 + y^2 - z^2 tan^2(beta)|`` in the cone's own frame of points from which `Cone.see` finds no
-    distance, m^2 (P1 eq. 5, P2 eq. 1-2): without its right side ``= 0`` P1 eq. 5 says nothing."""
+    """Largest ``|x^2 + y^2 - z^2 tan^2(beta)|``, m^2, of points at which `Cone.see` finds no distance.
+
+    In the cone's own frame (P1 eq. 5, P2 eq. 1-2): without its right side ``= 0`` P1 eq. 5 says nothing.
+    """
     cone = _cone()
     p = _on_cone(cone)
     p -= cone.see(p).distance_m[:, None] * cone.see(p).normal
@@ -110,8 +116,10 @@ def cone_condition(published: Published) -> Found:
 
 
 def cone_apex_as_printed(published: Published) -> Found:
-    """Where P1 eq. 6 as printed, ``X_ap + R X``, puts the apex of a cone in its own frame: its distance from the
-    origin, m. ``R (X - X_ap)``, P2 eq. 1, puts it there exactly."""
+    """Distance of a cone's apex from the origin of its own frame by P1 eq. 6 as printed, ``X_ap + R X``, m.
+
+    ``R (X - X_ap)``, P2 eq. 1, puts it there exactly.
+    """
     cone = _cone()
     R = np.stack([*cone.tangents, cone.axis])
     return Found(value=float(np.linalg.norm(cone.apex_m + R @ cone.apex_m)))
@@ -128,7 +136,7 @@ def classes_off(published: Published) -> Found:
     """Ranges whose class is not the D of ``D - 0.5 < d <= D + 0.5`` (P2 eq. 10), borders among them."""
     d = np.concatenate([np.arange(1.0, 100.0) + 0.5, np.random.default_rng(_SEED).uniform(0.6, 99.0, _N)])
     D = range_class(d)
-    return Found(value=float((~((D - 0.5 < d) & (d <= D + 0.5))).sum()), n=float(len(d)))
+    return Found(value=float((~((d > D - 0.5) & (d <= D + 0.5))).sum()), n=float(len(d)))
 
 
 def cone_unknowns(published: Published, *, cones: int, of_each: int = 0) -> Found:
@@ -215,15 +223,16 @@ def light_path(published: Published, *, of: str) -> Found:
 
 
 def lidar_constant(published: Published, *, what: str) -> Found:
-    """A constant that the reader decodes with: ``lasers``, or the ``vertical view`` from the lowest to the highest,
-    degrees."""
+    """A constant that the reader decodes with: ``lasers``, or the ``vertical view`` of all, degrees."""
     view_deg = float(np.ptp(VLP16.elevation_deg))
     return Found(value={"lasers": float(VLP16.lasers), "vertical view": view_deg}[what])
 
 
 def budget_lever(published: Published, *, name: str) -> Found:
     """Length of the inner lever arm of a stored budget, cm."""
-    return Found(value=100.0 * float(np.linalg.norm(read_budget(BUDGETS / f"{name}.yaml").frames[-1].lever_m)))
+    return Found(
+        value=100.0 * float(np.linalg.norm(read_budget(BUDGETS / f"{name}.yaml").frames[-1].lever_m))
+    )
 
 
 def budget_ratio(published: Published, *, name: str, of: str, over: str, distance_m: float) -> Found:
@@ -244,7 +253,7 @@ def images_of(published: Published, *, minutes: str, interval: str) -> Found:
 
 
 def pixel_by_lens(published: Published, *, pixel: str, lens: str, path_mm: float) -> Found:
-    """Pixel in object space of a lens over a path, mm: the printed pixel in um times path over focal length."""
+    """Pixel in object space of a lens over a path, mm: the pixel in um times path over focal length."""
     return Found(value=1e-3 * float(published[pixel]) * path_mm / float(published[lens]))
 
 

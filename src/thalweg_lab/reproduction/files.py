@@ -18,17 +18,7 @@ import pandas as pd
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from thalweg.core import (
-    ConfigError,
-    Part,
-    Text,
-    checked,
-    one_of,
-    read_mapping,
-    read_yaml,
-    refuse,
-    wrong,
-)
+from thalweg.core import ConfigError, Part, Text, checked, one_of, read_mapping, read_yaml, refuse, wrong
 
 KINDS: Final = ("input constant", "exact", "statistic on the twin", "procedure only", "figure")
 CLASSES: Final = dict(zip(KINDS, "IABCD", strict=True))
@@ -45,16 +35,27 @@ RULES: Final = (
     "waived",
     "open",
 )
-"""``misprint``: our number is the one that was ``decided`` on, and not the printed one. ``waived``: nothing that
-software could show, such as a photograph of hardware. ``open``: an idea for future work that is not done."""
+"""``misprint``: our number is the one that was ``decided`` on, and not the printed one. ``waived``: nothing
+that software could show, such as a photograph of hardware. ``open``: an idea for future work, not done."""
 BASES: Final = ("printed digits", "sampling error", "goal", "identity")
 """Where a tolerance comes from: half a unit of the last digit; that and three sigmas of our own number; a
 bound that the project sets itself (with half a unit); or the arithmetic of float64, stated as ``tolerance``.
 Printed digits state a ``tolerance`` where several printed numbers make one, with the reason in ``why``."""
 
-TAKES: Final = ("one", "mean", "median", "rms", "sum", "count", "least", "largest", "largest size", "correlation")
+TAKES: Final = (
+    "one",
+    "mean",
+    "median",
+    "rms",
+    "sum",
+    "count",
+    "least",
+    "largest",
+    "largest size",
+    "correlation",
+)
 NAMES: Final = ("rule", "function", "figure")
-"""Sources that name parts of the project: rules of the workflow, ``module:function``, rows of workflow/figures.yaml."""
+"""Sources that name parts of the project: its rules, ``module:function``, rows of workflow/figures.yaml."""
 SOURCES: Final = ("file", "study", "setting", "computed", *NAMES, "none")
 
 PUT_IN: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
@@ -105,8 +106,8 @@ ALWAYS_PUT_IN: Final = {
     "depth_lines_seen": "fitted",
     "survey_rmse": "fitted",
 }
-"""Functions of `ledger` and `arithmetic` whose numbers are put in, whatever the entry says; a misprint that they
-show is a finding."""
+"""Functions of `ledger` and `arithmetic` whose numbers are put in, whatever the entry says; a misprint that
+they show is a finding."""
 
 FITTED: Final = (("triangulation/budget_published.csv", "computed_mm"), ("chain_study_goals.csv", "found_m"))
 """Files and columns that rest on geometry or inputs which were fitted to published figures: the prototype of

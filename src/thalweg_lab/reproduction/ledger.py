@@ -147,16 +147,16 @@ class Results:
     files: Mapping[str, Path]
     studies: Mapping[str, Path]
     settings: Mapping[str, Any] | None
-    _read: dict[Path, Any]
     records: Mapping[str, tuple[Any, Path]] = field(default_factory=dict)
     parts: Mapping[str, Callable[[str], bool]] = field(default_factory=dict)
+    _read: dict[Path, Any] = field(default_factory=dict)
 
     @classmethod
     def of(
         cls, files: Mapping[str, Path], studies: Mapping[str, Path], settings: Mapping[str, Any] | None
     ) -> "Results":
         """Nothing is read yet."""
-        return cls(files, studies, settings, {})
+        return cls(files=files, studies=studies, settings=settings)
 
     def find(self, ours: Ours) -> Found:
         """The number of a pointer to a file, a study or a setting.
@@ -221,12 +221,11 @@ class Results:
 
 
 def judged(
-    entries: Sequence[Entry],
-    results: Results,
-    functions: Mapping[str, Callable[..., Found]] | None = None,
+    entries: Sequence[Entry], results: Results, functions: Mapping[str, Callable[..., Found]] | None = None
 ) -> pd.DataFrame:
-    """A row for each entry, see `COLUMNS`; ``functions`` are what entries may name as ``computed``, `FUNCTIONS`
-    if not given.
+    """A row for each entry, see `COLUMNS`.
+
+    ``functions`` are what entries may name as ``computed``; `FUNCTIONS` if not given.
 
     ``missed_by`` is signed: above zero where our number is too large. ``of_bound`` is our number over the
     printed one, for the rules ``at most`` and ``at least``. ``reason`` says why the rule is what it is, why a
@@ -244,9 +243,7 @@ def judged(
     ]
     if unknown:
         raise InputError(
-            f"no such functions: {', '.join(unknown)}",
-            where="ledger",
-            expected=f"one of {', '.join(known)}",
+            f"no such functions: {', '.join(unknown)}", where="ledger", expected=f"one of {', '.join(known)}"
         )
     published = {e.name: e.value for e in entries if e.value is not None}
     rows = [

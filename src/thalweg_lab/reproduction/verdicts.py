@@ -1,15 +1,14 @@
 """The whole ledger: every published item with one of six verdicts.
 
 `thalweg_lab.reproduction.ledger` says how near our number is and what that is worth; here the numbers of all
-files of ``resources/published`` come together, an item a row, in the words
+files of ``resources/published`` come together, an item a row, in six words:
 
-matched         our number meets its rule, a rule or picture of the project is there, or a misprint is confirmed
-not matched     it does not, or the part is not there
-not reproducible
-                the original is not published, contradicts itself, or its result is not there
-input           what was put in, or met by an input that was chosen for it: it confirms nothing
-waived          nothing that software could show
-open            an idea for future work that is not done
+- *matched*: our number meets its rule, a part of the project is there, or a misprint is confirmed;
+- *not matched*: it does not, or the part is not there;
+- *not reproducible*: the original is not published, contradicts itself, or its result is not there;
+- *input*: what was put in, or met by an input that was chosen for it: it confirms nothing;
+- *waived*: nothing that software could show;
+- *open*: an idea for future work that is not done.
 """
 
 import importlib
@@ -151,7 +150,9 @@ def page_of(where: str, pages: Mapping[str, int]) -> int:
             return pages[words]
         cut = max(words.rfind(" "), words.rfind("."))
         words = words[:cut].rstrip() if cut > 0 else ""
-    raise ConfigError(f"no page of {where!r}", where="pages.yaml", expected="a section, figure or table of it")
+    raise ConfigError(
+        f"no page of {where!r}", where="pages.yaml", expected="a section, figure or table of it"
+    )
 
 
 def read_pages(path: Path) -> dict[str, int]:
@@ -231,8 +232,4 @@ def is_function(name: str) -> bool:
 def parts_of(rules: Iterable[str], figures: Iterable[str]) -> dict[str, Callable[[str], bool]]:
     """Whether rules, functions and figures exist, by `thalweg_lab.reproduction.files.NAMES`."""
     known_rules, known_figures = frozenset(rules), frozenset(figures)
-    return {
-        "rule": known_rules.__contains__,
-        "figure": known_figures.__contains__,
-        "function": is_function,
-    }
+    return {"rule": known_rules.__contains__, "figure": known_figures.__contains__, "function": is_function}
