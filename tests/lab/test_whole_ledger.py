@@ -213,7 +213,7 @@ def test_names_of_campaigns_are_put_before_paths_once(repository: Path, entries)
         if entry.name in alone and entry.ours.source == "file":
             assert entry.ours.name == f"basin/{alone[entry.name].name}"
     assert {e.ours.name.split("/")[0] for e in entries if e.ours.source == "file"} <= {
-        *("basin", "full", "field", "reach")
+        *("basin", "full", "field", "sajo_change")
     }
 
 

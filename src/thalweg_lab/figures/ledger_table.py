@@ -99,7 +99,7 @@ def write_ledger(ledger: pd.DataFrame, path: Path) -> None:
     page.write(path)
 
 
-_READ: Final = ("items", "part", "source", "quantity", "published", "found", "reason", "file")
+_READ: Final = ("items", "source", "quantity", "published", "found", "reason and file")
 
 
 def _joined(ledger: pd.DataFrame) -> pd.DataFrame:
@@ -108,6 +108,7 @@ def _joined(ledger: pd.DataFrame) -> pd.DataFrame:
     table = table.assign(found=[found_words(row) for row in table.to_dict("records")])
     same = ["part", "source", "quantity", "published", "found", "reason", "file", "verdict", "class"]
     joined = table.groupby(same, sort=False, as_index=False)["id"].agg(" ".join)
+    joined["reason and file"] = joined["reason"] + " [" + joined["file"] + "]"
     kinds = {"E": "misprints", "FW": "future work"}
     first = joined["id"].str.extract(r"^(FW|E)")[0].map(kinds)
     return joined.rename(columns={"id": "items"}).assign(

@@ -214,7 +214,7 @@ class Results:
         absent = [name for name in names if not is_there(name)]
         if absent:
             return Found(absent=f"no {ours.source} {' and '.join(absent)}")
-        return Found(value=float(len(names)), file=f"{ours.source} {ours.name}")
+        return Found(value="there", file=f"{ours.source} {ours.name}")
 
 
 # ---------------------------------------------------------------- ledger

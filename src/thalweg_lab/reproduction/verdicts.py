@@ -129,7 +129,7 @@ def _ledger_row(item: str, entry: Entry, row: Mapping[Any, Any], pages: Mapping[
         "sigma": row["sigma"],
         "tolerance": row["tolerance"],
         "verdict": verdict,
-        "reason": "; ".join(text.rstrip(".") for text in told if text),
+        "reason": "; ".join(dict.fromkeys(text.rstrip(".") for text in told if text)),
         "file": row["file"] or row["source"],
         "class": CLASSES[entry.kind],
     }
