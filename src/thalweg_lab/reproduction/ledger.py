@@ -189,14 +189,15 @@ class Results:
 
     def _in_file(self, ours: Ours, name: str) -> Found:
         path = (self.files if ours.source == "file" else self.studies).get(name)
-        if path is not None and path.is_file():
+        here = path is not None and path.is_file()
+        if path is not None and here:
             if path not in self._read:
                 self._read[path] = _content(path)
             content = self._read[path]
         elif name in self.records:
             content, path = self.records[name]
         else:
-            return Found(absent=_how_to_get(ours.source, name))
+            return Found(absent=f"{name}{self._how_to_get(ours.source, name)}")
         try:
             if ours.axis:
                 found = Found(value=float(np.sort(np.ptp(content, axis=0))[-ours.axis]) * ours.times)
@@ -205,8 +206,17 @@ class Results:
             else:
                 found = _of_tree(content, ours)
         except _AbsentError as absent:
-            return Found(absent=f"{name}: {absent}")
+            if here:
+                return Found(absent=f"{name}: {absent}")
+            return Found(absent=f"{path}: {absent}; {name}{self._how_to_get(ours.source, name)}")
         return replace(found, file=path.as_posix())
+
+    def _how_to_get(self, source: str, name: str) -> str:
+        if source == "study":
+            return f" is not there; snakemake results/reproduction/{name}"
+        if not self.parts:
+            return " is not among the results of this campaign"
+        return f" is not among the results; snakemake --config campaign={name.split('/')[0]}"
 
     def _parts(self, ours: Ours) -> Found:
         names = ours.name.split(", ")
@@ -916,13 +926,6 @@ FUNCTIONS: Final[dict[str, Callable[..., Found]]] = {
 
 class _AbsentError(Exception):
     """A row, column or key is not in the file."""
-
-
-def _how_to_get(source: str, name: str) -> str:
-    if source == "study":
-        target = f"results/reproduction/{name}"
-        return f"{target} is not there; snakemake {target}"
-    return f"{name} is not among the results of this campaign"
 
 
 def _content(path: Path) -> Any:
