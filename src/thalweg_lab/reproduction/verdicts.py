@@ -24,6 +24,8 @@ from thalweg.core import ConfigError
 from thalweg_lab.reproduction.arithmetic import ARITHMETIC
 from thalweg_lab.reproduction.files import CLASSES, NAMES, PUT_IN, Entry
 from thalweg_lab.reproduction.ledger import (
+    ABOVE,
+    BELOW,
     FUNCTIONS,
     MISSED,
     NO_RESULT,
@@ -111,7 +113,7 @@ def verdict_in_six(row: Mapping[Any, Any], entry: Entry) -> str:
 def _ledger_row(item: str, entry: Entry, row: Mapping[Any, Any], pages: Mapping[str, int]) -> dict[str, Any]:
     verdict = verdict_in_six(row, entry)
     told = []
-    if verdict == NOT_MATCHED and row["verdict"] == MISSED:
+    if row["verdict"] in (MISSED, BELOW, ABOVE):
         told.append(verdict_words(row))
     if verdict in (INPUT, MATCHED) and entry.put_in:
         told.append(PUT_IN[entry.put_in][0])
