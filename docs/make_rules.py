@@ -28,7 +28,9 @@ ROOMS = {
     "reproduction": "Published tables",
     "studies": "Studies over many surveys of the twin",
 }
-_RULE = re.compile(r'^(?:# (.+)\n)?(?:rule|use rule \w+ as) (\w+)[^\n]*:\n(?:    """(.*?)""")?', re.M | re.S)
+_RULE = re.compile(
+    r'^(?:# ([^\n]+)\n)?(?:rule|use rule \w+ as) (\w+)[^\n]*:\n(?:    """(.*?)""")?', re.M | re.S
+)
 
 
 def rules_of(path: Path) -> Iterator[tuple[str, str]]:

@@ -12,7 +12,7 @@ from typing import Any, Final
 from thalweg.settings import Campaign
 from thalweg.settings.sections import scan_stream
 from thalweg.workflow import CampaignFiles
-from thalweg_lab.reproduction import read_ledger, result_files
+from thalweg_lab.reproduction import read_ledger, read_ledgers, result_files
 
 _RIVER: Final = {
     "lidar": ("lidar.pcap",),
@@ -118,7 +118,8 @@ def sheet_basin(files: CampaignFiles) -> dict[str, Any]:
 
 # ---------------------------------------------------------------- ledger of published numbers
 
-LEDGER: Final = "resources/published/ledger.yaml"
+PUBLISHED: Final = "resources/published"
+LEDGER: Final = f"{PUBLISHED}/light_sheet.yaml"
 STORED: Final = (
     "resources/light_sheet/paper_3.yaml",
     "resources/light_sheet/paper_4.yaml",
@@ -168,6 +169,29 @@ def ledger_studies(root: Path) -> dict[str, str]:
     """
     names = [Path("results/reproduction") / file for file in _ledger_files(root, "study")]
     return {p.as_posix(): hashlib.sha256(p.read_bytes()).hexdigest()[:12] for p in names if p.is_file()}
+
+
+@cache
+def _whole_ledger(root: Path) -> Sequence[Any]:
+    return read_ledgers(root / PUBLISHED)
+
+
+def whole_ledger_results(root: Path) -> dict[str, str]:
+    """What entries of all campaigns and studies point to, as far as it was made, and what is in it.
+
+    They are no inputs, as those of `ledger_studies`.
+    """
+    entries = tuple(_whole_ledger(root))
+    names = [Path("results") / name for name in result_files(entries)]
+    names += [Path("results/reproduction") / name for name in result_files(entries, "study")]
+    return {p.as_posix(): hashlib.sha256(p.read_bytes()).hexdigest()[:12] for p in names if p.is_file()}
+
+
+def whole_ledger_campaigns(root: Path) -> list[str]:
+    """Files of the campaigns whose settings entries point to."""
+    settings = (e.ours.name for e in _whole_ledger(root) if e.ours.source == "setting")
+    names = dict.fromkeys(name.split(".")[0] for name in settings)
+    return [f"{root}/config/campaigns/{name}.yaml" for name in names]
 
 
 def ledger_outputs(files: CampaignFiles) -> list[str]:

@@ -14,7 +14,7 @@ from thalweg_lab.reproduction import Results, judged, read_ledger, sentence
 def table(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
     """As a page reads it: from the file."""
     path = tmp_path_factory.mktemp("ledger") / "ledger.csv"
-    entries = read_ledger(repository / "resources/published/ledger.yaml")
+    entries = read_ledger(repository / "resources/published/light_sheet.yaml")
     judged(entries, Results.of({}, {}, None)).to_csv(path, index=False, float_format="%.6g")
     return pd.read_csv(path)
 

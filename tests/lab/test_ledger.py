@@ -41,6 +41,7 @@ from thalweg_lab.reproduction.ledger import (
     verdict_of,
     verdict_words,
 )
+from thalweg_lab.reproduction.verdicts import COMPUTED
 
 ROWS = (
     *("C043", "C061", "C102", "C129", "C130"),
@@ -61,7 +62,7 @@ PRINTED = re.compile(
 
 @pytest.fixture(scope="module")
 def ledger(repository: Path) -> tuple[Entry, ...]:
-    return read_ledger(repository / "resources/published/ledger.yaml")
+    return read_ledger(repository / "resources/published/light_sheet.yaml")
 
 
 @pytest.fixture(scope="module")
@@ -416,6 +417,7 @@ TAKEN = pd.DataFrame(
         ({"take": "one", "where": {"b": 1.0}}, 3.0),
         ({"columns": ("word",), "near": {"a": (0.0, 9.0)}, "words": {"one": 1.0, "two": 2.0}}, 1.0),
         ({"take": "largest", "against": "t.csv"}, 1.0),
+        ({"take": "largest", "against_where": {"b": 2.0}}, -0.75),
     ],
 )
 def test_several_numbers_become_one(tmp_path: Path, more: dict, value: float) -> None:
@@ -423,6 +425,16 @@ def test_several_numbers_become_one(tmp_path: Path, more: dict, value: float) ->
     ours = replace(Ours(source="file", name="t.csv", where={}, near={}, columns=("a",)), **more)
     found = Results.of({"t.csv": tmp_path / "t.csv"}, {}, None).find(ours)
     assert found.value == pytest.approx(value), found
+
+
+def test_a_correlation_of_two_columns(tmp_path: Path) -> None:
+    table = pd.DataFrame({"a": [1.0, 2.0, 4.0, np.nan], "b": [3.0, 1.0, 0.0, 7.0]})
+    table.to_csv(tmp_path / "t.csv", index=False)
+    results = Results.of({"t.csv": tmp_path / "t.csv"}, {}, None)
+    ours = Ours(source="file", name="t.csv", where={}, near={}, columns=("a", "b"), take="correlation")
+    # rows without one of both do not count
+    assert results.find(ours).value == pytest.approx(np.corrcoef([1, 2, 4], [3, 1, 0])[0, 1])
+    assert "2 rows of 2 columns" in results.find(replace(ours, near={"a": (1.5, 0.6)})).absent
 
 
 def test_sigmas(tmp_path: Path) -> None:
@@ -511,7 +523,7 @@ def test_an_unknown_function_is_an_error(small) -> None:
 
 def test_functions_are_used_and_files_are_relative(ledger) -> None:
     assert {e.ours.name for e in ledger if e.ours.source == "computed"} == set(FUNCTIONS)
-    assert set(ALWAYS_PUT_IN) < set(FUNCTIONS)
+    assert set(ALWAYS_PUT_IN) < set(COMPUTED)
     assert set(ALWAYS_PUT_IN.values()) < set(PUT_IN)
     for name in result_files(ledger) + result_files(ledger, "study"):
         assert not Path(name).is_absolute()

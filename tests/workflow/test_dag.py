@@ -167,6 +167,18 @@ def test_every_rule_has_its_script_log_and_code_version(repository) -> None:
     assert used == scripts
 
 
+def test_published_numbers_need_no_survey(empty_house) -> None:
+    """What was made counts, and nothing is made for the ledger's sake but the tables of budgets."""
+    found = {job.rule: job for job in jobs(empty_house, "tiny", "reproduce")}
+    assert set(found) == {"budget_tables", "ledger", "plot_error_budget", "reproduce"}
+    read = " ".join(found["ledger"].inputs)
+    for name in ("light_sheet", "boat_and_bank", "tables", "figures", "findings", "misprints", "future"):
+        assert f"resources/published/{name}.yaml" in read
+    # settings that entries point to
+    assert "config/campaigns/full.yaml" in read
+    assert "results/reproduction/budgets/p2_table1.csv" in read
+
+
 def test_a_wrong_campaign_stops_before_the_first_job(empty_house) -> None:
     campaign = empty_house.root / "config/campaigns/wrong.yaml"
     campaign.write_text(

@@ -49,6 +49,45 @@ rule budget_tables:
         "../scripts/budget_tables.py"
 
 
+rule ledger:
+    """Every published number, misprint and idea for future work with a verdict: matched or not, input, not reproducible, waived, open."""
+    input:
+        published=sorted((ROOT / laboratory.PUBLISHED).glob("*.yaml")),
+        cells=expand(PUBLISHED_FILE, name=BUDGETS),
+        pages=ROOT / "resources" / "thesis_pages.yaml",
+        stored=[ROOT / name for name in laboratory.STORED],
+        tables=rules.budget_tables.output.tables,
+        records=sorted((ROOT / "docs" / "validation").glob("*.csv")),
+        recorded=sorted((ROOT / "config" / "studies").glob("*.yaml")),
+        campaigns=lambda wildcards: laboratory.whole_ledger_campaigns(ROOT),
+    output:
+        ledger="results/reproduction/ledger.csv",
+        verdicts="results/reproduction/ledger_verdicts.csv",
+        page=report(
+            "results/reproduction/ledger.html",
+            caption="../report/ledger.rst",
+            category="Published numbers",
+        ),
+    log:
+        "logs/reproduction/ledger.log",
+    benchmark:
+        "benchmarks/reproduction/ledger.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(10),
+    params:
+        code=code_version("ledger"),
+        root=str(ROOT),
+        results=lambda wildcards: laboratory.whole_ledger_results(ROOT),
+        rules=lambda wildcards: sorted(rule.name for rule in workflow.rules),
+        figures=sorted(row.name for row in FIGURES.rows),
+    script:
+        "../scripts/ledger.py"
+
+
 rule multi_line_scans:
     """Fifteen lines on grid, plane and wreck, and two scans of a wreck, measured and labelled (T 4.2.1)."""
     output:

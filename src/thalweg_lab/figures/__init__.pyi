@@ -1,1 +1,1 @@
-from .ledger_table import ledger_section as ledger_section
+from .ledger_table import ledger_section as ledger_section, write_ledger as write_ledger

@@ -9,7 +9,18 @@ import pandas as pd
 from thalweg.core import read_parquet
 from thalweg.figures import Page
 from thalweg.lightsheet.figures import light_sheet_page, read_scans
-from thalweg_lab.reproduction import MISSED, NO_RESULT, VERDICTS_NOTE, counts, readable, sentence
+from thalweg_lab.reproduction import (
+    MISSED,
+    NO_RESULT,
+    NOT_MATCHED,
+    SIX,
+    VERDICTS_NOTE,
+    counts,
+    found_words,
+    ledger_counts,
+    readable,
+    sentence,
+)
 
 LEDGER_NOTE: Final = (
     "Numbers that P3, P4 and T 4.2 print, beside those that this project measures on the digital twin or "
@@ -44,6 +55,65 @@ def ledger_section(page: Page, ledger: pd.DataFrame | None) -> Page:
             absent[["rows", "where", "quantity", "printed", "reason"]], "Without a result yet (ledger.csv)"
         )
     return page
+
+
+SIX_NOTE: Final = (
+    "Matched: our number meets its rule, a rule or picture of the project is there, or a computation "
+    "confirms a misprint. Not matched: it does not. Input: what was put into the twin or a stored "
+    "instrument, or is met by an input that was chosen for it; it confirms nothing. Not reproducible: the "
+    "original is not published, contradicts itself, or its result is not there yet. Waived: nothing that "
+    "software could show. Open: an idea for future work that is not done. A tolerance is half a unit of the "
+    "last printed digit, with three sigmas of our own number where the reason says so. Classes: A exact, B "
+    "statistic on the digital twin, C procedure only, D figure, I input."
+)
+
+
+def write_ledger(ledger: pd.DataFrame, path: Path) -> None:
+    """Page of the whole ledger: misses first, then the counts, then all other items by verdict and source.
+
+    Parameters
+    ----------
+    ledger : `thalweg_lab.reproduction.whole_ledger`.
+    path : target.
+    """
+    entries = _joined(ledger)
+    missed = entries[entries["verdict"] == NOT_MATCHED]
+    page = Page(
+        "Published numbers and what became of them",
+        f"{len(missed)} of {len(entries)} entries are not matched. Numbers of the digital twin speak of the "
+        "software, not of a boat.",
+    )
+    page.section("Not matched")
+    if len(missed):
+        page.table(missed[list(_READ)], "Every printed number that was missed, and by how much (ledger.csv)")
+    else:
+        page.text("None.")
+    page.section("Counts").text(SIX_NOTE)
+    page.table(ledger_counts(entries), "Entries by class and verdict; ledger.csv has a row for each item")
+    for verdict in SIX[1:]:
+        part = entries[entries["verdict"] == verdict]
+        for source in dict.fromkeys(part["chapter"]):
+            rows = part[part["chapter"] == source]
+            name = f"{verdict.capitalize()}: {source}"
+            page.section(name).table(rows[list(_READ)], f"{name} (ledger.csv)")
+    page.write(path)
+
+
+_READ: Final = ("items", "source", "quantity", "published", "found", "reason and file")
+
+
+def _joined(ledger: pd.DataFrame) -> pd.DataFrame:
+    """An entry a row, its items together; ``chapter`` is the source, or the list of misprints or ideas."""
+    table = ledger.fillna({"part": "", "unit": "", "reason": "", "file": ""})
+    table = table.assign(found=[found_words(row) for row in table.to_dict("records")])
+    same = ["part", "source", "quantity", "published", "found", "reason", "file", "verdict", "class"]
+    joined = table.groupby(same, sort=False, as_index=False)["id"].agg(" ".join)
+    joined["reason and file"] = joined["reason"] + " [" + joined["file"] + "]"
+    kinds = {"E": "misprints", "FW": "future work"}
+    first = joined["id"].str.extract(r"^(FW|E)")[0].map(kinds)
+    return joined.rename(columns={"id": "items"}).assign(
+        chapter=first.fillna(joined["source"].str.split().str[0])
+    )
 
 
 def write_light_sheet_page(

@@ -1,30 +1,62 @@
 """The ledger of published numbers: what is printed where, how it is judged, and where our number comes from.
 
-``resources/published/ledger.yaml`` is written by hand. A printed number is an *entry*: the rows of the
+``resources/published/*.yaml`` is written by hand. A printed number is an *entry*: the rows of the
 project's list of published items that it belongs to, its place, its text, value and unit, half a unit of its
 last digit, the rule of its verdict with a reason, and a pointer to the number that this pipeline measures.
+
+Rows are published items (C001 to C328), misprints (E01 to E30) and ideas for future work (FW01 to FW39).
+A file with a ``campaign`` points to results of that campaign; in all others a path begins with the campaign.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
+import pandas as pd
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from thalweg.core import Part, Text, checked, one_of, read_yaml, refuse, wrong
+from thalweg.core import ConfigError, Part, Text, checked, one_of, read_mapping, read_yaml, refuse, wrong
 
-KINDS: Final = ("input constant", "exact", "statistic on the twin", "procedure only")
-RULES: Final = ("equal", "at most", "at least", "inside", "same word", "present", "not checkable")
+KINDS: Final = ("input constant", "exact", "statistic on the twin", "procedure only", "figure")
+CLASSES: Final = dict(zip(KINDS, "IABCD", strict=True))
+"""Class of a number by its kind: input, exact, statistic on the twin, procedure only, figure."""
+RULES: Final = (
+    "equal",
+    "at most",
+    "at least",
+    "inside",
+    "same word",
+    "present",
+    "not checkable",
+    "misprint",
+    "waived",
+    "open",
+)
+"""``misprint``: our number is the one that was ``decided`` on, and not the printed one. ``waived``: nothing
+that software could show, such as a photograph of hardware. ``open``: an idea for future work, not done."""
 BASES: Final = ("printed digits", "sampling error", "goal", "identity")
 """Where a tolerance comes from: half a unit of the last digit; that and three sigmas of our own number; a
 bound that the project sets itself (with half a unit); or the arithmetic of float64, stated as ``tolerance``.
 Printed digits state a ``tolerance`` where several printed numbers make one, with the reason in ``why``."""
 
-TAKES: Final = ("one", "mean", "median", "rms", "sum", "count", "least", "largest", "largest size")
-SOURCES: Final = ("file", "study", "setting", "computed", "none")
+TAKES: Final = (
+    "one",
+    "mean",
+    "median",
+    "rms",
+    "sum",
+    "count",
+    "least",
+    "largest",
+    "largest size",
+    "correlation",
+)
+NAMES: Final = ("rule", "function", "figure")
+"""Sources that name parts of the project: its rules, ``module:function``, rows of workflow/figures.yaml."""
+SOURCES: Final = ("file", "study", "setting", "computed", *NAMES, "none")
 
 PUT_IN: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     "setting": ("an input of the twin or of the computation", ("input constant", "statistic on the twin")),
@@ -40,6 +72,25 @@ have given it otherwise, or geometry or inputs were fitted to it or to its neigh
 ALWAYS_PUT_IN: Final = {
     "times": "arithmetic",
     "percent": "arithmetic",
+    "component": "arithmetic",
+    "footprint": "arithmetic",
+    "normal_share": "arithmetic",
+    "root_of_squares": "arithmetic",
+    "root_of_named": "arithmetic",
+    "largest_of": "arithmetic",
+    "distances_led_by": "arithmetic",
+    "distances_below": "arithmetic",
+    "implied_turn_rate": "arithmetic",
+    "effect_of_time": "arithmetic",
+    "mrad": "arithmetic",
+    "images_of": "arithmetic",
+    "pixel_by_lens": "arithmetic",
+    "cone_unknowns": "definition",
+    "cone_parameters": "definition",
+    "depth_by": "fitted",
+    "budget_lever": "fitted",
+    "budget_ratio": "fitted",
+    "lidar_constant": "constant",
     "difference": "arithmetic",
     "ratio": "arithmetic",
     "opening_of_all_lines": "arithmetic",
@@ -55,16 +106,21 @@ ALWAYS_PUT_IN: Final = {
     "depth_lines_seen": "fitted",
     "survey_rmse": "fitted",
 }
-"""Functions of `thalweg_lab.reproduction.ledger` whose numbers are put in, whatever the entry says."""
+"""Functions of `ledger` and `arithmetic` whose numbers are put in, whatever the entry says; a misprint that
+they show is a finding."""
 
 FITTED: Final = (("triangulation/budget_published.csv", "computed_mm"), ("chain_study_goals.csv", "found_m"))
 """Files and columns that rest on geometry or inputs which were fitted to published figures: the prototype of
 P4, and the magnetic fields, drift and multipath of the study of chains."""
 
+TWIN_SECTION: Final = "twin.light_sheet"
+"""Section of the campaign that settings of a file with a ``campaign`` stand in."""
+
 POINTERS: Final = {".csv": "column", ".parquet": "column", ".json": "key", ".yaml": "key", ".ply": "axis"}
 """What says where a number stands, by the kind of file."""
 
-_NEEDS_VALUE: Final = ("equal", "at most", "at least", "inside")
+_NEEDS_VALUE: Final = ("equal", "at most", "at least", "inside", "misprint")
+_NOT_COMPARED: Final = ("present", "not checkable", "waived", "open")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,14 +130,16 @@ class Ours:
     Parameters
     ----------
     source : one of `SOURCES`: a file below the campaign's results, a study's table below
-        ``results/reproduction``, a setting of the twin, a function of `thalweg_lab.reproduction.ledger`,
-        or nothing yet.
-    name : path of the file, dotted path of the setting, name of the function, or why there is nothing.
+        ``results/reproduction``, a setting of the twin, a function of this package, parts of the project
+        (`NAMES`), or nothing yet.
+    name : path of the file, dotted path of the setting, name of the function, names of the parts with commas
+        between them, or why there is nothing.
     where : column of a table -> text or number that its rows must have.
     near : column -> value and how far from it a row may lie.
     columns, key : of a table, several are put together; path into a JSON or YAML file.
     over : column or key by whose value the number is divided.
-    against : another file below the results: the same number of that one is the divisor.
+    against, against_where : another file below the results, other rows: the same number of that one is the
+        divisor.
     take : how several numbers become one, see `TAKES`.
     times : factor to the printed unit.
     n, sigma : column or key of the number of observations and of the sigma, in the file's unit; instead of a
@@ -101,6 +159,7 @@ class Ours:
     key: tuple[str | int, ...] = ()
     over: str = ""
     against: str = ""
+    against_where: Mapping[str, str | float] = field(default_factory=dict)
     take: str = "one"
     times: float = 1.0
     n: str = ""
@@ -127,6 +186,7 @@ class Entry:
     unit : of the value.
     half_unit : half a unit of the last printed digit; 0 for words and counts that are exact.
     tolerance : instead of that; 0 if the half unit counts.
+    decided : of a misprint, the number that this project takes instead; else NaN.
     kind, rule, basis : see `KINDS`, `RULES`, `BASES`.
     put_in : of a number that this project put in, why it is no finding, see `PUT_IN`; else empty.
     why : reason of the rule; of ``not checkable``, why it cannot be checked.
@@ -144,6 +204,7 @@ class Entry:
     unit: str
     half_unit: float
     tolerance: float
+    decided: float
     kind: str
     rule: str
     basis: str
@@ -167,18 +228,57 @@ def read_ledger(path: Path) -> tuple[Entry, ...]:
     """
     ledger = checked(_Ledger, read_yaml(path), what="ledger", where=path)
     return tuple(
-        Entry(
-            section=section.title,
-            **dict(entry)
-            | {
-                "rows": tuple(entry.rows),
-                "half_unit": entry.half_unit or 0.0,
-                "tolerance": entry.tolerance or 0.0,
-                "ours": _pointer(entry.ours),
-            },
-        )
+        entry
         for section in ledger.sections
-        for entry in section.entries
+        for entry in (
+            *(_entry(written, section.title) for written in section.entries),
+            *_cells(section, path.parent),
+        )
+    )
+
+
+def _entry(written: "_Entry", section: str) -> Entry:
+    return Entry(
+        section=section,
+        **dict(written)
+        | {
+            "rows": tuple(written.rows),
+            "half_unit": written.half_unit or 0.0,
+            "tolerance": written.tolerance or 0.0,
+            "decided": written.decided if written.decided is not None else float("nan"),
+            "ours": _pointer(written.ours),
+        },
+    )
+
+
+def read_ledgers(folder: Path) -> tuple[Entry, ...]:
+    """All entries of a folder of ledgers, files in order of their names; paths and settings of a file with a
+    ``campaign`` begin with it.
+
+    Raises
+    ------
+    ConfigError : a file holds mistakes, or two entries of different files have one name.
+    """
+    entries: dict[str, Entry] = {}
+    for path in sorted(folder.glob("*.yaml")):
+        campaign = str(read_mapping(path)[0].get("campaign", ""))
+        for entry in read_ledger(path):
+            if entry.name in entries:
+                raise ConfigError(f"{entry.name!r} stands twice", where=path, expected="names that differ")
+            entries[entry.name] = replace(entry, ours=_of_campaign(entry.ours, campaign))
+    return tuple(entries.values())
+
+
+def _of_campaign(ours: Ours, campaign: str) -> Ours:
+    if not campaign or ours.source not in ("file", "setting"):
+        return ours
+    if ours.source == "setting":
+        return replace(ours, name=f"{campaign}.{TWIN_SECTION}.{ours.name}")
+    return replace(
+        ours,
+        name=f"{campaign}/{ours.name}",
+        against=ours.against and f"{campaign}/{ours.against}",
+        sigma_of=ours.sigma_of and (f"{campaign}/{ours.sigma_of[0]}", ours.sigma_of[1]),
     )
 
 
@@ -193,7 +293,7 @@ def result_files(entries: tuple[Entry, ...], source: str = "file") -> list[str]:
 
 # ---------------------------------------------------------------- file
 
-_Row = Annotated[str, Field(pattern="^C[0-9]{3}$")]
+_Row = Annotated[str, Field(pattern="^(C[0-9]{3}|E[0-9]{2}|FW[0-9]{2})$")]
 _Size = Annotated[float, Field(ge=0.0)]
 _Several = Annotated[list[Any], BeforeValidator(lambda value: value if isinstance(value, list) else [value])]
 
@@ -217,6 +317,9 @@ class _Ours(Part):
     study: Text | None = None
     setting: Text | None = None
     computed: Text | None = None
+    rule: _Several = Field(default=[])
+    function: _Several = Field(default=[])
+    figure: _Several = Field(default=[])
     none: Text | None = None
     where: dict[str, Any] = Field(default={})
     near: dict[str, Annotated[list[float], Field(min_length=2, max_length=2)]] = Field(
@@ -226,6 +329,7 @@ class _Ours(Part):
     key: _Several = Field(default=[])
     over: str = ""
     against: str = ""
+    against_where: dict[str, Any] = Field(default={})
     take: Annotated[str, one_of(TAKES)] = "one"
     times: float = 1.0
     n: str = ""
@@ -243,7 +347,8 @@ class _Ours(Part):
     @property
     def name(self) -> str:
         """What the source is called."""
-        return str(getattr(self, self.source))
+        named = getattr(self, self.source)
+        return ", ".join(map(str, named)) if isinstance(named, list) else str(named)
 
     @model_validator(mode="after")
     def _one_number(self) -> Self:
@@ -277,6 +382,7 @@ class _Entry(Part):
     unit: Annotated[str, BeforeValidator(str)] = ""
     half_unit: _Size | None = None
     tolerance: _Size | None = None
+    decided: float | None = None
     kind: Annotated[str, one_of(KINDS)]
     rule: Annotated[str, one_of(RULES)]
     basis: Annotated[str, one_of(BASES)] = ""
@@ -292,8 +398,18 @@ class _Entry(Part):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        refuse([*self._value_fits(), *self._basis_fits(), *self._put_in_fits()])
+        refuse([*self._value_fits(), *self._basis_fits(), *self._put_in_fits(), *self._rule_fits()])
         return self
+
+    def _rule_fits(self) -> Iterator[PydanticCustomError]:
+        if (self.rule == "misprint") != (self.decided is not None):
+            yield wrong(f"found {self.decided!r} for the rule {self.rule!r}", "decided, of misprints alone")
+        if self.rule == "open" and not all(row.startswith("FW") for row in self.rows):
+            yield wrong(f"found open for {self.rows}", "open for future work (FW) alone", at=("rule",))
+        if self.rule in ("waived", "open") and self.ours.source != "none":
+            yield wrong(f"found a {self.ours.source}", "none, with a reason", at=("ours",))
+        if self.ours.source in NAMES and self.rule != "present":
+            yield wrong(f"found the rule {self.rule!r}", f"present: a {self.ours.source} is there or not")
 
     def _value_fits(self) -> Iterator[PydanticCustomError]:
         found, pair = f"found {self.value!r}", isinstance(self.value, tuple)
@@ -323,12 +439,14 @@ class _Entry(Part):
     def _put_in_fits(self) -> Iterator[PydanticCustomError]:
         """A number that was put in says so, in the class that its source implies; others must not."""
         given, found = self.put_in, f"found {self.put_in!r}"
-        if self.rule in ("present", "not checkable"):
+        if self.rule in _NOT_COMPARED:
             if given:
                 expected = "no put_in where nothing is compared"
                 yield wrong(f"{found} with the rule {self.rule!r}", expected, at=("put_in",))
             return
         needed = _must_be_put_in(self.ours)
+        if self.rule == "misprint" and not given:
+            return
         if not given:
             if needed or self.kind == "input constant":
                 because = f"its number comes from {needed[1]}" if needed else "its kind is 'input constant'"
@@ -340,13 +458,29 @@ class _Entry(Part):
             yield wrong(f"{found} for the kind {self.kind!r}", expected, at=("put_in",))
 
 
+class _Table(Part):
+    """A published table of an error budget: cells stand in the CSV, ours in the table of `budget_tables`."""
+
+    name: Text
+    where: Text
+    rows: dict[str, _Row] = Field(description="input of the budget: row of the list")
+
+
 class _Section(Part):
     title: Text
-    entries: list[_Entry] = Field(min_length=1)
+    entries: list[_Entry] = Field(default=[])
+    table: _Table | None = None
+
+    @model_validator(mode="after")
+    def _holds_something(self) -> Self:
+        if not self.entries and self.table is None:
+            raise wrong("an empty section", "entries, or a table")
+        return self
 
 
 class _Ledger(Part):
     thalweg_ledger: Literal[1]
+    campaign: str = ""
     sections: list[_Section] = Field(min_length=1)
 
     @field_validator("sections")
@@ -362,6 +496,52 @@ class _Ledger(Part):
                 names.add(entry.name)
         refuse(twice)
         return sections
+
+
+_TRANSLATIONS: Final = (".x", ".y", ".z")
+
+
+def _cells(section: _Section, folder: Path) -> Iterator[Entry]:
+    """Cells of a budget's published table as entries.
+
+    A cell is known to half a unit of its last digit, and so is the sigma that it was computed from: the
+    tolerance is the larger of that of the CSV and what the rounding of the sigma does to the cell. A
+    translation moves a point by its own sigma in any geometry; all other cells rest on angles and lever arms
+    that were fitted to the table.
+    """
+    if section.table is None:
+        return
+    name, rows = section.table.name, section.table.rows
+    for cell in pd.read_csv(folder / f"{name}.csv").to_dict("records"):
+        distance = f"{cell['distance_m']:g}"
+        sigma, half = cell["sigma_printed"], cell["sigma_half_unit"]
+        by_sigma = cell["half_unit_mm"] + cell["value_mm"] * half / sigma if sigma > 0.0 else 0.0
+        yield Entry(
+            rows=(rows[str(cell["input"])],),
+            part=f"{distance} m",
+            section=section.title,
+            where=section.table.where,
+            quantity=f"influence of {cell['input']} on a point at {distance} m",
+            printed=str(cell["printed"]),
+            value=float(cell["value_mm"]),
+            unit="mm",
+            half_unit=float(cell["half_unit_mm"]),
+            tolerance=max(float(cell["tolerance_mm"]), by_sigma),
+            decided=float("nan"),
+            kind="exact",
+            rule="equal",
+            basis="printed digits",
+            put_in="definition" if str(cell["input"]).endswith(_TRANSLATIONS) else "fitted",
+            why="half a unit or 1 % of the cell, and the rounding of the sigma that it was computed from",
+            ours=Ours(
+                source="study",
+                name=f"budgets/{name}.csv",
+                where={"input": str(cell["input"])},
+                near={"distance_m": (float(cell["distance_m"]), 0.01)},
+                columns=("influence_mm",),
+            ),
+            note="",
+        )
 
 
 def _pointer(ours: _Ours) -> Ours:

@@ -16,7 +16,7 @@ all). They are counted once, with the weakest of their verdicts.
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -48,7 +48,7 @@ from thalweg.lightsheet.optics import (
     refractive_index,
 )
 from thalweg.lightsheet.poses import pose_source_table
-from thalweg_lab.reproduction.files import KINDS, PUT_IN, Entry, Ours
+from thalweg_lab.reproduction.files import KINDS, NAMES, PUT_IN, Entry, Ours
 
 FOUND: Final = "found"
 WAS_PUT_IN: Final = "put in"
@@ -61,6 +61,8 @@ NO_RESULT: Final = "no result yet"
 VERDICTS: Final = (FOUND, WAS_PUT_IN, BY_CHOICE, BELOW, ABOVE, SHOWN, MISSED, NOT_CHECKABLE, NO_RESULT)
 WEAKEST_FIRST: Final = (MISSED, NO_RESULT, NOT_CHECKABLE, BY_CHOICE, WAS_PUT_IN, SHOWN, ABOVE, BELOW, FOUND)
 """Which verdict counts for a printed number that is compared in several quantities."""
+LEAST_PAIRS: Final = 3
+"""Rows from which a correlation is taken: two always lie on a line."""
 FAR_BELOW: Final = 1.0 / 3.0
 """Share of a bound that an error-free twin would meet as well: the match says little."""
 SAMPLING_SIGMAS: Final = 3.0
@@ -101,6 +103,7 @@ COLUMNS: Final = (
     "reason",
     "source",
     "note",
+    "file",
 )
 BUDGETS: Final = Path(__file__).parents[3] / "resources" / "budgets"
 HALVING_STEP_PX: Final = 16
@@ -117,13 +120,14 @@ SPREADS: Final = ("binomial", "scatter", "unit")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Found:
     """Our number: ``value`` a number or word, None if there is none, and then ``absent`` says why; ``sigma``
-    and ``n`` where the result has them.
+    and ``n`` where the result has them; ``file`` that it was read from.
     """
 
     value: float | str | None = None
     sigma: float = float("nan")
     n: float = float("nan")
     absent: str = ""
+    file: str = ""
 
 
 @dataclass(slots=True)
@@ -135,20 +139,24 @@ class Results:
     files : path below the campaign's results -> file.
     studies : path below ``results/reproduction`` -> file.
     settings : section ``twin.light_sheet`` of the campaign, as plain values; None for a campaign that is no
-        twin.
+        twin. Of several campaigns, all their sections by the names of the campaigns.
+    records : what takes the place of a file that is not there: a recorded table or tree, and its file.
+    parts : rules, functions and figures of the project by `thalweg_lab.reproduction.files.NAMES`.
     """
 
     files: Mapping[str, Path]
     studies: Mapping[str, Path]
     settings: Mapping[str, Any] | None
-    _read: dict[Path, Any]
+    records: Mapping[str, tuple[Any, Path]] = field(default_factory=dict)
+    parts: Mapping[str, Callable[[str], bool]] = field(default_factory=dict)
+    _read: dict[Path, Any] = field(default_factory=dict)
 
     @classmethod
     def of(
         cls, files: Mapping[str, Path], studies: Mapping[str, Path], settings: Mapping[str, Any] | None
     ) -> "Results":
         """Nothing is read yet."""
-        return cls(files, studies, settings, {})
+        return cls(files=files, studies=studies, settings=settings)
 
     def find(self, ours: Ours) -> Found:
         """The number of a pointer to a file, a study or a setting.
@@ -161,6 +169,8 @@ class Results:
             return Found(absent=ours.name)
         if ours.source == "setting":
             return _setting(self.settings, ours)
+        if ours.source in NAMES:
+            return self._parts(ours)
         found = self._in_file(ours, ours.name)
         if ours.sigma_of and found.value is not None:
             file, column = ours.sigma_of
@@ -169,33 +179,63 @@ class Results:
                 file,
             )
             found = replace(found, sigma=spread.value if isinstance(spread.value, float) else float("nan"))
-        if not ours.against or not isinstance(found.value, float):
+        if not (ours.against or ours.against_where) or not isinstance(found.value, float):
             return found
-        divisor = self._in_file(ours, ours.against)
+        other = replace(ours, where=ours.against_where or ours.where)
+        divisor = self._in_file(other, ours.against or ours.name)
         if not isinstance(divisor.value, float):
             return divisor
-        return Found(value=found.value / divisor.value)
+        return Found(value=found.value / divisor.value, file=found.file)
 
     def _in_file(self, ours: Ours, name: str) -> Found:
         path = (self.files if ours.source == "file" else self.studies).get(name)
-        if path is None or not path.is_file():
-            return Found(absent=_how_to_get(ours.source, name))
-        if path not in self._read:
-            self._read[path] = _content(path)
-        content = self._read[path]
+        here = path is not None and path.is_file()
+        if path is not None and here:
+            if path not in self._read:
+                self._read[path] = _content(path)
+            content = self._read[path]
+        elif name in self.records:
+            content, path = self.records[name]
+        else:
+            return Found(absent=f"{name}{self._how_to_get(ours.source, name)}")
         try:
             if ours.axis:
-                return Found(value=float(np.sort(np.ptp(content, axis=0))[-ours.axis]) * ours.times)
-            return _of_table(content, ours) if isinstance(content, pd.DataFrame) else _of_tree(content, ours)
+                found = Found(value=float(np.sort(np.ptp(content, axis=0))[-ours.axis]) * ours.times)
+            elif isinstance(content, pd.DataFrame):
+                found = _of_table(content, ours)
+            else:
+                found = _of_tree(content, ours)
         except _AbsentError as absent:
-            return Found(absent=f"{name}: {absent}")
+            if here:
+                return Found(absent=f"{name}: {absent}")
+            return Found(absent=f"{path}: {absent}; {name}{self._how_to_get(ours.source, name)}")
+        return replace(found, file=path.as_posix())
+
+    def _how_to_get(self, source: str, name: str) -> str:
+        if source == "study":
+            return f" is not there; snakemake results/reproduction/{name}"
+        if not self.parts:
+            return " is not among the results of this campaign"
+        return f" is not among the results; snakemake --config campaign={name.split('/')[0]}"
+
+    def _parts(self, ours: Ours) -> Found:
+        names = ours.name.split(", ")
+        is_there = self.parts.get(ours.source, lambda _: False)
+        absent = [name for name in names if not is_there(name)]
+        if absent:
+            return Found(absent=f"no {ours.source} {' and '.join(absent)}")
+        return Found(value="there", file=f"{ours.source} {ours.name}")
 
 
 # ---------------------------------------------------------------- ledger
 
 
-def judged(entries: Sequence[Entry], results: Results) -> pd.DataFrame:
+def judged(
+    entries: Sequence[Entry], results: Results, functions: Mapping[str, Callable[..., Found]] | None = None
+) -> pd.DataFrame:
     """A row for each entry, see `COLUMNS`.
+
+    ``functions`` are what entries may name as ``computed``; `FUNCTIONS` if not given.
 
     ``missed_by`` is signed: above zero where our number is too large. ``of_bound`` is our number over the
     printed one, for the rules ``at most`` and ``at least``. ``reason`` says why the rule is what it is, why a
@@ -205,19 +245,27 @@ def judged(entries: Sequence[Entry], results: Results) -> pd.DataFrame:
     ------
     InputError : a result cannot be read, or an entry names a function that does not exist.
     """
+    known = FUNCTIONS if functions is None else functions
     unknown = [
         f"{e.name}: {e.ours.name}"
         for e in entries
-        if e.ours.source == "computed" and e.ours.name not in FUNCTIONS
+        if e.ours.source == "computed" and e.ours.name not in known
     ]
     if unknown:
         raise InputError(
-            f"no such functions: {', '.join(unknown)}",
-            where="ledger",
-            expected=f"one of {', '.join(FUNCTIONS)}",
+            f"no such functions: {', '.join(unknown)}", where="ledger", expected=f"one of {', '.join(known)}"
         )
     published = {e.name: e.value for e in entries if e.value is not None}
-    return pd.DataFrame([_row(e, _found(e, results, published)) for e in entries], columns=list(COLUMNS))
+    rows = [
+        _row(
+            e,
+            known[e.ours.name](published, **dict(e.ours.extra or {}))
+            if e.ours.source == "computed"
+            else results.find(e.ours),
+        )
+        for e in entries
+    ]
+    return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
 def verdict_of(entry: Entry, found: Found) -> tuple[str, float, float]:
@@ -226,7 +274,7 @@ def verdict_of(entry: Entry, found: Found) -> tuple[str, float, float]:
     A number on the border itself is inside: 1e-9 of the value is left to rounding.
     """
     nan = float("nan")
-    if entry.rule == "not checkable":
+    if entry.rule in ("not checkable", "waived", "open"):
         return NOT_CHECKABLE, nan, nan
     if found.value is None:
         return NO_RESULT, nan, nan
@@ -237,6 +285,15 @@ def verdict_of(entry: Entry, found: Found) -> tuple[str, float, float]:
     if isinstance(found.value, str) or not np.isfinite(found.value):
         return NO_RESULT, nan, nan
     low, high = _bounds(entry)
+    if entry.rule == "misprint" and isinstance(entry.value, float):
+        right = abs(found.value - entry.decided) <= entry.half_unit + 1e-9 * abs(entry.decided)
+        as_printed = abs(found.value - entry.value) <= entry.half_unit
+        # what lies apart is that from the number that was decided on
+        return (
+            (FOUND, entry.half_unit, nan)
+            if right and not as_printed
+            else (MISSED, entry.half_unit, found.value - entry.decided)
+        )
     tolerance = entry.tolerance if entry.basis == "identity" or entry.tolerance else entry.half_unit
     if entry.basis == "sampling error":
         if not np.isfinite(found.sigma):
@@ -471,18 +528,12 @@ def _grid(table: pd.DataFrame) -> list[str]:
     return ["| " + " | ".join(str(cell).replace("|", "/") for cell in row) + " |" for row in rows]
 
 
-def _found(entry: Entry, results: Results, published: Mapping[str, Any]) -> Found:
-    if entry.ours.source == "computed":
-        return computed(entry.ours, published)
-    return results.find(entry.ours)
-
-
 def _bounds(entry: Entry) -> tuple[float, float]:
     value = entry.value
     if isinstance(value, tuple):
         return value
     number = float(value) if isinstance(value, float | int) else float("nan")
-    return {"at most": (-np.inf, number), "at least": (number, np.inf), "equal": (number, number)}[entry.rule]
+    return {"at most": (-np.inf, number), "at least": (number, np.inf)}.get(entry.rule, (number, number))
 
 
 def _row(entry: Entry, found: Found) -> dict[str, Any]:
@@ -518,6 +569,7 @@ def _row(entry: Entry, found: Found) -> dict[str, Any]:
         "reason": (found.absent or NO_SIGMA) if verdict == NO_RESULT else entry.why,
         "source": _source(entry),
         "note": entry.note,
+        "file": found.file,
     }
 
 
@@ -526,9 +578,11 @@ def _source(entry: Entry) -> str:
     if ours.source == "none":
         return ""
     if ours.source == "setting":
-        return f"setting twin.light_sheet.{ours.name}"
+        return f"setting {ours.name}"
     if ours.source == "computed":
         return f"computed: {ours.name}"
+    if ours.source in NAMES:
+        return f"{ours.source}: {ours.name}"
     at = " and ".join(filter(None, ours.columns)) or ".".join(str(part) for part in ours.key) or "extent"
     rows = ", ".join(
         [*(f"{k} = {v}" for k, v in ours.where.items()), *(f"{k} ~ {v[0]:g}" for k, v in ours.near.items())]
@@ -544,11 +598,6 @@ def _source(entry: Entry) -> str:
 #
 # Each function takes the published numbers by the names of their entries, so that nothing printed is typed in
 # here, and the arguments of its entry (``with:``).
-
-
-def computed(ours: Ours, published: Published) -> Found:
-    """The number of a function of this module."""
-    return FUNCTIONS[ours.name](published, **dict(ours.extra or {}))
 
 
 def bends(published: Published, *, about_y_deg: float, about_x_deg: float) -> Found:
@@ -765,6 +814,12 @@ def least_in_centre(published: Published, *, causes: list[str]) -> Found:
     return Found(value=float(trends["falls"].sum()), n=float(len(trends)))
 
 
+def depth_by_cause(cause: str) -> float:
+    """Largest sigma of the depth by a cause, over the lines of equal depth of P4's stored prototype, mm."""
+    table = _p4_budget_table()
+    return float(table["most_mm"].to_numpy()[table["cause"] == cause].max())
+
+
 @cache
 def _p4_budget_table() -> pd.DataFrame:
     return budget.budget_table(budget.budget_on_lines(paper_4()))
@@ -873,13 +928,6 @@ class _AbsentError(Exception):
     """A row, column or key is not in the file."""
 
 
-def _how_to_get(source: str, name: str) -> str:
-    if source == "study":
-        target = f"results/reproduction/{name}"
-        return f"{target} is not there; snakemake {target}"
-    return f"{name} is not among the results of this campaign"
-
-
 def _content(path: Path) -> Any:
     try:
         if path.suffix == ".csv":
@@ -915,6 +963,11 @@ def _of_table(table: pd.DataFrame, ours: Ours) -> Found:
     values = np.stack([_column(rows, name).to_numpy(np.float64) for name in ours.columns], axis=1)
     if ours.over:
         values = values / _column(rows, ours.over).to_numpy(np.float64)[:, None]
+    if ours.take == "correlation":
+        both = values[np.isfinite(values).all(axis=1)]
+        if values.shape[1] != 2 or len(both) < LEAST_PAIRS:
+            raise _AbsentError(f"{len(both)} rows of {values.shape[1]} columns for a correlation")
+        return Found(value=float(np.corrcoef(both.T)[0, 1]), n=float(len(both)))
     n = float(_column(rows, ours.n).sum()) if ours.n else float("nan")
     return _taken(values, ours, n, _column(rows, ours.sigma) if _named(ours.sigma) else None)
 
@@ -971,11 +1024,14 @@ def _setting(settings: Mapping[str, Any] | None, ours: Ours) -> Found:
     if settings is None:
         return Found(absent="the campaign is no twin")
     try:
-        value = _at(settings, tuple(ours.name.split(".")))
+        keys = (int(part) if part.isdigit() else part for part in ours.name.split("."))
+        value = _at(settings, tuple(keys))
     except _AbsentError as absent:
-        return Found(absent=f"twin.light_sheet: {absent}")
+        return Found(absent=f"settings: {absent}")
     if isinstance(value, str):
         return Found(value=value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return Found(absent=f"settings: {ours.name} is {value}")
     return Found(value=float(value) * ours.times)
 
 
