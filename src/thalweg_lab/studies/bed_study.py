@@ -265,8 +265,8 @@ def verdicts(rows: pd.DataFrame, *, level: float = 0.95) -> pd.DataFrame:
     Returns
     -------
     table : a row a mistake, quantity and class (all cells first): surveys (effective), n, rmse_observed_m,
-        rmse_predicted_m, ratio with its band low, high, inside, normalised_square, outside_95 (share), bias_m,
-        honest: within 0.85 to 1.15 and inside its band.
+        rmse_predicted_m, ratio with its band low, high, inside, normalised_square, outside_95 (share),
+        bias_m, honest: within 0.85 to 1.15 and inside its band.
     """
     out = []
     for mistake in rows["mistake"].unique():

@@ -94,8 +94,8 @@ class TwinScene(Section):
     )
     sections: tuple[tuple[Share, ...], ...] = Field(
         default=(),
-        description="Cross-sections in place of shelf, thalweg and pools, evenly spaced down the reach: depths at "
-        "even steps from the right to the left shore, as shares of `depth_m`",
+        description="Cross-sections in place of shelf, thalweg and pools, evenly spaced down the reach: "
+        "depths at even steps from the right to the left shore, as shares of `depth_m`",
     )
     embankment_height_m: Annotated[float, Field(ge=1, le=30)] = Field(
         default=6.0, description="Height of the right bank above the water, metres"
