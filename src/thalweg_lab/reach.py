@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicHermiteSpline
+from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from thalweg.core import AnyArray, ArrayB, ArrayF, ConfigError, njit, prange
 from thalweg.settings.twin import Change, TwinScene
@@ -56,6 +56,9 @@ BRIDGE_CLEARANCE_M: Final = 4.2
 """Least height of the bridge above the water."""
 GULLY_M: Final = 0.45
 """Depth of the deepest gullies."""
+
+_ACROSS: Final = 401
+"""Places across a given section at which its curve is computed."""
 
 _WEEDS_BELOW_M: Final = 0.15
 """Weeds end so far below the surface."""
@@ -221,11 +224,14 @@ class River:
 
         From each shore the bed falls gently to the edge of the shelf and then, steeply on the outer and
         flatly on the inner bank, to the thalweg. The thalweg is deeper in pools, where the river is narrow,
-        and before the weir. Negative where a gravel bar of a second epoch stands out of the water.
+        and before the weir. Negative where a gravel bar of a second epoch stands out of the water. Given
+        sections take the place of all that: smooth curves through their depths, which pass into each other.
         """
         s, n = np.broadcast_arrays(np.asarray(s_m, dtype=np.float64), np.asarray(n_m, dtype=np.float64))
         c = self.config
         right, left = self.shores(s)
+        if c.sections:
+            return self._depth_by_sections(s, (n + right) / (left + right))
         shelf_right, shelf_left = self.shelf_width(s)
         t, bend = self.thalweg_n(s), self.bend(s)
         on_left = n > t
@@ -323,6 +329,25 @@ class River:
             # The impounded water deepens towards the weir; behind it the fall has scoured a shorter hole.
             deep = deep + c.weir_pool_m * np.exp(-np.abs(before) / np.where(before > 0, length, 6.0))
         return np.asarray(deep)
+
+    def _depth_by_sections(self, s: ArrayF, u: ArrayF) -> ArrayF:
+        """Depth at places along and across, ``u`` from 0 at the right shore to 1 at the left one."""
+        c = self.config
+        shares = np.array(c.sections)
+        shares[:, [0, -1]] = 0.0
+        across = PchipInterpolator(np.linspace(0.0, 1.0, shares.shape[1]), shares, axis=1)
+        # as many tables of depths across as there are sections, fine enough to be linear in between
+        fine = np.linspace(0.0, 1.0, _ACROSS)
+        table = np.maximum(across(fine), 0.0)
+        at = np.interp(s, np.linspace(-c.length_m / 2, c.length_m / 2, len(shares)), np.arange(len(shares)))
+        low = np.minimum(at.astype(np.int64), max(len(shares) - 2, 0))
+        blend = smoothstep(at - low)
+        place = np.clip(u, 0.0, 1.0) * (_ACROSS - 1)
+        k = np.minimum(place.astype(np.int64), _ACROSS - 2)
+        rest = place - k
+        high = np.minimum(low + 1, len(shares) - 1)
+        one, other = ((1 - rest) * table[i, k] + rest * table[i, k + 1] for i in (low, high))
+        return np.asarray(c.depth_m * ((1 - blend) * one + blend * other))
 
     def _deposit_and_scour(self, s: ArrayF, n: ArrayF, d: ArrayF, left: ArrayF, t: ArrayF) -> ArrayF:
         width = self.config.width_m

@@ -214,6 +214,16 @@ def test_slopes_are_put_in_once() -> None:
         np.testing.assert_allclose(twice[name], once[name], atol=1e-12)
 
 
+def test_a_ping_without_bottom_has_no_slope() -> None:
+    """It has a transducer and no bed below it: nothing to divide by."""
+    echo = EchoSounder(beam_deg=5.0)
+    table, _ = located(np.where(np.arange(100) == 50, 0.0, 2.5), echo=echo)
+    again = with_bed_normals(table, np.full(100, 0.2), np.zeros(100), echo)
+    assert again["reason"][50] == "no bottom"
+    assert again["up_m"][50] == again["transducer_up_m"][50]
+    assert np.isfinite(again["up_m"]).all()
+
+
 def test_orders_of_s44() -> None:
     table, _ = located(np.full(100, 2.0))
     shares = s44_orders(table).set_index("order")["share"]

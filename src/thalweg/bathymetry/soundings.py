@@ -425,7 +425,8 @@ def with_bed_normals(
     x_t = table[[f"transducer_{a}_m" for a in _ENU]].to_numpy()
     x = table[["east_m", "north_m", "up_m"]].to_numpy()
     b = x - x_t
-    b /= np.linalg.norm(b, axis=1, keepdims=True)
+    length = np.linalg.norm(b, axis=1, keepdims=True)
+    b /= np.where(length > 0, length, 1.0)  # a ping without bottom stays at the transducer
     e, n = np.nan_to_num(slope_east), np.nan_to_num(slope_north)
     normal = np.column_stack([-e, -n, np.ones(len(e))])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)

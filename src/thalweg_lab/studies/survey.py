@@ -41,6 +41,7 @@ from thalweg.surface import mesh_reference
 from thalweg_lab.instruments import (
     LIDAR_SHOTS,
     EchoKind,
+    simulate_echo,
     simulate_gnss,
     simulate_ins,
     simulate_lidar,
@@ -115,6 +116,7 @@ class Logs:
     true_mounts : truth: section ``mounts`` with the mounts that the sensors really have.
     pcap, anpp, pos : logs of lidar, INS and receiver (post-processed track).
     scans : terrestrial scans; may be none.
+    nmea : log of the echo sounder; None: the boat had none.
     """
 
     folder: Path
@@ -126,6 +128,7 @@ class Logs:
     anpp: Path
     pos: Path
     scans: tuple[Path, ...]
+    nmea: Path | None = None
 
     @property
     def twin(self) -> TwinConfig:
@@ -218,7 +221,12 @@ class Survey:
 
 
 def record(
-    settings: Mapping[str, Any], folder: Path, *, scene: Path | None = None, stations: int = 0
+    settings: Mapping[str, Any],
+    folder: Path,
+    *,
+    scene: Path | None = None,
+    stations: int = 0,
+    echo: bool = False,
 ) -> Logs:
     """Let the twin's instruments record a survey.
 
@@ -230,6 +238,7 @@ def record(
     share
         the river (``twin.scene.seed``). By default it is made.
     stations : number of terrestrial scans of the right bank.
+    echo : the echo sounder records too.
     """
     twin, seed = TwinConfig(**settings["twin"]), int(settings["campaign"]["seed"])
     frame = LocalFrame(**settings["campaign"]["origin"])
@@ -249,6 +258,7 @@ def record(
         anpp=folder / "ins.anpp",
         pos=folder / "track.pos",
         scans=tuple(folder / f"scan_{number}.laz" for number in range(1, stations + 1)),
+        nmea=folder / "echo.nmea" if echo else None,
     )
     simulate_lidar(
         twin,
@@ -263,6 +273,9 @@ def record(
     simulate_ins(twin, seed, frame, logs.anpp)
     antenna = true["antenna"]["lever_ics_m"]
     simulate_gnss(twin, seed, frame, folder / "rover.sbp", logs.pos, lever_ics_antenna_m=antenna, scene=scene)
+    if logs.nmea is not None:
+        face = true["echo_sounder"]["lever_ics_m"]
+        simulate_echo(twin, seed, frame, scene, logs.nmea, lever_ics_echo_m=face)
     if stations:
         simulate_tls(twin, seed, frame, scene, list(logs.scans), crs=settings["campaign"]["crs"])
     return logs

@@ -23,7 +23,11 @@ from .points import (
     point_errors_3d as point_errors_3d,
     sample_of_known_points as sample_of_known_points,
 )
-from .riverbed import compare_riverbed as compare_riverbed
+from .riverbed import (
+    DISTANCES_M as DISTANCES_M,
+    compare_riverbed as compare_riverbed,
+    true_bed_m as true_bed_m,
+)
 from .solutions import (
     OWN_TIMES as OWN_TIMES,
     carried_by_camera as carried_by_camera,

@@ -60,7 +60,7 @@ class TwinScene(Section):
     length_m: Annotated[float, Field(ge=20, le=2000)] = Field(
         default=250.0, description="Length of the modelled reach along the flow, metres"
     )
-    width_m: Annotated[float, Field(ge=12, le=200)] = Field(
+    width_m: Annotated[float, Field(ge=6, le=200)] = Field(
         default=40.0, description="Mean width of the water, metres"
     )
     depth_m: Annotated[float, Field(ge=0.5, le=20)] = Field(
@@ -91,6 +91,11 @@ class TwinScene(Section):
     )
     shelf_depth_m: Annotated[float, Field(ge=0.02, le=2)] = Field(
         default=0.3, description="Depth at the outer edge of the shelf, metres"
+    )
+    sections: tuple[tuple[Share, ...], ...] = Field(
+        default=(),
+        description="Cross-sections in place of shelf, thalweg and pools, evenly spaced down the reach: "
+        "depths at even steps from the right to the left shore, as shares of `depth_m`",
     )
     embankment_height_m: Annotated[float, Field(ge=1, le=30)] = Field(
         default=6.0, description="Height of the right bank above the water, metres"
@@ -176,6 +181,15 @@ class TwinScene(Section):
         description="Greatest retreat of the left bank by `undercut_bank` and of the right one by "
         "`bank_retreat`, metres (T 4.1: 7)",
     )
+
+    @model_validator(mode="after")
+    def _check_sections(self) -> Self:
+        lengths = {len(each) for each in self.sections}
+        if self.sections and (len(lengths) > 1 or min(lengths) < 3):
+            raise ValueError(
+                f"sections of {sorted(lengths)} depths; all of them have as many, three at least"
+            )
+        return self
 
 
 class TwinBoat(Section):

@@ -1,0 +1,328 @@
+"""Riverbeds of many surveys against the twin's bed: are the sigmas honest, and are mistakes noticed?
+
+Each seed is a survey of its own: river, poses, mounts, direction of the beam, latency, temperature of the
+water and every sounding err anew. Its raw logs (lidar, INS, receiver, echo sounder) become soundings, banks,
+water level and a kriged bed by the functions of the rules, once as they should be and once with each mistake
+of a list. Errors are taken in all cells of the bed and, for comparison, at the soundings.
+"""
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from pyproj import CRS
+
+from thalweg.bathymetry import (
+    Bed,
+    Transducer,
+    estimate_slow_errors,
+    flow_of_survey,
+    krige_bed,
+    level_water,
+    locate_soundings,
+    shore_points,
+)
+from thalweg.core import ArrayF, LocalFrame
+from thalweg.ingest.nmea import read_nmea
+from thalweg.navigation.ins_gnss import PoseCorrelation
+from thalweg.settings.sections import Bathymetry, EchoSounder
+from thalweg_lab.random_numbers import generator
+from thalweg_lab.studies.study import Result, Seed, Study, Tables
+from thalweg_lab.studies.survey import BARE, MOUNTS, Logs, Survey, process, record, survey_settings
+from thalweg_lab.truth import DISTANCES_M, ratio_of_surveys, true_bed_m
+
+TWIN: Final[dict[str, Any]] = {
+    "size": "tiny",
+    "duration_s": 80.0,
+    "scene": BARE | {"length_m": 90.0, "grid_m": 0.3, "water_fall_m_per_km": 0.5},
+    "boat": {"speed_mps": 1.2, "bank_distance_m": 3.0, "turn_rate_degps": 30.0, "line_spacing_m": 8.0},
+    "ins": {"attitude_time_s": 5.0},
+    "gnss": {"correlation_time_s": 8.0, "sigma_m": (0.03, 0.03, 0.05)},
+    "lidar": {"mirror_ghosts": False, "own_hull": False, "divergence_mrad": 0.0},
+    "effects": {"lost_packets": 0.95},
+    "echo": {"beam_deg": 5.0, "dead_zone_m": 0.2, "zeros": True, "second_echo_share": 0.01,
+             "spike_share": 0.01, "no_bottom_share": 0.01, "turn_dropout_share": 0.2,
+             "temperature_sentences": False},
+}  # fmt: skip
+"""Section ``twin``: 80 s on 75 m of a bare river 22 m wide. Errors of positions last 8 s, so that a survey
+holds several; 19 of 20 packets of the lidar are lost to save time, the banks need no more."""
+
+ECHO_SOUNDER: Final[dict[str, Any]] = {
+    "set_sound_speed_mps": 1500.0,
+    "water_temperature_c": 12.0,
+    "latency_s": 0.3,
+    "sigma_tilt_deg": 1.0,
+    "sigma_latency_s": 0.05,
+    "sigma_temperature_c": 1.0,
+    "sigma_sound_speed": 0.002,
+}
+"""Section ``echo_sounder``: what the owner of the boat knows. The instrument differs by these sigmas."""
+
+PATTERNS: Final = ("zigzag", "sections")
+"""Courses in turn, by seed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlantedMistake:
+    """Something left out in the processing.
+
+    Parameters
+    ----------
+    name : in tables.
+    echo_sounder : keys of that section that are not as the owner knows them.
+    independent : slow errors count as new in each ping.
+    """
+
+    name: str
+    echo_sounder: Mapping[str, Any] = field(default_factory=dict)
+    independent: bool = False
+
+
+NONE: Final = PlantedMistake(name="none")
+MISTAKES: Final = (
+    PlantedMistake(name="speed of sound left out", echo_sounder={"set_sound_speed_mps": None}),
+    PlantedMistake(name="lag left out", echo_sounder={"latency_s": 0.0}),
+    PlantedMistake(name="slow errors as independent ones", independent=True),
+)
+"""Mistakes that a check of predicted against observed errors must notice."""
+
+
+def campaign_of(seed: int) -> dict[str, Any]:
+    """Settings of the survey of a seed: course in turn, and an instrument that differs from what is known."""
+    rng = generator(seed, "bed study")
+    known = EchoSounder(**ECHO_SOUNDER)
+    tilt = rng.normal(0.0, known.sigma_tilt_deg, 2)
+    latency, warmth, speed = rng.standard_normal(3).tolist()
+    true = {
+        "tilt_deg": tuple(tilt.tolist()),
+        "latency_s": max(known.latency_s + known.sigma_latency_s * latency, 0.0),
+        "water_temperature_c": ECHO_SOUNDER["water_temperature_c"] + known.sigma_temperature_c * warmth,
+        "assumed_sound_speed_mps": ECHO_SOUNDER["set_sound_speed_mps"]
+        / (1 + known.sigma_sound_speed * speed),
+    }
+    twin = dict(TWIN) | {
+        "boat": TWIN["boat"] | {"pattern": PATTERNS[seed % len(PATTERNS)]},
+        "echo": TWIN["echo"] | true,
+    }
+    mounts = MOUNTS | {"echo_sounder": {"lever_ics_m": (0.2, 0.0, 0.3)}}
+    return survey_settings(twin, seed=seed, mounts=mounts, echo_sounder=ECHO_SOUNDER)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class River:
+    """What a survey knows before its soundings.
+
+    Parameters
+    ----------
+    logs : raw logs.
+    cloud : trajectory, and points of the banks.
+    correlation : how errors of the poses last.
+    """
+
+    logs: Logs
+    cloud: Survey
+    correlation: PoseCorrelation
+
+
+def river_of(logs: Logs) -> River:
+    """Poses and points of the banks of raw logs, with the sigmas and correlation times of the instruments."""
+    twin, settings = logs.twin, Bathymetry(**logs.settings["bathymetry"])
+    correlation = PoseCorrelation(
+        position_s=settings.position_time_s or twin.gnss.correlation_time_s,
+        attitude_s=settings.attitude_time_s or twin.ins.attitude_time_s,
+        white_share=twin.gnss.white_share,
+        receiver_s=1.0 / twin.gnss.rate_hz,
+    )
+    return River(logs=logs, cloud=process(logs), correlation=correlation)
+
+
+def bed_of(river: River, mistake: PlantedMistake = NONE) -> tuple[Bed, pd.DataFrame]:
+    """Kriged bed and soundings of a survey.
+
+    Parameters
+    ----------
+    river : of the survey.
+    mistake : what is left out.
+    """
+    s, trajectory = river.logs.settings, river.cloud.trajectory
+    echo = EchoSounder(**(s["echo_sounder"] | dict(mistake.echo_sounder)))
+    settings, water_line = Bathymetry(**s["bathymetry"]), s["filters"]["water_line_ics_m"]
+    if river.logs.nmea is None:
+        raise ValueError("a survey without an echo sounder: record it with echo=True")
+    log = read_nmea([river.logs.nmea])
+    soundings, facts = locate_soundings(
+        log.depths,
+        trajectory,
+        river.correlation,
+        Transducer.of(s["mounts"]["echo_sounder"], None, echo),
+        echo,
+        settings,
+        water_line_ics_m=water_line,
+        logged_temperature_c=log.report.details.get("water_temperature_c"),
+    )
+    soundings, slow_time_s, _ = estimate_slow_errors(soundings, facts["position_time_s"])
+    if mistake.independent:
+        both = np.hypot(soundings["sigma_white_m"], soundings["sigma_slow_m"])
+        soundings = soundings.assign(sigma_white_m=both, sigma_slow_m=0.0)
+    track = trajectory.position_wcs_m[trajectory.valid]
+    banks, level = flow_of_survey(
+        track[:, :2],
+        shore_points([river.cloud.points], float(np.median(track[:, 2])) - water_line),
+        lambda axis: level_water(
+            trajectory,
+            river.correlation,
+            lambda places: axis.to_flow(places)[0],
+            water_line_ics_m=water_line,
+            sigma_datum_m=settings.sigma_datum_m,
+        ),
+        settings,
+    )
+    bed = krige_bed(
+        soundings,
+        banks.line,
+        banks,
+        level,
+        None,
+        frame=LocalFrame(**s["campaign"]["origin"]),
+        crs=CRS.from_user_input(s["campaign"]["crs"]),
+        echo=echo,
+        settings=settings,
+        slow_time_s=slow_time_s,
+        seed=river.logs.seed,
+    )
+    return bed, soundings
+
+
+# ---------------------------------------------------------------- errors
+
+
+def squares_of(bed: Bed, soundings: pd.DataFrame, river: River) -> pd.DataFrame:
+    """Sums of squared errors and of predicted variances of a survey.
+
+    Returns
+    -------
+    table : a row for the soundings, and one a class of distance to the nearest datum of the bed's cells;
+        quantity, from_m, to_m, n, observed_m2, predicted_m2, normalised (sum), outside (95 %), error_m (sum).
+    """
+    s = river.logs.settings
+    frame, crs = LocalFrame(**s["campaign"]["origin"]), CRS.from_user_input(s["campaign"]["crs"])
+    used = soundings[soundings["used"]]
+    parts = used[["sigma_white_m", "sigma_slow_m", "sigma_common_m"]].to_numpy(np.float64)
+    error = used["up_m"].to_numpy() - true_bed_m(
+        river.logs.scene, used[["east_m", "north_m"]].to_numpy(np.float64)
+    )
+    rows = [_sums("soundings", 0.0, np.inf, error, np.linalg.norm(parts, axis=1))]
+    known = np.isfinite(bed.up_m)
+    places = np.column_stack([bed.grid.centres_m()[known], np.full(known.sum(), frame.h_ell_m)])
+    error = bed.up_m[known] - true_bed_m(river.logs.scene, frame.from_map(places, crs)[:, :2])
+    sigma = np.hypot(bed.sigma_m[known], bed.sigma_common_m[known])
+    away = bed.distance_m[known]
+    for low, high in pairwise(DISTANCES_M):
+        of = (away >= low) & (away < high)
+        rows.append(_sums("bed", low, high, error[of], sigma[of]))
+    return pd.DataFrame(rows)
+
+
+def _sums(quantity: str, low: float, high: float, error: ArrayF, sigma: ArrayF) -> dict[str, Any]:
+    there = np.isfinite(error)
+    e, s = error[there], sigma[there]
+    return {
+        "quantity": quantity,
+        "from_m": low,
+        "to_m": high,
+        "n": len(e),
+        "observed_m2": float(np.sum(e**2)),
+        "predicted_m2": float(np.sum(s**2)),
+        "normalised": float(np.sum((e / s) ** 2)),
+        "outside": int(np.sum(np.abs(e) > 1.96 * s)),
+        "error_m": float(np.sum(e)),
+    }
+
+
+def surveyed(seed: int, folder: Path, mistakes: Sequence[PlantedMistake]) -> pd.DataFrame:
+    """Errors of one survey, processed with each of the mistakes: rows of `squares_of` with ``mistake``."""
+    logging.getLogger("thalweg").setLevel(logging.ERROR)
+    logs = record(campaign_of(seed), folder / f"seed_{seed}", echo=True)
+    river = river_of(logs)
+    rows = [squares_of(*bed_of(river, mistake), river).assign(mistake=mistake.name) for mistake in mistakes]
+    logs.remove()
+    return pd.concat(rows, ignore_index=True).assign(seed=seed, pattern=logs.twin.boat.pattern)
+
+
+def verdicts(rows: pd.DataFrame, *, level: float = 0.95) -> pd.DataFrame:
+    """Predicted against observed errors over all surveys.
+
+    Parameters
+    ----------
+    rows : of all surveys, see `surveyed`.
+    level : of the band of each quantity, and of those of all classes of distance together (Bonferroni).
+
+    Returns
+    -------
+    table : a row a mistake, quantity and class (all cells first): surveys (effective), n, rmse_observed_m,
+        rmse_predicted_m, ratio with its band low, high, inside, normalised_square, outside_95 (share),
+        bias_m, honest: within 0.85 to 1.15 and inside its band.
+    """
+    out = []
+    for mistake in rows["mistake"].unique():
+        for quantity in rows["quantity"].unique():
+            mine = rows[(rows["mistake"] == mistake) & (rows["quantity"] == quantity)]
+            classes = sorted(set(zip(mine["from_m"], mine["to_m"], strict=True)))
+            whole = [(0.0, np.inf, mine, level)]
+            each = 1 - (1 - level) / len(classes)
+            apart = [
+                (low, high, mine[(mine["from_m"] == low) & (mine["to_m"] == high)], each)
+                for low, high in classes
+            ]
+            out += [
+                _verdict(mistake, quantity, low, high, of, at)
+                for low, high, of, at in whole + (apart if len(classes) > 1 else [])
+                if of["n"].sum()
+            ]
+    return pd.DataFrame(out)
+
+
+def _verdict(
+    mistake: str, quantity: str, low: float, high: float, rows: pd.DataFrame, level: float
+) -> dict[str, Any]:
+    sums = rows.groupby("seed")[
+        ["n", "observed_m2", "predicted_m2", "normalised", "outside", "error_m"]
+    ].sum()
+    o, p = sums["observed_m2"].to_numpy(np.float64), sums["predicted_m2"].to_numpy(np.float64)
+    ratio, band_low, band_high, surveys = ratio_of_surveys(o, p, level=level)
+    n = int(sums["n"].sum())
+    inside = bool(band_low < ratio < band_high)
+    return {
+        "mistake": mistake,
+        "quantity": quantity,
+        "from_m": low,
+        "to_m": high,
+        "surveys": surveys,
+        "n": n,
+        "rmse_observed_m": float(np.sqrt(o.sum() / n)),
+        "rmse_predicted_m": float(np.sqrt(p.sum() / n)),
+        "ratio": ratio,
+        "low": band_low,
+        "high": band_high,
+        "inside": inside,
+        "normalised_square": float(sums["normalised"].sum() / n),
+        "outside_95": float(sums["outside"].sum() / n),
+        "bias_m": float(sums["error_m"].sum() / n),
+        "honest": inside and 0.85 <= ratio <= 1.15,
+    }
+
+
+def _rows(seed: Seed) -> Tables:
+    return {"squares": surveyed(seed.number, seed.folder, (NONE, *MISTAKES))}
+
+
+def _results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result]:
+    return {"verdicts": verdicts(tables["squares"])}
+
+
+STUDY: Final = Study(rows=_rows, results=_results)
