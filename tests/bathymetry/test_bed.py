@@ -377,6 +377,81 @@ def test_model_of_a_field_of_known_covariance() -> None:
     assert np.median(slope) == pytest.approx(0.09 / 8.0, rel=0.6)
 
 
+def test_four_lines_are_no_reason_for_small_sigmas() -> None:
+    """Four sections between level shorelines: the bed between them is as uncertain as it is wrong."""
+    settings, squares = Bathymetry(drift="none"), []
+    for seed in range(6):
+        rng = np.random.default_rng(40 + seed)
+        line = np.repeat(np.arange(4), 40)
+        known = np.column_stack(
+            [15.0 * line + rng.uniform(-0.5, 0.5, 160), np.tile(np.linspace(-9, 9, 40), 4)]
+        )
+        hidden = np.column_stack([rng.uniform(0, 45, 300), rng.uniform(-9, 9, 300)])
+        places = np.vstack([known, hidden])
+        h = np.hypot(*((places[:, None, k] - places[None, :, k]) / r for k, r in ((0, 90.0), (1, 12.0))))
+        a = 4.743864518104397 * h
+        root = np.linalg.cholesky(0.09 * (1 + a) * np.exp(-a) + 1e-7 * np.eye(len(h)))
+        z = root @ rng.standard_normal(len(h)) - 1.5 * (1 - (places[:, 1] / 12) ** 2)
+        shore = np.arange(-4.0, 50.0, 2.0)
+        n = len(known) + 2 * len(shore)
+        white = np.concatenate([np.full(len(known), 0.02), np.full(2 * len(shore), 0.05)])
+        data = Observations(
+            s_m=np.concatenate([known[:, 0], shore, shore]),
+            n_m=np.concatenate([known[:, 1], np.full(len(shore), 12.0), np.full(len(shore), -12.0)]),
+            height_m=np.concatenate(
+                [z[: len(known)] + 0.02 * rng.standard_normal(160), 0 * shore, 0 * shore]
+            ),
+            sigma_white_m=white,
+            sigma_slow_m=np.zeros(n),
+            t_s=np.full(n, np.nan),
+            line=np.concatenate([line, np.full(len(shore), -2), np.full(len(shore), -3)]),
+        )
+
+        def widths(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            return np.full(np.shape(at), 12.0), np.full(np.shape(at), 12.0)
+
+        model = choose_model(data, widths, settings, slow_time_s=0.0, seed=seed)
+        height, sigma = model.predict(data, hidden, neighbours=48)
+        squares.append(float(np.mean(((height - z[len(known) :]) / sigma) ** 2)))
+    assert 0.6 < np.median(squares) < 1.5
+    assert max(squares) < 4.0
+
+
+def test_a_river_that_is_deeper_where_it_is_narrower_says_so() -> None:
+    """Nine sections far apart: a mean section that knows the width is chosen, and is better between them."""
+    rng = np.random.default_rng(9)
+
+    def widths(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        half = 20.0 * np.exp(0.3 * np.sin(np.asarray(at) / 60.0))
+        return half, half
+
+    def true_m(s: np.ndarray, q: np.ndarray) -> np.ndarray:
+        return -2.0 * (widths(s)[0] / 20.0) ** -1.5 * (1 - q**2)
+
+    s, q = np.repeat(np.arange(0.0, 900.0, 100.0), 20), np.tile(np.linspace(-0.98, 0.98, 20), 9)
+    data = Observations(
+        s_m=s,
+        n_m=q * widths(s)[0],
+        height_m=true_m(s, q) + 0.05 * rng.standard_normal(len(s)),
+        sigma_white_m=np.full(len(s), 0.05),
+        sigma_slow_m=np.zeros(len(s)),
+        t_s=np.full(len(s), np.nan),
+        line=(s // 100).astype(int),
+    )
+    chosen = choose_model(data, widths, Bathymetry(model="exponential"), slow_time_s=0.0, seed=1)
+    assert chosen.drift.kind == "section_width"
+    assert chosen.compared["section_width, exponential"] < chosen.compared["section, exponential"] - 0.2
+    deep = dict(zip(range(6), chosen.drift.coefficients, strict=True))
+    assert deep[4] + deep[5] < -1.0  # metres in the middle of the river for a narrowness of one
+    between = np.column_stack([s + 50.0, q * widths(s + 50.0)[0]])[s < 800]
+    error = chosen.predict(data, between, neighbours=48)[0] - true_m(between[:, 0], q[s < 800])
+    plain = choose_model(
+        data, widths, Bathymetry(model="exponential", drift="section"), slow_time_s=0.0, seed=1
+    )
+    other = plain.predict(data, between, neighbours=48)[0] - true_m(between[:, 0], q[s < 800])
+    assert np.sqrt(np.mean(error**2)) < 0.7 * np.sqrt(np.mean(other**2))
+
+
 def test_margins_that_are_rougher_than_the_channel_get_their_own_sigma() -> None:
     """Relief 2.5 times as large near the banks: normalised squares with one relief for all, and with two."""
     squares: dict[str, list[float]] = {"one": [], "two": [], "channel": []}
@@ -440,14 +515,67 @@ def test_model_written_and_read_is_the_same() -> None:
 
 
 def test_robust_variogram_is_that_of_the_field() -> None:
-    values = []
+    """The measured one, and what the true model says of the same pairs."""
+    true = CovarianceModel(kind="exponential", sill_m2=0.09, range_s_m=60.0, range_n_m=8.0)
+    model = BedModel(drift=Drift(kind="none"), covariance=true, compared={}, reason="")
+    values, same_pairs = [], []
     for seed in range(6):
         data, _ = field(12, np.random.default_rng(10 + seed))
-        lag, value, pairs = directional_variogram(data, along=False, reach_m=10.0, tolerance_m=1.5, bins=5)
-        assert pairs.sum() > 500
-        values.append(value)
-    expected = 0.02**2 + 0.09 * (1 - np.exp(-3 * lag / 8.0))
+        found = directional_variogram(data, model, along=False, reach_m=10.0, tolerance_m=1.5, bins=5)
+        assert found.pairs.sum() > 500
+        values.append(found.semivariance_m2)
+        same_pairs.append(found.expected_m2)
+    expected = 0.02**2 + 0.09 * (1 - np.exp(-3 * found.lag_m / 8.0))
     assert np.mean(values, axis=0) == pytest.approx(expected, rel=0.35)
+    assert np.mean(same_pairs, axis=0) == pytest.approx(expected, rel=0.1)
+    # along the river pairs lie up to three quarters of a range apart across it
+    data, _ = field(12, np.random.default_rng(3))
+    found = directional_variogram(data, model, along=True, reach_m=50.0, tolerance_m=6.0, bins=4)
+    at_zero_lag_across = 0.02**2 + 0.09 * (1 - np.exp(-3 * found.lag_m / 60.0))
+    assert found.expected_m2[1] > 1.1 * at_zero_lag_across[1]
+
+
+def test_a_light_sheet_that_contradicts_the_soundings_is_left_out(survey) -> None:
+    """Points of the same bed stay; those of ground 30 cm above it go: the bed is as without them."""
+    line, banks, level, table = survey
+    s, n = np.repeat(np.arange(40.0, 60.0, 0.5), 5), np.tile(np.linspace(-1.0, 1.0, 5), 40)
+    xy = line.to_map(s, n)
+
+    def kriged(strip: pd.DataFrame | None):
+        return krige_bed(
+            table,
+            banks.line,
+            banks,
+            level,
+            strip,
+            frame=FRAME,
+            crs=UTM,
+            echo=EchoSounder(beam_deg=0.0),
+            settings=Bathymetry(cell_m=2.0, model="matern32", drift="none"),
+            slow_time_s=10.0,
+            seed=1,
+        )
+
+    def strip(lift_m: float) -> pd.DataFrame:
+        return pd.DataFrame(
+            {
+                "t_gps_s": 1000.0 + s,
+                "east_m": xy[:, 0],
+                "north_m": xy[:, 1],
+                "up_m": lift_m - depth_m(s, n),
+                "sigma_line_m": 0.002,
+                "cov_uu_m2": 0.01**2,
+            }
+        )
+
+    without, right, wrong = kriged(None), kriged(strip(0.0)), kriged(strip(0.3))
+    assert right.facts["light sheet left out"] == 0
+    assert abs(right.facts["light sheet above the soundings_m"]) < 0.03
+    assert (right.data["source"] == "light sheet").sum() == right.facts["light sheet"]
+    assert wrong.facts["light sheet left out"] == wrong.facts["light sheet"] > 100
+    assert wrong.facts["light sheet above the soundings_m"] == pytest.approx(0.3, abs=0.03)
+    np.testing.assert_array_equal(wrong.up_m, without.up_m)
+    assert not np.array_equal(right.up_m, without.up_m, equal_nan=True)
 
 
 def test_observations_of_a_table_keep_every_column(bed) -> None:

@@ -298,7 +298,7 @@ def test_real_sections_are_predicted_as_well_as_said(data_dir: Path, tmp_path: P
     assert main(["bed", str(tmp_path / "t.csv"), *words, *banks, "--out", str(tmp_path / "o")]) == 0
     facts = json.loads((tmp_path / "o/validation.json").read_text())
     assert facts["lines"] == 29
-    assert facts["rmse_m"] <= 0.81  # 0.801; 0.80 is wanted
+    assert facts["rmse_m"] <= 0.78  # 0.760; 0.80 is wanted
     assert 0.7 < facts["normalised_square"] < 1.4
     assert facts["outside_95"] <= 0.08
     for part in ("margin", "channel"):

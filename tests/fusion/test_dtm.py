@@ -92,8 +92,9 @@ def test_a_step_between_bed_and_banks_shows(river, rng, tmp_path):
         sigma_up_m=cloud.sigma_up_m,
     )
     found = build_dtm(bed, {Source.LIDAR: high}, river.outline_m(), FRAME, Fusion())
-    step, sigma = seam_steps(found)
-    assert np.mean(np.abs(step) > 2 * sigma) > 0.3
+    step, sigma, bend = seam_steps(found)
+    assert np.mean(np.abs(step) - bend > 2 * sigma) > 0.3
+    assert dtm_facts(found)["seam_above_two_sigma"] > 0.3
 
 
 def test_gaps_on_land_stay_or_are_filled_and_named(river, rng, tmp_path):

@@ -302,7 +302,8 @@ def test_a_seam_is_the_step_beside_the_slopes() -> None:
     """Heights 0, 1, 3, 4: a step of 2 where both sides rise by 1; turned by a quarter the same."""
     row = {"sigma_m": np.array([[0.1, 0.2, 0.3, 0.4]]), "source": np.array([[1, 1, 2, 2]], np.uint8)}
     model = dtm([[0.0, 1.0, 3.0, 4.0]], **row)
-    step, sigma = seam_steps(model)
+    step, sigma, bend = seam_steps(model)
+    assert bend == pytest.approx([0.0])
     assert step == pytest.approx([1.0])
     assert sigma**2 == pytest.approx([2.25 * (0.04 + 0.09) + 0.25 * (0.01 + 0.16)])
     facts = dtm_facts(model)
@@ -312,11 +313,23 @@ def test_a_seam_is_the_step_beside_the_slopes() -> None:
     assert facts["median_sigma_m"] == pytest.approx(0.25)
     assert facts["seam_spread_m"] == pytest.approx(NMAD)
     three = {k: np.repeat(v, 3, axis=0) for k, v in row.items()}
+    mixed = dtm([[0.0, 1.0, 4.0, 5.0], [0.0, 0.0, 0.0, 9.0], [0.0, 1.0, 2.0, 3.0]], **three)
+    assert dtm_facts(mixed)["seam_above_two_sigma"] == pytest.approx(1 / 3)
+    assert dtm_facts(mixed)["seam_and_bend_above_two_sigma"] == pytest.approx(2 / 3)
     high = dtm_facts(dtm([[0.0, 1.0, 4.0, 5.0], [0.0, 1.0, 2.0, 3.0], [0.0, 1.0, 2.5, 3.5]], **three))
     assert high["seam_above_two_sigma"] == pytest.approx(1 / 3)  # steps of 2.0, 0.0 and 0.5 m
     assert high["seam_spread_m"] == pytest.approx(0.5 * NMAD)
     turned = dtm([[0.0], [1.0], [3.0], [4.0]], **{k: v.T for k, v in row.items()})
     assert seam_steps(turned)[0] == pytest.approx([1.0])
+    # a bank of slope 1 beside a level bed: one bend, wherever it lies between the outer cells, is no step
+    for at in (0.5, 1.0, 1.3, 1.5, 2.0, 2.5):
+        toe = np.maximum(np.arange(4.0) - at, 0.0)
+        toe_step, _, toe_bend = seam_steps(dtm([toe.tolist()], **row))
+        assert abs(toe_step[0]) <= toe_bend[0] + 1e-12
+        lifted = toe + 0.8 * (np.arange(4) > 1.5)
+        step, _, bend = seam_steps(dtm([lifted.tolist()], **row))
+        assert -0.2 < abs(step[0]) - bend[0] <= 0.8 + 1e-12
+    assert seam_steps(dtm([[0.0, 0.0, 0.0, 1.0]], **row))[0] == pytest.approx([-0.5])
     even = dtm([[0.0, 1.0, 3.0, 4.0]])
     assert dtm_facts(even)["seam_cells"] == 0
     assert dtm_facts(even)["seam_spread_m"] == 0.0

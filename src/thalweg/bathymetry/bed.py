@@ -46,6 +46,9 @@ _PIECE_M: Final = 0.25
 """Points of a light-sheet image within this are one datum."""
 _RELIEF_M: Final = 0.01
 """Floor of the noise of such a datum: grains of the bed."""
+_APART: Final = 5.0
+"""Light-sheet data whose median lies so many standard deviations off the bed of the soundings are of another
+bed, or one of both is wrong: they are left out."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -271,6 +274,9 @@ def krige_bed(
     The return of a wide beam from a slope needs the slope, which needs the bed: it is kriged, and kriged
     again with the slopes that it shows.
 
+    Points of the light sheet that contradict the soundings at the same places are left out; ``facts`` hold
+    their number and by how much they lie above.
+
     Parameters
     ----------
     soundings, line, banks, level, strip : see `bed_observations`.
@@ -288,8 +294,15 @@ def krige_bed(
     table, counts = bed_observations(
         soundings, line, banks, level, strip, bank_as_data=settings.bank_as_data, others=others
     )
+    sheet = table["source"] == "light sheet"
+    model = choose_model(
+        observations_of(table[~sheet]), banks.half_widths_m, settings, slow_time_s=slow_time_s, seed=seed
+    )
+    against = _against_soundings(table, sheet.to_numpy(), model, settings.neighbours)
+    if against and against["light sheet left out"]:
+        strip = None
+        table = table[~sheet].reset_index(drop=True)
     data = observations_of(table)
-    model = choose_model(data, banks.half_widths_m, settings, slow_time_s=slow_time_s, seed=seed)
     around = frame.to_map(table[["east_m", "north_m", "up_m"]].to_numpy(np.float64), crs)[:, :2]
     grid = Grid.around(around, settings.cell_m, crs, margin_m=2 * settings.cell_m)
     reach = settings.reach * model.covariance.range_s_m
@@ -304,7 +317,31 @@ def krige_bed(
         table, counts = bed_observations(
             soundings, line, banks, level, strip, bank_as_data=settings.bank_as_data, others=others
         )
-    return gridded(table, model, grid, flow, inside, settings, counts)
+    return gridded(table, model, grid, flow, inside, settings, counts | against)
+
+
+def _against_soundings(
+    table: pd.DataFrame, sheet: ArrayB, model: BedModel, neighbours: int
+) -> dict[str, int | float]:
+    """How far the light sheet lies above the bed of everything else, and how many of its data are left out.
+
+    Empty if there is none. Errors that all of its data share are part of the standard deviation, so that
+    the median does not become surer by more points.
+    """
+    if not sheet.any():
+        return {}
+    there = observations_of(table[sheet])
+    height, sigma = model.predict(observations_of(table[~sheet]), there.places_m, neighbours=neighbours)
+    common = table["sigma_common_m"].to_numpy(np.float64)
+    shared = np.hypot(np.median(common[~sheet]), common[sheet])
+    above = there.height_m - height
+    off = above / np.sqrt(sigma**2 + model.own_variance(there) + shared**2)
+    apart = bool(abs(np.median(off)) > _APART)
+    return {
+        "light sheet above the soundings_m": float(np.median(above)),
+        "light sheet above the soundings, sigmas": float(np.median(off)),
+        "light sheet left out": int(sheet.sum()) if apart else 0,
+    }
 
 
 def gridded(
@@ -314,7 +351,7 @@ def gridded(
     flow: ArrayF,
     inside: ArrayB,
     settings: Bathymetry,
-    counts: dict[str, int],
+    counts: dict[str, Any],
 ) -> Bed:
     """Kriged cells.
 
@@ -344,7 +381,7 @@ def gridded(
             expected="cells within bathymetry.reach ranges of data",
             cure="Raise bathymetry.reach or lower bathymetry.cell_m",
         )
-    facts = counts | {
+    facts: dict[str, Any] = counts | {
         "cells": known,
         "area_m2": known * settings.cell_m**2,
         "cells too far from data": int((far & inside).sum()),

@@ -2,16 +2,19 @@
 
 The model, its parameters and the drift are those with the best score of left-out lines,
 
-    mean of  log(var)/2 + error^2 / (2 var),
+    mean of  log(var)/2 + error^2 / (2 var)  +  sum of  (log(parameter / usual) / log(factor))^2 / (2 m),
 
 the negative logarithm of the normal density that kriging gives to soundings that it was not shown (Gneiting
-and Raftery 2007, J. Am. Stat. Assoc. 102). Stretches of the banks are left out as lines are: that tells how
-the bed varies between the outermost soundings and the shore, where no sounding ever is. Ranges and
-anisotropy are bounded: without bounds the score runs to ranges of zero. A variogram by Cressie and Hawkins
-(1980) is made for the picture alone.
+and Raftery 2007, J. Am. Stat. Assoc. 102), and of what is usual in rivers, where ``m`` is the number of
+left-out lines: the errors of a line go together, it counts as one. Four lines alone say little: their score
+is as good with a range of 600 m as with one of 100 m, and the standard deviations differ by a factor of
+three. Ranges and anisotropy are bounded as well. A line is foretold without its part in the drift.
+
+Shorelines are data, but they judge nothing: they are level all along by definition, and a model that
+foretells them best is too smooth for the bed.
 
 Near the banks a bed may be rougher than in the channel: the standard deviation of its relief has a factor
-there, one of the parameters.
+there, one of the parameters. A variogram by Cressie and Hawkins (1980) is made for the picture alone.
 """
 
 from collections.abc import Callable
@@ -29,7 +32,7 @@ from thalweg.settings.sections import Bathymetry
 HalfWidths = Callable[[ArrayLike], tuple[ArrayF, ArrayF]]
 """Gives the distances of the left and the right shore from the centre line at places along it."""
 
-DRIFTS: Final = ("none", "section", "fall")
+DRIFTS: Final = ("none", "section", "section_width", "fall")
 _WIDTHS: Final = 60
 _WIDEST_GAP: Final = 0.35
 """A mean cross-section is only taken where data lie across the whole width; in half widths."""
@@ -50,7 +53,7 @@ SHEET_LINE: Final = -1_000_000
 """Lines of the light sheet count down from here; negative lines above it are stretches of the banks."""
 _DATA: Final = 1500
 """Soundings that they are foretold from."""
-_STEPS: Final = 50
+_STEPS: Final = 90
 _NEIGHBOURS: Final = 24
 """Data that a left-out sounding is foretold from while models are compared."""
 _BOUNDS: Final = {
@@ -63,7 +66,11 @@ _BOUNDS: Final = {
 """Range across in half widths; anisotropy; sill and micro-relief in variances of the heights; margin: a
 shoreline is level all along, which would make any bed beside it look smoother than it is, so that no less
 than one is believed."""
-_FIRST: Final = (0.7, 5.0, 1.0, 1e-3, 1.0)
+_USUAL: Final = (1.0, 6.0, 1.0, 1e-3, 1.0)
+"""The same, where nothing is known: anisotropies of river beds are published from 2 to 20 (Merwade 2009, J.
+Hydrol. 372; the settings of RiverBottomInterpolator, 10 and 20), and a cross-section is one bump."""
+_FACTORS: Final = (2.5, 2.5, 3.0, 10.0, 3.0)
+"""One standard deviation of the logarithm of each."""
 _STRIDES: Final = (0.5, 0.7, 0.5, 1.0, 0.4)
 
 
@@ -93,10 +100,28 @@ class Across:
         """Place (m,) across the river: -1 at the right bank, 1 at the left one; 0 if no banks are known."""
         if len(self.s_m) < 2:
             return np.zeros(len(places_m))
-        width = np.array(self.width_m)
-        left, right = (np.interp(places_m[:, 0], self.s_m, width[:, k]) for k in (0, 1))
+        left, right = self._at(places_m[:, 0])
         n = places_m[:, 1]
         return np.asarray(np.clip(n / np.where(n > 0, left, right), -_OUTSIDE, _OUTSIDE))
+
+    def _at(self, s_m: ArrayF) -> tuple[ArrayF, ArrayF]:
+        width = np.array(self.width_m)
+        return np.interp(s_m, self.s_m, width[:, 0]), np.interp(s_m, self.s_m, width[:, 1])
+
+    def narrowness(self, s_m: ArrayF) -> ArrayF:
+        """Logarithm of the usual width over the width (m,), which is the mean over a width along the river.
+
+        Bays of the shore that are shorter than the river is wide tell nothing of its depth.
+        """
+        if len(self.s_m) < 2:
+            return np.zeros(len(s_m))
+        width = np.array(self.width_m).sum(axis=1)
+        usual = float(np.exp(np.mean(np.log(width))))
+        apart = (np.asarray(s_m)[:, None] - np.array(self.s_m)) / (usual / 2)
+        weight = np.exp(-(apart**2) / 2)
+        # beyond the ends the last width goes on
+        weight[np.arange(len(weight)), np.abs(apart).argmin(axis=1)] += 1e-12
+        return np.asarray(-(weight @ np.log(width / usual)) / weight.sum(axis=1))
 
     def margin(self, places_m: ArrayF) -> ArrayF:
         """How much of the margin (m,) a place is: 0 in the channel, 1 near the banks."""
@@ -112,7 +137,9 @@ class Drift:
     ----------
     kind : one of `DRIFTS`.
     across : of the river.
-    coefficients : of q, q^2, q^3, q^4 with q = n over half width (section), of s (fall).
+    coefficients : of q, q^2, q^3, q^4 with q = n over half width (section); of these, of the narrowness N and
+        of N (1 - q^2) (section_width): a river is deeper where it is narrower, because the same water must
+        pass; of s (fall).
     cov : of the coefficients; empty: they count as true.
     s0_m : where s counts from.
     """
@@ -129,9 +156,9 @@ class Drift:
 
         Raises
         ------
-        GeometryError : the drift ``section`` without banks on both sides.
+        GeometryError : the drift ``section`` or ``section_width`` without banks on both sides.
         """
-        if kind == "section" and len(across.s_m) < 2:
+        if kind.startswith("section") and len(across.s_m) < 2:
             raise GeometryError(
                 "no half widths for a mean cross-section", expected="both banks along the survey"
             )
@@ -150,7 +177,12 @@ class Drift:
             return np.empty((len(places_m), 0))
         if self.kind == "fall":
             return np.asarray(places_m)[:, :1] - self.s0_m
-        return np.asarray(self.across.at(places_m)[:, None] ** np.arange(1, _DEGREE + 1))
+        q = self.across.at(places_m)
+        section = q[:, None] ** np.arange(1, _DEGREE + 1)
+        if self.kind == "section":
+            return np.asarray(section)
+        narrow = self.across.narrowness(np.asarray(places_m)[:, 0])
+        return np.column_stack([section, narrow, narrow * np.maximum(1 - q**2, 0.0)])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -233,7 +265,7 @@ def choose_model(
 
     Parameters
     ----------
-    data : soundings, banks and points of the light sheet, which are never left out.
+    data : soundings, which judge, and banks and points of the light sheet, which only help to foretell.
     half_widths : of the river.
     settings : what is stated.
     slow_time_s : correlation time of errors that last.
@@ -251,19 +283,19 @@ def choose_model(
             expected="at least two: what lies beside a single line cannot be told",
             cure="Survey a zigzag or sections; or lower bathymetry.line_turn_deg, if lines run together",
         )
-    banks = np.unique(data.line[(data.line < 0) & (data.line > SHEET_LINE)])
-    test, train = _thinned(data, lines, banks, rng)
+    test, train = _thinned(data, lines, rng)
     half = _typical_half_width(data, half_widths)
     across = Across.of(data, half_widths)
     share = across.margin(data.places_m)
-    of_lines = np.concatenate(test)
-    judged = share[of_lines[data.line[of_lines] >= 0]]
+    judged = share[np.concatenate(test)]
     both = min((judged > 0.5).sum(), (judged < 0.5).sum()) >= _FEWEST
     margin = settings.margin_roughness or (None if both else 1.0)
     known = bool(np.isfinite(half_widths(data.s_m)[0]).any() and np.isfinite(half_widths(data.s_m)[1]).any())
     covered = known and _widest_gap(data, half_widths) <= _WIDEST_GAP
     drifts = (
-        [d for d in DRIFTS if d != "section" or covered] if settings.drift == "auto" else [settings.drift]
+        [d for d in DRIFTS if covered or not d.startswith("section")]
+        if settings.drift == "auto"
+        else [settings.drift]
     )
     kinds = KINDS if settings.model == "auto" else (settings.model,)
     compared: dict[str, float] = {}
@@ -273,7 +305,7 @@ def choose_model(
         kind, drift_kind, start = tried.pop(0)
         drift = Drift.fitted(drift_kind, data, across)
         rest = data.lifted(data.height_m - drift.at(data.places_m))
-        parts = _left_out(rest, share, test, train)
+        parts = _left_out(data, share, test, train, drift)
         found, rough, score = _fitted(rest, parts, kind, half, slow_time_s, start, margin)
         compared[f"{drift_kind}, {kind}"] = score
         if best is None or score < best.score:
@@ -286,7 +318,7 @@ def choose_model(
     best = best.fitted_to(data)
     # The nearest soundings may all be of one or two lines. Whether a line may make at most a quarter of a
     # cell, so that four lines do, is judged in the same way, with as many neighbours as a cell will have.
-    parts = _left_out(data.lifted(data.height_m - best.drift.at(data.places_m)), share, test, train)
+    parts = _left_out(data, share, test, train, best.drift)
     quarter = max(settings.neighbours // 4, 1)
     any_line, four_lines = (
         _score(best.covariance, best.margin, parts, neighbours=settings.neighbours, of_line=k, candidates=256)
@@ -314,11 +346,9 @@ def _widest_gap(data: Observations, half_widths: HalfWidths) -> float:
     return float(np.diff(q).max())
 
 
-def _thinned(
-    data: Observations, lines: ArrayI, banks: ArrayI, rng: np.random.Generator
-) -> tuple[list[ArrayI], ArrayI]:
-    """Data to foretell, by left-out line or stretch of bank, and those that they are foretold from."""
-    chosen = np.concatenate([rng.choice(a, min(_LINES, len(a)), replace=False) for a in (lines, banks)])
+def _thinned(data: Observations, lines: ArrayI, rng: np.random.Generator) -> tuple[list[ArrayI], ArrayI]:
+    """Soundings to foretell, by left-out line, and data that they are foretold from."""
+    chosen = rng.choice(lines, min(_LINES, len(lines)), replace=False)
     test = []
     for line in np.sort(chosen).tolist():
         of = np.flatnonzero(data.line == line)
@@ -355,10 +385,11 @@ def _fitted(
     start: ArrayF | None,
     margin: float | None,
 ) -> tuple[CovarianceModel, float, float]:
-    """Parameters of a model with the best score, the factor of the margin, and this score."""
+    """Parameters of a model with the best score, the factor of the margin, and the score."""
     variance = max(float(rest.height_m.var()), 1e-6)
     n = len(_BOUNDS) if margin is None else len(_BOUNDS) - 1
     low, high = np.log(list(_BOUNDS.values()))[:n].T
+    usual, spread = np.log(_USUAL)[:n], np.log(_FACTORS)[:n]
 
     def model_of(q: ArrayF) -> tuple[CovarianceModel, float]:
         """Covariance and margin of logarithms of range, anisotropy, sill, micro-relief and margin."""
@@ -374,11 +405,12 @@ def _fitted(
         return found, float(rough[0]) if margin is None else margin
 
     def score(q: ArrayF) -> float:
-        """Log score, worse beyond the bounds."""
+        """Log score and what is usual; worse beyond the bounds."""
         outside = float(np.sum(np.maximum(low - q, 0) + np.maximum(q - high, 0)))
-        return _score(*model_of(q), parts) + outside
+        unusual = float(np.sum(((q - usual) / spread) ** 2)) / (2 * len(parts))
+        return _score(*model_of(q), parts) + unusual + outside
 
-    first = (np.log(_FIRST) if start is None else start)[:n]
+    first = (usual if start is None else start)[:n]
     simplex = np.vstack([first, first + np.diag(_STRIDES[:n])])
     found = minimize(
         score,
@@ -389,12 +421,17 @@ def _fitted(
     return *model_of(found.x), float(found.fun)
 
 
-def _left_out(rest: Observations, share: ArrayF, test: list[ArrayI], train: ArrayI) -> list[_Part]:
-    """By left-out line."""
+def _left_out(
+    data: Observations, share: ArrayF, test: list[ArrayI], train: ArrayI, drift: Drift
+) -> list[_Part]:
+    """By left-out line, its drift removed: that of all other data."""
     out = []
     for of in test:
         if len(of):
-            known = train[rest.line[train] != rest.line[of[0]]]
+            others = data.line != data.line[of[0]]
+            known = train[others[train]]
+            again = Drift.fitted(drift.kind, data.where(others), drift.across)
+            rest = data.lifted(data.height_m - again.at(data.places_m))
             out.append((rest.where(known), rest.where(of), share[known], share[of]))
     return out
 
@@ -441,35 +478,80 @@ def _parameters(model: BedModel, half_m: float, rest: Observations) -> ArrayF:
     )
 
 
-def directional_variogram(
-    data: Observations, *, along: bool, reach_m: float, tolerance_m: float, bins: int = 15, seed: int = 0
-) -> tuple[ArrayF, ArrayF, ArrayI]:
-    """Robust semivariances of pairs along or across the river (Cressie and Hawkins 1980).
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DirectionalVariogram:
+    """Robust semivariances by classes of lag.
 
     Parameters
     ----------
-    data : heights, their drift removed.
+    lag_m, semivariance_m2 : (bins,) means; NaN in empty classes.
+    expected_m2 : (bins,) what the model says of the same pairs, averaged in the same way.
+    pairs : (bins,).
+    """
+
+    lag_m: ArrayF
+    semivariance_m2: ArrayF
+    expected_m2: ArrayF
+    pairs: ArrayI
+
+
+def directional_variogram(
+    data: Observations,
+    model: BedModel,
+    *,
+    along: bool,
+    reach_m: float,
+    tolerance_m: float,
+    bins: int = 15,
+    seed: int = 0,
+) -> DirectionalVariogram:
+    """Semivariances of pairs along or across the river (Cressie and Hawkins 1980), and those of a model.
+
+    Pairs of a class differ in the other direction too, in how rough their place is and in their errors, so
+    that no single curve belongs to them: the model's semivariance of each pair is averaged as the pair's own.
+
+    Parameters
+    ----------
+    data : heights; the drift of the model is removed here.
+    model : of the bed.
     along : pairs along the river; else across it.
     reach_m : longest lag.
     tolerance_m : how far apart a pair may lie in the other direction.
     bins : classes of lag.
     seed : of the sample, where there are more than 3,000.
-
-    Returns
-    -------
-    lag_m, semivariance_m2, pairs : (bins,).
     """
     keep = np.arange(len(data))
     if len(keep) > 3000:
         keep = np.sort(np.random.default_rng(seed).choice(keep, 3000, replace=False))
-    p, z = data.places_m[keep], data.height_m[keep]
-    i, j = np.triu_indices(len(keep), 1)
-    d = np.abs(p[i] - p[j])
+    of = data.where(keep)
+    i, j = np.triu_indices(len(of), 1)
+    d = np.abs(of.places_m[i] - of.places_m[j])
     lag, other = (d[:, 0], d[:, 1]) if along else (d[:, 1], d[:, 0])
     use = (other < tolerance_m) & (lag < reach_m)
-    number = np.minimum((lag[use] / reach_m * bins).astype(np.int64), bins - 1)
+    i, j, lag = i[use], j[use], lag[use]
+    number = np.minimum((lag / reach_m * bins).astype(np.int64), bins - 1)
     n = np.bincount(number, minlength=bins)
-    root = np.bincount(number, np.sqrt(np.abs(z[i] - z[j])[use]), minlength=bins) / np.maximum(n, 1)
-    value = root**4 / (0.457 + 0.494 / np.maximum(n, 1)) / 2
-    middle = np.bincount(number, lag[use], minlength=bins) / np.maximum(n, 1)
-    return middle, np.where(n > 0, value, np.nan), n
+
+    def mean(value: ArrayF) -> ArrayF:
+        """By class."""
+        total = np.bincount(number, value, minlength=bins)
+        return np.asarray(np.divide(total, n, out=np.full(bins, np.nan), where=n > 0))
+
+    z = of.height_m - model.drift.at(of.places_m)
+    g, covariance = model.roughness(of.places_m), model.covariance
+    scaled = covariance.scaled(d[use])
+    together = covariance.correlation(np.hypot(scaled[:, 0], scaled[:, 1]))
+    slow = of.sigma_slow_m
+    lasting = np.zeros(len(i))
+    if covariance.slow_time_s > 0:
+        lasting = slow[i] * slow[j] * np.exp(-np.abs(of.t_s[i] - of.t_s[j]) / covariance.slow_time_s)
+    own = of.sigma_white_m**2 + slow**2 + g**2 * (covariance.sill_m2 + covariance.micro_m2)
+    expected = (own[i] + own[j]) / 2 - g[i] * g[j] * covariance.sill_m2 * together - lasting
+    # the fourth root of a squared difference is nearly normal: its mean is robust
+    value = mean(np.sqrt(np.abs(z[i] - z[j]))) ** 4 / (0.457 + 0.494 / np.maximum(n, 1)) / 2
+    return DirectionalVariogram(
+        lag_m=mean(lag),
+        semivariance_m2=value,
+        expected_m2=mean(np.maximum(expected, 0.0) ** 0.25) ** 4,
+        pairs=n,
+    )

@@ -555,13 +555,19 @@ def _shifted(values: Any, axis: int, step: int, outside: float) -> Any:
 # ---------------------------------------------------------------- seams
 
 
-def seam_steps(model: Dtm) -> tuple[ArrayF, ArrayF]:
-    """Steps (k,) between neighbouring cells of different source beside the slope to both sides, and sigmas.
+def seam_steps(model: Dtm) -> tuple[ArrayF, ArrayF, ArrayF]:
+    """Steps between neighbouring cells of different source beside the slope to both sides.
 
     A step is the difference of both cells less the mean of the differences beyond either of them: on an even
-    slope, however steep, it is zero.
+    slope, however steep, it is zero. Ground without any step that bends once within the four cells, as at the
+    toe of a bank, gives up to half the change of the difference, by where between them it bends.
+
+    Returns
+    -------
+    steps_m, sigmas_m : (k,).
+    bends_m : (k,) as much of a step, to either side, as a bend of the ground can be.
     """
-    steps, sigmas = [], []
+    steps, sigmas, bends = [], [], []
     for axis in (0, 1):
         size = model.height_m.shape[axis]
         if size < 4:
@@ -575,13 +581,16 @@ def seam_steps(model: Dtm) -> tuple[ArrayF, ArrayF]:
         seam = (a != b) & np.isfinite(step) & np.isfinite(variance)
         steps.append(step[seam])
         sigmas.append(np.sqrt(variance[seam]))
-    return np.concatenate(steps), np.concatenate(sigmas)
+        bends.append(np.abs((h[3] - h[2]) - (h[1] - h[0]))[seam] / 2)
+    none = [np.zeros(0)]
+    return np.concatenate(steps or none), np.concatenate(sigmas or none), np.concatenate(bends or none)
 
 
 def dtm_facts(model: Dtm) -> dict[str, Any]:
     """Cells by source, sigmas, and steps at seams, for people."""
     known = np.isfinite(model.height_m)
-    step, sigma = seam_steps(model)
+    step, sigma, bend = seam_steps(model)
+    size = np.abs(step)
     return {
         "cells": int(known.sum()),
         "cell_m": model.cell_m,
@@ -593,6 +602,7 @@ def dtm_facts(model: Dtm) -> dict[str, Any]:
         },
         "median_sigma_m": float(np.median(model.sigma_m[known])),
         "seam_cells": len(step),
-        "seam_above_two_sigma": float(np.mean(np.abs(step) > 2 * sigma)) if len(step) else 0.0,
-        "seam_spread_m": NMAD * float(np.median(np.abs(step))) if len(step) else 0.0,
+        "seam_above_two_sigma": float(np.mean(size - bend > 2 * sigma)) if len(step) else 0.0,
+        "seam_and_bend_above_two_sigma": float(np.mean(size > 2 * sigma)) if len(step) else 0.0,
+        "seam_spread_m": NMAD * float(np.median(size)) if len(step) else 0.0,
     }

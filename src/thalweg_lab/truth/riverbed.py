@@ -101,7 +101,7 @@ def judge_dtm(*, dtm: Path, scene: Path, table: Path, campaign: dict[str, Any]) 
             near = f"{SOURCE_WORDS[each]}, within {_SHORE_M:g} m of the bed"
             rows += _rows(near, error, sigma, of & shore)
             rows += _rows(f"{SOURCE_WORDS[each]}, farther away", error, sigma, of & ~shore)
-    step, of_step = seam_steps(replace(model, height_m=error.reshape(model.height_m.shape)))
+    step, of_step, _ = seam_steps(replace(model, height_m=error.reshape(model.height_m.shape)))
     rows += _rows("steps at seams", step, of_step, np.isfinite(step))
     pd.DataFrame(rows, columns=["measure", "value", "n"]).to_csv(table, index=False)
 

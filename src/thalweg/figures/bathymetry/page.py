@@ -107,7 +107,7 @@ def bed_page(
         + "".join(f" {note}" for note in river["notes"])
         + "".join(f" Not written, {name}: {why}" for name, why in missing.items())
     )
-    page.section("Covariance of the bed").text(f"{variogram['reason']}.")
+    page.section("Covariance of the bed").text(f"{variogram['reason']}.{_light_sheet(found)}")
     compared = sorted(variogram["compared"].items(), key=lambda item: item[1])
     page.table(
         pd.DataFrame(compared, columns=["drift, model", "mean log score"]),
@@ -125,6 +125,21 @@ def bed_page(
         "factor. Bank lines are as good as the ground that the lidar saw beside the water."
     )
     return page
+
+
+def _light_sheet(found: Mapping[str, Any]) -> str:
+    """What the light sheet adds to the bed, or why it does not."""
+    if "light sheet" not in found:
+        return ""
+    above = found["light sheet above the soundings_m"]
+    sigmas = found["light sheet above the soundings, sigmas"]
+    where = (
+        f" {count(found['light sheet'])} places of the light sheet lie {100 * above:+.1f} cm from the bed of "
+        f"the soundings in the median ({sigmas:+.1f} standard deviations)"
+    )
+    if found["light sheet left out"]:
+        return where + ": one of both is wrong or shows another bed. They have no part in this one."
+    return where + " and are part of it."
 
 
 def write_bed_page(

@@ -63,6 +63,9 @@ _PARTS: Final = (
 )
 _KINDS: Final = {"exponential": "exponential", "matern32": "Matérn 3/2", "spherical": "spherical"}
 _SECTIONS: Final = 6
+_STRIPS: Final = 12
+"""Pairs of a variogram lie in the same one of so many strips of the river."""
+_FEWEST_PAIRS: Final = 20
 _MARGIN_M: Final = 4.0
 
 
@@ -242,40 +245,40 @@ def _depth_of(
 
 @styled
 def draw_variogram(*, observations: Path, variogram: Path, title: str, twin: bool) -> Figure:
-    """Robust variogram along and across the river beside the covariance that left-out lines chose."""
+    """Robust variogram of soundings along and across the river, and what the model says of the same pairs."""
     data = observations_of(read_table(observations, OBSERVATIONS)[0])
-    report = json.loads(variogram.read_text())
-    model = BedModel.of_report(report)
-    rest = data.lifted(data.height_m - model.drift.at(data.places_m))
-    figure = new_figure(75.0, f"Variogram of the bed: {title}, n = {count(len(data))} heights", twin=twin)
+    # shorelines are level all along: their pairs say nothing of the bed
+    data = data.where(data.line >= 0)
+    model = BedModel.of_report(json.loads(variogram.read_text()))
+    figure = new_figure(75.0, f"Variogram of the bed: {title}, n = {count(len(data))} soundings", twin=twin)
     axes = figure.subplots(1, 2)
     of = model.covariance
-    noise = float(np.median(data.sigma_white_m**2 + data.sigma_slow_m**2)) + of.micro_m2
-    reach = {True: np.ptp(data.s_m) / 2, False: np.ptp(data.n_m)}
+    extent = {True: float(np.ptp(data.s_m)), False: float(np.ptp(data.n_m))}
     for ax, along in zip(axes, (True, False), strict=True):
-        tolerance = 0.15 * of.range_n_m if along else 0.15 * of.range_s_m
-        lag, value, pairs = directional_variogram(
-            rest, along=along, reach_m=float(reach[along]), tolerance_m=tolerance
-        )
-        use = pairs >= 20
+        reach = extent[along] / 2 if along else extent[along]
+        tolerance = extent[not along] / _STRIPS
+        found = directional_variogram(data, model, along=along, reach_m=reach, tolerance_m=tolerance)
+        use = found.pairs >= _FEWEST_PAIRS
         ax.plot(
-            lag[use],
-            value[use],
+            found.lag_m[use],
+            found.semivariance_m2[use],
             ls="none",
             marker="o" if along else "s",
             color=BLUE if along else VERMILION,
-            label=f"pairs (robust), n = {count(int(pairs[use].sum()))}",
+            label=f"pairs (robust), n = {count(int(found.pairs[use].sum()))}",
         )
-        h = np.linspace(0.0, float(reach[along]), 200)
-        length = of.range_s_m if along else of.range_n_m
         ax.plot(
-            h,
-            noise + of.sill_m2 * (1 - of.correlation(h / length)),
+            found.lag_m[use],
+            found.expected_m2[use],
             color="black",
-            label=f"{_KINDS[of.kind]}, range {length:.1f} m",
+            label=f"same pairs, {_KINDS[of.kind]}, range {of.range_s_m if along else of.range_n_m:.1f} m",
         )
-        ax.set_ylim(0.0, 1.4 * max(float(np.nanmax(value[use], initial=0.0)), 2 * noise))
-        ax.set_xlabel(f"distance {'along' if along else 'across'} the river [m]")
+        both = np.concatenate([found.semivariance_m2[use], found.expected_m2[use], [0.0]])
+        ax.set_ylim(0.0, 1.3 * max(float(both.max()), 1e-6))
+        ax.set_xlabel(
+            f"distance {'along' if along else 'across'} the river [m]\n"
+            f"pairs within {tolerance:.1f} m {'across' if along else 'along'} it"
+        )
         ax.set_xlim(0.0)
         ax.legend(loc="best")
     axes[0].set_ylabel("semivariance [m²]")

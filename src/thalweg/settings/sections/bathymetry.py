@@ -112,10 +112,10 @@ class Bathymetry(Section):
     model: Literal["auto", "exponential", "matern32", "spherical"] = Field(
         default="auto", description="Covariance of the bed; auto: the one that predicts left-out lines best"
     )
-    drift: Literal["auto", "none", "section", "fall"] = Field(
+    drift: Literal["auto", "none", "section", "section_width", "fall"] = Field(
         default="auto",
-        description="What is removed before: nothing, the mean cross-section over the width, the fall along "
-        "the river",
+        description="What is removed before: nothing, the mean cross-section over the width, that and a "
+        "depth that grows where the river is narrower, the fall along the river",
     )
     margin_roughness: Annotated[float, Field(ge=1, le=4)] | None = Field(
         default=None,
