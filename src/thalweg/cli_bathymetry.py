@@ -55,9 +55,10 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
     )
     bed.add_argument(
         "--drift",
-        choices=("auto", "none", "section", "fall"),
+        choices=("auto", "none", "section", "section_width", "fall"),
         default="auto",
-        help="trend that is removed before kriging: none, mean cross-section, slope along the river",
+        help="trend that is removed before kriging: none, mean cross-section, that and a depth that grows "
+        "where the river is narrower, slope along the river",
     )
     bed.add_argument(
         "--neighbours", type=int, default=48, metavar="N", help="data used for a cell (default: %(default)s)"
@@ -243,6 +244,8 @@ def _bed(options: argparse.Namespace) -> int:
         read_soundings,
     )
     from thalweg.core import ConfigError
+    from thalweg.figures import save
+    from thalweg.figures.bathymetry import draw_bed_of_table
     from thalweg.settings.sections import Bathymetry
 
     crs = map_crs(options.crs)
@@ -282,6 +285,16 @@ def _bed(options: argparse.Namespace) -> int:
         options.out,
         {"heights": "above the water surface, metres" if relative else f"of {options.table.name}, metres"},
     )
+    save(
+        draw_bed_of_table(
+            bed=options.out / "bed.tif",
+            observations=found.bed.data,
+            line=found.line,
+            title=options.table.name,
+            twin=False,
+        ),
+        options.out / "bed.png",
+    )
     bed, of = found.bed, found.validation
     print(f"{bed.facts['soundings']:,} soundings on {len(np.unique(soundings.line)):,} lines")
     print(f"  bed: {bed.facts['cells']:,} cells, median sigma {bed.facts['median sigma_m']:.3f} m")
@@ -293,7 +306,7 @@ def _bed(options: argparse.Namespace) -> int:
     )
     for note in found.notes:
         print(f"note: {note}")
-    print(f"Wrote {options.out}/bed.tif, validation.json, methods.csv, centre_line.csv")
+    print(f"Wrote {options.out}/bed.tif, bed.png, validation.json, methods.csv, centre_line.csv")
     return 0
 
 

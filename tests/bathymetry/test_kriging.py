@@ -1,5 +1,8 @@
 """Kriging against one system of all data, PyKrige, and fields of known covariance."""
 
+import os
+import subprocess
+import sys
 from time import process_time
 
 import numpy as np
@@ -114,6 +117,39 @@ def test_any_chunk_gives_the_same_bytes(octants: bool) -> None:
     parts = krige(data, CELLS, model(slow_time_s=5.0), octants=octants, chunk=7)
     assert whole[0].tobytes() == parts[0].tobytes()
     assert whole[1].tobytes() == parts[1].tobytes()
+
+
+HASHED = """
+import hashlib
+import numpy as np
+from thalweg.bathymetry import CovarianceModel, Observations, krige
+rng, n = np.random.default_rng(3), 400
+data = Observations(
+    s_m=rng.uniform(0, 100, n), n_m=rng.uniform(-15, 15, n), height_m=rng.standard_normal(n),
+    sigma_white_m=np.full(n, 0.02), sigma_slow_m=np.full(n, 0.03), t_s=np.arange(n) * 0.1,
+    line=np.arange(n) // 40,
+)
+of = CovarianceModel(kind="matern32", sill_m2=0.3, range_s_m=60.0, range_n_m=9.0, slow_time_s=5.0)
+cells = np.column_stack([rng.uniform(0, 100, 3000), rng.uniform(-15, 15, 3000)])
+found = krige(data, cells, of, chunk=CHUNK)
+print(hashlib.sha256(found[0].tobytes() + found[1].tobytes()).hexdigest())
+"""
+
+
+def test_any_number_of_threads_gives_the_same_bytes() -> None:
+    """Programs of their own, of one and three threads: numba fixes the number at its start."""
+    found = set()
+    for threads, chunk in ((1, 20_000), (3, 20_000), (3, 1100)):
+        done = subprocess.run(
+            [sys.executable, "-W", "ignore", "-c", HASHED.replace("CHUNK", str(chunk))],
+            env={**os.environ, "NUMBA_NUM_THREADS": str(threads)},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        found.add(done.stdout.strip())
+    assert len(found) == 1
+    assert len(found.pop()) == 64
 
 
 def test_limits_of_lines_and_octants_are_kept() -> None:

@@ -3,6 +3,7 @@
 import numpy as np
 import py2dm
 import pytest
+from pyproj import CRS
 from scipy.io import netcdf_file
 from tests.fusion.test_measures_and_exports import model, river  # noqa: F401
 
@@ -53,9 +54,11 @@ def test_2dm_is_read_by_py2dm(mesh, tmp_path):
 
 
 def test_ugrid_is_read_by_scipy(mesh, tmp_path):
-    write_ugrid(tmp_path / "river.nc", mesh, crs_wkt="x")
+    wkt = CRS("EPSG:25833").to_wkt()  # "Europe between 12°E and 18°E ..."
+    write_ugrid(tmp_path / "river.nc", mesh, crs_wkt=wkt)
     with netcdf_file(str(tmp_path / "river.nc"), mmap=False) as file:
         assert file.variables["mesh2d"].cf_role == b"mesh_topology"
+        assert file.variables["projected_coordinate_system"].crs_wkt.decode() == wkt
         assert (file.variables["mesh2d_face_nodes"][:] - 1 == mesh.faces).all()
         assert (file.variables["mesh2d_node_z"][:] == mesh.nodes_m[:, 2]).all()
 

@@ -292,7 +292,7 @@ def choose_model(
     both = min((judged > 0.5).sum(), (judged < 0.5).sum()) >= _FEWEST
     margin = settings.margin_roughness or (None if both else 1.0)
     known = bool(np.isfinite(half_widths(data.s_m)[0]).any() and np.isfinite(half_widths(data.s_m)[1]).any())
-    covered = known and _widest_gap(data, half_widths) <= _WIDEST_GAP
+    covered = known and len(across.s_m) > 1 and _widest_gap(data, half_widths) <= _WIDEST_GAP
     drifts = (
         [d for d in DRIFTS if covered or not d.startswith("section")]
         if settings.drift == "auto"

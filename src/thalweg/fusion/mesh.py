@@ -329,7 +329,8 @@ def write_ugrid(path: Path, mesh: RiverMesh, *, crs_wkt: str) -> None:
         )
         grid = file.createVariable("projected_coordinate_system", "i", ())
         grid.data[()] = 0
-        grid.crs_wkt = crs_wkt
+        # areas of use are written with a degree sign; NetCDF's text is UTF-8
+        grid.crs_wkt = crs_wkt.encode()
         for name, words, values in (
             ("x", "projection_x_coordinate", mesh.nodes_m[:, 0]),
             ("y", "projection_y_coordinate", mesh.nodes_m[:, 1]),

@@ -167,6 +167,60 @@ def draw_bed_map(
     table = read_table(soundings, SOUNDINGS)[0]
     track = frame.to_map(table.loc[table["used"], ["east_m", "north_m", "up_m"]].to_numpy(), onto)[:, :2]
     shores = pd.read_csv(banks)
+    known = int(np.isfinite(depth).sum())
+    words = f"Riverbed: {title}, n = {count(known)} cells of {grid.cell_m:g} m"
+    low, high = robust_limits(depth, 0.5, 99.5)
+    look = {"cmap": DEPTH_MAP, "vmin": max(low, 0.0), "vmax": high}
+    figure, axes = _value_and_sigma(grid, depth, look, "depth below the water [m]", sigma, words, twin=twin)
+    for ax in axes:
+        ax.plot(*track.T, ls="none", marker=".", ms=1.2, color="black", label="soundings")
+        for side, of in shores.groupby("side"):
+            places = frame.to_map(of[["east_m", "north_m", "up_m"]].to_numpy(), onto)[:, :2]
+            seen = of["seen"].to_numpy()
+            colour = VERMILION if side == "left" else BLUE
+            ax.plot(*places.T, color=colour, lw=1.2, label=f"{side} bank")
+            ax.plot(*places[~seen].T, ls="none", marker="o", mfc="white", ms=3, color=colour)
+    legend_below(figure, axes[0])
+    return figure
+
+
+@styled
+def draw_bed_of_table(
+    *, bed: Path, observations: pd.DataFrame, line: FlowLine, title: str, twin: bool
+) -> Figure:
+    """Height of a bed from a table of soundings and its standard deviation, from above.
+
+    Parameters
+    ----------
+    bed : raster of `thalweg.bathymetry.BANDS`.
+    observations : table of kind ``bed_observations``, east and north on the map of the raster.
+    line : centre line, on the same map.
+    title, twin : of the figure.
+    """
+    grid, bands, tags = read_raster(bed)
+    height = bands["height_m"]
+    words = f"Riverbed: {title}, n = {count(int(np.isfinite(height).sum()))} cells of {grid.cell_m:g} m"
+    low, high = robust_limits(height, 0.5, 99.5)
+    look = {"cmap": DEPTH_MAP.reversed(), "vmin": low, "vmax": high}
+    sigma = np.hypot(bands["sigma_m"], np.nan_to_num(bands["sigma_common_m"]))
+    above = " above the water" if "water surface" in tags.get("heights", "") else ""
+    figure, axes = _value_and_sigma(grid, height, look, f"height{above} [m]", sigma, words, twin=twin)
+    course = line.to_map(np.linspace(0.0, line.length_m, 400), 0.0)
+    looks = (("bank", "x", 3.0, VERMILION, "banks"), ("sounding", ".", 1.2, "black", "soundings"))
+    for ax in axes:
+        ax.plot(*course.T, color=GREY, lw=0.8, ls="--", label="centre line", scalex=False, scaley=False)
+        for source, marker, size, colour, name in looks:
+            of = observations.loc[observations["source"] == source, ["east_m", "north_m"]].to_numpy()
+            if len(of):
+                ax.plot(*of.T, ls="none", marker=marker, ms=size, color=colour, label=name)
+    legend_below(figure, axes[0])
+    return figure
+
+
+def _value_and_sigma(
+    grid: Grid, value: ArrayF, look: dict[str, Any], label: str, sigma: ArrayF, title: str, *, twin: bool
+) -> tuple[Figure, list[Axes]]:
+    """Two maps of a raster, one above the other or side by side: a value, and sigma in centimetres."""
     extent = (
         grid.west_m,
         grid.west_m + grid.columns * grid.cell_m,
@@ -177,37 +231,19 @@ def draw_bed_map(
     box += np.array([[-_MARGIN_M], [_MARGIN_M]])
     wide = (box[1, 0] - box[0, 0]) > 1.3 * (box[1, 1] - box[0, 1])
     ratio = float((box[1, 1] - box[0, 1]) / (box[1, 0] - box[0, 0]))
-    height_mm = 2 * 145.0 * ratio + 42.0 if wide else 75.0 * ratio + 45.0
-    known = np.isfinite(depth)
-    figure = new_figure(
-        float(np.clip(height_mm, 80.0, 225.0)),
-        f"Riverbed: {title}, n = {count(int(known.sum()))} cells of {grid.cell_m:g} m",
-        twin=twin,
-    )
+    height_mm = 2 * 145.0 * ratio + 42.0 if wide else 55.0 * ratio + 42.0
+    figure = new_figure(float(np.clip(height_mm, 80.0, 225.0)), title, twin=twin)
     axes = figure.subplots(2, 1, sharex=True) if wide else figure.subplots(1, 2, sharey=True)
-    low, high = robust_limits(depth, 0.5, 99.5)
-    pictures = (
-        (depth, {"cmap": DEPTH_MAP, "vmin": max(low, 0.0), "vmax": high}, "depth below the water [m]"),
-        (
-            100 * sigma,
-            {"cmap": SIGMA_MAP, "norm": LogNorm(*robust_limits(100 * sigma, 0.5, 99.5))},
-            "sigma [cm]",
-        ),
-    )
-    for ax, (values, look, label) in zip(axes, pictures, strict=True):
-        drawn = ax.imshow(values, extent=extent, interpolation="nearest", zorder=1, **look)
+    of_sigma = {"cmap": SIGMA_MAP, "norm": LogNorm(*robust_limits(100 * sigma, 0.5, 99.5))}
+    for ax, values, how, words in zip(
+        axes, (value, 100 * sigma), (look, of_sigma), (label, "sigma [cm]"), strict=True
+    ):
+        drawn = ax.imshow(values, extent=extent, interpolation="nearest", zorder=1, **how)
         bar = figure.colorbar(drawn, ax=ax, shrink=0.85, pad=0.01)
-        bar.set_label(label)
-        if "norm" in look:
+        bar.set_label(words)
+        if "norm" in how:
             bar.ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
             bar.ax.yaxis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "25" else "")
-        ax.plot(*track.T, ls="none", marker=".", ms=1.2, color="black", label="soundings")
-        for side, of in shores.groupby("side"):
-            places = frame.to_map(of[["east_m", "north_m", "up_m"]].to_numpy(), onto)[:, :2]
-            seen = of["seen"].to_numpy()
-            colour = VERMILION if side == "left" else BLUE
-            ax.plot(*places.T, color=colour, lw=1.2, label=f"{side} bank")
-            ax.plot(*places[~seen].T, ls="none", marker="o", mfc="white", ms=3, color=colour)
         ax.set_aspect("equal")
         ax.set_xlim(box[:, 0])
         ax.set_ylim(box[:, 1])
@@ -215,11 +251,10 @@ def draw_bed_map(
         ax.xaxis.set_major_locator(_few())
         ax.yaxis.set_major_locator(_few())
         scale_bar(ax, span_m=float(box[1, 0] - box[0, 0]))
-    axes[-1 if wide else 0].set_xlabel(f"east [m], {onto.name}")
+    axes[-1 if wide else 0].set_xlabel(f"east [m]{', ' if wide else chr(10)}{grid.crs.name}")
     for ax in axes if wide else axes[:1]:
         ax.set_ylabel("north [m]")
-    legend_below(figure, axes[0])
-    return figure
+    return figure, list(axes)
 
 
 def _few() -> Any:
