@@ -238,10 +238,23 @@ def _require_one_size(images: pd.DataFrame) -> None:
 
 def _require_unmirrored(marks: pd.DataFrame, dropped: pd.DataFrame) -> None:
     mirrored = dropped[dropped["reason"] == MIRRORED]
-    if len(mirrored) > marks.drop_duplicates(["image", "marker"]).shape[0]:
-        names = sorted(set(mirrored["image"]))
+    named = sorted(set(mirrored["image"]))[:1]
+    require_unmirrored(marks.drop_duplicates(["image", "marker"]), dropped, f"so in {', '.join(named)}")
+
+
+def require_unmirrored(markers: pd.DataFrame, dropped: pd.DataFrame, where: str) -> None:
+    """Refuse pictures that show more markers in the mirror than right.
+
+    Parameters
+    ----------
+    markers : a row for each marker that was read.
+    dropped : those that were not used, with their ``reason``.
+    where : in words, for the message.
+    """
+    mirrored = dropped[dropped["reason"] == MIRRORED]
+    if len(mirrored) > len(markers):
         raise InputError(
-            f"{len(mirrored)} markers read only in the mirror, so in {names[0]}",
+            f"{len(mirrored)} markers read only in the mirror, {where}",
             expected="sheets and pictures that are not mirrored",
             cure="Use the camera's original files (front cameras and scanners may mirror), or print the "
             "sheets again",

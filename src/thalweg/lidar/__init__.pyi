@@ -12,6 +12,7 @@ from .cloud import (
 )
 from .colour import (
     COLOUR_DIMENSIONS as COLOUR_DIMENSIONS,
+    GAMMA as GAMMA,
     Coloured as Coloured,
     NoColour as NoColour,
     colour_cloud as colour_cloud,
