@@ -107,6 +107,7 @@ from .rig import (
     lens_view as lens_view,
     read_rig as read_rig,
     read_views as read_views,
+    remeasure_rig_marks as remeasure_rig_marks,
     rig_calibration_file as rig_calibration_file,
     rig_of as rig_of,
     view_size_px as view_size_px,

@@ -59,7 +59,7 @@ _LEAST_SADDLES: Final = 3
 _LEAST_TAG_MODULE_PX: Final = 1.5
 _CLEAR_MODULE_PX: Final = 3.5
 _ZOOM_BELOW_PX: Final = 4200
-_SIGNS: Final = np.array([1.0, -1.0, 1.0, -1.0])
+SADDLE_SIGNS: Final = np.array([1.0, -1.0, 1.0, -1.0])
 """Whether the quadrants with equal signs of both sheet coordinates are white, for each saddle."""
 _MAX_CANDIDATES: Final = 4000
 NO_SADDLES: Final = "no saddles around the tag"
@@ -487,7 +487,7 @@ def _measured(
     image: ArrayU8, quads: ArrayF, ids: list[int], known: set[int] | None
 ) -> tuple[list[tuple[int, int, float, float, float, float]], list[tuple[int, float, float, str]]]:
     saddles, steps = _predicted(quads)
-    fit = fit_saddles(image, saddles.reshape(-1, 2), steps.reshape(-1, 2, 2), np.tile(_SIGNS, len(quads)))
+    fit = fit_saddles(image, saddles.reshape(-1, 2), steps.reshape(-1, 2, 2), np.tile(SADDLE_SIGNS, len(quads)))
     xy, sigma, good = (a.reshape(len(quads), 4, *a.shape[1:]) for a in (fit.xy_px, fit.sigma_px, fit.good))
     rejected: list[tuple[int, float, float, str]] = []
     chosen: dict[int, int] = {}
@@ -552,7 +552,7 @@ def _second_look(
     if len(others):
         others = others[dark_framed(image, _homographies(others))]
     saddles, steps = _predicted(others)
-    fit = fit_saddles(image, saddles.reshape(-1, 2), steps.reshape(-1, 2, 2), np.tile(_SIGNS, len(others)))
+    fit = fit_saddles(image, saddles.reshape(-1, 2), steps.reshape(-1, 2, 2), np.tile(SADDLE_SIGNS, len(others)))
     xy, good = fit.xy_px.reshape(-1, 4, 2), fit.good.reshape(-1, 4)
     size = np.sqrt(np.abs([_area(quad) for quad in saddles])) if len(others) else np.empty(0)
     found: list[ArrayF] = []

@@ -10,6 +10,7 @@ interiors and all of these, with the whole covariance, gives what is common to t
 exposure is free, that is the same as one adjustment with the relative orientation as an unknown.
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,6 +24,7 @@ from thalweg.calibration.camera_files import SUFFIX, camera_of, interior_calibra
 from thalweg.calibration.field import FieldNetwork, FieldPoints
 from thalweg.calibration.marker_sheets import MarkerLayout
 from thalweg.calibration.markers import detect, require_unmirrored
+from thalweg.calibration.plane_marks import remeasured
 from thalweg.core import (
     PARAMETERS,
     Adjusted,
@@ -234,8 +236,18 @@ class RigCalibration:
     report: dict[str, Any]
 
 
-def detect_rig_marks(files: Sequence[Path], settings: RigSettings, layout: MarkerLayout) -> pd.DataFrame:
+def detect_rig_marks(
+    files: Sequence[Path],
+    settings: RigSettings,
+    layout: MarkerLayout,
+) -> pd.DataFrame:
     """Marks of a field in both views of all files.
+
+    Parameters
+    ----------
+    files : with both image circles.
+    settings : views of the lenses.
+    layout : dictionary of the tags.
 
     Returns
     -------
@@ -243,17 +255,48 @@ def detect_rig_marks(files: Sequence[Path], settings: RigSettings, layout: Marke
 
     Raises
     ------
-    InputError : see `read_views`; or most markers of a lens are read only in the mirror.
+    InputError : see `read_views`; two files of one name; or most markers of a lens are read only in the
+        mirror.
     """
+    twice = [name for name, n in Counter(path.name for path in files).items() if n > 1]
+    if twice:
+        raise InputError(
+            f"two files are called {twice[0]}",
+            expected="a name of its own for each exposure",
+            cure="Name each file once",
+        )
     parts = []
     for path in files:
         for name, view in read_views(path, settings).items():
-            found = detect(np.rint(view @ _GREY).astype(np.uint8), layout)
+            found = detect(_grey(view), layout)
             require_unmirrored(
                 found.marks.drop_duplicates("marker"), found.rejected, f"in {path}, lens {name}"
             )
             parts.append(found.marks.assign(image=f"{name}/{path.name}", file=path.name, camera=name))
     return pd.concat(parts, ignore_index=True)
+
+
+def remeasure_rig_marks(
+    files: Sequence[Path], settings: RigSettings, marks: pd.DataFrame, cameras: Mapping[str, Camera]
+) -> pd.DataFrame:
+    """The same marks without the bend that a fisheye gives to edges, see `thalweg.calibration.plane_marks`.
+
+    Parameters
+    ----------
+    files, settings : as of `detect_rig_marks`.
+    marks : found by it.
+    cameras : rough interiors by lens.
+    """
+    parts = []
+    for path in files:
+        for name, view in read_views(path, settings).items():
+            mine = marks[marks["image"] == f"{name}/{path.name}"]
+            parts.append(remeasured(_grey(view), mine, cameras[name]))
+    return pd.concat(parts, ignore_index=True)
+
+
+def _grey(view: AnyArray) -> ArrayU8:
+    return np.rint(view @ _GREY).astype(np.uint8)
 
 
 _GREY: Final = np.array([0.299, 0.587, 0.114])

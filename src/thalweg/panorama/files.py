@@ -32,7 +32,7 @@ from thalweg.core import (
 )
 from thalweg.images.model import ImagePoses
 from thalweg.panorama.compose import Composed, compose, reading_that_fits
-from thalweg.panorama.ranges import cloud_ranges, depth_below, fill_gaps, inverse_range
+from thalweg.panorama.ranges import cloud_ranges, fill_gaps, inverse_range
 from thalweg.panorama.sphere import default_width_px, level_attitude
 from thalweg.settings.sections import Panorama
 
@@ -82,7 +82,6 @@ _GPANO: Final = """<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?>
 </rdf:RDF></x:xmpmeta><?xpacket end="w"?>"""
 _TESTED: Final = 5
 """Exposures in which lenses that are changed over or mirrored are looked for."""
-_HEIGHTS: Final = 50_000
 _GPS_IFD: Final = 0x8825
 
 
@@ -261,43 +260,33 @@ def _place(front: Rigid, rig: Rig) -> Rigid:
 
 def _range_maps(
     points: Path | None, places: Sequence[Rigid], frame: LocalFrame, settings: Panorama
-) -> list[tuple[AnyArray, float | None]]:
-    """Least ranges around each place before gaps are filled, and how far the lowest land lies below."""
+) -> list[AnyArray]:
+    """Least ranges around each place before gaps are filled."""
     assert points is not None
     header = laz_header(points)
     if header.frame != frame:
         raise InputError(
             f"a cloud in the frame {header.frame}", expected=f"that of the poses, {frame}", where=points
         )
-    maps: list[AnyArray | None] = [None] * len(places)
-    every = max(1, header.n_points // (_HEIGHTS * 10))
-    sample: list[ArrayF] = []
+    rows = max(2, round(180.0 / settings.cell_deg))
+    maps = [np.full((rows, 2 * rows), np.inf) for _ in places]
     for chunk in iter_laz(points):
         xyz = chunk["xyz_m"]
-        sample.append(xyz[::every])
         for i, place in enumerate(places):
             seen = cloud_ranges(
                 xyz, place.shift_m, place.R, cell_deg=settings.cell_deg, reach_m=settings.reach_m
             )
-            before = maps[i]
-            maps[i] = seen if before is None else np.minimum(before, seen)
-    some = np.concatenate(sample) if sample else np.zeros((0, 3))
-    shape = (max(2, round(180.0 / settings.cell_deg)),)
-    empty = np.full((shape[0], 2 * shape[0]), np.inf)
-    return [
-        (empty if found is None else found, depth_below(some, place.shift_m, settings.reach_m))
-        for found, place in zip(maps, places, strict=True)
-    ]
+            maps[i] = np.minimum(maps[i], seen)
+    return maps
 
 
 def _inverse(
-    maps: Sequence[tuple[AnyArray, float | None]] | None, i: int, settings: Panorama, width: int
+    maps: Sequence[AnyArray] | None, i: int, settings: Panorama, width: int
 ) -> tuple[AnyArray, float]:
     """Inverse ranges (W / 2, W), and the share of cells that the cloud fills."""
     if maps is not None:
-        ranges, below = maps[i]
-        filled = fill_gaps(ranges, gap_deg=settings.gap_deg, below_m=below)
-        return inverse_range(filled, width), float(np.isfinite(ranges).mean())
+        filled = fill_gaps(maps[i], gap_deg=settings.gap_deg)
+        return inverse_range(filled, width), float(np.isfinite(maps[i]).mean())
     inverse = 1.0 / settings.radius_m if settings.mode == "sphere" else 0.0
     return np.full((width // 2, width), inverse), 0.0
 

@@ -1,8 +1,9 @@
 """How far things are in each direction from a panorama, by the lidar cloud around it.
 
-The cloud lies close in lines and has gaps between them, and none of the water. Each cell holds the range of
-its nearest point; gaps up to a width take the nearest range at their border; below the horizon what is left
-is a level surface at the height of the lowest points, where the water is; above it the sky.
+The cloud lies close in lines and has gaps between them. Each cell holds the range of its nearest point; gaps
+up to a width take the nearest range at their border (lower envelope); what is left is infinitely far: the
+sky, and the water, whose picture is mostly a mirrored one, as far behind the surface as the mirrored thing
+lies before it. Taken at the range of the surface, mirrored clouds came out twice as far off at the seam.
 """
 
 from typing import Final
@@ -11,13 +12,9 @@ import numpy as np
 from scipy import ndimage
 
 from thalweg.core import AnyArray, ArrayF
-from thalweg.panorama.sphere import pixels_of, sphere_rays
+from thalweg.panorama.sphere import pixels_of
 
-_LOWEST: Final = 1.0
-"""Per cent of the points below the water line that the cloud shows."""
 _NEAREST_M: Final = 0.4
-_LEVEL_M: Final = 0.3
-"""The level surface begins so far below the rig at least."""
 
 
 def cloud_ranges(
@@ -44,14 +41,13 @@ def cloud_ranges(
     return out
 
 
-def fill_gaps(ranges_m: AnyArray, *, gap_deg: float, below_m: float | None) -> AnyArray:
-    """Ranges (rows, columns) without gaps: infinite only in the sky.
+def fill_gaps(ranges_m: AnyArray, *, gap_deg: float) -> AnyArray:
+    """Ranges (rows, columns) without the gaps of a cloud.
 
     Parameters
     ----------
     ranges_m : `cloud_ranges`.
     gap_deg : cells so near to a point take its range, the nearest of several (lower envelope).
-    below_m : how far below the panorama the water or the lowest land is; None: not known.
     """
     rows, columns = ranges_m.shape
     cell = 180.0 / rows
@@ -65,22 +61,7 @@ def fill_gaps(ranges_m: AnyArray, *, gap_deg: float, below_m: float | None) -> A
         nearest = ndimage.minimum_filter(wide, size=3)[tuple(index)]
         filled = np.where(known | (distance > reach), wide, nearest)
         out = filled[:, reach:-reach]
-    if below_m is not None:
-        down = sphere_rays(columns)[..., 1]
-        with np.errstate(divide="ignore"):
-            level = np.where(down > 1e-3, below_m / np.maximum(down, 1e-3), np.inf)
-        # what the cloud shows below the level is noise of the water's surface
-        out = np.minimum(np.where(np.isfinite(out), out, level), np.where(down > 0, level * 1.02, np.inf))
     return out
-
-
-def depth_below(xyz_wcs_m: ArrayF, centre_wcs_m: ArrayF, reach_m: float) -> float | None:
-    """How far the lowest points around a place lie below it, metres; None without points."""
-    off = xyz_wcs_m - centre_wcs_m
-    near = np.linalg.norm(off, axis=1) <= reach_m
-    if near.sum() < 100:
-        return None
-    return max(_LEVEL_M, -float(np.percentile(off[near, 2], _LOWEST)))
 
 
 def inverse_range(ranges_m: AnyArray, width_px: int) -> AnyArray:
