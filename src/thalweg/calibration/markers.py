@@ -487,7 +487,9 @@ def _measured(
     image: ArrayU8, quads: ArrayF, ids: list[int], known: set[int] | None
 ) -> tuple[list[tuple[int, int, float, float, float, float]], list[tuple[int, float, float, str]]]:
     saddles, steps = _predicted(quads)
-    fit = fit_saddles(image, saddles.reshape(-1, 2), steps.reshape(-1, 2, 2), np.tile(SADDLE_SIGNS, len(quads)))
+    fit = fit_saddles(
+        image, saddles.reshape(-1, 2), steps.reshape(-1, 2, 2), np.tile(SADDLE_SIGNS, len(quads))
+    )
     xy, sigma, good = (a.reshape(len(quads), 4, *a.shape[1:]) for a in (fit.xy_px, fit.sigma_px, fit.good))
     rejected: list[tuple[int, float, float, str]] = []
     chosen: dict[int, int] = {}
@@ -552,7 +554,9 @@ def _second_look(
     if len(others):
         others = others[dark_framed(image, _homographies(others))]
     saddles, steps = _predicted(others)
-    fit = fit_saddles(image, saddles.reshape(-1, 2), steps.reshape(-1, 2, 2), np.tile(SADDLE_SIGNS, len(others)))
+    fit = fit_saddles(
+        image, saddles.reshape(-1, 2), steps.reshape(-1, 2, 2), np.tile(SADDLE_SIGNS, len(others))
+    )
     xy, good = fit.xy_px.reshape(-1, 4, 2), fit.good.reshape(-1, 4)
     size = np.sqrt(np.abs([_area(quad) for quad in saddles])) if len(others) else np.empty(0)
     found: list[ArrayF] = []

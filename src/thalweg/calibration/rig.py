@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 
 from thalweg.calibration.camera import orient_on_field, starting_boat_camera
-from thalweg.calibration.camera_files import SUFFIX, camera_of, interior_calibration
+from thalweg.calibration.camera_files import camera_of, interior_calibration
 from thalweg.calibration.field import FieldNetwork, FieldPoints
 from thalweg.calibration.marker_sheets import MarkerLayout
 from thalweg.calibration.markers import detect, require_unmirrored
@@ -29,7 +29,6 @@ from thalweg.core import (
     PARAMETERS,
     Adjusted,
     AnyArray,
-    ArrayB,
     ArrayF,
     ArrayU8,
     Camera,
@@ -39,15 +38,10 @@ from thalweg.core import (
     Linear,
     Observations,
     Rigid,
-    UnobservableError,
     adjust,
-    cross_matrix,
-    exp_rotation,
-    rotation_vector,
 )
-from thalweg.core.calibration import Block, Calibration, Source, pose_block, read_calibration
-from thalweg.settings.sections import Rig as RigSettings
-from thalweg.settings.sections import RigLens
+from thalweg.core.calibration import Calibration, Source, pose_block, read_calibration
+from thalweg.settings.sections import Rig as RigSettings, RigLens
 
 LENSES: Final = ("front", "back")
 RELATIVE: Final = "back_front"
@@ -236,11 +230,7 @@ class RigCalibration:
     report: dict[str, Any]
 
 
-def detect_rig_marks(
-    files: Sequence[Path],
-    settings: RigSettings,
-    layout: MarkerLayout,
-) -> pd.DataFrame:
+def detect_rig_marks(files: Sequence[Path], settings: RigSettings, layout: MarkerLayout) -> pd.DataFrame:
     """Marks of a field in both views of all files.
 
     Parameters
@@ -366,8 +356,7 @@ def calibrate_rig(
     k = len(PARAMETERS["fisheye"])
     cameras = {
         name: network.cameras[name].with_parameters(
-            found.x.parameters[i * k : (i + 1) * k],
-            found.cov[i * k : (i + 1) * k, i * k : (i + 1) * k],
+            found.x.parameters[i * k : (i + 1) * k], found.cov[i * k : (i + 1) * k, i * k : (i + 1) * k]
         )
         for i, name in enumerate(LENSES)
     }
@@ -460,9 +449,7 @@ def _common(observed: ArrayF, cov: ArrayF, relative: Sequence[Rigid]) -> Adjuste
         J[:k, :k] = np.eye(k)
         for i in range(n):
             J[k + 6 * i : k + 6 * i + 6, k:] = np.eye(6)
-        return Linear(
-            residual=np.concatenate([x.parameters - observed[:k], *off]), jacobian=J, cov=cov[None]
-        )
+        return Linear(residual=np.concatenate([x.parameters - observed[:k], *off]), jacobian=J, cov=cov[None])
 
     names = [*(f"{lens} {p}" for lens in LENSES for p in PARAMETERS["fisheye"]), *_POSE]
     return adjust(
@@ -507,9 +494,13 @@ def _residuals(
     lens, file = table["image"].str.split("/", n=1).str[0], table["image"].str.split("/", n=1).str[1]
     table.insert(0, "file", file)
     table.insert(1, "lens", lens)
-    xy = table[["image", "marker", "corner"]].merge(
-        marks[["image", "marker", "corner", "x_px", "y_px"]], on=["image", "marker", "corner"], how="left"
-    )[["x_px", "y_px"]].to_numpy(np.float64)
+    xy = (
+        table[["image", "marker", "corner"]]
+        .merge(
+            marks[["image", "marker", "corner", "x_px", "y_px"]], on=["image", "marker", "corner"], how="left"
+        )[["x_px", "y_px"]]
+        .to_numpy(np.float64)
+    )
     angle, azimuth = np.full(len(table), np.nan), np.full(len(table), np.nan)
     for name, camera in cameras.items():
         mine = (lens == name).to_numpy()
@@ -523,7 +514,7 @@ def _residuals(
 
 
 def rig_calibration_file(found: RigCalibration, source: Source) -> Calibration:
-    """Calibration with the blocks ``front_interior``, ``back_interior``, ``back_front``, jointly correlated."""
+    """Calibration with ``front_interior``, ``back_interior``, ``back_front`` and their joint covariance."""
     interiors = [
         interior_calibration(found.rig.cameras[name], source, block=name).blocks[0] for name in LENSES
     ]
@@ -535,7 +526,7 @@ def rig_calibration_file(found: RigCalibration, source: Source) -> Calibration:
             "largest_angle_deg": round(float(mine["angle_deg"].max()), 1),
         }
         interiors[i] = replace(interiors[i], facts={**interiors[i].facts, **facts})
-    pose, own = pose_block(
+    pose, _ = pose_block(
         RELATIVE,
         found.rig.T_back_front,
         target="back",
@@ -553,10 +544,7 @@ def rig_calibration_file(found: RigCalibration, source: Source) -> Calibration:
     unit = np.r_[np.ones(k), np.full(3, 180.0 / np.pi), np.ones(3)]
     cov = found.cov[np.ix_(order, order)] * np.outer(unit, unit)
     return Calibration(
-        title="Rig of two lenses",
-        blocks=(*interiors, replace(pose)),
-        cov=(cov + cov.T) / 2,
-        source=source,
+        title="Rig of two lenses", blocks=(*interiors, pose), cov=(cov + cov.T) / 2, source=source
     )
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import ndimage
 
 from thalweg.calibration import LENSES, Rig
-from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayU8, Rigid
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayU8
 from thalweg.lidar import GAMMA, exposure_gains
 from thalweg.panorama.sphere import sphere_rays
 
@@ -132,7 +132,7 @@ def compose(
     """
     height, width = inverse_range.shape
     directions = sphere_rays(width).reshape(-1, 3) @ R_front_pcs.T
-    pixels, angles = lens_pixels(rig, directions, inverse_range.ravel())
+    pixels, _ = lens_pixels(rig, directions, inverse_range.ravel())
     usable = {name: np.isfinite(pixels[name][:, 0]) for name in LENSES}
     if masks:
         for name, mask in masks.items():
@@ -238,9 +238,7 @@ def _seam(
     moves = np.arange(-_STEPS, _STEPS + 1)
     for i in range(1, 2 * n):
         padded = np.pad(total[i - 1], _STEPS, constant_values=np.inf)
-        choices = np.stack(
-            [padded[_STEPS + m : _STEPS + m + k] + 0.3 * abs(m) for m in moves]
-        )
+        choices = np.stack([padded[_STEPS + m : _STEPS + m + k] + 0.3 * abs(m) for m in moves])
         best = choices.argmin(axis=0)
         came[i] = np.arange(k) + moves[best]
         total[i] = choices.min(axis=0) + cost[i % n]
@@ -301,7 +299,7 @@ def _seam_error(
     reach, half, length = round(_LARGEST_SHIFT_DEG / _ACROSS_DEG), round(2.0 / _ACROSS_DEG), 8
     shifts = []
     for i in range(0, _AROUND, length):
-        j = int(round((float(np.median(seam[i : i + length])) - angle[0]) / _ACROSS_DEG))
+        j = round((float(np.median(seam[i : i + length])) - angle[0]) / _ACROSS_DEG)
         low, high = j - half, j + half + 1
         if low - reach < 0 or high + reach > len(angle):
             low, high = max(reach, low), min(len(angle) - reach, high)

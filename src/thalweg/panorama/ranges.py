@@ -49,8 +49,7 @@ def fill_gaps(ranges_m: AnyArray, *, gap_deg: float) -> AnyArray:
     ranges_m : `cloud_ranges`.
     gap_deg : cells so near to a point take its range, the nearest of several (lower envelope).
     """
-    rows, columns = ranges_m.shape
-    cell = 180.0 / rows
+    cell = 180.0 / len(ranges_m)
     out = ranges_m.copy()
     reach = round(gap_deg / 2 / cell)
     if reach > 0 and np.isfinite(out).any():

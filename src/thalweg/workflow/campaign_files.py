@@ -634,6 +634,32 @@ class CampaignFiles:
         known = self.orients_images() or bool(self.calibrated_interior())
         return self.has_time_lapse() and self.has_lidar() and known and not self.interior_folders()
 
+    # ------------------------------------------------------------ a camera with two fisheye lenses
+
+    def has_rig_field(self) -> bool:
+        """True if the rig was recorded amid a field of marks."""
+        return bool(
+            self.logs("rig_field_images") and self.logs("rig_field") and self.logs("rig_field_points")
+        )
+
+    def rig_calibration(self) -> list[str]:
+        """The calibration of the rig: the given one, or that of its own field."""
+        own = self._where(self.has_rig_field(), "calibration/rig.yaml")
+        return self.logs("rig_calibration")[:1] or own
+
+    def has_panoramas(self) -> bool:
+        """True if a survey has files of a calibrated rig."""
+        return self._is_survey() and bool(self.logs("rig_images") and self.rig_calibration())
+
+    def rig_views(self) -> dict[str, Any]:
+        """The section `rig` without mount and clock, which no picture depends on."""
+        return {k: v for k, v in self.plain["rig"].items() if k not in ("mount", "times", "clock")}
+
+    def panorama_points(self) -> list[str]:
+        """The cloud that says how far things are, where panoramas need it."""
+        needed = self.campaign.panorama.mode == "depth" and self.has_lidar()
+        return self.best_points() if needed else []
+
     def adjusted_camera(self) -> str:
         """The interior orientation that the poses of the images go with."""
         ending = "_finished" if self.has_finished_orientations() else ""
@@ -799,6 +825,7 @@ class CampaignFiles:
             outputs += self.of_chains("lidar", "points.laz")[1:]
             outputs.append(self._result("accuracy/trajectories.html"))
         outputs += self._where(self.is_coloured(), "lidar/coloured.laz", "lidar/colour_check.csv")
+        outputs += self._where(self.has_panoramas(), "panorama/panoramas.parquet")
         outputs += self._where(lidar, "viewer/index.html")
         outputs += [*self.truth_statistics(), *self._where(self.is_twin(), "accuracy/filter_scores.csv")]
         compared = ("statistics.csv", "by_range.csv", "spatial.csv", "index.html")
@@ -837,6 +864,12 @@ class CampaignFiles:
                 self._result("lidar/coloured.laz"),
                 self.is_coloured(),
                 "logs.time_lapse with an interior orientation, and logs.lidar",
+            ),
+            (
+                "panoramas along the river",
+                self._result("panorama/panoramas.parquet"),
+                self.has_panoramas(),
+                "logs.rig with images of a dual fisheye and its calibration",
             ),
             (
                 "accuracy against a reference",

@@ -6,7 +6,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from thalweg.calibration.field import write_points
 from thalweg.core import ArrayF, ArrayF32, LocalFrame, Rigid, steps, write_marked
 from thalweg.images.model import ImagePoses
 from thalweg.settings.sections import Rig as RigSettings
@@ -122,9 +121,7 @@ def simulate_dual_fisheye(
     )
 
 
-def _times(
-    config: TwinConfig, settings: TwinDualFisheye, seed: int
-) -> tuple[ArrayF, ArrayF, ArrayF, ArrayF]:
+def _times(config: TwinConfig, settings: TwinDualFisheye, seed: int) -> tuple[ArrayF, ArrayF, ArrayF, ArrayF]:
     """Release and exposure since the begin of the survey, what the clock is ahead, its stamps in us."""
     rng = generator(seed, "dual fisheye shutter")
     n = settings.images
@@ -152,8 +149,8 @@ def _write_room(
 ) -> None:
     settings = device.settings
     points, _ = room_points(seed, settings.sigma_field_m)
-    write_points(field_points, points)
     field.parent.mkdir(parents=True, exist_ok=True)
+    points.table().to_csv(field_points, index=False, float_format="%.6f", lineterminator="\n")
     field.write_text(
         "# A room of marker sheets around the rig.\nthalweg_field: 1\n"
         f"markers: {{dictionary: {LAYOUT.dictionary}, module_m: {LAYOUT.module_m}}}\n"
@@ -166,9 +163,7 @@ def _write_room(
         }
         picture = device.file_of(light, generator(seed, f"dual fisheye room {k}"), 1.3)
         stamp = begin + 5_000_000 * k
-        write_jpeg(
-            folder / run_name(stamp), picture, _facts(settings, stamp), quality=settings.jpeg_quality
-        )
+        write_jpeg(folder / run_name(stamp), picture, _facts(settings, stamp), quality=settings.jpeg_quality)
 
 
 def _write_poses(path: Path, names: list[str], at: ArrayF, fronts: list[Rigid], frame: LocalFrame) -> None:

@@ -24,7 +24,7 @@ class RigLens(Section):
     )
     mask: str | None = Field(
         default=None,
-        description="Picture of the size of the upright box, 0 where the lens is never to be used (boat, mast)",
+        description="Picture of the size of the upright view, 0 where it is not to be used (boat, mast)",
     )
 
     @model_validator(mode="after")

@@ -888,7 +888,9 @@ class TwinDualFisheye(Section):
         default=12, description="Exposures amid the field of the calibration"
     )
     sigma_field_m: NonNegative = Field(
-        default=0.0002, le=0.1, description="Standard deviation of each coordinate of the field's marks, metres"
+        default=0.0002,
+        le=0.1,
+        description="Standard deviation of each coordinate of the field's marks, metres",
     )
     supersampling: Annotated[int, Field(ge=1, le=4)] = Field(
         default=2, description="Rays along each side of a pixel where something ends in it"
