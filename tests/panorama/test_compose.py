@@ -64,6 +64,7 @@ def views_of_a_sphere(rig: Rig, radius_m: float, back_light: float = 1.0) -> dic
         views[name] = np.ascontiguousarray(picture.reshape(640, 640, 3).astype(np.uint8))
     return views
 
+
 FINE = 5376
 """Width of a panorama of a Theta V, for which the cost of the base is stated."""
 
@@ -135,9 +136,7 @@ def test_the_panorama_shows_the_sphere(near: dict[str, np.ndarray]) -> None:
     assert jump[edge].mean() < 1.2 * jump[~edge].mean()
 
 
-def test_what_a_mask_hides_is_grey_where_the_other_lens_does_not_show_it(
-    near: dict[str, np.ndarray],
-) -> None:
+def test_what_a_mask_hides_is_grey_where_the_other_lens_does_not_show_it(near: dict[str, np.ndarray]) -> None:
     rig = rig_of_the_shelf()
     mask = np.ones((640, 640), dtype=bool)
     mask[400:, :] = False

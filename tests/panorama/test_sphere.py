@@ -28,7 +28,7 @@ def test_rays_are_those_of_the_centres_of_pixels() -> None:
 def test_a_panorama_is_level_and_looks_where_the_front_lens_heads() -> None:
     front = exp_rotation([0.1, 0.2, 1.0]) @ np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], dtype=float)
     R = level_attitude(front)
-    assert R @ R.T == pytest.approx(np.eye(3), abs=1e-12)
+    assert pytest.approx(np.eye(3), abs=1e-12) == R @ R.T
     assert np.linalg.det(R) == pytest.approx(1.0)
     assert R[:, 1] == pytest.approx([0, 0, -1])
     heading = front[:2, 2] / np.linalg.norm(front[:2, 2])
@@ -38,5 +38,7 @@ def test_a_panorama_is_level_and_looks_where_the_front_lens_heads() -> None:
 
 
 def test_width_is_that_of_the_lens() -> None:
-    lens = Camera(model="fisheye", size_px=(640, 640), parameters=np.array([190.9, 190.9, 320, 320, 0, 0, 0, 0]))
+    lens = Camera(
+        model="fisheye", size_px=(640, 640), parameters=np.array([190.9, 190.9, 320, 320, 0, 0, 0, 0])
+    )
     assert default_width_px(lens) == 1200  # 2 pi 190.9 = 1199.5

@@ -15,6 +15,7 @@ from .colour import (
     GAMMA as GAMMA,
     Coloured as Coloured,
     NoColour as NoColour,
+    Photographs as Photographs,
     colour_cloud as colour_cloud,
     exposure_gains as exposure_gains,
 )

@@ -28,7 +28,7 @@ _STEPS: Final = 2
 _FADE_DEG: Final = 5.0
 _BACKGROUND: Final = 128
 """Grey of what no lens shows."""
-_RIM_DEG: Final = 1.0
+RIM_DEG: Final = 1.0
 """The outermost part of an image circle is left out."""
 _LEAST_TEXTURE: Final = 4.0
 _LARGEST_SHIFT_DEG: Final = 1.5
@@ -84,7 +84,7 @@ def lens_pixels(
     pixels : (n, 2) by lens, NaN outside the image circle.
     angle_deg : (n,) from the axis, by lens.
     """
-    widest = rig.settings.field_of_view_deg / 2 - _RIM_DEG
+    widest = rig.settings.field_of_view_deg / 2 - RIM_DEG
     pixels, angles = {}, {}
     for name, place in rig.T_front_lens.items():
         # homogeneous: a point at infinity does not know where the lens is
@@ -190,7 +190,7 @@ def _strip(
     gains: ArrayF,
 ) -> tuple[ArrayF, dict[str, AnyArray], ArrayB]:
     """The overlap about the axis of the front lens: angles (a,), colours (720, a, 3), usable (720, a)."""
-    widest = rig.settings.field_of_view_deg / 2 - _RIM_DEG
+    widest = rig.settings.field_of_view_deg / 2 - RIM_DEG
     angle = np.arange(180.0 - widest, widest, _ACROSS_DEG)
     azimuth = np.arange(_AROUND) * 2 * np.pi / _AROUND
     t = np.deg2rad(angle)[None, :]

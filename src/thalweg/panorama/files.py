@@ -2,7 +2,9 @@
 
 import logging
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,7 +13,7 @@ import pandas as pd
 import pyarrow as pa
 from scipy.spatial.transform import Rotation
 
-from thalweg.calibration import LENSES, Rig, read_views
+from thalweg.calibration import LENSES, Rig, lens_view, read_views
 from thalweg.core import (
     AnyArray,
     ArrayB,
@@ -31,10 +33,11 @@ from thalweg.core import (
     write_table,
 )
 from thalweg.images.model import ImagePoses
-from thalweg.panorama.compose import Composed, compose, reading_that_fits
+from thalweg.lidar import Photographs
+from thalweg.panorama.compose import RIM_DEG, Composed, compose, reading_that_fits
 from thalweg.panorama.ranges import cloud_ranges, fill_gaps, inverse_range
 from thalweg.panorama.sphere import default_width_px, level_attitude
-from thalweg.settings.sections import Panorama
+from thalweg.settings.sections import Panorama, RigLens
 
 _F = pa.float64()
 _AXES: Final = ("east", "north", "up")
@@ -234,6 +237,42 @@ def read_rig_masks(rig: Rig) -> dict[str, ArrayB]:
             )
         masks[name] = mask
     return masks
+
+
+def rig_photographs(files: Mapping[str, Path], poses: ImagePoses, rig: Rig) -> list[Photographs]:
+    """Both lenses of a rig as photographs for the colours of a cloud, named ``front/NAME`` and ``back/NAME``.
+
+    Parameters
+    ----------
+    files : of the rig, by name.
+    poses : of the front lens at these files.
+    rig : calibrated.
+    """
+    found = []
+    for lens, place in rig.T_front_lens.items():
+        placed = [poses.pose(k) @ place if poses.oriented[k] else None for k in range(len(poses.images))]
+        lost = np.full((3, 3), np.nan)
+        names = tuple(f"{lens}/{name}" for name in poses.images)
+        settings: RigLens = getattr(rig.settings, lens)
+        mask = settings.mask
+        found.append(
+            Photographs(
+                poses=replace(
+                    poses,
+                    images=names,
+                    centre_wcs_m=np.array([lost[0] if T is None else T.shift_m for T in placed]),
+                    R_wcs_ccs=np.array([lost if T is None else T.R for T in placed]),
+                    cov_pose_wcs=np.array([np.full((6, 6), np.nan) if T is None else T.cov for T in placed]),
+                ),
+                images={f"{lens}/{name}": path for name, path in files.items()},
+                masks={} if mask is None else {name: Path(mask) for name in names},
+                camera=rig.cameras[lens],
+                cut=partial(lens_view, lens=settings),
+                file_px=rig.settings.size_px,
+                widest_rad=float(np.deg2rad(rig.settings.field_of_view_deg / 2 - RIM_DEG)),
+            )
+        )
+    return found
 
 
 def _check_reading(files: Sequence[Path], rig: Rig) -> None:
