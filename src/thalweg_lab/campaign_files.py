@@ -61,6 +61,12 @@ _STRIP: Final = {
     "strip_images": ("light_sheet/strip/images",),
     "strip_pulses": ("light_sheet/strip/trigger_pulses.csv",),
 }
+_RIG: Final = {
+    "rig_images": ("rig",),
+    "rig_field_images": ("rig_field",),
+    "rig_field": ("rig_field.yaml",),
+    "rig_field_points": ("rig_field_points.csv",),
+}
 _TIME_LAPSE: Final = {"time_lapse": ("time_lapse",), "control_points": ("control_points.csv",)}
 
 
@@ -92,6 +98,8 @@ def twin_logs(campaign: Campaign) -> Mapping[str, Sequence[str]]:
         known["bed"] = ("bed.csv",)
     if twin.time_lapse is not None:
         known |= _TIME_LAPSE
+    if twin.dual_fisheye is not None:
+        known |= _RIG
     if twin.light_sheet_strip is not None:
         known |= _STRIP
     return known

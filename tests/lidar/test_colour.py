@@ -11,7 +11,7 @@ from thalweg.core import CoverageError, InputError, LazWriter, LocalFrame
 from thalweg.core.camera import Camera
 from thalweg.core.las import read_laz
 from thalweg.images.model import ImagePoses
-from thalweg.lidar import COLOUR_DIMENSIONS, colour_cloud, exposure_gains
+from thalweg.lidar import COLOUR_DIMENSIONS, Photographs, colour_cloud, exposure_gains
 from thalweg.lidar.cloud import EXTRA_DIMENSIONS
 from thalweg.lidar.colour import GAMMA, lens_of, seen_pixels
 from thalweg.settings.sections import Colour
@@ -95,6 +95,11 @@ def poses(frame: LocalFrame = FRAME) -> ImagePoses:
     )
 
 
+def photographs(images: dict, masks: dict, where: ImagePoses | None = None) -> Photographs:
+    """Those of the three cameras."""
+    return Photographs(poses=where or poses(), images=images, masks=masks, camera=CAMERA)
+
+
 def coloured(folder: Path, *, occlusion: bool = True, **settings: float) -> tuple[dict, pd.Series]:
     """The coloured cloud, and how many points have which reason."""
     images = {name: folder / name for name in NAMES}
@@ -102,7 +107,7 @@ def coloured(folder: Path, *, occlusion: bool = True, **settings: float) -> tupl
     how = Colour.model_validate(settings)
     out = folder / "coloured.laz"
     counts = colour_cloud(
-        folder / "points.laz", out, poses(), images, masks, CAMERA, how, occlusion=occlusion
+        folder / "points.laz", out, [photographs(images, masks)], how, occlusion=occlusion
     ).counts
     return read_laz(out)[0], counts.set_index("reason")["n"]
 
@@ -168,9 +173,9 @@ def test_what_cannot_be_used_is_refused(folder: Path) -> None:
         coloured(folder)
     elsewhere = poses(LocalFrame(lat_deg=50.0, lon_deg=13.25, h_ell_m=200.0))
     with pytest.raises(InputError, match="a cloud in the frame"):
-        colour_cloud(folder / "points.laz", folder / "x.laz", elsewhere, {}, {}, CAMERA, Colour())
+        colour_cloud(folder / "points.laz", folder / "x.laz", [photographs({}, {}, elsewhere)], Colour())
     with pytest.raises(CoverageError, match="none of 3 images has a pose, a time and a file"):
-        colour_cloud(folder / "points.laz", folder / "x.laz", poses(), {}, {}, CAMERA, Colour())
+        colour_cloud(folder / "points.laz", folder / "x.laz", [photographs({}, {})], Colour())
     assert not (folder / "x.laz").exists()
 
 

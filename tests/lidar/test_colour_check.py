@@ -14,7 +14,7 @@ from thalweg.core import Camera, LazWriter, LocalFrame, Rigid
 from thalweg.core.las import read_laz
 from thalweg.images.model import ImagePoses
 from thalweg.ingest.clouds import read_pcd
-from thalweg.lidar import check_colours, colour_cloud
+from thalweg.lidar import Photographs, check_colours, colour_cloud
 from thalweg.lidar.cloud import EXTRA_DIMENSIONS
 from thalweg.lidar.colour_check import Overlay, find_optima, grey_of, score_shifts
 from thalweg.settings.sections import Colour
@@ -199,7 +199,8 @@ def auc(folder: Path, work: Path, board: int, T: Rigid) -> float:
     # one picture, 10 cm off the lidar: nothing on the board hides anything
     how = Colour(even_exposures=False)
     images = {"image_0.png": picture}
-    colour_cloud(work / "p.laz", work / "c.laz", poses, images, {}, FISHEYE, how, occlusion=False)
+    boards = Photographs(poses=poses, images=images, masks={}, camera=FISHEYE)
+    colour_cloud(work / "p.laz", work / "c.laz", [boards], how, occlusion=False)
     found, _ = read_laz(work / "c.laz")
     seen = found["n_views"] > 0
     grey = grey_of(picture, FISHEYE)

@@ -111,10 +111,13 @@ rule colour_points:
     """The cloud in the colours of the photographs that show it, without what hides behind something nearer."""
     input:
         points=of(CampaignFiles.best_points),
-        poses="results/{campaign}/orientation/image_poses_timed.parquet",
-        camera=of(CampaignFiles.adjusted_camera),
-        images=raw("time_lapse"),
-        masks=of(CampaignFiles.used_masks),
+        poses=of(CampaignFiles.colour_poses),
+        camera=of(CampaignFiles.colour_camera),
+        images=of(CampaignFiles.colour_images),
+        masks=of(CampaignFiles.colour_masks),
+        rig_images=of(CampaignFiles.rig_images),
+        rig_poses=of(CampaignFiles.rig_poses),
+        rig_calibration=of(CampaignFiles.used_rig),
     output:
         coloured="results/{campaign}/lidar/coloured.laz",
         counts="results/{campaign}/lidar/coloured.csv",
@@ -132,6 +135,7 @@ rule colour_points:
     params:
         code=code_version("colour_points"),
         colour=section("colour"),
+        rig=of(CampaignFiles.rig_views),
     script:
         "../scripts/colour_points.py"
 

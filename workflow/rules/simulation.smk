@@ -102,6 +102,39 @@ rule simulate_time_lapse:
         "../scripts/simulate_time_lapse.py"
 
 
+rule simulate_dual_fisheye:
+    """Files of a camera with two fisheye lenses, along the voyage and in a room of markers."""
+    input:
+        true_mounts="results/{campaign}/simulation/truth/mounts.json",
+        scene="results/{campaign}/simulation/truth/scene.npz",
+    output:
+        images=directory("results/{campaign}/simulation/logs/rig"),
+        field_images=directory("results/{campaign}/simulation/logs/rig_field"),
+        field="results/{campaign}/simulation/logs/rig_field.yaml",
+        field_points="results/{campaign}/simulation/logs/rig_field_points.csv",
+        poses="results/{campaign}/simulation/truth/rig_poses.parquet",
+        panorama="results/{campaign}/simulation/truth/panorama.npz",
+        truth="results/{campaign}/simulation/truth/rig.json",
+    log:
+        "logs/{campaign}/simulation/simulate_dual_fisheye.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_dual_fisheye.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(60),
+    params:
+        code=code_version("simulate_dual_fisheye"),
+        campaign=identity("origin", "seed"),
+        twin=of(CampaignFiles.twin_parts, "scene", "boat", "lidar", "effects"),
+        dual_fisheye=section("twin", "dual_fisheye"),
+        rig=section("rig"),
+    script:
+        "../scripts/simulate_dual_fisheye.py"
+
+
 rule simulate_lidar:
     """VLP-16 packets: every shot cast from its own pose."""
     input:

@@ -97,3 +97,18 @@ from .markers import (
     report_of as report_of,
     sheet_centres as sheet_centres,
 )
+from .rig import (
+    LENSES as LENSES,
+    Rig as Rig,
+    RigCalibration as RigCalibration,
+    calibrate_rig as calibrate_rig,
+    check_rig as check_rig,
+    detect_rig_marks as detect_rig_marks,
+    lens_view as lens_view,
+    read_rig as read_rig,
+    read_views as read_views,
+    remeasure_rig_marks as remeasure_rig_marks,
+    rig_calibration_file as rig_calibration_file,
+    rig_of as rig_of,
+    view_size_px as view_size_px,
+)

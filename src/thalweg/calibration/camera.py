@@ -152,18 +152,18 @@ def starting_boat_camera(
 
 def orient_on_field(
     marks: pd.DataFrame,
-    camera: Camera,
+    camera: Camera | Mapping[str, Camera],
     points: FieldPoints,
     *,
     free: Sequence[str] | None = None,
     weighted: bool = False,
 ) -> FieldNetwork:
-    """Adjust all pictures of the boat's camera on the field.
+    """Adjust all pictures of the boat's camera, or of several cameras, on the field.
 
     Parameters
     ----------
     marks : image, camera, marker, corner, x_px, y_px, sigma_px.
-    camera : nominal interior orientation, or a known one with covariance.
+    camera : nominal interior orientation, or a known one with covariance; of several cameras by name.
     points : of the field, without the boat's own markers.
     free : parameters to estimate; all if None.
     weighted : the camera's covariance is an observation of its parameters: an earlier calibration.
@@ -172,16 +172,20 @@ def orient_on_field(
     ------
     GeometryError : no picture can be oriented; the pictures do not determine the interior orientation.
     """
-    block = block_of(known_marks(marks, points), dict.fromkeys(set(marks["camera"]), camera))
+    known = dict.fromkeys(set(marks["camera"]), camera) if isinstance(camera, Camera) else dict(camera)
+    block = block_of(known_marks(marks, points), known)
     poses, left, _ = start_poses(block, points)
     rejected = [("image", image, reason) for image, reason in left.items()]
-    estimated = tuple(PARAMETERS[camera.model]) if free is None else tuple(free)
+    cameras = (camera,) if isinstance(camera, Camera) else tuple(camera.values())
+    number = {name: 0 if isinstance(camera, Camera) else k for k, name in enumerate(known)}
+    estimated = [tuple(PARAMETERS[each.model]) if free is None else tuple(free) for each in cameras]
     if weighted:
         # what is stated without sigma is known and no observation
-        sigma = dict(zip(camera.parameter_names, np.diag(camera.cov), strict=True))
-        estimated = tuple(name for name in estimated if sigma[name] > 0)
-        weighted = bool(estimated)
-    if not poses or (len(poses) < _FEW_IMAGES and estimated and not weighted):
+        for k, each in enumerate(cameras):
+            sigma = dict(zip(each.parameter_names, np.diag(each.cov), strict=True))
+            estimated[k] = tuple(name for name in estimated[k] if sigma[name] > 0)
+        weighted = any(estimated)
+    if not poses or (len(poses) < _FEW_IMAGES and any(estimated) and not weighted):
         told = "; ".join(f"{image}: {reason}" for image, reason in list(left.items())[:3])
         raise GeometryError(
             f"{len(poses)} of {len(block.images)} pictures of the boat's camera can be oriented"
@@ -196,16 +200,16 @@ def orient_on_field(
     control = Control(np.arange(len(at)), points.points_pcs[at], cov)
     problem = Problem(
         block,
-        np.zeros(len(block.images), np.int64),
+        np.array([number[name] for name in block.camera_of], np.int64),
         np.ones(len(block.image), bool),
-        (estimated,),
+        tuple(estimated),
         control=control,
         weighted=weighted,
     )
     identity = Rigid(R=np.eye(3), shift_m=np.zeros(3))
     x = start_state(
         block.images,
-        (camera,),
+        cameras,
         {i: poses.get(i, identity) for i in range(len(block.images))},
         points.points_pcs[at],
     )

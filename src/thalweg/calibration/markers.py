@@ -60,7 +60,7 @@ _LEAST_SADDLES: Final = 3
 _LEAST_TAG_MODULE_PX: Final = 1.5
 _CLEAR_MODULE_PX: Final = 3.5
 _ZOOM_BELOW_PX: Final = 4200
-_SIGNS: Final = np.array([1.0, -1.0, 1.0, -1.0])
+SADDLE_SIGNS: Final = np.array([1.0, -1.0, 1.0, -1.0])
 """Whether the quadrants with equal signs of both sheet coordinates are white, for each saddle."""
 _MAX_CANDIDATES: Final = 4000
 NO_SADDLES: Final = "no saddles around the tag"
@@ -237,10 +237,23 @@ def _require_one_size(images: pd.DataFrame) -> None:
 
 def _require_unmirrored(marks: pd.DataFrame, dropped: pd.DataFrame) -> None:
     mirrored = dropped[dropped["reason"] == MIRRORED]
-    if len(mirrored) > marks.drop_duplicates(["image", "marker"]).shape[0]:
-        names = sorted(set(mirrored["image"]))
+    named = sorted(set(mirrored["image"]))[:1]
+    require_unmirrored(marks.drop_duplicates(["image", "marker"]), dropped, f"so in {', '.join(named)}")
+
+
+def require_unmirrored(markers: pd.DataFrame, dropped: pd.DataFrame, where: str) -> None:
+    """Refuse pictures that show more markers in the mirror than right.
+
+    Parameters
+    ----------
+    markers : a row for each marker that was read.
+    dropped : those that were not used, with their ``reason``.
+    where : in words, for the message.
+    """
+    mirrored = dropped[dropped["reason"] == MIRRORED]
+    if len(mirrored) > len(markers):
         raise InputError(
-            f"{len(mirrored)} markers read only in the mirror, so in {names[0]}",
+            f"{len(mirrored)} markers read only in the mirror, {where}",
             expected="sheets and pictures that are not mirrored",
             cure="Use the camera's original files (front cameras and scanners may mirror), or print the "
             "sheets again",
@@ -473,7 +486,9 @@ def _measured(
     image: ArrayU8, quads: ArrayF, ids: list[int], known: set[int] | None
 ) -> tuple[list[tuple[int, int, float, float, float, float]], list[tuple[int, float, float, str]]]:
     saddles, steps = _predicted(quads)
-    fit = fit_saddles(image, saddles.reshape(-1, 2), steps.reshape(-1, 2, 2), np.tile(_SIGNS, len(quads)))
+    fit = fit_saddles(
+        image, saddles.reshape(-1, 2), steps.reshape(-1, 2, 2), np.tile(SADDLE_SIGNS, len(quads))
+    )
     xy, sigma, good = (a.reshape(len(quads), 4, *a.shape[1:]) for a in (fit.xy_px, fit.sigma_px, fit.good))
     rejected: list[tuple[int, float, float, str]] = []
     chosen: dict[int, int] = {}
@@ -538,7 +553,9 @@ def _second_look(
     if len(others):
         others = others[dark_framed(image, _homographies(others))]
     saddles, steps = _predicted(others)
-    fit = fit_saddles(image, saddles.reshape(-1, 2), steps.reshape(-1, 2, 2), np.tile(_SIGNS, len(others)))
+    fit = fit_saddles(
+        image, saddles.reshape(-1, 2), steps.reshape(-1, 2, 2), np.tile(SADDLE_SIGNS, len(others))
+    )
     xy, good = fit.xy_px.reshape(-1, 4, 2), fit.good.reshape(-1, 4)
     size = np.sqrt(np.abs([_area(quad) for quad in saddles])) if len(others) else np.empty(0)
     found: list[ArrayF] = []

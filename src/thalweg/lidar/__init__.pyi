@@ -12,8 +12,10 @@ from .cloud import (
 )
 from .colour import (
     COLOUR_DIMENSIONS as COLOUR_DIMENSIONS,
+    GAMMA as GAMMA,
     Coloured as Coloured,
     NoColour as NoColour,
+    Photographs as Photographs,
     colour_cloud as colour_cloud,
     exposure_gains as exposure_gains,
 )

@@ -14,7 +14,7 @@ its number of views is 0.
 """
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import IntEnum
@@ -96,12 +96,15 @@ NO_COLOUR: Final = {
 
 
 class Lens(NamedTuple):
-    """A camera as the kernels take it: parameters, width and height, widest angle from the axis (radians)."""
+    """A camera as the kernels take it: parameters, width and height, widest angle from the axis and width of
+    a pixel (radians).
+    """
 
     fisheye: bool
     parameters: ArrayF
     size_px: ArrayF
     widest_rad: float
+    pixel_rad: float
 
 
 def lens_of(camera: Camera) -> Lens:
@@ -121,7 +124,41 @@ def lens_of(camera: Camera) -> Lens:
         parameters=camera.parameters,
         size_px=np.array(camera.size_px, dtype=np.float64),
         widest_rad=widest,
+        pixel_rad=1.0 / float(np.mean(camera.parameters[:2])),
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Photographs:
+    """Photographs of one lens.
+
+    Parameters
+    ----------
+    poses : with times of exposure.
+    images, masks : files by name; an image without a mask may be used everywhere.
+    camera : of all images.
+    cut : takes the picture (h, w, 3) of the lens out of that of a file; None: it is the file.
+    file_px : width and height of the files, where they are not those of the camera.
+    widest_rad : angle from the axis up to which the lens may be used.
+    """
+
+    poses: ImagePoses
+    images: Mapping[str, Path]
+    masks: Mapping[str, Path]
+    camera: Camera
+    cut: Callable[[AnyArray], AnyArray] | None = None
+    file_px: tuple[int, int] | None = None
+    widest_rad: float = np.pi
+
+    def lens(self) -> Lens:
+        """The camera as the kernels take it."""
+        lens = lens_of(self.camera)
+        return lens._replace(widest_rad=min(lens.widest_rad, self.widest_rad))
+
+    def read(self, path: Path) -> AnyArray:
+        """The picture (h, w, 3) of the lens in a file."""
+        picture = read_picture(path, self.file_px or self.camera.size_px)
+        return picture if self.cut is None else self.cut(picture)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,24 +167,35 @@ class Views:
 
     Parameters
     ----------
-    number : (v,) of the images among the poses.
+    number : (v,) of the images among the poses, those of the second lens behind those of the first.
+    names : of the images.
+    lenses, of : the lenses, and (v,) which of them took each photograph.
+    sources : the photographs of each lens.
     t_gps_s : (v,) times of exposure.
     centre_m, R_wcs_ccs : (v, 3), (v, 3, 3) poses.
     sigma_m : (v,) standard deviation of each centre, the largest of the axes.
     paths, masks : the photographs, and where they may be used; None: everywhere.
-    nearest_m : (v, rows, columns) least range of the cloud in cells of the pictures; infinite: nothing.
-    cell_px : width of a cell.
+    nearest_m : v times (rows, columns), least range of the cloud in cells of the picture; infinite: nothing.
+    cell_px : width of a cell by lens.
     """
 
     number: ArrayI
+    names: list[str]
+    lenses: tuple[Lens, ...]
+    of: ArrayI
+    sources: tuple[Photographs, ...]
     t_gps_s: ArrayF
     centre_m: ArrayF
     R_wcs_ccs: ArrayF
     sigma_m: ArrayF
     paths: list[Path]
     masks: list[Path | None]
-    nearest_m: AnyArray
-    cell_px: int
+    nearest_m: list[AnyArray]
+    cell_px: tuple[int, ...]
+
+    def read(self, v: int) -> AnyArray:
+        """The picture (h, w, 3) of a view."""
+        return self.sources[self.of[v]].read(self.paths[v])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -158,7 +206,7 @@ class Chosen:
     ----------
     view : (n, k) places among the views, -1: none.
     pixel : (n, k, 2) column and row in them.
-    score : (n, k) range, and age, the less the better.
+    score : (n, k) size of a pixel on the point, and age, the less the better.
     state : (n,) whether some view shows a point, and whether it may be used there (bits).
     """
 
@@ -327,7 +375,7 @@ def _offer(
             step = rules.step_m + rules.step_share * r + 2 * np.sqrt(sigma[i] ** 2 + sigma_view**2)
             if r > nearest[int(y) // rules.cell_px, int(x) // rules.cell_px] + step:
                 continue
-            value = (1.0 + age / rules.window_s) * r
+            value = (1.0 + age / rules.window_s) * r * lens.pixel_rad
             worst = 0
             for k in range(1, score.shape[1]):
                 if score[i, k] > score[i, worst]:
@@ -367,22 +415,13 @@ def _blend(
             scatter[i] = np.sqrt(max(0.0, square - total * total / n) / (n - 1))
 
 
-def views_of(
-    points: Path,
-    poses: ImagePoses,
-    images: Mapping[str, Path],
-    masks: Mapping[str, Path],
-    camera: Camera,
-    settings: Colour,
-) -> Views:
+def views_of(points: Path, sources: Sequence[Photographs], settings: Colour) -> Views:
     """The oriented images with a time, each with an empty map of ranges.
 
     Parameters
     ----------
     points : the cloud, in the frame of the poses.
-    poses : with times of exposure.
-    images, masks : files by name; an image without a mask may be used everywhere.
-    camera : of all images.
+    sources : photographs of one or more lenses.
     settings : section ``colour``.
 
     Raises
@@ -390,6 +429,34 @@ def views_of(
     InputError : the cloud lies in another frame.
     CoverageError : no image has pose, time and file.
     """
+    parts = [_views_of_lens(points, source, settings) for source in sources]
+    if not any(len(part.number) for part in parts):
+        raise CoverageError(
+            f"none of {sum(len(each.poses.images) for each in sources)} images has a pose, a time and a file",
+            expected="oriented photographs of the survey",
+            cure="Look at orientation/image_poses_timed.parquet and logs.time_lapse",
+        )
+    before = np.cumsum([0, *(len(each.poses.images) for each in sources)])
+    return Views(
+        number=np.concatenate([part.number + b for part, b in zip(parts, before[:-1], strict=True)]),
+        names=[name for part in parts for name in part.names],
+        lenses=tuple(each.lens() for each in sources),
+        of=np.repeat(np.arange(len(sources)), [len(part.number) for part in parts]),
+        sources=tuple(sources),
+        t_gps_s=np.concatenate([part.t_gps_s for part in parts]),
+        centre_m=np.concatenate([part.centre_m for part in parts]),
+        R_wcs_ccs=np.concatenate([part.R_wcs_ccs for part in parts]),
+        sigma_m=np.concatenate([part.sigma_m for part in parts]),
+        paths=[path for part in parts for path in part.paths],
+        masks=[mask for part in parts for mask in part.masks],
+        nearest_m=[nearest for part in parts for nearest in part.nearest_m],
+        cell_px=tuple(part.cell_px[0] for part in parts),
+    )
+
+
+def _views_of_lens(points: Path, source: Photographs, settings: Colour) -> Views:
+    """The photographs of one lens that can be used."""
+    poses, camera, images, masks = source.poses, source.camera, source.images, source.masks
     frame = laz_header(points).frame
     if frame != poses.frame:
         raise InputError(
@@ -406,24 +473,22 @@ def views_of(
         for k, name in enumerate(poses.images)
         if poses.oriented[k] and np.isfinite(poses.t_gps_s[k]) and name in images
     ]
-    if not rows:
-        raise CoverageError(
-            f"none of {len(poses.images)} images has a pose, a time and a file",
-            expected="oriented photographs of the survey",
-            cure="Look at orientation/image_poses_timed.parquet and logs.time_lapse",
-        )
-    shape = (len(rows), -(-camera.size_px[1] // cell_px), -(-camera.size_px[0] // cell_px))
+    shape = (-(-camera.size_px[1] // cell_px), -(-camera.size_px[0] // cell_px))
     variances = np.diagonal(poses.cov_pose_wcs[rows], axis1=1, axis2=2)[:, :3]
     return Views(
         number=np.array(rows, dtype=np.int64),
+        names=[poses.images[k] for k in rows],
+        lenses=(source.lens(),),
+        of=np.zeros(len(rows), dtype=np.int64),
+        sources=(source,),
         t_gps_s=poses.t_gps_s[rows],
         centre_m=np.ascontiguousarray(poses.centre_wcs_m[rows]),
         R_wcs_ccs=np.ascontiguousarray(poses.R_wcs_ccs[rows]),
-        sigma_m=np.sqrt(variances.max(axis=1)),
+        sigma_m=np.sqrt(variances.max(axis=1, initial=0.0)),
         paths=[images[poses.images[k]] for k in rows],
         masks=[masks.get(poses.images[k]) for k in rows],
-        nearest_m=np.full(shape, np.inf, dtype=np.float32),
-        cell_px=cell_px,
+        nearest_m=[np.full(shape, np.inf, dtype=np.float32) for _ in rows],
+        cell_px=(cell_px,),
     )
 
 
@@ -450,14 +515,14 @@ def _concerned(
 
 
 def choose_views(
-    chunk: Mapping[str, AnyArray], views: Views, lens: Lens, settings: Colour, pool: ThreadPoolExecutor
+    chunk: Mapping[str, AnyArray], views: Views, settings: Colour, pool: ThreadPoolExecutor
 ) -> Chosen:
     """The best views of some points.
 
     Parameters
     ----------
     chunk : columns ``xyz_m``, ``t_gps_s`` and the three sigmas.
-    views, lens : photographs with their maps of ranges, and their camera.
+    views : photographs with their maps of ranges.
     settings : section ``colour``.
     pool : opens the masks.
 
@@ -474,18 +539,21 @@ def choose_views(
         score=np.full((n, k), np.inf, dtype=np.float32),
         state=np.zeros(n, dtype=np.uint8),
     )
-    rules = Rules(
-        reach_m=settings.max_range_m,
-        window_s=settings.window_s,
-        cell_px=views.cell_px,
-        step_m=settings.step_m,
-        step_share=settings.step_share,
-    )
+    rules = [
+        Rules(
+            reach_m=settings.max_range_m,
+            window_s=settings.window_s,
+            cell_px=cell_px,
+            step_m=settings.step_m,
+            step_share=settings.step_share,
+        )
+        for cell_px in views.cell_px
+    ]
     balls, concerned = _balls(xyz), _concerned(views, xyz, t, settings)
     for v, mask in zip(concerned, _ahead(pool, _mask, [views.masks[v] for v in concerned]), strict=True):
         _offer(
-            xyz, t, sigma, balls, views.centre_m[v], views.R_wcs_ccs[v], lens, rules,
-            v, views.t_gps_s[v], views.sigma_m[v], mask, views.nearest_m[v],
+            xyz, t, sigma, balls, views.centre_m[v], views.R_wcs_ccs[v], views.lenses[views.of[v]],
+            rules[views.of[v]], v, views.t_gps_s[v], views.sigma_m[v], mask, views.nearest_m[v],
             found.view, found.pixel, found.score, found.state,
         )  # fmt: skip
     return found
@@ -507,19 +575,14 @@ def _ahead(
         yield waiting.popleft().result()
 
 
-def _sampled(chosen: Chosen, views: Views, size_px: tuple[int, int], pool: ThreadPoolExecutor) -> ArrayU8:
+def _sampled(chosen: Chosen, views: Views, pool: ThreadPoolExecutor) -> ArrayU8:
     """Colours (n, k, 3) of the chosen pixels; each photograph is opened once."""
     values = np.zeros((*chosen.view.shape, 3), dtype=np.uint8)
     flat, pixel = values.reshape(-1, 3), chosen.pixel.reshape(-1, 2)
     order = np.argsort(chosen.view, axis=None, kind="stable")
     first = np.searchsorted(chosen.view.ravel()[order], np.arange(len(views.paths) + 1))
     used = np.flatnonzero(np.diff(first)).tolist()
-
-    def read(v: int) -> AnyArray:
-        """The picture of a view."""
-        return read_picture(views.paths[v], size_px)
-
-    for v, picture in zip(used, _ahead(pool, read, used), strict=True):
+    for v, picture in zip(used, _ahead(pool, views.read, used), strict=True):
         rows = order[first[v] : first[v + 1]]
         flat[rows] = picture[pixel[rows, 1], pixel[rows, 0]]
     return values
@@ -579,15 +642,7 @@ def exposure_gains(view: AnyArray, values: ArrayU8, n_views: int) -> tuple[Array
 
 
 def colour_cloud(
-    points: Path,
-    out: Path,
-    poses: ImagePoses,
-    images: Mapping[str, Path],
-    masks: Mapping[str, Path],
-    camera: Camera,
-    settings: Colour,
-    *,
-    occlusion: bool = True,
+    points: Path, out: Path, sources: Sequence[Photographs], settings: Colour, *, occlusion: bool = True
 ) -> Coloured:
     """Give the points of a cloud colours.
 
@@ -595,7 +650,7 @@ def colour_cloud(
     ----------
     points : LAZ of `thalweg.lidar.georeference_log`, in the frame of the poses.
     out : target: the same points with colours and `COLOUR_DIMENSIONS`.
-    poses, images, masks, camera : see `views_of`.
+    sources : photographs of one or more lenses; ``image`` counts through those of all.
     settings : section ``colour``.
     occlusion : leave out hidden points; False shows what that is worth.
 
@@ -605,8 +660,8 @@ def colour_cloud(
     CoverageError : no image can be used.
     """
     header = laz_header(points)
-    views, lens = views_of(points, poses, images, masks, camera, settings), lens_of(camera)
-    sample = survey_cloud(points, views, lens, settings, occlusion=occlusion)
+    views = views_of(points, sources, settings)
+    sample = survey_cloud(points, views, settings, occlusion=occlusion)
     known = EXTRA_DIMENSIONS | CORRELATION_DIMENSIONS
     extra = {name: known[name] for name in header.extra_dimensions if name in known}
     counts = np.zeros(len(NoColour), dtype=np.int64)
@@ -620,10 +675,10 @@ def colour_cloud(
             extra_dimensions=extra | COLOUR_DIMENSIONS,
         ) as writer,
     ):
-        gains, table = _exposures(sample, views, lens, settings, camera.size_px, pool)
+        gains, table = _exposures(sample, views, settings, pool)
         for chunk in iter_laz(points, _CHUNK):
-            chosen = choose_views(chunk, views, lens, settings, pool)
-            values = _sampled(chosen, views, camera.size_px, pool)
+            chosen = choose_views(chunk, views, settings, pool)
+            values = _sampled(chosen, views, pool)
             found = _coloured(chunk, chosen, values, views, gains)
             counts += np.bincount(found["reason"], minlength=len(NoColour))
             writer.append(
@@ -637,12 +692,12 @@ def colour_cloud(
                 | {name: found[name] for name in COLOUR_DIMENSIONS},
             )
     rows = [(reason.name.lower(), NO_COLOUR[reason], int(counts[reason])) for reason in NoColour]
-    table.insert(0, "image", [poses.images[k] for k in views.number])
+    table.insert(0, "image", views.names)
     return Coloured(counts=pd.DataFrame(rows, columns=["reason", "words", "n"]), gains=table)
 
 
 def survey_cloud(
-    points: Path, views: Views, lens: Lens, settings: Colour, *, occlusion: bool = True, most: int = _SAMPLE
+    points: Path, views: Views, settings: Colour, *, occlusion: bool = True, most: int = _SAMPLE
 ) -> dict[str, AnyArray]:
     """Fill the maps of ranges of the views from all points, and hold an even sample of about so many."""
     every = max(1, laz_header(points).n_points // most)
@@ -652,25 +707,26 @@ def survey_cloud(
     for chunk in iter_laz(points):
         for name, held in parts.items():
             held.append(chunk[name][::every])
-        v = _concerned(views, chunk["xyz_m"], chunk["t_gps_s"], settings, any_time=True)
-        if occlusion and len(v):
+        concerned = _concerned(views, chunk["xyz_m"], chunk["t_gps_s"], settings, any_time=True)
+        if occlusion and len(concerned):
             xyz = np.ascontiguousarray(chunk["xyz_m"])
-            nearest = views.nearest_m[v]
-            centre, R = views.centre_m[v], views.R_wcs_ccs[v]
-            _nearest(xyz, _balls(xyz), centre, R, lens, settings.max_range_m, views.cell_px, nearest)
-            views.nearest_m[v] = nearest
+            balls = _balls(xyz)
+            for k, (lens, cell_px) in enumerate(zip(views.lenses, views.cell_px, strict=True)):
+                v = concerned[views.of[concerned] == k]
+                if not len(v):
+                    continue
+                nearest = np.stack([views.nearest_m[i] for i in v])
+                centre, R = views.centre_m[v], views.R_wcs_ccs[v]
+                _nearest(xyz, balls, centre, R, lens, settings.max_range_m, cell_px, nearest)
+                for i, found in zip(v, nearest, strict=True):
+                    views.nearest_m[i][:] = found
     for nearest in views.nearest_m:
         nearest[:] = minimum_filter(nearest, size=3)
     return {name: np.concatenate(held) for name, held in parts.items()}
 
 
 def _exposures(
-    sample: Mapping[str, AnyArray],
-    views: Views,
-    lens: Lens,
-    settings: Colour,
-    size_px: tuple[int, int],
-    pool: ThreadPoolExecutor,
+    sample: Mapping[str, AnyArray], views: Views, settings: Colour, pool: ThreadPoolExecutor
 ) -> tuple[ArrayF, pd.DataFrame]:
     """Gains (v, 3) of the photographs, 1 where they are not wanted, and their table."""
     n = len(views.paths)
@@ -678,8 +734,8 @@ def _exposures(
     if settings.even_exposures:
         # one view of each point tells nothing, whatever the colours are made of
         several = settings.model_copy(update={"views": max(settings.views, Colour().views)})
-        chosen = choose_views(sample, views, lens, several, pool)
-        gains, sigma, told = exposure_gains(chosen.view, _sampled(chosen, views, size_px, pool), n)
+        chosen = choose_views(sample, views, several, pool)
+        gains, sigma, told = exposure_gains(chosen.view, _sampled(chosen, views, pool), n)
     columns = {f"gain_{name}": gains[:, k] for k, name in enumerate(("red", "green", "blue"))}
     return gains, pd.DataFrame(columns | {"sigma": sigma, "n": told})
 

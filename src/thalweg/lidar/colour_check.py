@@ -27,6 +27,7 @@ from thalweg.core import AnyArray, ArrayF, Camera, CoverageError
 from thalweg.images.model import ImagePoses
 from thalweg.lidar.colour import (
     Lens,
+    Photographs,
     choose_views,
     lens_of,
     read_picture,
@@ -210,7 +211,8 @@ def check_colours(
 
     Parameters
     ----------
-    points, poses, images, masks, camera, settings : as `thalweg.lidar.colour_cloud` takes them.
+    points, settings : as `thalweg.lidar.colour_cloud` takes them.
+    poses, images, masks, camera : see `thalweg.lidar.Photographs`.
 
     Returns
     -------
@@ -221,11 +223,12 @@ def check_colours(
     InputError : the cloud lies in another frame, or a photograph cannot be read.
     CoverageError : no image can be used, or none shows enough points.
     """
-    views, lens = views_of(points, poses, images, masks, camera, settings), lens_of(camera)
-    sample = survey_cloud(points, views, lens, settings, most=_SAMPLE)
+    photographs = Photographs(poses=poses, images=images, masks=masks, camera=camera)
+    views = views_of(points, [photographs], settings)
+    sample = survey_cloud(points, views, settings, most=_SAMPLE)
     with ThreadPoolExecutor(max_workers=2) as pool:
         few = settings.model_copy(update={"views": _VIEWS})
-        chosen = choose_views(sample, views, lens, few, pool)
+        chosen = choose_views(sample, views, few, pool)
     order = np.argsort(chosen.view, axis=None, kind="stable")
     first = np.searchsorted(chosen.view.ravel()[order], np.arange(len(views.paths) + 1))
     shown = np.flatnonzero(np.diff(first) >= 10 * _LEAST_PAIRS)

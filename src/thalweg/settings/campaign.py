@@ -28,8 +28,10 @@ from thalweg.settings.sections import (
     Logs,
     Mounts,
     Orientation,
+    Panorama,
     Ppk,
     ReferenceSettings,
+    Rig,
     Section,
     is_rinex_name,
 )
@@ -118,6 +120,8 @@ class Campaign(Section):
     orientation: Orientation = Field(default=Orientation(), description="Trajectory")
     images: Images = Field(default=Images(), description="Orientation of photographs of the bank")
     fused: Fused = Field(default=Fused(), description="Trajectory from INS, antenna and images together")
+    rig: Rig = Field(default=Rig(), description="Camera with two fisheye lenses")
+    panorama: Panorama = Field(default=Panorama(), description="Panoramas of that camera")
     light_sheet: LightSheet = Field(
         default=LightSheet(), description="Underwater light-sheet sensor in a basin"
     )

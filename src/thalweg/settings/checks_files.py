@@ -19,6 +19,8 @@ PHOTOGRAPHS: Final = frozenset(
         "grid_images",
         "panel_images",
         "camera_field_images",
+        "rig_images",
+        "rig_field_images",
     }
 )
 """Streams of photographs: a folder of them may be named instead of its files."""

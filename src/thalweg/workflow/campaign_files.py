@@ -626,13 +626,71 @@ class CampaignFiles:
         """True if a boat surveyed a river."""
         return not (self.campaign.is_basin or self.campaign.is_change or self.campaign.is_calibration)
 
-    def is_coloured(self) -> bool:
+    def has_colour_images(self) -> bool:
         """True if one camera of known interior orientation took photographs of the bank that a lidar scanned.
 
         Orientations from other programs may state none.
         """
         known = self.orients_images() or bool(self.calibrated_interior())
         return self.has_time_lapse() and self.has_lidar() and known and not self.interior_folders()
+
+    def is_coloured(self) -> bool:
+        """True if photographs of the boat's camera or of a rig give the cloud colours."""
+        return self.has_colour_images() or (self.has_lidar() and self.has_panoramas())
+
+    def colour_images(self) -> list[str]:
+        """The photographs of the boat's camera, where they give colours."""
+        return self.logs("time_lapse") if self.has_colour_images() else []
+
+    def colour_poses(self) -> list[str]:
+        """Their poses."""
+        return self._where(self.has_colour_images(), "orientation/image_poses_timed.parquet")
+
+    def colour_camera(self) -> list[str]:
+        """Their interior orientation."""
+        return [self.adjusted_camera()] if self.has_colour_images() else []
+
+    def colour_masks(self) -> list[str]:
+        """Their masks."""
+        return self.used_masks() if self.has_colour_images() else []
+
+    def rig_images(self) -> list[str]:
+        """The files of a calibrated rig."""
+        return self.logs("rig_images") if self.has_panoramas() else []
+
+    def rig_poses(self) -> list[str]:
+        """Their poses."""
+        return self._where(self.has_panoramas(), "panorama/poses.parquet")
+
+    def used_rig(self) -> list[str]:
+        """The calibration of the rig, where its files are used."""
+        return self.rig_calibration() if self.has_panoramas() else []
+
+    # ------------------------------------------------------------ a camera with two fisheye lenses
+
+    def has_rig_field(self) -> bool:
+        """True if the rig was recorded amid a field of marks."""
+        return bool(
+            self.logs("rig_field_images") and self.logs("rig_field") and self.logs("rig_field_points")
+        )
+
+    def rig_calibration(self) -> list[str]:
+        """The calibration of the rig: the given one, or that of its own field."""
+        own = self._where(self.has_rig_field(), "calibration/rig.yaml")
+        return self.logs("rig_calibration")[:1] or own
+
+    def has_panoramas(self) -> bool:
+        """True if a survey has files of a calibrated rig."""
+        return self._is_survey() and bool(self.logs("rig_images") and self.rig_calibration())
+
+    def rig_views(self) -> dict[str, Any]:
+        """The section `rig` without mount and clock, which no picture depends on."""
+        return {k: v for k, v in self.plain["rig"].items() if k not in ("mount", "times", "clock")}
+
+    def panorama_points(self) -> list[str]:
+        """The cloud that says how far things are, where panoramas need it."""
+        needed = self.campaign.panorama.mode == "depth" and self.has_lidar()
+        return self.best_points() if needed else []
 
     def adjusted_camera(self) -> str:
         """The interior orientation that the poses of the images go with."""
@@ -865,7 +923,9 @@ class CampaignFiles:
         if self.has_time_lapse() and lidar:
             outputs += self.of_chains("lidar", "points.laz")[1:]
             outputs.append(self._result("accuracy/trajectories.html"))
-        outputs += self._where(self.is_coloured(), "lidar/coloured.laz", "lidar/colour_check.csv")
+        outputs += self._where(self.is_coloured(), "lidar/coloured.laz")
+        outputs += self._where(self.has_colour_images(), "lidar/colour_check.csv")
+        outputs += self._where(self.has_panoramas(), "panorama/panoramas.parquet")
         outputs += self._where(lidar, "viewer/index.html")
         outputs += [*self.truth_statistics(), *self._where(self.is_twin(), "accuracy/filter_scores.csv")]
         compared = ("statistics.csv", "by_range.csv", "spatial.csv", "index.html")
@@ -903,7 +963,13 @@ class CampaignFiles:
                 "cloud in the colours of photographs",
                 self._result("lidar/coloured.laz"),
                 self.is_coloured(),
-                "logs.time_lapse with an interior orientation, and logs.lidar",
+                "logs.time_lapse with an interior orientation or logs.rig, and logs.lidar",
+            ),
+            (
+                "panoramas along the river",
+                self._result("panorama/panoramas.parquet"),
+                self.has_panoramas(),
+                "logs.rig with images of a dual fisheye and its calibration",
             ),
             (
                 "accuracy against a reference",

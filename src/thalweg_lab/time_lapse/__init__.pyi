@@ -1,2 +1,8 @@
-from .record import simulate_time_lapse as simulate_time_lapse
+from .foreground import OwnBoat as OwnBoat
+from .record import (
+    metered_exposure as metered_exposure,
+    simulate_time_lapse as simulate_time_lapse,
+    sun_of as sun_of,
+)
+from .renderer import Renderer as Renderer, World as World
 from .view import simulate_view as simulate_view

@@ -82,3 +82,4 @@ from .mounts import (
     is_calibration_path as is_calibration_path,
 )
 from .navigation import Fused as Fused, Ins as Ins, Orientation as Orientation, Ppk as Ppk
+from .rig import Panorama as Panorama, Rig as Rig, RigLens as RigLens

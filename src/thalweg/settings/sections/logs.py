@@ -50,6 +50,12 @@ STREAM_KEYS = {
     "masks": ("time_lapse", "masks"),
     "finished_orientations": ("time_lapse", "orientations"),
     "interior": ("time_lapse", "interior"),
+    "rig_images": ("rig", "images"),
+    "rig_times": ("rig", "times"),
+    "rig_calibration": ("rig", "calibration"),
+    "rig_field": ("rig", "field"),
+    "rig_field_images": ("rig", "field_images"),
+    "rig_field_points": ("rig", "field_points"),
     "sheet_sensor": ("light_sheet", "sensor"),
     "camera_field": ("light_sheet", "camera_field"),
     "camera_field_images": ("light_sheet", "camera_field_images"),
@@ -194,6 +200,32 @@ class TimeLapseLogs(Section):
     )
 
 
+class RigLogs(Section):
+    """Files of a camera with two fisheye lenses; paths as in `Logs`."""
+
+    images: Files = Field(
+        default=(), description="Files with both image circles, of the survey: a folder, or files"
+    )
+    times: Files = Field(
+        default=(),
+        description="Table of their times, if neither names nor EXIF have them, as `time_lapse.times`",
+    )
+    calibration: Files = Field(
+        default=(),
+        description="Calibration of the rig: `front_interior`, `back_interior`, `back_front` (YAML); without "
+        "one it is calibrated from `field_images`",
+    )
+    field: Files = Field(
+        default=(), description="Description of the markers of a field around the rig (YAML)"
+    )
+    field_images: Files = Field(default=(), description="Files of the rig amid the field: a folder, or files")
+    field_points: Files = Field(
+        default=(),
+        description="Coordinates of the marks of the field (CSV: mark, x_m, y_m, z_m and sigmas), as the "
+        "adjustment of a calibration field writes them",
+    )
+
+
 class LightSheetLogs(Section):
     """Recordings of the underwater light-sheet sensor in a basin; paths as in `Logs`."""
 
@@ -310,6 +342,7 @@ class Logs(Section):
     calibration: CalibrationLogs = Field(
         default=CalibrationLogs(), description="Recordings of a calibration field"
     )
+    rig: RigLogs = Field(default=RigLogs(), description="Files of a camera with two fisheye lenses")
     light_sheet: LightSheetLogs = Field(
         default=LightSheetLogs(), description="Recordings of the underwater light-sheet sensor in a basin"
     )

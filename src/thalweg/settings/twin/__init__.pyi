@@ -5,6 +5,7 @@ from .survey import (
     TwinCamera as TwinCamera,
     TwinConfig as TwinConfig,
     TwinDisplay as TwinDisplay,
+    TwinDualFisheye as TwinDualFisheye,
     TwinEcho as TwinEcho,
     TwinEffects as TwinEffects,
     TwinGnss as TwinGnss,

@@ -836,6 +836,84 @@ class TwinTimeLapse(Section):
     )
 
 
+# ---------------------------------------------------------------- dual fisheye
+
+
+class TwinDualFisheye(Section):
+    """A camera with two fisheye lenses: its true geometry and clock, its pictures of survey and field.
+
+    Defaults: a Ricoh Theta S as two calibrations published it (base 19.36 mm, axes 179.776 degrees apart),
+    and as its front lens was measured from the corners of 23 boards.
+    """
+
+    circle_px: Side = Field(
+        default=640, description="Side of the square of an image circle; a file holds two of them, pixels"
+    )
+    focal_px: Positive = Field(default=190.9, description="Camera constant of the front lens, pixels")
+    focal_difference_px: Finite = Field(
+        default=-0.8, description="Camera constant of the back lens minus that of the front lens, pixels"
+    )
+    principal_offset_px: tuple[Finite, Finite] = Field(
+        default=(1.5, -0.3),
+        description="Principal point of the front lens minus middle of its square, pixels; that of the back "
+        "lens is the opposite",
+    )
+    distortion: tuple[Finite, Finite, Finite, Finite] = Field(
+        default=(-0.0286, 0.0232, -0.0095, 0.0006), description="k1, k2, k3, k4 of both lenses, no unit"
+    )
+    field_of_view_deg: Annotated[float, Field(gt=180, lt=300)] = Field(
+        default=202.0, description="Full angle of the image circles, degrees"
+    )
+    base_m: Positive = Field(default=0.0194, le=1, description="Distance of the projection centres, metres")
+    axes_deg: Annotated[float, Field(ge=170, le=180)] = Field(
+        default=179.8, description="Angle between the views of both lenses, degrees"
+    )
+    back_turn_deg: Literal[0, 90, 180, 270] = Field(
+        default=180, description="Clockwise turn that sets the back lens upright, degrees"
+    )
+    back_exposure: Positive = Field(
+        default=1.12, le=4, description="Light of the back lens over that of the front lens"
+    )
+    vignetting: Share = Field(default=0.25, description="Light that is missing at the rim of the circles")
+    sharpness_px: Annotated[float, Field(ge=0, le=10)] = Field(
+        default=0.6, description="Sigma of the Gaussian point spread function, pixels"
+    )
+    noise: Annotated[float, Field(ge=0, le=50)] = Field(
+        default=1.6, description="Sensor noise of a middle grey, steps of 8 bits; 0: none"
+    )
+    jpeg_quality: Quality = Field(default=93, description="Quality of the JPEG files, 1 to 100")
+    rate_hz: Annotated[float, Field(gt=0, le=10)] = Field(default=1.0, description="Exposures per second")
+    images: Annotated[int, Field(ge=1, le=10_000)] = Field(
+        default=3, description="Exposures of the survey, the middle one at half time"
+    )
+    zone: Annotated[str, Field(pattern=r"^[+-]\d{2}:\d{2}$")] = Field(
+        default="+02:00", description="Zone of the local time in the names"
+    )
+    clock_offset_s: Finite = Field(
+        default=-0.612, description="Reading of the clock minus UTC at the begin of the survey, seconds"
+    )
+    clock_drift_ppm: Annotated[float, Field(ge=-1000, le=1000)] = Field(
+        default=-8.0, description="Rate of the clock minus that of UTC, parts per million"
+    )
+    jitter_s: Annotated[float, Field(ge=0, le=1)] = Field(
+        default=0.01, description="Standard deviation of the true exposure about its stamp, seconds"
+    )
+    field_images: Annotated[int, Field(ge=3, le=200)] = Field(
+        default=12, description="Exposures amid the field of the calibration"
+    )
+    sigma_field_m: NonNegative = Field(
+        default=0.0002,
+        le=0.1,
+        description="Standard deviation of each coordinate of the field's marks, metres",
+    )
+    supersampling: Annotated[int, Field(ge=1, le=4)] = Field(
+        default=2, description="Rays along each side of a pixel where something ends in it"
+    )
+    hull: bool = Field(default=True, description="The own boat in view")
+    lenses_swapped: bool = Field(default=False, description="The back lens lies in the box of the front lens")
+    lens_missing: bool = Field(default=False, description="The back lens recorded nothing")
+
+
 # ---------------------------------------------------------------- section ``twin``
 
 
@@ -1035,6 +1113,9 @@ class TwinConfig(Section):
     time_lapse: TwinTimeLapse | None = Field(
         default=None,
         description="Images of the bank along the voyage, and control points; null: the camera takes none",
+    )
+    dual_fisheye: TwinDualFisheye | None = Field(
+        default=None, description="Camera with two fisheye lenses on the boat; null: there is none"
     )
     light_sheet: TwinLightSheet | None = Field(
         default=None, description="Underwater light-sheet sensor in a basin; null: there is none"

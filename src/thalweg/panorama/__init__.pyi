@@ -1,0 +1,9 @@
+from .compose import Composed as Composed, compose as compose, reading_that_fits as reading_that_fits
+from .files import PANORAMAS as PANORAMAS, make_panoramas as make_panoramas, write_panorama as write_panorama
+from .ranges import cloud_ranges as cloud_ranges, fill_gaps as fill_gaps
+from .sphere import (
+    default_width_px as default_width_px,
+    level_attitude as level_attitude,
+    pixels_of as pixels_of,
+    sphere_rays as sphere_rays,
+)

@@ -1,0 +1,363 @@
+"""Two views become one panorama: where both lenses see a thing, their light, the seam, and its error.
+
+A ray of the panorama meets something at the range that the mode gives; that point is projected into both
+lenses. Where both see it, the seam runs along the way about the axis on which they agree best (dynamic
+programming, closed), and the light of the lenses is brought to one level by the overlap. Details come from
+one lens alone, so that nothing is seen twice; broad differences of light fade over some degrees (two bands,
+Burt and Adelson 1983).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from scipy import ndimage
+
+from thalweg.calibration import LENSES, Rig
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayU8
+from thalweg.lidar import GAMMA, exposure_gains
+from thalweg.panorama.sphere import sphere_rays
+
+_AROUND: Final = 720
+"""Places around the axis at which the seam is looked for: half a degree."""
+_ACROSS_DEG: Final = 0.25
+_STEPS: Final = 2
+"""The seam moves at most so many steps across from one place to the next."""
+_FADE_DEG: Final = 5.0
+_BACKGROUND: Final = 128
+"""Grey of what no lens shows."""
+RIM_DEG: Final = 1.0
+"""The outermost part of an image circle is left out."""
+_LEAST_TEXTURE: Final = 4.0
+_LARGEST_SHIFT_DEG: Final = 1.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Composed:
+    """A panorama and what its seam says.
+
+    Parameters
+    ----------
+    picture : (h, w, 3) uint8, sRGB.
+    shown : (h, w) whether a lens shows the pixel.
+    front : (h, w) whether the front lens does.
+    gains : (3,) light of the back lens over that of the front lens by colour.
+    gain_sigma : relative standard deviation of a gain.
+    seam_deg : (720,) angle of the seam from the view of the front lens at even azimuths about it.
+    seam_px : (k,) shifts between both lenses across the seam where it has texture, pixels of the panorama.
+    agreement : correlation of both lenses where they overlap, -1 to 1; NaN without texture.
+    """
+
+    picture: ArrayU8
+    shown: ArrayB
+    front: ArrayB
+    gains: ArrayF
+    gain_sigma: float
+    seam_deg: ArrayF
+    seam_px: ArrayF
+    agreement: float
+
+    @property
+    def seam_rms_px(self) -> float:
+        """Root mean square of the shifts across the seam but for the largest twentieth; NaN without any."""
+        if len(self.seam_px) < 5:
+            return float("nan")
+        size = np.sort(np.abs(self.seam_px))
+        return float(np.sqrt(np.mean(size[: int(np.ceil(0.95 * len(size)))] ** 2)))
+
+
+def lens_pixels(
+    rig: Rig, directions_front: ArrayF, inverse_range: AnyArray
+) -> tuple[dict[str, ArrayF], dict[str, ArrayF]]:
+    """Where both lenses see what lies in directions from the middle of the rig.
+
+    Parameters
+    ----------
+    rig : calibrated.
+    directions_front : (n, 3) unit directions in the frame of the front lens.
+    inverse_range : (n,) of the things from the middle of the rig, 1/m; 0: infinitely far.
+
+    Returns
+    -------
+    pixels : (n, 2) by lens, NaN outside the image circle.
+    angle_deg : (n,) from the axis, by lens.
+    """
+    widest = rig.settings.field_of_view_deg / 2 - RIM_DEG
+    pixels, angles = {}, {}
+    for name, place in rig.T_front_lens.items():
+        # homogeneous: a point at infinity does not know where the lens is
+        local = (directions_front + inverse_range[:, None] * (rig.centre_front_m - place.shift_m)) @ place.R
+        angle = np.rad2deg(np.arctan2(np.hypot(local[:, 0], local[:, 1]), local[:, 2]))
+        xy = rig.cameras[name].project(local)
+        xy[~((angle < widest) & rig.cameras[name].inside(xy, 1.0))] = np.nan
+        pixels[name], angles[name] = xy, angle
+    return pixels, angles
+
+
+def _sampled(view: AnyArray, xy: ArrayF) -> AnyArray:
+    """Values (n, ...) of a view at pixels (n, 2), bilinear; 0 where NaN."""
+    flat = np.nan_to_num(xy, nan=-10.0).astype(np.float32) - np.float32(0.5)
+    n = len(flat)
+    width = 16_384
+    padded = np.full((-(-n // width) * width, 2), -10.0, dtype=np.float32)
+    padded[:n] = flat
+    maps = padded.reshape(-1, min(width, max(n, 1)) if n < width else width, 2) if n >= width else None
+    if maps is None:
+        maps = flat.reshape(1, -1, 2)
+    out = cv2.remap(view, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return out.reshape(-1, *view.shape[2:])[:n]
+
+
+def compose(
+    views: Mapping[str, ArrayU8],
+    rig: Rig,
+    R_front_pcs: ArrayF,
+    inverse_range: AnyArray,
+    *,
+    masks: Mapping[str, ArrayB] | None = None,
+    gains: ArrayF | None = None,
+) -> Composed:
+    """Sew both views of an exposure.
+
+    Parameters
+    ----------
+    views : upright views (h, w, 3) uint8 by lens.
+    rig : calibrated.
+    R_front_pcs : attitude (3, 3) of the panorama in the frame of the front lens.
+    inverse_range : (W / 2, W) of things from the middle of the rig, 1/m.
+    masks : by lens, where a view may be used (h, w).
+    gains : light of the back lens over that of the front lens by colour; None: from the overlap.
+    """
+    height, width = inverse_range.shape
+    directions = sphere_rays(width).reshape(-1, 3) @ R_front_pcs.T
+    pixels, _ = lens_pixels(rig, directions, inverse_range.ravel())
+    usable = {name: np.isfinite(pixels[name][:, 0]) for name in LENSES}
+    if masks:
+        for name, mask in masks.items():
+            seen = _sampled(mask.astype(np.uint8) * 255, pixels[name])
+            usable[name] &= seen > 127
+    colour = {name: _sampled(views[name], pixels[name]).astype(np.float32) for name in LENSES}
+    both = usable["front"] & usable["back"]
+    told = np.ones(3) if gains is None else np.asarray(gains, dtype=np.float64)
+    sigma = 0.0
+    if gains is None and both.sum() > 100:
+        values = np.stack([colour[name][both] for name in LENSES], axis=1).astype(np.uint8)
+        every = max(1, len(values) // 40_000)
+        pairs = np.tile(np.arange(2), (len(values[::every]), 1))
+        found, sigmas, _ = exposure_gains(pairs, values[::every], 2)
+        told, sigma = found[1] / found[0], float(np.hypot(*sigmas))
+    even = _evened(colour, told)
+    seam = _seam(views, rig, R_front_pcs, inverse_range, masks, told)
+    azimuth = np.arctan2(directions[:, 1], directions[:, 0])
+    limit = np.interp(
+        np.mod(azimuth, 2 * np.pi), (np.arange(_AROUND + 1)) * 2 * np.pi / _AROUND, np.r_[seam, seam[0]]
+    )
+    angle = np.rad2deg(np.arctan2(np.hypot(directions[:, 0], directions[:, 1]), directions[:, 2]))
+    front = (usable["front"] & (angle <= limit)) | (usable["front"] & ~usable["back"])
+    shown = usable["front"] | usable["back"]
+    picture = _blended(even, usable, front, angle - limit, (height, width))
+    picture[~shown.reshape(height, width)] = _BACKGROUND
+    shifts, agreement = _seam_error(views, rig, R_front_pcs, inverse_range, seam, told)
+    return Composed(
+        picture=picture,
+        shown=shown.reshape(height, width),
+        front=front.reshape(height, width),
+        gains=told,
+        gain_sigma=sigma,
+        seam_deg=seam,
+        seam_px=shifts * width / 360.0,
+        agreement=agreement,
+    )
+
+
+def _evened(colour: Mapping[str, AnyArray], gains: ArrayF) -> dict[str, AnyArray]:
+    """Both lenses at one level of light: half of the difference each, so that neither burns out."""
+    root = np.sqrt(gains) ** (1 / GAMMA)
+    return {
+        "front": np.minimum(colour["front"] * root.astype(np.float32), 255.0),
+        "back": np.minimum(colour["back"] / root.astype(np.float32), 255.0),
+    }
+
+
+def _strip(
+    views: Mapping[str, ArrayU8],
+    rig: Rig,
+    R_front_pcs: ArrayF,
+    inverse_range: AnyArray,
+    masks: Mapping[str, ArrayB] | None,
+    gains: ArrayF,
+) -> tuple[ArrayF, dict[str, AnyArray], ArrayB]:
+    """The overlap about the axis of the front lens: angles (a,), colours (720, a, 3), usable (720, a)."""
+    widest = rig.settings.field_of_view_deg / 2 - RIM_DEG
+    angle = np.arange(180.0 - widest, widest, _ACROSS_DEG)
+    azimuth = np.arange(_AROUND) * 2 * np.pi / _AROUND
+    t = np.deg2rad(angle)[None, :]
+    directions = np.stack(
+        np.broadcast_arrays(
+            np.sin(t) * np.cos(azimuth)[:, None], np.sin(t) * np.sin(azimuth)[:, None], np.cos(t)
+        ),
+        axis=-1,
+    ).reshape(-1, 3)
+    height, width = inverse_range.shape
+    pcs = directions @ R_front_pcs
+    lon, lat = np.arctan2(pcs[:, 0], pcs[:, 2]), np.arcsin(np.clip(-pcs[:, 1], -1, 1))
+    row = np.clip((0.5 - lat / np.pi) * height, 0, height - 1).astype(np.int64)
+    column = ((lon / (2 * np.pi) + 0.5) * width).astype(np.int64) % width
+    pixels, _ = lens_pixels(rig, directions, inverse_range[row, column])
+    usable = np.isfinite(pixels["front"][:, 0]) & np.isfinite(pixels["back"][:, 0])
+    if masks:
+        for name, mask in masks.items():
+            usable &= _sampled(mask.astype(np.uint8) * 255, pixels[name]) > 127
+    colour = {name: _sampled(views[name], pixels[name]).astype(np.float32) for name in LENSES}
+    shape = (_AROUND, len(angle))
+    even = {name: values.reshape(*shape, 3) for name, values in _evened(colour, gains).items()}
+    return angle, even, usable.reshape(shape)
+
+
+def _seam(
+    views: Mapping[str, ArrayU8],
+    rig: Rig,
+    R_front_pcs: ArrayF,
+    inverse_range: AnyArray,
+    masks: Mapping[str, ArrayB] | None,
+    gains: ArrayF,
+) -> ArrayF:
+    """Angle (720,) of the seam from the axis of the front lens, degrees."""
+    angle, even, usable = _strip(views, rig, R_front_pcs, inverse_range, masks, gains)
+    cost = np.abs(even["front"] - even["back"]).mean(axis=2)
+    cost = ndimage.uniform_filter(cost, size=(3, 3), mode=("wrap", "nearest"))
+    # sharpness falls towards the rim: a middle place is a little better than another
+    cost = cost + 0.1 * np.abs(angle - 90.0) + np.where(usable, 0.0, 1e3)
+    n, k = cost.shape
+    # closed: twice around, the second round is taken
+    total = np.zeros((2 * n, k))
+    came = np.zeros((2 * n, k), dtype=np.int64)
+    total[0] = cost[0]
+    moves = np.arange(-_STEPS, _STEPS + 1)
+    for i in range(1, 2 * n):
+        padded = np.pad(total[i - 1], _STEPS, constant_values=np.inf)
+        choices = np.stack([padded[_STEPS + m : _STEPS + m + k] + 0.3 * abs(m) for m in moves])
+        best = choices.argmin(axis=0)
+        came[i] = np.arange(k) + moves[best]
+        total[i] = choices.min(axis=0) + cost[i % n]
+    at = int(total[-1].argmin())
+    path = np.empty(2 * n, dtype=np.int64)
+    for i in range(2 * n - 1, -1, -1):
+        path[i] = at
+        at = came[i, at]
+    # the middle of both rounds knows nothing of either end
+    ring = np.empty(n, dtype=np.int64)
+    half = n // 2
+    for i in range(half, half + n):
+        ring[i % n] = path[i]
+    return np.asarray(angle[ring], dtype=np.float64)
+
+
+def _blended(
+    colour: Mapping[str, AnyArray],
+    usable: Mapping[str, ArrayB],
+    front: ArrayB,
+    beyond_deg: ArrayF,
+    shape: tuple[int, int],
+) -> ArrayU8:
+    """Two bands: details of one lens, broad light that fades across the seam."""
+    height, width = shape
+    hard = np.where(front[:, None], colour["front"], colour["back"]).reshape(height, width, 3)
+    both = (usable["front"] & usable["back"]).reshape(height, width)
+    difference = (colour["front"] - colour["back"]).reshape(height, width, 3) * both[..., None]
+    sigma = _FADE_DEG / 2 / 360.0 * width
+    pad = min(width, int(4 * sigma) + 1)
+
+    def broad(values: AnyArray) -> AnyArray:
+        """Gaussian mean, closed to the left and right."""
+        wide = np.concatenate([values[:, -pad:], values, values[:, :pad]], axis=1)
+        return cv2.GaussianBlur(wide, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)[:, pad:-pad]
+
+    weight = broad(both.astype(np.float32))
+    mean = broad(difference.astype(np.float32)) / np.maximum(weight, 1e-3)[..., None]
+    share = np.clip(0.5 - beyond_deg.reshape(height, width) / _FADE_DEG, 0.0, 1.0)
+    share = np.where(both, share, front.reshape(height, width))
+    # of the broad difference of both lenses each side gives up what the fading asks
+    correction = mean * (share - front.reshape(height, width))[..., None]
+    return np.asarray(np.clip(np.rint(hard + correction), 0, 255), dtype=np.uint8)
+
+
+def _seam_error(
+    views: Mapping[str, ArrayU8],
+    rig: Rig,
+    R_front_pcs: ArrayF,
+    inverse_range: AnyArray,
+    seam: ArrayF,
+    gains: ArrayF,
+) -> tuple[ArrayF, float]:
+    """Shifts (k,) of both lenses against each other across the seam, degrees; correlation in the overlap."""
+    angle, even, usable = _strip(views, rig, R_front_pcs, inverse_range, None, gains)
+    grey = {name: even[name].mean(axis=2).astype(np.float64) for name in LENSES}
+    agreement = _correlation(grey["front"], grey["back"], usable)
+    reach, half, length = round(_LARGEST_SHIFT_DEG / _ACROSS_DEG), round(2.0 / _ACROSS_DEG), 8
+    shifts = []
+    for i in range(0, _AROUND, length):
+        j = round((float(np.median(seam[i : i + length])) - angle[0]) / _ACROSS_DEG)
+        low, high = j - half, j + half + 1
+        if low - reach < 0 or high + reach > len(angle):
+            low, high = max(reach, low), min(len(angle) - reach, high)
+        if high - low < half:
+            continue
+        rows = slice(i, i + length)
+        if not usable[rows, low - reach : high + reach].all():
+            continue
+        a = grey["front"][rows, low:high]
+        if np.abs(np.diff(a, axis=1)).mean() < _LEAST_TEXTURE / 4 or a.std() < _LEAST_TEXTURE:
+            continue
+        score = np.array(
+            [
+                _correlation(a, grey["back"][rows, low + s : high + s], np.ones(a.shape, bool))
+                for s in range(-reach, reach + 1)
+            ]
+        )
+        best = int(np.nanargmax(score)) if np.isfinite(score).any() else 0
+        if not 0 < best < 2 * reach or score[best] < 0.7:
+            continue
+        # the peak between the steps by a parabola
+        y0, y1, y2 = score[best - 1 : best + 2]
+        bend = y0 - 2 * y1 + y2
+        shifts.append((best - reach + (0.5 * (y0 - y2) / bend if bend < 0 else 0.0)) * _ACROSS_DEG)
+    return np.array(shifts), agreement
+
+
+def _correlation(a: AnyArray, b: AnyArray, usable: ArrayB) -> float:
+    x, y = a[usable], b[usable]
+    if len(x) < 16 or x.std() < 1.0 or y.std() < 1.0:
+        return float("nan")
+    return float(np.corrcoef(x, y)[0, 1])
+
+
+def reading_that_fits(views: Mapping[str, ArrayU8], rig: Rig) -> str:
+    """The way of reading both views in which they agree in the overlap: "" for as they are.
+
+    Tried are views that are changed over, mirrored, or turned by half; another one is told only if it agrees
+    clearly and the given one does not.
+    """
+    tried: dict[str, Mapping[str, ArrayU8]] = {
+        "": views,
+        "changed over": {"front": views["back"], "back": views["front"]},
+        "mirrored": {name: np.ascontiguousarray(view[:, ::-1]) for name, view in views.items()},
+        "back lens turned by half": {
+            "front": views["front"],
+            "back": np.ascontiguousarray(views["back"][::-1, ::-1]),
+        },
+        "front lens turned by half": {
+            "front": np.ascontiguousarray(views["front"][::-1, ::-1]),
+            "back": views["back"],
+        },
+    }
+    far = np.zeros((64, 128))
+    score = {}
+    for name, read in tried.items():
+        _, even, usable = _strip(read, rig, np.eye(3), far, None, np.ones(3))
+        grey = [ndimage.gaussian_filter(even[lens].mean(axis=2), (2, 1)) for lens in LENSES]
+        score[name] = np.nan_to_num(_correlation(grey[0], grey[1], usable), nan=-1.0)
+    best = max(score, key=lambda name: score[name])
+    return best if best and score[best] > 0.6 and score[best] > score[""] + 0.3 else ""

@@ -1,0 +1,85 @@
+"""A camera with two fisheye lenses: its calibration, where its files were taken, and panoramas."""
+
+
+rule calibrate_rig:
+    """Interior orientations of both lenses and their relative orientation, from a field around the rig."""
+    input:
+        images=raw("rig_field_images"),
+        field=raw("rig_field"),
+        points=raw("rig_field_points"),
+    output:
+        calibration="results/{campaign}/calibration/rig.yaml",
+        residuals="results/{campaign}/calibration/rig_residuals.csv",
+        exposures="results/{campaign}/calibration/rig_exposures.csv",
+        report="results/{campaign}/calibration/rig.json",
+    log:
+        "logs/{campaign}/panorama/calibrate_rig.log",
+    benchmark:
+        "benchmarks/{campaign}/panorama/calibrate_rig.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20, 60),
+    params:
+        code=code_version("calibrate_rig"),
+        campaign=identity("id"),
+        rig=of(CampaignFiles.rig_views),
+    script:
+        "../scripts/calibrate_rig.py"
+
+
+rule place_rig_images:
+    """When and where the front lens of the rig took each of its files."""
+    input:
+        images=raw("rig_images"),
+        times=raw("rig_times"),
+        trajectory=of(CampaignFiles.best_trajectory),
+    output:
+        stamps="results/{campaign}/ingest/rig_stamps.parquet",
+        integrity="results/{campaign}/ingest/rig.integrity.json",
+        poses="results/{campaign}/panorama/poses.parquet",
+    log:
+        "logs/{campaign}/panorama/place_rig_images.log",
+    benchmark:
+        "benchmarks/{campaign}/panorama/place_rig_images.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        code=code_version("place_rig_images"),
+        rig=section("rig"),
+    script:
+        "../scripts/place_rig_images.py"
+
+
+rule make_panoramas:
+    """Equirectangular panoramas of the rig, sewn at the ranges of the cloud."""
+    input:
+        images=raw("rig_images"),
+        poses="results/{campaign}/panorama/poses.parquet",
+        calibration=of(CampaignFiles.rig_calibration),
+        points=of(CampaignFiles.panorama_points),
+    output:
+        pictures=directory("results/{campaign}/panorama/pictures"),
+        table="results/{campaign}/panorama/panoramas.parquet",
+    log:
+        "logs/{campaign}/panorama/make_panoramas.log",
+    benchmark:
+        "benchmarks/{campaign}/panorama/make_panoramas.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(30, 120),
+    params:
+        code=code_version("make_panoramas"),
+        rig=of(CampaignFiles.rig_views),
+        panorama=section("panorama"),
+    script:
+        "../scripts/make_panoramas.py"

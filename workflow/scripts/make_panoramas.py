@@ -1,0 +1,37 @@
+"""Files of the rig, their poses, the calibration and the cloud -> panoramas and their table."""
+
+from pathlib import Path
+
+from thalweg.calibration import read_rig
+from thalweg.images.model import ImagePoses
+from thalweg.ingest.photos import find_images
+from thalweg.panorama import make_panoramas
+from thalweg.settings.sections import Panorama, Rig
+from thalweg.workflow import run_job
+
+
+def main(
+    *,
+    images: list[Path],
+    poses: Path,
+    calibration: Path,
+    points: list[Path],
+    pictures: Path,
+    table: Path,
+    rig: Rig,
+    panorama: Panorama,
+) -> None:
+    files = {path.name: path for path in find_images(images).files}
+    make_panoramas(
+        files,
+        ImagePoses.read(poses),
+        read_rig(calibration, rig),
+        points[0] if points else None,
+        panorama,
+        pictures,
+        table,
+    )
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)
