@@ -140,6 +140,10 @@ class CampaignFiles:
             return [self._result(f"simulation/logs/{log}") for log in known.get(stream, ())]
         return [str(path) for path in self.campaign.log_files(stream)]
 
+    def boat_trajectory(self) -> list[str]:
+        """The trajectory of the boat, where there is one."""
+        return self._where(self._is_survey(), "orientation/trajectory.parquet")
+
     def has_reference(self) -> bool:
         """True if there are reference clouds, and a cloud to compare with them."""
         return bool(self.logs("reference")) and self.has_lidar()
@@ -384,8 +388,8 @@ class CampaignFiles:
     # ------------------------------------------------------------ images of the bank
 
     def has_time_lapse(self) -> bool:
-        """True if a survey has images of the bank, whose cameras may have folders of their own."""
-        return bool(self.logs("time_lapse")) and not self.campaign.is_calibration
+        """True if a survey by boat has images of the bank, whose cameras may have folders of their own."""
+        return bool(self.logs("time_lapse")) and self._is_survey()
 
     def stamped_images(self) -> list[str]:
         """The images of the boat's camera in motion, on the river or about the cones."""
@@ -624,7 +628,7 @@ class CampaignFiles:
 
     def _is_survey(self) -> bool:
         """True if a boat surveyed a river."""
-        return not (self.campaign.is_basin or self.campaign.is_change or self.campaign.is_calibration)
+        return self.campaign.kind == "survey"
 
     def is_coloured(self) -> bool:
         """True if one camera of known interior orientation took photographs of the bank that a lidar scanned.
@@ -781,12 +785,19 @@ class CampaignFiles:
 
     def _made(self) -> list[str]:
         """What `all` builds but pictures and the front page."""
-        if self.campaign.is_basin:
-            return self._basin_outputs()
-        if self.campaign.is_change:
-            return self._change_outputs()
-        if self.campaign.is_calibration:
-            return self._calibration_outputs()
+        match self.campaign.kind:
+            case "basin":
+                return self._basin_outputs()
+            case "change":
+                return self._change_outputs()
+            case "calibration":
+                return self._calibration_outputs()
+            case "photographs":
+                return self._where(True, "photographs/image_poses.csv", "photographs/index.html")
+            case "fixed_camera":
+                return self._where(True, "orientation/fixed_camera.csv", "orientation/fixed_camera.html")
+            case "cloud":
+                return self._where(True, "accuracy/cloud_to_surface.laz", "accuracy/cloud.html")
         lidar = self.has_lidar()
         tables = ("orientation/trajectory.parquet", "timing/streams.csv", "timing/time_report.csv")
         outputs = self._where(True, *tables, "summary.csv")
@@ -808,9 +819,10 @@ class CampaignFiles:
         return outputs
 
     def products(self) -> list[Product]:
-        """What a survey of a river gives from its logs, and what one more log would add."""
-        if not self._is_survey():
-            return []
+        """What a campaign gives from its logs, and what one more log would add."""
+        alone = self._products_alone()
+        if alone or not self._is_survey():
+            return alone
         chains = self.has_time_lapse() and self.has_lidar()
         rows = (
             ("trajectory of the boat", self.trajectory("ins"), True, ""),
@@ -859,6 +871,37 @@ class CampaignFiles:
         )
         return [Product(*row) for row in rows]
 
+    def _products_alone(self) -> list[Product]:
+        """The same of photographs, of a camera that stays and of a finished cloud, recorded by no boat."""
+        kind, checked = self.campaign.kind, bool(self.logs("control_points"))
+        boat = "the logs of a boat: logs.lidar with logs.ins, or logs.depth"
+        rows: dict[str, tuple[tuple[str, str, bool, str], ...]] = {
+            "photographs": (
+                ("poses of the photographs", "photographs/image_poses.csv", True, ""),
+                ("sparse cloud of tie points", "photographs/points.laz", True, ""),
+                ("lens", "photographs/camera.yaml", True, ""),
+                (
+                    "control and check points",
+                    "photographs/control_points.csv",
+                    checked,
+                    "logs.time_lapse.control_points and logs.time_lapse.marks",
+                ),
+                ("point cloud of the banks, riverbed", "index.html", False, boat),
+            ),
+            "fixed_camera": (
+                ("pose of the camera in each picture", "orientation/fixed_camera.csv", True, ""),
+                ("residuals of the marks", "orientation/fixed_camera_residuals.csv", True, ""),
+            ),
+            "cloud": (
+                ("distances from the reference, as cloud", "accuracy/cloud_to_surface.laz", True, ""),
+                ("statistics and registration", "accuracy/cloud.json", True, ""),
+                ("standard deviations of the points, and whether they hold", "index.html", False, boat),
+            ),
+        }
+        return [
+            Product(name, self._result(file), made, needs) for name, file, made, needs in rows.get(kind, ())
+        ]
+
     def plain_products(self) -> list[dict[str, Any]]:
         """The same as plain values."""
         return [asdict(product) for product in self.products()]
@@ -878,11 +921,15 @@ class CampaignFiles:
     def target(self, name: str) -> list[str]:
         """What the target ``ingest``, ``lidar``, ``images`` or ``accuracy`` builds."""
         match name:
+            case "ingest" if self.campaign.kind in ("photographs", "fixed_camera", "cloud"):
+                return []
             case "ingest":
                 moved = (self.position_logs() or self.ins_logs()) and not self.campaign.is_basin
                 reports = self.reports() if moved else []
                 reports += self._where(self.has_reference(), "ingest/reference.integrity.json")
                 return reports + self._where(self.stamped_images(), "ingest/camera.integrity.json")
+            case "images" if self.campaign.kind in ("photographs", "fixed_camera"):
+                return self._made()
             case "images" if self.has_time_lapse():
                 timed = self._where(True, "orientation/image_poses_timed.parquet")
                 return [self.oriented_images(), *timed, *self.trajectories()[1:]]

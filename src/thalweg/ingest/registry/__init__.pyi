@@ -6,6 +6,7 @@ from .calibrations import (
 )
 from .formats import (
     ALSO_MARKS as ALSO_MARKS,
+    CAMERA_FILES as CAMERA_FILES,
     KINDS as KINDS,
     KINDS_OF_STREAM as KINDS_OF_STREAM,
     LIDAR_KINDS as LIDAR_KINDS,

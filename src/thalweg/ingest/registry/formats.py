@@ -34,6 +34,7 @@ KINDS_OF_STREAM: Final[Mapping[str, tuple[str, ...]]] = {
         for stream in sorted({stream for each in _INSTRUMENTS for stream in each.streams})
     },
     "smrmsg": (),  # has no mark of its own
+    "cloud": (*(each.kind for each in CLOUDS), "xyz", "pcd"),
 }
 """Kinds of content that fit a stream of ``logs``, empty where it cannot be told; tables that people write,
 and pictures, are not judged.
@@ -41,6 +42,9 @@ and pictures, are not judged.
 
 ALSO_MARKS: Final = frozenset({"gcp_list", "metashape_markers"})
 """Kinds of files that hold control points and where they are in the images."""
+
+CAMERA_FILES: Final = ("colmap", "opencv", "metashape_lens")
+"""Kinds of files that state an interior orientation."""
 
 _BINARY: Final = re.compile(rb"[^\t\n\r\x20-\xff]")
 _WRAPPED: Final = (
