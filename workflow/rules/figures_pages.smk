@@ -43,6 +43,18 @@ PAGES = {
         },
         "params": {"captions": FIGURES.captions("photographs")},
     },
+    "finished_photographs_page": {
+        "shows": "Photographs that another program has oriented: places, check points, what has no pose.",
+        "calls": "thalweg.figures.images.photographs:write_finished_page",
+        "page": f"{RESULTS}/photographs/finished.html",
+        "inputs": {
+            "facts": f"{RESULTS}/photographs/finished.json",
+            "poses": f"{RESULTS}/photographs/finished.csv",
+            "control": f"{RESULTS}/photographs/finished_points.csv",
+            "pictures": of_page("finished_photographs"),
+        },
+        "params": {"captions": FIGURES.captions("finished_photographs")},
+    },
     "fixed_camera_page": {
         "shows": "A camera that stays: its place from picture to picture.",
         "calls": "thalweg.figures.images.fixed_camera:write_fixed_camera_page",

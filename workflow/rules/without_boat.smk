@@ -43,6 +43,41 @@ rule orient_photographs:
         "../scripts/call.py"
 
 
+rule place_photographs:
+    """Photographs that another program has oriented, without a boat -> poses, lens, judged points."""
+    input:
+        images=raw("time_lapse"),
+        control_points=raw("control_points"),
+        marks=raw("image_marks"),
+        interior=raw("interior"),
+        orientations=raw("finished_orientations"),
+    output:
+        poses="results/{campaign}/photographs/finished.parquet",
+        image_poses="results/{campaign}/photographs/finished.csv",
+        camera="results/{campaign}/photographs/finished_camera.yaml",
+        points="results/{campaign}/photographs/finished_points.csv",
+        facts="results/{campaign}/photographs/finished.json",
+    log:
+        "logs/{campaign}/orientation/place_photographs.log",
+    benchmark:
+        "benchmarks/{campaign}/orientation/place_photographs.jsonl"
+    priority: URGENT
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(20),
+    params:
+        **calls("thalweg.images.finished:place_files"),
+        folder=f"{RESULTS}/photographs",
+        campaign=identity("id", "crs", "origin"),
+        finished=section("images", "finished"),
+        control=section("images", "control"),
+    script:
+        "../scripts/call.py"
+
+
 rule resect_pictures:
     """Marks of control points in pictures of a camera that stays -> its pose in each."""
     input:

@@ -11,6 +11,7 @@ from .control import (
     read_control_points as read_control_points,
     read_marks as read_marks,
 )
+from .finished import judge_points as judge_points, place_files as place_files
 from .fixed_camera import resect_files as resect_files, resect_pictures as resect_pictures
 from .photographs import (
     PhotographBlock as PhotographBlock,

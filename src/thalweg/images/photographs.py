@@ -24,7 +24,7 @@ from thalweg.images.bundle import (
     write_cameras,
 )
 from thalweg.images.control import crs_of, frame_about, read_all_control_points, read_camera_positions
-from thalweg.images.model import ControlPoints, ImagePoses
+from thalweg.images.model import ControlPoints, ImagePoses, unknown_poses
 from thalweg.images.sfm import (
     Known,
     block_facts,
@@ -76,34 +76,7 @@ class PhotographBlock:
 
     def coordinates(self, points_wcs_m: ArrayF) -> ArrayF:
         """Points (n, 3) of the world frame in the coordinates of the control points; NaN stays."""
-        known = np.isfinite(points_wcs_m).all(axis=1)
-        out = np.full(points_wcs_m.shape, np.nan)
-        if self.crs == LOCAL:
-            out[known] = points_wcs_m[known]
-        elif known.any():
-            out[known] = self.found.poses.frame.to_map(points_wcs_m[known], CRS.from_user_input(self.crs))
-        return out
-
-    def pose_table(self) -> pd.DataFrame:
-        """A row for each image.
-
-        Columns: ``image``, ``x_m, y_m, z_m`` of the projection centre, the quaternion ``qx, qy, qz, qw`` from
-        the camera's frame (right, down, into the picture) to local east, north, up (to x, y, z of a local
-        frame), ``sigma_x_m`` ... , ``sigma_rotation_x_deg`` ... about the axes of the world, ``rms_px``,
-        ``reason`` why there is no pose.
-        """
-        poses = self.found.poses
-        quaternion = np.full((len(poses.images), 4), np.nan)
-        quaternion[poses.oriented] = Rotation.from_matrix(poses.R_wcs_ccs[poses.oriented]).as_quat()
-        sigma = np.sqrt(np.diagonal(poses.cov_pose_wcs, axis1=1, axis2=2))
-        columns: dict[str, Any] = {"image": list(poses.images)}
-        columns |= dict(zip(("x_m", "y_m", "z_m"), self.coordinates(poses.centre_wcs_m).T, strict=True))
-        columns |= dict(zip(("qx", "qy", "qz", "qw"), quaternion.T, strict=True))
-        for k, axis in enumerate("xyz"):
-            columns[f"sigma_{axis}_m"] = sigma[:, k]
-        for k, axis in enumerate("xyz"):
-            columns[f"sigma_rotation_{axis}_deg"] = np.rad2deg(sigma[:, 3 + k])
-        return pd.DataFrame(columns | {"rms_px": poses.rms_px, "reason": list(poses.reasons)})
+        return in_crs(points_wcs_m, self.found.poses.frame, self.crs)
 
     def point_table(self) -> pd.DataFrame:
         """Tie points of all pieces: ``x_m, y_m, z_m``, ``images`` that show the point, ``piece``."""
@@ -133,7 +106,9 @@ class PhotographBlock:
         folder.mkdir(parents=True, exist_ok=True)
         facts = self.found.facts
         self.found.poses.write(folder / "image_poses.parquet")
-        self.pose_table().to_csv(folder / "image_poses.csv", index=False, float_format="%.9g")
+        pose_table(self.found.poses, self.crs).to_csv(
+            folder / "image_poses.csv", index=False, float_format="%.9g"
+        )
         points = self.point_table()
         points.to_csv(folder / "points.csv", index=False, float_format="%.3f")
         self._write_cloud(folder / "points.laz", points)
@@ -158,6 +133,39 @@ class PhotographBlock:
         dimensions = {"images": ("u2", "photographs that show the point"), "piece": ("u2", "of the block")}
         with LazWriter(path, frame, extra_dimensions=dimensions) as writer:
             writer.append(xyz, extra={key: points[key].to_numpy(np.uint16) for key in dimensions})
+
+
+def in_crs(points_wcs_m: ArrayF, frame: LocalFrame, crs: str) -> ArrayF:
+    """Points (n, 3) of the world frame in a map grid, or as they are (`LOCAL`); NaN stays."""
+    known = np.isfinite(points_wcs_m).all(axis=1)
+    out = np.full(points_wcs_m.shape, np.nan)
+    if crs == LOCAL:
+        out[known] = points_wcs_m[known]
+    elif known.any():
+        out[known] = frame.to_map(points_wcs_m[known], CRS.from_user_input(crs))
+    return out
+
+
+def pose_table(poses: ImagePoses, crs: str) -> pd.DataFrame:
+    """A row for each image.
+
+    Columns: ``image``, ``x_m, y_m, z_m`` of the projection centre, the quaternion ``qx, qy, qz, qw`` from
+    the camera's frame (right, down, into the picture) to local east, north, up (to x, y, z of a local
+    frame), ``sigma_x_m`` ... , ``sigma_rotation_x_deg`` ... about the axes of the world, ``rms_px``,
+    ``reason`` why there is no pose.
+    """
+    quaternion = np.full((len(poses.images), 4), np.nan)
+    quaternion[poses.oriented] = Rotation.from_matrix(poses.R_wcs_ccs[poses.oriented]).as_quat()
+    sigma = np.sqrt(np.diagonal(poses.cov_pose_wcs, axis1=1, axis2=2))
+    places = in_crs(poses.centre_wcs_m, poses.frame, crs)
+    columns: dict[str, Any] = {"image": list(poses.images)}
+    columns |= dict(zip(("x_m", "y_m", "z_m"), places.T, strict=True))
+    columns |= dict(zip(("qx", "qy", "qz", "qw"), quaternion.T, strict=True))
+    for k, axis in enumerate("xyz"):
+        columns[f"sigma_{axis}_m"] = sigma[:, k]
+    for k, axis in enumerate("xyz"):
+        columns[f"sigma_rotation_{axis}_deg"] = np.rad2deg(sigma[:, 3 + k])
+    return pd.DataFrame(columns | {"rms_px": poses.rms_px, "reason": list(poses.reasons)})
 
 
 def orient_photographs(
@@ -227,7 +235,7 @@ def orient_photographs(
     say("adjustment with control points")
     pieces = adjust_pieces(
         mapped.pieces,
-        _unknown_poses(frame, tuple(files)),
+        unknown_poses(frame, tuple(files)),
         reasons=why["reason"],
         frame=frame,
         crs=crs,
@@ -287,22 +295,3 @@ def orient_files(
         log.info(line)
     for note in block.found.facts["notes"]:
         log.warning(note)
-
-
-def _unknown_poses(frame: LocalFrame, names: tuple[str, ...]) -> ImagePoses:
-    """Names of images of which nothing is known beforehand."""
-    n = len(names)
-    return ImagePoses(
-        frame=frame,
-        images=names,
-        t_gps_s=np.full(n, np.nan),
-        sigma_t_s=np.full(n, np.nan),
-        oriented=np.zeros(n, np.bool_),
-        reasons=("",) * n,
-        centre_wcs_m=np.full((n, 3), np.nan),
-        R_wcs_ccs=np.full((n, 3, 3), np.nan),
-        cov_pose_wcs=np.full((n, 6, 6), np.nan),
-        cov_next=np.full((n, 6, 6), np.nan),
-        n_marks=np.full(n, np.nan),
-        rms_px=np.full(n, np.nan),
-    )

@@ -520,6 +520,17 @@ def _check_photographs(parts: Parts) -> Iterator[Mistake]:
             expected="control_points with marks, positions of the camera, or finished orientations",
             cure="Add what is known of them, or the logs of the boat: lidar, ins, positions, depth",
         )
+    if (
+        given.orientations
+        and not given.control_points
+        and not (parts.raw("campaign", "origin") or parts.raw("campaign", "crs") == LOCAL)
+    ):
+        yield Mistake(
+            path=("campaign", "origin"),
+            found="missing",
+            expected="a place on the earth for orientations in a map grid",
+            cure="Write origin: {lat_deg: …, lon_deg: …, h_ell_m: …}, or crs: local",
+        )
     for name in ("positions", "interior", "marks"):
         if len(getattr(given, name)) > 1:
             yield Mistake(

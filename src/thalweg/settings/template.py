@@ -192,6 +192,7 @@ def _alone(listed: Mapping[str, Sequence[str]], spacing_m: float | None) -> list
         ("control_points", "control_points", "surveyed points; role check: judges, takes no part"),
         ("image_marks", "marks", "where they are in the photographs"),
         ("camera_positions", "positions", "where the camera was; beside control points or instead"),
+        ("finished_orientations", "orientations", "orientations from another program, instead of our own"),
         ("interior", "interior", "interior orientation; without: estimated"),
         ("masks", "masks", "what is not to be used"),
     )

@@ -431,6 +431,10 @@ class CampaignFiles:
         """True if another program has oriented the images of a survey."""
         return bool(self.logs("finished_orientations"))
 
+    def orients_alone(self) -> bool:
+        """True if photographs without a boat are oriented here."""
+        return self.campaign.kind == "photographs" and not self.has_finished_orientations()
+
     def orients_images(self) -> bool:
         """True if the images of a survey are oriented here."""
         return self.has_time_lapse() and not self.has_finished_orientations()
@@ -792,6 +796,8 @@ class CampaignFiles:
                 return self._change_outputs()
             case "calibration":
                 return self._calibration_outputs()
+            case "photographs" if self.has_finished_orientations():
+                return self._where(True, "photographs/finished.csv", "photographs/finished.html")
             case "photographs":
                 return self._where(True, "photographs/image_poses.csv", "photographs/index.html")
             case "fixed_camera":
@@ -873,16 +879,27 @@ class CampaignFiles:
 
     def _products_alone(self) -> list[Product]:
         """The same of photographs, of a camera that stays and of a finished cloud, recorded by no boat."""
-        kind, checked = self.campaign.kind, bool(self.logs("control_points"))
+        kind, own = self.campaign.kind, self.orients_alone()
+        checked = bool(self.logs("control_points") and self.logs("image_marks"))
         boat = "the logs of a boat: logs.lidar with logs.ins, or logs.depth"
         rows: dict[str, tuple[tuple[str, str, bool, str], ...]] = {
             "photographs": (
-                ("poses of the photographs", "photographs/image_poses.csv", True, ""),
-                ("sparse cloud of tie points", "photographs/points.laz", True, ""),
-                ("lens", "photographs/camera.yaml", True, ""),
+                (
+                    "poses of the photographs",
+                    f"photographs/{'image_poses' if own else 'finished'}.csv",
+                    True,
+                    "",
+                ),
+                (
+                    "sparse cloud of tie points",
+                    "photographs/points.laz",
+                    own,
+                    "photographs without logs.time_lapse.orientations, which are oriented here",
+                ),
+                ("lens", f"photographs/{'camera' if own else 'finished_camera'}.yaml", True, ""),
                 (
                     "control and check points",
-                    "photographs/control_points.csv",
+                    f"photographs/{'control_points' if own else 'finished_points'}.csv",
                     checked,
                     "logs.time_lapse.control_points and logs.time_lapse.marks",
                 ),

@@ -680,6 +680,83 @@ def orientation_page(
     return page
 
 
+def finished_page(
+    facts: Mapping[str, Any],
+    poses: pd.DataFrame,
+    control: pd.DataFrame,
+    pictures: Mapping[str, Path | Figure],
+    *,
+    captions: Mapping[str, str],
+    title: str,
+) -> Page:
+    """The page of photographs without a boat that another program has oriented.
+
+    Parameters
+    ----------
+    facts, poses, control : of ``finished.json``, ``finished.csv``, ``finished_points.csv``, see
+        `thalweg.images.place_files`.
+    pictures, captions : by name.
+    title : heading.
+    """
+    check, sources = facts["check_points"], facts["files"]
+    sigma = " / ".join(f"{v:.1f}" for v in facts["sigma_position_mm"].values())
+    stated = (
+        "" if not any(facts["sigmas_from_settings"].values()) else "some from images.finished, not the file"
+    )
+    findings = [
+        Finding("photographs with a pose", f"{facts['oriented']} of {facts['images']}"),
+        Finding("oriented by", ", ".join(sorted({each["program"] for each in sources}))),
+        Finding("standard deviation of their places, x / y / z, median", f"{sigma} mm", stated),
+    ]
+    lead = "No check point judges the poses; give control points and their marks."
+    if check:
+        rmse, predicted = (
+            " / ".join(f"{v:.1f}" for v in check[k].values()) for k in ("rmse_mm", "predicted_mm")
+        )
+        told = verdict_of(check["normalised"], check["independent"])
+        points = plural(check["points"], "check point")
+        findings.append(Finding(f"RMSE of {points}, x / y / z", f"{rmse} mm, predicted {predicted} mm", told))
+        lead = f"Surveyed points say of the standard deviations: {told}."
+    page = Page(title, lead, findings).section("Places")
+    for name, picture in pictures.items():
+        page.figure(picture, captions[name])
+    if len(control):
+        off = {f"{s}without_{a}_mm": f"{s}{a}" for a in ("east", "north", "up") for s in ("", "sigma_")}
+        shown = control[["point", "role", "images", "rms_px", *off, "normalised", "suspect", "reason"]]
+        page.section("Surveyed points").table(
+            shown.rename(columns=off),
+            "Intersected minus surveyed; normalised: its square over the predicted one. Poses of different "
+            "photographs count as independent.",
+            dict.fromkeys(off.values(), "mm"),
+            digits=3,
+        )
+    page.section("Photographs").table(poses.drop(columns=[f"q{a}" for a in "xyzw"]), "Poses.", digits=9)
+    page.section("Notes").lines(list(facts["notes"]) or ["none"])
+    return page
+
+
+def write_finished_page(
+    *,
+    facts: Path,
+    poses: Path,
+    control: Path,
+    pictures: list[Path],
+    captions: dict[str, str],
+    title: str,
+    twin: bool,
+    page: Path,
+) -> None:
+    """The same from files; a digital twin has no photographs without a boat."""
+    finished_page(
+        json.loads(facts.read_text()),
+        pd.read_csv(poses),
+        pd.read_csv(control, dtype={"point": str}),
+        {path.stem: path for path in pictures},
+        captions=captions,
+        title=title,
+    ).write(page)
+
+
 def write_orientation_page(
     *,
     facts: Path,
