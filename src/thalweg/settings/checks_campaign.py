@@ -446,6 +446,7 @@ def domain_mistakes(parts: Parts) -> tuple[list[Mistake], dict[str, tuple[str, .
         *_check_frame(parts),
         *_check_ranges(parts),
         *_check_ports(parts),
+        *_check_stated_clock(parts),
         *_check_mounts(parts),
         *check_mounts_calibration(parts.raw("mounts"), parts.raw("campaign", "id"), parts.path.parent),
         *check_interior(parts.raw("calibration", "boat_camera", "interior"), parts.path.parent),
@@ -660,6 +661,19 @@ def _check_ports(parts: Parts) -> Iterator[Mistake]:
             found=f"data_port and position_port are both {lidar.data_port}",
             expected="two different UDP ports",
             cure="A Velodyne sends data to 2368 and positions to 8308",
+        )
+
+
+def _check_stated_clock(parts: Parts) -> Iterator[Mistake]:
+    """A time that a person states is not as good as PPS, which the default stands for."""
+    stated = parts.raw("lidar", "clock")
+    given = [key for key in ("first_packet_utc", "offset_s") if isinstance(stated, dict) and stated.get(key)]
+    if given and parts.raw("lidar_accuracy", "sigma_time_s") is None:
+        yield Mistake(
+            path=("lidar", "clock", given[0]),
+            found="a stated time, without saying how well it is known",
+            expected="lidar_accuracy.sigma_time_s, seconds",
+            cure="Write lidar_accuracy: {sigma_time_s: 0.1}, if it is good to a tenth of a second",
         )
 
 

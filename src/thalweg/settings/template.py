@@ -93,6 +93,11 @@ def campaign_text(
         f"  position_source: {source}  # pos, sbp, ppk, nmea, sbet or ins",
         *(_ORDINARY_GNSS if source == "nmea" else ["  accept_fixes: [fixed]"]),
         *_without_control(listed, source),
+        *(
+            ["", "# filters: {below_water_m: null, mirror_ghosts: false}  # where there is no water"]
+            if listed.get("lidar")
+            else []
+        ),
     ]
     return "\n".join(lines) + "\n"
 

@@ -91,6 +91,10 @@ class CampaignFiles:
         """Only the mounts of those sensors."""
         return {sensor: self.plain["mounts"][sensor] for sensor in sensors}
 
+    def lidar_options(self) -> dict[str, Any]:
+        """How the lidar is decoded; its stated time is known to the job that makes its clock."""
+        return {key: value for key, value in self.plain["lidar"].items() if key != "clock"}
+
     def georeferencing(self) -> dict[str, Any]:
         """The section `georeferencing` without the wish for a map.
 

@@ -57,6 +57,7 @@ from .lidar import (
     Georeferencing as Georeferencing,
     Lidar as Lidar,
     LidarAccuracy as LidarAccuracy,
+    LidarClockStated as LidarClockStated,
 )
 from .light_sheet import (
     SCAN_PARTS as SCAN_PARTS,
