@@ -186,7 +186,7 @@ def _new_campaign(options: argparse.Namespace) -> int:
 
 def _sort_logs(folder: Path) -> dict[str, list[Path]]:
     """Files of a folder by stream, recognised by their content."""
-    from thalweg.ingest.registry import ALSO_MARKS, CAMERA_FILES, KINDS, recognise, stream_of
+    from thalweg.ingest.registry import ALSO_MARKS, KINDS, LOOSE_KINDS, recognise, stream_of
     from thalweg.settings import natural_order
 
     if not folder.is_dir():
@@ -194,6 +194,7 @@ def _sort_logs(folder: Path) -> dict[str, list[Path]]:
     streams: dict[str, list[Path]] = {}
     pictures: Counter[tuple[str, Path]] = Counter()
     left_out: dict[str, list[Path]] = {}
+    loose: list[tuple[str, str, Path]] = []
     for path in sorted((p for p in folder.rglob("*") if p.is_file()), key=natural_order):
         try:
             kind = recognise(path)
@@ -202,13 +203,9 @@ def _sort_logs(folder: Path) -> dict[str, list[Path]]:
             left_out.setdefault("of no known kind" if unknown else error.found, []).append(path)
             continue
         stream = stream_of(kind, path)
-        if kind in CAMERA_FILES:
-            stream = "interior"
-        elif kind == "image_points":
-            stream = "fixed_marks"
-        elif kind in ("xyz", "pcd"):
-            stream = "cloud"
-        if stream is None:
+        if kind in LOOSE_KINDS:
+            loose.append((LOOSE_KINDS[kind], kind, path))
+        elif stream is None:
             left_out.setdefault(f"{KINDS[kind]}: no stream of a survey", []).append(path)
         elif kind == "photograph":
             pictures[stream, path.parent] += 1
@@ -223,6 +220,13 @@ def _sort_logs(folder: Path) -> dict[str, list[Path]]:
             continue
         print(f"{stream:10s} {parent} (folder with {n} photographs)")
         streams.setdefault(stream, []).append(parent)
+    wanted = _wanted(streams, loose)
+    for stream, kind, path in loose:
+        if stream in wanted:
+            print(f"{stream:10s} {path} ({kind})")
+            streams.setdefault(stream, []).append(path)
+        else:
+            left_out.setdefault(f"{KINDS[kind]}: no stream of a survey", []).append(path)
     streams = _of_one_kind(streams)
     for why, paths in left_out.items():
         named = ", ".join(str(path.relative_to(folder)) for path in paths[:3])
@@ -238,6 +242,15 @@ def _sort_logs(folder: Path) -> dict[str, list[Path]]:
             cure="Look at single files with `thalweg describe FILE`",
         )
     return streams
+
+
+def _wanted(streams: dict[str, list[Path]], loose: list[tuple[str, str, Path]]) -> set[str]:
+    """Which streams of `LOOSE_KINDS` something is made of beside the logs that a folder holds."""
+    marks = any(stream == "fixed_marks" for stream, _, _ in loose) and "control_points" in streams
+    wanted = {"fixed_marks"} if marks else set()
+    if marks or "time_lapse" in streams:
+        wanted.add("interior")
+    return wanted | ({"cloud"} if set(streams) <= {"reference"} else set())
 
 
 def _of_one_kind(streams: dict[str, list[Path]]) -> dict[str, list[Path]]:
@@ -259,12 +272,12 @@ def _of_one_kind(streams: dict[str, list[Path]]) -> dict[str, list[Path]]:
         chosen = [path for path in clouds if re.search("ref|tls", path.stem.lower())]
         largest = chosen[0] if chosen else max(clouds, key=lambda path: path.stat().st_size)
         return {"reference": [largest], "cloud": [path for path in clouds if path != largest]}
-    return {stream: paths for stream, paths in streams.items() if stream != "cloud"}
+    return streams
 
 
 def _spacing_m(files: dict[str, list[Path]]) -> float | None:
     """How far the points of a reference cloud are from their nearest neighbours; None for all else."""
-    if not files.get("cloud"):
+    if not (files.get("cloud") and files.get("reference")):
         return None
     from thalweg.deformation import point_spacing_m
 

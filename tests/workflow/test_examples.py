@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from thalweg.cli import main
+from thalweg.settings import load_campaign
 
 pytestmark = [pytest.mark.workflow, pytest.mark.real]
 EXAMPLES = "config/campaigns/examples"
@@ -136,3 +137,26 @@ def test_lidar_points_have_standard_deviations(examples, name: str, decoded: int
     assert counts[["no_gps_time", "no_pose"]].sum() == 0
     with laspy.open(folder / "points.laz") as stream:
         assert "sigma_up" in stream.header.point_format.extra_dimension_names
+
+
+@pytest.mark.parametrize(
+    ("folder", "kind", "gives"),
+    [
+        ("strasbourg", "photographs", "poses of the photographs"),
+        ("belvedere", "fixed_camera", "pose of the camera in each picture"),
+        ("planes", "cloud", "distances from the reference"),
+        ("piksi", "survey", "trajectory of the boat"),
+    ],
+)
+def test_a_folder_of_files_becomes_a_campaign(examples, tmp_path, capsys, folder, kind, gives) -> None:
+    """As a new user begins: recognised, written, checked."""
+    logs = examples.root / EXAMPLES / "data" / folder
+    assert main(["new-campaign", "mine", "--from-logs", str(logs), "--folder", str(tmp_path)]) == 0
+    path = tmp_path / "mine.yaml"
+    if kind == "survey":
+        text = path.read_text().replace("lever_ics_m: CHANGE", "lever_ics_m: [0, 0, 0]")
+        path.write_text(text)
+    capsys.readouterr()
+    assert main(["check-config", str(path)]) == 0
+    assert gives in capsys.readouterr().out
+    assert load_campaign(path).kind == kind

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from thalweg.calibration.field import FieldPoints, resect
 from thalweg.core import ArrayF, Camera, GeometryError, InputError
+from thalweg.settings.sections import FixedCamera
 
 _AXES: Final = ("x", "y", "z")
 _EXACT_M: Final = 1e-6
@@ -22,7 +23,7 @@ def resect_series(
     *,
     sigma_px: float = 1.0,
     sigma_point_m: float = 0.01,
-    largest_sigma_m: float = 5.0,
+    largest_sigma_m: float = FixedCamera().largest_sigma_m,
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Poses of pictures of known points, each for itself.
 

@@ -14,7 +14,7 @@ from thalweg.calibration import read_camera, resect_series
 from thalweg.core import InputError
 from thalweg.images.control import crs_of, frame_about, read_all_control_points, read_all_marks
 from thalweg.settings import natural_order
-from thalweg.settings.sections import LOCAL, ControlSettings
+from thalweg.settings.sections import LOCAL, ControlSettings, FixedCamera
 
 log = logging.getLogger("thalweg")
 AXES = ("x", "y", "z")
@@ -27,7 +27,7 @@ def resect_pictures(
     *,
     crs: str = LOCAL,
     control: ControlSettings | None = None,
-    largest_sigma_m: float = 5.0,
+    largest_sigma_m: float = FixedCamera().largest_sigma_m,
 ) -> tuple[pd.DataFrame, pd.DataFrame, dict[str, Any]]:
     """Poses of pictures in which control points were measured, each for itself.
 

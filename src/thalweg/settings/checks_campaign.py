@@ -488,7 +488,7 @@ def _check_frame(parts: Parts) -> Iterator[Mistake]:
             path=("campaign", "origin"),
             found="missing",
             expected="latitude, longitude and ellipsoidal height of a point near the survey",
-            cure="Write origin: {lat_deg: …, lon_deg: …, h_ell_m: …}",
+            cure="Add the line `origin: {lat_deg: …, lon_deg: …, h_ell_m: …}`",
         )
 
 

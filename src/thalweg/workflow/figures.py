@@ -15,7 +15,7 @@ from thalweg.workflow.campaign_files import CampaignFiles
 from thalweg.workflow.codehash import SOURCE
 
 Kind = Literal[
-    "survey", "calibration", "basin", "scan", "change", "study", "photographs", "fixed_camera", "cloud"
+    "survey", "photographs", "fixed_camera", "cloud", "calibration", "basin", "scan", "change", "study"
 ]
 
 _CALL = re.compile(r"=?(\w+)(?:\(([\w./{}]*)\))?")

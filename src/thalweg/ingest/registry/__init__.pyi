@@ -6,10 +6,10 @@ from .calibrations import (
 )
 from .formats import (
     ALSO_MARKS as ALSO_MARKS,
-    CAMERA_FILES as CAMERA_FILES,
     KINDS as KINDS,
     KINDS_OF_STREAM as KINDS_OF_STREAM,
     LIDAR_KINDS as LIDAR_KINDS,
+    LOOSE_KINDS as LOOSE_KINDS,
     describe as describe,
     load_recording as load_recording,
     recognise as recognise,

@@ -43,8 +43,12 @@ and pictures, are not judged.
 ALSO_MARKS: Final = frozenset({"gcp_list", "metashape_markers"})
 """Kinds of files that hold control points and where they are in the images."""
 
-CAMERA_FILES: Final = ("colmap", "opencv", "metashape_lens")
-"""Kinds of files that state an interior orientation."""
+LOOSE_KINDS: Final[Mapping[str, str]] = {
+    **dict.fromkeys(("colmap", "opencv", "metashape_lens"), "interior"),
+    **dict.fromkeys(("xyz", "pcd"), "cloud"),
+    "image_points": "fixed_marks",
+}
+"""Kinds that are of use beside certain others only, such as a lens beside photographs, and their streams."""
 
 _BINARY: Final = re.compile(rb"[^\t\n\r\x20-\xff]")
 _WRAPPED: Final = (
