@@ -116,7 +116,7 @@ def point_spacing_m(path: Path, most: int = 2000) -> float | None:
     xyz = np.unique(read_points(path).xyz_m, axis=0)
     if len(xyz) < 2:
         return None
-    near, _ = cKDTree(xyz).query(xyz[:: max(len(xyz) // most, 1)], k=2)
+    near = np.asarray(cKDTree(xyz).query(xyz[:: max(len(xyz) // most, 1)], k=2)[0])
     return float(np.median(near[:, 1]))
 
 

@@ -532,6 +532,13 @@ def _check_photographs(parts: Parts) -> Iterator[Mistake]:
             expected="a place on the earth for orientations in a map grid",
             cure="Write origin: {lat_deg: …, lon_deg: …, h_ell_m: …}, or crs: local",
         )
+    if given.orientations and given.positions:
+        yield Mistake(
+            path=("logs", "time_lapse", "positions"),
+            found="positions of the camera beside finished orientations, which hold them",
+            expected="one of both",
+            cure="Remove the line, or remove orientations: the photographs are then oriented here",
+        )
     for name in ("positions", "interior", "marks"):
         if len(getattr(given, name)) > 1:
             yield Mistake(

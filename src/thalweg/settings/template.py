@@ -154,7 +154,7 @@ def _alone(listed: Mapping[str, Sequence[str]], spacing_m: float | None) -> list
         "logs:  # relative to this file or absolute; ~ and patterns like raw/*.jpg work",
     ]
     if listed.get("fixed_marks"):
-        parts = (
+        parts: tuple[tuple[str, str, str], ...] = (
             ("fixed_marks", "marks", "where the control points are in the pictures"),
             ("fixed_points", "control_points", "surveyed points; role check: judges, takes no part"),
             ("fixed_interior", "interior", "interior orientation: calibration, OpenCV, COLMAP"),
