@@ -320,7 +320,6 @@ UNREACHED = {
         (
             "bathymetry/plan.py",
             "bathymetry/through_water.py",
-            "calibration/fixed_camera.py",
             "calibration/lens.py",
             "figures/survey/gnss.py",
             "ingest/ppk/exports.py",

@@ -179,6 +179,7 @@ def _new_campaign(options: argparse.Namespace) -> int:
             folder=folder,
             files=files,
             origin=tuple(options.origin) if options.origin else _place(files or {}),
+            spacing_m=_spacing_m(files or {}),
             schema=schema,
         )
     folder.mkdir(parents=True, exist_ok=True)
@@ -210,7 +211,7 @@ def _epochs_text(name: str, options: argparse.Namespace, schema: str) -> str:
 
 def _sort_logs(folder: Path) -> dict[str, list[Path]]:
     """Files of a folder by stream, recognised by their content."""
-    from thalweg.ingest.registry import ALSO_MARKS, KINDS, recognise, stream_of
+    from thalweg.ingest.registry import ALSO_MARKS, KINDS, LOOSE_KINDS, recognise, stream_of
     from thalweg.settings import natural_order
 
     if not folder.is_dir():
@@ -218,6 +219,7 @@ def _sort_logs(folder: Path) -> dict[str, list[Path]]:
     streams: dict[str, list[Path]] = {}
     pictures: Counter[tuple[str, Path]] = Counter()
     left_out: dict[str, list[Path]] = {}
+    loose: list[tuple[str, str, Path]] = []
     for path in sorted((p for p in folder.rglob("*") if p.is_file()), key=natural_order):
         try:
             kind = recognise(path)
@@ -226,7 +228,9 @@ def _sort_logs(folder: Path) -> dict[str, list[Path]]:
             left_out.setdefault("of no known kind" if unknown else error.found, []).append(path)
             continue
         stream = stream_of(kind, path)
-        if stream is None:
+        if kind in LOOSE_KINDS:
+            loose.append((LOOSE_KINDS[kind], kind, path))
+        elif stream is None:
             left_out.setdefault(f"{KINDS[kind]}: no stream of a survey", []).append(path)
         elif kind == "photograph":
             pictures[stream, path.parent] += 1
@@ -241,6 +245,14 @@ def _sort_logs(folder: Path) -> dict[str, list[Path]]:
             continue
         print(f"{stream:10s} {parent} (folder with {n} photographs)")
         streams.setdefault(stream, []).append(parent)
+    wanted = _wanted(streams, loose)
+    for stream, kind, path in loose:
+        if stream in wanted:
+            print(f"{stream:10s} {path} ({kind})")
+            streams.setdefault(stream, []).append(path)
+        else:
+            left_out.setdefault(f"{KINDS[kind]}: no stream of a survey", []).append(path)
+    streams = _of_one_kind(streams)
     for why, paths in left_out.items():
         named = ", ".join(str(path.relative_to(folder)) for path in paths[:3])
         more = f" and {len(paths) - 3} more" if len(paths) > 3 else ""
@@ -255,6 +267,46 @@ def _sort_logs(folder: Path) -> dict[str, list[Path]]:
             cure="Look at single files with `thalweg describe FILE`",
         )
     return streams
+
+
+def _wanted(streams: dict[str, list[Path]], loose: list[tuple[str, str, Path]]) -> set[str]:
+    """Which streams of `LOOSE_KINDS` something is made of beside the logs that a folder holds."""
+    marks = any(stream == "fixed_marks" for stream, _, _ in loose) and "control_points" in streams
+    wanted = {"fixed_marks"} if marks else set()
+    if marks or "time_lapse" in streams:
+        wanted.add("interior")
+    return wanted | ({"cloud"} if set(streams) <= {"reference"} else set())
+
+
+def _of_one_kind(streams: dict[str, list[Path]]) -> dict[str, list[Path]]:
+    """The same, where files mean something else without a boat: a camera that stays, a finished cloud.
+
+    A table of marks for each picture comes from a camera that stays; of clouds alone, the one called after a
+    reference or else the largest is the reference.
+    """
+    if streams.get("fixed_marks"):
+        named = {"control_points": "fixed_points", "interior": "fixed_interior"}
+        kept = {"fixed_marks": streams["fixed_marks"]}
+        kept |= {named[stream]: paths for stream, paths in streams.items() if stream in named}
+        others = sorted(set(streams) - {*named, "fixed_marks"})
+        if others:
+            print(f"left out, not needed for a camera that stays: {', '.join(others)}", file=sys.stderr)
+        return kept
+    clouds = [*streams.get("reference", []), *streams.get("cloud", [])]
+    if set(streams) <= {"reference", "cloud"} and len(clouds) > 1:
+        chosen = [path for path in clouds if re.search("ref|tls", path.stem.lower())]
+        largest = chosen[0] if chosen else max(clouds, key=lambda path: path.stat().st_size)
+        return {"reference": [largest], "cloud": [path for path in clouds if path != largest]}
+    return streams
+
+
+def _spacing_m(files: dict[str, list[Path]]) -> float | None:
+    """How far the points of a reference cloud are from their nearest neighbours; None for all else."""
+    if not (files.get("cloud") and files.get("reference")):
+        return None
+    from thalweg.deformation import point_spacing_m
+
+    return point_spacing_m(files["reference"][0])
 
 
 def _place(files: dict[str, list[Path]]) -> tuple[float, float, float] | None:
@@ -297,11 +349,14 @@ def _check_config(options: argparse.Namespace) -> int:
             epochs = ", ".join(campaign.epoch_names)
             print(f"{name}: ok. {identity.title}; {identity.crs}; epochs {epochs}")
             continue
-        print(
-            f"{name}: ok. {identity.title}; {identity.crs}; "
-            f"positions from {campaign.orientation.position_source}; {source}"
-        )
-        print(f"  places of the sensors: {_places(campaign)}")
+        if campaign.logs and campaign.logs.kind != "boat":
+            print(f"{name}: ok. {identity.title}; {identity.crs}; {source}")
+        else:
+            print(
+                f"{name}: ok. {identity.title}; {identity.crs}; "
+                f"positions from {campaign.orientation.position_source}; {source}"
+            )
+            print(f"  places of the sensors: {_places(campaign)}")
         products = CampaignFiles(name=name, campaigns={name: campaign}).products() if campaign.logs else []
         for made, words in ((True, "gives"), (False, "more logs would add")):
             listed = [f"{p.name}{'' if made else f' ({p.needs})'}" for p in products if p.made is made]
@@ -339,7 +394,7 @@ def _check_contents(campaign: "Campaign") -> None:
                 if KINDS_OF_STREAM[stream]:  # else a kind that has no mark of its own
                     wrong.append(f"  logs.{'.'.join(keys)}: {error}")
                 continue
-            fitting = KINDS_OF_STREAM[stream]
+            fitting = KINDS_OF_STREAM["cloud" if campaign.kind == "cloud" else stream]
             source = campaign.orientation.position_source
             if stream == "pos" and source in fitting:  # .pos or NMEA, as the campaign says
                 fitting = (source,)

@@ -89,9 +89,26 @@ def _add_imports(commands: "argparse._SubParsersAction[argparse.ArgumentParser]"
     resect = commands.add_parser(
         "resect", help="resection: image points of control points -> pose of each image with covariance"
     )
-    resect.add_argument("marks", type=Path, metavar="CSV", help="columns image, point, x_px, y_px")
     resect.add_argument(
-        "--points", type=Path, required=True, metavar="CSV", help="columns point, x, y, z; metres"
+        "marks",
+        type=Path,
+        nargs="+",
+        metavar="CSV",
+        help="image, point, x_px, y_px; or a table for each picture, called like it: label, x, y",
+    )
+    resect.add_argument(
+        "--points",
+        type=Path,
+        nargs="+",
+        required=True,
+        metavar="FILE",
+        help="id, x, y, z (and sigmas, role) as CSV; XML of Metashape; metres",
+    )
+    resect.add_argument(
+        "--crs",
+        default="local",
+        metavar="CRS",
+        help="map grid of the points, as EPSG:25833 (default: %(default)s)",
     )
     resect.add_argument(
         "--camera", type=Path, required=True, metavar="FILE", help="calibration, COLMAP or OpenCV file"
@@ -218,26 +235,30 @@ def _size(text: str) -> tuple[int, int]:
 
 
 def _resect(options: argparse.Namespace) -> int:
-    from thalweg.calibration import (
-        CONTROL_POINTS,
-        IMAGE_POINTS,
-        read_camera,
-        read_named_columns,
-        resect_series,
-    )
+    from thalweg.figures.images import fixed_camera_page, pose_history
+    from thalweg.images import resect_pictures
+    from thalweg.settings.sections import ControlSettings
 
-    poses, residuals = resect_series(
-        read_camera(options.camera),
-        read_named_columns(options.marks, IMAGE_POINTS),
-        read_named_columns(options.points, CONTROL_POINTS),
-        sigma_px=options.sigma_px,
-        sigma_point_m=options.sigma_point,
+    poses, residuals, facts = resect_pictures(
+        options.marks,
+        options.points,
+        options.camera,
+        crs=options.crs,
+        control=ControlSettings(sigma_px=options.sigma_px, sigma_m=(options.sigma_point,) * 3),
         largest_sigma_m=options.largest_sigma,
     )
     options.out.parent.mkdir(parents=True, exist_ok=True)
     poses.to_csv(options.out, index=False)
     beside = options.out.with_name(f"{options.out.stem}_residuals.csv")
     residuals.to_csv(beside, index=False, float_format="%.3f")
+    page, title = options.out.with_suffix(".html"), f"Pictures of a fixed camera: {options.out.stem}"
+    fixed_camera_page(
+        facts,
+        poses,
+        {"history": pose_history(poses, title=title)},
+        captions={"history": "Place of the camera in each picture less its mean, with standard deviations."},
+        title=title,
+    ).write(page)
     for row in poses.to_dict("records"):
         if row["refused"]:
             print(f"{row['image']}: no pose: {row['refused']}")
@@ -247,9 +268,8 @@ def _resect(options: argparse.Namespace) -> int:
             f"{row['image']}: {row['x_m']:.3f} {row['y_m']:.3f} {row['z_m']:.3f} m, sigma up to "
             f"{worst:.3f} m, {row['points']} points, rms {row['rms_px']:.2f} px, sigma0 {row['sigma0']:.2f}"
         )
-    refused = int((poses["refused"] != "").sum())
-    print(f"{len(poses) - refused} of {len(poses)} pictures have a pose")
-    print(f"Wrote {options.out}, {beside}")
+    print(f"{facts['with_pose']} of {facts['pictures']} pictures have a pose")
+    print(f"Wrote {options.out}, {beside}, {page}")
     return 0
 
 

@@ -127,7 +127,12 @@ def add_deformation_commands(commands: "argparse._SubParsersAction[argparse.Argu
         "reference", type=Path, metavar="REFERENCE", help="mesh (PLY), or a cloud, which is meshed"
     )
     surface.add_argument(
-        "-o", "--out", type=Path, required=True, metavar="FILE", help=".csv, .parquet, .laz; .json beside it"
+        "-o",
+        "--out",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help=".csv, .parquet, .laz; .json and .html beside it",
     )
     surface.add_argument(
         "--seen-from",
@@ -168,6 +173,9 @@ def add_deformation_commands(commands: "argparse._SubParsersAction[argparse.Argu
         default=0.3,
         metavar="M",
         help="reference points farther in front of the ground are plants; 0: all stay (default: %(default)s)",
+    )
+    surface.add_argument(
+        "--registration", action="store_true", help="also fit the cloud to the reference by a rigid motion"
     )
     surface.set_defaults(command=_compare_with_surface)
 
@@ -330,6 +338,7 @@ def _compare_with_surface(options: argparse.Namespace) -> int:
 
     from thalweg.core import ConfigError
     from thalweg.deformation import DISTANCES, compare_with_surface, write_changes
+    from thalweg.figures.accuracy import CAPTIONS, cloud_page, distance_histogram, distances_in_plan
     from thalweg.settings.sections import ReferenceSettings
 
     try:
@@ -351,6 +360,7 @@ def _compare_with_surface(options: argparse.Namespace) -> int:
         settings,
         seen_from_m=options.seen_from,
         max_distance_m=options.max_distance,
+        registration=options.registration,
     )
     write_changes(options.out, table, frame, DISTANCES)
     facts |= {"cloud": str(options.cloud), "reference": str(options.reference), "notes": notes}
@@ -358,15 +368,22 @@ def _compare_with_surface(options: argparse.Namespace) -> int:
     beside.write_text(json.dumps(facts, indent=2) + "\n", encoding="utf-8")
     for words, n in facts["counts"].items():
         print(f"{n:>12,} {words.replace('_', ' ')}")
-    for name in ("all", "without_outliers"):
-        one = facts[name]
+    shown = {name: facts[name] for name in ("all", "without_outliers")}
+    moved = facts.get("registration", {})
+    if moved.get("done"):
+        shown["after registration, without outliers"] = moved["without_outliers"]
+    for name, one in shown.items():
         print(
             f"{name.replace('_', ' ')}: mean {one['bias_m']:+.4f} m, std {one['std_m']:.4f} m, RMSE "
             f"{one['rmse_m']:.4f} m, median {one['median_m']:+.4f} m, NMAD {one['nmad_m']:.4f} m, "
             f"95 % within {one['p95_m']:.4f} m"
         )
+    page, title = options.out.with_suffix(".html"), f"{options.cloud.name} and {options.reference.name}"
+    pictures = {"distances_in_plan": distances_in_plan(table, title=title)}
+    pictures["distance_histogram"] = distance_histogram(table, title=title)
+    cloud_page(facts, pictures, captions=CAPTIONS, title=f"Accuracy: {title}").write(page)
     print("\n".join(f"note: {note}" for note in notes))
-    print(f"Wrote {options.out}, {beside}")
+    print(f"Wrote {options.out}, {beside}, {page}")
     return 0
 
 

@@ -10,25 +10,31 @@ def add_image_commands(commands: "argparse._SubParsersAction[argparse.ArgumentPa
     """Add ``orient``."""
     orient = commands.add_parser(
         "orient",
-        help="photographs and control points -> poses with sigmas, lens, check points, tie points, page",
-        description="Structure from motion and one adjustment with control points inside. At least three "
-        "control points, each measured in two photographs; points of role 'check' judge the result.",
+        help="photographs and control points or positions -> poses with sigmas, lens, tie points, page",
+        description="Structure from motion and one adjustment with control points or positions of the camera "
+        "inside. At least three control points, each measured in two photographs, or three positions off a "
+        "line; points of role 'check' judge the result.",
     )
     orient.add_argument("photographs", type=Path, nargs="+", metavar="PHOTO", help="folders or files")
     orient.add_argument(
         "--points",
         type=Path,
         nargs="+",
-        required=True,
+        default=[],
         metavar="FILE",
         help="id, x, y, z (and sigmas, role) as CSV; XML of Metashape; gcp_list.txt",
     )
     orient.add_argument(
         "--marks",
         type=Path,
-        required=True,
         metavar="FILE",
         help="image, point, x_px, y_px from the upper left corner as CSV; XML of Metashape; gcp_list.txt",
+    )
+    orient.add_argument(
+        "--positions",
+        type=Path,
+        metavar="FILE",
+        help="image, x, y, z and accuracy of the projection centres, beside control points or instead",
     )
     orient.add_argument(
         "--crs", required=True, metavar="CRS", help="map grid of the points, as EPSG:25833; or local"
@@ -75,16 +81,24 @@ def add_image_commands(commands: "argparse._SubParsersAction[argparse.ArgumentPa
 
 
 def _orient(options: argparse.Namespace) -> int:
-    from thalweg.figures.images import orientation_page
+    from thalweg.core import ConfigError
+    from thalweg.figures.images import image_positions, orientation_page
     from thalweg.images import orient_photographs
-    from thalweg.images.bundle import summary_text
+    from thalweg.images.bundle import pieces_tables, summary_text
     from thalweg.ingest.photos import find_images
     from thalweg.settings.sections import BlockAdjustment, ControlSettings, FeatureSettings
 
+    if bool(options.points) != bool(options.marks) or not (options.points or options.positions):
+        raise ConfigError(
+            "neither control points with marks nor positions",
+            expected="--points and --marks, or --positions, or all three",
+            where="thalweg orient",
+        )
     found = orient_photographs(
         find_images(options.photographs).files,
         control_points=options.points,
         marks=options.marks,
+        positions=options.positions,
         crs=options.crs,
         camera=options.camera,
         masks=options.masks,
@@ -96,8 +110,19 @@ def _orient(options: argparse.Namespace) -> int:
     )
     name = options.out.resolve().name
     written = found.write(options.out, name=name)
-    page = options.out / "index.html"
-    orientation_page(found, title=f"Photographs of {name}").write(page)
+    page, title = options.out / "index.html", f"Photographs of {name}"
+    images, control = pieces_tables(found.found)
+    orientation_page(
+        found.found.facts,
+        images,
+        control,
+        {"places": image_positions(found.found.poses, found.control, control, title=title)},
+        captions={
+            "places": "Projection centres, control and check points with residual vectors: adjusted minus "
+            "surveyed, as if the point's own coordinates had taken no part."
+        },
+        title=title,
+    ).write(page)
     print(summary_text(found.found.facts))
     print(f"Wrote {', '.join(str(path) for path in [page, *written])}")
     return 0

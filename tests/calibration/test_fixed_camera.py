@@ -8,10 +8,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from thalweg.calibration import IMAGE_POINTS, read_named_columns, resect_series
+from thalweg.accuracy import verdict_of
+from thalweg.calibration import resect_series
 from thalweg.calibration.fixed_camera import _columns
 from thalweg.cli import main
 from thalweg.core import Camera, InputError, write_opencv
+from thalweg.images import read_all_marks
+from thalweg.images.fixed_camera import history_facts
 
 CAMERA = Camera(
     model="perspective",
@@ -91,18 +94,75 @@ def test_a_glacier_camera(
 def test_bad_tables_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "marks.csv"
     path.write_text("image,point,x_px,y_px\na,P1,1,2\na,P1,3,4\n")
-    with pytest.raises(InputError, match="row 3 has an empty field, or stands there twice"):
-        read_named_columns(path, IMAGE_POINTS)
+    with pytest.raises(InputError, match="point P1 stands twice in image a"):
+        read_all_marks([path])
     path.write_text("image,point,x_px,y_px\na,P1,1,2\na,P2,3,\n")
-    with pytest.raises(InputError, match="row 3 has an empty field"):
-        read_named_columns(path, IMAGE_POINTS)
-    path.write_text("image,point,x_px\na,P1,1\n")
-    with pytest.raises(InputError, match="no column y_px"):
-        read_named_columns(path, IMAGE_POINTS)
+    with pytest.raises(InputError, match="no y_px"):
+        read_all_marks([path])
     points = pd.DataFrame({"point": ["A"], "x": [0.0], "y": [0.0], "z": [0.0]})
     marks = pd.DataFrame({"image": ["a"], "point": ["B"], "x_px": [1.0], "y_px": [1.0]})
     with pytest.raises(InputError, match=r"none of the image points \(B\) is a control point"):
         resect_series(CAMERA, marks, points)
+
+
+def test_tables_for_each_picture_are_called_like_it(tmp_path: Path) -> None:
+    """As ICEpy4D writes them: label, x, y."""
+    for name in ("IMG_2", "IMG_10"):
+        (tmp_path / f"{name}.csv").write_text("label,x,y\nF2,4002.5,3543.25\n")
+    found = read_all_marks(sorted(tmp_path.glob("*.csv")))
+    assert sorted(found.image) == ["IMG_10", "IMG_2"]
+    assert found.point == ("F2", "F2")
+    np.testing.assert_array_equal(found.xy_px, [[4002.5, 3543.25]] * 2)
+
+
+def test_a_camera_that_stays_and_one_that_moved() -> None:
+    """Differences from picture to picture are judged by the marks alone: points and lens err alike in all."""
+    rng = np.random.default_rng(3)
+    R = Rotation.from_euler("x", -100, degrees=True).as_matrix()
+    local = np.column_stack([rng.uniform(-25, 25, 10), rng.uniform(60, 120, 10), rng.uniform(-25, 5, 10)])
+    # surveyed 10 cm wrong: all poses err by centimetres, and none against another
+    surveyed = local + rng.normal(0, 0.1, local.shape)
+    names = [f"P{i}" for i in range(10)]
+
+    def facts_of(shift_m: float) -> dict[str, float]:
+        tables = []
+        for k in range(30):
+            at = np.array([shift_m if k >= 15 else 0.0, 0.0, 0.0])
+            xy = CAMERA.project((local - at) @ R) + rng.normal(0, 0.5, (10, 2))
+            tables.append(pd.DataFrame({"image": f"{k}", "point": names, "x_px": xy[:, 0], "y_px": xy[:, 1]}))
+        points = pd.DataFrame({"point": names, **dict(zip("xyz", surveyed.T, strict=True))})
+        poses, _ = resect_series(CAMERA, pd.concat(tables), points, sigma_px=0.5, sigma_point_m=0.1)
+        assert (poses["sigma_x_m"] > 1.5 * poses["sigma_change_x_m"]).all()
+        return history_facts(poses)
+
+    still = facts_of(0.0)
+    assert still["degrees"] == 87
+    # residuals of the wrong points add nothing to differences; 87 degrees of freedom: 99.9 % of cases
+    low, high = chi2.ppf([0.0005, 0.9995], 87) / 87
+    assert low < still["normalised"] < high
+    assert verdict_of(still["normalised"], 87) == "consistent"
+    moved = facts_of(0.2)
+    assert verdict_of(moved["normalised"], 87) == "too optimistic"
+
+
+def test_check_points_take_no_part() -> None:
+    rng = np.random.default_rng(8)
+    R = Rotation.from_euler("x", -90, degrees=True).as_matrix()
+    local = np.column_stack([rng.uniform(-20, 20, 8), rng.uniform(60, 90, 8), rng.uniform(-15, 15, 8)])
+    names = [f"P{i}" for i in range(8)]
+    xy = CAMERA.project(local @ R)
+    marks = pd.DataFrame({"image": "a", "point": names, "x_px": xy[:, 0], "y_px": xy[:, 1]})
+    marks.loc[7, "x_px"] += 30.0
+    points = pd.DataFrame(
+        {"point": names, **dict(zip("xyz", local.T, strict=True)), "check": [False] * 7 + [True]}
+    )
+    poses, residuals = resect_series(CAMERA, marks, points)
+    assert poses["points"][0] == 7
+    assert poses["rms_px"][0] < 1e-3
+    assert poses["check_rms_px"][0] == pytest.approx(30.0, abs=0.01)
+    last = residuals.iloc[-1]
+    assert (last["point"], last["used"]) == ("P7", False)
+    assert last["vx_px"] == pytest.approx(30.0, abs=0.01)
 
 
 def test_columns_of_a_pose_by_hand() -> None:

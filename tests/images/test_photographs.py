@@ -10,9 +10,9 @@ from pyproj import CRS, Transformer
 
 from thalweg.cli import main
 from thalweg.core import GeometryError, InputError
-from thalweg.images import LOCAL, orient_photographs, read_control_points
+from thalweg.images import orient_photographs, read_control_points
 from thalweg.images.control import frame_about
-from thalweg.settings.sections import FeatureSettings
+from thalweg.settings.sections import LOCAL, FeatureSettings
 
 NAMES = ("8811.jpg", "8936.jpg", "8937.jpg", "8938.jpg", "9111.jpg")
 

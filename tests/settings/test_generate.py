@@ -72,7 +72,7 @@ def test_defaults_hold_every_key_with_its_default(repository):
     document = parse_yaml(defaults_text())
     assert not document.mistakes
     for path in all_paths():
-        if path[:3] != ("logs", "gnss", "base_llh"):
+        if path[:3] != ("logs", "gnss", "base_llh") and path[:2] != ("campaign", "origin"):
             assert path in document.lines, ".".join(path)
     expected = Campaign.model_fields["mounts"].default.model_dump(mode="json")
     assert document.data["mounts"] == expected

@@ -157,7 +157,7 @@ rule calibrate_camera_lidar:
         code=code_version("calibrate_camera_lidar"),
         campaign=identity("id"),
         mounts=of(CampaignFiles.mounts, "lidar", "camera"),
-        lidar_options=section("lidar"),
+        lidar_options=of(CampaignFiles.lidar_options),
         lidar_accuracy=section("lidar_accuracy"),
         settings=section("calibration", "camera_lidar"),
         twin=of(CampaignFiles.is_twin),
@@ -198,7 +198,7 @@ rule calibrate_ins_lidar:
     params:
         code=code_version("calibrate_ins_lidar"),
         campaign=identity("id"),
-        lidar_options=section("lidar"),
+        lidar_options=of(CampaignFiles.lidar_options),
         settings=of(CampaignFiles.ins_lidar_settings),
         antenna_position=section("calibration", "ins_lidar", "antenna_position"),
     script:
@@ -287,7 +287,7 @@ rule calibrate_board:
         code=code_version("calibrate_board"),
         campaign=identity("id"),
         mounts=of(CampaignFiles.mounts, "lidar", "camera"),
-        lidar_options=section("lidar"),
+        lidar_options=of(CampaignFiles.lidar_options),
         lidar_accuracy=section("lidar_accuracy"),
         board=section("calibration", "board"),
         settings=of(CampaignFiles.board_settings),

@@ -31,6 +31,51 @@ PAGES = {
         },
         "params": {"captions": FIGURES.captions("accuracy")},
     },
+    "photographs_page": {
+        "shows": "Photographs without a boat: places, check points, lens, what has no pose.",
+        "calls": "thalweg.figures.images.photographs:write_orientation_page",
+        "page": f"{RESULTS}/photographs/index.html",
+        "inputs": {
+            "facts": f"{RESULTS}/photographs/orientation.json",
+            "images": f"{RESULTS}/photographs/images.csv",
+            "control": f"{RESULTS}/photographs/control_points.csv",
+            "pictures": of_page("photographs"),
+        },
+        "params": {"captions": FIGURES.captions("photographs")},
+    },
+    "finished_photographs_page": {
+        "shows": "Photographs that another program has oriented: places, check points, what has no pose.",
+        "calls": "thalweg.figures.images.photographs:write_finished_page",
+        "page": f"{RESULTS}/photographs/finished.html",
+        "inputs": {
+            "facts": f"{RESULTS}/photographs/finished.json",
+            "poses": f"{RESULTS}/photographs/finished.csv",
+            "control": f"{RESULTS}/photographs/finished_points.csv",
+            "pictures": of_page("finished_photographs"),
+        },
+        "params": {"captions": FIGURES.captions("finished_photographs")},
+    },
+    "fixed_camera_page": {
+        "shows": "A camera that stays: its place from picture to picture.",
+        "calls": "thalweg.figures.images.fixed_camera:write_fixed_camera_page",
+        "page": f"{RESULTS}/orientation/fixed_camera.html",
+        "inputs": {
+            "facts": f"{RESULTS}/orientation/fixed_camera.json",
+            "poses": f"{RESULTS}/orientation/fixed_camera.csv",
+            "pictures": of_page("fixed_camera"),
+        },
+        "params": {"captions": FIGURES.captions("fixed_camera")},
+    },
+    "cloud_page": {
+        "shows": "A finished cloud beside a reference: distances, statistics, registration.",
+        "calls": "thalweg.figures.accuracy.cloud:write_cloud_page",
+        "page": f"{RESULTS}/accuracy/cloud.html",
+        "inputs": {
+            "facts": f"{RESULTS}/accuracy/cloud.json",
+            "pictures": of_page("cloud"),
+        },
+        "params": {"captions": FIGURES.captions("cloud")},
+    },
     "calibration_page": {
         "shows": "Everything that a calibration found out, on one page.",
         "calls": "thalweg.figures.calibration.page:write_calibration_page",

@@ -20,7 +20,8 @@ rule scan_lidar:
         runtime=minutes(10, 20),
     params:
         code=code_version("scan_lidar"),
-        lidar_options=section("lidar"),
+        stated=section("lidar", "clock"),
+        lidar_options=of(CampaignFiles.lidar_options),
     script:
         "../scripts/scan_lidar.py"
 

@@ -25,7 +25,7 @@ rule estimate_pose_errors:
         runtime=minutes(10, 20),
     params:
         code=code_version("estimate_pose_errors"),
-        lidar_options=section("lidar"),
+        lidar_options=of(CampaignFiles.lidar_options),
         lidar_accuracy=section("lidar_accuracy"),
         georeferencing=of(CampaignFiles.georeferencing),
         filters=section("filters"),
@@ -58,7 +58,7 @@ rule georeference_lidar:
         runtime=minutes(10, 20),
     params:
         code=code_version("georeference_lidar"),
-        lidar_options=section("lidar"),
+        lidar_options=of(CampaignFiles.lidar_options),
         lidar_accuracy=section("lidar_accuracy"),
         georeferencing=of(CampaignFiles.georeferencing),
         filters=section("filters"),

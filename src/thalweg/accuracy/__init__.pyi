@@ -18,7 +18,12 @@ from .comparison_tables import (
     point_sets as point_sets,
 )
 from .reference_comparison import compare_with_reference as compare_with_reference
-from .registration import register as register
+from .registration import (
+    PlacedCloud as PlacedCloud,
+    hotelling as hotelling,
+    register as register,
+    register_places as register_places,
+)
 from .solutions import (
     CERTAIN as CERTAIN,
     CHAINS as CHAINS,
@@ -46,12 +51,14 @@ from .solutions import (
     within as within,
 )
 from .statistics import (
+    VERDICTS as VERDICTS,
     by_range_class as by_range_class,
     chi_square_band as chi_square_band,
     describe_errors as describe_errors,
     honesty_in_words as honesty_in_words,
     outlier_limits as outlier_limits,
     range_class as range_class,
+    verdict_of as verdict_of,
 )
 from .summary import (
     number_text as number_text,

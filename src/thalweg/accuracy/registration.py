@@ -58,6 +58,8 @@ LONGEST: Final = 10.0
 """Longer blocks than so many correlation times hold no more than 90 % of the variance, and are fewer."""
 ENOUGH_BLOCKS: Final = 20
 """Blocks are only made longer than the shortest as long as so many are left."""
+CELLS: Final = 40
+"""Cells that a cloud without times is cut into, about."""
 SPARE_BLOCKS: Final = 3
 """So many more blocks than parameters are needed; the spread of fewer says nothing."""
 
@@ -102,10 +104,21 @@ class Registration:
         """
         if self.cov is None:
             return None
-        x = np.concatenate([self.motion.shift_m, self.rotation_rad])
-        squared = float(x @ np.linalg.pinv(self.cov, rcond=1e-12, hermitian=True) @ x)
-        p, n = 6 - len(self.undetermined), self.blocks
-        return squared * (n - p) / (p * (n - 1)), float(fisher.ppf(0.95, p, n - p))
+        return hotelling(self.motion, self.cov, 6 - len(self.undetermined), self.blocks)
+
+
+def hotelling(motion: Motion, cov: ArrayF, p: int, n: float) -> tuple[float, float]:
+    """Size of a motion over its covariance (6, 6), and what that exceeds by chance in 5 % of cases.
+
+    Parameters
+    ----------
+    motion, cov : as of `Registration`.
+    p : number of motions that were determined.
+    n : number of blocks that the covariance rests on.
+    """
+    x = np.concatenate([motion.shift_m, Rotation.from_matrix(motion.R).as_rotvec()])
+    squared = float(x @ np.linalg.pinv(cov, rcond=1e-12, hermitian=True) @ x)
+    return squared * (n - p) / (p * (n - 1)), float(fisher.ppf(0.95, p, n - p))
 
 
 def register(table: pd.DataFrame, surface: Surface, settings: ComparisonSettings) -> Registration:
@@ -123,9 +136,107 @@ def register(table: pd.DataFrame, surface: Surface, settings: ComparisonSettings
     GeometryError : nothing is determined, too few points, or no convergence near the start.
     """
     points, t_gps_s = _points_of(table, settings)
+    fit = _fit(points, surface, settings.max_distance_m)
+    known = block_covariance(
+        fit.design, fit.psi_m, fit.slope, t_gps_s=t_gps_s[fit.use], correlation_s=settings.correlation_s
+    )
+    return Registration(
+        motion=fit.motion,
+        cov=None if known.cov is None else fit.free @ known.cov @ fit.free.T,
+        visibility=fit.visibility,
+        undetermined=fit.undetermined,
+        iterations=fit.iterations,
+        n=int(fit.use.sum()),
+        blocks=known.blocks,
+        block_s=known.block_s,
+        blocks_needed=known.needed,
+        last_step_m=fit.last_step_m,
+        spread_m=fit.spread_m,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlacedCloud:
+    """Result of `register_places`: a motion, its covariance as of `Registration`, cells that it rests on."""
+
+    motion: Motion
+    cov: ArrayF | None
+    undetermined: tuple[str, ...]
+    n: int
+    cells: int
+    cell_m: float
+    spread_m: float
+
+
+def register_places(
+    points_m: ArrayF, surface: Surface, max_distance_m: float, *, seed: int = 0
+) -> PlacedCloud:
+    """Fit a cloud without times to a mesh by a rigid motion, with a covariance from single places.
+
+    As `register`; the covariance is a jackknife over square cells in plan in place of blocks of time, some
+    `CELLS` of them. It holds errors that change within a few cells, and none that the whole cloud shares.
+
+    Parameters
+    ----------
+    points_m : (n, 3) points that are compared; of more than `MOST_POINTS` a random sample takes part.
+    surface : the reference, in the frame of the points.
+    max_distance_m : points farther from it take no part.
+    seed : of the sample.
+
+    Raises
+    ------
+    GeometryError : as of `register`.
+    """
+    if len(points_m) < LEAST_POINTS:
+        raise GeometryError(f"{len(points_m)} points to register", expected=f"at least {LEAST_POINTS}")
+    if len(points_m) > MOST_POINTS:
+        rng = np.random.default_rng([seed, *b"registration"])
+        points_m = points_m[np.sort(rng.choice(len(points_m), MOST_POINTS, replace=False))]
+    fit = _fit(points_m, surface, max_distance_m)
+    plan = points_m[fit.use, :2]
+    span = np.maximum(np.ptp(plan, axis=0), 1e-3)
+    cell_m = float(np.sqrt(np.prod(span) / CELLS))
+    cell_m = max(cell_m, float(span.max()) / CELLS)  # a cloud as thin as a line
+    number = np.floor((plan - plan.min(axis=0)) / cell_m).astype(np.int64)
+    _, cell = np.unique(number, axis=0, return_inverse=True)
+    n_cells = int(cell.max()) + 1
+    p = fit.design.shape[1]
+    cov = None
+    if n_cells >= p + SPARE_BLOCKS:
+        cov = jackknife(*block_sums(fit.design, fit.psi_m, fit.slope, cell.ravel()))
+    return PlacedCloud(
+        motion=fit.motion,
+        cov=None if cov is None else fit.free @ cov @ fit.free.T,
+        undetermined=fit.undetermined,
+        n=int(fit.use.sum()),
+        cells=n_cells,
+        cell_m=cell_m,
+        spread_m=fit.spread_m,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Fit:
+    """A converged robust fit: motion, directions ``free`` (6, p), design, psi and slope of its residuals."""
+
+    motion: Motion
+    free: ArrayF
+    visibility: ArrayF
+    undetermined: tuple[str, ...]
+    use: ArrayB
+    design: ArrayF
+    psi_m: ArrayF
+    slope: ArrayF
+    iterations: int
+    last_step_m: float
+    spread_m: float
+
+
+def _fit(points: ArrayF, surface: Surface, max_distance_m: float) -> _Fit:
+    """Point-to-plane ICP with Tukey's loss, in the directions that the surface determines."""
     motion = Motion(centre_m=points.mean(axis=0), R=np.eye(3), shift_m=np.zeros(3))
     moved, found = points, surface.distances(points)
-    use = _taking_part(found, settings)
+    use = _taking_part(found, max_distance_m)
     rates = _rates(moved, found.normal, motion)
     visibility, motions = visible_motions(moved[use], rates[use], motion.centre_m)
     free = motions[:, visibility >= LEAST_VISIBLE]
@@ -141,10 +252,10 @@ def register(table: pd.DataFrame, surface: Surface, settings: ComparisonSettings
         last, size = size, float(np.linalg.norm(step))
         share = share / 2 if size > (1 - LEAST_GAIN * share) * last else share
         motion = motion.followed_by(*np.split(free @ (share * step), 2))
-        _refuse_large(motion, settings)
+        _refuse_large(motion, max_distance_m)
         moved = motion.apply(points)
         found = surface.distances(moved)
-        use = _taking_part(found, settings)
+        use = _taking_part(found, max_distance_m)
         rates = _rates(moved, found.normal, motion)
         iterations, applied = iterations + 1, share * size
     spread_m = NMAD * float(np.median(np.abs(found.distance_m[use])))
@@ -156,24 +267,16 @@ def register(table: pd.DataFrame, surface: Surface, settings: ComparisonSettings
             "accuracy.registration to false",
         )
     distance = found.distance_m[use]
-    weight, slope = tukey(distance), tukey_slope(distance)
-    known = block_covariance(
-        rates[use] @ free,
-        weight * distance,
-        slope,
-        t_gps_s=t_gps_s[use],
-        correlation_s=settings.correlation_s,
-    )
-    return Registration(
+    return _Fit(
         motion=motion,
-        cov=None if known.cov is None else free @ known.cov @ free.T,
+        free=free,
         visibility=visibility,
         undetermined=motions_in_words(motions[:, visibility < LEAST_VISIBLE]),
+        use=use,
+        design=rates[use] @ free,
+        psi_m=tukey(distance) * distance,
+        slope=tukey_slope(distance),
         iterations=iterations,
-        n=int(use.sum()),
-        blocks=known.blocks,
-        block_s=known.block_s,
-        blocks_needed=known.needed,
         last_step_m=size,
         spread_m=spread_m,
     )
@@ -190,8 +293,8 @@ def _points_of(table: pd.DataFrame, settings: ComparisonSettings) -> tuple[Array
     return table[["east_m", "north_m", "up_m"]].to_numpy()[rows], table["t_gps_s"].to_numpy()[rows]
 
 
-def _taking_part(found: Distances, settings: ComparisonSettings) -> ArrayB:
-    near = np.abs(found.distance_m) <= settings.max_distance_m
+def _taking_part(found: Distances, max_distance_m: float) -> ArrayB:
+    near = np.abs(found.distance_m) <= max_distance_m
     return np.asarray(near & ~found.at_border & found.normal.any(axis=1))
 
 
@@ -201,9 +304,9 @@ def _rates(points: ArrayF, normal: ArrayF, motion: Motion) -> ArrayF:
     return plane_rates(normal, arm)
 
 
-def _refuse_large(motion: Motion, settings: ComparisonSettings) -> None:
+def _refuse_large(motion: Motion, max_distance_m: float) -> None:
     angle = float(np.rad2deg(Rotation.from_matrix(motion.R).magnitude()))
-    shift, limit = float(np.linalg.norm(motion.shift_m)), 2 * settings.max_distance_m
+    shift, limit = float(np.linalg.norm(motion.shift_m)), 2 * max_distance_m
     if angle > LARGEST_ROTATION_DEG or shift > limit:
         raise GeometryError(
             f"the registration wanders off: {shift:.2f} m, {angle:.1f} degrees",
@@ -294,17 +397,29 @@ def block_covariance(
     """
     number, length = time_blocks(t_gps_s, correlation_s)
     n_points = np.bincount(number).astype(np.float64)
-    n_blocks, p = len(n_points), design.shape[1]
+    p = design.shape[1]
     effective = float(n_points.sum() ** 2 / np.sum(n_points**2))
+    cov = None
+    if effective >= p + SPARE_BLOCKS:
+        cov = jackknife(*block_sums(design, psi_m, slope, number))
+    if cov is not None:
+        cov = cov / share_within_blocks(length, correlation_s)
+    return BlockCovariance(cov=cov, blocks=effective, block_s=length, needed=p + SPARE_BLOCKS)
+
+
+def block_sums(design: ArrayF, psi_m: ArrayF, slope: ArrayF, number: ArrayI) -> tuple[ArrayF, ArrayF]:
+    """Score (blocks, p) and curvature (blocks, p, p) of each block, for `jackknife`.
+
+    Parameters
+    ----------
+    design, psi_m, slope : as of `block_covariance`.
+    number : (n,) block of each point, 0 ... .
+    """
+    p = design.shape[1]
     score: ArrayF = np.stack([np.bincount(number, weights=psi_m * d) for d in design.T], axis=1)
-    curvature = np.empty((n_blocks, p, p))
+    curvature = np.empty((len(score), p, p))
     for i in range(p):
         for j in range(i + 1):
             sums = np.bincount(number, weights=slope * design[:, i] * design[:, j])
             curvature[:, i, j] = curvature[:, j, i] = sums
-    cov = None
-    if effective >= p + SPARE_BLOCKS:
-        cov = jackknife(score, curvature)
-    if cov is not None:
-        cov = cov / share_within_blocks(length, correlation_s)
-    return BlockCovariance(cov=cov, blocks=effective, block_s=length, needed=p + SPARE_BLOCKS)
+    return score, curvature

@@ -148,6 +148,40 @@ def ratio_band(n_independent: float, level: float = 0.95) -> tuple[float, float]
     return high**-0.5, low**-0.5
 
 
+VERDICTS: Final = ("consistent", "too optimistic", "too pessimistic", "cannot tell")
+"""What can be said of standard deviations; they are too optimistic where errors are larger."""
+_TOLD_APART: Final = 3.0
+"""Where the band of the ratio spans more than this factor in sigma, a ratio inside it says nothing."""
+
+
+def verdict_of(normalised: float, n_independent: float) -> str:
+    """Whether squared errors over predicted variances say that standard deviations are right.
+
+    Parameters
+    ----------
+    normalised : mean of the squares of errors over their standard deviations; 1 is expected.
+    n_independent : number of independent values in it.
+
+    Returns
+    -------
+    One of `VERDICTS`: outside the chi-square band of 95 % too optimistic or too pessimistic; inside
+    consistent, unless the band is so wide that sigmas wrong by a factor of three would lie in it, too.
+
+    Examples
+    --------
+    >>> verdict_of(1.1, 40), verdict_of(2.5, 40), verdict_of(0.3, 40), verdict_of(1.0, 3)
+    ('consistent', 'too optimistic', 'too pessimistic', 'cannot tell')
+    """
+    if not (np.isfinite(normalised) and n_independent >= 1):
+        return "cannot tell"
+    low, high = chi_square_band(n_independent)
+    if normalised > high:
+        return "too optimistic"
+    if normalised < low:
+        return "too pessimistic"
+    return "consistent" if high / low <= _TOLD_APART**2 else "cannot tell"
+
+
 def honesty_in_words(ratio: float, low: float, high: float) -> str:
     """Verdict on sigmas from the ratio of predicted to observed RMSE of distances and its band.
 

@@ -65,12 +65,7 @@ from .echo_sounder import (
     EchoSettings as EchoSettings,
     estimate_echo_sounder as estimate_echo_sounder,
 )
-from .fixed_camera import (
-    CONTROL_POINTS as CONTROL_POINTS,
-    IMAGE_POINTS as IMAGE_POINTS,
-    read_named_columns as read_named_columns,
-    resect_series as resect_series,
-)
+from .fixed_camera import resect_series as resect_series
 from .lens import (
     LensCalibration as LensCalibration,
     calibrate_lens as calibrate_lens,

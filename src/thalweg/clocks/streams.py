@@ -223,7 +223,8 @@ def common_span(reports: list[IntegrityReport], needed: list[str]) -> tuple[floa
                 f"stream '{name}' ({report.format}) never gets GPS time: " + "; ".join(report.notes),
                 where=", ".join(report.files),
                 expected="stamps that are tied to GPS or UTC",
-                cure="Check PPS and NMEA cabling and the GNSS reception of that instrument",
+                cure="Check PPS and NMEA cabling and the GNSS reception of that instrument"
+                + ("; or state the time: lidar.clock.first_packet_utc" if name == "lidar" else ""),
             )
     spans = {name: (by_name[name].t_first_s or 0.0, by_name[name].t_last_s or 0.0) for name in needed}
     first = max(span[0] for span in spans.values())

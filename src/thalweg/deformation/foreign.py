@@ -1,5 +1,7 @@
 """Clouds of others compared, with each other or with a surface: files in, tables out."""
 
+import json
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,14 +11,17 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 from pyproj import CRS
+from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
+from scipy.spatial.transform import Rotation
 
-from thalweg.accuracy import describe_errors, outlier_limits
+from thalweg.accuracy import describe_errors, hotelling, outlier_limits, register_places
 from thalweg.core import (
     ArrayF,
     ArrayI,
     CoverageError,
     Frame,
+    GeometryError,
     InputError,
     LazWriter,
     LocalFrame,
@@ -26,12 +31,13 @@ from thalweg.core import (
 )
 from thalweg.core.geometry import TriangleMesh
 from thalweg.deformation.compare import CHANGES, Comparison, judge_changes, measure_distances
-from thalweg.ingest.clouds import read_cloud
-from thalweg.settings.sections import TEXT_ENDINGS, ReferenceSettings
+from thalweg.ingest.clouds import read_cloud, read_pcd
+from thalweg.settings.sections import TEXT_ENDINGS, Accuracy, ReferenceSettings
 from thalweg.surface import Surface, mesh_reference, read_triangles
 
+log = logging.getLogger("thalweg")
 TEXT = frozenset(TEXT_ENDINGS)
-"""Suffixes of tables of points."""
+"""Suffixes of tables of points: x, y, z in the first three columns, a head of any number of lines."""
 TABLES = {".csv", ".parquet", ".laz"}
 """Suffixes of results."""
 DISTANCES: Final = table_kind(
@@ -61,12 +67,14 @@ class Points:
 
 
 def read_points(path: Path) -> Points:
-    """Points of a cloud (LAS, LAZ, PLY, E57) or of a table of coordinates.
+    """Points of a cloud (LAS, LAZ, PLY, E57, PCD) or of a table of coordinates.
 
     Raises
     ------
     InputError : no such file, no points, or a table without three columns of numbers.
     """
+    if path.suffix.lower() == ".pcd":
+        return Points(np.asarray(read_pcd(path).xyz_m, np.float64), None, path)
     if path.suffix.lower() not in TEXT or not path.is_file():
         cloud = read_cloud(path)
         return Points(cloud.points, cloud.frame, path)
@@ -99,6 +107,23 @@ def read_points(path: Path) -> Points:
         ) from error
     xyz = table.to_numpy()
     return Points(np.ascontiguousarray(xyz[np.isfinite(xyz).all(axis=1)]), None, path)
+
+
+def point_spacing_m(path: Path, most: int = 2000) -> float | None:
+    """Median distance of the points of a cloud from their nearest neighbours; None for a mesh.
+
+    Parameters
+    ----------
+    path : a file as of `read_points`.
+    most : so many points are asked, evenly spread over the file.
+    """
+    if read_triangles(path) is not None:
+        return None
+    xyz = np.unique(read_points(path).xyz_m, axis=0)
+    if len(xyz) < 2:
+        return None
+    near = np.asarray(cKDTree(xyz).query(xyz[:: max(len(xyz) // most, 1)], k=2)[0])
+    return float(np.median(near[:, 1]))
 
 
 def compare_clouds(
@@ -276,6 +301,7 @@ def compare_with_surface(
     seen_from_m: tuple[float, float, float] | None = None,
     max_distance_m: float = 1.0,
     outlier_nmads: float = 3.0,
+    registration: bool = False,
 ) -> tuple[pd.DataFrame, Frame, dict[str, Any], list[str]]:
     """Signed distances of a cloud's points from a reference surface (cloud to mesh; P2 section 6.2).
 
@@ -288,13 +314,15 @@ def compare_with_surface(
         positive; None: from above. A mesh has its front by itself.
     max_distance_m : points that are farther from the surface are not compared.
     outlier_nmads : limits of outliers about the median, in NMAD.
+    registration : whether the cloud is also fitted to the reference by a rigid motion.
 
     Returns
     -------
     table : kind `DISTANCES`, a row a point of the cloud.
     frame : of both files.
     facts : ``counts`` of what became of the points, statistics ``all`` and ``without_outliers`` (see
-        `describe_errors`), ``mesh`` facts of a meshed reference.
+        `describe_errors`), ``mesh`` facts of a meshed reference, ``registration``: the motion with its
+        standard deviations, and statistics after it, or why there is none.
     notes : sentences for the reader.
 
     Raises
@@ -319,7 +347,8 @@ def compare_with_surface(
     else:
         corners, faces = triangles
         mesh = TriangleMesh(vertices_m=corners - origin, faces=faces, sigma_m=np.zeros(len(corners)))
-    found = Surface(mesh).distances(points.xyz_m - origin)
+    surface = Surface(mesh)
+    found = surface.distances(points.xyz_m - origin)
     distance = found.distance_m
     far = np.abs(distance) > max_distance_m
     used = ~far & ~found.at_border
@@ -354,7 +383,83 @@ def compare_with_surface(
         "all": describe_errors(distance[used]),
         "without_outliers": describe_errors(distance[used & ~outlier]),
     }
+    if registration:
+        compared = points.xyz_m[used] - origin
+        facts["registration"] = _registered(compared, surface, origin, max_distance_m, outlier_nmads)
     return table, frame, facts, notes
+
+
+def _registered(
+    points_m: ArrayF, surface: Surface, origin_m: ArrayF, max_distance_m: float, outlier_nmads: float
+) -> dict[str, Any]:
+    """The motion that brings a cloud onto a surface, its standard deviations, statistics after it."""
+    try:
+        found = register_places(points_m, surface, max_distance_m)
+    except GeometryError as error:
+        return {"done": False, "reason": error.found}
+    after = surface.distances(found.motion.apply(points_m))
+    left = after.distance_m[~after.at_border & (np.abs(after.distance_m) <= max_distance_m)]
+    low, high = outlier_limits(left, outlier_nmads)
+    turn = Rotation.from_matrix(found.motion.R).as_rotvec(degrees=True)
+    sigma = None if found.cov is None else np.sqrt(np.maximum(np.diag(found.cov), 0.0))
+    test: tuple[float | None, float | None] = (None, None)
+    if found.cov is not None:
+        test = hotelling(found.motion, found.cov, 6 - len(found.undetermined), found.cells)
+    names = ("east", "north", "up")
+
+    def named(values: ArrayF) -> dict[str, float]:
+        return dict(zip(names, values.tolist(), strict=True))
+
+    return {
+        "done": True,
+        "centre_m": named(found.motion.centre_m + origin_m),
+        "shift_m": named(found.motion.shift_m),
+        "rotation_deg": named(turn),
+        "sigma_shift_m": None if sigma is None else named(sigma[:3]),
+        "sigma_rotation_deg": None if sigma is None else named(np.rad2deg(sigma[3:])),
+        "f": test[0],
+        "f_exceeded_in_5_percent": test[1],
+        "undetermined": list(found.undetermined),
+        "points": found.n,
+        "cells": found.cells,
+        "cell_m": found.cell_m,
+        "all": describe_errors(left),
+        "without_outliers": describe_errors(left[(left >= low) & (left <= high)]),
+    }
+
+
+def compare_files(
+    *,
+    cloud: Path,
+    reference: Path,
+    distances: Path,
+    points: Path,
+    facts: Path,
+    settings: ReferenceSettings,
+    accuracy: Accuracy,
+) -> None:
+    """The finished cloud of a campaign and its reference -> distances as a table and as LAZ, and facts.
+
+    Parameters
+    ----------
+    settings, accuracy : sections ``reference`` and ``accuracy``.
+    """
+    table, frame, told, notes = compare_with_surface(
+        cloud,
+        reference,
+        settings,
+        seen_from_m=settings.seen_from_m,
+        max_distance_m=accuracy.max_distance_m,
+        outlier_nmads=accuracy.outlier_nmads,
+        registration=accuracy.registration,
+    )
+    for path in (distances, points):
+        write_changes(path, table, frame, DISTANCES)
+    told |= {"cloud": cloud.name, "reference": reference.name, "notes": notes}
+    told["outlier_nmads"] = accuracy.outlier_nmads
+    facts.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+    for note in notes:
+        log.warning(note)
 
 
 def write_changes(path: Path, table: pd.DataFrame, frame: Frame, kind: pa.Schema = CHANGES) -> None:

@@ -1,5 +1,5 @@
 from .front import front_page as front_page
-from .page import Page as Page
+from .page import Finding as Finding, Page as Page
 from .pictures import read_picture as read_picture
 from .style import (
     BLUE as BLUE,

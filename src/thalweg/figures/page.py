@@ -4,7 +4,8 @@ import base64
 import io
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Any, Final, Self
@@ -57,13 +58,31 @@ SOURCES: Final = {
 """Short names of sources, as docs/bibliography.md has them: a page that uses one explains it at its end."""
 
 
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One of the few numbers at the head of a page.
+
+    Parameters
+    ----------
+    quantity : what it is.
+    value : with unit and number of values, as people write it.
+    verdict : one of `VERDICTS` where a standard deviation is judged, else what follows from the number, or
+        nothing.
+    """
+
+    quantity: str
+    value: str
+    verdict: str = ""
+
+
 class Page:
     """A self-contained HTML page, built from top to bottom; each method returns the page.
 
     Parameters
     ----------
     title : heading and name of the page.
-    lead : first paragraph, above the list of contents.
+    lead : first paragraph, above the list of contents: one sentence.
+    findings : the numbers that matter most, five or so, each with its verdict, below the lead.
 
     Examples
     --------
@@ -72,9 +91,16 @@ class Page:
     True
     """
 
-    def __init__(self, title: str, lead: str = "") -> None:
+    def __init__(self, title: str, lead: str = "", findings: Sequence[Finding] = ()) -> None:
         self.title = title
         self._lead = f"<p>{escape(lead)}</p>\n" if lead else ""
+        if findings:
+            rows = "".join(
+                f"<tr><td>{escape(f.quantity)}</td><td>{escape(f.value)}</td><td>{escape(f.verdict)}</td></tr>\n"
+                for f in findings
+            )
+            head = "<tr><th>quantity</th><th>value</th><th>verdict</th></tr>"
+            self._lead += f'<div class="scroll"><table>{head}\n{rows}</table></div>\n'
         self._body: list[str] = []
         self._sections: list[tuple[str, str]] = []
 

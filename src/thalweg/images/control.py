@@ -34,10 +34,8 @@ from thalweg.images.model import (
     nearest_to_rays,
     robust_similarity,
 )
-from thalweg.settings.sections import ControlSettings
+from thalweg.settings.sections import LOCAL, ControlSettings
 
-LOCAL: Final = "local"
-"""In place of a CRS: coordinates x, y, z of a frame of the surveyor's own, in metres and right-handed."""
 _ROLES: Final = {
     "": False, "control": False, "control point": False, "gcp": False, "ground control point": False,
     "check": True, "check point": True, "checkpoint": True, "validation": True,
@@ -276,7 +274,7 @@ def _is_check(row: dict[str, str], path: Path) -> bool:
 
 
 def read_marks(path: Path) -> MarkTable:
-    """Marks of any of the known forms.
+    """Marks of any of the known forms; a table without images is of the one that it is called like.
 
     Raises
     ------
@@ -293,6 +291,8 @@ def read_marks(path: Path) -> MarkTable:
         ]
     else:
         rows = table_rows(path, text, ("image", "point", "x_px", "y_px"))
+        if rows and "image" not in rows[0]:  # a table for each picture, which it is called like
+            rows = [row | {"image": path.stem} for row in rows]
     xy = np.array([[number(r, "x_px", path), number(r, "y_px", path)] for r in rows]).reshape(-1, 2)
     if is_gcp_list(text):
         xy = xy + 0.5
@@ -303,6 +303,88 @@ def read_marks(path: Path) -> MarkTable:
         sigma_px=np.array([number(r, "sigma_px", path, math.nan) for r in rows]),
         used=np.array([(r.get("used") or "true").strip().lower() in ("true", "1", "yes") for r in rows]),
         skipped=skipped,
+    )
+
+
+def read_all_marks(paths: Sequence[Path]) -> MarkTable:
+    """Marks of several files as one table, see `read_marks`.
+
+    Raises
+    ------
+    InputError : as there; or a point that is measured twice in one image.
+    """
+    parts = [read_marks(path) for path in paths]
+    rows = [(i, p) for part in parts for i, p in zip(part.image, part.point, strict=True)]
+    twice = next((row for row, n in Counter(rows).items() if n > 1), None)
+    if twice is not None:
+        raise InputError(
+            f"point {twice[1]} stands twice in image {twice[0]}",
+            expected="each point once in an image",
+            where=", ".join(str(path) for path in paths[:3]),
+            cure="Keep the better of both rows",
+        )
+    return MarkTable(
+        image=tuple(image for image, _ in rows),
+        point=tuple(point for _, point in rows),
+        xy_px=np.concatenate([part.xy_px for part in parts]),
+        sigma_px=np.concatenate([part.sigma_px for part in parts]),
+        used=np.concatenate([part.used for part in parts]),
+        skipped=dict(sum((Counter(part.skipped) for part in parts), Counter())),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraPositions:
+    """Measured projection centres: names of images, (n, 3) in wcs, (n, 3) standard deviations in metres."""
+
+    images: tuple[str, ...]
+    centre_wcs_m: ArrayF
+    sigma_m: ArrayF
+
+
+def read_camera_positions(
+    path: Path, frame: LocalFrame, *, crs: str | None, height_offset_m: float = 0.0
+) -> CameraPositions:
+    """Where the camera was at each image, as a table with columns as of `read_control_points`.
+
+    Parameters
+    ----------
+    frame, crs, height_offset_m : as of `read_control_points`.
+
+    Raises
+    ------
+    InputError : no such file, unknown columns, numbers that are none, an image twice, or no standard
+        deviations.
+    """
+    rows = table_rows(path, read_text(path), ("image", *FORMS[2]))
+    if not rows:
+        raise InputError("no positions", expected="at least one row", where=path)
+    axes = ("east", "north", "up")
+    if not all("accuracy" in row or all(f"sigma_{a}_m" in row for a in axes) for row in rows):
+        raise InputError(
+            "positions of the camera without standard deviations",
+            expected="a column accuracy, or sigma_x_m, sigma_y_m, sigma_z_m, in metres",
+            where=path,
+            cure="State how well they were measured: by them the block is weighted and judged",
+        )
+    sigma = np.array(
+        [
+            [number(row, f"sigma_{a}_m", path, number(row, "accuracy", path, 0.0)) for a in axes]
+            for row in rows
+        ]
+    )
+    if (sigma <= 0).any():
+        raise InputError(
+            f"a standard deviation of {sigma.min():g} m", expected="metres above zero", where=path
+        )
+    names = tuple(required(row, "image", path) for row in rows)
+    twice = next((name for name, n in Counter(names).items() if n > 1), None)
+    if twice is not None:
+        raise InputError(f"two positions of {twice}", expected="each image once", where=path)
+    return CameraPositions(
+        images=names,
+        centre_wcs_m=_coordinates(rows, frame, crs, path, height_offset_m, own=False),
+        sigma_m=sigma,
     )
 
 

@@ -1,10 +1,11 @@
 """Photographs and surveyed points, and nothing else: an oriented block with covariances, as files."""
 
 import json
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -12,11 +13,18 @@ from pyproj import CRS
 from scipy.spatial.transform import Rotation
 
 from thalweg.calibration import read_camera
-from thalweg.core import ArrayF, InputError, LocalFrame
+from thalweg.core import ArrayF, InputError, LazWriter, LocalFrame
 from thalweg.core.calibration import Source
-from thalweg.images.bundle import Pieces, adjust_pieces, interiors_of, pieces_tables, write_cameras
-from thalweg.images.control import LOCAL, crs_of, frame_about, read_all_control_points
-from thalweg.images.model import ControlPoints, ImagePoses
+from thalweg.images.bundle import (
+    Pieces,
+    adjust_pieces,
+    interiors_of,
+    pieces_tables,
+    summary_text,
+    write_cameras,
+)
+from thalweg.images.control import crs_of, frame_about, read_all_control_points, read_camera_positions
+from thalweg.images.model import ControlPoints, ImagePoses, unknown_poses
 from thalweg.images.sfm import (
     Known,
     block_facts,
@@ -26,8 +34,29 @@ from thalweg.images.sfm import (
     map_images,
     match_images,
 )
-from thalweg.ingest.photos import Images, named_images
-from thalweg.settings.sections import BlockAdjustment, ControlSettings, FeatureSettings, MappingSettings
+from thalweg.ingest.photos import Images, find_images, named_images
+from thalweg.settings.sections import (
+    LOCAL,
+    BlockAdjustment,
+    ControlSettings,
+    FeatureSettings,
+    MappingSettings,
+)
+
+log = logging.getLogger("thalweg")
+
+FILES: Final = (
+    "image_poses.csv",
+    "image_poses.parquet",
+    "points.csv",
+    "points.laz",
+    "camera.yaml",
+    "cameras.csv",
+    "control_points.csv",
+    "images.csv",
+    "orientation.json",
+)
+"""What an oriented block is written to."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,34 +76,7 @@ class PhotographBlock:
 
     def coordinates(self, points_wcs_m: ArrayF) -> ArrayF:
         """Points (n, 3) of the world frame in the coordinates of the control points; NaN stays."""
-        known = np.isfinite(points_wcs_m).all(axis=1)
-        out = np.full(points_wcs_m.shape, np.nan)
-        if self.crs == LOCAL:
-            out[known] = points_wcs_m[known]
-        elif known.any():
-            out[known] = self.found.poses.frame.to_map(points_wcs_m[known], CRS.from_user_input(self.crs))
-        return out
-
-    def pose_table(self) -> pd.DataFrame:
-        """A row for each image.
-
-        Columns: ``image``, ``x_m, y_m, z_m`` of the projection centre, the quaternion ``qx, qy, qz, qw`` from
-        the camera's frame (right, down, into the picture) to local east, north, up (to x, y, z of a local
-        frame), ``sigma_x_m`` ... , ``sigma_rotation_x_deg`` ... about the axes of the world, ``rms_px``,
-        ``reason`` why there is no pose.
-        """
-        poses = self.found.poses
-        quaternion = np.full((len(poses.images), 4), np.nan)
-        quaternion[poses.oriented] = Rotation.from_matrix(poses.R_wcs_ccs[poses.oriented]).as_quat()
-        sigma = np.sqrt(np.diagonal(poses.cov_pose_wcs, axis1=1, axis2=2))
-        columns: dict[str, Any] = {"image": list(poses.images)}
-        columns |= dict(zip(("x_m", "y_m", "z_m"), self.coordinates(poses.centre_wcs_m).T, strict=True))
-        columns |= dict(zip(("qx", "qy", "qz", "qw"), quaternion.T, strict=True))
-        for k, axis in enumerate("xyz"):
-            columns[f"sigma_{axis}_m"] = sigma[:, k]
-        for k, axis in enumerate("xyz"):
-            columns[f"sigma_rotation_{axis}_deg"] = np.rad2deg(sigma[:, 3 + k])
-        return pd.DataFrame(columns | {"rms_px": poses.rms_px, "reason": list(poses.reasons)})
+        return in_crs(points_wcs_m, self.found.poses.frame, self.crs)
 
     def point_table(self) -> pd.DataFrame:
         """Tie points of all pieces: ``x_m, y_m, z_m``, ``images`` that show the point, ``piece``."""
@@ -99,13 +101,17 @@ class PhotographBlock:
 
         Returns
         -------
-        paths : of ``image_poses.csv``, ``points.csv``, ``camera.yaml``, ``cameras.csv``,
-            ``control_points.csv``, ``images.csv``, ``orientation.json``.
+        paths : of `FILES`.
         """
         folder.mkdir(parents=True, exist_ok=True)
         facts = self.found.facts
-        self.pose_table().to_csv(folder / "image_poses.csv", index=False, float_format="%.9g")
-        self.point_table().to_csv(folder / "points.csv", index=False, float_format="%.3f")
+        self.found.poses.write(folder / "image_poses.parquet")
+        pose_table(self.found.poses, self.crs).to_csv(
+            folder / "image_poses.csv", index=False, float_format="%.9g"
+        )
+        points = self.point_table()
+        points.to_csv(folder / "points.csv", index=False, float_format="%.3f")
+        self._write_cloud(folder / "points.laz", points)
         source = Source(
             run=name,
             method="block adjustment of photographs",
@@ -118,26 +124,57 @@ class PhotographBlock:
         control.to_csv(folder / "control_points.csv", index=False, float_format="%.6g")
         stated = {"crs": self.crs, **facts}
         (folder / "orientation.json").write_text(json.dumps(stated, indent=2) + "\n", encoding="utf-8")
-        return [
-            folder / f
-            for f in (
-                "image_poses.csv",
-                "points.csv",
-                "camera.yaml",
-                "cameras.csv",
-                "control_points.csv",
-                "images.csv",
-                "orientation.json",
-            )
-        ]
+        return [folder / file for file in FILES]
+
+    def _write_cloud(self, path: Path, points: pd.DataFrame) -> None:
+        """The tie points as LAZ in the CRS of the control points, or without one in a local frame."""
+        xyz = points[["x_m", "y_m", "z_m"]].to_numpy()
+        frame = None if self.crs == LOCAL else CRS.from_user_input(self.crs)
+        dimensions = {"images": ("u2", "photographs that show the point"), "piece": ("u2", "of the block")}
+        with LazWriter(path, frame, extra_dimensions=dimensions) as writer:
+            writer.append(xyz, extra={key: points[key].to_numpy(np.uint16) for key in dimensions})
+
+
+def in_crs(points_wcs_m: ArrayF, frame: LocalFrame, crs: str) -> ArrayF:
+    """Points (n, 3) of the world frame in a map grid, or as they are (`LOCAL`); NaN stays."""
+    known = np.isfinite(points_wcs_m).all(axis=1)
+    out = np.full(points_wcs_m.shape, np.nan)
+    if crs == LOCAL:
+        out[known] = points_wcs_m[known]
+    elif known.any():
+        out[known] = frame.to_map(points_wcs_m[known], CRS.from_user_input(crs))
+    return out
+
+
+def pose_table(poses: ImagePoses, crs: str) -> pd.DataFrame:
+    """A row for each image.
+
+    Columns: ``image``, ``x_m, y_m, z_m`` of the projection centre, the quaternion ``qx, qy, qz, qw`` from
+    the camera's frame (right, down, into the picture) to local east, north, up (to x, y, z of a local
+    frame), ``sigma_x_m`` ... , ``sigma_rotation_x_deg`` ... about the axes of the world, ``rms_px``,
+    ``reason`` why there is no pose.
+    """
+    quaternion = np.full((len(poses.images), 4), np.nan)
+    quaternion[poses.oriented] = Rotation.from_matrix(poses.R_wcs_ccs[poses.oriented]).as_quat()
+    sigma = np.sqrt(np.diagonal(poses.cov_pose_wcs, axis1=1, axis2=2))
+    places = in_crs(poses.centre_wcs_m, poses.frame, crs)
+    columns: dict[str, Any] = {"image": list(poses.images)}
+    columns |= dict(zip(("x_m", "y_m", "z_m"), places.T, strict=True))
+    columns |= dict(zip(("qx", "qy", "qz", "qw"), quaternion.T, strict=True))
+    for k, axis in enumerate("xyz"):
+        columns[f"sigma_{axis}_m"] = sigma[:, k]
+    for k, axis in enumerate("xyz"):
+        columns[f"sigma_rotation_{axis}_deg"] = np.rad2deg(sigma[:, 3 + k])
+    return pd.DataFrame(columns | {"rms_px": poses.rms_px, "reason": list(poses.reasons)})
 
 
 def orient_photographs(
     images: Images,
     *,
-    control_points: Sequence[Path],
-    marks: Path,
     crs: str,
+    control_points: Sequence[Path] = (),
+    marks: Path | None = None,
+    positions: Path | None = None,
     camera: Path | None = None,
     masks: Path | None = None,
     features: FeatureSettings | None = None,
@@ -147,14 +184,15 @@ def orient_photographs(
     threads: int = 1,
     progress: Callable[[str], None] | None = None,
 ) -> PhotographBlock:
-    """Orient photographs by points that were surveyed and measured in them, without a boat.
+    """Orient photographs by what is known of them, without a boat: surveyed points, positions of the camera.
 
     Parameters
     ----------
     images : photographs by name, or files and folders.
+    crs : of coordinates ``x, y, z``; `LOCAL` for a frame of the surveyor's own. Results are in it, too.
     control_points : tables as of `read_control_points`.
     marks : table of their image points, as of `read_marks`.
-    crs : of coordinates ``x, y, z``; `LOCAL` for a frame of the surveyor's own. Results are in it, too.
+    positions : table as of `read_camera_positions`; without control points three or more, not on a line.
     camera : calibration, COLMAP or OpenCV file of the interior orientation; None: it is estimated.
     masks : folder of masks; see `extract_features`.
     features, mapping, adjustment, control : sections of a campaign file; None: their defaults.
@@ -164,13 +202,14 @@ def orient_photographs(
     Raises
     ------
     InputError : photographs, points or marks that cannot be used, or no two photographs with common points.
-    GeometryError : fewer than three points that are measured in two photographs each, or points that do not
-        fit the photographs.
+    GeometryError : fewer than three points that are measured in two photographs each and fewer than three
+        positions, or such as do not fit the photographs.
     """
     say = progress or (lambda line: None)
     section = control or ControlSettings()
-    frame = frame_about(control_points, crs=crs)
-    if crs != LOCAL and not crs_of(crs, control_points[0]).is_projected:
+    placed = [*control_points, *([] if positions is None else [positions])]
+    frame = frame_about(placed, crs=crs)
+    if crs != LOCAL and not crs_of(crs, placed[0]).is_projected:
         raise InputError(
             f"the CRS {crs}",
             expected=f"a projected one, or {LOCAL}",
@@ -179,6 +218,9 @@ def orient_photographs(
     points = read_all_control_points(
         control_points, frame, crs=crs, sigma_m=section.sigma_m, height_offset_m=section.height_offset_m
     )
+    centres = None
+    if positions is not None:
+        centres = read_camera_positions(positions, frame, crs=crs, height_offset_m=section.height_offset_m)
     files = named_images(images)
     say(f"features of {len(files)} photographs")
     found = extract_features(files, masks=masks, settings=features, threads=threads)
@@ -193,7 +235,7 @@ def orient_photographs(
     say("adjustment with control points")
     pieces = adjust_pieces(
         mapped.pieces,
-        _unknown_poses(frame, tuple(files)),
+        unknown_poses(frame, tuple(files)),
         reasons=why["reason"],
         frame=frame,
         crs=crs,
@@ -203,25 +245,53 @@ def orient_photographs(
         marks=marks,
         known=interiors_of(mapped.pieces, known.cameras[0] if known.cameras else None, {}),
         boat=None,
+        centres=centres,
     )
     pieces.facts["structure_from_motion"] = block_facts(matches, mapped, table)
     return PhotographBlock(found=pieces, control=points, crs=crs)
 
 
-def _unknown_poses(frame: LocalFrame, names: tuple[str, ...]) -> ImagePoses:
-    """Names of images of which nothing is known beforehand."""
-    n = len(names)
-    return ImagePoses(
-        frame=frame,
-        images=names,
-        t_gps_s=np.full(n, np.nan),
-        sigma_t_s=np.full(n, np.nan),
-        oriented=np.zeros(n, np.bool_),
-        reasons=("",) * n,
-        centre_wcs_m=np.full((n, 3), np.nan),
-        R_wcs_ccs=np.full((n, 3, 3), np.nan),
-        cov_pose_wcs=np.full((n, 6, 6), np.nan),
-        cov_next=np.full((n, 6, 6), np.nan),
-        n_marks=np.full(n, np.nan),
-        rms_px=np.full(n, np.nan),
+def orient_files(
+    *,
+    images: list[Path],
+    control_points: list[Path],
+    marks: list[Path],
+    positions: list[Path],
+    interior: list[Path],
+    masks: list[Path],
+    folder: Path,
+    campaign: dict[str, Any],
+    features: FeatureSettings,
+    mapping: MappingSettings,
+    adjustment: BlockAdjustment,
+    control: ControlSettings,
+    threads: int,
+) -> None:
+    """The photographs of a campaign without a boat -> `FILES` in a folder.
+
+    Parameters
+    ----------
+    images, control_points, marks, positions, interior, masks : files of ``logs.time_lapse``.
+    campaign : ``id`` and ``crs``.
+    features, mapping, adjustment, control : sections of ``images``.
+    """
+    block = orient_photographs(
+        find_images(images).files,
+        crs=campaign["crs"],
+        control_points=control_points,
+        marks=marks[0] if marks else None,
+        positions=positions[0] if positions else None,
+        camera=interior[0] if interior else None,
+        masks=masks[0] if masks else None,
+        features=features,
+        mapping=mapping,
+        adjustment=adjustment,
+        control=control,
+        threads=threads,
+        progress=log.info,
     )
+    block.write(folder, name=campaign["id"])
+    for line in summary_text(block.found.facts).splitlines():
+        log.info(line)
+    for note in block.found.facts["notes"]:
+        log.warning(note)

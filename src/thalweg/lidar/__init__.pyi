@@ -9,6 +9,7 @@ from .cloud import (
     export_map as export_map,
     georeference_log as georeference_log,
     sample_cloud as sample_cloud,
+    with_stated_clock as with_stated_clock,
 )
 from .colour import (
     COLOUR_DIMENSIONS as COLOUR_DIMENSIONS,

@@ -29,13 +29,14 @@ from thalweg.core import (
     Trajectory,
     column,
     frame_of,
+    gps_from_unix,
     iter_laz,
     laz_header,
     steps,
     table_kind,
     write_table,
 )
-from thalweg.ingest import LidarClock, LidarReader, PointBlock
+from thalweg.ingest import IntegrityReport, LidarClock, LidarReader, LidarScan, PointBlock
 from thalweg.lidar.filters import (
     REMOVED,
     Occupancy,
@@ -46,7 +47,7 @@ from thalweg.lidar.filters import (
     water_level_m,
 )
 from thalweg.lidar.georeference import WorldPoints, georeference_points
-from thalweg.settings.sections import Filters, Georeferencing, LidarAccuracy
+from thalweg.settings.sections import Filters, Georeferencing, LidarAccuracy, LidarClockStated
 
 SIGMAS: Final = ("sigma_east", "sigma_north", "sigma_up")
 """Extra dimensions with the standard deviations of a point along the axes of wcs, metres."""
@@ -138,6 +139,47 @@ def clock_by_hand(
         first = next(iter(reader.points(clock, max_points=1000)))
         offsets[unknown] = first_t_gps_s - float(first.t_device_s[0])
     return replace(clock, gps_minus_device_s=tuple((offsets + offset_s).tolist()))
+
+
+def with_stated_clock(
+    reader: LidarReader, scan: LidarScan, stated: LidarClockStated
+) -> tuple[LidarClock, IntegrityReport]:
+    """The clock of a scan with what a person states of its time, and the report that says so.
+
+    Parameters
+    ----------
+    reader, scan : the log.
+    stated : section ``lidar.clock``.
+
+    Raises
+    ------
+    ClockError : as of `clock_by_hand`.
+    """
+    report, offset_s = scan.report, stated.offset_s
+    unix_s = stated.first_packet_unix_s
+    first = None if unix_s is None else float(gps_from_unix(unix_s))
+    if first is None and offset_s == 0:
+        return scan.clock, report
+    if first is None and not report.synchronised:
+        return scan.clock, report  # the offset of a clock that nobody knows; told where the streams meet
+    clock = clock_by_hand(reader, scan.clock, first_t_gps_s=first, offset_s=offset_s)
+    shift_s = offset_s
+    if not report.synchronised:
+        shift_s = clock.gps_minus_device_s[0]
+        report.notes = [note for note in report.notes if not note.startswith("The lidar is unsynchronised")]
+        report.note(
+            f"No GPS time in the log: its first packet is stated to be of {stated.first_packet_utc} "
+            "(lidar.clock)"
+        )
+        report.losses.pop("unsynchronised_packets", None)
+        report.timing.unsynchronised_s, report.timing.unsynchronised = 0.0, []
+    if offset_s:
+        report.note(f"All times of the lidar are shifted by {offset_s:+g} s (lidar.clock.offset_s)")
+    report.synchronised, report.time_scale = True, "utc"
+    report.gaps = [replace(gap, t_start_s=gap.t_start_s + shift_s) for gap in report.gaps]
+    if report.t_first_s is not None and report.t_last_s is not None:
+        report.t_first_s, report.t_last_s = report.t_first_s + shift_s, report.t_last_s + shift_s
+    return clock, report
 
 
 def georeference_log(

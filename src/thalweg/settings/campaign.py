@@ -1,7 +1,7 @@
 """The whole campaign file as one model."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field
 
@@ -40,6 +40,8 @@ from thalweg.settings.twin import TwinConfig
 # ---------------------------------------------------------------- section ``campaign``
 
 
+Kind = Literal["survey", "calibration", "basin", "change", "photographs", "fixed_camera", "cloud"]
+"""A river by boat, a calibration field, the light-sheet sensor in a basin, epochs, or one thing alone."""
 ID_PATTERN = "^[a-z][a-z0-9_]*$"
 
 
@@ -73,10 +75,14 @@ class Identity(Section):
         min_length=1, description="One line for figures and reports", examples=["Mulde near Grimma, May 2021"]
     )
     crs: str = Field(
-        description="Projected, metric CRS of the map exports: EPSG code or PROJ definition",
+        description="Projected, metric CRS of the map exports: EPSG code or PROJ definition; without a boat "
+        "also `local`, a frame of the surveyor's own",
         examples=["EPSG:25833"],
     )
-    origin: Origin = Field(description="Origin of the local east-north-up frame: near the survey")
+    origin: Origin | None = Field(
+        default=None,
+        description="Origin of the local east-north-up frame: near the survey; not needed without a boat",
+    )
     seed: int = Field(
         default=1, ge=0, le=2**32 - 1, description="Seed of everything random (digital twin, sampling)"
     )
@@ -144,6 +150,19 @@ class Campaign(Section):
     def id(self) -> str:
         """Short name of the campaign."""
         return self.campaign.id
+
+    @property
+    def kind(self) -> Kind:
+        """What kind of recording this is: decides about rules, pages and pictures."""
+        if self.is_basin:
+            return "basin"
+        if self.is_change:
+            return "change"
+        if self.is_calibration:
+            return "calibration"
+        if self.logs is not None and self.logs.kind != "boat":
+            return self.logs.kind
+        return "survey"
 
     @property
     def is_calibration(self) -> bool:

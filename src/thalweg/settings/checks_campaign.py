@@ -22,6 +22,7 @@ from thalweg.settings.checks_place import (
 )
 from thalweg.settings.messages import anchor, missing_cure, radians_cure, show
 from thalweg.settings.sections import (
+    LOCAL,
     SCAN_PARTS,
     SERIES,
     STREAM_KEYS,
@@ -432,25 +433,25 @@ class Parts:
             value = value.get(key) if isinstance(value, dict) else None
         return value
 
+    @property
+    def boat(self) -> bool:
+        """False for photographs, a camera that stays, or a finished cloud alone."""
+        return self.logs is None or self.logs.kind == "boat"
+
 
 def domain_mistakes(parts: Parts) -> tuple[list[Mistake], dict[str, tuple[str, ...]]]:
     """All mistakes between values, and the files of each stream as absolute paths."""
     mistakes = [
         *_check_id(parts),
         *_check_input(parts),
-        *check_crs(parts.raw("campaign", "crs"), parts.raw("campaign", "origin")),
+        *_check_frame(parts),
         *_check_ranges(parts),
         *_check_ports(parts),
+        *_check_stated_clock(parts),
         *_check_mounts(parts),
         *check_mounts_calibration(parts.raw("mounts"), parts.raw("campaign", "id"), parts.path.parent),
         *check_interior(parts.raw("calibration", "boat_camera", "interior"), parts.path.parent),
-        *check_images(
-            parts.raw("logs", "time_lapse"),
-            parts.raw("mounts"),
-            parts.raw("images"),
-            parts.raw("twin"),
-            parts.raw("orientation"),
-        ),
+        *_check_photographs(parts),
         *check_epochs(parts.raw("epochs"), parts.raw("campaign") or {}, parts.path.parent),
         *_check_lists(parts),
         *_check_ppk(parts),
@@ -463,7 +464,7 @@ def domain_mistakes(parts: Parts) -> tuple[list[Mistake], dict[str, tuple[str, .
     if parts.logs is not None:
         found, files = check_files(parts.logs, parts.path.parent)
         mistakes += found
-        mistakes += _check_source(parts, parts.logs)
+        mistakes += _check_source(parts, parts.logs) if parts.boat else _check_alone(parts.logs)
         mistakes += _check_logs(parts.logs)
         jitter_s = parts.raw("calibration", "clock", "jitter_s")
         has_run = bool(parts.logs.lidar and parts.logs.ins)
@@ -475,6 +476,121 @@ def domain_mistakes(parts: Parts) -> tuple[list[Mistake], dict[str, tuple[str, .
         mistakes += _check_twin_source(parts)
         mistakes += check_sheet_twin(parts.raw("twin"), parts.raw("light_sheet"))
     return mistakes, files
+
+
+def _check_frame(parts: Parts) -> Iterator[Mistake]:
+    """A map and an origin; what no boat recorded may stand in a frame of the surveyor's own."""
+    crs, origin = parts.raw("campaign", "crs"), parts.raw("campaign", "origin")
+    if not parts.boat and crs == LOCAL:
+        return
+    yield from check_crs(crs, origin)
+    if parts.boat and origin is None:
+        yield Mistake(
+            path=("campaign", "origin"),
+            found="missing",
+            expected="latitude, longitude and ellipsoidal height of a point near the survey",
+            cure="Add the line `origin: {lat_deg: …, lon_deg: …, h_ell_m: …}`",
+        )
+
+
+def _check_photographs(parts: Parts) -> Iterator[Mistake]:
+    """Photographs of a boat need the camera's place on it; others points, positions or orientations."""
+    sections = (parts.raw("images"), parts.raw("twin"), parts.raw("orientation"))
+    logs = parts.logs
+    if logs is None or logs.kind != "photographs":
+        yield from check_images(parts.raw("logs", "time_lapse"), parts.raw("mounts"), *sections)
+        if logs is not None and logs.time_lapse.positions:
+            yield Mistake(
+                path=("logs", "time_lapse", "positions"),
+                found="positions of the camera beside other logs",
+                expected="photographs without a boat, whose trajectory would say the same",
+                cure="Remove the line, or the other logs",
+            )
+        return
+    given = logs.time_lapse
+    if given.control_points and not given.marks:
+        yield Mistake(
+            path=("logs", "time_lapse", "marks"),
+            found="missing",
+            expected="where the control points are in the photographs: without a boat nothing tells roughly",
+            cure="Add the line `marks: [...]` (CSV: image, point, x_px, y_px)",
+        )
+    if not (given.control_points or given.positions or given.orientations):
+        yield Mistake(
+            path=("logs", "time_lapse"),
+            found="photographs alone",
+            expected="control_points with marks, positions of the camera, or finished orientations",
+            cure="Add what is known of them, or the logs of the boat: lidar, ins, positions, depth",
+        )
+    if (
+        given.orientations
+        and not given.control_points
+        and not (parts.raw("campaign", "origin") or parts.raw("campaign", "crs") == LOCAL)
+    ):
+        yield Mistake(
+            path=("campaign", "origin"),
+            found="missing",
+            expected="a place on the earth for orientations in a map grid",
+            cure="Write origin: {lat_deg: …, lon_deg: …, h_ell_m: …}, or crs: local",
+        )
+    if given.orientations and given.positions:
+        yield Mistake(
+            path=("logs", "time_lapse", "positions"),
+            found="positions of the camera beside finished orientations, which hold them",
+            expected="one of both",
+            cure="Remove the line, or remove orientations: the photographs are then oriented here",
+        )
+    for name in ("positions", "interior", "marks"):
+        if len(getattr(given, name)) > 1:
+            yield Mistake(
+                path=("logs", "time_lapse", name),
+                found=f"{len(getattr(given, name))} files",
+                expected="one",
+                cure="Put all rows into one file"
+                if name != "interior"
+                else "Photographs of several cameras: one campaign each",
+            )
+
+
+def _check_alone(logs: Logs) -> Iterator[Mistake]:
+    """What a camera that stays and a finished cloud need."""
+    if logs.kind == "fixed_camera":
+        needed = {
+            "marks": "where control points are in the pictures",
+            "control_points": "surveyed points",
+            "interior": "the interior orientation of the camera",
+        }
+        for name, what in needed.items():
+            count = len(getattr(logs.fixed_camera, name))
+            if not count or (count > 1 and name == "interior"):
+                yield Mistake(
+                    path=("logs", "fixed_camera", name),
+                    found="missing" if not count else f"{count} files",
+                    expected=what if not count else "one file; a second camera is another campaign",
+                    cure=f"Add the line `{name}: [...]`" if not count else "Name one",
+                )
+    elif logs.kind == "cloud":
+        for name in ("cloud", "reference"):
+            count = len(getattr(logs, name))
+            if count != 1:
+                yield Mistake(
+                    path=("logs", name),
+                    found="missing" if not count else f"{count} files",
+                    expected="one file: a finished cloud is compared with one reference",
+                    cure=f"Add the line `{name}: [...]`" if not count else "Name one; merge the others first",
+                )
+    if logs.kind in ("fixed_camera", "cloud"):
+        kept = {"fixed_camera": {"fixed_camera"}, "cloud": {"cloud", "reference"}}[logs.kind]
+        given = [
+            keys for stream, keys in logs.streams().items() if logs.files(stream) and keys[0] not in kept
+        ]
+        for keys in given:
+            yield Mistake(
+                path=("logs", *keys),
+                found=f"logs beside logs.{logs.kind}, which would not be used",
+                expected=f"{' and '.join(sorted(kept))} alone",
+                cure="Put them into a campaign of their own",
+            )
 
 
 def _check_id(parts: Parts) -> Iterator[Mistake]:
@@ -539,6 +655,19 @@ def _check_ports(parts: Parts) -> Iterator[Mistake]:
             found=f"data_port and position_port are both {lidar.data_port}",
             expected="two different UDP ports",
             cure="A Velodyne sends data to 2368 and positions to 8308",
+        )
+
+
+def _check_stated_clock(parts: Parts) -> Iterator[Mistake]:
+    """A time that a person states is not as good as PPS, which the default stands for."""
+    stated = parts.raw("lidar", "clock")
+    given = [key for key in ("first_packet_utc", "offset_s") if isinstance(stated, dict) and stated.get(key)]
+    if given and parts.raw("lidar_accuracy", "sigma_time_s") is None:
+        yield Mistake(
+            path=("lidar", "clock", given[0]),
+            found="a stated time, without saying how well it is known",
+            expected="lidar_accuracy.sigma_time_s, seconds",
+            cure="Write lidar_accuracy: {sigma_time_s: 0.1}, if it is good to a tenth of a second",
         )
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final
 
 from thalweg.settings.checks_place import utm_code
-from thalweg.settings.sections import DSM_ENDINGS
+from thalweg.settings.sections import DSM_ENDINGS, ReferenceSettings
 
 PLACEHOLDERS: Mapping[str, Sequence[str]] = {
     "lidar": ["raw/lidar/*.pcap"],
@@ -40,6 +40,7 @@ def campaign_text(
     folder: Path,
     files: Mapping[str, Sequence[Path]] | None = None,
     origin: tuple[float, float, float] | None = None,
+    spacing_m: float | None = None,
     schema: str = "../schema.json",
 ) -> str:
     """Text of a new campaign file.
@@ -50,6 +51,7 @@ def campaign_text(
     folder : folder that the file will stand in; paths are written relative to it where that is short.
     files : logs by stream; placeholders if None.
     origin : latitude and longitude in degrees and ellipsoidal height in metres; a placeholder if None.
+    spacing_m : distance of the points of a reference cloud from each other; None: as dense as usual.
     schema : path of the JSON schema from ``folder``, for editors.
     """
     lat, lon, h = origin or (51.05, 13.25, 300.0)
@@ -57,14 +59,13 @@ def campaign_text(
     listed = {k: list(v) for k, v in PLACEHOLDERS.items()}
     if files is not None:
         listed = {k: [_relative(p, folder) for p in v] for k, v in files.items()}
+    alone = _alone(listed, spacing_m) if files is not None else []
+    if alone:
+        return "\n".join([*_head(name, schema), *alone]) + "\n"
     source, gnss = _source(listed)
     levers = "  # CHANGE: metres forward, right, down of the INS"
     lines = [
-        f"# yaml-language-server: $schema={schema}",
-        "# Every key, its unit and its default: config/README.md. Check with: thalweg check-config THIS_FILE",
-        "campaign:",
-        f"  id: {name}",
-        f"  title: {name}  # CHANGE: one line for figures and reports",
+        *_head(name, schema),
         f"  crs: {utm_code(lat, lon)}  # CRS of the map exports, projected, in metres",
         f"  origin: {{lat_deg: {lat}, lon_deg: {lon}, h_ell_m: {h}}}{mark}",
         "  seed: 1",
@@ -91,6 +92,11 @@ def campaign_text(
         f"  position_source: {source}  # pos, sbp, ppk, nmea, sbet or ins",
         *(_ORDINARY_GNSS if source == "nmea" else ["  accept_fixes: [fixed]"]),
         *_without_control(listed, source),
+        *(
+            ["", "# filters: {below_water_m: null, mirror_ghosts: false}  # where there is no water"]
+            if listed.get("lidar")
+            else []
+        ),
     ]
     return "\n".join(lines) + "\n"
 
@@ -116,11 +122,7 @@ def epochs_text(
     """
     place = f"lat_deg: {origin[0]}, lon_deg: {origin[1]}, h_ell_m: {origin[2]}"
     lines = [
-        f"# yaml-language-server: $schema={schema}",
-        "# Every key, its unit and its default: config/README.md. Check with: thalweg check-config THIS_FILE",
-        "campaign:",
-        f"  id: {name}",
-        f"  title: {name}  # CHANGE: one line for figures and reports",
+        *_head(name, schema),
         f"  crs: {crs}",
         f"  origin: {{{place}}}",
         "  seed: 1",
@@ -151,6 +153,82 @@ def _epoch(epoch: str | tuple[Path, str], folder: Path) -> list[str]:
         "    # sigma_m: 0.03  # errors that neighbouring points share; without, limits hold roughness alone",
         "    # correlation_m: 20.0  # distance over which they are alike",
     ]
+
+
+def _head(name: str, schema: str) -> list[str]:
+    """First lines of every campaign file."""
+    return [
+        f"# yaml-language-server: $schema={schema}",
+        "# Every key, its unit and its default: config/README.md. Check with: thalweg check-config THIS_FILE",
+        "campaign:",
+        f"  id: {name}",
+        f"  title: {name}  # CHANGE: one line for figures and reports",
+    ]
+
+
+def _alone(listed: Mapping[str, Sequence[str]], spacing_m: float | None) -> list[str]:
+    """Lines of a campaign without a boat, behind its head; none where a boat recorded something."""
+    frame = [
+        "  crs: local  # CHANGE: map grid of the coordinates, as EPSG:25833; or local, a frame of your own",
+        "  seed: 1",
+        "",
+        "logs:  # relative to this file or absolute; ~ and patterns like raw/*.jpg work",
+    ]
+    if listed.get("fixed_marks"):
+        parts: tuple[tuple[str, str, str], ...] = (
+            ("fixed_marks", "marks", "where the control points are in the pictures"),
+            ("fixed_points", "control_points", "surveyed points; role check: judges, takes no part"),
+            ("fixed_interior", "interior", "interior orientation: calibration, OpenCV, COLMAP"),
+        )
+        return [
+            *frame,
+            "  fixed_camera:  # a camera that stays: docs/images.md",
+            *_nested(listed, parts),
+            "",
+            "images:",
+            "  control:  # CHANGE: standard deviations of marks and points whose tables state none",
+            "    sigma_px: 0.5",
+            "    sigma_m: [0.010, 0.010, 0.015]",
+        ]
+    if listed.get("cloud"):
+        return [
+            *frame,
+            *_list("cloud", listed["cloud"], "the cloud that is judged"),
+            *_list("reference", listed.get("reference", []), "CHANGE: mesh or cloud that it is judged by"),
+            "",
+            "reference:",
+            "  sigma_m: 0.005  # CHANGE: registration and georeferencing of the reference, one sigma",
+            *(
+                [
+                    f"  # the points of the reference are {spacing_m:.3g} m apart",
+                    f"  cell_m: {spacing_m / 2:.2g}",
+                    f"  longest_edge_m: {5 * spacing_m:.2g}",
+                    f"  isolated_radius_m: {5 * spacing_m:.2g}",
+                ]
+                if spacing_m is not None and 5 * spacing_m > ReferenceSettings().longest_edge_m
+                else []
+            ),
+            "  # seen_from_m: [0.0, 0.0, 0.0]  # place in front of a bank or wall; without: from above",
+        ]
+    moved = ("lidar", "ins", "rover", "base", "pos", "sbet", "depth")
+    if not listed.get("time_lapse") or any(listed.get(stream) for stream in moved):
+        return []
+    parts = (
+        ("time_lapse", "images", "a folder, or files"),
+        ("control_points", "control_points", "surveyed points; role check: judges, takes no part"),
+        ("image_marks", "marks", "where they are in the photographs"),
+        ("camera_positions", "positions", "where the camera was; beside control points or instead"),
+        ("finished_orientations", "orientations", "orientations from another program, instead of our own"),
+        ("interior", "interior", "interior orientation; without: estimated"),
+        ("masks", "masks", "what is not to be used"),
+    )
+    return [*frame, "  time_lapse:  # photographs without a boat: docs/images.md", *_nested(listed, parts)]
+
+
+def _nested(listed: Mapping[str, Sequence[str]], parts: Sequence[tuple[str, str, str]]) -> list[str]:
+    """Lines of a part of ``logs``: stream, key and meaning of each."""
+    lines = [line for stream, key, meaning in parts for line in _list(key, listed.get(stream, []), meaning)]
+    return [f"  {line}" for line in lines]
 
 
 def _photographs(listed: Mapping[str, Sequence[str]]) -> list[str]:

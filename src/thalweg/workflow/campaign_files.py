@@ -91,6 +91,10 @@ class CampaignFiles:
         """Only the mounts of those sensors."""
         return {sensor: self.plain["mounts"][sensor] for sensor in sensors}
 
+    def lidar_options(self) -> dict[str, Any]:
+        """How the lidar is decoded; its stated time is known to the job that makes its clock."""
+        return {key: value for key, value in self.plain["lidar"].items() if key != "clock"}
+
     def georeferencing(self) -> dict[str, Any]:
         """The section `georeferencing` without the wish for a map.
 
@@ -139,6 +143,10 @@ class CampaignFiles:
             known = self.twin_logs(self.campaign)
             return [self._result(f"simulation/logs/{log}") for log in known.get(stream, ())]
         return [str(path) for path in self.campaign.log_files(stream)]
+
+    def boat_trajectory(self) -> list[str]:
+        """The trajectory of the boat, where there is one."""
+        return self._where(self._is_survey(), "orientation/trajectory.parquet")
 
     def has_reference(self) -> bool:
         """True if there are reference clouds, and a cloud to compare with them."""
@@ -384,8 +392,8 @@ class CampaignFiles:
     # ------------------------------------------------------------ images of the bank
 
     def has_time_lapse(self) -> bool:
-        """True if a survey has images of the bank, whose cameras may have folders of their own."""
-        return bool(self.logs("time_lapse")) and not self.campaign.is_calibration
+        """True if a survey by boat has images of the bank, whose cameras may have folders of their own."""
+        return bool(self.logs("time_lapse")) and self._is_survey()
 
     def stamped_images(self) -> list[str]:
         """The images of the boat's camera in motion, on the river or about the cones."""
@@ -426,6 +434,10 @@ class CampaignFiles:
     def has_finished_orientations(self) -> bool:
         """True if another program has oriented the images of a survey."""
         return bool(self.logs("finished_orientations"))
+
+    def orients_alone(self) -> bool:
+        """True if photographs without a boat are oriented here."""
+        return self.campaign.kind == "photographs" and not self.has_finished_orientations()
 
     def orients_images(self) -> bool:
         """True if the images of a survey are oriented here."""
@@ -624,7 +636,7 @@ class CampaignFiles:
 
     def _is_survey(self) -> bool:
         """True if a boat surveyed a river."""
-        return not (self.campaign.is_basin or self.campaign.is_change or self.campaign.is_calibration)
+        return self.campaign.kind == "survey"
 
     def has_colour_images(self) -> bool:
         """True if one camera of known interior orientation took photographs of the bank that a lidar scanned.
@@ -906,12 +918,21 @@ class CampaignFiles:
 
     def _made(self) -> list[str]:
         """What `all` builds but pictures and the front page."""
-        if self.campaign.is_basin:
-            return self._basin_outputs()
-        if self.campaign.is_change:
-            return self._change_outputs()
-        if self.campaign.is_calibration:
-            return self._calibration_outputs()
+        match self.campaign.kind:
+            case "basin":
+                return self._basin_outputs()
+            case "change":
+                return self._change_outputs()
+            case "calibration":
+                return self._calibration_outputs()
+            case "photographs" if self.has_finished_orientations():
+                return self._where(True, "photographs/finished.csv", "photographs/finished.html")
+            case "photographs":
+                return self._where(True, "photographs/image_poses.csv", "photographs/index.html")
+            case "fixed_camera":
+                return self._where(True, "orientation/fixed_camera.csv", "orientation/fixed_camera.html")
+            case "cloud":
+                return self._where(True, "accuracy/cloud_to_surface.laz", "accuracy/cloud.html")
         lidar = self.has_lidar()
         tables = ("orientation/trajectory.parquet", "timing/streams.csv", "timing/time_report.csv")
         outputs = self._where(True, *tables, "summary.csv")
@@ -935,9 +956,10 @@ class CampaignFiles:
         return outputs
 
     def products(self) -> list[Product]:
-        """What a survey of a river gives from its logs, and what one more log would add."""
-        if not self._is_survey():
-            return []
+        """What a campaign gives from its logs, and what one more log would add."""
+        alone = self._products_alone()
+        if alone or not self._is_survey():
+            return alone
         chains = self.has_time_lapse() and self.has_lidar()
         rows = (
             ("trajectory of the boat", self.trajectory("ins"), True, ""),
@@ -992,6 +1014,48 @@ class CampaignFiles:
         )
         return [Product(*row) for row in rows]
 
+    def _products_alone(self) -> list[Product]:
+        """The same of photographs, of a camera that stays and of a finished cloud, recorded by no boat."""
+        kind, own = self.campaign.kind, self.orients_alone()
+        checked = bool(self.logs("control_points") and self.logs("image_marks"))
+        boat = "the logs of a boat: logs.lidar with logs.ins, or logs.depth"
+        rows: dict[str, tuple[tuple[str, str, bool, str], ...]] = {
+            "photographs": (
+                (
+                    "poses of the photographs",
+                    f"photographs/{'image_poses' if own else 'finished'}.csv",
+                    True,
+                    "",
+                ),
+                (
+                    "sparse cloud of tie points",
+                    "photographs/points.laz",
+                    own,
+                    "photographs without logs.time_lapse.orientations, which are oriented here",
+                ),
+                ("lens", f"photographs/{'camera' if own else 'finished_camera'}.yaml", True, ""),
+                (
+                    "control and check points",
+                    f"photographs/{'control_points' if own else 'finished_points'}.csv",
+                    checked,
+                    "logs.time_lapse.control_points and logs.time_lapse.marks",
+                ),
+                ("point cloud of the banks, riverbed", "index.html", False, boat),
+            ),
+            "fixed_camera": (
+                ("pose of the camera in each picture", "orientation/fixed_camera.csv", True, ""),
+                ("residuals of the marks", "orientation/fixed_camera_residuals.csv", True, ""),
+            ),
+            "cloud": (
+                ("distances from the reference, as cloud", "accuracy/cloud_to_surface.laz", True, ""),
+                ("statistics and registration", "accuracy/cloud.json", True, ""),
+                ("standard deviations of the points, and whether they hold", "index.html", False, boat),
+            ),
+        }
+        return [
+            Product(name, self._result(file), made, needs) for name, file, made, needs in rows.get(kind, ())
+        ]
+
     def plain_products(self) -> list[dict[str, Any]]:
         """The same as plain values."""
         return [asdict(product) for product in self.products()]
@@ -1011,11 +1075,15 @@ class CampaignFiles:
     def target(self, name: str) -> list[str]:
         """What the target ``ingest``, ``lidar``, ``images`` or ``accuracy`` builds."""
         match name:
+            case "ingest" if self.campaign.kind in ("photographs", "fixed_camera", "cloud"):
+                return []
             case "ingest":
                 moved = (self.position_logs() or self.ins_logs()) and not self.campaign.is_basin
                 reports = self.reports() if moved else []
                 reports += self._where(self.has_reference(), "ingest/reference.integrity.json")
                 return reports + self._where(self.stamped_images(), "ingest/camera.integrity.json")
+            case "images" if self.campaign.kind in ("photographs", "fixed_camera"):
+                return self._made()
             case "images" if self.has_time_lapse():
                 timed = self._where(True, "orientation/image_poses_timed.parquet")
                 return [self.oriented_images(), *timed, *self.trajectories()[1:]]

@@ -14,7 +14,9 @@ from thalweg.settings import Campaign
 from thalweg.workflow.campaign_files import CampaignFiles
 from thalweg.workflow.codehash import SOURCE
 
-Kind = Literal["survey", "calibration", "basin", "scan", "change", "study"]
+Kind = Literal[
+    "survey", "photographs", "fixed_camera", "cloud", "calibration", "basin", "scan", "change", "study"
+]
 
 _CALL = re.compile(r"=?(\w+)(?:\(([\w./{}]*)\))?")
 """A method of `CampaignFiles`, perhaps with an argument."""
@@ -108,13 +110,8 @@ def _ask(text: str, campaign: CampaignFiles, *scan: str) -> Any:
 
 def _kind(campaign: CampaignFiles) -> Kind | None:
     """Which pictures a campaign has; none for a calibration by boards alone."""
-    if campaign.campaign.is_basin:
-        return "basin"
-    if campaign.campaign.is_change:
-        return "change"
-    if campaign.campaign.is_calibration:
-        return "calibration" if campaign.logs("field") else None
-    return "survey"
+    kind = campaign.campaign.kind
+    return None if kind == "calibration" and not campaign.logs("field") else kind
 
 
 @dataclass(frozen=True)

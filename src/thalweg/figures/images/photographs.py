@@ -1,5 +1,6 @@
 """Photographs of the bank: positions with control points, masks."""
 
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -12,6 +13,7 @@ from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
+from thalweg.accuracy import verdict_of
 from thalweg.core import (
     AnyArray,
     ArrayB,
@@ -34,6 +36,7 @@ from thalweg.figures import (
     SKY,
     VERMILION,
     WIDTH_MM,
+    Finding,
     Page,
     count,
     legend_below,
@@ -47,8 +50,7 @@ from thalweg.figures import (
 from thalweg.figures.accuracy import round_above
 from thalweg.figures.calibration import checked, filled
 from thalweg.figures.survey import map_extent, plain_numbers, sigma_norm
-from thalweg.images import PhotographBlock, read_control_points
-from thalweg.images.bundle import pieces_tables
+from thalweg.images import read_all_control_points
 from thalweg.images.model import ControlPoints, ImagePoses
 from thalweg.ingest.photos import Images, named_images
 
@@ -420,21 +422,23 @@ def draw_image_positions(
     poses: Path,
     control_points: list[Path],
     report: Path,
-    trajectory: Path,
+    trajectory: list[Path],
     crs: str,
     sigma_m: list[float],
     title: str,
     twin: bool,
 ) -> Figure:
-    """Image poses, control points and their report -> map of both with residual vectors."""
-    images, points = ImagePoses.read(poses), ControlPoints.none()
-    if control_points:
-        points = read_control_points(control_points[0], images.frame, crs=crs, sigma_m=sigma_m)
+    """Image poses, control points and their report -> map of both with residual vectors.
+
+    ``trajectory``: none, or the boat's.
+    """
+    images = ImagePoses.read(poses)
+    points = read_all_control_points(control_points, images.frame, crs=crs, sigma_m=sigma_m)
     return image_positions(
         images,
         points,
         pd.read_csv(report, dtype={"point": str}),
-        trajectory=Trajectory.read(trajectory),
+        trajectory=Trajectory.read(trajectory[0]) if trajectory else None,
         title=f"Images and control points: {title}",
         twin=twin,
     )
@@ -593,50 +597,75 @@ def draw_mask_view(*, images: list[Path], masks: Path, table: Path, title: str, 
 # ---------------------------------------------------------------- page of photographs oriented without a boat
 
 
-def orientation_page(block: PhotographBlock, *, title: str) -> Page:
-    """The page of photographs that were oriented by control points.
+def orientation_page(
+    facts: Mapping[str, Any],
+    images: pd.DataFrame,
+    control: pd.DataFrame,
+    pictures: Mapping[str, Path | Figure],
+    *,
+    captions: Mapping[str, str],
+    title: str,
+) -> Page:
+    """The page of photographs that were oriented by control points or positions.
 
     Parameters
     ----------
-    block : of `thalweg.images.orient_photographs`.
+    facts, images, control : of ``orientation.json``, ``images.csv``, ``control_points.csv`` that
+        `thalweg.images.PhotographBlock.write` writes.
+    pictures : by name.
+    captions : of them.
     title : heading.
     """
-    found = block.found
-    facts, check = found.facts, found.facts["check_points"]
+    check = facts["check_points"]
     sigma = " / ".join(f"{v:.1f}" for v in facts["sigma_position_mm"].values())
-    lead = (
-        f"{facts['images']} of {plural(len(found.poses.images), 'photograph')} have a pose, with standard "
-        f"deviations of {sigma} mm (x / y / z, median). {count(facts['tie_points'])} tie points, "
-        f"{plural(facts['control_points'], 'control point')}, sigma0 {facts['sigma0']:.2f}. "
-    )
+    n = len(images)
+    findings = [
+        Finding(
+            "photographs with a pose",
+            f"{facts['images']} of {n}",
+            "" if facts["images"] == n else "see why below",
+        ),
+        Finding("standard deviation of their places, x / y / z, median", f"{sigma} mm"),
+        Finding(
+            "sigma0 of the adjustment", f"{facts['sigma0']:.2f}, redundancy {count(facts['redundancy'])}"
+        ),
+        Finding(
+            "tie points", f"{count(facts['tie_points'])}, each in {facts['marks_a_point']:.1f} photographs"
+        ),
+    ]
     if check:
         rmse, predicted = (
             " / ".join(f"{v:.1f}" for v in check[k].values()) for k in ("rmse_mm", "predicted_mm")
         )
-        lead += f"{plural(check['points'], 'check point')}: RMSE {rmse} mm, predicted {predicted} mm."
+        findings.append(
+            Finding(
+                f"RMSE of {plural(check['points'], 'check point')}, x / y / z",
+                f"{rmse} mm, predicted {predicted} mm; worth {check['independent']:.0f} independent values",
+                verdict_of(check["normalised"], check["independent"]),
+            )
+        )
+        lead = f"Check points say of the standard deviations: {findings[-1].verdict}."
     else:
-        lead += "No check point judges this; give some of the points the role check."
-    images, control = pieces_tables(found)
-    page = Page(title, lead).section("Places")
-    page.figure(
-        image_positions(found.poses, block.control, control, title=title),
-        "Projection centres, control and check points with residual vectors: adjusted minus surveyed, as if "
-        "the point's own coordinates had taken no part.",
-    )
+        findings.append(Finding("check points", "none", "cannot tell"))
+        lead = "No check point judges the standard deviations; give some of the points the role check."
+    page = Page(title, lead, findings).section("Places")
+    for name, picture in pictures.items():
+        page.figure(picture, captions[name])
     off = [f"{s}without_{a}_mm" for a in ("east", "north", "up") for s in ("", "sigma_")]
-    shown = control[["point", "role", "images", "rms_px", *off, "normalised", "suspect", "reason"]]
     names = {
         f"{s}without_{a}_mm": f"{s}{b}"
         for a, b in zip(("east", "north", "up"), "xyz", strict=True)
         for s in ("", "sigma_")
     }
-    page.section("Control and check points").table(
-        shown.rename(columns=names),
-        "Adjusted minus surveyed, without the point's own coordinates; normalised: its square over the "
-        "predicted one.",
-        dict.fromkeys(names.values(), "mm"),
-        digits=3,
-    )
+    if len(control):
+        shown = control[["point", "role", "images", "rms_px", *off, "normalised", "suspect", "reason"]]
+        page.section("Control and check points").table(
+            shown.rename(columns=names),
+            "Adjusted minus surveyed, without the point's own coordinates; normalised: its square over the "
+            "predicted one.",
+            dict.fromkeys(names.values(), "mm"),
+            digits=3,
+        )
     page.section("Lens")
     for name, parameters in facts["cameras"].items():
         lens = pd.DataFrame(
@@ -649,3 +678,102 @@ def orientation_page(block: PhotographBlock, *, title: str) -> Page:
     )
     page.section("Notes").lines(list(facts["notes"]) or ["none"])
     return page
+
+
+def finished_page(
+    facts: Mapping[str, Any],
+    poses: pd.DataFrame,
+    control: pd.DataFrame,
+    pictures: Mapping[str, Path | Figure],
+    *,
+    captions: Mapping[str, str],
+    title: str,
+) -> Page:
+    """The page of photographs without a boat that another program has oriented.
+
+    Parameters
+    ----------
+    facts, poses, control : of ``finished.json``, ``finished.csv``, ``finished_points.csv``, see
+        `thalweg.images.place_files`.
+    pictures, captions : by name.
+    title : heading.
+    """
+    check, sources = facts["check_points"], facts["files"]
+    sigma = " / ".join(f"{v:.1f}" for v in facts["sigma_position_mm"].values())
+    stated = (
+        "" if not any(facts["sigmas_from_settings"].values()) else "some from images.finished, not the file"
+    )
+    findings = [
+        Finding("photographs with a pose", f"{facts['oriented']} of {facts['images']}"),
+        Finding("oriented by", ", ".join(sorted({each["program"] for each in sources}))),
+        Finding("standard deviation of their places, x / y / z, median", f"{sigma} mm", stated),
+    ]
+    lead = "No check point judges the poses; give control points and their marks."
+    if check:
+        rmse, predicted = (
+            " / ".join(f"{v:.1f}" for v in check[k].values()) for k in ("rmse_mm", "predicted_mm")
+        )
+        told = verdict_of(check["normalised"], check["independent"])
+        points = plural(check["points"], "check point")
+        findings.append(Finding(f"RMSE of {points}, x / y / z", f"{rmse} mm, predicted {predicted} mm", told))
+        lead = f"Surveyed points say of the standard deviations: {told}."
+    page = Page(title, lead, findings).section("Places")
+    for name, picture in pictures.items():
+        page.figure(picture, captions[name])
+    if len(control):
+        off = {f"{s}without_{a}_mm": f"{s}{a}" for a in ("east", "north", "up") for s in ("", "sigma_")}
+        shown = control[["point", "role", "images", "rms_px", *off, "normalised", "suspect", "reason"]]
+        page.section("Surveyed points").table(
+            shown.rename(columns=off),
+            "Intersected minus surveyed; normalised: its square over the predicted one. Poses of different "
+            "photographs count as independent.",
+            dict.fromkeys(off.values(), "mm"),
+            digits=3,
+        )
+    page.section("Photographs").table(poses.drop(columns=[f"q{a}" for a in "xyzw"]), "Poses.", digits=9)
+    page.section("Notes").lines(list(facts["notes"]) or ["none"])
+    return page
+
+
+def write_finished_page(
+    *,
+    facts: Path,
+    poses: Path,
+    control: Path,
+    pictures: list[Path],
+    captions: dict[str, str],
+    title: str,
+    twin: bool,
+    page: Path,
+) -> None:
+    """The same from files; a digital twin has no photographs without a boat."""
+    finished_page(
+        json.loads(facts.read_text()),
+        pd.read_csv(poses),
+        pd.read_csv(control, dtype={"point": str}),
+        {path.stem: path for path in pictures},
+        captions=captions,
+        title=title,
+    ).write(page)
+
+
+def write_orientation_page(
+    *,
+    facts: Path,
+    images: Path,
+    control: Path,
+    pictures: list[Path],
+    captions: dict[str, str],
+    title: str,
+    twin: bool,
+    page: Path,
+) -> None:
+    """The same from files; a digital twin has no photographs without a boat."""
+    orientation_page(
+        json.loads(facts.read_text()),
+        pd.read_csv(images),
+        pd.read_csv(control, dtype={"point": str}),
+        {path.stem: path for path in pictures},
+        captions=captions,
+        title=title,
+    ).write(page)

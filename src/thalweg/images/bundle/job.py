@@ -19,6 +19,7 @@ from thalweg.core import (
     ArrayU8,
     Camera,
     GeometryError,
+    InputError,
     LocalFrame,
     Rigid,
     ThalwegError,
@@ -28,6 +29,7 @@ from thalweg.core import (
 from thalweg.core.calibration import Source, write_calibration
 from thalweg.images import (
     COLUMNS,
+    CameraPositions,
     Loader,
     Measured,
     matched_marks,
@@ -47,7 +49,15 @@ from thalweg.images.bundle.adjustment import (
 from thalweg.images.bundle.checks import LEAST, Interiors, points_lie
 from thalweg.images.bundle.problem import Antenna, antenna_at_images, antenna_lever_ccs
 from thalweg.images.bundle.run import Oriented, orient_block, world_block
-from thalweg.images.model import ControlMarks, ControlPoints, ImageBlock, ImagePoses, below, find_mask
+from thalweg.images.model import (
+    ControlMarks,
+    ControlPoints,
+    ImageBlock,
+    ImagePoses,
+    below,
+    find_mask,
+    matched,
+)
 from thalweg.ingest.photos import by_any_name, named_images
 from thalweg.settings.sections import BlockAdjustment, ControlSettings
 
@@ -96,6 +106,7 @@ def adjust_campaign(
     boat: Boat | None,
     reasons: Mapping[str, str],
     elsewhere: frozenset[str] = frozenset(),
+    centres: CameraPositions | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> tuple[Oriented, ImagePoses, dict[str, Any]]:
     """Adjust the images of a campaign.
@@ -105,6 +116,7 @@ def adjust_campaign(
     adjustment, control : sections ``images.adjustment`` and ``images.control``.
     reasons : why an image is not in the block, by name.
     elsewhere : images of other pieces of the block, whose marks are not lost.
+    centres : measured positions of the cameras themselves, in place of ``boat``.
 
     Returns
     -------
@@ -153,6 +165,8 @@ def adjust_campaign(
             shift=options.shift,
             drift=options.drift,
         )
+    if centres is not None:
+        antenna, seen = _measured_centres(block, centres, predictions.images)
     oriented = orient_block(
         block,
         points,
@@ -177,6 +191,38 @@ def adjust_campaign(
         {"source": "block adjustment", "sigma0": facts["sigma0"], "redundancy": facts["redundancy"]},
     )
     return oriented, poses, facts
+
+
+def _measured_centres(
+    block: ImageBlock, centres: CameraPositions, names: Sequence[str]
+) -> tuple[Antenna, dict[str, Any]]:
+    """Measured projection centres as observations of a block, and how many there are.
+
+    Raises
+    ------
+    InputError : positions of images that are none of the survey.
+    """
+    at = matched(centres.images, names, "positions of the camera")
+    strange = [name for name, k in zip(centres.images, at.tolist(), strict=True) if k < 0]
+    if strange:
+        raise InputError(
+            f"positions of {strange[0]} and {len(strange) - 1} more images that do not occur"
+            if len(strange) > 1
+            else f"a position of {strange[0]}, which does not occur",
+            expected=f"images such as {', '.join(names[:3])}",
+            cure="Check the names in the table; they are those of the files",
+        )
+    of_name = {names[k]: row for row, k in enumerate(at.tolist())}
+    image = np.array([k for k, name in enumerate(block.images) if name in of_name], np.int64)
+    row = [of_name[block.images[k]] for k in image]
+    antenna = Antenna(
+        image=image,
+        t_s=np.arange(len(image), dtype=np.float64),
+        position_wcs_m=centres.centre_wcs_m[row].reshape(-1, 3),
+        sigma_m=centres.sigma_m[row].reshape(-1, 3),
+        lever_ccs_m=np.zeros(3),
+    )
+    return antenna, {"source": "positions of the camera", "used": len(image), "given": len(centres.images)}
 
 
 # ---------------------------------------------------------------- components: each is adjusted by itself
@@ -472,11 +518,29 @@ def check_statistics(
     predicted = np.sqrt(np.diagonal(result.cov_m2[check], axis1=1, axis2=2).mean(axis=0))
     return {
         "points": int(check.sum()),
+        "independent": _independent(adjusted, result, np.flatnonzero(check)),
         "rmse_mm": dict(zip(_AXES, (1e3 * rmse).tolist(), strict=True)),
         "predicted_mm": dict(zip(_AXES, (1e3 * predicted).tolist(), strict=True)),
         "ratio": float(np.linalg.norm(rmse) / np.linalg.norm(predicted)),
         "normalised": float(result.test[check].mean() / 3),
     }
+
+
+def _independent(adjusted: AdjustedBlock, result: ControlResult, rows: ArrayI) -> float:
+    """So many independent coordinates the check points are worth: they err alike where the datum is weak.
+
+    The mean of the squares ``d^T S_k^-1 d / 3`` of all points has the variance ``2 tr((D C)^2) / (3 n)^2``
+    with the joint covariance C of the differences and D of the blocks ``S_k^-1``; as many independent ones,
+    ``(3 n)^2 / tr((D C)^2)``, would have the same.
+    """
+    unknowns = np.concatenate([np.arange(s.start, s.stop) for s in map(adjusted.layout.point, rows)])
+    joint = np.array(adjusted.cov[np.ix_(unknowns, unknowns)])
+    D = np.zeros_like(joint)
+    for i, k in enumerate(rows):
+        part = slice(3 * i, 3 * i + 3)
+        joint[part, part] = result.cov_m2[k]
+        D[part, part] = np.linalg.inv(result.cov_m2[k])
+    return float(len(joint) ** 2 / np.trace(D @ joint @ D @ joint))
 
 
 def facts_of(

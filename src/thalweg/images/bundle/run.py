@@ -245,9 +245,15 @@ class Oriented:
 
 
 def world_block(
-    block: ImageBlock, control: ControlPoints, marks: ControlMarks, predictions: ImagePoses | None
+    block: ImageBlock,
+    control: ControlPoints,
+    marks: ControlMarks,
+    predictions: ImagePoses | None,
+    antenna: Antenna | None = None,
 ) -> tuple[ImageBlock, Similarity, str]:
     """The block moved into the world: by control points where three are measured, else by predicted poses.
+
+    Where there are neither, measured positions of the cameras do it.
 
     Returns
     -------
@@ -295,6 +301,9 @@ def world_block(
             raise GeometryError(
                 f"{error.found}; {other[0]} would fit", expected=error.expected, cure=other[1]
             ) from error
+    if n < LEAST and antenna is not None and len(antenna.image) >= LEAST:
+        start = start_from_positions(block, antenna.image, antenna.position_wcs_m)
+        return _checked(block, start, expected), start, "camera positions"
     if n < LEAST:
         raise GeometryError(
             f"{int((counts >= 2).sum())} control points measured in two images or more, and approximate "
@@ -342,7 +351,7 @@ def orient_block(
     GeometryError : too few images, no datum, or one that does not fix all.
     UnobservableError : unknowns that nothing determines.
     """
-    moved, start, source = world_block(block, control, marks, predictions)
+    moved, start, source = world_block(block, control, marks, predictions, antenna)
     notes = list(start.notes)
     given = control
     control, marks, left_out = _usable(control, marks, start if source == "control points" else None)

@@ -37,4 +37,4 @@ from .files import (
     with_problem as with_problem,
     without_doubles as without_doubles,
 )
-from .poses import ImagePoses as ImagePoses
+from .poses import ImagePoses as ImagePoses, unknown_poses as unknown_poses

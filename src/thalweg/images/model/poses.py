@@ -183,3 +183,22 @@ class ImagePoses:
             rms_px=table["rms_px"].to_numpy(),
             facts=meta,
         )
+
+
+def unknown_poses(frame: LocalFrame, names: tuple[str, ...]) -> ImagePoses:
+    """Names of images of which nothing is known beforehand."""
+    n = len(names)
+    return ImagePoses(
+        frame=frame,
+        images=names,
+        t_gps_s=np.full(n, np.nan),
+        sigma_t_s=np.full(n, np.nan),
+        oriented=np.zeros(n, np.bool_),
+        reasons=("",) * n,
+        centre_wcs_m=np.full((n, 3), np.nan),
+        R_wcs_ccs=np.full((n, 3, 3), np.nan),
+        cov_pose_wcs=np.full((n, 6, 6), np.nan),
+        cov_next=np.full((n, 6, 6), np.nan),
+        n_marks=np.full(n, np.nan),
+        rms_px=np.full(n, np.nan),
+    )

@@ -9,6 +9,7 @@ from .formats import (
     KINDS as KINDS,
     KINDS_OF_STREAM as KINDS_OF_STREAM,
     LIDAR_KINDS as LIDAR_KINDS,
+    LOOSE_KINDS as LOOSE_KINDS,
     describe as describe,
     load_recording as load_recording,
     recognise as recognise,

@@ -21,7 +21,14 @@ def _describe(kind: str, files: list[Path], options: dict[str, Any], points: boo
 
 
 CLOUDS: Final = tuple(
-    Format(kind=kind, words=words, streams=("reference",), magic=(magic,), cloud=_cloud, describe=_describe)
+    Format(
+        kind=kind,
+        words=words,
+        streams=("reference", "cloud"),
+        magic=(magic,),
+        cloud=_cloud,
+        describe=_describe,
+    )
     for kind, words, magic in (
         ("las", "LAS/LAZ cloud", b"LASF"),
         ("ply", "PLY cloud or mesh", b"ply"),

@@ -34,6 +34,7 @@ KINDS_OF_STREAM: Final[Mapping[str, tuple[str, ...]]] = {
         for stream in sorted({stream for each in _INSTRUMENTS for stream in each.streams})
     },
     "smrmsg": (),  # has no mark of its own
+    "cloud": (*(each.kind for each in CLOUDS), "xyz", "pcd"),
 }
 """Kinds of content that fit a stream of ``logs``, empty where it cannot be told; tables that people write,
 and pictures, are not judged.
@@ -41,6 +42,13 @@ and pictures, are not judged.
 
 ALSO_MARKS: Final = frozenset({"gcp_list", "metashape_markers"})
 """Kinds of files that hold control points and where they are in the images."""
+
+LOOSE_KINDS: Final[Mapping[str, str]] = {
+    **dict.fromkeys(("colmap", "opencv", "metashape_lens"), "interior"),
+    **dict.fromkeys(("xyz", "pcd"), "cloud"),
+    "image_points": "fixed_marks",
+}
+"""Kinds that are of use beside certain others only, such as a lens beside photographs, and their streams."""
 
 _BINARY: Final = re.compile(rb"[^\t\n\r\x20-\xff]")
 _WRAPPED: Final = (

@@ -39,6 +39,7 @@ _TABLES: Final = (
         "finished_orientations",
         "logs.time_lapse.orientations",
     ),
+    ("camera_positions", "table of positions of the camera", "camera_positions", "logs.time_lapse.positions"),
     ("marks", "table of control points in images", "image_marks", "logs.time_lapse.marks"),
     ("image_times", "table of times of images", "time_lapse_times", "logs.time_lapse.times"),
     ("control_points", "table of control points", "control_points", "logs.time_lapse.control_points"),
@@ -143,6 +144,8 @@ def _image_kind(head: bytes) -> str | None:
             return "marks"
         if names & _IMAGE and names & _TIMES:
             return "image_times"
+        if names & _IMAGE and any(place <= names for place in _PLACES):
+            return "camera_positions"
         if names & _POINT and any(place <= names for place in _PLACES):
             return "control_points"
         if not line.startswith(b"#"):

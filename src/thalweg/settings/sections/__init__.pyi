@@ -1,5 +1,6 @@
 from .accuracy import Accuracy as Accuracy, Area as Area, ReferenceSettings as ReferenceSettings
 from .base import (
+    LOCAL as LOCAL,
     Angle as Angle,
     Count as Count,
     Finite as Finite,
@@ -44,6 +45,8 @@ from .images import (
     CameraCloud as CameraCloud,
     ControlSettings as ControlSettings,
     FeatureSettings as FeatureSettings,
+    FinishedOrientations as FinishedOrientations,
+    FixedCamera as FixedCamera,
     Images as Images,
     MappingSettings as MappingSettings,
     MaskSettings as MaskSettings,
@@ -57,6 +60,7 @@ from .lidar import (
     Georeferencing as Georeferencing,
     Lidar as Lidar,
     LidarAccuracy as LidarAccuracy,
+    LidarClockStated as LidarClockStated,
 )
 from .light_sheet import (
     SCAN_PARTS as SCAN_PARTS,
@@ -71,6 +75,7 @@ from .light_sheet import (
 from .logs import (
     STREAM_KEYS as STREAM_KEYS,
     CalibrationLogs as CalibrationLogs,
+    FixedCameraLogs as FixedCameraLogs,
     GnssLogs as GnssLogs,
     LightSheetLogs as LightSheetLogs,
     Logs as Logs,

@@ -4,7 +4,7 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
-from thalweg.settings.sections.base import Finite, NonNegative, Positive, Section
+from thalweg.settings.sections.base import Finite, NonNegative, Positive, Section, Vector3
 
 EDGES_PER_CELL: Final = 1.5
 """Points of cells side by side are a cell apart, and across the corner 1.4 times that."""
@@ -72,6 +72,11 @@ class ReferenceSettings(Section):
         description="Points that stand farther than this in front of the lower envelope of the cloud are "
         "vegetation or loose objects and left out, metres along the bank's normal; null: off, and spikes of "
         "single cells stay as well",
+    )
+    seen_from_m: Vector3 | None = Field(
+        default=None,
+        description="Place in front of the reference, in its coordinates, metres: there distances are "
+        "positive. For logs.cloud; null: from above. A boat is in front by itself",
     )
     poisson_depth: int | None = Field(
         default=None,

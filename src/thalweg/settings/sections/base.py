@@ -1,6 +1,6 @@
 """The base of all sections of a campaign file, and the kinds of values that they share."""
 
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Final, Self
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -16,6 +16,9 @@ class Section(BaseModel):
 
 
 # ---------------------------------------------------------------- values
+
+LOCAL: Final = "local"
+"""In place of a CRS: coordinates x, y, z of a frame of the surveyor's own, in metres and right-handed."""
 
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]

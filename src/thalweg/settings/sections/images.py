@@ -474,6 +474,16 @@ class StatedClock(Section):
     )
 
 
+class FixedCamera(Section):
+    """A camera that stays: a pose from control points in each picture."""
+
+    largest_sigma_m: Positive = Field(
+        default=5.0,
+        le=1000,
+        description="Pictures whose projection centre is known worse than this are refused, metres",
+    )
+
+
 class Images(Section):
     """Orientation of photographs: stamps, masks, features, block, control points."""
 
@@ -500,3 +510,4 @@ class Images(Section):
     finished: FinishedOrientations = Field(
         default=FinishedOrientations(), description="Orientations from other programs"
     )
+    fixed_camera: FixedCamera = Field(default=FixedCamera(), description="A camera that stays")

@@ -5,9 +5,10 @@ T 2.1) with antenna mast and echo sounder when the INS sits amidships, and the w
 beams that fall steeply.
 """
 
+from datetime import datetime
 from typing import TYPE_CHECKING, Annotated, Final, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from thalweg.settings.sections.base import Finite, NonNegative, Positive, Section, Vector3
 
@@ -19,6 +20,35 @@ if TYPE_CHECKING:
 
 
 Port = Annotated[int, Field(ge=1, le=65535)]
+
+
+class LidarClockStated(Section):
+    """Time of a lidar that had no GPS, or whose stamps are known to be off.
+
+    How well it is known belongs into `lidar_accuracy.sigma_time_s`.
+    """
+
+    first_packet_utc: str | None = Field(
+        default=None,
+        description="UTC of the first packet, ISO 8601 such as 2026-05-12T09:30:00.25Z, of a lidar without "
+        "PPS and NMEA; stretches with GPS time keep their own",
+    )
+    offset_s: Finite = Field(
+        default=0.0, ge=-86_400, le=86_400, description="Added to the time of every packet, seconds"
+    )
+
+    @field_validator("first_packet_utc")
+    @classmethod
+    def _check_time(cls, text: str | None) -> str | None:
+        if text is not None and datetime.fromisoformat(text).tzinfo is None:
+            raise ValueError(f"{text!r} names no zone; add Z for UTC")
+        return text
+
+    @property
+    def first_packet_unix_s(self) -> float | None:
+        """The same as Unix time, None if it is not stated."""
+        text = self.first_packet_utc
+        return None if text is None else datetime.fromisoformat(text).timestamp()
 
 
 class Lidar(Section):
@@ -35,6 +65,7 @@ class Lidar(Section):
     )
     data_port: Port = Field(default=2368, description="UDP port of the data packets")
     position_port: Port = Field(default=8308, description="UDP port of the position packets")
+    clock: LidarClockStated = Field(default=LidarClockStated(), description="Time that a person states")
 
 
 WEAK_RANGE_M: Final = 100.0

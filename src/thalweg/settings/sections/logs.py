@@ -22,6 +22,7 @@ STREAM_KEYS = {
     "smrmsg": ("smrmsg",),
     "depth": ("depth",),
     "reference": ("reference",),
+    "cloud": ("cloud",),
     "bed": ("bed",),
     "decisions": ("decisions",),
     "centre_line": ("centre_line",),
@@ -56,6 +57,10 @@ STREAM_KEYS = {
     "rig_field": ("rig", "field"),
     "rig_field_images": ("rig", "field_images"),
     "rig_field_points": ("rig", "field_points"),
+    "camera_positions": ("time_lapse", "positions"),
+    "fixed_marks": ("fixed_camera", "marks"),
+    "fixed_points": ("fixed_camera", "control_points"),
+    "fixed_interior": ("fixed_camera", "interior"),
     "sheet_sensor": ("light_sheet", "sensor"),
     "camera_field": ("light_sheet", "camera_field"),
     "camera_field_images": ("light_sheet", "camera_field_images"),
@@ -193,6 +198,12 @@ class TimeLapseLogs(Section):
         description="The same for cameras whose images have a folder of their own: folder, as the images' "
         "names begin, and its file, such as `left: [left.yaml]`",
     )
+    positions: Files = Field(
+        default=(),
+        description="Where the camera was at each photograph, of photographs without a boat (CSV: image; "
+        "lat_deg, lon_deg, h_ell_m, or x, y, z in campaign.crs; sigmas), beside control points or in place "
+        "of them",
+    )
     orientations: Files = Field(
         default=(),
         description="Finished exterior orientations of the images instead of our own: COLMAP model, "
@@ -223,6 +234,22 @@ class RigLogs(Section):
         default=(),
         description="Coordinates of the marks of the field (CSV: mark, x_m, y_m, z_m and sigmas), as the "
         "adjustment of a calibration field writes them",
+    )
+
+
+class FixedCameraLogs(Section):
+    """Pictures of a camera that stays, such as before a glacier; paths as in `Logs`."""
+
+    marks: Files = Field(
+        default=(),
+        description="Where control points are in the pictures: one table (CSV: image, point, x_px, y_px), or "
+        "a table for each picture that is called like it (CSV: label, x, y)",
+    )
+    control_points: Files = Field(
+        default=(), description="Surveyed points, as for `time_lapse.control_points`"
+    )
+    interior: Files = Field(
+        default=(), description="Interior orientation of the camera: calibration, OpenCV or COLMAP file"
     )
 
 
@@ -302,6 +329,11 @@ class Logs(Section):
         description="UTC date `YYYY-MM-DD` of the first sounding, for NMEA logs without date",
     )
     reference: Files = Field(default=(), description="Reference clouds: LAS, LAZ, PLY, E57")
+    cloud: Files = Field(
+        default=(),
+        description="A finished cloud that is compared with `reference`, without other logs: LAS, LAZ, PLY, "
+        "E57, PCD, text of x y z",
+    )
     bed: Files = Field(
         default=(),
         description="Surveyed points of the river bed, for the place of the echo sounder: CSV with east_m, "
@@ -339,6 +371,9 @@ class Logs(Section):
     time_lapse: TimeLapseLogs = Field(
         default=TimeLapseLogs(), description="Images of the bank, and control points"
     )
+    fixed_camera: FixedCameraLogs = Field(
+        default=FixedCameraLogs(), description="Pictures of a camera that stays, without other logs"
+    )
     calibration: CalibrationLogs = Field(
         default=CalibrationLogs(), description="Recordings of a calibration field"
     )
@@ -346,6 +381,17 @@ class Logs(Section):
     light_sheet: LightSheetLogs = Field(
         default=LightSheetLogs(), description="Recordings of the underwater light-sheet sensor in a basin"
     )
+
+    @property
+    def kind(self) -> Literal["boat", "photographs", "fixed_camera", "cloud"]:
+        """What was recorded: by a boat, or photographs, a camera that stays or a finished cloud alone."""
+        if any(getattr(self.fixed_camera, name) for name in FixedCameraLogs.model_fields):
+            return "fixed_camera"
+        if self.cloud:
+            return "cloud"
+        moved = (self.lidar, self.ins, self.gnss.rover, self.positions, self.sbet, self.depth)
+        apart = self.light_sheet.given or self.calibration != CalibrationLogs()
+        return "photographs" if self.time_lapse.images and not any(moved) and not apart else "boat"
 
     def files(self, stream: str) -> tuple[str, ...]:
         """Paths of one stream, named as in `STREAM_KEYS`."""

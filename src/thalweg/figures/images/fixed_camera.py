@@ -1,0 +1,150 @@
+"""A camera that stays: history of its place from picture to picture, and its page."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from thalweg.accuracy import verdict_of
+from thalweg.figures import BLUE, GREEN, GREY, VERMILION, Finding, Page, count, new_figure, plural, styled
+
+_AXES: Final = (("x", BLUE, "o"), ("y", VERMILION, "s"), ("z", GREEN, "^"))
+_MOST_NAMES: Final = 24
+
+
+@styled
+def pose_history(
+    poses: pd.DataFrame, *, title: str = "Place of a fixed camera", twin: bool = False
+) -> Figure:
+    """Place in each picture less the mean, with the standard deviation by the marks; residuals below.
+
+    Parameters
+    ----------
+    poses : of `thalweg.images.resect_pictures`.
+    title : first words of the title.
+    twin : true if the digital twin made the data.
+    """
+    good = (poses["refused"].fillna("") == "").to_numpy()
+    number = np.arange(1, len(poses) + 1, dtype=np.float64)
+    head = f"{title}, n = {count(int(good.sum()))} of {plural(len(poses), 'picture')}"
+    figure = new_figure(130.0, head, twin=twin)
+    axes = np.ravel(figure.subplots(4, 1, sharex=True))
+    for ax, (axis, colour, marker) in zip(axes, _AXES, strict=False):
+        sigma = poses[f"sigma_change_{axis}_m"].to_numpy(float)[good]
+        value = poses[f"{axis}_m"].to_numpy(float)[good]
+        off = value - np.average(value, weights=sigma**-2)
+        ax.errorbar(
+            number[good], off, yerr=sigma, fmt=marker, ms=4, color=colour, capsize=2, gid=f"place-{axis}"
+        )
+        ax.axhline(0.0, color="black", lw=0.7)
+        ax.set_ylabel(f"{axis} less mean\n/ m")
+        ax.grid(axis="y")
+    axes[0].set_title("standard deviations of the marks alone: points and lens are common to all pictures")
+    axes[3].plot(
+        number[good], poses["rms_px"].to_numpy(float)[good], "o", ms=4, color="black", label="control points"
+    )
+    check = poses["check_rms_px"].to_numpy(float)
+    if np.isfinite(check).any():
+        axes[3].plot(number, check, "s", ms=4, color=GREEN, label="check points")
+        axes[3].legend()
+    axes[3].set_ylim(0, None)
+    axes[3].set_ylabel("rms of the\nmarks / px")
+    axes[3].grid(axis="y")
+    for k in number[~good]:
+        for ax in axes:
+            ax.axvline(k, color=GREY, lw=0.8, ls=":")
+    step = -(-len(poses) // _MOST_NAMES)
+    axes[3].set_xticks(
+        number[::step], poses["image"].astype(str).tolist()[::step], rotation=90 if len(poses) > 6 else 0
+    )
+    axes[3].set_xlabel("picture; dotted: refused")
+    return figure
+
+
+def draw_pose_history(*, poses: Path, title: str, twin: bool) -> Figure:
+    """Table of poses -> history of the place."""
+    return pose_history(read_poses(poses), title=f"Place of the fixed camera: {title}", twin=twin)
+
+
+def read_poses(path: Path) -> pd.DataFrame:
+    """The table of poses as it was written: names and reasons are text."""
+    return pd.read_csv(path, dtype={"image": str, "refused": str}).fillna({"refused": ""})
+
+
+def fixed_camera_page(
+    facts: Mapping[str, Any],
+    poses: pd.DataFrame,
+    pictures: Mapping[str, Path | Figure],
+    *,
+    captions: Mapping[str, str],
+    title: str,
+) -> Page:
+    """The page of a camera that stays.
+
+    Parameters
+    ----------
+    facts, poses : of `thalweg.images.resect_pictures`.
+    pictures, captions : by name.
+    title : heading.
+    """
+
+    def metres(name: str) -> str:
+        return " / ".join(f"{v:.3f}" for v in facts[name].values())
+
+    still = "cannot tell"
+    if facts["normalised"] is not None:
+        told = verdict_of(facts["normalised"], facts["degrees"])
+        still = {
+            "consistent": "the camera stood still",
+            "too optimistic": "the camera moved, or marks are worse than stated",
+            "too pessimistic": "the camera stood still; marks are better than stated",
+        }.get(told, told)
+    missing = facts["pictures"] - facts["with_pose"]
+    spread = (
+        f"{metres('spread_m')} m, predicted {metres('predicted_m')} m" if facts["spread_m"] else "one picture"
+    )
+    findings = [
+        Finding(
+            "pictures with a pose",
+            f"{facts['with_pose']} of {facts['pictures']}",
+            f"{missing} refused" if missing else "",
+        ),
+        Finding("place, mean, x / y / z", f"{metres('place_m')} m"),
+        Finding("its standard deviation, one picture", f"{metres('sigma_m')} m"),
+        Finding("spread from picture to picture", spread, still),
+        Finding("rms of the marks", f"{facts['rms_px']:.2f} px"),
+    ]
+    page = Page(title, f"From picture to picture: {still}.", findings).section("History")
+    for name, picture in pictures.items():
+        page.figure(picture, captions[name])
+    shown = poses.drop(columns=[f"q{a}" for a in "xyzw"])
+    page.section("Pictures").table(shown, "Pose of each picture, or why there is none.", digits=5)
+    if facts["strange_marks"]:
+        page.section("Notes").lines(
+            [f"{facts['strange_marks']} marks show points without coordinates: left out"]
+        )
+    return page
+
+
+def write_fixed_camera_page(
+    *,
+    facts: Path,
+    poses: Path,
+    pictures: list[Path],
+    captions: dict[str, str],
+    title: str,
+    twin: bool,
+    page: Path,
+) -> None:
+    """The same from files; no digital twin has such a camera."""
+    fixed_camera_page(
+        json.loads(facts.read_text()),
+        read_poses(poses),
+        {path.stem: path for path in pictures},
+        captions=captions,
+        title=title,
+    ).write(page)
