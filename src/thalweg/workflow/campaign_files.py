@@ -762,10 +762,6 @@ class CampaignFiles:
         found: str = self.of(epoch).mounts_of_chain(self.chain_of(epoch))
         return found
 
-    def epoch_is_twin(self, epoch: str) -> bool:
-        """True if a digital twin wrote the logs of an epoch."""
-        return self.of(epoch).is_twin()
-
     def epoch_errors(self, epoch: str) -> str:
         """What the survey of an epoch shows of the errors of its trajectory."""
         names = {"ins": "error_model", "camera": "camera_trajectory", "fused": "fused"}
