@@ -267,7 +267,7 @@ def _compare_surfaces(options: argparse.Namespace) -> int:
 
     before, after = (read_dsm(path, nodata=options.nodata) for path in (options.before, options.after))
     stated = (
-        HeightErrors.of_bands(surface, options.correlation)
+        HeightErrors.of_bands(surface, options.correlation or None)
         if sigma is None
         else HeightErrors(sigma, options.correlation)
         for surface, sigma in ((before, options.sigma_a), (after, options.sigma_b))
@@ -406,6 +406,8 @@ def summarise_changes(folder: Path) -> int:
             print(f"  {row.what:<11}{volume}, on {row.area_m2:,.0f} m2")
         states = read_parquet(found / f"changes_{pair}.parquet")["state"].value_counts()
         print("  core points: " + ", ".join(f"{n:,} {state}" for state, n in states.items()))
+        for note in json.loads((found / f"changes_{pair}.json").read_text())["notes"]:
+            print(f"  note: {note}")
         if facts["model"] != "none":
             moved = ", ".join(f"{facts['parameters'][f'{a}_m']:+.3f}" for a in ("east", "north", "up"))
             print(

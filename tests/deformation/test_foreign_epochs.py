@@ -136,7 +136,7 @@ def test_a_bed_brings_the_sigmas_of_its_kriging(tmp_path: Path) -> None:
         raised = bands | {"height_m": bands["height_m"] + lift}
         write_raster(tmp_path / f"{name}.tif", grid, raised, tags={"heights": "ellipsoidal, metres"})
     bed = {"dsm": str(tmp_path / "a.tif")}
-    assert "Write correlation_m" in told(InputError, **bed).cure
+    assert "(in a campaign correlation_m)" in told(InputError, **bed).cure
     one = prepared("first", **bed, correlation_m=4.0)
     places, normals = one.xyz_m, np.tile([0.0, 0.0, 1.0], (len(one.xyz_m), 1))
     index = ColumnIndex.of(one.xyz_m, 0.4)

@@ -572,3 +572,9 @@ def test_a_page_of_many_epochs_names_those_that_jump(bank):
     assert "Look at epoch 2 (autumn)" in text
     assert "to 1.3 cm (root mean square of n = 190" in text
     assert "−0.31" in text or "-0.31" in text
+
+
+def test_the_limits_of_epochs_of_files_stand_on_the_page(facts):
+    assert "have no trajectory" not in limits([facts])
+    unseen = facts.visibility.assign(seen_2=False, reason_2="no trajectory")
+    assert "nobody knows whether there was nothing" in limits([replace(facts, visibility=unseen)])

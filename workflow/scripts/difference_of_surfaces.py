@@ -1,5 +1,6 @@
 """Two registered epochs, or two surface models -> differences of heights with sigmas, and volumes."""
 
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from thalweg.deformation import (
 from thalweg.settings.sections import Deformation, Epoch
 from thalweg.surface import Area
 from thalweg.workflow import run_job
+
+log = logging.getLogger("thalweg")
 
 
 def main(
@@ -45,6 +48,8 @@ def main(
             frame=frame,
             crs=campaign["crs"],
         )
+    for note in found.notes:
+        log.info("%s", note)
     write_difference(difference, found)
     write_difference(volumes, found)
 

@@ -51,7 +51,7 @@ def difference_of_models(
         each if each.frame is not None else replace(each, frame=CRS.from_user_input(crs)) for each in models
     ]
     errors = [
-        HeightErrors.of_bands(model, stated.correlation_m or 0.0)
+        HeightErrors.of_bands(model, stated.correlation_m)
         if stated.sigma_m is None
         else HeightErrors(stated.sigma_m, stated.correlation_m or 0.0)
         for model, stated in zip(models, (before, after), strict=True)

@@ -31,7 +31,7 @@ from thalweg.deformation.foreign import ROUGHNESS_ALONE, density_notes, one_fram
 from thalweg.deformation.m3c2 import ColumnIndex, pose_weights
 from thalweg.deformation.shapes import Shapes, read_shapes
 from thalweg.deformation.spatial import SpatialErrors, place_in_cells
-from thalweg.deformation.surfaces import Dsm, mask_missing, read_dsm
+from thalweg.deformation.surfaces import Dsm, HeightErrors, mask_missing, read_dsm
 from thalweg.ingest.clouds import to_world
 from thalweg.settings import utm_code
 from thalweg.settings.sections import DSM_ENDINGS, Epoch as Statement
@@ -402,13 +402,8 @@ def _of_dsm(dsm: Dsm, stated: Statement, frame: LocalFrame, crs: str, masks: Seq
     if dsm.heights is not None:
         heights = CRS.from_epsg(dsm.heights).name
         notes = [note for note in notes if "heights" not in note]
-    if dsm.sigma_m is not None and stated.correlation_m is None:
-        raise InputError(
-            "a raster with a band of standard deviations, and no correlation length of its errors",
-            expected="correlation_m",
-            where=path,
-            cure="Write correlation_m: of a bed about half the distance of the lines of soundings",
-        )
+    if stated.sigma_m is None:
+        HeightErrors.of_bands(dsm, stated.correlation_m)
     out, words = _left_out(dsm.centres_m(), masks, path)
     keep = np.isfinite(dsm.height_m.ravel()) & ~out
     xyz = np.column_stack([dsm.centres_m(), dsm.height_m.ravel()])[keep]

@@ -187,10 +187,23 @@ class HeightErrors:
             )
 
     @classmethod
-    def of_bands(cls, surface: Dsm, correlation_m: float) -> "HeightErrors | None":
-        """What the bands of a raster say of its errors; None if it has none."""
+    def of_bands(cls, surface: Dsm, correlation_m: float | None) -> "HeightErrors | None":
+        """What the bands of a raster say of its errors; None if it has none.
+
+        Raises
+        ------
+        InputError : bands, and no correlation length.
+        """
         if surface.sigma_m is None:
             return None
+        if correlation_m is None:
+            raise InputError(
+                "a raster with a band of standard deviations, and no correlation length of its errors",
+                expected="the distance at which the correlation of two heights has fallen to 1/e",
+                where=surface.path,
+                cure="State --correlation-m (in a campaign correlation_m): of a bed about half the distance "
+                "of the lines of soundings",
+            )
         return cls(surface.sigma_m, correlation_m, 0.0 if surface.common_m is None else surface.common_m)
 
     def resampled(self, surface: Dsm, centres_m: ArrayF, shape: tuple[int, ...], how: str) -> "HeightErrors":

@@ -278,8 +278,15 @@ def limits(pairs: Sequence[PairFacts]) -> str:
         "moved as a whole, or by less than its points scatter, looks stable, and its motion is taken off as "
         "a registration. Draw deformation.stable where ground is known."
     )
+    files = any((pair.visibility[f"reason_{i}"] == "no trajectory").any() for pair in pairs for i in (1, 2))
+    elsewhere = (
+        "Clouds and surface models from elsewhere have no trajectory: where they have no points, nobody knows "
+        "whether there was nothing or whether nobody looked. Their errors are what the campaign file states, "
+        "alike over one length everywhere.\n\n"
+    )
     return (
         f"{stable}\n\n"
+        f"{elsewhere if files else ''}"
         "A distance is measured along the normal of the first surface (of the last, where the first has "
         "none). A bank that moved within its own plane did not move by this measure.\n\n"
         "Volumes of erosion and deposition sum what passed a threshold. Small changes below the level of "

@@ -130,7 +130,8 @@ def epochs_from_above(clouds: Sequence[CloudOfEpoch], *, title: str, twin: bool)
 def _highest(xyz_m: ArrayF, low: ArrayF, high: ArrayF) -> ArrayF:
     """Height of the highest point of each pixel, which a thin cloud or raster fills; NaN without any."""
     some = xyz_m[:: -(-len(xyz_m) // 2000), :2]
-    apart = np.median(cKDTree(xyz_m[:, :2]).query(some, k=2)[0][:, 1]) if len(xyz_m) > 1 else 0.0
+    near = np.asarray(cKDTree(xyz_m[:, :2]).query(some, k=2)[0])
+    apart = np.median(near[:, 1]) if len(xyz_m) > 1 else 0.0
     pixel = max(float(np.max(high - low)) / PIXELS, 1.5 * float(apart))
     columns, rows = (int(np.ceil(span / pixel)) for span in high - low)
     at = ((xyz_m[:, :2] - low) / pixel).astype(np.int64)
