@@ -15,6 +15,10 @@ one pass over the moments. Independent moments (tau -> 0) leave the first sum, a
 infinity) the square of all. Products that share moments have a covariance, by the same recursion in both
 directions.
 
+Errors of a smoothed trajectory, or of poses between photographs, are no such process, but they are a Markov
+chain of more components, ``xi_k = L_k z_k`` with ``z_k = M_k z_(k-1) + noise`` (`thalweg.core.ErrorChain`).
+The sums are the same with the matrix M_k in place of the exponential.
+
 Source: Gelb (1974), Applied Optimal Estimation, 2.2, for the process; the sums are written out here.
 """
 
@@ -25,29 +29,34 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from thalweg.core import AnyArray, ArrayF, GeometryError, njit, prange
+from thalweg.core import AnyArray, ArrayF, ArrayI, ErrorChain, GeometryError, njit, prange, symmetric_roots
 from thalweg.deformation.m3c2 import Weights
 
 
 @dataclass(frozen=True, slots=True)
 class ErrorGroup:
-    """One kind of error of the poses: three components with one correlation time.
+    """One kind of error of the poses: c components of a process with d ones of its own.
 
     Attributes
     ----------
     name : what errs ("position", "attitude").
     t_s : (m,) times of the moments, ascending.
-    root : (m, 3, 3) roots L of the covariance L L' at each moment, in metres (position, world axes) or
-        radians (small rotation about east, north, up).
+    root : (m, c, d) roots L of the covariance L L' at each moment, in metres (position, world axes) or
+        radians (small rotation about east, north, up); both where c is 6.
     correlation_s : correlation time tau; 0 for independent moments, infinite for one error of all.
+    link : (m, d, d) covariance of the d components of each moment with those of the one before, of unit
+        variance; in place of the correlation time, which is NaN.
     """
 
     name: str
     t_s: ArrayF
     root: ArrayF
     correlation_s: float
+    link: ArrayF | None = None
 
     def __post_init__(self) -> None:
+        if self.link is not None:
+            return
         if (np.diff(self.t_s) < 0).any() or not self.correlation_s >= 0:
             raise GeometryError(
                 f"errors of the {self.name}: times that go back, or correlated over {self.correlation_s} s",
@@ -60,6 +69,19 @@ class ErrorGroup:
         root = np.zeros((len(t_s), 3, 3))
         root[:, [0, 1, 2], [0, 1, 2]] = sigma
         return cls(name, np.asarray(t_s, float), root, correlation_s)
+
+    @classmethod
+    def of_chain(cls, chain: ErrorChain, start_gps_s: float, turn: ArrayF) -> "ErrorGroup":
+        """A chain of errors on times from a start, in axes turned by ``turn`` (3, 3)."""
+        root = np.concatenate([turn @ chain.root[:, :3], turn @ chain.root[:, 3:]], axis=1)
+        return cls(chain.name, chain.t_gps_s - start_gps_s, root, np.nan, chain.link)
+
+    def alike(self) -> "ErrorGroup":
+        """The same variances with one error of all moments."""
+        m, c, _ = self.root.shape
+        cov = self.root @ np.swapaxes(self.root, 1, 2)
+        root = symmetric_roots(cov, np.broadcast_to(np.eye(c), (m, c, c)))
+        return ErrorGroup(self.name, self.t_s, root, np.inf)
 
     @property
     def decay(self) -> ArrayF:
@@ -76,9 +98,8 @@ class ErrorField:
     Attributes
     ----------
     groups : kinds of errors.
-    rows : for each group a sparse matrix (k, 3 m) with the derivatives of k products to the errors of m
-        moments,
-        component by component of each moment.
+    rows : for each group a sparse matrix (k, c m) with the derivatives of k products to the errors of m
+        moments, component by component of each moment.
     """
 
     groups: tuple[ErrorGroup, ...]
@@ -99,9 +120,11 @@ class ErrorField:
         """Variance (k,) of each product."""
         total = np.zeros(self.rows[0].shape[0])
         for group, rows in zip(self.groups, self.rows, strict=True):
-            total += _variances(
-                rows.indptr, rows.indices, rows.data, group.t_s, group.root, group.correlation_s
-            )
+            sparse = rows.indptr, rows.indices, rows.data
+            if group.link is None:
+                total += _variances(*sparse, group.t_s, group.root, group.correlation_s)
+            else:
+                total += _chain_variances(*sparse, group.root, *_spans_of_links(group.link))
         return total
 
     def combined(self, combination: ArrayF | sp.csr_matrix) -> "ErrorField":
@@ -120,9 +143,10 @@ class ErrorField:
         """Errors (k,) of the products for one draw of the errors of all moments."""
         total = np.zeros(self.rows[0].shape[0])
         for group, rows in zip(self.groups, self.rows, strict=True):
-            normal = rng.standard_normal((len(group.t_s), 3))
-            decay = group.decay
-            process = _gauss_markov(normal, decay)
+            normal = rng.standard_normal((len(group.t_s), group.root.shape[2]))
+            process = (
+                _gauss_markov(normal, group.decay) if group.link is None else _chain_draw(normal, group.link)
+            )
             total += rows @ np.einsum("kij,kj->ki", group.root, process).ravel()
         return total
 
@@ -173,10 +197,11 @@ def largest_deviation(
 
 
 def rows_of_weights(weights: Weights, values: ArrayF, n_moments: int) -> sp.csr_matrix:
-    """Rows of a product as a sparse matrix over components of moments."""
-    index = (3 * weights.node.astype(np.int32)[:, None] + np.arange(3, dtype=np.int32)).ravel()
+    """Rows of a product as a sparse matrix over the c components of moments; ``values`` (e, c)."""
+    c = values.shape[1]
+    index = (c * weights.node.astype(np.int32)[:, None] + np.arange(c, dtype=np.int32)).ravel()
     return sp.csr_matrix(
-        (values.ravel(), index, 3 * weights.start), shape=(len(weights.start) - 1, 3 * n_moments)
+        (values.ravel(), index, c * weights.start), shape=(len(weights.start) - 1, c * n_moments)
     )
 
 
@@ -186,34 +211,125 @@ def _variances(
 ) -> AnyArray:
     """Variance of each sparse row, whose entries stand in the order of the moments and components."""
     out = np.zeros(len(start) - 1)
+    c, d = root.shape[1], root.shape[2]
     for row in prange(len(out)):
         before, moment = 0.0, -1
-        s = np.zeros(3)
-        u = np.zeros(3)
+        s = np.zeros(d)
+        u = np.zeros(d)
         total = 0.0
         for e in range(start[row], start[row + 1] + 1):
-            now = index[e] // 3 if e < start[row + 1] else -2
+            now = index[e] // c if e < start[row + 1] else -2
             if now != moment:
                 if moment >= 0:
-                    total += (
-                        u[0] * (u[0] + 2.0 * s[0]) + u[1] * (u[1] + 2.0 * s[1]) + u[2] * (u[2] + 2.0 * s[2])
-                    )
-                    for axis in range(3):
+                    for axis in range(d):
+                        total += u[axis] * (u[axis] + 2.0 * s[axis])
                         s[axis] += u[axis]
                     before = t[moment]
                 if now < 0:
                     break
                 if moment >= 0:
                     keep = math.exp(-(t[now] - before) / correlation) if correlation > 0.0 else 0.0
-                    for axis in range(3):
+                    for axis in range(d):
                         s[axis] *= keep
-                for axis in range(3):
+                for axis in range(d):
                     u[axis] = 0.0
                 moment = now
-            component = index[e] - 3 * now
-            for axis in range(3):
+            component = index[e] - c * now
+            for axis in range(d):
                 u[axis] += root[now, component, axis] * value[e]
         out[row] = total
+    return out
+
+
+def _spans_of_links(link: ArrayF) -> tuple[ArrayF, ArrayI]:
+    """Links over 1, 2, 4, ... steps, one after the other, and where each length begins.
+
+    Entry j of length n leads over the steps into the moments ``j n`` to ``(j + 1) n - 1``: rows pass over the
+    moments that they do not touch in few products.
+    """
+    levels = [link]
+    while len(levels[-1]) > 1:
+        whole = levels[-1][: len(levels[-1]) // 2 * 2]
+        levels.append(whole[1::2] @ whole[::2])
+    begins = np.cumsum([0, *(len(level) for level in levels)])
+    return np.concatenate(levels), begins.astype(np.int64)
+
+
+@njit(cache=True, parallel=True)
+def _chain_variances(
+    start: AnyArray, index: AnyArray, value: AnyArray, root: AnyArray, spans: AnyArray, begins: AnyArray
+) -> AnyArray:
+    """Variance of each sparse row over a Markov chain, whose entries stand in the order of the moments."""
+    out = np.zeros(len(start) - 1)
+    c, d = root.shape[1], root.shape[2]
+    for row in prange(len(out)):
+        moment = -1
+        s = np.zeros(d)
+        u = np.zeros(d)
+        passed = np.zeros(d)
+        total = 0.0
+        for e in range(start[row], start[row + 1] + 1):
+            now = index[e] // c if e < start[row + 1] else -2
+            if now != moment:
+                if moment >= 0:
+                    for i in range(d):
+                        total += u[i] * (u[i] + 2.0 * s[i])
+                        s[i] += u[i]
+                if now < 0:
+                    break
+                at = moment + 1
+                while moment >= 0 and at <= now:
+                    level, length = 0, 1
+                    while at % (2 * length) == 0 and at + 2 * length - 1 <= now:
+                        level, length = level + 1, 2 * length
+                    M = spans[begins[level] + at // length]
+                    for i in range(d):
+                        passed[i] = 0.0
+                        for j in range(d):
+                            passed[i] += M[i, j] * s[j]
+                    for i in range(d):
+                        s[i] = passed[i]
+                    at += length
+                for i in range(d):
+                    u[i] = 0.0
+                moment = now
+            component = index[e] - c * now
+            for i in range(d):
+                u[i] += root[now, component, i] * value[e]
+        out[row] = total
+    return out
+
+
+@njit(cache=True)
+def _through_chain(u: AnyArray, link: AnyArray) -> AnyArray:
+    """Correlation matrix of a Markov chain times (m, d, q), by one pass forward and one back."""
+    out = u.copy()
+    m, d, q = u.shape
+    s = np.zeros((d, q))
+    for k in range(1, m):
+        for i in range(d):
+            for c in range(q):
+                s[i, c] += u[k - 1, i, c]
+        s = np.dot(link[k], s)
+        out[k] += s
+    s = np.zeros((d, q))
+    for k in range(m - 2, -1, -1):
+        for i in range(d):
+            for c in range(q):
+                s[i, c] += u[k + 1, i, c]
+        s = np.dot(link[k + 1].T, s)
+        out[k] += s
+    return out
+
+
+def _chain_draw(normal: ArrayF, link: ArrayF) -> ArrayF:
+    """A Markov chain of unit variance with these links, from white numbers (m, d)."""
+    value, vector = np.linalg.eigh(np.eye(link.shape[1]) - link @ np.swapaxes(link, 1, 2))
+    noise = np.einsum("kij,kj->ki", vector, np.sqrt(np.maximum(value, 0.0)) * normal)
+    out = np.empty_like(normal)
+    out[0] = normal[0]
+    for k in range(1, len(normal)):
+        out[k] = link[k] @ out[k - 1] + noise[k]
     return out
 
 
@@ -241,8 +357,11 @@ def _sums_of_neighbours(u: AnyArray, decay: AnyArray) -> AnyArray:
 
 
 def _times_covariance(group: ErrorGroup, columns: ArrayF) -> ArrayF:
-    """Covariance matrix of all moments' errors (3 m, 3 m) times columns (3 m, q), without the matrix."""
-    m = len(group.t_s)
-    u = np.einsum("kji,kjq->kiq", group.root, columns.reshape(m, 3, -1))
-    summed = _sums_of_neighbours(np.ascontiguousarray(u.reshape(m, -1)), group.decay).reshape(u.shape)
-    return np.einsum("kij,kjq->kiq", group.root, summed).reshape(3 * m, -1)
+    """Covariance matrix of all moments' errors (c m, c m) times columns (c m, q), without the matrix."""
+    m, c, _ = group.root.shape
+    u = np.einsum("kji,kjq->kiq", group.root, columns.reshape(m, c, -1))
+    if group.link is None:
+        summed = _sums_of_neighbours(np.ascontiguousarray(u.reshape(m, -1)), group.decay).reshape(u.shape)
+    else:
+        summed = _through_chain(np.ascontiguousarray(u), np.ascontiguousarray(group.link))
+    return np.einsum("kij,kjq->kiq", group.root, summed).reshape(c * m, -1)
