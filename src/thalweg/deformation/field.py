@@ -132,6 +132,12 @@ class ErrorField:
         weights = sp.csr_matrix(combination)
         return ErrorField(self.groups, tuple((weights @ rows).sorted_indices() for rows in self.rows))
 
+    def __add__(self, other: "ErrorField") -> "ErrorField":
+        """Sums of the products of two fields on the same groups (`joint_fields`)."""
+        return ErrorField(
+            self.groups, tuple((a + b).sorted_indices() for a, b in zip(self.rows, other.rows, strict=True))
+        )
+
     def covariance_with(self, others: "ErrorField") -> ArrayF:
         """Covariance (k, q) of these products with a few others of the same epoch."""
         total = np.zeros((self.rows[0].shape[0], others.rows[0].shape[0]))
@@ -149,6 +155,47 @@ class ErrorField:
             )
             total += rows @ np.einsum("kij,kj->ki", group.root, process).ravel()
         return total
+
+
+def joint_fields(fields: Sequence[ErrorField], *, common: str | None = None) -> list[ErrorField]:
+    """Fields of several epochs on the groups of all, so that their products can be added.
+
+    Parameters
+    ----------
+    fields : each with the errors of its own epoch.
+    common : groups whose names begin so are the same error in all epochs that have them.
+    """
+    groups: list[ErrorGroup] = []
+    members: list[dict[int, int]] = []  # group of each epoch that is part of it
+    place: dict[str, int] = {}
+    for e, field in enumerate(fields):
+        for g, group in enumerate(field.groups):
+            shared = common is not None and group.name.startswith(common) and group.link is None
+            if shared and group.name in place:
+                i = place[group.name]
+                before = groups[i]
+                t = np.concatenate([before.t_s, before.t_s[-1] + group.t_s])
+                groups[i] = ErrorGroup(group.name, t, np.concatenate([before.root, group.root]), np.inf)
+                members[i][e] = g
+                continue
+            if shared:
+                place[group.name] = len(groups)
+            groups.append(group)
+            members.append({e: g})
+    out = []
+    for e, field in enumerate(fields):
+        k = field.rows[0].shape[0]
+        rows = []
+        for group, part in zip(groups, members, strict=True):
+            blocks = [
+                field.rows[g] if other == e else sp.csr_matrix((k, fields[other].rows[g].shape[1]))
+                for other, g in part.items()
+            ]
+            joined = blocks[0] if len(blocks) == 1 else sp.csr_matrix(sp.hstack(blocks).tocsr())
+            assert joined.shape[1] == group.root.shape[0] * group.root.shape[1]
+            rows.append(joined)
+        out.append(ErrorField(tuple(groups), tuple(rows)))
+    return out
 
 
 def benjamini_hochberg(p_value: ArrayF) -> ArrayF:

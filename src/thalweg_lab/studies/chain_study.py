@@ -284,15 +284,17 @@ def survey_chains(seed: int, study: ChainStudy, world: World, folder: Path) -> F
 
 
 def trajectories_of(
-    logs: Logs, errors: ImageErrors
+    logs: Logs, errors: ImageErrors, *, estimate: bool = True
 ) -> tuple[dict[str, Trajectory], dict[str, Rigid], Rigid, dict[str, Callable[[], list[ErrorChain]]]]:
     """Trajectories of all chains, and the lidar's mount that belongs to each.
 
-    The settings are those of a campaign that says nothing of its errors: defaults. Behind both stand
+    The settings are those of a campaign that says nothing of its errors: defaults. Without ``estimate`` sizes
+    and times of all errors are taken as stated. Behind both stand
     ``T_ics_ccs`` of the camera's, and what tells the chains of errors of camera and fused trajectory.
     """
     s = logs.settings
     places = s["mounts"]
+    told = {"estimate_errors": estimate}
     images = draw_images(
         logs.seed,
         Voyage(logs.twin, logs.seed),
@@ -307,12 +309,16 @@ def trajectories_of(
         "max_attitude_gap_s": s["orientation"]["max_attitude_gap_s"],
     }
     by_camera = camera_trajectory(
-        images, T_ics_ccs, CloudSettings.of(CameraCloud(**s["images"]["cloud"])), states=states, **ins
+        images,
+        T_ics_ccs,
+        CloudSettings.of(CameraCloud(**(s["images"]["cloud"] | told))),
+        states=states,
+        **ins,
     )
     by_all = fuse_trajectory(
         states,
         logs.frame,
-        FusionSettings.of(Fused(**s["fused"])),
+        FusionSettings.of(Fused(**(s["fused"] | told))),
         positions=read_pos([logs.pos]).positions,
         lever_ics_antenna_m=places["antenna"]["lever_ics_m"],
         sigma_lever_m=places["antenna"]["sigma_lever_m"],
