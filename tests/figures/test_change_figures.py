@@ -32,6 +32,7 @@ from thalweg.figures.deformation.statistics import (
     read_stable,
     variogram,
 )
+from thalweg.figures.deformation.together import draw_epochs_together
 from thalweg.figures.deformation.views import (
     draw_change_profiles,
     draw_epochs_from_above,
@@ -321,6 +322,20 @@ def test_epochs_from_above(bank, look, tmp_path):
     picture = look.artists(figure, "heights")[0].get_array()
     assert 2.9 < picture.max() < 3.1
     assert len(look.artists(figure, "track")) == 2
+    look.drawn(figure, tmp_path)
+
+
+def test_both_epochs_together_with_point_to_point_distances(bank, look, tmp_path):
+    files = {name: getattr(bank, name) for name in ("points", "errors", "changes", "core_points")}
+    figure = draw_epochs_together(**files, spacing_m=0.5, **WORDS)
+    words = look.texts(figure)
+    assert "a) epoch 1, spring, from the river" in words
+    assert "n = 80 000 points" in words
+    distance = np.asarray(look.artists(figure, "distances")[0].get_array())
+    # 0.42 m across a slope of 45 degrees and 0.05 m up, to points some centimetres apart
+    assert 0.27 < np.quantile(distance, 0.995) < 0.45
+    assert np.quantile(distance, 0.5) < 0.08
+    assert len(look.artists(figure, "both")[0].get_offsets()) == 80_000
     look.drawn(figure, tmp_path)
 
 

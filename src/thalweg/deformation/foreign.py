@@ -186,8 +186,8 @@ def compare_nearest(
     )
     table[["east_m", "north_m", "up_m"]] += shift
     notes.append(
-        f"Points of the first cloud lie {table['spacing_m'].median():.3f} m apart in the median: distances to "
-        "the nearest point are not zero without change, and have no limit."
+        f"Points of the first cloud lie {table['spacing_m'].median():.3f} m apart in the median: distances "
+        "to the nearest point are not zero without change, and have no limit."
     )
     return table, frame, notes
 
