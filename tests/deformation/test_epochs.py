@@ -200,6 +200,32 @@ def test_a_chain_of_errors_moves_points_as_the_poses_between_its_nodes(survey, t
     assert again.variances() == pytest.approx(field.variances(), rel=1e-12)
 
 
+def test_a_late_clock_moves_all_points_along_the_way_of_the_boat(survey) -> None:
+    """20 ms at 1.5 m/s and 3 degrees/s: variance of each point, and what is left for its own noise."""
+    path, trajectory, mount, _ = survey
+    how = {
+        "frame": FRAME, "area": Area(), "moment_s": 0.1, "water_line_ics_m": 0.3, "margin_m": 1.0,
+    }  # fmt: skip
+    sure, late = (
+        prepare_epoch("spring", path, trajectory, mount, CORRELATION, sigma_time_s=sigma, **how)
+        for sigma in (0.0, 0.02)
+    )
+    normals = np.tile([0.8, 0.6, 0.0], (40, 1))
+    index = ColumnIndex.of(sure.xyz_m, 1.0)
+    one, two = (
+        each.field(sure.xyz_m, normals, index, radius_m=0.005, half_length_m=0.005) for each in (sure, late)
+    )
+    arm = sure.xyz_m - sure.boat_m[sure.moment]
+    turning = np.radians(3.0) * np.cross([0.0, 0.0, 1.0], arm)
+    moved = 0.02 * np.sum(normals * (np.array([1.5, 0.1, 0.0]) + turning), axis=1)
+    assert two.variances() - one.variances() == pytest.approx(moved**2, rel=0.05, abs=1e-6)
+    # all of them at once, not each by itself
+    mean = np.full((1, 40), 1 / 40)
+    apart = two.combined(mean).variances() - one.combined(mean).variances()
+    assert apart == pytest.approx([moved.mean() ** 2], rel=0.05)
+    assert (late.white_m2[:, 0] <= sure.white_m2[:, 0] + 1e-9).all()
+
+
 def test_estimates_of_all_chains_give_correlation_times() -> None:
     ins = {
         "estimates": {"position_time_s": {"value": 8.0}, "attitude_time_s": {"value": 15.0}},

@@ -29,6 +29,7 @@ def main(
     campaign: dict[str, Any],
     deformation: Deformation,
     water_line_ics_m: float,
+    sigma_time_s: float,
 ) -> None:
     frame = LocalFrame(**campaign["origin"])
     epoch = prepare_epoch(
@@ -42,6 +43,7 @@ def main(
         moment_s=deformation.errors.moment_s,
         water_line_ics_m=water_line_ics_m,
         margin_m=deformation.reach_m + 1.0,
+        sigma_time_s=sigma_time_s,
     )
     epoch.write(prepared, errors)
 

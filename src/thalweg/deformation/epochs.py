@@ -2,7 +2,7 @@ r"""An epoch ready for comparison: its points, and the errors that they share, i
 
 The error of a point of a boat's cloud is ``e = J(t) xi(t) + M mu + w``: xi are errors of the pose, correlated
 in time, mu those of the scanner's place on the boat, the same all day, w is noise of the single point. Up to
-five groups carry the shared part, each a process of three components with its own correlation time
+six groups carry the shared part, each a process of three components with its own correlation time
 (`thalweg.deformation.field`):
 
 ===================  ===========================================================  ==================
@@ -13,6 +13,7 @@ position, white      new in each solution of the receiver                       
 attitude             small rotation, with what it moves at the lever arm          estimated
 mount, shift         lever arm of the scanner                                     infinite
 mount, rotation      rotation of the scanner on the boat                          infinite
+clock                one error of all stamps, times the boat's motion             infinite
 ===================  ===========================================================  ==================
 
 A pose's covariance ``[[P, C], [C', A]]`` is split so that the groups are independent: the position that the
@@ -50,6 +51,8 @@ from thalweg.deformation.m3c2 import ColumnIndex, Weights, pose_weights
 from thalweg.navigation.ins_gnss import PoseCorrelation
 from thalweg.surface import Area
 
+CLOCK: Final = "clock of the scanner"
+"""Group of the error that all stamps of the scanner share."""
 TURNS: Final = ("attitude", "mount, rotation")
 """Groups whose error is a small rotation; all others shift."""
 
@@ -170,6 +173,7 @@ def prepare_epoch(
     moment_s: float,
     water_line_ics_m: float,
     margin_m: float,
+    sigma_time_s: float = 0.0,
 ) -> Epoch:
     """Points of a cloud and the errors that they share, in the frame of all epochs.
 
@@ -184,6 +188,7 @@ def prepare_epoch(
     area : points farther outside than ``margin_m`` are left out.
     moment_s : points within this time share the error of one pose.
     water_line_ics_m : z of the water in the body frame.
+    sigma_time_s : of the clock of the scanner: one error of all stamps, times the motion of the boat.
 
     Raises
     ------
@@ -204,7 +209,9 @@ def prepare_epoch(
             cure="Set georeferencing.correlations to true and georeference again",
         )
     turn, shift = _between_frames(header.frame, frame)
-    moments = _Moments(trajectory, scanner, moment_s, correlation, turn, shift, water_line_ics_m)
+    moments = _Moments(
+        trajectory, scanner, moment_s, correlation, turn, shift, water_line_ics_m, sigma_time_s
+    )
     parts: list[tuple[AnyArray, ...]] = []
     read = 0
     low, high = _box(area, margin_m)
@@ -292,6 +299,7 @@ class _Moments:
         turn: ArrayF,
         shift: ArrayF,
         water_line_ics_m: float,
+        sigma_time_s: float,
     ) -> None:
         use = trajectory.t_gps_s[trajectory.valid]
         if not len(use):
@@ -308,6 +316,8 @@ class _Moments:
         self.boat_m = place @ turn.T + shift
         self.scanner_m = self.boat_m + R @ scanner.shift_m
         self.water_m = self.boat_m[:, 2] + R[:, 2, 2] * water_line_ics_m
+        late = sigma_time_s * np.hstack(_rates(trajectory, t))
+        self._late = np.concatenate([late[:, :3] @ turn.T, late[:, 3:] @ turn.T], axis=1)[:, :, None]
         self._pose, self._mount = cov, _turned(R, np.broadcast_to(scanner.cov, cov.shape))
         (rest, attitude, lever), (placed, rotated, arm) = (_split(each) for each in (cov, self._mount))
         self.levers = np.stack([lever, arm])
@@ -323,7 +333,8 @@ class _Moments:
         else:
             by_pose = tuple(ErrorGroup.of_chain(chain, self.start_gps_s, turn) for chain in correlation)
         by_mount = (self._group("mount, shift", placed, R, np.inf), self._group(TURNS[1], rotated, R, np.inf))
-        self.groups = tuple(group for group in (*by_pose, *by_mount) if group.root.any())
+        by_clock = ErrorGroup(CLOCK, self.t_s, self._late, np.nan, np.ones((n, 1, 1)))
+        self.groups = tuple(group for group in (*by_pose, *by_mount, by_clock) if group.root.any())
 
     def _group(self, name: str, cov: ArrayF, axes: ArrayF, time_s: float) -> ErrorGroup:
         """One kind of error at all moments."""
@@ -346,12 +357,23 @@ class _Moments:
         total = turn @ (total * sigma[:, :, None] * sigma[:, None, :]) @ turn.T
         shared = sum(
             _at_arm(cov[moment], xyz - origin[moment])
-            for cov, origin in ((self._pose, self.boat_m), (self._mount, self.scanner_m))
+            for cov, origin in (
+                (self._pose + self._late @ np.swapaxes(self._late, 1, 2), self.boat_m),
+                (self._mount, self.scanner_m),
+            )
         )
         values, vectors = np.linalg.eigh(total - shared)
         own = (vectors * np.maximum(values, 0.0)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
         upper = np.triu_indices(3)
         return np.asarray(own[:, upper[0], upper[1]])
+
+
+def _rates(trajectory: Trajectory, t_gps_s: ArrayF) -> tuple[ArrayF, ArrayF]:
+    """Velocity (n, 3) and angular velocity (n, 3) in the world of the trajectory at times within it."""
+    velocity, turning = trajectory.rates()
+    left = np.searchsorted(trajectory.t_gps_s, t_gps_s, side="right") - 1
+    left = np.clip(left, 0, len(velocity) - 1)
+    return velocity[left], turning[left]
 
 
 def _at_arm(cov: ArrayF, arm_m: ArrayF) -> ArrayF:
