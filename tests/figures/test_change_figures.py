@@ -503,9 +503,17 @@ def test_a_page_of_many_epochs_names_those_that_jump(bank):
     errors = [json.loads(path.read_text()) for path in bank.errors]
     jump = {"n": 200, "before_m": 0.2, "after_m": -0.21, "share": 0.9, "flagged": True, "name": "autumn"}
     jumps = {"epochs": [jump | {"epoch": 1}], "closure": {"n": 190, "mean_m": 0.0, "rms_m": 0.013}}
+    none = dict.fromkeys(("east_m", "north_m", "up_m", "turn_east", "turn_north", "turn_up"), 0.0)
+    jumps["network"] = {
+        "parameters": [none | {"up_m": 0.02}, none | {"up_m": -0.02}, none],
+        "sigmas": [none | {"up_m": 0.003, "turn_up": 1e-4}] * 3,
+        "stable_cores": 210,
+    }
     line = {"line": "bank line", "height_m": 0.5, "s_from_m": 0.0, "s_to_m": 5.0, "cores": 4, "n_epochs": 3}
     rates = pd.DataFrame([line | {"lrr_m_a": -0.31, "sigma_lrr_m_a": 0.02}])
     text = change_page(errors, facts, series=(jumps, rates)).html()
     assert "Look at epoch 2 (autumn)" in text
-    assert "to 1.3 cm (root mean square of n = 190" in text
+    assert "by 1.3 cm (root mean square of n = 190" in text
+    assert "+20.0 ± 3.0" in text
+    assert "stable core points: 210" in text
     assert "−0.31" in text or "-0.31" in text

@@ -433,9 +433,31 @@ def _series(page: Page, facts: Mapping[str, Any], rates: pd.DataFrame) -> None:
             if flagged
             else "No epoch jumps and returns over most of the bank."
         )
-        + f" The changes from epoch to epoch, each registered by itself, close against that from first to "
-        f"last to {100 * closed['rms_m']:.1f} cm (root mean square of n = {count(closed['n'])} core points)."
+        + " All epochs are registered to each other in one adjustment, in which changes close. Were each "
+        "pair registered by itself, the changes from epoch to epoch would miss that from first to last by "
+        f"{100 * closed['rms_m']:.1f} cm (root mean square of n = {count(closed['n'])} core points)."
     )
+    network = facts["network"]
+    if network:
+        motions = pd.DataFrame(
+            {
+                "epoch": np.arange(len(network["parameters"])) + 1,
+                **{
+                    name.removesuffix("_m").replace("_", " "): [
+                        f"{1e3 * value[name]:+.1f} ± {1e3 * sigma[name]:.1f}"
+                        for value, sigma in zip(network["parameters"], network["sigmas"], strict=True)
+                    ]
+                    for name in network["parameters"][0]
+                    if any(sigma[name] > 0 for sigma in network["sigmas"])
+                },
+            }
+        )
+        page.table(
+            motions,
+            "Motions of the epochs against their mean, with standard deviations (stable core points: "
+            f"{count(network['stable_cores'])})",
+            {name: "mrad" if name.startswith("turn") else "mm" for name in motions.columns[1:]},
+        )
     rows = pd.DataFrame(epochs)
     shown = pd.DataFrame(
         {
