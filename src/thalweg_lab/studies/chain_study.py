@@ -284,17 +284,15 @@ def survey_chains(seed: int, study: ChainStudy, world: World, folder: Path) -> F
 
 
 def trajectories_of(
-    logs: Logs, errors: ImageErrors, *, estimate: bool = True
+    logs: Logs, errors: ImageErrors
 ) -> tuple[dict[str, Trajectory], dict[str, Rigid], Rigid, dict[str, Callable[[], list[ErrorChain]]]]:
     """Trajectories of all chains, and the lidar's mount that belongs to each.
 
-    The settings are those of a campaign that says nothing of its errors: defaults. Without ``estimate`` sizes
-    and times of all errors are taken as stated. Behind both stand
+    The settings are those of a campaign that says nothing of its errors: defaults. Behind both stand
     ``T_ics_ccs`` of the camera's, and what tells the chains of errors of camera and fused trajectory.
     """
     s = logs.settings
     places = s["mounts"]
-    told = {"estimate_errors": estimate}
     images = draw_images(
         logs.seed,
         Voyage(logs.twin, logs.seed),
@@ -309,16 +307,12 @@ def trajectories_of(
         "max_attitude_gap_s": s["orientation"]["max_attitude_gap_s"],
     }
     by_camera = camera_trajectory(
-        images,
-        T_ics_ccs,
-        CloudSettings.of(CameraCloud(**(s["images"]["cloud"] | told))),
-        states=states,
-        **ins,
+        images, T_ics_ccs, CloudSettings.of(CameraCloud(**s["images"]["cloud"])), states=states, **ins
     )
     by_all = fuse_trajectory(
         states,
         logs.frame,
-        FusionSettings.of(Fused(**(s["fused"] | told))),
+        FusionSettings.of(Fused(**s["fused"])),
         positions=read_pos([logs.pos]).positions,
         lever_ics_antenna_m=places["antenna"]["lever_ics_m"],
         sigma_lever_m=places["antenna"]["sigma_lever_m"],
@@ -329,7 +323,8 @@ def trajectories_of(
     own = Rigid.from_mount(places["lidar"])
     trajectories = {"ins": ins_trajectory(logs), "camera": by_camera.trajectory, "fused": by_all.trajectory}
     mounts = {"ins": own, "camera": Rigid.from_mount(through["lidar"]), "fused": own}
-    return trajectories, mounts, T_ics_ccs, {"camera": by_camera.error_chains, "fused": by_all.error_chains}
+    chains = {"camera": by_camera.error_chains, "fused": by_all.error_chains}
+    return trajectories, mounts, T_ics_ccs, chains
 
 
 def comparison_settings(settings: Mapping[str, Any], seed: int) -> ComparisonSettings:

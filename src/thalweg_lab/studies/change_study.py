@@ -19,7 +19,7 @@ import pandas as pd
 from scipy.stats import norm
 
 from thalweg.accuracy import CHAINS
-from thalweg.core import ArrayB, ArrayF
+from thalweg.core import ArrayB, ArrayF, ErrorChain
 from thalweg.deformation import (
     Compared,
     Epoch,
@@ -61,9 +61,6 @@ Z95: Final = float(norm.isf(0.025))
 FIELD: Final = "field"
 MODELS: Final = (FIELD, "independent", "ep", "field, correlation times a tenth", "field, sigmas halved")
 """The pipeline's model, two others, and, for INS and receiver, the pipeline's with two mistakes put in."""
-ESTIMATED: Final = "field, sizes estimated"
-"""The pipeline's model where camera and fused trajectory know sizes and times of their errors from the survey
-alone, of which 16 s tell little."""
 
 
 def rows(seed: Seed) -> Tables:
@@ -71,8 +68,8 @@ def rows(seed: Seed) -> Tables:
     settings = Deformation()
     first, second = (_epochs(seed, number, settings) for number in (0, 1))
     parts: list[dict[str, Any]] = []
-    for chain, estimated in first:
-        before, after = first[chain, estimated], second[chain, estimated]
+    for chain in CHAINS:
+        before, after = first[chain], second[chain]
         cores = place_core_points([before, after], settings, AREA)
         pair = measure_pair(cores, before, after, settings)
         compared = registered_distances(pair, register_pair(pair, settings))
@@ -82,39 +79,40 @@ def rows(seed: Seed) -> Tables:
         parts += [
             {"seed": seed.number, "chain": chain, "model": model}
             | _judged(compared, model, use, thirds, CHANGE_M[chain], seed.number)
-            for model in ((ESTIMATED,) if estimated else MODELS if chain == "ins" else MODELS[:3])
+            for model in (MODELS if chain == "ins" else MODELS[:3])
         ]
     return {"pairs": pd.DataFrame(parts)}
 
 
-def _epochs(seed: Seed, number: int, settings: Deformation) -> dict[tuple[str, bool], Epoch]:
-    """One survey of the seed's river by each chain, and whether sizes and times of errors are estimated.
+def _epochs(seed: Seed, number: int, settings: Deformation) -> dict[str, Epoch]:
+    """One survey of the seed's river by each chain, processed as a campaign that states no errors is.
 
-    Errors are those that logs and image poses state, with correlation times, all taken as certain; or what
-    camera and fused trajectory find out about theirs in a campaign that states nothing.
+    Errors of INS and receiver are those that the logs state, with correlation times taken as certain; what
+    camera and fused trajectory find out about their errors is theirs.
     """
     twin = {**TWIN, "scene": {**TWIN["scene"], "seed": seed.number}}
     if number:
         twin["start_utc"] = "2023-05-10T09:41:20Z"
     s = survey_settings(twin, seed=2 * seed.number + number, mounts=MOUNTS)
     logs = record(s, seed.folder / f"epoch_{number}")
-    by_ins = PoseCorrelation(
-        position_s=TWIN["gnss"]["correlation_time_s"],
-        attitude_s=TWIN["ins"]["attitude_time_s"],
-        white_share=s["orientation"]["error_model"]["white_share"],
-        receiver_s=RECEIVER_S,
-    )
+    trajectories, mounts, _, chains = trajectories_of(logs, ImageErrors())
+    correlation: dict[str, PoseCorrelation | list[ErrorChain]] = {
+        "ins": PoseCorrelation(
+            position_s=TWIN["gnss"]["correlation_time_s"],
+            attitude_s=TWIN["ins"]["attitude_time_s"],
+            white_share=s["orientation"]["error_model"]["white_share"],
+            receiver_s=RECEIVER_S,
+        )
+    } | {chain: errors() for chain, errors in chains.items()}
     epochs = {}
-    found = {told: trajectories_of(logs, ImageErrors(), estimate=told) for told in (False, True)}
-    for chain, told in [(chain, told) for told in found for chain in CHAINS if not told or chain != "ins"]:
-        trajectories, mounts, _, chains = found[told]
+    for chain in CHAINS:
         survey = orient(logs, trajectories[chain], name=chain, mount=mounts[chain])
-        epochs[chain, told] = prepare_epoch(
+        epochs[chain] = prepare_epoch(
             f"epoch {number + 1}",
             survey.points,
             survey.trajectory,
             survey.mount,
-            by_ins if chain == "ins" else chains[chain](),
+            correlation[chain],
             frame=logs.frame,
             area=AREA,
             moment_s=settings.errors.moment_s,
