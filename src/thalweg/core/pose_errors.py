@@ -144,8 +144,12 @@ def with_rest(
     begin, end = node[gap], node[np.minimum(gap + 1, len(node) - 1)]
     since, left = t - begin, end - t
     at_node = (np.abs(since) < _SAME_S) | (np.abs(left) < _SAME_S)
-    rest = trajectory.cov_at(t) - sum(chain.covariance_at(t) for chain in chains)
+    whole = trajectory.cov_at(t)
+    rest = whole - sum(chain.covariance_at(t) for chain in chains)
     rest[at_node] = 0.0
+    left_over, total = (np.diagonal(each, axis1=1, axis2=2) for each in (rest, whole))
+    if not (left_over > _LEAST * total).any():
+        return list(chains)
     _, R, _ = trajectory.at(np.clip(t, trajectory.t_gps_s[0], trajectory.t_gps_s[-1]))
     axes = np.zeros((len(t), 6, 6))
     axes[:, :3, :3] = axes[:, 3:, 3:] = R
@@ -157,8 +161,6 @@ def with_rest(
         # outside of the nodes nothing holds the other end
         ratio = np.where((left[1:] > 0) & (since[:-1] > 0), bridge, 1.0)
     share[1:] = np.where(same, np.minimum(ratio, _MOST_ALIKE), 0.0)
-    if not root.any():
-        return list(chains)
     link = share[:, None, None] * np.eye(6)
     return [*chains, ErrorChain(name="between the nodes", t_gps_s=t, root=root, link=link)]
 
