@@ -136,8 +136,12 @@ def bank(tmp_path_factory):
         boat = np.stack([np.linspace(90, 110, 20), np.full(20, -12.0), np.zeros(20)], axis=1)
         np.savez(own / "points.npz", xyz_m=xyz, boat_m=boat)
         groups = [
-            {"name": "position", "correlation_s": 11.0, "sigma": [0.01, 0.02, 0.03], "unit": "m"},
-            {"name": "mount, rotation", "correlation_s": None, "sigma": [0.001] * 3, "unit": "rad"},
+            {"name": "position", "correlation_s": 11.0, "lasts": "11 s"}
+            | {"sigma": [0.01, 0.02, 0.03], "unit": "m"},
+            {"name": "mount, rotation", "correlation_s": None, "lasts": "all the time"}
+            | {"sigma": [0.001] * 3, "unit": "rad"},
+            {"name": "images", "correlation_s": None, "lasts": "from node to node"}
+            | {"sigma": [0.04] * 3 + [0.002] * 3, "unit": "m, rad"},
         ]
         about = {"name": name, "start_gps_s": 3e8 + 1e7 * i, "points": 40_000, "moments": 20}
         (own / "errors.json").write_text(json.dumps({**about, "groups": groups}))
@@ -515,5 +519,8 @@ def test_a_page_of_many_epochs_names_those_that_jump(bank):
     assert "Look at epoch 2 (autumn)" in text
     assert "by 1.3 cm (root mean square of n = 190" in text
     assert "+20.0 ± 3.0" in text
+    assert "poses of the photographs, shift" in text
+    assert "poses of the photographs, rotation" in text
+    assert "0.11" in text  # 2 mrad in degrees
     assert "stable core points: 210" in text
     assert "−0.31" in text or "-0.31" in text

@@ -21,6 +21,11 @@ GROUPS_IN_WORDS: Final = {
     "attitude": "attitude",
     "mount, shift": "place of the scanner on the boat",
     "mount, rotation": "direction of the scanner on the boat",
+    "smoothed trajectory": "poses of the smoothed trajectory",
+    "images": "poses of the photographs",
+    "times of images": "times of single photographs",
+    "clock of the camera": "clock of the camera",
+    "between the nodes": "INS between photographs or nodes",
 }
 CONTROL_IN_WORDS: Final = {
     "fdr": "of all core points that are called changed, at most {percent:g} % did not change (Benjamini and "
@@ -549,8 +554,8 @@ def _unseen(page: Page, pairs: Sequence[PairFacts]) -> None:
 
 def _epochs(page: Page, epochs: Sequence[Mapping[str, Any]]) -> None:
     page.section("Epochs and their errors").text(
-        "Errors of the poses that points of a moment share, by group: root mean squares over the survey. "
-        "Groups without a correlation time stay the same for a whole survey."
+        "Errors of the poses that points of a moment share, by group: root mean squares over the survey, and "
+        "how long they last."
     )
     about = [
         {
@@ -566,21 +571,23 @@ def _epochs(page: Page, epochs: Sequence[Mapping[str, Any]]) -> None:
     rows = []
     for i, each in enumerate(epochs, start=1):
         for group in each["groups"]:
-            turn = group["unit"] == "rad"
-            sizes = (np.rad2deg(1.0) if turn else 100.0) * np.asarray(group["sigma"], dtype=float)
-            rows.append(
-                {
-                    "epoch": i,
-                    "error": GROUPS_IN_WORDS.get(group["name"], group["name"]),
-                    "correlation time": float("nan")
-                    if group["correlation_s"] is None
-                    else float(group["correlation_s"]),
-                    **dict(zip(_ENU, sizes.tolist(), strict=True)),
-                    "unit": "°" if turn else "cm",
-                }
-            )
+            sigma = np.asarray(group["sigma"], dtype=float).reshape(-1, 3)
+            # of a pose: the shift, then the rotation
+            for part, unit in zip(sigma, group["unit"].split(", "), strict=True):
+                turn = unit == "rad"
+                sizes = (np.rad2deg(1.0) if turn else 100.0) * part
+                kind = (", rotation" if turn else ", shift") if len(sigma) > 1 else ""
+                rows.append(
+                    {
+                        "epoch": i,
+                        "error": GROUPS_IN_WORDS.get(group["name"], group["name"]) + kind,
+                        "lasts": group["lasts"],
+                        **dict(zip(_ENU, sizes.tolist(), strict=True)),
+                        "unit": "°" if turn else "cm",
+                    }
+                )
     caption = "Standard deviations along east, north and up; of rotations about these axes"
-    page.table(pd.DataFrame(rows), caption, {"correlation time": "s"}, digits=2)
+    page.table(pd.DataFrame(rows), caption, digits=2)
 
 
 def _truth(page: Page, truth: Mapping[str, pd.DataFrame]) -> None:
