@@ -25,6 +25,8 @@ _LEAST: Final = 1e-9
 """Eigenvalues of a correlation matrix below this are rounding."""
 _MOST_ALIKE: Final = 1.0 - 1e-12
 """Greatest correlation of two nodes of a chain whose errors change."""
+_AT_ONCE: Final = 2000
+"""Nodes whose matrices are taken apart at once: some 100 MB."""
 _SAME_S: Final = 1e-6
 """Nodes that are nearer are one."""
 
@@ -96,27 +98,37 @@ class ErrorChain:
         pose : (m, 6, k) derivative of the pose to the first k states.
         step_s : nodes nearer to the one before are left out; the last one stays.
         """
-        scale = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2), 0.0))
-        scale = np.where(scale > 0, scale, 1.0)
-        value, vector = np.linalg.eigh(cov / scale[:, :, None] / scale[:, None, :])
-        size = np.sqrt(np.maximum(value, 0.0))
-        shown = value > _LEAST * value[:, -1:]
-        inverse = (vector / np.where(shown, size, np.inf)[:, None, :]).swapaxes(1, 2) / scale[:, None, :]
-        raw = inverse[1:] @ np.swapaxes(following[:-1], 1, 2) @ np.swapaxes(inverse[:-1], 1, 2)
-        left, alike, right = np.linalg.svd(raw)
-        links = (left * np.minimum(alike, 1.0)[:, None, :]) @ right
-        kept, chain = [0], [np.zeros(cov.shape[1:])]
+        kept, roots, chain = [0], [], [np.zeros(cov.shape[1:])]
         link = np.eye(cov.shape[1])
-        for k in range(1, len(t_gps_s)):
-            link = links[k - 1] @ link
-            if t_gps_s[k] - t_gps_s[kept[-1]] >= step_s or k == len(t_gps_s) - 1:
-                kept.append(k)
-                chain.append(link)
-                link = np.eye(cov.shape[1])
-        root = (scale[:, :, None] * vector * np.where(shown, size, 0.0)[:, None, :])[kept]
-        return cls(
-            name=name, t_gps_s=t_gps_s[kept], root=pose[kept] @ root[:, : pose.shape[2]], link=np.array(chain)
-        )
+        last = len(t_gps_s) - 1
+        for first in range(0, last + 1, _AT_ONCE):
+            # the last node of a piece is the first one of the next
+            own = cov[first : first + _AT_ONCE + 1]
+            root, inverse = _root_and_inverse(own)
+            raw = inverse[1:] @ np.swapaxes(following[first : first + len(own) - 1], 1, 2)
+            left, alike, right = np.linalg.svd(raw @ np.swapaxes(inverse[:-1], 1, 2))
+            links = (left * np.minimum(alike, 1.0)[:, None, :]) @ right
+            if first == 0:
+                roots.append(root[0, : pose.shape[2]])
+            for k in range(first + 1, first + len(own)):
+                link = links[k - first - 1] @ link
+                if t_gps_s[k] - t_gps_s[kept[-1]] >= step_s or k == last:
+                    kept.append(k)
+                    roots.append(root[k - first, : pose.shape[2]])
+                    chain.append(link)
+                    link = np.eye(cov.shape[1])
+        return cls(name=name, t_gps_s=t_gps_s[kept], root=pose[kept] @ np.array(roots), link=np.array(chain))
+
+
+def _root_and_inverse(cov: ArrayF) -> tuple[ArrayF, ArrayF]:
+    """Roots (m, n, n) of covariances and their pseudo-inverses."""
+    scale = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2), 0.0))
+    scale = np.where(scale > 0, scale, 1.0)
+    value, vector = np.linalg.eigh(cov / scale[:, :, None] / scale[:, None, :])
+    shown = value > _LEAST * value[:, -1:]
+    size = np.where(shown, np.sqrt(np.maximum(value, 0.0)), 0.0)
+    inverse = np.swapaxes(vector / np.where(shown, size, np.inf)[:, None, :], 1, 2) / scale[:, None, :]
+    return scale[:, :, None] * vector * size[:, None, :], inverse
 
 
 def with_rest(
