@@ -266,8 +266,8 @@ def test_chains_of_errors_are_the_covariance_of_each_pose_and_of_neighbours() ->
     expected = found.trajectory.cov_at(inside)
     sigma = np.sqrt(np.diagonal(expected, axis1=1, axis2=2))
     scale = sigma[:, :, None] * sigma[:, None, :]
-    # errors of the INS grow with the root of the time, and are interpolated over a twentieth of a second
-    assert total / scale == pytest.approx(expected / scale, abs=0.06)
+    # errors of the INS grow with the root of the time, and are interpolated over a fiftieth of a second
+    assert total / scale == pytest.approx(expected / scale, abs=0.03)
     at = [int(np.argmin(np.abs(chains["images"].t_gps_s - t))) for t in found.used_gps_s[3:5]]
     assert at[1] == at[0] + 1
     # the arm of the body turns both errors alike

@@ -47,7 +47,6 @@ from thalweg.core import (
 )
 from thalweg.images.model import ImagePoses
 from thalweg.navigation.fusion import (
-    CHAIN_STEP_S,
     SPREAD,
     FusionErrors,
     FusionSettings,
@@ -77,6 +76,8 @@ _CURE: Final = {
     "expected": "oriented images of the same survey, with times",
     "cure": "Look at the reasons in images_report.csv, at the camera's clock and at the dates of the logs",
 }
+_REST_STEP_S: Final = 0.02
+"""Least interval of the nodes of what the INS adds between images: a frame reaches a twentieth of a second."""
 LEAST_IMAGES = 3
 """With fewer, what is stated counts alone."""
 OF_POSITIONS = ("position_time_s", "position_white_share")
@@ -314,7 +315,7 @@ class CameraTrajectory:
 
     def error_chains(self) -> list[ErrorChain]:
         """How the errors of the poses hang together over time: images, their times, and the INS between."""
-        return with_rest(self.trajectory, self.by_images, self.used_gps_s, step_s=CHAIN_STEP_S)
+        return with_rest(self.trajectory, self.by_images, self.used_gps_s, step_s=_REST_STEP_S)
 
 
 def camera_trajectory(
