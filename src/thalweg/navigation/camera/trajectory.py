@@ -77,7 +77,7 @@ _CURE: Final = {
     "cure": "Look at the reasons in images_report.csv, at the camera's clock and at the dates of the logs",
 }
 _REST_STEP_S: Final = 0.02
-"""Least interval of the nodes of what the INS adds between images: a frame reaches a twentieth of a second."""
+"""Least interval of the nodes of what the INS adds between images, whose frames last a tenth of a second."""
 LEAST_IMAGES = 3
 """With fewer, what is stated counts alone."""
 OF_POSITIONS = ("position_time_s", "position_white_share")

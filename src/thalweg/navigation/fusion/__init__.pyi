@@ -11,9 +11,4 @@ from .model import (
     with_own_jitter as with_own_jitter,
 )
 from .solver import Observed as Observed, jumped_images as jumped_images, solve as solve
-from .trajectory import (
-    CHAIN_STEP_S as CHAIN_STEP_S,
-    Fused as Fused,
-    count_table as count_table,
-    fuse_trajectory as fuse_trajectory,
-)
+from .trajectory import Fused as Fused, count_table as count_table, fuse_trajectory as fuse_trajectory
