@@ -88,6 +88,13 @@ def add_deformation_commands(commands: "argparse._SubParsersAction[argparse.Argu
         help="5 %% are the false discovery rate (fdr), or the level of each test (default: %(default)s)",
     )
     compare.add_argument(
+        "--method",
+        choices=("m3c2", "c2c"),
+        default="m3c2",
+        help="m3c2: along normals at core points of the first cloud, with limits; c2c: of each point of the "
+        "second to the nearest one of the first, and to the plane of the nearest ones (default: %(default)s)",
+    )
+    compare.add_argument(
         "--correlation-m",
         "--correlation",
         dest="correlation",
@@ -251,7 +258,38 @@ def _compare(options: argparse.Namespace) -> int:
             f"{options.before.name} and {options.after.name}",
             expected="two clouds or two surface models (.tif)",
         )
+    if options.method == "c2c":
+        if all(rasters):
+            raise InputError("--method c2c of two surface models", expected="two clouds")
+        return _compare_nearest(options)
     return _compare_surfaces(options) if all(rasters) else _compare_clouds(options)
+
+
+def _compare_nearest(options: argparse.Namespace) -> int:
+    from thalweg.core import ConfigError
+    from thalweg.deformation import CLOUD_TO_CLOUD, compare_nearest, write_changes
+
+    if options.sigma_a is not None or options.sigma_b is not None:
+        raise ConfigError(
+            "--sigma-a or --sigma-b with --method c2c",
+            expected="no sigmas: distances to nearest points have none",
+            cure="Use --method m3c2 for limits and significance",
+        )
+    table, frame, notes = compare_nearest(
+        options.before, options.after, every=options.core_every, towards=options.towards
+    )
+    write_changes(options.out, table, frame, CLOUD_TO_CLOUD)
+    nearest, plane = table["distance_m"], table["plane_distance_m"]
+    print(f"{len(table):,} points of the second cloud")
+    print(
+        f"  to the nearest point: mean {nearest.mean():.4f} m, median {nearest.median():.4f} m, "
+        f"largest {nearest.max():.4f} m"
+    )
+    print(f"  to the plane of the nearest: mean {plane.mean():+.4f} m, median {plane.median():+.4f} m")
+    for note in notes:
+        print(f"note: {note}")
+    print(f"Wrote {options.out}")
+    return 0
 
 
 def _compare_surfaces(options: argparse.Namespace) -> int:

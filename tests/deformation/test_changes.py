@@ -10,8 +10,10 @@ from scipy.stats import chi2
 
 from thalweg.core import ArrayF, GeometryError
 from thalweg.deformation import (
+    YEAR_S,
     Compared,
     Epoch,
+    ErrorField,
     Registration,
     classify_changes,
     compare_epochs,
@@ -26,7 +28,9 @@ from thalweg.deformation import (
     registered_distances,
     series_of_epochs,
 )
-from thalweg.deformation.field import ErrorGroup
+from thalweg.deformation.changes import calm_of, measure_epoch
+from thalweg.deformation.coregistration import coregister_network
+from thalweg.deformation.field import ErrorGroup, joint_fields
 from thalweg.deformation.visibility import beams_through
 from thalweg.settings.sections import Deformation
 from thalweg.surface import Area
@@ -382,6 +386,142 @@ def test_a_series_shows_retreat_and_an_epoch_that_jumps() -> None:
     assert np.nanmean(z**2) < 2.5
     jumps = find_jumps(found.raw_m, found.sigma_apart_m, limit=2.0)
     assert [jump.epoch for jump in jumps if jump.flagged] == [2]
+
+
+def several(n: int, rng: np.random.Generator, **errors: float) -> list[Epoch]:
+    """Epochs of one bank a year apart, without drawn errors."""
+    return [epoch(bank(rng, 5_000), name=f"epoch {i}", start_gps_s=i * YEAR_S, **errors) for i in range(n)]
+
+
+def test_all_epochs_are_registered_in_one_adjustment_that_closes() -> None:
+    """Shifts of four epochs, a quarter of the bank that moved in one, and a hole in another."""
+    rng = np.random.default_rng(31)
+    errors = {"sigma_m": 0.004, "noise_m": 0.01}
+    shift = np.array([[0.0, 0.0, 0.0], [0.04, -0.03, 0.05], [-0.05, 0.02, 0.0], [0.01, 0.06, -0.04]])
+    epochs = []
+    for given, moved in zip(several(4, rng, **errors), shift, strict=True):
+        xyz = given.xyz_m + moved
+        if moved[0] == -0.05:
+            xyz[xyz[:, 0] < 7.0, 1] += 0.5
+        epochs.append(replace(given, xyz_m=xyz))
+    hole = (epochs[3].xyz_m[:, 0] > 20.0) & (epochs[3].xyz_m[:, 0] < 24.0)
+    kept = {
+        name: getattr(epochs[3], name)[~hole] for name in ("xyz_m", "moment", "white_m2", "several_returns")
+    }
+    epochs[3] = replace(epochs[3], **kept)
+    settings = SETTINGS.replace(core_spacing_m=1.0)
+    cores = place_core_points(epochs, settings, EVERYWHERE)
+    found = series_of_epochs(cores, epochs, settings)
+    motions = found.network.parameters
+    assert motions.sum(axis=0) == pytest.approx(np.zeros(6), abs=1e-12)
+    assert motions[1:, :3] - motions[0, :3] == pytest.approx(shift[1:], abs=0.012)
+    # heights of the network close by themselves, whatever is summed up; pairs by themselves do not
+    steps = np.diff(found.height_m, axis=0)
+    assert np.nanmax(np.abs(steps.sum(axis=0) - found.height_m[-1])) < 1e-12
+    assert found.misclosure.rms_m > 1e-5
+    assert found.network.facts["stable_cores"] < found.network.facts["candidates"]
+    still = cores["east_m"].between(9.0, 18.0).to_numpy()
+    assert np.nanmax(np.abs(np.nanmedian(found.height_m[:, still], axis=1))) < 0.01
+
+
+def test_two_epochs_in_a_network_are_registered_as_a_pair() -> None:
+    before, after = two_epochs(n=8_000, sigma_m=0.01, noise_m=0.01)
+    after = replace(after, xyz_m=after.xyz_m + np.array([0.03, 0.0, -0.02]))
+    settings = SETTINGS.replace(core_spacing_m=1.0)
+    cores = place_core_points([before, after], settings, EVERYWHERE)
+    pair = measure_pair(cores, before, after, settings)
+    alone = register_pair(pair, settings)
+    one, two = (measure_epoch(cores, each, settings) for each in (before, after))
+    along, white = np.array([one.cut.along_m, two.cut.along_m]), np.array([one.white_m, two.white_m])
+    fields = joint_fields([one.field, two.field])
+    places, normals = pair.found.cores_m, pair.found.normals
+    network = coregister_network(places, normals, along, white, pair.calm, fields, settings)
+    apart = network.parameters[1] - network.parameters[0]
+    # weights of noise and field differ by what both epochs' weights make of each other
+    assert apart == pytest.approx(alone.parameters, abs=2e-4)
+    differs = np.hstack([-np.eye(6), np.eye(6)])
+    sigma = np.sqrt(np.diag(differs @ network.cov @ differs.T))[[0, 1, 2, 5]]
+    assert sigma == pytest.approx(np.sqrt(np.diag(alone.cov))[[0, 1, 2, 5]], rel=0.1)
+
+
+def test_a_network_predicts_the_errors_of_its_heights() -> None:
+    """Three epochs, fields drawn by the library: registered means and their weighted sums."""
+    rng = np.random.default_rng(33)
+    epochs = several(3, rng, sigma_m=0.03, sigma_rad=0.002, noise_m=0.02, time_s=6.0)
+    settings = SETTINGS.replace(core_spacing_m=1.0)
+    cores = place_core_points(epochs, settings, EVERYWHERE)
+    every = [measure_epoch(cores, each, settings) for each in epochs]
+    fields = joint_fields([each.field for each in every])
+    white = np.array([each.white_m for each in every])
+    along = np.array([each.cut.along_m for each in every])
+    places = cores[["east_m", "north_m", "up_m"]].to_numpy()
+    normals = cores[["normal_east", "normal_north", "normal_up"]].to_numpy()
+    network = coregister_network(
+        places, normals, along, white, calm_of(np.array([e.cut.std_m for e in every]).T), fields, settings
+    )
+    products = np.array([np.ones(len(cores)), cores["s_m"] > 0]) / len(cores)
+    known = np.isfinite(white).all(axis=0)
+    products[:, ~known] = 0.0
+    left, sums = [], []
+    for _ in range(300):
+        error = np.array([each.field.draw(rng) for each in every]) + np.nan_to_num(
+            white
+        ) * rng.standard_normal(white.shape)
+        motion = np.einsum("eafk,fk->ea", network.weights, error)
+        rest = error - motion @ network.design.T
+        left.append(rest[:, known])
+        sums.append(rest @ products.T)
+    ratio = np.var(left, axis=0) / network.variances(fields, white)[:, known]
+    assert ratio.mean(axis=1) == pytest.approx(np.ones(3), abs=0.08)
+    # 300 draws tell a variance to 8 %
+    assert np.var(sums, axis=0) == pytest.approx(network.variances(fields, white, products), rel=0.3)
+
+
+def test_a_stable_area_that_moved_between_two_of_the_epochs_is_refused() -> None:
+    rng = np.random.default_rng(34)
+    epochs = several(3, rng, sigma_m=0.003, noise_m=0.005)
+    moved = epochs[2].xyz_m.copy()
+    moved[moved[:, 0] < 8.0, 2] += 0.1
+    areas = [
+        [(float(low), -2.0), (low + 9.0, -2.0), (low + 9.0, 8.0), (float(low), 8.0)] for low in (0, 10, 20)
+    ]
+    settings = SETTINGS.replace(core_spacing_m=1.0, stable=areas)
+    given = [*epochs[:2], replace(epochs[2], xyz_m=moved)]
+    with pytest.raises(GeometryError, match=r"stable area 1 of 3 lies \+0\.0.* between epochs 2 and 3"):
+        series_of_epochs(place_core_points(given, settings, EVERYWHERE), given, settings)
+    far = [*epochs[:2], replace(epochs[2], xyz_m=epochs[2].xyz_m + np.array([0.0, 0.0, 0.9]))]
+    with pytest.raises(GeometryError, match=r"epoch 3 lies 0\.\d+ m off the one before"):
+        series_of_epochs(place_core_points(far, settings, EVERYWHERE), far, settings.replace(stable=None))
+
+
+def test_a_tenth_of_the_correlation_time_and_half_the_sigma_are_seen() -> None:
+    """Forty pairs of unchanged ground: the mean of the bank errs more than these fields say."""
+    first, second = two_epochs(n=6_000, sigma_m=0.03, noise_m=0.01, time_s=10.0)
+    settings = SETTINGS.replace(core_spacing_m=1.0, registration="none")
+    cores = place_core_points([first, second], settings, EVERYWHERE)
+    rng = np.random.default_rng(35)
+    right: dict[str, list[float]] = {"stated": [], "a tenth of the time": [], "half the sigma": []}
+    for _ in range(40):
+        pair = measure_pair(cores, with_errors(first, rng), with_errors(second, rng), settings)
+        use = np.isfinite(pair.found.distance_m)
+        row = np.where(use, 1.0 / use.sum(), 0.0)
+        mean = float(row @ np.nan_to_num(pair.found.distance_m))
+        noise = float(np.sum((row * np.nan_to_num(pair.white_m)) ** 2))
+        for name, time, size in (
+            ("stated", 1.0, 1.0),
+            ("a tenth of the time", 0.1, 1.0),
+            ("half the sigma", 1.0, 0.5),
+        ):
+            groups = tuple(
+                replace(g, correlation_s=time * g.correlation_s, root=size * g.root)
+                for g in pair.field.groups
+            )
+            field = ErrorField(groups, pair.field.rows)
+            right[name].append(mean**2 / (float(field.combined(row[None]).variances()[0]) + noise))
+    low, high = chi2.ppf([0.005, 0.995], 40)
+    assert low < sum(right["stated"]) < high
+    assert sum(right["a tenth of the time"]) > high
+    assert sum(right["half the sigma"]) > high
 
 
 def test_both_lines_of_a_bank_retreat_by_what_was_cut_off_and_their_sigmas_hold() -> None:

@@ -10,7 +10,7 @@ from pyproj import CRS
 from thalweg.cli import main
 from thalweg.core import ArrayF, GeometryError, InputError, LocalFrame, read_table
 from thalweg.core.las import read_laz, write_laz
-from thalweg.deformation import Comparison, compare_clouds
+from thalweg.deformation import CLOUD_TO_CLOUD, Comparison, cloud_to_cloud, compare_clouds
 from thalweg.deformation.compare import CHANGES, measure_distances
 from thalweg.deformation.foreign import Points, one_frame, read_points, sigma_of_mean
 
@@ -281,3 +281,35 @@ def test_the_noise_of_two_places_adds_up_by_the_share_of_their_cylinders() -> No
     )
     expected = 0.03 * np.sqrt((1.0 + 0.3910) / 2)
     assert sigma_of_mean(table, 1.0, 5.0) == pytest.approx(expected, rel=1e-4)
+
+
+def test_distances_to_nearest_points_and_to_their_plane(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By brute force; no change is no zero, and a lift is seen where it exceeds the spacing."""
+    before, after = ground(1)[:3000], ground(2, 0.5)[:400]
+    table = cloud_to_cloud(before, after, towards=np.array([0.0, 0.0, 1.0]))
+    apart = np.linalg.norm(after[:, None] - before[None], axis=2)
+    assert table["distance_m"].to_numpy() == pytest.approx(apart.min(axis=1), abs=1e-9)
+    first = apart.argmin(axis=1)
+    own = np.sort(np.linalg.norm(before[first][:, None] - before[None], axis=2), axis=1)[:, 1]
+    assert table["spacing_m"].to_numpy() == pytest.approx(own, abs=1e-9)
+    inner = table["east_m"].between(440_001, 440_018)
+    lifted = table["east_m"].between(440_022, 440_029)
+    assert table.loc[inner, "distance_m"].mean() > 0.1  # 0.45 m between points, and no change
+    assert table.loc[inner, "plane_distance_m"].mean() == pytest.approx(0.0, abs=0.003)
+    along = 0.5 * np.cos(np.arctan(0.1))
+    assert table.loc[lifted, "plane_distance_m"].mean() == pytest.approx(along, abs=0.01)
+    down = cloud_to_cloud(before, after, towards=np.array([0.0, 0.0, -1.0]))
+    assert down.loc[lifted, "plane_distance_m"].mean() == pytest.approx(-along, abs=0.01)
+    with pytest.raises(GeometryError, match="3 points for planes of 8"):
+        cloud_to_cloud(before[:3], after, towards=np.array([0.0, 0.0, 1.0]))
+
+    files = a_file(tmp_path / "a.laz", before), a_file(tmp_path / "b.laz", after)
+    out = tmp_path / "nearest.parquet"
+    words = ["compare-clouds", *map(str, files), "--method", "c2c", "-o", str(out), "--core-every", "2"]
+    assert main(words) == 0
+    assert "note: Points of the first cloud lie 0.2" in capsys.readouterr().out
+    assert len(read_table(out, CLOUD_TO_CLOUD)[0]) == 200
+    assert main([*words, "--sigma-a", "0.01"]) == 2
+    assert "Use --method m3c2" in capsys.readouterr().err

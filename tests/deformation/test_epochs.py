@@ -6,9 +6,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from thalweg.core import CoverageError, InputError, LazWriter, LocalFrame, Rigid, Trajectory
-from thalweg.deformation import Epoch, check_order, prepare_epoch
-from thalweg.deformation.epochs import roots_of
+from thalweg.core import (
+    CoverageError,
+    ErrorChain,
+    InputError,
+    LazWriter,
+    LocalFrame,
+    Rigid,
+    Trajectory,
+    symmetric_roots,
+)
+from thalweg.deformation import Epoch, ErrorField, check_order, prepare_epoch
 from thalweg.deformation.m3c2 import ColumnIndex
 from thalweg.lidar import CORRELATION_DIMENSIONS, CORRELATIONS, SIGMAS, georeference_points
 from thalweg.lidar.cloud import EXTRA_DIMENSIONS
@@ -81,10 +89,10 @@ def survey(tmp_path: Path) -> tuple[Path, Trajectory, Rigid, np.ndarray]:
     return path, trajectory, mount, full * sigma[:, :, None] * sigma[:, None, :]
 
 
-def prepared(survey, frame: LocalFrame = FRAME, area: Area | None = None) -> Epoch:
+def prepared(survey, frame: LocalFrame = FRAME, area: Area | None = None, errors=CORRELATION) -> Epoch:
     path, trajectory, mount, _ = survey
     return prepare_epoch(
-        "spring", path, trajectory, mount, CORRELATION, frame=frame, area=area or Area(),
+        "spring", path, trajectory, mount, errors, frame=frame, area=area or Area(),
         moment_s=0.1, water_line_ics_m=0.3, margin_m=1.0,
     )  # fmt: skip
 
@@ -122,11 +130,11 @@ def test_an_error_stays_the_same_one_while_the_boat_turns() -> None:
     R = Rotation.from_euler("ZYX", np.column_stack([360 * t, 3 * np.sin(30 * t), 5 * np.cos(20 * t)]), True)
     body = np.diag([4.0, 4.0, 9.0]) * 1e-6  # roll and pitch alike: eigenvectors are any two
     turned = R.as_matrix() @ body @ np.swapaxes(R.as_matrix(), 1, 2)
-    root = roots_of(turned, R.as_matrix())
+    root = symmetric_roots(turned, R.as_matrix())
     assert root @ np.swapaxes(root, 1, 2) == pytest.approx(turned, abs=1e-12)
     between = root[:1] @ np.swapaxes(root, 1, 2)  # of the first moment with all others
     assert between == pytest.approx(R.as_matrix()[:1] @ body @ np.swapaxes(R.as_matrix(), 1, 2), abs=1e-12)
-    world = roots_of(
+    world = symmetric_roots(
         np.broadcast_to(np.diag([1.0, 1.0, 4.0]), (200, 3, 3)), np.broadcast_to(np.eye(3), (200, 3, 3))
     )
     assert world == pytest.approx(np.broadcast_to(np.diag([1.0, 1.0, 2.0]), (200, 3, 3)))
@@ -167,6 +175,55 @@ def test_an_epoch_is_read_as_it_was_written(survey, tmp_path: Path) -> None:
     assert (again.xyz_m == epoch.xyz_m).all()
     assert [g.correlation_s for g in again.groups] == [g.correlation_s for g in epoch.groups]
     assert all((a.root == b.root).all() for a, b in zip(again.groups, epoch.groups, strict=True))
+
+
+def test_a_chain_of_errors_moves_points_as_the_poses_between_its_nodes(survey, tmp_path: Path) -> None:
+    """Nodes every second with one error of the pose that lasts: the covariance of each point, and of two."""
+    trajectory = survey[1]
+    t = trajectory.t_gps_s[0] + np.arange(0.0, 5.0)
+    root = np.tile(np.linalg.cholesky(trajectory.cov_pose_wcs[0]), (5, 1, 1))
+    lasting = ErrorChain(name="smoothed", t_gps_s=t, root=root, link=np.tile(np.eye(6), (5, 1, 1)))
+    one, two = prepared(survey, errors=[lasting]), prepared(survey)
+    how = {"radius_m": 0.005, "half_length_m": 0.005}
+    normals = np.tile([0.6, 0.0, 0.8], (40, 1))
+    index = ColumnIndex.of(one.xyz_m, 1.0)
+    field = one.field(one.xyz_m, normals, index, **how)
+    expected = two.field(one.xyz_m, normals, index, **how).variances()
+    assert field.variances() == pytest.approx(expected, rel=1e-6)
+    # one error of all poses: the mean of all points moves with the mean of their derivatives
+    arm = one.xyz_m - one.boat_m[one.moment]
+    row = np.concatenate([normals, np.cross(arm, normals)], axis=1).mean(axis=0)
+    by_pose = ErrorField(field.groups[:1], field.rows[:1]).combined(np.full((1, 40), 1 / 40))
+    assert by_pose.variances() == pytest.approx([row @ trajectory.cov_pose_wcs[0] @ row], rel=1e-6)
+    one.write(tmp_path / "points.npz", tmp_path / "errors.json")
+    again = Epoch.read(tmp_path).field(one.xyz_m, normals, index, **how)
+    assert again.variances() == pytest.approx(field.variances(), rel=1e-12)
+
+
+def test_a_late_clock_moves_all_points_along_the_way_of_the_boat(survey) -> None:
+    """20 ms at 1.5 m/s and 3 degrees/s: variance of each point, and what is left for its own noise."""
+    path, trajectory, mount, _ = survey
+    how = {
+        "frame": FRAME, "area": Area(), "moment_s": 0.1, "water_line_ics_m": 0.3, "margin_m": 1.0,
+    }  # fmt: skip
+    sure, late = (
+        prepare_epoch("spring", path, trajectory, mount, CORRELATION, sigma_time_s=sigma, **how)
+        for sigma in (0.0, 0.02)
+    )
+    normals = np.tile([0.8, 0.6, 0.0], (40, 1))
+    index = ColumnIndex.of(sure.xyz_m, 1.0)
+    one, two = (
+        each.field(sure.xyz_m, normals, index, radius_m=0.005, half_length_m=0.005) for each in (sure, late)
+    )
+    arm = sure.xyz_m - sure.boat_m[sure.moment]
+    turning = np.radians(3.0) * np.cross([0.0, 0.0, 1.0], arm)
+    moved = 0.02 * np.sum(normals * (np.array([1.5, 0.1, 0.0]) + turning), axis=1)
+    assert two.variances() - one.variances() == pytest.approx(moved**2, rel=0.05, abs=1e-6)
+    # all of them at once, not each by itself
+    mean = np.full((1, 40), 1 / 40)
+    apart = two.combined(mean).variances() - one.combined(mean).variances()
+    assert apart == pytest.approx([moved.mean() ** 2], rel=0.05)
+    assert (late.white_m2[:, 0] <= sure.white_m2[:, 0] + 1e-9).all()
 
 
 def test_estimates_of_all_chains_give_correlation_times() -> None:

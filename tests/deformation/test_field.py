@@ -45,6 +45,32 @@ def test_variances_and_covariances_are_those_of_the_full_matrix(tau: float) -> N
     assert field.combined(mean).variances()[0] == pytest.approx((mean @ expected @ mean.T)[0, 0], rel=1e-9)
 
 
+def test_a_markov_chain_has_the_sums_of_its_full_matrix() -> None:
+    """Also for rows that pass over many moments, and for draws."""
+    rng = np.random.default_rng(5)
+    m, c, d = 37, 6, 5
+    left, size, right = np.linalg.svd(rng.standard_normal((m, d, d)))
+    link = (left * np.clip(size, 0.0, 0.98)[:, None, :]) @ right
+    group = ErrorGroup("smoothed", np.arange(float(m)), rng.standard_normal((m, c, d)), np.nan, link)
+    correlation = np.zeros((m, d, m, d))
+    for i in range(m):
+        M = np.eye(d)
+        for k in range(i, m):
+            M = link[k] @ M if k > i else M
+            correlation[k, :, i], correlation[i, :, k] = M, M.T
+    full = np.einsum("kci,kilj,lej->kcle", group.root, correlation, group.root).reshape(c * m, c * m)
+    rows = sp.csr_matrix(sp.random(9, c * m, density=0.03, random_state=rng, data_rvs=rng.standard_normal))
+    rows.sort_indices()
+    field = ErrorField((group,), (rows,))
+    expected = rows @ full @ rows.T
+    assert field.variances() == pytest.approx(np.diag(expected), rel=1e-9)
+    assert field.covariance_with(field) == pytest.approx(expected, rel=1e-9, abs=1e-9 * expected.max())
+    draws = np.array([field.draw(rng) for _ in range(1500)])
+    squares = np.einsum("ij,jk,ik->i", draws, np.linalg.inv(expected), draws)
+    low, high = chi2.ppf([0.0005, 0.9995], 9 * len(draws))
+    assert low < squares.sum() < high
+
+
 def test_one_error_of_all_moments_adds_up_and_independent_ones_average() -> None:
     t = np.linspace(0.0, 10.0, 50)
     rows = sp.csr_matrix(np.tile([0.0, 0.02, 0.0], 50)[None])  # the mean of 50 moments, component north

@@ -106,6 +106,30 @@ def test_weights_tell_what_an_error_of_a_pose_does(cloud: ArrayF) -> None:
         assert found == pytest.approx(expected, rel=1e-9, abs=1e-15)
 
 
+def test_weights_of_many_core_points_with_many_moments(cloud: ArrayF) -> None:
+    """More than one block of core points, more moments than a block has room for, two passages apart."""
+    rng = np.random.default_rng(12)
+    cores = cloud[rng.choice(len(cloud), 300, replace=False)]
+    cores[7] = 1e4  # far from all points
+    normals = np.tile([0.0, 0.0, 1.0], (300, 1))
+    node = rng.integers(0, 400, len(cloud)) + np.where(rng.random(len(cloud)) < 0.5, 0, 9000)
+    boat = rng.normal(0.0, 5.0, (9400, 3))
+    index = ColumnIndex.of(cloud, 1.0)
+    weights = pose_weights(cores, normals, index, node, boat, radius_m=1.5, half_length_m=5.0)
+    assert len(weights.node) > 64 * 300
+    assert weights.start[8] == weights.start[7]
+    for i in (0, 7, 255, 256, 299):
+        chosen = inside(cloud, cores[i], normals[i], 1.5, 5.0)
+        k, at = np.unique(node[chosen], return_inverse=True)
+        entries = slice(weights.start[i], weights.start[i + 1])
+        assert weights.node[entries].tolist() == k.tolist()
+        share = np.bincount(at, minlength=len(k)) / max(chosen.sum(), 1)
+        assert weights.shift[entries, 2] == pytest.approx(share, abs=1e-15)
+        arm = np.zeros((len(k), 3))
+        np.add.at(arm, at, (cloud[chosen] - boat[node[chosen]]) / max(chosen.sum(), 1))
+        assert weights.turn_m[entries] == pytest.approx(np.cross(arm, normals[i]), abs=1e-12)
+
+
 @pytest.mark.real
 def test_the_planes_of_py4dgeo(data_dir: Path) -> None:
     """py4dgeo 1.2.0: every 50th point, cylinders of 2 m, normals at 0.5, 1 and 2 m."""

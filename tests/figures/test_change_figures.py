@@ -39,6 +39,7 @@ from thalweg.figures.deformation.statistics import (
     read_stable,
     variogram,
 )
+from thalweg.figures.deformation.together import draw_epochs_together
 from thalweg.figures.deformation.views import (
     draw_change_profiles,
     draw_epochs_from_above,
@@ -144,8 +145,12 @@ def bank(tmp_path_factory):
         boat = np.stack([np.linspace(90, 110, 20), np.full(20, -12.0), np.zeros(20)], axis=1)
         np.savez(own / "points.npz", xyz_m=xyz, boat_m=boat)
         groups = [
-            {"name": "position", "correlation_s": 11.0, "sigma": [0.01, 0.02, 0.03], "unit": "m"},
-            {"name": "mount, rotation", "correlation_s": None, "sigma": [0.001] * 3, "unit": "rad"},
+            {"name": "position", "correlation_s": 11.0, "lasts": "11 s"}
+            | {"sigma": [0.01, 0.02, 0.03], "unit": "m"},
+            {"name": "mount, rotation", "correlation_s": None, "lasts": "all the time"}
+            | {"sigma": [0.001] * 3, "unit": "rad"},
+            {"name": "images", "correlation_s": None, "lasts": "from node to node"}
+            | {"sigma": [0.04] * 3 + [0.002] * 3, "unit": "m, rad"},
         ]
         about = {"name": name, "start_gps_s": 3e8 + 1e7 * i, "points": 40_000, "moments": 20}
         (own / "errors.json").write_text(json.dumps({**about, "groups": groups}))
@@ -373,7 +378,7 @@ def test_an_epoch_of_files_has_no_boat_and_its_notes_stand_on_the_page(bank, fac
     own.mkdir()
     with np.load(bank.points[1]) as stored:
         np.savez(own / "points.npz", xyz_m=stored["xyz_m"], boat_m=np.empty((0, 3)))
-    group = {"name": "stated", "correlation_s": None, "correlation_m": 20.0, "cell_m": 2.5, "unit": "m"}
+    group = {"name": "stated", "correlation_s": None, "lasts": "over 20 m", "unit": "m"}
     about = json.loads(bank.errors[1].read_text()) | {"groups": [group | {"sigma": [0.0, 0.0, 0.03]}]}
     (own / "errors.json").write_text(json.dumps(about))
     figure = draw_epochs_from_above(
@@ -383,13 +388,22 @@ def test_an_epoch_of_files_has_no_boat_and_its_notes_stand_on_the_page(bank, fac
     assert "files, no trajectory" in look.texts(figure)
     noted = replace(facts, control=facts.control | {"notes": ["No sigma is stated of scanner."]})
     html = change_page([json.loads(bank.errors[0].read_text()), about], [noted]).html()
-    for words in (
-        "Epochs 1 to 2: No sigma is stated of scanner.",
-        "stated of the files",
-        "correlation length",
-    ):
+    for words in ("Epochs 1 to 2: No sigma is stated of scanner.", "stated of the files", "over 20 m"):
         assert words in html, words
-    assert "correlation length" not in change_page([json.loads(bank.errors[0].read_text())], [facts]).html()
+
+
+def test_both_epochs_together_with_point_to_point_distances(bank, look, tmp_path):
+    files = {name: getattr(bank, name) for name in ("points", "errors", "changes", "core_points")}
+    figure = draw_epochs_together(**files, spacing_m=0.5, **WORDS)
+    words = look.texts(figure)
+    assert "a) epoch 1, spring, from the river" in words
+    assert "n = 80 000 points" in words
+    distance = np.asarray(look.artists(figure, "distances")[0].get_array())
+    # 0.42 m across a slope of 45 degrees and 0.05 m up, to points some centimetres apart
+    assert 0.27 < np.quantile(distance, 0.995) < 0.45
+    assert np.quantile(distance, 0.5) < 0.08
+    assert len(look.artists(figure, "both")[0].get_offsets()) == 80_000
+    look.drawn(figure, tmp_path)
 
 
 def test_profiles_go_through_the_largest_and_the_lowest_change(bank, pair):
@@ -566,11 +580,22 @@ def test_a_page_of_many_epochs_names_those_that_jump(bank):
     errors = [json.loads(path.read_text()) for path in bank.errors]
     jump = {"n": 200, "before_m": 0.2, "after_m": -0.21, "share": 0.9, "flagged": True, "name": "autumn"}
     jumps = {"epochs": [jump | {"epoch": 1}], "closure": {"n": 190, "mean_m": 0.0, "rms_m": 0.013}}
+    none = dict.fromkeys(("east_m", "north_m", "up_m", "turn_east", "turn_north", "turn_up"), 0.0)
+    jumps["network"] = {
+        "parameters": [none | {"up_m": 0.02}, none | {"up_m": -0.02}, none],
+        "sigmas": [none | {"up_m": 0.003, "turn_up": 1e-4}] * 3,
+        "stable_cores": 210,
+    }
     line = {"line": "bank line", "height_m": 0.5, "s_from_m": 0.0, "s_to_m": 5.0, "cores": 4, "n_epochs": 3}
     rates = pd.DataFrame([line | {"lrr_m_a": -0.31, "sigma_lrr_m_a": 0.02}])
     text = change_page(errors, facts, series=(jumps, rates)).html()
     assert "Look at epoch 2 (autumn)" in text
-    assert "to 1.3 cm (root mean square of n = 190" in text
+    assert "by 1.3 cm (root mean square of n = 190" in text
+    assert "+20.0 ± 3.0" in text
+    assert "poses of the photographs, shift" in text
+    assert "poses of the photographs, rotation" in text
+    assert "0.11" in text  # 2 mrad in degrees
+    assert "stable core points: 210" in text
     assert "−0.31" in text or "-0.31" in text
 
 

@@ -255,6 +255,35 @@ def test_covariance_between_two_images_is_that_of_their_weighted_sum() -> None:
     assert np.abs((got - expected) / scale).max() < 2e-3
 
 
+def test_chains_of_errors_are_the_covariance_of_each_pose_and_of_neighbours() -> None:
+    """Images with what they share, their times alone, one clock, and the INS between."""
+    recorded = survey()
+    found = run(recorded, BRIDGE)
+    chains = {chain.name: chain for chain in found.error_chains()}
+    assert set(chains) == {"images", "times of images", "clock of the camera", "between the nodes"}
+    inside = found.trajectory.t_gps_s[found.trajectory.valid]
+    total = sum(chain.covariance_at(inside) for chain in chains.values())
+    expected = found.trajectory.cov_at(inside)
+    sigma = np.sqrt(np.diagonal(expected, axis1=1, axis2=2))
+    scale = sigma[:, :, None] * sigma[:, None, :]
+    # errors of the INS grow with the root of the time, and are interpolated over a fiftieth of a second
+    assert total / scale == pytest.approx(expected / scale, abs=0.03)
+    at = [int(np.argmin(np.abs(chains["images"].t_gps_s - t))) for t in found.used_gps_s[3:5]]
+    assert at[1] == at[0] + 1
+    # the arm of the body turns both errors alike
+    images = timed(recorded.images)
+    order = np.argsort(images.t_gps_s)[3]
+    link = chains["images"].link[at[1]]
+    shared = chains["images"].root[at[0]] @ link.T @ chains["images"].root[at[1]].T
+    assert shared[3:, 3:] == pytest.approx(images.cov_next[order][3:, 3:], rel=1e-6, abs=1e-12)
+    assert not chains["times of images"].link[at[1]].any()
+    assert (chains["clock of the camera"].link == 1.0).all()
+    rest = chains["between the nodes"]
+    assert np.abs(rest.covariance_at(found.used_gps_s)).max() < 1e-15
+    middle = np.mean(found.used_gps_s[3:5])
+    assert rest.covariance_at(np.array([middle]))[0, 5, 5] > 0
+
+
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.5])
 def test_growth_of_the_ins_errors_against_a_simulated_process(share: float) -> None:
     """Sums over the exact covariance of a finely sampled Gauss-Markov process."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from thalweg.core import ErrorChain
 from thalweg.navigation.fusion import (
     FusionSettings,
     Layout,
@@ -156,6 +157,37 @@ def test_states_and_covariances_agree_with_the_dense_solution() -> None:
             np.testing.assert_allclose(found.cross[k] / scale, after / scale, rtol=0, atol=1e-8)
     last = blocks[-1, :, -1, :]
     np.testing.assert_allclose(found.last, last, rtol=0, atol=1e-9)
+
+
+def test_errors_of_any_two_nodes_hang_together_as_in_the_dense_solution() -> None:
+    """As one Markov chain of all states, thinned; of the states of the pose alone it would not be one."""
+    t = task()
+    n = t.layout.n
+    found = smooth(
+        t.x, t.reference.at(t.nodes.t_gps_s), t.nodes, t.observed, t.layout, SETTINGS, FACTORS,
+        start_m=t.start, clock_start_s=0.003, part=n,
+    )  # fmt: skip
+    m = len(t.nodes.t_gps_s)
+    cov = dense(t)[1].reshape(m, n, m, n)
+    pose = np.broadcast_to(np.eye(6, 10), (m, 6, 10))  # the first six states stand for a pose
+    worst = []
+    for states in (n, 10):
+        chain = ErrorChain.of_covariances(
+            "all", t.nodes.t_gps_s, found.cov[:, :states, :states], found.cross[:, :states, :states], pose,
+            step_s=0.15,
+        )  # fmt: skip
+        assert 15 < len(chain.t_gps_s) < m / 2
+        kept = np.searchsorted(t.nodes.t_gps_s, chain.t_gps_s, side="right") - 1
+        apart, link = [], np.eye(chain.link.shape[1])
+        for k in range(len(kept)):
+            link = chain.link[k] @ link if k else link
+            true = cov[kept[k], :6, 0, :6]
+            sigma = np.sqrt(np.outer(np.diag(cov[kept[k], :6, kept[k], :6]), np.diag(cov[0, :6, 0, :6])))
+            apart.append(np.abs(chain.root[k] @ link @ chain.root[0].T - true) / sigma)
+        worst.append(np.max(apart))
+    # eigenvalues of a correlation matrix below 1e-9 are cut
+    assert worst[0] < 1e-5
+    assert worst[1] > 0.05
 
 
 def test_squares_and_redundancies_of_groups_agree_with_the_dense_solution() -> None:

@@ -57,6 +57,17 @@ def test_three_epochs_are_compared_one_after_the_other_and_first_with_last(folde
     assert CampaignFiles(name="change", campaigns=campaigns).epoch_pairs() == ["1-2", "2-3", "1-3"]
 
 
+def test_how_errors_last_comes_from_the_chain_of_each_epoch(folder: Path) -> None:
+    camera = {"omega_deg": -90.0, "kappa_deg": 180.0, "lever_ics_m": [-0.25, 0.1, -0.2]}
+    write(folder, "photos", twin={"size": "tiny", "time_lapse": {}}, mounts=MOUNTS | {"camera": camera})
+    epochs = [{"campaign": "spring"}, {"campaign": "photos", "chain": "fused"}]
+    write(folder, "change", epochs=epochs)
+    campaigns = with_calibrations(load_campaigns("change", folder), folder)
+    files = CampaignFiles(name="change", campaigns=campaigns)
+    assert files.epoch_errors("spring") == "results/spring/orientation/error_model.json"
+    assert files.epoch_errors("photos") == "results/photos/orientation/errors_fused.npz"
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

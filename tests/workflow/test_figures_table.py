@@ -269,7 +269,7 @@ def test_what_the_shipped_campaigns_show(repository: Path) -> None:
     assert names("basin_tiny", "scans")[-1] == "orthophoto"
     assert len(names("basin_tiny", "scans")) == 12
     assert names("tiny_change") == names("tiny_change", "deformation")
-    assert names("tiny_change")[:3] == ["epochs_from_above", "change_map", "significance_map"]
+    assert names("tiny_change")[:3] == ["epochs_from_above", "epochs_together", "change_map"]
     assert len(names("tiny_change")) == 11
     (row,) = [row for row in table.rows if row.name == "change_map"]
     changes = row.input_files(of)["changes"](SimpleNamespace(campaign="tiny_change"))

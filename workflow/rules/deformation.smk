@@ -37,6 +37,9 @@ rule prepare_epoch:
         water_line_ics_m=lambda wildcards: (
             CAMPAIGNS[wildcards.epoch].filters.water_line_ics_m
         ),
+        sigma_time_s=lambda wildcards: (
+            CAMPAIGNS[wildcards.epoch].lidar_accuracy.sigma_time_s
+        ),
     script:
         "../scripts/prepare_epoch.py"
 

@@ -245,6 +245,7 @@ rule fuse_trajectory:
         observations="results/{campaign}/orientation/fused_observations.csv",
         counts="results/{campaign}/orientation/fused_counts.csv",
         facts="results/{campaign}/orientation/fused.json",
+        errors="results/{campaign}/orientation/errors_fused.npz",
     log:
         "logs/{campaign}/orientation/fuse_trajectory.log",
     benchmark:
@@ -420,6 +421,7 @@ rule camera_trajectory:
         mounts_camera="results/{campaign}/orientation/mounts_camera.json",
         images="results/{campaign}/orientation/camera_frames.csv",
         facts="results/{campaign}/orientation/camera_trajectory.json",
+        errors="results/{campaign}/orientation/errors_camera.npz",
     log:
         "logs/{campaign}/orientation/camera_trajectory.log",
     benchmark:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from thalweg.calibration import read_mounts, write_mounts
-from thalweg.core import Trajectory, read_table
+from thalweg.core import Trajectory, read_table, write_chains
 from thalweg.core.calibration import read_calibration
 from thalweg.images.model import ImagePoses
 from thalweg.ingest import INS_STATE
@@ -25,6 +25,7 @@ def main(
     mounts_camera: Path,
     images: Path,
     facts: Path,
+    errors: Path,
     cloud: CameraCloud,
     orientation: dict[str, Any],
     ins: dict[str, Any],
@@ -47,6 +48,7 @@ def main(
     write_mounts(mounts_camera, places)
     found.images.to_csv(images, index=False, float_format="%.6f")
     facts.write_text(json.dumps({**found.facts, "lidar": placed}, indent=2) + "\n")
+    write_chains(errors, found.error_chains())
 
 
 if "snakemake" in globals():

@@ -42,7 +42,7 @@ def main(
         asdict(jump) | {"name": read[jump.epoch].name}
         for jump in find_jumps(found.raw_m, found.sigma_apart_m, limit=2.0)
     ]
-    facts = {"epochs": told, "closure": asdict(found.misclosure)}
+    facts = {"epochs": told, "closure": asdict(found.misclosure), "network": found.network.facts}
     jumps.write_text(json.dumps(facts, indent=2) + "\n")
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from thalweg.calibration import read_mounts
-from thalweg.core import LocalFrame, Rigid, read_table
+from thalweg.core import LocalFrame, Rigid, read_table, write_chains
 from thalweg.images.model import ImagePoses
 from thalweg.ingest import GNSS_POSITION, INS_STATE
 from thalweg.navigation.fusion import FusionSettings, count_table, fuse_trajectory, with_own_jitter
@@ -23,6 +23,7 @@ def main(
     observations: Path,
     counts: Path,
     facts: Path,
+    errors: Path,
     campaign: dict[str, Any],
     fused: Fused,
     orientation: dict[str, Any],
@@ -52,6 +53,7 @@ def main(
     found.observations.to_csv(observations, index=False, float_format="%.6f")
     count_table(found.facts).to_csv(counts, index=False)
     facts.write_text(json.dumps(found.facts, indent=2) + "\n")
+    write_chains(errors, found.error_chains())
 
 
 if "snakemake" in globals():

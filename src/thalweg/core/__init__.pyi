@@ -92,6 +92,13 @@ from .las import (
     local_crs as local_crs,
     whole_chunks as whole_chunks,
 )
+from .pose_errors import (
+    ErrorChain as ErrorChain,
+    read_chains as read_chains,
+    symmetric_roots as symmetric_roots,
+    with_rest as with_rest,
+    write_chains as write_chains,
+)
 from .progress import steps as steps, to_terminal as to_terminal
 from .raster import Grid as Grid, read_raster as read_raster, write_raster as write_raster
 from .rigid import (

@@ -10,7 +10,12 @@ from .changes import (
     registered_distances as registered_distances,
     series_of_epochs as series_of_epochs,
 )
-from .compare import CHANGES as CHANGES, Comparison as Comparison
+from .compare import (
+    CHANGES as CHANGES,
+    CLOUD_TO_CLOUD as CLOUD_TO_CLOUD,
+    Comparison as Comparison,
+    cloud_to_cloud as cloud_to_cloud,
+)
 from .core_points import CORE_POINTS as CORE_POINTS, place_core_points as place_core_points
 from .coregistration import (
     Registration as Registration,
@@ -33,6 +38,7 @@ from .foreign import (
     TEXT as TEXT,
     compare_clouds as compare_clouds,
     compare_files as compare_files,
+    compare_nearest as compare_nearest,
     compare_with_surface as compare_with_surface,
     point_spacing_m as point_spacing_m,
     read_points as read_points,

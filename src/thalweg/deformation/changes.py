@@ -8,15 +8,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import scipy.sparse as sp
 from scipy.stats import norm
 
 from thalweg.core import ArrayB, ArrayF, column, frame_of, table_kind
 from thalweg.deformation.compare import Comparison, Distances, distances_along, judge_changes
 from thalweg.deformation.core_points import bank_line_m, lines_of_bank
-from thalweg.deformation.coregistration import Registration, coregister
+from thalweg.deformation.coregistration import Network, Registration, coregister, coregister_network
 from thalweg.deformation.epochs import Epoch, highest_water_m
-from thalweg.deformation.field import ErrorField, ErrorGroup, SharedErrors
+from thalweg.deformation.field import ErrorField, joint_fields
 from thalweg.deformation.m3c2 import ColumnIndex, Cylinders, cut_cylinders, mean_in_cylinders
 from thalweg.deformation.series import Closure, closure
 from thalweg.settings.sections import Deformation
@@ -63,8 +62,13 @@ class Pair:
     @property
     def calm(self) -> ArrayB:
         """Core points (k,) about which the points of both epochs scatter no more than bare ground does."""
-        widest = np.max(self.scatter_m, axis=1)
-        return np.asarray(widest <= 2.0 * np.nanmedian(widest))
+        return calm_of(self.scatter_m)
+
+
+def calm_of(scatter_m: ArrayF) -> ArrayB:
+    """Core points (k,) whose points scatter (k, n) in no epoch more than those of bare ground do."""
+    widest = np.max(scatter_m, axis=1)
+    return np.asarray(widest <= 2.0 * np.nanmedian(widest))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,9 +103,11 @@ class Series:
     ----------
     years : (n,) times.
     height_m : (n, k) registered, zero in the first row; NaN where not seen. ``raw_m``: before registration.
-    sigma_m : (n, k) standard deviation of each epoch's own mean.
+    sigma_m : (n, k) standard deviation of each epoch's own registered mean.
     sigma_apart_m : (n - 1,) standard deviation of the mean distance of neighbouring epochs.
-    misclosure : of the registered changes from epoch to epoch against that from first to last.
+    network : registration of all epochs.
+    misclosure : of changes from epoch to epoch against that from first to last, if each pair is registered by
+        itself; in the network there is none.
     lines : of the bank in stretches, see `thalweg.deformation.core_points.lines_of_bank`.
     line_m, line_sigma_m : (n, q) their registered movement from the first epoch, and the standard deviation
         of each epoch's own.
@@ -112,6 +118,7 @@ class Series:
     sigma_m: ArrayF
     raw_m: ArrayF
     sigma_apart_m: ArrayF
+    network: Network
     misclosure: Closure
     lines: pd.DataFrame
     line_m: ArrayF
@@ -153,8 +160,13 @@ def measure_pair(cores: pd.DataFrame, before: Epoch, after: Epoch, settings: Def
     ------
     GeometryError : no core point has points of both epochs.
     """
-    places, normals = _places(cores)
     one, two = (measure_epoch(cores, epoch, settings) for epoch in (before, after))
+    return _pair(cores, one, two, settings)
+
+
+def _pair(cores: pd.DataFrame, one: Measured, two: Measured, settings: Deformation) -> Pair:
+    """A pair of two measured epochs."""
+    places, normals = _places(cores)
     found = distances_along(places, normals, cores["scale_m"].to_numpy(), one.cut, two.cut)
     return Pair(
         cores=cores,
@@ -169,76 +181,55 @@ def measure_pair(cores: pd.DataFrame, before: Epoch, after: Epoch, settings: Def
 def series_of_epochs(cores: pd.DataFrame, epochs: Sequence[Epoch], settings: Deformation) -> Series:
     """Registered distances of all epochs from the first, for `thalweg.deformation.series.fit_series`.
 
-    Each epoch is registered to the first by itself: errors that an epoch has everywhere are taken off on
-    stable ground.
+    All epochs are registered to each other in one adjustment
+    (`thalweg.deformation.coregistration.coregister_network`): errors that an epoch has everywhere are taken
+    off on ground that all of them agree on.
     """
-    heights, sigmas, offsets, every = [], [], [], []
-    for epoch in epochs:
-        alone = measure_epoch(cores, epoch, settings)
-        every.append(alone)
-        sigmas.append(np.sqrt(alone.field.variances() + alone.white_m**2))
-        if epoch is epochs[0]:
-            heights.append(np.where(alone.cut.n >= settings.least_in_cylinder, 0.0, np.nan))
-            continue
-        pair = measure_pair(cores, epochs[0], epoch, settings)
-        motion = register_pair(pair, settings)
-        heights.append(motion.registered(pair.found.distance_m))
-        offsets.append(pair)
-    height, sigma = np.array(heights), np.array(sigmas)
-    height[~np.isfinite(sigma)] = np.nan
-    years = np.array([epoch.start_gps_s for epoch in epochs]) / YEAR_S
+    places, normals = _places(cores)
+    every = [measure_epoch(cores, epoch, settings) for epoch in epochs]
+    fields = joint_fields(
+        [alone.field for alone in every], common="mount" if settings.errors.common_mounts else None
+    )
+    along = np.array([np.where(a.cut.n >= settings.least_in_cylinder, a.cut.along_m, np.nan) for a in every])
+    white = np.array([alone.white_m for alone in every])
+    along[~np.isfinite(white)] = np.nan
+    scatter = np.array([alone.cut.std_m for alone in every])
+    network = coregister_network(places, normals, along, white, calm_of(scatter.T), fields, settings)
+    height = network.registered(along)
+    raw = along - along[0]
     # how far two epochs may lie apart as such: the mean distance before any registration
     apart, steps = [], []
-    for before, after in pairwise(epochs):
-        pair = measure_pair(cores, before, after, settings)
+    for one, two in pairwise(every):
+        pair = _pair(cores, one, two, settings)
         steps.append(register_pair(pair, settings).registered(pair.found.distance_m))
         use = np.isfinite(pair.found.distance_m)
         row = np.where(use, 1.0 / max(int(use.sum()), 1), 0.0)[None]
         apart.append(float(np.sqrt(pair.field.combined(row).variances()[0])))
-    raw = np.array([np.zeros(len(cores)), *(pair.found.distance_m for pair in offsets)])
-    bare = np.all([pair.calm for pair in offsets], axis=0) & np.isfinite(height).all(axis=0)
+    whole = _pair(cores, every[0], every[-1], settings)
+    first_to_last = register_pair(whole, settings).registered(whole.found.distance_m)
+    bare = calm_of(scatter.T) & np.isfinite(height).all(axis=0)
     water = highest_water_m(epochs)
     lines, products = lines_of_bank(cores, bare, settings, bank_line_m(settings, water))
-    own = [
-        alone.field.combined(products).variances() + products**2 @ np.nan_to_num(alone.white_m) ** 2
-        for alone in every
-    ]
+    height = height - height[0]
     return Series(
-        years=years,
+        years=np.array([epoch.start_gps_s for epoch in epochs]) / YEAR_S,
         height_m=height,
-        sigma_m=sigma,
+        sigma_m=np.sqrt(network.variances(fields, white)),
         raw_m=raw,
         sigma_apart_m=np.array(apart),
-        misclosure=closure(np.array(steps), height[-1]),
+        network=network,
+        misclosure=closure(np.array(steps), first_to_last),
         lines=lines,
         line_m=np.nan_to_num(height) @ products.T,
-        line_sigma_m=np.sqrt(np.array(own)),
+        line_sigma_m=np.sqrt(network.variances(fields, white, products)),
     )
 
 
 def difference_of(before: ErrorField, after: ErrorField, *, common_mounts: bool) -> ErrorField:
     """Errors of ``after - before``: those of both, but the errors of common mounts once, as a difference."""
-    groups: list[SharedErrors] = []
-    rows: list[sp.csr_matrix] = []
-    later = {group.name: i for i, group in enumerate(after.groups)}
-    shared: set[str] = set()
-    for group, own in zip(before.groups, before.rows, strict=True):
-        other = later.get(group.name, -1)
-        second = after.groups[other]
-        mounted = common_mounts and group.name.startswith("mount") and other >= 0
-        if mounted and isinstance(group, ErrorGroup) and isinstance(second, ErrorGroup):
-            shared.add(group.name)
-            t = np.concatenate([group.t_s, group.t_s[-1] + second.t_s])
-            groups.append(ErrorGroup(group.name, t, np.concatenate([group.root, second.root]), np.inf))
-            rows.append(sp.hstack([-own, after.rows[other]]).tocsr())
-        else:
-            groups.append(group)
-            rows.append(-own)
-    for group, own in zip(after.groups, after.rows, strict=True):
-        if group.name not in shared:
-            groups.append(group)
-            rows.append(own)
-    return ErrorField(tuple(groups), tuple(rows))
+    one, two = joint_fields([before, after], common="mount" if common_mounts else None)
+    rows = tuple((b - a).sorted_indices() for a, b in zip(one.rows, two.rows, strict=True))
+    return ErrorField(one.groups, rows)
 
 
 def register_pair(pair: Pair, settings: Deformation) -> Registration:

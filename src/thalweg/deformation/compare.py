@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+from scipy.spatial import cKDTree
 from scipy.stats import norm
 
 from thalweg.core import ArrayF, ArrayI, GeometryError, InputError, column, frame_of, table_kind
@@ -44,7 +45,23 @@ CHANGES = table_kind(
 )
 """One row for each core point."""
 
+CLOUD_TO_CLOUD = table_kind(
+    "cloud_to_cloud",
+    1,
+    [
+        *(column(f"{axis}_m", pa.float64(), "m", f"point, {axis}") for axis in ("east", "north", "up")),
+        column("distance_m", pa.float64(), "m", "to the nearest point of the first epoch; never negative"),
+        column(
+            "plane_distance_m", pa.float64(), "m",
+            "to the plane of the nearest points of the first epoch; positive towards the given side",
+        ),
+        column("spacing_m", pa.float64(), "m", "of the first epoch's points there"),
+    ],
+)  # fmt: skip
+"""One row for each point of the second epoch."""
+
 _POINTS_A_TILE = 1_500_000
+_POINTS_A_CHUNK = 200_000
 CONTROLS = ("fdr", "none")
 """What the level of significance holds for: the rate of false discoveries, or each core point alone."""
 
@@ -184,6 +201,48 @@ def distances_along(
     with np.errstate(invalid="ignore", divide="ignore"):
         roughness = np.sqrt(before.std_m**2 / before.n + after.std_m**2 / after.n)
     return Distances(cores_m, normals, scale_m, np.column_stack([before.n, after.n]), distance, roughness)
+
+
+def cloud_to_cloud(
+    before_m: ArrayF, after_m: ArrayF, *, towards: ArrayF, neighbours: int = 8
+) -> pd.DataFrame:
+    """Table `CLOUD_TO_CLOUD`: distances of the second epoch's points from the first (C2C; T 4.1).
+
+    The distance to the nearest point has no sign, and without any change it is not zero but some half of the
+    spacing of the first cloud; a plane through the nearest points takes most of that away. Neither has a
+    standard deviation of its own: what counts as change, M3C2 tells.
+
+    Parameters
+    ----------
+    before_m, after_m : (n, 3) and (m, 3) in one frame.
+    towards : (3,) side on which the distance from a plane is positive.
+    neighbours : points of a plane.
+
+    Raises
+    ------
+    GeometryError : the first cloud has fewer points than a plane needs.
+    """
+    if len(before_m) < neighbours or neighbours < 4:
+        raise GeometryError(
+            f"{len(before_m)} points for planes of {neighbours}",
+            expected="at least 4 points a plane, and as many in the first epoch",
+        )
+    tree = cKDTree(before_m)
+    parts = []
+    for first in range(0, len(after_m), _POINTS_A_CHUNK):
+        chunk = after_m[first : first + _POINTS_A_CHUNK]
+        nearest, index = tree.query(chunk, k=neighbours)
+        near = before_m[index]
+        middle = near.mean(axis=1)
+        centred = near - middle[:, None]
+        _, vectors = np.linalg.eigh(np.swapaxes(centred, 1, 2) @ centred)
+        normal = vectors[:, :, 0]
+        normal = normal * np.where(normal @ towards < 0, -1.0, 1.0)[:, None]
+        along = np.einsum("ni,ni->n", chunk - middle, normal)
+        own = tree.query(near[:, 0], k=2)[0][:, 1]
+        parts.append(np.column_stack([chunk, nearest[:, 0], along, own]))
+    found = np.concatenate(parts)
+    return frame_of(CLOUD_TO_CLOUD, dict(zip(CLOUD_TO_CLOUD.names, found.T, strict=True)))
 
 
 def judge_changes(

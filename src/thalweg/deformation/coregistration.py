@@ -6,6 +6,11 @@ core points, ``p = S d``, so that a registered distance is a weighted sum of poi
 ``d - h'S d``, and its variance follows from the same field of errors: what is common to stable ground and to
 the place that is asked for cancels. With the covariance from before the registration normalised distances
 come out too small.
+
+More than two epochs make one network: at each stable core point the ground has one height of its own, and
+each epoch a motion, ``m_e = level + h'p_e``. Levels are eliminated, so that all motions follow from all
+means in one adjustment; they are known but for a motion of all epochs together: the sum of all is set to
+zero. The motion between two epochs is the same by whatever way, so that changes close.
 """
 
 import json
@@ -231,6 +236,236 @@ def _facts(
         "areas": "drawn" if settings.stable is not None else "what most of the bank agrees on",
         "n_areas": len(areas),
     }
+
+
+# ---------------------------------------------------------------- more than two epochs
+
+
+@dataclass(frozen=True, slots=True)
+class Network:
+    """Motions of n epochs against their common ground.
+
+    Attributes
+    ----------
+    parameters : (n, 6) of each epoch, see `PARAMETERS`; their sum is zero.
+    cov : (6 n, 6 n) of the field and of noise.
+    design : (k, 6) change of each mean position for each parameter.
+    weights : (n, 6, n, k) how the motion of an epoch follows from the means of all epochs.
+    stable : (k,) core points that count.
+    facts : for people.
+    """
+
+    parameters: ArrayF
+    cov: ArrayF
+    design: ArrayF
+    weights: ArrayF
+    stable: ArrayB
+    facts: dict[str, Any]
+
+    def registered(self, along_m: ArrayF) -> ArrayF:
+        """Means (n, k) of all epochs without their motions."""
+        return np.asarray(along_m - self.parameters @ self.design.T)
+
+    def variances(
+        self, fields: Sequence[ErrorField], white_m: ArrayF, products: ArrayF | None = None
+    ) -> ArrayF:
+        """Variances (n, k) of the registered means of each epoch, or (n, q) of weighted sums of them.
+
+        Parameters
+        ----------
+        fields : of all epochs on the same groups (`thalweg.deformation.field.joint_fields`).
+        white_m : (n, k) standard deviations by noise.
+        products : (q, k) weights; None: each core point by itself.
+        """
+        noise = np.nan_to_num(white_m) ** 2
+        out = []
+        for e, own in enumerate(fields):
+            by_motion = self.weights[e]  # (6, n, k)
+            motion = sum_of(fields, by_motion)
+            design = self.design if products is None else products @ self.design
+            asked = own if products is None else own.combined(products)
+            spread = motion.covariance_with(motion) + np.einsum(
+                "ank,nk,bnk->ab", by_motion, noise, by_motion, optimize=True
+            )
+            shared = asked.covariance_with(motion)
+            mine = by_motion[:, e].T * noise[e][:, None]
+            shared = shared + (mine if products is None else products @ mine)
+            alone = noise[e] if products is None else products**2 @ noise[e]
+            variance = asked.variances() + alone - 2.0 * np.sum(design * shared, axis=1)
+            out.append(variance + np.einsum("ki,ij,kj->k", design, spread, design))
+        return np.maximum(np.array(out), 0.0)
+
+
+def sum_of(fields: Sequence[ErrorField], weights: ArrayF) -> ErrorField:
+    """Weighted sums (q, n, k) of the products of n epochs, on the groups of all."""
+    total = fields[0].combined(weights[:, 0])
+    for e in range(1, len(fields)):
+        total = total + fields[e].combined(weights[:, e])
+    return total
+
+
+def coregister_network(
+    cores_m: ArrayF,
+    normals: ArrayF,
+    along_m: ArrayF,
+    white_m: ArrayF,
+    calm: ArrayB,
+    fields: Sequence[ErrorField],
+    settings: Deformation,
+) -> Network:
+    """Estimate the motions of all epochs from stable ground in one adjustment.
+
+    Parameters
+    ----------
+    cores_m, normals : (k, 3).
+    along_m : (n, k) mean position of each epoch along the normals; NaN where it has too few points.
+    white_m : (n, k) standard deviation by noise and roughness.
+    calm : (k,) bare ground, where the points scatter little.
+    fields : shared errors of the means of each epoch, on the groups of all.
+    settings : model, stable areas, largest shift.
+
+    Raises
+    ------
+    GeometryError : too little stable ground, a stable area that moved, or epochs that lie too far apart.
+    """
+    model = _MODELS[settings.registration]
+    n, k = along_m.shape
+    design = np.column_stack([normals, np.cross(cores_m - cores_m.mean(axis=0), normals)])
+    areas = _areas(cores_m, settings.stable)
+    seen = np.isfinite(along_m) & np.isfinite(white_m)
+    candidates = (seen.sum(axis=0) > 1) & calm & areas.any(axis=0)
+    weights = np.zeros((n, 6, n, k))
+    if not model:
+        return Network(np.zeros((n, 6)), np.zeros((6 * n, 6 * n)), design, weights, candidates, {})
+    counts = [int((candidates & each).sum()) for each in seen]
+    if min(counts) < _LEAST:
+        raise GeometryError(
+            f"epoch {int(np.argmin(counts)) + 1} has {min(counts)} core points on stable ground that another "
+            "epoch saw too",
+            expected=f"at least {_LEAST}",
+            where="deformation.stable",
+            cure="Draw larger stable areas, or set deformation.registration to none",
+        )
+    variance = np.array([field.variances() for field in fields]) + np.nan_to_num(white_m) ** 2
+    weight = np.where(candidates & seen, 1.0 / np.maximum(variance, 1e-8), 0.0)
+    known = np.nan_to_num(along_m)
+    solver, kept = _robust_network(design[:, model], known, weight)
+    weights[:, model] = solver
+    parameters = np.einsum("eafk,fk->ea", weights, known)
+    every = weights.reshape(6 * n, n, k)
+    motions = sum_of(fields, every)
+    cov = motions.covariance_with(motions)
+    cov += np.einsum("xnk,nk,ynk->xy", every, np.nan_to_num(white_m) ** 2, every, optimize=True)
+    found = Network(parameters, cov, design, weights, kept, {})
+    _check_network(found, along_m, white_m, areas, fields, settings)
+    facts = {
+        "model": settings.registration,
+        "parameters": [dict(zip(PARAMETERS, each, strict=True)) for each in parameters.tolist()],
+        "sigmas": [
+            dict(zip(PARAMETERS, each, strict=True))
+            for each in np.sqrt(np.maximum(np.diag(cov), 0.0)).reshape(n, 6).tolist()
+        ],
+        "stable_cores": int(kept.sum()),
+        "candidates": int(candidates.sum()),
+    }
+    return Network(parameters, cov, design, weights, kept, facts)
+
+
+def _robust_network(H: ArrayF, along: ArrayF, weight: ArrayF) -> tuple[ArrayF, ArrayB]:
+    """Tukey's estimate: how motions (n, p) follow from means (n, k), as (n, p, n, k); core points that count.
+
+    A core point counts with all its epochs or not at all: one that moved tells of no epoch.
+    """
+    seen = weight > 0
+    before = np.zeros((len(along), H.shape[1]))
+    use = seen.any(axis=0)
+    middle = np.full(along.shape, np.nan)
+    middle[seen] = along[seen]
+    middle[:, use] -= np.nanmedian(middle[:, use], axis=0)
+    start = np.nanmedian(middle[:, use], axis=1)  # each epoch off the ground as such
+    rest = np.where(seen, middle - start[:, None], 0.0)
+    solver = np.zeros((len(along), H.shape[1], *along.shape))
+    for _ in range(50):
+        worst = np.max(np.abs(rest), axis=0)
+        scale = robust_sigma(rest[seen], 0.0)
+        share = np.where(use, np.maximum(1.0 - (worst / (4.685 * max(scale, 1e-6))) ** 2, 0.0) ** 2, 0.0)
+        solver = _network_solver(H, weight * share)
+        motion = np.einsum("eafk,fk->ea", solver, along)
+        left = along - motion @ H.T
+        level = np.sum(weight * left, axis=0) / np.maximum(np.sum(weight, axis=0), 1e-300)
+        rest = np.where(seen, left - level, 0.0)
+        if np.allclose(motion, before, atol=1e-7):
+            break
+        before = motion
+    return solver, share > 0
+
+
+def _network_solver(H: ArrayF, weight: ArrayF) -> ArrayF:
+    """Least squares (n, p, n, k) without the levels, in the motions that the ground shows."""
+    n, k = weight.shape
+    p = H.shape[1]
+    total = weight.sum(axis=0)
+    length = np.sqrt(np.average(H**2, axis=0, weights=total))
+    scale = np.where(np.arange(p) < 3, 1.0, np.maximum(length, 1e-12))
+    A = H / scale
+    part = weight / np.where(total > 0, total, 1.0)
+    N = np.zeros((n, p, n, p))
+    for e in range(n):
+        for f in range(n):
+            w = weight[e] * ((e == f) - part[f])
+            N[e, :, f] = A.T @ (A * w[:, None])
+    values, vectors = np.linalg.eigh(N.reshape(n * p, n * p))
+    shown = values > _WEAK * values[-1]
+    inverse = ((vectors[:, shown] / values[shown]) @ vectors[:, shown].T).reshape(n, p, n, p)
+    out = np.zeros((n, p, n, k))
+    for f in range(n):
+        for g in range(n):  # means of f move the right-hand side of g
+            w = weight[g] * ((g == f) - part[f])
+            out[:, :, f] += np.einsum("eap,kp->eak", inverse[:, :, g], A * w[:, None])
+    return np.asarray(out / scale[:, None, None])
+
+
+def _check_network(
+    found: Network,
+    along_m: ArrayF,
+    white_m: ArrayF,
+    areas: ArrayB,
+    fields: Sequence[ErrorField],
+    settings: Deformation,
+) -> None:
+    """Refuse epochs that lie too far apart, and a drawn stable area that moved between two epochs."""
+    for e in range(1, len(along_m)):
+        size = float(np.linalg.norm(found.parameters[e, :3] - found.parameters[e - 1, :3]))
+        if size > settings.largest_shift_m:
+            raise GeometryError(
+                f"epoch {e + 1} lies {size:.2f} m off the one before on stable ground",
+                expected=f"at most deformation.largest_shift_m = {settings.largest_shift_m:g} m",
+                cure="Look at datum, base station and antenna height of both surveys",
+            )
+    if len(areas) < 2:
+        return
+    rest = found.registered(along_m)
+    noise = np.nan_to_num(white_m) ** 2
+    for e in range(1, len(along_m)):
+        step = rest[e] - rest[e - 1]
+        for i, inside in enumerate(areas):
+            use = inside & np.isfinite(step)
+            if use.sum() < 5:
+                continue
+            mean = np.where(use, 1.0 / use.sum(), 0.0)
+            row = -np.einsum("a,ank->nk", mean @ found.design, found.weights[e] - found.weights[e - 1])
+            row[e] += mean
+            row[e - 1] -= mean
+            variance = float(sum_of(fields, row[None]).variances()[0]) + float(np.sum(row**2 * noise))
+            off = float(np.median(step[use]))
+            if abs(off) > _MOVED * np.sqrt(variance):
+                raise GeometryError(
+                    f"stable area {i + 1} of {len(areas)} lies {off:+.3f} m off the motion of all between "
+                    f"epochs {e} and {e + 1}, with a standard deviation of {np.sqrt(variance):.3f} m",
+                    expected=f"less than {_MOVED:g} standard deviations",
+                    where=f"deformation.stable[{i}]",
+                    cure="It moved: leave it out",
+                )
 
 
 def write_registration(json_path: Path, weights_path: Path, found: Registration) -> None:

@@ -2,7 +2,7 @@ r"""An epoch ready for comparison: its points, and the errors that they share, i
 
 The error of a point of a boat's cloud is ``e = J(t) xi(t) + M mu + w``: xi are errors of the pose, correlated
 in time, mu those of the scanner's place on the boat, the same all day, w is noise of the single point. Up to
-five groups carry the shared part, each a process of three components with its own correlation time
+six groups carry the shared part, each a process of three components with its own correlation time
 (`thalweg.deformation.field`):
 
 ===================  ===========================================================  ==================
@@ -13,6 +13,7 @@ position, white      new in each solution of the receiver                       
 attitude             small rotation, with what it moves at the lever arm          estimated
 mount, shift         lever arm of the scanner                                     infinite
 mount, rotation      rotation of the scanner on the boat                          infinite
+clock                one error of all stamps, times the boat's motion             infinite
 ===================  ===========================================================  ==================
 
 A pose's covariance ``[[P, C], [C', A]]`` is split so that the groups are independent: the position that the
@@ -34,6 +35,7 @@ from thalweg.core import (
     ArrayF,
     ArrayI,
     CoverageError,
+    ErrorChain,
     GeometryError,
     InputError,
     LocalFrame,
@@ -42,12 +44,15 @@ from thalweg.core import (
     cross_matrix,
     iter_laz,
     laz_header,
+    symmetric_roots,
 )
 from thalweg.deformation.field import ErrorField, ErrorGroup, SharedErrors, rows_of_weights
 from thalweg.deformation.m3c2 import ColumnIndex, Weights, pose_weights
 from thalweg.navigation.ins_gnss import PoseCorrelation
 from thalweg.surface import Area
 
+CLOCK: Final = "clock of the scanner"
+"""Group of the error that all stamps of the scanner share."""
 TURNS: Final = ("attitude", "mount, rotation")
 """Groups whose error is a small rotation; all others shift."""
 
@@ -91,11 +96,16 @@ class Epoch:
         weights = pose_weights(
             cores_m, normals, index, self.moment, self.boat_m, radius_m=radius_m, half_length_m=half_length_m
         )
-        return ErrorField(self.groups, tuple(self._rows(weights, group.name) for group in self.groups))
+        return ErrorField(self.groups, tuple(self._rows(weights, group) for group in self.groups))
 
-    def _rows(self, weights: Weights, name: str) -> sp.csr_matrix:
+    def _rows(self, weights: Weights, group: SharedErrors) -> sp.csr_matrix:
         """Derivatives of the means to the errors of one group."""
-        values = weights.shift
+        name, values = group.name, weights.shift
+        if (
+            isinstance(group, ErrorGroup) and group.link is not None
+        ):  # poses between the nodes of a chain: errors are interpolated
+            both = rows_of_weights(weights, np.hstack([weights.shift, weights.turn_m]), len(self.t_s))
+            return sp.csr_matrix(both @ _interpolation(self.t_s, group.t_s)).sorted_indices()
         if name in TURNS:  # the boat turns about its own origin, the mount about the scanner
             arm = (self.scanner_m - self.boat_m)[weights.node] if name == TURNS[1] else np.zeros(3)
             moved = np.einsum("eij,ei->ej", self.levers[TURNS.index(name)][weights.node], weights.shift)
@@ -112,6 +122,9 @@ class Epoch:
             )
         }  # fmt: skip
         arrays |= {f"root_{i}": group.root for i, group in enumerate(self.groups)}
+        for i, group in enumerate(self.groups):
+            if group.link is not None:
+                arrays |= {f"link_{i}": group.link, f"nodes_{i}": group.t_s}
         np.savez(points, allow_pickle=False, **arrays)
         errors.write_text(json.dumps(self.report(), indent=2) + "\n")
 
@@ -126,8 +139,9 @@ class Epoch:
                 {
                     "name": group.name,
                     "correlation_s": group.correlation_s if np.isfinite(group.correlation_s) else None,
+                    "lasts": _lasts(group),
                     "sigma": np.sqrt(np.mean(np.sum(group.root**2, axis=2), axis=0)).tolist(),
-                    "unit": "rad" if group.name in TURNS else "m",
+                    "unit": "m, rad" if group.link is not None else "rad" if group.name in TURNS else "m",
                 }
                 for group in self.groups
                 if isinstance(group, ErrorGroup)
@@ -140,16 +154,13 @@ class Epoch:
         facts = json.loads((folder / "errors.json").read_text())
         with np.load(folder / "points.npz") as stored:
             arrays = dict(stored)
-        roots = [arrays.pop(f"root_{i}") for i in range(len(facts["groups"]))]
-        groups = tuple(
-            ErrorGroup(
-                each["name"],
-                arrays["t_s"],
-                root,
-                np.inf if each["correlation_s"] is None else each["correlation_s"],
-            )
-            for each, root in zip(facts["groups"], roots, strict=True)
-        )
+        groups = []
+        for i, each in enumerate(facts["groups"]):
+            root, link = arrays.pop(f"root_{i}"), arrays.pop(f"link_{i}", None)
+            t_s = arrays.pop(f"nodes_{i}", arrays["t_s"])
+            time_s = np.inf if each["correlation_s"] is None else each["correlation_s"]
+            groups.append(ErrorGroup(each["name"], t_s, root, time_s if link is None else np.nan, link))
+        groups = tuple(groups)
         return cls(name=facts["name"], start_gps_s=facts["start_gps_s"], groups=groups, **arrays)
 
     @property
@@ -173,13 +184,14 @@ def prepare_epoch(
     points: Path,
     trajectory: Trajectory,
     scanner: Rigid,
-    correlation: PoseCorrelation,
+    correlation: PoseCorrelation | Sequence[ErrorChain],
     *,
     frame: LocalFrame,
     area: Area,
     moment_s: float,
     water_line_ics_m: float,
     margin_m: float,
+    sigma_time_s: float = 0.0,
 ) -> Epoch:
     """Points of a cloud and the errors that they share, in the frame of all epochs.
 
@@ -189,11 +201,12 @@ def prepare_epoch(
     points : cloud with the covariance of each point.
     trajectory : that it rests on, with covariances.
     scanner : `T_ics_scs` of the scanner with covariance.
-    correlation : how errors of its poses last.
+    correlation : how errors of its poses last, or the chains that they are.
     frame : of all epochs.
     area : points farther outside than ``margin_m`` are left out.
     moment_s : points within this time share the error of one pose.
     water_line_ics_m : z of the water in the body frame.
+    sigma_time_s : of the clock of the scanner: one error of all stamps, times the motion of the boat.
 
     Raises
     ------
@@ -214,7 +227,9 @@ def prepare_epoch(
             cure="Set georeferencing.correlations to true and georeference again",
         )
     turn, shift = between_frames(header.frame, frame)
-    moments = _Moments(trajectory, scanner, moment_s, correlation, turn, shift, water_line_ics_m)
+    moments = _Moments(
+        trajectory, scanner, moment_s, correlation, turn, shift, water_line_ics_m, sigma_time_s
+    )
     parts: list[tuple[AnyArray, ...]] = []
     read = 0
     low, high = area.box(margin_m)
@@ -253,6 +268,26 @@ def prepare_epoch(
     )
 
 
+def _lasts(group: ErrorGroup) -> str:
+    """How long errors of a group last, in words."""
+    if group.link is not None:
+        return "from node to node as the trajectory says"
+    return "all the time" if np.isinf(group.correlation_s) else f"{group.correlation_s:g} s"
+
+
+def _interpolation(t_s: ArrayF, nodes_s: ArrayF) -> sp.csr_matrix:
+    """Errors of poses at times (6 n) by those at nodes (6 m): linear between neighbours."""
+    n, m = len(t_s), len(nodes_s)
+    right = np.searchsorted(nodes_s, t_s, side="right")
+    left, right = np.clip(right - 1, 0, m - 1), np.clip(right, 0, m - 1)
+    gap = nodes_s[right] - nodes_s[left]
+    share = np.where(gap > 0, (t_s - nodes_s[left]) / np.where(gap > 0, gap, 1.0), 0.0)
+    every = np.arange(n)
+    values = np.concatenate([1.0 - share, share])
+    index = (np.concatenate([every, every]), np.concatenate([left, right]))
+    return sp.csr_matrix(sp.kron(sp.csr_matrix((values, index), shape=(n, m)), sp.eye(6)))
+
+
 def between_frames(own: LocalFrame, common: LocalFrame) -> tuple[ArrayF, ArrayF]:
     """Rotation (3, 3) and shift (3,) from one local frame to another, exactly: both are Cartesian."""
     if own == common:
@@ -269,10 +304,11 @@ class _Moments:
         trajectory: Trajectory,
         scanner: Rigid,
         moment_s: float,
-        correlation: PoseCorrelation,
+        correlation: PoseCorrelation | Sequence[ErrorChain],
         turn: ArrayF,
         shift: ArrayF,
         water_line_ics_m: float,
+        sigma_time_s: float,
     ) -> None:
         use = trajectory.t_gps_s[trajectory.valid]
         if not len(use):
@@ -289,23 +325,29 @@ class _Moments:
         self.boat_m = place @ turn.T + shift
         self.scanner_m = self.boat_m + R @ scanner.shift_m
         self.water_m = self.boat_m[:, 2] + R[:, 2, 2] * water_line_ics_m
+        late = sigma_time_s * np.hstack(_rates(trajectory, t))
+        self._late = np.concatenate([late[:, :3] @ turn.T, late[:, 3:] @ turn.T], axis=1)[:, :, None]
         self._pose, self._mount = cov, _turned(R, np.broadcast_to(scanner.cov, cov.shape))
         (rest, attitude, lever), (placed, rotated, arm) = (_split(each) for each in (cov, self._mount))
         self.levers = np.stack([lever, arm])
-        white = correlation.white_share
-        world = np.broadcast_to(np.eye(3), R.shape)
-        kinds = (
-            ("position", (1 - white) * rest, world, correlation.position_s),
-            ("position, white", white * rest, world, 0.5 * correlation.receiver_s),
-            (TURNS[0], attitude, R, correlation.attitude_s),
-            ("mount, shift", placed, R, np.inf),
-            (TURNS[1], rotated, R, np.inf),
-        )
-        self.groups = tuple(
-            ErrorGroup(name, self.t_s, roots_of(some, axes), time_s)
-            for name, some, axes, time_s in kinds
-            if some.any()
-        )
+        by_pose: tuple[ErrorGroup, ...]
+        if isinstance(correlation, PoseCorrelation):
+            white = correlation.white_share
+            world = np.broadcast_to(np.eye(3), R.shape)
+            by_pose = (
+                self._group("position", (1 - white) * rest, world, correlation.position_s),
+                self._group("position, white", white * rest, world, 0.5 * correlation.receiver_s),
+                self._group(TURNS[0], attitude, R, correlation.attitude_s),
+            )
+        else:
+            by_pose = tuple(ErrorGroup.of_chain(chain, self.start_gps_s, turn) for chain in correlation)
+        by_mount = (self._group("mount, shift", placed, R, np.inf), self._group(TURNS[1], rotated, R, np.inf))
+        by_clock = ErrorGroup(CLOCK, self.t_s, self._late, np.nan, np.ones((n, 1, 1)))
+        self.groups = tuple(group for group in (*by_pose, *by_mount, by_clock) if group.root.any())
+
+    def _group(self, name: str, cov: ArrayF, axes: ArrayF, time_s: float) -> ErrorGroup:
+        """One kind of error at all moments."""
+        return ErrorGroup(name, self.t_s, symmetric_roots(cov, axes), time_s)
 
     def of(self, t_gps_s: ArrayF) -> ArrayI:
         """Moment (n,) of each time."""
@@ -324,12 +366,23 @@ class _Moments:
         total = turn @ (total * sigma[:, :, None] * sigma[:, None, :]) @ turn.T
         shared = sum(
             _at_arm(cov[moment], xyz - origin[moment])
-            for cov, origin in ((self._pose, self.boat_m), (self._mount, self.scanner_m))
+            for cov, origin in (
+                (self._pose + self._late @ np.swapaxes(self._late, 1, 2), self.boat_m),
+                (self._mount, self.scanner_m),
+            )
         )
         values, vectors = np.linalg.eigh(total - shared)
         own = (vectors * np.maximum(values, 0.0)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
         upper = np.triu_indices(3)
         return np.asarray(own[:, upper[0], upper[1]])
+
+
+def _rates(trajectory: Trajectory, t_gps_s: ArrayF) -> tuple[ArrayF, ArrayF]:
+    """Velocity (n, 3) and angular velocity (n, 3) in the world of the trajectory at times within it."""
+    velocity, turning = trajectory.rates()
+    left = np.searchsorted(trajectory.t_gps_s, t_gps_s, side="right") - 1
+    left = np.clip(left, 0, len(velocity) - 1)
+    return velocity[left], turning[left]
 
 
 def _at_arm(cov: ArrayF, arm_m: ArrayF) -> ArrayF:
@@ -354,19 +407,6 @@ def _split(cov: ArrayF) -> tuple[ArrayF, ArrayF, ArrayF]:
     rotation = cov[:, 3:, 3:]
     lever = cov[:, :3, 3:] @ np.linalg.pinv(rotation, rcond=1e-12, hermitian=True)
     return cov[:, :3, :3] - lever @ cov[:, 3:, :3], rotation, lever
-
-
-def roots_of(cov: ArrayF, axes: ArrayF) -> ArrayF:
-    """Roots L (m, 3, 3) of covariances, semi-definite ones too, whose components keep to axes.
-
-    Between two moments errors have the covariance ``L(t) L(t')' exp(-|t - t'| / tau)``: any root has the
-    variances of single moments, but only one whose components are the same errors at all moments has this.
-    Here it is the symmetric root in the axes (m, 3, 3) in which the error lasts (columns: their directions in
-    the world): those of the boat for what turns with it, of the world for antennas.
-    """
-    values, vectors = np.linalg.eigh(np.swapaxes(axes, 1, 2) @ cov @ axes)
-    own = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ np.swapaxes(vectors, 1, 2)
-    return np.asarray(axes @ own)
 
 
 def highest_water_m(epochs: Sequence[Epoch]) -> float:

@@ -15,6 +15,10 @@ one pass over the moments. Independent moments (tau -> 0) leave the first sum, a
 infinity) the square of all. Products that share moments have a covariance, by the same recursion in both
 directions.
 
+Errors of a smoothed trajectory, or of poses between photographs, are no such process, but they are a Markov
+chain of more components, ``xi_k = L_k z_k`` with ``z_k = M_k z_(k-1) + noise`` (`thalweg.core.ErrorChain`).
+The sums are the same with the matrix M_k in place of the exponential.
+
 Source: Gelb (1974), Applied Optimal Estimation, 2.2, for the process; the sums are written out here.
 """
 
@@ -26,7 +30,7 @@ from typing import Protocol
 import numpy as np
 import scipy.sparse as sp
 
-from thalweg.core import AnyArray, ArrayF, GeometryError, njit, prange
+from thalweg.core import AnyArray, ArrayF, ArrayI, ErrorChain, GeometryError, njit, prange, symmetric_roots
 from thalweg.deformation.m3c2 import Weights
 
 
@@ -39,37 +43,42 @@ class SharedErrors(Protocol):
 
     @property
     def root(self) -> ArrayF:
-        """Roots (m, 3, 3) of the covariance at each moment or place."""
+        """Roots (m, c, d) of the covariance of c components at each moment or place."""
 
     def variances(self, rows: sp.csr_matrix) -> ArrayF:
-        """Variance (k,) of products with these derivatives (k, 3 m)."""
+        """Variance (k,) of products with these derivatives (k, c m)."""
 
     def times_covariance(self, columns: ArrayF) -> ArrayF:
-        """Covariance matrix of all errors (3 m, 3 m) times columns (3 m, q), without the matrix."""
+        """Covariance matrix of all errors (c m, c m) times columns (c m, q), without the matrix."""
 
     def draw(self, rng: np.random.Generator) -> ArrayF:
-        """Errors (3 m,), drawn."""
+        """Errors (c m,), drawn."""
 
 
 @dataclass(frozen=True, slots=True)
 class ErrorGroup:
-    """One kind of error of the poses: three components with one correlation time.
+    """One kind of error of the poses: c components of a process with d ones of its own.
 
     Attributes
     ----------
     name : what errs ("position", "attitude").
     t_s : (m,) times of the moments, ascending.
-    root : (m, 3, 3) roots L of the covariance L L' at each moment, in metres (position, world axes) or
-        radians (small rotation about east, north, up).
+    root : (m, c, d) roots L of the covariance L L' at each moment, in metres (position, world axes) or
+        radians (small rotation about east, north, up); both where c is 6.
     correlation_s : correlation time tau; 0 for independent moments, infinite for one error of all.
+    link : (m, d, d) covariance of the d components of each moment with those of the one before, of unit
+        variance; in place of the correlation time, which is NaN.
     """
 
     name: str
     t_s: ArrayF
     root: ArrayF
     correlation_s: float
+    link: ArrayF | None = None
 
     def __post_init__(self) -> None:
+        if self.link is not None:
+            return
         if (np.diff(self.t_s) < 0).any() or not self.correlation_s >= 0:
             raise GeometryError(
                 f"errors of the {self.name}: times that go back, or correlated over {self.correlation_s} s",
@@ -83,6 +92,19 @@ class ErrorGroup:
         root[:, [0, 1, 2], [0, 1, 2]] = sigma
         return cls(name, np.asarray(t_s, float), root, correlation_s)
 
+    @classmethod
+    def of_chain(cls, chain: ErrorChain, start_gps_s: float, turn: ArrayF) -> "ErrorGroup":
+        """A chain of errors on times from a start, in axes turned by ``turn`` (3, 3)."""
+        root = np.concatenate([turn @ chain.root[:, :3], turn @ chain.root[:, 3:]], axis=1)
+        return cls(chain.name, chain.t_gps_s - start_gps_s, root, np.nan, chain.link)
+
+    def alike(self) -> "ErrorGroup":
+        """The same variances with one error of all moments."""
+        m, c, _ = self.root.shape
+        cov = self.root @ np.swapaxes(self.root, 1, 2)
+        root = symmetric_roots(cov, np.broadcast_to(np.eye(c), (m, c, c)))
+        return ErrorGroup(self.name, self.t_s, root, np.inf)
+
     @property
     def decay(self) -> ArrayF:
         """Correlation (m,) of each moment with the one before; 0 for the first."""
@@ -91,18 +113,26 @@ class ErrorGroup:
         return np.r_[0.0, np.nan_to_num(rest, nan=1.0)]
 
     def variances(self, rows: sp.csr_matrix) -> ArrayF:
-        """Variance (k,) of products with these derivatives (k, 3 m)."""
-        return np.asarray(
-            _variances(rows.indptr, rows.indices, rows.data, self.t_s, self.root, self.correlation_s)
-        )
+        """Variance (k,) of products with these derivatives (k, c m)."""
+        sparse = rows.indptr, rows.indices, rows.data
+        if self.link is None:
+            return np.asarray(_variances(*sparse, self.t_s, self.root, self.correlation_s))
+        return np.asarray(_chain_variances(*sparse, self.root, *_spans_of_links(self.link)))
 
     def times_covariance(self, columns: ArrayF) -> ArrayF:
-        """Covariance matrix of all moments' errors (3 m, 3 m) times columns (3 m, q), without the matrix."""
-        return _times_covariance(self, columns)
+        """Covariance matrix of all moments' errors (c m, c m) times columns (c m, q), without the matrix."""
+        m, c, _ = self.root.shape
+        u = np.einsum("kji,kjq->kiq", self.root, columns.reshape(m, c, -1))
+        if self.link is None:
+            summed = _sums_of_neighbours(np.ascontiguousarray(u.reshape(m, -1)), self.decay).reshape(u.shape)
+        else:
+            summed = _through_chain(np.ascontiguousarray(u), np.ascontiguousarray(self.link))
+        return np.einsum("kij,kjq->kiq", self.root, summed).reshape(c * m, -1)
 
     def draw(self, rng: np.random.Generator) -> ArrayF:
-        """Errors (3 m,) of all moments, drawn."""
-        process = _gauss_markov(rng.standard_normal((len(self.t_s), 3)), self.decay)
+        """Errors (c m,) of all moments, drawn."""
+        normal = rng.standard_normal((len(self.t_s), self.root.shape[2]))
+        process = _gauss_markov(normal, self.decay) if self.link is None else _chain_draw(normal, self.link)
         return np.einsum("kij,kj->ki", self.root, process).ravel()
 
 
@@ -113,9 +143,8 @@ class ErrorField:
     Attributes
     ----------
     groups : kinds of errors.
-    rows : for each group a sparse matrix (k, 3 m) with the derivatives of k products to the errors of m
-        moments,
-        component by component of each moment.
+    rows : for each group a sparse matrix (k, c m) with the derivatives of k products to the errors of m
+        moments, component by component of each moment.
     """
 
     groups: tuple[SharedErrors, ...]
@@ -144,6 +173,12 @@ class ErrorField:
         weights = sp.csr_matrix(combination)
         return ErrorField(self.groups, tuple((weights @ rows).sorted_indices() for rows in self.rows))
 
+    def __add__(self, other: "ErrorField") -> "ErrorField":
+        """Sums of the products of two fields on the same groups (`joint_fields`)."""
+        return ErrorField(
+            self.groups, tuple((a + b).sorted_indices() for a, b in zip(self.rows, other.rows, strict=True))
+        )
+
     def covariance_with(self, others: "ErrorField") -> ArrayF:
         """Covariance (k, q) of these products with a few others of the same epoch."""
         total = np.zeros((self.rows[0].shape[0], others.rows[0].shape[0]))
@@ -157,6 +192,47 @@ class ErrorField:
         for group, rows in zip(self.groups, self.rows, strict=True):
             total += rows @ group.draw(rng)
         return total
+
+
+def joint_fields(fields: Sequence[ErrorField], *, common: str | None = None) -> list[ErrorField]:
+    """Fields of several epochs on the groups of all, so that their products can be added.
+
+    Parameters
+    ----------
+    fields : each with the errors of its own epoch.
+    common : groups whose names begin so are the same error in all epochs that have them.
+    """
+    groups: list[SharedErrors] = []
+    members: list[dict[int, int]] = []  # group of each epoch that is part of it
+    place: dict[str, int] = {}
+    for e, field in enumerate(fields):
+        for g, group in enumerate(field.groups):
+            shared = common is not None and group.name.startswith(common)
+            if shared and isinstance(group, ErrorGroup) and group.link is None:
+                i = place.setdefault(group.name, len(groups))
+                if i < len(groups):
+                    before = groups[i]
+                    assert isinstance(before, ErrorGroup)
+                    t = np.concatenate([before.t_s, before.t_s[-1] + group.t_s])
+                    groups[i] = ErrorGroup(group.name, t, np.concatenate([before.root, group.root]), np.inf)
+                    members[i][e] = g
+                    continue
+            groups.append(group)
+            members.append({e: g})
+    out = []
+    for e, field in enumerate(fields):
+        k = field.rows[0].shape[0]
+        rows = []
+        for group, part in zip(groups, members, strict=True):
+            blocks = [
+                field.rows[g] if other == e else sp.csr_matrix((k, fields[other].rows[g].shape[1]))
+                for other, g in part.items()
+            ]
+            joined = blocks[0] if len(blocks) == 1 else sp.csr_matrix(sp.hstack(blocks).tocsr())
+            assert joined.shape[1] == group.root.shape[0] * group.root.shape[1]
+            rows.append(joined)
+        out.append(ErrorField(tuple(groups), tuple(rows)))
+    return out
 
 
 def benjamini_hochberg(p_value: ArrayF) -> ArrayF:
@@ -205,10 +281,11 @@ def largest_deviation(
 
 
 def rows_of_weights(weights: Weights, values: ArrayF, n_moments: int) -> sp.csr_matrix:
-    """Rows of a product as a sparse matrix over components of moments."""
-    index = (3 * weights.node.astype(np.int32)[:, None] + np.arange(3, dtype=np.int32)).ravel()
+    """Rows of a product as a sparse matrix over the c components of moments; ``values`` (e, c)."""
+    c = values.shape[1]
+    index = (c * weights.node.astype(np.int32)[:, None] + np.arange(c, dtype=np.int32)).ravel()
     return sp.csr_matrix(
-        (values.ravel(), index, 3 * weights.start), shape=(len(weights.start) - 1, 3 * n_moments)
+        (values.ravel(), index, c * weights.start), shape=(len(weights.start) - 1, c * n_moments)
     )
 
 
@@ -218,34 +295,125 @@ def _variances(
 ) -> AnyArray:
     """Variance of each sparse row, whose entries stand in the order of the moments and components."""
     out = np.zeros(len(start) - 1)
+    c, d = root.shape[1], root.shape[2]
     for row in prange(len(out)):
         before, moment = 0.0, -1
-        s = np.zeros(3)
-        u = np.zeros(3)
+        s = np.zeros(d)
+        u = np.zeros(d)
         total = 0.0
         for e in range(start[row], start[row + 1] + 1):
-            now = index[e] // 3 if e < start[row + 1] else -2
+            now = index[e] // c if e < start[row + 1] else -2
             if now != moment:
                 if moment >= 0:
-                    total += (
-                        u[0] * (u[0] + 2.0 * s[0]) + u[1] * (u[1] + 2.0 * s[1]) + u[2] * (u[2] + 2.0 * s[2])
-                    )
-                    for axis in range(3):
+                    for axis in range(d):
+                        total += u[axis] * (u[axis] + 2.0 * s[axis])
                         s[axis] += u[axis]
                     before = t[moment]
                 if now < 0:
                     break
                 if moment >= 0:
                     keep = math.exp(-(t[now] - before) / correlation) if correlation > 0.0 else 0.0
-                    for axis in range(3):
+                    for axis in range(d):
                         s[axis] *= keep
-                for axis in range(3):
+                for axis in range(d):
                     u[axis] = 0.0
                 moment = now
-            component = index[e] - 3 * now
-            for axis in range(3):
+            component = index[e] - c * now
+            for axis in range(d):
                 u[axis] += root[now, component, axis] * value[e]
         out[row] = total
+    return out
+
+
+def _spans_of_links(link: ArrayF) -> tuple[ArrayF, ArrayI]:
+    """Links over 1, 2, 4, ... steps, one after the other, and where each length begins.
+
+    Entry j of length n leads over the steps into the moments ``j n`` to ``(j + 1) n - 1``: rows pass over the
+    moments that they do not touch in few products.
+    """
+    levels = [link]
+    while len(levels[-1]) > 1:
+        whole = levels[-1][: len(levels[-1]) // 2 * 2]
+        levels.append(whole[1::2] @ whole[::2])
+    begins = np.cumsum([0, *(len(level) for level in levels)])
+    return np.concatenate(levels), begins.astype(np.int64)
+
+
+@njit(cache=True, parallel=True)
+def _chain_variances(
+    start: AnyArray, index: AnyArray, value: AnyArray, root: AnyArray, spans: AnyArray, begins: AnyArray
+) -> AnyArray:
+    """Variance of each sparse row over a Markov chain, whose entries stand in the order of the moments."""
+    out = np.zeros(len(start) - 1)
+    c, d = root.shape[1], root.shape[2]
+    for row in prange(len(out)):
+        moment = -1
+        s = np.zeros(d)
+        u = np.zeros(d)
+        passed = np.zeros(d)
+        total = 0.0
+        for e in range(start[row], start[row + 1] + 1):
+            now = index[e] // c if e < start[row + 1] else -2
+            if now != moment:
+                if moment >= 0:
+                    for i in range(d):
+                        total += u[i] * (u[i] + 2.0 * s[i])
+                        s[i] += u[i]
+                if now < 0:
+                    break
+                at = moment + 1
+                while moment >= 0 and at <= now:
+                    level, length = 0, 1
+                    while at % (2 * length) == 0 and at + 2 * length - 1 <= now:
+                        level, length = level + 1, 2 * length
+                    M = spans[begins[level] + at // length]
+                    for i in range(d):
+                        passed[i] = 0.0
+                        for j in range(d):
+                            passed[i] += M[i, j] * s[j]
+                    for i in range(d):
+                        s[i] = passed[i]
+                    at += length
+                for i in range(d):
+                    u[i] = 0.0
+                moment = now
+            component = index[e] - c * now
+            for i in range(d):
+                u[i] += root[now, component, i] * value[e]
+        out[row] = total
+    return out
+
+
+@njit(cache=True)
+def _through_chain(u: AnyArray, link: AnyArray) -> AnyArray:
+    """Correlation matrix of a Markov chain times (m, d, q), by one pass forward and one back."""
+    out = u.copy()
+    m, d, q = u.shape
+    s = np.zeros((d, q))
+    for k in range(1, m):
+        for i in range(d):
+            for c in range(q):
+                s[i, c] += u[k - 1, i, c]
+        s = np.dot(link[k], s)
+        out[k] += s
+    s = np.zeros((d, q))
+    for k in range(m - 2, -1, -1):
+        for i in range(d):
+            for c in range(q):
+                s[i, c] += u[k + 1, i, c]
+        s = np.dot(link[k + 1].T, s)
+        out[k] += s
+    return out
+
+
+def _chain_draw(normal: ArrayF, link: ArrayF) -> ArrayF:
+    """A Markov chain of unit variance with these links, from white numbers (m, d)."""
+    value, vector = np.linalg.eigh(np.eye(link.shape[1]) - link @ np.swapaxes(link, 1, 2))
+    noise = np.einsum("kij,kj->ki", vector, np.sqrt(np.maximum(value, 0.0)) * normal)
+    out = np.empty_like(normal)
+    out[0] = normal[0]
+    for k in range(1, len(normal)):
+        out[k] = link[k] @ out[k - 1] + noise[k]
     return out
 
 
@@ -270,11 +438,3 @@ def _sums_of_neighbours(u: AnyArray, decay: AnyArray) -> AnyArray:
         back = decay[k + 1] * (back + u[k + 1])
         out[k] += back
     return out
-
-
-def _times_covariance(group: ErrorGroup, columns: ArrayF) -> ArrayF:
-    """Covariance matrix of all moments' errors (3 m, 3 m) times columns (3 m, q), without the matrix."""
-    m = len(group.t_s)
-    u = np.einsum("kji,kjq->kiq", group.root, columns.reshape(m, 3, -1))
-    summed = _sums_of_neighbours(np.ascontiguousarray(u.reshape(m, -1)), group.decay).reshape(u.shape)
-    return np.einsum("kij,kjq->kiq", group.root, summed).reshape(3 * m, -1)

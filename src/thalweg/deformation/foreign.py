@@ -30,7 +30,7 @@ from thalweg.core import (
     write_table,
 )
 from thalweg.core.geometry import TriangleMesh
-from thalweg.deformation.compare import CHANGES, Comparison, judge_changes, measure_distances
+from thalweg.deformation.compare import CHANGES, Comparison, cloud_to_cloud, judge_changes, measure_distances
 from thalweg.ingest.clouds import read_cloud, read_pcd
 from thalweg.settings.sections import TEXT_ENDINGS, Accuracy, ReferenceSettings
 from thalweg.surface import Surface, mesh_reference, read_triangles
@@ -200,6 +200,36 @@ def density_notes(n: ArrayI) -> list[str]:
         f"The {which[0]} cloud is {max(denser, 1.0 / denser):.0f} times as dense as the {which[1]}, "
         "whose few points rule the level of detection; where cylinders hold too few, take wider ones."
     ]
+
+
+def compare_nearest(
+    before: Path, after: Path, *, every: int = 1, towards: tuple[float, float, float] = (0.0, 0.0, 1.0)
+) -> tuple[pd.DataFrame, Frame, list[str]]:
+    """Distances of every n-th point of the second cloud to the first (`cloud_to_cloud`), from files.
+
+    Returns
+    -------
+    Table `CLOUD_TO_CLOUD`, the frame of the clouds, and notes for the reader.
+
+    Raises
+    ------
+    InputError : files that cannot be read or state different frames, or no point is asked for.
+    GeometryError : the first cloud has too few points.
+    """
+    if every < 1:
+        raise InputError(f"each {every}-th point", expected="1 or more")
+    clouds = [read_points(path) for path in (before, after)]
+    frame, notes = one_frame(clouds)
+    shift = np.round(clouds[0].xyz_m.mean(axis=0))
+    table = cloud_to_cloud(
+        clouds[0].xyz_m - shift, clouds[1].xyz_m[::every] - shift, towards=np.asarray(towards, float)
+    )
+    table[["east_m", "north_m", "up_m"]] += shift
+    notes.append(
+        f"Points of the first cloud lie {table['spacing_m'].median():.3f} m apart in the median: distances "
+        "to the nearest point are not zero without change, and have no limit."
+    )
+    return table, frame, notes
 
 
 _SAMPLE = 1500

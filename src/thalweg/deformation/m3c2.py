@@ -214,24 +214,26 @@ def pose_weights(
     """
     of_point = np.ascontiguousarray(node[cloud.order])
     place = (cloud.xyz_m, cloud.start, cloud.low_m, cloud.size, cloud.width_m)
-    count = _count_nodes(cores_m, normals, radius_m, half_length_m, *place, of_point, len(boat_m))
-    start = np.r_[0, np.cumsum(count)].astype(np.int64)
-    nodes = np.empty(start[-1], np.int64)
-    shift, turn = np.empty((start[-1], 3)), np.empty((start[-1], 3))
-    _fill_weights(
-        cores_m,
-        normals,
-        radius_m,
-        half_length_m,
-        *place,
-        of_point,
-        np.ascontiguousarray(boat_m),
-        start,
-        nodes,
-        shift,
-        turn,
-    )
-    return Weights(start, nodes, shift, turn)
+    boat = np.ascontiguousarray(boat_m)
+    room = 64 * _BLOCK  # entries of a block of core points; more where they see more moments
+    counts = [np.zeros(0, np.int64)]
+    parts = [[np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3))]]
+    first = 0
+    while first < len(cores_m):
+        some = slice(first, first + _CHUNK)
+        count, *filled = _fill_weights(
+            cores_m[some], normals[some], radius_m, half_length_m, *place, of_point, boat, room
+        )
+        if (count < 0).any():
+            room *= 2
+            continue
+        of_block = np.add.reduceat(count, np.arange(0, len(count), _BLOCK))
+        kept = (np.arange(room) < of_block[:, None]).ravel()
+        counts.append(count)
+        parts.append([each[kept] for each in filled])
+        first += _CHUNK
+    nodes, shift, turn = (np.concatenate(each) for each in zip(*parts, strict=True))
+    return Weights(np.r_[0, np.cumsum(np.concatenate(counts))].astype(np.int64), nodes, shift, turn)
 
 
 # ---------------------------------------------------------------- kernels
@@ -329,6 +331,8 @@ def _members(
 
 _BLOCK = 256
 """Core points of one piece of work; a piece keeps its buffer."""
+_CHUNK = 32 * _BLOCK
+"""Core points whose entries are held twice at once."""
 
 
 @njit(cache=True, parallel=True)
@@ -394,33 +398,6 @@ def _cylinder_means(
 
 
 @njit(cache=True, parallel=True)
-def _count_nodes(
-    cores: AnyArray,
-    normals: AnyArray,
-    r: float,
-    length: float,
-    xyz: AnyArray,
-    start: AnyArray,
-    low: AnyArray,
-    size: AnyArray,
-    width: float,
-    node: AnyArray,
-    n_nodes: int,
-) -> AnyArray:
-    out = np.zeros(len(cores), np.int64)
-    for b in prange((len(cores) + _BLOCK - 1) // _BLOCK):
-        found = np.empty(1024, np.int64)
-        last = np.full(n_nodes, -1)  # core point that saw each moment last
-        for i in range(b * _BLOCK, min(len(cores), (b + 1) * _BLOCK)):
-            many, found = _members(cores[i], normals[i], r, length, xyz, start, low, size, width, found)
-            for m in range(many):
-                if last[node[found[m]]] != i:
-                    last[node[found[m]]] = i
-                    out[i] += 1
-    return out
-
-
-@njit(cache=True, parallel=True)
 def _fill_weights(
     cores: AnyArray,
     normals: AnyArray,
@@ -433,45 +410,71 @@ def _fill_weights(
     width: float,
     node: AnyArray,
     boat: AnyArray,
-    row: AnyArray,
-    nodes: AnyArray,
-    shift: AnyArray,
-    turn: AnyArray,
-) -> None:
-    for b in prange((len(cores) + _BLOCK - 1) // _BLOCK):
+    room: int,
+) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
+    """Entries of each core point in order of the moments, those of a block from ``block * room`` on.
+
+    Numbers of entries (k,), nodes, shifts and turns; the numbers of a block for which the room is not enough
+    are negative.
+    """
+    blocks = (len(cores) + _BLOCK - 1) // _BLOCK
+    count = np.zeros(len(cores), np.int64)
+    nodes = np.empty(blocks * room, np.int64)
+    shift, turn = np.empty((blocks * room, 3)), np.empty((blocks * room, 3))
+    for b in prange(blocks):
         found = np.empty(1024, np.int64)
-        last, entry = np.full(len(boat), -1), np.empty(len(boat), np.int64)
+        last = np.full(len(boat), -1)  # core point that saw each moment last
+        points = np.zeros(len(boat))  # of a moment in the cylinder, and the sum of their places
+        place = np.zeros((len(boat), 3))
+        seen = np.empty(len(boat), np.int64)
+        e = b * room
         for i in range(b * _BLOCK, min(len(cores), (b + 1) * _BLOCK)):
             many, found = _members(cores[i], normals[i], r, length, xyz, start, low, size, width, found)
-            first = row[i]
-            e = first
-            for m in range(many):
-                moment = node[found[m]]
-                if last[moment] != i:
-                    last[moment] = i
-                    nodes[e] = moment
-                    e += 1
-            nodes[first:e].sort()
-            for f in range(first, e):
-                entry[nodes[f]] = f
-                for axis in range(3):
-                    shift[f, axis] = 0.0
-                    turn[f, axis] = 0.0
-            n0, n1, n2 = normals[i, 0], normals[i, 1], normals[i, 2]
+            n = 0
+            lowest, highest = len(boat), -1
             for m in range(many):
                 k = found[m]
                 moment = node[k]
-                f = entry[moment]
-                rx, ry, rz = (
-                    xyz[k, 0] - boat[moment, 0],
-                    xyz[k, 1] - boat[moment, 1],
-                    xyz[k, 2] - boat[moment, 2],
-                )
-                for axis in range(3):
-                    shift[f, axis] += normals[i, axis] / many
-                turn[f, 0] += (ry * n2 - rz * n1) / many
-                turn[f, 1] += (rz * n0 - rx * n2) / many
-                turn[f, 2] += (rx * n1 - ry * n0) / many
+                if last[moment] != i:
+                    last[moment] = i
+                    seen[n] = moment
+                    n += 1
+                    lowest, highest = min(lowest, moment), max(highest, moment)
+                    points[moment] = 0.0
+                    place[moment, 0] = place[moment, 1] = place[moment, 2] = 0.0
+                points[moment] += 1.0
+                place[moment, 0] += xyz[k, 0] - cores[i, 0]
+                place[moment, 1] += xyz[k, 1] - cores[i, 1]
+                place[moment, 2] += xyz[k, 2] - cores[i, 2]
+            if e + n > (b + 1) * room:
+                for j in range(b * _BLOCK, min(len(cores), (b + 1) * _BLOCK)):
+                    count[j] = -1
+                break
+            count[i] = n
+            if n == 0:
+                continue
+            if highest - lowest < 16 * n:  # one passage: its moments are close to each other
+                n = 0
+                for moment in range(lowest, highest + 1):
+                    if last[moment] == i:
+                        seen[n] = moment
+                        n += 1
+            else:
+                seen[:n].sort()
+            n0, n1, n2 = normals[i, 0] / many, normals[i, 1] / many, normals[i, 2] / many
+            for m in range(n):
+                moment = seen[m]
+                own = points[moment]
+                rx = place[moment, 0] + own * (cores[i, 0] - boat[moment, 0])
+                ry = place[moment, 1] + own * (cores[i, 1] - boat[moment, 1])
+                rz = place[moment, 2] + own * (cores[i, 2] - boat[moment, 2])
+                nodes[e] = moment
+                shift[e, 0], shift[e, 1], shift[e, 2] = own * n0, own * n1, own * n2
+                turn[e, 0] = ry * n2 - rz * n1
+                turn[e, 1] = rz * n0 - rx * n2
+                turn[e, 2] = rx * n1 - ry * n0
+                e += 1
+    return count, nodes, shift, turn
 
 
 @njit(cache=True, parallel=True)

@@ -116,8 +116,8 @@ def beams_through(cores_m: ArrayF, normals: ArrayF, epoch: Epoch, settings: Defo
     radius = 0.5 * settings.cylinder_radius_m
     sigma = 0.0
     for group in epoch.groups:
-        if group.name.startswith("position"):
-            sigma += float(np.mean(np.sum(group.root**2, axis=(1, 2)))) / 3.0
+        if group.name.startswith("position") or group.link is not None:
+            sigma += float(np.mean(np.sum(group.root[:, :3] ** 2, axis=(1, 2)))) / 3.0
     clear = max(settings.cylinder_radius_m, 3.0 * np.sqrt(2.0 * sigma))
     edge = max(settings.core_spacing_m, 2.0 * radius)
     grid = _Voxels(cores_m, edge)

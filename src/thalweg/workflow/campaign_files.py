@@ -832,8 +832,9 @@ class CampaignFiles:
 
     def epoch_errors(self, epoch: str) -> str:
         """What the survey of an epoch shows of the errors of its trajectory."""
-        names = {"ins": "error_model", "camera": "camera_trajectory", "fused": "fused"}
-        return self.epoch_result(epoch, f"orientation/{names[self.chain_of(epoch)]}.json")
+        chain = self.chain_of(epoch)
+        name = "error_model.json" if chain == "ins" else f"errors_{chain}.npz"
+        return self.epoch_result(epoch, f"orientation/{name}")
 
     def chain_of(self, epoch: str) -> str:
         """The chain whose trajectory georeferenced the cloud of an epoch."""

@@ -18,7 +18,7 @@ assumed inputs, and the processing knows them.
 
 import json
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -43,6 +43,7 @@ from thalweg.accuracy import (
 from thalweg.budgets import read_budget, totals_mm
 from thalweg.core import (
     ArrayF,
+    ErrorChain,
     LocalFrame,
     Rigid,
     Trajectory,
@@ -284,11 +285,11 @@ def survey_chains(seed: int, study: ChainStudy, world: World, folder: Path) -> F
 
 def trajectories_of(
     logs: Logs, errors: ImageErrors
-) -> tuple[dict[str, Trajectory], dict[str, Rigid], Rigid, dict[str, dict[str, Any]]]:
+) -> tuple[dict[str, Trajectory], dict[str, Rigid], Rigid, dict[str, Callable[[], list[ErrorChain]]]]:
     """Trajectories of all chains, and the lidar's mount that belongs to each.
 
     The settings are those of a campaign that says nothing of its errors: defaults. Behind both stand
-    ``T_ics_ccs`` of the camera's, and facts about camera and fused trajectory.
+    ``T_ics_ccs`` of the camera's, and what tells the chains of errors of camera and fused trajectory.
     """
     s = logs.settings
     places = s["mounts"]
@@ -322,7 +323,8 @@ def trajectories_of(
     own = Rigid.from_mount(places["lidar"])
     trajectories = {"ins": ins_trajectory(logs), "camera": by_camera.trajectory, "fused": by_all.trajectory}
     mounts = {"ins": own, "camera": Rigid.from_mount(through["lidar"]), "fused": own}
-    return trajectories, mounts, T_ics_ccs, {"camera": by_camera.facts, "fused": by_all.facts}
+    chains = {"camera": by_camera.error_chains, "fused": by_all.error_chains}
+    return trajectories, mounts, T_ics_ccs, chains
 
 
 def comparison_settings(settings: Mapping[str, Any], seed: int) -> ComparisonSettings:

@@ -19,7 +19,7 @@ import pandas as pd
 from scipy.stats import norm
 
 from thalweg.accuracy import CHAINS
-from thalweg.core import ArrayB, ArrayF
+from thalweg.core import ArrayB, ArrayF, ErrorChain
 from thalweg.deformation import (
     Compared,
     Epoch,
@@ -95,18 +95,15 @@ def _epochs(seed: Seed, number: int, settings: Deformation) -> dict[str, Epoch]:
         twin["start_utc"] = "2023-05-10T09:41:20Z"
     s = survey_settings(twin, seed=2 * seed.number + number, mounts=MOUNTS)
     logs = record(s, seed.folder / f"epoch_{number}")
-    trajectories, mounts, _, facts = trajectories_of(logs, ImageErrors())
-    correlation = {
+    trajectories, mounts, _, chains = trajectories_of(logs, ImageErrors())
+    correlation: dict[str, PoseCorrelation | list[ErrorChain]] = {
         "ins": PoseCorrelation(
             position_s=TWIN["gnss"]["correlation_time_s"],
             attitude_s=TWIN["ins"]["attitude_time_s"],
             white_share=s["orientation"]["error_model"]["white_share"],
             receiver_s=RECEIVER_S,
         )
-    } | {
-        chain: PoseCorrelation.of_survey(found, chain, receiver_s=RECEIVER_S)
-        for chain, found in facts.items()
-    }
+    } | {chain: errors() for chain, errors in chains.items()}
     epochs = {}
     for chain in CHAINS:
         survey = orient(logs, trajectories[chain], name=chain, mount=mounts[chain])
@@ -182,7 +179,7 @@ def _other_sigma(compared: Compared, model: str) -> ArrayF:
     n = pair.found.n.astype(float)
     half = len(pair.field.groups) // 2
     for i, part in enumerate((slice(0, half), slice(half, None))):
-        groups = tuple(replace(g, correlation_s=np.inf) for g in pair.field.groups[part])
+        groups = tuple(group.alike() for group in pair.field.groups[part])
         alike = ErrorField(groups, pair.field.rows[part]).variances()
         total += alike if model == "ep" else alike / np.maximum(n[:, i], 1.0)
     return np.sqrt(total + pair.white_m**2)

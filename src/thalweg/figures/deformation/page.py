@@ -24,6 +24,11 @@ GROUPS_IN_WORDS: Final = {
     "stated": "stated of the files",
     "stated, common to all": "stated of the files, the same everywhere",
     "not stated": "not stated",
+    "smoothed trajectory": "poses of the smoothed trajectory",
+    "images": "poses of the photographs",
+    "times of images": "times of single photographs",
+    "clock of the camera": "clock of the camera",
+    "between the nodes": "INS between photographs or nodes",
 }
 DIFFERENCES: Final = (
     ("volume_m3", "volume", "m³"),
@@ -280,8 +285,8 @@ def limits(pairs: Sequence[PairFacts]) -> str:
     )
     files = any((pair.visibility[f"reason_{i}"] == "no trajectory").any() for pair in pairs for i in (1, 2))
     elsewhere = (
-        "Clouds and surface models from elsewhere have no trajectory: where they have no points, nobody knows "
-        "whether there was nothing or whether nobody looked. Their errors are what the campaign file states, "
+        "Clouds and surface models from elsewhere have no trajectory: where they have no points, nobody "
+        "knows whether there was nothing or whether nobody looked. Their errors are what the campaign file states, "
         "alike over one length everywhere.\n\n"
     )
     return (
@@ -478,9 +483,31 @@ def _series(page: Page, facts: Mapping[str, Any], rates: pd.DataFrame) -> None:
             if flagged
             else "No epoch jumps and returns over most of the bank."
         )
-        + f" The changes from epoch to epoch, each registered by itself, close against that from first to "
-        f"last to {100 * closed['rms_m']:.1f} cm (root mean square of n = {count(closed['n'])} core points)."
+        + " All epochs are registered to each other in one adjustment, in which changes close. Were each "
+        "pair registered by itself, the changes from epoch to epoch would miss that from first to last by "
+        f"{100 * closed['rms_m']:.1f} cm (root mean square of n = {count(closed['n'])} core points)."
     )
+    network = facts["network"]
+    if network:
+        motions = pd.DataFrame(
+            {
+                "epoch": np.arange(len(network["parameters"])) + 1,
+                **{
+                    name.removesuffix("_m").replace("_", " "): [
+                        f"{1e3 * value[name]:+.1f} ± {1e3 * sigma[name]:.1f}"
+                        for value, sigma in zip(network["parameters"], network["sigmas"], strict=True)
+                    ]
+                    for name in network["parameters"][0]
+                    if any(sigma[name] > 0 for sigma in network["sigmas"])
+                },
+            }
+        )
+        page.table(
+            motions,
+            "Motions of the epochs against their mean, with standard deviations (stable core points: "
+            f"{count(network['stable_cores'])})",
+            {name: "mrad" if name.startswith("turn") else "mm" for name in motions.columns[1:]},
+        )
     rows = pd.DataFrame(epochs)
     shown = pd.DataFrame(
         {
@@ -572,9 +599,9 @@ def _unseen(page: Page, pairs: Sequence[PairFacts]) -> None:
 
 def _epochs(page: Page, epochs: Sequence[Mapping[str, Any]]) -> None:
     page.section("Epochs and their errors").text(
-        "Errors that points share, by group: root mean squares over the survey. Those of poses are shared by "
-        "the points of a moment; groups without a correlation time stay the same for a whole survey. Of "
-        "clouds and surface models from elsewhere they are what the campaign file states."
+        "Errors that points share, by group: root mean squares over the survey, and how long, or how far, "
+        "they last. Those of poses are shared by the points of a moment; those of clouds and surface models "
+        "from elsewhere are what the campaign file states."
     )
     about = [
         {
@@ -588,26 +615,25 @@ def _epochs(page: Page, epochs: Sequence[Mapping[str, Any]]) -> None:
     ]
     page.table(pd.DataFrame(about), "Epochs")
     rows = []
-    lengths = any(group.get("correlation_m") for each in epochs for group in each["groups"])
     for i, each in enumerate(epochs, start=1):
         for group in each["groups"]:
-            turn = group["unit"] == "rad"
-            sizes = (np.rad2deg(1.0) if turn else 100.0) * np.asarray(group["sigma"], dtype=float)
-            rows.append(
-                {
-                    "epoch": i,
-                    "error": GROUPS_IN_WORDS.get(group["name"], group["name"]),
-                    "correlation time": float("nan")
-                    if group["correlation_s"] is None
-                    else float(group["correlation_s"]),
-                    **({"correlation length": group.get("correlation_m") or float("nan")} if lengths else {}),
-                    **dict(zip(_ENU, sizes.tolist(), strict=True)),
-                    "unit": "°" if turn else "cm",
-                }
-            )
+            sigma = np.asarray(group["sigma"], dtype=float).reshape(-1, 3)
+            # of a pose: the shift, then the rotation
+            for part, unit in zip(sigma, group["unit"].split(", "), strict=True):
+                turn = unit == "rad"
+                sizes = (np.rad2deg(1.0) if turn else 100.0) * part
+                kind = (", rotation" if turn else ", shift") if len(sigma) > 1 else ""
+                rows.append(
+                    {
+                        "epoch": i,
+                        "error": GROUPS_IN_WORDS.get(group["name"], group["name"]) + kind,
+                        "lasts": group["lasts"],
+                        **dict(zip(_ENU, sizes.tolist(), strict=True)),
+                        "unit": "°" if turn else "cm",
+                    }
+                )
     caption = "Standard deviations along east, north and up; of rotations about these axes"
-    units = {"correlation time": "s", **({"correlation length": "m"} if lengths else {})}
-    page.table(pd.DataFrame(rows), caption, units, digits=2)
+    page.table(pd.DataFrame(rows), caption, digits=2)
 
 
 def _truth(page: Page, truth: Mapping[str, pd.DataFrame], polygons: Mapping[str, pd.DataFrame]) -> None:

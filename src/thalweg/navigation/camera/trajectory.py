@@ -34,6 +34,7 @@ from thalweg.core import (
     ArrayI,
     ClockError,
     CoverageError,
+    ErrorChain,
     InputError,
     LocalFrame,
     Rigid,
@@ -42,6 +43,7 @@ from thalweg.core import (
     cross_matrix,
     rotation_vector,
     utc_text_from_gps,
+    with_rest,
 )
 from thalweg.images.model import ImagePoses
 from thalweg.navigation.fusion import (
@@ -74,6 +76,8 @@ _CURE: Final = {
     "expected": "oriented images of the same survey, with times",
     "cure": "Look at the reasons in images_report.csv, at the camera's clock and at the dates of the logs",
 }
+_REST_STEP_S: Final = 0.02
+"""Least interval of the nodes of what the INS adds between images, whose frames last a tenth of a second."""
 LEAST_IMAGES = 3
 """With fewer, what is stated counts alone."""
 OF_POSITIONS = ("position_time_s", "position_white_share")
@@ -207,13 +211,14 @@ class BoatImages:
         """Covariance (k, 6, 6) of the errors of images ``first`` with those of images ``second``."""
         out = np.zeros((len(first), 6, 6))
         for k, (a, b) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
-            link = self._link(int(self.rank[a]), int(self.rank[b]))
+            link = self.link(int(self.rank[a]), int(self.rank[b]))
             out[k] = self.root[a] @ link @ self.root[b].T
         return out
 
-    def _link(self, a: int, b: int) -> ArrayF:
+    def link(self, a: int, b: int) -> ArrayF:
+        """Correlation (6, 6) of two images by their ranks, in units of their roots."""
         if b < a:
-            return self._link(b, a).T
+            return self.link(b, a).T
         if b - a > _LONGEST_LINK:
             return np.zeros((6, 6))
         link = np.eye(6)
@@ -298,12 +303,19 @@ class CameraTrajectory:
     """Result of `camera_trajectory`.
 
     ``trajectory``; ``images``, a row an image: whether it is used, its frame and why not; ``facts`` numbers
-    and notes for a report.
+    and notes for a report; ``by_images`` what of its errors comes from the images,
+    ``used_gps_s`` (k,) the times of those that are used.
     """
 
     trajectory: Trajectory
     images: pd.DataFrame
     facts: dict[str, Any]
+    by_images: list[ErrorChain]
+    used_gps_s: ArrayF
+
+    def error_chains(self) -> list[ErrorChain]:
+        """How the errors of the poses hang together over time: images, their times, and the INS between."""
+        return with_rest(self.trajectory, self.by_images, self.used_gps_s, step_s=_REST_STEP_S)
 
 
 def camera_trajectory(
@@ -372,7 +384,11 @@ def camera_trajectory(
     for note in notes:
         _LOG.warning("%s", note)
     return CameraTrajectory(
-        trajectory=found, images=image_table(poses, images, reasons, joined, spans), facts=facts
+        trajectory=found,
+        images=image_table(poses, images, reasons, joined, spans),
+        facts=facts,
+        by_images=image_chains(images, joined, spans, common_s),
+        used_gps_s=images.t_gps_s,
     )
 
 
@@ -941,6 +957,53 @@ def interpolated_covariance(images: BoatImages, between: Between, common_time_s:
     u = between.share[:, None, None]
     mixed = (1 - u) ** 2 * own[a] + u**2 * own[b] + u * (1 - u) * (X + np.swapaxes(X, 1, 2))
     return np.asarray(np.where((a == b)[:, None, None], own[a], mixed))
+
+
+def image_chains(images: BoatImages, joined: ArrayB, spans: Spans, common_time_s: float) -> list[ErrorChain]:
+    """Errors of the images' poses, of their times and of their clock, as they enter the poses of the boat.
+
+    Where nothing joins two images, each has its own error to the end of its frame.
+    """
+    n = len(images.row)
+    # the frame of an image may reach beyond it to both sides: two more nodes with the same error
+    before, after = np.append(True, ~joined), np.append(~joined, True)
+    image = np.repeat(np.arange(n), 1 + before + after)
+    t = np.concatenate(
+        [
+            [*([b] if first else []), own, *([e] if last else [])]
+            for b, own, e, first, last in zip(
+                np.minimum(spans.begin_s, images.t_gps_s), images.t_gps_s,
+                np.maximum(spans.end_s, images.t_gps_s), before, after, strict=True,
+            )
+        ]
+    )  # fmt: skip
+    t = np.maximum.accumulate(t)
+    same = np.append(False, image[1:] == image[:-1])[:, None, None]
+    links = np.zeros((n, 6, 6))
+    for k in range(1, n):
+        a, b = int(images.rank[k - 1]), int(images.rank[k])
+        links[k] = images.link(a, b).T
+    shared = np.minimum(np.square(images.sigma_t_s), common_time_s**2)
+    single = np.sqrt(np.square(images.sigma_t_s) - shared)
+    by_time = images.moments.rates[:, :, None]
+    one = np.ones((len(t), 1, 1))
+    return [
+        ErrorChain(
+            name="images", t_gps_s=t, root=images.root[image], link=np.where(same, np.eye(6), links[image])
+        ),
+        ErrorChain(
+            name="times of images",
+            t_gps_s=t,
+            root=(by_time * single[:, None, None])[image],
+            link=np.where(same, one, 0.0),
+        ),
+        ErrorChain(
+            name="clock of the camera",
+            t_gps_s=t,
+            root=(by_time * np.sqrt(shared)[:, None, None])[image],
+            link=one,
+        ),
+    ]
 
 
 def linked(images: BoatImages, max_gap_s: float) -> ArrayB:

@@ -34,6 +34,7 @@ from thalweg.navigation.fusion import solver
 from thalweg.navigation.fusion.model import (
     GROUPS,
     MODEL,
+    POSE,
     SIZE_OF,
     TIMES,
     Factors,
@@ -363,6 +364,7 @@ def spread_over(
     settings: FusionSettings,
     *,
     clock_start_s: float,
+    part: int = POSE,
 ) -> Solved:
     """A solution whose covariances are the mean over what the errors may be; states stay.
 
@@ -372,11 +374,12 @@ def spread_over(
     reference, nodes, observed, layout, settings : the task.
     solved : its solution at the best values of ``model``.
     clock_start_s : as for `estimated`.
+    part : the first ``part`` states get covariances.
     """
     at = reference.at(nodes.t_gps_s)
     start_m = first_offset(at, observed)
-    part = solved.cov.shape[1]
-    cov, cross, last = (np.zeros_like(a) for a in (solved.cov, solved.cross, solved.last))
+    cov, cross = np.zeros((2, len(nodes.t_gps_s), part, part))
+    last = np.zeros_like(solved.last)
     n = 0
     for h in model.points():
         changed, factors = applied(model.values(h), settings)
@@ -390,6 +393,7 @@ def spread_over(
             factors,
             start_m=start_m,
             clock_start_s=clock_start_s,
+            part=part,
         )
         away = found.x - solved.x
         pose = away[:, :part]

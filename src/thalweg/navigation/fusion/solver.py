@@ -104,9 +104,9 @@ class Solved:
     """Smoothed states.
 
     ``x`` (m, n) at the nodes, ``cov`` and ``cross`` (m, 10, 10) of the states of the pose at a node and with
-    the next one, ``last`` (n, n) covariance of all states at the last node, ``groups`` weighted squares and
-    redundancy by group, ``factors`` of the sigmas, ``n_solutions``, ``settled`` whether nothing moved at the
-    end.
+    the next one (or of all states, if asked for), ``last`` (n, n) covariance of all states at the last node,
+    ``groups`` weighted squares and redundancy by group, ``factors`` of the sigmas, ``n_solutions``,
+    ``settled`` whether nothing moved at the end.
     """
 
     x: ArrayF
@@ -199,8 +199,9 @@ def smooth(
     *,
     start_m: ArrayF,
     clock_start_s: float,
+    part: int = POSE,
 ) -> Solved:
-    """One solution, linearised at states ``x`` (m, n)."""
+    """One solution, linearised at states ``x`` (m, n); covariances of the first ``part`` states."""
     t = transitions(
         nodes,
         layout,
@@ -218,7 +219,7 @@ def smooth(
     K, S, nu = np.empty((r, n)), np.empty(r), np.empty(r)
     chain = (t.walk, t.phi, t.q, layout.camera, t.image_of, t.G, t.W, first_row, rows.H)
     forward(t.x0, t.p0, t.pair, *chain, rows.y, xf, Pf, K, S, nu)
-    xs, cov, cross = np.empty((m, n)), np.empty((m, POSE, POSE)), np.zeros((m, POSE, POSE))
+    xs, cov, cross = np.empty((m, n)), np.empty((m, part, part)), np.zeros((m, part, part))
     squares, redundancy, pairs, of_rows = np.zeros(n), np.zeros(n), np.zeros((3, 2)), np.empty((r, 2))
     backward(
         t.p0,
@@ -230,7 +231,7 @@ def smooth(
         K,
         S,
         nu,
-        POSE,
+        part,
         xs,
         cov,
         cross,
@@ -674,7 +675,8 @@ def backward(
     p0, pair, walk, phi, q, cam, image_of, G, W, first_row, H : as in `forward`.
     kind : (m,) kind of the transition of position and rate into each node, row of ``pairs``.
     x, P, K, S, nu : what `forward` wrote.
-    part : the first ``part`` states get covariances; no transition may lead into them from others.
+    part : the first ``part`` states get covariances; no transition may lead into them from others, and the
+        image's errors are among them as a whole or not at all.
     x_out : (m, n) smoothed states, written.
     cov_out, cross_out : (m, part, part) covariance of a node, and with the next node, written.
     squares, redundancy : (n,) by single process, the image's errors under their first state; added to.
@@ -723,6 +725,13 @@ def backward(
                     cross_out[node, i, 3 + j] = g * b - cross_out[node, i, 3 + j]
                 for j in range(6, part):
                     cross_out[node, i, j] = phi[node + 1, j] * cov_out[node, i, j] - cross_out[node, i, j]
+                if 0 <= cam < part and image_of[node + 1] >= 0:
+                    for j in range(6):
+                        # phi is 1 there: what stands there is P_s less the part by the noise
+                        s = cross_out[node, i, cam + j] - cov_out[node, i, cam + j]
+                        for k in range(6):
+                            s += G[image_of[node + 1], j, k] * cov_out[node, i, cam + k]
+                        cross_out[node, i, cam + j] = s
         for row in range(first_row[node + 1] - 1, first_row[node] - 1, -1):
             u, d = nu[row] / S[row], 1.0 / S[row]
             for i in range(n):
@@ -791,6 +800,12 @@ def backward(
                 cross_out[node - 1, i, 3 + j] = walk[node, j] * (a * de + b * ee)
             for j in range(6, part):
                 cross_out[node - 1, i, j] = U[i, j] * q[node, j]
+            if at >= 0 and at < part:
+                for j in range(6):
+                    s = 0.0
+                    for k in range(6):
+                        s += U[i, at + k] * W[image, k, j]
+                    cross_out[node - 1, i, at + j] = s
         _transposed(Lam, B)
         _rows_transposed(B, f, g, phi[node], at, Gk, keep)
         for i in range(n):

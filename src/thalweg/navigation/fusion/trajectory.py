@@ -22,15 +22,17 @@ from thalweg.core import (
     ArrayF,
     ArrayI,
     CoverageError,
+    ErrorChain,
     InputError,
     LocalFrame,
     Rigid,
     Trajectory,
     root_mean_square,
     utc_text_from_gps,
+    with_rest,
 )
 from thalweg.images.model import ImagePoses
-from thalweg.navigation.fusion.errors import FusionErrors, with_errors
+from thalweg.navigation.fusion.errors import FusionErrors, spread_over, with_errors
 from thalweg.navigation.fusion.model import (
     GROUPS,
     MODEL,
@@ -43,6 +45,7 @@ from thalweg.navigation.fusion.model import (
     Layout,
     Nodes,
     Reference,
+    Sampled,
     antenna_of,
     attitude,
     camera_of,
@@ -51,7 +54,15 @@ from thalweg.navigation.fusion.model import (
     pair_transition,
     place_nodes,
 )
-from thalweg.navigation.fusion.solver import Observed, Solved, jumped_images, jumped_positions, solve
+from thalweg.navigation.fusion.solver import (
+    Observed,
+    Solved,
+    first_offset,
+    jumped_images,
+    jumped_positions,
+    smooth,
+    solve,
+)
 from thalweg.navigation.ins_gnss import (
     ATTITUDE_INITIALISED,
     TrajectorySummary,
@@ -64,6 +75,8 @@ from thalweg.navigation.ins_gnss import (
 
 _MOVE_NODES_S = 0.02
 """A clock offset beyond this moves the nodes of the images: within it motion of 1 m/s^2 is even to 0.2 mm."""
+CHAIN_STEP_S: Final = 0.05
+"""Least interval of the nodes at which errors are told: a boat's pose is one within a tenth of a second."""
 _CHUNK: Final = 5000
 """Times that are computed at once: some 10 MB of matrices."""
 _LONG: Final = 3.0
@@ -120,6 +133,9 @@ class Fused:
     trajectory : at the times of the INS.
     observations : one line an observation: see `fused_report.observation_table`.
     facts : JSON-able: counts, groups, clock offset, mount, sigmas.
+    reference, nodes, observed, layout, solved, errors : the task and its solution.
+    stated, settings : as stated, and with the times that the survey shows.
+    clock_start_s : prior mean of the clock offset about the nodes of the images.
     """
 
     trajectory: Trajectory
@@ -127,13 +143,40 @@ class Fused:
     facts: dict[str, Any]
     reference: Reference
     nodes: Nodes
+    observed: Observed
+    layout: Layout
     solved: Solved
+    stated: FusionSettings
     settings: FusionSettings
     errors: FusionErrors
+    clock_start_s: float
 
     def poses(self, t_gps_s: ArrayF) -> tuple[ArrayF, ArrayF, ArrayF]:
         """Position (k, 3), ``R_wcs_ics`` (k, 3, 3) and covariance (k, 6, 6) at any times within the INS."""
         return poses(t_gps_s, self.reference, self.nodes, self.solved, self.settings)
+
+    def error_chains(self) -> list[ErrorChain]:
+        """How the errors of the poses hang together over time.
+
+        All states of the smoother are one Markov chain: also those beside the pose (slow errors of positions
+        and images, mount, clock), which is why poses far from each other still err alike.
+        """
+        task = (self.reference, self.nodes, self.observed, self.solved, self.layout)
+        if self.errors.priors:
+            whole = spread_over(
+                self.errors, *task, self.stated, clock_start_s=self.clock_start_s, part=self.layout.n
+            )
+        else:
+            at = self.reference.at(self.nodes.t_gps_s)
+            whole = smooth(
+                self.solved.x, at, self.nodes, self.observed, self.layout, self.settings, self.solved.factors,
+                start_m=first_offset(at, self.observed), clock_start_s=self.clock_start_s, part=self.layout.n,
+            )  # fmt: skip
+        pose = _pose_by_states(self.solved.x, self.reference.at(self.nodes.t_gps_s), self.settings)
+        chain = ErrorChain.of_covariances(
+            "smoothed trajectory", self.nodes.t_gps_s, whole.cov, whole.cross, pose, step_s=CHAIN_STEP_S
+        )
+        return with_rest(self.trajectory, [chain], chain.t_gps_s, step_s=CHAIN_STEP_S)
 
 
 def fuse_trajectory(
@@ -194,6 +237,7 @@ def fuse_trajectory(
     _refuse_nothing(antenna, camera, reference, counts)
     layout = Layout.of(gnss=antenna is not None, camera=camera is not None)
     nodes, observed, solved, shift_s = _solved(reference, antenna, camera, layout, settings)
+    as_stated = settings
     nodes, settings, solved, errors = with_errors(
         reference, nodes, observed, solved, layout, settings, clock_start_s=-shift_s
     )
@@ -221,9 +265,13 @@ def fuse_trajectory(
         facts=facts,
         reference=reference,
         nodes=nodes,
+        observed=observed,
+        layout=layout,
         solved=solved,
+        stated=as_stated,
         settings=settings,
         errors=errors,
+        clock_start_s=-shift_s,
     )
 
 
@@ -445,11 +493,17 @@ def _poses(
 ) -> tuple[ArrayF, ArrayF, ArrayF]:
     mean, cov = pose_states(t_gps_s, nodes, solved, settings)
     at = reference.at(t_gps_s)
-    R, by_angle = attitude(mean, at, settings)
-    J = np.zeros((len(mean), 6, POSE))
-    J[:, :3, :3] = np.eye(3)
-    J[:, 3:, 6:] = by_angle
+    R, _ = attitude(mean, at, settings)
+    J = _pose_by_states(mean, at, settings)
     return at.way_m + mean[:, :3], R, J @ cov @ np.swapaxes(J, 1, 2)
+
+
+def _pose_by_states(x: ArrayF, at: Sampled, settings: FusionSettings) -> ArrayF:
+    """Derivative (k, 6, 10) of shift and small rotation in wcs to the states of the pose."""
+    J = np.zeros((len(x), 6, POSE))
+    J[:, :3, :3] = np.eye(3)
+    J[:, 3:, 6:] = attitude(x, at, settings)[1]
+    return J
 
 
 def trajectory_of(

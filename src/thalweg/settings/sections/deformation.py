@@ -120,10 +120,14 @@ class EpochErrors(Section):
         default=0.1, description="Points within this time share the error of one pose, seconds"
     )
     position_time_s: Positive | None = Field(
-        default=None, description="Correlation time of positions, seconds; null: as estimated from the survey"
+        default=None,
+        description="Correlation time of positions by INS and GNSS, seconds; null: as estimated from the "
+        "survey. Camera and fused trajectory tell how their errors last",
     )
     attitude_time_s: Positive | None = Field(
-        default=None, description="Correlation time of attitudes, seconds; null: as estimated from the survey"
+        default=None,
+        description="Correlation time of attitudes by INS and GNSS, seconds; null: as estimated from the "
+        "survey",
     )
     common_mounts: bool = Field(
         default=False,

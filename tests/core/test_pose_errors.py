@@ -1,0 +1,157 @@
+"""Chains of errors of poses: interpolation, thinning, what lies between the nodes, files."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from thalweg.core import (
+    ErrorChain,
+    GeometryError,
+    InputError,
+    LocalFrame,
+    Trajectory,
+    read_chains,
+    symmetric_roots,
+    with_rest,
+    write_chains,
+)
+
+T0 = 1e9
+
+
+def random_walk(m: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Covariance (m, 7, m, 7) of m states of a chain of seven, each with the one before, and their own."""
+    root = rng.standard_normal((m, 7, 7))
+    full = np.zeros((m, 7, m, 7))
+    full[0, :, 0] = root[0] @ root[0].T
+    for k in range(1, m):
+        F = 0.5 * rng.standard_normal((7, 7))
+        for i in range(k):
+            full[k, :, i] = F @ full[k - 1, :, i]
+            full[i, :, k] = full[k, :, i].T
+        full[k, :, k] = F @ full[k - 1, :, k - 1] @ F.T + root[k] @ root[k].T
+    own = np.array([full[k, :, k] for k in range(m)])
+    following = np.array([full[k, :, min(k + 1, m - 1)] for k in range(m)])
+    return full, own, following
+
+
+@pytest.mark.parametrize("at_once", [2000, 4])
+def test_a_thinned_chain_keeps_the_covariance_of_any_two_nodes(
+    at_once: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("thalweg.core.pose_errors._AT_ONCE", at_once)
+    rng = np.random.default_rng(1)
+    full, own, following = random_walk(12, rng)
+    pose = rng.standard_normal((12, 6, 5))  # by the first five of seven states
+    t = T0 + 0.1 * np.arange(12)
+    chain = ErrorChain.of_covariances("states", t, own, following, pose, step_s=0.25)
+    kept = np.array([0, 3, 6, 9, 11])
+    assert chain.t_gps_s == pytest.approx(t[kept], abs=1e-6)
+    for a, i in enumerate(kept):
+        link = np.eye(7)
+        for b in range(a, len(kept)):
+            link = chain.link[b] @ link if b > a else link
+            expected = pose[kept[b]] @ full[kept[b], :5, i, :5] @ pose[i].T
+            found = chain.root[b] @ link @ chain.root[a].T
+            assert found == pytest.approx(expected, rel=1e-6, abs=1e-9 * np.abs(full).max())
+
+
+def test_between_two_nodes_errors_are_interpolated_and_outside_they_stay() -> None:
+    rng = np.random.default_rng(2)
+    root = rng.standard_normal((2, 6, 6))
+    link = np.zeros((2, 6, 6))
+    link[1] = 0.6 * np.eye(6)
+    chain = ErrorChain(name="pair", t_gps_s=np.array([T0, T0 + 1.0]), root=root, link=link)
+    a, b = 0.7 * root[0], 0.3 * root[1]
+    mixed = 0.6 * (a @ b.T)
+    expected = a @ a.T + b @ b.T + mixed + mixed.T
+    found = chain.covariance_at(np.array([T0 - 5.0, T0 + 0.3, T0 + 9.0]))
+    assert found[1] == pytest.approx(expected, abs=1e-5)  # GPS times of 1e9 s have 1e-7 s
+    assert found[0] == pytest.approx(root[0] @ root[0].T)
+    assert found[2] == pytest.approx(root[1] @ root[1].T)
+
+
+def a_trajectory(cov: np.ndarray) -> Trajectory:
+    """Ten seconds at 20 Hz, turning; covariances (201, 6, 6)."""
+    t = T0 + np.linspace(0.0, 10.0, 201)
+    return Trajectory(
+        frame=LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=100.0),
+        t_gps_s=t,
+        position_wcs_m=np.column_stack([t - T0, 0 * t, 0 * t]),
+        quaternion_wcs_ics=Rotation.from_euler("z", 10.0 * (t - T0)[:, None], degrees=True).as_quat(),
+        cov_pose_wcs=cov,
+        valid=np.ones(len(t), dtype=bool),
+    )
+
+
+def test_the_rest_is_what_grows_and_shrinks_between_fixed_times() -> None:
+    """Known at every second, and a Brownian bridge of 0.01 m^2/s between."""
+    since = np.linspace(0.0, 10.0, 201) % 1.0
+    cov = np.tile(np.diag([4e-4, 4e-4, 4e-4, 1e-6, 1e-6, 1e-6]), (201, 1, 1))
+    cov[:, 2, 2] += 0.01 * since * (1.0 - since)
+    t = T0 + np.arange(11.0)
+    sigma = np.sqrt(np.diag(cov[0]))
+    known = ErrorChain(
+        name="known", t_gps_s=t, root=np.tile(np.diag(sigma), (11, 1, 1)), link=np.tile(np.eye(6), (11, 1, 1))
+    )
+    trajectory = a_trajectory(cov)
+    chains = with_rest(trajectory, [known], t, step_s=0.05)
+    assert [chain.name for chain in chains] == ["known", "between the nodes"]
+    rest = chains[1]
+    at = T0 + np.array([3.0, 3.25, 3.5, 4.0])
+    assert rest.covariance_at(at)[:, 2, 2] == pytest.approx([0.0, 0.001875, 0.0025, 0.0], abs=2e-6)
+    i, k = (int(np.argmin(np.abs(rest.t_gps_s - T0 - s))) for s in (3.25, 3.5))
+    link = np.eye(6)
+    for j in range(i + 1, k + 1):
+        link = rest.link[j] @ link
+    between = (rest.root[k] @ link @ rest.root[i].T)[2, 2]
+    assert between == pytest.approx(0.01 * 0.25 * 0.5, rel=1e-3)  # s (T - t) / T
+    first, after = (int(np.argmin(np.abs(rest.t_gps_s - T0 - s))) for s in (3.5, 4.5))
+    for j in range(first + 1, after + 1):
+        link = rest.link[j] @ link
+    assert not link.any()  # nothing is left from one gap to the next
+    # where the chains say all, there is no rest
+    assert with_rest(a_trajectory(np.tile(cov[0], (201, 1, 1))), [known], t, step_s=0.05) == [known]
+
+
+def test_roots_of_mixed_units_have_their_covariance_and_keep_to_their_axes() -> None:
+    rng = np.random.default_rng(3)
+    R = Rotation.from_euler("z", np.linspace(0.0, 360.0, 50)[:, None], degrees=True).as_matrix()
+    axes = np.zeros((50, 6, 6))
+    axes[:, :3, :3] = axes[:, 3:, 3:] = R
+    body = rng.standard_normal((6, 6)) * np.array([[0.02] * 3 + [1e-4] * 3]).T
+    cov = axes @ (body @ body.T) @ np.swapaxes(axes, 1, 2)
+    root = symmetric_roots(cov, axes)
+    assert root @ np.swapaxes(root, 1, 2) == pytest.approx(cov, rel=1e-6, abs=1e-14)
+    own = np.swapaxes(axes, 1, 2) @ root
+    assert own == pytest.approx(np.broadcast_to(own[0], own.shape), rel=1e-6, abs=1e-10)
+
+
+def test_chains_are_read_as_they_were_written(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    chains = [
+        ErrorChain(
+            name=name, t_gps_s=T0 + np.arange(float(m)), root=rng.standard_normal((m, 6, d)),
+            link=rng.standard_normal((m, d, d)),
+        )
+        for name, m, d in (("images", 4, 6), ("clock", 3, 1))
+    ]  # fmt: skip
+    write_chains(tmp_path / "errors.npz", chains)
+    again = read_chains(tmp_path / "errors.npz")
+    for one, two in zip(chains, again, strict=True):
+        assert one.name == two.name
+        assert (one.t_gps_s == two.t_gps_s).all()
+        assert two.root == pytest.approx(one.root, rel=1e-6)
+        assert two.link == pytest.approx(one.link, rel=1e-6)
+    np.savez(tmp_path / "other.npz", x=np.zeros(3))
+    with pytest.raises(InputError, match="no errors of poses"):
+        read_chains(tmp_path / "other.npz")
+
+
+def test_chains_that_are_none_are_refused() -> None:
+    with pytest.raises(GeometryError, match="times that go back"):
+        ErrorChain(name="x", t_gps_s=np.array([1.0, 0.0]), root=np.zeros((2, 6, 1)), link=np.zeros((2, 1, 1)))
+    with pytest.raises(GeometryError, match=r"2 times, roots \(1, 6, 1\)"):
+        ErrorChain(name="x", t_gps_s=np.array([0.0, 1.0]), root=np.zeros((1, 6, 1)), link=np.zeros((2, 1, 1)))
