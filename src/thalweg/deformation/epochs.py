@@ -101,9 +101,8 @@ class Epoch:
     def _rows(self, weights: Weights, group: SharedErrors) -> sp.csr_matrix:
         """Derivatives of the means to the errors of one group."""
         name, values = group.name, weights.shift
-        if (
-            isinstance(group, ErrorGroup) and group.link is not None
-        ):  # poses between the nodes of a chain: errors are interpolated
+        if isinstance(group, ErrorGroup) and group.link is not None:
+            # poses between the nodes of a chain: their errors are interpolated
             both = rows_of_weights(weights, np.hstack([weights.shift, weights.turn_m]), len(self.t_s))
             return sp.csr_matrix(both @ _interpolation(self.t_s, group.t_s)).sorted_indices()
         if name in TURNS:  # the boat turns about its own origin, the mount about the scanner
