@@ -159,8 +159,7 @@ class Epoch:
             t_s = arrays.pop(f"nodes_{i}", arrays["t_s"])
             time_s = np.inf if each["correlation_s"] is None else each["correlation_s"]
             groups.append(ErrorGroup(each["name"], t_s, root, time_s if link is None else np.nan, link))
-        groups = tuple(groups)
-        return cls(name=facts["name"], start_gps_s=facts["start_gps_s"], groups=groups, **arrays)
+        return cls(name=facts["name"], start_gps_s=facts["start_gps_s"], groups=tuple(groups), **arrays)
 
     @property
     def heights(self) -> str:

@@ -39,7 +39,7 @@ def epochs_together(clouds: Sequence[CloudOfEpoch], pair: BankPair, *, title: st
     heights = np.clip(np.array([tall, tall, deep, deep]) / max(wide, 1e-9), 0.16, 0.55)
     n = count(len(first.xyz_m) + len(last.xyz_m))
     figure = new_figure(118.0 * float(heights.sum()) + 92.0, f"{title}, n = {n} points", twin=twin)
-    panels = figure.subplots(4, 1, height_ratios=heights, sharex=True)
+    panels = figure.subplots(4, 1, height_ratios=heights.tolist(), sharex=True)
     far = [cKDTree(each.boat_m).query(xyz)[0] for each, xyz in zip((first, last), shown, strict=True)]
     limit = float(np.quantile(np.concatenate(far), 0.99))
     for ax, letter, each, xyz, (s, _), distance in zip(
