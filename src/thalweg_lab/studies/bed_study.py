@@ -141,13 +141,16 @@ def river_of(logs: Logs) -> River:
     return River(logs=logs, cloud=process(logs), correlation=correlation)
 
 
-def bed_of(river: River, mistake: PlantedMistake = NONE) -> tuple[Bed, pd.DataFrame]:
+def bed_of(
+    river: River, mistake: PlantedMistake = NONE, *, strip: pd.DataFrame | None = None
+) -> tuple[Bed, pd.DataFrame]:
     """Kriged bed and soundings of a survey.
 
     Parameters
     ----------
     river : of the survey.
     mistake : what is left out.
+    strip : points of the light sheet, kind ``bed_points``.
     """
     s, trajectory = river.logs.settings, river.cloud.trajectory
     echo = EchoSounder(**(s["echo_sounder"] | dict(mistake.echo_sounder)))
@@ -187,7 +190,7 @@ def bed_of(river: River, mistake: PlantedMistake = NONE) -> tuple[Bed, pd.DataFr
         banks.line,
         banks,
         level,
-        None,
+        strip,
         frame=LocalFrame(**s["campaign"]["origin"]),
         crs=CRS.from_user_input(s["campaign"]["crs"]),
         echo=echo,
@@ -216,7 +219,7 @@ def squares_of(bed: Bed, soundings: pd.DataFrame, river: River) -> pd.DataFrame:
     error = used["up_m"].to_numpy() - true_bed_m(
         river.logs.scene, used[["east_m", "north_m"]].to_numpy(np.float64)
     )
-    rows = [_sums("soundings", 0.0, np.inf, error, np.linalg.norm(parts, axis=1))]
+    rows = [sums_of("soundings", 0.0, np.inf, error, np.linalg.norm(parts, axis=1))]
     known = np.isfinite(bed.up_m)
     places = np.column_stack([bed.grid.centres_m()[known], np.full(known.sum(), frame.h_ell_m)])
     error = bed.up_m[known] - true_bed_m(river.logs.scene, frame.from_map(places, crs)[:, :2])
@@ -224,11 +227,12 @@ def squares_of(bed: Bed, soundings: pd.DataFrame, river: River) -> pd.DataFrame:
     away = bed.distance_m[known]
     for low, high in pairwise(DISTANCES_M):
         of = (away >= low) & (away < high)
-        rows.append(_sums("bed", low, high, error[of], sigma[of]))
+        rows.append(sums_of("bed", low, high, error[of], sigma[of]))
     return pd.DataFrame(rows)
 
 
-def _sums(quantity: str, low: float, high: float, error: ArrayF, sigma: ArrayF) -> dict[str, Any]:
+def sums_of(quantity: str, low: float, high: float, error: ArrayF, sigma: ArrayF) -> dict[str, Any]:
+    """A row of `squares_of`: sums over the errors and sigmas (n,) of a class."""
     there = np.isfinite(error)
     e, s = error[there], sigma[there]
     return {
@@ -280,16 +284,25 @@ def verdicts(rows: pd.DataFrame, *, level: float = 0.95) -> pd.DataFrame:
                 for low, high in classes
             ]
             out += [
-                _verdict(mistake, quantity, low, high, of, at)
+                {"mistake": mistake, "quantity": quantity, "from_m": low, "to_m": high} | verdict_of(of, at)
                 for low, high, of, at in whole + (apart if len(classes) > 1 else [])
                 if of["n"].sum()
             ]
     return pd.DataFrame(out)
 
 
-def _verdict(
-    mistake: str, quantity: str, low: float, high: float, rows: pd.DataFrame, level: float
-) -> dict[str, Any]:
+def verdict_of(rows: pd.DataFrame, level: float) -> dict[str, Any]:
+    """Predicted against observed errors of one class over all surveys.
+
+    Parameters
+    ----------
+    rows : of `sums_of`, with the ``seed`` of each survey.
+    level : of the band.
+
+    Returns
+    -------
+    columns : surveys to honest of `verdicts`.
+    """
     sums = rows.groupby("seed")[
         ["n", "observed_m2", "predicted_m2", "normalised", "outside", "error_m"]
     ].sum()
@@ -298,10 +311,6 @@ def _verdict(
     n = int(sums["n"].sum())
     inside = bool(band_low < ratio < band_high)
     return {
-        "mistake": mistake,
-        "quantity": quantity,
-        "from_m": low,
-        "to_m": high,
         "surveys": surveys,
         "n": n,
         "rmse_observed_m": float(np.sqrt(o.sum() / n)),

@@ -48,7 +48,7 @@ def _surveys(factor: float) -> pd.DataFrame:
         for low, high in ((0.0, 1.0), (1.0, np.inf)):
             e = 0.05 * (0.5 * rng.standard_normal() + rng.standard_normal(200))
             s = np.full(200, factor * 0.05 * np.sqrt(1.25))
-            parts.append(bed_study._sums("bed", low, high, e, s) | {"seed": seed, "mistake": "none"})
+            parts.append(bed_study.sums_of("bed", low, high, e, s) | {"seed": seed, "mistake": "none"})
     return pd.DataFrame(parts)
 
 

@@ -1,0 +1,84 @@
+"""Echo sounder and light sheet on T's river: the river, points of the sheet, the picture."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.figures import joint_river_figure
+from thalweg_lab.reach import River
+from thalweg_lab.studies import bed_study, joint_study
+from thalweg_lab.studies.joint_study import SURVEYS, by_depth, campaign_of, surveyed
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """One survey of 40 s on half of the river."""
+    scene = joint_study.TWIN["scene"] | {"length_m": 24.0, "grid_m": 0.3}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(joint_study, "TWIN", joint_study.TWIN | {"duration_s": 40.0, "scene": scene})
+        patch.setattr(joint_study, "BATHYMETRY", {"cell_m": 0.4, "bank_station_m": 1.0})
+        return surveyed(1, tmp_path_factory.mktemp("joint"))
+
+
+def test_the_river_is_that_of_the_thesis() -> None:
+    twin = TwinConfig(**campaign_of(1)["twin"])
+    river = River(twin.scene, 1)
+    s = np.linspace(-21, 21, 200)
+    u = np.linspace(0, 1, 101)
+    right, left = river.shores(s)
+    depth = river.depth(s[:, None], -right[:, None] + u * (right + left)[:, None])
+    assert np.mean(right + left) == pytest.approx(10.0, rel=0.06)
+    assert depth.max() == pytest.approx(2.5, abs=0.01)
+    assert depth.min() == 0.0
+    # the given sections where they stand: 0.31 of 2.5 m at the fourth of thirteen places of the third
+    third = float(river.depth(7.0, -river.shores(7.0)[0] + 0.25 * sum(river.shores(7.0))))
+    assert third == pytest.approx(0.31 * 2.5, abs=1e-6)
+    shallow = (depth > 0.05) & (depth < 0.2)
+    assert 0.04 < shallow.mean() < 0.2
+
+
+def test_each_instrument_measures_its_depths(found: tuple[pd.DataFrame, pd.DataFrame]) -> None:
+    squares, places = found
+    low = squares[(squares["quantity"] == SURVEYS[1]) & (squares["to_m"] <= 0.05)]
+    assert low[["soundings", "sheet"]].sum().sum() <= 2  # errors of 3 cm move some below the limit
+    sheet = places[places["what"] == "light sheet"]
+    assert len(sheet) > 20
+    # in 5 to 20 cm of water, to within the error of the pose
+    assert sheet["up_m"].between(-0.35, 0.1).all()
+    soundings = places[places["what"] == "sounding"]
+    assert soundings["up_m"].max() < -0.05
+
+
+def test_the_sheet_helps_where_it_measures(found: tuple[pd.DataFrame, pd.DataFrame]) -> None:
+    squares, _ = found
+    of = squares[squares["from_m"] == 0.05].set_index("quantity")
+    assert of.loc[SURVEYS[1], "measured"] > of.loc[SURVEYS[0], "measured"]
+    assert of.loc[SURVEYS[1], "predicted_m2"] < of.loc[SURVEYS[0], "predicted_m2"]
+    assert (of["n"] > 20).all()
+
+
+def test_the_picture(found: tuple[pd.DataFrame, pd.DataFrame]) -> None:
+    squares, places = found
+    both = pd.concat([squares, squares.assign(seed=2)])
+    table = by_depth(both)
+    assert set(table["survey"]) == set(SURVEYS)
+    assert table.loc[0, "number"] == 2
+    figure = joint_river_figure(places, table)
+    titles = [ax.get_title(loc="left") for ax in figure.axes]
+    assert sum(bool(t) for t in titles) == 5
+    assert any("n = 2 surveys" in t.get_text() for t in figure.findobj() if hasattr(t, "get_text"))
+
+
+def test_sections_of_unequal_length_are_refused() -> None:
+    with pytest.raises(ValueError, match="all of them have as many"):
+        TwinConfig.of_size("tiny", scene={"sections": [[0.0, 1.0, 0.0], [0.0, 0.5, 1.0, 0.0]]})
+
+
+def test_a_class_without_cells_has_no_row() -> None:
+    rows = [
+        bed_study.sums_of(name, 0.0, 0.05, np.array([]), np.array([]))
+        | {"measured": 0, "soundings": 0, "sheet": 0}
+        for name in SURVEYS
+    ]
+    assert not len(by_depth(pd.DataFrame(rows).assign(seed=1)))
