@@ -9,6 +9,7 @@ import pytest
 import rasterio
 from tests.fusion.conftest import DEPTH_M, FRAME, GRID, HALF_WIDTH_M, LEVEL_UP_M, bed_up_m
 
+from thalweg.core import CoverageError
 from thalweg.fusion import Dtm, River
 from thalweg.fusion.exports import (
     contour_lines,
@@ -21,12 +22,15 @@ from thalweg.fusion.exports import (
 from thalweg.fusion.measures import (
     correlated_sigma,
     cut_sections,
+    depths_along,
     hydraulic_table,
     hypsometry,
     long_profile,
     volume_below,
 )
 from thalweg.settings.sections import Fusion
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.reach import River as TrueRiver
 
 SETTINGS = Fusion(contour_m=0.5)
 
@@ -96,6 +100,65 @@ def test_the_long_profile_finds_the_thalweg(sections):
     assert np.abs(table["thalweg_n_m"]).max() < 0.4
     assert (table["level_m"] - table["thalweg_m"]).to_numpy() == pytest.approx(DEPTH_M, abs=0.02)
     assert (table["level_m"] - table["mean_bed_m"]).to_numpy() == pytest.approx(2 / 3 * DEPTH_M, abs=0.03)
+
+
+def profile_of(depth_m: np.ndarray, width_m: np.ndarray, spacing_m: float = 10.0) -> pd.DataFrame:
+    s = spacing_m * np.arange(len(depth_m))
+    return pd.DataFrame({"s_m": s, "level_m": 2.0, "mean_bed_m": 2.0 - depth_m, "width_m": width_m})
+
+
+def test_the_exponent_of_depth_over_width_and_its_sigma() -> None:
+    """150 rivers of 60 sections whose deviations last for some sections: both answers and their sigmas."""
+    rng = np.random.default_rng(4)
+    squares, ratios, said = [], [], []
+    for _ in range(150):
+        width = 20 * np.exp(0.15 * np.sin(np.arange(60) / 4.0 + rng.uniform(0, 6)))
+        last = np.zeros(60)
+        for k in range(60):
+            last[k] = 0.6 * last[k - 1] * (k > 0) + 0.05 * rng.standard_normal() * (1.0 if k else 1.25)
+        rise = np.maximum(1 - (595.0 - 10.0 * np.arange(60)) / 200.0, 0.0)
+        depth = 1.2 * (width / 20) ** -0.7 * np.exp(0.3 * rise + last)
+        found = depths_along(profile_of(depth, width), weir_s_m=595.0, backwater_m=200.0)
+        squares.append(((found["exponent"] + 0.7) / found["sigma_exponent"]) ** 2)
+        ratios.append(((found["ratio_at_weir"] - np.exp(0.3)) / found["sigma_ratio_at_weir"]) ** 2)
+        said.append([found["deeper_where_narrower"], found["deeper_before_weir"]])
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.35)
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.35)
+    assert np.mean(said, axis=0) == pytest.approx([1.0, 0.97], abs=0.05)
+
+
+def test_a_river_whose_depth_knows_nothing_of_its_width() -> None:
+    """Said in at most a few of a hundred rivers that it is deeper where narrower, and never for one width."""
+    rng = np.random.default_rng(6)
+    said = []
+    for _ in range(100):
+        width = 20 * np.exp(0.15 * np.sin(np.arange(60) / 4.0))
+        depth = np.exp(0.08 * np.convolve(rng.standard_normal(64), np.ones(5) / 2, "valid"))
+        said.append(depths_along(profile_of(depth, width))["deeper_where_narrower"])
+    assert np.mean(said) < 0.12
+    with pytest.raises(CoverageError, match=r"60 sections with water, width 0\.00 m"):
+        depths_along(profile_of(depth, np.full(60, 20.0)))
+    with pytest.raises(CoverageError, match="0 of them before the weir"):
+        depths_along(profile_of(depth, width), weir_s_m=-5.0)
+    with pytest.raises(CoverageError, match="3 sections"):
+        depths_along(profile_of(depth[:3], width[:3]))
+
+
+def test_the_twin_of_1500_m_is_deeper_where_narrower_and_before_its_weir() -> None:
+    """Mean sections of the river of size `reach`, as P1 Fig. 6 shows the Mulde."""
+    river = TrueRiver(TwinConfig(size="reach").scene, 5)
+    s = np.arange(-760.0, 791.0, 10.0)
+    right, left = river.shores(s)
+    q = np.linspace(0.0, 1.0, 200)
+    n = -right[:, None] + q * (left + right)[:, None]
+    z = river.height(np.repeat(s, 200), n.ravel()).reshape(n.shape)
+    table = pd.DataFrame({"s_m": s, "mean_bed_m": np.trapezoid(z, q, axis=1), "width_m": left + right})
+    table["level_m"] = river.config.water_level_m
+    found = depths_along(table, weir_s_m=river.weir_s_m(), backwater_m=120.0)
+    assert found["deeper_where_narrower"]
+    assert found["deeper_before_weir"]
+    assert found["exponent"] < -0.1
+    assert found["ratio_at_weir"] > 1.3
 
 
 def test_a_volume_and_its_sigma_are_those_of_formula_and_double_sum(model, river):

@@ -12,6 +12,7 @@ from thalweg.core import CoverageError, LocalFrame
 from thalweg.fusion import (
     Dtm,
     cut_sections,
+    depths_along,
     export_river,
     hydraulic_table,
     hypsometry,
@@ -45,14 +46,23 @@ def main(
     except CoverageError as error:  # the model and its volume are of use without sections
         sections = []
         notes.append(str(error))
-    long_profile(sections).to_csv(profile, index=False, float_format="%.4f")
+    along = long_profile(sections)
+    along.to_csv(profile, index=False, float_format="%.4f")
+    try:
+        by_width = depths_along(along)
+    except CoverageError as error:  # a short reach tells nothing of it
+        by_width = {"not_told": str(error)}
     tables = [hydraulic_table(section, fusion) for section in sections]
     (pd.concat(tables) if tables else pd.DataFrame()).to_csv(hydraulics, index=False, float_format="%.4f")
     inside, water = water_of(model, river, fusion)
     hypsometry(model, inside, fusion).to_csv(volumes, index=False, float_format="%.4f")
     found = export_river(exports, model, river, sections, fusion)
     facts.write_text(
-        json.dumps({"sections": len(sections), "notes": notes, "water": water} | found, indent=2) + "\n"
+        json.dumps(
+            {"sections": len(sections), "notes": notes, "water": water, "depth_and_width": by_width} | found,
+            indent=2,
+        )
+        + "\n"
     )
 
 

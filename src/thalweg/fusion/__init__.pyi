@@ -31,6 +31,7 @@ from .measures import (
     WIDE as WIDE,
     Section as Section,
     cut_sections as cut_sections,
+    depths_along as depths_along,
     hydraulic_table as hydraulic_table,
     hypsometry as hypsometry,
     long_profile as long_profile,

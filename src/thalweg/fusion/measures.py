@@ -8,12 +8,12 @@ integrate the same over a circle).
 """
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 from scipy.signal import fftconvolve
-from scipy.stats import norm
+from scipy.stats import norm, t as student
 
 from thalweg.core import ArrayB, ArrayF, CoverageError
 from thalweg.fusion.dtm import Dtm
@@ -23,6 +23,7 @@ from thalweg.settings.sections import Fusion
 _FADED: Final = 9.0
 """Errors so many lengths of correlation apart share nothing (1e-4)."""
 _TILE: Final = 512
+_FEWEST_SECTIONS: Final = 8
 WIDE: Final = float(norm.isf(0.025))
 """Standard deviations of a 95 % band to either side."""
 
@@ -202,6 +203,81 @@ def long_profile(sections: list[Section]) -> pd.DataFrame:
             }
         )
     return pd.DataFrame(rows, columns=list(_PROFILE))
+
+
+def depths_along(
+    profile: pd.DataFrame, *, weir_s_m: float | None = None, backwater_m: float = 60.0
+) -> dict[str, Any]:
+    """Whether the river is deeper where it is narrower, and before a weir.
+
+    ``log(mean depth) = a + b log(width) + c r(s) + e``, where ``r`` rises from 0 to 1 over the backwater of
+    the weir: its water is level, the bed falls. The deviations ``e`` of neighbouring sections go together
+    (first-order autoregression, estimated and taken out after Prais and Winsten 1954): pools are longer than
+    the distance of the sections.
+
+    Parameters
+    ----------
+    profile : of `long_profile`, sections at even distances.
+    weir_s_m : place of a weir along the river; None: there is none.
+    backwater_m : length of the reach before it over which it deepens.
+
+    Returns
+    -------
+    facts : ``sections``, ``correlation`` of neighbouring sections, ``exponent`` b and ``sigma_exponent``,
+        ``deeper_where_narrower`` (b below zero at 97.5 %); with a weir ``ratio_at_weir`` (depth at its foot
+        over depth elsewhere at the same width), ``sigma_ratio_at_weir``, ``deeper_before_weir``.
+
+    Raises
+    ------
+    CoverageError : too few sections, one width all along, or no section before the weir or none elsewhere.
+    """
+    depth = (profile["level_m"] - profile["mean_bed_m"]).to_numpy(np.float64)
+    width, s = profile["width_m"].to_numpy(np.float64), profile["s_m"].to_numpy(np.float64)
+    wet = np.isfinite(depth) & (depth > 0) & (width > 0)
+    columns = [np.ones(int(wet.sum())), np.log(width[wet])]
+    if weir_s_m is not None:
+        columns.append(
+            np.where(s[wet] > weir_s_m, 0.0, np.maximum(1 - (weir_s_m - s[wet]) / backwater_m, 0.0))
+        )
+    X, y = np.column_stack(columns), np.log(depth[wet])
+    if (
+        len(y) < _FEWEST_SECTIONS
+        or np.linalg.matrix_rank(X - [0.0, *X[:, 1:].mean(axis=0)], 1e-6) < X.shape[1]
+    ):
+        raise CoverageError(
+            f"{len(y)} sections with water, width {np.ptp(width[wet]) if len(y) else 0.0:.2f} m more or less"
+            + ("" if weir_s_m is None else f", {int((X[:, 2] > 0).sum())} of them before the weir"),
+            expected=f"at least {_FEWEST_SECTIONS} of different width, before the weir and elsewhere",
+            cure="Lower fusion.sections.spacing_m",
+        )
+    rho, n = 0.0, len(y)
+    for _ in range(5):
+        # Prais and Winsten: what the section before does not foretell; the first one keeps its share
+        whiten = np.eye(n) - rho * np.eye(n, k=-1)
+        whiten[0, 0] = np.sqrt(1 - rho**2)
+        A, b = whiten @ X, whiten @ y
+        inverse = np.linalg.inv(A.T @ A)
+        beta = inverse @ A.T @ b
+        rest = y - X @ beta
+        # the estimate of a correlation from n values is too small by about (1 + 4 rho) / n (Kendall 1954)
+        found = float(rest[1:] @ rest[:-1] / max(rest @ rest, 1e-300))
+        rho = float(np.clip(found + (1 + 4 * found) / n, 0.0, 0.95))
+    variance = float(np.sum((b - A @ beta) ** 2)) / (n - len(beta))
+    sigma = np.sqrt(np.diag(inverse) * variance)
+    wide = float(student.isf(0.025, n - len(beta)))
+    facts: dict[str, Any] = {
+        "sections": n,
+        "correlation": rho,
+        "exponent": float(beta[1]),
+        "sigma_exponent": float(sigma[1]),
+        "deeper_where_narrower": bool(beta[1] + wide * sigma[1] < 0),
+    }
+    if weir_s_m is not None:
+        ratio = float(np.exp(beta[2]))
+        facts["ratio_at_weir"] = ratio
+        facts["sigma_ratio_at_weir"] = float(ratio * sigma[2])
+        facts["deeper_before_weir"] = bool(beta[2] - wide * sigma[2] > 0)
+    return facts
 
 
 def volume_below(

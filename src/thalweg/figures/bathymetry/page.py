@@ -104,6 +104,7 @@ def bed_page(
             else ""
         )
         + f"In fusion/exports: {', '.join(river['written'])}."
+        + _depth_and_width(river.get("depth_and_width", {}))
         + "".join(f" {note}" for note in river["notes"])
         + "".join(f" Not written, {name}: {why}" for name, why in missing.items())
     )
@@ -125,6 +126,23 @@ def bed_page(
         "factor. Bank lines are as good as the ground that the lidar saw beside the water."
     )
     return page
+
+
+def _depth_and_width(found: Mapping[str, Any]) -> str:
+    """What sections of different width say of the depth."""
+    if "not_told" in found:
+        return f" Depth against width: {found['not_told']}"
+    if not found:
+        return ""
+    said = (
+        "it is deeper where it is narrower"
+        if found["deeper_where_narrower"]
+        else "whether it is deeper where it is narrower is not told"
+    )
+    return (
+        f" The mean depth of {found['sections']} sections goes with the width to the power of "
+        f"{found['exponent']:+.2f} ± {found['sigma_exponent']:.2f}: {said}."
+    )
 
 
 def _light_sheet(found: Mapping[str, Any]) -> str:
