@@ -87,15 +87,25 @@ def test_what_is_written_is_what_rules_ask_for(tmp_path: Path) -> None:
     file = tmp_path / "resources.yaml"
     assert main(["costs", str(tmp_path), "--write", str(file)]) == 0
     measured = Measured.read(file)
+
+    def of(megabytes: float) -> list[str]:
+        """Inputs of a size, in a file and in a folder, and one that is not made yet."""
+        folder = tmp_path / "inputs" / str(megabytes)
+        (folder / "images").mkdir(parents=True, exist_ok=True)
+        for name in ("a", "images/b"):
+            with (folder / name).open("wb") as stream:
+                stream.truncate(int(megabytes * 5e5))
+        return [str(folder / name) for name in ("a", "images", "not yet")]
+
     # 1200 MB and 5 MB for each of input, without scatter; twice as much on each attempt
-    assert [measured.memory_mb("grows", size, 1, 1, 1) for size in (0, 10, 80)] == [1200, 1250, 1600]
-    assert measured.memory_mb("grows", 10, 3, 1, 1) == 4 * 1250
+    assert [measured.memory_mb("grows", of(size), 1, 1, 1) for size in (0, 10, 80)] == [1200, 1250, 1600]
+    assert measured.memory_mb("grows", of(10), 3, 1, 1) == 4 * 1250
     # three times as long on a slow node, but never below the floor
-    assert [measured.minutes("grows", size, 1, 1, 1) for size in (10, 150)] == [5, 8]
+    assert [measured.minutes("grows", of(size), 1, 1, 1) for size in (10, 150)] == [5, 8]
     # far beyond what was measured, and for other rules, what the rule states
-    assert measured.memory_mb("grows", 161, 1, 100, 2) == 422
-    assert measured.memory_mb("other", 10, 2, 1000, 2) == 2040
-    assert measured.minutes("other", 2000, 1, 10, 20) == 50
+    assert measured.memory_mb("grows", of(161), 1, 100, 2) == 422
+    assert measured.memory_mb("other", of(10), 2, 1000, 2) == 2040
+    assert measured.minutes("other", of(2000), 1, 10, 20) == 50
 
 
 def test_one_more_job_stays_below_its_request_as_often_as_promised() -> None:
@@ -106,7 +116,8 @@ def test_one_more_job_stays_below_its_request_as_often_as_promised() -> None:
         x = rng.uniform(10, 200, 13)
         y = 800 + 4 * x + 40 * rng.standard_normal(13)
         jobs = pd.DataFrame({"rule": "r", "input_mb": x, "memory_mb": y, "wall_s": 1.0})
-        asked = Measured(fitted(jobs[:12])).memory_mb("r", x[12], 1, 0, 0)
+        base, slope = fitted(jobs[:12])["r"]["memory_mb"]
+        asked = base + slope * x[12]
         below.append(asked >= y[12])
         excess.append(asked / (800 + 4 * x[12]))
     share = float(np.mean(below))

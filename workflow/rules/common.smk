@@ -111,9 +111,7 @@ def memory(base_mb, per_input_mb=0.0):
     """Resource function: memory as measured, or else from the size of the inputs; twice as much on each attempt."""
 
     def asked_mb(wildcards, input, attempt, rulename):
-        return MEASURED.memory_mb(
-            rulename, input.size_mb, attempt, base_mb, per_input_mb
-        )
+        return MEASURED.memory_mb(rulename, input, attempt, base_mb, per_input_mb)
 
     return asked_mb
 
@@ -122,7 +120,7 @@ def minutes(base, per_input_gb=0.0):
     """Resource function: wall time in minutes, in the same way."""
 
     def asked_min(wildcards, input, attempt, rulename):
-        return MEASURED.minutes(rulename, input.size_mb, attempt, base, per_input_gb)
+        return MEASURED.minutes(rulename, input, attempt, base, per_input_gb)
 
     return asked_min
 

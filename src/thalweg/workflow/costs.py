@@ -20,6 +20,7 @@ import pandas as pd
 import yaml
 
 from thalweg.core import ArrayF, InputError
+from thalweg.workflow.staging import state_of
 
 BESIDE_MB: Final = 400
 """On a cluster a job is accompanied by two Snakemakes of some 180 MB, which count as its memory."""
@@ -82,6 +83,11 @@ def costs_of(
         "asked_mb": wanted("mem_mb"),
         "asked_min": wanted("runtime"),
     }
+
+
+def size_mb(paths: Iterable[str]) -> float:
+    """Size of files, and of all in folders; nothing for what is not there."""
+    return sum(size for size, _ in state_of(Path(each) for each in paths).values()) / 1e6
 
 
 def read_costs(results: Path) -> pd.DataFrame:
@@ -193,12 +199,21 @@ class Measured:
             )
         return cls(rules)
 
-    def memory_mb(self, rule: str, input_mb: float, attempt: int, base_mb: float, per_input_mb: float) -> int:
-        """Memory that a job asks for: as measured, or else the line that its rule states."""
+    def memory_mb(
+        self, rule: str, inputs: Iterable[str], attempt: int, base_mb: float, per_input_mb: float
+    ) -> int:
+        """Memory that a job asks for: as measured, or else the line that its rule states.
+
+        Inputs that are not there yet, because a job of the same group will make them, count as empty.
+        """
+        input_mb = size_mb(inputs)
         return self._asked("memory_mb", rule, input_mb, attempt, base_mb + per_input_mb * input_mb, FLOOR_MB)
 
-    def minutes(self, rule: str, input_mb: float, attempt: int, base_min: float, per_input_gb: float) -> int:
-        """Wall time that a job asks for."""
+    def minutes(
+        self, rule: str, inputs: Iterable[str], attempt: int, base_min: float, per_input_gb: float
+    ) -> int:
+        """Wall time that a job asks for, in the same way."""
+        input_mb = size_mb(inputs)
         return self._asked(
             "minutes", rule, input_mb, attempt, base_min + per_input_gb * input_mb / 1000, FLOOR_MIN
         )
