@@ -1,5 +1,10 @@
 from .compose import Composed as Composed, compose as compose, reading_that_fits as reading_that_fits
-from .files import PANORAMAS as PANORAMAS, make_panoramas as make_panoramas, write_panorama as write_panorama
+from .files import (
+    PANORAMAS as PANORAMAS,
+    make_panoramas as make_panoramas,
+    rig_photographs as rig_photographs,
+    write_panorama as write_panorama,
+)
 from .ranges import cloud_ranges as cloud_ranges, fill_gaps as fill_gaps
 from .sphere import (
     default_width_px as default_width_px,
