@@ -344,15 +344,25 @@ def calibrate_rig(
             cure="Take more pictures amid the field, so that both lenses see marks on several sides",
         )
     observed, cov, relative = _relative(network, common)
-    found = _common(observed, cov, relative)
-    # an exposure that contradicts the others is left out whole
-    length, redundancy = _contradictions(found, observed, cov)
-    used = length <= _GATE
-    if not used.all() and used.sum() >= LEAST_COMMON:
-        rows = np.concatenate([np.ones(16, bool), np.repeat(used, 6)])
-        found = _common(
-            observed[rows], cov[np.ix_(rows, rows)], [T for T, ok in zip(relative, used, strict=True) if ok]
-        )
+    used = np.ones(len(common), dtype=np.bool_)
+    length = np.zeros(len(common))
+    while True:
+        rows = np.concatenate([np.ones(len(observed) - 6 * len(common), dtype=np.bool_), np.repeat(used, 6)])
+        some = [T for T, ok in zip(relative, used, strict=True) if ok]
+        found = _common(observed[rows], cov[np.ix_(rows, rows)], some)
+        length[used] = _contradictions(found, cov[np.ix_(rows, rows)])
+        worst = int(np.where(used, length, -1.0).argmax())
+        # one exposure moves what all have in common: the worst goes, then the others are judged anew
+        if length[worst] <= _GATE:
+            break
+        used[worst] = False
+        if used.sum() < max(LEAST_COMMON, len(common) / 2):
+            raise GeometryError(
+                f"the relative orientations of {len(common)} exposures contradict each other",
+                expected="one that most of them share",
+                where="rig",
+                cure="Take the pictures again with a rig that is fixed, and marks that stay where they are",
+            )
     k = len(PARAMETERS["fisheye"])
     cameras = {
         name: network.cameras[name].with_parameters(
@@ -393,7 +403,7 @@ def calibrate_rig(
         exposures=exposures,
         rejected=pd.concat([network.rejected, pd.DataFrame(lost)], ignore_index=True),
         sigma0=float(np.sqrt(found.sigma0_squared)),
-        redundancy=redundancy,
+        redundancy=found.redundancy,
         report=network.report,
     )
 
@@ -464,8 +474,8 @@ def _common(observed: ArrayF, cov: ArrayF, relative: Sequence[Rigid]) -> Adjuste
 _POSE: Final = ("x", "y", "z", "rotation about x", "rotation about y", "rotation about z")
 
 
-def _contradictions(found: Adjusted[_State], observed: ArrayF, cov: ArrayF) -> tuple[ArrayF, float]:
-    """Standardised contradiction (n,) of each exposure to all, as of a normal error, and the redundancy."""
+def _contradictions(found: Adjusted[_State], cov: ArrayF) -> ArrayF:
+    """Standardised contradiction (n,) of each exposure to all, as of a normal error."""
     from scipy.stats import chi2, norm
 
     v = found.residuals["exposures"]
@@ -484,7 +494,7 @@ def _contradictions(found: Adjusted[_State], observed: ArrayF, cov: ArrayF) -> t
         squares = float((w[good] ** 2 / values[good]).sum())
         tail = float(chi2.sf(squares, max(int(good.sum()), 1)))
         lengths[i] = float(norm.isf(max(tail, 1e-300) / 2))
-    return lengths, found.redundancy
+    return lengths
 
 
 def _residuals(

@@ -181,7 +181,7 @@ def _evened(colour: Mapping[str, AnyArray], gains: ArrayF) -> dict[str, AnyArray
     }
 
 
-def _strip(
+def overlap(
     views: Mapping[str, ArrayU8],
     rig: Rig,
     R_front_pcs: ArrayF,
@@ -225,7 +225,7 @@ def _seam(
     gains: ArrayF,
 ) -> ArrayF:
     """Angle (720,) of the seam from the axis of the front lens, degrees."""
-    angle, even, usable = _strip(views, rig, R_front_pcs, inverse_range, masks, gains)
+    angle, even, usable = overlap(views, rig, R_front_pcs, inverse_range, masks, gains)
     cost = np.abs(even["front"] - even["back"]).mean(axis=2)
     cost = ndimage.uniform_filter(cost, size=(3, 3), mode=("wrap", "nearest"))
     # sharpness falls towards the rim: a middle place is a little better than another
@@ -293,9 +293,9 @@ def _seam_error(
     gains: ArrayF,
 ) -> tuple[ArrayF, float]:
     """Shifts (k,) of both lenses against each other across the seam, degrees; correlation in the overlap."""
-    angle, even, usable = _strip(views, rig, R_front_pcs, inverse_range, None, gains)
+    angle, even, usable = overlap(views, rig, R_front_pcs, inverse_range, None, gains)
     grey = {name: even[name].mean(axis=2).astype(np.float64) for name in LENSES}
-    agreement = _correlation(grey["front"], grey["back"], usable)
+    agreement = correlation(grey["front"], grey["back"], usable)
     reach, half, length = round(_LARGEST_SHIFT_DEG / _ACROSS_DEG), round(2.0 / _ACROSS_DEG), 8
     shifts = []
     for i in range(0, _AROUND, length):
@@ -313,7 +313,7 @@ def _seam_error(
             continue
         score = np.array(
             [
-                _correlation(a, grey["back"][rows, low + s : high + s], np.ones(a.shape, bool))
+                correlation(a, grey["back"][rows, low + s : high + s], np.ones(a.shape, bool))
                 for s in range(-reach, reach + 1)
             ]
         )
@@ -327,37 +327,9 @@ def _seam_error(
     return np.array(shifts), agreement
 
 
-def _correlation(a: AnyArray, b: AnyArray, usable: ArrayB) -> float:
+def correlation(a: AnyArray, b: AnyArray, usable: ArrayB) -> float:
+    """Correlation of two pictures of one shape where they may be used; NaN without texture."""
     x, y = a[usable], b[usable]
     if len(x) < 16 or x.std() < 1.0 or y.std() < 1.0:
         return float("nan")
     return float(np.corrcoef(x, y)[0, 1])
-
-
-def reading_that_fits(views: Mapping[str, ArrayU8], rig: Rig) -> str:
-    """The way of reading both views in which they agree in the overlap: "" for as they are.
-
-    Tried are views that are changed over, mirrored, or turned by half; another one is told only if it agrees
-    clearly and the given one does not.
-    """
-    tried: dict[str, Mapping[str, ArrayU8]] = {
-        "": views,
-        "changed over": {"front": views["back"], "back": views["front"]},
-        "mirrored": {name: np.ascontiguousarray(view[:, ::-1]) for name, view in views.items()},
-        "back lens turned by half": {
-            "front": views["front"],
-            "back": np.ascontiguousarray(views["back"][::-1, ::-1]),
-        },
-        "front lens turned by half": {
-            "front": np.ascontiguousarray(views["front"][::-1, ::-1]),
-            "back": views["back"],
-        },
-    }
-    far = np.zeros((64, 128))
-    score = {}
-    for name, read in tried.items():
-        _, even, usable = _strip(read, rig, np.eye(3), far, None, np.ones(3))
-        grey = [ndimage.gaussian_filter(even[lens].mean(axis=2), (2, 1)) for lens in LENSES]
-        score[name] = np.nan_to_num(_correlation(grey[0], grey[1], usable), nan=-1.0)
-    best = max(score, key=lambda name: score[name])
-    return best if best and score[best] > 0.6 and score[best] > score[""] + 0.3 else ""

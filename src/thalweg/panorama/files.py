@@ -34,8 +34,9 @@ from thalweg.core import (
 )
 from thalweg.images.model import ImagePoses
 from thalweg.lidar import Photographs
-from thalweg.panorama.compose import RIM_DEG, Composed, compose, reading_that_fits
+from thalweg.panorama.compose import RIM_DEG, Composed, compose
 from thalweg.panorama.ranges import cloud_ranges, fill_gaps, inverse_range
+from thalweg.panorama.reading import READINGS, dependence_on_cloud, reading_that_fits
 from thalweg.panorama.sphere import default_width_px, level_attitude
 from thalweg.settings.sections import Panorama, RigLens
 
@@ -85,6 +86,11 @@ _GPANO: Final = """<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?>
 </rdf:RDF></x:xmpmeta><?xpacket end="w"?>"""
 _TESTED: Final = 5
 """Exposures in which lenses that are changed over or mirrored are looked for."""
+_SAMPLE: Final = 200_000
+"""Points of the cloud whose intensities are compared with the views."""
+_CLEAR_TIMES: Final = 1.5
+_CLEAR_NATS: Final = 20.0
+"""Another reading is told if it explains so much more than the given one."""
 _GPS_IFD: Final = 0x8825
 
 
@@ -186,7 +192,18 @@ def make_panoramas(
     used = masks if settings.boat == "mask" else {}
     width = settings.width_px or default_width_px(rig.cameras["front"])
     places = [_place(poses.pose(k), rig) for k in rows]
-    maps = _range_maps(points, places, poses.frame, settings) if settings.mode == "depth" else None
+    maps = None
+    if settings.mode == "depth":
+        maps, xyz, intensity = _range_maps(points, places, poses.frame, settings)
+        told = dict.fromkeys(READINGS, 0.0)
+        for k in rows[:_TESTED]:
+            near = np.linalg.norm(xyz - poses.centre_wcs_m[k], axis=1) < settings.reach_m
+            views = read_views(files[poses.images[k]], rig.settings)
+            for reading, nats in dependence_on_cloud(
+                views, rig, poses.pose(k), xyz[near], intensity[near]
+            ).items():
+                told[reading] += nats
+        _tell_reading(told)
     found = []
     for i, k in enumerate(steps(rows, "panorama")):
         name = poses.images[k]
@@ -286,7 +303,7 @@ def _check_reading(files: Sequence[Path], rig: Rig) -> None:
             expected="views as the rig was calibrated",
             where=files[read.index(other)],
             cure="Correct rig.front and rig.back (box_px, turn_deg), or take the camera's original files; "
-            "calibrate again if the lenses were changed over there, too",
+            "calibrate again if they were read in this way there, too",
         )
 
 
@@ -299,8 +316,8 @@ def _place(front: Rigid, rig: Rig) -> Rigid:
 
 def _range_maps(
     points: Path | None, places: Sequence[Rigid], frame: LocalFrame, settings: Panorama
-) -> list[AnyArray]:
-    """Least ranges around each place before gaps are filled."""
+) -> tuple[list[AnyArray], ArrayF, ArrayF]:
+    """Least ranges around each place before gaps are filled; a sample of points and their intensities."""
     assert points is not None
     header = laz_header(points)
     if header.frame != frame:
@@ -309,14 +326,32 @@ def _range_maps(
         )
     rows = max(2, round(180.0 / settings.cell_deg))
     maps = [np.full((rows, 2 * rows), np.inf) for _ in places]
+    every = max(1, header.n_points // _SAMPLE)
+    sample: list[tuple[ArrayF, ArrayF]] = []
     for chunk in iter_laz(points):
         xyz = chunk["xyz_m"]
+        sample.append((xyz[::every], chunk["intensity"][::every].astype(np.float64)))
         for i, place in enumerate(places):
             seen = cloud_ranges(
                 xyz, place.shift_m, place.R, cell_deg=settings.cell_deg, reach_m=settings.reach_m
             )
             maps[i] = np.minimum(maps[i], seen)
-    return maps
+    if not sample:
+        return maps, np.zeros((0, 3)), np.zeros(0)
+    return maps, *(np.concatenate(part) for part in zip(*sample, strict=True))
+
+
+def _tell_reading(told: Mapping[str, float]) -> None:
+    """Warn if the cloud fits the views better in another reading."""
+    best = max(told, key=lambda reading: told[reading])
+    if best and told[best] > _CLEAR_TIMES * told[""] + _CLEAR_NATS:
+        logging.getLogger("thalweg").warning(
+            "intensities of the cloud fit both views better if these are %s (%.0f nats, as they are %.0f): "
+            "check rig.front, rig.back and rig.mount",
+            best,
+            told[best],
+            told[""],
+        )
 
 
 def _inverse(
