@@ -203,6 +203,13 @@ def _epochs_text(name: str, options: argparse.Namespace, schema: str) -> str:
     files = [each[0] for each in epochs if not isinstance(each, str)]
     if surveys:
         place = load_campaign(options.folder / f"{surveys[0]}.yaml").campaign
+        if place.origin is None:
+            raise ConfigError(
+                f"{surveys[0]} has no origin",
+                expected="campaigns with a lidar cloud in a frame of the map",
+                where=options.folder / f"{surveys[0]}.yaml",
+                cure="Name files of its cloud as FILE@DATE instead",
+            )
         crs, origin = place.crs, (place.origin.lat_deg, place.origin.lon_deg, place.origin.h_ell_m)
     else:
         crs, origin = place_of_file(files[0], tuple(options.origin) if options.origin else None)
@@ -417,6 +424,7 @@ def _check_epochs(campaign: "Campaign") -> None:
     from thalweg.deformation import check_epoch_files
 
     wrong = []
+    assert campaign.campaign.origin is not None  # epochs have one
     frame = LocalFrame(**campaign.campaign.origin.model_dump())
     for number, epoch in enumerate(campaign.epochs or []):
         try:

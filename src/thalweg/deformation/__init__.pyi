@@ -32,7 +32,11 @@ from .epochs import (
     highest_water_m as highest_water_m,
     prepare_epoch as prepare_epoch,
 )
-from .field import ErrorField as ErrorField, benjamini_hochberg as benjamini_hochberg
+from .field import (
+    ErrorField as ErrorField,
+    benjamini_hochberg as benjamini_hochberg,
+    pose_errors as pose_errors,
+)
 from .foreign import (
     DISTANCES as DISTANCES,
     TEXT as TEXT,

@@ -122,7 +122,7 @@ class Epoch:
         }  # fmt: skip
         arrays |= {f"root_{i}": group.root for i, group in enumerate(self.groups)}
         for i, group in enumerate(self.groups):
-            if group.link is not None:
+            if isinstance(group, ErrorGroup) and group.link is not None:
                 arrays |= {f"link_{i}": group.link, f"nodes_{i}": group.t_s}
         np.savez(points, allow_pickle=False, **arrays)
         errors.write_text(json.dumps(self.report(), indent=2) + "\n")

@@ -194,6 +194,11 @@ class ErrorField:
         return total
 
 
+def pose_errors(groups: Sequence[SharedErrors]) -> tuple[ErrorGroup, ...]:
+    """Those of some groups that are errors of poses."""
+    return tuple(group for group in groups if isinstance(group, ErrorGroup))
+
+
 def joint_fields(fields: Sequence[ErrorField], *, common: str | None = None) -> list[ErrorField]:
     """Fields of several epochs on the groups of all, so that their products can be added.
 

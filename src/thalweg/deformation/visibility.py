@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, column, frame_of, njit, prange, table_kind
 from thalweg.deformation.epochs import Epoch
+from thalweg.deformation.field import ErrorGroup
 from thalweg.settings.sections import Deformation
 
 REASONS = ("", "water", "range", "incidence", "occlusion", "not swept", "free space", "no trajectory")
@@ -116,7 +117,8 @@ def beams_through(cores_m: ArrayF, normals: ArrayF, epoch: Epoch, settings: Defo
     radius = 0.5 * settings.cylinder_radius_m
     sigma = 0.0
     for group in epoch.groups:
-        if group.name.startswith("position") or group.link is not None:
+        chain = isinstance(group, ErrorGroup) and group.link is not None
+        if group.name.startswith("position") or chain:
             sigma += float(np.mean(np.sum(group.root[:, :3] ** 2, axis=(1, 2)))) / 3.0
     clear = max(settings.cylinder_radius_m, 3.0 * np.sqrt(2.0 * sigma))
     edge = max(settings.core_spacing_m, 2.0 * radius)
