@@ -401,6 +401,7 @@ def _of_dsm(dsm: Dsm, stated: Statement, frame: LocalFrame, crs: str, masks: Seq
     grid, heights, notes = _grid_of(dsm.frame, stated, crs, path)
     if dsm.heights is not None:
         heights = CRS.from_epsg(dsm.heights).name
+    if dsm.heights is not None or dsm.sigma_m is not None:  # rasters with named bands state their heights
         notes = [note for note in notes if "heights" not in note]
     if stated.sigma_m is None:
         HeightErrors.of_bands(dsm, stated.correlation_m)

@@ -280,8 +280,8 @@ def limits(pairs: Sequence[PairFacts]) -> str:
     )
     files = any((pair.visibility[f"reason_{i}"] == "no trajectory").any() for pair in pairs for i in (1, 2))
     elsewhere = (
-        "Clouds and surface models from elsewhere have no trajectory: where they have no points, nobody knows "
-        "whether there was nothing or whether nobody looked. Their errors are what the campaign file states, "
+        "Clouds and surface models from elsewhere have no trajectory: where they have no points, nobody "
+        "knows whether there was nothing or whether nobody looked. Their errors are as stated, "
         "alike over one length everywhere.\n\n"
     )
     return (
