@@ -61,6 +61,8 @@ TRUTH_IN_WORDS: Final = {
     "unseen_called_change_wrongly": "of these wrongly",
     "true_changes_seen": "true changes of 10 cm and more: share of their area that was measured",
     "true_changes_called": "of this the share that was called so, with the right sign",
+    "height_normalised_square_unchanged": "heights of unchanged ground: mean of squared error over variance",
+    "height_normalised_square_changed": "heights of changed ground: mean of squared error over variance",
     "plants_called_change": "share of plants that were called changes",
     "things_called_change": "share of things on the bank that were called changes",
 }
