@@ -93,6 +93,9 @@ class ForeignEpoch(Epoch):
                 {
                     "name": group.name,
                     "correlation_s": None,
+                    "lasts": f"{group.correlation_m:g} m"
+                    if isinstance(group, SpatialErrors)
+                    else "everywhere",
                     "correlation_m": group.correlation_m if isinstance(group, SpatialErrors) else None,
                     "cell_m": group.cell_m if isinstance(group, SpatialErrors) else None,
                     "sigma": np.sqrt(np.mean(np.sum(group.root**2, axis=2), axis=0)).tolist(),
