@@ -138,11 +138,19 @@ def test_a_bed_brings_the_sigmas_of_its_kriging(tmp_path: Path) -> None:
     bed = {"dsm": str(tmp_path / "a.tif")}
     assert "(in a campaign correlation_m)" in told(InputError, **bed).cure
     one = prepared("first", **bed, correlation_m=4.0)
+    assert (one.heights, one.notes) == ("ellipsoidal", ())  # a tag of the raster says so
     places, normals = one.xyz_m, np.tile([0.0, 0.0, 1.0], (len(one.xyz_m), 1))
     index = ColumnIndex.of(one.xyz_m, 0.4)
     field = one.field(places, normals, index, radius_m=0.4, half_length_m=1.0)  # a cell each
     expected = np.hypot(sigma.ravel().astype(np.float32), np.float32(0.03))
     assert np.sqrt(field.variances()) == pytest.approx(expected, rel=0.05)  # cells of half a metre hold one
+    # the terrain model of bed and banks has other names for the same bands
+    renamed = {name.removesuffix("_m"): band for name, band in bands.items()} | {"source": 0 * sigma}
+    write_raster(tmp_path / "dtm.tif", grid, renamed, tags={"heights": "DHHN2016 height"})
+    model = read_dsm(tmp_path / "dtm.tif")
+    assert model.heights == 7837
+    assert model.sigma_m == pytest.approx(sigma, rel=1e-6)
+    assert model.common_m == pytest.approx(np.full(sigma.shape, 0.03))
     # difference of both beds: each cell with both sigmas, the sum with what all cells share
     found = difference_of_models(
         Epoch(**bed, correlation_m=4.0),

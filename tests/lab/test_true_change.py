@@ -1,16 +1,21 @@
 """The truth of changes, by hand: planes, patches, boxes, overhangs, and what no distance can be told of."""
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
+from pyproj import CRS
 
-from thalweg.core import ArrayF, ArrayI, ConfigError, GeometryError, InputError
+from thalweg.core import ArrayF, ArrayI, ConfigError, GeometryError, InputError, LocalFrame
+from thalweg.deformation import Dsm, SurfaceDifference
 from thalweg.settings.twin import TwinConfig
 from thalweg.surface import Area
 from thalweg_lab.changes import Patch
 from thalweg_lab.river import BOX_FACES, Material, MeshParts, Scene, boxes
 from thalweg_lab.truth import (
     change_outlines,
+    judge_differences,
     judge_places,
     judge_polygons,
     outlines_of,
@@ -249,3 +254,26 @@ def test_volumes_and_places_are_held_against_the_truth() -> None:
     )  # three quarters, and some of the border
     assert found["true_changes_called"] > 0.9  # at the border the nearest core point may lie beyond it
     assert judge_places(changes, truth[truth["kind"] == "unchanged"], 0.25) == []
+
+
+def test_differences_of_heights_are_held_against_the_truth() -> None:
+    before, after, _ = lowered()
+    frame = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+    crs = CRS.from_epsg(25833)
+    corner = np.floor(frame.to_map(np.zeros(3), crs)[:2]) + np.array([-5.0, 5.0])
+    centres = Dsm(np.zeros((10, 10)), corner, np.ones(2), crs, None, Path("dod.tif")).centres_m()
+    local = frame.from_map(np.column_stack([centres, np.full(100, 300.0)]), crs)
+    inner = (np.abs(local[:, :2]) < 1.4).all(axis=1)
+    true = np.where(inner, -0.3, 0.0)
+    height = (true + 0.02).reshape(10, 10)
+    height[0, 0] = np.nan
+    raster = Dsm(height, corner, np.ones(2), crs, None, Path("dod.tif"))
+    found = SurfaceDifference(raster, np.full((10, 10), 0.01), pd.DataFrame(), [])
+    rows = {
+        name: (value, n) for name, value, n in judge_differences(found, before, after, frame, reach_m=2.0)
+    }
+    unchanged, n = rows["height_normalised_square_unchanged"]
+    assert 60 < n < 99
+    # 2 cm at a sigma of 1 cm; at the border a cell may hold a little of the hollow
+    assert unchanged == pytest.approx(4.0, rel=0.05)
+    assert rows["height_normalised_square_changed"][1] >= inner.sum()

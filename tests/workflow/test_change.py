@@ -84,6 +84,7 @@ def test_volumes_of_each_change_agree_with_the_truth(changed) -> None:
         assert row["true_m3"] == pytest.approx(24.0 * float(name.removeprefix("patch_")), rel=0.05)
     found = pd.read_csv(changed / "truth_1-2.csv").set_index("measure")["value"]
     assert found["true_changes_seen"] > 0.95
+    assert 0.3 < found["height_normalised_square_unchanged"] < 2.5  # one pair, as for distances
     places = pd.read_parquet(changed.parent / "simulation/truth/change_1-2.parquet")
     assert {"unchanged", "erosion", "deposition"} <= set(places["kind"])
 

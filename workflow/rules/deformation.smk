@@ -252,6 +252,7 @@ rule compare_change_with_truth:
         core_points="results/{campaign}/deformation/core_points.parquet",
         volumes="results/{campaign}/deformation/volumes_{pair}.csv",
         draws="results/{campaign}/deformation/draws_{pair}.parquet",
+        difference="results/{campaign}/deformation/dod_{pair}.tif",
         places="results/{campaign}/simulation/truth/change_{pair}.parquet",
         polygons="results/{campaign}/simulation/truth/change_{pair}.csv",
         scenes=of_wildcard(
@@ -273,6 +274,7 @@ rule compare_change_with_truth:
         runtime=minutes(20),
     params:
         code=code_version("compare_change_with_truth"),
+        campaign=identity("origin"),
         deformation=section("deformation"),
     script:
         "../scripts/compare_change_with_truth.py"

@@ -1,15 +1,16 @@
 """Changes and the twin's scenes -> how well measured and true changes agree."""
 
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
-from thalweg.core import read_table
-from thalweg.deformation import CHANGES, CORE_POINTS, DRAWS
+from thalweg.core import LocalFrame, read_table
+from thalweg.deformation import CHANGES, CORE_POINTS, DRAWS, read_difference
 from thalweg.settings.sections import Deformation
 from thalweg.workflow import run_job
 from thalweg_lab.river import Scene
-from thalweg_lab.truth import POINTS, judge_changes, judge_places, judge_polygons
+from thalweg_lab.truth import POINTS, judge_changes, judge_differences, judge_places, judge_polygons
 
 
 def main(
@@ -18,12 +19,14 @@ def main(
     core_points: Path,
     volumes: Path,
     draws: Path,
+    difference: Path,
     places: Path,
     polygons: Path,
     scenes: list[Path],
     measures: Path,
     cores: Path,
     by_polygon: Path,
+    campaign: dict[str, Any],
     deformation: Deformation,
 ) -> None:
     before, after = (Scene.read(path) for path in scenes)
@@ -38,6 +41,13 @@ def main(
         reach_m=deformation.reach_m,
     )
     more = judge_places(measured, read_table(places, POINTS)[0], deformation.core_spacing_m)
+    more += judge_differences(
+        read_difference(difference),
+        before,
+        after,
+        LocalFrame(**campaign["origin"]),
+        reach_m=deformation.reach_m,
+    )
     table = pd.concat([table, pd.DataFrame(more, columns=table.columns)])
     table.to_csv(measures, index=False)
     found = judge_polygons(

@@ -26,7 +26,7 @@ from thalweg.core import (
     laz_header,
 )
 from thalweg.deformation.epochs import Epoch, between_frames
-from thalweg.deformation.field import ErrorField, ErrorGroup, SharedErrors, rows_of_weights
+from thalweg.deformation.field import ErrorField, ErrorGroup, rows_of_weights
 from thalweg.deformation.foreign import ROUGHNESS_ALONE, density_notes, one_frame, read_points
 from thalweg.deformation.m3c2 import ColumnIndex, pose_weights
 from thalweg.deformation.shapes import Shapes, read_shapes
@@ -93,7 +93,9 @@ class ForeignEpoch(Epoch):
                 {
                     "name": group.name,
                     "correlation_s": None,
-                    "lasts": _lasts(group),
+                    "lasts": f"{group.correlation_m:g} m"
+                    if isinstance(group, SpatialErrors)
+                    else "everywhere",
                     "correlation_m": group.correlation_m if isinstance(group, SpatialErrors) else None,
                     "cell_m": group.cell_m if isinstance(group, SpatialErrors) else None,
                     "sigma": np.sqrt(np.mean(np.sum(group.root**2, axis=2), axis=0)).tolist(),
@@ -140,13 +142,6 @@ class ForeignEpoch(Epoch):
             statement={key: facts[key] for key in ("heights", "notes", "sigma_known")},
             **arrays,
         )
-
-
-def _lasts(group: SharedErrors) -> str:
-    """How far errors of a group reach, in words."""
-    if not isinstance(group, SpatialErrors):
-        return "everywhere"
-    return f"over {group.correlation_m:g} m" if group.correlation_m else "at one place"
 
 
 def read_epoch(folder: Path) -> Epoch:
@@ -409,6 +404,7 @@ def _of_dsm(dsm: Dsm, stated: Statement, frame: LocalFrame, crs: str, masks: Seq
     grid, heights, notes = _grid_of(dsm.frame, stated, crs, path)
     if dsm.heights is not None:
         heights = CRS.from_epsg(dsm.heights).name
+    if dsm.heights is not None or dsm.sigma_m is not None:  # rasters with named bands state their heights
         notes = [note for note in notes if "heights" not in note]
     if stated.sigma_m is None:
         HeightErrors.of_bands(dsm, stated.correlation_m)

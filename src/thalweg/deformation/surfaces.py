@@ -82,6 +82,8 @@ _LIMITS_M = (-12_000.0, 9_000.0)
 _USUAL = (-9999.0, -10_000.0, -32_767.0, -32_768.0, -99_999.0)
 """What programs write where there is no height; no land lies so deep."""
 _LEAST_ZEROS = 10
+_NAMED_BANDS = (("height_m", "sigma_m", "sigma_common_m"), ("height", "sigma", "sigma_common"))
+"""Of ``bed.tif`` and of ``dtm.tif``: height, standard deviation, its part that all heights share."""
 _DIFFERENCE_BANDS = ("difference_m", "sigma_m")
 
 
@@ -245,8 +247,8 @@ class SurfaceDifference:
 def read_dsm(path: Path, *, nodata: float | None = None) -> Dsm:
     """Heights of a GeoTIFF.
 
-    A raster with bands ``height_m`` and ``sigma_m`` (``bed.tif``, ``dtm.tif`` of this pipeline) gives the
-    standard deviations too.
+    A raster with bands of heights and standard deviations (``bed.tif``, ``dtm.tif`` of this pipeline) gives
+    both.
 
     Cells with the declared value for "no height", NaN, or a value that only stands for that (-9999, -10000,
     ...) have none; how many is told in the notes. A value that may be either is refused: exact zeros in ten
@@ -353,21 +355,30 @@ def _named_bands(path: Path) -> Dsm | None:
             described = str(first.get(_METADATA, ""))
     except (SyntaxError, OSError, ValueError, struct.error):
         return None  # whoever reads it says what it is
-    if not all(f'role="description">{name}<' in described for name in ("height_m", "sigma_m")):
+
+    def has(names: tuple[str, str, str]) -> bool:
+        """Whether bands have the first two names."""
+        return all(f'role="description">{name}<' in described for name in names[:2])
+
+    names = next(filter(has, _NAMED_BANDS), None)
+    if names is None:
         return None
     grid, bands, tags = read_raster(path)
+    height, sigma, common = (bands.get(name) for name in names)
+    if height is None or sigma is None:
+        return None
     heights = tags.get("heights", "ellipsoidal")
-    known = np.isfinite(bands["height_m"])
+    known = np.isfinite(height)
     return Dsm(
-        bands["height_m"],
+        height,
         np.array([grid.west_m, grid.north_m]),
         np.full(2, grid.cell_m),
         grid.crs,
         _vertical_code(heights, path),
         path,
         (),
-        np.where(known, bands["sigma_m"], np.nan),
-        np.where(known, bands["sigma_common_m"], np.nan) if "sigma_common_m" in bands else None,
+        np.where(known, sigma, np.nan),
+        None if common is None else np.where(known, common, np.nan),
     )
 
 

@@ -3,6 +3,7 @@ from .change import (
     POINTS as POINTS,
     change_outlines as change_outlines,
     judge_changes as judge_changes,
+    judge_differences as judge_differences,
     judge_places as judge_places,
     judge_polygons as judge_polygons,
     outlines_of as outlines_of,

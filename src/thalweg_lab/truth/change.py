@@ -29,6 +29,7 @@ from thalweg.core import (
     write_table,
 )
 from thalweg.core.geometry import RayCaster, polygon_area_m2
+from thalweg.deformation import SurfaceDifference
 from thalweg.settings.sections import Deformation
 from thalweg.settings.twin import Change, TwinScene
 from thalweg.surface import Area
@@ -623,6 +624,47 @@ def judge_polygons(
             }
         )
     return pd.DataFrame(rows)
+
+
+def judge_differences(
+    found: SurfaceDifference, before: Scene, after: Scene, frame: LocalFrame, *, reach_m: float
+) -> list[tuple[str, float, int]]:
+    """How well differences of heights and their sigmas agree with the truth, in cells of bare ground.
+
+    Parameters
+    ----------
+    found : difference in cells of a map.
+    before, after : scenes of both epochs, in ``frame``.
+    reach_m : of the comparison.
+
+    Returns
+    -------
+    measure, value, number of cells: mean of squared error over variance where the ground did not change, and
+    where it did.
+    """
+    raster = found.raster
+    known = np.isfinite(raster.height_m)
+    if not known.any() or raster.frame is None:
+        return []
+    plan = raster.centres_m()[known.ravel()]
+    middle = frame.to_map(np.zeros(3), raster.frame)
+    high = frame.from_map(np.column_stack([plan, np.full(len(plan), middle[2])]), raster.frame)
+    high[:, 2] = before.vertices_wcs_m[:, 2].max() + 1.0
+    down = np.tile([0.0, 0.0, -1.0], (len(high), 1))
+    on_ground = before.only(*_GROUND).caster().cast(high, down).t_hit_m
+    place = high - np.column_stack(
+        [np.zeros((len(high), 2)), np.where(np.isfinite(on_ground), on_ground, 0.0)]
+    )
+    radius = float(np.sqrt(raster.cell_area_m2 / np.pi))
+    true = true_changes(before, after, place, -down, radius_m=radius, reach_m=reach_m)
+    error = raster.height_m[known] - true.distance_m
+    z2 = (error / found.sigma_m[known]) ** 2
+    there = np.isfinite(on_ground) & np.isfinite(z2)
+    rows = []
+    for name, kinds in (("unchanged", ("unchanged",)), ("changed", ("erosion", "deposition"))):
+        use = there & np.isin(true.kind, kinds)
+        rows.append((f"height_normalised_square_{name}", _mean_of(z2, use), int(use.sum())))
+    return rows
 
 
 # ---------------------------------------------------------------- where the changes are

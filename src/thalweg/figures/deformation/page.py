@@ -66,6 +66,8 @@ TRUTH_IN_WORDS: Final = {
     "unseen_called_change_wrongly": "of these wrongly",
     "true_changes_seen": "true changes of 10 cm and more: share of their area that was measured",
     "true_changes_called": "of this the share that was called so, with the right sign",
+    "height_normalised_square_unchanged": "heights of unchanged ground: mean of squared error over variance",
+    "height_normalised_square_changed": "heights of changed ground: mean of squared error over variance",
     "plants_called_change": "share of plants that were called changes",
     "things_called_change": "share of things on the bank that were called changes",
 }
@@ -286,8 +288,8 @@ def limits(pairs: Sequence[PairFacts]) -> str:
     files = any((pair.visibility[f"reason_{i}"] == "no trajectory").any() for pair in pairs for i in (1, 2))
     elsewhere = (
         "Clouds and surface models from elsewhere have no trajectory: where they have no points, nobody "
-        "knows whether there was nothing or whether nobody looked. Their errors are what the campaign file "
-        "states, alike over one length everywhere.\n\n"
+        "knows whether there was nothing or whether nobody looked. Their errors are as stated, "
+        "alike over one length everywhere.\n\n"
     )
     return (
         f"{stable}\n\n"
