@@ -158,6 +158,7 @@ PAGES = {
             "validation": f"{RESULTS}/bathymetry/validation.json",
             "methods": f"{RESULTS}/bathymetry/methods.csv",
             "river": f"{RESULTS}/fusion/river.json",
+            "fit": f"{RESULTS}/fusion/fit.json",
             "truth": of(CampaignFiles.bed_truth),
             "pictures": of_page("bathymetry"),
         },

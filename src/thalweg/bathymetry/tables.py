@@ -34,6 +34,7 @@ from thalweg.core import (
     LocalFrame,
     frame_of,
     iter_laz,
+    laz_header,
     read_raster,
     write_raster,
 )
@@ -886,6 +887,17 @@ def _reference_points(path: Path, crs: CRS, settings: Bathymetry) -> tuple[Array
         known = np.isfinite(value)
         return grid.centres_m()[known], value[known]
     if kind in {".las", ".laz"}:
+        of = laz_header(path).frame
+        same = of is None or (
+            not isinstance(of, LocalFrame) and of.to_2d().equals(crs, ignore_axis_order=True)
+        )
+        if not same:
+            raise InputError(
+                f"a cloud in {'a local frame' if isinstance(of, LocalFrame) else of.name}",
+                where=path,
+                expected=crs.name,
+                cure="Transform it to campaign.crs, with ellipsoidal heights",
+            )
         xyz = np.concatenate([chunk["xyz_m"] for chunk in iter_laz(path)])
         return xyz[:, :2], xyz[:, 2]
     table, places = read_places(path, crs)

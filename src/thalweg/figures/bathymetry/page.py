@@ -20,6 +20,7 @@ def bed_page(
     validation: Mapping[str, Any],
     methods: pd.DataFrame,
     river: Mapping[str, Any],
+    fit: Mapping[str, Any],
     *,
     pictures: Sequence[Path],
     captions: Mapping[str, str],
@@ -33,7 +34,7 @@ def bed_page(
     ----------
     facts, variogram, level, validation : JSON files of the rules of `workflow/rules/bathymetry.smk`.
     banks, methods : their tables.
-    river : ``fusion/river.json``.
+    river, fit : ``fusion/river.json``, ``fusion/fit.json``.
     pictures, captions : PNG files, and by stem what stands below them.
     truth : of a twin, columns measure, value, n; None: there is none.
     title : heading.
@@ -108,6 +109,7 @@ def bed_page(
         + "".join(f" {note}" for note in river["notes"])
         + "".join(f" Not written, {name}: {why}" for name, why in missing.items())
     )
+    page.section("Cloud of the surroundings").text(_surroundings(fit))
     page.section("Covariance of the bed").text(f"{variogram['reason']}.{_light_sheet(found)}")
     compared = sorted(variogram["compared"].items(), key=lambda item: item[1])
     page.table(
@@ -117,6 +119,12 @@ def bed_page(
     )
     page.section("Cross-validation")
     page.table(methods, "Cross-validation: lines left out, predicted by several methods.", digits=3)
+    for name, each in validation.get("reference", {}).items():
+        words = (
+            f"Bed less {name}, which has no part in it. The standard deviation is that of the bed with its "
+            "common part, and of the reference (bathymetry.table)."
+        )
+        page.section(f"Against {name}").table(_beside(each), words, digits=3)
     if truth is not None:
         page.section("Against the truth of the twin").table(truth, "Errors against the true bed.", digits=3)
     page.section("Limits").text(
@@ -145,6 +153,39 @@ def _depth_and_width(found: Mapping[str, Any]) -> str:
     )
 
 
+def _beside(measured: Mapping[str, Any]) -> pd.DataFrame:
+    """Measures of the bed beside a reference: all cells, and by distance to the nearest datum."""
+    rows = {"all cells": measured} | dict(measured["classes"])
+    return pd.DataFrame(
+        [
+            (name, of["n"], of["rmse_m"], of["bias_m"], of["normalised_square"], 100 * of["outside_95"])
+            for name, of in rows.items()
+        ],
+        columns=["cells", "n", "RMSE [m]", "mean [m]", "squared error over variance", "outside 95 % [%]"],
+    )
+
+
+def _surroundings(fit: Mapping[str, Any]) -> str:
+    """How the cloud of the surroundings lies on the ground of the banks."""
+    if "fitted_shift_m" not in fit:
+        return f"{fit['why'][0].upper()}{fit['why'][1:]}."
+    shift = ", ".join(
+        f"{100 * value:+.1f} ± {100 * sigma:.1f}"
+        for value, sigma in zip(fit["fitted_shift_m"], fit["sigma_shift_m"], strict=True)
+    )
+    held = (
+        f" Not shown by the ground, and left alone: {', '.join(fit['undetermined'])}."
+        if fit["undetermined"]
+        else ""
+    )
+    return (
+        f"It was moved by {shift} cm east, north and up, on {count(fit['cells'])} cells of ground in "
+        f"{fit['blocks']} blocks that it shares with the banks. Its distance from them was "
+        f"{100 * fit['median_before_m']:+.1f} cm in the median before and {100 * fit['median_after_m']:+.1f} "
+        f"cm after, with a robust standard deviation of {100 * fit['spread_after_m']:.1f} cm.{held}"
+    )
+
+
 def _light_sheet(found: Mapping[str, Any]) -> str:
     """What the light sheet adds to the bed, or why it does not."""
     if "light sheet" not in found:
@@ -169,6 +210,7 @@ def write_bed_page(
     validation: Path,
     methods: Path,
     river: Path,
+    fit: Path,
     truth: list[Path],
     pictures: list[Path],
     captions: dict[str, str],
@@ -185,6 +227,7 @@ def write_bed_page(
         json.loads(validation.read_text()),
         pd.read_csv(methods),
         json.loads(river.read_text()),
+        json.loads(fit.read_text()),
         pictures=pictures,
         captions=captions,
         truth=pd.read_csv(truth[0]) if truth else None,
