@@ -55,19 +55,19 @@ include: "workflow/rules/studies.smk"
 
 
 # On a cluster the short jobs of a campaign that these files make of each other go to it as one.
-GROUPED = (
-    "simulation",
-    "ingest",
-    "accuracy",
-    "accuracy_truth",
-    "bathymetry",
-    "fusion",
-    "figures",
-    "figures_pages",
-)
-for each in workflow.rules:
-    stem = Path(each.snakefile).stem
-    each.group = stem.split("_")[0] if stem in GROUPED else None
+GROUPS = {
+    "simulation": "simulation",
+    "ingest": "ingest",
+    "bathymetry": "bathymetry",
+    "fusion": "bathymetry",
+    "accuracy": "accuracy",
+    "accuracy_truth": "accuracy",
+    "figures": "figures",
+    "figures_pages": "figures",
+}
+if workflow.global_resources["_nodes"].value is not None:
+    for each in workflow.rules:
+        each.group = GROUPS.get(Path(each.snakefile).stem)
 
 
 localrules:

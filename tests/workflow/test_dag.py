@@ -201,3 +201,19 @@ def test_an_unknown_campaign_is_answered_with_the_known_ones(empty_house) -> Non
     assert "tinny" in text
     assert "tiny" in text
     assert "mulde" in text
+
+
+@pytest.mark.parametrize("campaign", ["tiny", "full", "tiny_change"])
+def test_on_a_cluster_short_jobs_go_together(empty_house, campaign: str) -> None:
+    """No group waits for a job that waits for it, which Snakemake checks; a third of the starts remains."""
+    run = empty_house.snakemake(
+        *("--dry-run", "--quiet", "host", "--profile", "profiles/slurm", "--forceall"),
+        *("--config", f"campaign={campaign}"),
+    )
+    groups = len(re.findall(r"(?m)^(?:\[.*\] )?Group job ", run.stdout))
+    lone = len(re.findall(r"(?m)^rule \w+:", run.stdout))
+    every = len(re.findall(r"(?m)^ *rule \w+:", run.stdout))
+    assert groups >= 2
+    assert every > 40
+    if campaign == "tiny":
+        assert groups + lone <= every / 3
