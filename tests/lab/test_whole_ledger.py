@@ -217,6 +217,53 @@ def test_names_of_campaigns_are_put_before_paths_once(repository: Path, entries)
     }
 
 
+# ---------------------------------------------------------------- numbers that need no run
+
+
+@pytest.mark.parametrize(
+    ("item", "part", "found", "tolerance", "verdict"),
+    [
+        # by hand: sqrt(30^2 / 3), 3 mrad of 30 m, erf, sqrt of the printed squares
+        ("C053", "", 17.3205, 1e-4, MATCHED),
+        ("C058", "footprint", 9.0, 1e-9, MATCHED),
+        ("C056", "two sigmas", 95.4500, 1e-4, MATCHED),
+        ("C202", "root 50 m", 250.01, 0.01, MATCHED),
+        ("C218", "root 50 m", 182.15, 0.01, MATCHED),
+        ("C033", "unknowns", 42, 0, MATCHED),
+        ("C032", "unknowns", 41, 0, MATCHED),
+        ("C046", "frames", 1021.02, 0.01, MATCHED),
+        # identities to rounding
+        ("C028", "", 0.0, 1e-9, MATCHED),
+        ("C104", "", 0.0, 1e-12, MATCHED),
+        ("C105", "", 0.0, 1e-9, MATCHED),
+        ("C107", "", 0.0, 1e-12, MATCHED),
+        ("C111", "", 0.0, 1e-12, MATCHED),
+        ("C116", "", 0.0, 0.0, MATCHED),
+        # misprints: 16 / 55.296 us; 0.067 deg; 229 mm / 23 ms / 50 m; 7 deg/s in 50 ns; 5.5 um 100 / 12
+        ("E07", "", 289351.85, 0.01, MATCHED),
+        ("E10", "", 1.16937, 1e-5, MATCHED),
+        ("E12", "", 11.4093, 1e-4, MATCHED),
+        ("E16", "", 3.0543e-4, 1e-8, MATCHED),
+        ("E22", "", 0.0458333, 1e-6, MATCHED),
+        ("E26", "root", 0.30916, 1e-5, MATCHED),
+        ("E01", "", 10.2889, 1e-4, NOT_REPRODUCIBLE),
+        ("E06", "", 14.9896, 1e-4, NOT_REPRODUCIBLE),
+        # printed totals and cells that do not say what the text says
+        ("C060", "theory", 2, 0, NOT_MATCHED),
+        ("C314", "printed", 2, 0, NOT_MATCHED),
+        ("C314", "angles", 4, 0, MATCHED),
+        ("C310", "printed", 4, 0, MATCHED),
+        # stored geometry and constants
+        ("C263", "lever arm", 16.0, 0.01, INPUT),
+        ("C009", "vertical view", 30.0, 1e-9, INPUT),
+    ],
+)
+def test_computed_numbers(ledger, item: str, part: str, found: float, tolerance: float, verdict: str) -> None:
+    (row,) = ledger[(ledger["id"] == item) & (ledger["part"] == part)].to_dict("records")
+    assert float(row["found"]) == pytest.approx(found, abs=tolerance)
+    assert row["verdict"] == verdict
+
+
 # ---------------------------------------------------------------- verdicts turn
 
 

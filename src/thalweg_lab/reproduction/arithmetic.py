@@ -195,10 +195,10 @@ def distances_below(published: Published, *, of: str, than: str) -> Found:
     return Found(value=float(sum(below)), n=float(len(below)))
 
 
-def implied_turn_rate(published: Published, *, row: str, sigma_s: float, distance_m: float) -> Found:
+def implied_turn_rate(published: Published, *, row: str, sigma: str, distance_m: float) -> Found:
     """Turn rate that a printed cell of the timing row asks for at a distance, degrees a second."""
     cell_m = 1e-3 * float(published[f"{row} {distance_m:g} m"])
-    return Found(value=float(np.rad2deg(cell_m / (sigma_s * distance_m))))
+    return Found(value=float(np.rad2deg(cell_m / (float(published[sigma]) * distance_m))))
 
 
 def effect_of_time(published: Published, *, rate: str, sigma: str, distance_m: float) -> Found:
@@ -207,9 +207,9 @@ def effect_of_time(published: Published, *, rate: str, sigma: str, distance_m: f
     return Found(value=float(rad * distance_m * 1e3))
 
 
-def mrad(published: Published, *, deg: float) -> Found:
-    """An angle of a table in milliradians."""
-    return Found(value=float(np.deg2rad(deg)) * 1e3)
+def mrad(published: Published, *, of: str) -> Found:
+    """A printed angle in degrees as milliradians."""
+    return Found(value=float(np.deg2rad(float(published[of]))) * 1e3)
 
 
 def knots(published: Published, *, of: str) -> Found:
