@@ -23,8 +23,9 @@ def test_the_sketch_tells_base_angle_and_their_sigmas() -> None:
     assert "180.000 degrees apart (sigma 0.006)" in told
     assert "digital twin" in told
     (ellipse,) = figure.axes[0].findobj(Ellipse)
-    # 95 % of two dimensions, ten times enlarged: 2 x 2.4477 x 0.2 mm
-    assert max(ellipse.width, ellipse.height) == pytest.approx(20 * 2.4477 * 0.2, rel=1e-3)
+    # 95 % of two dimensions, not enlarged: 2 x 2.4477 x 0.2 mm
+    assert max(ellipse.width, ellipse.height) == pytest.approx(2 * 2.4477 * 0.2, rel=1e-3)
+    assert "1 times enlarged" in told
     assert figure.axes[0].get_ylim()[0] < -1.4 * 19.4
 
 
@@ -45,27 +46,21 @@ def test_residuals_are_split_along_and_across_the_radius() -> None:
     )
     figure = rig_residuals(table, title="Residuals", twin=False)
     assert "n = 399 marks of 400" in words(figure)
-    titles = [ax.get_title() for ax in figure.axes]
+    titles = [ax.get_title(loc="left") for ax in figure.axes]
     assert titles[0] == "front lens, radial, rms 0.020 px"
     assert titles[1] == "front lens, tangential, rms 0.000 px"
 
 
 def row(**changes: object) -> pd.Series:
-    given = {
-        "width_px": 64,
-        "mode": "depth",
-        "sigma_east_m": 0.03,
-        "sigma_north_m": 0.04,
-        "heading_deg": 90.0,
-    }
-    return pd.Series(given | changes)
+    given = {"width_px": 64, "mode": "depth", "heading_deg": 90.0}
+    return pd.Series(given | {"sigma_east_m": 0.03, "sigma_north_m": 0.04} | changes)
 
 
 def test_a_panorama_shows_where_north_is() -> None:
     figure = panorama_picture(np.zeros((32, 64, 3), np.uint8), row(), title="Panorama", twin=False)
     ax = figure.axes[0]
     at = dict(zip([t.get_text() for t in ax.get_xticklabels()], ax.get_xticks(), strict=True))
-    assert at["E"] == 0 and at["S"] == 90 and at["N"] == -90
+    assert (at["E"], at["S"], at["N"]) == (0, 90, -90)
     assert "centre known to 5.0 cm" in words(figure)
 
 

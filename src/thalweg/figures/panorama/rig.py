@@ -67,7 +67,12 @@ def rig_sketch(T_back_front: Rigid, *, title: str, twin: bool) -> Figure:
         ax.set_aspect("equal", adjustable="box")
         ax.set_xlabel(f"{'xy'[across]} of the front lens / mm, {name}")
     axes[0].set_ylabel("z of the front lens, its view / mm")
-    axes[0].legend(loc="center right", fontsize=8, title=f"ellipse: 95 %, {times} times enlarged")
+    axes[1].legend(
+        loc="center left",
+        bbox_to_anchor=(1.0, 0.5),
+        fontsize=8,
+        title=f"ellipse: 95 %, {times} times enlarged",
+    )
     return figure
 
 
