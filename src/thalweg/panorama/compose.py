@@ -91,7 +91,8 @@ def lens_pixels(
         local = (directions_front + inverse_range[:, None] * (rig.centre_front_m - place.shift_m)) @ place.R
         angle = np.rad2deg(np.arctan2(np.hypot(local[:, 0], local[:, 1]), local[:, 2]))
         xy = rig.cameras[name].project(local)
-        xy[~((angle < widest) & rig.cameras[name].inside(xy, 1.0))] = np.nan
+        seen: ArrayB = (angle < widest) & rig.cameras[name].inside(xy, 1.0)
+        xy[~seen] = np.nan
         pixels[name], angles[name] = xy, angle
     return pixels, angles
 

@@ -174,7 +174,8 @@ def make_panoramas(
     for name, reason in zip(poses.images, poses.reasons, strict=True):
         if reason:
             log.warning("%s: no panorama: %s", name, reason)
-    rows = [k for k in np.flatnonzero(poses.oriented) if poses.images[k] in files][:: settings.every]
+    rows = [k for k in range(len(poses.images)) if poses.oriented[k] and poses.images[k] in files]
+    rows = rows[:: settings.every]
     if not rows:
         raise CoverageError(
             f"none of {len(files)} files of the rig has a pose",
@@ -338,7 +339,8 @@ def _range_maps(
             maps[i] = np.minimum(maps[i], seen)
     if not sample:
         return maps, np.zeros((0, 3)), np.zeros(0)
-    return maps, *(np.concatenate(part) for part in zip(*sample, strict=True))
+    xyz, intensity = (np.concatenate(part) for part in zip(*sample, strict=True))
+    return maps, xyz, intensity
 
 
 def _tell_reading(told: Mapping[str, float]) -> None:

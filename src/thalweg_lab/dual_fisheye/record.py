@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from thalweg.core import ArrayF, ArrayF32, LocalFrame, Rigid, steps, write_marked
+from thalweg.core import ArrayF, ArrayF32, ArrayI, LocalFrame, Rigid, steps, write_marked
 from thalweg.images.model import ImagePoses
 from thalweg.settings.sections import Rig as RigSettings
 from thalweg.settings.twin import TwinConfig, TwinDualFisheye
@@ -121,13 +121,13 @@ def simulate_dual_fisheye(
     )
 
 
-def _times(config: TwinConfig, settings: TwinDualFisheye, seed: int) -> tuple[ArrayF, ArrayF, ArrayF, ArrayF]:
+def _times(config: TwinConfig, settings: TwinDualFisheye, seed: int) -> tuple[ArrayF, ArrayF, ArrayF, ArrayI]:
     """Release and exposure since the begin of the survey, what the clock is ahead, its stamps in us."""
     rng = generator(seed, "dual fisheye shutter")
     n = settings.images
-    released = config.duration_s / 2 + (np.arange(n) - (n - 1) / 2) / settings.rate_hz
-    exposed_s = released + settings.jitter_s * rng.standard_normal(n)
-    ahead = settings.clock_offset_s + 1e-6 * settings.clock_drift_ppm * released
+    released: ArrayF = config.duration_s / 2 + (np.arange(n) - (n - 1) / 2) / settings.rate_hz
+    exposed_s: ArrayF = released + settings.jitter_s * rng.standard_normal(n)
+    ahead: ArrayF = settings.clock_offset_s + 1e-6 * settings.clock_drift_ppm * released
     stamp_us = 1000 * np.rint((released + ahead) * 1e3 + start_us(config) * 1e-3).astype(np.int64)
     return released, exposed_s, ahead, stamp_us
 

@@ -1,0 +1,140 @@
+"""A calibrated rig: where its lenses sit and how well that is known, and residuals over the angle of view."""
+
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse
+
+from thalweg.core import ArrayF, Rigid
+from thalweg.core.calibration import read_calibration
+from thalweg.figures import BLUE, GREY, VERMILION, count, new_figure, styled
+
+COLOURS: Final = {"front": BLUE, "back": VERMILION}
+_CONFIDENCE: Final = 2.4477
+"""Half axes of an ellipse that holds 95 % of a plane normal error, in sigmas."""
+
+
+def draw_rig_sketch(*, calibration: Path, title: str, twin: bool) -> Figure:
+    """Calibration of a rig -> its lenses from above and from the side, with ellipses."""
+    found = read_calibration(calibration)
+    return rig_sketch(found.pose("back_front"), title=f"Rig of two lenses: {title}", twin=twin)
+
+
+@styled
+def rig_sketch(T_back_front: Rigid, *, title: str, twin: bool) -> Figure:
+    """Both projection centres and views in the frame of the front lens.
+
+    Parameters
+    ----------
+    T_back_front : relative orientation with covariance.
+    title : first words of the title.
+    twin : true if the digital twin made the data.
+    """
+    back = T_back_front.inverse()
+    base_mm = 1e3 * float(np.linalg.norm(back.shift_m))
+    along = back.shift_m / np.linalg.norm(back.shift_m)
+    sigma_base = 1e3 * float(np.sqrt(along @ back.cov[:3, :3] @ along))
+    apart = float(np.rad2deg(np.arccos(np.clip(T_back_front.R[2, 2], -1, 1))))
+    sigma_turn = np.rad2deg(T_back_front.sigma_rotation_rad)
+    # ellipses so large that they are seen
+    sigma_mm = 1e3 * np.sqrt(np.diag(back.cov)[:3])
+    times = 10 ** max(0, int(np.floor(np.log10(0.25 * base_mm / (_CONFIDENCE * sigma_mm.max())))))
+    words = (
+        f"{title}, base {base_mm:.2f} mm (sigma {sigma_base:.2f}), views {apart:.3f} degrees apart "
+        f"(sigma {sigma_turn[:2].max():.3f})"
+    )
+    figure = new_figure(85.0, words, twin=twin)
+    axes = figure.subplots(1, 2, sharey=True)
+    for ax, across, name in zip(axes, (0, 1), ("from above", "from the right"), strict=True):
+        for lens, place in {"front": Rigid(R=np.eye(3), shift_m=np.zeros(3)), "back": back}.items():
+            at, view = 1e3 * place.shift_m[[across, 2]], place.R[[across, 2], 2]
+            ax.plot(*at, "o", color=COLOURS[lens], markersize=5, label=f"{lens} lens")
+            ax.annotate(
+                "",
+                xytext=at,
+                xy=at + 0.6 * base_mm * view,
+                arrowprops={"arrowstyle": "-|>", "color": COLOURS[lens], "shrinkA": 0, "shrinkB": 0},
+            )
+        ax.add_patch(
+            _ellipse(1e6 * back.cov[np.ix_([across, 2], [across, 2])], 1e3 * back.shift_m, across, times)
+        )
+        ax.axvline(0.0, color=GREY, linewidth=0.6, linestyle=":")
+        ax.set_xlim(-1.1 * base_mm, 1.1 * base_mm)
+        ax.set_ylim(-1.8 * base_mm, 0.8 * base_mm)
+        ax.set_aspect("equal", adjustable="box")
+        ax.set_xlabel(f"{'xy'[across]} of the front lens / mm, {name}")
+    axes[0].set_ylabel("z of the front lens, its view / mm")
+    axes[1].legend(
+        loc="center left",
+        bbox_to_anchor=(1.0, 0.5),
+        fontsize=8,
+        title=f"ellipse: 95 %, {times} times enlarged",
+    )
+    return figure
+
+
+def _ellipse(cov_mm2: ArrayF, at_mm: ArrayF, across: int, times: int) -> Ellipse:
+    values, vectors = np.linalg.eigh(cov_mm2)
+    width, height = 2 * _CONFIDENCE * times * np.sqrt(np.maximum(values, 0.0))
+    return Ellipse(
+        (at_mm[across], at_mm[2]),
+        width,
+        height,
+        angle=float(np.rad2deg(np.arctan2(vectors[1, 0], vectors[0, 0]))),
+        facecolor="none",
+        edgecolor=COLOURS["back"],
+        linewidth=1.2,
+    )
+
+
+def draw_rig_residuals(*, residuals: Path, title: str, twin: bool) -> Figure:
+    """Residuals of the marks of a rig -> their parts along and across the radius, over the angle of view."""
+    return rig_residuals(pd.read_csv(residuals), title=f"Residuals of the rig: {title}", twin=twin)
+
+
+@styled
+def rig_residuals(table: pd.DataFrame, *, title: str, twin: bool) -> Figure:
+    """Radial and tangential residuals of both lenses over the angle from the axis.
+
+    Parameters
+    ----------
+    table : lens, angle_deg, azimuth_deg, vx_px, vy_px, used.
+    title : first words of the title.
+    twin : true if the digital twin made the data.
+    """
+    used = table[table["used"]]
+    figure = new_figure(100.0, f"{title}, n = {count(len(used))} marks of {count(len(table))}", twin=twin)
+    axes = figure.subplots(2, 2, sharex=True, sharey=True)
+    limit = 4.0 * float(np.sqrt(np.square(used[["vx_px", "vy_px"]].to_numpy()).mean()))
+    for row, lens in enumerate(COLOURS):
+        mine = used[used["lens"] == lens]
+        a = np.deg2rad(mine["azimuth_deg"].to_numpy())
+        vx, vy = mine["vx_px"].to_numpy(), mine["vy_px"].to_numpy()
+        parts = {"radial": vx * np.cos(a) + vy * np.sin(a), "tangential": vy * np.cos(a) - vx * np.sin(a)}
+        angle = mine["angle_deg"].to_numpy()
+        for column, (name, v) in enumerate(parts.items()):
+            ax = axes[row, column]
+            ax.axhline(0.0, color=GREY, linewidth=0.6)
+            ax.plot(angle, v, ".", markersize=1.5, color=COLOURS[lens], rasterized=True)
+            edges = np.arange(0.0, 111.0, 10.0)
+            number = np.digitize(angle, edges) - 1
+            middle, mean, error = [], [], []
+            for k in range(len(edges) - 1):
+                inside = v[number == k]
+                if len(inside) >= 10:
+                    middle.append(edges[k] + 5)
+                    mean.append(inside.mean())
+                    error.append(2 * inside.std(ddof=1) / np.sqrt(len(inside)))
+            ax.errorbar(
+                middle, mean, yerr=error, color="black", fmt="o-", markersize=3, capsize=2, linewidth=0.8
+            )
+            ax.set_title(f"{lens} lens, {name}, rms {np.sqrt(np.mean(v**2)):.3f} px", fontsize=9)
+            ax.set_ylim(-limit, limit)
+    for ax in axes[1]:
+        ax.set_xlabel("angle from the axis / degrees")
+    for ax in axes[:, 0]:
+        ax.set_ylabel("observed less computed / px")
+    return figure
