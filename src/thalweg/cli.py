@@ -338,6 +338,7 @@ def _place(files: dict[str, list[Path]]) -> tuple[float, float, float] | None:
 
 
 def _check_config(options: argparse.Namespace) -> int:
+    from thalweg.cli_check import FirstJobs
     from thalweg.settings import load_campaigns
     from thalweg.settings.sections import STREAM_KEYS
     from thalweg.workflow import CampaignFiles
@@ -348,9 +349,17 @@ def _check_config(options: argparse.Namespace) -> int:
                 print(f"note: {path} is a link out of its folder, to {path.resolve()}", file=sys.stderr)
         _check_contents(campaign)
         _check_epochs(campaign)
+        files = CampaignFiles(name=name, campaigns={name: campaign})
+        jobs = FirstJobs(files) if campaign.logs else None
+        if jobs and jobs.errors:
+            raise ConfigError(
+                "what the first jobs would refuse:\n"
+                + "\n".join(f"  {each}" for each in jobs.errors).rstrip("."),
+                where=name,
+            )
         counts = {stream: len(campaign.log_files(stream)) for stream in STREAM_KEYS}
-        files = ", ".join(f"{n} {stream}" for stream, n in counts.items() if n)
-        source = f"files: {files}" if campaign.logs else "digital twin"
+        named = ", ".join(f"{n} {stream}" for stream, n in counts.items() if n)
+        source = f"files: {named}" if campaign.logs else "digital twin"
         identity = campaign.campaign
         if campaign.is_change:
             epochs = ", ".join(campaign.epoch_names)
@@ -364,7 +373,9 @@ def _check_config(options: argparse.Namespace) -> int:
                 f"positions from {campaign.orientation.position_source}; {source}"
             )
             print(f"  places of the sensors: {_places(campaign)}")
-        products = CampaignFiles(name=name, campaigns={name: campaign}).products() if campaign.logs else []
+        if jobs and jobs.skipped:
+            print(f"  not opened, too large for a check: {', '.join(jobs.skipped)}")
+        products = files.products() if campaign.logs else []
         for made, words in ((True, "gives"), (False, "more logs would add")):
             listed = [f"{p.name}{'' if made else f' ({p.needs})'}" for p in products if p.made is made]
             if listed:

@@ -1,4 +1,4 @@
-"""The command ``thalweg orient``: photographs and surveyed points, without a campaign."""
+"""The commands ``thalweg orient`` and ``frames``: photographs without a campaign, and those of a video."""
 
 import argparse
 import os
@@ -7,7 +7,18 @@ from pathlib import Path
 
 
 def add_image_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add ``orient``."""
+    """Add ``orient`` and ``frames``."""
+    frames = commands.add_parser("frames", help="video -> photographs with a table of their times")
+    frames.add_argument("video", type=Path, metavar="VIDEO", help="MP4, MOV")
+    frames.add_argument(
+        "--every", type=float, default=0.0, metavar="S", help="time between frames (default: all frames)"
+    )
+    frames.add_argument(
+        "--begin", metavar="UTC", help="time of the first frame, ISO 8601 (default: as the container says)"
+    )
+    frames.add_argument("--sigma-begin", type=float, metavar="S", help="its standard deviation")
+    frames.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the frames")
+    frames.set_defaults(command=_frames)
     orient = commands.add_parser(
         "orient",
         help="photographs and control points or positions -> poses with sigmas, lens, tie points, page",
@@ -125,4 +136,30 @@ def _orient(options: argparse.Namespace) -> int:
     ).write(page)
     print(summary_text(found.found.facts))
     print(f"Wrote {', '.join(str(path) for path in [page, *written])}")
+    return 0
+
+
+def _frames(options: argparse.Namespace) -> int:
+    from datetime import datetime
+
+    from thalweg.core import ConfigError
+    from thalweg.ingest.photos import write_frames
+
+    try:
+        begin = None if options.begin is None else datetime.fromisoformat(options.begin)
+    except ValueError as error:
+        raise ConfigError(
+            f"--begin {options.begin!r}",
+            expected="a time such as 2026-05-12T09:30:00.25Z",
+            where="thalweg frames",
+        ) from error
+    found = write_frames(
+        options.video, options.out, every_s=options.every, begin=begin, sigma_begin_s=options.sigma_begin
+    )
+    for note in found.notes:
+        print(f"note: {note}")
+    print(f"{len(found.table)} frames, {found.table['since_begin_s'].iloc[-1]:.3f} s. In a campaign file:")
+    print(f"  logs: {{time_lapse: {{images: [{options.out}], times: [{options.out / 'times.csv'}]}}}}")
+    clock = f"sigma_offset_s: {found.sigma_offset_s:.3g}, jitter_s: {found.jitter_s:.2g}"
+    print(f"  images: {{clock: {{{clock}}}}}")
     return 0

@@ -209,3 +209,27 @@ def test_dual_return_of_a_model_without_a_recording_is_refused(data_dir, tmp_pat
     payload.tofile(tmp_path / "dual.bin")
     with pytest.raises(UnsupportedError, match="50 dual-return packets of a VLP-32C"):
         scan_lidar([tmp_path / "dual.bin"])
+
+
+@pytest.mark.parametrize(
+    ("path", "model", "words", "cure"),
+    [
+        (
+            "hdl32_veloview_monterey/Testing/Data/monterey-first-100-packets.pcap",
+            "VLP-16",
+            "come every 553 us, as those of a HDL-32E",
+            "Set lidar.model to auto",
+        ),
+        (
+            "vlp16_veloview/vlp-16-test-90deg-1-50-frames.pcap",
+            "HDL-32E",
+            "come every 1327 us, as those of a VLP-16",
+            "Set lidar.model to VLP-16",
+        ),
+    ],
+)
+def test_a_model_of_another_packet_interval_is_refused(data_dir, path, model, words, cure) -> None:
+    """Both files name product 0x21; the interval tells them apart."""
+    with pytest.raises(UnsupportedError, match=words) as caught:
+        scan_lidar([data_dir / path], LidarOptions(model=model))
+    assert caught.value.cure == cure

@@ -163,3 +163,31 @@ def test_a_folder_of_files_becomes_a_campaign(examples, tmp_path, capsys, folder
     assert main(["check-config", str(path)]) == 0
     assert gives in capsys.readouterr().out
     assert load_campaign(path).kind == kind
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "words"),
+    [
+        ("lidar", "ins: {sigma_position_m: [0.02, 0.02, 0.03]}", "", "none of them with sigmas"),
+        ("lidar", "gps_week: 1880", "gps_week: 1879", "the streams have no common time"),
+        (
+            "lidar_without_pps",
+            'clock: {first_packet_utc: "2026-05-12T12:00:00Z"}',
+            "returns: all",
+            "never gets GPS time",
+        ),
+        ("lidar_without_pps", "model: VLP-16", "model: HDL-32E", "that come every 1327 us"),
+    ],
+)
+def test_check_config_says_what_the_first_jobs_refuse(examples, capsys, name, old, new, words) -> None:
+    path = examples.root / EXAMPLES / f"{name}.yaml"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    try:
+        assert main(["check-config", str(path)]) == 2
+    finally:
+        path.write_text(text)
+    told = capsys.readouterr().err
+    assert "what the first jobs would refuse" in told
+    assert words in told

@@ -8,3 +8,4 @@ from .files import (
     natural_key as natural_key,
 )
 from .stamps import IMAGE_STAMPS as IMAGE_STAMPS, read_image_stamps as read_image_stamps
+from .video import VideoFrames as VideoFrames, container_time as container_time, write_frames as write_frames

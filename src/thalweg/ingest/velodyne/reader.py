@@ -121,8 +121,8 @@ def scan_lidar(
             where=where,
             cure="Record the strongest or the last return; there was no recording to test the dual form with",
         )
-    if options.model.lower() == "auto" and findings.n_kept:
-        check_interval(findings, where)
+    if findings.n_kept:
+        check_interval(findings, where, chosen=options.model.lower() != "auto")
     check_senders(findings.senders, where)
     if findings.n_kept == 0:
         raise no_packets(tally.capture, options.data_port, where, findings)

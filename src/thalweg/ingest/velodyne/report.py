@@ -423,11 +423,15 @@ def no_packets(tally: CaptureTally, port: int, where: str, found: Findings | Non
     )
 
 
-def check_interval(found: Findings, where: str) -> None:
-    """Refuse packets that come at the rate of another model than the one that they name.
+def check_interval(found: Findings, where: str, *, chosen: bool = False) -> None:
+    """Refuse packets that come at the rate of another model than the one that they are decoded as.
 
     Early firmware of the VLP-16 writes the product byte of the HDL-32E: decoded as such its cloud would look
-    plausible and be wrong.
+    plausible and be wrong; so would that of an HDL-32E where `lidar.model` says VLP-16 for that reason.
+
+    Parameters
+    ----------
+    chosen : whether the setting `lidar.model` and not the product byte names the model.
 
     Raises
     ------
@@ -443,12 +447,17 @@ def check_interval(found: Findings, where: str) -> None:
     like = [m.name for m in MODELS if math.isclose(step_s, m.packet_s(mode), rel_tol=_SAME_RATE)]
     if like:
         expected_us = 1e6 * found.model.packet_s(mode)
+        named = product_name(found.product)
+        if chosen:
+            right = any(model.name in like and model.product == found.product for model in MODELS)
+            cure = f"Set lidar.model to {'auto' if right else like[0]}"
+        else:
+            cure = f"Old firmware names a wrong model: set lidar.model to {like[0]}"
         raise UnsupportedError(
-            f"packets of a {product_name(found.product)} that come every {1e6 * step_s:.0f} us, "
-            f"as those of a {' or '.join(like)}",
+            f"packets of a {named} that come every {1e6 * step_s:.0f} us, as those of a {' or '.join(like)}",
             expected=f"{expected_us:.0f} us from packet to packet of a {found.model.name}",
             where=where,
-            cure=f"Old firmware names a wrong model: set lidar.model to {like[0]}",
+            cure=cure,
         )
 
 
