@@ -21,6 +21,7 @@ ROOMS = {
     "triangulation": "The underwater light-sheet sensor",
     "bathymetry": "The riverbed from soundings",
     "fusion": "One terrain model of bed and banks",
+    "panorama": "A rig of fisheye cameras, and its panoramas",
     "surface": "Meshes of references",
     "accuracy": "Observed and predicted errors",
     "deformation": "Change between epochs",
