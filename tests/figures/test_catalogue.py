@@ -18,8 +18,8 @@ from thalweg.figures import save
 from thalweg.figures.catalogue import (
     CATALOGUE,
     chosen,
+    control_chart,
     control_table,
-    draw_control_chart,
     read_entries,
     read_entry,
     write_catalogue,
@@ -189,7 +189,7 @@ def test_a_mount_that_was_moved_is_seen_and_no_other(tmp_path: Path) -> None:
     )  # 0.4 deg by 0.02 deg
     rest = rotations[rotations["campaign"] != "c5"]["standardised"]
     assert 0.5 < rest.std() < 1.5
-    figure = draw_control_chart(control)
+    figure = control_chart(control)
     save(figure, tmp_path / "chart.png", dpi=110)
     diamonds = [
         line for ax in figure.axes for line in ax.lines if line.get_marker() == "D" and len(line.get_xdata())
@@ -209,7 +209,7 @@ def test_twins_and_boats_are_compared_apart(tmp_path: Path) -> None:
     assert not control["outside"].any()
     assert control[control["campaign"] == "twin"]["mean_others"].isna().all()
     lone = control_table(read_entries(tmp_path)[:1])
-    assert "fewer than two" in draw_control_chart(lone).texts[-1].get_text()
+    assert "fewer than two" in control_chart(lone).texts[-1].get_text()
     assert isinstance(lone, pd.DataFrame)
 
 

@@ -1,3 +1,5 @@
+from .catalogue import chosen as chosen, read_entries as read_entries, write_catalogue as write_catalogue
+from .costs import costs_page as costs_page
 from .front import front_page as front_page
 from .page import Finding as Finding, Page as Page
 from .pictures import read_picture as read_picture

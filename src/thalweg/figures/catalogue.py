@@ -381,7 +381,7 @@ def _means_of_others(x: ArrayF, sigma: ArrayF) -> tuple[ArrayF, ArrayF]:
 
 
 @styled
-def draw_control_chart(table: pd.DataFrame) -> Figure:
+def control_chart(table: pd.DataFrame) -> Figure:
     """Standardised differences of all calibrated values in the order of time, with the control limits."""
     shown = table.dropna(subset=["standardised"])
     campaigns = list(dict.fromkeys(shown["campaign"]))
@@ -540,5 +540,5 @@ def catalogue_page(entries: Sequence[Entry], rows: pd.DataFrame, control: pd.Dat
         "Each value is compared with the weighted mean of all other campaigns. A diamond is more than three "
         "standard deviations away: a mount that was moved, a clock that jumps, or sigmas that are too small."
     )
-    page.figure(draw_control_chart(control), "Calibrated values with control limits (control.csv).")
+    page.figure(control_chart(control), "Calibrated values with control limits (control.csv).")
     return page

@@ -11,7 +11,7 @@ SHOWN = 25
 
 
 @styled
-def draw_costs(rules: pd.DataFrame) -> Figure:
+def costs_figure(rules: pd.DataFrame) -> Figure:
     """Time of the processor of the most expensive rules, and their memory beside what was asked for."""
     top = rules.head(SHOWN).iloc[::-1]
     title = f"What jobs took, n = {int(rules['jobs'].sum())} jobs of {len(rules)} rules"
@@ -42,7 +42,7 @@ def costs_page(jobs: pd.DataFrame, rules: pd.DataFrame) -> Page:
     page.lines(told or ["No job took more than it had asked for, and none less than a quarter of it."])
     page.section("Rules")
     page.figure(
-        draw_costs(rules), f"The {min(SHOWN, len(rules))} most expensive rules; in brackets the jobs."
+        costs_figure(rules), f"The {min(SHOWN, len(rules))} most expensive rules; in brackets the jobs."
     )
     units = {"wall_s": "s", "cpu_s": "s", "longest_s": "s", "memory_mb": "MB", "asked_mb": "MB"}
     page.table(

@@ -1,2 +1,2 @@
 from .page import bed_page as bed_page
-from .pictures import draw_bed_of_table as draw_bed_of_table
+from .pictures import picture_of_bed as picture_of_bed
