@@ -245,7 +245,7 @@ def _bed(options: argparse.Namespace) -> int:
     )
     from thalweg.core import ConfigError
     from thalweg.figures import save
-    from thalweg.figures.bathymetry import picture_of_bed
+    from thalweg.figures.bathymetry import bed_picture
     from thalweg.settings.sections import Bathymetry
 
     crs = map_crs(options.crs)
@@ -286,7 +286,7 @@ def _bed(options: argparse.Namespace) -> int:
         {"heights": "above the water surface, metres" if relative else f"of {options.table.name}, metres"},
     )
     save(
-        picture_of_bed(
+        bed_picture(
             bed=options.out / "bed.tif",
             observations=found.bed.data,
             line=found.line,

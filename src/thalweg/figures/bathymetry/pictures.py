@@ -185,9 +185,7 @@ def draw_bed_map(
 
 
 @styled
-def picture_of_bed(
-    *, bed: Path, observations: pd.DataFrame, line: FlowLine, title: str, twin: bool
-) -> Figure:
+def bed_picture(*, bed: Path, observations: pd.DataFrame, line: FlowLine, title: str, twin: bool) -> Figure:
     """Height of a bed from a table of soundings and its standard deviation, from above.
 
     Parameters
