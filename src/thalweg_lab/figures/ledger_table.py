@@ -107,13 +107,14 @@ def _joined(ledger: pd.DataFrame) -> pd.DataFrame:
     table = ledger.fillna({"part": "", "unit": "", "reason": "", "file": ""})
     table = table.assign(found=[found_words(row) for row in table.to_dict("records")])
     same = ["part", "source", "quantity", "published", "found", "reason", "file", "verdict", "class"]
-    joined = table.groupby(same, sort=False, as_index=False)["id"].agg(" ".join)
-    joined["reason and file"] = joined["reason"] + " [" + joined["file"] + "]"
-    kinds = {"E": "misprints", "FW": "future work"}
-    first = joined["id"].str.extract(r"^(FW|E)")[0].map(kinds)
-    return joined.rename(columns={"id": "items"}).assign(
-        chapter=first.fillna(joined["source"].str.split().str[0])
-    )
+    rows = []
+    for values, part in table.groupby(same, sort=False):
+        row = dict(zip(same, values, strict=True))
+        first = str(part["id"].iloc[0])
+        lists = {"F": "future work", "E": "misprints", "C": str(row["source"]).split()[0]}
+        row |= {"items": " ".join(part["id"]), "chapter": lists[first[0]]}
+        rows.append(row | {"reason and file": f"{row['reason']} [{row['file']}]"})
+    return pd.DataFrame(rows)
 
 
 def write_light_sheet_page(

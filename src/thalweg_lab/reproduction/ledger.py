@@ -220,8 +220,8 @@ class Results:
 
     def _parts(self, ours: Ours) -> Found:
         names = ours.name.split(", ")
-        is_there = self.parts.get(ours.source, lambda _: False)
-        absent = [name for name in names if not is_there(name)]
+        is_there = self.parts.get(ours.source)
+        absent = [name for name in names if is_there is None or not is_there(name)]
         if absent:
             return Found(absent=f"no {ours.source} {' and '.join(absent)}")
         return Found(value="there", file=f"{ours.source} {ours.name}")
