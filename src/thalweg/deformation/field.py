@@ -132,6 +132,11 @@ class ErrorField:
             ),
         )
 
+    @property
+    def of_poses(self) -> tuple[ErrorGroup, ...]:
+        """The groups that are errors of poses and mounts, not of places."""
+        return tuple(group for group in self.groups if isinstance(group, ErrorGroup))
+
     def variances(self) -> ArrayF:
         """Variance (k,) of each product."""
         total = np.zeros(self.rows[0].shape[0])
