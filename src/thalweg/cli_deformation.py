@@ -444,7 +444,7 @@ def summarise_changes(folder: Path) -> int:
             print(f"  {row.what:<11}{volume}, on {row.area_m2:,.0f} m2")
         states = read_parquet(found / f"changes_{pair}.parquet")["state"].value_counts()
         print("  core points: " + ", ".join(f"{n:,} {state}" for state, n in states.items()))
-        for note in json.loads((found / f"changes_{pair}.json").read_text())["notes"]:
+        for note in json.loads((found / f"changes_{pair}.json").read_text()).get("notes", ()):
             print(f"  note: {note}")
         if facts["model"] != "none":
             moved = ", ".join(f"{facts['parameters'][f'{a}_m']:+.3f}" for a in ("east", "north", "up"))

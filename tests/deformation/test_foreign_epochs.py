@@ -144,6 +144,11 @@ def test_a_bed_brings_the_sigmas_of_its_kriging(tmp_path: Path) -> None:
     field = one.field(places, normals, index, radius_m=0.4, half_length_m=1.0)  # a cell each
     expected = np.hypot(sigma.ravel().astype(np.float32), np.float32(0.03))
     assert np.sqrt(field.variances()) == pytest.approx(expected, rel=0.05)  # cells of half a metre hold one
+    holed = bands | {"sigma_m": np.where(np.arange(sigma.size).reshape(sigma.shape) < 7, np.nan, sigma)}
+    write_raster(tmp_path / "holed.tif", grid, holed)
+    holed_epoch = prepared("first", dsm=str(tmp_path / "holed.tif"), correlation_m=4.0)
+    assert holed_epoch.notes == ("holed.tif: 7 cells without a standard deviation left out.",)
+    assert len(holed_epoch.xyz_m) == sigma.size - 7
     # the terrain model of bed and banks has other names for the same bands
     renamed = {name.removesuffix("_m"): band for name, band in bands.items()} | {"source": 0 * sigma}
     write_raster(tmp_path / "dtm.tif", grid, renamed, tags={"heights": "DHHN2016 height"})

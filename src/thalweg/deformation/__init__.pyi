@@ -32,11 +32,7 @@ from .epochs import (
     highest_water_m as highest_water_m,
     prepare_epoch as prepare_epoch,
 )
-from .field import (
-    ErrorField as ErrorField,
-    benjamini_hochberg as benjamini_hochberg,
-    pose_errors as pose_errors,
-)
+from .field import ErrorField as ErrorField, benjamini_hochberg as benjamini_hochberg
 from .foreign import (
     DISTANCES as DISTANCES,
     TEXT as TEXT,

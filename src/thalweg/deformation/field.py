@@ -161,6 +161,11 @@ class ErrorField:
             ),
         )
 
+    @property
+    def of_poses(self) -> tuple[ErrorGroup, ...]:
+        """The groups that are errors of poses and mounts, not of places."""
+        return tuple(group for group in self.groups if isinstance(group, ErrorGroup))
+
     def variances(self) -> ArrayF:
         """Variance (k,) of each product."""
         total = np.zeros(self.rows[0].shape[0])
@@ -192,11 +197,6 @@ class ErrorField:
         for group, rows in zip(self.groups, self.rows, strict=True):
             total += rows @ group.draw(rng)
         return total
-
-
-def pose_errors(groups: Sequence[SharedErrors]) -> tuple[ErrorGroup, ...]:
-    """Those of some groups that are errors of poses."""
-    return tuple(group for group in groups if isinstance(group, ErrorGroup))
 
 
 def joint_fields(fields: Sequence[ErrorField], *, common: str | None = None) -> list[ErrorField]:

@@ -410,6 +410,11 @@ def _of_dsm(dsm: Dsm, stated: Statement, frame: LocalFrame, crs: str, masks: Seq
         HeightErrors.of_bands(dsm, stated.correlation_m)
     out, words = _left_out(dsm.centres_m(), masks, path)
     keep = np.isfinite(dsm.height_m.ravel()) & ~out
+    if dsm.sigma_m is not None and stated.sigma_m is None:
+        unknown = keep & ~np.isfinite(dsm.sigma_m.ravel())
+        keep &= ~unknown
+        if unknown.any():
+            words.append(f"{path.name}: {int(unknown.sum()):,} cells without a standard deviation left out.")
     xyz = np.column_stack([dsm.centres_m(), dsm.height_m.ravel()])[keep]
     bands = [None if band is None else band.ravel()[keep] for band in (dsm.sigma_m, dsm.common_m)]
     return _placed(xyz, bands[0], bands[1], grid, heights, [*dsm.notes, *words, *notes], frame, crs, path)

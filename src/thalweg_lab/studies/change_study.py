@@ -28,7 +28,6 @@ from thalweg.deformation import (
     benjamini_hochberg,
     measure_pair,
     place_core_points,
-    pose_errors,
     prepare_epoch,
     register_pair,
     registered_distances,
@@ -168,9 +167,7 @@ def _mean(compared: Compared, sigma: ArrayF, factor: float, model: str, use: Arr
 def _with_times(compared: Compared, factor: float) -> Compared:
     """The same with other correlation times of the field."""
     field = compared.pair.field
-    groups = tuple(
-        replace(group, correlation_s=factor * group.correlation_s) for group in pose_errors(field.groups)
-    )
+    groups = tuple(replace(group, correlation_s=factor * group.correlation_s) for group in field.of_poses)
     pair = replace(compared.pair, field=ErrorField(groups, field.rows))
     return registered_distances(pair, compared.registration)
 
@@ -180,9 +177,9 @@ def _other_sigma(compared: Compared, model: str) -> ArrayF:
     pair: Pair = compared.pair
     total = np.zeros(len(pair.white_m))
     n = pair.found.n.astype(float)
-    half = len(pair.field.groups) // 2
+    half = len(pair.field.of_poses) // 2
     for i, part in enumerate((slice(0, half), slice(half, None))):
-        groups = tuple(group.alike() for group in pose_errors(pair.field.groups[part]))
+        groups = tuple(group.alike() for group in pair.field.of_poses[part])
         alike = ErrorField(groups, pair.field.rows[part]).variances()
         total += alike if model == "ep" else alike / np.maximum(n[:, i], 1.0)
     return np.sqrt(total + pair.white_m**2)
