@@ -182,7 +182,7 @@ def test_distances_beside_py4dgeo(tmp_path: Path, capsys: pytest.CaptureFixture[
         )
         print(
             f"  py4dgeo with error propagation (M3C2-EP) {each_ms['ep']:.2f} ms CPU a core point, Thalweg "
-            f"covariance {each_ms['ours']:.3f} ms: {each_ms['ep'] / each_ms['ours']:.0f} times"
+            f"with covariance {each_ms['ours']:.3f} ms: {each_ms['ep'] / each_ms['ours']:.0f} times"
         )
         print(f"  {np.mean(apart < 1e-6):.4%} of the distances agree within 1e-6 m")
     assert np.mean(apart < 1e-6) > 0.99
