@@ -1,5 +1,6 @@
 """Beds from tables of others, flow coordinates and plans by the command line."""
 
+import errno
 import json
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -198,6 +199,18 @@ def test_mistakes_are_told(
     )
     assert message in capsys.readouterr().err
     assert not (tmp_path / "o").exists()
+
+
+def test_a_full_disk_says_what_to_do(
+    river: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", str(tmp_path / "flow.csv"))
+
+    monkeypatch.setattr(pd.DataFrame, "to_csv", full)
+    words = [str(river / "bare.xyz"), "--centre-line", str(river / "centre.csv")]
+    assert main(["flow", *words, "--out", str(tmp_path / "flow.csv")]) == 2
+    assert "flow.csv: No space left on device. Make room there" in capsys.readouterr().err
 
 
 def test_an_island_is_no_bed(river: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

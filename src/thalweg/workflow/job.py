@@ -14,7 +14,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, get_args, get_origin, get_type_hints
 
-from thalweg.core import InputError, ThalwegError
+from thalweg.core import FULL, InputError, ThalwegError, file_trouble
 from thalweg.workflow.provenance import write_provenance
 from thalweg.workflow.truth import truth_closed
 
@@ -144,8 +144,11 @@ def _start_log(path: Path | None) -> None:
         """Traceback to the log, message to the people."""
         log.critical("job failed", exc_info=(kind, error, trace))
         # People see the message; the traceback is for whoever opens the log.
-        sys.stderr.write(f"\n{kind.__name__}: {error}\n" if isinstance(error, ThalwegError) else "")
-        if not isinstance(error, ThalwegError):
+        if isinstance(error, ThalwegError):
+            sys.stderr.write(f"\n{kind.__name__}: {error}\n")
+        elif isinstance(error, OSError) and error.errno in FULL:
+            sys.stderr.write(f"\n{file_trouble(error)}\n")
+        else:
             sys.__excepthook__(kind, error, trace)
         if path is not None:
             sys.stderr.write(f"The traceback is in {path}\n")
