@@ -21,7 +21,7 @@ from thalweg.cli_deformation import add_deformation_commands, summarise_changes
 from thalweg.cli_images import add_image_commands
 from thalweg.cli_results import add_result_commands
 from thalweg.cli_survey import add_survey_commands
-from thalweg.core import ConfigError, InputError, ThalwegError, to_terminal
+from thalweg.core import ConfigError, InputError, ThalwegError, file_trouble, to_terminal
 
 if TYPE_CHECKING:
     from thalweg.settings import Campaign
@@ -61,10 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 0
         sys.stdout.flush()
-        print(
-            f"{error.filename or 'a file'}: {error.strerror or error}. Check the path and its permissions.",
-            file=sys.stderr,
-        )
+        print(file_trouble(error), file=sys.stderr)
         return EXIT_MISTAKE
     return code
 

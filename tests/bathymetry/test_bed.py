@@ -585,6 +585,19 @@ def test_observations_of_a_table_keep_every_column(bed) -> None:
     np.testing.assert_array_equal(data.sigma_slow_m, bed.data["sigma_slow_m"])
 
 
+def test_soundings_outside_the_banks_are_counted_and_most_of_them_refused(survey) -> None:
+    line, banks, level, table = survey
+    # a bank line that was drawn too near cuts off the outermost soundings
+    near = replace(banks, table=banks.table.assign(n_m=banks.table["n_m"] * 0.7))
+    _, counts = bed_observations(table, line, near, level, None, bank_as_data=True)
+    s, n, _ = line.to_flow(table[["east_m", "north_m"]].to_numpy())
+    beyond = near.outside(s, n)
+    assert 0 < counts["outside the banks"] == beyond.sum() < 0.4 * len(table)
+    wrong = replace(banks, table=banks.table.assign(n_m=banks.table["n_m"] * 0.1))
+    with pytest.raises(InputError, match="soundings lie outside the banks"):
+        bed_observations(table, line, wrong, level, None, bank_as_data=True)
+
+
 # ---------------------------------------------------------------- soundings and beds of others
 
 

@@ -1,4 +1,4 @@
-"""Files of others: soundings as text and GeoJSON, reference beds as clouds, recordings of real boats."""
+"""Files that others made: soundings as text and GeoJSON, reference beds, recordings of real boats."""
 
 import datetime as dt
 import json

@@ -1,5 +1,6 @@
 """Beds from tables of others, flow coordinates and plans by the command line."""
 
+import errno
 import json
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -62,6 +63,8 @@ def river(tmp_path_factory: pytest.TempPathFactory) -> Path:
             }
         )
     )
+    high = [({"side": k}, [[*place, 100.0] for place in v]) for k, v in banks.items()]
+    write_lines(folder / "high.geojson", high)
     away = [({}, (np.array(v) + np.array([5000.0, 0.0])).tolist()) for v in banks.values()]
     write_lines(folder / "away.geojson", away)
     centre = pd.DataFrame(line.to_map(np.arange(20, 300, 4.0), 0.0), columns=["x", "y"])
@@ -176,6 +179,11 @@ BAD = {
     ),
     "no banks": (["--height", "h", "--banks", "soundings.csv"], "GeoJSON"),
     "one line": (["--height", "h", "--line", "same"], "1 line of soundings"),
+    "a depth in feet": (["--depth", "depth_ft"], "in feet"),
+    "level above the banks": (
+        ["--height", "h", "--level", "104.5", "--banks", "high.geojson"],
+        "4.5 m above",
+    ),
     "no such file": (["--height", "h", "--centre-line", "nothing.csv"], "no such file"),
 }
 
@@ -187,6 +195,7 @@ def test_mistakes_are_told(
     words, message = BAD[case]
     table = pd.read_csv(river / "soundings.csv").assign(same=1)
     table["minus"] = -table["depth"]
+    table["depth_ft"] = table["depth"] / 0.3048
     table.to_csv(tmp_path / "t.csv", index=False)
     words = [str(river / w) if "." in w and not w[0].isdigit() else w for w in words]
     crs = [] if "--crs" in words else ["--crs", CRS]
@@ -195,6 +204,18 @@ def test_mistakes_are_told(
     )
     assert message in capsys.readouterr().err
     assert not (tmp_path / "o").exists()
+
+
+def test_a_full_disk_says_what_to_do(
+    river: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", str(tmp_path / "flow.csv"))
+
+    monkeypatch.setattr(pd.DataFrame, "to_csv", full)
+    words = [str(river / "bare.xyz"), "--centre-line", str(river / "centre.csv")]
+    assert main(["flow", *words, "--out", str(tmp_path / "flow.csv")]) == 2
+    assert "flow.csv: No space left on device. Make room there" in capsys.readouterr().err
 
 
 def test_an_island_is_no_bed(river: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

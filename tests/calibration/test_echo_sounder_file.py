@@ -11,11 +11,12 @@ import pandas as pd
 import pytest
 from pyproj import CRS
 
+from thalweg.bathymetry import speed_of_sound_mps
 from thalweg.calibration import echo_sounder as files, resolve_mounts, write_mounts
 from thalweg.core import CoverageError, GeometryError, InputError, write_table
 from thalweg.core.calibration import read_calibration
 from thalweg.ingest import DEPTH
-from thalweg.settings.sections import Calibration
+from thalweg.settings.sections import Calibration, EchoSounder
 from thalweg_lab.studies.cone_runs import (
     LEVER_ANTENNA_M,
     SIGMA_RULER_M,
@@ -37,7 +38,15 @@ def depth_table(t_gps_s: np.ndarray, depth_m: np.ndarray, sentence: str = "DPT")
     return table[list(DEPTH.names)]
 
 
-def calibrated(folder: Path, repository: Path, run: EchoRun, *, up_m: float = 0.0) -> dict[str, Any]:
+def calibrated(
+    folder: Path,
+    repository: Path,
+    run: EchoRun,
+    *,
+    up_m: float = 0.0,
+    stated: EchoSounder | None = None,
+    logged_c: float | None = None,
+) -> dict[str, Any]:
     """Write a run as the pipeline's files, call the entry script, and give its report."""
     name = "calibrate_echo_sounder"
     spec = importlib.util.spec_from_file_location(name, repository / f"workflow/scripts/{name}.py")
@@ -49,6 +58,8 @@ def calibrated(folder: Path, repository: Path, run: EchoRun, *, up_m: float = 0.
     (folder / "bed.csv").write_text(f"east_m,north_m,h_ell_m,sigma_m\n{text}\n")
     both = [depth_table(run.t_gps_s, run.depth_m, s) for s in ("DPT", "DBT")]
     write_table(folder / "depths.parquet", pd.concat(both).sort_values("t_gps_s", kind="stable"), DEPTH)
+    details = {} if logged_c is None else {"water_temperature_c": logged_c}
+    (folder / "depth.integrity.json").write_text(json.dumps({"details": details}))
     run.trajectory.write(folder / "trajectory.parquet")
     ruler = {"lever_ics_m": run.ruler_m.tolist(), "sigma_lever_m": SIGMA_RULER_M.tolist()}
     antenna = {"lever_ics_m": LEVER_ANTENNA_M.tolist(), "sigma_lever_m": [0.0, 0.0, 0.0]}
@@ -56,6 +67,7 @@ def calibrated(folder: Path, repository: Path, run: EchoRun, *, up_m: float = 0.
     origin = {"lat_deg": frame.lat_deg, "lon_deg": frame.lon_deg, "h_ell_m": frame.h_ell_m}
     script.main(
         depths=folder / "depths.parquet",
+        integrity=folder / "depth.integrity.json",
         trajectory=folder / "trajectory.parquet",
         mounts=folder / "mounts.json",
         bed=[folder / "bed.csv"],
@@ -63,6 +75,7 @@ def calibrated(folder: Path, repository: Path, run: EchoRun, *, up_m: float = 0.
         report=folder / "echo_sounder.json",
         campaign={"id": "river", "origin": origin, "crs": "EPSG:25833"},
         settings=SETTINGS,
+        stated=stated or EchoSounder(),
         twin=True,
     )
     return json.loads((folder / "echo_sounder.json").read_text())
@@ -96,6 +109,22 @@ def test_the_calibration_holds_the_place_and_the_report_what_determined_it(
     lever, again = files.ruler_of(mounts["echo_sounder"])
     assert lever == pytest.approx(values)
     assert again == pytest.approx(cov)
+
+
+def test_speed_of_sound_and_latency_are_not_put_into_the_place(tmp_path: Path, repository: Path) -> None:
+    """An instrument that takes 1500 m/s in water of 12 degrees and stamps 0.2 s late is calibrated to the
+    same place as one without either; its lag is that against the stamps of the log."""
+    run = make_echo_run(1, EchoSpec(duration_s=240.0))
+    calibrated(tmp_path, repository, run)
+    plain = read_calibration(tmp_path / "echo_sounder.yaml")
+    factor = float(speed_of_sound_mps(12.0)) / 1500.0
+    late = replace(run, t_gps_s=run.t_gps_s + 0.2, depth_m=run.depth_m / factor)
+    stated = EchoSounder(set_sound_speed_mps=1500.0, latency_s=0.2)
+    calibrated(tmp_path, repository, late, stated=stated, logged_c=12.0)
+    found = read_calibration(tmp_path / "echo_sounder.yaml")
+    assert found.block("echo_sounder")[0] == pytest.approx(plain.block("echo_sounder")[0], abs=1e-3)
+    lags = [each.find("echo_sounder").facts["lag_s"] for each in (plain, found)]
+    assert lags[1] == pytest.approx(lags[0] - 0.2, abs=2e-3)
 
 
 def test_a_flat_bed_leaves_the_horizontal_place_to_the_ruler(tmp_path: Path, repository: Path) -> None:

@@ -206,9 +206,10 @@ rule calibrate_ins_lidar:
 
 
 rule calibrate_echo_sounder:
-    """Place of the echo sounder from soundings over a surveyed bed. The campaign goes on with its ruler's."""
+    """Place and lag of the echo sounder from soundings over a surveyed bed."""
     input:
         depths="results/{campaign}/ingest/depths.parquet",
+        integrity="results/{campaign}/ingest/depth.integrity.json",
         trajectory="results/{campaign}/orientation/trajectory.parquet",
         mounts="results/{campaign}/calibration/mounts.json",
         bed=raw("bed"),
@@ -230,6 +231,7 @@ rule calibrate_echo_sounder:
         code=code_version("calibrate_echo_sounder"),
         campaign=identity("id", "origin", "crs"),
         settings=of(CampaignFiles.echo_settings),
+        stated=section("echo_sounder"),
         twin=of(CampaignFiles.is_twin),
     script:
         "../scripts/calibrate_echo_sounder.py"

@@ -27,6 +27,7 @@ from thalweg.bathymetry.water import WaterLevel
 from thalweg.core import (
     NMAD,
     AnyArray,
+    ArrayB,
     ArrayF,
     CoverageError,
     GeometryError,
@@ -92,6 +93,11 @@ class Banks:
             inside = (s >= place[0]) & (s <= place[-1]) & near
             out.append(np.where(inside, np.interp(s, place, n), np.nan))
         return out[0], out[1]
+
+    def outside(self, s_m: ArrayF, n_m: ArrayF) -> ArrayB:
+        """Which flow coordinates (n,) lie behind a shore; none where there is none."""
+        left, right = self.half_widths_m(s_m)
+        return np.asarray((n_m > left) | (n_m < -right))
 
     def write(self, path: Path) -> None:
         """As CSV, places in wcs."""

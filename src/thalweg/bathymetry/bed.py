@@ -15,7 +15,17 @@ from thalweg.bathymetry.kriging import Observations, krige_by_pykrige
 from thalweg.bathymetry.soundings import with_bed_normals
 from thalweg.bathymetry.variogram import SHEET_LINE, BedModel, HalfWidths, choose_model
 from thalweg.bathymetry.water import WaterLevel
-from thalweg.core import ArrayB, ArrayF, CoverageError, Grid, LocalFrame, column, frame_of, table_kind
+from thalweg.core import (
+    ArrayB,
+    ArrayF,
+    CoverageError,
+    Grid,
+    InputError,
+    LocalFrame,
+    column,
+    frame_of,
+    table_kind,
+)
 from thalweg.settings.sections import Bathymetry, EchoSounder
 from thalweg.surface import Area
 
@@ -42,6 +52,8 @@ BANDS: Final = ("height_m", "sigma_m", "sigma_common_m", "distance_m")
 """Bands of ``bed.tif``: ellipsoidal height; standard deviation without and with what all data share only;
 distance to the nearest datum."""
 
+_ALONE: Final = 0.5
+"""A larger share of soundings outside the banks is a mistake of the banks."""
 _PIECE_M: Final = 0.25
 """Points of a light-sheet image within this are one datum."""
 _RELIEF_M: Final = 0.01
@@ -128,6 +140,7 @@ def bed_observations(
     Raises
     ------
     CoverageError : no sounding is left.
+    InputError : most of them lie outside the banks.
     """
     used = soundings[soundings["used"]]
     s, n, fold = line.to_flow(used[["east_m", "north_m"]].to_numpy(np.float64))
@@ -159,6 +172,15 @@ def bed_observations(
             f"none of {len(used)} soundings lies beside the centre line",
             expected="soundings along the river",
             cure="Look at bathymetry/centre_line.csv",
+        )
+    outside = banks.outside(s, n) & ~fold if len(banks.table) else np.zeros(len(s), dtype=np.bool_)
+    counts["outside the banks"] = int(outside.sum())
+    if outside.sum() > _ALONE * counts["soundings"]:
+        raise InputError(
+            f"{outside.sum()} of {counts['soundings']} soundings lie outside the banks",
+            expected="soundings between the banks",
+            where="bathymetry/banks.csv",
+            cure="Look at logs.bank_lines and their coordinate system; islands of the cloud are no bank",
         )
     if others is not None and len(others):
         first = int(used["line"].max()) + 1

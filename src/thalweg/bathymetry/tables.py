@@ -5,6 +5,7 @@ lines of soundings (sections, zigzag), or along the longest of them where they r
 """
 
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +27,6 @@ from thalweg.bathymetry.flow import FlowLine
 from thalweg.bathymetry.validation import by_distance, measures, validate_bed
 from thalweg.bathymetry.variogram import HalfWidths, choose_model
 from thalweg.core import (
-    ArrayB,
     ArrayF,
     ArrayI,
     Grid,
@@ -40,6 +40,10 @@ from thalweg.core import (
 )
 from thalweg.settings.sections import Bathymetry
 
+_FEET: Final = re.compile(r"(^|[_ (\[])(ft|foot|feet)\b", re.IGNORECASE)
+"""Names of columns that are not in metres."""
+_DROWNED_M: Final = 0.5
+"""Bank lines stand at the water's edge: heights this far below the level are those of another water."""
 _NAMES: Final = (
     ("east_m", "north_m"),
     ("east", "north"),
@@ -287,6 +291,13 @@ def read_soundings(
     if missing:
         raise InputError(
             f"no column {', '.join(sorted(missing))}", where=path, expected=", ".join(map(str, table.columns))
+        )
+    if _FEET.search(column):
+        raise InputError(
+            f"column {column}, by its name in feet",
+            where=path,
+            expected="metres",
+            cure="Multiply it by 0.3048 and name it otherwise",
         )
     value = pd.to_numeric(table[column], errors="coerce").to_numpy(np.float64)
     own = next((n for n in ("sigma_m", "sigma") if n in table), None)
@@ -552,7 +563,7 @@ def read_bank_lines(
                 "n_m": n,
                 "east_m": dense[:, 0],
                 "north_m": dense[:, 1],
-                "up_m": level_m if level_m is not None else dense[:, 2] if dense.shape[1] > 2 else np.nan,
+                "up_m": dense[:, 2] if dense.shape[1] > 2 else np.nan,
                 "sigma_across_m": _SIGMA_BANK_M,
                 "seen": True,
             }
@@ -577,7 +588,15 @@ def read_bank_lines(
     # heights of zero everywhere are how 2D lines are written in 3D
     data = table[np.isfinite(table["up_m"])] if table["up_m"].fillna(0).abs().max() > 0 else table[:0]
     if level_m is not None:
-        data = table
+        above = level_m - float(data["up_m"].median()) if len(data) else 0.0
+        if above > _DROWNED_M:
+            raise InputError(
+                f"the level of {level_m:g} m lies {above:.1f} m above the bank lines",
+                where=path,
+                expected="bank lines at the edge of that water",
+                cure="Look at --level, or leave it out: then the heights of the banks count",
+            )
+        data = table.assign(up_m=level_m)
     banks = Banks(table=_at_stations(table), line=line)
     return banks, data.assign(sigma_m=_STEEP * data["sigma_across_m"])
 
@@ -765,7 +784,7 @@ def bed_of_table(
             expected="a centre line along all of them",
             cure="Look at --centre-line, --banks and --crs",
         )
-    outside = _outside(banks, s, n) & ~fold if banks is not None else np.zeros(len(s), dtype=np.bool_)
+    outside = banks[0].outside(s, n) & ~fold if banks is not None else np.zeros(len(s), dtype=np.bool_)
     if outside.mean() > _ALONE:
         raise InputError(
             f"{outside.mean():.0%} of the soundings lie outside the banks",
@@ -911,11 +930,6 @@ def _reference_points(path: Path, crs: CRS, settings: Bathymetry) -> tuple[Array
     value = pd.to_numeric(table[settings.table.column], errors="coerce").to_numpy(np.float64)
     known = np.isfinite(value) & np.isfinite(places).all(axis=1)
     return places[known], value[known]
-
-
-def _outside(banks: tuple[Banks, Any], s: ArrayF, n: ArrayF) -> ArrayB:
-    left, right = banks[0].half_widths_m(s)
-    return np.asarray((n > left) | (n < -right))
 
 
 def _observations(

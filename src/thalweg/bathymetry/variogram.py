@@ -34,7 +34,7 @@ HalfWidths = Callable[[ArrayLike], tuple[ArrayF, ArrayF]]
 
 DRIFTS: Final = ("none", "section", "section_width", "fall")
 _WIDTHS: Final = 60
-_WIDEST_GAP: Final = 0.2
+_WIDEST_GAP: Final = 0.25
 """A mean cross-section is only taken where data lie across the whole width; in half widths. No sounding
 judges the curve in a gap: with gaps of 0.35 beside the banks, beds of the twin erred by twice their sigma."""
 _DEGREE: Final = 4

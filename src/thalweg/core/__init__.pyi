@@ -42,6 +42,7 @@ from .documents import (
     wrong as wrong,
 )
 from .errors import (
+    FULL as FULL,
     ClockError as ClockError,
     ConfigError as ConfigError,
     CoverageError as CoverageError,
@@ -49,6 +50,7 @@ from .errors import (
     InputError as InputError,
     ThalwegError as ThalwegError,
     UnsupportedError as UnsupportedError,
+    file_trouble as file_trouble,
 )
 from .files import (
     UNFINISHED as UNFINISHED,

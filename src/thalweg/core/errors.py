@@ -4,7 +4,12 @@ Every message answers four questions in the same order: where, what was found, w
 what to do about it.
 """
 
+import errno
 from pathlib import Path
+from typing import Final
+
+FULL: Final = frozenset({errno.ENOSPC, errno.EDQUOT})
+"""What the system says of a disk without room."""
 
 
 class ThalwegError(Exception):
@@ -54,3 +59,13 @@ class ConfigError(ThalwegError):
 
 class CoverageError(ThalwegError):
     """Data are asked for outside the time span or area in which they exist."""
+
+
+def file_trouble(error: OSError) -> str:
+    """What the system says of a file, with the file and what to do, as a sentence for people."""
+    cure = (
+        "Make room there, or write to another disk"
+        if error.errno in FULL
+        else "Check the path and its permissions"
+    )
+    return f"{error.filename or 'a file'}: {error.strerror or error}. {cure}."
