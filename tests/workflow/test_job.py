@@ -113,22 +113,6 @@ raise InputError("17 bytes", expected="1206", where="a.pcap, packet 3", cure="Cu
     assert "Traceback" in (tmp_path / "job.log").read_text()
 
 
-def test_a_full_disk_is_no_traceback(tmp_path: Path) -> None:
-    """/dev/full takes nothing, as a full disk does: people read what is missing, the log keeps the cause."""
-    code = f"""
-from pathlib import Path
-from thalweg.workflow import job
-job._start_log(Path({str(tmp_path / "job.log")!r}))
-with open("/dev/full", "w") as file:
-    file.write("x")
-"""
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert run.returncode == 1
-    assert "No space left on device. Make room there, or write to another disk." in run.stderr
-    assert "Traceback (most" not in run.stderr
-    assert "Traceback (most" in (tmp_path / "job.log").read_text()
-
-
 def test_scripts_can_be_imported_without_snakemake(repository: Path) -> None:
     scripts = sorted((repository / "workflow" / "scripts").glob("*.py"))
     for script in scripts:

@@ -42,7 +42,6 @@ from .documents import (
     wrong as wrong,
 )
 from .errors import (
-    FULL as FULL,
     ClockError as ClockError,
     ConfigError as ConfigError,
     CoverageError as CoverageError,
