@@ -551,7 +551,7 @@ def test_a_light_sheet_that_contradicts_the_soundings_is_left_out(survey) -> Non
             strip,
             frame=FRAME,
             crs=UTM,
-            echo=EchoSounder(beam_deg=0.0),
+            echo=EchoSounder(),
             settings=Bathymetry(cell_m=2.0, model="matern32", drift="none"),
             slow_time_s=10.0,
             seed=1,

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from pyproj import CRS
 
@@ -49,8 +50,9 @@ def main(
         notes.append(str(error))
     along = long_profile(sections)
     along.to_csv(profile, index=False, float_format="%.4f")
+    weir_s_m = None if fusion.weir is None else float(river.flow.to_flow(np.array([fusion.weir]))[0][0])
     try:
-        by_width = depths_along(along)
+        by_width = depths_along(along, weir_s_m=weir_s_m)
     except CoverageError as error:  # a short reach tells nothing of it
         by_width = {"not_told": str(error)}
     lengths = json.loads(variogram.read_text())["facts"]["error correlation_m"]

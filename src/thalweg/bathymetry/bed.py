@@ -347,6 +347,7 @@ def _against_soundings(
     off = above / np.sqrt(sigma**2 + model.own_variance(there) + shared**2)
     apart = bool(abs(np.median(off)) > _APART)
     return {
+        "light sheet": int(sheet.sum()),
         "light sheet above the soundings_m": float(np.median(above)),
         "light sheet above the soundings, sigmas": float(np.median(off)),
         "light sheet left out": int(sheet.sum()) if apart else 0,

@@ -132,6 +132,11 @@ class Fusion(Section):
         description="Distance over which errors of the model fall to 1/e, besides the common part, metres; "
         "null: as the kriging of the bed says, for areas and across the river apart",
     )
+    weir: Corner | None = Field(
+        default=None,
+        description="East, north of the middle of a weir at the lower end, local frame, metres: is the river "
+        "deeper before it? null: there is none",
+    )
     contour_m: Positive = Field(default=0.25, le=100, description="Interval of contours, metres")
     sections: SectionSettings = Field(default=SectionSettings(), description="Cross sections")
     mesh: MeshSettings = Field(default=MeshSettings(), description="Triangles for hydraulic models")
