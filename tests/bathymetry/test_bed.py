@@ -23,6 +23,7 @@ from thalweg.bathymetry import (
     bed_observations,
     choose_model,
     directional_variogram,
+    error_lengths,
     flow_of_survey,
     krige_bed,
     level_water,
@@ -550,7 +551,7 @@ def test_a_light_sheet_that_contradicts_the_soundings_is_left_out(survey) -> Non
             strip,
             frame=FRAME,
             crs=UTM,
-            echo=EchoSounder(beam_deg=0.0),
+            echo=EchoSounder(),
             settings=Bathymetry(cell_m=2.0, model="matern32", drift="none"),
             slow_time_s=10.0,
             seed=1,
@@ -576,6 +577,46 @@ def test_a_light_sheet_that_contradicts_the_soundings_is_left_out(survey) -> Non
     assert wrong.facts["light sheet above the soundings_m"] == pytest.approx(0.3, abs=0.03)
     np.testing.assert_array_equal(wrong.up_m, without.up_m)
     assert not np.array_equal(right.up_m, without.up_m, equal_nan=True)
+
+
+def test_lengths_over_which_errors_are_alike_give_the_sigma_of_a_mean() -> None:
+    """Mean error over the river, and over cross-sections, of 60 fields: normalised squares."""
+    true = CovarianceModel(kind="exponential", sill_m2=0.09, range_s_m=60.0, range_n_m=8.0)
+    model = BedModel(drift=Drift(kind="none"), covariance=true, compared={}, reason="")
+    line = np.repeat(np.arange(6), 25)
+    known = np.column_stack([20.0 * line, np.tile(np.linspace(-11, 11, 25), 6)])
+    cells = np.stack(np.meshgrid(np.arange(2.0, 100.0, 4.0), np.linspace(-11, 11, 15)), -1).reshape(-1, 2)
+    places = np.vstack([known, cells])
+    h = np.hypot(
+        (places[:, None, 0] - places[None, :, 0]) / 60, (places[:, None, 1] - places[None, :, 1]) / 8
+    )
+    root = np.linalg.cholesky(0.09 * np.exp(-3 * h) + 1e-9 * np.eye(len(h)))
+    rng, squares, of_sections = np.random.default_rng(12), [], []
+    for _ in range(60):
+        z = root @ rng.standard_normal(len(places))
+        data = Observations(
+            s_m=known[:, 0],
+            n_m=known[:, 1],
+            height_m=z[:150] + 0.02 * rng.standard_normal(150),
+            sigma_white_m=np.full(150, 0.02),
+            sigma_slow_m=np.zeros(150),
+            t_s=np.full(150, np.nan),
+            line=line,
+        )
+        height, sigma = model.predict(data, cells, neighbours=48)
+        if not squares:
+            lengths = error_lengths(model, data, cells)
+            apart = np.linalg.norm(cells[:, None] - cells[None], axis=-1)
+            alike = [np.exp(-apart / lengths[name]) for name in ("area", "section")]
+        error = height - z[150:]
+        squares.append(error.sum() ** 2 / (sigma @ alike[0] @ sigma))
+        for s in (10.0, 50.0, 90.0):
+            of = cells[:, 0] == s
+            cross = sigma[of] @ alike[1][np.ix_(of, of)] @ sigma[of]
+            of_sections.append(error[of].sum() ** 2 / cross)
+    assert 0.2 < lengths["section"] < lengths["area"] < 20.0
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.4)  # 60 values
+    assert np.mean(of_sections) == pytest.approx(1.0, abs=0.3)
 
 
 def test_observations_of_a_table_keep_every_column(bed) -> None:

@@ -13,6 +13,7 @@ from thalweg.bathymetry.kriging import (
     KINDS,
     CovarianceModel,
     Observations,
+    error_covariance,
     fit_drift,
     krige,
     krige_by_pykrige,
@@ -150,6 +151,31 @@ def test_any_number_of_threads_gives_the_same_bytes() -> None:
         found.add(done.stdout.strip())
     assert len(found) == 1
     assert len(found.pop()) == 64
+
+
+def test_covariance_of_errors_is_that_of_one_system_and_of_simulated_errors() -> None:
+    """Its diagonal is kriging's variance; sums of errors of drawn fields have the variance that it says."""
+    data, of = observed(60, slow=0.03), model(slow_time_s=10.0)
+    cells = CELLS[::4]
+    g = (1.0 + 0.02 * np.abs(data.n_m), 1.0 + 0.02 * np.abs(cells[:, 1]))
+    cov = error_covariance(data, cells, of, roughness=g)
+    np.testing.assert_allclose(np.diag(cov), krige_dense(data, cells, of, roughness=g)[1] ** 2, atol=1e-9)
+    # drawn from the model: field at data and cells, noise, errors that last
+    places = np.vstack([data.places_m, cells])
+    h = np.hypot(
+        (places[:, None, 0] - places[None, :, 0]) / 50.0, (places[:, None, 1] - places[None, :, 1]) / 8.0
+    )
+    field = np.outer(np.concatenate(g), np.concatenate(g)) * 0.4 * np.exp(-3 * h)
+    lasting = 0.03**2 * np.exp(-np.abs(data.t_s[:, None] - data.t_s[None]) / 10.0)
+    rng, n = np.random.default_rng(8), len(data)
+    drawn = rng.multivariate_normal(np.zeros(len(places)), field, 300, method="eigh")
+    errors = drawn[:, :n] + rng.multivariate_normal(np.zeros(n), lasting, 300, method="eigh")
+    errors += np.sqrt(data.sigma_white_m**2 + 1e-4 * g[0] ** 2) * rng.standard_normal((300, n))
+    sums = [
+        (krige_dense(data.lifted(z), cells, of, roughness=g)[0] - true).sum()
+        for z, true in zip(errors, drawn[:, n:], strict=True)
+    ]
+    assert np.mean(np.square(sums)) / cov.sum() == pytest.approx(1.0, abs=0.25)
 
 
 def test_limits_of_lines_and_octants_are_kept() -> None:

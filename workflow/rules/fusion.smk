@@ -38,6 +38,7 @@ rule measure_river:
         dtm="results/{campaign}/fusion/dtm.tif",
         banks="results/{campaign}/bathymetry/banks.csv",
         line="results/{campaign}/bathymetry/centre_line.csv",
+        variogram="results/{campaign}/bathymetry/variogram.json",
     output:
         profile="results/{campaign}/fusion/profile.csv",
         hydraulics="results/{campaign}/fusion/hydraulics.csv",

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from pyproj import CRS
 
@@ -29,6 +30,7 @@ def main(
     dtm: Path,
     banks: Path,
     line: Path,
+    variogram: Path,
     profile: Path,
     hydraulics: Path,
     volumes: Path,
@@ -48,14 +50,18 @@ def main(
         notes.append(str(error))
     along = long_profile(sections)
     along.to_csv(profile, index=False, float_format="%.4f")
+    weir_s_m = None if fusion.weir is None else float(river.flow.to_flow(np.array([fusion.weir]))[0][0])
     try:
-        by_width = depths_along(along)
+        by_width = depths_along(along, weir_s_m=weir_s_m)
     except CoverageError as error:  # a short reach tells nothing of it
         by_width = {"not_told": str(error)}
-    tables = [hydraulic_table(section, fusion) for section in sections]
+    lengths = json.loads(variogram.read_text())["facts"]["error correlation_m"]
+    tables = [hydraulic_table(section, fusion, correlation_m=lengths["section"]) for section in sections]
     (pd.concat(tables) if tables else pd.DataFrame()).to_csv(hydraulics, index=False, float_format="%.4f")
-    inside, water = water_of(model, river, fusion)
-    hypsometry(model, inside, fusion).to_csv(volumes, index=False, float_format="%.4f")
+    inside, water = water_of(model, river, fusion, correlation_m=lengths["area"])
+    hypsometry(model, inside, fusion, correlation_m=lengths["area"]).to_csv(
+        volumes, index=False, float_format="%.4f"
+    )
     found = export_river(exports, model, river, sections, fusion)
     facts.write_text(
         json.dumps(

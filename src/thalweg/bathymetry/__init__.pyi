@@ -12,6 +12,7 @@ from .bed import (
     OBSERVATIONS as OBSERVATIONS,
     Bed as Bed,
     bed_observations as bed_observations,
+    error_lengths as error_lengths,
     krige_bed as krige_bed,
     observations_of as observations_of,
 )

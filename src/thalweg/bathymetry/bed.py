@@ -7,7 +7,9 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 from pyproj import CRS
+from scipy.optimize import brentq
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from thalweg.bathymetry.banks import Banks, bank_observations
 from thalweg.bathymetry.flow import FlowLine
@@ -58,6 +60,13 @@ _PIECE_M: Final = 0.25
 """Points of a light-sheet image within this are one datum."""
 _RELIEF_M: Final = 0.01
 """Floor of the noise of such a datum: grains of the bed."""
+_WINDOWS: Final = 16
+"""Places about which the covariance of the errors is looked at, with so many cells, data, and points of a
+cross-section:"""
+_WINDOW_CELLS: Final = 120
+_WINDOW_DATA: Final = 300
+_SECTION: Final = 40
+_LENGTHS_M: Final = (0.05, 1000.0)
 _APART: Final = 5.0
 """Light-sheet data whose median lies so many standard deviations off the bed of the soundings are of another
 bed, or one of both is wrong: they are left out."""
@@ -360,6 +369,7 @@ def _against_soundings(
     off = above / np.sqrt(sigma**2 + model.own_variance(there) + shared**2)
     apart = bool(abs(np.median(off)) > _APART)
     return {
+        "light sheet": int(sheet.sum()),
         "light sheet above the soundings_m": float(np.median(above)),
         "light sheet above the soundings, sigmas": float(np.median(off)),
         "light sheet left out": int(sheet.sum()) if apart else 0,
@@ -409,6 +419,7 @@ def gridded(
         "cells too far from data": int((far & inside).sum()),
         "median sigma_m": float(np.nanmedian(sigma)),
         "median sigma_common_m": float(np.nanmedian(common)),
+        "error correlation_m": error_lengths(model, data, flow[np.isfinite(height)]),
     }
     return Bed(
         grid=grid,
@@ -420,6 +431,68 @@ def gridded(
         data=table,
         facts=facts,
     )
+
+
+def error_lengths(
+    model: BedModel, data: Observations, flow: ArrayF, *, seed: int = 0
+) -> dict[str, float | None]:
+    """Over which distance errors of the bed fall to 1/e, for sums over areas and along cross-sections.
+
+    The covariance of the errors of kriging is that of the field given the data: between two lines of
+    soundings errors are alike, beyond a line they are not. For an area (cells within two spacings of lines
+    along the river, or its width) and for cross-sections, the length is the one with which
+    ``sum sigma_i sigma_j exp(-d_ij / length)`` is the sum of all covariances.
+
+    Parameters
+    ----------
+    model, data : of the bed.
+    flow : (m, 2) flow coordinates of its cells.
+    seed : of the choice of cells.
+
+    Returns
+    -------
+    lengths : ``area`` and ``section``, metres; None where too few data lie about the cells.
+    """
+    rng = np.random.default_rng(seed)
+    lines = max(len(np.unique(data.line[data.line >= 0])), 1)
+    width = float(np.ptp(flow[:, 1]))
+    reach = max(2 * float(np.ptp(flow[:, 0])) / lines, width)
+    parts: dict[str, list[tuple[ArrayF, ArrayF]]] = {"area": [], "section": []}
+    for k in rng.choice(len(flow), min(_WINDOWS, len(flow)), replace=False).tolist():
+        apart = np.abs(flow[:, 0] - flow[k, 0])
+        use = np.flatnonzero(np.abs(data.s_m - flow[k, 0]) <= 2 * reach)
+        rest = data.where(use[:: max(1, -(-len(use) // _WINDOW_DATA))])
+        near = np.flatnonzero(apart <= reach)
+        if len(rest) < 4 or len(near) < 4:
+            continue
+        across = flow[near, 1]
+        section = np.column_stack(
+            [np.full(_SECTION, flow[k, 0]), np.linspace(across.min(), across.max(), _SECTION)]
+        )
+        area = flow[np.sort(rng.choice(near, min(_WINDOW_CELLS, len(near)), replace=False))]
+        for name, cells in (("area", area), ("section", section)):
+            parts[name].append((model.error_covariance(rest, cells), cdist(cells, cells)))
+    return {name: _length_of(of) for name, of in parts.items()}
+
+
+def _length_of(parts: list[tuple[ArrayF, ArrayF]]) -> float | None:
+    """Length with which exponential correlations have the same sum as covariances at distances."""
+    if not parts:
+        return None
+    total = sum(float(cov.sum()) for cov, _ in parts)
+    sigmas = [np.sqrt(np.maximum(np.diag(cov), 0.0)) for cov, _ in parts]
+
+    def beyond(log_length: float) -> float:
+        """Sum with a length less the sum of covariances."""
+        length = np.exp(log_length)
+        return (
+            sum(float(s @ np.exp(-d / length) @ s) for s, (_, d) in zip(sigmas, parts, strict=True)) - total
+        )
+
+    low, high = np.log(_LENGTHS_M)
+    if beyond(low) >= 0:
+        return float(_LENGTHS_M[0])
+    return float(np.exp(brentq(beyond, low, high))) if beyond(high) > 0 else float(_LENGTHS_M[1])
 
 
 def _solved(

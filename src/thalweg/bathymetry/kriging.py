@@ -444,6 +444,36 @@ def krige_dense(
     return np.concatenate(height), np.sqrt(np.maximum(np.concatenate(variance), 0.0))
 
 
+def error_covariance(
+    observations: Observations,
+    places_m: ArrayF,
+    model: CovarianceModel,
+    *,
+    roughness: tuple[ArrayF, ArrayF] | None = None,
+    drift: tuple[ArrayF, ArrayF, ArrayF] | None = None,
+) -> ArrayF:
+    """Covariance (m, m) of the errors of kriging with all observations in one system.
+
+    Parameters
+    ----------
+    observations, places_m, model, roughness, drift : as of `krige`, but for the mean, which is the same
+        everywhere.
+    """
+    g, g_there = roughness or (np.ones(len(observations)), np.ones(len(places_m)))
+    points, cells = model.scaled(observations.places_m), model.scaled(places_m)
+    factor = cho_factor(_covariance(observations, model, g), lower=True)
+    c0 = np.outer(g, g_there) * model.sill_m2 * model.correlation(cdist(points, cells))
+    weights, of_mean = cho_solve(factor, c0), cho_solve(factor, np.ones(len(points)))
+    rest = 1 - c0.T @ of_mean
+    cov = np.outer(g_there, g_there) * model.sill_m2 * model.correlation(cdist(cells, cells))
+    cov += np.outer(rest, rest) / of_mean.sum() - c0.T @ weights
+    if drift is not None:
+        functions, functions_there, cov_drift = drift
+        d = functions_there - (weights + np.outer(of_mean, rest) / of_mean.sum()).T @ functions
+        cov += d @ cov_drift @ d.T
+    return np.asarray((cov + cov.T) / 2)
+
+
 def krige_by_pykrige(
     observations: Observations, places_m: ArrayF, model: CovarianceModel
 ) -> tuple[ArrayF, ArrayF]:

@@ -25,7 +25,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 
-from thalweg.bathymetry.kriging import KINDS, CovarianceModel, Observations, fit_drift, krige
+from thalweg.bathymetry.kriging import (
+    KINDS,
+    CovarianceModel,
+    Observations,
+    error_covariance,
+    fit_drift,
+    krige,
+)
 from thalweg.core import ArrayF, ArrayI, GeometryError
 from thalweg.settings.sections import Bathymetry
 
@@ -236,6 +243,17 @@ class BedModel:
             of_line=self.of_line,
         )
         return height + self.drift.at(there), sigma
+
+    def error_covariance(self, data: Observations, places_m: ArrayF) -> ArrayF:
+        """Covariance (m, m) of the errors of what `predict` says with all data as neighbours."""
+        functions = (self.drift.functions(data.places_m), self.drift.functions(places_m))
+        return error_covariance(
+            data,
+            places_m,
+            self.covariance,
+            roughness=(self.roughness(data.places_m), self.roughness(places_m)),
+            drift=(*functions, np.array(self.drift.cov)) if self.drift.cov else None,
+        )
 
     def own_variance(self, there: Observations) -> ArrayF:
         """What sounded heights (n,) have of their own, besides the bed's: errors and small relief."""

@@ -15,7 +15,7 @@ import pandas as pd
 
 from thalweg.core import ArrayB, ArrayF, InputError, ThalwegError
 from thalweg.fusion.dtm import Dtm, cells_inside
-from thalweg.fusion.measures import Section, volume_below
+from thalweg.fusion.measures import UNTOLD_LENGTH_M, Section, volume_below
 from thalweg.fusion.mesh import mesh_river, write_2dm, write_selafin, write_ugrid
 from thalweg.fusion.river import River
 from thalweg.settings.sections import Fusion
@@ -87,12 +87,23 @@ def export_river(
     return facts | {"written": sorted(path.name for path in folder.iterdir())}
 
 
-def water_of(model: Dtm, river: River, settings: Fusion) -> tuple[ArrayB, dict[str, float]]:
-    """Cells (rows, columns) inside the water line, and volume and area of the water with its sigma."""
+def water_of(
+    model: Dtm, river: River, settings: Fusion, *, correlation_m: float | None = None
+) -> tuple[ArrayB, dict[str, float]]:
+    """Cells (rows, columns) inside the water line, and volume and area of the water with its sigma.
+
+    Parameters
+    ----------
+    model, river : what is measured.
+    settings : length of correlation of errors, if it is stated.
+    correlation_m : that of the bed over an area; None: 5 m.
+    """
     inside = cells_inside(river.outline_m(), model.corner_m, model.cell_m, model.height_m.shape)
     level = np.full(model.height_m.shape, np.nan)
     level[inside] = river.level_m(river.to_flow(model.centres_m()[inside])[0])
-    volume, sigma, area = volume_below(model, level, inside, settings.correlation_m)
+    volume, sigma, area = volume_below(
+        model, level, inside, settings.correlation_m or correlation_m or UNTOLD_LENGTH_M
+    )
     empty = inside & ~np.isfinite(model.height_m)
     return inside, {
         "volume_m3": volume,

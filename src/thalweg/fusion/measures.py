@@ -23,6 +23,8 @@ from thalweg.settings.sections import Fusion
 _FADED: Final = 9.0
 """Errors so many lengths of correlation apart share nothing (1e-4)."""
 _TILE: Final = 512
+UNTOLD_LENGTH_M: Final = 5.0
+"""Correlation of errors where neither the settings nor the bed say one."""
 _FEWEST_SECTIONS: Final = 8
 WIDE: Final = float(norm.isf(0.025))
 """Standard deviations of a 95 % band to either side."""
@@ -121,8 +123,16 @@ def correlated_sigma(
     return float(np.sqrt(own @ rho @ own + (weights @ common) ** 2))
 
 
-def hydraulic_table(section: Section, settings: Fusion) -> pd.DataFrame:
+def hydraulic_table(
+    section: Section, settings: Fusion, *, correlation_m: float | None = None
+) -> pd.DataFrame:
     """Area, wetted perimeter and hydraulic radius at levels from the thalweg to the lower bank top.
+
+    Parameters
+    ----------
+    section : see there.
+    settings : levels, and the length of correlation if it is stated.
+    correlation_m : that of the bed across the river; None: 5 m.
 
     Returns
     -------
@@ -134,15 +144,13 @@ def hydraulic_table(section: Section, settings: Fusion) -> pd.DataFrame:
     sigma, common = section.sigma_m[known], section.sigma_common_m[known]
     middle = int(np.argmin(np.where((n >= section.right_m) & (n <= section.left_m), z, np.inf)))
     top = min(float(z[: middle + 1].max()), float(z[middle:].max()))
-    rows = []
+    rows, length = [], settings.correlation_m or correlation_m or UNTOLD_LENGTH_M
     for level in np.linspace(z[middle], top, settings.sections.levels + 1)[1:]:
         # only water that is connected with the thalweg
         a = middle - int(np.argmax(z[middle::-1] >= level)) if (z[: middle + 1] >= level).any() else 0
         b = middle + int(np.argmax(z[middle:] >= level)) if (z[middle:] >= level).any() else len(n) - 1
         area, perimeter, width, weights = _wetted(n[a : b + 1], z[a : b + 1], float(level))
-        spread = correlated_sigma(
-            weights, sigma[a : b + 1], common[a : b + 1], n[a : b + 1], settings.correlation_m
-        )
+        spread = correlated_sigma(weights, sigma[a : b + 1], common[a : b + 1], n[a : b + 1], length)
         radius, of_radius = area / perimeter, spread / perimeter
         rows.append(
             {
@@ -321,8 +329,16 @@ def _convolved(own: ArrayF, cell_m: float, correlation_m: float) -> float:
     return total
 
 
-def hypsometry(model: Dtm, inside: ArrayB, settings: Fusion) -> pd.DataFrame:
+def hypsometry(
+    model: Dtm, inside: ArrayB, settings: Fusion, *, correlation_m: float | None = None
+) -> pd.DataFrame:
     """Wet area and volume below levels from the lowest to the highest cell inside.
+
+    Parameters
+    ----------
+    model, inside : terrain, and cells (rows, columns) that count.
+    settings : levels, and the length of correlation if it is stated.
+    correlation_m : that of the bed over an area; None: 5 m.
 
     Raises
     ------
@@ -332,9 +348,9 @@ def hypsometry(model: Dtm, inside: ArrayB, settings: Fusion) -> pd.DataFrame:
     if not known.any():
         raise CoverageError("no cell has a height there", expected="a model that covers the water line")
     low, high = float(model.height_m[known].min()), float(model.height_m[known].max())
-    rows = []
+    rows, length = [], settings.correlation_m or correlation_m or UNTOLD_LENGTH_M
     for level in np.linspace(low, high, settings.sections.levels):
-        volume, sigma, area = volume_below(model, float(level), known, settings.correlation_m)
+        volume, sigma, area = volume_below(model, float(level), known, length)
         rows.append(
             {
                 "level_m": float(level),

@@ -150,6 +150,12 @@ def _depth_and_width(found: Mapping[str, Any]) -> str:
     return (
         f" The mean depth of {found['sections']} sections goes with the width to the power of "
         f"{found['exponent']:+.2f} ± {found['sigma_exponent']:.2f}: {said}."
+        + (
+            f" At the weir it is {found['ratio_at_weir']:.2f} ± {found['sigma_ratio_at_weir']:.2f} times as "
+            "deep as elsewhere at the same width."
+            if "ratio_at_weir" in found
+            else ""
+        )
     )
 
 

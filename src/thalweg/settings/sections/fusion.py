@@ -126,10 +126,16 @@ class Fusion(Section):
         default=5.0, le=500, description="Cells farther from data than this stay empty all the same, metres"
     )
     vertical: Vertical = Field(default=Vertical(), description="Heights above a level surface")
-    correlation_m: Positive = Field(
-        default=5.0,
+    correlation_m: Positive | None = Field(
+        default=None,
         le=1000,
-        description="Distance over which errors of the model fall to 1/e, besides the common part, metres",
+        description="Distance over which errors of the model fall to 1/e, besides the common part, metres; "
+        "null: as the kriging of the bed says, for areas and across the river apart",
+    )
+    weir: Corner | None = Field(
+        default=None,
+        description="East, north of the middle of a weir at the lower end, local frame, metres: is the river "
+        "deeper before it? null: there is none",
     )
     contour_m: Positive = Field(default=0.25, le=100, description="Interval of contours, metres")
     sections: SectionSettings = Field(default=SectionSettings(), description="Cross sections")
