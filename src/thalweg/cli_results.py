@@ -50,7 +50,7 @@ def _date(text: str) -> str:
 
 def _catalogue(options: argparse.Namespace) -> int:
     from thalweg.core import InputError
-    from thalweg.figures.catalogue import chosen, read_entries, write_catalogue
+    from thalweg.figures import chosen, read_entries, write_catalogue
 
     if not options.results.is_dir():
         raise InputError("no such folder", expected="a folder of results", where=options.results)
@@ -82,7 +82,7 @@ def _costs(options: argparse.Namespace) -> int:
     import yaml
 
     from thalweg.core import InputError
-    from thalweg.figures.costs import costs_page
+    from thalweg.figures import costs_page
     from thalweg.workflow import fitted, per_rule, read_costs
 
     if not options.results.is_dir():

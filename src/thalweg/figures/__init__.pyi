@@ -1,3 +1,14 @@
+from .catalogue import (
+    CATALOGUE as CATALOGUE,
+    Entry as Entry,
+    chosen as chosen,
+    control_table as control_table,
+    draw_control_chart as draw_control_chart,
+    read_entries as read_entries,
+    read_entry as read_entry,
+    write_catalogue as write_catalogue,
+)
+from .costs import costs_page as costs_page, draw_costs as draw_costs
 from .front import front_page as front_page
 from .page import Page as Page
 from .pictures import read_picture as read_picture
