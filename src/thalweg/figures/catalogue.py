@@ -405,7 +405,7 @@ def draw_control_chart(table: pd.DataFrame) -> Figure:
         ax.plot(x, z, color=BLUE, lw=0.7)
         outside = group["outside"].to_numpy(bool)
         ax.plot(np.array(x)[~outside], z[~outside], "o", color=BLUE, ms=3)
-        ax.plot(np.array(x)[outside], z[outside], "D", color=VERMILION, ms=5)
+        ax.plot(np.array(x)[outside], z[outside], "D", color=VERMILION, ms=5, clip_on=False)
         ax.set_ylim(-reach, reach)
         ax.set_ylabel(quantity.replace(" ", "\n", 1), rotation=0, ha="right", va="center", fontsize=7)
         ax.tick_params(labelsize=7)
