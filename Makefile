@@ -5,7 +5,7 @@ CORES ?= $(shell nproc 2>/dev/null || sysctl -n hw.ncpu 2>/dev/null || echo 2)
 PY := .venv/bin/python
 SNAKEMAKE := .venv/bin/snakemake --cores $(CORES)
 
-.PHONY: help env demo open docs study record timings report real-logs test check check-types check-rest test-slow fuzz mutants golden benchmark lock clean
+.PHONY: help env demo open docs study record timings report real-logs test check check-types check-rest test-slow test-cluster fuzz mutants golden benchmark lock clean
 
 help: ## list the commands
 	@awk -F':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -65,6 +65,9 @@ check-rest:
 
 test-slow: env ## long studies
 	@$(PY) -m pytest -m slow --benchmark-disable tests
+
+test-cluster: env ## a campaign on a SLURM of its own, with forced faults (Debian: slurm-wlm, munge)
+	@$(PY) tests/cluster/run --cpus $(CORES)
 
 fuzz: env ## every binary reader on 10,000 mutated inputs
 	@THALWEG_FUZZ=10000 $(PY) -m pytest -n $(CORES) -k fuzz tests/ingest tests/core

@@ -24,13 +24,13 @@ def add_cluster_commands(commands: "argparse._SubParsersAction[argparse.Argument
 
 
 def _status(options: argparse.Namespace) -> int:
-    from thalweg.workflow import cluster
+    from thalweg.workflow import jobs_of, living_driver, unfinished
 
-    driver, jobs = cluster.living_driver(options.folder), cluster.jobs_of(options.folder)
+    driver, jobs = living_driver(options.folder), jobs_of(options.folder)
     print(f"driver: {driver or 'none'}")
     for job in jobs:
         print(f"{job.number:>8}  {job.state:10} {job.elapsed:>10}  {job.node or job.reason:16} {job.rule}")
-    parts = sum(1 for _ in cluster.unfinished(options.folder))
+    parts = sum(1 for _ in unfinished(options.folder))
     print(f"{len(jobs)} jobs wait or run; {parts} sets of outputs are being written")
     if driver is None and (jobs or parts):
         print("They have no driver. `thalweg cluster clean` cancels them, and then Snakemake resumes.")
@@ -38,9 +38,9 @@ def _status(options: argparse.Namespace) -> int:
 
 
 def _clean(options: argparse.Namespace) -> int:
-    from thalweg.workflow import cluster
+    from thalweg.workflow import cancel_jobs
 
-    jobs = cluster.cancel(options.folder)
+    jobs = cancel_jobs(options.folder)
     for job in jobs:
         print(f"cancelled {job.number}: {job.rule}")
     print(f"{len(jobs)} jobs cancelled. Now `snakemake --unlock`, and the same command as before.")
@@ -48,9 +48,9 @@ def _clean(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> int:
-    from thalweg.workflow import cluster
+    from thalweg.workflow import check_cluster, check_nodes
 
-    cluster.check_cluster(options.partition)
-    found = cluster.check_nodes(options.folder, options.partition, sys.executable)
+    check_cluster(options.partition)
+    found = check_nodes(options.folder, options.partition, sys.executable)
     print("\n".join(found) if found else "no node is free to be asked")
     return 0 if all(" sees the folder" in line for line in found) else 2

@@ -14,14 +14,14 @@ from numpy.random import default_rng
 from thalweg.cli import main
 from thalweg.core import LocalFrame, Rigid, Trajectory, read_table, rotation_opk
 from thalweg.core.calibration import Calibration, Source, pose_block, write_calibration
-from thalweg.figures import save
-from thalweg.figures.catalogue import (
+from thalweg.figures import (
     CATALOGUE,
     chosen,
     control_chart,
     control_table,
     read_entries,
     read_entry,
+    save,
     write_catalogue,
 )
 

@@ -165,7 +165,7 @@ def test_jobs_of_a_living_driver_are_left_alone(command: Command, tmp_path: Path
     driver = cluster.start_driver(tmp_path)
     try:
         with pytest.raises(InputError, match=rf"the driver of these jobs works: process {os.getpid()}"):
-            cluster.cancel(tmp_path)
+            cluster.cancel_jobs(tmp_path)
         with pytest.raises(InputError, match=r"another driver works in this folder: .*one Snakemake"):
             cluster.start_driver(tmp_path)
     finally:
@@ -180,7 +180,7 @@ def test_the_files_of_a_living_job_stay(command: Command, tmp_path: Path) -> Non
     claim = Claim(tmp_path / "results/.part-0b", "several")
     claim.take()
     try:
-        cluster.cancel(tmp_path)
+        cluster.cancel_jobs(tmp_path)
         assert claim.file.exists()
     finally:
         claim.give_up()

@@ -1,4 +1,4 @@
-"""Files between people and programs: names of results that are being written, and content of strangers."""
+"""Names of results that are being written, and files of others that are read with care: XML, pictures."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Final

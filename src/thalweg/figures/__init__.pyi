@@ -1,5 +1,14 @@
-from .catalogue import chosen as chosen, read_entries as read_entries, write_catalogue as write_catalogue
-from .costs import costs_page as costs_page
+from .catalogue import (
+    CATALOGUE as CATALOGUE,
+    Entry as Entry,
+    chosen as chosen,
+    control_chart as control_chart,
+    control_table as control_table,
+    read_entries as read_entries,
+    read_entry as read_entry,
+    write_catalogue as write_catalogue,
+)
+from .costs import costs_figure as costs_figure, costs_page as costs_page
 from .front import front_page as front_page
 from .page import Finding as Finding, Page as Page
 from .pictures import read_picture as read_picture

@@ -390,11 +390,20 @@ def control_chart(table: pd.DataFrame) -> Figure:
         f"Calibrated values of each campaign beside the mean of all others, n = {len(shown)} values of "
         f"{len(campaigns)} campaigns"
     )
-    figure = new_figure(45 + 11 * len(quantities), title, twin=bool(shown["twin"].any()))
+    names_mm = 12 + 1.4 * max(map(len, campaigns), default=0)
+    height_mm = 18 + names_mm + 13 * max(len(quantities), 1)
+    figure = new_figure(height_mm, title, twin=bool(shown["twin"].any()))
     if shown.empty:
         figure.text(0.5, 0.5, "fewer than two campaigns found the same quantity", ha="center")
         return figure
-    axes = figure.subplots(len(quantities), 1, sharex=True, squeeze=False)[:, 0]
+    # By hand: a constrained layout keeps room for names below each of the rows.
+    figure.set_layout_engine("none")
+    height_mm = 25.4 * figure.get_figheight()
+    room = {"left": 0.17, "right": 0.985, "bottom": names_mm / height_mm, "top": 1 - 18 / height_mm}
+    axes = figure.subplots(
+        len(quantities), 1, sharex=True, squeeze=False, gridspec_kw={**room, "hspace": 0.4}
+    )
+    axes = axes[:, 0]
     for ax, quantity in zip(axes, quantities, strict=True):
         group = shown[shown["quantity"] == quantity]
         x = [campaigns.index(name) for name in group["campaign"]]
@@ -405,7 +414,7 @@ def control_chart(table: pd.DataFrame) -> Figure:
         ax.plot(x, z, color=BLUE, lw=0.7)
         outside = group["outside"].to_numpy(bool)
         ax.plot(np.array(x)[~outside], z[~outside], "o", color=BLUE, ms=3)
-        ax.plot(np.array(x)[outside], z[outside], "D", color=VERMILION, ms=5)
+        ax.plot(np.array(x)[outside], z[outside], "D", color=VERMILION, ms=5, clip_on=False)
         ax.set_ylim(-reach, reach)
         ax.set_ylabel(quantity.replace(" ", "\n", 1), rotation=0, ha="right", va="center", fontsize=7)
         ax.tick_params(labelsize=7)
@@ -413,8 +422,10 @@ def control_chart(table: pd.DataFrame) -> Figure:
     axes[-1].set_xticks(
         range(0, len(campaigns), step), campaigns[::step], rotation=60, ha="right", fontsize=7
     )
-    figure.supxlabel("campaigns in the order of time", fontsize=8)
-    figure.supylabel("difference / its standard deviation; grey: within 3", fontsize=8)
+    axes[-1].set_xlabel(
+        "campaigns in the order of time; upwards: difference [its standard deviation], grey: within 3",
+        fontsize=8,
+    )
     return figure
 
 

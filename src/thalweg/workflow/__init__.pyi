@@ -1,6 +1,6 @@
 from .campaign_files import CampaignFiles as CampaignFiles
 from .cluster import (
-    cancel as cancel,
+    cancel_jobs as cancel_jobs,
     check_cluster as check_cluster,
     check_nodes as check_nodes,
     jobs_of as jobs_of,

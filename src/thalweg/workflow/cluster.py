@@ -85,7 +85,7 @@ def jobs_of(folder: Path) -> list[ClusterJob]:
     return found
 
 
-def cancel(folder: Path) -> list[ClusterJob]:
+def cancel_jobs(folder: Path) -> list[ClusterJob]:
     """Cancel all jobs of a folder whose driver is dead, wait for their end, and remove half-made outputs.
 
     Returns
