@@ -160,6 +160,7 @@ PACKAGES = (
     "images",
     "navigation",
     "lidar",
+    "panorama",
     "surface",
     "budgets",
     "bathymetry",

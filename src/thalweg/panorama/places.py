@@ -12,7 +12,7 @@ import pandas as pd
 from thalweg.clocks import ClockModel
 from thalweg.core import Rigid, Trajectory
 from thalweg.images.model import ImagePoses
-from thalweg.ingest.integrity import IntegrityReport
+from thalweg.ingest import IntegrityReport
 from thalweg.ingest.photos import read_image_stamps
 from thalweg.navigation.camera import predict_image_poses
 from thalweg.settings.sections import Rig
