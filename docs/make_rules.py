@@ -17,6 +17,7 @@ ROOMS = {
     "calibration": "Mounting of the sensors, lenses, clocks",
     "orientation": "Trajectories from INS, camera and both",
     "lidar": "Georeferenced point clouds",
+    "panorama": "Panoramas of a camera with two fisheye lenses",
     "triangulation": "The underwater light-sheet sensor",
     "bathymetry": "The riverbed from soundings",
     "fusion": "One terrain model of bed and banks",
