@@ -17,7 +17,7 @@ OF_A_SURVEY = {
     "compare_dtm_with_truth",
 }
 MAY_READ_TRUTH = {
-    "tiny": OF_A_SURVEY,
+    "tiny": OF_A_SURVEY | {"compare_rig_with_truth"},
     "full": OF_A_SURVEY
     | {"compare_bed_with_truth", "compare_light_sheet_with_truth", "compare_calibration_with_truth"},
     "mulde": OF_A_SURVEY,

@@ -242,7 +242,7 @@ def test_what_the_shipped_campaigns_show(repository: Path) -> None:
     """The lists that stood in the rules: which pictures a survey, a calibration and a basin have."""
     folder = repository / "config/campaigns"
     campaigns = with_calibrations(
-        load_campaigns(["tiny", "field_tiny", "basin_tiny", "full", "tiny_change"], folder), folder
+        load_campaigns(["tiny", "demo", "field_tiny", "basin_tiny", "full", "tiny_change"], folder), folder
     )
     of = {n: CampaignFiles(name=n, campaigns=campaigns, twin_logs=twin_logs) for n in campaigns}
     table = read_figures(repository / "workflow/figures.yaml")
@@ -250,6 +250,7 @@ def test_what_the_shipped_campaigns_show(repository: Path) -> None:
     def names(campaign: str, page: str | None = None) -> list[str]:
         return [Path(name).stem for name in table.files(of[campaign], page)]
 
+    of_rig = ["rig_sketch", "rig_residuals", "panorama", "panorama_seam"]
     reference = ["distance_map", "cross_sections", "distance_histogram", "distance_by_range"]
     images = ["pose_sigmas", "mask_view", "image_positions", "frames_by_image"]
     assert names("tiny", "accuracy") == [*reference, "error_versus_range"]
@@ -259,6 +260,7 @@ def test_what_the_shipped_campaigns_show(repository: Path) -> None:
     bed += ["terrain_model", "long_profile"]
     assert names("tiny", "bathymetry") == bed
     assert len(names("tiny")) == 35
+    assert set(names("tiny")) - set(names("demo")) == set(of_rig)
     assert names("field_tiny") == names("field_tiny", "calibration")
     assert names("field_tiny", "calibration")[-3:] == ["clock_offset", "clock_stability", "synthetic_view"]
     assert len(names("field_tiny")) == 11

@@ -68,6 +68,12 @@ OF_IMAGES = {
 }
 """Pictures of the images and of what they give."""
 
+OF_PANORAMAS = {"plot_panorama", "plot_panorama_seam"}
+"""Pictures of the panoramas."""
+
+OF_RIG = {"plot_rig_sketch", "plot_rig_residuals"}
+"""Pictures of the calibration of the rig, which rests on no survey."""
+
 
 def planned(house, *words: str) -> set[str]:
     """Rules that a dry run would execute."""
@@ -99,6 +105,8 @@ def test_everything_promised_is_there(tiny_house) -> None:
         "lidar/points.laz",
         "lidar/points_map.laz",
         "lidar/coloured.laz",
+        "calibration/rig.yaml",
+        "panorama/panoramas.parquet",
         "viewer/index.html",
         "timing/streams.csv",
         "summary.csv",
@@ -181,6 +189,7 @@ def test_the_processing_needs_no_truth(tiny_house) -> None:
     after = counted((tiny_house.root / "judged.log").read_text())
     judges = {rule for rule in after if rule.endswith("_with_truth")}
     of = ("with_truth", "chains_with_truth", "riverbed_with_truth", "dtm_with_truth", "soundings_with_truth")
+    of += ("rig_with_truth",)
     assert judges == {f"compare_{name}" for name in of}
     shown = {rule for rule in after if rule.startswith("plot_") or rule.endswith("_page")}
     assert after - judges - shown == {"summarise"}
@@ -210,6 +219,20 @@ def test_the_terrain_model_is_as_good_as_its_sigmas_say(tiny_house) -> None:
     assert truth["steps at seams: share outside 95 %"] < 0.05
     pings = pd.read_csv(tiny_house.root / BASE / "accuracy/truth_soundings.csv")
     assert 0.6 < pings.loc[0, "normalised_square"] < 1.4
+
+
+def test_rig_and_panorama_are_as_good_as_their_sigmas_say(tiny_house) -> None:
+    truth = pd.read_csv(tiny_house.root / BASE / "accuracy/truth_rig.csv").set_index("measure")["value"]
+    square = "mean of squared error over variance"
+    assert abs(truth["base: error, mm"]) < 0.3
+    assert truth["relative rotation: error, deg"] < 0.02
+    # chi-square of 6, 16 and 18 numbers at 99.9 % on either side
+    assert 0.05 < truth[f"relative orientation: {square}"] < 3.8
+    assert 0.2 < truth[f"interiors: {square}"] < 2.5
+    assert 0.2 < truth[f"poses: {square}"] < 2.4
+    # what is truly seen from the middle of the rig, tile by tile
+    assert truth["panorama: median of the other shifts, px"] < 0.5
+    assert abs(truth["panorama: common shift down, px"]) < 1.0
 
 
 def test_all_streams_share_one_axis(tiny_house) -> None:
@@ -246,7 +269,7 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
         "plot_reference_view",
     }
     pictures = of_streams | of_views | of_clouds | OF_DISTANCES | OF_IMAGES | OF_BED
-    pictures |= {"plot_chain_histograms", "plot_chains_by_range"}
+    pictures |= {"plot_chain_histograms", "plot_chains_by_range"} | OF_PANORAMAS | OF_RIG
     undo = edited(tiny_house, "figures/style.py", "\n_edited = 1\n")
     assert planned(tiny_house) == pictures | {
         "accuracy_page",
@@ -288,6 +311,9 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
         "check_colours",
         "colour_points",
         "viewer_page",
+        "place_rig_images",
+        "make_panoramas",
+        "compare_rig_with_truth",
         "locate_soundings",
         "trace_river",
         "krige_bed",
@@ -299,7 +325,7 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
         "compare_dtm_with_truth",
         "bathymetry_page",
     }
-    clouds = of_clouds | OF_DISTANCES | OF_CHAINS | OF_IMAGES | OF_BED | after_fusion
+    clouds = of_clouds | OF_DISTANCES | OF_CHAINS | OF_IMAGES | OF_PANORAMAS | OF_BED | after_fusion
     assert planned(tiny_house) == after_trajectory | after_prediction | clouds
     undo()
     undo = edited(tiny_house, "ingest/nmea/reader.py", "\n# why, not what\n")

@@ -41,6 +41,21 @@ TRUTH = {
         "outputs": {"table": f"{RESULTS}/accuracy/calibration_truth.csv"},
         "params": {"twin": of(CampaignFiles.twin_parts, "camera")},
     },
+    "compare_rig_with_truth": {
+        "shows": "Calibration of a twin's rig, and its middle panorama, against the truth.",
+        "calls": "thalweg_lab.truth.rig:judge_rig",
+        "inputs": {
+            "calibration": f"{RESULTS}/calibration/rig.yaml",
+            "poses": f"{RESULTS}/panorama/poses.parquet",
+            "panoramas": f"{RESULTS}/panorama/panoramas.parquet",
+            "pictures": f"{RESULTS}/panorama/pictures",
+            "truth": f"{RESULTS}/simulation/truth/rig.json",
+            "true_poses": f"{RESULTS}/simulation/truth/rig_poses.parquet",
+            "true_panorama": f"{RESULTS}/simulation/truth/panorama.npz",
+        },
+        "outputs": {"out": f"{RESULTS}/accuracy/truth_rig.csv"},
+        "params": {"rig": of(CampaignFiles.rig_views)},
+    },
     "compare_chains_with_truth": {
         "shows": "Poses by INS, camera and all sensors of a twin campaign against the true ones.",
         "calls": "thalweg_lab.truth.solutions:judge_chains",

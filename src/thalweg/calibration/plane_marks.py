@@ -3,7 +3,8 @@
 The edges of a sheet are bent in a fisheye, and a fit of straight edges then puts a crossing towards the
 inside of the bend: in the pictures of the digital twin by up to 0.07 px at 95 degrees and 50 px of a sheet,
 which moved the base of a rig by 0.4 mm. Each crossing is therefore resampled onto the plane across its own
-ray, where straight edges are straight, measured there, and taken back (after Datta, Kim and Kanade 2009).
+ray, where straight edges are straight, measured there, and taken back (after Datta, Kim and Kanade 2009,
+Accurate camera calibration using iterative refinement of control points, ICCV workshops).
 """
 
 from typing import Final

@@ -271,6 +271,52 @@ def _check_map(polygon: Sequence[tuple[float, float]], crs: Any, origin: Any) ->
 # the bank
 
 
+_FIELD = ("field", "field_images", "field_points")
+
+
+def check_rig(logs: Mapping[str, Any] | None, rig: Any, lidar: bool, panorama: Any) -> Iterator[Mistake]:
+    """Mistakes in what belongs to a camera with two fisheye lenses.
+
+    Parameters
+    ----------
+    logs : ``logs.rig`` as written.
+    rig, panorama : the sections of these names as written.
+    lidar : whether there is a lidar.
+    """
+    given = logs if isinstance(logs, Mapping) else {}
+    field = [key for key in _FIELD if given.get(key)]
+    if field and len(field) < len(_FIELD):
+        missing = " and ".join(f"logs.rig.{key}" for key in _FIELD if key not in field)
+        yield Mistake(
+            path=("logs", "rig", field[0]),
+            found=f"a field of the rig without {missing}",
+            expected="its description, its pictures and its surveyed marks",
+            cure=f"State {missing}, or leave the field out and name logs.rig.calibration",
+        )
+    if not given.get("images"):
+        return
+    if not field and not given.get("calibration"):
+        yield Mistake(
+            path=("logs", "rig", "images"),
+            found="files of a rig, and nothing that calibrates it",
+            expected="logs.rig.calibration, or a field of marks around the rig",
+            cure="State logs.rig.field, field_images and field_points, or logs.rig.calibration",
+        )
+    if not _below(rig, "mount"):
+        yield Mistake(
+            path=("rig",),
+            found="files of a rig, but no place of it on the boat",
+            cure="State rig.mount: the front lens in the body frame of the INS",
+        )
+    if not lidar and (_below(panorama, "mode") or "depth") == "depth":
+        yield Mistake(
+            path=("panorama", "mode"),
+            found="depth, and no lidar whose cloud says how far things are",
+            expected="sphere or none without a lidar",
+            cure="Set panorama.mode: sphere and panorama.radius_m, or state logs.lidar",
+        )
+
+
 _BESIDE = ("times", "control_points", "marks", "masks", "interior", "interiors", "orientations")
 _SOLVED = {"ins": "the INS's own filter", "sbet": "an Applanix trajectory"}
 
@@ -452,6 +498,12 @@ def domain_mistakes(parts: Parts) -> tuple[list[Mistake], dict[str, tuple[str, .
         *check_mounts_calibration(parts.raw("mounts"), parts.raw("campaign", "id"), parts.path.parent),
         *check_interior(parts.raw("calibration", "boat_camera", "interior"), parts.path.parent),
         *_check_photographs(parts),
+        *check_rig(
+            parts.raw("logs", "rig"),
+            parts.raw("rig"),
+            bool(parts.raw("logs", "lidar")),
+            parts.raw("panorama"),
+        ),
         *check_epochs(parts.raw("epochs"), parts.raw("campaign") or {}, parts.path.parent),
         *_check_lists(parts),
         *_check_ppk(parts),

@@ -948,6 +948,7 @@ class CampaignFiles:
         outputs += self._where(self.is_coloured(), "lidar/coloured.laz")
         outputs += self._where(self.has_colour_images(), "lidar/colour_check.csv")
         outputs += self._where(self.has_panoramas(), "panorama/panoramas.parquet")
+        outputs += self._where(self.is_twin() and self.has_panoramas(), "accuracy/truth_rig.csv")
         outputs += self._where(lidar, "viewer/index.html")
         outputs += [*self.truth_statistics(), *self._where(self.is_twin(), "accuracy/filter_scores.csv")]
         compared = ("statistics.csv", "by_range.csv", "spatial.csv", "index.html")

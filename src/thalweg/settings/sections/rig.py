@@ -24,7 +24,8 @@ class RigLens(Section):
     )
     mask: str | None = Field(
         default=None,
-        description="Picture of the size of the upright view, 0 where it is not to be used (boat, mast)",
+        description="Picture of the size of the upright view, 0 where it is not to be used (boat, mast); "
+        "path from the folder of the run",
     )
 
     @model_validator(mode="after")

@@ -1,0 +1,118 @@
+"""A calibrated rig and its panoramas against the truth of the twin."""
+
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+import pandas as pd
+
+from thalweg.calibration import LENSES, read_rig
+from thalweg.core import ArrayF, Rigid, read_marked, read_table
+from thalweg.figures import read_picture
+from thalweg.images.model import ImagePoses
+from thalweg.panorama import PANORAMAS, sphere_rays
+from thalweg.settings.sections import Rig as RigSettings
+
+KIND: Final = "thalweg twin dual fisheye"
+_UNKNOWNS: Final = 22
+_TILE: Final = 96
+_STEP: Final = 48
+_LEAST_RESPONSE: Final = 0.3
+_SKY_DEG: Final = 25.0
+"""Tiles farther from the horizon show the own boat, or sky alone."""
+
+
+def judge_rig(
+    calibration: Path,
+    poses: Path,
+    panoramas: Path,
+    pictures: Path,
+    truth: Path,
+    true_poses: Path,
+    true_panorama: Path,
+    rig: dict[str, Any],
+    out: Path,
+) -> None:
+    """Write errors of rig, poses and the middle panorama as CSV: measure, value, n.
+
+    Parameters
+    ----------
+    calibration, poses, panoramas, pictures : results of the processing.
+    truth, true_poses, true_panorama : of the twin.
+    rig : section ``rig``.
+    out : target.
+    """
+    found = read_rig(calibration, RigSettings(**rig))
+    true = read_marked(truth, "rig", kind=KIND, version=1, what="truth of the rig", cure="Simulate it again")
+    T = Rigid.from_matrix(true["T_back_front"])
+    off = found.T_back_front.error_from(T)
+    parts = [(found.cameras[name], np.array(list(true["lenses"][name].values()))) for name in LENSES]
+    interior = [
+        (camera.parameters - p) @ np.linalg.solve(camera.cov, camera.parameters - p) for camera, p in parts
+    ]
+    squares = off @ np.linalg.solve(found.T_back_front.cov, off)
+    placed, there = ImagePoses.read(poses), ImagePoses.read(true_poses)
+    rows: list[tuple[str, float, int]] = [
+        ("base: error, mm", 1e3 * (found.base_m - float(true["base_m"])), 1),
+        ("relative rotation: error, deg", float(np.rad2deg(np.linalg.norm(off[3:]))), 1),
+        ("relative orientation: mean of squared error over variance", float(squares) / 6, 6),
+        ("interiors: mean of squared error over variance", float(np.sum(interior)) / 16, 16),
+        *_poses(placed, there),
+        *_panorama(panoramas, pictures, true_panorama),
+    ]
+    pd.DataFrame(rows, columns=["measure", "value", "n"]).to_csv(out, index=False, float_format="%.6g")
+
+
+def _poses(placed: ImagePoses, there: ImagePoses) -> list[tuple[str, float, int]]:
+    """Errors of the front lens at the files of the survey."""
+    squares, shift, turn = [], [], []
+    for k, name in enumerate(placed.images):
+        if not placed.oriented[k]:
+            continue
+        pose = placed.pose(k)
+        error = pose.error_from(there.pose(there.images.index(name)))
+        squares.append(float(error @ np.linalg.solve(pose.cov, error)) / 6)
+        shift.append(float(np.linalg.norm(error[:3])))
+        turn.append(float(np.rad2deg(np.linalg.norm(error[3:]))))
+    n = len(squares)
+    return [
+        ("poses: mean of squared error over variance", float(np.mean(squares)), 6 * n),
+        ("poses: largest error of the place, m", float(np.max(shift)), n),
+        ("poses: largest rotation, deg", float(np.max(turn)), n),
+    ]
+
+
+def _panorama(table: Path, pictures: Path, truth: Path) -> list[tuple[str, float, int]]:
+    """Shifts of tiles of the middle panorama against what is truly seen from its centre, about the horizon.
+
+    What all tiles have in common is the error of the pose, which is judged by itself.
+    """
+    rows = read_table(table, PANORAMAS)[0]
+    row = rows.iloc[len(rows) // 2]
+    picture = read_picture(pictures / str(row["panorama"]))
+    with np.load(truth) as stored:
+        light = stored["light"].astype(np.float32)
+    grey = (np.clip(light.mean(axis=2) / 2.3, 0, 1) ** (1 / 2.2)).astype(np.float32)
+    ours = (cv2.resize(picture, grey.shape[::-1]).mean(axis=2) / 255).astype(np.float32)
+    width = grey.shape[1]
+    window = cv2.createHanningWindow((_TILE, _TILE), cv2.CV_32F)
+    shifts = []
+    rays = sphere_rays(width)
+    reach = np.deg2rad(_SKY_DEG)
+    for y in range(0, grey.shape[0] - _TILE, _STEP):
+        for x in range(0, width - _TILE, _STEP):
+            if abs(np.arcsin(rays[y + _TILE // 2, x, 1])) > reach:
+                continue
+            tile = np.s_[y : y + _TILE, x : x + _TILE]
+            (dx, dy), response = cv2.phaseCorrelate(grey[tile], ours[tile], window)
+            if response > _LEAST_RESPONSE:
+                shifts.append((dx, dy))
+    found = np.array(shifts).reshape(-1, 2)
+    middle = np.median(found, axis=0) if len(found) else np.full(2, np.nan)
+    spread: ArrayF = np.linalg.norm(found - middle, axis=1)
+    return [
+        ("panorama: common shift to the right, px", float(middle[0]), len(found)),
+        ("panorama: common shift down, px", float(middle[1]), len(found)),
+        ("panorama: median of the other shifts, px", float(np.median(spread)), len(found)),
+    ]
