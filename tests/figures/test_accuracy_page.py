@@ -148,7 +148,17 @@ def test_the_verdict_comes_first_and_is_that_of_the_tables(found, made):
     assert f"predicted over observed {ratio:.2f}" in sentences[3]
     assert "rigid registration" in sentences[4]
     html = accuracy_page(**found, title="Test").html()
-    assert html.index("Without the") < html.index("<h2")
+    read = Reader(html)
+    first = {row[0]: row[1:] for row in read.tables[0][1:]}
+    assert len(first) == 5
+    assert first["RMSE of the distances, without outliers"][0].startswith(
+        f"{100 * np.sqrt(np.mean(kept**2)):.1f}"
+    )
+    # distances are 1.2 times as large as predicted, beyond the band
+    assert first["predicted by their standard deviations"][1] == "too optimistic"
+    assert first["mean distance"][1] == "beyond twice its standard deviation"
+    assert html.index("its standard deviations: too optimistic.") < html.index("<table") < html.index("<h2")
+    assert html.index('<h2 id="statistics">') < html.index("Without the")
 
 
 def test_behind_the_reference_is_said(found):
@@ -189,7 +199,7 @@ def test_the_page_is_whole_and_needs_nothing_from_elsewhere(found, made, tmp_pat
 
 
 def test_both_registrations_and_both_point_sets_stand_below_each_other(found, made):
-    table = Reader(accuracy_page(**found).html()).tables[0]
+    table = Reader(accuracy_page(**found).html()).tables[1]
     assert [row[:2] for row in table[1:]] == [
         ["as measured", "all"],
         ["as measured", "without outliers"],

@@ -299,8 +299,23 @@ def test_along_runs_to_the_right_of_the_view():
     np.testing.assert_allclose(away, [0.0, 5.0])
 
 
+@pytest.mark.parametrize("away_m", [1.2, 60.0])
+def test_a_room_and_a_wide_river_have_a_view_too(trajectory, away_m):
+    """Nothing lies 2 to 25 m beside the track."""
+    track = trajectory.position_wcs_m[trajectory.valid]
+    heading = track[-1, :2] - track[0, :2]
+    left = np.array([-heading[1], heading[0]]) / np.linalg.norm(heading)
+    steps = np.array([[*(away_m * left), z] for z in np.arange(-0.5, 2.5, 0.25)])
+    wall = (track[:, None] + steps).reshape(-1, 3)
+    segment = choose_segment(wall, trajectory)
+    view = np.array([np.sin(segment.azimuth_rad), np.cos(segment.azimuth_rad)])
+    assert view @ left > 0.9
+    nearest = np.linalg.norm(track[:, :2] - segment.centre_en_m, axis=1).min()
+    assert nearest == pytest.approx(away_m, abs=3.0)  # the track is bent
+
+
 def test_no_bank_in_reach_is_refused(trajectory):
-    with pytest.raises(GeometryError, match=r"no point lies 2 to 25 m beside the track.*mount"):
+    with pytest.raises(GeometryError, match=r"no point lies within 300 m of the track.*mount"):
         choose_segment(np.tile([5000.0, 0.0, 500.0], (5, 1)), trajectory)
 
 

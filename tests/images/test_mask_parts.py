@@ -2,12 +2,22 @@
 
 import itertools
 
+import cv2
 import numpy as np
 import pytest
 
 from thalweg.core import Camera, InputError, exp_rotation
-from thalweg.images.masks.learning import PixelModel, _best_path, read_reduced, water_line
-from thalweg.images.masks.series import depression, mirror_level, nominal_depression, steady_parts
+from thalweg.images.masks.learning import LAND, MOVED, PixelModel, _best_path, read_reduced, water_line
+from thalweg.images.masks.series import (
+    Horizons,
+    camera_stayed,
+    depression,
+    learn_series,
+    mirror_level,
+    nominal_depression,
+    steady_parts,
+)
+from thalweg.settings.sections import MaskSettings
 
 
 def test_the_path_is_the_best_of_all(rng):
@@ -106,3 +116,47 @@ def test_the_model_tells_what_is_inside_from_what_is_around(rng):
 def test_missing_images_are_told(tmp_path):
     with pytest.raises(InputError, match="cannot be read"):
         read_reduced(tmp_path / "no.jpg", 100)
+
+
+def still_images(rng, n):
+    """A slope with texture; water in the lower third that is another in each picture; light that changes."""
+    scene = rng.integers(40, 200, (40, 60, 1)).repeat(4, axis=0).repeat(4, axis=1).repeat(3, axis=2)
+    images = []
+    for k in range(n):
+        image = scene.astype(float)
+        image[107:] = (
+            rng.integers(40, 200, (14, 60, 1)).repeat(4, axis=0).repeat(4, axis=1)[:53].repeat(3, axis=2)
+        )
+        image = image * (0.7 + 0.05 * k) + rng.normal(0, 2, image.shape)
+        images.append(np.clip(np.rint(image), 0, 255).astype(np.uint8))
+    return images
+
+
+def test_whether_the_camera_stayed(rng):
+    assert camera_stayed(still_images(rng, 12))
+    assert not camera_stayed(still_images(rng, 5))  # too few to tell
+    assert not camera_stayed(moving_images(rng, 12))
+    assert not camera_stayed(moving_images(rng, 12, hull=False))
+
+
+def test_of_a_camera_that_stayed_only_what_moved_is_masked(rng, tmp_path):
+    """Nothing is own boat or water by standing still, such as a glacier and gravel before a fixed camera."""
+    images = still_images(rng, 12)
+    images[4][30:70, 100:140] = 250  # somebody walks by
+    files = {}
+    for k, image in enumerate(images):
+        files[f"{k}.png"] = tmp_path / f"{k}.png"
+        cv2.imwrite(str(files[f"{k}.png"]), image)
+    settings = MaskSettings(analysis_px=320)
+    model = learn_series(files, settings, Horizons.of(None, None, settings))
+    assert model.notes == ("the camera stayed: what moved is masked, pixel by pixel over time",)
+    parts, notes = model.parts(images[4], (240, 160), "4.png")
+    assert not notes
+    assert set(np.unique(parts)) == {LAND, MOVED}
+    assert (parts[35:65, 105:135] == MOVED).all()
+    assert (parts[112:] == MOVED).mean() > 0.95
+    rest = parts[:100].copy()
+    rest[24:76, 94:146] = LAND
+    assert (rest == MOVED).mean() < 0.02
+    parts, _ = model.parts(images[5], (240, 160), "5.png")
+    assert (parts[:100] == MOVED).mean() < 0.02

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image, ImageFilter
 from tests.images.sfm_scene import FISHEYE, PERSPECTIVE, Photographs, photographs, similarity
 
-from thalweg.core import InputError, LocalFrame, Trajectory
+from thalweg.core import Camera, InputError, LocalFrame, Trajectory
 from thalweg.images.model import ImageBlock
 from thalweg.images.sfm import (
     Known,
@@ -25,7 +25,7 @@ from thalweg.images.sfm import (
     match_images,
 )
 from thalweg.images.sfm.features import Features, join_features
-from thalweg.images.sfm.mapping import Mapped, firm_parts, is_estimated, part_of_block
+from thalweg.images.sfm.mapping import Mapped, firm_parts, impossible_lens, part_of_block
 from thalweg.images.sfm.matching import read_times
 from thalweg.settings.sections import FeatureSettings, MappingSettings
 
@@ -204,10 +204,51 @@ def test_parts_that_hang_on_a_few_points_are_taken_apart(matches: Matches) -> No
 
 
 def test_auto_keeps_a_given_camera_and_estimates_a_guess(wall: Photographs, matches: Matches) -> None:
-    assert not is_estimated(matches, MappingSettings())
-    assert is_estimated(matches, MappingSettings(interior="estimated"))
+    (held,) = map_images(matches, settings=MappingSettings()).pieces
+    assert held.cameras[0].parameters[0] == 270
     (block,) = map_images(matches, settings=MappingSettings(interior="estimated")).pieces
     assert 0 < abs(block.cameras[0].parameters[0] - 270) < 5
+
+
+def test_a_given_camera_is_freed_once_the_block_stands(wall: Photographs, features: Features) -> None:
+    """Two per cent off, as after another focus: the first pairs keep it, nine images tell."""
+    off = PERSPECTIVE.with_parameters(
+        PERSPECTIVE.parameters * np.r_[1.02, 1.02, np.ones(len(PERSPECTIVE.parameters) - 2)]
+    )
+    known = replace(off, cov=np.diag(np.r_[0.09, 0.09, np.zeros(len(off.parameters) - 2)]))
+    found = match_images(features, wall.files, known=Known(cameras=(known,)))
+    mapped = map_images(found, settings=MappingSettings(interior="estimated"))
+    (block,) = mapped.pieces
+    assert len(block.images) == len(wall.files)
+    assert block.cameras[0].parameters[0] == pytest.approx(270, rel=0.012)
+    assert any("of its standard deviations: another zoom or focus?" in note for note in mapped.facts["notes"])
+    (few,) = map_images(
+        match_images(extract_features(wall.files[:4]), wall.files[:4], known=Known(cameras=(known,))),
+        settings=MappingSettings(interior="estimated"),
+    ).pieces
+    assert few.cameras[0].parameters[0] == pytest.approx(1.02 * 270)  # four do not
+
+
+@pytest.mark.parametrize(
+    ("f", "k1", "k2", "words"),
+    [
+        (400.0, -0.2, 0.05, ""),
+        (400.0, 0.3, 0.0, ""),
+        (10.3, 0.0, 0.0, "impossible, f 10 px for pictures of 640 px"),
+        (400.0, -0.6, 0.0, "it folds the picture"),
+        (1542.0, 0.1, -13.7, "it folds the picture"),  # what two images of a turntable gave, k2 of a fold
+    ],
+)
+def test_impossible_lenses_are_told(f: float, k1: float, k2: float, words: str) -> None:
+    side = 2400 if f > 1000 else 640
+    size = (side, side * 3 // 4)
+    lens = Camera(
+        model="perspective",
+        size_px=size,
+        parameters=np.array([f, f, size[0] / 2, size[1] / 2, k1, k2, 0.0, 0.0, 0.0]),
+    )
+    assert words in impossible_lens(lens)
+    assert bool(words) == bool(impossible_lens(lens))
 
 
 def test_every_image_that_stays_out_has_its_reason(wall: Photographs, tmp_path: Path) -> None:

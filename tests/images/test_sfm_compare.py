@@ -79,7 +79,8 @@ def test_a_given_camera_stays_while_that_of_another_folder_is_estimated(two: Two
     known = Known(of_folder={"right": LONG})
     found = match_images(two.features, two.images, known=known)
     assert held_cameras(found, MappingSettings()) == {2}
-    assert held_cameras(found, MappingSettings(interior="estimated")) == set()
+    assert held_cameras(found, MappingSettings(interior="estimated")) == {2}
+    assert held_cameras(found, MappingSettings(interior="fixed")) == set()
     (block,) = map_images(found).pieces
     np.testing.assert_array_equal(block.cameras[1].parameters, LONG.parameters)
     assert block.cameras[0].parameters[0] == pytest.approx(270, rel=0.02)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import fft
@@ -121,3 +122,43 @@ def _amplitude(centre_px: ArrayF, width: int, half_width_px: float, step: int) -
     fine_x = (np.arange(width * step) + 0.5) / step
     away = (fine_x[None, :] - centre[:, None]) / half_width_px
     return np.exp(-(away**2)).astype(np.float32)
+
+
+COLOURS = {"red": (1.0, 0.12, 0.04), "green": (0.10, 1.0, 0.20), "blue": (0.05, 0.25, 1.0)}
+"""What red, green and blue pixels see of a laser."""
+
+
+def daylight_board(
+    seed: int, colour: str, *, laser_dn: float = 120.0, sun_dn: float = 150.0, jpeg: int = 90
+) -> tuple[AnyArray, ArrayF]:
+    """A laser line on a checkerboard in daylight as a camera stores it, (480, 640, 3), and its true x by row.
+
+    Squares of an albedo of 12 and 85 %, turned; light that changes over the picture, with a shadow whose edge
+    lies elsewhere in each picture; the line as bright as the albedo; shot and read noise; a Bayer mosaic,
+    interpolated; JPEG.
+    """
+    generator = np.random.default_rng([seed, *colour.encode()])
+    h, w = 480, 640
+    y, x = np.mgrid[:h, :w].astype(float)
+    turn, side = np.deg2rad(generator.uniform(-20, 20)), generator.uniform(35, 55)
+    u, v = (x * np.cos(turn) - y * np.sin(turn)) / side, (x * np.sin(turn) + y * np.cos(turn)) / side
+    albedo = np.where((np.floor(u) + np.floor(v)) % 2 == 0, 0.12, 0.85)
+    board = (x > 60) & (x < w - 60) & (y > 40) & (y < h - 40)
+    albedo = np.where(board, albedo, 0.35 + 0.1 * np.sin(x / 90) * np.cos(y / 70))
+    albedo = cv2.GaussianBlur(albedo, (0, 0), 0.9)
+    edge = generator.uniform(0.3, 0.7) * w + 0.3 * (y - h / 2)
+    light = sun_dn * (0.75 + 0.25 * x / w + 0.1 * y / h) * (1 - 0.5 / (1 + np.exp(-(x - edge) / 6)))
+    row = np.arange(h)
+    centre = w * generator.uniform(0.35, 0.65) + generator.uniform(-0.15, 0.15) * (row - h / 2)
+    centre = centre + 6 * np.sin(row / 60)
+    away = (x + 0.5 - centre[:, None]) / generator.uniform(3, 5)
+    line = laser_dn * np.exp(-2 * away**2) * albedo / 0.85
+    white = np.array([0.92, 1.0, 0.8])
+    dn = (light * albedo)[..., None] * white + line[..., None] * np.array(COLOURS[colour])
+    electrons = generator.poisson(dn * 13_500 / 255) + generator.normal(0, 13, dn.shape)
+    dn = electrons * 255 / 13_500 + 3
+    mosaic = dn[..., 1].copy()
+    mosaic[0::2, 0::2], mosaic[1::2, 1::2] = dn[0::2, 0::2, 0], dn[1::2, 1::2, 2]
+    stored = cv2.cvtColor(np.clip(np.rint(mosaic), 0, 255).astype(np.uint8), cv2.COLOR_BayerBG2BGR)
+    _, data = cv2.imencode(".jpg", stored, [cv2.IMWRITE_JPEG_QUALITY, jpeg])
+    return cv2.cvtColor(cv2.imdecode(data, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB), centre

@@ -59,6 +59,7 @@ from .statistics import (
     outlier_limits as outlier_limits,
     range_class as range_class,
     verdict_of as verdict_of,
+    verdict_of_ratio as verdict_of_ratio,
 )
 from .summary import (
     number_text as number_text,

@@ -175,11 +175,24 @@ def verdict_of(normalised: float, n_independent: float) -> str:
     if not (np.isfinite(normalised) and n_independent >= 1):
         return "cannot tell"
     low, high = chi_square_band(n_independent)
-    if normalised > high:
+    return verdict_of_ratio(normalised**-0.5, high**-0.5, low**-0.5)
+
+
+def verdict_of_ratio(ratio: float, low: float, high: float) -> str:
+    """The same from the ratio of predicted to observed RMSE and the band that right sigmas leave it.
+
+    Examples
+    --------
+    >>> verdict_of_ratio(1.02, 0.9, 1.1), verdict_of_ratio(0.6, 0.9, 1.1), verdict_of_ratio(1.0, 0.4, 2.0)
+    ('consistent', 'too optimistic', 'cannot tell')
+    """
+    if not np.isfinite([ratio, low, high]).all():
+        return "cannot tell"
+    if ratio < low:
         return "too optimistic"
-    if normalised < low:
+    if ratio > high:
         return "too pessimistic"
-    return "consistent" if high / low <= _TOLD_APART**2 else "cannot tell"
+    return "consistent" if high / low <= _TOLD_APART else "cannot tell"
 
 
 def honesty_in_words(ratio: float, low: float, high: float) -> str:

@@ -8,9 +8,17 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.accuracy import ALL, AS_MEASURED, CLOUD_TO_MESH, REGISTERED, WITHOUT_OUTLIERS, classes_in_words
+from thalweg.accuracy import (
+    ALL,
+    AS_MEASURED,
+    CLOUD_TO_MESH,
+    REGISTERED,
+    WITHOUT_OUTLIERS,
+    classes_in_words,
+    verdict_of_ratio,
+)
 from thalweg.core import InputError, read_table, utc_text_from_gps
-from thalweg.figures import Page, count
+from thalweg.figures import Finding, Page, count
 from thalweg.figures.accuracy.distances import centimetres
 
 # ---------------------------------------------------------------- the accuracy of a cloud in words: verdict,
@@ -68,6 +76,35 @@ def value_of(
     chosen = (statistics["registration"] == registration) & (statistics["points"] == points)
     rows = statistics.loc[chosen & (statistics["quantity"] == quantity), "value"]
     return float(rows.iloc[0]) if len(rows) else float("nan")
+
+
+def head(facts: Mapping[str, Any], statistics: pd.DataFrame) -> tuple[str, list[Finding]]:
+    """The first sentence and the numbers that matter most, each with what follows from it."""
+    rmse, mean = value_of(statistics, "rmse"), value_of(statistics, "bias")
+    n, n_all = value_of(statistics, "n"), value_of(statistics, "n", ALL)
+    band = [value_of(statistics, name) for name in ("ratio", "ratio_low95", "ratio_high95")]
+    told = verdict_of_ratio(*band)
+    certain = abs(mean) > 2 * value_of(statistics, "sigma_of_bias")
+    findings = [
+        Finding("points compared", f"{count(int(n_all))}, {100.0 * (1.0 - n / n_all):.1f} % outliers"),
+        Finding("RMSE of the distances, without outliers", centimetres(rmse)),
+        Finding(
+            "predicted by their standard deviations",
+            centimetres(value_of(statistics, "predicted_rmse")),
+            told,
+        ),
+        Finding(
+            "mean distance",
+            f"{centimetres(abs(mean))} {'in front of' if mean > 0 else 'behind'} the reference",
+            "beyond twice its standard deviation" if certain else "no certain offset",
+        ),
+    ]
+    after = value_of(statistics, "rmse", registration=REGISTERED)
+    if np.isfinite(after):
+        findings.append(Finding("RMSE after a rigid registration", centimetres(after)))
+    caution = f"Caution: {facts['warning']}. " if facts.get("warning") else ""
+    lead = f"The cloud lies {centimetres(rmse)} (RMSE) from the reference; its standard deviations: {told}."
+    return caution + lead, findings
 
 
 def verdict(facts: Mapping[str, Any], statistics: pd.DataFrame) -> list[str]:
@@ -342,13 +379,14 @@ def accuracy_page(
     ------
     InputError : the statistics hold no compared points as measured, or a picture is missing.
     """
-    page = Page(title, " ".join(verdict(facts, statistics)))
+    sentences = verdict(facts, statistics)
+    page = Page(title, *head(facts, statistics))
     if twin:
         page.text(
             "The digital twin made these data: survey and reference are simulated. The figures speak of the "
             "software and of the models of the instruments, not of a real boat."
         )
-    _statistics(page, facts, statistics)
+    _statistics(page, facts, statistics, " ".join(sentences))
     of_truth = [path for path in pictures if path.stem in TRUTH_PICTURES and truth is not None]
     _pictures(page, [path for path in pictures if path not in of_truth], captions or {})
     _ranges(page, by_range)
@@ -439,9 +477,9 @@ def short(frame: pd.DataFrame, digits: int = 3) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def _statistics(page: Page, facts: Mapping[str, Any], statistics: pd.DataFrame) -> None:
+def _statistics(page: Page, facts: Mapping[str, Any], statistics: pd.DataFrame, words: str) -> None:
     by = ("registration", "points")
-    page.section("Statistics").text(
+    page.section("Statistics").text(words).text(
         "Distances are positive in front of the reference, toward river and air, and negative behind it. "
         "Mean and std are those of the normal distribution of largest likelihood, median and NMAD those of "
         "the robust one."

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from thalweg.accuracy import verdict_of
 from thalweg.bathymetry import REASONS
-from thalweg.figures import Page, count
+from thalweg.figures import Finding, Page, count
 
 
 def bed_page(
@@ -45,15 +46,25 @@ def bed_page(
     InputError : a picture is missing.
     """
     found = variogram["facts"]
+    told = verdict_of(validation["normalised_square"], validation["lines"])
+    findings = [
+        Finding("soundings that count", f"{count(facts['by_reason'][''])} of {count(facts['pings'])}"),
+        Finding("bed", f"{count(found['cells'])} cells, {found['area_m2']:.0f} m²"),
+        Finding(
+            "standard deviation of a cell, median",
+            f"{100 * found['median sigma_m']:.1f} cm, of which all share "
+            f"{100 * found['median sigma_common_m']:.1f} cm",
+        ),
+        Finding(
+            f"left-out lines, n = {validation['lines']}: RMSE",
+            f"{100 * validation['rmse_m']:.1f} cm, squares over predicted variances "
+            f"{validation['normalised_square']:.2f}",
+            told,
+        ),
+        Finding("outside their interval of 95 %", f"{100 * validation['outside_95']:.1f} %"),
+    ]
     page = Page(
-        title,
-        f"{count(facts['by_reason'][''])} of {count(facts['pings'])} soundings make a bed of "
-        f"{count(found['cells'])} cells, {found['area_m2']:.0f} m². Its standard deviation is "
-        f"{100 * found['median sigma_m']:.1f} cm in the median, and "
-        f"{100 * found['median sigma_common_m']:.1f} cm that all of it shares. Cross-validation: left-out "
-        f"lines have a root mean square error of {100 * validation['rmse_m']:.1f} cm; the mean of squared "
-        f"errors over predicted variances is {validation['normalised_square']:.2f} (1: as predicted), and "
-        f"{100 * validation['outside_95']:.1f} % lie outside their interval of 95 %.",
+        title, f"Left-out lines of soundings say of the standard deviations of the bed: {told}.", findings
     )
     if twin:
         page.text("The digital twin made these data: a simulated river, simulated instruments.")

@@ -327,6 +327,10 @@ def _shifted(
 # ---------------------------------------------------------------- the bank beside the track
 
 
+FARTHEST_M: Final = 300.0
+"""No lidar of a boat reaches farther."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BankSegment:
     """A stretch of bank as it is seen from the water.
@@ -405,7 +409,8 @@ def choose_segment(
     points_wcs_m : (n, 3) the cloud or an even sample of it.
     trajectory : track of the boat, to know the side of the water.
     length_m : length of the stretch.
-    min_distance_m, max_distance_m : horizontal distance of the bank from the track.
+    min_distance_m, max_distance_m : horizontal distance of the bank from the track; where nothing lies there,
+        as in a room or on a wide river, up to that of 95 % of the cloud, and `FARTHEST_M`.
     background_m : depth of the background that belongs to the stretch.
     seen_from_track : true if the cloud was measured from the track, false for one from elsewhere.
 
@@ -417,8 +422,10 @@ def choose_segment(
         points_wcs_m, trajectory, min_distance_m, max_distance_m, seen_from_track=seen_from_track
     )
     if not around.beside.any():
+        around = _surroundings(points_wcs_m, trajectory, 0.0, None, seen_from_track=seen_from_track)
+    if not around.beside.any():
         raise GeometryError(
-            f"no point lies {min_distance_m:g} to {max_distance_m:g} m beside the track",
+            f"no point lies within {FARTHEST_M:g} m of the track",
             expected="a cloud of the banks",
             cure="Check the mount of the lidar and the time axis of the streams",
         )
@@ -436,6 +443,12 @@ def choose_segment(
             if rated is not None:
                 found.append(rated)
                 clear.append(not _is_overhead(around, stretch))
+    if not found:
+        raise GeometryError(
+            f"no point of the cloud lies between {BELOW_BOAT_M:g} m below and {BANK_M:g} m above the track",
+            expected="a cloud of the banks",
+            cure="Check the mount of the lidar and the time axis of the streams",
+        )
     kept = [rated for rated, free in zip(found, clear, strict=True) if free] or found
     best = max(score for score, _, _ in kept)
     return max((rated for rated in kept if rated[0] >= ABOUT_AS_GOOD * best), key=lambda rated: rated[1])[2]
@@ -445,10 +458,11 @@ def _surroundings(
     points_wcs_m: ArrayF,
     trajectory: Trajectory,
     min_distance_m: float,
-    max_distance_m: float,
+    max_distance_m: float | None,
     *,
     seen_from_track: bool,
 ) -> _Surroundings:
+    """Cells of the cloud about the track; without a largest distance those within that of 95 % of them."""
     from scipy.spatial import cKDTree
 
     finite = points_wcs_m[np.isfinite(points_wcs_m).all(axis=1)]
@@ -458,6 +472,8 @@ def _surroundings(
     track = _dense(valid)
     distance, nearest = cKDTree(track[:, :2]).query(cell[:, :2])
     above = cell[:, 2] - track[nearest, 2]
+    if max_distance_m is None:
+        max_distance_m = min(float(np.quantile(distance, 0.95)), FARTHEST_M) if len(distance) else 0.0
     beside = np.asarray((distance >= min_distance_m) & (distance <= max_distance_m))
     low = beside & (above >= -BELOW_BOAT_M) & (above <= BANK_M)
     return _Surroundings(

@@ -83,6 +83,7 @@ _LINES: Final = {
     "water_share": ("water", BLUE, "--"),
     "sky_share": ("sky", SKY, "-."),
     "hull_share": ("own boat", ORANGE, ":"),
+    "moved_share": ("moved while the camera stayed", PURPLE, (0, (3, 1, 1, 1))),
 }
 
 
@@ -574,8 +575,8 @@ def _shares(ax: Axes, rows: pd.DataFrame, examples: list[int], letter: str) -> N
     # A series of one image has points, no lines.
     marker = "." if len(rows) < 40 else ""
     for column, (label, colour, style) in _LINES.items():
-        percent = 100 * rows[column].to_numpy(np.float64)
-        if np.isfinite(percent).any():
+        percent = 100 * rows.get(column, pd.Series(np.nan, rows.index)).to_numpy(np.float64)
+        if np.isfinite(percent).any() and (np.nanmax(percent) > 0 or column != "moved_share"):
             ax.plot(number, percent, color=colour, ls=style, marker=marker, ms=4, label=label, gid=column)
     for k in examples:
         ax.axvline(k + 1, color=GREY, lw=0.7, ls=":")

@@ -28,7 +28,7 @@ from thalweg.accuracy import (
     value,
 )
 from thalweg.core import Trajectory, root_mean_square, utc_text_from_gps
-from thalweg.figures import Page, count, plural
+from thalweg.figures import Finding, Page, count, plural
 from thalweg.figures.accuracy import centimetres
 from thalweg.figures.solutions.comparison import IN_WORDS
 
@@ -117,11 +117,11 @@ def trajectory_comparison_page(
     InputError : a picture is missing.
     """
     costs = costs or Costs()
-    page = Page(title, lead(table))
+    page = Page(title, *head(table))
     if twin:
         page.text(TWIN_NOTE)
     page.text(PUBLISHED_WORDS)
-    page.section("Side by side")
+    page.section("Side by side").text(lead(table))
     page.table(side_by_side(table, costs), "The decisive numbers")
     page.section("For and against")
     page.table(for_and_against(table, costs), "What the numbers say for and against each trajectory")
@@ -284,6 +284,24 @@ def _truth(page: Page, truth: pd.DataFrame) -> None:
 
 
 # ---------------------------------------------------------------- words
+
+
+def head(table: pd.DataFrame) -> tuple[str, list[Finding]]:
+    """The first sentence, and of each chain how much of the recording it places and how well."""
+    names = chains_of(table)
+    findings = []
+    rmse = {name: value(table, WITHOUT_OUTLIERS, "rmse", name) for name in names}
+    ranked = sorted(names, key=lambda name: rmse[name]) if np.isfinite(list(rmse.values())).all() else []
+    for name in names:
+        placed = f"{percent(value(table, SHOTS, 'share_with_pose', name))} of the points have a pose"
+        if ranked:
+            placed += f"; RMSE from the reference {centimetres(rmse[name])}"
+        findings.append(
+            Finding(f"by {BY_NAME[name]}", placed, "smallest RMSE" if [name] == ranked[:1] else "")
+        )
+    if len(ranked) < 2:
+        return "No reference surface judges the trajectories.", findings
+    return (f"The smallest RMSE is that of {BY_NAME[ranked[0]]}: {certainty(table, *ranked[:2])}.", findings)
 
 
 def lead(table: pd.DataFrame) -> str:

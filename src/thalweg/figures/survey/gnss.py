@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from thalweg.core import LocalFrame, ThalwegError, Trajectory
-from thalweg.figures import Page, empty_figure
+from thalweg.figures import Finding, Page, empty_figure
 from thalweg.figures.survey.maps import survey_map, trajectory_sheet
 from thalweg.ingest.ppk import REFUSALS, PpkSolution
 from thalweg.navigation.ins_gnss import build_trajectory, states_along_course
@@ -24,12 +24,20 @@ def gnss_page(solution: PpkSolution, *, title: str) -> Page:
     """
     facts, table = solution.report.details, solution.positions
     sigma = table[["sigma_east_m", "sigma_north_m", "sigma_up_m"]].median().to_numpy(np.float64)
+    fixed = f"{100 * facts['fix_ratio']:.1f} % of {facts['n_rover_epochs']:,} epochs have fixed ambiguities"
     page = Page(
         title,
-        f"{100 * facts['fix_ratio']:.1f} % of {facts['n_rover_epochs']:,} epochs have fixed ambiguities, "
-        f"{facts['n_float']:,} are float, {facts['n_none']:,} have no position. The base is "
-        f"{facts['baseline_m'] / 1000:.2f} km away in the median. Standard deviations are "
-        f"{100 * np.hypot(*sigma[:2]):.1f} cm in plan and {100 * sigma[2]:.1f} cm in height, in the median.",
+        f"{fixed}.",
+        [
+            Finding("epochs with fixed ambiguities", f"{100 * facts['fix_ratio']:.1f} %"),
+            Finding("float", f"{facts['n_float']:,} of {facts['n_rover_epochs']:,}"),
+            Finding("without a position", f"{facts['n_none']:,}"),
+            Finding("distance of the base, median", f"{facts['baseline_m'] / 1000:.2f} km"),
+            Finding(
+                "standard deviations, median",
+                f"{100 * np.hypot(*sigma[:2]):.1f} cm in plan, {100 * sigma[2]:.1f} cm in height",
+            ),
+        ],
     )
     page.section("Figures")
     try:

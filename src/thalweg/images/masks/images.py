@@ -22,7 +22,16 @@ from thalweg.images.model import ImagePoses, cameras_of, check_flat_masks, find_
 from thalweg.ingest.photos import Images
 from thalweg.settings.sections import MaskSettings
 
-COLUMNS: Final = ("image", "usable_share", "water_share", "sky_share", "hull_share", "source", "note")
+COLUMNS: Final = (
+    "image",
+    "usable_share",
+    "water_share",
+    "sky_share",
+    "hull_share",
+    "moved_share",
+    "source",
+    "note",
+)
 """Columns of the table of masks; shares of masks that the user made are unknown but for the usable one."""
 
 
@@ -100,7 +109,7 @@ def _one(
     """Row of the table and mask of one image; no mask of a file that is no picture."""
     if own is not None:
         share = float((own > 0).mean())
-        return _row(name, "supplied", {"usable": share}, _sparse(share, settings)), own
+        return _row(name, "supplied", {"usable": share}, _sparse({"usable": share}, settings)), own
     try:
         image, (w, h) = read_reduced(path, settings.analysis_px)
     except InputError as error:
@@ -117,21 +126,29 @@ def _one(
     if usable.shape != (h, w):
         usable = cv2.resize(usable, (w, h), interpolation=cv2.INTER_LINEAR)
         usable = ((usable > 127) * np.uint8(255)).astype(np.uint8)
-    found = [*problems, *notes, *_sparse(shares["usable"], settings)]
+    found = [*problems, *notes, *_sparse(shares, settings)]
     return _row(name, "automatic", shares, found), usable
 
 
 def _row(image: str, source: str, shares: dict[str, float], notes: Sequence[str]) -> dict[str, Any]:
     values = {
-        f"{name}_share": round(shares.get(name, np.nan), 5) for name in ("usable", "water", "sky", "hull")
+        f"{name}_share": round(shares.get(name, np.nan), 5)
+        for name in ("usable", "water", "sky", "hull", "moved")
     }
     return {"image": image, **values, "source": source, "note": "; ".join(notes)}
 
 
-def _sparse(share: float, settings: MaskSettings) -> list[str]:
-    if share >= settings.least_usable_share:
+def _sparse(shares: dict[str, float], settings: MaskSettings) -> list[str]:
+    """A note where next to nothing is usable, with the part that rules."""
+    if shares["usable"] >= settings.least_usable_share:
         return []
-    return [f"nearly all masked: {100 * share:.1f} % usable"]
+    others = {part: share for part, share in shares.items() if part != "usable"}
+    most = max(others, key=lambda part: others[part], default="")
+    words = f"; {100 * others[most]:.0f} % {_WORDS[most]}" if most else ""
+    return [f"nearly all masked: {100 * shares['usable']:.1f} % usable{words}"]
+
+
+_WORDS: Final = {"water": "water", "sky": "sky", "hull": "own boat", "moved": "moved while the camera stayed"}
 
 
 def _supplied_masks(

@@ -88,8 +88,9 @@ SKY: Final = 0
 WATER: Final = 1
 LAND: Final = 2
 HULL: Final = 3
-"""Codes of label pictures; only land is usable."""
-PARTS: Final[dict[str, int]] = {"sky": SKY, "water": WATER, "land": LAND, "hull": HULL}
+MOVED: Final = 4
+"""Codes of label pictures; only land is usable. What moved is told in images of a camera that stayed only."""
+PARTS: Final[dict[str, int]] = {"sky": SKY, "water": WATER, "land": LAND, "hull": HULL, "moved": MOVED}
 
 
 @dataclass(frozen=True, slots=True)

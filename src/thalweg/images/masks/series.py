@@ -8,10 +8,11 @@ from typing import Final
 import cv2
 import numpy as np
 
-from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayU8, Camera, InputError, njit
+from thalweg.core import NMAD, AnyArray, ArrayB, ArrayF, ArrayF32, ArrayU8, Camera, InputError, njit
 from thalweg.images.masks.learning import (
     HULL,
     LAND,
+    MOVED,
     SKY,
     WATER,
     PixelModel,
@@ -251,6 +252,78 @@ def steady_parts(images: Sequence[ArrayU8]) -> ArrayB:
         if score > best:
             best, found = score, parts
     return found
+
+
+_STAYED: Final = 0.6
+"""Share of the edges of a series that are steady where the camera stayed; on a boat only the hull's are."""
+_VARIES: Final = 4.0
+"""A pixel that scatters more than this many times the median one shows what always moves: water, leaves."""
+_OFF: Final = 5.0
+"""Deviation from the pixel's median over time, in its own scatter, that is something passing by."""
+_NOISE: Final = 0.01
+"""Least scatter (logarithm of light) that is assumed: of an even, well lit surface in JPEG."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StillScene:
+    """What a camera that stayed saw: (h, w) median and scatter over time of the logarithm of light.
+
+    ``varies`` (h, w): pixels that always move.
+    """
+
+    median: ArrayF32
+    scatter: ArrayF32
+    varies: ArrayB
+
+    @classmethod
+    def of(cls, images: Sequence[ArrayU8]) -> "StillScene":
+        """Of images (h, w, 3) of one size; each is set to one light in the middle."""
+        light = np.stack([_even_light(image) for image in images])
+        median = np.median(light, axis=0)
+        scatter = robust_scatter(light, median)
+        floor = max(float(np.median(scatter)), _NOISE)
+        varies = _opened(scatter > _VARIES * floor)
+        return cls(median=median, scatter=np.maximum(scatter, floor).astype(np.float32), varies=varies)
+
+    def moved(self, image: ArrayU8) -> ArrayB:
+        """Pixels (h, w) of an image of that size that always move, or show something passing by."""
+        off = np.abs(_even_light(image) - self.median) > _OFF * self.scatter
+        return np.asarray(self.varies | _opened(off))
+
+
+def _even_light(image: ArrayU8) -> ArrayF32:
+    """Logarithm of light, blurred over three pixels against small shakes, its median set to zero."""
+    light = cv2.blur(np.log(image.astype(np.float32) + 8.0).mean(axis=2), (3, 3))
+    return np.asarray(light - np.median(light), np.float32)
+
+
+def robust_scatter(values: ArrayF32, median: ArrayF32) -> ArrayF32:
+    """Standard deviation (h, w) of values (n, h, w) by the median absolute deviation."""
+    return np.asarray(NMAD * np.median(np.abs(values - median), axis=0), np.float32)
+
+
+def _opened(part: ArrayB) -> ArrayB:
+    """Without specks of a pixel or two, and a pixel wider: the rim of what moves moves, too."""
+    k = np.ones((3, 3), np.uint8)
+    kept = cv2.morphologyEx(part.astype(np.uint8), cv2.MORPH_OPEN, k)
+    return np.asarray(cv2.dilate(kept, k), np.bool_)
+
+
+def camera_stayed(images: Sequence[ArrayU8]) -> bool:
+    """Whether a series of images (h, w, 3) of one size shows one view: most of its edges keep their place.
+
+    False for short series.
+    """
+    if len(images) < LEAST_IMAGES:
+        return False
+    strong = []
+    for image in images:
+        light = np.log(image.astype(np.float32) + 8.0).mean(axis=2)
+        gradient = np.stack([cv2.Sobel(light, cv2.CV_32F, *d, ksize=3) / 8 for d in ((1, 0), (0, 1))])
+        strong.append(np.hypot(*gradient) > _FAINT)
+    edges = np.mean(strong, axis=0) > 0.5
+    _, coherence = _steadiness(images)
+    return bool(edges.any() and np.mean(coherence[edges] > _STEADY) > _STAYED)
 
 
 def _steadiness(images: Sequence[ArrayU8]) -> tuple[ArrayF32, ArrayF32]:
@@ -533,6 +606,7 @@ class SeriesModel:
     horizons : of the series.
     settings : how images are masked.
     notes : what a user should know about the whole series.
+    still : what a camera that stayed saw: then only what moved is masked, and nothing is water or own boat.
     """
 
     scenery: Scenery | None
@@ -542,6 +616,7 @@ class SeriesModel:
     horizons: Horizons
     settings: MaskSettings
     notes: tuple[str, ...]
+    still: StillScene | None = None
 
     def parts(self, image: ArrayU8, size_px: tuple[int, int], name: str) -> tuple[ArrayU8, list[str]]:
         """Parts (h, w) of an image at analysis size, in the codes of `mask_settings`, and notes.
@@ -554,6 +629,12 @@ class SeriesModel:
         """
         h, w = image.shape[:2]
         notes = []
+        if self.still is not None:
+            if size_px != self.size_px:
+                return np.full((h, w), LAND, np.uint8), ["another size than most images: nothing is masked"]
+            sh, sw = self.still.median.shape
+            moved = self.still.moved(cv2.resize(image, (sw, sh), interpolation=cv2.INTER_AREA))
+            return np.where(enlarged(moved, (w, h)), MOVED, LAND).astype(np.uint8), notes
         hull = np.zeros((h, w), dtype=np.bool_)
         if size_px == self.size_px:
             hull = _wider(enlarged(self.hull, (w, h)), self.settings.hull_margin_share * h)
@@ -617,6 +698,18 @@ def learn_series(
     fine = [(name, image) for name, image, own in read if own == size]
     coarse = [(name, scaled_to(image, settings.analysis_px // 2)) for name, image in fine]
     notes = []
+    if camera_stayed([image for _, image in coarse]):
+        still = StillScene.of([image for _, image in coarse])
+        return SeriesModel(
+            scenery=None,
+            sky=None,
+            hull=np.zeros(still.median.shape, np.bool_),
+            size_px=size,
+            horizons=horizons,
+            settings=settings,
+            notes=("the camera stayed: what moved is masked, pixel by pixel over time",),
+            still=still,
+        )
     hull = steady_parts([image for _, image in coarse])
     if len(coarse) < LEAST_IMAGES:
         notes.append(f"{len(coarse)} images are too few to find the own boat by what keeps its place")

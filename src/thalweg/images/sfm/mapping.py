@@ -57,6 +57,14 @@ class Mapped:
     facts: dict[str, Any]
 
 
+_LEAST_FOR_FOCAL: Final = 5
+_LEAST_FOR_SHAPE: Final = 9
+"""Images of a block that bear a focal length, and distortion."""
+_SIGMAS: Final = 5.0
+_WIDEST: Final = 1.0 / 3.0
+"""Focal length over the longer side: a perspective lens of 112 degrees; wider ones are fisheyes."""
+
+
 def map_images(matches: Matches, *, settings: MappingSettings | None = None, threads: int = 1) -> Mapped:
     """Put images together.
 
@@ -82,8 +90,15 @@ def map_images(matches: Matches, *, settings: MappingSettings | None = None, thr
         notes = fill_database(folder / "block.db", matches)
         run = _incremental if use.method == "incremental" else _global
         models = run(folder, matches, use, 1 if use.repeatable else max(1, threads))
+        models = [_refined(model, matches, use, notes) for model in models]
         found = [piece for model in models for piece in _pieces(model, matches, use, notes)]
-    good = [(block, facts) for block, facts in found if len(block.images) >= min(2, use.smallest_piece)]
+    good = []
+    for block, facts in found:
+        wrong = {camera.name: words for camera in block.cameras if (words := impossible_lens(camera))}
+        for name, words in wrong.items():
+            notes.append(f"a piece of {len(block.images)} images is left out: lens of {name!r} {words}")
+        if not wrong and len(block.images) >= min(2, use.smallest_piece):
+            good.append((block, facts))
     good.sort(key=lambda item: (-len(item[0].images), -len(item[0].points_block_m), item[0].images))
     main = set(good[0][0].images) if good else set()
     kept = [
@@ -120,30 +135,90 @@ def main_block(
     raise InputError(
         f"no two of {len(reasons)} images could be oriented to each other"
         + (f", {counted}" if counted else "")
-        + (f" ({told})" if told else ""),
+        + (f" ({told})" if told else "")
+        + "".join(f"; {note}" for note in mapped.facts.get("notes", []) if "impossible" in note),
         expected="images that overlap, with texture outside their masks",
         cure="Look at the images and their masks, which are black where nothing is to be used; compare more "
         "pairs (images.mapping.pairs: exhaustive)",
     )
 
 
-def is_estimated(matches: Matches, use: MappingSettings) -> bool:
-    """Whether an interior orientation is an unknown."""
-    if use.interior == "auto":
-        return any(start.source != "given" for start in matches.starts)
-    return use.interior == "estimated"
-
-
 def held_cameras(matches: Matches, use: MappingSettings) -> set[int]:
-    """COLMAP's numbers of given cameras that stay as they are while others are estimated."""
-    if use.interior != "auto" or not is_estimated(matches, use):
+    """COLMAP's numbers of given cameras that stay as they are while others are estimated from the first pair.
+
+    One pair does not determine a lens: freed there, a good one is lost (of 16 images two were left).
+    Where given ones are to be estimated, `_refined` does so once the block stands.
+    """
+    if not _estimates_guesses(matches, use):
         return set()
     return {key for key, start in enumerate(matches.starts, start=1) if start.source == "given"}
 
 
+def _estimates_guesses(matches: Matches, use: MappingSettings) -> bool:
+    """Whether lenses of which nothing is known are estimated image by image."""
+    return use.interior != "fixed" and any(start.source != "given" for start in matches.starts)
+
+
+def _refined(model: Any, matches: Matches, use: MappingSettings, notes: list[str]) -> Any:
+    """A model whose given cameras were held, adjusted once more with their lenses free as far as it bears.
+
+    The focal length from `_LEAST_FOR_FOCAL` images, distortion from `_LEAST_FOR_SHAPE`; a lens that becomes
+    impossible stays as given.
+    """
+    given = [start.source == "given" for start in matches.starts]
+    n = model.num_reg_images()
+    if use.interior != "estimated" or not any(given) or n < _LEAST_FOR_FOCAL:
+        return model
+    pc = colmap()
+    o = pc.BundleAdjustmentOptions()
+    o.print_summary = False
+    o.refine_focal_length, o.refine_extra_params = True, n >= _LEAST_FOR_SHAPE
+    o.refine_principal_point = False
+    o.ceres.use_gpu = False
+    o.ceres.solver_options.num_threads = 1
+    freed = pc.Reconstruction(model)
+    pc.bundle_adjustment(freed, o)
+    for key in {int(freed.image(k).camera_id) for k in freed.reg_image_ids()}:
+        camera, _ = from_colmap(freed.camera(key), matches.starts[key - 1].camera.name)
+        if words := impossible_lens(camera):
+            notes.append(f"the lens of {camera.name!r} stays as given: estimated, it would be {words}")
+            return model
+        stated = matches.starts[key - 1].camera
+        sigma = float(np.sqrt(stated.cov[0, 0])) if given[key - 1] else 0.0
+        off = float(camera.parameters[0] - stated.parameters[0])
+        if sigma > 0 and abs(off) > _SIGMAS * sigma:
+            notes.append(
+                f"the images put the focal length of {camera.name!r} {off:+.2f} px from the given one, "
+                f"{abs(off) / sigma:.1f} of its standard deviations: another zoom or focus?"
+            )
+    return freed
+
+
+def impossible_lens(camera: Camera) -> str:
+    """What is impossible about a perspective lens, in words; nothing if it is possible, or a fisheye.
+
+    Impossible are a focal length below a third of the longer side, and distortion that folds the picture:
+    directions farther from the axis that are imaged nearer to the centre.
+    """
+    if camera.model != "perspective":
+        return ""
+    f, side = float(camera.parameters[0]), max(camera.size_px)
+    if f < _WIDEST * side:
+        return f"impossible, f {f:.0f} px for pictures of {side} px"
+    shape = dict(zip(camera.parameter_names, camera.parameters.tolist(), strict=True))
+    k = [shape.get(name, 0.0) for name in ("k1", "k2", "k3")]
+    corner = float(np.hypot(*camera.size_px)) / 2 / f
+    r = np.linspace(0.0, 3.0 * corner, 600)
+    imaged = r * (1 + k[0] * r**2 + k[1] * r**4 + k[2] * r**6)
+    falls = np.flatnonzero(np.diff(imaged) <= 0)
+    if len(falls) and imaged[: falls[0] + 1].max() < corner:
+        return f"impossible, it folds the picture {f * imaged[falls[0]]:.0f} px from the centre"
+    return ""
+
+
 def _incremental(folder: Path, matches: Matches, use: MappingSettings, threads: int) -> list[Any]:
     pc = colmap()
-    estimated = is_estimated(matches, use)
+    estimated = _estimates_guesses(matches, use)
     scale = matches.scale()
     o = pc.IncrementalPipelineOptions()
     o.random_seed = SEED
@@ -182,7 +257,7 @@ def _global(folder: Path, matches: Matches, use: MappingSettings, threads: int) 
     o.mapper.retriangulation.random_seed = SEED
     o.mapper.global_positioning.use_gpu = o.mapper.bundle_adjustment.ceres.use_gpu = False
     adjustment = o.mapper.bundle_adjustment
-    adjustment.refine_focal_length = adjustment.refine_extra_params = is_estimated(matches, use)
+    adjustment.refine_focal_length = adjustment.refine_extra_params = _estimates_guesses(matches, use)
     adjustment.refine_principal_point = False
     adjustment.ceres.solver_options.num_threads = threads
     (folder / "models").mkdir()

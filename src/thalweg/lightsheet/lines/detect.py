@@ -448,6 +448,8 @@ def detect_lines(image: AnyArray, settings: LineSettings | None = None) -> LineP
     """
     settings = settings or LineSettings()
     green = green_image(np.asarray(image), settings)
+    if settings.method == "auto":
+        settings = replace(settings, method="lsm" if green.daylight else "speckle_patch")
     if settings.method != "speckle_patch":
         green = green.taken_as_measured()
     by_rows = settings.across == "rows" or (settings.across == "auto" and runs_down(green))

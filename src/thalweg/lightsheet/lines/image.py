@@ -15,7 +15,7 @@ from typing import Final, Literal
 import cv2
 import numpy as np
 
-from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayU8, InputError
+from thalweg.core import NMAD, AnyArray, ArrayB, ArrayF, ArrayF32, ArrayU8, InputError
 from thalweg.lightsheet.lines.settings import LineSettings
 
 MEASURED: Final = 1
@@ -66,7 +66,8 @@ class GreenImage:
     """Green grey values (h, w), bits of each pixel (h, w), and where the range of values ends.
 
     In a mosaic ``dn`` is interpolated at red and blue pixels; their bit `MEASURED` is not set. ``other``
-    (h, w) is the mean of red and blue light around each pixel, None for a monochrome image.
+    (h, w) is the mean of red and blue light around each pixel, None for a monochrome image and where
+    ``daylight`` was taken away, see `laser_light`.
     """
 
     dn: ArrayF32
@@ -75,6 +76,7 @@ class GreenImage:
     largest_dn: float
     saturation_dn: float
     other: ArrayF32 | None
+    daylight: bool = False
 
     def taken_as_measured(self) -> "GreenImage":
         """Interpolated pixels count like measured ones."""
@@ -113,7 +115,7 @@ def green_image(image: AnyArray, settings: LineSettings) -> GreenImage:
     ----------
     image : (h, w) monochrome or mosaic, or (h, w, 3) colours with green in the middle; uint8, uint16, or
         floating point on the scale of 8 bits.
-    settings : ``layout``, ``saturation_dn`` and ``largest_saturated_share`` are used.
+    settings : ``layout``, ``laser_colour``, ``saturation_dn`` and ``largest_saturated_share`` are used.
 
     Raises
     ------
@@ -121,6 +123,12 @@ def green_image(image: AnyArray, settings: LineSettings) -> GreenImage:
         than the others, or too many saturated pixels.
     """
     _check(image)
+    if image.ndim == 3 and settings.laser_colour != "mono":
+        channel = laser_channel(image, settings.laser_colour)
+        if is_daylight(image):
+            return _without_daylight(image, channel, settings)
+        first, second = (c for c in range(3) if c != channel)
+        image = image[:, :, [first, channel, second]]  # the laser's colour stands in the middle
     grey = image[:, :, 1] if image.ndim == 3 else image
     dn = np.ascontiguousarray(grey, np.float32)
     if not np.isfinite(dn).all():
@@ -141,6 +149,120 @@ def green_image(image: AnyArray, settings: LineSettings) -> GreenImage:
     kind: Kind = "mosaic" if parity >= 0 else ("rgb" if image.ndim == 3 else "mono")
     return GreenImage(
         dn=dn, bits=bits, kind=kind, largest_dn=largest, saturation_dn=float(level), other=other
+    )
+
+
+# ---------------------------------------------------------------- laser lines in daylight
+#
+# A pattern in daylight is the product of a grey albedo and of light of one colour: its three colours
+# foretell each other, ``c = a + b1 d + b2 e``. A laser adds light of one colour only. What the other two
+# colours do not foretell of the laser's own,
+#
+#     s = c - (a + b1 d + b2 e),
+#
+# holds the line and no pattern, whatever its contrast. The coefficients are those of a robust regression
+# over the image (Tukey), of which a line covers little; where both others carry the pattern alike they share
+# it, so that noise is averaged. The line itself is as bright as the albedo: where it crosses an edge of the
+# pattern its brighter half draws the measured place aside, by up to a pixel. What is foretold *is* the albedo
+# times the daylight, so that ``s`` is divided by it, softened where the surface is so dark that noise would
+# rule.
+
+
+_DAYLIGHT: Final = 0.1
+"""Share of the range of values that half of the pixels exceed in daylight."""
+_PIXELS: Final = 40_000
+"""So many pixels, evenly spread, tell the colour of daylight."""
+_ROUNDS: Final = 8
+_TUKEY: Final = 4.685
+_SOFT: Final = 0.3
+"""Added to the brightness by which the laser's light is divided, as a share of its median."""
+_TAIL: Final = 0.997
+"""A line covers at least the rest of the pixels."""
+_CHANNELS: Final = {"red": 0, "green": 1, "blue": 2}
+
+
+def is_daylight(image: AnyArray) -> bool:
+    """Whether a colour image (h, w, 3) shows more than a laser in the dark."""
+    return bool(np.median(image[::3, ::3].max(axis=2)) > _DAYLIGHT * _largest(image))
+
+
+def daylight_colour(image: AnyArray, channel: int) -> ArrayF:
+    """Coefficients (a, b1, b2) by which the other two channels foretell one, in their order.
+
+    Parameters
+    ----------
+    image : (h, w, 3) colours.
+    channel : 0 red, 1 green, 2 blue.
+    """
+    step = max(int(np.sqrt(image.shape[0] * image.shape[1] / _PIXELS)), 1)
+    some = image[::step, ::step].reshape(-1, 3).astype(np.float64)
+    top = _SATURATED_SHARE_OF_RANGE * _largest(image)
+    some = some[(some < top).all(axis=1)]
+    if len(some) < _LEAST_PIXELS:
+        return np.zeros(3)
+    others = [c for c in range(3) if c != channel]
+    design = np.column_stack([np.ones(len(some)), some[:, others]])
+    weight = np.ones(len(some))
+    ridge = np.diag([0.0, 1.0, 1.0]) * 1e-3 * float(np.mean(some[:, others] ** 2))
+    x = np.zeros(3)
+    for _ in range(_ROUNDS):
+        N = design.T @ (weight[:, None] * design) / weight.sum() + ridge
+        x = np.linalg.solve(N, design.T @ (weight * some[:, channel]) / weight.sum())
+        off = some[:, channel] - design @ x
+        middle = float(np.median(off))
+        scale = max(NMAD * float(np.median(np.abs(off - middle))), 0.3)
+        weight = np.clip(1.0 - ((off - middle) / (_TUKEY * scale)) ** 2, 0.0, None) ** 2 + 1e-9
+    return np.asarray(x)
+
+
+def laser_light(image: AnyArray, channel: int) -> ArrayF32:
+    """Light (h, w) of a channel that the other two do not foretell, on a surface of one albedo.
+
+    Where the brightness is the median one, the scale is that of the image.
+    """
+    a, b1, b2 = daylight_colour(image, channel)
+    first, second = (c for c in range(3) if c != channel)
+    colours = image.astype(np.float32)
+    foretold = np.float32(a) + np.float32(b1) * colours[:, :, first] + np.float32(b2) * colours[:, :, second]
+    middle = max(float(np.median(foretold)), 1e-3)
+    albedo = (np.clip(foretold, 0.0, None) / middle + _SOFT) / (1.0 + _SOFT)
+    return np.asarray((colours[:, :, channel] - foretold) / albedo, np.float32)
+
+
+def laser_channel(image: AnyArray, colour: str) -> int:
+    """Channel of the laser: the stated one, or that in which a few pixels stand out most.
+
+    In the dark `auto` is green, as in all images that were not taken in daylight.
+    """
+    if colour != "auto":
+        return _CHANNELS[colour]
+    if not is_daylight(image):
+        return _CHANNELS["green"]
+    stands_out = []
+    for channel in range(3):
+        light = cv2.GaussianBlur(laser_light(image, channel), (0, 0), 1.5)
+        spread = max(NMAD * float(np.median(np.abs(light - np.median(light)))), 1e-3)
+        stands_out.append(float(np.quantile(light, _TAIL) - np.median(light)) / spread)
+    return int(np.argmax(stands_out))
+
+
+def _without_daylight(image: AnyArray, channel: int, settings: LineSettings) -> GreenImage:
+    """The laser's light of an image in daylight as a monochrome image."""
+    own = image[:, :, channel]
+    largest = _largest(own)
+    level = settings.saturation_dn or _SATURATED_SHARE_OF_RANGE * largest
+    saturated = (image >= level).any(axis=2)
+    _refuse_overexposed(float((own >= level).mean()), level, settings.largest_saturated_share)
+    bits = np.full(own.shape, MEASURED, np.uint8)
+    bits[saturated] |= SATURATED
+    return GreenImage(
+        dn=laser_light(image, channel),
+        bits=bits,
+        kind="rgb",
+        largest_dn=largest,
+        saturation_dn=float(level),
+        other=None,
+        daylight=True,
     )
 
 

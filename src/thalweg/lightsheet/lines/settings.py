@@ -7,8 +7,9 @@ from typing import Literal, get_args
 from thalweg.core import ConfigError
 from thalweg.settings.sections import SheetLines
 
-Method = Literal["speckle_patch", "lsm", "row_gauss", "steger"]
+Method = Literal["auto", "speckle_patch", "lsm", "row_gauss", "steger"]
 Layout = Literal["auto", "mono", "rgb", "rggb", "bggr", "grbg", "gbrg"]
+LaserColour = Literal["auto", "green", "red", "blue", "mono"]
 Across = Literal["auto", "rows", "columns"]
 Direction = Literal["row", "normal"]
 
@@ -32,10 +33,12 @@ class LineSettings:
 
     Attributes
     ----------
-    method : ``speckle_patch`` Gaussian patch with speckle weights and adaptive height; ``lsm`` least-squares
-        matching with a fixed patch (P4 4.1); ``row_gauss`` each row for itself; ``steger`` ridge of the
-        smoothed image (Steger 1998).
+    method : ``auto`` takes ``lsm`` where daylight was taken away from a colour image, whose noise is no
+        speckle, else ``speckle_patch``; ``speckle_patch`` Gaussian patch with speckle weights and adaptive
+        height; ``lsm`` least-squares matching with a fixed patch (P4 4.1); ``row_gauss`` each row for
+        itself; ``steger`` ridge of the smoothed image (Steger 1998).
     layout : how colours are stored; ``auto`` tells a mosaic from a monochrome image by the line itself.
+    laser_colour : colour of the laser in colour images, see `thalweg.lightsheet.lines.image.laser_light`.
     across : ``rows`` for a line from top to bottom, measured along rows; ``columns`` for one from left to
         right; ``auto`` decides by the gradients.
     direction : ``row`` along the row (or column), ``normal`` perpendicular to the local line.
@@ -64,8 +67,9 @@ class LineSettings:
     apply_shift : whether it is removed at once; a series of images removes what they have in common.
     """
 
-    method: Method = "speckle_patch"
+    method: Method = SheetLines().method
     layout: Layout = "auto"
+    laser_colour: LaserColour = SheetLines().laser_colour
     across: Across = "auto"
     direction: Direction = "row"
     lines: int = 1
@@ -97,7 +101,13 @@ class LineSettings:
         ------
         ConfigError : an unknown word, an even or non-positive patch, or a number out of its range.
         """
-        words = {"method": Method, "layout": Layout, "across": Across, "direction": Direction}
+        words = {
+            "method": Method,
+            "layout": Layout,
+            "laser_colour": LaserColour,
+            "across": Across,
+            "direction": Direction,
+        }
         for name, kind in words.items():
             if getattr(self, name) not in get_args(kind):
                 raise ConfigError(

@@ -78,13 +78,20 @@ def scan_stream(scan: str, part: str) -> str:
 class SheetLines(Section):
     """Measurement of the laser line; see `thalweg.lightsheet.lines`."""
 
-    method: Literal["speckle_patch", "lsm", "row_gauss", "steger"] = Field(
-        default="speckle_patch",
-        description="`speckle_patch` Gaussian patch with speckle weights and adaptive height, `lsm` "
-        "least-squares matching (P4 4.1), `row_gauss` each row alone, `steger` ridge",
+    method: Literal["auto", "speckle_patch", "lsm", "row_gauss", "steger"] = Field(
+        default="auto",
+        description="`auto`: `lsm` in daylight, else `speckle_patch`; `speckle_patch` Gaussian patch with "
+        "speckle weights and adaptive height, `lsm` least-squares matching (P4 4.1), `row_gauss` each row "
+        "alone, `steger` ridge",
     )
     layout: Literal["auto", "mono", "rgb", "rggb", "bggr", "grbg", "gbrg"] = Field(
         default="auto", description="How colours are stored in the images"
+    )
+    laser_colour: Literal["auto", "green", "red", "blue", "mono"] = Field(
+        default="auto",
+        description="Colour of the laser in colour images. In daylight the part of it that the other two "
+        "colours do not foretell is measured; `auto`: the colour that stands out most, green in the dark; "
+        "`mono`: the green pixels as they are",
     )
     across: Literal["auto", "rows", "columns"] = Field(
         default="auto", description="`rows` for a line from top to bottom, `columns` from left to right"
