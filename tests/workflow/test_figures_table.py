@@ -272,7 +272,7 @@ def test_what_the_shipped_campaigns_show(repository: Path) -> None:
     assert len(names("basin_tiny", "scans")) == 12
     assert names("tiny_change") == names("tiny_change", "deformation")
     assert names("tiny_change")[:3] == ["epochs_from_above", "epochs_together", "change_map"]
-    assert len(names("tiny_change")) == 11
+    assert len(names("tiny_change")) == 12
     (row,) = [row for row in table.rows if row.name == "change_map"]
     changes = row.input_files(of)["changes"](SimpleNamespace(campaign="tiny_change"))
     assert changes == ["results/tiny_change/deformation/changes_1-2.parquet"]
