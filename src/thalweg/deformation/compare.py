@@ -231,7 +231,7 @@ def cloud_to_cloud(
     parts = []
     for first in range(0, len(after_m), _POINTS_A_CHUNK):
         chunk = after_m[first : first + _POINTS_A_CHUNK]
-        nearest, index = tree.query(chunk, k=neighbours)
+        found, index = (np.asarray(each) for each in tree.query(chunk, k=neighbours))
         near = before_m[index]
         middle = near.mean(axis=1)
         centred = near - middle[:, None]
@@ -239,10 +239,10 @@ def cloud_to_cloud(
         normal = vectors[:, :, 0]
         normal = normal * np.where(normal @ towards < 0, -1.0, 1.0)[:, None]
         along = np.einsum("ni,ni->n", chunk - middle, normal)
-        own = tree.query(near[:, 0], k=2)[0][:, 1]
-        parts.append(np.column_stack([chunk, nearest[:, 0], along, own]))
-    found = np.concatenate(parts)
-    return frame_of(CLOUD_TO_CLOUD, dict(zip(CLOUD_TO_CLOUD.names, found.T, strict=True)))
+        own = np.asarray(tree.query(near[:, 0], k=2)[0])[:, 1]
+        parts.append(np.column_stack([chunk, found[:, 0], along, own]))
+    columns = np.concatenate(parts).T
+    return frame_of(CLOUD_TO_CLOUD, dict(zip(CLOUD_TO_CLOUD.names, columns, strict=True)))
 
 
 def judge_changes(
