@@ -94,7 +94,7 @@ def survey_settings(
     ------
     ValidationError : a value that a campaign file may not have.
     """
-    return Campaign.model_validate(
+    plain = Campaign.model_validate(
         {
             "campaign": {"id": "survey", "title": "Survey of the twin", "seed": seed, **PLACE},
             "twin": twin,
@@ -102,6 +102,8 @@ def survey_settings(
             **sections,
         }
     ).plain()
+    del plain["lidar"]["clock"]  # the lidar of the twin knows GPS time
+    return plain
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
