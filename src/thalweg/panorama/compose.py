@@ -27,6 +27,7 @@ _STEPS: Final = 2
 """The seam moves at most so many steps across from one place to the next."""
 _FADE_DEG: Final = 5.0
 _BLUR_PX: Final = 4.0
+_ROW: Final = 16_384
 _FINE_PX: Final = 2048
 """Wider panoramas are projected at every `_EACH` pixel along both sides, and between them linearly: a fisheye
 of 200 px per radian bends by 0.001 px over that."""
@@ -103,15 +104,12 @@ def lens_pixels(
 
 
 def _sampled(view: AnyArray, xy: ArrayF) -> AnyArray:
-    """Values (n, ...) of a view at pixels (n, 2), bilinear; 0 where NaN."""
-    flat = np.nan_to_num(xy, nan=-10.0).astype(np.float32) - np.float32(0.5)
-    n = len(flat)
-    width = 16_384
-    padded = np.full((-(-n // width) * width, 2), -10.0, dtype=np.float32)
-    padded[:n] = flat
-    maps = padded.reshape(-1, min(width, max(n, 1)) if n < width else width, 2) if n >= width else None
-    if maps is None:
-        maps = flat.reshape(1, -1, 2)
+    """Values (n, ...) of a view at pixels (n, 2), bilinear; where NaN, those of its corner."""
+    n = len(xy)
+    # OpenCV takes at most 32,767 rows and columns, and counts from the centre of the first pixel
+    flat = np.full((-(-n // _ROW) * _ROW, 2), -10.0, dtype=np.float32)
+    flat[:n] = np.nan_to_num(xy, nan=-10.0) - 0.5
+    maps = flat.reshape(-1, _ROW, 2)
     out = cv2.remap(view, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return out.reshape(-1, *view.shape[2:])[:n]
 
