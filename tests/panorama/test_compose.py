@@ -7,7 +7,7 @@ from scipy.optimize import brentq
 from thalweg.calibration import Rig
 from thalweg.core import Camera, Rigid
 from thalweg.panorama import compose, dependence_on_cloud, reading_that_fits, sphere_rays
-from thalweg.panorama.compose import lens_pixels
+from thalweg.panorama.compose import _all_pixels, lens_pixels
 from thalweg.settings.sections import Rig as RigSettings
 
 BASE_M = 0.0194
@@ -134,6 +134,20 @@ def test_the_panorama_shows_the_sphere(near: dict[str, np.ndarray]) -> None:
     edge = found.front[:, 1:] != found.front[:, :-1]
     jump = np.abs(np.diff(found.picture.astype(float), axis=1)).mean(axis=2)
     assert jump[edge].mean() < 1.2 * jump[~edge].mean()
+
+
+def test_wide_panoramas_are_projected_at_some_pixels_and_lose_nothing() -> None:
+    rig, width = rig_of_the_shelf(), 2304
+    inverse = np.full((width // 2, width), 1 / 2.0)
+    found = _all_pixels(rig, np.eye(3), inverse)
+    exact, _ = lens_pixels(rig, sphere_rays(width).reshape(-1, 3), inverse.ravel())
+    for lens, xy in found.items():
+        both = np.isfinite(xy[:, 0]) & np.isfinite(exact[lens][:, 0])
+        # the rim of a circle may lose the pixels of a step
+        assert both.sum() > 0.98 * np.isfinite(exact[lens][:, 0]).sum()
+        off = np.linalg.norm(xy[both] - exact[lens][both], axis=1)
+        assert np.quantile(off, 0.999) < 0.01
+        assert off.max() < 0.1
 
 
 def test_what_a_mask_hides_is_grey_where_the_other_lens_does_not_show_it(near: dict[str, np.ndarray]) -> None:

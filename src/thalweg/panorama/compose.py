@@ -26,6 +26,12 @@ _ACROSS_DEG: Final = 0.25
 _STEPS: Final = 2
 """The seam moves at most so many steps across from one place to the next."""
 _FADE_DEG: Final = 5.0
+_BLUR_PX: Final = 4.0
+_ROW: Final = 16_384
+_FINE_PX: Final = 2048
+"""Wider panoramas are projected at every `_EACH` pixel along both sides, and between them linearly: a fisheye
+of 200 px per radian bends by 0.001 px over that."""
+_EACH: Final = 4
 _BACKGROUND: Final = 128
 """Grey of what no lens shows."""
 RIM_DEG: Final = 1.0
@@ -91,22 +97,19 @@ def lens_pixels(
         local = (directions_front + inverse_range[:, None] * (rig.centre_front_m - place.shift_m)) @ place.R
         angle = np.rad2deg(np.arctan2(np.hypot(local[:, 0], local[:, 1]), local[:, 2]))
         xy = rig.cameras[name].project(local)
-        seen: ArrayB = (angle < widest) & rig.cameras[name].inside(xy, 1.0)
+        seen = np.logical_and(angle < widest, rig.cameras[name].inside(xy, 1.0))
         xy[~seen] = np.nan
         pixels[name], angles[name] = xy, angle
     return pixels, angles
 
 
 def _sampled(view: AnyArray, xy: ArrayF) -> AnyArray:
-    """Values (n, ...) of a view at pixels (n, 2), bilinear; 0 where NaN."""
-    flat = np.nan_to_num(xy, nan=-10.0).astype(np.float32) - np.float32(0.5)
-    n = len(flat)
-    width = 16_384
-    padded = np.full((-(-n // width) * width, 2), -10.0, dtype=np.float32)
-    padded[:n] = flat
-    maps = padded.reshape(-1, min(width, max(n, 1)) if n < width else width, 2) if n >= width else None
-    if maps is None:
-        maps = flat.reshape(1, -1, 2)
+    """Values (n, ...) of a view at pixels (n, 2), bilinear; where NaN, those of its corner."""
+    n = len(xy)
+    # OpenCV takes at most 32,767 rows and columns, and counts from the centre of the first pixel
+    flat = np.full((-(-n // _ROW) * _ROW, 2), -10.0, dtype=np.float32)
+    flat[:n] = np.nan_to_num(xy, nan=-10.0) - 0.5
+    maps = flat.reshape(-1, _ROW, 2)
     out = cv2.remap(view, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return out.reshape(-1, *view.shape[2:])[:n]
 
@@ -132,8 +135,8 @@ def compose(
     gains : light of the back lens over that of the front lens by colour; None: from the overlap.
     """
     height, width = inverse_range.shape
-    directions = sphere_rays(width).reshape(-1, 3) @ R_front_pcs.T
-    pixels, _ = lens_pixels(rig, directions, inverse_range.ravel())
+    directions = (sphere_rays(width).reshape(-1, 3) @ R_front_pcs.T).astype(np.float32)
+    pixels = _all_pixels(rig, R_front_pcs, inverse_range)
     usable = {name: np.isfinite(pixels[name][:, 0]) for name in LENSES}
     if masks:
         for name, mask in masks.items():
@@ -171,6 +174,39 @@ def compose(
         seam_px=shifts * width / 360.0,
         agreement=agreement,
     )
+
+
+def _all_pixels(rig: Rig, R_front_pcs: ArrayF, inverse_range: AnyArray) -> dict[str, ArrayF]:
+    """Where both lenses see each pixel of a panorama: (n, 2) by lens, NaN outside the image circle."""
+    height, width = inverse_range.shape
+    step = _EACH if width > _FINE_PX and width % _EACH == height % _EACH == 0 else 1
+    if step == 1:
+        return lens_pixels(rig, sphere_rays(width).reshape(-1, 3) @ R_front_pcs.T, inverse_range.ravel())[0]
+    # middles of squares of pixels, and one more on each side
+    rays = _closed(sphere_rays(width // step))
+    mean = cv2.resize(inverse_range, (width // step, height // step), interpolation=cv2.INTER_AREA)
+    inverse = _closed(mean)
+    found, _ = lens_pixels(rig, rays.reshape(-1, 3) @ R_front_pcs.T, inverse.ravel())
+    u = ((np.arange(width) + 0.5) / step - 0.5 + 1).astype(np.float32)
+    v = ((np.arange(height) + 0.5) / step - 0.5 + 1).astype(np.float32)
+    at = np.meshgrid(u, v)
+    return {
+        name: cv2.remap(
+            xy.reshape(*rays.shape[:2], 2).astype(np.float32),
+            at[0],
+            at[1],
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        ).reshape(-1, 2)
+        for name, xy in found.items()
+    }
+
+
+def _closed(values: AnyArray) -> AnyArray:
+    """Values (h, w, ...) with a column and a row more on each side: once around, and across the poles."""
+    half = values.shape[1] // 2
+    tall = np.concatenate([np.roll(values[:1], half, axis=1), values, np.roll(values[-1:], half, axis=1)])
+    return np.concatenate([tall[:, -1:], tall, tall[:, :1]], axis=1)
 
 
 def _evened(colour: Mapping[str, AnyArray], gains: ArrayF) -> dict[str, AnyArray]:
@@ -271,10 +307,17 @@ def _blended(
     sigma = _FADE_DEG / 2 / 360.0 * width
     pad = min(width, int(4 * sigma) + 1)
 
+    # some pixels to a standard deviation are enough for what is smooth over many
+    less = max(1, int(sigma / _BLUR_PX))
+    small = (-(-width // less), -(-height // less))
+
     def broad(values: AnyArray) -> AnyArray:
         """Gaussian mean, closed to the left and right."""
-        wide = np.concatenate([values[:, -pad:], values, values[:, :pad]], axis=1)
-        return cv2.GaussianBlur(wide, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)[:, pad:-pad]
+        few = cv2.resize(values, small, interpolation=cv2.INTER_AREA) if less > 1 else values
+        rim = min(few.shape[1], pad // less + 1)
+        wide = np.concatenate([few[:, -rim:], few, few[:, :rim]], axis=1)
+        soft = cv2.GaussianBlur(wide, (0, 0), sigma / less, borderType=cv2.BORDER_REPLICATE)[:, rim:-rim]
+        return cv2.resize(soft, (width, height), interpolation=cv2.INTER_LINEAR) if less > 1 else soft
 
     weight = broad(both.astype(np.float32))
     mean = broad(difference.astype(np.float32)) / np.maximum(weight, 1e-3)[..., None]

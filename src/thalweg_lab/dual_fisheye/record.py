@@ -125,7 +125,7 @@ def _times(config: TwinConfig, settings: TwinDualFisheye, seed: int) -> tuple[Ar
     """Release and exposure since the begin of the survey, what the clock is ahead, its stamps in us."""
     rng = generator(seed, "dual fisheye shutter")
     n = settings.images
-    released: ArrayF = config.duration_s / 2 + (np.arange(n) - (n - 1) / 2) / settings.rate_hz
+    released = np.asarray(config.duration_s / 2 + (np.arange(n) - (n - 1) / 2) / settings.rate_hz)
     exposed_s: ArrayF = released + settings.jitter_s * rng.standard_normal(n)
     ahead: ArrayF = settings.clock_offset_s + 1e-6 * settings.clock_drift_ppm * released
     stamp_us = 1000 * np.rint((released + ahead) * 1e3 + start_us(config) * 1e-3).astype(np.int64)
