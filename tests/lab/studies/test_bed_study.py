@@ -1,6 +1,5 @@
 """Riverbeds of many surveys: one survey in small, and what is judged honest."""
 
-
 import numpy as np
 import pandas as pd
 import pytest
