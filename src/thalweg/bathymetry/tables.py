@@ -907,10 +907,9 @@ def _reference_points(path: Path, crs: CRS, settings: Bathymetry) -> tuple[Array
         return grid.centres_m()[known], value[known]
     if kind in {".las", ".laz"}:
         of = laz_header(path).frame
-        same = of is None or (
-            not isinstance(of, LocalFrame) and of.to_2d().equals(crs, ignore_axis_order=True)
-        )
-        if not same:
+        if of is not None and (
+            isinstance(of, LocalFrame) or not of.to_2d().equals(crs, ignore_axis_order=True)
+        ):
             raise InputError(
                 f"a cloud in {'a local frame' if isinstance(of, LocalFrame) else of.name}",
                 where=path,

@@ -65,7 +65,8 @@ def joint_river_figure(places: pd.DataFrame, by_depth: pd.DataFrame) -> Figure:
         )
     for ax in panels:
         ax.set(ylabel="north [m]", aspect="equal")
-        ax.label_outer()
+    for ax in panels[:-1]:
+        ax.tick_params(labelbottom=False)
     panels[-1].set_xlabel("east [m]")
     _by_depth(figure.add_subplot(grid[4, 0]), by_depth)
     return figure
