@@ -245,7 +245,7 @@ def _bed(options: argparse.Namespace) -> int:
     )
     from thalweg.core import ConfigError
     from thalweg.figures import save
-    from thalweg.figures.bathymetry import draw_bed_of_table
+    from thalweg.figures.bathymetry import table_bed_map
     from thalweg.settings.sections import Bathymetry
 
     crs = map_crs(options.crs)
@@ -286,7 +286,7 @@ def _bed(options: argparse.Namespace) -> int:
         {"heights": "above the water surface, metres" if relative else f"of {options.table.name}, metres"},
     )
     save(
-        draw_bed_of_table(
+        table_bed_map(
             bed=options.out / "bed.tif",
             observations=found.bed.data,
             line=found.line,

@@ -1,2 +1,2 @@
 from .page import bed_page as bed_page
-from .pictures import draw_bed_of_table as draw_bed_of_table
+from .pictures import table_bed_map as table_bed_map

@@ -185,9 +185,7 @@ def draw_bed_map(
 
 
 @styled
-def draw_bed_of_table(
-    *, bed: Path, observations: pd.DataFrame, line: FlowLine, title: str, twin: bool
-) -> Figure:
+def table_bed_map(*, bed: Path, observations: pd.DataFrame, line: FlowLine, title: str, twin: bool) -> Figure:
     """Height of a bed from a table of soundings and its standard deviation, from above.
 
     Parameters
