@@ -74,7 +74,8 @@ def test_the_commands_exist(repository: Path, capsys: pytest.CaptureFixture[str]
                 assert capsys.readouterr().err == "", f"{place}: {line}"
                 seen[words[1]] += place == "README.md"
     names = re.findall(r"(?m)^    ([a-z]+(?:-[a-z]+)*)(?: |$)", _parser().format_help())
-    beside = {"import-calibration", "export-camera", "schema"}  # README names their neighbours, docs the rest
+    # README names their neighbours, docs the rest
+    beside = {"import-calibration", "export-camera", "schema", "frames"}
     assert {name for name in names if not seen[name]} <= beside
 
 

@@ -163,7 +163,7 @@ def green_image(image: AnyArray, settings: LineSettings) -> GreenImage:
 # holds the line and no pattern, whatever its contrast. The coefficients are those of a robust regression
 # over the image (Tukey), of which a line covers little; where both others carry the pattern alike they share
 # it, so that noise is averaged. The line itself is as bright as the albedo: where it crosses an edge of the
-# pattern its brighter half draws the measured place aside, by up to a pixel. What is predicted *is* the albedo
+# pattern its brighter half draws the measured place aside, by up to a pixel. What is predicted is the albedo
 # times the daylight, so that ``s`` is divided by it, softened where the surface is so dark that noise would
 # rule.
 
