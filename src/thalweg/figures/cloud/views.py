@@ -473,7 +473,7 @@ def _surroundings(
     distance, nearest = cKDTree(track[:, :2]).query(cell[:, :2])
     above = cell[:, 2] - track[nearest, 2]
     if max_distance_m is None:
-        max_distance_m = min(float(np.quantile(distance, 0.95)), FARTHEST_M) if len(distance) else 0.0
+        max_distance_m = min(float(np.quantile(distance, 0.95)), FARTHEST_M) if len(cell) else 0.0
     beside = np.asarray((distance >= min_distance_m) & (distance <= max_distance_m))
     low = beside & (above >= -BELOW_BOAT_M) & (above <= BANK_M)
     return _Surroundings(

@@ -11,7 +11,7 @@ import pandas as pd
 
 from thalweg.core import InputError, read_table, utc_text_from_gps
 from thalweg.deformation import CHANGES, CORE_POINTS, STATES, VISIBILITY
-from thalweg.figures import Page, count
+from thalweg.figures import Finding, Page, count
 from thalweg.figures.accuracy import centimetres
 from thalweg.figures.deformation.maps import NOT_SEEN, signed
 
@@ -188,6 +188,32 @@ def cubic_metres(row: Mapping[str, float]) -> str:
     return f"{signed(row['volume_m3'], digits)} ± {row['sigma_m3']:.{digits}f} m³"
 
 
+def head(pairs: Sequence[PairFacts]) -> tuple[str, list[Finding]]:
+    """The first sentence and the numbers of the last pair, which spans all epochs, each with its verdict."""
+    if not pairs:
+        return "No pair of epochs.", []
+    pair = pairs[-1]
+    parts = {what: pair.volume(what) for what in ("erosion", "deposition", "net")}
+    told = {
+        what: "not zero, at 95 %" if row["low_m3"] > 0 or row["high_m3"] < 0 else "no different from zero"
+        for what, row in parts.items()
+    }
+    total = float(pair.area_m2.sum())
+    findings = [
+        Finding("volume of erosion", cubic_metres(parts["erosion"]), told["erosion"]),
+        Finding("volume of deposition", cubic_metres(parts["deposition"]), told["deposition"]),
+        Finding(
+            "net volume, with what did not change significantly", cubic_metres(parts["net"]), told["net"]
+        ),
+        Finding(
+            "change that stands out at half of the core points, 95 %",
+            centimetres(float(pair.changes["lod95_m"].median())),
+        ),
+        Finding("not seen in an epoch, in no volume", f"{pair.unseen_m2:.1f} of {total:.0f} m²"),
+    ]
+    return f"{pair.words}: the net volume is {told['net']}.", findings
+
+
 def verdict(pair: PairFacts) -> str:
     """What changed between two epochs, in sentences.
 
@@ -341,9 +367,7 @@ def change_page(
     ------
     InputError : the volumes of a pair are incomplete, or a picture is missing.
     """
-    page = Page(title, verdict(pairs[0]) if pairs else "No pair of epochs.")
-    for pair in pairs[1:]:
-        page.text(verdict(pair))
+    page = Page(title, *head(pairs))
     notes = [f"{pair.words}: {note}" for pair in pairs for note in pair.control.get("notes", ())]
     if notes:
         page.text("\n\n".join(notes))
@@ -352,6 +376,9 @@ def change_page(
             "The digital twin made these data: the surveys and the change between them are simulated. The "
             "figures speak of the software and of the models of the instruments, not of a real river."
         )
+    page.section("In words")
+    for pair in pairs:
+        page.text(verdict(pair))
     _volumes(page, pairs)
     _states(page, pairs)
     if pictures:

@@ -628,7 +628,7 @@ class SeriesModel:
         name : of its file, for the pose.
         """
         h, w = image.shape[:2]
-        notes = []
+        notes: list[str] = []
         if self.still is not None:
             if size_px != self.size_px:
                 return np.full((h, w), LAND, np.uint8), ["another size than most images: nothing is masked"]

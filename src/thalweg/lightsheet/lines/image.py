@@ -155,15 +155,15 @@ def green_image(image: AnyArray, settings: LineSettings) -> GreenImage:
 # ---------------------------------------------------------------- laser lines in daylight
 #
 # A pattern in daylight is the product of a grey albedo and of light of one colour: its three colours
-# foretell each other, ``c = a + b1 d + b2 e``. A laser adds light of one colour only. What the other two
-# colours do not foretell of the laser's own,
+# predict each other, ``c = a + b1 d + b2 e``. A laser adds light of one colour only. What the other two
+# colours do not predict of the laser's own,
 #
 #     s = c - (a + b1 d + b2 e),
 #
 # holds the line and no pattern, whatever its contrast. The coefficients are those of a robust regression
 # over the image (Tukey), of which a line covers little; where both others carry the pattern alike they share
 # it, so that noise is averaged. The line itself is as bright as the albedo: where it crosses an edge of the
-# pattern its brighter half draws the measured place aside, by up to a pixel. What is foretold *is* the albedo
+# pattern its brighter half draws the measured place aside, by up to a pixel. What is predicted is the albedo
 # times the daylight, so that ``s`` is divided by it, softened where the surface is so dark that noise would
 # rule.
 
@@ -187,7 +187,7 @@ def is_daylight(image: AnyArray) -> bool:
 
 
 def daylight_colour(image: AnyArray, channel: int) -> ArrayF:
-    """Coefficients (a, b1, b2) by which the other two channels foretell one, in their order.
+    """Coefficients (a, b1, b2) by which the other two channels predict one, in their order.
 
     Parameters
     ----------
@@ -216,17 +216,17 @@ def daylight_colour(image: AnyArray, channel: int) -> ArrayF:
 
 
 def laser_light(image: AnyArray, channel: int) -> ArrayF32:
-    """Light (h, w) of a channel that the other two do not foretell, on a surface of one albedo.
+    """Light (h, w) of a channel that the other two do not predict, on a surface of one albedo.
 
     Where the brightness is the median one, the scale is that of the image.
     """
     a, b1, b2 = daylight_colour(image, channel)
     first, second = (c for c in range(3) if c != channel)
     colours = image.astype(np.float32)
-    foretold = np.float32(a) + np.float32(b1) * colours[:, :, first] + np.float32(b2) * colours[:, :, second]
-    middle = max(float(np.median(foretold)), 1e-3)
-    albedo = (np.clip(foretold, 0.0, None) / middle + _SOFT) / (1.0 + _SOFT)
-    return np.asarray((colours[:, :, channel] - foretold) / albedo, np.float32)
+    predicted = np.float32(a) + np.float32(b1) * colours[:, :, first] + np.float32(b2) * colours[:, :, second]
+    middle = max(float(np.median(predicted)), 1e-3)
+    albedo = (np.clip(predicted, 0.0, None) / middle + _SOFT) / (1.0 + _SOFT)
+    return np.asarray((colours[:, :, channel] - predicted) / albedo, np.float32)
 
 
 def laser_channel(image: AnyArray, colour: str) -> int:

@@ -90,7 +90,7 @@ class SheetLines(Section):
     laser_colour: Literal["auto", "green", "red", "blue", "mono"] = Field(
         default="auto",
         description="Colour of the laser in colour images. In daylight the part of it that the other two "
-        "colours do not foretell is measured; `auto`: the colour that stands out most, green in the dark; "
+        "colours do not predict is measured; `auto`: the colour that stands out most, green in the dark; "
         "`mono`: the green pixels as they are",
     )
     across: Literal["auto", "rows", "columns"] = Field(
