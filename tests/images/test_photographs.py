@@ -91,7 +91,7 @@ def test_a_real_aerial_block_from_photographs_and_points(data_dir, tmp_path, cap
     # the ground of the city, 135 to 145 m high, but for roofs
     assert tie["z_m"].quantile([0.25, 0.75]).between(125, 175).all()
     page = (tmp_path / "o/index.html").read_text()
-    assert "5 of 5 photographs have a pose" in page
+    assert "photographs with a pose</td><td>5 of 5" in page
 
 
 def test_coordinates_of_a_local_frame_stay(tmp_path):
