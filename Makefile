@@ -49,7 +49,7 @@ real-logs: env ## page of other people's recordings (THALWEG_DATA)
 	@$(SNAKEMAKE) real_logs
 
 test: env check ## static checks and the test suite
-	@$(PY) -m pytest -n $(CORES) --dist loadgroup -m "not slow"
+	@$(PY) -m pytest -n $$(( $(CORES) + 1 )) --dist loadgroup -m "not slow" --durations=60
 
 check: env ## static checks only
 	@$(MAKE) --no-print-directory -j2 check-types check-rest
