@@ -84,7 +84,7 @@ rule ledger:
         runtime=minutes(10),
     params:
         code=code_version("ledger"),
-        root=str(ROOT),
+        root=lambda wildcards: str(ROOT),
         results=lambda wildcards: laboratory.whole_ledger_results(ROOT),
         rules=lambda wildcards: sorted(rule.name for rule in workflow.rules),
         figures=sorted(row.name for row in FIGURES.rows),
