@@ -195,7 +195,7 @@ def test_figures_over_seeds_have_bounds(calibrated: tuple) -> None:
     table = rig_table(pd.DataFrame([row] * 20)).set_index("measure")
     assert list(table.columns) == ["value", "low", "high", "seeds"]
     assert (table["seeds"] == 20).all()
-    squares = table.loc["normalised squares, all 22 unknowns"]
+    squares = table.loc["NEES, all 22 unknowns"]
     assert 0.7 <= squares["low"] < 1 < squares["high"] <= 1.4
 
 

@@ -111,6 +111,7 @@ SIMULATED = tuple(
         "logs/echo.nmea",
         "logs/tls_1.laz",
         "logs/time_lapse",
+        "logs/rig",
         "pictures/view_bank.npz",
         "truth/trajectory.parquet",
     )
@@ -128,6 +129,7 @@ PROCESSED = (
     "accuracy/statistics.csv",
     "accuracy/chains.csv",
     "ingest/reference.laz",
+    "panorama/panoramas.parquet",
     "bathymetry/validation.json",
     "fusion/river.json",
 )

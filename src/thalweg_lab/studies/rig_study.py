@@ -93,8 +93,8 @@ def rig_table(rows: pd.DataFrame) -> pd.DataFrame:
         ("relative rotation, rms error, deg", size(turn), 0.0, ANGLE_DEG),
         ("relative rotation, largest error, deg", float(turn.max()), 0.0, ANGLE_DEG),
         ("interiors to 95 degrees, largest error, px", float(rows["lens_px"].max()), 0.0, LENS_PX),
-        ("normalised squares, all 22 unknowns", float(rows["squares"].mean()), *band(UNKNOWNS)),
-        ("normalised squares, relative orientation", float(rows["pose_squares"].mean()), *band(6)),
+        ("NEES, all 22 unknowns", float(rows["squares"].mean()), *band(UNKNOWNS)),
+        ("NEES, relative orientation", float(rows["pose_squares"].mean()), *band(6)),
     ]
     return pd.DataFrame(
         [(*figure, n) for figure in figures], columns=["measure", "value", "low", "high", "seeds"]
