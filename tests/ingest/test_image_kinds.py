@@ -63,6 +63,16 @@ def test_other_tables_are_not_taken_for_control_points(tmp_path: Path, text: str
         recognise(path)
 
 
+TRACK = (
+    "% program   : RTKLIB\n"
+    "%  GPST                  latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m)   sdu(m)"
+    "  sdne(m)  sdeu(m)  sdun(m) age(s)  ratio\n"
+    "2017/05/12 18:45:13.400   50.000000000   13.000000000   200.0000   1  11   0.0030   0.0020   0.0060"
+    "  -0.0010   0.0015  -0.0025   0.40   12.3\n"
+)
+"""With a track photographs are those of a boat."""
+
+
 def _logs(folder: Path) -> None:
     (folder / "raw" / "photos").mkdir(parents=True)
     (folder / "raw" / "masks").mkdir()
@@ -80,6 +90,7 @@ def test_a_new_campaign_knows_photographs_and_control_points(
     _logs(tmp_path)
     (tmp_path / "raw" / "targets.csv").write_text(TEXTS["control_points"])
     (tmp_path / "raw" / "gcp_list.txt").write_text(TEXTS["gcp_list"])
+    (tmp_path / "raw" / "ppk.pos").write_text(TRACK)
     assert main(["new-campaign", "mine", "--from-logs", "raw", "--folder", "."]) == 0
     assert "folder with 3 photographs" in capsys.readouterr().out
     written = yaml.safe_load((tmp_path / "mine.yaml").read_text())
@@ -98,6 +109,7 @@ def test_without_control_points_the_antenna_takes_their_place(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     _logs(tmp_path)
+    (tmp_path / "raw" / "ppk.pos").write_text(TRACK)
     assert main(["new-campaign", "mine", "--from-logs", "raw", "--folder", "."]) == 0
     written = yaml.safe_load((tmp_path / "mine.yaml").read_text())
     assert written["images"]["adjustment"]["antenna"] == {"use": True}
