@@ -92,6 +92,6 @@ def _by_depth(ax: Axes, table: pd.DataFrame) -> None:
     )
     ax.set(title="e: errors by depth of water, all surveys", ylabel="root mean\nsquare [cm]")
     top = _CM_PER_M * float(classes[["rmse_observed_m", "rmse_predicted_m"]].max().max())
-    ax.set_ylim(0, 1.25 * top)
+    ax.set_ylim(0, 1.45 * top)
     ax.legend(ncols=3, loc="upper left")
     ax.grid(axis="y")
