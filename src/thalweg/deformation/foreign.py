@@ -438,6 +438,7 @@ def _registered(
     names = ("east", "north", "up")
 
     def named(values: ArrayF) -> dict[str, float]:
+        """Three values under the names of their axes."""
         return dict(zip(names, values.tolist(), strict=True))
 
     return {

@@ -116,6 +116,7 @@ def history_facts(poses: pd.DataFrame) -> dict[str, Any]:
     off = (place - mean) / change
 
     def named(values: Any) -> dict[str, float]:
+        """Three values under the names of their axes."""
         return dict(zip(AXES, np.asarray(values, float).tolist(), strict=True))
 
     return {

@@ -221,7 +221,7 @@ def _started(process: int) -> str | None:
             os.kill(process, 0)
         except ProcessLookupError:
             return None
-        except PermissionError:
-            pass
+        except PermissionError:  # it runs, for another user
+            return "running"
         return "running"
     return None if fields[0] in "ZX" else fields[19]

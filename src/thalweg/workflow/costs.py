@@ -72,6 +72,7 @@ def costs_of(
     asked = getattr(snakemake, "resources", None)
 
     def wanted(name: str) -> float | None:
+        """What the rule asked for, None if it asked for nothing."""
         value = asked.get(name) if asked is not None else None
         return float(value) if isinstance(value, int | float) else None
 

@@ -255,6 +255,7 @@ def _sync(paths: Iterable[Path]) -> None:
 
 def _sync_each(paths: Sequence[Path]) -> None:
     def sync(path: Path) -> None:
+        """Wait until a file or folder is on the disk."""
         handle = os.open(path, os.O_RDONLY)
         try:
             os.fsync(handle)

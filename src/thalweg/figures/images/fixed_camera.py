@@ -93,6 +93,7 @@ def fixed_camera_page(
     """
 
     def metres(name: str) -> str:
+        """Three coordinates of the facts, to the millimetre."""
         return " / ".join(f"{v:.3f}" for v in facts[name].values())
 
     still = "cannot tell"
