@@ -16,12 +16,17 @@ import re
 import runpy
 import sys
 from collections.abc import Callable
+from multiprocessing.connection import wait
 from pathlib import Path
 from subprocess import CalledProcessError
+from threading import Lock
 from typing import Any, Final
 
 _THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 _SCRATCH: Final = ("TMPDIR", "TMP", "TEMP", "TEMPDIR")
+# `multiprocessing` reads the exit code of a process whenever another one is started, and two threads that
+# read it at once leave one of them without: a job that ended well would be said to have failed with 255.
+_EXIT_CODES: Final = Lock()
 
 
 def fork_scripts(*, after: int = 0) -> None:
@@ -60,12 +65,15 @@ def _forking(started: Callable[..., None], context: Any, after: int = 0) -> Call
         scratch = script.resources.get("tmpdir")
         job = context.Process(target=_run, args=(fname, Path.cwd(), script.threads, blas, scratch))
         try:
-            job.start()
+            with _EXIT_CODES:
+                job.start()
         except OSError:  # no room for another process, or a path of the server's socket that is too long
             started(script, fname, edit=edit)
             return
         with benchmarked(job.pid if script.bench_record is not None else False, script.bench_record):
-            job.join()
+            wait([job.sentinel])
+            with _EXIT_CODES:
+                job.join()
         if job.exitcode:
             raise CalledProcessError(job.exitcode, f"{sys.executable} {fname}")
 
