@@ -1,18 +1,21 @@
 """Pages of the documentation's site that come from the code, and links from docs to the rest; `make docs`.
 
 A hook of MkDocs (mkdocs.yml names it). Made here: front page from README.md, command line from the parsers,
-settings from config/README.md, tables with units from their schemas, a page for each front door of the
-library, and graphs as SVG. Nothing is written into docs.
+settings from config/README.md, notebooks with their results, tables with units from their schemas, a page for
+each front door of the library, and graphs as SVG. Nothing is written into docs.
 """
 
 import argparse
 import ast
 import importlib
+import json
 import re
 import sys
+from base64 import b64encode
 from collections.abc import Iterator
 from functools import partial
 from html import escape
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -222,6 +225,41 @@ def door_page(package: str, offers: dict[str, list[str]]) -> str:
     return "\n".join(lines)
 
 
+def notebook_page(path: Path) -> str:
+    """A notebook with what its cells give: text of the last expression, and figures within the page.
+
+    Parameters
+    ----------
+    path : ``.ipynb``; its cells are run one after another in a namespace of their own.
+    """
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    lines: list[str] = []
+    names: dict[str, Any] = {"__name__": path.stem}
+    for k, cell in enumerate(json.loads(path.read_text(encoding="utf-8"))["cells"]):
+        text = "".join(cell["source"])
+        if cell["cell_type"] == "markdown":
+            lines += [text, ""]
+            continue
+        lines += ["```python", text, "```", ""]
+        tree, value = ast.parse(text, f"{path.name}, cell {k}"), None
+        last = tree.body.pop() if isinstance(tree.body[-1], ast.Expr) else None
+        exec(compile(tree, f"{path.name}, cell {k}", "exec"), names)
+        if isinstance(last, ast.Expr):
+            value = eval(compile(ast.Expression(last.value), f"{path.name}, cell {k}", "eval"), names)
+        if value is not None and not text.endswith(";"):
+            lines += ["```text", str(value), "```", ""]
+        for number in plt.get_fignums():
+            picture = BytesIO()
+            plt.figure(number).savefig(picture, format="png", dpi=110)
+            lines += [f"![Figure](data:image/png;base64,{b64encode(picture.getvalue()).decode()})", ""]
+        plt.close("all")
+    return "\n".join([*lines, f"Notebook: [{path.name}]({path.name})", ""])
+
+
 def generated() -> dict[str, str]:
     """Pages of the site that no file of docs holds: place in the site -> Markdown."""
     sys.path.insert(0, str(ROOT / "src"))  # MkDocs puts back what a hook changes while it is loaded
@@ -229,6 +267,10 @@ def generated() -> dict[str, str]:
         target: moved((ROOT / place).read_text(encoding="utf-8"), place, target)
         for place, target in OUTSIDE.items()
         if target.endswith(".md")
+    }
+    pages |= {
+        path.relative_to(ROOT / "docs").with_suffix(".md").as_posix(): notebook_page(path)
+        for path in sorted((ROOT / "docs/notebooks").glob("*.ipynb"))
     }
     pages |= {"reference/cli.md": command_page(), "reference/tables.md": table_page()}
     lines = [

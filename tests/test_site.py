@@ -82,6 +82,15 @@ def test_the_reference_is_complete(pages: dict[str, str], repository: Path) -> N
     assert "`njit`: of numba" in pages["api/thalweg.core.md"]
 
 
+def test_notebooks_are_shown_with_what_their_cells_give(pages: dict[str, str]) -> None:
+    """Their own assertions hold when the site is made."""
+    point, clouds = pages["notebooks/lidar_point.md"], pages["notebooks/two_clouds.md"]
+    assert re.search(r"```text\nNEES (0\.9[789]|1\.0[012])", point)
+    assert "```text\n                             roughness alone  with shared errors" in clouds
+    for page in (point, clouds):
+        assert page.count("](data:image/png;base64,") == 1
+
+
 def test_a_graph_needs_no_network(site: dict[str, Any]) -> None:
     drawn = site["graph"]("flowchart LR\n    a[(raw logs)] --> b --> c\n    d -. twin .-> a\n")
     boxes = re.findall(r'<rect x="[\d.]+" y="(\d+)".*?>([\w ]+)</text>', drawn)
