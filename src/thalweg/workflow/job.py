@@ -1,4 +1,4 @@
-"""Run the ``main`` of an entry script as a Snakemake job: the truth closed to it, its origin written beside it.
+"""Run the ``main`` of an entry script as a Snakemake job: truth closed to it, provenance written beside it.
 
 The truth of the digital twin is closed to every rule that processes.
 
