@@ -419,7 +419,7 @@ FORMULAS = {
     "core/timescales.py": ("core/test_timescales.py", "dt.datetime"),
     "core/geometry/raycast.py": ("core/test_raycast.py", "test_slanting_rays_meet_a_plane"),
     "calibration/marker_sheets.py": ("calibration/test_marker_sheets.py", "cv2.aruco.generateImageMarker"),
-    "panorama/sphere.py": ("panorama/test_sphere.py", '"EQUIRECTANGULAR"'),
+    "panorama/compose.py": ("panorama/test_sphere.py", '"EQUIRECTANGULAR"'),
     "lightsheet/optics/interfaces.py": ("lightsheet/test_optics.py", "test_fermat"),
     "lightsheet/optics/refractive_index.py": ("lightsheet/test_optics.py", "Schiebener et al. 1990"),
     "lightsheet/optics/sensor.py": ("lightsheet/test_intersection.py", "test_golden_points_of_paper_4"),
