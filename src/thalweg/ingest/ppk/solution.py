@@ -27,9 +27,8 @@ from thalweg.core import ArrayF, ConfigError, InputError, rotation_ecef_enu, utc
 from thalweg.ingest import IntegrityReport, find_gaps
 from thalweg.ingest.ppk import worker as ppk_worker
 from thalweg.ingest.ppk.options import PpkOptions, ecef_fault, engine_settings
-from thalweg.ingest.ppk.positions import read_solution, replace_covariances
 from thalweg.ingest.ppk.rinex import RinexScan, rinex_kind, scan_rinex, whole_records
-from thalweg.ingest.ppk.trust import trust_fixes
+from thalweg.ingest.ppk.trust import read_solution, replace_covariances, trust_fixes
 from thalweg.ingest.sbp import find_messages
 
 # Imported for its path only: so an edit of the worker counts as an edit of what runs it.
