@@ -9,7 +9,7 @@ from scipy.stats import chi2
 from thalweg.core import ArrayF, GeometryError
 from thalweg.deformation import HeightErrors
 from thalweg.deformation.field import ErrorField
-from thalweg.deformation.spatial import SpatialErrors, place_in_cells
+from thalweg.deformation.foreign_epochs import SpatialErrors, place_in_cells
 from thalweg.deformation.surfaces import volume_variance
 
 
