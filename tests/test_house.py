@@ -336,7 +336,6 @@ UNREACHED = {
             "bathymetry/through_water.py",
             "calibration/lens.py",
             "figures/catalogue.py",
-            "figures/costs.py",
             "figures/survey/gnss.py",
             "ingest/photos/video.py",
             "ingest/ppk/exports.py",
