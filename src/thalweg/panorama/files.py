@@ -49,16 +49,8 @@ from thalweg.core import (
 )
 from thalweg.images.model import ImagePoses
 from thalweg.lidar import Photographs
-from thalweg.panorama.compose import (
-    RIM_DEG,
-    Composed,
-    compose,
-    correlation,
-    default_width_px,
-    level_attitude,
-    overlap,
-    pixels_of,
-)
+from thalweg.panorama.compose import RIM_DEG, Composed, compose, correlation, overlap
+from thalweg.panorama.sphere import default_width_px, level_attitude, pixels_of
 from thalweg.settings.sections import Panorama, RigLens
 
 _NEAREST_M: Final = 0.4
