@@ -176,13 +176,12 @@ COMMANDS = (
     "cli_bathymetry",
     "cli_calibration",
     "cli_check",
-    "cli_cluster",
     "cli_deformation",
     "cli_images",
     "cli_results",
     "cli_survey",
 )
-OF_THE_WORKFLOW = ("cli_check", "cli_cluster", "cli_results")
+OF_THE_WORKFLOW = ("cli_check", "cli_results")
 MAY_IMPORT = {
     **{name: set(PACKAGES[: i + 1]) for i, name in enumerate(PACKAGES)},
     "workflow": {"core", "settings", "workflow"},
@@ -326,7 +325,6 @@ UNREACHED = {
     "cli_calibration.py": "the command line",
     "cli_check.py": "the command line",
     "cli_deformation.py": "the command line",
-    "cli_cluster.py": "the command line",
     "cli_images.py": "the command line",
     "cli_results.py": "the command line",
     "cli_survey.py": "the command line",

@@ -16,10 +16,9 @@ from typing import TYPE_CHECKING
 import thalweg
 from thalweg.cli_bathymetry import add_bathymetry_commands
 from thalweg.cli_calibration import add_calibration_commands, describe_marked
-from thalweg.cli_cluster import add_cluster_commands
 from thalweg.cli_deformation import add_deformation_commands, summarise_changes
 from thalweg.cli_images import add_image_commands
-from thalweg.cli_results import add_result_commands
+from thalweg.cli_results import add_cluster_commands, add_result_commands
 from thalweg.cli_survey import add_survey_commands
 from thalweg.core import ConfigError, InputError, ThalwegError, file_trouble, to_terminal
 
