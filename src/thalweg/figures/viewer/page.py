@@ -40,7 +40,7 @@ from thalweg.core import (
     laz_header,
     unix_from_gps,
 )
-from thalweg.deformation import TEXT, read_points
+from thalweg.deformation.foreign import TEXT, read_points
 from thalweg.figures import (
     HEIGHT_MAP,
     RANGE_MAP,

@@ -41,11 +41,24 @@ from thalweg.core import (
     njit,
     prange,
 )
-from thalweg.deformation.epochs import Epoch, between_frames
-from thalweg.deformation.field import ErrorField, ErrorGroup, rows_of_weights
-from thalweg.deformation.foreign import ROUGHNESS_ALONE, density_notes, one_frame, read_points
-from thalweg.deformation.m3c2 import ColumnIndex, pose_weights
-from thalweg.deformation.surfaces import Dsm, HeightErrors, Shapes, mask_missing, read_dsm, read_shapes
+from thalweg.deformation import (
+    ColumnIndex,
+    Epoch,
+    ErrorField,
+    ErrorGroup,
+    between_frames,
+    pose_weights,
+    rows_of_weights,
+)
+from thalweg.deformation.foreign.clouds import ROUGHNESS_ALONE, density_notes, one_frame, read_points
+from thalweg.deformation.foreign.surfaces import (
+    Dsm,
+    HeightErrors,
+    Shapes,
+    mask_missing,
+    read_dsm,
+    read_shapes,
+)
 from thalweg.ingest.clouds import to_world
 from thalweg.settings import utm_code
 from thalweg.settings.sections import DSM_ENDINGS, Epoch as Statement

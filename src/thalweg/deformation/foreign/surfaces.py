@@ -46,7 +46,7 @@ from thalweg.core import (
     write_table,
 )
 from thalweg.core.geometry import TriangleMesh
-from thalweg.deformation.foreign import one_frame
+from thalweg.deformation.foreign.clouds import one_frame
 from thalweg.settings.sections import DSM_ENDINGS
 
 _LINE, _POLYGON = 2, 3
