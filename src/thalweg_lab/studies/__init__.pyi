@@ -6,6 +6,7 @@ from .study import (
     Tables as Tables,
     batches as batches,
     load as load,
+    read_studies as read_studies,
     run_seeds as run_seeds,
     write_results as write_results,
 )
