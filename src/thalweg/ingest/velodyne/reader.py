@@ -735,24 +735,6 @@ def _first_model(files: Sequence[Path], options: LidarOptions, chunk_bytes: int)
     )[0]
 
 
-def _packets(
-    files: Sequence[Path],
-    options: LidarOptions,
-    model: Model,
-    chunk_bytes: int,
-    tally: StreamTally | None = None,
-) -> Iterator[PacketBlock]:
-    return read_packets(
-        files,
-        model=model,
-        any_product=options.model.lower() != "auto",
-        data_port=options.data_port,
-        position_port=options.position_port,
-        tally=tally,
-        chunk_bytes=chunk_bytes,
-    )
-
-
 def _count(block: PacketBlock, options: LidarOptions, model: Model, counters: ArrayI) -> ArrayI:
     points = np.empty(block.payload.shape[0], dtype=np.int64)
     low, high = _range_ticks(options, model.range_unit_m)
@@ -787,7 +769,7 @@ def scan_lidar(
     clock.file_starts = findings.parts.file_starts = tally.file_starts
     counters = np.zeros(N_COUNTERS, dtype=np.int64)
     n_points = 0
-    for block in _packets(paths, options, model, chunk_bytes, tally):
+    for block in read_packets(paths, options, model, tally=tally, chunk_bytes=chunk_bytes):
         n_points += int(_count(block, options, model, counters).sum())
         findings.feed(block)
         clock.feed(block)
@@ -857,7 +839,7 @@ def iter_points(
     limit = max(int(max_points), _MIN_BLOCK_POINTS)
     counters = np.zeros(N_COUNTERS, dtype=np.int64)
     rate = 40.0
-    for block in _packets(paths, options, model, chunk_bytes):
+    for block in read_packets(paths, options, model, chunk_bytes=chunk_bytes):
         points = _count(block, options, model, counters)
         packet = block.first_packet + np.arange(points.size)
         t_device_s = block.t_us * 1e-6 + clock.extra_s(packet)
