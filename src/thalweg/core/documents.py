@@ -12,16 +12,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar, get_args, get_origin
 from xml.etree import ElementTree
 
-import numpy as np
 import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from thalweg.core.errors import ConfigError
-from thalweg.core.types import AnyArray
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from thalweg.core.types import AnyArray, ArrayU8
 
 UNFINISHED: Final = ".part-"
 """Start of the name of a folder with outputs of a running job, inside the folder where they will stand."""
@@ -61,12 +59,13 @@ def parse_xml(text: str | bytes) -> ElementTree.Element:
     return root
 
 
-def decode_picture(data: "NDArray[np.uint8]", flags: int) -> AnyArray | None:
+def decode_picture(data: "ArrayU8", flags: int) -> "AnyArray | None":
     """Pixels of a stored picture, as ``cv2.imdecode`` gives them; None if it is none.
 
     Neither is one whose head promises more than 2 ** 30 pixels: some kilobytes can stand for them.
     """
     import cv2
+    import numpy as np
 
     try:
         picture = cv2.imdecode(data, flags) if data.size else None
