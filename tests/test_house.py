@@ -176,13 +176,12 @@ COMMANDS = (
     "cli_bathymetry",
     "cli_calibration",
     "cli_check",
-    "cli_cluster",
     "cli_deformation",
     "cli_images",
     "cli_results",
     "cli_survey",
 )
-OF_THE_WORKFLOW = ("cli_check", "cli_cluster", "cli_results")
+OF_THE_WORKFLOW = ("cli_check", "cli_results")
 MAY_IMPORT = {
     **{name: set(PACKAGES[: i + 1]) for i, name in enumerate(PACKAGES)},
     "workflow": {"core", "settings", "workflow"},
@@ -326,7 +325,6 @@ UNREACHED = {
     "cli_calibration.py": "the command line",
     "cli_check.py": "the command line",
     "cli_deformation.py": "the command line",
-    "cli_cluster.py": "the command line",
     "cli_images.py": "the command line",
     "cli_results.py": "the command line",
     "cli_survey.py": "the command line",
@@ -336,7 +334,6 @@ UNREACHED = {
             "bathymetry/through_water.py",
             "calibration/lens.py",
             "figures/catalogue.py",
-            "figures/costs.py",
             "figures/survey/gnss.py",
             "ingest/photos/video.py",
             "ingest/ppk/exports.py",
@@ -487,7 +484,7 @@ LIBRARIES = {"pd", "pq", "pa", "cv2", "o3d", "pycolmap", "pandas", "pyarrow"}
 
 
 def native_opens(path: Path) -> list[str]:
-    """Calls that open a file in C++: no audit event tells `thalweg.workflow.truth` of it."""
+    """Calls that open a file in C++: no audit event tells `thalweg.workflow.job` of it."""
     found = []
     for node in ast.walk(ast.parse(path.read_text())):
         if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):

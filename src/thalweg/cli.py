@@ -16,10 +16,9 @@ from typing import TYPE_CHECKING
 import thalweg
 from thalweg.cli_bathymetry import add_bathymetry_commands
 from thalweg.cli_calibration import add_calibration_commands, describe_marked
-from thalweg.cli_cluster import add_cluster_commands
 from thalweg.cli_deformation import add_deformation_commands, summarise_changes
 from thalweg.cli_images import add_image_commands
-from thalweg.cli_results import add_result_commands
+from thalweg.cli_results import add_cluster_commands, add_result_commands
 from thalweg.cli_survey import add_survey_commands
 from thalweg.core import ConfigError, InputError, ThalwegError, file_trouble, to_terminal
 
@@ -187,7 +186,7 @@ def _new_campaign(options: argparse.Namespace) -> int:
 
 def _epochs_text(name: str, options: argparse.Namespace, schema: str) -> str:
     """Text of a campaign of epochs: of campaigns and of files."""
-    from thalweg.deformation import place_of_file
+    from thalweg.deformation.foreign import place_of_file
     from thalweg.settings import epochs_text, load_campaign
     from thalweg.settings.sections import CLOUD_ENDINGS, DSM_ENDINGS, TEXT_ENDINGS
 
@@ -308,7 +307,7 @@ def _spacing_m(files: dict[str, list[Path]]) -> float | None:
     """How far the points of a reference cloud are from their nearest neighbours; None for all else."""
     if not (files.get("cloud") and files.get("reference")):
         return None
-    from thalweg.deformation import point_spacing_m
+    from thalweg.deformation.foreign import point_spacing_m
 
     return point_spacing_m(files["reference"][0])
 
@@ -429,7 +428,7 @@ def _check_epochs(campaign: "Campaign") -> None:
     if not any(epoch.of_files for epoch in campaign.epochs or []):
         return
     from thalweg.core import LocalFrame
-    from thalweg.deformation import check_epoch_files
+    from thalweg.deformation.foreign import check_epoch_files
 
     wrong = []
     assert campaign.campaign.origin is not None  # epochs have one

@@ -267,7 +267,8 @@ def _compare(options: argparse.Namespace) -> int:
 
 def _compare_nearest(options: argparse.Namespace) -> int:
     from thalweg.core import ConfigError
-    from thalweg.deformation import CLOUD_TO_CLOUD, compare_nearest, write_changes
+    from thalweg.deformation import CLOUD_TO_CLOUD
+    from thalweg.deformation.foreign import compare_nearest, write_changes
 
     if options.sigma_a is not None or options.sigma_b is not None:
         raise ConfigError(
@@ -295,7 +296,7 @@ def _compare_nearest(options: argparse.Namespace) -> int:
 def _compare_surfaces(options: argparse.Namespace) -> int:
     import numpy as np
 
-    from thalweg.deformation import (
+    from thalweg.deformation.foreign import (
         HeightErrors,
         difference_of_surfaces,
         read_dsm,
@@ -338,7 +339,8 @@ def _compare_surfaces(options: argparse.Namespace) -> int:
 def _compare_clouds(options: argparse.Namespace) -> int:
     import numpy as np
 
-    from thalweg.deformation import Comparison, compare_clouds, sigma_of_mean, write_changes
+    from thalweg.deformation import Comparison
+    from thalweg.deformation.foreign import compare_clouds, sigma_of_mean, write_changes
 
     table, frame, notes = compare_clouds(
         options.before,
@@ -375,7 +377,7 @@ def _compare_with_surface(options: argparse.Namespace) -> int:
     import json
 
     from thalweg.core import ConfigError
-    from thalweg.deformation import DISTANCES, compare_with_surface, write_changes
+    from thalweg.deformation.foreign import DISTANCES, compare_with_surface, write_changes
     from thalweg.figures.accuracy import CAPTIONS, cloud_page, distance_histogram, distances_in_plan
     from thalweg.settings.sections import ReferenceSettings
 

@@ -2,7 +2,7 @@
 
 import logging
 
-import thalweg.core.progress as progress
+import thalweg.core.errors as progress
 from thalweg.core import steps
 
 

@@ -10,9 +10,10 @@ from pyproj import CRS
 from thalweg.cli import main
 from thalweg.core import ArrayF, GeometryError, InputError, LocalFrame, read_table
 from thalweg.core.las import read_laz, write_laz
-from thalweg.deformation import CLOUD_TO_CLOUD, Comparison, cloud_to_cloud, compare_clouds
+from thalweg.deformation import CLOUD_TO_CLOUD, Comparison, cloud_to_cloud
 from thalweg.deformation.compare import CHANGES, measure_distances
-from thalweg.deformation.foreign import Points, one_frame, read_points, sigma_of_mean
+from thalweg.deformation.foreign import compare_clouds
+from thalweg.deformation.foreign.clouds import Points, one_frame, read_points, sigma_of_mean
 
 OPTIONS = Comparison(scales_m=(1.0,), radius_m=0.8, half_length_m=3.0)
 

@@ -25,23 +25,25 @@ from thalweg.core import (
 )
 from thalweg.core.las import write_laz
 from thalweg.deformation import (
-    ForeignEpoch,
-    check_epoch_files,
     check_order,
     compare_epochs,
-    difference_of_epochs,
-    difference_of_models,
     estimate_volumes,
     find_jumps,
     measure_pair,
-    notes_of_pair,
     observe_visibility,
     place_core_points,
+    register_pair,
+    series_of_epochs,
+)
+from thalweg.deformation.foreign import (
+    ForeignEpoch,
+    check_epoch_files,
+    difference_of_epochs,
+    difference_of_models,
+    notes_of_pair,
     prepare_foreign_epoch,
     read_dsm,
     read_epoch,
-    register_pair,
-    series_of_epochs,
 )
 from thalweg.deformation.m3c2 import ColumnIndex
 from thalweg.settings.sections import Deformation, Epoch

@@ -7,10 +7,10 @@ from scipy.spatial.distance import cdist
 from scipy.stats import chi2
 
 from thalweg.core import ArrayF, GeometryError
-from thalweg.deformation import HeightErrors
 from thalweg.deformation.field import ErrorField
-from thalweg.deformation.spatial import SpatialErrors, place_in_cells
-from thalweg.deformation.surfaces import volume_variance
+from thalweg.deformation.foreign import HeightErrors
+from thalweg.deformation.foreign.epochs import SpatialErrors, place_in_cells
+from thalweg.deformation.foreign.surfaces import volume_variance
 
 
 def some_errors(rng: np.random.Generator, n: int, size: tuple[int, int], length_m: float) -> SpatialErrors:

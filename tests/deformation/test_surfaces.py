@@ -15,7 +15,7 @@ from scipy.ndimage import binary_erosion
 
 from thalweg.cli import main
 from thalweg.core import ArrayF, GeometryError, InputError, UnsupportedError, read_table
-from thalweg.deformation import (
+from thalweg.deformation.foreign import (
     Dsm,
     HeightErrors,
     Shapes,
@@ -26,9 +26,9 @@ from thalweg.deformation import (
     read_shapes,
     write_difference,
 )
+from thalweg.deformation.foreign.surfaces import VOLUMES, volume_variance
 from thalweg.deformation.m3c2 import ColumnIndex, cut_cylinders, multiscale_normals
 from thalweg.deformation.series import closure, find_jumps, fit_series
-from thalweg.deformation.surfaces import VOLUMES, volume_variance
 from thalweg.surface import Surface
 
 CORNER = (440_000.0, 5_640_000.0)

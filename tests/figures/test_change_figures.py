@@ -18,13 +18,10 @@ from thalweg.deformation import (
     HEIGHTS,
     SERIES,
     VISIBILITY,
-    Dsm,
-    SurfaceDifference,
     fit_series,
     heights_table,
-    read_difference,
-    write_difference,
 )
+from thalweg.deformation.foreign import Dsm, SurfaceDifference, read_difference, write_difference
 from thalweg.figures.deformation import change_page, read_pair_facts
 from thalweg.figures.deformation.heights import draw_height_difference
 from thalweg.figures.deformation.maps import draw_change_map, draw_not_seen, draw_significance_map, read_pairs

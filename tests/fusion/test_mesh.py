@@ -8,7 +8,7 @@ from scipy.io import netcdf_file
 from tests.fusion.test_measures_and_exports import model, river  # noqa: F401
 
 from thalweg.core import GeometryError
-from thalweg.fusion.mesh import least_angles_deg, mesh_river, write_2dm, write_selafin, write_ugrid
+from thalweg.fusion.exports import least_angles_deg, mesh_river, write_2dm, write_selafin, write_ugrid
 from thalweg.settings.sections import MeshSettings
 
 

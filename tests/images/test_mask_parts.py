@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from thalweg.core import Camera, InputError, exp_rotation
-from thalweg.images.masks.learning import LAND, MOVED, PixelModel, _best_path, read_reduced, water_line
-from thalweg.images.masks.series import (
+from thalweg.images.masks.images import (
     Horizons,
     camera_stayed,
     depression,
@@ -17,6 +16,7 @@ from thalweg.images.masks.series import (
     nominal_depression,
     steady_parts,
 )
+from thalweg.images.masks.learning import LAND, MOVED, PixelModel, _best_path, read_reduced, water_line
 from thalweg.settings.sections import MaskSettings
 
 

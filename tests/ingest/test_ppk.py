@@ -12,9 +12,8 @@ import pytest
 from thalweg.core import ConfigError, InputError
 from thalweg.ingest import GNSS_POSITION, IntegrityReport
 from thalweg.ingest.ppk import PpkOptions, replace_covariances, run_ppk
-from thalweg.ingest.ppk.engine import check_settings, run_worker, write_settings
-from thalweg.ingest.ppk.positions import SIGMA_FLOOR_M, covariance_enu, read_solution
-from thalweg.ingest.ppk.solution import PpkSolution
+from thalweg.ingest.ppk.solution import PpkSolution, check_settings, run_worker, write_settings
+from thalweg.ingest.ppk.trust import SIGMA_FLOOR_M, covariance_enu, read_solution
 
 BASE = (-2706105.2018, -4261210.8062, 3885598.6411)
 OPTIONS = PpkOptions(base_ecef_m=BASE, systems=("GPS", "GAL"))

@@ -14,8 +14,8 @@ from thalweg.core import ArrayF, ConfigError, InputError, LocalFrame, ThalwegErr
 from thalweg.core.timescales import week_from_gps
 from thalweg.ingest import GNSS_POSITION
 from thalweg.ingest.ppk import PpkOptions, run_ppk
-from thalweg.ingest.ppk.positions import SIGMA_FLOOR_M, covariance_enu
 from thalweg.ingest.ppk.solution import PpkSolution
+from thalweg.ingest.ppk.trust import SIGMA_FLOOR_M, covariance_enu
 
 pytestmark = pytest.mark.real
 

@@ -22,11 +22,7 @@ STEP = 1327.104
 
 def stream(files, chunk_bytes=8 << 20):
     """Unrolled stamps of the packets kept, and all events."""
-    blocks = list(
-        read_packets(
-            files, model=VLP16, any_product=False, data_port=2368, position_port=8308, chunk_bytes=chunk_bytes
-        )
-    )
+    blocks = list(read_packets(files, LidarOptions(), VLP16, chunk_bytes=chunk_bytes))
     kept = np.concatenate([b.t_us[b.keep] for b in blocks])
     return kept, np.concatenate([b.event for b in blocks])
 

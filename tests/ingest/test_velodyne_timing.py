@@ -8,8 +8,7 @@ import pytest
 
 from thalweg.core import gps_from_unix
 from thalweg.ingest.velodyne.clock import parse_rmc
-from thalweg.ingest.velodyne.reader import scan_lidar
-from thalweg.ingest.velodyne.report import HostPairs
+from thalweg.ingest.velodyne.reader import HostPairs, scan_lidar
 
 _builder = Path(__file__).with_name("test_velodyne_log.py")
 _spec = importlib.util.spec_from_file_location("velodyne_log", _builder)

@@ -431,21 +431,19 @@ golden values, a closed form): the test file, and the words in it that name the 
 HOLDERS = {
     "calibration/field/points.py": "writes the file of the points of the light-sheet series",
     "core/calibration/model.py": "true values with their names",
-    "core/errors.py": "messages",
+    "core/errors.py": "messages, and how far a long step is",
     "core/kernels.py": "how loops are compiled",
-    "core/progress.py": "how far a long step is",
-    "core/statistics.py": "how large the drawn errors are, for the truth's facts",
     "core/tables.py": "files",
     "core/las.py": "the plausible extent of a scan",
     "core/geometry/mesh.py": "true surfaces",
     "core/trajectory.py": "writes the truth",
-    "core/types.py": "types",
+    "core/types.py": "types, and how large the drawn errors are, for the truth's facts",
     "images/model/poses.py": "true poses of images",
     "lightsheet/multi_line/level_points.py": "observations of lines, as they are measured",
 }
 """Modules that the generators use to hold and write what they made; none of their formulas shapes a log."""
 
-BEHIND = {"core/documents.py", "core/files.py", "lightsheet/optics/refraction.py"}
+BEHIND = {"core/documents.py", "lightsheet/optics/refraction.py"}
 """What the modules above import for their other functions; no generator imports it itself."""
 
 

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from scipy import fft
 
 from thalweg.core import AnyArray, ArrayF, ArrayF32
-from thalweg_lab.tank.speckle import SpeckleOptics, _intensity, _pixels, pupil
+from thalweg_lab.tank.render import SpeckleOptics, _intensity, _pixels, pupil
 
 
 def line_intensity(

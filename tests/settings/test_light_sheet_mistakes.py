@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from thalweg.core import ConfigError
-from thalweg.settings.checks_light_sheet import check_sheet_twin
+from thalweg.settings.checks_campaign import check_sheet_twin
 from thalweg.settings.load import load_campaign
 from thalweg.settings.sections import LightSheetLogs
 

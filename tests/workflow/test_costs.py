@@ -106,6 +106,10 @@ def test_what_is_written_is_what_rules_ask_for(tmp_path: Path) -> None:
     assert measured.memory_mb("grows", of(161), 1, 100, 2) == 422
     assert measured.memory_mb("other", of(10), 2, 1000, 2) == 2040
     assert measured.minutes("other", of(2000), 1, 10, 20) == 50
+    # as a rule asks, by keywords
+    job = {"wildcards": None, "input": of(10), "attempt": 2, "rulename": "other"}
+    assert measured.memory_of_job(1000, 2)(**job) == 2040
+    assert measured.minutes_of_job(10)(**job) == 20
 
 
 def test_one_more_job_stays_below_its_request_as_often_as_promised() -> None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from thalweg.workflow.truth import may_read_truth
+from thalweg.workflow.job import may_read_truth
 
 pytestmark = pytest.mark.workflow
 
@@ -13,7 +13,6 @@ OF_A_SURVEY = {
     "compare_with_truth",
     "compare_chains_with_truth",
     "compare_riverbed_with_truth",
-    "compare_soundings_with_truth",
     "compare_dtm_with_truth",
 }
 MAY_READ_TRUTH = {
@@ -130,7 +129,7 @@ def behind(found: list[Job], target: str) -> list[Job]:
     ("target", "last", "absent"),
     [
         ("ingest", "read_reference", "build_trajectory"),
-        ("lidar", "georeference_by_trajectory", "mesh_reference"),
+        ("lidar", "georeference_lidar", "mesh_reference"),
         ("images", "fuse_trajectory", "georeference_lidar"),
         ("accuracy", "compare_chains", "summarise"),
         ("figures", "plot_cloud_by_range", "summarise"),

@@ -4,19 +4,19 @@
 rule compare_with_reference:
     """Signed distance of each point from the reference mesh, and what its sigma predicts (P2 6.2)."""
     input:
-        points="results/{campaign}/lidar/points.laz",
+        points="results/{campaign}/lidar/{by}points.laz",
         mesh="results/{campaign}/surface/reference_mesh.ply",
         error_model="results/{campaign}/orientation/error_model.json",
     output:
-        cloud_to_mesh="results/{campaign}/accuracy/cloud_to_mesh.parquet",
-        statistics="results/{campaign}/accuracy/statistics.csv",
-        by_range="results/{campaign}/accuracy/by_range.csv",
-        spatial="results/{campaign}/accuracy/spatial.csv",
-        registration="results/{campaign}/accuracy/registration.json",
+        cloud_to_mesh="results/{campaign}/accuracy/{by}cloud_to_mesh.parquet",
+        statistics="results/{campaign}/accuracy/{by}statistics.csv",
+        by_range="results/{campaign}/accuracy/{by}by_range.csv",
+        spatial="results/{campaign}/accuracy/{by}spatial.csv",
+        registration="results/{campaign}/accuracy/{by}registration.json",
     log:
-        "logs/{campaign}/accuracy/compare_with_reference.log",
+        "logs/{campaign}/accuracy/{by}compare_with_reference.log",
     benchmark:
-        "benchmarks/{campaign}/accuracy/compare_with_reference.jsonl"
+        "benchmarks/{campaign}/accuracy/{by}compare_with_reference.jsonl"
     conda:
         "../../envs/thalweg.yaml"
     threads: 2
@@ -62,24 +62,6 @@ rule summarise:
         "../scripts/summarise.py"
 
 
-# The same comparison for the clouds by the camera and by all sensors.
-use rule compare_with_reference as compare_chain_with_reference with:
-    input:
-        points="results/{campaign}/lidar/by_{chain}/points.laz",
-        mesh="results/{campaign}/surface/reference_mesh.ply",
-        error_model="results/{campaign}/orientation/error_model.json",
-    output:
-        cloud_to_mesh="results/{campaign}/accuracy/by_{chain}/cloud_to_mesh.parquet",
-        statistics="results/{campaign}/accuracy/by_{chain}/statistics.csv",
-        by_range="results/{campaign}/accuracy/by_{chain}/by_range.csv",
-        spatial="results/{campaign}/accuracy/by_{chain}/spatial.csv",
-        registration="results/{campaign}/accuracy/by_{chain}/registration.json",
-    log:
-        "logs/{campaign}/accuracy/compare_{chain}_with_reference.log",
-    benchmark:
-        "benchmarks/{campaign}/accuracy/compare_{chain}_with_reference.jsonl"
-
-
 rule compare_chains:
     """Clouds and trajectories by INS, camera and all sensors side by side (T 3.1.4)."""
     input:
@@ -113,13 +95,17 @@ rule compare_chains:
 
 
 rule compare_riverbed_with_truth:
-    """Errors of the twin's soundings and of its riverbed, by distance to data."""
+    """Errors of the twin's soundings ping by ping, of its riverbed by distance to data; reasons of those left out."""
     input:
         soundings="results/{campaign}/bathymetry/soundings.parquet",
+        depths="results/{campaign}/ingest/depths.parquet",
+        pings="results/{campaign}/simulation/truth/soundings.parquet",
         bed="results/{campaign}/bathymetry/bed.tif",
         scene="results/{campaign}/simulation/truth/scene.npz",
     output:
-        table="results/{campaign}/accuracy/truth_riverbed.csv",
+        riverbed="results/{campaign}/accuracy/truth_riverbed.csv",
+        errors="results/{campaign}/accuracy/truth_soundings.csv",
+        reasons="results/{campaign}/accuracy/truth_sounding_reasons.csv",
     log:
         "logs/{campaign}/accuracy/compare_riverbed_with_truth.log",
     benchmark:
@@ -135,28 +121,3 @@ rule compare_riverbed_with_truth:
         campaign=identity("origin"),
     script:
         "../scripts/compare_riverbed_with_truth.py"
-
-
-rule compare_soundings_with_truth:
-    """Errors of the twin's soundings ping by ping, and whether the reasons of those left out are right."""
-    input:
-        soundings="results/{campaign}/bathymetry/soundings.parquet",
-        depths="results/{campaign}/ingest/depths.parquet",
-        truth="results/{campaign}/simulation/truth/soundings.parquet",
-    output:
-        table="results/{campaign}/accuracy/truth_soundings.csv",
-        reasons="results/{campaign}/accuracy/truth_sounding_reasons.csv",
-    log:
-        "logs/{campaign}/accuracy/compare_soundings_with_truth.log",
-    benchmark:
-        "benchmarks/{campaign}/accuracy/compare_soundings_with_truth.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
-    resources:
-        mem_mb=memory(1500),
-        runtime=minutes(10),
-    params:
-        code=code_version("compare_soundings_with_truth"),
-    script:
-        "../scripts/compare_soundings_with_truth.py"

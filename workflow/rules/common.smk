@@ -12,6 +12,7 @@ from thalweg.workflow import (
     check_cluster,
     code_version,
     fork_scripts,
+    pattern_of_epochs,
     read_figures,
     start_driver,
 )
@@ -38,6 +39,8 @@ FILES = {
 BUILT = [f for n, f in FILES.items() if n in CHOSEN or not f.is_epoch()]
 
 MEASURED = Measured.read(ROOT / "config" / "resources.yaml")
+# What jobs ask for: as measured, or else from the size of their inputs; twice as much on each attempt.
+memory, minutes = MEASURED.memory_of_job, MEASURED.minutes_of_job
 
 FIGURES = read_figures(ROOT / "workflow" / "figures.yaml")
 # workflow/report/figure.rst finds the words for a picture here; as params they would draw it again when they change.
@@ -55,7 +58,7 @@ URGENT = 10
 
 wildcard_constraints:
     campaign="|".join(CAMPAIGNS),
-    chain="camera|fused",
+    by="(by_(camera|fused)/)?",
     part="[0-9]+",
     recording="|".join(RECORDINGS),
     scan="|".join(sorted({s for f in FILES.values() for s in f.scan_names()})) or "none",
@@ -93,36 +96,9 @@ def raw(stream):
     return of(CampaignFiles.logs, stream)
 
 
-def names_of_epochs(with_trajectory):
-    """Pattern of the names of epochs with a boat's trajectory, or of those without."""
-    files = FILES.values()
-    names = {
-        name for each in files for name in each.epochs_with_trajectory(with_trajectory)
-    }
-    return "|".join(sorted(names)) or "none"
-
-
 def of_page(page):
     """Input function: the pictures of a page."""
     return lambda wildcards: FIGURES.files(FILES[wildcards.campaign], page)
-
-
-def memory(base_mb, per_input_mb=0.0):
-    """Resource function: memory as measured, or else from the size of the inputs; twice as much on each attempt."""
-
-    def asked_mb(wildcards, input, attempt, rulename):
-        return MEASURED.memory_mb(rulename, input, attempt, base_mb, per_input_mb)
-
-    return asked_mb
-
-
-def minutes(base, per_input_gb=0.0):
-    """Resource function: wall time in minutes, in the same way."""
-
-    def asked_min(wildcards, input, attempt, rulename):
-        return MEASURED.minutes(rulename, input, attempt, base, per_input_gb)
-
-    return asked_min
 
 
 def recording_files(key):

@@ -1,13 +1,8 @@
 """Studies of the twin: sizes, jobs and outputs stand once, in config/studies, also for documents."""
 
-from thalweg_lab.studies import batches
+from thalweg_lab.studies import batches, read_studies
 
-STUDIES = {}
-for path in sorted((ROOT / "config" / "studies").glob("*.yaml")):
-    with open(path) as stream:
-        entry = yaml.safe_load(stream)
-    if "study" in entry:
-        STUDIES[path.stem] = entry
+STUDIES = read_studies(ROOT / "config" / "studies")
 BATCHES = {name: batches(entry) for name, entry in STUDIES.items()}
 
 

@@ -21,7 +21,7 @@ rule prepare_epoch:
     benchmark:
         "benchmarks/{campaign}/deformation/prepare_epoch_{epoch}.jsonl"
     wildcard_constraints:
-        epoch=names_of_epochs(with_trajectory=True),
+        epoch=pattern_of_epochs(FILES.values(), with_trajectory=True),
     conda:
         "../../envs/thalweg.yaml"
     threads: 1
@@ -58,7 +58,7 @@ rule prepare_foreign_epoch:
     benchmark:
         "benchmarks/{campaign}/deformation/prepare_foreign_epoch_{epoch}.jsonl"
     wildcard_constraints:
-        epoch=names_of_epochs(with_trajectory=False),
+        epoch=pattern_of_epochs(FILES.values(), with_trajectory=False),
     conda:
         "../../envs/thalweg.yaml"
     threads: 1

@@ -35,21 +35,21 @@ rule estimate_pose_errors:
 
 
 rule georeference_lidar:
-    """Every lidar point into the world with its own pose."""
+    """Every lidar point into the world with its own pose: by the INS, or ``by_camera/``, ``by_fused/``."""
     input:
         lidar=raw("lidar"),
         clock="results/{campaign}/ingest/lidar.clock.json",
-        trajectory="results/{campaign}/orientation/trajectory.parquet",
-        mounts="results/{campaign}/calibration/mounts.json",
+        trajectory=of_wildcard("by", CampaignFiles.trajectory),
+        mounts=of_wildcard("by", CampaignFiles.mounts_of_chain),
         error_model="results/{campaign}/orientation/error_model.json",
     output:
-        points="results/{campaign}/lidar/points.laz",
-        removed="results/{campaign}/lidar/removed.parquet",
-        counts="results/{campaign}/lidar/counts.csv",
+        points="results/{campaign}/lidar/{by}points.laz",
+        removed="results/{campaign}/lidar/{by}removed.parquet",
+        counts="results/{campaign}/lidar/{by}counts.csv",
     log:
-        "logs/{campaign}/lidar/georeference_lidar.log",
+        "logs/{campaign}/lidar/{by}georeference_lidar.log",
     benchmark:
-        "benchmarks/{campaign}/lidar/georeference_lidar.jsonl"
+        "benchmarks/{campaign}/lidar/{by}georeference_lidar.jsonl"
     conda:
         "../../envs/thalweg.yaml"
     threads: 2
@@ -87,24 +87,6 @@ rule export_map:
         crs=section("campaign", "crs"),
     script:
         "../scripts/call.py"
-
-
-# The same points by the trajectory of the camera, or of all sensors.
-use rule georeference_lidar as georeference_by_trajectory with:
-    input:
-        lidar=raw("lidar"),
-        clock="results/{campaign}/ingest/lidar.clock.json",
-        trajectory=of_wildcard("chain", CampaignFiles.trajectory),
-        mounts=of_wildcard("chain", CampaignFiles.mounts_of_chain),
-        error_model="results/{campaign}/orientation/error_model.json",
-    output:
-        points="results/{campaign}/lidar/by_{chain}/points.laz",
-        removed="results/{campaign}/lidar/by_{chain}/removed.parquet",
-        counts="results/{campaign}/lidar/by_{chain}/counts.csv",
-    log:
-        "logs/{campaign}/lidar/georeference_by_{chain}.log",
-    benchmark:
-        "benchmarks/{campaign}/lidar/georeference_by_{chain}.jsonl"
 
 
 rule colour_points:

@@ -2,12 +2,14 @@
 
 
 rule simulate_sheet_station:
-    """Design of the sensor, and marks that its camera sees through air (P4 4.3)."""
+    """Design of the sensor, marks that its camera sees through air (P4 4.3), and those of a field in air (P3 2.4)."""
     output:
         out_sensor="results/{campaign}/simulation/logs/light_sheet/sensor.yaml",
         out_marks="results/{campaign}/simulation/logs/light_sheet/camera_marks.csv",
         out_points="results/{campaign}/simulation/logs/light_sheet/mark_points.csv",
         covariance="results/{campaign}/simulation/logs/light_sheet/mark_points.npz",
+        out_field_marks="results/{campaign}/simulation/logs/light_sheet/camera_field_marks.csv",
+        out_field="results/{campaign}/simulation/logs/light_sheet/camera_field.yaml",
     log:
         "logs/{campaign}/simulation/simulate_sheet_station.log",
     benchmark:
@@ -19,30 +21,7 @@ rule simulate_sheet_station:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        **calls("thalweg_lab.tank.series:record_camera_station"),
-        twin=of(CampaignFiles.twin_parts, "light_sheet"),
-        seed=section("campaign", "seed"),
-    script:
-        "../scripts/call.py"
-
-
-rule simulate_sheet_camera_field:
-    """Marks of a marker field that the sensor's camera sees in air, and the field's scale bars (P3 2.4)."""
-    output:
-        out_marks="results/{campaign}/simulation/logs/light_sheet/camera_field_marks.csv",
-        out_field="results/{campaign}/simulation/logs/light_sheet/camera_field.yaml",
-    log:
-        "logs/{campaign}/simulation/simulate_sheet_camera_field.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_sheet_camera_field.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
-    resources:
-        mem_mb=memory(2000),
-        runtime=minutes(20),
-    params:
-        **calls("thalweg_lab.tank.camera_field:record_camera_field"),
+        **calls("thalweg_lab.tank.camera_field:record_camera_marks"),
         twin=of(CampaignFiles.twin_parts, "light_sheet"),
         seed=section("campaign", "seed"),
     script:

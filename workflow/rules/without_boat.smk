@@ -129,7 +129,7 @@ rule compare_cloud:
         mem_mb=memory(3000, 60),
         runtime=minutes(15, 60),
     params:
-        **calls("thalweg.deformation.foreign:compare_files"),
+        **calls("thalweg.deformation.foreign.clouds:compare_files"),
         settings=section("reference"),
         accuracy=of(CampaignFiles.comparison),
     script:

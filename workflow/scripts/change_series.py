@@ -12,9 +12,9 @@ from thalweg.deformation import (
     find_jumps,
     fit_series,
     heights_table,
-    read_epoch,
     series_of_epochs,
 )
+from thalweg.deformation.foreign import read_epoch
 from thalweg.settings.sections import Deformation
 from thalweg.workflow import run_job
 

@@ -6,7 +6,8 @@ from typing import Any
 import pandas as pd
 
 from thalweg.core import LocalFrame, read_table
-from thalweg.deformation import CHANGES, CORE_POINTS, DRAWS, read_difference
+from thalweg.deformation import CHANGES, CORE_POINTS, DRAWS
+from thalweg.deformation.foreign import read_difference
 from thalweg.settings.sections import Deformation
 from thalweg.workflow import run_job
 from thalweg_lab.river import Scene

@@ -17,12 +17,10 @@ from thalweg.deformation import (
     estimate_retreat,
     estimate_volumes,
     highest_water_m,
-    notes_of_pair,
     observe_visibility,
-    read_epoch,
     read_registration,
-    write_changes,
 )
+from thalweg.deformation.foreign import notes_of_pair, read_epoch, write_changes
 from thalweg.settings.sections import Deformation
 from thalweg.workflow import run_job
 

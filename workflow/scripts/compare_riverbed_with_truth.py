@@ -1,17 +1,39 @@
-"""Soundings, bed and true scene -> errors of the riverbed by distance to data."""
+"""Soundings, bed and their truth -> errors of pings by depth, of the bed by distance to data, reasons."""
 
 from pathlib import Path
 from typing import Any
 
 from thalweg.bathymetry import SOUNDINGS
+from thalweg.calibration import echo_sounder
 from thalweg.core import LocalFrame, read_table
+from thalweg.ingest import DEPTH
 from thalweg.workflow import run_job
-from thalweg_lab.truth import compare_riverbed
+from thalweg_lab.instruments import TRUE_SOUNDINGS
+from thalweg_lab.truth import compare_riverbed, compare_soundings
 
 
-def main(*, soundings: Path, bed: Path, scene: Path, table: Path, campaign: dict[str, Any]) -> None:
-    frame = LocalFrame(**campaign["origin"])
-    compare_riverbed(read_table(soundings, SOUNDINGS)[0], bed, scene, frame).to_csv(table, index=False)
+def main(
+    *,
+    soundings: Path,
+    depths: Path,
+    pings: Path,
+    bed: Path,
+    scene: Path,
+    riverbed: Path,
+    errors: Path,
+    reasons: Path,
+    campaign: dict[str, Any],
+) -> None:
+    located = read_table(soundings, SOUNDINGS)[0]
+    table = compare_riverbed(located, bed, scene, LocalFrame(**campaign["origin"]))
+    table.to_csv(riverbed, index=False)
+    by_depth, scores = compare_soundings(
+        located,
+        echo_sounder.pings_of(read_table(depths, DEPTH)[0])[0]["t_gps_s"].to_numpy(),
+        read_table(pings, TRUE_SOUNDINGS)[0],
+    )
+    by_depth.to_csv(errors, index=False, float_format="%.6g")
+    scores.to_csv(reasons, index=False, float_format="%.6g")
 
 
 if "snakemake" in globals():

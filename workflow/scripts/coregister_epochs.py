@@ -3,7 +3,8 @@
 from pathlib import Path
 
 from thalweg.core import read_table
-from thalweg.deformation import CORE_POINTS, measure_pair, read_epoch, register_pair, write_registration
+from thalweg.deformation import CORE_POINTS, measure_pair, register_pair, write_registration
+from thalweg.deformation.foreign import read_epoch
 from thalweg.settings.sections import Deformation
 from thalweg.workflow import run_job
 

@@ -5,12 +5,11 @@ from pathlib import Path
 from typing import Any
 
 from thalweg.core import LocalFrame, read_table
-from thalweg.deformation import (
-    CORE_POINTS,
+from thalweg.deformation import CORE_POINTS, read_registration
+from thalweg.deformation.foreign import (
     difference_of_epochs,
     difference_of_models,
     read_epoch,
-    read_registration,
     write_difference,
 )
 from thalweg.settings.sections import Deformation, Epoch

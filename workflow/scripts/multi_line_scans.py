@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from thalweg.workflow import run_job
-from thalweg_lab.studies import labelled_scans, multi_line_images, write_images
+from thalweg_lab.studies.sensors import labelled_scans, multi_line_images, write_images
 
 
 def main(*, images: Path, image_points: Path, scan_points: Path, shifts: Path, seed: int) -> None:

@@ -4,7 +4,8 @@ from pathlib import Path
 from typing import Any
 
 from thalweg.core import LocalFrame, write_table
-from thalweg.deformation import CORE_POINTS, check_order, place_core_points, read_epoch
+from thalweg.deformation import CORE_POINTS, check_order, place_core_points
+from thalweg.deformation.foreign import read_epoch
 from thalweg.settings.sections import Deformation
 from thalweg.surface import Area
 from thalweg.workflow import run_job

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from thalweg.core import LocalFrame, read_parquet
-from thalweg.deformation import prepare_foreign_epoch
+from thalweg.deformation.foreign import prepare_foreign_epoch
 from thalweg.settings.sections import Deformation, Epoch
 from thalweg.surface import Area
 from thalweg.workflow import run_job

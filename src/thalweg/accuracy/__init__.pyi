@@ -10,6 +10,7 @@ from .comparison import (
 from .comparison_tables import (
     ALL as ALL,
     AS_MEASURED as AS_MEASURED,
+    BY_RANGE_COLUMNS as BY_RANGE_COLUMNS,
     REGISTERED as REGISTERED,
     WITHOUT_OUTLIERS as WITHOUT_OUTLIERS,
     by_range_table as by_range_table,

@@ -25,6 +25,7 @@ from .camera import (
     write_opencv as write_opencv,
 )
 from .documents import (
+    UNFINISHED as UNFINISHED,
     Document as Document,
     Key as Key,
     Mistake as Mistake,
@@ -32,8 +33,11 @@ from .documents import (
     Part as Part,
     Text as Text,
     checked as checked,
+    decode_picture as decode_picture,
     did_you_mean as did_you_mean,
+    final_path as final_path,
     one_of as one_of,
+    parse_xml as parse_xml,
     parse_yaml as parse_yaml,
     read_mapping as read_mapping,
     read_yaml as read_yaml,
@@ -50,12 +54,8 @@ from .errors import (
     ThalwegError as ThalwegError,
     UnsupportedError as UnsupportedError,
     file_trouble as file_trouble,
-)
-from .files import (
-    UNFINISHED as UNFINISHED,
-    decode_picture as decode_picture,
-    final_path as final_path,
-    parse_xml as parse_xml,
+    steps as steps,
+    to_terminal as to_terminal,
 )
 from .frames import (
     GRS80_SEMI_MAJOR_M as GRS80_SEMI_MAJOR_M,
@@ -93,14 +93,6 @@ from .las import (
     local_crs as local_crs,
     whole_chunks as whole_chunks,
 )
-from .pose_errors import (
-    ErrorChain as ErrorChain,
-    read_chains as read_chains,
-    symmetric_roots as symmetric_roots,
-    with_rest as with_rest,
-    write_chains as write_chains,
-)
-from .progress import steps as steps, to_terminal as to_terminal
 from .raster import Grid as Grid, read_raster as read_raster, write_raster as write_raster
 from .rigid import (
     SHIFT as SHIFT,
@@ -117,7 +109,6 @@ from .rigid import (
     propagated as propagated,
     rotation_vector as rotation_vector,
 )
-from .statistics import NMAD as NMAD, robust_sigma as robust_sigma, root_mean_square as root_mean_square
 from .tables import (
     column as column,
     frame_of as frame_of,
@@ -142,12 +133,22 @@ from .timescales import (
     utc_text_from_gps as utc_text_from_gps,
     utc_text_from_unix as utc_text_from_unix,
 )
-from .trajectory import Trajectory as Trajectory
+from .trajectory import (
+    ErrorChain as ErrorChain,
+    Trajectory as Trajectory,
+    read_chains as read_chains,
+    symmetric_roots as symmetric_roots,
+    with_rest as with_rest,
+    write_chains as write_chains,
+)
 from .types import (
+    NMAD as NMAD,
     AnyArray as AnyArray,
     ArrayB as ArrayB,
     ArrayF as ArrayF,
     ArrayF32 as ArrayF32,
     ArrayI as ArrayI,
     ArrayU8 as ArrayU8,
+    robust_sigma as robust_sigma,
+    root_mean_square as root_mean_square,
 )

@@ -30,9 +30,8 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import ArrayLike
 
-from thalweg.core.documents import parse_yaml
+from thalweg.core.documents import parse_xml, parse_yaml
 from thalweg.core.errors import GeometryError, InputError, UnsupportedError
-from thalweg.core.files import parse_xml
 from thalweg.core.types import ArrayF
 
 Model = Literal["perspective", "fisheye"]

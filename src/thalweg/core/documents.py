@@ -1,4 +1,4 @@
-"""Documents in YAML: every value with its line, all mistakes of a file at once.
+"""Documents in YAML: every value with its line, all mistakes of a file at once; XML and pictures, with care.
 
 All mistakes are told at once, each with its line, what was found, what was expected, what to do. The first
 field of a model names the kind and the version of the document, as ``thalweg_field: Literal[1]``.
@@ -9,13 +9,70 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar, get_args, get_origin
+from xml.etree import ElementTree
 
 import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from thalweg.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from thalweg.core.types import AnyArray, ArrayU8
+
+UNFINISHED: Final = ".part-"
+"""Start of the name of a folder with outputs of a running job, inside the folder where they will stand."""
+
+
+def final_path(path: Path) -> Path:
+    """Where a file will stand when its job is done; links from it to other files start there.
+
+    Examples
+    --------
+    >>> final_path(Path("results/tiny/.part-0a1b/index.html")).as_posix()
+    'results/tiny/index.html'
+    """
+    return Path(*(part for part in path.parts if not part.startswith(UNFINISHED)))
+
+
+class _Builder(ElementTree.TreeBuilder):
+    """Builds trees of documents that declare no types: entities could read files, or grow without bound."""
+
+    def doctype(self, name: str, public: str | None, system: str | None) -> None:
+        """The parser calls this before any entity is declared."""
+        raise ElementTree.ParseError(f"it declares a document type ({name}), which no survey program writes")
+
+
+def parse_xml(text: str | bytes) -> ElementTree.Element:
+    """Root of an XML document.
+
+    Raises
+    ------
+    xml.etree.ElementTree.ParseError : no XML, or one with a document type and so perhaps entities.
+    """
+    parser = ElementTree.XMLParser(target=_Builder())
+    parser.feed(text)
+    root = parser.close()
+    if not isinstance(root, ElementTree.Element):
+        raise ElementTree.ParseError("no element found")
+    return root
+
+
+def decode_picture(data: "ArrayU8", flags: int) -> "AnyArray | None":
+    """Pixels of a stored picture, as ``cv2.imdecode`` gives them; None if it is none.
+
+    Neither is one whose head promises more than 2 ** 30 pixels: some kilobytes can stand for them.
+    """
+    import cv2
+    import numpy as np
+
+    try:
+        picture = cv2.imdecode(data, flags) if data.size else None
+    except cv2.error:
+        return None
+    return None if picture is None else np.asarray(picture)
+
 
 Name = Annotated[str, Field(min_length=1)]
 """A text that is not empty."""

@@ -14,45 +14,32 @@ from .compare import (
     CHANGES as CHANGES,
     CLOUD_TO_CLOUD as CLOUD_TO_CLOUD,
     Comparison as Comparison,
+    Distances as Distances,
     cloud_to_cloud as cloud_to_cloud,
+    judge_changes as judge_changes,
+    measure_distances as measure_distances,
 )
 from .core_points import CORE_POINTS as CORE_POINTS, place_core_points as place_core_points
 from .coregistration import (
     Registration as Registration,
+    design_of as design_of,
     read_registration as read_registration,
     write_registration as write_registration,
 )
-from .differences import (
-    difference_of_epochs as difference_of_epochs,
-    difference_of_models as difference_of_models,
-)
 from .epochs import (
     Epoch as Epoch,
+    between_frames as between_frames,
     check_order as check_order,
     highest_water_m as highest_water_m,
     prepare_epoch as prepare_epoch,
 )
-from .field import ErrorField as ErrorField, benjamini_hochberg as benjamini_hochberg
-from .foreign import (
-    DISTANCES as DISTANCES,
-    TEXT as TEXT,
-    compare_clouds as compare_clouds,
-    compare_files as compare_files,
-    compare_nearest as compare_nearest,
-    compare_with_surface as compare_with_surface,
-    point_spacing_m as point_spacing_m,
-    read_points as read_points,
-    sigma_of_mean as sigma_of_mean,
-    write_changes as write_changes,
+from .field import (
+    ErrorField as ErrorField,
+    ErrorGroup as ErrorGroup,
+    benjamini_hochberg as benjamini_hochberg,
+    rows_of_weights as rows_of_weights,
 )
-from .foreign_epochs import (
-    ForeignEpoch as ForeignEpoch,
-    check_epoch_files as check_epoch_files,
-    notes_of_pair as notes_of_pair,
-    place_of_file as place_of_file,
-    prepare_foreign_epoch as prepare_foreign_epoch,
-    read_epoch as read_epoch,
-)
+from .m3c2 import ColumnIndex as ColumnIndex, pose_weights as pose_weights
 from .series import (
     HEIGHTS as HEIGHTS,
     SERIES as SERIES,
@@ -60,18 +47,6 @@ from .series import (
     find_jumps as find_jumps,
     fit_series as fit_series,
     heights_table as heights_table,
-)
-from .shapes import Shapes as Shapes, read_shapes as read_shapes
-from .surfaces import (
-    Dsm as Dsm,
-    HeightErrors as HeightErrors,
-    SurfaceDifference as SurfaceDifference,
-    difference_of_surfaces as difference_of_surfaces,
-    difference_on_lines as difference_on_lines,
-    onto_grid as onto_grid,
-    read_difference as read_difference,
-    read_dsm as read_dsm,
-    write_difference as write_difference,
 )
 from .visibility import VISIBILITY as VISIBILITY, observe_visibility as observe_visibility
 from .volumes import (

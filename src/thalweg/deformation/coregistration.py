@@ -39,15 +39,15 @@ _MOVED = 4.0
 
 
 @dataclass(frozen=True, slots=True)
-class Registration:
-    """Motion of the second epoch against the first, and how it follows from the distances.
+class _Motion:
+    """Motions of epochs from stable ground.
 
     Attributes
     ----------
-    parameters : (6,) see `PARAMETERS`; rotations in radians about the middle. Zero where not estimated.
-    cov : (6, 6) of the field and of noise.
-    design : (k, 6) change of each distance for each parameter.
-    weights : (6, k) ``S``: the parameters are ``S d``.
+    parameters : see `PARAMETERS`; rotations in radians about the middle. Zero where not estimated.
+    cov : of the field and of noise.
+    design : (k, 6) change of each distance, or mean position, for each parameter.
+    weights : how the parameters follow from distances, or means.
     stable : (k,) core points that count.
     facts : for people.
     """
@@ -58,6 +58,15 @@ class Registration:
     weights: ArrayF
     stable: ArrayB
     facts: dict[str, Any]
+
+
+class Registration(_Motion):
+    """Motion of the second epoch against the first, and how it follows from the distances.
+
+    ``parameters`` (6,), ``cov`` (6, 6), ``weights`` (6, k): ``S``, the parameters are ``S d``.
+    """
+
+    __slots__ = ()
 
     def registered(self, distance_m: ArrayF) -> ArrayF:
         """Distances (k,) without the motion."""
@@ -241,26 +250,14 @@ def _facts(
 # ---------------------------------------------------------------- more than two epochs
 
 
-@dataclass(frozen=True, slots=True)
-class Network:
+class Network(_Motion):
     """Motions of n epochs against their common ground.
 
-    Attributes
-    ----------
-    parameters : (n, 6) of each epoch, see `PARAMETERS`; their sum is zero.
-    cov : (6 n, 6 n) of the field and of noise.
-    design : (k, 6) change of each mean position for each parameter.
-    weights : (n, 6, n, k) how the motion of an epoch follows from the means of all epochs.
-    stable : (k,) core points that count.
-    facts : for people.
+    ``parameters`` (n, 6) of each epoch, their sum is zero; ``cov`` (6 n, 6 n); ``weights`` (n, 6, n, k): how
+    the motion of an epoch follows from the means of all epochs.
     """
 
-    parameters: ArrayF
-    cov: ArrayF
-    design: ArrayF
-    weights: ArrayF
-    stable: ArrayB
-    facts: dict[str, Any]
+    __slots__ = ()
 
     def registered(self, along_m: ArrayF) -> ArrayF:
         """Means (n, k) of all epochs without their motions."""
@@ -330,7 +327,7 @@ def coregister_network(
     """
     model = _MODELS[settings.registration]
     n, k = along_m.shape
-    design = np.column_stack([normals, np.cross(cores_m - cores_m.mean(axis=0), normals)])
+    design = design_of(cores_m, normals, cores_m.mean(axis=0))
     areas = _areas(cores_m, settings.stable)
     seen = np.isfinite(along_m) & np.isfinite(white_m)
     candidates = (seen.sum(axis=0) > 1) & bare & areas.any(axis=0)

@@ -4,14 +4,14 @@ from .catalogue import (
     chosen as chosen,
     control_chart as control_chart,
     control_table as control_table,
+    costs_figure as costs_figure,
+    costs_page as costs_page,
     read_entries as read_entries,
     read_entry as read_entry,
     write_catalogue as write_catalogue,
 )
-from .costs import costs_figure as costs_figure, costs_page as costs_page
 from .front import front_page as front_page
 from .page import Finding as Finding, Page as Page
-from .pictures import read_picture as read_picture
 from .style import (
     BLUE as BLUE,
     DEPTH_MAP as DEPTH_MAP,
@@ -42,6 +42,7 @@ from .style import (
     note_of as note_of,
     plan_height_mm as plan_height_mm,
     plural as plural,
+    read_picture as read_picture,
     robust_limits as robust_limits,
     round_length as round_length,
     save as save,

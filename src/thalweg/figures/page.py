@@ -141,6 +141,12 @@ class Page:
         )
         return self
 
+    def figures(self, pictures: Mapping[str, Figure | Path], captions: Mapping[str, str]) -> Self:
+        """Add pictures with their captions, both by name; see `figure`."""
+        for name, picture in pictures.items():
+            self.figure(picture, captions[name])
+        return self
+
     def links(self, targets: Mapping[str, tuple[str, str]]) -> Self:
         """Add a list of links: relative address -> (words of the link, sentence beside it)."""
         items = "".join(

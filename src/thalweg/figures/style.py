@@ -16,8 +16,27 @@ from matplotlib.colors import Colormap, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from numpy.typing import ArrayLike
+from PIL import Image, UnidentifiedImageError
 
-from thalweg.core import ArrayF, InputError
+from thalweg.core import ArrayF, ArrayU8, InputError
+
+
+def read_picture(path: Path) -> ArrayU8:
+    """A photograph as (h, w) or (h, w, 3) uint8, as its pixels lie: EXIF does not turn it.
+
+    Raises
+    ------
+    InputError : the file is missing or no picture.
+    """
+    if not path.is_file():
+        raise InputError("file not found", expected="a picture", where=path)
+    try:
+        with Image.open(path) as image:
+            data = image if image.mode == "L" else image.convert("RGB")
+            return np.asarray(data, dtype=np.uint8)
+    except (UnidentifiedImageError, OSError, ValueError) as error:
+        raise InputError(f"no picture ({error})", expected="JPEG or PNG", where=path) from error
+
 
 WIDTH_MM: Final = 170.0
 """Width of every figure: the type area of an A4 page."""

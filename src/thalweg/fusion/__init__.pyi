@@ -17,14 +17,19 @@ from .dtm import (
     seam_steps as seam_steps,
 )
 from .exports import (
+    RiverMesh as RiverMesh,
     contour_lines as contour_lines,
     export_river as export_river,
+    mesh_river as mesh_river,
     water_of as water_of,
+    write_2dm as write_2dm,
     write_bag as write_bag,
     write_csv as write_csv,
     write_geojson as write_geojson,
     write_hecras as write_hecras,
+    write_selafin as write_selafin,
     write_swmm as write_swmm,
+    write_ugrid as write_ugrid,
 )
 from .ground import Ground as Ground, filter_ground as filter_ground
 from .measures import (
@@ -36,12 +41,5 @@ from .measures import (
     hypsometry as hypsometry,
     long_profile as long_profile,
     volume_below as volume_below,
-)
-from .mesh import (
-    RiverMesh as RiverMesh,
-    mesh_river as mesh_river,
-    write_2dm as write_2dm,
-    write_selafin as write_selafin,
-    write_ugrid as write_ugrid,
 )
 from .river import Flow as Flow, River as River, read_river as read_river

@@ -14,7 +14,6 @@ from pyproj import CRS
 
 from thalweg.core import (
     AnyArray,
-    ArrayB,
     ArrayF,
     ArrayF32,
     ArrayI,
@@ -238,7 +237,19 @@ def georeference_log(
                     range_m=block.range_m,
                 )
             if keep.any():
-                _append(writer, block, found.points, keep, correlations=settings.correlations)
+                kept = found.points.where(keep)
+                values = {"range": block.range_m[keep], "ring": block.ring[keep]}
+                values |= dict(zip(SIGMAS, kept.sigmas_m().T, strict=True))
+                if settings.correlations:
+                    values |= dict(zip(CORRELATIONS, kept.correlations().T, strict=True))
+                writer.append(
+                    kept.points_wcs_m,
+                    t_gps_s=block.t_gps_s[keep],
+                    intensity=block.intensity[keep],
+                    return_number=block.return_number[keep],
+                    number_of_returns=block.n_returns[keep],
+                    extra=values,
+                )
         if not counts[Reason.KEPT]:
             table = reason_table(counts).query("n > 0")
             what = ", ".join(f"{row.n:,} {row.reason}" for row in table.itertuples()) or "no points at all"
@@ -382,24 +393,6 @@ def in_body(xyz_scs_m: ArrayF32, mount: Rigid) -> ArrayF32:
     for i in range(3):  # a matrix product would wake the threads of BLAS, which costs more than it does
         out[:, i] = R[i, 0] * x + R[i, 1] * y + R[i, 2] * z + lever[i]
     return out
-
-
-def _append(
-    writer: LazWriter, block: PointBlock, points: WorldPoints, keep: ArrayB, *, correlations: bool
-) -> None:
-    extra: dict[str, AnyArray] = {"range": block.range_m[keep], "ring": block.ring[keep]}
-    kept = points.where(keep)
-    extra |= dict(zip(SIGMAS, kept.sigmas_m().T, strict=True))
-    if correlations:
-        extra |= dict(zip(CORRELATIONS, kept.correlations().T, strict=True))
-    writer.append(
-        kept.points_wcs_m,
-        t_gps_s=block.t_gps_s[keep],
-        intensity=block.intensity[keep],
-        return_number=block.return_number[keep],
-        number_of_returns=block.n_returns[keep],
-        extra=extra,
-    )
 
 
 def export_map(points: Path, out: Path, crs: str, chunk_points: int = Georeferencing().chunk_points) -> None:

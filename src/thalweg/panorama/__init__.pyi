@@ -1,13 +1,15 @@
 from .compose import Composed as Composed, compose as compose
 from .files import (
     PANORAMAS as PANORAMAS,
+    cloud_ranges as cloud_ranges,
+    dependence_on_cloud as dependence_on_cloud,
+    fill_gaps as fill_gaps,
     make_panoramas as make_panoramas,
+    reading_that_fits as reading_that_fits,
     rig_photographs as rig_photographs,
     write_panorama as write_panorama,
 )
 from .places import PlacedFiles as PlacedFiles, place_rig_files as place_rig_files
-from .ranges import cloud_ranges as cloud_ranges, fill_gaps as fill_gaps
-from .reading import dependence_on_cloud as dependence_on_cloud, reading_that_fits as reading_that_fits
 from .sphere import (
     default_width_px as default_width_px,
     level_attitude as level_attitude,

@@ -1,7 +1,21 @@
-"""Panoramas as files: JPEG with what viewers ask for (GPano), and a table with times, poses, seams."""
+"""Panoramas as files: JPEG with what viewers ask for (GPano), and a table with times, poses, seams.
+
+**Are both views read as they were when the rig was calibrated?** Along the seam both lenses see the same
+things. If one of the views is turned by half against the other they do not; that is found from the pictures
+alone. The seam cannot tell views that are changed over, mirrored or upside down *both*: the same pixels still
+lie on each other there, elsewhere. The cloud can: intensities of its points and the brightness of the pixels
+that show them depend on each other only if these are the same things (`thalweg.lidar.check_colours` tests
+clock and mount in the same way).
+
+**How far things are** in each direction is taken from the lidar cloud around. The cloud lies close in lines
+and has gaps between them. Each cell holds the range of its nearest point; gaps up to a width take the nearest
+range at their border (lower envelope); what is left is infinitely far: the sky, and the water, whose picture
+is mostly a mirrored one, as far behind the surface as the mirrored thing lies before it. Taken at the range
+of the surface, mirrored clouds came out twice as far off at the seam.
+"""
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from functools import partial
@@ -11,6 +25,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from thalweg.calibration import LENSES, Rig, lens_view, read_views
@@ -34,11 +49,160 @@ from thalweg.core import (
 )
 from thalweg.images.model import ImagePoses
 from thalweg.lidar import Photographs
-from thalweg.panorama.compose import RIM_DEG, Composed, compose
-from thalweg.panorama.ranges import cloud_ranges, fill_gaps, inverse_range
-from thalweg.panorama.reading import READINGS, dependence_on_cloud, reading_that_fits
-from thalweg.panorama.sphere import default_width_px, level_attitude
+from thalweg.panorama.compose import RIM_DEG, Composed, compose, correlation, overlap
+from thalweg.panorama.sphere import default_width_px, level_attitude, pixels_of
 from thalweg.settings.sections import Panorama, RigLens
+
+_NEAREST_M: Final = 0.4
+
+
+def cloud_ranges(
+    xyz_wcs_m: ArrayF, centre_wcs_m: ArrayF, R_wcs_pcs: ArrayF, *, cell_deg: float, reach_m: float
+) -> AnyArray:
+    """Least range (rows, columns) of points (n, 3) around a place, metres; infinite where there is none.
+
+    Parameters
+    ----------
+    xyz_wcs_m : the cloud.
+    centre_wcs_m, R_wcs_pcs : place (3,) and attitude (3, 3) of the panorama.
+    cell_deg : width of a cell.
+    reach_m : points farther away do not count.
+    """
+    columns = 2 * max(2, round(180.0 / cell_deg))
+    local = (xyz_wcs_m - centre_wcs_m) @ R_wcs_pcs
+    r = np.linalg.norm(local, axis=1)
+    near = (r <= reach_m) & (r > _NEAREST_M)
+    uv = pixels_of(local[near], columns)
+    column = np.clip(uv[:, 0].astype(np.int64), 0, columns - 1)
+    row = np.clip(uv[:, 1].astype(np.int64), 0, columns // 2 - 1)
+    out = np.full((columns // 2, columns), np.inf)
+    np.minimum.at(out, (row, column), r[near])
+    return out
+
+
+def fill_gaps(ranges_m: AnyArray, *, gap_deg: float) -> AnyArray:
+    """Ranges (rows, columns) without the gaps of a cloud.
+
+    Parameters
+    ----------
+    ranges_m : `cloud_ranges`.
+    gap_deg : cells so near to a point take its range, the nearest of several (lower envelope).
+    """
+    cell = 180.0 / len(ranges_m)
+    out = ranges_m.copy()
+    reach = round(gap_deg / 2 / cell)
+    if reach > 0 and np.isfinite(out).any():
+        # around the panorama once, so that its left border knows the right one
+        wide = np.concatenate([out[:, -reach:], out, out[:, :reach]], axis=1)
+        known = np.isfinite(wide)
+        distance, index = ndimage.distance_transform_edt(~known, return_indices=True)
+        nearest = ndimage.minimum_filter(wide, size=3)[tuple(index)]
+        filled = np.where(known | (distance > reach), wide, nearest)
+        out = filled[:, reach:-reach]
+    return out
+
+
+def inverse_range(ranges_m: AnyArray, width_px: int) -> AnyArray:
+    """Inverse ranges (W / 2, W) at all pixels of a panorama, 1/m: linear between the middles of cells."""
+    rows, columns = ranges_m.shape
+    with np.errstate(divide="ignore"):
+        inverse = np.where(np.isfinite(ranges_m), 1.0 / ranges_m, 0.0)
+    u = (np.arange(width_px) + 0.5) / width_px * columns - 0.5
+    v = (np.arange(width_px // 2) + 0.5) / (width_px // 2) * rows - 0.5
+    grid = np.meshgrid(v, np.mod(u, columns), indexing="ij")
+    wide = np.concatenate([inverse, inverse[:, :1]], axis=1)
+    return ndimage.map_coordinates(wide, grid, order=1, mode="nearest")
+
+
+TURNED: Final = "turned by half against each other"
+_AGREES: Final = 0.6
+_CLEARLY: Final = 0.3
+_CELLS: Final = 12
+"""Surroundings whose means are taken out: this part of the width of a view."""
+
+Views = Mapping[str, ArrayU8]
+READINGS: Final[Mapping[str, Callable[[Views], Views]]] = {
+    "": lambda views: views,
+    "changed over": lambda views: {"front": views["back"], "back": views["front"]},
+    "mirrored": lambda views: {name: np.ascontiguousarray(view[:, ::-1]) for name, view in views.items()},
+    "upside down": lambda views: {
+        name: np.ascontiguousarray(view[::-1, ::-1]) for name, view in views.items()
+    },
+    "changed over and upside down": lambda views: {
+        "front": np.ascontiguousarray(views["back"][::-1, ::-1]),
+        "back": np.ascontiguousarray(views["front"][::-1, ::-1]),
+    },
+}
+"""Ways in which both views may be read; the first is the right one."""
+
+
+def reading_that_fits(views: Views, rig: Rig) -> str:
+    """The way in which both views agree along the seam: "" as they are, or `TURNED`.
+
+    Another one is told only if it agrees clearly and the given one does not.
+    """
+    turned = [
+        {**views, name: np.ascontiguousarray(views[name][::-1, ::-1])} for name in LENSES
+    ]  # nearly the same, but for principal points that lie beside the middle
+    far = np.zeros((64, 128))
+    score = []
+    for read in (views, *turned):
+        _, even, usable = overlap(read, rig, np.eye(3), far, None, np.ones(3))
+        grey = [ndimage.gaussian_filter(even[lens].mean(axis=2), (2, 1)) for lens in LENSES]
+        score.append(float(np.nan_to_num(correlation(grey[0], grey[1], usable), nan=-1.0)))
+    other = max(score[1:])
+    return TURNED if other > _AGREES and other > score[0] + _CLEARLY else ""
+
+
+def dependence_on_cloud(
+    views: Views, rig: Rig, front: Rigid, xyz_wcs_m: ArrayF, intensity: ArrayF
+) -> dict[str, float]:
+    """How much intensities of the cloud and brightness depend on each other, by reading of the views.
+
+    Parameters
+    ----------
+    views : upright views (h, w, 3) by lens.
+    rig : calibrated.
+    front : ``T_wcs_front`` of the exposure.
+    xyz_wcs_m, intensity : (n, 3), (n,) points around it; in each direction the nearest counts.
+
+    Returns
+    -------
+    ``-n/2 ln(1 - r^2)`` in nats by key of `READINGS`, of both lenses together.
+    """
+    found = dict.fromkeys(READINGS, 0.0)
+    read = {reading: turn(views) for reading, turn in READINGS.items()}
+    for name, place in rig.T_front_lens.items():
+        pose, camera = front @ place, rig.cameras[name]
+        local = (xyz_wcs_m - pose.shift_m) @ pose.R
+        r = np.linalg.norm(local, axis=1)
+        widest = np.cos(np.deg2rad(rig.settings.field_of_view_deg / 2 - RIM_DEG))
+        seen = np.flatnonzero(local[:, 2] > widest * r)
+        # the nearest point of each cell of half a degree is not hidden
+        cell = pixels_of(local[seen], 720).astype(np.int64) @ np.array([1, 720])
+        order = np.argsort(r[seen], kind="stable")
+        first = order[np.unique(cell[order], return_index=True)[1]]
+        points = seen[first]
+        xy = camera.project(local[points])
+        inside = camera.inside(xy, 1.0)
+        points, pixel = points[inside], xy[inside].astype(np.int64)
+        if len(points) < 100:
+            continue
+        around = pixel // (camera.size_px[0] // _CELLS) @ np.array([1, 4 * _CELLS])
+        a = _about_means(intensity[points], around)
+        for reading, view in read.items():
+            grey = ndimage.uniform_filter(view[name].mean(axis=2), 3)
+            b = _about_means(grey[pixel[:, 1], pixel[:, 0]], around)
+            norm = float(np.sqrt((a @ a) * (b @ b)))
+            rho = float(a @ b) / norm if norm > 0 else 0.0
+            found[reading] += -0.5 * len(a) * float(np.log1p(-min(rho**2, 1 - 1e-9)))
+    return found
+
+
+def _about_means(values: AnyArray, group: AnyArray) -> ArrayF:
+    n = np.maximum(np.bincount(group), 1)
+    return np.asarray(values - (np.bincount(group, values) / n)[group])
+
 
 _F = pa.float64()
 _AXES: Final = ("east", "north", "up")

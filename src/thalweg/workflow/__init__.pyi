@@ -1,4 +1,4 @@
-from .campaign_files import CampaignFiles as CampaignFiles
+from .campaign_files import CampaignFiles as CampaignFiles, pattern_of_epochs as pattern_of_epochs
 from .cluster import (
     cancel_jobs as cancel_jobs,
     check_cluster as check_cluster,

@@ -4,7 +4,7 @@ Rules ask by `CampaignFiles`, one for each chosen campaign. Methods give paths r
 run, as Snakemake wants them; a list is empty where a campaign does not have what a rule could take.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any, Final, Literal
@@ -19,6 +19,9 @@ _STREAMS: Final = {"lidar": "lidar", "ins": "ins", "sbet": "ins", "sbp": "gnss",
 """Logs, and how the rules that read them name their results."""
 _POSITION_LOGS: Final = {"pos": "pos", "nmea": "pos", "sbp": "sbp", "ppk": "rover"}
 """Sources of positions with files of their own."""
+_CHAINS: Final = {"": "ins", "by_camera/": "camera", "by_fused/": "fused"}
+"""Folder below those of clouds and of comparisons -> what the trajectory rests on."""
+
 _SERIES: Final = {"calibration": "grid_images", "panels": "panel_images", "strip": "strip_images"}
 """Streams of the series of images of the light-sheet sensor that are no scans."""
 
@@ -471,21 +474,22 @@ class CampaignFiles:
         return self.trajectory(self.best_chain())
 
     def trajectory(self, chain: str) -> str:
-        """The boat's trajectory by ``ins``, ``camera`` or all sensors together (``fused``)."""
+        """The boat's trajectory by ``ins``, ``camera`` or all sensors together (``fused``), or by folder."""
+        chain = _CHAINS.get(chain, chain)
         return self._result(f"orientation/trajectory{'' if chain == 'ins' else f'_{chain}'}.parquet")
 
     def mounts_of_chain(self, chain: str) -> str:
         """Places of the sensors; by the camera the lidar sits where their relative orientation says."""
-        camera = chain == "camera"
+        camera = _CHAINS.get(chain, chain) == "camera"
         return self._result("orientation/mounts_camera.json" if camera else "calibration/mounts.json")
 
     def trajectories(self) -> list[str]:
         """Trajectories by INS, camera and all sensors, in this order."""
-        return [self.trajectory(chain) for chain in ("ins", "camera", "fused")]
+        return [self.trajectory(chain) for chain in _CHAINS]
 
     def of_chains(self, folder: str, name: str) -> list[str]:
         """A result of the clouds by INS, camera and all sensors, in this order."""
-        return [self._result(f"{folder}/{part}{name}") for part in ("", "by_camera/", "by_fused/")]
+        return [self._result(f"{folder}/{part}{name}") for part in _CHAINS]
 
     def of_compared_chains(self, name: str) -> list[str]:
         """The same of their comparison with a reference; nothing where there is none."""
@@ -1092,3 +1096,9 @@ class CampaignFiles:
             case "images":
                 return []
         return [path for path in self.final_outputs() if path.startswith(self._result(f"{name}/"))]
+
+
+def pattern_of_epochs(files: Iterable[CampaignFiles], *, with_trajectory: bool) -> str:
+    """Pattern of the names of epochs with a boat's trajectory, or of those without; ``none`` of none."""
+    names = {name for each in files for name in each.epochs_with_trajectory(with_trajectory)}
+    return "|".join(sorted(names)) or "none"

@@ -10,7 +10,7 @@ import json
 import math
 import resource
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self
@@ -218,6 +218,22 @@ class Measured:
         return self._asked(
             "minutes", rule, input_mb, attempt, base_min + per_input_gb * input_mb / 1000, FLOOR_MIN
         )
+
+    def memory_of_job(self, base_mb: float, per_input_mb: float = 0.0) -> Callable[..., int]:
+        """Resource function of a rule: `memory_mb`, twice as much on each attempt."""
+
+        def asked_mb(wildcards: Any, input: Iterable[str], attempt: int, rulename: str) -> int:
+            return self.memory_mb(rulename, input, attempt, base_mb, per_input_mb)
+
+        return asked_mb
+
+    def minutes_of_job(self, base_min: float, per_input_gb: float = 0.0) -> Callable[..., int]:
+        """Resource function of a rule: `minutes`, in the same way."""
+
+        def asked_min(wildcards: Any, input: Iterable[str], attempt: int, rulename: str) -> int:
+            return self.minutes(rulename, input, attempt, base_min, per_input_gb)
+
+        return asked_min
 
     def _asked(self, what: str, rule: str, input_mb: float, attempt: int, stated: float, floor: float) -> int:
         line = self.rules.get(rule)

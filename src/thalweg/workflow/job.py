@@ -1,25 +1,256 @@
-"""Run the ``main`` of an entry script as a Snakemake job."""
+"""Run the ``main`` of an entry script as a Snakemake job: truth closed to it, provenance written beside it.
 
+The truth of the digital twin is closed to every rule that processes.
+
+The graph of the workflow shows which files a rule declares, not what its script opens. While a job runs, a
+hook of Python's audit events therefore sees each file that is opened and each folder that is listed, and
+refuses what lies below ``simulation/truth``. Libraries that open files in C or C++ raise no event: the
+library gives them open streams instead of paths (`thalweg.core.tables.read_parquet`), which a test of
+the house watches over.
+"""
+
+import hashlib
+import importlib.metadata
 import inspect
+import json
 import logging
 import os
+import platform
 import random
 import re
 import resource
+import subprocess
 import sys
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import is_dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any, Final, get_args, get_origin, get_type_hints
 
+import thalweg
 from thalweg.core import UNFINISHED, InputError, ThalwegError
 from thalweg.workflow.costs import costs_of, memory_now_mb
-from thalweg.workflow.provenance import META, is_made_of, origin, write_provenance
 from thalweg.workflow.staging import refuse_changes, staged, state_of
-from thalweg.workflow.truth import truth_closed
+
+FORMAT_VERSION = 1
+LIBRARIES = (
+    "numpy",
+    "scipy",
+    "pandas",
+    "pyarrow",
+    "numba",
+    "laspy",
+    "pyproj",
+    "open3d-cpu",
+    "open3d",
+    "sbp",
+    "pyrtklib5",
+    "matplotlib",
+    "snakemake",
+)
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file, or of the sorted names and contents of a folder."""
+    digest = hashlib.sha256()
+    members = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+    for member in members:
+        if path.is_dir():
+            digest.update(member.relative_to(path).as_posix().encode())
+        with member.open("rb") as stream:
+            while chunk := stream.read(1 << 22):
+                digest.update(chunk)
+    return digest.hexdigest()
+
+
+def git_commit(folder: Path) -> str | None:
+    """Commit of the checkout that holds a folder, with ``+`` appended if it has changes; None outside git."""
+    try:
+        commit = _git(folder, "rev-parse", "HEAD")
+        dirty = _git(folder, "status", "--porcelain", "--untracked-files=no")
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return commit + ("+" if dirty else "")
+
+
+def _git(folder: Path, *words: str) -> str:
+    run = subprocess.run(["git", "-C", str(folder), *words], capture_output=True, text=True, check=True)
+    return run.stdout.strip()
+
+
+def library_versions() -> dict[str, str]:
+    """Versions of Python and of the libraries that shape results, as installed."""
+    versions = {"python": platform.python_version()}
+    for name in LIBRARIES:
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return versions
+
+
+def origin(*, rule: str, inputs: list[Path], params: Mapping[str, Any], code: str) -> dict[str, Any]:
+    """What decides the outputs of a job: rule, version, code hash, parameters and checksums of all inputs."""
+    return {
+        "format_version": FORMAT_VERSION,
+        "rule": rule,
+        "thalweg": thalweg.__version__,
+        "code": code,
+        "params": {k: params[k] for k in sorted(params)},
+        "inputs": {str(p): sha256_of(p) for p in inputs if p.exists()},
+    }
+
+
+def is_made_of(output: Path, wanted: Mapping[str, Any]) -> bool:
+    """Whether an output is whole and was made of just this `origin`."""
+    try:
+        record = json.loads(meta_file(output).read_text(encoding="utf-8"))
+        same = {key: record.get(key) for key in wanted} == json.loads(json.dumps(wanted, default=str))
+        return same and record["sha256"] == sha256_of(output)
+    except (OSError, ValueError, AttributeError, KeyError):
+        return False
+
+
+META: Final = ".meta.json"
+
+
+def meta_file(output: Path) -> Path:
+    """Where the provenance of an output lies."""
+    return output.with_name(output.name + META)
+
+
+def write_provenance(
+    outputs: Mapping[Path, Path],
+    made_of: Mapping[str, Any],
+    *,
+    threads: int,
+    wall_s: float,
+    cpu_s: float,
+    costs: Mapping[str, float | None],
+) -> None:
+    """Write ``<output>.meta.json`` beside each output of a job.
+
+    It holds the origin, the commit, the checksum of the output itself, the library versions, threads, wall
+    time and time of the processor. No host, user or absolute path of the package is recorded.
+
+    Parameters
+    ----------
+    outputs : final names, and where each lies now.
+    made_of : `origin` of the job.
+    threads, wall_s, cpu_s, costs : what the job took.
+    """
+    record = {
+        **made_of,
+        "commit": git_commit(Path(thalweg.__file__).parent),
+        "libraries": library_versions(),
+        "threads": threads,
+        "wall_s": round(wall_s, 3),
+        "cpu_s": round(cpu_s, 3),
+        "costs": costs,
+        "written_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+    }
+    for output, lies in outputs.items():
+        text = json.dumps({"output": str(output), "sha256": sha256_of(lies), **record}, indent=2, default=str)
+        meta_file(lies).write_text(text + "\n", encoding="utf-8")
+
+
+_MAY_READ = re.compile(r"simulate_\w+|compare_(\w+_)?with_truth|(?!plot_)\w+_study")
+"""What makes the truth, what judges by it, and studies, which do both."""
+
+_FOLDER = f"{os.sep}simulation{os.sep}truth{os.sep}"
+_EVENTS = frozenset({"open", "os.listdir", "os.scandir"})
+
+
+def may_read_truth(rule: str) -> bool:
+    """Whether a rule of this name may open files below ``simulation/truth``."""
+    return _MAY_READ.fullmatch(rule) is not None
+
+
+@contextmanager
+def truth_closed(rule: str, declared: Iterable[Any] = ()) -> Iterator[None]:
+    """Refuse files below ``simulation/truth`` within the block, unless the rule may read them.
+
+    Parameters
+    ----------
+    rule : name of the rule that runs.
+    declared : inputs, outputs and params of the rule; texts anywhere in them are taken for paths.
+
+    Raises
+    ------
+    InputError : a declared path lies below the truth, or the block opened or listed something there, even
+        if the block itself caught that error.
+    """
+    if may_read_truth(rule):
+        yield
+        return
+    for path in _texts(list(declared)):
+        if _below_truth(_as_called(path)):
+            raise _refusal(rule, path)
+    before, _watch.rule, _watch.refused = _watch.rule, rule, None
+    try:
+        if not _watch.installed:
+            sys.addaudithook(_audit)  # for the life of the process: Python cannot remove it
+            _watch.installed = True
+        yield
+    finally:
+        refused, _watch.rule = _watch.refused, before
+        if refused is not None:
+            raise refused
+
+
+class _Watch:
+    """The rule that is kept from the truth, if any, and what it was refused first."""
+
+    installed = False
+    rule: str | None = None
+    refused: InputError | None = None
+
+
+_watch = _Watch()
+
+
+def _audit(event: str, arguments: tuple[Any, ...]) -> None:
+    """Python calls this at each audit event, so what does not concern it returns at once."""
+    if _watch.rule is None or event not in _EVENTS or not isinstance(arguments[0], str | bytes | os.PathLike):
+        return
+    path = os.fsdecode(arguments[0])
+    if _below_truth(_as_called(path)) or _below_truth(os.path.realpath(path)):
+        error = _refusal(_watch.rule, path)
+        _watch.refused = _watch.refused or error
+        raise error
+
+
+def _as_called(path: str) -> str:
+    """The absolute path without ``..``, links as they are."""
+    return os.path.normpath(Path(path).absolute())
+
+
+def _below_truth(absolute: str) -> bool:
+    return _FOLDER in absolute + os.sep
+
+
+def _refusal(rule: str, path: str) -> InputError:
+    return InputError(
+        f"the truth of the digital twin is closed to this rule, which opens {path}",
+        expected="logs, settings and results of other rules",
+        where=f"rule {rule}",
+        cure="Compare with the truth in a rule compare_..._with_truth; only these, simulate_... and ..._study"
+        " may read below simulation/truth",
+    )
+
+
+def _texts(value: Any) -> Iterator[str]:
+    if isinstance(value, str | Path):
+        yield str(value)
+    elif isinstance(value, Mapping):
+        yield from _texts(list(value.values()))
+    elif isinstance(value, list | tuple):
+        for each in value:
+            yield from _texts(each)
+
 
 log = logging.getLogger("thalweg")
 

@@ -9,9 +9,14 @@ files of ``resources/published`` come together, an item a row, in six words:
 - *input*: what was put in, or met by an input that was chosen for it: it confirms nothing;
 - *waived*: nothing that software could show;
 - *open*: an idea for future work that is not done.
+
+Numbers of T, P1 and P2 that need no campaign stand here: identities, arithmetic of printed numbers,
+misprints. Functions as in `thalweg_lab.reproduction.ledger`: each takes the published numbers by the names of
+their entries, so that nothing printed is typed in here, and the arguments of its entry (``with:``).
 """
 
 import importlib
+import math
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -20,21 +25,311 @@ import numpy as np
 import pandas as pd
 import yaml
 
-from thalweg.core import ConfigError
-from thalweg_lab.reproduction.arithmetic import ARITHMETIC
+from thalweg.accuracy import range_class
+from thalweg.budgets import long_table, read_budget
+from thalweg.calibration import PARAMETERS, Cone
+from thalweg.core import ArrayF, Camera, ConfigError, Rigid, rotation_opk
+from thalweg.ingest.velodyne import VLP16
+from thalweg.lightsheet.optics import refract_as_printed
 from thalweg_lab.reproduction.files import CLASSES, NAMES, PUT_IN, Entry
 from thalweg_lab.reproduction.ledger import (
     ABOVE,
     BELOW,
+    BUDGETS,
     FUNCTIONS,
     MISSED,
     NO_RESULT,
     NOT_CHECKABLE,
+    Found,
     Results,
+    depth_by_cause,
     judged,
     ours_words,
     verdict_words,
 )
+
+Published = Mapping[str, Any]
+
+LIGHT_MPS: Final = 299_792_458.0
+DISTANCES_M: Final = (5.0, 10.0, 25.0, 50.0)
+"""Distances of P2 Table 1 and T Table 3.1."""
+_SEED: Final = 1
+_N: Final = 500
+_TURN: Final = rotation_opk(0.4, -0.7, 2.1)
+
+
+def _points(scale_m: float = 10.0) -> ArrayF:
+    return np.random.default_rng(_SEED).uniform(-scale_m, scale_m, (_N, 3))
+
+
+def _cells(published: Published, rows: list[str], distance_m: float) -> ArrayF:
+    """Printed cells (n,) of rows ``[first, last]`` of a table at a distance, mm."""
+    first, last = (int(row[1:]) for row in rows)
+    return np.array([float(published[f"C{i:03d} {distance_m:g} m"]) for i in range(first, last + 1)])
+
+
+# ---------------------------------------------------------------- equations
+
+
+def transform_identity(published: Published) -> Found:
+    """Largest difference of `Rigid.apply` from ``T + R x`` and of its inverse from ``R (x - X0)``, m.
+
+    P1 eq. 1, 4, 7, 8.
+    """
+    T, shift, x = Rigid(R=_TURN, shift_m=np.array([0.3, -1.2, 0.8])), np.array([0.3, -1.2, 0.8]), _points()
+    off = [T.apply(x) - (x @ _TURN.T + shift), T.inverse().apply(x) - (x - shift) @ _TURN]
+    return Found(value=float(np.abs(off).max()), n=float(_N))
+
+
+def chain_identity(published: Published) -> Found:
+    """Largest difference of two transforms in a row from the product of their matrices, m (P2 eq. 3)."""
+    first = Rigid(R=_TURN, shift_m=np.array([0.3, -1.2, 0.8]))
+    second = Rigid(R=rotation_opk(-1.1, 0.2, 0.5), shift_m=np.array([5.0, 2.0, -1.0]))
+    M = [np.block([[T.R, T.shift_m[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]]) for T in (second, first)]
+    x = _points()
+    by_matrix = np.c_[x, np.ones(_N)] @ (M[0] @ M[1]).T
+    return Found(value=float(np.abs((second @ first).apply(x) - by_matrix[:, :3]).max()), n=float(_N))
+
+
+def _fisheye() -> Camera:
+    parameters = np.array([800.0, 800.0, 1000.0, 990.0, 0.0, 0.0, 0.0, 0.0])
+    return Camera(model="fisheye", size_px=(2000, 2000), parameters=parameters)
+
+
+def fisheye_identity(published: Published) -> Found:
+    """Largest difference of the fisheye camera from P1 eq. 2-3, px.
+
+    Points up to 95 degrees off the axis, and one on it, where the equations have the limit ``x'_0``.
+    """
+    rng = np.random.default_rng(_SEED)
+    alpha, around = rng.uniform(0.0, np.deg2rad(95.0), _N), rng.uniform(0.0, 2 * np.pi, _N)
+    alpha[0] = 0.0
+    X = np.stack([np.sin(alpha) * np.cos(around), np.sin(alpha) * np.sin(around), np.cos(alpha)], axis=1)
+    across = np.hypot(X[:, 0], X[:, 1])
+    unit = np.where(across[:, None] > 0, X[:, :2] / np.where(across > 0, across, 1.0)[:, None], 0.0)
+    printed = np.array([1000.0, 990.0]) + 800.0 * alpha[:, None] * unit
+    return Found(value=float(np.abs(_fisheye().project(7.0 * X) - printed).max()), n=float(_N))
+
+
+def fisheye_round_trip(published: Published) -> Found:
+    """Largest difference of a pixel from the image of its own ray, px."""
+    px = np.random.default_rng(_SEED).uniform(100.0, 1900.0, (_N, 2))
+    camera = _fisheye()
+    return Found(value=float(np.abs(camera.project(camera.rays(px)) - px).max()), n=float(_N))
+
+
+def _cone() -> Cone:
+    return Cone(
+        apex_m=np.array([2.0, 1.0, 0.3]), axis=np.array([0.2, -0.5, -0.9]), half_angle_rad=np.deg2rad(14.0)
+    )
+
+
+def _on_cone(cone: Cone) -> ArrayF:
+    rng = np.random.default_rng(_SEED)
+    z, around = rng.uniform(0.1, 1.0, _N), rng.uniform(0.0, 2 * np.pi, _N)
+    circle = np.cos(around)[:, None] * cone.tangents[0] + np.sin(around)[:, None] * cone.tangents[1]
+    return cone.apex_m + z[:, None] * cone.axis + (z * np.tan(cone.half_angle_rad))[:, None] * circle
+
+
+def cone_condition(published: Published) -> Found:
+    """Largest ``|x^2 + y^2 - z^2 tan^2(beta)|``, m^2, of points at which `Cone.see` finds no distance.
+
+    In the cone's own frame (P1 eq. 5, P2 eq. 1-2): without its right side ``= 0`` P1 eq. 5 says nothing.
+    """
+    cone = _cone()
+    p = _on_cone(cone)
+    p -= cone.see(p).distance_m[:, None] * cone.see(p).normal
+    R = np.stack([*cone.tangents, cone.axis])
+    x, y, z = R @ (p - cone.apex_m).T
+    left = x**2 + y**2 - z**2 * np.tan(cone.half_angle_rad) ** 2
+    return Found(value=float(np.abs(left).max()), n=float(_N))
+
+
+def cone_apex_as_printed(published: Published) -> Found:
+    """Distance of a cone's apex from the origin of its own frame by P1 eq. 6 as printed, ``X_ap + R X``, m.
+
+    ``R (X - X_ap)``, P2 eq. 1, puts it there exactly.
+    """
+    cone = _cone()
+    R = np.stack([*cone.tangents, cone.axis])
+    return Found(value=float(np.linalg.norm(cone.apex_m + R @ cone.apex_m)))
+
+
+def printed_refraction_off(published: Published, *, angle_deg: float) -> Found:
+    """How far the length of the refracted unit vector by the printed root is from 1 (P3 and P4 eq. 1)."""
+    t = np.deg2rad(angle_deg)
+    v = refract_as_printed(np.array([[np.sin(t), 0.0, -np.cos(t)]]), np.array([0.0, 0.0, 1.0]), 1.0, 1.52)
+    return Found(value=abs(float(np.linalg.norm(v)) - 1.0))
+
+
+def classes_off(published: Published) -> Found:
+    """Ranges whose class is not the D of ``D - 0.5 < d <= D + 0.5`` (P2 eq. 10), borders among them."""
+    d = np.concatenate([np.arange(1.0, 100.0) + 0.5, np.random.default_rng(_SEED).uniform(0.6, 99.0, _N)])
+    D = range_class(d)
+    return Found(value=float((~((d > D - 0.5) & (d <= D + 0.5))).sum()), n=float(len(d)))
+
+
+def cone_unknowns(published: Published, *, cones: int, of_each: int = 0) -> Found:
+    """Unknowns of a calibration by cones: those of each cone and six of the relative orientation."""
+    return Found(value=float(cones * (of_each or len(PARAMETERS)) + 6))
+
+
+def cone_parameters(published: Published) -> Found:
+    """Unknowns of a cone in this project."""
+    return Found(value=float(len(PARAMETERS)))
+
+
+# ---------------------------------------------------------------- arithmetic of printed numbers
+
+
+def component(published: Published, *, of: str) -> Found:
+    """One of three equal components of a 3D sigma in cm, mm (P2 eq. 7)."""
+    return Found(value=math.sqrt((10.0 * float(published[of])) ** 2 / 3.0))
+
+
+def footprint(published: Published, *, divergence: str, range_m: float) -> Found:
+    """Diameter of a footprint, cm, of a divergence in mrad."""
+    return Found(value=0.1 * float(published[divergence]) * range_m)
+
+
+def normal_share(published: Published, *, sigmas: float) -> Found:
+    """Percent of a normal variable within so many sigmas."""
+    return Found(value=100.0 * math.erf(sigmas / math.sqrt(2.0)))
+
+
+def root_of_squares(published: Published, *, rows: list[str], distance_m: float) -> Found:
+    """Root of the sum of the squares of a table's printed cells at a distance, mm (P2 eq. 8-9)."""
+    return Found(value=float(np.linalg.norm(_cells(published, rows, distance_m))))
+
+
+def root_of_named(published: Published, *, of: list[str]) -> Found:
+    """Root of the sum of the squares of printed numbers."""
+    return Found(value=float(np.linalg.norm([float(published[name]) for name in of])))
+
+
+def largest_of(published: Published, *, of: list[str]) -> Found:
+    """The largest of printed numbers."""
+    return Found(value=max(float(published[name]) for name in of))
+
+
+def distances_led_by(published: Published, *, rows: list[str], row: str) -> Found:
+    """Distances of a table at which the printed cell of one row is the largest."""
+    at = int(row[1:]) - int(rows[0][1:])
+    led = [int(_cells(published, rows, d).argmax()) == at for d in DISTANCES_M]
+    return Found(value=float(sum(led)), n=float(len(led)))
+
+
+def distances_below(published: Published, *, of: str, than: str) -> Found:
+    """Distances at which one printed total is below another."""
+    below = [float(published[f"{of} {d:g} m"]) < float(published[f"{than} {d:g} m"]) for d in DISTANCES_M]
+    return Found(value=float(sum(below)), n=float(len(below)))
+
+
+def implied_turn_rate(published: Published, *, row: str, sigma: str, distance_m: float) -> Found:
+    """Turn rate that a printed cell of the timing row asks for at a distance, degrees a second."""
+    cell_m = 1e-3 * float(published[f"{row} {distance_m:g} m"])
+    return Found(value=float(np.rad2deg(cell_m / (float(published[sigma]) * distance_m))))
+
+
+def effect_of_time(published: Published, *, rate: str, sigma: str, distance_m: float) -> Found:
+    """What an error of time in ns costs at a distance on a turning platform, mm."""
+    rad = np.deg2rad(float(published[rate])) * float(published[sigma]) * 1e-9
+    return Found(value=float(rad * distance_m * 1e3))
+
+
+def mrad(published: Published, *, of: str) -> Found:
+    """A printed angle in degrees as milliradians."""
+    return Found(value=float(np.deg2rad(float(published[of]))) * 1e3)
+
+
+def knots(published: Published, *, of: str) -> Found:
+    """A speed in knots as m/s."""
+    return Found(value=float(published[of]) * 1852.0 / 3600.0)
+
+
+def light_path(published: Published, *, of: str) -> Found:
+    """Way of light in a time in ns, mm."""
+    return Found(value=float(published[of]) * 1e-9 * LIGHT_MPS * 1e3)
+
+
+def lidar_constant(published: Published, *, what: str) -> Found:
+    """A constant that the reader decodes with: ``lasers``, or the ``vertical view`` of all, degrees."""
+    view_deg = float(np.ptp(VLP16.elevation_deg))
+    return Found(value={"lasers": float(VLP16.lasers), "vertical view": view_deg}[what])
+
+
+def budget_lever(published: Published, *, name: str) -> Found:
+    """Length of the inner lever arm of a stored budget, cm."""
+    return Found(
+        value=100.0 * float(np.linalg.norm(read_budget(BUDGETS / f"{name}.yaml").frames[-1].lever_m))
+    )
+
+
+def budget_ratio(published: Published, *, name: str, of: str, over: str, distance_m: float) -> Found:
+    """Influence of an input of a stored budget over that of another at a distance."""
+    table = long_table(read_budget(BUDGETS / f"{name}.yaml"), None)
+    at = table[np.isclose(table["distance_m"], distance_m)]
+    influence_mm = dict(zip(at["input"], at["influence_mm"].astype(float), strict=True))
+    return Found(value=influence_mm[of] / influence_mm[over])
+
+
+def shots_per_second(published: Published) -> Found:
+    """Shots of a VLP-16 a second: 16 lasers each firing sequence."""
+    return Found(value=float(VLP16.lasers / VLP16.firing_s))
+
+
+def images_of(published: Published, *, minutes: str, interval: str) -> Found:
+    """Images that an interval in s gives in a time in minutes."""
+    return Found(value=60.0 * float(published[minutes]) / float(published[interval]))
+
+
+def pixel_by_lens(published: Published, *, pixel: str, lens: str, path_mm: float) -> Found:
+    """Pixel in object space of a lens over a path, mm: the pixel in um times path over focal length."""
+    return Found(value=1e-3 * float(published[pixel]) * path_mm / float(published[lens]))
+
+
+def depth_by(published: Published, *, cause: str) -> Found:
+    """Largest sigma of the depth by a cause, by the stored prototype of P4, mm."""
+    return Found(value=depth_by_cause(cause))
+
+
+ARITHMETIC: Final[dict[str, Callable[..., Found]]] = {
+    function.__name__: function
+    for function in (
+        transform_identity,
+        chain_identity,
+        fisheye_identity,
+        fisheye_round_trip,
+        cone_condition,
+        cone_apex_as_printed,
+        printed_refraction_off,
+        classes_off,
+        cone_unknowns,
+        cone_parameters,
+        component,
+        footprint,
+        normal_share,
+        root_of_squares,
+        root_of_named,
+        largest_of,
+        distances_led_by,
+        distances_below,
+        implied_turn_rate,
+        effect_of_time,
+        mrad,
+        knots,
+        light_path,
+        shots_per_second,
+        images_of,
+        lidar_constant,
+        budget_lever,
+        budget_ratio,
+        pixel_by_lens,
+        depth_by,
+    )
+}
+"""What the ledger may name in ``computed`` beside the functions of `thalweg_lab.reproduction.ledger`."""
+
 
 MATCHED: Final = "matched"
 NOT_MATCHED: Final = "not matched"

@@ -1,13 +1,12 @@
-from . import laser_lines as laser_lines
-from .laser_lines import (
-    labelled_scans as labelled_scans,
-    multi_line_images as multi_line_images,
-    write_images as write_images,
-)
 from .study import (
     Batch as Batch,
+    Result as Result,
+    Seed as Seed,
+    Study as Study,
+    Tables as Tables,
     batches as batches,
     load as load,
+    read_studies as read_studies,
     run_seeds as run_seeds,
     write_results as write_results,
 )

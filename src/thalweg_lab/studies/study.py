@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+import yaml
 
 from thalweg.core import InputError, read_parquet
 
@@ -63,6 +64,12 @@ class Batch:
 
     kind: str
     seeds: tuple[int, ...]
+
+
+def read_studies(folder: Path) -> dict[str, dict[str, Any]]:
+    """Files of a folder that state a study, by their names; others record campaigns."""
+    entries = {path.stem: yaml.safe_load(path.read_text()) for path in sorted(folder.glob("*.yaml"))}
+    return {name: entry for name, entry in entries.items() if "study" in entry}
 
 
 def batches(entry: Mapping[str, Any]) -> dict[str, Batch]:

@@ -18,7 +18,7 @@ from thalweg.core import ArrayB, ArrayF, Camera, Rigid, exp_rotation
 from thalweg.settings.twin import TwinConfig
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.tank.objects import SIGMA_PX
-from thalweg_lab.tank.series import Basin
+from thalweg_lab.tank.series import Basin, record_camera_station
 from thalweg_lab.yard import Plane, Sheet
 
 MODULE_M: Final = 0.003
@@ -235,3 +235,25 @@ def record_camera_field(twin: TwinConfig, seed: int, *, out_marks: Path, out_fie
     marks = observe_field(field, basin.true.camera, poses, seed)
     marks.to_csv(out_marks, index=False, float_format="%.5f")
     out_field.write_text(field_text(field, seed))
+
+
+def record_camera_marks(
+    twin: TwinConfig,
+    seed: int,
+    *,
+    out_sensor: Path,
+    out_marks: Path,
+    out_points: Path,
+    out_field_marks: Path,
+    out_field: Path,
+) -> None:
+    """All that the sensor's camera sees through air: from its station, and of the field.
+
+    Parameters
+    ----------
+    twin, seed : of the campaign.
+    out_sensor, out_marks, out_points : see `record_camera_station`.
+    out_field_marks, out_field : see `record_camera_field`.
+    """
+    record_camera_station(twin, seed, out_sensor=out_sensor, out_marks=out_marks, out_points=out_points)
+    record_camera_field(twin, seed, out_marks=out_field_marks, out_field=out_field)

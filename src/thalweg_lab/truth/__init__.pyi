@@ -27,6 +27,7 @@ from .points import (
 from .riverbed import (
     DISTANCES_M as DISTANCES_M,
     compare_riverbed as compare_riverbed,
+    compare_soundings as compare_soundings,
     true_bed_m as true_bed_m,
 )
 from .solutions import (
@@ -34,4 +35,3 @@ from .solutions import (
     carried_by_camera as carried_by_camera,
     chains_truth_table as chains_truth_table,
 )
-from .soundings import compare_soundings as compare_soundings

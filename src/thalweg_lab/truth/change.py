@@ -29,7 +29,7 @@ from thalweg.core import (
     write_table,
 )
 from thalweg.core.geometry import RayCaster, polygon_area_m2
-from thalweg.deformation import SurfaceDifference
+from thalweg.deformation.foreign import SurfaceDifference
 from thalweg.settings.sections import Deformation
 from thalweg.settings.twin import Change, TwinScene
 from thalweg.surface import Area

@@ -16,7 +16,7 @@ from tests.lightsheet.laser_images import (
 
 from thalweg.core import GeometryError
 from thalweg_lab.random_numbers import generator
-from thalweg_lab.tank.speckle import SpeckleOptics, SpeckleTile, speckle_factor
+from thalweg_lab.tank.render import SpeckleOptics, SpeckleTile, speckle_factor
 
 OPTICS = SpeckleOptics()
 

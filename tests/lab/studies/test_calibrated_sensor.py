@@ -3,7 +3,7 @@
 import numpy as np
 
 from thalweg.lightsheet.optics import LASER, LENS, PARAMETERS, WINDOW
-from thalweg_lab.studies.laser_lines import calibrated_sensor
+from thalweg_lab.studies.sensors.laser_lines import calibrated_sensor
 
 
 def test_errors_of_the_calibration_are_as_large_as_their_sigmas() -> None:

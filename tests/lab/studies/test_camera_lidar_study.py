@@ -6,7 +6,7 @@ import pytest
 
 from thalweg.settings.twin import TwinConfig
 from thalweg_lab.random_numbers import generator
-from thalweg_lab.studies.camera_lidar import (
+from thalweg_lab.studies.sensors.camera_lidar import (
     CASES,
     Pictures,
     StudySettings,

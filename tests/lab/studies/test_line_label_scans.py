@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from thalweg_lab.studies import labelled_scans
-from thalweg_lab.studies.laser_lines import (
+from thalweg_lab.studies.sensors import labelled_scans
+from thalweg_lab.studies.sensors.laser_lines import (
     LASER_SEED,
     Setting,
     calibrated_lines,

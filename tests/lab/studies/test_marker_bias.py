@@ -8,7 +8,7 @@ import pytest
 from thalweg.lightsheet.lines import LineFlag, LinePoints, pooled_shift, without_shift
 from thalweg.lightsheet.lines.albedo import WidthShift
 from thalweg_lab.random_numbers import generator
-from thalweg_lab.studies.sheet_scans import METHODS, STUDIED, WET_PAPER, marker_bias
+from thalweg_lab.studies.sensors.sheet_scans import METHODS, STUDIED, WET_PAPER, marker_bias
 
 CHOSEN = {name: METHODS[name] for name in ("matching as P4 4.1", "matching, width corrected")}
 

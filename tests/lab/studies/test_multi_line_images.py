@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg_lab.studies import multi_line_images, write_images
-from thalweg_lab.studies.laser_lines import OBJECTS, MultiLineImage
+from thalweg_lab.studies.sensors import multi_line_images, write_images
+from thalweg_lab.studies.sensors.laser_lines import OBJECTS, MultiLineImage
 
 
 @pytest.fixture(scope="module")

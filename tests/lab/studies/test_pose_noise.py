@@ -2,7 +2,7 @@
 
 import pytest
 
-from thalweg_lab.studies.sheet_scans import KINDS, pose_noise, table
+from thalweg_lab.studies.sensors.sheet_scans import KINDS, pose_noise, table
 
 
 def test_errors_of_poses_matter_more_for_the_wreck_because_they_are_level() -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from thalweg_lab.studies.laser_lines import means
+from thalweg_lab.studies.sensors.laser_lines import means
 
 
 def test_means_of_groups_by_hand() -> None:

@@ -10,7 +10,7 @@ from tests.lightsheet.laser_images import GreyValues, grey_values, line_intensit
 from thalweg.core import AnyArray, ArrayF
 from thalweg.lightsheet.lines import LinePoints
 from thalweg_lab.random_numbers import generator
-from thalweg_lab.tank.speckle import SpeckleOptics
+from thalweg_lab.tank.render import SpeckleOptics
 
 BORDER = 12
 """Rows at both ends of an image that are not judged: the simulated field is periodic there."""

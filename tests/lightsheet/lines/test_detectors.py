@@ -11,7 +11,7 @@ from tests.lightsheet.laser_images import GreyValues, grey_values, laser_mosaic,
 from thalweg.core import ArrayF
 from thalweg.lightsheet.lines import LineFlag, LineSettings, detect_lines
 from thalweg_lab.random_numbers import generator
-from thalweg_lab.tank.speckle import SpeckleOptics
+from thalweg_lab.tank.render import SpeckleOptics
 
 if TYPE_CHECKING:
     from conftest import Maker

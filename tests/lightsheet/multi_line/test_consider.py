@@ -9,7 +9,13 @@ from thalweg.lightsheet.multi_line import calibrate_lines, compare_models, line_
 from thalweg.lightsheet.multi_line.adjustment import level_depths
 from thalweg.lightsheet.multi_line.comparison import consider_sensor, depth_errors
 from thalweg.lightsheet.optics import PARAMETERS, paper_4
-from thalweg_lab.studies.laser_lines import LEVELS_MM, PAIRED, PLANES_MM, calibrated_sensor, nominal_diode
+from thalweg_lab.studies.sensors.laser_lines import (
+    LEVELS_MM,
+    PAIRED,
+    PLANES_MM,
+    calibrated_sensor,
+    nominal_diode,
+)
 from thalweg_lab.tank import GratingErrors, calibration_points, make_grating
 
 IDEAL = GratingErrors(

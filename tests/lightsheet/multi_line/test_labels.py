@@ -30,7 +30,7 @@ from thalweg.lightsheet.multi_line.labels import (
 )
 from thalweg.lightsheet.multi_line.scan_labels import spacing_irregularity
 from thalweg.lightsheet.optics import intersect
-from thalweg_lab.studies.laser_lines import (
+from thalweg_lab.studies.sensors.laser_lines import (
     MAP,
     Setting,
     calibrated_lines,

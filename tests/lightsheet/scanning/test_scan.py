@@ -12,8 +12,7 @@ from thalweg.core.geometry import TriangleMesh
 from thalweg.lightsheet.optics import Sensor, paper_4
 from thalweg.lightsheet.poses import factor
 from thalweg.lightsheet.scanning import merge, mesh_distances, profile
-from thalweg.lightsheet.scanning.alignment import align, check_lines, from_pairs
-from thalweg.lightsheet.scanning.compare import scan_against_mesh
+from thalweg.lightsheet.scanning.compare import align, check_lines, from_pairs, scan_against_mesh
 from thalweg.lightsheet.scanning.distances import border_effect, normality
 from thalweg.surface import Surface
 from thalweg_lab.tank import Surface as Object, line_on, wreck

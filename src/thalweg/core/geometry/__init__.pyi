@@ -1,4 +1,11 @@
-from .cells import CellGrid as CellGrid, cell_numbers as cell_numbers
+from .cells import (
+    LEAST_AREA_M2 as LEAST_AREA_M2,
+    CellGrid as CellGrid,
+    cell_numbers as cell_numbers,
+    crossing_in_words as crossing_in_words,
+    first_crossing as first_crossing,
+    polygon_area_m2 as polygon_area_m2,
+)
 from .mesh import (
     ORDERS as ORDERS,
     PlyElement as PlyElement,
@@ -8,10 +15,4 @@ from .mesh import (
     write_mesh as write_mesh,
 )
 from .point_fit import fit_points as fit_points, nearest_rotation as nearest_rotation
-from .polygon import (
-    LEAST_AREA_M2 as LEAST_AREA_M2,
-    crossing_in_words as crossing_in_words,
-    first_crossing as first_crossing,
-    polygon_area_m2 as polygon_area_m2,
-)
 from .raycast import MAX_EXTENT_M as MAX_EXTENT_M, Hits as Hits, RayCaster as RayCaster, _open3d as _open3d

@@ -143,8 +143,7 @@ def cloud_page(
     lead = f"The cloud lies {centimetres(kept['rmse_m'])} (RMSE) from its reference"
     lead += f"; {offset}." if (offset := _offset(moved)) else "."
     page = Page(title, lead, findings).section("Distances")
-    for name, picture in pictures.items():
-        page.figure(picture, captions[name])
+    page.figures(pictures, captions)
     rows = {"all": raw, "without outliers": kept}
     if moved.get("done"):
         rows |= {"registered": moved["all"], "registered, without outliers": moved["without_outliers"]}

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 from scipy.stats import norm
 
-from thalweg.accuracy import ALL, AS_MEASURED, CLOUD_TO_MESH, WITHOUT_OUTLIERS
+from thalweg.accuracy import ALL, AS_MEASURED, BY_RANGE_COLUMNS, CLOUD_TO_MESH, WITHOUT_OUTLIERS
 from thalweg.core import ArrayB, ArrayF, CoverageError, InputError, read_table, robust_sigma, root_mean_square
 from thalweg.figures import BLUE, GREY, RED, VERMILION, count, legend_below, new_figure, styled
 from thalweg.surface import BankFrame
@@ -29,18 +29,7 @@ SIGMAS: Final = 3.9
 
 RANGE_COLUMNS = ("range_m", "n", "rmse_observed_m", "rmse_predicted_m")
 
-CLASS_COLUMNS: Final = (
-    "points",
-    "range_m",
-    "n",
-    "rmse_observed_m",
-    "rmse_predicted_m",
-    "rmse_predicted_3d_m",
-    "ratio",
-    "ratio_low95",
-    "ratio_high95",
-    "inside",
-)
+CLASS_COLUMNS: Final = BY_RANGE_COLUMNS[1:-1]
 MOST_RATIO: Final = 4.0
 """Ratios are drawn up to this and down to its inverse."""
 

@@ -10,7 +10,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from thalweg.core import ArrayF
-from thalweg.deformation import SurfaceDifference, read_difference
+from thalweg.deformation.foreign import SurfaceDifference, read_difference
 from thalweg.figures import SIGMA_MAP, WIDTH_MM, count, marks_in_free_corners, new_figure, styled
 from thalweg.figures.accuracy import DISTANCE_MAP, round_above
 from thalweg.figures.deformation.maps import SCALE_SHARE, signed

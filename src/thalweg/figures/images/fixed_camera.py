@@ -120,8 +120,7 @@ def fixed_camera_page(
         Finding("rms of the marks", f"{facts['rms_px']:.2f} px"),
     ]
     page = Page(title, f"From picture to picture: {still}.", findings).section("History")
-    for name, picture in pictures.items():
-        page.figure(picture, captions[name])
+    page.figures(pictures, captions)
     shown = poses.drop(columns=[f"q{a}" for a in "xyzw"])
     page.section("Pictures").table(shown, "Pose of each picture, or why there is none.", digits=5)
     if facts["strange_marks"]:

@@ -598,6 +598,35 @@ def draw_mask_view(*, images: list[Path], masks: Path, table: Path, title: str, 
 # ---------------------------------------------------------------- page of photographs oriented without a boat
 
 
+def _three(values: Mapping[str, float]) -> str:
+    return " / ".join(f"{v:.1f}" for v in values.values())
+
+
+def _sigma_finding(facts: Mapping[str, Any], stated: str = "") -> Finding:
+    sigma = _three(facts["sigma_position_mm"])
+    return Finding("standard deviation of their places, x / y / z, median", f"{sigma} mm", stated)
+
+
+def _check_finding(check: Mapping[str, Any], worth: str = "") -> Finding:
+    """What check points say, with the verdict on the predicted standard deviations."""
+    return Finding(
+        f"RMSE of {plural(check['points'], 'check point')}, x / y / z",
+        f"{_three(check['rmse_mm'])} mm, predicted {_three(check['predicted_mm'])} mm{worth}",
+        verdict_of(check["normalised"], check["independent"]),
+    )
+
+
+def _add_points(page: Page, control: pd.DataFrame, axes: tuple[str, str, str], words: str) -> None:
+    """Table of surveyed points, whose columns get the names of the axes."""
+    names = {
+        f"{s}without_{a}_mm": f"{s}{b}"
+        for a, b in zip(("east", "north", "up"), axes, strict=True)
+        for s in ("", "sigma_")
+    }
+    shown = control[["point", "role", "images", "rms_px", *names, "normalised", "suspect", "reason"]]
+    page.table(shown.rename(columns=names), words, dict.fromkeys(names.values(), "mm"), digits=3)
+
+
 def orientation_page(
     facts: Mapping[str, Any],
     images: pd.DataFrame,
@@ -618,7 +647,6 @@ def orientation_page(
     title : heading.
     """
     check = facts["check_points"]
-    sigma = " / ".join(f"{v:.1f}" for v in facts["sigma_position_mm"].values())
     n = len(images)
     findings = [
         Finding(
@@ -626,7 +654,7 @@ def orientation_page(
             f"{facts['images']} of {n}",
             "" if facts["images"] == n else "see why below",
         ),
-        Finding("standard deviation of their places, x / y / z, median", f"{sigma} mm"),
+        _sigma_finding(facts),
         Finding(
             "sigma0 of the adjustment", f"{facts['sigma0']:.2f}, redundancy {count(facts['redundancy'])}"
         ),
@@ -635,37 +663,20 @@ def orientation_page(
         ),
     ]
     if check:
-        rmse, predicted = (
-            " / ".join(f"{v:.1f}" for v in check[k].values()) for k in ("rmse_mm", "predicted_mm")
-        )
-        findings.append(
-            Finding(
-                f"RMSE of {plural(check['points'], 'check point')}, x / y / z",
-                f"{rmse} mm, predicted {predicted} mm; worth {check['independent']:.0f} independent values",
-                verdict_of(check["normalised"], check["independent"]),
-            )
-        )
+        findings.append(_check_finding(check, f"; worth {check['independent']:.0f} independent values"))
         lead = f"Check points say of the standard deviations: {findings[-1].verdict}."
     else:
         findings.append(Finding("check points", "none", "cannot tell"))
         lead = "No check point judges the standard deviations; give some of the points the role check."
     page = Page(title, lead, findings).section("Places")
-    for name, picture in pictures.items():
-        page.figure(picture, captions[name])
-    off = [f"{s}without_{a}_mm" for a in ("east", "north", "up") for s in ("", "sigma_")]
-    names = {
-        f"{s}without_{a}_mm": f"{s}{b}"
-        for a, b in zip(("east", "north", "up"), "xyz", strict=True)
-        for s in ("", "sigma_")
-    }
+    page.figures(pictures, captions)
     if len(control):
-        shown = control[["point", "role", "images", "rms_px", *off, "normalised", "suspect", "reason"]]
-        page.section("Control and check points").table(
-            shown.rename(columns=names),
+        _add_points(
+            page.section("Control and check points"),
+            control,
+            ("x", "y", "z"),
             "Adjusted minus surveyed, without the point's own coordinates; normalised: its square over the "
             "predicted one.",
-            dict.fromkeys(names.values(), "mm"),
-            digits=3,
         )
     page.section("Lens")
     for name, parameters in facts["cameras"].items():
@@ -700,36 +711,27 @@ def finished_page(
     title : heading.
     """
     check, sources = facts["check_points"], facts["files"]
-    sigma = " / ".join(f"{v:.1f}" for v in facts["sigma_position_mm"].values())
     stated = (
         "" if not any(facts["sigmas_from_settings"].values()) else "some from images.finished, not the file"
     )
     findings = [
         Finding("photographs with a pose", f"{facts['oriented']} of {facts['images']}"),
         Finding("oriented by", ", ".join(sorted({each["program"] for each in sources}))),
-        Finding("standard deviation of their places, x / y / z, median", f"{sigma} mm", stated),
+        _sigma_finding(facts, stated),
     ]
     lead = "No check point judges the poses; give control points and their marks."
     if check:
-        rmse, predicted = (
-            " / ".join(f"{v:.1f}" for v in check[k].values()) for k in ("rmse_mm", "predicted_mm")
-        )
-        told = verdict_of(check["normalised"], check["independent"])
-        points = plural(check["points"], "check point")
-        findings.append(Finding(f"RMSE of {points}, x / y / z", f"{rmse} mm, predicted {predicted} mm", told))
-        lead = f"Surveyed points say of the standard deviations: {told}."
+        findings.append(_check_finding(check))
+        lead = f"Surveyed points say of the standard deviations: {findings[-1].verdict}."
     page = Page(title, lead, findings).section("Places")
-    for name, picture in pictures.items():
-        page.figure(picture, captions[name])
+    page.figures(pictures, captions)
     if len(control):
-        off = {f"{s}without_{a}_mm": f"{s}{a}" for a in ("east", "north", "up") for s in ("", "sigma_")}
-        shown = control[["point", "role", "images", "rms_px", *off, "normalised", "suspect", "reason"]]
-        page.section("Surveyed points").table(
-            shown.rename(columns=off),
+        _add_points(
+            page.section("Surveyed points"),
+            control,
+            ("east", "north", "up"),
             "Intersected minus surveyed; normalised: its square over the predicted one. Poses of different "
             "photographs count as independent.",
-            dict.fromkeys(off.values(), "mm"),
-            digits=3,
         )
     page.section("Photographs").table(poses.drop(columns=[f"q{a}" for a in "xyzw"]), "Poses.", digits=9)
     page.section("Notes").lines(list(facts["notes"]) or ["none"])

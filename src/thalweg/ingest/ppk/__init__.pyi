@@ -1,6 +1,5 @@
 from .exports import write_solution as write_solution
 from .options import PpkOptions as PpkOptions
-from .positions import replace_covariances as replace_covariances
 from .rinex import describe_rinex as describe_rinex
 from .solution import PpkSolution as PpkSolution, run_ppk as run_ppk
-from .trust import REFUSALS as REFUSALS
+from .trust import REFUSALS as REFUSALS, replace_covariances as replace_covariances

@@ -55,7 +55,7 @@ class PpkOptions:
     ratio_threshold : least ratio of the second-best to the best integer set for a fix.
     iono, tropo : atmosphere models, in RTKLIB's words.
     dynamics : True estimates velocity and acceleration too. False starts each epoch anew, and lost digits
-        make the engine's covariances noisy (`thalweg.ingest.ppk.positions.replace_covariances`).
+        make the engine's covariances noisy (`thalweg.ingest.ppk.trust.replace_covariances`).
     max_age_s : base observations older than that are not used.
     trusted_baseline_km, least_fix_s : see `thalweg.ingest.ppk.trust`.
 

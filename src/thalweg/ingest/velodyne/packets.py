@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from thalweg.core import AnyArray, ArrayB, ArrayI, ArrayU8, njit
+from thalweg.ingest import LidarOptions
 from thalweg.ingest.pcap import CHUNK_BYTES, BarePayloads, CaptureTally, PayloadBlock, Stream, read_payloads
 from thalweg.ingest.velodyne.model import (
     BLOCK_FLAG,
@@ -302,11 +303,9 @@ def _positions(block: PayloadBlock, data: PayloadBlock, first_packet: int) -> li
 
 def read_packets(
     files: Sequence[Path],
-    *,
+    options: LidarOptions,
     model: Model,
-    any_product: bool,
-    data_port: int,
-    position_port: int,
+    *,
     tally: StreamTally | None = None,
     chunk_bytes: int = CHUNK_BYTES,
 ) -> Iterator[PacketBlock]:
@@ -317,9 +316,8 @@ def read_packets(
     Parameters
     ----------
     files : parts of one recording, in the order of recording.
+    options : UDP ports; ``model``: any but ``auto`` takes packets whatever model they name.
     model : of the scanner.
-    any_product : take packets whatever model they name; else only those of ``model``.
-    data_port, position_port : UDP ports.
     tally : takes the findings about the files.
 
     Raises
@@ -327,8 +325,11 @@ def read_packets(
     InputError, UnsupportedError : as `read_payloads`.
     """
     found = StreamTally() if tally is None else tally
-    streams = (Stream(port=data_port, size=DATA_SIZE), Stream(port=position_port, size=POSITION_SIZE))
-    sequencer = _Sequencer(model, any_product)
+    streams = (
+        Stream(port=options.data_port, size=DATA_SIZE),
+        Stream(port=options.position_port, size=POSITION_SIZE),
+    )
+    sequencer = _Sequencer(model, any_product=options.model.lower() != "auto")
     waiting: deque[tuple[PayloadBlock, int]] = deque()
     positions: deque[PositionPacket] = deque()
     n_data = 0

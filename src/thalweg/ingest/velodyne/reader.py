@@ -4,21 +4,702 @@ Both read the files in pieces: memory does not grow with the recording. The fram
 manual: x right, y forward (azimuth 0), z up along the axis of rotation.
 """
 
+import itertools
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
-from thalweg.core import ArrayF, ArrayI, InputError, UnsupportedError
-from thalweg.ingest import IntegrityReport, LidarClock, LidarOptions, LidarScan, PointBlock, empty_points
-from thalweg.ingest.pcap import CHUNK_BYTES
+from thalweg.core import ArrayF, ArrayI, InputError, UnsupportedError, unix_from_gps
+from thalweg.ingest import (
+    Gap,
+    IntegrityReport,
+    LidarClock,
+    LidarOptions,
+    LidarScan,
+    PointBlock,
+    StreamTiming,
+    empty_points,
+    fit_clock,
+)
+from thalweg.ingest.pcap import CHUNK_BYTES, CaptureTally
 from thalweg.ingest.velodyne.clock import ClockBuilder
-from thalweg.ingest.velodyne.decode import N_COUNTERS, RETURNS, count_points, decode
-from thalweg.ingest.velodyne.model import DUAL, VLP16, Model, choose_model
-from thalweg.ingest.velodyne.packets import PacketBlock, StreamTally, first_product, read_packets
-from thalweg.ingest.velodyne.report import Findings, check_interval, check_senders, no_packets, write_report
+from thalweg.ingest.velodyne.decode import (
+    BAD_AZIMUTH,
+    BAD_FLAG,
+    GAP_COUNT,
+    GAP_SUM,
+    JUMPS,
+    N_COUNTERS,
+    RETURNS,
+    TWO_RETURNS,
+    count_points,
+    decode,
+)
+from thalweg.ingest.velodyne.model import DUAL, MODELS, RETURN_MODES, VLP16, Model, choose_model, product_name
+from thalweg.ingest.velodyne.packets import (
+    BAD_STAMP,
+    DUPLICATE,
+    GAP,
+    LATE,
+    STEP_BACK,
+    UNUSABLE,
+    PacketBlock,
+    StreamTally,
+    first_product,
+    read_packets,
+)
+
+# ---------------------------------------------------------------- the clock of a recording in numbers:
+# steps, PPS, capture host, and times without GPS
+
+
+LONGEST_STEP_US: Final = 20_000
+"""Longer steps from packet to packet are holes; a packet takes 1.3 ms or 0.7 ms."""
+
+_MOST_PAIRS: Final = 1024
+_RESOLUTION_S: Final = 1e-6
+_SET_S: Final = 0.1
+"""A free-running clock is not wrong by that much within a stretch; a larger jump is the clock being set."""
+_LEAST_PAIRS: Final = 10
+_SAME_RATE: Final = 0.1
+"""Packets of different models come at rates that differ by a fifth and more."""
+_LEAST_SPAN_S: Final = 2.0
+"""Pairs of stamps, and the time that they span, without which the drift of a free-running clock is noise."""
+
+
+@dataclass(slots=True)
+class HostPairs:
+    """Sensor stamps beside stamps of the capture host, evenly spread over a recording of any length.
+
+    One of ``every`` packets is taken; if the list is full, every second entry goes and ``every`` doubles.
+    """
+
+    every: int = 64
+    rows: ArrayF = field(default_factory=lambda: np.empty((_MOST_PAIRS, 3)))
+    n: int = 0
+
+    def feed(self, block: PacketBlock, keep: ArrayI) -> None:
+        """Take in some of the kept packets of the next block."""
+        good = keep[np.isfinite(block.t_host_s[keep])]
+        good = good[(block.first_packet + good) % self.every == 0]
+        for i in good.tolist():
+            if self.n == _MOST_PAIRS:
+                self.every *= 2
+                half = self.rows[: self.n][self.rows[: self.n, 0] % self.every == 0]
+                self.n = len(half)
+                self.rows[: self.n] = half
+            if (block.first_packet + i) % self.every == 0:
+                self.rows[self.n] = block.first_packet + i, block.t_us[i], block.t_host_s[i]
+                self.n += 1
+
+    def table(self) -> ArrayF:
+        """Index, unrolled stamp in microseconds and host stamp (n, 3)."""
+        return self.rows[: self.n].copy()
+
+
+def write_timing(
+    report: IntegrityReport,
+    step_counts: ArrayI,
+    host: ArrayF,
+    builder: ClockBuilder,
+    clock: LidarClock,
+    stops_s: list[float],
+    set_s: dict[int, float],
+) -> None:
+    """Fill in the clock state of a recording.
+
+    Parameters
+    ----------
+    report : takes the numbers.
+    step_counts : how often a packet followed another after so many microseconds; the last entry: or more.
+    host : (n, 3) index, unrolled stamp in microseconds and host stamp of some packets.
+    builder, clock : of the scan; a stretch of the clock is locked or not.
+    stops_s : end of each stretch on the device's clock.
+    set_s : packets before which the sensor set its clock, and by how much.
+    """
+    timing = report.timing
+    timing.resolution_s = _RESOLUTION_S
+    steps = np.flatnonzero(step_counts[:-1])
+    if steps.size:
+        timing.describe_steps(np.asarray(steps * 1e-6), step_counts[steps].astype(np.float64))
+    starts = [s.t_us * 1e-6 + s.extra_s for s in builder.stretches]
+    locked = [not math.isnan(v) for v in clock.gps_minus_device_s]
+    step_s = timing.period_s or 0.0
+    lengths = [
+        max(b - a - sum(jump - step_s for k, jump in set_s.items() if first < k < end), 0.0)
+        for a, b, first, end in zip(
+            starts, stops_s, clock.first_packet, [*clock.first_packet[1:], math.inf], strict=True
+        )
+    ]
+    _write_pps(timing, builder, lengths, locked)
+    _write_unsynchronised(timing, clock, (starts, stops_s, lengths), locked)
+    _write_host(report, host, clock)
+
+
+def _write_pps(timing: StreamTiming, builder: ClockBuilder, lengths: list[float], locked: list[bool]) -> None:
+    """Share of locked time, time before the first lock, and losses; unknown without position packets."""
+    if not builder.counts.get("position_packets"):
+        return
+    total = sum(lengths)
+    held = sum(length for length, good in zip(lengths, locked, strict=True) if good)
+    timing.pps_locked_share = held / total if total > 0 else float(any(locked))
+    first = locked.index(True) if any(locked) else len(locked)
+    timing.pps_unlocked_start_s = sum(lengths[:first])
+    timing.pps_losses = sum(1 for before, after in itertools.pairwise(locked) if before and not after)
+
+
+def _write_unsynchronised(
+    timing: StreamTiming,
+    clock: LidarClock,
+    spans: tuple[list[float], list[float], list[float]],
+    locked: list[bool],
+) -> None:
+    """Stretches without GPS time; their place follows from the locked stretches beside them."""
+    starts, stops, lengths = spans
+    offset = clock.gps_minus_device_s
+    timing.unsynchronised_s = 0.0
+    for free, group in itertools.groupby(range(len(locked)), key=lambda i: not locked[i]):
+        if not free:
+            continue
+        run = list(group)
+        length = sum(lengths[i] for i in run)
+        timing.unsynchronised_s += length
+        i, j = run[0] - 1, run[-1] + 1
+        after = starts[j] + offset[j] if j < len(locked) else None
+        if i >= 0:
+            before = stops[i] + offset[i]
+            timing.unsynchronised.append((before, before + length if after is None else max(after, before)))
+        elif after is not None:
+            timing.unsynchronised.append((after - length, after))
+
+
+def _write_host(report: IntegrityReport, host: ArrayF, clock: LidarClock) -> None:
+    """The capture host's clock against UTC, and the sensor's free-running clock against the host's."""
+    packet = host[:, 0].astype(np.int64)
+    device_s = host[:, 1] * 1e-6 + clock.extra_s(packet)
+    gps_s = device_s + clock.offset_s(packet)
+    known = np.isfinite(gps_s)
+    drift_ppm = 0.0
+    if known.any():
+        report.timing.describe_host(gps_s, host[:, 2])
+        drift_ppm = report.timing.clock_drift_ppm or 0.0
+    stretch = np.searchsorted(np.array(clock.first_packet), packet, side="right") - 1
+    for number in np.unique(stretch[~known]):
+        free = stretch == number
+        # the clock may have been set within the stretch, before the first report that it is locked
+        ahead_s = device_s - host[:, 2]
+        typical_s = np.sort(ahead_s[free])[free.sum() // 2]  # one of them, not the middle between two
+        free &= np.abs(ahead_s - typical_s) < _SET_S
+        if free.sum() < _LEAST_PAIRS or np.ptp(device_s[free]) < _LEAST_SPAN_S:
+            continue
+        fit = fit_clock(host[free, 2], device_s[free])
+        if fit is not None:
+            # the host's own drift, as far as GPS shows it, is taken off
+            report.details["free_running_drift_ppm"] = round(fit.drift_ppm + drift_ppm, 3)
+            report.details["free_running_drift_sigma_ppm"] = round(fit.sigma_drift_ppm, 3)
+            break
+
+
+# ---------------------------------------------------------------- the parts of a Velodyne recording, one a
+# file, and whether they were given in the order of time
+
+
+ORDER_S: Final = 0.1
+"""Packets that the network has delivered in another order are closer together than this."""
+
+
+@dataclass(slots=True)
+class Part:
+    """Packets kept of one file, or of what follows behind a clock that was set back inside of one.
+
+    Attributes
+    ----------
+    file : number of the file that begins here, -1 inside of a file.
+    packet : index of the first packet kept.
+    jump_us : its distance from the newest packet before.
+    event : its event, see `velodyne_packets`.
+    first_us, newest_us : oldest and newest unrolled stamp.
+    n : packets kept.
+    """
+
+    file: int
+    packet: int
+    jump_us: int
+    event: int
+    first_us: int
+    newest_us: int
+    n: int = 0
+
+
+@dataclass(slots=True)
+class Parts:
+    """Parts of a recording, in the order given, that grow while packets stream by.
+
+    ``file_starts`` is the list of the packet stream: index of the first data packet of each file.
+    """
+
+    file_starts: list[int] = field(default_factory=list)
+    parts: list[Part] = field(default_factory=list)
+    _next_file: int = 0
+
+    def feed(self, block: PacketBlock, keep: ArrayI) -> None:
+        """Take in the next block, of which the rows ``keep`` are used."""
+        if not keep.size:
+            return
+        files = self._begins(block, keep)
+        back = keep[block.event[keep] == STEP_BACK]
+        edges = np.unique(np.array([keep[0], *files, *back], dtype=np.int64))
+        for rows in np.split(keep, np.searchsorted(keep, edges)[1:]):
+            row, t_us = int(rows[0]), block.t_us[rows]
+            first, newest = int(t_us.min()), int(t_us.max())
+            if row in files or block.event[row] == STEP_BACK or not self.parts:
+                packet, jump_us = block.first_packet + row, int(block.jump_us[row])
+                event = int(block.event[row])
+                self.parts.append(Part(files.get(row, -1), packet, jump_us, event, first, newest))
+            part = self.parts[-1]
+            part.first_us, part.newest_us = min(part.first_us, first), max(part.newest_us, newest)
+            part.n += rows.size
+
+    def _begins(self, block: PacketBlock, keep: ArrayI) -> dict[int, int]:
+        """Rows of the first packets kept of files -> number of the file."""
+        packet = block.first_packet + keep
+        found: dict[int, int] = {}
+        while self._next_file < len(self.file_starts):
+            at = int(np.searchsorted(packet, self.file_starts[self._next_file]))
+            if at == keep.size:  # begins further on
+                break
+            found[int(keep[at])] = self._next_file
+            self._next_file += 1
+        return found
+
+    def early(self, clock: LidarClock) -> list[tuple[Part, float]]:
+        """Files that begin before the end of the one before, and by how many seconds.
+
+        Packets that both files hold are none: they are dropped before.
+        """
+        found = []
+        for part in self.parts:
+            if part.file > 0 and part.event in (LATE, STEP_BACK):
+                extra_s = clock.extra_s(np.array([part.packet - 1, part.packet]))
+                ahead_s = -part.jump_us * 1e-6 - float(extra_s[1] - extra_s[0])
+                if ahead_s > ORDER_S:
+                    found.append((part, ahead_s))
+        return found
+
+    def newest_s(self, clock: LidarClock) -> float:
+        """Device time of the newest packet, since the clock was last set back inside a file."""
+        inside = [i for i, part in enumerate(self.parts) if part.file < 0]
+        parts = self.parts[inside[-1] if inside else 0 :]
+        return max(p.newest_us * 1e-6 + _extra_s(clock, p) for p in parts)
+
+    def first_s(self, clock: LidarClock) -> tuple[float, float]:
+        """Oldest device time and oldest GPS time (NaN if unsynchronised) at the begin of a part."""
+        device = [p.first_us * 1e-6 + _extra_s(clock, p) for p in self.parts]
+        offset = clock.offset_s(np.array([p.packet for p in self.parts]))
+        gps = np.array(device) + offset
+        known = gps[np.isfinite(gps)]
+        return min(device), float(known.min()) if known.size else float("nan")
+
+    def within(self, start_us: int, stop_us: int) -> int:
+        """Packets of the parts that lie as a whole between two stamps."""
+        return sum(p.n for p in self.parts if start_us < p.first_us and p.newest_us < stop_us)
+
+
+def _extra_s(clock: LidarClock, part: Part) -> float:
+    return float(clock.extra_s(np.array([part.packet]))[0])
+
+
+# ---------------------------------------------------------------- report
+
+
+_RECENT_GAPS = 64
+_NAMED = 10
+_SILENCE_S = 10.0
+_EVENT_LOSSES = {
+    UNUSABLE: "unusable_packets",
+    DUPLICATE: "duplicate_packets",
+    BAD_STAMP: "packets_with_wrong_stamp",
+    LATE: "out_of_order_packets",
+    STEP_BACK: "clock_set_back",
+}
+
+
+@dataclass(slots=True)
+class Hole:
+    """Missing packets: the packet behind it, its end on the unrolled clock, its length, packets lost."""
+
+    packet: int
+    end_us: int
+    jump_us: int
+    lost: int
+    step_s: float
+
+
+@dataclass(slots=True)
+class Findings:
+    """Counts that grow while packets of a model stream by."""
+
+    model: Model
+    n_packets: int = 0
+    n_kept: int = 0
+    products: Counter[int] = field(default_factory=Counter)
+    modes: Counter[int] = field(default_factory=Counter)
+    """Return mode bytes of the packets kept."""
+    all_modes: Counter[int] = field(default_factory=Counter)
+    senders: Counter[int] = field(default_factory=Counter)
+    events: Counter[int] = field(default_factory=Counter)
+    n_steps: int = 0
+    steps_us: int = 0
+    """Steps of less than a second from packet to packet, and their sum."""
+    step_counts: ArrayI = field(default_factory=lambda: np.zeros(LONGEST_STEP_US + 1, dtype=np.int64))
+    """How often each step in microseconds occurred; the last entry holds all longer ones."""
+    holes: list[Hole] = field(default_factory=list)
+    first: tuple[int, int] = (0, 0)
+    last: tuple[int, int] = (0, 0)
+    """Index and unrolled stamp of the first and of the last packet kept that was not late."""
+    host: list[tuple[int, int, float]] = field(default_factory=list)
+    """Index, unrolled stamp and host stamp of one packet of each piece."""
+    host_pairs: HostPairs = field(default_factory=HostPairs)
+    parts: Parts = field(default_factory=Parts)
+
+    @property
+    def product(self) -> int:
+        """Most frequent product byte."""
+        return self.products.most_common(1)[0][0]
+
+    @property
+    def return_mode(self) -> str:
+        """Return mode of the packets kept, ``"mixed"`` if it changes."""
+        names = [RETURN_MODES[m] for m in self.modes if m in RETURN_MODES]
+        return names[0] if len(names) == 1 else "mixed"
+
+    def feed(self, block: PacketBlock) -> None:
+        """Take in the next block."""
+        keep = np.flatnonzero(block.keep)
+        self.n_packets += block.event.size
+        self.n_kept += keep.size
+        _add(self.products, block.payload[:, 1205])
+        _add(self.senders, block.sender)
+        _add(self.events, block.event)
+        _add(self.all_modes, block.payload[:, 1204])
+        _add(self.modes, block.payload[keep, 1204])
+        step_us = block.jump_us[keep]
+        step_us = step_us[(step_us > 0) & (step_us < 1_000_000)]
+        self.n_steps += step_us.size
+        self.steps_us += int(step_us.sum())
+        self.step_counts += np.bincount(np.minimum(step_us, LONGEST_STEP_US), minlength=LONGEST_STEP_US + 1)
+        if keep.size:
+            if self.n_kept == keep.size:
+                self.first = (block.first_packet + int(keep[0]), int(block.t_us[keep[0]]))
+            newest = keep[block.event[keep] != LATE]
+            if newest.size:
+                self.last = (block.first_packet + int(newest[-1]), int(block.t_us[newest[-1]]))
+            self.parts.feed(block, keep)
+            self.host_pairs.feed(block, keep)
+            if math.isfinite(block.t_host_s[keep[0]]):
+                packet = block.first_packet + int(keep[0])
+                self.host.append((packet, int(block.t_us[keep[0]]), float(block.t_host_s[keep[0]])))
+        for i in np.flatnonzero((block.event == GAP) | (block.event == LATE) | (block.event == STEP_BACK)):
+            self._hole(block, int(i))
+
+    def _hole(self, block: PacketBlock, i: int) -> None:
+        t_us, jump_us = int(block.t_us[i]), int(block.jump_us[i])
+        if block.event[i] != LATE:
+            step_s = self.model.packet_s(int(block.payload[i, 1204]))
+            lost = round(jump_us * 1e-6 / step_s) - 1
+            self.holes.append(Hole(block.first_packet + i, t_us, jump_us, lost, step_s))
+            return
+        for hole in self.holes[-_RECENT_GAPS:]:
+            if hole.end_us - hole.jump_us < t_us < hole.end_us:
+                hole.lost -= 1
+        self.holes[-_RECENT_GAPS:] = [h for h in self.holes[-_RECENT_GAPS:] if h.lost > 0 or h.jump_us < 0]
+
+
+def _add(counter: Counter[int], values: "np.typing.NDArray[np.integer]") -> None:
+    for value, n in zip(*np.unique(values, return_counts=True), strict=True):
+        counter[int(value)] += int(n)
+
+
+def no_packets(tally: CaptureTally, port: int, where: str, found: Findings | None = None) -> InputError:
+    """The error for a recording without a usable data packet."""
+    if found is not None:
+        mode = found.all_modes.most_common(1)[0][0]
+        return UnsupportedError(
+            f"none of {found.n_packets} data packets can be used (return mode byte 0x{mode:02x}, "
+            f"{product_name(found.product)})",
+            expected="return mode 0x37, 0x38 or 0x39, block flags ff ee and stamps within the hour",
+            where=where,
+            cure="Check that it is the log of a lidar that is read, a VLP-16 with firmware 3.0.29 or later",
+        )
+    held = {**tally.counts, **tally.losses}
+    text = ", ".join(f"{name} {n}" for name, n in held.items() if n) or "nothing"
+    cure = "Check lidar.data_port and that the capture was made on the lidar's network"
+    if tally.foreign_ports:
+        other, n = max(tally.foreign_ports.items(), key=lambda item: item[1])
+        cure = f"{n} payloads of the right size went to port {other}: set lidar.data_port to it"
+    return InputError(
+        f"no lidar packets (the file holds: {text})",
+        expected=f"1206-byte payloads on UDP port {port}",
+        where=where,
+        cure=cure,
+    )
+
+
+def check_interval(found: Findings, where: str, *, chosen: bool = False) -> None:
+    """Refuse packets that come at the rate of another model than the one that they are decoded as.
+
+    Early firmware of the VLP-16 writes the product byte of the HDL-32E: decoded as such its cloud would look
+    plausible and be wrong; so would that of an HDL-32E where `lidar.model` says VLP-16 for that reason.
+
+    Parameters
+    ----------
+    chosen : whether the setting `lidar.model` and not the product byte names the model.
+
+    Raises
+    ------
+    UnsupportedError : another model's packets come at this rate.
+    """
+    until = np.cumsum(found.step_counts)
+    if until[-1] < _LEAST_PAIRS:
+        return
+    step_s = 1e-6 * float(np.searchsorted(until, until[-1] / 2))
+    mode = found.modes.most_common(1)[0][0]
+    if math.isclose(step_s, found.model.packet_s(mode), rel_tol=_SAME_RATE):
+        return
+    like = [m.name for m in MODELS if math.isclose(step_s, m.packet_s(mode), rel_tol=_SAME_RATE)]
+    if like:
+        expected_us = 1e6 * found.model.packet_s(mode)
+        named = product_name(found.product)
+        if chosen:
+            right = any(model.name in like and model.product == found.product for model in MODELS)
+            cure = f"Set lidar.model to {'auto' if right else like[0]}"
+        else:
+            cure = f"Old firmware names a wrong model: set lidar.model to {like[0]}"
+        raise UnsupportedError(
+            f"packets of a {named} that come every {1e6 * step_s:.0f} us, as those of a {' or '.join(like)}",
+            expected=f"{expected_us:.0f} us from packet to packet of a {found.model.name}",
+            where=where,
+            cure=cure,
+        )
+
+
+def check_senders(senders: Counter[int], where: str) -> None:
+    """Refuse a capture of two lidars: their packets cannot be told apart behind this point.
+
+    Raises
+    ------
+    InputError : more than one address has sent a noticeable share of the packets.
+    """
+    total = sum(senders.values())
+    loud = [address for address, n in senders.items() if n >= max(10, 0.01 * total)]
+    if len(loud) > 1:
+        names = sorted(".".join(str(a >> s & 255) for s in (24, 16, 8, 0)) for a in loud)
+        raise InputError(
+            f"data packets of {len(loud)} senders: {', '.join(names)}",
+            expected="one lidar",
+            where=where,
+            cure=f"Split the capture, for example: tcpdump -r IN -w OUT src host {names[0]}",
+        )
+
+
+def write_report(
+    report: IntegrityReport,
+    found: Findings,
+    tally: StreamTally,
+    builder: ClockBuilder,
+    clock: LidarClock,
+    counters: ArrayI,
+    position_port: int,
+) -> None:
+    """Put the findings of a scan into its report."""
+    stops = _write_times(report, found, builder, clock, position_port)
+    _write_counts(report, found, tally, builder, counters)
+    _write_order(report, found, clock)
+    _write_gaps(report, found, builder, clock)
+    if found.steps_us > 0:
+        report.rates_hz["packets"] = found.n_steps / (found.steps_us * 1e-6)
+    if counters[GAP_COUNT]:
+        degrees = counters[GAP_SUM] / counters[GAP_COUNT] / 100
+        report.rates_hz["rotation"] = float(degrees / 360 / found.model.block_s)
+    report.details["return_mode"] = found.return_mode
+    report.details["product"] = product_name(found.product)
+    set_s = {h.packet: h.jump_us * 1e-6 for h in found.holes if h.packet in builder.clock_set}
+    write_timing(report, found.step_counts, found.host_pairs.table(), builder, clock, stops, set_s)
+    host = np.array(found.host).reshape(-1, 3)
+    packet = host[:, 0].astype(np.int64)
+    gps_s = host[:, 1] * 1e-6 + clock.extra_s(packet) + clock.offset_s(packet)
+    difference_s = (host[:, 2] - unix_from_gps(gps_s))[np.isfinite(gps_s)]
+    if difference_s.size:
+        report.details["host_minus_sensor_s"] = round(float(np.median(difference_s)), 6)
+    if found.return_mode == "mixed":
+        modes = ", ".join(f"{RETURN_MODES[m]} {n}" for m, n in sorted(found.modes.items()))
+        report.note(f"The return mode changes within the recording (packets: {modes}).")
+    foreign = {p: n for p, n in found.products.items() if p != found.model.product}
+    if foreign and found.product == found.model.product:
+        names = ", ".join(f"{n} of {product_name(p)}" for p, n in sorted(foreign.items()))
+        report.note(f"Packets that name another model: {names}.")
+    if counters[JUMPS]:
+        report.note(
+            f"The azimuth jumps within a packet {int(counters[JUMPS])} times (a limited field of view or "
+            "damaged blocks): times behind such a jump may be early."
+        )
+    for note in builder.notes + tally.capture.notes:
+        report.note(note)
+
+
+def _write_times(
+    report: IntegrityReport, found: Findings, builder: ClockBuilder, clock: LidarClock, position_port: int
+) -> list[float]:
+    """Span and synchronisation; returns the ends of the clock's stretches on the device's clock."""
+    ends = [*clock.first_packet[1:], found.n_packets]
+    device = [s.t_us * 1e-6 + s.extra_s for s in builder.stretches]
+    last_s = found.parts.newest_s(clock)
+    stops = [after.before_us * 1e-6 + s.extra_s for s, after in pairwise(builder.stretches)] + [last_s]
+    locked = [not math.isnan(v) for v in clock.gps_minus_device_s]
+    report.synchronised = any(locked)
+    report.time_scale = "utc" if report.synchronised else "device"
+    if report.synchronised:
+        first = locked.index(True)
+        last = len(locked) - 1 - locked[::-1].index(True)
+        report.t_first_s = device[first] + clock.gps_minus_device_s[first]
+        report.t_last_s = stops[last] + clock.gps_minus_device_s[last]
+    else:
+        report.t_first_s = found.first[1] * 1e-6
+        report.t_last_s = last_s
+        report.note(
+            f"The lidar is unsynchronised: {_why(builder, position_port)}. Its points have no GPS time, "
+            "t_device_s is the sensor's free-running clock."
+        )
+        return stops
+    free = [i for i, good in enumerate(locked) if not good]
+    for i in free[:_NAMED]:
+        report.note(
+            f"Unsynchronised for {stops[i] - device[i]:.3f} s, from {device[i]:.6f} to {stops[i]:.6f} s "
+            f"of device time (packets {clock.first_packet[i]} to {ends[i] - 1}; {builder.stretches[i].why}): "
+            "points there have no GPS time."
+        )
+    if len(free) > _NAMED:
+        report.note(f"Unsynchronised in {len(free) - _NAMED} more stretches.")
+    unsynchronised = sum(ends[i] - clock.first_packet[i] for i in free)
+    if unsynchronised:
+        report.lose("unsynchronised_packets", unsynchronised)
+    silence_s = builder.silence_s(found.last[1])
+    if silence_s > _SILENCE_S:
+        report.note(
+            f"No position packets for up to {silence_s:.0f} s: the PPS state is taken to be unchanged there."
+        )
+    report.details["rmc_age_s"] = round(builder.worst_lag_s, 3)
+    return stops
+
+
+def _write_order(report: IntegrityReport, found: Findings, clock: LidarClock) -> None:
+    """Name the files that were given in another order than that of time; what they fill is no hole."""
+    early = found.parts.early(clock)
+    if not early:
+        return
+    named = ", ".join(
+        f"{Path(report.files[part.file]).name} begins {ahead_s:.3f} s before the end of the file before it"
+        for part, ahead_s in early[:_NAMED]
+    )
+    report.note(
+        f"Files out of order: list them in order of time ({named}). If the order is right, "
+        "the sensor's clock was set back between the files, or they lie more than half an hour apart."
+    )
+    report.lose("files_out_of_order", len(early))
+    for _ in (part for part, _ in early if part.event == STEP_BACK):
+        _undo_set_back(report)
+    device_s, gps_s = found.parts.first_s(clock)
+    first_s = gps_s if report.synchronised else device_s
+    if report.t_first_s is not None and first_s < report.t_first_s:
+        report.t_first_s = first_s
+    for hole in found.holes:
+        hole.lost -= found.parts.within(hole.end_us - hole.jump_us, hole.end_us) if hole.jump_us > 0 else 0
+    found.holes = [hole for hole in found.holes if hole.lost > 0 or hole.jump_us < 0]
+
+
+def _why(builder: ClockBuilder, position_port: int) -> str:
+    counts = builder.counts
+    total = counts.get("position_packets", 0)
+    if not total:
+        return f"there are no position packets on UDP port {position_port}"
+    if counts.get("pps_locked"):
+        return f"the PPS was locked, but no sentence named the hour ({builder.stretches[-1].why})"
+    states = ", ".join(f"{k[4:]} in {n}" for k, n in counts.items() if k.startswith("pps_"))
+    return f"the PPS was never locked ({states or 'unreadable'} of {total} position packets)"
+
+
+def _write_counts(
+    report: IntegrityReport, found: Findings, tally: StreamTally, builder: ClockBuilder, counters: ArrayI
+) -> None:
+    report.count("data_packets", found.n_packets)
+    for name, n in builder.counts.items():
+        if name == "position_packets_damaged":
+            report.lose(name, n)
+        elif name == "rmc_bad_checksum":
+            report.lose("rmc_with_bad_checksum", n)
+        else:
+            report.count(name, n)
+    if counters[TWO_RETURNS]:
+        report.count("shots_with_two_returns", int(counters[TWO_RETURNS]))
+    for name, n in tally.capture.counts.items():
+        report.count(name, n)
+    for name, n in tally.capture.losses.items():
+        if n:
+            report.lose(name, n)
+    for event, name in _EVENT_LOSSES.items():
+        if found.events[event]:
+            report.lose(name, found.events[event])
+    for index, name in ((BAD_FLAG, "blocks_with_bad_flag"), (BAD_AZIMUTH, "blocks_with_bad_azimuth")):
+        if counters[index]:
+            report.lose(name, int(counters[index]))
+
+
+def _write_gaps(report: IntegrityReport, found: Findings, builder: ClockBuilder, clock: LidarClock) -> None:
+    """List the holes, on GPS time if the report is on it (NaN where it is not known)."""
+    holes = {hole.packet: hole for hole in found.holes}
+    step_s = found.model.packet_s(max(found.modes))
+    for before, after in pairwise(builder.stretches):
+        if after.extra_s > before.extra_s and after.first not in holes:
+            holes[after.first] = Hole(after.first, after.t_us, round(step_s * 1e6), 0, step_s)
+    for packet, hole in sorted(holes.items()):
+        if packet in builder.clock_set:
+            if hole.jump_us < 0:
+                _undo_set_back(report)
+            report.note(
+                f"The sensor set its clock by {hole.jump_us * 1e-6:+.6f} s (whole hours apart) before packet "
+                f"{packet}, when it locked to the PPS; no packet is taken to be missing there."
+            )
+            continue
+        around = np.array([packet - 1, packet])
+        extra_s = clock.extra_s(around)
+        hidden_s = float(extra_s[1] - extra_s[0])
+        duration_s = hole.jump_us * 1e-6 + hidden_s
+        if duration_s <= 0:
+            continue  # the clock was set back: counted as such, nothing is missing
+        if hole.jump_us < 0:
+            _undo_set_back(report)
+        start_s = (hole.end_us - hole.jump_us) * 1e-6 + float(extra_s[0])
+        if report.synchronised:
+            start_s += float(clock.offset_s(around)[0])
+        lost = hole.lost + round(hidden_s / hole.step_s)
+        report.gaps.append(Gap(t_start_s=start_s, duration_s=duration_s, lost=lost))
+    lost = sum(gap.lost for gap in report.gaps)
+    if lost:
+        report.lose("packets_lost_estimated", lost)
+
+
+def _undo_set_back(report: IntegrityReport) -> None:
+    """Take back a loss that turned out to be none."""
+    report.losses["clock_set_back"] -= 1
+    if not report.losses["clock_set_back"]:
+        del report.losses["clock_set_back"]
+
 
 _MIN_BLOCK_POINTS = 384
 
@@ -52,24 +733,6 @@ def _first_model(files: Sequence[Path], options: LidarOptions, chunk_bytes: int)
     return choose_model(
         options.model, VLP16.product if product is None else product, ", ".join(map(str, files))
     )[0]
-
-
-def _packets(
-    files: Sequence[Path],
-    options: LidarOptions,
-    model: Model,
-    chunk_bytes: int,
-    tally: StreamTally | None = None,
-) -> Iterator[PacketBlock]:
-    return read_packets(
-        files,
-        model=model,
-        any_product=options.model.lower() != "auto",
-        data_port=options.data_port,
-        position_port=options.position_port,
-        tally=tally,
-        chunk_bytes=chunk_bytes,
-    )
 
 
 def _count(block: PacketBlock, options: LidarOptions, model: Model, counters: ArrayI) -> ArrayI:
@@ -106,7 +769,7 @@ def scan_lidar(
     clock.file_starts = findings.parts.file_starts = tally.file_starts
     counters = np.zeros(N_COUNTERS, dtype=np.int64)
     n_points = 0
-    for block in _packets(paths, options, model, chunk_bytes, tally):
+    for block in read_packets(paths, options, model, tally=tally, chunk_bytes=chunk_bytes):
         n_points += int(_count(block, options, model, counters).sum())
         findings.feed(block)
         clock.feed(block)
@@ -176,7 +839,7 @@ def iter_points(
     limit = max(int(max_points), _MIN_BLOCK_POINTS)
     counters = np.zeros(N_COUNTERS, dtype=np.int64)
     rate = 40.0
-    for block in _packets(paths, options, model, chunk_bytes):
+    for block in read_packets(paths, options, model, chunk_bytes=chunk_bytes):
         points = _count(block, options, model, counters)
         packet = block.first_packet + np.arange(points.size)
         t_device_s = block.t_us * 1e-6 + clock.extra_s(packet)

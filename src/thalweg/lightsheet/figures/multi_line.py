@@ -228,7 +228,7 @@ class SeenObject:
 
 
 def read_objects(path: Path) -> dict[str, SeenObject]:
-    """Images and meshes of `thalweg_lab.studies.laser_lines`, in the order of `NAMES`.
+    """Images and meshes of `thalweg_lab.studies.sensors.laser_lines`, in the order of `NAMES`.
 
     Raises
     ------
@@ -374,7 +374,7 @@ def line_labels(points: pd.DataFrame, shifts: pd.DataFrame) -> Figure:
 
     Parameters
     ----------
-    points, shifts : columns `POINTS` and `SHIFTS`, see `thalweg_lab.studies.laser_lines`.
+    points, shifts : columns `POINTS` and `SHIFTS`, see `thalweg_lab.studies.sensors.laser_lines`.
 
     Raises
     ------

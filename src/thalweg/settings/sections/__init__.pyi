@@ -50,6 +50,9 @@ from .images import (
     Images as Images,
     MappingSettings as MappingSettings,
     MaskSettings as MaskSettings,
+    Panorama as Panorama,
+    Rig as Rig,
+    RigLens as RigLens,
 )
 from .lidar import (
     WEAK_RANGE_M as WEAK_RANGE_M,
@@ -87,4 +90,3 @@ from .mounts import (
     is_calibration_path as is_calibration_path,
 )
 from .navigation import Fused as Fused, Ins as Ins, Orientation as Orientation, Ppk as Ppk
-from .rig import Panorama as Panorama, Rig as Rig, RigLens as RigLens

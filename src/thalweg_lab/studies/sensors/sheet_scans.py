@@ -43,7 +43,7 @@ from thalweg.lightsheet.scanning import (
 from thalweg.settings.twin import SheetImage
 from thalweg.surface import Surface
 from thalweg_lab.random_numbers import generator
-from thalweg_lab.studies.study import Result, Seed, Study, Tables
+from thalweg_lab.studies import Result, Seed, Study, Tables
 from thalweg_lab.tank import (
     SIGMA_MARK_MM,
     SIGMA_PX,

@@ -1,6 +1,6 @@
 """Difference of the surfaces of two epochs on a grid of the map, with the sigma of each cell and of volumes.
 
-Of two surface models it is the difference of their rasters, see `thalweg.deformation.surfaces`. Of clouds the
+Of two surface models it is the difference of their rasters, see `difference_of_surfaces`. Of clouds the
 mean height of the points in a vertical cylinder about the centre of each cell, whose section has the area of
 the cell, is one more weighted sum of points: it has the same errors as the distances along normals, and loses
 the same motion. A steep bank is better measured along its normals.
@@ -17,14 +17,26 @@ from pyproj import CRS
 from scipy.stats import norm
 
 from thalweg.core import ArrayB, ArrayF, ArrayI, CoverageError, Grid, LocalFrame, frame_of
-from thalweg.deformation.changes import Compared, Pair, measure_pair, registered_distances
-from thalweg.deformation.compare import Distances
-from thalweg.deformation.core_points import CORE_POINTS
-from thalweg.deformation.coregistration import Registration, design_of
-from thalweg.deformation.epochs import Epoch
-from thalweg.deformation.field import ErrorField
-from thalweg.deformation.foreign_epochs import dsm_of, masks_of
-from thalweg.deformation.surfaces import VOLUMES, Dsm, HeightErrors, SurfaceDifference, difference_of_surfaces
+from thalweg.deformation import (
+    CORE_POINTS,
+    Compared,
+    Distances,
+    Epoch,
+    ErrorField,
+    Pair,
+    Registration,
+    design_of,
+    measure_pair,
+    registered_distances,
+)
+from thalweg.deformation.foreign.epochs import dsm_of, masks_of
+from thalweg.deformation.foreign.surfaces import (
+    VOLUMES,
+    Dsm,
+    HeightErrors,
+    SurfaceDifference,
+    difference_of_surfaces,
+)
 from thalweg.settings.sections import Deformation, Epoch as Statement
 from thalweg.surface import Area
 
@@ -44,7 +56,7 @@ def difference_of_models(
 
     Raises
     ------
-    InputError, GeometryError : see `thalweg.deformation.surfaces.difference_of_surfaces`.
+    InputError, GeometryError : see `difference_of_surfaces`.
     """
     models = [dsm_of(each) for each in (before, after)]
     models = [

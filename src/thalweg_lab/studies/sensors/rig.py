@@ -18,7 +18,7 @@ from thalweg.core import ArrayF, Camera
 from thalweg.settings.sections import Rig as RigSettings
 from thalweg.settings.twin import TwinDualFisheye
 from thalweg_lab.dual_fisheye import TrueRig, room_marks, room_points, true_rig
-from thalweg_lab.studies.study import Result, Seed, Study, Tables
+from thalweg_lab.studies import Result, Seed, Study, Tables
 
 UNKNOWNS: Final = 22
 """Both interiors and the relative orientation."""

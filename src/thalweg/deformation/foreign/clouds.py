@@ -30,7 +30,7 @@ from thalweg.core import (
     write_table,
 )
 from thalweg.core.geometry import TriangleMesh
-from thalweg.deformation.compare import CHANGES, Comparison, cloud_to_cloud, judge_changes, measure_distances
+from thalweg.deformation import CHANGES, Comparison, cloud_to_cloud, judge_changes, measure_distances
 from thalweg.ingest.clouds import read_cloud, read_pcd
 from thalweg.settings.sections import TEXT_ENDINGS, Accuracy, ReferenceSettings
 from thalweg.surface import Surface, mesh_reference, read_triangles

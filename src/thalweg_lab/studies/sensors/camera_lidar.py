@@ -32,7 +32,7 @@ from thalweg.core import Camera, GeometryError, LocalFrame, Rigid, ThalwegError
 from thalweg.settings.sections import LidarAccuracy
 from thalweg.settings.twin import TwinConfig
 from thalweg_lab.random_numbers import generator
-from thalweg_lab.studies.study import Result, Seed, Study, Tables
+from thalweg_lab.studies import Result, Seed, Study, Tables
 from thalweg_lab.voyage import FieldRun, standing, true_mounts
 from thalweg_lab.yard import Field, build_field, tour
 from thalweg_lab.yard_images import mount_of, true_camera

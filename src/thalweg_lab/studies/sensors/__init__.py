@@ -1,0 +1,5 @@
+"""Studies of single sensors and their calibrations, below the level of a survey."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
