@@ -23,7 +23,7 @@ import pandas as pd
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "src"))
 
-from thalweg.workflow.job import git_commit  # noqa: E402
+from thalweg.workflow.provenance import git_commit  # noqa: E402
 
 
 def measured(campaign: str, cores: int, folder: Path) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from thalweg.workflow.job import may_read_truth
+from thalweg.workflow.truth import may_read_truth
 
 pytestmark = pytest.mark.workflow
 

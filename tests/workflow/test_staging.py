@@ -84,7 +84,7 @@ def left_over(folder: Path) -> list[Path]:
 def _quiet(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "excepthook", sys.excepthook)
     monkeypatch.setattr("thalweg.workflow.job._start_log", lambda path: None)
-    monkeypatch.setattr("thalweg.workflow.job.git_commit", lambda folder: "abc")
+    monkeypatch.setattr("thalweg.workflow.provenance.git_commit", lambda folder: "abc")
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         monkeypatch.setenv(name, "1")
 

@@ -18,7 +18,7 @@ from snakemake.iocontainers import InputFiles, Log, OutputFiles, Params
 
 from thalweg.core import InputError, LocalFrame, Trajectory, iter_laz, laz_header, read_parquet
 from thalweg.workflow import run_job
-from thalweg.workflow.job import may_read_truth, truth_closed
+from thalweg.workflow.truth import may_read_truth, truth_closed
 
 REFUSED = r"rule process: the truth of the digital twin is closed to this rule, which opens \S*truth"
 

@@ -106,7 +106,7 @@ def read_parquet(path: Path) -> pd.DataFrame:
     """Read a Parquet table of any kind.
 
     Python opens the file: what Arrow opens in C++ is not seen by the check that keeps the truth of the
-    digital twin from rules that process (`thalweg.workflow.job`).
+    digital twin from rules that process (`thalweg.workflow.truth`).
 
     Raises
     ------
