@@ -17,7 +17,15 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 from thalweg.core import UNFINISHED, InputError, ThalwegError
 from thalweg.workflow.costs import costs_of, memory_now_mb
-from thalweg.workflow.provenance import META, is_made_of, origin, write_provenance
+from thalweg.workflow.provenance import (
+    META,
+    cache_entry,
+    is_made_of,
+    origin,
+    put_into_cache,
+    take_from_cache,
+    write_provenance,
+)
 from thalweg.workflow.staging import refuse_changes, staged, state_of
 from thalweg.workflow.truth import truth_closed
 
@@ -61,23 +69,28 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
         staged(outputs, rule) as (staging, waited),
     ):
         before = state_of(inputs)
-        if waited is not None:
-            made_of = origin(rule=rule, inputs=inputs, params=params, code=code)
-            if outputs and all(is_made_of(output, made_of) for output in outputs):
-                log.warning("the outputs of %s are those of this job", waited)
-                return
+        made_of = origin(rule=rule, inputs=inputs, params=params, code=code)
+        if waited is not None and outputs and all(is_made_of(output, made_of) for output in outputs):
+            log.warning("the outputs of %s are those of this job", waited)
+            return
+        entry = cache_entry(made_of, outputs, snakemake.threads)
+        if entry is not None and take_from_cache(entry, staging.places(), made_of):
+            refuse_changes(before, inputs, rule)
+            staging.commit(beside=[META])
+            return
         start, cpu_start_s, memory_start_mb = time.perf_counter(), _cpu_s(), memory_now_mb()
         with staging.in_place_of_outputs(snakemake):
             main(**job_arguments(main, snakemake))
         wall_s, cpu_s = time.perf_counter() - start, _cpu_s() - cpu_start_s
         if absent := staging.absent():
             raise InputError(f"outputs were not written: {absent}", where=f"rule {rule}")
-        made_of = origin(rule=rule, inputs=inputs, params=params, code=code)
         costs = costs_of(snakemake, before, staging.places().values(), memory_start_mb)
         write_provenance(
             staging.places(), made_of, threads=snakemake.threads, wall_s=wall_s, cpu_s=cpu_s, costs=costs
         )
         refuse_changes(before, inputs, rule)
+        if entry is not None:
+            put_into_cache(entry, staging.places())
         staging.commit(beside=[META])
     log.info("rule %s done in %.1f s", rule, wall_s)
 
