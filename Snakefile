@@ -163,17 +163,12 @@ onsuccess:
 onerror:
     for driver in DRIVERS:
         driver.give_up()
-    for name, lacking in [
-        (
-            files.name,
-            [each for each in files.final_outputs() if not Path(each).exists()],
+    # of what was asked for, not of all that a campaign could have
+    undone = [job.wildcards.get("campaign") for job in workflow.dag.needrun_jobs()]
+    for name in CHOSEN if len(CHOSEN) > 1 else []:
+        print(
+            f"{name}: {f'{n} jobs not done' if (n := undone.count(name)) else 'done'}"
         )
-        for files in BUILT
-    ]:
-        if len(BUILT) > 1:
-            print(
-                f"{name}: {f'{len(lacking)} results are missing' if lacking else 'done'}"
-            )
     print(
         "\nA job failed. Its message stands above; the traceback is in the file under logs/ named there."
     )
