@@ -153,6 +153,14 @@ DRIVERS = []  # of this folder: one, as long as it works
 onstart:
     if workflow.is_main_process:
         DRIVERS.append(start_driver(Path.cwd()))
+        for files in BUILT:
+            for version, n in other_versions(
+                map(Path, files.final_outputs())
+            ).items():
+                print(
+                    f"{files.name}: {n} results are of Thalweg {version}. Those whose code has changed are made"
+                    " again; in a copied folder, without its .snakemake, only by --forceall."
+                )
 
 
 onsuccess:
@@ -169,6 +177,8 @@ onerror:
         print(
             f"{name}: {f'{n} jobs not done' if (n := undone.count(name)) else 'done'}"
         )
+    for cure in cures_in(Path(log).read_text(errors="replace")):
+        print(cure)
     print(
         "\nA job failed. Its message stands above; the traceback is in the file under logs/ named there."
     )

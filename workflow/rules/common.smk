@@ -11,7 +11,9 @@ from thalweg.workflow import (
     Measured,
     check_cluster,
     code_version,
+    cures_in,
     fork_scripts,
+    other_versions,
     read_figures,
     start_driver,
 )

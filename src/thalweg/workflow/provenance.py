@@ -10,7 +10,7 @@ import secrets
 import shutil
 import subprocess
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -95,6 +95,19 @@ def is_made_of(output: Path, wanted: Mapping[str, Any]) -> bool:
         return same and record["sha256"] == sha256_of(output)
     except (OSError, ValueError, AttributeError, KeyError):
         return False
+
+
+def other_versions(outputs: Iterable[Path]) -> dict[str, int]:
+    """Versions of Thalweg, but this one, that made results which are there; how many each."""
+    found: dict[str, int] = {}
+    for output in outputs:
+        try:
+            version = str(json.loads(meta_file(output).read_text(encoding="utf-8"))["thalweg"])
+        except (OSError, ValueError, TypeError, KeyError):
+            continue  # not made yet, or a page of Snakemake's
+        if version != thalweg.__version__:
+            found[version] = found.get(version, 0) + 1
+    return found
 
 
 META: Final = ".meta.json"
