@@ -21,7 +21,7 @@ from snakemake.iocontainers import InputFiles, Log, OutputFiles, Params
 from thalweg.core import InputError
 from thalweg.workflow import claim, provenance, run_job
 from thalweg.workflow.claim import Owner, claim_name
-from thalweg.workflow.staging import Staging
+from thalweg.workflow.staging import SCRATCH, Staging
 
 FINAL = ("table.csv", "deep/cloud.laz", "pictures")
 """Outputs of the job of these tests: in a folder, in one below it, and a folder."""
@@ -465,11 +465,12 @@ def _workflow(folder: Path) -> Path:
     return folder
 
 
-def _snakemake(folder: Path, *words: str) -> subprocess.Popen[str]:
+def _snakemake(folder: Path, *words: str, environment: dict[str, str] | None = None) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "snakemake", "--cores", "1", "--quiet", *words]
     return subprocess.Popen(
         command,
         cwd=folder,
+        env={**os.environ, **(environment or {})},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -506,3 +507,24 @@ def test_a_killed_run_is_resumed_without_the_marks_of_snakemake(tmp_path: Path) 
     assert left_over(killed) == []
     assert found(killed) == found(whole_run)
     assert sum(not name.endswith(".snakemake_timestamp") for name in found(killed)) == 3 + 3 + 60
+
+
+@pytest.mark.skipif(shutil.which("rsync") is None, reason="needs rsync")
+def test_jobs_in_node_local_scratch_give_the_same_results(repository: Path, tmp_path: Path) -> None:
+    """Two folders; folders as outputs, params that name places, and provenance come along."""
+    pytest.importorskip("snakemake_storage_plugin_fs")
+    here, there = _workflow(tmp_path / "here"), _workflow(tmp_path / "there")
+    plain = _snakemake(here, "--", "results/a.txt")
+    scratch = {"THALWEG_SCRATCH": str(tmp_path / "scratch"), SCRATCH: str(tmp_path / "scratch/fs")}
+    profile = ("--profile", str(repository / "profiles/storage"))
+    _ends_well(_snakemake(there, *profile, "--", "results/a.txt", environment=scratch))
+    _ends_well(plain)
+    assert found(there) == found(here)
+    assert sum(not name.endswith(".snakemake_timestamp") for name in found(there)) == 1 + 1 + 20
+    records = [sorted(p.relative_to(f).as_posix() for p in f.rglob("*.meta.json")) for f in (here, there)]
+    assert len(records[0]) == 3
+    assert records[0] == records[1]
+    one, other = (json.loads((f / "results/a.txt.meta.json").read_text()) for f in (here, there))
+    assert {k: one[k] for k in ("inputs", "output", "sha256")} == {
+        k: other[k] for k in ("inputs", "output", "sha256")
+    }

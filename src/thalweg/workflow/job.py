@@ -19,6 +19,7 @@ from thalweg.core import UNFINISHED, InputError, ThalwegError
 from thalweg.workflow.costs import costs_of, memory_now_mb
 from thalweg.workflow.provenance import (
     META,
+    bring_provenance,
     cache_entry,
     is_made_of,
     origin,
@@ -26,7 +27,7 @@ from thalweg.workflow.provenance import (
     take_from_cache,
     write_provenance,
 )
-from thalweg.workflow.staging import refuse_changes, staged, state_of
+from thalweg.workflow.staging import refuse_changes, staged, state_of, work_in_scratch
 from thalweg.workflow.truth import truth_closed
 
 log = logging.getLogger("thalweg")
@@ -52,6 +53,7 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
     InputError : a keyword of ``main`` has no counterpart in the rule; the rule opens the truth of the
         digital twin without being one that may; an input changed meanwhile; the disk is full or read-only.
     """
+    results = work_in_scratch(snakemake)
     _start_log(Path(snakemake.log[0]) if snakemake.log else None)
     _limit_threads(snakemake.threads)
     rule, outputs, inputs = (
@@ -77,6 +79,7 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
         if entry is not None and take_from_cache(entry, staging.places(), made_of):
             refuse_changes(before, inputs, rule)
             staging.commit(beside=[META])
+            bring_provenance(outputs, results)
             return
         start, cpu_start_s, memory_start_mb = time.perf_counter(), _cpu_s(), memory_now_mb()
         with staging.in_place_of_outputs(snakemake):
@@ -92,6 +95,7 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
         if entry is not None:
             put_into_cache(entry, staging.places())
         staging.commit(beside=[META])
+        bring_provenance(outputs, results)
     log.info("rule %s done in %.1f s", rule, wall_s)
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import thalweg
+from thalweg.core import UNFINISHED
 
 log = logging.getLogger("thalweg")
 
@@ -151,6 +152,21 @@ def write_provenance(
     for output, lies in outputs.items():
         text = json.dumps({"output": str(output), "sha256": sha256_of(lies), **record}, indent=2, default=str)
         meta_file(lies).write_text(text + "\n", encoding="utf-8")
+
+
+def bring_provenance(outputs: Iterable[Path], results: Path | None) -> None:
+    """Copy the provenance of outputs from node-local scratch, where the job works, to the folder of the run.
+
+    Snakemake brings the outputs themselves. ``results`` is what `work_in_scratch` gave; None: nothing to do.
+    """
+    if results is None:
+        return
+    for record in (meta_file(output) for output in outputs if not output.is_absolute()):
+        target = results / record
+        target.parent.mkdir(parents=True, exist_ok=True)
+        made = target.with_name(f"{UNFINISHED}{target.name}")
+        shutil.copyfile(record, made)
+        made.replace(target)
 
 
 # ---------------------------------------------------------------- what several folders of results share
