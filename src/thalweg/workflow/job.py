@@ -17,6 +17,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 from thalweg.core import UNFINISHED, InputError, ThalwegError
 from thalweg.workflow.costs import costs_of, memory_now_mb
+from thalweg.workflow.forked import openblas
 from thalweg.workflow.provenance import (
     META,
     bring_provenance,
@@ -32,7 +33,6 @@ from thalweg.workflow.truth import truth_closed
 
 log = logging.getLogger("thalweg")
 
-_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _UNFINISHED = re.compile(rf"{re.escape(UNFINISHED)}[0-9a-f]+/")
 """Messages name files by their final names."""
 
@@ -153,8 +153,11 @@ def _as_section(value: Any, hint: Any) -> Any:
 
 
 def _limit_threads(threads: int) -> None:
-    for name in _THREAD_VARIABLES:
-        os.environ[name] = str(threads)
+    # One for linear algebra: with more, sums have another order and results other last digits, and where
+    # processors are shared two threads wait for each other (six times the time, for the errors of poses).
+    os.environ.update({"OMP_NUM_THREADS": str(threads), "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"})
+    for set_threads in openblas("set"):
+        set_threads(1)
     if "numba" in sys.modules:
         import numba
 
