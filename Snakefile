@@ -153,6 +153,14 @@ DRIVERS = []  # of this folder: one, as long as it works
 onstart:
     if workflow.is_main_process:
         DRIVERS.append(start_driver(Path.cwd()))
+        for files in BUILT:
+            for version, n in other_versions(
+                map(Path, files.final_outputs())
+            ).items():
+                print(
+                    f"{files.name}: {n} results are of Thalweg {version}. Those whose code has changed are made"
+                    " again; in a copied folder, without its .snakemake, only by --forceall."
+                )
 
 
 onsuccess:
@@ -163,17 +171,14 @@ onsuccess:
 onerror:
     for driver in DRIVERS:
         driver.give_up()
-    for name, lacking in [
-        (
-            files.name,
-            [each for each in files.final_outputs() if not Path(each).exists()],
+    # of what was asked for, not of all that a campaign could have
+    undone = [job.wildcards.get("campaign") for job in workflow.dag.needrun_jobs()]
+    for name in CHOSEN if len(CHOSEN) > 1 else []:
+        print(
+            f"{name}: {f'{n} jobs not done' if (n := undone.count(name)) else 'done'}"
         )
-        for files in BUILT
-    ]:
-        if len(BUILT) > 1:
-            print(
-                f"{name}: {f'{len(lacking)} results are missing' if lacking else 'done'}"
-            )
+    for cure in cures_in(Path(log).read_text(errors="replace")):
+        print(cure)
     print(
         "\nA job failed. Its message stands above; the traceback is in the file under logs/ named there."
     )

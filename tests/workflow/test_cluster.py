@@ -1,19 +1,22 @@
 """What is wrong with a cluster is said before the first job: found, expected, where, cure."""
 
+import json
 import os
 import re
 import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
 import yaml
 
+import thalweg
 from thalweg.cli import main
 from thalweg.core import InputError
-from thalweg.workflow import cluster
+from thalweg.workflow import cluster, other_versions
 from thalweg.workflow.claim import Claim, claim_name
 
 Command = Callable[[str, str], None]
@@ -128,6 +131,68 @@ def test_nodes_are_asked(
     assert said.startswith("node1: ")
     assert re.search(verdict, said), said
     assert not probe.exists()
+
+
+LIMIT = """Error in rule scan_lidar:
+    message: SLURM sbatch failed. The error message was 'sbatch: error: AssocMaxSubmitJobLimit
+sbatch: error: Batch job submission failed: Job violates accounting/QOS policy'
+error: job 7 was cancelled due to time limit
+"""
+
+
+def test_a_limit_that_is_met_when_a_job_is_sent_has_its_cure() -> None:
+    (lower, account) = cluster.cures_in(LIMIT)
+    assert "lower `jobs` in profiles/slurm" in lower
+    assert "slurm_account" in account
+    assert cluster.cures_in("error: job 7 was cancelled due to time limit") == []
+
+
+@pytest.mark.parametrize(
+    "state",
+    [
+        "no sbatch",
+        "munge down",
+        "controller away",
+        "partition",
+        "closed",
+        "processors",
+        "no answer",
+        "two drivers",
+    ],
+)
+def test_each_bad_state_says_found_expected_where_and_cure(
+    command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, state: str
+) -> None:
+    if state != "no sbatch":
+        command("sbatch", "echo slurm-wlm 22.05.8")
+    command("sinfo", SINFO)
+    said = {
+        "munge down": "error: Munge encode failed",
+        "controller away": "Unable to contact slurm controller",
+    }
+    if state in said:
+        command("sinfo", f"echo '{said[state]}' >&2; exit 1")
+    if state == "no answer":
+        late = subprocess.TimeoutExpired("sinfo", 120)
+        monkeypatch.setattr(cluster.subprocess, "run", lambda *_, **__: (_ for _ in ()).throw(late))
+    wrong, cpus = {"partition": "gpu", "closed": "old"}, 99 if state == "processors" else None
+    driver = cluster.start_driver(tmp_path) if state == "two drivers" else None
+    asks = partial(cluster.check_cluster, wrong.get(state, "main"), cpus=cpus)
+    with pytest.raises(InputError) as error:
+        cluster.start_driver(tmp_path) if driver else asks()
+    if driver is not None:
+        driver.give_up()
+    told = error.value
+    assert all([told.found, told.expected, told.where, told.cure]), told
+    assert all(str(part) in str(told) for part in (told.found, told.expected, told.where, told.cure))
+
+
+def test_results_of_another_version_are_counted(tmp_path: Path) -> None:
+    for name, version in (("a", "0.0.9"), ("b", "0.0.9"), ("c", thalweg.__version__)):
+        (tmp_path / f"{name}.csv.meta.json").write_text(json.dumps({"thalweg": version}))
+    (tmp_path / "d.csv.meta.json").write_text("no json")
+    outputs = [tmp_path / f"{name}.csv" for name in "abcde"]
+    assert other_versions(outputs) == {"0.0.9": 2}
 
 
 def test_jobs_without_driver_are_found_and_cancelled(

@@ -1,7 +1,9 @@
 """The shape of the workflow: what depends on what, and what must not."""
 
 import re
+import shutil
 from dataclasses import dataclass
+from functools import reduce
 
 import pytest
 
@@ -191,6 +193,62 @@ def test_a_wrong_campaign_stops_before_the_first_job(empty_house) -> None:
     assert "lidr" in text
     assert "campaign.crs" in text
     assert "Traceback" not in text
+
+
+def test_a_calibration_that_two_campaigns_name_is_made_once(empty_house) -> None:
+    folder = empty_house.root / "season"
+    folder.mkdir()
+    head = "crs: EPSG:25833, origin: {lat_deg: 51.05, lon_deg: 13.25, h_ell_m: 300.0}"
+    for name in ("may", "june"):
+        (folder / f"{name}.yaml").write_text(
+            f"campaign: {{id: {name}, title: x, {head}}}\n"
+            "twin: {size: tiny}\nmounts: {calibration: field_tiny}\n"
+        )
+    found = [job.rule for job in jobs(empty_house, "season/*", "lidar")]
+    shutil.rmtree(folder)
+    calibrating = {"calibrate_camera_lidar", "calibrate_ins_lidar", "assemble_boat", "adjust_field"}
+    assert {rule: found.count(rule) for rule in calibrating} == dict.fromkeys(calibrating, 1)
+    assert found.count("georeference_lidar") == 2
+
+
+def sentences(second: int) -> str:
+    """NMEA of one second of a boat that goes north: position and depth."""
+    bodies = [
+        f"GPGGA,1200{second:02}.00,5104.{1000 + second},N,01315.0000,E,4,12,0.8,300.0,M,0.0,M,1,0",
+        f"GPRMC,1200{second:02}.00,A,5104.{1000 + second},N,01315.0000,E,1.0,0.0,120526,,,D",
+        f"SDDBT,,f,{2 + second / 100:.2f},M,,F",
+    ]
+    sums = [reduce(lambda a, b: a ^ b, body.encode()) for body in bodies]
+    return "".join(f"${body}*{total:02X}\r\n" for body, total in zip(bodies, sums, strict=True))
+
+
+def test_a_campaign_that_fails_does_not_stop_the_others(empty_house) -> None:
+    folder = empty_house.root / "season"
+    folder.mkdir()
+    for name in ("may", "june", "july"):
+        (folder / f"{name}.log").write_text("".join(map(sentences, range(40))))
+        (folder / f"{name}.yaml").write_text(
+            f"campaign: {{id: {name}, title: x, crs: EPSG:25833, "
+            "origin: {lat_deg: 51.05, lon_deg: 13.25, h_ell_m: 300.0}}\n"
+            f"logs: {{depth: [{name}.log]}}\n"
+            "mounts: {antenna: {lever_ics_m: [0, 0, -1.5]}, echo_sounder: {lever_ics_m: [0, 0, 0.3]}}\n"
+            "orientation: {position_source: nmea, sigma_position_m: [2.0, 2.0, 4.0]}\n"
+        )
+    (folder / "june.log").write_text("\n".join(60 * ["$GPGGA,no,numbers*00"]))
+    run = empty_house.snakemake("--keep-going", "--config", "campaign=season/*", "--", "ingest", check=False)
+    made = {
+        name: sorted((empty_house.root / f"results/{name}").rglob("depths.parquet"))
+        for name in ("may", "june", "july")
+    }
+    shutil.rmtree(folder)
+    text = run.stdout + run.stderr
+    assert run.returncode != 0
+    assert {name: len(each) for name, each in made.items()} == {"may": 1, "june": 0, "july": 1}, text
+    assert re.findall(r"(?m)^(july|june|may): (.*)$", text) == [
+        ("july", "done"),
+        ("june", "2 jobs not done"),
+        ("may", "done"),
+    ]
 
 
 def test_an_unknown_campaign_is_answered_with_the_known_ones(empty_house) -> None:

@@ -1,6 +1,7 @@
 """An entry script as a job: keywords from the rule, log, provenance, messages."""
 
 import json
+import os
 import runpy
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from snakemake.iocontainers import InputFiles, Log, OutputFiles, Params
 from thalweg.core import InputError
 from thalweg.settings.sections import Filters, Lidar
 from thalweg.workflow import job_arguments, run_job
+from thalweg.workflow.forked import openblas
 
 
 class FakeJob:
@@ -87,6 +89,17 @@ def test_provenance_is_written(tmp_path: Path) -> None:
     }
     assert record["sha256"] == "44cb730c420480a0477b505ae68af508fb90f96cf0ec54c6ad16949dd427f13a"
     assert record["libraries"]["numpy"]
+
+
+def test_linear_algebra_has_one_thread_whatever_the_job_has(tmp_path: Path) -> None:
+    """Sums of two threads differ from those of one in their last digits."""
+    for set_threads in openblas("set"):
+        set_threads(2)
+    job = FakeJob(tmp_path)
+    job.threads = 2
+    run_job(double, job)
+    assert {get() for get in openblas("get")} == {1}
+    assert os.environ["OMP_NUM_THREADS"] == "2"
 
 
 def test_a_job_that_writes_nothing_fails(tmp_path: Path) -> None:

@@ -1,9 +1,13 @@
 """What `make demo` prints while it runs."""
 
 import importlib.util
+import json
 import logging
+import os
+import subprocess
+import sys
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import pytest
 
@@ -52,3 +56,57 @@ def test_a_line_says_time_count_campaign_and_work(progress: ModuleType, capsys, 
         "Nothing to be done (all is there).",
         "Error in rule x",
     ]
+
+
+def test_the_end_is_foretold_from_the_times_of_earlier_jobs(
+    progress: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Ten jobs of 1 s and one of 90 s: after the ten a tenth of the work is done, not ten elevenths."""
+    monkeypatch.chdir(tmp_path)
+    for rule, seconds in (("short", 1.0), ("long", 90.0)):
+        (tmp_path / "benchmarks/a").mkdir(parents=True, exist_ok=True)
+        (tmp_path / f"benchmarks/a/{rule}.jsonl").write_text(json.dumps({"s": seconds}) + "\n")
+    now, lines = [100.0], tmp_path / "progress.jsonl"
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    settings = progress.LogHandlerSettings(json=lines)
+    handler = progress.LogHandler(SimpleNamespace(quiet={"all"}), settings)
+    handler.emit(record(logging.INFO, "", event="run_info", stats={"total": 11, "short": 10, "long": 1}))
+    for job in range(10):
+        job_info = {"event": "job_info", "jobid": job, "rule_name": "short"}
+        handler.emit(record(logging.INFO, "", **job_info, wildcards={"campaign": "a"}))
+        now[0] += 2.0
+        handler.emit(record(logging.INFO, "", event="job_finished", job_id=job))
+        handler.emit(record(logging.INFO, "", event="progress", done=job + 1, total=11))
+    handler.emit(record(logging.ERROR, "Error in rule long"))
+    told = [json.loads(line) for line in lines.read_text().splitlines()]
+    assert [each["event"] for each in told[:4]] == ["begins", "job begins", "job ends", "progress"]
+    assert told[1]["rule"] == "short"
+    assert told[1]["wildcards"] == {"campaign": "a"}
+    assert [each["left_s"] for each in told if each["event"] == "progress"][:5] == [
+        *[None] * 4,
+        190,
+    ]  # 10 s for 5 of 100
+    assert told[-1] == told[-1] | {"event": "message", "done": 10, "total": 11, "left_s": 180}
+    written = capsys.readouterr().err
+    assert "9 of 11, 4 min left  a: short" in written
+    line, error = written.split("\n", 1)
+    assert error == "Error in rule long\n"
+    assert {len(part) for part in line.split("\r")[1:]} == {progress.WIDTH}
+
+
+def test_snakemake_takes_it_with_its_options(repository: Path, tmp_path: Path) -> None:
+    (tmp_path / "Snakefile").write_text('rule a:\n    output: "a.txt"\n    run: open("a.txt", "w").close()\n')
+    command = [sys.executable, "-m", "snakemake", "--cores", "1", "--logger", "thalweg", "--quiet", "all"]
+    run = subprocess.run(
+        [*command, "--logger-thalweg-json", "lines.jsonl"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(repository / "workflow/progress")},
+        capture_output=True,
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr
+    told = [json.loads(line) for line in (tmp_path / "lines.jsonl").read_text().splitlines()]
+    assert [each["event"] for each in told] == ["begins", "job begins", "job ends", "progress"]
+    assert (told[-1]["done"], told[-1]["total"]) == (1, 1)
+    assert run.stderr.startswith(b"\r  0:00  0 of 1  a")
+    assert run.stderr.count(b"\n") == 1

@@ -19,9 +19,9 @@ import pytest
 from snakemake.iocontainers import InputFiles, Log, OutputFiles, Params
 
 from thalweg.core import InputError
-from thalweg.workflow import claim, run_job
+from thalweg.workflow import claim, provenance, run_job
 from thalweg.workflow.claim import Owner, claim_name
-from thalweg.workflow.staging import Staging
+from thalweg.workflow.staging import SCRATCH, Staging
 
 FINAL = ("table.csv", "deep/cloud.laz", "pictures")
 """Outputs of the job of these tests: in a folder, in one below it, and a folder."""
@@ -326,6 +326,89 @@ def test_a_job_that_was_overtaken_keeps_its_hands_off(tmp_path: Path) -> None:
     assert len(list((tmp_path / "results").glob(".part-*/claim-*"))) == 1
 
 
+# ---------------------------------------------------------------- what folders of results share
+
+
+@pytest.fixture
+def shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
+    """Run the job of these tests in a folder, with a cache; how often it had to work."""
+    monkeypatch.setenv(provenance.CACHE, str(tmp_path / "cache"))
+    monkeypatch.setattr(provenance, "SHARED", {"several"})
+    monkeypatch.chdir(tmp_path)
+
+    def run(name: str, version: str = "new", number: str = "21", threads: int = 1) -> int:
+        calls = []
+
+        def counted(
+            *, number: Path, table: Path, cloud: Path, pictures: Path, version: str, folder: str
+        ) -> None:
+            calls.append(1)
+            several(
+                number=number, table=table, cloud=cloud, pictures=pictures, version=version, folder=folder
+            )
+
+        (tmp_path / name).mkdir(exist_ok=True)
+        monkeypatch.chdir(tmp_path / name)
+        job = Job(Path(), version)
+        job.threads = threads
+        Path("in.txt").write_text(number)
+        run_job(counted, job)
+        assert left_over(Path()) == []
+        return len(calls)
+
+    return run
+
+
+def test_results_are_shared_by_what_decides_them(tmp_path: Path, shared: Callable[..., int]) -> None:
+    assert shared("first") == 1
+    before = (tmp_path / "first/results/table.csv").stat().st_mtime_ns
+    assert shared("second") == 0
+    assert found(tmp_path / "second") == found(tmp_path / "first") == whole("new")
+    # Snakemake sets times: the other folder has files of its own
+    os.utime(tmp_path / "second/results/table.csv", (0, 0))
+    assert (tmp_path / "first/results/table.csv").stat().st_mtime_ns == before
+    record = json.loads((tmp_path / "second/results/table.csv.meta.json").read_text())
+    assert record["output"] == "results/table.csv"
+    assert record["from_cache"] in {p.name for p in (tmp_path / "cache/several").iterdir()}
+    # a parameter, an input, the number of threads
+    assert [shared("third", "old"), shared("third", number="22"), shared("third", threads=2)] == [1, 1, 1]
+    assert shared("third", "old") == 0
+    assert found(tmp_path / "third")["table.csv"].startswith("old")
+
+
+def test_a_flipped_byte_in_the_cache_is_told_and_made_again(
+    tmp_path: Path, shared: Callable[..., int], caplog: pytest.LogCaptureFixture
+) -> None:
+    shared("first")
+    (picture,) = tmp_path.glob("cache/several/*/2/1.png")
+    picture.unlink()
+    picture.write_text("new 23")
+    assert shared("second") == 1
+    assert "damaged, and made again" in caplog.text
+    assert found(tmp_path / "second") == whole("new")
+    assert shared("third") == 0
+
+
+def test_other_rules_and_a_cache_that_cannot_be_written_change_nothing(
+    tmp_path: Path,
+    shared: Callable[..., int],
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    (tmp_path / "cache").write_text("a file in its place")
+    assert [shared("first"), shared("second")] == [1, 1]
+    assert caplog.text.count("this run goes on without") == 2
+    (tmp_path / "cache").unlink()
+    monkeypatch.setattr(provenance, "SHARED", {"other"})
+    assert [shared("third"), shared("fourth")] == [1, 1]
+    assert not (tmp_path / "cache").exists()
+
+
+def test_rules_that_are_shared_exist(repository: Path) -> None:
+    text = "".join(path.read_text() for path in (repository / "workflow/rules").glob("*.smk"))
+    assert {name for name in provenance.SHARED if f"rule {name}:" not in text} == set()
+
+
 # ---------------------------------------------------------------- the same through Snakemake
 
 SNAKEFILE = """
@@ -382,11 +465,12 @@ def _workflow(folder: Path) -> Path:
     return folder
 
 
-def _snakemake(folder: Path, *words: str) -> subprocess.Popen[str]:
+def _snakemake(folder: Path, *words: str, environment: dict[str, str] | None = None) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "snakemake", "--cores", "1", "--quiet", *words]
     return subprocess.Popen(
         command,
         cwd=folder,
+        env={**os.environ, **(environment or {})},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -423,3 +507,24 @@ def test_a_killed_run_is_resumed_without_the_marks_of_snakemake(tmp_path: Path) 
     assert left_over(killed) == []
     assert found(killed) == found(whole_run)
     assert sum(not name.endswith(".snakemake_timestamp") for name in found(killed)) == 3 + 3 + 60
+
+
+@pytest.mark.skipif(shutil.which("rsync") is None, reason="needs rsync")
+def test_jobs_in_node_local_scratch_give_the_same_results(repository: Path, tmp_path: Path) -> None:
+    """Two folders; folders as outputs, params that name places, and provenance come along."""
+    pytest.importorskip("snakemake_storage_plugin_fs")
+    here, there = _workflow(tmp_path / "here"), _workflow(tmp_path / "there")
+    plain = _snakemake(here, "--", "results/a.txt")
+    scratch = {"THALWEG_SCRATCH": str(tmp_path / "scratch"), SCRATCH: str(tmp_path / "scratch/fs")}
+    profile = ("--profile", str(repository / "profiles/storage"))
+    _ends_well(_snakemake(there, *profile, "--", "results/a.txt", environment=scratch))
+    _ends_well(plain)
+    assert found(there) == found(here)
+    assert sum(not name.endswith(".snakemake_timestamp") for name in found(there)) == 1 + 1 + 20
+    records = [sorted(p.relative_to(f).as_posix() for p in f.rglob("*.meta.json")) for f in (here, there)]
+    assert len(records[0]) == 3
+    assert records[0] == records[1]
+    one, other = (json.loads((f / "results/a.txt.meta.json").read_text()) for f in (here, there))
+    assert {k: one[k] for k in ("inputs", "output", "sha256")} == {
+        k: other[k] for k in ("inputs", "output", "sha256")
+    }

@@ -11,12 +11,20 @@ from thalweg.workflow import (
     Measured,
     check_cluster,
     code_version,
+    cures_in,
     fork_scripts,
     pattern_of_epochs,
+    other_versions,
     read_figures,
     start_driver,
 )
 from thalweg_lab import campaign_files as laboratory
+
+if workflow.storage_settings.default_storage_provider == "fs":
+    # where jobs find the copies that Snakemake makes of their inputs
+    os.environ["THALWEG_STORAGE"] = str(
+        (workflow.storage_settings.local_storage_prefix / "fs").absolute()
+    )
 
 if workflow.is_main_process or workflow.remote_exec:
     fork_scripts(after=0 if workflow.is_main_process else 1)

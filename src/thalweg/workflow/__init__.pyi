@@ -3,6 +3,7 @@ from .cluster import (
     cancel_jobs as cancel_jobs,
     check_cluster as check_cluster,
     check_nodes as check_nodes,
+    cures_in as cures_in,
     jobs_of as jobs_of,
     living_driver as living_driver,
     start_driver as start_driver,
@@ -20,3 +21,4 @@ from .costs import (
 from .figures import read_figures as read_figures
 from .forked import fork_scripts as fork_scripts
 from .job import job_arguments as job_arguments, run_job as run_job
+from .provenance import other_versions as other_versions

@@ -150,11 +150,14 @@ def slurm(*command: str) -> str:
         ) from error
     except subprocess.TimeoutExpired as error:
         raise InputError(
-            f"`{command[0]}` does not answer within 120 s", cure=_CURES["Unable to contact"]
+            f"`{command[0]}` does not answer within 120 s",
+            expected="an answer of SLURM",
+            where=" ".join(command[:6]),
+            cure=_CURES["Unable to contact"],
         ) from error
     if run.returncode:
         said = " ".join((run.stderr or run.stdout).split())
-        cure = next((cure for words, cure in _CURES.items() if words.lower() in said.lower()), "")
+        cure = next(iter(cures_in(f"{_REFUSED} {said}")), "")
         raise InputError(
             f"`{command[0]}` failed: {said}",
             expected="an answer of SLURM",
@@ -164,8 +167,9 @@ def slurm(*command: str) -> str:
     return run.stdout
 
 
+_REFUSED: Final = "sbatch: error:"
 _CURES: Final = {
-    "munge": "The service munge, which tells SLURM who asks, is down or has another key on this computer:"
+    "Munge": "The service munge, which tells SLURM who asks, is down or has another key on this computer:"
     " ask the operators to start it (`systemctl status munge`)",
     "Unable to contact": "The controller of SLURM does not answer: wait for the end of its maintenance,"
     " or ask the operators",
@@ -174,6 +178,12 @@ _CURES: Final = {
     "limit": "A limit of jobs is reached: let some end, or lower `jobs` in profiles/slurm/profile.yaml",
     "account": "Name the account: default-resources, slurm_account in profiles/slurm/profile.yaml",
 }
+
+
+def cures_in(log: str) -> list[str]:
+    """What to do about refusals of SLURM that a log quotes, such as a limit met when a job is sent."""
+    said = [line.lower() for line in log.splitlines() if _REFUSED in line]
+    return [cure for words, cure in _CURES.items() if any(words.lower() in line for line in said)]
 
 
 def check_cluster(partition: str | None, *, minutes: int | None = None, cpus: int | None = None) -> None:

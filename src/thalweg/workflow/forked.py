@@ -60,10 +60,8 @@ def _forking(started: Callable[..., None], context: Any, after: int = 0) -> Call
             return
         from snakemake.benchmark import benchmarked
 
-        # A limit of the user's holds: on a busy machine two threads of BLAS take five times the time of one.
-        blas = min(script.threads, int(os.environ.get("OPENBLAS_NUM_THREADS") or script.threads))
         scratch = script.resources.get("tmpdir")
-        job = context.Process(target=_run, args=(fname, Path.cwd(), script.threads, blas, scratch))
+        job = context.Process(target=_run, args=(fname, Path.cwd(), script.threads, scratch))
         try:
             with _EXIT_CODES:
                 job.start()
@@ -81,14 +79,12 @@ def _forking(started: Callable[..., None], context: Any, after: int = 0) -> Call
     return execute_script
 
 
-def _run(script: str, folder: Path, threads: int, blas: int, scratch: str | None) -> None:
+def _run(script: str, folder: Path, threads: int, scratch: str | None) -> None:
     """What a fork does: the script as the main module, its errors to the hook that it has set."""
     os.chdir(folder)
     os.environ.update(dict.fromkeys(_THREADS, str(threads)))
     if scratch:
         os.environ.update(dict.fromkeys(_SCRATCH, scratch))
-    for set_threads in openblas("set"):
-        set_threads(blas)
     try:
         runpy.run_path(script, run_name="__main__")
     except Exception:
@@ -101,7 +97,8 @@ def openblas(verb: str) -> list[Any]:
 
     OpenBLAS reads its environment when it is loaded, which is long past in a fork.
     """
-    maps = Path("/proc/self/maps").read_text(encoding="utf-8")
+    loaded = Path("/proc/self/maps")  # of Linux
+    maps = loaded.read_text(encoding="utf-8") if loaded.is_file() else ""
     libraries = [ctypes.CDLL(path) for path in sorted(set(re.findall(r"\S*openblas\S*\.so\S*", maps)))]
     names = [f"scipy_openblas_{verb}_num_threads{bits}" for bits in ("64_", "")]
     return [getattr(each, name) for each in libraries for name in names if hasattr(each, name)]

@@ -201,6 +201,34 @@ def disk_in_words(outputs: Sequence[Path], rule: str) -> Iterator[None]:
         ) from error
 
 
+SCRATCH: Final = "THALWEG_STORAGE"
+"""Variable of the environment with the folder of node-local copies, if a run has one (profiles/storage)."""
+
+
+def work_in_scratch(job: Any) -> Path | None:
+    """Go to the folder of node-local copies, where files have the names that they have in the run's.
+
+    So parameters and reports that name files are the same.
+
+    Parameters
+    ----------
+    job : of Snakemake; names of its files are changed in place.
+
+    Returns
+    -------
+    Path or None
+        The folder of the run, to which results come later; None where jobs work in it.
+    """
+    scratch, results = Path(os.environ.get(SCRATCH, "")).absolute(), Path.cwd()
+    if not os.environ.get(SCRATCH) or not any(Path(each).is_relative_to(scratch) for each in job.output):
+        return None
+    for part in (job.input, job.output, job.log):
+        paths = [Path(each).absolute() for each in part]
+        _put(part, [str(p.relative_to(scratch) if p.is_relative_to(scratch) else p) for p in paths])
+    os.chdir(scratch)
+    return results
+
+
 def _put(part: Any, values: list[Any]) -> None:
     """Put other values into outputs or params of a job, with the names that they have."""
     part[:] = values
