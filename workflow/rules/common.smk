@@ -13,8 +13,8 @@ from thalweg.workflow import (
     code_version,
     cures_in,
     fork_scripts,
-    pattern_of_epochs,
     other_versions,
+    pattern_of_epochs,
     read_figures,
     start_driver,
 )
