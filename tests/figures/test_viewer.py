@@ -17,7 +17,7 @@ from tests.figures.conftest import make_trajectory
 from thalweg.cli import main
 from thalweg.core import CoverageError, InputError, LazWriter, LocalFrame
 from thalweg.figures.viewer import View, build_octree, read_view, write_viewer
-from thalweg.figures.viewer.page import CELLS_BITS, LEAF_POINTS
+from thalweg.figures.viewer.octree import CELLS_BITS, LEAF_POINTS
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 SPACING_M = 0.25

@@ -2,13 +2,6 @@
 
 Browsers refuse a page from disk to fetch files, but let it load scripts: each node is a script that calls
 the page with its points, compressed and in letters (base64).
-
-Levels of detail: an octree whose nodes hold points of their own, coarse ones first.
-
-A node is a cube and holds one point for each of its cells, 64 along an edge; the points that are left go to
-its eight children, whose cells are half as wide. Drawing a node and some of its descendants therefore adds
-points and repeats none. Points are sorted along a Z-order curve (Morton 1966), on which nodes and cells of
-every level are runs of neighbours, so that each level costs one pass.
 """
 
 import base64
@@ -19,7 +12,7 @@ from dataclasses import dataclass, field
 from html import escape
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 import numpy as np
 from cmcrameri import cm
@@ -29,7 +22,6 @@ from pyproj import CRS
 from thalweg.core import (
     AnyArray,
     ArrayF,
-    ArrayI,
     ArrayU8,
     CoverageError,
     Frame,
@@ -50,133 +42,9 @@ from thalweg.figures import (
     TWIN_MARK,
     robust_limits,
 )
+from thalweg.figures.viewer.octree import Node, build_octree
 from thalweg.ingest.clouds import read_cloud
 from thalweg.lidar import COLOUR_DIMENSIONS, CORRELATIONS, SIGMAS
-
-CELLS_BITS: Final = 6
-"""A node has 2^6 = 64 cells along an edge."""
-LEAF_POINTS: Final = 6000
-"""A node takes all points that are left in it if they are so few: small files cost more than they hold."""
-_BITS: Final = 21
-"""Bits of a coordinate in the code of a point: three of them fit 64."""
-
-
-Codes: TypeAlias = np.ndarray[tuple[int, ...], np.dtype[np.uint64]]
-
-
-@dataclass(frozen=True, slots=True)
-class Node:
-    """A cube of the tree.
-
-    Parameters
-    ----------
-    key : a digit for each level below the root, the child: 1 for the upper half in x + 2 in y + 4 in z.
-    corner_m, size_m : (3,) lower corner and edge.
-    rows : (n,) its points, rows of the cloud.
-    spacing_m : distance of neighbours: a cell's edge, less where a node took more points than one a cell.
-    """
-
-    key: str
-    corner_m: ArrayF
-    size_m: float
-    rows: ArrayI
-    spacing_m: float
-
-
-def build_octree(xyz_m: ArrayF, most_points: int) -> list[Node]:
-    """Sort points into an octree, thinned evenly to so many at most.
-
-    Parameters
-    ----------
-    xyz_m : (n, 3) points, m.
-    most_points : of more points one in each of the finest cells that are few enough, and some more.
-
-    Returns
-    -------
-    nodes : the root first, parents before children; no point stands in two of them.
-
-    Raises
-    ------
-    CoverageError : there are no points.
-    """
-    if not len(xyz_m):
-        raise CoverageError("a cloud of no points", expected="points to show", cure="Look at its filters")
-    low = xyz_m.min(axis=0)
-    # a little wider than the points, so that the last of them lies inside
-    size = float(max((xyz_m.max(axis=0) - low).max() * (1 + 1e-6), 0.01))
-    code = _morton(((xyz_m - low) * (2**_BITS / size)).astype(np.uint64))
-    order = np.argsort(code, kind="stable")
-    code = code[order]
-    kept = _thinned(code, most_points)
-    code, order = code[kept], order[kept]
-    nodes: list[Node] = []
-    for level in range(_BITS - CELLS_BITS + 1):
-        if not len(code):
-            break
-        of_node = code >> np.uint64(3 * (_BITS - level))
-        first = np.flatnonzero(np.diff(of_node, prepend=of_node[0] + np.uint64(1)))
-        count = np.diff(first, append=len(code))
-        own = np.zeros(len(code), dtype=np.bool_)
-        own[_middles(code >> np.uint64(3 * (_BITS - level - CELLS_BITS)))] = True
-        cells = np.add.reduceat(own, first, dtype=np.int64)
-        own |= np.repeat(count <= LEAF_POINTS, count)
-        for start, n, occupied in zip(first, count, cells, strict=True):
-            key = "".join(str(int(of_node[start]) >> 3 * k & 7) for k in reversed(range(level)))
-            rows = order[start : start + n][own[start : start + n]]
-            nodes.append(_node(key, low, size, rows, int(occupied)))
-        code, order = code[~own], order[~own]
-    return nodes
-
-
-def _node(key: str, low: ArrayF, size: float, rows: ArrayI, occupied: int) -> Node:
-    """A node by its key within the root's cube, and the number of its cells that hold points."""
-    corner = low.astype(np.float64).copy()
-    for digit in key:
-        size /= 2
-        corner += size * (int(digit) >> np.arange(3) & 1)
-    # as on a surface: four times the points lie half as far apart
-    spacing = size / 2**CELLS_BITS * float(np.sqrt(occupied / len(rows)))
-    return Node(key=key, corner_m=corner, size_m=size, rows=rows, spacing_m=spacing)
-
-
-def _morton(cell: Codes) -> Codes:
-    """Codes (n,) of cells (n, 3): the bits of x, y, z by turns, those of z highest."""
-    code = np.zeros(len(cell), dtype=np.uint64)
-    for axis in range(3):
-        x = cell[:, axis].copy()
-        for shift, mask in (
-            (32, 0x1F00000000FFFF),
-            (16, 0x1F0000FF0000FF),
-            (8, 0x100F00F00F00F00F),
-            (4, 0x10C30C30C30C30C3),
-            (2, 0x1249249249249249),
-        ):
-            x = (x | x << np.uint64(shift)) & np.uint64(mask)
-        code |= x << np.uint64(axis)
-    return code
-
-
-def _middles(cell: Codes) -> ArrayI:
-    """The middle of each run of equal cells: the first ones, all in one corner, would show as a pattern."""
-    first = np.flatnonzero(np.diff(cell, prepend=cell[0] + np.uint64(1)))
-    return first + np.diff(first, append=len(cell)) // 2
-
-
-def _thinned(code: Codes, most: int) -> ArrayI:
-    """Points to keep, in order: one for each of the finest cells that are few enough, others by turns."""
-    # two points in one of the finest cells, a 2-millionth of the cloud, cannot be told apart on a screen
-    kept = _middles(code)
-    if len(kept) <= most:
-        return kept
-    level = 1
-    while len(cells := _middles(code >> np.uint64(3 * level))) > most:
-        level += 1
-    other = np.ones(len(code), dtype=np.bool_)
-    other[cells] = False
-    rest = np.flatnonzero(other)
-    more = rest[np.linspace(0, len(rest) - 1, min(most - len(cells), len(rest))).astype(np.int64)]
-    return np.union1d(cells, more)
-
 
 MOST_POINTS: Final = 1_500_000
 """Points of a viewer: some 25 megabytes on disk."""
