@@ -129,7 +129,7 @@ PROCESSED = (
     "accuracy/statistics.csv",
     "accuracy/chains.csv",
     "ingest/reference.laz",
-    "panorama/panoramas.parquet",
+    "panorama/index.html",
     "bathymetry/validation.json",
     "fusion/river.json",
 )

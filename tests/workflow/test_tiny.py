@@ -107,6 +107,7 @@ def test_everything_promised_is_there(tiny_house) -> None:
         "lidar/coloured.laz",
         "calibration/rig.yaml",
         "panorama/panoramas.parquet",
+        "panorama/index.html",
         "viewer/index.html",
         "timing/streams.csv",
         "summary.csv",
@@ -276,6 +277,7 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
         "trajectory_comparison_page",
         "bathymetry_page",
         "viewer_page",
+        "walk_page",
     }
     undo()
     undo = edited(tiny_house, "navigation/ins_gnss/trajectory.py", "\n_edited = 1\n")
@@ -311,6 +313,7 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
         "check_colours",
         "colour_points",
         "viewer_page",
+        "walk_page",
         "place_rig_images",
         "make_panoramas",
         "compare_rig_with_truth",

@@ -172,6 +172,9 @@ rule viewer_page:
     input:
         points=of(CampaignFiles.shown_points),
         trajectory=of(CampaignFiles.best_trajectory),
+        gains=of(CampaignFiles.colour_gains),
+        images=of(CampaignFiles.colour_photographs),
+        table=of(CampaignFiles.panorama_table),
     output:
         page="results/{campaign}/viewer/index.html",
         nodes=directory("results/{campaign}/viewer/nodes"),
@@ -186,8 +189,8 @@ rule viewer_page:
         mem_mb=memory(3000),
         runtime=minutes(10),
     params:
-        code=code_version("viewer_page"),
+        **calls("thalweg.figures.viewer.page:write_survey_viewer"),
+        title=section("campaign", "title"),
         twin=of(CampaignFiles.is_twin),
-        campaign=identity("title"),
     script:
-        "../scripts/viewer_page.py"
+        "../scripts/call.py"
