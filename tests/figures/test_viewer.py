@@ -17,8 +17,8 @@ from tests.figures.conftest import make_trajectory
 
 from thalweg.cli import main
 from thalweg.core import CoverageError, InputError, LazWriter, LocalFrame, frame_of, write_table
-from thalweg.figures.viewer import View, build_octree, read_view, write_survey_viewer, write_viewer
-from thalweg.figures.viewer.octree import CELLS_BITS, LEAF_POINTS
+from thalweg.core.geometry import CELLS_BITS, LEAF_POINTS, build_octree
+from thalweg.figures.viewer import View, read_view, write_survey_viewer, write_viewer
 from thalweg.lidar import COLOUR_DIMENSIONS
 from thalweg.panorama import PANORAMAS
 
@@ -103,6 +103,9 @@ def test_a_large_cloud_is_thinned_evenly_to_what_is_asked(rng: np.random.Generat
     assert 0.25 < inside < 0.5  # of all points: 0.79
     with pytest.raises(CoverageError, match="a cloud of no points"):
         build_octree(np.empty((0, 3)), 10)
+    # or each of them, those at one place too
+    whole = build_octree(np.vstack([xyz[:20_000], np.tile(xyz[:1], (20_000, 1))]))
+    assert sorted(np.concatenate([node.rows for node in whole])) == list(range(40_000))
 
 
 def test_a_single_point_and_points_at_one_place_are_clouds_too(tmp_path: Path) -> None:

@@ -104,6 +104,7 @@ def test_everything_promised_is_there(tiny_house) -> None:
     for name in (
         "lidar/points.laz",
         "lidar/points_map.laz",
+        "lidar/points_map.copc.laz",
         "lidar/coloured.laz",
         "calibration/rig.yaml",
         "panorama/panoramas.parquet",
@@ -286,6 +287,7 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
         "estimate_pose_errors",
         "georeference_lidar",
         "export_map",
+        "export_copc",
         "mesh_reference",
         "compare_with_reference",
         "compare_with_truth",

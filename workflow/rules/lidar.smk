@@ -89,6 +89,28 @@ rule export_map:
         "../scripts/call.py"
 
 
+rule export_copc:
+    """The cloud in map coordinates, sorted for programs that read what they show (COPC)."""
+    input:
+        points="results/{campaign}/lidar/points_map.laz",
+    output:
+        out="results/{campaign}/lidar/points_map.copc.laz",
+    log:
+        "logs/{campaign}/lidar/export_copc.log",
+    benchmark:
+        "benchmarks/{campaign}/lidar/export_copc.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(1000, 8),
+        runtime=minutes(10, 60),
+    params:
+        **calls("thalweg.lidar.cloud:export_copc"),
+    script:
+        "../scripts/call.py"
+
+
 # The same points by the trajectory of the camera, or of all sensors.
 use rule georeference_lidar as georeference_by_trajectory with:
     input:

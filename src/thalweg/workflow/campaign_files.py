@@ -955,7 +955,8 @@ class CampaignFiles:
         outputs = self._where(True, *tables, "summary.csv")
         outputs += self.ins_points()
         outputs += [*self.echo_outputs(), *self._strip_outputs(), *self._bed_outputs()]
-        outputs += self._where(lidar and self.campaign.georeferencing.export_map, "lidar/points_map.laz")
+        exported = lidar and self.campaign.georeferencing.export_map
+        outputs += self._where(exported, "lidar/points_map.laz", "lidar/points_map.copc.laz")
         if self.has_time_lapse():
             outputs.append(self.trajectory("fused"))
         if self.has_time_lapse() and lidar:

@@ -7,6 +7,12 @@ from .mesh import (
     read_ply_header as read_ply_header,
     write_mesh as write_mesh,
 )
+from .octree import (
+    CELLS_BITS as CELLS_BITS,
+    LEAF_POINTS as LEAF_POINTS,
+    Node as Node,
+    build_octree as build_octree,
+)
 from .point_fit import fit_points as fit_points, nearest_rotation as nearest_rotation
 from .polygon import (
     LEAST_AREA_M2 as LEAST_AREA_M2,

@@ -1,4 +1,3 @@
-from .octree import Node as Node, build_octree as build_octree
 from .page import (
     MOST_POINTS as MOST_POINTS,
     View as View,

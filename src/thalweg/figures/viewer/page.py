@@ -42,6 +42,7 @@ from thalweg.core import (
     unix_from_gps,
     utc_text_from_gps,
 )
+from thalweg.core.geometry import Node, build_octree
 from thalweg.deformation import TEXT, read_points
 from thalweg.figures import (
     HEIGHT_MAP,
@@ -52,7 +53,6 @@ from thalweg.figures import (
     TWIN_MARK,
     robust_limits,
 )
-from thalweg.figures.viewer.octree import Node, build_octree
 from thalweg.images.model import named_once
 from thalweg.ingest.clouds import read_cloud
 from thalweg.lidar import COLOUR_DIMENSIONS, CORRELATIONS, SIGMAS
