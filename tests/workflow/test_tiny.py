@@ -65,13 +65,15 @@ OF_IMAGES = {
     "plot_frames_by_image",
     "plot_pose_sigmas",
     "plot_coloured_bank",
+    "plot_coloured_detail",
+    "plot_colour_check",
 }
 """Pictures of the images and of what they give."""
 
-OF_PANORAMAS = {"plot_panorama", "plot_panorama_seam"}
+OF_PANORAMAS = {"plot_panorama", "plot_panorama_seam", "plot_seam_views"}
 """Pictures of the panoramas."""
 
-OF_RIG = {"plot_rig_sketch", "plot_rig_residuals"}
+OF_RIG = {"plot_rig_sketch", "plot_rig_residuals", "plot_rig_field"}
 """Pictures of the calibration of the rig, which rests on no survey."""
 
 

@@ -172,6 +172,7 @@ rule check_colours:
         masks=of(CampaignFiles.used_masks),
     output:
         table="results/{campaign}/lidar/colour_check.csv",
+        curves="results/{campaign}/lidar/colour_check_curves.csv",
     log:
         "logs/{campaign}/lidar/check_colours.log",
     benchmark:

@@ -457,8 +457,8 @@ def export_copc(points: Path, out: Path) -> None:
     """Sort a cloud into an octree: a cloud-optimised point cloud, which any reader of LAZ reads, too.
 
     COPC 1.0 (copc.io): a chunk of LAZ for each node, and a list of the nodes at the end, so that programs
-    read what they show from disk or over a network. Records are kept as they are, extra bytes and VLRs, too; in a
-    node they stand in the order of the file. Besides some 60 bytes a point in memory it takes the size of the
+    read what they show from disk or over a network. Records are kept as they are, extra bytes and VLRs, too;
+    in a node they stand in the order of the file. It takes some 60 bytes a point in memory, and the size of the
     uncompressed file on the disk of ``out``.
 
     Parameters

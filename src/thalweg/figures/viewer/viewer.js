@@ -581,7 +581,7 @@ function report() {
   };
   const { place, photograph } = picked[0], towards = `towards=${digits(place, 3)}`;
   if (photograph) link(`photograph ${photograph[0]}`, photograph[1]);
-  if (photograph?.[2]) link("panorama of its time", `${photograph[2]}&${towards}`);
+  if (photograph?.[2] && !places.length) link("panorama of its time", `${photograph[2]}&${towards}`);
   if (places.length) {
     const nearest = nearestPlace(place);
     link(`from panorama ${nearest.name}`, `#panorama=${encodeURIComponent(nearest.name)}&${towards}`);
