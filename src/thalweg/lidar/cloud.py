@@ -458,8 +458,8 @@ def export_copc(points: Path, out: Path) -> None:
 
     COPC 1.0 (copc.io): a chunk of LAZ for each node, and a list of the nodes at the end, so that programs
     read what they show from disk or over a network. Records are kept as they are, extra bytes and VLRs, too;
-    in a node they stand in the order of the file. It takes some 60 bytes a point in memory, and the size of the
-    uncompressed file on the disk of ``out``.
+    in a node they stand in the order of the file. It takes some 60 bytes a point in memory, and the size of
+    the uncompressed file on the disk of ``out``.
 
     Parameters
     ----------

@@ -16,8 +16,7 @@ import numpy as np
 from scipy import ndimage
 
 from thalweg.calibration import LENSES, Rig
-from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayU8
-from thalweg.core.kernels import njit
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayU8, njit
 from thalweg.lidar import GAMMA, exposure_gains
 from thalweg.panorama.sphere import sphere_rays
 

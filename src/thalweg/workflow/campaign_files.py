@@ -730,6 +730,10 @@ class CampaignFiles:
         folder = "by_fused/" if self.best_chain() == "fused" else ""
         return self._where(self.has_lidar(), f"lidar/{folder}points.laz")
 
+    def coloured(self) -> list[str]:
+        """The cloud in colour, where photographs give any."""
+        return self._where(self.is_coloured(), "lidar/coloured.laz")
+
     def colour_gains(self) -> list[str]:
         """Exposures of the photographs that give the cloud colours, and their numbers in it."""
         return self._where(self.is_coloured(), "lidar/coloured_gains.csv")
@@ -748,7 +752,7 @@ class CampaignFiles:
 
     def shown_points(self) -> list[str]:
         """The cloud to look at: in colour, where photographs give any."""
-        return self._where(self.is_coloured(), "lidar/coloured.laz") or self.best_points()
+        return self.coloured() or self.best_points()
 
     def strip_points(self) -> list[str]:
         """Points of the bed by the light sheet, where the boat carries one."""

@@ -11,8 +11,7 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from thalweg.core.errors import CoverageError
-from thalweg.core.types import ArrayF, ArrayI
+from thalweg.core import ArrayF, ArrayI, CoverageError
 
 CELLS_BITS: Final = 6
 """A node has 2^6 = 64 cells along an edge."""
