@@ -136,6 +136,9 @@ def test_the_rig_is_found_within_its_covariance(calibrated: tuple) -> None:
     assert abs(error["base_mm"]) < 0.3
     assert error["rotation_deg"] < 0.02
     assert error["lens_px"] < 0.1
+    # at the seam of a panorama of 5376 px: one pixel beyond 2 m, where things come out twice without ranges
+    assert error["seam_depth_px"] <= 1.0
+    assert error["seam_far_px"] == pytest.approx(8.3, abs=0.2)
     assert found.rig.base_m == pytest.approx(true.settings.base_m, abs=0.0003)
     assert found.residuals["angle_deg"].max() > 98
     assert not len(found.rejected)

@@ -337,6 +337,21 @@ def test_detail_axes_limits_and_colours(bank):
     assert bar.get_ylim() == (pytest.approx(low), pytest.approx(high))
 
 
+def test_detail_in_colour_above_and_by_intensity_below(bank):
+    segment = BankSegment(
+        centre_en_m=bank.points[:20_000, :2].mean(axis=0), azimuth_rad=bank.azimuth_rad, length_m=14.0
+    )
+    rgb = np.tile(np.array([[10, 200, 33]], np.uint8), (len(bank.points), 1))
+    figure = cloud_detail(bank.points, bank.intensity, segment=segment, rgb=rgb, width_px=300)
+    above, below = figure.axes[:2]
+    shown = np.asarray(above.images[0].get_array()).reshape(-1, 3)
+    drawn = shown[(shown != 255).any(axis=1)].astype(float)
+    # shaded at edges, never another hue
+    assert len(drawn) > 1000
+    assert np.abs(drawn / drawn[:, 1:2] - np.array([10, 200, 33]) / 200).max() < 0.02
+    assert np.ptp(np.asarray(below.images[0].get_array()).reshape(-1, 3).astype(int), axis=0).max() > 100
+
+
 def test_detail_without_points_is_refused(bank):
     segment = BankSegment(centre_en_m=np.array([1e4, 1e4]), azimuth_rad=0.0, length_m=14.0)
     with pytest.raises(GeometryError, match="no point in the stretch of bank"):

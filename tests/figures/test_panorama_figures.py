@@ -5,8 +5,18 @@ import pandas as pd
 import pytest
 from matplotlib.patches import Ellipse
 
-from thalweg.core import Rigid
-from thalweg.figures.panorama import panorama_picture, rig_residuals, rig_sketch, seam_cost
+from thalweg.calibration import Rig
+from thalweg.core import Camera, Rigid
+from thalweg.figures.cloud import colour_check
+from thalweg.figures.panorama import (
+    panorama_picture,
+    rig_field,
+    rig_residuals,
+    rig_sketch,
+    seam_cost,
+    seam_views,
+)
+from thalweg.settings.sections import Rig as RigSettings
 
 
 def words(figure) -> str:
@@ -71,3 +81,74 @@ def test_the_cost_of_the_base_is_that_of_the_range() -> None:
     x, y = far.get_data()
     assert np.interp(2.0, x, y) == pytest.approx(8.3, abs=0.05)
     assert np.interp(5.0, x, y) == pytest.approx(3.3, abs=0.05)
+
+
+def test_marks_of_the_field_lie_where_their_angles_say() -> None:
+    lens = np.array([40.0, 40.0, 70.0, 60.0, 0, 0, 0, 0])
+    cameras = {
+        name: Camera(model="fisheye", size_px=(140, 120), parameters=lens, name=name)
+        for name in ("front", "back")
+    }
+    rig = Rig(
+        cameras=cameras,
+        T_back_front=Rigid(R=np.diag([-1.0, 1.0, -1.0]), shift_m=[0.0, 0.0, -0.02]),
+        settings=RigSettings(),
+    )
+    table = pd.DataFrame(
+        {
+            "lens": ["front", "front", "back"],
+            "angle_deg": [90.0, 45.0, 60.0],
+            "azimuth_deg": [0.0, 90.0, 180.0],
+            "vx_px": [0.1, 0.0, 0.0],
+            "vy_px": [0.0, 0.0, 0.0],
+            "used": [True, False, True],
+        }
+    )
+    views = {name: np.zeros((120, 140, 3), np.uint8) for name in cameras}
+    figure = rig_field(views, table, rig, title="Field", twin=True)
+    front, back = figure.axes
+    dots = [line.get_xydata() for line in front.lines[:2]]
+    # r = f theta: 90 degrees to the right, and 45 downwards, which was left out
+    assert dots[0] == pytest.approx(np.array([[70 + 40 * np.pi / 2, 60.0]]))
+    assert dots[1] == pytest.approx(np.array([[70.0, 60 + 40 * np.pi / 4]]))
+    assert "n = 2 marks" in words(figure)
+    assert back.lines[0].get_xydata() == pytest.approx(np.array([[70 - 40 * np.pi / 3, 60.0]]))
+
+
+def test_both_sides_of_the_seam_are_cut_out_where_they_are() -> None:
+    picture = np.zeros((180, 360, 3), np.uint8)
+    picture[:, 85:95], picture[:, 265:275] = (250, 0, 0), (0, 250, 0)
+    facts = pd.Series({"seam_rms_px": 1.234})
+    figure = seam_views({"none": (picture, facts), "depth": (picture, facts)}, title="Seam", twin=False)
+    assert len(figure.axes) == 4
+    for ax, channel, side in zip(figure.axes[:2], (0, 1), (-90, 90), strict=True):
+        (image,) = ax.images
+        left, right, low, high = image.get_extent()
+        assert (low, high) == (-15, 20)
+        shown = np.flatnonzero(image.get_array()[0, :, channel] > 0)
+        middle = left + (shown.mean() + 0.5) / image.get_array().shape[1] * (right - left)
+        assert middle == pytest.approx(side)
+    assert "all far: seam rms 1.23 px" in words(figure)
+
+
+def test_the_check_of_clock_and_mount_shows_its_optimum() -> None:
+    check = pd.DataFrame(
+        {
+            "quantity": ["clock_s", "turn_x_deg", "turn_y_deg", "turn_z_deg"],
+            "optimum": [0.3, 0.01, np.nan, 0.0],
+            "sigma": [0.02, 0.02, np.nan, 0.02],
+            "verdict": ["shifted", "fits", "cannot be told", "fits"],
+            "photographs": 12,
+        }
+    )
+    shifts = np.linspace(-0.5, 0.5, 21)
+    curves = pd.concat(
+        pd.DataFrame({"quantity": name, "shift": shifts, "dependence": -((shifts - 0.3) ** 2)})
+        for name in check["quantity"]
+    )
+    figure = colour_check(check, curves, title="Check", twin=True)
+    told = words(figure)
+    assert "+0.300 (sigma 0.020): shifted" in told
+    assert "n = 12 photographs" in told
+    line = figure.axes[0].lines[1].get_xydata()
+    assert line[line[:, 1].argmax(), 0] == pytest.approx(0.3)

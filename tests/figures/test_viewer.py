@@ -11,13 +11,16 @@ import pytest
 from PIL import Image
 from pyproj import CRS
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 from tests.figures.browser import Browser
 from tests.figures.conftest import make_trajectory
 
 from thalweg.cli import main
-from thalweg.core import CoverageError, InputError, LazWriter, LocalFrame
-from thalweg.figures.viewer import View, build_octree, read_view, write_viewer
-from thalweg.figures.viewer.octree import CELLS_BITS, LEAF_POINTS
+from thalweg.core import CoverageError, InputError, LazWriter, LocalFrame, frame_of, write_table
+from thalweg.core.geometry import CELLS_BITS, LEAF_POINTS, build_octree
+from thalweg.figures.viewer import View, read_view, write_survey_viewer, write_viewer
+from thalweg.lidar import COLOUR_DIMENSIONS
+from thalweg.panorama import PANORAMAS
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 SPACING_M = 0.25
@@ -100,6 +103,9 @@ def test_a_large_cloud_is_thinned_evenly_to_what_is_asked(rng: np.random.Generat
     assert 0.25 < inside < 0.5  # of all points: 0.79
     with pytest.raises(CoverageError, match="a cloud of no points"):
         build_octree(np.empty((0, 3)), 10)
+    # or each of them, those at one place too
+    whole = build_octree(np.vstack([xyz[:20_000], np.tile(xyz[:1], (20_000, 1))]))
+    assert sorted(np.concatenate([node.rows for node in whole])) == list(range(40_000))
 
 
 def test_a_single_point_and_points_at_one_place_are_clouds_too(tmp_path: Path) -> None:
@@ -247,6 +253,16 @@ def test_a_browser_opens_it_from_disk(tmp_path: Path) -> None:
         assert "look=0.00,90.00" in page.run("location.hash")
         assert "colour=range" in page.run("location.hash")
         assert page.run("document.querySelector('.mark').textContent") == "digital twin"
+        # by a clock that says how long a frame takes, fewer points are drawn while the view moves, or more
+        page.run("var next = () => new Promise(requestAnimationFrame)")
+        drawn = []
+        for ms in (100, 10):
+            page.run(f"var clock = 0; performance.now = () => clock += {ms}")
+            page.run("(async () => { for (let k = 0; k < 30; k++) { turn(1, 0); await next(); } })()")
+            drawn.append(page.run("drawn.reduce((sum, node) => sum + node.n, 0)"))
+        page.wait("settled")
+        assert drawn[0] < 60_000
+        assert drawn[1] > 1.5 * drawn[0]
         assert page.errors == []
         assert all(url.startswith("file://") for url in page.requests)
         assert len(page.requests) > 5
@@ -259,3 +275,186 @@ def test_a_missing_file_of_the_folder_is_told(tmp_path: Path) -> None:
         page.open(tmp_path / "v/index.html")
         page.wait("document.getElementById('state')?.textContent.includes('copy')")
         assert "copy the whole folder" in page.run("document.getElementById('state').textContent")
+
+
+SIDES = {"north": (220, 40, 40), "east": (40, 200, 40), "south": (40, 40, 220), "west": (220, 220, 40)}
+
+
+@pytest.fixture
+def walk(tmp_path: Path) -> Path:
+    """Three panoramas along the hills, their middles to the east, each side of the world in its colour."""
+    start = make_trajectory()
+    azimuth = (np.arange(1024) + 0.5) / 1024 * 360 - 180 + 90
+    sides = np.array(list(SIDES.values()))[np.round(azimuth / 90).astype(int) % 4]
+    picture = np.tile(sides[None], (512, 1, 1)).astype(np.uint8)
+    picture[:40] = 255
+    (tmp_path / "pictures").mkdir()
+    (tmp_path / "raw").mkdir()
+    rows: dict[str, list] = {name: [] for name in PANORAMAS.names}
+    for k in range(3):
+        Image.fromarray(picture).save(tmp_path / f"pictures/R {k}.jpg", quality=95)
+        Image.fromarray(picture[:100, :200]).save(tmp_path / f"raw/R {k}.JPG")
+        row = dict.fromkeys(PANORAMAS.names, 0.0) | {
+            "panorama": f"R {k}.jpg", "image": f"R {k}.JPG", "mode": "depth", "width_px": 1024,
+            "seam_places": 1, "t_gps_s": START_S + k, "north_m": 6.0 * k, "up_m": 8.0, "heading_deg": 90.0,
+            **{f"sigma_{a}_m": 0.02 for a in ("east", "north", "up")},
+            # x right: south, y down, z to the middle: east
+            **dict(zip(("qx", "qy", "qz", "qw"), Rotation.from_matrix(
+                np.transpose([[0, -1, 0], [0, 0, -1], [1, 0, 0]])).as_quat(), strict=True)),
+        }  # fmt: skip
+        for name in rows:
+            rows[name].append(row[name])
+    write_table(tmp_path / "panoramas.parquet", frame_of(PANORAMAS, rows), PANORAMAS, {})
+    start.write(tmp_path / "trajectory.parquet")
+    xyz = hills()[::4]
+    with LazWriter(tmp_path / "c.laz", FRAME, extra_dimensions=COLOUR_DIMENSIONS) as writer:
+        writer.append(
+            xyz,
+            rgb=np.full((len(xyz), 3), 100, np.uint8),
+            extra=dict.fromkeys(("n_views", "colour_sigma", "age_s"), np.ones(len(xyz)))
+            | {"image": np.where(xyz[:, 1] > 0, 4, -1)},
+        )
+    (tmp_path / "gains.csv").write_text("image,number\nfront/R 0.JPG,3\nback/R 1.JPG,4\n")
+    for name, views in (("viewer", {}), ("panorama", {"pictures": tmp_path / "pictures"})):
+        folder = tmp_path / name
+        write_survey_viewer(
+            points=[tmp_path / "c.laz"],
+            trajectory=tmp_path / "trajectory.parquet",
+            gains=[tmp_path / "gains.csv"],
+            images=[tmp_path / "raw"],
+            table=[tmp_path / "panoramas.parquet"],
+            page=folder / "index.html",
+            nodes=folder / "nodes",
+            title="Hills",
+            twin=True,
+            **views | ({"views": folder / "views"} if views else {}),
+        )
+    return tmp_path
+
+
+def test_a_walk_from_panorama_to_panorama(walk: Path, tmp_path: Path) -> None:
+    with Browser(tmp_path / "profile") as page:
+
+        def shown(at: tuple[int, int]) -> str:
+            """The side of the world whose colour a pixel has."""
+            page.screenshot(tmp_path / "a.png")
+            value = np.asarray(Image.open(tmp_path / "a.png").convert("RGB"))[at[1], at[0]].astype(int)
+            away = {side: np.abs(value - colour).max() for side, colour in SIDES.items()}
+            assert min(away.values()) < 20, value
+            return min(away, key=lambda side: away[side])
+
+        def key(text: str) -> None:
+            page.call("Input.dispatchKeyEvent", type="keyDown", key=text, text=text)
+            page.wait("settled")
+
+        page.open(walk / "panorama/index.html")
+        page.wait("typeof settled !== 'undefined' && settled")
+        page.run("setColour('height'); $('cover').value = 0")
+        # it begins in the first one, towards its middle
+        assert page.run("[inside.name, camera.turn]") == ["R 0", 90]
+        for heading, side in enumerate(SIDES):
+            page.run(f"camera.turn = {90 * heading}; moved()")
+            page.wait("settled")
+            assert shown((500, 280)) == side
+        # the picture lies where the eye sees a direction: the border of north and east is at 45 degrees
+        page.run("camera.turn = 30; camera.tilt = -10; moved()")
+        page.wait("settled")
+        x, y = page.run("onScreen(inside.at.map((v, i) => v + 10 * [Math.SQRT1_2, Math.SQRT1_2, 0.1][i]))")
+        assert [shown((round(x) + dx, round(y))) for dx in (-8, 8)] == ["north", "east"]
+        # the eye turns to the left and upwards
+        key_to = {"ArrowLeft": (25, -10), "ArrowUp": (25, -15)}
+        for name, (turned, tilted) in key_to.items():
+            page.call("Input.dispatchKeyEvent", type="keyDown", key=name)
+            assert page.run("[camera.turn, camera.tilt]") == pytest.approx([turned, tilted])
+        # an arrow to the next one, six metres north; then keys, and the map
+        page.run("camera.turn = 0; camera.tilt = 0; moved()")
+        page.wait("settled")
+        assert page.run("[$('before').hidden, $('after').hidden, $('after').textContent]") == [
+            True, False, "▲ 6.0 m",
+        ]  # fmt: skip
+        corner = "(({ x, y }) => [x, y])($('%s').getBoundingClientRect())"
+        page.click(*np.add(page.run(corner % "after"), 12))
+        page.wait("settled && inside.name === 'R 1'")
+        key("n")
+        assert page.run("location.hash").startswith("#panorama=R%202&look=0.00,0.00,75")
+        key("p")
+        key("p")
+        assert page.run("inside.name") == "R 0"
+        page.click(*np.add(page.run(corner % "map"), page.run("mapped()(places[2].at)")))
+        page.wait("settled && inside.name === 'R 2'")
+        assert "R 2, 2017-05-12 18:44:57.4 UTC, place ± 0.035 m" in page.run("$('state').textContent")
+        # points over the panorama: grey where they cover it, and to be measured
+        page.run("setColour('rgb'); $('cover').value = 1; camera.tilt = 30; moved()")
+        page.wait("settled")
+        page.screenshot(tmp_path / "b.png")
+        below = np.asarray(Image.open(tmp_path / "b.png").convert("RGB")).astype(int)[300:500, 300:600]
+        assert (np.ptp(below, axis=2) < 12).mean() > 0.6
+        page.click(450, 330)
+        words = page.run("$('found').textContent")
+        assert re.search(r"north [\d.]+ m", words)
+        assert "photograph back/R 1.JPG" in words
+        key("i")
+        assert page.run("inside") is None
+        assert page.run("location.hash").startswith("#at=0.000,12.000,8.000")
+        assert page.errors == []
+        assert all(url.startswith(("file://", "blob:")) for url in page.requests)
+
+
+def test_a_point_leads_to_its_photograph_and_panorama(walk: Path, tmp_path: Path) -> None:
+    with Browser(tmp_path / "profile") as page:
+        page.open(walk / "viewer/index.html", "#at=0,5,4&look=0,60,30&colour=rgb")
+        page.wait("typeof settled !== 'undefined' && settled")
+        page.click(450, 300)
+        links = page.run("[...document.querySelectorAll('#found a')].map((a) => [a.textContent, a.href])")
+        place = page.run("picked[0].place")
+        assert [words for words, _ in links] == ["photograph back/R 1.JPG", "panorama of its time"]
+        assert links[0][1] == (walk / "raw/R 1.JPG").as_uri()
+        page.call("Page.navigate", url=links[0][1])
+        page.wait("document.images.length === 1 && document.images[0].naturalWidth === 200")
+        page.call("Page.navigate", url=links[1][1])
+        page.wait("typeof settled !== 'undefined' && settled")
+        assert page.run("inside.name") == "R 1"
+        # it looks to the point
+        assert page.run(f"onScreen({place})") == pytest.approx([450, 300], abs=0.5)
+        # no photograph shows points of the south
+        page.open(walk / "viewer/index.html", "#at=0,-9,4&look=0,60,30&colour=rgb")
+        page.wait("typeof settled !== 'undefined' && settled && camera.at[1] === -9")
+        page.click(450, 300)
+        assert page.run("document.querySelectorAll('#found a').length") == 0
+        assert page.errors == []
+
+
+def test_what_is_clipped_is_not_drawn_and_not_found(tmp_path: Path) -> None:
+    xyz = hills().reshape(641, 641, 3)[::2, ::2].reshape(-1, 3)
+    write_viewer(View(xyz_m=xyz, frame=FRAME, n_total=len(xyz)), tmp_path / "v", title="x")
+    low, high = xyz[:, 2].min(), xyz[:, 2].max()
+    with Browser(tmp_path / "profile") as page:
+
+        def drawn() -> np.ndarray:
+            page.wait("typeof settled !== 'undefined' && settled")
+            page.screenshot(tmp_path / "a.png")
+            picture = np.asarray(Image.open(tmp_path / "a.png").convert("RGB")).astype(int)[60:560, 270:790]
+            ground = (20, 24, 28) if page.run("dark()") else (244, 245, 246)
+            return (np.abs(picture - ground) > 6).any(axis=2)
+
+        # from above, 60 m high and wide
+        page.open(tmp_path / "v/index.html", "#at=0,0,0&look=0,90,64.4&colour=height")
+        assert drawn().mean() > 0.95
+        page.call("Input.dispatchKeyEvent", type="keyDown", key="c", text="c")
+        left = drawn()
+        half = page.run("cut[3]")
+        rows = np.flatnonzero(left.any(axis=1)) + 60
+        metres = 2 * np.tan(np.deg2rad(25)) * 64.4 / 600
+        # a band across the view through the middle
+        assert rows.mean() == pytest.approx(299.5, abs=3)
+        assert np.ptp(rows) * metres == pytest.approx(2 * half, abs=4 * metres + 0.5)
+        assert "&cut=0.000,0.000,0.000,0.644" in page.run("location.hash")
+        page.click(450, 150)
+        assert page.run("picked.length") == 0
+        limits = f"{low + 2:.3f},{high - 2:.3f}"
+        page.open(tmp_path / "v/index.html", f"#at=0,0,0&look=0,90,64.5&colour=height&heights={limits}")
+        page.wait("camera.far === 64.5 && !cut")
+        seen = xyz[(np.abs(xyz[:, :2]) < 25).all(axis=1), 2]
+        share = np.mean((seen > low + 2) & (seen < high - 2))
+        assert drawn().mean() == pytest.approx(share, abs=0.06)
+        assert page.errors == []

@@ -236,6 +236,7 @@ def test_a_rig_colours_all_walls(survey: Path, tmp_path: Path) -> None:
 
     cloud = read_laz(tmp_path / "coloured.laz")[0]
     xyz, rgb = cloud["xyz_m"], cloud["rgb"] / 257.0
+    lens = dict(zip(found.gains["number"], found.gains["image"].str.split("/").str[0], strict=True))
     for name, axis, sign in (("east", 0, 1), ("north", 1, 1), ("west", 0, -1), ("south", 1, -1)):
         on = (
             (sign * xyz[:, axis] > HALF_M - 0.01)
@@ -243,6 +244,10 @@ def test_a_rig_colours_all_walls(survey: Path, tmp_path: Path) -> None:
             & (np.abs(xyz[:, 2]) < 0.8)
         )
         assert np.abs(np.median(rgb[on], axis=0) - WALLS[name]).max() < 8, name
+        # the front lens looks to the north, and the numbers of photographs tell the lens
+        if axis == 1:
+            seen = cloud["image"][on & (np.abs(xyz[:, 0]) < 1.5) & (cloud["image"] >= 0)]
+            assert {lens[number] for number in seen} == {"front" if sign > 0 else "back"}
 
 
 def test_gaps_of_a_cloud_take_the_nearer_border_and_the_rest_is_far() -> None:

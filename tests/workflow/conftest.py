@@ -121,7 +121,7 @@ SIMULATED = tuple(
 PROCESSED = (
     "timing/streams.csv",
     "timing/time_report.txt",
-    "lidar/points_map.laz",
+    "lidar/points_map.copc.laz",
     "lidar/removed.parquet",
     "lidar/coloured.laz",
     "lidar/colour_check.csv",
@@ -129,7 +129,7 @@ PROCESSED = (
     "accuracy/statistics.csv",
     "accuracy/chains.csv",
     "ingest/reference.laz",
-    "panorama/panoramas.parquet",
+    "panorama/index.html",
     "bathymetry/validation.json",
     "fusion/river.json",
 )

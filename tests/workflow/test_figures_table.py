@@ -250,7 +250,7 @@ def test_what_the_shipped_campaigns_show(repository: Path) -> None:
     def names(campaign: str, page: str | None = None) -> list[str]:
         return [Path(name).stem for name in table.files(of[campaign], page)]
 
-    of_rig = ["rig_sketch", "rig_residuals", "panorama", "panorama_seam"]
+    of_rig = ["rig_sketch", "rig_residuals", "panorama", "rig_field", "seam_views", "panorama_seam"]
     reference = ["distance_map", "cross_sections", "distance_histogram", "distance_by_range"]
     images = ["pose_sigmas", "mask_view", "image_positions", "frames_by_image"]
     assert names("tiny", "accuracy") == [*reference, "error_versus_range"]
@@ -259,7 +259,7 @@ def test_what_the_shipped_campaigns_show(repository: Path) -> None:
     bed = ["soundings", "sounding_errors", "bed_map", "bed_sections", "bed_variogram", "bed_left_out"]
     bed += ["terrain_model", "long_profile"]
     assert names("tiny", "bathymetry") == bed
-    assert len(names("tiny")) == 35
+    assert len(names("tiny")) == 39
     assert set(names("tiny")) - set(names("demo")) == set(of_rig)
     assert names("field_tiny") == names("field_tiny", "calibration")
     assert names("field_tiny", "calibration")[-3:] == ["clock_offset", "clock_stability", "synthetic_view"]

@@ -59,13 +59,15 @@ OF_IMAGES = {
     "plot_frames_by_image",
     "plot_pose_sigmas",
     "plot_coloured_bank",
+    "plot_coloured_detail",
+    "plot_colour_check",
 }
 """Pictures of the images and of what they give."""
 
-OF_PANORAMAS = {"plot_panorama", "plot_panorama_seam"}
+OF_PANORAMAS = {"plot_panorama", "plot_panorama_seam", "plot_seam_views"}
 """Pictures of the panoramas."""
 
-OF_RIG = {"plot_rig_sketch", "plot_rig_residuals"}
+OF_RIG = {"plot_rig_sketch", "plot_rig_residuals", "plot_rig_field"}
 """Pictures of the calibration of the rig, which rests on no survey."""
 
 
@@ -98,9 +100,11 @@ def test_everything_promised_is_there(tiny_house) -> None:
     for name in (
         "lidar/points.laz",
         "lidar/points_map.laz",
+        "lidar/points_map.copc.laz",
         "lidar/coloured.laz",
         "calibration/rig.yaml",
         "panorama/panoramas.parquet",
+        "panorama/index.html",
         "viewer/index.html",
         "timing/streams.csv",
         "summary.csv",
@@ -270,6 +274,7 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
         "trajectory_comparison_page",
         "bathymetry_page",
         "viewer_page",
+        "walk_page",
     }
     undo()
     undo = edited(tiny_house, "navigation/ins_gnss/trajectory.py", "\n_edited = 1\n")
@@ -278,6 +283,7 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
         "estimate_pose_errors",
         "georeference_lidar",
         "export_map",
+        "export_copc",
         "mesh_reference",
         "compare_with_reference",
         "compare_with_truth",
@@ -304,6 +310,7 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
         "check_colours",
         "colour_points",
         "viewer_page",
+        "walk_page",
         "place_rig_images",
         "make_panoramas",
         "compare_rig_with_truth",

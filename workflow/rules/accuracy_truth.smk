@@ -52,6 +52,7 @@ TRUTH = {
             "truth": f"{RESULTS}/simulation/truth/rig.json",
             "true_poses": f"{RESULTS}/simulation/truth/rig_poses.parquet",
             "true_panorama": f"{RESULTS}/simulation/truth/panorama.npz",
+            "coloured": of(CampaignFiles.coloured),
         },
         "outputs": {"out": f"{RESULTS}/accuracy/truth_rig.csv"},
         "params": {"rig": of(CampaignFiles.rig_views)},

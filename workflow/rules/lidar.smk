@@ -89,6 +89,28 @@ rule export_map:
         "../scripts/call.py"
 
 
+rule export_copc:
+    """The cloud in map coordinates, sorted for programs that read what they show (COPC)."""
+    input:
+        points="results/{campaign}/lidar/points_map.laz",
+    output:
+        out="results/{campaign}/lidar/points_map.copc.laz",
+    log:
+        "logs/{campaign}/lidar/export_copc.log",
+    benchmark:
+        "benchmarks/{campaign}/lidar/export_copc.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(1000, 8),
+        runtime=minutes(10, 60),
+    params:
+        **calls("thalweg.lidar.cloud:export_copc"),
+    script:
+        "../scripts/call.py"
+
+
 rule colour_points:
     """The cloud in the colours of the photographs that show it, without what hides behind something nearer."""
     input:
@@ -132,6 +154,7 @@ rule check_colours:
         masks=of(CampaignFiles.used_masks),
     output:
         table="results/{campaign}/lidar/colour_check.csv",
+        curves="results/{campaign}/lidar/colour_check_curves.csv",
     log:
         "logs/{campaign}/lidar/check_colours.log",
     benchmark:
@@ -154,6 +177,9 @@ rule viewer_page:
     input:
         points=of(CampaignFiles.shown_points),
         trajectory=of(CampaignFiles.best_trajectory),
+        gains=of(CampaignFiles.colour_gains),
+        images=of(CampaignFiles.colour_photographs),
+        table=of(CampaignFiles.panorama_table),
     output:
         page="results/{campaign}/viewer/index.html",
         nodes=directory("results/{campaign}/viewer/nodes"),
@@ -168,8 +194,8 @@ rule viewer_page:
         mem_mb=memory(3000),
         runtime=minutes(10),
     params:
-        code=code_version("viewer_page"),
+        **calls("thalweg.figures.viewer.page:write_survey_viewer"),
+        title=section("campaign", "title"),
         twin=of(CampaignFiles.is_twin),
-        campaign=identity("title"),
     script:
-        "../scripts/viewer_page.py"
+        "../scripts/call.py"

@@ -83,3 +83,22 @@ rule make_panoramas:
         panorama=section("panorama"),
     script:
         "../scripts/make_panoramas.py"
+
+
+# The page of the cloud, seen from panorama to panorama.
+use rule viewer_page as walk_page with:
+    input:
+        points=of(CampaignFiles.walk_points),
+        trajectory=of(CampaignFiles.best_trajectory),
+        gains=of(CampaignFiles.colour_gains),
+        images=of(CampaignFiles.colour_photographs),
+        table="results/{campaign}/panorama/panoramas.parquet",
+        pictures="results/{campaign}/panorama/pictures",
+    output:
+        page="results/{campaign}/panorama/index.html",
+        nodes=directory("results/{campaign}/panorama/nodes"),
+        views=directory("results/{campaign}/panorama/views"),
+    log:
+        "logs/{campaign}/panorama/walk_page.log",
+    benchmark:
+        "benchmarks/{campaign}/panorama/walk_page.jsonl"

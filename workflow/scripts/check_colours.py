@@ -17,14 +17,15 @@ def main(
     images: list[Path],
     masks: list[Path],
     table: Path,
+    curves: Path,
     colour: Colour,
 ) -> None:
     found = ImagePoses.read(poses)
     folder = masks[0] if masks else None
     named = {name: mask for name in found.images if (mask := find_mask(name, folder)) is not None}
-    check_colours(points[0], found, named_once(images), named, read_camera(camera), colour).to_csv(
-        table, index=False
-    )
+    optima, tried = check_colours(points[0], found, named_once(images), named, read_camera(camera), colour)
+    optima.to_csv(table, index=False)
+    tried.to_csv(curves, index=False)
 
 
 if "snakemake" in globals():

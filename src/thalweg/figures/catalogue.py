@@ -103,6 +103,7 @@ PRODUCTS: Final = {
 PAGES: Final = {
     "index.html": "front page",
     "viewer/index.html": "viewer",
+    "panorama/index.html": "virtual walk",
     "accuracy/index.html": "accuracy",
     "bathymetry/index.html": "riverbed",
     "calibration/index.html": "calibration",

@@ -6,6 +6,7 @@ from .cloud import (
     LogSettings as LogSettings,
     clock_by_hand as clock_by_hand,
     cloud_covariance as cloud_covariance,
+    export_copc as export_copc,
     export_map as export_map,
     georeference_log as georeference_log,
     sample_cloud as sample_cloud,

@@ -1,14 +1,20 @@
 """From a lidar log to a cloud on disk: streaming, every point counted."""
 
 import logging
+import struct
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from tempfile import TemporaryDirectory
+from typing import Any, BinaryIO, Final
 
+import laspy
+import lazrs
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+from laspy.vlrs.vlrlist import VLRList
 from numpy.typing import ArrayLike
 from pyproj import CRS
 
@@ -31,10 +37,12 @@ from thalweg.core import (
     gps_from_unix,
     iter_laz,
     laz_header,
+    library_errors,
     steps,
     table_kind,
     write_table,
 )
+from thalweg.core.geometry import CELLS_BITS, Node, build_octree
 from thalweg.ingest import IntegrityReport, LidarClock, LidarReader, LidarScan, PointBlock
 from thalweg.lidar.filters import (
     REMOVED,
@@ -64,6 +72,11 @@ CORRELATION_DIMENSIONS: Final[dict[str, ExtraDimension]] = dict.fromkeys(
 """Extra bytes of the full covariance, on request."""
 MANY_BELOW_WATER: Final = 0.25
 """Share of points below the water that waves and mirror images do not explain."""
+_COPC_FORMATS: Final = (6, 7, 8)
+_COPC_NODES: Final = 64
+"""Nodes that are compressed at once."""
+_CHUNK: Final = 1_000_000
+_EVLR_HEADER: Final = 60
 _LOG = logging.getLogger("thalweg")
 
 _WCS = ("east", "north", "up")
@@ -431,6 +444,115 @@ def export_map(points: Path, out: Path, crs: str, chunk_points: int = Georeferen
                 number_of_returns=chunk["number_of_returns"],
                 extra={name: chunk[name] for name in extra},
             )
+
+
+def export_copc(points: Path, out: Path) -> None:
+    """Sort a cloud into an octree: a cloud-optimised point cloud, which any reader of LAZ reads, too.
+
+    COPC 1.0 (copc.io): a chunk of LAZ for each node, and a list of the nodes at the end, so that programs
+    read what they show from disk or over a network. Records are kept as they are, extra bytes and VLRs, too;
+    in a node they stand in the order of the file. It takes some 60 bytes a point in memory, and the size of
+    the uncompressed file on the disk of ``out``.
+
+    Parameters
+    ----------
+    points : LAS or LAZ of point format 6, 7 or 8, as Thalweg writes.
+    out : target, ``.copc.laz``.
+
+    Raises
+    ------
+    InputError : no such cloud, or damaged.
+    CoverageError : it has no points.
+    """
+    n_points = laz_header(points).n_points
+    with TemporaryDirectory(dir=out.parent) as folder, library_errors(points, "read its points"):
+        raw = Path(folder) / "records"
+        with laspy.open(points) as reader, raw.open("wb") as stream:
+            header = deepcopy(reader.header)
+            if header.point_format.id not in _COPC_FORMATS:
+                raise InputError(
+                    f"point format {header.point_format.id}",
+                    expected="6, 7 or 8, the formats of COPC",
+                    where=points,
+                    cure="Convert the file to LAS 1.4, such as by LazWriter or las2las",
+                )
+            steps_xyz = []
+            span = [np.inf, -np.inf]
+            for chunk in reader.chunk_iterator(_CHUNK):
+                stream.write(chunk.array.tobytes())
+                steps_xyz.append(np.stack([chunk.array[axis] for axis in "XYZ"], axis=1))
+                t = chunk.array["gps_time"]
+                span = [min(span[0], float(t.min())), max(span[1], float(t.max()))]
+        read = sum(len(each) for each in steps_xyz)
+        if not read or read < n_points:
+            raise CoverageError(
+                f"{read:,} points", expected=f"{max(n_points, 1):,}, as its header says", where=points
+            )
+        nodes = build_octree(np.concatenate(steps_xyz) * header.scales + header.offsets)
+        del steps_xyz
+        size = header.point_format.size
+        records = np.memmap(raw, dtype=np.dtype((np.void, size)), mode="r")
+        laz = lazrs.LazVlr.new_for_compression(
+            header.point_format.id, header.point_format.num_extra_bytes, use_variable_size_chunks=True
+        )
+        partial = Path(folder) / out.name
+        with partial.open("w+b") as stream:
+            _write_copc_header(stream, header, laz, nodes[0], span, (0, 0))
+            start = stream.tell()
+            packer = lazrs.ParLasZipCompressor(stream, laz)
+            for k in range(0, len(nodes), _COPC_NODES):
+                packer.compress_chunks(
+                    [records[np.sort(n.rows)].tobytes() for n in nodes[k : k + _COPC_NODES]]
+                )
+            packer.done()
+            del records
+            stream.seek(start)
+            sizes = [n_bytes for _, n_bytes in lazrs.read_chunk_table(stream, laz)]
+            end = stream.seek(0, 2)
+            # the first eight bytes say where the chunk table is
+            first = start + 8 + np.r_[0, np.cumsum(sizes)[:-1]]
+            entries = b"".join(
+                struct.pack("<4iQ2i", *_voxel(node.key), at, n_bytes, len(node.rows))
+                for node, at, n_bytes in zip(nodes, first.tolist(), sizes, strict=True)
+            )
+            stream.write(
+                struct.pack("<H16sHQ32s", 0, b"copc", 1000, len(entries), b"hierarchy of nodes") + entries
+            )
+            stream.seek(0)
+            page = (end + _EVLR_HEADER, len(entries))
+            _write_copc_header(stream, header, laz, nodes[0], span, page)
+            assert stream.tell() == start, "a header of the same size"
+        partial.replace(out)
+
+
+def _write_copc_header(
+    stream: BinaryIO, header: Any, laz: Any, root: Node, span: list[float], page: tuple[int, int]
+) -> None:
+    """Header and VLRs; page: where the list of the nodes begins, and how long it is."""
+    info = struct.pack(
+        "<5d2Q2d88x",
+        *(root.corner_m + root.size_m / 2),
+        root.size_m / 2,
+        root.size_m / 2**CELLS_BITS,
+        *page,
+        *span,
+    )
+    own = deepcopy(header)
+    kept = [vlr for vlr in header.vlrs if vlr.user_id not in ("copc", "laszip encoded")]
+    packing = laspy.VLR("laszip encoded", 22204, "lazrs variable chunks", laz.record_data())
+    own.vlrs = VLRList([laspy.VLR("copc", 1, "COPC info", info), *kept, packing])
+    own.extra_header_bytes = own.extra_vlr_bytes = b""
+    own.are_points_compressed = True
+    own.start_of_first_evlr, own.number_of_evlrs = (page[0] - _EVLR_HEADER, 1) if page[0] else (0, 0)
+    own.write_to(stream)
+
+
+def _voxel(key: str) -> tuple[int, int, int, int]:
+    """Level, x, y, z of a node by the digits of its key."""
+    x, y, z = (
+        sum((int(digit) >> axis & 1) << k for k, digit in enumerate(reversed(key))) for axis in range(3)
+    )
+    return len(key), x, y, z
 
 
 def sample_cloud(points: Path, max_points: int) -> dict[str, AnyArray]:

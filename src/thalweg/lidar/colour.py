@@ -693,6 +693,7 @@ def colour_cloud(
             )
     rows = [(reason.name.lower(), NO_COLOUR[reason], int(counts[reason])) for reason in NoColour]
     table.insert(0, "image", views.names)
+    table.insert(1, "number", views.number)
     return Coloured(counts=pd.DataFrame(rows, columns=["reason", "words", "n"]), gains=table)
 
 

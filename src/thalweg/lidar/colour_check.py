@@ -206,7 +206,7 @@ def check_colours(
     masks: Mapping[str, Path],
     camera: Camera,
     settings: Colour,
-) -> pd.DataFrame:
+) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Compare the intensities of a cloud with the brightness of photographs.
 
     Parameters
@@ -217,6 +217,7 @@ def check_colours(
     Returns
     -------
     table : see `find_optima`; what is shifted is warned of.
+    curves : dependence over what was tried: quantity, shift, dependence (nats a pair).
 
     Raises
     ------
@@ -254,7 +255,8 @@ def check_colours(
                 rate_rad_s=rate[v],
             )
 
-    table = find_optima(*score_shifts(overlays(), camera))
+    scores, pairs = score_shifts(overlays(), camera)
+    table = find_optima(scores, pairs)
     for row in table[table["verdict"].isin(["shifted", "beyond"])].to_dict("records"):
         _LOG.warning(
             "%s: intensity and brightness fit best at %+.3f +- %.3f, not at 0 (%.1f sigmas): "
@@ -264,7 +266,12 @@ def check_colours(
             row["sigma"],
             row["sigmas"],
         )
-    return table
+    curves = [
+        (kind, by, value / max(int(pairs[score.any(axis=1)].sum()), 1))
+        for kind, score in scores.items()
+        for by, value in zip(SHIFTS[kind], score.sum(axis=0), strict=True)
+    ]
+    return table, pd.DataFrame(curves, columns=["quantity", "shift", "dependence"])
 
 
 def grey_of(path: Path, camera: Camera) -> AnyArray:

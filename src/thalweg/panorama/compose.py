@@ -16,7 +16,7 @@ import numpy as np
 from scipy import ndimage
 
 from thalweg.calibration import LENSES, Rig
-from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayU8
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayU8, njit
 from thalweg.lidar import GAMMA, exposure_gains
 from thalweg.panorama.sphere import sphere_rays
 
@@ -32,6 +32,7 @@ _FINE_PX: Final = 2048
 """Wider panoramas are projected at every `_EACH` pixel along both sides, and between them linearly: a fisheye
 of 200 px per radian bends by 0.001 px over that."""
 _EACH: Final = 4
+_NO_MASK: Final = np.zeros((0, 0), dtype=np.uint8)
 _BACKGROUND: Final = 128
 """Grey of what no lens shows."""
 RIM_DEG: Final = 1.0
@@ -135,13 +136,19 @@ def compose(
     gains : light of the back lens over that of the front lens by colour; None: from the overlap.
     """
     height, width = inverse_range.shape
-    directions = (sphere_rays(width).reshape(-1, 3) @ R_front_pcs.T).astype(np.float32)
-    pixels = _all_pixels(rig, R_front_pcs, inverse_range)
+    step = _EACH if width > _FINE_PX and width % _EACH == height % _EACH == 0 else 1
+    shape = (height // step, width // step)
+    few = inverse_range
+    if step > 1:
+        few = cv2.resize(inverse_range, shape[::-1], interpolation=cv2.INTER_AREA)
+    directions = sphere_rays(shape[1]).reshape(-1, 3) @ R_front_pcs.T
+    pixels, _ = lens_pixels(rig, directions, few.ravel())
+    # where the mask of a lens, if it has one, is at least half
+    covers = {name: np.asarray((masks or {}).get(name, _NO_MASK), dtype=np.uint8) for name in LENSES}
     usable = {name: np.isfinite(pixels[name][:, 0]) for name in LENSES}
-    if masks:
-        for name, mask in masks.items():
-            seen = _sampled(mask.astype(np.uint8) * 255, pixels[name])
-            usable[name] &= seen > 127
+    for name, cover in covers.items():
+        if cover.size:
+            usable[name] &= _sampled(cover * 255, pixels[name]) > 127
     colour = {name: _sampled(views[name], pixels[name]).astype(np.float32) for name in LENSES}
     both = usable["front"] & usable["back"]
     told = np.ones(3) if gains is None else np.asarray(gains, dtype=np.float64)
@@ -154,20 +161,28 @@ def compose(
         told, sigma = found[1] / found[0], float(np.hypot(*sigmas))
     even = _evened(colour, told)
     seam = _seam(views, rig, R_front_pcs, inverse_range, masks, told)
-    azimuth = np.arctan2(directions[:, 1], directions[:, 0])
-    limit = np.interp(
-        np.mod(azimuth, 2 * np.pi), (np.arange(_AROUND + 1)) * 2 * np.pi / _AROUND, np.r_[seam, seam[0]]
+    difference = np.where(both[:, None], even["front"] - even["back"], 0.0).reshape(*shape, 3)
+    broad = _broad_difference(difference, both.reshape(shape))
+    picture = np.empty((height, width, 3), dtype=np.uint8)
+    front, back = (np.zeros((height, width), dtype=np.bool_) for _ in LENSES)
+    _render(
+        tuple(np.ascontiguousarray(views[name]) for name in LENSES),
+        tuple(covers[name] for name in LENSES),
+        tuple(_closed(pixels[name].reshape(*shape, 2).astype(np.float32)) for name in LENSES),
+        _closed(broad),
+        np.asarray(_levels(told), dtype=np.float32),
+        np.r_[seam, seam[0]],
+        np.ascontiguousarray(R_front_pcs),
+        step,
+        picture,
+        front,
+        back,
     )
-    angle = np.rad2deg(np.arctan2(np.hypot(directions[:, 0], directions[:, 1]), directions[:, 2]))
-    front = (usable["front"] & (angle <= limit)) | (usable["front"] & ~usable["back"])
-    shown = usable["front"] | usable["back"]
-    picture = _blended(even, usable, front, angle - limit, (height, width))
-    picture[~shown.reshape(height, width)] = _BACKGROUND
     shifts, agreement = _seam_error(views, rig, R_front_pcs, inverse_range, seam, told)
     return Composed(
         picture=picture,
-        shown=shown.reshape(height, width),
-        front=front.reshape(height, width),
+        shown=front | back,
+        front=front,
         gains=told,
         gain_sigma=sigma,
         seam_deg=seam,
@@ -176,30 +191,88 @@ def compose(
     )
 
 
-def _all_pixels(rig: Rig, R_front_pcs: ArrayF, inverse_range: AnyArray) -> dict[str, ArrayF]:
-    """Where both lenses see each pixel of a panorama: (n, 2) by lens, NaN outside the image circle."""
-    height, width = inverse_range.shape
-    step = _EACH if width > _FINE_PX and width % _EACH == height % _EACH == 0 else 1
-    if step == 1:
-        return lens_pixels(rig, sphere_rays(width).reshape(-1, 3) @ R_front_pcs.T, inverse_range.ravel())[0]
-    # middles of squares of pixels, and one more on each side
-    rays = _closed(sphere_rays(width // step))
-    mean = cv2.resize(inverse_range, (width // step, height // step), interpolation=cv2.INTER_AREA)
-    inverse = _closed(mean)
-    found, _ = lens_pixels(rig, rays.reshape(-1, 3) @ R_front_pcs.T, inverse.ravel())
-    u = ((np.arange(width) + 0.5) / step - 0.5 + 1).astype(np.float32)
-    v = ((np.arange(height) + 0.5) / step - 0.5 + 1).astype(np.float32)
-    at = np.meshgrid(u, v)
-    return {
-        name: cv2.remap(
-            xy.reshape(*rays.shape[:2], 2).astype(np.float32),
-            at[0],
-            at[1],
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        ).reshape(-1, 2)
-        for name, xy in found.items()
-    }
+@njit(cache=True, error_model="numpy", nogil=True)
+def _render(  # type: ignore[no-untyped-def]
+    views, masks, grids, broad, levels, seam, R, step, picture, front, back
+):
+    """Fill a picture: each pixel from the lens on its side of the seam, broad differences faded across it.
+
+    Parameters
+    ----------
+    views, masks : (h, w, 3) and (h, w) or empty of both lenses.
+    grids : (H / step + 2, W / step + 2, 2) their pixels, closed around the panorama; linear between.
+    broad : (H / step + 2, W / step + 2, 3) broad difference of their light.
+    levels : (2, 3) factors that bring their values to one level.
+    seam : (721,) angle of the seam at even azimuths, degrees.
+    R : attitude of the panorama in the frame of the front lens.
+    picture, front, back : (H, W, 3), (H, W): filled; which lens shows a pixel.
+    """
+    height, width = front.shape
+    xy, d, ok = np.empty((2, 2)), np.empty(3), np.empty(2, dtype=np.bool_)
+    for v in range(height):
+        lat = (0.5 - (v + 0.5) / height) * np.pi
+        y = (v + 0.5) / step + 0.5
+        i = int(y)
+        fy = y - i
+        for u in range(width):
+            x = (u + 0.5) / step + 0.5
+            j = int(x)
+            fx = x - j
+            for lens in range(2):
+                for axis in range(2):
+                    value = 0.0
+                    for a in range(2):
+                        for b in range(2):
+                            weight = (fy if a else 1 - fy) * (fx if b else 1 - fx)
+                            if weight > 0:
+                                value += weight * grids[lens][i + a, j + b, axis]
+                    # OpenCV's count, from the centre of the first pixel
+                    xy[lens, axis] = value - 0.5
+                ok[lens] = np.isfinite(xy[lens, 0])
+                if ok[lens] and masks[lens].size:
+                    ok[lens] = _bilinear(masks[lens], xy[lens, 0], xy[lens, 1]) > 0.5
+            if not (ok[0] or ok[1]):
+                picture[v, u] = _BACKGROUND
+                continue
+            lens, fade = (0 if ok[0] else 1), 0.0
+            if ok[0] and ok[1]:
+                lon = ((u + 0.5) / width - 0.5) * 2 * np.pi
+                p, q, r = np.cos(lat) * np.sin(lon), -np.sin(lat), np.cos(lat) * np.cos(lon)
+                for k in range(3):
+                    d[k] = R[k, 0] * p + R[k, 1] * q + R[k, 2] * r
+                place = np.arctan2(d[1], d[0]) / (2 * np.pi) % 1.0 * _AROUND
+                k = min(int(place), _AROUND - 1)
+                limit = seam[k] + (place - k) * (seam[k + 1] - seam[k])
+                beyond = np.rad2deg(np.arctan2(np.hypot(d[0], d[1]), d[2])) - limit
+                lens = 0 if beyond <= 0 else 1
+                # of the broad difference of both lenses each side gives up what the fading asks
+                fade = min(max(0.5 - beyond / _FADE_DEG, 0.0), 1.0) - (1 - lens)
+            if lens == 0:
+                front[v, u] = True
+            else:
+                back[v, u] = True
+            for c in range(3):
+                value = min(
+                    _bilinear(views[lens][:, :, c], xy[lens, 0], xy[lens, 1]) * levels[lens, c], 255.0
+                )
+                if fade != 0:
+                    for a in range(2):
+                        for b in range(2):
+                            weight = (fy if a else 1 - fy) * (fx if b else 1 - fx)
+                            value += fade * weight * broad[i + a, j + b, c]
+                picture[v, u, c] = np.uint8(min(max(np.rint(value), 0.0), 255.0))
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _bilinear(values, x, y):  # type: ignore[no-untyped-def]
+    """Value of a picture between the centres of its pixels, the first of which is 0, 0."""
+    height, width = values.shape
+    x, y = min(max(x, 0.0), width - 1.0), min(max(y, 0.0), height - 1.0)
+    j, i = min(int(x), width - 2), min(int(y), height - 2)
+    fx, fy = x - j, y - i
+    return (1 - fy) * ((1 - fx) * values[i, j] + fx * values[i, j + 1]) + fy * (
+        (1 - fx) * values[i + 1, j] + fx * values[i + 1, j + 1]
+    )
 
 
 def _closed(values: AnyArray) -> AnyArray:
@@ -209,12 +282,17 @@ def _closed(values: AnyArray) -> AnyArray:
     return np.concatenate([tall[:, -1:], tall, tall[:, :1]], axis=1)
 
 
-def _evened(colour: Mapping[str, AnyArray], gains: ArrayF) -> dict[str, AnyArray]:
-    """Both lenses at one level of light: half of the difference each, so that neither burns out."""
+def _levels(gains: ArrayF) -> tuple[ArrayF, ArrayF]:
+    """Factors of front and back lens to one level of light: half of the difference each."""
     root = np.sqrt(gains) ** (1 / GAMMA)
+    return root, 1 / root
+
+
+def _evened(colour: Mapping[str, AnyArray], gains: ArrayF) -> dict[str, AnyArray]:
+    """Both lenses at one level of light, so that neither burns out."""
     return {
-        "front": np.minimum(colour["front"] * root.astype(np.float32), 255.0),
-        "back": np.minimum(colour["back"] / root.astype(np.float32), 255.0),
+        name: np.minimum(colour[name] * level.astype(np.float32), 255.0)
+        for name, level in zip(LENSES, _levels(gains), strict=True)
     }
 
 
@@ -292,21 +370,11 @@ def _seam(
     return np.asarray(angle[ring], dtype=np.float64)
 
 
-def _blended(
-    colour: Mapping[str, AnyArray],
-    usable: Mapping[str, ArrayB],
-    front: ArrayB,
-    beyond_deg: ArrayF,
-    shape: tuple[int, int],
-) -> ArrayU8:
-    """Two bands: details of one lens, broad light that fades across the seam."""
-    height, width = shape
-    hard = np.where(front[:, None], colour["front"], colour["back"]).reshape(height, width, 3)
-    both = (usable["front"] & usable["back"]).reshape(height, width)
-    difference = (colour["front"] - colour["back"]).reshape(height, width, 3) * both[..., None]
+def _broad_difference(difference: AnyArray, both: ArrayB) -> AnyArray:
+    """Broad part (h, w, 3) of the difference of both lenses, from where both show the same."""
+    height, width = both.shape
     sigma = _FADE_DEG / 2 / 360.0 * width
     pad = min(width, int(4 * sigma) + 1)
-
     # some pixels to a standard deviation are enough for what is smooth over many
     less = max(1, int(sigma / _BLUR_PX))
     small = (-(-width // less), -(-height // less))
@@ -320,12 +388,7 @@ def _blended(
         return cv2.resize(soft, (width, height), interpolation=cv2.INTER_LINEAR) if less > 1 else soft
 
     weight = broad(both.astype(np.float32))
-    mean = broad(difference.astype(np.float32)) / np.maximum(weight, 1e-3)[..., None]
-    share = np.clip(0.5 - beyond_deg.reshape(height, width) / _FADE_DEG, 0.0, 1.0)
-    share = np.where(both, share, front.reshape(height, width))
-    # of the broad difference of both lenses each side gives up what the fading asks
-    correction = mean * (share - front.reshape(height, width))[..., None]
-    return np.asarray(np.clip(np.rint(hard + correction), 0, 255), dtype=np.uint8)
+    return broad(difference.astype(np.float32)) / np.maximum(weight, 1e-3)[..., None]
 
 
 def _seam_error(

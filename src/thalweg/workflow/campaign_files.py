@@ -734,9 +734,29 @@ class CampaignFiles:
         folder = "by_fused/" if self.best_chain() == "fused" else ""
         return self._where(self.has_lidar(), f"lidar/{folder}points.laz")
 
+    def coloured(self) -> list[str]:
+        """The cloud in colour, where photographs give any."""
+        return self._where(self.is_coloured(), "lidar/coloured.laz")
+
+    def colour_gains(self) -> list[str]:
+        """Exposures of the photographs that give the cloud colours, and their numbers in it."""
+        return self._where(self.is_coloured(), "lidar/coloured_gains.csv")
+
+    def colour_photographs(self) -> list[str]:
+        """These photographs."""
+        return self.colour_images() + self.rig_images() if self.is_coloured() else []
+
+    def panorama_table(self) -> list[str]:
+        """The table of the panoramas, if there are any."""
+        return self._where(self.has_panoramas(), "panorama/panoramas.parquet")
+
+    def walk_points(self) -> list[str]:
+        """The cloud over the panoramas of a walk, if there is a lidar."""
+        return self.shown_points() if self.has_lidar() else []
+
     def shown_points(self) -> list[str]:
         """The cloud to look at: in colour, where photographs give any."""
-        return self._where(self.is_coloured(), "lidar/coloured.laz") or self.best_points()
+        return self.coloured() or self.best_points()
 
     def strip_points(self) -> list[str]:
         """Points of the bed by the light sheet, where the boat carries one."""
@@ -943,7 +963,8 @@ class CampaignFiles:
         outputs = self._where(True, *tables, "summary.csv")
         outputs += self.ins_points()
         outputs += [*self.echo_outputs(), *self._strip_outputs(), *self._bed_outputs()]
-        outputs += self._where(lidar and self.campaign.georeferencing.export_map, "lidar/points_map.laz")
+        exported = lidar and self.campaign.georeferencing.export_map
+        outputs += self._where(exported, "lidar/points_map.laz", "lidar/points_map.copc.laz")
         if self.has_time_lapse():
             outputs.append(self.trajectory("fused"))
         if self.has_time_lapse() and lidar:
@@ -951,7 +972,7 @@ class CampaignFiles:
             outputs.append(self._result("accuracy/trajectories.html"))
         outputs += self._where(self.is_coloured(), "lidar/coloured.laz")
         outputs += self._where(self.has_colour_images(), "lidar/colour_check.csv")
-        outputs += self._where(self.has_panoramas(), "panorama/panoramas.parquet")
+        outputs += self._where(self.has_panoramas(), "panorama/panoramas.parquet", "panorama/index.html")
         outputs += self._where(self.is_twin() and self.has_panoramas(), "accuracy/truth_rig.csv")
         outputs += self._where(lidar, "viewer/index.html")
         outputs += [*self.truth_statistics(), *self._where(self.is_twin(), "accuracy/filter_scores.csv")]
@@ -995,7 +1016,7 @@ class CampaignFiles:
             ),
             (
                 "panoramas along the river",
-                self._result("panorama/panoramas.parquet"),
+                self._result("panorama/index.html"),
                 self.has_panoramas(),
                 "logs.rig with images of a dual fisheye and its calibration",
             ),

@@ -6,12 +6,14 @@ from typing import Any, Final
 import cv2
 import numpy as np
 import pandas as pd
+from scipy import ndimage
 
 from thalweg.calibration import LENSES, read_rig
-from thalweg.core import ArrayF, Rigid, read_marked, read_table
+from thalweg.core import ArrayF, Rigid, iter_laz, read_marked, read_table
 from thalweg.figures import read_picture
 from thalweg.images.model import ImagePoses
-from thalweg.panorama import PANORAMAS, sphere_rays
+from thalweg.lidar import GAMMA
+from thalweg.panorama import PANORAMAS, pixels_of, sphere_rays
 from thalweg.settings.sections import Rig as RigSettings
 
 KIND: Final = "thalweg twin dual fisheye"
@@ -19,6 +21,9 @@ _UNKNOWNS: Final = 22
 _TILE: Final = 96
 _STEP: Final = 48
 _LEAST_RESPONSE: Final = 0.3
+_COLOUR_M: Final = 40.0
+_SAME_M: Final = 0.4
+"""Points so far off the true range are not what is seen: relief and errors of the cloud are smaller."""
 _SKY_DEG: Final = 25.0
 """Tiles farther from the horizon show the own boat, or sky alone."""
 
@@ -31,6 +36,7 @@ def judge_rig(
     truth: Path,
     true_poses: Path,
     true_panorama: Path,
+    coloured: list[Path],
     rig: dict[str, Any],
     out: Path,
 ) -> None:
@@ -40,6 +46,7 @@ def judge_rig(
     ----------
     calibration, poses, panoramas, pictures : results of the processing.
     truth, true_poses, true_panorama : of the twin.
+    coloured : the cloud in colour, if there is a lidar.
     rig : section ``rig``.
     out : target.
     """
@@ -60,6 +67,7 @@ def judge_rig(
         ("interiors: mean of squared error over variance", float(np.sum(interior)) / 16, 16),
         *_poses(placed, there),
         *_panorama(panoramas, pictures, true_panorama),
+        *(row for path in coloured for row in _colours(path, true_panorama)),
     ]
     pd.DataFrame(rows, columns=["measure", "value", "n"]).to_csv(out, index=False, float_format="%.6g")
 
@@ -115,4 +123,34 @@ def _panorama(table: Path, pictures: Path, truth: Path) -> list[tuple[str, float
         ("panorama: common shift to the right, px", float(middle[0]), len(found)),
         ("panorama: common shift down, px", float(middle[1]), len(found)),
         ("panorama: median of the other shifts, px", float(np.median(spread)), len(found)),
+    ]
+
+
+def _colours(points: Path, truth: Path) -> list[tuple[str, float, int]]:
+    """Colours of the cloud against what is truly seen of its points from the middle of the rig.
+
+    A point is visible if the true range in its direction is its own, and that of all neighbours, too: edges
+    are left out. Both lights differ by the exposure, one factor a colour, which is taken out.
+    """
+    with np.load(truth) as stored:
+        light, range_m = stored["light"].astype(np.float64), stored["range_m"]
+        pose = Rigid.from_matrix(stored["T_wcs_pano"])
+    low, high = ndimage.minimum_filter(range_m, 3), ndimage.maximum_filter(range_m, 3)
+    seen: list[ArrayF] = []
+    for chunk in iter_laz(points):
+        local = (chunk["xyz_m"] - pose.shift_m) @ pose.R
+        far = np.linalg.norm(local, axis=1)
+        column, row = pixels_of(local, light.shape[1]).astype(np.int64).T
+        row, column = np.clip(row, 0, light.shape[0] - 1), column % light.shape[1]
+        visible = (far < _COLOUR_M) & (far - low[row, column] < _SAME_M) & (high[row, column] - far < _SAME_M)
+        true = light[row, column]
+        seen.append(np.column_stack([chunk["rgb"] / 257.0, true, chunk["n_views"]])[visible])
+    found = np.concatenate(seen)
+    rgb, true, has = found[:, :3], found[:, 3:6], found[:, 6] > 0
+    given = 255 * (rgb[has] / 255) ** GAMMA
+    level = np.median(given / np.maximum(255 * true[has], 1e-9), axis=0)
+    expected = 255 * np.clip(true[has] * level, 0, 1) ** (1 / GAMMA)
+    return [
+        ("colours: share of visible points that have one", float(has.mean()), len(has)),
+        ("colours: median error, of 255", float(np.median(np.abs(rgb[has] - expected))), int(has.sum())),
     ]

@@ -14,5 +14,11 @@ from .mesh import (
     read_ply_header as read_ply_header,
     write_mesh as write_mesh,
 )
+from .octree import (
+    CELLS_BITS as CELLS_BITS,
+    LEAF_POINTS as LEAF_POINTS,
+    Node as Node,
+    build_octree as build_octree,
+)
 from .point_fit import fit_points as fit_points, nearest_rotation as nearest_rotation
 from .raycast import MAX_EXTENT_M as MAX_EXTENT_M, Hits as Hits, RayCaster as RayCaster, _open3d as _open3d

@@ -7,7 +7,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from thalweg.core import ArrayF, CoverageError, Trajectory
-from thalweg.figures import count, new_figure, styled
+from thalweg.figures import BLUE, GREY, count, new_figure, styled
 from thalweg.lidar import sample_cloud
 
 
@@ -94,4 +94,43 @@ def coloured_bank(
     text.axis("off")
     lines = [f"{count(n)}  {words}" for n, words in zip(counts["n"].tolist(), counts["words"], strict=True)]
     text.text(0.0, 1.0, "All points of the cloud:\n" + "\n".join(lines), va="top", fontsize=8)
+    return figure
+
+
+def draw_colour_check(*, check: Path, curves: Path, title: str, twin: bool) -> Figure:
+    """Test of clock and mount by intensity and brightness -> dependence over what was tried."""
+    return colour_check(
+        pd.read_csv(check), pd.read_csv(curves), title=f"Intensity against brightness: {title}", twin=twin
+    )
+
+
+@styled
+def colour_check(check: pd.DataFrame, curves: pd.DataFrame, *, title: str, twin: bool) -> Figure:
+    """How much intensity and brightness depend on each other over shifts of clock and mount.
+
+    Parameters
+    ----------
+    check, curves : of `thalweg.lidar.check_colours`.
+    title : first words of the title.
+    twin : true if the digital twin made the data.
+    """
+    n = int(check["photographs"].max())
+    figure = new_figure(100.0, f"{title}, n = {n} photographs", twin=twin)
+    words = {
+        "clock_s": "photographs later by / s",
+        **{f"turn_{a}_deg": f"camera turned about its {a} axis by / degrees" for a in "xyz"},
+    }
+    for ax, row in zip(figure.subplots(2, 2, sharey=True).flat, check.to_dict("records"), strict=True):
+        curve = curves[curves["quantity"] == row["quantity"]]
+        ax.axvline(0.0, color=GREY, linewidth=0.8)
+        ax.plot(curve["shift"], 1e3 * curve["dependence"], ".-", color=BLUE, markersize=4)
+        told = str(row["verdict"])
+        if np.isfinite(row["optimum"]):
+            ax.axvspan(
+                row["optimum"] - 2 * row["sigma"], row["optimum"] + 2 * row["sigma"], color=BLUE, alpha=0.2
+            )
+            told = f"{row['optimum']:+.3f} (sigma {row['sigma']:.3f}): {told}"
+        ax.set_title(told, fontsize=9)
+        ax.set_xlabel(words[str(row["quantity"])])
+    figure.supylabel("dependence / 0.001 nats a pair", fontsize=9)
     return figure

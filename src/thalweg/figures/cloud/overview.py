@@ -14,7 +14,7 @@ from matplotlib.colors import Colormap, ListedColormap, LogNorm, Normalize, Powe
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from thalweg.core import ArrayF, ArrayU8, GeometryError, InputError, Trajectory, iter_laz
+from thalweg.core import AnyArray, ArrayF, ArrayU8, GeometryError, InputError, Trajectory, iter_laz
 from thalweg.figures import (
     BLUE,
     HALO,
@@ -31,7 +31,14 @@ from thalweg.figures import (
     scale_bar,
     styled,
 )
-from thalweg.figures.cloud.views import BankSegment, ObliqueView, Splat, bankward_azimuth, choose_segment
+from thalweg.figures.cloud.views import (
+    BankSegment,
+    ObliqueView,
+    Splat,
+    bankward_azimuth,
+    choose_segment,
+    pack_rgb,
+)
 from thalweg.figures.survey import track_gaps
 from thalweg.lidar import SIGMAS, sample_cloud
 
@@ -189,18 +196,20 @@ def cloud_detail(
     intensity: ArrayLike,
     *,
     segment: BankSegment,
+    rgb: ArrayU8 | None = None,
     percentiles: tuple[float, float] = (2.0, 98.0),
     width_px: int = 1800,
     title: str = "Detail of the bank, seen from the water",
     twin: bool = False,
 ) -> Figure:
-    """A stretch of bank as seen from the water, coloured by intensity; both axes to scale.
+    """A stretch of bank as seen from the water, by intensity, and above in colour; both axes to scale.
 
     Parameters
     ----------
     points_wcs_m : (n, 3) points in wcs; those outside the segment are left out.
     intensity : (n,) as the instrument states it.
     segment : the stretch, from `choose_segment` or by hand.
+    rgb : (n, 3) colours, if there are any.
     percentiles : of the intensities, at the ends of the colour scale.
     width_px : width of the picture.
     title : first words of the title.
@@ -230,24 +239,30 @@ def cloud_detail(
         width_px=width_px,
         height_px=int(np.ceil((high - low) / pixel)),
     )
-    splat = Splat(view)
-    splat.add(points, shown)
     limits = robust_limits(shown, *percentiles)
-    head = f"{title}, n = {count(splat.n_drawn)} points"
-    figure = new_figure(0.80 * WIDTH_MM * view.height_px / view.width_px + 26.0, head, twin=twin)
-    ax = figure.add_subplot()
+    looks: list[tuple[ArrayF, Colormap | None]] = [(shown, INTENSITY_MAP)]
+    if rgb is not None:
+        looks.insert(0, (pack_rgb(rgb[inside]), None))
+    head = f"{title}, n = {count(len(points))} points"
+    each_mm = 0.80 * WIDTH_MM * view.height_px / view.width_px
+    figure = new_figure(len(looks) * each_mm + 26.0, head, twin=twin)
+    axes = figure.subplots(len(looks), 1, sharex=True, squeeze=False)[:, 0]
     bottom = high - view.height_px * pixel
-    _show(
-        ax,
-        splat,
-        INTENSITY_MAP,
-        limits,
-        shading=0.8,
-        noise_m=NOISE_M,
-        extent=(0.0, segment.length_m, bottom, high),
-    )
+    for ax, (values, colours) in zip(axes, looks, strict=True):
+        splat = Splat(view)
+        splat.add(points, values)
+        _show(
+            ax,
+            splat,
+            colours,
+            limits,
+            shading=0.8,
+            noise_m=NOISE_M,
+            extent=(0.0, segment.length_m, bottom, high),
+        )
+        ax.set_ylabel("height in the local frame / m")
+    ax = axes[-1]
     ax.set_xlabel("along the bank / m")
-    ax.set_ylabel("height in the local frame / m")
     figure.colorbar(
         ScalarMappable(Normalize(*limits), INTENSITY_MAP),
         ax=ax,
@@ -268,7 +283,7 @@ def _splat_of(points_wcs_m: ArrayF) -> Splat[ObliqueView]:
 def _show(
     ax: Axes,
     splat: Splat[ObliqueView],
-    colours: Colormap,
+    colours: Colormap | None,
     limits: tuple[float, float],
     *,
     shading: float,
@@ -277,7 +292,7 @@ def _show(
     extent: tuple[float, float, float, float] | None = None,
 ) -> None:
     # The splat's own scale is linear: the table bends.
-    table = colours(np.linspace(0, 1, 4096) ** gamma)[:, :3]
+    table = None if colours is None else colours(np.linspace(0, 1, 4096) ** gamma)[:, :3]
     picture = splat.image(table, limits, radius_px=splat.radius_px(), shading=shading, noise_m=noise_m)
     box = extent or (0.0, float(splat.view.width_px), float(splat.view.height_px), 0.0)
     ax.imshow(picture, extent=box, interpolation="antialiased", gid="cloud")
@@ -315,17 +330,21 @@ def _axes_triad(ax: Axes, view: ObliqueView, strip_px: float) -> None:
 
 
 def draw_cloud_detail(*, points: Path, trajectory: Path, title: str, twin: bool) -> Figure:
-    """Cloud and trajectory -> a detail of the bank by intensity."""
-    sample, track = sample_cloud(points, 500_000)["xyz_m"], Trajectory.read(trajectory)
-    segment = choose_segment(sample, track, length_m=40.0, background_m=80.0)
-    xyz, intensity = [], []
+    """Cloud and trajectory -> a detail of the bank by intensity, where photographs saw any in colour, too."""
+    sample, track = sample_cloud(points, 500_000), Trajectory.read(trajectory)
+    coloured = sample["n_views"] > 0 if "n_views" in sample else np.ones(len(sample["xyz_m"]), dtype=np.bool_)
+    segment = choose_segment(sample["xyz_m"][coloured], track, length_m=40.0, background_m=80.0)
+    parts: dict[str, list[AnyArray]] = {}
     for chunk in iter_laz(points, 1_000_000):
         inside = segment.contains(chunk["xyz_m"])
-        xyz.append(chunk["xyz_m"][inside])
-        intensity.append(chunk["intensity"][inside])
+        for name in ("xyz_m", "intensity", "rgb"):
+            if name in chunk:
+                parts.setdefault(name, []).append(chunk[name][inside])
+    rgb = (np.concatenate(parts["rgb"]) >> 8).astype(np.uint8) if "rgb" in parts else None
     return cloud_detail(
-        np.concatenate(xyz),
-        np.concatenate(intensity),
+        np.concatenate(parts["xyz_m"]),
+        np.concatenate(parts["intensity"]),
+        rgb=rgb,
         segment=segment,
         title=f"Detail of the bank, seen from the water: {title}",
         twin=twin,

@@ -255,8 +255,8 @@ class Splat(Generic[ViewT]):
 
     def image(
         self,
-        colours: ArrayF,
-        limits: tuple[float, float],
+        colours: ArrayF | None,
+        limits: tuple[float, float] = (0.0, 1.0),
         *,
         radius_px: int = 1,
         shading: float = 1.0,
@@ -267,7 +267,7 @@ class Splat(Generic[ViewT]):
 
         Parameters
         ----------
-        colours : (k, 3) table from low to high, each 0..1.
+        colours : (k, 3) table from low to high, each 0..1; None: the values are colours of `pack_rgb`.
         limits : values of the first and the last colour; values beyond take those.
         radius_px : half size of a point.
         shading : strength of the eye-dome shading, 0 for none.
@@ -277,12 +277,21 @@ class Splat(Generic[ViewT]):
         depth, values = self.buffers(radius_px)
         filled = np.isfinite(depth)
         low, high = limits
-        share = np.clip((np.where(np.isfinite(values), values, low) - low) / (high - low), 0.0, 1.0)
-        picture = np.asarray(colours)[np.rint(share * (len(colours) - 1)).astype(np.int64)]
+        if colours is None:
+            code = np.where(filled, values, 0.0).astype(np.int64)
+            picture = (code[..., None] >> np.array([16, 8, 0]) & 255) / 255.0
+        else:
+            share = np.clip((np.where(np.isfinite(values), values, low) - low) / (high - low), 0.0, 1.0)
+            picture = np.asarray(colours)[np.rint(share * (len(colours) - 1)).astype(np.int64)]
         if shading > 0:
             picture = picture * np.exp(-shading * eye_dome(depth, self.view.pixel_m, noise_m))[..., None]
         picture = np.where(filled[..., None], picture, np.asarray(background))
         return np.asarray(np.rint(picture * 255.0), dtype=np.uint8)
+
+
+def pack_rgb(rgb: ArrayU8) -> ArrayF:
+    """Colours (n, 3) as values (n,) of a `Splat`: 24 bits, which its single precision holds."""
+    return np.asarray(rgb.astype(np.int64) @ np.array([65536, 256, 1]), dtype=np.float64)
 
 
 def eye_dome(depth_m: ArrayF, pixel_m: float, noise_m: float = 0.0) -> ArrayF:

@@ -1,5 +1,6 @@
 """A calibrated rig: where its lenses sit and how well that is known, and residuals over the angle of view."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
@@ -8,9 +9,12 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
-from thalweg.core import ArrayF, Rigid
+from thalweg.calibration import Rig as CalibratedRig, read_rig, read_views
+from thalweg.core import ArrayF, ArrayU8, Rigid
 from thalweg.core.calibration import read_calibration
 from thalweg.figures import BLUE, GREY, VERMILION, count, new_figure, styled
+from thalweg.ingest.photos import find_images
+from thalweg.settings.sections import Rig
 
 COLOURS: Final = {"front": BLUE, "back": VERMILION}
 _CONFIDENCE: Final = 2.4477
@@ -88,6 +92,63 @@ def _ellipse(cov_mm2: ArrayF, at_mm: ArrayF, across: int, times: int) -> Ellipse
         edgecolor=COLOURS["back"],
         linewidth=1.2,
     )
+
+
+def draw_rig_field(
+    *, images: list[Path], residuals: Path, calibration: Path, rig: Rig, title: str, twin: bool
+) -> Figure:
+    """Files of the field, residuals and calibration of a rig -> the file with most marks, in both lenses."""
+    table = pd.read_csv(residuals)
+    file = str(table["file"].value_counts().index[0])
+    views = read_views(next(path for path in find_images(images).files if path.name == file), rig)
+    return rig_field(
+        views,
+        table[table["file"] == file],
+        read_rig(calibration, rig),
+        title=f"Field of the rig: {title}",
+        twin=twin,
+    )
+
+
+@styled
+def rig_field(
+    views: Mapping[str, ArrayU8], table: pd.DataFrame, rig: CalibratedRig, *, title: str, twin: bool
+) -> Figure:
+    """Marks of a field in both image circles of a file, with their residuals.
+
+    Parameters
+    ----------
+    views : upright views (h, w, 3) by lens.
+    table : their rows of the residuals: lens, angle_deg, azimuth_deg, vx_px, vy_px, used.
+    rig : calibrated; says where angles and azimuths lie in a view.
+    title : first words of the title.
+    twin : true if the digital twin made the data.
+    """
+    times = 300
+    figure = new_figure(95.0, f"{title}, n = {count(int(table['used'].sum()))} marks", twin=twin)
+    for ax, (lens, view) in zip(figure.subplots(1, 2), views.items(), strict=True):
+        mine = table[table["lens"] == lens]
+        t, a = (np.deg2rad(mine[name].to_numpy()) for name in ("angle_deg", "azimuth_deg"))
+        rays = np.stack([np.sin(t) * np.cos(a), np.sin(t) * np.sin(a), np.cos(t)], axis=1)
+        x, y = rig.cameras[lens].project(rays).T
+        ax.imshow(view, extent=(0, view.shape[1], view.shape[0], 0))
+        used = mine["used"].to_numpy(dtype=bool)
+        ax.plot(x[used], y[used], ".", color=BLUE, markersize=2)
+        ax.plot(x[~used], y[~used], "x", color=VERMILION, markersize=4)
+        v = mine[["vx_px", "vy_px"]].to_numpy()[used].T * times
+        ax.quiver(x[used], y[used], *v, color=VERMILION, angles="xy", scale_units="xy", scale=1, width=0.003)
+        # circles of equal angle from the axis; the field of view ends at the outermost
+        for angle in (30, 60, 90):
+            a = np.linspace(0, 2 * np.pi, 181)
+            t = np.deg2rad(angle)
+            ring = np.stack([np.sin(t) * np.cos(a), np.sin(t) * np.sin(a), np.full(181, np.cos(t))], axis=1)
+            ax.plot(*rig.cameras[lens].project(ring).T, color="white", linewidth=0.6)
+        ax.set_xlim(0, view.shape[1])
+        ax.set_ylim(view.shape[0], 0)
+        ax.set_title(f"{lens} lens, {int(used.sum())} marks", fontsize=9)
+        ax.set_xlabel(f"x / px (residuals {times} times)")
+    figure.axes[0].set_ylabel("y / px")
+    return figure
 
 
 def draw_rig_residuals(*, residuals: Path, title: str, twin: bool) -> Figure:

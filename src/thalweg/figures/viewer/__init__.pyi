@@ -1,7 +1,7 @@
-from .octree import Node as Node, build_octree as build_octree
 from .page import (
     MOST_POINTS as MOST_POINTS,
     View as View,
     read_view as read_view,
+    write_survey_viewer as write_survey_viewer,
     write_viewer as write_viewer,
 )

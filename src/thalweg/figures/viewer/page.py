@@ -1,7 +1,8 @@
 """The viewer as a folder: a page with its program, and the nodes of the cloud as scripts beside it.
 
 Browsers refuse a page from disk to fetch files, but let it load scripts: each node is a script that calls
-the page with its points, compressed and in letters (base64).
+the page with its points, compressed and in letters (base64). So is each panorama of a walk: pictures from
+disk may be shown, but not drawn on by WebGL.
 """
 
 import base64
@@ -11,13 +12,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from importlib.resources import files
+from io import BytesIO
+from os.path import relpath
 from pathlib import Path
 from typing import Any, Final
+from urllib.parse import quote
 
 import numpy as np
+import pandas as pd
 from cmcrameri import cm
 from matplotlib.colors import Colormap, ListedColormap
+from PIL import Image
 from pyproj import CRS
+from scipy.spatial.transform import Rotation
 
 from thalweg.core import (
     AnyArray,
@@ -28,10 +35,14 @@ from thalweg.core import (
     InputError,
     LocalFrame,
     Trajectory,
+    final_path,
     iter_laz,
     laz_header,
+    read_table,
     unix_from_gps,
+    utc_text_from_gps,
 )
+from thalweg.core.geometry import Node, build_octree
 from thalweg.deformation.foreign import TEXT, read_points
 from thalweg.figures import (
     HEIGHT_MAP,
@@ -42,9 +53,10 @@ from thalweg.figures import (
     TWIN_MARK,
     robust_limits,
 )
-from thalweg.figures.viewer.octree import Node, build_octree
+from thalweg.images.model import named_once
 from thalweg.ingest.clouds import read_cloud
 from thalweg.lidar import COLOUR_DIMENSIONS, CORRELATIONS, SIGMAS
+from thalweg.panorama import PANORAMAS
 
 MOST_POINTS: Final = 1_500_000
 """Points of a viewer: some 25 megabytes on disk."""
@@ -52,6 +64,11 @@ SIGMA_LEAST_M: Final = 1e-4
 SIGMA_STEPS: Final = 254
 SIGMA_DECADES: Final = 5
 """Sigmas from 0.1 mm to 10 m stand in a byte by their logarithm: steps of 4.6 %; 0: not known."""
+WALK_POINTS: Final = 500_000
+"""Points over panoramas: the pictures show more than they do."""
+_WALK_PX: Final = 4096
+"""Wider panoramas are reduced for the walk: not every graphics card takes more."""
+_MOST_PHOTOGRAPHS: Final = 65_535
 _LONGEST_UNIT: Final = 6
 _HELD: Final = 4
 """Of a cloud with more points than so many times those shown, only every so many-th is read into memory."""
@@ -80,6 +97,7 @@ class View:
     rgb : (n, 3) 8-bit colours.
     coloured : (n,) which points have a colour.
     intensity, range_m, t_gps_s : (n,).
+    image : (n,) number of the photograph that shows the point best, -1: none.
     sigma_m : (n, 3) standard deviations east, north, up.
     extras : further quantities, three at most: values (n,), NaN where unknown, and unit.
     """
@@ -93,6 +111,7 @@ class View:
     sigma_m: AnyArray | None = None
     range_m: AnyArray | None = None
     t_gps_s: ArrayF | None = None
+    image: AnyArray | None = None
     extras: Mapping[str, tuple[ArrayF, str]] = field(default_factory=dict)
 
 
@@ -128,7 +147,7 @@ def read_view(path: Path, most_points: int = MOST_POINTS, quantities: Sequence[s
     header = laz_header(path)
     every = max(1, -(-header.n_points // (_HELD * most_points)))
     extras = _extras(path, header.extra_dimensions, quantities)
-    wanted = ("xyz_m", "t_gps_s", "intensity", "rgb", "n_views", "range", *SIGMAS, *extras)
+    wanted = ("xyz_m", "t_gps_s", "intensity", "rgb", "n_views", "image", "range", *SIGMAS, *extras)
     parts: dict[str, list[AnyArray]] = {}
     at = 0
     for chunk in iter_laz(path):
@@ -154,6 +173,7 @@ def read_view(path: Path, most_points: int = MOST_POINTS, quantities: Sequence[s
         sigma_m=np.stack(sigmas, axis=1) if len(sigmas) == len(SIGMAS) else None,
         range_m=found.get("range"),
         t_gps_s=_known(found.get("t_gps_s")),
+        image=found.get("image"),
         extras={name: (found[name].astype(np.float64), unit) for name, unit in extras.items()},
     )
 
@@ -190,6 +210,8 @@ def write_viewer(
     twin: bool = False,
     most_points: int = MOST_POINTS,
     trajectory: Trajectory | None = None,
+    photographs: Mapping[int, Sequence[str]] | None = None,
+    panoramas: Sequence[Mapping[str, Any]] = (),
 ) -> int:
     """Write ``index.html`` and the folder ``nodes`` beside it.
 
@@ -201,6 +223,8 @@ def write_viewer(
     twin : whether a digital twin made the cloud: the page says so.
     most_points : the cloud is thinned evenly to so many at most.
     trajectory : path of the boat in the same frame, drawn as a line.
+    photographs : name, address and, if there is one, address of the panorama, by number of ``view.image``.
+    panoramas : of a walk; their pictures are in the folder ``views``.
 
     Returns
     -------
@@ -223,6 +247,10 @@ def write_viewer(
     n_shown = sum(len(node.rows) for node in tree)
     shown = np.concatenate([node.rows for node in tree])
     columns, facts = _columns(view, shown)
+    if view.image is not None and photographs and len(photographs) <= _MOST_PHOTOGRAPHS:
+        place = pd.Series(np.arange(1, len(photographs) + 1), index=list(photographs))
+        columns["image"] = place.reindex(view.image, fill_value=0).to_numpy().astype("<u2")[:, None]
+        facts["columns"].append(["image", 1, 2])
     nodes = folder / "nodes"
     nodes.mkdir(parents=True, exist_ok=True)
     for old in nodes.glob("r*.js"):
@@ -236,12 +264,15 @@ def write_viewer(
         "size": root.size_m,
         **_first_look(view.xyz_m[shown]),
         "nodes": {node.key: [len(node.rows), float(f"{node.spacing_m:.3g}")] for node in tree},
+        "photographs": [list(each) for each in (photographs or {}).values()],
+        "panoramas": list(panoramas),
         "track": [] if trajectory is None else _track(trajectory),
         "ramps": {name: base64.b64encode(_ramp(ramp)).decode() for name, ramp in _ramps(facts).items()},
         "sigma": [SIGMA_LEAST_M, SIGMA_DECADES * np.log(10) / SIGMA_STEPS],
     }
     every = "all" if n_shown == view.n_total else f"{n_shown:,} of"
-    lead = f"Point cloud, {every} {view.n_total:,} points. {_place(view.frame)}"
+    lead = f"{len(panoramas)} panoramas, point cloud," if panoramas else "Point cloud,"
+    lead = f"{lead} {every} {view.n_total:,} points. {_place(view.frame)}"
     page = (
         _text("viewer.html")
         .replace("{{title}}", escape(title))
@@ -256,10 +287,107 @@ def write_viewer(
     return n_shown
 
 
+def write_survey_viewer(
+    *,
+    points: list[Path],
+    trajectory: Path,
+    gains: list[Path],
+    images: list[Path],
+    table: list[Path],
+    page: Path,
+    nodes: Path,
+    title: str,
+    twin: bool,
+    pictures: Path | None = None,
+    views: Path | None = None,
+) -> None:
+    """Cloud of a survey, photographs and panoramas -> the page of the cloud, or of the walk.
+
+    Parameters
+    ----------
+    points : the cloud; none: the places of the panoramas alone.
+    trajectory : of the boat.
+    gains, images : which photograph has which number in the cloud, and their files, if it has colours.
+    table : of panoramas (table kind ``panoramas``), if there are any.
+    page, nodes : target.
+    pictures, views : folder of the panoramas, and one for their scripts: the page becomes a walk.
+    title : of the campaign.
+    twin : whether a digital twin made the data.
+    """
+    assert nodes == page.parent / "nodes", "the page looks for its nodes beside it"
+    rows = read_table(table[0], PANORAMAS)[0] if table else pd.DataFrame(columns=PANORAMAS.names)
+    path = Trajectory.read(trajectory)
+    most = MOST_POINTS if views is None else WALK_POINTS
+    if points:
+        view = read_view(points[0], most)
+    else:
+        xyz = rows[["east_m", "north_m", "up_m"]].to_numpy()
+        view = View(xyz_m=xyz, frame=path.frame, n_total=len(xyz))
+    write_viewer(
+        view,
+        page.parent,
+        title=f"{'Point cloud' if views is None else 'Virtual walk'}: {title}",
+        twin=twin,
+        most_points=most,
+        trajectory=path,
+        photographs=_photographs(pd.read_csv(gains[0]), images, rows, page) if gains else None,
+        panoramas=[] if pictures is None or views is None else _walk(rows, pictures, views),
+    )
+
+
+def _photographs(
+    gains: pd.DataFrame, images: list[Path], panoramas: pd.DataFrame, page: Path
+) -> dict[int, tuple[str, ...]]:
+    """Name, address and address of the panorama of each photograph, by its number in the cloud."""
+    files, here = named_once(images), final_path(page).parent
+    walk = Path(relpath(here.parent / "panorama/index.html", here)).as_posix()
+    made = set(panoramas["image"])
+    found: dict[int, tuple[str, ...]] = {}
+    for name, number in zip(gains["image"].astype(str), gains["number"], strict=True):
+        # those of a rig are named LENS/NAME
+        file = files[name] if name in files else files[name.partition("/")[2]]
+        address = Path(relpath(file.absolute(), here.absolute())).as_posix()
+        own = [f"{walk}#panorama={Path(name).stem}"] if Path(name).name in made else []
+        found[int(number)] = (name, quote(address), *own)
+    return found
+
+
+def _walk(rows: pd.DataFrame, pictures: Path, views: Path) -> list[dict[str, Any]]:
+    """Panoramas in the order of time as the page takes them; their pictures as scripts."""
+    views.mkdir(parents=True, exist_ok=True)
+    for old in views.glob("*.js"):
+        old.unlink()
+    found = []
+    for _, row in rows.sort_values("t_gps_s").iterrows():
+        name, file = Path(row["panorama"]).stem, pictures / row["panorama"]
+        data = file.read_bytes()
+        if row["width_px"] > _WALK_PX:
+            with Image.open(file) as picture:
+                small = picture.resize((_WALK_PX, _WALK_PX // 2), Image.Resampling.BOX)
+            buffer = BytesIO()
+            small.save(buffer, "JPEG", quality=88)
+            data = buffer.getvalue()
+        script = f'thalwegPanorama({json.dumps(name)},"{base64.b64encode(data).decode()}")\n'
+        (views / f"{name}.js").write_text(script, encoding="utf-8")
+        axes = Rotation.from_quat([row[f"q{a}"] for a in "xyzw"]).as_matrix().T
+        found.append(
+            {
+                "name": name,
+                "at": [round(float(row[f"{a}_m"]), 4) for a in ("east", "north", "up")],
+                "sigma": [round(float(row[f"sigma_{a}_m"]), 4) for a in ("east", "north", "up")],
+                "axes": axes.round(7).tolist(),
+                "heading": round(float(row["heading_deg"]), 3),
+                "utc": utc_text_from_gps(float(row["t_gps_s"]))[:21].replace("T", " "),
+            }
+        )
+    return found
+
+
 def _first_look(xyz_m: ArrayF) -> dict[str, Any]:
-    """What the page looks at first: the middle of nearly all points, and how wide they lie."""
+    """Middle of nearly all points and how wide they lie: the first view; lowest and highest of all."""
     low, high = np.transpose([robust_limits(xyz_m[:, axis]) for axis in range(3)])
-    return {"middle": ((low + high) / 2).tolist(), "extent": float((high - low).max())}
+    heights = [float(xyz_m[:, 2].min()), float(xyz_m[:, 2].max()) + 0.01]
+    return {"middle": ((low + high) / 2).tolist(), "extent": float((high - low).max()), "heights": heights}
 
 
 def _text(name: str) -> str:

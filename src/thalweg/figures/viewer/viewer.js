@@ -1,5 +1,6 @@
 "use strict";
 // A point cloud from disk: nodes of an octree as scripts, drawn coarse to fine within a budget of points.
+// Where there are panoramas, the eye may stand in one of them: it is drawn behind the points and through them.
 // Units are metres; x east, y north, z up. Positions on the GPU are relative to the eye: single precision
 // would lose millimetres in map coordinates.
 
@@ -28,23 +29,28 @@ for (const node of nodes.values()) if (node.key) nodes.get(node.key.slice(0, -1)
 let loading = 0;
 
 function load(node) {
-  node.state = "loading";
+  readScript(node, `nodes/r${node.key}.js`);
+}
+
+function readScript(what, source) {
+  what.state = "loading";
   loading++;
   const script = document.createElement("script");
-  script.src = `nodes/r${node.key}.js`;
+  script.src = source;
   script.onload = () => script.remove();
   script.onerror = () => {
-    node.state = "missing";
+    what.state = "missing";
     loading--;
-    say(`nodes/r${node.key}.js cannot be read: copy the whole folder, this page and "nodes" beside it.`);
+    say(`${source} cannot be read: copy the whole folder, this page and "${source.split("/")[0]}" beside it.`);
   };
   document.head.append(script);
 }
 
+const bytesOf = (letters) => Uint8Array.from(atob(letters), (letter) => letter.charCodeAt(0));
+
 async function thalwegNode(key, letters) {
   const node = nodes.get(key);
-  const packed = Uint8Array.from(atob(letters), (letter) => letter.charCodeAt(0));
-  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+  const stream = new Blob([bytesOf(letters)]).stream().pipeThrough(new DecompressionStream("deflate"));
   const bytes = new Uint8Array(await new Response(stream).arrayBuffer());
   let at = 0;
   const column = (width, size) => {  // planes of bytes -> rows of whole numbers
@@ -103,18 +109,21 @@ const POINTS = `#version 300 es
 layout(location = 0) in vec4 place; layout(location = 1) in vec4 look;
 layout(location = 2) in vec4 errors; layout(location = 3) in vec4 more;
 uniform mat4 project; uniform vec3 corner; uniform float size, base, scale, least, gaps[8];
-uniform int mode; uniform bool bare; uniform vec2 limits, sigma; uniform sampler2D ramps; uniform uint number;
+uniform int mode; uniform bool bare; uniform vec2 limits, sigma, heights; uniform vec4 cut; uniform sampler2D ramps; uniform uint number;
 flat out vec3 colour; flat out uint id;
 float sd(float code) { return code < 0.5 ? 0.0 : sigma.x * exp((code - 1.0) * sigma.y); }
 void main() {
   gl_Position = project * vec4(corner + place.xyz * size, 1.0);
   ivec3 upper = ivec3(greaterThan(place.xyz, vec3(0.5)));
   gl_PointSize = clamp(scale * gaps[upper.x | upper.y << 1 | upper.z << 2] / gl_Position.w, least, 40.0);
-  if (bare && more.x < 0.5) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+  float up = base + place.z * size;
+  vec2 away = cut.xy * (corner + place.xyz * size).xy;
+  if (bare && more.x < 0.5 || up < heights.x || up > heights.y || abs(away.x + away.y - cut.z) > cut.w)
+    gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
   id = number << 18 | uint(gl_VertexID);
   float value = 0.0; bool known = true;
   if (mode == 0) { colour = look.rgb; return; }
-  if (mode == 1) value = (base + place.z * size - limits.x) / (limits.y - limits.x);
+  if (mode == 1) value = (up - limits.x) / (limits.y - limits.x);
   if (mode == 2) value = look.a;
   if (mode == 3) {
     vec3 s = vec3(sd(errors.x), sd(errors.y), sd(errors.z));
@@ -145,8 +154,14 @@ void main() {
 const WHOLE = `#version 300 es
 void main() { gl_Position = vec4(gl_VertexID == 1 ? 3 : -1, gl_VertexID == 2 ? 3 : -1, 0, 1); }`;
 const SHADE = `#version 300 es
-precision highp float; uniform sampler2D image, depth; uniform vec2 planes; uniform float strength;
-uniform vec3 ground; out vec4 shown;
+precision highp float; uniform sampler2D image, depth, sky; uniform vec2 planes; uniform float strength, cover;
+uniform vec3 ground, rays[3]; uniform bool inside; out vec4 shown;
+vec3 behind() {  // equirectangular, as thalweg.panorama.sphere
+  if (!inside) return ground;
+  vec2 q = 2.0 * gl_FragCoord.xy / vec2(textureSize(depth, 0)) - 1.0;
+  vec3 d = normalize(rays[0] * q.x + rays[1] * q.y + rays[2]);
+  return texture(sky, vec2(atan(d.x, d.z) / 6.28318531 + 0.5, asin(clamp(d.y, -1.0, 1.0)) / 3.14159265 + 0.5)).rgb;
+}
 float far(ivec2 at) {
   float d = texelFetch(depth, clamp(at, ivec2(0), textureSize(depth, 0) - 1), 0).r;
   return d >= 1.0 ? 1e9 : log2(planes.x * planes.y / (planes.y - d * (planes.y - planes.x)));
@@ -154,12 +169,13 @@ float far(ivec2 at) {
 void main() {
   ivec2 at = ivec2(gl_FragCoord.xy);
   float own = far(at), sum = 0.0;
-  if (own > 1e8) { shown = vec4(ground, 1.0); return; }
+  if (own > 1e8) { shown = vec4(behind(), 1.0); return; }
   for (int k = 0; k < 8; k++) {
     float angle = float(k) * 0.785398;
     sum += clamp(own - far(at + ivec2(round(1.6 * vec2(cos(angle), sin(angle))))), 0.0, 0.5);
   }
-  shown = vec4(texelFetch(image, at, 0).rgb * exp(-strength * sum), 1.0);
+  vec3 own_colour = texelFetch(image, at, 0).rgb * exp(-strength * sum);
+  shown = vec4(mix(behind(), own_colour, cover), 1.0);
 }`;
 const LINES = `#version 300 es
 layout(location = 0) in vec3 place; uniform mat4 project; uniform vec3 corner;
@@ -233,8 +249,10 @@ function start() {
 // ---------------------------------------------------------------- camera
 
 const START = { turn: 30, tilt: 35, far: 1.2 * Math.max(DATA.extent, 0.1) };
-const camera = { at: [...DATA.middle], ...START };  // looks to `turn` from north, from `tilt` above the horizon
+const camera = { at: [...DATA.middle], open: 75, ...START };  // looks to `turn` from north, from `tilt` above the horizon
 let colour = columns.rgb ? "rgb" : "height";
+const places = DATA.panoramas.map((place) => ({ ...place, state: "absent" }));
+let inside = null;  // the panorama that the eye stands in
 
 function axes() {  // unit vectors right, up, towards the eye
   const [a, b] = [camera.turn, camera.tilt].map((x) => x * Math.PI / 180);
@@ -246,14 +264,15 @@ const minus = (a, b) => a.map((x, i) => x - b[i]);
 
 function look() {
   const [right, up, back] = axes();
-  const eye = camera.at.map((x, i) => x + back[i] * camera.far);
-  const near = camera.far / 200, far = camera.far + 3 * DATA.size;
-  const f = 1 / HALF_VIEW, ratio = scene.height / scene.width;
+  const eye = inside ? inside.at : camera.at.map((x, i) => x + back[i] * camera.far);
+  const near = inside ? 0.2 : camera.far / 200, far = (inside ? 0 : camera.far) + 3 * DATA.size;
+  const half = inside ? Math.tan(camera.open * Math.PI / 360) : HALF_VIEW;
+  const f = 1 / half, ratio = scene.height / scene.width;
   const c = -(far + near) / (far - near), d = -2 * far * near / (far - near);
   const project = new Float32Array(16);  // by columns
   for (let i = 0; i < 3; i++) project.set([f * ratio * right[i], f * up[i], c * back[i], -back[i]], 4 * i);
   project.set([0, 0, d, 0], 12);
-  return { eye, right, up, back, near, far, project, pixels: scene.height / 2 / HALF_VIEW };
+  return { eye, right, up, back, near, far, half, project, pixels: scene.height / 2 / half };
 }
 
 function onScreen(place, view = look()) {  // CSS pixels; null behind the eye
@@ -264,36 +283,73 @@ function onScreen(place, view = look()) {  // CSS pixels; null behind the eye
 }
 
 function move(dx, dy) {  // pixels of the screen
+  if (inside) return;
   const [right, up] = axes(), scale = camera.far * 2 * HALF_VIEW / innerHeight;
   camera.at = camera.at.map((x, i) => x - scale * (dx * right[i] - dy * up[i]));
   moved();
 }
 function turn(dx, dy) {
+  if (inside) [dx, dy] = [-dx, -dy];  // the eye turns, not the cloud
   camera.turn = (camera.turn + dx + 360) % 360;
   camera.tilt = Math.max(-89.9, Math.min(90, camera.tilt + dy));
   moved();
 }
 function zoom(factor) {
-  camera.far = Math.max(0.05, Math.min(20 * DATA.size, camera.far * factor));
+  if (inside) camera.open = Math.max(10, Math.min(110, camera.open * factor));
+  else camera.far = Math.max(0.05, Math.min(20 * DATA.size, camera.far * factor));
   moved();
 }
 function home(other = {}) {
+  inside = null;
   Object.assign(camera, { at: [...DATA.middle] }, START, other);
   moved();
 }
 
+const digits = (values, n) => values.map((x) => x.toFixed(n)).join(",");
 function writeHash() {
-  const digits = (values, n) => values.map((x) => x.toFixed(n)).join(",");
-  const text = `#at=${digits(camera.at, 3)}&look=${digits([camera.turn, camera.tilt], 2)},${camera.far.toFixed(3)}&colour=${colour}`;
+  const text = (inside ? `#panorama=${encodeURIComponent(inside.name)}` : `#at=${digits(camera.at, 3)}`)
+    + `&look=${digits([camera.turn, camera.tilt], 2)},${(inside ? camera.open : camera.far).toFixed(3)}&colour=${colour}`
+    + (cut ? `&cut=${digits(cut, 3)}` : "") + (heights() === WHOLE_HEIGHT ? "" : `&heights=${digits(heights(), 3)}`);
   if (text !== location.hash) history.replaceState(null, "", text);
 }
 function readHash() {
   const found = new URLSearchParams(location.hash.slice(1));
-  const numbers = (key) => (found.get(key) || "").split(",").map(parseFloat);
-  const at = numbers("at"), [a, b, far] = numbers("look");
-  if (at.length === 3 && at.every(isFinite)) camera.at = at;
-  if ([a, b, far].every(isFinite) && far > 0) Object.assign(camera, { turn: a, tilt: b, far });
+  const numbers = (key, n) => {
+    const values = (found.get(key) || "").split(",").map(parseFloat);
+    return values.length === n && values.every(isFinite) ? values : null;
+  };
+  const at = numbers("at", 3), [a, b, far] = numbers("look", 3) || [], towards = numbers("towards", 3);
+  inside = places.find((place) => place.name === found.get("panorama")) || (at ? null : places[0] || null);
+  if (at) camera.at = at;
+  if (far > 0) Object.assign(camera, { turn: a, tilt: b }, inside ? { open: far } : { far });
+  else if (inside) Object.assign(camera, { turn: inside.heading, tilt: 0 });
+  if (inside && towards) lookTo(minus(towards, inside.at));
+  cut = numbers("cut", 4);
+  const limits = numbers("heights", 2);
+  if (limits) for (const k of [0, 1]) $(["lowest", "highest"][k]).value = shareOf(limits[k]);
   if (usable(found.get("colour"))) colour = found.get("colour");
+}
+
+// ---------------------------------------------------------------- clip
+
+// points stay whose height lies between two limits, and of a cut those within half its width from its plane:
+// [east, north of its middle, azimuth of its normal, half width]
+let cut = null;
+const WHOLE_HEIGHT = [-1e9, 1e9], [BOTTOM, TOP] = DATA.heights;
+const shareOf = (height) => (height - BOTTOM) / (TOP - BOTTOM);
+function heights() {
+  const [low, high] = ["lowest", "highest"].map((id) => Number($(id).value));
+  return low <= 0 && high >= 1 ? WHOLE_HEIGHT : [low, high].map((x) => BOTTOM + x * (TOP - BOTTOM));
+}
+function toggleCut() {  // across the view, through the last point or what the view turns about
+  const [east, north] = (picked.at(-1)?.place || (inside ? inside.at : camera.at));
+  cut = cut ? null : [east, north, camera.turn, Math.max(camera.far / 100, 0.25)];
+  moved();
+}
+function cutOf(eye) {  // normal, offset and half width, positions from the eye
+  if (!cut) return [0, 0, 0, 1];
+  const [s, c] = [Math.sin(cut[2] * Math.PI / 180), Math.cos(cut[2] * Math.PI / 180)];
+  return [s, c, s * (cut[0] - eye[0]) + c * (cut[1] - eye[1]), cut[3]];
 }
 
 // ---------------------------------------------------------------- drawing
@@ -312,13 +368,14 @@ function moved() {
 }
 
 function choose(view, most) {  // nodes to draw, large ones on the screen first, and which are wanted from disk
-  const queue = [nodes.get("")], chosen = [], absent = [];
+  const queue = [nodes.get("")], chosen = [], absent = [], [low, high] = heights(), [s, c, offset, reach] = cutOf(view.eye);
   let points = 0;
   const importance = (node) => {
     const centre = node.corner.map((x) => x + node.size / 2), q = minus(centre, view.eye);
     const radius = node.size * 0.87, depth = -dot(q, view.back), width = scene.width / scene.height;
-    if (depth < -radius) return 0;
-    for (const [side, half] of [[view.right, HALF_VIEW * width], [view.up, HALF_VIEW]])
+    if (depth < -radius || node.corner[2] > high || node.corner[2] + node.size < low) return 0;
+    if (Math.abs(s * q[0] + c * q[1] - offset) > reach + radius) return 0;
+    for (const [side, half] of [[view.right, view.half * width], [view.up, view.half]])
       if (Math.abs(dot(q, side)) > half * Math.max(depth, 0) + radius * Math.hypot(1, half)) return 0;
     return node.size * view.pixels / Math.max(Math.hypot(...q) - radius, view.near);
   };
@@ -361,6 +418,8 @@ function drawNodes(view, { made, at }) {
   const width = Number($("width").value);
   gl.uniform1f(at.least, 1.2 * devicePixelRatio * width);
   gl.uniform1f(at.scale, 1.5 * width * view.pixels);
+  gl.uniform2fv(at.heights, heights());
+  gl.uniform4fv(at.cut, cutOf(view.eye));
   gl.uniform1i(at.bare, colour === "rgb" && !$("bare").checked ? 1 : 0);
   drawn.forEach((node, k) => {
     gl.uniform3fv(at.corner, minus(node.corner, view.eye));
@@ -394,6 +453,8 @@ function frame() {
   const view = look(), { chosen, absent, points } = choose(view, still ? budget : MOST_BUDGET);
   drawn = chosen;
   for (const node of absent.slice(0, Math.max(0, AT_ONCE - loading))) load(node);
+  for (const place of inside ? [inside, ...neighbours()] : [])
+    if (place.state === "absent") readScript(place, `views/${place.name}.js`);
   gl.viewport(0, 0, scene.width, scene.height);
   gl.bindFramebuffer(gl.FRAMEBUFFER, targets.colour.frame);
   gl.enable(gl.DEPTH_TEST);
@@ -418,19 +479,28 @@ function frame() {
     gl.bindTexture(gl.TEXTURE_2D, texture);
     gl.uniform1i(k ? at.depth : at.image, k);
   });
+  const sky = inside?.sky;
+  gl.activeTexture(gl.TEXTURE2);
+  gl.bindTexture(gl.TEXTURE_2D, sky || ramps);
+  gl.uniform1i(at.sky, 2);
+  gl.uniform1i(at.inside, sky ? 1 : 0);
+  gl.uniform1f(at.cover, sky ? Number($("cover").value) : 1);
+  if (sky) gl.uniform3fv(at["rays[0]"], [[view.right, view.half * scene.width / scene.height], [view.up, view.half],
+    [view.back, -1]].flatMap(([axis, length]) => inside.axes.map((own) => length * dot(own, axis))));
   gl.uniform2f(at.planes, view.near, view.far);
   gl.uniform1f(at.strength, $("depth").checked ? 1.2 : 0);
   gl.uniform3fv(at.ground, dark() ? [0.078, 0.094, 0.11] : [0.957, 0.961, 0.965]);
   gl.drawArrays(gl.TRIANGLES, 0, 3);
   drawMarks(view);
-  if (still) {  // moving: as many points as the machine draws at 25 frames a second; a pixel read waits for it
+  if (still) {  // moving: as many points as the machine draws at 30 frames a second; a pixel read waits for it
     gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
     const ms = performance.now() - began;
-    if (ms > 40) budget = Math.max(LEAST_BUDGET, Math.min(budget, points) * Math.max(0.5, 35 / ms));
-    else if (ms < 25) budget = Math.min(MOST_BUDGET, budget * 1.1);
+    if (ms > 33) budget = Math.max(LEAST_BUDGET, Math.min(budget, points) * Math.max(0.5, 29 / ms));
+    else if (ms < 20) budget = Math.min(MOST_BUDGET, budget * 1.1);
   }
-  settled = !absent.length && !loading && !still;
-  if (!broken) $("state").textContent = `${points.toLocaleString("en")} points drawn${loading ? ", reading …" : ""}`;
+  settled = !absent.length && !loading && !still && (!inside || "sky" in inside);
+  const where = inside ? `${inside.name}, ${inside.utc} UTC, place ± ${Math.hypot(...inside.sigma).toFixed(3)} m · ` : "";
+  if (!broken) $("state").textContent = `${where}${points.toLocaleString("en")} points drawn${loading ? ", reading …" : ""}`;
   if (still) redraw();
 }
 
@@ -475,6 +545,7 @@ function facts({ node, k }) {
     range: node.range ? between("range", node.range[k] / 255) : null,
     intensity: node.intensity ? between("intensity", node.intensity[k] / 255) : null,
     extras: DATA.extras.map((name, e, { length }) => node.extra[length * k + e] && between(name, (node.extra[length * k + e] - 1) / 254)),
+    photograph: node.image && node.image[k] ? DATA.photographs[node.image[k] - 1] : null,
     unix: node.time ? DATA.unix + between("time", node.time[k] / 65535) : null };
 }
 const withSigma = (value, sigma) => `${value.toFixed(3)} m${isFinite(sigma) ? ` ± ${sigma.toFixed(3)} m` : ""}`;
@@ -502,6 +573,20 @@ function report() {
   if (picked.length && isFinite(picked[0].sigma[0]))
     lines.push(`± one standard deviation${picked.length > 1 ? ", errors of both as independent" : ""}`);
   $("found").textContent = lines.join("\n");
+  if (picked.length !== 1) return;
+  const link = (words, href) => {
+    const made = document.createElement("a");
+    Object.assign(made, { textContent: words, href, target: "_blank" });
+    $("found").append("\n", made);
+  };
+  const { place, photograph } = picked[0], towards = `towards=${digits(place, 3)}`;
+  if (photograph) link(`photograph ${photograph[0]}`, photograph[1]);
+  if (photograph?.[2] && !places.length) link("panorama of its time", `${photograph[2]}&${towards}`);
+  if (places.length) {
+    const nearest = nearestPlace(place);
+    link(`from panorama ${nearest.name}`, `#panorama=${encodeURIComponent(nearest.name)}&${towards}`);
+    $("found").lastChild.target = "";
+  }
 }
 
 function drawMarks(view) {
@@ -520,6 +605,8 @@ function drawMarks(view) {
     pen.beginPath(); pen.arc(...place, 6, 0, 7); pen.stroke();
     if (places.length > 1) pen.fillText(String(k + 1), place[0] + 9, place[1] - 7);
   });
+  drawWalk(view, pen);
+  if (inside) return;
   // a length at the distance of the point that the view turns about, and north
   const metres = camera.far * 2 * HALF_VIEW / innerHeight * 160, power = 10 ** Math.floor(Math.log10(metres));
   const length = power * [5, 2, 1].find((step) => step * power <= metres), px = 160 * length / metres;
@@ -532,6 +619,92 @@ function drawMarks(view) {
   pen.textAlign = "center";
   pen.fillText("N", cx + 31 * north[0], cy + 31 * north[1] + 4);
   pen.textAlign = "left";
+}
+
+// ---------------------------------------------------------------- panoramas
+
+function nearestPlace(point) {
+  const away = (place) => Math.hypot(...minus(place.at, point));
+  return places.reduce((best, place) => away(place) < away(best) ? place : best);
+}
+const neighbours = () => [-1, 1].map((step) => places[places.indexOf(inside) + step]).filter((place) => place);
+function lookTo(direction) {
+  camera.turn = (Math.atan2(direction[0], direction[1]) * 180 / Math.PI + 360) % 360;
+  camera.tilt = -Math.atan2(direction[2], Math.hypot(direction[0], direction[1])) * 180 / Math.PI;
+}
+function enter(place) {
+  if (!place) return;
+  inside = place;
+  for (const other of places)  // a picture of 4096 px takes 32 MB of the graphics card
+    if (other.sky && Math.abs(places.indexOf(other) - places.indexOf(place)) > 3) {
+      gl.deleteTexture(other.sky);
+      delete other.sky;
+      other.state = "absent";
+    }
+  moved();
+}
+function leave() {
+  if (inside) [camera.at, camera.far, inside] = [[...inside.at], Math.min(camera.far, 40), null];
+  else if (places.length) return enter(nearestPlace(camera.at));
+  moved();
+}
+const step = (n) => enter(inside ? places[places.indexOf(inside) + n] : places.length && nearestPlace(camera.at));
+
+async function thalwegPanorama(name, letters) {
+  const place = places.find((each) => each.name === name);
+  const picture = await createImageBitmap(new Blob([bytesOf(letters)], { type: "image/jpeg" }));
+  place.sky = gl.createTexture();
+  gl.activeTexture(gl.TEXTURE2);
+  gl.bindTexture(gl.TEXTURE_2D, place.sky);
+  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB8, gl.RGB, gl.UNSIGNED_BYTE, picture);
+  for (const key of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, key, gl.LINEAR);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
+  place.state = "here";
+  loading--;
+  redraw();
+}
+
+function mapped() {  // metres -> pixels of the map, north up
+  const ends = [0, 1].map((axis) => places.map((place) => place.at[axis])).map((x) => [Math.min(...x), Math.max(...x)]);
+  const scale = ($("map").clientWidth - 30) / Math.max(10, ...ends.map(([low, high]) => high - low));
+  const middle = ends.map(([low, high]) => (low + high) / 2), half = $("map").clientWidth / 2;
+  return ([east, north]) => [half + scale * (east - middle[0]), half - scale * (north - middle[1])];
+}
+
+function drawWalk(view, pen) {  // arrows to the next ones, places seen from outside, and the map
+  if (!places.length) return;
+  for (const [id, n] of [["before", -1], ["after", 1]]) {
+    const other = inside && places[places.indexOf(inside) + n];
+    const d = other && minus(other.at, inside.at), length = d && Math.hypot(d[0], d[1]);
+    const at = length && onScreen(inside.at.map((x, i) => x + (i < 2 ? 3 * d[i] / length : -0.9)), view);
+    $(id).hidden = !at || at[0] < 0 || at[0] > innerWidth || at[1] < 0 || at[1] > innerHeight;
+    if ($(id).hidden) continue;
+    $(id).textContent = `▲ ${length.toFixed(1)} m`;
+    $(id).style.translate = `calc(${at[0]}px - 50%) calc(${at[1]}px - 50%)`;
+  }
+  if (!inside)
+    for (const place of places) {
+      const at = onScreen(place.at, view);
+      if (at) { pen.beginPath(); pen.arc(...at, 3, 0, 7); pen.fill(); }
+    }
+  const map = $("map"), ratio = devicePixelRatio, width = map.clientWidth, at = mapped();
+  if (map.width !== width * ratio) map.width = map.height = width * ratio;
+  const ink = map.getContext("2d");
+  ink.setTransform(ratio, 0, 0, ratio, 0, 0);
+  ink.clearRect(0, 0, width, width);
+  ink.strokeStyle = "#888";
+  ink.beginPath();
+  DATA.track.forEach((place, k) => place && (DATA.track[k - 1] ? ink.lineTo(...at(place)) : ink.moveTo(...at(place))));
+  ink.stroke();
+  ink.fillStyle = dark() ? "#fff" : "#000";
+  for (const place of places) { ink.beginPath(); ink.arc(...at(place.at), 2.5, 0, 7); ink.fill(); }
+  ink.fillText("N ↑", 6, 14);
+  if (!inside) return;
+  const [x, y] = at(inside.at), turned = (camera.turn - 90) * Math.PI / 180, half = Math.atan(view.half * innerWidth / innerHeight);
+  ink.fillStyle = "#d55e0099";
+  ink.beginPath(); ink.moveTo(x, y); ink.arc(x, y, 34, turned - half, turned + half); ink.fill();
+  ink.fillStyle = "#d55e00";
+  ink.beginPath(); ink.arc(x, y, 4.5, 0, 7); ink.fill();
 }
 
 // ---------------------------------------------------------------- hands
@@ -581,7 +754,7 @@ function listen() {
       lastGap = gap;
       move(dx / 2, dy / 2);
     } else if (event.buttons & 6 || event.shiftKey) move(dx, dy);
-    else turn(dx * 0.3, dy * 0.3);
+    else turn(...[dx, dy].map((x) => x * (inside ? camera.open / innerHeight : 0.3)));
   });
   scene.addEventListener("pointerup", (event) => {
     fingers.delete(event.pointerId);
@@ -596,7 +769,9 @@ function listen() {
     const point = pointAt(event.clientX, event.clientY);
     picked = [];
     report();
-    if (point) { camera.at = facts(point).place; camera.far /= 1.6; moved(); }
+    if (point && inside) lookTo(minus(facts(point).place, inside.at));
+    else if (point) { camera.at = facts(point).place; camera.far /= 1.6; }
+    if (point) moved();
   });
   scene.addEventListener("contextmenu", (event) => event.preventDefault());
   scene.addEventListener("wheel", (event) => {
@@ -607,6 +782,7 @@ function listen() {
     ArrowDown: () => turn(0, -5), "+": () => zoom(0.87), "=": () => zoom(0.87), "-": () => zoom(1.15),
     w: () => move(0, 40), s: () => move(0, -40), a: () => move(40, 0), d: () => move(-40, 0), r: () => home(),
     t: () => home({ turn: 0, tilt: 90 }), l: () => setTheme(dark() ? "light" : "dark"),
+    c: toggleCut, n: () => step(1), p: () => step(-1), i: leave,
     Escape: () => { picked = []; report(); redraw(); } };
   addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches("input, summary")) return;
@@ -621,14 +797,22 @@ function listen() {
     label.append(input, ` ${WORDS[name] || name}`);
     $("colours").append(label);
   }
-  for (const id of ["width", "depth", "track", "bare"]) $(id).addEventListener("input", redraw);
+  for (const id of ["width", "depth", "track", "bare", "cover"]) $(id).addEventListener("input", redraw);
+  for (const id of ["lowest", "highest"]) $(id).addEventListener("input", moved);
+  for (const each of ["map", "walk", "over", "walking"]) $(each).hidden = !places.length;
+  const acts = { cut: toggleCut, before: () => step(-1), after: () => step(1), previous: () => step(-1), next: () => step(1), leave };
+  for (const id in acts) $(id).onclick = acts[id];
+  $("map").onclick = (event) => {
+    const at = mapped(), away = ({ at: place }) => Math.hypot(...minus(at(place), [event.offsetX, event.offsetY]));
+    enter(places.reduce((best, place) => away(place) < away(best) ? place : best));
+  };
   $("path").hidden = !track;
   $("grey").hidden = !columns.coloured;
   $("home").onclick = () => home();
   $("top").onclick = () => home({ turn: 0, tilt: 90 });
   $("theme").onclick = keys.l;
   addEventListener("resize", redraw);
-  addEventListener("hashchange", () => { readHash(); setColour(colour); });
+  addEventListener("hashchange", () => { readHash(); enter(inside); setColour(colour); });
 }
 
 if (!gl) say("This browser offers no WebGL 2: use a current Firefox, Chrome, Edge or Safari, with graphics acceleration.");

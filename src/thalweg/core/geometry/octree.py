@@ -43,13 +43,14 @@ class Node:
     spacing_m: float
 
 
-def build_octree(xyz_m: ArrayF, most_points: int) -> list[Node]:
-    """Sort points into an octree, thinned evenly to so many at most.
+def build_octree(xyz_m: ArrayF, most_points: int | None = None) -> list[Node]:
+    """Sort points into an octree, thinned evenly to so many at most, if a number is given.
 
     Parameters
     ----------
     xyz_m : (n, 3) points, m.
-    most_points : of more points one in each of the finest cells that are few enough, and some more.
+    most_points : of more points one in each of the finest cells that are few enough, and some more; of
+        points at one place one. None: each point.
 
     Returns
     -------
@@ -67,10 +68,12 @@ def build_octree(xyz_m: ArrayF, most_points: int) -> list[Node]:
     code = _morton(((xyz_m - low) * (2**_BITS / size)).astype(np.uint64))
     order = np.argsort(code, kind="stable")
     code = code[order]
-    kept = _thinned(code, most_points)
-    code, order = code[kept], order[kept]
+    if most_points is not None:
+        kept = _thinned(code, most_points)
+        code, order = code[kept], order[kept]
     nodes: list[Node] = []
-    for level in range(_BITS - CELLS_BITS + 1):
+    last = _BITS - CELLS_BITS
+    for level in range(last + 1):
         if not len(code):
             break
         of_node = code >> np.uint64(3 * (_BITS - level))
@@ -79,7 +82,8 @@ def build_octree(xyz_m: ArrayF, most_points: int) -> list[Node]:
         own = np.zeros(len(code), dtype=np.bool_)
         own[_middles(code >> np.uint64(3 * (_BITS - level - CELLS_BITS)))] = True
         cells = np.add.reduceat(own, first, dtype=np.int64)
-        own |= np.repeat(count <= LEAF_POINTS, count)
+        # what the finest cells do not tell apart stays together
+        own |= np.repeat((count <= LEAF_POINTS) | (level == last), count)
         for start, n, occupied in zip(first, count, cells, strict=True):
             key = "".join(str(int(of_node[start]) >> 3 * k & 7) for k in reversed(range(level)))
             rows = order[start : start + n][own[start : start + n]]
