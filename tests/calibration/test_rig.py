@@ -175,6 +175,8 @@ def test_the_file_keeps_rig_and_joint_covariance(calibrated: tuple, tmp_path: Pa
     again = read_rig(tmp_path / "rig.yaml", SETTINGS)
     assert pytest.approx(found.rig.T_back_front.R, abs=1e-9) == again.T_back_front.R
     assert again.T_back_front.cov == pytest.approx(found.cov[16:, 16:], rel=1e-6, abs=1e-16)
+    unit = np.sqrt(np.diag(found.cov))
+    assert again.cov / np.outer(unit, unit) == pytest.approx(found.cov / np.outer(unit, unit), abs=1e-6)
     joint = read_calibration(tmp_path / "rig.yaml").correlation()
     # z is the base; focal lengths and base are correlated, and the file says so
     rho = found.cov[0, 18] / np.sqrt(found.cov[0, 0] * found.cov[18, 18])

@@ -3,9 +3,13 @@
 Each seed is another device (lenses, base, tilt), another survey of the room's marks and other poses. Marks
 have the noise that is measured in rendered pictures; the pictures themselves are left out, so that many seeds
 are affordable. Errors are judged from both sides: as sizes, and as squares in units of the joint covariance.
+
+The calibrated rig then takes part in a block of images between two banks, with one pose for each exposure;
+beside it the same images of either lens alone.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -13,11 +17,14 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
-from thalweg.calibration import LENSES, RigCalibration, calibrate_rig
-from thalweg.core import ArrayF, Camera
-from thalweg.settings.sections import Rig as RigSettings
+from thalweg.calibration import LENSES, Rig, RigCalibration, calibrate_rig
+from thalweg.core import ArrayF, Camera, Rigid, exp_rotation, rotation_vector
+from thalweg.images.bundle import AdjustedBlock, Problem, adjust_block, pose_covariance, rig_frames
+from thalweg.images.model import ControlMarks, ControlPoints, ImageBlock
+from thalweg.settings.sections import BlockAdjustment, Rig as RigSettings
 from thalweg.settings.twin import TwinDualFisheye
 from thalweg_lab.dual_fisheye import TrueRig, room_marks, room_points, true_rig
+from thalweg_lab.random_numbers import generator
 from thalweg_lab.studies.study import Result, Seed, Study, Tables
 
 UNKNOWNS: Final = 22
@@ -26,6 +33,16 @@ WIDEST_DEG: Final = 95.0
 BASE_MM: Final = 0.3
 ANGLE_DEG: Final = 0.02
 LENS_PX: Final = 0.1
+EXPOSURES: Final = 12
+"""Exposures of the block between two banks."""
+_CONTROL: Final = 8
+_SIGMA_CONTROL_M: Final = 0.01
+_FOUND: Final = 0.5
+"""Share of the points in view that are found in an image."""
+_PLAIN: Final = BlockAdjustment(
+    loss="none", correlated=False, reject_limit=100.0, interior_variance=1.0, least_angle_deg=0.0
+)
+"""Marks err independently and as they are stated."""
 SQUARES: Final = (0.7, 1.4)
 """Bounds of the figures, see `rig_table`."""
 
@@ -43,7 +60,8 @@ def rig_rows(seed: Seed) -> Tables:
     )
     points, _ = room_points(seed.number, true.settings.sigma_field_m)
     found = calibrate_rig(marks, points, RigSettings())
-    return {"rigs": pd.DataFrame([{"seed": seed.number, **errors_of(found, true)}])}
+    block = block_errors(true, found.rig, seed.number)
+    return {"rigs": pd.DataFrame([{"seed": seed.number, **errors_of(found, true), **block}])}
 
 
 def errors_of(found: RigCalibration, true: TrueRig) -> dict[str, float]:
@@ -72,6 +90,166 @@ def lens_error_px(found: Camera, true: Camera, widest_deg: float = WIDEST_DEG) -
     return float(np.linalg.norm(found.project(rays) - true.project(rays), axis=1).max())
 
 
+# ---------------------------------------------------------------- a block of images between two banks
+
+
+def simulated_block(
+    true: TrueRig,
+    rig: Rig,
+    seed: int,
+    *,
+    exposures: int = EXPOSURES,
+    points: int = 300,
+    sigma_px: float = 0.3,
+) -> tuple[Problem, list[Rigid]]:
+    """Images of a rig on its way in a bend between two banks, and the true poses of its front lens.
+
+    Marks reach to `WIDEST_DEG` and have independent errors; four control points on each bank are known to
+    1 cm. Interiors and places of the lenses begin as they are calibrated; the true ones made the marks.
+
+    Parameters
+    ----------
+    true, rig : the rig as it is, and as it is calibrated.
+    exposures : 1.2 m apart.
+    points : on both banks together.
+    sigma_px : noise of each coordinate of a mark.
+    """
+    rng = generator(seed, "rig block")
+    t = np.arange(exposures)
+    end = 1.2 * exposures
+    way = np.stack([1.2 * t, 2.0 * np.sin(t / 2.0), 0.9 + 0.05 * np.sin(t)], axis=1)
+    # the front lens looks north, to one bank
+    level = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+    turns = exp_rotation(rng.normal(0, [0.03, 0.03, 0.15], (exposures, 3)))
+    fronts = [Rigid(R=turn @ level, shift_m=place) for turn, place in zip(turns, way, strict=True)]
+    n = points + _CONTROL
+    up, along = rng.uniform(0, 5, n), rng.uniform(-12, end + 12, n)
+    along[points:] = np.linspace(-6, end + 6, _CONTROL)
+    across = np.where(np.arange(n) % 2, 1.0, -1.0) * (9.0 + 1.5 * up + rng.normal(0, 0.5, n))
+    # where the river bends, ahead and astern, both lenses see the bank at their rims
+    bend = np.arange(n) < points // 4
+    along[bend] = np.where(rng.random(int(bend.sum())) < 0.5, -15.0, end + 15.0) + rng.normal(
+        0, 2.0, int(bend.sum())
+    )
+    across[bend] = rng.uniform(-9, 9, int(bend.sum()))
+    X = np.stack([along, across, up], axis=1)
+    rows: list[tuple[str, int, ArrayF]] = []
+    least = np.cos(np.deg2rad(WIDEST_DEG))
+    for k, front in enumerate(fronts):
+        for name in LENSES:
+            local = (front @ true.T_front_lens[name]).inverse().apply(X)
+            seen = local[:, 2] / np.linalg.norm(local, axis=1) > least
+            seen &= rng.random(n) < _FOUND
+            xy = true.cameras[name].project(local) + sigma_px * rng.standard_normal((n, 2))
+            rows += [(f"{name}/{k:03d}.jpg", int(i), xy[i]) for i in np.flatnonzero(seen)]
+    images = tuple(sorted({row[0] for row in rows}))
+    number = {name: k for k, name in enumerate(images)}
+    image = np.array([number[row[0]] for row in rows])
+    point = np.array([row[1] for row in rows])
+    px = np.array([row[2] for row in rows])
+    tie = point < points
+    cameras = tuple(rig.cameras[name] for name in LENSES)
+    poses = [fronts[int(name[-7:-4])] @ rig.T_front_lens[name.split("/")[0]] for name in images]
+    return (
+        Problem(
+            block=ImageBlock(
+                cameras=cameras,
+                images=images,
+                camera=np.array([LENSES.index(name.split("/")[0]) for name in images]),
+                R_block_ccs=exp_rotation(rng.normal(0, 0.003, (len(images), 3)))
+                @ np.array([p.R for p in poses]),
+                centre_block_m=np.array([p.shift_m for p in poses]) + rng.normal(0, 0.03, (len(images), 3)),
+                points_block_m=X[:points] + rng.normal(0, 0.05, (points, 3)),
+                mark_image=image[tie],
+                mark_point=point[tie],
+                mark_px=px[tie],
+                sigma_px=np.full(int(tie.sum()), sigma_px),
+            ),
+            control=ControlPoints(
+                names=tuple(f"P{k}" for k in range(_CONTROL)),
+                points_wcs_m=X[points:] + _SIGMA_CONTROL_M * rng.standard_normal((_CONTROL, 3)),
+                cov_wcs_m2=np.tile(_SIGMA_CONTROL_M**2 * np.eye(3), (_CONTROL, 1, 1)),
+                check=np.zeros(_CONTROL, np.bool_),
+            ),
+            marks=ControlMarks(
+                image=image[~tie],
+                point=point[~tie] - points,
+                xy_px=px[~tie],
+                sigma_px=np.full(int((~tie).sum()), sigma_px),
+            ),
+            free=tuple(camera.parameter_names for camera in cameras),
+            weighted=(True, True),
+            held=np.zeros((exposures, 6), np.bool_),
+            rig=rig_frames(rig, images, cameras),
+        ),
+        fronts,
+    )
+
+
+def one_lens(problem: Problem, lens: int) -> Problem:
+    """The images of one lens of a rig alone, without the rig."""
+    block = problem.block
+    mine = block.camera == lens
+    new = np.cumsum(mine) - 1
+    tie, known = mine[block.mark_image], mine[problem.marks.image]
+    marks = problem.marks.chosen(known)
+    return replace(
+        problem,
+        block=replace(
+            block,
+            cameras=block.cameras[lens : lens + 1],
+            images=tuple(np.array(block.images)[mine]),
+            camera=np.zeros(int(mine.sum()), np.int64),
+            R_block_ccs=block.R_block_ccs[mine],
+            centre_block_m=block.centre_block_m[mine],
+            mark_image=new[block.mark_image[tie]],
+            mark_point=block.mark_point[tie],
+            mark_px=block.mark_px[tie],
+            sigma_px=block.sigma_px[tie],
+        ),
+        marks=replace(marks, image=new[marks.image]),
+        free=problem.free[lens : lens + 1],
+        weighted=problem.weighted[lens : lens + 1],
+        rig=None,
+    )
+
+
+def plain_block(problem: Problem) -> AdjustedBlock:
+    """Adjusted with sigmas that count as they are stated."""
+    return adjust_block(problem, _PLAIN, scale_by_sigma0=False)
+
+
+def block_errors(true: TrueRig, rig: Rig, seed: int) -> dict[str, float]:
+    """Poses of a simulated block: their square in units of their covariance, and sigmas beside one lens."""
+    problem, fronts = simulated_block(true, rig, seed)
+    found = plain_block(problem)
+    alone = [plain_block(one_lens(problem, lens)) for lens in range(len(LENSES))]
+    ratio = pose_sigmas(found) / np.minimum(*(pose_sigmas(one) for one in alone))
+    error, cov = pose_errors(found, fronts), pose_covariance(found)
+    return {
+        "block_squares": float(error @ np.linalg.solve(cov, error)) / len(error),
+        "position_ratio": float(ratio[:, 0].mean()),
+        "position_ratio_largest": float(ratio[:, 0].max()),
+        "rotation_ratio": float(ratio[:, 1].mean()),
+        "rotation_ratio_largest": float(ratio[:, 1].max()),
+    }
+
+
+def pose_errors(found: AdjustedBlock, fronts: Sequence[Rigid]) -> ArrayF:
+    """(6 f,) errors that move the poses of the exposures to the true ones."""
+    R, C = found.layout.poses(found.x)
+    true = [fronts[int(name[:3])] for name in found.layout.exposures]
+    shift = np.array([T.shift_m for T in true]) - C - found.origin_m
+    turn = rotation_vector(np.array([T.R for T in true]) @ np.swapaxes(R, 1, 2))
+    return np.concatenate([shift, turn], axis=1).ravel()
+
+
+def pose_sigmas(found: AdjustedBlock) -> ArrayF:
+    """(f, 2) standard deviations of position, m, and of rotation, rad: roots of the mean variances."""
+    variance = np.diag(pose_covariance(found)).reshape(-1, 2, 3)
+    return np.asarray(np.sqrt(variance.mean(axis=2)))
+
+
 def rig_table(rows: pd.DataFrame) -> pd.DataFrame:
     """Figures over all seeds with their bounds: measure, value, low, high, seeds."""
     n = len(rows)
@@ -95,6 +273,15 @@ def rig_table(rows: pd.DataFrame) -> pd.DataFrame:
         ("interiors to 95 degrees, largest error, px", float(rows["lens_px"].max()), 0.0, LENS_PX),
         ("NEES, all 22 unknowns", float(rows["squares"].mean()), *band(UNKNOWNS)),
         ("NEES, relative orientation", float(rows["pose_squares"].mean()), *band(6)),
+        ("NEES, poses of exposures in a block", float(rows["block_squares"].mean()), *band(6 * EXPOSURES)),
+        *(
+            (f"{what} sigma of a pose over that of the better lens alone, {which}", value, 0.0, 1.0)
+            for what in ("position", "rotation")
+            for which, value in (
+                ("mean", float(rows[f"{what}_ratio"].mean())),
+                ("largest", float(rows[f"{what}_ratio_largest"].max())),
+            )
+        ),
     ]
     return pd.DataFrame(
         [(*figure, n) for figure in figures], columns=["measure", "value", "low", "high", "seeds"]

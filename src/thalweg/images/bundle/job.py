@@ -419,12 +419,13 @@ def _joined(poses: Sequence[ImagePoses], lost: Mapping[str, str]) -> tuple[Image
 def image_table(adjusted: AdjustedBlock, images: Sequence[str], reasons: Mapping[str, str]) -> pd.DataFrame:
     """One row an image: whether it is oriented, marks, rms of residuals, sigmas of place and rotation.
 
-    Sigmas are those of the pose about the axes of wcs, in mm and thousandths of a degree.
+    Sigmas are those of the pose, of a rig of its exposure, about the axes of wcs, in mm and thousandths of a
+    degree.
     """
     block = adjusted.problem.block
     at = {name: k for k, name in enumerate(block.images)}
     n = len(block.images)
-    sigma = np.sqrt(np.diag(pose_covariance(adjusted))).reshape(-1, 6)
+    sigma = np.sqrt(np.diag(pose_covariance(adjusted))).reshape(-1, 6)[adjusted.layout.exposure]
     tie = np.bincount(block.mark_image[adjusted.used], minlength=n)
     dropped = np.bincount(block.mark_image[~adjusted.used], minlength=n)
     control = np.bincount(adjusted.problem.marks.image[adjusted.control_used], minlength=n)
@@ -547,7 +548,9 @@ def facts_of(
     adjusted: AdjustedBlock, result: ControlResult, notes: Sequence[str], demoted: Sequence[str] = ()
 ) -> dict[str, Any]:
     """JSON-able facts of an adjustment; ``demoted`` as in `check_statistics`."""
-    sigma = np.sqrt(np.diag(pose_covariance(adjusted))).reshape(-1, 6)[~adjusted.lost_images]
+    layout = adjusted.layout
+    sigma = np.sqrt(np.diag(pose_covariance(adjusted))).reshape(-1, 6)
+    sigma = sigma[~adjusted.lost_images[layout.image]]
     cameras = {
         camera.name: {
             name: {"value": float(value), "sigma": float(s)}
@@ -557,7 +560,6 @@ def facts_of(
         }
         for camera in adjusted_cameras(adjusted)
     }
-    layout = adjusted.layout
     extras = {
         name: {"value": float(v), "sigma": float(s)}
         for name, v, s in zip(
