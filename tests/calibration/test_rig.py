@@ -26,7 +26,7 @@ from thalweg.settings.sections import Rig as RigSettings, RigLens
 from thalweg.settings.twin import TwinDualFisheye
 from thalweg_lab.dual_fisheye import room_marks, room_points, true_rig
 from thalweg_lab.dual_fisheye.room import LAYOUT, room_photographer, room_poses
-from thalweg_lab.studies.rig_study import errors_of, rig_table
+from thalweg_lab.studies.rig_study import block_errors, errors_of, rig_table
 
 SETTINGS = RigSettings()
 
@@ -193,12 +193,16 @@ def test_the_file_keeps_rig_and_joint_covariance(calibrated: tuple, tmp_path: Pa
 
 
 def test_figures_over_seeds_have_bounds(calibrated: tuple) -> None:
-    row = errors_of(calibrated[3], calibrated[0])
+    true, _, _, found = calibrated
+    row = errors_of(found, true) | block_errors(true, found.rig, 5)
     table = rig_table(pd.DataFrame([row] * 20)).set_index("measure")
     assert list(table.columns) == ["value", "low", "high", "seeds"]
     assert (table["seeds"] == 20).all()
     squares = table.loc["NEES, all 22 unknowns"]
     assert 0.7 <= squares["low"] < 1 < squares["high"] <= 1.4
+    ratios = table[table.index.str.contains("better lens")]
+    assert len(ratios) == 4
+    assert (ratios["value"] < 0.6).all()
 
 
 # ---------------------------------------------------------------- pictures
