@@ -18,6 +18,7 @@ from thalweg.settings.twin import TwinDualFisheye
 from thalweg_lab.dual_fisheye import TrueRig, true_rig
 from thalweg_lab.studies.rig_study import (
     EXPOSURES,
+    lenses_of,
     one_lens,
     plain_block,
     pose_errors,
@@ -52,7 +53,8 @@ def calibrated(true: TrueRig, rng: np.random.Generator) -> Rig:
 
 def block(seed: int, **options: int) -> tuple[Problem, list[Rigid]]:
     true = true_rig(TwinDualFisheye(), seed)
-    return simulated_block(true, calibrated(true, np.random.default_rng(seed)), seed, **options)
+    rig = calibrated(true, np.random.default_rng(seed))
+    return simulated_block(lenses_of(true, rig), seed, rig=rig, **options)
 
 
 def test_derivatives_are_those_of_finite_differences(rng: np.random.Generator) -> None:

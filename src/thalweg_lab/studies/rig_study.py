@@ -9,7 +9,7 @@ beside it the same images of either lens alone.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
+from thalweg.budgets import Budget, read_budget, totals_mm
 from thalweg.calibration import LENSES, Rig, RigCalibration, calibrate_rig
 from thalweg.core import ArrayF, Camera, Rigid, exp_rotation, rotation_vector
 from thalweg.images.bundle import AdjustedBlock, Problem, adjust_block, pose_covariance, rig_frames
@@ -33,15 +34,17 @@ WIDEST_DEG: Final = 95.0
 BASE_MM: Final = 0.3
 ANGLE_DEG: Final = 0.02
 LENS_PX: Final = 0.1
+_PANORAMA_PX: Final = 2688
+"""Side of an image circle of the Ricoh Theta V, whose stills have 5376 x 2688 pixels."""
+_POINTS: Final = 2000
+"""Points of which the perspective camera finds as many in an image as 300 are in both image circles."""
 EXPOSURES: Final = 12
 """Exposures of the block between two banks."""
 _CONTROL: Final = 8
 _SIGMA_CONTROL_M: Final = 0.01
 _FOUND: Final = 0.5
 """Share of the points in view that are found in an image."""
-_PLAIN: Final = BlockAdjustment(
-    loss="none", correlated=False, reject_limit=100.0, interior_variance=1.0, least_angle_deg=0.0
-)
+_PLAIN: Final = BlockAdjustment(loss="none", correlated=False, reject_limit=100.0, interior_variance=1.0)
 """Marks err independently and as they are stated."""
 SQUARES: Final = (0.7, 1.4)
 """Bounds of the figures, see `rig_table`."""
@@ -61,7 +64,10 @@ def rig_rows(seed: Seed) -> Tables:
     points, _ = room_points(seed.number, true.settings.sigma_field_m)
     found = calibrate_rig(marks, points, RigSettings())
     block = block_errors(true, found.rig, seed.number)
-    return {"rigs": pd.DataFrame([{"seed": seed.number, **errors_of(found, true), **block}])}
+    return {
+        "rigs": pd.DataFrame([{"seed": seed.number, **errors_of(found, true), **block}]),
+        "cameras": cameras_beside(true, found.rig, seed.number),
+    }
 
 
 def errors_of(found: RigCalibration, true: TrueRig) -> dict[str, float]:
@@ -93,97 +99,125 @@ def lens_error_px(found: Camera, true: Camera, widest_deg: float = WIDEST_DEG) -
 # ---------------------------------------------------------------- a block of images between two banks
 
 
+@dataclass(frozen=True, slots=True)
+class Lens:
+    """A lens as it is and as it is calibrated, and its place in the camera that it belongs to."""
+
+    true: Camera
+    true_place: Rigid
+    known: Camera
+    place: Rigid
+
+
+def lenses_of(true: TrueRig, rig: Rig) -> dict[str, Lens]:
+    """The lenses of a rig, as it is and as it is calibrated."""
+    return {
+        name: Lens(true.cameras[name], true.T_front_lens[name], rig.cameras[name], rig.T_front_lens[name])
+        for name in LENSES
+    }
+
+
+def perspective_lens(seed: int) -> dict[str, Lens]:
+    """A camera of 15.8 megapixels with a lens of 14 mm (C008) on a chip 17.3 mm wide, as it is calibrated."""
+    size, focal = (4592, 3448), 14.0 / 17.3 * 4592
+    true = np.array([focal, focal, size[0] / 2, size[1] / 2, -0.05, 0.02, 0.0, 0.0, 0.0])
+    sigma = np.array([0.5, 0.5, 0.5, 0.5, 2e-4, 4e-4, 2e-5, 2e-5, 2e-4])
+    known = true + sigma * generator(seed, "perspective lens").standard_normal(9)
+    nothing = Rigid(R=np.eye(3), shift_m=np.zeros(3))
+    camera = Camera(model="perspective", size_px=size, parameters=true, name="front")
+    return {"front": Lens(camera, nothing, camera.with_parameters(known, np.diag(sigma**2)), nothing)}
+
+
 def simulated_block(
-    true: TrueRig,
-    rig: Rig,
+    lenses: Mapping[str, Lens],
     seed: int,
     *,
+    rig: Rig | None = None,
     exposures: int = EXPOSURES,
     points: int = 300,
     sigma_px: float = 0.3,
 ) -> tuple[Problem, list[Rigid]]:
-    """Images of a rig on its way in a bend between two banks, and the true poses of its front lens.
+    """Images of a camera on its way in a bend between two banks, and the true poses of its front lens.
 
     Marks reach to `WIDEST_DEG` and have independent errors; four control points on each bank are known to
     1 cm. Interiors and places of the lenses begin as they are calibrated; the true ones made the marks.
 
     Parameters
     ----------
-    true, rig : the rig as it is, and as it is calibrated.
+    lenses : by name; the front lens looks to one bank.
+    rig : calibration of the lenses, where they are two.
     exposures : 1.2 m apart.
-    points : on both banks together.
+    points : on both banks together; half as many in the bend ahead and astern as on each.
     sigma_px : noise of each coordinate of a mark.
     """
     rng = generator(seed, "rig block")
     t = np.arange(exposures)
     end = 1.2 * exposures
     way = np.stack([1.2 * t, 2.0 * np.sin(t / 2.0), 0.9 + 0.05 * np.sin(t)], axis=1)
-    # the front lens looks north, to one bank
     level = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
     turns = exp_rotation(rng.normal(0, [0.03, 0.03, 0.15], (exposures, 3)))
     fronts = [Rigid(R=turn @ level, shift_m=place) for turn, place in zip(turns, way, strict=True)]
     n = points + _CONTROL
     up, along = rng.uniform(0, 5, n), rng.uniform(-12, end + 12, n)
-    along[points:] = np.linspace(-6, end + 6, _CONTROL)
+    # below and above by turns on each bank: off the line, about which a block could turn
+    along[points:], up[points:] = (
+        np.linspace(-6, end + 6, _CONTROL),
+        np.tile([0.3, 0.3, 4.5, 4.5], _CONTROL // 4),
+    )
     across = np.where(np.arange(n) % 2, 1.0, -1.0) * (9.0 + 1.5 * up + rng.normal(0, 0.5, n))
     # where the river bends, ahead and astern, both lenses see the bank at their rims
-    bend = np.arange(n) < points // 4
-    along[bend] = np.where(rng.random(int(bend.sum())) < 0.5, -15.0, end + 15.0) + rng.normal(
-        0, 2.0, int(bend.sum())
-    )
-    across[bend] = rng.uniform(-9, 9, int(bend.sum()))
+    bend = np.arange(n) < points // 5
+    along[bend] = np.where(rng.random(bend.sum()) < 0.5, -15.0, end + 15.0) + rng.normal(0, 2, bend.sum())
+    across[bend] = rng.uniform(-9, 9, bend.sum())
     X = np.stack([along, across, up], axis=1)
-    rows: list[tuple[str, int, ArrayF]] = []
-    least = np.cos(np.deg2rad(WIDEST_DEG))
-    for k, front in enumerate(fronts):
-        for name in LENSES:
-            local = (front @ true.T_front_lens[name]).inverse().apply(X)
-            seen = local[:, 2] / np.linalg.norm(local, axis=1) > least
-            seen &= rng.random(n) < _FOUND
-            xy = true.cameras[name].project(local) + sigma_px * rng.standard_normal((n, 2))
-            rows += [(f"{name}/{k:03d}.jpg", int(i), xy[i]) for i in np.flatnonzero(seen)]
-    images = tuple(sorted({row[0] for row in rows}))
-    number = {name: k for k, name in enumerate(images)}
-    image = np.array([number[row[0]] for row in rows])
-    point = np.array([row[1] for row in rows])
-    px = np.array([row[2] for row in rows])
-    tie = point < points
-    cameras = tuple(rig.cameras[name] for name in LENSES)
-    poses = [fronts[int(name[-7:-4])] @ rig.T_front_lens[name.split("/")[0]] for name in images]
-    return (
-        Problem(
-            block=ImageBlock(
-                cameras=cameras,
-                images=images,
-                camera=np.array([LENSES.index(name.split("/")[0]) for name in images]),
-                R_block_ccs=exp_rotation(rng.normal(0, 0.003, (len(images), 3)))
-                @ np.array([p.R for p in poses]),
-                centre_block_m=np.array([p.shift_m for p in poses]) + rng.normal(0, 0.03, (len(images), 3)),
-                points_block_m=X[:points] + rng.normal(0, 0.05, (points, 3)),
-                mark_image=image[tie],
-                mark_point=point[tie],
-                mark_px=px[tie],
-                sigma_px=np.full(int(tie.sum()), sigma_px),
-            ),
-            control=ControlPoints(
-                names=tuple(f"P{k}" for k in range(_CONTROL)),
-                points_wcs_m=X[points:] + _SIGMA_CONTROL_M * rng.standard_normal((_CONTROL, 3)),
-                cov_wcs_m2=np.tile(_SIGMA_CONTROL_M**2 * np.eye(3), (_CONTROL, 1, 1)),
-                check=np.zeros(_CONTROL, np.bool_),
-            ),
-            marks=ControlMarks(
-                image=image[~tie],
-                point=point[~tie] - points,
-                xy_px=px[~tie],
-                sigma_px=np.full(int((~tie).sum()), sigma_px),
-            ),
-            free=tuple(camera.parameter_names for camera in cameras),
-            weighted=(True, True),
-            held=np.zeros((exposures, 6), np.bool_),
-            rig=rig_frames(rig, images, cameras),
+    names: list[str] = []
+    image, point, px = [], [], []
+    for name, lens in lenses.items():
+        for k, front in enumerate(fronts):
+            local = (front @ lens.true_place).inverse().apply(X)
+            xy = lens.true.project(local) + sigma_px * rng.standard_normal((n, 2))
+            seen = local[:, 2] / np.linalg.norm(local, axis=1) > np.cos(np.deg2rad(WIDEST_DEG))
+            rows = np.flatnonzero(seen & lens.true.inside(xy, 1.0) & (rng.random(n) < _FOUND))
+            image.append(np.full(len(rows), len(names)))
+            names.append(f"{name}/{k:03d}.jpg")
+            point.append(rows)
+            px.append(xy[rows])
+    images, at, where = (np.concatenate(a) for a in (image, point, px))
+    tie = at < points
+    cameras = tuple(lens.known for lens in lenses.values())
+    starts = [fronts[int(name[-7:-4])] @ lenses[name.split("/")[0]].place for name in names]
+    R, C = np.array([T.R for T in starts]), np.array([T.shift_m for T in starts])
+    problem = Problem(
+        block=ImageBlock(
+            cameras=cameras,
+            images=tuple(names),
+            camera=np.repeat(np.arange(len(lenses)), exposures),
+            R_block_ccs=exp_rotation(rng.normal(0, 0.003, C.shape)) @ R,
+            centre_block_m=C + rng.normal(0, 0.03, C.shape),
+            points_block_m=X[:points] + rng.normal(0, 0.05, (points, 3)),
+            mark_image=images[tie],
+            mark_point=at[tie],
+            mark_px=where[tie],
+            sigma_px=np.full(int(tie.sum()), sigma_px),
         ),
-        fronts,
+        control=ControlPoints(
+            names=tuple(f"P{k}" for k in range(_CONTROL)),
+            points_wcs_m=X[points:] + _SIGMA_CONTROL_M * rng.standard_normal((_CONTROL, 3)),
+            cov_wcs_m2=np.tile(_SIGMA_CONTROL_M**2 * np.eye(3), (_CONTROL, 1, 1)),
+            check=np.zeros(_CONTROL, np.bool_),
+        ),
+        marks=ControlMarks(
+            image=images[~tie],
+            point=at[~tie] - points,
+            xy_px=where[~tie],
+            sigma_px=np.full(int((~tie).sum()), sigma_px),
+        ),
+        free=tuple(camera.parameter_names for camera in cameras),
+        weighted=(True,) * len(cameras),
+        held=np.zeros((exposures, 6), np.bool_),
+        rig=None if rig is None else rig_frames(rig, names, cameras),
     )
+    return problem, fronts
 
 
 def one_lens(problem: Problem, lens: int) -> Problem:
@@ -221,7 +255,7 @@ def plain_block(problem: Problem) -> AdjustedBlock:
 
 def block_errors(true: TrueRig, rig: Rig, seed: int) -> dict[str, float]:
     """Poses of a simulated block: their square in units of their covariance, and sigmas beside one lens."""
-    problem, fronts = simulated_block(true, rig, seed)
+    problem, fronts = simulated_block(lenses_of(true, rig), seed, rig=rig)
     found = plain_block(problem)
     alone = [plain_block(one_lens(problem, lens)) for lens in range(len(LENSES))]
     ratio = pose_sigmas(found) / np.minimum(*(pose_sigmas(one) for one in alone))
@@ -235,10 +269,64 @@ def block_errors(true: TrueRig, rig: Rig, seed: int) -> dict[str, float]:
     }
 
 
+def cameras_beside(true: TrueRig, rig: Rig, seed: int) -> pd.DataFrame:
+    """Sigmas of poses by a panorama camera of twice 8 megapixels and by a perspective one, on the same way.
+
+    Both have as many marks in an exposure, each with 0.3 px: what differs is the angle of a pixel, and that
+    the perspective camera sees one bank. Columns ``seed, camera, sigma_m, sigma_rad, marks``.
+    """
+    finer = _PANORAMA_PX / true.settings.circle_px
+    both = {
+        "360": simulated_block(lenses_of(true, rig), seed, rig=rig, points=300, sigma_px=0.3 / finer)[0],
+        "perspective": simulated_block(perspective_lens(seed), seed, points=_POINTS)[0],
+    }
+    rows = []
+    for name, problem in both.items():
+        sigma = np.sqrt(np.mean(np.square(pose_sigmas(plain_block(problem))), axis=0))
+        marks = len(problem.block.mark_image) / EXPOSURES
+        rows.append((seed, name, *sigma.tolist(), marks))
+    return pd.DataFrame(rows, columns=["seed", "camera", "sigma_m", "sigma_rad", "marks"])
+
+
+def camera_table(rows: pd.DataFrame, budget: Budget) -> pd.DataFrame:
+    """What the poses of each camera make of a published budget: mm by part at each distance, RMSE of a point.
+
+    Parameters
+    ----------
+    rows : of all seeds, see `cameras_beside`.
+    budget : of P2 Table 1; its poses are replaced, everything else stays.
+
+    Returns
+    -------
+    camera, distance_m, sigma_m, sigma_deg, poses_mm, rmse_mm, marks, seeds.
+    """
+    out = []
+    for camera, mine in rows.groupby("camera", sort=False):
+        sigma_m, sigma_rad = np.sqrt((mine[["sigma_m", "sigma_rad"]] ** 2).mean())
+        of = {"position": (1e3 * sigma_m, "mm"), "attitude": (np.rad2deg(sigma_rad), "deg")}
+        own, alone = [], []
+        for item in budget.inputs:
+            sigma, unit = of.get(budget.group(item), (item.sigma, item.unit))
+            own.append(replace(item, sigma=sigma, unit=unit))
+            alone.append(replace(own[-1], sigma=sigma if budget.group(item) in of else 0.0))
+        distances = np.asarray(budget.distances_m)
+        for d, whole, poses in zip(
+            distances,
+            totals_mm(replace(budget, inputs=tuple(own)), distances),
+            totals_mm(replace(budget, inputs=tuple(alone)), distances),
+            strict=True,
+        ):
+            out.append(
+                (camera, d, sigma_m, np.rad2deg(sigma_rad), poses, whole, mine["marks"].mean(), len(mine))
+            )
+    names = ["camera", "distance_m", "sigma_m", "sigma_deg", "poses_mm", "rmse_mm", "marks", "seeds"]
+    return pd.DataFrame(out, columns=names)
+
+
 def pose_errors(found: AdjustedBlock, fronts: Sequence[Rigid]) -> ArrayF:
     """(6 f,) errors that move the poses of the exposures to the true ones."""
     R, C = found.layout.poses(found.x)
-    true = [fronts[int(name[:3])] for name in found.layout.exposures]
+    true = [fronts[int(name[-7:-4])] for name in found.layout.exposures]
     shift = np.array([T.shift_m for T in true]) - C - found.origin_m
     turn = rotation_vector(np.array([T.R for T in true]) @ np.swapaxes(R, 1, 2))
     return np.concatenate([shift, turn], axis=1).ravel()
@@ -288,8 +376,12 @@ def rig_table(rows: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def _results(tables: Tables, _: Sequence[Path]) -> Mapping[str, Result]:
-    return {"table": rig_table(tables["rigs"]), "rigs": tables["rigs"]}
+def _results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result]:
+    return {
+        "table": rig_table(tables["rigs"]),
+        "rigs": tables["rigs"],
+        "cameras": camera_table(tables["cameras"], read_budget(files[0])),
+    }
 
 
 STUDY: Final = Study(rows=rig_rows, results=_results)

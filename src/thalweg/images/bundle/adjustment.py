@@ -829,7 +829,7 @@ def image_poses(
             other = index[rows[a + 1]]
             following[row] = Q[own, 6 * other : 6 * other + 6]
     following[~known] = np.nan
-    count, rms = image_statistics(adjusted, layout.exposure)
+    count, rms = exposure_statistics(adjusted)
     t = np.array([times.get(name, (np.nan, np.nan)) for name in images], np.float64).reshape(n, 2)
     return ImagePoses(
         frame=frame,
@@ -850,16 +850,12 @@ def image_poses(
     )
 
 
-def image_statistics(adjusted: AdjustedBlock, group: ArrayI | None = None) -> tuple[ArrayF, ArrayF]:
-    """(i,) used marks of each image, and the rms of their residuals in pixels, both coordinates together.
-
-    With ``group`` (i,) those of each group of images.
-    """
-    block, marks = adjusted.problem.block, adjusted.problem.marks
-    group = np.arange(len(block.images)) if group is None else group
-    n = int(group.max()) + 1
+def exposure_statistics(adjusted: AdjustedBlock) -> tuple[ArrayF, ArrayF]:
+    """(f,) used marks of each exposure, and the rms of their residuals, both coordinates together, pixels."""
+    block, marks, layout = adjusted.problem.block, adjusted.problem.marks, adjusted.layout
+    n = len(layout.exposures)
     tie, control = adjusted.used, adjusted.control_used
-    image = group[np.concatenate([block.mark_image[tie], marks.image[control]])]
+    image = layout.exposure[np.concatenate([block.mark_image[tie], marks.image[control]])]
     off = np.concatenate([adjusted.residual_px[tie], adjusted.control_residual_px[control]])
     count = np.bincount(image, minlength=n).astype(np.float64)
     square = np.bincount(image, np.square(off).sum(axis=1) / 2, minlength=n)

@@ -23,8 +23,18 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from thalweg.calibration import LENSES, Rig
-from thalweg.core import ArrayB, ArrayF, ArrayI, Camera, GeometryError, LocalFrame, Rigid, exp_rotation
-from thalweg.images.model import ControlMarks, ControlPoints, ImageBlock
+from thalweg.core import (
+    ArrayB,
+    ArrayF,
+    ArrayI,
+    Camera,
+    GeometryError,
+    LocalFrame,
+    Rigid,
+    cross_matrix,
+    exp_rotation,
+)
+from thalweg.images.model import ControlMarks, ControlPoints, ImageBlock, ImagePoses
 
 POSE_PARTS: Final = ("east", "north", "up", "rotation east", "rotation north", "rotation up")
 _PLACE_PARTS: Final = ("x", "y", "z", "rotation x", "rotation y", "rotation z")
@@ -155,6 +165,32 @@ class RigFrames:
         """(c,) lenses whose place is an unknown."""
         known = np.diag(self.cov)[-6 * len(self.T_rig_lens) :].reshape(-1, 6)
         return np.asarray((known > 0).any(axis=1) & (self.places != "fixed"))
+
+    def lens_poses(self, poses: ImagePoses, images: Sequence[str], camera: ArrayI) -> ImagePoses:
+        """Poses of the images (i,) with these cameras (i,) from those of exposures; places count as known.
+
+        Images of exposures without a pose have none, and keep the reason.
+        """
+        row = {name: k for k, name in enumerate(poses.images)}
+        at = np.array([row[self.exposures[k]] for k in self.exposure], np.int64)
+        R = poses.R_wcs_ccs[at]
+        arm = np.einsum("iab,ib->ia", R, np.array([T.shift_m for T in self.T_rig_lens])[camera])
+        J = np.broadcast_to(np.eye(6), (len(at), 6, 6)).copy()
+        J[:, :3, 3:] = -cross_matrix(arm)
+        return replace(
+            poses,
+            images=tuple(images),
+            t_gps_s=poses.t_gps_s[at],
+            sigma_t_s=poses.sigma_t_s[at],
+            oriented=poses.oriented[at],
+            reasons=tuple(poses.reasons[k] for k in at),
+            centre_wcs_m=poses.centre_wcs_m[at] + arm,
+            R_wcs_ccs=R @ np.array([T.R for T in self.T_rig_lens])[camera],
+            cov_pose_wcs=J @ poses.cov_pose_wcs[at] @ np.swapaxes(J, 1, 2),
+            cov_next=np.where(poses.oriented[at, None, None], 0.0, np.nan),
+            n_marks=poses.n_marks[at],
+            rms_px=poses.rms_px[at],
+        )
 
 
 def rig_frames(
