@@ -277,7 +277,7 @@ def cameras_beside(true: TrueRig, rig: Rig, seed: int) -> pd.DataFrame:
     """
     finer = _PANORAMA_PX / true.settings.circle_px
     both = {
-        "360": simulated_block(lenses_of(true, rig), seed, rig=rig, points=300, sigma_px=0.3 / finer)[0],
+        "panorama": simulated_block(lenses_of(true, rig), seed, rig=rig, points=300, sigma_px=0.3 / finer)[0],
         "perspective": simulated_block(perspective_lens(seed), seed, points=_POINTS)[0],
     }
     rows = []
