@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from thalweg_lab.studies.rig_study import (
     pose_errors,
     pose_sigmas,
     simulated_block,
+    way_of,
 )
 
 SIGMA = np.r_[np.tile([0.05, 0.05, 0.05, 0.05, 3e-4, 3e-4, 2e-4, 1e-4], 2), [5e-3] * 3, [2.5e-3] * 3]
@@ -51,7 +53,7 @@ def calibrated(true: TrueRig, rng: np.random.Generator) -> Rig:
     )
 
 
-def block(seed: int, **options: int) -> tuple[Problem, list[Rigid]]:
+def block(seed: int, **options: Any) -> tuple[Problem, list[Rigid]]:
     true = true_rig(TwinDualFisheye(), seed)
     rig = calibrated(true, np.random.default_rng(seed))
     return simulated_block(lenses_of(true, rig), seed, rig=rig, **options)
@@ -81,7 +83,7 @@ def test_derivatives_are_those_of_finite_differences(rng: np.random.Generator) -
 
 def test_normal_equations_are_those_of_all_points_as_unknowns() -> None:
     """Lenses that see one point in one exposure share its six unknowns."""
-    problem, _ = block(2, points=25)
+    problem, _ = block(2, points=60)
     layout = Layout(problem)
     x, b, u = start_state(problem, layout), problem.block, len(layout.names)
     both = {}
@@ -245,7 +247,7 @@ def test_names_of_images_tell_their_exposure() -> None:
 
 def test_parts_of_a_block_agree_on_the_lenses_of_a_rig() -> None:
     """With all options of a survey, and enough exposures to compare parts of the block."""
-    problem, fronts = block(16, exposures=18, points=400)
+    problem, fronts = block(16, fronts=way_of(16, 18), points=400)
     found = adjust_block(problem, BlockAdjustment())
     assert found.interior_variance == BlockAdjustment().interior_variance
     assert not found.notes

@@ -128,16 +128,25 @@ def perspective_lens(seed: int) -> dict[str, Lens]:
     return {"front": Lens(camera, nothing, camera.with_parameters(known, np.diag(sigma**2)), nothing)}
 
 
+def way_of(seed: int, exposures: int = EXPOSURES) -> list[Rigid]:
+    """Poses of a camera that looks to one bank, 1.2 m apart."""
+    t = np.arange(exposures)
+    place = np.stack([1.2 * t, 2.0 * np.sin(t / 2.0), 0.9 + 0.05 * np.sin(t)], axis=1)
+    level = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+    turns = exp_rotation(generator(seed, "rig way").normal(0, [0.03, 0.03, 0.15], (exposures, 3)))
+    return [Rigid(R=turn @ level, shift_m=at) for turn, at in zip(turns, place, strict=True)]
+
+
 def simulated_block(
     lenses: Mapping[str, Lens],
     seed: int,
     *,
     rig: Rig | None = None,
-    exposures: int = EXPOSURES,
+    fronts: Sequence[Rigid] | None = None,
     points: int = 300,
     sigma_px: float = 0.3,
 ) -> tuple[Problem, list[Rigid]]:
-    """Images of a camera on its way in a bend between two banks, and the true poses of its front lens.
+    """Images of a camera on its way between two banks, and the true poses of its front lens.
 
     Marks reach to `WIDEST_DEG` and have independent errors; four control points on each bank are known to
     1 cm. Interiors and places of the lenses begin as they are calibrated; the true ones made the marks.
@@ -146,17 +155,20 @@ def simulated_block(
     ----------
     lenses : by name; the front lens looks to one bank.
     rig : calibration of the lenses, where they are two.
-    exposures : 1.2 m apart.
+    fronts : true poses of the front lens on a way along a river; None: `way_of`.
     points : on both banks together; half as many in the bend ahead and astern as on each.
     sigma_px : noise of each coordinate of a mark.
     """
     rng = generator(seed, "rig block")
-    t = np.arange(exposures)
-    end = 1.2 * exposures
-    way = np.stack([1.2 * t, 2.0 * np.sin(t / 2.0), 0.9 + 0.05 * np.sin(t)], axis=1)
-    level = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-    turns = exp_rotation(rng.normal(0, [0.03, 0.03, 0.15], (exposures, 3)))
-    fronts = [Rigid(R=turn @ level, shift_m=place) for turn, place in zip(turns, way, strict=True)]
+    fronts = way_of(seed) if fronts is None else list(fronts)
+    exposures = len(fronts)
+    place = np.array([T.shift_m for T in fronts])
+    # the river lies along the way from its begin to its end
+    ahead = (place[-1] - place[0])[:2]
+    end = float(np.linalg.norm(ahead))
+    (x, y), low = ahead / end, place[0] - [0.0, 0.0, 0.9]
+    R = np.array([[x, -y, 0.0], [y, x, 0.0], [0.0, 0.0, 1.0]])
+    wide = 7.0 + float(np.abs((place - low) @ R[:, 1]).max())
     n = points + _CONTROL
     up, along = rng.uniform(0, 5, n), rng.uniform(-12, end + 12, n)
     # below and above by turns on each bank: off the line, about which a block could turn
@@ -164,12 +176,12 @@ def simulated_block(
         np.linspace(-6, end + 6, _CONTROL),
         np.tile([0.3, 0.3, 4.5, 4.5], _CONTROL // 4),
     )
-    across = np.where(np.arange(n) % 2, 1.0, -1.0) * (9.0 + 1.5 * up + rng.normal(0, 0.5, n))
+    across = np.where(np.arange(n) % 2, 1.0, -1.0) * (wide + 1.5 * up + rng.normal(0, 0.5, n))
     # where the river bends, ahead and astern, both lenses see the bank at their rims
     bend = np.arange(n) < points // 5
     along[bend] = np.where(rng.random(bend.sum()) < 0.5, -15.0, end + 15.0) + rng.normal(0, 2, bend.sum())
-    across[bend] = rng.uniform(-9, 9, bend.sum())
-    X = np.stack([along, across, up], axis=1)
+    across[bend] = rng.uniform(-wide, wide, bend.sum())
+    X = np.stack([along, across, up], axis=1) @ R.T + low
     names: list[str] = []
     image, point, px = [], [], []
     for name, lens in lenses.items():
@@ -186,13 +198,13 @@ def simulated_block(
     tie = at < points
     cameras = tuple(lens.known for lens in lenses.values())
     starts = [fronts[int(name[-7:-4])] @ lenses[name.split("/")[0]].place for name in names]
-    R, C = np.array([T.R for T in starts]), np.array([T.shift_m for T in starts])
+    C = np.array([T.shift_m for T in starts])
     problem = Problem(
         block=ImageBlock(
             cameras=cameras,
             images=tuple(names),
             camera=np.repeat(np.arange(len(lenses)), exposures),
-            R_block_ccs=exp_rotation(rng.normal(0, 0.003, C.shape)) @ R,
+            R_block_ccs=exp_rotation(rng.normal(0, 0.003, C.shape)) @ [T.R for T in starts],
             centre_block_m=C + rng.normal(0, 0.03, C.shape),
             points_block_m=X[:points] + rng.normal(0, 0.05, (points, 3)),
             mark_image=images[tie],

@@ -187,7 +187,7 @@ class RigFrames:
             centre_wcs_m=poses.centre_wcs_m[at] + arm,
             R_wcs_ccs=R @ np.array([T.R for T in self.T_rig_lens])[camera],
             cov_pose_wcs=J @ poses.cov_pose_wcs[at] @ np.swapaxes(J, 1, 2),
-            cov_next=np.where(poses.oriented[at, None, None], 0.0, np.nan),
+            cov_next=np.where(poses.oriented[at, None, None], 0.0, np.nan) * np.ones((6, 6)),
             n_marks=poses.n_marks[at],
             rms_px=poses.rms_px[at],
         )
