@@ -1,6 +1,7 @@
 """Exposures of a rig go the way of any images: block, clock, camera trajectory, fused trajectory."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,7 +12,8 @@ from thalweg.calibration import LENSES, Rig
 from thalweg.clocks import OffsetOptions, Track
 from thalweg.clocks.synchronise import run_attitude
 from thalweg.core import Rigid
-from thalweg.images.bundle import Boat, Oriented, adjust_campaign
+from thalweg.images.bundle import Boat, Problem, adjust_campaign
+from thalweg.images.bundle.job import mark_rows
 from thalweg.images.model import ImagePoses
 from thalweg.navigation.camera import CloudSettings, antenna_in_camera, camera_trajectory, time_images
 from thalweg.navigation.camera.image_times import TimedImages
@@ -32,6 +34,7 @@ from thalweg_lab.studies.outage import (
 )
 from thalweg_lab.studies.rig_study import lenses_of, simulated_block
 
+SEED = 7
 JITTER_S = 0.02
 SIGMA_LEVER_M = [0.001] * 3
 
@@ -53,50 +56,63 @@ def calibrated(seed: int) -> tuple[dict, Rig]:
     return lenses_of(true, rig), rig
 
 
+def adjusted(problem: Problem, predicted: ImagePoses, rig: Rig, **more: Any) -> tuple:
+    given = {"control_points": [], "marks": None, "boat": None, **more}
+    return adjust_campaign(
+        problem.block,
+        predicted,
+        frame=FRAME,
+        crs=None,
+        adjustment=BlockAdjustment(antenna={"use": given["boat"] is not None}),
+        control=ControlSettings(),
+        known=rig.cameras,
+        reasons={},
+        rig=rig,
+        **given,
+    )
+
+
 @pytest.fixture(scope="module")
-def survey() -> tuple[Recorded, Oriented, ImagePoses, dict, TimedImages]:
-    """A voyage of 25 s, a rig at the mount of the camera whose clock is off, and its block by RTK alone."""
+def block() -> tuple[Recorded, Problem, ImagePoses, Rig]:
+    """A voyage of 25 s, a rig at the mount of the camera whose clock is off, its images, and predictions."""
     spec = VoyageSpec(
         duration_s=25.0, sigma_clock_s=0.2, jitter_s=JITTER_S, sigma_mount_m=0.0, sigma_mount_deg=0.0
     )
-    recorded = make_survey(4, spec)
+    recorded = make_survey(SEED, spec)
     stamp = recorded.images.t_gps_s
     exposed = stamp + recorded.clock_s + JITTER_S * np.random.default_rng(4).standard_normal(len(stamp))
     place, R = recorded.motion.position_wcs_m(exposed), recorded.motion.R_wcs_ics(exposed)
     fronts = [Rigid(R=a, shift_m=b) @ CAMERA for a, b in zip(R, place, strict=True)]
     lenses, rig = calibrated(4)
     problem, _ = simulated_block(lenses, 4, rig=rig, fronts=fronts, sigma_px=0.2)
-    names = tuple(f"{k:03d}.jpg" for k in range(len(stamp)))
     predicted = replace(
         recorded.images.with_times(stamp, np.full(len(stamp), np.hypot(0.2, JITTER_S))),
-        images=names,
+        images=tuple(f"{k:03d}.jpg" for k in range(len(stamp))),
         facts={"sigma_common_s": 0.2},
     )
-    found, poses, facts = adjust_campaign(
-        problem.block,
-        predicted,
-        frame=FRAME,
-        crs=None,
-        adjustment=BlockAdjustment(antenna={"use": True}),
-        control=ControlSettings(),
-        control_points=[],
-        marks=None,
-        known=rig.cameras,
-        boat=Boat(
-            positions=recorded.positions,
-            T_ics_ccs=CAMERA,
-            lever_ics_m=LEVER_ANTENNA_M.tolist(),
-            sigma_lever_m=SIGMA_LEVER_M,
-        ),
-        reasons={},
-        rig=rig,
+    return recorded, problem, predicted, rig
+
+
+@pytest.fixture(scope="module")
+def survey(block: tuple, tmp_path_factory: pytest.TempPathFactory) -> tuple[Recorded, TimedImages]:
+    """The block by control points, and its exposures with times."""
+    recorded, problem, predicted, rig = block
+    folder = tmp_path_factory.mktemp("control")
+    control = problem.control
+    lat, lon, height = FRAME.to_geodetic(control.points_wcs_m)
+    pd.DataFrame(
+        {"point": control.names, "lat_deg": lat, "lon_deg": lon, "h_ell_m": height, "sigma_m": 0.01}
+    ).to_csv(folder / "control.csv", index=False)
+    mark_rows(problem.block, control, problem.marks).to_csv(folder / "marks.csv", index=False)
+    _, poses, _ = adjusted(
+        problem, predicted, rig, control_points=[folder / "control.csv"], marks=folder / "marks.csv"
     )
     lever, cov = antenna_in_camera(
         CAMERA.with_cov(np.diag([1e-6] * 3 + [1e-7] * 3)), LEVER_ANTENNA_M, SIGMA_LEVER_M
     )
     timed = time_images(
         poses,
-        pd.DataFrame({"file": names, "t_device_s": stamp}),
+        pd.DataFrame({"file": predicted.images, "t_device_s": predicted.t_gps_s}),
         track=Track.from_table(recorded.positions, FRAME, correlation_time_s=10.0, white_share=0.25),
         ins=run_attitude(
             recorded.states, FRAME, {"use_attitude": True, "attitude_time_s": 20.0, "high_pass_s": 60.0}
@@ -104,28 +120,38 @@ def survey() -> tuple[Recorded, Oriented, ImagePoses, dict, TimedImages]:
         clock=None,
         options=OffsetOptions(lever_m=lever, cov_lever_m2=cov),
     )
-    return recorded, found, poses, facts, timed
+    return recorded, timed
 
 
-def test_both_lenses_share_the_clock(survey: tuple) -> None:
-    recorded, found, poses, facts, timed = survey
-    n = len(recorded.images.images)
-    assert poses.oriented.all()
-    assert len(poses.images) == n
-    # one position and one error of the clock for an exposure, not for each of its images
+def test_both_lenses_share_the_clock(block: tuple) -> None:
+    """One position and one error of the clock for an exposure, not for each of its images."""
+    recorded, problem, predicted, rig = block
+    boat = Boat(
+        positions=recorded.positions,
+        T_ics_ccs=CAMERA,
+        lever_ics_m=LEVER_ANTENNA_M.tolist(),
+        sigma_lever_m=SIGMA_LEVER_M,
+    )
+    found, poses, facts = adjusted(problem, predicted, rig, boat=boat)
+    n = len(predicted.images)
+    assert (poses.images, poses.oriented.all()) == (predicted.images, True)
     assert len(found.adjusted.problem.block.images) == 2 * n
     assert facts["antenna_positions"]["images with a position"] == n
     late = facts["antenna"]["antenna clock"]
     assert abs(late["value"] - recorded.clock_s) < 4 * late["sigma"]
     assert late["sigma"] < 0.05
-    # synchronised like any camera
-    assert abs(timed.clock.offset_s - recorded.clock_s) < 4 * timed.clock.sigma_offset_s
-    assert timed.clock.sigma_offset_s < 0.02
-    assert abs(recorded.clock_s) > 4 * timed.clock.sigma_offset_s
+
+
+def test_the_rig_is_synchronised_like_any_camera(survey: tuple) -> None:
+    recorded, timed = survey
+    assert timed.facts["clock"] == "run"
+    assert abs(timed.clock.offset_s - recorded.clock_s) < 3 * timed.clock.sigma_offset_s
+    assert timed.clock.sigma_offset_s < 0.01
+    assert abs(recorded.clock_s) > 10 * timed.clock.sigma_offset_s
 
 
 def test_the_camera_trajectory_is_that_of_the_boat(survey: tuple) -> None:
-    recorded, _, _, _, timed = survey
+    recorded, timed = survey
     found = camera_trajectory(
         timed.poses,
         CAMERA,
@@ -145,7 +171,7 @@ def test_the_camera_trajectory_is_that_of_the_boat(survey: tuple) -> None:
 
 
 def test_the_smoother_takes_exposures_of_a_rig(survey: tuple) -> None:
-    recorded, _, _, _, timed = survey
+    recorded, timed = survey
     with_rig = fuse(replace(recorded, images=timed.poses), FusionSettings())
     without = fuse(recorded, FusionSettings(), with_images=False)
     at = timed.poses.t_gps_s[2:-2] + 0.5
