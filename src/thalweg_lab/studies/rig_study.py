@@ -37,7 +37,7 @@ LENS_PX: Final = 0.1
 _PANORAMA_PX: Final = 2688
 """Side of an image circle of the Ricoh Theta V, whose stills have 5376 x 2688 pixels."""
 _POINTS: Final = 2000
-"""Points of which the perspective camera finds as many in an image as 300 are in both image circles."""
+"""Points of which a perspective camera finds about as many in an image as 300 are in both image circles."""
 EXPOSURES: Final = 12
 """Exposures of the block between two banks."""
 _CONTROL: Final = 8
@@ -117,15 +117,25 @@ def lenses_of(true: TrueRig, rig: Rig) -> dict[str, Lens]:
     }
 
 
-def perspective_lens(seed: int) -> dict[str, Lens]:
-    """A camera of 15.8 megapixels with a lens of 14 mm (C008) on a chip 17.3 mm wide, as it is calibrated."""
-    size, focal = (4592, 3448), 14.0 / 17.3 * 4592
-    true = np.array([focal, focal, size[0] / 2, size[1] / 2, -0.05, 0.02, 0.0, 0.0, 0.0])
+def two_cameras(seed: int) -> tuple[dict[str, Lens], Rig]:
+    """Two cameras of 15.8 megapixels with lenses of 14 mm (C008) on chips 17.3 mm wide, back to back (FW29).
+
+    Their relative orientation is calibrated to 0.2 mm and 0.01 degrees; the front camera counts alone, too.
+    """
+    rng, size, focal = generator(seed, "two cameras"), (4592, 3448), 14.0 / 17.3 * 4592
+    parameters = np.array([focal, focal, size[0] / 2, size[1] / 2, -0.05, 0.02, 0.0, 0.0, 0.0])
     sigma = np.array([0.5, 0.5, 0.5, 0.5, 2e-4, 4e-4, 2e-5, 2e-5, 2e-4])
-    known = true + sigma * generator(seed, "perspective lens").standard_normal(9)
-    nothing = Rigid(R=np.eye(3), shift_m=np.zeros(3))
-    camera = Camera(model="perspective", size_px=size, parameters=true, name="front")
-    return {"front": Lens(camera, nothing, camera.with_parameters(known, np.diag(sigma**2)), nothing)}
+    true, known = {}, {}
+    for name in LENSES:
+        true[name] = Camera(model="perspective", size_px=size, parameters=parameters, name=name)
+        wrong = parameters + sigma * rng.standard_normal(len(sigma))
+        known[name] = true[name].with_parameters(wrong, np.diag(sigma**2))
+    apart = Rigid(R=np.diag([-1.0, 1.0, -1.0]), shift_m=np.array([0.0, 0.0, -0.12]))
+    sigma_apart = np.repeat([2e-4, np.deg2rad(0.01)], 3)
+    found = apart.moved(sigma_apart * rng.standard_normal(6)).with_cov(np.diag(sigma_apart**2))
+    rig = Rig(cameras=known, T_back_front=found, settings=RigSettings())
+    places = {"front": Rigid(R=np.eye(3), shift_m=np.zeros(3)), "back": apart.inverse()}
+    return {name: Lens(true[name], places[name], known[name], rig.T_front_lens[name]) for name in LENSES}, rig
 
 
 def way_of(seed: int, exposures: int = EXPOSURES) -> list[Rigid]:
@@ -173,7 +183,7 @@ def simulated_block(
     up, along = rng.uniform(0, 5, n), rng.uniform(-12, end + 12, n)
     # below and above by turns on each bank: off the line, about which a block could turn
     along[points:], up[points:] = (
-        np.linspace(-6, end + 6, _CONTROL),
+        np.linspace(0.0, end, _CONTROL),
         np.tile([0.3, 0.3, 4.5, 4.5], _CONTROL // 4),
     )
     across = np.where(np.arange(n) % 2, 1.0, -1.0) * (wide + 1.5 * up + rng.normal(0, 0.5, n))
@@ -282,15 +292,17 @@ def block_errors(true: TrueRig, rig: Rig, seed: int) -> dict[str, float]:
 
 
 def cameras_beside(true: TrueRig, rig: Rig, seed: int) -> pd.DataFrame:
-    """Sigmas of poses by a panorama camera of twice 8 megapixels and by a perspective one, on the same way.
+    """Sigmas of poses by a panorama camera of twice 8 megapixels, by a perspective one and by two of these.
 
-    Both have as many marks in an exposure, each with 0.3 px: what differs is the angle of a pixel, and that
-    the perspective camera sees one bank. Columns ``seed, camera, sigma_m, sigma_rad, marks``.
+    All go the same way, and each lens has about as many marks in an exposure, with 0.3 px: what differs is
+    the angle of a pixel, and which banks are seen. Columns ``seed, camera, sigma_m, sigma_rad, marks``.
     """
     finer = _PANORAMA_PX / true.settings.circle_px
+    lenses, apart = two_cameras(seed)
     both = {
         "panorama": simulated_block(lenses_of(true, rig), seed, rig=rig, points=300, sigma_px=0.3 / finer)[0],
-        "perspective": simulated_block(perspective_lens(seed), seed, points=_POINTS)[0],
+        "perspective": simulated_block({"front": lenses["front"]}, seed, points=_POINTS)[0],
+        "two perspective": simulated_block(lenses, seed, rig=apart, points=_POINTS)[0],
     }
     rows = []
     for name, problem in both.items():
