@@ -25,7 +25,7 @@ from thalweg.core.calibration.imports import fisheye_of_sphere
 from thalweg.settings.sections import Rig as RigSettings, RigLens
 from thalweg.settings.twin import TwinDualFisheye
 from thalweg_lab.dual_fisheye import LAYOUT, room_marks, room_photographer, room_points, room_poses, true_rig
-from thalweg_lab.studies.sensors.rig import errors_of, rig_table
+from thalweg_lab.studies.sensors.rig import block_errors, errors_of, rig_table
 
 SETTINGS = RigSettings()
 
@@ -177,6 +177,8 @@ def test_the_file_keeps_rig_and_joint_covariance(calibrated: tuple, tmp_path: Pa
     again = read_rig(tmp_path / "rig.yaml", SETTINGS)
     assert pytest.approx(found.rig.T_back_front.R, abs=1e-9) == again.T_back_front.R
     assert again.T_back_front.cov == pytest.approx(found.cov[16:, 16:], rel=1e-6, abs=1e-16)
+    unit = np.sqrt(np.diag(found.cov))
+    assert again.cov / np.outer(unit, unit) == pytest.approx(found.cov / np.outer(unit, unit), abs=1e-6)
     joint = read_calibration(tmp_path / "rig.yaml").correlation()
     # z is the base; focal lengths and base are correlated, and the file says so
     rho = found.cov[0, 18] / np.sqrt(found.cov[0, 0] * found.cov[18, 18])
@@ -193,12 +195,16 @@ def test_the_file_keeps_rig_and_joint_covariance(calibrated: tuple, tmp_path: Pa
 
 
 def test_figures_over_seeds_have_bounds(calibrated: tuple) -> None:
-    row = errors_of(calibrated[3], calibrated[0])
+    true, _, _, found = calibrated
+    row = errors_of(found, true) | block_errors(true, found.rig, 5)
     table = rig_table(pd.DataFrame([row] * 20)).set_index("measure")
     assert list(table.columns) == ["value", "low", "high", "seeds"]
     assert (table["seeds"] == 20).all()
     squares = table.loc["NEES, all 22 unknowns"]
     assert 0.7 <= squares["low"] < 1 < squares["high"] <= 1.4
+    ratios = table[table.index.str.contains("better lens")]
+    assert len(ratios) == 4
+    assert (ratios["value"] < 0.6).all()
 
 
 # ---------------------------------------------------------------- pictures

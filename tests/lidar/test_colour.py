@@ -13,7 +13,7 @@ from thalweg.core.las import read_laz
 from thalweg.images.model import ImagePoses
 from thalweg.lidar import COLOUR_DIMENSIONS, Photographs, colour_cloud, exposure_gains
 from thalweg.lidar.cloud import EXTRA_DIMENSIONS
-from thalweg.lidar.colour import GAMMA, lens_of, seen_pixels
+from thalweg.lidar.colour import GAMMA, lens_of, seen_pixels, view_gains
 from thalweg.settings.sections import Colour
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=200.0)
@@ -246,6 +246,32 @@ def test_exposures_are_found_as_well_as_their_sigmas_say(rng: np.random.Generato
     assert (n[:24] > 1000).all()
     alone = exposure_gains(view[:, :1], values[:, :1], 25)
     assert (alone[0] == 1).all()
+
+
+def test_lenses_of_one_exposure_are_evened_by_what_they_show_at_once(rng: np.random.Generator) -> None:
+    """Points that the back lens shows at another time than the front lens are seen from their sunny side."""
+    n, true = 12_000, np.array([1.0, 0.85, 1.2, 1.12, 0.85 * 1.12, 1.2 * 1.12])
+    lens, t = np.repeat([0, 1], 3), np.tile([10.0, 15.0, 20.0], 2)
+    # a tenth of the points at the rims of both lenses, the others by either lens at different times
+    first = rng.integers(0, 3, n)
+    at_once = np.arange(n) % 10 == 0
+    other = (first + rng.integers(1, 3, n)) % 3 + 3 * rng.integers(0, 2, n)
+    second = np.where(at_once, first + 3, other)
+    view = np.stack([first, second, np.full(n, -1)], axis=1)
+    light = rng.uniform(0.05, 0.5, (n, 1, 3)) * np.ones((1, 3, 1))
+    sunny = (lens[view] == 1) & ~at_once[:, None]
+    light = light * true[view][:, :, None] * np.where(sunny, 1.4, 1.0)[:, :, None]
+    light *= np.exp(0.1 * rng.standard_normal(light.shape))
+    values = np.rint(255 * np.clip(light, 0, 1) ** (1 / 2.2)).astype(np.uint8)
+    gains, sigma, told = view_gains(view, values, lens, t)
+    np.testing.assert_allclose(gains[3:] / gains[:3], 1.12, atol=0.02)
+    assert (sigma < 0.02).all()
+    assert (told > 1000).all()
+    plain, _, _ = exposure_gains(view, values, 6)
+    assert (plain[3:] / plain[:3] > 1.25).all()
+    # photographs of different times are evened as ever
+    apart, _, _ = view_gains(view, values, lens, np.arange(6.0))
+    np.testing.assert_allclose(apart, plain, rtol=1e-12)
 
 
 def test_photographs_of_other_exposure_give_the_same_colour(folder: Path) -> None:

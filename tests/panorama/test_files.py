@@ -1,5 +1,6 @@
 """Panoramas of a survey as files: places, projection tags, ranges of a cloud, files that have no place."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,7 @@ from thalweg.panorama import (
     place_rig_files,
     rig_photographs,
 )
+from thalweg.panorama.files import _tell_reading
 from thalweg.settings.sections import Colour, Panorama, Rig as RigSettings
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=200.0)
@@ -219,6 +221,30 @@ def test_files_outside_the_survey_and_depth_without_a_cloud_are_told(survey: Pat
         make_panoramas(
             *given[:2], turned, None, Panorama(mode="sphere"), tmp_path / "p", tmp_path / "p.parquet"
         )
+
+
+def test_an_unknown_clock_a_missing_mask_and_a_cloud_of_elsewhere_are_told(
+    survey: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    plain = RigSettings.model_validate(SETTINGS.model_dump() | {"clock": {}})
+    with caplog.at_level("WARNING", logger="thalweg"):
+        placed = place_rig_files([survey / "rig"], trajectory(), plain)
+    assert "The clock of the rig is known to 1 s only (rig.clock)" in caplog.text
+    assert any("rig.clock" in note for note in placed.report.notes)
+    assert placed.poses.sigma_t_s[0] > 1.0
+    out = tmp_path / "p", tmp_path / "p.parquet"
+    given = (files_of(survey), placed.poses, small_rig())
+    with pytest.raises(InputError, match="no lens has a mask") as refused:
+        make_panoramas(*given, survey / "points.laz", Panorama(boat="mask"), *out)
+    assert "rig.front.mask" in refused.value.cure
+    assert "0 where the boat is" in refused.value.expected
+    away = replace(placed.poses, centre_wcs_m=placed.poses.centre_wcs_m + np.array([900.0, 0, 0]))
+    caplog.clear()
+    with caplog.at_level("WARNING", logger="thalweg"):
+        make_panoramas(given[0], away, given[2], survey / "points.laz", Panorama(width_px=64), *out)
+    assert caplog.text.count("no point of the cloud within 80 m: taken outside the time of the lidar?") == 2
+    _tell_reading({"": 10.0, "changed over": 90.0, "mirrored": 12.0})
+    assert "fit both views better if these are changed over (90 nats, as they are 10)" in caplog.text
 
 
 def test_a_rig_colours_all_walls(survey: Path, tmp_path: Path) -> None:

@@ -37,6 +37,7 @@ from thalweg.core import (
     Adjusted,
     AnyArray,
     ArrayF,
+    ArrayI,
     ArrayU8,
     Camera,
     CoverageError,
@@ -261,11 +262,15 @@ class Rig:
     cameras : interior orientation by lens, front and back.
     T_back_front : relative orientation with covariance.
     settings : views of the lenses.
+    cov : joint covariance of the parameters of front and back and of the errors of ``T_back_front`` (shift,
+        rotation about the axes of the back lens; metres, radians); None: that of each by itself is all that
+        is known.
     """
 
     cameras: Mapping[str, Camera]
     T_back_front: Rigid
     settings: RigSettings
+    cov: ArrayF | None = None
 
     @property
     def base_m(self) -> float:
@@ -295,9 +300,7 @@ class RigCalibration:
 
     Parameters
     ----------
-    rig : interiors with covariance, relative orientation with covariance.
-    cov : (22, 22) joint covariance in the order of `rig_labels`; angles are small rotations about the axes of
-        the back lens, radians.
+    rig : interiors and relative orientation with one joint covariance.
     residuals : file, lens, marker, corner, vx_px, vy_px (observed minus computed), sigma_px, angle_deg from
         the axis, azimuth_deg about it, used.
     exposures : file, base_m, axes_deg, length (of its contradiction to the others, in sigmas), used.
@@ -307,13 +310,18 @@ class RigCalibration:
     """
 
     rig: Rig
-    cov: ArrayF
     residuals: pd.DataFrame
     exposures: pd.DataFrame
     rejected: pd.DataFrame
     sigma0: float
     redundancy: float
     report: dict[str, Any]
+
+    @property
+    def cov(self) -> ArrayF:
+        """(22, 22) joint covariance, see `Rig`."""
+        assert self.rig.cov is not None
+        return self.rig.cov
 
 
 def detect_rig_marks(files: Sequence[Path], settings: RigSettings, layout: MarkerLayout) -> pd.DataFrame:
@@ -483,8 +491,7 @@ def calibrate_rig(
         if not ok
     ]
     return RigCalibration(
-        rig=Rig(cameras=cameras, T_back_front=T, settings=settings),
-        cov=found.cov,
+        rig=Rig(cameras=cameras, T_back_front=T, settings=settings, cov=found.cov),
         residuals=_residuals(network, marks, cameras, points),
         exposures=exposures,
         rejected=pd.concat([network.rejected, pd.DataFrame(lost)], ignore_index=True),
@@ -634,14 +641,17 @@ def rig_calibration_file(found: RigCalibration, source: Source) -> Calibration:
             "rejected": [f"{r.what} {r.name}: {r.reason}" for r in found.rejected.itertuples()][:20],
         },
     )
-    # the block has angles first, in degrees
-    k = found.cov.shape[0] - 6
-    order = np.r_[np.arange(k), k + np.r_[3:6, 0:3]]
-    unit = np.r_[np.ones(k), np.full(3, 180.0 / np.pi), np.ones(3)]
+    order, unit = _of_the_file(len(found.cov) - 6)
     cov = found.cov[np.ix_(order, order)] * np.outer(unit, unit)
     return Calibration(
         title="Rig of two lenses", blocks=(*interiors, pose), cov=(cov + cov.T) / 2, source=source
     )
+
+
+def _of_the_file(k: int) -> tuple[ArrayI, ArrayF]:
+    """Order and units of the joint covariance in the file: behind k parameters angles first, in degrees."""
+    order = np.r_[np.arange(k), k + np.r_[3:6, 0:3]]
+    return order, np.r_[np.ones(k), np.full(3, 180.0 / np.pi), np.ones(3)]
 
 
 def rig_of(calibration: Calibration, settings: RigSettings) -> Rig:
@@ -661,7 +671,16 @@ def rig_of(calibration: Calibration, settings: RigSettings) -> Rig:
                 expected=f"{wanted[0]} x {wanted[1]}, as rig.{name}.box_px has it",
                 cure="Calibrate in the mode of the survey, or correct the box",
             )
-    return Rig(cameras=cameras, T_back_front=calibration.pose(RELATIVE), settings=settings)
+    _, cov = calibration.joint([*(f"{name}_interior" for name in LENSES), RELATIVE])
+    # the file has angles first, in degrees
+    order, unit = _of_the_file(len(cov) - 6)
+    back = np.argsort(order)
+    return Rig(
+        cameras=cameras,
+        T_back_front=calibration.pose(RELATIVE),
+        settings=settings,
+        cov=(cov / np.outer(unit, unit))[np.ix_(back, back)],
+    )
 
 
 def read_rig(path: Path, settings: RigSettings) -> Rig:

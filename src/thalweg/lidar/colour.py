@@ -588,7 +588,9 @@ def _sampled(chosen: Chosen, views: Views, pool: ThreadPoolExecutor) -> ArrayU8:
     return values
 
 
-def exposure_gains(view: AnyArray, values: ArrayU8, n_views: int) -> tuple[ArrayF, ArrayF, ArrayI]:
+def exposure_gains(
+    view: AnyArray, values: ArrayU8, n_views: int, level: AnyArray | float = 1.0
+) -> tuple[ArrayF, ArrayF, ArrayI]:
     """Gains that bring photographs to one exposure, from points that several of them show.
 
     The logarithm of the light of a point in a photograph is that of the point plus the gain of the
@@ -600,6 +602,7 @@ def exposure_gains(view: AnyArray, values: ArrayU8, n_views: int) -> tuple[Array
     view : (n, k) photographs of each point, -1: none.
     values : (n, k, 3) their 8-bit colours.
     n_views : number of photographs.
+    level : light (n, k, 3) of each value by what is known of its gain already.
 
     Returns
     -------
@@ -615,8 +618,9 @@ def exposure_gains(view: AnyArray, values: ArrayU8, n_views: int) -> tuple[Array
     if not len(point):
         return gains, np.sqrt(variance[:, 0]), np.zeros(n_views, dtype=np.int64)
     many = np.bincount(point)[point]
+    known = np.broadcast_to(np.asarray(level), values.shape)[good]
     for colour in range(3):
-        light = GAMMA * np.log(values[good][:, colour] / 255.0)
+        light = GAMMA * np.log(values[good][:, colour] / 255.0) - np.log(known[:, colour])
         weight, found, spread = np.ones(len(light)), np.zeros(n_views), 1.0
         for _ in range(_ROUNDS):
             W = sparse.csr_array((weight, (point, photograph)), shape=(point.max() + 1, n_views))
@@ -639,6 +643,44 @@ def exposure_gains(view: AnyArray, values: ArrayU8, n_views: int) -> tuple[Array
         gains[:, colour] = np.exp(S @ found)
         variance[:, colour] = spread**2 * np.einsum("ij,jk,ik->i", S, inverse, S)
     return gains, np.sqrt(variance.max(axis=1)), np.bincount(photograph, minlength=n_views)
+
+
+def view_gains(
+    view: AnyArray, values: ArrayU8, lens: ArrayI, t_gps_s: ArrayF
+) -> tuple[ArrayF, ArrayF, ArrayI]:
+    """Gains of photographs, some of which lenses of one rig took at once.
+
+    A plant is brighter seen from where the sun stands. Lenses that look apart have few points in common but
+    from different sides, so that such points would tell of the sides and not of the lenses: in the twin they
+    put the back lens of a rig at 1.2 to 1.5 times the light of the front lens instead of 1.12. What lenses of
+    one exposure differ by is therefore told by those points alone that several of them show at once; all
+    others tell of the exposures.
+
+    Parameters
+    ----------
+    view, values : as of `exposure_gains`.
+    lens, t_gps_s : (v,) lens and time of each photograph.
+
+    Returns
+    -------
+    gains, sigma, n : as of `exposure_gains`.
+    """
+    n = len(lens)
+    exposure = np.unique(np.round(t_gps_s, 6), return_inverse=True, equal_nan=False)[1]
+    own, sigma_own = np.ones((n, 3)), np.zeros(n)
+    # points that several photographs of one exposure show
+    places = [(i, j) for i in range(view.shape[1]) for j in range(i)]
+    shown, of = view >= 0, exposure[view]
+    rows = [np.flatnonzero(shown[:, i] & shown[:, j] & (of[:, i] == of[:, j])) for i, j in places]
+    at = np.concatenate([*rows, np.empty(0, np.int64)]).astype(np.int64)
+    if len(at):
+        columns = np.repeat(np.array(places), [len(each) for each in rows], axis=0)
+        pairs, light = view[at[:, None], columns], values[at[:, None], columns]
+        usual = exposure_gains(lens[pairs], light, int(lens.max()) + 1)[0][lens]
+        more, sigma_own, _ = exposure_gains(pairs, light, n, usual[pairs])
+        own = usual * more
+    gains, sigma, told = exposure_gains(np.where(shown, of, -1), values, int(exposure.max()) + 1, own[view])
+    return own * gains[exposure], np.hypot(sigma_own, sigma[exposure]), told[exposure]
 
 
 def colour_cloud(
@@ -736,7 +778,9 @@ def _exposures(
         # one view of each point tells nothing, whatever the colours are made of
         several = settings.model_copy(update={"views": max(settings.views, Colour().views)})
         chosen = choose_views(sample, views, several, pool)
-        gains, sigma, told = exposure_gains(chosen.view, _sampled(chosen, views, pool), n)
+        gains, sigma, told = view_gains(
+            chosen.view, _sampled(chosen, views, pool), np.asarray(views.of), np.asarray(views.t_gps_s)
+        )
     columns = {f"gain_{name}": gains[:, k] for k, name in enumerate(("red", "green", "blue"))}
     return gains, pd.DataFrame(columns | {"sigma": sigma, "n": told})
 

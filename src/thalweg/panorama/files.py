@@ -331,7 +331,7 @@ def make_panoramas(
     Raises
     ------
     InputError : a file cannot be read or is no dual fisheye; the cloud lies in another frame; lenses are
-        changed over, mirrored or turned.
+        turned against each other; a mask is wanted and there is none.
     CoverageError : no file has a pose, or ``depth`` without a cloud.
     """
     log = logging.getLogger("thalweg")
@@ -354,12 +354,27 @@ def make_panoramas(
         )
     _check_reading([files[poses.images[k]] for k in rows[:_TESTED]], rig)
     masks = read_rig_masks(rig)
+    if settings.boat == "mask" and not masks:
+        raise InputError(
+            "panorama.boat is mask, and no lens has a mask",
+            expected="a picture of the size of the upright view, 0 where the boat is",
+            where="rig",
+            cure="State rig.front.mask and rig.back.mask, or set panorama.boat: keep",
+        )
     used = masks if settings.boat == "mask" else {}
     width = settings.width_px or default_width_px(rig.cameras["front"])
     places = [_place(poses.pose(k), rig) for k in rows]
     maps = None
     if settings.mode == "depth":
         maps, xyz, intensity = _range_maps(points, places, poses.frame, settings)
+        for k, near in zip(rows, maps, strict=True):
+            if not np.isfinite(near).any():
+                log.warning(
+                    "%s: no point of the cloud within %g m: taken outside the time of the lidar? Things "
+                    "count as infinitely far, and near ones are seen twice at the seam",
+                    poses.images[k],
+                    settings.reach_m,
+                )
         told = dict.fromkeys(READINGS, 0.0)
         for k in rows[:_TESTED]:
             near = np.linalg.norm(xyz - poses.centre_wcs_m[k], axis=1) < settings.reach_m

@@ -70,6 +70,14 @@ def place_rig_files(
         )
         found.report.note(note)
         _LOG.warning(note)
+    if rig.clock.sigma_offset_s > COARSE_S:
+        note = (
+            f"The clock of the rig is known to {rig.clock.sigma_offset_s:g} s only (rig.clock), and so are "
+            "the places of its files along the way. Photograph a clock that shows GPS time or UTC, and state "
+            "rig.clock.offset_s with its sigma."
+        )
+        found.report.note(note)
+        _LOG.warning(note)
     clock = ClockModel(
         offset_s=rig.clock.offset_s,
         reference_s=float(known["t_device_s"].median()),

@@ -1,4 +1,8 @@
-from .adjustment import AdjustedBlock as AdjustedBlock, pose_covariance as pose_covariance
+from .adjustment import (
+    AdjustedBlock as AdjustedBlock,
+    adjust_block as adjust_block,
+    pose_covariance as pose_covariance,
+)
 from .job import (
     Boat as Boat,
     Pieces as Pieces,
@@ -15,5 +19,10 @@ from .job import (
     summary_text as summary_text,
     write_cameras as write_cameras,
 )
-from .problem import with_shared_errors as with_shared_errors
+from .problem import (
+    Problem as Problem,
+    RigFrames as RigFrames,
+    rig_frames as rig_frames,
+    with_shared_errors as with_shared_errors,
+)
 from .run import Oriented as Oriented

@@ -172,20 +172,22 @@ class Weights:
         return tracks_of(problem, self.used, sigma, self.view, self.along)
 
     def hold_unseen(self, problem: Problem, layout: Layout) -> None:
-        """Hold images and check points that too few marks fix; their marks take no part."""
+        """Hold exposures and check points that too few marks fix; their marks take no part."""
         marks, control = problem.marks, problem.control
         while True:
             count = np.bincount(problem.block.mark_point[self.used], minlength=len(self.track))
             tie = self.used & (count[self.mark_point] >= 2)
-            n = np.bincount(self.mark_image[tie], minlength=len(self.lost_images))
+            exposure = layout.exposure
+            n = np.bincount(exposure[self.mark_image[tie]], minlength=len(layout.exposures))
             seen = self.control > 0
-            n += np.bincount(marks.image[seen & ~control.check[marks.point]], minlength=len(n))
+            n += np.bincount(exposure[marks.image[seen & ~control.check[marks.point]]], minlength=len(n))
             lost = (n < LEAST_IMAGE_MARKS) & layout.free[: layout.n_poses].reshape(-1, 6).all(axis=1)
+            lost = lost[exposure]
             if not (lost & ~self.lost_images).any():
                 break
             self.lost_images |= lost
             self.control[self.lost_images[marks.image]] = 0.0
-        layout.free[: layout.n_poses].reshape(-1, 6)[self.lost_images] = False
+        layout.free[: layout.n_poses].reshape(-1, 6)[self.lost_images[layout.image]] = False
         n_point = np.bincount(marks.point[self.control > 0], minlength=len(control.names))
         single = control.check & (n_point < 2)
         self.control[single[marks.point]] = 0.0
@@ -495,6 +497,7 @@ def parts_agreement(problem: Problem, x: State, tracks: Tracks, model: Correlati
         antenna=None,
         prior_sigma={},
         weighted=tuple(False for _ in problem.weighted),
+        rig=None if problem.rig is None else replace(problem.rig, places="fixed"),
     )
     layout = Layout(bare)
     state = replace(x, G=np.zeros((0, 3)), extras=np.zeros(0))
@@ -514,15 +517,21 @@ def parts_agreement(problem: Problem, x: State, tracks: Tracks, model: Correlati
 
 
 def _parts(problem: Problem, tracks: Tracks) -> tuple[ArrayI, int]:
-    """(i,) part of each image, those of each camera divided in their order; -1 for images without marks."""
-    images = len(problem.block.images)
-    seen = np.bincount(tracks.image, minlength=images) >= _LEAST_MARKS
-    part = np.full(images, -1, np.int64)
-    own = [np.flatnonzero(seen & (problem.block.camera == k)) for k in range(len(problem.block.cameras))]
+    """(i,) part of each image, those of each camera divided in their order; -1 for images without marks.
+
+    Images of one exposure are in one part.
+    """
+    layout, cameras = Layout(problem), len(problem.block.cameras)
+    n = len(layout.exposures)
+    seen = np.bincount(layout.exposure[tracks.image], minlength=n) >= _LEAST_MARKS
+    part = np.full(n, -1, np.int64)
+    alone = problem.rig is None
+    own = [np.flatnonzero(seen & (problem.block.camera == k)) for k in range(cameras)] if alone else []
+    own = own or [np.flatnonzero(seen)]
     parts = min(_MOST_PARTS, min(len(rows) for rows in own) // _LEAST_IMAGES)
     for rows in own:
         part[rows] = np.arange(len(rows)) * parts // max(len(rows), 1)
-    return part, parts
+    return part[layout.exposure], parts
 
 
 def _only(tracks: Tracks, images: ArrayB) -> Tracks:
@@ -549,12 +558,13 @@ def _lens_alone(
 ) -> tuple[ArrayF, ArrayF]:
     """Normal equations (q, q), (q,) of the interior orientation by some tracks, poses eliminated."""
     q = slice(layout.n_poses, layout.n_poses + layout.n_interior)
-    images = np.flatnonzero(np.bincount(tracks.image, minlength=len(x.C)) >= _LEAST_MARKS)
+    C = layout.poses(x)[1]
+    images = np.flatnonzero(np.bincount(layout.exposure[tracks.image], minlength=len(C)) >= _LEAST_MARKS)
     if len(images) < 2:
         return np.zeros((layout.n_interior,) * 2), np.zeros(layout.n_interior)
     system = reduced_system(problem, layout, x, tracks, model, np.zeros(0), 0.0)
     # the datum, of which the lens is free: one image, and one coordinate of that farthest from it
-    away = np.abs(x.C[images] - x.C[images[0]])
+    away = np.abs(C[images] - C[images[0]])
     far = int(np.argmax(np.linalg.norm(away, axis=1)))
     poses = (6 * images[1:, None] + np.arange(6)).ravel()
     poses = poses[poses != 6 * images[far] + int(np.argmax(away[far]))]
@@ -765,7 +775,7 @@ def _flat(problem: Problem, x: State, least_deg: float) -> ArrayB:
 
 
 def pose_covariance(adjusted: AdjustedBlock) -> ArrayF:
-    """(6 i, 6 i) joint covariance of all poses: shift and rotation vector of each image, in wcs."""
+    """(6 f, 6 f) joint covariance of all poses: shift and rotation vector of each exposure, in wcs."""
     n = adjusted.layout.n_poses
     return adjusted.cov[:n, :n]
 
@@ -793,25 +803,25 @@ def image_poses(
     times: dict[str, tuple[float, float]],
     facts: dict[str, Any] | None = None,
 ) -> ImagePoses:
-    """Poses of all images of a run, in the order given; those without a pose keep their reason.
+    """Poses of all exposures of a run, in the order given; those without a pose keep their reason.
 
     Parameters
     ----------
-    images : all names.
+    images : all names, of a rig those of its exposures.
     reasons : why an image has no pose.
     times : GPS time and its standard deviation by name.
     """
-    block = adjusted.problem.block
-    at = {name: k for k, name in enumerate(block.images)}
+    layout = adjusted.layout
+    at = {name: k for k, name in enumerate(layout.exposures)}
     n, Q = len(images), pose_covariance(adjusted)
     index = np.array([at.get(name, -1) for name in images], np.int64)
-    lost = (index >= 0) & adjusted.lost_images[index]
+    lost = (index >= 0) & adjusted.lost_images[layout.image][index]
     reasons = {**reasons, **{images[k]: FEW_MARKS for k in np.flatnonzero(lost).tolist()}}
     known = (index >= 0) & ~lost
     centre, R = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
     cov, following = np.full((n, 6, 6), np.nan), np.zeros((n, 6, 6))
-    centre[known] = adjusted.x.C[index[known]] + adjusted.origin_m
-    R[known] = adjusted.x.R[index[known]]
+    turns, centres = layout.poses(adjusted.x)
+    centre[known], R[known] = centres[index[known]] + adjusted.origin_m, turns[index[known]]
     rows = np.flatnonzero(known)
     for a, row in enumerate(rows):
         own = slice(6 * index[row], 6 * index[row] + 6)
@@ -820,7 +830,7 @@ def image_poses(
             other = index[rows[a + 1]]
             following[row] = Q[own, 6 * other : 6 * other + 6]
     following[~known] = np.nan
-    count, rms = image_statistics(adjusted)
+    count, rms = exposure_statistics(adjusted)
     t = np.array([times.get(name, (np.nan, np.nan)) for name in images], np.float64).reshape(n, 2)
     return ImagePoses(
         frame=frame,
@@ -841,12 +851,12 @@ def image_poses(
     )
 
 
-def image_statistics(adjusted: AdjustedBlock) -> tuple[ArrayF, ArrayF]:
-    """(i,) used marks of each image, and the rms of their residuals in pixels, both coordinates together."""
-    block, marks = adjusted.problem.block, adjusted.problem.marks
-    n = len(block.images)
+def exposure_statistics(adjusted: AdjustedBlock) -> tuple[ArrayF, ArrayF]:
+    """(f,) used marks of each exposure, and the rms of their residuals, both coordinates together, pixels."""
+    block, marks, layout = adjusted.problem.block, adjusted.problem.marks, adjusted.layout
+    n = len(layout.exposures)
     tie, control = adjusted.used, adjusted.control_used
-    image = np.concatenate([block.mark_image[tie], marks.image[control]])
+    image = layout.exposure[np.concatenate([block.mark_image[tie], marks.image[control]])]
     off = np.concatenate([adjusted.residual_px[tie], adjusted.control_residual_px[control]])
     count = np.bincount(image, minlength=n).astype(np.float64)
     square = np.bincount(image, np.square(off).sum(axis=1) / 2, minlength=n)

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from thalweg.calibration import interior_calibration, read_camera
+from thalweg.calibration import Rig, interior_calibration, read_camera
 from thalweg.core import (
     ArrayF,
     ArrayI,
@@ -42,12 +42,12 @@ from thalweg.images.bundle.adjustment import (
     AdjustedBlock,
     ControlResult,
     adjusted_cameras,
+    exposure_statistics,
     image_poses,
-    image_statistics,
     pose_covariance,
 )
 from thalweg.images.bundle.checks import LEAST, Interiors, points_lie
-from thalweg.images.bundle.problem import Antenna, antenna_at_images, antenna_lever_ccs
+from thalweg.images.bundle.problem import Antenna, antenna_at_images, antenna_lever_ccs, rig_frames
 from thalweg.images.bundle.run import Oriented, orient_block, world_block
 from thalweg.images.model import (
     ControlMarks,
@@ -107,6 +107,7 @@ def adjust_campaign(
     reasons: Mapping[str, str],
     elsewhere: frozenset[str] = frozenset(),
     centres: CameraPositions | None = None,
+    rig: Rig | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> tuple[Oriented, ImagePoses, dict[str, Any]]:
     """Adjust the images of a campaign.
@@ -117,13 +118,20 @@ def adjust_campaign(
     reasons : why an image is not in the block, by name.
     elsewhere : images of other pieces of the block, whose marks are not lost.
     centres : measured positions of the cameras themselves, in place of ``boat``.
+    rig : calibration of the lenses that took the images, which are named by lens and exposure
+        (``front/NAME``); ``predictions``, mount and results are those of exposures, at the front lens.
 
     Returns
     -------
     oriented : the adjusted block.
-    poses : of all images that ``predictions`` names, with its times.
+    poses : of all images, or exposures, that ``predictions`` names, with its times.
     facts : JSON-able.
     """
+    frames = None if rig is None else rig_frames(rig, block.images, block.cameras)
+    exposures, expected = block.images, predictions
+    if frames is not None:
+        exposures = frames.exposures
+        expected = frames.lens_poses(predictions, block.images, block.camera)
     points, observed = ControlPoints.none(), ControlMarks.none()
     dropped: dict[str, int] = {}
     if control_points:
@@ -140,7 +148,7 @@ def adjust_campaign(
                 points,
                 block.images,
                 [block.cameras[c].size_px for c in block.camera],
-                predictions.images,
+                expected.images,
                 sigma_px=control.sigma_px,
                 where=marks,
             )
@@ -148,7 +156,7 @@ def adjust_campaign(
     antenna: Antenna | None = None
     seen: dict[str, Any] = {}
     if boat is not None:
-        at = np.array([row.get(name, -1) for name in block.images])
+        at = np.array([row.get(name, -1) for name in exposures])
         t = np.where(at >= 0, predictions.t_gps_s[at], np.nan)
         options = adjustment.antenna
         antenna, seen = antenna_at_images(
@@ -172,9 +180,10 @@ def adjust_campaign(
         points,
         observed,
         adjustment,
-        predictions=predictions,
+        predictions=expected,
         antenna=antenna,
         known=known,
+        rig=frames,
         progress=progress,
     )
     facts = facts_of(oriented.adjusted, oriented.control, oriented.notes, oriented.demoted)
@@ -417,22 +426,23 @@ def _joined(poses: Sequence[ImagePoses], lost: Mapping[str, str]) -> tuple[Image
 
 
 def image_table(adjusted: AdjustedBlock, images: Sequence[str], reasons: Mapping[str, str]) -> pd.DataFrame:
-    """One row an image: whether it is oriented, marks, rms of residuals, sigmas of place and rotation.
+    """One row an exposure: whether it is oriented, marks, rms of residuals, sigmas of place and rotation.
 
-    Sigmas are those of the pose about the axes of wcs, in mm and thousandths of a degree.
+    Sigmas are those of the pose about the axes of wcs, in mm and thousandths of a degree. An exposure is an
+    image, or of a rig the images of all its lenses.
     """
-    block = adjusted.problem.block
-    at = {name: k for k, name in enumerate(block.images)}
-    n = len(block.images)
+    layout, n = adjusted.layout, len(adjusted.layout.exposures)
+    at = {name: k for k, name in enumerate(layout.exposures)}
+    mark, lost = layout.exposure[adjusted.problem.block.mark_image], adjusted.lost_images[layout.image]
     sigma = np.sqrt(np.diag(pose_covariance(adjusted))).reshape(-1, 6)
-    tie = np.bincount(block.mark_image[adjusted.used], minlength=n)
-    dropped = np.bincount(block.mark_image[~adjusted.used], minlength=n)
-    control = np.bincount(adjusted.problem.marks.image[adjusted.control_used], minlength=n)
-    rms = image_statistics(adjusted)[1]
+    tie = np.bincount(mark[adjusted.used], minlength=n)
+    dropped = np.bincount(mark[~adjusted.used], minlength=n)
+    control = np.bincount(layout.exposure[adjusted.problem.marks.image[adjusted.control_used]], minlength=n)
+    rms = exposure_statistics(adjusted)[1]
     rows: list[dict[str, Any]] = []
     for name in images:
         k = at.get(name)
-        if k is not None and adjusted.lost_images[k]:
+        if k is not None and lost[k]:
             rows.append({"image": name, "oriented": False, "reason": FEW_MARKS})
             continue
         row: dict[str, Any] = {"image": name, "oriented": k is not None, "reason": ""}
@@ -547,7 +557,9 @@ def facts_of(
     adjusted: AdjustedBlock, result: ControlResult, notes: Sequence[str], demoted: Sequence[str] = ()
 ) -> dict[str, Any]:
     """JSON-able facts of an adjustment; ``demoted`` as in `check_statistics`."""
-    sigma = np.sqrt(np.diag(pose_covariance(adjusted))).reshape(-1, 6)[~adjusted.lost_images]
+    layout = adjusted.layout
+    sigma = np.sqrt(np.diag(pose_covariance(adjusted))).reshape(-1, 6)
+    sigma = sigma[~adjusted.lost_images[layout.image]]
     cameras = {
         camera.name: {
             name: {"value": float(value), "sigma": float(s)}
@@ -557,7 +569,6 @@ def facts_of(
         }
         for camera in adjusted_cameras(adjusted)
     }
-    layout = adjusted.layout
     extras = {
         name: {"value": float(v), "sigma": float(s)}
         for name, v, s in zip(
@@ -573,7 +584,7 @@ def facts_of(
         "observations": adjusted.n_observations,
         "unknowns": adjusted.n_unknowns,
         "iterations": adjusted.iterations,
-        "images": int((~adjusted.lost_images).sum()),
+        "images": int((~adjusted.lost_images[layout.image]).sum()),
         "tie_points": len(adjusted.tracks.point),
         "tie_marks": len(adjusted.tracks.mark),
         "marks_a_point": len(adjusted.tracks.mark) / max(len(adjusted.tracks.point), 1),

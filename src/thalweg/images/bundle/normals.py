@@ -193,7 +193,9 @@ class Marks:
 def linearised(problem: Problem, layout: Layout, x: State, image: ArrayI, X: ArrayF, xy_px: ArrayF) -> Marks:
     """Marks of points ``X`` (m, 3) in images, and their derivatives.
 
-    With ``d = X - C`` a small error turns ``R^T d`` into ``R^T (d - dx + d x dtheta + dX)``.
+    With ``d = X - C`` a small error turns ``R^T d`` into ``R^T (d - dx + d x dtheta + dX)``. An error of the
+    rig's pose turns the lens about the centre of the rig: there ``d = X - C_rig``. An error of the place of
+    the lens is one of its pose, turned by ``R_wcs_rig``.
     """
     m, q = len(image), layout.n_interior
     d = X - x.C[image]
@@ -208,6 +210,17 @@ def linearised(problem: Problem, layout: Layout, x: State, image: ArrayI, X: Arr
             # tied parameters share a column
             by_rest[rows, :, at[parameter] - layout.n_poses] += by_parameters[:, :, parameter]
     by_point = by_seen @ Rt
+    if x.T_rig_lens:
+        R_lens, c_lens = x.lenses(camera)
+        R_rig = x.R[image] @ np.swapaxes(R_lens, 1, 2)
+        for k, at in enumerate(layout.places):
+            if at[0] < 0:
+                continue
+            rows = np.flatnonzero(camera == k)
+            moved, turned = -by_point[rows], by_point[rows] @ cross_matrix(d[rows])
+            by_place = np.concatenate([moved @ R_rig[rows], turned @ R_rig[rows]], axis=2)
+            by_rest[rows, :, at[0] - layout.n_poses : at[5] + 1 - layout.n_poses] = by_place
+        d = d + np.einsum("mij,mj->mi", R_rig, c_lens)
     by_pose = np.concatenate([-by_point, by_point @ cross_matrix(d)], axis=2)
     residual = xy_px - xy
     lost = ~np.isfinite(residual).all(axis=1)
@@ -269,7 +282,7 @@ def reduced_system(
         part = along_and_across(part, tracks.along[rows])
         tie += add_tracks(
             tracks.first[which.start : which.stop + 1] - tracks.first[which.start],
-            tracks.image[rows],
+            layout.exposure[tracks.image[rows]],
             part.by_pose,
             part.by_rest,
             part.by_point,
@@ -305,7 +318,8 @@ def point_steps(
         image = tracks.image[rows]
         part = linearised(problem, layout, x, image, x.X[at], tracks.xy_px[rows])
         part = along_and_across(part, tracks.along[rows])
-        left = part.residual - np.einsum("maj,mj->ma", part.by_pose, poses[image]) - part.by_rest @ rest
+        by_pose = np.einsum("maj,mj->ma", part.by_pose, poses[layout.exposure[image]])
+        left = part.residual - by_pose - part.by_rest @ rest
         found = np.empty((which.stop - which.start, 3))
         solve_points(
             first - first[0],
@@ -379,7 +393,8 @@ def _add_control(
         residual = part.residual
         J = np.concatenate([part.by_pose, part.by_rest, part.by_point], axis=2)
         for i, row in enumerate(rows):
-            pose, point = 6 * int(marks.image[row]), layout.point(int(marks.point[row])).start
+            pose = 6 * int(layout.exposure[marks.image[row]])
+            point = layout.point(int(marks.point[row])).start
             at = np.concatenate(
                 [np.arange(pose, pose + 6), layout.n_poses + np.arange(q), np.arange(point, point + 3)]
             )
@@ -409,7 +424,7 @@ def _add_antenna(problem: Problem, layout: Layout, x: State, out: Reduced, *, de
     seen = problem.antenna
     if seen is None or len(seen.image) == 0:
         return
-    R = x.R[seen.image]
+    R, C = (a[seen.image] for a in layout.poses(x))
     lever, shift, drift = seen.lever_ccs_m, np.zeros(3), np.zeros(3)
     t = seen.t_s - seen.t_s.mean()
     extra: list[ArrayF] = []
@@ -426,7 +441,7 @@ def _add_antenna(problem: Problem, layout: Layout, x: State, out: Reduced, *, de
         lever = lever + x.extras[at : at + 3]
         extra.append(R)
     arm = R @ lever
-    off = seen.position_wcs_m - (x.C[seen.image] + arm + shift + t[:, None] * drift)
+    off = seen.position_wcs_m - (C + arm + shift + t[:, None] * drift)
     if seen.velocity_wcs_m_s is not None and seen.late:
         off += seen.velocity_wcs_m_s * x.extras[-1]
         extra.append(-seen.velocity_wcs_m_s[:, :, None])
@@ -798,12 +813,12 @@ def add_tracks(
     Parameters
     ----------
     first : (p + 1,) first mark of each track; marks are sorted by track.
-    image : (m,) image of each mark.
+    image : (m,) exposure of each mark.
     by_pose, by_rest, by_point : (m, 2, 6), (m, 2, q), (m, 2, 3) derivatives of the pixel.
     residual : (m, 2) measured minus computed.
     sigma : (m,) standard deviations; view : (m, d) places of view; model : (6,).
     damping : Levenberg's share that is added to the diagonal of each point.
-    n_poses : 6 times the number of images.
+    n_poses : 6 times the number of exposures.
     S, g : (u, u), (u,) poses first, then the q others; only the upper half of S is filled.
     """
     longest = 0

@@ -1,24 +1,43 @@
 """What an adjustment of an image block knows and seeks: observations, unknowns and their places.
 
-Unknowns that the images share stand in one dense system, in this order: six of each image (shift of the
+Unknowns that the images share stand in one dense system, in this order: six of each exposure (shift of the
 projection centre, rotation vector; both in wcs, as in `thalweg.images.model.poses`), the free interior
-parameters of each camera, what antenna positions need (common shift, drift, lever arm, clock), and three
-coordinates of each control and check point. Tie points are eliminated.
+parameters of each camera, six of the place of each lens in its rig, what antenna positions need (common
+shift, drift, lever arm, clock), and three coordinates of each control and check point. Tie points are
+eliminated.
+
+An exposure is an image, unless a rig takes several images at once (`RigFrames`). Its pose is then that of the
+rig, and a lens with the place ``T_rig_lens = (R_l, c_l)`` in it has the pose ::
+
+    R_wcs_ccs = R_wcs_rig R_l,      C = C_rig + R_wcs_rig c_l
 """
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
 
-from thalweg.core import ArrayB, ArrayF, ArrayI, Camera, GeometryError, LocalFrame, Rigid, exp_rotation
-from thalweg.images.model import ControlMarks, ControlPoints, ImageBlock
+from thalweg.calibration import LENSES, Rig
+from thalweg.core import (
+    ArrayB,
+    ArrayF,
+    ArrayI,
+    Camera,
+    GeometryError,
+    LocalFrame,
+    Rigid,
+    cross_matrix,
+    exp_rotation,
+)
+from thalweg.images.model import ControlMarks, ControlPoints, ImageBlock, ImagePoses
 
 POSE_PARTS: Final = ("east", "north", "up", "rotation east", "rotation north", "rotation up")
+_PLACE_PARTS: Final = ("x", "y", "z", "rotation x", "rotation y", "rotation z")
 CLOCK: Final = "antenna clock"
 """Name of the unknown that tells how much later than stamped the images were taken, seconds."""
 _LEAST_FOCAL: Final = 0.05
@@ -35,13 +54,13 @@ _MOST_SIGMAS: Final = 3.5
 
 @dataclass(frozen=True, kw_only=True)
 class Antenna:
-    """Positions of a GNSS antenna at the exposures, as observations of the projection centres.
+    """Positions of a GNSS antenna at the exposures, as observations of their poses.
 
     ``x_antenna = C + R_wcs_ccs lever + shift + drift (t - t_mean) - velocity clock``
 
     Parameters
     ----------
-    image : (a,) indices of the images.
+    image : (a,) indices of the exposures: of the images, or those of `RigFrames`.
     t_s : (a,) times.
     position_wcs_m, sigma_m : (a, 3) positions and their standard deviations.
     lever_ccs_m, sigma_lever_m : (3,) antenna in the frame of the camera; a sigma of zero holds it fixed.
@@ -110,6 +129,112 @@ class Antenna:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RigFrames:
+    """Which images a rig of several lenses took at once, and where its lenses sit.
+
+    Parameters
+    ----------
+    exposures : f names.
+    exposure : (i,) exposure of each image; its lens is its camera in the block.
+    T_rig_lens : place of each camera in the rig; one of zero covariance gives the rig its frame.
+    places : ``weighted``: places are unknowns of which ``cov`` is known; ``free``: unknowns of which nothing
+        is known, but for those of zero covariance, which are held; ``fixed``: all are held.
+    cov : joint covariance of the parameters of all cameras, one after the other, and of the places of all
+        (shift, rotation; in the rig), as a calibration of the rig found it.
+
+    Raises
+    ------
+    GeometryError : shapes that differ, or an exposure without images.
+    """
+
+    exposures: tuple[str, ...]
+    exposure: ArrayI
+    T_rig_lens: tuple[Rigid, ...]
+    cov: ArrayF
+    places: Literal["weighted", "free", "fixed"] = "weighted"
+
+    def __post_init__(self) -> None:
+        if len(np.unique(self.exposure)) != len(self.exposures):
+            raise GeometryError(
+                f"images of {len(np.unique(self.exposure))} of {len(self.exposures)} exposures of a rig",
+                expected="an image or more of each",
+            )
+
+    @property
+    def sought(self) -> ArrayB:
+        """(c,) lenses whose place is an unknown."""
+        known = np.diag(self.cov)[-6 * len(self.T_rig_lens) :].reshape(-1, 6)
+        return np.asarray((known > 0).any(axis=1) & (self.places != "fixed"))
+
+    def lens_poses(self, poses: ImagePoses, images: Sequence[str], camera: ArrayI) -> ImagePoses:
+        """Poses of the images (i,) with these cameras (i,) from those of exposures; places count as known.
+
+        Images of exposures without a pose have none, and keep the reason.
+        """
+        row = {name: k for k, name in enumerate(poses.images)}
+        at = np.array([row[self.exposures[k]] for k in self.exposure], np.int64)
+        R = poses.R_wcs_ccs[at]
+        arm = np.einsum("iab,ib->ia", R, np.array([T.shift_m for T in self.T_rig_lens])[camera])
+        J = np.broadcast_to(np.eye(6), (len(at), 6, 6)).copy()
+        J[:, :3, 3:] = -cross_matrix(arm)
+        return replace(
+            poses,
+            images=tuple(images),
+            t_gps_s=poses.t_gps_s[at],
+            sigma_t_s=poses.sigma_t_s[at],
+            oriented=poses.oriented[at],
+            reasons=tuple(poses.reasons[k] for k in at),
+            centre_wcs_m=poses.centre_wcs_m[at] + arm,
+            R_wcs_ccs=R @ np.array([T.R for T in self.T_rig_lens])[camera],
+            cov_pose_wcs=J @ poses.cov_pose_wcs[at] @ np.swapaxes(J, 1, 2),
+            cov_next=np.where(poses.oriented[at, None, None], 0.0, np.nan) * np.ones((6, 6)),
+            n_marks=poses.n_marks[at],
+            rms_px=poses.rms_px[at],
+        )
+
+
+def rig_frames(
+    rig: Rig,
+    images: Sequence[str],
+    cameras: Sequence[Camera],
+    *,
+    places: Literal["weighted", "free", "fixed"] = "weighted",
+) -> RigFrames:
+    """Exposures of a calibrated rig, whose frame is that of its front lens.
+
+    Parameters
+    ----------
+    images : names ``front/NAME`` and ``back/NAME``; the exposure is called ``NAME``.
+    cameras : of the block; named by their lenses.
+    places : see `RigFrames`.
+    """
+    names = [image.split("/", 1)[1] for image in images]
+    exposures = tuple(dict.fromkeys(names))
+    number = {name: k for k, name in enumerate(exposures)}
+    own = {lens: len(rig.cameras[lens].parameters) for lens in LENSES}
+    joint = rig.cov
+    if joint is None:
+        joint = block_diag(*(rig.cameras[lens].cov for lens in LENSES), rig.T_back_front.cov)
+    order = [camera.name for camera in cameras]
+    k, begin = sum(own.values()), {LENSES[0]: 0, LENSES[1]: own[LENSES[0]]}
+    J = np.zeros((k + 12, k + 6))
+    row = 0
+    for lens in order:
+        J[row : row + own[lens], begin[lens] : begin[lens] + own[lens]] = np.eye(own[lens])
+        row += own[lens]
+    place = k + 6 * order.index(LENSES[1])
+    J[place : place + 6, k:] = rig.T_back_front.by_inverse()
+    cov = J @ joint @ J.T
+    return RigFrames(
+        exposures=exposures,
+        exposure=np.array([number[name] for name in names], np.int64),
+        T_rig_lens=tuple(rig.T_front_lens[lens] for lens in order),
+        cov=(cov + cov.T) / 2,
+        places=places,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Problem:
     """A block in the world frame and everything that has been observed of it.
 
@@ -120,10 +245,12 @@ class Problem:
     antenna : GNSS positions at the exposures.
     free : for each camera the names of the parameters to estimate.
     weighted : for each camera, whether its covariance enters as an observation of its parameters.
-    held : (i, 6) components of the poses that keep their values: a datum where nothing else gives one.
+    held : (f, 6) components of the poses of exposures that keep their values: a datum where nothing else
+        gives one.
     square_pixels : whether ``fx`` and ``fy`` change together, where both are free and not weighted.
     prior_sigma : standard deviations of parameters about their start values, by name, in cameras that are not
         weighted.
+    rig : lenses that expose together; None: each image for itself.
     """
 
     block: ImageBlock
@@ -135,6 +262,7 @@ class Problem:
     held: ArrayB
     square_pixels: bool = False
     prior_sigma: Mapping[str, float] = field(default_factory=dict)
+    rig: RigFrames | None = None
 
     def shifted(self, by_m: ArrayF) -> "Problem":
         """The same problem about another origin, so that coordinates are small."""
@@ -151,7 +279,9 @@ class Problem:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """Cameras, ``R_wcs_ccs`` (i, 3, 3), centres (i, 3), tie points (p, 3), control points (k, 3), extras."""
+    """Cameras, ``R_wcs_ccs`` (i, 3, 3), centres (i, 3), tie points (p, 3), control points (k, 3), extras,
+    and of a rig the place of each camera in it.
+    """
 
     cameras: tuple[Camera, ...]
     R: ArrayF
@@ -159,14 +289,28 @@ class State:
     X: ArrayF
     G: ArrayF
     extras: ArrayF
+    T_rig_lens: tuple[Rigid, ...] = ()
+
+    def lenses(self, camera: ArrayI) -> tuple[ArrayF, ArrayF]:
+        """Rotations (m, 3, 3) and shifts (m, 3) in the rig of the lenses with these cameras (m,)."""
+        R, c = np.array([T.R for T in self.T_rig_lens]), np.array([T.shift_m for T in self.T_rig_lens])
+        return R[camera], c[camera]
 
 
 class Layout:
-    """Places of the unknowns of the reduced system."""
+    """Places of the unknowns of the reduced system.
+
+    ``exposures`` (f,) are the names of the poses, ``exposure`` (i,) that of each image and ``image`` (f,) an
+    image of each.
+    """
 
     def __init__(self, problem: Problem) -> None:
-        block = problem.block
-        names = [f"{image} {part}" for image in block.images for part in POSE_PARTS]
+        block, rig = problem.block, problem.rig
+        self.exposures = block.images if rig is None else rig.exposures
+        self.exposure: ArrayI = np.arange(len(block.images)) if rig is None else rig.exposure
+        self.image = np.unique(self.exposure, return_index=True)[1]
+        self.camera = block.camera
+        names = [f"{name} {part}" for name in self.exposures for part in POSE_PARTS]
         self.n_poses = len(names)
         columns = []
         for camera, free, weighted in zip(block.cameras, problem.free, problem.weighted, strict=True):
@@ -181,6 +325,11 @@ class Layout:
             columns.append(at)
         self.interior: tuple[ArrayI, ...] = tuple(columns)
         """For each camera the unknown of each parameter, -1 if it is fixed; tied ones share an unknown."""
+        self.places: tuple[ArrayI, ...] = tuple(np.full(6, -1, np.int64) for _ in block.cameras)
+        """For each camera the unknowns of its place in the rig, -1 if it is held."""
+        for k in np.flatnonzero(rig.sought) if rig is not None else ():
+            self.places[k][:] = len(names) + np.arange(6)
+            names += [f"place of {block.cameras[k].name} {part}" for part in _PLACE_PARTS]
         self.n_interior = len(names) - self.n_poses
         self.extras = len(names)
         names += list(problem.antenna.extras) if problem.antenna else []
@@ -189,6 +338,23 @@ class Layout:
         self.names = tuple(names)
         self.free = np.ones(len(names), np.bool_)
         self.free[: self.n_poses] = ~problem.held.ravel()
+
+    def poses(self, x: State) -> tuple[ArrayF, ArrayF]:
+        """Rotations (f, 3, 3) and centres (f, 3) of the exposures; of a rig those of its frame."""
+        R, C = x.R[self.image], x.C[self.image]
+        if not x.T_rig_lens:
+            return R, C
+        R_lens, c_lens = x.lenses(self.camera[self.image])
+        R = R @ np.swapaxes(R_lens, 1, 2)
+        return R, C - np.einsum("fij,fj->fi", R, c_lens)
+
+    def images(self, R: ArrayF, C: ArrayF, x: State) -> tuple[ArrayF, ArrayF]:
+        """Rotations (i, 3, 3) and centres (i, 3) of the images of exposures with the poses R, C."""
+        R, C = R[self.exposure], C[self.exposure]
+        if not x.T_rig_lens:
+            return R, C
+        R_lens, c_lens = x.lenses(self.camera)
+        return R @ R_lens, C + np.einsum("iaj,ij->ia", R, c_lens)
 
     def point(self, k: int) -> slice:
         """Unknowns of a control or check point."""
@@ -208,14 +374,17 @@ def start_state(problem: Problem, layout: Layout) -> State:
         if problem.square_pixels and _tied(free, weighted):
             p[:2] = p[:2].mean()
         cameras.append(camera.with_parameters(p))
-    return State(
+    start = State(
         tuple(cameras),
         block.R_block_ccs,
         block.centre_block_m,
         block.points_block_m,
         problem.control.points_wcs_m.copy(),
         np.zeros(layout.control - layout.extras),
+        problem.rig.T_rig_lens if problem.rig is not None else (),
     )
+    R, C = layout.images(*layout.poses(start), start)
+    return replace(start, R=R, C=C)
 
 
 def moved(x: State, d: ArrayF, step_X: ArrayF, layout: Layout) -> State:
@@ -227,14 +396,19 @@ def moved(x: State, d: ArrayF, step_X: ArrayF, layout: Layout) -> State:
         p[:2] = np.maximum(p[:2], _LEAST_FOCAL * camera.parameters[:2])
         cameras.append(camera.with_parameters(p))
     poses = d[: layout.n_poses].reshape(-1, 6)
-    return State(
-        tuple(cameras),
-        exp_rotation(poses[:, 3:]) @ x.R,
-        x.C + poses[:, :3],
-        x.X + step_X,
-        x.G + d[layout.control :].reshape(-1, 3),
-        x.extras + d[layout.extras : layout.control],
+    R, C = layout.poses(x)
+    new = replace(
+        x,
+        cameras=tuple(cameras),
+        X=x.X + step_X,
+        G=x.G + d[layout.control :].reshape(-1, 3),
+        extras=x.extras + d[layout.extras : layout.control],
+        T_rig_lens=tuple(
+            T.moved(d[at]) if at[0] >= 0 else T for T, at in zip(x.T_rig_lens, layout.places, strict=False)
+        ),
     )
+    R, C = layout.images(exp_rotation(poses[:, 3:]) @ R, C + poses[:, :3], new)
+    return replace(new, R=R, C=C)
 
 
 # ---------------------------------------------------------------- interior orientations: prior, and what a
@@ -250,11 +424,29 @@ def moved(x: State, d: ArrayF, step_X: ArrayF, layout: Layout) -> State:
 
 
 def interior_priors(problem: Problem, layout: Layout, x: State) -> Iterator[tuple[ArrayI, ArrayF, ArrayF]]:
-    """Of each camera with known parameters: their unknowns (k,), weights (k, k), known minus present (k,)."""
+    """Of each camera with known parameters: their unknowns (k,), weights (k, k), known minus present (k,).
+
+    A calibration of a rig tells of parameters and places of all its cameras together.
+    """
+    jointly = problem.rig is not None and problem.rig.places == "weighted"
+    if jointly and problem.rig is not None:
+        rig, cameras = problem.rig, zip(problem.block.cameras, x.cameras, strict=True)
+        told = [np.where(problem.weighted[k], own, -1) for k, own in enumerate(layout.interior)]
+        at = np.concatenate([*told, *layout.places])
+        off = np.concatenate(
+            [
+                *(start.parameters - camera.parameters for start, camera in cameras),
+                *(known.error_from(now) for known, now in zip(rig.T_rig_lens, x.T_rig_lens, strict=True)),
+            ]
+        )
+        rows = np.flatnonzero(at >= 0)
+        yield _weighted(at[rows], rig.cov[np.ix_(rows, rows)], off[rows])
     for k, (start, camera) in enumerate(zip(problem.block.cameras, x.cameras, strict=True)):
         at = layout.interior[k]
         sought = np.flatnonzero(at >= 0)
         if problem.weighted[k]:
+            if jointly:
+                continue
             known = start.cov[np.ix_(sought, sought)]
         else:
             names = start.parameter_names
@@ -262,9 +454,13 @@ def interior_priors(problem: Problem, layout: Layout, x: State) -> Iterator[tupl
             known = np.diag([problem.prior_sigma[names[i]] ** 2 for i in sought])
         if not len(sought):
             continue
-        # parameters that were estimated as one are correlated fully
-        weights = np.asarray(np.linalg.inv(known + 1e-9 * np.diag(np.diag(known))), np.float64)
-        yield at[sought], weights, (start.parameters - camera.parameters)[sought]
+        yield _weighted(at[sought], known, (start.parameters - camera.parameters)[sought])
+
+
+def _weighted(at: ArrayI, known: ArrayF, off: ArrayF) -> tuple[ArrayI, ArrayF, ArrayF]:
+    # parameters that were estimated as one are correlated fully
+    weights = np.asarray(np.linalg.inv(known + 1e-9 * np.diag(np.diag(known))), np.float64)
+    return at, weights, off
 
 
 def with_shared_errors(problem: Problem, layout: Layout, x: State, cov: ArrayF, factor: float) -> ArrayF:

@@ -31,7 +31,7 @@ from thalweg.images.bundle.normals import (
     tracks_of,
     views,
 )
-from thalweg.images.bundle.problem import Antenna, Problem, clock_notes
+from thalweg.images.bundle.problem import Antenna, Problem, RigFrames, clock_notes
 from thalweg.images.model import (
     CURE_LINE,
     ControlMarks,
@@ -333,6 +333,7 @@ def orient_block(
     predictions: ImagePoses | None = None,
     antenna: Antenna | None = None,
     known: Interiors = None,
+    rig: RigFrames | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Oriented:
     """Orient a block in the world.
@@ -341,8 +342,9 @@ def orient_block(
     ----------
     block : from structure from motion, in any frame.
     control, marks : surveyed points and their marks; may be empty.
-    predictions : approximate poses of images.
+    predictions : approximate poses of images, of a rig those of its lenses.
     antenna : GNSS positions at exposures.
+    rig : lenses that expose together.
     known : interior orientation from a calibration, with covariance, of all cameras of the block or by their
         names; cameras without one are estimated.
 
@@ -364,9 +366,10 @@ def orient_block(
         antenna=antenna,
         free=free,
         weighted=weighted,
-        held=np.zeros((len(block.images), 6), np.bool_),
+        held=np.zeros((len(block.images if rig is None else rig.exposures), 6), np.bool_),
         square_pixels=settings.square_pixels,
         prior_sigma={k: v for k, v in _DISTORTION.items() if k not in settings.free_parameters},
+        rig=rig,
     )
     problem, adjusted, result, told = adjust_from_either_start(problem, settings, predictions, progress)
     notes += told

@@ -1,0 +1,267 @@
+"""A rig of two lenses in a block: a pose for each exposure, places of lenses weighted by a calibration."""
+
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from thalweg.calibration import LENSES, Rig
+from thalweg.core import GeometryError, LocalFrame, Rigid
+from thalweg.images.bundle import adjust_block, pose_covariance, rig_frames
+from thalweg.images.bundle.adjustment import FEW_MARKS, image_poses
+from thalweg.images.bundle.normals import Correlation, linearised, reduced_system, tracks_of, views
+from thalweg.images.bundle.problem import Antenna, Layout, Problem, moved, start_state
+from thalweg.settings.sections import BlockAdjustment, Rig as RigSettings
+from thalweg.settings.twin import TwinDualFisheye
+from thalweg_lab.dual_fisheye import TrueRig, true_rig
+from thalweg_lab.studies.rig_study import (
+    EXPOSURES,
+    lenses_of,
+    one_lens,
+    plain_block,
+    pose_errors,
+    pose_sigmas,
+    simulated_block,
+    way_of,
+)
+
+SIGMA = np.r_[np.tile([0.05, 0.05, 0.05, 0.05, 3e-4, 3e-4, 2e-4, 1e-4], 2), [5e-3] * 3, [2.5e-3] * 3]
+"""Standard deviations of a calibration that the places of the lenses matter in: 5 mm, 0.14 degrees."""
+
+
+def calibrated(true: TrueRig, rng: np.random.Generator) -> Rig:
+    """The rig with errors of a calibration whose unknowns are correlated."""
+    common = rng.standard_normal((len(SIGMA), 4)) / 2
+    cov = common @ common.T + 0.5 * np.eye(len(SIGMA))
+    unit = SIGMA / np.sqrt(np.diag(cov))
+    cov *= np.outer(unit, unit)
+    error = np.linalg.cholesky(cov) @ rng.standard_normal(len(SIGMA))
+    return Rig(
+        cameras={
+            name: true.cameras[name].with_parameters(
+                true.cameras[name].parameters + error[8 * k : 8 * k + 8],
+                cov[8 * k : 8 * k + 8, 8 * k : 8 * k + 8],
+            )
+            for k, name in enumerate(LENSES)
+        },
+        T_back_front=true.T_back_front.moved(error[16:]).with_cov(cov[16:, 16:]),
+        settings=RigSettings(),
+        cov=cov,
+    )
+
+
+def block(seed: int, **options: Any) -> tuple[Problem, list[Rigid]]:
+    true = true_rig(TwinDualFisheye(), seed)
+    rig = calibrated(true, np.random.default_rng(seed))
+    return simulated_block(lenses_of(true, rig), seed, rig=rig, **options)
+
+
+def test_derivatives_are_those_of_finite_differences(rng: np.random.Generator) -> None:
+    problem, _ = block(1, points=40)
+    layout = Layout(problem)
+    x = start_state(problem, layout)
+    b = problem.block
+    widest = max(
+        np.rad2deg(np.arccos(ray[2])) for ray in b.cameras[0].rays(b.mark_px[b.camera[b.mark_image] == 0])
+    )
+    assert widest > 90
+    at = b.mark_image, x.X[b.mark_point], b.mark_px
+    here = linearised(problem, layout, x, *at)
+    assert layout.n_interior == 22
+    for column in (*range(6), *(layout.n_poses + np.arange(22))):
+        step = 1e-6
+        d = np.zeros(len(layout.names))
+        d[column : layout.n_poses if column < 6 else column + 1 : 6] = step
+        up, down = (linearised(problem, layout, moved(x, s * d, 0 * x.X, layout), *at) for s in (1, -1))
+        numeric = -(up.residual - down.residual) / (2 * step)
+        by = here.by_pose[:, :, column] if column < 6 else here.by_rest[:, :, column - layout.n_poses]
+        np.testing.assert_allclose(by, numeric, rtol=1e-5, atol=3e-4)
+
+
+def test_normal_equations_are_those_of_all_points_as_unknowns() -> None:
+    """Lenses that see one point in one exposure share its six unknowns."""
+    problem, _ = block(2, points=60)
+    layout = Layout(problem)
+    x, b, u = start_state(problem, layout), problem.block, len(layout.names)
+    both = {}
+    for image, point in zip(b.mark_image, b.mark_point, strict=True):
+        both.setdefault((layout.exposure[image], point), []).append(image)
+    assert max(len(images) for images in both.values()) == 2
+    part = linearised(problem, layout, x, b.mark_image, x.X[b.mark_point], b.mark_px)
+    J = np.zeros((len(b.mark_image), 2, u + 3 * len(x.X)))
+    for k, image in enumerate(b.mark_image):
+        pose, point = 6 * layout.exposure[image], u + 3 * b.mark_point[k]
+        J[k, :, pose : pose + 6] = part.by_pose[k]
+        J[k, :, layout.n_poses : layout.n_poses + layout.n_interior] = part.by_rest[k]
+        J[k, :, point : point + 3] = part.by_point[k]
+    J = J.reshape(-1, J.shape[2]) / np.repeat(b.sigma_px, 2)[:, None]
+    r = part.residual.ravel() / np.repeat(b.sigma_px, 2)
+    keep = np.r_[np.arange(u), u + np.repeat(3 * np.flatnonzero(np.bincount(b.mark_point) > 1), 3)]
+    keep[u:] += np.tile(np.arange(3), (len(keep) - u) // 3)
+    many = (np.bincount(b.mark_point)[b.mark_point] > 1).repeat(2)
+    N, g = J[many][:, keep].T @ J[many][:, keep], J[many][:, keep].T @ r[many]
+    S = N[:u, :u] - N[:u, u:] @ np.linalg.solve(N[u:, u:], N[u:, :u])
+    s = g[:u] - N[:u, u:] @ np.linalg.solve(N[u:, u:], g[u:])
+    view = views(x.X[b.mark_point], x.C[b.mark_image])
+    every, none = (tracks_of(problem, np.full(len(view), use), b.sigma_px, view) for use in (True, False))
+    options = Correlation(), problem.marks.sigma_px, 0.0
+    found, rest = (reduced_system(problem, layout, x, tracks, *options) for tracks in (every, none))
+    scale = np.sqrt(np.maximum(np.diag(S), 1.0))
+    np.testing.assert_allclose(
+        (found.N - rest.N) / np.outer(scale, scale), S / np.outer(scale, scale), atol=1e-8
+    )
+    np.testing.assert_allclose((found.g - rest.g) / scale, s / scale, atol=1e-6)
+
+
+def test_a_rig_of_one_lens_is_no_rig() -> None:
+    """The same images with and without a rig whose only lens is its frame: the same numbers."""
+    problem = one_lens(block(3)[0], 0)
+    b = problem.block
+    rig = replace(
+        block(3)[0].rig,
+        exposures=b.images,
+        exposure=np.arange(len(b.images)),
+        T_rig_lens=(Rigid(R=np.eye(3), shift_m=np.zeros(3)),),
+        cov=np.pad(b.cameras[0].cov, (0, 6)),
+    )
+    without, within = plain_block(problem), plain_block(replace(problem, rig=rig))
+    np.testing.assert_allclose(within.x.C, without.x.C, atol=1e-10)
+    np.testing.assert_allclose(within.x.R, without.x.R, atol=1e-11)
+    np.testing.assert_allclose(within.cov, without.cov, rtol=1e-7, atol=1e-16)
+    assert within.sigma0 == pytest.approx(without.sigma0, rel=1e-9)
+
+
+def squares(places: str, seeds: int) -> float:
+    """Mean square of all poses in units of their joint covariance."""
+    out = []
+    for seed in range(seeds):
+        problem, fronts = block(100 + seed, points=200)
+        found = plain_block(replace(problem, rig=replace(problem.rig, places=places)))
+        error = pose_errors(found, fronts)
+        out.append(error @ np.linalg.solve(pose_covariance(found), error) / len(error))
+    return float(np.mean(out))
+
+
+def test_poses_are_within_their_covariance_from_both_sides() -> None:
+    low, high = chi2.ppf([0.0005, 0.9995], 12 * 6 * EXPOSURES) / (12 * 6 * EXPOSURES)
+    assert low < squares("weighted", 12) < high
+    # places that are taken as known do not err that little
+    assert squares("fixed", 4) > chi2.ppf(0.9995, 4 * 6 * EXPOSURES) / (4 * 6 * EXPOSURES)
+
+
+def test_places_of_lenses_are_found_by_the_block_if_asked() -> None:
+    problem, _ = block(7)
+    true = true_rig(TwinDualFisheye(), 7).T_front_lens["back"]
+    found = plain_block(replace(problem, rig=replace(problem.rig, places="free")))
+    at = found.layout.places[1]
+    assert (found.layout.places[0] == -1).all()
+    error = found.x.T_rig_lens[1].error_from(true)
+    square = error @ np.linalg.solve(found.cov[np.ix_(at, at)], error)
+    assert chi2.ppf(0.0005, 6) < square < chi2.ppf(0.9995, 6)
+    # what a calibration says narrows it
+    weighted = plain_block(problem)
+    assert (np.diag(weighted.cov)[at] < np.diag(found.cov)[at]).all()
+    assert (np.diag(weighted.cov)[at] < np.diag(problem.rig.cov)[22:]).all()
+
+
+def test_no_pose_is_worse_than_by_the_better_lens_alone() -> None:
+    problem, _ = block(11)
+    alone = [pose_sigmas(plain_block(one_lens(problem, lens))) for lens in (0, 1)]
+    ratio = pose_sigmas(plain_block(problem)) / np.minimum(*alone)
+    assert ratio.max() < 1.0
+    # two banks hold a pose much better than one
+    assert ratio[:, 0].mean() < 0.6
+
+
+def test_exposures_come_out_as_poses_of_the_front_lens() -> None:
+    problem, fronts = block(12)
+    # the front lens of one exposure was lost, of another one both see next to nothing
+    b = problem.block
+    name = np.array(b.images)[b.mark_image]
+    gone = np.isin(name, ["front/003.jpg", "front/005.jpg", "back/005.jpg"])
+    few = gone & ~(np.isin(name, ["front/005.jpg"]) & (np.cumsum(name == "front/005.jpg") <= 2))
+    thin = replace(
+        b,
+        mark_image=b.mark_image[~few],
+        mark_point=b.mark_point[~few],
+        mark_px=b.mark_px[~few],
+        sigma_px=b.sigma_px[~few],
+    )
+    own = problem.marks.chosen(~np.isin(np.array(b.images)[problem.marks.image], np.unique(name[gone])))
+    found = plain_block(replace(problem, block=thin, marks=own))
+    frame = LocalFrame(lat_deg=50.9, lon_deg=13.3, h_ell_m=300.0)
+    names = (*(f"{k:03d}.jpg" for k in range(EXPOSURES)), "absent.jpg")
+    poses = image_poses(found, frame, names, {}, {})
+    assert poses.images == names
+    assert poses.oriented.tolist() == [k not in (5, 12) for k in range(13)]
+    assert poses.reasons[5] == FEW_MARKS
+    away = np.linalg.norm(poses.centre_wcs_m[:12] - [T.shift_m for T in fronts], axis=1)
+    assert np.nanmax(away) < 0.06
+    # the exposure without front lens is held by the other one
+    assert 0 < poses.n_marks[3] < poses.n_marks[2]
+    following = poses.cov_next[2]
+    k = found.layout.exposures.index("002.jpg")
+    j = found.layout.exposures.index("003.jpg")
+    np.testing.assert_array_equal(following, pose_covariance(found)[6 * k : 6 * k + 6, 6 * j : 6 * j + 6])
+
+
+def test_an_antenna_holds_the_pose_of_the_rig_once() -> None:
+    problem, fronts = block(13)
+    lever = np.array([0.3, -0.5, -0.2])
+    layout = Layout(problem)
+    order = [int(name[:3]) for name in layout.exposures]
+    antenna = Antenna(
+        image=np.arange(EXPOSURES),
+        t_s=np.arange(EXPOSURES) * 1.0,
+        position_wcs_m=np.array([fronts[k].apply(lever[None])[0] for k in order]),
+        sigma_m=np.full((EXPOSURES, 3), 0.002),
+        lever_ccs_m=lever,
+    )
+    with_it, without = plain_block(replace(problem, antenna=antenna)), plain_block(problem)
+    assert with_it.n_observations == without.n_observations + 3 * EXPOSURES
+    assert with_it.costs["antenna"] < 3 * EXPOSURES * 1.8
+    assert (pose_sigmas(with_it)[:, 0] < 0.5 * pose_sigmas(without)[:, 0]).all()
+
+
+def test_images_that_do_not_belong_to_exposures_are_refused() -> None:
+    problem, _ = block(14, points=40)
+    with pytest.raises(GeometryError, match="images of 12 of 13 exposures"):
+        replace(problem.rig, exposures=(*problem.rig.exposures, "more.jpg"))
+
+
+def test_names_of_images_tell_their_exposure() -> None:
+    true = true_rig(TwinDualFisheye(), 1)
+    rig = calibrated(true, np.random.default_rng(1))
+    cameras = [rig.cameras["back"], rig.cameras["front"]]
+    frames = rig_frames(rig, ["back/a.jpg", "back/b.jpg", "front/b.jpg"], cameras)
+    assert frames.exposures == ("a.jpg", "b.jpg")
+    assert frames.exposure.tolist() == [0, 1, 1]
+    assert frames.sought.tolist() == [True, False]
+    # the order of the block: parameters of back and front, then the places of back and front
+    np.testing.assert_allclose(np.diag(frames.cov)[:8], np.diag(rig.cov)[8:16])
+    np.testing.assert_allclose(frames.cov[16:22, 16:22], rig.T_back_front.inverse().cov)
+
+
+def test_parts_of_a_block_agree_on_the_lenses_of_a_rig() -> None:
+    """With all options of a survey, and enough exposures to compare parts of the block."""
+    problem, fronts = block(16, fronts=way_of(16, 18), points=400)
+    found = adjust_block(problem, BlockAdjustment())
+    assert found.interior_variance == BlockAdjustment().interior_variance
+    assert not found.notes
+    error, cov = pose_errors(found, fronts), pose_covariance(found)
+    assert error @ np.linalg.solve(cov, error) / len(error) < chi2.ppf(0.9995, len(error)) / len(error)
+
+
+@pytest.mark.slow
+def test_a_rig_takes_at_most_a_third_more_time() -> None:
+    problem, _ = block(15, points=1500)
+    took = {}
+    for rig in (problem.rig, None) * 3:
+        held = np.zeros((len(problem.block.images if rig is None else rig.exposures), 6), np.bool_)
+        begin = time.process_time()
+        adjust_block(replace(problem, rig=rig, held=held), BlockAdjustment())
+        took.setdefault(rig is None, []).append(time.process_time() - begin)
+    assert min(took[False]) < 1.3 * min(took[True])
