@@ -137,6 +137,9 @@ def test_the_page_says_how_the_cloud_of_the_surroundings_lies() -> None:
     words = _surroundings(fit)
     assert "+2.0 ± 1.0, -3.0 ± 1.0, +5.0 ± 0.4 cm east, north and up" in words
     assert "+6.0 cm in the median before and +0.1 cm after" in words
+    assert "left alone" not in words
+    held = fit | {"undetermined": ["shift along (east 1.00)"], "sigma_left_alone_m": 0.1}
+    assert "left alone: shift along (east 1.00); each may move its points by 10.0 cm" in _surroundings(held)
 
 
 # ---------------------------------------------------------------- recordings of real boats

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from pyproj import CRS
 
-from thalweg.bathymetry import speed_of_sound_mps
+from thalweg.bathymetry import Transducer, speed_of_sound_mps
 from thalweg.calibration import echo_sounder as files, resolve_mounts, write_mounts
 from thalweg.core import CoverageError, GeometryError, InputError, write_table
 from thalweg.core.calibration import read_calibration
@@ -137,6 +137,29 @@ def test_a_flat_bed_leaves_the_horizontal_place_to_the_ruler(tmp_path: Path, rep
         assert "relief is missing" in part["refused"]
         assert part["value_m"] == pytest.approx(part["ruler_m"], abs=0.01)
     assert read_calibration(tmp_path / "echo_sounder.yaml").find("echo_sounder").facts["ruler"] == ["x", "y"]
+
+
+def test_a_lag_that_a_flat_bed_does_not_show_stays_the_stated_latency(
+    tmp_path: Path, repository: Path
+) -> None:
+    stated = EchoSounder(latency_s=0.2, sigma_latency_s=0.07)
+    times = {}
+    for name, spec in (
+        ("flat", EchoSpec(duration_s=120.0, relief_m=0.0, sway=0.1)),
+        ("relief", EchoSpec(duration_s=240.0)),
+    ):
+        (tmp_path / name).mkdir()
+        run = make_echo_run(2, spec)
+        late = replace(run, t_gps_s=run.t_gps_s + 0.2)
+        report = calibrated(tmp_path / name, repository, late, stated=stated)
+        placed = Transducer.of({}, tmp_path / name / "echo_sounder.yaml", stated)
+        times[name] = (report["lag"]["determined"], placed.lag_s, placed.sigma_lag_s, report["lag"])
+    assert times["flat"][:3] == (False, -0.2, 0.07)
+    known, lag_s, sigma_s, lag = times["relief"]
+    assert known
+    assert lag_s == pytest.approx(lag["value_s"], abs=1e-6)
+    assert sigma_s == pytest.approx(lag["sigma_s"], abs=1e-6)
+    assert sigma_s < 0.02
 
 
 def test_heights_of_another_kind_are_refused(tmp_path: Path, repository: Path) -> None:

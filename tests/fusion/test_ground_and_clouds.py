@@ -114,9 +114,17 @@ def test_a_level_plain_shows_no_shift_along_itself(rng):
     def plain():
         return np.column_stack([rng.uniform(0, 60, (8000, 2)), rng.normal(0, 0.01, 8000)])
 
-    fit = fit_cloud(cloud(plain() + np.array([0.3, 0, 0.2])), cloud(plain()), CloudFit(), sigma_shared_m=0.0)
+    theirs = cloud(plain() + np.array([0.3, 0, 0.2]))
+    fit = fit_cloud(theirs, cloud(plain()), CloudFit(sigma_datum_m=0.25), sigma_shared_m=0.0)
     assert fit.motion.shift_m == pytest.approx([0, 0, -0.2], abs=0.01)
     assert any("shift along" in words for words in fit.undetermined)
+    # both shifts and the turn that were left alone move points by 25 cm each, so 25 to 31 cm an axis
+    sigma = fit.moved(theirs).sigma_horizontal_m
+    assert np.sqrt(np.mean(sigma**2)) == pytest.approx(0.25 * np.sqrt(1.5), rel=0.02)
+    assert fit.moved(theirs).sigma_up_m.max() < 0.03
+    # taken as right by the owner of the cloud: no motion, no more sigma
+    still = fit_cloud(theirs, cloud(plain()), CloudFit(motion="none"), sigma_shared_m=0.0)
+    assert still.cov == pytest.approx(0.0)
 
 
 @pytest.mark.parametrize(

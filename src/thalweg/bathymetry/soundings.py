@@ -216,18 +216,21 @@ class Transducer:
     def of(cls, mount: Mapping[str, Any], calibration: Path | None, echo: EchoSounder) -> Self:
         """Of the campaign's mounts, and of ``echo_sounder.yaml`` where the bed was surveyed.
 
-        The calibration's lag takes the place of the stated latency: both say the same.
+        Where the calibration determined the lag, it takes the place of the stated latency: both say the same.
         """
+        lag_s, sigma_lag_s = -echo.latency_s, echo.sigma_latency_s
         if calibration is None:
             lever, cov = place_files.ruler_of(mount)
-            return cls(lever_ics_m=lever, cov_m2=cov, lag_s=-echo.latency_s, sigma_lag_s=echo.sigma_latency_s)
+            return cls(lever_ics_m=lever, cov_m2=cov, lag_s=lag_s, sigma_lag_s=sigma_lag_s)
         found = read_calibration(calibration)
         facts = found.blocks[0].facts
+        if facts["lag_determined"]:
+            lag_s, sigma_lag_s = float(facts["lag_s"]), float(facts["sigma_lag_s"])
         return cls(
             lever_ics_m=np.asarray(found.blocks[0].values[:3]),
             cov_m2=np.asarray(found.cov[:3, :3]),
-            lag_s=float(facts["lag_s"]),
-            sigma_lag_s=float(facts["sigma_lag_s"]),
+            lag_s=lag_s,
+            sigma_lag_s=sigma_lag_s,
             source="calibration",
         )
 

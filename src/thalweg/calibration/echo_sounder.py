@@ -509,6 +509,7 @@ def echo_calibration(found: EchoSounder, *, run: str, twin: bool) -> Calibration
         "ruler": [name for name in PARAMETERS[:3] if name in found.not_observed],
         "lag_s": round(found.lag_s, 6),
         "sigma_lag_s": round(found.sigma_lag_s, 6),
+        "lag_determined": "lag" in found.observed,
     }
     block = Block(
         name=place.name,

@@ -3,7 +3,7 @@ r"""Clouds of the surroundings on the ground that the boat has measured, and all
 **Fit.** Both clouds become one point a cell. A small motion ``p -> c + exp([w]x)(p - c) + t`` of the foreign
 cloud changes the distance of a cell along the normal of the boat's ground by ``n . t + ((p - c) x n) . w``
 (Chen and Medioni 1992); it is solved with Tukey's weights. Motions that the ground does not show are left
-alone and named.
+alone and named; each may move the points by ``sigma_datum_m`` (root mean square), which the covariance holds.
 
 **Covariance.** Errors of a photogrammetric cloud are alike over metres, so the number of cells says nothing.
 Blocks of ground are left out one after the other (jackknife, MacKinnon, Nielsen and Webb 2023), and the
@@ -196,7 +196,7 @@ class Fit:
     Parameters
     ----------
     motion : of the cloud.
-    cov : (6, 6) of shift (east, north, up) and rotation vector; zero where held.
+    cov : (6, 6) of shift (east, north, up) and rotation vector.
     undetermined : motions that the common ground does not show, in words.
     overlap : a row a block of common ground: place, cells, median before and after, spread, sigma foretold.
     facts : for people.
@@ -275,7 +275,8 @@ def fit_cloud(cloud: Cloud, ground: Cloud, settings: CloudFit, *, sigma_shared_m
     allowed = {"none": np.zeros((6, 0)), "shift": np.eye(6)[:, :3]}.get(settings.motion)
     shown = visibility >= LEAST_VISIBLE
     free = motions[:, shown] if allowed is None else allowed
-    undetermined = motions_in_words(motions[:, ~shown]) if settings.motion == "rigid" else ()
+    # what a campaign excludes (none, shift) counts as none; what the ground does not show does not
+    hidden = motions[:, ~shown] if allowed is None else np.zeros((6, 0))
     distance = before
     if free.shape[1]:
         for _ in range(MOST_ITERATIONS):
@@ -303,6 +304,8 @@ def fit_cloud(cloud: Cloud, ground: Cloud, settings: CloudFit, *, sigma_shared_m
         )
     cov, blocks = _covariance(foreign, distance, normal, near, arm, free, settings)
     cov[:3, :3] += (sigma_shared_m**2) * _held(free)
+    # about the place where each of them moves the points by an RMS of 1 m
+    cov += settings.sigma_datum_m**2 * hidden @ hidden.T
     block = cell_numbers(foreign.xyz_m[:, :2], settings.block_m)
     overlap = _overlap(foreign, ours, tree, before, distance, near, block)
     facts = {
@@ -317,7 +320,9 @@ def fit_cloud(cloud: Cloud, ground: Cloud, settings: CloudFit, *, sigma_shared_m
         "spread_after_m": spread,
     }
     facts["fitted_shift_m"] = facts.pop("shift_m")
-    return Fit(motion=motion, cov=cov, undetermined=tuple(undetermined), overlap=overlap, facts=facts)
+    if hidden.size:
+        facts["sigma_left_alone_m"] = settings.sigma_datum_m
+    return Fit(motion=motion, cov=cov, undetermined=motions_in_words(hidden), overlap=overlap, facts=facts)
 
 
 def _stable(cloud: Cloud, settings: CloudFit) -> Cloud:

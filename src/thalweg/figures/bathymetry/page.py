@@ -191,7 +191,8 @@ def _surroundings(fit: Mapping[str, Any]) -> str:
         for value, sigma in zip(fit["fitted_shift_m"], fit["sigma_shift_m"], strict=True)
     )
     held = (
-        f" Not shown by the ground, and left alone: {', '.join(fit['undetermined'])}."
+        f" Not shown by the ground, and left alone: {', '.join(fit['undetermined'])}; each may move "
+        f"its points by {100 * fit['sigma_left_alone_m']:.1f} cm (standard deviation), which the sigmas hold."
         if fit["undetermined"]
         else ""
     )

@@ -38,6 +38,12 @@ class CloudFit(Section):
     sigma_m: Positive = Field(
         default=0.05, le=5, description="Standard deviation of a point where its file states none, metres"
     )
+    sigma_datum_m: NonNegative = Field(
+        default=0.1,
+        le=50,
+        description="How far the cloud may lie off in a motion that stable ground does not show, standard "
+        "deviation of its points, metres",
+    )
     largest_shift_m: Positive = Field(
         default=1.0, le=50, description="A larger motion is a mistake of the datum, not a fit, metres"
     )
