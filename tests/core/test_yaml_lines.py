@@ -2,7 +2,7 @@
 
 import pytest
 
-from thalweg.core import ConfigError, parse_yaml, read_mapping, read_yaml
+from thalweg.core import ConfigError, documents, parse_yaml, read_mapping, read_yaml
 from thalweg.settings.load import load_campaign
 from thalweg.settings.messages import CampaignError
 
@@ -142,3 +142,24 @@ def test_no_such_yaml(tmp_path) -> None:
         read_mapping(tmp_path / "none.yaml")
     with pytest.raises(ConfigError, match="folder"):
         read_mapping(tmp_path)
+
+
+def test_libyaml_and_python_read_every_file_of_the_repository_alike(repository) -> None:
+    texts = [
+        p.read_text() for folder in ("config", "resources") for p in (repository / folder).rglob("*.yaml")
+    ]
+    assert len(texts) > 50
+    for text in [*texts, "a: [1, {b: 010, c: 1e-3}]\n# x\nd: &n {e: no}\nf: {<<: *n}\n"]:
+        quick, slow = (
+            documents._parsed(text, documents._QuickLoader),
+            documents._parsed(text, documents._Loader),
+        )
+        assert repr(quick) == repr(slow)  # values, their kinds, lines
+        assert not slow.mistakes
+
+
+@pytest.mark.parametrize("text", ["a:\tb\n", "a: [1\n", "a: 1\na: 2\n", "a: *b\n"])
+def test_mistakes_are_told_in_the_words_of_pythons_parser(text: str) -> None:
+    mistakes = parse_yaml(text).mistakes
+    assert mistakes == documents._parsed(text, documents._Loader).mistakes
+    assert mistakes

@@ -583,11 +583,14 @@ def estimate(
     parts = tuple(np.ascontiguousarray(a[rows]) for a in (by_point, residual_px, sigma_px, view))
     degrees = (2 * length[chosen] - 3).astype(np.float64)
     logarithm, square, none = np.empty(len(chosen)), np.empty(len(chosen)), np.empty(0)
+    constants = [_constant(degrees, freedom) for freedom in _FREEDOMS]
 
     def profile(shape: Correlation) -> tuple[float, float, float]:
         """-2 ln L for the best size and freedom of errors of that shape, and these."""
         restricted_parts(starts, *parts, shape.model, logarithm, square, none)
-        best = min((*_sized(square, degrees, freedom), freedom) for freedom in _FREEDOMS)
+        middle = max(float(np.median(square / degrees)), 1e-12)
+        found = (_sized(square, degrees, freedom, middle) for freedom in _FREEDOMS)
+        best = min((f[0] + c, f[1], nu) for f, c, nu in zip(found, constants, _FREEDOMS, strict=True))
         return best[0] + float(logarithm.sum()), best[1], best[2]
 
     fresh = start is None or start.slow == 0
@@ -658,22 +661,38 @@ def _shape(x: ArrayF) -> Correlation:
     )
 
 
-def _sized(square: ArrayF, degrees: ArrayF, freedom: float) -> tuple[float, float]:
-    """-2 ln L of Student's (normal) distribution of tracks for the best variance, and that variance."""
-    variance = max(float(np.median(square / degrees)), 1e-12)
+def _constant(degrees: ArrayF, freedom: float) -> float:
+    """The part of `_sized` that does not depend on the errors."""
     if not np.isfinite(freedom):
-        variance = max(float(square.sum() / degrees.sum()), 1e-12)
-        return float((degrees * np.log(variance) + square / variance).sum()), variance
+        return 0.0
+    each = gammaln((freedom + degrees) / 2) - gammaln(freedom / 2) - degrees / 2 * np.log(freedom / 2)
+    return float(-2 * each.sum())
+
+
+@njit(cache=True, error_model="numpy")
+def _sized(square: ArrayF, degrees: ArrayF, freedom: float, variance: float) -> tuple[float, float]:
+    """-2 ln L of Student's (normal) distribution of tracks for the best variance, and that variance.
+
+    Without `_constant`; ``variance`` is where the search begins. Compiled: the search for a shape asks some
+    thousand times.
+    """
+    total = degrees.sum()
+    if not np.isfinite(freedom):
+        variance = max(square.sum() / total, 1e-12)
+        return total * np.log(variance) + square.sum() / variance, variance
     for _ in range(40):
-        weight = (freedom + degrees) / (freedom + square / variance)
-        new = max(float((weight * square).sum() / degrees.sum()), 1e-12)
+        weighted = 0.0
+        for k in range(len(square)):
+            weighted += (freedom + degrees[k]) / (freedom + square[k] / variance) * square[k]
+        new = max(weighted / total, 1e-12)
         done = abs(new / variance - 1) < 1e-5
         variance = new
         if done:
             break
-    constant = gammaln((freedom + degrees) / 2) - gammaln(freedom / 2) - degrees / 2 * np.log(freedom / 2)
-    body = (freedom + degrees) * np.log1p(square / (variance * freedom))
-    return float((degrees * np.log(variance) + body - 2 * constant).sum()), variance
+    body = 0.0
+    for k in range(len(square)):
+        body += (freedom + degrees[k]) * np.log1p(square[k] / (variance * freedom))
+    return total * np.log(variance) + body, variance
 
 
 # ---------------------------------------------------------------- compiled passes over the tracks of tie

@@ -469,9 +469,10 @@ def triangulated(block: ImageBlock, marks: ControlMarks, n_points: int) -> Array
     """(k, 3) points of control marks in the frame of the block; NaN where fewer than two rays meet."""
     out = np.full((n_points, 3), np.nan)
     rays = np.empty((len(marks.image), 3))
-    for i, (image, xy) in enumerate(zip(marks.image, marks.xy_px, strict=True)):
-        camera = block.cameras[block.camera[image]]
-        rays[i] = block.R_block_ccs[image] @ camera.rays(xy[None])[0]
+    for c in np.unique(block.camera[marks.image]):
+        of = np.flatnonzero(block.camera[marks.image] == c)
+        seen = block.cameras[c].rays(marks.xy_px[of])
+        rays[of] = np.einsum("mij,mj->mi", block.R_block_ccs[marks.image[of]], seen)
     centres = block.centre_block_m[marks.image]
     for k in range(n_points):
         rows = np.flatnonzero((marks.point == k) & np.isfinite(rays).all(axis=1))
@@ -489,36 +490,34 @@ def nearest_to_rays(centres: ArrayF, rays: ArrayF) -> ArrayF:
     n = len(rays)
     if n <= 2:
         return _meeting(centres, rays)
-    pairs = list(combinations(range(n), 2))
-    best, least = np.full(3, np.nan), np.inf
-    for pair in pairs[:: max(1, len(pairs) // _MOST_PAIRS)]:
-        chosen = list(pair)
-        point = _meeting(centres[chosen], rays[chosen])
-        if not np.isfinite(point).all():
-            continue
-        # the pair itself fits by itself
-        off = float(np.sort(_angles(point, centres, rays))[(n + 2) // 2])
-        if off < least:
-            best, least = point, off
-    if not np.isfinite(least):
-        return best
-    keep = _angles(best, centres, rays) <= max(3.0 * least, _LEAST_ANGLE_RAD)
+    pairs = np.array(list(combinations(range(n), 2)))
+    pairs = pairs[:: max(1, len(pairs) // _MOST_PAIRS)]
+    points = _meeting(centres[pairs], rays[pairs])
+    # the pair itself fits by itself
+    off = np.sort(_angles(points[:, None], centres, rays), axis=1)[:, (n + 2) // 2]
+    if not np.isfinite(off).any():
+        return np.full(3, np.nan)
+    best = int(np.nanargmin(off))
+    keep = _angles(points[best], centres, rays) <= max(3.0 * off[best], _LEAST_ANGLE_RAD)
     return _meeting(centres[keep], rays[keep])
 
 
 def _meeting(centres: ArrayF, rays: ArrayF) -> ArrayF:
-    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
-    A = across.sum(axis=0)
-    if not np.isfinite(A).all() or np.linalg.eigvalsh(A)[0] < 1e-7 * len(rays):
-        return np.full(3, np.nan)
-    return np.asarray(np.linalg.solve(A, np.einsum("nij,nj->i", across, centres)))
+    """Points (..., 3) nearest to rays (..., n, 3); NaN where they are parallel."""
+    across = np.eye(3) - rays[..., :, None] * rays[..., None, :]
+    A = across.sum(axis=-3)
+    b = np.einsum("...nij,...nj->...i", across, centres)
+    known = np.isfinite(A).all(axis=(-2, -1))
+    A = np.where(known[..., None, None], A, 0.0)
+    known &= np.linalg.eigvalsh(A)[..., 0] >= 1e-7 * rays.shape[-2]
+    A = np.where(known[..., None, None], A, np.eye(3))
+    return np.where(known[..., None], np.linalg.solve(A, b[..., None])[..., 0], np.nan)
 
 
 def _angles(point: ArrayF, centres: ArrayF, rays: ArrayF) -> ArrayF:
     away = point - centres
-    return np.asarray(
-        np.linalg.norm(np.cross(away, rays), axis=1) / np.maximum(np.linalg.norm(away, axis=1), 1e-12)
-    )
+    length = np.maximum(np.linalg.norm(away, axis=-1), 1e-12)
+    return np.asarray(np.linalg.norm(np.cross(away, rays), axis=-1) / length)
 
 
 def start_from_control(block: ImageBlock, control: ControlPoints, marks: ControlMarks) -> Similarity:
