@@ -35,6 +35,8 @@ from thalweg.core import UNFINISHED, InputError, ThalwegError
 from thalweg.workflow.costs import costs_of, memory_now_mb
 from thalweg.workflow.staging import refuse_changes, staged, state_of
 
+# ---------------------------------------------------------------- where a result comes from
+
 FORMAT_VERSION = 1
 LIBRARIES = (
     "numpy",
@@ -157,6 +159,8 @@ def write_provenance(
         meta_file(lies).write_text(text + "\n", encoding="utf-8")
 
 
+# ---------------------------------------------------------------- the truth of a digital twin is closed
+
 _MAY_READ = re.compile(r"simulate_\w+|compare_(\w+_)?with_truth|(?!plot_)\w+_study")
 """What makes the truth, what judges by it, and studies, which do both."""
 
@@ -251,6 +255,8 @@ def _texts(value: Any) -> Iterator[str]:
         for each in value:
             yield from _texts(each)
 
+
+# ---------------------------------------------------------------- a job
 
 log = logging.getLogger("thalweg")
 

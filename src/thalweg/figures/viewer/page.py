@@ -53,6 +53,8 @@ from thalweg.figures import (
 from thalweg.ingest.clouds import read_cloud
 from thalweg.lidar import COLOUR_DIMENSIONS, CORRELATIONS, SIGMAS
 
+# ---------------------------------------------------------------- levels of detail
+
 CELLS_BITS: Final = 6
 """A node has 2^6 = 64 cells along an edge."""
 LEAF_POINTS: Final = 6000
@@ -177,6 +179,8 @@ def _thinned(code: Codes, most: int) -> ArrayI:
     more = rest[np.linspace(0, len(rest) - 1, min(most - len(cells), len(rest))).astype(np.int64)]
     return np.union1d(cells, more)
 
+
+# ---------------------------------------------------------------- the page and its nodes
 
 MOST_POINTS: Final = 1_500_000
 """Points of a viewer: some 25 megabytes on disk."""
