@@ -5,6 +5,8 @@ import re
 import sys
 from pathlib import Path
 
+# ---------------------------------------------------------------- jobs on SLURM
+
 
 def add_cluster_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Add ``cluster status``, ``clean`` and ``check``."""
@@ -55,6 +57,9 @@ def _check(options: argparse.Namespace) -> int:
     found = check_nodes(options.folder, options.partition, sys.executable)
     print("\n".join(found) if found else "no node is free to be asked")
     return 0 if all(" sees the folder" in line for line in found) else 2
+
+
+# ---------------------------------------------------------------- folders of results
 
 
 def add_result_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

@@ -39,6 +39,8 @@ from thalweg_lab.writers import PhotoFacts, start_us, write_jpeg
 from thalweg_lab.yard import Plane, Sheet, Yard
 from thalweg_lab.yard_images import LensRays, Photographer, exposed, mount_of, run_name
 
+# ---------------------------------------------------------------- the device
+
 LENSES: Final = ("front", "back")
 _SCATTER: Final = np.array([1e-3, 1e-3, 5e-4, 1e-4])
 """Scatter of the distortion of single lenses of one kind."""
@@ -148,6 +150,8 @@ def true_rig(settings: TwinDualFisheye, seed: int) -> TrueRig:
         T_back_front=Rigid(R=R_back_front, shift_m=-R_back_front @ back_in_front),
     )
 
+
+# ---------------------------------------------------------------- the room
 
 MODULE_M: Final = 0.035
 LAYOUT: Final = MarkerLayout(module_m=MODULE_M)

@@ -51,6 +51,8 @@ from thalweg.core import (
 from thalweg.core.calibration import Calibration, Source, pose_block, read_calibration
 from thalweg.settings.sections import Rig as RigSettings, RigLens
 
+# ---------------------------------------------------------------- marks on the plane across their ray
+
 _HALF_PX: Final = 28
 """Half a side of a patch: the largest window of a fit, and what the coarse search needs around it."""
 _LARGEST_MOVE_PX: Final = 1.0
@@ -129,6 +131,8 @@ def _across(ray: ArrayF) -> ArrayF:
     e2 /= np.linalg.norm(e2)
     return np.stack([np.cross(e2, ray), e2, ray], axis=1)
 
+
+# ---------------------------------------------------------------- the rig
 
 LENSES: Final = ("front", "back")
 RELATIVE: Final = "back_front"

@@ -21,6 +21,8 @@ from thalweg.core.errors import ConfigError
 if TYPE_CHECKING:
     from thalweg.core.types import AnyArray, ArrayU8
 
+# ---------------------------------------------------------------- files being written, files of others
+
 UNFINISHED: Final = ".part-"
 """Start of the name of a folder with outputs of a running job, inside the folder where they will stand."""
 
@@ -73,6 +75,8 @@ def decode_picture(data: "ArrayU8", flags: int) -> "AnyArray | None":
         return None
     return None if picture is None else np.asarray(picture)
 
+
+# ---------------------------------------------------------------- documents in YAML
 
 Name = Annotated[str, Field(min_length=1)]
 """A text that is not empty."""

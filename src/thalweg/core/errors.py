@@ -11,6 +11,8 @@ from collections.abc import Iterable, Iterator, Sized
 from pathlib import Path
 from typing import Final, TypeVar
 
+# ---------------------------------------------------------------- how far a long step is
+
 T = TypeVar("T")
 EVERY_S: Final = 5.0
 """People look up after some seconds; a log of an hour stays below a thousand lines."""
@@ -45,6 +47,8 @@ def to_terminal() -> None:
     log.setLevel(logging.INFO)
     log.propagate = False
 
+
+# ---------------------------------------------------------------- errors
 
 FULL: Final = frozenset({errno.ENOSPC, errno.EDQUOT})
 """What the system says of a disk without room."""

@@ -210,6 +210,8 @@ class Trajectory:
         )
 
 
+# ---------------------------------------------------------------- errors of poses over time
+
 _LEAST: Final = 1e-9
 """Eigenvalues of a correlation matrix below this are rounding."""
 _MOST_ALIKE: Final = 1.0 - 1e-12

@@ -39,6 +39,8 @@ from thalweg.core.calibration import read_calibration
 from thalweg.figures.page import Page
 from thalweg.figures.style import BLUE, GREY, VERMILION, new_figure, styled
 
+# ---------------------------------------------------------------- costs of jobs
+
 SHOWN = 25
 """Rules in the picture; all of them are in the table."""
 
@@ -86,6 +88,8 @@ def costs_page(jobs: pd.DataFrame, rules: pd.DataFrame) -> Page:
     )
     return page
 
+
+# ---------------------------------------------------------------- catalogue
 
 LIMIT: Final = 3.0
 """Control limits in standard deviations (Shewhart 1931): one false alarm in 370 values."""

@@ -30,6 +30,8 @@ from thalweg.fusion.measures import UNTOLD_LENGTH_M, Section, volume_below
 from thalweg.fusion.river import River
 from thalweg.settings.sections import Fusion, MeshSettings
 
+# ---------------------------------------------------------------- triangles
+
 LINES: Final = ("right bank", "right toe", "thalweg", "left toe", "left bank")
 _ROUNDS: Final = 60
 _BESIDE: Final = 2.0
@@ -352,6 +354,8 @@ def write_ugrid(path: Path, mesh: RiverMesh, *, crs_wkt: str) -> None:
         faces[:] = mesh.faces + 1
         faces.cf_role, faces.start_index = "face_node_connectivity", 1
 
+
+# ---------------------------------------------------------------- exports
 
 _OF_MESH = ("2dm", "selafin", "ugrid")
 _OF_SECTIONS = {"hecras", "swmm", "csv", "geojson"}

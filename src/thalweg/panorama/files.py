@@ -53,6 +53,8 @@ from thalweg.panorama.compose import RIM_DEG, Composed, compose, correlation, ov
 from thalweg.panorama.sphere import default_width_px, level_attitude, pixels_of
 from thalweg.settings.sections import Panorama, RigLens
 
+# ---------------------------------------------------------------- ranges around a panorama
+
 _NEAREST_M: Final = 0.4
 
 
@@ -113,6 +115,8 @@ def inverse_range(ranges_m: AnyArray, width_px: int) -> AnyArray:
     wide = np.concatenate([inverse, inverse[:, :1]], axis=1)
     return ndimage.map_coordinates(wide, grid, order=1, mode="nearest")
 
+
+# ---------------------------------------------------------------- are both views read as calibrated?
 
 TURNED: Final = "turned by half against each other"
 _AGREES: Final = 0.6
@@ -203,6 +207,8 @@ def _about_means(values: AnyArray, group: AnyArray) -> ArrayF:
     n = np.maximum(np.bincount(group), 1)
     return np.asarray(values - (np.bincount(group, values) / n)[group])
 
+
+# ---------------------------------------------------------------- files
 
 _F = pa.float64()
 _AXES: Final = ("east", "north", "up")

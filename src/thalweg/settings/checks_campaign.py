@@ -43,6 +43,8 @@ from thalweg.settings.sections import (
     scan_stream,
 )
 
+# ---------------------------------------------------------------- recordings of the light-sheet sensor
+
 NEEDED: Final[Mapping[str, str]] = {
     "sensor": "the design of the sensor",
     "camera_marks": "marks that its camera sees through air",
@@ -192,6 +194,8 @@ def _images(paths: tuple[str, ...]) -> int:
 # ---------------------------------------------------------------- do the recordings of a calibration field
 # belong together, and is the camera's file there?
 
+
+# ---------------------------------------------------------------- the campaign
 
 _calibration_NEEDED = {"reference_images": "images of the field by a hand-held camera"}
 _STATIC = {

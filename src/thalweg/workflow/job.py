@@ -31,6 +31,8 @@ from thalweg.workflow.provenance import (
 from thalweg.workflow.staging import refuse_changes, staged, state_of, work_in_scratch
 from thalweg.workflow.truth import truth_closed
 
+# ---------------------------------------------------------------- a job
+
 log = logging.getLogger("thalweg")
 
 _UNFINISHED = re.compile(rf"{re.escape(UNFINISHED)}[0-9a-f]+/")

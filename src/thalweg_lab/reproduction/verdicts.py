@@ -48,6 +48,8 @@ from thalweg_lab.reproduction.ledger import (
     verdict_words,
 )
 
+# ---------------------------------------------------------------- numbers that need no campaign
+
 Published = Mapping[str, Any]
 
 LIGHT_MPS: Final = 299_792_458.0
@@ -330,6 +332,8 @@ ARITHMETIC: Final[dict[str, Callable[..., Found]]] = {
 }
 """What the ledger may name in ``computed`` beside the functions of `thalweg_lab.reproduction.ledger`."""
 
+
+# ---------------------------------------------------------------- the whole ledger
 
 MATCHED: Final = "matched"
 NOT_MATCHED: Final = "not matched"

@@ -28,6 +28,8 @@ from thalweg_lab.tank.forward import beams_in_water, camera_rays, see
 from thalweg_lab.tank.glow import Fan, glow, light_to_dn, power, rays_of, splat
 from thalweg_lab.tank.surfaces import Posed
 
+# ---------------------------------------------------------------- speckle
+
 _LEAST_OVERSAMPLING: Final = 2
 
 
@@ -178,6 +180,8 @@ def _pixels(fine: AnyArray, step: int) -> AnyArray:
 # ---------------------------------------------------------------- light beside the line: the scene in
 # daylight, and the sheet's own glow in turbid water
 
+
+# ---------------------------------------------------------------- an image
 
 _NODES: Final = 64
 """Rays of sight are computed for so many cells a side and interpolated between: 0.03 px off in 2048 px."""

@@ -17,6 +17,8 @@ from thalweg.core import ArrayB, ArrayF, CoverageError, LocalFrame, read_raster,
 from thalweg.fusion import SOURCE_WORDS, Dtm, Source, seam_steps
 from thalweg_lab.river import Material, Scene
 
+# ---------------------------------------------------------------- soundings, ping by ping
+
 DEPTHS_M: Final = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 5.0, np.inf)
 """Limits of the classes of depth below the transducer."""
 SILENT: Final = ("no bottom", "turn")
@@ -105,6 +107,8 @@ def _row(name: str, error: ArrayF, sigma: ArrayF, soundings: pd.DataFrame, of: A
         "outside_95": float(np.mean(np.abs(e) > 1.96 * s)),
     }
 
+
+# ---------------------------------------------------------------- bed and terrain model
 
 _FROM_M: Final = 50.0
 """Rays to the true bed start so high above the origin."""

@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike
 
 from thalweg.core import ArrayB, ArrayF, ArrayI, GeometryError
 
+# ---------------------------------------------------------------- plane polygons
+
 LEAST_AREA_M2: Final = 1e-6
 """A smaller polygon is a line."""
 
@@ -72,6 +74,8 @@ def _side(a: ArrayF, b: ArrayF, p: ArrayF) -> ArrayF:
     along, way = b - a, p - a
     return np.asarray(along[..., 0] * way[..., 1] - along[..., 1] * way[..., 0])
 
+
+# ---------------------------------------------------------------- cells
 
 _MOST_CELLS = 2**62
 

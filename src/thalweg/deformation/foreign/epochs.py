@@ -64,6 +64,8 @@ from thalweg.settings import utm_code
 from thalweg.settings.sections import DSM_ENDINGS, Epoch as Statement
 from thalweg.surface import Area
 
+# ---------------------------------------------------------------- errors that neighbouring places share
+
 CELLS_IN_LENGTH = 8.0
 """Cells of the grid in a correlation length."""
 MOST_CELLS = 2048
@@ -210,6 +212,8 @@ def _of_pairs(
         out[row] = total
     return out
 
+
+# ---------------------------------------------------------------- epochs
 
 KIND: Final = "files"
 """Of epochs from elsewhere, in ``errors.json``."""

@@ -49,6 +49,8 @@ from thalweg.core.geometry import TriangleMesh
 from thalweg.deformation.foreign.clouds import one_frame
 from thalweg.settings.sections import DSM_ENDINGS
 
+# ---------------------------------------------------------------- outlines
+
 _LINE, _POLYGON = 2, 3
 _COLLECTIONS = {5: _LINE, 6: _POLYGON}
 _ENVELOPE_BYTES = (0, 32, 48, 48, 64)
@@ -179,6 +181,8 @@ def _from_wkb(data: bytes, path: Path) -> list[tuple[ArrayF, ...]]:
     geometry(0)
     return parts
 
+
+# ---------------------------------------------------------------- surfaces
 
 SAME_GRID_CELLS = 0.05
 """Cells whose centres differ by less than this part of a cell are the same cell."""

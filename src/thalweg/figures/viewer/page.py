@@ -58,6 +58,8 @@ from thalweg.ingest.clouds import read_cloud
 from thalweg.lidar import COLOUR_DIMENSIONS, CORRELATIONS, SIGMAS
 from thalweg.panorama import PANORAMAS
 
+# ---------------------------------------------------------------- the page and its nodes
+
 MOST_POINTS: Final = 1_500_000
 """Points of a viewer: some 25 megabytes on disk."""
 SIGMA_LEAST_M: Final = 1e-4

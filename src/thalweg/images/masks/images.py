@@ -61,6 +61,8 @@ from thalweg.settings.sections import MaskSettings
 # pixels again, by their colour against that of the open sky nearby.
 
 
+# ---------------------------------------------------------------- masks of a series
+
 _SAMPLES: Final = 4000
 _ROUNDS: Final = 3
 _COLOURS: Final = (0, 1, 2)
@@ -824,6 +826,8 @@ def _wider(part: ArrayB, margin_px: float) -> ArrayB:
     k = 2 * max(round(margin_px), 1) + 1
     return np.asarray(cv2.dilate(part.astype(np.uint8), np.ones((k, k), np.uint8)).astype(np.bool_))
 
+
+# ---------------------------------------------------------------- masks of images
 
 COLUMNS: Final = (
     "image",

@@ -23,6 +23,8 @@ import numpy as np
 
 from thalweg.core import AnyArray, ArrayF, ArrayI, ArrayU8, InputError, UnsupportedError, njit
 
+# ---------------------------------------------------------------- compiled walks over one window
+
 NEED: Final = 0
 """The record at the returned offset reaches beyond the window."""
 BAD: Final = 1
@@ -425,6 +427,8 @@ def gather(buf: ArrayU8, start: ArrayI, payload: ArrayU8) -> None:
 # ---------------------------------------------------------------- the record layers of capture files: classic
 # pcap, pcapng, and payloads without any header
 
+
+# ---------------------------------------------------------------- captures in pieces
 
 PCAP_MAGIC: Final = {
     b"\xd4\xc3\xb2\xa1": (False, 1_000_000),

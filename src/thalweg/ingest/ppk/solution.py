@@ -31,6 +31,8 @@ from thalweg.ingest.ppk.rinex import RinexScan, rinex_kind, scan_rinex, whole_re
 from thalweg.ingest.ppk.trust import read_solution, replace_covariances, trust_fixes
 from thalweg.ingest.sbp import find_messages
 
+# ---------------------------------------------------------------- the engine behind a process border
+
 # Imported for its path only: so an edit of the worker counts as an edit of what runs it.
 WORKER = Path(ppk_worker.__file__)
 
@@ -178,6 +180,8 @@ def _progress(line: str) -> bool:
 # ---------------------------------------------------------------- SBP log as PPK sees it: intact frames, lost
 # bytes, base position, who sent observations
 
+
+# ---------------------------------------------------------------- the solution
 
 MSG_BASE_POS_ECEF: Final = 0x0048
 MSG_OBS: Final = 0x004A

@@ -32,6 +32,8 @@ from thalweg.core import ArrayB, ArrayF, ArrayI, InputError, LocalFrame
 from thalweg.ingest import GNSS_POSITION
 from thalweg.ingest.tracks import read_pos
 
+# ---------------------------------------------------------------- the engine's table
+
 SIGMA_FLOOR_M: Final = 0.0005
 """Least standard deviation of one epoch in any direction: 3 mm of phase noise over 30 satellites."""
 
@@ -121,6 +123,8 @@ def _too_small(C: ArrayF) -> ArrayB:
     least[known] = np.linalg.eigvalsh(C[known])[:, 0]
     return np.asarray(least < SIGMA_FLOOR_M**2)
 
+
+# ---------------------------------------------------------------- trust
 
 ATMOSPHERE: Final = np.array([1e-6, 1e-6, 2e-6])
 """Standard deviations east, north, up that the atmosphere adds, in parts of the baseline."""

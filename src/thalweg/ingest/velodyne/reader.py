@@ -59,6 +59,8 @@ from thalweg.ingest.velodyne.packets import (
 # steps, PPS, capture host, and times without GPS
 
 
+# ---------------------------------------------------------------- what a scan finds
+
 LONGEST_STEP_US: Final = 20_000
 """Longer steps from packet to packet are holes; a packet takes 1.3 ms or 0.7 ms."""
 
@@ -700,6 +702,8 @@ def _undo_set_back(report: IntegrityReport) -> None:
     if not report.losses["clock_set_back"]:
         del report.losses["clock_set_back"]
 
+
+# ---------------------------------------------------------------- the reader
 
 _MIN_BLOCK_POINTS = 384
 

@@ -93,6 +93,8 @@ from thalweg.lightsheet.scanning.profile import (
 )
 from thalweg.surface import Surface
 
+# ---------------------------------------------------------------- alignment with a mesh
+
 MOST_POINTS: Final = 20_000
 _LEAST_POINTS: Final = 50
 _STEP_NMAD: Final = 0.02
@@ -411,6 +413,8 @@ def _line(cloud: ScanCloud, found: MeshDistances, rates: ArrayF, on: ArrayI) -> 
         "statistic": float(e @ np.linalg.solve(cov, e)),
     }
 
+
+# ---------------------------------------------------------------- comparison
 
 _MOST_BAD: Final = 0.4
 _ROUNDS: Final = 3

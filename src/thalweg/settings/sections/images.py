@@ -517,6 +517,8 @@ class Images(Section):
     fixed_camera: FixedCamera = Field(default=FixedCamera(), description="A camera that stays")
 
 
+# ---------------------------------------------------------------- sections rig and panorama
+
 Pixels = Annotated[int, Field(ge=0, le=100_000)]
 
 
