@@ -16,6 +16,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import pytest
+from _pytest.assertion import rewrite
+
+# Workers, campaigns and commands import the same files: each is compiled once.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -230,6 +235,28 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if hasattr(config, "workerinput"):
         rank = {group: k for k, group in enumerate(LONGEST_FIRST)}
         items.sort(key=lambda item: rank.get(group_of(item.nodeid), len(rank)))
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Workers share the work of pytest on the statements ``assert``, which takes longer than all imports.
+
+    In a fresh clone each of them would do it for all files: they collect the same tests at the same time.
+    """
+    if (worker := getattr(session.config, "workerinput", None)) is None:
+        return
+    asked = [Path(name.split("::")[0]).resolve() for name in session.config.args]
+    found = {path for each in asked for path in (each.rglob("*.py") if each.is_dir() else [each])}
+    files = sorted(path for path in found if path.name.startswith(WITH_TESTS))
+    state = session.config.stash[rewrite.assertstate_key]
+    for path in files[int(worker["workerid"].removeprefix("gw")) :: worker["workercount"]]:
+        pyc = rewrite.get_cache_dir(path) / (path.name.removesuffix(".py") + rewrite.PYC_TAIL)
+        if rewrite.try_makedirs(pyc.parent) and rewrite._read_pyc(path, pyc) is None:
+            digest, code = rewrite._rewrite_test(path, session.config)
+            rewrite._write_pyc(state, code, digest, pyc)
+
+
+WITH_TESTS = ("test_", "conftest")
+"""How names of files begin whose ``assert`` pytest explains."""
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -50,7 +50,7 @@ def copy_house(repository: Path, target: Path) -> House:
     for name in COPIED:
         source = repository / name
         if source.is_dir():
-            shutil.copytree(source, target / name, ignore=shutil.ignore_patterns("__pycache__"))
+            shutil.copytree(source, target / name)
         else:
             shutil.copy(source, target / name)
     return House(target)
