@@ -41,7 +41,7 @@ def random_walk(m: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarra
 def test_a_thinned_chain_keeps_the_covariance_of_any_two_nodes(
     at_once: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("thalweg.core.trajectory._AT_ONCE", at_once)
+    monkeypatch.setattr("thalweg.core.pose_errors._AT_ONCE", at_once)
     rng = np.random.default_rng(1)
     full, own, following = random_walk(12, rng)
     pose = rng.standard_normal((12, 6, 5))  # by the first five of seven states

@@ -93,6 +93,13 @@ from .las import (
     local_crs as local_crs,
     whole_chunks as whole_chunks,
 )
+from .pose_errors import (
+    ErrorChain as ErrorChain,
+    read_chains as read_chains,
+    symmetric_roots as symmetric_roots,
+    with_rest as with_rest,
+    write_chains as write_chains,
+)
 from .raster import Grid as Grid, read_raster as read_raster, write_raster as write_raster
 from .rigid import (
     SHIFT as SHIFT,
@@ -133,14 +140,7 @@ from .timescales import (
     utc_text_from_gps as utc_text_from_gps,
     utc_text_from_unix as utc_text_from_unix,
 )
-from .trajectory import (
-    ErrorChain as ErrorChain,
-    Trajectory as Trajectory,
-    read_chains as read_chains,
-    symmetric_roots as symmetric_roots,
-    with_rest as with_rest,
-    write_chains as write_chains,
-)
+from .trajectory import Trajectory as Trajectory
 from .types import (
     NMAD as NMAD,
     AnyArray as AnyArray,
