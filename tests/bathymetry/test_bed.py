@@ -75,6 +75,7 @@ def soundings(
     n = len(flow)
     values = {name: np.zeros(n) for name in SOUNDINGS.names} | {
         "t_gps_s": np.arange(n) * 0.1,
+        "t_even_s": np.arange(n) * 0.1,
         "east_m": xy[:, 0],
         "north_m": xy[:, 1],
         "up_m": up,

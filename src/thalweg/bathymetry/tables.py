@@ -951,7 +951,7 @@ def _observations(
             "sigma_white_m": sigma,
             "sigma_slow_m": 0.0,
             "sigma_common_m": 0.0,
-            "t_gps_s": np.nan,
+            "t_even_s": np.nan,
             "line": line,
         }
     )
