@@ -180,7 +180,8 @@ def bed_observations(
         raise CoverageError(
             f"none of {len(used)} soundings lies beside the centre line",
             expected="soundings along the river",
-            cure="Look at bathymetry/centre_line.csv",
+            where="bathymetry/centre_line.csv",
+            cure="State logs.centre_line, drawn along all soundings",
         )
     outside = banks.outside(s, n) & ~fold if len(banks.table) else np.zeros(len(s), dtype=np.bool_)
     counts["outside the banks"] = int(outside.sum())
@@ -413,6 +414,7 @@ def gridded(
         raise CoverageError(
             "no cell of the bed is near enough to a sounding",
             expected="cells within bathymetry.reach ranges of data",
+            where="the grid of the bed",
             cure="Raise bathymetry.reach or lower bathymetry.cell_m",
         )
     facts: dict[str, Any] = counts | {

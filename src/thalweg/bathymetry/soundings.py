@@ -352,6 +352,7 @@ def locate_soundings(
         raise InputError(
             f"none of {len(t)} soundings counts; {counts[worst]} of them: {REASONS[worst]}",
             expected="soundings of the bed during the survey",
+            where="logs.depth",
             cure="Look at ingest/depth.integrity.json; the unit of the depths, their times, and the sections "
             "echo_sounder and bathymetry",
         )

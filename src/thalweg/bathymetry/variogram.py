@@ -300,6 +300,7 @@ def choose_model(
     if len(lines) < 2:
         raise GeometryError(
             f"{len(lines)} line of soundings",
+            where="lines of soundings",
             expected="at least two: what lies beside a single line cannot be told",
             cure="Survey a zigzag or sections; or lower bathymetry.line_turn_deg, if lines run together",
         )
