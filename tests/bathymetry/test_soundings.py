@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from pyproj import CRS
 from scipy.spatial.transform import Rotation
+from tests.conftest import check_whole
 
 from thalweg.bathymetry import (
     Sound,
@@ -159,8 +160,9 @@ def test_sound_speed_scales_depths_and_its_sigma_counts() -> None:
     warm = Sound.of(echo.replace(water_temperature_c=12.0), None).factor
     assert sound.sigma == pytest.approx(warm - sound.factor, rel=0.05)
     assert Sound.of(echo.replace(water_temperature_c=None), 10.0).factor == sound.factor
-    with pytest.raises(InputError, match="unknown temperature"):
+    with pytest.raises(InputError, match="unknown temperature") as told:
         Sound.of(echo.replace(water_temperature_c=None), None)
+    check_whole(told.value)
 
 
 def test_every_reason_is_found_and_only_there() -> None:
@@ -214,8 +216,9 @@ def test_decisions_by_hand_are_obeyed(tmp_path: Path) -> None:
 
 
 def test_nothing_left_says_why() -> None:
-    with pytest.raises(InputError, match="none of 30 soundings counts; 30 of them: shallower"):
+    with pytest.raises(InputError, match="none of 30 soundings counts; 30 of them: shallower") as told:
         located(np.full(30, 0.1))
+    check_whole(told.value)
 
 
 def test_lines_end_at_turns() -> None:

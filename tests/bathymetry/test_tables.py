@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 import rasterio
 from scipy.spatial import cKDTree
+from tests.conftest import check_whole
 
 from thalweg.bathymetry import FlowLine
 from thalweg.cli import main
@@ -203,19 +204,9 @@ def raised(monkeypatch: pytest.MonkeyPatch) -> list[ThalwegError]:
     return errors
 
 
-def check_whole(error: ThalwegError) -> None:
-    """What was found, what was expected, where, and what to do."""
-    missing = [part for part in ("found", "expected", "where", "cure") if not getattr(error, part)]
-    assert not missing, f"{missing} missing in: {error}"
-
-
 @pytest.mark.parametrize("case", BAD)
 def test_mistakes_are_told(
-    case: str,
-    river: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    raised: list[ThalwegError],
+    case: str, river: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], raised: list[ThalwegError]
 ) -> None:
     words, message = BAD[case]
     table = pd.read_csv(river / "soundings.csv").assign(same=1)
@@ -279,11 +270,7 @@ def test_an_island_is_no_bed(river: Path, tmp_path: Path, capsys: pytest.Capture
     ("rows", "message"), [(1, "1 soundings"), (40, "one straight line"), (0, "0 soundings")]
 )
 def test_too_few_soundings(
-    rows: int,
-    message: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    raised: list[ThalwegError],
+    rows: int, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], raised: list[ThalwegError]
 ) -> None:
     table = pd.DataFrame({"x": EAST + np.arange(rows), "y": NORTH + 2.0 * np.arange(rows), "z": 1.0})
     table.to_csv(tmp_path / "t.csv", index=False)

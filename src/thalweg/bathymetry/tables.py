@@ -930,7 +930,12 @@ def _reference_points(path: Path, crs: CRS, settings: Bathymetry) -> tuple[Array
     if kind in {".tif", ".tiff"}:
         grid, bands, _ = read_raster(path)
         if not grid.crs.equals(crs, ignore_axis_order=True):
-            raise InputError(f"a raster in {grid.crs.name}", where=path, expected=crs.name)
+            raise InputError(
+                f"a raster in {grid.crs.name}",
+                where=path,
+                expected=crs.name,
+                cure="Transform it to campaign.crs",
+            )
         value = next(iter(bands.values())).ravel()
         known = np.isfinite(value)
         return grid.centres_m()[known], value[known]
