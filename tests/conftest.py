@@ -133,6 +133,12 @@ class Fuzz:
         assert found >= troubled * self.count, f"{found} of {self.count} inputs were refused or reported"
 
 
+def check_whole(error: BaseException) -> None:
+    """An error for people: what was found, what was expected, where, and what to do."""
+    missing = [part for part in ("found", "expected", "where", "cure") if not getattr(error, part)]
+    assert not missing, f"{missing} missing in: {error}"
+
+
 @contextmanager
 def time_limit(limit_s: float, what: str) -> Iterator[None]:
     """Raise TimeoutError in a block that takes longer; a hang in compiled code ends the process.

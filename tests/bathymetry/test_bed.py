@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from pyproj import CRS
+from tests.conftest import check_whole
 
 from thalweg.bathymetry import (
     OBSERVATIONS,
@@ -75,6 +76,7 @@ def soundings(
     n = len(flow)
     values = {name: np.zeros(n) for name in SOUNDINGS.names} | {
         "t_gps_s": np.arange(n) * 0.1,
+        "t_even_s": np.arange(n) * 0.1,
         "east_m": xy[:, 0],
         "north_m": xy[:, 1],
         "up_m": up,
@@ -244,14 +246,17 @@ def test_a_long_track_has_its_axis_in_seconds() -> None:
 def test_swapped_and_missing_banks_are_named(survey) -> None:
     line, banks, _, _ = survey
     swapped = banks.table.assign(side=banks.table["side"].map({"left": "right", "right": "left"}))
-    with pytest.raises(GeometryError, match="100% of the bank's places lie on the other side"):
+    with pytest.raises(GeometryError, match="100% of the bank's places lie on the other side") as told:
         onto_line(swapped, line)
+    check_whole(told.value)
     nothing = (np.empty((0, 3)), np.empty(0), np.empty(0))
     flow = track(line)
-    with pytest.raises(CoverageError, match="no bank"):
+    with pytest.raises(CoverageError, match="no bank") as told:
         flow_of_survey(line.to_map(flow[:, 0], flow[:, 1]), nothing, lambda _: LEVEL, Bathymetry())
-    with pytest.raises(GeometryError, match="a boat that went along"):
+    check_whole(told.value)
+    with pytest.raises(GeometryError, match="a boat that went along") as told:
         axis_of_track(np.zeros((100, 2)))
+    check_whole(told.value)
 
 
 # ---------------------------------------------------------------- bed
@@ -484,8 +489,9 @@ def test_margins_that_are_rougher_than_the_channel_get_their_own_sigma() -> None
 
 def test_a_single_line_is_refused() -> None:
     data, widths = field(1, np.random.default_rng(0))
-    with pytest.raises(GeometryError, match="1 line of soundings"):
+    with pytest.raises(GeometryError, match="1 line of soundings") as told:
         choose_model(data, widths, Bathymetry(), slow_time_s=0.0, seed=0)
+    check_whole(told.value)
 
 
 def test_a_mean_section_needs_data_across_the_width() -> None:
@@ -635,8 +641,9 @@ def test_soundings_outside_the_banks_are_counted_and_most_of_them_refused(survey
     beyond = near.outside(s, n)
     assert 0 < counts["outside the banks"] == beyond.sum() < 0.4 * len(table)
     wrong = replace(banks, table=banks.table.assign(n_m=banks.table["n_m"] * 0.1))
-    with pytest.raises(InputError, match="soundings lie outside the banks"):
+    with pytest.raises(InputError, match="soundings lie outside the banks") as told:
         bed_observations(table, line, wrong, level, None, bank_as_data=True)
+    check_whole(told.value)
 
 
 # ---------------------------------------------------------------- soundings and beds of others
@@ -672,8 +679,9 @@ def test_soundings_of_others_are_data_of_the_bed(survey, tmp_path, depth: bool) 
 
 def test_heights_of_another_datum_are_refused(survey, tmp_path) -> None:
     path = table_of_others(tmp_path / "others.csv", survey[0], depth=False, lift_m=-45.0)
-    with pytest.raises(InputError, match="ellipsoidal heights"):
+    with pytest.raises(InputError, match="ellipsoidal heights") as told:
         read_other_soundings([path], FRAME, UTM, Bathymetry())
+    check_whole(told.value)
 
 
 def test_a_reference_bed_tells_how_far_off_the_bed_is(survey, bed, tmp_path) -> None:
@@ -703,5 +711,6 @@ def test_a_reference_bed_tells_how_far_off_the_bed_is(survey, bed, tmp_path) -> 
     far = table_of_others(tmp_path / "far.csv", survey[0], depth=False)
     table = pd.read_csv(far)
     table.assign(x=table["x"] + 5000).to_csv(far, index=False)
-    with pytest.raises(InputError, match="none of 60 heights"):
+    with pytest.raises(InputError, match="none of 60 heights") as told:
         against_reference(tmp_path / "bed.tif", [far], UTM, Bathymetry())
+    check_whole(told.value)

@@ -54,7 +54,7 @@ def survey(
             "line": line,
             "used": True,
         }
-    )
+    ).assign(t_even_s=lambda of: of["t_gps_s"])
 
 
 def test_crossings_are_where_lines_meet() -> None:

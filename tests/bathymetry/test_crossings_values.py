@@ -37,7 +37,7 @@ def soundings(**changes: object) -> pd.DataFrame:
             "used": True,
         }
         | changes
-    )
+    ).assign(t_even_s=lambda of: of["t_gps_s"])
 
 
 def test_a_crossing_by_hand() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from pyproj import CRS
+from tests.conftest import check_whole
 
 from thalweg.bathymetry import Transducer, against_reference, locate_soundings, read_other_soundings
 from thalweg.bathymetry.banks import axis_of_track
@@ -110,6 +111,7 @@ def test_a_reference_cloud_of_another_system_is_refused(
     points = true - CORNER if isinstance(frame, LocalFrame) else true
     with pytest.raises(InputError, match=words) as told:
         against_reference(path, [cloud(tmp_path / "other.laz", points, frame)], UTM, Bathymetry())
+    check_whole(told.value)
     assert "Transform it to campaign.crs" in str(told.value)
 
 
@@ -118,8 +120,9 @@ def test_a_reference_raster_of_another_system_is_refused(
 ) -> None:
     grid = Grid.around(np.array([[5e5, 5e6], [5.0001e5, 5.0001e6]]), 5.0, CRS("EPSG:25832"), margin_m=0.0)
     write_raster(tmp_path / "a.tif", grid, {"h": np.zeros(grid.rows * grid.columns)}, tags={})
-    with pytest.raises(InputError, match="a raster in ETRS89 / UTM zone 32N"):
+    with pytest.raises(InputError, match="a raster in ETRS89 / UTM zone 32N") as told:
         against_reference(bed[0], [tmp_path / "a.tif"], UTM, Bathymetry())
+    check_whole(told.value)
 
 
 def test_the_page_says_how_the_cloud_of_the_surroundings_lies() -> None:

@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from pyproj import CRS
 from scipy.spatial.transform import Rotation
+from tests.conftest import check_whole
 
 from thalweg.bathymetry import (
     Sound,
@@ -19,7 +20,7 @@ from thalweg.bathymetry import (
     with_bed_normals,
 )
 from thalweg.bathymetry.soundings import _lines, soundings_on_map
-from thalweg.core import InputError, LocalFrame, Trajectory
+from thalweg.core import ErrorChain, InputError, LocalFrame, Trajectory, even_time
 from thalweg.navigation.ins_gnss import PoseCorrelation
 from thalweg.settings.sections import Bathymetry, EchoSounder
 
@@ -66,6 +67,37 @@ def located(depth_m: np.ndarray, trajectory: Trajectory | None = None, **changes
     return locate_soundings(
         depths(depth_m), trajectory or straight(), CORRELATION, water_line_ics_m=0.2, **settings
     )
+
+
+def test_slow_errors_by_camera_are_those_of_the_chain() -> None:
+    """The chain forgets in 3 s at first and in 12 s later; two pings have the covariance that it says."""
+    path = straight()
+    keep = np.exp(-0.5 / np.where(np.arange(0.0, 60.5, 0.5) <= 30.0, 3.0, 12.0))
+    chain = ErrorChain(
+        name="all",
+        t_gps_s=np.arange(0.0, 60.5, 0.5),
+        root=np.tile(np.diag([0.03] * 3 + [0.0] * 3), (len(keep), 1, 1)),
+        link=keep[:, None, None] * np.eye(6),
+    )
+    at, even, time_s = even_time([chain])
+    correlation = PoseCorrelation(
+        position_s=time_s, attitude_s=np.nan, white_share=0.0, receiver_s=0.1, even=(at, even)
+    )
+    found, facts = locate_soundings(
+        depths(np.full(500, 2.0)),
+        replace(path, cov_pose_wcs=np.tile(np.diag([0.03**2] * 3 + [0.0] * 3), (len(path.t_gps_s), 1, 1))),
+        correlation,
+        TRANSDUCER,
+        EchoSounder(beam_deg=0.0),
+        Bathymetry(),
+        water_line_ics_m=0.2,
+    )
+    assert found["sigma_slow_m"].to_numpy() == pytest.approx(0.03, abs=1e-6)
+    assert found["sigma_white_m"].to_numpy() == pytest.approx(EchoSounder().sigma_depth_m, abs=1e-6)
+    assert facts["position_time_s"] == pytest.approx(time_s)
+    told = found.set_index(found["t_gps_s"].round(6))["t_even_s"]
+    for first, second, alike in ((6.0, 9.0, np.exp(-1)), (36.0, 48.0, np.exp(-1)), (10.0, 20.0, 0.036)):
+        assert np.exp(-(told[second] - told[first]) / time_s) == pytest.approx(alike, abs=0.04)
 
 
 def test_speed_of_sound_of_published_tables() -> None:
@@ -128,8 +160,9 @@ def test_sound_speed_scales_depths_and_its_sigma_counts() -> None:
     warm = Sound.of(echo.replace(water_temperature_c=12.0), None).factor
     assert sound.sigma == pytest.approx(warm - sound.factor, rel=0.05)
     assert Sound.of(echo.replace(water_temperature_c=None), 10.0).factor == sound.factor
-    with pytest.raises(InputError, match="unknown temperature"):
+    with pytest.raises(InputError, match="unknown temperature") as told:
         Sound.of(echo.replace(water_temperature_c=None), None)
+    check_whole(told.value)
 
 
 def test_every_reason_is_found_and_only_there() -> None:
@@ -183,8 +216,9 @@ def test_decisions_by_hand_are_obeyed(tmp_path: Path) -> None:
 
 
 def test_nothing_left_says_why() -> None:
-    with pytest.raises(InputError, match="none of 30 soundings counts; 30 of them: shallower"):
+    with pytest.raises(InputError, match="none of 30 soundings counts; 30 of them: shallower") as told:
         located(np.full(30, 0.1))
+    check_whole(told.value)
 
 
 def test_lines_end_at_turns() -> None:

@@ -4,6 +4,7 @@ import errno
 import json
 import xml.etree.ElementTree as ET
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -11,10 +12,11 @@ import pandas as pd
 import pytest
 import rasterio
 from scipy.spatial import cKDTree
+from tests.conftest import check_whole
 
 from thalweg.bathymetry import FlowLine
 from thalweg.cli import main
-from thalweg.core import read_raster
+from thalweg.core import ThalwegError, read_raster
 
 CRS = "EPSG:32633"
 EAST, NORTH = 500_000.0, 5_400_000.0
@@ -188,9 +190,23 @@ BAD = {
 }
 
 
+@pytest.fixture
+def raised(monkeypatch: pytest.MonkeyPatch) -> list[ThalwegError]:
+    """Errors in the order in which they are raised."""
+    errors: list[ThalwegError] = []
+    make = ThalwegError.__init__
+
+    def remember(self: ThalwegError, *args: Any, **kw: Any) -> None:
+        make(self, *args, **kw)
+        errors.append(self)
+
+    monkeypatch.setattr(ThalwegError, "__init__", remember)
+    return errors
+
+
 @pytest.mark.parametrize("case", BAD)
 def test_mistakes_are_told(
-    case: str, river: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    case: str, river: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], raised: list[ThalwegError]
 ) -> None:
     words, message = BAD[case]
     table = pd.read_csv(river / "soundings.csv").assign(same=1)
@@ -203,6 +219,7 @@ def test_mistakes_are_told(
         main(["bed", str(tmp_path / "t.csv"), *crs, *words, "--cell", "2", "--out", str(tmp_path / "o")]) == 2
     )
     assert message in capsys.readouterr().err
+    check_whole(raised[-1])
     assert not (tmp_path / "o").exists()
 
 
@@ -253,13 +270,14 @@ def test_an_island_is_no_bed(river: Path, tmp_path: Path, capsys: pytest.Capture
     ("rows", "message"), [(1, "1 soundings"), (40, "one straight line"), (0, "0 soundings")]
 )
 def test_too_few_soundings(
-    rows: int, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    rows: int, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], raised: list[ThalwegError]
 ) -> None:
     table = pd.DataFrame({"x": EAST + np.arange(rows), "y": NORTH + 2.0 * np.arange(rows), "z": 1.0})
     table.to_csv(tmp_path / "t.csv", index=False)
     words = ["--crs", CRS, "--height", "z", "--cell", "1", "--out", str(tmp_path / "o")]
     assert main(["bed", str(tmp_path / "t.csv"), *words]) == 2
     assert message in capsys.readouterr().err
+    check_whole(raised[-1])
 
 
 def test_flow_coordinates_of_a_table(river: Path, tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Chains of errors of poses: interpolation, thinning, what lies between the nodes, files."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from thalweg.core import (
     InputError,
     LocalFrame,
     Trajectory,
+    even_time,
     read_chains,
     symmetric_roots,
     with_rest,
@@ -155,3 +157,30 @@ def test_chains_that_are_none_are_refused() -> None:
         ErrorChain(name="x", t_gps_s=np.array([1.0, 0.0]), root=np.zeros((2, 6, 1)), link=np.zeros((2, 1, 1)))
     with pytest.raises(GeometryError, match=r"2 times, roots \(1, 6, 1\)"):
         ErrorChain(name="x", t_gps_s=np.array([0.0, 1.0]), root=np.zeros((1, 6, 1)), link=np.zeros((2, 1, 1)))
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_means_of_heights_keep_their_variance_in_even_time(smooth: bool) -> None:
+    """A height error that is new at a rate, or follows a velocity that is; exact sums by the whole matrix."""
+    t = T0 + np.arange(0.0, 300.0, 0.5)
+    if smooth:
+        # height beside its velocity, critically damped: (1 + a) exp(-a), a = lag / 4 s
+        a = 0.5 / 4.0
+        link = np.exp(-a) * np.array([[1 + a, a], [-a, 1 - a]])
+        row = np.array([1.0, 0.0])
+    else:
+        link, row = np.exp(-0.5 / 9.0) * np.eye(1), np.ones(1)
+    root = np.zeros((len(t), 6, len(row)))
+    root[:, 2] = 0.02 * row
+    chain = ErrorChain(name="all", t_gps_s=t, root=root, link=np.tile(link, (len(t), 1, 1)))
+    lag = np.abs(t[:, None] - t)
+    exact = 0.02**2 * ((1 + lag / 4) * np.exp(-lag / 4) if smooth else np.exp(-lag / 9))
+    at, even, time_s = even_time([chain])
+    told = np.interp(t, at, even)
+    ours = 0.02**2 * np.exp(-np.abs(told[:, None] - told) / time_s)
+    assert time_s == pytest.approx(8.0 if smooth else 9.0, rel=0.05)
+    assert ours.sum() == pytest.approx(exact.sum(), rel=0.05)
+    if not smooth:
+        assert ours == pytest.approx(exact, abs=0.03 * 0.02**2)
+    with pytest.raises(GeometryError, match="no errors of heights"):
+        even_time([replace(chain, root=np.zeros_like(root))])

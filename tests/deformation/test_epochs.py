@@ -1,5 +1,6 @@
 """An epoch from cloud and trajectory: its groups of errors together are the covariance of each point."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from thalweg.core import (
     Rigid,
     Trajectory,
     symmetric_roots,
+    write_chains,
 )
 from thalweg.deformation import Epoch, ErrorField, check_order, prepare_epoch
 from thalweg.deformation.m3c2 import ColumnIndex
@@ -226,20 +228,30 @@ def test_a_late_clock_moves_all_points_along_the_way_of_the_boat(survey) -> None
     assert (late.white_m2[:, 0] <= sure.white_m2[:, 0] + 1e-9).all()
 
 
-def test_estimates_of_all_chains_give_correlation_times() -> None:
+def test_estimates_of_all_chains_give_correlation_times(tmp_path: Path) -> None:
     ins = {
         "estimates": {"position_time_s": {"value": 8.0}, "attitude_time_s": {"value": 15.0}},
         "white_share": 0.3,
     }
-    found = PoseCorrelation.of_survey(ins, "ins", receiver_s=0.2)
+    path = tmp_path / "error_model.json"
+    path.write_text(json.dumps(ins))
+    found = PoseCorrelation.of_survey(path, receiver_s=0.2)
     assert (found.position_s, found.attitude_s, found.white_share, found.receiver_s) == (8.0, 15.0, 0.3, 0.2)
-    stated = PoseCorrelation.of_survey(ins, "ins", receiver_s=0.2, position_time_s=4.0)
+    assert PoseCorrelation.of_survey(path, receiver_s=0.2, position_time_s=4.0).position_s == 4.0
+    # a chain that forgets by 1/e in 6 s of the first minute, in 24 s of the second
+    t = np.arange(0.0, 120.5, 0.5)
+    keep = np.exp(-0.5 / np.where(t <= 60.0, 6.0, 24.0))
+    root = np.broadcast_to(0.03 * np.eye(6), (len(t), 6, 6))
+    chain = ErrorChain(name="all", t_gps_s=1e9 + t, root=root, link=keep[:, None, None] * np.eye(6))
+    write_chains(tmp_path / "errors_fused.npz", [chain])
+    found = PoseCorrelation.of_survey(tmp_path / "errors_fused.npz", receiver_s=0.2)
+    assert found.white_share == 0.0
+    at = 1e9 + np.array([0.0, 20.0, 40.0, 80.0, 100.0, 120.0])
+    aged = np.diff(found.even_time_s(at)) / found.position_s
+    assert aged[[0, 1, 3, 4]] == pytest.approx([20 / 6, 20 / 6, 20 / 24, 20 / 24], rel=0.12)
+    stated = PoseCorrelation.of_survey(tmp_path / "errors_fused.npz", receiver_s=0.2, position_time_s=4.0)
     assert stated.position_s == 4.0
-    fused = {"errors": {"gnss_time_s": {"estimated": 9.0}, "attitude_time_s": {"estimated": 21.0}}}
-    assert PoseCorrelation.of_survey(fused, "fused", receiver_s=0.2).position_s == 9.0
-    assert PoseCorrelation.of_survey(fused, "fused", receiver_s=0.2).white_share == 0.0
-    with pytest.raises(InputError, match=r"State position_time_s"):
-        PoseCorrelation.of_survey({"errors": {}}, "camera", receiver_s=0.2)
+    assert (stated.even_time_s(at) == at).all()
 
 
 def test_bad_epochs_are_refused(survey, tmp_path: Path) -> None:

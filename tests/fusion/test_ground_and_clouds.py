@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.conftest import check_whole
 from tests.fusion.conftest import FRAME, GRID
 
 from thalweg.core import CoverageError, GeometryError, InputError
@@ -143,8 +144,9 @@ def test_a_level_plain_shows_no_shift_along_itself(rng):
 )
 def test_a_cloud_that_does_not_fit_is_refused(rng, change, error, words):
     ours, theirs = bank(rng, 8000), bank(rng, 8000)
-    with pytest.raises(error, match=words):
+    with pytest.raises(error, match=words) as told:
         fit_cloud(cloud(change(theirs, rng)), cloud(ours), CloudFit(), sigma_shared_m=0.0)
+    check_whole(told.value)
 
 
 def test_clouds_join_with_source_and_sigma_and_are_read_in_any_frame(rng, tmp_path):

@@ -1,8 +1,9 @@
-"""Exports read by other programs' libraries: xarray-selafin, xugrid, swmm-api, OGR.
+"""Exports read by other programs' libraries: xarray-selafin, xugrid, swmm-api, OGR, ANUGA.
 
 They are no part of the locked environment:
 
     pip install --target FOLDER xarray-selafin xugrid swmm-api pyogrio netCDF4
+    pip install --target FOLDER --no-deps anuga dill netCDF4 cftime
     THALWEG_READERS=FOLDER pytest tests/fusion/test_other_readers.py
 
 py2dm and GDAL, which are, read the 2dm and the BAG in `test_mesh.py` and `test_measures_and_exports.py`.
@@ -96,3 +97,41 @@ def test_every_export_is_what_was_written(model, river, sections, tmp_path: Path
     assert read["kinds"]["section"] == len(sections)
     assert read["kinds"]["thalweg"] == read["kinds"]["water line"] == 1
     assert read["kinds"]["contour"] > 3
+
+
+READ_SDF = """
+import json
+import netCDF4
+from anuga.file_conversion.sdf2pts import sdf2pts
+
+sdf2pts("RASImport.sdf")
+with netCDF4.Dataset("RASImport.pts") as file:
+    found = {name: file[name][:].tolist() for name in ("points", "elevation")}
+    origin = [float(file.getncattr(name)) for name in ("xllcorner", "yllcorner", "zone")]
+print(json.dumps(found | {"origin": origin}))
+"""
+
+
+def test_anuga_reads_every_section_of_hec_ras(model, river, sections, tmp_path: Path) -> None:  # noqa: F811
+    """ANUGA asks for all records of the header, and for as many sections as it tells."""
+    folder = os.environ.get("THALWEG_READERS")
+    if not folder:
+        pytest.skip("set THALWEG_READERS to a folder with the readers (head of this file)")
+    export_river(tmp_path, model, river, sections, Fusion(exports=["hecras"]))
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", READ_SDF],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": folder},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    read = json.loads(done.stdout.splitlines()[-1])
+    expected = [
+        np.column_stack([section.places_m, section.height_m])[np.isfinite(section.height_m)][::-1]
+        for section in sorted(sections, key=lambda section: section.s_m)
+    ]
+    places = np.column_stack([np.array(read["points"]) + read["origin"][:2], read["elevation"]])
+    np.testing.assert_allclose(places, np.concatenate(expected), atol=1e-3)
+    assert read["origin"][2] == 33

@@ -29,7 +29,6 @@ rule locate_soundings:
     params:
         code=code_version("locate_soundings"),
         campaign=identity("origin", "crs"),
-        chain=of(CampaignFiles.best_chain),
         echo_sounder=section("echo_sounder"),
         bathymetry=section("bathymetry"),
         water_line_ics_m=section("filters", "water_line_ics_m"),
@@ -63,7 +62,6 @@ rule trace_river:
     params:
         code=code_version("trace_river"),
         campaign=identity("origin", "crs"),
-        chain=of(CampaignFiles.best_chain),
         bathymetry=section("bathymetry"),
         water_line_ics_m=section("filters", "water_line_ics_m"),
     script:

@@ -37,7 +37,6 @@ def main(
     text: Path,
     facts: Path,
     campaign: dict[str, Any],
-    chain: str,
     echo_sounder: EchoSounder,
     bathymetry: Bathymetry,
     water_line_ics_m: float,
@@ -48,11 +47,7 @@ def main(
         read_table(depths, DEPTH)[0],
         Trajectory.read(trajectory),
         PoseCorrelation.of_survey(
-            json.loads(errors.read_text()),
-            chain,
-            receiver_s=float(np.median(np.diff(t))),
-            position_time_s=bathymetry.position_time_s,
-            attitude_time_s=bathymetry.attitude_time_s,
+            errors, receiver_s=float(np.median(np.diff(t))), position_time_s=bathymetry.position_time_s
         ),
         Transducer.of(mount, calibration[0] if calibration else None, echo_sounder),
         echo_sounder,

@@ -1,6 +1,5 @@
 """Cloud, trajectory and error model of a survey -> points with the errors that they share."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -52,8 +51,7 @@ def _of_ins(facts: Path, positions: Path, deformation: Deformation) -> PoseCorre
     """How errors of INS and positions last."""
     t = np.unique(read_parquet(positions)["t_gps_s"])
     return PoseCorrelation.of_survey(
-        json.loads(facts.read_text()),
-        "ins",
+        facts,
         receiver_s=float(np.median(np.diff(t))),
         position_time_s=deformation.errors.position_time_s,
         attitude_time_s=deformation.errors.attitude_time_s,

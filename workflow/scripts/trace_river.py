@@ -26,7 +26,6 @@ def main(
     line: Path,
     level: Path,
     campaign: dict[str, Any],
-    chain: str,
     bathymetry: Bathymetry,
     water_line_ics_m: float,
 ) -> None:
@@ -34,11 +33,7 @@ def main(
     path = Trajectory.read(trajectory)
     t = np.unique(read_parquet(positions)["t_gps_s"])
     correlation = PoseCorrelation.of_survey(
-        json.loads(errors.read_text()),
-        chain,
-        receiver_s=float(np.median(np.diff(t))),
-        position_time_s=bathymetry.position_time_s,
-        attitude_time_s=bathymetry.attitude_time_s,
+        errors, receiver_s=float(np.median(np.diff(t))), position_time_s=bathymetry.position_time_s
     )
     track = path.position_wcs_m[path.valid]
     found, water = flow_of_survey(

@@ -137,6 +137,7 @@ def axis_of_track(track_m: ArrayF) -> FlowLine:
         raise GeometryError(
             f"a track of {way[-1] if len(way) else 0.0:.1f} m",
             expected="a boat that went along the river",
+            where="the trajectory",
             cure="State logs.centre_line",
         )
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))])
@@ -171,6 +172,7 @@ def axis_of_track(track_m: ArrayF) -> FlowLine:
         raise GeometryError(
             "the track shows no direction of the river",
             expected="a survey along the river",
+            where="the trajectory",
             cure="State logs.centre_line: CSV east_m, north_m, downstream",
         )
     if (even[-1] - even[0]) @ axes[0] < 0:
@@ -351,7 +353,10 @@ def onto_line(banks: pd.DataFrame, line: FlowLine) -> pd.DataFrame:
         raise GeometryError(
             f"{wrong:.0%} of the bank's places lie on the other side of the centre line",
             expected="left and right of the flow, downstream",
-            cure="Turn the centre line round, or exchange the sides" if wrong > 0.5 else "The banks cross",
+            where="bank lines (logs.bank_lines, --banks)",
+            cure="Turn the centre line round, or exchange the sides"
+            if wrong > 0.5
+            else "Draw the bank lines so that they do not cross",
         )
     out = banks.assign(s_m=s, n_m=n)[sign * n > 0]
     return out.sort_values(["side", "s_m"], kind="stable", ignore_index=True)
@@ -371,7 +376,12 @@ def read_banks(path: Path, frame: LocalFrame, crs: CRS) -> pd.DataFrame:
     try:
         features = json.loads(path.read_text())["features"]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{error}", where=path, expected="GeoJSON with bank lines") from error
+        raise InputError(
+            f"{error}",
+            where=path,
+            expected="GeoJSON with bank lines",
+            cure="Export the lines from a GIS as GeoJSON",
+        ) from error
     parts = []
     for each in features:
         side = (each.get("properties") or {}).get("side")
@@ -380,6 +390,7 @@ def read_banks(path: Path, frame: LocalFrame, crs: CRS) -> pd.DataFrame:
                 f"a {each['geometry']['type']} with side {side!r}",
                 where=path,
                 expected="LineStrings with a property side: left or right of the flow",
+                cure="Add the property, as one looks downstream",
             )
         xy = np.asarray([c[:2] for c in each["geometry"]["coordinates"]], dtype=np.float64)
         wcs = frame.from_map(np.column_stack([xy, np.full(len(xy), frame.h_ell_m)]), crs)
@@ -388,7 +399,12 @@ def read_banks(path: Path, frame: LocalFrame, crs: CRS) -> pd.DataFrame:
             pd.DataFrame({"side": side, "east_m": wcs[:, 0], "north_m": wcs[:, 1], "sigma_across_m": sigma})
         )
     if {str(p["side"].iloc[0]) for p in parts} != set(SIDES):
-        raise InputError("not both banks", where=path, expected="at least a left and a right bank line")
+        raise InputError(
+            "not both banks",
+            where=path,
+            expected="at least a left and a right bank line",
+            cure="Draw the other bank, or leave the file out where the lidar saw both",
+        )
     return pd.concat(parts, ignore_index=True).assign(seen=True)
 
 
@@ -433,6 +449,7 @@ def flow_of_survey(
         raise CoverageError(
             "no bank: no ground of the cloud lies within 0.7 m above the water",
             expected="points of at least one bank near the water",
+            where="the cloud of the banks",
             cure="Look at filters.water_line_ics_m, or state logs.bank_lines and logs.centre_line",
         )
     return Banks(table=table, line=line), level

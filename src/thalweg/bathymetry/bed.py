@@ -35,7 +35,7 @@ _F = pa.float64()
 
 OBSERVATIONS = table_kind(
     "bed_observations",
-    1,
+    2,
     [
         column("source", pa.string(), "1", "sounding, table, bank or light sheet"),
         column("s_m", _F, "m", "along the centre line"),
@@ -44,7 +44,7 @@ OBSERVATIONS = table_kind(
         column("sigma_white_m", _F, "m", "noise of the height"),
         column("sigma_slow_m", _F, "m", "error of the height that lasts"),
         column("sigma_common_m", _F, "m", "error of the height that all of its source share"),
-        column("t_gps_s", _F, "s", "time; NaN of banks"),
+        column("t_even_s", _F, "s", "time in which the error that lasts decays evenly; NaN of banks"),
         column("line", pa.int64(), "1", "line of soundings; negative of others"),
     ],
 )
@@ -116,7 +116,7 @@ def observations_of(table: pd.DataFrame) -> Observations:
         height_m=table["up_m"].to_numpy(np.float64),
         sigma_white_m=table["sigma_white_m"].to_numpy(np.float64),
         sigma_slow_m=table["sigma_slow_m"].to_numpy(np.float64),
-        t_s=table["t_gps_s"].to_numpy(np.float64),
+        t_s=table["t_even_s"].to_numpy(np.float64),
         line=table["line"].to_numpy(np.int64),
     )
 
@@ -168,7 +168,7 @@ def bed_observations(
                         "sigma_white_m",
                         "sigma_slow_m",
                         "sigma_common_m",
-                        "t_gps_s",
+                        "t_even_s",
                         "line",
                     )
                 },
@@ -180,7 +180,8 @@ def bed_observations(
         raise CoverageError(
             f"none of {len(used)} soundings lies beside the centre line",
             expected="soundings along the river",
-            cure="Look at bathymetry/centre_line.csv",
+            where="bathymetry/centre_line.csv",
+            cure="State logs.centre_line, drawn along all soundings",
         )
     outside = banks.outside(s, n) & ~fold if len(banks.table) else np.zeros(len(s), dtype=np.bool_)
     counts["outside the banks"] = int(outside.sum())
@@ -210,14 +211,15 @@ def bed_observations(
                     "sigma_white_m": of["sigma_white_m"],
                     "sigma_slow_m": 0.0,
                     "sigma_common_m": of["sigma_slow_m"],
-                    "t_gps_s": np.nan,
+                    "t_even_s": np.nan,
                     "line": of["line"],
                 }
             )
         )
         counts["bank places"] = len(places)
     if strip is not None and len(strip):
-        parts.append(_of_strip(strip, line))
+        times = np.sort(soundings[["t_gps_s", "t_even_s"]].dropna().to_numpy(np.float64), axis=0)
+        parts.append(_of_strip(strip, line, times))
         counts["light sheet"] = len(parts[-1])
     table = pd.concat(parts, ignore_index=True)
     return frame_of(OBSERVATIONS, {name: table[name] for name in OBSERVATIONS.names}), counts
@@ -240,14 +242,14 @@ def _of_others(others: pd.DataFrame, line: FlowLine, level: WaterLevel, first: i
             "sigma_common_m": np.hypot(
                 others["sigma_common_m"].to_numpy(np.float64), np.where(told, sigma, 0.0)
             ),
-            "t_gps_s": np.nan,
+            "t_even_s": np.nan,
             "line": others["line"].to_numpy() + first,
         }
     )[~fold]
 
 
-def _of_strip(strip: pd.DataFrame, line: FlowLine) -> pd.DataFrame:
-    """Points of the light sheet: medians of pieces of each image's line."""
+def _of_strip(strip: pd.DataFrame, line: FlowLine, times: ArrayF) -> pd.DataFrame:
+    """Points of the light sheet: medians of pieces of each image's line; GPS and even times (k, 2)."""
     piece = np.floor(strip[["east_m", "north_m"]].to_numpy(np.float64) / _PIECE_M).astype(np.int64)
     groups = strip.assign(a=piece[:, 0], b=piece[:, 1]).groupby(["t_gps_s", "a", "b"], sort=True)
     of = groups[["east_m", "north_m", "up_m", "sigma_line_m", "cov_uu_m2"]].median().reset_index()
@@ -259,7 +261,8 @@ def _of_strip(strip: pd.DataFrame, line: FlowLine) -> pd.DataFrame:
             "source": "light sheet",
             "s_m": s,
             "n_m": n,
-            **{k: of[k].to_numpy() for k in ("east_m", "north_m", "up_m", "t_gps_s")},
+            **{k: of[k].to_numpy() for k in ("east_m", "north_m", "up_m")},
+            "t_even_s": np.interp(of["t_gps_s"].to_numpy(np.float64), *times.T),
             "sigma_white_m": np.hypot(1.25 * own / np.sqrt(count), _RELIEF_M),
             "sigma_slow_m": np.sqrt(np.maximum(of["cov_uu_m2"].to_numpy(np.float64) - own**2, 0.0)),
             "sigma_common_m": 0.0,
@@ -411,6 +414,7 @@ def gridded(
         raise CoverageError(
             "no cell of the bed is near enough to a sounding",
             expected="cells within bathymetry.reach ranges of data",
+            where="the grid of the bed",
             cure="Raise bathymetry.reach or lower bathymetry.cell_m",
         )
     facts: dict[str, Any] = counts | {

@@ -47,7 +47,7 @@ class Crossings:
 
     Parameters
     ----------
-    a_s, b_s : times of both lines there, GPS seconds; ``a_s < b_s``.
+    a_s, b_s : times of both lines there, in which slow errors decay evenly; ``a_s < b_s``.
     east_m, north_m : the place.
     difference_m : height at ``b_s`` less height at ``a_s``.
     white_m2 : variance of the difference by what is new in each ping, relief between pings and slopes.
@@ -93,7 +93,7 @@ def find_crossings(soundings: pd.DataFrame) -> Crossings:
     soundings : table kind ``soundings``.
     """
     used = soundings[soundings["used"] & (soundings["line"] >= 0)].sort_values("t_gps_s", kind="stable")
-    t = used["t_gps_s"].to_numpy(np.float64)
+    t, even = (used[name].to_numpy(np.float64) for name in ("t_gps_s", "t_even_s"))
     place = used[["east_m", "north_m"]].to_numpy(np.float64)
     h = used["up_m"].to_numpy(np.float64)
     line = used["line"].to_numpy(np.int64)
@@ -110,13 +110,13 @@ def find_crossings(soundings: pd.DataFrame) -> Crossings:
     i, j, u, v = first[i[apart]], first[j[apart]], u[apart], v[apart]
 
     def along(k: ArrayI, share: ArrayF) -> tuple[ArrayF, ArrayF, ArrayF, ArrayF]:
-        """Time, height, variance without the slow part, and slow sigma between pings k and k + 1."""
+        """Even time, height, variance without the slow part, and slow sigma between pings k and k + 1."""
         # pings nearer to each other than they are known show no slope
         length2 = np.maximum(np.sum((place[k + 1] - place[k]) ** 2, axis=1), across[k])
         slope2 = (h[k + 1] - h[k]) ** 2 / np.maximum(length2, 1e-12)
         variance = (1 - share) ** 2 * white[k] + share**2 * white[k + 1]
         variance += 4 * share * (1 - share) * relief_m2 + slope2 * across[k]
-        mix = [(1 - share) * x[k] + share * x[k + 1] for x in (t, h, slow)]
+        mix = [(1 - share) * x[k] + share * x[k + 1] for x in (even, h, slow)]
         return mix[0], mix[1], variance, mix[2]
 
     relief_m2 = _relief_m2(h, white, line)

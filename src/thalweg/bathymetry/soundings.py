@@ -53,7 +53,7 @@ _UPPER: Final = np.triu_indices(3)
 
 SOUNDINGS = table_kind(
     "soundings",
-    1,
+    2,
     [
         column("t_gps_s", _F, "s", "time of the ping, lag and latency removed, adjusted standard GPS time"),
         *(
@@ -74,6 +74,7 @@ SOUNDINGS = table_kind(
         *(column(f"cov_{name}_m2", _F, "m2", "covariance of the place, all parts") for name in _COV),
         column("footprint_m", _F, "m", "width of the beam on the bed"),
         column("slope", _F, "1", "tangent of the bed's slope that was taken into account; 0: level"),
+        column("t_even_s", _F, "s", "time in which the slow error decays evenly"),
         column("line", pa.int64(), "1", "line of soundings, from 0; -1: on none"),
         column("used", pa.bool_(), "1", "whether the sounding counts"),
         column("reason", pa.string(), "1", "why not; empty if it counts"),
@@ -323,6 +324,7 @@ def locate_soundings(
             **{f"cov_{c}_m2": total[:, i, j] for c, i, j in zip(_COV, *_UPPER, strict=True)},
             "footprint_m": 2 * axis * np.tan(np.deg2rad(echo.beam_deg / 2)) / cos_theta,
             "slope": np.zeros(len(t)),
+            "t_even_s": correlation.even_time_s(t),
             "line": line,
             "used": reason == "",
             "reason": reason.astype(str),
@@ -341,7 +343,6 @@ def locate_soundings(
         "sigma_sound_factor": sound.sigma,
         "water_temperature_c": sound.temperature_c,
         "position_time_s": correlation.position_s,
-        "attitude_time_s": correlation.attitude_s,
         "white_share": correlation.white_share,
         "place_from": transducer.source,
         "lag_s": transducer.lag_s,
@@ -351,6 +352,7 @@ def locate_soundings(
         raise InputError(
             f"none of {len(t)} soundings counts; {counts[worst]} of them: {REASONS[worst]}",
             expected="soundings of the bed during the survey",
+            where="logs.depth",
             cure="Look at ingest/depth.integrity.json; the unit of the depths, their times, and the sections "
             "echo_sounder and bathymetry",
         )

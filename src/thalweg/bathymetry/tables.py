@@ -83,13 +83,15 @@ def map_crs(text: str) -> CRS:
         ) from error
     if not crs.is_projected:
         raise InputError(
-            f"--crs {text} ({crs.name}) is in {crs.axis_info[0].unit_name}s",
+            f"{text} ({crs.name}) is in {crs.axis_info[0].unit_name}s",
+            where="--crs",
             expected="a projected system in metres",
             cure="Transform the table to the UTM zone of the river, such as EPSG:32633",
         )
     if any(abs(axis.unit_conversion_factor - 1) > 1e-9 for axis in crs.axis_info[:2]):
         raise InputError(
-            f"--crs {text} ({crs.name}) is in {crs.axis_info[0].unit_name}",
+            f"{text} ({crs.name}) is in {crs.axis_info[0].unit_name}",
+            where="--crs",
             expected="a projected system in metres",
             cure="Transform places and heights to metres",
         )
@@ -112,7 +114,12 @@ def read_places(path: Path, crs: CRS) -> tuple[pd.DataFrame, ArrayF]:
         features, source = _features(path)
         points = [f for f in features if (f.get("geometry") or {}).get("type") == "Point"]
         if not points:
-            raise InputError("no points", where=path, expected="GeoJSON of points")
+            raise InputError(
+                "no points",
+                where=path,
+                expected="GeoJSON of points",
+                cure="Export soundings as points, not as lines",
+            )
         table = pd.DataFrame([f.get("properties") or {} for f in points])
         at = [f["geometry"]["coordinates"] for f in points]
         if "z" not in table and all(len(c) > 2 for c in at):
@@ -164,7 +171,12 @@ def read_line(path: Path, crs: CRS | None = None) -> FlowLine:
         xy = parts[0][:, :2]
         return FlowLine.through(_on_map(xy, source, crs, path) if crs is not None else xy)
     if not path.is_file():
-        raise InputError("no such file", where=path, expected="a centre line as CSV: east_m, north_m")
+        raise InputError(
+            "no such file",
+            where=path,
+            expected="a centre line as CSV: east_m, north_m",
+            cure="Check the path, or leave it out: the line then follows from banks or soundings",
+        )
     return FlowLine.through(read_places(path, crs or CRS.from_epsg(32633))[1])
 
 
@@ -203,9 +215,16 @@ def _features(path: Path) -> tuple[list[dict[str, Any]], CRS | None]:
         name = ((content.get("crs") or {}).get("properties") or {}).get("name")
         return features, CRS.from_user_input(name) if name else None
     except FileNotFoundError as error:
-        raise InputError("no such file", where=path) from error
+        raise InputError(
+            "no such file", where=path, expected="a GeoJSON file", cure="Check the path"
+        ) from error
     except (ValueError, KeyError, TypeError, AttributeError, CRSError) as error:
-        raise InputError(f"{error}", where=path, expected="GeoJSON, a FeatureCollection") from error
+        raise InputError(
+            f"{error}",
+            where=path,
+            expected="GeoJSON, a FeatureCollection",
+            cure="Export the lines from a GIS as GeoJSON",
+        ) from error
 
 
 def _on_map(xy: ArrayF, source: CRS | None, crs: CRS, path: Path) -> ArrayF:
@@ -290,7 +309,10 @@ def read_soundings(
     missing = {c for c in (column, line_column) if c is not None} - set(table.columns)
     if missing:
         raise InputError(
-            f"no column {', '.join(sorted(missing))}", where=path, expected=", ".join(map(str, table.columns))
+            f"no column {', '.join(sorted(missing))}",
+            where=path,
+            expected=f"one of {', '.join(map(str, table.columns))}",
+            cure="Name one of these as --height or --depth, and as --line",
         )
     if _FEET.search(column):
         raise InputError(
@@ -348,13 +370,19 @@ def read_soundings(
         of = one
     xy = of[["x", "y"]].to_numpy(np.float64)
     if len(of) < 4:
-        raise InputError(f"{len(of)} soundings", where=path, expected="at least four, on two lines or more")
+        raise InputError(
+            f"{len(of)} soundings",
+            where=path,
+            expected="at least four, on two lines or more",
+            cure="Look at the columns of places and values: rows without numbers are left out",
+        )
     narrow = np.linalg.svd(xy - xy.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(xy))
     if narrow < 0.05:
         raise InputError(
             f"all soundings lie within {narrow:.2f} m of one straight line",
             where=path,
             expected="soundings across the river: what lies beside a single line cannot be told",
+            cure="Survey a zigzag or sections",
         )
     return TableOfSoundings(
         places_m=xy,
@@ -781,6 +809,7 @@ def bed_of_table(
         raise InputError(
             f"{fold.mean():.0%} of the soundings lie beyond the ends of the centre line, or where it "
             "bends too sharply for them",
+            where="the centre line",
             expected="a centre line along all of them",
             cure="Look at --centre-line, --banks and --crs",
         )
@@ -901,7 +930,12 @@ def _reference_points(path: Path, crs: CRS, settings: Bathymetry) -> tuple[Array
     if kind in {".tif", ".tiff"}:
         grid, bands, _ = read_raster(path)
         if not grid.crs.equals(crs, ignore_axis_order=True):
-            raise InputError(f"a raster in {grid.crs.name}", where=path, expected=crs.name)
+            raise InputError(
+                f"a raster in {grid.crs.name}",
+                where=path,
+                expected=crs.name,
+                cure="Transform it to campaign.crs",
+            )
         value = next(iter(bands.values())).ravel()
         known = np.isfinite(value)
         return grid.centres_m()[known], value[known]
@@ -951,7 +985,7 @@ def _observations(
             "sigma_white_m": sigma,
             "sigma_slow_m": 0.0,
             "sigma_common_m": 0.0,
-            "t_gps_s": np.nan,
+            "t_even_s": np.nan,
             "line": line,
         }
     )

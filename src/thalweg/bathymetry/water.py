@@ -117,7 +117,8 @@ def level_water(
     heave = max(float(np.sqrt(max(jitter**2 - np.median(white), 0.0))), _LEAST_HEAVE_M)
     s0, t0 = float(s.mean()), float(t.mean())
     rows = np.column_stack([np.ones(len(t)), s - s0, t - t0])
-    apart = np.abs(t[:, None] - t[None]) / correlation.position_s
+    even = correlation.even_time_s(t)
+    apart = np.abs(even[:, None] - even[None]) / correlation.position_s
     cov = np.sqrt(np.outer(slow, slow)) * np.exp(-apart) + np.diag(white + heave**2)
     factor = cho_factor(cov, lower=True)
 

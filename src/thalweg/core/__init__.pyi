@@ -95,6 +95,7 @@ from .las import (
 )
 from .pose_errors import (
     ErrorChain as ErrorChain,
+    even_time as even_time,
     read_chains as read_chains,
     symmetric_roots as symmetric_roots,
     with_rest as with_rest,

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Final, Self
 
 import numpy as np
+from scipy.optimize import brentq
 
 from thalweg.core.errors import GeometryError, InputError
 from thalweg.core.trajectory import Trajectory
@@ -27,6 +28,12 @@ _MOST_ALIKE: Final = 1.0 - 1e-12
 """Greatest correlation of two nodes of a chain whose errors change."""
 _AT_ONCE: Final = 2000
 """Nodes whose matrices are taken apart at once: some 100 MB."""
+_SHORTEST: Final = 1e-4
+"""Shortest correlation time, and one over the longest one, in spans of a survey."""
+_PLACES: Final = 600
+"""Times at which errors of heights are compared over a survey."""
+_LEAST_ALIKE: Final = 0.02
+"""Correlation below which two errors are taken as this much alike, so that no piece of time is endless."""
 _SAME_S: Final = 1e-6
 """Nodes that are nearer are one."""
 
@@ -83,6 +90,33 @@ class ErrorChain:
         own = one @ np.swapaxes(one, 1, 2) + two @ np.swapaxes(two, 1, 2)
         return np.asarray(own + mixed + np.swapaxes(mixed, 1, 2))
 
+    def heights_over_time(self) -> tuple[ArrayF, ArrayF]:
+        """Variance (m,) of the height's error at each node, m2, and its integral over time (m,), m2 s.
+
+        The integral is that of the covariance with the heights at all nodes, by trapezia.
+        """
+        up, m = self.root[:, 2], len(self.t_gps_s)
+        gap = np.diff(self.t_gps_s) / 2
+        weighted = up * (np.append(gap, 0.0) + np.append(0.0, gap))[:, None]
+        before, after = np.zeros_like(up), np.zeros_like(up)
+        for k in range(1, m):
+            before[k] = self.link[k] @ (before[k - 1] + weighted[k - 1])
+            after[m - 1 - k] = self.link[m - k].T @ (after[m - k] + weighted[m - k])
+        return np.asarray(np.sum(up**2, axis=1)), np.asarray(np.sum(up * (before + weighted + after), axis=1))
+
+    def heights_along(self, t_gps_s: ArrayF) -> tuple[ArrayF, ArrayF]:
+        """Variance (n,) of the height's error at the nodes next to ascending times, covariance (n - 1,)."""
+        left, right, share = self.between(t_gps_s)
+        node = np.where(share < 0.5, left, right)
+        up = self.root[node, 2]
+        following = np.empty(len(node) - 1)
+        for k in range(len(node) - 1):
+            kept = up[k]
+            for j in range(node[k] + 1, node[k + 1] + 1):
+                kept = self.link[j] @ kept
+            following[k] = up[k + 1] @ kept
+        return np.asarray(np.sum(up**2, axis=1)), following
+
     @classmethod
     def of_covariances(
         cls, name: str, t_gps_s: ArrayF, cov: ArrayF, following: ArrayF, pose: ArrayF, *, step_s: float
@@ -129,6 +163,62 @@ def _root_and_inverse(cov: ArrayF) -> tuple[ArrayF, ArrayF]:
     size = np.where(shown, np.sqrt(np.maximum(value, 0.0)), 0.0)
     inverse = np.swapaxes(vector / np.where(shown, size, np.inf)[:, None, :], 1, 2) / scale[:, None, :]
     return scale[:, :, None] * vector * size[:, None, :], inverse
+
+
+def even_time(chains: Sequence[ErrorChain]) -> tuple[ArrayF, ArrayF, float]:
+    """A time in which errors of heights decay evenly, for what holds one process of one correlation time.
+
+    The correlation time ``tau`` is that with which the errors ``C(t, u)`` of the heights at two times have
+    the same sum over the survey, ``int C(t, t) exp(-|t - u| / tau) dt du = int C(t, u) dt du``: means of many
+    heights keep their variance. The even time runs from one ``tau`` to the next by the logarithm of their
+    correlation, and is as long as the survey. It is exact where errors are a Gauss-Markov process of any
+    rate; other correlations are kept at lags of about ``tau`` alone.
+
+    Parameters
+    ----------
+    chains : of all errors of the poses.
+
+    Returns
+    -------
+    t_gps_s : (k,) ascending.
+    even_s : (k,) even time there.
+    time_s : correlation time in it.
+
+    Raises
+    ------
+    GeometryError : no errors of heights, or all at one time.
+    """
+    nodes = np.concatenate([chain.t_gps_s for chain in chains])
+    t = np.linspace(nodes.min(), nodes.max(), _PLACES)
+    span = float(t[-1] - t[0])
+    variance, summed = np.zeros(len(t)), np.zeros(len(t))
+    for chain in chains:
+        own, whole = chain.heights_over_time()
+        variance += np.interp(t, chain.t_gps_s, own)
+        summed += np.interp(t, chain.t_gps_s, whole)
+    if not span > 0 or not variance.any():
+        raise GeometryError("no errors of heights over time", expected="nodes at several times that err")
+
+    def correlation_time_s(even_s: ArrayF) -> float:
+        """Time with which the sum over the survey is that of the chains."""
+        lag = np.abs(even_s[:, None] - even_s)
+
+        def beyond(log_s: float) -> float:
+            alike = np.exp(-lag / np.exp(log_s)).mean(axis=1)
+            return float(variance @ alike * span - summed.sum())
+
+        low, high = np.log(span * _SHORTEST), np.log(span / _SHORTEST)
+        if beyond(low) >= 0 or beyond(high) <= 0:
+            return float(np.exp(low if beyond(low) >= 0 else high))
+        return float(np.exp(brentq(beyond, low, high)))
+
+    at = np.linspace(t[0], t[-1], max(int(span / correlation_time_s(t)), 1) + 1)
+    own, next_one = (sum(each) for each in zip(*(chain.heights_along(at) for chain in chains), strict=True))
+    size = np.sqrt(np.maximum(own[1:] * own[:-1], (_LEAST * own.max()) ** 2))
+    aged = -np.log(np.clip(next_one / size, _LEAST_ALIKE, 1 - _LEAST_ALIKE))
+    even = np.concatenate([[0.0], np.cumsum(aged)])
+    even = at[0] + even * span / even[-1]
+    return at, even, correlation_time_s(np.interp(t, at, even))
 
 
 def with_rest(

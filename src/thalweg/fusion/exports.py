@@ -1,6 +1,6 @@
 """Sections, terrain and triangles for hydraulic programs: HEC-RAS, SWMM, CSV, GeoJSON, BAG, meshes.
 
-Sources: HEC-RAS River Analysis System, User's Manual 6, "GIS data import" (``RASImport.sdf``);
+Sources: HEC-RAS User's Manual 6.6, "RAS GIS Import File (RASImport.sdf)", keywords of its header table;
 Storm Water Management Model User's Manual 5.1, appendix D.2, section [TRANSECTS]; RFC 7946 (GeoJSON;
 coordinates stay in the campaign's grid, named as GeoJSON 2008 did, for GIS that read it).
 
@@ -481,15 +481,23 @@ def write_hecras(path: Path, sections: Sequence[Section], river: River, *, name:
     line = river.to_map(np.linspace(0, length, max(int(length / 5) + 1, 2)), 0.0)
     places = np.concatenate([line, *(section.places_m for section in ordered)])
     low, high = places.min(axis=0), places.max(axis=0)
+    zone = river.crs.utm_zone
     out = [
         "BEGIN HEADER:",
         "UNITS: METRIC",
-        f"PROFILE DATUM: {'ELLIPSOIDAL' if not river.separation_m else 'ORTHOMETRIC'}",
-        "BEGIN SPATIALEXTENT:",
-        f"XMIN: {low[0]:.3f}", f"YMIN: {low[1]:.3f}", f"XMAX: {high[0]:.3f}", f"YMAX: {high[1]:.3f}",
-        "END SPATIALEXTENT:",
+        "DTM TYPE: GRID",
+        "DTM: dtm.tif",
+        "STREAM LAYER: centre line",
+        "CROSS-SECTION LAYER: sections",
+        f"MAP PROJECTION: {'UTM' if zone else river.crs.name}",
+        f"PROJECTION ZONE: {zone[:-1] if zone else ''}",
+        f"DATUM: {river.crs.geodetic_crs.name if river.crs.geodetic_crs else ''}",
+        f"VERTICAL DATUM: {'ELLIPSOIDAL' if not river.separation_m else 'ORTHOMETRIC'}",
         "NUMBER OF REACHES: 1",
         f"NUMBER OF CROSS-SECTIONS: {len(ordered)}",
+        "BEGIN SPATIAL EXTENT:",
+        f"XMIN: {low[0]:.3f}", f"YMIN: {low[1]:.3f}", f"XMAX: {high[0]:.3f}", f"YMAX: {high[1]:.3f}",
+        "END SPATIAL EXTENT:",
         "END HEADER:",
         "",
         "BEGIN STREAM NETWORK:",

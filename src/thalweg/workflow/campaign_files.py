@@ -31,6 +31,14 @@ def _no_twin(campaign: Campaign) -> Mapping[str, Sequence[str]]:
     return {}
 
 
+ERRORS_OF_CHAIN: Final = {
+    "ins": "error_model.json",
+    "camera": "errors_camera.npz",
+    "fused": "errors_fused.npz",
+}
+"""What a survey shows of the errors of its trajectory, by the chain of sensors."""
+
+
 @dataclass(frozen=True, slots=True)
 class Product:
     """A product of a survey: its name and file, whether the logs make it, and which logs it needs."""
@@ -727,7 +735,7 @@ class CampaignFiles:
 
     def best_errors(self) -> str:
         """What the survey shows of the errors of the best trajectory."""
-        return self._result(f"orientation/{'fused' if self.best_chain() == 'fused' else 'error_model'}.json")
+        return self._result(f"orientation/{ERRORS_OF_CHAIN[self.best_chain()]}")
 
     def best_points(self) -> list[str]:
         """The cloud by the best trajectory, where there is a lidar."""
@@ -856,9 +864,7 @@ class CampaignFiles:
 
     def epoch_errors(self, epoch: str) -> str:
         """What the survey of an epoch shows of the errors of its trajectory."""
-        chain = self.chain_of(epoch)
-        name = "error_model.json" if chain == "ins" else f"errors_{chain}.npz"
-        return self.epoch_result(epoch, f"orientation/{name}")
+        return self.epoch_result(epoch, f"orientation/{ERRORS_OF_CHAIN[self.chain_of(epoch)]}")
 
     def chain_of(self, epoch: str) -> str:
         """The chain whose trajectory georeferenced the cloud of an epoch."""

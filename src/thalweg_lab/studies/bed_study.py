@@ -134,7 +134,7 @@ def river_of(logs: Logs) -> River:
     twin, settings = logs.twin, Bathymetry(**logs.settings["bathymetry"])
     correlation = PoseCorrelation(
         position_s=settings.position_time_s or twin.gnss.correlation_time_s,
-        attitude_s=settings.attitude_time_s or twin.ins.attitude_time_s,
+        attitude_s=twin.ins.attitude_time_s,
         white_share=twin.gnss.white_share,
         receiver_s=1.0 / twin.gnss.rate_hz,
     )

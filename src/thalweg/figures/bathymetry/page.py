@@ -84,8 +84,7 @@ def bed_page(
         f"{facts['sigma_sound_factor']:.5f} for the speed of sound"
         + (f" (water of {temperature:.1f} °C)" if temperature is not None else "")
         + f". The place of the transducer is that of the {facts['place_from']}; its stamps are corrected by "
-        f"{facts['lag_s']:+.3f} s. Errors of positions last {facts['position_time_s']:.1f} s, of attitudes "
-        f"{facts['attitude_time_s']:.1f} s."
+        f"{facts['lag_s']:+.3f} s. Errors of positions last {facts['position_time_s']:.1f} s."
     )
     page.text(_crossings(facts["crossings"]))
     page.table(

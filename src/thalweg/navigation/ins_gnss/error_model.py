@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from thalweg.core import ArrayF, InputError, Trajectory, attitude_axes, cross_matrix
+from thalweg.core import ArrayF, Trajectory, attitude_axes, cross_matrix, even_time, read_chains
 
 NAMES: Final = ("position", "roll_pitch", "heading", "white", "position_time_s", "attitude_time_s")
 """Parameters: factors on the stated sigmas of the positions' slow part, of roll and pitch, of the heading and
@@ -270,21 +270,23 @@ class PoseCorrelation:
 
     Attributes
     ----------
-    position_s, attitude_s : correlation times, seconds.
+    position_s, attitude_s : correlation times, seconds; of attitudes NaN where chains say all.
     white_share : share of the positions' variance that is new in each solution of the receiver.
     receiver_s : time between its solutions.
+    even : (k,) GPS times, and the times (k,) in which errors of heights decay evenly; None: they do in GPS
+        time.
     """
 
     position_s: float
     attitude_s: float
     white_share: float
     receiver_s: float
+    even: tuple[ArrayF, ArrayF] | None = None
 
     @classmethod
     def of_survey(
         cls,
-        facts: Mapping[str, Any],
-        chain: str,
+        errors: Path,
         *,
         receiver_s: float,
         position_time_s: float | None = None,
@@ -294,32 +296,38 @@ class PoseCorrelation:
 
         Parameters
         ----------
-        facts : ``error_model.json`` of the chain ``ins``, ``camera_trajectory.json`` or ``fused.json``.
-        chain : ``ins``, ``camera`` or ``fused``. A camera's positions last as its attitudes do: both come
-            from the same images; a smoother leaves no white part.
+        errors : ``error_model.json`` of INS and GNSS; or the chains of errors of a trajectory by camera or by
+            all sensors (``.npz``), which leave no white part.
         receiver_s : time between solutions of the receiver.
         position_time_s, attitude_time_s : stated instead of the estimates.
 
         Raises
         ------
-        InputError : a time is neither stated nor among the estimates.
+        InputError : a file of another kind.
         """
-        if chain == "ins":
-            found = {name: fact["value"] for name, fact in facts["estimates"].items()}
-            estimated_s, white = found["position_time_s"], float(facts["white_share"])
-        else:
-            found = {name: fact["estimated"] for name, fact in facts["errors"].items()}
-            estimated_s = found.get("gnss_time_s", found.get("attitude_time_s"))
-            white = 0.0
-        attitude_s = attitude_time_s or found.get("attitude_time_s")
-        position_s = position_time_s or estimated_s
-        if position_s is None or attitude_s is None:
-            raise InputError(
-                f"no correlation times among the estimates of the chain {chain!r}",
-                expected="times of positions and attitudes",
-                cure="State position_time_s and attitude_time_s (deformation.errors, bathymetry)",
+        if errors.suffix == ".npz":
+            t_gps_s, even_s, found_s = even_time(read_chains(errors))
+            return cls(
+                position_s=position_time_s or found_s,
+                attitude_s=np.nan,
+                white_share=0.0,
+                receiver_s=receiver_s,
+                even=None if position_time_s else (t_gps_s, even_s),
             )
-        return cls(position_s=position_s, attitude_s=attitude_s, white_share=white, receiver_s=receiver_s)
+        facts = json.loads(errors.read_text())
+        found = {name: fact["value"] for name, fact in facts["estimates"].items()}
+        return cls(
+            position_s=position_time_s or found["position_time_s"],
+            attitude_s=attitude_time_s or found["attitude_time_s"],
+            white_share=float(facts["white_share"]),
+            receiver_s=receiver_s,
+        )
+
+    def even_time_s(self, t_gps_s: ArrayF) -> ArrayF:
+        """Times (n,) in which errors decay evenly; before the first and after the last node: theirs."""
+        if self.even is None:
+            return np.asarray(t_gps_s, dtype=np.float64)
+        return np.asarray(np.interp(t_gps_s, *self.even))
 
 
 def beam_factors(path: Path) -> dict[str, float]:

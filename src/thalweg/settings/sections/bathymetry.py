@@ -89,10 +89,9 @@ class Bathymetry(Section):
         default=0.0, le=5, description="Common error of all heights that nothing else holds, metres"
     )
     position_time_s: Positive | None = Field(
-        default=None, description="Correlation time of positions, seconds; null: as estimated from the survey"
-    )
-    attitude_time_s: Positive | None = Field(
-        default=None, description="Correlation time of attitudes, seconds; null: as estimated from the survey"
+        default=None,
+        description="Correlation time of errors of the boat's height, seconds; null: as estimated from the "
+        "survey",
     )
     bank_station_m: Annotated[float, Field(ge=0.2, le=100)] = Field(
         default=2.0, description="Distance of the places along the river at which banks are sought, metres"
