@@ -27,11 +27,11 @@ from thalweg.core import (
 )
 from thalweg.deformation.epochs import Epoch, between_frames
 from thalweg.deformation.field import ErrorField, ErrorGroup, rows_of_weights
-from thalweg.deformation.foreign import ROUGHNESS_ALONE, density_notes, one_frame, read_points
+from thalweg.deformation.foreign import ROUGHNESS_ALONE, density_notes, read_points
 from thalweg.deformation.m3c2 import ColumnIndex, pose_weights
 from thalweg.deformation.shapes import Shapes, read_shapes
 from thalweg.deformation.spatial import SpatialErrors, place_in_cells
-from thalweg.deformation.surfaces import Dsm, HeightErrors, mask_missing, read_dsm
+from thalweg.deformation.surfaces import Dsm, HeightErrors, mask_missing, one_frame, read_dsm
 from thalweg.ingest.clouds import to_world
 from thalweg.settings import utm_code
 from thalweg.settings.sections import DSM_ENDINGS, Epoch as Statement
