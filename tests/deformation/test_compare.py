@@ -357,7 +357,7 @@ def test_a_cloud_of_any_format_has_the_same_distances(tmp_path: Path, suffix: st
     x, y = (axis.ravel() for axis in np.meshgrid(np.arange(20.5, 60.5), np.arange(60.5, 20.5, -1.0)))
     slope = np.column_stack([x, y, 100.0 + 0.1 * x])
     reference = as_file(tmp_path / f"reference.{suffix}", slope, frame)
-    cloud = as_file(tmp_path / f"cloud.{suffix}", slope + [0.0, 0.0, 0.05], frame)
+    cloud = as_file(tmp_path / f"cloud.{suffix}", slope + np.array([0.0, 0.0, 0.05]), frame)
     settings = ReferenceSettings(cell_m=0.5, longest_edge_m=5.0, isolated_radius_m=5.0)
     table, _, facts, _ = compare_with_surface(cloud, reference, settings)
     used = table[table["used"]]

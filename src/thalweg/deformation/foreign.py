@@ -288,8 +288,8 @@ def compare_with_surface(
     Parameters
     ----------
     cloud : a file as of `read_points`.
-    reference : a mesh (PLY with faces), a surface model (GeoTIFF), whose cells' centres are joined by triangles,
-        or a cloud, which is meshed.
+    reference : a mesh (PLY with faces), a surface model (GeoTIFF; the centres of its cells are joined by
+        triangles), or a cloud, which is meshed.
     settings : how a cloud is meshed; its ``sigma_m`` joins that of the surface's own noise.
     seen_from_m : place in the common frame from which the reference is seen: its front, where distances are
         positive; None: from above. A mesh has its front by itself.

@@ -160,6 +160,21 @@ class CampaignFiles:
         """The clock of the lidar, where there is one."""
         return self._where(self.has_lidar(), "ingest/lidar.clock.json")
 
+    def _motion_tells_time(self) -> bool:
+        return self.has_lidar() and self.campaign.lidar.clock.source == "motion"
+
+    def telling_trajectory(self) -> list[str]:
+        """The trajectory that tells the time of a lidar without GPS, where one does."""
+        return self._where(self._motion_tells_time(), "orientation/trajectory_stated.parquet")
+
+    def telling_mounts(self) -> list[str]:
+        """The mounts beside it."""
+        return self._where(self._motion_tells_time(), "calibration/mounts.json")
+
+    def streams_before_poses(self) -> list[str]:
+        """The common time axis, where it can be known before the poses."""
+        return self._where(not self._motion_tells_time(), "timing/streams.csv")
+
     def ins_points(self) -> list[str]:
         """The cloud by INS and GNSS, where there is a lidar."""
         return self._where(self.has_lidar(), "lidar/points.laz")
