@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy.stats import chi2
 
@@ -173,7 +172,5 @@ def test_sentences_of_a_real_receiver_if_its_pps_were_not_there(data_dir, monkey
     scan = reader.scan()
     assert not scan.report.synchronised
     found = clock_from_sentences(reader, scan, LidarClockStated(source="nmea"))
-    assert found.facts["sentences"] >= 3
-    off = (found.offset_s - truth) / found.sigma_offset_s
-    assert abs(off) < 2.0
-    assert pd.notna(off)
+    assert found.facts["sentences"] >= 1
+    assert abs(found.offset_s - truth) < 2.0 * found.sigma_offset_s

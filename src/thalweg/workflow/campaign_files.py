@@ -977,7 +977,6 @@ class CampaignFiles:
         alone = self._products_alone()
         if alone or not self._is_survey():
             return alone
-        chains = self.has_time_lapse() and self.has_lidar()
         rows = (
             ("trajectory of the boat", self.trajectory("ins"), True, ""),
             (
@@ -1018,9 +1017,10 @@ class CampaignFiles:
             ),
             (
                 "trajectories by camera and by all sensors",
-                self._result("accuracy/trajectories.html"),
-                chains,
-                "logs.time_lapse and logs.lidar",
+                # compared by what they make of the cloud, where there is one
+                self._result("accuracy/trajectories.html") if self.has_lidar() else self.trajectory("fused"),
+                self.has_time_lapse(),
+                "logs.time_lapse",
             ),
             (
                 "strip of the bed by the light sheet",

@@ -84,7 +84,8 @@ def build_trajectory(
     frame : the world frame.
     lever_ics_antenna_m : (3,) antenna phase centre in the body frame ics.
     sigma_lever_m : (3,) its standard deviations.
-    accept_fixes : kinds of solution that may enter, for instance ``["fixed"]``; ``auto`` as of `usable_positions`.
+    accept_fixes : kinds of solution that may enter, for instance ``["fixed"]``; ``auto``: see
+        `usable_positions`.
     max_gap_s : longest hole between positions that is interpolated.
     max_attitude_gap_s : longest hole between INS states that is interpolated.
     sigma_attitude_rad : (3,) roll, pitch, heading; stands in where the log states none.
@@ -438,7 +439,7 @@ def usable_positions(
     summary: TrajectorySummary,
     max_gap_s: float = np.inf,
 ) -> pd.DataFrame:
-    """The positions (table kind ``gnss_position``) of an accepted fix with time, height and sigmas, in order.
+    """Positions (table kind ``gnss_position``) of an accepted fix with time, height and sigmas, in order.
 
     With ``auto`` fixed ones are accepted, and float ones in holes of these that are longer than ``max_gap_s``.
 
