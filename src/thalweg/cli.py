@@ -370,7 +370,7 @@ def _check_config(options: argparse.Namespace) -> int:
             )
             print(f"  places of the sensors: {_places(campaign)}")
         if jobs and jobs.skipped:
-            print(f"  not opened, too large for a check: {', '.join(jobs.skipped)}")
+            print(f"  not checked: {', '.join(jobs.skipped)}")
         products = files.products() if campaign.logs else []
         for made, words in ((True, "gives"), (False, "more logs would add")):
             listed = [f"{p.name}{'' if made else f' ({p.needs})'}" for p in products if p.made is made]

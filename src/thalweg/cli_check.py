@@ -67,7 +67,7 @@ class FirstJobs:
         paths = [Path(log) for log in logs]
         size = sum(path.stat().st_size for path in paths)
         if size > LARGEST_BYTES:
-            self.skipped.append(f"{stream} ({size / 1e9:.1f} GB)")
+            self.skipped.append(f"{stream} ({size / 1e9:.1f} GB, too large for a check)")
         elif paths:
             return self._tried(lambda: read(paths))
         return None
@@ -92,7 +92,11 @@ class FirstJobs:
         from thalweg.lidar import with_stated_clock
 
         reader = lidar_reader(paths, LidarOptions(**self._files.lidar_options()))
-        _, report = with_stated_clock(reader, reader.scan(), self._files.campaign.lidar.clock)
+        scan, stated = reader.scan(), self._files.campaign.lidar.clock
+        if stated.source == "motion" and not scan.report.synchronised:
+            self.skipped.append("the time of the lidar (its motion beside the trajectory tells it)")
+            return
+        _, report = with_stated_clock(reader, scan, stated)
         self._as_stream("lidar", report)
 
     def _states(self, paths: list[Path]) -> "pd.DataFrame":

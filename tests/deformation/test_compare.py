@@ -4,16 +4,21 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pye57
 import pytest
 from pyproj import CRS
+from scipy.ndimage import binary_erosion
 
 from thalweg.cli import main
 from thalweg.core import ArrayF, GeometryError, InputError, LocalFrame, read_table
 from thalweg.core.las import read_laz, write_laz
+from thalweg.core.raster import Grid, write_raster
 from thalweg.deformation import CLOUD_TO_CLOUD, Comparison, cloud_to_cloud
 from thalweg.deformation.compare import CHANGES, measure_distances
 from thalweg.deformation.foreign import compare_clouds
-from thalweg.deformation.foreign.clouds import Points, one_frame, read_points, sigma_of_mean
+from thalweg.deformation.foreign.clouds import Points, compare_with_surface, read_points, sigma_of_mean
+from thalweg.deformation.foreign.surfaces import one_frame, read_dsm
+from thalweg.settings.sections import ReferenceSettings
 
 OPTIONS = Comparison(scales_m=(1.0,), radius_m=0.8, half_length_m=3.0)
 
@@ -314,3 +319,74 @@ def test_distances_to_nearest_points_and_to_their_plane(
     assert len(read_table(out, CLOUD_TO_CLOUD)[0]) == 200
     assert main([*words, "--sigma-a", "0.01"]) == 2
     assert "Use --method m3c2" in capsys.readouterr().err
+
+
+# ---------------------------------------------------------------- any cloud beside any reference
+
+
+@pytest.mark.real
+def test_a_surface_model_is_a_reference(data_dir: Path) -> None:
+    """Two epochs of the beach of Sandpyper: distances from the raster of the first, as libigl has them.
+
+    libigl 2.6: mean of the sizes 0.424067 m, root mean square 0.648226 m, over 72,402 points three cells and
+    more within both; CloudCompare 2.11: signed mean -0.0377 m, with another sign at one point in 5000.
+    """
+    folder = data_dir / "sandpyper_dsm" / "dsm_1m"
+    first, second = (folder / f"mar_{day}_dsm_resampled_1m.tif" for day in ("20180727", "20180925"))
+    table, frame, facts, notes = compare_with_surface(
+        second, first, ReferenceSettings(sigma_m=0.03), max_distance_m=1000.0
+    )
+    assert frame is not None
+    assert facts["counts"]["points"] == len(table) == 83_438
+    assert "undeclared value -10000" in notes[0]
+    before, after = read_dsm(first), read_dsm(second)
+    both = np.isfinite(before.height_m) & np.isfinite(after.height_m)
+    inside = binary_erosion(both, iterations=3)[np.isfinite(after.height_m)]
+    d = table["distance_m"].to_numpy()[inside]
+    assert len(d) == 72_402
+    assert np.abs(d).mean() == pytest.approx(0.424067, abs=1e-6)
+    assert np.sqrt(np.mean(d**2)) == pytest.approx(0.648226, abs=1e-6)
+    assert d.mean() == pytest.approx(-0.037716, abs=1e-3)
+    assert not table["at_border"].to_numpy()[inside].any()
+    assert (table["sigma_reference_m"] == 0.03).all()
+
+
+@pytest.mark.parametrize("suffix", ["e57", "pcd", "ply", "laz", "tif"])
+def test_a_cloud_of_any_format_has_the_same_distances(tmp_path: Path, suffix: str) -> None:
+    """A slope of 1:10 and points 5 cm above it: 5 cm / sqrt(1.01) in each format, of cloud and reference."""
+    frame = CRS.from_epsg(25833)
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(20.5, 60.5), np.arange(60.5, 20.5, -1.0)))
+    slope = np.column_stack([x, y, 100.0 + 0.1 * x])
+    reference = as_file(tmp_path / f"reference.{suffix}", slope, frame)
+    cloud = as_file(tmp_path / f"cloud.{suffix}", slope + np.array([0.0, 0.0, 0.05]), frame)
+    settings = ReferenceSettings(cell_m=0.5, longest_edge_m=5.0, isolated_radius_m=5.0)
+    table, _, facts, _ = compare_with_surface(cloud, reference, settings)
+    used = table[table["used"]]
+    assert facts["counts"]["points"] == 1600
+    assert len(used) > 1300
+    # steps of 1 mm (LAZ), 8 micrometres (single precision at 100 m) in both files
+    tolerance = 1.1e-3 if suffix == "laz" else 3e-5
+    np.testing.assert_allclose(used["distance_m"], 0.05 / np.sqrt(1.01), atol=tolerance)
+
+
+def as_file(path: Path, points: np.ndarray, frame: CRS) -> Path:
+    """Points (n, 3), a raster of 40 x 40 row by row, as a file of the suffix's format."""
+    match path.suffix:
+        case ".e57":
+            with pye57.E57(str(path), mode="w") as file:
+                file.write_scan_raw({f"cartesian{a}": points[:, k].copy() for k, a in enumerate("XYZ")})
+        case ".pcd":
+            head = "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
+            rows = "\n".join(" ".join(map(repr, row)) for row in points.tolist())
+            n = len(points)
+            path.write_text(f"{head}WIDTH {n}\nHEIGHT 1\nPOINTS {n}\nDATA ascii\n{rows}\n")
+        case ".ply":
+            head = "property double x\nproperty double y\nproperty double z\nend_header\n"
+            rows = "\n".join(" ".join(map(repr, row)) for row in points.tolist())
+            path.write_text(f"ply\nformat ascii 1.0\nelement vertex {len(points)}\n{head}{rows}\n")
+        case ".laz":
+            write_laz(path, [{"xyz_m": points}], frame)
+        case ".tif":
+            grid = Grid(west_m=20.0, north_m=61.0, cell_m=1.0, rows=40, columns=40, crs=frame)
+            write_raster(path, grid, {"height": points[:, 2].reshape(40, 40)})
+    return path

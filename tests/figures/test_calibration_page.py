@@ -1,6 +1,7 @@
 """The page on a calibration: its first sentence, its tables, and that it needs nothing from elsewhere."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -8,9 +9,9 @@ import pytest
 
 from thalweg.core import InputError, Rigid, rotation_opk
 from thalweg.core.calibration import Block, Calibration, Source, lever_block, pose_block
-from thalweg.figures import save
+from thalweg.figures import Finding, save
 from thalweg.figures.calibration import calibration_page, with_units
-from thalweg.figures.calibration.page import block_table, summary
+from thalweg.figures.calibration.page import block_table, head
 from thalweg.figures.calibration.quality import correlation_matrix
 
 
@@ -36,15 +37,28 @@ def boat():
     return Calibration(title="Camera & lidar", blocks=(block, clock), cov=joint, source=source)
 
 
-def test_the_first_sentence_has_the_sigmas(boat):
-    words = summary([boat])
-    assert "Camera lidar: lever arm of 16.0 cm with sigmas of 1, 0.4, 0.2 mm" in words
-    assert "rotation with sigmas of 0.067, 0.035, 0.015 degrees" in words
-    assert "Camera clock: offset +2.3471 s, sigma 3.1 ms." in words
+@pytest.mark.parametrize(
+    ("sigma0", "verdict"), [(1.013, "consistent"), (1.4, "too optimistic"), (np.nan, "")]
+)
+def test_the_head_has_the_sigmas_and_what_residuals_say_of_them(boat, sigma0, verdict):
+    told = replace(boat, source=replace(boat.source, sigma0=sigma0))
+    sentence, findings = head([told, boat] if sigma0 == 1.4 else [told])
+    assert sentence == (
+        f"Residuals of the adjustments say of the standard deviations: "
+        f"{f'{verdict} (2 of 2)' if verdict else 'cannot tell'}."
+    )
+    assert findings == [
+        Finding(
+            "camera lidar",
+            "lever arm of 16.0 cm ± 1, 0.4, 0.2 mm, rotation ± 0.067, 0.035, 0.015 degrees",
+            verdict,
+        ),
+        Finding("camera clock", "offset +2.3471 s, sigma 3.1 ms", verdict),
+    ]
     bare = Calibration(
         title="x", blocks=(lever_block("antenna", [0, 0, 0]),), cov=np.eye(3), source=boat.source
     )
-    assert summary([bare]) == "No block has sigmas of its own."
+    assert head([bare]) == ("No block has sigmas of its own.", [])
 
 
 def test_values_have_the_places_of_their_sigmas(boat):
@@ -146,7 +160,7 @@ def plain_text(page):
 
 def test_the_page_says_how_the_clock_runs(boat):
     words = plain_text(calibration_page([boat], facts={"camera_clock": CLOCK}))
-    assert "Clock of the camera: offset -2.3480 s, sigma 2.0 ms." in words
+    assert "clock of the camera offset -2.3480 s, sigma 2.0 ms consistent" in words
     assert "off by 22.9 ms (standard deviation, sigma 1.4 ms)" in words
     assert "148 images and on positions and attitude" in words
     # the drift of the published variant is held: no numbers

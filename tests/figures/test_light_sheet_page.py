@@ -28,8 +28,8 @@ CALIBRATION = {
         {"name": "camera_x_mm", "value": 0.0, "sigma": 0.0, "sigma_image": None, "treated": "held fixed"},
     ],
     "correlations": [["laser_kappa_rad", "camera_kappa_rad", 0.9245]],
-    "line_points": {"used": 989, "rejected": 3},
-    "pairs": {"used": 20, "rejected": 1},
+    "line_points": {"used": 989, "rejected": 3, "sigma0": 1.01, "neighbours_with_one_error": 4.0},
+    "pairs": {"used": 20, "rejected": 1, "sigma0": 1.9},
     "dropped": {"ends without a partner": 2},
     "levels": {"grid 1": {"depth_mm": 60.0, "points": 622, "gaps": 11, "rms_px": 0.044, "bias_px": 0.0}},
     "sigma_of_depth": [{"depth_mm": 60.0, "most_mm": 0.05, "most_uncorrelated_mm": 0.28}],
@@ -93,13 +93,16 @@ MODELS = pd.DataFrame(
     columns=["model", "depth_mm", "mean_mm", "std_mm", "low_mm", "high_mm", "n", "lost"],
 )
 PANELS = pd.DataFrame(
-    [("a.png", 128.9, 1024, -0.052, 0.11, 0.03, 0.21, 7)],
+    [("a.png", 128.9, 0.0, 1024, -0.052, 0.11, 0.12, 0.12, 0.03, 0.21, 7)],
     columns=[
         "file",
         "depth_mm",
+        "sigma_mm",
         "n",
         "mean_mm",
         "std_mm",
+        "rms_mm",
+        "predicted_mm",
         "published_mean_mm",
         "published_std_mm",
         "n_off_sheet",
@@ -141,9 +144,12 @@ def test_the_page_says_what_was_found_and_what_was_left_out(tmp_path) -> None:
     )
     for words in (
         "<h1>Light-sheet sensor: Basin</h1>",
-        "989 line points and 20 pairs of ends; 4 observations rejected",
-        "sigma of the depth 0.050 to 0.200 mm between 50 and 200 mm",
-        "means are off by at most 0.052 mm",
+        "<td>989 line points, 20 pairs of ends; 4 rejected</td>",
+        "<td>residuals of line points over their sigmas</td><td>1.01</td><td>consistent</td>",
+        "<td>residuals of pairs of ends over their sigmas</td><td>1.90</td><td>too optimistic</td>",
+        "<td>predicted sigma of depths of 50 to 200 mm</td><td>0.050 to 0.200 mm</td>",
+        "means off by at most 0.052 mm, standard deviations at most 0.110 mm</td><td>cannot tell</td>",
+        "Panels in known depths say of the sigmas of the depths: cannot tell.",
         "digital twin made these recordings",
         "within 0.012 mm of one plane",
         "Warning: the window may be tilted.",
@@ -167,6 +173,7 @@ def test_the_page_says_what_was_found_and_what_was_left_out(tmp_path) -> None:
 def test_a_page_without_panels_and_pictures() -> None:
     text = page()
     assert "Panel in known depths" not in text
+    assert "No panel in known depths judges the sigmas of the depths." in text
     assert "digital twin" not in text
     assert "<img" not in text
     assert "Beside the budget of P4" in text

@@ -15,12 +15,11 @@ from thalweg.ingest.registry import lidar_reader
 from thalweg.lidar import LogSettings, error_model_of_log, overlap
 from thalweg.lidar.cloud import LogSample
 from thalweg.lidar.overlap import (
+    Planes,
     Scatter,
     _at_knots,
     _joined,
     _Likelihood,
-    _Planes,
-    _planes,
     _positive,
     _principal_axes,
     _scatter_of_epochs,
@@ -28,6 +27,7 @@ from thalweg.lidar.overlap import (
     _without_planes,
     estimate_beam,
     estimate_pose_errors,
+    planes_seen_again,
     windows_of,
 )
 from thalweg.navigation.ins_gnss import NAMES, ErrorModel, PriorErrors
@@ -224,7 +224,7 @@ def test_of_too_many_planes_some_are_taken_once_each() -> None:
     place = np.stack(np.divmod(np.arange(1300), 40), axis=1) + 0.5
     xy = np.repeat(0.5 * place, 25, axis=0) + rng.uniform(-0.24, 0.24, (1300 * 25, 2))
     points = np.column_stack([xy, 0.25 + 0.001 * rng.standard_normal(len(xy))])
-    planes = _planes(points, np.tile(0.1 * np.arange(25.0), 1300))
+    planes = planes_seen_again(points, np.tile(0.1 * np.arange(25.0), 1300))
     assert planes.n == 1200
     assert len(np.unique(planes.owner)) == 1200
 
@@ -292,7 +292,7 @@ def test_roughness_is_the_scatter_within_half_a_second_of_the_first_point(lag_s:
     t = 0.125 + 0.05 * np.arange(50)
     up = 0.07 * (-1.0) ** np.floor((t - 0.125 + lag_s) / 0.5 + 1e-9)
     x = np.column_stack([rng.uniform(0.02, 0.48, (50, 2)), 0.25 + up])
-    assert _planes(x, t).n == planes
+    assert planes_seen_again(x, t).n == planes
 
 
 def test_the_scatter_about_planes_by_hand() -> None:
@@ -306,7 +306,7 @@ def test_the_scatter_about_planes_by_hand() -> None:
     )
     assert of_plane.tolist() == [0, 0, 1, 1, 1]
     d = np.tile([1.0, -1.0], 16) * np.repeat([1e-3, 3e-3, 2e-3], [10, 10, 12]) + 0.05 * joined
-    planes = _Planes(order=np.arange(32), owner=owner, centre_m=np.zeros((2, 3)), axes=np.zeros((2, 3, 3)))
+    planes = Planes(order=np.arange(32), owner=owner, centre_m=np.zeros((2, 3)), axes=np.zeros((2, 3, 3)))
     noise = np.repeat([4e-6, 1e-6], [20, 12]), np.r_[np.full(10, 1e-6), np.full(10, 3e-6), np.zeros(12)]
     found = _scatter_of_epochs(d, planes, joined, noise)
     np.testing.assert_allclose(found.freedom, [16.2])

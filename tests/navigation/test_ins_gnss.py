@@ -175,6 +175,25 @@ def test_a_float_solution_enters_only_if_accepted() -> None:
     assert loose.at(np.array([T0 + 6.5]))[2][0]
 
 
+@pytest.mark.parametrize(
+    ("floats", "used"),
+    [
+        ((50, 80), 200),  # a hole of 3 s is filled
+        ((50, 53), 197),  # one of 0.4 s is interpolated, without what is less certain
+        ((0, 200), 200),  # a base far away: all are float
+        ((0, 60), 200),  # before the first fix
+    ],
+)
+def test_auto_takes_float_positions_in_holes_of_fixed_ones(floats: tuple[int, int], used: int) -> None:
+    positions, states = survey()
+    positions.loc[positions.index[slice(*floats)], "fix"] = "float"
+    trajectory, summary = build(positions, states, accept_fixes="auto")
+    assert summary.n_positions_used == used
+    assert trajectory.at(np.array([T0 + 5.15]))[2][0]
+    positions.loc[positions.index[190:195], "fix"] = "single"
+    assert build(positions, states, accept_fixes="auto")[1].n_positions_used < used
+
+
 def test_bad_input_is_told_with_numbers() -> None:
     positions, states = survey()
     single = positions.assign(fix="single")

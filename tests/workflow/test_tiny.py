@@ -19,7 +19,9 @@ from thalweg.core.timescales import week_from_gps
 from thalweg.ingest import INS_STATE, LidarOptions
 from thalweg.ingest.registry import lidar_reader
 from thalweg.lidar import CORRELATIONS, SIGMAS, LogSettings, georeference_log
+from thalweg.settings import load_campaign
 from thalweg.settings.sections import Filters, LidarAccuracy
+from thalweg.workflow import CampaignFiles
 from thalweg_lab.instruments import LIDAR_SHOTS, EchoKind
 from thalweg_lab.river import BARE_GROUND, Scene
 from thalweg_lab.truth import TrueReturns, Truth, compare_cloud
@@ -462,6 +464,51 @@ def test_logs_of_a_survey_go_the_same_way(tiny_house, source: str) -> None:
     assert "plot_error_versus_range" not in rules
     assert (base / "figures/cloud_detail.png").is_file()
     assert ("front_page" in rest.stdout + rest.stderr) == (source != "sbp")
+
+
+def test_an_sbet_and_photographs_give_the_chains_of_camera_and_all_sensors(tiny_house) -> None:
+    """No lidar, no GNSS: an SBET states no fix; its standard deviations are what counts."""
+    root, base = tiny_house.root, tiny_house.root / BASE
+    week = write_sbet(base / "ingest/ins_states.parquet", root / "finished.sbet")
+    own = yaml.safe_load((root / "config/campaigns/tiny.yaml").read_text())
+    own["images"]["cloud"] = {"motion": "trajectory"}
+    campaign = {
+        "campaign": own["campaign"] | {"id": "sbet_photographs"},
+        "logs": {
+            "sbet": [str(root / "finished.sbet")],
+            "gps_week": week,
+            "time_lapse": {
+                "images": [str(base / "simulation/logs/time_lapse/*.jpg")],
+                "orientations": [str(base / "orientation/image_poses.parquet")],
+            },
+        },
+        "mounts": {"camera": own["mounts"]["camera"]},
+        "orientation": {"position_source": "sbet"},
+        "ins": {"sigma_position_m": [0.6, 0.6, 1.0]},
+        "images": own["images"],
+    }
+    path = root / "config/campaigns/sbet_photographs.yaml"
+    path.write_text(yaml.safe_dump(campaign))
+    products = CampaignFiles(
+        name="sbet_photographs", campaigns={"sbet_photographs": load_campaign(path)}
+    ).products()
+    assert {row.name for row in products if row.made} == {
+        "trajectory of the boat",
+        "trajectories by camera and by all sensors",
+    }
+    tiny_house.snakemake("--config", "campaign=sbet_photographs")
+    results = root / "results/sbet_photographs"
+    for row in products:
+        assert (root / row.file).is_file() == row.made, row.name
+    true = Trajectory.read(base / "simulation/truth/trajectory.parquet")
+    fused = Trajectory.read(results / "orientation/trajectory_fused.parquet")
+    use = fused.valid
+    position, _, inside = true.at(fused.t_gps_s[use])
+    off = (fused.position_wcs_m[use] - position)[inside] / fused.sigma_position_m[use][inside]
+    # the errors of one voyage hang together: some hundred nodes are a few observations
+    assert 0.05 < np.mean(off**2) < 4.0
+    text = (results / "index.html").read_text()
+    assert "trajectories by camera and by all sensors" in text
 
 
 def test_a_campaign_is_written_from_a_folder_of_logs(tiny_house) -> None:

@@ -5,6 +5,8 @@ rule scan_lidar:
     """Clock, counts and losses of the lidar log; the points are streamed later."""
     input:
         lidar=raw("lidar"),
+        trajectory=of(CampaignFiles.telling_trajectory),
+        mounts=of(CampaignFiles.telling_mounts),
     output:
         clock="results/{campaign}/ingest/lidar.clock.json",
         integrity="results/{campaign}/ingest/lidar.integrity.json",
@@ -22,6 +24,7 @@ rule scan_lidar:
         code=code_version("scan_lidar"),
         stated=section("lidar", "clock"),
         lidar_options=of(CampaignFiles.lidar_options),
+        filters=section("filters"),
     script:
         "../scripts/scan_lidar.py"
 

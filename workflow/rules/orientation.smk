@@ -6,7 +6,7 @@ rule build_trajectory:
     input:
         states=of(CampaignFiles.ins_states),
         positions="results/{campaign}/ingest/positions.parquet",
-        streams="results/{campaign}/timing/streams.csv",
+        streams=of(CampaignFiles.streams_before_poses),
         mounts="results/{campaign}/calibration/mounts.json",
     output:
         trajectory="results/{campaign}/orientation/trajectory_stated.parquet",

@@ -36,13 +36,14 @@ def main(
     own = orientation["position_source"] in ("ins", "sbet")  # positions of the ics origin itself
     lever = np.array([0.0, 0.0, 0.0] if own else sensors["antenna"]["lever_ics_m"])
     if lidar:
+        timed = LidarClock.from_dict(json.loads(clock[0].read_text()))
         model = error_model_of_log(
             lidar_reader(lidar, LidarOptions(**lidar_options)),
-            LidarClock.from_dict(json.loads(clock[0].read_text())),
+            timed,
             poses,
             LogSettings(
                 mount=Rigid.from_mount(sensors["lidar"]),
-                beam=lidar_accuracy,
+                beam=lidar_accuracy.with_clock(timed.sigma_s),
                 filters=filters,
                 **georeferencing,
             ),

@@ -29,13 +29,14 @@ def main(
     georeferencing: dict[str, Any],
     filters: Filters,
 ) -> None:
+    timed = LidarClock.from_dict(json.loads(clock.read_text()))
     table = georeference_log(
         lidar_reader(lidar, LidarOptions(**lidar_options)),
-        LidarClock.from_dict(json.loads(clock.read_text())),
+        timed,
         Trajectory.read(trajectory),
         LogSettings(
             mount=Rigid.from_mount(read_mounts(mounts)["lidar"]),
-            beam=lidar_accuracy.scaled(**beam_factors(error_model)),
+            beam=lidar_accuracy.scaled(**beam_factors(error_model)).with_clock(timed.sigma_s),
             filters=filters,
             **georeferencing,
         ),

@@ -87,11 +87,13 @@ class LidarClock:
     first_packet : first packet index of each stretch; the first one is 0.
     device_extra_s : added to the unrolled stamp: whole hours that a hole has hidden.
     gps_minus_device_s : adjusted GPS time minus device time, NaN where the sensor was unsynchronised.
+    sigma_s : standard deviation of times that were estimated; 0 where PPS or a person tells them.
     """
 
     first_packet: tuple[int, ...] = (0,)
     device_extra_s: tuple[float, ...] = (0.0,)
     gps_minus_device_s: tuple[float, ...] = (math.nan,)
+    sigma_s: float = 0.0
 
     def _stretch(self, packet: ArrayI) -> ArrayI:
         return np.searchsorted(np.array(self.first_packet), packet, side="right") - 1
@@ -108,12 +110,13 @@ class LidarClock:
         """Adjusted GPS time of packets from their index and device time; NaN if unsynchronised."""
         return np.asarray(t_device_s + self.offset_s(packet))
 
-    def to_dict(self) -> dict[str, list[Any]]:
+    def to_dict(self) -> dict[str, Any]:
         """Plain lists for JSON or YAML; NaN becomes None."""
         return {
             "first_packet": list(self.first_packet),
             "device_extra_s": list(self.device_extra_s),
             "gps_minus_device_s": [None if math.isnan(v) else v for v in self.gps_minus_device_s],
+            "sigma_s": self.sigma_s,
         }
 
     @classmethod
@@ -123,6 +126,7 @@ class LidarClock:
             first_packet=tuple(int(v) for v in data["first_packet"]),
             device_extra_s=tuple(float(v) for v in data["device_extra_s"]),
             gps_minus_device_s=tuple(math.nan if v is None else float(v) for v in data["gps_minus_device_s"]),
+            sigma_s=float(data.get("sigma_s", 0.0)),
         )
 
 
@@ -181,6 +185,8 @@ class LidarScan:
     model : decoded as this model.
     return_mode : strongest, last, dual, or mixed if it changes.
     n_points : points that `iter_points` yields with the same options.
+    sentences : device time and GPS time of each NMEA sentence that came without PPS; the first is when
+        the sensor sent it on.
     """
 
     report: IntegrityReport
@@ -188,6 +194,7 @@ class LidarScan:
     model: str
     return_mode: str
     n_points: int
+    sentences: tuple[tuple[float, float], ...] = ()
 
 
 class LidarReader(Protocol):

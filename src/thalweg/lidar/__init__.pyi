@@ -1,16 +1,20 @@
+from .clock import (
+    clock_by_hand as clock_by_hand,
+    clock_from_motion as clock_from_motion,
+    clock_from_sentences as clock_from_sentences,
+    with_stated_clock as with_stated_clock,
+)
 from .cloud import (
     CORRELATION_DIMENSIONS as CORRELATION_DIMENSIONS,
     CORRELATIONS as CORRELATIONS,
     REMOVED_POINTS as REMOVED_POINTS,
     SIGMAS as SIGMAS,
     LogSettings as LogSettings,
-    clock_by_hand as clock_by_hand,
     cloud_covariance as cloud_covariance,
     export_copc as export_copc,
     export_map as export_map,
     georeference_log as georeference_log,
     sample_cloud as sample_cloud,
-    with_stated_clock as with_stated_clock,
 )
 from .colour import (
     COLOUR_DIMENSIONS as COLOUR_DIMENSIONS,

@@ -4,7 +4,7 @@ import logging
 import struct
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO, Final
@@ -24,7 +24,6 @@ from thalweg.core import (
     ArrayF32,
     ArrayI,
     ArrayU8,
-    ClockError,
     CoverageError,
     ExtraDimension,
     InputError,
@@ -34,7 +33,6 @@ from thalweg.core import (
     Trajectory,
     column,
     frame_of,
-    gps_from_unix,
     iter_laz,
     laz_header,
     library_errors,
@@ -43,7 +41,7 @@ from thalweg.core import (
     write_table,
 )
 from thalweg.core.geometry import CELLS_BITS, Node, build_octree
-from thalweg.ingest import IntegrityReport, LidarClock, LidarReader, LidarScan, PointBlock
+from thalweg.ingest import LidarClock, LidarReader, PointBlock
 from thalweg.lidar.filters import (
     REMOVED,
     Occupancy,
@@ -54,7 +52,7 @@ from thalweg.lidar.filters import (
     water_level_m,
 )
 from thalweg.lidar.georeference import WorldPoints, georeference_points
-from thalweg.settings.sections import Filters, Georeferencing, LidarAccuracy, LidarClockStated
+from thalweg.settings.sections import Filters, Georeferencing, LidarAccuracy
 
 SIGMAS: Final = ("sigma_east", "sigma_north", "sigma_up")
 """Extra dimensions with the standard deviations of a point along the axes of wcs, metres."""
@@ -120,78 +118,6 @@ class LogSettings:
     laz_scale_m: float = Georeferencing().laz_scale_m
     correlations: bool = False
     chunk_points: int = Georeferencing().chunk_points
-
-
-def clock_by_hand(
-    reader: LidarReader, clock: LidarClock, *, first_t_gps_s: float | None = None, offset_s: float = 0.0
-) -> LidarClock:
-    """A clock of the lidar that a person states, whole or in part.
-
-    Parameters
-    ----------
-    reader : the log.
-    clock : of its scan.
-    first_t_gps_s : GPS time of the first packet of a lidar that had no GPS; stretches with GPS time of their
-        own keep it.
-    offset_s : added to the time of every packet.
-
-    Raises
-    ------
-    ClockError : packets without GPS time, and no time is stated.
-    """
-    offsets = np.array(clock.gps_minus_device_s)
-    unknown = np.isnan(offsets)
-    if unknown.all() and first_t_gps_s is None:
-        raise ClockError(
-            "the lidar never had GPS time",
-            expected="a capture with locked PPS and NMEA, or a time of its first packet",
-            cure="Give the time of the first packet (--first-packet)",
-        )
-    if unknown.any() and first_t_gps_s is not None:
-        first = next(iter(reader.points(clock, max_points=1000)))
-        offsets[unknown] = first_t_gps_s - float(first.t_device_s[0])
-    return replace(clock, gps_minus_device_s=tuple((offsets + offset_s).tolist()))
-
-
-def with_stated_clock(
-    reader: LidarReader, scan: LidarScan, stated: LidarClockStated
-) -> tuple[LidarClock, IntegrityReport]:
-    """The clock of a scan with what a person states of its time, and the report that says so.
-
-    Parameters
-    ----------
-    reader, scan : the log.
-    stated : section ``lidar.clock``.
-
-    Raises
-    ------
-    ClockError : as of `clock_by_hand`.
-    """
-    report, offset_s = scan.report, stated.offset_s
-    unix_s = stated.first_packet_unix_s
-    first = None if unix_s is None else float(gps_from_unix(unix_s))
-    if first is None and offset_s == 0:
-        return scan.clock, report
-    if first is None and not report.synchronised:
-        return scan.clock, report  # the offset of a clock that nobody knows; told where the streams meet
-    clock = clock_by_hand(reader, scan.clock, first_t_gps_s=first, offset_s=offset_s)
-    shift_s = offset_s
-    if not report.synchronised:
-        shift_s = clock.gps_minus_device_s[0]
-        report.notes = [note for note in report.notes if not note.startswith("The lidar is unsynchronised")]
-        report.note(
-            f"No GPS time in the log: its first packet is stated to be of {stated.first_packet_utc} "
-            "(lidar.clock)"
-        )
-        report.losses.pop("unsynchronised_packets", None)
-        report.timing.unsynchronised_s, report.timing.unsynchronised = 0.0, []
-    if offset_s:
-        report.note(f"All times of the lidar are shifted by {offset_s:+g} s (lidar.clock.offset_s)")
-    report.synchronised, report.time_scale = True, "utc"
-    report.gaps = [replace(gap, t_start_s=gap.t_start_s + shift_s) for gap in report.gaps]
-    if report.t_first_s is not None and report.t_last_s is not None:
-        report.t_first_s, report.t_last_s = report.t_first_s + shift_s, report.t_last_s + shift_s
-    return clock, report
 
 
 def georeference_log(

@@ -253,7 +253,7 @@ def _positive(matrix: ArrayF) -> ArrayF:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Planes:
+class Planes:
     """Points of plane spots: rows ``order`` (m,) of the sample, their plane ``owner`` (m,), centres, axes."""
 
     order: ArrayI
@@ -267,8 +267,8 @@ class _Planes:
         return len(self.centre_m)
 
 
-def _planes(x: ArrayF, t: ArrayF) -> _Planes:
-    """Cells whose points are plane and were seen for some time; the same for the same points."""
+def planes_seen_again(x: ArrayF, t: ArrayF) -> Planes:
+    """Cells whose points (n, 3) are plane and were seen for some time; the same for the same points."""
     rng = np.random.default_rng(len(x))
     key = np.floor(x / CELL_M).astype(np.int64)
     key -= key.min(axis=0)
@@ -295,21 +295,21 @@ def _planes(x: ArrayF, t: ArrayF) -> _Planes:
     keep = (number[owner] >= 0) & (np.abs(along) < OUTLIER * thickness[owner])
     order, owner = order[keep], number[owner[keep]]
     _, centre, _, axes = _principal_axes(x[order], owner, len(chosen))
-    return _Planes(order=order, owner=owner, centre_m=centre, axes=axes)
+    return Planes(order=order, owner=owner, centre_m=centre, axes=axes)
 
 
 def _principal_axes(x: ArrayF, owner: ArrayI, n_groups: int) -> tuple[ArrayF, ArrayF, ArrayF, ArrayF]:
     """Numbers (g,), centres (g, 3), variances (g, 3) and axes (g, 3, 3) of groups of points, least first."""
     n = np.bincount(owner, minlength=n_groups).astype(np.float64)
     share = np.maximum(n, 1.0)
-    centre = _sums(x, owner, n_groups) / share[:, None]
+    centre = sums(x, owner, n_groups) / share[:, None]
     y = x - centre[owner]
-    moments = _sums((y[:, :, None] * y[:, None, :]).reshape(-1, 9), owner, n_groups) / share[:, None]
+    moments = sums((y[:, :, None] * y[:, None, :]).reshape(-1, 9), owner, n_groups) / share[:, None]
     values, axes = np.linalg.eigh(moments.reshape(-1, 3, 3))
     return n, centre, np.maximum(values, 0.0), axes
 
 
-def _sums(values: ArrayF, owner: ArrayI, n: int) -> ArrayF:
+def sums(values: ArrayF, owner: ArrayI, n: int) -> ArrayF:
     """Sums (n, k) of the rows of values (m, k) by their owner."""
     return np.stack([np.bincount(owner, column, n) for column in values.T], axis=1)
 
@@ -327,7 +327,7 @@ def _window(
     """Normal equations of the errors at the knots of a window; None if there are too few planes."""
     if len(sample.t_gps_s) < LEAST_POINTS * LEAST_PLANES:
         return None
-    planes = _planes(sample.xyz_wcs_m, sample.t_gps_s)
+    planes = planes_seen_again(sample.xyz_wcs_m, sample.t_gps_s)
     if planes.n < LEAST_PLANES:
         return None
     x, t = sample.xyz_wcs_m[planes.order], sample.t_gps_s[planes.order]
@@ -349,7 +349,7 @@ def _window(
     scatter, freedom = _scatter(local[:, 0], planes.owner, since, planes.n)
     joined, owner = _joined(planes.owner, since, epoch, length_s)
     n = np.bincount(joined).astype(np.float64)
-    mean = _sums(np.column_stack([local, since, pose, border]), joined, len(n)) / n[:, None]
+    mean = sums(np.column_stack([local, since, pose, border]), joined, len(n)) / n[:, None]
     enough = (freedom >= 8) & (np.bincount(owner, minlength=planes.n) >= 5)
     keep = enough[owner]
     owner, mean, n = owner[keep], mean[keep], n[keep]
@@ -379,7 +379,7 @@ def _window(
 
 
 def _noise(
-    x: ArrayF, scanner_wcs_m: ArrayF, normal: ArrayF, sample: LogSample, planes: _Planes, beam: LidarAccuracy
+    x: ArrayF, scanner_wcs_m: ArrayF, normal: ArrayF, sample: LogSample, planes: Planes, beam: LidarAccuracy
 ) -> tuple[ArrayF, ArrayF]:
     """Predicted variances (m,) along the normals: of range and directions, and of the footprint."""
     ray = x - scanner_wcs_m
@@ -391,7 +391,7 @@ def _noise(
     return component, (1 - along) * (beam.footprint_share * beam.divergence_rad * range_m) ** 2
 
 
-def _scatter_of_epochs(d: ArrayF, planes: _Planes, joined: ArrayI, noise: tuple[ArrayF, ArrayF]) -> Scatter:
+def _scatter_of_epochs(d: ArrayF, planes: Planes, joined: ArrayI, noise: tuple[ArrayF, ArrayF]) -> Scatter:
     """Scatter about the planes among points of the same epoch: no error of a pose is in it."""
     members = np.bincount(joined)
     left = d - (np.bincount(joined, d) / members)[joined]
@@ -502,7 +502,7 @@ def _without_planes(
     number = np.unique(owner, return_inverse=True)[1]
     n = int(number.max()) + 1
     B = np.column_stack([np.ones(len(d)), uv]) * weight[:, None]
-    square = _sums((B[:, :, None] * B[:, None, :]).reshape(-1, 9), number, n).reshape(-1, 3, 3)
+    square = sums((B[:, :, None] * B[:, None, :]).reshape(-1, 9), number, n).reshape(-1, 3, 3)
     square += 1e-9 * np.trace(square, axis1=1, axis2=2)[:, None, None] * np.eye(3)
     root = np.linalg.cholesky(np.linalg.inv(square))
     B = np.einsum("ni,nij->nj", B, root[number])

@@ -868,7 +868,11 @@ def _check_stated_clock(parts: Parts) -> Iterator[Mistake]:
     """A time that a person states is not as good as PPS, which the default stands for."""
     stated = parts.raw("lidar", "clock")
     given = [key for key in ("first_packet_utc", "offset_s") if isinstance(stated, dict) and stated.get(key)]
-    if given and parts.raw("lidar_accuracy", "sigma_time_s") is None:
+    if (
+        given
+        and parts.raw("lidar", "clock", "source") in (None, "stated")
+        and (parts.raw("lidar_accuracy", "sigma_time_s") is None)
+    ):
         yield Mistake(
             path=("lidar", "clock", given[0]),
             found="a stated time, without saying how well it is known",

@@ -63,6 +63,7 @@ def campaign_text(
     if alone:
         return "\n".join([*_head(name, schema), *alone]) + "\n"
     source, gnss = _source(listed)
+    fixes = "auto" if source == "ppk" else "[fixed]"
     levers = "  # CHANGE: metres forward, right, down of the INS"
     lines = [
         *_head(name, schema),
@@ -90,7 +91,7 @@ def campaign_text(
         "",
         "orientation:",
         f"  position_source: {source}  # pos, sbp, ppk, nmea, sbet or ins",
-        *(_ORDINARY_GNSS if source == "nmea" else ["  accept_fixes: [fixed]"]),
+        *(_ORDINARY_GNSS if source == "nmea" else [f"  accept_fixes: {fixes}"]),
         *_without_control(listed, source),
         *(
             ["", "# filters: {below_water_m: null, mirror_ghosts: false}  # where there is no water"]

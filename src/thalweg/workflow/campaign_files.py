@@ -171,6 +171,21 @@ class CampaignFiles:
         """The clock of the lidar, where there is one."""
         return self._where(self.has_lidar(), "ingest/lidar.clock.json")
 
+    def _motion_tells_time(self) -> bool:
+        return self.has_lidar() and self.campaign.lidar.clock.source == "motion"
+
+    def telling_trajectory(self) -> list[str]:
+        """The trajectory that tells the time of a lidar without GPS, where one does."""
+        return self._where(self._motion_tells_time(), "orientation/trajectory_stated.parquet")
+
+    def telling_mounts(self) -> list[str]:
+        """The mounts beside it."""
+        return self._where(self._motion_tells_time(), "calibration/mounts.json")
+
+    def streams_before_poses(self) -> list[str]:
+        """The common time axis, where it can be known before the poses."""
+        return self._where(not self._motion_tells_time(), "timing/streams.csv")
+
     def ins_points(self) -> list[str]:
         """The cloud by INS and GNSS, where there is a lidar."""
         return self._where(self.has_lidar(), "lidar/points.laz")
@@ -993,7 +1008,6 @@ class CampaignFiles:
         alone = self._products_alone()
         if alone or not self._is_survey():
             return alone
-        chains = self.has_time_lapse() and self.has_lidar()
         rows = (
             ("trajectory of the boat", self.trajectory("ins"), True, ""),
             (
@@ -1034,9 +1048,10 @@ class CampaignFiles:
             ),
             (
                 "trajectories by camera and by all sensors",
-                self._result("accuracy/trajectories.html"),
-                chains,
-                "logs.time_lapse and logs.lidar",
+                # compared by what they make of the cloud, where there is one
+                self._result("accuracy/trajectories.html") if self.has_lidar() else self.trajectory("fused"),
+                self.has_time_lapse(),
+                "logs.time_lapse",
             ),
             (
                 "strip of the bed by the light sheet",

@@ -2,15 +2,13 @@
 
 import json
 import logging
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-from pyproj import CRS
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
@@ -24,15 +22,15 @@ from thalweg.core import (
     GeometryError,
     InputError,
     LazWriter,
-    LocalFrame,
     column,
     table_kind,
     write_table,
 )
 from thalweg.core.geometry import TriangleMesh
 from thalweg.deformation import CHANGES, Comparison, cloud_to_cloud, judge_changes, measure_distances
+from thalweg.deformation.foreign.surfaces import one_frame, read_dsm
 from thalweg.ingest.clouds import read_cloud, read_pcd
-from thalweg.settings.sections import TEXT_ENDINGS, Accuracy, ReferenceSettings
+from thalweg.settings.sections import DSM_ENDINGS, TEXT_ENDINGS, Accuracy, ReferenceSettings
 from thalweg.surface import Surface, mesh_reference, read_triangles
 
 log = logging.getLogger("thalweg")
@@ -67,12 +65,15 @@ class Points:
 
 
 def read_points(path: Path) -> Points:
-    """Points of a cloud (LAS, LAZ, PLY, E57, PCD) or of a table of coordinates.
+    """Points of a cloud (LAS, LAZ, PLY, E57, PCD), of a table of coordinates, or centres of a raster's cells.
 
     Raises
     ------
     InputError : no such file, no points, or a table without three columns of numbers.
     """
+    if path.suffix.lower() in DSM_ENDINGS:
+        dsm = read_dsm(path)
+        return Points(dsm.points_m(), dsm.frame, path)
     if path.suffix.lower() == ".pcd":
         return Points(np.asarray(read_pcd(path).xyz_m, np.float64), None, path)
     if path.suffix.lower() not in TEXT or not path.is_file():
@@ -272,57 +273,6 @@ def sigma_of_mean(table: pd.DataFrame, radius_m: float, correlation_m: float) ->
     return float(np.sqrt(variance))
 
 
-class Placed(Protocol):
-    """What lies in a frame: a cloud, a raster, polygons of a file."""
-
-    @property
-    def frame(self) -> Frame:
-        """Coordinate system; None where none is stated."""
-
-    @property
-    def path(self) -> Path:
-        """File that it comes from."""
-
-
-def one_frame(placed: Sequence[Placed]) -> tuple[Frame, list[str]]:
-    """The frame of all, and a note of those that state none.
-
-    Raises
-    ------
-    InputError : different frames, or one that is not in metres.
-    """
-    stated = [each for each in placed if each.frame is not None]
-    for each in stated:
-        if isinstance(each.frame, CRS):
-            units = {axis.unit_name for axis in each.frame.axis_info}
-            if units - {"metre"}:
-                raise InputError(
-                    f"{each.frame.name}: coordinates in {', '.join(sorted(units - {'metre'}))}",
-                    expected="east, north and heights in metres",
-                    where=each.path,
-                    cure="Transform them to a map projection and heights in metres",
-                )
-        if not _same(stated[0].frame, each.frame):
-            names = [
-                item.frame.name if isinstance(item.frame, CRS) else "a local frame"
-                for item in (stated[0], each)
-            ]
-            raise InputError(
-                f"{stated[0].path} states {names[0]}, {each.path} {names[1]}",
-                expected="one coordinate system, with the same heights",
-                cure="Transform one of them before the comparison",
-            )
-    missing = [str(each.path) for each in placed if each.frame is None]
-    notes = [f"No coordinate system in {', '.join(missing)}: taken as that of the other."] if missing else []
-    return (stated[0].frame if stated else None), notes
-
-
-def _same(a: Frame, b: Frame) -> bool:
-    if isinstance(a, LocalFrame) or isinstance(b, LocalFrame):
-        return a == b
-    return bool(a.equals(b, ignore_axis_order=True)) if a is not None else b is None
-
-
 def compare_with_surface(
     cloud: Path,
     reference: Path,
@@ -337,8 +287,9 @@ def compare_with_surface(
 
     Parameters
     ----------
-    cloud : LAS, LAZ, PLY, E57, x y z text.
-    reference : a mesh (PLY with faces), or a cloud, which is meshed.
+    cloud : a file as of `read_points`.
+    reference : a mesh (PLY with faces), a surface model (GeoTIFF; the centres of its cells are joined by
+        triangles), or a cloud, which is meshed.
     settings : how a cloud is meshed; its ``sigma_m`` joins that of the surface's own noise.
     seen_from_m : place in the common frame from which the reference is seen: its front, where distances are
         positive; None: from above. A mesh has its front by itself.
@@ -362,9 +313,15 @@ def compare_with_surface(
     CoverageError : no point is near enough.
     """
     points = read_points(cloud)
-    triangles = read_triangles(reference)
-    vertices = read_points(reference) if triangles is None else Points(triangles[0], None, reference)
+    dsm = read_dsm(reference) if reference.suffix.lower() in DSM_ENDINGS else None
+    if dsm is not None:
+        mesh = dsm.mesh()
+        triangles, vertices = (mesh.vertices_m, mesh.faces), Points(mesh.vertices_m, dsm.frame, reference)
+    else:
+        triangles = read_triangles(reference)
+        vertices = read_points(reference) if triangles is None else Points(triangles[0], None, reference)
     frame, notes = one_frame([points, vertices])
+    notes += [] if dsm is None else dsm.notes
     origin = np.round(np.median(vertices.xyz_m, axis=0))  # large coordinates would cost digits
     facts: dict[str, Any] = {}
     if triangles is None:

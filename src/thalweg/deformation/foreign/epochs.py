@@ -50,12 +50,13 @@ from thalweg.deformation import (
     pose_weights,
     rows_of_weights,
 )
-from thalweg.deformation.foreign.clouds import ROUGHNESS_ALONE, density_notes, one_frame, read_points
+from thalweg.deformation.foreign.clouds import ROUGHNESS_ALONE, density_notes, read_points
 from thalweg.deformation.foreign.surfaces import (
     Dsm,
     HeightErrors,
     Shapes,
     mask_missing,
+    one_frame,
     read_dsm,
     read_shapes,
 )

@@ -21,6 +21,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import pandas as pd
@@ -35,8 +36,10 @@ from scipy.stats import norm
 from thalweg.core import (
     ArrayB,
     ArrayF,
+    Frame,
     GeometryError,
     InputError,
+    LocalFrame,
     UnsupportedError,
     column,
     frame_of,
@@ -46,7 +49,6 @@ from thalweg.core import (
     write_table,
 )
 from thalweg.core.geometry import TriangleMesh
-from thalweg.deformation.foreign.clouds import one_frame
 from thalweg.settings.sections import DSM_ENDINGS
 
 # ---------------------------------------------------------------- outlines
@@ -376,6 +378,60 @@ class SurfaceDifference:
     sigma_m: ArrayF
     volumes: pd.DataFrame
     notes: list[str]
+
+
+# ---------------------------------------------------------------- frames
+
+
+class Placed(Protocol):
+    """What lies in a frame: a cloud, a raster, polygons of a file."""
+
+    @property
+    def frame(self) -> Frame:
+        """Coordinate system; None where none is stated."""
+
+    @property
+    def path(self) -> Path:
+        """File that it comes from."""
+
+
+def one_frame(placed: Sequence[Placed]) -> tuple[Frame, list[str]]:
+    """The frame of all, and a note of those that state none.
+
+    Raises
+    ------
+    InputError : different frames, or one that is not in metres.
+    """
+    stated = [each for each in placed if each.frame is not None]
+    for each in stated:
+        if isinstance(each.frame, CRS):
+            units = {axis.unit_name for axis in each.frame.axis_info}
+            if units - {"metre"}:
+                raise InputError(
+                    f"{each.frame.name}: coordinates in {', '.join(sorted(units - {'metre'}))}",
+                    expected="east, north and heights in metres",
+                    where=each.path,
+                    cure="Transform them to a map projection and heights in metres",
+                )
+        if not _same(stated[0].frame, each.frame):
+            names = [
+                item.frame.name if isinstance(item.frame, CRS) else "a local frame"
+                for item in (stated[0], each)
+            ]
+            raise InputError(
+                f"{stated[0].path} states {names[0]}, {each.path} {names[1]}",
+                expected="one coordinate system, with the same heights",
+                cure="Transform one of them before the comparison",
+            )
+    missing = [str(each.path) for each in placed if each.frame is None]
+    notes = [f"No coordinate system in {', '.join(missing)}: taken as that of the other."] if missing else []
+    return (stated[0].frame if stated else None), notes
+
+
+def _same(a: Frame, b: Frame) -> bool:
+    if isinstance(a, LocalFrame) or isinstance(b, LocalFrame):
+        return a == b
+    return bool(a.equals(b, ignore_axis_order=True)) if a is not None else b is None
 
 
 # ---------------------------------------------------------------- reading

@@ -8,9 +8,10 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
+from thalweg.accuracy import verdict_of, verdict_of_ratio
 from thalweg.core import AnyArray
 from thalweg.core.calibration import Block, Calibration, read_calibration, unit_of
-from thalweg.figures import Page, count, plural
+from thalweg.figures import Finding, Page, count, plural
 from thalweg.figures.calibration.tables import read_figure_table
 from thalweg.ingest.registry import largest_correlations, with_sigma
 
@@ -190,7 +191,7 @@ def calibration_page(
     InputError : a picture is missing.
     """
     facts = facts or {}
-    page = Page(title, summary(calibrations, facts))
+    page = Page(title, *head(calibrations, facts))
     if twin:
         page.text(TWIN_NOTE)
     shown: dict[str, tuple[str, AnyArray]] = {}
@@ -306,36 +307,48 @@ def _clock(page: Page, facts: Mapping[str, Mapping[str, Any]]) -> None:
         page.text(stability_words(stability))
 
 
-def summary(calibrations: Sequence[Calibration], facts: Mapping[str, Mapping[str, Any]] | None = None) -> str:
-    """The first sentences: each block with its sigmas in words, once."""
-    sentences: list[str] = []
+def head(
+    calibrations: Sequence[Calibration], facts: Mapping[str, Mapping[str, Any]] | None = None
+) -> tuple[str, list[Finding]]:
+    """The first sentence, and each block once: its sigmas, and what its residuals say of them."""
+    findings: dict[str, Finding] = {}
     for calibration in calibrations:
+        source = calibration.source
+        told = ""
+        if np.isfinite(source.sigma0) and source.observations:
+            told = verdict_of(source.sigma0**2, source.observations)
         for block in calibration.blocks:
             words = _block_in_words(calibration, block)
-            if words and words not in sentences:
-                sentences.append(words)
+            name = block.name.replace("_", " ")
+            if words and (name not in findings or (told and not findings[name].verdict)):
+                findings[name] = Finding(name, words, told)
     clock = (facts or {}).get("camera_clock")
     if clock:
-        sigma_ms = 1e3 * clock["sigma_offset_s"]
-        sentences.append(f"Clock of the camera: offset {clock['offset_s']:+.4f} s, sigma {sigma_ms:.1f} ms.")
-    return " ".join(sentences) or "No block has sigmas of its own."
+        low, high = clock["sigma0_squared_band"]
+        findings["clock of the camera"] = Finding(
+            "clock of the camera",
+            f"offset {clock['offset_s']:+.4f} s, sigma {1e3 * clock['sigma_offset_s']:.1f} ms",
+            verdict_of_ratio(*(value**-0.5 for value in (clock["sigma0_squared"], high, low))),
+        )
+    if not findings:
+        return "No block has sigmas of its own.", []
+    judged = [f.verdict for f in findings.values() if f.verdict]
+    counts = ", ".join(f"{word} ({judged.count(word)} of {len(findings)})" for word in dict.fromkeys(judged))
+    sentence = f"Residuals of the adjustments say of the standard deviations: {counts or 'cannot tell'}."
+    return sentence, list(findings.values())
 
 
 def _block_in_words(calibration: Calibration, block: Block) -> str:
     values, cov = calibration.block(block.name)
     sigma = np.sqrt(np.diag(cov))
-    name = block.name.replace("_", " ")
     if block.is_pose and sigma.any():
         turn = ", ".join(f"{s:.3g}" for s in sigma[:3])
         lever = ", ".join(f"{1e3 * s:.2g}" for s in sigma[3:])
         length = 100 * float(np.linalg.norm(values[3:]))
-        return (
-            f"{name.capitalize()}: lever arm of {length:.1f} cm with sigmas of {lever} mm, "
-            f"rotation with sigmas of {turn} degrees."
-        )
+        return f"lever arm of {length:.1f} cm ± {lever} mm, rotation ± {turn} degrees"
     if "offset_s" in block.quantities:
         k = block.quantities.index("offset_s")
-        return f"{name.capitalize()}: offset {values[k]:+.4f} s, sigma {1e3 * sigma[k]:.2g} ms."
+        return f"offset {values[k]:+.4f} s, sigma {1e3 * sigma[k]:.2g} ms"
     return ""
 
 

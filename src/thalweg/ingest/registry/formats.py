@@ -34,7 +34,7 @@ KINDS_OF_STREAM: Final[Mapping[str, tuple[str, ...]]] = {
         for stream in sorted({stream for each in _INSTRUMENTS for stream in each.streams})
     },
     "smrmsg": (),  # has no mark of its own
-    "cloud": (*(each.kind for each in CLOUDS), "xyz", "pcd"),
+    "cloud": (*(each.kind for each in CLOUDS), "xyz", "pcd", "geotiff"),
 }
 """Kinds of content that fit a stream of ``logs``, empty where it cannot be told; tables that people write,
 and pictures, are not judged.
@@ -45,7 +45,7 @@ ALSO_MARKS: Final = frozenset({"gcp_list", "metashape_markers"})
 
 LOOSE_KINDS: Final[Mapping[str, str]] = {
     **dict.fromkeys(("colmap", "opencv", "metashape_lens"), "interior"),
-    **dict.fromkeys(("xyz", "pcd"), "cloud"),
+    **dict.fromkeys(("xyz", "pcd", "geotiff"), "cloud"),
     "image_points": "fixed_marks",
 }
 """Kinds that are of use beside certain others only, such as a lens beside photographs, and their streams."""

@@ -114,6 +114,8 @@ class ClockBuilder:
     """GPS time minus unrolled stamp from the next jump on, told by a position packet ahead of the data."""
     clock_set: set[int] = field(default_factory=set)
     """Packets before which the sensor set its clock on locking."""
+    sentences: list[tuple[float, float]] = field(default_factory=list)
+    """Device time and GPS time of fresh sentences without PPS."""
     jumps: list[tuple[int, float]] = field(default_factory=list)
     """Packets behind a hole since the last locked report, with its length in seconds."""
 
@@ -194,6 +196,9 @@ class ClockBuilder:
         self.longest_silence_s = self.silence_s(reference)
         self.last_report_t_us, self.holes_s, self.pending_s = reference, 0.0, math.nan
         if position.pps != LOCKED:
+            if position.sentence != self.last_sentence and not (parsed := parse_rmc(position.sentence))[1]:
+                self.sentences.append((now_us * 1e-6 + self.extra_s, float(gps_from_unix(parsed[0]))))
+            self.last_sentence = position.sentence
             self._unlock(block, position, f"PPS {PPS_STATES[position.pps]}")
             return
         rmc_s, wrong = parse_rmc(position.sentence)

@@ -811,7 +811,12 @@ def scan_lidar(
             "return only: all its points are kept."
         )
     return LidarScan(
-        report=report, clock=finished, model=model.name, return_mode=findings.return_mode, n_points=n_points
+        report=report,
+        clock=finished,
+        model=model.name,
+        return_mode=findings.return_mode,
+        n_points=n_points,
+        sentences=tuple(clock.sentences),
     )
 
 

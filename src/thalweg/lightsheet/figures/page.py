@@ -6,10 +6,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import pandas as pd
 
+from thalweg.accuracy import verdict_of
 from thalweg.core import InputError
-from thalweg.figures import Page, count, plural
+from thalweg.figures import Finding, Page, count, plural
 from thalweg.figures.calibration import TWIN_NOTE, short, with_units
 from thalweg.ingest.registry import with_sigma
 from thalweg.lightsheet.budget import TOTAL, TOTAL_CORRELATED, budget_table
@@ -334,7 +336,7 @@ def light_sheet_page(
     ------
     InputError : a picture is missing.
     """
-    page = Page(title, _lead(calibration, budget, panels))
+    page = Page(title, *_head(calibration, budget, panels))
     if twin:
         page.text(TWIN_NOTE)
     _calibrated(page, calibration, camera)
@@ -367,28 +369,42 @@ def light_sheet_page(
     return page
 
 
-def _lead(calibration: Mapping[str, Any], budget: pd.DataFrame, panels: pd.DataFrame | None) -> str:
+def _head(
+    calibration: Mapping[str, Any], budget: pd.DataFrame, panels: pd.DataFrame | None
+) -> tuple[str, list[Finding]]:
+    """The first sentence and the numbers that matter most, each with its verdict."""
     lines, pairs = calibration["line_points"], calibration["pairs"]
-    words = [
-        f"Calibrated on {calibration['object']} from {count(lines['used'])} line points and "
-        f"{plural(pairs['used'], 'pair')} of ends; "
-        f"{plural(lines['rejected'] + pairs['rejected'], 'observation')} rejected."
+    findings = [
+        Finding(
+            f"calibrated on {calibration['object']}",
+            f"{count(lines['used'])} line points, {plural(pairs['used'], 'pair')} of ends; "
+            f"{count(lines['rejected'] + pairs['rejected'])} rejected",
+        )
     ]
+    for name, found in (("line points", lines), ("pairs of ends", pairs)):
+        if np.isfinite(sigma0 := float(found.get("sigma0", np.nan))):
+            told = verdict_of(sigma0**2, found["used"] / found.get("neighbours_with_one_error", 1.0))
+            findings.append(Finding(f"residuals of {name} over their sigmas", f"{sigma0:.2f}", told))
     whole = budget[budget["cause"] == TOTAL_CORRELATED]
     if len(whole):
         low, high = whole["sigma_depth_mm"].min(), whole["sigma_depth_mm"].max()
         depths = sorted(whole["depth_mm"].unique())
-        words.append(
-            f"Predicted sigma of the depth {low:.3f} to {high:.3f} mm between {depths[0]:g} and "
-            f"{depths[-1]:g} mm."
+        span = f"{depths[0]:g} to {depths[-1]:g} mm"
+        findings.append(Finding(f"predicted sigma of depths of {span}", f"{low:.3f} to {high:.3f} mm"))
+    if panels is None or not len(panels):
+        return "No panel in known depths judges the sigmas of the depths.", findings
+    most, scatter = float(panels["mean_mm"].abs().max()), float(panels["std_mm"].max())
+    # means err by the calibration, which is common to a panel: each panel is one value
+    ratio = (panels["rms_mm"] / np.hypot(panels["predicted_mm"], panels["sigma_mm"])).dropna()
+    told = verdict_of(float(np.mean(ratio**2)), len(ratio))
+    findings.append(
+        Finding(
+            f"panel in {plural(len(panels), 'depth')}",
+            f"means off by at most {most:.3f} mm, standard deviations at most {scatter:.3f} mm",
+            told,
         )
-    if panels is not None and len(panels):
-        most = float(panels["mean_mm"].abs().max())
-        words.append(
-            f"On a panel in {plural(len(panels), 'depth')} the means are off by at most {most:.3f} mm, with "
-            f"standard deviations of at most {float(panels['std_mm'].max()):.3f} mm."
-        )
-    return " ".join(words)
+    )
+    return f"Panels in known depths say of the sigmas of the depths: {told}.", findings
 
 
 def _calibrated(page: Page, calibration: Mapping[str, Any], camera: Mapping[str, Any] | None) -> None:

@@ -340,7 +340,7 @@ def _positions(
     counts.dropped["position"] = {"kind of solution": int((~accepted).sum())}
     if not accepted.any():
         return None
-    used = usable_positions(positions, list(settings.accept_fixes), summary)
+    used = usable_positions(positions, settings.accept_fixes, summary)
     sigmas = used[["sigma_east_m", "sigma_north_m", "sigma_up_m"]].to_numpy()
     timed, positive = len(used), np.asarray(np.min(sigmas, axis=1) > 0)
     agreeing = agree_with_ins(used.iloc[np.flatnonzero(positive)], ins, frame, summary)

@@ -4,6 +4,7 @@ The antenna track is interpolated to the times of the INS states, and the lever 
 attitude of that moment: ``x_wcs_ics = x_wcs_antenna - R_wcs_ics @ lever_ics_antenna``.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
@@ -13,6 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from thalweg.core import (
+    ArrayB,
     ArrayF,
     CoverageError,
     InputError,
@@ -67,7 +69,7 @@ def build_trajectory(
     *,
     lever_ics_antenna_m: ArrayLike,
     sigma_lever_m: ArrayLike,
-    accept_fixes: list[str],
+    accept_fixes: Sequence[str] | Literal["auto"],
     max_gap_s: float,
     max_attitude_gap_s: float,
     sigma_attitude_rad: ArrayLike,
@@ -82,7 +84,8 @@ def build_trajectory(
     frame : the world frame.
     lever_ics_antenna_m : (3,) antenna phase centre in the body frame ics.
     sigma_lever_m : (3,) its standard deviations.
-    accept_fixes : kinds of solution that may enter, for instance ``["fixed"]``.
+    accept_fixes : kinds of solution that may enter, for instance ``["fixed"]``; ``auto``: see
+        `usable_positions`.
     max_gap_s : longest hole between positions that is interpolated.
     max_attitude_gap_s : longest hole between INS states that is interpolated.
     sigma_attitude_rad : (3,) roll, pitch, heading; stands in where the log states none.
@@ -94,7 +97,7 @@ def build_trajectory(
     CoverageError : positions and states do not overlap in time.
     """
     summary = TrajectorySummary(n_positions=len(positions), n_states=len(states))
-    used = usable_positions(positions, accept_fixes, summary)
+    used = usable_positions(positions, accept_fixes, summary, max_gap_s)
     ins = usable_states(states, summary, max_attitude_gap_s, ATTITUDE_INITIALISED)
     t_states = ins["t_gps_s"].to_numpy()
     t_positions = used["t_gps_s"].to_numpy()
@@ -240,7 +243,7 @@ def states_along_course(
     positions: pd.DataFrame,
     frame: LocalFrame,
     *,
-    accept_fixes: list[str],
+    accept_fixes: Sequence[str] | Literal["auto"],
     max_gap_s: float,
     sigma_level_deg: float,
     sigma_course_deg: float,
@@ -266,7 +269,7 @@ def states_along_course(
     ------
     InputError : no usable positions, or they are rarer than `max_gap_s`.
     """
-    used = usable_positions(positions, accept_fixes, TrajectorySummary())
+    used = usable_positions(positions, accept_fixes, TrajectorySummary(), max_gap_s)
     t = used["t_gps_s"].to_numpy(np.float64)
     step_s = float(np.median(np.diff(t)))
     if step_s > max_gap_s + JITTER_S:
@@ -431,16 +434,24 @@ def _covariances(positions: pd.DataFrame) -> ArrayF:
 
 
 def usable_positions(
-    positions: pd.DataFrame, accept_fixes: list[str], summary: TrajectorySummary
+    positions: pd.DataFrame,
+    accept_fixes: Sequence[str] | Literal["auto"],
+    summary: TrajectorySummary,
+    max_gap_s: float = np.inf,
 ) -> pd.DataFrame:
-    """The positions (table kind ``gnss_position``) of an accepted fix with time, height and sigmas, in order.
+    """Positions (table kind ``gnss_position``) of an accepted fix with time, height and sigmas, in order.
+
+    With ``auto`` fixed ones are accepted, and float ones in holes of these that are longer than ``max_gap_s``.
 
     Raises
     ------
     InputError : fewer than four are left.
     """
     summary.fixes = {str(k): int(v) for k, v in positions["fix"].value_counts().sort_index().items()}
-    accepted = positions[positions["fix"].isin(accept_fixes)]
+    if accept_fixes == "auto":
+        accepted = positions[_fixed_or_in_holes(positions, max_gap_s)]
+    else:
+        accepted = positions[positions["fix"].isin(accept_fixes)]
     sigmas = ["sigma_east_m", "sigma_north_m", "sigma_up_m"]
     timed = accepted.dropna(subset=["t_gps_s", "lat_deg", "lon_deg", "h_ell_m", *sigmas])
     timed = timed.sort_values("t_gps_s", kind="stable").drop_duplicates("t_gps_s")
@@ -458,6 +469,16 @@ def usable_positions(
         lacking = len(accepted) - len(timed)
         summary.notes.append(f"{lacking} positions without time, height or sigmas, or with a repeated time")
     return timed
+
+
+def _fixed_or_in_holes(positions: pd.DataFrame, max_gap_s: float) -> ArrayB:
+    """Which positions (n,) are fixed, or float where fixed ones leave a hole longer than ``max_gap_s``."""
+    fixed = (positions["fix"] == "fixed").to_numpy()
+    t = positions["t_gps_s"].to_numpy(np.float64)
+    known = np.concatenate([[-np.inf], np.sort(t[fixed & np.isfinite(t)]), [np.inf]])
+    after = np.searchsorted(known, t, side="left").clip(1, len(known) - 1)
+    hole = known[after] - known[after - 1] > max_gap_s
+    return np.asarray(fixed | (hole & (positions["fix"] == "float").to_numpy()))
 
 
 def usable_states(

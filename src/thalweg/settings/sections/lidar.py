@@ -5,6 +5,7 @@ T 2.1) with antenna mast and echo sounder when the INS sits amidships, and the w
 beams that fall steeply.
 """
 
+import math
 from datetime import datetime
 from typing import TYPE_CHECKING, Annotated, Final, Literal, Self
 
@@ -25,13 +26,30 @@ Port = Annotated[int, Field(ge=1, le=65535)]
 class LidarClockStated(Section):
     """Time of a lidar that had no GPS, or whose stamps are known to be off.
 
-    How well it is known belongs into `lidar_accuracy.sigma_time_s`.
+    How well a stated time is known belongs into `lidar_accuracy.sigma_time_s`; an estimated one has a
+    standard deviation of its own, which joins it.
     """
+
+    source: Literal["stated", "nmea", "motion"] = Field(
+        default="stated",
+        description="What tells the time of a lidar without GPS time: `stated` below, `nmea` the sentences "
+        "that it received without PPS, `motion` how it turned and moved, against the trajectory",
+    )
 
     first_packet_utc: str | None = Field(
         default=None,
         description="UTC of the first packet, ISO 8601 such as 2026-05-12T09:30:00.25Z, of a lidar without "
-        "PPS and NMEA; stretches with GPS time keep their own",
+        "PPS and NMEA; stretches with GPS time keep their own. With `source: motion` good to a minute, "
+        "or left out",
+    )
+    nmea_delay_s: NonNegative = Field(
+        default=0.3,
+        le=2,
+        description="From the second that a sentence names until the lidar has it, with `source: nmea`, "
+        "seconds: a receiver computes, then 70 characters at 9600 baud take 0.07 s",
+    )
+    sigma_nmea_delay_s: Positive = Field(
+        default=0.2, le=2, description="Standard deviation of `nmea_delay_s`, seconds"
     )
     offset_s: Finite = Field(
         default=0.0, ge=-86_400, le=86_400, description="Added to the time of every packet, seconds"
@@ -101,6 +119,10 @@ class LidarAccuracy(Section):
     sigma_time_s: NonNegative = Field(
         default=1e-6, le=1, description="Standard deviation of the scanner's stamps, seconds (PPS, T 3.1.2)"
     )
+
+    def with_clock(self, sigma_s: float) -> Self:
+        """The same with the standard deviation of an estimated clock."""
+        return self.model_copy(update={"sigma_time_s": math.hypot(self.sigma_time_s, sigma_s)})
 
     @property
     def divergence_rad(self) -> float:

@@ -110,8 +110,11 @@ class Orientation(Section):
         "`nmea` NMEA 0183 (`logs.positions`, else the log of the echo sounder), `sbet` Applanix trajectory, "
         "`ins` the INS's own filter",
     )
-    accept_fixes: tuple[Fix, ...] = Field(
-        default=("fixed",), min_length=1, description="Kinds of GNSS solution that may enter the trajectory"
+    accept_fixes: Annotated[tuple[Fix, ...], Field(min_length=1)] | Literal["auto"] = Field(
+        default=("fixed",),
+        description="Kinds of GNSS solution that may enter the trajectory; `auto`: fixed ones, and float "
+        "ones where these leave a hole longer than `max_gap_s`, so that beyond `ppk.trusted_baseline_km` all are "
+        "float",
     )
     interpolation: Literal["cubic", "ins_velocity"] = Field(
         default="cubic",
