@@ -13,8 +13,8 @@ from thalweg_lab.yard_images import LensRays, exposed
 
 LENSES: Final = ("front", "back")
 _STRIPS: Final = 16
-"""Parts of a picture that a rolling shutter exposes at once: with 20 ms and 10 degrees a second the camera turns
-by 0.01 degrees, or 0.04 px, in each."""
+"""Parts of a picture that a rolling shutter exposes at once: with 20 ms and 10 degrees a second the camera
+turns by 0.01 degrees, or 0.04 px, in each."""
 _SCATTER: Final = np.array([1e-3, 1e-3, 5e-4, 1e-4])
 """Scatter of the distortion of single lenses of one kind."""
 
