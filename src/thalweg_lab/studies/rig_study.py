@@ -34,6 +34,8 @@ WIDEST_DEG: Final = 95.0
 BASE_MM: Final = 0.3
 ANGLE_DEG: Final = 0.02
 LENS_PX: Final = 0.1
+SQUARES: Final = (0.7, 1.4)
+"""Bounds of the figures, see `rig_table`."""
 _PANORAMA_PX: Final = 2688
 """Side of an image circle of the Ricoh Theta V, whose stills have 5376 x 2688 pixels."""
 _POINTS: Final = 2000
@@ -46,8 +48,6 @@ _FOUND: Final = 0.5
 """Share of the points in view that are found in an image."""
 _PLAIN: Final = BlockAdjustment(loss="none", correlated=False, reject_limit=100.0, interior_variance=1.0)
 """Marks err independently and as they are stated."""
-SQUARES: Final = (0.7, 1.4)
-"""Bounds of the figures, see `rig_table`."""
 
 
 def rig_rows(seed: Seed) -> Tables:
@@ -94,6 +94,44 @@ def lens_error_px(found: Camera, true: Camera, widest_deg: float = WIDEST_DEG) -
     t, a = np.meshgrid(np.deg2rad(np.linspace(0, widest_deg, 96)), np.linspace(0, 2 * np.pi, 73))
     rays = np.stack([np.sin(t) * np.cos(a), np.sin(t) * np.sin(a), np.cos(t)], axis=-1).reshape(-1, 3)
     return float(np.linalg.norm(found.project(rays) - true.project(rays), axis=1).max())
+
+
+def rig_table(rows: pd.DataFrame) -> pd.DataFrame:
+    """Figures over all seeds with their bounds: measure, value, low, high, seeds."""
+    n = len(rows)
+
+    def band(k: int) -> tuple[float, float]:
+        """Of a mean square of that many numbers, at 99 %, and not wider than `SQUARES`."""
+        low, high = (float(chi2.ppf(p, k * n)) / (k * n) for p in (0.005, 0.995))
+        return max(low, SQUARES[0]), min(high, SQUARES[1])
+
+    def size(values: ArrayF) -> float:
+        """Root mean square."""
+        return float(np.sqrt(np.mean(np.square(values))))
+
+    base, turn = rows["base_mm"].to_numpy(), rows["rotation_deg"].to_numpy()
+    figures: list[tuple[str, float, float, float]] = [
+        ("base, rms error, mm", size(base), 0.0, BASE_MM),
+        ("base, largest error, mm", float(np.abs(base).max()), 0.0, BASE_MM),
+        ("base, mean of the stated sigmas, mm", float(rows["sigma_base_mm"].mean()), 0.0, BASE_MM),
+        ("relative rotation, rms error, deg", size(turn), 0.0, ANGLE_DEG),
+        ("relative rotation, largest error, deg", float(turn.max()), 0.0, ANGLE_DEG),
+        ("interiors to 95 degrees, largest error, px", float(rows["lens_px"].max()), 0.0, LENS_PX),
+        ("NEES, all 22 unknowns", float(rows["squares"].mean()), *band(UNKNOWNS)),
+        ("NEES, relative orientation", float(rows["pose_squares"].mean()), *band(6)),
+        ("NEES, poses of exposures in a block", float(rows["block_squares"].mean()), *band(6 * EXPOSURES)),
+        *(
+            (f"{what} sigma of a pose over that of the better lens alone, {which}", value, 0.0, 1.0)
+            for what in ("position", "rotation")
+            for which, value in (
+                ("mean", float(rows[f"{what}_ratio"].mean())),
+                ("largest", float(rows[f"{what}_ratio_largest"].max())),
+            )
+        ),
+    ]
+    return pd.DataFrame(
+        [(*figure, n) for figure in figures], columns=["measure", "value", "low", "high", "seeds"]
+    )
 
 
 # ---------------------------------------------------------------- a block of images between two banks
@@ -360,44 +398,6 @@ def pose_sigmas(found: AdjustedBlock) -> ArrayF:
     """(f, 2) standard deviations of position, m, and of rotation, rad: roots of the mean variances."""
     variance = np.diag(pose_covariance(found)).reshape(-1, 2, 3)
     return np.asarray(np.sqrt(variance.mean(axis=2)))
-
-
-def rig_table(rows: pd.DataFrame) -> pd.DataFrame:
-    """Figures over all seeds with their bounds: measure, value, low, high, seeds."""
-    n = len(rows)
-
-    def band(k: int) -> tuple[float, float]:
-        """Of a mean square of that many numbers, at 99 %, and not wider than `SQUARES`."""
-        low, high = (float(chi2.ppf(p, k * n)) / (k * n) for p in (0.005, 0.995))
-        return max(low, SQUARES[0]), min(high, SQUARES[1])
-
-    def size(values: ArrayF) -> float:
-        """Root mean square."""
-        return float(np.sqrt(np.mean(np.square(values))))
-
-    base, turn = rows["base_mm"].to_numpy(), rows["rotation_deg"].to_numpy()
-    figures: list[tuple[str, float, float, float]] = [
-        ("base, rms error, mm", size(base), 0.0, BASE_MM),
-        ("base, largest error, mm", float(np.abs(base).max()), 0.0, BASE_MM),
-        ("base, mean of the stated sigmas, mm", float(rows["sigma_base_mm"].mean()), 0.0, BASE_MM),
-        ("relative rotation, rms error, deg", size(turn), 0.0, ANGLE_DEG),
-        ("relative rotation, largest error, deg", float(turn.max()), 0.0, ANGLE_DEG),
-        ("interiors to 95 degrees, largest error, px", float(rows["lens_px"].max()), 0.0, LENS_PX),
-        ("NEES, all 22 unknowns", float(rows["squares"].mean()), *band(UNKNOWNS)),
-        ("NEES, relative orientation", float(rows["pose_squares"].mean()), *band(6)),
-        ("NEES, poses of exposures in a block", float(rows["block_squares"].mean()), *band(6 * EXPOSURES)),
-        *(
-            (f"{what} sigma of a pose over that of the better lens alone, {which}", value, 0.0, 1.0)
-            for what in ("position", "rotation")
-            for which, value in (
-                ("mean", float(rows[f"{what}_ratio"].mean())),
-                ("largest", float(rows[f"{what}_ratio_largest"].max())),
-            )
-        ),
-    ]
-    return pd.DataFrame(
-        [(*figure, n) for figure in figures], columns=["measure", "value", "low", "high", "seeds"]
-    )
 
 
 def _results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result]:
