@@ -596,12 +596,27 @@ def facts_of(
         "left_out": adjusted.left_out,
         "cameras": cameras,
         "antenna": extras,
+        "places_of_lenses": _places(adjusted),
         "sigma_position_mm": dict(zip(_AXES, _typical(1e3 * sigma[:, :3]), strict=True)),
         "sigma_rotation_mdeg": dict(zip(_AXES, _typical(1e3 * np.degrees(sigma[:, 3:])), strict=True)),
         "check_points": check_statistics(adjusted, result, demoted),
         "contradicting_points": list(demoted),
         "notes": list(notes),
     }
+
+
+def _places(adjusted: AdjustedBlock) -> dict[str, Any]:
+    """Places of the lenses of a rig that were sought: shift in metres, sigmas of shift and rotation."""
+    layout, out = adjusted.layout, {}
+    for camera, at, T in zip(adjusted.x.cameras, layout.places, adjusted.x.T_rig_lens, strict=False):
+        if at[0] >= 0:
+            sigma = np.sqrt(np.diag(adjusted.cov)[at])
+            out[camera.name] = {
+                "shift_m": T.shift_m.tolist(),
+                "sigma_shift_m": sigma[:3].tolist(),
+                "sigma_rotation_deg": np.degrees(sigma[3:]).tolist(),
+            }
+    return out
 
 
 def summary_text(facts: Mapping[str, Any]) -> str:
