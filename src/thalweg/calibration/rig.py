@@ -29,6 +29,7 @@ from thalweg.core import (
     PARAMETERS,
     Adjusted,
     AnyArray,
+    ArrayB,
     ArrayF,
     ArrayI,
     ArrayU8,
@@ -525,6 +526,36 @@ def _residuals(
         angle[mine] = np.rad2deg(np.arctan2(np.hypot(ray[:, 0], ray[:, 1]), ray[:, 2]))
         azimuth[mine] = np.rad2deg(np.arctan2(ray[:, 1], ray[:, 0]))
     return table.assign(angle_deg=angle, azimuth_deg=azimuth)
+
+
+def read_rig_masks(rig: Rig) -> dict[str, ArrayB]:
+    """Where views may be used (h, w), of the lenses that have a mask.
+
+    Raises
+    ------
+    InputError : a mask cannot be read, or has another size than the view.
+    """
+    from PIL import Image
+
+    masks: dict[str, ArrayB] = {}
+    for name in LENSES:
+        path = getattr(rig.settings, name).mask
+        if path is None:
+            continue
+        try:
+            with Image.open(path) as file:
+                mask = np.asarray(file.convert("L")) > 0
+        except (OSError, ValueError) as error:
+            raise InputError(f"no mask ({error})", expected="a whole PNG", where=path) from error
+        width, height = rig.cameras[name].size_px
+        if mask.shape != (height, width):
+            raise InputError(
+                f"a mask of {mask.shape[1]} x {mask.shape[0]} pixels",
+                expected=f"{width} x {height}, as the upright view of the lens {name}",
+                where=path,
+            )
+        masks[name] = mask
+    return masks
 
 
 # ---------------------------------------------------------------- files

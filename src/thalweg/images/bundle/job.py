@@ -174,7 +174,7 @@ def adjust_campaign(
             drift=options.drift,
         )
     if centres is not None:
-        antenna, seen = _measured_centres(block, centres, predictions.images)
+        antenna, seen = _measured_centres(exposures, centres, predictions.images)
     oriented = orient_block(
         block,
         points,
@@ -203,7 +203,7 @@ def adjust_campaign(
 
 
 def _measured_centres(
-    block: ImageBlock, centres: CameraPositions, names: Sequence[str]
+    exposures: Sequence[str], centres: CameraPositions, names: Sequence[str]
 ) -> tuple[Antenna, dict[str, Any]]:
     """Measured projection centres as observations of a block, and how many there are.
 
@@ -222,8 +222,8 @@ def _measured_centres(
             cure="Check the names in the table; they are those of the files",
         )
     of_name = {names[k]: row for row, k in enumerate(at.tolist())}
-    image = np.array([k for k, name in enumerate(block.images) if name in of_name], np.int64)
-    row = [of_name[block.images[k]] for k in image]
+    image = np.array([k for k, name in enumerate(exposures) if name in of_name], np.int64)
+    row = [of_name[exposures[k]] for k in image]
     antenna = Antenna(
         image=image,
         t_s=np.arange(len(image), dtype=np.float64),
