@@ -12,6 +12,7 @@ from thalweg.calibration import LENSES, Rig
 from thalweg.core import GeometryError, LocalFrame, Rigid
 from thalweg.images.bundle import adjust_block, pose_covariance, rig_frames
 from thalweg.images.bundle.adjustment import FEW_MARKS, image_poses
+from thalweg.images.bundle.checks import interior_notes
 from thalweg.images.bundle.normals import Correlation, linearised, reduced_system, tracks_of, views
 from thalweg.images.bundle.problem import Antenna, Layout, Problem, moved, start_state
 from thalweg.settings.sections import BlockAdjustment, Rig as RigSettings
@@ -243,6 +244,10 @@ def test_names_of_images_tell_their_exposure() -> None:
     # the order of the block: parameters of back and front, then the places of back and front
     np.testing.assert_allclose(np.diag(frames.cov)[:8], np.diag(rig.cov)[8:16])
     np.testing.assert_allclose(frames.cov[16:22, 16:22], rig.T_back_front.inverse().cov)
+    with pytest.raises(GeometryError, match=r"the image or camera b\.jpg"):
+        rig_frames(rig, ["front/a.jpg", "b.jpg"], cameras)
+    with pytest.raises(GeometryError, match="1 cameras in a block of a rig"):
+        rig_frames(rig, ["front/a.jpg"], cameras[1:])
 
 
 def test_parts_of_a_block_agree_on_the_lenses_of_a_rig() -> None:
@@ -253,6 +258,17 @@ def test_parts_of_a_block_agree_on_the_lenses_of_a_rig() -> None:
     assert not found.notes
     error, cov = pose_errors(found, fronts), pose_covariance(found)
     assert error @ np.linalg.solve(cov, error) / len(error) < chi2.ppf(0.9995, len(error)) / len(error)
+
+
+def test_a_rig_that_was_opened_since_its_calibration_is_told() -> None:
+    problem, _ = block(17)
+    rig = problem.rig
+    assert interior_notes(plain_block(problem), None) == []
+    slipped = rig.T_rig_lens[1].moved([0.0, 0.0, 0.0, 0.02, 0.0, 0.0])
+    wrong = replace(problem, rig=replace(rig, T_rig_lens=(rig.T_rig_lens[0], slipped)))
+    (note,) = interior_notes(plain_block(wrong), None)
+    assert note.startswith("The images put the lens back")
+    assert "times what its sigma allows" in note
 
 
 @pytest.mark.slow

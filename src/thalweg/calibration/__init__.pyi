@@ -101,6 +101,7 @@ from .rig import (
     detect_rig_marks as detect_rig_marks,
     lens_view as lens_view,
     read_rig as read_rig,
+    read_rig_masks as read_rig_masks,
     read_views as read_views,
     remeasure_rig_marks as remeasure_rig_marks,
     rig_calibration_file as rig_calibration_file,

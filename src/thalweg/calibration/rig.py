@@ -36,6 +36,7 @@ from thalweg.core import (
     PARAMETERS,
     Adjusted,
     AnyArray,
+    ArrayB,
     ArrayF,
     ArrayI,
     ArrayU8,
@@ -199,7 +200,7 @@ def read_views(path: Path, settings: RigSettings) -> dict[str, ArrayU8]:
     for name in LENSES:
         lens: RigLens = getattr(settings, name)
         view = np.ascontiguousarray(lens_view(picture, lens))
-        _check_view(view, name, path)
+        _check_view(view, name, path, circle=settings.model == "fisheye")
         found[name] = view
     return found
 
@@ -227,7 +228,7 @@ def check_rig(settings: RigSettings) -> None:
         )
 
 
-def _check_view(view: ArrayU8, name: str, path: Path) -> None:
+def _check_view(view: ArrayU8, name: str, path: Path, *, circle: bool) -> None:
     h, w = view.shape[:2]
     y, x = np.mgrid[0:h:4, 0:w:4]
     off = np.hypot((x + 0.5) / w - 0.5, (y + 0.5) / h - 0.5)
@@ -241,7 +242,7 @@ def _check_view(view: ArrayU8, name: str, path: Path) -> None:
             cure=f"Check rig.{name}.box_px, or that both lenses were recorded",
         )
     # flare reaches beyond the rim of an image circle, but not into all four corners
-    if np.percentile(corners, 20) > _CORNER:
+    if circle and np.percentile(corners, 20) > _CORNER:
         raise _stitched(path, f"the corners of the box of the lens {name} show a picture")
 
 
@@ -424,7 +425,7 @@ def calibrate_rig(
             points,
             name,
             view_size_px(getattr(settings, name)),
-            model="fisheye",
+            model=settings.model,
         )
         for name in LENSES
     }
@@ -447,7 +448,7 @@ def calibrate_rig(
     while True:
         rows = np.concatenate([np.ones(len(observed) - 6 * len(common), dtype=np.bool_), np.repeat(used, 6)])
         some = [T for T, ok in zip(relative, used, strict=True) if ok]
-        found = _common(observed[rows], cov[np.ix_(rows, rows)], some)
+        found = _common(observed[rows], cov[np.ix_(rows, rows)], some, settings.model)
         length[used] = _contradictions(found, cov[np.ix_(rows, rows)])
         worst = int(np.where(used, length, -1.0).argmax())
         # one exposure moves what all have in common: the worst goes, then the others are judged anew
@@ -461,7 +462,7 @@ def calibrate_rig(
                 where="rig",
                 cure="Take the pictures again with a rig that is fixed, and marks that stay where they are",
             )
-    k = len(PARAMETERS["fisheye"])
+    k = len(PARAMETERS[settings.model])
     cameras = {
         name: network.cameras[name].with_parameters(
             found.x.parameters[i * k : (i + 1) * k], found.cov[i * k : (i + 1) * k, i * k : (i + 1) * k]
@@ -507,7 +508,7 @@ def calibrate_rig(
 
 @dataclass(frozen=True, slots=True)
 class _State:
-    """Parameters (16,) of both interiors, and the relative orientation."""
+    """Parameters of both interiors, and the relative orientation."""
 
     parameters: ArrayF
     T: Rigid
@@ -544,12 +545,12 @@ def _relative(network: FieldNetwork, common: Sequence[str]) -> tuple[ArrayF, Arr
     return np.concatenate(values), (cov + cov.T) / 2, relative
 
 
-def _common(observed: ArrayF, cov: ArrayF, relative: Sequence[Rigid]) -> Adjusted[_State]:
+def _common(observed: ArrayF, cov: ArrayF, relative: Sequence[Rigid], model: str) -> Adjusted[_State]:
     """The interiors and the one relative orientation that all exposures share."""
     n = len(relative)
     k = len(observed) - 6 * n
 
-    def model(x: _State) -> Linear:
+    def differences(x: _State) -> Linear:
         """Differences from what each exposure says."""
         off = [x.T.error_from(T) for T in relative]
         J = np.zeros((len(observed), k + 6))
@@ -558,9 +559,9 @@ def _common(observed: ArrayF, cov: ArrayF, relative: Sequence[Rigid]) -> Adjuste
             J[k + 6 * i : k + 6 * i + 6, k:] = np.eye(6)
         return Linear(residual=np.concatenate([x.parameters - observed[:k], *off]), jacobian=J, cov=cov[None])
 
-    names = [*(f"{lens} {p}" for lens in LENSES for p in PARAMETERS["fisheye"]), *_POSE]
+    names = [*(f"{lens} {p}" for lens in LENSES for p in PARAMETERS[model]), *_POSE]
     return adjust(
-        [Observations("exposures", model)],
+        [Observations("exposures", differences)],
         _State(observed[:k].copy(), relative[0]),
         names,
         update=lambda x, dx: _State(x.parameters + dx[:k], x.T.moved(dx[k:])),
@@ -576,7 +577,7 @@ def _contradictions(found: Adjusted[_State], cov: ArrayF) -> ArrayF:
     from scipy.stats import chi2, norm
 
     v = found.residuals["exposures"]
-    k = 16
+    k = len(found.x.parameters)
     n = (len(v) - k) // 6
     J = np.zeros((len(v), k + 6))
     J[:k, :k] = np.eye(k)
@@ -615,6 +616,36 @@ def _residuals(
         angle[mine] = np.rad2deg(np.arctan2(np.hypot(ray[:, 0], ray[:, 1]), ray[:, 2]))
         azimuth[mine] = np.rad2deg(np.arctan2(ray[:, 1], ray[:, 0]))
     return table.assign(angle_deg=angle, azimuth_deg=azimuth)
+
+
+def read_rig_masks(rig: Rig) -> dict[str, ArrayB]:
+    """Where views may be used (h, w), of the lenses that have a mask.
+
+    Raises
+    ------
+    InputError : a mask cannot be read, or has another size than the view.
+    """
+    from PIL import Image
+
+    masks: dict[str, ArrayB] = {}
+    for name in LENSES:
+        path = getattr(rig.settings, name).mask
+        if path is None:
+            continue
+        try:
+            with Image.open(path) as file:
+                mask = np.asarray(file.convert("L")) > 0
+        except (OSError, ValueError) as error:
+            raise InputError(f"no mask ({error})", expected="a whole PNG", where=path) from error
+        width, height = rig.cameras[name].size_px
+        if mask.shape != (height, width):
+            raise InputError(
+                f"a mask of {mask.shape[1]} x {mask.shape[0]} pixels",
+                expected=f"{width} x {height}, as the upright view of the lens {name}",
+                where=path,
+            )
+        masks[name] = mask
+    return masks
 
 
 # ---------------------------------------------------------------- files

@@ -12,7 +12,7 @@ import pandas as pd
 from pyproj import CRS
 from scipy.spatial.transform import Rotation
 
-from thalweg.calibration import read_camera
+from thalweg.calibration import LENSES, Rig, read_camera
 from thalweg.core import ArrayF, InputError, LazWriter, LocalFrame
 from thalweg.core.calibration import Source
 from thalweg.images.bundle import (
@@ -181,6 +181,7 @@ def orient_photographs(
     mapping: MappingSettings | None = None,
     adjustment: BlockAdjustment | None = None,
     control: ControlSettings | None = None,
+    rig: Rig | None = None,
     threads: int = 1,
     progress: Callable[[str], None] | None = None,
 ) -> PhotographBlock:
@@ -196,6 +197,8 @@ def orient_photographs(
     camera : calibration, COLMAP or OpenCV file of the interior orientation; None: it is estimated.
     masks : folder of masks; see `extract_features`.
     features, mapping, adjustment, control : sections of a campaign file; None: their defaults.
+    rig : calibration of two lenses whose files the photographs are, in place of ``camera``; each file has
+        one pose, that of the front lens, and ``marks`` name images ``front/NAME`` and ``back/NAME``.
     threads : of features and matches.
     progress : called with a line of text for each step.
 
@@ -222,9 +225,14 @@ def orient_photographs(
     if positions is not None:
         centres = read_camera_positions(positions, frame, crs=crs, height_offset_m=section.height_offset_m)
     files = named_images(images)
+    exposures = tuple(files)
     say(f"features of {len(files)} photographs")
-    found = extract_features(files, masks=masks, settings=features, threads=threads)
     known = Known(cameras=() if camera is None else (read_camera(camera),))
+    if rig is not None:
+        order = {name: float(k) for k, name in enumerate(exposures)}
+        files = {f"{lens}/{name}": path for name, path in files.items() for lens in LENSES}
+        known = Known(of_folder=rig.cameras, t_s={name: order[name.split("/", 1)[1]] for name in files})
+    found = extract_features(files, masks=masks, settings=features, threads=threads, rig=rig)
     say("pairs of photographs")
     matches = match_images(found, files, known=known, section=mapping, threads=threads)
     say("structure from motion")
@@ -235,7 +243,7 @@ def orient_photographs(
     say("adjustment with control points")
     pieces = adjust_pieces(
         mapped.pieces,
-        unknown_poses(frame, tuple(files)),
+        unknown_poses(frame, exposures),
         reasons=why["reason"],
         frame=frame,
         crs=crs,
@@ -243,9 +251,10 @@ def orient_photographs(
         control=section,
         control_points=control_points,
         marks=marks,
-        known=interiors_of(mapped.pieces, known.cameras[0] if known.cameras else None, {}),
+        known=interiors_of(mapped.pieces, known.cameras[0] if known.cameras else None, known.of_folder),
         boat=None,
         centres=centres,
+        rig=rig,
     )
     pieces.facts["structure_from_motion"] = block_facts(matches, mapped, table)
     return PhotographBlock(found=pieces, control=points, crs=crs)

@@ -28,10 +28,9 @@ import pyarrow as pa
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
-from thalweg.calibration import LENSES, Rig, lens_view, read_views
+from thalweg.calibration import Rig, lens_view, read_rig_masks, read_views
 from thalweg.core import (
     AnyArray,
-    ArrayB,
     ArrayF,
     ArrayU8,
     CoverageError,
@@ -410,36 +409,6 @@ def make_panoramas(
     table = frame_of(PANORAMAS, {name: [row[name] for row in found] for name in PANORAMAS.names})
     write_table(out_table, table, PANORAMAS, {"axes_deg": rig.axes_deg, "base_m": rig.base_m})
     return table
-
-
-def read_rig_masks(rig: Rig) -> dict[str, ArrayB]:
-    """Where views may be used (h, w), of the lenses that have a mask.
-
-    Raises
-    ------
-    InputError : a mask cannot be read, or has another size than the view.
-    """
-    from PIL import Image
-
-    masks: dict[str, ArrayB] = {}
-    for name in LENSES:
-        path = getattr(rig.settings, name).mask
-        if path is None:
-            continue
-        try:
-            with Image.open(path) as file:
-                mask = np.asarray(file.convert("L")) > 0
-        except (OSError, ValueError) as error:
-            raise InputError(f"no mask ({error})", expected="a whole PNG", where=path) from error
-        width, height = rig.cameras[name].size_px
-        if mask.shape != (height, width):
-            raise InputError(
-                f"a mask of {mask.shape[1]} x {mask.shape[0]} pixels",
-                expected=f"{width} x {height}, as the upright view of the lens {name}",
-                where=path,
-            )
-        masks[name] = mask
-    return masks
 
 
 def rig_photographs(files: Mapping[str, Path], poses: ImagePoses, rig: Rig) -> list[Photographs]:

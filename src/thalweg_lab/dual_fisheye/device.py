@@ -1,16 +1,20 @@
 """The device: true lenses, their places, and how both image circles lie in a file."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
 
-from thalweg.core import ArrayF, ArrayF32, ArrayU8, Camera, Rigid, exp_rotation
+from thalweg.core import PARAMETERS, ArrayF, ArrayF32, ArrayU8, Camera, Rigid, exp_rotation
 from thalweg.settings.twin import TwinDualFisheye, TwinLens
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.yard_images import LensRays, exposed
 
 LENSES: Final = ("front", "back")
+_STRIPS: Final = 16
+"""Parts of a picture that a rolling shutter exposes at once: with 20 ms and 10 degrees a second the camera
+turns by 0.01 degrees, or 0.04 px, in each."""
 _SCATTER: Final = np.array([1e-3, 1e-3, 5e-4, 1e-4])
 """Scatter of the distortion of single lenses of one kind."""
 
@@ -47,6 +51,24 @@ class TrueRig:
             for name, camera in self.cameras.items()
         }
 
+    def strips(self, lens: str) -> list[tuple[tuple[slice, slice], float]]:
+        """Parts of an upright view that are exposed together: rows and columns, seconds after the middle.
+
+        The sensors read the rows of the file one after the other, from above.
+        """
+        s, n = self.settings, self.settings.circle_px
+        whole = slice(0, n)
+        if s.rolling_s == 0:
+            return [((whole, whole), 0.0)]
+        turn = s.back_turn_deg if lens == "back" else 0
+        edges = np.linspace(0, n, _STRIPS + 1).astype(int).tolist()
+        out = []
+        for a, b in pairwise(edges):
+            own = slice(n - b, n - a) if turn in (90, 180) else slice(a, b)
+            late = s.rolling_s * ((a + b) / (2 * n) - 0.5)
+            out.append(((own, whole) if turn in (0, 180) else (whole, own), late))
+        return out
+
     def facts(self) -> dict[str, Any]:
         """Plain values for the truth."""
         return {
@@ -62,13 +84,7 @@ class TrueRig:
     def file_of(self, light: dict[str, ArrayF32], rng: np.random.Generator, exposure: float) -> ArrayU8:
         """Both image circles (h, 2 h, 3) as the device stores them, from light (h, h, 3) by lens."""
         s = self.settings
-        lens = TwinLens(
-            model="fisheye",
-            size_px=(s.circle_px, s.circle_px),
-            distortion=s.distortion,
-            sharpness_px=s.sharpness_px,
-            noise=s.noise,
-        )
+        lens = TwinLens(sharpness_px=s.sharpness_px, noise=s.noise)
         views = {}
         for name in LENSES:
             rim = self._rim(name)
@@ -94,14 +110,16 @@ def true_rig(settings: TwinDualFisheye, seed: int) -> TrueRig:
     rng = generator(seed, "dual fisheye")
     n = settings.circle_px
     offset = np.asarray(settings.principal_offset_px)
-    cameras = {}
+    cameras, count = {}, len(PARAMETERS[settings.lens])
     for name, sign, more in (("front", 1.0, 0.0), ("back", -1.0, settings.focal_difference_px)):
         f = settings.focal_px + more
         shape = np.asarray(settings.distortion) + _SCATTER * rng.standard_normal(4) * 0.2
         cameras[name] = Camera(
-            model="fisheye",
+            model=settings.lens,
             size_px=(n, n),
-            parameters=np.array([f, f, n / 2 + sign * offset[0], n / 2 + sign * offset[1], *shape]),
+            parameters=np.array(
+                [f, f, n / 2 + sign * offset[0], n / 2 + sign * offset[1], *shape, 0.0][:count]
+            ),
             name=name,
         )
     # the axes miss 180 degrees about an axis across the view that chance gives; the views are upright alike

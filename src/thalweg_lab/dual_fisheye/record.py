@@ -1,6 +1,6 @@
 """The recording: files of the survey and of the room, the survey of the room, and the truth apart."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,6 +19,7 @@ from thalweg_lab.voyage import Voyage, true_mounts
 from thalweg_lab.writers import PhotoFacts, start_us, write_jpeg
 from thalweg_lab.yard_images import LensRays, mount_of, run_name
 
+Part = tuple[tuple[slice, slice], float, Callable[..., ArrayF32]]
 KIND: Final = "thalweg twin dual fisheye"
 _SENSOR_MM: Final = 6.2
 _FULL_FRAME_MM: Final = 36.0
@@ -74,26 +75,50 @@ def simulate_dual_fisheye(
     at = voyage.start_gps_s + exposed_s
     place, R = voyage.position_wcs_m(at), voyage.R_wcs_ics(at)
     fronts = [Rigid(R=R[k], shift_m=place[k]) @ T_ics_front for k in range(len(at))]
+
+    def boat(since_s: float) -> Rigid:
+        t = np.array([voyage.start_gps_s + since_s])
+        return Rigid(R=voyage.R_wcs_ics(t)[0], shift_m=voyage.position_wcs_m(t)[0])
+
     world = World(Scene.read(scene), None, sun_of(config, frame))
     waves = Waves.draw(seed, rms_slope=config.lidar.wave_slope)
-    renderers = {}
+    parts: dict[str, list[Part]] = {}
     for name, rays in device.rays().items():
         T_ics_lens = T_ics_front @ device.T_front_lens[name]
-        boat = (
+        own = (
             OwnBoat.seen(rays, mounts, T_ics_lens, waterline_m=config.boat.height_m)
             if settings.hull
             else None
         )
-        renderers[name] = Renderer(
-            world, rays, waves=waves, boat=boat, glare=False, supersampling=settings.supersampling
-        )
+        parts[name] = [
+            (
+                where,
+                late,
+                Renderer(
+                    world,
+                    rays.part(*where),
+                    waves=waves,
+                    boat=None if own is None else own.part(*where),
+                    glare=settings.glare,
+                    supersampling=settings.supersampling,
+                ).see,
+            )
+            for where, late in device.strips(name)
+        ]
     zone_us = int(1e6 * offset_of(settings.zone))
     names = [run_name(stamp + zone_us) for stamp in stamp_us.tolist()]
     for k in steps(range(len(at)), "exposure"):
-        light: dict[str, ArrayF32] = {}
-        for name in LENSES:
-            pose = fronts[k] @ device.T_front_lens[name]
-            light[name] = renderers[name].see(pose, R[k], t_s=float(exposed_s[k]), grain=k + 1)
+        light = {
+            name: exposed_by_parts(
+                parts[name],
+                boat,
+                T_ics_front @ device.T_front_lens[name],
+                t_s=float(exposed_s[k]),
+                grain=k + 1,
+                side_px=settings.circle_px,
+            )
+            for name in LENSES
+        }
         picture = device.file_of(
             light, generator(seed, f"dual fisheye {k}"), metered_exposure(light["front"][160:-160, 160:-160])
         )
@@ -119,6 +144,31 @@ def simulate_dual_fisheye(
             ],
         },
     )
+
+
+def exposed_by_parts(
+    parts: Sequence[Part],
+    boat: Callable[[float], Rigid],
+    T_ics_lens: Rigid,
+    *,
+    t_s: float,
+    grain: int,
+    side_px: int,
+) -> ArrayF32:
+    """Light (side, side, 3) of a lens whose parts are exposed one after the other.
+
+    Parameters
+    ----------
+    parts : rows and columns, seconds after the middle of the exposure, and `Renderer.see` of the part.
+    boat : ``T_wcs_ics`` at a time since the begin of the survey.
+    T_ics_lens : mount of the lens.
+    t_s, grain : middle of the exposure, and number of the picture.
+    """
+    light = np.zeros((side_px, side_px, 3), dtype=np.float32)
+    for where, late, see in parts:
+        T = boat(t_s + late)
+        light[where] = see(T @ T_ics_lens, T.R, t_s=t_s + late, grain=grain)
+    return light
 
 
 def _times(config: TwinConfig, settings: TwinDualFisheye, seed: int) -> tuple[ArrayF, ArrayF, ArrayF, ArrayI]:

@@ -184,7 +184,7 @@ def interior_of(known: Interiors, camera: Camera) -> Camera | None:
 def interior_notes(adjusted: AdjustedBlock, known: Interiors) -> list[str]:
     """Parameters of a calibration that the images pull away from it by more than its sigmas allow."""
     problem = adjusted.problem
-    notes = []
+    notes = _place_notes(adjusted)
     for camera, weighted in zip(adjusted_cameras(adjusted), problem.weighted, strict=True):
         own = interior_of(known, camera)
         if own is None or not weighted:
@@ -198,6 +198,26 @@ def interior_notes(adjusted: AdjustedBlock, known: Interiors) -> list[str]:
             notes.append(
                 f"The images pull {camera.parameter_names[worst]} {moved[worst]:.1f} sigmas away from the "
                 f"calibration of {own.name} ({off[worst]:+.3g}): is it that of this camera, focus and zoom?"
+            )
+    return notes
+
+
+def _place_notes(adjusted: AdjustedBlock) -> list[str]:
+    """Lenses of a rig that the images put elsewhere than its calibration."""
+    rig = adjusted.problem.rig
+    if rig is None or rig.places != "weighted":
+        return []
+    notes = []
+    for k in np.flatnonzero(rig.sought).tolist():
+        off = adjusted.x.T_rig_lens[k].error_from(rig.T_rig_lens[k])
+        moved = np.abs(off) / np.sqrt(np.diag(rig.T_rig_lens[k].cov))
+        if moved.max() > _MOST_SIGMAS:
+            notes.append(
+                f"The images put the lens {adjusted.problem.block.cameras[k].name} "
+                f"{1e3 * np.linalg.norm(off[:3]):.1f} mm and {np.degrees(np.linalg.norm(off[3:])):.2f} "
+                "degrees from where the calibration of the rig has it, "
+                f"{moved.max():.1f} times what its sigma allows: is it that of this rig, and was the rig not "
+                "opened since?"
             )
     return notes
 

@@ -174,7 +174,7 @@ def adjust_campaign(
             drift=options.drift,
         )
     if centres is not None:
-        antenna, seen = _measured_centres(block, centres, predictions.images)
+        antenna, seen = _measured_centres(exposures, centres, predictions.images)
     oriented = orient_block(
         block,
         points,
@@ -203,7 +203,7 @@ def adjust_campaign(
 
 
 def _measured_centres(
-    block: ImageBlock, centres: CameraPositions, names: Sequence[str]
+    exposures: Sequence[str], centres: CameraPositions, names: Sequence[str]
 ) -> tuple[Antenna, dict[str, Any]]:
     """Measured projection centres as observations of a block, and how many there are.
 
@@ -222,8 +222,8 @@ def _measured_centres(
             cure="Check the names in the table; they are those of the files",
         )
     of_name = {names[k]: row for row, k in enumerate(at.tolist())}
-    image = np.array([k for k, name in enumerate(block.images) if name in of_name], np.int64)
-    row = [of_name[block.images[k]] for k in image]
+    image = np.array([k for k, name in enumerate(exposures) if name in of_name], np.int64)
+    row = [of_name[exposures[k]] for k in image]
     antenna = Antenna(
         image=image,
         t_s=np.arange(len(image), dtype=np.float64),
@@ -596,12 +596,27 @@ def facts_of(
         "left_out": adjusted.left_out,
         "cameras": cameras,
         "antenna": extras,
+        "places_of_lenses": _places(adjusted),
         "sigma_position_mm": dict(zip(_AXES, _typical(1e3 * sigma[:, :3]), strict=True)),
         "sigma_rotation_mdeg": dict(zip(_AXES, _typical(1e3 * np.degrees(sigma[:, 3:])), strict=True)),
         "check_points": check_statistics(adjusted, result, demoted),
         "contradicting_points": list(demoted),
         "notes": list(notes),
     }
+
+
+def _places(adjusted: AdjustedBlock) -> dict[str, Any]:
+    """Places of the lenses of a rig that were sought: shift in metres, sigmas of shift and rotation."""
+    layout, out = adjusted.layout, {}
+    for camera, at, T in zip(adjusted.x.cameras, layout.places, adjusted.x.T_rig_lens, strict=False):
+        if at[0] >= 0:
+            sigma = np.sqrt(np.diag(adjusted.cov)[at])
+            out[camera.name] = {
+                "shift_m": T.shift_m.tolist(),
+                "sigma_shift_m": sigma[:3].tolist(),
+                "sigma_rotation_deg": np.degrees(sigma[3:]).tolist(),
+            }
+    return out
 
 
 def summary_text(facts: Mapping[str, Any]) -> str:

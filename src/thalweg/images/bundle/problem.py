@@ -207,7 +207,18 @@ def rig_frames(
     images : names ``front/NAME`` and ``back/NAME``; the exposure is called ``NAME``.
     cameras : of the block; named by their lenses.
     places : see `RigFrames`.
+
+    Raises
+    ------
+    GeometryError : a camera that is no lens of the rig, or an image of another name.
     """
+    strange = [camera.name for camera in cameras if camera.name not in LENSES]
+    strange += [image for image in images if image.split("/", 1)[0] not in LENSES or "/" not in image]
+    if strange or len({camera.name for camera in cameras}) != len(LENSES):
+        raise GeometryError(
+            f"the image or camera {strange[0]}" if strange else f"{len(cameras)} cameras in a block of a rig",
+            expected="cameras front and back, and images front/NAME and back/NAME of each exposure NAME",
+        )
     names = [image.split("/", 1)[1] for image in images]
     exposures = tuple(dict.fromkeys(names))
     number = {name: k for k, name in enumerate(exposures)}

@@ -353,7 +353,12 @@ def orient_block(
     GeometryError : too few images, no datum, or one that does not fix all.
     UnobservableError : unknowns that nothing determines.
     """
-    moved, start, source = world_block(block, control, marks, predictions, antenna)
+    known_at = antenna
+    if rig is not None and antenna is not None:
+        # for the start an image of the exposure will do
+        first = np.unique(rig.exposure, return_index=True)[1]
+        known_at = replace(antenna, image=first[antenna.image])
+    moved, start, source = world_block(block, control, marks, predictions, known_at)
     notes = list(start.notes)
     given = control
     control, marks, left_out = _usable(control, marks, start if source == "control points" else None)

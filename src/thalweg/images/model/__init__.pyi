@@ -21,6 +21,7 @@ from .block import (
 )
 from .files import (
     ImageCamera as ImageCamera,
+    LensView as LensView,
     Picture as Picture,
     at_pixels as at_pixels,
     below as below,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.ndimage import laplace
 
-from thalweg.core import ArrayB, ArrayI, InputError
+from thalweg.core import AnyArray, ArrayB, ArrayI, InputError
 from thalweg.ingest.photos import ImageHead, Images, named_images, read_head
 
 Grey = NDArray[np.uint8]
@@ -136,8 +136,24 @@ def check_flat_masks(images: Sequence[str], masks: Path) -> None:
             )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LensView:
+    """A lens as a view of a file: ``cut`` takes it out of the pixels (H, W) of the file, ``usable`` (h, w)
+    tells where, and ``lens`` is its name.
+    """
+
+    lens: str
+    cut: Callable[[AnyArray], AnyArray]
+    usable: ArrayB
+
+
 def inspect(
-    path: Path, mask_path: Path | None, max_size_px: int, *, name: str | None = None
+    path: Path,
+    mask_path: Path | None,
+    max_size_px: int,
+    *,
+    name: str | None = None,
+    view: LensView | None = None,
 ) -> tuple[Picture, Grey, ArrayB]:
     """Read an image and its mask.
 
@@ -146,6 +162,7 @@ def inspect(
     name : of the image; None: that of its file.
     path, mask_path : files; 0 in the mask is masked, anything else is usable.
     max_size_px : longest side of the grey picture that is handed on; larger images are scaled by averaging.
+    view : the part of the file that is the image; None: all of it.
 
     Returns
     -------
@@ -157,14 +174,17 @@ def inspect(
     name = name or path.name
     try:
         data = path.read_bytes()
-        grey, size_px = _read_grey(path, max_size_px)
+        grey, size_px = _read_grey(path, max_size_px, view)
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         text = (str(error).splitlines() or [type(error).__name__])[0].replace(str(path), path.name)
         problem = f"cannot be read ({text})" if path.is_file() else "there is no such file"
         return Picture(name=name, problem=problem, cause="unreadable"), none, everything
-    sha256 = hashlib.sha256(data).hexdigest()
+    sha256 = hashlib.sha256(data + (b"" if view is None else view.lens.encode())).hexdigest()
     known = Picture(name=name, size_px=size_px, sha256=sha256)
     usable = everything
+    if view is not None and view.usable.shape != size_px[::-1]:
+        problem = f"its view has {size_px[0]} x {size_px[1]} pixels, the lens {view.usable.shape[::-1]}"
+        return with_problem(known, problem, "size"), none, everything
     if mask_path is not None:
         try:
             with Image.open(mask_path) as mask:
@@ -177,6 +197,8 @@ def inspect(
             shape = f"{usable.shape[1]} x {usable.shape[0]}"
             problem = f"its mask has {shape} pixels, the image {size_px[0]} x {size_px[1]}"
             return with_problem(known, problem, "mask"), none, everything
+    if view is not None:
+        usable = view.usable & at_pixels(usable, *_centres(view.usable.shape), size_px)
     inside = at_pixels(usable, *_centres(grey.shape), (grey.shape[1], grey.shape[0]))
     share = float(inside.mean())
     if share < LEAST_SHARE:
@@ -222,7 +244,7 @@ def _centres(shape: tuple[int, ...]) -> tuple[NDArray[np.float64], NDArray[np.fl
     return x + 0.5, y + 0.5
 
 
-def _read_grey(path: Path, max_size_px: int) -> tuple[Grey, tuple[int, int]]:
+def _read_grey(path: Path, max_size_px: int, view: LensView | None) -> tuple[Grey, tuple[int, int]]:
     with Image.open(path) as image:
         size = image.size
         image.draft("L", size)  # of a JPEG only its brightness is decoded
@@ -230,6 +252,9 @@ def _read_grey(path: Path, max_size_px: int) -> tuple[Grey, tuple[int, int]]:
             picture = Image.fromarray((np.asarray(image).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8))
         else:
             picture = image.convert("L")
+    if view is not None:
+        picture = Image.fromarray(np.ascontiguousarray(view.cut(np.asarray(picture))))
+        size = picture.size
     factor = max_size_px / max(size)
     if factor < 1:
         small = (max(1, round(size[0] * factor)), max(1, round(size[1] * factor)))

@@ -6,8 +6,9 @@ number of threads gives the same features, bit by bit.
 
 import json
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, Self
@@ -16,8 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from thalweg.calibration import Rig, lens_view, read_rig_masks
 from thalweg.core import ArrayB, ArrayI, InputError, steps
 from thalweg.images.model import (
+    LensView,
     Picture,
     at_pixels,
     find_mask,
@@ -31,6 +34,8 @@ from thalweg.ingest.photos import Images, natural_key
 from thalweg.settings.sections import FeatureSettings
 
 _FORMAT: Final = 1
+WIDEST_DEG: Final = 85.0
+"""Angle from the axis up to which a fisheye of a rig takes part: COLMAP has no rays from 90 degrees on."""
 _MOST_BUDGET: Final = 4
 _BLANK: Final = 3.0
 """Contrast, steps of 8 bits, below which an image is called blank."""
@@ -99,7 +104,12 @@ class Features:
 
 
 def extract_features(
-    images: Images, *, masks: Path | None = None, settings: FeatureSettings | None = None, threads: int = 1
+    images: Images,
+    *,
+    masks: Path | None = None,
+    settings: FeatureSettings | None = None,
+    threads: int = 1,
+    rig: Rig | None = None,
 ) -> Features:
     """Find the features of images; images that cannot be used stay in the result with their problem.
 
@@ -112,6 +122,8 @@ def extract_features(
     masks : folder of masks (`find_mask`); images without a mask are used as a whole.
     settings : see `FeatureSettings`.
     threads : images that are worked on at the same time; each needs its own memory.
+    rig : images are its views, named ``front/NAME`` and ``back/NAME``, of files with both; those of a fisheye
+        are used to `WIDEST_DEG`.
 
     Raises
     ------
@@ -121,16 +133,39 @@ def extract_features(
     ordered = list(named_once(images).items()) if images else []
     if masks is not None and not masks.is_dir():
         raise InputError("folder not found", expected="masks named <image>.png", where=masks)
+    views = {} if rig is None else lens_views(rig)
     pictures: list[Picture] = []
     places: list[NDArray[np.float32]] = []
     descriptors: list[NDArray[np.uint8]] = []
     for first in steps(range(0, len(ordered), _AT_ONCE), f"features, {_AT_ONCE} images at a time:"):
-        some = _extract_some(ordered[first : first + _AT_ONCE], masks, use, threads)
+        some = _extract_some(ordered[first : first + _AT_ONCE], masks, use, threads, views)
         for picture, place, descriptor in some:
             pictures.append(picture)
             places.append(place)
             descriptors.append(descriptor)
     return _joined(pictures, places, descriptors, use)
+
+
+def lens_views(rig: Rig) -> dict[str, LensView]:
+    """Views of the lenses of a rig, where they may be used: to `WIDEST_DEG`, and not behind their masks.
+
+    Raises
+    ------
+    InputError : a mask cannot be read, or has another size than the view.
+    """
+    masks = read_rig_masks(rig)
+    views = {}
+    for name, camera in rig.cameras.items():
+        width, height = camera.size_px
+        y, x = np.mgrid[0:height, 0:width] + 0.5
+        rays = camera.rays(np.column_stack([x.ravel(), y.ravel()]))[:, 2].reshape(height, width)
+        usable = np.nan_to_num(rays, nan=-1.0) > np.cos(np.deg2rad(WIDEST_DEG))
+        views[name] = LensView(
+            lens=name,
+            cut=partial(lens_view, lens=getattr(rig.settings, name)),
+            usable=usable & masks.get(name, np.True_),
+        )
+    return views
 
 
 def part_of(images: Images, part: int, parts: int) -> dict[str, Path]:
@@ -225,7 +260,11 @@ def _joined(
 
 
 def _extract_some(
-    images: Sequence[tuple[str, Path]], masks: Path | None, settings: FeatureSettings, threads: int
+    images: Sequence[tuple[str, Path]],
+    masks: Path | None,
+    settings: FeatureSettings,
+    threads: int,
+    views: Mapping[str, LensView],
 ) -> list[tuple[Picture, NDArray[np.float32], NDArray[np.uint8]]]:
     out = []
     with tempfile.TemporaryDirectory(prefix="thalweg-features-") as temporary:
@@ -235,7 +274,9 @@ def _extract_some(
         scale: list[tuple[float, float]] = []
         by_budget: dict[int, list[int]] = {}
         for k, (name, path) in enumerate(images):
-            picture, grey, usable = inspect(path, find_mask(name, masks), settings.max_size_px, name=name)
+            view = views.get(name.split("/", 1)[0])
+            mask = find_mask(name, masks)
+            picture, grey, usable = inspect(path, mask, settings.max_size_px, name=name, view=view)
             pictures.append(picture)
             usables.append(usable)
             scale.append((1.0, 1.0))

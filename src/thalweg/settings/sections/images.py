@@ -553,12 +553,15 @@ class Rig(Section):
     size_px: tuple[Pixels, Pixels] = Field(
         default=(1280, 640), description="Width and height of the files, pixels"
     )
+    model: Literal["fisheye", "perspective"] = Field(
+        default="fisheye", description="Kind of both lenses; two cameras back to back are `perspective`"
+    )
     front: RigLens = Field(default=RigLens(), description="Lens that gives the rig its frame")
     back: RigLens = Field(
         default=RigLens(box_px=(640, 0, 640, 640), turn_deg=180), description="The lens opposite"
     )
-    field_of_view_deg: Annotated[float, Field(gt=180, lt=300)] = Field(
-        default=202.0, description="Full angle of the image circles, degrees"
+    field_of_view_deg: Annotated[float, Field(gt=10, lt=300)] = Field(
+        default=202.0, description="Full angle of the image circles, or of wide enough a cone, degrees"
     )
     mount: CameraMount = Field(
         default=CameraMount(), description="Front lens in the body frame of the INS, see `mounts.camera`"

@@ -842,10 +842,15 @@ class TwinTimeLapse(Section):
 class TwinDualFisheye(Section):
     """A camera with two fisheye lenses: its true geometry and clock, its pictures of survey and field.
 
+    With ``lens: perspective`` they are two synchronised perspective cameras back to back (T 2.2.3).
+
     Defaults: a Ricoh Theta S as two calibrations published it (base 19.36 mm, axes 179.776 degrees apart),
     and as its front lens was measured from the corners of 23 boards.
     """
 
+    lens: Literal["fisheye", "perspective"] = Field(
+        default="fisheye", description="Kind of both lenses; a perspective one fills its square"
+    )
     circle_px: Side = Field(
         default=640, description="Side of the square of an image circle; a file holds two of them, pixels"
     )
@@ -859,9 +864,10 @@ class TwinDualFisheye(Section):
         "lens is the opposite",
     )
     distortion: tuple[Finite, Finite, Finite, Finite] = Field(
-        default=(-0.0286, 0.0232, -0.0095, 0.0006), description="k1, k2, k3, k4 of both lenses, no unit"
+        default=(-0.0286, 0.0232, -0.0095, 0.0006),
+        description="k1, k2, k3, k4 of both lenses, of perspective ones k1, k2, p1, p2; no unit",
     )
-    field_of_view_deg: Annotated[float, Field(gt=180, lt=300)] = Field(
+    field_of_view_deg: Annotated[float, Field(gt=10, lt=300)] = Field(
         default=202.0, description="Full angle of the image circles, degrees"
     )
     base_m: Positive = Field(default=0.0194, le=1, description="Distance of the projection centres, metres")
@@ -882,6 +888,12 @@ class TwinDualFisheye(Section):
         default=1.6, description="Sensor noise of a middle grey, steps of 8 bits; 0: none"
     )
     jpeg_quality: Quality = Field(default=93, description="Quality of the JPEG files, 1 to 100")
+    rolling_s: Annotated[float, Field(ge=0, le=0.2)] = Field(
+        default=0.0,
+        description="Time from the first row of the sensors to the last, the exposure being in their middle; "
+        "0.02 is usual, seconds",
+    )
+    glare: bool = Field(default=False, description="The sun's disc and its glow in sky and water")
     rate_hz: Annotated[float, Field(gt=0, le=10)] = Field(default=1.0, description="Exposures per second")
     images: Annotated[int, Field(ge=1, le=10_000)] = Field(
         default=3, description="Exposures of the survey, the middle one at half time"

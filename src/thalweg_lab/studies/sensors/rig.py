@@ -37,7 +37,9 @@ BASE_MM: Final = 0.3
 ANGLE_DEG: Final = 0.02
 LENS_PX: Final = 0.1
 SEAM_PX: Final = 1.0
-_PANORAMA_PX: Final = 2688
+SQUARES: Final = (0.7, 1.4)
+"""Bounds of the figures, see `rig_table`."""
+_CIRCLE_PX: Final = 2688
 """Side of an image circle of the Ricoh Theta V, whose stills have 5376 x 2688 pixels."""
 _POINTS: Final = 2000
 """Points of which a perspective camera finds about as many in an image as 300 are in both image circles."""
@@ -49,8 +51,6 @@ _FOUND: Final = 0.5
 """Share of the points in view that are found in an image."""
 _PLAIN: Final = BlockAdjustment(loss="none", correlated=False, reject_limit=100.0, interior_variance=1.0)
 """Marks err independently and as they are stated."""
-SQUARES: Final = (0.7, 1.4)
-"""Bounds of the figures, see `rig_table`."""
 
 
 def rig_rows(seed: Seed) -> Tables:
@@ -331,7 +331,7 @@ def cameras_beside(true: TrueRig, rig: Rig, seed: int) -> pd.DataFrame:
     All go the same way, and each lens has about as many marks in an exposure, with 0.3 px: what differs is
     the angle of a pixel, and which banks are seen. Columns ``seed, camera, sigma_m, sigma_rad, marks``.
     """
-    finer = _PANORAMA_PX / true.settings.circle_px
+    finer = _CIRCLE_PX / true.settings.circle_px
     lenses, apart = two_cameras(seed)
     both = {
         "panorama": simulated_block(lenses_of(true, rig), seed, rig=rig, points=300, sigma_px=0.3 / finer)[0],

@@ -1,0 +1,148 @@
+"""Files with both image circles of a rig become one block: features of views, one pose for each file."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+from scipy.ndimage import map_coordinates
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from thalweg.calibration import LENSES, Rig
+from thalweg.core import Rigid, exp_rotation
+from thalweg.images.photographs import PhotographBlock, orient_photographs
+from thalweg.images.sfm import extract_features
+from thalweg.images.sfm.features import WIDEST_DEG
+from thalweg.settings.sections import LOCAL, FeatureSettings, Rig as RigSettings
+from thalweg.settings.twin import TwinDualFisheye
+from thalweg_lab.dual_fisheye import TrueRig, true_rig
+
+HALF_M = 4.0
+N = 8
+TEXTURE_PX = 1600
+SIGMA_M = 0.01
+FEATURES = FeatureSettings(max_features=700)
+
+
+def textures(rng: np.random.Generator) -> np.ndarray:
+    """Six walls (6, n, n) with blots of all sizes."""
+    out = np.zeros((6, TEXTURE_PX, TEXTURE_PX), np.float32)
+    for wall in out:
+        for size in (12, 40, 120):
+            coarse = rng.standard_normal((TEXTURE_PX // size, TEXTURE_PX // size)).astype(np.float32)
+            wall += cv2.resize(coarse, (TEXTURE_PX, TEXTURE_PX), interpolation=cv2.INTER_CUBIC)
+    return np.clip(120 + 35 * out, 5, 250)
+
+
+def seen(walls: np.ndarray, origin: np.ndarray, rays: np.ndarray) -> np.ndarray:
+    """Grey values of a cube from a place inside."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ways = np.stack([(s * HALF_M - origin[a]) / rays[:, a] for a in range(3) for s in (1, -1)], axis=1)
+    ways[~(ways > 0)] = np.inf
+    wall = ways.argmin(axis=1)
+    at = origin + ways[np.arange(len(wall)), wall][:, None] * rays
+    grey = np.zeros(len(rays), np.float32)
+    for k in range(6):
+        rows = np.flatnonzero(wall == k)
+        uv = (np.delete(at[rows], k // 2, axis=1) / (2 * HALF_M) + 0.5) * TEXTURE_PX
+        grey[rows] = map_coordinates(walls[k], uv.T[::-1] - 0.5, order=1, mode="nearest")
+    return grey
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TrueRig, Rig, list[Rigid]]:
+    """Eight files of a rig that goes round in a cube, positions of its front lens to 1 cm, and the truth."""
+    folder, rng = tmp_path_factory.mktemp("room"), np.random.default_rng(5)
+    true, walls = true_rig(TwinDualFisheye(), 5), textures(rng)
+    turn = np.linspace(0, 2.2, N)
+    level = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+    fronts = [
+        Rigid(
+            R=exp_rotation(np.array([0.05 * np.sin(3 * a), 0.05 * np.cos(2 * a), 0.35 * a])) @ level,
+            shift_m=np.array([1.6 * np.cos(2 * a), 1.6 * np.sin(2 * a), 0.3 * np.sin(5 * a)]),
+        )
+        for a in turn
+    ]
+    for k, front in enumerate(fronts):
+        views = []
+        for name in LENSES:
+            pose, camera = front @ true.T_front_lens[name], true.cameras[name]
+            y, x = np.mgrid[0:640, 0:640] + 0.5
+            rays = camera.rays(np.column_stack([x.ravel(), y.ravel()]))
+            inside = rays[:, 2] > np.cos(np.deg2rad(101))
+            grey = np.zeros(len(rays), np.float32)
+            grey[inside] = seen(walls, pose.shift_m, rays[inside] @ pose.R.T)
+            views.append(grey.reshape(640, 640))
+        picture = np.concatenate([views[0], np.rot90(views[1], 2)], axis=1)
+        picture = picture + 1.5 * rng.standard_normal(picture.shape)
+        file = np.repeat(np.clip(np.rint(picture), 0, 255).astype(np.uint8)[..., None], 3, axis=2)
+        Image.fromarray(file).save(folder / f"{k:03d}.jpg", quality=96)
+    places = np.array([T.shift_m for T in fronts]) + SIGMA_M * rng.standard_normal((N, 3))
+    table = pd.DataFrame(places, columns=["x", "y", "z"]).assign(accuracy=SIGMA_M)
+    table.insert(0, "image", [f"{k:03d}.jpg" for k in range(N)])
+    table.to_csv(folder / "places.csv", index=False)
+    sigma = np.r_[np.tile([0.02] * 4 + [5e-5] * 4, 2), [1e-4] * 3, [5e-5] * 3]
+    error = sigma * rng.standard_normal(22)
+    rig = Rig(
+        cameras={
+            name: true.cameras[name].with_parameters(
+                true.cameras[name].parameters + error[8 * k : 8 * k + 8], np.diag(sigma[:8] ** 2)
+            )
+            for k, name in enumerate(LENSES)
+        },
+        T_back_front=true.T_back_front.moved(error[16:]).with_cov(np.diag(sigma[16:] ** 2)),
+        settings=RigSettings(),
+        cov=np.diag(sigma**2),
+    )
+    return folder, true, rig, fronts
+
+
+def test_features_are_those_of_the_views_up_to_where_colmap_ends(room: tuple) -> None:
+    folder, _, rig, _ = room
+    path = folder / "003.jpg"
+    found = extract_features({"front/003.jpg": path, "back/003.jpg": path}, settings=FEATURES, rig=rig)
+    assert [p.name for p in found.pictures] == ["back/003.jpg", "front/003.jpg"]
+    assert all(p.size_px == (640, 640) and not p.problem for p in found.pictures)
+    for k, name in enumerate(("back", "front")):
+        rays = rig.cameras[name].rays(found.place[found.rows(k), :2].astype(float))
+        angle = np.rad2deg(np.arccos(rays[:, 2]))
+        assert WIDEST_DEG - 3 < angle.max() < WIDEST_DEG + 0.5
+
+
+def oriented(room: tuple, *, rig: bool = True) -> PhotographBlock:
+    folder, _, calibrated, _ = room
+    return orient_photographs(
+        {path.name: path for path in sorted(folder.glob("*.jpg"))},
+        crs=LOCAL,
+        positions=folder / "places.csv",
+        features=FEATURES,
+        rig=calibrated if rig else None,
+    )
+
+
+@pytest.mark.slow
+def test_files_of_a_rig_have_one_pose_each(room: tuple, tmp_path: Path) -> None:
+    _, true, _, fronts = room
+    block = oriented(room)
+    poses = block.found.poses
+    assert poses.images == tuple(f"{k:03d}.jpg" for k in range(N))
+    assert poses.oriented.all()
+    assert block.found.facts["images"] == N
+    shift = np.array([T.shift_m for T in fronts]) - poses.centre_wcs_m
+    turn = Rotation.from_matrix(
+        np.array([T.R for T in fronts]) @ np.swapaxes(poses.R_wcs_ccs, 1, 2)
+    ).as_rotvec()
+    error = np.concatenate([shift, turn], axis=1)
+    each = [e @ np.linalg.solve(C, e) for e, C in zip(error, poses.cov_pose_wcs, strict=True)]
+    # eight poses err alike, by the datum of eight positions: seven unknowns, at least
+    assert chi2.ppf(0.001, 7) / 7 < np.mean(each) / 6 < chi2.ppf(0.999, 7) / 7
+    place = block.found.facts["places_of_lenses"]["back"]
+    off = np.array(place["shift_m"]) - true.T_front_lens["back"].shift_m
+    assert (np.abs(off) < 4 * np.array(place["sigma_shift_m"])).all()
+    block.write(tmp_path, name="room")
+    images = pd.read_csv(tmp_path / "images.csv")
+    assert images["image"].tolist() == list(poses.images)
+    assert (images["tie_marks"] > 300).all()
