@@ -290,6 +290,8 @@ def walk(tmp_path: Path) -> Path:
     picture[:40] = 255
     (tmp_path / "pictures").mkdir()
     (tmp_path / "raw").mkdir()
+    (tmp_path / "camera").mkdir()
+    Image.fromarray(picture[:10, :10]).save(tmp_path / "camera/P 0.JPG")
     rows: dict[str, list] = {name: [] for name in PANORAMAS.names}
     for k in range(3):
         Image.fromarray(picture).save(tmp_path / f"pictures/R {k}.jpg", quality=95)
@@ -321,7 +323,8 @@ def walk(tmp_path: Path) -> Path:
             points=[tmp_path / "c.laz"],
             trajectory=tmp_path / "trajectory.parquet",
             gains=[tmp_path / "gains.csv"],
-            images=[tmp_path / "raw"],
+            images=[tmp_path / "camera"],
+            rig_images=[tmp_path / "raw"],
             table=[tmp_path / "panoramas.parquet"],
             page=folder / "index.html",
             nodes=folder / "nodes",
