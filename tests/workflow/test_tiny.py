@@ -70,10 +70,10 @@ OF_IMAGES = {
 }
 """Pictures of the images and of what they give."""
 
-OF_PANORAMAS = {"plot_panorama", "plot_panorama_seam", "plot_seam_views"}
+OF_PANORAMAS = {"plot_panorama", "plot_panorama_seam"}
 """Pictures of the panoramas."""
 
-OF_RIG = {"plot_rig_sketch", "plot_rig_residuals", "plot_rig_field"}
+OF_RIG = {"plot_rig_sketch", "plot_rig_residuals", "plot_rig_field", "plot_seam_views"}
 """Pictures of the calibration of the rig, which rests on no survey."""
 
 
