@@ -118,13 +118,12 @@ def test_marks_of_the_field_lie_where_their_angles_say() -> None:
 def test_both_sides_of_the_seam_are_cut_out_where_they_are() -> None:
     picture = np.zeros((180, 360, 3), np.uint8)
     picture[:, 85:95], picture[:, 265:275] = (250, 0, 0), (0, 250, 0)
-    facts = pd.Series({"seam_rms_px": 1.234})
-    figure = seam_views({"none": (picture, facts), "depth": (picture, facts)}, title="Seam", twin=False)
+    figure = seam_views({"all far": (picture, 1.234), "ranges": (picture, 0.2)}, title="Seam", twin=False)
     assert len(figure.axes) == 4
     for ax, channel, side in zip(figure.axes[:2], (0, 1), (-90, 90), strict=True):
         (image,) = ax.images
         left, right, low, high = image.get_extent()
-        assert (low, high) == (-15, 20)
+        assert (low, high) == (-15, 15)
         shown = np.flatnonzero(image.get_array()[0, :, channel] > 0)
         middle = left + (shown.mean() + 0.5) / image.get_array().shape[1] * (right - left)
         assert middle == pytest.approx(side)

@@ -1,9 +1,11 @@
 """The viewer: what the tree holds, and what a browser makes of the folder from disk."""
 
 import base64
+import importlib
 import json
 import re
 import zlib
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -290,6 +292,8 @@ def walk(tmp_path: Path) -> Path:
     picture[:40] = 255
     (tmp_path / "pictures").mkdir()
     (tmp_path / "raw").mkdir()
+    (tmp_path / "camera").mkdir()
+    Image.fromarray(picture[:10, :10]).save(tmp_path / "camera/P 0.JPG")
     rows: dict[str, list] = {name: [] for name in PANORAMAS.names}
     for k in range(3):
         Image.fromarray(picture).save(tmp_path / f"pictures/R {k}.jpg", quality=95)
@@ -321,7 +325,8 @@ def walk(tmp_path: Path) -> Path:
             points=[tmp_path / "c.laz"],
             trajectory=tmp_path / "trajectory.parquet",
             gains=[tmp_path / "gains.csv"],
-            images=[tmp_path / "raw"],
+            images=[tmp_path / "camera"],
+            rig_images=[tmp_path / "raw"],
             table=[tmp_path / "panoramas.parquet"],
             page=folder / "index.html",
             nodes=folder / "nodes",
@@ -398,6 +403,25 @@ def test_a_walk_from_panorama_to_panorama(walk: Path, tmp_path: Path) -> None:
         assert page.run("location.hash").startswith("#at=0.000,12.000,8.000")
         assert page.errors == []
         assert all(url.startswith(("file://", "blob:")) for url in page.requests)
+
+
+def test_a_walk_needs_no_lidar_and_wide_panoramas_are_reduced(
+    walk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(importlib.import_module("thalweg.figures.viewer.page"), "_WALK_PX", 512)
+    folder = tmp_path / "alone"
+    write_survey_viewer(
+        points=[], trajectory=walk / "trajectory.parquet", gains=[], images=[], rig_images=[],
+        table=[walk / "panoramas.parquet"], pictures=walk / "pictures", page=folder / "index.html",
+        nodes=folder / "nodes", views=folder / "views", title="x", twin=False,
+    )  # fmt: skip
+    place, facts = decoded(folder, "")
+    assert place[np.argsort(place[:, 1])] == pytest.approx(
+        np.array([[0, 6.0 * k, 8] for k in range(3)]), abs=1e-3
+    )
+    assert [each["name"] for each in facts["panoramas"]] == ["R 0", "R 1", "R 2"]
+    letters = re.search(r'"([^"]{100,})"', (folder / "views/R 1.js").read_text())[1]
+    assert Image.open(BytesIO(base64.b64decode(letters))).size == (512, 256)
 
 
 def test_a_point_leads_to_its_photograph_and_panorama(walk: Path, tmp_path: Path) -> None:

@@ -178,7 +178,8 @@ rule viewer_page:
         points=of(CampaignFiles.shown_points),
         trajectory=of(CampaignFiles.best_trajectory),
         gains=of(CampaignFiles.colour_gains),
-        images=of(CampaignFiles.colour_photographs),
+        images=of(CampaignFiles.colour_images),
+        rig_images=of(CampaignFiles.rig_images),
         table=of(CampaignFiles.panorama_table),
     output:
         page="results/{campaign}/viewer/index.html",

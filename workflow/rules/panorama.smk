@@ -91,7 +91,8 @@ use rule viewer_page as walk_page with:
         points=of(CampaignFiles.walk_points),
         trajectory=of(CampaignFiles.best_trajectory),
         gains=of(CampaignFiles.colour_gains),
-        images=of(CampaignFiles.colour_photographs),
+        images=of(CampaignFiles.colour_images),
+        rig_images=of(CampaignFiles.rig_images),
         table="results/{campaign}/panorama/panoramas.parquet",
         pictures="results/{campaign}/panorama/pictures",
     output:

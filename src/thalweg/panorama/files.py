@@ -28,7 +28,7 @@ import pyarrow as pa
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
-from thalweg.calibration import Rig, lens_view, read_rig_masks, read_views
+from thalweg.calibration import LENSES, Rig, lens_view, read_rig_masks, read_views
 from thalweg.core import (
     AnyArray,
     ArrayF,
@@ -109,10 +109,13 @@ def inverse_range(ranges_m: AnyArray, width_px: int) -> AnyArray:
     with np.errstate(divide="ignore"):
         inverse = np.where(np.isfinite(ranges_m), 1.0 / ranges_m, 0.0)
     u = (np.arange(width_px) + 0.5) / width_px * columns - 0.5
-    v = (np.arange(width_px // 2) + 0.5) / (width_px // 2) * rows - 0.5
-    grid = np.meshgrid(v, np.mod(u, columns), indexing="ij")
-    wide = np.concatenate([inverse, inverse[:, :1]], axis=1)
-    return ndimage.map_coordinates(wide, grid, order=1, mode="nearest")
+    v = np.clip((np.arange(width_px // 2) + 0.5) / (width_px // 2) * rows - 0.5, 0, rows - 1)
+    i, j = np.floor(v).astype(np.int64), np.floor(u).astype(np.int64)
+    fv, fu = (v - i).astype(np.float32)[:, None], (u - j).astype(np.float32)
+    inverse = inverse.astype(np.float32)
+    tall = (1 - fv) * inverse[i] + fv * inverse[np.minimum(i + 1, rows - 1)]
+    # around the panorama once: the last column is beside the first
+    return (1 - fu) * tall[:, j % columns] + fu * tall[:, (j + 1) % columns]
 
 
 # ---------------------------------------------------------------- are both views read as calibrated?

@@ -765,10 +765,6 @@ class CampaignFiles:
         """Exposures of the photographs that give the cloud colours, and their numbers in it."""
         return self._where(self.is_coloured(), "lidar/coloured_gains.csv")
 
-    def colour_photographs(self) -> list[str]:
-        """These photographs."""
-        return self.colour_images() + self.rig_images() if self.is_coloured() else []
-
     def panorama_table(self) -> list[str]:
         """The table of the panoramas, if there are any."""
         return self._where(self.has_panoramas(), "panorama/panoramas.parquet")

@@ -1,26 +1,17 @@
 """A panorama with its directions, and what the base of the rig costs at the seam."""
 
-from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Final
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from thalweg.calibration import read_rig
 from thalweg.core import ArrayU8, read_table
 from thalweg.core.calibration import read_calibration
 from thalweg.figures import BLUE, GREEN, GREY, VERMILION, new_figure, read_picture, styled
-from thalweg.images.model import ImagePoses
-from thalweg.ingest.photos import find_images
-from thalweg.panorama import PANORAMAS, make_panoramas
-from thalweg.settings.sections import Panorama, Rig
+from thalweg.panorama import PANORAMAS
 
-_TOP_DEG: Final = 20.0
-_LOW_DEG: Final = 15.0
 _POINTS: Final = {0: "N", 45: "NE", 90: "E", 135: "SE", 180: "S", 225: "SW", 270: "W", 315: "NW"}
 
 
@@ -57,67 +48,6 @@ def panorama_picture(picture: ArrayU8, row: pd.Series, *, title: str, twin: bool
     ax.set_yticks([-90, -45, 0, 45, 90])
     ax.set_xlabel("heading, grid north")
     ax.set_ylabel("elevation / degrees")
-    return figure
-
-
-def draw_seam_views(
-    *,
-    images: list[Path],
-    poses: Path,
-    calibration: Path,
-    points: list[Path],
-    rig: Rig,
-    panorama: Panorama,
-    title: str,
-    twin: bool,
-) -> Figure:
-    """Files of the rig, poses and cloud -> the seam of the middle exposure without and with ranges."""
-    placed = ImagePoses.read(poses)
-    usable = np.flatnonzero(placed.oriented)
-    middle = np.arange(len(placed.images)) == usable[len(usable) // 2]
-    found: dict[str, tuple[ArrayU8, pd.Series]] = {}
-    with TemporaryDirectory() as folder:
-        for mode in ("none", "depth" if points else "sphere"):
-            rows = make_panoramas(
-                {path.name: path for path in find_images(images).files},
-                replace(placed, oriented=placed.oriented & middle, reasons=("",) * len(middle)),
-                read_rig(calibration, rig),
-                points[0] if points else None,
-                panorama.model_copy(update={"mode": mode, "every": 1}),
-                Path(folder) / mode,
-                Path(folder) / f"{mode}.parquet",
-            )
-            row = rows.iloc[0]
-            found[mode] = read_picture(Path(folder) / mode / str(row["panorama"])), row
-    return seam_views(found, title=f"Seam of a panorama: {title}", twin=twin)
-
-
-@styled
-def seam_views(found: Mapping[str, tuple[ArrayU8, pd.Series]], *, title: str, twin: bool) -> Figure:
-    """Both sides of the seam, a row for each mode.
-
-    Parameters
-    ----------
-    found : panorama (h, 2 h, 3) and its row of the table by mode.
-    title : first words of the title.
-    twin : true if the digital twin made the data.
-    """
-    words = {"none": "all far", "sphere": "one range", "depth": "ranges of the cloud"}
-    width = next(iter(found.values()))[0].shape[1]
-    figure = new_figure(110.0, f"{title}, {width} px", twin=twin)
-    axes = figure.subplots(len(found), 2, sharex="col", sharey=True)
-    px = width / 360.0
-    for row, (mode, (picture, facts)) in zip(axes, found.items(), strict=True):
-        for ax, side in zip(row, (-90.0, 90.0), strict=True):
-            columns = np.arange(round((side - 25 + 180) * px), round((side + 25 + 180) * px))
-            rows = slice(round((90 - _TOP_DEG) * px), round((90 + _LOW_DEG) * px))
-            box = (side - 25, side + 25, -_LOW_DEG, _TOP_DEG)
-            ax.imshow(picture[rows][:, columns], extent=box, interpolation="nearest")
-            ax.axvline(side, color=VERMILION, linewidth=0.6, linestyle=":")
-            ax.set_title(f"{words[mode]}: seam rms {facts['seam_rms_px']:.2f} px", fontsize=9)
-        row[0].set_ylabel("elevation / degrees")
-    for ax in axes[-1]:
-        ax.set_xlabel("from the heading of the front lens / degrees")
     return figure
 
 

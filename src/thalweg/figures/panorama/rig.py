@@ -8,14 +8,18 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
+from scipy.interpolate import LinearNDInterpolator
 
 from thalweg.calibration import Rig as CalibratedRig, read_rig, read_views
-from thalweg.core import ArrayF, ArrayU8, Rigid
+from thalweg.calibration.field import read_points, resect
+from thalweg.core import ArrayF, ArrayU8, Camera, Rigid
 from thalweg.core.calibration import read_calibration
 from thalweg.figures import BLUE, GREY, VERMILION, count, new_figure, styled
 from thalweg.ingest.photos import find_images
+from thalweg.panorama import compose, default_width_px, pixels_of
 from thalweg.settings.sections import Rig
 
+_HALF_DEG: Final = 15.0
 COLOURS: Final = {"front": BLUE, "back": VERMILION}
 _CONFIDENCE: Final = 2.4477
 """Half axes of an ellipse that holds 95 % of a plane normal error, in sigmas."""
@@ -98,16 +102,23 @@ def draw_rig_field(
     *, images: list[Path], residuals: Path, calibration: Path, rig: Rig, title: str, twin: bool
 ) -> Figure:
     """Files of the field, residuals and calibration of a rig -> the file with most marks, in both lenses."""
+    views, table = _best_file(images, residuals, rig)
+    found = read_rig(calibration, rig)
+    return rig_field(views, table, found, title=f"Field of the rig: {title}", twin=twin)
+
+
+def _best_file(images: list[Path], residuals: Path, rig: Rig) -> tuple[dict[str, ArrayU8], pd.DataFrame]:
+    """Views of the file with most marks, and its residuals."""
     table = pd.read_csv(residuals)
     file = str(table["file"].value_counts().index[0])
-    views = read_views(next(path for path in find_images(images).files if path.name == file), rig)
-    return rig_field(
-        views,
-        table[table["file"] == file],
-        read_rig(calibration, rig),
-        title=f"Field of the rig: {title}",
-        twin=twin,
-    )
+    path = next(path for path in find_images(images).files if path.name == file)
+    return read_views(path, rig), table[table["file"] == file]
+
+
+def _pixels(table: pd.DataFrame, camera: Camera) -> ArrayF:
+    """Where marks (n, 2) of a lens are, by their angle from the axis and azimuth."""
+    t, a = (np.deg2rad(table[name].to_numpy(np.float64)) for name in ("angle_deg", "azimuth_deg"))
+    return camera.project(np.stack([np.sin(t) * np.cos(a), np.sin(t) * np.sin(a), np.cos(t)], axis=1))
 
 
 @styled
@@ -128,9 +139,7 @@ def rig_field(
     figure = new_figure(95.0, f"{title}, n = {count(int(table['used'].sum()))} marks", twin=twin)
     for ax, (lens, view) in zip(figure.subplots(1, 2), views.items(), strict=True):
         mine = table[table["lens"] == lens]
-        t, a = (np.deg2rad(mine[name].to_numpy()) for name in ("angle_deg", "azimuth_deg"))
-        rays = np.stack([np.sin(t) * np.cos(a), np.sin(t) * np.sin(a), np.cos(t)], axis=1)
-        x, y = rig.cameras[lens].project(rays).T
+        x, y = _pixels(mine, rig.cameras[lens]).T
         ax.imshow(view, extent=(0, view.shape[1], view.shape[0], 0))
         used = mine["used"].to_numpy(dtype=bool)
         ax.plot(x[used], y[used], ".", color=BLUE, markersize=2)
@@ -139,10 +148,8 @@ def rig_field(
         ax.quiver(x[used], y[used], *v, color=VERMILION, angles="xy", scale_units="xy", scale=1, width=0.003)
         # circles of equal angle from the axis; the field of view ends at the outermost
         for angle in (30, 60, 90):
-            a = np.linspace(0, 2 * np.pi, 181)
-            t = np.deg2rad(angle)
-            ring = np.stack([np.sin(t) * np.cos(a), np.sin(t) * np.sin(a), np.full(181, np.cos(t))], axis=1)
-            ax.plot(*rig.cameras[lens].project(ring).T, color="white", linewidth=0.6)
+            ring = pd.DataFrame({"angle_deg": angle, "azimuth_deg": np.arange(0.0, 361.0, 2.0)})
+            ax.plot(*_pixels(ring, rig.cameras[lens]).T, color="white", linewidth=0.6)
         ax.set_xlim(0, view.shape[1])
         ax.set_ylim(view.shape[0], 0)
         ax.set_title(f"{lens} lens, {int(used.sum())} marks", fontsize=9)
@@ -198,4 +205,67 @@ def rig_residuals(table: pd.DataFrame, *, title: str, twin: bool) -> Figure:
         ax.set_xlabel("angle from the axis / degrees")
     for ax in axes[:, 0]:
         ax.set_ylabel("observed less computed / px")
+    return figure
+
+
+def draw_seam_views(
+    *,
+    images: list[Path],
+    residuals: Path,
+    calibration: Path,
+    points: list[Path],
+    rig: Rig,
+    title: str,
+    twin: bool,
+) -> Figure:
+    """Files of the field of a rig and its points -> the seam of near things, without and with ranges."""
+    views, table = _best_file(images, residuals, rig)
+    found, field = read_rig(calibration, rig), read_points(points[0])
+    front = table[(table["lens"] == "front") & table["used"]].reset_index(drop=True)
+    xy = _pixels(front, found.cameras["front"])
+    marks = front[["marker", "corner", "sigma_px"]].assign(x_px=xy[:, 0], y_px=xy[:, 1])
+    pose = resect(found.cameras["front"], marks, field, with_interior=False, explain=False).T_pcs_ccs
+    local = (field.points_pcs - pose.shift_m) @ pose.R - found.centre_front_m
+    width = default_width_px(found.cameras["front"])
+    inverse = {"all far": np.zeros((width // 2, width)), "ranges of the marks": _inverse_of(local, width)}
+    composed = {words: compose(views, found, np.eye(3), each) for words, each in inverse.items()}
+    return seam_views(
+        {words: (each.picture, each.seam_rms_px) for words, each in composed.items()},
+        title=f"Seam of a panorama: {title}",
+        twin=twin,
+    )
+
+
+def _inverse_of(points_m: ArrayF, width: int) -> ArrayF:
+    """Inverse ranges (W / 2, W): linear between points (n, 3), infinitely far beyond them."""
+    uv, inverse = pixels_of(points_m, width), 1 / np.linalg.norm(points_m, axis=1)
+    around = np.concatenate([uv + np.array([k * width, 0]) for k in (-1, 0, 1)])
+    v, u = np.mgrid[0 : width // 2, 0:width] + 0.5
+    return np.nan_to_num(LinearNDInterpolator(around, np.tile(inverse, 3))(u, v))
+
+
+@styled
+def seam_views(found: Mapping[str, tuple[ArrayU8, float]], *, title: str, twin: bool) -> Figure:
+    """Both sides of the seam, a row for each way of making the panorama.
+
+    Parameters
+    ----------
+    found : panorama (h, 2 h, 3) and the rms of its shifts at the seam in pixels, by words.
+    title : first words of the title.
+    twin : true if the digital twin made the data.
+    """
+    width = next(iter(found.values()))[0].shape[1]
+    figure = new_figure(125.0, f"{title}, {width} px", twin=twin)
+    axes = figure.subplots(len(found), 2, sharex="col", sharey=True)
+    px = width / 360.0
+    for row, (words, (picture, rms_px)) in zip(axes, found.items(), strict=True):
+        for ax, side in zip(row, (-90.0, 90.0), strict=True):
+            columns = slice(round((side + 180 - _HALF_DEG) * px), round((side + 180 + _HALF_DEG) * px))
+            rows = slice(round((90 - _HALF_DEG) * px), round((90 + _HALF_DEG) * px))
+            box = (side - _HALF_DEG, side + _HALF_DEG, -_HALF_DEG, _HALF_DEG)
+            ax.imshow(picture[rows, columns], extent=box, interpolation="nearest")
+            ax.set_title(f"{words}: seam rms {rms_px:.2f} px", fontsize=9)
+        row[0].set_ylabel("up / degrees")
+    for ax in axes[-1]:
+        ax.set_xlabel("from the view of the front lens / degrees")
     return figure

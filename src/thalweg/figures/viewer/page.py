@@ -295,6 +295,7 @@ def write_survey_viewer(
     trajectory: Path,
     gains: list[Path],
     images: list[Path],
+    rig_images: list[Path],
     table: list[Path],
     page: Path,
     nodes: Path,
@@ -309,7 +310,8 @@ def write_survey_viewer(
     ----------
     points : the cloud; none: the places of the panoramas alone.
     trajectory : of the boat.
-    gains, images : which photograph has which number in the cloud, and their files, if it has colours.
+    gains : which photograph has which number in the cloud, if it has colours.
+    images, rig_images : files of the boat's camera and of the rig.
     table : of panoramas (table kind ``panoramas``), if there are any.
     page, nodes : target.
     pictures, views : folder of the panoramas, and one for their scripts: the page becomes a walk.
@@ -332,22 +334,23 @@ def write_survey_viewer(
         twin=twin,
         most_points=most,
         trajectory=path,
-        photographs=_photographs(pd.read_csv(gains[0]), images, rows, page) if gains else None,
+        photographs=_photographs(pd.read_csv(gains[0]), images, rig_images, rows, page) if gains else None,
         panoramas=[] if pictures is None or views is None else _walk(rows, pictures, views),
     )
 
 
 def _photographs(
-    gains: pd.DataFrame, images: list[Path], panoramas: pd.DataFrame, page: Path
+    gains: pd.DataFrame, images: list[Path], rig_images: list[Path], panoramas: pd.DataFrame, page: Path
 ) -> dict[int, tuple[str, ...]]:
     """Name, address and address of the panorama of each photograph, by its number in the cloud."""
-    files, here = named_once(images), final_path(page).parent
+    files, of_rig = (named_once(each) if each else {} for each in (images, rig_images))
+    here = final_path(page).parent
     walk = Path(relpath(here.parent / "panorama/index.html", here)).as_posix()
     made = set(panoramas["image"])
     found: dict[int, tuple[str, ...]] = {}
     for name, number in zip(gains["image"].astype(str), gains["number"], strict=True):
         # those of a rig are named LENS/NAME
-        file = files[name] if name in files else files[name.partition("/")[2]]
+        file = files[name] if name in files else of_rig[name.partition("/")[2]]
         address = Path(relpath(file.absolute(), here.absolute())).as_posix()
         own = [f"{walk}#panorama={Path(name).stem}"] if Path(name).name in made else []
         found[int(number)] = (name, quote(address), *own)
