@@ -1,5 +1,6 @@
 """The shape of the workflow: what depends on what, and what must not."""
 
+import os
 import re
 import shutil
 from dataclasses import dataclass
@@ -275,3 +276,22 @@ def test_on_a_cluster_short_jobs_go_together(empty_house, campaign: str) -> None
     assert every > 40
     if campaign == "tiny":
         assert groups + lone <= every / 3
+
+
+CONDA = """#!/bin/sh
+case "$*" in
+  *info*) echo '{"conda_version": "25.1.0", "conda_prefix": "/c", "platform": "linux-64"}';;
+  *config*) echo '{"get": {"channel_priority": "strict"}}';;
+  *) echo "conda 25.1.0";;
+esac
+"""
+"""Answers as conda does to what Snakemake asks before it makes an environment."""
+
+
+def test_jobs_run_in_the_conda_environment(empty_house, tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "conda").write_text(CONDA)
+    (tmp_path / "conda").chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    words = ("--dry-run", "--quiet", "host", "--sdm", "conda", "--config", "campaign=tiny", "--")
+    run = empty_house.snakemake(*words, "results/tiny/ingest/depths.parquet")
+    assert "Conda environment envs/thalweg.yaml will be created." in run.stdout + run.stderr
