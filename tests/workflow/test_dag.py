@@ -2,6 +2,7 @@
 
 import os
 import re
+import resource
 import shutil
 from dataclasses import dataclass
 from functools import reduce
@@ -211,6 +212,21 @@ def test_a_calibration_that_two_campaigns_name_is_made_once(empty_house) -> None
     calibrating = {"calibrate_camera_lidar", "calibrate_ins_lidar", "assemble_boat", "adjust_field"}
     assert {rule: found.count(rule) for rule in calibrating} == dict.fromkeys(calibrating, 1)
     assert found.count("georeference_lidar") == 2
+
+
+def test_a_season_of_twenty_is_planned_in_seconds(empty_house) -> None:
+    folder, own = empty_house.root / "season", empty_house.root / "config/campaigns/tiny.yaml"
+    folder.mkdir()
+    for k in range(20):
+        (folder / f"tiny_{k}.yaml").write_text(own.read_text().replace("id: tiny", f"id: tiny_{k}"))
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    run = empty_house.snakemake("--dry-run", "--quiet", "host", "--config", "campaign=season/*")
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    shutil.rmtree(folder)
+    (total,) = set(re.findall(r"(?m)^total +(\d+)$", run.stdout + run.stderr))
+    assert int(total) > 20 * 90
+    # of the processor, whatever else runs; measured 7
+    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 20
 
 
 def sentences(second: int) -> str:

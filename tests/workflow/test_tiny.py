@@ -252,7 +252,7 @@ def test_provenance_names_inputs_and_code(tiny_house) -> None:
 
 
 def test_requests_hold_and_those_that_are_measured_waste_nothing(tiny_house, tmp_path: Path) -> None:
-    """What rules state is for long campaigns as well; what `thalweg costs --write` finds is for such as this."""
+    """What rules state is for long campaigns, too; what `thalweg costs --write` finds is for such as this."""
     jobs = read_costs(tiny_house.root / "results/tiny")
     assert jobs["rule"].nunique() > 90
     assert not per_rule(jobs)["remark"].str.startswith("more").any()
