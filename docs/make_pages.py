@@ -13,7 +13,9 @@ docs/architecture.md, and which takes from which, are read from the source.
 """
 
 import ast
+import importlib.metadata
 import math
+import re
 import runpy
 import sys
 from collections.abc import Iterator
@@ -22,6 +24,7 @@ from typing import Any
 
 import pandas as pd
 from jinja2 import Environment, StrictUndefined
+from packaging.requirements import Requirement
 
 ROOT = Path(__file__).parents[1]
 _validation = runpy.run_path(str(ROOT / "docs/make_validation.py"))
@@ -162,6 +165,26 @@ def package_graph(source: Path = ROOT / "src") -> str:
     return "\n".join(["```mermaid", "flowchart LR", *lines, "```"])
 
 
+LICENCES = {"sbp": "MIT (by its repository)", "pyrtklib5": "MIT (by its file LICENSE)"}
+"""Of packages whose metadata do not state one."""
+
+
+def dependencies(root: Path = ROOT) -> list[tuple[str, str, str]]:
+    """What the library needs: name, why (the remark in pyproject.toml), and the licence that it states."""
+    text = (root / "pyproject.toml").read_text(encoding="utf-8")
+    text = text.split("\ndependencies = [")[1].split("\n]")[0]
+    found = []
+    for words, why in re.findall(r'(?m)^ +"([^"]+)", *# (.+)$', text):
+        requirement = Requirement(words)
+        if requirement.marker is not None and not requirement.marker.evaluate():
+            continue
+        told = importlib.metadata.metadata(requirement.name)
+        classes = [each.split(" :: ")[-1] for each in told.get_all("Classifier", []) if "License ::" in each]
+        stated = told["License-Expression"] or ", ".join(classes) or (told["License"] or "").split("\n")[0]
+        found.append((requirement.name, why, LICENCES.get(requirement.name, stated)))
+    return found
+
+
 def pages(root: Path = ROOT) -> tuple[dict[Path, str], int]:
     """All pages by their place, filled, and how many numbers wait for a record and are left out.
 
@@ -182,7 +205,7 @@ def pages(root: Path = ROOT) -> tuple[dict[Path, str], int]:
             known[table] = Table(path, wanted.get("keys", ["key"])) if path.exists() else Pending()
     timings = folder / "timings.csv"
     known["timings"] = Table(timings, ["campaign"]) if timings.exists() else Pending()
-    known |= {"packages": packages, "package_graph": package_graph}
+    known |= {"packages": packages, "package_graph": package_graph, "dependencies": dependencies(root)}
     environment = Environment(
         undefined=StrictUndefined, keep_trailing_newline=True, trim_blocks=True, autoescape=False
     )

@@ -1,6 +1,9 @@
 """Images, continuous integration, citation and catalogue name what there is."""
 
+import os
 import re
+import shutil
+import subprocess
 import tomllib
 from pathlib import Path
 
@@ -17,20 +20,48 @@ import thalweg
 def test_images_hold_the_locked_environment(repository: Path, name: str) -> None:
     text = (repository / name).read_text()
     assert "--require-hashes -r envs/requirements.lock" in text
-    (python,) = re.findall(r"python:(3\.\d+)-slim", text)
+    assert len(re.findall(r"(?m)^OSVersion: bookworm$|debian:bookworm-slim$", text)) == 1
     project = tomllib.loads((repository / "pyproject.toml").read_text())["project"]
-    assert python in SpecifierSet(project["requires-python"])
+    assert "3.11" in SpecifierSet(project["requires-python"])  # of Debian 12
     assert "touch .venv/.complete" in text  # else `make` in the image would begin anew
 
 
 def test_both_images_are_the_same(repository: Path) -> None:
     taken = [
-        re.findall(
-            r"python:\S+|--no-install-recommends (.*?)(?: \\)?$", (repository / name).read_text(), re.M
-        )
-        for name in ("Containerfile", "envs/thalweg.def")
+        set(re.findall(r"--no-install-recommends (.*?)(?: \\)?$", text, re.M)[0].split())
+        - {"ca-certificates"}
+        for text in ((repository / name).read_text() for name in ("Containerfile", "envs/thalweg.def"))
     ]
-    assert taken[0] == taken[1] != []
+    assert taken[0] == taken[1] != set()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not shutil.which("mmdebstrap") or os.geteuid() != 0, reason="needs mmdebstrap and root")
+def test_the_image_is_built_in_a_chroot(repository: Path, tmp_path: Path) -> None:
+    """What Apptainer would do, without it: a minimal Debian, the files, `%post`; then a dry run inside."""
+    text = (repository / "envs/thalweg.def").read_text()
+    head = dict(re.findall(r"(?m)^(\w+): (.*)$", text.split("%files")[0]))
+    root, place = tmp_path / "root", tmp_path / "root/opt/thalweg"
+    words = ("--variant=minbase", f"--include={head['Include']}", head["OSVersion"])
+    subprocess.run(["mmdebstrap", *words, str(root), head["MirrorURL"]], check=True)
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=repository, capture_output=True, check=True).stdout
+    for name in filter(None, listed.decode().split("\0")):
+        (place / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(repository / name, place / name)
+    for name in ("resolv.conf", "ssl/certs/ca-certificates.crt"):  # of this computer: its network
+        if Path("/etc", name).exists():
+            shutil.copy(Path("/etc", name), root / "etc" / name)
+    (root / "post.sh").write_text(text.split("%post\n")[1].split("%environment")[0])
+    proxies = [f"{key}={value}" for key, value in os.environ.items() if key.lower().endswith("_proxy")]
+    inside = ["chroot", str(root), "/usr/bin/env", "-i", "HOME=/root", "PATH=/usr/sbin:/usr/bin:/sbin:/bin"]
+    subprocess.run(["mount", "-t", "proc", "proc", str(root / "proc")], check=True)
+    try:
+        subprocess.run([*inside, *proxies, "sh", "-e", "/post.sh"], check=True)
+        dry = "cd /opt/thalweg && .venv/bin/snakemake --dry-run --quiet rules --config campaign=tiny"
+        run = subprocess.run([*inside, "sh", "-c", dry], capture_output=True, text=True, check=True)
+    finally:
+        subprocess.run(["umount", str(root / "proc")], check=True)
+    assert re.search(r"(?m)^total +\d{2,}$", run.stdout), run.stdout
 
 
 def test_continuous_integration_runs_the_own_command(repository: Path) -> None:

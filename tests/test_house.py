@@ -4,6 +4,7 @@ import ast
 import importlib
 import json
 import re
+import runpy
 import subprocess
 import sys
 import tomllib
@@ -64,6 +65,27 @@ def test_every_dependency_is_locked_at_a_version_that_fits(repository: Path) -> 
         found = versions.get(canonicalize_name(requirement.name), [])
         assert found, f"{requirement} is not in the lock file: run `make lock`"
         assert all(version in requirement.specifier for version in found), (requirement, found)
+
+
+def test_every_dependency_is_used_and_has_its_why_and_licence(repository: Path) -> None:
+    wanted = tomllib.loads((repository / "pyproject.toml").read_text())["project"]["dependencies"]
+    here = [r for r in map(Requirement, wanted) if r.marker is None or r.marker.evaluate()]
+    told = runpy.run_path(str(repository / "docs/make_pages.py"))["dependencies"](repository)
+    assert [name for name, _, _ in told] == [r.name for r in here]  # each line has its remark
+    assert all(re.search(r"MIT|BSD|Apache|Python Software Foundation", licence) for _, _, licence in told), (
+        told
+    )
+    files = [p for name in ("src", "workflow") for p in (repository / name).rglob("*.py")]
+    tops = {name.split(".")[0] for path in files for name, _ in imports(path)}
+    gives = {
+        canonicalize_name(one)
+        for top, each in packages_distributions().items()
+        if top in tops
+        for one in each
+    }
+    behind = {"snakemake", "lazy-loader"}  # the command, and front doors
+    unused = {canonicalize_name(r.name) for r in here} - gives - behind
+    assert unused == set()
 
 
 def test_the_conda_environment_keeps_step_with_the_lock(repository: Path) -> None:

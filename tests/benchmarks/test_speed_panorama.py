@@ -10,7 +10,7 @@ from tests.panorama.test_compose import rig_of_the_shelf
 
 from thalweg.core import Camera
 from thalweg.panorama import compose, fill_gaps, write_panorama
-from thalweg.panorama.ranges import inverse_range
+from thalweg.panorama.files import inverse_range
 
 WIDTH, SIDE = 5376, 2688
 LIMIT_S = 4.0

@@ -1,6 +1,8 @@
 """The shape of the workflow: what depends on what, and what must not."""
 
+import os
 import re
+import resource
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -228,6 +230,21 @@ def test_a_calibration_that_two_campaigns_name_is_made_once(empty_house) -> None
     assert found.count("georeference_lidar") == 2
 
 
+def test_a_season_of_twenty_is_planned_in_seconds(empty_house) -> None:
+    folder, own = empty_house.root / "season", empty_house.root / "config/campaigns/tiny.yaml"
+    folder.mkdir()
+    for k in range(20):
+        (folder / f"tiny_{k}.yaml").write_text(own.read_text().replace("id: tiny", f"id: tiny_{k}"))
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    run = empty_house.snakemake("--dry-run", "--quiet", "host", "--config", "campaign=season/*")
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    shutil.rmtree(folder)
+    (total,) = set(re.findall(r"(?m)^total +(\d+)$", run.stdout + run.stderr))
+    assert int(total) > 20 * 90
+    # of the processor, whatever else runs; measured 7
+    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 20
+
+
 def sentences(second: int) -> str:
     """NMEA of one second of a boat that goes north: position and depth."""
     bodies = [
@@ -291,3 +308,22 @@ def test_on_a_cluster_short_jobs_go_together(empty_house, campaign: str) -> None
     assert every > 40
     if campaign == "tiny":
         assert groups + lone <= every / 3
+
+
+CONDA = """#!/bin/sh
+case "$*" in
+  *info*) echo '{"conda_version": "25.1.0", "conda_prefix": "/c", "platform": "linux-64"}';;
+  *config*) echo '{"get": {"channel_priority": "strict"}}';;
+  *) echo "conda 25.1.0";;
+esac
+"""
+"""Answers as conda does to what Snakemake asks before it makes an environment."""
+
+
+def test_jobs_run_in_the_conda_environment(empty_house, tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "conda").write_text(CONDA)
+    (tmp_path / "conda").chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    words = ("--dry-run", "--quiet", "host", "--sdm", "conda", "--config", "campaign=tiny", "--")
+    run = empty_house.snakemake(*words, "results/tiny/ingest/depths.parquet")
+    assert "Conda environment envs/thalweg.yaml will be created." in run.stdout + run.stderr

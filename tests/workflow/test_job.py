@@ -14,7 +14,7 @@ from snakemake.iocontainers import InputFiles, Log, OutputFiles, Params
 from thalweg.core import InputError
 from thalweg.settings.sections import Filters, Lidar
 from thalweg.workflow import job_arguments, run_job
-from thalweg.workflow.forked import openblas
+from thalweg.workflow.job import openblas
 
 
 class FakeJob:

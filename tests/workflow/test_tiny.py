@@ -21,7 +21,7 @@ from thalweg.ingest.registry import lidar_reader
 from thalweg.lidar import CORRELATIONS, SIGMAS, LogSettings, georeference_log
 from thalweg.settings import load_campaign
 from thalweg.settings.sections import Filters, LidarAccuracy
-from thalweg.workflow import CampaignFiles
+from thalweg.workflow import CampaignFiles, Measured, fitted, per_rule, read_costs
 from thalweg_lab.instruments import LIDAR_SHOTS, EchoKind
 from thalweg_lab.river import BARE_GROUND, Scene
 from thalweg_lab.truth import TrueReturns, Truth, compare_cloud
@@ -250,6 +250,22 @@ def test_provenance_names_inputs_and_code(tiny_house) -> None:
     assert re.fullmatch(r"[0-9a-f]{12}", record["code"])
     assert f"{BASE}/simulation/logs/lidar.pcap" in record["inputs"]
     assert not any(Path(name).is_absolute() for name in record["inputs"])
+
+
+def test_requests_hold_and_those_that_are_measured_waste_nothing(tiny_house, tmp_path: Path) -> None:
+    """What rules state is for long campaigns, too; what `thalweg costs --write` finds is for such as this."""
+    jobs = read_costs(tiny_house.root / "results/tiny")
+    assert jobs["rule"].nunique() > 90
+    assert not per_rule(jobs)["remark"].str.startswith("more").any()
+    measured, asked = Measured(fitted(jobs)), []
+    for rule, input_mb in zip(jobs["rule"], jobs["input_mb"], strict=True):
+        with (tmp_path / "inputs").open("wb") as file:
+            file.truncate(int(input_mb * 1e6))
+        inputs = [str(tmp_path / "inputs")]
+        asked.append((measured.memory_mb(rule, inputs, 1, 0, 0), measured.minutes(rule, inputs, 1, 0, 0)))
+    again = per_rule(jobs.assign(asked_mb=[a for a, _ in asked], asked_min=[b for _, b in asked]))
+    assert again.loc[again["remark"] != "", ["rule", "remark", "used_memory"]].to_dict("records") == []
+    assert again["used_memory"].between(0.25, 1.0).all()
 
 
 def test_a_second_call_has_nothing_to_do(tiny_house) -> None:

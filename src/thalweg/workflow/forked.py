@@ -9,10 +9,8 @@ cluster the first job that a Snakemake runs there is started, as it may be the o
 are forked.
 """
 
-import ctypes
 import multiprocessing
 import os
-import re
 import runpy
 import sys
 from collections.abc import Callable
@@ -90,15 +88,3 @@ def _run(script: str, folder: Path, threads: int, scratch: str | None) -> None:
     except Exception:
         sys.excepthook(*sys.exc_info())  # multiprocessing would print the traceback without asking the hook
         sys.exit(1)
-
-
-def openblas(verb: str) -> list[Any]:
-    """Functions that ``set`` or ``get`` the threads of each OpenBLAS that the process has loaded.
-
-    OpenBLAS reads its environment when it is loaded, which is long past in a fork.
-    """
-    loaded = Path("/proc/self/maps")  # of Linux
-    maps = loaded.read_text(encoding="utf-8") if loaded.is_file() else ""
-    libraries = [ctypes.CDLL(path) for path in sorted(set(re.findall(r"\S*openblas\S*\.so\S*", maps)))]
-    names = [f"scipy_openblas_{verb}_num_threads{bits}" for bits in ("64_", "")]
-    return [getattr(each, name) for each in libraries for name in names if hasattr(each, name)]

@@ -1,5 +1,6 @@
 """Run the ``main`` of an entry script as a Snakemake job."""
 
+import ctypes
 import inspect
 import logging
 import os
@@ -17,7 +18,6 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 from thalweg.core import UNFINISHED, InputError, ThalwegError
 from thalweg.workflow.costs import costs_of, memory_now_mb
-from thalweg.workflow.forked import openblas
 from thalweg.workflow.provenance import (
     META,
     bring_provenance,
@@ -165,6 +165,18 @@ def _limit_threads(threads: int) -> None:
 
         # Not by NUMBA_NUM_THREADS: numba refuses a change of it once a kernel has run.
         numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+
+
+def openblas(verb: str) -> list[Any]:
+    """Functions that ``set`` or ``get`` the threads of each OpenBLAS that the process has loaded.
+
+    OpenBLAS reads its environment when it is loaded, which is long past in a fork.
+    """
+    loaded = Path("/proc/self/maps")  # of Linux
+    maps = loaded.read_text(encoding="utf-8") if loaded.is_file() else ""
+    libraries = [ctypes.CDLL(path) for path in sorted(set(re.findall(r"\S*openblas\S*\.so\S*", maps)))]
+    names = [f"scipy_openblas_{verb}_num_threads{bits}" for bits in ("64_", "")]
+    return [getattr(each, name) for each in libraries for name in names if hasattr(each, name)]
 
 
 def _start_log(path: Path | None) -> None:

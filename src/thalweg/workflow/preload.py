@@ -36,8 +36,6 @@ LIBRARIES: Final = (
     "thalweg.workflow.job",
 )
 
-os.environ["OPENBLAS_NUM_THREADS"] = (
-    "1"  # read when numpy and scipy load; `forked` gives each job its own number
-)
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # read when numpy and scipy load; as `run_job` sets it
 for _name in LIBRARIES:
     import_module(_name)
