@@ -8,8 +8,11 @@ from .cloud import (
     cloud_covariance as cloud_covariance,
     export_map as export_map,
     georeference_log as georeference_log,
+    georeference_window as georeference_window,
+    join_windows as join_windows,
     sample_cloud as sample_cloud,
     with_stated_clock as with_stated_clock,
+    write_density as write_density,
 )
 from .colour import (
     COLOUR_DIMENSIONS as COLOUR_DIMENSIONS,
