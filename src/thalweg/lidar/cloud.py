@@ -4,7 +4,7 @@ import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 import pandas as pd
@@ -12,6 +12,7 @@ import pyarrow as pa
 from numpy.typing import ArrayLike
 from pyproj import CRS
 
+from thalweg.calibration import read_mounts
 from thalweg.core import (
     AnyArray,
     ArrayB,
@@ -49,6 +50,7 @@ from thalweg.lidar.filters import (
     water_level_m,
 )
 from thalweg.lidar.georeference import WorldPoints, georeference_points
+from thalweg.navigation.ins_gnss import beam_factors
 from thalweg.settings.sections import Filters, Georeferencing, LidarAccuracy, LidarClockStated
 
 SIGMAS: Final = ("sigma_east", "sigma_north", "sigma_up")
@@ -110,6 +112,23 @@ class LogSettings:
     laz_scale_m: float = Georeferencing().laz_scale_m
     correlations: bool = False
     chunk_points: int = Georeferencing().chunk_points
+
+    @classmethod
+    def of_survey(
+        cls,
+        mounts: Path,
+        error_model: Path,
+        accuracy: LidarAccuracy,
+        filters: Filters,
+        georeferencing: Mapping[str, Any],
+    ) -> Self:
+        """Those of a survey: files of its mounts and of its errors, and sections of its settings."""
+        return cls(
+            mount=Rigid.from_mount(read_mounts(mounts)["lidar"]),
+            beam=accuracy.scaled(**beam_factors(error_model)),
+            filters=filters,
+            **georeferencing,
+        )
 
 
 def clock_by_hand(
