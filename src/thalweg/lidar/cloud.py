@@ -1,5 +1,6 @@
 """From a lidar log to a cloud on disk: streaming, every point counted."""
 
+import hashlib
 import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -330,7 +331,7 @@ def georeference_window(
         occupancy.freeze()
     with _writer(out, trajectory, settings) as writer:
         n, removed = _write_window(reader, clock, trajectory, settings, writer, occupancy, window)
-    np.savez(out_rest, n=n, **removed.arrays())
+    np.savez(out_rest, n=n, sha256=_sha256(out), **removed.arrays())
 
 
 def join_windows(
@@ -358,12 +359,20 @@ def join_windows(
     Raises
     ------
     CoverageError : no point is left.
+    InputError : the points of a window have changed since.
     """
     counts, removed = np.zeros(len(Reason), dtype=np.int64), RemovedSample()
-    for rest in rests:
+    for path, rest in zip(points, rests, strict=True):
         with np.load(rest) as found:
             counts += found["n"]
             removed.add_arrays(found)
+            if str(found["sha256"]) != _sha256(path):
+                raise InputError(
+                    "the points of a window are not those that its job wrote",
+                    expected=f"a file of SHA-256 {found['sha256']}",
+                    where=path,
+                    cure="Remove it, so that it is made again",
+                )
     with _writer(out, trajectory, settings) as writer:
         for path in points:
             for chunk in iter_laz(path, settings.chunk_points):
@@ -371,6 +380,11 @@ def join_windows(
         _check_left(counts, log_files)
     write_table(out_removed, removed.table(), REMOVED_POINTS)
     return reason_table(counts)
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def columns_to_write(chunk: Mapping[str, AnyArray], extra: Iterable[str]) -> dict[str, Any]:

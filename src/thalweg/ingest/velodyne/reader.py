@@ -48,11 +48,11 @@ class VelodyneReader:
         """By the rate of its first piece; NaN if that holds no packets."""
         paths = [Path(f) for f in self.files]
         model = _first_model(paths, self.options, CHUNK_BYTES)
+        sizes = [path.stat().st_size for path in paths]
         for block in _packets(paths, self.options, model, CHUNK_BYTES):
             t_us = block.t_us[block.keep]
             if t_us.size:
-                pieces = max(1.0, sum(path.stat().st_size for path in paths) / CHUNK_BYTES)
-                return float(np.ptp(t_us)) * 1e-6 * pieces
+                return float(np.ptp(t_us)) * 1e-6 * sum(sizes) / min(CHUNK_BYTES, sizes[0])
         return math.nan
 
     def points(
