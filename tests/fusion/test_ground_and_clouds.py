@@ -8,8 +8,17 @@ from scipy.spatial.transform import Rotation
 from tests.conftest import check_whole
 from tests.fusion.conftest import FRAME, GRID
 
-from thalweg.core import CoverageError, GeometryError, InputError
-from thalweg.fusion import Cloud, Source, filter_ground, fit_cloud, join_clouds, joined_parts, read_cloud
+from thalweg.core import CoverageError, GeometryError, InputError, LazWriter, iter_laz
+from thalweg.fusion import (
+    Cloud,
+    Source,
+    filter_ground,
+    fit_cloud,
+    join_clouds,
+    joined_parts,
+    read_cloud,
+    read_ground,
+)
 from thalweg.fusion.ground import scores
 from thalweg.settings.sections import CloudFit, GroundFilter
 
@@ -63,6 +72,26 @@ def test_plants_are_no_ground_and_the_gain_of_last_echoes_is_told(with_plants):
     # all ground in the bushes came through them
     assert found.facts["cells_by_last_of_several_alone"] > 20
     assert found.facts["height_of_earlier_echoes_m"] > 0.02
+
+
+def test_the_ground_of_a_file_is_that_of_all_its_points(with_plants, tmp_path, monkeypatch):
+    """Read in pieces of any size, and never held as a whole."""
+    xyz, number, of, _ = with_plants
+    path = tmp_path / "points.laz"
+    with LazWriter(path, FRAME) as writer:
+        writer.append(xyz, return_number=number, number_of_returns=of)
+    whole = read_cloud([path], FRAME, GRID, sigma_m=0.03)
+    ground = filter_ground(whole.xyz_m, number, of, GroundFilter())
+    sizes = []
+    for size in (1_000_000, 3_000):
+        monkeypatch.setattr(
+            "thalweg.fusion.clouds.iter_laz", lambda p, size=size: sizes.append(size) or iter_laz(p, size)
+        )
+        found, facts = read_ground(path, FRAME, GRID, GroundFilter(), sigma_m=0.03)
+        np.testing.assert_array_equal(found.xyz_m, whole.xyz_m[ground.is_ground])
+        np.testing.assert_array_equal(found.sigma_up_m, 0.03)
+        assert facts == ground.facts
+    assert sizes == [1_000_000] * 3 + [3_000] * 3
 
 
 def test_a_cloud_without_plants_has_nothing_to_gain(rng):

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from thalweg.core import InputError, UnsupportedError
-from thalweg.ingest import LidarOptions
+from thalweg.ingest import LidarOptions, LogWindow, PointBlock
 from thalweg.ingest.velodyne import VLP16
 from thalweg.ingest.velodyne.packets import read_packets
-from thalweg.ingest.velodyne.reader import iter_points, scan_lidar
+from thalweg.ingest.velodyne.reader import VelodyneReader, iter_points, scan_lidar
 
 _builder = Path(__file__).with_name("test_velodyne_log.py")
 _spec = importlib.util.spec_from_file_location("velodyne_log", _builder)
@@ -265,3 +265,44 @@ def test_file_without_packets(tmp_path):
     (tmp_path / "a").write_bytes(log.pcap([]))
     with pytest.raises(InputError, match=r"no lidar packets \(the file holds: nothing\); expected 1206-byte"):
         scan_lidar([tmp_path / "a"])
+
+
+@pytest.mark.parametrize("count", [1, 3, 7])
+def test_windows_give_each_point_once_and_as_it_was(tmp_path, count):
+    """Over the hour, with late, double, lost and damaged packets, in two files of many pieces."""
+    stamps = log.times(1400, 3_599_300_000.0)
+    rows = log.data_packets(stamps, rate=17.0)
+    rows.view(log.PAYLOAD)["toh"][700] = 1_900_000_000
+    turned = rows.view(log.PAYLOAD)["b"]["az"]
+    for k in range(1, 14):  # packets of no two good blocks in succession: they turn as fast as those before
+        turned[100 * k - 3 : 100 * k + 6, ..., 1::2] = 40_000
+    order = np.delete(np.insert(np.arange(1400), [500, 901, 901], [480, 890, 891]), slice(1200, 1230))
+    order[[466, 467, 468, 469]] = [469, 467, 468, 466]
+    rows = rows[order]
+    files = [save(tmp_path / "a", rows[:650]), save(tmp_path / "b", rows[650:])]
+    options, clock = LidarOptions(), scan_lidar(files).clock
+
+    def read(chunk_bytes, max_points=1_000_000, window=None):
+        blocks = list(iter_points(files, options, clock, max_points, chunk_bytes, window))
+        return {
+            name: np.concatenate([getattr(block, name) for block in blocks])
+            for name in PointBlock.__dataclass_fields__
+        }
+
+    whole = read(1 << 20)
+    assert len(whole["range_m"]) > 400_000
+    length_s = 1400 * log.PACKET_US[0x37] * 1e-6
+    for seconds in (length_s / count, length_s / count / 3):
+        parts = [read(100_000, 5_000, LogWindow(index=i, count=count, seconds=seconds)) for i in range(count)]
+        for name, values in whole.items():
+            np.testing.assert_array_equal(np.concatenate([part[name] for part in parts]), values, name)
+        t_s = [part["t_device_s"] - whole["t_device_s"][0] for part in parts]
+        for i, t in enumerate(t_s[:-1]):
+            assert i * seconds - 0.01 < t.min() < t.max() < (i + 1) * seconds + 0.002
+
+
+def test_the_length_of_a_log_is_known_from_its_begin(tmp_path):
+    rows = log.data_packets(log.times(900))
+    files = [save(tmp_path / "a", rows[:450]), save(tmp_path / "b", rows[450:])]
+    reader = VelodyneReader(files=files, options=LidarOptions())
+    assert reader.length_s() == pytest.approx(900 * log.PACKET_US[0x37] * 1e-6, rel=0.01)

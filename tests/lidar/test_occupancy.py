@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 
 from thalweg.core import GeometryError
 from thalweg.lidar import MOST_COUNTED, Occupancy
-from thalweg.lidar.filters import CELLS_PER_RADIUS
+from thalweg.lidar.filters import CELLS_PER_RADIUS, blocks_within
 
 RADIUS_M = 0.5
 
@@ -133,3 +133,30 @@ def test_memory_follows_the_surface_not_the_points(rng: np.random.Generator) -> 
     for _ in range(10):
         many.add(rng.random((50_000, 3)) * square)
     assert many.n_bytes <= 1.1 * few.n_bytes
+
+
+def test_grids_of_parts_add_up_to_that_of_all(rng: np.random.Generator) -> None:
+    points = rng.normal(0.0, 30.0, (60_000, 3)) * [1.0, 1.0, 0.2]
+    points[:400] = [5.0, -7.0, 1.0]  # more than a cell can count, in several parts
+    whole, joined = Occupancy(0.5), Occupancy(0.5)
+    whole.add(points)
+    for part in np.array_split(rng.permutation(points), 3):
+        grid = Occupancy(0.5)
+        grid.add(part)
+        joined.add_blocks(*grid.blocks())
+    for mine, other in zip(joined.blocks(), whole.blocks(), strict=True):
+        np.testing.assert_array_equal(mine, other)
+    # of a box only what touches it is needed, with the reach of the question about it
+    low, high = np.array([-10.0, -20.0]), np.array([15.0, 4.0])
+    keys, counts = whole.blocks()
+    near = blocks_within(keys, whole.cell_m, low - whole.reach_m, high + whole.reach_m)
+    assert 0 < near.sum() < 0.2 * len(keys)
+    some = Occupancy(0.5)
+    some.add_blocks(keys[near], counts[near])
+    for grid in (whole, some):
+        grid.freeze()
+    inside = points[((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1)]
+    np.testing.assert_array_equal(some.near(inside, enough=200), whole.near(inside, enough=200))
+    assert some.near(points[:1], enough=254)[0] == 254
+    with pytest.raises(RuntimeError, match="frozen"):
+        some.add_blocks(keys, counts)

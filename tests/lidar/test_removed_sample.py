@@ -13,9 +13,14 @@ from thalweg.lidar.cloud import RemovedSample
 
 def sampled(reasons: np.ndarray, most: int, pieces: int) -> RemovedSample:
     """A sample of points that carry their number as time."""
+    return sampled_rows(reasons, np.arange(len(reasons)), most, pieces)
+
+
+def sampled_rows(reasons: np.ndarray, rows: np.ndarray, most: int, pieces: int = 1) -> RemovedSample:
+    """The same of some of the points."""
     number = np.arange(len(reasons), dtype=np.float64)
     sample = RemovedSample(most)
-    for part in np.array_split(np.arange(len(reasons)), pieces):
+    for part in np.array_split(rows, pieces):
         sample.add(
             reasons[part],
             t_gps_s=number[part],
@@ -31,6 +36,12 @@ def test_the_sample_is_bounded_even_and_blind_to_pieces(rng: np.random.Generator
     reasons = rng.choice(np.array([0, Reason.TOO_NEAR, Reason.ISOLATED], np.uint8), n, p=[0.5, 0.499, 0.001])
     table = sampled(reasons, most, 1).table()
     assert table.equals(sampled(reasons, most, 41).table())
+    joined = RemovedSample(most)
+    for rows in np.array_split(np.arange(n), 7):
+        part = sampled_rows(reasons, rows, most)
+        assert sum(len(values) for values in part.arrays().values()) < 2 * len(REMOVED) * most
+        joined.add_arrays(part.arrays())
+    assert table.equals(joined.table())
     sizes = table["reason"].value_counts()
     # few enough: all of them; too many: between half and all of the bound, the half itself being binomial
     assert sizes["isolated"] == np.sum(reasons == Reason.ISOLATED)

@@ -390,6 +390,26 @@ georeferencing: {{export_map: false}}
 """
 
 
+def test_windows_of_a_long_log_change_no_byte(tiny_house) -> None:
+    """In one, three and seven windows, as their jobs make them."""
+    logs = tiny_house.root / BASE / "simulation/logs"
+    base = tiny_house.root / "results/boat/lidar"
+    names = ("points.laz", "removed.parquet", "counts.csv")
+    target = ("--config", "campaign=boat", "--", "results/boat/lidar/points.laz")
+    shutil.rmtree(base.parent, ignore_errors=True)
+    found = []
+    for seconds, n in (("auto", 0), (9, 3), (4, 7)):
+        text = BOAT.format(logs=logs, source="ins", camera="", more=f"scatter: {{seconds: {seconds}}}")
+        (tiny_house.root / "config/campaigns/boat.yaml").write_text(text)
+        run = tiny_house.snakemake(*target)
+        jobs = re.findall(r"^(?:count_neighbours|georeference_window) +(\d+)$", run.stdout + run.stderr, re.M)
+        assert jobs == ([str(n)] * 2 if n else [])
+        found.append([(base / name).read_bytes() for name in names])
+        assert not list((base / "windows").glob("*.las"))
+    assert found[0] == found[1] == found[2]
+    shutil.rmtree(base.parent)
+
+
 def write_sbet(states: Path, target: Path) -> int:
     """The states of the tiny boat as an SBET (wander angle 0); returns the GPS week."""
     table, _ = read_table(states, INS_STATE)

@@ -40,7 +40,12 @@ ROOT = Path(workflow.basedir)
 CHOSEN = load_campaigns(config["campaign"], ROOT / "config" / "campaigns")
 CAMPAIGNS = with_calibrations(CHOSEN, ROOT / "config" / "campaigns")
 FILES = {
-    name: CampaignFiles(name=name, campaigns=CAMPAIGNS, twin_logs=laboratory.twin_logs)
+    name: CampaignFiles(
+        name=name,
+        campaigns=CAMPAIGNS,
+        twin_logs=laboratory.twin_logs,
+        on_cluster=workflow.non_local_exec or workflow.remote_exec,
+    )
     for name in CAMPAIGNS
 }
 # Of the surveys that a campaign of epochs names only what the comparison needs is built.

@@ -42,6 +42,8 @@ rule georeference_lidar:
         trajectory=of_wildcard("by", CampaignFiles.trajectory),
         mounts=of_wildcard("by", CampaignFiles.mounts_of_chain),
         error_model="results/{campaign}/orientation/error_model.json",
+        window_points=of_wildcard("by", CampaignFiles.windows, "points", ".las"),
+        window_rests=of_wildcard("by", CampaignFiles.windows, "rest", ".npz"),
     output:
         points="results/{campaign}/lidar/{by}points.laz",
         removed="results/{campaign}/lidar/{by}removed.parquet",
@@ -109,6 +111,60 @@ rule export_copc:
         **calls("thalweg.lidar.cloud:export_copc"),
     script:
         "../scripts/call.py"
+
+
+rule count_neighbours:
+    """Where the points of a window of the log lie, for the filters of all windows."""
+    input:
+        lidar=raw("lidar"),
+        clock="results/{campaign}/ingest/lidar.clock.json",
+        trajectory=of_wildcard("chain", CampaignFiles.trajectory),
+        mounts=of_wildcard("chain", CampaignFiles.mounts_of_chain),
+        error_model="results/{campaign}/orientation/error_model.json",
+        densities=[],
+    output:
+        out=temp("results/{campaign}/lidar/windows/{chain}_density_{part}.npz"),
+    log:
+        "logs/{campaign}/lidar/count_neighbours_{chain}_{part}.log",
+    benchmark:
+        "benchmarks/{campaign}/lidar/count_neighbours_{chain}_{part}.jsonl"
+    wildcard_constraints:
+        chain="ins|camera|fused",
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(10, 20),
+    params:
+        code=code_version("georeference_window"),
+        lidar_options=of(CampaignFiles.lidar_options),
+        lidar_accuracy=section("lidar_accuracy"),
+        georeferencing=of(CampaignFiles.georeferencing),
+        filters=section("filters"),
+        window=of_wildcard("part", CampaignFiles.window),
+    script:
+        "../scripts/georeference_window.py"
+
+
+# The points of a window, without those that no other point of the whole log lies near to.
+use rule count_neighbours as georeference_window with:
+    input:
+        lidar=raw("lidar"),
+        clock="results/{campaign}/ingest/lidar.clock.json",
+        trajectory=of_wildcard("chain", CampaignFiles.trajectory),
+        mounts=of_wildcard("chain", CampaignFiles.mounts_of_chain),
+        error_model="results/{campaign}/orientation/error_model.json",
+        densities=of_wildcard("chain", CampaignFiles.windows, "density", ".npz"),
+    output:
+        out=[
+            temp("results/{campaign}/lidar/windows/{chain}_points_{part}.las"),
+            temp("results/{campaign}/lidar/windows/{chain}_rest_{part}.npz"),
+        ],
+    log:
+        "logs/{campaign}/lidar/georeference_window_{chain}_{part}.log",
+    benchmark:
+        "benchmarks/{campaign}/lidar/georeference_window_{chain}_{part}.jsonl"
 
 
 rule colour_points:

@@ -8,17 +8,17 @@ import numpy as np
 from pyproj import CRS
 
 from thalweg.bathymetry import FlowLine
-from thalweg.core import LocalFrame, iter_laz
+from thalweg.core import LocalFrame
 from thalweg.fusion import (
     Cloud,
     Source,
     build_dtm,
     cloud_of_bed,
     dtm_facts,
-    filter_ground,
     fit_cloud,
     join_clouds,
     read_cloud,
+    read_ground,
     read_river,
 )
 from thalweg.settings.sections import Fusion
@@ -44,12 +44,9 @@ def main(
     parts: dict[Source, Cloud] = {}
     found: dict[str, Any] = {}
     if points:
-        lidar = read_cloud(points, frame, crs, sigma_m=fusion.fit.sigma_m)
-        echoes = [(c["return_number"], c["number_of_returns"]) for c in iter_laz(points[0])]
-        number, several = (np.concatenate(each) for each in zip(*echoes, strict=True))
-        ground = filter_ground(lidar.xyz_m, number, several, fusion.ground)
-        parts[Source.LIDAR] = lidar.part(ground.is_ground)
-        found["ground"] = ground.facts
+        parts[Source.LIDAR], found["ground"] = read_ground(
+            points[0], frame, crs, fusion.ground, sigma_m=fusion.fit.sigma_m
+        )
     if surroundings and not points:
         parts[Source.SURROUNDINGS] = read_cloud(surroundings, frame, crs, sigma_m=fusion.fit.sigma_m)
         why = "no lidar to fit the cloud of the surroundings to; it stands as it came"

@@ -1,15 +1,16 @@
-"""Lidar packets and trajectory -> cloud in the world frame (LAZ), and what was left out of it and why."""
+"""Lidar packets and trajectory -> cloud in the world frame (LAZ), and what was left out of it and why.
+
+Where the log was cut into windows their clouds are joined.
+"""
 
 import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration import read_mounts
-from thalweg.core import Rigid, Trajectory
+from thalweg.core import Trajectory
 from thalweg.ingest import LidarClock, LidarOptions
 from thalweg.ingest.registry import lidar_reader
-from thalweg.lidar import LogSettings, georeference_log
-from thalweg.navigation.ins_gnss import beam_factors
+from thalweg.lidar import LogSettings, georeference_log, join_windows
 from thalweg.settings.sections import Filters, LidarAccuracy
 from thalweg.workflow import run_job
 
@@ -21,6 +22,8 @@ def main(
     trajectory: Path,
     mounts: Path,
     error_model: Path,
+    window_points: list[Path],
+    window_rests: list[Path],
     points: Path,
     removed: Path,
     counts: Path,
@@ -29,20 +32,16 @@ def main(
     georeferencing: dict[str, Any],
     filters: Filters,
 ) -> None:
-    timed = LidarClock.from_dict(json.loads(clock.read_text()))
-    table = georeference_log(
-        lidar_reader(lidar, LidarOptions(**lidar_options)),
-        timed,
-        Trajectory.read(trajectory),
-        LogSettings(
-            mount=Rigid.from_mount(read_mounts(mounts)["lidar"]),
-            beam=lidar_accuracy.scaled(**beam_factors(error_model)).with_clock(timed.sigma_s),
-            filters=filters,
-            **georeferencing,
-        ),
-        points,
-        out_removed=removed,
-    )
+    poses, timed = Trajectory.read(trajectory), LidarClock.from_dict(json.loads(clock.read_text()))
+    how = LogSettings.of_survey(mounts, error_model, timed, lidar_accuracy, filters, georeferencing)
+    if window_points:
+        table = join_windows(
+            window_points, window_rests, poses, how, points, out_removed=removed, log_files=lidar
+        )
+    else:
+        table = georeference_log(
+            lidar_reader(lidar, LidarOptions(**lidar_options)), timed, poses, how, points, out_removed=removed
+        )
     table.to_csv(counts, index=False)
 
 

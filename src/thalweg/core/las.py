@@ -235,6 +235,11 @@ class LazWriter:
         """Finish the file and give it its name; a cloud of no points is a valid file."""
         if self._writer is None:
             self._open(np.zeros((1, 3)), {name: np.zeros(1) for name in self._extra})
+        for vlr in self._writer.header.vlrs.get("ExtraBytesVlr"):
+            for found in vlr.extra_bytes_structs:
+                # laspy 2.7 takes the first point of each piece for its extremes: better state none
+                found.options &= ~(found.MIN_BIT_MASK | found.MAX_BIT_MASK)
+                found._min[:] = found._max[:] = type(found._min)()
         self._writer.close()
         self._partial.replace(self.path)
 

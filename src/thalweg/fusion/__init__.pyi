@@ -8,6 +8,7 @@ from .clouds import (
     join_clouds as join_clouds,
     joined_parts as joined_parts,
     read_cloud as read_cloud,
+    read_ground as read_ground,
 )
 from .dtm import (
     BANDS as BANDS,

@@ -14,7 +14,7 @@ no ground.
 """
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -45,7 +45,8 @@ from thalweg.core import (
     root_mean_square,
 )
 from thalweg.core.geometry import cell_numbers
-from thalweg.settings.sections import CloudFit
+from thalweg.fusion.ground import GroundOfPieces, extremes_en_m
+from thalweg.settings.sections import CloudFit, GroundFilter
 from thalweg.surface import (
     LEAST_VISIBLE,
     Area,
@@ -133,9 +134,46 @@ def read_cloud(paths: Sequence[Path], frame: LocalFrame, crs: CRS, *, sigma_m: f
     InputError : a file is missing, damaged, without points, or in the local frame of another origin.
     GeometryError : coordinates that do not lie in their grid.
     """
-    parts = [_read_one(path, frame, crs, sigma_m) for path in paths]
+    parts = [part for path in paths for part, _ in _pieces(path, frame, crs, sigma_m)]
     if not parts:
         raise InputError("no files", expected="clouds as LAS or LAZ")
+    return _joined(parts)
+
+
+def read_ground(
+    path: Path, frame: LocalFrame, crs: CRS, settings: GroundFilter, *, sigma_m: float
+) -> tuple[Cloud, dict[str, Any]]:
+    """Ground of a cloud of the boat's lidar, which is read three times: the rest of it is never held.
+
+    Parameters
+    ----------
+    path : LAZ with the numbers of echoes.
+    frame, crs, sigma_m : as of `read_cloud`.
+    settings : see `filter_ground`.
+
+    Returns
+    -------
+    Points that are ground, and what the filter tells of them.
+
+    Raises
+    ------
+    InputError : as of `read_cloud` and of `filter_ground`.
+    """
+
+    def pieces() -> Iterator[tuple[Cloud, dict[str, AnyArray]]]:
+        return _pieces(path, frame, crs, sigma_m)
+
+    ground = GroundOfPieces(*extremes_en_m(part.xyz_m for part, _ in pieces()), settings)
+    for part, _ in pieces():
+        ground.add(part.xyz_m)
+    kept = [
+        part.part(ground.take(part.xyz_m, chunk["return_number"], chunk["number_of_returns"])[0])
+        for part, chunk in pieces()
+    ]
+    return _joined(kept), ground.facts()
+
+
+def _joined(parts: Sequence[Cloud]) -> Cloud:
     colours = [part.rgb for part in parts]
     return Cloud(
         xyz_m=np.concatenate([part.xyz_m for part in parts]),
@@ -147,7 +185,10 @@ def read_cloud(paths: Sequence[Path], frame: LocalFrame, crs: CRS, *, sigma_m: f
     )
 
 
-def _read_one(path: Path, frame: LocalFrame, crs: CRS, sigma_m: float) -> Cloud:
+def _pieces(
+    path: Path, frame: LocalFrame, crs: CRS, sigma_m: float
+) -> Iterator[tuple[Cloud, dict[str, AnyArray]]]:
+    """Points of a file in wcs, piece by piece, with the columns of the file."""
     header = laz_header(path)
     if not header.n_points:
         raise InputError("a cloud without points", expected="points", where=path)
@@ -158,32 +199,20 @@ def _read_one(path: Path, frame: LocalFrame, crs: CRS, sigma_m: float) -> Cloud:
             where=path,
             cure="Export it in campaign.crs",
         )
-    xyz, horizontal, up, rgb = [], [], [], []
     for chunk in iter_laz(path):
-        n = len(chunk["xyz_m"])
         points = chunk["xyz_m"]
         if not isinstance(header.frame, LocalFrame):
             points = frame.from_map(points, header.frame or crs)
-        xyz.append(points)
         if "sigma_up" in chunk:
-            up.append(np.asarray(chunk["sigma_up"], float))
+            up = horizontal = np.asarray(chunk["sigma_up"], float)
             if "sigma_horizontal" in chunk:
-                horizontal.append(np.asarray(chunk["sigma_horizontal"], float))
+                horizontal = np.asarray(chunk["sigma_horizontal"], float)
             elif "sigma_east" in chunk and "sigma_north" in chunk:
-                horizontal.append(np.sqrt((chunk["sigma_east"] ** 2 + chunk["sigma_north"] ** 2) / 2))
-            else:
-                horizontal.append(up[-1])
+                horizontal = np.sqrt((chunk["sigma_east"] ** 2 + chunk["sigma_north"] ** 2) / 2)
         else:
-            up.append(np.full(n, sigma_m))
-            horizontal.append(np.full(n, sigma_m))
-        if "rgb" in chunk:
-            rgb.append(chunk["rgb"])
-    return Cloud(
-        xyz_m=np.concatenate(xyz),
-        sigma_horizontal_m=np.concatenate(horizontal),
-        sigma_up_m=np.concatenate(up),
-        rgb=np.concatenate(rgb) if rgb else None,
-    )
+            up = horizontal = np.full(len(points), sigma_m)
+        part = Cloud(xyz_m=points, sigma_horizontal_m=horizontal, sigma_up_m=up, rgb=chunk.get("rgb"))
+        yield part, chunk
 
 
 # ---------------------------------------------------------------- fit

@@ -18,6 +18,7 @@ from .readers import (
     LidarOptions as LidarOptions,
     LidarReader as LidarReader,
     LidarScan as LidarScan,
+    LogWindow as LogWindow,
     PointBlock as PointBlock,
     PoseLog as PoseLog,
     PoseReader as PoseReader,

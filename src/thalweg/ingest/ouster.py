@@ -20,7 +20,7 @@ import numpy as np
 
 from thalweg.core import ArrayI, InputError, UnsupportedError, gps_from_unix, gps_from_week, gps_minus_utc
 from thalweg.ingest.integrity import Gap, IntegrityReport
-from thalweg.ingest.readers import LidarClock, LidarOptions, LidarScan, PointBlock
+from thalweg.ingest.readers import LidarClock, LidarOptions, LidarScan, LogWindow, PointBlock
 
 PORT: Final = 7502
 """UDP port that an Ouster sends lidar packets to unless it is told another."""
@@ -183,8 +183,21 @@ class OusterReader:
         report.details["return_mode"] = mode
         return LidarScan(report=report, clock=clock, model=report.model, return_mode=mode, n_points=n_points)
 
-    def points(self, clock: LidarClock | None = None, *, max_points: int = 1_000_000) -> Iterator[PointBlock]:
-        """Points, a frame at a time or less, in the order of columns."""
+    def length_s(self) -> float:
+        """Not known: the SDK would have to read all of it."""
+        return math.nan
+
+    def points(
+        self, clock: LidarClock | None = None, *, max_points: int = 1_000_000, window: LogWindow | None = None
+    ) -> Iterator[PointBlock]:
+        """Points, a frame at a time or less, in the order of columns.
+
+        Raises
+        ------
+        UnsupportedError : a window is asked for.
+        """
+        if window is not None:
+            raise UnsupportedError("a window of an Ouster's recording", expected="all of it in one part")
         info = self._info()
         clock = self.scan().clock if clock is None else clock
         core, _ = _sdk()

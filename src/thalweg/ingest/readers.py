@@ -197,6 +197,26 @@ class LidarScan:
     sentences: tuple[tuple[float, float], ...] = ()
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LogWindow:
+    """One of the windows of equal length into which a recording is cut in the order of its stream.
+
+    Parameters
+    ----------
+    index : of the window, from 0.
+    count : number of windows; the last one takes all that is left.
+    seconds : length of the others, from the first packet of the recording.
+    """
+
+    index: int
+    count: int
+    seconds: float
+
+    def number_of(self, since_first_s: ArrayF) -> ArrayI:
+        """Windows (n,) of times since the first packet (n,), seconds."""
+        return np.clip(np.floor(since_first_s / self.seconds), 0, self.count - 1).astype(np.int64)
+
+
 class LidarReader(Protocol):
     """A recording of a lidar, with the options of its decoding."""
 
@@ -207,13 +227,19 @@ class LidarReader(Protocol):
     def scan(self) -> LidarScan:
         """Read the recording once: integrity, clock, model and number of points."""
 
-    def points(self, clock: LidarClock | None = None, *, max_points: int = 1_000_000) -> Iterator[PointBlock]:
+    def length_s(self) -> float:
+        """About how long the recording is, by its first packets and its size; NaN where these do not tell."""
+
+    def points(
+        self, clock: LidarClock | None = None, *, max_points: int = 1_000_000, window: LogWindow | None = None
+    ) -> Iterator[PointBlock]:
         """Points block by block in stream order, the same each time.
 
         Parameters
         ----------
         clock : of `scan`; without it the recording is scanned first.
         max_points : no block is larger.
+        window : only the points of its packets; all windows together give each point once.
         """
 
 

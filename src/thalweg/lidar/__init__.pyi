@@ -14,7 +14,10 @@ from .cloud import (
     export_copc as export_copc,
     export_map as export_map,
     georeference_log as georeference_log,
+    georeference_window as georeference_window,
+    join_windows as join_windows,
     sample_cloud as sample_cloud,
+    write_density as write_density,
 )
 from .colour import (
     COLOUR_DIMENSIONS as COLOUR_DIMENSIONS,

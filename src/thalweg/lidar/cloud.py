@@ -1,13 +1,14 @@
 """From a lidar log to a cloud on disk: streaming, every point counted."""
 
+import hashlib
 import logging
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, BinaryIO, Final
+from typing import Any, BinaryIO, Final, Self
 
 import laspy
 import lazrs
@@ -18,6 +19,7 @@ from laspy.vlrs.vlrlist import VLRList
 from numpy.typing import ArrayLike
 from pyproj import CRS
 
+from thalweg.calibration import read_mounts
 from thalweg.core import (
     AnyArray,
     ArrayF,
@@ -41,17 +43,20 @@ from thalweg.core import (
     write_table,
 )
 from thalweg.core.geometry import CELLS_BITS, Node, build_octree
-from thalweg.ingest import LidarClock, LidarReader, PointBlock
+from thalweg.ingest import LidarClock, LidarReader, LogWindow, PointBlock
 from thalweg.lidar.filters import (
+    MOST_RADII,
     REMOVED,
     Occupancy,
     Reason,
+    blocks_within,
     classify,
     count_reasons,
     reason_table,
     water_level_m,
 )
 from thalweg.lidar.georeference import WorldPoints, georeference_points
+from thalweg.navigation.ins_gnss import beam_factors
 from thalweg.settings.sections import Filters, Georeferencing, LidarAccuracy
 
 SIGMAS: Final = ("sigma_east", "sigma_north", "sigma_up")
@@ -119,6 +124,24 @@ class LogSettings:
     correlations: bool = False
     chunk_points: int = Georeferencing().chunk_points
 
+    @classmethod
+    def of_survey(
+        cls,
+        mounts: Path,
+        error_model: Path,
+        clock: LidarClock,
+        accuracy: LidarAccuracy,
+        filters: Filters,
+        georeferencing: Mapping[str, Any],
+    ) -> Self:
+        """Those of a survey: files of its mounts and of its errors, clock of the log, and sections of its settings."""
+        return cls(
+            mount=Rigid.from_mount(read_mounts(mounts)["lidar"]),
+            beam=accuracy.scaled(**beam_factors(error_model)).with_clock(clock.sigma_s),
+            filters=filters,
+            **georeferencing,
+        )
+
 
 def georeference_log(
     reader: LidarReader,
@@ -154,54 +177,218 @@ def georeference_log(
     """
     occupancy = None
     if settings.filters.needs_occupancy:
-        occupancy = Occupancy(settings.filters.isolated_radius_m)
-        for block in steps(reader.points(clock, max_points=settings.chunk_points), "density, block"):
-            first = _classified(block, trajectory, settings, None)
-            occupancy.add(first.points.points_wcs_m, first.reasons == Reason.KEPT)
+        occupancy, _ = _count_neighbours(reader, clock, trajectory, settings)
         occupancy.freeze()
-    counts = np.zeros(len(Reason), dtype=np.int64)
-    removed = RemovedSample()
-    extra = EXTRA_DIMENSIONS | (CORRELATION_DIMENSIONS if settings.correlations else {})
-    with LazWriter(out, trajectory.frame, scale_m=settings.laz_scale_m, extra_dimensions=extra) as writer:
-        for block in steps(reader.points(clock, max_points=settings.chunk_points), "cloud, block"):
-            found = _classified(block, trajectory, settings, occupancy)
-            counts += count_reasons(found.reasons)
-            keep = found.reasons == Reason.KEPT
-            if out_removed is not None:
-                removed.add(
-                    found.reasons,
-                    t_gps_s=block.t_gps_s,
-                    points_wcs_m=found.points.points_wcs_m,
-                    x_ics_m=found.x_ics_m,
-                    range_m=block.range_m,
-                )
-            if keep.any():
-                kept = found.points.where(keep)
-                values = {"range": block.range_m[keep], "ring": block.ring[keep]}
-                values |= dict(zip(SIGMAS, kept.sigmas_m().T, strict=True))
-                if settings.correlations:
-                    values |= dict(zip(CORRELATIONS, kept.correlations().T, strict=True))
-                writer.append(
-                    kept.points_wcs_m,
-                    t_gps_s=block.t_gps_s[keep],
-                    intensity=block.intensity[keep],
-                    return_number=block.return_number[keep],
-                    number_of_returns=block.n_returns[keep],
-                    extra=values,
-                )
-        if not counts[Reason.KEPT]:
-            table = reason_table(counts).query("n > 0")
-            what = ", ".join(f"{row.n:,} {row.reason}" for row in table.itertuples()) or "no points at all"
-            raise CoverageError(
-                f"none of {counts.sum():,} lidar points is left: {what}",
-                expected="a trajectory that covers the lidar log, and filters that leave something",
-                where=", ".join(str(f) for f in reader.files),
-                cure=_cure(Reason(int(np.argmax(counts)))),
-            )
-    _warn_of_water(counts)
+    with _writer(out, trajectory, settings) as writer:
+        counts, removed = _write_window(reader, clock, trajectory, settings, writer, occupancy)
+        _check_left(counts, reader.files)
     if out_removed is not None:
         write_table(out_removed, removed.table(), REMOVED_POINTS)
     return reason_table(counts)
+
+
+def write_density(
+    reader: LidarReader,
+    clock: LidarClock,
+    trajectory: Trajectory,
+    settings: LogSettings,
+    window: LogWindow,
+    out: Path,
+) -> None:
+    """First pass over a window of a log, as a file for `georeference_window`.
+
+    Parameters
+    ----------
+    reader, clock, trajectory, settings : as for `georeference_log`.
+    window : which part of the log.
+    out : ``.npz``: blocks of the grid, and the box of east and north about all that the filters look at.
+    """
+    occupancy = Occupancy(settings.filters.isolated_radius_m)
+    box = np.array([np.full(2, np.inf), np.full(2, -np.inf)])
+    if settings.filters.needs_occupancy:
+        occupancy, box = _count_neighbours(reader, clock, trajectory, settings, window)
+    keys, counts = occupancy.blocks()
+    np.savez_compressed(out, keys=keys, counts=counts, box_en_m=box)
+
+
+def _count_neighbours(
+    reader: LidarReader,
+    clock: LidarClock,
+    trajectory: Trajectory,
+    settings: LogSettings,
+    window: LogWindow | None = None,
+) -> tuple[Occupancy, ArrayF]:
+    """First pass over a log or a window of it: the points about each place, and the box (2, 2) of east and
+    north about all places that will be asked for.
+    """
+    occupancy = Occupancy(settings.filters.isolated_radius_m)
+    low_m, high_m = np.full(2, np.inf), np.full(2, -np.inf)
+    blocks = reader.points(clock, max_points=settings.chunk_points, window=window)
+    for block in steps(blocks, "density, block"):
+        first = _classified(block, trajectory, settings, None)
+        occupancy.add(first.points.points_wcs_m, first.reasons == Reason.KEPT)
+        if window is not None:
+            asked = (first.reasons == Reason.KEPT) | (first.reasons == Reason.BELOW_WATER)
+            en_m = first.points.points_wcs_m[asked, :2]
+            low_m = np.minimum(low_m, en_m.min(axis=0, initial=np.inf))
+            high_m = np.maximum(high_m, en_m.max(axis=0, initial=-np.inf))
+    reach_m = MOST_RADII * occupancy.radius_m + occupancy.cell_m
+    return occupancy, np.array([low_m - reach_m, high_m + reach_m])
+
+
+def georeference_window(
+    reader: LidarReader,
+    clock: LidarClock,
+    trajectory: Trajectory,
+    settings: LogSettings,
+    window: LogWindow,
+    densities: Sequence[Path],
+    out: Path,
+    out_rest: Path,
+) -> None:
+    """Second pass over a window of a log, knowing the first pass over all windows.
+
+    Parameters
+    ----------
+    reader, clock, trajectory, settings : as for `georeference_log`.
+    window : which part of the log.
+    densities : of all windows, see `write_density`. Of them only what lies about this window's stretch of
+        the trajectory is held.
+    out : points, ``.las``; for `join_windows`.
+    out_rest : what was left out of it, ``.npz``.
+    """
+    occupancy = None
+    if settings.filters.needs_occupancy:
+        occupancy = Occupancy(settings.filters.isolated_radius_m)
+        with np.load(densities[window.index]) as own:
+            box_en_m = own["box_en_m"]
+        for path in densities:
+            with np.load(path) as found:
+                keys, counts = found["keys"], found["counts"]
+            near = blocks_within(keys, occupancy.cell_m, *box_en_m)
+            occupancy.add_blocks(keys[near], counts[near])
+        occupancy.freeze()
+    with _writer(out, trajectory, settings) as writer:
+        n, removed = _write_window(reader, clock, trajectory, settings, writer, occupancy, window)
+    np.savez(out_rest, n=n, sha256=_sha256(out), **removed.arrays())
+
+
+def join_windows(
+    points: Sequence[Path],
+    rests: Sequence[Path],
+    trajectory: Trajectory,
+    settings: LogSettings,
+    out: Path,
+    *,
+    out_removed: Path,
+    log_files: Sequence[Path],
+) -> pd.DataFrame:
+    """The cloud of a log from those of its windows in their order: the same bytes as by `georeference_log`.
+
+    Parameters
+    ----------
+    points, rests : of `georeference_window`, in the order of the windows.
+    trajectory, settings, out, out_removed : as for `georeference_log`.
+    log_files : of the log, for messages.
+
+    Returns
+    -------
+    As `georeference_log`.
+
+    Raises
+    ------
+    CoverageError : no point is left.
+    InputError : the points of a window have changed since.
+    """
+    counts, removed = np.zeros(len(Reason), dtype=np.int64), RemovedSample()
+    for path, rest in zip(points, rests, strict=True):
+        with np.load(rest) as found:
+            counts += found["n"]
+            removed.add_arrays(found)
+            if str(found["sha256"]) != _sha256(path):
+                raise InputError(
+                    "the points of a window are not those that its job wrote",
+                    expected=f"a file of SHA-256 {found['sha256']}",
+                    where=path,
+                    cure="Remove it, so that it is made again",
+                )
+    with _writer(out, trajectory, settings) as writer:
+        for path in points:
+            for chunk in iter_laz(path, settings.chunk_points):
+                writer.append(**columns_to_write(chunk, extra_dimensions(settings)))
+        _check_left(counts, log_files)
+    write_table(out_removed, removed.table(), REMOVED_POINTS)
+    return reason_table(counts)
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def columns_to_write(chunk: Mapping[str, AnyArray], extra: Iterable[str]) -> dict[str, Any]:
+    """Columns of `iter_laz` of a georeferenced cloud as arguments of `LazWriter.append`."""
+    names = ("xyz_m", "t_gps_s", "intensity", "return_number", "number_of_returns")
+    return {name: chunk[name] for name in names} | {"extra": {name: chunk[name] for name in extra}}
+
+
+def extra_dimensions(settings: LogSettings) -> dict[str, ExtraDimension]:
+    """Extra dimensions of a cloud that is made so."""
+    return EXTRA_DIMENSIONS | (CORRELATION_DIMENSIONS if settings.correlations else {})
+
+
+def _writer(out: Path, trajectory: Trajectory, settings: LogSettings) -> LazWriter:
+    """Writer of a georeferenced cloud, its offset in whole metres amid the boat's way."""
+    way_m = trajectory.position_wcs_m[trajectory.valid]
+    return LazWriter(
+        out,
+        trajectory.frame,
+        scale_m=settings.laz_scale_m,
+        extra_dimensions=extra_dimensions(settings),
+        offset_m=np.round((way_m.min(axis=0) + way_m.max(axis=0)) / 2) if len(way_m) else np.zeros(3),
+    )
+
+
+def _write_window(
+    reader: LidarReader,
+    clock: LidarClock,
+    trajectory: Trajectory,
+    settings: LogSettings,
+    writer: LazWriter,
+    occupancy: Occupancy | None,
+    window: LogWindow | None = None,
+) -> tuple[ArrayI, "RemovedSample"]:
+    """Write the points of a log or of a window of it; number of each reason (10,), sample of the others."""
+    counts, removed = np.zeros(len(Reason), dtype=np.int64), RemovedSample()
+    blocks = reader.points(clock, max_points=settings.chunk_points, window=window)
+    for block in steps(blocks, "cloud, block"):
+        found = _classified(block, trajectory, settings, occupancy)
+        counts += count_reasons(found.reasons)
+        keep = found.reasons == Reason.KEPT
+        removed.add(
+            found.reasons,
+            t_gps_s=block.t_gps_s,
+            points_wcs_m=found.points.points_wcs_m,
+            x_ics_m=found.x_ics_m,
+            range_m=block.range_m,
+        )
+        if keep.any():
+            _append(writer, block, found.points, keep, correlations=settings.correlations)
+    return counts, removed
+
+
+def _check_left(counts: ArrayI, log_files: Sequence[Path]) -> None:
+    """Refuse a cloud of no points, and tell of water where there should be none."""
+    if not counts[Reason.KEPT]:
+        table = reason_table(counts).query("n > 0")
+        what = ", ".join(f"{row.n:,} {row.reason}" for row in table.itertuples()) or "no points at all"
+        raise CoverageError(
+            f"none of {counts.sum():,} lidar points is left: {what}",
+            expected="a trajectory that covers the lidar log, and filters that leave something",
+            where=", ".join(str(f) for f in log_files),
+            cure=_cure(Reason(int(np.argmax(counts)))),
+        )
+    _warn_of_water(counts)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -362,14 +549,8 @@ def export_map(points: Path, out: Path, crs: str, chunk_points: int = Georeferen
     extra = {name: known[name] for name in header.extra_dimensions if name in known}
     with LazWriter(out, target, scale_m=header.scale_m, extra_dimensions=extra) as writer:
         for chunk in iter_laz(points, chunk_points):
-            writer.append(
-                frame.to_map(chunk["xyz_m"], target),
-                t_gps_s=chunk["t_gps_s"],
-                intensity=chunk["intensity"],
-                return_number=chunk["return_number"],
-                number_of_returns=chunk["number_of_returns"],
-                extra={name: chunk[name] for name in extra},
-            )
+            columns = columns_to_write(chunk, extra)
+            writer.append(**columns | {"xyz_m": frame.to_map(chunk["xyz_m"], target)})
 
 
 def export_copc(points: Path, out: Path) -> None:
@@ -526,10 +707,10 @@ def cloud_covariance(cloud: Mapping[str, AnyArray], path: Path) -> ArrayF:
 class RemovedSample:
     """An even sample of the removed points of each reason, of bounded size, from a log of unknown length.
 
-    The points of a reason are numbered as they come, and a hash of the number decides: those below a
-    threshold stay, and when they become too many the threshold is halved. So each point has the same chance,
-    the sample does not depend on the pieces in which the log comes, and holds about half of ``most`` points
-    or more. Every k-th point would not do: a scanner of 16 lasers repeats itself.
+    A hash of a point's time and place on the boat decides: those below a threshold stay, and when they become
+    too many the threshold is halved. So each point has the same chance, the sample does not depend on the
+    pieces in which the log comes, nor on whether one job saw them all, and holds about half of ``most``
+    points or more. Every k-th point would not do: a scanner of 16 lasers repeats itself.
 
     Parameters
     ----------
@@ -538,7 +719,6 @@ class RemovedSample:
 
     def __init__(self, most: int = 20_000) -> None:
         self.most = most
-        self._seen = dict.fromkeys(REMOVED, 0)
         self._threshold = dict.fromkeys(REMOVED, 1 << 64)
         self._hashes: dict[Reason, AnyArray] = {r: np.empty(0, np.uint64) for r in REMOVED}
         self._rows: dict[Reason, ArrayF] = {r: np.empty((0, 8)) for r in REMOVED}
@@ -564,19 +744,35 @@ class RemovedSample:
             index = np.flatnonzero(reasons == reason)
             if not len(index):
                 continue
-            hashes = _stirred(self._seen[reason] + np.arange(len(index), dtype=np.uint64))
-            self._seen[reason] += len(index)
+            t_gps_s, _, x_ics_m, _ = (values[index] for values in columns)
+            hashes = _stirred(t_gps_s.astype(np.float64).view(np.uint64))
+            for axis in x_ics_m.T.astype(np.float64):
+                hashes = _stirred(hashes ^ axis.view(np.uint64))
             drawn = hashes <= np.uint64(self._threshold[reason] - 1)
             rows = np.column_stack([values[index[drawn]] for values in columns])
-            self._hashes[reason] = np.concatenate([self._hashes[reason], hashes[drawn]])
-            self._rows[reason] = np.concatenate([self._rows[reason], rows])
-            while len(self._hashes[reason]) > self.most:
-                self._threshold[reason] //= 2
-                stay = self._hashes[reason] <= np.uint64(self._threshold[reason] - 1)
-                self._hashes[reason], self._rows[reason] = (
-                    self._hashes[reason][stay],
-                    self._rows[reason][stay],
-                )
+            self._add(reason, hashes[drawn], rows)
+
+    def _add(self, reason: Reason, hashes: AnyArray, rows: ArrayF) -> None:
+        """Take points of a reason in whose hashes (n,) lie below the threshold, and halve it as need be."""
+        hashes = np.concatenate([self._hashes[reason], hashes])
+        rows = np.concatenate([self._rows[reason], rows])
+        while len(hashes) > self.most:
+            self._threshold[reason] //= 2
+            stay = hashes <= np.uint64(self._threshold[reason] - 1)
+            hashes, rows = hashes[stay], rows[stay]
+        self._hashes[reason], self._rows[reason] = hashes, rows
+
+    def arrays(self) -> dict[str, AnyArray]:
+        """The sample of a part of a log as arrays, for `add_arrays`."""
+        parts = {"hashes": self._hashes, "rows": self._rows}
+        return {f"{name}_{r}": part[r] for name, part in parts.items() for r in REMOVED}
+
+    def add_arrays(self, arrays: Mapping[str, AnyArray]) -> None:
+        """Take in the sample of the next part of the log: what comes out is the sample of both."""
+        for reason in REMOVED:
+            hashes, rows = arrays[f"hashes_{reason}"], arrays[f"rows_{reason}"]
+            drawn = hashes <= np.uint64(self._threshold[reason] - 1)
+            self._add(reason, hashes[drawn], rows[drawn])
 
     def table(self) -> pd.DataFrame:
         """The sample as a table of kind ``removed_points``: reason by reason, in the order of the log."""

@@ -44,7 +44,7 @@ from thalweg.core import (
     prange,
 )
 from thalweg.images.model import ImagePoses
-from thalweg.lidar.cloud import CORRELATION_DIMENSIONS, EXTRA_DIMENSIONS
+from thalweg.lidar.cloud import CORRELATION_DIMENSIONS, EXTRA_DIMENSIONS, columns_to_write
 from thalweg.settings.sections import Colour
 
 COLOUR_DIMENSIONS: Final = {
@@ -723,16 +723,7 @@ def colour_cloud(
             values = _sampled(chosen, views, pool)
             found = _coloured(chunk, chosen, values, views, gains)
             counts += np.bincount(found["reason"], minlength=len(NoColour))
-            writer.append(
-                chunk["xyz_m"],
-                t_gps_s=chunk["t_gps_s"],
-                intensity=chunk["intensity"],
-                rgb=found["rgb"],
-                return_number=chunk["return_number"],
-                number_of_returns=chunk["number_of_returns"],
-                extra={name: chunk[name] for name in extra}
-                | {name: found[name] for name in COLOUR_DIMENSIONS},
-            )
+            writer.append(**columns_to_write(chunk | found, [*extra, *COLOUR_DIMENSIONS]), rgb=found["rgb"])
     rows = [(reason.name.lower(), NO_COLOUR[reason], int(counts[reason])) for reason in NoColour]
     table.insert(0, "image", views.names)
     table.insert(1, "number", views.number)

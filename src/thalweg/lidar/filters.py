@@ -60,6 +60,9 @@ GHOST_RADII: Final = 2
 FAR_STEP_M: Final = 50.0
 """Beyond this range, and each multiple of it, the radius of the isolated points grows by itself once."""
 
+MOST_RADII: Final = 16
+"""So many neighbourhood radii are looked about at most."""
+
 CELLS_PER_RADIUS: Final = 2
 """Finer cells come nearer to a sphere, but twice as fine means eight times as many in foliage."""
 MOST_COUNTED: Final = 254
@@ -155,6 +158,31 @@ class Occupancy:
         """End the adding: from now on places can be asked."""
         self._frozen = True
 
+    def blocks(self) -> tuple[ArrayI, ArrayU8]:
+        """Places (b,) of the blocks that hold points, ascending, and their counts (b, 512)."""
+        used = self._keys >= 0
+        order = np.argsort(self._keys[used])
+        return self._keys[used][order], self._counts[self._rows[used][order]]
+
+    def add_blocks(self, keys: ArrayI, counts: ArrayU8) -> None:
+        """Add what another grid of the same radius has counted: the sums are those of one grid for all.
+
+        Parameters
+        ----------
+        keys, counts : of `blocks`.
+
+        Raises
+        ------
+        RuntimeError : the grid is frozen.
+        """
+        if self._frozen:
+            raise RuntimeError("points cannot be added to a frozen grid")
+        start = 0
+        while start < len(keys):
+            start = _add_blocks(keys, counts, start, self._keys, self._rows, self._counts, self._n_blocks)
+            if start < len(keys):
+                self._grow()
+
     def near(self, places_wcs_m: ArrayLike, *, enough: int, radii: int = 1) -> ArrayU8:
         """Number of added points about places, counted no further than ``enough``.
 
@@ -177,8 +205,8 @@ class Occupancy:
             raise RuntimeError("a grid is asked after freeze(), when all points have been added")
         if not 1 <= enough <= MOST_COUNTED:
             raise GeometryError(f"{enough=}", expected=f"1 to {MOST_COUNTED}")
-        if not 1 <= radii <= 16:
-            raise GeometryError(f"{radii=}", expected="1 to 16")
+        if not 1 <= radii <= MOST_RADII:
+            raise GeometryError(f"{radii=}", expected=f"1 to {MOST_RADII}")
         places = _points(places_wcs_m)
         out = np.empty(len(places), dtype=np.uint8)
         cells = radii * CELLS_PER_RADIUS
@@ -375,7 +403,7 @@ def _look_around(
         reach = 1 + (range_m[alone] // FAR_STEP_M).astype(np.int64)
         for radii in np.unique(reach[reach > 1]).tolist():
             far = reach == radii
-            some = occupancy.near(points[alone[far]], enough=least + 1, radii=min(radii, 16)) > least
+            some = occupancy.near(points[alone[far]], enough=least + 1, radii=min(radii, MOST_RADII)) > least
             reach[far] = np.where(some, 0, radii)
         reasons[alone[reach > 0]] = Reason.ISOLATED
 
@@ -499,6 +527,13 @@ def _key(bx: int, by: int, bz: int) -> int:
     return ((bx + half) << 40) | ((by + half) << 20) | (bz + half)
 
 
+def blocks_within(keys: ArrayI, cell_m: float, low_en_m: ArrayF, high_en_m: ArrayF) -> ArrayB:
+    """Which blocks (b,) touch a box (2,), (2,) of east and north, metres."""
+    half, edge_m = 1 << 19, 8 * cell_m
+    low_m = np.stack([(keys >> 40) - half, ((keys >> 20) & (2 * half - 1)) - half], axis=1) * edge_m
+    return np.asarray(((low_m <= high_en_m) & (low_m + edge_m >= low_en_m)).all(axis=1))
+
+
 @njit(cache=True, nogil=True)
 def _row(key: int, keys: ArrayI, rows: AnyArray) -> np.int64:
     """Row of a block's counts, -1 if the block holds no point."""
@@ -554,6 +589,28 @@ def _add(
         if counts[last_row, cell] < 255:
             counts[last_row, cell] += np.uint8(1)
     return len(points), False
+
+
+@njit(cache=True, nogil=True)
+def _add_blocks(
+    new: ArrayI, more: ArrayU8, start: int, keys: ArrayI, rows: AnyArray, counts: ArrayU8, n_blocks: ArrayI
+) -> int:
+    """Add the counts of blocks from ``start`` on; returns where it stopped as all rows are taken."""
+    mask = len(keys) - 1
+    for i in range(start, len(new)):
+        at = _place(new[i], mask)
+        while keys[at] != new[i] and keys[at] != -1:
+            at = (at + 1) & mask
+        if keys[at] == -1:
+            if n_blocks[0] == len(counts):
+                return i
+            keys[at] = new[i]
+            rows[at] = n_blocks[0]
+            n_blocks[0] += 1
+        row = rows[at]
+        for cell in range(512):
+            counts[row, cell] = np.uint8(min(255, np.int64(counts[row, cell]) + np.int64(more[i, cell])))
+    return len(new)
 
 
 @njit(cache=True, nogil=True)

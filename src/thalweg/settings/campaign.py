@@ -32,6 +32,7 @@ from thalweg.settings.sections import (
     Ppk,
     ReferenceSettings,
     Rig,
+    Scatter,
     Section,
     is_rinex_name,
 )
@@ -134,6 +135,7 @@ class Campaign(Section):
     georeferencing: Georeferencing = Field(
         default=Georeferencing(), description="Lidar points into the world"
     )
+    scatter: Scatter = Field(default=Scatter(), description="Long logs as several jobs")
     colour: Colour = Field(default=Colour(), description="Colours of the cloud from photographs")
     filters: Filters = Field(default=Filters(), description="Points that are left out of the cloud")
     reference: ReferenceSettings = Field(

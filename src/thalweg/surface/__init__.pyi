@@ -18,4 +18,4 @@ from .rigid_fit import (
     tukey_slope as tukey_slope,
     visible_motions as visible_motions,
 )
-from .thinning import heights_above_envelope as heights_above_envelope
+from .thinning import LowerEnvelope as LowerEnvelope, heights_above_envelope as heights_above_envelope

@@ -396,25 +396,66 @@ def heights_above_envelope(points_bank_m: ArrayF, *, clearance_m: float) -> Arra
     ------
     GeometryError : the cloud is so wide that its raster would not fit into memory.
     """
-    plane = points_bank_m[:, :2] - points_bank_m[:, :2].min(axis=0)
-    height = np.array(points_bank_m[:, 2])
-    extent = plane.max(axis=0)
-    if np.prod(extent / LEVELS_M[-1] + 2) > MOST_CELLS:
-        raise GeometryError(
-            f"a reference of {extent[0]:.0f} m by {extent[1]:.0f} m",
-            expected=f"at most {MOST_CELLS * LEVELS_M[-1] ** 2 / 1e6:.0f} km2 in the plane of the bank",
-            cure="Set accuracy.area, or look for stray points far away",
-        )
-    lowest = _lowest_of_cells(plane, height)
-    ground = np.ones(len(lowest), dtype=np.bool_)
-    for level, size in enumerate(LEVELS_M):
-        grid = _quantiles(plane[lowest[ground]], height[lowest[ground]], size, extent)
-        # a cell without ground keeps what the coarser level says
-        grid = _cone_envelope(_filled(grid), SLOPE * size) if level == 0 else np.nan_to_num(grid, nan=0.0)
-        height -= _interpolated(grid, plane / size)
-        left = height[lowest]
-        ground = (left < clearance_m + SLOPE * size / 2) & (left > -2 * clearance_m - SLOPE * size)
-    return height
+    low_m, high_m = points_bank_m[:, :2].min(axis=0), points_bank_m[:, :2].max(axis=0)
+    envelope = LowerEnvelope(low_m, high_m, clearance_m=clearance_m)
+    envelope.add(points_bank_m)
+    return envelope.heights_above(points_bank_m)
+
+
+class LowerEnvelope:
+    """Lower envelope of points that come in pieces: it holds the lowest of each cell of the raster alone.
+
+    Parameters
+    ----------
+    low_m, high_m : (2,) extremes of all points in the plane.
+    clearance_m : as of `heights_above_envelope`.
+
+    Raises
+    ------
+    GeometryError : as of `heights_above_envelope`.
+    """
+
+    def __init__(self, low_m: ArrayF, high_m: ArrayF, *, clearance_m: float) -> None:
+        self._low, self._extent, self._clearance = low_m, high_m - low_m, clearance_m
+        if np.prod(self._extent / LEVELS_M[-1] + 2) > MOST_CELLS:
+            raise GeometryError(
+                f"a reference of {self._extent[0]:.0f} m by {self._extent[1]:.0f} m",
+                expected=f"at most {MOST_CELLS * LEVELS_M[-1] ** 2 / 1e6:.0f} km2 in the plane of the bank",
+                cure="Set accuracy.area, or look for stray points far away",
+            )
+        self._lowest = np.empty((0, 3))
+        self._levels: list[ArrayF] = []
+
+    def add(self, points_m: ArrayF) -> None:
+        """Take in points (n, 3)."""
+        plane = np.concatenate([self._lowest[:, :2], points_m[:, :2] - self._low])
+        height = np.concatenate([self._lowest[:, 2], points_m[:, 2]])
+        lowest = _lowest_of_cells(plane, height)
+        self._lowest = np.column_stack([plane[lowest], height[lowest]])
+        self._levels = []
+
+    def heights_above(self, points_m: ArrayF) -> ArrayF:
+        """Heights (n,) of points (n, 3) above the envelope of all that were added."""
+        if not self._levels:
+            self._find_levels()
+        plane, height = points_m[:, :2] - self._low, np.array(points_m[:, 2])
+        for size, grid in zip(LEVELS_M, self._levels, strict=True):
+            height -= _interpolated(grid, plane / size)
+        return height
+
+    def _find_levels(self) -> None:
+        """From coarse to fine, each level what is left of the ground above those before it."""
+        plane, left = self._lowest[:, :2], self._lowest[:, 2].copy()
+        ground = np.ones(len(left), dtype=np.bool_)
+        for level, size in enumerate(LEVELS_M):
+            grid = _quantiles(plane[ground], left[ground], size, self._extent)
+            # a cell without ground keeps what the coarser level says
+            grid = _cone_envelope(_filled(grid), SLOPE * size) if level == 0 else np.nan_to_num(grid, nan=0.0)
+            left -= _interpolated(grid, plane / size)
+            ground = (left < self._clearance + SLOPE * size / 2) & (
+                left > -2 * self._clearance - SLOPE * size
+            )
+            self._levels.append(grid)
 
 
 def _lowest_of_cells(plane: ArrayF, height: ArrayF) -> ArrayI:

@@ -4,9 +4,11 @@ Rules ask by `CampaignFiles`, one for each chosen campaign. Methods give paths r
 run, as Snakemake wants them; a list is empty where a campaign does not have what a rule could take.
 """
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Final, Literal
 
 from thalweg.settings import Campaign
@@ -21,7 +23,9 @@ _POSITION_LOGS: Final = {"pos": "pos", "nmea": "pos", "sbp": "sbp", "ppk": "rove
 """Sources of positions with files of their own."""
 _CHAINS: Final = {"": "ins", "by_camera/": "camera", "by_fused/": "fused"}
 """Folder below those of clouds and of comparisons -> what the trajectory rests on."""
-
+AUTO_WINDOW_S: Final = 1800.0
+"""Windows of a log on a cluster: an hour of a VLP-16 is a few minutes' work, and each job takes seconds to
+start."""
 _SERIES: Final = {"calibration": "grid_images", "panels": "panel_images", "strip": "strip_images"}
 """Streams of the series of images of the light-sheet sensor that are no scans."""
 
@@ -58,11 +62,13 @@ class CampaignFiles:
     name : id of the campaign.
     campaigns : all chosen ones and those that they name, by id.
     twin_logs : names of the logs that a twin writes.
+    on_cluster : jobs run on other machines, beside each other.
     """
 
     name: str
     campaigns: Mapping[str, Campaign]
     twin_logs: TwinLogs = _no_twin
+    on_cluster: bool = False
 
     @cached_property
     def campaign(self) -> Campaign:
@@ -76,7 +82,7 @@ class CampaignFiles:
 
     def of(self, name: str) -> "CampaignFiles":
         """The files of another campaign."""
-        return CampaignFiles(name=name, campaigns=self.campaigns, twin_logs=self.twin_logs)
+        return replace(self, name=name)
 
     def _result(self, name: str) -> str:
         return f"results/{self.name}/{name}"
@@ -140,6 +146,41 @@ class CampaignFiles:
     def comparison(self) -> dict[str, Any]:
         """The section `accuracy` without the cross sections, which are a picture's."""
         return {key: value for key, value in self.plain["accuracy"].items() if key != "sections"}
+
+    # ------------------------------------------------------------ windows of a long log
+
+    @cached_property
+    def _window_s(self) -> float:
+        """Length of the windows of the lidar's log, seconds; infinite where it stays whole."""
+        asked = self.campaign.scatter.seconds
+        if asked == "auto":
+            return AUTO_WINDOW_S if self.on_cluster else math.inf
+        return asked
+
+    @cached_property
+    def _n_windows(self) -> int:
+        """Windows into which the lidar's log is cut."""
+        if math.isinf(self._window_s) or not self.has_lidar():
+            return 1
+        if self.campaign.twin is not None:
+            length_s = self.campaign.twin.duration_s
+        else:
+            from thalweg.ingest import LidarOptions  # here: reading a log takes what no other campaign needs
+            from thalweg.ingest.registry import lidar_reader
+
+            files = [Path(name) for name in self.logs("lidar")]
+            length_s = lidar_reader(files, LidarOptions(**self.lidar_options())).length_s()
+        return 1 if math.isnan(length_s) else max(1, math.ceil(length_s / self._window_s))
+
+    def windows(self, chain: str, name: str, ending: str) -> list[str]:
+        """That file of each window of the lidar's log; none where it stays whole."""
+        chain = _CHAINS.get(chain, chain)
+        numbers = range(self._n_windows if self._n_windows > 1 else 0)
+        return [self._result(f"lidar/windows/{chain}_{name}_{part}{ending}") for part in numbers]
+
+    def window(self, part: str) -> dict[str, Any]:
+        """A window of the lidar's log, as `thalweg.ingest.LogWindow` takes it."""
+        return {"index": int(part), "count": self._n_windows, "seconds": self._window_s}
 
     # ------------------------------------------------------------ logs
 

@@ -22,6 +22,7 @@ from thalweg.ingest import (
     LidarClock,
     LidarOptions,
     LidarScan,
+    LogWindow,
     PointBlock,
     StreamTiming,
     empty_points,
@@ -706,6 +707,8 @@ def _undo_set_back(report: IntegrityReport) -> None:
 # ---------------------------------------------------------------- the reader
 
 _MIN_BLOCK_POINTS = 384
+_LEAD_PACKETS = 64
+"""Packets before a window that tell how fast the rotor turns, should the first one in it be damaged."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -719,9 +722,22 @@ class VelodyneReader:
         """See `scan_lidar`."""
         return scan_lidar(self.files, self.options)
 
-    def points(self, clock: LidarClock | None = None, *, max_points: int = 1_000_000) -> Iterator[PointBlock]:
+    def length_s(self) -> float:
+        """By the rate of its first piece; NaN if that holds no packets."""
+        paths = [Path(f) for f in self.files]
+        model = _first_model(paths, self.options, CHUNK_BYTES)
+        sizes = [path.stat().st_size for path in paths]
+        for block in _packets(paths, self.options, model, CHUNK_BYTES):
+            t_us = block.t_us[block.keep]
+            if t_us.size:
+                return float(np.ptp(t_us)) * 1e-6 * sum(sizes) / min(CHUNK_BYTES, sizes[0])
+        return math.nan
+
+    def points(
+        self, clock: LidarClock | None = None, *, max_points: int = 1_000_000, window: LogWindow | None = None
+    ) -> Iterator[PointBlock]:
         """See `iter_points`."""
-        return iter_points(self.files, self.options, clock, max_points)
+        return iter_points(self.files, self.options, clock, max_points, window=window)
 
 
 def _range_ticks(options: LidarOptions, unit_m: float) -> tuple[int, int]:
@@ -826,6 +842,7 @@ def iter_points(
     clock: LidarClock | None = None,
     max_points: int = 1_000_000,
     chunk_bytes: int = CHUNK_BYTES,
+    window: LogWindow | None = None,
 ) -> Iterator[PointBlock]:
     """Points of a recording, block by block, in stream order.
 
@@ -835,6 +852,8 @@ def iter_points(
     clock : from `scan_lidar`; without it the files are scanned first.
     max_points : no block is larger (at least 384, the most that one packet holds).
     chunk_bytes : bytes read at a time.
+    window : only the points of its packets, the very same as without it. A packet belongs to the window of
+        the newest stamp up to it, so that a late one stays where it is in the stream.
 
     Raises
     ------
@@ -848,16 +867,25 @@ def iter_points(
     limit = max(int(max_points), _MIN_BLOCK_POINTS)
     counters = np.zeros(N_COUNTERS, dtype=np.int64)
     rate = 40.0
-    for block in read_packets(paths, options, model, chunk_bytes=chunk_bytes):
+    lead: tuple[PacketBlock, slice] | None = None
+    for block, start, end in _rows_of(read_packets(paths, options, model, chunk_bytes=chunk_bytes), window):
+        if start:
+            lead = block, slice(max(0, start - _LEAD_PACKETS), start)
+        if start == end:
+            continue
+        if lead is not None:
+            before, rows = lead
+            n = _count(before, options, model, counters)[rows]
+            rate = _decode(before, rows, n, np.zeros(n.size), np.zeros(n.size), options, model, rate)[1]
+            lead = None
         points = _count(block, options, model, counters)
         packet = block.first_packet + np.arange(points.size)
         t_device_s = block.t_us * 1e-6 + clock.extra_s(packet)
         offset_s = clock.offset_s(packet)
         total = np.cumsum(points)
-        start = 0
-        while start < points.size:
+        while start < end:
             done = int(total[start - 1]) if start else 0
-            stop = max(start + 1, int(np.searchsorted(total, done + limit, side="right")))
+            stop = min(end, max(start + 1, int(np.searchsorted(total, done + limit, side="right"))))
             piece = slice(start, stop)
             out, rate = _decode(
                 block, piece, points[piece], t_device_s[piece], offset_s[piece], options, model, rate
@@ -865,6 +893,31 @@ def iter_points(
             if out.n:
                 yield out
             start = stop
+
+
+def _rows_of(
+    blocks: Iterator[PacketBlock], window: LogWindow | None
+) -> Iterator[tuple[PacketBlock, int, int]]:
+    """Blocks up to the end of a window, with the first row that lies in it and the one behind the last.
+
+    Those before the window must be read: duplicates and the turn of the hour are known by what went before.
+    """
+    first_us, newest_us = math.nan, -math.inf
+    for block in blocks:
+        n = block.t_us.size
+        if window is None:
+            yield block, 0, n
+            continue
+        t_us = np.where(block.keep, block.t_us, -math.inf)
+        t_us = np.maximum.accumulate(np.r_[newest_us, t_us])[1:]
+        if math.isnan(first_us) and math.isfinite(t_us[-1]):
+            first_us = float(t_us[np.isfinite(t_us)][0])
+        newest_us = float(t_us[-1])
+        number = window.number_of(np.nan_to_num((t_us - first_us) * 1e-6))
+        start, end = np.searchsorted(number, [window.index, window.index + 1])
+        yield block, int(start), int(end)
+        if end < n:
+            return
 
 
 def _decode(

@@ -64,6 +64,7 @@ from .lidar import (
     Lidar as Lidar,
     LidarAccuracy as LidarAccuracy,
     LidarClockStated as LidarClockStated,
+    Scatter as Scatter,
 )
 from .light_sheet import (
     SCAN_PARTS as SCAN_PARTS,

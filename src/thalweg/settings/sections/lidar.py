@@ -253,6 +253,16 @@ class Georeferencing(Section):
     )
 
 
+class Scatter(Section):
+    """Long logs, whose heavy steps run as several jobs."""
+
+    seconds: Literal["auto"] | Annotated[float, Field(ge=1, le=86_400)] = Field(
+        default="auto",
+        description="Length of the windows of the lidar's log that are jobs of their own, seconds; the "
+        "result is the same for any. `auto`: one window on this machine, half an hour each on a cluster",
+    )
+
+
 class Colour(Section):
     """The lidar cloud in the colours of photographs."""
 
