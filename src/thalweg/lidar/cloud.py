@@ -134,7 +134,7 @@ class LogSettings:
         filters: Filters,
         georeferencing: Mapping[str, Any],
     ) -> Self:
-        """Those of a survey: files of its mounts and of its errors, clock of the log, and sections of its settings."""
+        """Those of a survey: files of its mounts and errors, clock of the log, and sections of its settings."""
         return cls(
             mount=Rigid.from_mount(read_mounts(mounts)["lidar"]),
             beam=accuracy.scaled(**beam_factors(error_model)).with_clock(clock.sigma_s),
@@ -373,7 +373,19 @@ def _write_window(
             range_m=block.range_m,
         )
         if keep.any():
-            _append(writer, block, found.points, keep, correlations=settings.correlations)
+            kept = found.points.where(keep)
+            values = {"range": block.range_m[keep], "ring": block.ring[keep]}
+            values |= dict(zip(SIGMAS, kept.sigmas_m().T, strict=True))
+            if settings.correlations:
+                values |= dict(zip(CORRELATIONS, kept.correlations().T, strict=True))
+            writer.append(
+                kept.points_wcs_m,
+                t_gps_s=block.t_gps_s[keep],
+                intensity=block.intensity[keep],
+                return_number=block.return_number[keep],
+                number_of_returns=block.n_returns[keep],
+                extra=values,
+            )
     return counts, removed
 
 

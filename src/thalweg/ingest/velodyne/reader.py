@@ -727,7 +727,7 @@ class VelodyneReader:
         paths = [Path(f) for f in self.files]
         model = _first_model(paths, self.options, CHUNK_BYTES)
         sizes = [path.stat().st_size for path in paths]
-        for block in _packets(paths, self.options, model, CHUNK_BYTES):
+        for block in read_packets(paths, self.options, model, chunk_bytes=CHUNK_BYTES):
             t_us = block.t_us[block.keep]
             if t_us.size:
                 return float(np.ptp(t_us)) * 1e-6 * sum(sizes) / min(CHUNK_BYTES, sizes[0])
