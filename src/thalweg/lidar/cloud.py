@@ -134,7 +134,7 @@ class LogSettings:
         filters: Filters,
         georeferencing: Mapping[str, Any],
     ) -> Self:
-        """Those of a survey: files of its mounts and errors, clock of the log, and sections of its settings."""
+        """Those of a survey: files of its mounts and errors, clock of the log, sections of its settings."""
         return cls(
             mount=Rigid.from_mount(read_mounts(mounts)["lidar"]),
             beam=accuracy.scaled(**beam_factors(error_model)).with_clock(clock.sigma_s),
