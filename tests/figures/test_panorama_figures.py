@@ -7,7 +7,7 @@ from matplotlib.patches import Ellipse
 
 from thalweg.calibration import Rig
 from thalweg.core import Camera, Rigid
-from thalweg.figures.cloud import colour_check
+from thalweg.figures.cloud import colour_check, coloured_bank
 from thalweg.figures.panorama import (
     panorama_picture,
     rig_field,
@@ -151,3 +151,24 @@ def test_the_check_of_clock_and_mount_shows_its_optimum() -> None:
     assert "n = 12 photographs" in told
     line = figure.axes[0].lines[1].get_xydata()
     assert line[line[:, 1].argmax(), 0] == pytest.approx(0.3)
+
+
+def test_the_coloured_bank_is_seen_from_the_boat() -> None:
+    """The boat goes east; the camera saw the south bank, so that east is to the left."""
+    rng = np.random.default_rng(2)
+    x, z = rng.uniform(0, 50, (2, 1000))
+    z /= 5
+    xyz = np.column_stack([x, np.where(np.arange(1000) < 600, -10.0, 12.0), z])
+    n_views = np.where(xyz[:, 1] < 0, 3, 0)
+    counts = pd.DataFrame({"words": ["coloured", "behind something nearer"], "n": [600, 400]})
+    track = np.column_stack([np.linspace(0, 50, 20), np.zeros((20, 2))])
+    rgb = np.tile([0.2, 0.6, 0.1], (1000, 1))
+    figure = coloured_bank(xyz, rgb, n_views, track, counts, title="Bank", twin=True)
+    above, below = figure.axes[:2]
+    left, right = above.get_xlim()
+    assert left > right
+    told = words(figure)
+    assert "n = 600 coloured points of 1 000 drawn" in told.replace("\u202f", " ").replace("\xa0", " ")
+    assert "400  behind something nearer" in told
+    assert len(above.collections[0].get_offsets()) == len(below.collections[0].get_offsets()) == 600
+    assert above.collections[0].get_facecolor()[0, :3] == pytest.approx([0.2, 0.6, 0.1])

@@ -90,6 +90,9 @@ def test_copc_holds_each_record_and_is_found_by_place_and_level(tmp_path: Path) 
         info = reader.copc_info
         assert (info.gps_min, info.gps_max) == (a["t_gps_s"][0], a["t_gps_s"][-1])
         assert len(reader.query()) == n
+        # its cube is the header's, by which others check places of nodes
+        np.testing.assert_allclose(info.center - info.halfsize, reader.header.mins, atol=1e-9)
+        assert 2 * info.halfsize == pytest.approx(np.ptp(xyz, axis=0).max(), abs=1e-9)
         low, high = np.array([-31.0, 12.0, -9.0]), np.array([5.0, 44.0, 9.0])
         found = reader.query(bounds=laspy.copc.Bounds(low, high))
         inside = ((xyz >= low) & (xyz <= high)).all(axis=1)

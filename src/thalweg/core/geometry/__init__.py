@@ -1,4 +1,4 @@
-"""Meshes, rays and polygons."""
+"""Meshes, rays, polygons and octrees."""
 
 import lazy_loader
 

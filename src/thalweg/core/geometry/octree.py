@@ -63,9 +63,9 @@ def build_octree(xyz_m: ArrayF, most_points: int | None = None) -> list[Node]:
     if not len(xyz_m):
         raise CoverageError("a cloud of no points", expected="points to show", cure="Look at its filters")
     low = xyz_m.min(axis=0)
-    # a little wider than the points, so that the last of them lies inside
-    size = float(max((xyz_m.max(axis=0) - low).max() * (1 + 1e-6), 0.01))
-    code = _morton(((xyz_m - low) * (2**_BITS / size)).astype(np.uint64))
+    size = float(max((xyz_m.max(axis=0) - low).max(), 0.01))
+    # the last point lies on the border of the last cell, and in it
+    code = _morton(np.minimum((xyz_m - low) * (2**_BITS / size), 2**_BITS - 1).astype(np.uint64))
     order = np.argsort(code, kind="stable")
     code = code[order]
     if most_points is not None:

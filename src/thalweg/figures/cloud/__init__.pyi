@@ -1,3 +1,3 @@
-from .coloured import colour_check as colour_check
+from .coloured import colour_check as colour_check, coloured_bank as coloured_bank
 from .overview import cloud_overview as cloud_overview
 from .views import Splat as Splat, choose_segment as choose_segment

@@ -7,7 +7,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from thalweg.core import ArrayF, CoverageError, Trajectory
-from thalweg.figures import BLUE, GREY, count, new_figure, styled
+from thalweg.figures import BLUE, GREY, WIDTH_MM, count, new_figure, styled
 from thalweg.lidar import sample_cloud
 
 
@@ -74,12 +74,15 @@ def coloured_bank(
     low, high = np.quantile(along[mine][has[mine]], [0.01, 0.99])
     top = np.quantile(xyz_m[mine, 2][has[mine]], 0.999) + 0.5
     bottom = np.quantile(xyz_m[mine, 2][has[mine]], 0.001) - 0.3
+    each_mm = float(np.clip(0.8 * WIDTH_MM * (top - bottom) / (high - low), 25.0, 80.0))
     figure = new_figure(
-        110.0, f"{title}, n = {count(int(has.sum()))} coloured points of {count(len(has))} drawn", twin=twin
+        2 * each_mm + 50.0,
+        f"{title}, n = {count(int(has.sum()))} coloured points of {count(len(has))} drawn",
+        twin=twin,
     )
-    above, below, text = figure.subplots(3, 1, height_ratios=[1.0, 1.0, 0.45])
+    above, below, text = figure.subplots(3, 1, height_ratios=[each_mm, each_mm, 22.0])
     for ax in (above, below):
-        ax.set_xlim((high, low) if side > 0 else (low, high))
+        ax.set_xlim((low, high) if side > 0 else (high, low))
         ax.set_ylim(bottom, top)
         ax.set_aspect("equal", adjustable="box")
         ax.set_ylabel("up / m")

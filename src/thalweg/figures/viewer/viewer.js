@@ -326,7 +326,7 @@ function readHash() {
   if (inside && towards) lookTo(minus(towards, inside.at));
   cut = numbers("cut", 4);
   const limits = numbers("heights", 2);
-  if (limits) for (const k of [0, 1]) $(["lowest", "highest"][k]).value = shareOf(limits[k]);
+  for (const k of [0, 1]) $(["lowest", "highest"][k]).value = limits ? shareOf(limits[k]) : k;
   if (usable(found.get("colour"))) colour = found.get("colour");
 }
 
@@ -636,7 +636,7 @@ function enter(place) {
   if (!place) return;
   inside = place;
   for (const other of places)  // a picture of 4096 px takes 32 MB of the graphics card
-    if (other.sky && Math.abs(places.indexOf(other) - places.indexOf(place)) > 3) {
+    if (other.sky && Math.abs(places.indexOf(other) - places.indexOf(place)) > 2) {
       gl.deleteTexture(other.sky);
       delete other.sky;
       other.state = "absent";
@@ -657,6 +657,7 @@ async function thalwegPanorama(name, letters) {
   gl.activeTexture(gl.TEXTURE2);
   gl.bindTexture(gl.TEXTURE_2D, place.sky);
   gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB8, gl.RGB, gl.UNSIGNED_BYTE, picture);
+  picture.close();
   for (const key of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, key, gl.LINEAR);
   gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
   place.state = "here";
