@@ -218,7 +218,7 @@ LONGEST_FIRST = (
     "tests/accuracy",
     "tests/workflow/test_basin.py",
     "tests/workflow/test_subsets.py",
-    "tests/workflow/test_dag.py",
+    "tests/workflow/test_examples.py",
     "tests/lightsheet",
     "tests/bathymetry",
     "tests/lab",

@@ -1,13 +1,11 @@
-"""Do the points know how good they are? Raw logs of 24 seeds through the whole chain, against the truth.
+"""Do the points know how good they are? Raw logs of 40 seeds through the whole chain, against the truth.
 
 Each seed is a survey of its own: poses, mounts and every shot err anew. The reach is bare, so that the
 question is about the sigmas and not about leaves; that of `tiny`, `demo` and `mulde` is not.
 """
 
 import dataclasses
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,35 +13,12 @@ import pytest
 
 from thalweg.accuracy import chi_square_band, independent_squares
 from thalweg.settings.twin import TwinConfig
-from thalweg_lab.studies.survey import BARE, process, record, survey_settings
+from thalweg_lab.studies.survey import BARE
+from thalweg_lab.studies.trials import BANKS
 from thalweg_lab.truth import PointErrors
 
-SEEDS = 24
-DURATION_S, CORRELATION_S = 4.0, 0.5
-
-
-def survey(seed: int, folder: Path, twin: dict[str, Any]) -> PointErrors:
-    """A survey from raw logs to the errors of its points."""
-    settings: dict[str, Any] = {
-        "size": "tiny",
-        "duration_s": DURATION_S,
-        "scene": BARE | {"length_m": 60.0, "grid_m": 0.25},
-        "ins": {"attitude_time_s": CORRELATION_S},
-        "gnss": {"correlation_time_s": CORRELATION_S},
-    }
-    for key, value in twin.items():
-        settings[key] = settings.get(key, {}) | value
-    logs = record(survey_settings(settings, seed=seed), folder / f"{seed}")
-    errors = process(logs).errors()
-    logs.remove()
-    return errors
-
-
-def study(folder: Path, seeds: int = SEEDS, **twin: Any) -> list[PointErrors]:
-    # Two processes for the two cores of a testing machine; spawned, as numba's threads do not survive a fork.
-    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        jobs = [pool.submit(survey, seed, folder, twin) for seed in range(seeds)]
-        return [job.result() for job in jobs]
+DURATION_S, CORRELATION_S = BANKS["duration_s"], BANKS["gnss"]["correlation_time_s"]
+Others = Callable[..., list[PointErrors]]
 
 
 def normalised(study_errors: list[PointErrors], near_m: float = 0.0, far_m: float = 200.0) -> np.ndarray:
@@ -65,13 +40,13 @@ def band(seeds: int) -> tuple[float, float]:
 
 
 @pytest.fixture(scope="module")
-def consistent(tmp_path_factory: pytest.TempPathFactory) -> list[PointErrors]:
-    return study(tmp_path_factory.mktemp("consistent"))
+def consistent(right_surveys: Any) -> list[PointErrors]:
+    return right_surveys.along_normals
 
 
 def test_normalised_errors_are_inside_their_band(consistent: list[PointErrors]) -> None:
-    low, high = band(SEEDS)
-    assert high - low < 0.45  # sigmas that are 11 % too small or too large would be seen
+    low, high = band(len(consistent))
+    assert high - low < 0.35  # sigmas that are 9 % too small or too large would be seen
     values = normalised(consistent)
     assert low < values.mean() < high, values
 
@@ -79,21 +54,21 @@ def test_normalised_errors_are_inside_their_band(consistent: list[PointErrors]) 
 @pytest.mark.parametrize(("near_m", "far_m"), [(0.0, 17.0), (17.0, 25.0), (25.0, 100.0)])
 def test_near_and_far_alike(consistent: list[PointErrors], near_m: float, far_m: float) -> None:
     """Too small a sigma far away must not be made up for by too large a one near by."""
-    low, high = band(SEEDS)
+    low, high = band(len(consistent))
     assert low < normalised(consistent, near_m, far_m).mean() < high
 
 
 def test_95_percent_of_the_points_are_within_1_96_sigma(consistent: list[PointErrors]) -> None:
     shares = [np.mean(np.abs(e.error_m[e.bare_ground]) < 1.96 * e.sigma_m[e.bare_ground]) for e in consistent]
-    # shares of seeds scatter with their few independent errors: the mean is known to std / sqrt(24)
-    assert abs(np.mean(shares) - 0.95) < 3 * np.std(shares, ddof=1) / np.sqrt(SEEDS)
+    # shares of seeds scatter with their few independent errors: the mean is known to std / sqrt(40)
+    assert abs(np.mean(shares) - 0.95) < 3 * np.std(shares, ddof=1) / np.sqrt(len(consistent))
     assert abs(np.mean(shares) - 0.95) < 0.02
 
 
 def test_errors_of_seeds_have_no_common_sign(consistent: list[PointErrors]) -> None:
     """A bias shared by all seeds would be an error of the chain, not of the sensors."""
     means = np.array([np.mean((e.error_m / e.sigma_m)[e.bare_ground]) for e in consistent])
-    assert abs(means.mean()) < 3 * means.std(ddof=1) / np.sqrt(SEEDS)
+    assert abs(means.mean()) < 3 * means.std(ddof=1) / np.sqrt(len(consistent))
 
 
 @pytest.mark.parametrize(
@@ -106,19 +81,21 @@ def test_errors_of_seeds_have_no_common_sign(consistent: list[PointErrors]) -> N
     ],
     ids=["motor fields", "heading drift", "range noise"],
 )
-def test_an_effect_that_the_model_does_not_know_is_seen(tmp_path: Path, unknown: dict[str, Any]) -> None:
+def test_an_effect_that_the_model_does_not_know_is_seen(
+    other_surveys: Others, unknown: dict[str, Any]
+) -> None:
     seeds = 6
-    assert normalised(study(tmp_path, seeds, **unknown)).mean() > band(seeds)[1]
+    assert normalised(other_surveys(seeds, **unknown)).mean() > band(seeds)[1]
 
 
 def test_sigmas_that_promise_too_little_are_seen(consistent: list[PointErrors]) -> None:
     """Two-sided: claimed sigmas a quarter too large leave the band below."""
     modest = [dataclasses.replace(errors, sigma_m=1.25 * errors.sigma_m) for errors in consistent]
-    assert normalised(modest).mean() < band(SEEDS)[0]
+    assert normalised(modest).mean() < band(len(consistent))[0]
 
 
 @pytest.mark.slow
-def test_on_the_whole_river_too(tmp_path: Path) -> None:
+def test_on_the_whole_river_too(other_surveys: Others) -> None:
     """The reach of `tiny` with stones, cobbles, bushes, trees, grass, houses: the same band, a little wider.
 
     Spots that graze a bump or a stone are counted in, which no sigma of a beam foresees; on a bank with
@@ -126,6 +103,6 @@ def test_on_the_whole_river_too(tmp_path: Path) -> None:
     """
     changed = {*BARE, "length_m", "grid_m"}
     whole = TwinConfig.of_size("tiny").scene.model_dump(include=changed)
-    values = normalised(study(tmp_path, 20, scene=whole))
+    values = normalised(other_surveys(20, scene=whole))
     low, high = band(20)
     assert low < values.mean() < 1.1 * high, values

@@ -102,6 +102,13 @@ def made(river: Path, out: Path, *words: str, table: str = "soundings.csv") -> d
     return facts
 
 
+@pytest.fixture(scope="module")
+def of_heights(river: Path, tmp_path_factory: pytest.TempPathFactory) -> dict:
+    """The bed of heights between banks with sides."""
+    words = ["--height", "h", "--line", "leg", "--banks", str(river / "sides.geojson")]
+    return made(river, tmp_path_factory.mktemp("heights"), *words)
+
+
 def test_the_bed_between_two_bank_lines(river: Path, tmp_path: Path) -> None:
     facts = made(river, tmp_path, "--height", "h", "--banks", str(river / "banks.geojson"))
     assert facts["cells"] == pytest.approx(210 * 2 * HALF_M, rel=0.2)
@@ -122,10 +129,12 @@ def test_the_bed_between_two_bank_lines(river: Path, tmp_path: Path) -> None:
     assert len(colours) > 100  # maps of height and sigma, no empty page
 
 
-def test_banks_with_sides_as_polygon_or_none_give_the_same_bed(river: Path, tmp_path: Path) -> None:
+def test_banks_with_sides_as_polygon_or_none_give_the_same_bed(
+    river: Path, tmp_path: Path, of_heights: dict
+) -> None:
     words = ["--height", "h", "--line", "leg"]
     several = {
-        "sides": made(river, tmp_path / "a", *words, "--banks", str(river / "sides.geojson")),
+        "sides": of_heights,
         "water": made(river, tmp_path / "b", *words, "--banks", str(river / "water.geojson")),
         "centre": made(
             river,
@@ -143,15 +152,14 @@ def test_banks_with_sides_as_polygon_or_none_give_the_same_bed(river: Path, tmp_
     assert several["none"]["n_most"] < 9.5 < several["water"]["n_most"]
 
 
-def test_depths_below_a_level_are_heights(river: Path, tmp_path: Path) -> None:
+def test_depths_below_a_level_are_heights(river: Path, tmp_path: Path, of_heights: dict) -> None:
     words = ["--line", "leg", "--banks", str(river / "sides.geojson")]
-    height = made(river, tmp_path / "h", "--height", "h", *words)
     shape_alone = made(river, tmp_path / "d", "--depth", "depth", *words)
-    assert shape_alone["mean_height"] == pytest.approx(height["mean_height"] - 100, abs=1e-3)
+    assert shape_alone["mean_height"] == pytest.approx(of_heights["mean_height"] - 100, abs=1e-3)
     # with a level the banks are data: this bed's edge lies at 98 m there
     with_banks = made(river, tmp_path / "l", "--depth", "depth", "--level", "100", *words)
     assert with_banks["bed"]["bank places"] > 50
-    assert with_banks["mean_height"] > height["mean_height"] + 0.02
+    assert with_banks["mean_height"] > of_heights["mean_height"] + 0.02
 
 
 def test_text_without_names_and_repeated_places(river: Path, tmp_path: Path) -> None:

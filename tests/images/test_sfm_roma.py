@@ -49,7 +49,9 @@ def off_in_percent(block: ImageBlock, folder: Path) -> tuple[float, float]:
     return float(np.sqrt(np.mean(off**2))), float(off.max())
 
 
+@pytest.mark.slow
 def test_every_second_image_small(data_dir: Path) -> None:
+    """Wrong poses are seen by `test_sfm_block` (truth) and `test_photographs` (real) in the suite."""
     folder = data_dir / "dbat_roma"
     block, facts = oriented(folder, 2, 1000, 3000, pairs="sequential")
     assert (facts["registered"], facts["left_out"]) == (30, {})

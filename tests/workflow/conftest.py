@@ -50,7 +50,8 @@ def copy_house(repository: Path, target: Path) -> House:
     for name in COPIED:
         source = repository / name
         if source.is_dir():
-            shutil.copytree(source, target / name)
+            # byte code goes along, but not what another process is about to write
+            shutil.copytree(source, target / name, ignore=shutil.ignore_patterns("*.pyc.*"))
         else:
             shutil.copy(source, target / name)
     return House(target)

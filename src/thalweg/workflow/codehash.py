@@ -117,19 +117,24 @@ def _imports(path: Path, source: Path) -> frozenset[Path]:
     return frozenset(found for name in _facts(path).names for found in _files_of(name, source))
 
 
-@cache
 def _files_of(name: str, source: Path) -> frozenset[Path]:
     """Files of a dotted name: of each package on the way, and of the module."""
-    found, base = set[Path](), source
-    for part in name.split("."):
-        base = base / part
-        if (base / "__init__.py").is_file():
-            found.add(base / "__init__.py")
-        elif part in (door := _door(base.parent)):
-            found.add(door[part])
-        elif base.with_suffix(".py").is_file():
-            found.add(base.with_suffix(".py"))
-    return frozenset(found)
+    return _way(name, source)[1]
+
+
+@cache
+def _way(name: str, source: Path) -> tuple[Path, frozenset[Path]]:
+    """Folder that a dotted name would be, and the files on the way to it."""
+    above, _, part = name.rpartition(".")
+    base, found = _way(above, source) if above else (source, frozenset())
+    base = base / part
+    if (door := base / "__init__.py").is_file():
+        found |= {door}
+    elif part in (names := _door(base.parent)):
+        found |= {names[part]}
+    elif (module := base.with_suffix(".py")).is_file():
+        found |= {module}
+    return base, found
 
 
 @cache

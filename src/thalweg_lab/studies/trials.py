@@ -135,6 +135,7 @@ def trial(
     reference: Mapping[str, Any] = REFERENCE,
     mistakes: Sequence[PlantedMistake] = (NONE,),
     mesh: bool = True,
+    also: Callable[[Survey], None] = lambda survey: None,
 ) -> Trial:
     """One survey, processed with each of the mistakes.
 
@@ -145,6 +146,7 @@ def trial(
     twin, reference : sections of the campaign file.
     mistakes : what is done wrong; `NONE` is nothing.
     mesh : also compare with a mesh of terrestrial scans.
+    also : called with the survey of the first mistake before its files are deleted.
     """
     # A reversed lever arm puts the boat below the water, which the cloud's log would tell once a seed.
     logging.getLogger("thalweg").setLevel(logging.ERROR)
@@ -169,6 +171,7 @@ def trial(
         track = surveys[mistakes[0].name].trajectory.position_wcs_m
         surface = Surface(reference_mesh(logs, track)[0])
         to_mesh = {name: _from_mesh(survey, surface) for name, survey in surveys.items()}
+    also(surveys[mistakes[0].name])
     logs.remove()
     return Trial(in_3d=in_3d, to_mesh=to_mesh)
 

@@ -26,7 +26,12 @@ SMALL: dict[str, Any] = {
         "size_px": (640, 480),
         "focal_px": 900.0,
         "exposure_s": 0.001,
-        "reference": {"size_px": (760, 500), "focal_px": 620.0, "n_images": 4},
+        "reference": {
+            "size_px": (760, 500),
+            "focal_px": 620.0,
+            "principal_offset_px": (-6.1, 3.6),
+            "n_images": 4,
+        },
     },
 }
 MOUNTS = Mounts(

@@ -1064,20 +1064,20 @@ SIZES: Final[Mapping[str, Mapping[str, Any]]] = {
             },
         },
     },
-    # As many markers and cones, so that every method works, but a short run.
+    # As many markers and cones, so that every method works, but a short run and half the pixels of `field`.
     "field_tiny": {
         "start_utc": "2021-05-11T13:02:11Z",
         "duration_s": 40.0,
         "field": {"position_s": 2.0},
         "camera": {
-            "size_px": (1600, 1200),
-            "focal_px": 1295.0,
-            "principal_offset_px": (4.4, -2.9),
+            "size_px": (1120, 840),
+            "focal_px": 906.5,
+            "principal_offset_px": (3.1, -2.0),
             "reference": {
                 "n_images": 28,
-                "size_px": (2100, 1400),
-                "focal_px": 1645.0,
-                "principal_offset_px": (-6.1, 3.6),
+                "size_px": (1470, 980),
+                "focal_px": 1151.5,
+                "principal_offset_px": (-4.3, 2.5),
             },
             "display": {"duration_s": 120.0},
         },
