@@ -6,6 +6,7 @@ written from the twin's true ground, so that it is known what must come out.
 
 import json
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +67,7 @@ def write_files(folder: Path, tiny: Path, frame: LocalFrame, crs: CRS, twin: Twi
 
 
 @pytest.fixture(scope="module")
-def others(tiny_house) -> tuple[Path, Path]:
+def others(tiny_house) -> Iterator[tuple[Path, Path]]:
     """Folders of results of the tiny campaign and of the one with files of others."""
     root = tiny_house.root
     tiny, ours = root / "results/tiny", root / "results/others"
@@ -103,8 +104,11 @@ def others(tiny_house) -> tuple[Path, Path]:
         *(f"results/others/{name}" for name in made),
         *("--config", "campaign=others", "--allowed-rules", "krige_bed", "validate_bed", "build_dtm"),
     )
-    path.unlink()  # other tests count the campaigns
-    return tiny, ours
+    path.unlink()
+    yield tiny, ours
+    # other tests of the tiny campaign look at what is there
+    shutil.rmtree(ours)
+    shutil.rmtree(files)
 
 
 def errors_m(folder: Path, tiny: Path) -> np.ndarray:
