@@ -226,6 +226,10 @@ LONGEST_FIRST = (
 """Groups of more than a minute: what begins last should be short, or one worker waits for the other."""
 
 
+SAME_RUN = {"tests/workflow/test_files_of_others.py": "tests/workflow/test_tiny.py"}
+"""Files that look at a run of a campaign which another file has made."""
+
+
 def group_of(nodeid: str) -> str:
     """Tests of a folder go to one worker, which makes what they share once and compiles their kernels once.
 
@@ -233,7 +237,7 @@ def group_of(nodeid: str) -> str:
     """
     file = nodeid.split("::")[0]
     folder = file.rsplit("/", 1)[0]
-    return file if folder == "tests/workflow" else folder
+    return SAME_RUN.get(file, file) if folder == "tests/workflow" else folder
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
