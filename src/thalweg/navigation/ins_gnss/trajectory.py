@@ -441,7 +441,7 @@ def usable_positions(
 ) -> pd.DataFrame:
     """Positions (table kind ``gnss_position``) of an accepted fix with time, height and sigmas, in order.
 
-    With ``auto`` fixed ones are accepted, and float ones in holes of these that are longer than ``max_gap_s``.
+    With ``auto`` fixed ones are accepted, and float ones in holes of these longer than ``max_gap_s``.
 
     Raises
     ------
