@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.stats import chi2
+from tests.ingest.raw_gnss import Receiver, simulate_raw_gnss
 
 from thalweg.core import ArrayB, ArrayF, InputError, LocalFrame
 from thalweg.ingest.ppk import PpkOptions, PpkSolution, run_ppk
 from thalweg.ingest.ppk.positions import covariance_enu
 from thalweg.navigation.ins_gnss import build_trajectory, states_along_course
-from thalweg_lab.instruments import Receiver, simulate_raw_gnss
 
 BASE = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 START_GPS_S = 304_845_206.0  # 2021-05-12, adjusted

@@ -1,4 +1,4 @@
-"""Raw GNSS observations of the digital twin: code and carrier on L1 and L2 of rover and base, as RINEX 3.
+"""Raw GNSS observations below the sky of the twin: code and carrier on L1 and L2 of rover and base, RINEX 3.
 
 For a receiver and a satellite at the distance ``rho`` (the Earth turns while the signal travels)
 
@@ -20,7 +20,6 @@ from typing import Final
 import numpy as np
 
 from thalweg.core import ADJUSTED_OFFSET_S, ArrayB, ArrayF, ArrayI, LocalFrame
-from thalweg.core.timescales import week_from_gps
 from thalweg_lab.instruments.gnss import EARTH_RADPS, MU_M3PS2, SYSTEMS, Constellation
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.writers import moment
@@ -243,7 +242,7 @@ def _write_observations(
 
 def _write_navigation(path: Path, sky: Constellation, start_gps_s: float) -> None:
     """Ephemerides of circular orbits, an even two hours near the start."""
-    week, tow_s = (float(v[0]) for v in week_from_gps(np.array([start_gps_s])))
+    week, tow_s = divmod(start_gps_s + ADJUSTED_OFFSET_S, 604_800.0)
     toe_s = 7200.0 * round(tow_s / 7200.0)
     at = start_gps_s + toe_s - tow_s
     y, mo, d, h, mi, s = _calendar(at)
