@@ -263,3 +263,11 @@ def test_a_grid_narrower_than_a_degree_has_an_area_of_use() -> None:
     _check_area_of_use(grid, np.array([22.3]), np.array([114.1]))
     with pytest.raises(GeometryError):
         _check_area_of_use(grid, np.array([22.3]), np.array([13.0]))
+
+
+def test_an_origin_of_numpy_numbers_is_the_same_place() -> None:
+    """Row of a table as origin: PROJ once read its numbers as 0, and all lay 5000 km off without a word."""
+    origin = {"lat_deg": 51.58, "lon_deg": 14.40, "h_ell_m": 1030.0}
+    frame = LocalFrame(**{name: np.float64(value) for name, value in origin.items()})
+    np.testing.assert_allclose(frame.from_geodetic(*origin.values()), 0.0, atol=1e-9)
+    assert frame == LocalFrame(**origin)

@@ -65,9 +65,9 @@ def test_integers_over_100_km_are_not_trusted() -> None:
     fixed, floats = solution(slice(0, 0), 0.0)
     found, trust = trust_fixes(fixed, floats, None, np.full(N, 99_700.0), **LIMITS)
     assert trust.refused["baseline"] == N
-    # 0.15 m doubled for the engine's optimism, and 2 mm/km of 99.7 km in height
-    assert found["sigma_up_m"].to_numpy() == pytest.approx(np.hypot(2 * 0.15, 0.1994), rel=1e-3)
-    assert found["sigma_east_m"].to_numpy() == pytest.approx(np.hypot(2 * 0.15, 0.0997), rel=1e-3)
+    # 0.15 m doubled for the engine's optimism, and for floats 10 mm/km of 99.7 km in height, 5 mm/km in plan
+    assert found["sigma_up_m"].to_numpy() == pytest.approx(np.hypot(2 * 0.15, 0.997), rel=1e-3)
+    assert found["sigma_east_m"].to_numpy() == pytest.approx(np.hypot(2 * 0.15, 0.4985), rel=1e-3)
 
 
 def test_a_few_seconds_of_fixes_may_be_chance() -> None:

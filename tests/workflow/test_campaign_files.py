@@ -103,6 +103,28 @@ def test_the_position_source_decides_which_logs_are_read(source, ins, positions,
     ]
 
 
+@pytest.mark.parametrize("source", ["stated", "motion"])
+def test_poses_come_before_the_time_of_a_lidar_that_the_motion_tells(source: str) -> None:
+    """Else the poses wait for the common time axis, and that for the lidar's time: a circle."""
+    boat = survey(logs={"lidar": ["a.pcap"], "ins": ["a.anpp"]}, lidar={"clock": {"source": source}})
+    tells = source == "motion"
+    assert names(boat.telling_trajectory()) == ["orientation/trajectory_stated.parquet"] * tells
+    assert names(boat.telling_mounts()) == ["calibration/mounts.json"] * tells
+    assert names(boat.streams_before_poses()) == ["timing/streams.csv"] * (not tells)
+
+
+@pytest.mark.parametrize("lidar", [True, False])
+def test_photographs_give_the_chains_without_a_lidar_too(lidar: bool) -> None:
+    logs = {"sbet": ["a.sbet"], "gps_week": 2157, "time_lapse": {"images": ["a.jpg"]}}
+    boat = survey(
+        logs=logs | ({"lidar": ["a.pcap"]} if lidar else {}), orientation={"position_source": "sbet"}
+    )
+    (row,) = (row for row in boat.products() if row.name == "trajectories by camera and by all sensors")
+    assert row.made
+    file = "accuracy/trajectories.html" if lidar else "orientation/trajectory_fused.parquet"
+    assert names([row.file]) == [file]
+
+
 def test_full_covariances_where_something_judges_them(shipped) -> None:
     logs = {"lidar": ["a.pcap"], "ins": ["a.anpp"]}
     plain = survey(logs=logs, georeferencing={"correlations": False})

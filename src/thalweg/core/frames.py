@@ -153,8 +153,9 @@ class LocalFrame:
         return Transformer.from_pipeline(
             "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad "
             "+step +proj=cart +ellps=WGS84 "
-            f"+step +proj=topocentric +ellps=WGS84 +lat_0={self.lat_deg!r} +lon_0={self.lon_deg!r} "
-            f"+h_0={self.h_ell_m!r}"
+            # float(): PROJ takes the "np.float64(51.05)" of a NumPy number for 0
+            f"+step +proj=topocentric +ellps=WGS84 +lat_0={float(self.lat_deg)!r} "
+            f"+lon_0={float(self.lon_deg)!r} +h_0={float(self.h_ell_m)!r}"
         )
 
     def from_geodetic(self, lat_deg: ArrayLike, lon_deg: ArrayLike, h_ell_m: ArrayLike) -> ArrayF:

@@ -279,7 +279,7 @@ def _drifting(clock: LidarClock, packets: ArrayF, found: LidarOffset) -> LidarCl
     ends = packets[[0, -1], 1]
     sigma_s = float(np.max(np.hypot(found.sigma_offset_s, found.sigma_drift * (ends - found.reference_s))))
     pieces = max(1, int(np.ceil(abs(found.drift) * np.ptp(ends) / _LARGEST_STEP_S)))
-    edges = np.linspace(*ends, pieces + 1)
+    edges = np.linspace(float(ends[0]), float(ends[1]), pieces + 1)
     middle = (edges[1:] + edges[:-1]) / 2
     first = np.interp(edges[:-1], packets[:, 1], packets[:, 0]).astype(np.int64)
     first[0] = 0
@@ -348,7 +348,7 @@ def sweep_turns(reader: LidarReader, clock: LidarClock) -> tuple[Turns, ArrayF]:
     if end - begin > 3 * SPAN_S:
         middle = (begin + end) / 2
         spans = [(s, s + SPAN_S) for s in (begin, middle - SPAN_S / 2, end - SPAN_S)]
-    rows = []
+    rows: list[tuple[ArrayF, ...]] = []
     for first, last in spans:
         rows += _turns_of_span(_Sweeps.read(reader, clock, first, last), first, last)
     if len(rows) < LEAST_PAIRS:
@@ -398,7 +398,7 @@ class _Sweeps:
 
     def at(self, begin_s: float) -> tuple[ArrayF, ArrayF]:
         """Thinned points (n, 3) of one revolution and their times (n,)."""
-        a, b = np.searchsorted(self.t_s, [begin_s, begin_s + self.period_s])
+        a, b = np.searchsorted(self.t_s, np.array([begin_s, begin_s + self.period_s]))
         xyz, t = self.xyz_m[a:b], self.t_s[a:b]
         _, keep = np.unique(np.floor(xyz / _VOXEL_M).astype(np.int32), axis=0, return_index=True)
         return xyz[keep], t[keep]
@@ -425,7 +425,7 @@ def _normals(points: ArrayF) -> tuple[cKDTree, ArrayF, ArrayB]:
     tree = cKDTree(points)
     if len(points) < _FEWEST_POINTS:
         return tree, np.zeros((len(points), 3)), np.zeros(len(points), np.bool_)
-    distance, near = tree.query(points, k=_NEIGHBOURS)
+    distance, near = (np.asarray(found) for found in tree.query(points, k=_NEIGHBOURS))
     around = points[near] - points[near].mean(axis=1, keepdims=True)
     value, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around) / _NEIGHBOURS)
     flat = (value[:, 0] < 0.1 * value[:, 1]) & (value[:, 1] > 0.1 * value[:, 2]) & (distance[:, -1] < 2.0)

@@ -47,8 +47,8 @@ _FIX_FREE: Final = 6
 _FIX_SHARE: Final = 0.5
 _FIX_DILUTION: Final = 3.0
 
-_MU_M3PS2: Final = 3.986004418e14
-_EARTH_RADPS: Final = 7.2921151467e-5
+MU_M3PS2: Final = 3.986004418e14
+EARTH_RADPS: Final = 7.2921151467e-5
 _JITTER_RAD: Final = 0.15
 """Satellites do not sit on their nominal places along the orbit."""
 SYSTEMS: Final = ("gps", "glonass", "galileo")
@@ -561,8 +561,8 @@ class Constellation:
     def ecef_m(self, t_gps_s: ArrayF) -> ArrayF:
         """Positions (times, n, 3), earth-centred and earth-fixed."""
         t = np.asarray(t_gps_s, dtype=np.float64)[:, None]
-        u = self.phase_rad + np.sqrt(_MU_M3PS2 / self.axis_m**3) * t
-        node = self.node_rad - _EARTH_RADPS * t
+        u = self.phase_rad + np.sqrt(MU_M3PS2 / self.axis_m**3) * t
+        node = self.node_rad - EARTH_RADPS * t
         along, across = self.axis_m * np.cos(u), self.axis_m * np.sin(u)
         ci, si = np.cos(self.inclination_rad), np.sin(self.inclination_rad)
         return np.stack(

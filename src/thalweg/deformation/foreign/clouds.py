@@ -314,12 +314,14 @@ def compare_with_surface(
     """
     points = read_points(cloud)
     dsm = read_dsm(reference) if reference.suffix.lower() in DSM_ENDINGS else None
+    triangles = read_triangles(reference)
     if dsm is not None:
-        mesh = dsm.mesh()
-        triangles, vertices = (mesh.vertices_m, mesh.faces), Points(mesh.vertices_m, dsm.frame, reference)
+        raster = dsm.mesh()
+        triangles = raster.vertices_m, raster.faces
+    if triangles is None:
+        vertices = read_points(reference)
     else:
-        triangles = read_triangles(reference)
-        vertices = read_points(reference) if triangles is None else Points(triangles[0], None, reference)
+        vertices = Points(triangles[0], None if dsm is None else dsm.frame, reference)
     frame, notes = one_frame([points, vertices])
     notes += [] if dsm is None else dsm.notes
     origin = np.round(np.median(vertices.xyz_m, axis=0))  # large coordinates would cost digits

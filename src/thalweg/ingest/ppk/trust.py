@@ -13,9 +13,10 @@ What is refused becomes the float position of that epoch. Standard deviations gr
 baseline by what double differences leave of the atmosphere, ``1e-6`` of its length in plan and ``2e-6`` in
 height: the proportional parts that makers of receivers state for relative positions (1 mm/km), and twice that
 in height, where the troposphere enters by two to three times its delay at the zenith (Teunissen and
-Montenbruck 2017, Springer Handbook of Global Navigation Satellite Systems, ch. 6 and 26). Those of float
-positions are doubled, because multipath that lasts for minutes is no part of them, or multiplied by the
-factor by which a forward and a backward run of the filter differ more than both say, if that is larger.
+Montenbruck 2017, Springer Handbook of Global Navigation Satellite Systems, ch. 6 and 26); those of float
+positions by five times that. These are also doubled, because multipath that lasts for minutes is no part of
+them, or multiplied by the factor by which a forward and a backward run of the filter differ more than both
+say, if that is larger.
 
 The .pos text of the engine becomes a table here, and covariances that cannot be true are replaced.
 """
@@ -128,6 +129,9 @@ def _too_small(C: ArrayF) -> ArrayB:
 
 ATMOSPHERE: Final = np.array([1e-6, 1e-6, 2e-6])
 """Standard deviations east, north, up that the atmosphere adds, in parts of the baseline."""
+FLOAT_ATMOSPHERE: Final = np.array([5e-6, 5e-6, 1e-5])
+"""The same of float positions, which rest on the code: the ionosphere differs by 1 to 2 mm/km at the zenith,
+by 2.4 times that for low satellites, and enters by a dilution of precision of 2 in plan and 3 in height."""
 REFUSALS: Final = {
     "baseline": "the baseline is longer than ppk.trusted_baseline_km",
     "duration": "the run of fixed epochs is shorter than ppk.least_fix_s",
@@ -231,7 +235,8 @@ def trust_fixes(
     for name in positions.columns:
         out.loc[take, name] = floats[name].to_numpy()[beside[take]]
     covariance = covariance_enu(out)
-    covariance[:, range(3), range(3)] += (baseline_m[:, None] * ATMOSPHERE) ** 2
+    parts = np.where((out["fix"] == "float").to_numpy()[:, None], FLOAT_ATMOSPHERE, ATMOSPHERE)
+    covariance[:, range(3), range(3)] += (baseline_m[:, None] * parts) ** 2
     out = with_covariance_enu(out, covariance)
     lost = refused & ~known
     counts = {name: int((why == name).sum()) for name in REFUSALS}

@@ -395,8 +395,8 @@ def _head(
         return "No panel in known depths judges the sigmas of the depths.", findings
     most, scatter = float(panels["mean_mm"].abs().max()), float(panels["std_mm"].max())
     # means err by the calibration, which is common to a panel: each panel is one value
-    ratio = (panels["rms_mm"] / np.hypot(panels["predicted_mm"], panels["sigma_mm"])).dropna()
-    told = verdict_of(float(np.mean(ratio**2)), len(ratio))
+    square = panels["rms_mm"] ** 2 / (panels["predicted_mm"] ** 2 + panels["sigma_mm"] ** 2)
+    told = verdict_of(float(square.mean()), int(square.notna().sum()))
     findings.append(
         Finding(
             f"panel in {plural(len(panels), 'depth')}",

@@ -113,8 +113,7 @@ class Orientation(Section):
     accept_fixes: Annotated[tuple[Fix, ...], Field(min_length=1)] | Literal["auto"] = Field(
         default=("fixed",),
         description="Kinds of GNSS solution that may enter the trajectory; `auto`: fixed ones, and float "
-        "ones where these leave a hole longer than `max_gap_s`, so that beyond "
-        "`ppk.trusted_baseline_km` all are float",
+        "ones where these leave a hole longer than `max_gap_s`: beyond `ppk.trusted_baseline_km` all",
     )
     interpolation: Literal["cubic", "ins_velocity"] = Field(
         default="cubic",
