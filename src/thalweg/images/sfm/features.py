@@ -205,6 +205,8 @@ def to_the_rim(block: ImageBlock, features: Features, rig: Rig) -> ImageBlock:
     features : all of them.
     """
     inner = features.within(rig, WIDEST_DEG)
+    if inner.all() or not len(block.mark_image):
+        return block
     number = {picture.name: k for k, picture in enumerate(features.pictures)}
     own = np.empty(len(block.mark_image), np.int64)
     for k, name in enumerate(block.images):
@@ -238,7 +240,7 @@ def to_the_rim(block: ImageBlock, features: Features, rig: Rig) -> ImageBlock:
         near = cKDTree(expected).query_ball_point(features.place[rows, :2].astype(np.float64), _WINDOW_PX)
         for row, some in zip(rows.tolist(), near, strict=True):
             away = sorted(
-                (float(np.linalg.norm(along[p] - descriptor[row], axis=1).min()), p)
+                (float(np.linalg.norm(along[p] - descriptor[row], axis=1).min(initial=np.inf)), p)
                 for p in points[some].tolist()
             )
             if not away or away[0][0] > most or (len(away) > 1 and away[0][0] > _RATIO * away[1][0]):
