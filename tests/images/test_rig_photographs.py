@@ -15,7 +15,7 @@ from thalweg.calibration import LENSES, Rig
 from thalweg.core import Rigid, exp_rotation
 from thalweg.images.photographs import PhotographBlock, orient_photographs
 from thalweg.images.sfm import extract_features
-from thalweg.images.sfm.features import WIDEST_DEG
+from thalweg.images.sfm.features import RIM_DEG, WIDEST_DEG
 from thalweg.settings.sections import LOCAL, FeatureSettings, Rig as RigSettings
 from thalweg.settings.twin import TwinDualFisheye
 from thalweg_lab.dual_fisheye import TrueRig, true_rig
@@ -100,7 +100,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TrueRig, Rig, 
     return folder, true, rig, fronts
 
 
-def test_features_are_those_of_the_views_up_to_where_colmap_ends(room: tuple) -> None:
+def test_features_are_those_of_the_views_up_to_the_rim(room: tuple) -> None:
     folder, _, rig, _ = room
     path = folder / "003.jpg"
     found = extract_features({"front/003.jpg": path, "back/003.jpg": path}, settings=FEATURES, rig=rig)
@@ -109,7 +109,10 @@ def test_features_are_those_of_the_views_up_to_where_colmap_ends(room: tuple) ->
     for k, name in enumerate(("back", "front")):
         rays = rig.cameras[name].rays(found.place[found.rows(k), :2].astype(float))
         angle = np.rad2deg(np.arccos(rays[:, 2]))
-        assert WIDEST_DEG - 3 < angle.max() < WIDEST_DEG + 0.5
+        assert RIM_DEG - 3 < angle.max() < RIM_DEG + 0.5
+        inner = found.chosen(found.within(rig, WIDEST_DEG))
+        rays = rig.cameras[name].rays(inner.place[inner.rows(k), :2].astype(float))
+        assert len(rays) == np.count_nonzero(angle < WIDEST_DEG)
 
 
 def oriented(room: tuple, *, rig: bool = True) -> PhotographBlock:
@@ -142,6 +145,19 @@ def test_files_of_a_rig_have_one_pose_each(room: tuple, tmp_path: Path) -> None:
     place = block.found.facts["places_of_lenses"]["back"]
     off = np.array(place["shift_m"]) - true.T_front_lens["back"].shift_m
     assert (np.abs(off) < 4 * np.array(place["sigma_shift_m"])).all()
+    adjusted = block.found.oriented[0].adjusted
+    marks, camera = adjusted.problem.block, adjusted.x.cameras
+    lens = marks.camera[marks.mark_image]
+    angle = np.empty(len(lens))
+    for k in (0, 1):
+        angle[lens == k] = np.rad2deg(np.arccos(camera[k].rays(marks.mark_px[lens == k])[:, 2]))
+    rim = angle > WIDEST_DEG + 1
+    assert angle.max() > RIM_DEG - 1.5
+    # marks that structure from motion does not have: they fit as well as their sigmas say, like the others
+    assert adjusted.used[rim].sum() > 50
+    assert adjusted.used[rim].mean() > 0.8 * adjusted.used[~rim].mean()
+    size = np.linalg.norm(adjusted.residual_px / marks.sigma_px[:, None], axis=1)
+    assert 0.6 < np.median(size[rim & adjusted.used]) / np.median(size[~rim & adjusted.used]) < 1.5
     block.write(tmp_path, name="room")
     images = pd.read_csv(tmp_path / "images.csv")
     assert images["image"].tolist() == list(poses.images)

@@ -26,6 +26,7 @@ from thalweg.images.bundle import (
 from thalweg.images.control import crs_of, frame_about, read_all_control_points, read_camera_positions
 from thalweg.images.model import ControlPoints, ImagePoses, unknown_poses
 from thalweg.images.sfm import (
+    WIDEST_DEG,
     Known,
     block_facts,
     extract_features,
@@ -33,6 +34,7 @@ from thalweg.images.sfm import (
     main_block,
     map_images,
     match_images,
+    to_the_rim,
 )
 from thalweg.ingest.photos import Images, find_images, named_images
 from thalweg.settings.sections import (
@@ -234,15 +236,17 @@ def orient_photographs(
         known = Known(of_folder=rig.cameras, t_s={name: order[name.split("/", 1)[1]] for name in files})
     found = extract_features(files, masks=masks, settings=features, threads=threads, rig=rig)
     say("pairs of photographs")
-    matches = match_images(found, files, known=known, section=mapping, threads=threads)
+    inner = found if rig is None else found.chosen(found.within(rig, WIDEST_DEG))
+    matches = match_images(inner, files, known=known, section=mapping, threads=threads)
     say("structure from motion")
     mapped = map_images(matches, settings=mapping, threads=threads)
     table = image_table(matches, mapped)
     why = {name: dict(zip(table["image"], table[name], strict=True)) for name in ("reason", "cause")}
     main_block(mapped, why["reason"], why["cause"])
     say("adjustment with control points")
+    blocks = mapped.pieces if rig is None else tuple(to_the_rim(b, found, rig) for b in mapped.pieces)
     pieces = adjust_pieces(
-        mapped.pieces,
+        blocks,
         unknown_poses(frame, exposures),
         reasons=why["reason"],
         frame=frame,

@@ -477,6 +477,8 @@ def _weighted(at: ArrayI, known: ArrayF, off: ArrayF) -> tuple[ArrayI, ArrayF, A
 def with_shared_errors(problem: Problem, layout: Layout, x: State, cov: ArrayF, factor: float) -> ArrayF:
     """The covariance if what the images tell of the interior orientation had ``factor`` times the variance.
 
+    What they tell of the places of lenses in a rig counts likewise.
+
     With the normal matrix of the interior orientation alone, ``C^-1 = P + M`` of what is known and of what
     the images tell, the new covariance is ``C' = (P + M / factor)^-1``. All other unknowns follow it::
 

@@ -1,5 +1,10 @@
 from .colmap import colmap as colmap, from_colmap as from_colmap
-from .features import extract_features as extract_features, part_of as part_of
+from .features import (
+    WIDEST_DEG as WIDEST_DEG,
+    extract_features as extract_features,
+    part_of as part_of,
+    to_the_rim as to_the_rim,
+)
 from .mapping import (
     block_facts as block_facts,
     image_table as image_table,

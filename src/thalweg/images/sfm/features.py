@@ -7,7 +7,7 @@ number of threads gives the same features, bit by bit.
 import json
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -16,10 +16,12 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from scipy.spatial import cKDTree
 
 from thalweg.calibration import Rig, lens_view, read_rig_masks
 from thalweg.core import ArrayB, ArrayI, InputError, steps
 from thalweg.images.model import (
+    ImageBlock,
     LensView,
     Picture,
     at_pixels,
@@ -35,7 +37,16 @@ from thalweg.settings.sections import FeatureSettings
 
 _FORMAT: Final = 1
 WIDEST_DEG: Final = 85.0
-"""Angle from the axis up to which a fisheye of a rig takes part: COLMAP has no rays from 90 degrees on."""
+"""Angle from the axis up to which structure from motion uses a fisheye: COLMAP has no rays from 90 on."""
+RIM_DEG: Final = 95.0
+"""Angle up to which a block uses it."""
+_WINDOW_PX: Final = 3.0
+"""Distance of a feature near the rim from where a point of the block is expected."""
+_RATIO: Final = 0.8
+"""Of the distances of a descriptor from the best and from the second-best point (Lowe 2004)."""
+_CHANCE: Final = 0.01
+"""Share of pairs of different things whose descriptors are as alike as those of one thing at the rim must be:
+pictures are so bent there that a descriptor has little in common with that of the same thing elsewhere."""
 _MOST_BUDGET: Final = 4
 _BLANK: Final = 3.0
 """Contrast, steps of 8 bits, below which an image is called blank."""
@@ -65,6 +76,20 @@ class Features:
     def rows(self, k: int) -> slice:
         """Rows of image k."""
         return slice(int(self.start[k]), int(self.start[k + 1]))
+
+    def within(self, rig: Rig, widest_deg: float) -> ArrayB:
+        """(n,) whether features of views of a rig lie so near to the axis of their lens."""
+        keep = np.ones(len(self.place), np.bool_)
+        for k, picture in enumerate(self.pictures):
+            own = self.rows(k)
+            rays = rig.cameras[picture.name.split("/", 1)[0]].rays(self.place[own, :2].astype(np.float64))
+            keep[own] = rays[:, 2] > np.cos(np.deg2rad(widest_deg))
+        return keep
+
+    def chosen(self, keep: ArrayB) -> "Features":
+        """Some of the features (n,), of all pictures."""
+        start = np.concatenate([[0], np.cumsum(keep)])[self.start]
+        return replace(self, start=start, place=self.place[keep], descriptor=self.descriptor[keep])
 
     def write(self, path: Path) -> None:
         """Write as ``.npz``; the same features give the same bytes."""
@@ -123,7 +148,7 @@ def extract_features(
     settings : see `FeatureSettings`.
     threads : images that are worked on at the same time; each needs its own memory.
     rig : images are its views, named ``front/NAME`` and ``back/NAME``, of files with both; those of a fisheye
-        are used to `WIDEST_DEG`.
+        are used to `RIM_DEG`.
 
     Raises
     ------
@@ -147,7 +172,7 @@ def extract_features(
 
 
 def lens_views(rig: Rig) -> dict[str, LensView]:
-    """Views of the lenses of a rig, where they may be used: to `WIDEST_DEG`, and not behind their masks.
+    """Views of the lenses of a rig, where they may be used: to `RIM_DEG`, and not behind their masks.
 
     Raises
     ------
@@ -159,13 +184,85 @@ def lens_views(rig: Rig) -> dict[str, LensView]:
         width, height = camera.size_px
         y, x = np.mgrid[0:height, 0:width] + 0.5
         rays = camera.rays(np.column_stack([x.ravel(), y.ravel()]))[:, 2].reshape(height, width)
-        usable = np.nan_to_num(rays, nan=-1.0) > np.cos(np.deg2rad(WIDEST_DEG))
+        usable = np.nan_to_num(rays, nan=-1.0) > np.cos(np.deg2rad(RIM_DEG))
         views[name] = LensView(
             lens=name,
             cut=partial(lens_view, lens=getattr(rig.settings, name)),
             usable=usable & masks.get(name, np.True_),
         )
     return views
+
+
+def to_the_rim(block: ImageBlock, features: Features, rig: Rig) -> ImageBlock:
+    """A block of views of a rig with marks from `WIDEST_DEG`, where structure from motion ends, to `RIM_DEG`.
+
+    A feature near the rim is a mark of a point that is expected within a few pixels, if its descriptor is
+    liker one of the point's own than chance would have it, and clearly liker than those of other such points.
+
+    Parameters
+    ----------
+    block : of features within `WIDEST_DEG`; in any frame.
+    features : all of them.
+    """
+    inner = features.within(rig, WIDEST_DEG)
+    if inner.all() or not len(block.mark_image):
+        return block
+    number = {picture.name: k for k, picture in enumerate(features.pictures)}
+    own = np.empty(len(block.mark_image), np.int64)
+    for k, name in enumerate(block.images):
+        rows, first = np.flatnonzero(block.mark_image == k), features.start[number[name]]
+        places = features.place[features.rows(number[name]), :2]
+        own[rows] = first + cKDTree(places).query(block.mark_px[rows])[1]
+    order = np.argsort(block.mark_point, kind="stable")
+    starts = np.searchsorted(block.mark_point[order], np.arange(len(block.points_block_m) + 1))
+    descriptor = features.descriptor.astype(np.float32)
+    along = [descriptor[own[order[a:b]]] for a, b in pairwise(starts)]
+    # each with one of half the block away: of different things
+    other = descriptor[np.roll(own, len(own) // 2)]
+    most = float(np.quantile(np.linalg.norm(descriptor[own] - other, axis=1), _CHANCE))
+    # features of one size are found equally well
+    by_size = np.argsort(features.place[own, 2], kind="stable")
+    sizes, sigmas = features.place[own[by_size], 2], block.sigma_px[by_size]
+    found: list[tuple[int, int, int]] = []
+    off: list[float] = []
+    for k, name in enumerate(block.images):
+        rows = np.arange(len(inner))[features.rows(number[name])]
+        rows = rows[~inner[rows]]
+        seen = (block.points_block_m - block.centre_block_m[k]) @ block.R_block_ccs[k]
+        new = seen[:, 2] < np.cos(np.deg2rad(WIDEST_DEG - 1.0)) * np.linalg.norm(seen, axis=1)
+        new[block.mark_point[block.mark_image == k]] = False
+        points = np.flatnonzero(new)
+        expected = block.cameras[block.camera[k]].project(seen[points])
+        points, expected = (a[np.isfinite(expected).all(axis=1)] for a in (points, expected))
+        if not len(points) or not len(rows):
+            continue
+        taken: dict[int, tuple[float, int]] = {}
+        near = cKDTree(expected).query_ball_point(features.place[rows, :2].astype(np.float64), _WINDOW_PX)
+        for row, some in zip(rows.tolist(), near, strict=True):
+            away = sorted(
+                (float(np.linalg.norm(along[p] - descriptor[row], axis=1).min(initial=np.inf)), p)
+                for p in points[some].tolist()
+            )
+            if not away or away[0][0] > most or (len(away) > 1 and away[0][0] > _RATIO * away[1][0]):
+                continue
+            taken[away[0][1]] = min(taken.get(away[0][1], (np.inf, -1)), (away[0][0], row))
+        found += [(k, point, row) for point, (_, row) in taken.items()]
+        place = dict(zip(points.tolist(), expected, strict=True))
+        off += [float(np.linalg.norm(features.place[r, :2] - place[p])) for p, (_, r) in taken.items()]
+    if not found:
+        return block
+    image, point, row = np.array(found, np.int64).T
+    sigma = sigmas[np.clip(np.searchsorted(sizes, features.place[row, 2]), 0, len(sizes) - 1)]
+    # bent pictures are found less well: as much as they are farther from where the block has its points
+    usual = np.nanmedian(np.linalg.norm(block.residuals_px(), axis=1) / block.sigma_px)
+    sigma = sigma * max(1.0, float(np.median(np.array(off) / sigma) / usual))
+    return replace(
+        block,
+        mark_image=np.concatenate([block.mark_image, image]),
+        mark_point=np.concatenate([block.mark_point, point]),
+        mark_px=np.concatenate([block.mark_px, features.place[row, :2].astype(np.float64)]),
+        sigma_px=np.concatenate([block.sigma_px, sigma]),
+    )
 
 
 def part_of(images: Images, part: int, parts: int) -> dict[str, Path]:
