@@ -205,7 +205,7 @@ def pages(root: Path = ROOT) -> tuple[dict[Path, str], int]:
             known[table] = Table(path, wanted.get("keys", ["key"])) if path.exists() else Pending()
     timings = folder / "timings.csv"
     known["timings"] = Table(timings, ["campaign"]) if timings.exists() else Pending()
-    known |= {"packages": packages, "package_graph": package_graph, "dependencies": dependencies(root)}
+    known |= {"packages": packages, "package_graph": package_graph, "dependencies": dependencies}
     environment = Environment(
         undefined=StrictUndefined, keep_trailing_newline=True, trim_blocks=True, autoescape=False
     )

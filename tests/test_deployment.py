@@ -43,7 +43,7 @@ def test_the_image_is_built_in_a_chroot(repository: Path, tmp_path: Path) -> Non
     head = dict(re.findall(r"(?m)^(\w+): (.*)$", text.split("%files")[0]))
     root, place = tmp_path / "root", tmp_path / "root/opt/thalweg"
     words = ("--variant=minbase", f"--include={head['Include']}", head["OSVersion"])
-    subprocess.run(["mmdebstrap", *words, str(root), head["MirrorURL"]], check=True)
+    subprocess.run(["mmdebstrap", *words, str(root)], check=True)  # from its own mirror
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=repository, capture_output=True, check=True).stdout
     for name in filter(None, listed.decode().split("\0")):
         (place / name).parent.mkdir(parents=True, exist_ok=True)
