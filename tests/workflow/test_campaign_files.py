@@ -1,6 +1,8 @@
 """What the rules of a campaign take, without Snakemake: twins, real logs, calibrations, basins."""
 
 import json
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -294,3 +296,36 @@ def test_targets_are_parts_of_a_campaign(shipped) -> None:
         "lidar": 0,
         "images": 0,
     }
+
+
+@pytest.mark.parametrize(
+    ("seconds", "on_cluster", "length_s", "n"),
+    [
+        ("auto", False, 7200.0, 0),  # one part: the jobs of a laptop are as ever
+        ("auto", True, 7200.0, 4),
+        ("auto", True, 1700.0, 0),
+        (900, False, 7201.0, 9),
+        (900, False, math.nan, 0),  # an Ouster
+    ],
+)
+def test_a_log_is_cut_where_that_is_asked_for(seconds, on_cluster, length_s, n) -> None:
+    logs = {"lidar": ["/logs/a.pcap", "/logs/b.pcap"], "ins": ["/logs/ins.anpp"]}
+    mounts = {"lidar": {"phi_deg": -90.0, "lever_ics_m": [-0.35, 0.0, -0.25]}}
+    asked = []
+
+    def measured(files, options):
+        asked.append((files, options["data_port"]))
+        return length_s
+
+    files = replace(
+        survey(logs=logs, mounts=mounts, scatter={"seconds": seconds}),
+        log_length_s=measured,
+        on_cluster=on_cluster,
+    )
+    parts = files.windows("fused", "points", ".las")
+    assert names(parts) == [f"lidar/windows/fused_points_{k}.las" for k in range(n)]
+    # a log that stays whole is not opened
+    assert asked == ([] if seconds == "auto" and not on_cluster else [(logs["lidar"], 2368)])
+    if n:
+        length = 1800.0 if seconds == "auto" else seconds
+        assert files.window("2") == {"index": 2, "count": n, "seconds": length}

@@ -36,6 +36,17 @@ if workflow.is_main_process and workflow.non_local_exec and not workflow.dryrun:
         cpus=workflow.global_resources["_cores"].value,
     )
 
+
+def log_length_s(files, options):
+    """About how long a log of the lidar is, seconds."""
+    # Here: reading a log takes libraries that no other start of Snakemake needs.
+    from thalweg.ingest import LidarOptions
+    from thalweg.ingest.registry import lidar_reader
+
+    reader = lidar_reader([Path(name) for name in files], LidarOptions(**options))
+    return reader.length_s()
+
+
 ROOT = Path(workflow.basedir)
 CHOSEN = load_campaigns(config["campaign"], ROOT / "config" / "campaigns")
 CAMPAIGNS = with_calibrations(CHOSEN, ROOT / "config" / "campaigns")
@@ -44,6 +55,7 @@ FILES = {
         name=name,
         campaigns=CAMPAIGNS,
         twin_logs=laboratory.twin_logs,
+        log_length_s=log_length_s,
         on_cluster=workflow.non_local_exec or workflow.remote_exec,
     )
     for name in CAMPAIGNS

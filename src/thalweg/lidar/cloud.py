@@ -731,7 +731,7 @@ class RemovedSample:
 
     def __init__(self, most: int = 20_000) -> None:
         self.most = most
-        self._threshold = dict.fromkeys(REMOVED, 1 << 64)
+        self._threshold: dict[Reason, int] = dict.fromkeys(REMOVED, 1 << 64)
         self._hashes: dict[Reason, AnyArray] = {r: np.empty(0, np.uint64) for r in REMOVED}
         self._rows: dict[Reason, ArrayF] = {r: np.empty((0, 8)) for r in REMOVED}
 
@@ -774,7 +774,7 @@ class RemovedSample:
             hashes, rows = hashes[stay], rows[stay]
         self._hashes[reason], self._rows[reason] = hashes, rows
 
-    def arrays(self) -> dict[str, AnyArray]:
+    def arrays(self) -> dict[str, Any]:
         """The sample of a part of a log as arrays, for `add_arrays`."""
         parts = {"hashes": self._hashes, "rows": self._rows}
         return {f"{name}_{r}": part[r] for name, part in parts.items() for r in REMOVED}

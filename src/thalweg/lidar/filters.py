@@ -609,7 +609,8 @@ def _add_blocks(
             n_blocks[0] += 1
         row = rows[at]
         for cell in range(512):
-            counts[row, cell] = np.uint8(min(255, np.int64(counts[row, cell]) + np.int64(more[i, cell])))
+            total = np.int64(counts[row, cell]) + np.int64(more[i, cell])
+            counts[row, cell] = np.uint8(total) if total < 255 else np.uint8(255)
     return len(new)
 
 

@@ -8,7 +8,6 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any, Final, Literal
 
 from thalweg.settings import Campaign
@@ -16,6 +15,9 @@ from thalweg.settings.sections import Epoch, scan_stream
 
 TwinLogs = Callable[[Campaign], Mapping[str, Sequence[str]]]
 """Logs that a digital twin writes: stream -> names below ``results/<campaign>/simulation/logs``."""
+
+LogLength = Callable[[Sequence[str], Mapping[str, Any]], float]
+"""Files of a lidar's log and options of its decoding -> about its length, seconds."""
 
 _STREAMS: Final = {"lidar": "lidar", "ins": "ins", "sbet": "ins", "sbp": "gnss", "depth": "depth"}
 """Logs, and how the rules that read them name their results."""
@@ -28,6 +30,11 @@ AUTO_WINDOW_S: Final = 1800.0
 start."""
 _SERIES: Final = {"calibration": "grid_images", "panels": "panel_images", "strip": "strip_images"}
 """Streams of the series of images of the light-sheet sensor that are no scans."""
+
+
+def _no_length(files: Sequence[str], options: Mapping[str, Any]) -> float:
+    """Length of logs where no reader is at hand."""
+    return math.nan
 
 
 def _no_twin(campaign: Campaign) -> Mapping[str, Sequence[str]]:
@@ -62,12 +69,14 @@ class CampaignFiles:
     name : id of the campaign.
     campaigns : all chosen ones and those that they name, by id.
     twin_logs : names of the logs that a twin writes.
+    log_length_s : about how long a log of the lidar is, by its files and `lidar_options`; NaN: not known.
     on_cluster : jobs run on other machines, beside each other.
     """
 
     name: str
     campaigns: Mapping[str, Campaign]
     twin_logs: TwinLogs = _no_twin
+    log_length_s: LogLength = _no_length
     on_cluster: bool = False
 
     @cached_property
@@ -165,11 +174,7 @@ class CampaignFiles:
         if self.campaign.twin is not None:
             length_s = self.campaign.twin.duration_s
         else:
-            from thalweg.ingest import LidarOptions  # here: reading a log takes what no other campaign needs
-            from thalweg.ingest.registry import lidar_reader
-
-            files = [Path(name) for name in self.logs("lidar")]
-            length_s = lidar_reader(files, LidarOptions(**self.lidar_options())).length_s()
+            length_s = self.log_length_s(self.logs("lidar"), self.lidar_options())
         return 1 if math.isnan(length_s) else max(1, math.ceil(length_s / self._window_s))
 
     def windows(self, chain: str, name: str, ending: str) -> list[str]:
