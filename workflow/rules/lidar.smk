@@ -113,21 +113,24 @@ rule export_copc:
         "../scripts/call.py"
 
 
-rule count_neighbours:
-    """Where the points of a window of the log lie, for the filters of all windows."""
+rule georeference_window:
+    """The points of a window of a long log, without those that no other point of the whole log lies near to."""
     input:
         lidar=raw("lidar"),
         clock="results/{campaign}/ingest/lidar.clock.json",
         trajectory=of_wildcard("chain", CampaignFiles.trajectory),
         mounts=of_wildcard("chain", CampaignFiles.mounts_of_chain),
         error_model="results/{campaign}/orientation/error_model.json",
-        densities=[],
+        densities=of_wildcard("chain", CampaignFiles.windows, "density", ".npz"),
     output:
-        out=temp("results/{campaign}/lidar/windows/{chain}_density_{part}.npz"),
+        out=[
+            temp("results/{campaign}/lidar/windows/{chain}_points_{part}.las"),
+            temp("results/{campaign}/lidar/windows/{chain}_rest_{part}.npz"),
+        ],
     log:
-        "logs/{campaign}/lidar/count_neighbours_{chain}_{part}.log",
+        "logs/{campaign}/lidar/georeference_window_{chain}_{part}.log",
     benchmark:
-        "benchmarks/{campaign}/lidar/count_neighbours_{chain}_{part}.jsonl"
+        "benchmarks/{campaign}/lidar/georeference_window_{chain}_{part}.jsonl"
     wildcard_constraints:
         chain="ins|camera|fused",
     conda:
@@ -147,24 +150,21 @@ rule count_neighbours:
         "../scripts/georeference_window.py"
 
 
-# The points of a window, without those that no other point of the whole log lies near to.
-use rule count_neighbours as georeference_window with:
+# Before that: where the points of a window lie, for the filters of all windows.
+use rule georeference_window as count_neighbours with:
     input:
         lidar=raw("lidar"),
         clock="results/{campaign}/ingest/lidar.clock.json",
         trajectory=of_wildcard("chain", CampaignFiles.trajectory),
         mounts=of_wildcard("chain", CampaignFiles.mounts_of_chain),
         error_model="results/{campaign}/orientation/error_model.json",
-        densities=of_wildcard("chain", CampaignFiles.windows, "density", ".npz"),
+        densities=[],
     output:
-        out=[
-            temp("results/{campaign}/lidar/windows/{chain}_points_{part}.las"),
-            temp("results/{campaign}/lidar/windows/{chain}_rest_{part}.npz"),
-        ],
+        out=temp("results/{campaign}/lidar/windows/{chain}_density_{part}.npz"),
     log:
-        "logs/{campaign}/lidar/georeference_window_{chain}_{part}.log",
+        "logs/{campaign}/lidar/count_neighbours_{chain}_{part}.log",
     benchmark:
-        "benchmarks/{campaign}/lidar/georeference_window_{chain}_{part}.jsonl"
+        "benchmarks/{campaign}/lidar/count_neighbours_{chain}_{part}.jsonl"
 
 
 rule colour_points:
