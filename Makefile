@@ -33,7 +33,7 @@ docs: .venv/.docs ## site of the documentation -> results/site; nothing is fetch
 	    || python3 -m pip --python $(PY) install --quiet --require-hashes -r $<
 	@touch $@
 
-study: env ## one study of the twin and its record in docs/validation; NAME=honesty_study
+study: env ## one study of the twin and its record in docs/validation; NAME=consistency_study
 	@$(SNAKEMAKE) $(NAME)
 	@$(MAKE) --no-print-directory record
 

@@ -1,6 +1,6 @@
 """Write docs/validation: tables of studies and campaigns of the twin, with how they were made.
 
-.venv/bin/python docs/make_validation.py honesty_study        # what the last run of a rule left in results/
+.venv/bin/python docs/make_validation.py consistency_study     # what the last run of a rule left in results/
 .venv/bin/python docs/make_validation.py --state              # which records are of older code or other sizes
 
 What there is to record stands in config/studies. Commit, date, parameters and times are those that the

@@ -252,7 +252,7 @@ def test_curves_that_cross_often_are_judged_by_their_forms(chains):
 # ---------------------------------------------------------------- against the truth
 
 
-def test_honest_poses_are_found_honest(rng):
+def test_consistent_poses_are_found_consistent(rng):
     truth = trajectory(sigma_m=1e-9, sigma_rad=1e-9)
     noise = rng.standard_normal((1001, 6)) * np.repeat([0.02, 1e-3], 3)
     paths = {
@@ -267,9 +267,9 @@ def test_honest_poses_are_found_honest(rng):
     assert own.loc["normalised_attitude", "camera"] == pytest.approx(4.0, abs=0.32)
     assert own.loc["normalised_pose", "fused"] == pytest.approx(0.25, abs=0.02)
     # 6006 independent values: 1.96 sqrt(2 / 6006); a correlation as long as the step leaves some less
-    assert own.loc["honest_high95_pose", "ins"] - 1 == pytest.approx(1.96 * np.sqrt(2 / 6006), rel=0.3)
-    assert own.loc["honest_low95_pose", "ins"] < own.loc["normalised_pose", "ins"]
-    assert own.loc["normalised_pose", "camera"] > own.loc["honest_high95_pose", "camera"]
+    assert own.loc["consistent_high95_pose", "ins"] - 1 == pytest.approx(1.96 * np.sqrt(2 / 6006), rel=0.3)
+    assert own.loc["consistent_low95_pose", "ins"] < own.loc["normalised_pose", "ins"]
+    assert own.loc["normalised_pose", "camera"] > own.loc["consistent_high95_pose", "camera"]
     assert own.loc["rms_position", "ins"] == pytest.approx(0.02 * np.sqrt(3), rel=0.05)
     assert own.loc["sigma_position", "ins"] == pytest.approx(0.02 * np.sqrt(3))
     assert own.loc["rms_heading", "ins"] == pytest.approx(np.rad2deg(1e-3), rel=0.08)

@@ -95,7 +95,7 @@ def test_every_point_is_accounted_for(tmp_path: Path, rng: np.random.Generator) 
 
 
 def test_outliers_are_judged_by_their_own_sigmas(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Sigmas grow with the range: honest points far away stay, small bushes near the boat do not."""
+    """Sigmas grow with the range: consistent points far away stay, small bushes near the boat do not."""
     n = 40_000
     range_m = rng.uniform(5.0, 75.0, n)
     sigma = 0.0025 * range_m

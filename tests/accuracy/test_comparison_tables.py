@@ -1,4 +1,4 @@
-"""Statistics and range classes: honest sigmas are found honest, others by their factor; P2 eq. 9 and 10."""
+"""Statistics and range classes: consistent sigmas are found so, others by their factor; P2 eq. 9 and 10."""
 
 import numpy as np
 import pandas as pd
@@ -74,9 +74,11 @@ def test_ratios_tell_by_how_much_sigmas_are_wrong(rng: np.random.Generator, fact
     variance = table["sigma_normal_m"].to_numpy().astype(float) ** 2
     expected = 2000.0 / TAU_S * np.mean(variance) ** 2 / np.mean(variance**2)
     assert found["independent_values"] == pytest.approx(expected, rel=0.01)
-    honest = found["ratio_low95"] < found["ratio"] < found["ratio_high95"]
-    assert honest == (factor == 1.0)
-    assert (found["honest_low95"] < found["normalised_squared_error"] < found["honest_high95"]) == honest
+    consistent = found["ratio_low95"] < found["ratio"] < found["ratio_high95"]
+    assert consistent == (factor == 1.0)
+    assert (
+        found["consistent_low95"] < found["normalised_squared_error"] < found["consistent_high95"]
+    ) == consistent
     (words, _) = verdicts(statistics_table(table, SETTINGS), by_range_table(table, SETTINGS))
     size = f"{1 / found['ratio']:.1f} times as large as predicted"
     assert (size if factor != 1.0 else "sigmas are consistent") in words["sigmas"]
@@ -107,15 +109,15 @@ def test_classes_are_those_of_p2_with_bands_of_their_own(rng: np.random.Generato
 
 
 def test_classes_are_inside_their_bands_as_often_as_promised(rng: np.random.Generator) -> None:
-    """Eight honest surveys: 95 % of 248 classes, which share errors; overconfident ones are caught."""
-    honest, wrong = [], []
+    """Eight consistent surveys: 95 % of 248 classes, which share errors; overconfident ones are caught."""
+    consistent, wrong = [], []
     for _ in range(8):
-        honest.append(by_range_table(survey(rng), SETTINGS).query("points == @ALL")["inside"].mean())
+        consistent.append(by_range_table(survey(rng), SETTINGS).query("points == @ALL")["inside"].mean())
         wrong.append(
             by_range_table(survey(rng, factor=2.0), SETTINGS).query("points == @ALL")["inside"].mean()
         )
     # classes of one survey are correlated: their shares of 0.95 scatter by some percent
-    assert 0.91 < np.mean(honest) < 0.995
+    assert 0.91 < np.mean(consistent) < 0.995
     assert np.mean(wrong) < 0.25
 
 

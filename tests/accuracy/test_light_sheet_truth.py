@@ -1,4 +1,4 @@
-"""Errors of a calibrated light-sheet sensor against the true one: gauge, units, honesty over seeds."""
+"""Errors of a calibrated light-sheet sensor against the true one: gauge, units, consistency over seeds."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -189,7 +189,7 @@ def test_depths_are_beside_what_their_covariance_predicts() -> None:
     assert (depths["unit"] == "mm").all()
 
 
-# ---------------------------------------------------------------- honesty
+# ---------------------------------------------------------------- consistency
 
 
 @pytest.fixture(scope="module")

@@ -189,7 +189,7 @@ def survey(
 
 
 @pytest.mark.parametrize(("duration_s", "plants"), [(400.0, 0.0), (120.0, 0.0), (400.0, 0.1)])
-def test_sigmas_of_shift_and_tilt_are_honest(duration_s: float, plants: float) -> None:
+def test_sigmas_of_shift_and_tilt_are_consistent(duration_s: float, plants: float) -> None:
     """Errors over predicted sigmas have the size they should have: neither larger nor smaller."""
     rng = generator(17, f"registration {duration_s} {plants}")
     settings = ComparisonSettings(correlation_s=TAU_S)

@@ -6,8 +6,8 @@ import pytest
 from thalweg.accuracy import (
     by_range_class,
     chi_square_band,
+    consistency_in_words,
     describe_errors,
-    honesty_in_words,
     independent_squares,
 )
 from thalweg.accuracy.statistics import (
@@ -120,7 +120,7 @@ def test_the_outlier_rule_is_about_the_median(rng: np.random.Generator) -> None:
     ],
 )
 def test_verdicts_in_words(ratio: float, limits: tuple[float, float], words: str) -> None:
-    assert words in honesty_in_words(ratio, *limits)
+    assert words in consistency_in_words(ratio, *limits)
 
 
 def test_the_band_of_the_ratio_is_that_of_the_squares_turned_round() -> None:

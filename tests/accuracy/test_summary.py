@@ -25,8 +25,8 @@ rmse,bare ground,0.033,m
 predicted_rmse,bare ground,0.031,m
 normalised_squared_error,bare ground,1.07,1
 independent_values,bare ground,12.5,1
-honest_low95,bare ground,0.37,1
-honest_high95,bare ground,1.94,1
+consistent_low95,bare ground,0.37,1
+consistent_high95,bare ground,1.94,1
 share_of_points,bare ground,0.8,1
 """
 
@@ -109,7 +109,7 @@ def test_figures_of_a_real_campaign(files: dict[str, Path]) -> None:
     assert found["  nearer than the shortest range"] == (679, "1", "counts.csv")
     assert "  on the own boat" not in found  # reasons that removed nothing are not listed
     # nothing is said about accuracy where there is no truth
-    assert not any("bare ground" in name or "honest" in name for name in found)
+    assert not any("bare ground" in name or "consistent" in name for name in found)
 
 
 def test_figures_of_a_twin_are_those_of_bare_ground(files: dict[str, Path]) -> None:

@@ -80,7 +80,7 @@ PLAIN = BoardSettings(sigma_board_m=1e-4, flatness_m=1e-4)
 
 
 @pytest.mark.parametrize("edges", [True, False])
-def test_boards_are_found_and_the_sigmas_are_honest(edges: bool) -> None:
+def test_boards_are_found_and_the_sigmas_are_consistent(edges: bool) -> None:
     squares = []
     for seed in range(8):
         settings = PLAIN if seed == 0 else replace(PLAIN, within=None)

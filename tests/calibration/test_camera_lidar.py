@@ -1,4 +1,4 @@
-"""The camera-lidar calibration on a small yard: right and honest; refusals of what geometry cannot give."""
+"""The camera-lidar calibration on a small yard: right, consistent; refusals of what geometry cannot give."""
 
 import importlib.util
 import sys
@@ -118,7 +118,7 @@ def known(y, positions: int = 3, **settings) -> CameraLidar:
     return calibrate_camera_lidar(y.references(), y.positions(positions), start, given)
 
 
-def test_sigmas_are_honest_over_seeds() -> None:
+def test_sigmas_are_consistent_over_seeds() -> None:
     squares = [square(known(y, 1), y.truth) for y in (Yard(seed=100 + s, frames=2) for s in range(12))]
     # 12 seeds with six degrees of freedom, 99 %
     low, high = chi2.ppf([0.005, 0.995], 72) / 72

@@ -103,7 +103,7 @@ def parameters_off(found: Cone, true: Cone) -> np.ndarray:
     return np.r_[true.apex_m - found.apex_m, across, true.half_angle_rad - found.half_angle_rad]
 
 
-def test_the_covariance_is_honest_over_seeds() -> None:
+def test_the_covariance_is_consistent_over_seeds() -> None:
     """Marks with a form error of their own and errors that they share."""
     form_m, squares = 0.0003, []
     for seed in range(40):

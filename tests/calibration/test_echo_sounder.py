@@ -1,4 +1,4 @@
-"""Echo sounder over a surveyed bed: honesty over seeds, what is not observable and why, blunders."""
+"""Echo sounder over a surveyed bed: consistency over seeds, what is not observable and why, blunders."""
 
 import numpy as np
 import pytest
@@ -41,17 +41,17 @@ def estimated(seed: int, spec: EchoSpec, *, wanted: tuple[str, ...] = (), away_m
     )
 
 
-def test_honest_over_seeds_and_formal_not() -> None:
+def test_consistent_over_seeds_and_formal_not() -> None:
     n, spec = 50, EchoSpec(duration_s=40.0)
-    honest, formal = [], []
+    consistent, formal = [], []
     for seed in range(n):
         found = estimated(seed, spec)
         e = found.lever_ics_m - TRUE_LEVER_M
-        honest.append(e @ np.linalg.solve(found.cov_m2, e) / 3)
+        consistent.append(e @ np.linalg.solve(found.cov_m2, e) / 3)
         formal.append(e @ np.linalg.solve(found.cov_formal_m2, e) / 3)
     # band of 99 %, two-sided
     low, high = chi2.ppf([0.005, 0.995], 3 * n) / (3 * n)
-    assert low < np.mean(honest) < high
+    assert low < np.mean(consistent) < high
     assert np.mean(formal) > 50
 
 

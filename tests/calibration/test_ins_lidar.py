@@ -1,4 +1,4 @@
-"""Mount of the lidar from a run past cones: convergence, honesty over seeds, gates, outliers."""
+"""Mount of the lidar from a run past cones: convergence, consistency over seeds, gates, outliers."""
 
 from dataclasses import replace
 
@@ -124,7 +124,7 @@ def test_noisy_beams_on_round_cones_leave_no_mean() -> None:
     # four sigmas of a mean; 0.25 mm here, a third of the effect
     assert abs(left.mean()) < 4 * 0.0173 / np.sqrt(len(left))
     assert len(left) > 70_000 / 16
-    # what is left is the noise of the points: honest and formal sigmas agree but for the stamps, and hold
+    # what is left is the noise of the points: consistent and formal sigmas agree but for the stamps, and hold
     assert np.diag(found.T_ics_scs.cov) == pytest.approx(np.diag(found.cov_formal), rel=0.4)
     assert normalised(found.T_ics_scs) < chi2.ppf(0.999, 6) / 6
 
@@ -160,17 +160,17 @@ def test_every_point_near_a_cone_is_counted_in_every_pass(typical: InsLidar) -> 
         assert list(table) == ["cone", "position", "t_gps_s", "x_m", "y_m", "z_m", "residual_m", "used"]
 
 
-def test_formal_sigmas_are_of_the_size_of_the_thesis_and_honest_ones_are_not(typical: InsLidar) -> None:
+def test_formal_sigmas_are_of_the_size_of_the_thesis_and_consistent_ones_are_not(typical: InsLidar) -> None:
     """T 3.1.1: 0.004 to 0.018 deg and 0.1 to 0.5 mm, with more points than here."""
     formal = np.sqrt(np.diag(typical.cov_formal))
-    honest = np.sqrt(np.diag(typical.T_ics_scs.cov))
+    consistent = np.sqrt(np.diag(typical.T_ics_scs.cov))
     assert np.all(formal[:3] < 0.0012)
     assert np.all(formal[3:] < np.deg2rad(0.05))
     # the bound of a mean over 60 s of errors of 0.1, 0.1, 0.2 deg with 20 s; 15 %: roll and pitch are told
     # apart from turned axes a little where the boat sways
     bound = np.deg2rad([0.1, 0.1, 0.2]) * np.sqrt(40 / (60 + 40))
-    assert np.all(honest[3:] > 0.85 * bound)
-    assert np.all(honest[3:] < 1.4 * bound)
+    assert np.all(consistent[3:] > 0.85 * bound)
+    assert np.all(consistent[3:] < 1.4 * bound)
 
 
 def test_the_antenna_brings_millimetres(typical: InsLidar) -> None:
@@ -216,17 +216,17 @@ def test_the_antenna_defines_the_origin() -> None:
 # ---------------------------------------------------------------- many runs
 
 
-def test_honest_over_seeds_and_formal_not() -> None:
+def test_consistent_over_seeds_and_formal_not() -> None:
     n = 50
     spec = RunSpec(duration_s=30.0, points=30_000)
     how = settings(spec, search=NO_SEARCH, gates_m=(0.12,), gates=RunGates(min_points_per_cone=40))
     both = [solved(make_run(seed, spec), how, start=NEAR) for seed in range(n)]
-    honest = np.mean([normalised(found.T_ics_scs) for found in both])
+    consistent = np.mean([normalised(found.T_ics_scs) for found in both])
     alone = np.mean([normalised(found.without_antenna) for found in both])
     formal = np.mean([normalised(found.without_antenna, found.cov_formal) for found in both])
     # band of 99 %, two-sided, for 6 n squares
     low, high = chi2.ppf([0.005, 0.995], 6 * n) / (6 * n)
-    assert low < honest < high
+    assert low < consistent < high
     assert low < alone < high
     # independent points: sigmas ten times too small
     assert formal > 50
@@ -264,7 +264,7 @@ def test_what_the_run_leaves_open_is_in_its_covariance() -> None:
     assert found.processes is not None
     # 40 s are two correlation times of the attitudes: their times remain as stated, within a factor of 3
     assert {"tilt_time", "heading_time"} <= set(found.processes.undetermined())
-    assert found.processes.facts()["white_share"]["told_by_survey"]
+    assert found.processes.facts()["white_share"]["determined_by_survey"]
     turned = np.diag(found.T_ics_scs.cov)[3:] / np.diag(known.T_ics_scs.cov)[3:]
     at_best = (found.errors.sigma_attitude_rad / known.errors.sigma_attitude_rad) ** 2
     assert np.all(turned > 1.1 * at_best)

@@ -97,7 +97,7 @@ def test_a_long_run_determines_sizes_times_and_white_share() -> None:
     assert found.errors.position_time_s == pytest.approx(2.0, rel=0.6)
     assert {"position_size", "tilt_size", "white_share"}.isdisjoint(found.undetermined())
     facts = found.facts()
-    assert facts["white_share"]["told_by_survey"]
+    assert facts["white_share"]["determined_by_survey"]
     assert facts["white_share"]["low"] < 0.6 < facts["white_share"]["high"]
     assert facts["position_size"]["stated_within_factor"] == 2.0
 

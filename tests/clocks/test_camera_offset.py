@@ -448,7 +448,7 @@ def test_the_limit_of_an_image_is_that_of_its_coordinates(
     camera_offset_module = importlib.import_module("thalweg.clocks.camera_offset")
     monkeypatch.setattr(camera_offset_module, "fit_offset", fit)
     reason = np.full(10, "", dtype=object)
-    camera_offset_module._settled(
+    camera_offset_module._until_convergence(
         run.poses,
         run.track,
         reason,

@@ -100,7 +100,7 @@ def test_files_that_are_no_clock(tmp_path: Path, text: str, word: str) -> None:
         ClockModel.read(tmp_path / "absent.yaml")
 
 
-def test_two_ties_give_offset_and_drift_with_honest_sigmas() -> None:
+def test_two_ties_give_offset_and_drift_with_consistent_sigmas() -> None:
     """Normalised errors over 200 seeds, between the ties and half an hour behind them."""
     rng = np.random.default_rng(5)
     sigma = np.array([0.004, 0.010])

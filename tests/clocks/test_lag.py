@@ -1,4 +1,4 @@
-"""Offsets between streams: recovered where they are, none where there are none, with honest sigmas."""
+"""Offsets between streams: recovered where they are, none where there are none, with consistent sigmas."""
 
 import numpy as np
 import pandas as pd
@@ -31,7 +31,7 @@ def noise(rng: np.random.Generator, kind: str, n: int) -> np.ndarray:
 
 @pytest.mark.parametrize("kind", ["blue", "red", "both"])
 @pytest.mark.parametrize("offset_s", [0.0, 0.040])
-def test_offsets_come_back_with_honest_sigmas(kind: str, offset_s: float) -> None:
+def test_offsets_come_back_with_consistent_sigmas(kind: str, offset_s: float) -> None:
     """Residuals of differenced positions are blue, of slow errors red; a tenth of the epochs is missing."""
     squares, found = [], []
     for seed in range(SEEDS):

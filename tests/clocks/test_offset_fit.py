@@ -156,7 +156,7 @@ def test_the_estimate_is_generalised_least_squares(attitude: bool, name: str) ->
     # turns end where the offset moves by less than 1e-5 s: the last step is linear
     np.testing.assert_allclose((model.unknowns(found.state) - x) / sigma, 0.0, atol=1e-3)
     np.testing.assert_allclose(found.cov / np.outer(sigma, sigma), Q / np.outer(sigma, sigma), atol=1e-6)
-    assert found.settled
+    assert found.converged
     assert (found.jitter.variance, found.jitter.sigma_variance) == (pytest.approx(JITTER_S**2), 0.0)
     assert found.redundancy == len(model.y) + (4 if options.lever_m is not None else 1) - len(x)
     r = A @ x - model.y
@@ -334,7 +334,7 @@ def test_turns_that_come_to_no_end_are_told() -> None:
     """Observations that move by 1 ms each time they are asked: thirty turns, and one look at the last."""
     model = Linear(False, restless_s=1e-3)
     found = fitted(model, OPTIONS["held jitter"])
-    assert not found.settled
+    assert not found.converged
     assert model.calls == 31
 
 

@@ -28,7 +28,7 @@ from thalweg.deformation import (
     registered_distances,
     series_of_epochs,
 )
-from thalweg.deformation.changes import calm_of, measure_epoch
+from thalweg.deformation.changes import is_bare, measure_epoch
 from thalweg.deformation.coregistration import coregister_network
 from thalweg.deformation.field import ErrorGroup, joint_fields
 from thalweg.deformation.visibility import beams_through
@@ -357,7 +357,7 @@ def test_the_family_of_all_distances_keeps_its_level() -> None:
         np.zeros((6, 6)),
         np.zeros((len(pair.cores), 6)),
         np.zeros((6, len(pair.cores))),
-        pair.calm,
+        pair.bare,
         {},
     )
     table, found, facts = compare_epochs(pair.cores, before, after, none, settings, 1)
@@ -379,10 +379,10 @@ def test_a_series_shows_retreat_and_an_epoch_that_jumps() -> None:
     cores = place_core_points(epochs, SETTINGS.replace(core_spacing_m=1.0), EVERYWHERE)
     found = series_of_epochs(cores, epochs, SETTINGS.replace(core_spacing_m=1.0))
     fitted = fit_series(found.years, found.height_m, found.sigma_m)
-    calm, moving = cores["east_m"] > 9.5, cores["east_m"] < 6.5
+    bare, moving = cores["east_m"] > 9.5, cores["east_m"] < 6.5
     rate = fitted["trend_m_a"] / cores["normal_north"]  # along north
     assert rate[moving & (cores["normal_north"] < -0.5)].median() == pytest.approx(0.1, abs=0.01)
-    z = fitted["trend_m_a"][calm] / fitted["sigma_trend_m_a"][calm]
+    z = fitted["trend_m_a"][bare] / fitted["sigma_trend_m_a"][bare]
     assert np.nanmean(z**2) < 2.5
     jumps = find_jumps(found.raw_m, found.sigma_apart_m, limit=2.0)
     assert [jump.epoch for jump in jumps if jump.flagged] == [2]
@@ -435,7 +435,7 @@ def test_two_epochs_in_a_network_are_registered_as_a_pair() -> None:
     along, white = np.array([one.cut.along_m, two.cut.along_m]), np.array([one.white_m, two.white_m])
     fields = joint_fields([one.field, two.field])
     places, normals = pair.found.cores_m, pair.found.normals
-    network = coregister_network(places, normals, along, white, pair.calm, fields, settings)
+    network = coregister_network(places, normals, along, white, pair.bare, fields, settings)
     apart = network.parameters[1] - network.parameters[0]
     # weights of noise and field differ by what both epochs' weights make of each other
     assert apart == pytest.approx(alone.parameters, abs=2e-4)
@@ -457,7 +457,7 @@ def test_a_network_predicts_the_errors_of_its_heights() -> None:
     places = cores[["east_m", "north_m", "up_m"]].to_numpy()
     normals = cores[["normal_east", "normal_north", "normal_up"]].to_numpy()
     network = coregister_network(
-        places, normals, along, white, calm_of(np.array([e.cut.std_m for e in every]).T), fields, settings
+        places, normals, along, white, is_bare(np.array([e.cut.std_m for e in every]).T), fields, settings
     )
     products = np.array([np.ones(len(cores)), cores["s_m"] > 0]) / len(cores)
     known = np.isfinite(white).all(axis=0)

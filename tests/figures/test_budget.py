@@ -9,7 +9,7 @@ import pytest
 from thalweg.budgets import GROUPS, read_budget, read_published
 from thalweg.core import InputError
 from thalweg.figures import save
-from thalweg.figures.survey.budget import LOOK, error_budget
+from thalweg.figures.survey.budget import STYLE, error_budget
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def both(repository: Path):
 def test_the_stack_ends_at_the_total_and_at_100_percent(both, tmp_path: Path) -> None:
     figure = error_budget(*both)
     upper, lower = figure.axes[:2], figure.axes[2:]
-    assert set(LOOK) == set(GROUPS)
+    assert set(STYLE) == set(GROUPS)
     for k, ax in enumerate(upper):
         (total,) = [line for line in ax.lines if line.get_gid() == "total"]
         (points,) = [line for line in ax.lines if line.get_gid() == "published"]
@@ -34,7 +34,7 @@ def test_the_stack_ends_at_the_total_and_at_100_percent(both, tmp_path: Path) ->
         assert points.get_xdata().tolist() == [5, 10, 25, 50]
         for axes, end in ((ax, total.get_ydata()), (lower[k], np.full(len(total.get_ydata()), 100.0))):
             bands = [c for c in axes.collections if c.get_gid() in GROUPS]
-            assert [band.get_gid() for band in bands] == list(LOOK)
+            assert [band.get_gid() for band in bands] == list(STYLE)
             top = bands[-1].get_paths()[0].vertices[:, 1].max()
             assert top == pytest.approx(end.max(), rel=1e-9)
     save(figure, tmp_path / "a.png")

@@ -180,8 +180,8 @@ def test_what_was_left_out_is_counted_by_reason(boat):
 
 
 def test_the_page_says_what_the_run_shows_of_its_own_errors(boat):
-    size = {"stated": 0.03, "estimated": 0.0312, "low": 0.028, "high": 0.035, "told_by_survey": True}
-    time = {"stated": 20.0, "estimated": 18.0, "low": 4.0, "high": 80.0, "told_by_survey": False}
+    size = {"stated": 0.03, "estimated": 0.0312, "low": 0.028, "high": 0.035, "determined_by_survey": True}
+    time = {"stated": 20.0, "estimated": 18.0, "low": 4.0, "high": 80.0, "determined_by_survey": False}
     run = {"facts": {"processes": {"position_size": size, "heading_time": time}}}
     text = calibration_page([boat], facts={"ins_lidar": run}).html()
     assert "The run determines position size." in text

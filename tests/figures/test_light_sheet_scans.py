@@ -20,7 +20,7 @@ FACTS = {
     "reference": "mesh",
     "counts": {"points_without_pose": 30, "far": 700, "at_border": 11, "used": 8247, "on_bad_lines": 400},
     "images_with_bad_pose": ["c.png"],
-    "honesty": {"rms_mm": 0.0627, "predicted_mm": 0.0575, "rms_over_sigma": 1.119},
+    "consistency": {"rms_mm": 0.0627, "predicted_mm": 0.0575, "rms_over_sigma": 1.119},
     "warnings": ["no line can be told from the others by its pose"],
     "levels": [{"height_mm": 20.195, "measured_mm": 20.189, "rms_own_plane_mm": 0.032, "n": 119}],
 }

@@ -14,7 +14,7 @@ from thalweg.figures import save
 from thalweg.figures.accuracy import centimetres
 from thalweg.figures.solutions import Costs, computing_seconds, trajectory_comparison_page
 from thalweg.figures.solutions.comparison import (
-    LOOK,
+    STYLE,
     chain_histograms,
     chains_by_range,
     outage_study,
@@ -101,7 +101,7 @@ def test_ranges_of_all_chains(ranges, look, tmp_path):
     ):
         assert text in words, text
     kept = ranges[ranges["points"] == "without outliers"]
-    for name in LOOK:
+    for name in STYLE:
         (line,) = look.artists(figure, f"observed-{name}")
         np.testing.assert_allclose(line.get_ydata(), 1e3 * kept[f"{name}_rmse_observed_m"])
         (line,) = look.artists(figure, f"predicted-{name}")
@@ -252,7 +252,7 @@ def test_for_and_against_by_numbers(chains, gaps, control):
     ):
         assert words in rows.loc["camera", "against"], words
     assert "computing" not in rows.loc["INS", "against"]
-    # honest sigmas are no reproach, others are
+    # consistent sigmas are no reproach, others are
     assert "as predicted" not in " ".join(rows["against"])
     low = (table["of"] == "without outliers") & (table["quantity"] == "ratio")
     table.loc[low, "camera"] = 0.4

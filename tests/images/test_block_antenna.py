@@ -72,7 +72,7 @@ def inside(values: list[float], degrees: int) -> bool:
     return bool(low < np.mean(values) < high)
 
 
-def test_poses_are_honest_when_the_clock_is_off() -> None:
+def test_poses_are_consistent_when_the_clock_is_off() -> None:
     """Without control points the clock moves all images along the track, and the covariance says so."""
     single, joint, clock, along, hidden = [], [], [], [], []
     for seed in range(SEEDS):

@@ -5,7 +5,7 @@ import pytest
 
 from thalweg.core import GeometryError
 from thalweg_lab.river import COLOUR, Material
-from thalweg_lab.river_images import surface_look
+from thalweg_lab.river_images import surface_appearance
 from thalweg_lab.river_images.appearance import noise, surface_colour
 
 GROUND = [Material.BED, Material.GRAVEL, Material.SOIL, Material.GRASS]
@@ -91,8 +91,8 @@ def test_the_ground_is_dark_at_the_water() -> None:
 
 def test_the_relief_bends_normals_about_the_mesh() -> None:
     p, normal, code, same = places(20_000, Material.SOIL)
-    near = surface_look(p, normal, code, same, np.full(len(p), 0.002), water_level_m=0.0)[1]
-    far = surface_look(p, normal, code, same, np.full(len(p), 2.0), water_level_m=0.0)[1]
+    near = surface_appearance(p, normal, code, same, np.full(len(p), 0.002), water_level_m=0.0)[1]
+    far = surface_appearance(p, normal, code, same, np.full(len(p), 2.0), water_level_m=0.0)[1]
     np.testing.assert_allclose(np.linalg.norm(near, axis=1), 1.0, atol=1e-12)
     tilt = np.rad2deg(np.arccos(np.clip(np.sum(near * normal, axis=1), -1, 1)))
     assert 3.0 < np.median(tilt) < 30.0

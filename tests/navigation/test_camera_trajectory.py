@@ -1,4 +1,4 @@
-"""The trajectory by images that the INS carries (P2 section 4): closed forms, honesty, and bad input."""
+"""The trajectory by images that the INS carries (P2 section 4): closed forms, consistency, and bad input."""
 
 from dataclasses import replace
 from functools import cache
@@ -99,7 +99,7 @@ def taken(poses: ImagePoses, keep: np.ndarray) -> ImagePoses:
     )
 
 
-# ---------------------------------------------------------------- honesty
+# ---------------------------------------------------------------- consistency
 
 
 @pytest.mark.parametrize("settings", [HALF, BRIDGE], ids=["half rotation", "bridge"])

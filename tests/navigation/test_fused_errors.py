@@ -38,7 +38,7 @@ def test_times_are_found_over_seeds(attitude_s: float, gnss_s: float) -> None:
         for name, true in (("attitude_time_s", attitude_s), ("gnss_time_s", gnss_s)):
             sigma = np.log(facts[name]["high"] / facts[name]["low"]) / 3.92
             assert abs(np.log(facts[name]["estimated"] / true)) < 4 * sigma
-            assert facts[name]["told_by_survey"] or true > 5
+            assert facts[name]["determined_by_survey"] or true > 5
             assert 1 / 1.8 < facts[name]["estimated"] / true < 1.8 or true > 5
 
 
@@ -46,7 +46,7 @@ def test_times_are_found_over_seeds(attitude_s: float, gnss_s: float) -> None:
 def test_the_white_share_is_found(white: float) -> None:
     facts = fused(1, 20.0, 10.0, white).facts["errors"]["gnss_white_share"]
     assert facts["low"] < white < facts["high"]
-    assert facts["told_by_survey"]
+    assert facts["determined_by_survey"]
     assert facts["stated"] == 0.25
 
 
@@ -104,7 +104,7 @@ def test_slow_and_white_errors_of_positions_make_the_white_share() -> None:
     share = about.facts()["gnss_white_share"]
     assert share["estimated"] == pytest.approx(0.25 * 9 / (0.75 * 4 + 0.25 * 9))
     assert share["stated"] == 0.25
-    assert not share["told_by_survey"]
+    assert not share["determined_by_survey"]
     settings, factors = applied({"gnss": 2.0, "gnss_time_s": 3.0}, SETTINGS)
     assert settings.gnss_time_s == 3.0
     assert factors["gnss"] == factors["gnss_white"] == 2.0

@@ -60,7 +60,7 @@ def rms(found: Fused, recorded: Recorded, at: np.ndarray | None = None) -> tuple
     return float(np.sqrt(np.mean(np.sum(e[:, :3] ** 2, axis=1)))), float(np.sqrt(np.mean(e[:, 3:] ** 2)))
 
 
-# ---------------------------------------------------------------- honesty
+# ---------------------------------------------------------------- consistency
 
 
 @pytest.mark.parametrize("inputs", ["all", "positions", "images"])

@@ -111,7 +111,7 @@ def test_estimated_times_are_better_and_say_where_they_are_from() -> None:
 
 
 @pytest.mark.parametrize(("use", "least"), [("clock", 0.75), ("estimated", 0.66)])
-def test_the_trajectory_by_either_time_is_honest(use: str, least: float) -> None:
+def test_the_trajectory_by_either_time_is_consistent(use: str, least: float) -> None:
     """30 seeds, 6 squares each: 99 % band 0.75 to 1.29. Estimated times and poses err against each other,
     which the covariance does not use: it may be too large, but by no more than a third.
     """

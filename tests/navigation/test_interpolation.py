@@ -99,7 +99,7 @@ def band(n: int, level: float = 0.999) -> tuple[float, float]:
     return float(low), float(high)
 
 
-# ---------------------------------------------------------------- honest sigmas
+# ---------------------------------------------------------------- consistent sigmas
 
 
 @pytest.mark.parametrize("scale", [1.0, 5.0], ids=["calm", "rough"])
@@ -166,9 +166,9 @@ def test_a_bridge_told_a_false_sigma_is_found_out() -> None:
                 velocity_time_s=0.3,
             )
             ratios.append((found.position_m - x[60]) ** 2 / np.diagonal(found.cov_m2, axis1=1, axis2=2))
-    honest, wrong_sigma = np.mean(ratios[::2]), np.mean(ratios[1::2])
+    consistent, wrong_sigma = np.mean(ratios[::2]), np.mean(ratios[1::2])
     low, high = band(120)
-    assert low < honest < high
+    assert low < consistent < high
     assert wrong_sigma > 2 * high
 
 

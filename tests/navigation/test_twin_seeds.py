@@ -1,4 +1,4 @@
-"""Are the sigmas of the trajectory honest? Raw logs of 24 seeds, read back, against the twin's truth."""
+"""Are the sigmas of the trajectory consistent? Raw logs of 24 seeds, read back, against the twin's truth."""
 
 from pathlib import Path
 
@@ -69,17 +69,17 @@ def inside_band(squares: np.ndarray, level: float = 0.999) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def honest(tmp_path_factory: pytest.TempPathFactory) -> tuple[np.ndarray, np.ndarray]:
-    return study(tmp_path_factory.mktemp("honest"))
+def consistent(tmp_path_factory: pytest.TempPathFactory) -> tuple[np.ndarray, np.ndarray]:
+    return study(tmp_path_factory.mktemp("consistent"))
 
 
-def test_positions_are_as_good_as_they_say(honest) -> None:
-    assert inside_band(honest[0]).all(), honest[0].mean(axis=0)
+def test_positions_are_as_good_as_they_say(consistent) -> None:
+    assert inside_band(consistent[0]).all(), consistent[0].mean(axis=0)
 
 
-def test_attitudes_are_as_good_as_they_say(honest) -> None:
+def test_attitudes_are_as_good_as_they_say(consistent) -> None:
     # roll and pitch of the boat are below 2 deg, so that body axes and those of the sigmas coincide to 0.1 %
-    assert inside_band(honest[1]).all(), honest[1].mean(axis=0)
+    assert inside_band(consistent[1]).all(), consistent[1].mean(axis=0)
 
 
 def test_the_check_fails_for_an_effect_that_the_model_does_not_know(tmp_path: Path) -> None:

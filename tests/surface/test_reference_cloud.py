@@ -1,4 +1,4 @@
-"""Cleaning and thinning of reference clouds: what goes, what must stay, and whether the sigmas are honest."""
+"""Cleaning and thinning of reference clouds: what goes, what must stay, consistent sigmas."""
 
 import numpy as np
 import pytest
@@ -101,7 +101,7 @@ def test_an_endless_raster_is_refused() -> None:
 
 @pytest.mark.parametrize("slope", [0.0, 1.0, 3.0])
 @pytest.mark.parametrize("density_m2", [100, 1200, 8000])
-def test_sigmas_of_vertices_are_honest(rng: np.random.Generator, slope: float, density_m2: int) -> None:
+def test_sigmas_of_vertices_are_consistent(rng: np.random.Generator, slope: float, density_m2: int) -> None:
     """A surface rough by 4 mm; a quarter of a point, 3 and 20 points a cell of 5 cm."""
     n = density_m2 * 25
     normal = np.array([-slope, 0.0, 1.0]) / np.hypot(slope, 1)

@@ -59,7 +59,7 @@ def test_a_mesh_of_a_bank(rng: np.random.Generator, method: str) -> None:
     assert np.minimum.reduce([6 - np.abs(rim[:, 0]), u, 6 - u]).max() < 0.3
 
 
-def test_sigmas_of_a_rough_bank_are_honest(rng: np.random.Generator) -> None:
+def test_sigmas_of_a_rough_bank_are_consistent(rng: np.random.Generator) -> None:
     mesh, facts = mesh_reference(bank(rng, noise_m=0.01), track_m=TRACK, settings=ReferenceSettings())
     z = out_of_waves(mesh.vertices_m) / mesh.sigma_m
     # 24,000 vertices of pooled sigmas: 5 % either way, and 3 % from waves and slope of the frame

@@ -156,7 +156,7 @@ def test_the_bank_is_recovered_at_the_level_of_the_injected_noise(tiny_house) ->
     # Errors of attitude and position are correlated over a second: 25 s hold some 25 independent squares of
     # each, so one campaign scatters by about 1/sqrt(2*25) = 14 % about 1; three standard deviations.
     assert 0.6 < ratio < 1.4
-    assert ground["honest_low95"] < 1 < ground["honest_high95"]
+    assert ground["consistent_low95"] < 1 < ground["consistent_high95"]
     # a bias is no part of the prediction: its bound is what 12 independent pose errors leave as a mean
     assert abs(ground["bias"]) < 2 * ground["predicted_rmse"] / np.sqrt(12)
     assert (
@@ -512,9 +512,9 @@ def test_a_campaign_is_written_from_a_folder_of_logs(tiny_house) -> None:
     assert "left out" in run.stderr  # the provenance files beside the logs are no logs, and that is said
 
 
-@pytest.mark.parametrize(("sideways_error_m", "honest"), [(0.0, True), (0.10, False)])
+@pytest.mark.parametrize(("sideways_error_m", "consistent"), [(0.0, True), (0.10, False)])
 def test_with_the_true_poses_the_lidar_noise_remains(
-    tiny_house, tmp_path: Path, sideways_error_m: float, honest: bool
+    tiny_house, tmp_path: Path, sideways_error_m: float, consistent: bool
 ) -> None:
     """Time, decoding, mount and interpolation add nothing to the beam; 10 cm of lever arm are seen."""
     simulation = tiny_house.root / BASE / "simulation"
@@ -554,7 +554,7 @@ def test_with_the_true_poses_the_lidar_noise_remains(
     ground = statistics[statistics["points"] == "bare ground"].set_index("quantity")["value"]
     # Poses and mount are exact: predicted is the beam alone. The NMAD of n = 50,000 normalised errors is
     # known to 0.6 %; spots that graze a bump widen the tails (0.7 % beyond 3 sigma), not the middle. 3 %.
-    assert (abs(ground["normalised_nmad"] - 1) < 0.03) == honest
+    assert (abs(ground["normalised_nmad"] - 1) < 0.03) == consistent
 
 
 def test_filters_take_what_they_should_and_leave_the_rest(tiny_house) -> None:

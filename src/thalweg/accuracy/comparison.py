@@ -7,7 +7,7 @@ the same in all directions, and no comparison of a cloud with a surface can show
 positive in front of the reference, toward the boat, and negative behind it.
 
 **Outliers** are judged by the distance over its sigma, not by the distance: sigmas grow with the range by a
-factor of five, and one limit in metres would keep bushes near the boat and cut honest points far away.
+factor of five, and one limit in metres would keep bushes near the boat and cut consistent points far away.
 
 Memory is bounded by the number of points that are compared, not by that of the cloud.
 """

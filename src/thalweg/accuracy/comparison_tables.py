@@ -1,7 +1,7 @@
 """Statistics of cloud-to-mesh distances, observed against predicted: in all, and by range (P2 eq. 10).
 
-Ratios are predicted over observed RMSE: above 1 the points are better than their sigmas say. Honest sigmas
-leave a ratio inside its band with a probability of 95 % or more
+Ratios are predicted over observed RMSE: above 1 the points are better than their sigmas say. Consistent
+sigmas leave a ratio inside its band with a probability of 95 % or more
 (`thalweg.accuracy.comparison_tables` says why).
 Of 40 range classes at most about two are therefore outside theirs by chance, but neighbouring classes share
 poses: one disturbance takes a run of them out of their bands.
@@ -20,10 +20,10 @@ from thalweg.accuracy.comparison import ComparisonSettings, normalised_distances
 from thalweg.accuracy.statistics import (
     WIDE_BAND,
     chi_square_band,
+    consistency_in_words,
     describe_errors,
     describe_shape,
     fit_in_words,
-    honesty_in_words,
     outlier_limits,
     range_class,
     ratio_band,
@@ -92,12 +92,12 @@ def statistics_table(
 
     As measured also: ``predicted_rmse``: normal component and reference; ``predicted_rmse_3d``: P2 eq. 9.
     ``sigma_of_bias``: what the sigmas and the correlation time predict for the mean. ``ratio``: predicted
-    over observed RMSE, honest between ``ratio_low95`` and ``ratio_high95``. ``independent_values``: how many
-    the band rests on. ``normalised_squared_error``: mean of squared distance over its variance, honest
-    between ``honest_low95`` and ``honest_high95``. ``normalised_median``, ``normalised_nmad``: of distance
-    over its sigma; ``ratio_of_middle``: predicted over observed for a normal distribution with these two,
-    whatever the tails do, honest between ``middle_low95`` and ``middle_high95``. ``observed_correlation``:
-    see `observed_correlation_s`.
+    over observed RMSE, consistent between ``ratio_low95`` and ``ratio_high95``. ``independent_values``: how
+    many the band rests on. ``normalised_squared_error``: mean of squared distance over its variance,
+    consistent between ``consistent_low95`` and ``consistent_high95``. ``normalised_median``,
+    ``normalised_nmad``: of distance over its sigma; ``ratio_of_middle``: predicted over observed for a normal
+    distribution with these two, whatever the tails do, consistent between ``middle_low95`` and
+    ``middle_high95``. ``observed_correlation``: see `observed_correlation_s`.
     """
     rows: list[tuple[str, str, str, float, str]] = []
     for name, use in point_sets(table).items():
@@ -140,7 +140,7 @@ def _predicted(points: pd.DataFrame, settings: ComparisonSettings) -> list[tuple
     n_normalised = independent_squares(t, share, settings.correlation_s, constant_m2=1.0 - share)
     ratio = float(np.sqrt(variance.mean() / np.mean(distance**2)))
     low, high = ratio_band(n_rmse)
-    honest_low, honest_high = chi_square_band(n_normalised)
+    consistent_low, consistent_high = chi_square_band(n_normalised)
     normalised = normalised_distances(points)
     middle = describe_errors(normalised)
     middle_low, middle_high = ratio_band(NMAD_EFFICIENCY * n_normalised)
@@ -153,8 +153,8 @@ def _predicted(points: pd.DataFrame, settings: ComparisonSettings) -> list[tuple
         ("ratio_high95", high, "1"),
         ("independent_values", n_rmse, "1"),
         ("normalised_squared_error", float(np.mean(normalised**2)), "1"),
-        ("honest_low95", honest_low, "1"),
-        ("honest_high95", honest_high, "1"),
+        ("consistent_low95", consistent_low, "1"),
+        ("consistent_high95", consistent_high, "1"),
         ("normalised_median", middle["median_m"], "1"),
         ("normalised_nmad", middle["nmad_m"], "1"),
         ("ratio_of_middle", 1 / max(float(np.hypot(middle["median_m"], middle["nmad_m"])), 1e-9), "1"),
@@ -226,7 +226,7 @@ def verdicts(statistics: pd.DataFrame, by_range: pd.DataFrame) -> list[dict[str,
 
     Returns
     -------
-    Entries ``registration``, ``points``, ``sigmas`` (are they honest?), ``parts`` (which part of the
+    Entries ``registration``, ``points``, ``sigmas`` (are they consistent?), ``parts`` (which part of the
     distances is as predicted: their middle, their mean?), ``normal`` (does a normal distribution fit?) and
     ``classes`` (how many range classes are outside their bands). A fitted cloud has only ``normal`` of them.
     """
@@ -245,7 +245,9 @@ def verdicts(statistics: pd.DataFrame, by_range: pd.DataFrame) -> list[dict[str,
         }
         if "ratio" in value:
             classes = by_range.query("registration == @registration and points == @points")
-            entry["sigmas"] = honesty_in_words(value["ratio"], value["ratio_low95"], value["ratio_high95"])
+            entry["sigmas"] = consistency_in_words(
+                value["ratio"], value["ratio_low95"], value["ratio_high95"]
+            )
             entry["parts"] = parts_in_words(value)
             entry["classes"] = classes_in_words(classes)
         out.append(entry)

@@ -43,7 +43,7 @@ COMES_BACK: Final = 0.05
 NEGLIGIBLE_SHARE: Final = 0.05
 """A place that explains less of the variance changes an RMSE by less than 2.6 %."""
 NEGLIGIBLE_SPREAD: Final = 0.1
-"""Spreads that vary by less leave the sigmas of each place honest within 0.9 to 1.1."""
+"""Spreads that vary by less leave the sigmas of each place consistent within 0.9 to 1.1."""
 COLUMNS: Final = ("quantity", "distance_m", "n", "value", "unit")
 _NEAR: Final = 1.6
 """Cells whose middles are nearer than that many widths are neighbours: those with a common side or edge."""

@@ -49,8 +49,8 @@ _OF_DISTANCES: Final = (
     ("ratio_high95", "1", "and below"),
     ("independent_values", "1", "independent values that the RMSE rests on"),
     ("normalised_squared_error", "1", "mean of squared distance over its variance"),
-    ("honest_low95", "1", "honest sigmas leave it above"),
-    ("honest_high95", "1", "and below"),
+    ("consistent_low95", "1", "consistent sigmas leave it above"),
+    ("consistent_high95", "1", "and below"),
 )
 """Quantities of the statistics of a comparison with a reference: name, unit, words."""
 Row = tuple[str, str, float, str, str]

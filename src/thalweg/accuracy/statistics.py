@@ -10,8 +10,8 @@ from thalweg.core import NMAD, ArrayF, ArrayI, root_mean_square
 
 NORMAL_SHARES: Final = tuple(float(norm.cdf(k) - norm.cdf(-k)) for k in (1, 2, 3))
 """Shares of a normal distribution within 1, 2 and 3 standard deviations of its mean."""
-HONEST_WITHIN: Final = 0.1
-"""Sigmas are called honest if predicted and observed differ by less: what the tests on the twin ask for."""
+CONSISTENT_WITHIN: Final = 0.1
+"""Sigmas whose predicted and observed error differ by less are called consistent in tests on the twin."""
 NARROW_BAND: Final = 0.15
 """And if the band is narrower than this on both sides: a wider one would let other errors pass."""
 WIDE_BAND: Final = 2.0
@@ -137,7 +137,7 @@ def chi_square_band(n_independent: float, level: float = 0.95) -> tuple[float, f
 
 
 def ratio_band(n_independent: float, level: float = 0.95) -> tuple[float, float]:
-    """Where honest sigmas leave the ratio of predicted to observed RMSE with a probability of ``level``.
+    """Where consistent sigmas leave the ratio of predicted to observed RMSE with a probability of ``level``.
 
     Examples
     --------
@@ -150,7 +150,7 @@ def ratio_band(n_independent: float, level: float = 0.95) -> tuple[float, float]
 
 VERDICTS: Final = ("consistent", "too optimistic", "too pessimistic", "cannot tell")
 """What can be said of standard deviations; they are too optimistic where errors are larger."""
-_TOLD_APART: Final = 3.0
+_WIDEST_BAND: Final = 3.0
 """Where the band of the ratio spans more than this factor in sigma, a ratio inside it says nothing."""
 
 
@@ -192,10 +192,10 @@ def verdict_of_ratio(ratio: float, low: float, high: float) -> str:
         return "too optimistic"
     if ratio > high:
         return "too pessimistic"
-    return "consistent" if high / low <= _TOLD_APART else "cannot tell"
+    return "consistent" if high / low <= _WIDEST_BAND else "cannot tell"
 
 
-def honesty_in_words(ratio: float, low: float, high: float) -> str:
+def consistency_in_words(ratio: float, low: float, high: float) -> str:
     """Verdict on sigmas from the ratio of predicted to observed RMSE of distances and its band.
 
     A ratio inside a wide band shows no more than that nothing speaks against the sigmas. Sigmas that are
@@ -203,12 +203,12 @@ def honesty_in_words(ratio: float, low: float, high: float) -> str:
 
     Examples
     --------
-    >>> honesty_in_words(1.02, 0.90, 1.12)
+    >>> consistency_in_words(1.02, 0.90, 1.12)
     'sigmas are consistent: predicted over observed is 1.02, inside 0.90 to 1.12'
-    >>> honesty_in_words(1.01, 0.78, 1.38)  # doctest: +NORMALIZE_WHITESPACE
+    >>> consistency_in_words(1.01, 0.78, 1.38)  # doctest: +NORMALIZE_WHITESPACE
     'sigmas and distances agree: predicted over observed is 1.01, inside 0.78 to 1.38; sigmas up to 22 % too
     small or 38 % too large would not have been noticed'
-    >>> honesty_in_words(0.62, 0.85, 1.19)
+    >>> consistency_in_words(0.62, 0.85, 1.19)
     'distances are 1.6 times as large as predicted: predicted over observed is 0.62, outside 0.85 to 1.19'
     """
     number = f"predicted over observed is {ratio:.2f}"
@@ -216,7 +216,7 @@ def honesty_in_words(ratio: float, low: float, high: float) -> str:
     if not low <= ratio <= high:
         return f"distances are {_times(1 / ratio)} as predicted: {number}, outside {band}"
     narrow = low > 1 - NARROW_BAND and high < 1 + NARROW_BAND
-    if narrow and abs(ratio - 1) <= HONEST_WITHIN:
+    if narrow and abs(ratio - 1) <= CONSISTENT_WITHIN:
         return f"sigmas are consistent: {number}, inside {band}"
     return (
         f"sigmas and distances agree: {number}, inside {band}; sigmas up to {100 * (1 - low):.0f} % too "

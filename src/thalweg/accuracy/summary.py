@@ -138,16 +138,16 @@ def _truth_rows(truth: Path) -> list[tuple[str, float, str, str]]:
         "rmse": "bare ground: RMSE against the truth of the twin",
         "predicted_rmse": "bare ground: RMSE predicted",
         "normalised_squared_error": "bare ground: NEES",
-        "honest_low95": "  if sigmas are consistent: above (95 %)",
-        "honest_high95": "  if sigmas are consistent: below (95 %)",
+        "consistent_low95": "  if sigmas are consistent: above (95 %)",
+        "consistent_high95": "  if sigmas are consistent: below (95 %)",
     }
     ground = {row["quantity"]: row for row in _records(truth) if row["points"] == "bare ground"}
     rows: list[tuple[str, float, str, str]] = [
         (text, ground[key]["value"], ground[key]["unit"], truth.name) for key, text in wanted.items()
     ]
-    honest = ground["honest_low95"]["value"] <= ground["normalised_squared_error"]["value"]
-    honest &= ground["normalised_squared_error"]["value"] <= ground["honest_high95"]["value"]
-    rows.append(("  inside that band (1: yes, 0: no)", float(honest), "1", truth.name))
+    consistent = ground["consistent_low95"]["value"] <= ground["normalised_squared_error"]["value"]
+    consistent &= ground["normalised_squared_error"]["value"] <= ground["consistent_high95"]["value"]
+    rows.append(("  inside that band (1: yes, 0: no)", float(consistent), "1", truth.name))
     with_gross = {r["quantity"]: r for r in _records(truth) if r["points"].endswith("gross errors")}
     rows.append(("bare ground: RMSE with gross errors", with_gross["rmse"]["value"], "m", truth.name))
     rows.append(("bare ground: gross errors", with_gross["gross_errors"]["value"], "1", truth.name))

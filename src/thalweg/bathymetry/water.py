@@ -19,7 +19,7 @@ from thalweg.navigation.ins_gnss import PoseCorrelation
 _STEP_S: Final = 1.0
 _MOST_NODES: Final = 3000
 """More seconds than this are thinned: the errors of the level last longer than that anyway."""
-_TOLD: Final = 2.0
+_DETERMINED: Final = 2.0
 """A fall or a rise of so many sigmas is kept."""
 _CONFOUNDED: Final = 0.95
 """Correlation of place and time above which the survey cannot tell a fall from a rise."""
@@ -136,7 +136,7 @@ def level_water(
             notes.append(f"{name}: not told, the boat went down the river only once")
             continue
         value, matrix = fit([*columns, k])
-        if abs(value[-1]) > _TOLD * np.sqrt(matrix[-1, -1]):
+        if abs(value[-1]) > _DETERMINED * np.sqrt(matrix[-1, -1]):
             columns.append(k)
         else:
             notes.append(

@@ -37,7 +37,7 @@ class CalibratedMount(Protocol):
 
     @property
     def T_ics_scs(self) -> Rigid:
-        """With honest covariance."""
+        """With consistent covariance."""
 
     @property
     def by_antenna(self) -> ArrayF:

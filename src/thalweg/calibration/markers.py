@@ -260,7 +260,7 @@ def require_unmirrored(markers: pd.DataFrame, dropped: pd.DataFrame, where: str)
         )
 
 
-def told_rejected(found: FolderMarks) -> list[str]:
+def rejection_notes(found: FolderMarks) -> list[str]:
     """Lines for people: what was seen and not used, and what to do about it."""
     lines = []
     for reason, cure in (
@@ -290,7 +290,7 @@ def report_of(found: FolderMarks) -> dict[str, Any]:
         "median_size_px": float(found.marks["size_px"].median()) if len(found.marks) else None,
         "median_sigma_px": float(found.marks["sigma_px"].median()) if len(found.marks) else None,
         "rejected": {str(k): int(n) for k, n in found.rejected["reason"].value_counts().sort_index().items()},
-        "notes": told_rejected(found),
+        "notes": rejection_notes(found),
     }
 
 

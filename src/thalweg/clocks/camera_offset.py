@@ -67,7 +67,7 @@ _STEADY: Final = 0.15
 """Speeds that scatter by less than this share of their mean are constant, as far as a helmsman can tell."""
 
 _TURNS: Final = 30
-_SETTLED_S: Final = 1e-5
+_CONVERGED_S: Final = 1e-5
 _FIRST_JITTER_S: Final = 0.02
 _UNITS: Final = np.array([1e-3, 1e-6])
 """Offset in ms and drift in ppm have numbers of one size."""
@@ -426,7 +426,7 @@ class OffsetModel:
 class OffsetFit:
     """One estimate with a fixed choice of images.
 
-    ``settled`` False if the turns did not come to an end; ``cov`` (u, u) of the unknowns; ``V0`` (m, m) of
+    ``converged`` False if the turns did not come to an end; ``cov`` (u, u) of the unknowns; ``V0`` (m, m) of
     the residuals without jitter; ``effects_s`` (n,) predicted jitter of each image; ``tests`` (n,) statistic
     of an image's own error, chi-squared with 3 or 6.
     """
@@ -441,7 +441,7 @@ class OffsetFit:
     sigma0_squared: float
     redundancy: float
     tests: ArrayF
-    settled: bool
+    converged: bool
 
 
 # ---------------------------------------------------------------- offset
@@ -534,7 +534,7 @@ def camera_offset(
             expected=f"at least {_LEAST_IMAGES}",
             cure="Look at the gaps of the positions in the table of streams",
         )
-    fit = _settled(poses, track, reason, first, ins=ins, field_error=field_error, options=o)
+    fit = _until_convergence(poses, track, reason, first, ins=ins, field_error=field_error, options=o)
     motion = _gate(fit, o)
     if at_the_end(start, o.largest_offset_s):
         raise ClockError(
@@ -545,7 +545,7 @@ def camera_offset(
     return _result(poses, reason, fit, motion, o, start.misfit_m)
 
 
-def _settled(
+def _until_convergence(
     poses: CameraPoses,
     track: Track,
     reason: Any,
@@ -602,9 +602,9 @@ def _gate(fit: OffsetFit, o: OffsetOptions) -> RunMotion:
         seen = np.einsum("nji,nj->i", model.poses.R_wcs_ccs, between.velocity_mps)
         axis = "xyz"[int(np.argmax(np.abs(seen)))]
         raise MissingMotionError(motion.missing, ("offset", f"d{axis}"), motion.words, sigma)
-    if not fit.settled:
+    if not fit.converged:
         raise ClockError(
-            "the offset does not settle",
+            "the offset does not converge",
             expected="images and positions that agree at one offset",
             cure="Check that both are of one run and in one world frame",
         )
@@ -785,10 +785,10 @@ def fit_offset(model: OffsetModel, state: OffsetState, o: OffsetOptions) -> Offs
         groups += [Observations(name, _linear(part)) for name, part in known.items()]
         adjusted = adjust(groups, np.zeros(len(names)), names)
         state = state.moved(adjusted.x)
-        settled = abs(component.variance - variance) < 1e-3 * variance + 1e-10
-        settled = settled and abs(adjusted.x[0]) < _SETTLED_S
+        converged = abs(component.variance - variance) < 1e-3 * variance + 1e-10
+        converged = converged and abs(adjusted.x[0]) < _CONVERGED_S
         variance = component.variance
-        if settled:
+        if converged:
             break
     stacked = model.observe(state)
     tests, effects, P = _tests(stacked, root)
@@ -803,7 +803,7 @@ def fit_offset(model: OffsetModel, state: OffsetState, o: OffsetOptions) -> Offs
         sigma0_squared=adjusted.sigma0_squared,
         redundancy=adjusted.redundancy,
         tests=tests,
-        settled=settled,
+        converged=converged,
     )
 
 

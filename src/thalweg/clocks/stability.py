@@ -27,7 +27,7 @@ _LEAST_PAIRS: Final = 20
 _FAR: Final = 0.25
 """Share of an interval by which it may differ from a multiple of the usual one and still be one."""
 _BLOCKS: Final = 10
-_TOLD: Final = 3.0
+_DETERMINED: Final = 3.0
 """Sigmas by which a part must differ from zero to be told."""
 
 
@@ -150,8 +150,8 @@ def _described(
     # Bartlett again: the correlation of neighbours scatters by 0.71 / sqrt m about -1/2, by 1 / sqrt m about
     # 0
     neighbours = (c1 + q2) / variance if told and variance > 0 else 0.0
-    white = told and neighbours + 0.5 < _TOLD * np.sqrt(0.5 / m)
-    drifting = told and -neighbours < _TOLD * np.sqrt(1.0 / m)
+    white = told and neighbours + 0.5 < _DETERMINED * np.sqrt(0.5 / m)
+    drifting = told and -neighbours < _DETERMINED * np.sqrt(1.0 / m)
     kind = {(True, False): "white stamps", (False, True): "wandering intervals", (False, False): "both"}.get(
         (bool(white), bool(drifting)), "not told"
     )

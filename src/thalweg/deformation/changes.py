@@ -60,12 +60,12 @@ class Pair:
     several: ArrayF
 
     @property
-    def calm(self) -> ArrayB:
+    def bare(self) -> ArrayB:
         """Core points (k,) about which the points of both epochs scatter no more than bare ground does."""
-        return calm_of(self.scatter_m)
+        return is_bare(self.scatter_m)
 
 
-def calm_of(scatter_m: ArrayF) -> ArrayB:
+def is_bare(scatter_m: ArrayF) -> ArrayB:
     """Core points (k,) whose points scatter (k, n) in no epoch more than those of bare ground do."""
     widest = np.max(scatter_m, axis=1)
     return np.asarray(widest <= 2.0 * np.nanmedian(widest))
@@ -194,7 +194,7 @@ def series_of_epochs(cores: pd.DataFrame, epochs: Sequence[Epoch], settings: Def
     white = np.array([alone.white_m for alone in every])
     along[~np.isfinite(white)] = np.nan
     scatter = np.array([alone.cut.std_m for alone in every])
-    network = coregister_network(places, normals, along, white, calm_of(scatter.T), fields, settings)
+    network = coregister_network(places, normals, along, white, is_bare(scatter.T), fields, settings)
     height = network.registered(along)
     raw = along - along[0]
     # how far two epochs may lie apart as such: the mean distance before any registration
@@ -207,7 +207,7 @@ def series_of_epochs(cores: pd.DataFrame, epochs: Sequence[Epoch], settings: Def
         apart.append(float(np.sqrt(pair.field.combined(row).variances()[0])))
     whole = _pair(cores, every[0], every[-1], settings)
     first_to_last = register_pair(whole, settings).registered(whole.found.distance_m)
-    bare = calm_of(scatter.T) & np.isfinite(height).all(axis=0)
+    bare = is_bare(scatter.T) & np.isfinite(height).all(axis=0)
     water = highest_water_m(epochs)
     lines, products = lines_of_bank(cores, bare, settings, bank_line_m(settings, water))
     height = height - height[0]
@@ -236,7 +236,7 @@ def register_pair(pair: Pair, settings: Deformation) -> Registration:
     """The motion between both epochs, see `thalweg.deformation.coregistration.coregister`."""
     found = pair.found
     return coregister(
-        found.cores_m, found.normals, found.distance_m, pair.white_m, pair.calm, pair.field, settings
+        found.cores_m, found.normals, found.distance_m, pair.white_m, pair.bare, pair.field, settings
     )
 
 

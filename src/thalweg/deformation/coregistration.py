@@ -79,7 +79,7 @@ def coregister(
     normals: ArrayF,
     distance_m: ArrayF,
     white_m: ArrayF,
-    calm: ArrayB,
+    bare: ArrayB,
     field: ErrorField,
     settings: Deformation,
 ) -> Registration:
@@ -90,7 +90,7 @@ def coregister(
     cores_m, normals : (k, 3).
     distance_m : (k,) measured; NaN where an epoch has too few points.
     white_m : (k,) its standard deviation by noise and roughness.
-    calm : (k,) bare ground, where the points scatter little.
+    bare : (k,) bare ground, where the points scatter little.
     field : shared errors of the distances.
     settings : model, stable areas, largest shift.
 
@@ -102,7 +102,7 @@ def coregister(
     middle = cores_m.mean(axis=0)
     design = design_of(cores_m, normals, middle)
     areas = _areas(cores_m, settings.stable)
-    candidates = np.isfinite(distance_m) & np.isfinite(white_m) & calm & areas.any(axis=0)
+    candidates = np.isfinite(distance_m) & np.isfinite(white_m) & bare & areas.any(axis=0)
     nothing = Registration(
         np.zeros(6), np.zeros((6, 6)), design, np.zeros((6, len(cores_m))), candidates, {"model": "none"}
     )
@@ -309,7 +309,7 @@ def coregister_network(
     normals: ArrayF,
     along_m: ArrayF,
     white_m: ArrayF,
-    calm: ArrayB,
+    bare: ArrayB,
     fields: Sequence[ErrorField],
     settings: Deformation,
 ) -> Network:
@@ -320,7 +320,7 @@ def coregister_network(
     cores_m, normals : (k, 3).
     along_m : (n, k) mean position of each epoch along the normals; NaN where it has too few points.
     white_m : (n, k) standard deviation by noise and roughness.
-    calm : (k,) bare ground, where the points scatter little.
+    bare : (k,) bare ground, where the points scatter little.
     fields : shared errors of the means of each epoch, on the groups of all.
     settings : model, stable areas, largest shift.
 
@@ -333,7 +333,7 @@ def coregister_network(
     design = np.column_stack([normals, np.cross(cores_m - cores_m.mean(axis=0), normals)])
     areas = _areas(cores_m, settings.stable)
     seen = np.isfinite(along_m) & np.isfinite(white_m)
-    candidates = (seen.sum(axis=0) > 1) & calm & areas.any(axis=0)
+    candidates = (seen.sum(axis=0) > 1) & bare & areas.any(axis=0)
     weights = np.zeros((n, 6, n, k))
     if not model:
         return Network(np.zeros((n, 6)), np.zeros((6 * n, 6 * n)), design, weights, candidates, {})

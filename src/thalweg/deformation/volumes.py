@@ -76,7 +76,7 @@ def classify_changes(
     places = compared.pair.found.cores_m
     patch = _patches(places, state, 1.8 * settings.core_spacing_m)
     for number in range(patch.max() + 1):
-        if _is_object(places, ~compared.pair.calm, patch, number, settings):
+        if _is_object(places, ~compared.pair.bare, patch, number, settings):
             state[patch == number] = "object"
     out = table.assign(state=state)
     return out, _rows(out, compared.pair.cores["area_m2"].to_numpy(), patch, limits)

@@ -34,7 +34,7 @@ from .style import (
     WIDTH_MM as WIDTH_MM,
     count as count,
     empty_figure as empty_figure,
-    fix_looks as fix_looks,
+    fix_styles as fix_styles,
     legend_below as legend_below,
     marks_in_free_corners as marks_in_free_corners,
     new_figure as new_figure,

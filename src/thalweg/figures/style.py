@@ -49,7 +49,7 @@ RANGE_MAP: Final[Colormap] = ListedColormap(cm.navia(np.linspace(0.05, 0.93, 256
 REFLECTANCE_MAP: Final[Colormap] = ListedColormap(cm.grayC(np.linspace(0.2, 1.0, 256)), "thalweg_reflectance")
 """Dark where little light returns, but never black: black is where nothing returned."""
 
-FIX_LOOK: Final[dict[str, tuple[str, str]]] = {
+FIX_STYLE: Final[dict[str, tuple[str, str]]] = {
     "fixed": (BLUE, "."),
     "float": (ORANGE, "^"),
     "ppp": (GREEN, "."),
@@ -215,17 +215,17 @@ def robust_limits(values: ArrayLike, low: float = 1.0, high: float = 99.0) -> tu
     return a - half, b + half
 
 
-def fix_looks(fixes: Iterable[str]) -> list[tuple[str, str, str]]:
+def fix_styles(fixes: Iterable[str]) -> list[tuple[str, str, str]]:
     """Fix, colour and marker of the fixes that occur, best first, unknown ones last.
 
     Examples
     --------
-    >>> [fix for fix, _, _ in fix_looks(["single", "odd", "fixed", "fixed"])]
+    >>> [fix for fix, _, _ in fix_styles(["single", "odd", "fixed", "fixed"])]
     ['fixed', 'single', 'odd']
     """
     met = set(fixes)
-    known = [fix for fix in FIX_LOOK if fix in met]
-    return [(fix, *FIX_LOOK.get(fix, (GREY, "."))) for fix in [*known, *sorted(met - set(FIX_LOOK))]]
+    known = [fix for fix in FIX_STYLE if fix in met]
+    return [(fix, *FIX_STYLE.get(fix, (GREY, "."))) for fix in [*known, *sorted(met - set(FIX_STYLE))]]
 
 
 def plural(n: int, thing: str) -> str:

@@ -52,7 +52,7 @@ _CELLS: Final = 12
 _LEAST_PAIRS: Final = 8
 _DRAWS: Final = 300
 _LONGEST_GAP_S: Final = 10.0
-_TOLD: Final = 0.25
+_DETERMINED: Final = 0.25
 """An optimum whose sigma is a larger share of what was tried is no optimum."""
 _LOG = logging.getLogger("thalweg")
 
@@ -163,7 +163,7 @@ def find_optima(scores: Mapping[str, ArrayF], pairs: ArrayF) -> pd.DataFrame:
         found = np.array([_peak(by, each) for each in draws @ score])
         sigma = float(np.hypot(found.std(ddof=1), 0.1 * (by[1] - by[0])))
         edge = abs(optimum) >= by[-1] - 1e-9
-        doubtful = sigma > _TOLD * (by[-1] - by[0]) or whole.max() < 10
+        doubtful = sigma > _DETERMINED * (by[-1] - by[0]) or whole.max() < 10
         verdict = (
             "cannot be told"
             if doubtful

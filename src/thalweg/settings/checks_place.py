@@ -220,7 +220,7 @@ SETTING: tuple[Key, ...] = ("mounts", "calibration")
 _NEEDED = ("lidar", "antenna")
 """Without their places there are no points."""
 
-_TOLD = 3
+_MOST_LISTED = 3
 """Mistakes of a calibration file that are told with the setting; `thalweg describe` tells all."""
 
 
@@ -299,8 +299,8 @@ def _file(chosen: str, path: Path) -> "Calibration | Mistake":
         calibration, mistakes = None, [Mistake(found=error.found, expected=error.expected)]
     if calibration is not None and not mistakes:
         return calibration
-    n, told = len(mistakes), " ".join(str(mistake) for mistake in mistakes[:_TOLD])
-    more = f" And {n - _TOLD} more" if n > _TOLD else ""
+    n, told = len(mistakes), " ".join(str(mistake) for mistake in mistakes[:_MOST_LISTED])
+    more = f" And {n - _MOST_LISTED} more" if n > _MOST_LISTED else ""
     return Mistake(
         path=SETTING,
         found=f"{chosen} holds {n} mistake{'s' if n > 1 else ''}: {told}{more}".rstrip("."),

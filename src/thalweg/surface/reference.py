@@ -338,7 +338,7 @@ def clean_reference(points_m: ArrayF, frame: BankFrame, settings: ReferenceSetti
         points = points[~(front | behind)]
     if len(points) < LEAST_POINTS:
         raise InputError(
-            f"cleaning leaves {len(points)} points of the reference: {_told(counts)}",
+            f"cleaning leaves {len(points)} points of the reference: {_counts_in_words(counts)}",
             expected=f"at least {LEAST_POINTS} points of a surface",
             cure="Look at reference.isolated_radius_m and isolated_neighbours (they must fit the spacing of "
             "the points) and at reference.clearance_m",
@@ -378,7 +378,7 @@ def finite_and_single(points_m: ArrayF) -> tuple[ArrayF, dict[str, int]]:
     points = _step(points, first_of_equals(points), "duplicates", counts)
     if len(points) < LEAST_POINTS:
         raise InputError(
-            f"a reference of {len(points)} usable points: {_told(counts)}",
+            f"a reference of {len(points)} usable points: {_counts_in_words(counts)}",
             expected=f"at least {LEAST_POINTS} points of a surface",
             cure="Look at the reference file, at its CRS, and at accuracy.area",
         )
@@ -428,7 +428,7 @@ def _step(points: ArrayF, keep: ArrayB, name: str, counts: dict[str, int]) -> Ar
     return points if keep.all() else points[keep]
 
 
-def _told(counts: Mapping[str, int]) -> str:
+def _counts_in_words(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{n:,} {name.replace('_', ' ')}" for name, n in counts.items())
 
 

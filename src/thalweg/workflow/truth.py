@@ -52,7 +52,7 @@ def truth_closed(rule: str, declared: Iterable[Any] = ()) -> Iterator[None]:
     before, _watch.rule, _watch.refused = _watch.rule, rule, None
     try:
         if not _watch.installed:
-            sys.addaudithook(_heard)  # for the life of the process: Python cannot remove it
+            sys.addaudithook(_audit)  # for the life of the process: Python cannot remove it
             _watch.installed = True
         yield
     finally:
@@ -72,7 +72,7 @@ class _Watch:
 _watch = _Watch()
 
 
-def _heard(event: str, arguments: tuple[Any, ...]) -> None:
+def _audit(event: str, arguments: tuple[Any, ...]) -> None:
     """Python calls this at each audit event, so what does not concern it returns at once."""
     if _watch.rule is None or event not in _EVENTS or not isinstance(arguments[0], str | bytes | os.PathLike):
         return

@@ -177,7 +177,7 @@ def _instrument_says(
     Returns
     -------
     stated_m : (n,) depths as the log has them, NaN without bottom.
-    honest_m : (n,) the depth of the first firm return alone, through the same filters.
+    consistent_m : (n,) the depth of the first firm return alone, through the same filters.
     effect : (n,) names of what happened to the ping; empty where nothing did.
     """
     rng = generator(seed, "echo blunders")
@@ -198,7 +198,7 @@ def _instrument_says(
         raw = np.where(weeds, np.maximum(raw - tall * (0.4 + 0.6 * rng.uniform(size=n)), 0.02), raw)
         effect[weeds] = "weeds"
     stated = raw * factor + noise_m
-    honest = first * factor + noise_m
+    consistent = first * factor + noise_m
     second = chance[1] < echo.second_echo_share
     # Over the surface once more: the way between face and surface counts too.
     under = np.zeros(n) if river is None else _under_water_m(motion, pings)
@@ -220,7 +220,7 @@ def _instrument_says(
     stated = np.where(lost | silent, np.nan, stated)
     stated[~((stated > 0) & (stated <= echo.max_depth_m))] = np.nan
     effect[~np.isfinite(stated) & (effect == "")] = "no bottom"
-    return _own_filters(stated, echo), _own_filters(honest, echo), effect.astype(str)
+    return _own_filters(stated, echo), _own_filters(consistent, echo), effect.astype(str)
 
 
 def _under_water_m(motion: Motion, pings: Pings) -> ArrayF:
@@ -284,7 +284,7 @@ def simulate_echo(
     pings = true_pings(motion, Scene.read(scene), t - echo.latency_s, lever_ics_echo_m, echo)
     river = motion.river if isinstance(motion, Voyage) else None
     noise = rng.normal(0, echo.sigma_m, len(t))
-    depth, honest, effect = _instrument_says(echo, pings, motion, river, seed, noise)
+    depth, consistent, effect = _instrument_says(echo, pings, motion, river, seed, noise)
     own = np.stack(
         [
             gauss_markov(rng, len(t), 1.0 / echo.rate_hz, s, config.ins.position_time_s)
@@ -317,7 +317,7 @@ def simulate_echo(
                 lines.append(writers.dbt(value))
             file.write("".join(line + "\r\n" for line in lines))
     if out_soundings is not None:
-        _write_true_soundings(out_soundings, t, pings, depth, honest, effect)
+        _write_true_soundings(out_soundings, t, pings, depth, consistent, effect)
     names, counts = np.unique(effect[effect != ""], return_counts=True)
     facts = {
         "pings": len(t),
@@ -348,7 +348,7 @@ def _stated_tilt_deg(motion: Motion, t_gps_s: ArrayF, echo: TwinEcho, rng: np.ra
 
 
 def _write_true_soundings(
-    path: Path, stamp_gps_s: ArrayF, pings: Pings, stated: ArrayF, honest: ArrayF, effect: AnyArray
+    path: Path, stamp_gps_s: ArrayF, pings: Pings, stated: ArrayF, consistent: ArrayF, effect: AnyArray
 ) -> None:
     place = pings.face_wcs_m + pings.axis_m[:, None] * pings.axis_wcs
     columns = {
@@ -358,7 +358,7 @@ def _write_true_soundings(
         "depth_m": pings.axis_m,
         "first_m": pings.first_m,
         "stated_m": stated,
-        "blunder_m": stated - honest,
+        "blunder_m": stated - consistent,
         "effect": effect,
     }
     write_table(path, frame_of(TRUE_SOUNDINGS, columns), TRUE_SOUNDINGS)

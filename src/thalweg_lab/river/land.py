@@ -29,7 +29,7 @@ WET_M: Final = 1.2
 """The water reaches this far under the banks, so that its line follows their relief."""
 _FLOODED: Final = 12.0
 """For each metre of a higher stage it reaches so many metres further: over the beaches up to the scarps."""
-_CALM_M: Final = 40.0
+_FADE_M: Final = 40.0
 """Behind this distance the retreat of the bank does not shift the rows any more."""
 
 GROWTH: Final = 1.3
@@ -132,10 +132,10 @@ def _row_n(river: River, row: _Row, s: ArrayF, narrow: float) -> ArrayF:
         across = np.asarray(2.0 * row.place - 1.0)
         moved = (left - base) * smoothstep(across) - (right - base) * smoothstep(-across)
         return np.asarray((base - narrow) * across + moved)
-    calm = 1.0 - smoothstep(np.asarray((row.place - 3.0) / (_CALM_M - 3.0)))
+    fade = 1.0 - smoothstep(np.asarray((row.place - 3.0) / (_FADE_M - 3.0)))
     if row.side < 0:
-        return np.asarray(-(base + (right - base) * calm) - row.place)
-    return np.asarray(base + (left - base) * calm + row.place)
+        return np.asarray(-(base + (right - base) * fade) - row.place)
+    return np.asarray(base + (left - base) * fade + row.place)
 
 
 def add_terrain(parts: MeshParts, river: River) -> None:

@@ -86,12 +86,12 @@ def surface_colour(
     ------
     GeometryError : arrays of different lengths, or an unknown material.
     """
-    return surface_look(
+    return surface_appearance(
         points_wcs_m, normal_wcs, material, variation, footprint_m, water_level_m=water_level_m
     )[0]
 
 
-def surface_look(
+def surface_appearance(
     points_wcs_m: ArrayLike,
     normal_wcs: ArrayLike,
     material: ArrayLike,

@@ -1,4 +1,4 @@
-"""Riverbeds of many surveys against the twin's bed: are the sigmas honest, and are mistakes noticed?
+"""Riverbeds of many surveys against the twin's bed: are the sigmas consistent, and are mistakes noticed?
 
 Each seed is a survey of its own: river, poses, mounts, direction of the beam, latency, temperature of the
 water and every sounding err anew. Its raw logs (lidar, INS, receiver, echo sounder) become soundings, banks,
@@ -270,7 +270,7 @@ def verdicts(rows: pd.DataFrame, *, level: float = 0.95) -> pd.DataFrame:
     -------
     table : a row a mistake, quantity and class (all cells first): surveys (effective), n, rmse_observed_m,
         rmse_predicted_m, ratio with its band low, high, inside, normalised_square, outside_95 (share),
-        bias_m, honest: within 0.85 to 1.15 and inside its band.
+        bias_m, consistent: within 0.85 to 1.15 and inside its band.
     """
     out = []
     for mistake in rows["mistake"].unique():
@@ -301,7 +301,7 @@ def verdict_of(rows: pd.DataFrame, level: float) -> dict[str, Any]:
 
     Returns
     -------
-    columns : surveys to honest of `verdicts`.
+    columns : surveys to consistent of `verdicts`.
     """
     sums = rows.groupby("seed")[
         ["n", "observed_m2", "predicted_m2", "normalised", "outside", "error_m"]
@@ -322,7 +322,7 @@ def verdict_of(rows: pd.DataFrame, level: float) -> dict[str, Any]:
         "normalised_square": float(sums["normalised"].sum() / n),
         "outside_95": float(sums["outside"].sum() / n),
         "bias_m": float(sums["error_m"].sum() / n),
-        "honest": inside and 0.85 <= ratio <= 1.15,
+        "consistent": inside and 0.85 <= ratio <= 1.15,
     }
 
 

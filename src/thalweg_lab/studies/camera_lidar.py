@@ -1,4 +1,4 @@
-"""Camera-lidar calibrations of the twin over many seeds: are the errors small, and are the sigmas honest?
+"""Camera-lidar calibrations of the twin over many seeds: are the errors small, and are the sigmas consistent?
 
 Each seed is a calibration of its own: field, mounts, beams and marks err anew. The lidar is that of the
 recordings, in memory; marks are where the pictures would show them, with errors, so that thousands of
@@ -250,7 +250,7 @@ def by_case(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def as_markdown(study: pd.DataFrame) -> str:
-    """Page of the study: medians of errors and sigmas of each case, and whether the sigmas are honest."""
+    """Page of the study: medians of errors and sigmas of each case, and whether the sigmas are consistent."""
     lines = [
         "# Camera and lidar by cones: errors and sigmas over many seeds",
         "",

@@ -74,7 +74,7 @@ def rows(seed: Seed) -> Tables:
         pair = measure_pair(cores, before, after, settings)
         compared = registered_distances(pair, register_pair(pair, settings))
         near = np.linalg.norm(before.scanner_m[:, None] - pair.found.cores_m, axis=2).min(axis=0)
-        use = np.isfinite(compared.distance_m) & (near < WITHIN_M) & pair.calm
+        use = np.isfinite(compared.distance_m) & (near < WITHIN_M) & pair.bare
         thirds = _thirds(cores["s_m"].to_numpy(), use)
         parts += [
             {"seed": seed.number, "chain": chain, "model": model}

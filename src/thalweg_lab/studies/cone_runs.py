@@ -58,13 +58,13 @@ Trial = Callable[[int], dict[str, Any]]
 """From a seed to the line of its calibration."""
 NEAR: Final = Rigid.from_opk(np.deg2rad([0.0, -90.0, 0.0]), [-0.350, 0.0, -0.250])
 """The mount by a ruler, so that seeds need not search."""
-INS_LIDAR: Final = {"honest": 6, "without_antenna": 6, "formal": 6}
-ECHO_SOUNDER: Final = {"honest": 3, "ruler": 3, "formal": 3}
+INS_LIDAR: Final = {"consistent": 6, "without_antenna": 6, "formal": 6}
+ECHO_SOUNDER: Final = {"consistent": 3, "ruler": 3, "formal": 3}
 """What is judged, and its number of components."""
 LEVEL: Final = 0.05
 """Share of studies that leave their band although the covariances are right; as in the other studies."""
 WORDS: Final = {
-    "honest": "covariance as stated",
+    "consistent": "covariance as stated",
     "without_antenna": "as stated, without the antenna's marker",
     "ruler": "the ruler alone",
     "formal": "formal: independent points, poses without error",
@@ -489,7 +489,7 @@ def ins_lidar_trial(seed: int) -> dict[str, Any]:
     return {
         "error_mm": 1e3 * float(np.linalg.norm(error[:3])),
         "error_deg": float(np.rad2deg(np.linalg.norm(error[3:]))),
-        "honest": _square(error, found.T_ics_scs.cov),
+        "consistent": _square(error, found.T_ics_scs.cov),
         "without_antenna": _square(alone, found.without_antenna.cov),
         "formal": _square(alone, found.cov_formal),
     }
@@ -516,7 +516,7 @@ def echo_sounder_trial(seed: int) -> dict[str, Any]:
     return {
         "error_mm": 1e3 * float(np.linalg.norm(error)),
         "determined": " ".join(found.observed),
-        "honest": _square(error, found.cov_m2),
+        "consistent": _square(error, found.cov_m2),
         "ruler": _square(run.ruler_m - TRUE_LEVER_M, cov_ruler),
         "formal": _square(error, found.cov_formal_m2),
     }

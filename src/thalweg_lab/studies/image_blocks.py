@@ -1,4 +1,4 @@
-"""Are the covariances of an image block honest on rendered pictures? Blocks of many seeds against the truth.
+"""Consistency of the covariances of image blocks: blocks of rendered pictures, many seeds, against the truth.
 
 Each seed is a reach, a voyage, boards and pictures of its own. They go the campaign's way: masks, features,
 structure from motion, boards measured in the pictures, adjustment with control points. Errors of matches are

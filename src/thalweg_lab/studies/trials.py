@@ -1,4 +1,4 @@
-"""Surveys over many seeds, processed rightly and wrongly: are the sigmas honest, and are mistakes noticed?
+"""Surveys of many seeds, processed rightly and wrongly: are the sigmas consistent, are mistakes noticed?
 
 Each seed is a survey of its own: river, poses, mounts, every shot and the terrestrial scans err anew. Its
 logs are processed once as they should be and once with each mistake of a list. Errors are taken where the
@@ -22,7 +22,7 @@ from thalweg.settings.sections import Accuracy, ReferenceSettings
 from thalweg.surface import Area, Surface
 from thalweg_lab.studies.study import Result, Seed, Study, Tables
 from thalweg_lab.studies.survey import BARE, Survey, process, record, reference_mesh, survey_settings
-from thalweg_lab.truth import honesty_by_range, ratio_of_surveys
+from thalweg_lab.truth import consistency_by_range, ratio_of_surveys
 
 STATIONS: Final = 2
 """Terrestrial scans of each survey."""
@@ -196,9 +196,9 @@ class Verdict:
 
     Parameters
     ----------
-    ratio, ratio_low, ratio_high : predicted over observed RMSE, and where honest sigmas leave it.
+    ratio, ratio_low, ratio_high : predicted over observed RMSE, and where consistent sigmas leave it.
     normalised, normalised_low, normalised_high : mean normalised squared error, expectation 1, and its band.
-    by_range : see `thalweg_lab.truth.honesty.honesty_by_range`.
+    by_range : see `thalweg_lab.truth.consistency.consistency_by_range`.
     """
 
     ratio: float
@@ -210,7 +210,7 @@ class Verdict:
     by_range: pd.DataFrame
 
     @property
-    def honest(self) -> bool:
+    def consistent(self) -> bool:
         """The ratio is within 0.9 to 1.1; neither it nor the normalised error nor a class leaves its band."""
         return (
             0.9 <= self.ratio <= 1.1
@@ -250,7 +250,7 @@ def verdict(samples: Sequence[Sample], *, sigma_factor: float = 1.0, level: floa
         normalised=inverse**-2,
         normalised_low=inverse_high**-2,
         normalised_high=inverse_low**-2,
-        by_range=honesty_by_range(survey, ranges, squares, scale * variances, level=level),
+        by_range=consistency_by_range(survey, ranges, squares, scale * variances, level=level),
     )
 
 
@@ -279,10 +279,10 @@ def from_table(table: pd.DataFrame) -> Trial:
 
 
 QUANTITIES: Final = {"in_3d": "error in three dimensions", "to_mesh": "distance from the reference mesh"}
-"""What `honesty_tables` judges: fields of `Trial` and their names."""
+"""What `consistency_tables` judges: fields of `Trial` and their names."""
 
 
-def honesty_tables(found: Sequence[Trial]) -> tuple[pd.DataFrame, pd.DataFrame]:
+def consistency_tables(found: Sequence[Trial]) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Verdicts on surveys, for people.
 
     Parameters
@@ -292,10 +292,10 @@ def honesty_tables(found: Sequence[Trial]) -> tuple[pd.DataFrame, pd.DataFrame]:
     Returns
     -------
     verdicts : one row a quantity and mistake: ``surveys``, the fields of `Verdict`, ``classes``,
-        ``classes_outside`` their bands, ``honest``; ``beyond_3_sigma``, the share of points with a larger
+        ``classes_outside`` their bands, ``consistent``; ``beyond_3_sigma``, the share of points with a larger
         error (0.0027 of normal ones; plants and what the reference has not seen add to it), and
         ``normalised_within``, the mean of the normalised squares of the others (0.973 expected).
-    by_range : the classes of all of them, see `thalweg_lab.truth.honesty.honesty_by_range`.
+    by_range : the classes of all of them, see `thalweg_lab.truth.consistency.consistency_by_range`.
     """
     rows, classes = [], []
     for name, quantity in QUANTITIES.items():
@@ -315,7 +315,7 @@ def honesty_tables(found: Sequence[Trial]) -> tuple[pd.DataFrame, pd.DataFrame]:
                     "normalised_high": v.normalised_high,
                     "classes": len(v.by_range),
                     "classes_outside": int((~v.by_range["inside"]).sum()),
-                    "honest": v.honest,
+                    "consistent": v.consistent,
                     "beyond_3_sigma": float((normalised > 9.0).mean()),
                     "normalised_within": float(normalised[normalised <= 9.0].mean()),
                 }
@@ -332,7 +332,7 @@ def _study_of(how: Callable[..., Trial], float_format: str | None = "%.6g") -> S
     def results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result]:
         """Verdicts on all surveys."""
         surveys = [from_table(rows) for _, rows in tables["points"].groupby("seed", sort=False)]
-        verdicts, by_range = honesty_tables(surveys)
+        verdicts, by_range = consistency_tables(surveys)
         return {"verdicts": verdicts, "by_range": by_range}
 
     return Study(rows=rows, results=results, float_format=float_format)

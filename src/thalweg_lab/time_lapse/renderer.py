@@ -23,7 +23,7 @@ from thalweg_lab.river import (
     mirrored,
     vertex_normals,
 )
-from thalweg_lab.river_images import HAZE, Sun, surface_look
+from thalweg_lab.river_images import HAZE, Sun, surface_appearance
 from thalweg_lab.time_lapse.foreground import RIM, OwnBoat, Targets
 from thalweg_lab.yard_images import LensRays, turned
 
@@ -331,7 +331,7 @@ class Renderer:
             footprint,
             light,
         )
-        colour, relief = surface_look(
+        colour, relief = surface_appearance(
             point, normal, code, world.variation[seen.primitive], footprint, water_level_m=world.level_m
         )
         sun = world.sun.direction_wcs

@@ -12,7 +12,7 @@ from .change import (
     true_polygons as true_polygons,
     true_volumes as true_volumes,
 )
-from .honesty import honesty_by_range as honesty_by_range, ratio_of_surveys as ratio_of_surveys
+from .consistency import consistency_by_range as consistency_by_range, ratio_of_surveys as ratio_of_surveys
 from .points import (
     PointErrors as PointErrors,
     PointErrors3d as PointErrors3d,

@@ -353,9 +353,10 @@ def error_tables(errors: PointErrors, *, correlation_s: float) -> tuple[pd.DataF
     -------
     statistics : columns ``quantity``, ``points`` (see `POINT_CLASSES`), ``value``, ``unit``.
         ``normalised_squared_error`` is the mean of squared error over predicted variance, ``normalised_nmad``
-        the NMAD of error over predicted sigma. Honest sigmas leave the former between ``honest_low95`` and
-        ``honest_high95``: with a probability of 95 % if one error of that correlation time made all of it, of
-        more if several errors add up. ``gross_errors`` counts what the outlier rule takes.
+        the NMAD of error over predicted sigma. Consistent sigmas leave the former between
+        ``consistent_low95`` and ``consistent_high95``: with a probability of 95 % if one error of that
+        correlation time made all of it, of more if several errors add up. ``gross_errors`` counts what the
+        outlier rule takes.
     by_range : see `by_range_class`; bare ground. ``ratio_low95`` and ``ratio_high95`` are the band of
         observed over predicted RMSE, the same for all classes: they share the poses.
 
@@ -385,8 +386,8 @@ def error_tables(errors: PointErrors, *, correlation_s: float) -> tuple[pd.DataF
     low, high = chi_square_band(n)
     rows += [
         ("independent_values", POINT_CLASSES[2], n, "1"),
-        ("honest_low95", POINT_CLASSES[2], low, "1"),
-        ("honest_high95", POINT_CLASSES[2], high, "1"),
+        ("consistent_low95", POINT_CLASSES[2], low, "1"),
+        ("consistent_high95", POINT_CLASSES[2], high, "1"),
         ("share_of_points", POINT_CLASSES[2], float(np.mean(errors.bare_ground)), "1"),
         ("gross_errors", POINT_CLASSES[1], float(np.sum(errors.on_ground & errors.gross)), "1"),
     ]

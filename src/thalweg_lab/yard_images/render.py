@@ -121,7 +121,7 @@ class Photographer:
         self._normal = (normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-30)[:, None]).astype(
             np.float32
         )
-        self._look = np.array([look_of(name) for name in yard.names], dtype=np.int64)
+        self._look = np.array([appearance_of(name) for name in yard.names], dtype=np.int64)
         self._table = PaintTable.of(yard.sheets, yard.names, yard.layout)
         given = np.full((len(yard.names), 3), np.nan) if yard.colours is None else yard.colours
         self._given = given.astype(np.float32)
@@ -775,7 +775,7 @@ _LOOKS: Final = {
 }
 
 
-def look_of(name: str) -> Look:
+def appearance_of(name: str) -> Look:
     """Look of a thing by its name: ``ground``, ``C1``, ``board 64`` and so on."""
     if name in _LOOKS:
         return _LOOKS[name]

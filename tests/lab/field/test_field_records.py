@@ -1,4 +1,4 @@
-"""What the owner writes down has honest errors and can be read; the truth is the truth."""
+"""What the owner writes down has consistent errors and can be read; the truth is the truth."""
 
 import json
 from pathlib import Path

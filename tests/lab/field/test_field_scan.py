@@ -1,4 +1,4 @@
-"""Lidar points of the field: honest noise, the right cones, and the same in memory as in the capture file."""
+"""Lidar points of the field: consistent noise, the right cones, the same in memory as in the capture file."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""Riverbeds of many surveys: one survey in small, and what is judged honest."""
+"""Riverbeds of many surveys: one survey in small, and what is judged consistent."""
 
 import numpy as np
 import pandas as pd
@@ -52,10 +52,10 @@ def _surveys(factor: float) -> pd.DataFrame:
     return pd.DataFrame(parts)
 
 
-@pytest.mark.parametrize(("factor", "honest"), [(1.0, True), (0.75, False), (1.3, False)])
-def test_only_sigmas_that_fit_are_honest(factor: float, honest: bool) -> None:
+@pytest.mark.parametrize(("factor", "consistent"), [(1.0, True), (0.75, False), (1.3, False)])
+def test_only_sigmas_that_fit_are_consistent(factor: float, consistent: bool) -> None:
     table = verdicts(_surveys(factor))
     assert table["from_m"].tolist() == [0.0, 0.0, 1.0]
-    assert (table["honest"] == honest).all()
+    assert (table["consistent"] == consistent).all()
     assert table.loc[0, "n"] == 40 * 400
     assert table.loc[0, "normalised_square"] == pytest.approx(1 / factor**2, rel=0.15)

@@ -1,4 +1,4 @@
-"""The camera-lidar calibration on the recorded twin: honest over seeds, and robust."""
+"""The camera-lidar calibration on the recorded twin: consistent over seeds, and robust."""
 
 import numpy as np
 import pandas as pd
@@ -27,7 +27,7 @@ def few() -> pd.DataFrame:
     return camera_lidar_study(range(1, 4), settings)
 
 
-def test_a_few_seeds_are_honest(few: pd.DataFrame) -> None:
+def test_a_few_seeds_are_consistent(few: pd.DataFrame) -> None:
     assert (few["failure"] == "").all()
     got = summary(few, level=0.002)
     # three seeds, six degrees of freedom each, 99.8 %

@@ -61,17 +61,17 @@ def test_true_points_lie_on_the_scene(logs: Logs) -> None:
 
 
 def test_settings_may_differ_from_those_of_the_instruments(logs: Logs) -> None:
-    honest = process(logs)
+    consistent = process(logs)
     wrong = survey_settings(TWIN, seed=3)
     wrong["mounts"]["lidar"]["lever_ics_m"] = [0.35, 0.0, 0.25]
     moved = process(logs, wrong, name="moved")
     late = process(logs, trajectory_late_s=0.05, name="late")
     assert {path.name for path in logs.folder.glob("*.laz")} >= {"points.laz", "moved.laz", "late.laz"}
-    rmse = [np.sqrt(s.errors_3d().squared_m2.mean()) for s in (honest, moved, late)]
+    rmse = [np.sqrt(s.errors_3d().squared_m2.mean()) for s in (consistent, moved, late)]
     # twice the lever of 0.43 m; 2.4 m/s times 0.05 s and what the boat turned
     assert rmse[1] == pytest.approx(0.86, rel=0.1)
     assert rmse[2] > 0.1
-    assert late.trajectory.t_gps_s[0] - honest.trajectory.t_gps_s[0] == pytest.approx(0.05)
+    assert late.trajectory.t_gps_s[0] - consistent.trajectory.t_gps_s[0] == pytest.approx(0.05)
 
 
 def test_the_same_seed_gives_the_same_cloud(logs: Logs, tmp_path: Path) -> None:

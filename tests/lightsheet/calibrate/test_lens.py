@@ -55,7 +55,7 @@ def squared_error(found: LensCalibration) -> float:
     return float(error / sigma @ np.linalg.solve(found.camera.cov / np.outer(sigma, sigma), error / sigma))
 
 
-# ---------------------------------------------------------------- honesty
+# ---------------------------------------------------------------- consistency
 
 
 def test_errors_over_seeds_are_what_the_covariance_says() -> None:

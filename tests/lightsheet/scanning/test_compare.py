@@ -52,7 +52,7 @@ def test_points_lie_on_the_planes_as_predicted(found: compare.Compared) -> None:
     d = found.distances.distance_mm[found.used]
     nmad = 1.4826 * np.median(np.abs(d - np.median(d)))
     # 0.15 px and 6-DOF poses; points at the rounded rims of a level are no part of the centre
-    assert nmad < 1.5 * facts["honesty"]["predicted_mm"]
+    assert nmad < 1.5 * facts["consistency"]["predicted_mm"]
     for row in facts["levels"]:
         # 40 independent poses would give 0.01; seven lines share what is left of theirs
         assert row["measured_mm"] == pytest.approx(row["height_mm"], abs=0.1)
@@ -136,7 +136,7 @@ def test_an_object_of_planes_leaves_a_mesh_shifts_free_or_is_the_same(
     except GeometryError:
         return
     d = meshed.distances.distance_mm[meshed.used]
-    assert np.median(np.abs(d)) < 3 * found.facts["honesty"]["predicted_mm"]
+    assert np.median(np.abs(d)) < 3 * found.facts["consistency"]["predicted_mm"]
 
 
 def test_pairs_are_read_and_mistakes_named(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from thalweg.lightsheet.scanning.distances import (
     MeshDistances,
     _shift,
     border_effect,
-    honesty,
+    consistency,
     normality,
     otsu,
     statistics_table,
@@ -83,11 +83,11 @@ def test_two_modes_are_found_and_one_is_not(rng: np.random.Generator) -> None:
 def test_correlated_neighbours_do_not_make_modes(rng: np.random.Generator) -> None:
     wanders = 0.2 * np.repeat(rng.standard_normal(30), 40)
     alone = bimodality(wanders + 0.02 * rng.standard_normal(1200), 100 + rng.random(1200))
-    honest = bimodality(
+    consistent = bimodality(
         wanders + 0.02 * rng.standard_normal(1200), 100 + rng.random(1200), independent_share=1 / 40
     )
-    assert honest.bic_gain < alone.bic_gain / 10
-    assert not honest.bimodal
+    assert consistent.bic_gain < alone.bic_gain / 10
+    assert not consistent.bimodal
 
 
 def test_otsu_parts_two_classes() -> None:
@@ -175,7 +175,7 @@ def test_what_the_border_of_the_mesh_does_by_hand() -> None:
 def test_observed_against_predicted_by_hand() -> None:
     """3 and 4 with sigmas 1 and 2; the third is left out."""
     d, s = np.array([3.0, -4.0, 100.0]), np.array([1.0, 2.0, 1.0])
-    assert honesty(d, s, np.array([True, True, False])) == pytest.approx(
+    assert consistency(d, s, np.array([True, True, False])) == pytest.approx(
         {"n": 2, "rms_mm": np.sqrt(12.5), "predicted_mm": np.sqrt(2.5), "rms_over_sigma": np.sqrt(6.5)}
     )
 

@@ -89,7 +89,7 @@ def test_the_motion_errs_as_its_covariance_says(
         T = result.alignment.T_mesh_target
         e = T.error_from(one.T_obj_ccs)
         squares.append(e @ np.linalg.solve(T.cov, e) / 6)
-        ratios.append(result.facts()["honesty"]["rms_over_sigma"])
+        ratios.append(result.facts()["consistency"]["rms_over_sigma"])
         flagged += len(result.check.images)
         # the goal without any outlier removed by hand: 0.2 mm; 0.15 px and 6-DOF poses give 0.05
         assert result.distance_mm.std() < 0.08

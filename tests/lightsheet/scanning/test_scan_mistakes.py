@@ -76,7 +76,7 @@ def test_a_good_scan_has_nothing_to_tell(files: ScanFiles, steps: tuple[Any, Sca
     assert files.merge()["images_left_out"] == {}
     for facts in (files.compare(), steps[1].compare(LEVELS)):
         assert facts["warnings"] == []
-        assert facts["honesty"]["rms_mm"] < GOOD_MM
+        assert facts["consistency"]["rms_mm"] < GOOD_MM
 
 
 # ---------------------------------------------------------------- media

@@ -157,7 +157,7 @@ class Layout:
 
 
 def solve(problem: Problem, start: State, *, max_iterations: int = 60) -> tuple[Adjusted[State], Layout]:
-    """Adjust one bundle from approximate values among which `settle` has found the way.
+    """Adjust one bundle from approximate values among which `robust_start` has found the way.
 
     Raises
     ------
@@ -183,7 +183,7 @@ def solve(problem: Problem, start: State, *, max_iterations: int = 60) -> tuple[
     return adjusted, layout
 
 
-def settle(problem: Problem, x: State, steps: int = 40) -> State:
+def robust_start(problem: Problem, x: State, steps: int = 40) -> State:
     """Come near the solution in spite of many wrong marks.
 
     Gauss-Newton steps with weights that fall to zero (Geman and McClure 1985), whose width follows the
@@ -456,10 +456,10 @@ def clean(
     and what was rejected as (what, name, reason).
     """
     rejected: list[Rejected] = []
-    x = settle(problem, x)
+    x = robust_start(problem, x)
     again = _reposed(problem, x)
     if again is not None:
-        x = settle(problem, again)
+        x = robust_start(problem, again)
     problem = _rescaled(problem, _robust_factor(problem, x))
     problem = replace(problem, used=mark_lengths(problem, x) < _GROSS)
     limit = float(chi2.isf(chi2.sf(REJECT_SIGMAS**2, 1), 2))
@@ -475,7 +475,7 @@ def clean(
         rejected += reasons
         before = problem
         problem, x, lost = thinned(problem, x, images, points, few or set(), doubt=stable)
-        rejected += _told(before, lost)
+        rejected += _losses_in_words(before, lost)
         adjusted, layout = _solved(problem, x)
         x = adjusted.x
         if stable and not reasons and not lost:
@@ -494,14 +494,14 @@ def clean(
 
 
 def _solved(problem: Problem, x: State) -> tuple[Adjusted[State], Layout]:
-    """`solve`; pictures that few marks tie to the rest need the long steps of `settle` before."""
+    """`solve`; pictures that few marks tie to the rest need the long steps of `robust_start` before."""
     for _ in range(_AGAIN):
         try:
             return solve(problem, x)
         except UnobservableError:
             raise
         except GeometryError:
-            x = settle(problem, x, steps=20)
+            x = robust_start(problem, x, steps=20)
     return solve(problem, x)
 
 
@@ -544,7 +544,7 @@ def _contradicting(problem: Problem, tests: ArrayF) -> ArrayB:
     return weak
 
 
-def _told(problem: Problem, lost: list[Rejected]) -> list[Rejected]:
+def _losses_in_words(problem: Problem, lost: list[Rejected]) -> list[Rejected]:
     """What was lost, with one reason for a marker that was lost because it is off as a whole."""
     markers = {parse_mark(name)[0] for what, name, _ in lost if what == "point"}
     whole: dict[int, str] = {}

@@ -16,7 +16,7 @@ estimate of their mean is better than
     sigma sqrt(2 tau / (T + 2 tau))
 
 0.046 deg in roll and pitch and 0.09 deg in heading for 0.1 and 0.2 deg, 20 s and 150 s. Both are reported:
-the *formal* sigmas as in T, and the honest ones, which go on into the file.
+the *formal* sigmas as in T, and the consistent ones, which go on into the file.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -63,7 +63,7 @@ _NEARLY: Final = 0.05
 _NOISE_NEARLY: Final = 0.02
 # Steps of the mount in sigmas. Beams at the outlines of cones keep it moving by 0.03; a step of 0.05
 # adds a quarter of a percent to the variance.
-_SETTLED: Final = 0.05
+_CONVERGED: Final = 0.05
 GroupSigmas: TypeAlias = dict[str, float]
 """By group of observations: root of the weighted squares of its residuals over its redundancy; expected 1."""
 SIZE_SPREAD: Final = 2.0
@@ -162,7 +162,7 @@ class Processes:
                 "estimated": found[name],
                 "low": low,
                 "high": high,
-                "told_by_survey": bool(width <= DETERMINED),
+                "determined_by_survey": bool(width <= DETERMINED),
             }
         return out
 
@@ -241,9 +241,9 @@ class InsLidar:
 
     Parameters
     ----------
-    T_ics_scs : with its honest covariance (shift; rotation vector in ics).
+    T_ics_scs : with its consistent covariance (shift; rotation vector in ics).
     cov_formal : (6, 6) as T: independent points, nothing else errs.
-    without_antenna : mount with honest covariance without the antenna seen from the scanner.
+    without_antenna : mount with consistent covariance without the antenna seen from the scanner.
     by_antenna : (6, 3) derivative of the mount by that point in scs; zero without it.
     errors : of the poses, as used: stated, or estimated.
     processes : what the run says of them; None where it was not asked.
@@ -284,7 +284,7 @@ class InsLidar:
         )
 
     def summary(self) -> pd.DataFrame:
-        """A row for each parameter: value, honest sigma, formal sigma, sigma without the antenna."""
+        """A row for each parameter: value, consistent sigma, formal sigma, sigma without the antenna."""
         T, W = self.T_ics_scs, self.without_antenna
         unit = np.r_[np.full(3, 1e3), np.full(3, np.rad2deg(1.0))]
         return pd.DataFrame(
@@ -324,7 +324,7 @@ def calibrate(
     Raises
     ------
     CoverageError : no point near any cone.
-    GeometryError : the mount does not settle, or the antenna's marker contradicts the run.
+    GeometryError : the mount does not converge, or the antenna's marker contradicts the run.
     UnobservableError : the motion or the cones leave parameters of the mount undetermined.
     """
     dropped: dict[str, str] = {}
@@ -339,13 +339,13 @@ def calibrate(
             antenna=antenna,
         )
         run = _Run.prepare(points, known, settings, start)
-        settled = run.passes()
+        converged = run.passes()
         bad = check_cones(run.selection, cones, settings.gates, dropped) or run.moved()
-        if bad is None and settled:
+        if bad is None and converged:
             return run.result(start, dropped)
         if bad is None:
             raise GeometryError(
-                f"the mount of the lidar has not settled after {_MAX_STEPS} passes",
+                f"the mount of the lidar has not converged after {_MAX_STEPS} passes",
                 expected="points that lie on the cones",
                 cure="Look at the table of the passes; check the cones' reference and the trajectory",
             )
@@ -415,7 +415,7 @@ class _Run:
             self.selection.used[~steady] = False
             step = self._solve(linear, band)
             self.state = step.state
-            if step.length < _SETTLED:
+            if step.length < _CONVERGED:
                 return True
         return False
 

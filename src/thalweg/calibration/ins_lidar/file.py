@@ -31,7 +31,7 @@ BLIND: Final = (
 class MountResult:
     """What a run found, as `read_mount_result` returns it.
 
-    ``T_ics_scs`` with honest covariance; ``by_antenna`` (6, 3); ``antenna`` as it entered, or None;
+    ``T_ics_scs`` with consistent covariance; ``by_antenna`` (6, 3); ``antenna`` as it entered, or None;
     ``lever_ics_antenna_m`` (3,) that defines ics; ``facts``: numbers for people.
     """
 

@@ -291,7 +291,7 @@ def _read(path: Path) -> tuple[AnyArray, ArrayI, dict[str, Any]]:
             where=path,
             cure=_CURE,
         )
-    told = _told(header.comments, path)
+    told = _facts_of_comments(header.comments, path)
     if told is None:
         raise InputError(
             "a mesh of another program: it does not say in which frame it is",
@@ -310,7 +310,7 @@ def _read(path: Path) -> tuple[AnyArray, ArrayI, dict[str, Any]]:
     return *_triangles(path, header.end, vertex, face), told
 
 
-def _told(comments: list[str], path: Path) -> dict[str, Any] | None:
+def _facts_of_comments(comments: list[str], path: Path) -> dict[str, Any] | None:
     text = "".join(line.removeprefix("thalweg ") for line in comments if line.startswith("thalweg "))
     if not text:
         return None

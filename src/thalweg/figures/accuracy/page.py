@@ -283,7 +283,7 @@ DISTANCES: Final = (
     ("rmse", "RMSE", "mm", 1e3),
     ("p95", "95 % of |d| below", "mm", 1e3),
 )
-HONESTY: Final = (
+CONSISTENCY: Final = (
     ("rmse", "observed", "mm", 1e3),
     ("predicted_rmse", "predicted", "mm", 1e3),
     ("predicted_rmse_3d", "3D", "mm", 1e3),
@@ -301,8 +301,8 @@ PARTS: Final = (
     ("middle_low95", "consistent sigmas leave it above", "1", 1.0),
     ("middle_high95", "and below", "1", 1.0),
     ("normalised_squared_error", "mean of squared distance over variance", "1", 1.0),
-    ("honest_low95", "consistent sigmas leave it above", "1", 1.0),
-    ("honest_high95", "and below", "1", 1.0),
+    ("consistent_low95", "consistent sigmas leave it above", "1", 1.0),
+    ("consistent_high95", "and below", "1", 1.0),
     ("observed_correlation", "distances are correlated over (lag of 1/e)", "s", 1.0),
 )
 SHAPE: Final = (
@@ -491,7 +491,7 @@ def _statistics(page: Page, facts: Mapping[str, Any], statistics: pd.DataFrame, 
         "components (3D); ratio of predicted to observed, its band for consistent sigmas, and how "
         "many independent values the band rests on. A fitted cloud cannot test its sigmas"
     )
-    page.table(*_with_caption(tested, ("points",), HONESTY, caption))
+    page.table(*_with_caption(tested, ("points",), CONSISTENCY, caption))
     rows = [
         {"quantity": words, "unit": "" if unit == "1" else unit}
         | {name: factor * value_of(statistics, quantity, name) for name in (ALL, WITHOUT_OUTLIERS)}

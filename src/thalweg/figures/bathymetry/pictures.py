@@ -45,7 +45,7 @@ from thalweg.figures import (
     styled,
 )
 
-REASON_LOOK: Final[dict[str, tuple[str, str]]] = {
+REASON_STYLE: Final[dict[str, tuple[str, str]]] = {
     "dead zone": (SKY, "s"),
     "too deep": (PURPLE, "^"),
     "no pose": (GREY, "x"),
@@ -83,7 +83,7 @@ def draw_soundings(*, soundings: Path, title: str, twin: bool) -> Figure:
     )
     top, below = figure.subplots(2, 1, sharex=True, height_ratios=[2.2, 1.0])
     top.plot(t[used], timed["range_m"][used], ls="none", marker=".", ms=2.0, color=BLUE, label="used")
-    for reason, (colour, marker) in REASON_LOOK.items():
+    for reason, (colour, marker) in REASON_STYLE.items():
         of = (timed["reason"] == reason).to_numpy()
         if of.any():
             label = f"{reason}: {REASONS[reason]}, n = {count(int(of.sum()))}"

@@ -69,7 +69,7 @@ _LIGHT: Final = np.array([0.35, -0.45, 0.82])
 LIDAR_GREY: Final = "0.35"
 POSITION_COLOURS: Final = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 SENSOR_MARKERS: Final = {"camera": "o", "lidar": "s"}
-SENSOR_LOOK: Final = {"camera": (RED, "o"), "lidar": (LIDAR_GREY, "s")}
+SENSOR_STYLE: Final = {"camera": (RED, "o"), "lidar": (LIDAR_GREY, "s")}
 GRID_M: Final = 2.0
 LONG: Final = 2.0
 """A field this many times longer than wide has its views one below the other."""
@@ -543,7 +543,7 @@ def _draw_sensors(ax: Axes, poses: pd.DataFrame, view: Oblique) -> None:
     xy, _ = view.apply(xyz)
     tips, _ = view.apply(xyz + 0.9 * axes_of(poses)[:, :, 2])
     for k, sensor in enumerate(poses["sensor"]):
-        colour, marker = SENSOR_LOOK[sensor]
+        colour, marker = SENSOR_STYLE[sensor]
         ax.annotate(
             "",
             tips[k],

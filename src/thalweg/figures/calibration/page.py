@@ -98,7 +98,7 @@ def process_words(facts: Mapping[str, Any]) -> str:
     if not processes:
         return ""
     found, open_ = (
-        [name.replace("_", " ") for name, fact in processes.items() if fact["told_by_survey"] is known]
+        [name.replace("_", " ") for name, fact in processes.items() if fact["determined_by_survey"] is known]
         for known in (True, False)
     )
     words = ["Errors of the poses are estimated from the run; what the campaign states of them is a prior."]
@@ -120,7 +120,7 @@ def process_table(facts: Mapping[str, Any]) -> pd.DataFrame:
         {
             "parameter": name.replace("_", " "),
             **{key: float(fact[key]) for key in ("stated", "estimated", "low", "high")},
-            "determined by": "run" if fact["told_by_survey"] else "prior and run",
+            "determined by": "run" if fact["determined_by_survey"] else "prior and run",
         }
         for name, fact in facts.get("processes", {}).items()
     ]

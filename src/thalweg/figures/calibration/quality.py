@@ -35,7 +35,7 @@ NUMBERS_UP_TO: Final = 16
 """Quantities up to which each cell can hold its number."""
 LARGE: Final = 0.95
 
-LOOK: Final = ((BLUE, "o"), (VERMILION, "s"), (GREEN, "^"), (PURPLE, "D"), (ORANGE, "v"), (SKY, "P"))
+STYLE: Final = ((BLUE, "o"), (VERMILION, "s"), (GREEN, "^"), (PURPLE, "D"), (ORANGE, "v"), (SKY, "P"))
 PUBLISHED: Final = (("deg", (0.067, 0.035, 0.015)), ("m", (1.0e-3, 0.4e-3, 0.2e-3)))
 """Sigmas of P2 Table 1, six cones and three positions, largest first."""
 
@@ -178,7 +178,7 @@ def _title(name: str, unit: str) -> str:
 def _panel(ax: Axes, part: pd.DataFrame, positions: Sequence[int], unit: str) -> None:
     factor = 1.0 if unit == "deg" else 1e3
     for k, number in enumerate(positions):
-        colour, marker = LOOK[k % len(LOOK)]
+        colour, marker = STYLE[k % len(STYLE)]
         groups = part[part["positions"] == number].groupby("cones")["sigma"]
         middle = factor * groups.median()
         if not len(middle):

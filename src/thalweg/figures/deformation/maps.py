@@ -34,7 +34,7 @@ from thalweg.figures import (
 )
 from thalweg.figures.accuracy import DISTANCE_MAP, round_above
 
-STATE_LOOK: Final[dict[str, tuple[str, str]]] = {
+STATE_STYLE: Final[dict[str, tuple[str, str]]] = {
     "erosion": (BLUE, "v"),
     "deposition": (VERMILION, "^"),
     "no significant change": ("0.8", "s"),
@@ -46,7 +46,7 @@ STATE_LOOK: Final[dict[str, tuple[str, str]]] = {
     "no normal": (GREY, "1"),
 }
 """Colour and marker of each state."""
-REASON_LOOK: Final[dict[str, tuple[str, str]]] = {
+REASON_STYLE: Final[dict[str, tuple[str, str]]] = {
     "water": (SKY, "s"),
     "range": (ORANGE, "^"),
     "incidence": (PURPLE, "v"),
@@ -262,7 +262,7 @@ def draw_change_map(
     return change_map(read_pairs(changes, core_points, spacing_m), title=f"Change: {title}", twin=twin)
 
 
-def _with_looks(
+def _with_styles(
     ax: Axes, pair: BankPair, y_m: ArrayF, names: ArrayF, looks: Mapping[str, tuple[str, str]]
 ) -> None:
     """Core points by name, each with its colour and marker; labels carry n, share and area."""
@@ -300,10 +300,10 @@ def significance_map(pairs: Sequence[BankPair], *, title: str, twin: bool) -> Fi
     figure, panels = _two_views(
         pairs, f"{title}, n = {n} core\N{NO-BREAK SPACE}points", 26.0 * len(pairs), twin=twin
     )
-    looks = {state: STATE_LOOK[state] for state in STATES}
+    looks = {state: STATE_STYLE[state] for state in STATES}
     for i, pair in enumerate(pairs):
         for ax, y in ((panels[2 * i], pair.into_m), (panels[2 * i + 1], pair.up_m)):
-            _with_looks(ax, pair, y, pair.state, looks)
+            _with_styles(ax, pair, y, pair.state, looks)
         panels[2 * i].set_title(f"{pair.words} from above")
         panels[2 * i + 1].set_title("seen from the river, heights not to scale")
         _legend_under(panels[2 * i + 1])
@@ -330,7 +330,7 @@ def not_seen(pairs: Sequence[BankPair], seen: Sequence[pd.DataFrame], *, title: 
             ax = panels[2 * i + k - 1]
             reason = visibility[f"reason_{k}"].to_numpy(dtype=object)
             reason = np.where(visibility[f"seen_{k}"].to_numpy(dtype=bool), "seen", reason)
-            _with_looks(ax, pair, pair.up_m, reason, {"seen": ("0.85", "s"), **REASON_LOOK})
+            _with_styles(ax, pair, pair.up_m, reason, {"seen": ("0.85", "s"), **REASON_STYLE})
             ax.set_title(f"epoch {pair.name.split('-')[k - 1]}, seen from the river, heights not to scale")
             view_from_river(ax, pair)
             ax.set_xlabel("along the bank, to the right as seen from the river / m")

@@ -668,7 +668,7 @@ def _epochs(page: Page, epochs: Sequence[Mapping[str, Any]]) -> None:
 def _truth(page: Page, truth: Mapping[str, pd.DataFrame], polygons: Mapping[str, pd.DataFrame]) -> None:
     page.section("Against the truth of the digital twin").text(
         "The twin knows the true surface of each epoch, which no processing saw. Bare ground counts: "
-        "measured places without plants and things. Honest sigmas leave squared errors over "
+        "measured places without plants and things. Consistent sigmas leave squared errors over "
         "variances at one on the mean of many pairs; one pair, whose errors the whole bank shares, "
         "may lie well off it."
     )

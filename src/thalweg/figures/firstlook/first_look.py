@@ -19,7 +19,7 @@ from thalweg.figures import (
     VERMILION,
     Page,
     count,
-    fix_looks,
+    fix_styles,
     legend_below,
     new_figure,
     robust_limits,
@@ -174,7 +174,7 @@ def track_first_look(positions: pd.DataFrame, *, title: str = "GNSS positions", 
     plan = figure.add_subplot(grid[:, 0])
     up, sigma = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
     fixes = rows["fix"].to_numpy()
-    for fix, colour, marker in fix_looks(fixes):
+    for fix, colour, marker in fix_styles(fixes):
         here = fixes == fix
         look: dict[str, Any] = {"ls": "none", "marker": marker, "ms": 3, "color": colour, "rasterized": True}
         plan.plot(
@@ -238,7 +238,7 @@ def attitude_first_look(states: pd.DataFrame, *, title: str = "INS states", twin
     _line(heading, order, degrees, jumps, color=BLUE)
     for name, colour in (("north", GREEN), ("east", BLUE), ("down", VERMILION)):
         _line(speed, order, states[f"v_{name}_mps"].to_numpy(), broken, color=colour, label=name)
-    kinds = fix_looks(states["fix"])
+    kinds = fix_styles(states["fix"])
     numbers = states["fix"].value_counts()
     for row, (kind, colour, _) in enumerate(kinds):
         here = (states["fix"] == kind).to_numpy()

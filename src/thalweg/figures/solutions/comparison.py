@@ -54,7 +54,7 @@ from thalweg.figures import (
 from thalweg.figures.accuracy import centimetres, compared, round_limit_m
 from thalweg.figures.survey import LOG_RATIO, plain_numbers
 
-LOOK: Final = {"ins": (BLUE, "o"), "camera": (VERMILION, "s"), "fused": (GREEN, "^")}
+STYLE: Final = {"ins": (BLUE, "o"), "camera": (VERMILION, "s"), "fused": (GREEN, "^")}
 """Colour and marker of each chain."""
 WIDTHS: Final = {"ins": 2.6, "camera": 1.8, "fused": 1.0}
 """Of lines that may lie upon each other: the later and thinner one leaves the others visible."""
@@ -70,7 +70,7 @@ MOST_NODES: Final = 6000
 """A longer line shows nothing more at this width; of each piece its largest sigma is drawn."""
 
 COLUMNS: Final = ("length_s", "chain", "outages", "rms_m", "max_m", "sigma_m", "normalised")
-OUTAGE_LOOK: Final = {
+OUTAGE_STYLE: Final = {
     "ins_model": (SKY, "v", "INS without its velocity"),
     "ins_velocity": (BLUE, "o", "INS with its velocity"),
     "camera": (VERMILION, "s", "camera with INS, no GNSS at all"),
@@ -218,7 +218,7 @@ def _draw_achieved(ax: Axes, rows: pd.DataFrame, r: ArrayF, names: Sequence[str]
     inside = r <= _farthest(rows, r, names)
     tops = []
     for name in names:
-        colour, marker = LOOK[name]
+        colour, marker = STYLE[name]
         observed, predicted = (
             1e3 * rows[f"{name}_rmse_{what}_m"].to_numpy(np.float64) for what in ("observed", "predicted")
         )
@@ -266,7 +266,7 @@ def _draw_theory(ax: Axes, rows: pd.DataFrame, r: ArrayF, names: Sequence[str]) 
         if f"published_{name}_3d_m" in rows.columns
     }
     for name in names:
-        colour = LOOK[name][0]
+        colour = STYLE[name][0]
         own = 1e3 * rows[f"{name}_rmse_predicted_3d_m"].to_numpy(np.float64)
         ax.plot(r, own, color=colour, lw=WIDTHS[name], ls="--", gid=f"predicted-3d-{name}")
         if name in known and np.isfinite(known[name][at]):
@@ -335,12 +335,17 @@ def _own_crossing(ax: Axes, rows: pd.DataFrame, names: Sequence[str]) -> None:
 
 def _step(ax: Axes, r: ArrayF, n: ArrayF, name: str) -> None:
     ax.step(
-        r, np.where(n > 0, n, np.nan), where="mid", color=LOOK[name][0], lw=WIDTHS[name], gid=f"counts-{name}"
+        r,
+        np.where(n > 0, n, np.nan),
+        where="mid",
+        color=STYLE[name][0],
+        lw=WIDTHS[name],
+        gid=f"counts-{name}",
     )
 
 
 def _draw_histogram(ax: Axes, d: ArrayF, kept: ArrayF, name: str, limit: float) -> None:
-    colour = LOOK[name][0]
+    colour = STYLE[name][0]
     edges = np.linspace(-limit, limit, BINS + 1)
     per_cm = 1.0 / (d.size * (edges[1] - edges[0]))  # 100 % over 100 cm
     n, _ = np.histogram(d, edges)
@@ -368,7 +373,7 @@ def _draw_histogram(ax: Axes, d: ArrayF, kept: ArrayF, name: str, limit: float) 
 def _draw_normalised(ax: Axes, z: ArrayF, name: str) -> None:
     edges = np.linspace(-SIGMAS, SIGMAS, 51)
     n, _ = np.histogram(z, edges)
-    ax.stairs(n / (z.size * np.diff(edges)), edges, color=LOOK[name][0], lw=1.2, gid=f"normalised-{name}")
+    ax.stairs(n / (z.size * np.diff(edges)), edges, color=STYLE[name][0], lw=1.2, gid=f"normalised-{name}")
 
 
 def draw_chain_histograms(*, distances: list[Path], title: str, twin: bool) -> Figure:
@@ -450,7 +455,7 @@ def pose_sigmas(
     shown: list[list[ArrayF]] = [[], [], []]
     for name in names:
         values = _sigmas(trajectories[name])
-        colour = LOOK[name][0]
+        colour = STYLE[name][0]
         for k, ax in enumerate(panels[:3]):
             t, line = _broken(trajectories[name], values[k])
             ax.plot(_dates(t), line, color=colour, lw=1.1, label=IN_WORDS[name], gid=f"sigma-{k}-{name}")
@@ -507,7 +512,7 @@ def _draw_times(ax: Axes, spans: Mapping[str, ArrayF], whole: tuple[float, float
     for row, (name, own) in enumerate(spans.items()):
         bars = [(float(_dates(a)), float(_dates(b)) - float(_dates(a))) for a, b in own]
         ax.broken_barh(
-            bars, (row - 0.32, 0.64), facecolor=LOOK[name][0], edgecolor="none", gid=f"times-{name}"
+            bars, (row - 0.32, 0.64), facecolor=STYLE[name][0], edgecolor="none", gid=f"times-{name}"
         )
         without = whole[1] - whole[0] - length_s(own)
         words = "no gap"
@@ -586,7 +591,7 @@ def outage_study(
     figure = new_figure(118.0, f"{title}, n = {n} outages", twin=twin)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2.3, 1.0])
     lengths = np.unique(table["length_s"].to_numpy(np.float64))
-    for chain, (colour, marker, words) in OUTAGE_LOOK.items():
+    for chain, (colour, marker, words) in OUTAGE_STYLE.items():
         rows = table[table["chain"] == chain].sort_values("length_s")
         if rows.empty:
             continue

@@ -22,8 +22,8 @@ from thalweg.accuracy import (
     WITHOUT,
     WITHOUT_OUTLIERS,
     chains_of,
+    consistency_in_words,
     crossing_of,
-    honesty_in_words,
     outage_table,
     value,
 )
@@ -484,7 +484,7 @@ def _against(table: pd.DataFrame, costs: Costs, name: str) -> list[str]:
         value(table, WITHOUT_OUTLIERS, q, name) for q in ("ratio_low95", "ratio", "ratio_high95")
     )
     if np.isfinite(ratio) and not low <= ratio <= high:
-        out.append(honesty_in_words(ratio, low, high))
+        out.append(consistency_in_words(ratio, low, high))
     if name != "ins" and costs.points("control"):
         out.append(f"{plural(costs.points('control'), 'control point')} to be surveyed")
     if name != "ins" and costs.images:

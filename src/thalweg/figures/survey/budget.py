@@ -23,7 +23,7 @@ from thalweg.core import ArrayF, InputError
 from thalweg.figures import BLUE, GREEN, HALO, ORANGE, PURPLE, SKY, VERMILION, new_figure, styled
 
 FARTHEST_M: Final = 60.0
-LOOK: Final = {
+STYLE: Final = {
     "lidar": (SKY, ""),
     "position": (BLUE, "////"),
     "lever arm": (GREEN, "...."),
@@ -63,7 +63,7 @@ def error_budget(budgets: Sequence[Budget], published: Sequence[pd.DataFrame | N
     for k, (budget, cells) in enumerate(zip(budgets, published, strict=True)):
         total = totals_mm(budget, d)
         shares = group_shares(budget, d).reindex(columns=list(GROUPS), fill_value=0.0)
-        stacked = [shares[group].to_numpy() for group in LOOK]
+        stacked = [shares[group].to_numpy() for group in STYLE]
         _stack(axes[0, k], d, [share * total for share in stacked])
         _stack(axes[1, k], d, [100 * share for share in stacked])
         axes[0, k].plot(d, total, color="black", lw=1.2, label="total", gid="total")
@@ -96,8 +96,8 @@ def error_budget(budgets: Sequence[Budget], published: Sequence[pd.DataFrame | N
 
 def _stack(ax: Axes, d: ArrayF, parts: list[ArrayF]) -> None:
     below = np.zeros_like(d)
-    for group, part in zip(LOOK, parts, strict=True):
-        colour, hatch = LOOK[group]
+    for group, part in zip(STYLE, parts, strict=True):
+        colour, hatch = STYLE[group]
         ax.fill_between(
             d,
             below,
@@ -117,7 +117,7 @@ def _names(ax: Axes, d: ArrayF, parts: list[ArrayF]) -> None:
     """Each group's name in its own band, where that is widest."""
     below = np.zeros_like(d)
     inner = (d > 8) & (d < FARTHEST_M - 8)
-    for group, part in zip(LOOK, parts, strict=True):
+    for group, part in zip(STYLE, parts, strict=True):
         at = int(np.flatnonzero(inner)[np.argmax(part[inner])])
         if part[at] > 9:
             ax.text(

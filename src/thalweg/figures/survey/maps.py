@@ -36,7 +36,7 @@ from thalweg.figures import (
     TIME_MAP,
     VERMILION,
     count,
-    fix_looks,
+    fix_styles,
     legend_below,
     new_figure,
     north_arrow,
@@ -67,7 +67,7 @@ LABEL_SHARE: Final = 0.022
 MAP_MM: Final = 120.0
 """Highest map: the four panels below it share the page."""
 _PANELS_MM: Final = 92.0
-_AXES_LOOK: Final = ((BLUE, "-"), (VERMILION, "--"), (GREEN, "-."))
+_AXES_STYLE: Final = ((BLUE, "-"), (VERMILION, "--"), (GREEN, "-."))
 
 
 # ---------------------------------------------------------------- map (P1 Fig. 3)
@@ -232,7 +232,7 @@ def _draw_fixes(ax: Axes, trajectory: Trajectory, positions: pd.DataFrame) -> No
     height = use["h_ell_m"].fillna(frame.h_ell_m)
     enu = frame.from_geodetic(use["lat_deg"].to_numpy(), use["lon_deg"].to_numpy(), height.to_numpy())
     fixes = use["fix"].to_numpy()
-    for fix, colour, marker in fix_looks(fixes):
+    for fix, colour, marker in fix_styles(fixes):
         here = fixes == fix
         label = f"{fix.replace('_', ' ')}, n = {count(int(here.sum()))} epochs"
         if fix in GOOD_FIXES:
@@ -554,7 +554,7 @@ def _unit(sigma_m: ArrayF) -> tuple[str, float]:
 
 
 def _draw_sigmas(ax: Axes, t: ArrayF, sigma: ArrayF, names: tuple[str, ...], label: str) -> None:
-    for values, name, (colour, dash) in zip(sigma.T, names, _AXES_LOOK, strict=True):
+    for values, name, (colour, dash) in zip(sigma.T, names, _AXES_STYLE, strict=True):
         ax.plot(t, values, color=colour, ls=dash, lw=1.2, label=name, gid=f"sigma-{name}")
     positive = sigma[np.isfinite(sigma) & (sigma > 0)]
     if positive.size and positive.max() > LOG_RATIO * positive.min():

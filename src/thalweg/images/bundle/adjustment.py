@@ -73,7 +73,7 @@ _RAYLEIGH_MEDIAN: Final = 1.1774
 _NEIGHBOURS: Final = 20
 """Points around a point that tell how restless the place is."""
 _LEAST_REGION: Final = 0.3
-"""Least variance of a calm region, as a share of the usual one."""
+"""Least variance of an undisturbed region, as a share of the usual one."""
 _SAME_PIXEL_PX: Final = 0.02
 """Distance at which two marks are one measurement: features are found to a hundredth of a pixel at best."""
 _LEAST_WEIGHT: Final = 1e-4
@@ -141,7 +141,7 @@ class Weights:
         self.usable = ~behind & ~flat[block.mark_point] & ~twice
         self.fits = self.usable.copy()
         self.region = np.ones(len(block.points_block_m))
-        self.calm = np.ones(len(block.points_block_m), np.bool_)
+        self.undisturbed = np.ones(len(block.points_block_m), np.bool_)
         self.mark_point, self.mark_image = block.mark_point, block.mark_image
         self.lost_images = np.zeros(len(block.images), np.bool_)
         self.left_out = {
@@ -161,7 +161,8 @@ class Weights:
     @property
     def used(self) -> ArrayB:
         """(m,) marks that take part, but for those whose point loses all others."""
-        return self.usable & self.fits & self.calm[self.mark_point] & ~self.lost_images[self.mark_image]
+        seen = self.usable & self.fits & ~self.lost_images[self.mark_image]
+        return seen & self.undisturbed[self.mark_point]
 
     def tracks(self, problem: Problem, *, final: bool = False) -> Tracks:
         """Tracks with all weights put into their sigmas; the last time with what they tell, too."""
@@ -417,7 +418,7 @@ def _finished(
     cov *= cov_scale
     used = np.zeros(len(block.mark_image), np.bool_)
     used[tracks.mark] = True
-    calm = weights.calm[block.mark_point]
+    undisturbed = weights.undisturbed[block.mark_point]
     return AdjustedBlock(
         problem=problem,
         layout=layout,
@@ -442,8 +443,8 @@ def _finished(
         costs=costs,
         left_out={
             **weights.left_out,
-            "points in disturbed regions": int((~weights.calm).sum()),
-            "marks that do not fit": int((weights.usable & calm & ~weights.fits).sum()),
+            "points in disturbed regions": int((~weights.undisturbed).sum()),
+            "marks that do not fit": int((weights.usable & undisturbed & ~weights.fits).sum()),
             "marks of points that kept only one": int((weights.used & ~used).sum()),
             "images that kept too few marks": int(weights.lost_images.sum()),
             "marks of control points that do not fit": int((~np.isfinite(sigma)).sum()),
@@ -653,10 +654,10 @@ def _track_weights(problem: Problem, layout: Layout, x: State, weights: Weights)
     )
     degrees = np.maximum(2.0 * np.add.reduceat(kept[every.mark], every.first[:-1]) - 3.0, 1.0)
     region = weights.region[every.point]
-    calm = np.ones(n, np.bool_)
+    undisturbed = np.ones(n, np.bool_)
     if options.correlated:
         noise = neighbours_noise(x.X[every.point], square * region, degrees)
-        calm = noise < options.restless_limit
+        undisturbed = noise < options.disturbed_limit
         weights.region[every.point] = np.maximum(noise, _LEAST_REGION)
     track = weights.correlation.weights(square, degrees)
     far = fit / np.sqrt(mark[every.mark]) * np.repeat(np.sqrt(track), np.diff(every.first))
@@ -667,7 +668,7 @@ def _track_weights(problem: Problem, layout: Layout, x: State, weights: Weights)
     weights.mark[every.mark] = _loss(far, options)
     weights.fits = np.zeros_like(weights.usable)
     weights.fits[every.mark] = far < options.reject_limit
-    weights.calm[every.point] = calm
+    weights.undisturbed[every.point] = undisturbed
 
 
 def neighbours_noise(points_m: ArrayF, square: ArrayF, degrees: ArrayF) -> ArrayF:
@@ -681,7 +682,7 @@ def neighbours_noise(points_m: ArrayF, square: ArrayF, degrees: ArrayF) -> Array
         return np.ones(n)
     near = np.asarray(cKDTree(points_m).query(points_m, k=_NEIGHBOURS + 1)[1])
     usual = float(np.median(square / degrees))
-    # one blunder among calm neighbours makes no region
+    # one blunder among undisturbed neighbours makes no region
     capped = np.minimum(square, 10.0 * usual * degrees)
     noise = capped[near[:, 1:]].sum(axis=1) / degrees[near[:, 1:]].sum(axis=1)
     return np.asarray(noise / np.median(noise))

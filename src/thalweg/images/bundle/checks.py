@@ -115,7 +115,7 @@ def check_datum(
     )
 
 
-def check_consent(
+def check_control(
     placed: ImageBlock,
     control: ControlPoints,
     marks: ControlMarks,

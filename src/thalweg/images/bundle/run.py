@@ -13,7 +13,7 @@ from thalweg.images.bundle.checks import (
     Expected,
     Interiors,
     check_attitudes,
-    check_consent,
+    check_control,
     check_datum,
     check_free,
     check_start,
@@ -390,7 +390,7 @@ def orient_block(
             problem, block=replace(moved, cameras=cameras), free=free, weighted=weighted, control=control
         )
         check_free(problem, estimated, settings, result, len(demoted))
-    check_consent(moved, control, marks, result, demoted, predictions)
+    check_control(moved, control, marks, result, demoted, predictions)
     notes += interior_notes(adjusted, known)
     notes += clock_notes(antenna, float(adjusted.x.extras[-1]) if len(adjusted.x.extras) else 0.0)
     notes += [*adjusted.notes, *result.notes, *doubts(problem.control, result, antenna)]

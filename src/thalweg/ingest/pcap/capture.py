@@ -348,7 +348,7 @@ def read_payloads(
         sinks = Sinks(streams, w.buf.size // (min(s.size for s in streams) + 16) + 2)
         yield from _read(w, form, sinks, path, found)
     found.bytes_read += w.base + w.n
-    _settle(sinks, found)
+    _add_tally(sinks, found)
 
 
 def _read(
@@ -426,7 +426,7 @@ def _blocks(w: Window, sinks: Sinks, rows: int) -> list[PayloadBlock]:
     return blocks
 
 
-def _settle(sinks: Sinks, found: CaptureTally) -> None:
+def _add_tally(sinks: Sinks, found: CaptureTally) -> None:
     for names, target in ((frames.COUNT_NAMES, found.counts), (frames.LOSS_NAMES, found.losses)):
         for index, name in names.items():
             if sinks.tally[index]:

@@ -103,7 +103,7 @@ def null_directions(problem: Problem, x: ArrayF) -> list[NullDirection]:
     rest = np.linalg.svd(null, full_matrices=False)[2][: len(null) - len(named)]
     directions = [*named, *(("", direction) for direction in rest)]
     for (name, direction), value in zip(directions, np.sort(values[free]), strict=True):
-        found.append(_told(problem, direction / scale, name, float(value)))
+        found.append(_null_direction(problem, direction / scale, name, float(value)))
     return found
 
 
@@ -177,7 +177,7 @@ def _echelon(rows: ArrayF) -> ArrayF:
     return out
 
 
-def _told(problem: Problem, change: ArrayF, motion: str, singular_value: float) -> NullDirection:
+def _null_direction(problem: Problem, change: ArrayF, motion: str, singular_value: float) -> NullDirection:
     """A null direction in mm and degrees, the largest part first."""
     amounts = {
         name: float(np.rad2deg(amount) if name.endswith("_rad") else amount)

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from thalweg.core import CoverageError
 from thalweg.figures import GREY, new_figure, plural, styled
 from thalweg.lightsheet.budget import TOTAL, TOTAL_CORRELATED, budget_on_lines
-from thalweg.lightsheet.figures.views import depth_looks, need
+from thalweg.lightsheet.figures.views import depth_styles, need
 from thalweg.lightsheet.optics import paper_4
 
 COLUMNS: Final = ("depth_mm", "x_px", "y_px", "panel", "cause", "sigma_depth_mm")
@@ -101,7 +101,7 @@ def depth_budget(
 def _panel(
     ax: Axes, lines: pd.DataFrame, cause: str, along: str, depths: Sequence[float], *, total: bool
 ) -> None:
-    looks = depth_looks(depths)
+    looks = depth_styles(depths)
     for depth in depths:
         colour, style, _ = looks[depth]
         part = lines[(lines["depth_mm"] == depth) & (lines["cause"] == cause)]
@@ -201,7 +201,7 @@ def model_errors_view(errors: pd.DataFrame, *, title: str = "Simpler models", tw
     )
     figure = new_figure(36.0 + 12.0 * len(names), head, twin=twin)
     ax = figure.subplots()
-    looks = depth_looks(depths)
+    looks = depth_styles(depths)
     step = 0.5 / max(len(depths) - 1, 1)
     for k, depth in enumerate(depths):
         colour, _, marker = looks[depth]

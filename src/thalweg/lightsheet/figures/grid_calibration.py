@@ -13,7 +13,7 @@ from thalweg.core import AnyArray, ArrayF, CoverageError, root_mean_square
 from thalweg.figures import GREY, ORANGE, count, new_figure, plural, styled
 from thalweg.figures.calibration import Oblique
 from thalweg.lightsheet.figures.views import (
-    DEPTH_LOOKS,
+    DEPTH_STYLES,
     GLASS_COLOUR,
     LIGHT_COLOUR,
     axes_cross,
@@ -92,7 +92,7 @@ def _image(
         ax.plot(line[:, 0], line[:, 1], color=ORANGE, lw=0.5, alpha=0.8, zorder=2)
     ax.plot([], [], color=ORANGE, lw=0.8, label=f"ends on one sub-beam: {len(ends)}")
     for k, level in enumerate(levels):
-        colour, _, marker = DEPTH_LOOKS[k]
+        colour, _, marker = DEPTH_STYLES[k]
         mine = residuals[residuals["level"].astype(str) == level]
         shown = mine[mine["used"].astype(bool)]
         step = max(1, -(-len(shown) // _MOST_POINTS))
@@ -156,7 +156,7 @@ def _space(ax: Axes, sensor: Sensor, pairs: pd.DataFrame, levels: Sequence[str])
     for path in beams:
         ax.plot(*view.apply(path)[0].T, color=LIGHT_COLOUR, lw=0.9, zorder=6, gid="beam")
     for (points, k), paths in zip(ends, rays, strict=True):
-        colour, _, marker = DEPTH_LOOKS[k]
+        colour, _, marker = DEPTH_STYLES[k]
         for path in paths:
             ax.plot(*view.apply(path)[0].T, color=colour, lw=0.5, alpha=0.7, zorder=7, gid="ray")
         ax.plot(*view.apply(points)[0].T, ls="none", marker=marker, ms=3, color=colour, zorder=9)
@@ -182,7 +182,7 @@ def _image_rays(sensor: Sensor, pairs: pd.DataFrame, name: str, points: ArrayF) 
 def _residuals(ax: Axes, residuals: pd.DataFrame, levels: Sequence[str]) -> None:
     along = "y_px" if np.ptp(residuals["y_px"]) >= np.ptp(residuals["x_px"]) else "x_px"
     for k, level in enumerate(levels):
-        colour, _, marker = DEPTH_LOOKS[k]
+        colour, _, marker = DEPTH_STYLES[k]
         mine = residuals[(residuals["level"].astype(str) == level) & residuals["used"].astype(bool)]
         rms = root_mean_square(mine["residual_px"]) if len(mine) else float("nan")
         ax.plot(

@@ -34,7 +34,7 @@ _SIZES: Final[dict[Method, float]] = {"row_gauss": 4.5, "lsm": 4.5, "speckle_pat
 _SMOOTH_DEGREE: Final = 8
 _BESIDE: Final = 6.0
 """Half widths of the line that a detail shows on either side."""
-_PROFILE_LOOKS: Final = ((BLUE, "-", "o"), (VERMILION, "--", "s"), (ORANGE, "-.", "^"))
+_PROFILE_STYLES: Final = ((BLUE, "-", "o"), (VERMILION, "--", "s"), (ORANGE, "-.", "^"))
 
 SIDE: Final = 15
 """Rows and columns of the patch (P4 4.1)."""
@@ -203,7 +203,7 @@ def _profiles(
     """Grey values of adjacent rows, the Gaussian curve of each and where the last method sees the line."""
     names = list(tables)
     own, last = tables[names[0]], tables[names[-1]]
-    for k, (colour, style, marker) in enumerate(_PROFILE_LOOKS[:PROFILE_ROWS]):
+    for k, (colour, style, marker) in enumerate(_PROFILE_STYLES[:PROFILE_ROWS]):
         at = int(middle) + k
         rows = own[(own["y_px"] - at - 0.5).abs() < 0.5]
         if not len(rows) or at >= green.shape[0]:

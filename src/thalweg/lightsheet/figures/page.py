@@ -188,11 +188,11 @@ def scan_words(scan: ScanFiles) -> str:
         f"{count(facts['counts']['used'])} points lie on the {facts['reference']}; "
         f"{plural(bad, 'line')} with a bad pose."
     )
-    honesty = facts["honesty"]
+    consistency = facts["consistency"]
     words.append(
-        f"Root mean square of the distances {honesty['rms_mm']:.3f} mm, predicted "
-        f"{honesty['predicted_mm']:.3f} mm; of the distances over their sigmas "
-        f"{honesty['rms_over_sigma']:.2f}."
+        f"Root mean square of the distances {consistency['rms_mm']:.3f} mm, predicted "
+        f"{consistency['predicted_mm']:.3f} mm; of the distances over their sigmas "
+        f"{consistency['rms_over_sigma']:.2f}."
     )
     if profile is not None:
         words.append(

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from thalweg.core import AnyArray, CoverageError, read_parquet
 from thalweg.figures import BLUE, GREY, HALO, VERMILION, count, legend_below, new_figure, plural, styled
-from thalweg.lightsheet.figures.views import DEPTH_LOOKS, find_image, green_of, need, show_green
+from thalweg.lightsheet.figures.views import DEPTH_STYLES, find_image, green_of, need, show_green
 from thalweg.lightsheet.optics import Sensor, depth_lines, read_sensor
 
 POINTS: Final = ("file", "x_mm", "y_mm", "depth_mm", "sigma_depth_mm", "expected_depth_mm", "x_px", "y_px")
@@ -48,7 +48,7 @@ def panel_distances(
     CoverageError : no panel has points.
     """
     need(points, POINTS, "points on the panels"), need(panels, PANELS, "panels")
-    shown = panels.head(len(DEPTH_LOOKS))
+    shown = panels.head(len(DEPTH_STYLES))
     off = points["depth_mm"] - points["expected_depth_mm"]
     head = (
         f"{title}: mean {signed(off.mean())} mm, standard deviation {off.std():.3f} mm, "
@@ -113,7 +113,7 @@ def _detail(ax: Axes, sensor: Sensor, image: AnyArray, points: pd.DataFrame, sho
     for k, line in enumerate(lines):
         if not len(line.xy_px):
             continue
-        colour, style, _ = DEPTH_LOOKS[k]
+        colour, style, _ = DEPTH_STYLES[k]
         ax.plot(
             *line.xy_px.T,
             color=colour,
@@ -151,7 +151,7 @@ def _inside(ax: Axes, xy: AnyArray) -> bool:
 
 
 def _distances(ax: Axes, mine: pd.DataFrame, row: pd.Series, along: str, k: int, limit: float) -> None:
-    colour, _, marker = DEPTH_LOOKS[k]
+    colour, _, marker = DEPTH_STYLES[k]
     off = (mine["depth_mm"] - mine["expected_depth_mm"]).to_numpy()
     ax.plot(mine[along], off, ls="none", marker=marker, ms=1.8, color=colour, mew=0.0, gid=f"distances {k}")
     ax.axhline(0.0, color="0.3", lw=0.6)

@@ -19,7 +19,7 @@ from thalweg.core import AnyArray, ArrayF, ArrayU8, GeometryError, InputError, r
 from thalweg.core.geometry import RayCaster, TriangleMesh, read_mesh
 from thalweg.figures import HEIGHT_MAP, count, new_figure, plural, read_picture, styled
 from thalweg.figures.calibration import Oblique
-from thalweg.lightsheet.figures.views import DEPTH_LOOKS, axes_cross, need
+from thalweg.lightsheet.figures.views import DEPTH_STYLES, axes_cross, need
 
 LIGHT: Final = np.array([-0.35, 0.45, 0.82])
 """Where the light comes from: to the right, up in the picture, toward the viewer."""
@@ -247,7 +247,7 @@ def _levels(ax: Axes, used: pd.DataFrame, levels: Sequence[Mapping[str, Any]]) -
     stated = np.array([float(level["height_mm"]) for level in levels])
     nearest = np.argmin(np.abs(z[:, None] - stated), axis=1)
     for k, level in enumerate(levels):
-        colour, _, marker = DEPTH_LOOKS[k]
+        colour, _, marker = DEPTH_STYLES[k]
         mine = nearest == k
         words = (
             f"{stated[k]:g} mm: {level['measured_mm']:.3f} mm, rms {level['rms_own_plane_mm']:.3f} mm, "

@@ -28,7 +28,7 @@ from thalweg.lightsheet.optics import Sensor, read_sensor
 from thalweg.lightsheet.poses import SensorPoses, read_panel, read_poses, read_standing_camera, sigmas_at
 
 POINTS: Final = ("file", "x_m", "y_m", "z_m")
-LOOKS: Final = ((VERMILION, "o"), (GREEN, "s"), (BLUE, "^"))
+STYLES: Final = ((VERMILION, "o"), (GREEN, "s"), (BLUE, "^"))
 """Colour and marker of the panel's marks in the first, the middle and the last image."""
 
 VIEW: Final = Oblique(azimuth_deg=62.0, elevation_deg=24.0)
@@ -120,7 +120,7 @@ def _three(
     """Marks, camera and laser at some images in two coordinates of the standing camera's frame."""
     i, j = axes
     camera, laser = sensor.camera_origin_lcs_mm / _MM_PER_M, sensor.sheet.origin_lcs_mm / _MM_PER_M
-    for k, (colour, marker) in zip(three, LOOKS, strict=False):
+    for k, (colour, marker) in zip(three, STYLES, strict=False):
         marks, both = (
             part @ poses.R_target_lcs[k].T + poses.shift_m[k] for part in (panel_m, np.stack([camera, laser]))
         )
@@ -159,7 +159,7 @@ def _whole(
         marker="o",
         ms=2.0,
         mew=0,
-        color=LOOKS[1][0],
+        color=STYLES[1][0],
         zorder=8,
         gid="panel",
     )

@@ -27,7 +27,7 @@ from thalweg.figures import (
 )
 from thalweg.figures.calibration import Oblique
 from thalweg.lightsheet.figures.views import (
-    DEPTH_LOOKS,
+    DEPTH_STYLES,
     GLASS_COLOUR,
     LIGHT_COLOUR,
     WATER_COLOUR,
@@ -73,7 +73,7 @@ _DRAWN: Final = 15
 
 DEPTHS_MM: Final = (0.0, 50.0, 125.0, 250.0)
 """Reference depths of P4 Fig. 11 and 12."""
-STATUS_LOOKS: Final = {
+STATUS_STYLES: Final = {
     Status.NO_SHEET: ("sheet not seen", "0.80", "////"),
     Status.ABOVE_WINDOW: ("sheet above the window", "0.92", "...."),
     Status.GRAZING: ("grazing", "0.7", "xxxx"),
@@ -435,7 +435,7 @@ def _status(ax: Axes, grid: PictureGrid) -> None:
     ax.set_xlim(x[0], x[-1])
     ax.set_ylim(y[-1], y[0])
     ax.set_aspect("equal")
-    for status, (words, colour, hatch) in STATUS_LOOKS.items():
+    for status, (words, colour, hatch) in STATUS_STYLES.items():
         mine = grid.status == int(status)
         if not mine.any():
             continue
@@ -460,7 +460,7 @@ def _status(ax: Axes, grid: PictureGrid) -> None:
 
 def _isolines(ax: Axes, lines: Sequence[DepthLine], sensor: Sensor) -> None:
     for k, line in enumerate(lines):
-        colour, style, _ = DEPTH_LOOKS[k]
+        colour, style, _ = DEPTH_STYLES[k]
         ax.plot(
             *line.xy_px.T,
             color=colour,
@@ -483,7 +483,7 @@ def _views(axes: Sequence[Axes], border: ArrayF, lines: Sequence[DepthLine], sen
     for ax, (words, i, j) in zip(axes, views, strict=True):
         ax.plot(ring[:, i], ring[:, j], color=GREY, lw=0.9, gid="border")
         for k, line in enumerate(lines):
-            colour, style, _ = DEPTH_LOOKS[k]
+            colour, style, _ = DEPTH_STYLES[k]
             points = line.xyz_lcs_mm.copy()
             points[:, 2] = sensor.window.depth_mm(points)
             ax.plot(points[:, i], points[:, j], color=colour, ls=style, lw=1.8)

@@ -39,7 +39,7 @@ _CM_PER_M: Final = 100.0
 
 PLACES: Final = ("along_m", "across_m", "depth_m", "instrument")
 TABLE: Final = ("from_m", "to_m", "area_m2", "share_echo", "share_laser", "share_joint")
-LOOKS: Final = (("echo sounder", BLUE), ("light sheet", GREEN))
+STYLES: Final = (("echo sounder", BLUE), ("light sheet", GREEN))
 _MOST: Final = 20_000
 
 
@@ -247,7 +247,7 @@ def joint_survey_figure(
     InputError : an empty table, or one that lacks columns.
     """
     need(places, PLACES, "places of the survey"), need(table, TABLE, "shares by depth")
-    own = {name: places[places["instrument"] == name] for name, _ in LOOKS}
+    own = {name: places[places["instrument"] == name] for name, _ in STYLES}
     alone, joint = (
         f"{100 * facts[f'rmse_section_{name}_m']:.1f}\N{NO-BREAK SPACE}cm" for name in ("echo", "joint")
     )
@@ -277,7 +277,7 @@ def _joint_section(ax: Axes, section: pd.DataFrame, own: Mapping[str, pd.DataFra
     ax.fill_between(section["across_m"], 0.0, section["depth_m"], color=WATER_COLOUR, lw=0)
     ax.plot(section["across_m"], section["depth_m"], color="0.35", lw=0.9, label="bed", gid="bed")
     ax.axhline(0.0, color=BLUE, lw=0.6)
-    for name, colour in LOOKS:
+    for name, colour in STYLES:
         mine = own[name].iloc[:: max(1, len(own[name]) // _MOST)]
         ax.plot(
             mine["across_m"],
@@ -296,7 +296,7 @@ def _joint_section(ax: Axes, section: pd.DataFrame, own: Mapping[str, pd.DataFra
 
 def _joint_plan(ax: Axes, track: pd.DataFrame, own: Mapping[str, pd.DataFrame]) -> None:
     ax.plot(track["along_m"], track["across_m"], color=GREY, lw=0.5, gid="track")
-    for name, colour in LOOKS:
+    for name, colour in STYLES:
         mine = own[name].iloc[:: max(1, len(own[name]) // _MOST)]
         ax.plot(
             mine["along_m"],

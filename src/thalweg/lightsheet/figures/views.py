@@ -19,7 +19,7 @@ from thalweg.lightsheet.lines import LineSettings, green_image
 from thalweg.lightsheet.optics import Window, directions_to_points, refract_to_water
 from thalweg.lightsheet.poses import read_sheet_image
 
-DEPTH_LOOKS: Final = (
+DEPTH_STYLES: Final = (
     (BLUE, "-", "o"),
     (VERMILION, "--", "s"),
     (GREEN, "-.", "^"),
@@ -167,9 +167,9 @@ def axes_cross(ax: Axes, view: Oblique, at_mm: ArrayF, length_mm: float) -> None
         )
 
 
-def depth_looks(depths_mm: Sequence[float]) -> Mapping[float, tuple[str, str, str]]:
+def depth_styles(depths_mm: Sequence[float]) -> Mapping[float, tuple[str, str, str]]:
     """Colour, line and marker of each depth."""
-    return {depth: DEPTH_LOOKS[k % len(DEPTH_LOOKS)] for k, depth in enumerate(depths_mm)}
+    return {depth: DEPTH_STYLES[k % len(DEPTH_STYLES)] for k, depth in enumerate(depths_mm)}
 
 
 def along_and_off(x: ArrayF, y: ArrayF) -> tuple[ArrayF, ArrayF]:

@@ -48,8 +48,8 @@ from thalweg.lightsheet.scanning.distances import (
     MeshDistances,
     bimodality,
     border_effect,
+    consistency,
     filtered,
-    honesty,
     mesh_distances,
     normality,
 )
@@ -360,7 +360,7 @@ def _shared_facts(
         "line_limit_scale": check.scale,
         "sigma0": sigma0,
         "shape": normality(distances.distance_mm[used], share),
-        "honesty": honesty(distances.distance_mm, distances.sigma_mm, used),
+        "consistency": consistency(distances.distance_mm, distances.sigma_mm, used),
         "independent_share": share,
     }
 

@@ -247,7 +247,7 @@ def normality(distance_mm: ArrayF, independent_share: float = 1.0) -> dict[str, 
     }
 
 
-def honesty(distance_mm: ArrayF, sigma_mm: ArrayF, keep: AnyArray) -> dict[str, Any]:
+def consistency(distance_mm: ArrayF, sigma_mm: ArrayF, keep: AnyArray) -> dict[str, Any]:
     """Observed against predicted: RMS of the distances, of their sigmas, and of their ratio."""
     d, s = distance_mm[keep], sigma_mm[keep]
     return {

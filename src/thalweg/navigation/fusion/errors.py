@@ -51,7 +51,7 @@ SHARE: Final = "gnss_white_share"
 LEAST_POINTS: Final = 16
 """Solutions over which the uncertainty of the errors is averaged, at least."""
 
-TOLD: Final = 0.5
+DETERMINED: Final = 0.5
 """A value counts as told by the survey if its sigma is at most this part of the prior's."""
 
 _STEP: Final = 3e-3
@@ -159,7 +159,7 @@ class FusionErrors:
 
     def untold(self) -> list[str]:
         """Names that the survey says next to nothing of."""
-        return [name for name, fact in self.facts().items() if not fact["told_by_survey"]]
+        return [name for name, fact in self.facts().items() if not fact["determined_by_survey"]]
 
     def notes(self) -> list[str]:
         """For people: what the survey does not show of its errors, if anything."""
@@ -185,7 +185,7 @@ def _fact(prior: Prior, h: float, sigma: float) -> dict[str, Any]:
         "estimated": prior.value(h),
         "low": prior.value(h - 1.96 * sigma),
         "high": prior.value(h + 1.96 * sigma),
-        "told_by_survey": bool(sigma <= TOLD * np.log(prior.width)),
+        "determined_by_survey": bool(sigma <= DETERMINED * np.log(prior.width)),
     }
 
 

@@ -1,4 +1,4 @@
-"""Positions between their epochs, smoothly and with an honest covariance.
+"""Positions between their epochs, smoothly and with a consistent covariance.
 
 Two ways. `interpolate_positions` lays a cubic spline through each unbroken run of epochs.
 `bridge_with_velocity` follows the velocity of the INS from epoch to epoch and spreads linearly what it

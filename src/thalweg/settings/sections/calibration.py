@@ -55,7 +55,7 @@ class CameraLidarFit(Section):
 
 
 class RunErrors(Section):
-    """How the poses of the run err: errors that last are what an honest calibration must know of.
+    """How the poses of the run err: errors that last are what a consistent calibration must know of.
 
     Where they are estimated (`ins_lidar.estimate_errors`) these values are prior knowledge: one sigma is a
     factor of 2 of a size, of 3 of a time, and of 5 of ``w / (1 - w)`` of the white share w.

@@ -220,7 +220,7 @@ class BlockAdjustment(Section):
     reject_limit: Positive = Field(
         default=5.0, le=100, description="Residual over its sigma beyond which a measurement is left out"
     )
-    restless_limit: Positive = Field(
+    disturbed_limit: Positive = Field(
         default=4.0,
         le=1000,
         description="Variance of the errors around a point over the usual one beyond which its surroundings "

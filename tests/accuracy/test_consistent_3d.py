@@ -11,29 +11,29 @@ from thalweg_lab.studies.trials import MISTAKES, NONE, Trial, Verdict, trial, ve
 
 
 @pytest.fixture(scope="module")
-def honest(surveys: list[Trial]) -> Verdict:
+def consistent(surveys: list[Trial]) -> Verdict:
     return verdict([survey.in_3d[NONE.name] for survey in surveys])
 
 
-def test_predicted_and_observed_agree(honest: Verdict) -> None:
-    assert 0.9 < honest.ratio < 1.1
-    assert honest.ratio_low < honest.ratio < honest.ratio_high
+def test_predicted_and_observed_agree(consistent: Verdict) -> None:
+    assert 0.9 < consistent.ratio < 1.1
+    assert consistent.ratio_low < consistent.ratio < consistent.ratio_high
     # narrow enough to see sigmas that are 12 % wrong
-    assert honest.ratio_high < 1.12
+    assert consistent.ratio_high < 1.12
 
 
-def test_normalised_errors_are_inside_their_band(honest: Verdict) -> None:
+def test_normalised_errors_are_inside_their_band(consistent: Verdict) -> None:
     """Not the length of the errors alone: their direction too is that of the ellipsoids."""
-    assert honest.normalised_low < honest.normalised < honest.normalised_high
-    assert honest.normalised_high < 1.12
+    assert consistent.normalised_low < consistent.normalised < consistent.normalised_high
+    assert consistent.normalised_high < 1.12
 
 
-def test_no_range_class_is_outside_its_band(honest: Verdict) -> None:
-    table = honest.by_range
+def test_no_range_class_is_outside_its_band(consistent: Verdict) -> None:
+    table = consistent.by_range
     assert len(table) > 40
     assert (table["surveys"] > 8).all()
     assert table["inside"].all(), table[~table["inside"]]
-    assert honest.honest
+    assert consistent.consistent
 
 
 @pytest.mark.parametrize("factor", [0.8, 1.25])
@@ -43,14 +43,14 @@ def test_wrong_sigmas_are_seen_both_ways(surveys: list[Trial], factor: float) ->
     assert not wrong.ratio_low < wrong.ratio < wrong.ratio_high
     assert not wrong.normalised_low < wrong.normalised < wrong.normalised_high
     assert not wrong.by_range["inside"].all()
-    assert not wrong.honest
+    assert not wrong.consistent
 
 
 def test_a_boresight_of_a_tenth_of_a_degree_is_noticed(surveys: list[Trial]) -> None:
     """It doubles the variance of roll alone: the ellipsoids no longer fit, though the errors' length may."""
     wrong = verdict([survey.in_3d[MISTAKES[0].name] for survey in surveys])
     assert wrong.normalised > wrong.normalised_high
-    assert not wrong.honest
+    assert not wrong.consistent
 
 
 @pytest.mark.parametrize(
@@ -79,4 +79,4 @@ def test_on_the_whole_river_too(tmp_path: Path) -> None:
         "gnss": {"correlation_time_s": 0.5},
     }
     found = verdict([trial(seed, tmp_path, twin=twin, mesh=False).in_3d[NONE.name] for seed in range(60)])
-    assert found.honest, found
+    assert found.consistent, found

@@ -8,10 +8,10 @@ counted. With the sums ``o_k`` of squared errors and ``p_k`` of predicted varian
 
 estimate the ratio of observed to predicted variance and the variance of that estimate (ratio estimator;
 Cochran 1977, 6.3). ``log q`` is nearly normal for chi-square sums of a dozen and more values. Sigmas that are
-honest leave it within ``t s / q`` of 0, with Student's quantile for ``m - 1`` degrees of freedom. The number
-of surveys ``m`` is the effective one, ``(sum p_k)^2 / sum p_k^2`` (Kish 1965), as not all surveys have
+consistent leave it within ``t s / q`` of 0, with Student's quantile for ``m - 1`` degrees of freedom. The
+number of surveys ``m`` is the effective one, ``(sum p_k)^2 / sum p_k^2`` (Kish 1965), as not all surveys have
 equally many points of a class. Statements about several classes share the level after Bonferroni: with the
-stated probability none of them is outside its band if all are honest.
+stated probability none of them is outside its band if all are consistent.
 
 The ratio that is printed is that of the thesis: predicted over observed RMSE, ``1 / sqrt(q)``.
 """
@@ -40,18 +40,18 @@ COLUMNS: Final = (
     "ratio_high",
     "inside",
 )
-"""Columns of `honesty_by_range`."""
+"""Columns of `consistency_by_range`."""
 
 
 def ratio_of_surveys(
     observed: ArrayF, predicted: ArrayF, *, level: float = 0.95
 ) -> tuple[float, float, float, float]:
-    """Ratio of predicted to observed RMSE over surveys, and the band in which honest sigmas leave it.
+    """Ratio of predicted to observed RMSE over surveys, and the band in which consistent sigmas leave it.
 
     Parameters
     ----------
     observed, predicted : (m,) sums over the points of each survey: of squared errors, of predicted variances.
-    level : probability that the band holds the ratio of honest sigmas.
+    level : probability that the band holds the ratio of consistent sigmas.
 
     Returns
     -------
@@ -82,7 +82,7 @@ def ratio_of_surveys(
     return float(q**-0.5), float(np.exp(-reach / 2)), float(np.exp(reach / 2)), m
 
 
-def honesty_by_range(
+def consistency_by_range(
     survey: ArrayI,
     range_m: ArrayF,
     squared: ArrayF,
@@ -101,7 +101,7 @@ def honesty_by_range(
     survey : (n,) number of the survey that a point belongs to.
     range_m : (n,) measured range.
     squared, predicted : (n,) squared error and predicted variance of the same quantity.
-    level : probability that all classes together lie inside their bands if the sigmas are honest.
+    level : probability that all classes together lie inside their bands if the sigmas are consistent.
     least_surveys : least effective number of surveys in a class.
 
     Returns

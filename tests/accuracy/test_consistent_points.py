@@ -58,41 +58,41 @@ def normalised(study_errors: list[PointErrors], near_m: float = 0.0, far_m: floa
 def band(seeds: int) -> tuple[float, float]:
     """95 % band of the mean over the seeds if one error of that correlation time made all of it.
 
-    Several independent errors add up in each point, so that honest sigmas stay inside more often than that.
+    Several independent errors add up in each point, so consistent sigmas stay inside more often than that.
     """
     times = np.linspace(0.0, DURATION_S, 1000)
     return chi_square_band(seeds * independent_squares(times, np.ones(times.size), CORRELATION_S))
 
 
 @pytest.fixture(scope="module")
-def honest(tmp_path_factory: pytest.TempPathFactory) -> list[PointErrors]:
-    return study(tmp_path_factory.mktemp("honest"))
+def consistent(tmp_path_factory: pytest.TempPathFactory) -> list[PointErrors]:
+    return study(tmp_path_factory.mktemp("consistent"))
 
 
-def test_normalised_errors_are_inside_their_band(honest: list[PointErrors]) -> None:
+def test_normalised_errors_are_inside_their_band(consistent: list[PointErrors]) -> None:
     low, high = band(SEEDS)
     assert high - low < 0.45  # sigmas that are 11 % too small or too large would be seen
-    values = normalised(honest)
+    values = normalised(consistent)
     assert low < values.mean() < high, values
 
 
 @pytest.mark.parametrize(("near_m", "far_m"), [(0.0, 17.0), (17.0, 25.0), (25.0, 100.0)])
-def test_near_and_far_alike(honest: list[PointErrors], near_m: float, far_m: float) -> None:
+def test_near_and_far_alike(consistent: list[PointErrors], near_m: float, far_m: float) -> None:
     """Too small a sigma far away must not be made up for by too large a one near by."""
     low, high = band(SEEDS)
-    assert low < normalised(honest, near_m, far_m).mean() < high
+    assert low < normalised(consistent, near_m, far_m).mean() < high
 
 
-def test_95_percent_of_the_points_are_within_1_96_sigma(honest: list[PointErrors]) -> None:
-    shares = [np.mean(np.abs(e.error_m[e.bare_ground]) < 1.96 * e.sigma_m[e.bare_ground]) for e in honest]
+def test_95_percent_of_the_points_are_within_1_96_sigma(consistent: list[PointErrors]) -> None:
+    shares = [np.mean(np.abs(e.error_m[e.bare_ground]) < 1.96 * e.sigma_m[e.bare_ground]) for e in consistent]
     # shares of seeds scatter with their few independent errors: the mean is known to std / sqrt(24)
     assert abs(np.mean(shares) - 0.95) < 3 * np.std(shares, ddof=1) / np.sqrt(SEEDS)
     assert abs(np.mean(shares) - 0.95) < 0.02
 
 
-def test_errors_of_seeds_have_no_common_sign(honest: list[PointErrors]) -> None:
+def test_errors_of_seeds_have_no_common_sign(consistent: list[PointErrors]) -> None:
     """A bias shared by all seeds would be an error of the chain, not of the sensors."""
-    means = np.array([np.mean((e.error_m / e.sigma_m)[e.bare_ground]) for e in honest])
+    means = np.array([np.mean((e.error_m / e.sigma_m)[e.bare_ground]) for e in consistent])
     assert abs(means.mean()) < 3 * means.std(ddof=1) / np.sqrt(SEEDS)
 
 
@@ -111,9 +111,9 @@ def test_an_effect_that_the_model_does_not_know_is_seen(tmp_path: Path, unknown:
     assert normalised(study(tmp_path, seeds, **unknown)).mean() > band(seeds)[1]
 
 
-def test_sigmas_that_promise_too_little_are_seen(honest: list[PointErrors]) -> None:
+def test_sigmas_that_promise_too_little_are_seen(consistent: list[PointErrors]) -> None:
     """Two-sided: claimed sigmas a quarter too large leave the band below."""
-    modest = [dataclasses.replace(errors, sigma_m=1.25 * errors.sigma_m) for errors in honest]
+    modest = [dataclasses.replace(errors, sigma_m=1.25 * errors.sigma_m) for errors in consistent]
     assert normalised(modest).mean() < band(SEEDS)[0]
 
 

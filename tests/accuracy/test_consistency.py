@@ -1,10 +1,10 @@
-"""Bands over surveys: do they hold honest sigmas as often as they promise, and no others?"""
+"""Bands over surveys: do they hold consistent sigmas as often as they promise, and no others?"""
 
 import numpy as np
 import pytest
 
 from thalweg.core import CoverageError
-from thalweg_lab.truth import honesty_by_range, ratio_of_surveys
+from thalweg_lab.truth import consistency_by_range, ratio_of_surveys
 
 
 def surveys(rng: np.random.Generator, m: int, independent: int) -> tuple[np.ndarray, np.ndarray]:
@@ -46,14 +46,14 @@ def test_one_survey_tells_no_spread() -> None:
     with pytest.raises(CoverageError, match="1 surveys with points"):
         ratio_of_surveys(np.array([1.0, 0.0]), np.array([1.0, 0.0]))
     with pytest.raises(CoverageError, match="1 surveys with points"):
-        honesty_by_range(np.zeros(5, dtype=int), *(np.ones(5) for _ in range(3)))
+        consistency_by_range(np.zeros(5, dtype=int), *(np.ones(5) for _ in range(3)))
 
 
 def test_classes_are_those_of_the_thesis_and_thin_ones_are_joined(rng: np.random.Generator) -> None:
     number = np.repeat(np.arange(20), 500)
     # the border of a class belongs to the lower one: D - 0.5 < d <= D + 0.5
     range_m = np.concatenate([rng.choice([9.51, 10.5, 10.51, 11.2], 9900), rng.uniform(30.0, 90.0, 100)])
-    table = honesty_by_range(number, range_m, rng.normal(size=10_000) ** 2, np.ones(10_000))
+    table = consistency_by_range(number, range_m, rng.normal(size=10_000) ** 2, np.ones(10_000))
     assert table["n"].sum() == 10_000
     assert table["range_from_m"].tolist()[:2] == [9.5, 10.5]
     near = (range_m > 9.5) & (range_m <= 10.5)
@@ -68,8 +68,8 @@ def test_classes_are_those_of_the_thesis_and_thin_ones_are_joined(rng: np.random
 def test_more_classes_widen_each_band(rng: np.random.Generator) -> None:
     number, range_m = np.repeat(np.arange(30), 400), np.tile(np.arange(400) % 20 + 10.0, 30)
     squared = np.repeat(rng.chisquare(3, 30) / 3, 400)
-    many = honesty_by_range(number, range_m, squared, np.ones(12_000))
-    one = honesty_by_range(number, np.full(12_000, 10.0), squared, np.ones(12_000))
+    many = consistency_by_range(number, range_m, squared, np.ones(12_000))
+    one = consistency_by_range(number, np.full(12_000, 10.0), squared, np.ones(12_000))
     assert len(many) == 20
     # the same spread in each class: t quantile of 0.05 / 20 over that of 0.05, 29 degrees of freedom
     widening = np.log(many["ratio_high"].iloc[0]) / np.log(one["ratio_high"].iloc[0])
@@ -87,14 +87,14 @@ def test_two_surveys_by_hand() -> None:
 
 
 def test_points_without_a_predicted_variance_are_refused() -> None:
-    """A sigma of zero, or none, is a mistake: left out, it would make the others look honest."""
+    """A sigma of zero, or none, is a mistake: left out, it would make the others look consistent."""
     number, range_m, ones = np.repeat(np.arange(20), 2), np.tile([10.0, 30.0], 20), np.ones(40)
     for wrong in (0.0, -1.0, np.nan):
         for where in (range_m == 30.0, np.arange(40) == 7):
             with pytest.raises(CoverageError, match=rf"40 points, {where.sum()} of them without a predicted"):
-                honesty_by_range(number, range_m, ones, np.where(where, wrong, ones))
+                consistency_by_range(number, range_m, ones, np.where(where, wrong, ones))
     with pytest.raises(CoverageError, match="0 points"):
-        honesty_by_range(np.empty(0, dtype=int), *(np.empty(0) for _ in range(3)))
+        consistency_by_range(np.empty(0, dtype=int), *(np.empty(0) for _ in range(3)))
     with pytest.raises(CoverageError, match="1 surveys with errors but without a predicted variance"):
         ratio_of_surveys(np.array([1.0, 2.0, 3.0, 0.0]), np.array([1.0, 2.0, 0.0, 0.0]))
 
@@ -105,7 +105,7 @@ def test_a_table_of_two_classes_by_hand() -> None:
     Class 10: squares 10 and 8 against 5 and 5; class 11 is empty; class 12: 36 and 64 against 9 and 9. Two
     equal surveys count two. Level 0.9 for both classes is 0.95 for each: 12.706 spreads by Student.
     """
-    table = honesty_by_range(
+    table = consistency_by_range(
         np.array([7, 7, 7, 3, 3, 3]),
         np.array([9.6, 10.5, 12.0, 10.0, 10.2, 12.4]),
         np.square([1.0, 3.0, 6.0, 2.0, 2.0, 8.0]),
@@ -135,12 +135,12 @@ def test_a_table_of_two_classes_by_hand() -> None:
 def test_what_is_left_at_the_far_end_is_joined_with_the_last_class() -> None:
     """Both surveys see 10 and 12 m, one alone 13 and 14 m."""
     number, range_m = np.array([0, 0, 0, 0, 1, 1]), np.array([10.0, 12.0, 13.0, 14.0, 10.0, 12.0])
-    table = honesty_by_range(number, range_m, np.ones(6), np.ones(6), least_surveys=1.5)
+    table = consistency_by_range(number, range_m, np.ones(6), np.ones(6), least_surveys=1.5)
     assert table["range_from_m"].tolist() == [9.5, 10.5]
     assert table["range_to_m"].tolist() == [10.5, 14.5]
     assert table["n"].tolist() == [2, 4]
     # 3 points and 1: 4^2 / (3^2 + 1^2)
     assert table["surveys"].tolist() == pytest.approx([2.0, 1.6])
     # where no class has enough surveys, one holds all
-    alone = honesty_by_range(number, range_m, np.ones(6), np.ones(6), least_surveys=3.0)
+    alone = consistency_by_range(number, range_m, np.ones(6), np.ones(6), least_surveys=3.0)
     assert alone[["range_from_m", "range_to_m", "n"]].to_numpy().tolist() == [[9.5, 14.5, 6]]

@@ -7,41 +7,41 @@ meshed. It errs anew with each seed; its stations by 5 mm, as section ``referenc
 import numpy as np
 import pytest
 
-from thalweg_lab.studies.trials import MISTAKES, NONE, QUANTITIES, Trial, Verdict, honesty_tables, verdict
+from thalweg_lab.studies.trials import MISTAKES, NONE, QUANTITIES, Trial, Verdict, consistency_tables, verdict
 
 
 @pytest.fixture(scope="module")
-def honest(surveys: list[Trial]) -> Verdict:
+def consistent(surveys: list[Trial]) -> Verdict:
     return verdict([survey.to_mesh[NONE.name] for survey in surveys])
 
 
-def test_predicted_and_observed_agree(honest: Verdict) -> None:
-    assert 0.9 < honest.ratio < 1.1
-    assert honest.ratio_low < honest.ratio < honest.ratio_high
+def test_predicted_and_observed_agree(consistent: Verdict) -> None:
+    assert 0.9 < consistent.ratio < 1.1
+    assert consistent.ratio_low < consistent.ratio < consistent.ratio_high
     # narrow enough to see sigmas that are 12 % wrong, as in three dimensions
-    assert honest.ratio_high < 1.12
+    assert consistent.ratio_high < 1.12
 
 
-def test_normalised_errors_are_inside_their_band(honest: Verdict) -> None:
-    assert honest.normalised_low < honest.normalised < honest.normalised_high
+def test_normalised_errors_are_inside_their_band(consistent: Verdict) -> None:
+    assert consistent.normalised_low < consistent.normalised < consistent.normalised_high
     # a square of sigmas that are 10 % wrong is 1.21: it would be seen
-    assert honest.normalised_high < 1.2
+    assert consistent.normalised_high < 1.2
 
 
-def test_no_range_class_is_outside_its_band(honest: Verdict) -> None:
-    assert len(honest.by_range) > 20
-    assert honest.by_range["inside"].all(), honest.by_range[~honest.by_range["inside"]]
-    assert honest.honest
+def test_no_range_class_is_outside_its_band(consistent: Verdict) -> None:
+    assert len(consistent.by_range) > 20
+    assert consistent.by_range["inside"].all(), consistent.by_range[~consistent.by_range["inside"]]
+    assert consistent.consistent
 
 
-def test_a_surface_shows_less_than_the_whole_error(surveys: list[Trial], honest: Verdict) -> None:
+def test_a_surface_shows_less_than_the_whole_error(surveys: list[Trial], consistent: Verdict) -> None:
     """Why P2 eq. 9 is too much for a comparison with a surface, and the normal component is right."""
     whole = verdict([survey.in_3d[NONE.name] for survey in surveys])
     observed = np.sqrt(np.mean([np.mean(survey.to_mesh[NONE.name].squared_m2) for survey in surveys]))
     predicted_3d = np.sqrt(np.mean([np.mean(survey.in_3d[NONE.name].predicted_m2) for survey in surveys]))
     assert predicted_3d / observed > 1.5
-    assert abs(np.log(honest.ratio)) < 0.1
-    assert whole.honest
+    assert abs(np.log(consistent.ratio)) < 0.1
+    assert whole.consistent
 
 
 @pytest.mark.parametrize("factor", [0.8, 1.25])
@@ -50,7 +50,7 @@ def test_wrong_sigmas_are_seen_both_ways(surveys: list[Trial], factor: float) ->
     assert not 0.9 < wrong.ratio < 1.1
     assert not wrong.ratio_low < wrong.ratio < wrong.ratio_high
     assert not wrong.normalised_low < wrong.normalised < wrong.normalised_high
-    assert not wrong.honest
+    assert not wrong.consistent
 
 
 def test_a_boresight_of_a_tenth_of_a_degree_is_noticed(surveys: list[Trial]) -> None:
@@ -75,13 +75,13 @@ def test_a_lever_arm_and_a_clock_that_are_wrong_are_noticed(
     assert wrong.normalised > wrong.normalised_high
 
 
-def test_the_table_says_the_same(surveys: list[Trial], honest: Verdict) -> None:
-    verdicts, by_range = honesty_tables(surveys)
+def test_the_table_says_the_same(surveys: list[Trial], consistent: Verdict) -> None:
+    verdicts, by_range = consistency_tables(surveys)
     assert len(verdicts) == 4  # two quantities, right and wrong
     row = verdicts[(verdicts["quantity"] == QUANTITIES["to_mesh"]) & (verdicts["mistake"] == NONE.name)].iloc[
         0
     ]
-    assert row["ratio"] == honest.ratio
-    assert row["honest"]
-    assert verdicts["honest"].tolist() == [True, False, True, False]
+    assert row["ratio"] == consistent.ratio
+    assert row["consistent"]
+    assert verdicts["consistent"].tolist() == [True, False, True, False]
     assert len(by_range) == verdicts["classes"].sum()

@@ -1,4 +1,4 @@
-"""Covariances of the block adjustment are honest when errors along a track are related."""
+"""Covariances of the block adjustment are consistent when errors along a track are related."""
 
 import importlib.util
 import itertools
@@ -62,7 +62,7 @@ def study(options: BlockAdjustment, effects: dict, seeds: int = SEEDS) -> tuple[
     return np.mean(images, axis=0), float(np.mean(joint)), float(np.mean(checks))
 
 
-def check_honest(effects: dict, seeds: int = SEEDS) -> None:
+def check_consistent(effects: dict, seeds: int = SEEDS) -> None:
     each, joint, checks = study(block_scene.OPTIONS, effects, seeds)
     low, high = band(6 * seeds)
     # 24 images of a block err alike: no more than one of them may be just outside the band of one
@@ -75,19 +75,19 @@ def check_honest(effects: dict, seeds: int = SEEDS) -> None:
     assert low < checks < high
 
 
-def test_poses_are_honest_for_errors_that_wander() -> None:
-    check_honest(WANDERING)
+def test_poses_are_consistent_for_errors_that_wander() -> None:
+    check_consistent(WANDERING)
 
 
-def test_poses_of_a_fisheye_are_honest() -> None:
-    check_honest({**WANDERING, "model": "fisheye"}, 10)
+def test_poses_of_a_fisheye_are_consistent() -> None:
+    check_consistent({**WANDERING, "model": "fisheye"}, 10)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", OTHERS)
-def test_poses_are_honest_for_errors_of_other_kinds(kind: str) -> None:
+def test_poses_are_consistent_for_errors_of_other_kinds(kind: str) -> None:
     """Kernels that the model does not have, and none at all."""
-    check_honest(OTHERS[kind])
+    check_consistent(OTHERS[kind])
 
 
 def test_formal_sigmas_are_too_small() -> None:
@@ -98,13 +98,13 @@ def test_formal_sigmas_are_too_small() -> None:
 
 def test_related_errors_are_weighed_better() -> None:
     """Where errors wander, poses themselves become better, not only their sigmas."""
-    error = {name: [] for name in ("formal", "honest")}
+    error = {name: [] for name in ("formal", "consistent")}
     for seed in range(6):
         problem, truth = scene(np.random.default_rng(50 + seed), images=24, points=400, **WANDERING)
-        for name, options in (("formal", FORMAL), ("honest", block_scene.OPTIONS)):
+        for name, options in (("formal", FORMAL), ("consistent", block_scene.OPTIONS)):
             error[name].append(block_scene.pose_errors(adjust_block(problem, options), truth)[:, :3])
     rms = {name: float(np.sqrt(np.square(e).mean())) for name, e in error.items()}
-    assert rms["honest"] < 0.95 * rms["formal"]
+    assert rms["consistent"] < 0.95 * rms["formal"]
 
 
 def residuals_at_truth(seed: int, **effects):
@@ -208,7 +208,9 @@ def test_leaves_in_the_wind_take_no_part() -> None:
     assert found.used[~moving].mean() > 0.9
     _, joint = normalised(found, truth)
     _, spoilt = normalised(
-        adjust_block(swayed, BlockAdjustment(restless_limit=1000.0, interior_variance=1.0, correlated=False)),
+        adjust_block(
+            swayed, BlockAdjustment(disturbed_limit=1000.0, interior_variance=1.0, correlated=False)
+        ),
         truth,
     )
     low, high = band(6 * 24)
