@@ -67,7 +67,8 @@ GROUPS = {
 }
 if workflow.global_resources["_nodes"].value is not None:
     for each in workflow.rules:
-        each.group = GROUPS.get(Path(each.snakefile).stem)
+        if each.name not in workflow.group_settings.overwrite_groups:  # --groups
+            each.group = GROUPS.get(Path(each.snakefile).stem)
 
 
 localrules:

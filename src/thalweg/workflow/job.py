@@ -48,8 +48,8 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
     the log file and an excepthook that writes the traceback there, limits threads, and on success writes
     ``<output>.meta.json``. ``main`` writes into a folder beside the outputs; they get their names when all
     are whole (`staging`). Where another living process writes the same outputs the job waits for it, and
-    keeps what it made if that is of the same inputs, parameters and code. Of some rules results are taken
-    from a cache (`provenance.cache_entry`); a job whose files lie in node-local scratch works there
+    keeps what it made if that is of the same inputs, parameters and code. Of some rules results come from
+    a cache (`provenance.cache_entry`); a job whose files lie in node-local scratch works there
     (`staging.work_in_scratch`).
 
     Raises
