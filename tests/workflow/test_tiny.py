@@ -1,7 +1,9 @@
 """The tiny campaign from raw bytes to pictures: results, idempotence, and exactly the right reruns."""
 
 import json
+import os
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -13,6 +15,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from tests.workflow.conftest import House, rule_names
 
 from thalweg.core import Rigid, Trajectory, read_table
 from thalweg.core.timescales import week_from_gps
@@ -661,3 +664,65 @@ def test_a_change_of_one_instrument_leaves_the_others_alone(tiny_house) -> None:
         assert "build_trajectory" not in again
     finally:
         campaign.write_text(text)
+
+
+# ---------------------------------------------------------------- rules one by one
+
+QUICK = {"align_streams", "trace_river", "validate_bed"}
+"""Rules that `make test` runs alone; `make test-slow` all."""
+
+
+def stamps(folder: Path) -> dict[str, tuple[int, int]]:
+    """Each file of a folder with its size and time."""
+    return {
+        path.relative_to(folder).as_posix(): (path.stat().st_size, path.stat().st_mtime_ns)
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+def within(name: str, outputs: set[str]) -> bool:
+    """Whether a file is one of these, or lies in a folder that is one."""
+    return not outputs.isdisjoint([name, *(parent.as_posix() for parent in Path(name).parents)])
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [
+        pytest.param(rule, marks=() if rule in QUICK else pytest.mark.slow)
+        for rule in sorted(rule_names(House(Path(__file__).parents[2])))
+    ],
+)
+def test_a_rule_alone_makes_its_results_again_and_nothing_else(
+    tiny_house: House, tmp_path: Path, repository: Path, rule: str
+) -> None:
+    """From what the others left, with no other rule allowed; files compared by value."""
+    base = tiny_house.root / BASE
+    records = [json.loads(path.read_text()) for path in sorted(base.rglob("*.meta.json"))]
+    own = [record for record in records if record["rule"] == rule]
+    if not own:
+        pytest.skip("makes nothing of this campaign")
+    made = [record["output"] for record in own]
+    if not all(
+        (tiny_house.root / name).exists() for record in own for name in [record["output"], *record["inputs"]]
+    ):
+        pytest.skip("takes or makes files that a run removes")
+    shutil.copytree(base, tmp_path / "all", copy_function=os.link)  # results are replaced, never overwritten
+    before = stamps(base)
+    tiny_house.snakemake(made[0], "--force", "--config", "campaign=tiny", "--allowed-rules", rule)
+    after = stamps(base)
+    renewed = {name for name, stamp in after.items() if before.get(name) != stamp}
+    for name in renewed:
+        for tree, source in (("before", tmp_path / "all"), ("after", base)):
+            (tmp_path / tree / name).parent.mkdir(parents=True, exist_ok=True)
+            if (source / name).is_file():
+                os.link(source / name, tmp_path / tree / name)
+    shutil.rmtree(base)
+    (tmp_path / "all").rename(base)  # as if nothing had happened, for the tests after this one
+    assert before.keys() == after.keys()
+    names = {name.removeprefix(f"{BASE}/") for name in made}
+    assert renewed
+    assert {name for name in renewed if not within(name.removesuffix(".meta.json"), names)} == set()
+    golden = runpy.run_path(str(repository / "tests/golden/compare.py"))
+    different = list(golden["differences"](tmp_path / "before", tmp_path / "after", tolerance=1e-9))
+    assert not different, different
