@@ -17,14 +17,12 @@ from thalweg.workflow import (
     pattern_of_epochs,
     read_figures,
     start_driver,
+    use_scratch,
 )
 from thalweg_lab import campaign_files as laboratory
 
 if workflow.storage_settings.default_storage_provider == "fs":
-    # where jobs find the copies that Snakemake makes of their inputs
-    os.environ["THALWEG_STORAGE"] = str(
-        (workflow.storage_settings.local_storage_prefix / "fs").absolute()
-    )
+    use_scratch(workflow.storage_settings.local_storage_prefix / "fs")
 
 if workflow.is_main_process or workflow.remote_exec:
     fork_scripts(after=0 if workflow.is_main_process else 1)

@@ -22,3 +22,4 @@ from .figures import read_figures as read_figures
 from .forked import fork_scripts as fork_scripts
 from .job import job_arguments as job_arguments, run_job as run_job
 from .provenance import other_versions as other_versions
+from .staging import use_scratch as use_scratch

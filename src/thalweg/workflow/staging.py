@@ -205,6 +205,11 @@ SCRATCH: Final = "THALWEG_STORAGE"
 """Variable of the environment with the folder of node-local copies, if a run has one (profiles/storage)."""
 
 
+def use_scratch(folder: Path) -> None:
+    """State for this process and its jobs where the copies lie that Snakemake makes of their inputs."""
+    os.environ[SCRATCH] = str(folder.absolute())
+
+
 def work_in_scratch(job: Any) -> Path | None:
     """Go to the folder of node-local copies, where files have the names that they have in the run's.
 
