@@ -368,6 +368,7 @@ UNREACHED = {
     "workflow/codehash.py": "called by the rules",
     "workflow/campaign_files.py": "called by the rules",
     "workflow/figures.py": "called by the rules",
+    "workflow/forked.py": "called by the rules",
     "workflow/preload.py": "loaded by what forks jobs",
 }
 """Modules of the product outside `settings` that no entry script imports, and why."""

@@ -18,7 +18,7 @@ from thalweg.images.bundle.problem import Antenna, Layout, Problem, moved, start
 from thalweg.settings.sections import BlockAdjustment, Rig as RigSettings
 from thalweg.settings.twin import TwinDualFisheye
 from thalweg_lab.dual_fisheye import TrueRig, true_rig
-from thalweg_lab.studies.rig_study import (
+from thalweg_lab.studies.sensors.rig import (
     EXPOSURES,
     lenses_of,
     one_lens,

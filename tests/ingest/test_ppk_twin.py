@@ -10,7 +10,7 @@ from tests.ingest.raw_gnss import Receiver, simulate_raw_gnss
 
 from thalweg.core import ArrayB, ArrayF, InputError, LocalFrame
 from thalweg.ingest.ppk import PpkOptions, PpkSolution, run_ppk
-from thalweg.ingest.ppk.positions import covariance_enu
+from thalweg.ingest.ppk.trust import covariance_enu
 from thalweg.navigation.ins_gnss import build_trajectory, states_along_course
 
 BASE = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)

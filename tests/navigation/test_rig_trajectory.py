@@ -32,7 +32,7 @@ from thalweg_lab.studies.outage import (
     make_survey,
     pose_errors,
 )
-from thalweg_lab.studies.rig_study import lenses_of, simulated_block
+from thalweg_lab.studies.sensors.rig import lenses_of, simulated_block
 
 SEED = 7
 JITTER_S = 0.02

@@ -14,7 +14,7 @@ import os
 import runpy
 import sys
 from collections.abc import Callable
-from multiprocessing.connection import wait
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from subprocess import CalledProcessError
 from threading import Lock
@@ -59,7 +59,8 @@ def _forking(started: Callable[..., None], context: Any, after: int = 0) -> Call
         from snakemake.benchmark import benchmarked
 
         scratch = script.resources.get("tmpdir")
-        job = context.Process(target=_run, args=(fname, Path.cwd(), script.threads, scratch))
+        begin, may_begin = context.Pipe(duplex=False)
+        job = context.Process(target=_run, args=(begin, fname, Path.cwd(), script.threads, scratch))
         try:
             with _EXIT_CODES:
                 job.start()
@@ -67,6 +68,7 @@ def _forking(started: Callable[..., None], context: Any, after: int = 0) -> Call
             started(script, fname, edit=edit)
             return
         with benchmarked(job.pid if script.bench_record is not None else False, script.bench_record):
+            may_begin.send_bytes(b"")  # now that it is measured: a short job would have ended before
             wait([job.sentinel])
             with _EXIT_CODES:
                 job.join()
@@ -77,8 +79,9 @@ def _forking(started: Callable[..., None], context: Any, after: int = 0) -> Call
     return execute_script
 
 
-def _run(script: str, folder: Path, threads: int, scratch: str | None) -> None:
+def _run(begin: Connection, script: str, folder: Path, threads: int, scratch: str | None) -> None:
     """What a fork does: the script as the main module, its errors to the hook that it has set."""
+    begin.recv_bytes()
     os.chdir(folder)
     os.environ.update(dict.fromkeys(_THREADS, str(threads)))
     if scratch:
