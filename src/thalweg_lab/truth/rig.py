@@ -9,8 +9,7 @@ import pandas as pd
 from scipy import ndimage
 
 from thalweg.calibration import LENSES, read_rig
-from thalweg.core import ArrayF, Rigid, iter_laz, read_marked, read_table
-from thalweg.figures import read_picture
+from thalweg.core import ArrayF, InputError, Rigid, decode_picture, iter_laz, read_marked, read_table
 from thalweg.images.model import ImagePoses
 from thalweg.lidar import GAMMA
 from thalweg.panorama import PANORAMAS, pixels_of, sphere_rays
@@ -100,7 +99,9 @@ def _panorama(table: Path, pictures: Path, truth: Path) -> list[tuple[str, float
     """
     rows = read_table(table, PANORAMAS)[0]
     row = rows.iloc[len(rows) // 2]
-    picture = read_picture(pictures / str(row["panorama"]))
+    picture = decode_picture(np.fromfile(pictures / str(row["panorama"]), np.uint8), cv2.IMREAD_COLOR)
+    if picture is None:
+        raise InputError("no picture", expected="a panorama", where=pictures / str(row["panorama"]))
     with np.load(truth) as stored:
         light = stored["light"].astype(np.float32)
     grey = (np.clip(light.mean(axis=2) / 2.3, 0, 1) ** (1 / 2.2)).astype(np.float32)
