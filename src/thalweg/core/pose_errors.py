@@ -204,6 +204,7 @@ def even_time(chains: Sequence[ErrorChain]) -> tuple[ArrayF, ArrayF, float]:
         lag = np.abs(even_s[:, None] - even_s)
 
         def beyond(log_s: float) -> float:
+            """Sum over the survey with this correlation time less that of the chains."""
             alike = np.exp(-lag / np.exp(log_s)).mean(axis=1)
             return float(variance @ alike * span - summed.sum())
 

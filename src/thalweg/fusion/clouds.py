@@ -161,6 +161,7 @@ def read_ground(
     """
 
     def pieces() -> Iterator[tuple[Cloud, dict[str, AnyArray]]]:
+        """The cloud from its begin, piece by piece."""
         return _pieces(path, frame, crs, sigma_m)
 
     ground = GroundOfPieces(*extremes_en_m(part.xyz_m for part, _ in pieces()), settings)

@@ -380,6 +380,7 @@ class _Sweeps:
 
     @classmethod
     def read(cls, reader: LidarReader, clock: LidarClock, first: float, last: float) -> "_Sweeps":
+        """Sweeps of a log between two times of the device, seconds."""
         parts: list[ArrayF] = [np.zeros((0, 4))]
         turned = seconds = 0.0
         for block in reader.points(clock):
@@ -475,6 +476,7 @@ class _Theta:
 
     @classmethod
     def of(cls, trajectory: Trajectory) -> "_Theta":
+        """Turns from node to node, summed; nodes that are not valid are gaps."""
         use = trajectory.valid
         R = Rotation.from_quat(trajectory.quaternion_wcs_ics[use])
         steps = np.cumsum((R[:-1].inv() * R[1:]).as_rotvec(), axis=0)

@@ -223,6 +223,7 @@ class Measured:
         """Resource function of a rule: `memory_mb`, twice as much on each attempt."""
 
         def asked_mb(wildcards: Any, input: Iterable[str], attempt: int, rulename: str) -> int:
+            """Memory of a job, MB; Snakemake looks its arguments up by name."""
             return self.memory_mb(rulename, input, attempt, base_mb, per_input_mb)
 
         return asked_mb
@@ -231,6 +232,7 @@ class Measured:
         """Resource function of a rule: `minutes`, in the same way."""
 
         def asked_min(wildcards: Any, input: Iterable[str], attempt: int, rulename: str) -> int:
+            """Time of a job, minutes; Snakemake looks its arguments up by name."""
             return self.minutes(rulename, input, attempt, base_min, per_input_gb)
 
         return asked_min

@@ -77,6 +77,7 @@ def simulate_dual_fisheye(
     fronts = [Rigid(R=R[k], shift_m=place[k]) @ T_ics_front for k in range(len(at))]
 
     def boat(since_s: float) -> Rigid:
+        """``T_wcs_ics`` at a time since the begin of the survey."""
         t = np.array([voyage.start_gps_s + since_s])
         return Rigid(R=voyage.R_wcs_ics(t)[0], shift_m=voyage.position_wcs_m(t)[0])
 
