@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from scipy.stats import chi2, false_discovery_control, norm
+from scipy.stats import chi2, false_discovery_control
 
 from thalweg.core import ArrayF, GeometryError
-from thalweg.deformation.field import ErrorField, ErrorGroup, benjamini_hochberg, largest_deviation
+from thalweg.deformation.field import ErrorField, ErrorGroup, benjamini_hochberg
 from thalweg.deformation.m3c2 import ColumnIndex, cut_cylinders, pose_weights
 
 
@@ -96,28 +96,6 @@ def test_q_values_are_those_of_scipy_and_leave_the_unknown_out() -> None:
     q = benjamini_hochberg(with_gaps)
     assert np.isnan(q[[0, 51]]).all()
     assert q[np.isfinite(q)] == pytest.approx(false_discovery_control(p), rel=1e-12)
-
-
-def test_the_limit_of_the_largest_deviation_counts_what_products_share() -> None:
-    """Equal products have the limit of one, independent ones that of Bonferroni."""
-    t = np.arange(60.0)
-    group = ErrorGroup.from_sigmas("position", t, np.ones(3), 0.0)
-    common = ErrorField((group,), (sp.csr_matrix(np.tile(np.eye(1, 180), (50, 1))),))
-    alone = ErrorField((group,), (sp.csr_matrix(np.eye(50, 180)),))
-    limits = [largest_deviation([field], np.ones(50), draws=4000) for field in (common, alone)]
-    # quantiles of 4000 draws: 3 sigma of their own are 0.10 and 0.06
-    assert limits[0] == pytest.approx(norm.isf(0.025), abs=0.10)
-    assert limits[1] == pytest.approx(norm.isf((1 - 0.95 ** (1 / 50)) / 2), abs=0.10)
-    with pytest.raises(GeometryError, match="no distance"):
-        largest_deviation([alone], np.full(50, np.nan))
-
-
-def test_the_limit_of_one_product_is_that_of_the_normal_distribution() -> None:
-    """An error of 0.6 that is shared and one of 0.8 that is not make 1: the limit is 1.96."""
-    group = ErrorGroup.from_sigmas("position", np.arange(2.0), np.full(3, 0.6), 0.0)
-    field = ErrorField((group,), (sp.csr_matrix(np.eye(1, 6)),))
-    assert field.variances() == pytest.approx([0.36])
-    assert largest_deviation([field], np.ones(1), draws=20_000) == pytest.approx(1.960, abs=0.05)
 
 
 def test_times_that_go_back_are_refused() -> None:

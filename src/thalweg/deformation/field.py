@@ -254,37 +254,6 @@ def benjamini_hochberg(p_value: ArrayF) -> ArrayF:
     return q
 
 
-def largest_deviation(
-    fields: Sequence[ErrorField], sigma: ArrayF, *, draws: int = 200, share: float = 0.95, seed: int = 0
-) -> float:
-    """The limit that the largest |error| / sigma of all products keeps in a share of draws of the fields.
-
-    Parameters
-    ----------
-    fields : of the epochs; their errors add up.
-    sigma : (k,) standard deviation of each product, white part included, which is drawn beside the fields.
-    draws : number of draws; share : of them that stay below the limit.
-
-    Raises
-    ------
-    GeometryError : no product has a sigma.
-    """
-    rng = np.random.default_rng(seed)
-    shared = np.sqrt(np.sum([field.variances() for field in fields], axis=0))
-    known = np.isfinite(sigma) & (sigma > 0)
-    if not known.any():
-        raise GeometryError(
-            "no distance has a standard deviation", expected="core points seen in both epochs"
-        )
-    white = np.sqrt(np.maximum(sigma[known] ** 2 - shared[known] ** 2, 0.0))
-    largest = np.empty(draws)
-    for i in range(draws):
-        error = np.sum([field.draw(rng) for field in fields], axis=0)[known]
-        error += white * rng.standard_normal(len(white))
-        largest[i] = np.max(np.abs(error) / sigma[known])
-    return float(np.quantile(largest, share))
-
-
 def rows_of_weights(weights: Weights, values: ArrayF, n_moments: int) -> sp.csr_matrix:
     """Rows of a product as a sparse matrix over the c components of moments; ``values`` (e, c)."""
     c = values.shape[1]
