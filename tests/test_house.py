@@ -20,8 +20,8 @@ import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from pydantic import BaseModel
-from tests.conftest import real_recordings_skipped
 
+from tests.conftest import real_recordings_skipped
 from thalweg.core import read_yaml
 from thalweg.settings import Campaign
 from thalweg.workflow.codehash import imported_modules, modules_behind, reached_modules

@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
-from tests.accuracy.chain_samples import T0, frames_of_images, three_chains, trajectory
 
+from tests.accuracy.chain_samples import T0, frames_of_images, three_chains, trajectory
 from thalweg.accuracy import (
     ALL,
     COMMON,

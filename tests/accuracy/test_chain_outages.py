@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from tests.accuracy.chain_samples import T0, frames_of_images, trajectory
 
+from tests.accuracy.chain_samples import T0, frames_of_images, trajectory
 from thalweg.accuracy import outage_table
 
 

@@ -1,6 +1,5 @@
 """A cloud against a mesh: distances, predictions, what is left out, the sample, clouds that lack sigmas."""
 
-import importlib.util
 import json
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
+from tests.accuracy import bank_samples as bank
 from thalweg.accuracy import (
     CLOUD_TO_MESH,
     ComparisonSettings,
@@ -20,10 +20,6 @@ from thalweg.accuracy import (
 from thalweg.accuracy.comparison import _Sample
 from thalweg.core import InputError, read_table, write_table
 from thalweg.surface import Area, Surface
-
-_spec = importlib.util.spec_from_file_location("bank_samples", Path(__file__).with_name("bank_samples.py"))
-bank = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(bank)
 
 SETTINGS = ComparisonSettings(reference_sigma_m=0.004)
 ADDITIVE = (

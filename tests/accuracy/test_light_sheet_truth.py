@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.stats import chi2
-from tests.lightsheet.basin import Jobs, recorded
 
+from tests.lightsheet.basin import Jobs, recorded
 from thalweg.core import ArrayF, GeometryError, opk_of, rotation_y, rotation_z
 from thalweg.lightsheet.optics import FLIP, PARAMETERS, Sensor, intersect, paper_3, paper_4
 from thalweg_lab.truth import compare_sensor

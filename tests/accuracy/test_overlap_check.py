@@ -1,21 +1,17 @@
 """What is said of a cloud and a reference that do not belong together."""
 
-import importlib.util
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.accuracy import bank_samples as bank
 from thalweg.accuracy import ComparisonSettings, check_frames, compare_with_mesh
 from thalweg.accuracy.comparison import Reach
 from thalweg.core import CoverageError, InputError
 from thalweg.core.las import write_laz
 from thalweg.surface import Area
-
-_spec = importlib.util.spec_from_file_location("bank_samples", Path(__file__).with_name("bank_samples.py"))
-bank = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(bank)
 
 
 def square_at(east: float, north: float) -> Area:

@@ -8,15 +8,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.accuracy import bank_samples as bank
 from thalweg.accuracy import CLOUD_TO_MESH, ComparisonSettings, compare_with_reference
 from thalweg.core import read_table
 from thalweg.core.geometry import write_mesh
 from thalweg.settings.sections import Accuracy, ReferenceSettings
 from thalweg.surface import Area
-
-_spec = importlib.util.spec_from_file_location("bank_samples", Path(__file__).with_name("bank_samples.py"))
-bank = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(bank)
 
 STATES = ["as measured", "with registration"]
 

@@ -1,15 +1,14 @@
 """Rigid registration: known motions come back, undetermined ones are named, sigmas hold, Open3D agrees."""
 
 import dataclasses
-import importlib.util
 import json
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.accuracy import bank_samples as bank
 from thalweg.accuracy import ComparisonSettings, after_motion, chi_square_band, register, registration
 from thalweg.accuracy.reference_comparison import registration_facts
 from thalweg.accuracy.registration import share_within_blocks
@@ -17,10 +16,6 @@ from thalweg.core import GeometryError
 from thalweg.core.geometry import _open3d
 from thalweg.surface import LEAST_VISIBLE, TUKEY, Distances, Motion, Surface, visible_motions
 from thalweg_lab.random_numbers import gauss_markov, generator
-
-_spec = importlib.util.spec_from_file_location("bank_samples", Path(__file__).with_name("bank_samples.py"))
-bank = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(bank)
 
 SETTINGS = ComparisonSettings(correlation_s=20.0)
 RELIEF_M = 0.6

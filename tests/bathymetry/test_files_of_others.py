@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from pyproj import CRS
-from tests.conftest import check_whole
 
+from tests.conftest import check_whole
 from thalweg.bathymetry import Transducer, against_reference, locate_soundings, read_other_soundings
 from thalweg.bathymetry.banks import axis_of_track
 from thalweg.core import GeometryError, Grid, InputError, LazWriter, LocalFrame, Trajectory, write_raster

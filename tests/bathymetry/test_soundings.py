@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 from pyproj import CRS
 from scipy.spatial.transform import Rotation
-from tests.conftest import check_whole
 
+from tests.conftest import check_whole
 from thalweg.bathymetry import (
     Sound,
     Transducer,

@@ -12,8 +12,8 @@ import pandas as pd
 import pytest
 import rasterio
 from scipy.spatial import cKDTree
-from tests.conftest import check_whole
 
+from tests.conftest import check_whole
 from thalweg.bathymetry import FlowLine
 from thalweg.cli import main
 from thalweg.core import ThalwegError, read_raster

@@ -8,18 +8,12 @@ lost. So the cloud is a surface like a real one, and every filter finds somethin
 The packets are those of `tests/ingest/test_velodyne_log.py`, written without the reader.
 """
 
-import importlib.util
 import struct
-from pathlib import Path
 
 import numpy as np
 
+from tests.ingest import test_velodyne_log as log
 from thalweg.core import LocalFrame, Trajectory, gps_from_unix
-
-_builder = Path(__file__).parents[1] / "ingest" / "test_velodyne_log.py"
-_spec = importlib.util.spec_from_file_location("velodyne_log", _builder)
-log = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(log)
 
 LENGTH_M = 1500.0  # P1
 FOOT_M, SLOPE_DEG, TOP_M = 15.0, 33.0, 8.0

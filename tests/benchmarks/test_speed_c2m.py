@@ -5,7 +5,6 @@ points, and leaves with the distances. Peak memory is that of the program. Thalw
 run before.
 """
 
-import importlib.util
 import os
 import shutil
 import subprocess
@@ -16,22 +15,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.benchmarks import turns
+from tests.surface import rough_bank
 from thalweg.core import LocalFrame
 from thalweg.core.geometry import write_mesh
 from thalweg.surface import Surface
 
 pytestmark = pytest.mark.slow
 
-
-def helper(path: Path):
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-turns = helper(Path(__file__).with_name("turns.py"))
-rough_bank = helper(Path(__file__).parents[1] / "surface" / "rough_bank.py")
 
 FACES, POINTS, ROWS = 5e6, 218_000, 397  # along a bank of 200 m; 12 m from its foot to its top
 STEP_M, ROUGH_M = 0.0316, 0.01

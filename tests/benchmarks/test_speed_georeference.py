@@ -4,16 +4,14 @@ The limit of each is a compiled copy on all cores that reads and writes as many 
 as the function does: nothing that returns a new array can be faster.
 """
 
-import importlib.util
-from pathlib import Path
-
 import numba as nb
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
-from tests.lidar.exact_covariance import point_covariance, point_jacobian
 
+from tests.benchmarks import turns
+from tests.lidar.exact_covariance import point_covariance, point_jacobian
 from thalweg.core import LocalFrame, Rigid, Trajectory
 from thalweg.lidar import georeference_points
 from thalweg.lidar.georeference import WorldPoints
@@ -21,16 +19,6 @@ from thalweg.settings.sections import LidarAccuracy
 
 pytestmark = pytest.mark.slow
 
-
-def beside(name):
-    """A helper of this folder."""
-    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-turns = beside("turns")
 
 T0_S = 3.0e8
 SHOTS_HZ = 289_000.0

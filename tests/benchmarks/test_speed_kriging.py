@@ -11,7 +11,6 @@ Each program has a process of its own; CPU seconds are those of all its threads,
 compilation. PyKrige's constructor takes all pairs: 20,000 soundings want 10 GB.
 """
 
-import importlib.util
 import json
 import os
 import subprocess
@@ -21,26 +20,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.benchmarks import turns
+
 pytestmark = pytest.mark.slow
 
-_spec = importlib.util.spec_from_file_location("turns", Path(__file__).with_name("turns.py"))
-turns = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(turns)
 
-HEAD = """
-import json, resource, time
+HEAD = (
+    turns.MEASURES
+    + """
 import numpy as np
 p, z, c = (np.load(f"{name}.npy") for name in ("places", "heights", "cells"))
-def cpu():
-    used = resource.getrusage(resource.RUSAGE_SELF)
-    return used.ru_utime + used.ru_stime
 def told(start, cells, height):
-    gb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    gb = peak_gb()
     true = np.sin(cells[:, 0] / 30) + 0.003 * cells[:, 1] ** 2
     rmse = float(np.sqrt(np.nanmean((height - true) ** 2)))
     spent = cpu() - start
     print(json.dumps({"cpu": spent, "us": 1e6 * spent / len(cells), "gb": gb, "rmse": rmse}))
 """
+)
 OURS = """
 from thalweg.bathymetry import CovarianceModel, Observations, krige
 n = len(p)
@@ -142,7 +139,7 @@ marks.append(("model", cpu() - start))
 cells = bed.grid.centres_m()[np.isfinite(bed.up_m)]
 local = frame.from_map(np.column_stack([cells, np.full(len(cells), frame.h_ell_m)]), crs)
 error = bed.up_m[np.isfinite(bed.up_m)] - of.height(*of.to_flow(local[:, 0], local[:, 1]))
-gb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+gb = peak_gb()
 print(json.dumps({
     "cpu": cpu() - start, "wall": time.perf_counter() - begin, "gb": gb, "cells": len(cells),
     "dtm_cells": int(np.isfinite(model.height_m).sum()), "rmse": float(np.sqrt(np.mean(error**2))),

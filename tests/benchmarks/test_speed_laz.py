@@ -1,26 +1,15 @@
 """Speed of the LAZ writer beside plain laspy: the same columns, chunks and compression."""
 
-import importlib.util
 from pathlib import Path
 
 import laspy
 import numpy as np
 import pytest
 
+from tests.benchmarks import turns
 from thalweg.core import LazWriter, LocalFrame, iter_laz
 from thalweg.lidar import SIGMAS
 from thalweg.lidar.cloud import EXTRA_DIMENSIONS
-
-
-def beside(name):
-    """A helper of this folder."""
-    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-turns = beside("turns")
 
 CHUNK = 1_000_000
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)

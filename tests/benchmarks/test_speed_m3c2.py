@@ -12,7 +12,6 @@ Each program has a process of its own; CPU seconds are those of all its threads,
 Thalweg's loops were compiled in a run before.
 """
 
-import importlib.util
 import json
 import os
 import subprocess
@@ -22,24 +21,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.benchmarks import turns
+
 pytestmark = pytest.mark.slow
 
-_spec = importlib.util.spec_from_file_location("turns", Path(__file__).with_name("turns.py"))
-turns = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(turns)
 
 SIZE_M = (200.0, 50.0)
 MOMENTS = 2000  # of the platform: a tenth of a second each
 RADIUS_M, REACH_M = 0.5, 2.5  # with an even number of segments (3 m) py4dgeo 1.2.0 miscounts
 
-TIMED = """
-import json, os, resource, time
+TIMED = (
+    turns.MEASURES
+    + """
+import os
 import numpy as np
 before, after, cores = (np.load(f"{name}.npy") for name in ("before", "after", "cores"))
-def cpu():
-    used = resource.getrusage(resource.RUSAGE_SELF)
-    return used.ru_utime + used.ru_stime
 """
+)
 OURS = """
 from thalweg.deformation.field import ErrorField, ErrorGroup
 from thalweg.deformation.m3c2 import ColumnIndex, cut_cylinders, multiscale_normals, pose_weights
@@ -111,7 +109,7 @@ from thalweg.deformation.compare import Comparison, measure_distances
 how = Comparison(scales_m=(RADIUS,), radius_m=RADIUS, half_length_m=REACH)
 found = measure_distances(cores, before, after, how, towards=np.array([0.0, 0.0, 1.0]), tiles=TILES)
 np.savez("tiles_TILES.npz", distance=found.distance_m, roughness=found.roughness_m)
-print(json.dumps({"gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6, "cpu": [cpu()]}))
+print(json.dumps({"gb": peak_gb(), "cpu": [cpu()]}))
 """
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.panorama.test_compose import rig_of_the_shelf
 
+from tests.panorama.test_compose import rig_of_the_shelf
 from thalweg.core import Camera
 from thalweg.panorama import compose, fill_gaps, write_panorama
 from thalweg.panorama.files import inverse_range

@@ -12,13 +12,15 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from tests.benchmarks import turns
+
 pytestmark = [pytest.mark.slow, pytest.mark.real]
 
 N_IMAGES = 4
 
-RUN = """
-import json, resource, sys, time
-from pathlib import Path
+RUN = (
+    turns.MEASURES
+    + """
 import numpy as np
 from thalweg.images.sfm.features import extract_features
 from thalweg.settings.sections.images import FeatureSettings
@@ -26,20 +28,20 @@ from thalweg.images.sfm.matching import match_images
 
 images = sorted(Path(sys.argv[1]).glob("*.jpg"))
 settings = FeatureSettings(max_size_px=int(sys.argv[2]), double_size=sys.argv[3] == "True")
-peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 extract_features(images[:0], settings=settings)
-idle = peak()
+idle = 1000 * peak_gb()
 start = time.process_time()
 features = extract_features(images, settings=settings)
-extraction_s, extraction_mb = time.process_time() - start, peak()
+extraction_s, extraction_mb = time.process_time() - start, 1000 * peak_gb()
 start = time.process_time()
 matches = match_images(features, images)
 print(json.dumps({
     "features": float(np.diff(features.start).mean()), "idle_mb": idle,
     "extraction_s": extraction_s / len(images), "extraction_mb": extraction_mb,
-    "pair_s": (time.process_time() - start) / len(matches.pairs), "peak_mb": peak(),
+    "pair_s": (time.process_time() - start) / len(matches.pairs), "peak_mb": 1000 * peak_gb(),
 }))
 """
+)
 
 
 @pytest.mark.parametrize(
@@ -68,8 +70,9 @@ def test_time_and_memory(
     assert found["extraction_mb"] < 8000
 
 
-MAPPER = """
-import json, resource, sys, time
+MAPPER = (
+    turns.MEASURES
+    + """
 import numpy as np
 from thalweg.core.camera import Camera
 from thalweg.images.sfm.colmap import start_given
@@ -108,9 +111,10 @@ mapped = map_images(matches)
 print(json.dumps({
     "features": float(np.diff(start).mean()), "s": time.process_time() - begin,
     "marks": len(mapped.pieces[0].mark_image), "images": len(mapped.pieces[0].images),
-    "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    "peak_mb": 1000 * peak_gb(),
 }))
 """
+)
 
 
 @pytest.mark.parametrize("images", [40, 80, 160])

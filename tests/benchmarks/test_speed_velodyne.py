@@ -1,22 +1,17 @@
 """Speed of the VLP-16 reader against velodyne-decoder, and its memory on a ten-minute log."""
 
-import importlib.util
 import struct
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 import velodyne_decoder as vd
 
+from tests.benchmarks import turns
+from tests.ingest import test_velodyne_log as log
 from thalweg.ingest.velodyne.reader import iter_points, scan_lidar
-
-_builder = Path(__file__).parents[1] / "ingest" / "test_velodyne_log.py"
-_spec = importlib.util.spec_from_file_location("velodyne_log", _builder)
-log = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(log)
 
 RECORD = np.dtype([("head", "<u4", 4), ("frame", "u1", 42), ("payload", "u1", 1206)])
 
@@ -83,23 +78,24 @@ def test_speed_against_velodyne_decoder(tmp_path, benchmark, mode):
     assert own_s < peer_s
 
 
-PROBE = """
-import resource, sys
-from pathlib import Path
+PROBE = (
+    turns.MEASURES
+    + """
 from thalweg.ingest.velodyne.reader import iter_points, scan_lidar
 files = [Path(sys.argv[1])]
 scan = scan_lidar(files)
 n = sum(b.n for b in iter_points(files, clock=scan.clock))
 assert n == scan.n_points
-print(n, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+print(n, 1000 * peak_gb())
 """
+)
 
 
 def peak_mb(path):
     """Points, and peak resident memory of a fresh interpreter that scans and decodes the log, in MB."""
     out = subprocess.run([sys.executable, "-c", PROBE, str(path)], check=True, capture_output=True, text=True)
-    n, kib = out.stdout.split()
-    return int(n), int(kib) * 1024 / 1e6
+    n, megabytes = out.stdout.split()
+    return int(n), float(megabytes)
 
 
 @pytest.mark.slow

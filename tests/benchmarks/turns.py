@@ -8,6 +8,18 @@ from collections.abc import Callable, Mapping
 SHARE = float(os.environ.get("THALWEG_BENCHMARK_SHARE", "1"))
 """Share of the full size that the benchmarks of points run with, for a quick look: 0.05 takes a minute."""
 
+MEASURES = """
+import json, resource, sys, time
+from pathlib import Path
+def cpu():
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    return used.ru_utime + used.ru_stime
+def peak_gb():
+    status = Path("/proc/self/status").read_text()  # ru_maxrss would begin with that of the parent
+    return int(status.split("VmHWM:")[1].split()[0]) * 1024 / 1e9
+"""
+"""Head of a program of its own: seconds of its processor, and the largest memory that was resident."""
+
 
 def sized(n_points: float) -> int:
     """The number of points for this run, at least a thousand."""

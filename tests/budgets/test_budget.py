@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tests.lidar.exact_covariance import point_covariance, point_jacobian
 
+from tests.lidar.exact_covariance import point_covariance, point_jacobian
 from thalweg.budgets import (
     latex,
     long_table,

@@ -1,15 +1,13 @@
 """The camera-lidar calibration on a small yard: right, consistent; refusals of what geometry cannot give."""
 
-import importlib.util
-import sys
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from tests.calibration import cone_yard as yard
 from thalweg.calibration import WORDS, Cone, Position, SearchRange, Verdict, search
 from thalweg.calibration.camera_lidar import (
     CameraLidar,
@@ -20,13 +18,6 @@ from thalweg.calibration.camera_lidar import (
 from thalweg.calibration.camera_lidar.adjustment import cone_table, report, residual_table, sensor_table
 from thalweg.core import GeometryError, InputError, Rigid, UnobservableError, exp_rotation
 from thalweg.settings.sections import LidarAccuracy
-
-_spec = importlib.util.spec_from_file_location("cone_yard", Path(__file__).with_name("cone_yard.py"))
-assert _spec
-assert _spec.loader
-yard = importlib.util.module_from_spec(_spec)
-sys.modules["cone_yard"] = yard
-_spec.loader.exec_module(yard)
 
 Yard, NOMINAL = yard.Yard, yard.NOMINAL
 SEEN = ["C1", "C2", "C3", "C4", "C5", "C6"]

@@ -1,14 +1,12 @@
 """The camera-lidar calibration on a yard where something went wrong: named, with what to record again."""
 
-import importlib.util
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from tests.calibration import cone_yard as yard
 from thalweg.calibration import Position, SearchRange
 from thalweg.calibration.camera_lidar import (
     CameraLidar,
@@ -18,13 +16,6 @@ from thalweg.calibration.camera_lidar import (
 )
 from thalweg.calibration.cone_search import gaps_deg
 from thalweg.core import GeometryError, Rigid, exp_rotation
-
-_spec = importlib.util.spec_from_file_location("cone_yard", Path(__file__).with_name("cone_yard.py"))
-assert _spec
-assert _spec.loader
-yard = importlib.util.module_from_spec(_spec)
-sys.modules["cone_yard"] = yard
-_spec.loader.exec_module(yard)
 
 Yard, NOMINAL = yard.Yard, yard.NOMINAL
 SEEN = ["C1", "C2", "C3", "C4", "C5", "C6"]

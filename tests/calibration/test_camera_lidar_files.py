@@ -1,8 +1,6 @@
 """What the camera-lidar calibration reads and writes."""
 
-import importlib.util
 import json
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.calibration import cone_yard as yard
 from thalweg.calibration import (
     Checkerboard,
     ConeReference,
@@ -36,13 +35,6 @@ from thalweg.core import Camera, InputError, Rigid
 from thalweg.core.calibration import read_calibration, write_calibration
 from thalweg.ingest import LidarOptions
 from thalweg.settings.sections import CameraLidarFit
-
-_spec = importlib.util.spec_from_file_location("cone_yard", Path(__file__).with_name("cone_yard.py"))
-assert _spec
-assert _spec.loader
-yard = importlib.util.module_from_spec(_spec)
-sys.modules["cone_yard"] = yard
-_spec.loader.exec_module(yard)
 
 Text = Callable[[list[int], list[int]], str]
 

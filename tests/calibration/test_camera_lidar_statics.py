@@ -1,6 +1,5 @@
 """Poses and points of one bundle: their joint covariance is that of their errors, nothing is used twice."""
 
-import importlib.util
 from functools import cache
 from pathlib import Path
 
@@ -9,15 +8,12 @@ import pandas as pd
 import pytest
 from scipy.stats import chi2
 
+from tests.calibration import field_blocks as blocks
 from thalweg.calibration import orient_on_field
 from thalweg.calibration.camera_lidar import Statics, field_errors, read_statics, statics_of, write_statics
 from thalweg.calibration.field import FieldDescription, FieldPoints, resect
 from thalweg.calibration.field.description import FieldCone
 from thalweg.core import InputError, Rigid
-
-_spec = importlib.util.spec_from_file_location("field_blocks", Path(__file__).with_name("field_blocks.py"))
-blocks = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(blocks)
 
 SHEETS, _ = blocks.yard(1, cones=8, per_cone=6, flat=16)
 NAMES = tuple((s.marker, c) for s in SHEETS for c in range(4))

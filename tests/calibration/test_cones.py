@@ -1,24 +1,15 @@
 """Geometry of cones against other derivations of it, and what noisy beams do on a curved surface."""
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
+from tests.calibration import cone_yard as _yard
 from thalweg.calibration import Cone
 from thalweg.calibration.cones import beam_spread
 from thalweg.core import ArrayF, GeometryError, Rigid
 
-_spec = importlib.util.spec_from_file_location("cone_yard", Path(__file__).with_name("cone_yard.py"))
-assert _spec
-assert _spec.loader
-_yard = importlib.util.module_from_spec(_spec)
-sys.modules["cone_yard"] = _yard
-_spec.loader.exec_module(_yard)
 YardCone = _yard.YardCone
 
 HALF = np.deg2rad(25.0)

@@ -1,24 +1,15 @@
 """Sigmas that a field promises, against those of a calibration in it."""
 
-import importlib.util
-import sys
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from tests.calibration import cone_yard as yard
 from thalweg.calibration import fit_reference
 from thalweg.calibration.camera_lidar import CameraLidarSettings, calibrate_camera_lidar
 from thalweg.calibration.camera_lidar.files import QUANTITIES, ScanPattern, design_study
-
-_spec = importlib.util.spec_from_file_location("cone_yard", Path(__file__).with_name("cone_yard.py"))
-assert _spec
-assert _spec.loader
-yard = importlib.util.module_from_spec(_spec)
-sys.modules["cone_yard"] = yard
-_spec.loader.exec_module(yard)
 
 
 @pytest.fixture(scope="module")

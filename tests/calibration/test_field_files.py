@@ -1,6 +1,5 @@
 """Files of a measured field: points with their covariance, facts, cameras."""
 
-import importlib.util
 import json
 from pathlib import Path
 
@@ -8,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.calibration import field_blocks as blocks
 from thalweg.calibration import camera_of, interior_calibration, read_camera, same_size
 from thalweg.calibration.field import (
     FieldPoints,
@@ -32,10 +32,6 @@ from thalweg.core import (
     write_opencv,
 )
 from thalweg.core.calibration import Source, read_calibration, write_calibration
-
-_spec = importlib.util.spec_from_file_location("field_blocks", Path(__file__).with_name("field_blocks.py"))
-blocks = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(blocks)
 
 FRAME = LocalFrame(lat_deg=51.028, lon_deg=13.721, h_ell_m=160.0)
 PLACE = Rigid(R=exp_rotation([0, 0, 0.7]), shift_m=np.array([30.0, -20.0, 1.0]))

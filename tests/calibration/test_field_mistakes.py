@@ -1,23 +1,18 @@
 """Mistakes of people who measure a field: each is named, none bends the result without a word."""
 
-import importlib.util
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from tests.calibration import field_blocks as blocks
 from thalweg.calibration import block_of
 from thalweg.calibration.field import FieldDescription, MeasuredField, measure, start_network, starting_camera
 from thalweg.calibration.field.description import Target
 from thalweg.calibration.field.job import advice_words, overview_words
 from thalweg.core import GeometryError, LocalFrame, Rigid, exp_rotation
-
-_spec = importlib.util.spec_from_file_location("field_blocks", Path(__file__).with_name("field_blocks.py"))
-blocks = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(blocks)
 
 FRAME = LocalFrame(lat_deg=51.028, lon_deg=13.721, h_ell_m=160.0)
 PLACE = Rigid(R=exp_rotation([0, 0, 0.7]), shift_m=np.array([30.0, -20.0, 1.0]))

@@ -1,15 +1,14 @@
 """The bundle adjustment of a field: derivatives, errors against sigmas, blunders, and what it refuses."""
 
-import importlib.util
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.stats import chi2
 
+from tests.calibration import field_blocks as blocks
 from thalweg.calibration import block_of
 from thalweg.calibration.field import (
     FieldNetwork,
@@ -25,9 +24,6 @@ from thalweg.calibration.field import (
 from thalweg.calibration.field.bundle import moved
 from thalweg.core import Camera, GeometryError, Rigid, UnobservableError, cross_matrix
 
-_spec = importlib.util.spec_from_file_location("field_blocks", Path(__file__).with_name("field_blocks.py"))
-blocks = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(blocks)
 SLR, NOMINAL = blocks.SLR, blocks.NOMINAL
 
 

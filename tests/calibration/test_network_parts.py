@@ -1,8 +1,6 @@
 """Parts of the adjustment of a field by hand: its frame, its scale bars, its tables and covariances."""
 
-import importlib.util
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -10,15 +8,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.calibration import field_blocks as blocks
 from thalweg.calibration.field import Layout, Problem, State, measure_field, network_of
 from thalweg.calibration.field.bundle import Bar
 from thalweg.calibration.field.description import ScaleBar
 from thalweg.calibration.field.network import _frame, _scaled
 from thalweg.core import ArrayF, Camera, GeometryError, Rigid, rotation_opk
-
-_spec = importlib.util.spec_from_file_location("field_blocks", Path(__file__).with_name("field_blocks.py"))
-blocks = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(blocks)
 
 # ---------------------------------------------------------------- the frame
 

@@ -1,14 +1,13 @@
 """Approximate values of a field, gross contradictions of its targets, changed cameras: by hand."""
 
-import importlib.util
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
+from tests.calibration import field_blocks as blocks
 from thalweg.calibration import block_of
 from thalweg.calibration.field import Layout, Problem, marks_model, start_state
 from thalweg.calibration.field.network import (
@@ -33,9 +32,6 @@ from thalweg.calibration.field.network import (
 from thalweg.calibration.markers import Block
 from thalweg.core import GeometryError, Rigid, exp_rotation, rotation_opk
 
-_spec = importlib.util.spec_from_file_location("field_blocks", Path(__file__).with_name("field_blocks.py"))
-blocks = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(blocks)
 SLR = blocks.SLR
 
 PLACE = Rigid(R=rotation_opk(0.3, -0.5, 2.0), shift_m=np.array([10.0, -20.0, 3.0]))

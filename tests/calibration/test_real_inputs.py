@@ -1,10 +1,8 @@
 """Entry scripts on what campaigns name: a folder of the twin, or a list of files of a survey."""
 
-import importlib.util
 import json
 import runpy
 import shutil
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.calibration import field_blocks as blocks
 from thalweg.calibration import MARKS, MarkerLayout, interior_calibration, read_camera, sheet_picture
 from thalweg.calibration.camera_lidar import read_statics
 from thalweg.calibration.field import FieldPoints, write_points
@@ -21,13 +20,6 @@ from thalweg.core.calibration import Source, write_calibration
 from thalweg.ingest.photos import IMAGE_STAMPS, list_images
 from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import simulate_display
-
-_spec = importlib.util.spec_from_file_location("field_blocks", Path(__file__).with_name("field_blocks.py"))
-assert _spec
-assert _spec.loader
-blocks = importlib.util.module_from_spec(_spec)
-sys.modules["field_blocks"] = blocks
-_spec.loader.exec_module(blocks)
 
 Text = Callable[[list[int], list[int]], str]
 RUN = ["R20210512_083107000.png", "R20210512_083108000.png", "R20210512_083109000.png"]

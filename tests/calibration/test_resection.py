@@ -1,6 +1,5 @@
 """Poses from marks: without approximate values, beyond 90 degrees, errors against sigmas, and refusals."""
 
-import importlib.util
 from functools import cache
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import pandas as pd
 import pytest
 from scipy.stats import chi2
 
+from tests.calibration import field_blocks as blocks
 from thalweg.calibration import (
     network_pose_table,
     orient_on_field,
@@ -20,9 +20,6 @@ from thalweg.calibration.camera_lidar import statics_of
 from thalweg.calibration.field import FieldPoints, pose_from_rays, resect
 from thalweg.core import Camera, GeometryError, Rigid, exp_rotation
 
-_spec = importlib.util.spec_from_file_location("field_blocks", Path(__file__).with_name("field_blocks.py"))
-blocks = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(blocks)
 SLR, FISHEYE = blocks.SLR, blocks.FISHEYE
 SHEETS, _ = blocks.yard(1)
 NAMES = tuple((s.marker, c) for s in SHEETS for c in range(4))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from tests.clocks.test_camera_offset import JITTER_S, LEVER_CCS, OFFSET_S, band, simulate, solve
 
 

@@ -9,9 +9,9 @@ import pytest
 from pyproj import CRS
 from scipy.spatial.distance import cdist
 from scipy.stats import chi2
+
 from tests.deformation.test_changes import SETTINGS as BANK, bank, epoch
 from tests.deformation.test_surfaces import a_package, a_tif
-
 from thalweg.core import (
     ArrayF,
     CoverageError,

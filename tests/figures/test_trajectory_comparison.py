@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from tests.accuracy.chain_samples import T0, three_chains, trajectory
 
+from tests.accuracy.chain_samples import T0, three_chains, trajectory
 from thalweg.accuracy import Chain, chains_by_range as by_range_of, chains_table, outage_table, range_facts
 from thalweg.core import GeometryError, InputError
 from thalweg.figures import save

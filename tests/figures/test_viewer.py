@@ -14,9 +14,9 @@ from PIL import Image
 from pyproj import CRS
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
+
 from tests.figures.browser import Browser
 from tests.figures.conftest import make_trajectory
-
 from thalweg.cli import main
 from thalweg.core import CoverageError, InputError, LazWriter, LocalFrame, frame_of, write_table
 from thalweg.core.geometry import CELLS_BITS, LEAF_POINTS, build_octree

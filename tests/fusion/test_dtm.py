@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import rasterio
 from rasterio import Affine
-from tests.fusion.conftest import DEPTH_M, FRAME, GRID, HALF_WIDTH_M, bed_up_m
 
+from tests.fusion.conftest import DEPTH_M, FRAME, GRID, HALF_WIDTH_M, bed_up_m
 from thalweg.core import CoverageError, InputError
 from thalweg.fusion import Cloud, Dtm, River, Source, build_dtm, dtm_facts, seam_steps
 from thalweg.fusion.dtm import interpolation_error, membrane

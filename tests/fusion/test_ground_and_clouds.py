@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+
 from tests.conftest import check_whole
 from tests.fusion.conftest import FRAME, GRID
-
 from thalweg.core import CoverageError, GeometryError, InputError, LazWriter, iter_laz
 from thalweg.fusion import (
     Cloud,

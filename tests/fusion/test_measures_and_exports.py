@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import rasterio
-from tests.fusion.conftest import DEPTH_M, FRAME, GRID, HALF_WIDTH_M, LEVEL_UP_M, bed_up_m
 
+from tests.fusion.conftest import DEPTH_M, FRAME, GRID, HALF_WIDTH_M, LEVEL_UP_M, bed_up_m
 from thalweg.core import CoverageError
 from thalweg.fusion import Dtm, River
 from thalweg.fusion.exports import (

@@ -5,8 +5,8 @@ import py2dm
 import pytest
 from pyproj import CRS
 from scipy.io import netcdf_file
-from tests.fusion.test_measures_and_exports import model, river  # noqa: F401
 
+from tests.fusion.test_measures_and_exports import model, river  # noqa: F401
 from thalweg.core import GeometryError
 from thalweg.fusion.exports import least_angles_deg, mesh_river, write_2dm, write_selafin, write_ugrid
 from thalweg.settings.sections import MeshSettings

@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from tests.fusion.conftest import FRAME, GRID
 from tests.fusion.test_measures_and_exports import model, sections  # noqa: F401
-
 from thalweg.fusion import River
 from thalweg.fusion.exports import export_river
 from thalweg.settings.sections import Fusion, MeshSettings

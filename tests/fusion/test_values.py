@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 import rasterio
 from rasterio import Affine
-from tests.fusion.conftest import FRAME, GRID
 
+from tests.fusion.conftest import FRAME, GRID
 from thalweg.core import NMAD, CoverageError, Grid, InputError, LazWriter, LocalFrame, write_raster
 from thalweg.fusion import Cloud, Dtm, Source, dtm_facts, join_clouds, read_cloud, seam_steps
 from thalweg.fusion.clouds import Fit, cloud_of_bed

@@ -1,12 +1,11 @@
 """The block adjustment against a dense one, finite differences, and truth."""
 
-import importlib.util
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.images import block_scene
 from thalweg.core import GeometryError, UnobservableError
 from thalweg.images.bundle import AdjustedBlock
 from thalweg.images.bundle.adjustment import adjust_block, adjusted_cameras, control_result, repeated
@@ -15,11 +14,6 @@ from thalweg.images.bundle.problem import Antenna, Layout, Problem, State, moved
 from thalweg.images.model import ControlMarks, ControlPoints
 from thalweg.settings.sections import BlockAdjustment
 
-_spec = importlib.util.spec_from_file_location("block_scene", Path(__file__).with_name("block_scene.py"))
-assert _spec
-assert _spec.loader
-block_scene = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(block_scene)
 scene, normalised, pose_errors = block_scene.scene, block_scene.normalised, block_scene.pose_errors
 
 PLAIN = BlockAdjustment(

@@ -1,22 +1,15 @@
 """Positions of the antenna at images whose camera's clock is off."""
 
-import importlib.util
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from tests.images import block_scene
 from thalweg.images.bundle import AdjustedBlock, pose_covariance
 from thalweg.images.bundle.adjustment import adjust_block
 from thalweg.images.bundle.problem import CLOCK, Antenna, clock_notes
-
-_spec = importlib.util.spec_from_file_location("block_scene", Path(__file__).with_name("block_scene.py"))
-assert _spec
-assert _spec.loader
-block_scene = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(block_scene)
 
 SEEDS = 10
 IMAGES = 14

@@ -1,14 +1,13 @@
 """Covariances of the block adjustment are consistent when errors along a track are related."""
 
-import importlib.util
 import itertools
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from tests.images import block_scene
 from thalweg.core import exp_rotation
 from thalweg.images.bundle import pose_covariance
 from thalweg.images.bundle.adjustment import adjust_block, control_result, neighbours_noise
@@ -24,11 +23,6 @@ from thalweg.images.bundle.normals import (
 from thalweg.images.bundle.problem import Layout, State
 from thalweg.settings.sections import BlockAdjustment
 
-_spec = importlib.util.spec_from_file_location("block_scene", Path(__file__).with_name("block_scene.py"))
-assert _spec
-assert _spec.loader
-block_scene = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(block_scene)
 scene, normalised = block_scene.scene, block_scene.normalised
 
 SEEDS = 30

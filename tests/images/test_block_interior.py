@@ -1,22 +1,16 @@
 """The covariance of a lens that a block finds out for itself."""
 
-import importlib.util
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.images import block_scene, test_block_gold
 from thalweg.images.bundle import AdjustedBlock, with_shared_errors
 from thalweg.images.bundle.adjustment import adjust_block
 from thalweg.images.bundle.problem import interior_priors
 from thalweg.settings.sections import BlockAdjustment
-
-_spec = importlib.util.spec_from_file_location("block_scene", Path(__file__).with_name("block_scene.py"))
-assert _spec
-assert _spec.loader
-block_scene = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(block_scene)
 
 FACTOR = 2.5
 
@@ -97,12 +91,7 @@ def test_a_real_block_errs_in_its_lens_by_twice_its_variance(data_dir: Path) -> 
     Camera constant, principal point and distortion, 7 numbers: their mean square is 1 in a band of 0.24 to
     2.29 with 95 %; 2.37 with what the images tell alone, 1.19 with twice its variance.
     """
-    spec = importlib.util.spec_from_file_location("gold", Path(__file__).with_name("test_block_gold.py"))
-    assert spec
-    assert spec.loader
-    gold = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(gold)
-    problem = gold.strasbourg(data_dir / "dbat_sxb/script/sxb")
+    problem = test_block_gold.strasbourg(data_dir / "dbat_sxb/script/sxb")
     known = problem.block.cameras[0]
     names = ("fx", "cx", "cy", "k1", "k2", "p1", "p2")
     problem = replace(

@@ -1,30 +1,17 @@
 """Whether the parts of a block agree on the lens."""
 
-import importlib.util
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from tests.images import block_scene, test_block_gold
 from thalweg.images.bundle import AdjustedBlock
 from thalweg.images.bundle.adjustment import Agreement, adjust_block, parts_agreement
 from thalweg.images.bundle.problem import Problem
 from thalweg.settings.sections import BlockAdjustment
-
-
-def module(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
-    assert spec
-    assert spec.loader
-    found = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(found)
-    return found
-
-
-block_scene = module("block_scene")
 
 
 def agreement(found: AdjustedBlock) -> Agreement:
@@ -102,8 +89,7 @@ def test_the_lens_of_a_real_block_moved(data_dir: Path) -> None:
     their sigmas say 0.01: one lens for all is then known much worse than residuals say. Every eighth point
     of the block, to be quick.
     """
-    gold = module("test_block_gold")
-    block = gold.rome(data_dir / "dbat_roma/script/romabundledemo", corrected=False)
+    block = test_block_gold.rome(data_dir / "dbat_roma/script/romabundledemo", corrected=False)
     rows = block.mark_point % 8 == 0
     point = block.mark_point[rows] // 8
     block = replace(
@@ -114,7 +100,7 @@ def test_the_lens_of_a_real_block_moved(data_dir: Path) -> None:
         mark_px=block.mark_px[rows],
         sigma_px=block.sigma_px[rows],
     )
-    problem = gold.free_network(block, ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"))
+    problem = test_block_gold.free_network(block, ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"))
     found = adjust_block(problem, BlockAdjustment(interior_variance=2.0))
     parts = agreement(found)
     assert (parts.parts, parts.degrees) == (4, 21)

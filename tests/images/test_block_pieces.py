@@ -1,6 +1,5 @@
 """A block that fell into pieces, and a track whose positions take the place of control points."""
 
-import importlib.util
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.images import block_scene
 from thalweg.core import GeometryError, LocalFrame, Rigid, exp_rotation
 from thalweg.images.bundle import (
     Boat,
@@ -22,12 +22,6 @@ from thalweg.images.bundle.problem import Problem
 from thalweg.images.model import ImageBlock, ImagePoses
 from thalweg.images.sfm.mapping import part_of_block
 from thalweg.settings.sections import BlockAdjustment, ControlSettings
-
-_spec = importlib.util.spec_from_file_location("block_scene", Path(__file__).with_name("block_scene.py"))
-assert _spec
-assert _spec.loader
-block_scene = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(block_scene)
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=150.0)
 N = 32

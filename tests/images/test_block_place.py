@@ -1,12 +1,11 @@
 """Control points that put a block where the boat was not, and what is said of it."""
 
-import importlib.util
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.images import block_scene
 from thalweg.core import GeometryError, LocalFrame, exp_rotation
 from thalweg.images.bundle.checks import (
     Expected,
@@ -20,12 +19,6 @@ from thalweg.images.bundle.problem import Problem
 from thalweg.images.bundle.run import orient_block
 from thalweg.images.model import ControlPoints, ImagePoses, Similarity, swapped
 from thalweg.settings.sections import BlockAdjustment
-
-_spec = importlib.util.spec_from_file_location("block_scene", Path(__file__).with_name("block_scene.py"))
-assert _spec
-assert _spec.loader
-block_scene = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(block_scene)
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=150.0)
 SETTINGS = BlockAdjustment(square_pixels=False, interior_variance=1.0)

@@ -1,22 +1,16 @@
 """A block that structure from motion has put together in a wrong shape."""
 
-import importlib.util
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.images import block_scene
 from thalweg.core import LocalFrame, exp_rotation
 from thalweg.images.bundle.adjustment import adjust_block
 from thalweg.images.bundle.run import adjust_from_either_start, misfit, predicted_block
 from thalweg.images.model import ImagePoses
 
-_spec = importlib.util.spec_from_file_location("block_scene", Path(__file__).with_name("block_scene.py"))
-assert _spec
-assert _spec.loader
-block_scene = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(block_scene)
 IMAGES = 16
 UP_M = np.array([0.0, 0.0, 8.0])
 

@@ -1,6 +1,5 @@
 """A block from its own frame to poses, tables and facts."""
 
-import importlib.util
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.images import block_scene
 from thalweg.core import GeometryError, LocalFrame, Rigid, exp_rotation
 from thalweg.images.bundle import Boat, adjust_campaign, marks_of_campaign, pose_covariance, summary_text
 from thalweg.images.bundle.adjustment import image_poses
@@ -17,12 +17,6 @@ from thalweg.images.bundle.problem import Problem, antenna_at_images, antenna_le
 from thalweg.images.bundle.run import orient_block
 from thalweg.images.model import ControlMarks, ControlPoints, ImagePoses
 from thalweg.settings.sections import BlockAdjustment, ControlSettings
-
-_spec = importlib.util.spec_from_file_location("block_scene", Path(__file__).with_name("block_scene.py"))
-assert _spec
-assert _spec.loader
-block_scene = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(block_scene)
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=150.0)
 SETTINGS = BlockAdjustment(square_pixels=False, interior_variance=1.0)

@@ -1,23 +1,17 @@
 """Boards found in rendered pictures where roughly known poses predict them."""
 
-import importlib.util
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from tests.images import block_scene
 from thalweg.core import Camera, GeometryError, exp_rotation
 from thalweg.images import COLUMNS, Measured, measure_boards
 from thalweg.images.bundle import grey_loader, mask_loader
 from thalweg.images.model import ControlPoints, ImageBlock
 from thalweg.settings.sections import ControlSettings
-
-_spec = importlib.util.spec_from_file_location("block_scene", Path(__file__).with_name("block_scene.py"))
-assert _spec
-assert _spec.loader
-block_scene = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(block_scene)
 
 SIZE = (720, 540)
 FOCAL = 600.0

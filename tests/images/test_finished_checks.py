@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from pyproj import CRS
+
 from tests.images.finished_scene import (
     FLIP,
     FRAME,
@@ -24,7 +25,6 @@ from tests.images.finished_scene import (
     write_colmap_text,
     write_metashape,
 )
-
 from thalweg.core import InputError, exp_rotation, opk_of
 from thalweg.images.imports import import_orientations
 from thalweg.images.model import align, mean_rotation

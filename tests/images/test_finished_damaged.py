@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from tests.images.finished_scene import (
     LOCAL,
     Scene,
@@ -18,7 +19,6 @@ from tests.images.finished_scene import (
     write_colmap_text,
     write_metashape,
 )
-
 from thalweg.core import InputError
 from thalweg.images.imports import import_orientations
 from thalweg.images.imports.poses import NOT_IN_FILE

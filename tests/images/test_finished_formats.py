@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from tests.images.finished_scene import (
     EXACT,
     FLIP,
@@ -21,7 +22,6 @@ from tests.images.finished_scene import (
     settings,
     write_colmap_text,
 )
-
 from thalweg.core import InputError, LocalFrame, opk_of, rotation_vector
 from thalweg.images.imports import import_orientations
 from thalweg.images.imports.poses import read_model

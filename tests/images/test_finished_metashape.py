@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pyproj import CRS
+
 from tests.images.finished_scene import (
     FRAME,
     LOCAL,
@@ -18,7 +19,6 @@ from tests.images.finished_scene import (
     settings,
     write_metashape,
 )
-
 from thalweg.core import ArrayF, exp_rotation
 from thalweg.images.imports import import_orientations
 from thalweg.images.imports.formats import project_metashape

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from tests.images.finished_scene import (
     FLIP,
     Scene,
@@ -18,7 +19,6 @@ from tests.images.finished_scene import (
     settings,
     write_colmap_text,
 )
-
 from thalweg.calibration import read_camera
 from thalweg.core import Camera, rotation_opk
 from thalweg.images.imports import import_orientations

@@ -1,20 +1,14 @@
 """The block of images as a file and in other frames."""
 
-import importlib.util
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.images import block_scene
 from thalweg.core import GeometryError, InputError, exp_rotation
 from thalweg.images.model import ImageBlock
-
-_spec = importlib.util.spec_from_file_location("block_scene", Path(__file__).with_name("block_scene.py"))
-assert _spec
-assert _spec.loader
-block_scene = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(block_scene)
 
 
 @pytest.fixture

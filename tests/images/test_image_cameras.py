@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image
+
 from tests.images.block_scene import FREE, OPTIONS, scene
 from tests.images.sfm_scene import PERSPECTIVE
-
 from thalweg.core import Camera, GeometryError, InputError
 from thalweg.images.bundle import interiors_of
 from thalweg.images.bundle.adjustment import adjust_block, adjusted_cameras

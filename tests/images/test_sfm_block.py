@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image, ImageFilter
-from tests.images.sfm_scene import FISHEYE, PERSPECTIVE, Photographs, photographs, similarity
 
+from tests.images.sfm_scene import FISHEYE, PERSPECTIVE, Photographs, photographs, similarity
 from thalweg.core import Camera, InputError, LocalFrame, Trajectory
 from thalweg.images.model import ImageBlock
 from thalweg.images.sfm import (

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.images.sfm_scene import PERSPECTIVE, photographs, similarity
 
+from tests.images.sfm_scene import PERSPECTIVE, photographs, similarity
 from thalweg.core import InputError
 from thalweg.images.model import ImageBlock
 from thalweg.images.sfm import (

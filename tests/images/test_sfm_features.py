@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from tests.images.sfm_scene import Photographs, photographs
 
+from tests.images.sfm_scene import Photographs, photographs
 from thalweg.core import InputError
 from thalweg.images.model import inspect
 from thalweg.images.sfm import extract_features, part_of

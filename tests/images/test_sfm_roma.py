@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.images.sfm_scene import similarity
 
+from tests.images.sfm_scene import similarity
 from thalweg.images.model import ImageBlock
 from thalweg.images.sfm import block_facts, extract_features, image_table, map_images, match_images
 from thalweg.settings.sections import FeatureSettings, MappingSettings

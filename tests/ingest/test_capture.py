@@ -1,21 +1,15 @@
 """The capture reader: formats, link types, foreign traffic, damage."""
 
-import importlib.util
 import io
 import struct
-from pathlib import Path
 
 import dpkt
 import numpy as np
 import pytest
 
+from tests.ingest import test_velodyne_log as log
 from thalweg.core import InputError, ThalwegError, UnsupportedError
 from thalweg.ingest.pcap import BarePayloads, CaptureTally, Stream, read_payloads
-
-_builder = Path(__file__).with_name("test_velodyne_log.py")
-_spec = importlib.util.spec_from_file_location("velodyne_log", _builder)
-log = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(log)
 
 STREAMS = (Stream(port=2368, size=1206), Stream(port=8308, size=512))
 BARE = BarePayloads(marks=tuple(range(0, 1200, 100)), mark=0xFFEE)

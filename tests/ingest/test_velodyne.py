@@ -1,6 +1,5 @@
 """VLP-16 points: geometry, timing and returns against a slow decoder, other readers and published values."""
 
-import importlib.util
 import math
 import struct
 from pathlib import Path
@@ -8,15 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.ingest import test_velodyne_log as log
 from thalweg.core import ConfigError, InputError, ThalwegError, UnsupportedError
 from thalweg.ingest import LidarOptions, PointBlock
 from thalweg.ingest.velodyne import VLP16
 from thalweg.ingest.velodyne.reader import iter_points, scan_lidar
-
-_builder = Path(__file__).with_name("test_velodyne_log.py")
-_spec = importlib.util.spec_from_file_location("velodyne_log", _builder)
-log = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(log)
 
 HOUR = 1_700_000_000 // 3600 * 3600
 NAMES = list(PointBlock.__dataclass_fields__)

@@ -1,22 +1,16 @@
 """GPS time of lidar packets: lock, hour, rollover, holes, and what is not synchronised."""
 
-import importlib.util
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.ingest import test_velodyne_log as log
 from thalweg.core import gps_from_unix
 from thalweg.ingest import LidarClock
 from thalweg.ingest.velodyne.clock import parse_rmc
 from thalweg.ingest.velodyne.reader import iter_points, scan_lidar
-
-_builder = Path(__file__).with_name("test_velodyne_log.py")
-_spec = importlib.util.spec_from_file_location("velodyne_log", _builder)
-log = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(log)
 
 HOUR = 1_700_000_000 // 3600 * 3600
 GPS_HOUR = float(gps_from_unix(HOUR))

@@ -1,18 +1,12 @@
 """The VLP-16 reader streams: its memory is that of its pieces, whatever the length of the recording."""
 
 import gc
-import importlib.util
 import tracemalloc
-from pathlib import Path
 
 import pytest
 
+from tests.ingest import test_velodyne_log as log
 from thalweg.ingest.velodyne.reader import iter_points, scan_lidar
-
-_builder = Path(__file__).with_name("test_velodyne_log.py")
-_spec = importlib.util.spec_from_file_location("velodyne_log", _builder)
-log = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(log)
 
 N = 1500
 CHUNK_BYTES = 1 << 16

@@ -1,21 +1,14 @@
 """The packet stream: holes, duplicates, disorder, damage, split logs, foreign packets."""
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
 
+from tests.ingest import test_velodyne_log as log
 from thalweg.core import InputError, UnsupportedError
 from thalweg.ingest import LidarOptions, LogWindow, PointBlock
 from thalweg.ingest.velodyne import VLP16
 from thalweg.ingest.velodyne.packets import read_packets
 from thalweg.ingest.velodyne.reader import VelodyneReader, iter_points, scan_lidar
-
-_builder = Path(__file__).with_name("test_velodyne_log.py")
-_spec = importlib.util.spec_from_file_location("velodyne_log", _builder)
-log = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(log)
 
 STEP = 1327.104
 

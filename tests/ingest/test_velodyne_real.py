@@ -1,6 +1,5 @@
 """VLP-16 recordings of other people: published values, and velodyne-decoder point by point."""
 
-import importlib.util
 import math
 from pathlib import Path
 from typing import get_args
@@ -10,17 +9,13 @@ import pytest
 import velodyne_decoder as vd
 import yaml
 
+from tests.ingest import test_velodyne_log as log
 from thalweg.core import UnsupportedError, gps_from_unix
 from thalweg.ingest import LidarOptions, PointBlock
 from thalweg.ingest.pcap import Stream, read_payloads
 from thalweg.ingest.velodyne.model import MODELS, choose_model
 from thalweg.ingest.velodyne.reader import iter_points, scan_lidar
 from thalweg.settings.sections import Lidar
-
-_builder = Path(__file__).with_name("test_velodyne_log.py")
-_spec = importlib.util.spec_from_file_location("velodyne_log", _builder)
-log = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(log)
 
 VELOVIEW = "vlp16_veloview/vlp-16-test-90deg-1-50-frames.pcap"
 MRPT = "vlp16_mrpt_gps/sample_velodyne_vlp16_gps.pcap"

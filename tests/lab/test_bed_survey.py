@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
-from tests.lab.conftest import FRAME, SEED, Twin, short
 
+from tests.lab.conftest import FRAME, SEED, Twin, short
 from thalweg.core import CoverageError
 from thalweg.ingest.tracks import read_bed_survey
 from thalweg_lab.instruments import simulate_bed_survey

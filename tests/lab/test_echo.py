@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from tests.lab.conftest import ECHO_M, FRAME, SEED, short
 
+from tests.lab.conftest import ECHO_M, FRAME, SEED, short
 from thalweg.core import ConfigError, read_table
 from thalweg.ingest.nmea import read_nmea
 from thalweg.ingest.nmea.reader import NmeaLog

@@ -1,6 +1,5 @@
 """The receiver under a bridge, under leaves, on one frequency: kinds of solution, sigmas and errors."""
 
-import importlib.util
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -11,6 +10,7 @@ import pytest
 from sbp.client import Framer
 from sbp.client.drivers.file_driver import FileDriver
 
+from tests.lab import sheets
 from thalweg.core import ArrayF, ConfigError, LocalFrame
 from thalweg.ingest.sbp import read_sbp
 from thalweg.ingest.tracks import read_pos
@@ -35,11 +35,6 @@ def twin(duration_s: float = 25.0, **gnss: Any) -> TwinConfig:
     return TwinConfig.of_size("tiny", duration_s=duration_s, gnss=gnss, boat={"zigzag_deg": 0.0})
 
 
-_spec = importlib.util.spec_from_file_location("sheets", Path(__file__).with_name("sheets.py"))
-assert _spec is not None
-assert _spec.loader is not None
-sheets = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(sheets)
 GROUND, scene_of, sheet = sheets.GROUND, sheets.scene_of, sheets.sheet
 
 

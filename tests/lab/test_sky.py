@@ -1,11 +1,9 @@
 """Satellites above the boat, what hides them, and which kind of solution is left."""
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
 
+from tests.lab import sheets
 from thalweg.core import ArrayF, LocalFrame
 from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import Solution
@@ -25,11 +23,6 @@ SEED = 5
 T0 = 304_800_000.0
 GNSS = TwinConfig.of_size("tiny", gnss={"shadow": True}).gnss
 
-_spec = importlib.util.spec_from_file_location("sheets", Path(__file__).with_name("sheets.py"))
-assert _spec is not None
-assert _spec.loader is not None
-sheets = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(sheets)
 GROUND, scene_of, sheet = sheets.GROUND, sheets.scene_of, sheets.sheet
 
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from tests.lab.conftest import ECHO_M, FRAME, SEED, short
 
+from tests.lab.conftest import ECHO_M, FRAME, SEED, short
 from thalweg.calibration import echo_sounder
 from thalweg.core import CoverageError, read_table
 from thalweg.ingest.nmea import read_nmea

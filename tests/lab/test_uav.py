@@ -8,8 +8,8 @@ import laspy
 import numpy as np
 import pytest
 from pyproj import CRS
-from tests.lab.conftest import FRAME, SEED, short
 
+from tests.lab.conftest import FRAME, SEED, short
 from thalweg.core import ConfigError, GeometryError
 from thalweg.fusion import Cloud, fit_cloud, read_cloud
 from thalweg.settings.sections import CloudFit

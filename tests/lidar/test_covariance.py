@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
-from tests.lidar.exact_covariance import INPUTS, point_covariance, point_jacobian
 
+from tests.lidar.exact_covariance import INPUTS, point_covariance, point_jacobian
 from thalweg.core import (
     GeometryError,
     LocalFrame,

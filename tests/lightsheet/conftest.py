@@ -1,6 +1,7 @@
 """One small basin, recorded once for all tests of its images."""
 
 import pytest
+
 from tests.lightsheet.basin import Basin, Jobs, recorded
 
 SEED = 42

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numba as nb
 import numpy as np
 import pytest
-from tests.lightsheet.exact_intersection import intersect_exactly
 
+from tests.lightsheet.exact_intersection import intersect_exactly
 from thalweg.core import GeometryError
 from thalweg.lightsheet.optics import (
     Sensor,

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from tests.lightsheet.basin import FRAME, Basin, Jobs, run
 
+from tests.lightsheet.basin import FRAME, Basin, Jobs, run
 from thalweg.calibration import MARKS, MarkerLayout, read_camera, sheet_picture
 from thalweg.core import GeometryError, InputError, frame_of, write_table
 from thalweg.core.calibration import Source, read_calibration

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from tests.lightsheet.basin import Basin
 
+from tests.lightsheet.basin import Basin
 from thalweg.core import GeometryError, InputError, read_table, write_table
 from thalweg.lightsheet.calibration import read_grid
 from thalweg.lightsheet.lines import LineSettings, detect_lines, pooled_shift, without_shift

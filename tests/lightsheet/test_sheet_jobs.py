@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from tests.lightsheet.basin import Basin, Jobs, recorded
 
+from tests.lightsheet.basin import Basin, Jobs, recorded
 from thalweg.core import ConfigError, GeometryError, InputError, ThalwegError, write_table
 from thalweg.core.calibration import Source
 from thalweg.lightsheet.optics import (

@@ -1,20 +1,14 @@
 """Signed distances from meshes: places, sides and borders that are known, and a search over all faces."""
 
-import importlib.util
-from pathlib import Path
-
 import numba as nb
 import numpy as np
 import pytest
 
+from tests.surface import rough_bank
 from thalweg.core import GeometryError
 from thalweg.core.geometry import RayCaster, TriangleMesh, _open3d
 from thalweg.surface import Distances, Surface, cloud_to_mesh
 from thalweg.surface.cloud_to_mesh import LEAF
-
-_spec = importlib.util.spec_from_file_location("rough_bank", Path(__file__).with_name("rough_bank.py"))
-rough_bank = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(rough_bank)
 
 UTM = np.array([400_000.0, 5_655_000.0, 300.0])
 SQUARE = [[0.0, 0, 0], [4, 0, 0], [4, 4, 0], [0, 4, 0]]

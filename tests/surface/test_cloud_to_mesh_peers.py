@@ -1,6 +1,5 @@
 """Signed distances beside trimesh (small sets, float64) and CloudCompare (same files)."""
 
-import importlib.util
 import os
 import shutil
 import subprocess
@@ -10,12 +9,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from tests.surface import rough_bank
 from thalweg.core.geometry import TriangleMesh
 from thalweg.surface import Surface
-
-_spec = importlib.util.spec_from_file_location("rough_bank", Path(__file__).with_name("rough_bank.py"))
-rough_bank = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(rough_bank)
 
 
 def ours_and_trimesh(theirs: trimesh.Trimesh, points: np.ndarray):

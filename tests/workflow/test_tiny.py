@@ -15,8 +15,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from tests.workflow.conftest import House, rule_names
 
+from tests.workflow.conftest import House, rule_names
 from thalweg.core import Rigid, Trajectory, read_table
 from thalweg.core.timescales import week_from_gps
 from thalweg.ingest import INS_STATE, LidarOptions

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.lab.light_sheet.conftest import SEED, Small, row_centres
 
+from tests.lab.light_sheet.conftest import SEED, Small, row_centres
 from thalweg.core import ArrayF
 from thalweg.settings.twin import SheetImage
 from thalweg_lab.random_numbers import generator

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from tests.lab.light_sheet.conftest import SEED, Small, at_rows, row_centres
 
+from tests.lab.light_sheet.conftest import SEED, Small, at_rows, row_centres
 from thalweg.core import ArrayF, rotation_opk
 from thalweg_lab.tank import Posed, line_on, lines_of, make_grating, stepped_object
 from thalweg_lab.tank.forward import beams_in_water

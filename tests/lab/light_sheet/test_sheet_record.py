@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from tests.lab.light_sheet.conftest import SEED, Small
 
+from tests.lab.light_sheet.conftest import SEED, Small
 from thalweg.clocks import read_number_columns
 from thalweg.clocks.ties import match_pulses
 from thalweg.core import InputError, LocalFrame, read_table

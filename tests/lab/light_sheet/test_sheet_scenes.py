@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from tests.lab.light_sheet.conftest import SEED, Small
 
+from tests.lab.light_sheet.conftest import SEED, Small
 from thalweg.core import ConfigError, GeometryError
 from thalweg.lightsheet.optics import paper_4
 from thalweg.settings.twin import SheetImage

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy.special import j1
+
 from tests.lightsheet.laser_images import (
     GreyValues,
     grey_values,
@@ -13,7 +14,6 @@ from tests.lightsheet.laser_images import (
     mean_line_intensity,
     one_sided_halo,
 )
-
 from thalweg.core import GeometryError
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.tank.render import SpeckleOptics, SpeckleTile, speckle_factor

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from tests.lab.time_lapse.conftest import CONFIG, MOUNTS, SEED, settings
 
+from tests.lab.time_lapse.conftest import CONFIG, MOUNTS, SEED, settings
 from thalweg.core import ConfigError, rotation_opk
 from thalweg.settings.twin import TwinLens
 from thalweg_lab.time_lapse.record import plan_images, scaled_lens

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from tests.lab.time_lapse.conftest import CONFIG, FRAME, MOUNTS, SEED, Reach, settings
 
+from tests.lab.time_lapse.conftest import CONFIG, FRAME, MOUNTS, SEED, Reach, settings
 from thalweg.core import ConfigError
 from thalweg.images.model import ImagePoses
 from thalweg_lab.reach import River

@@ -5,8 +5,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from tests.lab.time_lapse.conftest import Reach
 
+from tests.lab.time_lapse.conftest import Reach
 from thalweg.core import ArrayB, ArrayF, ArrayU8, GeometryError
 from thalweg.ingest.photos import read_image_stamps
 from thalweg_lab.time_lapse.record import TimeLapse

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from tests.lightsheet.laser_images import GreyValues, grey_values, line_intensity
 
+from tests.lightsheet.laser_images import GreyValues, grey_values, line_intensity
 from thalweg.core import AnyArray, ArrayF
 from thalweg.lightsheet.lines import LinePoints
 from thalweg_lab.random_numbers import generator

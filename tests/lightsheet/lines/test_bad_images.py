@@ -4,8 +4,8 @@ import re
 
 import numpy as np
 import pytest
-from tests.lightsheet.laser_images import GreyValues, grey_values, laser_mosaic, mean_line_intensity
 
+from tests.lightsheet.laser_images import GreyValues, grey_values, laser_mosaic, mean_line_intensity
 from thalweg.core import AnyArray, ConfigError, InputError
 from thalweg.lightsheet.lines import LineSettings, detect_lines, green_image
 from thalweg_lab.random_numbers import generator

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from tests.lightsheet.laser_images import (
     GreyValues,
     daylight_board,
@@ -9,7 +10,6 @@ from tests.lightsheet.laser_images import (
     laser_mosaic,
     mean_line_intensity,
 )
-
 from thalweg.core import AnyArray, ArrayF, InputError
 from thalweg.lightsheet.lines import LineSettings, detect_lines, green_image
 from thalweg.lightsheet.optics import paper_4

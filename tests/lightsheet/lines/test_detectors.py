@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import curve_fit
-from tests.lightsheet.laser_images import GreyValues, grey_values, laser_mosaic, mean_line_intensity
 
+from tests.lightsheet.laser_images import GreyValues, grey_values, laser_mosaic, mean_line_intensity
 from thalweg.core import ArrayF
 from thalweg.lightsheet.lines import LineFlag, LineSettings, detect_lines
 from thalweg_lab.random_numbers import generator

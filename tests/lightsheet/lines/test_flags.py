@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from tests.lightsheet.laser_images import GreyValues, grey_values, mean_line_intensity, one_sided_halo
 
+from tests.lightsheet.laser_images import GreyValues, grey_values, mean_line_intensity, one_sided_halo
 from thalweg.core import ArrayF, read_table, write_table
 from thalweg.lightsheet.lines import LINE_POINTS, LineFlag, LinePoints, LineSettings, detect_lines
 from thalweg.lightsheet.lines.albedo import albedo_edges, remove_width_shift

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from tests.lightsheet.basin import run
 
+from tests.lightsheet.basin import run
 from thalweg.core import LocalFrame, frame_of, write_table
 from thalweg.core.calibration import Source
 from thalweg.core.geometry import TriangleMesh, write_mesh

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+
 from tests.lightsheet.basin import run
 from tests.lightsheet.scanning.scan_files import ScanFiles, pixel_table, scan_files
-
 from thalweg.core import ClockError, GeometryError, InputError, ThalwegError, gps_from_unix
 from thalweg.core.geometry import TriangleMesh
 from thalweg.lightsheet.lines import LineFlag
