@@ -48,6 +48,7 @@ OF_CHAINS = {"compare_chains", "plot_chain_histograms", "plot_chains_by_range", 
 
 OF_BED = {
     "plot_soundings",
+    "plot_sounding_lines",
     "plot_sounding_errors",
     "plot_bed_map",
     "plot_bed_sections",

@@ -24,7 +24,7 @@ from scipy.spatial.distance import cdist
 from thalweg.bathymetry.banks import SIDES, Banks
 from thalweg.bathymetry.bed import BANDS, OBSERVATIONS, Bed, cells_of_river, gridded, observations_of
 from thalweg.bathymetry.flow import FlowLine
-from thalweg.bathymetry.validation import by_distance, measures, validate_bed
+from thalweg.bathymetry.validation import by_class, measures, validate_bed
 from thalweg.bathymetry.variogram import HalfWidths, choose_model
 from thalweg.core import (
     ArrayF,
@@ -881,7 +881,8 @@ def against_reference(
     Parameters
     ----------
     bed : ``bed.tif``.
-    references : GeoTIFF, LAS, LAZ, or tables of ellipsoidal heights, in ``crs``.
+    references : GeoTIFF, LAS, LAZ, or tables of ellipsoidal heights, in ``crs``; a surveyed bed as the
+        calibration of an echo sounder reads it (column h_ell_m) too.
     crs : of the map.
     settings : column of tables, sigmas of a reference.
 
@@ -898,7 +899,7 @@ def against_reference(
     own = np.hypot(bands["sigma_m"].ravel(), bands["sigma_common_m"].ravel())
     facts = {}
     for path in references:
-        places, height = _reference_points(path, crs, settings)
+        places, height, sigma = _reference_points(path, crs, settings)
         row, column = grid.at(places)
         cell = (row * grid.columns + column)[row >= 0]
         n = np.bincount(cell, minlength=len(up))
@@ -911,7 +912,8 @@ def against_reference(
                 expected=f"heights along the survey in {crs.name}",
                 cure="Transform the reference to campaign.crs, or look whether it is of this reach",
             )
-        noise = settings.table.sigma_m**2 / np.maximum(n, 1) + settings.table.sigma_common_m**2
+        noise = np.bincount(cell, sigma[row >= 0] ** 2, len(up)) / np.maximum(n, 1) ** 2
+        noise += settings.table.sigma_common_m**2
         pairs = pd.DataFrame(
             {
                 "up_m": mean[both],
@@ -920,12 +922,13 @@ def against_reference(
                 "distance_m": distance[both],
             }
         )
-        facts[path.name] = measures(pairs) | {"classes": by_distance(pairs)}
+        facts[path.name] = measures(pairs) | {"classes": by_class(pairs)}
     return facts
 
 
-def _reference_points(path: Path, crs: CRS, settings: Bathymetry) -> tuple[ArrayF, ArrayF]:
-    """Places (n, 2) on the map and heights (n,) of a reference."""
+def _reference_points(path: Path, crs: CRS, settings: Bathymetry) -> tuple[ArrayF, ArrayF, ArrayF]:
+    """Places (n, 2) on the map, heights (n,) of a reference, and their noise."""
+    stated = settings.table.sigma_m
     kind = path.suffix.lower()
     if kind in {".tif", ".tiff"}:
         grid, bands, _ = read_raster(path)
@@ -938,7 +941,7 @@ def _reference_points(path: Path, crs: CRS, settings: Bathymetry) -> tuple[Array
             )
         value = next(iter(bands.values())).ravel()
         known = np.isfinite(value)
-        return grid.centres_m()[known], value[known]
+        return grid.centres_m()[known], value[known], np.full(known.sum(), stated)
     if kind in {".las", ".laz"}:
         of = laz_header(path).frame
         if of is not None and (
@@ -951,18 +954,21 @@ def _reference_points(path: Path, crs: CRS, settings: Bathymetry) -> tuple[Array
                 cure="Transform it to campaign.crs, with ellipsoidal heights",
             )
         xyz = np.concatenate([chunk["xyz_m"] for chunk in iter_laz(path)])
-        return xyz[:, :2], xyz[:, 2]
+        return xyz[:, :2], xyz[:, 2], np.full(len(xyz), stated)
     table, places = read_places(path, crs)
-    if settings.table.column not in table:
+    column = next((c for c in (settings.table.column, "h_ell_m") if c in table), None)
+    if column is None:
         raise InputError(
             f"no column {settings.table.column}",
             where=path,
             expected=", ".join(map(str, table.columns)),
             cure="State bathymetry.table.column",
         )
-    value = pd.to_numeric(table[settings.table.column], errors="coerce").to_numpy(np.float64)
+    value = pd.to_numeric(table[column], errors="coerce").to_numpy(np.float64)
+    sigma = table.get("sigma_m", table.get("sigma", pd.Series(stated, table.index)))
+    sigma = pd.to_numeric(sigma, errors="coerce").fillna(stated).to_numpy(np.float64)
     known = np.isfinite(value) & np.isfinite(places).all(axis=1)
-    return places[known], value[known]
+    return places[known], value[known], sigma[known]
 
 
 def _observations(
