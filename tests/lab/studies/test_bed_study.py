@@ -11,7 +11,7 @@ COLUMNS = ["n", "observed_m2", "predicted_m2", "normalised", "outside", "error_m
 
 
 @pytest.fixture(scope="module")
-def rows(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
+def tables(tmp_path_factory: pytest.TempPathFactory) -> dict[str, pd.DataFrame]:
     """A survey of 30 s, processed rightly and with a wrong speed of sound."""
     twin = bed_study.TWIN | {"duration_s": 30.0}
     with pytest.MonkeyPatch.context() as patch:
@@ -19,7 +19,8 @@ def rows(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
         return surveyed(4, tmp_path_factory.mktemp("bed"), (NONE, MISTAKES[0]))
 
 
-def test_a_survey_from_raw_logs(rows: pd.DataFrame) -> None:
+def test_a_survey_from_raw_logs(tables: dict[str, pd.DataFrame]) -> None:
+    rows = tables["squares"]
     none = rows[rows["mistake"] == "none"]
     sums = none.groupby("quantity")[COLUMNS].sum()
     assert sums.loc["bed", "n"] > 1000
@@ -31,6 +32,34 @@ def test_a_survey_from_raw_logs(rows: pd.DataFrame) -> None:
     wrong = rows[rows["mistake"] != "none"].groupby("quantity")[COLUMNS].sum()
     lower = (wrong["error_m"] / wrong["n"] - sums["error_m"] / sums["n"]).loc["soundings"]
     assert lower == pytest.approx(-0.035, abs=0.012)
+
+
+def test_a_survey_tells_methods_and_sections(tables: dict[str, pd.DataFrame]) -> None:
+    methods, sections = tables["methods"].set_index("method"), tables["sections"]
+    assert methods.loc["kriging", "n"] > 200
+    assert 0.01 < np.sqrt(methods.loc["kriging", "squares_m2"] / methods.loc["kriging", "n"]) < 0.5
+    assert np.diff(sections["s_m"]) == pytest.approx(2.0)
+    assert sections["width_m"].between(15, 30).all()
+    assert sections["mean_bed_m"].between(-2.5, -0.3).all()
+
+
+def test_findings_of_many_surveys() -> None:
+    """Errors of known size, and a depth that goes with the width by a correlation of -0.6."""
+    rng = np.random.default_rng(2)
+    sizes = {"kriging": 0.1, "triangles": 0.15}
+    methods = pd.DataFrame(
+        {"method": name, "n": 100, "squares_m2": np.sum(rng.normal(0, size, 100) ** 2), "seed": seed}
+        for name, size in sizes.items()
+        for seed in range(20)
+    )
+    x, y = rng.multivariate_normal([0, 0], [[1, 0.6], [0.6, 1]], 20 * 30).T
+    seeds = np.repeat(range(20), 30)
+    sections = pd.DataFrame({"width_m": 20 + x, "mean_bed_m": -1 + 0.1 * y, "seed": seeds})
+    found = bed_study.findings(methods, sections).set_index("finding")
+    for name, true in (("triangles over kriging", 1.5), ("width with mean height of the bed", 0.6)):
+        assert found.loc[name, "sigma"] < 0.06
+        assert abs(found.loc[name, "value"] - true) < 3 * found.loc[name, "sigma"]
+        assert found.loc[name, "surveys"] == 20
 
 
 def test_the_instrument_differs_from_what_is_known_and_the_course_changes() -> None:
