@@ -4,6 +4,7 @@ Heights stay in the table's own vertical system. Without a centre line, one is l
 lines of soundings (sections, zigzag), or along the longest of them where they run down the river.
 """
 
+import csv
 import json
 import re
 from collections.abc import Sequence
@@ -137,9 +138,12 @@ def read_places(path: Path, crs: CRS) -> tuple[pd.DataFrame, ArrayF]:
             skipinitialspace=True,
             header=None if bare else "infer",
         )
-    except (UnicodeDecodeError, ValueError) as error:
+    except (UnicodeDecodeError, ValueError, csv.Error) as error:
         raise InputError(
-            f"{error}", where=path, expected="CSV with a line of names, x y z text, or GeoJSON"
+            f"{error}",
+            where=path,
+            expected="CSV with a line of names, x y z text, or GeoJSON",
+            cure="Look whether the file holds a table, and whether its text is UTF-8",
         ) from error
     if bare:
         table.columns = pd.Index([*"xyz", *(f"column_{k}" for k in range(4, 100))][: table.shape[1]])
@@ -370,8 +374,11 @@ def read_soundings(
         of = one
     xy = of[["x", "y"]].to_numpy(np.float64)
     if len(of) < 4:
+        again = (
+            f", {counts['repeated']:,} more rows at the same places (degrees?)" if counts["repeated"] else ""
+        )
         raise InputError(
-            f"{len(of)} soundings",
+            f"{len(of)} soundings{again}",
             where=path,
             expected="at least four, on two lines or more",
             cure="Look at the columns of places and values: rows without numbers are left out",
@@ -650,7 +657,8 @@ def _densified(xyz: ArrayF) -> ArrayF:
 
 def _between(parts: list[tuple[ArrayF, str | None]], path: Path, height_m: tuple[ArrayF, ArrayF]) -> FlowLine:
     """The line half way between two banks."""
-    if len(parts) == 1:  # an outline: it turns back at its ends
+    if len(parts) == 1 and np.array_equal(parts[0][0][0, :2], parts[0][0][-1, :2]):
+        # an outline: it turns back at its ends
         ring = _densified(parts[0][0])[:, :2]
         ends = divmod(int(np.argmax(cdist(ring, ring))), len(ring))
         first, last = sorted(ends)
@@ -855,6 +863,7 @@ def bed_of_table(
         )
         counts["bank places"] = len(of)
     table = frame_of(OBSERVATIONS, {name: table[name] for name in OBSERVATIONS.names})
+    _refuse_other_heights(table, half_widths)
     data = observations_of(table)
     model = choose_model(data, half_widths, settings, slow_time_s=0.0, seed=seed)
     grid = Grid.around(
@@ -868,6 +877,23 @@ def bed_of_table(
     return BedOfTable(
         bed=bed, line=line, validation=facts, predicted=predicted, methods=methods, notes=tuple(notes)
     )
+
+
+def _refuse_other_heights(table: pd.DataFrame, half_widths: HalfWidths) -> None:
+    """Soundings above the shores, or deeper below them than the river is wide: heights of another kind."""
+    up = table.groupby("source")["up_m"].median()
+    if "bank" not in up:
+        return
+    below = float(up["bank"] - up["sounding"])
+    width = float(np.nanmedian(np.sum(half_widths(table["s_m"]), axis=0)))
+    if below < 0 or below > width:
+        raise InputError(
+            f"the soundings lie {abs(below):.1f} m {'below' if below > 0 else 'above'} the banks in the "
+            f"median, the river is {width:.0f} m wide",
+            where="--banks",
+            expected="heights of soundings and banks in one system, the bed somewhat below the banks",
+            cure="Name heights as --height and depths as --depth; look at --level and the heights of --banks",
+        )
 
 
 def against_reference(
