@@ -270,33 +270,37 @@ def sections_of(bed: Bed, banks: Banks, river: River) -> pd.DataFrame:
     return rows[np.isfinite(rows["width_m"])]
 
 
-def surveyed(seed: int, folder: Path, mistakes: Sequence[PlantedMistake]) -> dict[str, pd.DataFrame]:
-    """One survey, processed with each of the mistakes, the first of which is none.
-
-    Returns
-    -------
-    squares : rows of `squares_of` with ``mistake``.
-    methods : of the bed without a mistake, left-out lines by several interpolators: method, n, squares_m2.
-    sections : of it, see `sections_of`.
-    """
+def surveyed(seed: int, folder: Path, mistakes: Sequence[PlantedMistake]) -> pd.DataFrame:
+    """Errors of one survey, processed with each of the mistakes: rows of `squares_of` with ``mistake``."""
     logging.getLogger("thalweg").setLevel(logging.ERROR)
     logs = record(campaign_of(seed), folder / f"seed_{seed}", echo=True)
     river = river_of(logs)
     rows = []
     for mistake in mistakes:
-        bed, soundings, banks = bed_of(river, mistake)
+        bed, soundings, _ = bed_of(river, mistake)
         rows.append(squares_of(bed, soundings, river).assign(mistake=mistake.name))
-        if mistake is mistakes[0]:
-            settings = Bathymetry(**logs.settings["bathymetry"])
-            methods = validate_bed(bed.data, bed.model, banks.half_widths_m, settings)[2]
-            methods["squares_m2"] = methods["n"] * methods["rmse_m"] ** 2
-            sections = sections_of(bed, banks, river)
     logs.remove()
-    tables = {
-        "squares": pd.concat(rows, ignore_index=True).assign(pattern=logs.twin.boat.pattern),
-        "methods": methods[["method", "n", "squares_m2"]],
-        "sections": sections,
-    }
+    return pd.concat(rows, ignore_index=True).assign(seed=seed, pattern=logs.twin.boat.pattern)
+
+
+def asked(seed: int, folder: Path) -> dict[str, pd.DataFrame]:
+    """What one survey says of P1's findings.
+
+    Returns
+    -------
+    methods : left-out lines predicted by several interpolators: method, n, squares_m2.
+    sections : see `sections_of`.
+    """
+    logging.getLogger("thalweg").setLevel(logging.ERROR)
+    logs = record(campaign_of(seed), folder / f"seed_{seed}", echo=True)
+    river = river_of(logs)
+    bed, _, banks = bed_of(river)
+    settings = Bathymetry(**logs.settings["bathymetry"])
+    methods = validate_bed(bed.data, bed.model, banks.half_widths_m, settings)[2]
+    methods["squares_m2"] = methods["n"] * methods["rmse_m"] ** 2
+    sections = sections_of(bed, banks, river)
+    logs.remove()
+    tables = {"methods": methods[["method", "n", "squares_m2"]], "sections": sections}
     return {name: table.assign(seed=seed) for name, table in tables.items()}
 
 
@@ -403,14 +407,15 @@ def verdict_of(rows: pd.DataFrame, level: float) -> dict[str, Any]:
 
 
 def _rows(seed: Seed) -> Tables:
-    return surveyed(seed.number, seed.folder, (NONE, *MISTAKES))
+    return {"squares": surveyed(seed.number, seed.folder, (NONE, *MISTAKES))}
 
 
 def _results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result]:
-    return {
-        "verdicts": verdicts(tables["squares"]),
-        "findings": findings(tables["methods"], tables["sections"]),
-    }
+    return {"verdicts": verdicts(tables["squares"])}
 
 
 STUDY: Final = Study(rows=_rows, results=_results)
+FINDINGS: Final = Study(
+    rows=lambda seed: asked(seed.number, seed.folder),
+    results=lambda tables, files: {"findings": findings(tables["methods"], tables["sections"])},
+)
