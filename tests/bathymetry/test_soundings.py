@@ -216,8 +216,9 @@ def test_weeds_are_found_where_they_are_most_of_the_echoes(instrument_median: bo
     assert weeds.sum() > 400
     assert out[weeds].mean() > 0.8
     assert out[~weeds].mean() < 0.025
-    # the median alone
+    # the median alone; patches that are narrower than seven pings are not told from relief
     assert judged(d, weeds_m=0.0)[weeds].mean() < 0.6
+    assert (judged(d, weeds_m=1.3) == judged(d, weeds_m=0.0)).all()
 
 
 def test_pings_without_pose_or_time_are_counted() -> None:

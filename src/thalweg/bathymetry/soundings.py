@@ -108,7 +108,7 @@ _ROUGH_PINGS: Final = 7
 _ROUGH: Final = 2.0
 """Among so many pings the bed is rough where the median change of slope is so many times the usual one."""
 _WIDEST_WEEDS: Final = 101
-"""No patch is wider than so many pings."""
+"""A patch of more pings counts as so many: the boat stands, or nearly."""
 _COURSE_S: Final = 2.0
 """The course is smoothed over this time."""
 _SLOWEST_MPS: Final = 0.05
@@ -539,9 +539,9 @@ def _judge_neighbours(
     alive = np.flatnonzero(reason == "")
     if len(alive) < _NEIGHBOURS:
         return
-    if settings.weeds_m:  # first: many of them would be the median
-        reason[alive[_weeds(r[alive], x_t[alive], echo.sigma_depth_m, settings)]] = "weeds"
-        alive = np.flatnonzero(reason == "")
+    # first: many of them would be the median
+    reason[alive[_weeds(r[alive], x_t[alive], echo.sigma_depth_m, settings)]] = "weeds"
+    alive = np.flatnonzero(reason == "")
     d = r[alive]
     middle = median_filter(d, _NEIGHBOURS, mode="nearest")
     off = d - middle
@@ -558,14 +558,17 @@ def _weeds(d: ArrayF, x_t: ArrayF, sigma_m: float, settings: Bathymetry) -> Arra
 
     A morphological opening (the highest of the lowest) takes off what is narrower than `Bathymetry.weeds_m`
     along the track: patches of weeds, and tops of the bed. Over weeds an echo comes now from a tip, now from
-    the bed, so that the slope changes from ping to ping; a top is smooth.
+    the bed, so that the slope changes from ping to ping; a top is smooth. Where pings lie so far apart that
+    such a patch holds fewer than `_ROUGH_PINGS`, nothing tells it from the relief of the bed.
     """
+    step = float(np.median(np.linalg.norm(np.diff(x_t[:, :2], axis=0), axis=1)))
+    wide = int(min(settings.weeds_m / max(step, 1e-6), _WIDEST_WEEDS))
+    if wide < _ROUGH_PINGS:
+        return np.zeros(len(d), dtype=np.bool_)
     slope_change = np.pad(np.abs(np.diff(d, 2)), 1, mode="edge")
     # a normal error of 1 has a median change of slope of sqrt(6) / NMAD
     noise = max(float(np.median(slope_change)) * NMAD / np.sqrt(6), sigma_m)
     rough = maximum_filter1d(median_filter(slope_change, _ROUGH_PINGS, mode="nearest"), _ROUGH_PINGS)
-    step = float(np.median(np.linalg.norm(np.diff(x_t[:, :2], axis=0), axis=1)))
-    wide = int(np.clip(settings.weeds_m / max(step, 1e-6), _NEIGHBOURS, _WIDEST_WEEDS))
     calm = median_filter(-d, 3, mode="nearest")
     bed = grey_opening(calm, wide, mode="nearest")
     patch, n = label(rough > _ROUGH * np.sqrt(6) / NMAD * noise)

@@ -127,9 +127,10 @@ def draw_sounding_lines(*, soundings: Path, title: str, twin: bool) -> Figure:
     lost = (~table["used"]).groupby(number).sum()
     lines = np.sort(lost.sort_values(ascending=False, kind="stable").index[:_LINES].to_numpy())
     of_all = f"{len(lines)} of {count(len(lost))} lines" + (", most left out" if len(lost) > _LINES else "")
-    rows = -(-len(lines) // 3)
-    figure = new_figure(26.0 + 27.0 * rows, f"Lines of soundings: {title}, n = {of_all}", twin=twin)
-    axes = figure.subplots(rows, 3, squeeze=False).ravel()
+    columns = min(len(lines), 3)
+    rows = -(-len(lines) // max(columns, 1))
+    figure = new_figure(max(26.0 + 27.0 * rows, 70.0), f"Lines of soundings: {title}, n = {of_all}", twin=twin)
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for ax, k in zip(axes, lines.tolist(), strict=False):
         of = table[number == k]
         place = of[["transducer_east_m", "transducer_north_m"]].interpolate(limit_direction="both")
