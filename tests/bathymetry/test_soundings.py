@@ -172,7 +172,7 @@ def test_every_reason_is_found_and_only_there() -> None:
     d[80] = 0.15
     d[120:122] *= 2.0
     d[200] += 1.2
-    d[300:305] -= 0.6
+    d[300:308] -= [0.6, 0.3, 0.7, 0.25, 0.6, 0.3, 0.65, 0.35]
     d[350] = 120.0
     table, facts = located(d)
     reasons = table["reason"].to_numpy()
@@ -180,9 +180,9 @@ def test_every_reason_is_found_and_only_there() -> None:
     assert reasons[80] == "dead zone"
     assert set(reasons[120:122]) == {"second echo"}
     assert reasons[200] == "spike"
-    assert set(reasons[300:305]) == {"weeds"}
+    assert set(reasons[300:308]) == {"weeds"}
     assert reasons[350] == "too deep"
-    assert facts["by_reason"][""] == 400 - 1 - 1 - 2 - 1 - 5 - 1
+    assert facts["by_reason"][""] == 400 - 1 - 1 - 2 - 1 - 8 - 1
     assert sum(facts["by_reason"].values()) == facts["pings"] == 400
 
 
@@ -214,11 +214,15 @@ def test_weeds_are_found_where_they_are_most_of_the_echoes(instrument_median: bo
     d = stated(bed - plants)
     weeds, out = bed - d > 0.12, judged(d)
     assert weeds.sum() > 400
-    assert out[weeds].mean() > 0.8
+    # an instrument that takes a median itself hides how rough they are
+    assert out[weeds].mean() > (0.6 if instrument_median else 0.85)
     assert out[~weeds].mean() < 0.025
-    # the median alone; patches that are narrower than seven pings are not told from relief
+    # turns over steep banks, once as wide as a patch, are none
+    steep = 1.4 - 0.9 * np.abs(np.sin(np.pi * x / 14)) ** 3
+    assert judged(stated(steep)).mean() < 0.005
+    # the median alone; patches that are narrower than eleven pings are not told from relief
     assert judged(d, weeds_m=0.0)[weeds].mean() < 0.6
-    assert (judged(d, weeds_m=1.3) == judged(d, weeds_m=0.0)).all()
+    assert (judged(d, weeds_m=2.1) == judged(d, weeds_m=0.0)).all()
 
 
 def test_pings_without_pose_or_time_are_counted() -> None:
