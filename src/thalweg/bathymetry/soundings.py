@@ -556,8 +556,8 @@ def _judge_neighbours(
 def _weeds(d: ArrayF, x_t: ArrayF, sigma_m: float, settings: Bathymetry) -> ArrayB:
     """Which echoes (n,) stand above the bed in a patch that is narrow and rough.
 
-    A morphological opening (the highest of the lowest) takes off what is narrower than `weeds_m` of the settings
-    along the track: patches of weeds, and tops of the bed. Over weeds an echo comes now from a tip, now from
+    A morphological opening (the highest of the lowest) takes off what is narrower than ``weeds_m`` along the
+    track: patches of weeds, and tops of the bed. Over weeds an echo comes now from a tip, now from
     the bed, so that the slope changes from ping to ping; a top is smooth. Where pings lie so far apart that
     such a patch holds fewer of them than the median, nothing tells it from the relief of the bed.
     """

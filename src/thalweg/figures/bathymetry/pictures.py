@@ -129,7 +129,8 @@ def draw_sounding_lines(*, soundings: Path, title: str, twin: bool) -> Figure:
     of_all = f"{len(lines)} of {count(len(lost))} lines" + (", most left out" if len(lost) > _LINES else "")
     columns = min(len(lines), 3)
     rows = -(-len(lines) // max(columns, 1))
-    figure = new_figure(max(26.0 + 27.0 * rows, 70.0), f"Lines of soundings: {title}, n = {of_all}", twin=twin)
+    words = f"Lines of soundings: {title}, n = {of_all}"
+    figure = new_figure(max(26.0 + 27.0 * rows, 70.0), words, twin=twin)
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for ax, k in zip(axes, lines.tolist(), strict=False):
         of = table[number == k]
