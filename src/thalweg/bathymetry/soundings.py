@@ -570,7 +570,7 @@ def _weeds(d: ArrayF, x_t: ArrayF, sigma_m: float, settings: Bathymetry) -> Arra
     noise = max(float(np.median(slope_change)) * NMAD / np.sqrt(6), sigma_m)
     rough = maximum_filter1d(median_filter(slope_change, _NEIGHBOURS, mode="nearest"), _NEIGHBOURS)
     calm = median_filter(-d, 3, mode="nearest")
-    bed = grey_opening(calm, wide, mode="nearest")
+    bed = grey_opening(calm, (wide,), mode="nearest")
     patch, n = label(rough > _ROUGH * np.sqrt(6) / NMAD * noise)
     top = maximum(calm - bed, patch, np.arange(n + 1))
     high = np.asarray(top) > max(settings.spike_m, _SCATTERS * noise)

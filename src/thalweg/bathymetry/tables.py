@@ -991,8 +991,8 @@ def _reference_points(path: Path, crs: CRS, settings: Bathymetry) -> tuple[Array
             cure="State bathymetry.table.column",
         )
     value = pd.to_numeric(table[column], errors="coerce").to_numpy(np.float64)
-    sigma = table.get("sigma_m", table.get("sigma", pd.Series(stated, table.index)))
-    sigma = pd.to_numeric(sigma, errors="coerce").fillna(stated).to_numpy(np.float64)
+    own = table.get("sigma_m", table.get("sigma", pd.Series(stated, table.index)))
+    sigma = pd.to_numeric(own, errors="coerce").fillna(stated).to_numpy(np.float64)
     known = np.isfinite(value) & np.isfinite(places).all(axis=1)
     return places[known], value[known], sigma[known]
 
