@@ -313,10 +313,23 @@ def test_an_island_is_no_bed(survey) -> None:
 
 
 def test_left_out_lines_judge_the_methods(survey, bed) -> None:
-    _, banks, _, _ = survey
+    _, banks, level, _ = survey
     facts, predicted, methods = validate_bed(bed.data, bed.model, banks.half_widths_m, Bathymetry())
     assert facts["lines"] == predicted.loc[predicted["group"] == "line", "number"].nunique() >= 8
     assert 0.4 < facts["normalised_square"] < 1.8
+    depths = {name: of for name, of in facts["classes"].items() if name.endswith("deep")}
+    slopes = {name: of for name, of in facts["classes"].items() if name.startswith("slope")}
+    assert len(depths) >= 2
+    assert len(slopes) >= 2
+    lines = predicted[predicted["group"] == "line"]
+    for classes, column in ((depths, "depth_m"), (slopes, "slope")):
+        assert sum(of["n"] for of in classes.values()) > 0.9 * len(lines), column
+    below = level.at(lines["s_m"].to_numpy())[0] - lines["up_m"]
+    assert np.abs(lines["depth_m"] - below).max() < 0.02
+    h = 0.25
+    fall = [depth_m(lines["s_m"] + a, lines["n_m"] + b) for a, b in ((h, 0), (-h, 0), (0, h), (0, -h))]
+    true_slope = np.hypot(fall[0] - fall[1], fall[2] - fall[3]) / (2 * h)
+    assert np.corrcoef(lines["slope"], true_slope)[0, 1] > 0.5
     rmse = methods.set_index("method")["rmse_m"]
     assert rmse["kriging"] < 0.6 * rmse["kriging, same range along and across"]
     assert rmse["kriging"] < rmse["inverse distance"]
@@ -525,13 +538,19 @@ def test_robust_variogram_is_that_of_the_field() -> None:
     """The measured one, and what the true model says of the same pairs."""
     true = CovarianceModel(kind="exponential", sill_m2=0.09, range_s_m=60.0, range_n_m=8.0)
     model = BedModel(drift=Drift(kind="none"), covariance=true, compared={}, reason="")
-    values, same_pairs = [], []
+    values, same_pairs, inside, inside_wrong = [], [], [], []
+    wrong = replace(model, covariance=replace(true, sill_m2=0.09 * 6))
     for seed in range(6):
         data, _ = field(12, np.random.default_rng(10 + seed))
         found = directional_variogram(data, model, along=False, reach_m=10.0, tolerance_m=1.5, bins=5)
         assert found.pairs.sum() > 500
         values.append(found.semivariance_m2)
         same_pairs.append(found.expected_m2)
+        inside.append((found.low_m2 < found.semivariance_m2) & (found.semivariance_m2 < found.high_m2))
+        wide = directional_variogram(data, wrong, along=False, reach_m=10.0, tolerance_m=1.5, bins=5)
+        inside_wrong.append((wide.low_m2 < wide.semivariance_m2) & (wide.semivariance_m2 < wide.high_m2))
+    assert np.mean(inside) > 0.8  # 95 % of them, but classes of a survey go together
+    assert np.mean(inside_wrong) < 0.3
     expected = 0.02**2 + 0.09 * (1 - np.exp(-3 * found.lag_m / 8.0))
     assert np.mean(values, axis=0) == pytest.approx(expected, rel=0.35)
     assert np.mean(same_pairs, axis=0) == pytest.approx(expected, rel=0.1)
@@ -708,6 +727,14 @@ def test_a_reference_bed_tells_how_far_off_the_bed_is(survey, bed, tmp_path) -> 
     assert found["high.tif"]["normalised_square"] > 10
     assert found["p.csv"]["n"] > 40
     assert found["p.csv"]["rmse_m"] < 0.15
+    # a bed surveyed on foot, as the calibration of the echo sounder reads it: its own sigmas
+    foot = tmp_path / "foot.csv"
+    table = pd.read_csv(paths[2])
+    of_foot = {"x": "east_m", "y": "north_m", "z": "h_ell_m"}
+    table.rename(columns=of_foot)[list(of_foot.values())].assign(sigma_m=0.5).to_csv(foot, index=False)
+    beside = against_reference(tmp_path / "bed.tif", [foot], UTM, Bathymetry())["foot.csv"]
+    assert beside["rmse_m"] == pytest.approx(found["p.csv"]["rmse_m"], abs=1e-6)
+    assert beside["normalised_square"] < found["p.csv"]["normalised_square"]
     far = table_of_others(tmp_path / "far.csv", survey[0], depth=False)
     table = pd.read_csv(far)
     table.assign(x=table["x"] + 5000).to_csv(far, index=False)

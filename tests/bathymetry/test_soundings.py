@@ -19,7 +19,7 @@ from thalweg.bathymetry import (
     speed_of_sound_mps,
     with_bed_normals,
 )
-from thalweg.bathymetry.soundings import _lines, soundings_on_map
+from thalweg.bathymetry.soundings import _judge_neighbours, _lines, soundings_on_map
 from thalweg.core import ErrorChain, InputError, LocalFrame, Trajectory, even_time
 from thalweg.navigation.ins_gnss import PoseCorrelation
 from thalweg.settings.sections import Bathymetry, EchoSounder
@@ -172,7 +172,7 @@ def test_every_reason_is_found_and_only_there() -> None:
     d[80] = 0.15
     d[120:122] *= 2.0
     d[200] += 1.2
-    d[300:305] -= 0.6
+    d[300:308] -= [0.6, 0.3, 0.7, 0.25, 0.6, 0.3, 0.65, 0.35]
     d[350] = 120.0
     table, facts = located(d)
     reasons = table["reason"].to_numpy()
@@ -180,10 +180,49 @@ def test_every_reason_is_found_and_only_there() -> None:
     assert reasons[80] == "dead zone"
     assert set(reasons[120:122]) == {"second echo"}
     assert reasons[200] == "spike"
-    assert set(reasons[300:305]) == {"weeds"}
+    assert set(reasons[300:308]) == {"weeds"}
     assert reasons[350] == "too deep"
-    assert facts["by_reason"][""] == 400 - 1 - 1 - 2 - 1 - 5 - 1
+    assert facts["by_reason"][""] == 400 - 1 - 1 - 2 - 1 - 8 - 1
     assert sum(facts["by_reason"].values()) == facts["pings"] == 400
+
+
+@pytest.mark.parametrize("instrument_median", [False, True])
+def test_weeds_are_found_where_they_are_most_of_the_echoes(instrument_median: bool) -> None:
+    """Patches of up to 4 m in which every other echo comes from a plant, on an uneven bed; and none."""
+    rng = np.random.default_rng(0)
+    x = 0.2 * np.arange(4000)
+    bed = 1.5 + 0.5 * np.sin(x / 9) ** 2 + 0.05 * np.interp(x, x[::8], rng.standard_normal(500))
+    centre = rng.uniform(10.0, x[-1] - 10.0, 60)[:, None]
+    tall = 0.4 * np.clip((2.0 - np.abs(x - centre)) / 0.7, 0.0, 1.0).max(axis=0)
+    plants = tall * rng.uniform(0.4, 1.0, len(x)) * (rng.uniform(size=len(x)) < 0.5)
+
+    def judged(d, **settings) -> np.ndarray:
+        """Which soundings do not count."""
+        reason = np.full(len(x), "", dtype=object)
+        places = np.column_stack([x, np.zeros((len(x), 2))])
+        _judge_neighbours(d, places, reason, EchoSounder(sigma_depth_m=0.02), Bathymetry(**settings))
+        return reason != ""
+
+    def stated(true) -> np.ndarray:
+        """What the instrument says, with its own median of three echoes or without."""
+        d = true + 0.02 * rng.standard_normal(len(x))
+        if instrument_median:
+            d[1:-1] = np.median(np.lib.stride_tricks.sliding_window_view(d, 3), axis=1)
+        return d
+
+    assert judged(stated(bed)).mean() < 0.005
+    d = stated(bed - plants)
+    weeds, out = bed - d > 0.12, judged(d)
+    assert weeds.sum() > 400
+    # an instrument that takes a median itself hides how rough they are
+    assert out[weeds].mean() > (0.7 if instrument_median else 0.85)
+    assert out[~weeds].mean() < 0.025
+    # turns over steep banks, once as wide as a patch, are none
+    steep = 1.4 - 0.9 * np.abs(np.sin(np.pi * x / 14)) ** 3
+    assert judged(stated(steep)).mean() < 0.005
+    # the median alone; patches that are narrower than eleven pings are not told from relief
+    assert judged(d, weeds_m=0.0)[weeds].mean() < 0.6
+    assert (judged(d, weeds_m=2.1) == judged(d, weeds_m=0.0)).all()
 
 
 def test_pings_without_pose_or_time_are_counted() -> None:
@@ -304,6 +343,11 @@ def test_soundings_on_the_map_are_those_that_count() -> None:
     }
     for ours, theirs in same.items():
         assert (found[ours].to_numpy() == table[theirs].to_numpy()[:60]).all()
+    assert found["tvu_95"].iloc[0] == pytest.approx(1.96 * np.sqrt(total))
+    assert found["thu_95"].iloc[0] == pytest.approx(2.45 * first["sigma_horizontal_m"])
+    assert set(found["order"]) == {"exclusive"}
+    rough = table.assign(sigma_white_m=np.where(np.arange(61) < 30, 0.2, 0.9))
+    assert soundings_on_map(rough, FRAME, CRS.from_epsg(25833))["order"].tolist() == ["1a"] * 30 + [""] * 30
 
 
 def test_a_tilt_of_the_beam_moves_it_sideways_and_an_unknown_one_counts() -> None:

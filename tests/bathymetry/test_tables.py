@@ -69,6 +69,8 @@ def river(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_lines(folder / "high.geojson", high)
     away = [({}, (np.array(v) + np.array([5000.0, 0.0])).tolist()) for v in banks.values()]
     write_lines(folder / "away.geojson", away)
+    write_lines(folder / "one.geojson", high[:1])
+    (folder / "empty.csv").touch()
     centre = pd.DataFrame(line.to_map(np.arange(20, 300, 4.0), 0.0), columns=["x", "y"])
     centre.to_csv(folder / "centre.csv", index=False)
     return folder
@@ -181,6 +183,10 @@ BAD = {
     "no such column": (["--height", "z"], "no column z"),
     "heights as depths": (["--depth", "minus"], "positive downwards"),
     "depths as heights": (["--height", "depth", "--level", "0"], "above the level"),
+    "depths as heights beside banks": (["--height", "depth", "--banks", "high.geojson"], "m below the banks"),
+    "banks below the bed": (["--height", "high", "--banks", "high.geojson"], "m above the banks"),
+    "one bank": (["--height", "h", "--banks", "one.geojson"], "1 lines"),
+    "an empty centre line": (["--height", "h", "--centre-line", "empty.csv"], "delimiter"),
     "level below the bed": (["--height", "h", "--level", "90"], "above the level"),
     "banks of another place": (["--height", "h", "--banks", "away.geojson"], "soundings lie"),
     "sides exchanged": (
@@ -219,6 +225,7 @@ def test_mistakes_are_told(
     words, message = BAD[case]
     table = pd.read_csv(river / "soundings.csv").assign(same=1)
     table["minus"] = -table["depth"]
+    table["high"] = table["h"] + 5.0
     table["depth_ft"] = table["depth"] / 0.3048
     table.to_csv(tmp_path / "t.csv", index=False)
     words = [str(river / w) if "." in w and not w[0].isdigit() else w for w in words]
@@ -275,12 +282,15 @@ def test_an_island_is_no_bed(river: Path, tmp_path: Path, capsys: pytest.Capture
 
 
 @pytest.mark.parametrize(
-    ("rows", "message"), [(1, "1 soundings"), (40, "one straight line"), (0, "0 soundings")]
+    ("rows", "message"),
+    [(1, "1 soundings"), (40, "one straight line"), (0, "0 soundings"), (-40, "39 more rows at the same")],
 )
 def test_too_few_soundings(
     rows: int, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], raised: list[ThalwegError]
 ) -> None:
-    table = pd.DataFrame({"x": EAST + np.arange(rows), "y": NORTH + 2.0 * np.arange(rows), "z": 1.0})
+    step = 1e-6 if rows < 0 else 1.0  # degrees
+    k = step * np.arange(abs(rows))
+    table = pd.DataFrame({"x": EAST + k, "y": NORTH + 2.0 * k, "z": 1.0})
     table.to_csv(tmp_path / "t.csv", index=False)
     words = ["--crs", CRS, "--height", "z", "--cell", "1", "--out", str(tmp_path / "o")]
     assert main(["bed", str(tmp_path / "t.csv"), *words]) == 2

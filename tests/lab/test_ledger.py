@@ -427,16 +427,6 @@ def test_several_numbers_become_one(tmp_path: Path, more: dict, value: float) ->
     assert found.value == pytest.approx(value), found
 
 
-def test_a_correlation_of_two_columns(tmp_path: Path) -> None:
-    table = pd.DataFrame({"a": [1.0, 2.0, 4.0, np.nan], "b": [3.0, 1.0, 0.0, 7.0]})
-    table.to_csv(tmp_path / "t.csv", index=False)
-    results = Results.of({"t.csv": tmp_path / "t.csv"}, {}, None)
-    ours = Ours(source="file", name="t.csv", where={}, near={}, columns=("a", "b"), take="correlation")
-    # rows without one of both do not count
-    assert results.find(ours).value == pytest.approx(np.corrcoef([1, 2, 4], [3, 1, 0])[0, 1])
-    assert "2 rows of 2 columns" in results.find(replace(ours, near={"a": (1.5, 0.6)})).absent
-
-
 def test_sigmas(tmp_path: Path) -> None:
     TAKEN.to_csv(tmp_path / "t.csv", index=False)
     results = Results.of({"t.csv": tmp_path / "t.csv"}, {}, None)

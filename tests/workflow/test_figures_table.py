@@ -256,10 +256,10 @@ def test_what_the_shipped_campaigns_show(repository: Path) -> None:
     assert names("tiny", "accuracy") == [*reference, "error_versus_range"]
     assert names("tiny", "trajectories") == ["chain_histograms", "chains_by_range", *images]
     assert set(names("full")) - set(names("tiny")) == {"bed_strip"}
-    bed = ["soundings", "sounding_errors", "bed_map", "bed_sections", "bed_variogram", "bed_left_out"]
-    bed += ["terrain_model", "long_profile"]
+    bed = ["soundings", "sounding_lines", "sounding_errors", "bed_map", "bed_sections", "bed_variogram"]
+    bed += ["bed_left_out", "terrain_model", "long_profile"]
     assert names("tiny", "bathymetry") == bed
-    assert len(names("tiny")) == 39
+    assert len(names("tiny")) == 40
     assert set(names("tiny")) - set(names("demo")) == set(of_rig)
     assert names("field_tiny") == names("field_tiny", "calibration")
     assert names("field_tiny", "calibration")[-3:] == ["clock_offset", "clock_stability", "synthetic_view"]

@@ -48,6 +48,7 @@ OF_CHAINS = {"compare_chains", "plot_chain_histograms", "plot_chains_by_range", 
 
 OF_BED = {
     "plot_soundings",
+    "plot_sounding_lines",
     "plot_sounding_errors",
     "plot_bed_map",
     "plot_bed_sections",
@@ -210,6 +211,7 @@ def test_the_bed_is_as_good_as_its_sigmas_say(tiny_house) -> None:
     # one realisation of a bed of 60 m with four lines
     assert 0.5 < truth["bed: mean of squared error over variance"] < 2.2
     assert truth["bed: root mean square error, m"] < 0.12
+    assert truth["banks: root mean square error, m"] < 0.3
     found = json.loads((tiny_house.root / BASE / "bathymetry/validation.json").read_text())
     assert found["lines"] == 4
     assert found["rmse_m"] < 0.12

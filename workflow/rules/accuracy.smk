@@ -101,6 +101,9 @@ rule compare_riverbed_with_truth:
         depths="results/{campaign}/ingest/depths.parquet",
         pings="results/{campaign}/simulation/truth/soundings.parquet",
         bed="results/{campaign}/bathymetry/bed.tif",
+        banks="results/{campaign}/bathymetry/banks.csv",
+        line="results/{campaign}/bathymetry/centre_line.csv",
+        level="results/{campaign}/bathymetry/water_level.json",
         scene="results/{campaign}/simulation/truth/scene.npz",
     output:
         riverbed="results/{campaign}/accuracy/truth_riverbed.csv",

@@ -110,6 +110,7 @@ rule validate_bed:
         banks="results/{campaign}/bathymetry/banks.csv",
         bed="results/{campaign}/bathymetry/bed.tif",
         reference=raw("reference_bed"),
+        surveyed=raw("bed"),
     output:
         validation="results/{campaign}/bathymetry/validation.json",
         predicted="results/{campaign}/bathymetry/predicted.parquet",

@@ -1,9 +1,10 @@
-"""Soundings, bed and their truth -> errors of pings by depth, of the bed by distance to data, reasons."""
+"""Soundings, bed, banks and their truth -> errors of pings by depth, of bed and banks; reasons."""
 
+import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.bathymetry import SOUNDINGS
+from thalweg.bathymetry import SOUNDINGS, Banks, FlowLine, WaterLevel
 from thalweg.calibration import echo_sounder
 from thalweg.core import LocalFrame, read_table
 from thalweg.ingest import DEPTH
@@ -18,6 +19,9 @@ def main(
     depths: Path,
     pings: Path,
     bed: Path,
+    banks: Path,
+    line: Path,
+    level: Path,
     scene: Path,
     riverbed: Path,
     errors: Path,
@@ -25,7 +29,14 @@ def main(
     campaign: dict[str, Any],
 ) -> None:
     located = read_table(soundings, SOUNDINGS)[0]
-    table = compare_riverbed(located, bed, scene, LocalFrame(**campaign["origin"]))
+    table = compare_riverbed(
+        located,
+        bed,
+        Banks.read(banks, FlowLine.read(line)),
+        WaterLevel.of_report(json.loads(level.read_text())),
+        scene,
+        LocalFrame(**campaign["origin"]),
+    )
     table.to_csv(riverbed, index=False)
     by_depth, scores = compare_soundings(
         located,

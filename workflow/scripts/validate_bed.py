@@ -20,6 +20,7 @@ def main(
     banks: Path,
     bed: Path,
     reference: list[Path],
+    surveyed: list[Path],
     validation: Path,
     predicted: Path,
     methods: Path,
@@ -32,9 +33,9 @@ def main(
         Banks.read(banks, FlowLine.read(line)).half_widths_m,
         bathymetry,
     )
-    if reference:
+    if reference or surveyed:
         crs = CRS.from_user_input(campaign["crs"])
-        facts["reference"] = against_reference(bed, reference, crs, bathymetry)
+        facts["reference"] = against_reference(bed, reference + surveyed, crs, bathymetry)
     validation.write_text(json.dumps(facts, indent=2) + "\n")
     table.to_parquet(predicted, index=False)
     compared.to_csv(methods, index=False)

@@ -386,14 +386,14 @@ def fit_drift(
     some = slice(None, None, -(-len(observations) // _DRIFT_DATA))
     of = observations.where(some)
     X = np.column_stack([np.ones(len(of)), functions[some]])
-    factor = cho_factor(_covariance(of, model, roughness[some]), lower=True)
+    factor = cho_factor(observed_covariance(of, model, roughness[some]), lower=True)
     cov = np.linalg.pinv(X.T @ cho_solve(factor, X), hermitian=True)
     value = cov @ (X.T @ cho_solve(factor, of.height_m - of.height_m.mean()))
     return np.asarray(value[1:]), np.asarray(cov[1:, 1:])
 
 
-def _covariance(of: Observations, model: CovarianceModel, g: ArrayF) -> ArrayF:
-    """Covariance (n, n) of observed heights about the drift."""
+def observed_covariance(of: Observations, model: CovarianceModel, g: ArrayF) -> ArrayF:
+    """Covariance (n, n) of observed heights about the drift; ``g`` (n,) is the roughness of their places."""
     points = model.scaled(of.places_m)
     cov = np.outer(g, g) * model.sill_m2 * model.correlation(cdist(points, points))
     if model.slow_time_s > 0:
@@ -424,7 +424,7 @@ def krige_dense(
     F, F_there = functions or (np.empty((len(observations), 0)), np.empty((len(places_m), 0)))
     points, z = model.scaled(observations.places_m), observations.height_m
     X, X_there = (np.column_stack([np.ones(len(of)), of]) for of in (F, F_there))
-    factor = cho_factor(_covariance(observations, model, g), lower=True)
+    factor = cho_factor(observed_covariance(observations, model, g), lower=True)
     inner = cho_solve(factor, X)
     cov_beta = np.linalg.inv(X.T @ inner)
     middle = float(z.mean())
@@ -461,7 +461,7 @@ def error_covariance(
     """
     g, g_there = roughness or (np.ones(len(observations)), np.ones(len(places_m)))
     points, cells = model.scaled(observations.places_m), model.scaled(places_m)
-    factor = cho_factor(_covariance(observations, model, g), lower=True)
+    factor = cho_factor(observed_covariance(observations, model, g), lower=True)
     c0 = np.outer(g, g_there) * model.sill_m2 * model.correlation(cdist(points, cells))
     weights, of_mean = cho_solve(factor, c0), cho_solve(factor, np.ones(len(points)))
     rest = 1 - c0.T @ of_mean

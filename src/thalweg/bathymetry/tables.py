@@ -4,6 +4,7 @@ Heights stay in the table's own vertical system. Without a centre line, one is l
 lines of soundings (sections, zigzag), or along the longest of them where they run down the river.
 """
 
+import csv
 import json
 import re
 from collections.abc import Sequence
@@ -24,7 +25,7 @@ from scipy.spatial.distance import cdist
 from thalweg.bathymetry.banks import SIDES, Banks
 from thalweg.bathymetry.bed import BANDS, OBSERVATIONS, Bed, cells_of_river, gridded, observations_of
 from thalweg.bathymetry.flow import FlowLine
-from thalweg.bathymetry.validation import by_distance, measures, validate_bed
+from thalweg.bathymetry.validation import by_class, measures, validate_bed
 from thalweg.bathymetry.variogram import HalfWidths, choose_model
 from thalweg.core import (
     ArrayF,
@@ -137,9 +138,12 @@ def read_places(path: Path, crs: CRS) -> tuple[pd.DataFrame, ArrayF]:
             skipinitialspace=True,
             header=None if bare else "infer",
         )
-    except (UnicodeDecodeError, ValueError) as error:
+    except (UnicodeDecodeError, ValueError, csv.Error) as error:
         raise InputError(
-            f"{error}", where=path, expected="CSV with a line of names, x y z text, or GeoJSON"
+            f"{error}",
+            where=path,
+            expected="CSV with a line of names, x y z text, or GeoJSON",
+            cure="Look whether the file holds a table, and whether its text is UTF-8",
         ) from error
     if bare:
         table.columns = pd.Index([*"xyz", *(f"column_{k}" for k in range(4, 100))][: table.shape[1]])
@@ -370,8 +374,11 @@ def read_soundings(
         of = one
     xy = of[["x", "y"]].to_numpy(np.float64)
     if len(of) < 4:
+        again = (
+            f", {counts['repeated']:,} more rows at the same places (degrees?)" if counts["repeated"] else ""
+        )
         raise InputError(
-            f"{len(of)} soundings",
+            f"{len(of)} soundings{again}",
             where=path,
             expected="at least four, on two lines or more",
             cure="Look at the columns of places and values: rows without numbers are left out",
@@ -650,7 +657,8 @@ def _densified(xyz: ArrayF) -> ArrayF:
 
 def _between(parts: list[tuple[ArrayF, str | None]], path: Path, height_m: tuple[ArrayF, ArrayF]) -> FlowLine:
     """The line half way between two banks."""
-    if len(parts) == 1:  # an outline: it turns back at its ends
+    if len(parts) == 1 and np.array_equal(parts[0][0][0, :2], parts[0][0][-1, :2]):
+        # an outline: it turns back at its ends
         ring = _densified(parts[0][0])[:, :2]
         ends = divmod(int(np.argmax(cdist(ring, ring))), len(ring))
         first, last = sorted(ends)
@@ -855,6 +863,7 @@ def bed_of_table(
         )
         counts["bank places"] = len(of)
     table = frame_of(OBSERVATIONS, {name: table[name] for name in OBSERVATIONS.names})
+    _refuse_other_heights(table, half_widths)
     data = observations_of(table)
     model = choose_model(data, half_widths, settings, slow_time_s=0.0, seed=seed)
     grid = Grid.around(
@@ -870,6 +879,23 @@ def bed_of_table(
     )
 
 
+def _refuse_other_heights(table: pd.DataFrame, half_widths: HalfWidths) -> None:
+    """Soundings above the shores, or deeper below them than the river is wide: heights of another kind."""
+    up = table.groupby("source")["up_m"].median()
+    if "bank" not in up:
+        return
+    below = float(up["bank"] - up["sounding"])
+    width = float(np.nanmedian(np.sum(half_widths(table["s_m"]), axis=0)))
+    if below < 0 or below > width:
+        raise InputError(
+            f"the soundings lie {abs(below):.1f} m {'below' if below > 0 else 'above'} the banks in the "
+            f"median, the river is {width:.0f} m wide",
+            where="--banks",
+            expected="heights of soundings and banks in one system, the bed somewhat below the banks",
+            cure="Name heights as --height and depths as --depth; look at --level and the heights of --banks",
+        )
+
+
 def against_reference(
     bed: Path, references: Sequence[Path], crs: CRS, settings: Bathymetry
 ) -> dict[str, Any]:
@@ -881,7 +907,8 @@ def against_reference(
     Parameters
     ----------
     bed : ``bed.tif``.
-    references : GeoTIFF, LAS, LAZ, or tables of ellipsoidal heights, in ``crs``.
+    references : GeoTIFF, LAS, LAZ, or tables of ellipsoidal heights, in ``crs``; a surveyed bed as the
+        calibration of an echo sounder reads it (column h_ell_m) too.
     crs : of the map.
     settings : column of tables, sigmas of a reference.
 
@@ -898,7 +925,7 @@ def against_reference(
     own = np.hypot(bands["sigma_m"].ravel(), bands["sigma_common_m"].ravel())
     facts = {}
     for path in references:
-        places, height = _reference_points(path, crs, settings)
+        places, height, sigma = _reference_points(path, crs, settings)
         row, column = grid.at(places)
         cell = (row * grid.columns + column)[row >= 0]
         n = np.bincount(cell, minlength=len(up))
@@ -911,7 +938,8 @@ def against_reference(
                 expected=f"heights along the survey in {crs.name}",
                 cure="Transform the reference to campaign.crs, or look whether it is of this reach",
             )
-        noise = settings.table.sigma_m**2 / np.maximum(n, 1) + settings.table.sigma_common_m**2
+        noise = np.bincount(cell, sigma[row >= 0] ** 2, len(up)) / np.maximum(n, 1) ** 2
+        noise += settings.table.sigma_common_m**2
         pairs = pd.DataFrame(
             {
                 "up_m": mean[both],
@@ -920,12 +948,13 @@ def against_reference(
                 "distance_m": distance[both],
             }
         )
-        facts[path.name] = measures(pairs) | {"classes": by_distance(pairs)}
+        facts[path.name] = measures(pairs) | {"classes": by_class(pairs)}
     return facts
 
 
-def _reference_points(path: Path, crs: CRS, settings: Bathymetry) -> tuple[ArrayF, ArrayF]:
-    """Places (n, 2) on the map and heights (n,) of a reference."""
+def _reference_points(path: Path, crs: CRS, settings: Bathymetry) -> tuple[ArrayF, ArrayF, ArrayF]:
+    """Places (n, 2) on the map, heights (n,) of a reference, and their noise."""
+    stated = settings.table.sigma_m
     kind = path.suffix.lower()
     if kind in {".tif", ".tiff"}:
         grid, bands, _ = read_raster(path)
@@ -938,7 +967,7 @@ def _reference_points(path: Path, crs: CRS, settings: Bathymetry) -> tuple[Array
             )
         value = next(iter(bands.values())).ravel()
         known = np.isfinite(value)
-        return grid.centres_m()[known], value[known]
+        return grid.centres_m()[known], value[known], np.full(known.sum(), stated)
     if kind in {".las", ".laz"}:
         of = laz_header(path).frame
         if of is not None and (
@@ -951,18 +980,21 @@ def _reference_points(path: Path, crs: CRS, settings: Bathymetry) -> tuple[Array
                 cure="Transform it to campaign.crs, with ellipsoidal heights",
             )
         xyz = np.concatenate([chunk["xyz_m"] for chunk in iter_laz(path)])
-        return xyz[:, :2], xyz[:, 2]
+        return xyz[:, :2], xyz[:, 2], np.full(len(xyz), stated)
     table, places = read_places(path, crs)
-    if settings.table.column not in table:
+    column = next((c for c in (settings.table.column, "h_ell_m") if c in table), None)
+    if column is None:
         raise InputError(
             f"no column {settings.table.column}",
             where=path,
             expected=", ".join(map(str, table.columns)),
             cure="State bathymetry.table.column",
         )
-    value = pd.to_numeric(table[settings.table.column], errors="coerce").to_numpy(np.float64)
+    value = pd.to_numeric(table[column], errors="coerce").to_numpy(np.float64)
+    own = table.get("sigma_m", table.get("sigma", pd.Series(stated, table.index)))
+    sigma = pd.to_numeric(own, errors="coerce").fillna(stated).to_numpy(np.float64)
     known = np.isfinite(value) & np.isfinite(places).all(axis=1)
-    return places[known], value[known]
+    return places[known], value[known], sigma[known]
 
 
 def _observations(

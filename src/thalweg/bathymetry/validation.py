@@ -26,7 +26,12 @@ _MOST_LINES: Final = 40
 """Of more lines, so many are left out, evenly chosen."""
 _MOST_OF_LINE: Final = 200
 _BLOCKS: Final = 8
-_DISTANCES_M: Final = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, np.inf)
+_CLASSES: Final = {
+    "distance_m": ("{} from data", " m", (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, np.inf)),
+    "depth_m": ("{} deep", " m", (-np.inf, 0.5, 1.0, 2.0, 4.0, np.inf)),
+    "slope": ("slope {}", "", (0.0, 0.1, 0.2, 0.4, np.inf)),
+}
+"""Words, unit and limits of classes of what is predicted."""
 _IDW: Final = 12
 _SPLINE: Final = 48
 
@@ -49,9 +54,10 @@ def validate_bed(
     Returns
     -------
     facts : rmse_m, bias_m, normalised_square, outside_95 (share), lines, n; the same of ``blocks``, and in
-        ``classes`` by distance to the nearest datum that was left in, and of margin and channel.
+        ``classes`` by distance to the nearest datum that was left in, by depth (below the shorelines, where
+        they are data) and predicted slope of the bed, and of margin and channel.
     predicted : columns group (line, block), number, s_m, n_m, up_m, predicted_m, sigma_m (of a datum there),
-        distance_m, margin.
+        distance_m, depth_m, slope, margin.
     methods : columns method, rmse_m, bias_m, normalised_square, outside_95, n; lines left out.
     """
     data = observations_of(table)
@@ -62,8 +68,11 @@ def validate_bed(
         for part in splits
     ]
     predicted = pd.concat([part for part in parts if len(part)], ignore_index=True)
+    shore = table[table["source"] == "bank"].sort_values("s_m")
+    level = np.interp(predicted["s_m"], shore["s_m"], shore["up_m"]) if len(shore) else np.nan
+    predicted["depth_m"] = level - predicted["up_m"]
     of_lines, of_blocks = (predicted[predicted["group"] == group] for group in ("line", "block"))
-    classes = by_distance(of_lines)
+    classes = by_class(of_lines)
     for name, inside in (("channel", ~of_lines["margin"]), ("margin", of_lines["margin"])):
         if inside.sum() >= 10:
             classes[name] = measures(of_lines[inside])
@@ -78,13 +87,16 @@ def validate_bed(
     return facts, predicted, pd.DataFrame(rows)
 
 
-def by_distance(predicted: pd.DataFrame) -> dict[str, Any]:
-    """Measures by distance to the nearest datum."""
+def by_class(predicted: pd.DataFrame) -> dict[str, Any]:
+    """Measures by distance to the nearest datum and, where these are columns, by depth and slope."""
     classes = {}
-    for low, high in pairwise(_DISTANCES_M):
-        of = predicted[(predicted["distance_m"] >= low) & (predicted["distance_m"] < high)]
-        if len(of) >= 10:
-            classes[f"{low:g} m to {'more' if high == np.inf else f'{high:g} m'} from data"] = measures(of)
+    for name, (words, unit, limits) in _CLASSES.items():
+        for low, high in pairwise(limits) if name in predicted else ():
+            of = predicted[(predicted[name] >= low) & (predicted[name] < high)]
+            if len(of) >= 10:
+                least = f"{max(low, 0.0):g}{unit}"
+                most = "more" if high == np.inf else f"{high:g}{unit}"
+                classes[words.format(f"{least} to {most}")] = measures(of)
     return classes
 
 
@@ -140,7 +152,10 @@ def _predicted(
     rest, there = data.where(~out), data.where(at)
     if len(rest) < 4:
         return pd.DataFrame()
-    height, sigma = model.fitted_to(rest).predict(rest, there.places_m, neighbours=settings.neighbours)
+    # beside each place as well, for the slope
+    beside = there.places_m + settings.cell_m * np.array([[[0.0, 0.0]], [[1.0, 0.0]], [[0.0, 1.0]]])
+    height, sigma = model.fitted_to(rest).predict(rest, beside.reshape(-1, 2), neighbours=settings.neighbours)
+    height, sigma = height.reshape(3, -1), sigma[: len(there)]
     left, right = half_widths(there.s_m)
     return pd.DataFrame(
         {
@@ -149,8 +164,9 @@ def _predicted(
             "s_m": there.s_m,
             "n_m": there.n_m,
             "up_m": there.height_m,
-            "predicted_m": height,
+            "predicted_m": height[0],
             "sigma_m": np.sqrt(sigma**2 + model.own_variance(there)),
+            "slope": np.hypot(*(height[1:] - height[0])) / settings.cell_m,
             "distance_m": cKDTree(rest.places_m).query(there.places_m)[0],
             "margin": np.abs(there.n_m) > MARGIN * np.where(there.n_m > 0, left, right),
         }

@@ -34,6 +34,7 @@ from thalweg.bathymetry.kriging import (
     error_covariance,
     fit_drift,
     krige,
+    observed_covariance,
 )
 from thalweg.core import ArrayF, ArrayI, GeometryError
 from thalweg.settings.sections import Bathymetry
@@ -62,6 +63,9 @@ SHEET_LINE: Final = -1_000_000
 _DATA: Final = 1500
 """Soundings that they are foretold from."""
 _STEPS: Final = 90
+_COMPARED: Final = 1500
+_SURVEYS: Final = 100
+"""So many soundings make the picture of the variogram, and so many surveys of the model its band."""
 _NEIGHBOURS: Final = 24
 """Data that a left-out sounding is foretold from while models are compared."""
 _BOUNDS: Final = {
@@ -506,12 +510,16 @@ class DirectionalVariogram:
     ----------
     lag_m, semivariance_m2 : (bins,) means; NaN in empty classes.
     expected_m2 : (bins,) what the model says of the same pairs, averaged in the same way.
+    low_m2, high_m2 : (bins,) within these lie 95 % of the semivariances of surveys with these soundings,
+        if the model is right: pairs of a few lines go together, however many they are.
     pairs : (bins,).
     """
 
     lag_m: ArrayF
     semivariance_m2: ArrayF
     expected_m2: ArrayF
+    low_m2: ArrayF
+    high_m2: ArrayF
     pairs: ArrayI
 
 
@@ -538,11 +546,12 @@ def directional_variogram(
     reach_m : longest lag.
     tolerance_m : how far apart a pair may lie in the other direction.
     bins : classes of lag.
-    seed : of the sample, where there are more than 3,000.
+    seed : of the sample, where there are more soundings than are compared, and of the surveys of the model.
     """
+    rng = np.random.default_rng(seed)
     keep = np.arange(len(data))
-    if len(keep) > 3000:
-        keep = np.sort(np.random.default_rng(seed).choice(keep, 3000, replace=False))
+    if len(keep) > _COMPARED:
+        keep = np.sort(rng.choice(keep, _COMPARED, replace=False))
     of = data.where(keep)
     i, j = np.triu_indices(len(of), 1)
     d = np.abs(of.places_m[i] - of.places_m[j])
@@ -557,21 +566,25 @@ def directional_variogram(
         total = np.bincount(number, value, minlength=bins)
         return np.asarray(np.divide(total, n, out=np.full(bins, np.nan), where=n > 0))
 
-    z = of.height_m - model.drift.at(of.places_m)
-    g, covariance = model.roughness(of.places_m), model.covariance
-    scaled = covariance.scaled(d[use])
-    together = covariance.correlation(np.hypot(scaled[:, 0], scaled[:, 1]))
-    slow = of.sigma_slow_m
-    lasting = np.zeros(len(i))
-    if covariance.slow_time_s > 0:
-        lasting = slow[i] * slow[j] * np.exp(-np.abs(of.t_s[i] - of.t_s[j]) / covariance.slow_time_s)
-    own = of.sigma_white_m**2 + slow**2 + g**2 * (covariance.sill_m2 + covariance.micro_m2)
-    expected = (own[i] + own[j]) / 2 - g[i] * g[j] * covariance.sill_m2 * together - lasting
-    # the fourth root of a squared difference is nearly normal: its mean is robust
-    value = mean(np.sqrt(np.abs(z[i] - z[j]))) ** 4 / (0.457 + 0.494 / np.maximum(n, 1)) / 2
+    def semivariance(z: ArrayF) -> ArrayF:
+        """The fourth root of a squared difference is nearly normal: its mean is robust."""
+        return mean(np.sqrt(np.abs(z[i] - z[j]))) ** 4 / (0.457 + 0.494 / np.maximum(n, 1)) / 2
+
+    g, functions = model.roughness(of.places_m), model.drift.functions(of.places_m)
+    cov = observed_covariance(of, model.covariance, g)
+    expected = (cov[i, i] + cov[j, j]) / 2 - cov[i, j]
+    cov[np.diag_indices_from(cov)] += 1e-9 * model.covariance.sill_m2  # places that repeat without noise
+    draws = np.linalg.cholesky(cov) @ rng.standard_normal((len(of), _SURVEYS))
+    # a drift is taken off each survey as it was off this one
+    X = np.column_stack([np.ones(len(of)), functions])
+    inner = np.linalg.solve(cov, X)
+    draws -= functions @ (np.linalg.pinv(X.T @ inner, hermitian=True) @ (inner.T @ draws))[1:]
+    low, high = np.quantile([semivariance(z) for z in draws.T], [0.025, 0.975], axis=0)
     return DirectionalVariogram(
         lag_m=mean(lag),
-        semivariance_m2=value,
+        semivariance_m2=semivariance(of.height_m - model.drift.at(of.places_m)),
         expected_m2=mean(np.maximum(expected, 0.0) ** 0.25) ** 4,
+        low_m2=low,
+        high_m2=high,
         pairs=n,
     )

@@ -42,18 +42,7 @@ BASES: Final = ("printed digits", "sampling error", "goal", "identity")
 bound that the project sets itself (with half a unit); or the arithmetic of float64, stated as ``tolerance``.
 Printed digits state a ``tolerance`` where several printed numbers make one, with the reason in ``why``."""
 
-TAKES: Final = (
-    "one",
-    "mean",
-    "median",
-    "rms",
-    "sum",
-    "count",
-    "least",
-    "largest",
-    "largest size",
-    "correlation",
-)
+TAKES: Final = ("one", "mean", "median", "rms", "sum", "count", "least", "largest", "largest size")
 NAMES: Final = ("rule", "function", "figure")
 """Sources that name parts of the project: its rules, ``module:function``, rows of workflow/figures.yaml."""
 SOURCES: Final = ("file", "study", "setting", "computed", *NAMES, "none")

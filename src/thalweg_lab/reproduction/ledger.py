@@ -61,8 +61,6 @@ NO_RESULT: Final = "no result yet"
 VERDICTS: Final = (FOUND, WAS_PUT_IN, BY_CHOICE, BELOW, ABOVE, SHOWN, MISSED, NOT_CHECKABLE, NO_RESULT)
 WEAKEST_FIRST: Final = (MISSED, NO_RESULT, NOT_CHECKABLE, BY_CHOICE, WAS_PUT_IN, SHOWN, ABOVE, BELOW, FOUND)
 """Which verdict counts for a printed number that is compared in several quantities."""
-LEAST_PAIRS: Final = 3
-"""Rows from which a correlation is taken: two always lie on a line."""
 FAR_BELOW: Final = 1.0 / 3.0
 """Share of a bound that an error-free twin would meet as well: the match says little."""
 SAMPLING_SIGMAS: Final = 3.0
@@ -963,11 +961,6 @@ def _of_table(table: pd.DataFrame, ours: Ours) -> Found:
     values = np.stack([_column(rows, name).to_numpy(np.float64) for name in ours.columns], axis=1)
     if ours.over:
         values = values / _column(rows, ours.over).to_numpy(np.float64)[:, None]
-    if ours.take == "correlation":
-        both = values[np.isfinite(values).all(axis=1)]
-        if values.shape[1] != 2 or len(both) < LEAST_PAIRS:
-            raise _AbsentError(f"{len(both)} rows of {values.shape[1]} columns for a correlation")
-        return Found(value=float(np.corrcoef(both.T)[0, 1]), n=float(len(both)))
     n = float(_column(rows, ours.n).sum()) if ours.n else float("nan")
     return _taken(values, ours, n, _column(rows, ours.sigma) if _named(ours.sigma) else None)
 

@@ -18,6 +18,7 @@ import pandas as pd
 from pyproj import CRS
 
 from thalweg.bathymetry import (
+    Banks,
     Bed,
     Transducer,
     estimate_slow_errors,
@@ -26,6 +27,7 @@ from thalweg.bathymetry import (
     level_water,
     locate_soundings,
     shore_points,
+    validate_bed,
 )
 from thalweg.core import ArrayF, LocalFrame
 from thalweg.ingest.nmea import read_nmea
@@ -62,6 +64,9 @@ ECHO_SOUNDER: Final[dict[str, Any]] = {
     "sigma_sound_speed": 0.002,
 }
 """Section ``echo_sounder``: what the owner of the boat knows. The instrument differs by these sigmas."""
+
+STATION_M: Final = 2.0
+"""Length of a section of the river."""
 
 PATTERNS: Final = ("zigzag", "sections")
 """Courses in turn, by seed."""
@@ -143,8 +148,8 @@ def river_of(logs: Logs) -> River:
 
 def bed_of(
     river: River, mistake: PlantedMistake = NONE, *, strip: pd.DataFrame | None = None
-) -> tuple[Bed, pd.DataFrame]:
-    """Kriged bed and soundings of a survey.
+) -> tuple[Bed, pd.DataFrame, Banks]:
+    """Kriged bed, soundings and banks of a survey.
 
     Parameters
     ----------
@@ -198,7 +203,7 @@ def bed_of(
         slow_time_s=slow_time_s,
         seed=river.logs.seed,
     )
-    return bed, soundings
+    return bed, soundings, banks
 
 
 # ---------------------------------------------------------------- errors
@@ -248,14 +253,89 @@ def sums_of(quantity: str, low: float, high: float, error: ArrayF, sigma: ArrayF
     }
 
 
+def sections_of(bed: Bed, banks: Banks, river: River) -> pd.DataFrame:
+    """Width of the water and mean height of the bed below it along the river: s_m, width_m, mean_bed_m."""
+    s = river.logs.settings
+    frame, crs = LocalFrame(**s["campaign"]["origin"]), CRS.from_user_input(s["campaign"]["crs"])
+    known = np.isfinite(bed.up_m)
+    places = np.column_stack([bed.grid.centres_m()[known], np.full(known.sum(), frame.h_ell_m)])
+    along = banks.line.to_flow(frame.from_map(places, crs)[:, :2])[0]
+    shore = bed.data[bed.data["source"] == "bank"].sort_values("s_m")
+    below = bed.up_m[known] - np.interp(along, shore["s_m"], shore["up_m"])
+    mean = pd.Series(below).groupby(np.floor(along / STATION_M)).agg(["mean", "size"])
+    middle = STATION_M * (mean.index.to_numpy(np.float64) + 0.5)
+    width = np.sum(banks.half_widths_m(middle), axis=0)
+    # first and last station are cut off by the end of the bed
+    rows = pd.DataFrame({"s_m": middle, "width_m": width, "mean_bed_m": mean["mean"].to_numpy()})[1:-1]
+    return rows[np.isfinite(rows["width_m"])]
+
+
 def surveyed(seed: int, folder: Path, mistakes: Sequence[PlantedMistake]) -> pd.DataFrame:
     """Errors of one survey, processed with each of the mistakes: rows of `squares_of` with ``mistake``."""
     logging.getLogger("thalweg").setLevel(logging.ERROR)
     logs = record(campaign_of(seed), folder / f"seed_{seed}", echo=True)
     river = river_of(logs)
-    rows = [squares_of(*bed_of(river, mistake), river).assign(mistake=mistake.name) for mistake in mistakes]
+    rows = []
+    for mistake in mistakes:
+        bed, soundings, _ = bed_of(river, mistake)
+        rows.append(squares_of(bed, soundings, river).assign(mistake=mistake.name))
     logs.remove()
     return pd.concat(rows, ignore_index=True).assign(seed=seed, pattern=logs.twin.boat.pattern)
+
+
+def asked(seed: int, folder: Path) -> dict[str, pd.DataFrame]:
+    """What one survey says of P1's findings.
+
+    Returns
+    -------
+    methods : left-out lines predicted by several interpolators: method, n, squares_m2.
+    sections : see `sections_of`.
+    """
+    logging.getLogger("thalweg").setLevel(logging.ERROR)
+    logs = record(campaign_of(seed), folder / f"seed_{seed}", echo=True)
+    river = river_of(logs)
+    bed, _, banks = bed_of(river)
+    settings = Bathymetry(**logs.settings["bathymetry"])
+    methods = validate_bed(bed.data, bed.model, banks.half_widths_m, settings)[2]
+    methods["squares_m2"] = methods["n"] * methods["rmse_m"] ** 2
+    sections = sections_of(bed, banks, river)
+    logs.remove()
+    tables = {"methods": methods[["method", "n", "squares_m2"]], "sections": sections}
+    return {name: table.assign(seed=seed) for name, table in tables.items()}
+
+
+def findings(methods: pd.DataFrame, sections: pd.DataFrame) -> pd.DataFrame:
+    """What P1 found, asked of all surveys together.
+
+    Returns
+    -------
+    table : finding, value, sigma (jackknife over surveys), surveys. RMSE of left-out lines by each method
+        over that of kriging; correlation of the width of the water with the mean height of the bed.
+    """
+
+    def ratio(of: pd.DataFrame) -> float:
+        """RMSE over that of kriging."""
+        rms = of.groupby("method")[["squares_m2", "n"]].sum()
+        mean = rms["squares_m2"] / rms["n"]
+        return float(np.sqrt(mean[mean.index != "kriging"].iloc[0] / mean["kriging"]))
+
+    def correlation(of: pd.DataFrame) -> float:
+        """Over all sections."""
+        return float(np.corrcoef(of["width_m"], of["mean_bed_m"])[0, 1])
+
+    asked = {
+        f"{name} over kriging": (ratio, methods[methods["method"].isin([name, "kriging"])])
+        for name in methods["method"].unique()
+        if name != "kriging"
+    }
+    asked["width with mean height of the bed"] = (correlation, sections)
+    rows = []
+    for name, (value, of) in asked.items():
+        seeds = of["seed"].unique()
+        without = np.array([value(of[of["seed"] != seed]) for seed in seeds])
+        sigma = np.sqrt((len(seeds) - 1) * np.mean((without - without.mean()) ** 2))
+        rows.append({"finding": name, "value": value(of), "sigma": float(sigma), "surveys": len(seeds)})
+    return pd.DataFrame(rows)
 
 
 def verdicts(rows: pd.DataFrame, *, level: float = 0.95) -> pd.DataFrame:
@@ -335,3 +415,7 @@ def _results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result]:
 
 
 STUDY: Final = Study(rows=_rows, results=_results)
+FINDINGS: Final = Study(
+    rows=lambda seed: asked(seed.number, seed.folder),
+    results=lambda tables, files: {"findings": findings(tables["methods"], tables["sections"])},
+)

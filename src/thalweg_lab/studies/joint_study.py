@@ -177,7 +177,7 @@ def surveyed(seed: int, folder: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
     strip = sheet_points(river)
     rows, places = [], []
     for name, points in zip(SURVEYS, (None, strip), strict=True):
-        bed, _ = bed_of(river, strip=points)
+        bed, *_ = bed_of(river, strip=points)
         cells = cells_of(bed, river)
         level = river.logs.twin.scene.water_level_m
         below = {

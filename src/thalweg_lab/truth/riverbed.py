@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 from scipy import ndimage
 
+from thalweg.bathymetry import Banks, FlowLine, WaterLevel
 from thalweg.core import ArrayB, ArrayF, CoverageError, LocalFrame, read_raster, root_mean_square
 from thalweg.fusion import SOURCE_WORDS, Dtm, Source, seam_steps
 from thalweg_lab.river import Material, Scene
@@ -117,6 +118,9 @@ DISTANCES_M: Final = (0.0, 0.5, 1.0, 2.0, 4.0, np.inf)
 _OUTSIDE: Final = 1.96
 GROUND: Final = (Material.BED, Material.SOIL, Material.GRASS, Material.GRAVEL)
 """What a terrain model shows; stones, plants and works stand on it."""
+_SHORE_SOUGHT_M: Final = 3.0
+_SHORE_STEP_M: Final = 0.02
+"""The true shoreline is sought so far to both sides of a bank, in such steps."""
 _SHORE_M: Final = 5.0
 """Banks within this of the bed are judged apart: farther away stand bushes, walls and houses."""
 
@@ -130,13 +134,16 @@ def true_bed_m(scene: Path, places_m: ArrayF, materials: tuple[Material, ...] = 
     return np.where(np.isfinite(hit), _FROM_M - hit, np.nan)
 
 
-def compare_riverbed(soundings: pd.DataFrame, bed: Path, scene: Path, frame: LocalFrame) -> pd.DataFrame:
-    """Errors of used soundings and of the cells of the bed.
+def compare_riverbed(
+    soundings: pd.DataFrame, bed: Path, banks: Banks, level: WaterLevel, scene: Path, frame: LocalFrame
+) -> pd.DataFrame:
+    """Errors of used soundings, of the cells of the bed, and across the river of banks that were seen.
 
     Parameters
     ----------
     soundings : table of kind ``soundings``.
     bed : raster of `thalweg.bathymetry.BANDS`.
+    banks, level : shorelines, and the water level that they are traced at.
     scene : the true scene.
     frame : of the world.
 
@@ -165,7 +172,22 @@ def compare_riverbed(soundings: pd.DataFrame, bed: Path, scene: Path, frame: Loc
             f"bed, {low:g} m to data and more" if high == np.inf else f"bed, {low:g} to {high:g} m to data"
         )
         rows += _rows(words, error, sigma, of)
+    seen = banks.table[banks.table["seen"]]
+    outward = _beyond_shore_m(seen, banks.line, level, scene)
+    rows += _rows("banks", outward, seen["sigma_across_m"].to_numpy(np.float64), np.isfinite(outward))
     return pd.DataFrame(rows, columns=["measure", "value", "n"])
+
+
+def _beyond_shore_m(banks: pd.DataFrame, line: FlowLine, level: WaterLevel, scene: Path) -> ArrayF:
+    """How far (n,) banks lie landward of where the true ground meets the water; NaN: nowhere near."""
+    s, n = banks["s_m"].to_numpy(np.float64), banks["n_m"].to_numpy(np.float64)
+    off = np.arange(-_SHORE_SOUGHT_M, _SHORE_SOUGHT_M, _SHORE_STEP_M)
+    places = line.to_map(np.repeat(s, len(off)), (n[:, None] + off).ravel())
+    above = true_bed_m(scene, places, GROUND).reshape(len(s), -1) - level.at(s)[0][:, None]
+    met = np.diff(np.sign(above), axis=1) != 0
+    nearest = np.where(met, off[:-1] + _SHORE_STEP_M / 2, np.inf)
+    best = nearest[np.arange(len(s)), np.abs(nearest).argmin(axis=1)]
+    return np.where(np.isfinite(best), -best * np.sign(n), np.nan)
 
 
 def judge_dtm(*, dtm: Path, scene: Path, table: Path, campaign: dict[str, Any]) -> None:

@@ -1,5 +1,7 @@
 """Riverbeds of many surveys: one survey in small, and what is judged consistent."""
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -31,6 +33,36 @@ def test_a_survey_from_raw_logs(rows: pd.DataFrame) -> None:
     wrong = rows[rows["mistake"] != "none"].groupby("quantity")[COLUMNS].sum()
     lower = (wrong["error_m"] / wrong["n"] - sums["error_m"] / sums["n"]).loc["soundings"]
     assert lower == pytest.approx(-0.035, abs=0.012)
+
+
+def test_a_survey_tells_methods_and_sections(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bed_study, "TWIN", bed_study.TWIN | {"duration_s": 25.0})
+    tables = bed_study.asked(4, tmp_path)
+    methods, sections = tables["methods"].set_index("method"), tables["sections"]
+    assert methods.loc["kriging", "n"] > 150
+    assert 0.01 < np.sqrt(methods.loc["kriging", "squares_m2"] / methods.loc["kriging", "n"]) < 0.5
+    assert np.diff(sections["s_m"]) == pytest.approx(2.0)
+    assert sections["width_m"].between(15, 30).all()
+    assert sections["mean_bed_m"].between(-2.5, -0.3).all()
+
+
+def test_findings_of_many_surveys() -> None:
+    """Errors of known size, and a depth that goes with the width by a correlation of -0.6."""
+    rng = np.random.default_rng(2)
+    sizes = {"kriging": 0.1, "triangles": 0.15}
+    methods = pd.DataFrame(
+        {"method": name, "n": 100, "squares_m2": np.sum(rng.normal(0, size, 100) ** 2), "seed": seed}
+        for name, size in sizes.items()
+        for seed in range(20)
+    )
+    x, y = rng.multivariate_normal([0, 0], [[1, 0.6], [0.6, 1]], 20 * 30).T
+    seeds = np.repeat(range(20), 30)
+    sections = pd.DataFrame({"width_m": 20 + x, "mean_bed_m": -1 + 0.1 * y, "seed": seeds})
+    found = bed_study.findings(methods, sections).set_index("finding")
+    for name, true in (("triangles over kriging", 1.5), ("width with mean height of the bed", 0.6)):
+        assert found.loc[name, "sigma"] < 0.06
+        assert abs(found.loc[name, "value"] - true) < 3 * found.loc[name, "sigma"]
+        assert found.loc[name, "surveys"] == 20
 
 
 def test_the_instrument_differs_from_what_is_known_and_the_course_changes() -> None:

@@ -44,6 +44,7 @@ from thalweg.figures import (
     scale_bar,
     styled,
 )
+from thalweg.fusion import SOURCE_WORDS, Source, joined_parts
 
 REASON_STYLE: Final[dict[str, tuple[str, str]]] = {
     "dead zone": (SKY, "s"),
@@ -63,10 +64,13 @@ _PARTS: Final = (
 )
 _KINDS: Final = {"exponential": "exponential", "matern32": "Matérn 3/2", "spherical": "spherical"}
 _SECTIONS: Final = 6
+_LINES: Final = 24
 _STRIPS: Final = 12
 """Pairs of a variogram lie in the same one of so many strips of the river."""
 _FEWEST_PAIRS: Final = 20
-_MARGIN_M: Final = 4.0
+_MARGIN_M: Final = 8.0
+_POINTS: Final = 60_000
+"""So many points of a cloud are drawn."""
 
 
 @styled
@@ -114,6 +118,44 @@ def draw_soundings(*, soundings: Path, title: str, twin: bool) -> Figure:
 
 
 @styled
+def draw_sounding_lines(*, soundings: Path, title: str, twin: bool) -> Figure:
+    """Each line of soundings by itself, those that do not count marked by their reason."""
+    table = read_table(soundings, SOUNDINGS)[0]
+    table = table[np.isfinite(table["t_gps_s"]) & (table["range_m"] > 0)].sort_values("t_gps_s")
+    # what does not count is on no line: it belongs to the one before it
+    number = table["line"].where(table["line"] >= 0).ffill().bfill().fillna(0).astype(int)
+    lost = (~table["used"]).groupby(number).sum()
+    lines = np.sort(lost.sort_values(ascending=False, kind="stable").index[:_LINES].to_numpy())
+    of_all = f"{len(lines)} of {count(len(lost))} lines" + (", most left out" if len(lost) > _LINES else "")
+    columns = min(len(lines), 3)
+    rows = -(-len(lines) // max(columns, 1))
+    words = f"Lines of soundings: {title}, n = {of_all}"
+    figure = new_figure(max(26.0 + 27.0 * rows, 70.0), words, twin=twin)
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for ax, k in zip(axes, lines.tolist(), strict=False):
+        of = table[number == k]
+        place = of[["transducer_east_m", "transducer_north_m"]].interpolate(limit_direction="both")
+        way = np.hypot(*place.diff().fillna(0.0).to_numpy().T).cumsum()
+        for reason, (colour, marker) in ({"": (BLUE, ".")} | REASON_STYLE).items():
+            at = (of["reason"] == reason).to_numpy()
+            if at.any():
+                size, label = (2.5, "used") if marker == "." else (4.5, reason)
+                ax.plot(
+                    way[at], of["range_m"][at], ls="none", marker=marker, ms=size, color=colour, label=label
+                )
+        ax.invert_yaxis()
+        t = of["t_gps_s"].to_numpy()
+        words = f"line {k}: {t[0]:.1f} to {t[-1]:.1f} s"
+        ax.set_title(words, fontsize="small", loc="left")
+    for ax in axes[len(lines) :]:
+        ax.set_axis_off()
+    figure.supxlabel("along the track [m]", fontsize="medium")
+    figure.supylabel("range below the transducer [m]", fontsize="medium")
+    _one_legend(figure, axes)
+    return figure
+
+
+@styled
 def draw_sounding_errors(*, soundings: Path, title: str, twin: bool) -> Figure:
     """Standard deviation of the height of a sounding over depth, by its parts."""
     table = read_table(soundings, SOUNDINGS)[0]
@@ -155,12 +197,13 @@ def draw_bed_map(
     line: Path,
     level: Path,
     soundings: Path,
+    model: Path,
     crs: str,
     origin: Mapping[str, Any],
     title: str,
     twin: bool,
 ) -> Figure:
-    """Depth of the bed and its standard deviation from above, with banks and soundings (P1 Fig. 6)."""
+    """Depth of the bed and its standard deviation from above, with soundings and clouds (P1 Fig. 6)."""
     frame, onto = LocalFrame(**origin), CRS.from_user_input(crs)
     grid, bands, _ = read_raster(bed)
     depth, sigma = _depth_of(grid, bands, frame, FlowLine.read(line), level)
@@ -172,6 +215,13 @@ def draw_bed_map(
     low, high = robust_limits(depth, 0.5, 99.5)
     look = {"cmap": DEPTH_MAP, "vmin": max(low, 0.0), "vmax": high}
     figure, axes = _value_and_sigma(grid, depth, look, "depth below the water [m]", sigma, words, twin=twin)
+    clouds = joined_parts(model)
+    for source, colour in ((Source.SURROUNDINGS, "0.75"), (Source.LIDAR, SKY)):
+        if source in clouds:
+            xyz = clouds[source].xyz_m
+            some = frame.to_map(xyz[:: max(1, len(xyz) // _POINTS)], onto)
+            words = SOURCE_WORDS[source]
+            axes[0].plot(*some[:, :2].T, ls="none", marker=".", ms=1.0, color=colour, zorder=0.5, label=words)
     for ax in axes:
         ax.plot(*track.T, ls="none", marker=".", ms=1.2, color="black", label="soundings")
         for side, of in shores.groupby("side"):
@@ -306,14 +356,23 @@ def draw_variogram(*, observations: Path, variogram: Path, title: str, twin: boo
             color="black",
             label=f"same pairs, {_KINDS[of.kind]}, range {of.range_s_m if along else of.range_n_m:.1f} m",
         )
+        ax.fill_between(
+            found.lag_m[use],
+            found.low_m2[use],
+            found.high_m2[use],
+            color="0.88",
+            lw=0,
+            zorder=0,
+            label="95 % of surveys of that model",
+        )
         both = np.concatenate([found.semivariance_m2[use], found.expected_m2[use], [0.0]])
-        ax.set_ylim(0.0, 1.3 * max(float(both.max()), 1e-6))
+        ax.set_ylim(0.0, 1.7 * max(float(both.max()), 1e-6))
         ax.set_xlabel(
             f"distance {'along' if along else 'across'} the river [m]\n"
             f"pairs within {tolerance:.1f} m {'across' if along else 'along'} it"
         )
         ax.set_xlim(0.0)
-        ax.legend(loc="best")
+        ax.legend(loc="upper left")
     axes[0].set_ylabel("semivariance [m²]")
     return figure
 

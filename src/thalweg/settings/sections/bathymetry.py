@@ -79,6 +79,12 @@ class Bathymetry(Section):
         description="Farther from the median of its neighbours along the track than this and than four times "
         "their scatter: a spike, metres",
     )
+    weeds_m: NonNegative = Field(
+        default=6.0,
+        le=100,
+        description="Scattered echoes above the bed in a patch narrower than this along the track, with "
+        "eleven pings or more, are weeds or stones and left out, metres; 0: all are the bed",
+    )
     max_turn_deg_per_s: Positive = Field(
         default=40.0, le=360, description="Faster turns cast the beam aside: left out, degrees a second"
     )
