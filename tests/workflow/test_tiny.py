@@ -15,11 +15,13 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from scipy.stats import chi2
 from tests.workflow.conftest import House, rule_names
 
-from thalweg.core import Rigid, Trajectory, read_table
+from thalweg.core import LocalFrame, Rigid, Trajectory, read_table
 from thalweg.core.timescales import week_from_gps
-from thalweg.ingest import INS_STATE, LidarOptions
+from thalweg.ingest import GNSS_POSITION, INS_STATE, LidarOptions
+from thalweg.ingest.ppk.trust import covariance_enu
 from thalweg.ingest.registry import lidar_reader
 from thalweg.lidar import CORRELATIONS, SIGMAS, LogSettings, georeference_log
 from thalweg.settings import load_campaign
@@ -554,6 +556,52 @@ def test_an_sbet_and_photographs_give_the_chains_of_camera_and_all_sensors(tiny_
     assert 0.05 < np.mean(off**2) < 4.0
     text = (results / "index.html").read_text()
     assert "trajectories by camera and by all sensors" in text
+
+
+def test_raw_observations_of_the_twin_are_solved(tiny_house) -> None:
+    """The twin's receiver and base in raw observations, PPK, and the boat's poses: position_source ppk."""
+    root = tiny_house.root
+    own = yaml.safe_load((root / "config/campaigns/tiny.yaml").read_text())
+    campaign = {key: own[key] for key in ("campaign", "twin", "mounts")}
+    campaign["campaign"]["id"] = "tiny_ppk"
+    campaign["orientation"] = {"position_source": "ppk", "accept_fixes": "auto"}
+    campaign["twin"]["gnss"] = {"shadow": True}
+    path = root / "config/campaigns/tiny_ppk.yaml"
+    path.write_text(yaml.safe_dump(campaign))
+    base = root / "results/tiny_ppk"
+    # the same voyage: what does not rest on positions is that of tiny
+    truth = [f"simulation/truth/{name}" for name in ("scene.npz", "mounts.json", "trajectory.parquet")]
+    read = [f"ingest/{name}.integrity.json" for name in ("lidar", "ins", "gnss", "depth")]
+    for name in (*truth, *read, "ingest/ins_states.parquet", "ingest/lidar.clock.json"):
+        (base / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(root / BASE / name, base / name)
+    stated = "results/tiny_ppk/orientation/trajectory_stated.parquet"
+    made = "simulate_raw_gnss", "read_positions", "collect_mounts", "align_streams", "build_trajectory"
+    tiny_house.snakemake(stated, "--config", "campaign=tiny_ppk", "--allowed-rules", *made)
+    path.unlink()
+    facts = json.loads((base / "simulation/truth/raw_gnss_effects.json").read_text())
+    assert facts["dimmed"] > 0
+    true = Trajectory.read(base / "simulation/truth/trajectory.parquet")
+    lever = read_true_mounts(base / "simulation/truth/mounts.json")["antenna"]["lever_ics_m"]
+    table, _ = read_table(base / "ingest/positions.parquet", GNSS_POSITION)
+    assert (table["fix"] == "fixed").mean() > 0.5
+    frame = LocalFrame(**own["campaign"]["origin"])
+    place = frame.from_geodetic(table["lat_deg"], table["lon_deg"], table["h_ell_m"])
+    position, rotation, inside = true.at(table["t_gps_s"].to_numpy())
+    off = (place - position - rotation @ np.asarray(lever))[inside]
+    fixed = (table["fix"] == "fixed").to_numpy()[inside]
+    assert np.abs(off[fixed]).max() < 0.10  # one wavelength is 0.19 m
+    cov = covariance_enu(table)[inside]
+    nees = np.einsum("ni,nij,nj->n", off, np.linalg.inv(cov), off)
+    # multipath lasts 40 s: the voyage is one observation of three axes
+    low, high = chi2.ppf([0.005, 0.995], 3)
+    assert low < nees.mean() < high
+    # poses are where the positions are
+    poses = Trajectory.read(root / stated)
+    use = poses.valid
+    position, _, inside = true.at(poses.t_gps_s[use])
+    assert np.sqrt(np.mean((poses.position_wcs_m[use] - position)[inside] ** 2)) < 0.05
+    shutil.rmtree(base)
 
 
 def test_a_campaign_is_written_from_a_folder_of_logs(tiny_house) -> None:

@@ -1034,11 +1034,11 @@ def _given(logs: Logs, keys: tuple[str, ...]) -> bool:
 
 
 def _check_twin_source(parts: Parts) -> Iterator[Mistake]:
-    if parts.orientation is not None and parts.orientation.position_source in {"ppk", "sbet"}:
+    if parts.orientation is not None and parts.orientation.position_source == "sbet":
         yield Mistake(
             path=("orientation", "position_source"),
-            found=f"found {parts.orientation.position_source!r}, but the twin does not write such logs",
-            expected="pos, sbp or ins",
+            found="found 'sbet', but the twin does not write such logs",
+            expected="pos, sbp, ppk or ins",
             cure="Write position_source: pos",
         )
     mode = parts.raw("twin", "gnss", "mode")

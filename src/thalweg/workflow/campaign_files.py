@@ -144,9 +144,11 @@ class CampaignFiles:
         return logs[key] if logs else None
 
     def base_position(self) -> dict[str, Any]:
-        """How the campaign file states the position of the base."""
+        """How the campaign file states the position of the base; a twin's base does in its own file."""
         logs = self.plain["logs"]
-        return {k: v for k, v in logs["gnss"].items() if k.startswith("base_")} if logs else {}
+        if not logs:
+            return {"base_from": "rinex_header"} if self.position_source() == "ppk" else {}
+        return {k: v for k, v in logs["gnss"].items() if k.startswith("base_")}
 
     def reference_surface(self) -> dict[str, Any]:
         """The section `reference` without the sigma, which no mesh depends on."""
