@@ -51,6 +51,8 @@ class FirstJobs:
             )
         elif source != "ppk":
             self._opened("positions", files.position_logs(), self._positions)
+        else:
+            self._tried(self._raw_gnss)
         if states is None and not files.ins_logs():
             self._opened("depth", files.logs("depth"), self._depth)
         if self.errors or self.skipped:
@@ -119,6 +121,19 @@ class FirstJobs:
             source, paths, states=None, date=self._date(), base=none, nav=none, ppk={}, base_position={}
         )
         self._as_stream("positions", report)
+
+    def _raw_gnss(self) -> None:
+        from thalweg.ingest.ppk import check_inputs
+
+        rover, base, nav = (
+            [Path(log) for log in logs]
+            for logs in (
+                self._files.position_logs(),
+                self._files.ppk_logs("base"),
+                self._files.ppk_logs("nav"),
+            )
+        )
+        check_inputs(rover, base or None, nav)
 
     def _depth(self, paths: list[Path]) -> None:
         from thalweg.ingest.nmea import read_nmea

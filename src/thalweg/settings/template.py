@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final
 
 from thalweg.settings.checks_place import utm_code
-from thalweg.settings.sections import DSM_ENDINGS, ReferenceSettings
+from thalweg.settings.sections import DSM_ENDINGS, ReferenceSettings, is_rinex_name
 
 PLACEHOLDERS: Mapping[str, Sequence[str]] = {
     "lidar": ["raw/lidar/*.pcap"],
@@ -84,8 +84,7 @@ def campaign_text(
         "",
         "mounts:  # body frame of the INS, or of the boat: x forward, y right, z down",
         *_lidar(listed, levers),
-        "  antenna:",
-        f"    lever_ics_m: CHANGE{levers}",
+        *_antenna(listed, levers),
         *(["  echo_sounder:", f"    lever_ics_m: CHANGE{levers}"] if listed.get("depth") else []),
         *_camera(listed, levers),
         "",
@@ -245,6 +244,13 @@ def _photographs(listed: Mapping[str, Sequence[str]]) -> list[str]:
     return lines
 
 
+def _antenna(listed: Mapping[str, Sequence[str]], levers: str) -> list[str]:
+    """Lines of ``mounts.antenna``; of a receiver alone the trajectory is that of its antenna."""
+    if any(listed.get(stream) for stream in ("lidar", "ins", "sbet", "depth", "time_lapse")):
+        return ["  antenna:", f"    lever_ics_m: CHANGE{levers}"]
+    return ["  antenna:", "    lever_ics_m: [0.0, 0.0, 0.0]  # metres; the trajectory is that of the antenna"]
+
+
 def _lidar(listed: Mapping[str, Sequence[str]], levers: str) -> list[str]:
     """Lines of ``mounts.lidar`` of a campaign with a lidar."""
     if not listed.get("lidar"):
@@ -299,7 +305,7 @@ def _source(listed: Mapping[str, Sequence[str]]) -> tuple[str, list[str]]:
         return "pos", gnss
     if listed.get("sbet"):
         return "sbet", gnss
-    if listed.get("base"):
+    if listed.get("base") or (listed.get("rover") and all(map(is_rinex_name, map(Path, listed["rover"])))):
         return "ppk", [*gnss, "    base_from: rinex_header  # CHANGE: or sbp, base_ecef_m, base_llh"]
     found = {"sbp": "rover", "ins": "ins", "nmea": "depth"}
     return next((source for source, stream in found.items() if listed.get(stream)), "pos"), gnss

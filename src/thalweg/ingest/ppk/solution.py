@@ -319,19 +319,7 @@ def prepare_inputs(
     ------
     InputError : a file is missing, of the wrong kind, given twice, or holds no observations.
     """
-    rover_kind = _role_kind(rover, "rover", ("SBP", "observation"), _CURE_ROVER)
-    base_kind = None if base is None else _role_kind(base, "base", ("SBP", "observation"), _CURE_BASE)
-    if base is None and rover_kind != "SBP":
-        raise InputError(
-            "no base files, and a RINEX rover holds no corrections",
-            expected="the observation files of a base station",
-            where=rover[0],
-            cure=_CURE_BASE,
-        )
-    if nav:
-        _role_kind(nav, "navigation", ("navigation",), "Give RINEX navigation files (*.nav, *.yyN, *.yyP)")
-    _refuse_doubles(rover, base or (), nav)
-
+    rover_kind, base_kind = check_inputs(rover, base, nav)
     out = PpkInputs([], "", [], [], [], [])
     tasks: list[dict[str, Any]] = []
     if rover_kind == "SBP":
@@ -376,6 +364,30 @@ def prepare_inputs(
     out.nav_files = [str(scan.path) for scan in out.nav]
     out.engine_files = [str(folder / "rover_*.obs"), out.base_glob, *out.nav_files]
     return out
+
+
+def check_inputs(
+    rover: Sequence[Path], base: Sequence[Path] | None, nav: Sequence[Path]
+) -> tuple[Kind, Kind | None]:
+    """Kinds of the rover's and of the base's files, None without any.
+
+    Raises
+    ------
+    InputError : a file is missing, of the wrong kind, or given twice; a RINEX rover without a base.
+    """
+    rover_kind = _role_kind(rover, "rover", ("SBP", "observation"), _CURE_ROVER)
+    base_kind = None if base is None else _role_kind(base, "base", ("SBP", "observation"), _CURE_BASE)
+    if base is None and rover_kind != "SBP":
+        raise InputError(
+            "no base files, and a RINEX rover holds no corrections",
+            expected="the observation files of a base station",
+            where=rover[0],
+            cure=_CURE_BASE,
+        )
+    if nav:
+        _role_kind(nav, "navigation", ("navigation",), "Give RINEX navigation files (*.nav, *.yyN, *.yyP)")
+    _refuse_doubles(rover, base or (), nav)
+    return rover_kind, base_kind
 
 
 def preflight(inputs: PpkInputs, options: PpkOptions, rover_file: Path, base_file: Path) -> list[str]:
