@@ -925,6 +925,7 @@ _NEEDS: dict[str, tuple[str, ...]] = {
     "sbp": ("gnss.rover",),
     "ppk": ("gnss.rover",),
     "nmea": (),
+    "gpx": ("positions",),
     "sbet": ("sbet", "gps_week"),
     "ins": (),
 }
@@ -1017,7 +1018,7 @@ def _check_source(parts: Parts, logs: Logs) -> Iterator[Mistake]:
     if parts.mounts is None or parts.mounts.calibration is not None:
         return
     recorded = {"lidar": bool(logs.lidar), "echo_sounder": bool(logs.depth)}
-    recorded["antenna"] = any(recorded.values()) and source in {"pos", "sbp", "ppk", "nmea"}
+    recorded["antenna"] = any(recorded.values()) and source in {"pos", "sbp", "ppk", "nmea", "gpx"}
     sensors = [sensor for sensor, is_there in recorded.items() if is_there]
     for sensor in sensors:
         if parts.raw("mounts", sensor, "lever_ics_m") is None:
@@ -1034,10 +1035,10 @@ def _given(logs: Logs, keys: tuple[str, ...]) -> bool:
 
 
 def _check_twin_source(parts: Parts) -> Iterator[Mistake]:
-    if parts.orientation is not None and parts.orientation.position_source == "sbet":
+    if parts.orientation is not None and parts.orientation.position_source in {"sbet", "nmea", "gpx"}:
         yield Mistake(
             path=("orientation", "position_source"),
-            found="found 'sbet', but the twin does not write such logs",
+            found=f"found {parts.orientation.position_source!r}, but the twin does not write such logs",
             expected="pos, sbp, ppk or ins",
             cure="Write position_source: pos",
         )

@@ -31,7 +31,7 @@ _ORDINARY_GNSS: Final = [
     "  # antenna_h_ell_m: 0.0  # ellipsoidal height of the antenna, where the sentences have none (GLL, RMC)",
     "  max_gap_s: 5.0  # longest hole between positions that is interpolated",
 ]
-"""Lines of ``orientation`` for a receiver that writes NMEA."""
+"""Lines of ``orientation`` for a receiver that writes NMEA or GPX."""
 
 
 def campaign_text(
@@ -75,7 +75,7 @@ def campaign_text(
         *_list("lidar", listed.get("lidar", []), "Velodyne captures"),
         *_list("ins", listed.get("ins", []), "Advanced Navigation ANPP"),
         *gnss,
-        *_list("positions", listed.get("pos", []), "RTKLIB .pos, or NMEA"),
+        *_list("positions", listed.get("pos", []), "RTKLIB .pos, NMEA or GPX"),
         *_list("sbet", listed.get("sbet", []), "Applanix SBET; needs gps_week"),
         *(["  # gps_week: 2235  # CHANGE: week of the SBET"] if listed.get("sbet") else []),
         *_list("depth", listed.get("depth", []), "echo sounder, NMEA"),
@@ -89,8 +89,8 @@ def campaign_text(
         *_camera(listed, levers),
         "",
         "orientation:",
-        f"  position_source: {source}  # pos, sbp, ppk, nmea, sbet or ins",
-        *(_ORDINARY_GNSS if source == "nmea" else [f"  accept_fixes: {fixes}"]),
+        f"  position_source: {source}  # pos, sbp, ppk, nmea, gpx, sbet or ins",
+        *(_ORDINARY_GNSS if source in ("nmea", "gpx") else [f"  accept_fixes: {fixes}"]),
         *_without_control(listed, source),
         *(
             ["", "# filters: {below_water_m: null, mirror_ghosts: false}  # where there is no water"]
@@ -302,7 +302,7 @@ def _source(listed: Mapping[str, Sequence[str]]) -> tuple[str, list[str]]:
     else:
         gnss = ["  # gnss: {rover: [], base: [], nav: []}  # raw GNSS: SBP or RINEX"]
     if listed.get("pos"):
-        return "pos", gnss
+        return ("gpx" if all(name.lower().endswith(".gpx") for name in listed["pos"]) else "pos"), gnss
     if listed.get("sbet"):
         return "sbet", gnss
     if listed.get("base") or (listed.get("rover") and all(map(is_rinex_name, map(Path, listed["rover"])))):

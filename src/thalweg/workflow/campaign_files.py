@@ -21,7 +21,7 @@ LogLength = Callable[[Sequence[str], Mapping[str, Any]], float]
 
 _STREAMS: Final = {"lidar": "lidar", "ins": "ins", "sbet": "ins", "sbp": "gnss", "depth": "depth"}
 """Logs, and how the rules that read them name their results."""
-_POSITION_LOGS: Final = {"pos": "pos", "nmea": "pos", "sbp": "sbp", "ppk": "rover"}
+_POSITION_LOGS: Final = {"pos": "pos", "nmea": "pos", "gpx": "pos", "sbp": "sbp", "ppk": "rover"}
 """Sources of positions with files of their own."""
 _CHAINS: Final = {"": "ins", "by_camera/": "camera", "by_fused/": "fused"}
 """Folder below those of clouds and of comparisons -> what the trajectory rests on."""

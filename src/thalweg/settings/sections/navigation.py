@@ -11,7 +11,7 @@ from thalweg.settings.sections.base import Finite, NonNegative, Positive, Sectio
 
 SigmaAttitude = Annotated[float, Field(gt=0, le=45, allow_inf_nan=False)]
 Fix = Literal["fixed", "float", "sbas", "dgnss", "single", "ppp", "omnistar", "dead_reckoning"]
-PositionSource = Literal["pos", "sbp", "ppk", "nmea", "sbet", "ins"]
+PositionSource = Literal["pos", "sbp", "ppk", "nmea", "gpx", "sbet", "ins"]
 
 
 class Ins(Section):
@@ -107,8 +107,8 @@ class Orientation(Section):
     position_source: PositionSource = Field(
         default="pos",
         description="Positions from: `pos` RTKLIB files, `sbp` the receiver's own solution, `ppk` raw GNSS, "
-        "`nmea` NMEA 0183 (`logs.positions`, else the log of the echo sounder), `sbet` Applanix trajectory, "
-        "`ins` the INS's own filter",
+        "`nmea` NMEA 0183 (`logs.positions`, else the log of the echo sounder), `gpx` a track, "
+        "`sbet` Applanix trajectory, `ins` the INS's own filter",
     )
     accept_fixes: Annotated[tuple[Fix, ...], Field(min_length=1)] | Literal["auto"] = Field(
         default=("fixed",),
@@ -131,13 +131,13 @@ class Orientation(Section):
     )
     sigma_position_m: Sigma3 | None = Field(
         default=None,
-        description="Standard deviations east, north, up of positions whose log states none (`nmea` without "
-        "GST), metres",
+        description="Standard deviations east, north, up of positions whose log states none (`gpx`, `nmea` "
+        "without GST), metres",
     )
     antenna_h_ell_m: Finite | None = Field(
         default=None,
-        description="Ellipsoidal height of the antenna, for logs whose positions have none (NMEA GLL, RMC), "
-        "metres: that of the water level and the antenna above it",
+        description="Ellipsoidal height of the antenna, for logs whose positions have none (NMEA GLL, RMC, "
+        "GPX), metres: that of the water level and the antenna above it",
     )
     sigma_level_deg: SigmaAttitude = Field(
         default=3.0, description="Without an INS the boat counts as level to this standard deviation, degrees"
