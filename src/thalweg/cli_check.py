@@ -102,12 +102,15 @@ class FirstJobs:
         self._as_stream("lidar", report)
 
     def _states(self, paths: list[Path]) -> "pd.DataFrame":
+        from thalweg.core import LocalFrame
         from thalweg.ingest import TrackOptions
         from thalweg.ingest.registry import read_poses
 
         files = self._files
         options = TrackOptions(
-            gps_week=files.log_option("gps_week"), smrmsg=tuple(Path(p) for p in files.smrmsg_logs())
+            **files.track_options(),
+            smrmsg=tuple(Path(p) for p in files.smrmsg_logs()),
+            frame=LocalFrame(**files.section("campaign", "origin")),
         )
         log = read_poses(paths, "sbet" if files.position_source() == "sbet" else "ins", options)
         self._as_stream("ins", log.report)

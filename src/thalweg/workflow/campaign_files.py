@@ -143,6 +143,11 @@ class CampaignFiles:
         logs = self.plain["logs"]
         return logs[key] if logs else None
 
+    def track_options(self) -> dict[str, Any]:
+        """What files of poses do not state."""
+        stated = {key: self.plain["ins"][key] for key in ("body_axes", "time_scale")}
+        return {"gps_week": self.log_option("gps_week"), **stated}
+
     def base_position(self) -> dict[str, Any]:
         """How the campaign file states the position of the base; a twin's base does in its own file."""
         logs = self.plain["logs"]

@@ -207,7 +207,7 @@ def states_of_poses(poses: TextPoses, options: TrackOptions) -> PoseLog:
             expected="what a table of poses does not hold: frame on Earth, axes of the body, scale of time, "
             "standard deviations",
             where=where,
-            cure="State them in the options of the reader",
+            cure="State them: in a campaign ins.body_axes and ins.time_scale, else as options of the command",
         )
     if axes not in BODY_AXES or scale not in ("utc", "gps"):
         raise InputError(
@@ -242,9 +242,9 @@ def states_of_poses(poses: TextPoses, options: TrackOptions) -> PoseLog:
         },
     )
     _finish(report, t_gps_s, "utc" if scale == "utc" else "gps")
-    report.note(
-        f"Standard deviations are stated, not the table's: {sigmas[0]} m and {sigmas[1]} deg for each pose."
-    )
+    if np.isfinite(sigmas).all():
+        each = f"{sigmas[0]} m and {sigmas[1]} deg for each pose"
+        report.note(f"Standard deviations are stated, not the table's: {each}.")
     return PoseLog(states=states, report=report)
 
 

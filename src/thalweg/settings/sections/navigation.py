@@ -15,7 +15,7 @@ PositionSource = Literal["pos", "sbp", "ppk", "nmea", "gpx", "sbet", "ins"]
 
 
 class Ins(Section):
-    """Accuracy of the INS attitude, used where the log states none."""
+    """Accuracy of the INS, where its log states none, and what a table of poses does not state."""
 
     sigma_roll_deg: SigmaAttitude = Field(default=0.1, description="Standard deviation of roll, degrees")
     sigma_pitch_deg: SigmaAttitude = Field(default=0.1, description="Standard deviation of pitch, degrees")
@@ -26,6 +26,14 @@ class Ins(Section):
         default=None,
         description="Standard deviations east, north, up of positions from `ins` or `sbet` whose log states "
         "none, metres",
+    )
+    body_axes: Literal["forward-right-down", "forward-left-up", "right-down-forward"] | None = Field(
+        default=None,
+        description="Body axes x-y-z of a table of poses in `logs.ins` (TUM, EuRoC), whose frame is that of "
+        "`campaign.origin`, x east, y north, z up",
+    )
+    time_scale: Literal["utc", "gps"] | None = Field(
+        default=None, description="Stamps of such a table: `utc` Unix time, `gps` seconds since 1980-01-06"
     )
 
 
