@@ -596,11 +596,14 @@ def test_raw_observations_of_the_twin_are_solved(tiny_house) -> None:
     # multipath lasts 40 s: the voyage is one observation of three axes
     low, high = chi2.ppf([0.005, 0.995], 3)
     assert low < nees.mean() < high
-    # poses are where the positions are
+    # and so are the poses: float for the first two seconds, fixed from there on
     poses = Trajectory.read(root / stated)
-    use = poses.valid
-    position, _, inside = true.at(poses.t_gps_s[use])
-    assert np.sqrt(np.mean((poses.position_wcs_m[use] - position)[inside] ** 2)) < 0.05
+    position, _, inside = true.at(poses.t_gps_s)
+    off, sigma = (poses.position_wcs_m - position)[inside], poses.sigma_position_m[inside]
+    known = sigma[:, 2] < 0.1
+    assert known.mean() > 0.9
+    assert np.sqrt(np.mean(off[known] ** 2)) < 0.03
+    assert low < np.mean(np.sum((off / sigma) ** 2, axis=1)) < high
     shutil.rmtree(base)
 
 
