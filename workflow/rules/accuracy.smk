@@ -39,6 +39,7 @@ rule summarise:
     input:
         streams="results/{campaign}/timing/streams.csv",
         trajectory="results/{campaign}/orientation/trajectory.json",
+        positions="results/{campaign}/ingest/positions.integrity.json",
         counts=of(CampaignFiles.counts_of_points),
         images=of(CampaignFiles.adjustment_facts),
         bed=of(CampaignFiles.bed_validation),

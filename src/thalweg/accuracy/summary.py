@@ -25,6 +25,7 @@ def summary_table(
     trajectory: Path,
     counts: Path | None = None,
     *,
+    positions: Path | None = None,
     images: Path | None = None,
     bed: Path | None = None,
     reference: Path | None = None,
@@ -37,6 +38,7 @@ def summary_table(
     streams : table of the time axis (CSV).
     trajectory : summary of the trajectory (JSON).
     counts : what became of the lidar points (CSV), or None without a lidar.
+    positions : integrity report of the positions (JSON); only post-processed ones tell of fixes.
     images : facts of the adjustment of photographs (JSON), or None where there is none.
     bed : validation of the riverbed by left-out lines (JSON), or None where there is none.
     reference : statistics of the comparison with a reference (CSV), or None where there is none.
@@ -53,6 +55,8 @@ def summary_table(
             (f"{stream['stream']}: records lost or damaged", stream["lost_records"], "1", streams.name)
         )
         rows.append((f"{stream['stream']}: bytes lost", stream["lost_bytes"], "1", streams.name))
+    if positions is not None:
+        rows += _fix_rows(positions)
     poses = json.loads(trajectory.read_text())
     share = poses["n_positions_used"] / poses["n_positions"] if poses["n_positions"] else 0.0
     rows.append(("positions used", 100 * share, "%", trajectory.name))
@@ -62,6 +66,8 @@ def summary_table(
     gaps = poses.get("gaps", [])
     rows.append(("gaps in the trajectory", float(len(gaps)), "1", trajectory.name))
     rows.append(("gaps in the trajectory, together", sum(length for _, length in gaps), "s", trajectory.name))
+    longest = max((length for _, length in gaps), default=0.0)
+    rows.append(("longest gap in the trajectory", longest, "s", trajectory.name))
     if counts is not None:
         reasons = _records(counts)
         rows.append(("lidar points decoded", sum(row["n"] for row in reasons), "1", counts.name))
@@ -75,6 +81,20 @@ def summary_table(
     if truth is not None:
         rows += _truth_rows(truth)
     return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def _fix_rows(positions: Path) -> list[tuple[str, float, str, str]]:
+    """What raw GNSS gave: fixed epochs, those that were not trusted, how far away the base was."""
+    facts = json.loads(positions.read_text())["details"]
+    if "fix_ratio" not in facts:
+        return []
+    refused = float(sum(facts["n_fixes_refused"].values()))
+    return [
+        ("GNSS epochs with fixed ambiguities", 100 * facts["fix_ratio"], "%", positions.name),
+        ("GNSS fixes that were not trusted", refused, "1", positions.name),
+        ("distance of the GNSS base, median", facts["baseline_m"] / 1e3, "km", positions.name),
+        ("distance of the GNSS base, largest", facts["baseline_max_m"] / 1e3, "km", positions.name),
+    ]
 
 
 def _image_rows(images: Path) -> list[tuple[str, float, str, str]]:

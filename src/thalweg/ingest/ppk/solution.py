@@ -26,7 +26,7 @@ from pyproj import Transformer
 from thalweg.core import ArrayF, ConfigError, InputError, rotation_ecef_enu, utc_text_from_gps
 from thalweg.ingest import IntegrityReport, find_gaps
 from thalweg.ingest.ppk import worker as ppk_worker
-from thalweg.ingest.ppk.options import PpkOptions, ecef_fault, engine_settings
+from thalweg.ingest.ppk.options import AUTO_SYSTEMS, PpkOptions, ecef_fault, engine_settings
 from thalweg.ingest.ppk.rinex import RinexScan, rinex_kind, scan_rinex, whole_records
 from thalweg.ingest.ppk.trust import read_solution, replace_covariances, trust_fixes
 from thalweg.ingest.sbp import find_messages
@@ -654,6 +654,8 @@ def run_ppk(
         folder = Path(name)
         inputs = prepare_inputs(rover, base, nav, folder, time_limit_s=time_limit_s)
         rover_file, base_file = Path(rover[0]), Path(rover[0] if base is None else base[0])
+        if options.systems == "auto":
+            options = replace(options, systems=_common_systems(inputs))
         notes = preflight(inputs, options, rover_file, base_file)
         base_ecef_m, base_notes = _base_position(inputs, options, base_file)
         where = f"{rover_file}, {base_file}"
@@ -707,6 +709,13 @@ def run_ppk(
     for sentence in trust.notes() + inputs.notes + check_notes + base_notes + notes:
         report.note(sentence)
     return PpkSolution(positions=positions, report=report, options=options, base_ecef_m=base_ecef_m)
+
+
+def _common_systems(inputs: PpkInputs) -> tuple[str, ...]:
+    """Of `AUTO_SYSTEMS` those of rover, base and ephemerides; all where there are none, for the message."""
+    have = [{s for scan in scans for s in scan.systems} for scans in (inputs.rover, inputs.base)]
+    have.append({s for scan in inputs.nav for s in scan.nav_t_gps_s})
+    return tuple(s for s in AUTO_SYSTEMS if all(s in each for each in have)) or AUTO_SYSTEMS
 
 
 def _base_position(inputs: PpkInputs, options: PpkOptions, base_file: Path) -> tuple[ArrayF, list[str]]:

@@ -11,6 +11,7 @@ from thalweg.settings.sections.base import Finite, NonNegative, Positive, Sectio
 
 SigmaAttitude = Annotated[float, Field(gt=0, le=45, allow_inf_nan=False)]
 Fix = Literal["fixed", "float", "sbas", "dgnss", "single", "ppp", "omnistar", "dead_reckoning"]
+GnssSystem = Literal["GPS", "GLO", "GAL", "QZS", "BDS", "SBS"]
 PositionSource = Literal["pos", "sbp", "ppk", "nmea", "gpx", "sbet", "ins"]
 
 
@@ -43,8 +44,9 @@ class Ppk(Section):
     elevation_mask_deg: Annotated[float, Field(ge=0, le=60, allow_inf_nan=False)] = Field(
         default=15.0, description="Satellites below are left out, degrees"
     )
-    systems: tuple[Literal["GPS", "GLO", "GAL", "QZS", "BDS", "SBS"], ...] = Field(
-        default=("GPS",), min_length=1, description="Satellite systems"
+    systems: Annotated[tuple[GnssSystem, ...], Field(min_length=1)] | Literal["auto"] = Field(
+        default="auto",
+        description="Satellite systems; `auto`: of GPS, Galileo and QZSS those that both logs hold",
     )
     frequencies: Literal["l1", "l1+l2", "l1+l2+l5", "l1+l2+l5+l6"] = Field(
         default="l1+l2", description="Carrier frequencies; Galileo's E5b counts as l2"
