@@ -118,12 +118,17 @@ class FirstJobs:
 
     def _positions(self, paths: list[Path]) -> None:
         from thalweg.ingest.registry import read_positions
+        from thalweg.navigation.ins_gnss import TrajectorySummary, usable_positions, with_stated
 
         source, none = self._files.position_source(), list[Path]()
-        _, report = read_positions(
+        table, report = read_positions(
             source, paths, states=None, date=self._date(), base=none, nav=none, ppk={}, base_position={}
         )
         self._as_stream("positions", report)
+        stated = with_stated(table, **self._files.stated_positions())
+        accepted, gap_s = (self._files.section("orientation", key) for key in ("accept_fixes", "max_gap_s"))
+        if report.synchronised:
+            usable_positions(stated, accepted, TrajectorySummary(), gap_s)
 
     def _raw_gnss(self) -> None:
         from thalweg.ingest.ppk import check_inputs

@@ -70,6 +70,24 @@ def test_the_front_page_links_all(yacht) -> None:
     assert not (folder / "lidar").exists()
 
 
+def test_a_log_without_dates_and_heights(tmp_path, data_dir, capsys) -> None:
+    """A yacht of which GLL sentences are all: what is missing is said before the first job, one by one."""
+    logs = str(data_dir / "nmea_plaka_yacht")
+    assert main(["new-campaign", "plaka", "--from-logs", logs, "--folder", str(tmp_path)]) == 0
+    path = tmp_path / "plaka.yaml"
+    text = path.read_text().replace("lever_ics_m: CHANGE", "lever_ics_m: [0.0, 0.0, 0.0]")
+    for line, words in (
+        ("", "logs.depth_date"),
+        ("  depth_date: 2014-07-01\n", "orientation.antenna_h_ell_m, as the log has no heights"),
+    ):
+        path.write_text(text := text.replace("  # reference:", f"{line}  # reference:", 1))
+        assert main(["check-config", str(path)]) == 2
+        assert words in capsys.readouterr().err
+    path.write_text(text.replace("# antenna_h_ell_m: 0.0", "antenna_h_ell_m: 20.0"))
+    assert main(["check-config", str(path)]) == 0
+    assert "soundings in the world" in capsys.readouterr().out
+
+
 def write_gpx(log: Path, target: Path) -> None:
     """The yacht's positions as a plotter would export them (GPX 1.1); its depths stay in the log."""
     rows = read_nmea([log]).positions.dropna(subset=["t_gps_s", "h_ell_m"]).drop_duplicates("t_gps_s")
