@@ -42,6 +42,7 @@ rule summarise:
         positions="results/{campaign}/ingest/positions.integrity.json",
         counts=of(CampaignFiles.counts_of_points),
         images=of(CampaignFiles.adjustment_facts),
+        soundings=of(CampaignFiles.sounding_facts),
         bed=of(CampaignFiles.bed_validation),
         reference=of(CampaignFiles.reference_statistics),
         truth=of(CampaignFiles.truth_statistics),

@@ -27,6 +27,7 @@ def summary_table(
     *,
     positions: Path | None = None,
     images: Path | None = None,
+    soundings: Path | None = None,
     bed: Path | None = None,
     reference: Path | None = None,
     truth: Path | None = None,
@@ -40,6 +41,7 @@ def summary_table(
     counts : what became of the lidar points (CSV), or None without a lidar.
     positions : integrity report of the positions (JSON); only post-processed ones tell of fixes.
     images : facts of the adjustment of photographs (JSON), or None where there is none.
+    soundings : what became of the soundings (JSON), or None without any.
     bed : validation of the riverbed by left-out lines (JSON), or None where there is none.
     reference : statistics of the comparison with a reference (CSV), or None where there is none.
     truth : statistics against the twin's truth (CSV), or None for a real campaign.
@@ -69,11 +71,15 @@ def summary_table(
     longest = max((length for _, length in gaps), default=0.0)
     rows.append(("longest gap in the trajectory", longest, "s", trajectory.name))
     if counts is not None:
-        reasons = _records(counts)
-        rows.append(("lidar points decoded", sum(row["n"] for row in reasons), "1", counts.name))
-        rows += [(f"  {row['words']}", row["n"], "1", counts.name) for row in reasons if row["n"]]
+        points = _records(counts)
+        rows.append(("lidar points decoded", sum(row["n"] for row in points), "1", counts.name))
+        rows += [(f"  {row['words']}", row["n"], "1", counts.name) for row in points if row["n"]]
     if images is not None:
         rows += _image_rows(images)
+    if soundings is not None:
+        reasons = json.loads(soundings.read_text())["by_reason"]
+        rows.append(("soundings in the world", float(reasons.pop("")), "1", soundings.name))
+        rows += [(f"  left out: {why}", float(n), "1", soundings.name) for why, n in reasons.items() if n]
     if bed is not None:
         rows += _bed_rows(bed)
     if reference is not None:

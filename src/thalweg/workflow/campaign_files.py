@@ -797,6 +797,10 @@ class CampaignFiles:
         """Facts of the adjustment of photographs that are oriented here."""
         return self._where(self.orients_images(), "orientation/adjustment.json")
 
+    def sounding_facts(self) -> list[str]:
+        """What became of the soundings, where there are any."""
+        return self._where(self.has_soundings(), "bathymetry/soundings.json")
+
     def bed_validation(self) -> list[str]:
         """How well the riverbed foretells what it did not see, where there is one."""
         return self._where(self.has_bed(), "bathymetry/validation.json")
