@@ -783,7 +783,10 @@ def _check_alone(logs: Logs) -> Iterator[Mistake]:
                     path=("logs", name),
                     found="missing" if not count else f"{count} files",
                     expected="one file: a finished cloud is compared with one reference",
-                    cure=f"Add the line `{name}: [...]`" if not count else "Name one; merge the others first",
+                    cure=f"Add the line `{name}: [...]`"
+                    if not count
+                    else "Name one; merge the others first. Surveys of several dates: "
+                    "thalweg new-campaign NAME --epochs FILE@DATE FILE@DATE",
                 )
     if logs.kind in ("fixed_camera", "cloud"):
         kept = {"fixed_camera": {"fixed_camera"}, "cloud": {"cloud", "reference"}}[logs.kind]

@@ -84,7 +84,7 @@ def campaign_text(
         "",
         "mounts:  # body frame of the INS, or of the boat: x forward, y right, z down",
         *_lidar(listed, levers),
-        *_antenna(listed, levers),
+        *_antenna(listed, source, levers),
         *(["  echo_sounder:", f"    lever_ics_m: CHANGE{levers}"] if listed.get("depth") else []),
         *_camera(listed, levers),
         "",
@@ -244,8 +244,10 @@ def _photographs(listed: Mapping[str, Sequence[str]]) -> list[str]:
     return lines
 
 
-def _antenna(listed: Mapping[str, Sequence[str]], levers: str) -> list[str]:
+def _antenna(listed: Mapping[str, Sequence[str]], source: str, levers: str) -> list[str]:
     """Lines of ``mounts.antenna``; of a receiver alone the trajectory is that of its antenna."""
+    if source in ("ins", "sbet"):
+        return ["  antenna: {lever_ics_m: [0.0, 0.0, 0.0]}  # not used: positions are those of the INS"]
     if any(listed.get(stream) for stream in ("lidar", "ins", "sbet", "depth", "time_lapse")):
         return ["  antenna:", f"    lever_ics_m: CHANGE{levers}"]
     return ["  antenna:", "    lever_ics_m: [0.0, 0.0, 0.0]  # metres; the trajectory is that of the antenna"]
