@@ -9,6 +9,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import laspy
 import numpy as np
@@ -18,9 +19,9 @@ import yaml
 from scipy.stats import chi2
 from tests.workflow.conftest import House, rule_names
 
+from thalweg.cli import main
 from thalweg.core import LocalFrame, Rigid, Trajectory, read_table
-from thalweg.core.timescales import week_from_gps
-from thalweg.ingest import GNSS_POSITION, INS_STATE, LidarOptions
+from thalweg.ingest import GNSS_POSITION, LidarOptions
 from thalweg.ingest.ppk.trust import covariance_enu
 from thalweg.ingest.registry import lidar_reader
 from thalweg.lidar import CORRELATIONS, SIGMAS, LogSettings, georeference_log
@@ -418,18 +419,9 @@ def test_windows_of_a_long_log_change_no_byte(tiny_house) -> None:
     shutil.rmtree(base.parent)
 
 
-def write_sbet(states: Path, target: Path) -> int:
-    """The states of the tiny boat as an SBET (wander angle 0); returns the GPS week."""
-    table, _ = read_table(states, INS_STATE)
-    week, tow_s = week_from_gps(table["t_gps_s"])
-    records = np.zeros((len(table), 17))
-    records[:, 0] = tow_s
-    records[:, 1:3] = np.deg2rad(table[["lat_deg", "lon_deg"]])
-    records[:, 3] = table["h_ell_m"]
-    records[:, 4:7] = table[["v_north_mps", "v_east_mps", "v_down_mps"]]
-    records[:, 7:10] = table[["roll_rad", "pitch_rad", "heading_rad"]]
-    records.astype("<f8").tofile(target)
-    return int(week[0])
+def examples(root: Path) -> dict[str, Any]:
+    """Functions of the script that makes the examples ready."""
+    return runpy.run_path(str(root / "config/campaigns/examples/prepare.py"))
 
 
 OF_SOURCE = {
@@ -467,6 +459,7 @@ def test_logs_of_a_survey_go_the_same_way(tiny_house, source: str) -> None:
             own["images"].setdefault("cloud", {})["motion"] = "trajectory"
         more += f"images: {json.dumps(own['images'])}"
     if source == "sbet":
+        write_sbet = examples(tiny_house.root)["write_sbet"]
         week = write_sbet(tiny_house.root / BASE / "ingest/ins_states.parquet", tiny_house.root / "boat.sbet")
         text = text.replace(
             "  ins: [{logs}/ins.anpp]", f"  sbet: [{tiny_house.root}/boat.sbet]\n  gps_week: {week}"
@@ -516,26 +509,9 @@ def test_logs_of_a_survey_go_the_same_way(tiny_house, source: str) -> None:
 def test_an_sbet_and_photographs_give_the_chains_of_camera_and_all_sensors(tiny_house) -> None:
     """No lidar, no GNSS: an SBET states no fix; its standard deviations are what counts."""
     root, base = tiny_house.root, tiny_house.root / BASE
-    week = write_sbet(base / "ingest/ins_states.parquet", root / "finished.sbet")
-    own = yaml.safe_load((root / "config/campaigns/tiny.yaml").read_text())
-    own["images"]["cloud"] = {"motion": "trajectory"}
-    campaign = {
-        "campaign": own["campaign"] | {"id": "sbet_photographs"},
-        "logs": {
-            "sbet": [str(root / "finished.sbet")],
-            "gps_week": week,
-            "time_lapse": {
-                "images": [str(base / "simulation/logs/time_lapse/*.jpg")],
-                "orientations": [str(base / "orientation/image_poses.parquet")],
-            },
-        },
-        "mounts": {"camera": own["mounts"]["camera"]},
-        "orientation": {"position_source": "sbet"},
-        "ins": {"sigma_position_m": [0.6, 0.6, 1.0]},
-        "images": own["images"],
-    }
-    path = root / "config/campaigns/sbet_photographs.yaml"
-    path.write_text(yaml.safe_dump(campaign))
+    path = root / "config/campaigns/examples/sbet_photographs.yaml"
+    examples(root)["sbet_photographs"](base, path.parent / "data/sbet_photographs")
+    assert main(["check-config", str(path)]) == 0
     products = CampaignFiles(
         name="sbet_photographs", campaigns={"sbet_photographs": load_campaign(path)}
     ).products()
@@ -543,7 +519,7 @@ def test_an_sbet_and_photographs_give_the_chains_of_camera_and_all_sensors(tiny_
         "trajectory of the boat",
         "trajectories by camera and by all sensors",
     }
-    tiny_house.snakemake("--config", "campaign=sbet_photographs")
+    tiny_house.snakemake("--config", f"campaign={path}")
     results = root / "results/sbet_photographs"
     for row in products:
         assert (root / row.file).is_file() == row.made, row.name
