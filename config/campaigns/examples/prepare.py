@@ -3,8 +3,8 @@
     python config/campaigns/examples/prepare.py FOLDER_OF_RECORDINGS [results/tiny]
 
 writes `data/` beside this script: links to the recordings, and tables of others in a form that Thalweg reads.
-What no recording holds is made up and says so: the track of a lidar that stood still. An SBET with photographs
-is the digital twin's, from the results of campaign tiny.
+What no recording holds is made up and says so: the track of a lidar that stood still. An SBET beside
+photographs is the digital twin's, from the results of campaign tiny.
 """
 
 import shutil

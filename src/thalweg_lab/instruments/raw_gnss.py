@@ -130,8 +130,8 @@ def simulate_raw_gnss(
     rover = base.from_geodetic(*frame.to_geodetic(antenna))
     for path in (out_rover, out_base, out_nav):
         path.parent.mkdir(parents=True, exist_ok=True)
-    facts = record_raw_gnss(seed, t, rover, base, out_rover, out_base, out_nav, shade=shade)
-    facts |= {"epochs": len(t), "baseline_m": float(np.linalg.norm(rover, axis=1).mean())}
+    facts: dict[str, Any] = {"epochs": len(t), "baseline_m": float(np.linalg.norm(rover, axis=1).mean())}
+    facts |= record_raw_gnss(seed, t, rover, base, out_rover, out_base, out_nav, shade=shade)
     write_effects(out_effects, "raw_gnss", facts)
     return facts
 

@@ -242,7 +242,7 @@ def states_of_poses(poses: TextPoses, options: TrackOptions) -> PoseLog:
         },
     )
     _finish(report, t_gps_s, "utc" if scale == "utc" else "gps")
-    if np.isfinite(sigmas).all():
+    if np.isfinite(attitude_rad):
         each = f"{sigmas[0]} m and {sigmas[1]} deg for each pose"
         report.note(f"Standard deviations are stated, not the table's: {each}.")
     return PoseLog(states=states, report=report)
