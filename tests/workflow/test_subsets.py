@@ -70,22 +70,27 @@ def test_the_front_page_links_all(yacht) -> None:
     assert not (folder / "lidar").exists()
 
 
-def test_a_log_without_dates_and_heights(tmp_path, data_dir, capsys) -> None:
-    """A yacht of which GLL sentences are all: what is missing is said before the first job, one by one."""
-    logs = str(data_dir / "nmea_plaka_yacht")
-    assert main(["new-campaign", "plaka", "--from-logs", logs, "--folder", str(tmp_path)]) == 0
-    path = tmp_path / "plaka.yaml"
+def test_a_log_without_dates_and_heights(yacht, data_dir, capsys) -> None:
+    """Four hours of a yacht, places by GLL alone: what is missing is said before the first job, one by one."""
+    logs, campaigns = str(data_dir / "nmea_plaka_yacht"), yacht.root / "config" / "campaigns"
+    assert main(["new-campaign", "plaka", "--from-logs", logs, "--folder", str(campaigns)]) == 0
+    path = campaigns / "plaka.yaml"
     text = path.read_text().replace("lever_ics_m: CHANGE", "lever_ics_m: [0.0, 0.0, 0.0]")
     for line, words in (
         ("", "logs.depth_date"),
         ("  depth_date: 2014-07-01\n", "orientation.antenna_h_ell_m, as the log has no heights"),
     ):
-        path.write_text(text := text.replace("  # reference:", f"{line}  # reference:", 1))
+        text = text.replace("  # reference:", f"{line}  # reference:", 1)
+        path.write_text(text)
         assert main(["check-config", str(path)]) == 2
         assert words in capsys.readouterr().err
     path.write_text(text.replace("# antenna_h_ell_m: 0.0", "antenna_h_ell_m: 20.0"))
     assert main(["check-config", str(path)]) == 0
-    assert "soundings in the world" in capsys.readouterr().out
+    yacht.snakemake("results/plaka/bathymetry/soundings.json", "--config", "campaign=plaka")
+    facts = json.loads((yacht.root / "results/plaka/bathymetry/soundings.json").read_text())
+    assert facts["pings"] == 7250  # DBT sentences, PROVENANCE.md
+    assert facts["by_reason"][""] == pytest.approx(6891, abs=70)
+    assert sum(facts["by_reason"].values()) == 7250
 
 
 def write_gpx(log: Path, target: Path) -> None:
