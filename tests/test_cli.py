@@ -245,7 +245,9 @@ def test_check_config_looks_into_the_logs(here, capsys):
     said = capsys.readouterr().err
     assert "logs.lidar: " in said
     assert re.search("holds a RINEX file; expected: .*network capture", said)
-    assert "holds a network capture (pcap, pcapng); expected: Advanced Navigation ANPP log" in said
+    assert re.search(
+        r"holds a network capture \(pcap, pcapng\); expected: .*Advanced Navigation ANPP log", said
+    )
     assert "logs.positions: " in said
     assert "of no known kind" in said
 
@@ -304,3 +306,31 @@ def test_budget_refuses(tmp_path, capsys):
         with pytest.raises(SystemExit):
             main(["budget", "a.yaml", "--distances", text])
         assert "expected distances in metres" in capsys.readouterr().err
+
+
+@pytest.mark.real
+def test_raw_gnss_of_a_folder_is_sorted_by_receiver(here, data_dir, capsys):
+    """Two receivers in RINEX whose names tell nothing, and an SBP log beside what was made of it."""
+    of = {"rinex_cssrlib_kinematic_2021": "RINEX", "sbp_piksi_rtk_2017": "SBP"}
+    for name, kind in of.items():
+        assert main(["new-campaign", kind.lower(), "--from-logs", str(data_dir / name), "--folder", "."]) == 0
+        assert (
+            main(["check-config", f"{kind.lower()}.yaml"]) == 0
+        )  # of a receiver alone nothing is to be filled in
+    said = capsys.readouterr()
+    assert "recorded longest of 2 receivers" in said.out
+    assert "left out, RINEX beside the SBP log of the rover: piksi_rover.obs" in said.err
+    car, still = load_campaign("rinex.yaml"), load_campaign("sbp.yaml")
+    for campaign, rover, base in (
+        (car, "SEPT265G.21O", "3034265G.21O"),
+        (still, "2017-05-12-v1.1.26.sbp", "piksi_base.obs"),
+    ):
+        assert campaign.orientation.position_source == "ppk"
+        assert [path.name for path in campaign.log_files("rover")] == [rover]
+        assert [path.name for path in campaign.log_files("base")] == [base]
+    assert car.campaign.crs == "EPSG:32654"  # from the place in the header
+    # what PPK would refuse is refused before
+    text = Path("sbp.yaml").read_text()
+    Path("sbp.yaml").write_text(text.replace("rover: [", f"rover: [{car.log_files('rover')[0]}, "))
+    assert main(["check-config", "sbp.yaml"]) == 2
+    assert "all files of one kind" in capsys.readouterr().err

@@ -255,7 +255,7 @@ def _sort_logs(folder: Path) -> dict[str, list[Path]]:
             streams.setdefault(stream, []).append(path)
         else:
             left_out.setdefault(f"{KINDS[kind]}: no stream of a survey", []).append(path)
-    streams = _of_one_kind(streams)
+    streams = _of_receivers(_of_one_kind(streams))
     for why, paths in left_out.items():
         named = ", ".join(str(path.relative_to(folder)) for path in paths[:3])
         more = f" and {len(paths) - 3} more" if len(paths) > 3 else ""
@@ -303,6 +303,38 @@ def _of_one_kind(streams: dict[str, list[Path]]) -> dict[str, list[Path]]:
     return streams
 
 
+def _of_receivers(streams: dict[str, list[Path]]) -> dict[str, list[Path]]:
+    """Raw GNSS of a folder by receiver, where names do not tell.
+
+    RINEX beside an SBP log is what somebody made of that log; of two receivers in RINEX the one that recorded
+    longer is the base.
+    """
+    from thalweg.ingest.registry import describe, recognise
+
+    rover = streams.get("rover", [])
+    rinex = [path for path in rover if recognise(path) == "rinex"]
+    if not rinex:
+        return streams
+    if len(rinex) < len(rover):
+        named = ", ".join(path.name for path in rinex)
+        print(f"left out, RINEX beside the SBP log of the rover: {named}", file=sys.stderr)
+        return streams | {"rover": [path for path in rover if path not in rinex]}
+    receivers: dict[tuple[str, ...], list[Path]] = {}
+    length_s: Counter[tuple[str, ...]] = Counter()
+    for path in rinex:
+        report = describe(path)
+        told = report.details
+        receiver = tuple(str(each) for each in (report.model, told.get("marker"), told.get("antenna")))
+        receivers.setdefault(receiver, []).append(path)
+        length_s[receiver] += int((report.t_last_s or 0.0) - (report.t_first_s or 0.0))
+    if streams.get("base") or len(receivers) < 2:
+        return streams
+    base = receivers[length_s.most_common(1)[0][0]]
+    for path in base:
+        print(f"base       {path} (recorded longest of {len(receivers)} receivers)")
+    return streams | {"base": base, "rover": [path for path in rover if path not in base]}
+
+
 def _spacing_m(files: dict[str, list[Path]]) -> float | None:
     """How far the points of a reference cloud are from their nearest neighbours; None for all else."""
     if not (files.get("cloud") and files.get("reference")):
@@ -317,14 +349,20 @@ def _place(files: dict[str, list[Path]]) -> tuple[float, float, float] | None:
 
     Rounded to about a metre: it is a name for a place and no measurement.
     """
+    from thalweg.core import LocalFrame
     from thalweg.ingest.registry import load_recording
 
     for stream in ("pos", "sbet", "ins", "rover", "depth"):
         for path in files.get(stream, []):
             try:
-                tables = load_recording([path], points=False).tables
+                recording = load_recording([path], points=False)
             except ThalwegError:  # such as an SBET, whose week is not known yet
                 continue
+            tables, header = recording.tables, recording.report.details.get("approx_ecef_m")
+            if isinstance(header, list) and any(header):  # raw observations: the place in their header
+                anywhere = LocalFrame(lat_deg=0.0, lon_deg=0.0, h_ell_m=0.0)
+                lat, lon, h = (float(x[0]) for x in anywhere.to_geodetic(anywhere.from_ecef([header])))
+                return round(lat, 5), round(lon, 5), round(h)
             table = tables.get("positions", tables.get("states"))
             placed = None if table is None else table.dropna(subset=["lat_deg", "lon_deg"])
             if placed is not None and len(placed):

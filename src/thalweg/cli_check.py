@@ -51,6 +51,8 @@ class FirstJobs:
             )
         elif source != "ppk":
             self._opened("positions", files.position_logs(), self._positions)
+        else:
+            self._tried(self._raw_gnss)
         if states is None and not files.ins_logs():
             self._opened("depth", files.logs("depth"), self._depth)
         if self.errors or self.skipped:
@@ -100,12 +102,15 @@ class FirstJobs:
         self._as_stream("lidar", report)
 
     def _states(self, paths: list[Path]) -> "pd.DataFrame":
+        from thalweg.core import LocalFrame
         from thalweg.ingest import TrackOptions
         from thalweg.ingest.registry import read_poses
 
         files = self._files
         options = TrackOptions(
-            gps_week=files.log_option("gps_week"), smrmsg=tuple(Path(p) for p in files.smrmsg_logs())
+            **files.track_options(),
+            smrmsg=tuple(Path(p) for p in files.smrmsg_logs()),
+            frame=LocalFrame(**files.section("campaign", "origin")),
         )
         log = read_poses(paths, "sbet" if files.position_source() == "sbet" else "ins", options)
         self._as_stream("ins", log.report)
@@ -113,12 +118,30 @@ class FirstJobs:
 
     def _positions(self, paths: list[Path]) -> None:
         from thalweg.ingest.registry import read_positions
+        from thalweg.navigation.ins_gnss import TrajectorySummary, usable_positions, with_stated
 
         source, none = self._files.position_source(), list[Path]()
-        _, report = read_positions(
+        table, report = read_positions(
             source, paths, states=None, date=self._date(), base=none, nav=none, ppk={}, base_position={}
         )
         self._as_stream("positions", report)
+        stated = with_stated(table, **self._files.stated_positions())
+        accepted, gap_s = (self._files.section("orientation", key) for key in ("accept_fixes", "max_gap_s"))
+        if report.synchronised:
+            usable_positions(stated, accepted, TrajectorySummary(), gap_s)
+
+    def _raw_gnss(self) -> None:
+        from thalweg.ingest.ppk import check_inputs
+
+        rover, base, nav = (
+            [Path(log) for log in logs]
+            for logs in (
+                self._files.position_logs(),
+                self._files.ppk_logs("base"),
+                self._files.ppk_logs("nav"),
+            )
+        )
+        check_inputs(rover, base or None, nav)
 
     def _depth(self, paths: list[Path]) -> None:
         from thalweg.ingest.nmea import read_nmea

@@ -38,9 +38,9 @@ def add_survey_commands(commands: "argparse._SubParsersAction[argparse.ArgumentP
     ppk.add_argument(
         "--systems",
         nargs="+",
-        default=["GPS"],
+        default="auto",
         metavar="SYSTEM",
-        help="satellite systems: GPS GLO GAL QZS BDS SBS",
+        help="satellite systems: GPS GLO GAL QZS BDS SBS (default: of GPS, GAL, QZS those of both logs)",
     )
     ppk.add_argument(
         "--frequencies", default="l1+l2", help="carriers: l1, l1+l2, l1+l2+l5 (default: %(default)s)"

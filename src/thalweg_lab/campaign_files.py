@@ -14,11 +14,13 @@ from thalweg.settings.sections import scan_stream
 from thalweg.workflow import CampaignFiles
 from thalweg_lab.reproduction import read_ledger, read_ledgers, result_files
 
+_RAW_GNSS: Final = {"rover": ("raw/rover.sbp",), "base": ("raw/base.obs",), "nav": ("raw/base.nav",)}
 _RIVER: Final = {
     "lidar": ("lidar.pcap",),
     "ins": ("ins.anpp",),
     "sbp": ("rover.sbp",),
     "pos": ("ppk.pos",),
+    **_RAW_GNSS,
     "depth": ("echo.nmea",),
     "reference": ("tls_1.laz", "tls_2.laz", "tls_3.laz"),
 }
@@ -27,6 +29,7 @@ _FIELD: Final = {
     "ins": ("ins.anpp",),
     "sbp": ("rover.sbp",),
     "pos": ("ppk.pos",),
+    **_RAW_GNSS,
     "field": ("field.yaml",),
     "reference_images": ("reference_images",),
     "position_images": ("position_images",),

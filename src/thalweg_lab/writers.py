@@ -18,6 +18,7 @@ import numpy as np
 from laspy.vlrs.known import WktCoordinateSystemVlr
 from PIL import Image
 from pyproj import CRS
+from sbp.msg import SBP
 from sbp.navigation import MsgGPSTime, MsgPosLLH, MsgPosLLHCov, MsgUtcTime, MsgVelNED
 from sbp.observation import MsgBasePosECEF
 from sbp.system import MsgHeartbeat
@@ -335,6 +336,56 @@ def sbp_position(
         flags=SBP_MODES[mode],
     )
     return bytes(plain.to_binary()) + bytes(full.to_binary())
+
+
+_OBSERVATION: Final = np.dtype(
+    [
+        ("code", "<u4"),  # 0.02 m
+        ("whole", "<i4"),  # cycles, and 1/256 of one
+        ("part", "u1"),
+        ("doppler", "<i2"),
+        ("doppler_part", "u1"),
+        ("strength", "u1"),  # 0.25 dB Hz
+        ("lock", "u1"),
+        ("flags", "u1"),
+        ("satellite", "u1"),
+        ("signal", "u1"),
+    ]
+)
+_OBSERVATIONS_A_MESSAGE: Final = 14
+_LOCK_S: Final = 0.032
+"""A count of lock of 1; each further one doubles the time (SBP v6, MSG_OBS)."""
+
+
+def sbp_observations(
+    week: int, tow_ms: int, satellites: ArrayI, code_m: ArrayF, carrier_cycles: ArrayF, held_s: ArrayF
+) -> bytes:
+    """Messages MsgObs of one epoch, GPS L1 C/A and L2C M.
+
+    Parameters
+    ----------
+    week, tow_ms : GPS time.
+    satellites : (s,) numbers, from 1.
+    code_m, carrier_cycles : (2, s) on L1 and L2; the carrier grows with the distance.
+    held_s : (s,) since the carrier was locked.
+    """
+    rows = np.zeros(2 * len(satellites), dtype=_OBSERVATION)
+    parts = np.rint(carrier_cycles.ravel() * 256).astype(np.int64)
+    rows["code"] = np.rint(code_m.ravel() / 0.02)
+    rows["whole"], rows["part"] = np.divmod(parts, 256)
+    rows["strength"] = 4 * 45
+    lock = np.floor(np.log2(np.maximum(held_s, _LOCK_S / 2) / _LOCK_S)) + 1
+    rows["lock"] = np.tile(np.clip(lock, 0, 15), 2)
+    rows["flags"] = 0b0111  # code, phase and half cycle hold; no Doppler
+    rows["satellite"] = np.tile(satellites, 2)
+    rows["signal"] = np.repeat([0, 1], len(satellites))
+    messages = [rows[i : i + _OBSERVATIONS_A_MESSAGE] for i in range(0, len(rows), _OBSERVATIONS_A_MESSAGE)]
+    out = bytearray()
+    for k, part in enumerate(messages):
+        head = struct.pack("<IiHB", tow_ms, 0, week, len(messages) << 4 | k)
+        payload = head + part.tobytes()
+        out += SBP(0x004A, sender=SBP_ROVER, length=len(payload), payload=payload).pack()
+    return bytes(out)
 
 
 def sbp_velocity(

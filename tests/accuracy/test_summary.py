@@ -231,3 +231,23 @@ def test_images_and_riverbed_have_their_lines(files: dict[str, Path], tmp_path: 
     images.write_text(json.dumps({"images": 11, "images_without_pose": 0, "check_points": None}))
     few = summary_table(files["streams"], files["trajectory"], images=images).set_index("quantity")["value"]
     assert few["check points"] == 0
+
+
+def test_fixes_and_soundings_that_were_refused_are_told(files: dict[str, Path], tmp_path: Path) -> None:
+    """Of raw GNSS and of a sounder; positions that nobody post-processed say nothing of fixes."""
+    positions, soundings = tmp_path / "positions.json", tmp_path / "soundings.json"
+    facts = {"fix_ratio": 0.9, "n_fixes_refused": {"baseline": 3, "float": 2}}
+    facts |= {"baseline_m": 5325.0, "baseline_max_m": 5372.0}
+    positions.write_text(json.dumps({"details": facts}))
+    soundings.write_text(json.dumps({"by_reason": {"": 147, "spike": 2, "turn": 0}}))
+    known = {"positions": positions, "soundings": soundings}
+    table = summary_table(files["streams"], files["trajectory"], **known).set_index("quantity")
+    assert table["value"]["GNSS epochs with fixed ambiguities"] == 90.0
+    assert table["value"]["GNSS fixes that were not trusted"] == 5
+    assert table["value"]["distance of the GNSS base, largest"] == 5.372
+    assert table["value"]["soundings in the world"] == 147
+    assert table["value"]["  left out: spike"] == 2
+    assert "  left out: turn" not in table.index
+    positions.write_text(json.dumps({"details": {}}))
+    bare = summary_table(files["streams"], files["trajectory"], positions=positions)
+    assert not bare["quantity"].str.contains("GNSS").any()

@@ -302,6 +302,22 @@ def test_one_image_and_none_that_overlap(wall: Photographs, tmp_path: Path, feat
     assert main_block(Mapped(pieces=(mapped_two(wall, features),), facts={}), {}).images
 
 
+def test_a_camera_that_stood_still_is_named(wall: Photographs, tmp_path: Path, rng) -> None:
+    """Three pictures of one place, each with noise of its own: no depth, and the cure is a resection."""
+    for k in range(3):
+        with Image.open(wall.files[3]) as image:
+            seen = np.asarray(image, np.float64)
+        noisy = seen + rng.normal(0.0, 2.0, seen.shape)
+        Image.fromarray(noisy.clip(0, 255).astype(np.uint8)).save(tmp_path / f"image_{k}.png")
+    files = sorted(tmp_path.glob("*.png"))
+    found = match_images(extract_features(files), files, known=KNOWN)
+    mapped = map_images(found, settings=FIXED)
+    table = image_table(found, mapped)
+    assert mapped.pieces == ()
+    assert table["cause"].tolist() == ["stood_still"] * 3
+    assert table["reason"].str.contains("lie where they were.*thalweg resect").all()
+
+
 def mapped_two(wall: Photographs, features: Features) -> ImageBlock:
     """Two images are a block."""
     two = extract_features(wall.files[3:5])

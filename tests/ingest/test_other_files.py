@@ -34,7 +34,6 @@ FILES = {
     "mcap": b"\x89MCAP0\r\n" + bytes(40),
     "sqlite": b"SQLite format 3\x00" + bytes(40),
     "video": bytes([0, 0, 0, 24]) + b"ftypmp42" + bytes(40),
-    "gpx": b'<?xml version="1.0"?>\n<gpx version="1.1"><trk/></gpx>',
     "kml": b'<?xml version="1.0"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"/>',
 }
 

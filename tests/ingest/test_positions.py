@@ -7,9 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core import InputError, write_table
+from thalweg.core import InputError, gps_from_unix, write_table
 from thalweg.ingest import GNSS_POSITION, INS_STATE
-from thalweg.ingest.registry import read_positions
+from thalweg.ingest.registry import read_positions, recognise
 from thalweg.ingest.registry.positions import positions_from_states
 
 NOTHING: dict[str, Any] = {"base": [], "nav": [], "ppk": {}, "base_position": {}}
@@ -34,7 +34,7 @@ def test_positions_inside_ins_states(tmp_path: Path) -> None:
 
 
 def test_an_unknown_source_is_answered_with_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="'gps'; expected pos, sbp, nmea, ppk, sbet or ins"):
+    with pytest.raises(InputError, match="'gps'; expected pos, sbp, nmea, gpx, ppk, sbet or ins"):
         read_positions("gps", [], states=tmp_path / "x", **NOTHING)
 
 
@@ -70,3 +70,40 @@ def test_ppk_through_the_sections_of_a_campaign(data_dir: Path, tmp_path: Path) 
     assert fixes["fixed"] == pytest.approx(378, abs=3)  # PROVENANCE: Q1 378, Q2 22
     assert fixes.sum() == 400
     assert report.synchronised
+
+
+GPX = """<?xml version="1.0" encoding="UTF-8"?>
+<gpx version="1.1" creator="x" xmlns="http://www.topografix.com/GPX/1/1"><wpt lat="1" lon="2"/><trk><trkseg>
+<trkpt lat="51.05" lon="13.25"><ele>260.5</ele><time>2021-05-12T09:00:00Z</time>{more}<sat>9</sat></trkpt>
+<trkpt lat="51.05001" lon="13.25"><ele>260.6</ele><time>2021-05-12T11:00:01+02:00</time>{more}</trkpt>
+<trkpt lat="51.05002" lon="13.25"></trkpt></trkseg></trk></gpx>
+"""
+
+
+def test_a_track_in_gpx(tmp_path: Path) -> None:
+    """Ellipsoidal heights where the file says how high the geoid is; a point without a time is counted."""
+    path = tmp_path / "track.xml"
+    for more, heights in (
+        ("<geoidheight>43.0</geoidheight><fix>dgps</fix>", [303.5, 303.6]),
+        ("", [np.nan] * 2),
+    ):
+        path.write_text(GPX.format(more=more))
+        assert recognise(path) == "gpx"
+        table, report = read_positions("gpx", [path], states=None, **NOTHING)
+        assert table["t_gps_s"].tolist() == gps_from_unix([1_620_810_000, 1_620_810_001]).tolist()
+        assert table["lat_deg"].tolist() == [51.05, 51.05001]
+        np.testing.assert_allclose(table["h_ell_m"], heights)
+        assert table["fix"].tolist() == ["dgnss" if more else "single"] * 2
+        assert table["n_sats"].tolist() == [9, -1]
+        assert report.losses == {"track_points_without_time": 1}
+        assert any("standard deviations" in note for note in report.notes)
+
+
+@pytest.mark.parametrize(
+    "text", ["<gpx><trk>", "<gpx><rte/></gpx>", GPX.format(more="").replace("51.05", "x")]
+)
+def test_a_gpx_without_a_track_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "track.gpx"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"no readable GPX|no track point with a time"):
+        read_positions("gpx", [path], states=None, **NOTHING)

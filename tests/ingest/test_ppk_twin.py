@@ -12,6 +12,7 @@ from thalweg.core import ArrayB, ArrayF, InputError, LocalFrame
 from thalweg.ingest.ppk import PpkOptions, PpkSolution, run_ppk
 from thalweg.ingest.ppk.trust import covariance_enu
 from thalweg.navigation.ins_gnss import build_trajectory, states_along_course
+from thalweg_lab.instruments import Receiver, record_raw_gnss
 
 BASE = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 START_GPS_S = 304_845_206.0  # 2021-05-12, adjusted
@@ -36,7 +37,7 @@ def track(km: float) -> ArrayF:
 
 def run(folder: Path, km: float, seed: int, receiver: Receiver | None = None) -> Run:
     files = [folder / name for name in ("rover.obs", "base.obs", "gps.nav")]
-    simulate_raw_gnss(seed, START_GPS_S + S, track(km), BASE, *files, rover=receiver)
+    record_raw_gnss(seed, START_GPS_S + S, track(km), BASE, *files, rover=receiver)
     options = PpkOptions(base_ecef_m=tuple(BASE.origin_ecef_m.tolist()))
     solution = run_ppk(*([file] for file in files), options)
     table = solution.positions

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from thalweg.core import ClockError, LocalFrame, Rigid, Trajectory, rotation_opk
+from thalweg.core import ClockError, CoverageError, LocalFrame, Rigid, Trajectory, rotation_opk
 from thalweg.ingest import LidarOptions
 from thalweg.ingest.anpp import read_anpp
 from thalweg.ingest.registry import lidar_reader
@@ -174,3 +174,26 @@ def test_sentences_of_a_real_receiver_if_its_pps_were_not_there(data_dir, monkey
     found = clock_from_sentences(reader, scan, LidarClockStated(source="nmea"))
     assert found.facts["sentences"] >= 1
     assert abs(found.offset_s - truth) < 2.0 * found.sigma_offset_s
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(("folder", "pairs"), [("vlp16_mrpt_gps", 0), ("hdl32_veloview_monterey", 11)])
+def test_real_recordings_of_a_second_that_did_not_move_tell_no_time(
+    data_dir, folder: str, pairs: int
+) -> None:
+    """A room, 0.39 s, and a car that waits, 1.49 s: what is missing is named, and no time is made up."""
+    reader = lidar_reader([next((data_dir / folder).rglob("*.pcap"))], LidarOptions())
+    t = np.arange(1e9, 1e9 + 10.0, 0.01)
+    turned = 0.01 * np.sin(t - t[0])
+    trajectory = Trajectory(
+        frame=FRAME,
+        t_gps_s=t,
+        position_wcs_m=np.zeros((len(t), 3)),
+        quaternion_wcs_ics=np.column_stack([np.zeros((len(t), 2)), np.sin(turned), np.cos(turned)]),
+        cov_pose_wcs=np.tile(1e-6 * np.eye(6), (len(t), 1, 1)),
+        valid=np.ones(len(t), bool),
+    )
+    with pytest.raises(
+        CoverageError, match=f"^{pairs} pairs of sweeps that show surfaces; expected at least 50"
+    ):
+        clock_from_motion(reader, reader.scan().clock, trajectory, MOUNT, Filters())

@@ -129,13 +129,21 @@ COLOURS = {"red": (1.0, 0.12, 0.04), "green": (0.10, 1.0, 0.20), "blue": (0.05, 
 
 
 def daylight_board(
-    seed: int, colour: str, *, laser_dn: float = 120.0, sun_dn: float = 150.0, jpeg: int = 90
+    seed: int,
+    colour: str,
+    *,
+    laser_dn: float = 120.0,
+    sun_dn: float = 150.0,
+    jpeg: int = 90,
+    straight: tuple[float, float] | None = None,
 ) -> tuple[AnyArray, ArrayF]:
     """A laser line on a checkerboard in daylight as a camera stores it, (480, 640, 3), and its true x by row.
 
     Squares of an albedo of 12 and 85 %, turned; light that changes over the picture, with a shadow whose edge
     lies elsewhere in each picture; the line as bright as the albedo; shot and read noise; a Bayer mosaic,
     interpolated; JPEG.
+
+    ``straight``: the line is ``x = a + b y``; None: one that bends.
     """
     generator = np.random.default_rng([seed, *colour.encode()])
     h, w = 480, 640
@@ -151,6 +159,8 @@ def daylight_board(
     row = np.arange(h)
     centre = w * generator.uniform(0.35, 0.65) + generator.uniform(-0.15, 0.15) * (row - h / 2)
     centre = centre + 6 * np.sin(row / 60)
+    if straight is not None:
+        centre = straight[0] + straight[1] * (row + 0.5)
     away = (x + 0.5 - centre[:, None]) / generator.uniform(3, 5)
     line = laser_dn * np.exp(-2 * away**2) * albedo / 0.85
     white = np.array([0.92, 1.0, 0.8])

@@ -380,10 +380,12 @@ def test_a_code_receiver_never_fixes(write, removed):
 
 
 def test_twin_sources(write, removed):
-    """The twin writes neither raw observations nor SBET."""
-    error = mistakes_of(write({"logs": removed, "twin": {}, "orientation.position_source": "ppk"}))
-    assert [m.dotted for m in error.mistakes] == ["orientation.position_source"]
-    assert "expected pos, sbp or ins" in str(error)
+    """The twin writes neither an SBET, nor positions in NMEA or GPX; raw observations it does."""
+    for source in ("sbet", "nmea", "gpx"):
+        error = mistakes_of(write({"logs": removed, "twin": {}, "orientation.position_source": source}))
+        assert [m.dotted for m in error.mistakes] == ["orientation.position_source"]
+        assert "expected pos, sbp, ppk or ins" in str(error)
+    load_campaign(write({"logs": removed, "twin": {}, "orientation.position_source": "ppk"}))
 
 
 def test_angles_with_more_digits_are_degrees(write):

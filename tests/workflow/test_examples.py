@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 from thalweg.cli import main
+from thalweg.core import gps_from_unix, unix_from_gps
 from thalweg.settings import load_campaign
 
 pytestmark = [pytest.mark.workflow, pytest.mark.real]
@@ -34,6 +35,7 @@ def examples(repository, tmp_path_factory, house_builder, data_dir):
 
 def test_each_file_is_checked_and_says_what_it_gives(examples, capsys) -> None:
     files = sorted((examples.root / EXAMPLES).glob("*.yaml"))
+    files = [file for file in files if file.stem != "sbet_photographs"]  # logs of the twin, in test_tiny
     assert len(files) == len(WHOLE) + len(CLOUDS) + 1
     assert main(["check-config", *map(str, files)]) == 0
     text = capsys.readouterr().out
@@ -138,6 +140,34 @@ def test_lidar_points_have_standard_deviations(examples, name: str, decoded: int
     assert counts[["no_gps_time", "no_pose"]].sum() == 0
     with laspy.open(folder / "points.laz") as stream:
         assert "sigma_up" in stream.header.point_format.extra_dimension_names
+
+
+def test_a_table_of_poses_carries_a_lidar(examples, capsys) -> None:
+    """The same capture beside a TUM table instead of the SBET, as robots write it."""
+    root, data = examples.root, examples.root / EXAMPLES / "data/lidar"
+    t = gps_from_unix(1_453_364_282.0) + np.arange(-4.0, 6.0, 0.05)
+    poses = np.zeros((len(t), 8))
+    poses[:, 0], poses[:, 7] = unix_from_gps(t), 1.0
+    np.savetxt(data / "poses.tum", poses, fmt="%.6f")
+    text = (root / EXAMPLES / "lidar.yaml").read_text()
+    text = text.replace("id: lidar", "id: lidar_tum").replace("position_source: sbet", "position_source: ins")
+    text = text.replace(
+        "  sbet: [data/lidar/standing.sbet]\n  gps_week: 1880", "  ins: [data/lidar/poses.tum]"
+    )
+    path = root / EXAMPLES / "lidar_tum.yaml"
+    path.write_text(text)
+    assert main(["check-config", str(path)]) == 2
+    assert "not stated: body_axes, time_scale" in capsys.readouterr().err
+    path.write_text(text.replace("ins: {", "ins: {body_axes: forward-left-up, time_scale: utc, "))
+    try:
+        assert main(["check-config", str(path)]) == 0
+        target = "results/lidar_tum/lidar/points.laz"
+        examples.snakemake(target, "--config", f"campaign={EXAMPLES}/lidar_tum.yaml")
+    finally:
+        path.unlink()
+    counts = pd.read_csv(root / "results/lidar_tum/lidar/counts.csv").set_index("reason")["n"]
+    assert counts.sum() == 73_486
+    assert counts["kept"] > 0.99 * 73_486
 
 
 @pytest.mark.parametrize(

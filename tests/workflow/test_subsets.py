@@ -2,11 +2,15 @@
 
 import json
 import shutil
+from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from thalweg.cli import main
+from thalweg.core import utc_text_from_gps
+from thalweg.ingest.nmea import read_nmea
 
 pytestmark = [pytest.mark.workflow, pytest.mark.real]
 
@@ -64,3 +68,60 @@ def test_the_front_page_links_all(yacht) -> None:
     assert 'href="bathymetry/soundings.csv"' in text
     assert "point cloud of the banks" in text
     assert not (folder / "lidar").exists()
+
+
+def test_a_log_without_dates_and_heights(yacht, data_dir, capsys) -> None:
+    """Four hours of a yacht, places by GLL alone: what is missing is said before the first job, one by one."""
+    logs, campaigns = str(data_dir / "nmea_plaka_yacht"), yacht.root / "config" / "campaigns"
+    assert main(["new-campaign", "plaka", "--from-logs", logs, "--folder", str(campaigns)]) == 0
+    path = campaigns / "plaka.yaml"
+    text = path.read_text().replace("lever_ics_m: CHANGE", "lever_ics_m: [0.0, 0.0, 0.0]")
+    for line, words in (
+        ("", "logs.depth_date"),
+        ("  depth_date: 2014-07-01\n", "orientation.antenna_h_ell_m, as the log has no heights"),
+    ):
+        text = text.replace("  # reference:", f"{line}  # reference:", 1)
+        path.write_text(text)
+        assert main(["check-config", str(path)]) == 2
+        assert words in capsys.readouterr().err
+    path.write_text(text.replace("# antenna_h_ell_m: 0.0", "antenna_h_ell_m: 20.0"))
+    assert main(["check-config", str(path)]) == 0
+    yacht.snakemake("results/plaka/bathymetry/soundings.json", "--config", "campaign=plaka")
+    facts = json.loads((yacht.root / "results/plaka/bathymetry/soundings.json").read_text())
+    assert facts["pings"] == 7250  # DBT sentences, PROVENANCE.md
+    assert facts["by_reason"][""] == pytest.approx(6891, abs=70)
+    assert sum(facts["by_reason"].values()) == 7250
+
+
+def write_gpx(log: Path, target: Path) -> None:
+    """The yacht's positions as a plotter would export them (GPX 1.1); its depths stay in the log."""
+    rows = read_nmea([log]).positions.dropna(subset=["t_gps_s", "h_ell_m"]).drop_duplicates("t_gps_s")
+    points = "".join(
+        f'<trkpt lat="{row.lat_deg:.8f}" lon="{row.lon_deg:.8f}"><ele>{row.h_ell_m - 40.0:.2f}</ele>'
+        f"<time>{utc_text_from_gps(row.t_gps_s)}</time><geoidheight>40.0</geoidheight></trkpt>\n"
+        for row in rows.itertuples()
+    )
+    space = "http://www.topografix.com/GPX/1/1"
+    target.write_text(f'<gpx version="1.1" xmlns="{space}"><trk><trkseg>{points}</trkseg></trk></gpx>')
+
+
+def test_a_track_in_gpx_places_the_same_soundings(yacht) -> None:
+    """As a new user would: sounder and plotter in one folder."""
+    logs, campaigns = yacht.root / "logs_of_gpx", yacht.root / "config" / "campaigns"
+    logs.mkdir()
+    log = shutil.copy(yacht.root / "logs_of_yacht" / "bundg_zeus_9.log", logs)
+    write_gpx(Path(log), logs / "track.gpx")
+    assert main(["new-campaign", "gpx", "--from-logs", str(logs), "--folder", str(campaigns)]) == 0
+    path = campaigns / "gpx.yaml"
+    text = path.read_text()
+    assert "position_source: gpx" in text
+    path.write_text(text.replace("lever_ics_m: CHANGE", "lever_ics_m: [0.0, 0.0, -1.5]"))
+    assert main(["check-config", str(path)]) == 0
+    yacht.snakemake("results/gpx/bathymetry/soundings.csv", "--config", "campaign=gpx")
+    ours, theirs = (
+        pd.read_csv(yacht.root / "results" / name / "bathymetry" / "soundings.csv")
+        for name in ("gpx", "yacht")
+    )
+    assert len(ours) == len(theirs)
+    for name in ("east", "north", "height"):
+        np.testing.assert_allclose(ours[name], theirs[name], atol=0.05)

@@ -9,17 +9,20 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import laspy
 import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from scipy.stats import chi2
 
 from tests.workflow.conftest import House, rule_names
-from thalweg.core import Rigid, Trajectory, read_table
-from thalweg.core.timescales import week_from_gps
-from thalweg.ingest import INS_STATE, LidarOptions
+from thalweg.cli import main
+from thalweg.core import LocalFrame, Rigid, Trajectory, read_table
+from thalweg.ingest import GNSS_POSITION, LidarOptions
+from thalweg.ingest.ppk.trust import covariance_enu
 from thalweg.ingest.registry import lidar_reader
 from thalweg.lidar import CORRELATIONS, SIGMAS, LogSettings, georeference_log
 from thalweg.settings import load_campaign
@@ -418,18 +421,9 @@ def test_windows_of_a_long_log_change_no_byte(tiny_house) -> None:
     shutil.rmtree(base.parent)
 
 
-def write_sbet(states: Path, target: Path) -> int:
-    """The states of the tiny boat as an SBET (wander angle 0); returns the GPS week."""
-    table, _ = read_table(states, INS_STATE)
-    week, tow_s = week_from_gps(table["t_gps_s"])
-    records = np.zeros((len(table), 17))
-    records[:, 0] = tow_s
-    records[:, 1:3] = np.deg2rad(table[["lat_deg", "lon_deg"]])
-    records[:, 3] = table["h_ell_m"]
-    records[:, 4:7] = table[["v_north_mps", "v_east_mps", "v_down_mps"]]
-    records[:, 7:10] = table[["roll_rad", "pitch_rad", "heading_rad"]]
-    records.astype("<f8").tofile(target)
-    return int(week[0])
+def examples(root: Path) -> dict[str, Any]:
+    """Functions of the script that makes the examples ready."""
+    return runpy.run_path(str(root / "config/campaigns/examples/prepare.py"))
 
 
 OF_SOURCE = {
@@ -467,6 +461,7 @@ def test_logs_of_a_survey_go_the_same_way(tiny_house, source: str) -> None:
             own["images"].setdefault("cloud", {})["motion"] = "trajectory"
         more += f"images: {json.dumps(own['images'])}"
     if source == "sbet":
+        write_sbet = examples(tiny_house.root)["write_sbet"]
         week = write_sbet(tiny_house.root / BASE / "ingest/ins_states.parquet", tiny_house.root / "boat.sbet")
         text = text.replace(
             "  ins: [{logs}/ins.anpp]", f"  sbet: [{tiny_house.root}/boat.sbet]\n  gps_week: {week}"
@@ -516,26 +511,9 @@ def test_logs_of_a_survey_go_the_same_way(tiny_house, source: str) -> None:
 def test_an_sbet_and_photographs_give_the_chains_of_camera_and_all_sensors(tiny_house) -> None:
     """No lidar, no GNSS: an SBET states no fix; its standard deviations are what counts."""
     root, base = tiny_house.root, tiny_house.root / BASE
-    week = write_sbet(base / "ingest/ins_states.parquet", root / "finished.sbet")
-    own = yaml.safe_load((root / "config/campaigns/tiny.yaml").read_text())
-    own["images"]["cloud"] = {"motion": "trajectory"}
-    campaign = {
-        "campaign": own["campaign"] | {"id": "sbet_photographs"},
-        "logs": {
-            "sbet": [str(root / "finished.sbet")],
-            "gps_week": week,
-            "time_lapse": {
-                "images": [str(base / "simulation/logs/time_lapse/*.jpg")],
-                "orientations": [str(base / "orientation/image_poses.parquet")],
-            },
-        },
-        "mounts": {"camera": own["mounts"]["camera"]},
-        "orientation": {"position_source": "sbet"},
-        "ins": {"sigma_position_m": [0.6, 0.6, 1.0]},
-        "images": own["images"],
-    }
-    path = root / "config/campaigns/sbet_photographs.yaml"
-    path.write_text(yaml.safe_dump(campaign))
+    path = root / "config/campaigns/examples/sbet_photographs.yaml"
+    examples(root)["sbet_photographs"](base, path.parent / "data/sbet_photographs")
+    assert main(["check-config", str(path)]) == 0
     products = CampaignFiles(
         name="sbet_photographs", campaigns={"sbet_photographs": load_campaign(path)}
     ).products()
@@ -543,7 +521,7 @@ def test_an_sbet_and_photographs_give_the_chains_of_camera_and_all_sensors(tiny_
         "trajectory of the boat",
         "trajectories by camera and by all sensors",
     }
-    tiny_house.snakemake("--config", "campaign=sbet_photographs")
+    tiny_house.snakemake("--config", f"campaign={path}")
     results = root / "results/sbet_photographs"
     for row in products:
         assert (root / row.file).is_file() == row.made, row.name
@@ -556,6 +534,55 @@ def test_an_sbet_and_photographs_give_the_chains_of_camera_and_all_sensors(tiny_
     assert 0.05 < np.mean(off**2) < 4.0
     text = (results / "index.html").read_text()
     assert "trajectories by camera and by all sensors" in text
+
+
+def test_raw_observations_of_the_twin_are_solved(tiny_house) -> None:
+    """The twin's receiver and base in raw observations, PPK, and the boat's poses: position_source ppk."""
+    root = tiny_house.root
+    own = yaml.safe_load((root / "config/campaigns/tiny.yaml").read_text())
+    campaign = {key: own[key] for key in ("campaign", "twin", "mounts")}
+    campaign["campaign"]["id"] = "tiny_ppk"
+    campaign["orientation"] = {"position_source": "ppk", "accept_fixes": "auto"}
+    campaign["twin"]["gnss"] = {"shadow": True}
+    path = root / "config/campaigns/tiny_ppk.yaml"
+    path.write_text(yaml.safe_dump(campaign))
+    base = root / "results/tiny_ppk"
+    # the same voyage: what does not rest on positions is that of tiny
+    truth = [f"simulation/truth/{name}" for name in ("scene.npz", "mounts.json", "trajectory.parquet")]
+    read = [f"ingest/{name}.integrity.json" for name in ("lidar", "ins", "gnss", "depth")]
+    for name in (*truth, *read, "ingest/ins_states.parquet", "ingest/lidar.clock.json"):
+        (base / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(root / BASE / name, base / name)
+    stated = "results/tiny_ppk/orientation/trajectory_stated.parquet"
+    made = "simulate_raw_gnss", "read_positions", "collect_mounts", "align_streams", "build_trajectory"
+    tiny_house.snakemake(stated, "--config", "campaign=tiny_ppk", "--allowed-rules", *made)
+    path.unlink()
+    facts = json.loads((base / "simulation/truth/raw_gnss_effects.json").read_text())
+    assert facts["dimmed"] > 0
+    true = Trajectory.read(base / "simulation/truth/trajectory.parquet")
+    lever = read_true_mounts(base / "simulation/truth/mounts.json")["antenna"]["lever_ics_m"]
+    table, _ = read_table(base / "ingest/positions.parquet", GNSS_POSITION)
+    assert (table["fix"] == "fixed").mean() > 0.5
+    frame = LocalFrame(**own["campaign"]["origin"])
+    place = frame.from_geodetic(table["lat_deg"], table["lon_deg"], table["h_ell_m"])
+    position, rotation, inside = true.at(table["t_gps_s"].to_numpy())
+    off = (place - position - rotation @ np.asarray(lever))[inside]
+    fixed = (table["fix"] == "fixed").to_numpy()[inside]
+    assert np.abs(off[fixed]).max() < 0.10  # one wavelength is 0.19 m
+    cov = covariance_enu(table)[inside]
+    nees = np.einsum("ni,nij,nj->n", off, np.linalg.inv(cov), off)
+    # multipath lasts 40 s: the voyage is one observation of three axes
+    low, high = chi2.ppf([0.005, 0.995], 3)
+    assert low < nees.mean() < high
+    # and so are the poses: float for the first two seconds, fixed from there on
+    poses = Trajectory.read(root / stated)
+    position, _, inside = true.at(poses.t_gps_s)
+    off, sigma = (poses.position_wcs_m - position)[inside], poses.sigma_position_m[inside]
+    known = sigma[:, 2] < 0.1
+    assert known.mean() > 0.9
+    assert np.sqrt(np.mean(off[known] ** 2)) < 0.03
+    assert low < np.mean(np.sum((off / sigma) ** 2, axis=1)) < high
+    shutil.rmtree(base)
 
 
 def test_a_campaign_is_written_from_a_folder_of_logs(tiny_house) -> None:

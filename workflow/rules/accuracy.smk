@@ -39,8 +39,10 @@ rule summarise:
     input:
         streams="results/{campaign}/timing/streams.csv",
         trajectory="results/{campaign}/orientation/trajectory.json",
+        positions="results/{campaign}/ingest/positions.integrity.json",
         counts=of(CampaignFiles.counts_of_points),
         images=of(CampaignFiles.adjustment_facts),
+        soundings=of(CampaignFiles.sounding_facts),
         bed=of(CampaignFiles.bed_validation),
         reference=of(CampaignFiles.reference_statistics),
         truth=of(CampaignFiles.truth_statistics),

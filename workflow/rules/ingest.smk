@@ -51,7 +51,8 @@ rule read_ins:
     params:
         code=code_version("read_ins"),
         source=of(CampaignFiles.position_source),
-        gps_week=of(CampaignFiles.log_option, "gps_week"),
+        campaign=identity("origin"),
+        options=of(CampaignFiles.track_options),
     script:
         "../scripts/read_ins.py"
 

@@ -218,6 +218,35 @@ rule simulate_gnss:
         "../scripts/simulate_gnss.py"
 
 
+rule simulate_raw_gnss:
+    """Raw observations of the boat's receiver and of a base, where a campaign solves them itself."""
+    input:
+        scene="results/{campaign}/simulation/truth/scene.npz",
+        true_mounts="results/{campaign}/simulation/truth/mounts.json",
+    output:
+        out_rover="results/{campaign}/simulation/logs/raw/rover.sbp",
+        out_base="results/{campaign}/simulation/logs/raw/base.obs",
+        out_nav="results/{campaign}/simulation/logs/raw/base.nav",
+        out_effects="results/{campaign}/simulation/truth/raw_gnss_effects.json",
+    log:
+        "logs/{campaign}/simulation/simulate_raw_gnss.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_raw_gnss.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        **calls("thalweg_lab.instruments.raw_gnss:simulate_raw_gnss"),
+        config=of(CampaignFiles.twin_parts, "scene", "boat", "gnss"),
+        seed=section("campaign", "seed"),
+        frame=section("campaign", "origin"),
+    script:
+        "../scripts/call.py"
+
+
 rule simulate_echo:
     """NMEA log of the echo sounder."""
     input:

@@ -1,8 +1,9 @@
-"""ANPP log, or SBET trajectory -> table of INS states, soundings logged by the INS, integrity report."""
+"""ANPP log, SBET or table of poses -> table of INS states, soundings logged by the INS, integrity report."""
 
 from pathlib import Path
+from typing import Any
 
-from thalweg.core import write_table
+from thalweg.core import LocalFrame, write_table
 from thalweg.ingest import DEPTH, INS_STATE, TrackOptions
 from thalweg.ingest.registry import read_poses
 from thalweg.workflow import run_job
@@ -16,11 +17,11 @@ def main(
     depths: Path,
     integrity: Path,
     source: str,
-    gps_week: int | None,
+    campaign: dict[str, Any],
+    options: dict[str, Any],
 ) -> None:
-    log = read_poses(
-        ins, "sbet" if source == "sbet" else "ins", TrackOptions(gps_week=gps_week, smrmsg=tuple(smrmsg))
-    )
+    told = TrackOptions(**options, smrmsg=tuple(smrmsg), frame=LocalFrame(**campaign["origin"]))
+    log = read_poses(ins, "sbet" if source == "sbet" else "ins", told)
     write_table(states, log.states, INS_STATE)
     write_table(depths, DEPTH.empty_table().to_pandas() if log.depths is None else log.depths, DEPTH)
     log.report.stream = "ins"

@@ -1,9 +1,10 @@
 """Public recordings as the files that the examples beside this script name.
 
-    python config/campaigns/examples/prepare.py FOLDER_OF_RECORDINGS
+    python config/campaigns/examples/prepare.py FOLDER_OF_RECORDINGS [results/tiny]
 
 writes `data/` beside this script: links to the recordings, and tables of others in a form that Thalweg reads.
-What no recording holds is made up and says so: the track of a lidar that stood still.
+What no recording holds is made up and says so: the track of a lidar that stood still. An SBET beside
+photographs is the digital twin's, from the results of campaign tiny.
 """
 
 import shutil
@@ -14,8 +15,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from thalweg.core import Camera, gps_from_unix, write_opencv
+from thalweg.core import Camera, gps_from_unix, read_table, write_opencv
 from thalweg.core.timescales import week_from_gps
+from thalweg.ingest import INS_STATE
 
 HERE = Path(__file__).parent / "data"
 STRASBOURG = ("8811.jpg", "8936.jpg", "8937.jpg", "8938.jpg", "9111.jpg")
@@ -77,8 +79,31 @@ def standing_track(path: Path, *, begin_unix_s: float, lat_deg: float, lon_deg: 
     records.astype("<f8").tofile(path)
 
 
-def main(source: Path) -> None:
-    """All folders of `data/`."""
+def write_sbet(states: Path, target: Path) -> int:
+    """States of the INS as an SBET (wander angle 0); returns the GPS week."""
+    table, _ = read_table(states, INS_STATE)
+    week, tow_s = week_from_gps(table["t_gps_s"])
+    records = np.zeros((len(table), 17))
+    records[:, 0] = tow_s
+    records[:, 1:3] = np.deg2rad(table[["lat_deg", "lon_deg"]])
+    records[:, 3] = table["h_ell_m"]
+    records[:, 4:7] = table[["v_north_mps", "v_east_mps", "v_down_mps"]]
+    records[:, 7:10] = table[["roll_rad", "pitch_rad", "heading_rad"]]
+    records.astype("<f8").tofile(target)
+    return int(week[0])
+
+
+def sbet_photographs(tiny: Path, folder: Path) -> None:
+    """Photographs and states of the digital twin, oriented by its own adjustment."""
+    copied(sorted((tiny / "simulation/logs/time_lapse").glob("*.jpg")), folder / "images")
+    copied([tiny / "orientation/image_poses.parquet"], folder)
+    write_sbet(tiny / "ingest/ins_states.parquet", folder / "boat.sbet")
+
+
+def main(source: Path, tiny: Path | None = None) -> None:
+    """All folders of `data/`; that of the twin where campaign tiny has run."""
+    if tiny is not None:
+        sbet_photographs(tiny, HERE / "sbet_photographs")
     photographs(source, HERE / "strasbourg")
     fixed_camera(source, HERE / "belvedere")
     copied([source / "nmea_gpsd_depth/bundg_zeus_9.log"], HERE / "yacht")
@@ -92,4 +117,4 @@ def main(source: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(*map(Path, sys.argv[1:3]))

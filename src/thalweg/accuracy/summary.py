@@ -25,7 +25,9 @@ def summary_table(
     trajectory: Path,
     counts: Path | None = None,
     *,
+    positions: Path | None = None,
     images: Path | None = None,
+    soundings: Path | None = None,
     bed: Path | None = None,
     reference: Path | None = None,
     truth: Path | None = None,
@@ -37,7 +39,9 @@ def summary_table(
     streams : table of the time axis (CSV).
     trajectory : summary of the trajectory (JSON).
     counts : what became of the lidar points (CSV), or None without a lidar.
+    positions : integrity report of the positions (JSON); only post-processed ones tell of fixes.
     images : facts of the adjustment of photographs (JSON), or None where there is none.
+    soundings : what became of the soundings (JSON), or None without any.
     bed : validation of the riverbed by left-out lines (JSON), or None where there is none.
     reference : statistics of the comparison with a reference (CSV), or None where there is none.
     truth : statistics against the twin's truth (CSV), or None for a real campaign.
@@ -53,6 +57,8 @@ def summary_table(
             (f"{stream['stream']}: records lost or damaged", stream["lost_records"], "1", streams.name)
         )
         rows.append((f"{stream['stream']}: bytes lost", stream["lost_bytes"], "1", streams.name))
+    if positions is not None:
+        rows += _fix_rows(positions)
     poses = json.loads(trajectory.read_text())
     share = poses["n_positions_used"] / poses["n_positions"] if poses["n_positions"] else 0.0
     rows.append(("positions used", 100 * share, "%", trajectory.name))
@@ -62,12 +68,18 @@ def summary_table(
     gaps = poses.get("gaps", [])
     rows.append(("gaps in the trajectory", float(len(gaps)), "1", trajectory.name))
     rows.append(("gaps in the trajectory, together", sum(length for _, length in gaps), "s", trajectory.name))
+    longest = max((length for _, length in gaps), default=0.0)
+    rows.append(("longest gap in the trajectory", longest, "s", trajectory.name))
     if counts is not None:
-        reasons = _records(counts)
-        rows.append(("lidar points decoded", sum(row["n"] for row in reasons), "1", counts.name))
-        rows += [(f"  {row['words']}", row["n"], "1", counts.name) for row in reasons if row["n"]]
+        points = _records(counts)
+        rows.append(("lidar points decoded", sum(row["n"] for row in points), "1", counts.name))
+        rows += [(f"  {row['words']}", row["n"], "1", counts.name) for row in points if row["n"]]
     if images is not None:
         rows += _image_rows(images)
+    if soundings is not None:
+        reasons = json.loads(soundings.read_text())["by_reason"]
+        rows.append(("soundings in the world", float(reasons.pop("")), "1", soundings.name))
+        rows += [(f"  left out: {why}", float(n), "1", soundings.name) for why, n in reasons.items() if n]
     if bed is not None:
         rows += _bed_rows(bed)
     if reference is not None:
@@ -75,6 +87,20 @@ def summary_table(
     if truth is not None:
         rows += _truth_rows(truth)
     return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def _fix_rows(positions: Path) -> list[tuple[str, float, str, str]]:
+    """What raw GNSS gave: fixed epochs, those that were not trusted, how far away the base was."""
+    facts = json.loads(positions.read_text())["details"]
+    if "fix_ratio" not in facts:
+        return []
+    refused = float(sum(facts["n_fixes_refused"].values()))
+    return [
+        ("GNSS epochs with fixed ambiguities", 100 * facts["fix_ratio"], "%", positions.name),
+        ("GNSS fixes that were not trusted", refused, "1", positions.name),
+        ("distance of the GNSS base, median", facts["baseline_m"] / 1e3, "km", positions.name),
+        ("distance of the GNSS base, largest", facts["baseline_max_m"] / 1e3, "km", positions.name),
+    ]
 
 
 def _image_rows(images: Path) -> list[tuple[str, float, str, str]]:

@@ -256,7 +256,8 @@ class TrackOptions:
     body_axes : axes x-y-z of its body: ``forward-right-down``, ``forward-left-up`` (ROS),
         ``right-down-forward`` (a camera).
     time_scale : of its stamps: ``utc`` (Unix time) or ``gps`` (seconds since 1980-01-06).
-    sigma_position_m, sigma_attitude_deg : standard deviations where a file holds none, each axis.
+    sigma_position_m, sigma_attitude_deg : standard deviations where a file holds none, each axis; NaN: they
+        are stated later.
     times : stamps beside a KITTI table.
     """
 

@@ -783,7 +783,10 @@ def _check_alone(logs: Logs) -> Iterator[Mistake]:
                     path=("logs", name),
                     found="missing" if not count else f"{count} files",
                     expected="one file: a finished cloud is compared with one reference",
-                    cure=f"Add the line `{name}: [...]`" if not count else "Name one; merge the others first",
+                    cure=f"Add the line `{name}: [...]`"
+                    if not count
+                    else "Name one; merge the others first. Surveys of several dates: "
+                    "thalweg new-campaign NAME --epochs FILE@DATE FILE@DATE",
                 )
     if logs.kind in ("fixed_camera", "cloud"):
         kept = {"fixed_camera": {"fixed_camera"}, "cloud": {"cloud", "reference"}}[logs.kind]
@@ -925,6 +928,7 @@ _NEEDS: dict[str, tuple[str, ...]] = {
     "sbp": ("gnss.rover",),
     "ppk": ("gnss.rover",),
     "nmea": (),
+    "gpx": ("positions",),
     "sbet": ("sbet", "gps_week"),
     "ins": (),
 }
@@ -1017,7 +1021,7 @@ def _check_source(parts: Parts, logs: Logs) -> Iterator[Mistake]:
     if parts.mounts is None or parts.mounts.calibration is not None:
         return
     recorded = {"lidar": bool(logs.lidar), "echo_sounder": bool(logs.depth)}
-    recorded["antenna"] = any(recorded.values()) and source in {"pos", "sbp", "ppk", "nmea"}
+    recorded["antenna"] = any(recorded.values()) and source in {"pos", "sbp", "ppk", "nmea", "gpx"}
     sensors = [sensor for sensor, is_there in recorded.items() if is_there]
     for sensor in sensors:
         if parts.raw("mounts", sensor, "lever_ics_m") is None:
@@ -1034,11 +1038,11 @@ def _given(logs: Logs, keys: tuple[str, ...]) -> bool:
 
 
 def _check_twin_source(parts: Parts) -> Iterator[Mistake]:
-    if parts.orientation is not None and parts.orientation.position_source in {"ppk", "sbet"}:
+    if parts.orientation is not None and parts.orientation.position_source in {"sbet", "nmea", "gpx"}:
         yield Mistake(
             path=("orientation", "position_source"),
             found=f"found {parts.orientation.position_source!r}, but the twin does not write such logs",
-            expected="pos, sbp or ins",
+            expected="pos, sbp, ppk or ins",
             cure="Write position_source: pos",
         )
     mode = parts.raw("twin", "gnss", "mode")

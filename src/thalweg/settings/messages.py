@@ -416,6 +416,8 @@ def mistake_of(error: ErrorDetails) -> Mistake:
         found += f": {error['msg'].removeprefix('Value error, ').rstrip('.')}"
         expected = _lower(str(node_at(path).get("description", ""))) or expected
         cure = "Correct the value"
+    if value == "CHANGE" and kind in _LIST | _NUMBER:
+        found, cure = "not filled in yet", "Write the value in place of the word CHANGE"
     return Mistake(path=path, found=found, expected=expected, cure=cure)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final
 
 from thalweg.settings.checks_place import utm_code
-from thalweg.settings.sections import DSM_ENDINGS, ReferenceSettings
+from thalweg.settings.sections import DSM_ENDINGS, ReferenceSettings, is_rinex_name
 
 PLACEHOLDERS: Mapping[str, Sequence[str]] = {
     "lidar": ["raw/lidar/*.pcap"],
@@ -31,7 +31,7 @@ _ORDINARY_GNSS: Final = [
     "  # antenna_h_ell_m: 0.0  # ellipsoidal height of the antenna, where the sentences have none (GLL, RMC)",
     "  max_gap_s: 5.0  # longest hole between positions that is interpolated",
 ]
-"""Lines of ``orientation`` for a receiver that writes NMEA."""
+"""Lines of ``orientation`` for a receiver that writes NMEA or GPX."""
 
 
 def campaign_text(
@@ -75,7 +75,7 @@ def campaign_text(
         *_list("lidar", listed.get("lidar", []), "Velodyne captures"),
         *_list("ins", listed.get("ins", []), "Advanced Navigation ANPP"),
         *gnss,
-        *_list("positions", listed.get("pos", []), "RTKLIB .pos, or NMEA"),
+        *_list("positions", listed.get("pos", []), "RTKLIB .pos, NMEA or GPX"),
         *_list("sbet", listed.get("sbet", []), "Applanix SBET; needs gps_week"),
         *(["  # gps_week: 2235  # CHANGE: week of the SBET"] if listed.get("sbet") else []),
         *_list("depth", listed.get("depth", []), "echo sounder, NMEA"),
@@ -84,14 +84,13 @@ def campaign_text(
         "",
         "mounts:  # body frame of the INS, or of the boat: x forward, y right, z down",
         *_lidar(listed, levers),
-        "  antenna:",
-        f"    lever_ics_m: CHANGE{levers}",
+        *_antenna(listed, source, levers),
         *(["  echo_sounder:", f"    lever_ics_m: CHANGE{levers}"] if listed.get("depth") else []),
         *_camera(listed, levers),
         "",
         "orientation:",
-        f"  position_source: {source}  # pos, sbp, ppk, nmea, sbet or ins",
-        *(_ORDINARY_GNSS if source == "nmea" else [f"  accept_fixes: {fixes}"]),
+        f"  position_source: {source}  # pos, sbp, ppk, nmea, gpx, sbet or ins",
+        *(_ORDINARY_GNSS if source in ("nmea", "gpx") else [f"  accept_fixes: {fixes}"]),
         *_without_control(listed, source),
         *(
             ["", "# filters: {below_water_m: null, mirror_ghosts: false}  # where there is no water"]
@@ -245,6 +244,15 @@ def _photographs(listed: Mapping[str, Sequence[str]]) -> list[str]:
     return lines
 
 
+def _antenna(listed: Mapping[str, Sequence[str]], source: str, levers: str) -> list[str]:
+    """Lines of ``mounts.antenna``; of a receiver alone the trajectory is that of its antenna."""
+    if source in ("ins", "sbet"):
+        return ["  antenna: {lever_ics_m: [0.0, 0.0, 0.0]}  # not used: positions are those of the INS"]
+    if any(listed.get(stream) for stream in ("lidar", "ins", "sbet", "depth", "time_lapse")):
+        return ["  antenna:", f"    lever_ics_m: CHANGE{levers}"]
+    return ["  antenna:", "    lever_ics_m: [0.0, 0.0, 0.0]  # metres; the trajectory is that of the antenna"]
+
+
 def _lidar(listed: Mapping[str, Sequence[str]], levers: str) -> list[str]:
     """Lines of ``mounts.lidar`` of a campaign with a lidar."""
     if not listed.get("lidar"):
@@ -296,10 +304,10 @@ def _source(listed: Mapping[str, Sequence[str]]) -> tuple[str, list[str]]:
     else:
         gnss = ["  # gnss: {rover: [], base: [], nav: []}  # raw GNSS: SBP or RINEX"]
     if listed.get("pos"):
-        return "pos", gnss
+        return ("gpx" if all(name.lower().endswith(".gpx") for name in listed["pos"]) else "pos"), gnss
     if listed.get("sbet"):
         return "sbet", gnss
-    if listed.get("base"):
+    if listed.get("base") or (listed.get("rover") and all(map(is_rinex_name, map(Path, listed["rover"])))):
         return "ppk", [*gnss, "    base_from: rinex_header  # CHANGE: or sbp, base_ecef_m, base_llh"]
     found = {"sbp": "rover", "ins": "ins", "nmea": "depth"}
     return next((source for source, stream in found.items() if listed.get(stream)), "pos"), gnss

@@ -21,7 +21,7 @@ LogLength = Callable[[Sequence[str], Mapping[str, Any]], float]
 
 _STREAMS: Final = {"lidar": "lidar", "ins": "ins", "sbet": "ins", "sbp": "gnss", "depth": "depth"}
 """Logs, and how the rules that read them name their results."""
-_POSITION_LOGS: Final = {"pos": "pos", "nmea": "pos", "sbp": "sbp", "ppk": "rover"}
+_POSITION_LOGS: Final = {"pos": "pos", "nmea": "pos", "gpx": "pos", "sbp": "sbp", "ppk": "rover"}
 """Sources of positions with files of their own."""
 _CHAINS: Final = {"": "ins", "by_camera/": "camera", "by_fused/": "fused"}
 """Folder below those of clouds and of comparisons -> what the trajectory rests on."""
@@ -143,10 +143,17 @@ class CampaignFiles:
         logs = self.plain["logs"]
         return logs[key] if logs else None
 
+    def track_options(self) -> dict[str, Any]:
+        """What files of poses do not state."""
+        stated = {key: self.plain["ins"][key] for key in ("body_axes", "time_scale")}
+        return {"gps_week": self.log_option("gps_week"), **stated}
+
     def base_position(self) -> dict[str, Any]:
-        """How the campaign file states the position of the base."""
+        """How the campaign file states the position of the base; a twin's base does in its own file."""
         logs = self.plain["logs"]
-        return {k: v for k, v in logs["gnss"].items() if k.startswith("base_")} if logs else {}
+        if not logs:
+            return {"base_from": "rinex_header"} if self.position_source() == "ppk" else {}
+        return {k: v for k, v in logs["gnss"].items() if k.startswith("base_")}
 
     def reference_surface(self) -> dict[str, Any]:
         """The section `reference` without the sigma, which no mesh depends on."""
@@ -789,6 +796,10 @@ class CampaignFiles:
     def adjustment_facts(self) -> list[str]:
         """Facts of the adjustment of photographs that are oriented here."""
         return self._where(self.orients_images(), "orientation/adjustment.json")
+
+    def sounding_facts(self) -> list[str]:
+        """What became of the soundings, where there are any."""
+        return self._where(self.has_soundings(), "bathymetry/soundings.json")
 
     def bed_validation(self) -> list[str]:
         """How well the riverbed foretells what it did not see, where there is one."""

@@ -30,5 +30,10 @@ from .lidar import (
     Shots as Shots,
     simulate_lidar as simulate_lidar,
 )
+from .raw_gnss import (
+    Receiver as Receiver,
+    record_raw_gnss as record_raw_gnss,
+    simulate_raw_gnss as simulate_raw_gnss,
+)
 from .tls import simulate_tls as simulate_tls
 from .uav import simulate_uav as simulate_uav

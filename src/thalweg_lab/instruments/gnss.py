@@ -392,6 +392,36 @@ def _write_sbp(
 _NEEDS: Final = ((Solution.SINGLE, 4, 30.0), (Solution.FLOAT, 5, 10.0))
 
 
+@dataclass(frozen=True, slots=True)
+class SatelliteView:
+    """Each of n satellites at m times, (m, n): above the mask, hidden, weakened, mirrored by water."""
+
+    up: ArrayB
+    blocked: ArrayB
+    weakened: ArrayB
+    mirrored: ArrayB
+
+
+def shaded(
+    gnss: TwinGnss, seed: int, frame: LocalFrame, scene: Scene, t_gps_s: ArrayF, antenna_wcs_m: ArrayF
+) -> SatelliteView:
+    """What stands between the antenna and each satellite; parameters as `look_at_sky`."""
+    satellites = Constellation.draw(seed)
+    e = satellites.directions_wcs(frame, t_gps_s)
+    up = e[..., 2] > np.sin(np.deg2rad(gnss.mask_deg))
+    row, _ = np.nonzero(up)
+    origins, rays = antenna_wcs_m[row], e[up]
+    around = _Obstacles.of(scene)
+    blocked, weakened, mirrored = (np.zeros(up.shape, dtype=np.bool_) for _ in range(3))
+    blocked[up] = np.isfinite(_distance_m(around.opaque, origins, rays))
+    weakened[up] = _weakened(around, origins, rays)
+    down = rays * [1.0, 1.0, -1.0]
+    water = _distance_m(around.water, origins, down)
+    others = np.minimum(*(_distance_m(c, origins, down) for c in (around.opaque, around.leaves)))
+    mirrored[up] = (water < others) & (rays[:, 2] < _REFLECTED_BELOW)
+    return SatelliteView(up, blocked, weakened, mirrored)
+
+
 def look_at_sky(
     gnss: TwinGnss, seed: int, frame: LocalFrame, scene: Scene, t_gps_s: ArrayF, antenna_wcs_m: ArrayF
 ) -> SkyView:
@@ -408,17 +438,8 @@ def look_at_sky(
     """
     satellites = Constellation.draw(seed)
     e = satellites.directions_wcs(frame, t_gps_s)
-    up = e[..., 2] > np.sin(np.deg2rad(gnss.mask_deg))
-    row, _ = np.nonzero(up)
-    origins, rays = antenna_wcs_m[row], e[up]
-    around = _Obstacles.of(scene)
-    blocked, weakened, mirrored = (np.zeros(up.shape, dtype=np.bool_) for _ in range(3))
-    blocked[up] = np.isfinite(_distance_m(around.opaque, origins, rays))
-    weakened[up] = _weakened(around, origins, rays)
-    down = rays * [1.0, 1.0, -1.0]
-    water = _distance_m(around.water, origins, down)
-    others = np.minimum(*(_distance_m(c, origins, down) for c in (around.opaque, around.leaves)))
-    mirrored[up] = (water < others) & (rays[:, 2] < _REFLECTED_BELOW)
+    one = shaded(gnss, seed, frame, scene, t_gps_s, antenna_wcs_m)
+    up, blocked, weakened, mirrored = one.up, one.blocked, one.weakened, one.mirrored
     dimmed = weakened & ~blocked
     free = up & ~blocked & ~weakened
     weights = free + _DIMMED_WEIGHT * dimmed

@@ -61,6 +61,8 @@ _LEAST_FOR_FOCAL: Final = 5
 _LEAST_FOR_SHAPE: Final = 9
 """Images of a block that bear a focal length, and distortion."""
 _SIGMAS: Final = 5.0
+_STILL: Final = 1e-3
+"""Share of the longer side by which points move at most in pictures of a camera that stood still."""
 _WIDEST: Final = 1.0 / 3.0
 """Focal length over the longer side: a perspective lens of 112 degrees; wider ones are fisheyes."""
 
@@ -654,11 +656,31 @@ def _alone(matches: Matches, piece: ArrayI, k: int) -> tuple[str, str]:
             f"similar points, with {other}, that no geometry joins"
         )
     to_block = verified & (piece[matches.pairs] == 0).any(axis=1)
+    if words := _stood_still(matches, np.flatnonzero(verified)):
+        return "stood_still", words
+    if not (piece == 0).any():
+        return "apart", f"joined to {verified.sum()} images, but no block came of any"
     if not to_block.any():
         return "apart", f"joined to {verified.sum()} images only, none of which is in the block"
     return "weak", (
         f"too few points of the block to find its pose: {to_block.sum()} pairs, "
         f"at best {_best(matches, to_block)}"
+    )
+
+
+def _stood_still(matches: Matches, pairs: ArrayI) -> str:
+    """Whether most of these pairs see their common points where they were: no base, and so no depth."""
+    moved = []
+    for m in pairs.tolist():
+        common = matches.common[matches.pair_start[m] : matches.pair_start[m + 1]]
+        a, b = (matches.place[matches.start[i] + common[:, k]] for k, i in enumerate(matches.pairs[m]))
+        moved.append(float(np.median(np.linalg.norm(a - b, axis=1))))
+    side = max(matches.starts[0].camera.size_px)
+    if not np.median(moved) < _STILL * side:
+        return ""
+    return (
+        f"the camera stood still: in {len(moved)} pairs common points lie where they were, within "
+        f"{np.median(moved):.1f} px; from control points `thalweg resect` finds such poses"
     )
 
 

@@ -12,6 +12,9 @@ from thalweg.settings.sections import Ppk
 SYSTEM_BITS: Final[Mapping[str, int]] = {"GPS": 1, "SBS": 2, "GLO": 4, "GAL": 8, "QZS": 16, "BDS": 32}
 """Values of RTKLIB's ``pos1-navsys`` (RTKLIB manual 2.4.2, section 3.5); their sum selects systems."""
 
+AUTO_SYSTEMS: Final = ("GPS", "GAL", "QZS")
+"""GLONASS needs receivers of one make, and of BeiDou no recording shows that it helps."""
+
 EARTH_RADII_M: Final = (6_330_000.0, 6_400_000.0)
 """A base lies between the poles less 27 km and the equator plus 22 km."""
 
@@ -45,7 +48,8 @@ class PpkOptions:
     base_antenna_delta_enu_m : from the given base position to the antenna reference point, east, north, up.
     elevation_mask_deg : satellites below are not used.
     frequencies : ``"l1"``, ``"l1+l2"``, ``"l1+l2+l5"`` or ``"l1+l2+l5+l6"``; Galileo's E5b counts as l2 here.
-    systems : of "GPS", "GLO", "GAL", "QZS", "BDS", "SBS".
+    systems : of "GPS", "GLO", "GAL", "QZS", "BDS", "SBS"; "auto" takes those of `AUTO_SYSTEMS` that both logs
+        hold.
     ambiguity : ``"continuous"`` or ``"fix-and-hold"``. ``"instantaneous"`` forgets the ambiguities at every
         epoch; this engine then fixed nothing on either of two real recordings where ``"continuous"`` fixes
         95 %. ``"off"`` leaves them float.
@@ -70,7 +74,7 @@ class PpkOptions:
     base_antenna_delta_enu_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     elevation_mask_deg: float = _SECTION.elevation_mask_deg
     frequencies: Frequencies = _SECTION.frequencies
-    systems: tuple[str, ...] = _SECTION.systems
+    systems: tuple[str, ...] | Literal["auto"] = _SECTION.systems
     ambiguity: Ambiguity = _SECTION.ambiguity
     fix_glonass: bool = _SECTION.fix_glonass
     fix_beidou: bool = _SECTION.fix_beidou
@@ -91,8 +95,9 @@ class PpkOptions:
             if getattr(self, name) not in allowed
         ]
         wrong += self._wrong_base()
+        auto = self.systems == "auto"
         unknown = [s for s in self.systems if s not in SYSTEM_BITS]
-        if unknown or not self.systems or isinstance(self.systems, str):
+        if not auto and (unknown or not self.systems or isinstance(self.systems, str)):
             wrong.append(f"systems is {self.systems!r}, not a list of {', '.join(SYSTEM_BITS)}")
         if not 0.0 <= self.elevation_mask_deg < 90.0:
             wrong.append(f"elevation_mask_deg is {self.elevation_mask_deg}, not in [0, 90)")
@@ -106,7 +111,8 @@ class PpkOptions:
             raise ConfigError(
                 "wrong PPK options: " + "; ".join(wrong), cure="Correct these options; see PpkOptions"
             )
-        object.__setattr__(self, "systems", tuple(self.systems))
+        if not auto:
+            object.__setattr__(self, "systems", tuple(self.systems))
 
     def _wrong_base(self) -> list[str]:
         given = [n for n in ("base_ecef_m", "base_llh", "base_source") if getattr(self, n) is not None]

@@ -26,7 +26,7 @@ from pyproj import Transformer
 from thalweg.core import ArrayF, ConfigError, InputError, rotation_ecef_enu, utc_text_from_gps
 from thalweg.ingest import IntegrityReport, find_gaps
 from thalweg.ingest.ppk import worker as ppk_worker
-from thalweg.ingest.ppk.options import PpkOptions, ecef_fault, engine_settings
+from thalweg.ingest.ppk.options import AUTO_SYSTEMS, PpkOptions, ecef_fault, engine_settings
 from thalweg.ingest.ppk.rinex import RinexScan, rinex_kind, scan_rinex, whole_records
 from thalweg.ingest.ppk.trust import read_solution, replace_covariances, trust_fixes
 from thalweg.ingest.sbp import find_messages
@@ -319,19 +319,7 @@ def prepare_inputs(
     ------
     InputError : a file is missing, of the wrong kind, given twice, or holds no observations.
     """
-    rover_kind = _role_kind(rover, "rover", ("SBP", "observation"), _CURE_ROVER)
-    base_kind = None if base is None else _role_kind(base, "base", ("SBP", "observation"), _CURE_BASE)
-    if base is None and rover_kind != "SBP":
-        raise InputError(
-            "no base files, and a RINEX rover holds no corrections",
-            expected="the observation files of a base station",
-            where=rover[0],
-            cure=_CURE_BASE,
-        )
-    if nav:
-        _role_kind(nav, "navigation", ("navigation",), "Give RINEX navigation files (*.nav, *.yyN, *.yyP)")
-    _refuse_doubles(rover, base or (), nav)
-
+    rover_kind, base_kind = check_inputs(rover, base, nav)
     out = PpkInputs([], "", [], [], [], [])
     tasks: list[dict[str, Any]] = []
     if rover_kind == "SBP":
@@ -376,6 +364,30 @@ def prepare_inputs(
     out.nav_files = [str(scan.path) for scan in out.nav]
     out.engine_files = [str(folder / "rover_*.obs"), out.base_glob, *out.nav_files]
     return out
+
+
+def check_inputs(
+    rover: Sequence[Path], base: Sequence[Path] | None, nav: Sequence[Path]
+) -> tuple[Kind, Kind | None]:
+    """Kinds of the rover's and of the base's files, None without any.
+
+    Raises
+    ------
+    InputError : a file is missing, of the wrong kind, or given twice; a RINEX rover without a base.
+    """
+    rover_kind = _role_kind(rover, "rover", ("SBP", "observation"), _CURE_ROVER)
+    base_kind = None if base is None else _role_kind(base, "base", ("SBP", "observation"), _CURE_BASE)
+    if base is None and rover_kind != "SBP":
+        raise InputError(
+            "no base files, and a RINEX rover holds no corrections",
+            expected="the observation files of a base station",
+            where=rover[0],
+            cure=_CURE_BASE,
+        )
+    if nav:
+        _role_kind(nav, "navigation", ("navigation",), "Give RINEX navigation files (*.nav, *.yyN, *.yyP)")
+    _refuse_doubles(rover, base or (), nav)
+    return rover_kind, base_kind
 
 
 def preflight(inputs: PpkInputs, options: PpkOptions, rover_file: Path, base_file: Path) -> list[str]:
@@ -642,6 +654,8 @@ def run_ppk(
         folder = Path(name)
         inputs = prepare_inputs(rover, base, nav, folder, time_limit_s=time_limit_s)
         rover_file, base_file = Path(rover[0]), Path(rover[0] if base is None else base[0])
+        if options.systems == "auto":
+            options = replace(options, systems=_common_systems(inputs))
         notes = preflight(inputs, options, rover_file, base_file)
         base_ecef_m, base_notes = _base_position(inputs, options, base_file)
         where = f"{rover_file}, {base_file}"
@@ -695,6 +709,13 @@ def run_ppk(
     for sentence in trust.notes() + inputs.notes + check_notes + base_notes + notes:
         report.note(sentence)
     return PpkSolution(positions=positions, report=report, options=options, base_ecef_m=base_ecef_m)
+
+
+def _common_systems(inputs: PpkInputs) -> tuple[str, ...]:
+    """Of `AUTO_SYSTEMS` those of rover, base and ephemerides; all where there are none, for the message."""
+    have = [{s for scan in scans for s in scan.systems} for scans in (inputs.rover, inputs.base)]
+    have.append({s for scan in inputs.nav for s in scan.nav_t_gps_s})
+    return tuple(s for s in AUTO_SYSTEMS if all(s in each for each in have)) or AUTO_SYSTEMS
 
 
 def _base_position(inputs: PpkInputs, options: PpkOptions, base_file: Path) -> tuple[ArrayF, list[str]]:

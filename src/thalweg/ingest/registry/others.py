@@ -187,7 +187,6 @@ _ROWS: Final[Sequence[tuple[str, str, tuple[bytes, ...], Callable[[bytes, int], 
         lambda head, size: head[4:8] == b"ftyp",
         "`thalweg frames` makes photographs of it with a table of their times",
     ),
-    ("gpx", "track (GPX)", (), _has(b"<gpx"), "convert it to NMEA or .pos; it states no standard deviations"),
     ("kml", "places (KML)", (), _has(b"<kml"), "for maps; no log"),
 )
 """Kind, words for people, first bytes, what the content must be, and what it is good for."""

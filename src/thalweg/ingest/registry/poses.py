@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -26,7 +27,7 @@ def read_poses(files: Sequence[Path], source: str | None, options: TrackOptions 
     ----------
     files : parts of one recording in the order of time.
     source : stream of ``logs`` that they stand in, ``ins`` or ``sbet``: there any trajectory on Earth; None:
-        whatever the content shows, tables of poses too.
+        whatever the content shows.
     options : what the files do not state.
 
     Raises
@@ -46,7 +47,10 @@ def read_poses(files: Sequence[Path], source: str | None, options: TrackOptions 
             )
         known = found or known
     assert known.poses is not None
-    return known.poses(files, options or TrackOptions())
+    options = options or TrackOptions()
+    if source == "ins":  # whose trajectory takes standard deviations from the campaign
+        options = replace(options, sigma_position_m=np.nan, sigma_attitude_deg=np.nan)
+    return known.poses(files, options)
 
 
 def _anpp(files: Sequence[Path], options: TrackOptions) -> PoseLog:
@@ -191,6 +195,7 @@ POSES: Final = (
         Format(
             kind=kind,
             words=words,
+            streams=() if kind == "kitti" else ("ins",),  # whose times stand in another file
             matches=partial(_is_table, kind),
             poses=partial(_poses, kind),
             describe=_describe_poses,

@@ -75,7 +75,7 @@ def read_positions(
 
     Parameters
     ----------
-    source : ``pos``, ``sbp``, ``nmea``, ``ppk``, ``sbet`` or ``ins``.
+    source : ``pos``, ``sbp``, ``nmea``, ``gpx``, ``ppk``, ``sbet`` or ``ins``.
     logs : the source's own files: .pos, SBP, or the rover's raw GNSS.
     states : table of INS states, for the sources ``sbet`` and ``ins``.
     date : UTC date of the first sentence of NMEA without dates.
@@ -112,7 +112,7 @@ def read_positions(
             counts={"positions": len(positions)},
         )
     else:
-        raise InputError(f"position source '{source}'", expected="pos, sbp, nmea, ppk, sbet or ins")
+        raise InputError(f"position source '{source}'", expected="pos, sbp, nmea, gpx, ppk, sbet or ins")
     report.stream = "positions"
     if report.timing.period_s is None:
         t_gps_s = positions["t_gps_s"].to_numpy()
@@ -147,6 +147,12 @@ def _pos(files: Sequence[Path], options: TrackOptions) -> PositionLog:
 
     log = read_pos(files)
     return PositionLog(positions=log.positions, report=log.report)
+
+
+def _gpx(files: Sequence[Path], options: TrackOptions) -> PositionLog:
+    from thalweg.ingest.tracks import read_gpx
+
+    return read_gpx(files)
 
 
 def _nmea(files: Sequence[Path], options: TrackOptions) -> PositionLog:
@@ -214,6 +220,14 @@ POSITIONS: Final = (
         streams=("depth", "pos"),
         matches=_is_nmea,
         positions=_nmea,
+        describe=_describe,
+    ),
+    Format(
+        kind="gpx",
+        words="track (GPX)",
+        streams=("pos",),
+        matches=lambda head, size: b"<gpx" in head,
+        positions=_gpx,
         describe=_describe,
     ),
     Format(

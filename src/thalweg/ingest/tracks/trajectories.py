@@ -1,4 +1,4 @@
-"""Trajectories that other programs wrote as text: TUM, EuRoC and KITTI tables, NovAtel Inertial Explorer.
+"""Trajectories that other programs wrote as text: TUM, EuRoC, KITTI, NovAtel Inertial Explorer, GPX.
 
 ========= =============================================== ===================== ==========================
 format    columns                                         quaternion, rotation  frame, time
@@ -12,25 +12,30 @@ Explorer  Longitude, H-Ell, Roll, Pitch, Heading, SD...                         
 
 Rotations turn from the body into the world frame. The first three state neither frame, scale of time nor
 accuracy: these are asked for. Inertial Explorer's attitude is that of ``ins_state``: roll right side down,
-pitch nose up, heading clockwise from north.
+pitch nose up, heading clockwise from north. GPX (Topografix 2004, version 1.1) holds positions in UTC without
+standard deviations.
 """
 
+import datetime as dt
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
+from xml.etree.ElementTree import ParseError
 
 import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from thalweg.core import ArrayF, InputError, gps_from_unix, gps_from_week, roll_pitch_heading
+from thalweg.core import ArrayF, InputError, gps_from_unix, gps_from_week, parse_xml, roll_pitch_heading
 from thalweg.ingest import (
+    GNSS_POSITION,
     INS_STATE,
     NAVIGATION_INITIALISED,
     IntegrityReport,
     PoseLog,
+    PositionLog,
     TrackOptions,
     find_gaps,
 )
@@ -202,7 +207,7 @@ def states_of_poses(poses: TextPoses, options: TrackOptions) -> PoseLog:
             expected="what a table of poses does not hold: frame on Earth, axes of the body, scale of time, "
             "standard deviations",
             where=where,
-            cure="State them in the options of the reader",
+            cure="State them: in a campaign ins.body_axes and ins.time_scale, else as options of the command",
         )
     if axes not in BODY_AXES or scale not in ("utc", "gps"):
         raise InputError(
@@ -237,9 +242,9 @@ def states_of_poses(poses: TextPoses, options: TrackOptions) -> PoseLog:
         },
     )
     _finish(report, t_gps_s, "utc" if scale == "utc" else "gps")
-    report.note(
-        f"Standard deviations are stated, not the table's: {sigmas[0]} m and {sigmas[1]} deg for each pose."
-    )
+    if np.isfinite(attitude_rad):
+        each = f"{sigmas[0]} m and {sigmas[1]} deg for each pose"
+        report.note(f"Standard deviations are stated, not the table's: {each}.")
     return PoseLog(states=states, report=report)
 
 
@@ -458,3 +463,69 @@ def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
             )
         columns[name] = values
     return pd.DataFrame(columns)
+
+
+# ---------------------------------------------------------------- GPX
+
+_FIX_OF_GPX: Final = {"none": "none", "dgps": "dgnss"}
+
+
+def read_gpx(files: Sequence[Path]) -> PositionLog:
+    """Track points of GPX files in the order of the files.
+
+    ``ele`` is above the geoid: with ``geoidheight`` beside it the ellipsoidal height is their sum, else it is
+    NaN. Points without a time are counted and left out.
+
+    Raises
+    ------
+    InputError : a file is no GPX, or no track point in them has a time.
+    """
+    report = IntegrityReport(
+        stream="positions", format="GPX", files=[str(f) for f in files], time_scale="utc", synchronised=True
+    )
+    rows = []
+    for path in files:
+        data = path.read_bytes()
+        report.bytes_read += len(data)
+        try:
+            points = parse_xml(data).iterfind(".//{*}trkpt")
+            for point in points:
+                told = {each.tag.split("}")[-1]: (each.text or "").strip() for each in point}
+                if not told.get("time"):
+                    report.lose("track_points_without_time")
+                    continue
+                moment = dt.datetime.fromisoformat(told["time"])
+                utc = moment if moment.tzinfo else moment.replace(tzinfo=dt.UTC)
+                h = float(told.get("ele", "nan")) + float(told.get("geoidheight", "nan"))
+                fix = _FIX_OF_GPX.get(told.get("fix", ""), "single")
+                place = float(point.attrib["lat"]), float(point.attrib["lon"])
+                rows.append((utc.timestamp(), *place, h, fix, int(told.get("sat", "-1"))))
+        except (ParseError, KeyError, ValueError) as error:
+            raise InputError(
+                f"no readable GPX ({error})",
+                expected="track points with lat, lon and time",
+                where=path,
+                cure="Export the track again as GPX 1.1",
+            ) from error
+    if not rows:
+        raise InputError(
+            "no track point with a time",
+            expected="a recorded track; routes and waypoints have no times",
+            where=files[0],
+            cure="Export the recorded track, not the route",
+        )
+    table = pd.DataFrame(rows, columns=["t_gps_s", "lat_deg", "lon_deg", "h_ell_m", "fix", "n_sats"])
+    table["t_gps_s"] = gps_from_unix(table["t_gps_s"])
+    t = table["t_gps_s"].to_numpy()
+    step = np.diff(t)
+    if np.any(step < 0):
+        report.lose("time_steps_back", int(np.sum(step < 0)))
+    report.t_first_s, report.t_last_s = float(t.min()), float(t.max())
+    report.gaps = find_gaps(t)
+    if np.any(step > 0):
+        report.rates_hz = {"positions": 1.0 / float(np.median(step[step > 0]))}
+    report.count("positions", len(table))
+    if table["h_ell_m"].isna().any():
+        report.note("Heights of GPX are above the geoid, and the file does not say how high that is.")
+    report.note("GPX states no standard deviations: orientation.sigma_position_m says them.")
+    return PositionLog(report=report, positions=table.reindex(columns=list(GNSS_POSITION.names)))

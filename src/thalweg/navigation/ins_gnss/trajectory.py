@@ -456,10 +456,16 @@ def usable_positions(
     timed = accepted.dropna(subset=["t_gps_s", "lat_deg", "lon_deg", "h_ell_m", *sigmas])
     timed = timed.sort_values("t_gps_s", kind="stable").drop_duplicates("t_gps_s")
     if len(timed) < 4:
+        cures = {
+            "h_ell_m": "state orientation.antenna_h_ell_m, as the log has no heights",
+            "sigma_up_m": "state orientation.sigma_position_m, as the log has no standard deviations",
+        }
+        cure = "; ".join(words for name, words in cures.items() if accepted[name].isna().all())
+        known = cure if len(accepted) else ""
         raise InputError(
             f"{len(timed)} usable positions of {len(positions)} (fixes met: {summary.fixes or 'none'})",
             expected=f"at least 4 epochs with GPS time, height, sigmas and a fix among {accept_fixes}",
-            cure="Check the position log, or allow more kinds in orientation.accept_fixes",
+            cure=known.capitalize() or "Check the position log, or allow more in orientation.accept_fixes",
         )
     summary.n_positions_used = len(timed)
     refused = len(positions) - len(accepted)

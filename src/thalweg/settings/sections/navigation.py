@@ -11,11 +11,12 @@ from thalweg.settings.sections.base import Finite, NonNegative, Positive, Sectio
 
 SigmaAttitude = Annotated[float, Field(gt=0, le=45, allow_inf_nan=False)]
 Fix = Literal["fixed", "float", "sbas", "dgnss", "single", "ppp", "omnistar", "dead_reckoning"]
-PositionSource = Literal["pos", "sbp", "ppk", "nmea", "sbet", "ins"]
+GnssSystem = Literal["GPS", "GLO", "GAL", "QZS", "BDS", "SBS"]
+PositionSource = Literal["pos", "sbp", "ppk", "nmea", "gpx", "sbet", "ins"]
 
 
 class Ins(Section):
-    """Accuracy of the INS attitude, used where the log states none."""
+    """Accuracy of the INS, where its log states none, and what a table of poses does not state."""
 
     sigma_roll_deg: SigmaAttitude = Field(default=0.1, description="Standard deviation of roll, degrees")
     sigma_pitch_deg: SigmaAttitude = Field(default=0.1, description="Standard deviation of pitch, degrees")
@@ -27,6 +28,14 @@ class Ins(Section):
         description="Standard deviations east, north, up of positions from `ins` or `sbet` whose log states "
         "none, metres",
     )
+    body_axes: Literal["forward-right-down", "forward-left-up", "right-down-forward"] | None = Field(
+        default=None,
+        description="Body axes x-y-z of a table of poses in `logs.ins` (TUM, EuRoC), whose frame is that of "
+        "`campaign.origin`, x east, y north, z up",
+    )
+    time_scale: Literal["utc", "gps"] | None = Field(
+        default=None, description="Stamps of such a table: `utc` Unix time, `gps` seconds since 1980-01-06"
+    )
 
 
 class Ppk(Section):
@@ -35,8 +44,9 @@ class Ppk(Section):
     elevation_mask_deg: Annotated[float, Field(ge=0, le=60, allow_inf_nan=False)] = Field(
         default=15.0, description="Satellites below are left out, degrees"
     )
-    systems: tuple[Literal["GPS", "GLO", "GAL", "QZS", "BDS", "SBS"], ...] = Field(
-        default=("GPS",), min_length=1, description="Satellite systems"
+    systems: Annotated[tuple[GnssSystem, ...], Field(min_length=1)] | Literal["auto"] = Field(
+        default="auto",
+        description="Satellite systems; `auto`: of GPS, Galileo and QZSS those that both logs hold",
     )
     frequencies: Literal["l1", "l1+l2", "l1+l2+l5", "l1+l2+l5+l6"] = Field(
         default="l1+l2", description="Carrier frequencies; Galileo's E5b counts as l2"
@@ -107,8 +117,8 @@ class Orientation(Section):
     position_source: PositionSource = Field(
         default="pos",
         description="Positions from: `pos` RTKLIB files, `sbp` the receiver's own solution, `ppk` raw GNSS, "
-        "`nmea` NMEA 0183 (`logs.positions`, else the log of the echo sounder), `sbet` Applanix trajectory, "
-        "`ins` the INS's own filter",
+        "`nmea` NMEA 0183 (`logs.positions`, else the log of the echo sounder), `gpx` a track, "
+        "`sbet` Applanix trajectory, `ins` the INS's own filter",
     )
     accept_fixes: Annotated[tuple[Fix, ...], Field(min_length=1)] | Literal["auto"] = Field(
         default=("fixed",),
@@ -131,13 +141,13 @@ class Orientation(Section):
     )
     sigma_position_m: Sigma3 | None = Field(
         default=None,
-        description="Standard deviations east, north, up of positions whose log states none (`nmea` without "
-        "GST), metres",
+        description="Standard deviations east, north, up of positions whose log states none (`gpx`, `nmea` "
+        "without GST), metres",
     )
     antenna_h_ell_m: Finite | None = Field(
         default=None,
-        description="Ellipsoidal height of the antenna, for logs whose positions have none (NMEA GLL, RMC), "
-        "metres: that of the water level and the antenna above it",
+        description="Ellipsoidal height of the antenna, for logs whose positions have none (NMEA GLL, RMC, "
+        "GPX), metres: that of the water level and the antenna above it",
     )
     sigma_level_deg: SigmaAttitude = Field(
         default=3.0, description="Without an INS the boat counts as level to this standard deviation, degrees"

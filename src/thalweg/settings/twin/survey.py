@@ -316,6 +316,12 @@ class TwinGnss(Section):
         description="`ppk`: carrier phases and a base (P2, T); `single_frequency`: code only, no base (P1)",
     )
     rate_hz: Annotated[float, Field(ge=0.1, le=50)] = Field(default=10.0, description="Rate of positions, Hz")
+    base_km: Positive = Field(
+        default=1.0,
+        le=1000,
+        description="Distance of the base, kilometres; its raw observations and the rover's are written for "
+        "`position_source: ppk`",
+    )
     sigma_m: Sigma3 = Field(
         default=(0.020, 0.020, 0.030), description="Total error east, north, up, metres (P2, T Table 3.1)"
     )

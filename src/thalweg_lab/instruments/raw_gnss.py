@@ -1,4 +1,4 @@
-"""Raw GNSS observations below the sky of the twin: code and carrier on L1 and L2 of rover and base, RINEX 3.
+"""Raw GNSS observations below the sky of the twin: code and carrier on L1 and L2 of rover and base.
 
 For a receiver and a satellite at the distance ``rho`` (the Earth turns while the signal travels)
 
@@ -8,21 +8,26 @@ For a receiver and a satellite at the distance ``rho`` (the Earth turns while th
 Troposphere ``T`` and ionosphere ``I`` are fields over the ground, so that a short baseline has nearly
 the same of both and a long one has not: a zenith delay that differs from place to place, electrons whose
 content has a slope and a wave. Multipath is a Gauss-Markov process, larger for low satellites. A cycle slip
-changes ``N`` and sets the bit of loss of lock.
+changes ``N`` and sets the bit of loss of lock. A signal through leaves arrives 6 dB weaker, with twice the
+noise and more slips; behind walls, ground and bridges there is none, and its integers are new afterwards.
 
-Files: RINEX 3.04 (IGS and RTCM 2018), tables A2, A3, A5 and A6; orbits as IS-GPS-200, table 20-IV.
+Files: RINEX 3.04 (IGS and RTCM 2018), tables A2, A3, A5 and A6; orbits as IS-GPS-200, table 20-IV; SBP by
+`thalweg_lab.writers.sbp_observations`.
 """
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
-from thalweg.core import ADJUSTED_OFFSET_S, ArrayB, ArrayF, ArrayI, LocalFrame
-from thalweg_lab.instruments.gnss import EARTH_RADPS, MU_M3PS2, SYSTEMS, Constellation
+from thalweg.core import ADJUSTED_OFFSET_S, WEEK_S, ArrayB, ArrayF, ArrayI, LocalFrame
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.instruments.gnss import EARTH_RADPS, MU_M3PS2, STEP_S, SYSTEMS, Constellation, shaded
 from thalweg_lab.random_numbers import generator
-from thalweg_lab.writers import moment
+from thalweg_lab.river import Scene
+from thalweg_lab.voyage import epochs, motion_of, read_true_mounts, write_effects
+from thalweg_lab.writers import gps_us, moment, sbp_observations
 
 LIGHT_MPS: Final = 299_792_458.0
 FREQUENCY_HZ: Final = np.array([1575.42e6, 1227.60e6])
@@ -31,6 +36,10 @@ _MU_GPS: Final = 3.986005e14
 _IONOSPHERE_M: Final = 350e3
 """Height of the layer in which all electrons are thought to be."""
 _UNIX_OF_GPS_S: Final = 315_964_800
+_ANTENNA_OF_BASE_M: Final = 2.0
+_SLIPS_THROUGH_LEAVES_PER_HOUR: Final = 120.0
+_DIMMED_NOISE: Final = 2.0
+"""6 dB are a factor of two in amplitude."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,7 +75,68 @@ class Receiver:
     mask_deg: float = 10.0
 
 
+@dataclass(frozen=True, slots=True)
+class Shade:
+    """What stands between a receiver and n satellites at m moments ``t_gps_s`` (m,): (m, n) each."""
+
+    t_gps_s: ArrayF
+    blocked: ArrayB
+    dimmed: ArrayB
+
+
 def simulate_raw_gnss(
+    config: TwinConfig,
+    seed: int,
+    frame: LocalFrame,
+    *,
+    scene: Path,
+    true_mounts: Path,
+    out_rover: Path,
+    out_base: Path,
+    out_nav: Path,
+    out_effects: Path | None = None,
+) -> dict[str, Any]:
+    """Record what the boat's receiver and a base measure, with ``twin.gnss.base_km`` between them.
+
+    Parameters
+    ----------
+    config : section ``twin``.
+    seed : of the campaign.
+    frame : the world frame.
+    scene : what stands around the river; it counts with ``twin.gnss.shadow``.
+    true_mounts : where the antenna truly sits on the boat.
+    out_rover : observations of the rover, SBP.
+    out_base, out_nav : observations of the base and ephemerides, RINEX; its header states the true base.
+    out_effects : where to write what the receivers went through (JSON), beside the truth.
+
+    Returns
+    -------
+    facts : epochs, length of the baseline, observations of the rover that leaves dimmed or something hid.
+    """
+    gnss = config.gnss
+    motion = motion_of(config, seed)
+    # a receiver measures at whole milliseconds
+    t = np.rint(epochs(config, gnss.rate_hz) * 1e3) / 1e3
+    lever = np.asarray(read_true_mounts(true_mounts)["antenna"]["lever_ics_m"])
+    antenna = motion.sensor_wcs_m(t, lever)
+    lat, lon, _ = frame.to_geodetic(1e3 * gnss.base_km * np.array([[0.6, -0.8, 0.0]]))
+    h_ell_m = frame.h_ell_m + _ANTENNA_OF_BASE_M
+    base = LocalFrame(lat_deg=float(lat[0]), lon_deg=float(lon[0]), h_ell_m=h_ell_m)
+    shade = None
+    if gnss.shadow:
+        grid = np.arange(t[0], t[-1] + STEP_S / 2, STEP_S)
+        view = shaded(gnss, seed, frame, Scene.read(scene), grid, motion.sensor_wcs_m(grid, lever))
+        shade = Shade(grid, view.blocked, view.weakened & ~view.blocked)
+    rover = base.from_geodetic(*frame.to_geodetic(antenna))
+    for path in (out_rover, out_base, out_nav):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    facts: dict[str, Any] = {"epochs": len(t), "baseline_m": float(np.linalg.norm(rover, axis=1).mean())}
+    facts |= record_raw_gnss(seed, t, rover, base, out_rover, out_base, out_nav, shade=shade)
+    write_effects(out_effects, "raw_gnss", facts)
+    return facts
+
+
+def record_raw_gnss(
     seed: int,
     t_gps_s: ArrayF,
     rover_m: ArrayF,
@@ -78,7 +148,8 @@ def simulate_raw_gnss(
     air: Air | None = None,
     rover: Receiver | None = None,
     base: Receiver | None = None,
-) -> None:
+    shade: Shade | None = None,
+) -> dict[str, int]:
     """Record rover and base, and write the ephemerides.
 
     Parameters
@@ -87,20 +158,24 @@ def simulate_raw_gnss(
     t_gps_s : (n,) epochs, adjusted GPS time, at even distances.
     rover_m : (n, 3) antenna of the rover in ``frame``.
     frame : its origin is the antenna of the base.
-    out_rover, out_base : RINEX observations.
+    out_rover, out_base : observations: SBP where the name ends in ``.sbp``, RINEX else.
     out_nav : RINEX navigation.
     air, rover, base : atmosphere, and both receivers; None: as by default, with four slips an hour of each
         satellite at the rover.
+    shade : of the satellites of all systems at the rover; None: none.
+
+    Returns
+    -------
+    facts : observations of the rover's satellites, and how many were hidden and dimmed.
     """
     sky = Constellation.draw(seed)
     t = np.asarray(t_gps_s, dtype=np.float64)
-    air = air or Air()
-    for name, path, track_m, receiver in (
-        ("rover", out_rover, np.asarray(rover_m), rover or Receiver(slips_per_hour=4.0)),
-        ("base", out_base, np.zeros((len(t), 3)), base or Receiver()),
-    ):
-        _record(seed, name, sky, frame, air, receiver, t, track_m, path)
+    air, track_m = air or Air(), np.asarray(rover_m)
+    boat = rover or Receiver(slips_per_hour=4.0)
+    facts = _record(seed, "rover", sky, frame, air, boat, t, track_m, out_rover, shade)
+    _record(seed, "base", sky, frame, air, base or Receiver(), t, np.zeros((len(t), 3)), out_base, None)
     _write_navigation(out_nav, sky, float(t[0]))
+    return facts
 
 
 def _record(
@@ -113,13 +188,19 @@ def _record(
     t: ArrayF,
     track_m: ArrayF,
     path: Path,
-) -> None:
+    shade: Shade | None,
+) -> dict[str, int]:
     rng = generator(seed, f"raw gnss {name}")
     gps = np.flatnonzero(sky.system == SYSTEMS.index("gps"))
     track = frame.origin_ecef_m + track_m @ frame.R_ecef_enu.T
     lat, lon, h = (float(v[0]) for v in frame.to_geodetic(track_m[:1]))
     rho, elevation, azimuth = _ways(sky, gps, t, track, LocalFrame(lat_deg=lat, lon_deg=lon, h_ell_m=h))
-    seen = elevation > np.deg2rad(receiver.mask_deg)
+    up = elevation > np.deg2rad(receiver.mask_deg)
+    hidden, dimmed = np.zeros_like(up), np.zeros_like(up)
+    if shade is not None:
+        at = np.clip(np.searchsorted(shade.t_gps_s, t + 1e-6, side="right") - 1, 0, None)
+        hidden, dimmed = shade.blocked[np.ix_(at, gps)], shade.dimmed[np.ix_(at, gps)]
+    seen = up & ~hidden
     distance_m = float(np.linalg.norm(track_m[0]))
     wet_m = 0.1 + float(generator(seed, "raw gnss troposphere").normal()) * air.sigma_zenith * distance_m
     # standard atmosphere, then Saastamoinen 1972 for its dry part
@@ -128,11 +209,13 @@ def _record(
     sine = np.sin(elevation)
     troposphere = zenith * 1.001 / np.sqrt(0.002001 + sine**2)  # RTCA DO-229, A.4.2.4
     ionosphere = _ionosphere(seed, air, track_m, elevation, azimuth)
-    low = 1.0 / np.maximum(sine, 0.1)
+    low = np.where(dimmed, _DIMMED_NOISE, 1.0) / np.maximum(sine, 0.1)
     shape = rho.shape
     whole = rng.integers(-(10**6), 10**6, (2, shape[1])).astype(np.float64)
     step_s = float(np.median(np.diff(t)))
-    slips = rng.random(shape) < receiver.slips_per_hour / 3600.0 * step_s
+    rate = receiver.slips_per_hour + _SLIPS_THROUGH_LEAVES_PER_HOUR * dimmed
+    slips = rng.random(shape) < rate / 3600.0 * step_s
+    slips[1:] |= seen[1:] & ~seen[:-1] & hidden[:-1]
     wave = LIGHT_MPS / FREQUENCY_HZ
     observed = np.empty((4, *shape))
     lost = np.zeros((2, *shape), dtype=bool)
@@ -147,7 +230,15 @@ def _record(
         phase_m = rho + troposphere - delay + carrier * low + receiver.sigma_carrier_m * noise[1]
         observed[2 * f + 1] = phase_m / wave[f] + cycles
         lost[f] = slips
-    _write_observations(path, name, track[0], t, gps, seen, observed, lost)
+    if path.suffix == ".sbp":
+        _write_sbp(path, t, gps, seen, observed, lost)
+    else:
+        _write_observations(path, name, track[0], t, gps, seen, observed, lost)
+    return {
+        "observations": int(seen.sum()),
+        "dimmed": int((seen & dimmed).sum()),
+        "hidden": int((up & hidden).sum()),
+    }
 
 
 def _process(rng: np.random.Generator, shape: tuple[int, ...], step_s: float, time_s: float) -> ArrayF:
@@ -203,6 +294,22 @@ def _calendar(t_gps_s: float) -> tuple[int, ...]:
     ticks = round((t_gps_s + ADJUSTED_OFFSET_S) * 1e7)
     m = moment(ticks // 10 + _UNIX_OF_GPS_S * 1_000_000)
     return m.year, m.month, m.day, m.hour, m.minute, m.second * 10**7 + ticks % 10**7
+
+
+def _write_sbp(path: Path, t: ArrayF, gps: ArrayI, seen: ArrayB, observed: ArrayF, lost: ArrayB) -> None:
+    """Observations as the boat's receiver logs them; a loss of lock begins its counts of seconds anew."""
+    step_s = float(np.median(np.diff(t)))
+    held_s = np.zeros(lost.shape[1:])
+    begins = lost[0] | lost[1]
+    begins[1:] |= seen[1:] & ~seen[:-1]
+    for k in range(1, len(t)):
+        held_s[k] = np.where(begins[k], 0.0, held_s[k - 1] + step_s)
+    with path.open("wb") as out:
+        for k, stamp_us in enumerate(gps_us(t).tolist()):
+            week, rest_us = divmod(stamp_us, WEEK_S * 1_000_000)
+            rows = np.flatnonzero(seen[k])
+            code, carrier = observed[0::2, k, rows], observed[1::2, k, rows]
+            out.write(sbp_observations(week, rest_us // 1000, gps[rows] + 1, code, carrier, held_s[k, rows]))
 
 
 def _write_observations(
