@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -10,6 +11,7 @@ import pytest
 from pyproj import CRS
 from tests.conftest import check_whole
 
+from thalweg import core
 from thalweg.bathymetry import (
     OBSERVATIONS,
     SOUNDINGS,
@@ -32,11 +34,12 @@ from thalweg.bathymetry import (
     read_other_soundings,
     validate_bed,
 )
-from thalweg.bathymetry.banks import axis_of_track, centre_of, onto_line, trace_banks
+from thalweg.bathymetry.banks import axis_of_track, centre_of, onto_line, shore_points, trace_banks
 from thalweg.core import (
     CoverageError,
     GeometryError,
     InputError,
+    LazWriter,
     LocalFrame,
     Trajectory,
     frame_of,
@@ -138,6 +141,34 @@ def bed(survey):
         slow_time_s=10.0,
         seed=1,
     )
+
+
+def test_points_of_the_shore_are_bounded_and_show_the_same(tmp_path: Path, monkeypatch) -> None:
+    """Of a long log as many as of a short one, spread over all of it, in the order of the file."""
+    line, sigmas = river(), ("sigma_east", "sigma_north", "sigma_up")
+    points, up, _ = shore_cloud(line, np.random.default_rng(8))
+    with LazWriter(
+        tmp_path / "a.laz", FRAME, scale_m=1e-6, extra_dimensions=dict.fromkeys(sigmas, ("f8", "m"))
+    ) as writer:
+        for part in np.array_split(np.arange(len(points)), 7):
+            writer.append(points[part], extra=dict.fromkeys(sigmas, up[part]))
+    monkeypatch.setattr("thalweg.bathymetry.banks.iter_laz", lambda path: core.iter_laz(path, 1000))
+    whole = shore_points([tmp_path / "a.laz"], 0.0)
+    np.testing.assert_allclose(whole[0], points, atol=1e-6)
+    np.testing.assert_allclose(whole[2], 0.02)
+    monkeypatch.setattr("thalweg.bathymetry.banks._SHORE_POINTS", 10_000)
+    some = shore_points([tmp_path / "a.laz", tmp_path / "a.laz"], 0.0)
+    twice = np.concatenate([whole[0], whole[0]])
+    assert 10_000 <= len(some[0]) <= 20_000
+    np.testing.assert_array_equal(some[0], twice[::8])
+    table = [
+        trace_banks(*each, line, LEVEL, (0.0, line.length_m), Bathymetry()).set_index(["side", "s_m"])
+        for each in (whole, some)
+    ]
+    both = table[0].join(table[1], how="inner", suffixes=("", "_some"))
+    assert len(both) == len(table[0]) > 50
+    off = (both["n_m_some"] - both["n_m"]) / np.hypot(both["sigma_across_m"], both["sigma_across_m_some"])
+    assert np.abs(off).max() < 2.0
 
 
 # ---------------------------------------------------------------- water
