@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from tests.ingest.raw_gnss import Receiver, simulate_raw_gnss
 from thalweg.core import ArrayB, ArrayF, InputError, LocalFrame
 from thalweg.ingest.ppk import PpkOptions, PpkSolution, run_ppk
 from thalweg.ingest.ppk.trust import covariance_enu

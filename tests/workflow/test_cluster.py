@@ -277,3 +277,10 @@ def test_both_profiles_ask_for_the_same(repository: Path) -> None:
     same = [{k: v for k, v in each.items() if k not in own and "efficiency" not in k} for each in read]
     assert same[0] == same[1]
     assert [each["slurm-status-command"] for each in read] == ["squeue", "sacct"]
+
+
+def test_tests_that_the_manual_names_exist(repository: Path) -> None:
+    named = set(re.findall(r"`(test_\w+)`", (repository / "docs/howto/cluster.md").read_text()))
+    text = "".join(path.read_text() for path in (repository / "tests").rglob("test_*.py"))
+    assert len(named) > 25
+    assert {name for name in named if f"def {name}(" not in text} == set()

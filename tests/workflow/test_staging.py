@@ -173,6 +173,41 @@ def test_an_input_that_changes_meanwhile_is_refused(tmp_path: Path) -> None:
     assert found(tmp_path) == {}
 
 
+def test_a_flipped_byte_in_an_input_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a file or in a folder; what Snakemake adds to a folder does not count, nor does a copy elsewhere."""
+    monkeypatch.chdir(tmp_path)
+
+    def reads(*, pictures: Path, cloud: Path, joined: Path) -> None:
+        joined.write_text(cloud.read_text() + (pictures / "1.png").read_text())
+
+    class Next(Job):
+        def __init__(self, source: str = "results") -> None:
+            super().__init__(Path())
+            files = {"pictures": f"{source}/pictures", "cloud": f"{source}/deep/cloud.laz"}
+            self.input = InputFiles(fromdict=files)
+            self.output = OutputFiles(fromdict={"joined": f"{source}/joined.txt"})
+
+    run_job(several, Job(Path()))
+    Path("results/pictures/.snakemake_timestamp").touch()
+    run_job(reads, Next())
+    before = Path("results/joined.txt").read_text()
+    shutil.copytree("results", "copy")
+    for name, cured in (("deep/cloud.laz", "deep/cloud.laz"), ("pictures/1.png", "pictures")):
+        whole, flipped = Path("results", name).read_bytes(), bytearray(Path("results", name).read_bytes())
+        flipped[2] ^= 1
+        for folder in ("results", "copy"):
+            Path(folder, name).write_bytes(flipped)
+        with pytest.raises(
+            InputError, match=rf"1 of the inputs are not what was written: results/{cured}"
+        ) as told:
+            run_job(reads, Next())
+        assert "are made anew" in told.value.cure
+        assert Path("results/joined.txt").read_text() == before
+        Path("results", name).write_bytes(whole)
+    run_job(reads, Next("copy"))
+    assert Path("copy/joined.txt").read_text() != before
+
+
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
     """A disk of one megabyte."""

@@ -21,7 +21,7 @@ rule compare_with_reference:
         "../../envs/thalweg.yaml"
     threads: 2
     resources:
-        mem_mb=memory(4000, 10),
+        mem_mb=memory(2500, 20),
         runtime=minutes(15, 30),
     params:
         code=code_version("compare_with_reference"),

@@ -57,7 +57,7 @@ rule trace_river:
         "../../envs/thalweg.yaml"
     threads: 2
     resources:
-        mem_mb=memory(3000, 10),
+        mem_mb=memory(2500, 10),
         runtime=minutes(10, 30),
     params:
         code=code_version("trace_river"),

@@ -89,7 +89,7 @@ rule place_core_points:
         "../../envs/thalweg.yaml"
     threads: 2
     resources:
-        mem_mb=memory(3000, 10),
+        mem_mb=memory(2600, 10),
         runtime=minutes(10, 60),
     params:
         code=code_version("place_core_points"),
@@ -115,7 +115,7 @@ rule coregister_epochs:
         "../../envs/thalweg.yaml"
     threads: 2
     resources:
-        mem_mb=memory(4000, 10),
+        mem_mb=memory(3200, 10),
         runtime=minutes(10, 60),
     params:
         code=code_version("coregister_epochs"),
@@ -149,7 +149,7 @@ rule compare_epochs:
         "../../envs/thalweg.yaml"
     threads: 2
     resources:
-        mem_mb=memory(4000, 10),
+        mem_mb=memory(3200, 10),
         runtime=minutes(20, 60),
     params:
         code=code_version("compare_epochs"),
@@ -178,7 +178,7 @@ rule difference_of_surfaces:
         "../../envs/thalweg.yaml"
     threads: 2
     resources:
-        mem_mb=memory(4000, 10),
+        mem_mb=memory(3200, 10),
         runtime=minutes(20, 60),
     params:
         code=code_version("difference_of_surfaces"),

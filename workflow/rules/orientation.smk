@@ -134,7 +134,7 @@ rule extract_features:
         "../../envs/thalweg.yaml"
     threads: 2
     resources:
-        mem_mb=memory(4000),
+        mem_mb=memory(3400),
         runtime=minutes(60),
     params:
         code=code_version("extract_features"),
@@ -164,7 +164,7 @@ rule match_features:
         "../../envs/thalweg.yaml"
     threads: 2
     resources:
-        mem_mb=memory(4000, 10),
+        mem_mb=memory(2800, 20),
         runtime=minutes(60),
     params:
         code=code_version("match_features"),
@@ -224,7 +224,7 @@ rule map_images:
         "../../envs/thalweg.yaml"
     threads: 2
     resources:
-        mem_mb=memory(4000, 20),
+        mem_mb=memory(2700, 100),
         runtime=minutes(120),
     params:
         code=code_version("map_images"),
@@ -290,7 +290,7 @@ rule measure_control_points:
         "../../envs/thalweg.yaml"
     threads: 1
     resources:
-        mem_mb=memory(3000),
+        mem_mb=memory(2600),
         runtime=minutes(30),
     params:
         code=code_version("measure_control_points"),
@@ -329,7 +329,7 @@ rule adjust_images:
         "../../envs/thalweg.yaml"
     threads: 2
     resources:
-        mem_mb=memory(4000),
+        mem_mb=memory(2900, 100),
         runtime=minutes(60),
     params:
         code=code_version("adjust_images"),
@@ -394,7 +394,7 @@ rule time_images:
         "../../envs/thalweg.yaml"
     threads: 1
     resources:
-        mem_mb=memory(3000),
+        mem_mb=memory(2600),
         runtime=minutes(30),
     params:
         code=code_version("time_images"),

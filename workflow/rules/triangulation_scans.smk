@@ -76,7 +76,7 @@ rule compare_scan:
         "../../envs/thalweg.yaml"
     threads: 1
     resources:
-        mem_mb=memory(4000),
+        mem_mb=memory(2500, 15),
         runtime=minutes(20),
     params:
         code=code_version("compare_scan"),

@@ -50,6 +50,8 @@ _STEEPEST: Final = 0.02
 """Floor of the standard deviation of a shoreline, metres."""
 _WORSE: Final = 0.15
 """A bridged shoreline is this much less certain for each metre to the next one that was seen."""
+_SHORE_POINTS: Final = 2_000_000
+"""Points near the water that are held at least, if there are so many, and at most twice so many."""
 _FARTHEST_M: Final = 250.0
 _RESAMPLED_M: Final = 0.5
 _END_M: Final = 40.0
@@ -465,25 +467,31 @@ def shore_points(paths: Sequence[Path], level_m: float) -> tuple[ArrayF, ArrayF,
 
     Returns
     -------
-    points_m : (n, 3) in wcs, a metre below the level and two above it.
+    points_m : (n, 3) in wcs, a metre below the level and two above it; of more than 4 million every second,
+        fourth and so on, so that memory does not grow with the log.
     sigma_up_m, sigma_horizontal_m : (n,) of each.
 
     Raises
     ------
     InputError : the points carry no standard deviations.
     """
-    parts = [(np.empty((0, 3)), np.empty(0), np.empty(0))]
+    parts, step, n, held = [np.empty((0, 5))], 1, 0, 0
     for path in paths:
         for chunk in iter_laz(path):
             if "sigma_up" not in chunk:
                 raise InputError(
                     "the cloud has no standard deviations", where=path, expected="a cloud made by Thalweg"
                 )
-            near = np.abs(chunk["xyz_m"][:, 2] - level_m - 0.5) < 1.5
+            near = np.flatnonzero(np.abs(chunk["xyz_m"][:, 2] - level_m - 0.5) < 1.5)
+            n, near = n + len(near), near[-n % step :: step]
             across = np.hypot(chunk["sigma_east"][near], chunk["sigma_north"][near]) / np.sqrt(2)
-            parts.append((chunk["xyz_m"][near], chunk["sigma_up"][near], across))
-    points, up, across = (np.concatenate(each).astype(np.float64) for each in zip(*parts, strict=True))
-    return points, up, across
+            parts.append(np.column_stack([chunk["xyz_m"][near], chunk["sigma_up"][near], across]))
+            held += len(near)
+            while held > 2 * _SHORE_POINTS:
+                parts, step = [np.concatenate(parts)[::2]], 2 * step
+                held = len(parts[0])
+    rows = np.concatenate(parts)
+    return rows[:, :3], rows[:, 3], rows[:, 4]
 
 
 def read_centre_line(path: Path, frame: LocalFrame, crs: CRS) -> FlowLine:

@@ -570,7 +570,7 @@ def export_copc(points: Path, out: Path) -> None:
 
     COPC 1.0 (copc.io): a chunk of LAZ for each node, and a list of the nodes at the end, so that programs
     read what they show from disk or over a network. Records are kept as they are, extra bytes and VLRs, too;
-    in a node they stand in the order of the file. It takes some 60 bytes a point in memory, and the size of
+    in a node they stand in the order of the file. It takes some 40 bytes a point in memory, and the size of
     the uncompressed file on the disk of ``out``.
 
     Parameters
@@ -595,22 +595,18 @@ def export_copc(points: Path, out: Path) -> None:
                     where=points,
                     cure="Convert the file to LAS 1.4, such as by LazWriter or las2las",
                 )
-            steps_xyz = []
-            span = [np.inf, -np.inf]
+            read, span = 0, [np.inf, -np.inf]
             for chunk in reader.chunk_iterator(_CHUNK):
                 stream.write(chunk.array.tobytes())
-                steps_xyz.append(np.stack([chunk.array[axis] for axis in "XYZ"], axis=1))
+                read += len(chunk)
                 t = chunk.array["gps_time"]
                 span = [min(span[0], float(t.min())), max(span[1], float(t.max()))]
-        read = sum(len(each) for each in steps_xyz)
         if not read or read < n_points:
             raise CoverageError(
                 f"{read:,} points", expected=f"{max(n_points, 1):,}, as its header says", where=points
             )
-        nodes = build_octree(np.concatenate(steps_xyz) * header.scales + header.offsets)
-        del steps_xyz
-        size = header.point_format.size
-        records = np.memmap(raw, dtype=np.dtype((np.void, size)), mode="r")
+        records = _Records(raw, header)
+        nodes = build_octree(records)
         laz = lazrs.LazVlr.new_for_compression(
             header.point_format.id, header.point_format.num_extra_bytes, use_variable_size_chunks=True
         )
@@ -620,11 +616,8 @@ def export_copc(points: Path, out: Path) -> None:
             start = stream.tell()
             packer = lazrs.ParLasZipCompressor(stream, laz)
             for k in range(0, len(nodes), _COPC_NODES):
-                packer.compress_chunks(
-                    [records[np.sort(n.rows)].tobytes() for n in nodes[k : k + _COPC_NODES]]
-                )
+                packer.compress_chunks(records.bytes_of([n.rows for n in nodes[k : k + _COPC_NODES]]))
             packer.done()
-            del records
             stream.seek(start)
             sizes = [n_bytes for _, n_bytes in lazrs.read_chunk_table(stream, laz)]
             end = stream.seek(0, 2)
@@ -642,6 +635,33 @@ def export_copc(points: Path, out: Path) -> None:
             _write_copc_header(stream, header, laz, nodes[0], span, page)
             assert stream.tell() == start, "a header of the same size"
         partial.replace(out)
+
+
+@dataclass(frozen=True, slots=True)
+class _Records:
+    """Uncompressed records of a cloud on the disk, and the places of their points.
+
+    The file is opened anew for each piece: pages that were read count as memory of the process until then.
+    """
+
+    raw: Path
+    header: Any
+
+    def _open(self) -> AnyArray:
+        return np.memmap(self.raw, dtype=self.header.point_format.dtype(), mode="r")
+
+    def __len__(self) -> int:
+        return self.raw.stat().st_size // int(self.header.point_format.size)
+
+    def __getitem__(self, rows: slice) -> ArrayF:
+        part = self._open()[rows]
+        steps = np.stack([part[axis] for axis in "XYZ"], axis=1)
+        return np.asarray(steps * self.header.scales + self.header.offsets)
+
+    def bytes_of(self, nodes: Iterable[ArrayI]) -> list[bytes]:
+        """The records of some nodes, each in the order of the file."""
+        records = self._open()
+        return [records[np.sort(rows)].tobytes() for rows in nodes]
 
 
 def _write_copc_header(

@@ -25,6 +25,7 @@ from thalweg.workflow.provenance import (
     is_made_of,
     origin,
     put_into_cache,
+    refuse_damage,
     take_from_cache,
     write_provenance,
 )
@@ -55,7 +56,8 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
     Raises
     ------
     InputError : a keyword of ``main`` has no counterpart in the rule; the rule opens the truth of the
-        digital twin without being one that may; an input changed meanwhile; the disk is full or read-only.
+        digital twin without being one that may; an input is not what was written, or changed meanwhile; the
+        disk is full or read-only.
     """
     results = work_in_scratch(snakemake)
     _start_log(Path(snakemake.log[0]) if snakemake.log else None)
@@ -79,6 +81,7 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
         if waited is not None and outputs and all(is_made_of(output, made_of) for output in outputs):
             log.warning("the outputs of %s are those of this job", waited)
             return
+        refuse_damage(made_of["inputs"], rule)
         entry = cache_entry(made_of, outputs, snakemake.threads)
         if entry is not None and take_from_cache(entry, staging.places(), made_of):
             refuse_changes(before, inputs, rule)

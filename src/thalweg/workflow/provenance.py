@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import thalweg
-from thalweg.core import UNFINISHED
+from thalweg.core import UNFINISHED, InputError
 
 log = logging.getLogger("thalweg")
 
@@ -37,10 +37,16 @@ LIBRARIES = (
 )
 
 
+STAMP: Final = ".snakemake_timestamp"
+"""Snakemake puts it into a folder that a job has made, when its checksum is known already."""
+
+
 def sha256_of(path: Path) -> str:
     """SHA-256 of a file, or of the sorted names and contents of a folder."""
     digest = hashlib.sha256()
-    members = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+    members = (
+        sorted(p for p in path.rglob("*") if p.is_file() and p.name != STAMP) if path.is_dir() else [path]
+    )
     for member in members:
         if path.is_dir():
             digest.update(member.relative_to(path).as_posix().encode())
@@ -86,6 +92,37 @@ def origin(*, rule: str, inputs: list[Path], params: Mapping[str, Any], code: st
         "params": {k: params[k] for k in sorted(params)},
         "inputs": {str(p): sha256_of(p) for p in inputs if p.exists()},
     }
+
+
+def refuse_damage(inputs: Mapping[str, str], rule: str) -> None:
+    """Refuse inputs that are not what the job wrote that made them.
+
+    Parameters
+    ----------
+    inputs : name and checksum of each; those that have no provenance beside them are raw data.
+    rule : of the job that reads them.
+
+    Raises
+    ------
+    InputError : a checksum is not that of the provenance: a disk lost bytes, or somebody changed the file.
+    """
+    damaged = []
+    for name, digest in inputs.items():
+        try:
+            record = json.loads(meta_file(Path(name)).read_text(encoding="utf-8"))
+            # a copy elsewhere, which its provenance came along with, is raw data again
+            if record["output"] == name and record["sha256"] != digest:
+                damaged.append(name)
+        except (OSError, ValueError, TypeError, KeyError):
+            continue
+    if damaged:
+        raise InputError(
+            f"{len(damaged)} of the inputs are not what was written: {', '.join(damaged[:3])}",
+            expected=f"the checksum that stands beside each, in its {META}",
+            where=f"rule {rule}",
+            cure=f"Look at the disk, remove them and start again, and they are made anew; if one was changed"
+            f" on purpose remove its {META}",
+        )
 
 
 def is_made_of(output: Path, wanted: Mapping[str, Any]) -> bool:

@@ -7,7 +7,7 @@ every level are runs of neighbours, so that each level costs one pass.
 """
 
 from dataclasses import dataclass
-from typing import Final, TypeAlias
+from typing import Final, Protocol, TypeAlias
 
 import numpy as np
 
@@ -21,7 +21,18 @@ _BITS: Final = 21
 """Bits of a coordinate in the code of a point: three of them fit 64."""
 
 
+_AT_ONCE: Final = 1_000_000
+"""Points whose coordinates are in memory at a time."""
+
+
 Codes: TypeAlias = np.ndarray[tuple[int, ...], np.dtype[np.uint64]]
+
+
+class Places(Protocol):
+    """Points (n, 3), m, of which slices of rows are asked for: an array, or a file that is read by and by."""
+
+    def __len__(self) -> int: ...
+    def __getitem__(self, rows: slice, /) -> ArrayF: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,12 +54,14 @@ class Node:
     spacing_m: float
 
 
-def build_octree(xyz_m: ArrayF, most_points: int | None = None) -> list[Node]:
+def build_octree(xyz_m: Places, most_points: int | None = None) -> list[Node]:
     """Sort points into an octree, thinned evenly to so many at most, if a number is given.
+
+    It takes some 40 bytes a point beside the points themselves.
 
     Parameters
     ----------
-    xyz_m : (n, 3) points, m.
+    xyz_m : (n, 3) points, m; asked for twice, by slices.
     most_points : of more points one in each of the finest cells that are few enough, and some more; of
         points at one place one. None: each point.
 
@@ -62,10 +75,15 @@ def build_octree(xyz_m: ArrayF, most_points: int | None = None) -> list[Node]:
     """
     if not len(xyz_m):
         raise CoverageError("a cloud of no points", expected="points to show", cure="Look at its filters")
-    low = xyz_m.min(axis=0)
-    size = float(max((xyz_m.max(axis=0) - low).max(), 0.01))
-    # the last point lies on the border of the last cell, and in it
-    code = _morton(np.minimum((xyz_m - low) * (2**_BITS / size), 2**_BITS - 1).astype(np.uint64))
+    slices = [slice(k, k + _AT_ONCE) for k in range(0, len(xyz_m), _AT_ONCE)]
+    ends = np.array([[part.min(axis=0), part.max(axis=0)] for part in map(xyz_m.__getitem__, slices)])
+    low = ends[:, 0].min(axis=0)
+    size = float(max((ends[:, 1].max(axis=0) - low).max(), 0.01))
+    code = np.empty(len(xyz_m), dtype=np.uint64)
+    for piece in slices:
+        # the last point lies on the border of the last cell, and in it
+        cell = np.minimum((xyz_m[piece] - low) * (2**_BITS / size), 2**_BITS - 1)
+        code[piece] = _morton(cell.astype(np.uint64))
     order = np.argsort(code, kind="stable")
     code = code[order]
     if most_points is not None:
