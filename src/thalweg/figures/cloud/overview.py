@@ -405,7 +405,7 @@ def coloured_reach(
     figure = new_figure(2 * each_mm + 18.0, head, twin=twin)
     above, below = figure.subplots(2, 1)
     draw_reach(figure, above, colour, None, (0.0, 1.0), label="", trajectory=trajectory, shading=0.6)
-    label = "intensity, 2nd to 98th percentile"
+    label = "intensity / 1   (2 to 98 %)"
     draw_reach(
         figure, below, intensity, INTENSITY_MAP, limits, label=label, trajectory=trajectory, shading=0.6
     )
