@@ -170,7 +170,14 @@ def add_survey_commands(commands: "argparse._SubParsersAction[argparse.ArgumentP
         "view",
         help="any cloud -> a page that opens from disk: turn it, colour it, measure points and distances",
     )
-    view.add_argument("cloud", type=Path, metavar="CLOUD", help="LAS, LAZ, PLY, E57, x y z text")
+    view.add_argument(
+        "cloud",
+        type=Path,
+        nargs="+",
+        metavar="CLOUD",
+        help="LAS, LAZ, PLY, E57, x y z text; several, such as those by INS, camera and all sensors, are "
+        "told apart by colour",
+    )
     view.add_argument("--title", help="heading of the page (default: name of the file)")
     view.add_argument(
         "--points", type=int, metavar="N", help="shown at most, thinned evenly (default: 1500000)"
@@ -349,13 +356,17 @@ def _read_trajectory(options: argparse.Namespace) -> tuple[Any, list[str]]:
 
 def _view(options: argparse.Namespace) -> int:
     from thalweg.core import ConfigError
-    from thalweg.figures.viewer import MOST_POINTS, read_view, write_viewer
+    from thalweg.figures.viewer import MOST_POINTS, read_view, read_views, write_viewer
 
     most = MOST_POINTS if options.points is None else options.points
     if most < 1:
         raise ConfigError(f"--points {most}", expected="1 or more", where="thalweg view")
-    view = read_view(options.cloud, most, options.quantity)
-    n = write_viewer(view, options.out, title=options.title or options.cloud.name, most_points=most)
+    first, *others = options.cloud
+    if others and options.quantity:
+        raise ConfigError("--quantity with several clouds", expected="one cloud", where="thalweg view")
+    view = read_views(options.cloud, most) if others else read_view(first, most, options.quantity)
+    title = options.title or ", ".join(path.name for path in options.cloud)
+    n = write_viewer(view, options.out, title=title, most_points=most)
     lacking = [
         name
         for name, values in (

@@ -20,7 +20,7 @@ from tests.figures.conftest import make_trajectory
 from thalweg.cli import main
 from thalweg.core import CoverageError, InputError, LazWriter, LocalFrame, frame_of, write_table
 from thalweg.core.geometry import CELLS_BITS, LEAF_POINTS, build_octree
-from thalweg.figures.viewer import View, read_view, write_survey_viewer, write_viewer
+from thalweg.figures.viewer import View, read_view, read_views, write_survey_viewer, write_viewer
 from thalweg.lidar import COLOUR_DIMENSIONS
 from thalweg.panorama import PANORAMAS
 
@@ -191,6 +191,28 @@ def test_the_command_shows_clouds_of_anybody(tmp_path: Path, capsys: pytest.Capt
     assert "2 of 2 points" in capsys.readouterr().out
     assert main(["view", str(tmp_path / "c.laz"), "-o", str(tmp_path / "w")]) == 2
     assert main(["view", str(tmp_path / "b.xyz"), "-o", str(tmp_path / "w"), "--points", "0"]) == 2
+
+
+def test_clouds_of_several_chains_are_told_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What one of them lacks is shown of none; a cloud in another frame is refused."""
+    xyz, intensity = hills()[::40], np.arange(len(hills()[::40]), dtype=np.uint16)
+    for name, off, more in (("ins", 0.0, {"t_gps_s": START_S + intensity}), ("camera", 0.5, {})):
+        with LazWriter(tmp_path / f"{name}.laz", FRAME) as writer:
+            writer.append(xyz + np.array([0, 0, off]), intensity=intensity, **more)
+    both = [str(tmp_path / f"{name}.laz") for name in ("ins", "camera")]
+    assert main(["view", *both, "-o", str(tmp_path / "v")]) == 0
+    assert "<h1>ins.laz, camera.laz</h1>" in (tmp_path / "v/index.html").read_text()
+    view = read_views([Path(path) for path in both])
+    assert (view.extras["cloud"][0] == np.repeat([1, 2], len(xyz))).all()
+    np.testing.assert_allclose(view.xyz_m[len(xyz) :] - xyz, np.tile([0, 0, 0.5], (len(xyz), 1)), atol=2e-3)
+    assert (view.intensity == np.tile(intensity, 2)).all()
+    assert view.t_gps_s is None
+    assert decoded(tmp_path / "v", "")[1]["extras"] == ["cloud"]
+    with LazWriter(tmp_path / "far.laz", LocalFrame(lat_deg=50.0, lon_deg=13.0, h_ell_m=0.0)) as writer:
+        writer.append(xyz)
+    assert main(["view", both[0], str(tmp_path / "far.laz"), "-o", str(tmp_path / "w")]) == 2
+    assert "far.laz: a cloud in the frame" in capsys.readouterr().err
+    assert main(["view", *both, "--quantity", "cloud", "-o", str(tmp_path / "w")]) == 2
 
 
 def test_extra_dimensions_become_colours(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

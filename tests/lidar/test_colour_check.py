@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, minimum_filter
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from thalweg.core import Camera, LazWriter, LocalFrame, Rigid
 from thalweg.core.las import read_laz
@@ -29,6 +30,7 @@ CAMERA = Camera(
 WALL_M = 8.0
 SPEED_M_S = 1.2
 START_S = 1e9
+TURNS = ("turn_x_deg", "turn_y_deg", "turn_z_deg")
 EAST = np.column_stack([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """Camera that looks north: its axes right, down, ahead in the world."""
 
@@ -143,6 +145,45 @@ def test_what_fits_is_silent(
     assert caplog.text == ""
 
 
+def test_sigmas_of_optima_hold_over_many_scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blotches without shadows: what parts of a scene scatter is all that there is, neither more nor less."""
+    monkeypatch.setattr("thalweg.lidar.colour_check.COMMON_DEG", 1e-9)
+    true = ({"clock_s": 0.0, **dict.fromkeys(TURNS, 0.0)}, {"clock_s": 0.3}, {"turn_y_deg": 1.0})
+    squares = []
+    for seed in range(9):
+        case = true[seed % 3]
+        found = passed(
+            tmp_path,
+            np.random.default_rng(seed),
+            late_s=case.get("clock_s", 0.0),
+            turn_deg=case.get("turn_y_deg", 0.0),
+        )
+        squares += [
+            ((found.loc[kind, "optimum"] - v) / found.loc[kind, "sigma"]) ** 2 for kind, v in case.items()
+        ]
+    n = len(squares)
+    low, high = chi2.ppf([0.001, 0.999], n) / n
+    assert low < np.mean(squares) < high
+
+
+def test_warnings_go_with_their_sigmas_over_many_scenes(tmp_path: Path) -> None:
+    """Silent where all fits; 0.3 s and one degree are told and found, whatever the scene."""
+    for seed in range(100, 108):
+        late, turn = 0.3 * (seed % 4 == 1), 1.0 * (seed % 4 == 3)
+        found = passed(tmp_path, np.random.default_rng(seed), late_s=late, turn_deg=turn)
+        told = found["optimum"].abs() > 3 * found["sigma"]
+        assert (told[found["verdict"] == "shifted"]).all()
+        assert not told[found["verdict"] == "fits"].any()
+        if late:
+            assert found.loc["clock_s", "verdict"] == "shifted"
+            assert found.loc["clock_s", "optimum"] == pytest.approx(0.3, abs=0.05)
+        elif turn:
+            assert found.loc["turn_y_deg", "verdict"] == "shifted"
+            assert found.loc["turn_y_deg", "optimum"] == pytest.approx(1.0, abs=0.1)
+        else:
+            assert (found["verdict"] == "fits").all()
+
+
 def test_noise_tells_nothing(rng: np.random.Generator) -> None:
     """Points and pictures of different things: no optimum is made up."""
     xyz = np.column_stack([rng.uniform(-3, 3, 3000), rng.uniform(-2, 2, 3000), np.full(3000, WALL_M)])
@@ -155,8 +196,9 @@ def test_noise_tells_nothing(rng: np.random.Generator) -> None:
             R_wcs_ccs=np.eye(3),
             velocity_m_s=np.array([1.0, 0, 0]),
             rate_rad_s=np.zeros(3),
+            part=np.full(3000, k),
         )
-        for _ in range(8)
+        for k in range(8)
     ]
     table = find_optima(*score_shifts(overlays, CAMERA))
     assert (table["verdict"] == "cannot be told").all()
@@ -237,7 +279,7 @@ def test_real_boards_tell_a_wrong_mount(acfr: Path, axis: int, kind: str) -> Non
     """Whole scans. A camera turned by one degree is found, whatever the published place itself is off."""
     T = published(acfr)
     overlays = []
-    for board in BOARDS:
+    for k, board in enumerate(BOARDS):
         cloud = read_pcd(acfr / f"pcd/pose{board}_full.pcd")
         ccs = (cloud.xyz_m - T.shift_m) @ T.R
         seen = (ccs[:, 2] > 0.5) & (np.linalg.norm(ccs, axis=1) < 30)
@@ -250,6 +292,7 @@ def test_real_boards_tell_a_wrong_mount(acfr: Path, axis: int, kind: str) -> Non
                 R_wcs_ccs=T.R,
                 velocity_m_s=np.full(3, np.nan),
                 rate_rad_s=np.full(3, np.nan),
+                part=np.full(np.count_nonzero(seen), k),
             )
         )
     turn = Rotation.from_rotvec(np.deg2rad(-1.0) * np.eye(3)[axis]).as_matrix()

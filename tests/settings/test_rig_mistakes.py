@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from thalweg.settings.checks_campaign import check_rig
+from thalweg.settings.checks_campaign import check_images, check_rig
 
 FIELD = {"field": ["room.yaml"], "field_images": ["room"], "field_points": ["points.csv"]}
 RIG = {"mount": {"omega_deg": 90.0}}
@@ -44,3 +44,17 @@ def test_what_is_missing_is_told(logs: Any, rig: Any, lidar: bool, path: tuple, 
     assert mistake.path == path
     assert words in mistake.found
     assert mistake.cure
+
+
+def test_a_rig_that_orients_the_boat_needs_files_and_a_datum() -> None:
+    images = {"source": "rig"}
+    (mistake,) = check_rig(None, None, True, None, images)
+    assert mistake.path == ("images", "source")
+    assert "no files of a rig" in mistake.found
+    assert list(check_rig(None, None, True, None, images, {"dual_fisheye": {"images": 9}})) == []
+    (mistake,) = check_images(None, None, images, None)
+    assert mistake.found == "images without control points"
+    assert "images.adjustment.antenna.use: true" in mistake.cure
+    images["adjustment"] = {"antenna": {"use": True}}
+    assert list(check_images(None, None, images, None)) == []
+    assert list(check_images({"control_points": ["a.csv"], "marks": ["b.csv"]}, None, images, None)) == []

@@ -224,6 +224,33 @@ def test_steps_of_the_camera_are_those_of_who_oriented_the_images(shipped) -> No
     assert boat.of_compared_chains("statistics.csv") == []
 
 
+def test_a_rig_may_be_the_camera_that_orients_the_boat(shipped) -> None:
+    """Its files, stamps, clock and mount go the way of the camera's; colours take the poses of its block."""
+    tiny = shipped["tiny"]
+    assert not tiny.is_by_rig()
+    assert tiny.rig_poses() == ["results/tiny/panorama/poses.parquet"]
+    assert tiny.rig_mount() == {}
+    images = tiny.campaign.images.model_copy(update={"source": "rig"})
+    campaign = tiny.campaign.model_copy(update={"images": images})
+    rigged = replace(tiny, campaigns={**tiny.campaigns, "tiny": campaign})
+    assert rigged.stamped_images() == ["results/tiny/simulation/logs/rig"]
+    assert rigged.stamp_option("utc_offset") == "+02:00"
+    assert rigged.stated_clock()["offset_s"] == 0.62
+    assert rigged.rig_mount()["lever_ics_m"] == [-0.25, 0.1, -0.9]
+    assert rigged.oriented_images() == "results/tiny/orientation/image_poses_rig.parquet"
+    assert rigged.chain_steps()["camera"][0] == rigged.oriented_images()
+    assert rigged.best_chain() == "fused"
+    assert rigged.rig_poses() == ["results/tiny/orientation/image_poses_timed.parquet"]
+    assert rigged.colour_images() == rigged.known_interior() == rigged.control_reports() == []
+    assert not rigged.orients_images()
+    made = rigged.final_outputs()
+    assert "results/tiny/lidar/coloured.laz" in made
+    assert "results/tiny/lidar/colour_check.csv" not in made
+    # without a calibration of the rig the camera stays what it was
+    logs = {"lidar": ["a.pcap"], "ins": ["a.anpp"], "time_lapse": {"images": ["a.jpg"]}}
+    assert survey(logs=logs, images={"source": "rig"}).stamped_images() == ["a.jpg"]
+
+
 def test_lines_on_the_grid_object_are_short_pieces_in_as_many_levels(shipped) -> None:
     """What the calibration changes of the campaign's lines stands in the campaign file, too."""
     basin = shipped["basin_tiny"]

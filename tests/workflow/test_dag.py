@@ -57,6 +57,7 @@ def jobs(house, campaign: str, *targets: str) -> list[Job]:
 
 EDITED = {
     "parted": ("tiny", r"(?m)^images:.*$", "images:\n  mapping: {parts: 3}"),
+    "rigged": ("tiny", r"(?m)^images:.*$", "images:\n  source: rig"),
     "without_images": ("full", r"(?m)^  time_lapse: .*\n", ""),
 }
 """Campaigns that are others with one change: name of the other, what is replaced, and by what."""
@@ -114,6 +115,36 @@ def test_pairs_of_images_are_dealt_out_to_as_many_jobs_as_the_campaign_says(of_c
     assert set(parts) < set(join.inputs)
     (mapping,) = (job for job in found if job.rule == "map_images")
     assert mapping.inputs == join.outputs
+
+
+def test_files_of_a_rig_may_be_the_images_that_orient_the_boat(of_campaigns) -> None:
+    """Its block feeds the trajectories; its panoramas and the colours take the poses of the block."""
+    found = of_campaigns["rigged"]
+    by_rule = {job.rule: job for job in found}
+    own = (
+        "mask_images",
+        "extract_features",
+        "map_images",
+        "adjust_images",
+        "check_colours",
+        "place_rig_images",
+    )
+    assert not by_rule.keys() & set(own)
+    (block,) = (name for name in by_rule["orient_rig"].outputs if "image_poses" in name)
+    assert block in by_rule["time_images"].inputs
+    assert "results/rigged/simulation/logs/rig" in by_rule["orient_rig"].inputs
+    assert "results/rigged/simulation/logs/rig" in by_rule["read_image_stamps"].inputs
+    timed = "results/rigged/orientation/image_poses_timed.parquet"
+    for rule in (
+        "camera_trajectory",
+        "fuse_trajectory",
+        "make_panoramas",
+        "colour_points",
+        "compare_rig_with_truth",
+    ):
+        assert timed in by_rule[rule].inputs, rule
+    readers = {job.rule for job in found if any("/truth/" in name for name in job.inputs)}
+    assert {rule for rule in readers if not rule.startswith("simulate_")} == MAY_READ_TRUTH["tiny"]
 
 
 @pytest.mark.parametrize("images", [True, False])

@@ -46,7 +46,7 @@ TRUTH = {
         "calls": "thalweg_lab.truth.rig:judge_rig",
         "inputs": {
             "calibration": f"{RESULTS}/calibration/rig.yaml",
-            "poses": f"{RESULTS}/panorama/poses.parquet",
+            "poses": of(CampaignFiles.rig_poses),
             "panoramas": f"{RESULTS}/panorama/panoramas.parquet",
             "pictures": f"{RESULTS}/panorama/pictures",
             "truth": f"{RESULTS}/simulation/truth/rig.json",
@@ -63,7 +63,8 @@ TRUTH = {
         "inputs": {
             "trajectories": of(CampaignFiles.trajectories),
             "mounts": f"{RESULTS}/calibration/mounts.json",
-            "boat": of(CampaignFiles.calibration_file),
+            "boat": of(CampaignFiles.camera_calibration),
+            "rig": of(CampaignFiles.rig_truth),
             "voyage": f"{RESULTS}/simulation/truth/trajectory.parquet",
             "true_mounts": f"{RESULTS}/simulation/truth/mounts.json",
         },

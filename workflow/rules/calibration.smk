@@ -21,6 +21,7 @@ rule collect_mounts:
     params:
         code=code_version("collect_mounts"),
         section=section("mounts"),
+        rig=of(CampaignFiles.rig_mount),
     script:
         "../scripts/collect_mounts.py"
 

@@ -54,7 +54,7 @@ rule predict_images:
         runtime=minutes(10),
     params:
         code=code_version("predict_images"),
-        stated=section("images", "clock"),
+        stated=of(CampaignFiles.stated_clock),
         off_boat=section("images", "off_boat"),
     script:
         "../scripts/predict_images.py"
@@ -379,7 +379,7 @@ rule time_images:
         states="results/{campaign}/ingest/ins_states.parquet",
         mounts="results/{campaign}/calibration/mounts.json",
         camera_clock=of(CampaignFiles.camera_clock),
-        boat=of(CampaignFiles.calibration_file),
+        boat=of(CampaignFiles.camera_calibration),
     output:
         timed="results/{campaign}/orientation/image_poses_timed.parquet",
         times="results/{campaign}/orientation/image_times.parquet",
@@ -415,7 +415,7 @@ rule camera_trajectory:
         states="results/{campaign}/ingest/ins_states.parquet",
         trajectory="results/{campaign}/orientation/trajectory.parquet",
         mounts="results/{campaign}/calibration/mounts.json",
-        boat=of(CampaignFiles.calibration_file),
+        boat=of(CampaignFiles.camera_calibration),
     output:
         trajectory_camera="results/{campaign}/orientation/trajectory_camera.parquet",
         mounts_camera="results/{campaign}/orientation/mounts_camera.json",

@@ -30,6 +30,45 @@ rule calibrate_rig:
         "../scripts/calibrate_rig.py"
 
 
+rule orient_rig:
+    """A block of the files of the rig: one pose for each, both lenses as calibrated."""
+    input:
+        images=raw("rig_images"),
+        calibration=of(CampaignFiles.rig_calibration),
+        predictions="results/{campaign}/orientation/image_predictions.parquet",
+        trajectory="results/{campaign}/orientation/trajectory.parquet",
+        control_points=raw("control_points"),
+        image_marks=raw("image_marks"),
+        positions="results/{campaign}/ingest/positions.parquet",
+        mounts="results/{campaign}/calibration/mounts.json",
+    output:
+        poses="results/{campaign}/orientation/image_poses_rig.parquet",
+        control_report="results/{campaign}/orientation/control_points_rig.csv",
+        images_report="results/{campaign}/orientation/images_rig.csv",
+        facts="results/{campaign}/orientation/adjustment_rig.json",
+    log:
+        "logs/{campaign}/panorama/orient_rig.log",
+    benchmark:
+        "benchmarks/{campaign}/panorama/orient_rig.jsonl"
+    priority: URGENT
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(4000, 5),
+        runtime=minutes(60, 60),
+    params:
+        **calls("thalweg.images.photographs:orient_rig_files"),
+        campaign=identity("origin", "crs"),
+        rig=of(CampaignFiles.rig_views),
+        features=section("images", "features"),
+        mapping=section("images", "mapping"),
+        adjustment=section("images", "adjustment"),
+        control=section("images", "control"),
+    script:
+        "../scripts/call.py"
+
+
 rule place_rig_images:
     """When and where the front lens of the rig took each of its files."""
     input:
@@ -61,7 +100,7 @@ rule make_panoramas:
     """Equirectangular panoramas of the rig, sewn at the ranges of the cloud."""
     input:
         images=raw("rig_images"),
-        poses="results/{campaign}/panorama/poses.parquet",
+        poses=of(CampaignFiles.rig_poses),
         calibration=of(CampaignFiles.rig_calibration),
         points=of(CampaignFiles.panorama_points),
     output:

@@ -7,8 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from thalweg.calibration import read_mounts
-from thalweg.core import LocalFrame, Rigid, read_table
+from thalweg.core import LocalFrame
 from thalweg.core.calibration import Source
 from thalweg.images.bundle import (
     Boat,
@@ -21,7 +20,6 @@ from thalweg.images.bundle import (
     write_cameras,
 )
 from thalweg.images.model import ImagePoses
-from thalweg.ingest import GNSS_POSITION
 from thalweg.settings.sections import BlockAdjustment, ControlSettings
 from thalweg.workflow import run_job
 
@@ -50,14 +48,7 @@ def main(
     folders: list[str],
 ) -> None:
     log = logging.getLogger("thalweg")
-    places, boat = read_mounts(mounts), None
-    if adjustment.antenna.use and positions:
-        boat = Boat(
-            positions=read_table(positions[0], GNSS_POSITION)[0],
-            T_ics_ccs=Rigid.from_mount(places["camera"]),
-            lever_ics_m=places["antenna"]["lever_ics_m"],
-            sigma_lever_m=places["antenna"]["sigma_lever_m"],
-        )
+    boat = Boat.read(positions[0], mounts) if adjustment.antenna.use and positions else None
     told = pd.read_csv(sfm_images, keep_default_na=False)
     reasons = dict(zip(told["image"], told["reason"], strict=True))
     blocks, given = read_pieces(block, pieces), read_interiors(interior, folders, interiors)

@@ -8,9 +8,12 @@ from thalweg.core.calibration import read_calibration
 from thalweg.workflow import run_job
 
 
-def main(*, calibration: list[Path], mounts: Path, section: dict[str, Any]) -> None:
+def main(*, calibration: list[Path], mounts: Path, section: dict[str, Any], rig: dict[str, Any]) -> None:
     found = read_calibration(calibration[0]) if calibration else None
-    write_mounts(mounts, resolve_mounts(section, found))
+    places = resolve_mounts(section, found)
+    if rig:
+        places["camera"] = {**rig, "source": "section rig"}
+    write_mounts(mounts, places)
 
 
 if "snakemake" in globals():

@@ -1,15 +1,13 @@
 """Stamps, the camera's clock and the trajectory -> roughly where the camera was at each image."""
 
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from thalweg.calibration import read_mounts
 from thalweg.clocks import ClockModel
 from thalweg.core import Rigid, Trajectory, read_table
 from thalweg.ingest.photos import IMAGE_STAMPS
-from thalweg.navigation.camera import predict_image_poses
+from thalweg.navigation.camera import predict_image_poses, stated_clock
+from thalweg.settings.sections import StatedClock
 from thalweg.workflow import run_job
 
 
@@ -20,22 +18,11 @@ def main(
     mounts: Path,
     clock: list[Path],
     predictions: Path,
-    stated: dict[str, Any],
+    stated: StatedClock,
     off_boat: list[str],
 ) -> None:
     table = read_table(stamps, IMAGE_STAMPS)[0]
-    known = table["t_device_s"].dropna()
-    model = (
-        ClockModel.read(clock[0])
-        if clock
-        else ClockModel(
-            offset_s=stated["offset_s"],
-            reference_s=float(known.median()) if len(known) else 0.0,
-            cov=np.diag([stated["sigma_offset_s"] ** 2, 0.0]),
-            jitter_s=stated["jitter_s"],
-            source="images.clock of the campaign file",
-        )
-    )
+    model = ClockModel.read(clock[0]) if clock else stated_clock(table, stated, "the campaign file")
     poses = predict_image_poses(
         table,
         model,

@@ -2,8 +2,8 @@
 
 import json
 import logging
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,10 +12,12 @@ import pandas as pd
 from pyproj import CRS
 from scipy.spatial.transform import Rotation
 
-from thalweg.calibration import LENSES, Rig, read_camera
-from thalweg.core import ArrayF, InputError, LazWriter, LocalFrame
+from thalweg.calibration import LENSES, Rig, read_camera, read_rig
+from thalweg.core import ArrayF, InputError, LazWriter, LocalFrame, Trajectory
 from thalweg.core.calibration import Source
 from thalweg.images.bundle import (
+    Boat,
+    Interiors,
     Pieces,
     adjust_pieces,
     interiors_of,
@@ -24,7 +26,7 @@ from thalweg.images.bundle import (
     write_cameras,
 )
 from thalweg.images.control import crs_of, frame_about, read_all_control_points, read_camera_positions
-from thalweg.images.model import ControlPoints, ImagePoses, unknown_poses
+from thalweg.images.model import ControlPoints, ImageBlock, ImagePoses, unknown_poses
 from thalweg.images.sfm import (
     WIDEST_DEG,
     Known,
@@ -34,6 +36,7 @@ from thalweg.images.sfm import (
     main_block,
     map_images,
     match_images,
+    read_times,
     to_the_rim,
 )
 from thalweg.ingest.photos import Images, find_images, named_images
@@ -43,6 +46,7 @@ from thalweg.settings.sections import (
     ControlSettings,
     FeatureSettings,
     MappingSettings,
+    Rig as RigSettings,
 )
 
 log = logging.getLogger("thalweg")
@@ -228,12 +232,56 @@ def orient_photographs(
         centres = read_camera_positions(positions, frame, crs=crs, height_offset_m=section.height_offset_m)
     files = named_images(images)
     exposures = tuple(files)
-    say(f"features of {len(files)} photographs")
     known = Known(cameras=() if camera is None else (read_camera(camera),))
     if rig is not None:
-        order = {name: float(k) for k, name in enumerate(exposures)}
+        known = Known(t_s={name: float(k) for k, name in enumerate(exposures)})
+    mapped = _mapped(files, known, masks, features, mapping, rig, threads, say)
+    say("adjustment with control points")
+    pieces = adjust_pieces(
+        mapped.blocks,
+        unknown_poses(frame, exposures),
+        reasons=mapped.reasons,
+        frame=frame,
+        crs=crs,
+        adjustment=adjustment or BlockAdjustment(),
+        control=section,
+        control_points=control_points,
+        marks=marks,
+        known=mapped.interiors,
+        boat=None,
+        centres=centres,
+        rig=rig,
+    )
+    pieces.facts["structure_from_motion"] = mapped.facts
+    return PhotographBlock(found=pieces, control=points, crs=crs)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Mapped:
+    """Blocks of photographs in frames of their own, known interiors, and why an image is in none."""
+
+    blocks: Sequence[ImageBlock]
+    interiors: Interiors
+    reasons: dict[str, str]
+    facts: dict[str, Any]
+
+
+def _mapped(
+    files: Mapping[str, Path],
+    known: Known,
+    masks: Path | None,
+    features: FeatureSettings | None,
+    mapping: MappingSettings | None,
+    rig: Rig | None,
+    threads: int,
+    say: Callable[[str], None],
+) -> _Mapped:
+    """Features, pairs and structure from motion; with a rig of both views of each file."""
+    say(f"features of {len(files)} photographs")
+    if rig is not None:
         files = {f"{lens}/{name}": path for name, path in files.items() for lens in LENSES}
-        known = Known(of_folder=rig.cameras, t_s={name: order[name.split("/", 1)[1]] for name in files})
+        times = {name: known.t_s.get(name.split("/", 1)[1], np.nan) for name in files}
+        known = replace(known, of_folder=rig.cameras, t_s=times)
     found = extract_features(files, masks=masks, settings=features, threads=threads, rig=rig)
     say("pairs of photographs")
     inner = found if rig is None else found.chosen(found.within(rig, WIDEST_DEG))
@@ -243,25 +291,73 @@ def orient_photographs(
     table = image_table(matches, mapped)
     why = {name: dict(zip(table["image"], table[name], strict=True)) for name in ("reason", "cause")}
     main_block(mapped, why["reason"], why["cause"])
-    say("adjustment with control points")
-    blocks = mapped.pieces if rig is None else tuple(to_the_rim(b, found, rig) for b in mapped.pieces)
-    pieces = adjust_pieces(
-        blocks,
-        unknown_poses(frame, exposures),
+    return _Mapped(
+        blocks=mapped.pieces if rig is None else [to_the_rim(b, found, rig) for b in mapped.pieces],
+        interiors=interiors_of(mapped.pieces, known.cameras[0] if known.cameras else None, known.of_folder),
         reasons=why["reason"],
-        frame=frame,
-        crs=crs,
-        adjustment=adjustment or BlockAdjustment(),
-        control=section,
-        control_points=control_points,
-        marks=marks,
-        known=interiors_of(mapped.pieces, known.cameras[0] if known.cameras else None, known.of_folder),
-        boat=None,
-        centres=centres,
-        rig=rig,
+        facts=block_facts(matches, mapped, table),
     )
-    pieces.facts["structure_from_motion"] = block_facts(matches, mapped, table)
-    return PhotographBlock(found=pieces, control=points, crs=crs)
+
+
+def orient_rig_files(
+    *,
+    images: list[Path],
+    calibration: list[Path],
+    predictions: Path,
+    trajectory: Path,
+    control_points: list[Path],
+    image_marks: list[Path],
+    positions: Path,
+    mounts: Path,
+    poses: Path,
+    control_report: Path,
+    images_report: Path,
+    facts: Path,
+    campaign: dict[str, Any],
+    rig: RigSettings,
+    features: FeatureSettings,
+    mapping: MappingSettings,
+    adjustment: BlockAdjustment,
+    control: ControlSettings,
+    threads: int,
+) -> None:
+    """The files of a rig on a boat -> a pose of its front lens for each, with covariances.
+
+    Parameters
+    ----------
+    images, calibration, control_points, image_marks : files of the survey. Boards are not looked for in
+        views of a fisheye, where they are some pixels wide: control points count with a table of marks.
+    predictions, trajectory, positions, mounts : of the boat, whose ``camera`` is the front lens.
+    poses, control_report, images_report, facts : targets, as of the block of a camera.
+    campaign : ``origin`` and ``crs``.
+    rig, features, mapping, adjustment, control : sections of the campaign file.
+    """
+    frame = LocalFrame(**campaign["origin"])
+    found, expected = read_rig(calibration[0], rig), ImagePoses.read(predictions)
+    known = Known(t_s=read_times(predictions), trajectory=Trajectory.read(trajectory))
+    mapped = _mapped(named_images(images), known, None, features, mapping, found, threads, log.info)
+    pieces = adjust_pieces(
+        mapped.blocks,
+        expected,
+        reasons=mapped.reasons,
+        frame=frame,
+        crs=campaign["crs"],
+        adjustment=adjustment,
+        control=control,
+        control_points=control_points,
+        marks=image_marks[0] if image_marks else None,
+        known=mapped.interiors,
+        boat=Boat.read(positions, mounts) if adjustment.antenna.use else None,
+        rig=found,
+        progress=log.info,
+    )
+    pieces.poses.write(poses)
+    for table, path in zip(pieces_tables(pieces), (images_report, control_report), strict=True):
+        table.to_csv(path, index=False)
+    told = {**pieces.facts, "structure_from_motion": mapped.facts}
+    facts.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+    for line in summary_text(pieces.facts).splitlines():
+        log.info(line)
 
 
 def orient_files(

@@ -205,7 +205,7 @@ class Chosen:
     Parameters
     ----------
     view : (n, k) places among the views, -1: none.
-    pixel : (n, k, 2) column and row in them.
+    pixel : (n, k, 2) x and y in them, from the upper left corner.
     score : (n, k) size of a pixel on the point, and age, the less the better.
     state : (n,) whether some view shows a point, and whether it may be used there (bits).
     """
@@ -383,7 +383,7 @@ def _offer(
             if value < score[i, worst]:
                 score[i, worst] = value
                 chosen[i, worst] = view
-                pixel[i, worst, 0], pixel[i, worst, 1] = int(x), int(y)
+                pixel[i, worst, 0], pixel[i, worst, 1] = x, y
 
 
 @njit(parallel=True, cache=True, nogil=True, error_model="numpy")
@@ -535,7 +535,7 @@ def choose_views(
     sigma = np.maximum(chunk["sigma_east"], np.maximum(chunk["sigma_north"], chunk["sigma_up"]))
     found = Chosen(
         view=np.full((n, k), -1, dtype=np.int32),
-        pixel=np.zeros((n, k, 2), dtype=np.int32),
+        pixel=np.zeros((n, k, 2), dtype=np.float32),
         score=np.full((n, k), np.inf, dtype=np.float32),
         state=np.zeros(n, dtype=np.uint8),
     )
@@ -575,16 +575,31 @@ def _ahead(
         yield waiting.popleft().result()
 
 
+@njit(parallel=True, cache=True, nogil=True, error_model="numpy")
+def _interpolate(picture: ArrayU8, rows: ArrayI, pixel: AnyArray, colours: ArrayU8) -> None:
+    """Colours (n, 3) at places (n, 2) of some rows, linear between the middles of pixels."""
+    h, w = picture.shape[:2]
+    for j in prange(len(rows)):
+        i = rows[j]
+        x = min(max(pixel[i, 0] - 0.5, 0.0), w - 1.0)
+        y = min(max(pixel[i, 1] - 0.5, 0.0), h - 1.0)
+        a, b = min(int(x), w - 2), min(int(y), h - 2)
+        s, t = x - a, y - b
+        for c in range(3):
+            above = (1 - s) * picture[b, a, c] + s * picture[b, a + 1, c]
+            below = (1 - s) * picture[b + 1, a, c] + s * picture[b + 1, a + 1, c]
+            colours[i, c] = int((1 - t) * above + t * below + 0.5)
+
+
 def _sampled(chosen: Chosen, views: Views, pool: ThreadPoolExecutor) -> ArrayU8:
-    """Colours (n, k, 3) of the chosen pixels; each photograph is opened once."""
+    """Colours (n, k, 3) at the chosen places; each photograph is opened once."""
     values = np.zeros((*chosen.view.shape, 3), dtype=np.uint8)
     flat, pixel = values.reshape(-1, 3), chosen.pixel.reshape(-1, 2)
     order = np.argsort(chosen.view, axis=None, kind="stable")
     first = np.searchsorted(chosen.view.ravel()[order], np.arange(len(views.paths) + 1))
     used = np.flatnonzero(np.diff(first)).tolist()
     for v, picture in zip(used, _ahead(pool, views.read, used), strict=True):
-        rows = order[first[v] : first[v + 1]]
-        flat[rows] = picture[pixel[rows, 1], pixel[rows, 0]]
+        _interpolate(np.ascontiguousarray(picture), order[first[v] : first[v + 1]], pixel, flat)
     return values
 
 

@@ -9,12 +9,11 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from thalweg.clocks import ClockModel
 from thalweg.core import Rigid, Trajectory
 from thalweg.images.model import ImagePoses
 from thalweg.ingest import IntegrityReport
 from thalweg.ingest.photos import read_image_stamps
-from thalweg.navigation.camera import predict_image_poses
+from thalweg.navigation.camera import predict_image_poses, stated_clock
 from thalweg.settings.sections import Rig
 
 COARSE_S: Final = 0.1
@@ -78,13 +77,7 @@ def place_rig_files(
         )
         found.report.note(note)
         _LOG.warning(note)
-    clock = ClockModel(
-        offset_s=rig.clock.offset_s,
-        reference_s=float(known["t_device_s"].median()),
-        cov=np.diag([rig.clock.sigma_offset_s**2, 0.0]),
-        jitter_s=float(np.hypot(rig.clock.jitter_s, rounding_s)),
-        source="rig.clock of the campaign file",
-    )
+    clock = stated_clock(found.table, rig.clock, "rig.clock of the campaign file")
     mount = Rigid.from_mount(rig.mount.model_dump())
     poses = predict_image_poses(found.table, clock, trajectory, mount)
     return PlacedFiles(

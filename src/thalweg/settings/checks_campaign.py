@@ -428,13 +428,15 @@ def _check_map(polygon: Sequence[tuple[float, float]], crs: Any, origin: Any) ->
 _FIELD = ("field", "field_images", "field_points")
 
 
-def check_rig(logs: Mapping[str, Any] | None, rig: Any, lidar: bool, panorama: Any) -> Iterator[Mistake]:
+def check_rig(
+    logs: Mapping[str, Any] | None, rig: Any, lidar: bool, panorama: Any, images: Any = None, twin: Any = None
+) -> Iterator[Mistake]:
     """Mistakes in what belongs to a camera with two fisheye lenses.
 
     Parameters
     ----------
     logs : ``logs.rig`` as written.
-    rig, panorama : the sections of these names as written.
+    rig, panorama, images, twin : the sections of these names as written.
     lidar : whether there is a lidar.
     """
     given = logs if isinstance(logs, Mapping) else {}
@@ -446,6 +448,13 @@ def check_rig(logs: Mapping[str, Any] | None, rig: Any, lidar: bool, panorama: A
             found=f"a field of the rig without {missing}",
             expected="its description, its pictures and its surveyed marks",
             cure=f"State {missing}, or leave the field out and name logs.rig.calibration",
+        )
+    if _below(images, "source") == "rig" and not given.get("images") and not _below(twin, "dual_fisheye"):
+        yield Mistake(
+            path=("images", "source"),
+            found="rig, and no files of a rig",
+            expected="files of a camera with two lenses and its calibration",
+            cure="State logs.rig.images and what calibrates it, or write source: camera",
         )
     if not given.get("images"):
         return
@@ -486,7 +495,8 @@ def check_images(
     mounts, images, twin, orientation : the sections of these names as written.
     """
     given = logs if isinstance(logs, Mapping) else {}
-    taken = bool(given.get("images")) or bool(_below(twin, "time_lapse"))
+    by_rig = _below(images, "source") == "rig"
+    taken = by_rig or bool(given.get("images")) or bool(_below(twin, "time_lapse"))
     if not taken:
         for key in _BESIDE:
             if given.get(key):
@@ -497,13 +507,13 @@ def check_images(
                 )
         return
     placed = isinstance(mounts, Mapping) and ("camera" in mounts or "calibration" in mounts)
-    if not placed:
+    if not placed and not by_rig:
         yield Mistake(
             path=("mounts",),
             found="images of the bank, but no place of the camera on the boat",
             cure="State mounts.camera, or name the calibration that found it as mounts.calibration",
         )
-    adjusted = bool(given.get("images")) and not given.get("orientations")
+    adjusted = (by_rig and not twin) or (bool(given.get("images")) and not given.get("orientations"))
     antenna = _below(images, "adjustment", "antenna", "use") is True
     source = _below(orientation, "position_source")
     if adjusted and not given.get("control_points") and not antenna:
@@ -657,6 +667,8 @@ def domain_mistakes(parts: Parts) -> tuple[list[Mistake], dict[str, tuple[str, .
             parts.raw("rig"),
             bool(parts.raw("logs", "lidar")),
             parts.raw("panorama"),
+            parts.raw("images"),
+            parts.raw("twin"),
         ),
         *check_epochs(parts.raw("epochs"), parts.raw("campaign") or {}, parts.path.parent),
         *_check_lists(parts),

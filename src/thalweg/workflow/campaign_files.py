@@ -381,7 +381,7 @@ class CampaignFiles:
     def camera_clock(self) -> list[str]:
         """The clock of the boat's camera, where a calibration has found it."""
         it = self._calibrating()
-        found = it.campaign.is_calibration and it.logs("run_images")
+        found = it.campaign.is_calibration and it.logs("run_images") and not self.is_by_rig()
         return it._where(found, f"timing/camera_clock{'_ties' if found and it.clock_ties() else ''}.yaml")
 
     def clock_stability(self) -> list[str]:
@@ -396,6 +396,8 @@ class CampaignFiles:
 
     def calibrated_interior(self) -> list[str]:
         """The camera's interior orientation from a file or from the calibration, if any."""
+        if self.is_by_rig():
+            return []
         given = self.logs("interior")
         chosen = self.calibration_campaign()
         if not given and chosen and self.of(chosen).has_boat_camera():
@@ -472,18 +474,39 @@ class CampaignFiles:
 
     def has_time_lapse(self) -> bool:
         """True if a survey by boat has images of the bank, whose cameras may have folders of their own."""
-        return bool(self.logs("time_lapse")) and self._is_survey()
+        return self.is_by_rig() or (bool(self.logs("time_lapse")) and self._is_survey())
+
+    def is_by_rig(self) -> bool:
+        """True if the files of a rig are the images that orient the boat, its front lens the camera."""
+        return self.campaign.images.source == "rig" and self.has_panoramas()
+
+    def stated_clock(self) -> dict[str, Any]:
+        """What the campaign file states of the clock of the images."""
+        found: dict[str, Any] = self.section(*(("rig",) if self.is_by_rig() else ("images",)), "clock")
+        return found
+
+    def rig_mount(self) -> dict[str, Any]:
+        """Where the front lens sits, if it is the camera of the chain."""
+        return self.plain["rig"]["mount"] if self.is_by_rig() else {}
+
+    def camera_calibration(self) -> list[str]:
+        """The calibration of the boat, if the camera of the chain is the one in it."""
+        return [] if self.is_by_rig() else self.calibration_file()
 
     def stamped_images(self) -> list[str]:
         """The images of the boat's camera in motion, on the river or about the cones."""
-        return self.logs("time_lapse") or self.logs("run_images")
+        return self.rig_images() if self.is_by_rig() else self.logs("time_lapse") or self.logs("run_images")
 
     def stamp_tables(self) -> list[str]:
         """Tables of the times of those images."""
+        if self.is_by_rig():
+            return self.logs("rig_times")
         return self.logs("time_lapse_times") or self.logs("image_times")
 
     def stamp_option(self, key: str) -> Any:
         """How the times of those images are written."""
+        if self.is_by_rig():
+            return self.section("rig", "times", key)
         river = self.has_time_lapse()
         return self.section(*(("images", "times") if river else ("calibration", "image_times")), key)
 
@@ -494,7 +517,7 @@ class CampaignFiles:
     def interior_folders(self) -> list[str]:
         """Folders whose camera has an interior orientation of its own."""
         logs = self.campaign.logs
-        return list(logs.time_lapse.interiors) if logs else []
+        return list(logs.time_lapse.interiors) if logs and not self.is_by_rig() else []
 
     def folder_interiors(self) -> list[str]:
         """Interior orientations of the cameras of single folders, in the order of these."""
@@ -512,15 +535,19 @@ class CampaignFiles:
 
     def has_finished_orientations(self) -> bool:
         """True if another program has oriented the images of a survey."""
-        return bool(self.logs("finished_orientations"))
+        return bool(self.logs("finished_orientations")) and not self.is_by_rig()
 
     def orients_alone(self) -> bool:
         """True if photographs without a boat are oriented here."""
         return self.campaign.kind == "photographs" and not self.has_finished_orientations()
 
     def orients_images(self) -> bool:
-        """True if the images of a survey are oriented here."""
-        return self.has_time_lapse() and not self.has_finished_orientations()
+        """True if the images of the camera of a survey are oriented here."""
+        return self.has_time_lapse() and not self._orienting()
+
+    def _orienting(self) -> str:
+        """Ending of poses that are no block of the boat's camera: of a rig, or by another program."""
+        return "_rig" if self.is_by_rig() else "_finished" if self.has_finished_orientations() else ""
 
     def images_hold_positions(self) -> bool:
         """Whether the antenna's positions were observations of the image block."""
@@ -528,12 +555,11 @@ class CampaignFiles:
 
     def oriented_images(self) -> str:
         """Poses of the images, adjusted here or by another program."""
-        ending = "_finished" if self.has_finished_orientations() else ""
-        return self._result(f"orientation/image_poses{ending}.parquet")
+        return self._result(f"orientation/image_poses{self._orienting()}.parquet")
 
     def control_reports(self) -> list[str]:
         """The adjustment's report on control and check points, where there are control points."""
-        given = self.logs("control_points") and not self.has_finished_orientations()
+        given = self.logs("control_points") and not self._orienting()
         return self._where(given, "orientation/control_points.csv")
 
     # ------------------------------------------------------------ trajectories and what is made by each
@@ -578,15 +604,15 @@ class CampaignFiles:
     def chain_steps(self) -> dict[str, list[str]]:
         """A result of each job that belongs to one chain alone; only the record beside it is read."""
         own = ("masks", "sfm/matches.npz", "sfm/block.npz", "control_marks.csv", "image_poses.parquet")
-        finished = self.has_finished_orientations()
-        oriented = ("image_poses_finished.parquet",) if finished else own
+        other = self._orienting()
+        oriented = (f"image_poses{other}.parquet",) if other else own
         names = {
             "ins": ("trajectory.parquet",),
             "camera": (*oriented, "image_poses_timed.parquet", "trajectory_camera.parquet"),
             "fused": ("trajectory_fused.parquet",),
         }
         steps = {chain: [self._result(f"orientation/{name}") for name in own] for chain, own in names.items()}
-        scattered = [] if finished else [*self.feature_parts(), *self.pair_parts()]
+        scattered = [] if other else [*self.feature_parts(), *self.pair_parts()]
         return steps | {"camera": [*scattered, *steps["camera"]]}
 
     # ------------------------------------------------------------ light-sheet sensor
@@ -751,8 +777,13 @@ class CampaignFiles:
         return self.logs("rig_images") if self.has_panoramas() else []
 
     def rig_poses(self) -> list[str]:
-        """Their poses."""
-        return self._where(self.has_panoramas(), "panorama/poses.parquet")
+        """Their poses: of the block where it is theirs, else by the boat's trajectory."""
+        block = "orientation/image_poses_timed.parquet"
+        return self._where(self.has_panoramas(), block if self.is_by_rig() else "panorama/poses.parquet")
+
+    def rig_truth(self) -> list[str]:
+        """The true rig of a twin, where it is the camera of the chain."""
+        return self._where(self.is_by_rig() and self.is_twin(), "simulation/truth/rig.json")
 
     def used_rig(self) -> list[str]:
         """The calibration of the rig, where its files are used."""

@@ -1,5 +1,6 @@
 """A calibrated rig and its panoramas against the truth of the twin."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,7 +16,13 @@ from thalweg.lidar import GAMMA
 from thalweg.panorama import PANORAMAS, pixels_of, sphere_rays
 from thalweg.settings.sections import Rig as RigSettings
 
-KIND: Final = "thalweg twin dual fisheye"
+TRUTH: Final[Mapping[str, Any]] = {
+    "kind": "thalweg twin dual fisheye",
+    "version": 1,
+    "what": "truth of the rig",
+    "cure": "Simulate it again",
+}
+"""How `read_marked` reads the truth of a rig."""
 _UNKNOWNS: Final = 22
 _TILE: Final = 96
 _STEP: Final = 48
@@ -52,7 +59,7 @@ def judge_rig(
     out : target.
     """
     found = read_rig(calibration, RigSettings(**rig))
-    true = read_marked(truth, "rig", kind=KIND, version=1, what="truth of the rig", cure="Simulate it again")
+    true = read_marked(truth, "rig", **TRUTH)
     T = Rigid.from_matrix(true["T_back_front"])
     off = found.T_back_front.error_from(T)
     parts = [(found.cameras[name], np.array(list(true["lenses"][name].values()))) for name in LENSES]
@@ -133,8 +140,9 @@ def _colours(points: Path, truth: Path) -> list[tuple[str, float, int]]:
     """Colours of the cloud against what is truly seen of its points from the middle of the rig.
 
     A point is visible if the true range in its direction is its own, and that of all neighbours, too: edges
-    are left out. Both lights differ by the exposure, one factor a colour, which is taken out. Grain below the
-    pixels of the photographs makes most of the error of a point; means of patches tell the colours.
+    are left out. Both lights differ by the exposure, one factor a colour, which is taken out. The truth is of
+    pixels as wide as those of the rig: grain finer than these, which a finer camera shows, counts as an error
+    of points; means of patches tell the colours.
     """
     with np.load(truth) as stored:
         light, range_m = stored["light"].astype(np.float64), stored["range_m"]
@@ -144,10 +152,14 @@ def _colours(points: Path, truth: Path) -> list[tuple[str, float, int]]:
     for chunk in iter_laz(points):
         local = (chunk["xyz_m"] - pose.shift_m) @ pose.R
         far = np.linalg.norm(local, axis=1)
-        column, row = pixels_of(local, light.shape[1]).astype(np.int64).T
+        uv = pixels_of(local, light.shape[1])
+        column, row = uv.astype(np.int64).T
         row, column = np.clip(row, 0, light.shape[0] - 1), column % light.shape[1]
         visible = (far < _COLOUR_M) & (far - low[row, column] < _SAME_M) & (high[row, column] - far < _SAME_M)
-        true = light[row, column]
+        at = uv[:, ::-1].T - 0.5
+        true = np.stack(
+            [ndimage.map_coordinates(light[..., c], at, order=1, mode="nearest") for c in range(3)], 1
+        )
         patch = row // _PATCH * light.shape[1] + column // _PATCH
         given = (chunk["rgb"] / 65535.0) ** GAMMA
         seen.append(np.column_stack([given, true, chunk["n_views"], patch])[visible])

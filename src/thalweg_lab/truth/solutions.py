@@ -26,9 +26,19 @@ from thalweg.accuracy import (
     within,
 )
 from thalweg.calibration import read_mounts
-from thalweg.core import ArrayB, ArrayF, CoverageError, Rigid, Trajectory, attitude_axes, root_mean_square
+from thalweg.core import (
+    ArrayB,
+    ArrayF,
+    CoverageError,
+    Rigid,
+    Trajectory,
+    attitude_axes,
+    read_marked,
+    root_mean_square,
+)
 from thalweg.core.calibration import read_calibration
 from thalweg.navigation.camera import lidar_mount_by_camera
+from thalweg_lab.truth import rig as rig_truth
 from thalweg_lab.voyage import longest_correlation_s, read_true_mounts
 
 OWN_TIMES: Final = "own poses"
@@ -121,6 +131,7 @@ def judge_chains(
     true_mounts: Path,
     mounts: Path,
     boat: list[Path],
+    rig: list[Path],
     table: Path,
     twin: dict[str, Any],
     position_source: str,
@@ -132,12 +143,14 @@ def judge_chains(
     trajectories : in the order of `CHAINS`.
     voyage, true_mounts : the truth.
     mounts, boat : places of the sensors as used, and the boat's calibration, if there is one.
+    rig : truth of the rig, if it is the camera.
     table : target, CSV.
     twin : sections ``ins`` and ``gnss`` of the twin.
     position_source : of the campaign.
     """
     _, used, _ = lidar_mount_by_camera(read_mounts(mounts), read_calibration(boat[0]) if boat else None)
-    camera = Rigid.from_mount(read_true_mounts(true_mounts)["camera"])
+    true = read_marked(rig[0], "mount", **rig_truth.TRUTH) if rig else read_true_mounts(true_mounts)["camera"]
+    camera = Rigid.from_mount(true)
     chains_truth_table(
         {name: Trajectory.read(path) for name, path in zip(CHAINS, trajectories, strict=True)},
         Trajectory.read(voyage),

@@ -120,7 +120,7 @@ def draw_reach(
     figure: Figure,
     ax: Axes,
     splat: Splat[ObliqueView],
-    colours: Colormap,
+    colours: Colormap | None,
     limits: tuple[float, float],
     *,
     label: str,
@@ -135,7 +135,7 @@ def draw_reach(
     ----------
     figure, ax : where.
     splat : the picture.
-    colours, limits : colour scale of the splat's values.
+    colours, limits : colour scale of the splat's values; None: they are colours (`pack_rgb`).
     label : of the colour bar.
     trajectory : track of the boat, drawn as a line.
     shading : strength of the eye-dome shading.
@@ -152,6 +152,8 @@ def draw_reach(
     ax.set_ylim(view.height_px + strip_px, 0)
     scale_bar(ax, span_m=view.width_px * view.pixel_m)
     _axes_triad(ax, view, strip_px)
+    if colours is None:
+        return
     ends = factor * limits[0], factor * limits[1]
     figure.colorbar(
         ScalarMappable(PowerNorm(gamma, *ends), colours),
@@ -358,6 +360,58 @@ def draw_cloud_overview(*, points: Path, trajectory: Path, title: str, twin: boo
     for chunk in iter_laz(points, 1_000_000):
         splat.add(chunk["xyz_m"], chunk["xyz_m"][:, 2])
     return cloud_overview(splat, track, title=f"Point cloud of the reach: {title}", twin=twin)
+
+
+def draw_coloured_reach(*, points: Path, trajectory: Path, title: str, twin: bool) -> Figure:
+    """Coloured cloud and trajectory -> oblique view of the reach in colour and by intensity."""
+    sample, track = sample_cloud(points, 500_000), Trajectory.read(trajectory)
+    view = ObliqueView.fit(sample["xyz_m"], azimuth_rad=bankward_azimuth(sample["xyz_m"], track))
+    colour, intensity = Splat(view), Splat(view)
+    for chunk in iter_laz(points, 1_000_000):
+        colour.add(chunk["xyz_m"], pack_rgb((chunk["rgb"] >> 8).astype(np.uint8)))
+        intensity.add(chunk["xyz_m"], chunk["intensity"])
+    return coloured_reach(
+        colour,
+        intensity,
+        robust_limits(sample["intensity"], 2.0, 98.0),
+        track,
+        title=f"Cloud of the reach in colour and by intensity: {title}",
+        twin=twin,
+    )
+
+
+@styled
+def coloured_reach(
+    colour: Splat[ObliqueView],
+    intensity: Splat[ObliqueView],
+    limits: tuple[float, float],
+    trajectory: Trajectory,
+    *,
+    title: str,
+    twin: bool,
+) -> Figure:
+    """The cloud of the reach seen obliquely from above, twice: in the colours of photographs, by intensity.
+
+    Parameters
+    ----------
+    colour, intensity : the same view with packed colours and with intensities.
+    limits : intensities at the ends of the colour scale.
+    trajectory : track of the boat.
+    title : first words of the title.
+    twin : true if the digital twin made the data.
+    """
+    each_mm = max(reach_mm(colour.view), 50.0)
+    head = f"{title}, n = {count(colour.n_drawn)} points"
+    figure = new_figure(2 * each_mm + 18.0, head, twin=twin)
+    above, below = figure.subplots(2, 1)
+    draw_reach(figure, above, colour, None, (0.0, 1.0), label="", trajectory=trajectory, shading=0.6)
+    label = "intensity / 1   (2 to 98 %)"
+    draw_reach(
+        figure, below, intensity, INTENSITY_MAP, limits, label=label, trajectory=trajectory, shading=0.6
+    )
+    above.set_title("a  colours of the photographs; mid-grey: none shows the point", loc="left", fontsize=8)
+    below.set_title("b  intensity of the lidar return", loc="left", fontsize=8)
+    return figure
 
 
 # ---------------------------------------------------------------- by predicted sigma and by range

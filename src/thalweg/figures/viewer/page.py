@@ -180,6 +180,42 @@ def read_view(path: Path, most_points: int = MOST_POINTS, quantities: Sequence[s
     )
 
 
+def read_views(paths: Sequence[Path], most_points: int = MOST_POINTS) -> View:
+    """Several clouds in one frame, told apart by the quantity ``cloud``: 1, 2 ... in the order of the files.
+
+    Such are the clouds of one survey by its trajectories: by INS, by camera, by all sensors. What one of them
+    lacks none of them shows.
+
+    Parameters
+    ----------
+    paths : as of `read_view`.
+    most_points : of all together.
+
+    Raises
+    ------
+    InputError : one cannot be read, or lies in another frame than the first.
+    """
+    views = [read_view(path, most_points // len(paths), []) for path in paths]
+    for path, view in zip(paths, views, strict=True):
+        if view.frame != views[0].frame:
+            raise InputError(
+                f"a cloud in the frame {view.frame}",
+                expected=f"that of {paths[0].name}, {views[0].frame}",
+                where=path,
+                cure="Transform it, or give it a page of its own",
+            )
+    names = ("rgb", "intensity", "sigma_m", "range_m", "t_gps_s")
+    columns = {name: [getattr(view, name) for view in views] for name in names}
+    number = np.repeat(np.arange(1.0, len(views) + 1), [len(view.xyz_m) for view in views])
+    return View(
+        xyz_m=np.concatenate([view.xyz_m for view in views]),
+        frame=views[0].frame,
+        n_total=sum(view.n_total for view in views),
+        extras={"cloud": (number, "")},
+        **{k: np.concatenate(v) for k, v in columns.items() if all(each is not None for each in v)},
+    )
+
+
 def _extras(
     path: Path, dimensions: Mapping[str, tuple[str, str]], quantities: Sequence[str] | None
 ) -> dict[str, str]:

@@ -3,6 +3,7 @@ from .adjustment import (
     adjust_block as adjust_block,
     pose_covariance as pose_covariance,
 )
+from .checks import Interiors as Interiors
 from .job import (
     Boat as Boat,
     Pieces as Pieces,

@@ -6,13 +6,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import cv2
 import numpy as np
 import pandas as pd
 
-from thalweg.calibration import Rig, interior_calibration, read_camera
+from thalweg.calibration import Rig, interior_calibration, read_camera, read_mounts
 from thalweg.core import (
     ArrayF,
     ArrayI,
@@ -24,6 +24,7 @@ from thalweg.core import (
     Rigid,
     ThalwegError,
     decode_picture,
+    read_table,
     root_mean_square,
 )
 from thalweg.core.calibration import Source, write_calibration
@@ -58,6 +59,7 @@ from thalweg.images.model import (
     find_mask,
     matched,
 )
+from thalweg.ingest import GNSS_POSITION
 from thalweg.ingest.photos import by_any_name, named_images
 from thalweg.settings.sections import BlockAdjustment, ControlSettings
 
@@ -90,6 +92,17 @@ class Boat:
     T_ics_ccs: Rigid
     lever_ics_m: Sequence[float]
     sigma_lever_m: Sequence[float]
+
+    @classmethod
+    def read(cls, positions: Path, mounts: Path) -> Self:
+        """From table and mounts of a survey."""
+        places = read_mounts(mounts)
+        return cls(
+            positions=read_table(positions, GNSS_POSITION)[0],
+            T_ics_ccs=Rigid.from_mount(places["camera"]),
+            lever_ics_m=places["antenna"]["lever_ics_m"],
+            sigma_lever_m=places["antenna"]["sigma_lever_m"],
+        )
 
 
 def adjust_campaign(

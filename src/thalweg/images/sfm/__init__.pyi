@@ -21,4 +21,5 @@ from .matching import (
     match_images as match_images,
     part_of_pairs as part_of_pairs,
     plan_of as plan_of,
+    read_times as read_times,
 )

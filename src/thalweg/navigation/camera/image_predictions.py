@@ -15,6 +15,7 @@ import pandas as pd
 from thalweg.clocks import ClockModel
 from thalweg.core import ArrayF, CoverageError, Rigid, Trajectory, rotation_vector, utc_text_from_gps
 from thalweg.images.model import ImagePoses, in_folders
+from thalweg.settings.sections import StatedClock
 
 _BEYOND_S: Final = 0.2
 """The trajectory's rate just beside its ends is taken from this far inside."""
@@ -22,6 +23,26 @@ _BEYOND_S: Final = 0.2
 NO_STAMP: Final = "the image has no time stamp"
 OFF_BOAT: Final = "its camera is not at its place on the boat (images.off_boat)"
 OUTSIDE: Final = "the trajectory does not reach the time of the image"
+
+
+def stated_clock(stamps: pd.DataFrame, stated: StatedClock, source: str) -> ClockModel:
+    """The clock of a camera as a campaign file states it; stamps in coarse steps are uncertain by these, too.
+
+    Parameters
+    ----------
+    stamps : table kind ``image_stamps``.
+    stated : the section.
+    source : its name.
+    """
+    known = stamps.dropna(subset=["t_device_s"])
+    step_s = float(known["resolution_s"].max()) if len(known) else 0.0
+    return ClockModel(
+        offset_s=stated.offset_s,
+        reference_s=float(known["t_device_s"].median()) if len(known) else 0.0,
+        cov=np.diag([stated.sigma_offset_s**2, 0.0]),
+        jitter_s=float(np.hypot(stated.jitter_s, step_s / np.sqrt(12))),
+        source=source,
+    )
 
 
 def predict_image_poses(

@@ -53,6 +53,7 @@ from .images import (
     Panorama as Panorama,
     Rig as Rig,
     RigLens as RigLens,
+    StatedClock as StatedClock,
 )
 from .lidar import (
     WEAK_RANGE_M as WEAK_RANGE_M,

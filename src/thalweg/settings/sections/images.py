@@ -491,6 +491,11 @@ class FixedCamera(Section):
 class Images(Section):
     """Orientation of photographs: stamps, masks, features, block, control points."""
 
+    source: Literal["camera", "rig"] = Field(
+        default="camera",
+        description="Whose images orient the boat: of the camera (`logs.time_lapse`), or of the rig "
+        "(`logs.rig`, with one pose for each file; place, stamps and clock are those of section `rig`)",
+    )
     times: ImageTimes = Field(default=ImageTimes(), description="Stamps of the images")
     clock: StatedClock = Field(
         default=StatedClock(),
