@@ -40,7 +40,7 @@ def river(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("river")
     line = meander()
     rng = np.random.default_rng(4)
-    s = np.arange(50.0, 260.0, 0.4)
+    s = np.arange(50.0, 260.0, 0.8)
     n = 8.0 * (2 / np.pi) * np.arcsin(np.sin(2 * np.pi * s / 20))
     xy = line.to_map(s, n)
     height = bed_of(s, n) + rng.normal(0, 0.03, len(s))

@@ -265,8 +265,8 @@ def test_the_loss_by_hand() -> None:
     off = 4.685 * np.array([0.0, 0.5, 1.0, 2.0])
     points += 0.01 * off[:, None] * TRUE.see(points).normal
     sigma = np.full(4, 0.01)
-    assert _cost(TRUE, points, sigma, robust=True) == pytest.approx(1 - 0.75**3 + 1 + 1)
-    assert _cost(TRUE, points, sigma, robust=False) == pytest.approx(4.685**2 * 5.25)
+    assert _cost(TRUE.see(points).distance_m / sigma, robust=True) == pytest.approx(1 - 0.75**3 + 1 + 1)
+    assert _cost(TRUE.see(points).distance_m / sigma, robust=False) == pytest.approx(4.685**2 * 5.25)
     np.testing.assert_allclose(_weights(off, True), [1.0, 0.5625, 0.0, 0.0], atol=1e-15)
     assert _weights(off, False).tolist() == [1.0] * 4
 

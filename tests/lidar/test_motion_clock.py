@@ -80,12 +80,18 @@ def true_offset_s(device_s: float) -> float:
     return start_gps_s(CONFIG) + (device_s - 140.55) / 1.00002 - device_s
 
 
-def test_motion_tells_the_time_as_well_as_it_says(voyages) -> None:
+@pytest.fixture(scope="module")
+def by_motion(voyages):
+    """Their clocks by the motion of the boat."""
+    return [
+        clock_from_motion(v.reader, v.reader.scan().clock, v.trajectory, MOUNT, Filters()) for v in voyages
+    ]
+
+
+def test_motion_tells_the_time_as_well_as_it_says(voyages, by_motion) -> None:
     off = []
-    for voyage in voyages:
-        scan = voyage.reader.scan()
-        assert not scan.report.synchronised
-        found = clock_from_motion(voyage.reader, scan.clock, voyage.trajectory, MOUNT, Filters())
+    for voyage, found in zip(voyages, by_motion, strict=True):
+        assert not voyage.reader.scan().report.synchronised
         # attitudes of 0.1 degrees, turn rates of some degrees a second: some milliseconds
         assert 1e-3 < found.sigma_offset_s < 12e-3
         assert found.facts["better_than_the_next_by_sigmas"] > 10
@@ -98,18 +104,16 @@ def test_motion_tells_the_time_as_well_as_it_says(voyages) -> None:
     assert low < nees < high, off
 
 
-def test_a_trajectory_that_is_late_is_seen(voyages) -> None:
+def test_a_trajectory_that_is_late_is_seen(voyages, by_motion) -> None:
     """The lidar's time follows that of the trajectory: 0.35 s later, and 0.35 s are found, to its noise."""
     voyage = voyages[0]
-    scan = voyage.reader.scan()
     late = replace(voyage.trajectory, t_gps_s=voyage.trajectory.t_gps_s + 0.35)
     stated = LidarClockStated(source="motion")
-    one, report = with_stated_clock(voyage.reader, scan, stated, (voyage.trajectory, MOUNT, Filters()))
+    clock, report = with_stated_clock(voyage.reader, voyage.reader.scan(), stated, (late, MOUNT, Filters()))
     assert report.synchronised
     assert report.details["clock"]["source"] == "motion"
     assert "with a standard deviation of" in report.notes[-1]
-    two, _ = with_stated_clock(voyage.reader, voyage.reader.scan(), stated, (late, MOUNT, Filters()))
-    moved = two.gps_minus_device_s[0] - one.gps_minus_device_s[0]
+    moved = clock.gps_minus_device_s[0] - by_motion[0].clock.gps_minus_device_s[0]
     assert moved == pytest.approx(0.35, abs=1e-3)  # planes chosen anew; a third of a sigma
 
 

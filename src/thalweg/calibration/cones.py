@@ -188,7 +188,7 @@ class Cone:
         d = np.atleast_2d(np.asarray(points_m, dtype=np.float64)) - self.apex_m
         z = d @ self.axis
         across = d - z[:, None] * self.axis
-        rho = np.linalg.norm(across, axis=1)
+        rho = np.sqrt(np.add.reduce(across * across, axis=1))  # norm() costs as much again for few points
         e = np.where(rho[:, None] > _TINY_M, across / np.maximum(rho, _TINY_M)[:, None], self.tangents[0])
         cos_a, sin_a = np.cos(self.half_angle_rad), np.sin(self.half_angle_rad)
         slant = z * cos_a + rho * sin_a
@@ -543,9 +543,9 @@ def refine(
     """Least squares of distances over sigmas (n,), with Tukey's weights if ``robust``; damped steps."""
     k = 6 if free_half_angle else 5
     damping = 1e-3
-    cost = _cost(cone, points_m, sigma_m, robust)
+    seen = cone.see(points_m)
+    cost = _cost(seen.distance_m / sigma_m, robust)
     for _ in range(steps):
-        seen = cone.see(points_m)
         r = seen.distance_m / sigma_m
         w = _weights(r, robust)
         J = seen.by_parameters[:, :k] / sigma_m[:, None]
@@ -558,10 +558,11 @@ def refine(
         dx *= min(1.0, 0.5 / max(float(np.abs(dx[3:5]).max()), 1e-12))
         angle = cone.half_angle_rad + dx[5]
         tried = cone.moved(dx) if 0.01 < angle < 1.5 else cone
-        now = _cost(tried, points_m, sigma_m, robust)
+        there = tried.see(points_m)
+        now = _cost(there.distance_m / sigma_m, robust)
         if now < cost:
             done = cost - now < 1e-10 * max(cost, 1e-12)
-            cone, cost, damping = tried, now, damping / 10
+            cone, seen, cost, damping = tried, there, now, damping / 10
             if done:
                 break
         else:
@@ -571,8 +572,8 @@ def refine(
     return cone
 
 
-def _cost(cone: Cone, points_m: ArrayF, sigma_m: ArrayF, robust: bool) -> float:
-    r2 = np.square(cone.see(points_m).distance_m / sigma_m)
+def _cost(r: ArrayF, robust: bool) -> float:
+    r2 = np.square(r)
     if not robust:
         return float(r2.sum())
     inside = np.minimum(r2 / _TUKEY**2, 1.0)
