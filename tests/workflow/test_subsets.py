@@ -71,7 +71,7 @@ def test_the_front_page_links_all(yacht) -> None:
 
 
 def test_a_log_without_dates_and_heights(yacht, data_dir, capsys) -> None:
-    """Four hours of a yacht, places by GLL alone: what is missing is said before the first job, one by one."""
+    """Four hours of a yacht, places by GLL alone: what is missing is said before the first job."""
     logs, campaigns = str(data_dir / "nmea_plaka_yacht"), yacht.root / "config" / "campaigns"
     assert main(["new-campaign", "plaka", "--from-logs", logs, "--folder", str(campaigns)]) == 0
     path = campaigns / "plaka.yaml"
