@@ -16,13 +16,11 @@ from thalweg.settings.load import load_campaign
 PROBE = (
     turns.MEASURES
     + """
-from thalweg.core.trajectory import Trajectory
-from thalweg.ingest.readers import LidarOptions
-from thalweg.ingest.registry.lidar import lidar_reader
-from thalweg.ingest.velodyne.reader import scan_lidar
-from thalweg.lidar.cloud import LogSettings, georeference_log
-from thalweg.settings.sections.lidar import LidarAccuracy
-from thalweg.settings.sections.lidar import Filters
+from thalweg.core import Rigid, Trajectory
+from thalweg.ingest import LidarOptions
+from thalweg.ingest.registry import lidar_reader
+from thalweg.lidar import LogSettings, georeference_log
+from thalweg.settings.sections import Filters, LidarAccuracy
 
 folder = Path(sys.argv[1])
 campaign = json.loads((folder / "campaign.json").read_text())
@@ -35,7 +33,7 @@ settings = LogSettings(
 )
 def run(log, trajectory):
     begin = time.perf_counter()
-    scan = scan_lidar([log], options)
+    scan = lidar_reader([log], options).scan()
     middle = time.perf_counter()
     table = georeference_log(lidar_reader([log], options), scan.clock, Trajectory.read(trajectory), settings,
                              folder / "cloud.laz", out_removed=folder / "removed.parquet")
