@@ -19,8 +19,9 @@ from thalweg.bathymetry import (
     speed_of_sound_mps,
     with_bed_normals,
 )
-from thalweg.bathymetry.soundings import _judge_neighbours, _lines, soundings_on_map
-from thalweg.core import ErrorChain, InputError, LocalFrame, Trajectory, even_time
+from thalweg.bathymetry.soundings import SOUNDINGS, _judge_neighbours, _lines, soundings_on_map
+from thalweg.core import ErrorChain, InputError, LocalFrame, Trajectory, even_time, write_table
+from thalweg.figures.bathymetry.pictures import draw_sounding_lines
 from thalweg.navigation.ins_gnss import PoseCorrelation
 from thalweg.settings.sections import Bathymetry, EchoSounder
 
@@ -412,3 +413,18 @@ def test_a_bend_stays_one_line_and_a_corner_makes_two() -> None:
     assert set(lines_of(t, np.cumsum(np.cos(small)), np.cumsum(np.sin(small)))) == {0}
     noise = 0.01 * np.random.default_rng(2).standard_normal((2, 120))
     assert set(lines_of(t, *noise)) == {0}
+
+
+def test_each_line_is_drawn_with_what_it_lost(tmp_path: Path) -> None:
+    """Two lines with a gap; what does not count stands on the line before it."""
+    d = np.full(120, 2.0)
+    d[90] = 3.1
+    table, _ = located(d)
+    table["line"] = np.where(table["used"], (np.arange(120) >= 60).astype(int), -1)
+    write_table(tmp_path / "soundings.parquet", table, SOUNDINGS)
+    figure = draw_sounding_lines(soundings=tmp_path / "soundings.parquet", title="two lines", twin=True)
+    drawn = [{str(a.get_label()): len(a.get_xdata()) for a in ax.get_lines()} for ax in figure.axes]
+    assert drawn == [{"used": 60}, {"used": 59, "spike": 1}]
+    assert figure.axes[0].get_ylim()[0] > figure.axes[0].get_ylim()[1]  # deeper is lower
+    t = table["t_gps_s"].to_numpy()
+    assert f"{t[60]:.1f} to {t[-1]:.1f} s" in figure.axes[1].get_title(loc="left")

@@ -413,7 +413,7 @@ def krige_dense(
     roughness: tuple[ArrayF, ArrayF] | None = None,
     functions: tuple[ArrayF, ArrayF] | None = None,
 ) -> tuple[ArrayF, ArrayF]:
-    """Universal kriging with all observations in one system: slow and clear, what `krige` is compared with.
+    """Universal kriging with all observations in one system: for few of them, and to compare `krige` with.
 
     Parameters
     ----------

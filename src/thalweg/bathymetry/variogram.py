@@ -34,6 +34,7 @@ from thalweg.bathymetry.kriging import (
     error_covariance,
     fit_drift,
     krige,
+    krige_dense,
     observed_covariance,
 )
 from thalweg.core import ArrayF, ArrayI, GeometryError
@@ -63,6 +64,8 @@ SHEET_LINE: Final = -1_000_000
 _DATA: Final = 1500
 """Soundings that they are foretold from."""
 _STEPS: Final = 90
+_ALL: Final = 512
+"""So few data make each cell all together: no step where neighbours change."""
 _COMPARED: Final = 1500
 _SURVEYS: Final = 100
 """So many soundings make the picture of the variogram, and so many surveys of the model its band."""
@@ -238,15 +241,20 @@ class BedModel:
         there = np.asarray(places_m, dtype=np.float64)
         rest = data.lifted(data.height_m - self.drift.at(data.places_m))
         functions = (self.drift.functions(data.places_m), self.drift.functions(there))
-        height, sigma = krige(
-            rest,
-            there,
-            self.covariance,
-            roughness=(self.roughness(data.places_m), self.roughness(there)),
-            drift=(*functions, np.array(self.drift.cov)) if self.drift.cov else None,
-            neighbours=neighbours,
-            of_line=self.of_line,
-        )
+        roughness = (self.roughness(data.places_m), self.roughness(there))
+        if len(data) <= _ALL:
+            of = functions if self.drift.cov else None
+            height, sigma = krige_dense(rest, there, self.covariance, roughness=roughness, functions=of)
+        else:
+            height, sigma = krige(
+                rest,
+                there,
+                self.covariance,
+                roughness=roughness,
+                drift=(*functions, np.array(self.drift.cov)) if self.drift.cov else None,
+                neighbours=neighbours,
+                of_line=self.of_line,
+            )
         return height + self.drift.at(there), sigma
 
     def error_covariance(self, data: Observations, places_m: ArrayF) -> ArrayF:

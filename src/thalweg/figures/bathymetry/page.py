@@ -131,8 +131,8 @@ def bed_page(
     page.table(methods, "Cross-validation: lines left out, predicted by several methods.", digits=3)
     for name, each in validation.get("reference", {}).items():
         words = (
-            f"Bed less {name}, which has no part in it. The standard deviation is that of the bed with its "
-            "common part, and of the reference (bathymetry.table)."
+            f"Bed less {name}, which is none of its data. The standard deviation is that of the bed with its "
+            "common part, and of the reference (its own column, else bathymetry.table)."
         )
         page.section(f"Against {name}").table(_beside(each), words, digits=3)
     if truth is not None:

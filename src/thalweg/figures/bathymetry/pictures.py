@@ -407,7 +407,8 @@ def draw_left_out(*, predicted: Path, title: str, twin: bool) -> Figure:
     outside = float(np.mean(np.abs(z) > 1.96))
     right.set_title(f"mean square {np.mean(z**2):.2f}, outside 95 %: {100 * outside:.1f} %", fontsize=8)
     right.set(xlabel="error over its predicted sigma", ylabel="density")
-    right.legend(loc="best")
+    right.set_ylim(top=1.3 * right.get_ylim()[1])
+    right.legend(loc="upper right")
     return figure
 
 

@@ -129,7 +129,8 @@ class Bathymetry(Section):
     )
     table: SoundingTable = Field(default=SoundingTable(), description="Soundings of others as tables")
     neighbours: Annotated[int, Field(ge=4, le=512)] = Field(
-        default=48, description="Soundings that make the height of a cell"
+        default=48,
+        description="Soundings that make the height of a cell; up to 512 data make each cell all together",
     )
     reach: Positive = Field(
         default=2.0, le=50, description="Cells farther from data than this many ranges have no height"
