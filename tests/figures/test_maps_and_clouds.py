@@ -6,8 +6,8 @@ import pytest
 from thalweg.core import GeometryError
 from thalweg.figures import save
 from thalweg.figures.cloud import Splat, choose_segment, cloud_overview
-from thalweg.figures.cloud.overview import balanced_gamma, bent_ticks, cloud_detail
-from thalweg.figures.cloud.views import BankSegment, ObliqueView, bankward_azimuth
+from thalweg.figures.cloud.overview import balanced_gamma, bent_ticks, cloud_detail, coloured_reach
+from thalweg.figures.cloud.views import BankSegment, ObliqueView, bankward_azimuth, pack_rgb
 from thalweg.figures.survey import track_gaps
 from thalweg.figures.survey.maps import survey_map
 
@@ -349,6 +349,23 @@ def test_detail_in_colour_above_and_by_intensity_below(bank):
     # shaded at edges, never another hue
     assert len(drawn) > 1000
     assert np.abs(drawn / drawn[:, 1:2] - np.array([10, 200, 33]) / 200).max() < 0.02
+    assert np.ptp(np.asarray(below.images[0].get_array()).reshape(-1, 3).astype(int), axis=0).max() > 100
+
+
+def test_reach_in_colour_above_and_by_intensity_below(bank, trajectory):
+    view = ObliqueView.fit(bank.points, azimuth_rad=bank.azimuth_rad)
+    colour, intensity = Splat(view), Splat(view)
+    colour.add(bank.points, pack_rgb(np.tile(np.array([[10, 200, 33]], np.uint8), (len(bank.points), 1))))
+    intensity.add(bank.points, bank.intensity)
+    limits = float(bank.intensity.min()), float(bank.intensity.max())
+    figure = coloured_reach(colour, intensity, limits, trajectory, title="Reach", twin=True)
+    above, below, bar = figure.axes
+    assert bar.get_ylabel().startswith("intensity / 1")
+    assert bar.get_ylim() == limits
+    shown = np.asarray(above.images[0].get_array())[..., :3].reshape(-1, 3)
+    drawn = shown[(shown != 255).any(axis=1)].astype(float)
+    assert len(drawn) > 1000
+    assert np.abs(drawn / drawn[:, 1:2] - np.array([10, 200, 33]) / 200).max() < 0.05
     assert np.ptp(np.asarray(below.images[0].get_array()).reshape(-1, 3).astype(int), axis=0).max() > 100
 
 

@@ -280,4 +280,5 @@ def test_a_rig_takes_at_most_a_third_more_time() -> None:
         begin = time.process_time()
         adjust_block(replace(problem, rig=rig, held=held), BlockAdjustment())
         took.setdefault(rig is None, []).append(time.process_time() - begin)
+    print(f"with the rig {min(took[False]):.2f} s, without {min(took[True]):.2f} s")
     assert min(took[False]) < 1.3 * min(took[True])

@@ -1,5 +1,6 @@
 """Files with both image circles of a rig become one block: features of views, one pose for each file."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -11,12 +12,22 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from thalweg.calibration import LENSES, Rig
-from thalweg.core import Rigid, exp_rotation
-from thalweg.images.photographs import PhotographBlock, orient_photographs
+from thalweg.calibration import LENSES, Rig, RigCalibration, rig_calibration_file, write_mounts
+from thalweg.core import LocalFrame, Rigid, Trajectory, exp_rotation, write_table
+from thalweg.core.calibration import Source, write_calibration
+from thalweg.images.model import ImagePoses, unknown_poses
+from thalweg.images.photographs import PhotographBlock, orient_photographs, orient_rig_files
 from thalweg.images.sfm import extract_features
 from thalweg.images.sfm.features import RIM_DEG, WIDEST_DEG
-from thalweg.settings.sections import LOCAL, FeatureSettings, Rig as RigSettings
+from thalweg.ingest import GNSS_POSITION
+from thalweg.settings.sections import (
+    LOCAL,
+    BlockAdjustment,
+    ControlSettings,
+    FeatureSettings,
+    MappingSettings,
+    Rig as RigSettings,
+)
 from thalweg.settings.twin import TwinDualFisheye
 from thalweg_lab.dual_fisheye import TrueRig, true_rig
 
@@ -162,3 +173,90 @@ def test_files_of_a_rig_have_one_pose_each(room: tuple, tmp_path: Path) -> None:
     images = pd.read_csv(tmp_path / "images.csv")
     assert images["image"].tolist() == list(poses.images)
     assert (images["tie_marks"] > 300).all()
+
+
+@pytest.mark.slow
+def test_files_of_a_rig_orient_a_boat(room: tuple, tmp_path: Path) -> None:
+    """As the rule calls it: times, antenna and predictions of a boat whose body frame is the front lens."""
+    folder, _, rig, fronts = room
+    rng, at, where = (
+        np.random.default_rng(3),
+        1e9 + np.arange(N),
+        LocalFrame(lat_deg=51, lon_deg=13, h_ell_m=9),
+    )
+    marks = pd.DataFrame({"lens": LENSES, "used": True, "vx_px": 0.1, "vy_px": 0.1, "angle_deg": 90.0})
+    found = RigCalibration(
+        rig=rig,
+        residuals=marks,
+        exposures=pd.DataFrame({"used": [True]}),
+        rejected=pd.DataFrame(columns=["what", "name", "reason"]),
+        sigma0=1.0,
+        redundancy=1,
+        report={},
+    )
+    write_calibration(
+        tmp_path / "rig.yaml", rig_calibration_file(found, Source(run="room", method="made up"))
+    )
+    names = tuple(f"{k:03d}.jpg" for k in range(N))
+    sigma = np.repeat([0.1, 0.02], 3)
+    guessed = [T.moved(sigma * rng.standard_normal(6)) for T in fronts]
+    predicted = replace(
+        unknown_poses(where, names),
+        t_gps_s=at,
+        sigma_t_s=np.full(N, 1e-3),
+        oriented=np.ones(N, np.bool_),
+        reasons=("",) * N,
+        n_marks=np.zeros(N),
+        centre_wcs_m=np.array([T.shift_m for T in guessed]),
+        R_wcs_ccs=np.array([T.R for T in guessed]),
+        cov_pose_wcs=np.tile(np.diag(sigma**2), (N, 1, 1)),
+    )
+    predicted.write(tmp_path / "predicted.parquet")
+    Trajectory(
+        frame=where,
+        t_gps_s=at,
+        position_wcs_m=predicted.centre_wcs_m,
+        quaternion_wcs_ics=Rotation.from_matrix(predicted.R_wcs_ccs).as_quat(),
+        cov_pose_wcs=predicted.cov_pose_wcs,
+        valid=np.ones(N, np.bool_),
+    ).write(tmp_path / "trajectory.parquet")
+    places = np.array([T.shift_m for T in fronts]) + SIGMA_M * rng.standard_normal((N, 3))
+    lat, lon, height = where.to_geodetic(places)
+    table = GNSS_POSITION.empty_table().to_pandas().reindex(range(N))
+    sigmas = dict.fromkeys(("sigma_east_m", "sigma_north_m", "sigma_up_m"), SIGMA_M)
+    table = table.assign(
+        t_gps_s=at, lat_deg=lat, lon_deg=lon, h_ell_m=height, fix="fixed", n_sats=9, **sigmas
+    )
+    write_table(tmp_path / "positions.parquet", table, GNSS_POSITION)
+    here = {"lever_ics_m": [0.0] * 3, "sigma_lever_m": [1e-4] * 3}
+    mount = RigSettings(mount={"omega_deg": 0, **here}).model_dump(mode="json")["mount"]
+    write_mounts(tmp_path / "mounts.json", {"camera": mount, "antenna": here})
+    orient_rig_files(
+        images=sorted(folder.glob("*.jpg")),
+        calibration=[tmp_path / "rig.yaml"],
+        predictions=tmp_path / "predicted.parquet",
+        trajectory=tmp_path / "trajectory.parquet",
+        control_points=[],
+        image_marks=[],
+        positions=tmp_path / "positions.parquet",
+        mounts=tmp_path / "mounts.json",
+        poses=tmp_path / "poses.parquet",
+        control_report=tmp_path / "control.csv",
+        images_report=tmp_path / "images.csv",
+        facts=tmp_path / "facts.json",
+        campaign={"origin": {"lat_deg": 51, "lon_deg": 13, "h_ell_m": 9}, "crs": "EPSG:25833"},
+        rig=RigSettings(),
+        features=FEATURES,
+        mapping=MappingSettings(),
+        adjustment=BlockAdjustment(antenna={"use": True, "max_gap_s": 2.0, "correlation_time_s": 0.0}),
+        control=ControlSettings(),
+        threads=1,
+    )
+    poses = ImagePoses.read(tmp_path / "poses.parquet")
+    assert poses.images == names
+    assert poses.oriented.all()
+    assert (poses.t_gps_s == at).all()
+    away = np.linalg.norm(poses.centre_wcs_m - [T.shift_m for T in fronts], axis=1)
+    assert away.max() < 0.03  # predicted to decimetres
+    turn = Rotation.from_matrix(np.array([T.R for T in fronts]) @ np.swapaxes(poses.R_wcs_ccs, 1, 2))
+    assert np.rad2deg(turn.magnitude()).max() < 0.6  # predicted to degrees

@@ -69,6 +69,7 @@ OF_IMAGES = {
     "plot_pose_sigmas",
     "plot_coloured_bank",
     "plot_coloured_detail",
+    "plot_coloured_reach",
     "plot_colour_check",
 }
 """Pictures of the images and of what they give."""

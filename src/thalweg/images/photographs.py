@@ -12,7 +12,7 @@ import pandas as pd
 from pyproj import CRS
 from scipy.spatial.transform import Rotation
 
-from thalweg.calibration import LENSES, Rig, read_camera, read_rig
+from thalweg.calibration import LENSES, Rig, read_camera, read_rig, read_views
 from thalweg.core import ArrayF, InputError, LazWriter, LocalFrame, Trajectory
 from thalweg.core.calibration import Source
 from thalweg.images.bundle import (
@@ -51,6 +51,8 @@ from thalweg.settings.sections import (
 
 log = logging.getLogger("thalweg")
 
+_TESTED: Final = 3
+"""Files of a rig that are looked at whether they show both image circles; of others features tell."""
 FILES: Final = (
     "image_poses.csv",
     "image_poses.parquet",
@@ -331,11 +333,21 @@ def orient_rig_files(
     poses, control_report, images_report, facts : targets, as of the block of a camera.
     campaign : ``origin`` and ``crs``.
     rig, features, mapping, adjustment, control : sections of the campaign file.
+
+    Raises
+    ------
+    InputError : files of another size or stitched ones, a lens that shows nothing.
+    GeometryError : no block, see `orient_photographs`.
     """
     frame = LocalFrame(**campaign["origin"])
     found, expected = read_rig(calibration[0], rig), ImagePoses.read(predictions)
-    known = Known(t_s=read_times(predictions), trajectory=Trajectory.read(trajectory))
-    mapped = _mapped(named_images(images), known, None, features, mapping, found, threads, log.info)
+    known, files = (
+        Known(t_s=read_times(predictions), trajectory=Trajectory.read(trajectory)),
+        named_images(images),
+    )
+    for path in list(files.values())[:_TESTED]:
+        read_views(path, rig)
+    mapped = _mapped(files, known, None, features, mapping, found, threads, log.info)
     pieces = adjust_pieces(
         mapped.blocks,
         expected,

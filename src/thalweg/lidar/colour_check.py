@@ -270,7 +270,7 @@ def check_colours(
             cure="Look at lidar/coloured.csv, which says why points have no colour",
         )
     velocity, rate = _motion(views.t_gps_s, views.centre_m, views.R_wcs_ccs)
-    part = _stretches(sample["xyz_m"], (chosen.view >= 0).any(axis=1))
+    part = _stretches(sample["xyz_m"], chosen.view.max(axis=1) >= 0)
 
     def overlays() -> Iterator[Overlay]:
         """One photograph after the other: they would not all fit into memory."""

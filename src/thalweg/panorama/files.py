@@ -506,7 +506,7 @@ def _tell_reading(told: Mapping[str, float]) -> None:
     if best and told[best] > _CLEAR_TIMES * told[""] + _CLEAR_NATS:
         logging.getLogger("thalweg").warning(
             "intensities of the cloud fit both views better if these are %s (%.0f nats, as they are %.0f): "
-            "check rig.front, rig.back and rig.mount",
+            "check rig.front, rig.back, rig.mount and rig.clock",
             best,
             told[best],
             told[""],

@@ -73,7 +73,8 @@ def rig_sketch(T_back_front: Rigid, *, title: str, twin: bool) -> Figure:
         ax.set_xlim(-1.1 * base_mm, 1.1 * base_mm)
         ax.set_ylim(-1.8 * base_mm, 0.8 * base_mm)
         ax.set_aspect("equal", adjustable="box")
-        ax.set_xlabel(f"{'xy'[across]} of the front lens / mm, {name}")
+        ax.set_title(name)
+        ax.set_xlabel(f"{'xy'[across]} of the front lens / mm")
     axes[0].set_ylabel("z of the front lens, its view / mm")
     axes[1].legend(
         loc="center left",
@@ -203,8 +204,7 @@ def rig_residuals(table: pd.DataFrame, *, title: str, twin: bool) -> Figure:
             ax.set_ylim(-limit, limit)
     for ax in axes[1]:
         ax.set_xlabel("angle from the axis / degrees")
-    for ax in axes[:, 0]:
-        ax.set_ylabel("observed less computed / px")
+    figure.supylabel("observed less computed / px", fontsize=9)
     return figure
 
 

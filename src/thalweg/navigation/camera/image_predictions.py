@@ -116,8 +116,8 @@ def predict_image_poses(
 
 _CURE: Final = {
     "expected": "images of the same survey",
-    "cure": "Check the clock of the camera (images.clock or the calibration's), its zone, and the dates of "
-    "the logs",
+    "cure": "Check the clock of the camera (images.clock, rig.clock or the calibration's), its zone, and the "
+    "dates of the logs",
 }
 
 
