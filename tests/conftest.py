@@ -212,18 +212,26 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 LONGEST_FIRST = (
     "tests/workflow/test_tiny.py",
     "tests/workflow/test_field.py",
-    "tests/workflow/test_change.py",
-    "tests/images",
     "tests/calibration",
-    "tests/accuracy",
-    "tests/workflow/test_basin.py",
-    "tests/workflow/test_subsets.py",
-    "tests/workflow/test_examples.py",
-    "tests/lightsheet",
+    "tests/images",
     "tests/bathymetry",
-    "tests/lab",
+    "tests/accuracy",
+    "tests/lab/studies",
+    "tests/workflow/test_change.py",
+    "tests/navigation",
+    "tests/ingest",
+    "tests/figures",
+    "tests/lidar",
+    "tests/workflow/test_basin.py",
+    "tests/workflow/test_examples.py",
+    "tests/workflow/test_dag.py",
+    "tests/lightsheet/calibrate",
+    "tests/lightsheet",
+    "tests/clocks",
+    "tests/workflow/test_staging.py",
+    "tests/lab/field",
 )
-"""Groups of more than a minute: what begins last should be short, or one worker waits for the other."""
+"""Groups by time of the processor, from 300 s to 20 s: what begins last should be short, or workers wait."""
 
 
 SAME_RUN = {"tests/workflow/test_files_of_others.py": "tests/workflow/test_tiny.py"}

@@ -187,10 +187,14 @@ class Yard:
             east = np.where(d[:, 0] != 0, (12.0 * np.sign(d[:, 0]) - o[:, 0]) / d[:, 0], np.inf)
         best = np.minimum(ground, np.where(np.abs(o[:, 2] + east * d[:, 2]) < 2.5, east, np.inf))
         for cone in self.there:
-            best = np.minimum(best, cone.hits(o, d))
-            # the post that carries it
             foot = cone.apex + 0.6 * cone.axis
-            best = np.minimum(best, post(o, d, foot[:2], 0.05, foot[2] - 0.25))
+            arm = foot - o
+            along = np.einsum("ij,ij->i", arm, d)
+            # beams that pass within 2.5 m of it: no other meets the cone or the post that carries it
+            near = (along > 0) & (np.einsum("ij,ij->i", arm, arm) - along**2 < 2.5**2)
+            some = (o[near], d[near])
+            carried = post(*some, foot[:2], 0.05, foot[2] - 0.25)
+            best[near] = np.minimum(best[near], np.minimum(cone.hits(*some), carried))
         people = np.random.default_rng([self.seed, 4])
         for _ in range(self.people):
             spot = people.uniform(2.2, 6.5) * np.array([people.choice([-1, 1]), 0.0]) + people.normal(

@@ -16,12 +16,37 @@ ORIGIN = {"lat_deg": 51.05, "lon_deg": 13.25, "h_ell_m": 300.0}
 FOLDER = "results/tiny_change/deformation"
 
 
+OF_FILES = "results/files/deformation"
+
+
 @pytest.fixture(scope="module")
 def changed(house_builder, repository, tmp_path_factory):
-    """Folder of the results of `tiny_change`."""
+    """Folder of the results of `tiny_change`; beside it those of clouds from elsewhere."""
     house = house_builder(repository, tmp_path_factory.mktemp("change"))
-    house.snakemake("--config", "campaign=tiny_change")
+    write_files(house.root / "config/campaigns")
+    targets = ("results/tiny_change/index.html", f"{FOLDER}/truth_1-2.csv", f"{OF_FILES}/dod_1-2.tif")
+    house.snakemake("--config", "campaign=[tiny_change,files]", "--", *targets)
     return house.root / FOLDER
+
+
+def write_files(folder) -> None:
+    """A campaign ``files``: two clouds of a slope, 10 cm apart, on a map."""
+    rng = np.random.default_rng(1)
+    for name, lift in (("a", 0.0), ("b", 0.1)):
+        plan = rng.uniform(0.0, (12.0, 10.0), (3000, 2))
+        height = 295.0 + lift + 0.1 * plan[:, 0] + rng.normal(0.0, 0.01, 3000)
+        xyz = np.column_stack([plan + np.array([377_320.0, 5_656_830.0]), height])
+        np.savetxt(folder / f"{name}.xyz", xyz, fmt="%.4f")
+    stated = {"sigma_m": 0.01, "correlation_m": 3.0, "crs": "EPSG:25833"}
+    campaign = {
+        "campaign": {"id": "files", "title": "Files", "crs": "EPSG:25833", "origin": ORIGIN},
+        "epochs": [
+            {"clouds": ["a.xyz"], "date_utc": "2019-03-13", "name": "spring", **stated},
+            {"clouds": ["b.xyz"], "date_utc": "2019-10-13", **stated},
+        ],
+        "deformation": {"core_spacing_m": 1.0, "cylinder_radius_m": 0.8, "registration": "none"},
+    }
+    (folder / "files.yaml").write_text(yaml.safe_dump(campaign))
 
 
 def test_sigmas_agree_with_the_truth(changed) -> None:
@@ -104,33 +129,15 @@ def test_differences_of_heights_show_the_patches_in_the_map(changed) -> None:
     assert abs(table.loc["net", "volume_m3"]) < 4.0 * table.loc["net", "sigma_m3"]
 
 
-def test_clouds_from_elsewhere_are_compared_on_a_map(house_builder, repository, tmp_path_factory) -> None:
-    house = house_builder(repository, tmp_path_factory.mktemp("files"))
-    rng = np.random.default_rng(1)
-    for name, lift in (("a", 0.0), ("b", 0.1)):
-        plan = rng.uniform(0.0, (12.0, 10.0), (3000, 2))
-        height = 295.0 + lift + 0.1 * plan[:, 0] + rng.normal(0.0, 0.01, 3000)
-        xyz = np.column_stack([plan + np.array([377_320.0, 5_656_830.0]), height])
-        np.savetxt(house.root / f"config/campaigns/{name}.xyz", xyz, fmt="%.4f")
-    stated = {"sigma_m": 0.01, "correlation_m": 3.0, "crs": "EPSG:25833"}
-    campaign = {
-        "campaign": {"id": "files", "title": "Files", "crs": "EPSG:25833", "origin": ORIGIN},
-        "epochs": [
-            {"clouds": ["a.xyz"], "date_utc": "2019-03-13", "name": "spring", **stated},
-            {"clouds": ["b.xyz"], "date_utc": "2019-10-13", **stated},
-        ],
-        "deformation": {"core_spacing_m": 1.0, "cylinder_radius_m": 0.8, "registration": "none"},
-    }
-    (house.root / "config/campaigns/files.yaml").write_text(yaml.safe_dump(campaign))
-    folder = "results/files/deformation"
-    house.snakemake("--config", "campaign=files", "--", f"{folder}/dod_1-2.tif")
-    facts = json.loads((house.root / folder / "epochs/spring/errors.json").read_text())
+def test_clouds_from_elsewhere_are_compared_on_a_map(changed) -> None:
+    folder = changed.parents[2] / OF_FILES
+    facts = json.loads((folder / "epochs/spring/errors.json").read_text())
     assert (facts["kind"], facts["points"], facts["heights"]) == ("files", 3000, "ellipsoidal")
-    row = pd.read_csv(house.root / folder / "dod_1-2.csv").set_index("part").loc["net"]
+    row = pd.read_csv(folder / "dod_1-2.csv").set_index("part").loc["net"]
     assert row["volume_m3"] / row["area_m2"] == pytest.approx(0.1, abs=0.005)
     # of a mean over four correlation lengths each way
     assert 0.002 < row["sigma_m3"] / row["area_m2"] < 0.01
-    assert (house.root / folder / "epochs/epoch_2/points.npz").is_file()
+    assert (folder / "epochs/epoch_2/points.npz").is_file()
 
 
 def test_the_summary_says_what_changed(changed, capsys: pytest.CaptureFixture[str]) -> None:

@@ -403,33 +403,19 @@ georeferencing: {{export_map: false}}
 """
 
 
-def test_windows_of_a_long_log_change_no_byte(tiny_house) -> None:
-    """In one, three and seven windows, as their jobs make them."""
-    logs = tiny_house.root / BASE / "simulation/logs"
-    base = tiny_house.root / "results/boat/lidar"
-    names = ("points.laz", "removed.parquet", "counts.csv")
-    target = ("--config", "campaign=boat", "--", "results/boat/lidar/points.laz")
-    shutil.rmtree(base.parent, ignore_errors=True)
-    found = []
-    for seconds, n in (("auto", 0), (9, 3), (4, 7)):
-        text = BOAT.format(logs=logs, source="ins", camera="", more=f"scatter: {{seconds: {seconds}}}")
-        (tiny_house.root / "config/campaigns/boat.yaml").write_text(text)
-        run = tiny_house.snakemake(*target)
-        jobs = re.findall(r"^(?:count_neighbours|georeference_window) +(\d+)$", run.stdout + run.stderr, re.M)
-        assert jobs == ([str(n)] * 2 if n else [])
-        found.append([(base / name).read_bytes() for name in names])
-        assert not list((base / "windows").glob("*.las"))
-    assert found[0] == found[1] == found[2]
-    shutil.rmtree(base.parent)
-
-
 def examples(root: Path) -> dict[str, Any]:
     """Functions of the script that makes the examples ready."""
     return runpy.run_path(str(root / "config/campaigns/examples/prepare.py"))
 
 
 OF_SOURCE = {
-    "sbp": (),  # everything
+    "sbp": (
+        "lidar/points.laz",
+        "figures/cloud_detail.png",
+        "accuracy/index.html",
+        "accuracy/trajectories.html",
+        "bathymetry/index.html",
+    ),
     "ins": ("lidar/points.laz", "bathymetry/soundings.csv", "figures/cloud_detail.png"),
     "sbet": (
         "lidar/points.laz",
@@ -441,50 +427,62 @@ OF_SOURCE = {
 """What is made of the survey by each source of positions: what depends on them. The rest is planned."""
 
 
-@pytest.mark.parametrize("source", OF_SOURCE)
-def test_logs_of_a_survey_go_the_same_way(tiny_house, source: str) -> None:
-    """The branch of real campaigns: files named in the campaign file, no twin, no truth, other positions."""
-    logs = tiny_house.root / BASE / "simulation/logs"
-    text, more, camera = BOAT, "", ""
+def write_survey(house: House, source: str, more: str = "") -> None:
+    """The campaign file ``boat_<source>``: the twin's logs as files, with positions of one source."""
+    logs = house.root / BASE / "simulation/logs"
+    text, camera = BOAT, ""
     if source == "sbp":
         text = text.replace("  depth:", "  reference: [{logs}/tls_*.laz]\n  depth:")
         area = "[[-35, -7], [0, -10], [35, -8], [35, -18], [0, -21], [-35, -18]]"
-        more = f"accuracy: {{area: {{polygon: {area}, min_height_m: 0.15, max_height_m: 4.0}}}}\n"
+        more += f"accuracy: {{area: {{polygon: {area}, min_height_m: 0.15, max_height_m: 4.0}}}}\n"
     if source != "ins":
         # images that another program has oriented: here the twin's own adjustment
-        poses = tiny_house.root / BASE / "orientation/image_poses.parquet"
+        poses = house.root / BASE / "orientation/image_poses.parquet"
         text = text.replace(
             "  depth:",
             f"  time_lapse: {{{{images: [{{logs}}/time_lapse/*.jpg], orientations: [{poses}]}}}}\n  depth:",
         )
-        own = yaml.safe_load((tiny_house.root / "config/campaigns/tiny.yaml").read_text())
+        own = yaml.safe_load((house.root / "config/campaigns/tiny.yaml").read_text())
         camera = f"  camera: {json.dumps(own['mounts']['camera'])}"
         if source == "sbet":  # the on-board positions scatter too much to hold the velocities of an SBET
             own["images"].setdefault("cloud", {})["motion"] = "trajectory"
         more += f"images: {json.dumps(own['images'])}"
     if source == "sbet":
-        write_sbet = examples(tiny_house.root)["write_sbet"]
-        week = write_sbet(tiny_house.root / BASE / "ingest/ins_states.parquet", tiny_house.root / "boat.sbet")
+        write_sbet = examples(house.root)["write_sbet"]
+        week = write_sbet(house.root / BASE / "ingest/ins_states.parquet", house.root / "boat.sbet")
         text = text.replace(
-            "  ins: [{logs}/ins.anpp]", f"  sbet: [{tiny_house.root}/boat.sbet]\n  gps_week: {week}"
+            "  ins: [{logs}/ins.anpp]", f"  sbet: [{house.root}/boat.sbet]\n  gps_week: {week}"
         )
         more += "\nins: {sigma_position_m: [0.6, 0.6, 1.0]}"
+    text = text.replace("id: boat", f"id: boat_{source}")
     campaign = text.format(logs=logs, source=source, more=more, camera=camera)
-    (tiny_house.root / "config/campaigns/boat.yaml").write_text(campaign)
-    shutil.rmtree(tiny_house.root / "results/boat", ignore_errors=True)
-    made = tiny_house.snakemake(
-        "--config", "campaign=boat", "--", *(f"results/boat/{name}" for name in OF_SOURCE[source])
-    )
-    # the survey by the receiver's own positions is made as a whole
-    rest = "" if source == "sbp" else dry_run(tiny_house, "boat")
-    rules = counted(made.stdout + made.stderr) | (counted(rest) if rest else set())
-    base = tiny_house.root / "results/boat"
+    (house.root / f"config/campaigns/boat_{source}.yaml").write_text(campaign)
+
+
+@pytest.fixture(scope="module")
+def surveys(tiny_house) -> House:
+    """A house in which the survey was processed by each source of positions, in one call."""
+    for source in OF_SOURCE:
+        write_survey(tiny_house, source)
+    targets = (f"results/boat_{source}/{name}" for source, names in OF_SOURCE.items() for name in names)
+    campaigns = ",".join(f"boat_{source}" for source in OF_SOURCE)
+    tiny_house.snakemake("--config", f"campaign=[{campaigns}]", "--", *targets)
+    return tiny_house
+
+
+@pytest.mark.parametrize("source", OF_SOURCE)
+def test_logs_of_a_survey_go_the_same_way(surveys, source: str) -> None:
+    """The branch of real campaigns: files named in the campaign file, no twin, no truth, other positions."""
+    base = surveys.root / f"results/boat_{source}"
+    made = {json.loads(path.read_text())["rule"] for path in base.rglob("*.meta.json")}
+    rest = dry_run(surveys, f"boat_{source}")
+    rules = made | counted(rest)
     summary = json.loads((base / "orientation/trajectory.json").read_text())
     assert summary["n_nodes_valid"] > 1000
     assert summary["n_positions_used"] > 200
     with laspy.open(base / "lidar/points.laz") as reader:
         n = reader.header.point_count
-    with laspy.open(tiny_house.root / BASE / "lidar/points.laz") as reader:
+    with laspy.open(surveys.root / BASE / "lidar/points.laz") as reader:
         assert n == pytest.approx(reader.header.point_count, rel=0.01)
     assert not any(rule.endswith("_with_truth") for rule in rules)
     page = base / "accuracy/index.html"
@@ -504,10 +502,34 @@ def test_logs_of_a_survey_go_the_same_way(tiny_house, source: str) -> None:
         # 50 frames of 0.1 s in 25 s, and no more points than shots by any chain
         assert 0.1 < cloud["camera"] / cloud["ins"] < 0.3
         assert cloud["fused"] == pytest.approx(cloud["ins"], rel=0.02)
-        assert "digital twin" not in (base / "accuracy/trajectories.html").read_text()
+        for name in ("accuracy/trajectories.html", "bathymetry/index.html"):
+            assert "digital twin" not in (base / name).read_text()
     assert "plot_error_versus_range" not in rules
     assert (base / "figures/cloud_detail.png").is_file()
-    assert (base / "index.html").is_file() == (source == "sbp") == ("front_page" not in rest)
+    assert re.search(r"(?m)^front_page +1$", rest)
+
+
+@pytest.mark.slow
+def test_a_survey_of_logs_has_a_front_page(surveys) -> None:
+    """The rest of it: above all pictures, which `tiny` draws of the same points."""
+    surveys.snakemake("--config", "campaign=boat_sbp")
+    base = surveys.root / "results/boat_sbp"
+    assert "digital twin" not in (base / "index.html").read_text()
+    assert len(list((base / "figures").glob("*.png"))) > 20
+
+
+def test_windows_of_a_long_log_change_no_byte(surveys) -> None:
+    """Whole and in seven windows, as their jobs make them."""
+    base = surveys.root / "results/boat_ins/lidar"
+    names = ("points.laz", "removed.parquet", "counts.csv")
+    whole = [(base / name).read_bytes() for name in names]
+    assert not (base / "windows").exists()
+    write_survey(surveys, "ins", "scatter: {seconds: 4}")
+    run = surveys.snakemake("--config", "campaign=boat_ins", "--", "results/boat_ins/lidar/points.laz")
+    jobs = re.findall(r"^(?:count_neighbours|georeference_window) +(\d+)$", run.stdout + run.stderr, re.M)
+    assert jobs == ["7"] * 2
+    assert [(base / name).read_bytes() for name in names] == whole
+    assert not list((base / "windows").glob("*.las"))
 
 
 def test_an_sbet_and_photographs_give_the_chains_of_camera_and_all_sensors(tiny_house) -> None:

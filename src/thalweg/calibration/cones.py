@@ -31,6 +31,7 @@ that are added to finished coordinates would put them outside by as much; beams 
 takes mean and variance by quadrature, without the limit to second order.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple, Self
 
@@ -141,12 +142,7 @@ class Cone:
         object.__setattr__(self, "apex_m", apex)
         u = axis / length
         object.__setattr__(self, "axis", u)
-        level = float(np.hypot(u[0], u[1]))
-        first = np.array([-u[1] / level, u[0] / level, 0.0]) if level > 1e-3 else np.array([1.0, 0.0, 0.0])
-        # An axis that is upright but for a rest: made perpendicular again.
-        first = first - (first @ u) * u
-        first /= np.sqrt(first @ first)
-        object.__setattr__(self, "tangents", np.stack([first, _skew(u) @ first]))
+        object.__setattr__(self, "tangents", _tangents(u[None])[0])
 
     @property
     def angles_rad(self) -> tuple[float, float]:
@@ -185,20 +181,12 @@ class Cone:
 
         On the axis itself the normal is free; some direction across the axis is taken there.
         """
-        d = np.atleast_2d(np.asarray(points_m, dtype=np.float64)) - self.apex_m
-        z = d @ self.axis
-        across = d - z[:, None] * self.axis
-        rho = np.sqrt(np.add.reduce(across * across, axis=1))  # norm() costs as much again for few points
-        e = np.where(rho[:, None] > _TINY_M, across / np.maximum(rho, _TINY_M)[:, None], self.tangents[0])
-        cos_a, sin_a = np.cos(self.half_angle_rad), np.sin(self.half_angle_rad)
-        slant = z * cos_a + rho * sin_a
-        normal = cos_a * e - sin_a * self.axis
-        J = np.empty((len(d), 6))
-        J[:, :3] = -normal
-        # The axis stays a unit vector, so its change is across it, and z alone adds nothing but -l e.
-        J[:, 3:5] = -slant[:, None] * (e @ self.tangents.T)
-        J[:, 5] = -slant
-        return ConePoints(rho * cos_a - z * sin_a, normal, slant, e @ _skew(self.axis).T, J)
+        points = np.atleast_2d(np.asarray(points_m, dtype=np.float64))
+        several = _seen(
+            self.apex_m[None], self.axis[None], self.tangents[None], np.array([self.half_angle_rad]), points
+        )
+        distance, normal, slant, e, J = (each[0] for each in several)
+        return ConePoints(distance, normal, slant, e @ _skew(self.axis).T, J)
 
     def meet(self, origins_m: ArrayLike, directions: ArrayLike) -> ConeBeams:
         """Where beams enter the surface.
@@ -239,6 +227,49 @@ class Cone:
             depth = (o_u + nearest * d_u) * np.sin(self.half_angle_rad)
             depth = depth - np.cos(self.half_angle_rad) * h * np.sqrt(1 - k**2)
         return np.where((w > 0) & (np.abs(k) < 1), depth, np.where(d_u > 0, np.inf, -np.inf))
+
+
+def _seen(
+    apex_m: ArrayF, axis: ArrayF, tangents: ArrayF, half_angle_rad: ArrayF, points_m: ArrayF
+) -> tuple[ArrayF, ArrayF, ArrayF, ArrayF, ArrayF]:
+    """Points (n, 3) seen from several cones (s, ...), as of `ConePoints` each.
+
+    Returns
+    -------
+    distances (s, n), normals (s, n, 3), slant lengths, directions across the axis, derivatives (s, n, 6).
+    """
+    d = points_m - apex_m[:, None]
+    z = (d @ axis[:, :, None])[..., 0]
+    across = d - z[..., None] * axis[:, None]
+    rho = np.sqrt(np.add.reduce(across * across, axis=-1))
+    e = across / np.maximum(rho, _TINY_M)[..., None]
+    if (on := rho <= _TINY_M).any():
+        e = np.where(on[..., None], tangents[:, None, 0], e)
+    cos_a, sin_a = np.cos(half_angle_rad)[:, None], np.sin(half_angle_rad)[:, None]
+    slant = z * cos_a + rho * sin_a
+    normal = cos_a[..., None] * e - sin_a[..., None] * axis[:, None]
+    J = np.empty((*rho.shape, 6))
+    J[..., :3] = -normal
+    # The axis stays a unit vector, so its change is across it, and z alone adds nothing but -l e.
+    J[..., 3:5] = -slant[..., None] * (e @ np.swapaxes(tangents, 1, 2))
+    J[..., 5] = -slant
+    return rho * cos_a - z * sin_a, normal, slant, e, J
+
+
+def _tangents(axis: ArrayF) -> ArrayF:
+    """Unit vectors (s, 2, 3) across axes (s, 3), see `Cone`."""
+    level = np.hypot(axis[:, 0], axis[:, 1])
+    first = np.zeros_like(axis)
+    slanted = level > 1e-3
+    first[slanted, 0] = -axis[slanted, 1] / level[slanted]
+    first[slanted, 1] = axis[slanted, 0] / level[slanted]
+    first[~slanted, 0] = 1.0
+    # An axis that is upright but for a rest: made perpendicular again.
+    first -= np.add.reduce(first * axis, axis=1)[:, None] * axis
+    first /= np.sqrt(np.add.reduce(first * first, axis=1))[:, None]
+    x, y, z = axis.T
+    a, b, c = first.T
+    return np.stack([first, np.stack([y * c - z * b, z * a - x * c, x * b - y * a], axis=1)], axis=1)
 
 
 def _skew(u: ArrayF) -> ArrayF:
@@ -506,29 +537,25 @@ def start_cone(points_m: ArrayF, half_angle_rad: float) -> Cone:
     GeometryError : no start leads to a cone that passes within 1 cm of half of the points.
     """
     middle = points_m.mean(axis=0)
-    tried: list[tuple[float, Cone]] = []
+    tried = []
     for axis in _directions(_STARTS):
         arm = points_m - middle
         rho = np.linalg.norm(arm - np.outer(arm @ axis, axis), axis=1)
         apex = middle - axis * float(rho.mean()) / np.tan(half_angle_rad)
-        cone = Cone(apex_m=apex, axis=axis, half_angle_rad=half_angle_rad)
-        tried.append(_descended(cone, points_m, _SCALES_M[0]))
-    tried.sort(key=lambda pair: pair[0])
-    for scale in _SCALES_M[1:]:
-        tried = [_descended(cone, points_m, scale) for _, cone in tried[:_KEPT]]
-    least, best = min(tried, key=lambda pair: pair[0])
+        tried.append(Cone(apex_m=apex, axis=axis, half_angle_rad=half_angle_rad))
+    for scale in _SCALES_M:
+        sigma = np.full(len(points_m), scale / _TUKEY)
+        tried = _refined(tried, points_m, sigma, free_half_angle=False, steps=5)
+        off = [float(np.median(np.abs(cone.see(points_m).distance_m))) for cone in tried]
+        order = np.argsort(off, kind="stable")
+        tried = [tried[k] for k in order[:_KEPT]]
+    least, best = off[order[0]], tried[0]
     if least > 0.01:
         raise GeometryError(
             f"no cone of {np.rad2deg(half_angle_rad):.2f} deg half angle passes through its "
             f"{len(points_m)} points; the best is off by {1e3 * least:.0f} mm in the median"
         )
     return best
-
-
-def _descended(cone: Cone, points_m: ArrayF, scale_m: float) -> tuple[float, Cone]:
-    """A few robust steps from a start: median distance, and the cone there."""
-    cone = refine(cone, points_m, np.full(len(points_m), scale_m / _TUKEY), free_half_angle=False, steps=5)
-    return float(np.median(np.abs(cone.see(points_m).distance_m))), cone
 
 
 def refine(
@@ -541,48 +568,75 @@ def refine(
     steps: int = _STEPS,
 ) -> Cone:
     """Least squares of distances over sigmas (n,), with Tukey's weights if ``robust``; damped steps."""
+    how = {"free_half_angle": free_half_angle, "robust": robust}
+    return _refined([cone], points_m, sigma_m, steps=steps, **how)[0]
+
+
+def _refined(
+    cones: Sequence[Cone],
+    points_m: ArrayF,
+    sigma_m: ArrayF,
+    *,
+    free_half_angle: bool,
+    robust: bool = True,
+    steps: int = _STEPS,
+) -> list[Cone]:
+    """`refine` from several starts side by side."""
     k = 6 if free_half_angle else 5
-    damping = 1e-3
-    seen = cone.see(points_m)
-    cost = _cost(seen.distance_m / sigma_m, robust)
+    apex, axis, tangents = (
+        np.stack([getattr(c, name) for c in cones]) for name in ("apex_m", "axis", "tangents")
+    )
+    half = np.array([cone.half_angle_rad for cone in cones])
+    distance, *_, J = _seen(apex, axis, tangents, half, points_m)
+    cost = _cost(distance / sigma_m, robust)
+    damping, open_ = np.full(len(cones), 1e-3), np.arange(len(cones))
+    diagonal = np.arange(k)
     for _ in range(steps):
-        r = seen.distance_m / sigma_m
+        r = distance[open_] / sigma_m
         w = _weights(r, robust)
-        J = seen.by_parameters[:, :k] / sigma_m[:, None]
-        N = J.T @ (J * w[:, None])
-        N[np.diag_indices(k)] *= 1 + damping
-        N[np.diag_indices(k)] += 1e-9
-        dx = np.zeros(6)
-        dx[:k] = -np.linalg.solve(N, J.T @ (w * r))
+        A = J[open_, :, :k] / sigma_m[:, None]
+        A_T = np.swapaxes(A, 1, 2)
+        N = A_T @ (A * w[..., None])
+        N[:, diagonal, diagonal] = N[:, diagonal, diagonal] * (1 + damping[open_, None]) + 1e-9
+        dx = np.zeros((len(open_), 6))
+        dx[:, :k] = -np.linalg.solve(N, A_T @ (w * r)[..., None])[..., 0]
         # No step turns the axis by more than half a radian or leaves the range of half angles.
-        dx *= min(1.0, 0.5 / max(float(np.abs(dx[3:5]).max()), 1e-12))
-        angle = cone.half_angle_rad + dx[5]
-        tried = cone.moved(dx) if 0.01 < angle < 1.5 else cone
-        there = tried.see(points_m)
-        now = _cost(there.distance_m / sigma_m, robust)
-        if now < cost:
-            done = cost - now < 1e-10 * max(cost, 1e-12)
-            cone, seen, cost, damping = tried, there, now, damping / 10
-            if done:
-                break
-        else:
-            damping *= 10
-            if damping > 1e6:
-                break
-    return cone
+        dx *= np.minimum(1.0, 0.5 / np.maximum(np.abs(dx[:, 3:5]).max(axis=1), 1e-12))[:, None]
+        angle = half[open_] + dx[:, 5]
+        dx[(angle <= 0.01) | (angle >= 1.5)] = 0.0
+        weights = np.stack(
+            [np.cos(dx[:, 4]) * np.cos(dx[:, 3]), np.cos(dx[:, 4]) * np.sin(dx[:, 3]), np.sin(dx[:, 4])], 1
+        )
+        u = weights[:, :1] * axis[open_] + (weights[:, None, 1:] @ tangents[open_])[:, 0]
+        u /= np.sqrt(np.add.reduce(u * u, axis=1))[:, None]
+        tried = (apex[open_] + dx[:, :3], u, _tangents(u), half[open_] + dx[:, 5])
+        there, *_, J_there = _seen(*tried, points_m)
+        now = _cost(there / sigma_m, robust)
+        better = now < cost[open_]
+        done = better & (cost[open_] - now < 1e-10 * np.maximum(cost[open_], 1e-12))
+        damping[open_] = np.where(better, damping[open_] / 10, damping[open_] * 10)
+        at = open_[better]
+        for kept, new in zip(
+            (apex, axis, tangents, half, distance, J, cost), (*tried, there, J_there, now), strict=True
+        ):
+            kept[at] = new[better]
+        open_ = open_[~done & (damping[open_] <= 1e6)]
+        if not len(open_):
+            break
+    return [Cone(apex_m=apex[i], axis=axis[i], half_angle_rad=float(half[i])) for i in range(len(cones))]
 
 
-def _cost(r: ArrayF, robust: bool) -> float:
+def _cost(r: ArrayF, robust: bool) -> ArrayF:
     r2 = np.square(r)
     if not robust:
-        return float(r2.sum())
+        return np.asarray(np.add.reduce(r2, axis=-1))
     inside = np.minimum(r2 / _TUKEY**2, 1.0)
-    return float((1 - (1 - inside) ** 3).sum())
+    return np.asarray(np.add.reduce(1 - (1 - inside) ** 3, axis=-1))
 
 
 def _weights(r: ArrayF, robust: bool) -> ArrayF:
     if not robust:
-        return np.ones(len(r))
+        return np.ones_like(r)
     return np.asarray(np.square(np.maximum(1 - np.square(r / _TUKEY), 0.0)))
 
 
