@@ -152,6 +152,12 @@ DRIVERS = []  # of this folder: one, as long as it works
 
 onstart:
     if workflow.is_main_process:
+        if workflow.non_local_exec:
+            refuse_shell(
+                str(name)
+                for job in workflow.dag.needrun_jobs()
+                for name in job.input
+            )
         DRIVERS.append(start_driver(Path.cwd()))
         for files in BUILT:
             for version, n in other_versions(

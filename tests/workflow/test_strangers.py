@@ -61,6 +61,14 @@ def test_names_of_logs_reach_no_shell(tmp_path: Path, monkeypatch: pytest.Monkey
     assert not list(tmp_path.rglob("hacked"))
 
 
+def test_names_that_a_shell_would_read_go_to_no_cluster() -> None:
+    """Snakemake's quotes around the inputs of a job let them through, as `tests/cluster/run` found."""
+    cluster.refuse_shell(["a; touch hacked & | > .pcap", "raw/lidar 1 (2).pcap", "Sajó_#1,2=3+4~%@!.las"])
+    for name in ("$(touch hacked)", "`id`", "it's", 'a"b', "a\\b", "a\nb", "$HOME"):
+        with pytest.raises(InputError, match=r"1 files have names that a shell would read.*Rename"):
+            cluster.refuse_shell(["good.pcap", name])
+
+
 def test_the_source_starts_no_shell(repository: Path) -> None:
     """Where a program is started its words are a list."""
     for path in sorted((repository / "src").rglob("*.py")):

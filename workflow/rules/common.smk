@@ -11,6 +11,7 @@ from thalweg.workflow import (
     other_versions,
     pattern_of_epochs,
     read_figures,
+    refuse_shell,
     start_driver,
     use_scratch,
 )

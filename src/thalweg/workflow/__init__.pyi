@@ -6,6 +6,7 @@ from .cluster import (
     cures_in as cures_in,
     jobs_of as jobs_of,
     living_driver as living_driver,
+    refuse_shell as refuse_shell,
     start_driver as start_driver,
     unfinished as unfinished,
 )

@@ -6,10 +6,11 @@ comment; by both they are found again, also when the driver that sent them is de
 
 import getpass
 import os
+import re
 import shutil
 import subprocess
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -253,6 +254,29 @@ def _minutes(limit: str) -> int | None:
     parts = [int(each) for each in clock.split(":")]
     hours, minute = (parts[0], parts[1]) if len(parts) == 3 else (0, parts[0])
     return int(days or 0) * 1440 + hours * 60 + minute
+
+
+_SHELL: Final = re.compile(r"""[$`'"\\\x00-\x1f]""")
+
+
+def refuse_shell(files: Iterable[str]) -> None:
+    """Refuse inputs whose names the shell would read and not only take.
+
+    Snakemake writes the inputs of a job into the command that it hands to a cluster, within quotes that keep
+    spaces and semicolons, but not what a shell expands or ends quotes at.
+
+    Raises
+    ------
+    InputError : such names.
+    """
+    names = sorted({name for name in files if _SHELL.search(name)})
+    if names:
+        raise InputError(
+            f"{len(names)} files have names that a shell would read: {', '.join(map(repr, names[:3]))}",
+            expected="names without $ ` ' \" \\ and line breaks where jobs go to a cluster",
+            where="logs of the campaigns",
+            cure="Rename them, also in the campaign file; on one computer they may stay",
+        )
 
 
 def check_nodes(folder: Path, partition: str | None, python: str) -> list[str]:
