@@ -212,6 +212,10 @@ def _epochs_text(name: str, options: argparse.Namespace, schema: str) -> str:
     return epochs_text(name, epochs, crs, origin, folder=options.folder, schema=schema)
 
 
+_FILES_NAMED = 5
+"""Of one kind in one folder; more are counted."""
+
+
 def _sort_logs(folder: Path) -> dict[str, list[Path]]:
     """Files of a folder by stream, recognised by their content."""
     from thalweg.ingest.registry import ALSO_MARKS, KINDS, LOOSE_KINDS, recognise, stream_of
@@ -223,6 +227,7 @@ def _sort_logs(folder: Path) -> dict[str, list[Path]]:
     pictures: Counter[tuple[str, Path]] = Counter()
     left_out: dict[str, list[Path]] = {}
     loose: list[tuple[str, str, Path]] = []
+    known: list[tuple[str, str, Path]] = []
     for path in sorted((p for p in folder.rglob("*") if p.is_file()), key=natural_order):
         try:
             kind = recognise(path)
@@ -238,7 +243,7 @@ def _sort_logs(folder: Path) -> dict[str, list[Path]]:
         elif kind == "photograph":
             pictures[stream, path.parent] += 1
         else:
-            print(f"{stream:10s} {path} ({kind})")
+            known.append((stream, kind, path))
             streams.setdefault(stream, []).append(path)
             if kind in ALSO_MARKS:
                 streams.setdefault("image_marks", []).append(path)
@@ -251,10 +256,19 @@ def _sort_logs(folder: Path) -> dict[str, list[Path]]:
     wanted = _wanted(streams, loose)
     for stream, kind, path in loose:
         if stream in wanted:
-            print(f"{stream:10s} {path} ({kind})")
+            known.append((stream, kind, path))
             streams.setdefault(stream, []).append(path)
         else:
             left_out.setdefault(f"{KINDS[kind]}: no stream of a survey", []).append(path)
+    told: set[tuple[str, str, Path]] = set()
+    alike = Counter((stream, kind, path.parent) for stream, kind, path in known)
+    for stream, kind, path in known:
+        n, first = alike[stream, kind, path.parent], (stream, kind, path.parent) not in told
+        told.add((stream, kind, path.parent))
+        if n <= _FILES_NAMED:
+            print(f"{stream:10s} {path} ({kind})")
+        elif first:
+            print(f"{stream:10s} {path.parent} ({n} files, {kind})")
     streams = _of_receivers(_of_one_kind(streams))
     for why, paths in left_out.items():
         named = ", ".join(str(path.relative_to(folder)) for path in paths[:3])
