@@ -320,9 +320,10 @@ def _of_one_kind(streams: dict[str, list[Path]]) -> dict[str, list[Path]]:
 def _of_receivers(streams: dict[str, list[Path]]) -> dict[str, list[Path]]:
     """Raw GNSS of a folder by receiver, where names do not tell.
 
-    RINEX beside an SBP log is what somebody made of that log; of two receivers in RINEX the one that recorded
-    longer is the base.
+    RINEX beside an SBP log is what somebody made of that log; of two receivers in RINEX the one that moves
+    less is the base.
     """
+    from thalweg.ingest.ppk import base_extent_m
     from thalweg.ingest.registry import describe, recognise
 
     rover = streams.get("rover", [])
@@ -334,19 +335,23 @@ def _of_receivers(streams: dict[str, list[Path]]) -> dict[str, list[Path]]:
         print(f"left out, RINEX beside the SBP log of the rover: {named}", file=sys.stderr)
         return streams | {"rover": [path for path in rover if path not in rinex]}
     receivers: dict[tuple[str, ...], list[Path]] = {}
-    length_s: Counter[tuple[str, ...]] = Counter()
     for path in rinex:
-        report = describe(path)
-        told = report.details
-        receiver = tuple(str(each) for each in (report.model, told.get("marker"), told.get("antenna")))
-        receivers.setdefault(receiver, []).append(path)
-        length_s[receiver] += int((report.t_last_s or 0.0) - (report.t_first_s or 0.0))
-    if streams.get("base") or len(receivers) < 2:
+        told = describe(path)
+        named = (told.model, told.details.get("marker"), told.details.get("antenna"))
+        receivers.setdefault(tuple(map(str, named)), []).append(path)
+    if streams.get("base") or len(receivers) != 2:
         return streams
-    base = receivers[length_s.most_common(1)[0][0]]
+    one, other = receivers.values()
+    nav = streams.get("nav", [])
+    try:
+        moves_less = base_extent_m(other, one, nav) < base_extent_m(one, other, nav)
+    except ThalwegError as error:
+        print(f"which of two receivers is the base is not known: {error}", file=sys.stderr)
+        return streams
+    base, boat = (one, other) if moves_less else (other, one)
     for path in base:
-        print(f"base       {path} (recorded longest of {len(receivers)} receivers)")
-    return streams | {"base": base, "rover": [path for path in rover if path not in base]}
+        print(f"base       {path} (of two receivers the one that moves less)")
+    return streams | {"base": base, "rover": boat}
 
 
 def _spacing_m(files: dict[str, list[Path]]) -> float | None:
