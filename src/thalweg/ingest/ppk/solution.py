@@ -734,8 +734,15 @@ def base_extent_m(rover: Sequence[Path], base: Sequence[Path], nav: Sequence[Pat
         folder = Path(name)
         inputs = prepare_inputs(rover, base, nav, folder, time_limit_s=_QUICK_S)
         options = PpkOptions(base_source="rinex_header", systems=_common_systems(inputs))
-        known = {"base_ecef_m": np.array([6_378_137.0, 0.0, 0.0]), "where": str(base[0])}  # single: not used
-        single, _ = _solve(folder, inputs, options, **known, time_limit_s=_QUICK_S, single=True)
+        single, _ = _solve(
+            folder,
+            inputs,
+            options,
+            base_ecef_m=np.array([6_378_137.0, 0.0, 0.0]),  # any: no double differences are formed
+            where=str(base[0]),
+            time_limit_s=_QUICK_S,
+            single=True,
+        )
     if single.empty:
         raise InputError("no single-point position", expected="observations and ephemerides", where=base[0])
     return float(np.median(_from_middle_m(_ecef(single))))
