@@ -337,8 +337,8 @@ def _of_receivers(streams: dict[str, list[Path]]) -> dict[str, list[Path]]:
     receivers: dict[tuple[str, ...], list[Path]] = {}
     for path in rinex:
         told = describe(path)
-        named = (told.model, told.details.get("marker"), told.details.get("antenna"))
-        receivers.setdefault(tuple(map(str, named)), []).append(path)
+        of = tuple(map(str, (told.model, told.details.get("marker"), told.details.get("antenna"))))
+        receivers.setdefault(of, []).append(path)
     if streams.get("base") or len(receivers) != 2:
         return streams
     one, other = receivers.values()
