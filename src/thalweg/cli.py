@@ -4,6 +4,7 @@ Heavy libraries are imported by the commands that need them, so that help and mi
 """
 
 import argparse
+import math
 import os
 import re
 import sys
@@ -504,6 +505,7 @@ def _describe(options: argparse.Namespace) -> int:
 
     code = 0
     texts: list[str] = []
+    antennas: list[tuple[str, list[float]]] = []
     for path in options.files:
         try:
             report = describe_marked(path)
@@ -519,6 +521,11 @@ def _describe(options: argparse.Namespace) -> int:
             texts.append(report.to_json().rstrip("\n"))
         else:
             print("\n".join(report.lines()))
+        place = report.details.get("approx_ecef_m")
+        if place and any(place) and not options.json:
+            for name, other in antennas:
+                print(f"  distance  {math.dist(place, other) / 1000:.3f} km from {name}, by their headers")
+            antennas.append((path.name, place))
     if options.json and texts:
         print(texts[0] if len(options.files) == 1 else "[\n" + ",\n".join(texts) + "\n]")
     return code
