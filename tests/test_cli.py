@@ -318,7 +318,7 @@ def test_raw_gnss_of_a_folder_is_sorted_by_receiver(here, data_dir, capsys):
             main(["check-config", f"{kind.lower()}.yaml"]) == 0
         )  # of a receiver alone nothing is to be filled in
     said = capsys.readouterr()
-    assert "recorded longest of 2 receivers" in said.out
+    assert "of two receivers the one that moves less" in said.out
     assert "left out, RINEX beside the SBP log of the rover: piksi_rover.obs" in said.err
     car, still = load_campaign("rinex.yaml"), load_campaign("sbp.yaml")
     for campaign, rover, base in (

@@ -4,6 +4,7 @@ Heavy libraries are imported by the commands that need them, so that help and mi
 """
 
 import argparse
+import math
 import os
 import re
 import sys
@@ -212,6 +213,10 @@ def _epochs_text(name: str, options: argparse.Namespace, schema: str) -> str:
     return epochs_text(name, epochs, crs, origin, folder=options.folder, schema=schema)
 
 
+_FILES_NAMED = 5
+"""Of one kind in one folder; more are counted."""
+
+
 def _sort_logs(folder: Path) -> dict[str, list[Path]]:
     """Files of a folder by stream, recognised by their content."""
     from thalweg.ingest.registry import ALSO_MARKS, KINDS, LOOSE_KINDS, recognise, stream_of
@@ -223,6 +228,7 @@ def _sort_logs(folder: Path) -> dict[str, list[Path]]:
     pictures: Counter[tuple[str, Path]] = Counter()
     left_out: dict[str, list[Path]] = {}
     loose: list[tuple[str, str, Path]] = []
+    known: list[tuple[str, str, Path]] = []
     for path in sorted((p for p in folder.rglob("*") if p.is_file()), key=natural_order):
         try:
             kind = recognise(path)
@@ -238,7 +244,7 @@ def _sort_logs(folder: Path) -> dict[str, list[Path]]:
         elif kind == "photograph":
             pictures[stream, path.parent] += 1
         else:
-            print(f"{stream:10s} {path} ({kind})")
+            known.append((stream, kind, path))
             streams.setdefault(stream, []).append(path)
             if kind in ALSO_MARKS:
                 streams.setdefault("image_marks", []).append(path)
@@ -251,10 +257,19 @@ def _sort_logs(folder: Path) -> dict[str, list[Path]]:
     wanted = _wanted(streams, loose)
     for stream, kind, path in loose:
         if stream in wanted:
-            print(f"{stream:10s} {path} ({kind})")
+            known.append((stream, kind, path))
             streams.setdefault(stream, []).append(path)
         else:
             left_out.setdefault(f"{KINDS[kind]}: no stream of a survey", []).append(path)
+    told: set[tuple[str, str, Path]] = set()
+    alike = Counter((stream, kind, path.parent) for stream, kind, path in known)
+    for stream, kind, path in known:
+        n, first = alike[stream, kind, path.parent], (stream, kind, path.parent) not in told
+        told.add((stream, kind, path.parent))
+        if n <= _FILES_NAMED:
+            print(f"{stream:10s} {path} ({kind})")
+        elif first:
+            print(f"{stream:10s} {path.parent} ({n} files, {kind})")
     streams = _of_receivers(_of_one_kind(streams))
     for why, paths in left_out.items():
         named = ", ".join(str(path.relative_to(folder)) for path in paths[:3])
@@ -306,9 +321,10 @@ def _of_one_kind(streams: dict[str, list[Path]]) -> dict[str, list[Path]]:
 def _of_receivers(streams: dict[str, list[Path]]) -> dict[str, list[Path]]:
     """Raw GNSS of a folder by receiver, where names do not tell.
 
-    RINEX beside an SBP log is what somebody made of that log; of two receivers in RINEX the one that recorded
-    longer is the base.
+    RINEX beside an SBP log is what somebody made of that log; of two receivers in RINEX the one that moves
+    less is the base.
     """
+    from thalweg.ingest.ppk import base_extent_m
     from thalweg.ingest.registry import describe, recognise
 
     rover = streams.get("rover", [])
@@ -320,19 +336,23 @@ def _of_receivers(streams: dict[str, list[Path]]) -> dict[str, list[Path]]:
         print(f"left out, RINEX beside the SBP log of the rover: {named}", file=sys.stderr)
         return streams | {"rover": [path for path in rover if path not in rinex]}
     receivers: dict[tuple[str, ...], list[Path]] = {}
-    length_s: Counter[tuple[str, ...]] = Counter()
     for path in rinex:
-        report = describe(path)
-        told = report.details
-        receiver = tuple(str(each) for each in (report.model, told.get("marker"), told.get("antenna")))
-        receivers.setdefault(receiver, []).append(path)
-        length_s[receiver] += int((report.t_last_s or 0.0) - (report.t_first_s or 0.0))
-    if streams.get("base") or len(receivers) < 2:
+        told = describe(path)
+        of = tuple(map(str, (told.model, told.details.get("marker"), told.details.get("antenna"))))
+        receivers.setdefault(of, []).append(path)
+    if streams.get("base") or len(receivers) != 2:
         return streams
-    base = receivers[length_s.most_common(1)[0][0]]
+    one, other = receivers.values()
+    nav = streams.get("nav", [])
+    try:
+        moves_less = base_extent_m(other, one, nav) < base_extent_m(one, other, nav)
+    except ThalwegError as error:
+        print(f"which of two receivers is the base is not known: {error}", file=sys.stderr)
+        return streams
+    base, boat = (one, other) if moves_less else (other, one)
     for path in base:
-        print(f"base       {path} (recorded longest of {len(receivers)} receivers)")
-    return streams | {"base": base, "rover": [path for path in rover if path not in base]}
+        print(f"base       {path} (of two receivers the one that moves less)")
+    return streams | {"base": base, "rover": boat}
 
 
 def _spacing_m(files: dict[str, list[Path]]) -> float | None:
@@ -485,6 +505,7 @@ def _describe(options: argparse.Namespace) -> int:
 
     code = 0
     texts: list[str] = []
+    antennas: list[tuple[str, list[float]]] = []
     for path in options.files:
         try:
             report = describe_marked(path)
@@ -500,6 +521,11 @@ def _describe(options: argparse.Namespace) -> int:
             texts.append(report.to_json().rstrip("\n"))
         else:
             print("\n".join(report.lines()))
+        place = report.details.get("approx_ecef_m")
+        if place and any(place) and not options.json:
+            for name, other in antennas:
+                print(f"  distance  {math.dist(place, other) / 1000:.3f} km from {name}, by their headers")
+            antennas.append((path.name, place))
     if options.json and texts:
         print(texts[0] if len(options.files) == 1 else "[\n" + ",\n".join(texts) + "\n]")
     return code

@@ -69,11 +69,17 @@ def _add_imports(commands: "argparse._SubParsersAction[argparse.ArgumentParser]"
     other.set_defaults(command=_import_calibration)
 
     lens = commands.add_parser(
-        "calibrate-lens",
-        help="checkerboard corners in several images -> interior orientation with covariance",
+        "calibrate-lens", help="a checkerboard in several photographs -> interior orientation with covariance"
     )
-    lens.add_argument("corners", type=Path, metavar="CSV", help="columns image, column, row, x_px, y_px")
-    lens.add_argument("--size", type=_size, required=True, metavar="WxH", help="image size, pixels")
+    lens.add_argument(
+        "corners",
+        type=Path,
+        nargs="+",
+        metavar="FILE",
+        help="photographs, with --board; or a table of image, column, row, x_px, y_px, with --size",
+    )
+    lens.add_argument("--board", type=_size, metavar="CxR", help="inner corners of the board, such as 7x5")
+    lens.add_argument("--size", type=_size, metavar="WxH", help="image size of a table, pixels")
     lens.add_argument(
         "--spacing-m", type=float, required=True, metavar="M", help="distance of neighbouring corners"
     )
@@ -274,20 +280,25 @@ def _resect(options: argparse.Namespace) -> int:
 
 
 def _calibrate_lens(options: argparse.Namespace) -> int:
-    from thalweg.calibration import calibrate_lens, lens_calibration_file, read_corners
+    from thalweg.calibration import calibrate_lens, corners_of_pictures, lens_calibration_file, read_corners
     from thalweg.core.calibration import write_calibration
 
     _not_there(options.out)
     if not options.name.isidentifier():
         raise InputError(f"a camera named {options.name!r}", expected="a name such as camera or front")
-    found = calibrate_lens(
-        read_corners(options.corners),
-        options.size,
-        spacing_m=options.spacing_m,
-        model=options.model,
-        name=options.name,
-    )
-    write_calibration(options.out, lens_calibration_file(found, run=options.corners.name))
+    if options.board:
+        corners, size, missed = corners_of_pictures(options.corners, options.board)
+        run = f"{len(options.corners)} pictures"
+    else:
+        if len(options.corners) > 1 or not options.size:
+            raise InputError(
+                f"{len(options.corners)} files, neither --board nor --size",
+                expected="photographs and --board COLUMNSxROWS, or one table of corners and --size WxH",
+            )
+        corners, size, missed = read_corners(options.corners[0]), options.size, {}
+        run = options.corners[0].name
+    found = calibrate_lens(corners, size, spacing_m=options.spacing_m, model=options.model, name=options.name)
+    write_calibration(options.out, lens_calibration_file(found, run=run))
     sigmas = found.camera.cov.diagonal() ** 0.5
     for name, value, sigma in zip(found.camera.parameter_names, found.camera.parameters, sigmas, strict=True):
         print(f"{name:>4} {value:12.6g} +- {sigma:.2g}")
@@ -296,7 +307,7 @@ def _calibrate_lens(options: argparse.Namespace) -> int:
         f"{used.sum():,} of {len(used):,} corners in {found.corners['image'].nunique()} pictures, rms "
         f"{found.rms_px:.3f} px, up to {found.corners.loc[used, 'angle_deg'].max():.0f} degrees from the axis"
     )
-    for picture, why in found.left_out.items():
+    for picture, why in (missed | found.left_out).items():
         print(f"left out: {picture}: {why}")
     for corner in found.rejected:
         print(f"rejected: {corner}")

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pandas as pd
 import pytest
@@ -170,3 +171,27 @@ def test_the_pose_of_a_board_from_rays_without_errors() -> None:
     assert off < 1e-9
     assert _board_pose(rays[::-1], board)[2] < 1e-9  # turned by half a turn it is a board as well
     assert _board_pose(np.roll(rays, 3, axis=0), board)[2] > 0.01
+
+
+@pytest.mark.real
+def test_a_lens_from_photographs_of_a_board(data_dir: Path, tmp_path: Path, capsys) -> None:
+    """ACFR: ten pictures of a board of 7 x 5 corners by a fisheye, beside another program's lens of it.
+
+    With that lens the corners of these pictures leave 0.119 px.
+    """
+    pictures = sorted((data_dir / "acfr_vlp16_camera/data/vlp/images").glob("*.png"))
+    words = ["calibrate-lens", *map(str, pictures), "--spacing-m", "0.095", "--model", "fisheye"]
+    out = tmp_path / "lens.yaml"
+    assert main([*words, "-o", str(out)]) == 2
+    assert "--board COLUMNSxROWS" in capsys.readouterr().err
+    assert main([*words, "--board", "7x5", "-o", str(out)]) == 0
+    assert "350 of 350 corners in 10 pictures, rms 0.09" in capsys.readouterr().out
+    found = camera_of(read_calibration(out))
+    sigma = np.sqrt(found.cov.diagonal())
+    assert (np.abs(found.parameters[:2] - [1176.93, 1177.72]) < 3.0 * sigma[:2]).all()
+    assert found.size_px == (1920, 1208)
+    bare = tmp_path / "bare.png"
+    cv2.imwrite(str(bare), np.full((120, 160), 128, np.uint8))
+    words = ["calibrate-lens", str(bare), *words[-4:], "--board", "7x5", "-o", str(tmp_path / "none.yaml")]
+    assert main(words) == 2
+    assert "no checkerboard of 7 x 5 inner corners in 1 pictures" in capsys.readouterr().err

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
+from thalweg.cli import main
 from thalweg.core import InputError, UnsupportedError
 from thalweg.figures import save
 from thalweg.figures.firstlook import first_looks_of, recordings_page, recordings_table
@@ -45,6 +46,17 @@ def test_real_recordings_are_known_by_content(
     text = "\n".join(report.lines())
     assert "unsynchronised" in text or synchronised
     assert report.to_json()
+
+
+@pytest.mark.real
+def test_the_distance_of_rover_and_base_is_told(data_dir: Path, capsys) -> None:
+    """In one SBP log, and of two RINEX files beside each other."""
+    car = data_dir / "rinex_cssrlib_kinematic_2021"
+    files = [next((data_dir / "sbp_piksi_rtk_2017").glob("*.sbp")), *sorted(car.glob("*.21O"))]
+    assert main(["describe", *map(str, files)]) == 0
+    said = capsys.readouterr().out
+    assert "distance of the base 0.007 km, median" in said
+    assert "5.289 km from 3034265G.21O, by their headers" in said
 
 
 @pytest.mark.real

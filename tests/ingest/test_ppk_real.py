@@ -339,3 +339,11 @@ def test_against_stock_rtklib(static: PpkSolution, reference: Path, tmp_path: Pa
     # Measured 367: at the start 14 epochs are fixed by the stock engine only, later 11 by ours only.
     assert len(difference) > 360
     assert np.max(np.abs(difference)) < 1e-3  # measured 0.6 mm, in height
+
+
+def test_a_base_that_moves_is_refused(data_dir: Path) -> None:
+    """The car taken for the base: its own positions tell."""
+    k = data_dir / "rinex_cssrlib_kinematic_2021"
+    car, still = k / "SEPT265G.21O", k / "3034265G.21O"
+    with pytest.raises(InputError, match=r"the base moved: .* lie 36 m from .*exchanged"):
+        run_ppk([still], [car], [k / "SEPT2650.21P"], PpkOptions(base_source="rinex_header"))

@@ -127,6 +127,10 @@ def test_raw_gnss_gives_a_trajectory(examples) -> None:
     facts = json.loads((folder / "ingest/positions.integrity.json").read_text())
     assert facts["counts"]["positions"] == 400
     assert (folder / "orientation/trajectory.parquet").is_file()
+    track = json.loads((folder / "orientation/track.geojson").read_text())
+    assert sum(part["properties"]["epochs"] for part in track["features"]) >= 400
+    assert "<LineString>" in (folder / "orientation/track.kml").read_text()
+    assert 'href="orientation/track.kml"' in (folder / "index.html").read_text()
     assert "soundings in the world" in (folder / "index.html").read_text()
 
 

@@ -1,7 +1,9 @@
 """Surveys without a lidar and without an INS: from a folder with a real log to its front page."""
 
 import json
+import re
 import shutil
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -91,6 +93,19 @@ def test_a_log_without_dates_and_heights(yacht, data_dir, capsys) -> None:
     assert facts["pings"] == 7250  # DBT sentences, PROVENANCE.md
     assert facts["by_reason"][""] == pytest.approx(6891, abs=70)
     assert sum(facts["by_reason"].values()) == 7250
+
+
+def test_an_empty_folder_apart_from_the_checkout(yacht, tmp_path, monkeypatch) -> None:
+    """Two commands there; the campaign is found by its name, and nothing is written into the checkout."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["new-campaign", "away", "--from-logs", str(yacht.root / "logs_of_yacht")]) == 0
+    path = tmp_path / "config/campaigns/away.yaml"
+    path.write_text(path.read_text().replace("lever_ics_m: CHANGE", "lever_ics_m: [0.0, 0.0, -1.5]"))
+    words = yacht.command("-s", str(yacht.root / "Snakefile"), "--config", "campaign=away", "--dry-run")
+    run = subprocess.run(words, env=yacht.environment(), capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    assert {"locate_soundings", "front_page"} <= set(re.findall(r"\w+", run.stdout + run.stderr))
+    assert not (yacht.root / "results/away").exists()
 
 
 def write_gpx(log: Path, target: Path) -> None:

@@ -42,8 +42,11 @@ def log_length_s(files, options):
 
 
 ROOT = Path(workflow.basedir)
-CHOSEN = load_campaigns(config["campaign"], ROOT / "config" / "campaigns")
-CAMPAIGNS = with_calibrations(CHOSEN, ROOT / "config" / "campaigns")
+# A folder of one's own, apart from the checkout, has its own campaigns.
+NAMED = Path("config/campaigns").resolve()
+NAMED = NAMED if NAMED.is_dir() else ROOT / "config" / "campaigns"
+CHOSEN = load_campaigns(config["campaign"], NAMED)
+CAMPAIGNS = with_calibrations(CHOSEN, NAMED)
 FILES = {
     name: CampaignFiles(
         name=name,

@@ -110,6 +110,30 @@ rule read_positions:
         "../scripts/read_positions.py"
 
 
+rule export_track:
+    """The track of raw GNSS for maps and globes."""
+    input:
+        positions="results/{campaign}/ingest/positions.parquet",
+    output:
+        out_geojson="results/{campaign}/orientation/track.geojson",
+        out_kml="results/{campaign}/orientation/track.kml",
+    log:
+        "logs/{campaign}/ingest/export_track.log",
+    benchmark:
+        "benchmarks/{campaign}/ingest/export_track.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        **calls("thalweg.ingest.ppk.exports:write_track"),
+        name=section("campaign", "title"),
+    script:
+        "../scripts/call.py"
+
+
 rule read_depth:
     """Soundings of the echo sounder."""
     input:

@@ -69,6 +69,7 @@ from .fixed_camera import resect_series as resect_series
 from .lens import (
     LensCalibration as LensCalibration,
     calibrate_lens as calibrate_lens,
+    corners_of_pictures as corners_of_pictures,
     lens_calibration_file as lens_calibration_file,
     read_corners as read_corners,
 )

@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
+from thalweg.calibration.boards import Checkerboard, find_corners, read_grey
 from thalweg.calibration.camera_files import interior_calibration, nominal_camera
 from thalweg.core import (
     Adjusted,
@@ -113,6 +114,57 @@ def read_corners(path: Path) -> pd.DataFrame:
             f"{row.image} column {row.column} row {row.row} is listed twice", expected="once", where=path
         )
     return table
+
+
+def corners_of_pictures(
+    pictures: Sequence[Path], board: tuple[int, int]
+) -> tuple[pd.DataFrame, tuple[int, int], dict[str, str]]:
+    """Corners of a checkerboard, found in photographs.
+
+    Which end of the board is up is not told and needs not be: each picture has a pose of its own.
+
+    Parameters
+    ----------
+    pictures : all of one size.
+    board : inner corners along both sides, 3 at least.
+
+    Returns
+    -------
+    corners : as of `read_corners`; image size in pixels; picture -> why no board was found in it.
+
+    Raises
+    ------
+    InputError : a file is no picture, or pictures of two sizes.
+    """
+    columns, rows = board
+    side = float(max(board))
+    pattern = Checkerboard(columns=columns, rows=rows, square_m=1.0, width_m=side, height_m=side)
+    at = {"column": np.tile(np.arange(columns), rows), "row": np.repeat(np.arange(rows), columns)}
+    found, missed, size = [], {}, (0, 0)
+    for path in pictures:
+        grey = read_grey(path)
+        own = (int(grey.shape[1]), int(grey.shape[0]))
+        size = size if any(size) else own
+        if own != size:
+            raise InputError(
+                f"a picture of {own[0]} x {own[1]} pixels beside some of {size[0]} x {size[1]}",
+                expected="pictures of one camera and size",
+                where=path,
+            )
+        try:
+            xy = find_corners(grey, pattern)
+        except GeometryError as error:
+            missed[path.name] = error.found
+            continue
+        found.append(pd.DataFrame({"image": path.name, **at, "x_px": xy[:, 0], "y_px": xy[:, 1]}))
+    if not found:
+        raise InputError(
+            f"no checkerboard of {columns} x {rows} inner corners in {len(pictures)} pictures",
+            expected="the whole pattern in the pictures, sharp, with a white margin",
+            where=pictures[0],
+            cure="Check the numbers of inner corners (squares less one)",
+        )
+    return pd.concat(found, ignore_index=True)[list(COLUMNS)], size, missed
 
 
 def calibrate_lens(

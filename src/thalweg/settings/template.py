@@ -56,6 +56,8 @@ def campaign_text(
     """
     lat, lon, h = origin or (51.05, 13.25, 300.0)
     mark = "" if origin else "  # CHANGE: a point near the survey"
+    grid = "UTM at the origin, or the grid that maps shall have: projected, in metres"
+    grid = grid if origin else f"CHANGE: {grid}"
     listed = {k: list(v) for k, v in PLACEHOLDERS.items()}
     if files is not None:
         listed = {k: [_relative(p, folder) for p in v] for k, v in files.items()}
@@ -67,7 +69,7 @@ def campaign_text(
     levers = "  # CHANGE: metres forward, right, down of the INS"
     lines = [
         *_head(name, schema),
-        f"  crs: {utm_code(lat, lon)}  # CRS of the map exports, projected, in metres",
+        f"  crs: {utm_code(lat, lon)}  # {grid}",
         f"  origin: {{lat_deg: {lat}, lon_deg: {lon}, h_ell_m: {h}}}{mark}",
         "  seed: 1",
         "",

@@ -1065,7 +1065,7 @@ class CampaignFiles:
                 return self._where(True, "accuracy/cloud_to_surface.laz", "accuracy/cloud.html")
         lidar = self.has_lidar()
         tables = ("orientation/trajectory.parquet", "timing/streams.csv", "timing/time_report.csv")
-        outputs = self._where(True, *tables, "summary.csv")
+        outputs = [*self._where(True, *tables, "summary.csv"), *self._map_of_track()]
         outputs += self.ins_points()
         outputs += [*self.echo_outputs(), *self._strip_outputs(), *self._bed_outputs()]
         exported = lidar and self.campaign.georeferencing.export_map
@@ -1144,7 +1144,14 @@ class CampaignFiles:
                 "logs.light_sheet.strip_images and light_sheet.sensor",
             ),
         )
-        return [Product(*row) for row in rows]
+        names = ("its track as GeoJSON", "its track as KML")
+        track = [(*row, True, "") for row in zip(names, self._map_of_track(), strict=False)]
+        return [Product(*row) for row in (rows[0], *track, *rows[1:])]
+
+    def _map_of_track(self) -> list[str]:
+        """The track of raw GNSS for maps and globes."""
+        ppk = self._is_survey() and self.position_source() == "ppk"
+        return self._where(ppk, "orientation/track.geojson", "orientation/track.kml")
 
     def _products_alone(self) -> list[Product]:
         """The same of photographs, of a camera that stays and of a finished cloud, recorded by no boat."""

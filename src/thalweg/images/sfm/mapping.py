@@ -130,7 +130,7 @@ def main_block(
     if mapped.pieces:
         return mapped.pieces[0]
     kinds = Counter((causes or {}).get(name, "") for name in reasons)
-    counted = ", ".join(f"{n} {kind}" for kind, n in kinds.most_common() if kind)
+    counted = ", ".join(f"{n} {kind.replace('_', ' ')}" for kind, n in kinds.most_common() if kind)
     # of each kind one image
     first = {(causes or {}).get(name, name): name for name in reversed(list(reasons)) if reasons[name]}
     told = "; ".join(f"{name}: {reasons[name]}" for name in sorted(first.values())[:3])

@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+import pandas as pd
 
-from thalweg.core import utc_text_from_gps, write_table
+from thalweg.core import read_table, utc_text_from_gps, write_table
 from thalweg.ingest import GNSS_POSITION
 from thalweg.ingest.ppk.solution import PpkSolution
 
@@ -49,8 +50,7 @@ def write_solution(solution: PpkSolution, folder: Path, *, name: str) -> list[Pa
         text[column] = text[column].round(decimals.get(str(column), 4))
     text.to_csv(files[0], index=False)
     write_table(files[1], table, GNSS_POSITION)
-    files[2].write_text(json.dumps(_geojson(solution, name)) + "\n", encoding="utf-8")
-    files[3].write_text(_kml(solution, name), encoding="utf-8")
+    _write_map(table, name, files[2], files[3])
     facts = folder / "ppk.json"
     report = solution.report
     facts.write_text(
@@ -60,9 +60,18 @@ def write_solution(solution: PpkSolution, folder: Path, *, name: str) -> list[Pa
     return [*files, facts]
 
 
-def _pieces(solution: PpkSolution) -> list[tuple[str, list[list[float]]]]:
+def write_track(positions: Path, out_geojson: Path, out_kml: Path, *, name: str) -> None:
+    """Positions of a campaign (table kind ``gnss_position``) for maps: runs of the same fix as lines."""
+    _write_map(read_table(positions, GNSS_POSITION)[0], name, out_geojson, out_kml)
+
+
+def _write_map(table: pd.DataFrame, name: str, geojson: Path, kml: Path) -> None:
+    geojson.write_text(json.dumps(_geojson(table, name)) + "\n", encoding="utf-8")
+    kml.write_text(_kml(table, name), encoding="utf-8")
+
+
+def _pieces(table: pd.DataFrame) -> list[tuple[str, list[list[float]]]]:
     """Runs of the same fix as lines of longitude, latitude, height; each begins where the last one ended."""
-    table = solution.positions
     fix = table["fix"].where(table["fix"].isin(_COLOURS), "other").to_numpy()
     places = table[["lon_deg", "lat_deg", "h_ell_m"]].to_numpy(np.float64).round(9)
     starts = np.flatnonzero(np.append(True, fix[1:] != fix[:-1]))
@@ -72,7 +81,7 @@ def _pieces(solution: PpkSolution) -> list[tuple[str, list[list[float]]]]:
     ]
 
 
-def _geojson(solution: PpkSolution, name: str) -> dict[str, object]:
+def _geojson(table: pd.DataFrame, name: str) -> dict[str, object]:
     return {
         "type": "FeatureCollection",
         "name": name,
@@ -82,12 +91,12 @@ def _geojson(solution: PpkSolution, name: str) -> dict[str, object]:
                 "properties": {"fix": fix, "epochs": len(line)},
                 "geometry": {"type": "LineString", "coordinates": line},
             }
-            for fix, line in _pieces(solution)
+            for fix, line in _pieces(table)
         ],
     }
 
 
-def _kml(solution: PpkSolution, name: str) -> str:
+def _kml(table: pd.DataFrame, name: str) -> str:
     from xml.sax.saxutils import escape
 
     styles = "".join(
@@ -99,7 +108,7 @@ def _kml(solution: PpkSolution, name: str) -> str:
         f"<Placemark><name>{fix}</name><styleUrl>#{fix}</styleUrl><LineString><tessellate>1</tessellate>"
         f"<coordinates>{' '.join(f'{lon:.9f},{lat:.9f}' for lon, lat, _ in line)}</coordinates>"
         "</LineString></Placemark>\n"
-        for fix, line in _pieces(solution)
+        for fix, line in _pieces(table)
     )
     return (
         '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"><Document>\n'

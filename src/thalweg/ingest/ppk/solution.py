@@ -590,6 +590,9 @@ def _list(names: set[str]) -> str:
 
 __all__ = ["PpkOptions", "PpkSolution", "run_ppk"]
 
+_BASE_MOVES_M: Final = 15.0
+"""Single-point positions of two frequencies scatter by a few metres."""
+_QUICK_S: Final = 60.0
 _BASE_LIMIT_M = (
     1000.0  # a single-point position is good to 10 m: more than 1 km is another place or a typing error
 )
@@ -718,6 +721,46 @@ def _common_systems(inputs: PpkInputs) -> tuple[str, ...]:
     return tuple(s for s in AUTO_SYSTEMS if all(s in each for each in have)) or AUTO_SYSTEMS
 
 
+def base_extent_m(rover: Sequence[Path], base: Sequence[Path], nav: Sequence[Path]) -> float:
+    """How far single-point positions of the base lie from their middle, median, metres.
+
+    Some metres of noise for a station that stands; a receiver on a boat or a car is told by that.
+
+    Raises
+    ------
+    InputError : of `run_ppk`, or there is no position.
+    """
+    with tempfile.TemporaryDirectory(prefix="thalweg-ppk-") as name:
+        folder = Path(name)
+        inputs = prepare_inputs(rover, base, nav, folder, time_limit_s=_QUICK_S)
+        options = PpkOptions(base_source="rinex_header", systems=_common_systems(inputs))
+        single, _ = _solve(
+            folder,
+            inputs,
+            options,
+            base_ecef_m=np.array([6_378_137.0, 0.0, 0.0]),  # any: no double differences are formed
+            where=str(base[0]),
+            time_limit_s=_QUICK_S,
+            single=True,
+        )
+    if single.empty:
+        raise InputError("no single-point position", expected="observations and ephemerides", where=base[0])
+    return float(np.median(_from_middle_m(_ecef(single))))
+
+
+def _ecef(positions: pd.DataFrame) -> ArrayF:
+    """Earth-centred places (n, 3) of positions, metres."""
+    to_ecef = Transformer.from_crs(4979, 4978, always_xy=True, allow_ballpark=False)
+    return np.stack(
+        to_ecef.transform(*(positions[c].to_numpy() for c in ("lon_deg", "lat_deg", "h_ell_m"))), axis=-1
+    )
+
+
+def _from_middle_m(xyz: ArrayF) -> ArrayF:
+    """Distances (n,) from the median place."""
+    return np.asarray(np.linalg.norm(xyz - np.median(xyz, axis=0), axis=1))
+
+
 def _base_position(inputs: PpkInputs, options: PpkOptions, base_file: Path) -> tuple[ArrayF, list[str]]:
     """Position of the base's antenna reference point in earth-centred metres, and notes."""
     notes: list[str] = []
@@ -810,10 +853,14 @@ def _check_base(single: pd.DataFrame, base_ecef_m: ArrayF, base_file: Path) -> t
         return None, [
             "The base position could not be checked: its observations give no single-point position."
         ]
-    to_ecef = Transformer.from_crs(4979, 4978, always_xy=True, allow_ballpark=False)
-    xyz = np.stack(
-        to_ecef.transform(*(single[c].to_numpy() for c in ("lon_deg", "lat_deg", "h_ell_m"))), axis=-1
-    )
+    xyz = _ecef(single)
+    if (moved := float(np.median(_from_middle_m(xyz)))) > _BASE_MOVES_M:
+        raise InputError(
+            f"the base moved: its single-point positions lie {moved:.0f} m from their middle, median",
+            expected="a base that stands",
+            where=base_file,
+            cure="Are the files of rover and base exchanged?",
+        )
     distance = float(np.linalg.norm(np.median(xyz, axis=0) - base_ecef_m))
     if distance > _BASE_LIMIT_M:
         raise InputError(

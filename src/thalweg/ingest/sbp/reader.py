@@ -24,6 +24,7 @@ from thalweg.core import (
     ArrayB,
     ArrayF,
     ArrayI,
+    LocalFrame,
     column,
     frame_of,
     gps_from_week,
@@ -472,6 +473,11 @@ def describe_log(
     if base_ecef_m.shape[0]:
         spread = float(np.ptp(base_ecef_m, axis=0).max())
         report.count("base_positions", base_ecef_m.shape[0])
+        if len(positions):
+            lat, lon, h = positions[["lat_deg", "lon_deg", "h_ell_m"]].median().tolist()
+            rover = LocalFrame(lat_deg=lat, lon_deg=lon, h_ell_m=h)
+            away_m = float(np.linalg.norm(rover.origin_ecef_m - np.median(base_ecef_m, axis=0)))
+            report.details["distance of the base"] = f"{away_m / 1000:.3f} km, median"
         if spread > _BASE_MOVE_M:
             report.note(
                 f"The base positions stated in the log differ by up to {spread:.3f} m; the median is used."
