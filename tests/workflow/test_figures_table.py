@@ -259,7 +259,7 @@ def test_what_the_shipped_campaigns_show(repository: Path) -> None:
     bed = ["soundings", "sounding_lines", "sounding_errors", "bed_map", "bed_sections", "bed_variogram"]
     bed += ["bed_left_out", "terrain_model", "long_profile"]
     assert names("tiny", "bathymetry") == bed
-    assert len(names("tiny")) == 40
+    assert len(names("tiny")) == 41
     assert set(names("tiny")) - set(names("demo")) == set(of_rig)
     assert names("field_tiny") == names("field_tiny", "calibration")
     assert names("field_tiny", "calibration")[-3:] == ["clock_offset", "clock_stability", "synthetic_view"]
