@@ -26,6 +26,7 @@ report: "workflow/report/workflow.rst"
 
 
 include: "workflow/rules/common.smk"
+include: "workflow/rules/common_studies.smk"
 include: "workflow/rules/simulation.smk"
 include: "workflow/rules/simulation_field.smk"
 include: "workflow/rules/simulation_light_sheet.smk"

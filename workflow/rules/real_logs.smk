@@ -1,32 +1,5 @@
 """A first look at recordings of other people: the readers on bytes that no twin wrote."""
 
-import os
-
-import yaml
-from snakemake.exceptions import WorkflowError
-
-with open(ROOT / "resources" / "real_recordings.yaml") as stream:
-    RECORDINGS = {entry["id"]: entry for entry in yaml.safe_load(stream)}
-REAL_DATA = Path(os.environ.get("THALWEG_DATA", ROOT.parent / "shared" / "data"))
-
-
-wildcard_constraints:
-    recording="|".join(RECORDINGS),
-
-
-def recording_files(key):
-    """Input function: files of one real recording, with a word of help where the folder is absent."""
-
-    def files(wildcards):
-        names = RECORDINGS[wildcards.recording].get(key, [])
-        if names and not REAL_DATA.is_dir():
-            raise WorkflowError(
-                f"The real recordings are not at {REAL_DATA}. Set THALWEG_DATA to their folder."
-            )
-        return [str(REAL_DATA / name) for name in names]
-
-    return files
-
 
 rule look_at_recording:
     """Integrity and first picture of one recording."""
