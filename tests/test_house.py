@@ -359,7 +359,6 @@ UNREACHED = {
             "figures/catalogue.py",
             "figures/survey/gnss.py",
             "ingest/photos/video.py",
-            "ingest/ppk/exports.py",
             "workflow/cluster.py",
         ),
         "called by the command line",
