@@ -19,6 +19,7 @@ from typing import Any
 import laspy
 import numpy as np
 import pandas as pd
+import rasterio
 import yaml
 from PIL import Image
 
@@ -121,6 +122,13 @@ def _picture(before: Path, after: Path, tolerance: float) -> Iterator[str]:
         yield from _arrays("pixel", np.asarray(a), np.asarray(b), 0)
 
 
+def _raster(before: Path, after: Path, tolerance: float) -> Iterator[str]:
+    """Bands and place; HDF5, which BAG is, keeps the second of its writing."""
+    with rasterio.open(before) as a, rasterio.open(after) as b:
+        yield from _arrays("place", [*a.transform], [*b.transform], 0)
+        yield from _arrays("band", a.read(), b.read(), tolerance)
+
+
 def _values(path: str, a: Any, b: Any, tolerance: float) -> Iterator[str]:
     if isinstance(a, dict) and isinstance(b, dict):
         keys = [k for k in {**a, **b} if not NO_RESULTS.fullmatch(str(k))]
@@ -190,6 +198,8 @@ _BY_SUFFIX: dict[str, Callable[[Path, Path, float], Iterator[str]]] = {
     ".las": _cloud,
     ".npz": _npz,
     ".png": _picture,
+    ".bag": _raster,
+    ".tif": _raster,
     ".json": _json,
     ".yaml": _yaml,
     **dict.fromkeys(SUFFIXES_OF_TEXT, _text),

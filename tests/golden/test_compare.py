@@ -9,6 +9,7 @@ import laspy
 import numpy as np
 import pandas as pd
 import pytest
+import rasterio
 from PIL import Image
 
 from .compare import differences
@@ -43,6 +44,18 @@ def a_picture(path: Path, x: float) -> None:
     Image.fromarray(pixels).save(path)
 
 
+def a_raster(path: Path, x: float) -> None:
+    size = {
+        "width": 3,
+        "height": 2,
+        "count": 1,
+        "dtype": "float64",
+        "transform": rasterio.Affine(1, 0, 0, 0, -1, 2),
+    }
+    with rasterio.open(path, "w", driver="GTiff", **size) as file:
+        file.write(np.full((1, 2, 3), x))
+
+
 def a_log(path: Path, x: float) -> None:
     path.write_bytes(np.float64(x).tobytes())
 
@@ -52,6 +65,7 @@ KINDS = {
     "points.laz": (a_cloud, "dimension sigma_m[0]: "),
     "facts.json": (a_json, ".values[0].x"),
     "index.html": (a_page, "line 2: "),
+    "bed.tif": (a_raster, "band[0, 0, 0]: "),
     "map.png": (a_picture, "pixel[1, 2, 0]: "),
     "ins.anpp": (a_log, "byte 0 differs"),
 }
