@@ -48,8 +48,10 @@ timings: env ## time and memory of a campaign in an empty folder -> docs/validat
 real-logs: env ## page of other people's recordings (THALWEG_DATA)
 	@$(SNAKEMAKE) real_logs
 
-test: env check ## static checks and the test suite
-	@$(PY) -m pytest -n $$(( $(CORES) + 1 )) --dist loadgroup -m "not slow" --durations=60
+test: env ## static checks and the test suite, beside each other
+	@$(MAKE) --no-print-directory check & \
+	$(PY) -m pytest -n $$(( $(CORES) + 1 )) --dist loadgroup -m "not slow" --durations=60; \
+	tests=$$?; wait $$! && exit $$tests
 
 check: env ## static checks only
 	@$(MAKE) --no-print-directory -j2 check-types check-rest
