@@ -1,6 +1,5 @@
 """Speed of a panorama of the size that a Ricoh Theta V gives, and of the colours of ten million points."""
 
-import resource
 import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.benchmarks import turns
 from tests.lidar.test_colour_check import EAST, START_S, poses_of, save_cloud
 from tests.panorama.test_compose import rig_of_the_shelf
 from thalweg.core import Camera
@@ -65,7 +65,7 @@ def coloured(folder: Path, points: str, photographs: Photographs) -> tuple[float
     begin = time.process_time()
     colour_cloud(folder / points, folder / "coloured.laz", [photographs], Colour())
     took = time.process_time() - begin
-    return took, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    return took, turns.peak_gb()
 
 
 @pytest.mark.slow

@@ -1,24 +1,33 @@
 """What the speed benchmarks share: sizes, and jobs measured in turns."""
 
+import inspect
 import os
+import resource
 import statistics
 import time
 from collections.abc import Callable, Mapping
+from pathlib import Path
 
 SHARE = float(os.environ.get("THALWEG_BENCHMARK_SHARE", "1"))
 """Share of the full size that the benchmarks of points run with, for a quick look: 0.05 takes a minute."""
 
-MEASURES = """
-import json, resource, sys, time
-from pathlib import Path
-def cpu():
+
+def cpu() -> float:
+    """Seconds of the processor of this process."""
     used = resource.getrusage(resource.RUSAGE_SELF)
     return used.ru_utime + used.ru_stime
-def peak_gb():
+
+
+def peak_gb() -> float:
+    """The largest memory that was resident."""
     status = Path("/proc/self/status").read_text()  # ru_maxrss would begin with that of the parent
     return int(status.split("VmHWM:")[1].split()[0]) * 1024 / 1e9
-"""
-"""Head of a program of its own: seconds of its processor, and the largest memory that was resident."""
+
+
+MEASURES = "\n".join(
+    ["import json, resource, sys, time", "from pathlib import Path", *map(inspect.getsource, (cpu, peak_gb))]
+)
+"""Head of a program of its own that measures itself."""
 
 
 def sized(n_points: float) -> int:
