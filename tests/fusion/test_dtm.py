@@ -1,14 +1,16 @@
 """The terrain model: watertight, without steps, with sigmas that hold."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import rasterio
 from rasterio import Affine
 
-from tests.fusion.conftest import DEPTH_M, FRAME, GRID, HALF_WIDTH_M, bed_up_m
+from tests.fusion.conftest import DEPTH_M, FRAME, GRID, HALF_WIDTH_M, LEVEL_UP_M, bed_up_m
 from thalweg.core import CoverageError, InputError
 from thalweg.fusion import Cloud, Dtm, River, Source, build_dtm, dtm_facts, seam_steps
-from thalweg.fusion.dtm import interpolation_error, membrane
+from thalweg.fusion.dtm import cells_inside, interpolation_error, layer_of_cloud, membrane
 from thalweg.settings.sections import Fusion, Vertical
 
 CELL_M = 0.5
@@ -95,6 +97,45 @@ def test_a_step_between_bed_and_banks_shows(river, rng, tmp_path):
     step, sigma, bend = seam_steps(found)
     assert np.mean(np.abs(step) - bend > 2 * sigma) > 0.3
     assert dtm_facts(found)["seam_above_two_sigma"] > 0.3
+
+
+def test_clouds_say_nothing_where_the_bed_is_under_water(river, rng, tmp_path):
+    """Plants that stand in the water, and its surface, are no bed."""
+    bed = write_bed(tmp_path / "bed.tif", river, rng, margin_m=0.0)
+    dry = bank_cloud(river, rng)
+    s, n = rng.uniform(5, 75, 3000), rng.uniform(-HALF_WIDTH_M, HALF_WIDTH_M, 3000)
+    surface = np.column_stack([river.flow.to_map(s, n), np.full(3000, LEVEL_UP_M)])
+    wet = Cloud(xyz_m=surface, sigma_horizontal_m=np.full(3000, 0.02), sigma_up_m=np.full(3000, 0.02))
+    clouds = {Source.LIDAR: dry, Source.SURROUNDINGS: wet}
+    outline = river.outline_m()
+    alone, both = (build_dtm(bed, of, outline, FRAME, Fusion()) for of in ({Source.LIDAR: dry}, clouds))
+    under = cells_inside(outline, both.corner_m, both.cell_m, both.height_m.shape) & (
+        both.source == Source.BED
+    )
+    assert under.sum() > 3000
+    corner = np.rint((alone.corner_m - both.corner_m) * (1, -1) / CELL_M).astype(int)
+    assert (corner == 0).all()
+    np.testing.assert_allclose(both.height_m[under], alone.height_m[under], atol=1e-9)
+
+
+def test_a_shared_error_of_the_pose_stays_in_the_sigma(rng):
+    """Scatter of plants as large as the stated sigma: without the pose's part it passes for noise."""
+    size, sigma, pose = 30, 0.03, 0.02
+    squares = {"told": [], "not": []}
+    for _ in range(40):
+        xy = rng.uniform(0, size * CELL_M, (20_000, 2))
+        up = pose * rng.standard_normal() + rng.normal(0, sigma, len(xy))
+        points = Cloud(
+            xyz_m=np.column_stack([xy, up]),
+            sigma_horizontal_m=np.full(len(xy), 0.02),
+            sigma_up_m=np.full(len(xy), sigma),
+            pose_m2=np.tile([pose**2, pose**2], (len(xy), 1)),
+        )
+        for name, of in (("told", points), ("not", replace(points, pose_m2=None))):
+            layer = layer_of_cloud(Source.LIDAR, of, np.array([0.0, size * CELL_M]), CELL_M, (size, size))
+            squares[name].append(np.nanmean((layer.height_m / layer.sigma_m) ** 2))
+    assert 0.5 < np.mean(squares["told"]) < 1.5
+    assert np.mean(squares["not"]) > 3
 
 
 def test_gaps_on_land_stay_or_are_filled_and_named(river, rng, tmp_path):

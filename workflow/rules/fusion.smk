@@ -8,6 +8,7 @@ rule build_dtm:
         banks="results/{campaign}/bathymetry/banks.csv",
         line="results/{campaign}/bathymetry/centre_line.csv",
         points=of(CampaignFiles.best_points),
+        trajectory=of(CampaignFiles.best_trajectory),
         surroundings=raw("uav"),
     output:
         dtm="results/{campaign}/fusion/dtm.tif",

@@ -8,7 +8,7 @@ import numpy as np
 from pyproj import CRS
 
 from thalweg.bathymetry import FlowLine
-from thalweg.core import LocalFrame
+from thalweg.core import LocalFrame, Trajectory
 from thalweg.fusion import (
     Cloud,
     Source,
@@ -31,6 +31,7 @@ def main(
     banks: Path,
     line: Path,
     points: list[Path],
+    trajectory: Path,
     surroundings: list[Path],
     dtm: Path,
     cloud: Path,
@@ -45,8 +46,9 @@ def main(
     found: dict[str, Any] = {}
     if points:
         parts[Source.LIDAR], found["ground"] = read_ground(
-            points[0], frame, crs, fusion.ground, sigma_m=fusion.fit.sigma_m
-        )
+            points[0], frame, crs, fusion.ground, sigma_m=fusion.fit.sigma_m,
+            shore_m=river.shore_m(), trajectory=Trajectory.read(trajectory),
+        )  # fmt: skip
     if surroundings and not points:
         parts[Source.SURROUNDINGS] = read_cloud(surroundings, frame, crs, sigma_m=fusion.fit.sigma_m)
         why = "no lidar to fit the cloud of the surroundings to; it stands as it came"

@@ -6,6 +6,11 @@ slope about it. Their scatter ``w`` about the slope is noise that is new in each
 tufts, which no number of points averages away: the height of a place within the cell differs by it. A cell of
 n points has ``max(s^2 - w^2, 0) + min(w^2, s^2) / n + max(w^2 - s^2, 0)``, and where the middle of its points
 lies ``d`` off the cell's, ``(b d)^2`` besides, with the change of slope ``b`` from cell to cell thereabouts.
+Where the pose's part ``p`` of the sigma is known, no scatter makes the shared part smaller: plants and relief
+scatter as noise does, and would pass for it, so that ``min(w^2, s^2 - p^2)`` is what counts as new.
+
+**Water.** Where the bed has a height inside the water line, no cloud has one: what a lidar or a drone saw
+there is the dry edge of a cell, a plant, the surface.
 
 **Blending.** Where several sources have a height, the model is their mean with the weights
 ``taper^2 / sigma^2``. The taper rises from 0 to 1 over `fusion.blend_m` from the border of a source inward,
@@ -190,6 +195,11 @@ class Layer:
     sigma_common_m: ArrayF
     distance_m: ArrayF
 
+    def without(self, cells: ArrayB) -> "Layer":
+        """The same, nothing known in some cells (rows, columns)."""
+        bands = ("height_m", "sigma_m", "sigma_common_m", "distance_m")
+        return replace(self, **{name: np.where(cells, np.nan, getattr(self, name)) for name in bands})
+
 
 def layer_of_cloud(
     source: Source, cloud_map: Cloud, corner_m: ArrayF, cell_m: float, shape: tuple[int, int]
@@ -221,12 +231,16 @@ def layer_of_cloud(
         squares = np.bincount(cell, weights=(level - height[cell]) ** 2, minlength=size).astype(float)
         steep = np.hypot(east, north).ravel()[cell]
         stated = mean(cloud_map.sigma_up_m[inside] ** 2 + (steep * cloud_map.sigma_horizontal_m[inside]) ** 2)
+        pose = np.zeros(size)
+        if cloud_map.pose_m2 is not None:
+            of_pose = cloud_map.pose_m2[inside]
+            pose = np.minimum(mean(of_pose[:, 1] + steep**2 * of_pose[:, 0]), stated)
         white, free = _pooled(
             squares.reshape(shape), np.maximum(n - 1, 0).reshape(shape), stated.reshape(shape)
         )
         # scatter beyond the stated one that is no chance of so few points
         beyond = white.ravel() > stated * (1 + 2 * np.sqrt(2 / free.ravel()))
-        own, relief = np.minimum(white.ravel(), stated), np.where(beyond, white.ravel() - stated, 0.0)
+        own, relief = np.minimum(white.ravel(), stated - pose), np.where(beyond, white.ravel() - stated, 0.0)
         # noise of three heights, 1, -2, 1, makes a change of slope too
         bend = np.maximum(bend.ravel() - 6.0 * own / n / cell_m**2, 0.0)
         off = mean(offset[:, 0]) ** 2 + mean(offset[:, 1]) ** 2
@@ -327,9 +341,12 @@ def build_dtm(
     cell = settings.cell_m or own_cell
     in_map = {source: _to_map(cloud, frame, crs) for source, cloud in clouds.items() if len(cloud.xyz_m)}
     corner, shape = _grid(bed, in_map, water_m, cell)
-    layers = [layer_of_bed(bed, corner, cell, shape)]
-    layers += [layer_of_cloud(source, cloud, corner, cell, shape) for source, cloud in in_map.items()]
     water = cells_inside(water_m, corner, cell, shape)
+    layers = [layer_of_bed(bed, corner, cell, shape)]
+    wet = water & np.isfinite(layers[0].height_m)
+    layers += [
+        layer_of_cloud(source, cloud, corner, cell, shape).without(wet) for source, cloud in in_map.items()
+    ]
     model = blend(layers, corner, cell, crs, blend_m=settings.blend_m)
     model = _filled(model, water, settings)
     vertical = settings.vertical

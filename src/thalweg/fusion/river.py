@@ -121,6 +121,10 @@ class River:
         local = self.frame.from_map(np.column_stack([places_m, np.full(len(places_m), height)]), self.crs)
         return self.flow.to_flow(local[:, :2])
 
+    def shore_m(self) -> ArrayF:
+        """Places (k, 3) of the water line in wcs."""
+        return self.banks[["east_m", "north_m", "up_m"]].to_numpy(float)
+
     def outline_m(self) -> ArrayF:
         """Water line (k, 2) in the map grid: left bank downstream, right bank upstream."""
         sides = []
