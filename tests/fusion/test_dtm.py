@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import rasterio
+from pyproj import Transformer
 from rasterio import Affine
 
 from tests.fusion.conftest import DEPTH_M, FRAME, GRID, HALF_WIDTH_M, LEVEL_UP_M, bed_up_m
@@ -23,7 +24,7 @@ def truth_m(river, places):
     return FRAME.to_map(local, GRID)[:, 2], n
 
 
-def write_bed(path, river, rng, *, margin_m=0.3, noise_m=0.03, cell_m=CELL_M):
+def write_bed(path, river, rng, *, margin_m=0.3, noise_m=0.03, cell_m=CELL_M, shift_m=0.0):
     outline = river.outline_m()
     west, north = np.floor(outline[:, 0].min()), np.ceil(outline[:, 1].max())
     shape = (int((north - outline[:, 1].min()) / cell_m) + 1, int((outline[:, 0].max() - west) / cell_m) + 1)
@@ -38,7 +39,7 @@ def write_bed(path, river, rng, *, margin_m=0.3, noise_m=0.03, cell_m=CELL_M):
     bands = [height, np.full(len(height), noise_m), np.full(len(height), 0.01), np.full(len(height), 0.4)]
     with rasterio.open(
         path, "w", driver="GTiff", width=shape[1], height=shape[0], count=4, dtype="float32",
-        crs=GRID.to_wkt(), transform=Affine(cell_m, 0, west, 0, -cell_m, north), nodata=np.nan,
+        crs=GRID.to_wkt(), transform=Affine(cell_m, 0, west + shift_m, 0, -cell_m, north), nodata=np.nan,
     ) as file:  # fmt: skip
         for i, band in enumerate(bands, start=1):
             file.write(np.where(inside, band, np.nan).reshape(shape).astype("f4"), i)
@@ -169,6 +170,44 @@ def test_a_model_is_read_as_it_was_written(river, rng, tmp_path):
     with rasterio.open(tmp_path / "dtm.tif") as file:
         assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
         assert file.descriptions[:4] == ("height", "sigma", "source", "distance")
+
+
+@pytest.mark.parametrize("ending", ["tif", "gtx"])
+def test_a_grid_of_a_geoid_gives_each_cell_its_separation(river, rng, tmp_path, ending):
+    """A geoid that rises to the north and is curved within the millimetre; GTX by its published layout."""
+    lon, lat = np.arange(13.0, 13.6, 0.05), np.arange(50.8, 51.4, 0.05)
+    undulation = 44.0 + 20.0 * (lat[:, None] - 51.0) - 0.5 * (lon - 13.0) + 0.1 * (lat[:, None] - 51.0) ** 2
+    path = tmp_path / f"geoid.{ending}"
+    if ending == "gtx":
+        head = np.array([lat[0], lon[0], 0.05, 0.05], ">f8").tobytes()
+        size = np.array(undulation.shape, ">i4").tobytes()
+        path.write_bytes(head + size + undulation.astype(">f4").tobytes())
+    else:
+        with rasterio.open(
+            path, "w", driver="GTiff", width=len(lon), height=len(lat), count=1, dtype="float32",
+            crs="EPSG:4258", transform=Affine(0.05, 0, lon[0] - 0.025, 0, -0.05, lat[-1] + 0.025),
+        ) as file:  # fmt: skip
+            file.write(undulation[::-1].astype("f4"), 1)
+    bed, clouds = write_bed(tmp_path / "bed.tif", river, rng), {Source.LIDAR: bank_cloud(river, rng)}
+    outline, named = river.outline_m(), Fusion(vertical=Vertical(name="EVRF", sigma_separation_m=0.02))
+    plain = build_dtm(bed, clouds, outline, FRAME, Fusion())
+    found = build_dtm(bed, clouds, outline, FRAME, named, geoid=path)
+    known = np.isfinite(found.height_m)
+    east, north = Transformer.from_crs(GRID, 4258, always_xy=True).transform(*found.centres_m()[known].T)
+    true = 44.0 + 20.0 * (north - 51.0) - 0.5 * (east - 13.0) + 0.1 * (north - 51.0) ** 2
+    assert np.ptp(true) > 0.005
+    assert (plain.height_m - found.height_m)[known] == pytest.approx(true, abs=2e-4)
+    assert found.sigma_common_m[known].min() >= 0.02
+    found.write(tmp_path / "dtm.tif")
+    again = Dtm.read(tmp_path / "dtm.tif")
+    assert (again.vertical, again.separation) == ("EVRF", found.separation)
+    low = River(flow=river.flow, banks=river.banks, frame=FRAME, crs=GRID, separation=found.separation)
+    assert river.level_m(40.0) - low.level_m(40.0) == pytest.approx(np.median(true), abs=0.002)
+    far = outline + np.array([90_000.0, 0.0])
+    with pytest.raises(InputError, match="no value at"):
+        build_dtm(
+            write_bed(tmp_path / "far.tif", river, rng, shift_m=90_000.0), {}, far, FRAME, named, geoid=path
+        )
 
 
 def test_a_coarser_cell_keeps_the_heights(river, rng, tmp_path):

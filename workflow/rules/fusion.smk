@@ -10,6 +10,7 @@ rule build_dtm:
         points=of(CampaignFiles.best_points),
         trajectory=of(CampaignFiles.best_trajectory),
         surroundings=raw("uav"),
+        geoid=raw("geoid"),
     output:
         dtm="results/{campaign}/fusion/dtm.tif",
         cloud="results/{campaign}/fusion/model.laz",

@@ -33,6 +33,7 @@ def main(
     points: list[Path],
     trajectory: Path,
     surroundings: list[Path],
+    geoid: list[Path],
     dtm: Path,
     cloud: Path,
     facts: Path,
@@ -62,7 +63,9 @@ def main(
     else:
         fit.write_text(json.dumps({"fitted": False, "why": "no cloud of the surroundings (logs.uav)"}) + "\n")
     found["points"] = join_clouds(cloud, [(Source.BED, cloud_of_bed(bed, frame)), *parts.items()], frame)
-    model = build_dtm(bed, parts, river.outline_m(), frame, fusion)
+    model = build_dtm(
+        bed, parts, river.outline_m(), frame, fusion, geoid=geoid[0] if geoid else None
+    )
     model.write(dtm)
     facts.write_text(json.dumps(found | dtm_facts(model), indent=2) + "\n")
 

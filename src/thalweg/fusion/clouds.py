@@ -122,7 +122,8 @@ class Cloud:
     def part(self, keep: ArrayB | ArrayI) -> "Cloud":
         """Those points alone."""
         columns = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return Cloud(**{name: None if of is None else of[keep] for name, of in columns.items()})
+        kept: dict[str, Any] = {name: None if of is None else of[keep] for name, of in columns.items()}
+        return Cloud(**kept)
 
 
 def read_cloud(paths: Sequence[Path], frame: LocalFrame, crs: CRS, *, sigma_m: float) -> Cloud:
@@ -177,6 +178,7 @@ def read_ground(
     ------
     InputError : as of `read_cloud` and of `filter_ground`.
     """
+    shore, wet = (None if shore_m is None else (cKDTree(shore_m[:, :2]), shore_m[:, 2])), 0
 
     def pieces() -> Iterator[tuple[Cloud, dict[str, AnyArray]]]:
         """The cloud from its begin, piece by piece, without what lies below the water."""
@@ -187,7 +189,6 @@ def read_ground(
             wet += int((~dry).sum())
             yield part.part(dry), {name: chunk[name][dry] for name in _COLUMNS}
 
-    shore, wet = (None if shore_m is None else (cKDTree(shore_m[:, :2]), shore_m[:, 2])), 0
     ground = GroundOfPieces(*extremes_en_m(part.xyz_m for part, _ in pieces()), settings)
     for part, _ in pieces():
         ground.add(part.xyz_m)
@@ -222,10 +223,11 @@ def _by_pose(trajectory: Trajectory, t_gps_s: ArrayF, xyz_m: ArrayF) -> ArrayF:
 
 
 def _joined(parts: Sequence[Cloud]) -> Cloud:
-    columns = {name: [getattr(part, name) for part in parts] for name in Cloud.__dataclass_fields__}
-    return Cloud(
-        **{n: None if any(c is None for c in of) else np.concatenate(of) for n, of in columns.items()}
-    )
+    joined: dict[str, Any] = {}
+    for name in Cloud.__dataclass_fields__:
+        columns = [getattr(part, name) for part in parts]
+        joined[name] = None if any(c is None for c in columns) else np.concatenate(columns)
+    return Cloud(**joined)
 
 
 def _pieces(

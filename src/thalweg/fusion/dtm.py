@@ -23,6 +23,7 @@ their borders (Laplace's equation). Its error at distance d from data is what th
 difference of known heights from the mean of those d to either side. The band of sources names such cells.
 """
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -30,7 +31,7 @@ from typing import Any, Final
 
 import numpy as np
 import scipy.sparse as sp
-from pyproj import CRS
+from pyproj import CRS, Transformer
 from scipy import ndimage
 from scipy.sparse.linalg import spsolve
 
@@ -40,6 +41,7 @@ from thalweg.settings.sections import Fusion
 
 BANDS: Final = ("height", "sigma", "source", "distance", "sigma_common")
 MOST_CELLS: Final = 100_000_000
+_GEOID_PLACES: Final = 400
 _LAGS: Final = (1, 2, 4, 8, 16, 32)
 _LEAST_SIGMA_M: Final = 1e-3
 _LEAST_LAG_CELLS: Final = 30
@@ -60,7 +62,8 @@ class Dtm:
     cell_m : width of a cell.
     crs : the map grid.
     vertical : name of the height system; empty: ellipsoidal heights.
-    separation_m : height of its zero above the ellipsoid.
+    separation : height of its zero above the ellipsoid as a plane: value where east and north are zero,
+        metres; rise per metre to the east and to the north.
     """
 
     height_m: ArrayF
@@ -72,7 +75,7 @@ class Dtm:
     cell_m: float
     crs: CRS
     vertical: str = ""
-    separation_m: float = 0.0
+    separation: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def centres_m(self) -> ArrayF:
         """East and north (rows, columns, 2) of the centres of the cells."""
@@ -119,7 +122,7 @@ class Dtm:
                     file.set_band_description(i, name)
                 file.update_tags(
                     heights=self.vertical or "ellipsoidal",
-                    separation_m=repr(self.separation_m),
+                    separation=json.dumps(self.separation),
                     **{f"source_{int(k)}": words for k, words in SOURCE_WORDS.items()},
                 )
         except (RasterioError, OSError) as wrong:
@@ -140,7 +143,7 @@ class Dtm:
             height_m=bands[0], sigma_m=bands[1], source=np.nan_to_num(bands[2]).astype(np.uint8),
             distance_m=bands[3], sigma_common_m=bands[4], corner_m=corner, cell_m=cell, crs=crs,
             vertical="" if tags.get("heights", "ellipsoidal") == "ellipsoidal" else tags["heights"],
-            separation_m=float(tags.get("separation_m", 0.0)),
+            separation=tuple(json.loads(tags.get("separation", "[0, 0, 0]"))),
         )  # fmt: skip
 
 
@@ -198,7 +201,8 @@ class Layer:
     def without(self, cells: ArrayB) -> "Layer":
         """The same, nothing known in some cells (rows, columns)."""
         bands = ("height_m", "sigma_m", "sigma_common_m", "distance_m")
-        return replace(self, **{name: np.where(cells, np.nan, getattr(self, name)) for name in bands})
+        changed: dict[str, Any] = {name: np.where(cells, np.nan, getattr(self, name)) for name in bands}
+        return replace(self, **changed)
 
 
 def layer_of_cloud(
@@ -320,7 +324,13 @@ def layer_of_bed(path: Path, corner_m: ArrayF, cell_m: float, shape: tuple[int, 
 
 
 def build_dtm(
-    bed: Path, clouds: Mapping[Source, Cloud], water_m: ArrayF, frame: LocalFrame, settings: Fusion
+    bed: Path,
+    clouds: Mapping[Source, Cloud],
+    water_m: ArrayF,
+    frame: LocalFrame,
+    settings: Fusion,
+    *,
+    geoid: Path | None = None,
 ) -> Dtm:
     """The terrain model.
 
@@ -331,10 +341,11 @@ def build_dtm(
     water_m : (k, 2) water line in the map grid of the bed, closed by itself.
     frame : wcs.
     settings : cell, blending, gaps, heights.
+    geoid : grid of the separation; None: the one that the settings state.
 
     Raises
     ------
-    InputError : no bed, or a grid too large.
+    InputError : no bed, a grid too large, or no grid of a geoid that covers the model.
     CoverageError : cells inside the water line that no measured cell is connected with.
     """
     _, _, own_cell, crs, _ = read_bands(bed, 4)
@@ -352,15 +363,64 @@ def build_dtm(
     vertical = settings.vertical
     if vertical.name is None:
         return model
-    known = np.isfinite(model.height_m)
+    known, places = np.isfinite(model.height_m), model.centres_m()
+    plane, sigma = (vertical.separation_m, 0.0, 0.0), vertical.sigma_separation_m
+    if geoid is not None:
+        plane, beside = _plane_of_grid(geoid, places[known], crs)
+        sigma = float(np.hypot(sigma, beside))
     return replace(
         model,
-        height_m=model.height_m - vertical.separation_m,
-        sigma_m=np.hypot(model.sigma_m, vertical.sigma_separation_m),
-        sigma_common_m=np.where(known, np.hypot(model.sigma_common_m, vertical.sigma_separation_m), np.nan),
+        height_m=model.height_m - separation_at(plane, places),
+        sigma_m=np.hypot(model.sigma_m, sigma),
+        sigma_common_m=np.where(known, np.hypot(model.sigma_common_m, sigma), np.nan),
         vertical=vertical.name,
-        separation_m=vertical.separation_m,
+        separation=plane,
     )
+
+
+def separation_at(plane: tuple[float, float, float], places_m: ArrayF) -> ArrayF:
+    """Height (...) of the zero of a model's heights above the ellipsoid at places (..., 2) in the map."""
+    return np.asarray(plane[0] + places_m[..., :2] @ np.array(plane[1:]))
+
+
+def _plane_of_grid(path: Path, places_m: ArrayF, crs: CRS) -> tuple[tuple[float, float, float], float]:
+    """A plane through the grid of a geoid about places (n, 2), and how far the grid lies off it (rms)."""
+    import rasterio
+    from rasterio.errors import RasterioError
+
+    some = places_m[:: -(-len(places_m) // _GEOID_PLACES)]
+    try:
+        with rasterio.open(path) as file:
+            if file.crs is None:
+                raise InputError("no coordinate system", expected="a grid of a geoid", where=path)
+            onto = Transformer.from_crs(crs, CRS.from_wkt(file.crs.to_wkt()), always_xy=True)
+            x, y = onto.transform(some[:, 0], some[:, 1])
+            if file.crs.is_geographic:  # some grids count from 0 to 360 degrees
+                x = file.bounds.left + (np.asarray(x) - file.bounds.left) % 360.0
+            turn = file.transform
+            column, row = (np.asarray(x) - turn.c) / turn.a, (np.asarray(y) - turn.f) / turn.e
+            (top, below), (left, right) = (
+                np.clip([np.floor(k.min()) - 2, np.ceil(k.max()) + 2], 0, most).astype(int)
+                for k, most in ((row, file.height), (column, file.width))
+            )
+            band = np.full((1, 1), np.nan)  # the grid lies elsewhere
+            if below > top and right > left:
+                part = ((top, below), (left, right))
+                band = file.read(1, window=part, masked=True).astype(float).filled(np.nan)
+    except (RasterioError, OSError) as wrong:
+        raise InputError(f"no grid ({wrong})", expected="a geoid as GeoTIFF or .gtx", where=path) from wrong
+    at = (row - top - 0.5, column - left - 0.5)
+    found = ndimage.map_coordinates(band, at, order=1, cval=np.nan)
+    if not np.isfinite(found).all():
+        raise InputError(
+            f"no value at {int((~np.isfinite(found)).sum())} of {len(found)} places of the model",
+            expected="a geoid that covers the survey", where=path,
+        )  # fmt: skip
+    middle = some.mean(axis=0)
+    rows = np.column_stack([np.ones(len(some)), some - middle])
+    value = np.linalg.lstsq(rows, found, rcond=None)[0]
+    rest = float(np.sqrt(np.mean((found - rows @ value) ** 2)))
+    return (float(value[0] - value[1:] @ middle), float(value[1]), float(value[2])), rest
 
 
 def _to_map(cloud: Cloud, frame: LocalFrame, crs: CRS) -> Cloud:
