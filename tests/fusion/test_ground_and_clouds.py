@@ -133,15 +133,16 @@ def test_the_pose_makes_errors_that_neighbours_share(rng, tmp_path):
     with LazWriter(tmp_path / "points.laz", FRAME) as writer:
         writer.append(xyz, t_gps_s=np.full(300, 100.05), return_number=one, number_of_returns=one)
     found, _ = read_ground(
-        tmp_path / "points.laz", FRAME, GRID, GroundFilter(), sigma_m=0.03, trajectory=poses
-    )
+        tmp_path / "points.laz", FRAME, GRID, GroundFilter(), sigma_m=0.03,
+        trajectory=poses, decay=lambda t: t / 8.0,
+    )  # fmt: skip
     draws = sigma * rng.standard_normal((20_000, 6))
     arm = found.xyz_m[0] - place[0]
     moved = draws[:, :3] + np.cross(draws[:, 3:], arm)
     expected = [np.mean(moved[:, :2] ** 2), np.mean(moved[:, 2] ** 2)]
-    assert found.pose_m2 is not None
-    assert found.pose_m2.shape == (len(found.xyz_m), 2)
-    assert found.pose_m2[0] == pytest.approx(expected, rel=0.04)
+    assert found.pose is not None
+    assert found.pose.shape == (len(found.xyz_m), 3)
+    assert found.pose[0] == pytest.approx([*expected, 100.05 / 8.0], rel=0.04)
 
 
 def test_a_cloud_without_plants_has_nothing_to_gain(rng):

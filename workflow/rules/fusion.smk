@@ -9,6 +9,7 @@ rule build_dtm:
         line="results/{campaign}/bathymetry/centre_line.csv",
         points=of(CampaignFiles.best_points),
         trajectory=of(CampaignFiles.best_trajectory),
+        errors=of(CampaignFiles.best_errors),
         surroundings=raw("uav"),
         geoid=raw("geoid"),
     output:

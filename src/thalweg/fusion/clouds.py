@@ -14,7 +14,7 @@ no ground.
 """
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
@@ -109,15 +109,15 @@ class Cloud:
     xyz_m : (n, 3) wcs.
     sigma_horizontal_m, sigma_up_m : (n,) standard deviations; horizontal: of one axis.
     rgb : (n, 3) uint16 colours, or None.
-    pose_m2 : (n, 2) part of the variances, horizontal and up, that comes by the pose of the boat, which
-        neighbouring points share; None: not known apart.
+    pose : (n, 3) variances, horizontal and up, that come by the pose of the boat, which neighbouring points
+        share, and the time in which they decay evenly, in units of their correlation time; None: not known.
     """
 
     xyz_m: ArrayF
     sigma_horizontal_m: ArrayF
     sigma_up_m: ArrayF
     rgb: AnyArray | None = None
-    pose_m2: ArrayF | None = None
+    pose: ArrayF | None = None
 
     def part(self, keep: ArrayB | ArrayI) -> "Cloud":
         """Those points alone."""
@@ -155,6 +155,7 @@ def read_ground(
     sigma_m: float,
     shore_m: ArrayF | None = None,
     trajectory: Trajectory | None = None,
+    decay: Callable[[ArrayF], ArrayF] | None = None,
 ) -> tuple[Cloud, dict[str, Any]]:
     """Ground of a cloud of the boat's lidar, which is read three times: the rest of it is never held.
 
@@ -169,6 +170,8 @@ def read_ground(
     settings : see `filter_ground`.
     shore_m : (k, 3) places of the water line in wcs; None: there is none.
     trajectory : that the cloud was made with; None: the pose's part of the errors is not told apart.
+    decay : of GPS times (n,) those in which errors of the poses decay evenly, in units of their correlation
+        time; None: they last.
 
     Returns
     -------
@@ -197,7 +200,9 @@ def read_ground(
         is_ground = ground.take(part.xyz_m, chunk["return_number"], chunk["number_of_returns"])[0]
         part = part.part(is_ground)
         if trajectory is not None:
-            part = replace(part, pose_m2=_by_pose(trajectory, chunk["t_gps_s"][is_ground], part.xyz_m))
+            t = chunk["t_gps_s"][is_ground]
+            age = np.zeros(len(t)) if decay is None else decay(t)
+            part = replace(part, pose=np.column_stack([_by_pose(trajectory, t, part.xyz_m), age]))
         kept.append(part)
     return _joined(kept), ground.facts() | {"below_the_water": wet}
 

@@ -6,8 +6,9 @@ slope about it. Their scatter ``w`` about the slope is noise that is new in each
 tufts, which no number of points averages away: the height of a place within the cell differs by it. A cell of
 n points has ``max(s^2 - w^2, 0) + min(w^2, s^2) / n + max(w^2 - s^2, 0)``, and where the middle of its points
 lies ``d`` off the cell's, ``(b d)^2`` besides, with the change of slope ``b`` from cell to cell thereabouts.
-Where the pose's part ``p`` of the sigma is known, no scatter makes the shared part smaller: plants and relief
-scatter as noise does, and would pass for it, so that ``min(w^2, s^2 - p^2)`` is what counts as new.
+Where the part ``p`` of the pose is known, less what a mean over the time of a cell's points takes off it,
+no scatter makes the shared part smaller: plants and relief scatter as noise does, and would pass for it, so
+that ``min(w^2, s^2 - p^2)`` is what counts as new.
 
 **Water.** Where the bed has a height inside the water line, no cloud has one: what a lidar or a drone saw
 there is the dry edge of a cell, a plant, the surface.
@@ -236,9 +237,12 @@ def layer_of_cloud(
         steep = np.hypot(east, north).ravel()[cell]
         stated = mean(cloud_map.sigma_up_m[inside] ** 2 + (steep * cloud_map.sigma_horizontal_m[inside]) ** 2)
         pose = np.zeros(size)
-        if cloud_map.pose_m2 is not None:
-            of_pose = cloud_map.pose_m2[inside]
-            pose = np.minimum(mean(of_pose[:, 1] + steep**2 * of_pose[:, 0]), stated)
+        if cloud_map.pose is not None:
+            horizontal, up, age = cloud_map.pose[inside].T
+            # the mean of a Gauss-Markov error over a time that has this spread
+            spread = np.sqrt(12.0 * np.maximum(mean(age**2) - mean(age) ** 2, 1e-12))
+            lasting = 2.0 * (spread - 1.0 + np.exp(-spread)) / spread**2
+            pose = np.minimum(mean(up + steep**2 * horizontal) * np.minimum(lasting, 1.0), stated)
         white, free = _pooled(
             squares.reshape(shape), np.maximum(n - 1, 0).reshape(shape), stated.reshape(shape)
         )
