@@ -216,7 +216,7 @@ def test_weeds_are_found_where_they_are_most_of_the_echoes(instrument_median: bo
     weeds, out = bed - d > 0.12, judged(d)
     assert weeds.sum() > 400
     # an instrument that takes a median itself hides how rough they are
-    assert out[weeds].mean() > (0.7 if instrument_median else 0.85)
+    assert out[weeds].mean() > (0.75 if instrument_median else 0.9)
     assert out[~weeds].mean() < 0.025
     # turns over steep banks, once as wide as a patch, are none
     steep = 1.4 - 0.9 * np.abs(np.sin(np.pi * x / 14)) ** 3

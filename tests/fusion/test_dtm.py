@@ -1,14 +1,17 @@
 """The terrain model: watertight, without steps, with sigmas that hold."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import rasterio
+from pyproj import Transformer
 from rasterio import Affine
 
-from tests.fusion.conftest import DEPTH_M, FRAME, GRID, HALF_WIDTH_M, bed_up_m
+from tests.fusion.conftest import DEPTH_M, FRAME, GRID, HALF_WIDTH_M, LEVEL_UP_M, bed_up_m
 from thalweg.core import CoverageError, InputError
 from thalweg.fusion import Cloud, Dtm, River, Source, build_dtm, dtm_facts, seam_steps
-from thalweg.fusion.dtm import interpolation_error, membrane
+from thalweg.fusion.dtm import cells_inside, interpolation_error, layer_of_cloud, membrane
 from thalweg.settings.sections import Fusion, Vertical
 
 CELL_M = 0.5
@@ -21,7 +24,7 @@ def truth_m(river, places):
     return FRAME.to_map(local, GRID)[:, 2], n
 
 
-def write_bed(path, river, rng, *, margin_m=0.3, noise_m=0.03, cell_m=CELL_M):
+def write_bed(path, river, rng, *, margin_m=0.3, noise_m=0.03, cell_m=CELL_M, shift_m=0.0):
     outline = river.outline_m()
     west, north = np.floor(outline[:, 0].min()), np.ceil(outline[:, 1].max())
     shape = (int((north - outline[:, 1].min()) / cell_m) + 1, int((outline[:, 0].max() - west) / cell_m) + 1)
@@ -36,7 +39,7 @@ def write_bed(path, river, rng, *, margin_m=0.3, noise_m=0.03, cell_m=CELL_M):
     bands = [height, np.full(len(height), noise_m), np.full(len(height), 0.01), np.full(len(height), 0.4)]
     with rasterio.open(
         path, "w", driver="GTiff", width=shape[1], height=shape[0], count=4, dtype="float32",
-        crs=GRID.to_wkt(), transform=Affine(cell_m, 0, west, 0, -cell_m, north), nodata=np.nan,
+        crs=GRID.to_wkt(), transform=Affine(cell_m, 0, west + shift_m, 0, -cell_m, north), nodata=np.nan,
     ) as file:  # fmt: skip
         for i, band in enumerate(bands, start=1):
             file.write(np.where(inside, band, np.nan).reshape(shape).astype("f4"), i)
@@ -97,6 +100,52 @@ def test_a_step_between_bed_and_banks_shows(river, rng, tmp_path):
     assert dtm_facts(found)["seam_above_two_sigma"] > 0.3
 
 
+def test_clouds_say_nothing_where_the_bed_is_under_water(river, rng, tmp_path):
+    """Plants that stand in the water, and its surface, are no bed."""
+    bed = write_bed(tmp_path / "bed.tif", river, rng, margin_m=0.0)
+    dry = bank_cloud(river, rng)
+    s, n = rng.uniform(5, 75, 3000), rng.uniform(-HALF_WIDTH_M, HALF_WIDTH_M, 3000)
+    surface = np.column_stack([river.flow.to_map(s, n), np.full(3000, LEVEL_UP_M)])
+    wet = Cloud(xyz_m=surface, sigma_horizontal_m=np.full(3000, 0.02), sigma_up_m=np.full(3000, 0.02))
+    clouds = {Source.LIDAR: dry, Source.SURROUNDINGS: wet}
+    outline = river.outline_m()
+    alone, both = (build_dtm(bed, of, outline, FRAME, Fusion()) for of in ({Source.LIDAR: dry}, clouds))
+    under = cells_inside(outline, both.corner_m, both.cell_m, both.height_m.shape) & (
+        both.source == Source.BED
+    )
+    assert under.sum() > 3000
+    corner = np.rint((alone.corner_m - both.corner_m) * (1, -1) / CELL_M).astype(int)
+    assert (corner == 0).all()
+    np.testing.assert_allclose(both.height_m[under], alone.height_m[under], atol=1e-9)
+
+
+@pytest.mark.parametrize("seconds", [0.0, 40.0])
+def test_a_shared_error_of_the_pose_stays_in_the_sigma(rng, seconds):
+    """Scatter of plants as large as the stated sigma: without the pose's part it passes for noise.
+
+    Errors of poses last 8 s; a mean over 40 s takes off what it takes off.
+    """
+    size, sigma, pose = 30, 0.03, 0.02
+    squares = {"told": [], "not": []}
+    t = np.linspace(0.0, seconds, 81)
+    root = np.linalg.cholesky(np.exp(-np.abs(t[:, None] - t) / 8.0) + 1e-9 * np.eye(81))
+    for _ in range(40):
+        xy = rng.uniform(0, size * CELL_M, (20_000, 2))
+        when = rng.integers(0, 81, len(xy))
+        up = (pose * root @ rng.standard_normal(81))[when] + rng.normal(0, sigma, len(xy))
+        points = Cloud(
+            xyz_m=np.column_stack([xy, up]),
+            sigma_horizontal_m=np.full(len(xy), 0.02),
+            sigma_up_m=np.full(len(xy), sigma),
+            pose=np.column_stack([np.full((len(xy), 2), pose**2), t[when] / 8.0]),
+        )
+        for name, of in (("told", points), ("not", replace(points, pose=None))):
+            layer = layer_of_cloud(Source.LIDAR, of, np.array([0.0, size * CELL_M]), CELL_M, (size, size))
+            squares[name].append(np.nanmean((layer.height_m / layer.sigma_m) ** 2))
+    assert 0.5 < np.mean(squares["told"]) < 1.5
+    assert np.mean(squares["not"]) > 1.5 * np.mean(squares["told"])
+
+
 def test_gaps_on_land_stay_or_are_filled_and_named(river, rng, tmp_path):
     bed = write_bed(tmp_path / "bed.tif", river, rng)
     clouds = {Source.LIDAR: bank_cloud(river, rng, gap=(30, 34))}
@@ -128,6 +177,44 @@ def test_a_model_is_read_as_it_was_written(river, rng, tmp_path):
     with rasterio.open(tmp_path / "dtm.tif") as file:
         assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
         assert file.descriptions[:4] == ("height", "sigma", "source", "distance")
+
+
+@pytest.mark.parametrize("ending", ["tif", "gtx"])
+def test_a_grid_of_a_geoid_gives_each_cell_its_separation(river, rng, tmp_path, ending):
+    """A geoid that rises to the north and is curved within the millimetre; GTX by its published layout."""
+    lon, lat = np.arange(13.0, 13.6, 0.05), np.arange(50.8, 51.4, 0.05)
+    undulation = 44.0 + 20.0 * (lat[:, None] - 51.0) - 0.5 * (lon - 13.0) + 0.1 * (lat[:, None] - 51.0) ** 2
+    path = tmp_path / f"geoid.{ending}"
+    if ending == "gtx":
+        head = np.array([lat[0], lon[0], 0.05, 0.05], ">f8").tobytes()
+        size = np.array(undulation.shape, ">i4").tobytes()
+        path.write_bytes(head + size + undulation.astype(">f4").tobytes())
+    else:
+        with rasterio.open(
+            path, "w", driver="GTiff", width=len(lon), height=len(lat), count=1, dtype="float32",
+            crs="EPSG:4258", transform=Affine(0.05, 0, lon[0] - 0.025, 0, -0.05, lat[-1] + 0.025),
+        ) as file:  # fmt: skip
+            file.write(undulation[::-1].astype("f4"), 1)
+    bed, clouds = write_bed(tmp_path / "bed.tif", river, rng), {Source.LIDAR: bank_cloud(river, rng)}
+    outline, named = river.outline_m(), Fusion(vertical=Vertical(name="EVRF", sigma_separation_m=0.02))
+    plain = build_dtm(bed, clouds, outline, FRAME, Fusion())
+    found = build_dtm(bed, clouds, outline, FRAME, named, geoid=path)
+    known = np.isfinite(found.height_m)
+    east, north = Transformer.from_crs(GRID, 4258, always_xy=True).transform(*found.centres_m()[known].T)
+    true = 44.0 + 20.0 * (north - 51.0) - 0.5 * (east - 13.0) + 0.1 * (north - 51.0) ** 2
+    assert np.ptp(true) > 0.005
+    assert (plain.height_m - found.height_m)[known] == pytest.approx(true, abs=2e-4)
+    assert found.sigma_common_m[known].min() >= 0.02
+    found.write(tmp_path / "dtm.tif")
+    again = Dtm.read(tmp_path / "dtm.tif")
+    assert (again.vertical, again.separation) == ("EVRF", found.separation)
+    low = River(flow=river.flow, banks=river.banks, frame=FRAME, crs=GRID, separation=found.separation)
+    assert river.level_m(40.0) - low.level_m(40.0) == pytest.approx(np.median(true), abs=0.002)
+    far = outline + np.array([90_000.0, 0.0])
+    with pytest.raises(InputError, match="no value at"):
+        build_dtm(
+            write_bed(tmp_path / "far.tif", river, rng, shift_m=90_000.0), {}, far, FRAME, named, geoid=path
+        )
 
 
 def test_a_coarser_cell_keeps_the_heights(river, rng, tmp_path):

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.conftest import check_whole
 from tests.fusion.conftest import FRAME, GRID
-from thalweg.core import CoverageError, GeometryError, InputError, LazWriter, iter_laz
+from thalweg.core import CoverageError, GeometryError, InputError, LazWriter, Trajectory, iter_laz
 from thalweg.fusion import (
     Cloud,
     Source,
@@ -90,8 +90,59 @@ def test_the_ground_of_a_file_is_that_of_all_its_points(with_plants, tmp_path, m
         found, facts = read_ground(path, FRAME, GRID, GroundFilter(), sigma_m=0.03)
         np.testing.assert_array_equal(found.xyz_m, whole.xyz_m[ground.is_ground])
         np.testing.assert_array_equal(found.sigma_up_m, 0.03)
-        assert facts == ground.facts
+        assert facts == ground.facts | {"below_the_water": 0}
     assert sizes == [1_000_000] * 3 + [3_000] * 3
+
+
+def test_mirror_images_in_the_water_do_not_hide_the_toe_of_the_bank(rng, tmp_path):
+    """Images of what stands up to 12 cm above the water lie where noise does; without them it is ground."""
+    xy = rng.uniform(0, [60.0, 6.0], (40_000, 2))
+    true = 0.8 * xy[:, 1]  # 1:1.25 out of the water at y = 0
+    up = true + rng.normal(0, 0.02, len(xy))
+    image = (true < 0.12) & (rng.random(len(xy)) < 0.8)
+    behind = np.column_stack([rng.uniform(0, 60, 500), rng.uniform(20, 25, 500), np.full(500, -0.5)])
+    path, one = tmp_path / "points.laz", np.ones(len(xy) + image.sum() + 500, int)
+    points = [np.column_stack([xy, up]), np.column_stack([xy[image], -up[image]]), behind]
+    with LazWriter(path, FRAME) as writer:
+        writer.append(np.concatenate(points), return_number=one, number_of_returns=one)
+    shore = np.column_stack([np.arange(0.0, 61.0), np.zeros(61), np.zeros(61)])
+    error, toe = {}, {}
+    for name, places in (("without", None), ("with", shore)):
+        found, facts = read_ground(path, FRAME, GRID, GroundFilter(), sigma_m=0.03, shore_m=places)
+        near = (found.xyz_m[:, 1] > 0.05) & (found.xyz_m[:, 1] < 0.4)
+        toe[name] = int(near.sum())
+        error[name] = float(np.mean(found.xyz_m[near, 2] - 0.8 * found.xyz_m[near, 1]))
+    assert error["without"] < -0.05
+    assert abs(error["with"]) < 0.005
+    assert toe["with"] > 0.95 * np.sum((xy[:, 1] > 0.05) & (xy[:, 1] < 0.4))
+    assert image.sum() <= facts["below_the_water"] < image.sum() + 500
+    # land behind a dyke may lie lower
+    assert (found.xyz_m[:, 2] < -0.4).sum() == 500
+
+
+def test_the_pose_makes_errors_that_neighbours_share(rng, tmp_path):
+    """Cells of points with scatter of their own: what the pose adds is that of drawn poses."""
+    sigma = np.array([0.02, 0.02, 0.015, 0.002, 0.001, 0.003])
+    t = np.array([100.0, 100.1])
+    place, quaternion = np.tile([5.0, -12.0, 1.0], (2, 1)), np.tile([0.0, 0.0, 0.0, 1.0], (2, 1))
+    poses = Trajectory(
+        frame=FRAME, t_gps_s=t, position_wcs_m=place, quaternion_wcs_ics=quaternion,
+        cov_pose_wcs=np.tile(np.diag(sigma**2), (2, 1, 1)), valid=np.ones(2, bool),
+    )  # fmt: skip
+    xyz, one = bank(rng, 300), np.ones(300, int)
+    with LazWriter(tmp_path / "points.laz", FRAME) as writer:
+        writer.append(xyz, t_gps_s=np.full(300, 100.05), return_number=one, number_of_returns=one)
+    found, _ = read_ground(
+        tmp_path / "points.laz", FRAME, GRID, GroundFilter(), sigma_m=0.03,
+        trajectory=poses, decay=lambda t: t / 8.0,
+    )  # fmt: skip
+    draws = sigma * rng.standard_normal((20_000, 6))
+    arm = found.xyz_m[0] - place[0]
+    moved = draws[:, :3] + np.cross(draws[:, 3:], arm)
+    expected = [np.mean(moved[:, :2] ** 2), np.mean(moved[:, 2] ** 2)]
+    assert found.pose is not None
+    assert found.pose.shape == (len(found.xyz_m), 3)
+    assert found.pose[0] == pytest.approx([*expected, 100.05 / 8.0], rel=0.04)
 
 
 def test_a_cloud_without_plants_has_nothing_to_gain(rng):

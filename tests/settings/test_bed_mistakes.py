@@ -14,6 +14,19 @@ def test_a_bed_is_a_stream(write, survey):
     assert [p.name for p in campaign.log_files("bed")] == ["bed_1.csv", "bed_2.csv"]
 
 
+def test_a_geoid_needs_name_and_sigma(write, survey):
+    (survey / "raw/geoid.gtx").write_bytes(b"grid")
+    named = {"name": "DHHN2016", "sigma_separation_m": 0.02}
+    campaign = load_campaign(write({"logs.geoid": ["raw/geoid.gtx"], "fusion.vertical": named}))
+    assert [p.name for p in campaign.log_files("geoid")] == ["geoid.gtx"]
+    with pytest.raises(CampaignError, match=r"logs\.geoid.*without name and sigma"):
+        load_campaign(write({"logs.geoid": ["raw/geoid.gtx"]}))
+    with pytest.raises(CampaignError, match=r"logs\.geoid.*beside a single separation"):
+        load_campaign(
+            write({"logs.geoid": ["raw/geoid.gtx"], "fusion.vertical": named | {"separation_m": 45.0}})
+        )
+
+
 def test_a_bed_needs_soundings(write, survey, removed):
     (survey / "raw/bed.csv").write_text(BED)
     with pytest.raises(CampaignError, match=r"logs\.bed.*a surveyed bed without soundings"):

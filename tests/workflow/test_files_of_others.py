@@ -18,7 +18,9 @@ from pyproj import CRS
 
 from thalweg.bathymetry import OBSERVATIONS
 from thalweg.core import LocalFrame, read_raster, read_table, write_raster
-from thalweg.fusion import Source, joined_parts
+from thalweg.figures import SKY
+from thalweg.figures.bathymetry.pictures import draw_bed_map
+from thalweg.fusion import SOURCE_WORDS, Source, joined_parts
 from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import simulate_uav
 from thalweg_lab.truth import true_bed_m
@@ -157,3 +159,28 @@ def test_the_cloud_from_the_air_is_fitted_and_joined(others) -> None:
     assert of_air.sum() > 100
     # the motion's own sigma is in that of the cells
     assert np.nanmin(model["sigma"][of_air]) > 0.5 * sigma[2]
+
+
+def test_the_map_shows_the_cloud_from_the_air(others) -> None:
+    """P1 Fig. 3 and 6: lidar, soundings, bed coloured by depth and the drone's cloud on one map."""
+    tiny, ours = others
+    campaign = yaml.safe_load((tiny.parents[1] / "config/campaigns/tiny.yaml").read_text())["campaign"]
+    folder = ours / "bathymetry"
+    figure = draw_bed_map(
+        bed=folder / "bed.tif", banks=folder / "banks.csv", line=folder / "centre_line.csv",
+        level=folder / "water_level.json", soundings=folder / "soundings.parquet",
+        model=ours / "fusion/model.laz", crs=campaign["crs"], origin=campaign["origin"],
+        title="others", twin=True,
+    )  # fmt: skip
+    ax = figure.axes[0]
+    drawn = {line.get_label(): line for line in ax.lines}
+    low, high = np.sort(ax.get_xlim()), np.sort(ax.get_ylim())
+    colours = []
+    for source in (Source.SURROUNDINGS, Source.LIDAR):
+        east, north = drawn[SOURCE_WORDS[source]].get_data()
+        inside = (east > low[0]) & (east < low[1]) & (north > high[0]) & (north < high[1])
+        assert inside.sum() > 500
+        colours.append(drawn[SOURCE_WORDS[source]].get_color())
+    assert colours == ["0.75", SKY]
+    assert drawn["soundings"].get_color() == "black"
+    assert "UTM zone 33N" in figure.axes[1].get_xlabel()

@@ -8,7 +8,10 @@ rule build_dtm:
         banks="results/{campaign}/bathymetry/banks.csv",
         line="results/{campaign}/bathymetry/centre_line.csv",
         points=of(CampaignFiles.best_points),
+        trajectory=of(CampaignFiles.best_trajectory),
+        errors=of(CampaignFiles.best_errors),
         surroundings=raw("uav"),
+        geoid=raw("geoid"),
     output:
         dtm="results/{campaign}/fusion/dtm.tif",
         cloud="results/{campaign}/fusion/model.laz",

@@ -1,6 +1,7 @@
 """Bed, cloud of the banks and cloud of the surroundings -> one cloud, one terrain model."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,7 @@ import numpy as np
 from pyproj import CRS
 
 from thalweg.bathymetry import FlowLine
-from thalweg.core import LocalFrame
+from thalweg.core import ArrayF, LocalFrame, Trajectory
 from thalweg.fusion import (
     Cloud,
     Source,
@@ -21,6 +22,7 @@ from thalweg.fusion import (
     read_ground,
     read_river,
 )
+from thalweg.navigation.ins_gnss import PoseCorrelation
 from thalweg.settings.sections import Fusion
 from thalweg.workflow import run_job
 
@@ -31,7 +33,10 @@ def main(
     banks: Path,
     line: Path,
     points: list[Path],
+    trajectory: Path,
+    errors: Path,
     surroundings: list[Path],
+    geoid: list[Path],
     dtm: Path,
     cloud: Path,
     facts: Path,
@@ -45,8 +50,9 @@ def main(
     found: dict[str, Any] = {}
     if points:
         parts[Source.LIDAR], found["ground"] = read_ground(
-            points[0], frame, crs, fusion.ground, sigma_m=fusion.fit.sigma_m
-        )
+            points[0], frame, crs, fusion.ground, sigma_m=fusion.fit.sigma_m,
+            shore_m=river.shore_m(), trajectory=Trajectory.read(trajectory), decay=_decay(errors),
+        )  # fmt: skip
     if surroundings and not points:
         parts[Source.SURROUNDINGS] = read_cloud(surroundings, frame, crs, sigma_m=fusion.fit.sigma_m)
         why = "no lidar to fit the cloud of the surroundings to; it stands as it came"
@@ -60,9 +66,16 @@ def main(
     else:
         fit.write_text(json.dumps({"fitted": False, "why": "no cloud of the surroundings (logs.uav)"}) + "\n")
     found["points"] = join_clouds(cloud, [(Source.BED, cloud_of_bed(bed, frame)), *parts.items()], frame)
-    model = build_dtm(bed, parts, river.outline_m(), frame, fusion)
+    model = build_dtm(bed, parts, river.outline_m(), frame, fusion, geoid=geoid[0] if geoid else None)
     model.write(dtm)
     facts.write_text(json.dumps(found | dtm_facts(model), indent=2) + "\n")
+
+
+def _decay(errors: Path) -> Callable[[ArrayF], ArrayF]:
+    """GPS times as those in which errors of the poses decay evenly, in units of their longest time."""
+    correlation = PoseCorrelation.of_survey(errors, receiver_s=1.0)
+    lasts_s = float(np.nanmax([correlation.position_s, correlation.attitude_s]))
+    return lambda t_gps_s: correlation.even_time_s(t_gps_s) / lasts_s
 
 
 if "snakemake" in globals():

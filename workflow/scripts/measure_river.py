@@ -41,7 +41,7 @@ def main(
 ) -> None:
     model = Dtm.read(dtm)
     frame, crs = LocalFrame(**campaign["origin"]), CRS.from_user_input(campaign["crs"])
-    river = read_river(FlowLine.read(line), banks, frame, crs, separation_m=model.separation_m)
+    river = read_river(FlowLine.read(line), banks, frame, crs, separation=model.separation)
     notes = []
     try:
         sections = cut_sections(model, river, fusion)

@@ -29,7 +29,7 @@ from .kriging import (
     krige_by_pykrige as krige_by_pykrige,
     krige_dense as krige_dense,
 )
-from .plan import PATTERNS as PATTERNS, SurveyPlan as SurveyPlan, plan_survey as plan_survey
+from .plan import PATTERNS as PATTERNS, SurveyPlan as SurveyPlan, course as course, plan_survey as plan_survey
 from .soundings import (
     REASONS as REASONS,
     S44 as S44,
@@ -57,7 +57,7 @@ from .tables import (
     read_soundings as read_soundings,
 )
 from .through_water import correct_refraction as correct_refraction, read_columns as read_columns
-from .validation import measures as measures, validate_bed as validate_bed
+from .validation import measures as measures, methods as methods, validate_bed as validate_bed
 from .variogram import (
     DRIFTS as DRIFTS,
     Across as Across,

@@ -161,9 +161,11 @@ def _choose(near, ds, dn, line, most, of_octant, of_line, out):  # type: ignore[
     for j in range(near.size):
         if near[j] < 0:
             break
-        octant = min(int((math.atan2(dn[j], ds[j]) + math.pi) / (math.pi / 4.0)), 7)
-        if of_octant > 0 and count[octant] >= of_octant:
-            continue
+        octant = 0
+        if of_octant > 0:
+            octant = min(int((math.atan2(dn[j], ds[j]) + math.pi) / (math.pi / 4.0)), 7)
+            if count[octant] >= of_octant:
+                continue
         slot = -1
         if of_line > 0:
             mine = line[near[j]]
@@ -206,12 +208,12 @@ def _solve(  # type: ignore[no-untyped-def]
         m = _choose(near[i], ds, dn, line, most, of_octant, of_line, chosen)
         if m == 0:
             continue
-        L = np.empty((m, m))
+        # C = U'U by rows: inner loops without a sum and from zero, which the compiler makes vectors of
+        U = np.empty((m, m))
         u = np.empty(m)
         w = np.empty(m)
         y = np.empty(m)
         F = np.empty((m, p))
-        sound = True
         for a in range(m):
             ja = chosen[a]
             pa = near[i, ja]
@@ -220,27 +222,14 @@ def _solve(  # type: ignore[no-untyped-def]
             y[a] = z[pa]
             for k in range(p):
                 F[a, k] = functions[pa, k]
-            for b in range(a + 1):
+            U[a, a] = sill + (white2[pa] + slow[pa] * slow[pa])
+            for b in range(a + 1, m):
                 jb = chosen[b]
                 pb = near[i, jb]
-                c = sill
-                if a != b:
-                    c = sill * _correlation(math.sqrt((ds[ja] - ds[jb]) ** 2 + (dn[ja] - dn[jb]) ** 2), kind)
-                    if tau > 0.0:
-                        c += slow[pa] * slow[pb] * math.exp(-abs(t[pa] - t[pb]) / tau)
-                else:
-                    c += white2[pa] + slow[pa] * slow[pa]
-                for q in range(b):
-                    c -= L[a, q] * L[b, q]
-                if a != b:
-                    L[a, b] = c / L[b, b]
-                elif c > 0.0:
-                    L[a, a] = math.sqrt(c)
-                else:
-                    sound = False
-                    L[a, a] = 1.0
-        if not sound:
-            continue
+                c = sill * _correlation(math.sqrt((ds[ja] - ds[jb]) ** 2 + (dn[ja] - dn[jb]) ** 2), kind)
+                if tau > 0.0:
+                    c += slow[pa] * slow[pb] * math.exp(-abs(t[pa] - t[pb]) / tau)
+                U[a, b] = c
         uu = 0.0
         uw = 0.0
         ww = 0.0
@@ -250,25 +239,40 @@ def _solve(  # type: ignore[no-untyped-def]
         wF = np.zeros(p)
         for k in range(p):
             d[k] = functions_there[i, k]
+        sound = True
         for a in range(m):
-            for q in range(a):
-                u[a] -= L[a, q] * u[q]
-                w[a] -= L[a, q] * w[q]
-                y[a] -= L[a, q] * y[q]
-                for k in range(p):
-                    F[a, k] -= L[a, q] * F[q, k]
-            u[a] /= L[a, a]
-            w[a] /= L[a, a]
-            y[a] /= L[a, a]
+            if not U[a, a] > 0.0:
+                sound = False
+                break
+            U[a, a] = math.sqrt(U[a, a])
+            pivot = U[a]
+            for b in range(a + 1, m):
+                pivot[b] /= pivot[a]
+            u[a] /= pivot[a]
+            w[a] /= pivot[a]
+            y[a] /= pivot[a]
+            for k in range(p):
+                F[a, k] /= pivot[a]
+                d[k] -= u[a] * F[a, k]
+                wF[k] += w[a] * F[a, k]
             uu += u[a] * u[a]
             uw += u[a] * w[a]
             ww += w[a] * w[a]
             uy += u[a] * y[a]
             wy += w[a] * y[a]
-            for k in range(p):
-                F[a, k] /= L[a, a]
-                d[k] -= u[a] * F[a, k]
-                wF[k] += w[a] * F[a, k]
+            for b in range(a + 1, m):
+                row = U[b, b:]
+                above = U[a, b:]
+                share = pivot[b]
+                for k in range(m - b):
+                    row[k] -= share * above[k]
+                u[b] -= share * u[a]
+                w[b] -= share * w[a]
+                y[b] -= share * y[a]
+                for k in range(p):
+                    F[b, k] -= share * F[a, k]
+        if not sound:
+            continue
         rest = mean_there[i] - uw
         height[i] = uy + rest / ww * wy
         variance[i] = sill - uu + rest**2 / ww

@@ -575,7 +575,11 @@ def _weeds(d: ArrayF, x_t: ArrayF, sigma_m: float, settings: Bathymetry) -> Arra
     top = maximum(calm - bed, patch, np.arange(n + 1))
     high = np.asarray(top) > max(settings.spike_m, _SCATTERS * noise)
     high[0] = False
-    return np.asarray(high[patch] & (-d - bed > max(settings.spike_m / 3, _SCATTERS * noise)))
+    above = -d - bed > max(settings.spike_m / 3, _SCATTERS * noise)
+    # the rim of a patch is not rough yet: what stands above the bed there without a break is of it
+    run, n = label(above)
+    of_patch = np.asarray(maximum(high[patch] & above, run, np.arange(n + 1))).astype(np.bool_)
+    return np.asarray(of_patch[run] & above)
 
 
 def _decisions(path: Path | None, t: ArrayF, reason: AnyArray) -> int:

@@ -16,6 +16,7 @@ from .dtm import (
     build_dtm as build_dtm,
     dtm_facts as dtm_facts,
     seam_steps as seam_steps,
+    separation_at as separation_at,
 )
 from .exports import (
     RiverMesh as RiverMesh,

@@ -14,8 +14,8 @@ no ground.
 """
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
 from typing import Any, Final
@@ -38,6 +38,8 @@ from thalweg.core import (
     InputError,
     LazWriter,
     LocalFrame,
+    Trajectory,
+    cross_matrix,
     iter_laz,
     laz_header,
     plane_rates,
@@ -63,8 +65,13 @@ LEAST_CELLS: Final = 50
 LEAST_BLOCKS: Final = 9
 """Blocks of ground that a covariance of six parameters needs; three more than parameters."""
 MOST_ITERATIONS: Final = 40
+SHORE_M: Final = 10.0
+"""Farther from the water line ground may lie below it, behind a dyke."""
 STEP_M: Final = 1e-5
 NEIGHBOURS: Final = 9
+
+
+_COLUMNS: Final = ("return_number", "number_of_returns", "t_gps_s")
 
 
 class Source(IntEnum):
@@ -102,22 +109,21 @@ class Cloud:
     xyz_m : (n, 3) wcs.
     sigma_horizontal_m, sigma_up_m : (n,) standard deviations; horizontal: of one axis.
     rgb : (n, 3) uint16 colours, or None.
+    pose : (n, 3) variances, horizontal and up, that come by the pose of the boat, which neighbouring points
+        share, and the time in which they decay evenly, in units of their correlation time; None: not known.
     """
 
     xyz_m: ArrayF
     sigma_horizontal_m: ArrayF
     sigma_up_m: ArrayF
     rgb: AnyArray | None = None
+    pose: ArrayF | None = None
 
     def part(self, keep: ArrayB | ArrayI) -> "Cloud":
         """Those points alone."""
-        rgb = None if self.rgb is None else self.rgb[keep]
-        return Cloud(
-            xyz_m=self.xyz_m[keep],
-            sigma_horizontal_m=self.sigma_horizontal_m[keep],
-            sigma_up_m=self.sigma_up_m[keep],
-            rgb=rgb,
-        )
+        columns = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        kept: dict[str, Any] = {name: None if of is None else of[keep] for name, of in columns.items()}
+        return Cloud(**kept)
 
 
 def read_cloud(paths: Sequence[Path], frame: LocalFrame, crs: CRS, *, sigma_m: float) -> Cloud:
@@ -141,15 +147,31 @@ def read_cloud(paths: Sequence[Path], frame: LocalFrame, crs: CRS, *, sigma_m: f
 
 
 def read_ground(
-    path: Path, frame: LocalFrame, crs: CRS, settings: GroundFilter, *, sigma_m: float
+    path: Path,
+    frame: LocalFrame,
+    crs: CRS,
+    settings: GroundFilter,
+    *,
+    sigma_m: float,
+    shore_m: ArrayF | None = None,
+    trajectory: Trajectory | None = None,
+    decay: Callable[[ArrayF], ArrayF] | None = None,
 ) -> tuple[Cloud, dict[str, Any]]:
     """Ground of a cloud of the boat's lidar, which is read three times: the rest of it is never held.
+
+    The water mirrors beams: what stands within some centimetres above it has its image as far below, where no
+    filter of single points tells it from noise. Left in, images are the lower envelope, and the toe of
+    the bank lies above its clearance. So points below the water line near by are no ground.
 
     Parameters
     ----------
     path : LAZ with the numbers of echoes.
     frame, crs, sigma_m : as of `read_cloud`.
     settings : see `filter_ground`.
+    shore_m : (k, 3) places of the water line in wcs; None: there is none.
+    trajectory : that the cloud was made with; None: the pose's part of the errors is not told apart.
+    decay : of GPS times (n,) those in which errors of the poses decay evenly, in units of their correlation
+        time; None: they last.
 
     Returns
     -------
@@ -159,31 +181,58 @@ def read_ground(
     ------
     InputError : as of `read_cloud` and of `filter_ground`.
     """
+    shore, wet = (None if shore_m is None else (cKDTree(shore_m[:, :2]), shore_m[:, 2])), 0
 
     def pieces() -> Iterator[tuple[Cloud, dict[str, AnyArray]]]:
-        """The cloud from its begin, piece by piece."""
-        return _pieces(path, frame, crs, sigma_m)
+        """The cloud from its begin, piece by piece, without what lies below the water."""
+        nonlocal wet
+        wet = 0
+        for part, chunk in _pieces(path, frame, crs, sigma_m):
+            dry = _not_below(shore, part.xyz_m)
+            wet += int((~dry).sum())
+            yield part.part(dry), {name: chunk[name][dry] for name in _COLUMNS}
 
     ground = GroundOfPieces(*extremes_en_m(part.xyz_m for part, _ in pieces()), settings)
     for part, _ in pieces():
         ground.add(part.xyz_m)
-    kept = [
-        part.part(ground.take(part.xyz_m, chunk["return_number"], chunk["number_of_returns"])[0])
-        for part, chunk in pieces()
-    ]
-    return _joined(kept), ground.facts()
+    kept = []
+    for part, chunk in pieces():
+        is_ground = ground.take(part.xyz_m, chunk["return_number"], chunk["number_of_returns"])[0]
+        part = part.part(is_ground)
+        if trajectory is not None:
+            t = chunk["t_gps_s"][is_ground]
+            age = np.zeros(len(t)) if decay is None else decay(t)
+            part = replace(part, pose=np.column_stack([_by_pose(trajectory, t, part.xyz_m), age]))
+        kept.append(part)
+    return _joined(kept), ground.facts() | {"below_the_water": wet}
+
+
+def _not_below(shore: tuple[Any, ArrayF] | None, xyz_m: ArrayF) -> ArrayB:
+    """Which points (n, 3) do not lie below the nearest place of the water line, or far from all of them."""
+    dry = np.ones(len(xyz_m), dtype=np.bool_)
+    if shore is not None:
+        tree, up_m = shore
+        low = np.flatnonzero(xyz_m[:, 2] < up_m.max())
+        apart, at = tree.query(xyz_m[low, :2], distance_upper_bound=SHORE_M)
+        dry[low] = ~np.isfinite(apart) | (xyz_m[low, 2] >= np.append(up_m, -np.inf)[at])
+    return dry
+
+
+def _by_pose(trajectory: Trajectory, t_gps_s: ArrayF, xyz_m: ArrayF) -> ArrayF:
+    """Variances (n, 2), horizontal (of one axis) and up, of points in wcs by the pose of their moment."""
+    at = np.searchsorted(trajectory.t_gps_s, t_gps_s).clip(max=len(trajectory.t_gps_s) - 1)
+    turned = -cross_matrix(xyz_m - trajectory.position_wcs_m[at])
+    J = np.concatenate([np.broadcast_to(np.eye(3), turned.shape), turned], axis=2)
+    variance = np.einsum("nai,nij,naj->na", J, trajectory.cov_pose_wcs[at], J)
+    return np.column_stack([variance[:, :2].mean(axis=1), variance[:, 2]])
 
 
 def _joined(parts: Sequence[Cloud]) -> Cloud:
-    colours = [part.rgb for part in parts]
-    return Cloud(
-        xyz_m=np.concatenate([part.xyz_m for part in parts]),
-        sigma_horizontal_m=np.concatenate([part.sigma_horizontal_m for part in parts]),
-        sigma_up_m=np.concatenate([part.sigma_up_m for part in parts]),
-        rgb=np.concatenate([c for c in colours if c is not None])
-        if all(c is not None for c in colours)
-        else None,
-    )
+    joined: dict[str, Any] = {}
+    for name in Cloud.__dataclass_fields__:
+        columns = [getattr(part, name) for part in parts]
+        joined[name] = None if any(c is None for c in columns) else np.concatenate(columns)
+    return Cloud(**joined)
 
 
 def _pieces(

@@ -6,6 +6,12 @@ slope about it. Their scatter ``w`` about the slope is noise that is new in each
 tufts, which no number of points averages away: the height of a place within the cell differs by it. A cell of
 n points has ``max(s^2 - w^2, 0) + min(w^2, s^2) / n + max(w^2 - s^2, 0)``, and where the middle of its points
 lies ``d`` off the cell's, ``(b d)^2`` besides, with the change of slope ``b`` from cell to cell thereabouts.
+Where the part ``p`` of the pose is known, less what a mean over the time of a cell's points takes off it,
+no scatter makes the shared part smaller: plants and relief scatter as noise does, and would pass for it, so
+that ``min(w^2, s^2 - p^2)`` is what counts as new.
+
+**Water.** Where the bed has a height inside the water line, no cloud has one: what a lidar or a drone saw
+there is the dry edge of a cell, a plant, the surface.
 
 **Blending.** Where several sources have a height, the model is their mean with the weights
 ``taper^2 / sigma^2``. The taper rises from 0 to 1 over `fusion.blend_m` from the border of a source inward,
@@ -18,6 +24,7 @@ their borders (Laplace's equation). Its error at distance d from data is what th
 difference of known heights from the mean of those d to either side. The band of sources names such cells.
 """
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,7 +32,7 @@ from typing import Any, Final
 
 import numpy as np
 import scipy.sparse as sp
-from pyproj import CRS
+from pyproj import CRS, Transformer
 from scipy import ndimage
 from scipy.sparse.linalg import spsolve
 
@@ -35,6 +42,7 @@ from thalweg.settings.sections import Fusion
 
 BANDS: Final = ("height", "sigma", "source", "distance", "sigma_common")
 MOST_CELLS: Final = 100_000_000
+_GEOID_PLACES: Final = 400
 _LAGS: Final = (1, 2, 4, 8, 16, 32)
 _LEAST_SIGMA_M: Final = 1e-3
 _LEAST_LAG_CELLS: Final = 30
@@ -55,7 +63,8 @@ class Dtm:
     cell_m : width of a cell.
     crs : the map grid.
     vertical : name of the height system; empty: ellipsoidal heights.
-    separation_m : height of its zero above the ellipsoid.
+    separation : height of its zero above the ellipsoid as a plane: value where east and north are zero,
+        metres; rise per metre to the east and to the north.
     """
 
     height_m: ArrayF
@@ -67,7 +76,7 @@ class Dtm:
     cell_m: float
     crs: CRS
     vertical: str = ""
-    separation_m: float = 0.0
+    separation: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def centres_m(self) -> ArrayF:
         """East and north (rows, columns, 2) of the centres of the cells."""
@@ -114,7 +123,7 @@ class Dtm:
                     file.set_band_description(i, name)
                 file.update_tags(
                     heights=self.vertical or "ellipsoidal",
-                    separation_m=repr(self.separation_m),
+                    separation=json.dumps(self.separation),
                     **{f"source_{int(k)}": words for k, words in SOURCE_WORDS.items()},
                 )
         except (RasterioError, OSError) as wrong:
@@ -135,7 +144,7 @@ class Dtm:
             height_m=bands[0], sigma_m=bands[1], source=np.nan_to_num(bands[2]).astype(np.uint8),
             distance_m=bands[3], sigma_common_m=bands[4], corner_m=corner, cell_m=cell, crs=crs,
             vertical="" if tags.get("heights", "ellipsoidal") == "ellipsoidal" else tags["heights"],
-            separation_m=float(tags.get("separation_m", 0.0)),
+            separation=tuple(json.loads(tags.get("separation", "[0, 0, 0]"))),
         )  # fmt: skip
 
 
@@ -190,6 +199,12 @@ class Layer:
     sigma_common_m: ArrayF
     distance_m: ArrayF
 
+    def without(self, cells: ArrayB) -> "Layer":
+        """The same, nothing known in some cells (rows, columns)."""
+        bands = ("height_m", "sigma_m", "sigma_common_m", "distance_m")
+        changed: dict[str, Any] = {name: np.where(cells, np.nan, getattr(self, name)) for name in bands}
+        return replace(self, **changed)
+
 
 def layer_of_cloud(
     source: Source, cloud_map: Cloud, corner_m: ArrayF, cell_m: float, shape: tuple[int, int]
@@ -221,12 +236,19 @@ def layer_of_cloud(
         squares = np.bincount(cell, weights=(level - height[cell]) ** 2, minlength=size).astype(float)
         steep = np.hypot(east, north).ravel()[cell]
         stated = mean(cloud_map.sigma_up_m[inside] ** 2 + (steep * cloud_map.sigma_horizontal_m[inside]) ** 2)
+        pose = np.zeros(size)
+        if cloud_map.pose is not None:
+            horizontal, up, age = cloud_map.pose[inside].T
+            # the mean of a Gauss-Markov error over a time that has this spread
+            spread = np.sqrt(12.0 * np.maximum(mean(age**2) - mean(age) ** 2, 1e-12))
+            lasting = 2.0 * (spread - 1.0 + np.exp(-spread)) / spread**2
+            pose = np.minimum(mean(up + steep**2 * horizontal) * np.minimum(lasting, 1.0), stated)
         white, free = _pooled(
             squares.reshape(shape), np.maximum(n - 1, 0).reshape(shape), stated.reshape(shape)
         )
         # scatter beyond the stated one that is no chance of so few points
         beyond = white.ravel() > stated * (1 + 2 * np.sqrt(2 / free.ravel()))
-        own, relief = np.minimum(white.ravel(), stated), np.where(beyond, white.ravel() - stated, 0.0)
+        own, relief = np.minimum(white.ravel(), stated - pose), np.where(beyond, white.ravel() - stated, 0.0)
         # noise of three heights, 1, -2, 1, makes a change of slope too
         bend = np.maximum(bend.ravel() - 6.0 * own / n / cell_m**2, 0.0)
         off = mean(offset[:, 0]) ** 2 + mean(offset[:, 1]) ** 2
@@ -306,7 +328,13 @@ def layer_of_bed(path: Path, corner_m: ArrayF, cell_m: float, shape: tuple[int, 
 
 
 def build_dtm(
-    bed: Path, clouds: Mapping[Source, Cloud], water_m: ArrayF, frame: LocalFrame, settings: Fusion
+    bed: Path,
+    clouds: Mapping[Source, Cloud],
+    water_m: ArrayF,
+    frame: LocalFrame,
+    settings: Fusion,
+    *,
+    geoid: Path | None = None,
 ) -> Dtm:
     """The terrain model.
 
@@ -317,33 +345,86 @@ def build_dtm(
     water_m : (k, 2) water line in the map grid of the bed, closed by itself.
     frame : wcs.
     settings : cell, blending, gaps, heights.
+    geoid : grid of the separation; None: the one that the settings state.
 
     Raises
     ------
-    InputError : no bed, or a grid too large.
+    InputError : no bed, a grid too large, or no grid of a geoid that covers the model.
     CoverageError : cells inside the water line that no measured cell is connected with.
     """
     _, _, own_cell, crs, _ = read_bands(bed, 4)
     cell = settings.cell_m or own_cell
     in_map = {source: _to_map(cloud, frame, crs) for source, cloud in clouds.items() if len(cloud.xyz_m)}
     corner, shape = _grid(bed, in_map, water_m, cell)
-    layers = [layer_of_bed(bed, corner, cell, shape)]
-    layers += [layer_of_cloud(source, cloud, corner, cell, shape) for source, cloud in in_map.items()]
     water = cells_inside(water_m, corner, cell, shape)
+    layers = [layer_of_bed(bed, corner, cell, shape)]
+    wet = water & np.isfinite(layers[0].height_m)
+    layers += [
+        layer_of_cloud(source, cloud, corner, cell, shape).without(wet) for source, cloud in in_map.items()
+    ]
     model = blend(layers, corner, cell, crs, blend_m=settings.blend_m)
     model = _filled(model, water, settings)
     vertical = settings.vertical
     if vertical.name is None:
         return model
-    known = np.isfinite(model.height_m)
+    known, places = np.isfinite(model.height_m), model.centres_m()
+    plane, sigma = (vertical.separation_m, 0.0, 0.0), vertical.sigma_separation_m
+    if geoid is not None:
+        plane, beside = _plane_of_grid(geoid, places[known], crs)
+        sigma = float(np.hypot(sigma, beside))
     return replace(
         model,
-        height_m=model.height_m - vertical.separation_m,
-        sigma_m=np.hypot(model.sigma_m, vertical.sigma_separation_m),
-        sigma_common_m=np.where(known, np.hypot(model.sigma_common_m, vertical.sigma_separation_m), np.nan),
+        height_m=model.height_m - separation_at(plane, places),
+        sigma_m=np.hypot(model.sigma_m, sigma),
+        sigma_common_m=np.where(known, np.hypot(model.sigma_common_m, sigma), np.nan),
         vertical=vertical.name,
-        separation_m=vertical.separation_m,
+        separation=plane,
     )
+
+
+def separation_at(plane: tuple[float, float, float], places_m: ArrayF) -> ArrayF:
+    """Height (...) of the zero of a model's heights above the ellipsoid at places (..., 2) in the map."""
+    return np.asarray(plane[0] + places_m[..., :2] @ np.array(plane[1:]))
+
+
+def _plane_of_grid(path: Path, places_m: ArrayF, crs: CRS) -> tuple[tuple[float, float, float], float]:
+    """A plane through the grid of a geoid about places (n, 2), and how far the grid lies off it (rms)."""
+    import rasterio
+    from rasterio.errors import RasterioError
+
+    some = places_m[:: -(-len(places_m) // _GEOID_PLACES)]
+    try:
+        with rasterio.open(path) as file:
+            if file.crs is None:
+                raise InputError("no coordinate system", expected="a grid of a geoid", where=path)
+            onto = Transformer.from_crs(crs, CRS.from_wkt(file.crs.to_wkt()), always_xy=True)
+            x, y = onto.transform(some[:, 0], some[:, 1])
+            if file.crs.is_geographic:  # some grids count from 0 to 360 degrees
+                x = file.bounds.left + (np.asarray(x) - file.bounds.left) % 360.0
+            turn = file.transform
+            column, row = (np.asarray(x) - turn.c) / turn.a, (np.asarray(y) - turn.f) / turn.e
+            (top, below), (left, right) = (
+                np.clip([np.floor(k.min()) - 2, np.ceil(k.max()) + 2], 0, most).astype(int)
+                for k, most in ((row, file.height), (column, file.width))
+            )
+            band = np.full((1, 1), np.nan)  # the grid lies elsewhere
+            if below > top and right > left:
+                part = ((top, below), (left, right))
+                band = file.read(1, window=part, masked=True).astype(float).filled(np.nan)
+    except (RasterioError, OSError) as wrong:
+        raise InputError(f"no grid ({wrong})", expected="a geoid as GeoTIFF or .gtx", where=path) from wrong
+    at = (row - top - 0.5, column - left - 0.5)
+    found = ndimage.map_coordinates(band, at, order=1, cval=np.nan)
+    if not np.isfinite(found).all():
+        raise InputError(
+            f"no value at {int((~np.isfinite(found)).sum())} of {len(found)} places of the model",
+            expected="a geoid that covers the survey", where=path,
+        )  # fmt: skip
+    middle = some.mean(axis=0)
+    rows = np.column_stack([np.ones(len(some)), some - middle])
+    value = np.linalg.lstsq(rows, found, rcond=None)[0]
+    rest = float(np.sqrt(np.mean((found - rows @ value) ** 2)))
+    return (float(value[0] - value[1:] @ middle), float(value[1]), float(value[2])), rest
 
 
 def _to_map(cloud: Cloud, frame: LocalFrame, crs: CRS) -> Cloud:

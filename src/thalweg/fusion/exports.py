@@ -492,7 +492,7 @@ def write_hecras(path: Path, sections: Sequence[Section], river: River, *, name:
         f"MAP PROJECTION: {'UTM' if zone else river.crs.name}",
         f"PROJECTION ZONE: {zone[:-1] if zone else ''}",
         f"DATUM: {river.crs.geodetic_crs.name if river.crs.geodetic_crs else ''}",
-        f"VERTICAL DATUM: {'ELLIPSOIDAL' if not river.separation_m else 'ORTHOMETRIC'}",
+        f"VERTICAL DATUM: {'ELLIPSOIDAL' if not any(river.separation) else 'ORTHOMETRIC'}",
         "NUMBER OF REACHES: 1",
         f"NUMBER OF CROSS-SECTIONS: {len(ordered)}",
         "BEGIN SPATIAL EXTENT:",

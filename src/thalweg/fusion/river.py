@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from pyproj import CRS
 
 from thalweg.core import ArrayB, ArrayF, CoverageError, InputError, LocalFrame
+from thalweg.fusion.dtm import separation_at
 
 SIDES: Final = ("left", "right")
 BANK_COLUMNS: Final = ("side", "s_m", "east_m", "north_m", "up_m", "sigma_across_m", "seen")
@@ -43,7 +44,7 @@ class River:
     banks : table of banks, columns `BANK_COLUMNS`.
     frame : wcs.
     crs : the map grid.
-    separation_m : height of the zero of the model's heights above the ellipsoid; 0: ellipsoidal heights.
+    separation : height of the zero of the model's heights above the ellipsoid, as of `Dtm`.
 
     Raises
     ------
@@ -54,7 +55,7 @@ class River:
     banks: pd.DataFrame
     frame: LocalFrame
     crs: CRS
-    separation_m: float = 0.0
+    separation: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         missing = [c for c in BANK_COLUMNS if c not in self.banks.columns]
@@ -106,7 +107,7 @@ class River:
         up = np.interp(s, rows["s_m"], rows["up_m"].rolling(5, center=True, min_periods=1).mean())
         place = self.flow.to_map(s, np.zeros_like(s))
         found = self.frame.to_map(np.column_stack([place, up]), self.crs)
-        return np.asarray(found[:, 2] - self.separation_m).reshape(shape)
+        return np.asarray(found[:, 2] - separation_at(self.separation, found)).reshape(shape)
 
     def to_map(self, s_m: ArrayLike, n_m: ArrayLike) -> ArrayF:
         """East, north (m, 2) in the map grid of places in flow coordinates."""
@@ -121,6 +122,10 @@ class River:
         local = self.frame.from_map(np.column_stack([places_m, np.full(len(places_m), height)]), self.crs)
         return self.flow.to_flow(local[:, :2])
 
+    def shore_m(self) -> ArrayF:
+        """Places (k, 3) of the water line in wcs."""
+        return self.banks[["east_m", "north_m", "up_m"]].to_numpy(float)
+
     def outline_m(self) -> ArrayF:
         """Water line (k, 2) in the map grid: left bank downstream, right bank upstream."""
         sides = []
@@ -131,7 +136,14 @@ class River:
         return np.concatenate(sides)
 
 
-def read_river(flow: Flow, banks: Path, frame: LocalFrame, crs: CRS, *, separation_m: float = 0.0) -> River:
+def read_river(
+    flow: Flow,
+    banks: Path,
+    frame: LocalFrame,
+    crs: CRS,
+    *,
+    separation: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> River:
     """The river from its flow line and ``banks.csv``.
 
     Raises
@@ -144,4 +156,4 @@ def read_river(flow: Flow, banks: Path, frame: LocalFrame, crs: CRS, *, separati
     values: Any = table.reindex(columns=["s_m", "east_m", "north_m", "up_m"]).to_numpy(float)
     if len(table) == 0 or not np.isfinite(values).all():
         raise CoverageError("banks with empty places", expected="finite numbers", where=banks)
-    return River(flow=flow, banks=table, frame=frame, crs=crs, separation_m=separation_m)
+    return River(flow=flow, banks=table, frame=frame, crs=crs, separation=separation)

@@ -972,6 +972,16 @@ def _check_bed(parts: Parts) -> Iterator[Mistake]:
             expected="the log of the echo sounder, whose place it is for",
             cure="Add the line `depth: …`, or remove `bed`",
         )
+    stated = parts.raw("fusion", "vertical") or {}
+    sigma = isinstance(stated, dict) and stated.get("name") and stated.get("sigma_separation_m")
+    if parts.raw("logs", "geoid") and (not sigma or stated.get("separation_m")):
+        yield Mistake(
+            path=("logs", "geoid"),
+            found="a grid of a geoid"
+            + (" beside a single separation" if sigma else " without name and sigma"),
+            expected="the height system that it belongs to, and how good it is",
+            cure="Write fusion.vertical: {name: …, sigma_separation_m: …}, without separation_m",
+        )
     twin = parts.raw("twin") or {}
     on_land = isinstance(twin, dict) and (
         isinstance(twin.get("field"), dict) or str(twin.get("size")).startswith("field")

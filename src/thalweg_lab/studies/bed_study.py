@@ -9,7 +9,7 @@ of a list. Errors are taken in all cells of the bed and, for comparison, at the 
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,14 +18,20 @@ import pandas as pd
 from pyproj import CRS
 
 from thalweg.bathymetry import (
+    SIDES,
     Banks,
     Bed,
+    FlowLine,
+    Observations,
     Transducer,
+    choose_model,
+    course,
     estimate_slow_errors,
     flow_of_survey,
     krige_bed,
     level_water,
     locate_soundings,
+    methods,
     shore_points,
     validate_bed,
 )
@@ -33,7 +39,9 @@ from thalweg.core import ArrayF, LocalFrame
 from thalweg.ingest.nmea import read_nmea
 from thalweg.navigation.ins_gnss import PoseCorrelation
 from thalweg.settings.sections import Bathymetry, EchoSounder
-from thalweg_lab.random_numbers import generator
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.random_numbers import gauss_markov, generator
+from thalweg_lab.reach import River as Reach
 from thalweg_lab.studies.study import Result, Seed, Study, Tables
 from thalweg_lab.studies.survey import BARE, MOUNTS, Logs, Survey, process, record, survey_settings
 from thalweg_lab.truth import DISTANCES_M, ratio_of_surveys, true_bed_m
@@ -70,6 +78,15 @@ STATION_M: Final = 2.0
 
 PATTERNS: Final = ("zigzag", "sections")
 """Courses in turn, by seed."""
+
+LEGS_M: Final = (7.5, 15.0, 30.0, 60.0)
+"""River a leg of the zigzag, or from section to section (P1 4.2)."""
+_REACH_M: Final = 180.0
+_PING_M: Final = 0.3
+_NOISE_M: Final = 0.02
+_SLOW_M: Final = 0.03
+_SLOW_S: Final = 8.0
+"""Soundings of a pattern: every 0.3 m at a metre a second, with noise and with errors that last."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -283,6 +300,60 @@ def surveyed(seed: int, folder: Path, mistakes: Sequence[PlantedMistake]) -> pd.
     return pd.concat(rows, ignore_index=True).assign(seed=seed, pattern=logs.twin.boat.pattern)
 
 
+def by_pattern(seed: int) -> pd.DataFrame:
+    """Errors of one river's bed from soundings in patterns of several lengths of a leg.
+
+    The river is the twin's; soundings are drawn on its true bed, without raw logs. Shorelines are data; drift
+    and kind of covariance are stated to save time, its ranges are chosen.
+
+    Returns
+    -------
+    table : pattern, leg_m, columns of `sums_of`, distance_m2: sum of squared errors of the same cells by
+        elliptical inverse distance.
+    """
+    scene = TWIN["scene"] | {"length_m": _REACH_M + 40.0}
+    river = Reach(TwinConfig.of_size("tiny", scene=scene).scene, seed)
+    settings, ends = Bathymetry(model="exponential", drift="section_width"), (-_REACH_M / 2, _REACH_M / 2)
+    shore_s, sign = (a.ravel() for a in np.meshgrid(np.arange(*ends, STATION_M), list(SIDES.values())))
+    shore = pd.DataFrame({"s_m": shore_s, "n_m": sign * river.half_width(shore_s)})
+    shore["side"] = np.repeat(list(SIDES), len(shore) // 2)
+    axis = np.arange(ends[0] - 10, ends[1] + 10)
+    banks = Banks(table=shore, line=FlowLine.through(river.to_wcs(axis, np.zeros(len(axis)))))
+    inner = np.arange(ends[0] + 15, ends[1] - 15)
+    s, q = (a.ravel() for a in np.meshgrid(inner, np.linspace(-0.95, 0.95, 20)))
+    cells = np.column_stack([s, q * river.half_width(s)])
+    true, off = river.height(*cells.T), TWIN["boat"]["bank_distance_m"]
+    rows = []
+    for pattern, leg in product(PATTERNS, LEGS_M):
+        rng = generator(seed, f"pattern {pattern} {leg}")
+        corners = course(banks, pattern, leg, off, (ends[0], float(shore_s.max())))
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
+        way = np.arange(0.0, along[-1], _PING_M)
+        track = np.column_stack([np.interp(way, along, corners[:, k]) for k in (0, 1)])
+        slow = gauss_markov(rng, len(way), _PING_M, _SLOW_M, _SLOW_S)
+        n, shores = len(way), len(shore)
+        data = Observations(
+            s_m=np.append(track[:, 0], shore["s_m"]),
+            n_m=np.append(track[:, 1], shore["n_m"]),
+            height_m=np.append(
+                river.height(*track.T) + slow + _NOISE_M * rng.standard_normal(n), np.zeros(shores)
+            ),
+            sigma_white_m=np.append(np.full(n, _NOISE_M), np.full(shores, 0.03)),
+            sigma_slow_m=np.append(np.full(n, _SLOW_M), np.zeros(shores)),
+            t_s=np.append(way, np.full(shores, np.nan)),
+            line=np.append(np.searchsorted(along, way, side="right") - 1, np.full(shores, -2)),
+        )
+        model = choose_model(data, banks.half_widths_m, settings, slow_time_s=_SLOW_S, seed=seed)
+        height, sigma = model.predict(data, cells, neighbours=settings.neighbours)
+        other = methods(model, settings)["inverse distance, elliptical"](data, cells)[0]
+        rows.append(
+            {"pattern": pattern, "leg_m": leg}
+            | sums_of(pattern, leg, leg, height - true, sigma)
+            | {"distance_m2": float(np.sum((other - true) ** 2))}
+        )
+    return pd.DataFrame(rows)
+
+
 def asked(seed: int, folder: Path) -> dict[str, pd.DataFrame]:
     """What one survey says of P1's findings.
 
@@ -290,18 +361,35 @@ def asked(seed: int, folder: Path) -> dict[str, pd.DataFrame]:
     -------
     methods : left-out lines predicted by several interpolators: method, n, squares_m2.
     sections : see `sections_of`.
+    patterns : see `by_pattern`.
     """
     logging.getLogger("thalweg").setLevel(logging.ERROR)
     logs = record(campaign_of(seed), folder / f"seed_{seed}", echo=True)
     river = river_of(logs)
     bed, _, banks = bed_of(river)
     settings = Bathymetry(**logs.settings["bathymetry"])
-    methods = validate_bed(bed.data, bed.model, banks.half_widths_m, settings)[2]
-    methods["squares_m2"] = methods["n"] * methods["rmse_m"] ** 2
+    found = validate_bed(bed.data, bed.model, banks.half_widths_m, settings)[2]
+    found["squares_m2"] = found["n"] * found["rmse_m"] ** 2
     sections = sections_of(bed, banks, river)
     logs.remove()
-    tables = {"methods": methods[["method", "n", "squares_m2"]], "sections": sections}
+    tables = {"methods": found[["method", "n", "squares_m2"]], "sections": sections}
+    tables["patterns"] = by_pattern(seed)
     return {name: table.assign(seed=seed) for name, table in tables.items()}
+
+
+def patterns(rows: pd.DataFrame) -> pd.DataFrame:
+    """Errors by pattern and length of a leg over all rivers.
+
+    Returns
+    -------
+    table : pattern, leg_m, rivers, columns of `verdict_of`, rmse_distance_m: by elliptical inverse distance.
+    """
+    return pd.DataFrame(
+        {"pattern": pattern, "leg_m": leg, "rivers": of["seed"].nunique()}
+        | verdict_of(of, 0.95)
+        | {"rmse_distance_m": float(np.sqrt(of["distance_m2"].sum() / of["n"].sum()))}
+        for (pattern, leg), of in rows.groupby(["pattern", "leg_m"], sort=False)
+    )
 
 
 def findings(methods: pd.DataFrame, sections: pd.DataFrame) -> pd.DataFrame:
@@ -417,5 +505,8 @@ def _results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result]:
 STUDY: Final = Study(rows=_rows, results=_results)
 FINDINGS: Final = Study(
     rows=lambda seed: asked(seed.number, seed.folder),
-    results=lambda tables, files: {"findings": findings(tables["methods"], tables["sections"])},
+    results=lambda tables, files: {
+        "findings": findings(tables["methods"], tables["sections"]),
+        "patterns": patterns(tables["patterns"]),
+    },
 )

@@ -74,6 +74,9 @@ CLASSES_M: Final = (0.0, *LASER_M, 0.5, 1.0, np.inf)
 """Limits of the classes of depth."""
 NEAR_M: Final = 0.2
 """Cells so near to a datum count as measured."""
+BANK_M: Final = 1.0
+"""Cells so near to a bank may hold its wall, which no sounding shows."""
+SUMS: Final = ("n", "observed_m2", "predicted_m2", "normalised", "outside")
 SURVEYS: Final = ("echo sounder", "with light sheet")
 
 
@@ -169,7 +172,8 @@ def surveyed(seed: int, folder: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
     Returns
     -------
     squares : a row a survey and class of depth: columns of `thalweg_lab.studies.bed_study.sums_of`, measured
-        (cells within `NEAR_M` of a datum), soundings, sheet.
+        (cells within `NEAR_M` of a datum), soundings, sheet; sums of cells farther than `BANK_M` from the
+        banks alone, named ``off_...``.
     places : for the picture: what (cell, track, sounding, light sheet), east_m, north_m, up_m, depth_m,
         error_m.
     """
@@ -177,8 +181,10 @@ def surveyed(seed: int, folder: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
     strip = sheet_points(river)
     rows, places = [], []
     for name, points in zip(SURVEYS, (None, strip), strict=True):
-        bed, *_ = bed_of(river, strip=points)
+        bed, _, banks = bed_of(river, strip=points)
         cells = cells_of(bed, river)
+        s, n, _ = banks.line.to_flow(cells[["east_m", "north_m"]].to_numpy())
+        off = ~banks.outside(s, n + BANK_M * np.sign(n))
         level = river.logs.twin.scene.water_level_m
         below = {
             source: level - bed.data.loc[bed.data["source"] == source, "up_m"].to_numpy()
@@ -186,10 +192,12 @@ def surveyed(seed: int, folder: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
         }
         for low, high in pairwise(CLASSES_M):
             of = (cells["depth_m"] >= low) & (cells["depth_m"] < high)
-            mine = cells[of]
+            mine, away = cells[of], cells[of & off]
+            apart = sums_of(name, low, high, away["error_m"].to_numpy(), away["sigma_m"].to_numpy())
             counts = {k: int(((d >= low) & (d < high)).sum()) for k, d in below.items()}
             rows.append(
                 sums_of(name, low, high, mine["error_m"].to_numpy(), mine["sigma_m"].to_numpy())
+                | {f"off_{key}": apart[key] for key in SUMS}
                 | {
                     "measured": int((mine["distance_m"] <= NEAR_M).sum()),
                     "soundings": counts["sounding"],
@@ -213,7 +221,8 @@ def by_depth(squares: pd.DataFrame, level: float = 0.95) -> pd.DataFrame:
     Returns
     -------
     table : survey, number (of surveys), from_m, to_m, measured (share of the cells), soundings, sheet
-        (data of each kind in a survey), and the columns of `thalweg_lab.studies.bed_study.verdict_of`.
+        (data of each kind in a survey), the columns of `thalweg_lab.studies.bed_study.verdict_of`, and
+        n, ratio, normalised square and share outside of cells farther than `BANK_M` from the banks.
     """
     rows = []
     for name in SURVEYS:
@@ -232,7 +241,15 @@ def by_depth(squares: pd.DataFrame, level: float = 0.95) -> pd.DataFrame:
                 "soundings": float(mine["soundings"].sum() / mine["seed"].nunique()),
                 "sheet": float(mine["sheet"].sum() / mine["seed"].nunique()),
             }
-            rows.append(head | verdict_of(mine, level))
+            n, observed, predicted, normalised, outside = mine[[f"off_{key}" for key in SUMS]].sum()
+            apart: dict[str, float] = {"n_off_banks": int(n)}
+            if n:
+                apart |= {
+                    "ratio_off_banks": float(np.sqrt(predicted / observed)),
+                    "normalised_square_off_banks": float(normalised / n),
+                    "outside_95_off_banks": float(outside / n),
+                }
+            rows.append(head | verdict_of(mine, level) | apart)
     return pd.DataFrame(rows)
 
 

@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from thalweg.bathymetry import Banks, FlowLine, WaterLevel
 from thalweg.core import ArrayB, ArrayF, CoverageError, LocalFrame, read_raster, root_mean_square
-from thalweg.fusion import SOURCE_WORDS, Dtm, Source, seam_steps
+from thalweg.fusion import SOURCE_WORDS, Dtm, Source, seam_steps, separation_at
 from thalweg_lab.river import Material, Scene
 
 # ---------------------------------------------------------------- soundings, ping by ping
@@ -202,9 +202,9 @@ def judge_dtm(*, dtm: Path, scene: Path, table: Path, campaign: dict[str, Any]) 
     campaign : its ``origin``.
     """
     model, frame = Dtm.read(dtm), LocalFrame(**campaign["origin"])
-    height = model.height_m.ravel() + model.separation_m
-    known = np.isfinite(height)
     centres = model.centres_m().reshape(-1, 2)
+    height = model.height_m.ravel() + separation_at(model.separation, centres)
+    known = np.isfinite(height)
     world = frame.from_map(np.column_stack([centres[known], height[known]]), model.crs)
     error = np.full(len(height), np.nan)
     error[known] = world[:, 2] - true_bed_m(scene, world[:, :2], GROUND)

@@ -6,6 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from thalweg.figures import save
+from thalweg.figures.bathymetry.pictures import draw_bed_patterns
 from thalweg_lab.studies import bed_study
 from thalweg_lab.studies.bed_study import MISTAKES, NONE, campaign_of, surveyed, verdicts
 
@@ -35,8 +37,11 @@ def test_a_survey_from_raw_logs(rows: pd.DataFrame) -> None:
     assert lower == pytest.approx(-0.035, abs=0.012)
 
 
-def test_a_survey_tells_methods_and_sections(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_survey_tells_methods_sections_and_patterns(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(bed_study, "TWIN", bed_study.TWIN | {"duration_s": 25.0})
+    monkeypatch.setattr(bed_study, "LEGS_M", (15.0, 60.0))
     tables = bed_study.asked(4, tmp_path)
     methods, sections = tables["methods"].set_index("method"), tables["sections"]
     assert methods.loc["kriging", "n"] > 150
@@ -44,6 +49,19 @@ def test_a_survey_tells_methods_and_sections(tmp_path: Path, monkeypatch: pytest
     assert np.diff(sections["s_m"]) == pytest.approx(2.0)
     assert sections["width_m"].between(15, 30).all()
     assert sections["mean_bed_m"].between(-2.5, -0.3).all()
+    twice = pd.concat([tables["patterns"], tables["patterns"].assign(seed=5)])  # a ratio needs two rivers
+    found = bed_study.patterns(twice).set_index(["pattern", "leg_m"])
+    assert (found["rivers"] == 2).all()
+    # one river and one draw of errors that last
+    assert found["ratio"].between(0.4, 2.5).all()
+    for pattern in bed_study.PATTERNS:
+        assert found.loc[(pattern, 15.0), "rmse_observed_m"] < found.loc[(pattern, 60.0), "rmse_observed_m"]
+    # so much river a leg of a zigzag leaves more unseen than from section to section
+    assert found.loc[("sections", 60.0), "rmse_observed_m"] < found.loc[("zigzag", 60.0), "rmse_observed_m"]
+    image = tmp_path / "patterns.png"
+    found.reset_index().to_csv(tmp_path / "patterns.csv")
+    save(draw_bed_patterns(table=tmp_path / "patterns.csv"), image)
+    assert image.stat().st_size > 20_000
 
 
 def test_findings_of_many_surveys() -> None:

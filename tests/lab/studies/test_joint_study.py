@@ -64,6 +64,10 @@ def test_the_picture(found: tuple[pd.DataFrame, pd.DataFrame]) -> None:
     table = by_depth(both)
     assert set(table["survey"]) == set(SURVEYS)
     assert table.loc[0, "number"] == 2
+    assert (table["n_off_banks"] <= table["n"]).all()
+    # the walls of the scaled sections are what the sigmas do not know
+    deep = table[table["from_m"] == 1.0].iloc[0]
+    assert deep["ratio_off_banks"] > deep["ratio"]
     figure = joint_river_figure(places, table)
     titles = [ax.get_title(loc="left") for ax in figure.axes]
     assert sum(bool(t) for t in titles) == 5
@@ -78,7 +82,7 @@ def test_sections_of_unequal_length_are_refused() -> None:
 def test_a_class_without_cells_has_no_row() -> None:
     rows = [
         bed_study.sums_of(name, 0.0, 0.05, np.array([]), np.array([]))
-        | {"measured": 0, "soundings": 0, "sheet": 0}
+        | dict.fromkeys(["measured", "soundings", "sheet", *(f"off_{key}" for key in joint_study.SUMS)], 0)
         for name in SURVEYS
     ]
     assert not len(by_depth(pd.DataFrame(rows).assign(seed=1)))

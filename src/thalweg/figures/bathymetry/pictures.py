@@ -475,6 +475,39 @@ def draw_bed_sections(
     return figure
 
 
+@styled
+def draw_bed_patterns(*, table: Path) -> Figure:
+    """Error of the bed by pattern of the survey and length of a leg, over many rivers of the twin."""
+    rows = pd.read_csv(table)
+    words = (
+        f"Error of the riverbed by pattern and leg, n = {count(int(rows['n'].sum() / len(rows)))} cells of "
+    )
+    figure = new_figure(100.0, words + f"{rows['rivers'].max():.0f} rivers each", twin=True)
+    ax = figure.subplots()
+    looks = zip(rows.groupby("pattern", sort=False), (BLUE, VERMILION), ("o", "s"), strict=False)
+    for (name, of), colour, marker in looks:
+        leg, expected = of["leg_m"], 100 * of["rmse_predicted_m"]
+        ax.fill_between(
+            leg, expected / of["high"], expected / of["low"], color=colour, alpha=0.18, lw=0,
+            label=f"{name}, predicted, 95 %",
+        )  # fmt: skip
+        ax.plot(leg, 100 * of["rmse_observed_m"], color=colour, marker=marker, label=f"{name}, kriging")
+        ax.plot(
+            leg, 100 * of["rmse_distance_m"], color=colour, marker=marker, mfc="white", ls=":", lw=1.0,
+            label=f"{name}, elliptical inverse distance",
+        )  # fmt: skip
+    ax.set(xscale="log", yscale="log", ylabel="root mean square error [cm]")
+    ax.set_xlabel("way along the river of a leg, or from section to section [m]")
+    legs = sorted(rows["leg_m"].unique())
+    ax.set_xticks(legs, [f"{leg:g}" for leg in legs])
+    ax.minorticks_off()
+    ticks = [t for t in (2, 5, 10, 20, 50, 100) if ax.get_ylim()[0] < t < ax.get_ylim()[1]]
+    ax.set_yticks(ticks, [f"{t:g}" for t in ticks])
+    ax.grid(axis="y")
+    legend_below(figure, ax)
+    return figure
+
+
 def _onto_map(places_m: ArrayF, frame: LocalFrame, crs: CRS) -> ArrayF:
     return np.asarray(frame.to_map(np.column_stack([places_m, np.zeros(len(places_m))]), crs)[:, :2])
 

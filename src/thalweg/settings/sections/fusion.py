@@ -72,10 +72,10 @@ class Vertical(Section):
         default=0.0,
         ge=-150,
         le=150,
-        description="Height of its zero above the ellipsoid at the survey, metres",
+        description="Height of its zero above the ellipsoid at the survey, metres; 0 beside `logs.geoid`",
     )
     sigma_separation_m: NonNegative = Field(
-        default=0.0, le=10, description="Standard deviation of that separation, metres"
+        default=0.0, le=10, description="Standard deviation of that separation, or of the grid, metres"
     )
 
     @model_validator(mode="after")

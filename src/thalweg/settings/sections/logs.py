@@ -28,6 +28,7 @@ STREAM_KEYS = {
     "centre_line": ("centre_line",),
     "bank_lines": ("bank_lines",),
     "uav": ("uav",),
+    "geoid": ("geoid",),
     "soundings": ("soundings",),
     "reference_bed": ("reference_bed",),
     "field": ("calibration", "field"),
@@ -357,6 +358,11 @@ class Logs(Section):
         default=(),
         description="Clouds of the surroundings, such as photogrammetry from the air: LAS, LAZ in the local "
         "frame, campaign.crs or a CRS of their own, ellipsoidal heights",
+    )
+    geoid: Files = Field(
+        default=(),
+        description="Grid of a geoid for `fusion.vertical`, heights above the ellipsoid: GeoTIFF or .gtx, as "
+        "geodetic services and PROJ hand them out",
     )
     soundings: Files = Field(
         default=(),
