@@ -1,7 +1,9 @@
 """A new campaign file with comments, from nothing or from a folder of logs."""
 
+import glob
 import os
 from collections.abc import Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Final
 
@@ -32,6 +34,9 @@ _ORDINARY_GNSS: Final = [
     "  max_gap_s: 5.0  # longest hole between positions that is interpolated",
 ]
 """Lines of ``orientation`` for a receiver that writes NMEA or GPX."""
+_SURVEYED: Final = "surveyed points; role check: judges, takes no part"
+_NAMED: Final = 8
+"""Files of one folder and ending that are named one by one; more are a pattern."""
 
 
 def campaign_text(
@@ -60,13 +65,15 @@ def campaign_text(
     grid = grid if origin else f"CHANGE: {grid}"
     listed = {k: list(v) for k, v in PLACEHOLDERS.items()}
     if files is not None:
-        listed = {k: [_relative(p, folder) for p in v] for k, v in files.items()}
+        listed = {k: _listed(v, folder) for k, v in files.items()}
     alone = _alone(listed, spacing_m) if files is not None else []
     if alone:
         return "\n".join([*_head(name, schema), *alone]) + "\n"
     source, gnss = _source(listed)
     fixes = "auto" if source == "ppk" else "[fixed]"
     levers = "  # CHANGE: metres forward, right, down of the INS"
+    if not (listed.get("ins") or listed.get("sbet")):
+        levers = "  # CHANGE: metres forward, right, down of any fixed point of the boat"
     lines = [
         *_head(name, schema),
         f"  crs: {utm_code(lat, lon)}  # {grid}",
@@ -81,6 +88,11 @@ def campaign_text(
         *_list("sbet", listed.get("sbet", []), "Applanix SBET; needs gps_week"),
         *(["  # gps_week: 2235  # CHANGE: week of the SBET"] if listed.get("sbet") else []),
         *_list("depth", listed.get("depth", []), "echo sounder, NMEA"),
+        *(
+            ["  # depth_date: 2026-05-12  # UTC day of its start, where it has none"]
+            if listed.get("depth")
+            else []
+        ),
         *_list("reference", listed.get("reference", []), "clouds to compare with: LAS, LAZ, PLY, E57"),
         *_photographs(listed),
         "",
@@ -179,8 +191,8 @@ def _alone(listed: Mapping[str, Sequence[str]], spacing_m: float | None) -> list
     if listed.get("fixed_marks"):
         parts: tuple[tuple[str, str, str], ...] = (
             ("fixed_marks", "marks", "where the control points are in the pictures"),
-            ("fixed_points", "control_points", "surveyed points; role check: judges, takes no part"),
-            ("fixed_interior", "interior", "interior orientation: calibration, OpenCV, COLMAP"),
+            ("fixed_points", "control_points", _one_of(listed, "fixed_points", _SURVEYED)),
+            ("fixed_interior", "interior", _one_of(listed, "fixed_interior", "interior orientation")),
         )
         return [
             *frame,
@@ -217,14 +229,20 @@ def _alone(listed: Mapping[str, Sequence[str]], spacing_m: float | None) -> list
         return []
     parts = (
         ("time_lapse", "images", "a folder, or files"),
-        ("control_points", "control_points", "surveyed points; role check: judges, takes no part"),
+        ("control_points", "control_points", _one_of(listed, "control_points", _SURVEYED)),
         ("image_marks", "marks", "where they are in the photographs"),
         ("camera_positions", "positions", "where the camera was; beside control points or instead"),
         ("finished_orientations", "orientations", "orientations from another program, instead of our own"),
-        ("interior", "interior", "interior orientation; without: estimated"),
+        ("interior", "interior", _one_of(listed, "interior", "interior orientation; without: estimated")),
         ("masks", "masks", "what is not to be used"),
     )
     return [*frame, "  time_lapse:  # photographs without a boat: docs/images.md", *_nested(listed, parts)]
+
+
+def _one_of(listed: Mapping[str, Sequence[str]], stream: str, meaning: str) -> str:
+    """Meaning of a table of which a survey has one; of several the user has to choose."""
+    n = len(listed.get(stream, []))
+    return f"{meaning}; CHANGE: keep one of {n}" if n > 1 else meaning
 
 
 def _nested(listed: Mapping[str, Sequence[str]], parts: Sequence[tuple[str, str, str]]) -> list[str]:
@@ -326,6 +344,19 @@ def _list(key: str, paths: Sequence[str], meaning: str) -> list[str]:
 def _quoted(text: str) -> str:
     plain = all(c.isalnum() or c in "/._-~+" for c in text) and text[0] not in "-~"
     return text if plain else '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def _listed(paths: Sequence[Path], folder: Path) -> list[str]:
+    """Paths as text; many of one folder and ending as a pattern, if it finds these and no others."""
+    out: list[str] = []
+    for (parent, suffix), group in groupby(paths, key=lambda path: (path.parent, path.suffix)):
+        own = list(group)
+        begin = os.path.commonprefix([path.stem for path in own])  # noqa: RUF071  (letters, no folders)
+        pattern, plain = f"{begin}*{suffix}", str(parent / begin)
+        if len(own) > _NAMED and glob.escape(plain) == plain and set(parent.glob(pattern)) == set(own):
+            own = [parent / pattern]
+        out += [_relative(path, folder) for path in own]
+    return out
 
 
 def _relative(path: Path, folder: Path) -> str:
