@@ -107,7 +107,7 @@ def test_lines_on_a_checkerboard_in_daylight(colour: str) -> None:
     At least 95 % of the rows of each picture within 2 px; sigmas as the errors are.
     """
     squares, errors = [], []
-    for seed in range(4):
+    for seed in range(8):
         image, true_px = daylight_board(seed, colour)
         found = detect_lines(image)
         row = np.rint(found.y_px - 0.5).astype(int)
@@ -116,9 +116,9 @@ def test_lines_on_a_checkerboard_in_daylight(colour: str) -> None:
         assert np.mean(np.abs(off) < 2.0) > 0.99
         squares.append(np.mean((off / found.sigma_px) ** 2))
         errors.append(np.std(off))
-    # four pictures of some 40 independent places each. Measured together 0.87 and 0.89; blue 0.53: what JPEG
-    # leaves of blue is smooth, and counts as noise of single pixels
-    assert (0.45 if colour == "blue" else 0.8) < np.sqrt(np.mean(squares)) < 1.25
+    # eight pictures of some 40 independent places each: measured 1.09, 0.90 and 0.97; 1.00, 0.94 and 1.09 in
+    # twelve others. By the noise of single pixels and speckle they were 0.87, 0.89 and, in blue, 0.53
+    assert 0.8 < np.sqrt(np.mean(squares)) < 1.25
     assert max(errors) < 0.45
 
 

@@ -421,6 +421,8 @@ _TURNS: Final = 40
 _SATURATED_SHARE: Final = 0.1
 """A few bright speckles saturate in any image; beyond that share of the line's width it is over-exposed."""
 _LEAST_REACH_ROWS: Final = 2
+_LIKE_ROWS: Final = 91
+"""Neighbours along a line whose noise is taken as alike in daylight."""
 _SLOPE_ROWS: Final = 5
 """Patches lower than that keep the slope of their start: their rows do not determine it."""
 
@@ -493,10 +495,25 @@ def _measure(green: GreenImage, settings: LineSettings) -> LinePoints:
             free_slope=settings.shear,
             keep_slope=settings.shear,
         )
+        if green.daylight:
+            fitted[:, fits.SIGMA] = _seen_sigma(fitted[:, fits.SEEN], fitted[:, fits.SIGMA])
     else:
         rows = np.ones(starts.row.size, np.int64)
         fitted = _fit(green, starts, rows, noise, normal, half_across=_ACROSS * starts.half_width_px)
     return _points(green, starts, fitted, rows, bias, normal, noise, halo_px, settings)
+
+
+def _seen_sigma(seen: ArrayF, by_model: ArrayF) -> ArrayF:
+    """Sigmas (n,) by residuals, averaged over `_LIKE_ROWS` neighbours; by the model where a line is too short.
+
+    Both squares and shadow on a surface change the noise; a mean over some of them is what the residuals tell.
+    """
+    window = np.ones(min(_LIKE_ROWS, len(seen)))
+    known = np.isfinite(seen)
+    total = np.convolve(np.where(known, seen, 0.0), window, "same")
+    n = np.convolve(known, window, "same")
+    variance = np.where(n > _LIKE_ROWS / 4, total / np.maximum(n, 1.0), np.nan)
+    return np.where(np.isfinite(by_model) & (variance > 0.0), np.sqrt(np.abs(variance)), by_model)
 
 
 def _some(starts: Starts, number: int) -> Starts:
