@@ -1,5 +1,7 @@
 """Bright strips of a pattern in daylight are no laser line: where colours tell, they are counted out."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from tests.lightsheet.laser_images import (
     laser_mosaic,
     mean_line_intensity,
 )
-from thalweg.core import AnyArray, ArrayF, InputError
+from thalweg.core import AnyArray, ArrayF, GeometryError, InputError
 from thalweg.lightsheet.lines import LineSettings, detect_lines, green_image
 from thalweg.lightsheet.optics import paper_4
 from thalweg.settings.twin import SheetImage
@@ -120,6 +122,20 @@ def test_lines_on_a_checkerboard_in_daylight(colour: str) -> None:
     # twelve others. By the noise of single pixels and speckle they were 0.87, 0.89 and, in blue, 0.53
     assert 0.8 < np.sqrt(np.mean(squares)) < 1.25
     assert max(errors) < 0.45
+
+
+def test_beside_a_checkerboard_there_is_no_line() -> None:
+    """The wall behind the board shows the laser as well, in another plane; with ``board`` it is not used."""
+    how = LineSettings(across="rows", board=(7, 5))
+    for seed in (1, 2):
+        image, true_px = daylight_board(seed, "red", inner=(7, 5))
+        on_wall, found = detect_lines(image, replace(how, board=None)), detect_lines(image, how)
+        for points, share in ((on_wall, (0.5, 0.95)), (found, (0.99, 1.0))):
+            off = np.abs(points.x_px - true_px[np.rint(points.y_px - 0.5).astype(int)])
+            assert share[0] <= np.mean(off < 2.0) <= share[1]
+        assert len(found) > 200  # of some 300 rows of the board
+    with pytest.raises(GeometryError, match="no checkerboard of 7 x 5"):
+        detect_lines(image[:160, :160], how)
 
 
 def test_what_is_not_taken_away_draws_the_line_aside() -> None:

@@ -19,6 +19,7 @@ from thalweg.lightsheet.lines.image import (
     LAG,
     GreenImage,
     PixelNoise,
+    board_region,
     first_noise,
     green_image,
     speckle_noise,
@@ -443,6 +444,7 @@ def detect_lines(image: AnyArray, settings: LineSettings | None = None) -> LineP
     Raises
     ------
     InputError : no image, an over-exposed one, or one without a line.
+    GeometryError : no checkerboard where ``settings.board`` asks for one.
 
     Notes
     -----
@@ -450,6 +452,8 @@ def detect_lines(image: AnyArray, settings: LineSettings | None = None) -> LineP
     """
     settings = settings or LineSettings()
     green = green_image(np.asarray(image), settings)
+    if settings.board is not None:
+        green = replace(green, region=board_region(np.asarray(image), settings))
     if settings.method == "auto":
         settings = replace(settings, method="lsm" if green.daylight else "speckle_patch")
     if settings.method != "speckle_patch":
@@ -504,9 +508,9 @@ def _measure(green: GreenImage, settings: LineSettings) -> LinePoints:
 
 
 def _seen_sigma(seen: ArrayF, by_model: ArrayF) -> ArrayF:
-    """Sigmas (n,) by residuals, averaged over `_LIKE_ROWS` neighbours; by the model where a line is too short.
+    """Sigmas (n,) by residuals, averaged over `_LIKE_ROWS` neighbours; by the model where a line is short.
 
-    Both squares and shadow on a surface change the noise; a mean over some of them is what the residuals tell.
+    Squares and shadows on a surface change the noise; a mean over some of them is what the residuals tell.
     """
     window = np.ones(min(_LIKE_ROWS, len(seen)))
     known = np.isfinite(seen)

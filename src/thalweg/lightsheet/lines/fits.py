@@ -50,8 +50,8 @@ from thalweg.lightsheet.lines.image import GreenImage, PixelNoise
 MEAN, SIGMA, WIDTH, PEAK, BACKGROUND, SLOPE, MISFIT, PIXELS, SATURATED_PIXELS, HALO, DEVIANCE, SEEN = range(
     12
 )
-"""Columns of what `fit_patches` returns; a place that did not converge is NaN. ``SEEN``: variance of the place
-as the residuals show it, see the module.
+"""Columns of what `fit_patches` returns; a place that did not converge is NaN. ``SEEN``: variance of the
+place as the residuals show it, see the module.
 """
 _NEAR_ROWS: Final = 5
 """Rows over which residuals count as correlated: interpolation of colours and compression, blocks of 8."""
