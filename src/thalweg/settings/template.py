@@ -34,6 +34,15 @@ _ORDINARY_GNSS: Final = [
     "  max_gap_s: 5.0  # longest hole between positions that is interpolated",
 ]
 """Lines of ``orientation`` for a receiver that writes NMEA or GPX."""
+_BESIDE_SBET: Final = [
+    "  gps_week: CHANGE  # week of the SBET, as 2235",
+    "  # smrmsg: []  # its standard deviations; without, those of section ins below",
+]
+_SIGMAS_OF_SBET: Final = [
+    "",
+    "ins:",
+    "  sigma_position_m: [0.03, 0.03, 0.05]  # CHANGE: east, north, up, where no SMRMSG states them",
+]
 _SURVEYED: Final = "surveyed points; role check: judges, takes no part"
 _NAMED: Final = 8
 """Files of one folder and ending that are named one by one; more are a pattern."""
@@ -86,7 +95,7 @@ def campaign_text(
         *gnss,
         *_list("positions", listed.get("pos", []), "RTKLIB .pos, NMEA or GPX"),
         *_list("sbet", listed.get("sbet", []), "Applanix SBET; needs gps_week"),
-        *(["  # gps_week: 2235  # CHANGE: week of the SBET"] if listed.get("sbet") else []),
+        *(_BESIDE_SBET if listed.get("sbet") else []),
         *_list("depth", listed.get("depth", []), "echo sounder, NMEA"),
         *(
             ["  # depth_date: 2026-05-12  # UTC day of its start, where it has none"]
@@ -106,6 +115,7 @@ def campaign_text(
         f"  position_source: {source}  # pos, sbp, ppk, nmea, gpx, sbet or ins",
         *(_ORDINARY_GNSS if source in ("nmea", "gpx") else [f"  accept_fixes: {fixes}"]),
         *_without_control(listed, source),
+        *(_SIGMAS_OF_SBET if source == "sbet" else []),
         *(
             ["", "# filters: {below_water_m: null, mirror_ghosts: false}  # where there is no water"]
             if listed.get("lidar")
@@ -122,6 +132,7 @@ def epochs_text(
     origin: tuple[float, float, float],
     *,
     folder: Path,
+    spacing_m: float | None = None,
     schema: str = "../schema.json",
 ) -> str:
     """Text of a campaign file that compares surveys.
@@ -132,7 +143,7 @@ def epochs_text(
     epochs : in the order of time: ids of campaigns that surveyed the bank, or a file of a cloud or surface
         model with its date (empty if unknown).
     crs : map grid; origin : latitude, longitude, ellipsoidal height of the frame of all.
-    folder : as for `campaign_text`; schema : likewise.
+    folder, spacing_m, schema : as for `campaign_text`, of the points of the first file.
     """
     place = f"lat_deg: {origin[0]}, lon_deg: {origin[1]}, h_ell_m: {origin[2]}"
     lines = [
@@ -147,10 +158,26 @@ def epochs_text(
         "deformation:",
         "  # area: {polygon: [[east, north], ...], min_height_m: 0.0}  # part of the bank to compare",
         "  # stable: [[[east, north], ...], ...]  # unmoved ground; without: what most of it agrees on",
-        "  core_spacing_m: 0.5",
-        "  reach_m: 3.0  # farther than the largest retreat",
+        *_core_points(spacing_m),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _core_points(spacing_m: float | None) -> list[str]:
+    """Lines of cells and cylinders, four spacings wide where points lie farther apart than a boat's."""
+    cell = float(f"{max(4.0 * (spacing_m or 0.0), 0.5):.2g}")
+    lines = [
+        f"  core_spacing_m: {cell:g}",
+        f"  reach_m: {max(2.0 * cell, 3.0):g}  # farther than the largest retreat",
+    ]
+    if cell > 0.5:
+        lines += [
+            f"  # the points of the first file are {spacing_m:.2g} m apart",
+            f"  scales_m: [{cell:g}, {2 * cell:g}, {4 * cell:g}]",
+            f"  cylinder_radius_m: {cell:g}",
+            f"  classes: {{vegetation_roughness_m: {0.25 * cell:.2g}}}  # CHANGE: above its relief",
+        ]
+    return lines
 
 
 def _epoch(epoch: str | tuple[Path, str], folder: Path) -> list[str]:
