@@ -334,3 +334,20 @@ def test_raw_gnss_of_a_folder_is_sorted_by_receiver(here, data_dir, capsys):
     Path("sbp.yaml").write_text(text.replace("rover: [", f"rover: [{car.log_files('rover')[0]}, "))
     assert main(["check-config", "sbp.yaml"]) == 2
     assert "all files of one kind" in capsys.readouterr().err
+
+
+@pytest.mark.real
+def test_surface_models_with_dates_become_a_campaign(data_dir, tmp_path, capsys, monkeypatch):
+    """A beach of Sandpyper twice: cells as wide as its points need; two grids are refused before the first job."""
+    monkeypatch.chdir(tmp_path)
+    days = ("20180601", "20180621")
+    files = [data_dir / f"sandpyper_dsm/dsm_1m/mar_{day}_dsm_resampled_1m.tif" for day in days]
+    epochs = [f"{file}@{day[:4]}-{day[4:6]}-{day[6:]}" for file, day in zip(files, days, strict=True)]
+    assert main(["new-campaign", "beach", "--folder", ".", "--epochs", *epochs]) == 0
+    text = Path("beach.yaml").read_text()
+    assert "  # the points of the first file are 1 m apart\n" in text
+    assert "  core_spacing_m: 4\n" in text
+    assert main(["check-config", "beach.yaml"]) == 2
+    assert "another grid: cells of" in capsys.readouterr().err
+    Path("beach.yaml").write_text(f"{text}  resample: bilinear\n")
+    assert main(["check-config", "beach.yaml"]) == 0

@@ -11,6 +11,7 @@ import sys
 import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -187,7 +188,7 @@ def _new_campaign(options: argparse.Namespace) -> int:
 
 def _epochs_text(name: str, options: argparse.Namespace, schema: str) -> str:
     """Text of a campaign of epochs: of campaigns and of files."""
-    from thalweg.deformation.foreign import place_of_file
+    from thalweg.deformation.foreign import place_of_file, point_spacing_m
     from thalweg.settings import epochs_text, load_campaign
     from thalweg.settings.sections import CLOUD_ENDINGS, DSM_ENDINGS, TEXT_ENDINGS
 
@@ -210,7 +211,8 @@ def _epochs_text(name: str, options: argparse.Namespace, schema: str) -> str:
         crs, origin = place.crs, (place.origin.lat_deg, place.origin.lon_deg, place.origin.h_ell_m)
     else:
         crs, origin = place_of_file(files[0], tuple(options.origin) if options.origin else None)
-    return epochs_text(name, epochs, crs, origin, folder=options.folder, schema=schema)
+    spacing = point_spacing_m(files[0]) if files else None
+    return epochs_text(name, epochs, crs, origin, folder=options.folder, spacing_m=spacing, schema=schema)
 
 
 _FILES_NAMED = 5
@@ -429,6 +431,8 @@ def _check_config(options: argparse.Namespace) -> int:
             print(f"  places of the sensors: {_places(campaign)}")
         if jobs and jobs.skipped:
             print(f"  not checked: {', '.join(jobs.skipped)}")
+        for note in jobs.notes if jobs else ():
+            print(f"note: {note}", file=sys.stderr)
         products = files.products() if campaign.logs else []
         for made, words in ((True, "gives"), (False, "more logs would add")):
             listed = [f"{p.name}{'' if made else f' ({p.needs})'}" for p in products if p.made is made]
@@ -486,7 +490,7 @@ def _check_epochs(campaign: "Campaign") -> None:
     if not any(epoch.of_files for epoch in campaign.epochs or []):
         return
     from thalweg.core import LocalFrame
-    from thalweg.deformation.foreign import check_epoch_files
+    from thalweg.deformation.foreign import check_epoch_files, dsm_of, onto_grid
 
     wrong = []
     assert campaign.campaign.origin is not None  # epochs have one
@@ -496,8 +500,16 @@ def _check_epochs(campaign: "Campaign") -> None:
             check_epoch_files(epoch, frame, campaign.campaign.crs)
         except ThalwegError as error:
             wrong.append(f"  epochs[{number}]: {error}")
+    for number, (before, after) in enumerate(pairwise(campaign.epochs or [])):
+        if wrong or before.dsm is None or after.dsm is None:
+            continue
+        try:
+            onto_grid(dsm_of(after), dsm_of(before), campaign.deformation.resample)
+        except ThalwegError as error:
+            wrong.append(f"  epochs[{number + 1}]: {error}")
     if wrong:
-        raise ConfigError("files of epochs that cannot be used:\n" + "\n".join(wrong), where=campaign.id)
+        told = "\n".join(wrong).rstrip(".")
+        raise ConfigError(f"files of epochs that cannot be used:\n{told}", where=campaign.id)
 
 
 def _describe(options: argparse.Namespace) -> int:

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 LARGEST_BYTES: Final = 300_000_000
 """Reading more takes longer than a person waits for a check."""
+_LONG_DAYS: Final = 30
+"""Logs of one stream that are farther apart are hardly of one survey."""
 
 
 class FirstJobs:
@@ -27,15 +29,19 @@ class FirstJobs:
     ----------
     errors : refusals, in the order of the jobs.
     skipped : streams that were not opened, and why.
+    notes : what no job refuses, and a person should look at.
     """
 
     def __init__(self, files: "CampaignFiles") -> None:
         self.errors: list[ThalwegError] = []
         self.skipped: list[str] = []
+        self.notes: list[str] = []
         self._files = files
         self._reports: list[IntegrityReport] = []
         if files.campaign.kind == "survey":
             self._survey()
+        elif files.campaign.kind == "photographs" and not files.logs("finished_orientations"):
+            self._tried(self._photographs)
 
     def _survey(self) -> None:
         from thalweg.clocks import common_span
@@ -65,6 +71,20 @@ class FirstJobs:
         if states is not None and source in ("ins", "sbet"):
             self._tried(lambda: self._trajectory(states))
 
+    def _photographs(self) -> None:
+        from thalweg.images import what_is_given
+
+        logs = {
+            name: [Path(log) for log in self._files.logs(name)]
+            for name in ("time_lapse", "control_points", "image_marks", "camera_positions")
+        }
+        marks, positions = (next(iter(logs[name]), None) for name in ("image_marks", "camera_positions"))
+        campaign = self._files.campaign
+        control = campaign.images.control
+        what_is_given(
+            logs["time_lapse"], campaign.campaign.crs, logs["control_points"], marks, positions, control
+        )
+
     def _opened(self, stream: str, logs: list[str], read: "Callable[[list[Path]], Any]") -> Any:
         paths = [Path(log) for log in logs]
         size = sum(path.stat().st_size for path in paths)
@@ -87,6 +107,13 @@ class FirstJobs:
         from dataclasses import replace
 
         self._reports.append(replace(report, stream=stream))
+        first, last = report.t_first_s, report.t_last_s
+        if report.synchronised and first is not None and last is not None:
+            days = (last - first) / 86_400.0
+            if days > _LONG_DAYS and len(report.files) > 1:
+                self.notes.append(
+                    f"the logs of stream '{stream}' are {days:.0f} days apart; keep those of one survey"
+                )
 
     def _lidar(self, paths: list[Path]) -> None:
         from thalweg.ingest import LidarOptions

@@ -30,8 +30,11 @@ LENSES = {
 SPACING_M, SIGMA_PX = 0.04, 0.12
 
 
-def boards(camera: Camera, seed: int, pictures: int = 14) -> pd.DataFrame:
-    """Corners of a board of 9 x 6, seen from all sides, with normal errors of `SIGMA_PX`."""
+def boards(camera: Camera, seed: int, pictures: int = 14, bow_m: float = 0.0) -> pd.DataFrame:
+    """Corners of a board of 9 x 6, seen from all sides, with normal errors of `SIGMA_PX`.
+
+    ``bow_m``: standard deviation by which the ends of the board stand out of its plane, anew in each picture.
+    """
     rng = np.random.default_rng(seed)
     column, row = (a.ravel() for a in np.meshgrid(np.arange(9), np.arange(6)))
     plane = SPACING_M * np.column_stack([column - 4.0, row - 2.5, 0.0 * row])
@@ -39,6 +42,7 @@ def boards(camera: Camera, seed: int, pictures: int = 14) -> pd.DataFrame:
     while len(parts) < pictures:
         direction = rng.uniform(-1, 1, 2) * (1.35 if camera.model == "fisheye" else 0.35)
         turn = Rotation.from_euler("yx", direction) * Rotation.from_rotvec(rng.normal(0, 0.35, 3))
+        plane[:, 2] = bow_m * np.sin(7.0 * seed + len(parts)) * np.sqrt(2.0) * ((column - 4.0) / 4.0) ** 2
         away = Rotation.from_euler("yx", direction).apply([0.0, 0.0, rng.uniform(0.25, 0.6)])
         xy = camera.project(turn.apply(plane) + away) + rng.normal(0, SIGMA_PX, (len(plane), 2))
         if ((xy > 0) & (xy < camera.size_px)).all():
@@ -63,6 +67,24 @@ def test_errors_of_the_lens_are_those_that_its_covariance_states(model: str) -> 
     k = len(true.parameters) * len(squares)
     low, high = chi2.ppf([0.001, 0.999], k)
     assert low < np.sum(squares) < high
+
+
+def test_a_bent_board_makes_the_sigmas_larger() -> None:
+    """A millimetre over 32 cm hides in the residuals (0.14 px for 0.12); pictures contradict each other.
+
+    What is bent alike in all pictures is seen in part only: 1.2 to 1.9 instead of 3.7 in trials.
+    """
+    true, squares, without = LENSES["fisheye"], [], []
+    for seed in range(8):
+        table = boards(true, seed, bow_m=1e-3)
+        found = calibrate_lens(table, true.size_px, spacing_m=SPACING_M, model=true.model)
+        assert found.sigma_px < 0.16
+        error = found.camera.parameters - true.parameters
+        squares.append(error @ np.linalg.solve(found.camera.cov, error) / len(error))
+        without.append(squares[-1] * found.picture_factor)
+    # 64 numbers and eight factors, which scatter by half: measured 1.19, by the noise of corners alone 3.6
+    assert 0.6 < np.mean(squares) < 1.6
+    assert np.mean(without) > 2.5
 
 
 def test_gross_errors_are_named_and_do_no_harm() -> None:
@@ -188,7 +210,13 @@ def test_a_lens_from_photographs_of_a_board(data_dir: Path, tmp_path: Path, caps
     assert "350 of 350 corners in 10 pictures, rms 0.09" in capsys.readouterr().out
     found = camera_of(read_calibration(out))
     sigma = np.sqrt(found.cov.diagonal())
-    assert (np.abs(found.parameters[:2] - [1176.93, 1177.72]) < 3.0 * sigma[:2]).all()
+    # the centre lies 7 px higher in these pictures; leaving out one of them moves it by up to 5.5 px, so that
+    # the noise of corners alone, 1.2 px, does not tell how well it is known
+    off = np.abs(found.parameters[:4] - [1176.93, 1177.72, 962.275 + 0.5, 612.725 + 0.5])
+    assert (off < 2.5 * sigma[:4]).all()
+    assert read_calibration(out).find("camera_interior").facts["picture_factor"] == pytest.approx(
+        9.4, abs=1.0
+    )
     assert found.size_px == (1920, 1208)
     bare = tmp_path / "bare.png"
     cv2.imwrite(str(bare), np.full((120, 160), 128, np.uint8))

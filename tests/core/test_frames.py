@@ -152,9 +152,9 @@ def test_map_export_refuses_a_grid_of_another_place(lat: float, lon: float) -> N
         nowhere.to_map(np.zeros((1, 3)), CRS(25833))
 
 
-@pytest.mark.parametrize("code", [31468, 5668, 2398])
+@pytest.mark.parametrize("code", [31468, 5668, 2398, 27700, 29903])
 def test_map_export_refuses_another_datum(code: int) -> None:
-    """Gauss-Krueger on Bessel and Krassowsky: a projection without a datum shift is some 180 m away."""
+    """Bessel, Krassowsky (Gauss-Krueger) and Airy (British, Irish): without a datum shift some 180 m away."""
     with pytest.raises(GeometryError, match="another datum than that of GNSS positions"):
         FRAME.to_map(np.zeros((1, 3)), CRS(code))
 

@@ -1,6 +1,9 @@
 """Front page of a campaign, and pictures that have nothing to show."""
 
+import runpy
+import sys
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 
 import pandas as pd
 import pytest
@@ -57,6 +60,24 @@ def test_it_links_pages_pictures_and_products(results: Path) -> None:
 def test_a_picture_keeps_its_reason(results: Path) -> None:
     assert note_of(results / "figures" / "map.png") is None
     assert "2 to 25 m" in (note_of(results / "figures" / "sections.png") or "")
+
+
+def test_a_picture_with_nothing_to_show_stops_no_survey(
+    repository: Path, tmp_path: Path, monkeypatch
+) -> None:
+    """The job of every picture: what its drawing function refuses becomes a panel with the reason."""
+
+    def draw() -> None:
+        raise InputError("no point lies on the bank", expected="one at least")
+
+    drawing = ModuleType("drawing_of_nothing")
+    monkeypatch.setattr(drawing, "draw", draw, raising=False)
+    monkeypatch.setitem(sys.modules, "drawing_of_nothing", drawing)
+    main = runpy.run_path(str(repository / "workflow/scripts/plot.py"))["main"]
+    job = SimpleNamespace(output={}, input={}, params={}, threads=1, rule="draw_bank")
+    main.__globals__["snakemake"] = job
+    main(figure_png=tmp_path / "bank.png", draw="drawing_of_nothing:draw", shows="Bank", dpi=50)
+    assert "no point lies on the bank" in (note_of(tmp_path / "bank.png") or "")
 
 
 def test_a_page_of_others_is_refused(results: Path) -> None:

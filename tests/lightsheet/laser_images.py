@@ -136,6 +136,7 @@ def daylight_board(
     sun_dn: float = 150.0,
     jpeg: int = 90,
     straight: tuple[float, float] | None = None,
+    inner: tuple[int, int] | None = None,
 ) -> tuple[AnyArray, ArrayF]:
     """A laser line on a checkerboard in daylight as a camera stores it, (480, 640, 3), and its true x by row.
 
@@ -143,7 +144,8 @@ def daylight_board(
     lies elsewhere in each picture; the line as bright as the albedo; shot and read noise; a Bayer mosaic,
     interpolated; JPEG.
 
-    ``straight``: the line is ``x = a + b y``; None: one that bends.
+    ``straight``: the line is ``x = a + b y``; None: one that bends. ``inner``: corners of a whole board with
+    a white margin; behind it the line lies elsewhere, as on a wall.
     """
     generator = np.random.default_rng([seed, *colour.encode()])
     h, w = 480, 640
@@ -152,6 +154,12 @@ def daylight_board(
     u, v = (x * np.cos(turn) - y * np.sin(turn)) / side, (x * np.sin(turn) + y * np.cos(turn)) / side
     albedo = np.where((np.floor(u) + np.floor(v)) % 2 == 0, 0.12, 0.85)
     board = (x > 60) & (x < w - 60) & (y > 40) & (y < h - 40)
+    if inner is not None:
+        outside = np.maximum(
+            np.abs(u - u.mean()) - (inner[0] + 1) / 2, np.abs(v - v.mean()) - (inner[1] + 1) / 2
+        )
+        even = np.floor(u - u.mean() + (inner[0] + 1) / 2) + np.floor(v - v.mean() + (inner[1] + 1) / 2)
+        albedo, board = np.where((outside < 0) & (even % 2 == 0), 0.12, 0.85), outside < 0.4
     albedo = np.where(board, albedo, 0.35 + 0.1 * np.sin(x / 90) * np.cos(y / 70))
     albedo = cv2.GaussianBlur(albedo, (0, 0), 0.9)
     edge = generator.uniform(0.3, 0.7) * w + 0.3 * (y - h / 2)
@@ -161,7 +169,8 @@ def daylight_board(
     centre = centre + 6 * np.sin(row / 60)
     if straight is not None:
         centre = straight[0] + straight[1] * (row + 0.5)
-    away = (x + 0.5 - centre[:, None]) / generator.uniform(3, 5)
+    aside = 0.0 if inner is None else np.where(board, 0.0, 60.0)
+    away = (x + 0.5 - centre[:, None] - aside) / generator.uniform(3, 5)
     line = laser_dn * np.exp(-2 * away**2) * albedo / 0.85
     white = np.array([0.92, 1.0, 0.8])
     dn = (light * albedo)[..., None] * white + line[..., None] * np.array(COLOURS[colour])

@@ -93,6 +93,11 @@ TABLE: list[tuple[dict[str, Any], str, tuple[str, ...]]] = [
     ({"campaign.crs": "EPSG:2263"}, "campaign.crs", ("US survey foot", "in metres")),
     ({"campaign.crs": "EPSG:3857"}, "campaign.crs", ("stretches distances", "EPSG:32633, UTM")),
     ({"campaign.crs": "EPSG:31468"}, "campaign.crs", ("is on the ellipsoid Bessel", "EPSG:32633, UTM")),
+    (
+        {"campaign.crs": "EPSG:27700", "campaign.origin": {"lat_deg": 51.33, "lon_deg": 1.42, "h_ell_m": 45}},
+        "campaign.crs",
+        ("is on the ellipsoid Airy", "EPSG:32631, UTM"),
+    ),
     ({"campaign.crs": "EPSG:32618"}, "campaign.origin", ("outside the area of use", "EPSG:32633")),
     (
         {"campaign.origin": {"lat_deg": 13.25, "lon_deg": 51.05, "h_ell_m": 0}},

@@ -120,3 +120,18 @@ def test_a_new_campaign_is_one_of_its_kind(tmp_path: Path, kind: str) -> None:
     # as dense as the reference is: edges five times its spacing, cells half of it
     assert campaign.reference.longest_edge_m == (2.0 if kind == "cloud" else 0.5)
     assert campaign.reference.cell_m == (0.2 if kind == "cloud" else 0.05)
+
+
+def test_many_files_are_a_pattern_and_of_several_tables_one_is_to_be_kept(tmp_path: Path) -> None:
+    """A pattern is written only where it finds the listed files and no others."""
+    marks = [tmp_path / f"marks/IMG_{k}.csv" for k in range(9)]
+    for path in (*marks, tmp_path / "marks/points.csv"):
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("label,x,y\n")
+    lenses = [tmp_path / "left.yaml", tmp_path / "right.yaml"]
+    files = {"fixed_marks": marks, "fixed_points": [tmp_path / "points.csv"], "fixed_interior": lenses}
+    text = campaign_text("alone", folder=tmp_path, files=files)
+    assert '    marks: ["marks/IMG_*.csv"]  #' in text
+    assert "interior:  # interior orientation; CHANGE: keep one of 2" in text
+    (tmp_path / "marks/IMG_other.csv").write_text("label,x,y\n")
+    assert "      - marks/IMG_8.csv" in campaign_text("alone", folder=tmp_path, files=files)

@@ -212,6 +212,12 @@ def test_a_folder_of_files_becomes_a_campaign(examples, tmp_path, capsys, folder
             "never gets GPS time",
         ),
         ("lidar_without_pps", "model: VLP-16", "model: HDL-32E", "that come every 1327 us"),
+        (
+            "photographs",
+            "data/strasbourg/marks.csv",
+            "data/belvedere/IMG_2637.csv",
+            "marks of images that do not occur: IMG_2637",
+        ),
     ],
 )
 def test_check_config_says_what_the_first_jobs_refuse(examples, capsys, name, old, new, words) -> None:

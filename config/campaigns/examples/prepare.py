@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from thalweg.core import Camera, gps_from_unix, read_table, write_opencv
+from thalweg.core import gps_from_unix, read_table
 from thalweg.core.timescales import week_from_gps
 from thalweg.ingest import INS_STATE
 
@@ -60,14 +60,11 @@ def photographs(source: Path, folder: Path) -> None:
 
 
 def fixed_camera(source: Path, folder: Path) -> None:
-    """The first camera before the Belvedere glacier (ICEpy4D), whose pixels count from a pixel's centre."""
+    """The first camera before the Belvedere glacier (ICEpy4D)."""
     assets = source / "icepy4d_belvedere/assets"
     copied(sorted((assets / "targets").glob("IMG_26*.csv")), folder)
     copied([assets / "targets/target_world.csv"], folder)
-    v = [float(word) for word in (assets / "calib/cam1.txt").read_text().split()]
-    size = (int(v[0]), int(v[1]))
-    parameters = np.array([v[2], v[6], v[4] + 0.5, v[7] + 0.5, *v[11:16]])
-    write_opencv(folder / "camera.yaml", Camera(model="perspective", size_px=size, parameters=parameters))
+    shutil.copyfile(assets / "calib/cam1.txt", folder / "camera.txt")
 
 
 def standing_track(path: Path, *, begin_unix_s: float, lat_deg: float, lon_deg: float) -> None:

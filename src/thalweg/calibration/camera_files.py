@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from thalweg.core import (
+    LENS_LINE,
     PARAMETERS,
     Camera,
     ConfigError,
@@ -79,7 +80,9 @@ def read_camera(path: Path, model: Model | None = None) -> Camera:
     ------
     InputError : the file is missing or none of these; or it holds more than one camera.
     """
-    if path.suffix.lower() == ".txt":
+    if not path.is_file():
+        raise InputError("file not found", expected="an interior orientation", where=path)
+    if path.suffix.lower() == ".txt" and not LENS_LINE.match(path.read_text(errors="replace")):
         cameras = read_colmap(path)
         if len(cameras) > 1:
             raise InputError(
@@ -89,8 +92,6 @@ def read_camera(path: Path, model: Model | None = None) -> Camera:
                 cure="Keep the line of the boat's camera",
             )
         return next(iter(cameras.values()))
-    if not path.is_file():
-        raise InputError("file not found", expected="an interior orientation", where=path)
     if path.suffix.lower() == ".xml":
         return read_metashape(path)
     try:

@@ -4,6 +4,12 @@ Start values need no guess: for each of a series of focal lengths the corners be
 plane is found from ``d x (H [X, Y, 1]) = 0``, which holds for rays beyond 90 degrees as well; the focal
 length whose rays fit best starts the adjustment. The noise of the corners is estimated, gross errors are
 rejected by name.
+
+A board that is not flat, or printed unevenly, errs alike in all corners of a picture: residuals are small and
+the lens is worse than they say. What the pictures say of each other tells. Without picture ``p`` the lens
+moves by ``d_p = (N - N_p)^-1 g_p`` (``N_p``, ``g_p``: its normal equations without its pose); noise of single
+corners would make ``sum d_p' N d_p`` as large as ``sum tr(N (N - N_p)^-1 - I)``. By their quotient the
+covariance is enlarged, where it is above one (delete-one jackknife, Efron 1982, in one step).
 """
 
 from collections.abc import Sequence
@@ -39,6 +45,7 @@ LEAST_CORNERS: Final = 6
 """Of a picture: a plane of rays has eight numbers, four corners give them without any check."""
 LEAST_PICTURES: Final = 3
 _REJECT_SIGMAS: Final = 4.0
+_UNDETERMINED: Final = 1e9
 _START_PX: Final = 0.05
 """Noise of the first adjustment: smaller than real corners have, so that its robust scatter rules."""
 _HALF_VIEWS: Final = {"fisheye": (0.6, 2.3), "perspective": (0.1, 1.2)}
@@ -66,6 +73,7 @@ class LensCalibration:
     corners : image, column, row, x_px, y_px, ``vx_px, vy_px`` (observed minus computed), ``angle_deg`` from
         the axis, ``used``.
     sigma_px : noise of a coordinate of a corner, estimated from the residuals.
+    picture_factor : by which the variance of the lens is larger than that noise makes it, 1 at least.
     rms_px : root mean square residual of the coordinates that were used.
     left_out : picture -> why it took no part.
     """
@@ -73,6 +81,7 @@ class LensCalibration:
     camera: Camera
     corners: pd.DataFrame
     sigma_px: float
+    picture_factor: float
     rms_px: float
     left_out: dict[str, str]
 
@@ -216,6 +225,7 @@ def calibrate_lens(
     scatter = _rms(found) * np.sqrt(found.used["corners"].sum() * 2 / found.redundancy)
     found = _adjusted(camera, found.x, xy[rows], board[rows], number, scatter)
     k = len(camera.parameters)
+    factor = _picture_factor(camera, found, xy[rows], board[rows], number, scatter)
     table = corners[rows].reset_index(drop=True)
     v = found.residuals["corners"].reshape(-1, 2)
     ccs = _in_camera(found.x, board[rows], number)
@@ -228,11 +238,12 @@ def calibrate_lens(
             model=model,
             size_px=size_px,
             parameters=found.x.parameters,
-            cov=found.cov[:k, :k] * found.sigma0_squared,
+            cov=found.cov[:k, :k] * found.sigma0_squared * factor,
             name=name,
         ),
         corners=table,
         sigma_px=sigma,
+        picture_factor=factor,
         rms_px=_rms(found),
         left_out=left_out,
     )
@@ -260,6 +271,7 @@ def lens_calibration_file(found: LensCalibration, *, run: str) -> Calibration:
         **file.blocks[0].facts,
         "rms_px": round(found.rms_px, 4),
         "sigma_px": round(found.sigma_px, 4),
+        "picture_factor": round(found.picture_factor, 2),
         "pictures": int(found.corners["image"].nunique()),
         "largest_angle_deg": round(float(angles.max()), 1),
         "rejected": found.rejected,
@@ -277,27 +289,31 @@ def _in_camera(x: _State, board: ArrayF, number: ArrayI) -> ArrayF:
     return np.einsum("nij,nj->ni", x.R[number], plane) + x.t[number]
 
 
+def _corner_equations(
+    camera: Camera, x: _State, xy: ArrayF, board: ArrayF, number: ArrayI, sigma_px: float
+) -> Linear:
+    """Corners less their images by the model, with derivatives."""
+    k, n = len(camera.parameters), len(xy)
+    at = k + 6 * number[:, None] + np.arange(6)
+    turned = _in_camera(x, board, number) - x.t[number]
+    seen, by_point, by_camera = camera.with_parameters(x.parameters).project_with_derivatives(
+        turned + x.t[number]
+    )
+    J = np.zeros((n, 2, k + 6 * len(x.t)))
+    J[:, :, :k] = -by_camera
+    by_pose = np.concatenate([by_point @ -cross_matrix(turned), by_point], axis=2)
+    np.put_along_axis(J, np.broadcast_to(at[:, None], (n, 2, 6)), -by_pose, axis=2)
+    return Linear(
+        residual=(xy - seen).ravel(),
+        jacobian=J.reshape(2 * n, -1),
+        cov=np.broadcast_to(sigma_px**2 * np.eye(2), (n, 2, 2)),
+    )
+
+
 def _adjusted(
     camera: Camera, start: _State, xy: ArrayF, board: ArrayF, number: ArrayI, sigma_px: float
 ) -> Adjusted[_State]:
-    k, n = len(camera.parameters), len(xy)
-    at = k + 6 * number[:, None] + np.arange(6)
-
-    def residuals(x: _State) -> Linear:
-        """Corners less their images by the model, with derivatives."""
-        turned = _in_camera(x, board, number) - x.t[number]
-        seen, by_point, by_camera = camera.with_parameters(x.parameters).project_with_derivatives(
-            turned + x.t[number]
-        )
-        J = np.zeros((n, 2, k + 6 * len(x.t)))
-        J[:, :, :k] = -by_camera
-        by_pose = np.concatenate([by_point @ -cross_matrix(turned), by_point], axis=2)
-        np.put_along_axis(J, np.broadcast_to(at[:, None], (n, 2, 6)), -by_pose, axis=2)
-        return Linear(
-            residual=(xy - seen).ravel(),
-            jacobian=J.reshape(2 * n, -1),
-            cov=np.broadcast_to(sigma_px**2 * np.eye(2), (n, 2, 2)),
-        )
+    k = len(camera.parameters)
 
     def update(x: _State, dx: ArrayF) -> _State:
         """Small changes put on the state: parameters, then rotation and shift of each board."""
@@ -310,7 +326,7 @@ def _adjusted(
         *(f"{axis} of board {i}" for i in range(len(start.t)) for axis in ("rx", "ry", "rz", "x", "y", "z")),
     ]
     return adjust(
-        [Observations("corners", residuals)],
+        [Observations("corners", lambda x: _corner_equations(camera, x, xy, board, number, sigma_px))],
         start,
         names,
         update=update,
@@ -319,6 +335,34 @@ def _adjusted(
         max_iterations=100,
         cure="Take pictures of the board from several sides, over the whole picture",
     )
+
+
+def _picture_factor(
+    camera: Camera, found: Adjusted[_State], xy: ArrayF, board: ArrayF, number: ArrayI, sigma_px: float
+) -> float:
+    """What the pictures say of each other over what the noise of corners lets expect, 1 at least."""
+    k = len(camera.parameters)
+    equations = _corner_equations(camera, found.x, xy, board, number, sigma_px)
+    used, of = np.repeat(found.used["corners"], 2), np.repeat(number, 2)
+    normals, sums = [], []
+    for p in range(len(found.x.t)):
+        J, v = equations.jacobian[used & (of == p)], equations.residual[used & (of == p)]
+        by_lens, by_pose = J[:, :k], J[:, k + 6 * p : k + 6 * p + 6]
+        free = by_lens - by_pose @ np.linalg.lstsq(by_pose, by_lens, rcond=None)[0]
+        normals.append(free.T @ free)
+        sums.append(free.T @ v)
+    N = np.sum(normals, axis=0)
+    scale = 1.0 / np.sqrt(np.diag(N))  # focal length and distortion have other units
+    scaled, moved, expected = scale[:, None] * N * scale, 0.0, 0.0
+    for own, g in zip(normals, sums, strict=True):
+        rest = scaled - scale[:, None] * own * scale
+        if np.linalg.cond(rest) > _UNDETERMINED:
+            continue  # the lens rests on this picture: the others do not judge it
+        without = np.linalg.inv(rest)
+        d = without @ (scale * g)
+        moved += float(d @ scaled @ d)
+        expected += float(np.trace(scaled @ without)) - k
+    return max(1.0, moved / (sigma_px**2 * found.sigma0_squared * expected)) if expected > 0.0 else 1.0
 
 
 def _start(

@@ -14,6 +14,7 @@ from .adjustment import (
 )
 from .camera import (
     COLMAP_MODELS as COLMAP_MODELS,
+    LENS_LINE as LENS_LINE,
     PARAMETERS as PARAMETERS,
     Camera as Camera,
     Model as Model,

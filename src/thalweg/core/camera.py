@@ -21,6 +21,7 @@ Both limits for ``h -> 0`` are taken, and a fisheye sees beyond 90 degrees.
 """
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -90,6 +91,9 @@ _PERSPECTIVE: Final = {
 _METASHAPE: Final = ("f", "cx", "cy", "b1", "k1", "k2", "k3", "k4", "p1", "p2")
 _OPENCV_ORDER: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _HALF: Final = 0.5
+_N, _Z = r"\s+[-+.\deE]+", r"\s+0\.?0*"
+LENS_LINE: Final = re.compile(rf"\s*\d+\s+\d+{_N}{_Z}{_N}{_Z}{_N}{_N}{_Z}{_Z}\s+1\.?0*({_N}){{4,8}}\s*\Z")
+"""A file of numbers alone, as ICEpy4D has: width, height, OpenCV's camera matrix by rows, its distortion."""
 
 
 # ---------------------------------------------------------------- camera
@@ -434,7 +438,7 @@ def write_colmap(path: Path, cameras: Mapping[int, Camera]) -> None:
 
 
 def read_opencv(path: Path, model: Model | None = None, size_px: tuple[int, int] | None = None) -> Camera:
-    """A camera as OpenCV or ROS writes it, YAML or JSON.
+    """A camera as OpenCV or ROS writes it, YAML or JSON, or as a line of numbers (`LENS_LINE`).
 
     Parameters
     ----------
@@ -449,6 +453,12 @@ def read_opencv(path: Path, model: Model | None = None, size_px: tuple[int, int]
     UnsupportedError : a skew, thin prisms or a denominator other than zero.
     """
     text = _text(path)
+    if LENS_LINE.match(text):
+        v = text.split()
+        text = (
+            f"image_width: {v[0]}\nimage_height: {v[1]}\ndistortion_model: plumb_bob\n"
+            f"camera_matrix: [{', '.join(v[2:11])}]\ndistortion_coefficients: [{', '.join(v[11:])}]\n"
+        )
     if "opencv-matrix" in text or text.startswith("%YAML"):
         # OpenCV's head is that of no YAML version, and its tag is its own
         rows = [row for row in text.splitlines() if not row.startswith("%")]

@@ -27,6 +27,10 @@ from thalweg.deformation.field import ErrorField
 from thalweg.settings.sections import Deformation
 from thalweg.surface import Area
 
+_TOO_FAR = (
+    "Look at datum, base station and antenna height of both surveys; or is the stable ground that most of "
+    "the bank agrees on not stable? Then draw deformation.stable"
+)
 PARAMETERS = ("east_m", "north_m", "up_m", "turn_east", "turn_north", "turn_up")
 _MODELS = {"none": [], "shift": [0, 1, 2], "shift+heading": [0, 1, 2, 5], "rigid": [0, 1, 2, 3, 4, 5]}
 _LEAST = 30
@@ -140,8 +144,7 @@ def coregister(
         raise GeometryError(
             f"the second epoch lies {size:.2f} m off the first on stable ground",
             expected=f"at most deformation.largest_shift_m = {settings.largest_shift_m:g} m",
-            cure="Look at datum, base station and antenna height of both surveys; or is the stable ground "
-            "that most of the bank agrees on not stable? Then draw deformation.stable",
+            cure=_TOO_FAR,
         )
     facts = _facts(found, settings, model, solver, candidates, areas)
     return Registration(parameters, cov, design, weights, kept > 0, facts)
@@ -437,7 +440,7 @@ def _check_network(
             raise GeometryError(
                 f"epoch {e + 1} lies {size:.2f} m off the one before on stable ground",
                 expected=f"at most deformation.largest_shift_m = {settings.largest_shift_m:g} m",
-                cure="Look at datum, base station and antenna height of both surveys",
+                cure=_TOO_FAR,
             )
     if len(areas) < 2:
         return

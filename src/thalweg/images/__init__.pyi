@@ -17,4 +17,5 @@ from .photographs import (
     PhotographBlock as PhotographBlock,
     orient_files as orient_files,
     orient_photographs as orient_photographs,
+    what_is_given as what_is_given,
 )

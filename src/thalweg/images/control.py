@@ -59,10 +59,10 @@ NAMES: Final[Mapping[str, tuple[str, ...]]] = {
     "x": ("x", "x/east", "x/easting", "easting", "east"),
     "y": ("y", "y/north", "y/northing", "northing", "north"),
     "z": ("z", "z/altitude", "altitude", "height"),
-    "sigma_east_m": ("sigma_east_m", "sigma_x_m", "x/east accuracy", "x accuracy", "sx"),
-    "sigma_north_m": ("sigma_north_m", "sigma_y_m", "y/north accuracy", "y accuracy", "sy"),
-    "sigma_up_m": ("sigma_up_m", "sigma_z_m", "z/altitude accuracy", "z accuracy", "sz"),
-    "accuracy": ("accuracy", "accuracy (m)"),
+    "sigma_east_m": ("sigma_east_m", "sigma_x_m", "x/east accuracy", "x accuracy", "sx", "sigmax"),
+    "sigma_north_m": ("sigma_north_m", "sigma_y_m", "y/north accuracy", "y accuracy", "sy", "sigmay"),
+    "sigma_up_m": ("sigma_up_m", "sigma_z_m", "z/altitude accuracy", "z accuracy", "sz", "sigmaz"),
+    "accuracy": ("accuracy", "accuracy (m)", "accuracy_x/y/z"),
     "role": ("role", "type"),
     "used": ("used",),
 }
@@ -357,6 +357,7 @@ def read_camera_positions(
         deviations.
     """
     rows = table_rows(path, read_text(path), ("image", *FORMS[2]))
+    rows = [{"image": row.get("id", ""), **row} for row in rows]  # whose column may be called a label
     if not rows:
         raise InputError("no positions", expected="at least one row", where=path)
     axes = ("east", "north", "up")
@@ -559,7 +560,7 @@ def table_rows(path: Path, text: str, needed: Sequence[str] = ()) -> list[dict[s
     while (
         numbered
         and numbered[0][1].startswith("#")
-        and not re.match(r"#\s*label", numbered[0][1], re.IGNORECASE)
+        and not re.match(r"#\s*(label|id)\b", numbered[0][1], re.IGNORECASE)
     ):
         numbered = numbered[1:]
     if not numbered:

@@ -25,7 +25,16 @@ from thalweg.images.bundle import (
     summary_text,
     write_cameras,
 )
-from thalweg.images.control import crs_of, frame_about, read_all_control_points, read_camera_positions
+from thalweg.images.control import (
+    CameraPositions,
+    crs_of,
+    frame_about,
+    matched_marks,
+    read_all_control_points,
+    read_all_marks,
+    read_camera_positions,
+)
+from thalweg.images.masks.images import size_of
 from thalweg.images.model import ControlPoints, ImageBlock, ImagePoses, unknown_poses
 from thalweg.images.sfm import (
     WIDEST_DEG,
@@ -176,6 +185,42 @@ def pose_table(poses: ImagePoses, crs: str) -> pd.DataFrame:
     return pd.DataFrame(columns | {"rms_px": poses.rms_px, "reason": list(poses.reasons)})
 
 
+def what_is_given(
+    images: Images,
+    crs: str,
+    control_points: Sequence[Path],
+    marks: Path | None,
+    positions: Path | None,
+    section: ControlSettings,
+) -> tuple[LocalFrame, ControlPoints, CameraPositions | None, dict[str, Path]]:
+    """Frame, control points, positions of the camera and files of photographs, whose marks fit together.
+
+    Parameters and errors as of `orient_photographs`, before the first photograph is looked at.
+    """
+    placed = [*control_points, *([] if positions is None else [positions])]
+    frame = frame_about(placed, crs=crs)
+    if crs != LOCAL and not crs_of(crs, placed[0]).is_projected:
+        raise InputError(
+            f"the CRS {crs}",
+            expected=f"a projected one, or {LOCAL}",
+            cure="Give the map grid in which results are wanted, such as EPSG:25833",
+        )
+    points = read_all_control_points(
+        control_points, frame, crs=crs, sigma_m=section.sigma_m, height_offset_m=section.height_offset_m
+    )
+    centres = None
+    if positions is not None:
+        centres = read_camera_positions(positions, frame, crs=crs, height_offset_m=section.height_offset_m)
+    files = named_images(images)
+    if marks is not None:
+        sizes = [size_of(path) or (0, 0) for path in files.values()]
+        table = read_all_marks([marks])
+        matched_marks(
+            table, points, tuple(files), sizes, tuple(files), sigma_px=section.sigma_px, where=marks
+        )
+    return frame, points, centres, files
+
+
 def orient_photographs(
     images: Images,
     *,
@@ -218,21 +263,9 @@ def orient_photographs(
     """
     say = progress or (lambda line: None)
     section = control or ControlSettings()
-    placed = [*control_points, *([] if positions is None else [positions])]
-    frame = frame_about(placed, crs=crs)
-    if crs != LOCAL and not crs_of(crs, placed[0]).is_projected:
-        raise InputError(
-            f"the CRS {crs}",
-            expected=f"a projected one, or {LOCAL}",
-            cure="Give the map grid in which results are wanted, such as EPSG:25833",
-        )
-    points = read_all_control_points(
-        control_points, frame, crs=crs, sigma_m=section.sigma_m, height_offset_m=section.height_offset_m
+    frame, points, centres, files = what_is_given(
+        images, crs, control_points, None if rig is not None else marks, positions, section
     )
-    centres = None
-    if positions is not None:
-        centres = read_camera_positions(positions, frame, crs=crs, height_offset_m=section.height_offset_m)
-    files = named_images(images)
     exposures = tuple(files)
     known = Known(cameras=() if camera is None else (read_camera(camera),))
     if rig is not None:

@@ -950,7 +950,7 @@ _WHAT = {
     "gnss.rover": "the raw log of the boat's receiver",
     "sbet": "SBET files",
     "gps_week": "the GPS week of the SBET",
-    "ins": "ANPP logs: attitudes",
+    "ins": "attitudes (ANPP logs, or poses of other programs)",
 }
 
 
@@ -1013,6 +1013,8 @@ def _check_source(parts: Parts, logs: Logs) -> Iterator[Mistake]:
         if not parts.raw("logs", *need.split(".")):
             others = [s for s, keys in _NEEDS.items() if keys and s != source and _given(logs, keys)]
             hint = f", or choose position_source: {others[0]}" if others and need != "ins" else ""
+            if need == "ins" and source != "ins":
+                hint = ", or name an SBET (`sbet: …` with position_source: sbet), which has both"
             yield Mistake(
                 path=("logs", *need.split(".")),
                 found="missing",

@@ -1,7 +1,9 @@
 """A new campaign file with comments, from nothing or from a folder of logs."""
 
+import glob
 import os
 from collections.abc import Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Final
 
@@ -32,6 +34,18 @@ _ORDINARY_GNSS: Final = [
     "  max_gap_s: 5.0  # longest hole between positions that is interpolated",
 ]
 """Lines of ``orientation`` for a receiver that writes NMEA or GPX."""
+_BESIDE_SBET: Final = [
+    "  gps_week: CHANGE  # week of the SBET, as 2235",
+    "  # smrmsg: []  # its standard deviations; without, those of section ins below",
+]
+_SIGMAS_OF_SBET: Final = [
+    "",
+    "ins:",
+    "  sigma_position_m: [0.03, 0.03, 0.05]  # CHANGE: east, north, up, where no SMRMSG states them",
+]
+_SURVEYED: Final = "surveyed points; role check: judges, takes no part"
+_NAMED: Final = 8
+"""Files of one folder and ending that are named one by one; more are a pattern."""
 
 
 def campaign_text(
@@ -60,13 +74,15 @@ def campaign_text(
     grid = grid if origin else f"CHANGE: {grid}"
     listed = {k: list(v) for k, v in PLACEHOLDERS.items()}
     if files is not None:
-        listed = {k: [_relative(p, folder) for p in v] for k, v in files.items()}
+        listed = {k: _listed(v, folder) for k, v in files.items()}
     alone = _alone(listed, spacing_m) if files is not None else []
     if alone:
         return "\n".join([*_head(name, schema), *alone]) + "\n"
     source, gnss = _source(listed)
     fixes = "auto" if source == "ppk" else "[fixed]"
     levers = "  # CHANGE: metres forward, right, down of the INS"
+    if not (listed.get("ins") or listed.get("sbet")):
+        levers = "  # CHANGE: metres forward, right, down of any fixed point of the boat"
     lines = [
         *_head(name, schema),
         f"  crs: {utm_code(lat, lon)}  # {grid}",
@@ -79,8 +95,13 @@ def campaign_text(
         *gnss,
         *_list("positions", listed.get("pos", []), "RTKLIB .pos, NMEA or GPX"),
         *_list("sbet", listed.get("sbet", []), "Applanix SBET; needs gps_week"),
-        *(["  # gps_week: 2235  # CHANGE: week of the SBET"] if listed.get("sbet") else []),
+        *(_BESIDE_SBET if listed.get("sbet") else []),
         *_list("depth", listed.get("depth", []), "echo sounder, NMEA"),
+        *(
+            ["  # depth_date: 2026-05-12  # UTC day of its start, where it has none"]
+            if listed.get("depth")
+            else []
+        ),
         *_list("reference", listed.get("reference", []), "clouds to compare with: LAS, LAZ, PLY, E57"),
         *_photographs(listed),
         "",
@@ -94,6 +115,7 @@ def campaign_text(
         f"  position_source: {source}  # pos, sbp, ppk, nmea, gpx, sbet or ins",
         *(_ORDINARY_GNSS if source in ("nmea", "gpx") else [f"  accept_fixes: {fixes}"]),
         *_without_control(listed, source),
+        *(_SIGMAS_OF_SBET if source == "sbet" else []),
         *(
             ["", "# filters: {below_water_m: null, mirror_ghosts: false}  # where there is no water"]
             if listed.get("lidar")
@@ -110,6 +132,7 @@ def epochs_text(
     origin: tuple[float, float, float],
     *,
     folder: Path,
+    spacing_m: float | None = None,
     schema: str = "../schema.json",
 ) -> str:
     """Text of a campaign file that compares surveys.
@@ -120,7 +143,7 @@ def epochs_text(
     epochs : in the order of time: ids of campaigns that surveyed the bank, or a file of a cloud or surface
         model with its date (empty if unknown).
     crs : map grid; origin : latitude, longitude, ellipsoidal height of the frame of all.
-    folder : as for `campaign_text`; schema : likewise.
+    folder, spacing_m, schema : as for `campaign_text`, of the points of the first file.
     """
     place = f"lat_deg: {origin[0]}, lon_deg: {origin[1]}, h_ell_m: {origin[2]}"
     lines = [
@@ -135,10 +158,26 @@ def epochs_text(
         "deformation:",
         "  # area: {polygon: [[east, north], ...], min_height_m: 0.0}  # part of the bank to compare",
         "  # stable: [[[east, north], ...], ...]  # unmoved ground; without: what most of it agrees on",
-        "  core_spacing_m: 0.5",
-        "  reach_m: 3.0  # farther than the largest retreat",
+        *_core_points(spacing_m),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _core_points(spacing_m: float | None) -> list[str]:
+    """Lines of cells and cylinders, four spacings wide where points lie farther apart than a boat's."""
+    cell = float(f"{max(4.0 * (spacing_m or 0.0), 0.5):.2g}")
+    lines = [
+        f"  core_spacing_m: {cell:g}",
+        f"  reach_m: {max(2.0 * cell, 3.0):g}  # farther than the largest retreat",
+    ]
+    if cell > 0.5:
+        lines += [
+            f"  # the points of the first file are {spacing_m:.2g} m apart",
+            f"  scales_m: [{cell:g}, {2 * cell:g}, {4 * cell:g}]",
+            f"  cylinder_radius_m: {cell:g}",
+            f"  classes: {{vegetation_roughness_m: {0.25 * cell:.2g}}}  # CHANGE: above its relief",
+        ]
+    return lines
 
 
 def _epoch(epoch: str | tuple[Path, str], folder: Path) -> list[str]:
@@ -179,8 +218,8 @@ def _alone(listed: Mapping[str, Sequence[str]], spacing_m: float | None) -> list
     if listed.get("fixed_marks"):
         parts: tuple[tuple[str, str, str], ...] = (
             ("fixed_marks", "marks", "where the control points are in the pictures"),
-            ("fixed_points", "control_points", "surveyed points; role check: judges, takes no part"),
-            ("fixed_interior", "interior", "interior orientation: calibration, OpenCV, COLMAP"),
+            ("fixed_points", "control_points", _one_of(listed, "fixed_points", _SURVEYED)),
+            ("fixed_interior", "interior", _one_of(listed, "fixed_interior", "interior orientation")),
         )
         return [
             *frame,
@@ -217,14 +256,20 @@ def _alone(listed: Mapping[str, Sequence[str]], spacing_m: float | None) -> list
         return []
     parts = (
         ("time_lapse", "images", "a folder, or files"),
-        ("control_points", "control_points", "surveyed points; role check: judges, takes no part"),
+        ("control_points", "control_points", _one_of(listed, "control_points", _SURVEYED)),
         ("image_marks", "marks", "where they are in the photographs"),
         ("camera_positions", "positions", "where the camera was; beside control points or instead"),
         ("finished_orientations", "orientations", "orientations from another program, instead of our own"),
-        ("interior", "interior", "interior orientation; without: estimated"),
+        ("interior", "interior", _one_of(listed, "interior", "interior orientation; without: estimated")),
         ("masks", "masks", "what is not to be used"),
     )
     return [*frame, "  time_lapse:  # photographs without a boat: docs/images.md", *_nested(listed, parts)]
+
+
+def _one_of(listed: Mapping[str, Sequence[str]], stream: str, meaning: str) -> str:
+    """Meaning of a table of which a survey has one; of several the user has to choose."""
+    n = len(listed.get(stream, []))
+    return f"{meaning}; CHANGE: keep one of {n}" if n > 1 else meaning
 
 
 def _nested(listed: Mapping[str, Sequence[str]], parts: Sequence[tuple[str, str, str]]) -> list[str]:
@@ -326,6 +371,19 @@ def _list(key: str, paths: Sequence[str], meaning: str) -> list[str]:
 def _quoted(text: str) -> str:
     plain = all(c.isalnum() or c in "/._-~+" for c in text) and text[0] not in "-~"
     return text if plain else '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def _listed(paths: Sequence[Path], folder: Path) -> list[str]:
+    """Paths as text; many of one folder and ending as a pattern, if it finds these and no others."""
+    out: list[str] = []
+    for (parent, suffix), group in groupby(paths, key=lambda path: (path.parent, path.suffix)):
+        own = list(group)
+        begin = os.path.commonprefix([path.stem for path in own])  # noqa: RUF071  (letters, no folders)
+        pattern, plain = f"{begin}*{suffix}", str(parent / begin)
+        if len(own) > _NAMED and glob.escape(plain) == plain and set(parent.glob(pattern)) == set(own):
+            own = [parent / pattern]
+        out += [_relative(path, folder) for path in own]
+    return out
 
 
 def _relative(path: Path, folder: Path) -> str:

@@ -17,6 +17,7 @@ from .differences import (
 from .epochs import (
     ForeignEpoch as ForeignEpoch,
     check_epoch_files as check_epoch_files,
+    dsm_of as dsm_of,
     notes_of_pair as notes_of_pair,
     place_of_file as place_of_file,
     prepare_foreign_epoch as prepare_foreign_epoch,

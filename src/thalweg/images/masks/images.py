@@ -428,6 +428,11 @@ _BRIGHTNESS: Final = 0.3
 """Weight of brightness beside colour: reflections are darker, but their colour stays."""
 
 _EDGE_SHARE: Final = 0.06
+_COLUMN_SHARE: Final = 0.25
+"""Rows above and below a water line whose means are compared, share of the image's height."""
+_COLUMNS_PX: Final = 7
+_LEAST_COLUMNS: Final = 0.3
+"""Share of the columns that have to have so much above and below the line."""
 
 
 @njit(cache=True, error_model="numpy")
@@ -453,6 +458,52 @@ def _agreement(values, reach, flat, out):  # type: ignore[no-untyped-def]
             out[y, x] = both / (np.sqrt(up * down) + flat * n) * np.sqrt(n / reach)
 
 
+def _colours(image: ArrayU8) -> ArrayF32:
+    """Blue and red against green, and brightness (h, w, 3), logarithms."""
+    light = np.log(image.astype(np.float32) + 6.0)
+    blue, green, red = np.moveaxis(light, 2, 0)
+    return np.stack([blue - green, red - green, _BRIGHTNESS * light.mean(axis=2)], axis=-1)
+
+
+def mirrored_columns(image: ArrayU8, rows: AnyArray, hull: ArrayB) -> float:
+    """Correlation over the columns of what lies below a water line with what lies above it.
+
+    Waves draw a reflection out along its column, but leave it there: below a dark tree water is dark, below a
+    gap bright. Lawn, gravel and ice know nothing of what stands behind them.
+
+    Parameters
+    ----------
+    image : (h, w, 3).
+    rows : (w,) first row of water.
+    hull : (h, w) pixels that do not count.
+
+    Returns
+    -------
+    correlation, 1 for a still mirror; NaN if the line leaves no room above and below it.
+    """
+    h, w = hull.shape
+    n = round(_COLUMN_SHARE * h)
+    x = np.flatnonzero((rows >= n) & (rows <= h - n))
+    if len(x) < _LEAST_COLUMNS * w:
+        return float("nan")
+    values, sides = _colours(image), []
+    for y in (rows[x][:, None] - 1 - np.arange(n), rows[x][:, None] + np.arange(n)):
+        y = y.astype(np.int64)
+        seen = ~hull[y, x[:, None]]
+        total = (values[y, x[:, None]] * seen[..., None]).sum(axis=1)
+        sides.append(
+            np.where(seen.any(axis=1)[:, None], total / np.maximum(seen.sum(axis=1), 1)[:, None], np.nan)
+        )
+    up, down = np.stack(sides)[:, np.isfinite(sides).all(axis=(0, 2))]
+    if len(up) < _LEAST_COLUMNS * w:
+        return float("nan")
+    # what changes from side to side of the whole picture is light, no reflection
+    slope = np.stack([np.ones(len(up)), np.linspace(-1.0, 1.0, len(up))], axis=1)
+    up, down = (cv2.blur(each, (1, _COLUMNS_PX)) for each in (up, down))
+    up, down = (each - slope @ np.linalg.lstsq(slope, each, rcond=None)[0] for each in (up, down))
+    return float((up * down).sum() / np.sqrt((up**2).sum() * (down**2).sum() + 1e-12))
+
+
 def mirror_level(
     image: ArrayU8, hull: ArrayB, prior: ArrayF32 | None = None
 ) -> tuple[ArrayF, float, ArrayF32]:
@@ -471,12 +522,7 @@ def mirror_level(
     agreement : (h, w) correlation about the upper edge of each pixel.
     """
     h, w = hull.shape
-    light = np.log(image.astype(np.float32) + 6.0)
-    values = np.stack(
-        [light[..., 0] - light[..., 1], light[..., 2] - light[..., 1], _BRIGHTNESS * light.mean(axis=2)],
-        axis=-1,
-    )
-    values = cv2.blur(values, (9, 3))
+    values = cv2.blur(_colours(image), (9, 3))
     values[hull] = 0.0
     first = _EVERY // 2
     score = np.zeros((h + 1, len(range(first, w, _EVERY))), dtype=np.float32)
@@ -631,6 +677,7 @@ class SeriesModel:
     settings : how images are masked.
     notes : what a user should know about the whole series.
     still : what a camera that stayed saw: then only what moved is masked, and nothing is water or own boat.
+    water : whether what lies below the lines is water; else it is land.
     """
 
     scenery: Scenery | None
@@ -641,6 +688,7 @@ class SeriesModel:
     settings: MaskSettings
     notes: tuple[str, ...]
     still: StillScene | None = None
+    water: bool = True
 
     def parts(self, image: ArrayU8, size_px: tuple[int, int], name: str) -> tuple[ArrayU8, list[str]]:
         """Parts (h, w) of an image at analysis size, in the codes of `mask_settings`, and notes.
@@ -667,12 +715,13 @@ class SeriesModel:
         out = np.full((h, w), LAND, dtype=np.uint8)
         if self.scenery is not None:
             found = self._lines(image, name, hull)
-            if not (found < h).any():
-                notes.append("no water line found")
-            y = np.arange(h)[:, None]
-            out[y >= found - self.settings.margin_share * h] = WATER
+            below = np.arange(h)[:, None] >= found - self.settings.margin_share * h
+            if self.water:
+                if not (found < h).any():
+                    notes.append("no water line found")
+                out[below] = WATER
             if self.sky is not None:
-                out[sky_pixels(self.sky, fine_features(image), (out == LAND) & ~hull)] = SKY
+                out[sky_pixels(self.sky, fine_features(image), ~below & ~hull)] = SKY
         out[hull] = HULL
         return out, notes
 
@@ -739,10 +788,23 @@ def learn_series(
         notes.append(f"{len(coarse)} images are too few to find the own boat by what keeps its place")
     samples = [_sample(image, hull, name, horizons) for name, image in coarse]
     scenery = learn_scenery(samples, hull, rng)
-    sky = None
+    sky, water = None, True
     if scenery is None:
         notes.append("water and land cannot be told apart: only the own boat is masked")
     else:
+        mirrors = [
+            mirrored_columns(
+                image, line_of(scenery.model.log_probability(s.features), s, hull, scenery), hull
+            )
+            for (_, image), s in zip(coarse, samples, strict=True)
+        ]
+        known = [each for each in mirrors if np.isfinite(each)]
+        if known and np.mean(known) < settings.least_mirror:
+            water = False
+            notes.append(
+                f"the foreground mirrors nothing of what is behind it (correlation {np.mean(known):.2f}, "
+                f"water from {settings.least_mirror:g} on): it counts as land, nothing is masked as water"
+            )
         step = max(-(-len(fine) // _LOOKS_OF_SKY), 1)
         sky = _learned_sky([i for _, i in fine][::step], samples[::step], hull, scenery, rng)
         if sky is None:
@@ -755,6 +817,7 @@ def learn_series(
         horizons=horizons,
         settings=settings,
         notes=tuple(notes),
+        water=water,
     )
 
 

@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from thalweg.core import (
+    LENS_LINE,
     ArrayF,
     Camera,
     Rigid,
@@ -236,13 +237,6 @@ _TEXTS: Final = (
     ("calibration", "calibration file", re.compile(rb"(?m)^thalweg_calibration[ \t]*:")),
     ("kalibr", "Kalibr camera chain", re.compile(rb"(?m)^cam0[ \t]*:")),
     (
-        "matrix",
-        "4x4 matrix in a text file",
-        re.compile(
-            rb"\A(?:\s*(?:#|//)[^\n]*\n)*(?:[ \t]*(?:[-+.\deE]+(?:[ \t,;]+|(?=[\r\n]|\Z))){4}[\r\n]*){4}\s*\Z"
-        ),
-    ),
-    (
         "colmap",
         "COLMAP cameras.txt",
         re.compile(
@@ -254,7 +248,14 @@ _TEXTS: Final = (
         "camera file of OpenCV or ROS",
         re.compile(
             rb"(?m)^[ \t{]*\"?(?:camera_matrix|cameraMatrix|Camera_Matrix|camera_intrinsics|intrinsic_matrix"
-            rb"|K)\"?[ \t]*:"
+            rb"|K)\"?[ \t]*:|\A" + LENS_LINE.pattern.encode()
+        ),
+    ),
+    (
+        "matrix",
+        "4x4 matrix in a text file",
+        re.compile(
+            rb"\A(?:\s*(?:#|//)[^\n]*\n)*(?:[ \t]*(?:[-+.\deE]+(?:[ \t,;]+|(?=[\r\n]|\Z))){4}[\r\n]*){4}\s*\Z"
         ),
     ),
 )

@@ -65,6 +65,8 @@ _PLACES: Final = (
     {"x/east", "y/north"},
     {"x/longitude", "y/latitude"},
 )
+_PICTURE: Final = re.compile(rb"[^,;\t]+\.(jpe?g|png|tiff?)\b", re.IGNORECASE)
+"""First cell of a row that names a picture: what stands there is no surveyed point but a camera."""
 _TIMES: Final = frozenset({"time_utc", "unix_s", "t_gps_s"})
 """Headings of tables that people write about photographs, small letters."""
 
@@ -135,7 +137,7 @@ def _image_kind(head: bytes) -> str | None:
     lines = [line.strip() for line in head.removeprefix(b"\xef\xbb\xbf").splitlines() if line.strip()]
     if len(lines) > 1 and _CRS_LINE.match(lines[0]) and len(lines[1].split()) >= 6:
         return "gcp_list"
-    for line in lines[:10]:
+    for k, line in enumerate(lines[:10]):
         cells = re.split(rb"[,;\t]", line.lstrip(b"#").strip().lower())
         names = {re.sub(r"[_ ]\((m|px|deg)\)$", "", c.decode("utf-8", "replace").strip(' "')) for c in cells}
         if names & _IMAGE and {"omega", "phi", "kappa"} <= names:
@@ -147,7 +149,8 @@ def _image_kind(head: bytes) -> str | None:
         if names & _IMAGE and any(place <= names for place in _PLACES):
             return "camera_positions"
         if names & _POINT and any(place <= names for place in _PLACES):
-            return "control_points"
+            named = lines[k + 1 : k + 2]
+            return "camera_positions" if named and _PICTURE.match(named[0]) else "control_points"
         if not line.startswith(b"#"):
             break
     return None

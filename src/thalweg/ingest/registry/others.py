@@ -92,7 +92,7 @@ def _columns(*names: bytes) -> Callable[[bytes, int], bool]:
 
 
 def _is_xyz(head: bytes, size: int) -> bool:
-    return is_text(head) and _XYZ.match(head) is not None
+    return is_text(head) and _XYZ.match(head) is not None and b"image" not in _cells(head)
 
 
 _CONVERT: Final = (

@@ -19,6 +19,7 @@ from thalweg.lightsheet.lines.image import (
     LAG,
     GreenImage,
     PixelNoise,
+    board_region,
     first_noise,
     green_image,
     speckle_noise,
@@ -421,6 +422,8 @@ _TURNS: Final = 40
 _SATURATED_SHARE: Final = 0.1
 """A few bright speckles saturate in any image; beyond that share of the line's width it is over-exposed."""
 _LEAST_REACH_ROWS: Final = 2
+_LIKE_ROWS: Final = 91
+"""Neighbours along a line whose noise is taken as alike in daylight."""
 _SLOPE_ROWS: Final = 5
 """Patches lower than that keep the slope of their start: their rows do not determine it."""
 
@@ -441,6 +444,7 @@ def detect_lines(image: AnyArray, settings: LineSettings | None = None) -> LineP
     Raises
     ------
     InputError : no image, an over-exposed one, or one without a line.
+    GeometryError : no checkerboard where ``settings.board`` asks for one.
 
     Notes
     -----
@@ -448,6 +452,8 @@ def detect_lines(image: AnyArray, settings: LineSettings | None = None) -> LineP
     """
     settings = settings or LineSettings()
     green = green_image(np.asarray(image), settings)
+    if settings.board is not None:
+        green = replace(green, region=board_region(np.asarray(image), settings))
     if settings.method == "auto":
         settings = replace(settings, method="lsm" if green.daylight else "speckle_patch")
     if settings.method != "speckle_patch":
@@ -493,10 +499,25 @@ def _measure(green: GreenImage, settings: LineSettings) -> LinePoints:
             free_slope=settings.shear,
             keep_slope=settings.shear,
         )
+        if green.daylight:
+            fitted[:, fits.SIGMA] = _seen_sigma(fitted[:, fits.SEEN], fitted[:, fits.SIGMA])
     else:
         rows = np.ones(starts.row.size, np.int64)
         fitted = _fit(green, starts, rows, noise, normal, half_across=_ACROSS * starts.half_width_px)
     return _points(green, starts, fitted, rows, bias, normal, noise, halo_px, settings)
+
+
+def _seen_sigma(seen: ArrayF, by_model: ArrayF) -> ArrayF:
+    """Sigmas (n,) by residuals, averaged over `_LIKE_ROWS` neighbours; by the model where a line is short.
+
+    Squares and shadows on a surface change the noise; a mean over some of them is what the residuals tell.
+    """
+    window = np.ones(min(_LIKE_ROWS, len(seen)))
+    known = np.isfinite(seen)
+    total = np.convolve(np.where(known, seen, 0.0), window, "same")
+    n = np.convolve(known, window, "same")
+    variance = np.where(n > _LIKE_ROWS / 4, total / np.maximum(n, 1.0), np.nan)
+    return np.where(np.isfinite(by_model) & (variance > 0.0), np.sqrt(np.abs(variance)), by_model)
 
 
 def _some(starts: Starts, number: int) -> Starts:

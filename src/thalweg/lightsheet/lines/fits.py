@@ -20,6 +20,15 @@ Gaussian ends and the diffraction's wings begin. The sigma of ``m`` is not that 
 with the scatter ``s`` of each pixel and the correlation ``rho`` of neighbours; so it holds for any weights.
 Saturated pixels say that the light was at least so much: they pull where the model lies below, else not.
 
+Where no model of the noise is known (daylight taken away, Bayer interpolation, JPEG) the residuals ``r`` tell
+the variance of ``m``, whatever their scatter and correlation, by what each row contributes (Newey and West
+1987) ::
+
+    v = sum_ij (1 - |i - j| / 6) S_i S_j / f,       S_i = sum_c u_ic r_ic,       |i - j| < 6
+
+The fit has made the ``n`` sums of rows add up to zero; by ``f = 1 - sum_ij (1 - |i - j| / 6) / n^2`` they are
+too small for that. Few rows tell a single ``v`` badly: neighbours along a line are to be averaged.
+
 **Ridges** of the smoothed image, after Steger (1998, *An unbiased detector of curvilinear structures*). The
 image is convolved with derivatives of a Gaussian. Across a ridge (the direction of the largest negative
 second derivative) the first derivative vanishes ::
@@ -38,8 +47,14 @@ import numpy as np
 from thalweg.core import AnyArray, ArrayF, ArrayF32, ArrayI, ArrayU8, njit
 from thalweg.lightsheet.lines.image import GreenImage, PixelNoise
 
-MEAN, SIGMA, WIDTH, PEAK, BACKGROUND, SLOPE, MISFIT, PIXELS, SATURATED_PIXELS, HALO, DEVIANCE = range(11)
-"""Columns of what `fit_patches` returns; a place that did not converge is NaN."""
+MEAN, SIGMA, WIDTH, PEAK, BACKGROUND, SLOPE, MISFIT, PIXELS, SATURATED_PIXELS, HALO, DEVIANCE, SEEN = range(
+    12
+)
+"""Columns of what `fit_patches` returns; a place that did not converge is NaN. ``SEEN``: variance of the
+place as the residuals show it, see the module.
+"""
+_NEAR_ROWS: Final = 5
+"""Rows over which residuals count as correlated: interpolation of colours and compression, blocks of 8."""
 
 _REACH: Final = 3.5
 """Half size of the convolution in standard deviations."""
@@ -69,7 +84,7 @@ def fit_patches(
     table: ArrayF,
     iterations: int,
 ) -> ArrayF:
-    """Fit a patch at each start; returns (n, 11), see `MEAN`.
+    """Fit a patch at each start; returns (n, 12), see `MEAN`.
 
     Parameters
     ----------
@@ -88,13 +103,13 @@ def fit_patches(
     table : halo as `halo.halo_table` makes it, (1, 2) for none.
     """
     n = row.size
-    out = np.full((n, 11), np.nan)
+    out = np.full((n, 12), np.nan)
     longest, widest = ranges.shape[1], 1
     for i in range(n):
         used = ranges[i, : rows[i, 1] - rows[i, 0]]
         widest = max(widest, int(np.max(used[:, 1]) - np.min(used[:, 0])))
     grid = np.zeros((longest, widest))
-    peak, aa, ga = np.empty(longest), np.empty(longest), np.empty(longest)
+    peak, aa, ga, sums = np.empty(longest), np.empty(longest), np.empty(longest), np.empty(longest)
     ap = np.empty((longest, 5))
     normal, g, step, unit = np.empty((5, 5)), np.empty(5), np.zeros(5), np.zeros(5)
     unit[0] = 1.0
@@ -211,6 +226,7 @@ def fit_patches(
                 ap,
                 step,
                 grid,
+                sums,
                 out[i],
             )
     return out
@@ -229,7 +245,7 @@ def ridge_points(image: GreenImage, row: ArrayI, x_px: ArrayF, scale_px: float, 
 
     Returns
     -------
-    fitted : (n, 11) in the columns of `patch.fit_patches`; NaN where no ridge is near. Its MEAN counts from
+    fitted : (n, 12) in the columns of `patch.fit_patches`; NaN where no ridge is near. Its MEAN counts from
         the start. The height is that of the smoothed ridge, the width follows from its curvature.
     """
     return np.asarray(
@@ -469,9 +485,10 @@ def _report(
     ap: ArrayF,
     inverse: ArrayF,
     grid: ArrayF,
+    sums: ArrayF,
     out: ArrayF,
 ) -> None:
-    """Sigma of m by the influence of each pixel on it; misfit, saturated pixels, peaks."""
+    """Sigma of m by the influence of each pixel on it; misfit, saturated pixels, peaks, variance seen."""
     m, w, b, s, h = par[0], par[1], par[2], par[3], par[4]
     left = ranges[0, 0]
     right = ranges[0, 1]
@@ -487,6 +504,7 @@ def _report(
     for i in range(count):
         z = 0 if one_peak else i
         dy = top + i - frame[0]
+        sums[i] = 0.0
         for c in range(ranges[i, 0], min(ranges[i, 1], right)):
             flag = bits[top + i, c]
             if measured_only and flag & 1 == 0:
@@ -518,6 +536,7 @@ def _report(
             # clipped light scatters less
             grid[i, c - left] = influence * contrast * light * (0.5 if flag & 2 else 1.0)
             residual = dn[top + i, c] - mu
+            sums[i] += influence * residual
             variance = scatter2 + noise[2] * light * light
             misfit += residual * residual / variance
             deviance += residual * residual / variance + np.log(variance)
@@ -533,6 +552,14 @@ def _report(
     out[8] = saturated
     out[9] = h
     out[10] = deviance
+    seen, pairs = 0.0, 0.0
+    for i in range(count):
+        for k in range(max(0, i - _NEAR_ROWS), min(count, i + _NEAR_ROWS + 1)):
+            near = 1.0 - abs(i - k) / (_NEAR_ROWS + 1.0)
+            seen += near * sums[i] * sums[k]
+            pairs += near
+    if count > 2 * _NEAR_ROWS:
+        out[11] = seen / (1.0 - pairs / count**2)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -551,7 +578,7 @@ def _ridges(
     height, width = dn.shape
     half = int(np.ceil(reach * scale))
     size = 2 * half + 2
-    out = np.full((row.size, 11), np.nan)
+    out = np.full((row.size, 12), np.nan)
     influence = np.zeros((size, size))
     gy, gx = np.empty(size), np.empty(size)
     s2 = scale * scale

@@ -67,7 +67,7 @@ class GreenImage:
 
     In a mosaic ``dn`` is interpolated at red and blue pixels; their bit `MEASURED` is not set. ``other``
     (h, w) is the mean of red and blue light around each pixel, None for a monochrome image and where
-    ``daylight`` was taken away, see `laser_light`.
+    ``daylight`` was taken away, see `laser_light`. ``region`` (h, w): where a line counts; None: everywhere.
     """
 
     dn: ArrayF32
@@ -77,6 +77,7 @@ class GreenImage:
     saturation_dn: float
     other: ArrayF32 | None
     daylight: bool = False
+    region: ArrayB | None = None
 
     def taken_as_measured(self) -> "GreenImage":
         """Interpolated pixels count like measured ones."""
@@ -85,8 +86,13 @@ class GreenImage:
     def transposed(self) -> "GreenImage":
         """Rows and columns exchanged."""
         other = None if self.other is None else np.ascontiguousarray(self.other.T)
+        region = None if self.region is None else np.ascontiguousarray(self.region.T)
         return replace(
-            self, dn=np.ascontiguousarray(self.dn.T), bits=np.ascontiguousarray(self.bits.T), other=other
+            self,
+            dn=np.ascontiguousarray(self.dn.T),
+            bits=np.ascontiguousarray(self.bits.T),
+            other=other,
+            region=region,
         )
 
 
@@ -150,6 +156,40 @@ def green_image(image: AnyArray, settings: LineSettings) -> GreenImage:
     return GreenImage(
         dn=dn, bits=bits, kind=kind, largest_dn=largest, saturation_dn=float(level), other=other
     )
+
+
+_SQUARES: Final = 0.9
+"""Of the squares around the outermost corners that much counts: their outer edges are none of a line."""
+
+
+def board_region(image: AnyArray, settings: LineSettings) -> ArrayB:
+    """Pixels (h, w) of the checkerboard of ``settings.board`` in an image, its outer squares included.
+
+    It is looked for in the two colours that are not the laser's, where there are colours.
+
+    Raises
+    ------
+    GeometryError : no such checkerboard.
+    """
+    from thalweg.calibration import Checkerboard, find_corners
+
+    assert settings.board is not None
+    columns, rows = settings.board
+    side = float(max(settings.board))
+    grey = image.astype(np.float32)
+    if image.ndim == 3:
+        laser = laser_channel(image, "auto" if settings.laser_colour == "mono" else settings.laser_colour)
+        grey = np.delete(grey, laser, axis=2).mean(axis=2)
+    grey = np.clip(grey * (255.0 / _largest(image)), 0.0, 255.0).astype(np.uint8)
+    board = Checkerboard(columns=columns, rows=rows, square_m=1.0, width_m=side, height_m=side)
+    corners = find_corners(grey, board).reshape(rows, columns, 2)
+    v, u = np.mgrid[:rows, :columns].astype(np.float64)
+    H, _ = cv2.findHomography(np.stack([u, v], axis=-1).reshape(-1, 2), corners.reshape(-1, 2))
+    low, right, top = -_SQUARES, columns - 1 + _SQUARES, rows - 1 + _SQUARES
+    outline = np.array([[[low, low], [right, low], [right, top], [low, top]]])
+    region = np.zeros(image.shape[:2], np.uint8)
+    cv2.fillConvexPoly(region, np.rint(cv2.perspectiveTransform(outline, H)[0] - 0.5).astype(np.int32), 1)
+    return region.astype(np.bool_)
 
 
 # ---------------------------------------------------------------- laser lines in daylight

@@ -260,6 +260,15 @@ def _candidates(
             expected="a line in the image",
             cure="Check laser, exposure and trigger; a lower 'least_contrast_dn' finds fainter lines",
         )
+    if image.region is not None:
+        on = image.region[row, np.minimum(x.astype(np.int64), image.dn.shape[1] - 1)]
+        if not on.any():
+            raise InputError(
+                f"no laser line on the checkerboard: {row.size} bright places, all beside it",
+                expected="a line across the board",
+                cure="Move the board into the light, or set 'board' to null",
+            )
+        row, x, prominence, half = row[on], x[on], prominence[on], half[on]
     return row, x, prominence, half
 
 

@@ -42,6 +42,7 @@ class LineSettings:
     across : ``rows`` for a line from top to bottom, measured along rows; ``columns`` for one from left to
         right; ``auto`` decides by the gradients.
     direction : ``row`` along the row (or column), ``normal`` perpendicular to the local line.
+    board : inner corners along both sides of a checkerboard in the image; what lies beside it is no line.
     lines : number of laser lines; with one, each row keeps its strongest line only.
     half_width_px : distance at which a line falls to 1/e^2, to start from; None: estimated from the image.
     patch_rows, patch_columns : size of the patch of ``lsm``, odd; the other methods follow the line's width.
@@ -72,6 +73,7 @@ class LineSettings:
     laser_colour: LaserColour = SheetLines().laser_colour
     across: Across = "auto"
     direction: Direction = "row"
+    board: tuple[int, int] | None = SheetLines().board
     lines: int = 1
     half_width_px: float | None = None
     patch_rows: int = 15

@@ -157,6 +157,11 @@ class MaskSettings(Section):
         gt=0,
         description="Least standard deviation of the approximate horizon, from trajectory and mount, degrees",
     )
+    least_mirror: Annotated[float, Field(ge=-1, le=1)] = Field(
+        default=0.35,
+        description="Correlation over the columns of an image, below its water line with above it, mean over "
+        "the series, from which on the foreground is water; -1: always, for water that mirrors nothing",
+    )
     least_usable_share: Share = Field(
         default=0.03, description="Images with a smaller usable share are named in the report"
     )

@@ -75,6 +75,9 @@ def scan_stream(scan: str, part: str) -> str:
 # ---------------------------------------------------------------- evaluation
 
 
+Corners = Annotated[int, Field(ge=3, le=100)]
+
+
 class SheetLines(Section):
     """Measurement of the laser line; see `thalweg.lightsheet.lines`."""
 
@@ -95,6 +98,11 @@ class SheetLines(Section):
     )
     across: Literal["auto", "rows", "columns"] = Field(
         default="auto", description="`rows` for a line from top to bottom, `columns` from left to right"
+    )
+    board: tuple[Corners, Corners] | None = Field(
+        default=None,
+        description="Inner corners along both sides of a checkerboard in every image: it is found, and what "
+        "lies beside it is no line; an image without it is refused by name. null: the whole image",
     )
     least_contrast_dn: Positive | None = Field(
         default=None,
