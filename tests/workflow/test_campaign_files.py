@@ -241,7 +241,7 @@ def test_a_rig_may_be_the_camera_that_orients_the_boat(shipped) -> None:
     assert rigged.oriented_images() == "results/tiny/orientation/image_poses_rig.parquet"
     assert rigged.chain_steps()["camera"][0] == rigged.oriented_images()
     assert rigged.best_chain() == "fused"
-    assert rigged.rig_poses() == ["results/tiny/orientation/image_poses_timed.parquet"]
+    assert rigged.rig_poses() == ["results/tiny/orientation/image_poses_fused.parquet"]
     assert rigged.colour_images() == rigged.known_interior() == rigged.control_reports() == []
     assert not rigged.orients_images()
     made = rigged.final_outputs()

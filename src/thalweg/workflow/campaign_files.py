@@ -763,8 +763,8 @@ class CampaignFiles:
         return self.logs("time_lapse") if self.has_colour_images() else []
 
     def colour_poses(self) -> list[str]:
-        """Their poses."""
-        return self._where(self.has_colour_images(), "orientation/image_poses_timed.parquet")
+        """Their poses, as all sensors together say."""
+        return self._where(self.has_colour_images(), "orientation/image_poses_fused.parquet")
 
     def colour_camera(self) -> list[str]:
         """Their interior orientation."""
@@ -779,8 +779,8 @@ class CampaignFiles:
         return self.logs("rig_images") if self.has_panoramas() else []
 
     def rig_poses(self) -> list[str]:
-        """Their poses: of the block where it is theirs, else by the boat's trajectory."""
-        block = "orientation/image_poses_timed.parquet"
+        """Their poses: as all sensors together say where the block is theirs, else by the boat's trajectory."""
+        block = "orientation/image_poses_fused.parquet"
         return self._where(self.has_panoramas(), block if self.is_by_rig() else "panorama/poses.parquet")
 
     def rig_truth(self) -> list[str]:
