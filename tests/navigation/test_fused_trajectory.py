@@ -149,7 +149,7 @@ def test_it_is_better_than_the_images_themselves() -> None:
 
 
 def test_poses_of_images_are_moved_to_what_all_sensors_say() -> None:
-    """A block that is turned as a whole, as one on antenna positions alone is: less so, and by sigmas that hold."""
+    """A block that is turned as a whole, as one on antenna positions alone is; with sigmas that hold."""
     spec = VoyageSpec(
         duration_s=25.0,
         sigma_image_m=(0.03,) * 3,

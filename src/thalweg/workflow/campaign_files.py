@@ -779,7 +779,7 @@ class CampaignFiles:
         return self.logs("rig_images") if self.has_panoramas() else []
 
     def rig_poses(self) -> list[str]:
-        """Their poses: as all sensors together say where the block is theirs, else by the boat's trajectory."""
+        """Their poses: by all sensors together where the block is theirs, else by the boat's trajectory."""
         block = "orientation/image_poses_fused.parquet"
         return self._where(self.has_panoramas(), block if self.is_by_rig() else "panorama/poses.parquet")
 

@@ -184,7 +184,7 @@ class Fused:
 
         Returns
         -------
-        poses : with the covariance of each by itself; how those of neighbours hang together is not told (zero).
+        poses : each with its covariance; those of neighbours are not told (zero).
         """
         camera = self.observed.camera
         if camera is None:
