@@ -64,8 +64,8 @@ _STRIP: Final = {
     "strip_images": ("light_sheet/strip/images",),
     "strip_pulses": ("light_sheet/strip/trigger_pulses.csv",),
 }
-_RIG: Final = {
-    "rig_images": ("rig",),
+_RIG: Final = {"rig_images": ("rig",)}
+_RIG_FIELD: Final = {
     "rig_field_images": ("rig_field",),
     "rig_field": ("rig_field.yaml",),
     "rig_field_points": ("rig_field_points.csv",),
@@ -102,7 +102,9 @@ def twin_logs(campaign: Campaign) -> Mapping[str, Sequence[str]]:
     if twin.time_lapse is not None:
         known |= _TIME_LAPSE
     if twin.dual_fisheye is not None:
-        known |= _RIG
+        # where the boat was calibrated, its rig was, too
+        known |= {} if campaign.is_calibration else _RIG
+        known |= {} if campaign.mounts.calibration else _RIG_FIELD
     if twin.light_sheet_strip is not None:
         known |= _STRIP
     return known
@@ -113,6 +115,12 @@ def calibrated_boat(files: CampaignFiles) -> list[str]:
     chosen = files.calibration_campaign()
     twin = chosen is not None and files.of(chosen).is_twin()
     return [f"results/{chosen}/simulation/truth/mounts.json"] if twin else []
+
+
+def rig_device(files: CampaignFiles) -> dict[str, Any]:
+    """Seed and settings of the rig of a twin: those of the campaign in whose room it was calibrated."""
+    room = files.of(files.calibration_campaign() or files.name).plain
+    return {"seed": room["campaign"]["seed"], "settings": room["twin"]["dual_fisheye"]}
 
 
 def sheet_basin(files: CampaignFiles) -> dict[str, Any]:

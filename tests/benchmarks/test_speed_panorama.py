@@ -11,13 +11,13 @@ import pytest
 from PIL import Image
 
 from tests.benchmarks import turns
-from tests.lidar.test_colour_check import EAST, START_S, poses_of, save_cloud
 from tests.panorama.test_compose import rig_of_the_shelf
 from thalweg.core import Camera
 from thalweg.lidar import Photographs, colour_cloud
 from thalweg.panorama import compose, fill_gaps, write_panorama
 from thalweg.panorama.files import inverse_range
 from thalweg.settings.sections import Colour
+from thalweg_lab.studies.sensors.colours import EAST, START_S, poses_of, save_cloud
 
 WIDTH, SIDE = 5376, 2688
 LIMIT_S = 4.0

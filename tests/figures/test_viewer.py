@@ -194,7 +194,7 @@ def test_the_command_shows_clouds_of_anybody(tmp_path: Path, capsys: pytest.Capt
 
 
 def test_clouds_of_several_chains_are_told_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """What one of them lacks is shown of none; a cloud in another frame is refused."""
+    """Times that one of them lacks are shown of none; a cloud in another frame is refused."""
     xyz, intensity = hills()[::40], np.arange(len(hills()[::40]), dtype=np.uint16)
     for name, off, more in (("ins", 0.0, {"t_gps_s": START_S + intensity}), ("camera", 0.5, {})):
         with LazWriter(tmp_path / f"{name}.laz", FRAME) as writer:
@@ -213,6 +213,65 @@ def test_clouds_of_several_chains_are_told_apart(tmp_path: Path, capsys: pytest.
     assert main(["view", both[0], str(tmp_path / "far.laz"), "-o", str(tmp_path / "w")]) == 2
     assert "far.laz: a cloud in the frame" in capsys.readouterr().err
     assert main(["view", *both, "--quantity", "cloud", "-o", str(tmp_path / "w")]) == 2
+
+
+def test_the_page_of_a_survey_shows_clouds_of_other_chains_when_asked(tmp_path: Path) -> None:
+    """The first cloud, in its colours, takes half of the points; a click tells which cloud a point is of."""
+    xyz = hills().reshape(641, 641, 3)[::4, ::4].reshape(-1, 3)
+    flat = np.column_stack([xyz[:, :2], np.zeros(len(xyz))])
+    with LazWriter(tmp_path / "a.laz", FRAME, extra_dimensions=COLOUR_DIMENSIONS) as writer:
+        writer.append(
+            flat,
+            rgb=np.tile(np.array([200, 30, 30], np.uint8), (len(xyz), 1)),
+            extra=dict.fromkeys(COLOUR_DIMENSIONS, np.ones(len(xyz))),
+        )
+    for name, up in (("b", 6.0), ("c", -6.0)):
+        with LazWriter(tmp_path / f"{name}.laz", FRAME) as writer:
+            writer.append(flat + np.array([0, 0, up]))
+    files = [tmp_path / f"{name}.laz" for name in "abc"]
+    view = read_views(files, 20_000, names=["A", "B", "C"], lead=0.5)
+    shares = np.bincount(view.extras["cloud"][0].astype(int))[1:] / 20_000
+    assert shares == pytest.approx([0.5, 0.25, 0.25], abs=0.02)
+    assert view.n_total == 3 * len(xyz)
+    assert (view.coloured == (view.extras["cloud"][0] == 1)).all()
+    write_survey_viewer(
+        points=files, names=["A", "B", "C"], trajectory=[], gains=[], images=[], rig_images=[], table=[],
+        page=tmp_path / "v/index.html", nodes=tmp_path / "v/nodes", title="Hills", twin=False,
+    )  # fmt: skip
+    with Browser(tmp_path / "profile") as page:
+
+        def red() -> float:
+            """Share of the view that is red."""
+            page.wait("typeof settled !== 'undefined' && settled")
+            page.screenshot(tmp_path / "a.png")
+            picture = np.asarray(Image.open(tmp_path / "a.png").convert("RGB")).astype(int)[60:560, 270:790]
+            return float((picture[..., 0] > picture[..., 2] + 40).mean())
+
+        def clicked() -> str:
+            page.click(500, 300)
+            found = page.run("document.getElementById('found').textContent")
+            page.call("Input.dispatchKeyEvent", type="keyDown", key="Escape")
+            return re.search(r"(?m)^cloud (.*)$", found)[1].strip()
+
+        page.open(tmp_path / "v/index.html", "#at=0,0,0&look=0,90,60&colour=rgb")
+        assert red() > 0.95
+        assert clicked() == "A"
+        page.run("document.getElementsByName('cloud')[1].click()")
+        assert red() < 0.4
+        assert clicked() == "B"
+        assert "&clouds=3" in page.run("location.hash")
+        page.run("for (const k of [0, 1, 2]) document.getElementsByName('cloud')[k].click()")
+        page.wait("settled")
+        assert clicked() == "C"
+        # coloured by cloud all of them are seen
+        page.run("setColour('cloud')")
+        page.wait("settled")
+        assert page.run("[...document.getElementsByName('cloud')].map((box) => box.checked)") == [True] * 3
+        assert clicked() == "B"
+        page.open(tmp_path / "v/index.html", "#at=0,0,0&look=0,90,60.5&colour=height&clouds=4")
+        page.wait("typeof settled !== 'undefined' && settled && camera.far === 60.5")
+        assert clicked() == "C"
+        assert page.errors == []
 
 
 def test_extra_dimensions_become_colours(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -366,7 +425,7 @@ def walk(tmp_path: Path) -> Path:
         folder = tmp_path / name
         write_survey_viewer(
             points=[tmp_path / "c.laz"],
-            trajectory=tmp_path / "trajectory.parquet",
+            trajectory=[tmp_path / "trajectory.parquet"],
             gains=[tmp_path / "gains.csv"],
             images=[tmp_path / "camera"],
             rig_images=[tmp_path / "raw"],
@@ -454,7 +513,7 @@ def test_a_walk_needs_no_lidar_and_wide_panoramas_are_reduced(
     monkeypatch.setattr(importlib.import_module("thalweg.figures.viewer.page"), "_WALK_PX", 512)
     folder = tmp_path / "alone"
     write_survey_viewer(
-        points=[], trajectory=walk / "trajectory.parquet", gains=[], images=[], rig_images=[],
+        points=[], trajectory=[walk / "trajectory.parquet"], gains=[], images=[], rig_images=[],
         table=[walk / "panoramas.parquet"], pictures=walk / "pictures", page=folder / "index.html",
         nodes=folder / "nodes", views=folder / "views", title="x", twin=False,
     )  # fmt: skip

@@ -1,6 +1,5 @@
 """A red board before a blue one, seen by three cameras: every colour and every hidden point is known."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -8,79 +7,31 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from thalweg.core import CoverageError, InputError, LazWriter, LocalFrame
+from thalweg.core import CoverageError, InputError, LocalFrame
 from thalweg.core.camera import Camera
 from thalweg.core.las import read_laz
 from thalweg.images.model import ImagePoses
 from thalweg.lidar import COLOUR_DIMENSIONS, Photographs, colour_cloud, exposure_gains
-from thalweg.lidar.cloud import EXTRA_DIMENSIONS
 from thalweg.lidar.colour import GAMMA, lens_of, seen_pixels, view_gains
 from thalweg.settings.sections import Colour
-
-FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=200.0)
-WIDTH, HEIGHT, FOCAL = 320, 240, 300.0
-CAMERA = Camera(
-    model="perspective",
-    size_px=(WIDTH, HEIGHT),
-    parameters=np.array([FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2, 0, 0, 0, 0, 0]),
-    cov=np.zeros((9, 9)),
+from thalweg_lab.studies.sensors.colours import (
+    BLUE,
+    CAMERA,
+    FOCAL_PX,
+    PLACES_M,
+    RED,
+    SIZE_PX,
+    START_S,
+    Boards,
+    board_poses,
+    hidden_points,
+    image_names,
 )
-RED, BLUE = (200, 40, 40), (40, 40, 200)
-PLACES_M = (-0.6, 0.0, 0.6)
-START_S = 1e9
-NAMES = tuple(f"image_{k}.png" for k in range(len(PLACES_M)))
 
+WIDTH, HEIGHT = SIZE_PX
+FOCAL = FOCAL_PX
 
-@dataclass(frozen=True)
-class Boards:
-    """A red board before a blue one: distances, half the width of the red one and its middle, in metres."""
-
-    near_m: float = 3.0
-    far_m: float = 5.0
-    half_m: float = 0.4
-    middle_m: tuple[float, float] = (0.0, 0.0)
-
-    def in_front(self, xy: np.ndarray) -> np.ndarray:
-        """Whether places (n, 2) in the plane of the red board lie on it."""
-        return np.all(np.abs(xy - self.middle_m) <= self.half_m, axis=1)
-
-    def points(self) -> tuple[np.ndarray, np.ndarray]:
-        """Points (n, 3) on both boards, and which are red."""
-        at = np.arange(0.01 - self.half_m, self.half_m, 0.02)
-        near = np.stack(np.meshgrid(at, at), axis=-1).reshape(-1, 2) + self.middle_m
-        far = np.stack(np.meshgrid(*[np.arange(-1.4, 1.4, 0.02)] * 2), axis=-1).reshape(-1, 2)
-        depth = np.repeat([self.near_m, self.far_m], [len(near), len(far)])
-        return np.column_stack([np.vstack([near, far]), depth]), np.arange(len(depth)) < len(near)
-
-    def visible(self, xyz: np.ndarray) -> np.ndarray:
-        """Points of the blue board that some camera sees past the red one."""
-        seen = np.zeros(len(xyz), dtype=bool)
-        for place in PLACES_M:
-            ray = (xyz - [place, 0.0, 0.0])[:, :2] / xyz[:, 2:]
-            inside = (np.abs(ray[:, 0]) < WIDTH / 2 / FOCAL) & (np.abs(ray[:, 1]) < HEIGHT / 2 / FOCAL)
-            seen |= inside & ~self.in_front(np.array([place, 0.0]) + self.near_m * ray)
-        return seen
-
-    def record(self, folder: Path, noise_m: np.ndarray | float = 0.0) -> None:
-        """Photographs by casting the ray of each pixel, and the cloud of both boards with errors (n, 3)."""
-        y, x = np.mgrid[0:HEIGHT, 0:WIDTH] + 0.5
-        rays = np.stack([(x.ravel() - WIDTH / 2) / FOCAL, (y.ravel() - HEIGHT / 2) / FOCAL], axis=1)
-        for name, place in zip(NAMES, PLACES_M, strict=True):
-            red = self.in_front(np.array([place, 0.0]) + self.near_m * rays)
-            colour = np.where(red[:, None], RED, BLUE).astype(np.uint8)
-            Image.fromarray(colour.reshape(HEIGHT, WIDTH, 3)).save(folder / name)
-        xyz = self.points()[0] + noise_m
-        n = len(xyz)
-        extra = {name: np.full(n, 0.01) for name in EXTRA_DIMENSIONS} | {"ring": np.arange(n) % 16}
-        with LazWriter(folder / "points.laz", FRAME, extra_dimensions=EXTRA_DIMENSIONS) as writer:
-            writer.append(
-                xyz,
-                t_gps_s=START_S + np.linspace(0, 2, n),
-                intensity=np.arange(n, dtype=np.uint16),
-                return_number=np.ones(n, np.uint8),
-                number_of_returns=np.ones(n, np.uint8),
-                extra=extra,
-            )
+NAMES = image_names(len(PLACES_M))
 
 
 def boards() -> tuple[np.ndarray, np.ndarray]:
@@ -95,28 +46,9 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def poses(frame: LocalFrame = FRAME) -> ImagePoses:
-    """Poses of the photographs; the axes of the world are those of the cameras."""
-    n = len(PLACES_M)
-    return ImagePoses(
-        frame=frame,
-        images=NAMES,
-        t_gps_s=START_S + np.arange(n),
-        sigma_t_s=np.zeros(n),
-        oriented=np.ones(n, dtype=bool),
-        reasons=("",) * n,
-        centre_wcs_m=np.column_stack([PLACES_M, np.zeros((n, 2))]),
-        R_wcs_ccs=np.tile(np.eye(3), (n, 1, 1)),
-        cov_pose_wcs=np.tile(1e-6 * np.eye(6), (n, 1, 1)),
-        cov_next=np.zeros((n, 6, 6)),
-        n_marks=np.full(n, 100.0),
-        rms_px=np.full(n, 0.3),
-    )
-
-
 def photographs(images: dict, masks: dict, where: ImagePoses | None = None) -> Photographs:
     """Those of the three cameras."""
-    return Photographs(poses=where or poses(), images=images, masks=masks, camera=CAMERA)
+    return Photographs(poses=where or board_poses(), images=images, masks=masks, camera=CAMERA)
 
 
 def coloured(folder: Path, *, occlusion: bool = True, **settings: float) -> tuple[dict, pd.Series]:
@@ -148,27 +80,19 @@ def test_points_behind_others_take_no_colour_from_them(folder: Path) -> None:
     assert wrong.sum() / (~red).sum() > 0.05
 
 
-def test_hidden_points_over_many_scenes(tmp_path: Path) -> None:
-    """Twenty pairs of boards, points with errors of 1 cm: worst of all, not the mean."""
-    wrong, shown, blind = [], [], []
-    for seed in range(20):
+def test_hidden_points_of_some_scenes(tmp_path: Path) -> None:
+    """Points with errors of 1 cm: worst of all, not the mean; `rig_study` has twenty."""
+    found = []
+    for seed in range(4):
         rng = np.random.default_rng(seed)
-        near = rng.uniform(2.5, 3.5)
-        half = rng.uniform(0.25, 0.45)
-        middle = tuple(rng.uniform(-0.3, 0.3, 2))
-        pair = Boards(near_m=near, far_m=near + rng.uniform(0.8, 2.5), half_m=half, middle_m=middle)
-        xyz, red = pair.points()
-        pair.record(tmp_path, 0.01 * rng.standard_normal(xyz.shape))
-        for occlusion, into in ((True, wrong), (False, blind)):
-            cloud, _ = coloured(tmp_path, occlusion=occlusion)
-            has = cloud["n_views"] > 0
-            into.append(((cloud["rgb"][:, 0] > cloud["rgb"][:, 2]) & ~red & has).sum() / (has & ~red).sum())
-            if occlusion:
-                shown.append(has[~red & pair.visible(xyz)].mean())
-    print(f"wrong {max(wrong):.4f}, shown {min(shown):.4f}, without the test {np.mean(blind):.3f}")
-    assert max(wrong) <= 0.01
-    assert min(shown) >= 0.97
-    assert np.mean(blind) > 0.05
+        pair = Boards.draw(rng)
+        noise = 0.01 * rng.standard_normal(pair.points()[0].shape)
+        blind, _ = hidden_points(tmp_path, pair, noise, occlusion=False)
+        found.append((*hidden_points(tmp_path, pair, noise, occlusion=True), blind))
+    wrong, shown, blind = np.transpose(found)
+    assert wrong.max() <= 0.01
+    assert shown.min() >= 0.97
+    assert blind.mean() > 0.05
 
 
 def test_everything_else_of_the_cloud_stays(folder: Path) -> None:
@@ -213,7 +137,7 @@ def test_what_cannot_be_used_is_refused(folder: Path) -> None:
     Image.new("RGB", (100, 80)).save(folder / NAMES[1])
     with pytest.raises(InputError, match="a picture of 100 x 80 pixels; expected 320 x 240"):
         coloured(folder)
-    elsewhere = poses(LocalFrame(lat_deg=50.0, lon_deg=13.25, h_ell_m=200.0))
+    elsewhere = board_poses(LocalFrame(lat_deg=50.0, lon_deg=13.25, h_ell_m=200.0))
     with pytest.raises(InputError, match="a cloud in the frame"):
         colour_cloud(folder / "points.laz", folder / "x.laz", [photographs({}, {}, elsewhere)], Colour())
     with pytest.raises(CoverageError, match="none of 3 images has a pose, a time and a file"):

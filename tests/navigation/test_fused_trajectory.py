@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from thalweg.core import CoverageError, InputError, LocalFrame, Trajectory, exp_rotation
+from thalweg.core import CoverageError, InputError, LocalFrame, Rigid, Trajectory, exp_rotation
 from thalweg.images.model import ImagePoses
 from thalweg.navigation.fusion import Fused, FusionSettings, count_table, fuse_trajectory
 from thalweg.navigation.fusion.model import GROUPS
@@ -146,6 +146,37 @@ def test_it_is_better_than_the_images_themselves() -> None:
     found = rms(whole(), recorded, images.t_gps_s)
     assert found[0] < np.sqrt(np.mean(np.sum(raw[:, :3] ** 2, axis=1)))
     assert found[1] < np.sqrt(np.mean(raw[:, 3:] ** 2))
+
+
+def test_poses_of_images_are_moved_to_what_all_sensors_say() -> None:
+    """A block that is turned as a whole, as one on antenna positions alone is; with sigmas that hold."""
+    spec = VoyageSpec(
+        duration_s=25.0,
+        sigma_image_m=(0.03,) * 3,
+        sigma_image_deg=(0.12,) * 3,
+        image_time_s=1000.0,
+        jitter_s=1e-4,
+        sigma_mount_deg=0.1,
+    )
+    before, after, squares = [], [], []
+    for seed in range(20, 30):
+        recorded = make_survey(seed, spec)
+        found = fuse(recorded, SETTINGS)
+        moved = found.image_poses(recorded.images, found.whole())
+        k = 12
+        at = recorded.images.t_gps_s[[k]] + recorded.clock_s
+        body = Rigid(R=recorded.motion.R_wcs_ics(at)[0], shift_m=recorded.motion.position_wcs_m(at)[0])
+        true = body @ recorded.true_T_ics_ccs
+        before.append(recorded.images.pose(k).error_from(true))
+        after.append(moved.pose(k).error_from(true))
+        squares.append(after[-1] @ np.linalg.solve(moved.cov_pose_wcs[k], after[-1]))
+    n = 6 * len(squares)
+    low, high = chi2.ppf([0.001, 0.999], n) / n
+    assert low < np.sum(squares) / n < high
+    turn, turn_before = (np.sqrt(np.mean(np.square(e)[:, 3:])) for e in (after, before))
+    assert turn < 0.7 * turn_before
+    alone = fuse(recorded, SETTINGS, with_images=False)
+    assert alone.image_poses(recorded.images, alone.whole()) is recorded.images
 
 
 def test_an_outage_is_bridged_by_the_images_and_the_sigma_says_so() -> None:

@@ -1,10 +1,14 @@
 """Files of a rig that lack something: told before the first job, with the place and the cure."""
 
+import re
+import shutil
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from thalweg.settings.checks_campaign import check_images, check_rig
+from thalweg.settings.load import check_campaign
 
 FIELD = {"field": ["room.yaml"], "field_images": ["room"], "field_points": ["points.csv"]}
 RIG = {"mount": {"omega_deg": 90.0}}
@@ -44,6 +48,23 @@ def test_what_is_missing_is_told(logs: Any, rig: Any, lidar: bool, path: tuple, 
     assert mistake.path == path
     assert words in mistake.found
     assert mistake.cure
+
+
+def test_the_calibration_of_the_boat_may_calibrate_its_rig(repository: Path, tmp_path: Path) -> None:
+    """What it names has to, which is seen where both campaigns are."""
+    logs = {"images": ["theta"]}
+    assert list(check_rig(logs, RIG, True, None, mounts={"calibration": "yard"})) == []
+    assert len(list(check_rig(logs, RIG, True, None, mounts={"calibration": "yard/boat.yaml"}))) == 1
+    for name in ("demo", "field_small", "basin_small"):
+        shutil.copy(repository / f"config/campaigns/{name}.yaml", tmp_path)
+    assert check_campaign(tmp_path / "demo.yaml", tmp_path)[1] == []
+    yard = tmp_path / "field_small.yaml"
+    text, n = re.subn(r"(?m)^  dual_fisheye: .*\n", "", yard.read_text())
+    yard.write_text(text)
+    assert n == 1
+    (mistake,) = check_campaign(tmp_path / "demo.yaml", tmp_path)[1]
+    assert mistake.dotted == "mounts.calibration"
+    assert mistake.found == "files of a rig, and the calibration field_small calibrates none"
 
 
 def test_a_rig_that_orients_the_boat_needs_files_and_a_datum() -> None:

@@ -154,6 +154,7 @@ SIMULATED = tuple(
         "logs/tls_1.laz",
         "logs/time_lapse",
         "logs/rig",
+        "logs/rig_field",
         "pictures/view_bank.npz",
         "truth/trajectory.parquet",
     )

@@ -17,6 +17,7 @@ from thalweg_lab.campaign_files import (
     ledger_results,
     ledger_studies,
     ledger_table,
+    rig_device,
     sheet_basin,
     twin_logs,
 )
@@ -26,7 +27,7 @@ from thalweg_lab.campaign_files import (
 def shipped(repository: Path) -> dict[str, CampaignFiles]:
     """The campaigns of the repository and those that they name."""
     folder = repository / "config/campaigns"
-    chosen = load_campaigns(["tiny", "field_tiny", "basin_tiny", "demo"], folder)
+    chosen = load_campaigns(["tiny", "field_tiny", "basin_tiny", "demo", "tiny_change"], folder)
     campaigns = with_calibrations(chosen, folder)
     return {name: CampaignFiles(name=name, campaigns=campaigns, twin_logs=twin_logs) for name in campaigns}
 
@@ -240,7 +241,7 @@ def test_a_rig_may_be_the_camera_that_orients_the_boat(shipped) -> None:
     assert rigged.oriented_images() == "results/tiny/orientation/image_poses_rig.parquet"
     assert rigged.chain_steps()["camera"][0] == rigged.oriented_images()
     assert rigged.best_chain() == "fused"
-    assert rigged.rig_poses() == ["results/tiny/orientation/image_poses_timed.parquet"]
+    assert rigged.rig_poses() == ["results/tiny/orientation/image_poses_fused.parquet"]
     assert rigged.colour_images() == rigged.known_interior() == rigged.control_reports() == []
     assert not rigged.orients_images()
     made = rigged.final_outputs()
@@ -249,6 +250,34 @@ def test_a_rig_may_be_the_camera_that_orients_the_boat(shipped) -> None:
     # without a calibration of the rig the camera stays what it was
     logs = {"lidar": ["a.pcap"], "ins": ["a.anpp"], "time_lapse": {"images": ["a.jpg"]}}
     assert survey(logs=logs, images={"source": "rig"}).stamped_images() == ["a.jpg"]
+
+
+def test_a_rig_is_calibrated_with_the_boat(shipped) -> None:
+    """The room of the calibration campaign; its device is that of the survey."""
+    demo, yard = shipped["demo"], shipped["field_small"]
+    assert demo.logs("rig_field_images") == yard.logs("rig_images") == []
+    assert demo.rig_calibration() == ["results/field_small/calibration/rig.yaml"]
+    assert demo.has_panoramas()
+    assert not yard.has_panoramas()
+    assert set(demo.rig_calibration()) < set(yard.final_outputs())
+    assert rig_device(demo) == rig_device(yard)
+    assert rig_device(demo)["seed"] == 21
+
+
+def test_the_page_of_a_survey_holds_the_clouds_of_all_chains(shipped) -> None:
+    """The best one in colour, then the others; of a change its places."""
+    tiny = shipped["tiny"]
+    assert tiny.page_clouds() == [
+        f"results/tiny/lidar/{name}" for name in ("coloured.laz", "points.laz", "by_camera/points.laz")
+    ]
+    assert tiny.page_names() == ["by all sensors", "by INS", "by camera"]
+    alone = survey(logs={"lidar": ["a.pcap"], "ins": ["a.anpp"]})
+    assert names(alone.page_clouds()) == ["lidar/points.laz"]
+    assert alone.page_names() == ["by INS"]
+    change = shipped["tiny_change"]
+    assert change.page_clouds() == ["results/tiny_change/deformation/changes_1-2.laz"]
+    assert change.page_names() == ["tiny_before to tiny_after"]
+    assert change.page_path() == []
 
 
 def test_lines_on_the_grid_object_are_short_pieces_in_as_many_levels(shipped) -> None:

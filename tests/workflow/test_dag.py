@@ -118,7 +118,7 @@ def test_pairs_of_images_are_dealt_out_to_as_many_jobs_as_the_campaign_says(of_c
 
 
 def test_files_of_a_rig_may_be_the_images_that_orient_the_boat(of_campaigns) -> None:
-    """Its block feeds the trajectories; its panoramas and the colours take the poses of the block."""
+    """Its block feeds the trajectories; its panoramas and the colours take the poses by all sensors."""
     found = of_campaigns["rigged"]
     by_rule = {job.rule: job for job in found}
     own = (
@@ -134,15 +134,12 @@ def test_files_of_a_rig_may_be_the_images_that_orient_the_boat(of_campaigns) -> 
     assert block in by_rule["time_images"].inputs
     assert "results/rigged/simulation/logs/rig" in by_rule["orient_rig"].inputs
     assert "results/rigged/simulation/logs/rig" in by_rule["read_image_stamps"].inputs
-    timed = "results/rigged/orientation/image_poses_timed.parquet"
-    for rule in (
-        "camera_trajectory",
-        "fuse_trajectory",
-        "make_panoramas",
-        "colour_points",
-        "compare_rig_with_truth",
+    for poses, rules in (
+        ("timed", ("camera_trajectory", "fuse_trajectory")),
+        ("fused", ("make_panoramas", "colour_points", "compare_rig_with_truth")),
     ):
-        assert timed in by_rule[rule].inputs, rule
+        for rule in rules:
+            assert f"results/rigged/orientation/image_poses_{poses}.parquet" in by_rule[rule].inputs, rule
     readers = {job.rule for job in found if any("/truth/" in name for name in job.inputs)}
     assert {rule for rule in readers if not rule.startswith("simulate_")} == MAY_READ_TRUTH["tiny"]
 

@@ -45,7 +45,7 @@ TRUTH = {
         "shows": "Calibration of a twin's rig, and its middle panorama, against the truth.",
         "calls": "thalweg_lab.truth.rig:judge_rig",
         "inputs": {
-            "calibration": f"{RESULTS}/calibration/rig.yaml",
+            "calibration": of(CampaignFiles.rig_calibration),
             "poses": of(CampaignFiles.rig_poses),
             "panoramas": f"{RESULTS}/panorama/panoramas.parquet",
             "pictures": f"{RESULTS}/panorama/pictures",

@@ -231,8 +231,8 @@ rule check_colours:
 rule viewer_page:
     """The cloud in a page that opens from disk, to turn, to measure in, and to hand on."""
     input:
-        points=of(CampaignFiles.shown_points),
-        trajectory=of(CampaignFiles.best_trajectory),
+        points=of(CampaignFiles.page_clouds),
+        trajectory=of(CampaignFiles.page_path),
         gains=of(CampaignFiles.colour_gains),
         images=of(CampaignFiles.colour_images),
         rig_images=of(CampaignFiles.rig_images),
@@ -253,6 +253,7 @@ rule viewer_page:
     params:
         **calls("thalweg.figures.viewer.page:write_survey_viewer"),
         title=section("campaign", "title"),
+        names=of(CampaignFiles.page_names),
         twin=of(CampaignFiles.is_twin),
     script:
         "../scripts/call.py"

@@ -246,6 +246,7 @@ rule fuse_trajectory:
         counts="results/{campaign}/orientation/fused_counts.csv",
         facts="results/{campaign}/orientation/fused.json",
         errors="results/{campaign}/orientation/errors_fused.npz",
+        adjusted="results/{campaign}/orientation/image_poses_fused.parquet",
     log:
         "logs/{campaign}/orientation/fuse_trajectory.log",
     benchmark:

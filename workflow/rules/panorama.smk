@@ -128,7 +128,7 @@ rule make_panoramas:
 use rule viewer_page as walk_page with:
     input:
         points=of(CampaignFiles.walk_points),
-        trajectory=of(CampaignFiles.best_trajectory),
+        trajectory=of(CampaignFiles.page_path),
         gains=of(CampaignFiles.colour_gains),
         images=of(CampaignFiles.colour_images),
         rig_images=of(CampaignFiles.rig_images),

@@ -102,16 +102,38 @@ rule simulate_time_lapse:
         "../scripts/simulate_time_lapse.py"
 
 
+rule simulate_rig_field:
+    """Files of a camera with two fisheye lenses in a room of markers, and the survey of the markers."""
+    output:
+        images=directory("results/{campaign}/simulation/logs/rig_field"),
+        field="results/{campaign}/simulation/logs/rig_field.yaml",
+        field_points="results/{campaign}/simulation/logs/rig_field_points.csv",
+    log:
+        "logs/{campaign}/simulation/simulate_rig_field.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_rig_field.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(20),
+    params:
+        **calls("thalweg_lab.dual_fisheye.record:simulate_rig_field"),
+        config=of(CampaignFiles.twin_parts),
+        settings=section("twin", "dual_fisheye"),
+        seed=section("campaign", "seed"),
+    script:
+        "../scripts/call.py"
+
+
 rule simulate_dual_fisheye:
-    """Files of a camera with two fisheye lenses, along the voyage and in a room of markers."""
+    """Files of a camera with two fisheye lenses along the voyage."""
     input:
-        true_mounts="results/{campaign}/simulation/truth/mounts.json",
+        mounts="results/{campaign}/simulation/truth/mounts.json",
         scene="results/{campaign}/simulation/truth/scene.npz",
     output:
         images=directory("results/{campaign}/simulation/logs/rig"),
-        field_images=directory("results/{campaign}/simulation/logs/rig_field"),
-        field="results/{campaign}/simulation/logs/rig_field.yaml",
-        field_points="results/{campaign}/simulation/logs/rig_field_points.csv",
         poses="results/{campaign}/simulation/truth/rig_poses.parquet",
         panorama="results/{campaign}/simulation/truth/panorama.npz",
         truth="results/{campaign}/simulation/truth/rig.json",
@@ -126,13 +148,15 @@ rule simulate_dual_fisheye:
         mem_mb=memory(3000),
         runtime=minutes(60),
     params:
-        code=code_version("simulate_dual_fisheye"),
-        campaign=identity("origin", "seed"),
-        twin=of(CampaignFiles.twin_parts, "scene", "boat", "lidar", "effects"),
-        dual_fisheye=section("twin", "dual_fisheye"),
+        **calls("thalweg_lab.dual_fisheye.record:simulate_dual_fisheye"),
+        config=of(CampaignFiles.twin_parts, "scene", "boat", "lidar", "effects"),
+        settings=section("twin", "dual_fisheye"),
+        seed=section("campaign", "seed"),
+        frame=section("campaign", "origin"),
         rig=section("rig"),
+        device=of(laboratory.rig_device),
     script:
-        "../scripts/simulate_dual_fisheye.py"
+        "../scripts/call.py"
 
 
 rule simulate_lidar:

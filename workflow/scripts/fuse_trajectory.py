@@ -24,6 +24,7 @@ def main(
     counts: Path,
     facts: Path,
     errors: Path,
+    adjusted: Path,
     campaign: dict[str, Any],
     fused: Fused,
     orientation: dict[str, Any],
@@ -50,10 +51,13 @@ def main(
         max_attitude_gap_s=orientation["max_attitude_gap_s"],
     )
     found.trajectory.write(trajectory)
+    whole = found.whole()
     found.observations.to_csv(observations, index=False, float_format="%.6f")
     count_table(found.facts).to_csv(counts, index=False)
     facts.write_text(json.dumps(found.facts, indent=2) + "\n")
-    write_chains(errors, found.error_chains())
+    write_chains(errors, found.error_chains(whole))
+    if images is not None:
+        found.image_poses(ImagePoses.read(images), whole).write(adjusted)
 
 
 if "snakemake" in globals():

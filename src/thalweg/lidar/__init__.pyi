@@ -7,6 +7,7 @@ from .clock import (
 from .cloud import (
     CORRELATION_DIMENSIONS as CORRELATION_DIMENSIONS,
     CORRELATIONS as CORRELATIONS,
+    EXTRA_DIMENSIONS as EXTRA_DIMENSIONS,
     REMOVED_POINTS as REMOVED_POINTS,
     SIGMAS as SIGMAS,
     LogSettings as LogSettings,
@@ -22,6 +23,7 @@ from .cloud import (
 from .colour import (
     COLOUR_DIMENSIONS as COLOUR_DIMENSIONS,
     GAMMA as GAMMA,
+    UNSEEN_GREY as UNSEEN_GREY,
     Coloured as Coloured,
     NoColour as NoColour,
     Photographs as Photographs,

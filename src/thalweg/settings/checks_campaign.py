@@ -39,6 +39,7 @@ from thalweg.settings.sections import (
     Mounts,
     Orientation,
     OrientedMount,
+    is_calibration_path,
     is_rinex_name,
     scan_stream,
 )
@@ -429,14 +430,20 @@ _FIELD = ("field", "field_images", "field_points")
 
 
 def check_rig(
-    logs: Mapping[str, Any] | None, rig: Any, lidar: bool, panorama: Any, images: Any = None, twin: Any = None
+    logs: Mapping[str, Any] | None,
+    rig: Any,
+    lidar: bool,
+    panorama: Any,
+    images: Any = None,
+    twin: Any = None,
+    mounts: Any = None,
 ) -> Iterator[Mistake]:
     """Mistakes in what belongs to a camera with two fisheye lenses.
 
     Parameters
     ----------
     logs : ``logs.rig`` as written.
-    rig, panorama, images, twin : the sections of these names as written.
+    rig, panorama, images, twin, mounts : the sections of these names as written.
     lidar : whether there is a lidar.
     """
     given = logs if isinstance(logs, Mapping) else {}
@@ -458,11 +465,14 @@ def check_rig(
         )
     if not given.get("images"):
         return
-    if not field and not given.get("calibration"):
+    chosen = _below(mounts, "calibration")
+    # whether a campaign of that name calibrates a rig is seen where all campaigns are
+    elsewhere = isinstance(chosen, str) and not is_calibration_path(chosen)
+    if not field and not given.get("calibration") and not elsewhere:
         yield Mistake(
             path=("logs", "rig", "images"),
             found="files of a rig, and nothing that calibrates it",
-            expected="logs.rig.calibration, or a field of marks around the rig",
+            expected="logs.rig.calibration, a field of marks around the rig, or mounts.calibration with one",
             cure="State logs.rig.field, field_images and field_points, or logs.rig.calibration",
         )
     if not _below(rig, "mount"):
@@ -669,6 +679,7 @@ def domain_mistakes(parts: Parts) -> tuple[list[Mistake], dict[str, tuple[str, .
             parts.raw("panorama"),
             parts.raw("images"),
             parts.raw("twin"),
+            parts.raw("mounts"),
         ),
         *check_epochs(parts.raw("epochs"), parts.raw("campaign") or {}, parts.path.parent),
         *_check_lists(parts),

@@ -3,6 +3,7 @@
 import copy
 import datetime as dt
 import json
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -187,7 +188,9 @@ def check_campaign(path: Path, folder: Path | None = None) -> tuple[Campaign | N
     if folder is not None and isinstance(document.data, dict):
         section = document.data.get("mounts")
         chosen = section.get("calibration") if isinstance(section, dict) else None
-        found = named_calibration(chosen, folder, (path.stem,))[1]
+        calibrations, found = named_calibration(chosen, folder, (path.stem,))
+        if campaign is not None:
+            found = [*found, *_uncalibrated_rig(campaign, calibrations)]
         placed = [_placed(m, path) for m in found]
         own = [m for m in placed if m.file == path]
         mistakes = sorted([*mistakes, *own], key=lambda m: m.line)
@@ -404,6 +407,27 @@ def named_basin(chosen: str | None, folder: Path) -> tuple[list[Campaign], list[
         cure=f"Correct {path}" if wrong else f"Name one of the campaigns in {folder}",
     )
     return [], [own, *wrong]
+
+
+def _uncalibrated_rig(campaign: Campaign, calibrations: Sequence[Campaign]) -> Iterator[Mistake]:
+    """Files of a rig that the boat's calibration should have calibrated, and did not."""
+
+    def rig(one: Campaign, *keys: str) -> bool:
+        """Whether a campaign has these logs of a rig, or a twin that writes them."""
+        given = one.logs.rig if one.logs is not None else None
+        made = one.twin is not None and one.twin.dual_fisheye is not None
+        return made or any(bool(getattr(given, key, None)) for key in keys)
+
+    own = campaign.twin is None and rig(campaign, "field", "calibration")
+    if campaign.is_calibration or not calibrations or own or not rig(campaign, "images"):
+        return
+    if not any(rig(one, "field", "calibration") for one in calibrations):
+        yield Mistake(
+            path=SETTING,
+            found=f"files of a rig, and the calibration {calibrations[-1].id} calibrates none",
+            expected="a field of marks around the rig in it, or a calibration of the rig",
+            cure="Record one there, or state logs.rig.calibration",
+        )
 
 
 def named_calibration(

@@ -24,6 +24,7 @@ _STREAMS: Final = {"lidar": "lidar", "ins": "ins", "sbet": "ins", "sbp": "gnss",
 _POSITION_LOGS: Final = {"pos": "pos", "nmea": "pos", "gpx": "pos", "sbp": "sbp", "ppk": "rover"}
 """Sources of positions with files of their own."""
 _CHAINS: Final = {"": "ins", "by_camera/": "camera", "by_fused/": "fused"}
+_WORDS_OF_CHAIN: Final = {"ins": "by INS", "camera": "by camera", "fused": "by all sensors"}
 """Folder below those of clouds and of comparisons -> what the trajectory rests on."""
 AUTO_WINDOW_S: Final = 1800.0
 """Windows of a log on a cluster: an hour of a VLP-16 is a few minutes' work, and each job takes seconds to
@@ -461,6 +462,7 @@ class CampaignFiles:
     def _calibration_outputs(self) -> list[str]:
         board = self.logs("board_images") or self.logs("board_observations")
         outputs = self._where(board, "calibration/board_camera_lidar.yaml")
+        outputs += self._where(self.has_rig_field(), "calibration/rig.yaml")
         if not self.logs("field"):
             return outputs
         outputs += self._where(self.has_static_camera(), "calibration/camera_lidar.yaml")
@@ -761,8 +763,8 @@ class CampaignFiles:
         return self.logs("time_lapse") if self.has_colour_images() else []
 
     def colour_poses(self) -> list[str]:
-        """Their poses."""
-        return self._where(self.has_colour_images(), "orientation/image_poses_timed.parquet")
+        """Their poses, as all sensors together say."""
+        return self._where(self.has_colour_images(), "orientation/image_poses_fused.parquet")
 
     def colour_camera(self) -> list[str]:
         """Their interior orientation."""
@@ -777,8 +779,8 @@ class CampaignFiles:
         return self.logs("rig_images") if self.has_panoramas() else []
 
     def rig_poses(self) -> list[str]:
-        """Their poses: of the block where it is theirs, else by the boat's trajectory."""
-        block = "orientation/image_poses_timed.parquet"
+        """Their poses: by all sensors together where the block is theirs, else by the boat's trajectory."""
+        block = "orientation/image_poses_fused.parquet"
         return self._where(self.has_panoramas(), block if self.is_by_rig() else "panorama/poses.parquet")
 
     def rig_truth(self) -> list[str]:
@@ -798,9 +800,12 @@ class CampaignFiles:
         )
 
     def rig_calibration(self) -> list[str]:
-        """The calibration of the rig: the given one, or that of its own field."""
+        """The calibration of the rig: the given one, of its own field, or by the calibration of the boat."""
         own = self._where(self.has_rig_field(), "calibration/rig.yaml")
-        return self.logs("rig_calibration")[:1] or own
+        chosen = self.calibration_campaign()
+        return (
+            self.logs("rig_calibration")[:1] or own or (self.of(chosen).rig_calibration() if chosen else [])
+        )
 
     def has_panoramas(self) -> bool:
         """True if a survey has files of a calibrated rig."""
@@ -864,6 +869,28 @@ class CampaignFiles:
     def shown_points(self) -> list[str]:
         """The cloud to look at: in colour, where photographs give any."""
         return self.coloured() or self.best_points()
+
+    def page_clouds(self) -> list[str]:
+        """The clouds of the page to look at them: by other trajectories, too; of a change its places."""
+        if self.campaign.is_change:
+            return self.of_pairs("changes_{}.laz")
+        return [*self.shown_points(), *self._other_chains().values()]
+
+    def page_names(self) -> list[str]:
+        """What the page calls them."""
+        if self.campaign.is_change:
+            return [" to ".join(self._pair(pair)) for pair in self.epoch_pairs()]
+        return [_WORDS_OF_CHAIN[chain] for chain in (self.best_chain(), *self._other_chains())]
+
+    def page_path(self) -> list[str]:
+        """The trajectory that they show, if a boat surveyed them."""
+        return [self.best_trajectory()] if self._is_survey() else []
+
+    def _other_chains(self) -> dict[str, str]:
+        """Clouds by other trajectories than the best one."""
+        made = zip(_CHAINS.values(), self.of_chains("lidar", "points.laz"), strict=True)
+        several = self.has_time_lapse() and self.has_lidar()
+        return {chain: file for chain, file in made if several and chain != self.best_chain()}
 
     def strip_points(self) -> list[str]:
         """Points of the bed by the light sheet, where the boat carries one."""
@@ -1034,6 +1061,7 @@ class CampaignFiles:
             *self._where(self.has_many_epochs(), "deformation/series.parquet"),
             *self.change_truth(),
             self._result("deformation/index.html"),
+            self._result("viewer/index.html"),
         ]
 
     # ------------------------------------------------------------ accuracy, and all

@@ -38,6 +38,7 @@ class Figure(BaseModel):
     inputs: dict[str, str | list[str]] = {}
     settings: dict[str, str | float] = {}
     when: Annotated[list[str], BeforeValidator(_listed)] = []
+    also: Annotated[list[Kind], BeforeValidator(_listed)] = []
     page: str | None = None
     category: str
     memory_mb: Annotated[list[float], BeforeValidator(_listed), Field(min_length=1, max_length=2)] = [2000]
@@ -127,7 +128,7 @@ class Figures:
     def files(self, campaign: CampaignFiles, page: str | None = None) -> list[str]:
         """Pictures of a campaign, and then those of each scan; of one page, if it is named."""
         kind, rows = _kind(campaign), [row for row in self.rows if page in (None, row.page)]
-        found = [(row, list[str]()) for row in rows if row.kind == kind]
+        found = [(row, list[str]()) for row in rows if kind in (row.kind, *row.also)]
         if kind == "basin":
             scans = campaign.scan_names()
             found += [(row, [scan]) for scan in scans for row in rows if row.kind == "scan"]

@@ -1,6 +1,6 @@
 """The recording: files of the survey and of the room, the survey of the room, and the truth apart."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,7 +15,7 @@ from thalweg_lab.dual_fisheye.room import LAYOUT, room_photographer, room_points
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.river import Scene, Waves
 from thalweg_lab.time_lapse import OwnBoat, Renderer, World, metered_exposure, sun_of
-from thalweg_lab.voyage import Voyage, true_mounts
+from thalweg_lab.voyage import Voyage, read_true_mounts, true_mounts
 from thalweg_lab.writers import PhotoFacts, start_us, write_jpeg
 from thalweg_lab.yard_images import LensRays, mount_of, run_name
 
@@ -39,18 +39,16 @@ def simulate_dual_fisheye(
     seed: int,
     frame: LocalFrame,
     scene: Path,
-    mounts: Mapping[str, Any],
+    mounts: Path,
     rig: RigSettings,
+    device: dict[str, Any],
     *,
     images: Path,
-    field_images: Path,
-    field: Path,
-    field_points: Path,
     poses: Path,
     panorama: Path,
     truth: Path,
 ) -> None:
-    """Write the files of the survey and of the calibration, and the truth.
+    """Write the files of the survey, and the truth.
 
     Parameters
     ----------
@@ -60,14 +58,15 @@ def simulate_dual_fisheye(
     scene : written by `simulate_scene`.
     mounts : true mounts of the boat's other sensors.
     rig : section ``rig``: the mount that the true one is drawn about.
-    images, field_images : folders of files by the local time in ms.
-    field, field_points : description of the room's markers, and their survey.
+    device : ``seed`` and ``settings`` of the campaign in whose room the rig was calibrated.
+    images : folder of files by the local time in ms.
     poses : true poses of the front lens, table kind ``image_poses``.
     panorama : ``.npz``: what is seen from the centre of the rig at the middle exposure: ``light`` (h, w, 3),
-        ``range_m`` (h, w), and its pose; level, as `thalweg.panorama` has it.
+        ``range_m`` (h, w), ``sunlit`` (h, w), and its pose; level, as `thalweg.panorama` has it.
     truth : true interiors, relative orientation, mount and times, JSON.
     """
-    device = true_rig(settings, seed)
+    true = true_rig(TwinDualFisheye(**device["settings"]), device["seed"])
+    on_boat = read_true_mounts(mounts)
     mount = true_mounts({"rig": rig.mount.model_dump()}, seed, on=config.effects.mount_errors)["rig"]
     T_ics_front = mount_of(mount)
     voyage = Voyage(config, seed)
@@ -84,10 +83,10 @@ def simulate_dual_fisheye(
     world = World(Scene.read(scene), None, sun_of(config, frame))
     waves = Waves.draw(seed, rms_slope=config.lidar.wave_slope)
     parts: dict[str, list[Part]] = {}
-    for name, rays in device.rays().items():
-        T_ics_lens = T_ics_front @ device.T_front_lens[name]
+    for name, rays in true.rays().items():
+        T_ics_lens = T_ics_front @ true.T_front_lens[name]
         own = (
-            OwnBoat.seen(rays, mounts, T_ics_lens, waterline_m=config.boat.height_m)
+            OwnBoat.seen(rays, on_boat, T_ics_lens, waterline_m=config.boat.height_m)
             if settings.hull
             else None
         )
@@ -104,7 +103,7 @@ def simulate_dual_fisheye(
                     supersampling=settings.supersampling,
                 ).see,
             )
-            for where, late in device.strips(name)
+            for where, late in true.strips(name)
         ]
     zone_us = int(1e6 * offset_of(settings.zone))
     names = [run_name(stamp + zone_us) for stamp in stamp_us.tolist()]
@@ -113,14 +112,14 @@ def simulate_dual_fisheye(
             name: exposed_by_parts(
                 parts[name],
                 boat,
-                T_ics_front @ device.T_front_lens[name],
+                T_ics_front @ true.T_front_lens[name],
                 t_s=float(exposed_s[k]),
                 grain=k + 1,
                 side_px=settings.circle_px,
             )
             for name in LENSES
         }
-        picture = device.file_of(
+        picture = true.file_of(
             light, generator(seed, f"dual fisheye {k}"), metered_exposure(light["front"][160:-160, 160:-160])
         )
         write_jpeg(
@@ -129,15 +128,14 @@ def simulate_dual_fisheye(
             _facts(settings, int(stamp_us[k]) + zone_us),
             quality=settings.jpeg_quality,
         )
-    _write_room(device, seed, config, field_images, field, field_points)
     _write_poses(poses, names, at, fronts, frame)
-    _write_panorama(panorama, world, waves, fronts[len(at) // 2], device, exposed_s[len(at) // 2])
+    _write_panorama(panorama, world, waves, fronts[len(at) // 2], true, exposed_s[len(at) // 2])
     write_marked(
         truth,
         kind=KIND,
         version=1,
         content={
-            "rig": device.facts(),
+            "rig": true.facts(),
             "mount": mount,
             "images": [
                 {"file": name, "t_gps_s": float(t), "clock_minus_utc_s": float(c), "stamp_error_s": float(e)}
@@ -195,10 +193,18 @@ def _facts(settings: TwinDualFisheye, clock_us: int) -> PhotoFacts:
     )
 
 
-def _write_room(
-    device: TrueRig, seed: int, config: TwinConfig, folder: Path, field: Path, field_points: Path
+def simulate_rig_field(
+    config: TwinConfig, settings: TwinDualFisheye, seed: int, *, images: Path, field: Path, field_points: Path
 ) -> None:
-    settings = device.settings
+    """Write files of the rig amid a room of marker sheets, the day before the survey.
+
+    Parameters
+    ----------
+    config, settings, seed : as of `simulate_dual_fisheye`.
+    images : folder of files by the local time in ms.
+    field, field_points : description of the room's markers, and their survey.
+    """
+    device = true_rig(settings, seed)
     points, _ = room_points(seed, settings.sigma_field_m)
     field.parent.mkdir(parents=True, exist_ok=True)
     points.table().to_csv(field_points, index=False, float_format="%.6f", lineterminator="\n")
@@ -214,7 +220,7 @@ def _write_room(
         }
         picture = device.file_of(light, generator(seed, f"dual fisheye room {k}"), 1.3)
         stamp = begin + 5_000_000 * k
-        write_jpeg(folder / run_name(stamp), picture, _facts(settings, stamp), quality=settings.jpeg_quality)
+        write_jpeg(images / run_name(stamp), picture, _facts(settings, stamp), quality=settings.jpeg_quality)
 
 
 def _write_poses(path: Path, names: list[str], at: ArrayF, fronts: list[Rigid], frame: LocalFrame) -> None:
@@ -256,8 +262,19 @@ def _write_panorama(
     renderer = Renderer(world, rays, waves=waves, boat=None, glare=False)
     light = renderer.see(pose, np.eye(3), t_s=float(since_s), grain=1)
     way = rays.rays_ccs.reshape(-1, 3) @ pose.R.T.astype(np.float32)
-    range_m = world.caster.cast(pose.shift_m, way).t_hit_m.reshape(light.shape[:2])
+    hits = world.caster.cast(pose.shift_m, way)
+    met = np.flatnonzero(np.isfinite(hits.t_hit_m))
+    normal = hits.normal[met].astype(np.float64)
+    # of both sides of a surface the seen one
+    normal *= np.where(np.sum(normal * way[met], axis=1) > 0, -1.0, 1.0)[:, None]
+    lit = np.zeros(len(way), dtype=np.bool_)
+    place = pose.shift_m + hits.t_hit_m[met, None] * way[met]
+    lit[met] = (normal @ world.sun.direction_wcs > 0) & (world.sunlit(place, normal) > 0)
     path.parent.mkdir(parents=True, exist_ok=True)
     np.savez_compressed(
-        path, light=light.astype(np.float16), range_m=range_m.astype(np.float32), T_wcs_pano=pose.matrix
+        path,
+        light=light.astype(np.float16),
+        range_m=hits.t_hit_m.reshape(light.shape[:2]).astype(np.float32),
+        sunlit=lit.reshape(light.shape[:2]),
+        T_wcs_pano=pose.matrix,
     )

@@ -24,6 +24,7 @@ from .points import (
     point_errors_3d as point_errors_3d,
     sample_of_known_points as sample_of_known_points,
 )
+from .rig import judge_colours as judge_colours
 from .riverbed import (
     DISTANCES_M as DISTANCES_M,
     compare_riverbed as compare_riverbed,

@@ -75,7 +75,7 @@ def judge_rig(
         ("interiors: mean of squared error over variance", float(np.sum(interior)) / 16, 16),
         *_poses(placed, there),
         *_panorama(panoramas, pictures, true_panorama),
-        *(row for path in coloured for row in _colours(path, true_panorama)),
+        *(row for path in coloured for row in judge_colours(path, true_panorama)),
     ]
     pd.DataFrame(rows, columns=["measure", "value", "n"]).to_csv(out, index=False, float_format="%.6g")
 
@@ -136,17 +136,18 @@ def _panorama(table: Path, pictures: Path, truth: Path) -> list[tuple[str, float
     ]
 
 
-def _colours(points: Path, truth: Path) -> list[tuple[str, float, int]]:
+def judge_colours(points: Path, truth: Path) -> list[tuple[str, float, int]]:
     """Colours of the cloud against what is truly seen of its points from the middle of the rig.
 
     A point is visible if the true range in its direction is its own, and that of all neighbours, too: edges
     are left out. Both lights differ by the exposure, one factor a colour, which is taken out. The truth is of
     pixels as wide as those of the rig: grain finer than these, which a finer camera shows, counts as an error
-    of points; means of patches tell the colours.
+    of points; means of patches tell the colours. Free of shade is a point whose pixel and all neighbours are
+    in the sun.
     """
     with np.load(truth) as stored:
         light, range_m = stored["light"].astype(np.float64), stored["range_m"]
-        pose = Rigid.from_matrix(stored["T_wcs_pano"])
+        pose, free = Rigid.from_matrix(stored["T_wcs_pano"]), ndimage.minimum_filter(stored["sunlit"], 3)
     low, high = ndimage.minimum_filter(range_m, 3), ndimage.maximum_filter(range_m, 3)
     seen: list[ArrayF] = []
     for chunk in iter_laz(points):
@@ -162,10 +163,11 @@ def _colours(points: Path, truth: Path) -> list[tuple[str, float, int]]:
         )
         patch = row // _PATCH * light.shape[1] + column // _PATCH
         given = (chunk["rgb"] / 65535.0) ** GAMMA
-        seen.append(np.column_stack([given, true, chunk["n_views"], patch])[visible])
+        seen.append(np.column_stack([given, true, chunk["n_views"], patch, free[row, column]])[visible])
     found = np.concatenate(seen)
     has = found[:, 6] > 0
     given, true, patch = found[has, :3], found[has, 3:6], found[has, 7].astype(np.int64)
+    sunny = found[has, 8] > 0
     true *= np.median(given / np.maximum(true, 1e-9), axis=0)
     n = np.bincount(patch)
     full = n >= _LEAST_POINTS
@@ -182,5 +184,10 @@ def _colours(points: Path, truth: Path) -> list[tuple[str, float, int]]:
     return [
         ("colours: share of visible points that have one", float(has.mean()), len(has)),
         ("colours: median error of a point, of 255", error(given, true), len(given)),
+        (
+            "colours: median error of a point free of shade, of 255",
+            error(given[sunny], true[sunny]),
+            int(sunny.sum()),
+        ),
         ("colours: median error of a patch, of 255", error(means[0], means[1]), int(full.sum())),
     ]

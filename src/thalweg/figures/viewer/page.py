@@ -9,7 +9,7 @@ import base64
 import json
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html import escape
 from importlib.resources import files
 from io import BytesIO
@@ -55,7 +55,7 @@ from thalweg.figures import (
 )
 from thalweg.images.model import named_once
 from thalweg.ingest.clouds import read_cloud
-from thalweg.lidar import COLOUR_DIMENSIONS, CORRELATIONS, SIGMAS
+from thalweg.lidar import COLOUR_DIMENSIONS, CORRELATIONS, SIGMAS, UNSEEN_GREY
 from thalweg.panorama import PANORAMAS
 
 # ---------------------------------------------------------------- the page and its nodes
@@ -72,6 +72,8 @@ _WALK_PX: Final = 4096
 """Wider panoramas are reduced for the walk: not every graphics card takes more."""
 _MOST_PHOTOGRAPHS: Final = 65_535
 _LONGEST_UNIT: Final = 6
+_LEAD: Final = 0.5
+"""Share of the best cloud among the points of a survey's page; those by other trajectories have the rest."""
 _HELD: Final = 4
 """Of a cloud with more points than so many times those shown, only every so many-th is read into memory."""
 RAMPS: Final[Mapping[str, Colormap]] = {
@@ -84,6 +86,8 @@ RAMPS: Final[Mapping[str, Colormap]] = {
 DIFFERENCES: Final[Colormap] = ListedColormap(0.85 * cm.vik(np.linspace(0, 1, 256)), "thalweg_differences")
 """Darker than it is: white would vanish on a light ground."""
 MOST_EXTRAS: Final = 3
+_FIRST: Final = ("distance", "lod95", "sigma")
+"""Begins of the names of extra dimensions that come before others."""
 UNITS: Final = {"height": "m", "intensity": "", "sigma": "m", "time": "s", "range": "m"}
 
 
@@ -102,6 +106,7 @@ class View:
     image : (n,) number of the photograph that shows the point best, -1: none.
     sigma_m : (n, 3) standard deviations east, north, up.
     extras : further quantities, three at most: values (n,), NaN where unknown, and unit.
+    clouds : names of several clouds, which the quantity ``cloud`` tells apart: 1, 2 ...
     """
 
     xyz_m: ArrayF
@@ -115,6 +120,11 @@ class View:
     t_gps_s: ArrayF | None = None
     image: AnyArray | None = None
     extras: Mapping[str, tuple[ArrayF, str]] = field(default_factory=dict)
+    clouds: Sequence[str] = ()
+
+
+_COLUMNS: Final = ("xyz_m", "rgb", "coloured", "intensity", "sigma_m", "range_m", "t_gps_s", "image")
+"""Quantities of a `View` that each of its points has."""
 
 
 def read_view(path: Path, most_points: int = MOST_POINTS, quantities: Sequence[str] | None = None) -> View:
@@ -124,7 +134,7 @@ def read_view(path: Path, most_points: int = MOST_POINTS, quantities: Sequence[s
     ----------
     path : the cloud.
     most_points : to be shown; of far larger LAS and LAZ files each k-th point is held.
-    quantities : extra dimensions to be shown; None: the first three, distances before others.
+    quantities : extra dimensions to be shown; None: three, distances and their limits first.
 
     Raises
     ------
@@ -180,22 +190,33 @@ def read_view(path: Path, most_points: int = MOST_POINTS, quantities: Sequence[s
     )
 
 
-def read_views(paths: Sequence[Path], most_points: int = MOST_POINTS) -> View:
+def read_views(
+    paths: Sequence[Path],
+    most_points: int = MOST_POINTS,
+    *,
+    names: Sequence[str] = (),
+    lead: float | None = None,
+) -> View:
     """Several clouds in one frame, told apart by the quantity ``cloud``: 1, 2 ... in the order of the files.
 
-    Such are the clouds of one survey by its trajectories: by INS, by camera, by all sensors. What one of them
-    lacks none of them shows.
+    Such are the clouds of one survey by its trajectories: by INS, by camera, by all sensors. Where one has
+    colours, points of the others have none; any other quantity is shown if all of them have it.
 
     Parameters
     ----------
     paths : as of `read_view`.
     most_points : of all together.
+    names : of the clouds; without them those of the files.
+    lead : share of the points that the first cloud takes, the others as many each; None: none is preferred.
 
     Raises
     ------
     InputError : one cannot be read, or lies in another frame than the first.
     """
-    views = [read_view(path, most_points // len(paths), []) for path in paths]
+    rest = len(paths) - 1
+    shares = [1 / len(paths)] * len(paths) if lead is None else [lead, *[(1 - lead) / rest] * rest]
+    most = [int(share * most_points) for share in shares]
+    views = [read_view(path, points) for path, points in zip(paths, most, strict=True)]
     for path, view in zip(paths, views, strict=True):
         if view.frame != views[0].frame:
             raise InputError(
@@ -204,15 +225,54 @@ def read_views(paths: Sequence[Path], most_points: int = MOST_POINTS) -> View:
                 where=path,
                 cure="Transform it, or give it a page of its own",
             )
-    names = ("rgb", "intensity", "sigma_m", "range_m", "t_gps_s")
-    columns = {name: [getattr(view, name) for view in views] for name in names}
+    n_total = sum(view.n_total for view in views)
+    if lead is not None:
+        views = [_thinned(view, points) for view, points in zip(views, most, strict=True)]
+    if any(view.rgb is not None for view in views):
+        views = [_with_colours(view) for view in views]
+    columns = {name: [getattr(view, name) for view in views] for name in _COLUMNS}
     number = np.repeat(np.arange(1.0, len(views) + 1), [len(view.xyz_m) for view in views])
+    common = [name for name in views[0].extras if all(name in view.extras for view in views)]
+    extras = {
+        name: (np.concatenate([view.extras[name][0] for view in views]), views[0].extras[name][1])
+        for name in common[: MOST_EXTRAS - 1]
+    }
     return View(
-        xyz_m=np.concatenate([view.xyz_m for view in views]),
         frame=views[0].frame,
-        n_total=sum(view.n_total for view in views),
-        extras={"cloud": (number, "")},
+        n_total=n_total,
+        extras={**extras, "cloud": (number, "")},
+        clouds=list(names) or [path.name for path in paths],
         **{k: np.concatenate(v) for k, v in columns.items() if all(each is not None for each in v)},
+    )
+
+
+def _shares(view: View, shown: AnyArray) -> list[float]:
+    """Shares of several clouds among the points that are shown."""
+    number = view.extras["cloud"][0][shown] if view.clouds else np.empty(0)
+    return [round(float(np.mean(number == k + 1)), 4) for k in range(len(view.clouds))]
+
+
+def _thinned(view: View, most_points: int) -> View:
+    """The same with so many points at most, evenly in space."""
+    if len(view.xyz_m) <= most_points:
+        return view
+    rows = np.concatenate([node.rows for node in build_octree(view.xyz_m, most_points)])
+    columns = {name: getattr(view, name) for name in _COLUMNS}
+    return replace(
+        view,
+        extras={name: (values[rows], unit) for name, (values, unit) in view.extras.items()},
+        **{name: values[rows] for name, values in columns.items() if values is not None},
+    )
+
+
+def _with_colours(view: View) -> View:
+    """The same beside clouds in colour: points without a colour or a photograph say so."""
+    n, has = len(view.xyz_m), view.rgb is not None
+    return replace(
+        view,
+        rgb=view.rgb if has else np.full((n, 3), UNSEEN_GREY, dtype=np.uint8),
+        coloured=np.full(n, has) if view.coloured is None else view.coloured,
+        image=np.full(n, -1) if view.image is None else view.image,
     )
 
 
@@ -222,7 +282,7 @@ def _extras(
     """Extra dimensions to be shown, and their units, which descriptions end in."""
     shown = {"range", "ring", *SIGMAS, *CORRELATIONS, *COLOUR_DIMENSIONS}
     others = [name for name in dimensions if name not in shown]
-    first = sorted(others, key=lambda name: not name.startswith("distance"))[:MOST_EXTRAS]
+    first = sorted(others, key=lambda name: [not name.startswith(word) for word in _FIRST])[:MOST_EXTRAS]
     names = first if quantities is None else list(dict.fromkeys(quantities))
     unknown = [name for name in names if name not in dimensions]
     if unknown or len(names) > MOST_EXTRAS:
@@ -250,6 +310,7 @@ def write_viewer(
     trajectory: Trajectory | None = None,
     photographs: Mapping[int, Sequence[str]] | None = None,
     panoramas: Sequence[Mapping[str, Any]] = (),
+    first_alone: bool = False,
 ) -> int:
     """Write ``index.html`` and the folder ``nodes`` beside it.
 
@@ -263,6 +324,7 @@ def write_viewer(
     trajectory : path of the boat in the same frame, drawn as a line.
     photographs : name, address and, if there is one, address of the panorama, by number of ``view.image``.
     panoramas : of a walk; their pictures are in the folder ``views``.
+    first_alone : of several clouds the page shows the first one until others are asked for.
 
     Returns
     -------
@@ -304,6 +366,9 @@ def write_viewer(
         "nodes": {node.key: [len(node.rows), float(f"{node.spacing_m:.3g}")] for node in tree},
         "photographs": [list(each) for each in (photographs or {}).values()],
         "panoramas": list(panoramas),
+        "clouds": list(view.clouds),
+        "shares": _shares(view, shown),
+        "shown": 1 if first_alone else 2 ** len(view.clouds) - 1,
         "track": [] if trajectory is None else _track(trajectory),
         "ramps": {name: base64.b64encode(_ramp(ramp)).decode() for name, ramp in _ramps(facts).items()},
         "sigma": [SIGMA_LEAST_M, SIGMA_DECADES * np.log(10) / SIGMA_STEPS],
@@ -328,7 +393,7 @@ def write_viewer(
 def write_survey_viewer(
     *,
     points: list[Path],
-    trajectory: Path,
+    trajectory: list[Path],
     gains: list[Path],
     images: list[Path],
     rig_images: list[Path],
@@ -337,6 +402,7 @@ def write_survey_viewer(
     nodes: Path,
     title: str,
     twin: bool,
+    names: Sequence[str] = (),
     pictures: Path | None = None,
     views: Path | None = None,
 ) -> None:
@@ -344,8 +410,9 @@ def write_survey_viewer(
 
     Parameters
     ----------
-    points : the cloud; none: the places of the panoramas alone.
-    trajectory : of the boat.
+    points : the cloud, and those beside it; none: the places of the panoramas alone.
+    trajectory : of the boat, if there is one.
+    names : of the clouds, where they are several.
     gains : which photograph has which number in the cloud, if it has colours.
     images, rig_images : files of the boat's camera and of the rig.
     table : of panoramas (table kind ``panoramas``), if there are any.
@@ -356,13 +423,15 @@ def write_survey_viewer(
     """
     assert nodes == page.parent / "nodes", "the page looks for its nodes beside it"
     rows = read_table(table[0], PANORAMAS)[0] if table else pd.DataFrame(columns=PANORAMAS.names)
-    path = Trajectory.read(trajectory)
+    path = Trajectory.read(trajectory[0]) if trajectory else None
     most = MOST_POINTS if views is None else WALK_POINTS
-    if points:
+    if len(points) > 1:
+        view = read_views(points, most, names=names, lead=_LEAD)
+    elif points:
         view = read_view(points[0], most)
     else:
         xyz = rows[["east_m", "north_m", "up_m"]].to_numpy()
-        view = View(xyz_m=xyz, frame=path.frame, n_total=len(xyz))
+        view = View(xyz_m=xyz, frame=None if path is None else path.frame, n_total=len(xyz))
     write_viewer(
         view,
         page.parent,
@@ -372,6 +441,7 @@ def write_survey_viewer(
         trajectory=path,
         photographs=_photographs(pd.read_csv(gains[0]), images, rig_images, rows, page) if gains else None,
         panoramas=[] if pictures is None or views is None else _walk(rows, pictures, views),
+        first_alone=True,
     )
 
 
@@ -512,7 +582,9 @@ def _columns(view: View, shown: AnyArray) -> tuple[dict[str, AnyArray], dict[str
     for name, (values, _) in view.extras.items():
         known = np.isfinite(values)
         low, high = robust_limits(values[shown][known[shown]]) if known[shown].any() else (0.0, 1.0)
-        if low < 0 < high:
+        if name == "cloud" and view.clouds:
+            low, high = 1.0, float(max(len(view.clouds), 2))
+        elif low < 0 < high:
             low, high = -max(-low, high), max(-low, high)
         limits[name] = (low, high)
         codes.append(np.where(known, 1 + _scaled(np.where(known, values, low), (low, high), 254), 0))

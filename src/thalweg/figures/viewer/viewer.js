@@ -109,7 +109,7 @@ const POINTS = `#version 300 es
 layout(location = 0) in vec4 place; layout(location = 1) in vec4 look;
 layout(location = 2) in vec4 errors; layout(location = 3) in vec4 more;
 uniform mat4 project; uniform vec3 corner; uniform float size, base, scale, least, gaps[8];
-uniform int mode; uniform bool bare; uniform vec2 limits, sigma, heights; uniform vec4 cut; uniform sampler2D ramps; uniform uint number;
+uniform int mode; uniform ivec3 clouds; uniform bool bare; uniform vec2 limits, sigma, heights; uniform vec4 cut; uniform sampler2D ramps; uniform uint number;
 flat out vec3 colour; flat out uint id;
 float sd(float code) { return code < 0.5 ? 0.0 : sigma.x * exp((code - 1.0) * sigma.y); }
 void main() {
@@ -119,6 +119,8 @@ void main() {
   float up = base + place.z * size;
   vec2 away = cut.xy * (corner + place.xyz * size).xy;
   if (bare && more.x < 0.5 || up < heights.x || up > heights.y || abs(away.x + away.y - cut.z) > cut.w)
+    gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+  if (clouds.x > 0 && (clouds.z >> int(round((more[clouds.x] - 1.0) / 254.0 * float(clouds.y))) & 1) == 0)
     gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
   id = number << 18 | uint(gl_VertexID);
   float value = 0.0; bool known = true;
@@ -250,7 +252,9 @@ function start() {
 
 const START = { turn: 30, tilt: 35, far: 1.2 * Math.max(DATA.extent, 0.1) };
 const camera = { at: [...DATA.middle], open: 75, ...START };  // looks to `turn` from north, from `tilt` above the horizon
-let colour = columns.rgb ? "rgb" : "height";
+let colour = columns.rgb ? "rgb" : DATA.extras.find((name) => name.startsWith("distance")) || "height";
+const LAST_CLOUD = Math.max(DATA.clouds.length, 2) - 1, EACH_CLOUD = 2 ** DATA.clouds.length - 1;
+let clouds = DATA.shown;  // bits: which of several clouds are drawn
 const places = DATA.panoramas.map((place) => ({ ...place, state: "absent" }));
 let inside = null;  // the panorama that the eye stands in
 
@@ -309,7 +313,8 @@ const digits = (values, n) => values.map((x) => x.toFixed(n)).join(",");
 function writeHash() {
   const text = (inside ? `#panorama=${encodeURIComponent(inside.name)}` : `#at=${digits(camera.at, 3)}`)
     + `&look=${digits([camera.turn, camera.tilt], 2)},${(inside ? camera.open : camera.far).toFixed(3)}&colour=${colour}`
-    + (cut ? `&cut=${digits(cut, 3)}` : "") + (heights() === WHOLE_HEIGHT ? "" : `&heights=${digits(heights(), 3)}`);
+    + (cut ? `&cut=${digits(cut, 3)}` : "") + (heights() === WHOLE_HEIGHT ? "" : `&heights=${digits(heights(), 3)}`)
+    + (clouds === DATA.shown ? "" : `&clouds=${clouds}`);
   if (text !== location.hash) history.replaceState(null, "", text);
 }
 function readHash() {
@@ -328,6 +333,7 @@ function readHash() {
   const limits = numbers("heights", 2);
   for (const k of [0, 1]) $(["lowest", "highest"][k]).value = limits ? shareOf(limits[k]) : k;
   if (usable(found.get("colour"))) colour = found.get("colour");
+  clouds = parseInt(found.get("clouds")) & EACH_CLOUD || (colour === "cloud" ? EACH_CLOUD : DATA.shown);
 }
 
 // ---------------------------------------------------------------- clip
@@ -417,9 +423,12 @@ function drawNodes(view, { made, at }) {
   gl.uniform2fv(at.sigma, DATA.sigma);
   const width = Number($("width").value);
   gl.uniform1f(at.least, 1.2 * devicePixelRatio * width);
-  gl.uniform1f(at.scale, 1.5 * width * view.pixels);
+  // points of some of the clouds lie farther apart than those of all
+  const share = DATA.shares.reduce((sum, part, k) => sum + (clouds >> k & 1) * part, 0) || 1;
+  gl.uniform1f(at.scale, 1.5 * width * view.pixels / Math.sqrt(share));
   gl.uniform2fv(at.heights, heights());
   gl.uniform4fv(at.cut, cutOf(view.eye));
+  gl.uniform3i(at.clouds, DATA.clouds.length ? 1 + DATA.extras.indexOf("cloud") : 0, LAST_CLOUD, clouds);
   gl.uniform1i(at.bare, colour === "rgb" && !$("bare").checked ? 1 : 0);
   drawn.forEach((node, k) => {
     gl.uniform3fv(at.corner, minus(node.corner, view.eye));
@@ -558,7 +567,8 @@ function report() {
     if (point.range !== null) lines.push(`range ${point.range.toFixed(1)} m`);
     if (point.intensity !== null) lines.push(`intensity ${Math.round(point.intensity)}`);
     if (point.unix !== null) lines.push(`time ${new Date(1000 * point.unix).toISOString().slice(0, 21).replace("T", " ")} UTC`);
-    point.extras.forEach((value, e) => value !== 0 && lines.push(`${DATA.extras[e]} ${Number(value.toPrecision(3))} ${DATA.units[DATA.extras[e]]}`));
+    point.extras.forEach((value, e) => value !== 0 && lines.push(`${DATA.extras[e]} ${
+      DATA.extras[e] === "cloud" && DATA.clouds[Math.round(value) - 1] || `${Number(value.toPrecision(3))} ${DATA.units[DATA.extras[e]]}`}`));
     if (point.rgb) lines.push(point.coloured ? `colour ${point.rgb.join(" ")}` : "no photograph shows it");
   } else if (picked.length === 2) {
     const [a, b] = picked, d = minus(b.place, a.place), s = [0, 1, 2].map((k) => Math.hypot(a.sigma[k], b.sigma[k]));
@@ -715,10 +725,15 @@ function setTheme(theme) {
   document.documentElement.dataset.theme = theme;
   redraw();
 }
+function setClouds(bits) {
+  clouds = bits;
+  [...document.getElementsByName("cloud")].forEach((each, k) => { each.checked = bits >> k & 1; });
+}
 function setColour(name) {
+  if (name === "cloud" && colour !== name) setClouds(EACH_CLOUD);
   colour = name;
   for (const each of document.getElementsByName("colour")) each.checked = each.value === name;
-  $("legend").hidden = name === "rgb";
+  $("legend").hidden = name === "rgb" || name === "cloud";
   if (name !== "rgb") {
     const pen = $("ramp").getContext("2d"), image = pen.createImageData(256, 1), bytes = atob(DATA.ramps[name]);
     for (let k = 0; k < 256; k++) image.data.set([...[0, 1, 2].map((i) => bytes.charCodeAt(3 * k + i)), 255], 4 * k);
@@ -798,6 +813,17 @@ function listen() {
     label.append(input, ` ${WORDS[name] || name}`);
     $("colours").append(label);
   }
+  DATA.clouds.forEach((name, k) => {
+    const label = document.createElement("label"), input = document.createElement("input"), tone = document.createElement("b");
+    Object.assign(input, { type: "checkbox", name: "cloud", onchange: () => { setClouds(clouds ^ 1 << k); writeHash(); redraw(); } });
+    const at = 3 * Math.round(255 * k / LAST_CLOUD), bytes = atob(DATA.ramps.cloud);
+    tone.style.color = `rgb(${[0, 1, 2].map((i) => bytes.charCodeAt(at + i))})`;
+    tone.textContent = " ● ";
+    label.append(input, tone, name);
+    $("clouds").append(label);
+  });
+  $("clouds").hidden = !DATA.clouds.length;
+  setClouds(clouds);
   for (const id of ["width", "depth", "track", "bare", "cover"]) $(id).addEventListener("input", redraw);
   for (const id of ["lowest", "highest"]) $(id).addEventListener("input", moved);
   for (const each of ["map", "walk", "over", "walking"]) $(each).hidden = !places.length;
@@ -813,7 +839,7 @@ function listen() {
   $("top").onclick = () => home({ turn: 0, tilt: 90 });
   $("theme").onclick = keys.l;
   addEventListener("resize", redraw);
-  addEventListener("hashchange", () => { readHash(); enter(inside); setColour(colour); });
+  addEventListener("hashchange", () => { readHash(); setClouds(clouds); enter(inside); setColour(colour); });
 }
 
 if (!gl) say("This browser offers no WebGL 2: use a current Firefox, Chrome, Edge or Safari, with graphics acceleration.");

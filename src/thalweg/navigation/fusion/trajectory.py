@@ -27,6 +27,8 @@ from thalweg.core import (
     LocalFrame,
     Rigid,
     Trajectory,
+    cross_matrix,
+    exp_rotation,
     root_mean_square,
     utc_text_from_gps,
     with_rest,
@@ -38,6 +40,7 @@ from thalweg.navigation.fusion.model import (
     MODEL,
     POSE,
     RESET,
+    WHITE_SHARE,
     Antenna,
     Camera,
     Factors,
@@ -155,23 +158,63 @@ class Fused:
         """Position (k, 3), ``R_wcs_ics`` (k, 3, 3) and covariance (k, 6, 6) at any times within the INS."""
         return poses(t_gps_s, self.reference, self.nodes, self.solved, self.settings)
 
-    def error_chains(self) -> list[ErrorChain]:
+    def whole(self) -> Solved:
+        """The solution with covariances of all states: also of those beside the pose."""
+        task = (self.reference, self.nodes, self.observed, self.solved, self.layout)
+        if self.errors.priors:
+            return spread_over(
+                self.errors, *task, self.stated, clock_start_s=self.clock_start_s, part=self.layout.n
+            )
+        at = self.reference.at(self.nodes.t_gps_s)
+        return smooth(
+            self.solved.x, at, self.nodes, self.observed, self.layout, self.settings, self.solved.factors,
+            start_m=first_offset(at, self.observed), clock_start_s=self.clock_start_s, part=self.layout.n,
+        )  # fmt: skip
+
+    def image_poses(self, images: ImagePoses, whole: Solved) -> ImagePoses:
+        """The poses of the images, moved by the errors that all sensors together find in them.
+
+        A block on antenna positions alone can turn about the way of the boat; the INS knows better, and where
+        the camera sits on the boat follows from the whole survey. Images that did not enter keep their pose.
+
+        Parameters
+        ----------
+        images : as `fuse_trajectory` took them.
+        whole : of this trajectory.
+
+        Returns
+        -------
+        poses : each with its covariance; those of neighbours are not told (zero).
+        """
+        camera = self.observed.camera
+        if camera is None:
+            return images
+        k, own = camera.index, slice(self.layout.camera, self.layout.camera + 6)
+        # errors of the body's pose as errors of the image's: the lever turns with it
+        lever = camera.position_wcs_m - images.centre_wcs_m[k]
+        root = camera.root.copy()
+        root[:, :3] += cross_matrix(lever) @ camera.root[:, 3:]
+        slow = np.sqrt(1 - WHITE_SHARE) * root
+        white = np.sqrt(WHITE_SHARE) * self.solved.factors["camera"] * root
+        move = np.einsum("nij,nj->ni", slow, self.solved.x[camera.node, own])
+        centre, R = images.centre_wcs_m.copy(), images.R_wcs_ccs.copy()
+        cov, following = images.cov_pose_wcs.copy(), images.cov_next.copy()
+        centre[k] += move[:, :3]
+        R[k] = exp_rotation(move[:, 3:]) @ R[k]
+        known = whole.cov[camera.node][:, own, own]
+        cov[k] = slow @ known @ np.swapaxes(slow, 1, 2) + white @ np.swapaxes(white, 1, 2)
+        following[k] = 0.0
+        return dataclasses.replace(
+            images, centre_wcs_m=centre, R_wcs_ccs=R, cov_pose_wcs=cov, cov_next=following
+        )
+
+    def error_chains(self, whole: Solved | None = None) -> list[ErrorChain]:
         """How the errors of the poses hang together over time.
 
         All states of the smoother are one Markov chain: also those beside the pose (slow errors of positions
         and images, mount, clock), which is why poses far from each other still err alike.
         """
-        task = (self.reference, self.nodes, self.observed, self.solved, self.layout)
-        if self.errors.priors:
-            whole = spread_over(
-                self.errors, *task, self.stated, clock_start_s=self.clock_start_s, part=self.layout.n
-            )
-        else:
-            at = self.reference.at(self.nodes.t_gps_s)
-            whole = smooth(
-                self.solved.x, at, self.nodes, self.observed, self.layout, self.settings, self.solved.factors,
-                start_m=first_offset(at, self.observed), clock_start_s=self.clock_start_s, part=self.layout.n,
-            )  # fmt: skip
+        whole = self.whole() if whole is None else whole
         pose = _pose_by_states(self.solved.x, self.reference.at(self.nodes.t_gps_s), self.settings)
         chain = ErrorChain.of_covariances(
             "smoothed trajectory", self.nodes.t_gps_s, whole.cov, whole.cross, pose, step_s=CHAIN_STEP_S

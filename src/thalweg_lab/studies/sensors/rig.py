@@ -5,7 +5,8 @@ have the noise that is measured in rendered pictures; the pictures themselves ar
 are affordable. Errors are judged from both sides: as sizes, and as squares in units of the joint covariance.
 
 The calibrated rig then takes part in a block of images between two banks, with one pose for each exposure;
-beside it the same images of either lens alone.
+beside it the same images of either lens alone. What the colours of a cloud are worth, and what is told of a
+wrong clock or mount, is judged on scenes of `thalweg_lab.studies.sensors.colours`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,6 +28,7 @@ from thalweg.settings.twin import TwinDualFisheye
 from thalweg_lab.dual_fisheye import TrueRig, room_marks, room_points, true_rig
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.studies import Result, Seed, Study, Tables
+from thalweg_lab.studies.sensors.colours import colour_errors, colour_table
 
 UNKNOWNS: Final = 22
 """Both interiors and the relative orientation."""
@@ -69,6 +71,7 @@ def rig_rows(seed: Seed) -> Tables:
     block = block_errors(true, found.rig, seed.number)
     return {
         "rigs": pd.DataFrame([{"seed": seed.number, **errors_of(found, true), **block}]),
+        "colours": pd.DataFrame([{"seed": seed.number, **colour_errors(seed.number)}]),
         "cameras": cameras_beside(true, found.rig, seed.number),
     }
 
@@ -438,7 +441,7 @@ def rig_table(rows: pd.DataFrame) -> pd.DataFrame:
 
 def _results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result]:
     return {
-        "table": rig_table(tables["rigs"]),
+        "table": pd.concat([rig_table(tables["rigs"]), colour_table(tables["colours"])], ignore_index=True),
         "rigs": tables["rigs"],
         "cameras": camera_table(tables["cameras"], read_budget(files[0])),
     }
