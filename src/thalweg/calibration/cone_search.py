@@ -182,7 +182,7 @@ def search(
     scores = [_score(c, at, points, which, tables, 0.15) for c in candidates]
     best = np.argsort([-s for s, _ in scores], kind="stable")[:_KEPT]
     sigmas = np.repeat([2 * within.shift_m, 2 * np.deg2rad(within.angle_deg)], 3)
-    refined = [_refined(candidates[i], nominal, sigmas, cones, lengths_m, at, points, which) for i in best]
+    refined = [_refined(candidates[i], nominal, sigmas, tables, at, points, which) for i in best]
     # A refinement may run away to other things that look like cones.
     refined = [c for c in refined if _distance(c, nominal, within) < _FARTHEST] or [nominal]
     finals = [_score(c, at, points, which, tables, _FINAL_M) for c in refined]
@@ -295,8 +295,7 @@ def _refined(
     T: Rigid,
     nominal: Rigid,
     sigmas: ArrayF,
-    cones: Sequence[Cone],
-    lengths: Sequence[float],
+    table: ArrayF,
     at: Sequence[Rigid],
     points: ArrayF,
     which: AnyArray,
@@ -308,7 +307,7 @@ def _refined(
         for _ in range(_STEPS):
             in_ccs = T.apply(points)
             in_pcs = np.einsum("nij,nj->ni", R_pc, in_ccs) + shift
-            r, normal = _nearest(in_pcs, cones, lengths)
+            r, normal = _nearest(in_pcs, table)
             weight = np.maximum(1 - (r / width) ** 2, 0.0) ** 2
             n_ccs = np.einsum("nji,nj->ni", R_pc, normal)
             arm = in_ccs - T.shift_m
@@ -324,14 +323,28 @@ def _refined(
     return T
 
 
-def _nearest(points: ArrayF, cones: Sequence[Cone], lengths: Sequence[float]) -> tuple[ArrayF, ArrayF]:
+@njit(cache=True, error_model="numpy")
+def _nearest(points, table):  # type: ignore[no-untyped-def]
     """Distance (n,) from the nearest cone, with its normal (n, 3); beyond the ends it counts as 9 m."""
     best, normal = np.full(len(points), 9.0), np.zeros((len(points), 3))
-    for cone, length in zip(cones, lengths, strict=True):
-        seen = cone.see(points)
-        slant = length / np.cos(cone.half_angle_rad)
-        nearer = (np.abs(seen.distance_m) < np.abs(best)) & (seen.slant_m > 0) & (seen.slant_m < slant)
-        best[nearer], normal[nearer] = seen.distance_m[nearer], seen.normal[nearer]
+    d = np.empty(3)
+    for i in range(len(points)):
+        for k in range(len(table)):
+            cos = np.sqrt(table[k, 6])
+            sin = np.sqrt(1.0 - table[k, 6])
+            z = rho = 0.0
+            for j in range(3):
+                d[j] = points[i, j] - table[k, j]
+                z += d[j] * table[k, 3 + j]
+            for j in range(3):
+                d[j] -= z * table[k, 3 + j]
+                rho += d[j] * d[j]
+            rho = np.sqrt(rho)
+            slant, distance = z * cos + rho * sin, rho * cos - z * sin
+            if 0.0 < slant < table[k, 7] / cos and abs(distance) < abs(best[i]):
+                best[i] = distance
+                for j in range(3):
+                    normal[i, j] = cos * d[j] / max(rho, 1e-12) - sin * table[k, 3 + j]
     return best, normal
 
 
