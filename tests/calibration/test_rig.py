@@ -26,6 +26,7 @@ from thalweg.settings.sections import Rig as RigSettings, RigLens
 from thalweg.settings.twin import TwinDualFisheye
 from thalweg_lab.dual_fisheye import room_marks, room_points, true_rig
 from thalweg_lab.dual_fisheye.room import LAYOUT, room_photographer, room_poses
+from thalweg_lab.studies.sensors.colours import ATTITUDES_DEG, colour_table
 from thalweg_lab.studies.sensors.rig import block_errors, errors_of, rig_table
 
 SETTINGS = RigSettings()
@@ -206,6 +207,28 @@ def test_figures_over_seeds_have_bounds(calibrated: tuple) -> None:
     ratios = table[table.index.str.contains("better lens")]
     assert len(ratios) == 4
     assert (ratios["value"] < 0.6).all()
+
+
+def test_figures_of_colours_are_the_worst_or_the_mean_of_all_seeds() -> None:
+    """Errors by their size, whatever their sign; one scene that does not tell is seen."""
+    right = {f"{what}_{angle}": 5.0 for what in ("colour", "free") for angle in ATTITUDES_DEG} | {
+        "right_told": 0.0, "clock_told": 1.0, "clock_error": 0.01, "mount_told": 1.0, "mount_error": 0.05,
+        "wrong": 0.0, "shown": 0.98, "wrong_blind": 0.1,
+    }  # fmt: skip
+    table = colour_table(pd.DataFrame([right] * 20))
+    assert ((table["low"] <= table["value"]) & (table["value"] <= table["high"])).all()
+    bad = {"clock_error": -0.06, "mount_told": 0.0, "right_told": 1.0, "wrong": 0.02, "shown": 0.9}
+    table = colour_table(pd.DataFrame([right] * 19 + [right | bad])).set_index("measure")
+    outside = table[(table["value"] < table["low"]) | (table["value"] > table["high"])]
+    assert outside["value"].to_dict() == pytest.approx(
+        {
+            "hidden points: largest share with a colour of what hides them": 0.02,
+            "clock and mount right: share of scenes with a warning": 0.05,
+            "mount 1 degree wrong: share of scenes that tell": 0.95,
+            "clock 0.3 s wrong: largest error of what is found, s": 0.06,
+        }
+    )
+    assert table.loc["visible points: smallest share with a colour", "value"] == 0.9
 
 
 # ---------------------------------------------------------------- pictures
