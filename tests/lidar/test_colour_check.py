@@ -97,7 +97,9 @@ def passed(
         place = world * (WALL_M / world[..., 1:2])
         seen = on_wall(look, place[..., 0] + path[k, 0] + SPEED_M_S * late_s, place[..., 2])
         grey = np.clip(rng.uniform(0.7, 1.2) * (120 + 40 * seen) + rng.normal(0, 4, seen.shape), 0, 255)
-        Image.fromarray(grey.astype(np.uint8)).convert("RGB").save(folder / f"image_{k}.png")
+        Image.fromarray(grey.astype(np.uint8)).convert("RGB").save(
+            folder / f"image_{k}.png", compress_level=1
+        )
     x, z = rng.uniform(-4, 22, 60_000), rng.uniform(-3, 3, 60_000)
     order = np.argsort(x)
     xyz = np.column_stack([x, np.full(len(x), WALL_M), z])[order]
@@ -150,7 +152,7 @@ def test_sigmas_of_optima_hold_over_many_scenes(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr("thalweg.lidar.colour_check.COMMON_DEG", 1e-9)
     true = ({"clock_s": 0.0, **dict.fromkeys(TURNS, 0.0)}, {"clock_s": 0.3}, {"turn_y_deg": 1.0})
     squares = []
-    for seed in range(9):
+    for seed in range(6):
         case = true[seed % 3]
         found = passed(
             tmp_path,
@@ -168,7 +170,7 @@ def test_sigmas_of_optima_hold_over_many_scenes(tmp_path: Path, monkeypatch: pyt
 
 def test_warnings_go_with_their_sigmas_over_many_scenes(tmp_path: Path) -> None:
     """Silent where all fits; 0.3 s and one degree are told and found, whatever the scene."""
-    for seed in range(100, 108):
+    for seed in range(100, 104):
         late, turn = 0.3 * (seed % 4 == 1), 1.0 * (seed % 4 == 3)
         found = passed(tmp_path, np.random.default_rng(seed), late_s=late, turn_deg=turn)
         told = found["optimum"].abs() > 3 * found["sigma"]
