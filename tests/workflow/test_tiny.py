@@ -718,8 +718,8 @@ def test_a_change_of_one_instrument_leaves_the_others_alone(tiny_house) -> None:
 
 # ---------------------------------------------------------------- rules one by one
 
-QUICK = {"align_streams", "trace_river", "validate_bed"}
-"""Rules that `make test` runs alone; `make test-slow` all."""
+QUICK = {"validate_bed"}
+"""What `make test` runs alone; `make test-slow` all rules."""
 
 
 def stamps(folder: Path) -> dict[str, tuple[int, int]]:
