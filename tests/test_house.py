@@ -516,8 +516,10 @@ LIBRARIES = {"pd", "pq", "pa", "cv2", "o3d", "pycolmap", "pandas", "pyarrow"}
 
 def native_opens(path: Path) -> list[str]:
     """Calls that open a file in C++: no audit event tells `thalweg.workflow.truth` of it."""
-    found = []
-    for node in ast.walk(ast.parse(path.read_text())):
+    found, text = [], path.read_text()
+    if not any(name in text for name in NATIVE):
+        return []
+    for node in ast.walk(ast.parse(text)):
         if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
             continue
         base = node.func.value
