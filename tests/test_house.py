@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
+from functools import cache
 from graphlib import TopologicalSorter
 from importlib.metadata import packages_distributions
 from pathlib import Path
@@ -216,17 +217,25 @@ MAY_IMPORT = {
 DRAWING = {"matplotlib", "mpl_toolkits", "cmcrameri"}
 
 
-def imports(path: Path) -> Iterator[tuple[str, int]]:
+def imports(path: Path) -> tuple[tuple[str, int], ...]:
     """Dotted names that a file imports, at its head or lazily, with their lines."""
-    for node in ast.walk(ast.parse(path.read_text())):
+    return imports_of(path.read_text())
+
+
+@cache  # several tests ask for those of all files, which takes 3 s
+def imports_of(text: str) -> tuple[tuple[str, int], ...]:
+    """The same of its text."""
+    found: list[tuple[str, int]] = []
+    for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
-            yield from ((alias.name, node.lineno) for alias in node.names)
+            found += ((alias.name, node.lineno) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             module = "." * node.level + (node.module or "")
-            yield from (
+            found += (
                 (f"{module}.{alias.name}" if module == "thalweg" else module, node.lineno)
                 for alias in node.names
             )
+    return tuple(found)
 
 
 def violations(source: Path) -> list[str]:
@@ -507,8 +516,10 @@ LIBRARIES = {"pd", "pq", "pa", "cv2", "o3d", "pycolmap", "pandas", "pyarrow"}
 
 def native_opens(path: Path) -> list[str]:
     """Calls that open a file in C++: no audit event tells `thalweg.workflow.truth` of it."""
-    found = []
-    for node in ast.walk(ast.parse(path.read_text())):
+    found, text = [], path.read_text()
+    if not any(name in text for name in NATIVE):
+        return []
+    for node in ast.walk(ast.parse(text)):
         if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
             continue
         base = node.func.value

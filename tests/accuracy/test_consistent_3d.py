@@ -18,14 +18,14 @@ def consistent(surveys: list[Trial]) -> Verdict:
 def test_predicted_and_observed_agree(consistent: Verdict) -> None:
     assert 0.9 < consistent.ratio < 1.1
     assert consistent.ratio_low < consistent.ratio < consistent.ratio_high
-    # narrow enough to see sigmas that are 21 % wrong
-    assert consistent.ratio_high < 1.21
+    # narrow enough to see sigmas that are 16 % wrong
+    assert consistent.ratio_high < 1.16
 
 
 def test_normalised_errors_are_inside_their_band(consistent: Verdict) -> None:
     """Not the length of the errors alone: their direction too is that of the ellipsoids."""
     assert consistent.normalised_low < consistent.normalised < consistent.normalised_high
-    assert consistent.normalised_high < 1.21
+    assert consistent.normalised_high < 1.16
 
 
 def test_no_range_class_is_outside_its_band(consistent: Verdict) -> None:

@@ -85,7 +85,7 @@ def write_lines(path: Path, lines: list) -> None:
 
 
 def made(river: Path, out: Path, *words: str, table: str = "soundings.csv") -> dict:
-    """Facts of a bed made with one model and drift, so that the test is fast, and its errors against the truth."""
+    """Facts of a bed of one model and drift, for a fast test, and its errors against the true bed."""
     command = ["bed", str(river / table), "--crs", CRS, "--cell", "1", "--out", str(out)]
     assert main([*command, "--model", "matern32", "--drift", "none", *words]) == 0
     with rasterio.open(out / "bed.tif") as file:

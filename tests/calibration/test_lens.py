@@ -204,7 +204,7 @@ def test_a_lens_from_photographs_of_a_board(data_dir: Path, tmp_path: Path, caps
     pictures = sorted((data_dir / "acfr_vlp16_camera/data/vlp/images").glob("*.png"))
     words = ["calibrate-lens", *map(str, pictures), "--spacing-m", "0.095", "--model", "fisheye"]
     out = tmp_path / "lens.yaml"
-    assert main([*words, "-o", str(out)]) == 2
+    assert main([*words[:2], *words[-4:], "-o", str(out)]) == 2
     assert "--board COLUMNSxROWS" in capsys.readouterr().err
     assert main([*words, "--board", "7x5", "-o", str(out)]) == 0
     assert "350 of 350 corners in 10 pictures, rms 0.09" in capsys.readouterr().out

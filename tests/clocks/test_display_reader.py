@@ -85,7 +85,7 @@ def photographs(
         )
         picture = cv2.GaussianBlur(picture, (0, 0), 0.8) + rng.normal(0, 3, picture.shape)
         path = folder / f"D{k:04d}.png"
-        Image.fromarray(np.clip(picture, 0, 255).astype(np.uint8)).save(path)
+        Image.fromarray(np.clip(picture, 0, 255).astype(np.uint8)).save(path, compress_level=1)
         out.append(path)
     return out
 

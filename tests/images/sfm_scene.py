@@ -1,6 +1,7 @@
 """A wall, a floor and two boxes with noise on them, photographed by cameras whose poses are known."""
 
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,7 @@ SCENE = [
 """x to the right, y down, z into the picture: the frame of an unturned camera."""
 
 
+@cache
 def texture(seed: int = 1, size: int = 1600) -> NDArray[np.float64]:
     """Noise of several octaves, 25 samples a unit of length."""
     rng = np.random.default_rng(seed)

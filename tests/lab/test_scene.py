@@ -291,7 +291,7 @@ def keys(scene: Scene) -> set[bytes]:
     """Each triangle with its material and variation as bytes."""
     flat = scene.vertices_wcs_m[scene.triangles].reshape(-1, 9)
     rows = np.column_stack([flat, scene.material, scene.variation])
-    return {row.tobytes() for row in np.ascontiguousarray(rows)}
+    return set(rows.view(f"V{rows.strides[0]}").ravel().tolist())
 
 
 def places(found: set[bytes], river: River) -> tuple[ArrayF, ArrayF, ArrayF, ArrayF]:

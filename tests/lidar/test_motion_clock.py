@@ -34,7 +34,7 @@ CONFIG = TwinConfig.of_size(
     "tiny", duration_s=LENGTH_S, scene={"seed": 3}, effects={"pps_late_s": LENGTH_S + 1.0}
 )
 """The twin sends sentences without PPS in the second half of the time before the lock, which never comes."""
-SEEDS = (21, 22, 23)
+SEEDS = (21, 22)
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Recorded:
 
 @pytest.fixture(scope="module")
 def voyages(tmp_path_factory) -> list[Recorded]:
-    """Lidar, INS and positions of three voyages on one river, with all their errors."""
+    """Lidar, INS and positions of two voyages on one river, with all their errors."""
     folder = tmp_path_factory.mktemp("without_pps")
     simulate_scene(CONFIG, SEEDS[0], folder / "scene.npz")
     found = []

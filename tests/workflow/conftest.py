@@ -54,10 +54,35 @@ class House:
 
 
 SERVER = """
-import json, os, runpy, sys
+import json, os, runpy, sys, threading
+from multiprocessing import forkserver, util
 import PIL.Image, jinja2, nbformat, pyarrow, pydantic, pyproj, requests, smart_open, snakemake.cli
 import snakemake.script
+import PIL.ImageDraw, cmcrameri.cm, cv2, laspy, matplotlib.backends.backend_agg, matplotlib.dates
+import pyarrow.parquet, scipy.interpolate, scipy.ndimage, scipy.optimize, scipy.signal, scipy.sparse.linalg
+import scipy.spatial.transform, scipy.stats
 
+execute = util.spawnv_passfds
+
+def fork(path, words, passed):
+    # the server of the jobs, which multiprocessing would start as another Python, keeps these libraries
+    if "forkserver" not in words[-1]:
+        return execute(path, words, passed)
+    if (child := os.fork()) == 0:
+        forkserver._forkserver._lock = threading.Lock()  # held by the parent
+        for file in map(int, os.listdir("/proc/self/fd")):
+            if file > 2 and file not in passed:
+                try:
+                    os.close(file)
+                except OSError:
+                    pass  # that of the listing
+        try:
+            exec(words[-1], {})
+        finally:
+            os._exit(0)  # not into what the parent was about to do
+    return child
+
+util.spawnv_passfds = fork
 for line in sys.stdin:
     words, folder, environment, out, err = json.loads(line)
     if (child := os.fork()) == 0:
@@ -67,13 +92,18 @@ for line in sys.stdin:
         os.environ.clear()
         os.environ.update(environment)
         sys.path.insert(1, environment["PYTHONPATH"])
+        if not {"--dry-run", "--report", "--unlock"}.intersection(words):
+            # now, as nothing but this thread may be there
+            forkserver.set_forkserver_preload(["thalweg.workflow.preload"])
+            forkserver.ensure_running()
         sys.argv[1:] = words
         runpy.run_module("snakemake", run_name="__main__", alter_sys=True)
     print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 """
 """Nothing of the project is loaded here: each run takes the code of its own copy.
 
-A third of what a dry run needs of the processor is imports, and the tests here start Snakemake seventy times.
+A third of what a dry run needs of the processor is imports, and two thirds of what the server of its jobs
+needs (3 s); the tests here start Snakemake seventy times. `test_forked` has the server that users have.
 """
 
 

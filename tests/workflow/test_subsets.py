@@ -68,6 +68,7 @@ def test_the_front_page_links_all(yacht) -> None:
         assert f'src="figures/{name}.png"' in text
         assert (folder / "figures" / f"{name}.png").is_file()
     assert 'href="bathymetry/soundings.csv"' in text
+    assert "digital twin" not in text
     assert "point cloud of the banks" in text
     assert not (folder / "lidar").exists()
 

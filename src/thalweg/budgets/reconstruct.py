@@ -201,11 +201,15 @@ def _residuals(setup: Setup) -> Function:
 
     def residuals(p: ArrayF) -> ArrayF:
         """The table's cells, and the length of the lever arm."""
-        all_nine = np.repeat(_full(setup, p), len(distances), axis=0)
+        nine = _full(setup, p)
+        all_nine = np.repeat(nine, len(distances), axis=0)
         turns = (all_nine[:, 0:3], all_nine[:, 3:6])
         links = [
-            Link(rotation=Rotation.from_euler("XYZ", turn).as_matrix(), shift_m=shift)
-            for turn, shift in zip(turns, (np.zeros(3), all_nine[:, 6:]), strict=True)
+            Link(
+                rotation=np.repeat(Rotation.from_euler("XYZ", turn).as_matrix(), len(distances), axis=0),
+                shift_m=shift,
+            )
+            for turn, shift in ((nine[:, 0:3], np.zeros(3)), (nine[:, 3:6], all_nine[:, 6:]))
         ]
         chain = chain_derivatives(links, np.tile(points, (len(p), 1)))
         frames, time = frame_columns(chain, [opk_axes(turn[:, 0], turn[:, 1]) for turn in turns], rates)
@@ -213,7 +217,7 @@ def _residuals(setup: Setup) -> Function:
         size = np.linalg.norm(np.concatenate(parts, axis=2), axis=1).reshape(len(p), len(distances), -1)
         out = (size[:, at, column] * factor - value) / tolerance
         if setup.lever_length_m:
-            length = np.linalg.norm(_full(setup, p)[:, 6:], axis=1)
+            length = np.linalg.norm(nine[:, 6:], axis=1)
             out = np.column_stack([out, (length - setup.lever_length_m) / LEVER_WEIGHT_M])
         return np.asarray(out)
 
