@@ -338,7 +338,7 @@ def test_raw_gnss_of_a_folder_is_sorted_by_receiver(here, data_dir, capsys):
 
 @pytest.mark.real
 def test_surface_models_with_dates_become_a_campaign(data_dir, tmp_path, capsys, monkeypatch):
-    """A beach of Sandpyper twice: cells as wide as its points need; two grids are refused before the first job."""
+    """A beach of Sandpyper, twice: cells as wide as its points need; two grids are refused before any job."""
     monkeypatch.chdir(tmp_path)
     days = ("20180601", "20180621")
     files = [data_dir / f"sandpyper_dsm/dsm_1m/mar_{day}_dsm_resampled_1m.tif" for day in days]

@@ -43,6 +43,10 @@ _SIGMAS_OF_SBET: Final = [
     "ins:",
     "  sigma_position_m: [0.03, 0.03, 0.05]  # CHANGE: east, north, up, where no SMRMSG states them",
 ]
+_ON_LAND: Final = (
+    "# filters: {below_water_m: null, mirror_ghosts: false, hull_low_ics_m: null, hull_high_ics_m: null}"
+    "  # where there is no water, and no boat about the lidar"
+)
 _SURVEYED: Final = "surveyed points; role check: judges, takes no part"
 _NAMED: Final = 8
 """Files of one folder and ending that are named one by one; more are a pattern."""
@@ -116,11 +120,7 @@ def campaign_text(
         *(_ORDINARY_GNSS if source in ("nmea", "gpx") else [f"  accept_fixes: {fixes}"]),
         *_without_control(listed, source),
         *(_SIGMAS_OF_SBET if source == "sbet" else []),
-        *(
-            ["", "# filters: {below_water_m: null, mirror_ghosts: false}  # where there is no water"]
-            if listed.get("lidar")
-            else []
-        ),
+        *(["", _ON_LAND] if listed.get("lidar") else []),
     ]
     return "\n".join(lines) + "\n"
 
@@ -257,7 +257,7 @@ def _alone(listed: Mapping[str, Sequence[str]], spacing_m: float | None) -> list
     parts = (
         ("time_lapse", "images", "a folder, or files"),
         ("control_points", "control_points", _one_of(listed, "control_points", _SURVEYED)),
-        ("image_marks", "marks", "where they are in the photographs"),
+        ("image_marks", "marks", _one_of(listed, "image_marks", "where they are in the photographs")),
         ("camera_positions", "positions", "where the camera was; beside control points or instead"),
         ("finished_orientations", "orientations", "orientations from another program, instead of our own"),
         ("interior", "interior", _one_of(listed, "interior", "interior orientation; without: estimated")),
