@@ -34,10 +34,6 @@ _ORDINARY_GNSS: Final = [
     "  max_gap_s: 5.0  # longest hole between positions that is interpolated",
 ]
 """Lines of ``orientation`` for a receiver that writes NMEA or GPX."""
-_BESIDE_SBET: Final = [
-    "  gps_week: CHANGE  # week of the SBET, as 2235",
-    "  # smrmsg: []  # its standard deviations; without, those of section ins below",
-]
 _SIGMAS_OF_SBET: Final = [
     "",
     "ins:",
@@ -99,7 +95,7 @@ def campaign_text(
         *gnss,
         *_list("positions", listed.get("pos", []), "RTKLIB .pos, NMEA or GPX"),
         *_list("sbet", listed.get("sbet", []), "Applanix SBET; needs gps_week"),
-        *(_BESIDE_SBET if listed.get("sbet") else []),
+        *_beside_sbet(listed),
         *_list("depth", listed.get("depth", []), "echo sounder, NMEA"),
         *(
             ["  # depth_date: 2026-05-12  # UTC day of its start, where it has none"]
@@ -119,7 +115,7 @@ def campaign_text(
         f"  position_source: {source}  # pos, sbp, ppk, nmea, gpx, sbet or ins",
         *(_ORDINARY_GNSS if source in ("nmea", "gpx") else [f"  accept_fixes: {fixes}"]),
         *_without_control(listed, source),
-        *(_SIGMAS_OF_SBET if source == "sbet" else []),
+        *(_SIGMAS_OF_SBET if source == "sbet" and not listed.get("smrmsg") else []),
         *(["", _ON_LAND] if listed.get("lidar") else []),
     ]
     return "\n".join(lines) + "\n"
@@ -161,6 +157,16 @@ def epochs_text(
         *_core_points(spacing_m),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _beside_sbet(listed: Mapping[str, Sequence[str]]) -> list[str]:
+    """What an SBET does not hold itself."""
+    if not listed.get("sbet"):
+        return []
+    sigmas = _list(
+        "smrmsg", listed.get("smrmsg", []), "its standard deviations; without, those of section ins"
+    )
+    return ["  gps_week: CHANGE  # week of the SBET, as 2235", *sigmas]
 
 
 def _core_points(spacing_m: float | None) -> list[str]:

@@ -33,7 +33,7 @@ KINDS_OF_STREAM: Final[Mapping[str, tuple[str, ...]]] = {
         stream: tuple(each.kind for each in _INSTRUMENTS if stream in each.streams)
         for stream in sorted({stream for each in _INSTRUMENTS for stream in each.streams})
     },
-    "smrmsg": (),  # has no mark of its own
+    "smrmsg": (),  # known by plausible numbers alone: other ones are no mistake
     "cloud": (*(each.kind for each in CLOUDS), "xyz", "pcd", "geotiff"),
 }
 """Kinds of content that fit a stream of ``logs``, empty where it cannot be told; tables that people write,
