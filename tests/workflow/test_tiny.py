@@ -636,6 +636,7 @@ def test_a_campaign_is_written_from_a_folder_of_logs(tiny_house) -> None:
     (tiny_house.root / "config/campaigns/found.yaml").unlink()
     for name in ("lidar.pcap", "ins.anpp", "rover.sbp", "ppk.pos", "echo.nmea", "tls_1.laz"):
         assert name in text, name
+    assert recognise(tiny_house.root / BASE / "orientation/image_poses.parquet") == "image_poses"
     assert "left out" in run.stderr  # the provenance files beside the logs are no logs, and that is said
 
 
