@@ -23,7 +23,7 @@ from thalweg.cli import main
 from thalweg.core import LocalFrame, Rigid, Trajectory, read_table
 from thalweg.ingest import GNSS_POSITION, LidarOptions
 from thalweg.ingest.ppk.trust import covariance_enu
-from thalweg.ingest.registry import lidar_reader
+from thalweg.ingest.registry import lidar_reader, recognise
 from thalweg.lidar import CORRELATIONS, SIGMAS, LogSettings, georeference_log
 from thalweg.settings import load_campaign
 from thalweg.settings.sections import Filters, LidarAccuracy
