@@ -532,12 +532,19 @@ def test_windows_of_a_long_log_change_no_byte(surveys) -> None:
     assert not list((base / "windows").glob("*.las"))
 
 
-def test_an_sbet_and_photographs_give_the_chains_of_camera_and_all_sensors(tiny_house) -> None:
+def test_an_sbet_and_photographs_give_the_chains_of_camera_and_all_sensors(tiny_house, capsys) -> None:
     """No lidar, no GNSS: an SBET states no fix; its standard deviations are what counts."""
     root, base = tiny_house.root, tiny_house.root / BASE
     path = root / "config/campaigns/examples/sbet_photographs.yaml"
     examples(root)["sbet_photographs"](base, path.parent / "data/sbet_photographs")
     assert main(["check-config", str(path)]) == 0
+    text = path.read_text()
+    path.write_text(
+        text.replace("  cloud: {motion: trajectory}\n", "")
+    )  # the twin's SBET has noise for velocities
+    assert main(["check-config", str(path)]) == 2
+    assert "INS states have a velocity; expected" in capsys.readouterr().err
+    path.write_text(text)
     products = CampaignFiles(
         name="sbet_photographs", campaigns={"sbet_photographs": load_campaign(path)}
     ).products()

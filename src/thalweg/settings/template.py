@@ -333,10 +333,12 @@ def _camera(listed: Mapping[str, Sequence[str]], levers: str) -> list[str]:
 
 
 def _without_control(listed: Mapping[str, Sequence[str]], source: str) -> list[str]:
-    """Photographs alone need the antenna's positions in their adjustment."""
+    """Photographs alone need the antenna's positions in their adjustment; beside an SBET its way."""
     needs = listed.get("time_lapse") and not (
         listed.get("control_points") or listed.get("finished_orientations")
     )
+    if listed.get("time_lapse") and source == "sbet":
+        return ["", "images:", "  cloud: {motion: trajectory}  # velocity, where the SBET holds right ones"]
     if not needs or source in ("ins", "sbet"):  # these are no positions of the antenna: `check_images`
         return []
     return [
