@@ -253,7 +253,7 @@ def test_check_config_looks_into_the_logs(here, capsys):
 
 
 def test_check_config_takes_sigmas_of_an_sbet(here, capsys):
-    """An SMRMSG file has no mark of its own; an SBET shorter than one record has none either."""
+    """An SMRMSG is known by plausible numbers; both are entered, and what neither holds is asked for."""
     raw = here / "raw"
     raw.mkdir()
     states = np.zeros((20, 17))
@@ -268,6 +268,15 @@ def test_check_config_takes_sigmas_of_an_sbet(here, capsys):
         "orientation: {position_source: sbet}\n"
     )
     assert main(["check-config", "mine.yaml"]) == 0, capsys.readouterr().err
+    assert main(["new-campaign", "found", "--from-logs", "raw", "--folder", "."]) == 0
+    text = Path("found.yaml").read_text()
+    assert "  smrmsg: [raw/smrmsg.out]" in text
+    assert "sigma_position_m" not in text
+    Path("found.yaml").write_text(text.replace("gps_week: CHANGE", "gps_week: 2235"))
+    assert main(["check-config", "found.yaml"]) == 0, capsys.readouterr().err
+    (raw / "smrmsg.out").unlink()
+    assert main(["new-campaign", "alone", "--from-logs", "raw", "--folder", "."]) == 0
+    assert "  sigma_position_m: [0.03, 0.03, 0.05]  # CHANGE" in Path("alone.yaml").read_text()
 
 
 def test_files_that_cannot_be_opened(here, capsys):
@@ -338,7 +347,7 @@ def test_raw_gnss_of_a_folder_is_sorted_by_receiver(here, data_dir, capsys):
 
 @pytest.mark.real
 def test_surface_models_with_dates_become_a_campaign(data_dir, tmp_path, capsys, monkeypatch):
-    """A beach of Sandpyper twice: cells as wide as its points need; two grids are refused before the first job."""
+    """A beach of Sandpyper, twice: cells as wide as its points need; two grids are refused before any job."""
     monkeypatch.chdir(tmp_path)
     days = ("20180601", "20180621")
     files = [data_dir / f"sandpyper_dsm/dsm_1m/mar_{day}_dsm_resampled_1m.tif" for day in days]

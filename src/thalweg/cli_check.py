@@ -49,6 +49,11 @@ class FirstJobs:
         files = self._files
         self._opened("lidar", files.logs("lidar"), self._lidar)
         states = self._opened("ins", files.ins_logs(), self._states)
+        images = files.campaign.images
+        if states is not None and files.logs("time_lapse") and images.cloud.motion == "velocity":
+            from thalweg.navigation.camera import states_with_velocity
+
+            self._tried(lambda: states_with_velocity(states))
         source = files.position_source()
         if source in ("ins", "sbet"):
             positions = [] if states is None else files.ins_logs()

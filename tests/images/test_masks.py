@@ -178,14 +178,10 @@ def test_large_images_are_analysed_reduced(series, tmp_path):
     assert kept > 0.83
 
 
-@pytest.mark.parametrize("ground", ["lawn", "gravel", "ice"])
+@pytest.mark.parametrize("ground", ["lawn", "ice"])
 def test_ground_that_mirrors_nothing_is_no_water(series, tmp_path, ground):
     """The same banks behind ground of another colour and texture; with ``least_mirror: -1`` it is water."""
-    colour, contrast = {
-        "lawn": ((45, 110, 75), 14),
-        "gravel": ((120, 125, 130), 22),
-        "ice": ((200, 195, 185), 8),
-    }[ground]
+    colour, contrast = {"lawn": ((45, 110, 75), 14), "ice": ((200, 195, 185), 8)}[ground]
     files, below = [], []
     for k, file in enumerate(series.files):
         image, land = cv2.imread(str(file)), series.land[k]
@@ -205,6 +201,36 @@ def test_ground_that_mirrors_nothing_is_no_water(series, tmp_path, ground):
     if ground == "lawn":
         told = make_masks(files, tmp_path / "water", MaskSettings(least_mirror=-1.0))
         assert (told["water_share"] > 0.25).all()
+
+
+def test_a_moored_boat_is_no_water(series, tmp_path):
+    """A hull of three colours with windows, 8 rows of it below the line of the bank, and its mirror image."""
+    boat = np.full((20, 56, 3), np.nan)
+    boat[0:6, 15:40], boat[2:5, 18:36] = (200, 205, 210), (60, 50, 40)
+    boat[6:14], boat[14:18], boat[18:] = (225, 228, 230), (120, 40, 30), (40, 40, 45)
+    boat[2:5, 22::6], boat[8:10, ::3] = (210, 210, 215), (150, 160, 165)
+    files, boats = [], np.zeros_like(series.land)
+    for k, file in enumerate(series.files):
+        image, land, rng = cv2.imread(str(file)).astype(float), series.land[k], np.random.default_rng(k)
+        last = np.where(land.any(axis=0), len(land) - np.argmax(land[::-1], axis=0), 0)
+        x = rng.integers(36, 150)
+        y = int(np.median(last[x : x + 56])) + 8  # of its water line
+        upright, mirrored = image[y - 20 : y, x : x + 56], image[y : y + 20, x : x + 56]
+        there = np.isfinite(boat[..., 0])
+        upright[there] = (boat + rng.normal(0, 4, boat.shape))[there]
+        ripples = 0.55 * boat[::-1] + 0.45 * mirrored + rng.normal(0, 8, (20, 56, 1))
+        mirrored[there[::-1]] = ripples[there[::-1]]
+        boats[k, y - 20 : y, x : x + 56] = there
+        files.append(tmp_path / file.name)
+        cv2.imwrite(str(files[-1]), np.clip(image, 0, 255).astype(np.uint8))
+    make_masks(files, tmp_path / "masks")
+    masks = read(tmp_path / "masks", files)
+    boats &= ~series.hull
+    # measured 0.60, and 0.24 by the line of the bank alone; the same share of water is usable
+    assert (masks[boats] > 0).mean() > 0.5
+    wrong, kept = scores(masks, series.land | boats)
+    assert wrong < 0.03
+    assert kept > 0.83
 
 
 # ---------------------------------------------------------------- masks of the user, and bad input

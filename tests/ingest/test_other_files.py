@@ -20,6 +20,7 @@ LENS = (
 IMAGES_BIN = struct.pack("<QI4d3dI", 2, 1, 0.8, 0.6, 0.0, 0.0, 1.0, 2.0, 3.0, 1) + b"a.jpg\0" + bytes(8)
 FILES = {
     "dbat_project": b'<document dbat_script_version="1.0">\n<input><cameras/></input></document>',
+    "dbat_camera": b'<document dbat_camera_version="1.0">\n<cameras><camera><cc>24.3</cc></camera></cameras>',
     "dbat_report": b"Damped Bundle Adjustment Toolbox result file\n   Project Name: x\n",
     "metashape_lens": LENS.format("").encode(),
     "colmap_images": b"# Image list\n1 0.8 0.6 0 0 1 2 3 1 a.jpg\n10 20 -1\n",
@@ -113,6 +114,7 @@ def test_real_files_of_others_are_what_they_are(data_dir: Path) -> None:
     found = {
         "dbat_sxb/script/sxb/sxb.xml": "dbat_project",
         "dbat_sxb/script/sxb/result/report.txt": "dbat_report",
+        "dbat_roma/script/romabundledemo/cameras/EOS5DMarkII.xml": "dbat_camera",
         "sandpyper_dsm/dsm_1m/mar_20180601_dsm_resampled_1m.tif": "geotiff",
         "dbat_sxb/script/sxb/reference/sxb-control.txt": "control_points",
         "dbat_sxb/script/sxb/measurements/markpts.txt": "marks",

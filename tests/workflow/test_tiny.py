@@ -23,7 +23,7 @@ from thalweg.cli import main
 from thalweg.core import LocalFrame, Rigid, Trajectory, read_table
 from thalweg.ingest import GNSS_POSITION, LidarOptions
 from thalweg.ingest.ppk.trust import covariance_enu
-from thalweg.ingest.registry import lidar_reader
+from thalweg.ingest.registry import lidar_reader, recognise
 from thalweg.lidar import CORRELATIONS, SIGMAS, LogSettings, georeference_log
 from thalweg.settings import load_campaign
 from thalweg.settings.sections import Filters, LidarAccuracy
@@ -532,12 +532,19 @@ def test_windows_of_a_long_log_change_no_byte(surveys) -> None:
     assert not list((base / "windows").glob("*.las"))
 
 
-def test_an_sbet_and_photographs_give_the_chains_of_camera_and_all_sensors(tiny_house) -> None:
+def test_an_sbet_and_photographs_give_the_chains_of_camera_and_all_sensors(tiny_house, capsys) -> None:
     """No lidar, no GNSS: an SBET states no fix; its standard deviations are what counts."""
     root, base = tiny_house.root, tiny_house.root / BASE
     path = root / "config/campaigns/examples/sbet_photographs.yaml"
     examples(root)["sbet_photographs"](base, path.parent / "data/sbet_photographs")
     assert main(["check-config", str(path)]) == 0
+    text = path.read_text()
+    path.write_text(
+        text.replace("  cloud: {motion: trajectory}\n", "")
+    )  # the twin's SBET has noise for velocities
+    assert main(["check-config", str(path)]) == 2
+    assert "INS states have a velocity; expected" in capsys.readouterr().err
+    path.write_text(text)
     products = CampaignFiles(
         name="sbet_photographs", campaigns={"sbet_photographs": load_campaign(path)}
     ).products()
@@ -636,6 +643,7 @@ def test_a_campaign_is_written_from_a_folder_of_logs(tiny_house) -> None:
     (tiny_house.root / "config/campaigns/found.yaml").unlink()
     for name in ("lidar.pcap", "ins.anpp", "rover.sbp", "ppk.pos", "echo.nmea", "tls_1.laz"):
         assert name in text, name
+    assert recognise(tiny_house.root / BASE / "orientation/image_poses.parquet") == "image_poses"
     assert "left out" in run.stderr  # the provenance files beside the logs are no logs, and that is said
 
 

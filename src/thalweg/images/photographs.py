@@ -34,7 +34,7 @@ from thalweg.images.control import (
     read_all_marks,
     read_camera_positions,
 )
-from thalweg.images.masks.images import size_of
+from thalweg.images.masks import size_of
 from thalweg.images.model import ControlPoints, ImageBlock, ImagePoses, unknown_poses
 from thalweg.images.sfm import (
     WIDEST_DEG,

@@ -535,7 +535,7 @@ def check_images(
         yield Mistake(
             path=("logs", "time_lapse"),
             found="images without control points",
-            cure=f"State logs.time_lapse.control_points{place}",
+            cure=f"State logs.time_lapse.control_points, or orientations of another program{place}",
         )
     if antenna and source in _SOLVED and not given.get("orientations"):
         yield Mistake(

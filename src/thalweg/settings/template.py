@@ -34,15 +34,15 @@ _ORDINARY_GNSS: Final = [
     "  max_gap_s: 5.0  # longest hole between positions that is interpolated",
 ]
 """Lines of ``orientation`` for a receiver that writes NMEA or GPX."""
-_BESIDE_SBET: Final = [
-    "  gps_week: CHANGE  # week of the SBET, as 2235",
-    "  # smrmsg: []  # its standard deviations; without, those of section ins below",
-]
 _SIGMAS_OF_SBET: Final = [
     "",
     "ins:",
     "  sigma_position_m: [0.03, 0.03, 0.05]  # CHANGE: east, north, up, where no SMRMSG states them",
 ]
+_ON_LAND: Final = (
+    "# filters: {below_water_m: null, mirror_ghosts: false, hull_low_ics_m: null, hull_high_ics_m: null}"
+    "  # where there is no water, and no boat about the lidar"
+)
 _SURVEYED: Final = "surveyed points; role check: judges, takes no part"
 _NAMED: Final = 8
 """Files of one folder and ending that are named one by one; more are a pattern."""
@@ -95,7 +95,7 @@ def campaign_text(
         *gnss,
         *_list("positions", listed.get("pos", []), "RTKLIB .pos, NMEA or GPX"),
         *_list("sbet", listed.get("sbet", []), "Applanix SBET; needs gps_week"),
-        *(_BESIDE_SBET if listed.get("sbet") else []),
+        *_beside_sbet(listed),
         *_list("depth", listed.get("depth", []), "echo sounder, NMEA"),
         *(
             ["  # depth_date: 2026-05-12  # UTC day of its start, where it has none"]
@@ -115,12 +115,8 @@ def campaign_text(
         f"  position_source: {source}  # pos, sbp, ppk, nmea, gpx, sbet or ins",
         *(_ORDINARY_GNSS if source in ("nmea", "gpx") else [f"  accept_fixes: {fixes}"]),
         *_without_control(listed, source),
-        *(_SIGMAS_OF_SBET if source == "sbet" else []),
-        *(
-            ["", "# filters: {below_water_m: null, mirror_ghosts: false}  # where there is no water"]
-            if listed.get("lidar")
-            else []
-        ),
+        *(_SIGMAS_OF_SBET if source == "sbet" and not listed.get("smrmsg") else []),
+        *(["", _ON_LAND] if listed.get("lidar") else []),
     ]
     return "\n".join(lines) + "\n"
 
@@ -161,6 +157,16 @@ def epochs_text(
         *_core_points(spacing_m),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _beside_sbet(listed: Mapping[str, Sequence[str]]) -> list[str]:
+    """What an SBET does not hold itself."""
+    if not listed.get("sbet"):
+        return []
+    sigmas = _list(
+        "smrmsg", listed.get("smrmsg", []), "its standard deviations; without, those of section ins"
+    )
+    return ["  gps_week: CHANGE  # week of the SBET, as 2235", *sigmas]
 
 
 def _core_points(spacing_m: float | None) -> list[str]:
@@ -257,7 +263,7 @@ def _alone(listed: Mapping[str, Sequence[str]], spacing_m: float | None) -> list
     parts = (
         ("time_lapse", "images", "a folder, or files"),
         ("control_points", "control_points", _one_of(listed, "control_points", _SURVEYED)),
-        ("image_marks", "marks", "where they are in the photographs"),
+        ("image_marks", "marks", _one_of(listed, "image_marks", "where they are in the photographs")),
         ("camera_positions", "positions", "where the camera was; beside control points or instead"),
         ("finished_orientations", "orientations", "orientations from another program, instead of our own"),
         ("interior", "interior", _one_of(listed, "interior", "interior orientation; without: estimated")),
@@ -327,10 +333,12 @@ def _camera(listed: Mapping[str, Sequence[str]], levers: str) -> list[str]:
 
 
 def _without_control(listed: Mapping[str, Sequence[str]], source: str) -> list[str]:
-    """Photographs alone need the antenna's positions in their adjustment."""
+    """Photographs alone need the antenna's positions in their adjustment; beside an SBET its way."""
     needs = listed.get("time_lapse") and not (
         listed.get("control_points") or listed.get("finished_orientations")
     )
+    if listed.get("time_lapse") and source == "sbet":
+        return ["", "images:", "  cloud: {motion: trajectory}  # velocity, where the SBET holds right ones"]
     if not needs or source in ("ins", "sbet"):  # these are no positions of the antenna: `check_images`
         return []
     return [

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import pandas as pd
 from PIL import Image
+from scipy.ndimage import median_filter
 
 from thalweg.calibration import read_camera
 from thalweg.core import (
@@ -431,6 +432,10 @@ _EDGE_SHARE: Final = 0.06
 _COLUMN_SHARE: Final = 0.25
 """Rows above and below a water line whose means are compared, share of the image's height."""
 _COLUMNS_PX: Final = 7
+_MOORED: Final = 0.85
+"""Correlation of what mirrors itself; water with the reflections of a bank has less about its own rows."""
+_MOORED_SHARE: Final = 0.14
+_MOORED_COLUMNS: Final = 15
 _LEAST_COLUMNS: Final = 0.3
 """Share of the columns that have to have so much above and below the line."""
 
@@ -542,6 +547,32 @@ def mirror_level(
         if mean[k] > best:
             best, rows = float(mean[k]), margin + k + (np.arange(w) - w / 2) * slope
     return rows, best, agreement
+
+
+def with_moored(rows: AnyArray, mirror: ArrayF32) -> AnyArray:
+    """Water lines (w,) that go below what lies moored before the bank and mirrors itself.
+
+    Its own water line is a level about which the image mirrors sharply, alike in neighbouring columns, a
+    little below the line of the bank. A wall without a pattern mirrors nothing, and stays below the line.
+
+    Parameters
+    ----------
+    rows : (w,) first row of water.
+    mirror : (h, w) correlation about each row, see `mirror_level`.
+    """
+    h, w = mirror.shape
+    x = np.arange(w)
+    alike = cv2.blur(mirror, (9, 1))
+    below = np.clip(rows[:, None] + np.arange(3, max(round(_MOORED_SHARE * h), 4)), 0, h - 1)
+    agreement = alike[below, x[:, None]]
+    best = agreement.argmax(axis=1)
+    level = below[x, best]
+    sharp = (agreement[x, best] > _MOORED) & (rows < h)
+    usual = median_filter(np.where(sharp, level, 0), 11)
+    sharp &= np.abs(level - usual) <= 2
+    wide = np.ones((1, _MOORED_COLUMNS), np.uint8)
+    moored = cv2.morphologyEx(sharp.astype(np.uint8)[None], cv2.MORPH_OPEN, wide)[0].astype(bool)
+    return np.where(moored, usual, rows)
 
 
 # ---------------------------------------------------------------- where the horizon is in an image: from an
@@ -733,6 +764,8 @@ class SeriesModel:
         small = enlarged(hull, (cw, ch))
         sample = _sample(coarse, small, name, self.horizons)
         rows = line_of(self.scenery.model.log_probability(sample.features), sample, small, self.scenery)
+        if self.water:
+            rows = with_moored(rows, sample.mirror)
         h, w = image.shape[:2]
         at = (np.arange(w) + 0.5) * cw / w - 0.5
         return np.interp(at, np.arange(cw), np.where(rows >= ch, 2 * ch, rows)) * h / ch

@@ -33,7 +33,7 @@ KINDS_OF_STREAM: Final[Mapping[str, tuple[str, ...]]] = {
         stream: tuple(each.kind for each in _INSTRUMENTS if stream in each.streams)
         for stream in sorted({stream for each in _INSTRUMENTS for stream in each.streams})
     },
-    "smrmsg": (),  # has no mark of its own
+    "smrmsg": (),  # known by plausible numbers alone: other ones are no mistake
     "cloud": (*(each.kind for each in CLOUDS), "xyz", "pcd", "geotiff"),
 }
 """Kinds of content that fit a stream of ``logs``, empty where it cannot be told; tables that people write,
@@ -78,6 +78,8 @@ def recognise(path: Path) -> str:
     known = find_format(FORMATS, head, path.stat().st_size)
     if known is not None:
         return known.kind
+    if head.startswith(b"PAR1") and _is_image_poses(path):
+        return "image_poses"
     for mark, words, cure in _WRAPPED:
         if head.startswith(mark):
             raise InputError(words, where=path, expected="the raw log itself", cure=cure)
@@ -88,6 +90,17 @@ def recognise(path: Path) -> str:
         expected="a raw log, a photograph, a cloud, or a table of one of the known forms",
         cure="Check that the file is a raw log and not compressed; the README lists the kinds",
     )
+
+
+def _is_image_poses(path: Path) -> bool:
+    """Whether a Parquet file is a table of poses of photographs: its kind stands at its end."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        return (pq.read_schema(path).metadata or {}).get(b"kind") == b"image_poses"
+    except (OSError, pa.ArrowInvalid):
+        return False
 
 
 def stream_of(kind: str, path: Path) -> str | None:

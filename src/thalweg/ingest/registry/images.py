@@ -46,6 +46,7 @@ _TABLES: Final = (
 )
 """Kind, words, stream, and the keys of a campaign file that the table belongs in."""
 
+_POSES: Final = "poses of photographs (image_poses.parquet of Thalweg)"
 _PHOTOGRAPH: Final = "photograph (JPEG, PNG, TIFF)"
 _WORDS: Final = {"photograph": _PHOTOGRAPH, **{kind: words for kind, words, _, _ in _TABLES}}
 _KEYS: Final = {kind: keys for kind, _, _, keys in _TABLES}
@@ -160,6 +161,15 @@ def _describe(kind: str, files: list[Path], options: dict[str, Any], points: boo
     return Recording(kind=kind, report=describe_images(kind, files[0]))
 
 
+def _describe_poses(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
+    import pyarrow.parquet as pq
+
+    report = CalibrationReport(stream="images", format=_POSES, files=[str(files[0])])
+    report.details["rows"] = str(pq.read_metadata(files[0]).num_rows)
+    report.details["belongs"] = "in logs.time_lapse.orientations of a campaign file"
+    return Recording(kind=kind, report=report)
+
+
 def _table(kind: str, words: str, stream: str) -> Format:
     return Format(
         kind=kind,
@@ -179,4 +189,11 @@ IMAGES: Final = (
         describe=_describe,
     ),
     *(_table(kind, words, stream) for kind, words, stream, _ in _TABLES),
+    Format(
+        kind="image_poses",
+        words=_POSES,
+        streams=("finished_orientations",),
+        matches=lambda head, size: 0.0,  # told by the end of the file: `recognise`
+        describe=_describe_poses,
+    ),
 )

@@ -114,6 +114,13 @@ _ROWS: Final[Sequence[tuple[str, str, tuple[bytes, ...], Callable[[bytes, int], 
         "its tables of points and marks, with names of columns, belong in logs.time_lapse",
     ),
     (
+        "dbat_camera",
+        "camera of the Damped Bundle Adjustment Toolbox (XML)",
+        (),
+        _has(b"dbat_camera_version"),
+        "its distortion corrects measured places, ours ideal ones: leave it out, the lens is estimated",
+    ),
+    (
         "dbat_report",
         "report of the Damped Bundle Adjustment Toolbox",
         (),

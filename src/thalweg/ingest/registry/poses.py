@@ -12,10 +12,14 @@ import numpy as np
 from thalweg.core import InputError, gps_from_week
 from thalweg.ingest import PoseLog, TrackOptions
 from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share, read_head
+from thalweg.ingest.registry.calibrations import CalibrationReport
 
 _ANY_WEEK = 2000
 """Stands in for the week of an SBET that is only described; taken off again."""
 _SBET_RECORD = 136
+_SMRMSG_RECORD = 80
+_ROUGH: Final = (100.0, 100.0, 1200.0)
+"""Standard deviations that an SMRMSG stays below: metres, metres a second, arc minutes."""
 _BY_VALUES = 0.05
 """Sureness of content that is told by plausible numbers alone."""
 
@@ -34,7 +38,7 @@ def read_poses(files: Sequence[Path], source: str | None, options: TrackOptions 
     ------
     InputError : of the reader.
     """
-    rows = [row for row in POSES if source is None or source in row.streams]
+    rows = [row for row in POSES if row.poses is not None and (source is None or source in row.streams)]
     known = rows[-1]
     if len(rows) > 1:
         found = find_format(rows, read_head(files[0]), files[0].stat().st_size)
@@ -182,6 +186,32 @@ def _is_sbet(head: bytes, size: int) -> float:
     return 0.0
 
 
+def _is_smrmsg(head: bytes, size: int) -> float:
+    """Times that go up, and beside them nothing but small positive numbers."""
+    if size % _SMRMSG_RECORD or size < 2 * _SMRMSG_RECORD:
+        return 0.0
+    limits = np.repeat(_ROUGH, 3)
+    for byte_order in "<>":
+        whole = head[: len(head) // _SMRMSG_RECORD * _SMRMSG_RECORD]
+        records = np.frombuffer(whole, f"{byte_order}f8").reshape(-1, 10)
+        with np.errstate(invalid="ignore"):
+            small = (records[:, 1:] > 1e-9) & (records[:, 1:] < limits)
+            step = np.diff(records[:, 0])
+        if small.all() and (records[:, 0] >= 0).all() and ((step > 0) & (step < 10)).mean() > 0.9:
+            return _BY_VALUES
+    return 0.0
+
+
+def _describe_smrmsg(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
+    report = CalibrationReport(
+        stream="smrmsg", format="standard deviations of an SBET", files=[str(files[0])]
+    )
+    report.bytes_read = files[0].stat().st_size
+    report.details["records"] = f"{report.bytes_read // _SMRMSG_RECORD:,}"
+    report.details["use"] = "logs.smrmsg, beside its SBET"
+    return Recording(kind=kind, report=report)
+
+
 POSES: Final = (
     Format(
         kind="inertial_explorer",
@@ -221,5 +251,12 @@ POSES: Final = (
         matches=_is_sbet,
         poses=_sbet,
         describe=_describe_sbet,
+    ),
+    Format(
+        kind="smrmsg",
+        words="SMRMSG, standard deviations of an SBET",
+        streams=("smrmsg",),
+        matches=_is_smrmsg,
+        describe=_describe_smrmsg,
     ),
 )

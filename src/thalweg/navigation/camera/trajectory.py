@@ -1038,6 +1038,23 @@ def _chain(cov: ArrayF, following: ArrayF) -> tuple[ArrayF, ArrayF]:
 # goes into the correction that each image gives.
 
 
+def states_with_velocity(states: pd.DataFrame) -> int:
+    """How many states have a velocity, which carries the boat from image to image.
+
+    Raises
+    ------
+    InputError : fewer than two.
+    """
+    known = int(states[["v_north_mps", "v_east_mps", "v_down_mps"]].notna().all(axis=1).sum())
+    if known < 2:
+        raise InputError(
+            f"{known} of {len(states)} INS states have a velocity",
+            expected="a velocity in each state: it carries the boat from image to image",
+            cure="Set images.cloud.motion to trajectory",
+        )
+    return known
+
+
 class VelocityCarrier:
     """Attitudes and the integral of the velocity of the INS.
 
@@ -1066,13 +1083,7 @@ class VelocityCarrier:
     ) -> None:
         summary = TrajectorySummary(n_states=len(states))
         usable = usable_states(states, summary, max_attitude_gap_s, ATTITUDE_INITIALISED)
-        known = int(usable[["v_north_mps", "v_east_mps", "v_down_mps"]].notna().all(axis=1).sum())
-        if known < 2:
-            raise InputError(
-                f"{known} of {len(usable)} INS states have a velocity",
-                expected="a velocity in each state: it carries the boat from image to image",
-                cure="Set images.cloud.motion to trajectory",
-            )
+        known = states_with_velocity(usable)
         if known < len(usable):
             summary.notes.append(f"{len(usable) - known} INS states without a velocity carry nothing")
         self.reference: Reference = make_reference(
