@@ -353,7 +353,6 @@ UNREACHED = {
     "cli_survey.py": "the command line",
     **dict.fromkeys(
         (
-            "bathymetry/plan.py",
             "bathymetry/through_water.py",
             "calibration/lens.py",
             "figures/catalogue.py",
