@@ -26,7 +26,15 @@ import pandas as pd
 import pyarrow as pa
 from numpy.typing import ArrayLike
 from pyproj import CRS
-from scipy.ndimage import grey_opening, label, maximum, maximum_filter1d, median_filter, uniform_filter1d
+from scipy.ndimage import (
+    binary_dilation,
+    grey_opening,
+    label,
+    maximum,
+    maximum_filter1d,
+    median_filter,
+    uniform_filter1d,
+)
 
 from thalweg.calibration import echo_sounder as place_files
 from thalweg.core import (
@@ -576,10 +584,8 @@ def _weeds(d: ArrayF, x_t: ArrayF, sigma_m: float, settings: Bathymetry) -> Arra
     high = np.asarray(top) > max(settings.spike_m, _SCATTERS * noise)
     high[0] = False
     above = -d - bed > max(settings.spike_m / 3, _SCATTERS * noise)
-    # the rim of a patch is not rough yet: what stands above the bed there without a break is of it
-    run, n = label(above)
-    of_patch = np.asarray(maximum(high[patch] & above, run, np.arange(n + 1))).astype(np.bool_)
-    return np.asarray(of_patch[run] & above)
+    # the rim of a patch is not rough yet: a ping beside it that stands above the bed too is of it
+    return np.asarray(binary_dilation(high[patch] & above) & above)
 
 
 def _decisions(path: Path | None, t: ArrayF, reason: AnyArray) -> int:

@@ -313,7 +313,7 @@ def by_pattern(seed: int) -> pd.DataFrame:
     """
     scene = TWIN["scene"] | {"length_m": _REACH_M + 40.0}
     river = Reach(TwinConfig.of_size("tiny", scene=scene).scene, seed)
-    settings, ends = Bathymetry(model="exponential", drift="section_width"), (-_REACH_M / 2, _REACH_M / 2)
+    settings, ends = Bathymetry(model="matern32", drift="section_width"), (-_REACH_M / 2, _REACH_M / 2)
     shore_s, sign = (a.ravel() for a in np.meshgrid(np.arange(*ends, STATION_M), list(SIDES.values())))
     shore = pd.DataFrame({"s_m": shore_s, "n_m": sign * river.half_width(shore_s)})
     shore["side"] = np.repeat(list(SIDES), len(shore) // 2)

@@ -42,6 +42,7 @@ def test_a_survey_tells_methods_sections_and_patterns(
 ) -> None:
     monkeypatch.setattr(bed_study, "TWIN", bed_study.TWIN | {"duration_s": 25.0})
     monkeypatch.setattr(bed_study, "LEGS_M", (15.0, 60.0))
+    monkeypatch.setattr(bed_study, "_REACH_M", 130.0)
     tables = bed_study.asked(4, tmp_path)
     methods, sections = tables["methods"].set_index("method"), tables["sections"]
     assert methods.loc["kriging", "n"] > 150
