@@ -24,8 +24,8 @@ _STREAMS: Final = {"lidar": "lidar", "ins": "ins", "sbet": "ins", "sbp": "gnss",
 _POSITION_LOGS: Final = {"pos": "pos", "nmea": "pos", "gpx": "pos", "sbp": "sbp", "ppk": "rover"}
 """Sources of positions with files of their own."""
 _CHAINS: Final = {"": "ins", "by_camera/": "camera", "by_fused/": "fused"}
-_WORDS_OF_CHAIN: Final = {"ins": "by INS", "camera": "by camera", "fused": "by all sensors"}
 """Folder below those of clouds and of comparisons -> what the trajectory rests on."""
+_WORDS_OF_CHAIN: Final = {"ins": "by INS", "camera": "by camera", "fused": "by all sensors"}
 AUTO_WINDOW_S: Final = 1800.0
 """Windows of a log on a cluster: an hour of a VLP-16 is a few minutes' work, and each job takes seconds to
 start."""
