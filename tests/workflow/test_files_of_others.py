@@ -32,13 +32,13 @@ SIGMA_M = 0.03
 SEED = 11
 """That of the tiny campaign: the river comes from it."""
 UAV = {"spacing_m": 0.4, "sigma_shift_m": (0.05, 0.05, 0.15)}
-COPIED = (
-    "bathymetry/soundings.parquet",
-    "bathymetry/soundings.json",
-    "bathymetry/banks.csv",
-    "bathymetry/centre_line.csv",
-    "bathymetry/water_level.json",
-)
+SAME = ("soundings.parquet", "soundings.json", "banks.csv", "centre_line.csv", "water_level.json")
+COPIED = {f"bathymetry/{name}": f"bathymetry/{name}" for name in SAME} | {
+    "lidar/by_fused/points.laz": "lidar/points.laz",
+    "orientation/trajectory_fused.parquet": "orientation/trajectory.parquet",
+    "orientation/error_model.json": "orientation/error_model.json",
+}
+"""Of the tiny campaign, and what the one with files of others calls it."""
 
 
 def write_files(folder: Path, tiny: Path, frame: LocalFrame, crs: CRS, twin: TwinConfig) -> None:
@@ -76,11 +76,9 @@ def others(tiny_house) -> Iterator[tuple[Path, Path]]:
     """Folders of results of the tiny campaign and of the one with files of others."""
     root = tiny_house.root
     tiny, ours = root / "results/tiny", root / "results/others"
-    for name in COPIED:
-        (ours / name).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(tiny / name, ours / name)
-    (ours / "lidar").mkdir()
-    shutil.copy(tiny / "lidar/by_fused/points.laz", ours / "lidar/points.laz")
+    for name, copy in COPIED.items():
+        (ours / copy).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(tiny / name, ours / copy)
     campaign: dict[str, Any] = yaml.safe_load((root / "config/campaigns/tiny.yaml").read_text())
     place = {key: campaign["campaign"][key] for key in ("crs", "origin")}
     frame, crs = LocalFrame(**place["origin"]), CRS.from_user_input(place["crs"])
