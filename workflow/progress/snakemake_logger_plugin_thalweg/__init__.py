@@ -42,7 +42,7 @@ NOTHING = "Nothing to be done"
 def words_of_rules(folder: Path = RULES) -> dict[str, str]:
     """First sentence of the docstring of each rule."""
     text = "\n".join(path.read_text(encoding="utf-8") for path in sorted(folder.glob("*.smk")))
-    found = re.findall(r'(?m)^ *rule (\w+):\n\s+"""(.+?)(?:"""|\.\s|\n\n)', text, re.S)
+    found = re.findall(r'(?m)^ *rule (\w+):\n\s+"""(.+?)(?:"""|\.\s+(?=[A-Z])|\n\n)', text, re.S)
     return {name: " ".join(words.split()).rstrip(".") for name, words in found}
 
 
