@@ -46,6 +46,7 @@ LEAST_CORNERS: Final = 6
 LEAST_PICTURES: Final = 3
 _REJECT_SIGMAS: Final = 4.0
 _UNDETERMINED: Final = 1e9
+"""Condition of scaled normal equations beyond which the other pictures leave the lens open."""
 _START_PX: Final = 0.05
 """Noise of the first adjustment: smaller than real corners have, so that its robust scatter rules."""
 _HALF_VIEWS: Final = {"fisheye": (0.6, 2.3), "perspective": (0.1, 1.2)}

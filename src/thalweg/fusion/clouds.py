@@ -72,6 +72,7 @@ NEIGHBOURS: Final = 9
 
 
 _COLUMNS: Final = ("return_number", "number_of_returns", "t_gps_s")
+"""What the filter of the ground and the pose's part of the errors need of each point besides its place."""
 
 
 class Source(IntEnum):

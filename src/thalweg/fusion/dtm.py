@@ -43,6 +43,7 @@ from thalweg.settings.sections import Fusion
 BANDS: Final = ("height", "sigma", "source", "distance", "sigma_common")
 MOST_CELLS: Final = 100_000_000
 _GEOID_PLACES: Final = 400
+"""Places of the model that the plane through a geoid is fitted to: many more than its three numbers."""
 _LAGS: Final = (1, 2, 4, 8, 16, 32)
 _LEAST_SIGMA_M: Final = 1e-3
 _LEAST_LAG_CELLS: Final = 30

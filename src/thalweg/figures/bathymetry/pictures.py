@@ -497,7 +497,7 @@ def draw_bed_patterns(*, table: Path) -> Figure:
             label=f"{name}, elliptical inverse distance",
         )  # fmt: skip
     ax.set(xscale="log", yscale="log", ylabel="root mean square error [cm]")
-    ax.set_xlabel("way along the river of a leg, or from section to section [m]")
+    ax.set_xlabel("length of river per leg, or spacing of the sections [m]")
     legs = sorted(rows["leg_m"].unique())
     ax.set_xticks(legs, [f"{leg:g}" for leg in legs])
     ax.minorticks_off()
