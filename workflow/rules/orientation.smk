@@ -134,7 +134,7 @@ rule extract_features:
         "../../envs/thalweg.yaml"
     threads: 2
     resources:
-        mem_mb=memory(3400),
+        mem_mb=memory(3200),
         runtime=minutes(60),
     params:
         code=code_version("extract_features"),
