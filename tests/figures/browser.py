@@ -7,6 +7,8 @@ import os
 import shutil
 import subprocess
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
 
@@ -119,6 +121,15 @@ class Browser:
         while not self.run(condition):
             assert time.monotonic() < stop, f"not within {seconds} s: {condition}; {self.errors}"
             time.sleep(0.1)
+
+    @contextmanager
+    def empty_page(self) -> Iterator[Self]:
+        """The browser without page and errors; to start one takes three seconds of a processor."""
+        self.call("Page.navigate", url="about:blank")
+        self.wait("location.href === 'about:blank'")
+        self.errors.clear()
+        self.requests.clear()
+        yield self
 
     def open(self, path: Path, tail: str = "") -> None:
         """Load a page from disk."""

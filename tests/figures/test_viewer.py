@@ -5,6 +5,7 @@ import importlib
 import json
 import re
 import zlib
+from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 
@@ -27,6 +28,12 @@ from thalweg.panorama import PANORAMAS
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 SPACING_M = 0.25
 START_S = 178_649_913.4  # 2017-05-12T18:44:55.4 UTC, the example of core.timescales
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with Browser(tmp_path_factory.mktemp("profile")) as opened:
+        yield opened
 
 
 def hills() -> np.ndarray:
@@ -215,7 +222,9 @@ def test_clouds_of_several_chains_are_told_apart(tmp_path: Path, capsys: pytest.
     assert main(["view", *both, "--quantity", "cloud", "-o", str(tmp_path / "w")]) == 2
 
 
-def test_the_page_of_a_survey_shows_clouds_of_other_chains_when_asked(tmp_path: Path) -> None:
+def test_the_page_of_a_survey_shows_clouds_of_other_chains_when_asked(
+    browser: Browser, tmp_path: Path
+) -> None:
     """The first cloud, in its colours, takes half of the points; a click tells which cloud a point is of."""
     xyz = hills().reshape(641, 641, 3)[::4, ::4].reshape(-1, 3)
     flat = np.column_stack([xyz[:, :2], np.zeros(len(xyz))])
@@ -238,7 +247,7 @@ def test_the_page_of_a_survey_shows_clouds_of_other_chains_when_asked(tmp_path: 
         points=files, names=["A", "B", "C"], trajectory=[], gains=[], images=[], rig_images=[], table=[],
         page=tmp_path / "v/index.html", nodes=tmp_path / "v/nodes", title="Hills", twin=False,
     )  # fmt: skip
-    with Browser(tmp_path / "profile") as page:
+    with browser.empty_page() as page:
 
         def red() -> float:
             """Share of the view that is red."""
@@ -274,7 +283,9 @@ def test_the_page_of_a_survey_shows_clouds_of_other_chains_when_asked(tmp_path: 
         assert page.errors == []
 
 
-def test_extra_dimensions_become_colours(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_extra_dimensions_become_colours(
+    browser: Browser, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Distances of two epochs: limits alike on both sides of zero, NaN where nothing was measured."""
     xyz = hills()[::40]
     n = len(xyz)
@@ -298,7 +309,7 @@ def test_extra_dimensions_become_colours(tmp_path: Path, capsys: pytest.CaptureF
     capsys.readouterr()
     assert main(["view", str(tmp_path / "a.laz"), "--quantity", "change", *out]) == 2
     assert "quantities change; expected 3 at most of more_0" in capsys.readouterr().err
-    with Browser(tmp_path / "profile") as page:
+    with browser.empty_page() as page:
         page.open(tmp_path / "v/index.html", "#at=0,0,0&look=0,90,150&colour=distance_m")
         page.wait("typeof settled !== 'undefined' && settled")
         k = n // 2 + int(np.argmin(np.hypot(*xyz[n // 2 : n // 2 + 2000, :2].T)))
@@ -314,10 +325,10 @@ def test_extra_dimensions_become_colours(tmp_path: Path, capsys: pytest.CaptureF
         assert page.errors == []
 
 
-def test_a_browser_opens_it_from_disk(tmp_path: Path) -> None:
+def test_a_browser_opens_it_from_disk(browser: Browser, tmp_path: Path) -> None:
     xyz = hills()
     write_viewer(whole_view(xyz), tmp_path / "v", title="Hills", twin=True, trajectory=make_trajectory())
-    with Browser(tmp_path / "profile") as page:
+    with browser.empty_page() as page:
         page.open(tmp_path / "v/index.html", "#at=0,0,0&look=0,60,60&colour=rgb")
         page.wait("typeof settled !== 'undefined' && settled")
         picture = tmp_path / "a.png"
@@ -372,10 +383,10 @@ def test_a_browser_opens_it_from_disk(tmp_path: Path) -> None:
         assert len(page.requests) > 5
 
 
-def test_a_missing_file_of_the_folder_is_told(tmp_path: Path) -> None:
+def test_a_missing_file_of_the_folder_is_told(browser: Browser, tmp_path: Path) -> None:
     write_viewer(View(xyz_m=hills()[::20], frame=FRAME, n_total=20_544), tmp_path / "v", title="x")
     (tmp_path / "v/nodes/r.js").unlink()
-    with Browser(tmp_path / "profile") as page:
+    with browser.empty_page() as page:
         page.open(tmp_path / "v/index.html")
         page.wait("document.getElementById('state')?.textContent.includes('copy')")
         assert "copy the whole folder" in page.run("document.getElementById('state').textContent")
@@ -439,8 +450,8 @@ def walk(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_walk_from_panorama_to_panorama(walk: Path, tmp_path: Path) -> None:
-    with Browser(tmp_path / "profile") as page:
+def test_a_walk_from_panorama_to_panorama(walk: Path, browser: Browser, tmp_path: Path) -> None:
+    with browser.empty_page() as page:
 
         def shown(at: tuple[int, int]) -> str:
             """The side of the world whose colour a pixel has."""
@@ -526,8 +537,8 @@ def test_a_walk_needs_no_lidar_and_wide_panoramas_are_reduced(
     assert Image.open(BytesIO(base64.b64decode(letters))).size == (512, 256)
 
 
-def test_a_point_leads_to_its_photograph_and_panorama(walk: Path, tmp_path: Path) -> None:
-    with Browser(tmp_path / "profile") as page:
+def test_a_point_leads_to_its_photograph_and_panorama(walk: Path, browser: Browser, tmp_path: Path) -> None:
+    with browser.empty_page() as page:
         page.open(walk / "viewer/index.html", "#at=0,5,4&look=0,60,30&colour=rgb")
         page.wait("typeof settled !== 'undefined' && settled")
         page.click(450, 300)
@@ -550,11 +561,11 @@ def test_a_point_leads_to_its_photograph_and_panorama(walk: Path, tmp_path: Path
         assert page.errors == []
 
 
-def test_what_is_clipped_is_not_drawn_and_not_found(tmp_path: Path) -> None:
+def test_what_is_clipped_is_not_drawn_and_not_found(browser: Browser, tmp_path: Path) -> None:
     xyz = hills().reshape(641, 641, 3)[::2, ::2].reshape(-1, 3)
     write_viewer(View(xyz_m=xyz, frame=FRAME, n_total=len(xyz)), tmp_path / "v", title="x")
     low, high = xyz[:, 2].min(), xyz[:, 2].max()
-    with Browser(tmp_path / "profile") as page:
+    with browser.empty_page() as page:
 
         def drawn() -> np.ndarray:
             page.wait("typeof settled !== 'undefined' && settled")

@@ -415,7 +415,7 @@ OF_SOURCE = {
         "lidar/points.laz",
         "figures/cloud_detail.png",
         "accuracy/index.html",
-        "accuracy/trajectories.html",
+        "orientation/trajectory_fused.parquet",
     ),
     "ins": ("lidar/points.laz", "bathymetry/soundings.csv", "figures/cloud_detail.png"),
     # planned alone: a lidar by an SBET is in test_examples, images by an SBET below
@@ -485,7 +485,7 @@ def test_logs_of_a_survey_go_the_same_way(surveys, source: str) -> None:
         ("accuracy/trajectories.html", "trajectory_comparison_page"),
     ):
         assert (rule in rules) == (source != "ins"), name
-        assert (base / name).is_file() == (source == "sbp"), name
+    assert (base / "orientation/trajectory_fused.parquet").is_file() == (source == "sbp")
     assert re.search(r"(?m)^front_page +1$", rest)
     if not OF_SOURCE[source]:
         return
@@ -498,23 +498,32 @@ def test_logs_of_a_survey_go_the_same_way(surveys, source: str) -> None:
         assert n == pytest.approx(reader.header.point_count, rel=0.01)
     if page.is_file():
         assert "digital twin" not in page.read_text()
-        chains = pd.read_csv(base / "accuracy/chains.csv")
-        (cloud,) = chains[
-            (chains["of"] == "shots of the lidar") & (chains["quantity"] == "in_cloud")
-        ].to_dict("records")
-        # 25 frames of 0.1 s in 25 s, and no more points than shots by any chain
-        assert 0.05 < cloud["camera"] / cloud["ins"] < 0.15
-        assert cloud["fused"] == pytest.approx(cloud["ins"], rel=0.02)
-        assert "digital twin" not in (base / "accuracy/trajectories.html").read_text()
     assert (base / "figures/cloud_detail.png").is_file()
+
+
+def check_chains(base: Path) -> None:
+    """Points of the clouds by INS, camera and all sensors."""
+    chains = pd.read_csv(base / "accuracy/chains.csv")
+    (cloud,) = chains[(chains["of"] == "shots of the lidar") & (chains["quantity"] == "in_cloud")].to_dict(
+        "records"
+    )
+    # 25 frames of 0.1 s in 25 s, and no more points than shots by any chain
+    assert 0.05 < cloud["camera"] / cloud["ins"] < 0.15
+    assert cloud["fused"] == pytest.approx(cloud["ins"], rel=0.02)
+
+
+def test_clouds_by_three_trajectories_hold_what_they_can(tiny_house) -> None:
+    check_chains(tiny_house.root / BASE)
 
 
 @pytest.mark.slow
 def test_a_survey_of_logs_has_a_front_page(surveys) -> None:
-    """The rest of it: above all pictures, which `tiny` draws of the same points."""
+    """The rest of it: pictures and clouds by three trajectories, which `tiny` makes of the same points."""
     surveys.snakemake("--config", "campaign=boat_sbp")
     base = surveys.root / "results/boat_sbp"
-    assert "digital twin" not in (base / "index.html").read_text()
+    check_chains(base)
+    for page in ("index.html", "accuracy/trajectories.html"):
+        assert "digital twin" not in (base / page).read_text()
     assert len(list((base / "figures").glob("*.png"))) > 20
 
 
