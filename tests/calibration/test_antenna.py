@@ -40,7 +40,7 @@ def test_the_covariance_is_that_of_drawn_errors(rng: np.random.Generator) -> Non
     saddles = lying(turn)
     seen = antenna_lever(phase_centre(saddles, C, offset_m=0.05, sigma_offset_m=0.001), T_PCS_CCS, T_CCS_SCS)
     drawn = []
-    for _ in range(4000):
+    for _ in range(1500):
         moved = saddles + (root @ rng.normal(size=12)).reshape(4, 3)
         mark = phase_centre(moved, C, offset_m=0.05 + 0.001 * rng.normal(), sigma_offset_m=0.001)
         pose, relative = (
@@ -49,10 +49,10 @@ def test_the_covariance_is_that_of_drawn_errors(rng: np.random.Generator) -> Non
         other = antenna_lever(mark, pose, relative)
         drawn.append(np.r_[other.x_ccs_m, other.x_scs_m])
     cov = np.cov(np.array(drawn).T)
-    # 4000 draws give a variance to 2.2 % (1 sigma); four sigmas
+    # 1500 draws give a variance to 3.7 % (1 sigma); four sigmas
     scale = np.sqrt(np.outer(np.diag(cov), np.diag(cov)))
-    assert cov[:3, :3] / scale[:3, :3] == pytest.approx(seen.cov_ccs_m2 / scale[:3, :3], abs=0.09)
-    assert cov[3:, 3:] / scale[3:, 3:] == pytest.approx(seen.cov_scs_m2 / scale[3:, 3:], abs=0.09)
+    assert cov[:3, :3] / scale[:3, :3] == pytest.approx(seen.cov_ccs_m2 / scale[:3, :3], abs=0.147)
+    assert cov[3:, 3:] / scale[3:, 3:] == pytest.approx(seen.cov_scs_m2 / scale[3:, 3:], abs=0.147)
 
 
 def test_what_mark_and_pose_share_counts(rng: np.random.Generator) -> None:

@@ -77,14 +77,15 @@ def square(found: Rigid) -> float:
 
 
 PLAIN = BoardSettings(sigma_board_m=1e-4, flatness_m=1e-4)
+NO_SEARCH = replace(PLAIN, within=None)
+NEAR = TRUTH.moved([0.01, -0.01, 0.01, 0.01, 0.01, -0.01])
 
 
 @pytest.mark.parametrize("edges", [True, False])
 def test_boards_are_found_and_the_sigmas_are_consistent(edges: bool) -> None:
-    squares = []
-    for seed in range(8):
-        settings = PLAIN if seed == 0 else replace(PLAIN, within=None)
-        start = NOMINAL if seed == 0 else TRUTH.moved([0.01, -0.01, 0.01, 0.01, 0.01, -0.01])
+    squares, n = [], 4
+    for seed in range(n):
+        settings, start = (PLAIN, NOMINAL) if seed == 0 else (NO_SEARCH, NEAR)
         found = calibrate_board(poses(seed, edges=edges), start, BEAM, settings)
         squares.append(square(found.T_ccs_scs))
         assert found.table["used"].all()
@@ -92,15 +93,15 @@ def test_boards_are_found_and_the_sigmas_are_consistent(edges: bool) -> None:
         assert seed or found.score > 0.7
         # of the order of the noise over the root of the points
         assert (found.T_ccs_scs.sigma_shift_m < 0.02).all()
-    # eight seeds with six degrees of freedom; factors of the variances come from eight boards, which makes
-    # the tail of a chi-square heavier: 99.9 % band, with a tenth on top
-    low, high = chi2.ppf([0.0005, 0.9995], 48) / 48
+    # six degrees of freedom each; factors of the variances come from eight boards, which makes the tail of a
+    # chi-square heavier: 99.9 % band, with a tenth on top
+    low, high = chi2.ppf([0.0005, 0.9995], 6 * n) / (6 * n)
     assert low * 0.9 < np.mean(squares) / 6 < high * 1.1
 
 
 def test_edges_tell_what_planes_do_not() -> None:
-    with_edges = calibrate_board(poses(3), NOMINAL, BEAM, PLAIN).T_ccs_scs
-    without = calibrate_board(poses(3, edges=False), NOMINAL, BEAM, PLAIN).T_ccs_scs
+    with_edges = calibrate_board(poses(3), NEAR, BEAM, NO_SEARCH).T_ccs_scs
+    without = calibrate_board(poses(3, edges=False), NEAR, BEAM, NO_SEARCH).T_ccs_scs
     # six degrees of freedom: 0.7 is 6 % of each sigma
     assert np.linalg.det(with_edges.cov) < 0.7 * np.linalg.det(without.cov)
 
@@ -110,7 +111,7 @@ def test_an_offset_of_all_ranges_is_found() -> None:
         replace(p, points_scs_m=p.points_scs_m * (1 + 0.03 / np.linalg.norm(p.points_scs_m, axis=1))[:, None])
         for p in poses(5)
     ]
-    found = calibrate_board(wrong, NOMINAL, BEAM, replace(PLAIN, free_range_offset=True))
+    found = calibrate_board(wrong, NEAR, BEAM, replace(NO_SEARCH, free_range_offset=True))
     sigma = found.adjusted.sigma("range_offset")
     assert abs(found.range_offset_m + 0.03) < 4 * sigma
     assert sigma < 0.01

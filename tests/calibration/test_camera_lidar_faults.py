@@ -45,15 +45,15 @@ def known(y, positions: int = 3, **settings) -> CameraLidar:
 
 def test_wrong_marks_and_people_do_not_shift_the_result() -> None:
     squares = []
-    for seed in range(3):
+    for seed in range(2):
         y = Yard(seed=300 + seed, people=3, wrong_marks=0.05)
         result = calibrated(y)
         squares.append(square(result, y.truth))
         lost = result.references[~result.references["used"]]
         # 2 of 32 marks on each of 8 cones; an error along the surface is none
         assert 8 <= len(lost) <= 16
-    # three seeds with six degrees of freedom, 99.9 %
-    assert sum(squares) < chi2.ppf(0.999, 18)
+    # two seeds with six degrees of freedom, 99.9 %
+    assert sum(squares) < chi2.ppf(0.999, 12)
 
 
 def test_who_stands_in_front_of_a_cone_is_told() -> None:
@@ -76,7 +76,7 @@ def changed(y, name: str, shift=(0.0, 0.0, 0.0), tilt_deg: float = 0.0):
     ids=["pushed by 2 cm", "leaning", "fallen", "sunk"],
 )
 def test_a_cone_that_moved_is_named_and_left_out(shift: tuple[float, float, float], tilt_deg: float) -> None:
-    y = changed(Yard(seed=4), "C5", shift, tilt_deg)
+    y = changed(Yard(seed=4, frames=2), "C5", shift, tilt_deg)
     result = known(y)
     table = result.detection[result.detection["predicted"] > 0]
     lost = table[~table["found"]]

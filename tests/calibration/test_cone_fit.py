@@ -106,7 +106,7 @@ def parameters_off(found: Cone, true: Cone) -> np.ndarray:
 def test_the_covariance_is_consistent_over_seeds() -> None:
     """Marks with a form error of their own and errors that they share."""
     form_m, squares = 0.0003, []
-    for seed in range(40):
+    for seed in range(20):
         rng = np.random.default_rng([5, seed])
         true = cone_of(rng)
         root = 1e-4 * rng.standard_normal((96, 8))

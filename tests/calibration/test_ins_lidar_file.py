@@ -93,7 +93,7 @@ def test_the_covariance_of_the_cones_is_a_joint_one_and_positive() -> None:
 
 
 def test_cones_are_as_far_off_as_they_say() -> None:
-    runs = [field_cones(FIELD, measured(seed), form_sigma_m=FORM_M)[0] for seed in range(40)]
+    runs = [field_cones(FIELD, measured(seed), form_sigma_m=FORM_M)[0] for seed in range(16)]
     squares = [off(found) @ np.linalg.solve(found.cov, off(found)) for found in runs]
     low, high = chi2.ppf([0.001, 0.999], 18 * len(runs))
     assert low < sum(squares) < high

@@ -58,7 +58,7 @@ def boards(camera: Camera, seed: int, pictures: int = 14, bow_m: float = 0.0) ->
 @pytest.mark.parametrize("model", LENSES)
 def test_errors_of_the_lens_are_those_that_its_covariance_states(model: str) -> None:
     true, squares = LENSES[model], []
-    for seed in range(10):
+    for seed in range(5):
         found = calibrate_lens(boards(true, seed), true.size_px, spacing_m=SPACING_M, model=true.model)
         error = found.camera.parameters - true.parameters
         squares.append(error @ np.linalg.solve(found.camera.cov, error))

@@ -24,10 +24,10 @@ STEP_S = 0.01
 def series(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[list[Path], pd.DataFrame]:
-    """Six minutes of the twin's photographs, and the truth about them."""
+    """Three minutes of the twin's photographs, and the truth about them."""
     folder = tmp_path_factory.mktemp(request.param)
     twin = TwinConfig(size="field")
-    display = twin.camera.display.model_copy(update={"digits": request.param, "duration_s": 360.0})
+    display = twin.camera.display.model_copy(update={"digits": request.param, "duration_s": 180.0})
     config = twin.model_copy(update={"camera": twin.camera.model_copy(update={"display": display})})
     truth = simulate_display(config, 5, folder / "photos", folder / "truth.parquet")
     return sorted((folder / "photos").iterdir()), truth
@@ -56,8 +56,8 @@ def test_the_twins_photographs_are_read_or_left_out(series: tuple[list[Path], pd
     true = np.diff(t)[used]
     assert found.mean_s == pytest.approx(np.diff(t).mean(), rel=0.02)
     assert found.std_s == pytest.approx(true.std(ddof=1), rel=0.05)
-    # P2's numbers: 360 intervals have a sigma of 4 % of their own
-    assert found.std_s == pytest.approx(0.023, rel=0.12)
+    # P2's numbers: 180 intervals have a sigma of 5.3 % of their own
+    assert found.std_s == pytest.approx(0.023, rel=0.17)
     assert found.kind == "white stamps"
 
 
@@ -100,7 +100,7 @@ def clock_texts(n: int, seed: int = 3, start: float = 50_000.0) -> tuple[list[st
     ("font", "bright"), [("DejaVuSansMono", False), ("DejaVuSans-Bold", True), ("DejaVuSerif", False)]
 )
 def test_fonts_that_are_not_built_in_are_read(tmp_path: Path, font: str, bright: bool) -> None:
-    texts, t = clock_texts(60)
+    texts, t = clock_texts(30)
     table, facts = read_display(photographs(tmp_path / "a", texts, dejavu(font), bright=bright))
     read = table["reason"] == ""
     assert read.mean() > 0.9
@@ -111,10 +111,10 @@ def test_fonts_that_are_not_built_in_are_read(tmp_path: Path, font: str, bright:
 
 def test_labels_teach_a_look_of_its_own(tmp_path: Path) -> None:
     """Ten labelled photographs instead of the built-in digits."""
-    texts, _ = clock_texts(40)
+    texts, _ = clock_texts(30)
     files = photographs(tmp_path / "a", texts, dejavu("DejaVuSerif-Bold"))
     nine = next(k for k, text in enumerate(texts) if "9" in text)
-    labels = {files[k].name: texts[k] for k in [*range(0, 40, 4), nine]}
+    labels = {files[k].name: texts[k] for k in [*range(0, 30, 3), nine]}
     table, _ = read_display(files, labels=labels)
     read = table["reason"] == ""
     assert read.mean() > 0.9
@@ -124,7 +124,7 @@ def test_labels_teach_a_look_of_its_own(tmp_path: Path) -> None:
 
 
 def test_damaged_and_foreign_files_are_left_out_with_their_reason(tmp_path: Path) -> None:
-    texts, _ = clock_texts(40)
+    texts, _ = clock_texts(30)
     files = photographs(tmp_path / "a", texts, dejavu("DejaVuSansMono"))
     files[3].write_bytes(b"")
     files[5].write_bytes(files[6].read_bytes()[:500])
@@ -137,7 +137,7 @@ def test_damaged_and_foreign_files_are_left_out_with_their_reason(tmp_path: Path
     assert reasons[files[7].name] == "another size"
     assert reasons[files[9].name] == "covered or dark"
     assert reasons[files[11].name] == "glare"
-    assert facts["read"] >= 33
+    assert facts["read"] >= 23
 
 
 def test_a_folder_without_a_display_is_refused(tmp_path: Path) -> None:

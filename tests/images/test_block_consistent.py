@@ -62,9 +62,9 @@ def check_consistent(effects: dict, seeds: int = SEEDS) -> None:
     # 24 images of a block err alike: no more than one of them may be just outside the band of one
     assert ((each > low) & (each < high)).sum() >= 23, each
     low, high = band(6 * 24 * seeds)
-    # the model's numbers are estimated from 1,700 marks: 1 % on top of the band of 1,728 errors
+    # the model's numbers are estimated from 1,700 marks: 1 % on top of the band
     assert low - 0.01 < joint < high + 0.01
-    # some 3 check points a block that share its bending: 20 independent ones at least
+    # some 3 check points a block that share its bending
     low, high = band(3 * seeds)
     assert low < checks < high
 
@@ -74,7 +74,7 @@ def test_poses_are_consistent_for_errors_that_wander() -> None:
 
 
 def test_poses_of_a_fisheye_are_consistent() -> None:
-    check_consistent({**WANDERING, "model": "fisheye"}, 6)
+    check_consistent({**WANDERING, "model": "fisheye"}, 3)
 
 
 @pytest.mark.slow
@@ -93,7 +93,7 @@ def test_formal_sigmas_are_too_small() -> None:
 def test_related_errors_are_weighed_better() -> None:
     """Where errors wander, poses themselves become better, not only their sigmas."""
     error = {name: [] for name in ("formal", "consistent")}
-    for seed in range(6):
+    for seed in range(3):
         problem, truth = scene(np.random.default_rng(50 + seed), images=24, points=400, **WANDERING)
         for name, options in (("formal", FORMAL), ("consistent", block_scene.OPTIONS)):
             error[name].append(block_scene.pose_errors(adjust_block(problem, options), truth)[:, :3])

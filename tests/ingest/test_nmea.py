@@ -335,12 +335,14 @@ def test_log_without_any_checksum_is_read(tmp_path: Path) -> None:
     assert log.report.counts["sentences_without_checksum"] == 2
 
 
-def test_chunks_do_not_cut_sentences(tmp_path: Path) -> None:
-    text = "".join(sentence(f"SDDPT,{i % 97}.25,0.4") for i in range(230_000))  # 5 MB: two chunks
+def test_chunks_do_not_cut_sentences(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("thalweg.ingest.nmea.reader._CHUNK", 1 << 14)
+    n = 8000  # 176 kB: eleven chunks
+    text = "".join(sentence(f"SDDPT,{i % 97}.25,0.4") for i in range(n))
     log = log_of(tmp_path, text)
     assert log.report.clean
-    np.testing.assert_array_equal(log.depths["depth_m"], np.arange(230_000) % 97 + 0.25)
-    np.testing.assert_array_equal(log.depths["line"], np.arange(1, 230_001))
+    np.testing.assert_array_equal(log.depths["depth_m"], np.arange(n) % 97 + 0.25)
+    np.testing.assert_array_equal(log.depths["line"], np.arange(1, n + 1))
 
 
 def overlapping_logs(tmp_path: Path, seconds: list[str], date: str, cuts: tuple[int, int]) -> list[Path]:

@@ -114,9 +114,8 @@ def test_deterministic(static: PpkSolution, sbp: Path) -> None:
     assert again.report.to_json() == static.report.to_json()
 
 
-@pytest.mark.parametrize("axis", [0, 2])
-def test_a_shifted_base_shifts_the_answer(static: PpkSolution, sbp: Path, axis: int) -> None:
-    shift = np.eye(3)[axis]
+def test_a_shifted_base_shifts_the_answer(static: PpkSolution, sbp: Path) -> None:
+    shift = np.array([1.0, 0.0, -0.5])
     moved = tuple(static.base_ecef_m + FRAME.R_ecef_enu @ shift)
     answer = run_ppk([sbp], None, [], sbp_options(base_ecef_m=moved))
     both = (static.positions["fix"] == "fixed") & (answer.positions["fix"] == "fixed")

@@ -16,7 +16,7 @@ from thalweg_lab.instruments import Receiver, record_raw_gnss
 BASE = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 START_GPS_S = 304_845_206.0  # 2021-05-12, adjusted
 S = np.arange(240.0)
-SEEDS = (2, 3, 4, 5, 6, 7)
+SEEDS = (3, 5, 7)
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def test_sigmas_of_fixed_positions_hold(short: list[Run]) -> None:
 
 def test_a_base_100_km_away_gives_no_fix(long: list[Run]) -> None:
     refused = sum(r.solution.report.details["n_fixes_refused"]["baseline"] for r in long)
-    assert refused > 10  # the engine calls some fixed
+    assert refused > 5  # the engine calls some fixed
     for r in long:
         assert not r.fixed.any()
         assert r.solution.report.details["baseline_m"] == pytest.approx(100_000.0, abs=300.0)
@@ -110,9 +110,9 @@ def test_auto_takes_the_float_positions_of_a_long_baseline(long: list[Run]) -> N
     assert summary.n_positions_used == len(table)
 
 
-def test_slips_are_found(tmp_path: Path) -> None:
+def test_slips_are_found(short: list[Run], tmp_path: Path) -> None:
     """Sixty slips an hour and satellite: fewer fixes, none of them wrong."""
     r = run(tmp_path, 0.5, 7, Receiver(slips_per_hour=60.0))
     assert np.abs(r.error_m[r.fixed]).max(initial=0.0) < 0.10
-    calm = run(tmp_path, 0.5, 7, Receiver())
+    calm = short[SEEDS.index(7)]
     assert r.fixed.sum() < calm.fixed.sum()

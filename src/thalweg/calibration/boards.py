@@ -80,10 +80,13 @@ COLUMNS: Final = tuple(
 """Of a table of measured boards: middle and normal, by the camera in ccs and by the lidar in scs."""
 
 _TRIES: Final = (
-    (1.0, cv2.CALIB_CB_NORMALIZE_IMAGE), (0.7, 0), (0.5, 0), (0.35, cv2.CALIB_CB_NORMALIZE_IMAGE),
+    (0.5, 0), (1.0, cv2.CALIB_CB_NORMALIZE_IMAGE), (0.7, 0), (0.35, cv2.CALIB_CB_NORMALIZE_IMAGE),
     (0.5, cv2.CALIB_CB_EXHAUSTIVE),
 )  # fmt: skip
-"""Size of the picture and flags of the detector, in the order in which they are tried."""
+"""Size of the picture and flags of the detector, in the order in which they are tried.
+
+Half the size takes a fifth of the time; corners are refined in the full picture whichever finds them.
+"""
 _HALF_PX: Final = 0.5
 """OpenCV counts pixels from the centre of the first one."""
 LEAST_SIGMA_PX: Final = 0.1

@@ -19,6 +19,7 @@ from typing import Final, Self
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 from scipy.special import ndtri
 
 from thalweg.calibration.cones import Cone, ConeBeams, beam_spread
@@ -178,11 +179,14 @@ def search(
     # The same orientations for all inputs: a low-discrepancy set (Roberts 2018) turned into normal numbers.
     tries = normal_set(within.tries)
     tries *= np.repeat([within.shift_m, np.deg2rad(within.angle_deg)], 3)
-    candidates = [nominal, *(nominal.moved(t) for t in tries)]
-    scores = [_score(c, at, points, which, tables, 0.15) for c in candidates]
-    best = np.argsort([-s for s, _ in scores], kind="stable")[:_KEPT]
+    tries = np.vstack([np.zeros(6), tries])
+    turned = Rotation.from_rotvec(tries[:, 3:]).as_matrix() @ nominal.R
+    R = np.stack([pose.R for pose in at]) @ turned[:, None]
+    origins = np.stack([pose.apply(nominal.shift_m + tries[:, :3]) for pose in at], axis=1)
+    scores = [_judge(*place, points, which, tables, 0.15)[0] for place in zip(R, origins, strict=True)]
+    best = np.argsort(-np.array(scores), kind="stable")[:_KEPT]
     sigmas = np.repeat([2 * within.shift_m, 2 * np.deg2rad(within.angle_deg)], 3)
-    refined = [_refined(candidates[i], nominal, sigmas, tables, at, points, which) for i in best]
+    refined = [_refined(nominal.moved(tries[i]), nominal, sigmas, tables, at, points, which) for i in best]
     # A refinement may run away to other things that look like cones.
     refined = [c for c in refined if _distance(c, nominal, within) < _FARTHEST] or [nominal]
     finals = [_score(c, at, points, which, tables, _FINAL_M) for c in refined]

@@ -196,9 +196,26 @@ class Cone:
         origins_m : (3,) or (n, 3), where the beams start, outside the cone.
         directions : (n, 3) unit vectors.
         """
+        cos_a, sin_a = np.cos(self.half_angle_rad), np.sin(self.half_angle_rad)
+        o, d, o_u, d_u, hit, t = self._entry(origins_m, directions)
+        seen = self.see(self.apex_m + o + np.nan_to_num(t)[:, None] * d)
+        slant = np.where(hit, seen.slant_m, np.nan)
+        cosine = np.where(hit, -np.einsum("ij,ij->i", seen.normal, d), np.nan)
+        ruling = cos_a * self.axis + (seen.normal + sin_a * self.axis) * (sin_a / cos_a)
+        sine = np.sqrt(np.maximum(1 - np.einsum("ij,ij->i", ruling, d) ** 2, 0.0))
+        return ConeBeams(hit, t, slant, cosine, np.where(hit, sine, np.nan), self._depth(o, d, o_u, d_u))
+
+    def ranges_m(self, origins_m: ArrayLike, directions: ArrayLike) -> ArrayF:
+        """Ranges (n,) to the entry alone, NaN where the beam does not enter; parameters as of `meet`."""
+        return self._entry(origins_m, directions)[-1]
+
+    def _entry(
+        self, origins_m: ArrayLike, directions: ArrayLike
+    ) -> tuple[ArrayF, ArrayF, ArrayF, ArrayF, ArrayB, ArrayF]:
+        """Origins from the apex, directions, both along the axis, whether beams enter, and their ranges."""
         d = np.atleast_2d(np.asarray(directions, dtype=np.float64))
         o = np.broadcast_to(np.asarray(origins_m, dtype=np.float64) - self.apex_m, d.shape)
-        cos_a, sin_a = np.cos(self.half_angle_rad), np.sin(self.half_angle_rad)
+        cos_a = np.cos(self.half_angle_rad)
         d_u, o_u = d @ self.axis, o @ self.axis
         a = d_u**2 - cos_a**2
         b = d_u * o_u - cos_a**2 * np.einsum("ij,ij->i", d, o)
@@ -207,14 +224,8 @@ class Cone:
             root = np.sqrt(b * b - a * c)
             # Outside, c < 0. The beam enters where a t^2 + 2 b t + c rises through zero.
             t = np.where(np.abs(a) > 1e-14, (-b + root) / a, -c / (2 * b))
-        hit = np.isfinite(t) & (t > 0) & (o_u + d_u * np.nan_to_num(t) > 0) & (c < 0)
-        t = np.where(hit, t, np.nan)
-        seen = self.see(self.apex_m + o + np.nan_to_num(t)[:, None] * d)
-        slant = np.where(hit, seen.slant_m, np.nan)
-        cosine = np.where(hit, -np.einsum("ij,ij->i", seen.normal, d), np.nan)
-        ruling = cos_a * self.axis + (seen.normal + sin_a * self.axis) * (sin_a / cos_a)
-        sine = np.sqrt(np.maximum(1 - np.einsum("ij,ij->i", ruling, d) ** 2, 0.0))
-        return ConeBeams(hit, t, slant, cosine, np.where(hit, sine, np.nan), self._depth(o, d, o_u, d_u))
+        hit: ArrayB = np.isfinite(t) & (t > 0) & (o_u + d_u * np.nan_to_num(t) > 0) & (c < 0)
+        return o, d, o_u, d_u, hit, np.where(hit, t, np.nan)
 
     def _depth(self, o: ArrayF, d: ArrayF, o_u: ArrayF, d_u: ArrayF) -> ArrayF:
         """Minus the least distance along beams, in closed form; infinite if steeper than the surface."""
@@ -291,12 +302,12 @@ def beam_spread(cone: Cone, origin_m: ArrayF, beam: ArrayF, sigma_across_m: Arra
     sigma_across_m : (n,) standard deviation of the offset in each direction.
     """
     axes = beam_axes(beam)
-    nominal = cone.meet(origin_m, beam).range_m
+    nominal = cone.ranges_m(origin_m, beam)
     mean, square = np.zeros(len(beam)), np.zeros(len(beam))
     for i, first in enumerate(_NODES):
         for j, second in enumerate(_NODES):
             offset = (first * axes[:, :, 1] + second * axes[:, :, 2]) * sigma_across_m[:, None]
-            excess = cone.meet(origin_m + offset, beam).range_m - nominal
+            excess = cone.ranges_m(origin_m + offset, beam) - nominal
             weight = _WEIGHTS[i] * _WEIGHTS[j]
             mean += weight * excess
             square += weight * excess**2

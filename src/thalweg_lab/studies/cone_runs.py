@@ -377,8 +377,9 @@ def _shots(
     right = np.clip(np.searchsorted(t, at), 1, len(t) - 1)
     u = ((at - t[right - 1]) / (t[right] - t[right - 1]))[:, None]
     place = position[right - 1] * (1 - u) + position[right] * u
-    step = Rotation.from_matrix(R[right - 1]).inv() * Rotation.from_matrix(R[right])
-    turned = (Rotation.from_matrix(R[right - 1]) * Rotation.from_rotvec(step.as_rotvec() * u)).as_matrix()
+    attitude = Rotation.from_matrix(R)
+    step = (attitude[:-1].inv() * attitude[1:]).as_rotvec()[right - 1]
+    turned = (attitude[right - 1] * Rotation.from_rotvec(step * u)).as_matrix()
     R_scs = turned @ TRUE_MOUNT.R
     origin = place + turned @ TRUE_MOUNT.shift_m
     middle = np.array([c.apex_m + 0.5 * h * c.axis for c, h in zip(cones, length_m, strict=True)])

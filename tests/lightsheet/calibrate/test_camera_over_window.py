@@ -93,7 +93,7 @@ def test_exact_marks_give_the_pose(truth):
 
 def test_errors_are_as_large_as_their_sigmas(truth):
     errors, chi = [], []
-    for seed in range(40):
+    for seed in range(20):
         marks, points, nominal, lens = picture(truth, seed)
         found = camera_over_window(nominal, marks, points, WINDOW)
         R = rotation_opk(*found.angles_rad) @ np.diag([1.0, -1.0, -1.0])
@@ -106,12 +106,12 @@ def test_errors_are_as_large_as_their_sigmas(truth):
         scatter = np.sqrt(np.trace(found.cov[3:, 3:]))
     errors = np.array(errors)
     assert (found.cov[:2] == 0).all()
-    # 40 runs: 11 % of a standard deviation
-    assert 0.7 < np.std(chi) < 1.35
+    # 20 runs: 16 % of a standard deviation
+    assert 0.58 < np.std(chi) < 1.5
     assert np.sqrt(np.square(errors[:, 1:3]).sum(axis=1).mean()) == pytest.approx(scatter, rel=0.6)
     # correlation of the height with the focal length, as predicted
     rho = found.cov_with_lens[2, 0] / np.sqrt(found.cov[2, 2] * truth.camera.cov[0, 0])
-    assert np.corrcoef(errors[:, 0], errors[:, 3])[0, 1] == pytest.approx(rho, abs=0.35)
+    assert np.corrcoef(errors[:, 0], errors[:, 3])[0, 1] == pytest.approx(rho, abs=0.5)
 
 
 def numbers(found):

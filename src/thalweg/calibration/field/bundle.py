@@ -207,10 +207,10 @@ def robust_start(problem: Problem, x: State, steps: int = 40) -> State:
         n = rows.T @ (part.residual * np.repeat(weight, 2))
         for group in _groups(problem, layout, nominal)[1:]:
             other = group.model(x)
-            W = np.diag(1.0 / other.cov) if other.cov.ndim == 1 else np.linalg.inv(other.cov[0])
             J = np.asarray(other.jacobian)
-            N += J.T @ (W @ J)
-            n += J.T @ (W @ other.residual)
+            weighted = J / other.cov[:, None] if other.cov.ndim == 1 else np.linalg.solve(other.cov[0], J)
+            N += weighted.T @ J
+            n += weighted.T @ other.residual
         scale = np.sqrt(np.maximum(np.diag(N), 1e-30))
         Ns = N / np.outer(scale, scale) + _DAMPING * np.eye(len(N))
         if problem.control is None:

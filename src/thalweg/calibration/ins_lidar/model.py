@@ -26,6 +26,7 @@ from thalweg.calibration.ins_lidar.pose_errors import (
     Solution,
     attitude_vector,
     pose_rows,
+    solved,
     turns,
 )
 from thalweg.calibration.ins_lidar.run_points import FieldCones, RunPoints
@@ -363,15 +364,16 @@ def cone_shifts(
         r, J, P = antenna
         normals.border[MOUNT, MOUNT] += J.T @ P @ J
         normals.rhs_border[MOUNT] += J.T @ P @ r
+    _, _, normal, rhs = normals.reduced(prior_band)
     fixed = np.full(3 * c, 1.0 / _FIXED_M**2)
     shift, square = np.zeros((c, 3)), np.zeros(c)
     for k in range(c):
         mine = slice(m + 3 * k, m + 3 * k + 3)
         prior = np.diag(np.r_[np.zeros(6), np.ones(m - 6), fixed])
         prior[mine, mine] = np.eye(3) / _FREE_M**2
-        found = normals.solve(prior_band, prior)
-        shift[k] = found.border[mine]
-        square[k] = shift[k] @ np.linalg.solve(found.cov_border[mine, mine], shift[k])
+        found, cov, _ = solved(normal + prior, rhs)
+        shift[k] = found[mine]
+        square[k] = shift[k] @ np.linalg.solve(cov[mine, mine], shift[k])
     return shift, square
 
 

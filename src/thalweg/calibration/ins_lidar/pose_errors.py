@@ -279,31 +279,39 @@ class BorderedNormals:
         i, j = np.tril_indices(k)
         high = np.maximum(unknowns[:, i], unknowns[:, j])
         low = np.minimum(unknowns[:, i], unknowns[:, j])
-        flat = (high - low) * knots.n + low
-        band = np.zeros((knots.bandwidth + 1) * knots.n)
-        coupling = np.zeros((knots.n, m))
-        total = np.zeros((m, m))
-        rhs_border, rhs_band = np.zeros(m), np.zeros(knots.n)
-        square = 0.0
-        for row, (start, end) in enumerate(zip(first.tolist(), ends.tolist(), strict=True)):
+        blocks = np.empty((len(found), k, A.shape[1]))
+        for block, start, end in zip(blocks, first.tolist(), ends.tolist(), strict=True):
             part = A[start:end]
-            M = part.T @ part
-            at = unknowns[row]
-            total += M[:m, :m]
-            coupling[at] += M[m : m + k, :m]
-            band[flat[row]] += M[m + i, m + j]
-            rhs_border += M[:m, -1]
-            rhs_band[at] += M[m : m + k, -1]
-            square += M[-1, -1]
+            np.matmul(part[:, m : m + k].T, part, out=block)
+        flat = (high - low) * knots.n + low
+        size = (knots.bandwidth + 1) * knots.n
+        band = np.bincount(flat.ravel(), weights=blocks[:, i, m + j].ravel(), minlength=size)
+        rhs_band = np.bincount(unknowns.ravel(), weights=blocks[:, :, -1].ravel(), minlength=knots.n)
+        coupling = np.zeros((knots.n, m))
+        np.add.at(coupling, unknowns, blocks[:, :, :m])
+        own = np.delete(A, np.s_[m : m + k], axis=1)
+        sums = own.T @ own
         return cls(
-            border=total,
+            border=sums[:m, :m],
             coupling=coupling,
             band=band.reshape(knots.bandwidth + 1, knots.n),
-            rhs_border=rhs_border,
+            rhs_border=sums[:m, -1],
             rhs_band=rhs_band,
-            square=float(square),
+            square=float(sums[-1, -1]),
             n=len(A),
         )
+
+    def reduced(self, prior_band: ArrayF) -> tuple[ArrayF, ArrayF, ArrayF, ArrayF]:
+        """Cholesky factor of the errors' band, coupling and right side divided by it, and what is left.
+
+        The last two are the normal equations (m, m) and (m,) of the border without the errors.
+        """
+        lower = np.asfortranarray(cholesky_banded(self.band + prior_band, lower=True))
+        # forward only: C^T N^-1 C = (L^-1 C)^T (L^-1 C)
+        half, _ = dtbtrs(lower, np.asfortranarray(np.column_stack([self.coupling, self.rhs_band])), uplo="L")
+        product = half.T @ half
+        normal = self.border - product[:-1, :-1]
+        return lower, half, (normal + normal.T) / 2, self.rhs_border - product[:-1, -1]
 
     def solve(self, prior_band: ArrayF, prior_border: ArrayF) -> "Solution":
         """Values of all unknowns if the errors of the poses and the border are observed as zero.
@@ -317,23 +325,9 @@ class BorderedNormals:
         ------
         GeometryError : the border is not determined.
         """
-        lower = np.asfortranarray(cholesky_banded(self.band + prior_band, lower=True))
-        # forward only: C^T N^-1 C = (L^-1 C)^T (L^-1 C)
-        half, _ = dtbtrs(lower, np.asfortranarray(np.column_stack([self.coupling, self.rhs_band])), uplo="L")
-        product = half.T @ half
-        reduced = self.border + prior_border - product[:-1, :-1]
-        reduced = (reduced + reduced.T) / 2
-        rhs = self.rhs_border - product[:-1, -1]
-        try:
-            factor = np.linalg.cholesky(reduced)
-        except np.linalg.LinAlgError as error:
-            raise GeometryError(
-                "the normal equations of the run are singular",
-                expected="observations that determine every parameter",
-            ) from error
-        inverse = np.linalg.inv(factor)
-        cov = inverse.T @ inverse
-        border = cov @ rhs
+        lower, half, normal, rhs = self.reduced(prior_band)
+        reduced = normal + prior_border
+        border, cov, factor = solved(reduced, rhs)
         back, _ = dtbtrs(lower, half @ np.append(-border, 1.0)[:, None], uplo="L", trans="T")
         band = back[:, 0]
         return Solution(
@@ -356,6 +350,25 @@ class BorderedNormals:
             for s in (1 + h, 1 - h)
         )
         return float((more - less) / (2 * h))
+
+
+def solved(normal: ArrayF, rhs: ArrayF) -> tuple[ArrayF, ArrayF, ArrayF]:
+    """Solution (m,) of normal equations (m, m), its covariance and the Cholesky factor.
+
+    Raises
+    ------
+    GeometryError : the equations are singular.
+    """
+    try:
+        factor = np.linalg.cholesky(normal)
+    except np.linalg.LinAlgError as error:
+        raise GeometryError(
+            "the normal equations of the run are singular",
+            expected="observations that determine every parameter",
+        ) from error
+    inverse = np.linalg.inv(factor)
+    cov = inverse.T @ inverse
+    return cov @ rhs, cov, factor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
