@@ -26,7 +26,6 @@ from thalweg.workflow import (
 from thalweg_lab import campaign_files as laboratory
 
 
-
 def hear_errors():
     """Errors are said whatever `--quiet` says; those of jobs by these themselves, where they run here."""
     said, of_jobs = DefaultFilter.filter, (LogEvent.JOB_ERROR, LogEvent.GROUP_ERROR)

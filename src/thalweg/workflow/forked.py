@@ -77,8 +77,8 @@ def _forking(started: Callable[..., None], context: Any, after: int = 0) -> Call
             ended = signal.Signals(-job.exitcode).name
             sys.stderr.write(
                 f"\nThe job of rule {script.rulename} was ended by {ended} of the system or of somebody;"
-                f" expected its own end. Its log: {', '.join(script.log) or 'none'}. Where memory ran out (`dmesg`"
-                " tells), use fewer --cores; then start again: what is done stays.\n"
+                f" expected its own end. Its log: {', '.join(script.log) or 'none'}. Where memory ran out"
+                " (`dmesg` tells), use fewer --cores; then start again: what is done stays.\n"
             )
         if job.exitcode:
             raise CalledProcessError(job.exitcode, f"{sys.executable} {fname}")
