@@ -1,5 +1,8 @@
 """Clouds on disk: map export, even samples, and a tally that adds up."""
 
+import importlib
+import weakref
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,7 +25,7 @@ from thalweg.core import (
     laz_header,
     read_table,
 )
-from thalweg.core.las import read_laz
+from thalweg.core.las import iter_laz, read_laz
 from thalweg.ingest import LogWindow, PointBlock
 from thalweg.ingest.registry import lidar_reader
 from thalweg.lidar import (
@@ -148,6 +151,31 @@ def test_a_sample_is_even_and_not_too_large(tmp_path: Path, most: int) -> None:
     assert 0 < n <= most
     step = -(-1000 // most)
     np.testing.assert_allclose(sample["t_gps_s"], 3.0e8 + np.arange(0, 1000, step) * 1e-3)
+
+
+@pytest.mark.parametrize("module", ["lidar.cloud:sample_cloud", "figures.viewer.page:read_view"])
+def test_a_sample_holds_no_piece_of_the_cloud(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str
+) -> None:
+    """Views of its pieces would keep all points: pictures of 19 million took 2 GB."""
+    write_cloud(tmp_path / "cloud.laz", 1000)
+    held: list[int] = []
+
+    def in_pieces(path: Path, _: int = 0) -> Iterator[dict[str, np.ndarray]]:
+        pieces: list[weakref.ref[np.ndarray]] = []
+        for chunk in iter_laz(path, 100):
+            own = {name: values.copy() for name, values in chunk.items()}
+            pieces.extend(map(weakref.ref, own.values()))
+            yield own
+            held.append(sum(piece() is not None for piece in pieces) // len(own))
+            del own
+
+    where, _, function = module.partition(":")
+    place = importlib.import_module(f"thalweg.{where}")
+    monkeypatch.setattr(place, "iter_laz", in_pieces)
+    getattr(place, function)(tmp_path / "cloud.laz", 50)
+    assert len(held) == 10
+    assert max(held) <= 2, "pieces at a time"
 
 
 def still(t_first_s: float, t_last_s: float) -> Trajectory:

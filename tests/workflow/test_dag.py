@@ -10,6 +10,7 @@ from functools import reduce
 
 import pytest
 
+from thalweg.workflow import start_driver
 from thalweg.workflow.truth import may_read_truth
 
 pytestmark = pytest.mark.workflow
@@ -297,7 +298,16 @@ def test_a_campaign_that_fails_does_not_stop_the_others(empty_house) -> None:
             "orientation: {position_source: nmea, sigma_position_m: [2.0, 2.0, 4.0]}\n"
         )
     (folder / "june.log").write_text("\n".join(60 * ["$GPGGA,no,numbers*00"]))
-    run = empty_house.snakemake("--keep-going", "--config", "campaign=season/*", "--", "ingest", check=False)
+    quietly = "--quiet", "all", "--keep-going", "--config", "campaign=season/*", "--", "ingest"
+    driver = start_driver(empty_house.root)
+    try:
+        refused = empty_house.snakemake(*quietly, check=False)
+    finally:
+        driver.give_up()
+    assert re.search("another driver works in this folder: .*; expected one Snakemake", refused.stderr), (
+        refused
+    )
+    run = empty_house.snakemake(*quietly, check=False)
     made = {
         name: sorted((empty_house.root / f"results/{name}").rglob("depths.parquet"))
         for name in ("may", "june", "july")
@@ -305,6 +315,7 @@ def test_a_campaign_that_fails_does_not_stop_the_others(empty_house) -> None:
     shutil.rmtree(folder)
     text = run.stdout + run.stderr
     assert run.returncode != 0
+    assert re.search(r"june.log: no NMEA sentence .*; expected .*\n.*traceback is in logs/june", run.stderr)
     assert {name: len(each) for name, each in made.items()} == {"may": 1, "june": 0, "july": 1}, text
     assert re.findall(r"(?m)^(july|june|may): (.*)$", text) == [
         ("july", "done"),
@@ -314,8 +325,8 @@ def test_a_campaign_that_fails_does_not_stop_the_others(empty_house) -> None:
 
 
 def test_an_unknown_campaign_is_answered_with_the_known_ones(empty_house) -> None:
-    run = empty_house.snakemake("--dry-run", "--config", "campaign=tinny", check=False)
-    text = run.stdout + run.stderr
+    run = empty_house.snakemake("--quiet", "all", "--config", "campaign=tinny", check=False)
+    text = run.stderr
     assert run.returncode != 0
     assert "tinny" in text
     assert "tiny" in text

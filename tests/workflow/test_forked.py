@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -88,7 +89,10 @@ def test_on_a_cluster_the_first_job_is_started(tmp_path: Path, monkeypatch: pyte
 
 
 def test_a_job_that_fails_asks_the_hook_that_it_has_set(
-    execute: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    execute: Callable[..., None],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "script.py").write_text(
@@ -101,7 +105,11 @@ def test_a_job_that_fails_asks_the_hook_that_it_has_set(
     assert (tmp_path / "heard").read_text() == "ValueError 17"
     (tmp_path / "script.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n")
     with pytest.raises(subprocess.CalledProcessError, match="SIGKILL"):
-        execute(script_of(), "script.py")
+        execute(script_of(rulename="scan_lidar", log=["scan.log"]), "script.py")
+    assert re.search(
+        r"scan_lidar was ended by SIGKILL .*; expected .* log: scan\.log\. .* fewer --cores",
+        capsys.readouterr().err,
+    )
 
 
 def test_jobs_that_end_beside_each_other_keep_their_exit_codes(

@@ -1,9 +1,12 @@
 """What all rules share: the validated campaigns, and thin adapters from wildcards to `thalweg.workflow`."""
 
+import logging
 import os
 
 import yaml
 from snakemake.exceptions import WorkflowError
+from snakemake.logging import DefaultFilter, get_event
+from snakemake_interface_logger_plugins.common import LogEvent
 
 from thalweg.settings import load_campaigns, with_calibrations
 from thalweg.workflow import (
@@ -21,6 +24,20 @@ from thalweg.workflow import (
     use_scratch,
 )
 from thalweg_lab import campaign_files as laboratory
+
+
+def hear_errors():
+    """Errors are said whatever `--quiet` says; those of jobs by these themselves, where they run here."""
+    said, of_jobs = DefaultFilter.filter, (LogEvent.JOB_ERROR, LogEvent.GROUP_ERROR)
+
+    def filter(self, record):
+        by_job = get_event(record) in of_jobs and not workflow.non_local_exec
+        return (record.levelno >= logging.ERROR and not by_job) or said(self, record)
+
+    DefaultFilter.filter = filter
+
+
+hear_errors()
 
 if workflow.storage_settings.default_storage_provider == "fs":
     use_scratch(workflow.storage_settings.local_storage_prefix / "fs")

@@ -706,7 +706,8 @@ def sample_cloud(points: Path, max_points: int) -> dict[str, AnyArray]:
     first = 0
     for chunk in iter_laz(points, 1_000_000):
         n = len(chunk["t_gps_s"])
-        parts.append({name: values[first::step] for name, values in chunk.items()})
+        # copies: a view would keep the whole piece
+        parts.append({name: values[first::step].copy() for name, values in chunk.items()})
         first = (first - n) % step
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 

@@ -755,7 +755,7 @@ def survey_cloud(
     }
     for chunk in iter_laz(points):
         for name, held in parts.items():
-            held.append(chunk[name][::every])
+            held.append(chunk[name][::every].copy())  # a view would keep the whole piece
         concerned = _concerned(views, chunk["xyz_m"], chunk["t_gps_s"], settings, any_time=True)
         if occlusion and len(concerned):
             xyz = np.ascontiguousarray(chunk["xyz_m"])

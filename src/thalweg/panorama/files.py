@@ -488,7 +488,7 @@ def _range_maps(
     sample: list[tuple[ArrayF, ArrayF]] = []
     for chunk in iter_laz(points):
         xyz = chunk["xyz_m"]
-        sample.append((xyz[::every], chunk["intensity"][::every].astype(np.float64)))
+        sample.append((xyz[::every].copy(), chunk["intensity"][::every].astype(np.float64)))
         for i, place in enumerate(places):
             seen = cloud_ranges(
                 xyz, place.shift_m, place.R, cell_deg=settings.cell_deg, reach_m=settings.reach_m

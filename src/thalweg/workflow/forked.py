@@ -12,6 +12,7 @@ are forked.
 import multiprocessing
 import os
 import runpy
+import signal
 import sys
 from collections.abc import Callable
 from multiprocessing.connection import Connection, wait
@@ -72,6 +73,13 @@ def _forking(started: Callable[..., None], context: Any, after: int = 0) -> Call
             wait([job.sentinel])
             with _EXIT_CODES:
                 job.join()
+        if job.exitcode and job.exitcode < 0:  # it could not say so itself
+            ended = signal.Signals(-job.exitcode).name
+            sys.stderr.write(
+                f"\nThe job of rule {script.rulename} was ended by {ended} of the system or of somebody;"
+                f" expected its own end. Its log: {', '.join(script.log) or 'none'}. Where memory ran out"
+                " (`dmesg` tells), use fewer --cores; then start again: what is done stays.\n"
+            )
         if job.exitcode:
             raise CalledProcessError(job.exitcode, f"{sys.executable} {fname}")
 

@@ -165,7 +165,8 @@ def read_view(path: Path, most_points: int = MOST_POINTS, quantities: Sequence[s
     for chunk in iter_laz(path):
         for name in wanted:
             if name in chunk:
-                parts.setdefault(name, []).append(chunk[name][-at % every :: every])
+                # a copy: a view would keep the whole piece
+                parts.setdefault(name, []).append(chunk[name][-at % every :: every].copy())
         at += len(chunk["xyz_m"])
     if not parts:
         raise CoverageError("a cloud of no points", expected="points to show", where=path)
