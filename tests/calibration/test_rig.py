@@ -234,12 +234,19 @@ def test_figures_of_colours_are_the_worst_or_the_mean_of_all_seeds() -> None:
 # ---------------------------------------------------------------- pictures
 
 
-def test_marks_on_the_plane_across_their_rays_have_no_bend(tmp_path: Path) -> None:
-    """Edges are bent in a fisheye: near sheets at the rim came out towards the axis, and the base wrong."""
-    true = true_rig(TwinDualFisheye(noise=0.0), 3)
+@pytest.fixture(scope="module")
+def seen() -> tuple[Rigid, dict[str, np.ndarray]]:
+    """A place near sheets of the room, and what the lenses of the rig 3 see from there."""
+    true = true_rig(TwinDualFisheye(), 3)
     pose = Rigid(R=room_poses(3, 4)[1].R, shift_m=np.array([0.5, 0.45, 0.9]))
     photographer, rays = room_photographer(), true.rays()
-    light = {name: photographer.see(rays[name], pose @ true.T_front_lens[name]).light for name in LENSES}
+    return pose, {name: photographer.see(rays[name], pose @ true.T_front_lens[name]).light for name in LENSES}
+
+
+def test_marks_on_the_plane_across_their_rays_have_no_bend(seen: tuple, tmp_path: Path) -> None:
+    """Edges are bent in a fisheye: near sheets at the rim came out towards the axis, and the base wrong."""
+    true = true_rig(TwinDualFisheye(noise=0.0), 3)
+    pose, light = seen
     path = tmp_path / "R20210511_103107000.jpg"
     Image.fromarray(true.file_of(light, np.random.default_rng(0), 1.3)).save(path, quality=97)
     marks = detect_rig_marks([path], SETTINGS, LAYOUT)
@@ -268,12 +275,8 @@ def test_marks_on_the_plane_across_their_rays_have_no_bend(tmp_path: Path) -> No
     assert inward(again).std() < 0.06
 
 
-def test_a_mirrored_file_is_told(tmp_path: Path) -> None:
-    true = true_rig(TwinDualFisheye(), 3)
-    pose = room_poses(3, 4)[1]
-    photographer, rays = room_photographer(), true.rays()
-    light = {name: photographer.see(rays[name], pose @ true.T_front_lens[name]).light for name in LENSES}
-    picture = true.file_of(light, np.random.default_rng(0), 1.3)
+def test_a_mirrored_file_is_told(seen: tuple, tmp_path: Path) -> None:
+    picture = true_rig(TwinDualFisheye(), 3).file_of(seen[1], np.random.default_rng(0), 1.3)
     mirrored = np.concatenate([picture[:, :640][:, ::-1], picture[:, 640:][:, ::-1]], axis=1)
     path = tmp_path / "R20210511_103107000.jpg"
     Image.fromarray(mirrored).save(path, quality=95)

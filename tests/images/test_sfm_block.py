@@ -136,10 +136,15 @@ def test_a_camera_of_which_nothing_is_known(wall: Photographs, features: Feature
     assert errors(block, wall)[0] < 0.04
 
 
+@pytest.fixture(scope="module")
+def fisheyes(tmp_path_factory: pytest.TempPathFactory) -> tuple[Photographs, Matches]:
+    truth = photographs(tmp_path_factory.mktemp("fisheyes"), FISHEYE, x=np.linspace(-2.1, 2.1, 6))
+    return truth, match_images(extract_features(truth.files), truth.files, known=Known(cameras=(FISHEYE,)))
+
+
 @pytest.mark.parametrize("method", ["incremental", "global"])
-def test_fisheyes(tmp_path: Path, method: str) -> None:
-    truth = photographs(tmp_path, FISHEYE, x=np.linspace(-2.1, 2.1, 6))
-    found = match_images(extract_features(truth.files), truth.files, known=Known(cameras=(FISHEYE,)))
+def test_fisheyes(fisheyes: tuple[Photographs, Matches], method: str) -> None:
+    truth, found = fisheyes
     settings = MappingSettings(method=method, interior="estimated")
     (block,) = map_images(found, settings=settings).pieces
     assert len(block.images) == 6

@@ -285,8 +285,8 @@ class BorderedNormals:
             np.matmul(part[:, m : m + k].T, part, out=block)
         flat = (high - low) * knots.n + low
         size = (knots.bandwidth + 1) * knots.n
-        band = np.bincount(flat.ravel(), weights=blocks[:, i, m + j].ravel(), minlength=size)
-        rhs_band = np.bincount(unknowns.ravel(), weights=blocks[:, :, -1].ravel(), minlength=knots.n)
+        band = summed(flat, blocks[:, i, m + j], size)
+        rhs_band = summed(unknowns, blocks[:, :, -1], knots.n)
         coupling = np.zeros((knots.n, m))
         np.add.at(coupling, unknowns, blocks[:, :, :m])
         own = np.delete(A, np.s_[m : m + k], axis=1)
@@ -352,6 +352,11 @@ class BorderedNormals:
         return float((more - less) / (2 * h))
 
 
+def summed(at: ArrayI, values: ArrayF, n: int) -> ArrayF:
+    """Sums (n,) of the values at each place."""
+    return np.asarray(np.bincount(at.ravel(), weights=values.ravel(), minlength=n), dtype=np.float64)
+
+
 def solved(normal: ArrayF, rhs: ArrayF) -> tuple[ArrayF, ArrayF, ArrayF]:
     """Solution (m,) of normal equations (m, m), its covariance and the Cholesky factor.
 
@@ -368,7 +373,7 @@ def solved(normal: ArrayF, rhs: ArrayF) -> tuple[ArrayF, ArrayF, ArrayF]:
         ) from error
     inverse = np.linalg.inv(factor)
     cov = inverse.T @ inverse
-    return cov @ rhs, cov, factor
+    return np.asarray(cov @ rhs), np.asarray(cov), np.asarray(factor, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
