@@ -29,7 +29,7 @@ def test_normalised_errors_are_inside_their_band(consistent: Verdict) -> None:
 
 
 def test_no_range_class_is_outside_its_band(consistent: Verdict) -> None:
-    assert len(consistent.by_range) > 20
+    assert len(consistent.by_range) > 12
     assert consistent.by_range["inside"].all(), consistent.by_range[~consistent.by_range["inside"]]
     assert consistent.consistent
 
@@ -76,12 +76,12 @@ def test_a_lever_arm_and_a_clock_that_are_wrong_are_noticed(
 
 
 def test_the_table_says_the_same(surveys: list[Trial], consistent: Verdict) -> None:
-    verdicts, by_range = consistency_tables(surveys)
+    verdicts, by_range = consistency_tables(surveys[-1:] + surveys[:-1])  # the last has two mistakes alone
     assert len(verdicts) == 4  # two quantities, right and wrong
     row = verdicts[(verdicts["quantity"] == QUANTITIES["to_mesh"]) & (verdicts["mistake"] == NONE.name)].iloc[
         0
     ]
-    assert row["ratio"] == consistent.ratio
+    assert row["ratio"] == pytest.approx(consistent.ratio, rel=1e-12)  # summed in another order
     assert row["consistent"]
     assert verdicts["consistent"].tolist() == [True, False, True, False]
     assert len(by_range) == verdicts["classes"].sum()

@@ -166,7 +166,7 @@ def test_the_point_error_is_three_centimetres_evenly(record: Recorder, twin: Any
 
 
 def test_water_sky_and_range_limits(record: Recorder, scene: Scene) -> None:
-    path, facts, _ = record("water", lidar={"own_hull": False, "mirror_ghosts": False})
+    path, facts, _ = record("water", lidar={"own_hull": False, "mirror_ghosts": False}, duration_s=2.0)
     table, true, material = matched(path)
     assert facts["returns"] == len(table)
     # Half of the shots go into the sky and most others on water.
@@ -178,7 +178,7 @@ def test_water_sky_and_range_limits(record: Recorder, scene: Scene) -> None:
     assert np.mean(near < 0.9) > 0.99, "water returns from straight below only"
     assert table["brightness"].between(1, 100).all()
     path, _, config = record(
-        "near", lidar={"max_range_m": 12.0, "water_returns": 0.0, "mirror_ghosts": False}
+        "near", lidar={"max_range_m": 12.0, "water_returns": 0.0, "mirror_ghosts": False}, duration_s=1.0
     )
     table, _, material = matched(path)
     assert table["range_m"].max() <= config.lidar.max_range_m
@@ -206,7 +206,7 @@ def test_time_past_the_hour_is_utc_and_rolls_over(twin: Any) -> None:
 
 
 def test_a_late_pps_leaves_a_free_clock_before_it(record: Recorder) -> None:
-    path, facts, _ = record("late", effects={"pps_late_s": 1.5})
+    path, facts, _ = record("late", effects={"pps_late_s": 1.5}, duration_s=2.0)
     data, position = read_capture(path)
     toh = np.array([int.from_bytes(p[1200:1204], "little") for p in data])
     states = [p[202] for p in position]
@@ -294,7 +294,7 @@ def test_nanosecond_captures_keep_their_stamps(record: Recorder) -> None:
 def test_the_capture_stamps_packets_late_and_in_order(record: Recorder) -> None:
     def stamps(name: str, delay_s: float, **more: Any) -> tuple[np.ndarray, list[bytes]]:
         path, _, _ = record(
-            name, lidar={"nanoseconds": True, "host_delay_s": delay_s}, duration_s=4.0, **more
+            name, lidar={"nanoseconds": True, "host_delay_s": delay_s}, duration_s=2.0, **more
         )
         with path.open("rb") as file:
             found = list(dpkt.pcap.Reader(file))
@@ -306,9 +306,9 @@ def test_the_capture_stamps_packets_late_and_in_order(record: Recorder) -> None:
     delay = late - prompt
     assert np.all(np.diff(late) >= 0)
     assert delay.min() > -5e-7
-    # Packets every 1.33 ms and 0.3 ms of delay: queues are short. Of n = 3,200 the mean is known to 1.8 %.
-    assert 0.0003 * 0.93 < delay.mean() < 0.0003 * 1.12
-    assert np.median(delay) == pytest.approx(0.0003 * np.log(2), rel=0.12)
+    # Packets every 1.33 ms and 0.3 ms of delay: queues are short. Of n = 1,500 the mean is known to 2.6 %.
+    assert 0.0003 * 0.90 < delay.mean() < 0.0003 * 1.15
+    assert np.median(delay) == pytest.approx(0.0003 * np.log(2), rel=0.17)
     # Neighbours hardly know of each other.
     assert abs(np.corrcoef(delay[1:], delay[:-1])[0, 1]) < 0.2
 

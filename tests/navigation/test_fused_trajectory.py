@@ -64,30 +64,30 @@ def rms(found: Fused, recorded: Recorded, at: np.ndarray | None = None) -> tuple
 
 
 @pytest.mark.parametrize("inputs", ["all", "positions", "images"])
-def test_normalised_errors_lie_in_their_band_over_twenty_seeds(inputs: str) -> None:
-    """One moment a seed: errors are independent. 20 x 6 squares have a band of 0.70 to 1.37 (99 %)."""
+def test_normalised_errors_lie_in_their_band_over_ten_seeds(inputs: str) -> None:
+    """One moment a seed: errors are independent. 10 x 6 squares have a band of 0.59 to 1.53 (99 %)."""
     settings = FusionSettings(heading_disturbance_deg=0.0, estimate_errors=inputs == "all")
     squares = []
-    for seed in range(1, 21):
+    for seed in range(1, 11):
         recorded = make_survey(seed, VoyageSpec(duration_s=12.0))
         found = fuse(recorded, settings, with_positions=inputs != "images", with_images=inputs != "positions")
         # between two nodes, 5 s behind the begin
         e, C = errors_at(found, recorded.motion, np.array([recorded.motion.start_gps_s + 5.13]))
         squares.append(e[0] @ np.linalg.solve(C[0], e[0]))
-    low, high = chi2.ppf([0.005, 0.995], 120) / 120
+    low, high = chi2.ppf([0.005, 0.995], 60) / 60
     assert low < np.mean(squares) / 6 < high
 
 
 def test_the_clock_offset_and_the_mount_are_found_within_their_sigmas() -> None:
     clock, turn = [], []
-    for seed in range(1, 11):
+    for seed in range(1, 7):
         recorded = make_survey(seed, VoyageSpec(duration_s=20.0, sigma_clock_s=0.15))
         facts = fuse(recorded, SETTINGS.replace(sigma_clock_offset_s=0.2)).facts
         clock.append((facts["clock_offset_s"] - recorded.clock_s) / facts["clock_offset_sigma_s"])
         turn.append(facts["boresight"]["sigma_rotation_deg"])
         # 20 images of 16 ms jitter leave 3.6 ms; what turns and walks little adds to it
         assert facts["clock_offset_sigma_s"] < 0.007
-    low, high = chi2.ppf([0.005, 0.995], 10) / 10
+    low, high = chi2.ppf([0.005, 0.995], 6) / 6
     assert low < np.mean(np.square(clock)) < high
     # 0.02 as stated; what is not known of the sizes of the errors adds to it
     assert np.all(np.array(turn) <= 0.0205)
@@ -115,8 +115,11 @@ def test_a_wrong_mount_is_found_with_its_sign() -> None:
         {},
         TREES,
         {"twin": MOTORS},
-        {"image_interval_s": 5.0},
-        {"sigma_image_m": (0.05, 0.05, 0.05), "sigma_image_deg": (0.3, 0.3, 0.3)},
+        # images that tell less: the clean case goes the same way through the code
+        pytest.param({"image_interval_s": 5.0}, marks=pytest.mark.slow),
+        pytest.param(
+            {"sigma_image_m": (0.05, 0.05, 0.05), "sigma_image_deg": (0.3, 0.3, 0.3)}, marks=pytest.mark.slow
+        ),
     ],
     ids=["clean", "under trees", "heading disturbed", "few images", "weak images"],
 )
@@ -159,7 +162,7 @@ def test_poses_of_images_are_moved_to_what_all_sensors_say() -> None:
         sigma_mount_deg=0.1,
     )
     before, after, squares = [], [], []
-    for seed in range(20, 30):
+    for seed in range(20, 26):
         recorded = make_survey(seed, spec)
         found = fuse(recorded, SETTINGS)
         moved = found.image_poses(recorded.images, found.whole())

@@ -123,10 +123,8 @@ def _balanced(rows: list[_Row]) -> list[_Row]:
     return [_Row(r.side, r.place, int(level)) for r, level in zip(rows, levels, strict=True)]
 
 
-def _row_n(river: River, row: _Row, s: ArrayF, narrow: float) -> ArrayF:
-    """Offsets n of a row at places s."""
-    right, left = river.shores(s)
-    base = river.half_width(s)
+def _row_n(row: _Row, right: ArrayF, left: ArrayF, base: ArrayF, narrow: float) -> ArrayF:
+    """Offsets n of a row at places with these distances of both shores and of those of the first epoch."""
     if row.side == 0:
         # Where a bank has retreated, the rows of its half follow it, those of the other one do not.
         across = np.asarray(2.0 * row.place - 1.0)
@@ -146,11 +144,15 @@ def add_terrain(parts: MeshParts, river: River) -> None:
     coarsest = 2 ** max(r.level for r in rows)
     cells = coarsest * int(np.ceil(c.length_m / (c.grid_m * coarsest)))
     s_all, n_all, first, count = [], [], [], 0
-    for row in rows:
+    at: dict[int, tuple[ArrayF, ArrayF, ArrayF, ArrayF]] = {}
+    for level in {row.level for row in rows}:
         # Exactly the same places for rows of all levels.
-        s = -c.length_m / 2 + c.length_m * (np.arange(0, cells + 1, 2**row.level) / cells)
+        s = -c.length_m / 2 + c.length_m * (np.arange(0, cells + 1, 2**level) / cells)
+        at[level] = (s, *river.shores(s), river.half_width(s))
+    for row in rows:
+        s, right, left, base = at[row.level]
         s_all.append(s)
-        n_all.append(_row_n(river, row, s, narrow))
+        n_all.append(_row_n(row, right, left, base, narrow))
         first.append(count)
         count += len(s)
     s, n = np.concatenate(s_all), np.concatenate(n_all)

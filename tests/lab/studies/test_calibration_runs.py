@@ -44,6 +44,4 @@ def test_a_few_seeds(trial: runs.Trial, components: dict[str, int]) -> None:
     assert table.loc["consistent", "inside"]
     # independent points: sigmas many times too small
     assert table.loc["formal", "normalised"] > 20
-    assert runs.as_markdown(found, components, "x") == runs.as_markdown(
-        runs.study(trial, [1, 2, 3]), components, "x"
-    )
+    pd.testing.assert_frame_equal(runs.study(trial, [3]), found[2:].reset_index(drop=True))

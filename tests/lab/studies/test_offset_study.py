@@ -21,7 +21,7 @@ from thalweg_lab.studies.offset_study import (
 from thalweg_lab.studies.survey import survey_settings
 
 SMALL: dict[str, Any] = {
-    "duration_s": 3.0,
+    "duration_s": 1.5,
     "scene": {"length_m": 40.0, "grid_m": 0.25, "leaves_per_bush": 60},
     "tls": {"spacing_m": 0.15},
 }
