@@ -50,7 +50,9 @@ def published(report: Path, axis: str) -> np.ndarray:
 
 
 @pytest.mark.real
+@pytest.mark.slow
 def test_a_real_aerial_block_from_photographs_and_points(data_dir, tmp_path, capsys):
+    """Its photographs are those of two campaigns of `test_examples`, which stay in the suite."""
     project = data_dir / "dbat_sxb/script/sxb"
     points, marks = tables_of_strasbourg(project, tmp_path)
     f, cx, cy = 123.9392 / 0.006, 26.577 / 0.006 - 0.5, 38.811 / 0.006 - 0.5
