@@ -166,7 +166,8 @@ def page(
         f"# {name}",
         "",
     ]
-    lines += ["Written by `docs/make_validation.py`. A result of the digital twin, not of a river.", ""]
+    written = "Written by `docs/make_validation.py`. A result of the digital twin, not of a river."
+    lines += [f"{written} T and P1 to P4: [bibliography](../bibliography.md).", ""]
     lines += [f"**What one run is.** {' '.join(entry['survey'].split())}", ""]
     lines += [f"**What the processing knew.** {' '.join(entry['known'].split())}"]
     for table, rows in tables.items():
