@@ -95,31 +95,31 @@ rule all:
 rule ingest:
     """Logs of the chosen campaigns as tables, with a report of what is missing or broken."""
     input:
-        [files.target("ingest") for files in BUILT],
+        part_of_campaigns("ingest"),
 
 
 rule lidar:
     """Clouds of the chosen campaigns."""
     input:
-        [files.target("lidar") for files in BUILT],
+        part_of_campaigns("lidar"),
 
 
 rule images:
     """Oriented photographs of the bank, and the trajectories that rest on them."""
     input:
-        [files.target("images") for files in BUILT],
+        part_of_campaigns("images"),
 
 
 rule accuracy:
     """Comparisons with references and truth, with their pages."""
     input:
-        [files.target("accuracy") for files in BUILT],
+        part_of_campaigns("accuracy"),
 
 
 rule deformation:
     """What changed between the epochs of the chosen campaigns."""
     input:
-        [files.target("deformation") for files in BUILT],
+        part_of_campaigns("deformation"),
 
 
 rule figures:

@@ -236,7 +236,10 @@ LONGEST_FIRST = (
 """Groups by time of the processor, from 350 s to 20 s: what begins last should be short, or workers wait."""
 
 
-SAME_RUN = {"tests/workflow/test_files_of_others.py": "tests/workflow/test_tiny.py"}
+SAME_RUN = dict.fromkeys(
+    ("tests/workflow/test_files_of_others.py", "tests/workflow/test_printed_commands.py"),
+    "tests/workflow/test_tiny.py",
+)
 """Files that look at a run of a campaign which another file has made."""
 
 

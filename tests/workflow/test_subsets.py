@@ -1,5 +1,6 @@
 """Surveys without a lidar and without an INS: from a folder with a real log to its front page."""
 
+import contextlib
 import json
 import re
 import shutil
@@ -10,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.test_readme import as_a_shell_splits, commands
 from thalweg.cli import main
 from thalweg.core import utc_text_from_gps
 from thalweg.ingest.nmea import read_nmea
@@ -17,27 +19,53 @@ from thalweg.ingest.nmea import read_nmea
 pytestmark = [pytest.mark.workflow, pytest.mark.real]
 
 
+def printed(page: Path, begin: str, end: str) -> list[str]:
+    """Commands between two headings of a page."""
+    return list(commands(page.read_text().split(begin)[1].split(end)[0]))
+
+
 @pytest.fixture(scope="module")
 def yacht(repository, tmp_path_factory, house_builder, data_dir):
-    """A sounder and a receiver of a yacht on the IJsselmeer (NMEA 0183), as a new user would run them."""
+    """Sounder and receiver of a yacht on the IJsselmeer (NMEA 0183), by README's five commands as printed."""
     house = house_builder(repository, tmp_path_factory.mktemp("yacht"))
-    logs = house.root / "logs_of_yacht"
-    logs.mkdir()
+    logs = house.root / "surveys/mulde"
+    logs.mkdir(parents=True)
     shutil.copy(data_dir / "nmea_gpsd_depth" / "bundg_zeus_9.log", logs)
-    campaigns = house.root / "config" / "campaigns"
-    assert main(["new-campaign", "yacht", "--from-logs", str(logs), "--folder", str(campaigns)]) == 0
-    path = campaigns / "yacht.yaml"
-    text = path.read_text()
-    assert "lat_deg: 52.8" in text
-    assert "crs: EPSG:32631" in text
-    assert "  lidar:" not in text
-    path.write_text(text.replace("lever_ics_m: CHANGE", "lever_ics_m: [0.0, 0.0, -1.5]"))
-    house.snakemake("--config", "campaign=yacht")
+    five = printed(repository / "README.md", "## Your survey in five commands", "\n## ")[:5]
+    assert [line.split()[0] for line in five] == ["thalweg"] * 3 + ["snakemake", "thalweg"]
+    with contextlib.chdir(house.root):
+        for line in five:
+            words = as_a_shell_splits(line, house.root)
+            if words[0] == "snakemake":
+                house.snakemake(*words[1:])
+            else:
+                assert main(words[1:]) == 0, line
+            if words[1] == "new-campaign":
+                path = house.root / "config/campaigns/mulde_2026.yaml"
+                text = path.read_text()
+                assert "lat_deg: 52.8" in text
+                assert "crs: EPSG:32631" in text
+                assert "  lidar:" not in text
+                path.write_text(text.replace("lever_ics_m: CHANGE", "lever_ics_m: [0.0, 0.0, -1.5]"))
     return house
 
 
+def test_commands_of_the_tutorial(yacht, repository) -> None:
+    """The plan and the parts: what the logs give is made by now, what they do not give is said."""
+    lines = printed(repository / "docs/tutorial.md", "## 5. Run it", "## 6.")
+    said = {}
+    for line in lines:
+        run = yacht.snakemake(*as_a_shell_splits(line, yacht.root)[1:], check=False)
+        said[line.split("--config")[0].split()[-1]] = run.stdout + run.stderr
+    assert list(said) == ["host", "4", "ingest", "lidar", "images", "accuracy", "figures"]
+    for asked in ("4", "ingest", "figures"):
+        assert "Nothing to be done" in said[asked], said[asked]
+    for asked in ("lidar", "images", "accuracy"):
+        assert f"The logs of mulde_2026 give nothing of the part `{asked}`." in said[asked], said[asked]
+
+
 def test_check_config_says_what_the_logs_give(yacht, capsys) -> None:
-    assert main(["check-config", str(yacht.root / "config" / "campaigns" / "yacht.yaml")]) == 0
+    assert main(["check-config", str(yacht.root / "config" / "campaigns" / "mulde_2026.yaml")]) == 0
     text = capsys.readouterr().out
     gives, adds = (line for line in text.splitlines() if line.startswith(("  gives", "  more logs")))
     assert "soundings in the world" in gives
@@ -46,7 +74,7 @@ def test_check_config_says_what_the_logs_give(yacht, capsys) -> None:
 
 
 def test_soundings_in_the_world(yacht) -> None:
-    folder = yacht.root / "results" / "yacht" / "bathymetry"
+    folder = yacht.root / "results" / "mulde_2026" / "bathymetry"
     facts = json.loads((folder / "soundings.json").read_text())
     assert facts["pings"] == 149  # DPT sentences of the log
     table = pd.read_csv(folder / "soundings.csv")
@@ -63,7 +91,7 @@ def test_soundings_in_the_world(yacht) -> None:
 
 
 def test_the_front_page_links_all(yacht) -> None:
-    folder = yacht.root / "results" / "yacht"
+    folder = yacht.root / "results" / "mulde_2026"
     text = (folder / "index.html").read_text()
     for name in ("soundings", "survey_map", "trajectory", "streams_in_time", "sounding_errors"):
         assert f'src="figures/{name}.png"' in text
@@ -100,7 +128,7 @@ def test_a_log_without_dates_and_heights(yacht, data_dir, capsys) -> None:
 def test_an_empty_folder_apart_from_the_checkout(yacht, tmp_path, monkeypatch) -> None:
     """Two commands there; the campaign is found by its name, and nothing is written into the checkout."""
     monkeypatch.chdir(tmp_path)
-    assert main(["new-campaign", "away", "--from-logs", str(yacht.root / "logs_of_yacht")]) == 0
+    assert main(["new-campaign", "away", "--from-logs", str(yacht.root / "surveys/mulde")]) == 0
     path = tmp_path / "config/campaigns/away.yaml"
     path.write_text(path.read_text().replace("lever_ics_m: CHANGE", "lever_ics_m: [0.0, 0.0, -1.5]"))
     words = yacht.command("-s", str(yacht.root / "Snakefile"), "--config", "campaign=away", "--dry-run")
@@ -126,7 +154,7 @@ def test_a_track_in_gpx_places_the_same_soundings(yacht) -> None:
     """As a new user would: sounder and plotter in one folder."""
     logs, campaigns = yacht.root / "logs_of_gpx", yacht.root / "config" / "campaigns"
     logs.mkdir()
-    log = shutil.copy(yacht.root / "logs_of_yacht" / "bundg_zeus_9.log", logs)
+    log = shutil.copy(yacht.root / "surveys/mulde" / "bundg_zeus_9.log", logs)
     write_gpx(Path(log), logs / "track.gpx")
     assert main(["new-campaign", "gpx", "--from-logs", str(logs), "--folder", str(campaigns)]) == 0
     path = campaigns / "gpx.yaml"
@@ -137,7 +165,7 @@ def test_a_track_in_gpx_places_the_same_soundings(yacht) -> None:
     yacht.snakemake("results/gpx/bathymetry/soundings.csv", "--config", "campaign=gpx")
     ours, theirs = (
         pd.read_csv(yacht.root / "results" / name / "bathymetry" / "soundings.csv")
-        for name in ("gpx", "yacht")
+        for name in ("gpx", "mulde_2026")
     )
     assert len(ours) == len(theirs)
     for name in ("east", "north", "height"):

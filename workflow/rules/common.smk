@@ -140,6 +140,21 @@ def raw(stream):
     return of(CampaignFiles.logs, stream)
 
 
+def part_of_campaigns(name):
+    """Input function: what the target ``name`` builds, with a word of help where the logs give nothing of it."""
+
+    def files(wildcards):
+        names = [path for each in BUILT for path in each.target(name)]
+        if not names:
+            raise WorkflowError(
+                f"The logs of {', '.join(CHOSEN)} give nothing of the part `{name}`. What they give, and what "
+                "one more log would add, says: thalweg check-config."
+            )
+        return names
+
+    return files
+
+
 def of_page(page):
     """Input function: the pictures of a page."""
     return lambda wildcards: FIGURES.files(FILES[wildcards.campaign], page)
