@@ -54,13 +54,20 @@ class House:
 
 
 SERVER = """
-import json, os, runpy, sys, threading
+import ctypes, json, os, runpy, sys, threading
+import libusb_package
 from multiprocessing import forkserver, util
 import PIL.Image, jinja2, nbformat, pyarrow, pydantic, pyproj, requests, smart_open, snakemake.cli
 import snakemake.script
 import PIL.ImageDraw, cmcrameri.cm, cv2, laspy, matplotlib.backends.backend_agg, matplotlib.dates
-import pyarrow.parquet, scipy.interpolate, scipy.ndimage, scipy.optimize, scipy.signal, scipy.sparse.linalg
+import numba.typed, pyarrow.dataset, pyarrow.parquet
+import scipy.interpolate, scipy.ndimage, scipy.optimize, scipy.signal, scipy.sparse.linalg
 import scipy.spatial.transform, scipy.stats
+from numba.core.registry import cpu_target
+
+cpu_target.target_context.refresh()
+ctypes.CDLL(str(libusb_package.get_library_path()), ctypes.RTLD_GLOBAL)
+import open3d
 
 execute = util.spawnv_passfds
 

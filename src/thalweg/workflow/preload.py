@@ -4,6 +4,7 @@ Nothing here may start a thread that it needs later: a fork has only the one tha
 pyarrow's allocator starts again by itself, and so do those of BLAS.)
 """
 
+import contextlib
 import os
 from importlib import import_module
 from typing import Final
@@ -16,8 +17,10 @@ LIBRARIES: Final = (
     "laspy",
     "matplotlib.backends.backend_agg",
     "matplotlib.dates",
+    "numba.typed",
     "numpy",
     "pandas",
+    "pyarrow.dataset",
     "pyarrow.parquet",
     "pyproj",
     "scipy.interpolate",
@@ -27,11 +30,13 @@ LIBRARIES: Final = (
     "scipy.sparse.linalg",
     "scipy.spatial.transform",
     "scipy.stats",
+    "thalweg.accuracy.comparison",
     "thalweg.core.camera",
     "thalweg.core.kernels",
     "thalweg.core.las",
     "thalweg.core.trajectory",
     "thalweg.ingest.integrity",
+    "thalweg.lidar.cloud",
     "thalweg.settings.campaign",
     "thalweg.workflow.job",
 )
@@ -39,3 +44,7 @@ LIBRARIES: Final = (
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # read when numpy and scipy load; as `run_job` sets it
 for _name in LIBRARIES:
     import_module(_name)
+# What numba would import when a job calls its first kernel.
+import_module("numba.core.registry").cpu_target.target_context.refresh()
+with contextlib.suppress(import_module("thalweg.core").ThalwegError):  # said by the job that needs it
+    import_module("thalweg.core.geometry")._open3d()
