@@ -470,8 +470,8 @@ def stated_defaults(path: Path) -> list[tuple[str, ast.expr]]:
 
 def settings_of(section: type[BaseModel]) -> Iterator[tuple[str, Any]]:
     """Keys and defaults of a section and of those within it; not of the twin."""
-    for name, field in section.model_fields.items():
-        default = field.get_default(call_default_factory=True)
+    for name, info in section.model_fields.items():
+        default = info.get_default(call_default_factory=True)
         if isinstance(default, BaseModel):
             yield from settings_of(type(default))
         elif name != "twin":
