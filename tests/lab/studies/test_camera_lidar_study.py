@@ -20,7 +20,6 @@ from thalweg_lab.studies.sensors.camera_lidar import (
 from thalweg_lab.yard import build_field, tour
 from thalweg_lab.yard_images import true_camera
 
-
 FEW = StudySettings(revolutions=3, positions=(1, 2), pictures=Pictures(run_images=0))
 
 
