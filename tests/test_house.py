@@ -229,7 +229,10 @@ class Code:
 
     imports: list[tuple[str, int]] = field(default_factory=list)
     defaults: list[tuple[str, ast.expr]] = field(default_factory=list)
-    words: set[str] = field(default_factory=set)
+    words: set[Any] = field(default_factory=set)
+
+
+WORD_OF = {ast.Attribute: "attr", ast.Name: "id", ast.arg: "arg", ast.keyword: "arg", ast.Constant: "value"}
 
 
 @cache  # several tests ask for those of all files, which takes 3 s
@@ -237,11 +240,10 @@ def code_of(text: str) -> Code:
     """Imports with their lines, stated defaults (`stated_defaults`) and words (`words`) of a file."""
     code = Code()
     for node in ast.walk(ast.parse(text)):
+        if (word := WORD_OF.get(type(node))) is not None:
+            code.words.add(getattr(node, word))
+            continue
         match node:
-            case ast.Attribute(attr=word) | ast.Name(id=word) | ast.arg(arg=word):
-                code.words.add(word)
-            case ast.keyword(arg=str(word)) | ast.Constant(value=str(word)):
-                code.words.add(word)
             case ast.Import():
                 code.imports += ((alias.name, node.lineno) for alias in node.names)
             case ast.ImportFrom():
@@ -260,6 +262,7 @@ def code_of(text: str) -> Code:
                 last = [*a.posonlyargs, *a.args][-len(a.defaults) :] if a.defaults else []
                 pairs = [*zip(last, a.defaults, strict=True), *zip(a.kwonlyargs, a.kw_defaults, strict=True)]
                 code.defaults += ((arg.arg, value) for arg, value in pairs if value is not None)
+    code.words = {word for word in code.words if isinstance(word, str)}  # None of `**`, numbers
     return code
 
 
