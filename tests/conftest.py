@@ -221,6 +221,11 @@ def pytest_collection_finish() -> None:
     gc.set_threshold(10_000, 10, 10)
 
 
+def pytest_unconfigure() -> None:
+    """Libraries that count their objects at the end would miss them."""
+    gc.unfreeze()
+
+
 LONGEST_FIRST = (
     "tests/workflow/test_tiny.py",
     "tests/calibration",
