@@ -26,6 +26,8 @@ import pandas as pd
 from jinja2 import Environment, StrictUndefined
 from packaging.requirements import Requirement
 
+from thalweg.workflow.codehash import imported_modules
+
 ROOT = Path(__file__).parents[1]
 _validation = runpy.run_path(str(ROOT / "docs/make_validation.py"))
 
@@ -145,12 +147,11 @@ def packages(source: Path = ROOT / "src") -> dict[str, tuple[str, int]]:
 def package_graph(source: Path = ROOT / "src") -> str:
     """Which folder of `thalweg` takes from which, as Mermaid: no arrow where a longer way says the same."""
     above: dict[str, set[str]] = {}
-    for path in (source / "thalweg").rglob("*.py"):
-        own = path.relative_to(source / "thalweg").parts[0]
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("thalweg."):
-                above.setdefault(own, set()).add(str(node.module).split(".")[1])
-    folders = {name for name in above if (source / "thalweg" / name).is_dir()}
+    product = source / "thalweg"
+    for path in product.rglob("*.py"):
+        taken = {each.relative_to(product).parts[0] for each in imported_modules(path, source)}
+        above.setdefault(path.relative_to(product).parts[0], set()).update(taken)
+    folders = {name for name in above if (product / name).is_dir()}
     above = {name: (others & folders) - {name} for name, others in above.items() if name in folders}
 
     def reached(name: str) -> set[str]:

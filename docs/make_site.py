@@ -195,11 +195,11 @@ def doors() -> Iterator[tuple[str, dict[str, list[str]]]]:
         yield package, offers
 
 
-def foreign(source: Path) -> dict[str, str]:
-    """Names that a module takes from other libraries, and from which."""
+def foreign(text: str) -> dict[str, str]:
+    """Names that the text of a module takes from other libraries, and from which."""
     return {
         alias.asname or alias.name: node.module
-        for node in ast.parse(source.read_text(encoding="utf-8")).body
+        for node in ast.parse(text).body
         if isinstance(node, ast.ImportFrom) and node.module and not node.level
         for alias in node.names
         if not node.module.startswith("thalweg")
@@ -216,7 +216,9 @@ def door_page(package: str, offers: dict[str, list[str]]) -> str:
     for module, names in offers.items():
         lines += [f"## {module}", ""]
         source = path.parent / f"{module.replace('.', '/')}.py"
-        others = foreign(source) if source.is_file() else {}
+        text = source.read_text(encoding="utf-8") if source.is_file() else ""
+        own = all(re.search(rf"(?m)^(?:def |class )?{name}\b", text) for name in names)
+        others = {} if own or not text else foreign(text)
         for name in names:
             lines += [
                 f"`{name}`: of {others[name]}" if name in others else f"::: {package}.{module}.{name}",

@@ -1,6 +1,7 @@
 """Fixtures shared by all tests."""
 
 import faulthandler
+import gc
 import logging
 import os
 import signal
@@ -207,6 +208,22 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """Half of what protects the readers are files of other people: a run without them says so at its end."""
     if text := real_recordings_skipped(terminalreporter.stats.get("skipped", [])):
         terminalreporter.write_sep("=", text, yellow=True, bold=True)
+
+
+def pytest_collection_finish() -> None:
+    """Imports and collected tests stay: the search for garbage leaves out these million objects.
+
+    It also begins at 10,000 new objects in place of 700. Together a tenth to a fifth of the time of tests
+    that make many small objects.
+    """
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(10_000, 10, 10)
+
+
+def pytest_unconfigure() -> None:
+    """Libraries that count their objects at the end would miss them."""
+    gc.unfreeze()
 
 
 LONGEST_FIRST = (

@@ -58,12 +58,16 @@ def test_a_track_with_its_page(words: list[str], tmp_path: Path, capsys: pytest.
 def test_a_base_that_is_farther_than_trusted(
     words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main([*words, "--trusted-baseline", "5", "--out", str(tmp_path)]) == 0
+    head, *epochs = Path(words[1]).read_text().split("\n> ")
+    rover = tmp_path / "rover.21O"
+    rover.write_text("\n> ".join([head, *epochs[:60]]) + "\n")
+    command = ["ppk", str(rover), *words[2:], "--trusted-baseline", "5", "--out", str(tmp_path / "out")]
+    assert main(command) == 0
     said = capsys.readouterr().out
-    assert "0 fixed, 360 float" in said
-    assert "348 fixes refused" in said
-    assert "348 fixed epochs count as float: the baseline is longer" in said
-    table = pd.read_csv(tmp_path / "positions.csv")
+    assert "0 fixed, 60 float" in said
+    assert "48 fixes refused" in said
+    assert "48 fixed epochs count as float: the baseline is longer" in said
+    table = pd.read_csv(tmp_path / "out/positions.csv")
     assert (table["fix"] == "float").all()
     assert table["sigma_up_m"].median() > 0.05
 

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from functools import cache
 from graphlib import TopologicalSorter
 from importlib.metadata import packages_distributions
@@ -219,23 +220,50 @@ DRAWING = {"matplotlib", "mpl_toolkits", "cmcrameri"}
 
 def imports(path: Path) -> tuple[tuple[str, int], ...]:
     """Dotted names that a file imports, at its head or lazily, with their lines."""
-    return imports_of(path.read_text())
+    return tuple(code_of(path.read_text()).imports)
+
+
+@dataclass
+class Code:
+    """What tests ask of a file's code."""
+
+    imports: list[tuple[str, int]] = field(default_factory=list)
+    defaults: list[tuple[str, ast.expr]] = field(default_factory=list)
+    words: set[Any] = field(default_factory=set)
+
+
+WORD_OF = {ast.Attribute: "attr", ast.Name: "id", ast.arg: "arg", ast.keyword: "arg", ast.Constant: "value"}
 
 
 @cache  # several tests ask for those of all files, which takes 3 s
-def imports_of(text: str) -> tuple[tuple[str, int], ...]:
-    """The same of its text."""
-    found: list[tuple[str, int]] = []
+def code_of(text: str) -> Code:
+    """Imports with their lines, stated defaults (`stated_defaults`) and words (`words`) of a file."""
+    code = Code()
     for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.Import):
-            found += ((alias.name, node.lineno) for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            module = "." * node.level + (node.module or "")
-            found += (
-                (f"{module}.{alias.name}" if module == "thalweg" else module, node.lineno)
-                for alias in node.names
-            )
-    return tuple(found)
+        if (word := WORD_OF.get(type(node))) is not None:
+            code.words.add(getattr(node, word))
+            continue
+        match node:
+            case ast.Import():
+                code.imports += ((alias.name, node.lineno) for alias in node.names)
+            case ast.ImportFrom():
+                module = "." * node.level + (node.module or "")
+                code.imports += (
+                    (f"{module}.{alias.name}" if module == "thalweg" else module, node.lineno)
+                    for alias in node.names
+                )
+            case ast.ClassDef():
+                code.defaults += (
+                    (item.target.id, item.value)
+                    for item in node.body
+                    if isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name) and item.value
+                )
+            case ast.FunctionDef(args=a):
+                last = [*a.posonlyargs, *a.args][-len(a.defaults) :] if a.defaults else []
+                pairs = [*zip(last, a.defaults, strict=True), *zip(a.kwonlyargs, a.kw_defaults, strict=True)]
+                code.defaults += ((arg.arg, value) for arg, value in pairs if value is not None)
+    code.words = {word for word in code.words if isinstance(word, str)}  # None of `**`, numbers
+    return code
 
 
 def violations(source: Path) -> list[str]:
@@ -438,24 +466,15 @@ OF_OTHER_THINGS = {
 """Defaults that have name and value of a setting, and are none."""
 
 
-def stated_defaults(path: Path) -> Iterator[tuple[str, ast.expr]]:
+def stated_defaults(path: Path) -> list[tuple[str, ast.expr]]:
     """Name and value of each default of a class's field or of a function's parameter."""
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ClassDef):
-            for item in node.body:
-                if isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name) and item.value:
-                    yield item.target.id, item.value
-        elif isinstance(node, ast.FunctionDef):
-            a = node.args
-            last = [*a.posonlyargs, *a.args][-len(a.defaults) :] if a.defaults else []
-            pairs = [*zip(last, a.defaults, strict=True), *zip(a.kwonlyargs, a.kw_defaults, strict=True)]
-            yield from ((arg.arg, value) for arg, value in pairs if value is not None)
+    return code_of(path.read_text()).defaults
 
 
 def settings_of(section: type[BaseModel]) -> Iterator[tuple[str, Any]]:
     """Keys and defaults of a section and of those within it; not of the twin."""
-    for name, field in section.model_fields.items():
-        default = field.get_default(call_default_factory=True)
+    for name, info in section.model_fields.items():
+        default = info.get_default(call_default_factory=True)
         if isinstance(default, BaseModel):
             yield from settings_of(type(default))
         elif name != "twin":
@@ -687,14 +706,7 @@ def leaf_keys(node: dict[str, Any], defs: dict[str, Any], prefix: str = "") -> I
 
 def words(path: Path) -> set[str]:
     """Names and whole texts in a file's code; comments and docstrings do not count."""
-    found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        match node:
-            case ast.Attribute(attr=word) | ast.Name(id=word) | ast.arg(arg=word):
-                found.add(word)
-            case ast.keyword(arg=str(word)) | ast.Constant(value=str(word)):
-                found.add(word)
-    return found
+    return code_of(path.read_text()).words
 
 
 def test_every_setting_is_used_or_says_why_not(repository: Path) -> None:

@@ -28,6 +28,7 @@ class Twin:
 
     config: TwinConfig
     folder: Path
+    scene: Scene
     voyage: Voyage
     facts: dict[str, dict[str, Any]]
 
@@ -35,13 +36,13 @@ class Twin:
         return self.folder / name
 
 
-def record_lidar(twin_folder: Path, out: Path, config: TwinConfig) -> dict[str, Any]:
+def record_lidar(scene: Scene, out: Path, config: TwinConfig) -> dict[str, Any]:
     """The lidar log of another configuration, on a scene that exists."""
     return simulate_lidar(
         config,
         SEED,
         FRAME,
-        twin_folder / "scene.npz",
+        scene,
         out,
         R_ics_scs=R_ICS_SCS,
         lever_ics_scs_m=LIDAR_M,
@@ -51,9 +52,11 @@ def record_lidar(twin_folder: Path, out: Path, config: TwinConfig) -> dict[str, 
 
 
 def short(**changes: Any) -> TwinConfig:
-    """The tiny twin, 4 s long, across a full hour."""
-    base: dict[str, Any] = {"start_utc": "2021-05-12T08:59:58.25Z", "duration_s": 4.0}
-    return TwinConfig.of_size("tiny", **{**base, **changes})
+    """The tiny twin, 4 s long, across a full hour; recordings may be shorter than a campaign's second."""
+    length = {"duration_s": changes.pop("duration_s", 4.0)}
+    return TwinConfig.of_size("tiny", **{"start_utc": "2021-05-12T08:59:58.25Z", **changes}).model_copy(
+        update=length
+    )
 
 
 @pytest.fixture(scope="session")
@@ -62,9 +65,10 @@ def twin(tmp_path_factory: pytest.TempPathFactory) -> Twin:
     config = short(tls={"spacing_m": 0.2})
     scene = folder / "scene.npz"
     simulate_scene(config, SEED, scene)
+    mesh = Scene.read(scene)
     simulate_voyage(config, SEED, FRAME, folder / "trajectory.parquet")
     facts = {
-        "lidar": record_lidar(folder, folder / "lidar.pcap", config),
+        "lidar": record_lidar(mesh, folder / "lidar.pcap", config),
         "ins": simulate_ins(config, SEED, FRAME, folder / "ins.anpp", out_effects=folder / "ins.json"),
         "gnss": simulate_gnss(
             config, SEED, FRAME, folder / "rover.sbp", folder / "ppk.pos", lever_ics_antenna_m=ANTENNA_M
@@ -74,12 +78,12 @@ def twin(tmp_path_factory: pytest.TempPathFactory) -> Twin:
             config, SEED, FRAME, scene, [folder / f"tls_{i}.laz" for i in (1, 2, 3)], crs="EPSG:25833"
         ),
     }
-    return Twin(config, folder, Voyage(config, SEED), facts)
+    return Twin(config, folder, mesh, Voyage(config, SEED), facts)
 
 
 @pytest.fixture(scope="session")
 def scene(twin: Twin) -> Scene:
-    return Scene.read(twin.path("scene.npz"))
+    return twin.scene
 
 
 @pytest.fixture(scope="session")
@@ -95,6 +99,6 @@ def record(twin: Twin, tmp_path: Path) -> Callable[..., tuple[Path, dict[str, An
     def again(name: str, **changes: Any) -> tuple[Path, dict[str, Any], TwinConfig]:
         config = short(**changes)
         path = tmp_path / f"{name}.pcap"
-        return path, record_lidar(twin.folder, path, config), config
+        return path, record_lidar(twin.scene, path, config), config
 
     return again

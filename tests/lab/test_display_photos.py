@@ -97,7 +97,7 @@ def test_the_digits_on_the_photographs_are_those_of_the_truth(tmp_path: Path, di
     must fit its own best. A picture that did not follow its text would not.
     """
     truth, images = taken(
-        tmp_path, digits=digits, duration_s=240.0, glare=0.0, unreadable=0.0, interval_mean_s=0.83
+        tmp_path, digits=digits, duration_s=120.0, glare=0.0, unreadable=0.0, interval_mean_s=0.83
     )
     clear = truth["shown_share"].to_numpy() > 0.85
     assert truth["readable"].all()

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.lab.conftest import Twin, record_lidar, short
 from thalweg.core import read_table
 from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import LIDAR_SHOTS, EchoKind
@@ -86,12 +87,21 @@ OFF: dict[str, dict[str, Any]] = {
 """How each fault is switched off."""
 
 
-def test_each_fault_can_be_switched_off_alone(record: Recorder) -> None:
+LENGTH_S = 0.6
+"""Six revolutions, 174,000 shots."""
+
+
+@pytest.fixture(scope="module")
+def all_faults(twin: Twin, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Recording]:
+    """A recording with all faults, and its capture."""
+    path, config = tmp_path_factory.mktemp("faults") / "all.pcap", short(duration_s=LENGTH_S)
+    return path, read(path, record_lidar(twin.scene, path, config), config)
+
+
+def test_each_fault_can_be_switched_off_alone(record: Recorder, all_faults: tuple[Path, Recording]) -> None:
     """Random numbers of one effect do not shift those of another, and each effect changes what it should."""
-    found = {
-        name: read(*record(name, lidar=change, duration_s=1.0)) for name, change in {"all": {}, **OFF}.items()
-    }
-    full = found.pop("all")
+    found = {name: read(*record(name, lidar=change, duration_s=LENGTH_S)) for name, change in OFF.items()}
+    full = all_faults[1]
     kind = full.truth["kind"]
     assert np.array_equal(np.flatnonzero(full.range_m), kind.index), "truth and log have the same shots"
     for name, number in (("mixed", EchoKind.MIXED), ("ghosts", EchoKind.GHOST), ("hull", EchoKind.HULL)):
@@ -141,7 +151,7 @@ def test_ghosts_are_mirror_images_below_the_water(record: Recorder, scene: Scene
     off = {}
     for slope in (0.0, 0.03):
         settings = {**QUIET, "divergence_mrad": 0.0, "wave_slope": slope}
-        recording = read(*record(f"slope {slope}", lidar=settings, duration_s=2.0))
+        recording = read(*record(f"slope {slope}", lidar=settings, duration_s=1.0))
         ghost = recording.truth[recording.truth["kind"] == EchoKind.GHOST]
         origin, direction = recording.rays(ghost.index.to_numpy(), mount)
         length = recording.range_m[ghost.index]
@@ -160,8 +170,8 @@ def test_ghosts_are_mirror_images_below_the_water(record: Recorder, scene: Scene
     assert 0.01 < np.sqrt(np.mean(off[0.03] ** 2)) < 0.08
 
 
-def test_returns_of_the_own_boat_lie_on_it(record: Recorder) -> None:
-    recording = read(*record("boat", duration_s=1.0))
+def test_returns_of_the_own_boat_lie_on_it(all_faults: tuple[Path, Recording]) -> None:
+    recording = all_faults[1]
     boat = recording.truth[recording.truth["kind"] == EchoKind.HULL]
     voyage, t = Voyage(recording.config, SEED), boat["t_gps_s"].to_numpy()
     assert len(boat) > 10_000
@@ -182,7 +192,7 @@ def test_returns_of_the_own_boat_lie_on_it(record: Recorder) -> None:
 
 def test_second_returns_come_from_behind_leaves(record: Recorder) -> None:
     settings = {"mirror_ghosts": False, "own_hull": False}
-    path, _, _ = record("foliage", lidar={"returns": "dual", **settings}, duration_s=2.0)
+    path, _, _ = record("foliage", lidar={"returns": "dual", **settings}, duration_s=1.0)
     table, _ = read_table(path.with_suffix(".parquet"), LIDAR_SHOTS)
     assert table["t_gps_s"].is_monotonic_increasing
     second = np.flatnonzero(table["return_number"] == 2)
@@ -195,7 +205,7 @@ def test_second_returns_come_from_behind_leaves(record: Recorder) -> None:
     # The last of two returns is what the mode "last" reports, and "strongest" reports one of both.
     number = pd.Index(np.rint((table["t_gps_s"] - table["t_gps_s"].min()) / 2.304e-6).astype(int))
     for mode in ("last", "strongest"):
-        single, _, _ = record(mode, lidar={"returns": mode, **settings}, duration_s=2.0)
+        single, _, _ = record(mode, lidar={"returns": mode, **settings}, duration_s=1.0)
         alone, _ = read_table(single.with_suffix(".parquet"), LIDAR_SHOTS)
         assert set(alone["return_number"]) == {1}
         at = pd.Index(np.rint((alone["t_gps_s"] - table["t_gps_s"].min()) / 2.304e-6).astype(int))
@@ -210,8 +220,8 @@ def test_second_returns_come_from_behind_leaves(record: Recorder) -> None:
 
 def test_dark_things_are_lost_the_more_the_farther(record: Recorder) -> None:
     settings = {"mirror_ghosts": False, "own_hull": False}
-    every = read(*record("every", lidar={"dark_dropouts": False, **settings}, duration_s=2.0))
-    some = read(*record("some", lidar=settings, duration_s=2.0))
+    every = read(*record("every", lidar={"dark_dropouts": False, **settings}, duration_s=1.0))
+    some = read(*record("some", lidar=settings, duration_s=1.0))
     shot = every.truth.index.to_numpy()
     gone = some.range_m[shot] == 0
     r, dark = every.range_m[shot], every.brightness[shot]
@@ -222,8 +232,9 @@ def test_dark_things_are_lost_the_more_the_farther(record: Recorder) -> None:
     assert np.mean(gone[(dark > 8) & (r < 60)]) == 0
 
 
-def test_pieces_of_any_size_give_the_same_log(record: Recorder, monkeypatch: pytest.MonkeyPatch) -> None:
-    first, _, _ = record("large pieces", duration_s=1.0)
+def test_pieces_of_any_size_give_the_same_log(
+    record: Recorder, all_faults: tuple[Path, Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("thalweg_lab.instruments.lidar._CHUNK", 100)
-    second, _, _ = record("small pieces", duration_s=1.0)
-    assert first.read_bytes() == second.read_bytes()
+    second, _, _ = record("small pieces", duration_s=LENGTH_S)
+    assert all_faults[0].read_bytes() == second.read_bytes()

@@ -210,7 +210,7 @@ def test_the_exposure_follows_the_upper_quartile() -> None:
 
 @pytest.fixture(scope="module")
 def reach() -> Scene:
-    return build_scene(TwinConfig.of_size("tiny"), 8)
+    return build_scene(TwinConfig.of_size("tiny", scene={"leaves_per_tree": 500, "grid_m": 0.2}), 8)
 
 
 def test_the_near_picture_is_taken_where_the_bank_is_sunlit(reach: Scene, tmp_path: Path) -> None:

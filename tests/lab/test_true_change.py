@@ -106,15 +106,15 @@ def test_a_distance_is_the_mean_over_the_cylinder() -> None:
 
 
 def test_a_box_of_soil_is_its_volume_and_an_overhang_counts_once() -> None:
-    plain = scene()
-    heap = scene(0.0, ((1.0, 1.0, -0.5), (2.0, 3.0, 1.5), Material.SOIL))
+    plain = scene(cells=20)
+    heap = scene(0.0, ((1.0, 1.0, -0.5), (2.0, 3.0, 1.5), Material.SOIL), cells=20)
     table = true_volumes(plain, heap, {"all": SQUARE, "half": np.array([[1, -5], [5, -5], [5, 5], [1, 5]])})
     # One metre stands out of the ground; half of the box lies east of its middle.
     np.testing.assert_allclose(table.deposition_m3, [6.0, 3.0], rtol=1e-3)
     np.testing.assert_allclose(table.net_m3, [6.0, 3.0], rtol=1e-3)
     # A slab that hovers, and one that sinks from 2 to 1 m: half of it overlaps.
-    high = scene(0.0, ((0.0, 0.0, 2.0), (2.0, 2.0, 1.0), Material.SOIL))
-    low = scene(0.0, ((0.0, 0.0, 1.5), (2.0, 2.0, 1.0), Material.SOIL))
+    high = scene(0.0, ((0.0, 0.0, 2.0), (2.0, 2.0, 1.0), Material.SOIL), cells=20)
+    low = scene(0.0, ((0.0, 0.0, 1.5), (2.0, 2.0, 1.0), Material.SOIL), cells=20)
     assert true_volumes(plain, high, {"a": SQUARE}).deposition_m3[0] == pytest.approx(4.0, rel=1e-3)
     moved = true_volumes(high, low, {"a": SQUARE}).iloc[0]
     assert moved.erosion_m3 == pytest.approx(2.0, rel=1e-3)

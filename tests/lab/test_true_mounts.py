@@ -12,7 +12,7 @@ from thalweg.settings.sections import Mounts
 from thalweg_lab.voyage import read_true_mounts, true_mounts, write_true_mounts
 from thalweg_lab.voyage.truth import mount_errors
 
-SEEDS = 800
+SEEDS = 400
 
 
 def campaign(**lidar: Any) -> dict[str, Any]:
@@ -36,12 +36,12 @@ def drawn(mounts: dict[str, Any], sensor: str) -> np.ndarray:
 def test_errors_have_the_stated_sigmas_two_sided() -> None:
     lidar = drawn(campaign(), "lidar")
     sigmas = np.array([0.018, 0.009, 0.004, 0.0005, 0.0002, 0.0001])
-    # 800 seeds: a sigma is known to 2.5 %, a mean to sigma / 28; four times that.
-    np.testing.assert_allclose(lidar.std(axis=0), sigmas, rtol=0.10)
-    assert (np.abs(lidar.mean(axis=0)) < 4 * sigmas / 28).all()
-    # Uncorrelated without a matrix: a correlation is known to 0.035.
-    assert np.abs(np.corrcoef(lidar.T) - np.eye(6)).max() < 0.15
-    np.testing.assert_allclose(drawn(campaign(), "antenna").std(axis=0), [0.002, 0.003, 0.004], rtol=0.10)
+    # 400 seeds: a sigma is known to 3.5 %, a mean to sigma / 20; four times that.
+    np.testing.assert_allclose(lidar.std(axis=0), sigmas, rtol=0.14)
+    assert (np.abs(lidar.mean(axis=0)) < 4 * sigmas / 20).all()
+    # Uncorrelated without a matrix: a correlation is known to 0.05.
+    assert np.abs(np.corrcoef(lidar.T) - np.eye(6)).max() < 0.21
+    np.testing.assert_allclose(drawn(campaign(), "antenna").std(axis=0), [0.002, 0.003, 0.004], rtol=0.14)
 
 
 def test_correlations_of_the_calibration_are_kept() -> None:
@@ -49,8 +49,8 @@ def test_correlations_of_the_calibration_are_kept() -> None:
     C[0, 2] = C[2, 0] = -0.95
     C[1, 3] = C[3, 1] = 0.7
     found = np.corrcoef(drawn(campaign(correlation=C.tolist()), "lidar").T)
-    # sigma of a correlation of 0 over 800 seeds: 0.035, less for the others.
-    np.testing.assert_allclose(found, C, atol=0.15)
+    # sigma of a correlation of 0 over 400 seeds: 0.05, less for the others.
+    np.testing.assert_allclose(found, C, atol=0.21)
     fully = np.eye(6)
     fully[0, 2] = fully[2, 0] = 1.0
     errors = drawn(campaign(correlation=fully.tolist()), "lidar")
@@ -82,8 +82,8 @@ def test_switched_off_the_mounts_are_the_campaigns() -> None:
 def test_each_sensor_has_its_own_stream() -> None:
     mounts = campaign()
     white = drawn(mounts, "antenna") / [0.002, 0.003, 0.004], drawn(mounts, "echo_sounder") / 0.005
-    # Over 800 seeds a correlation of 0 is known to 0.035.
-    assert np.abs(np.corrcoef(white[0].T, white[1].T)[:3, 3:]).max() < 0.15
+    # Over 400 seeds a correlation of 0 is known to 0.05.
+    assert np.abs(np.corrcoef(white[0].T, white[1].T)[:3, 3:]).max() < 0.21
     alone = true_mounts({"antenna": mounts["antenna"]}, 3, on=True)
     assert alone == {"antenna": true_mounts(mounts, 3, on=True)["antenna"]}
     steady = campaign(sigma_omega_deg=0.0, sigma_lever_m=[0.0, 0.0, 0.0])
@@ -123,7 +123,7 @@ def test_sigmas_about_the_axes_of_the_body_turn_the_sensor_there() -> None:
         error = mount_errors(true_mounts(mounts, seed, on=True), mounts)
         vectors.append(error["lidar"]["rotation_ics_deg"])
         levers.append(error["camera"]["lever_ics_m"])
-    # 800 seeds: a sigma is known to 2.5 %; four times that.
-    np.testing.assert_allclose(np.std(vectors, axis=0), [0.5, 0.3, 0.2], rtol=0.10)
-    np.testing.assert_allclose(np.std(levers, axis=0), [0.01, 0.01, 0.01], rtol=0.10)
-    assert np.abs(np.corrcoef(np.transpose(vectors)) - np.eye(3)).max() < 0.15
+    # 400 seeds: a sigma is known to 3.5 %; four times that.
+    np.testing.assert_allclose(np.std(vectors, axis=0), [0.5, 0.3, 0.2], rtol=0.14)
+    np.testing.assert_allclose(np.std(levers, axis=0), [0.01, 0.01, 0.01], rtol=0.14)
+    assert np.abs(np.corrcoef(np.transpose(vectors)) - np.eye(3)).max() < 0.21

@@ -227,9 +227,28 @@ _NONE: Final = np.empty(0)
 
 
 def _perspective(points: ArrayF, shape: ArrayF, *, derivatives: bool = True) -> tuple[ArrayF, ArrayF, ArrayF]:
-    k1, k2, p1, p2, k3 = shape
     z = np.where(points[:, 2] > 0, points[:, 2], np.nan)
     a, b = points[:, 0] / z, points[:, 1] / z
+    q = a * a + b * b
+    uv, a, by_ab = _distorted(a, b, shape, derivatives=derivatives)
+    if not derivatives:
+        return uv, _NONE, _NONE
+    ab_by_point = np.zeros((len(a), 2, 3))
+    ab_by_point[:, 0, 0] = ab_by_point[:, 1, 1] = 1 / z
+    ab_by_point[:, 0, 2], ab_by_point[:, 1, 2] = -a / z, -b / z
+    by_shape = np.stack(
+        [
+            np.stack([a * q, a * q**2, 2 * a * b, q + 2 * a * a, a * q**3], axis=1),
+            np.stack([b * q, b * q**2, q + 2 * b * b, 2 * a * b, b * q**3], axis=1),
+        ],
+        axis=1,
+    )
+    return uv, by_ab @ ab_by_point, by_shape
+
+
+def _distorted(a: ArrayF, b: ArrayF, shape: ArrayF, *, derivatives: bool) -> tuple[ArrayF, ArrayF, ArrayF]:
+    """Places (n, 2) of directions (a, b, 1); a, NaN where none is; derivatives (n, 2, 2) by (a, b)."""
+    k1, k2, p1, p2, k3 = shape
     q = a * a + b * b
     radial = 1 + q * (k1 + q * (k2 + q * k3))
     slope = k1 + q * (2 * k2 + 3 * k3 * q)
@@ -243,22 +262,12 @@ def _perspective(points: ArrayF, shape: ArrayF, *, derivatives: bool = True) -> 
         axis=1,
     )
     if not derivatives:
-        return uv, _NONE, _NONE
+        return uv, a, _NONE
     by_ab = np.empty((len(a), 2, 2))
     by_ab[:, 0, 0] = radial + 2 * a * a * slope + 2 * p1 * b + 6 * p2 * a
     by_ab[:, 0, 1] = by_ab[:, 1, 0] = 2 * a * b * slope + 2 * p1 * a + 2 * p2 * b
     by_ab[:, 1, 1] = radial + 2 * b * b * slope + 6 * p1 * b + 2 * p2 * a
-    ab_by_point = np.zeros((len(a), 2, 3))
-    ab_by_point[:, 0, 0] = ab_by_point[:, 1, 1] = 1 / z
-    ab_by_point[:, 0, 2], ab_by_point[:, 1, 2] = -a / z, -b / z
-    by_shape = np.stack(
-        [
-            np.stack([a * q, a * q**2, 2 * a * b, q + 2 * a * a, a * q**3], axis=1),
-            np.stack([b * q, b * q**2, q + 2 * b * b, 2 * a * b, b * q**3], axis=1),
-        ],
-        axis=1,
-    )
-    return uv, by_ab @ ab_by_point, by_shape
+    return uv, a, by_ab
 
 
 def _fisheye(points: ArrayF, shape: ArrayF, *, derivatives: bool = True) -> tuple[ArrayF, ArrayF, ArrayF]:
@@ -295,8 +304,7 @@ def _perspective_rays(uv: ArrayF, shape: ArrayF) -> ArrayF:
     """Newton steps on the distortion from the undistorted start."""
     ab = uv.copy()
     for _ in range(_ITERATIONS):
-        got, by_point, _ = _perspective(np.concatenate([ab, np.ones((len(ab), 1))], axis=1), shape)
-        J = by_point[:, :, :2]
+        got, _, J = _distorted(*ab.T, shape, derivatives=True)
         off = uv - got
         det = J[:, 0, 0] * J[:, 1, 1] - J[:, 0, 1] * J[:, 1, 0]
         with np.errstate(invalid="ignore", divide="ignore"):

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8, njit
 from thalweg.core.geometry import RayCaster
 
 _BOX = np.array([[x, y, z] for z in (0, 1) for y in (-0.5, 0.5) for x in (-0.5, 0.5)], dtype=np.float64)
@@ -312,12 +312,10 @@ class Hull:
         # No component may be exactly zero: the slabs divide by it.
         direction = np.where(np.abs(direction) < 1e-12, 1e-12, direction)
         grown = margin_m + np.deg2rad(0.05) * REACH_M
-        table = np.zeros(len(direction), dtype=np.bool_)
-        for corners, _ in _parts(height_m):
-            first = (corners.min(axis=0) - grown - lever_ics_scs_m) / direction
-            second = (corners.max(axis=0) + grown - lever_ics_scs_m) / direction
-            enter = np.maximum(np.minimum(first, second).max(axis=1), 0.0)
-            table |= (np.maximum(first, second).min(axis=1) >= enter) & (enter < REACH_M)
+        parts = [corners for corners, _ in _parts(height_m)]
+        low = np.stack([c.min(axis=0) - grown - lever_ics_scs_m for c in parts])
+        high = np.stack([c.max(axis=0) + grown - lever_ics_scs_m for c in parts])
+        table = _pass_boxes(direction, low, high, REACH_M)
         mesh = hull_mesh(height_m=height_m)
         return cls(RayCaster(*mesh), table.reshape(3600, len(elevation_rad)))
 
@@ -331,6 +329,22 @@ class Hull:
         hits = self.caster.cast(origin_ics_m, direction_ics)
         cosine = np.abs(np.einsum("ni,ni->n", hits.normal, direction_ics))
         return np.where(hits.t_hit_m < REACH_M, hits.t_hit_m, np.inf), cosine
+
+
+@njit(cache=True, error_model="numpy")
+def _pass_boxes(direction: ArrayF, low: ArrayF, high: ArrayF, reach: float) -> ArrayB:
+    """Whether rays (n, 3) from the origin pass one of the boxes (k, 3) within reach."""
+    found = np.zeros(len(direction), dtype=np.bool_)
+    for i in range(len(direction)):
+        for k in range(len(low)):
+            enter, leave = 0.0, np.inf
+            for a in range(3):
+                first, second = low[k, a] / direction[i, a], high[k, a] / direction[i, a]
+                enter, leave = max(enter, min(first, second)), min(leave, max(first, second))
+            if leave >= enter and enter < reach:
+                found[i] = True
+                break
+    return found
 
 
 # ---------------------------------------------------------------- materials: reflection of lasers and

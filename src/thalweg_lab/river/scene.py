@@ -79,6 +79,7 @@ class Scene:
     material: ArrayU8
     water_level_m: float
     variation: ArrayF32 = field(default_factory=lambda: np.zeros(0, dtype=np.float32))
+    _casters: list[RayCaster] = field(default_factory=list, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if len(self.variation) != len(self.triangles):
@@ -100,8 +101,10 @@ class Scene:
         return self._part(keep)
 
     def caster(self) -> RayCaster:
-        """Ray caster of the mesh; its triangle numbers are those of this scene."""
-        return RayCaster(self.vertices_wcs_m, self.triangles)
+        """Ray caster of the mesh, made once; its triangle numbers are those of this scene."""
+        if not self._casters:
+            self._casters.append(RayCaster(self.vertices_wcs_m, self.triangles))
+        return self._casters[0]
 
     def _part(self, keep: ArrayB) -> Self:
         return type(self)(

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import lru_cache
 from typing import Final, NamedTuple, Self
 
 import numpy as np
@@ -782,8 +783,9 @@ def appearance_of(name: str) -> Look:
     return Look.CONE if name[:1] == "C" and name[1:].isdigit() else Look.BOARD
 
 
+@lru_cache(maxsize=1)  # pictures of a yard are taken under one sky
 def panorama(sun: Sun, *, cover: float = 0.55) -> ArrayF32:
-    """The sky with its clouds (512, 2048, 3) as linear light.
+    """The sky with its clouds (512, 2048, 3) as linear light, not to be written to.
 
     Rows run from the nadir to the zenith, columns counter-clockwise from east.
     """

@@ -71,7 +71,7 @@ def test_the_window_leaves_out_nothing_on_the_cones() -> None:
 
 
 def test_capture_files_hold_the_same_points(tmp_path: Path) -> None:
-    config = twin(position_s=1.0, effects={"passers_by": 4})
+    config = twin(position_s=0.4, effects={"passers_by": 4})
     paths = [tmp_path / f"position_{n}.pcap" for n in (1, 2, 3)]
     facts = simulate_positions(config, SEED, FRAME, paths, out_effects=tmp_path / "e.json", **MOUNT)
     assert [f["ghosts"] for f in facts] == [0, 0, 0]

@@ -172,8 +172,8 @@ def fitted_crossing(image: np.ndarray, start: np.ndarray, across: np.ndarray, do
         return p[4] + tilt + p[5] * np.tanh(one / p[6]) * np.tanh(two / p[6]) - value
 
     begin = [*start, *angles, value.mean(), np.ptp(value) / 2, 1.0, 0.0, 0.0]
-    best = [least_squares(model, [*begin[:5], sign * begin[5], *begin[6:]]) for sign in (1, -1)]
-    return min(best, key=lambda b: b.cost).x[:2]
+    starts = [np.array([*begin[:5], sign * begin[5], *begin[6:]]) for sign in (1, -1)]
+    return least_squares(model, min(starts, key=lambda p: float(np.sum(model(p) ** 2)))).x[:2]
 
 
 def test_crossings_lie_where_they_are_projected(

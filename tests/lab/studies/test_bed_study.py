@@ -1,5 +1,6 @@
 """Riverbeds of many surveys: one survey in small, and what is judged consistent."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,15 @@ from thalweg.figures import save
 from thalweg.figures.bathymetry.pictures import draw_bed_patterns
 from thalweg_lab.studies import bed_study
 from thalweg_lab.studies.bed_study import MISTAKES, NONE, campaign_of, surveyed, verdicts
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _short_search() -> Iterator[None]:
+    """How well ranges are found is judged in tests/bathymetry."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("thalweg.bathymetry.variogram._STEPS", 20)
+        yield
+
 
 COLUMNS = ["n", "observed_m2", "predicted_m2", "normalised", "outside", "error_m"]
 

@@ -37,11 +37,11 @@ def test_failures_are_counted_and_do_not_enter_the_mean() -> None:
     [(runs.ins_lidar_trial, runs.INS_LIDAR), (runs.echo_sounder_trial, runs.ECHO_SOUNDER)],
 )
 def test_a_few_seeds(trial: runs.Trial, components: dict[str, int]) -> None:
-    found = runs.study(trial, [1, 2, 3])
+    found = runs.study(trial, [1, 2])
     assert (found["failure"] == "").all()
     table = runs.judged(found, components, level=1e-4).set_index("covariance")
     # once in ten thousand for right covariances; the 50 seeds of the rules decide
     assert table.loc["consistent", "inside"]
     # independent points: sigmas many times too small
     assert table.loc["formal", "normalised"] > 20
-    pd.testing.assert_frame_equal(runs.study(trial, [3]), found[2:].reset_index(drop=True))
+    pd.testing.assert_frame_equal(runs.study(trial, [2]), found[1:].reset_index(drop=True))

@@ -21,6 +21,7 @@ SMALL: dict[str, Any] = {
     "scene": BARE | {"length_m": 50.0, "grid_m": 0.25},
     "tls": {"spacing_m": 0.15},
     "boat": {"turn_rate_degps": 24.0},
+    "effects": {"lost_packets": 0.6},
 }
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 CAMERA = Rigid.from_opk(np.deg2rad([90.0, 0.0, 0.0]), [-0.25, -0.10, -0.18])

@@ -17,6 +17,9 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[pd.DataFrame, pd.Da
     scene = joint_study.TWIN["scene"] | {"length_m": 24.0, "grid_m": 0.3}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(joint_study, "TWIN", joint_study.TWIN | {"duration_s": 40.0, "scene": scene})
+        patch.setattr(
+            "thalweg.bathymetry.variogram._STEPS", 20
+        )  # how well ranges are found is judged in tests/bathymetry
         patch.setattr(joint_study, "BATHYMETRY", {"cell_m": 0.4, "bank_station_m": 1.0})
         return surveyed(1, tmp_path_factory.mktemp("joint"))
 

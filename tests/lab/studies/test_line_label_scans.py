@@ -1,8 +1,9 @@
 """Two labelled scans of a wreck: the table of points fits the study's counts."""
 
 import numpy as np
+import pytest
 
-from thalweg_lab.studies.sensors import labelled_scans
+from thalweg_lab.studies.sensors import labelled_scans, laser_lines
 from thalweg_lab.studies.sensors.laser_lines import (
     LASER_SEED,
     Setting,
@@ -12,12 +13,16 @@ from thalweg_lab.studies.sensors.laser_lines import (
 )
 
 
-def test_points_and_counts_are_those_of_the_study() -> None:
+def test_points_and_counts_are_those_of_the_study(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both on the same sensor, calibrated once."""
+    pair = calibrated_sensor(LASER_SEED)
+    lines = calibrated_lines(pair, 0.3, LASER_SEED)
+    monkeypatch.setattr(laser_lines, "calibrated_sensor", {LASER_SEED: pair}.__getitem__)
+    monkeypatch.setattr(laser_lines, "calibrated_lines", lambda _, *of: {(0.3, LASER_SEED): lines}[of])
     # a short way: the ground before the wreck, and its edge
     points, shifts = labelled_scans(1, spacings=(0.3,), step_mm=6.0, end_mm=35.0)
-    pair = calibrated_sensor(LASER_SEED)
     setting = Setting(irregular=0.3, step_mm=6.0, end_mm=35.0)
-    row = study_scene(pair, *calibrated_lines(pair, 0.3, LASER_SEED), setting, 1)
+    row = study_scene(pair, *lines, setting, 1)
     assert len(points) == row["n"]
     assert points["image"].nunique() == row["images"]
     given = points["line"] >= 0

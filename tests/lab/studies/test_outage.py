@@ -8,12 +8,12 @@ from thalweg_lab.studies import outage
 
 @pytest.fixture(scope="module")
 def table():
-    found = outage.outage_study((1, 2), outage.VoyageSpec(duration_s=50.0), (2.0, 10.0, 18.0))
+    found = outage.outage_study((1, 2), outage.VoyageSpec(duration_s=50.0), (2.0, 18.0))
     return outage.summarised(found)
 
 
 def test_the_fused_trajectory_is_at_least_as_good_as_each_chain_at_every_length(table) -> None:
-    assert len(table) == 12
+    assert len(table) == 8
     by = table.pivot_table(index="length_s", columns="chain", values="rms_m")
     whole = np.sqrt((by**2).mean())
     # of 5 % over all lengths; two surveys have but some seven independent errors at each
@@ -39,11 +39,8 @@ def test_outages_leave_positions_on_both_sides_and_do_not_overlap() -> None:
 
 def test_the_page_has_a_line_for_each_length(table) -> None:
     page = outage.as_markdown(table)
-    assert [line.split(" | ")[0] for line in page.splitlines() if line[:3] in ("| 2", "| 1")] == [
-        "| 2",
-        "| 10",
-        "| 18",
-    ]
+    found = [line.split(" | ")[0] for line in page.splitlines() if line[:3] in ("| 2", "| 1")]
+    assert found == ["| 2", "| 18"]
 
 
 def test_under_trees_positions_are_disturbed_there_only() -> None:

@@ -12,6 +12,7 @@ from thalweg_lab.studies.trials import Sample, Trial, as_table, from_table
 def test_sigmas_stated_at_half_are_seen_and_mended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Errors of twice the stated size: a mean square of 4 as presumed; estimated, much less."""
     monkeypatch.setitem(prior_study.SURVEY, "duration_s", 8.0)
+    monkeypatch.setitem(prior_study.SURVEY, "effects", {"lost_packets": 0.6})
     monkeypatch.setitem(prior_study.SURVEY, "ins", {"attitude_time_s": 2.0})
     rows = prior_study.run_ins(7, tmp_path, ("stated_half", "component_150"))
     assert not list(tmp_path.iterdir()), "the logs are gone"
