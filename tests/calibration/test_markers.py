@@ -40,7 +40,10 @@ def drawn(
         rim = np.linspace(-0.5, 10.5, 12)
         outline = np.array([(u, v + bend * (u - 5) ** 2, 1.0) for u in rim for v in rim]) @ H.T
         corners = SUPER * outline[:, :2] / outline[:, 2:]
-        (x0, y0), (x1, y1) = np.floor(corners.min(axis=0)).astype(int), np.ceil(corners.max(axis=0)).astype(int)
+        (x0, y0), (x1, y1) = (
+            np.floor(corners.min(axis=0)).astype(int),
+            np.ceil(corners.max(axis=0)).astype(int),
+        )
         x0, y0 = max(x0, 0), max(y0, 0)
         part = image[y0 : max(y1 + 1, y0), x0 : max(x1 + 1, x0)]
         y, x = np.mgrid[y0 : y0 + part.shape[0], x0 : x0 + part.shape[1]]
