@@ -7,6 +7,7 @@ vector, both in the *target* frame and in this order, as the links of `thalweg.c
     dx_target = dshift + dtheta x (R x_source)
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, Self
@@ -212,7 +213,24 @@ def _is_covariance(C: ArrayF) -> bool:
 
 def exp_rotation(vector_rad: ArrayLike) -> ArrayF:
     """Rotation matrix (..., 3, 3) of rotation vectors (..., 3)."""
+    if np.shape(vector_rad) == (3,):
+        return _exp_one(*map(float, np.asarray(vector_rad)))
     return np.asarray(Rotation.from_rotvec(np.asarray(vector_rad, dtype=np.float64)).as_matrix())
+
+
+def _exp_one(x: float, y: float, z: float) -> ArrayF:
+    """`exp_rotation` of one vector by its quaternion: adjustments take thousands of such steps."""
+    angle = math.sqrt(x * x + y * y + z * z)
+    half = angle / 2
+    share = math.sin(half) / angle if angle > 1e-3 else 0.5 - angle**2 / 48 + angle**4 / 3840
+    x, y, z, w = x * share, y * share, z * share, math.cos(half)
+    return np.array(
+        [
+            [w * w + x * x - y * y - z * z, 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), w * w - x * x + y * y - z * z, 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), w * w - x * x - y * y + z * z],
+        ]
+    )
 
 
 def rotation_vector(R: ArrayLike) -> ArrayF:

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
+from scipy import sparse
 from scipy.stats import chi2
 
 from thalweg.calibration import Block, MarkerLayout, block_of, parse_mark, sheet_centres
@@ -724,20 +725,23 @@ def _intersect(block: Block, poses: dict[int, Rigid]) -> ArrayF:
     image, point = block.image[rows], block.point[rows]
     d = np.einsum("mij,mj->mi", R[image], block.rays[rows])
     across = np.eye(3) - d[:, :, None] * d[:, None, :]
+    # of each ray the matrix of its plane across and the place of the camera on that plane
+    parts = np.concatenate([across.reshape(-1, 9), (across @ C[image][:, :, None])[:, :, 0]], axis=1)
+    sums = sparse.csr_array((np.ones(len(rows)), (point, np.arange(len(rows)))), shape=(n, len(rows)))
     weight = np.ones(len(rows))
     points = np.full((n, 3), np.nan)
+    count = np.bincount(point, minlength=n)
     for _ in range(4):
-        A, b = np.zeros((n, 3, 3)), np.zeros((n, 3))
-        np.add.at(A, point, weight[:, None, None] * across)
-        np.add.at(b, point, weight[:, None] * np.einsum("mij,mj->mi", across, C[image]))
-        count = np.bincount(point, minlength=n)
+        total = sums @ (weight[:, None] * parts)
+        A, b = total[:, :9].reshape(n, 3, 3), total[:, 9:]
         smallest = np.linalg.eigvalsh(A)[:, 0]
         mass = np.bincount(point, weights=weight, minlength=n)
         fixed = (count >= 2) & (smallest > mass * _LEAST_ANGLE_RAD**2 / 4)
         points[:] = np.nan
         points[fixed] = np.linalg.solve(A[fixed], b[fixed][:, :, None])[:, :, 0]
-        off = np.linalg.norm(np.einsum("mij,mj->mi", across, points[point] - C[image]), axis=1)
-        distance = np.linalg.norm(points[point] - C[image], axis=1)
+        away = points[point] - C[image]
+        off = np.linalg.norm((across @ away[:, :, None])[:, :, 0], axis=1)
+        distance = np.linalg.norm(away, axis=1)
         weight = 1e-3 / np.maximum(np.nan_to_num(off / distance, nan=1.0), 1e-3)
     return points
 
