@@ -40,7 +40,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from thalweg.core import ArrayB, ArrayF, ArrayI, GeometryError
+from thalweg.core import ArrayB, ArrayF, ArrayI, GeometryError, rotation_opk
 from thalweg.lightsheet.optics import LightSheet, Window
 
 COMPONENTS: Final = 7
@@ -246,13 +246,7 @@ def opk_angles(R: ArrayF) -> ArrayF:
 def rotation_rad(angles_rad: ArrayF) -> ArrayF:
     """``R_x R_y R_z`` of angles (..., 3), shape (..., 3, 3)."""
     a = np.asarray(angles_rad, dtype=np.float64)
-    c, s = np.cos(a), np.sin(a)
-    cw, cp, ck, sw, sp, sk = c[..., 0], c[..., 1], c[..., 2], s[..., 0], s[..., 1], s[..., 2]
-    R = np.empty((*a.shape, 3))
-    R[..., 0, 0], R[..., 0, 1], R[..., 0, 2] = cp * ck, -cp * sk, sp
-    R[..., 1, 0], R[..., 1, 1], R[..., 1, 2] = cw * sk + sw * sp * ck, cw * ck - sw * sp * sk, -sw * cp
-    R[..., 2, 0], R[..., 2, 1], R[..., 2, 2] = sw * sk - cw * sp * ck, sw * ck + cw * sp * sk, cw * cp
-    return R
+    return rotation_opk(a[..., 0], a[..., 1], a[..., 2])
 
 
 def water_curve(
