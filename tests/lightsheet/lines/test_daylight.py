@@ -158,7 +158,7 @@ def test_the_colour_in_the_dark_may_be_stated() -> None:
 
 
 def test_a_laser_plane_from_checkerboards_in_daylight() -> None:
-    """Six boards half a metre away, their poses known: the plane is that of the laser within 0.15 mm.
+    """Four boards half a metre away, their poses known: the plane is that of the laser within 0.15 mm.
 
     Camera of 900 px, 0.15 m beside the laser; a pixel is 0.6 mm on the board and 2 mm along the plane.
     """
@@ -167,14 +167,7 @@ def test_a_laser_plane_from_checkerboards_in_daylight() -> None:
     of_laser = normal @ [-0.15, 0.0, 0.0]
     points, true = [], []
     for seed, (tilt, turn, away) in enumerate(
-        [
-            (0.3, 0.2, 0.46),
-            (-0.3, 0.1, 0.5),
-            (0.2, -0.3, 0.54),
-            (-0.2, -0.2, 0.44),
-            (0.0, 0.3, 0.5),
-            (0.1, 0.0, 0.52),
-        ]
+        [(0.3, 0.2, 0.46), (-0.3, 0.1, 0.5), (0.2, -0.3, 0.54), (-0.2, -0.2, 0.44)]
     ):
         board = np.array([np.sin(turn), np.sin(tilt), 0.0])
         board[2] = np.sqrt(1.0 - board @ board)

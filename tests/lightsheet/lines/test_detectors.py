@@ -193,8 +193,8 @@ def test_the_row_fit_is_a_least_squares_fit(picture: "Maker") -> None:
 
 
 def test_a_slope_costs_the_plain_patch_and_not_the_sheared_one(picture: "Maker") -> None:
-    centre = 330 + 0.6 * (np.arange(1024) - 511.5)
-    made = picture(centre, width=660)
+    centre = 170 + 0.6 * (np.arange(512) - 255.5)
+    made = picture(centre, width=340)
     plain, sheared, default = (
         made.errors(detect_lines(made.image, s))[0].std()
         for s in (LSM, LineSettings(method="lsm", shear=True), LineSettings())

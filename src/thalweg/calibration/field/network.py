@@ -142,6 +142,15 @@ class CameraChange:
         )
 
 
+@dataclass(slots=True)
+class Start:
+    """Approximate values: poses ``T_pcs_ccs`` by image, points (p, 3), NaN if unknown, images left out."""
+
+    poses: dict[int, Rigid]
+    points: ArrayF
+    left_out: dict[str, str] = field(default_factory=dict)
+
+
 # ---------------------------------------------------------------- network
 
 
@@ -183,6 +192,7 @@ def measure_field(
     *,
     approximate: Mapping[int, ArrayF] | None = None,
     calibrate: Mapping[str, tuple[str, ...]] | None = None,
+    start: Start | None = None,
 ) -> FieldNetwork:
     """Adjust the pictures of a field.
 
@@ -195,6 +205,7 @@ def measure_field(
     up).
         Without, pcs is upright as the pictures are.
     calibrate : parameters to estimate of each camera; all if None.
+    start : of `start_network` for these marks and cameras, if it is known already.
 
     Raises
     ------
@@ -202,7 +213,7 @@ def measure_field(
     """
     block = block_of(marks, cameras)
     rejected: list[Rejected] = []
-    start = start_network(block, field.layout)
+    start = start or start_network(block, field.layout)
     rejected += [("image", image, reason) for image, reason in start.left_out.items()]
     used_cameras = tuple(cameras[name] for name in dict.fromkeys(block.camera_of))
     names = [camera.name for camera in used_cameras]
@@ -481,15 +492,6 @@ def _system(
 #
 # A wrong mark makes its sheet look like no flat square: the marks of such sheets make no points until the
 # poses are known. Where too few markers link a picture to the others, three sheets of known distance do.
-
-
-@dataclass(slots=True)
-class Start:
-    """Approximate values: poses ``T_pcs_ccs`` by image, points (p, 3), NaN if unknown, images left out."""
-
-    poses: dict[int, Rigid]
-    points: ArrayF
-    left_out: dict[str, str] = field(default_factory=dict)
 
 
 def start_network(block: Block, layout: MarkerLayout) -> Start:
