@@ -18,6 +18,7 @@ weights, because only so does the covariance mean what it says.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
@@ -294,14 +295,26 @@ def _outliers(
     groups: Sequence[Observations[State]], x: State, masks: list[ArrayB | None], reject_sigmas: float
 ) -> list[ArrayB | None]:
     found: list[ArrayB | None] = []
-    tail = chi2.sf(reject_sigmas**2, 1)
     for group, mask in zip(groups, masks, strict=True):
         r, _, k = whitened(group.model(x), group.name)
         length = np.sqrt(np.square(r).reshape(-1, k).sum(axis=1))
         kept = length if mask is None or not mask.any() else length[mask]
-        scatter = max(1.0, float(np.median(kept) / np.sqrt(chi2.median(k)))) if len(kept) else 1.0
-        found.append(length <= scatter * np.sqrt(chi2.isf(tail, k)))
+        middle, limit = _usual_lengths(k, reject_sigmas)
+        scatter = max(1.0, float(np.median(kept) / middle)) if len(kept) else 1.0
+        found.append(length <= scatter * limit)
     return found
+
+
+@cache
+def _usual_lengths(k: int, sigmas: float) -> tuple[float, float]:
+    """Median of the lengths of k normal errors, and the one that is as unlikely as so many sigmas of one."""
+    return float(np.sqrt(chi2.median(k))), float(np.sqrt(chi2.isf(chi2.sf(sigmas**2, 1), k)))
+
+
+@cache
+def _huber_limit(k: int) -> float:
+    """Length of k normal errors beyond which weights fall: as unlikely as the limit is for one."""
+    return HUBER_LIMIT if k == 1 else float(np.sqrt(chi2.ppf(chi2.cdf(HUBER_LIMIT**2, 1), k)))
 
 
 def _result(
@@ -445,7 +458,7 @@ def normal_equations(
         root = np.ones(len(length)) if mask is None else mask.astype(np.float64)
         inside = np.square(length)
         if loss is not None:
-            limit = HUBER_LIMIT if k == 1 else float(np.sqrt(chi2.ppf(chi2.cdf(HUBER_LIMIT**2, 1), k)))
+            limit = _huber_limit(k)
             far = length > limit
             inside = np.where(far, 2 * limit * length - limit**2, inside)
             root = root * np.sqrt(np.where(far, limit / np.maximum(length, limit), 1.0))
