@@ -113,6 +113,8 @@ class Yard:
     there: list[YardCone] = field(default_factory=built_cones)
     step_deg: float = 0.2
     constant_range_m: float = 0.0
+    near_m: float = np.inf
+    """Beams that pass a cone farther away are left out of the scans."""
 
     @property
     def truth(self) -> Rigid:
@@ -176,6 +178,11 @@ class Yard:
         a = np.repeat(azimuth + rng.uniform(0, 0.003), 16)
         w = np.tile(np.deg2rad(ELEVATIONS_DEG), len(azimuth))
         one = np.stack([np.cos(w) * np.sin(a), np.cos(w) * np.cos(a), np.sin(w)], axis=1)
+        if np.isfinite(self.near_m):
+            arms = np.array([cone.apex + 0.35 * cone.axis for cone in self.there]) - T.shift_m
+            along = one @ T.R.T @ arms.T
+            off = np.sqrt(np.maximum((arms**2).sum(axis=1) - along**2, 0.0))
+            one = one[((off < self.near_m) & (along > 0)).any(axis=1)]
         nominal = np.tile(one, (self.frames, 1))
         n = len(nominal)
         side = self.sigma_m * rng.standard_normal((n, 3))

@@ -68,7 +68,7 @@ def test_the_joint_covariance_is_that_of_drawn_errors(lidar: Lidar, rng: np.rand
     assert [block.name for block in found.blocks] == ["lidar", "camera", "antenna", "echo_sounder"]
     drawn = []
     own = np.array([1e-4] * 3 + [6e-7**0.5] * 3)
-    for _ in range(1000):
+    for _ in range(500):
         relative = RELATIVE.moved(np.sqrt(np.diag(RELATIVE.cov)) * rng.normal(size=6))
         antenna = seen_antenna(relative)
         marker = np.r_[np.full(2, 1e-8 / 4), 1e-8 / 4 + 2.5e-7] ** 0.5 * rng.normal(size=3)
@@ -95,8 +95,8 @@ def test_the_joint_covariance_is_that_of_drawn_errors(lidar: Lidar, rng: np.rand
     # the antenna defines the origin and has no error
     assert np.all(found.cov[12:15] == 0)
     scale = np.sqrt(np.outer(np.diag(cov)[at], np.diag(cov)[at]))
-    # 1000 draws: a correlation to 3.2 %, a variance to 4.5 % (1 sigma); four sigmas
-    assert found.cov[np.ix_(at, at)] / scale == pytest.approx(cov[np.ix_(at, at)] / scale, abs=0.18)
+    # 500 draws: a correlation to 4.5 %, a variance to 6.3 % (1 sigma); four sigmas
+    assert found.cov[np.ix_(at, at)] / scale == pytest.approx(cov[np.ix_(at, at)] / scale, abs=0.25)
     # by the antenna, the lidar's lever arm and the camera's share errors
     assert np.abs(found.correlation()[3:6, 9:12]).max() > 0.3
 

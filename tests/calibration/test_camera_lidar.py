@@ -95,9 +95,9 @@ def test_tables_for_people(good: tuple[object, CameraLidar]) -> None:
     assert np.linalg.norm(apart) == pytest.approx(np.linalg.norm(result.T_ccs_scs.shift_m))
 
 
-def test_the_same_input_gives_the_same_bytes(good: tuple[object, CameraLidar]) -> None:
-    y, result = good
-    again = calibrated(y)
+def test_the_same_input_gives_the_same_bytes() -> None:
+    y = Yard(seed=3, frames=1)
+    result, again = (calibrated(y, 1, within=SearchRange(tries=200)) for _ in range(2))
     assert again.T_ccs_scs.matrix.tobytes() == result.T_ccs_scs.matrix.tobytes()
     assert again.T_ccs_scs.cov.tobytes() == result.T_ccs_scs.cov.tobytes()
 
@@ -121,7 +121,8 @@ def test_no_mean_residual_stays_on_curved_surfaces() -> None:
 
     From three sides: the six unknowns of the orientation could take up the means of one.
     """
-    y = Yard(seed=1, frames=20, sigma_pose_m=1e-5, sigma_pose_deg=1e-4, sigma_mark_m=1e-5)
+    sharp = {"sigma_pose_m": 1e-5, "sigma_pose_deg": 1e-4, "sigma_mark_m": 1e-5}
+    y = Yard(seed=1, frames=20, near_m=0.6, **sharp)
     references = [replace(r, form_sigma_m=1e-4) for r in y.references()]
     how = CameraLidarSettings(within=None, contradiction_sigmas=99.0)
     table = calibrate_camera_lidar(references, y.positions(3), y.truth, how).residuals
@@ -133,7 +134,7 @@ def test_no_mean_residual_stays_on_curved_surfaces() -> None:
 def test_42_parameters_with_fixed_exterior_orientation() -> None:
     """P2 3.1: six for each of six cones and six for the relative orientation."""
     y = Yard(seed=5, sigma_pose_m=0.0, sigma_pose_deg=0.0)
-    result = calibrated(y, 1)
+    result = known(y, 1)
     assert len(result.adjusted.names) == 42
     assert result.adjusted.names[-6:] == (
         "lever_x",
@@ -153,8 +154,9 @@ def test_the_lidar_itself_in_the_field() -> None:
     y = replace(y, cones=flat, there=flat)
     one = replace(y.positions(1)[0], T_pcs_ccs=Rigid(R=np.eye(3), shift_m=np.zeros(3)))
     camera = yard.camera_poses()[0]
-    settings = CameraLidarSettings(free_half_angle=False)
-    result = calibrate_camera_lidar(y.references(), [one], camera @ NOMINAL, settings)
+    settings = CameraLidarSettings(free_half_angle=False, within=None)
+    start = camera @ y.truth.moved([0.005, -0.005, 0.003, 0.003, -0.002, 0.004])
+    result = calibrate_camera_lidar(y.references(), [one], start, settings)
     assert len(result.adjusted.names) == 5 * 6 + 6
     assert square(result, camera @ y.truth) < LIKELY
 
@@ -177,7 +179,10 @@ def test_errors_that_positions_share_are_not_averaged() -> None:
             )
             positions.append(replace(p, T_pcs_ccs=wrong))
             by_error.append(J)
-        references = y.references()
+        # every second mark: both rings of each cone, and a quarter of the joint covariance
+        references = [
+            replace(r, points_m=r.points_m[::2], cov=r.cov[::2], labels=r.labels[::2]) for r in y.references()
+        ]
         counts = {r.name: len(r.points_m) for r in references}
         whole = np.diag(np.full(18 + 3 * sum(counts.values()), y.sigma_mark_m**2))
         whole[:18, :18] = common**2 * np.vstack(by_error) @ np.vstack(by_error).T
@@ -194,7 +199,7 @@ def test_errors_that_positions_share_are_not_averaged() -> None:
 
 
 def test_joint_errors_of_other_points_are_refused() -> None:
-    y = Yard(seed=3)
+    y = Yard(seed=3, frames=1)
     with pytest.raises(GeometryError, match=r"joint errors \(4, 4\)"):
         calibrate_camera_lidar(
             y.references(), y.positions(1), NOMINAL, errors=FieldErrors(cov=np.eye(4), points={"C1": 4})
@@ -212,7 +217,7 @@ def test_an_offset_of_all_ranges_is_found() -> None:
 # ---------------------------------------------------------------- nominal mounts and the search
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_search_bears_decimetres_and_degrees(seed: int) -> None:
     y = Yard(seed=seed, frames=1)
     rng = np.random.default_rng([8, seed])
@@ -237,7 +242,9 @@ def test_scans_of_another_field_are_refused() -> None:
     with pytest.raises(
         GeometryError, match="no orientation near the nominal one brings scans and cones together"
     ):
-        calibrate_camera_lidar(y.references(), empty.positions(1), NOMINAL)
+        calibrate_camera_lidar(
+            y.references(), empty.positions(1), NOMINAL, CameraLidarSettings(within=SearchRange(tries=500))
+        )
 
 
 # ---------------------------------------------------------------- what geometry cannot give
@@ -246,15 +253,16 @@ def test_scans_of_another_field_are_refused() -> None:
 @pytest.mark.parametrize("which", [[0], [0, 6, 7]], ids=["one cone", "one that is seen"])
 def test_a_single_cone_is_refused(which: list[int]) -> None:
     y = Yard(seed=4, frames=2)
+    settings = CameraLidarSettings(within=SearchRange(tries=500))
     with pytest.raises(UnobservableError, match="a turn of the lidar about the axis of C1") as caught:
-        calibrate_camera_lidar([y.references()[i] for i in which], y.positions(1), NOMINAL)
+        calibrate_camera_lidar([y.references()[i] for i in which], y.positions(1), NOMINAL, settings)
     assert "The lidar sees C1 only" in str(caught.value)
     assert "Add a cone" in str(caught.value)
     assert any(p.startswith("rotation") for p in caught.value.parameters)
 
 
 def test_one_cone_from_two_orientations_is_enough() -> None:
-    y = Yard(seed=4)
+    y = Yard(seed=4, frames=2)
     result = calibrate_camera_lidar(y.references()[:1], y.positions(2), NOMINAL)
     assert square(result, y.truth) < LIKELY
 

@@ -45,9 +45,9 @@ def known(y, positions: int = 3, **settings) -> CameraLidar:
 
 def test_wrong_marks_and_people_do_not_shift_the_result() -> None:
     squares = []
-    for seed in range(2):
-        y = Yard(seed=300 + seed, people=3, wrong_marks=0.05)
-        result = calibrated(y)
+    for seed, adjusted in ((0, calibrated), (1, known)):  # people may lead the search astray, too
+        y = Yard(seed=300 + seed, frames=2, people=3, wrong_marks=0.05)
+        result = adjusted(y)
         squares.append(square(result, y.truth))
         lost = result.references[~result.references["used"]]
         # 2 of 32 marks on each of 8 cones; an error along the surface is none
@@ -57,7 +57,7 @@ def test_wrong_marks_and_people_do_not_shift_the_result() -> None:
 
 
 def test_who_stands_in_front_of_a_cone_is_told() -> None:
-    y = Yard(seed=1, people=6)
+    y = Yard(seed=1, frames=2, people=6)
     table = known(y).detection
     hidden = table[~table["found"] & (table["predicted"] > 0)]
     assert len(hidden) > 0
@@ -77,7 +77,7 @@ def changed(y, name: str, shift=(0.0, 0.0, 0.0), tilt_deg: float = 0.0):
 )
 def test_a_cone_that_moved_is_named_and_left_out(shift: tuple[float, float, float], tilt_deg: float) -> None:
     y = changed(Yard(seed=4, frames=2), "C5", shift, tilt_deg)
-    result = known(y)
+    result = known(y, 2)
     table = result.detection[result.detection["predicted"] > 0]
     lost = table[~table["found"]]
     assert set(lost["cone"]) == {"C5"}
@@ -117,7 +117,7 @@ def test_scans_of_other_positions_are_named(order: list[int], fits: dict[int, in
 
 def test_a_position_that_fits_nothing_is_left_out_as_a_whole() -> None:
     """The boat was turned by 8 degrees between picture and scan of position 3."""
-    y = Yard(seed=4, frames=2)
+    y = Yard(seed=4, frames=1)
     *good, last = y.positions(3)
     turned = Rigid(
         R=exp_rotation([0.0, 0.0, np.deg2rad(8.0)]) @ last.T_pcs_ccs.R, shift_m=last.T_pcs_ccs.shift_m
@@ -156,7 +156,7 @@ def test_gaps_of_a_scan() -> None:
 
 
 def test_a_cone_that_fell_toward_the_boat_is_not_only_hidden() -> None:
-    y = Yard(seed=4)
+    y = Yard(seed=4, frames=2)
     toward = [c.moved(np.array([0.9, 0.0, 0.0]), 0.0) if c.name == "C2" else c for c in y.cones]
     (line,) = known(replace(y, there=toward), 1).detection.query("cone == 'C2'").to_dict("records")
     assert line["reason"].startswith("hidden: ")
@@ -167,7 +167,7 @@ def test_a_cone_that_leaves_the_adjustment_without_a_solution_is_named(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """C2 stands 10 cm nearer; the cone with its points does not settle."""
-    y = changed(Yard(seed=4), "C2", (0.1, 0.0, 0.0))
+    y = changed(Yard(seed=4, frames=2), "C2", (0.1, 0.0, 0.0))
     real, calls = camera_lidar.adjust, []
 
     def adjust(groups, start, names, **more):
@@ -186,13 +186,13 @@ def test_a_cone_that_leaves_the_adjustment_without_a_solution_is_named(
 
 
 def test_cones_of_another_opening_angle_are_told_as_such() -> None:
-    references = [replace(r, half_angle_rad=np.deg2rad(50.0)) for r in Yard(seed=4).references()]
+    references = [replace(r, half_angle_rad=np.deg2rad(50.0)) for r in Yard(seed=4).references()[5:]]
     with pytest.raises(
-        GeometryError, match="8 of 8 cones cannot be used: cone C1: the opening angle does not fit"
+        GeometryError, match="3 of 3 cones cannot be used: cone C6: the opening angle does not fit"
     ):
         calibrate_camera_lidar(references, Yard(seed=4, frames=1).positions(1), NOMINAL)
     # one of them is a mishap: it is left out, and named
-    mixed = [*Yard(seed=4).references()[:7], references[7]]
+    mixed = [*Yard(seed=4).references()[:7], references[-1]]
     table = calibrate_camera_lidar(
         mixed, Yard(seed=4, frames=1).positions(1), Yard().truth, CameraLidarSettings(within=None)
     ).detection
@@ -201,7 +201,7 @@ def test_cones_of_another_opening_angle_are_told_as_such() -> None:
 
 
 def test_a_missing_cone_is_named() -> None:
-    y = Yard(seed=4)
+    y = Yard(seed=4, frames=2)
     y = replace(y, there=[c for c in y.cones if c.name != "C2"])
     table = known(y, 1).detection.set_index(["position", "cone"])
     reason = table.loc[("position_1", "C2"), "reason"]
@@ -217,7 +217,9 @@ def test_a_cone_without_reference_is_named() -> None:
         cov=references[2].cov[:4],
         labels=references[2].labels[:4],
     )
-    result = calibrate_camera_lidar(references, y.positions(1), NOMINAL)
+    result = calibrate_camera_lidar(
+        references, y.positions(1), NOMINAL, CameraLidarSettings(within=FEW_TRIES)
+    )
     (line,) = result.detection[result.detection["cone"] == "C3"].to_dict("records")
     assert line["reason"].startswith("no reference: cone C3: 4 reference points")
     assert "C3" not in result.cones

@@ -42,7 +42,7 @@ def estimated(seed: int, spec: EchoSpec, *, wanted: tuple[str, ...] = (), away_m
 
 
 def test_consistent_over_seeds_and_formal_not() -> None:
-    n, spec = 10, EchoSpec(duration_s=40.0)
+    n, spec = 10, EchoSpec(reach_m=12.0, duration_s=40.0)
     consistent, formal = [], []
     for seed in range(n):
         found = estimated(seed, spec)
@@ -56,7 +56,7 @@ def test_consistent_over_seeds_and_formal_not() -> None:
 
 
 def test_relief_and_turns_observe_all() -> None:
-    found = estimated(1, EchoSpec(lag_s=0.08))
+    found = estimated(1, EchoSpec(reach_m=12.0, lag_s=0.08))
     assert found.observed == ("x", "y", "z", "lag")
     # a third of the ruler's 3 cm
     assert np.all(np.sqrt(np.diag(found.cov_m2))[:2] < 0.012)
@@ -65,11 +65,13 @@ def test_relief_and_turns_observe_all() -> None:
     assert found.lag_s == pytest.approx(0.08, abs=4 * found.sigma_lag_s)
     # one quarter of the prior knowledge of 50 ms
     assert found.sigma_lag_s < 0.0125
-    assert found.n_used + found.n_rejected + found.n_outside == len(make_echo_run(1, EchoSpec()).t_gps_s)
+    assert found.n_used + found.n_rejected + found.n_outside == len(
+        make_echo_run(1, EchoSpec(reach_m=12.0)).t_gps_s
+    )
 
 
 def test_a_flat_bed_leaves_x_and_y_to_the_ruler() -> None:
-    flat = EchoSpec(relief_m=0.0, sway=0.1)
+    flat = EchoSpec(reach_m=12.0, relief_m=0.0, sway=0.1)
     found = estimated(1, flat)
     # hardly any heave either: no offset in time
     assert found.observed == ("z",)
@@ -80,14 +82,14 @@ def test_a_flat_bed_leaves_x_and_y_to_the_ruler() -> None:
 
 
 def test_one_heading_on_slopes_misses_turns() -> None:
-    found = estimated(1, EchoSpec(turning=False, sway=0.1, duration_s=120.0))
+    found = estimated(1, EchoSpec(reach_m=12.0, turning=False, sway=0.1, duration_s=120.0))
     assert "y" in found.not_observed
     assert "turns are missing" in found.not_observed["y"]
 
 
 def test_blunders_are_rejected_and_counted() -> None:
-    spec = EchoSpec(duration_s=120.0)
-    clean, dirty = estimated(3, spec), estimated(3, EchoSpec(duration_s=120.0, blunders=0.05))
+    spec = EchoSpec(reach_m=12.0, duration_s=120.0)
+    clean, dirty = estimated(3, spec), estimated(3, EchoSpec(reach_m=12.0, duration_s=120.0, blunders=0.05))
     assert clean.n_rejected < 0.005 * clean.n_used
     # 5 % of 1200, three sigmas of the binomial number
     assert dirty.n_rejected == pytest.approx(60, abs=25)
@@ -97,7 +99,7 @@ def test_blunders_are_rejected_and_counted() -> None:
 
 def test_soundings_beside_the_bed_are_refused() -> None:
     with pytest.raises(CoverageError, match=r"0 of \d+ soundings lie over the surveyed bed.*Survey the bed"):
-        estimated(1, EchoSpec(duration_s=30.0), away_m=500.0)
+        estimated(1, EchoSpec(reach_m=12.0, duration_s=30.0), away_m=500.0)
 
 
 def test_the_bed_is_its_triangles() -> None:

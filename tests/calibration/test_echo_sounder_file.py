@@ -84,7 +84,7 @@ def calibrated(
 def test_the_calibration_holds_the_place_and_the_report_what_determined_it(
     tmp_path: Path, repository: Path
 ) -> None:
-    run = make_echo_run(1, EchoSpec(duration_s=240.0))
+    run = make_echo_run(1, EchoSpec(reach_m=12.0, duration_s=240.0))
     report = calibrated(tmp_path, repository, run)
     found = read_calibration(tmp_path / "echo_sounder.yaml")
     values, cov = found.block("echo_sounder")
@@ -114,7 +114,7 @@ def test_the_calibration_holds_the_place_and_the_report_what_determined_it(
 def test_speed_of_sound_and_latency_are_not_put_into_the_place(tmp_path: Path, repository: Path) -> None:
     """An instrument that takes 1500 m/s in water of 12 degrees and stamps 0.2 s late is calibrated to the
     same place as one without either; its lag is that against the stamps of the log."""
-    run = make_echo_run(1, EchoSpec(duration_s=240.0))
+    run = make_echo_run(1, EchoSpec(reach_m=12.0, duration_s=240.0))
     calibrated(tmp_path, repository, run)
     plain = read_calibration(tmp_path / "echo_sounder.yaml")
     factor = float(speed_of_sound_mps(12.0)) / 1500.0
@@ -128,7 +128,7 @@ def test_speed_of_sound_and_latency_are_not_put_into_the_place(tmp_path: Path, r
 
 
 def test_a_flat_bed_leaves_the_horizontal_place_to_the_ruler(tmp_path: Path, repository: Path) -> None:
-    run = make_echo_run(2, EchoSpec(duration_s=120.0, relief_m=0.0, sway=0.1))
+    run = make_echo_run(2, EchoSpec(reach_m=12.0, duration_s=120.0, relief_m=0.0, sway=0.1))
     report = calibrated(tmp_path, repository, run)
     assert report["determined"] == ["z"]
     for name in "xy":
@@ -145,8 +145,8 @@ def test_a_lag_that_a_flat_bed_does_not_show_stays_the_stated_latency(
     stated = EchoSounder(latency_s=0.2, sigma_latency_s=0.07)
     times = {}
     for name, spec in (
-        ("flat", EchoSpec(duration_s=120.0, relief_m=0.0, sway=0.1)),
-        ("relief", EchoSpec(duration_s=240.0)),
+        ("flat", EchoSpec(reach_m=12.0, duration_s=120.0, relief_m=0.0, sway=0.1)),
+        ("relief", EchoSpec(reach_m=12.0, duration_s=240.0)),
     ):
         (tmp_path / name).mkdir()
         run = make_echo_run(2, spec)
@@ -165,12 +165,12 @@ def test_a_lag_that_a_flat_bed_does_not_show_stays_the_stated_latency(
 def test_heights_of_another_kind_are_refused(tmp_path: Path, repository: Path) -> None:
     """45 m of geoid: nothing is written."""
     with pytest.raises(GeometryError, match=r"miss the surveyed bed by .*ellipsoidal"):
-        calibrated(tmp_path, repository, make_echo_run(3, EchoSpec(duration_s=30.0)), up_m=45.0)
+        calibrated(tmp_path, repository, make_echo_run(3, EchoSpec(reach_m=12.0, duration_s=30.0)), up_m=45.0)
     assert not (tmp_path / "echo_sounder.yaml").exists()
 
 
 def test_soundings_near_a_gap_and_without_time_are_left_out_and_counted() -> None:
-    run = make_echo_run(4, EchoSpec(duration_s=30.0))
+    run = make_echo_run(4, EchoSpec(reach_m=12.0, duration_s=30.0))
     path = run.trajectory
     t0 = path.t_gps_s[0]
     hole = (path.t_gps_s > t0 + 10.0) & (path.t_gps_s < t0 + 11.0)
@@ -188,7 +188,7 @@ def test_soundings_near_a_gap_and_without_time_are_left_out_and_counted() -> Non
 
 
 def test_the_sentence_that_is_there_is_taken() -> None:
-    run = make_echo_run(4, EchoSpec(duration_s=10.0))
+    run = make_echo_run(4, EchoSpec(reach_m=12.0, duration_s=10.0))
     # a log in which DPT stops early
     few = depth_table(run.t_gps_s[:10], run.depth_m[:10])
     all_of_them = depth_table(run.t_gps_s, run.depth_m, "DBS")
@@ -197,7 +197,7 @@ def test_the_sentence_that_is_there_is_taken() -> None:
 
 
 def test_sizes_of_pose_errors_follow_the_trajectory_where_it_states_greater_ones() -> None:
-    run = make_echo_run(4, EchoSpec(duration_s=10.0))
+    run = make_echo_run(4, EchoSpec(reach_m=12.0, duration_s=10.0))
     cov = np.zeros((len(run.trajectory.t_gps_s), 6, 6))
     cov[:, 2, 2] = 0.06**2
     worse = replace(run.trajectory, cov_pose_wcs=cov)
@@ -208,7 +208,7 @@ def test_sizes_of_pose_errors_follow_the_trajectory_where_it_states_greater_ones
 
 
 def test_soundings_far_from_the_bed_are_refused(tmp_path: Path, repository: Path) -> None:
-    run = make_echo_run(3, EchoSpec(duration_s=30.0))
+    run = make_echo_run(3, EchoSpec(reach_m=12.0, duration_s=30.0))
     away = replace(run.bed, points_wcs_m=run.bed.points_wcs_m + np.array([300.0, 0.0, 0.0]))
     with pytest.raises(CoverageError, match="lie over the surveyed bed"):
         calibrated(tmp_path, repository, replace(run, bed=away))

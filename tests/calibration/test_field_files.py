@@ -87,7 +87,7 @@ def test_the_centre_of_a_marker() -> None:
 def test_a_field_from_marks_to_files(tmp_path: Path) -> None:
     """Nobody states a focal length, and the field comes out in the world with a place and its covariance."""
     sheets, field = blocks.yard(2, cones=5, per_cone=6, flat=12)
-    marks = blocks.observe(sheets, blocks.stations(2, 20, 7.0), blocks.SLR, 2).assign(file="x")
+    marks = blocks.observe(sheets, blocks.stations(2, 14, 7.0), blocks.SLR, 2).assign(file="x")
     centres = blocks.rtk_targets(sheets, [80, 83, 86, 89])
     lat, lon, h = FRAME.to_geodetic(PLACE.apply(np.array(list(centres.values()))))
     targets = tuple(

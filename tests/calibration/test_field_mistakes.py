@@ -29,6 +29,12 @@ def marks() -> pd.DataFrame:
     return blocks.observe(yard()[0], blocks.stations(SEED, 20, 7.0), blocks.SLR, SEED)
 
 
+@cache
+def fewer() -> pd.DataFrame:
+    """Two of three pictures: enough for what bars, sheets and targets say."""
+    return marks()[marks()["image"].str[4:8].astype(int) % 3 < 2]
+
+
 def with_targets(markers: tuple[int, ...] = (80, 83, 86, 89, 91)) -> FieldDescription:
     centres = blocks.rtk_targets(yard()[0], list(markers))
     lat, lon, h = FRAME.to_geodetic(PLACE.apply(np.array(list(centres.values()))))
@@ -87,31 +93,31 @@ def test_a_change_that_pictures_do_not_show_is_no_change() -> None:
 
 
 def test_a_single_scale_bar_is_checked_by_nothing_but_targets() -> None:
-    alone = measured(replace(yard()[1], scale_bars=yard()[1].scale_bars[:1]))
+    alone = measured(replace(yard()[1], scale_bars=yard()[1].scale_bars[:1]), fewer())
     (note,) = [note for note in alone.notes if "scale bar" in note]
     assert "nothing shows it" in note
     field = with_targets()
-    placed = measured(replace(field, scale_bars=field.scale_bars[:1]))
+    placed = measured(replace(field, scale_bars=field.scale_bars[:1]), fewer())
     (note,) = [note for note in placed.notes if "scale bar" in note]
     assert placed.datum is not None
     # three sigmas of 8 mm on five targets 3 to 5 m from their middle
     assert 0.001 < placed.datum.sigma_scale < 0.003
     assert "the targets show an error of its length of 0." in note
-    assert not any("scale bar" in note for note in measured(field).notes)
+    assert not any("scale bar" in note for note in measured(field, fewer()).notes)
 
 
 def test_bars_in_another_unit() -> None:
     field = with_targets()
     tenfold = tuple(replace(bar, length_m=10 * bar.length_m) for bar in field.scale_bars)
     with pytest.raises(GeometryError, match=r"field is 0\.(0999|1)\d* times as large as by the scale bars"):
-        measured(replace(field, scale_bars=tenfold))
+        measured(replace(field, scale_bars=tenfold), fewer())
     with pytest.raises(GeometryError, match=r"by the scale bars the printed markers are (9\.9|10)"):
-        measured(replace(yard()[1], scale_bars=tenfold))
+        measured(replace(yard()[1], scale_bars=tenfold), fewer())
 
 
 def test_sheets_of_another_size_than_stated() -> None:
     layout = replace(yard()[1].layout, module_m=0.0115, sizes=())
-    found = measured(replace(with_targets(), layout=layout))
+    found = measured(replace(with_targets(), layout=layout), fewer())
     # sheets of the yard are printed 0.4 % too large, with modules of 16 and of 12 mm
     (note,) = [note for note in found.notes if note.startswith("the printed markers are")]
     assert "(modules of 11.5 mm)" in note
@@ -121,19 +127,19 @@ def test_a_target_far_away_and_targets_exchanged_do_not_spoil_the_bundle() -> No
     field = with_targets()
     t = field.targets
     far = replace(t[1], lat_deg=t[1].lat_deg + 0.002)
-    found = measured(replace(field, targets=(t[0], far, *t[2:])))
+    found = measured(replace(field, targets=(t[0], far, *t[2:])), fewer())
     assert found.datum is not None
     ((name, reason),) = found.datum.rejected
     assert name == "T1"
     assert "+222." in reason
     assert np.abs(found.datum.T_wcs_pcs.R - np.eye(3)).max() < 0.02
     turned = replace(t[0], lat_deg=t[0].lon_deg, lon_deg=t[0].lat_deg)
-    ((name, reason),) = measured(replace(field, targets=(turned, *t[1:]))).datum.rejected
+    ((name, reason),) = measured(replace(field, targets=(turned, *t[1:])), fewer()).datum.rejected
     assert name == "T0"
     assert "latitude and longitude are exchanged" in reason
     swapped = replace(t[0], marker=t[1].marker), replace(t[1], marker=t[0].marker)
     with pytest.raises(GeometryError, match="T0 and T1 are exchanged, with markers 83 and 80"):
-        measured(replace(field, targets=(*swapped, *t[2:])))
+        measured(replace(field, targets=(*swapped, *t[2:])), fewer())
 
 
 def test_too_few_pictures_tell_what_they_show_and_what_to_photograph() -> None:
@@ -163,7 +169,7 @@ def similar(points: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return off
 
 
-@pytest.mark.parametrize(("place", "seed"), [(0, 2), (0, 4), (2, 0), (2, 4)])
+@pytest.mark.parametrize(("place", "seed"), [(0, 2), (2, 4)])
 def test_far_wrong_marks_do_not_spoil_the_start(place: int, seed: int) -> None:
     sheets, field = blocks.yard(place, cones=5, per_cone=6, flat=12)
     table = blocks.observe(sheets, blocks.stations(place, 20, 7.0), blocks.SLR, place)

@@ -75,16 +75,17 @@ def test_a_bent_board_makes_the_sigmas_larger() -> None:
     What is bent alike in all pictures is seen in part only: 1.2 to 1.9 instead of 3.7 in trials.
     """
     true, squares, without = LENSES["fisheye"], [], []
-    for seed in range(8):
+    for seed in range(5):
         table = boards(true, seed, bow_m=1e-3)
         found = calibrate_lens(table, true.size_px, spacing_m=SPACING_M, model=true.model)
         assert found.sigma_px < 0.16
         error = found.camera.parameters - true.parameters
         squares.append(error @ np.linalg.solve(found.camera.cov, error) / len(error))
         without.append(squares[-1] * found.picture_factor)
-    # 64 numbers and eight factors, which scatter by half: measured 1.19, by the noise of corners alone 3.6
-    assert 0.6 < np.mean(squares) < 1.6
-    assert np.mean(without) > 2.5
+    # 40 numbers and five factors, which scatter by half: 1.19 in trials; by the noise of corners alone 3.6.
+    # The limits are those of eight seeds, wider by the root of 8/5
+    assert 0.5 < np.mean(squares) < 1.75
+    assert np.mean(without) > 2.4
 
 
 def test_gross_errors_are_named_and_do_no_harm() -> None:

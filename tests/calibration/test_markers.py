@@ -34,10 +34,20 @@ def drawn(
     """
     w, h = size
     image = np.full((h * SUPER, w * SUPER), 130.0)
-    y, x = np.mgrid[0 : h * SUPER, 0 : w * SUPER]
-    pixels = np.stack([(x + 0.5) / SUPER, (y + 0.5) / SUPER, np.ones_like(x)], axis=-1)
     truth = {}
     for marker, H in sheets:
+        # only where the sheet can be
+        rim = np.linspace(-0.5, 10.5, 12)
+        outline = np.array([(u, v + bend * (u - 5) ** 2, 1.0) for u in rim for v in rim]) @ H.T
+        corners = SUPER * outline[:, :2] / outline[:, 2:]
+        (x0, y0), (x1, y1) = (
+            np.floor(corners.min(axis=0)).astype(int),
+            np.ceil(corners.max(axis=0)).astype(int),
+        )
+        x0, y0 = max(x0, 0), max(y0, 0)
+        part = image[y0 : max(y1 + 1, y0), x0 : max(x1 + 1, x0)]
+        y, x = np.mgrid[y0 : y0 + part.shape[0], x0 : x0 + part.shape[1]]
+        pixels = np.stack([(x + 0.5) / SUPER, (y + 0.5) / SUPER, np.ones_like(x)], axis=-1)
         sheet = pixels @ np.linalg.inv(H).T
         u, v = sheet[..., 0] / sheet[..., 2], sheet[..., 1] / sheet[..., 2]
         v = v - bend * (u - 5) ** 2
@@ -47,7 +57,7 @@ def drawn(
             picture = picture[:, ::-1]
         inside = (np.abs(u - 5) < 5.5) & (np.abs(v - 5) < 5.5)
         col, row = ((u[inside] + 0.5) * k).astype(int), ((v[inside] + 0.5) * k).astype(int)
-        image[inside] = 25 + 0.8 * picture[np.clip(row, 0, 219), np.clip(col, 0, 219)]
+        part[inside] = 25 + 0.8 * picture[np.clip(row, 0, 219), np.clip(col, 0, 219)]
         s = SADDLES_MODULES.copy()
         s[:, 1] += bend * (s[:, 0] - 5) ** 2
         home = np.column_stack([s, np.ones(4)]) @ H.T

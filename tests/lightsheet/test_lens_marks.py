@@ -171,9 +171,22 @@ def photographs(folder: Path) -> Path:
             there = camera.project(pose.inverse().apply(sheet.to_wcs(corners))) - 0.5
             paper = sheet_picture(sheet.marker, layout, 20)
             from_px = np.array([[0, 0], [220, 0], [220, 220], [0, 220]], np.float32) - 0.5
-            H = cv2.getPerspectiveTransform(from_px, there.astype(np.float32))
-            cv2.warpPerspective(
-                paper, H, (1024, 1024), picture, cv2.INTER_LINEAR, borderMode=cv2.BORDER_TRANSPARENT
+            # only where the sheet is
+            (x0, y0), (x1, y1) = (
+                np.floor(there.min(axis=0)).astype(int),
+                np.ceil(there.max(axis=0)).astype(int),
+            )
+            part = picture[max(y0, 0) : max(y1 + 2, 0), max(x0, 0) : max(x1 + 2, 0)]
+            if not part.size:
+                continue
+            there = (there - [max(x0, 0), max(y0, 0)]).astype(np.float32)
+            part[:] = cv2.warpPerspective(
+                paper,
+                cv2.getPerspectiveTransform(from_px, there),
+                part.shape[::-1],
+                part.copy(),
+                cv2.INTER_LINEAR,
+                borderMode=cv2.BORDER_TRANSPARENT,
             )
         cv2.imwrite(str(folder / name), cv2.GaussianBlur(picture, (0, 0), 0.7))
     (folder / "field.yaml").write_text(field_text(field, 3))

@@ -23,7 +23,7 @@ from scipy.stats import qmc
 
 from thalweg.budgets.budget import COORDINATES, TOTAL, Budget, Frame, Motion, frame_columns
 from thalweg.budgets.published import BY_SIGMA, MATCHED, MISSED, verdicts
-from thalweg.core import ArrayF, ArrayI, GeometryError, Link, chain_derivatives, opk_axes
+from thalweg.core import ArrayF, ArrayI, GeometryError, Link, chain_derivatives, opk_axes, rotation_opk
 
 STARTS: Final = 1024
 LEVER_START_M: Final = 0.2
@@ -155,7 +155,7 @@ def _preferred(p: ArrayF) -> int:
 
 def _matrices(p: ArrayF) -> ArrayF:
     """Both rotations of parameters (m, 9), (m, 18): the same for angles that differ by full turns."""
-    turns = [Rotation.from_euler("XYZ", p[:, k : k + 3]).as_matrix().reshape(len(p), 9) for k in (0, 3)]
+    turns = [rotation_opk(*p[:, k : k + 3].T).reshape(len(p), 9) for k in (0, 3)]
     return np.concatenate(turns, axis=1)
 
 
@@ -206,7 +206,7 @@ def _residuals(setup: Setup) -> Function:
         turns = (all_nine[:, 0:3], all_nine[:, 3:6])
         links = [
             Link(
-                rotation=np.repeat(Rotation.from_euler("XYZ", turn).as_matrix(), len(distances), axis=0),
+                rotation=np.repeat(rotation_opk(*turn.T), len(distances), axis=0),
                 shift_m=shift,
             )
             for turn, shift in ((nine[:, 0:3], np.zeros(3)), (nine[:, 3:6], all_nine[:, 6:]))

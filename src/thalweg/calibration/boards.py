@@ -30,6 +30,7 @@ from thalweg.core import (
     AnyArray,
     ArrayB,
     ArrayF,
+    ArrayI,
     Camera,
     GeometryError,
     InputError,
@@ -42,6 +43,7 @@ from thalweg.core import (
     cross_matrix,
     decode_picture,
     exp_rotation,
+    njit,
     plane_rates,
     root_mean_square,
 )
@@ -625,12 +627,15 @@ def search_boards(
             expected="boards in the view of the lidar",
             cure="Check the nominal orientation between camera and lidar",
         )
-    candidates = [nominal, *(nominal.moved(t) for t in tries)]
-    scores = [_score(c, views, near, 0.15)[0] for c in candidates]
-    best = np.argsort([-s for s in scores], kind="stable")[:_KEPT]
+    tries = np.vstack([np.zeros(6), tries])
+    turned = exp_rotation(tries[:, 3:]) @ nominal.R
+    origins = nominal.shift_m + tries[:, :3]
+    given = (_board_table(views), np.concatenate(near), np.cumsum([0, *map(len, near)]))
+    scores = [_score(*place, *given, 0.15)[0] for place in zip(turned, origins, strict=True)]
+    best = np.argsort(-np.array(scores), kind="stable")[:_KEPT]
     sigmas = np.repeat([2 * within.shift_m, 2 * np.deg2rad(within.angle_deg)], 3)
-    refined = [_refined(candidates[i], nominal, sigmas, views, near) for i in best]
-    finals = [_score(c, views, near, 0.06) for c in refined]
+    refined = [_refined(nominal.moved(tries[i]), nominal, sigmas, *given) for i in best]
+    finals = [_score(T.R, T.shift_m, *given, 0.06) for T in refined]
     winner = int(np.argmax([s for s, _ in finals]))
     score, beams = finals[winner]
     return refined[winner], score / max(beams, 1)
@@ -650,45 +655,92 @@ def _near(view: BoardView, scan: ArrayF, nominal: Rigid, within: SearchRange) ->
     return np.asarray(scan[rows])
 
 
-def _score(
-    T: Rigid, views: Sequence[BoardView], scans: Sequence[ArrayF], width_m: float
-) -> tuple[float, int]:
+def _board_table(views: Sequence[BoardView]) -> ArrayF:
+    """(b, 14): middle in ccs, its axes along the sides and its normal as rows, half the sides."""
+    poses = [view.T_ccs_board for view in views]
+    return np.array([[*T.shift_m, *T.R.T.ravel(), *v.half_m] for T, v in zip(poses, views, strict=True)])
+
+
+@njit(cache=True, error_model="numpy")
+def _score(R, origin, boards, points, ends, width_m):  # type: ignore[no-untyped-def]
+    """Beams on the boards less those that went through, and how many should meet them."""
     score, beams = 0.0, 0
-    for view, scan in zip(views, scans, strict=True):
-        reach = np.linalg.norm(scan, axis=1)
-        met = meet_board(view, T.shift_m, scan @ T.R.T / reach[:, None])
-        on = met.inside(view.half_m, 0.0)
-        off = reach[on] - met.range_m[on]
-        score += float(np.sum(np.abs(off) < width_m) - np.sum(off >= width_m))
-        beams += int(on.sum())
+    d, arm = np.empty(3), np.empty(3)
+    for v in range(len(boards)):
+        middle, u, w, n = boards[v, :3], boards[v, 3:6], boards[v, 6:9], boards[v, 9:12]
+        for j in range(3):
+            arm[j] = middle[j] - origin[j]
+        height = n[0] * arm[0] + n[1] * arm[1] + n[2] * arm[2]
+        for i in range(ends[v], ends[v + 1]):
+            p = points[i]
+            reach = np.sqrt(p[0] ** 2 + p[1] ** 2 + p[2] ** 2)
+            for j in range(3):
+                d[j] = (R[j, 0] * p[0] + R[j, 1] * p[1] + R[j, 2] * p[2]) / reach
+            slope = d[0] * n[0] + d[1] * n[1] + d[2] * n[2]
+            # a beam that meets the front, and in front of the scanner
+            if slope >= 0 or height >= 0:
+                continue
+            way = height / slope
+            across = along = 0.0
+            for j in range(3):
+                off = way * d[j] - arm[j]
+                across += off * u[j]
+                along += off * w[j]
+            if abs(across) < boards[v, 12] and abs(along) < boards[v, 13]:
+                beams += 1
+                if abs(reach - way) < width_m:
+                    score += 1.0
+                elif reach > way:
+                    score -= 1.0
     return score, beams
 
 
-def _refined(
-    T: Rigid, nominal: Rigid, sigmas: ArrayF, views: Sequence[BoardView], scans: Sequence[ArrayF]
-) -> Rigid:
+def _refined(T: Rigid, nominal: Rigid, sigmas: ArrayF, boards: ArrayF, points: ArrayF, ends: ArrayI) -> Rigid:
     """Robust distances from the planes, of points inside the boards; the nominal orientation is observed."""
     for width in _WIDTHS_M:
         for _ in range(_STEPS):
-            N, n = np.diag(1 / sigmas**2), T.error_from(nominal) / sigmas**2
-            for view, scan in zip(views, scans, strict=True):
-                at = T.apply(scan)
-                local = (at - view.T_ccs_board.shift_m) @ view.T_ccs_board.R
-                on = (np.abs(local[:, :2]) < view.half_m).all(axis=1)
-                r = local[on, 2]
-                weight = np.maximum(1 - (r / width) ** 2, 0.0) ** 2
-                if not weight.any():
-                    continue
-                P = weight / (width / 3) ** 2 * (30.0 / max(float(weight.sum()), 30.0))
-                arm = at[on] - T.shift_m
-                J = np.hstack([np.tile(view.normal, (len(r), 1)), np.cross(arm, view.normal)])
-                N = N + J.T @ (J * P[:, None])
-                n = n + J.T @ (P * r)
-            dx: AnyArray = -np.linalg.solve(N, n)
+            N, n = _pulled(T.R, T.shift_m, boards, points, ends, width)
+            back = T.error_from(nominal)
+            dx: AnyArray = -np.linalg.solve(N + np.diag(1 / sigmas**2), n + back / sigmas**2)
             T = Rigid(R=exp_rotation(dx[3:]) @ T.R, shift_m=T.shift_m + dx[:3])
             if np.abs(dx).max() < 1e-4:
                 break
     return T
+
+
+@njit(cache=True, error_model="numpy")
+def _pulled(R, origin, boards, points, ends, width):  # type: ignore[no-untyped-def]
+    """Normal equations (6, 6), (6,) of points inside the boards by the orientation, with Tukey's weights."""
+    N, n = np.zeros((6, 6)), np.zeros(6)
+    arm, J = np.empty(3), np.empty(6)
+    for v in range(len(boards)):
+        own, right, total = np.zeros((6, 6)), np.zeros(6), 0.0
+        J[:3] = boards[v, 9:12]
+        for i in range(ends[v], ends[v + 1]):
+            p = points[i]
+            across = along = r = 0.0
+            for j in range(3):
+                arm[j] = R[j, 0] * p[0] + R[j, 1] * p[1] + R[j, 2] * p[2]
+                off = arm[j] + origin[j] - boards[v, j]
+                across += off * boards[v, 3 + j]
+                along += off * boards[v, 6 + j]
+                r += off * boards[v, 9 + j]
+            if abs(across) >= boards[v, 12] or abs(along) >= boards[v, 13] or abs(r) >= width:
+                continue
+            weight = (1 - (r / width) ** 2) ** 2
+            J[3] = arm[1] * J[2] - arm[2] * J[1]
+            J[4] = arm[2] * J[0] - arm[0] * J[2]
+            J[5] = arm[0] * J[1] - arm[1] * J[0]
+            for j in range(6):
+                right[j] += weight * J[j] * r
+                for m in range(6):
+                    own[j, m] += weight * J[j] * J[m]
+            total += weight
+        # a third of the width as sigma of a point, and few points are independent of their neighbours
+        P = 1 / (width / 3) ** 2 * (30.0 / max(total, 30.0))
+        N += P * own
+        n += P * right
+    return N, n
 
 
 # ---------------------------------------------------------------- edges of a board in a scan: what tells

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import ndtri
 
 from thalweg.calibration.cones import Cone, ConeBeams, beam_spread
-from thalweg.core import AnyArray, ArrayF, GeometryError, InputError, Rigid, exp_rotation, njit, plane_rates
+from thalweg.core import AnyArray, ArrayF, GeometryError, InputError, Rigid, exp_rotation, njit
 from thalweg.settings.sections import CameraLidarFit, LidarAccuracy
 
 _BEAMS: Final = 2500
@@ -261,23 +261,29 @@ def _score(
 @njit(cache=True, error_model="numpy")
 def _judge(R, shift, points, which, table, width):  # type: ignore[no-untyped-def]
     score, beams = 0.0, 0
-    d, o = np.empty(3), np.empty(3)
+    d = np.empty(3)
+    # origins of each scan from each apex: vector, along the axis, and c of the quadratic equation
+    o = np.empty((len(shift), len(table), 5))
+    for s in range(len(shift)):
+        for k in range(len(table)):
+            o_u = o_o = 0.0
+            for j in range(3):
+                o[s, k, j] = shift[s, j] - table[k, j]
+                o_u += o[s, k, j] * table[k, 3 + j]
+                o_o += o[s, k, j] * o[s, k, j]
+            o[s, k, 3], o[s, k, 4] = o_u, o_u * o_u - table[k, 6] * o_o
     for i in range(len(points)):
-        M, s, p = R[which[i]], shift[which[i]], points[i]
+        M, p = R[which[i]], points[i]
         reach = np.sqrt(p[0] ** 2 + p[1] ** 2 + p[2] ** 2)
         for j in range(3):
             d[j] = (M[j, 0] * p[0] + M[j, 1] * p[1] + M[j, 2] * p[2]) / reach
         first = np.inf
         for k in range(len(table)):
-            cos2 = table[k, 6]
-            d_u = o_u = d_o = o_o = 0.0
-            for j in range(3):
-                o[j] = s[j] - table[k, j]
-                d_u += d[j] * table[k, 3 + j]
-                o_u += o[j] * table[k, 3 + j]
-                d_o += d[j] * o[j]
-                o_o += o[j] * o[j]
-            a, b, c = d_u * d_u - cos2, d_u * o_u - cos2 * d_o, o_u * o_u - cos2 * o_o
+            cos2, at = table[k, 6], o[which[i], k]
+            o_u, c = at[3], at[4]
+            d_u = d[0] * table[k, 3] + d[1] * table[k, 4] + d[2] * table[k, 5]
+            d_o = d[0] * at[0] + d[1] * at[1] + d[2] * at[2]
+            a, b = d_u * d_u - cos2, d_u * o_u - cos2 * d_o
             under = b * b - a * c
             if c >= 0 or under < 0 or abs(a) < 1e-14:
                 continue
@@ -305,22 +311,15 @@ def _refined(
     which: AnyArray,
 ) -> Rigid:
     """Robust point distances; the nominal orientation is an observation, so that nothing is undetermined."""
-    R_pc = np.stack([pose.R for pose in at])[which]
-    shift = np.stack([pose.shift_m for pose in at])[which]
+    R_pc = np.stack([pose.R for pose in at])
+    shift = np.stack([pose.shift_m for pose in at])
     for width in _WIDTHS_M:
         for _ in range(_STEPS):
-            in_ccs = T.apply(points)
-            in_pcs = np.einsum("nij,nj->ni", R_pc, in_ccs) + shift
-            r, normal = _nearest(in_pcs, table)
-            weight = np.maximum(1 - (r / width) ** 2, 0.0) ** 2
-            n_ccs = np.einsum("nji,nj->ni", R_pc, normal)
-            arm = in_ccs - T.shift_m
-            J = plane_rates(n_ccs, arm)
+            N, n, weight = _pulled(T.R, T.shift_m, R_pc, shift, points, which, table, width)
             # A third of the width as sigma of a point, few of which are independent of their neighbours.
-            P = weight / (width / 3) ** 2 * (100.0 / max(float(weight.sum()), 100.0))
+            P = 1 / (width / 3) ** 2 * (100.0 / max(weight, 100.0))
             back = T.error_from(nominal)
-            N = J.T @ (J * P[:, None]) + np.diag(1 / sigmas**2)
-            dx = -np.linalg.solve(N, J.T @ (P * r) + back / sigmas**2)
+            dx = -np.linalg.solve(P * N + np.diag(1 / sigmas**2), P * n + back / sigmas**2)
             T = Rigid(R=exp_rotation(dx[3:]) @ T.R, shift_m=T.shift_m + dx[:3])
             if np.abs(dx).max() < 1e-4:
                 break
@@ -328,28 +327,53 @@ def _refined(
 
 
 @njit(cache=True, error_model="numpy")
-def _nearest(points, table):  # type: ignore[no-untyped-def]
-    """Distance (n,) from the nearest cone, with its normal (n, 3); beyond the ends it counts as 9 m."""
-    best, normal = np.full(len(points), 9.0), np.zeros((len(points), 3))
-    d = np.empty(3)
+def _pulled(turn, place, R, shift, points, which, table, width):  # type: ignore[no-untyped-def]
+    """Normal equations (6, 6) and (6,) of distances from the nearest cones by the scanner's orientation, with
+    Tukey's weights, and the sum of these; rates as of `plane_rates`.
+    """
+    N, n, total = np.zeros((6, 6)), np.zeros(6), 0.0
+    arm, x, d, normal, J = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(6)
+    cos, sin = np.sqrt(table[:, 6]), np.sqrt(1.0 - table[:, 6])
     for i in range(len(points)):
+        M, p = R[which[i]], points[i]
+        for j in range(3):
+            arm[j] = turn[j, 0] * p[0] + turn[j, 1] * p[1] + turn[j, 2] * p[2]
+        for j in range(3):
+            x[j] = shift[which[i], j]
+            for m in range(3):
+                x[j] += M[j, m] * (arm[m] + place[m])
+        best = width
         for k in range(len(table)):
-            cos = np.sqrt(table[k, 6])
-            sin = np.sqrt(1.0 - table[k, 6])
             z = rho = 0.0
             for j in range(3):
-                d[j] = points[i, j] - table[k, j]
+                d[j] = x[j] - table[k, j]
                 z += d[j] * table[k, 3 + j]
             for j in range(3):
                 d[j] -= z * table[k, 3 + j]
                 rho += d[j] * d[j]
             rho = np.sqrt(rho)
-            slant, distance = z * cos + rho * sin, rho * cos - z * sin
-            if 0.0 < slant < table[k, 7] / cos and abs(distance) < abs(best[i]):
-                best[i] = distance
+            slant, distance = z * cos[k] + rho * sin[k], rho * cos[k] - z * sin[k]
+            if 0.0 < slant < table[k, 7] / cos[k] and abs(distance) < abs(best):
+                best = distance
                 for j in range(3):
-                    normal[i, j] = cos * d[j] / max(rho, 1e-12) - sin * table[k, 3 + j]
-    return best, normal
+                    normal[j] = cos[k] * d[j] / max(rho, 1e-12) - sin[k] * table[k, 3 + j]
+        if abs(best) >= width:
+            continue
+        weight = (1 - (best / width) ** 2) ** 2
+        for j in range(3):
+            J[j] = M[0, j] * normal[0] + M[1, j] * normal[1] + M[2, j] * normal[2]
+        J[3] = arm[1] * J[2] - arm[2] * J[1]
+        J[4] = arm[2] * J[0] - arm[0] * J[2]
+        J[5] = arm[0] * J[1] - arm[1] * J[0]
+        for j in range(6):
+            n[j] += weight * J[j] * best
+            for m in range(j + 1):
+                N[j, m] += weight * J[j] * J[m]
+        total += weight
+    for j in range(6):
+        for m in range(j):
+            N[m, j] = N[j, m]
+    return N, n, total
 
 
 def normal_set(n: int) -> ArrayF:

@@ -31,9 +31,8 @@ that are added to finished coordinates would put them outside by as much; beams 
 takes mean and variance by quadrature, without the limit to second order.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final, NamedTuple, Self
+from typing import Final, NamedTuple, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -61,6 +60,8 @@ _STARTS: Final = 40
 _KEPT: Final = 6
 _STEPS: Final = 25
 _SCALES_M: Final = (0.1, 0.03, 0.01)
+_Cones: TypeAlias = tuple[ArrayF, ArrayF, ArrayF]
+"""Several cones: apexes (s, 3), axes (s, 3), half angles (s,)."""
 """Widths of the loss on the way down: coarse first, so that a wrong start still finds the way."""
 
 
@@ -302,15 +303,15 @@ def beam_spread(cone: Cone, origin_m: ArrayF, beam: ArrayF, sigma_across_m: Arra
     sigma_across_m : (n,) standard deviation of the offset in each direction.
     """
     axes = beam_axes(beam)
-    nominal = cone.ranges_m(origin_m, beam)
+    first, second = (np.ravel(nodes)[:, None, None] for nodes in np.meshgrid(_NODES, _NODES, indexing="ij"))
+    offset = (first * axes[:, :, 1] + second * axes[:, :, 2]) * sigma_across_m[:, None]
+    ranges = cone.ranges_m((origin_m + offset).reshape(-1, 3), np.tile(beam, (len(offset), 1)))
+    ranges = ranges.reshape(len(offset), len(beam))
+    excess = ranges - ranges[len(offset) // 2]  # the node in the middle is the nominal beam
     mean, square = np.zeros(len(beam)), np.zeros(len(beam))
-    for i, first in enumerate(_NODES):
-        for j, second in enumerate(_NODES):
-            offset = (first * axes[:, :, 1] + second * axes[:, :, 2]) * sigma_across_m[:, None]
-            excess = cone.ranges_m(origin_m + offset, beam) - nominal
-            weight = _WEIGHTS[i] * _WEIGHTS[j]
-            mean += weight * excess
-            square += weight * excess**2
+    for weight, own in zip(np.outer(_WEIGHTS, _WEIGHTS).ravel(), excess, strict=True):
+        mean += weight * own
+        square += weight * own**2
     return mean, square - mean**2
 
 
@@ -548,19 +549,18 @@ def start_cone(points_m: ArrayF, half_angle_rad: float) -> Cone:
     GeometryError : no start leads to a cone that passes within 1 cm of half of the points.
     """
     middle = points_m.mean(axis=0)
-    tried = []
-    for axis in _directions(_STARTS):
-        arm = points_m - middle
-        rho = np.linalg.norm(arm - np.outer(arm @ axis, axis), axis=1)
-        apex = middle - axis * float(rho.mean()) / np.tan(half_angle_rad)
-        tried.append(Cone(apex_m=apex, axis=axis, half_angle_rad=half_angle_rad))
+    axes = _directions(_STARTS)
+    arm = points_m - middle
+    rho = np.linalg.norm(arm - (axes @ arm.T)[..., None] * axes[:, None], axis=2)
+    apexes = middle - axes * rho.mean(axis=1)[:, None] / np.tan(half_angle_rad)
+    tried = (apexes, axes, np.full(_STARTS, half_angle_rad))
     for scale in _SCALES_M:
         sigma = np.full(len(points_m), scale / _TUKEY)
-        tried = _refined(tried, points_m, sigma, free_half_angle=False, steps=5)
-        off = [float(np.median(np.abs(cone.see(points_m).distance_m))) for cone in tried]
-        order = np.argsort(off, kind="stable")
-        tried = [tried[k] for k in order[:_KEPT]]
-    least, best = off[order[0]], tried[0]
+        tried, distance = _refined(tried, points_m, sigma, free_half_angle=False, steps=5)
+        off = np.median(np.abs(distance), axis=1)
+        order = np.argsort(off, kind="stable")[:_KEPT]
+        tried = (tried[0][order], tried[1][order], tried[2][order])
+    least, best = float(off[order[0]]), _cone_of(tried)
     if least > 0.01:
         raise GeometryError(
             f"no cone of {np.rad2deg(half_angle_rad):.2f} deg half angle passes through its "
@@ -579,28 +579,33 @@ def refine(
     steps: int = _STEPS,
 ) -> Cone:
     """Least squares of distances over sigmas (n,), with Tukey's weights if ``robust``; damped steps."""
+    start = (cone.apex_m[None], cone.axis[None], np.array([cone.half_angle_rad]))
     how = {"free_half_angle": free_half_angle, "robust": robust}
-    return _refined([cone], points_m, sigma_m, steps=steps, **how)[0]
+    return _cone_of(_refined(start, points_m, sigma_m, steps=steps, **how)[0])
+
+
+def _cone_of(cones: _Cones) -> Cone:
+    """The first of several."""
+    apex, axis, half = cones
+    return Cone(apex_m=apex[0], axis=axis[0], half_angle_rad=float(half[0]))
 
 
 def _refined(
-    cones: Sequence[Cone],
+    cones: _Cones,
     points_m: ArrayF,
     sigma_m: ArrayF,
     *,
     free_half_angle: bool,
     robust: bool = True,
     steps: int = _STEPS,
-) -> list[Cone]:
-    """`refine` from several starts side by side."""
+) -> tuple[_Cones, ArrayF]:
+    """`refine` from several starts (s, ...) side by side, with the distances (s, n) that are left."""
     k = 6 if free_half_angle else 5
-    apex, axis, tangents = (
-        np.stack([getattr(c, name) for c in cones]) for name in ("apex_m", "axis", "tangents")
-    )
-    half = np.array([cone.half_angle_rad for cone in cones])
+    apex, axis, half = (a.copy() for a in cones)
+    tangents = _tangents(axis)
     distance, *_, J = _seen(apex, axis, tangents, half, points_m)
     cost = _cost(distance / sigma_m, robust)
-    damping, open_ = np.full(len(cones), 1e-3), np.arange(len(cones))
+    damping, open_ = np.full(len(half), 1e-3), np.arange(len(half))
     diagonal = np.arange(k)
     for _ in range(steps):
         r = distance[open_] / sigma_m
@@ -634,7 +639,7 @@ def _refined(
         open_ = open_[~done & (damping[open_] <= 1e6)]
         if not len(open_):
             break
-    return [Cone(apex_m=apex[i], axis=axis[i], half_angle_rad=float(half[i])) for i in range(len(cones))]
+    return (apex, axis, half), distance
 
 
 def _cost(r: ArrayF, robust: bool) -> ArrayF:

@@ -18,6 +18,7 @@ weights, because only so does the covariance mean what it says.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
@@ -294,14 +295,26 @@ def _outliers(
     groups: Sequence[Observations[State]], x: State, masks: list[ArrayB | None], reject_sigmas: float
 ) -> list[ArrayB | None]:
     found: list[ArrayB | None] = []
-    tail = chi2.sf(reject_sigmas**2, 1)
     for group, mask in zip(groups, masks, strict=True):
         r, _, k = whitened(group.model(x), group.name)
         length = np.sqrt(np.square(r).reshape(-1, k).sum(axis=1))
         kept = length if mask is None or not mask.any() else length[mask]
-        scatter = max(1.0, float(np.median(kept) / np.sqrt(chi2.median(k)))) if len(kept) else 1.0
-        found.append(length <= scatter * np.sqrt(chi2.isf(tail, k)))
+        middle, limit = _usual_lengths(k, reject_sigmas)
+        scatter = max(1.0, float(np.median(kept) / middle)) if len(kept) else 1.0
+        found.append(length <= scatter * limit)
     return found
+
+
+@cache
+def _usual_lengths(k: int, sigmas: float) -> tuple[float, float]:
+    """Median of the lengths of k normal errors, and the one that is as unlikely as so many sigmas of one."""
+    return float(np.sqrt(chi2.median(k))), float(np.sqrt(chi2.isf(chi2.sf(sigmas**2, 1), k)))
+
+
+@cache
+def _huber_limit(k: int) -> float:
+    """Length of k normal errors beyond which weights fall: as unlikely as the limit is for one."""
+    return HUBER_LIMIT if k == 1 else float(np.sqrt(chi2.ppf(chi2.cdf(HUBER_LIMIT**2, 1), k)))
 
 
 def _result(
@@ -316,21 +329,7 @@ def _result(
     u = len(names)
     here = normal_equations(groups, x, u, masks, None)
     G = inner(x) if inner else None
-    check_rank(here.N, names, G, cure)
-    scale = np.sqrt(np.diag(here.N))
-    Ns = here.N / np.outer(scale, scale)
-    if G is None:
-        cov = linalg.cho_solve(linalg.cho_factor(Ns, lower=True), np.eye(u))
-    else:
-        Gs = orthonormal(G / scale)
-        cov = linalg.cho_solve(linalg.cho_factor(Ns + Gs.T @ Gs, lower=True), np.eye(u))
-    cov = cov / np.outer(scale, scale)
-    if G is not None:
-        # Any generalised inverse, brought to the datum of the constraints (S-transformation, Baarda 1973).
-        E = null_space(here.N, scale, len(G))
-        S = np.eye(u) - E @ np.linalg.solve(G @ E, G)
-        cov = S @ cov @ S.T
-    cov = (cov + cov.T) / 2
+    cov = _covariance(here.N, names, G, cure)
     residuals, lengths, used = {}, {}, {}
     sigma0: dict[str, float] = {}
     spare: dict[str, float] = {}
@@ -368,6 +367,38 @@ def _result(
         group_redundancy=spare,
         n_iterations=steps,
     )
+
+
+def _covariance(N: ArrayF, names: tuple[str, ...], G: ArrayF | None, cure: str) -> ArrayF:
+    """Covariance (u, u) from the normal matrix, in the datum of the constraints ``G`` if there are some.
+
+    Raises
+    ------
+    UnobservableError : the unknowns are not determined.
+    """
+    scale = _scale(N, names, G, cure)
+    Ns = N / np.outer(scale, scale)
+    Gs = None if G is None else orthonormal(G / scale)
+    try:
+        factor, _ = linalg.cho_factor(Ns if Gs is None else Ns + Gs.T @ Gs, lower=True)
+    except np.linalg.LinAlgError:
+        check_rank(N, names, G, cure)
+        raise
+    inverse, _ = linalg.lapack.dpotri(factor, lower=1)
+    inverse = np.tril(inverse) + np.tril(inverse, -1).T
+    # The norm of the inverse bounds the smallest eigenvalue from below: beyond doubt none is zero.
+    if not np.linalg.norm(inverse) * RANK_TOLERANCE < 1.0:
+        check_rank(N, names, G, cure)
+    cov = inverse / np.outer(scale, scale)
+    if G is not None and Gs is not None:
+        # Any generalised inverse, brought to the datum of the constraints: S cov S^T, S = 1 - E (G E)^-1 G
+        # (S-transformation, Baarda 1973). The columns of E are the directions that the observations leave
+        # free: from N E = 0 follows (N + G^T G) E = G^T (G E).
+        E = linalg.cho_solve((factor, True), Gs.T) / scale[:, None]
+        to_datum = np.linalg.solve((G @ E).T, E.T)
+        cov = cov - to_datum.T @ (G @ cov)
+        cov = cov - (cov @ G.T) @ to_datum
+    return np.asarray((cov + cov.T) / 2)
 
 
 # ---------------------------------------------------------------- normal equations: weights, steps, and what
@@ -427,7 +458,7 @@ def normal_equations(
         root = np.ones(len(length)) if mask is None else mask.astype(np.float64)
         inside = np.square(length)
         if loss is not None:
-            limit = HUBER_LIMIT if k == 1 else float(np.sqrt(chi2.ppf(chi2.cdf(HUBER_LIMIT**2, 1), k)))
+            limit = _huber_limit(k)
             far = length > limit
             inside = np.where(far, 2 * limit * length - limit**2, inside)
             root = root * np.sqrt(np.where(far, limit / np.maximum(length, limit), 1.0))
@@ -545,9 +576,3 @@ def check_rank(N: ArrayF, names: tuple[str, ...], G: ArrayF | None, cure: str) -
     order = np.argsort(-part)
     strong = [names[i] for i in order[:6] if part[i] > 0.2 * part[order[0]]]
     raise UnobservableError(strong, defects=int(free.sum()), cure=cure)
-
-
-def null_space(N: ArrayF, scale: ArrayF, defects: int) -> ArrayF:
-    """Directions (u, c) in which the observations leave the unknowns free."""
-    _, vectors = linalg.eigh(N / np.outer(scale, scale), subset_by_index=[0, defects - 1])
-    return np.asarray(vectors / scale[:, None])

@@ -46,15 +46,29 @@ def rotation_z(angle_rad: float) -> ArrayF:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def rotation_opk(omega_rad: float, phi_rad: float, kappa_rad: float) -> ArrayF:
+def rotation_opk(omega_rad: ArrayLike, phi_rad: ArrayLike, kappa_rad: ArrayLike) -> ArrayF:
     """Rotation matrix ``R = R_x(omega) R_y(phi) R_z(kappa)``, the photogrammetric convention of the thesis.
+
+    Parameters
+    ----------
+    omega_rad, phi_rad, kappa_rad : broadcastable arrays of shape (...,).
+
+    Returns
+    -------
+    (..., 3, 3) array.
 
     Examples
     --------
     >>> rotation_opk(0.0, -np.pi / 2, 0.0).round(12) @ [0.0, 0.0, 1.0]
     array([-1.,  0.,  0.])
     """
-    return rotation_x(omega_rad) @ rotation_y(phi_rad) @ rotation_z(kappa_rad)
+    w, p, k = (np.asarray(a, dtype=np.float64) for a in (omega_rad, phi_rad, kappa_rad))
+    (cw, cp, ck), (sw, sp, sk) = ((f(w), f(p), f(k)) for f in (np.cos, np.sin))
+    R = np.empty((*np.broadcast_shapes(w.shape, p.shape, k.shape), 3, 3))
+    R[..., 0, 0], R[..., 0, 1], R[..., 0, 2] = cp * ck, -cp * sk, sp
+    R[..., 1, 0], R[..., 1, 1], R[..., 1, 2] = cw * sk + sw * sp * ck, cw * ck - sw * sp * sk, -sw * cp
+    R[..., 2, 0], R[..., 2, 1], R[..., 2, 2] = sw * sk - cw * sp * ck, sw * ck + cw * sp * sk, cw * cp
+    return R
 
 
 def opk_axes(omega_rad: ArrayLike, phi_rad: ArrayLike) -> ArrayF:

@@ -7,6 +7,7 @@ vector, both in the *target* frame and in this order, as the links of `thalweg.c
     dx_target = dshift + dtheta x (R x_source)
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, Self
@@ -19,8 +20,10 @@ from thalweg.core.errors import GeometryError
 from thalweg.core.frames import opk_axes, rotation_opk, transform
 from thalweg.core.types import ArrayF
 
-_ORTHOGONAL: Final = 1e-9
-"""A product of a few rotations in float64 is orthogonal to some 1e-16; a matrix with 9 digits to 1e-9."""
+_ONE: Final = np.eye(3)
+_ALLOWED: Final = 1e-9 + 1e-5 * _ONE
+"""What ``R R^T`` may be off. A product of a few rotations in float64 is orthogonal to some 1e-16, a matrix
+with 9 digits to 1e-9; rows of such a matrix have unit length to 1e-5."""
 
 SHIFT: Final = slice(0, 3)
 TURN: Final = slice(3, 6)
@@ -60,14 +63,13 @@ class Rigid:
     def __post_init__(self) -> None:
         R, shift, C = (np.asarray(a, dtype=np.float64) for a in (self.R, self.shift_m, self.cov))
         known = R.shape == (3, 3) and shift.shape == (3,) and np.isfinite(shift).all()
-        if not known or not np.allclose(R @ R.T, np.eye(3), atol=_ORTHOGONAL) or np.linalg.det(R) < 0:
+        if not known or not (np.abs(R @ R.T - _ONE) <= _ALLOWED).all() or np.linalg.det(R) < 0:
             raise GeometryError(
                 "these nine numbers are no rotation matrix, or the shift is no point",
                 expected="an orthogonal matrix with determinant +1, and three metres",
                 cure="Check the order of the elements, and that they have no scale and no reflection",
             )
-        least = -1e-9 * max(float(np.trace(C)), 1e-30) if C.shape == (6, 6) else 0.0
-        if C.shape != (6, 6) or not _symmetric(C) or np.linalg.eigvalsh(C)[0] < least:
+        if C.shape != (6, 6) or (C.any() and not _is_covariance(C)):
             raise GeometryError(
                 "no covariance matrix of a transform",
                 expected="a symmetric 6x6 matrix without negative eigenvalues: shift, rotation vector",
@@ -199,15 +201,36 @@ class Rigid:
         return np.concatenate([self.shift_m - other.shift_m, rotation_vector(self.R @ other.R.T)])
 
 
-def _symmetric(C: ArrayF) -> bool:
-    """Whether a covariance is symmetric but for rounding: 1e-9 of the product of both sigmas."""
+def _is_covariance(C: ArrayF) -> bool:
+    """Whether a matrix is symmetric and has no negative eigenvalue but for rounding.
+
+    Symmetric to 1e-9 of the product of both sigmas, eigenvalues to 1e-9 of the trace.
+    """
     s = np.sqrt(np.clip(np.diag(C), 0.0, None))
-    return bool((np.abs(C - C.T) <= 1e-9 * np.outer(s, s) + 1e-300).all())
+    symmetric = (np.abs(C - C.T) <= 1e-9 * np.outer(s, s) + 1e-300).all()
+    return bool(symmetric and np.linalg.eigvalsh(C)[0] >= -1e-9 * max(float(np.trace(C)), 1e-30))
 
 
 def exp_rotation(vector_rad: ArrayLike) -> ArrayF:
     """Rotation matrix (..., 3, 3) of rotation vectors (..., 3)."""
+    if np.shape(vector_rad) == (3,):
+        return _exp_one(*map(float, np.asarray(vector_rad)))
     return np.asarray(Rotation.from_rotvec(np.asarray(vector_rad, dtype=np.float64)).as_matrix())
+
+
+def _exp_one(x: float, y: float, z: float) -> ArrayF:
+    """`exp_rotation` of one vector by its quaternion: adjustments take thousands of such steps."""
+    angle = math.sqrt(x * x + y * y + z * z)
+    half = angle / 2
+    share = math.sin(half) / angle if angle > 1e-3 else 0.5 - angle**2 / 48 + angle**4 / 3840
+    x, y, z, w = x * share, y * share, z * share, math.cos(half)
+    return np.array(
+        [
+            [w * w + x * x - y * y - z * z, 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), w * w - x * x + y * y - z * z, 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), w * w - x * x - y * y + z * z],
+        ]
+    )
 
 
 def rotation_vector(R: ArrayLike) -> ArrayF:
@@ -339,7 +362,13 @@ def plane_rates(normals: ArrayF, arms: ArrayF) -> ArrayF:
     normals : (n, 3) of the planes, unit vectors.
     arms : (n, 3) from the point about which the motion turns to each point, in the same frame.
     """
-    return np.hstack([normals, np.cross(arms, normals)])
+    return np.hstack([normals, _crossed(arms, normals)])
+
+
+def _crossed(a: ArrayF, b: ArrayF) -> ArrayF:
+    """``a x b`` (n, 3); several times as fast as that of NumPy for some hundred vectors."""
+    (x, y, z), (u, v, w) = a.T, b.T
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
 
 
 def beam_axes(beam: ArrayF) -> ArrayF:
@@ -350,9 +379,9 @@ def beam_axes(beam: ArrayF) -> ArrayF:
     """
     along = beam / np.linalg.norm(beam, axis=1, keepdims=True)
     least = np.argmin(np.abs(along), axis=1)
-    first = np.cross(along, np.eye(3)[least])
+    first = _crossed(along, np.eye(3)[least])
     first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return np.stack([along, first, np.cross(along, first)], axis=2)
+    return np.stack([along, first, _crossed(along, first)], axis=2)
 
 
 def _turned(rotation: ArrayF, x: ArrayF) -> ArrayF:

@@ -78,11 +78,12 @@ _START_S: Final = 4.0e8
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EchoSpec:
     """What kind of run: its duration, relief of the bed (height of waves of 7 and 11 m), turning or not, how
-    much it sways (1: 3 deg roll, 2 deg pitch, 5 cm heave).
+    much it sways (1: 3 deg roll, 2 deg pitch, 5 cm heave), how far the surveyed bed reaches from its middle.
     """
 
     duration_s: float = 300.0
     relief_m: float = 0.5
+    reach_m: float = 22.0
     turning: bool = True
     sway: float = 1.0
     lag_s: float = 0.0
@@ -131,7 +132,7 @@ def make_echo_run(seed: int, spec: EchoSpec | None = None) -> EchoRun:
     depth = depth * (1 + s.sigma_sound_speed * rng.standard_normal())
     depth = depth + s.sigma_depth_m * rng.standard_normal(len(depth))
     depth[rng.uniform(size=len(depth)) < s.blunders] *= 0.6
-    side = np.arange(-22.0, 22.0, 0.4)
+    side = np.arange(-s.reach_m, s.reach_m, 0.4)
     grid = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2) + along.mean(axis=0)
     height = bed_height_m(grid, s.relief_m) + s.sigma_datum_m * generator(seed, "bed").standard_normal()
     bed = Bed(points_wcs_m=np.column_stack([grid, height]), sigma_m=0.01, sigma_datum_m=s.sigma_datum_m)

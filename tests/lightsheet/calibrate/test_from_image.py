@@ -1,7 +1,6 @@
 """From a rendered picture of the grid object, with speckle and noise, to the light sheet."""
 
 import numpy as np
-import pytest
 
 from thalweg.core import rotation_opk
 from thalweg.lightsheet.calibration import CalibrationSettings, calibrate_sheet, parse_grid
@@ -14,8 +13,9 @@ from thalweg_lab.tank.objects import GridPattern, grid_object
 from thalweg_lab.tank.record import grid_text
 
 
-@pytest.mark.parametrize("levels_mm", [(0.0, -90.0), (0.0, -45.0, -90.0)], ids=["two levels", "three levels"])
-def test_a_rendered_picture_gives_the_sheet(lines, levels_mm):
+def test_a_rendered_picture_gives_the_sheet(lines):
+    """Three levels; an object of two goes the same way, and through the jobs of test_sheet_jobs.py."""
+    levels_mm = (0.0, -45.0, -90.0)
     truth = lines.without_sigmas(paper_4())
     pattern = GridPattern.regular()
     pattern = GridPattern(gaps_mm=pattern.gaps_mm, levels_mm=levels_mm)

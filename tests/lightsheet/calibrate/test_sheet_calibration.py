@@ -1,6 +1,7 @@
 """The calibration against the truth of simulated lines (underwater.md, acceptance 11 to 13 and section 4)."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pandas as pd
@@ -69,16 +70,16 @@ def check_runs(lines, n, factor):
     assert (np.abs(errors.mean(axis=0)) < 3.5 / np.sqrt(n)).all(), errors.mean(axis=0)
 
 
-def test_twenty_runs_from_a_start_that_is_off(lines):
-    """+-10 mm and +-4 degrees; empirical over formal sigma to 2.7 standard deviations of a ratio of 20."""
-    check_runs(lines, 20, 0.43)
+def test_twelve_runs_from_a_start_that_is_off(lines):
+    """+-10 mm and +-4 degrees; empirical over formal sigma to 2.7 standard deviations of a ratio of 12."""
+    check_runs(lines, 12, 0.55)
 
 
 @pytest.mark.slow
 def test_four_hundred_runs(lines):
     """Acceptance 11, so many that a tenth too much would show: 3 standard deviations of a ratio of 400.
 
-    The test above has the same way in 20 runs.
+    The test above has the same way in 12 runs.
     """
     check_runs(lines, 400, 0.11)
 
@@ -159,6 +160,7 @@ def test_scatter_below_the_stated_sigmas_makes_them_smaller(lines):
     assert found.sigma_factor[PAIRS].width > 4 * found.sigma_factor[LINE].width
 
 
+@cache
 def considered(lines, jointly=()):
     sensor, grid = paper_4(), lines.grid_object()
     points = lines.line_points(sensor, grid, 3, every=2)

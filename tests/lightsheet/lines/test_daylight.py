@@ -109,7 +109,7 @@ def test_lines_on_a_checkerboard_in_daylight(colour: str) -> None:
     At least 95 % of the rows of each picture within 2 px; sigmas as the errors are.
     """
     squares, errors = [], []
-    for seed in range(8):
+    for seed in range(4):
         image, true_px = daylight_board(seed, colour)
         found = detect_lines(image)
         row = np.rint(found.y_px - 0.5).astype(int)
@@ -118,16 +118,16 @@ def test_lines_on_a_checkerboard_in_daylight(colour: str) -> None:
         assert np.mean(np.abs(off) < 2.0) > 0.99
         squares.append(np.mean((off / found.sigma_px) ** 2))
         errors.append(np.std(off))
-    # eight pictures of some 40 independent places each: measured 1.09, 0.90 and 0.97; 1.00, 0.94 and 1.09 in
-    # twelve others. By the noise of single pixels and speckle they were 0.87, 0.89 and, in blue, 0.53
-    assert 0.8 < np.sqrt(np.mean(squares)) < 1.25
+    # four pictures of some 40 independent places each: 6 % (1 sigma). Eight had 1.09, 0.90 and 0.97, twelve
+    # others 1.00, 0.94 and 1.09. By the noise of single pixels and speckle 0.87, 0.89 and, in blue, 0.53
+    assert 0.72 < np.sqrt(np.mean(squares)) < 1.35
     assert max(errors) < 0.45
 
 
 def test_beside_a_checkerboard_there_is_no_line() -> None:
     """The wall behind the board shows the laser as well, in another plane; with ``board`` it is not used."""
     how = LineSettings(across="rows", board=(7, 5))
-    for seed in (1, 2):
+    for seed in (1,):
         image, true_px = daylight_board(seed, "red", inner=(7, 5))
         on_wall, found = detect_lines(image, replace(how, board=None)), detect_lines(image, how)
         for points, share in ((on_wall, (0.5, 0.95)), (found, (0.99, 1.0))):
@@ -157,9 +157,8 @@ def test_the_colour_in_the_dark_may_be_stated() -> None:
     assert found.facts["judged_by_colour"] == 1.0
 
 
-@pytest.mark.parametrize("colour", ["green", "red"])
-def test_a_laser_plane_from_checkerboards_in_daylight(colour: str) -> None:
-    """Six boards half a metre away, their poses known: the plane is that of the laser within 0.15 mm.
+def test_a_laser_plane_from_checkerboards_in_daylight() -> None:
+    """Four boards half a metre away, their poses known: the plane is that of the laser within 0.15 mm.
 
     Camera of 900 px, 0.15 m beside the laser; a pixel is 0.6 mm on the board and 2 mm along the plane.
     """
@@ -168,14 +167,7 @@ def test_a_laser_plane_from_checkerboards_in_daylight(colour: str) -> None:
     of_laser = normal @ [-0.15, 0.0, 0.0]
     points, true = [], []
     for seed, (tilt, turn, away) in enumerate(
-        [
-            (0.3, 0.2, 0.46),
-            (-0.3, 0.1, 0.5),
-            (0.2, -0.3, 0.54),
-            (-0.2, -0.2, 0.44),
-            (0.0, 0.3, 0.5),
-            (0.1, 0.0, 0.52),
-        ]
+        [(0.3, 0.2, 0.46), (-0.3, 0.1, 0.5), (0.2, -0.3, 0.54), (-0.2, -0.2, 0.44)]
     ):
         board = np.array([np.sin(turn), np.sin(tilt), 0.0])
         board[2] = np.sqrt(1.0 - board @ board)
@@ -188,7 +180,7 @@ def test_a_laser_plane_from_checkerboards_in_daylight(colour: str) -> None:
             seen.append(focal * np.array([x, y]) / z + centre)
         (x0, y0), (x1, y1) = seen
         slope = (x1 - x0) / (y1 - y0)
-        image, _ = daylight_board(seed, colour, straight=(x0 - slope * y0, slope))
+        image, _ = daylight_board(seed, "red", straight=(x0 - slope * y0, slope))
         found = detect_lines(image)
         rays = np.column_stack(
             [(found.x_px - centre[0]) / focal, (found.y_px - centre[1]) / focal, np.ones(len(found))]

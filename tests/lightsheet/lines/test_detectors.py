@@ -133,7 +133,6 @@ def test_the_default_follows_the_speckle_of_the_image(picture: "Maker", share: f
 # ---------------------------------------------------------------- no noise
 
 
-@pytest.mark.parametrize("turned", [False, True], ids=["rows", "columns"])
 @pytest.mark.parametrize(
     "settings",
     [
@@ -147,7 +146,11 @@ def test_the_default_follows_the_speckle_of_the_image(picture: "Maker", share: f
     ],
     ids=["row", "row normal", "lsm", "steger", "fixed", "default", "normal"],
 )
-@pytest.mark.parametrize(("slope", "bend"), [(0.0, 0.0), (0.3, 0.0), (0.6, 2e-4)])
+@pytest.mark.parametrize(
+    ("slope", "bend", "turned"),
+    [(0.0, 0.0, False), (0.3, 0.0, False), (0.6, 2e-4, False), (0.6, 2e-4, True)],
+    ids=["straight", "sloping", "bent", "bent, along columns"],
+)
 def test_no_bias_without_noise(settings: LineSettings, slope: float, bend: float, turned: bool) -> None:
     """Corner origin, rows and columns alike; half a pixel or half a sample of a renderer would show."""
     y = np.arange(240) + 0.5
@@ -190,8 +193,8 @@ def test_the_row_fit_is_a_least_squares_fit(picture: "Maker") -> None:
 
 
 def test_a_slope_costs_the_plain_patch_and_not_the_sheared_one(picture: "Maker") -> None:
-    centre = 330 + 0.6 * (np.arange(1024) - 511.5)
-    made = picture(centre, width=660)
+    centre = 170 + 0.6 * (np.arange(512) - 255.5)
+    made = picture(centre, width=340)
     plain, sheared, default = (
         made.errors(detect_lines(made.image, s))[0].std()
         for s in (LSM, LineSettings(method="lsm", shear=True), LineSettings())

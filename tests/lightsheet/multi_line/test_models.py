@@ -140,11 +140,11 @@ def test_comparison_prefers_the_hierarchical_model() -> None:
 def test_estimated_deviations_are_those_of_the_twin() -> None:
     """Variance components: spacing 0.03 degrees and offsets of (0.10, 0.05, 0.05) mm, on three levels."""
     found = []
-    for seed in (1, 2, 3):
+    for seed in (1, 2):
         grating = make_grating(SENSOR, seed)
         points = calibration_points(SENSOR, grating, (60.0, 110.0, 160.0), seed, points_per_line=30)
         found.append(calibrate_lines(SENSOR, points, line_model("hierarchical", nominal())).sigma_deviations)
-    # 15 lines, 3 seeds: 10 % statistical; bow, cover and caustic go into the same components
+    # 15 lines, 2 seeds: 13 % statistical; bow, cover and caustic go into the same components
     assert np.mean([each["line_v"] for each in found]) == pytest.approx(np.deg2rad(0.03), rel=0.6)
     assert 0.02 < np.mean([each["line_origin"] for each in found]) < 0.12
 

@@ -6,7 +6,7 @@ import pytest
 from thalweg.core import GeometryError
 from thalweg.lightsheet.optics import paper_4
 from thalweg.lightsheet.scanning import LASER_M, SurveyPlan, joint_survey, small_river, swath
-from thalweg.lightsheet.scanning.joint_survey import ECHO, ECHO_LEAST_M, LASER, Section
+from thalweg.lightsheet.scanning.joint_survey import ECHO, ECHO_LEAST_M, LASER, JointSurvey, Section
 
 V = Section(across_m=np.array([0.0, 2.0, 4.0]), depth_m=np.array([0.0, 1.0, 0.0]))
 """A V-shaped river 4 m wide and 1 m deep: shares and gaps can be said by hand."""
@@ -26,8 +26,13 @@ def test_shares_and_gaps_of_a_simple_section() -> None:
     assert found.facts["rmse_shallow_echo_m"] < 0.002
 
 
-def test_each_instrument_measures_its_depths_only() -> None:
-    found = joint_survey(small_river())
+@pytest.fixture(scope="module")
+def river() -> JointSurvey:
+    return joint_survey(small_river())
+
+
+def test_each_instrument_measures_its_depths_only(river: JointSurvey) -> None:
+    found = river
     depth = found.places_m[:, 2]
     assert depth[found.instrument == ECHO].min() >= ECHO_LEAST_M
     laser = depth[found.instrument == LASER]
@@ -42,8 +47,8 @@ def test_each_instrument_measures_its_depths_only() -> None:
     assert table["soundings"].sum() == found.facts["soundings"]
 
 
-def test_the_shallow_bed_is_known_only_with_the_laser() -> None:
-    facts = joint_survey(small_river()).facts
+def test_the_shallow_bed_is_known_only_with_the_laser(river: JointSurvey) -> None:
+    facts = river.facts
     assert small_river().depth_m.max() == pytest.approx(2.5, abs=0.15)
     assert facts["rmse_shallow_joint_m"] < 0.2 * facts["rmse_shallow_echo_m"]
     assert facts["gap_left_joint_m"] < 0.3 * facts["gap_left_echo_m"]

@@ -30,7 +30,7 @@ def stairs(
 
 def test_errors_of_the_planes_are_what_their_sigmas_say(rng: np.random.Generator) -> None:
     squares = []
-    for _ in range(30):
+    for _ in range(15):
         tilt = (float(rng.normal(0, 0.01)), float(rng.normal(0, 0.01)))
         X = stairs(rng, tilt=tilt)
         found = fit_levels(X, UP, sigma_mm=np.full(len(X), 0.1))
@@ -41,7 +41,7 @@ def test_errors_of_the_planes_are_what_their_sigmas_say(rng: np.random.Generator
         # edges of the ground lie 4.9 mm below: they belong to no plane
         assert found.used.mean() == pytest.approx(300 / 340, abs=0.02)
         assert found.adjusted.sigma0_squared == pytest.approx(1.0, abs=0.15)
-    assert 0.5 < np.mean(squares) < 1.8  # 30 draws of two numbers: 1 +- 0.18 if both were alike
+    assert 0.35 < np.mean(squares) < 2.1  # 15 draws of two numbers: 1 +- 0.26 if both were alike
     assert found.plane_height_mm == pytest.approx(STEP_HEIGHTS_MM, abs=0.05)
     assert found.plane_rms_mm == pytest.approx(0.1, rel=0.15)
     assert found.plane_n.sum() == found.used.sum()

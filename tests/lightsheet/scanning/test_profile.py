@@ -35,7 +35,7 @@ def test_covariance_is_that_of_repeated_measurements(points_at: PointsAt, rng: n
     one = profile(sensor, points_at(xy, 0.3, angle_rad=0.4))
     along = np.array([np.cos(0.4), np.sin(0.4)])
     root = factor(sensor.cov)
-    n = 900
+    n = 400
     drawn = np.empty((n, len(xy), 3))
     for k in range(n):
         wrong = sensor.with_vector(sensor.vector() + root @ rng.standard_normal(root.shape[1]))
@@ -43,12 +43,12 @@ def test_covariance_is_that_of_repeated_measurements(points_at: PointsAt, rng: n
         drawn[k] = profile(wrong, points_at(moved, 0.3)).xyz_lcs_mm
     for j in range(len(xy)):
         predicted = np.sqrt(np.diag(one.cov_mm2[j]))
-        # 900 draws give a standard deviation to 2 %, four of that; second order adds a percent
-        assert drawn[:, j].std(axis=0) == pytest.approx(predicted, rel=0.09)
+        # 400 draws give a standard deviation to 3.5 %, four of that; second order adds a percent
+        assert drawn[:, j].std(axis=0) == pytest.approx(predicted, rel=0.14)
     # points of one sensor err together: the correlation of both depths comes from the shared part alone
     together = np.cov(drawn[:, 0, 2], drawn[:, 4, 2])
     shared = float(one.shared_mm[0, 2] @ one.shared_mm[4, 2])
-    assert together[0, 1] == pytest.approx(shared, abs=0.12 * np.sqrt(together[0, 0] * together[1, 1]))
+    assert together[0, 1] == pytest.approx(shared, abs=0.18 * np.sqrt(together[0, 0] * together[1, 1]))
 
 
 def test_pixels_off_the_sheet_are_counted_not_measured(points_at: PointsAt, exact: Sensor) -> None:

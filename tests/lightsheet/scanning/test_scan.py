@@ -82,7 +82,7 @@ def test_the_motion_errs_as_its_covariance_says(
     simulated: Simulate, exact: Sensor, hull: Object, surface: Surface
 ) -> None:
     squares, ratios, flagged = [], [], 0
-    for seed in range(1, 8):
+    for seed in range(1, 6):
         one = simulated(exact, hull, seed, lines=8, step_mm=6.0, beams=100)
         result = scan_against_mesh(one.cloud, surface, one.T_obj_ccs.moved(OFF))
         T = result.alignment.T_mesh_target
@@ -92,8 +92,8 @@ def test_the_motion_errs_as_its_covariance_says(
         flagged += len(result.check.images)
         # the goal without any outlier removed by hand: 0.2 mm; 0.15 px and 6-DOF poses give 0.05
         assert result.distance_mm.std() < 0.08
-    # seven squares of six: 1 +- 0.22 if all were independent
-    assert 0.4 < np.mean(squares) < 1.8
+    # five squares of six: 1 +- 0.26 if all were independent
+    assert 0.3 < np.mean(squares) < 1.95
     # six numbers of 48 of the poses are absorbed by the alignment
     assert 0.7 < np.mean(ratios) < 1.15
     assert flagged <= 1
@@ -105,7 +105,7 @@ def test_with_perfect_poses_the_motion_errs_by_its_points(
     """Patches of five rows: neighbours err alike, and the motion must know."""
     surface = Surface(reference_mesh(hull, 1, resolution_mm=1.5, sigma_mm=0.0, holes=0, without=(0,)))
     squares = []
-    for seed in range(1, 7):
+    for seed in range(1, 5):
         one = simulated(exact, hull, seed, lines=6, step_mm=8.0, beams=100)
         rng = np.random.default_rng(seed)
         true = [one.tripod.T_ccs_lcs(one.plan.path, k) for k in range(6)]
@@ -125,8 +125,8 @@ def test_with_perfect_poses_the_motion_errs_by_its_points(
         found = align(merge(lines, poses), surface, one.T_obj_ccs)
         e = found.T_mesh_target.error_from(one.T_obj_ccs)
         squares.append(e @ np.linalg.solve(found.T_mesh_target.cov, e) / 6)
-    # six squares of six numbers: 1 +- 0.24; without the neighbours it would be 5
-    assert 0.3 < np.mean(squares) < 2.2
+    # four squares of six numbers: 1 +- 0.29; without the neighbours it would be 5
+    assert 0.15 < np.mean(squares) < 2.5
 
 
 def at_place(one: Any, sensor: Sensor, image: str) -> np.ndarray:

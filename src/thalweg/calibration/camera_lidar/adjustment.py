@@ -788,7 +788,8 @@ def point_table(
 
     ``residual_m`` is positive outside, and less its expectation where the point is used.
     """
-    parts = []
+    words = np.array([WORDS.get(v, "") for v in Verdict], dtype=object)
+    names, parts = [], []
     for p, (position, selection) in enumerate(zip(positions, selections, strict=True)):
         T = x.poses[p] @ x.T_ccs_scs
         for k, name in enumerate(layout.cones):
@@ -798,19 +799,19 @@ def point_table(
             met = x.cones[k].meet(T.shift_m, (at - T.shift_m) / reach[:, None])
             residual = -(reach - met.range_m - np.nan_to_num(selection.excess_m[rows])) * met.cosine
             verdict = selection.verdict[rows]
-            parts.append(
-                pd.DataFrame(
-                    {
-                        "cone": name,
-                        "position": position.name,
-                        **{f"{a}_m": at[:, i] for i, a in enumerate("xyz")},
-                        "residual_m": residual,
-                        "used": (verdict == Verdict.USED) & ((p, k) not in out),
-                        "verdict": [WORDS[Verdict(v)] for v in verdict],
-                    }
-                )
-            )
-    return pd.concat(parts, ignore_index=True)
+            names += [(name, position.name)] * len(rows)
+            parts.append((at, residual, (verdict == Verdict.USED) & ((p, k) not in out), words[verdict]))
+    place, residual, used, verdict = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return pd.DataFrame(
+        {
+            "cone": [cone for cone, _ in names],
+            "position": [position for _, position in names],
+            **{f"{a}_m": place[:, i] for i, a in enumerate("xyz")},
+            "residual_m": residual,
+            "used": used,
+            "verdict": verdict,
+        }
+    )
 
 
 def sensor_table(positions: Sequence[str], poses: Sequence[Rigid], T_ccs_scs: Rigid) -> pd.DataFrame:

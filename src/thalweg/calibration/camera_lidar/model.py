@@ -267,13 +267,14 @@ def lidar_rows(layout: Layout, x: Unknowns, p: int, scan: ConeScan) -> LidarRows
     for k in np.unique(scan.cone):
         on = np.flatnonzero(scan.cone == k)
         cone = x.cones[k]
-        met = cone.meet(whole.shift_m, beam[on])
+        entry = cone.ranges_m(whole.shift_m, beam[on])
+        hit = np.isfinite(entry)
         # On the way a beam may miss the cone; it is then judged where the measured point lies.
-        way = np.where(met.hit, met.range_m, reach[on])
+        way = np.where(hit, entry, reach[on])
         seen = cone.see(whole.shift_m + way[:, None] * beam[on])
         normal[on] = seen.normal
         slope[on] = np.minimum(np.einsum("ij,ij->i", seen.normal, beam[on]), _LEAST_SLOPE)
-        nominal[on] = way - np.where(met.hit, 0.0, seen.distance_m / slope[on])
+        nominal[on] = way - np.where(hit, 0.0, seen.distance_m / slope[on])
         J[on, layout.cone(k)] = seen.by_parameters[:, : layout.per_cone]
     at_pcs = whole.shift_m + nominal[:, None] * beam
     in_ccs = (at_pcs - pose.shift_m) @ pose.R

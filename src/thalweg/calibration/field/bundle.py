@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from scipy import sparse
+from scipy import linalg, sparse
 from scipy.stats import chi2
 
 from thalweg.calibration import Block, mark_name, parse_mark
@@ -217,7 +217,7 @@ def robust_start(problem: Problem, x: State, steps: int = 40) -> State:
             G = inner_constraints(x.X, layout, scale=not problem.bars) / scale
             Q = np.linalg.qr(G.T)[0]
             Ns += Q @ Q.T
-        dx = -np.linalg.solve(Ns, n / scale) / scale
+        dx = -linalg.cho_solve(linalg.cho_factor(Ns, overwrite_a=True), n / scale) / scale
         x = moved(x, dx, layout)
         if float(np.abs(dx * scale).max()) < 0.1 and width <= 8.0:
             break

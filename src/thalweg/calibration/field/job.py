@@ -14,6 +14,7 @@ from thalweg.calibration.field.datum import FieldDatum, field_datum, targets_wcs
 from thalweg.calibration.field.description import FieldDescription
 from thalweg.calibration.field.network import (
     FieldNetwork,
+    Start,
     measure_field,
     misfit_px,
     require_steady,
@@ -89,6 +90,7 @@ def measure(
     frame: LocalFrame,
     *,
     calibrate: Mapping[str, tuple[str, ...]] | None = None,
+    start: Start | None = None,
 ) -> MeasuredField:
     """Adjust a field and place it in the world.
 
@@ -99,6 +101,7 @@ def measure(
     field : its description.
     frame : of wcs.
     calibrate : parameters to estimate of each camera; all if None.
+    start : of `start_network` for these marks and cameras, if it is known already.
 
     Raises
     ------
@@ -112,7 +115,9 @@ def measure(
         middle = np.round(np.median(wcs, axis=0))
         approximate = {t.marker: place - middle for t, place in zip(field.targets, wcs, strict=True)}
     try:
-        network = measure_field(marks, cameras, field, approximate=approximate, calibrate=calibrate)
+        network = measure_field(
+            marks, cameras, field, approximate=approximate, calibrate=calibrate, start=start
+        )
     except GeometryError as error:
         raise with_overview(error, marks) from error
     require_steady(list(network.changes))

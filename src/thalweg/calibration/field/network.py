@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
+from scipy import sparse
 from scipy.stats import chi2
 
 from thalweg.calibration import Block, MarkerLayout, block_of, parse_mark, sheet_centres
@@ -141,6 +142,15 @@ class CameraChange:
         )
 
 
+@dataclass(slots=True)
+class Start:
+    """Approximate values: poses ``T_pcs_ccs`` by image, points (p, 3), NaN if unknown, images left out."""
+
+    poses: dict[int, Rigid]
+    points: ArrayF
+    left_out: dict[str, str] = field(default_factory=dict)
+
+
 # ---------------------------------------------------------------- network
 
 
@@ -182,6 +192,7 @@ def measure_field(
     *,
     approximate: Mapping[int, ArrayF] | None = None,
     calibrate: Mapping[str, tuple[str, ...]] | None = None,
+    start: Start | None = None,
 ) -> FieldNetwork:
     """Adjust the pictures of a field.
 
@@ -194,6 +205,7 @@ def measure_field(
     up).
         Without, pcs is upright as the pictures are.
     calibrate : parameters to estimate of each camera; all if None.
+    start : of `start_network` for these marks and cameras, if it is known already.
 
     Raises
     ------
@@ -201,7 +213,7 @@ def measure_field(
     """
     block = block_of(marks, cameras)
     rejected: list[Rejected] = []
-    start = start_network(block, field.layout)
+    start = start or start_network(block, field.layout)
     rejected += [("image", image, reason) for image, reason in start.left_out.items()]
     used_cameras = tuple(cameras[name] for name in dict.fromkeys(block.camera_of))
     names = [camera.name for camera in used_cameras]
@@ -482,15 +494,6 @@ def _system(
 # poses are known. Where too few markers link a picture to the others, three sheets of known distance do.
 
 
-@dataclass(slots=True)
-class Start:
-    """Approximate values: poses ``T_pcs_ccs`` by image, points (p, 3), NaN if unknown, images left out."""
-
-    poses: dict[int, Rigid]
-    points: ArrayF
-    left_out: dict[str, str] = field(default_factory=dict)
-
-
 def start_network(block: Block, layout: MarkerLayout) -> Start:
     """Approximate values in the frame of one picture; see the module.
 
@@ -724,20 +727,23 @@ def _intersect(block: Block, poses: dict[int, Rigid]) -> ArrayF:
     image, point = block.image[rows], block.point[rows]
     d = np.einsum("mij,mj->mi", R[image], block.rays[rows])
     across = np.eye(3) - d[:, :, None] * d[:, None, :]
+    # of each ray the matrix of its plane across and the place of the camera on that plane
+    parts = np.concatenate([across.reshape(-1, 9), (across @ C[image][:, :, None])[:, :, 0]], axis=1)
+    sums = sparse.csr_array((np.ones(len(rows)), (point, np.arange(len(rows)))), shape=(n, len(rows)))
     weight = np.ones(len(rows))
     points = np.full((n, 3), np.nan)
+    count = np.bincount(point, minlength=n)
     for _ in range(4):
-        A, b = np.zeros((n, 3, 3)), np.zeros((n, 3))
-        np.add.at(A, point, weight[:, None, None] * across)
-        np.add.at(b, point, weight[:, None] * np.einsum("mij,mj->mi", across, C[image]))
-        count = np.bincount(point, minlength=n)
+        total = sums @ (weight[:, None] * parts)
+        A, b = total[:, :9].reshape(n, 3, 3), total[:, 9:]
         smallest = np.linalg.eigvalsh(A)[:, 0]
         mass = np.bincount(point, weights=weight, minlength=n)
         fixed = (count >= 2) & (smallest > mass * _LEAST_ANGLE_RAD**2 / 4)
         points[:] = np.nan
         points[fixed] = np.linalg.solve(A[fixed], b[fixed][:, :, None])[:, :, 0]
-        off = np.linalg.norm(np.einsum("mij,mj->mi", across, points[point] - C[image]), axis=1)
-        distance = np.linalg.norm(points[point] - C[image], axis=1)
+        away = points[point] - C[image]
+        off = np.linalg.norm((across @ away[:, :, None])[:, :, 0], axis=1)
+        distance = np.linalg.norm(away, axis=1)
         weight = 1e-3 / np.maximum(np.nan_to_num(off / distance, nan=1.0), 1e-3)
     return points
 

@@ -518,28 +518,35 @@ def _three_point_poses(P: ArrayF, r: ArrayF) -> tuple[ArrayF, ArrayF]:
 def _angles(R: ArrayF, C: ArrayF, points: ArrayF, rays: ArrayF) -> ArrayF:
     """(k, n) angles between rays and the directions to their points."""
     away = points[None] - C[:, None]
-    turned = np.einsum("kij,nj->kni", R, rays)
-    along = np.einsum("kni,kni->kn", away, turned)
-    across = np.linalg.norm(np.cross(turned, away), axis=2)
-    return np.arctan2(across, along)
+    turned = rays @ np.swapaxes(R, 1, 2)
+    x, y, z = away[..., 0], away[..., 1], away[..., 2]
+    u, v, w = turned[..., 0], turned[..., 1], turned[..., 2]
+    across = np.sqrt((v * z - w * y) ** 2 + (w * x - u * z) ** 2 + (u * y - v * x) ** 2)
+    return np.arctan2(across, u * x + v * y + w * z)
 
 
 def improved_pose(pose: Rigid, points: ArrayF, rays: ArrayF) -> Rigid:
-    """One Gauss-Newton step of a pose on the parts of unit directions across the rays, all of one weight."""
-    local = (points - pose.shift_m) @ pose.R
-    length = np.linalg.norm(local, axis=1)
-    unit = local / length[:, None]
-    across = np.eye(3) - unit[:, :, None] * unit[:, None, :]
-    J = np.empty((len(points), 3, 6))
-    J[:, :, :3] = -across @ pose.R.T / length[:, None, None]
-    d = points - pose.shift_m
-    cross = np.zeros((len(points), 3, 3))
-    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -d[:, 2], d[:, 1], -d[:, 0]
-    cross -= np.swapaxes(cross, 1, 2)
-    J[:, :, 3:] = across @ pose.R.T @ cross / length[:, None, None]
-    off = rays - unit
-    N = np.einsum("nij,nik->jk", J, J)
-    dx = np.linalg.lstsq(N, np.einsum("nij,ni->j", J, off), rcond=1e-12)[0]
+    """One Gauss-Newton step of a pose on the parts of unit directions across the rays, all of one weight.
+
+    With the unit direction ``u`` to a point in pcs, its distance ``l``, its ray ``w`` turned into pcs and
+    ``A = 1 - u u^T``, the derivatives of the direction in pcs are ``-A / l`` by the shift and ``[u]x`` by the
+    rotation.
+    """
+    away = points - pose.shift_m
+    length = np.sqrt(np.add.reduce(away * away, axis=1))
+    u = away / length[:, None]
+    near = u / length[:, None]
+    w = rays @ pose.R.T
+    N = np.zeros((6, 6))
+    N[:3, :3] = np.square(1 / length).sum() * np.eye(3) - near.T @ near
+    N[3:, 3:] = len(points) * np.eye(3) - u.T @ u
+    N[:3, 3:] = -cross_matrix(near.sum(axis=0)[None])[0]
+    N[3:, :3] = N[:3, 3:].T
+    along = np.add.reduce(u * w, axis=1)
+    (x, y, z), (a, b, c) = u.T, w.T
+    turn = [np.sum(z * b - y * c), np.sum(x * c - z * a), np.sum(y * a - x * b)]
+    n = np.concatenate([-((w - along[:, None] * u) / length[:, None]).sum(axis=0), turn])
+    dx = np.linalg.lstsq(N, n, rcond=1e-12)[0]
     limit = float(np.linalg.norm(dx[3:]))
     return pose.moved(dx * min(1.0, 0.5 / max(limit, 1e-12)))
 

@@ -10,7 +10,17 @@ import pandas as pd
 
 from thalweg.calibration.field import FieldPoints, Resected, resect
 from thalweg.clocks import read_number_columns, read_text_columns
-from thalweg.core import ArrayF, ArrayI, GeometryError, InputError, Rigid, ThalwegError, opk_of, rotation_z
+from thalweg.core import (
+    ArrayF,
+    ArrayI,
+    GeometryError,
+    InputError,
+    Rigid,
+    ThalwegError,
+    cross_matrix,
+    opk_of,
+    rotation_z,
+)
 from thalweg.lightsheet.optics import CAMERA, FLIP, LENS, PARAMETERS, WINDOW, Sensor
 
 # relative to the window, from marks that it sees through air
@@ -128,10 +138,11 @@ def camera_over_window(
     height_mm = sheet_mm if face == "inner" else -nominal.window.thickness_mm - sheet_mm
     pose = resected.T_pcs_ccs
     on_window = points.points_pcs[at]
+    bare = Rigid(R=pose.R, shift_m=pose.shift_m)
 
     def numbers(shift: ArrayF, p: ArrayF) -> ArrayF:
         """Place and angles of the camera by a shift of its pose and the points ``p`` on the window."""
-        moved = pose.moved(shift)
+        moved = bare.moved(shift)
         R, t = _frame(moved, p, nominal, height_mm)
         angles = np.asarray(opk_of(R @ moved.R @ FLIP))
         return np.concatenate([R @ (MM * moved.shift_m) + t, angles])
@@ -314,9 +325,11 @@ def _frame(pose: Rigid, on_window: ArrayF, nominal: Sensor, height_mm: float) ->
     normal = np.linalg.svd(on_window - middle)[2][2]
     if normal @ (pose.shift_m - middle) < 0:
         normal = -normal
-    side = np.cross(np.eye(3)[int(np.abs(normal).argmin())], normal)
+    least = int(np.abs(normal).argmin())
+    by_axis, by_normal = cross_matrix(np.stack([np.eye(3)[least], normal]))
+    side = by_axis @ normal
     side /= np.linalg.norm(side)
-    R = np.stack([side, np.cross(normal, side), normal])
+    R = np.stack([side, by_normal @ side, normal])
     # the heading that brings the camera's axes nearest to those of the design
     M = nominal.R_lcs_ccs @ (R @ pose.R).T
     R = rotation_z(float(np.arctan2(M[1, 0] - M[0, 1], M[0, 0] + M[1, 1]))) @ R

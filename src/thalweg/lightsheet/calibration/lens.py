@@ -24,6 +24,7 @@ from thalweg.calibration.field import (
     Layout,
     MeasuredField,
     Problem,
+    Start,
     State,
     inner_constraints,
     marks_model,
@@ -111,8 +112,12 @@ PUBLISHED_SIGMA: Final = 0.004 / 12.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Prediction:
-    """State, layout, covariance, pictures of a bundle at approximate values; how badly these fit, pixels."""
+    """State, layout, covariance, pictures of a bundle at approximate values; how badly these fit, pixels.
 
+    ``start``: the approximate values of all pictures.
+    """
+
+    start: Start
     x: State
     layout: Layout
     cov: ArrayF
@@ -184,7 +189,7 @@ def predicted(marks: pd.DataFrame, camera: Camera, field: FieldDescription) -> P
     w, V = np.linalg.eigh(N / np.outer(scale, scale) + Q @ Q.T)
     # a free combination has next to no eigenvalue: its unknowns get sigmas that nobody takes for small
     cov = (V / np.maximum(w, _LEAST_EIGENVALUE)) @ V.T / np.outer(scale, scale)
-    return Prediction(x=x, layout=layout, cov=cov, images=problem.block.images, misfit_px=misfit)
+    return Prediction(start=start, x=x, layout=layout, cov=cov, images=problem.block.images, misfit_px=misfit)
 
 
 def lens_cov(layout: Layout, cov: ArrayF) -> ArrayF:
@@ -374,7 +379,7 @@ def calibrate_lens(
     lens = lens_cov(expected.layout, expected.cov)
     require_determined(start, lens, correlations, view_facts(expected.x), where=where)
     try:
-        measured = measure(marks, {NAME: start}, field, frame)
+        measured = measure(marks, {NAME: start}, field, frame, start=expected.start)
     except GeometryError as error:
         raise with_misfit(error, expected.misfit_px) from error
     network = measured.network

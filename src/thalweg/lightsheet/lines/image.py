@@ -15,7 +15,7 @@ from typing import Final, Literal
 import cv2
 import numpy as np
 
-from thalweg.core import NMAD, AnyArray, ArrayB, ArrayF, ArrayF32, ArrayU8, InputError
+from thalweg.core import NMAD, AnyArray, ArrayB, ArrayF, ArrayF32, ArrayU8, InputError, njit
 from thalweg.lightsheet.lines.settings import LineSettings
 
 MEASURED: Final = 1
@@ -507,12 +507,16 @@ def _from_mosaic(dn: ArrayF32, saturated: AnyArray, parity: int) -> tuple[ArrayF
     return full, measured.astype(np.uint8) * np.uint8(MEASURED), np.where(measured, saturated, beside)
 
 
+@njit(cache=True, error_model="numpy")
 def _add_products(relative: ArrayF, usable: ArrayB, products: ArrayF, pairs: ArrayF) -> None:
     """Add the products of neighbours at each lag."""
     rows, columns = relative.shape
-    for down in range(LAG + 1):
-        for right in range(-LAG if down else 0, LAG + 1):
-            here = (slice(0, rows - down), slice(max(0, -right), columns - max(0, right)))
-            there = (slice(down, rows), slice(max(0, right), columns - max(0, -right)))
-            products[down, right + LAG] += float(np.sum(relative[here] * relative[there]))
-            pairs[down, right + LAG] += float(np.count_nonzero(usable[here] & usable[there]))
+    for i in range(rows):
+        for j in range(columns):
+            if not usable[i, j]:
+                continue
+            for down in range(min(LAG + 1, rows - i)):
+                for right in range(max(-LAG, -j) if down else 0, min(LAG + 1, columns - j)):
+                    if usable[i + down, j + right]:
+                        products[down, right + LAG] += relative[i, j] * relative[i + down, j + right]
+                        pairs[down, right + LAG] += 1.0

@@ -357,7 +357,7 @@ def map_evidence(
     A point counts as likely as it is for a true and for a wrong label to be supported or contradicted;
     points of a segment count together.
     """
-    xyd, slope, _ = in_map(h, pose)
+    xyd, slope = in_map(h, pose)
     state, _ = surface.ask(xyd, slope, h.possible.astype(np.uint8), frame)
     size = np.maximum(np.bincount(h.segment, minlength=h.n_segments), 1)[:, None]
     support = np.zeros((h.n_segments, h.possible.shape[1]))
@@ -379,14 +379,17 @@ def add_labelled(h: Hypotheses, labels: Labels, surface: SurfaceMap, pose: Pose,
     """Put the labelled points of an image on the map."""
     i = np.flatnonzero(labels.label >= 0)
     j = labels.label[i]
-    xyd, slope, laser = in_map(h, pose)
-    surface.add(xyd[i, j], j, frame, slope[i], laser[i, j])
+    slopes = _turned(h.slope[i], pose), _turned(h.laser_slope[i, j], pose)
+    surface.add(_moved(h.xyd_mm[i, j], pose), j, frame, *slopes)
 
 
-def in_map(h: Hypotheses, pose: Pose) -> tuple[ArrayF, ArrayF, ArrayF]:
-    """Hypotheses (n, L, 3: x, y, depth) and slopes (n, 2), (n, L, 2) of their rays, in the map's frame."""
-    xyz = h.xyd_mm * [1.0, 1.0, -1.0] @ pose.R.T + pose.t_mm
-    return xyz * [1.0, 1.0, -1.0], _turned(h.slope, pose), _turned(h.laser_slope, pose)
+def in_map(h: Hypotheses, pose: Pose) -> tuple[ArrayF, ArrayF]:
+    """Hypotheses (n, L, 3: x, y, depth) and slopes (n, 2) of the camera's rays, in the map's frame."""
+    return _moved(h.xyd_mm.reshape(-1, 3), pose).reshape(h.xyd_mm.shape), _turned(h.slope, pose)
+
+
+def _moved(xyd_mm: ArrayF, pose: Pose) -> ArrayF:
+    return np.asarray((xyd_mm * [1.0, 1.0, -1.0] @ pose.R.T + pose.t_mm) * [1.0, 1.0, -1.0])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -40,7 +40,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from thalweg.core import ArrayB, ArrayF, ArrayI, GeometryError
+from thalweg.core import ArrayB, ArrayF, ArrayI, GeometryError, rotation_opk
 from thalweg.lightsheet.optics import LightSheet, Window
 
 COMPONENTS: Final = 7
@@ -198,21 +198,42 @@ class LineModel:
     def derivatives(self, x: ArrayF) -> ArrayF:
         """(n, 7, u) derivatives of origin, small rotation about the laser's axes and direction cosine.
 
-        Central differences of a smooth closed form; good to 1e-9 of their size.
+        Central differences of a smooth closed form; good to 1e-9 of their size. Unknowns called
+        ``line_<label>_...`` change their own line alone, so that one step takes those of all lines (Curtis,
+        Powell and Reid 1974).
         """
-        here = self.function(x)
-        out = np.zeros((len(here.labels), COMPONENTS, len(x)))
-        for k in range(len(x)):
+        out = np.zeros((len(self.labels), COMPONENTS, len(x)))
+        for places, lines in self._steps():
             h = np.zeros(len(x))
-            h[k] = _STEP
+            h[places] = _STEP
             up, down = self.function(x + h), self.function(x - h)
-            out[:, :3, k] = up.origins_lcs_mm - down.origins_lcs_mm
             turn = np.swapaxes(down.R_lcs_las, 1, 2) @ up.R_lcs_las
-            out[:, 3, k] = (turn[:, 2, 1] - turn[:, 1, 2]) / 2
-            out[:, 4, k] = (turn[:, 0, 2] - turn[:, 2, 0]) / 2
-            out[:, 5, k] = (turn[:, 1, 0] - turn[:, 0, 1]) / 2
-            out[:, 6, k] = up.v - down.v
+            change = np.empty((len(self.labels), COMPONENTS))
+            change[:, :3] = up.origins_lcs_mm - down.origins_lcs_mm
+            change[:, 3] = (turn[:, 2, 1] - turn[:, 1, 2]) / 2
+            change[:, 4] = (turn[:, 0, 2] - turn[:, 2, 0]) / 2
+            change[:, 5] = (turn[:, 1, 0] - turn[:, 0, 1]) / 2
+            change[:, 6] = up.v - down.v
+            if lines is None:
+                out[:, :, places[0]] = change
+            else:
+                out[lines, :, places] = change[lines]
         return out / (2 * _STEP)
+
+    def _steps(self) -> list[tuple[list[int], list[int] | None]]:
+        """Unknowns that are changed at once, and the line of each; None: one that changes all lines."""
+        line = {str(label): k for k, label in enumerate(self.labels)}
+        alone: dict[str, tuple[list[int], list[int] | None]] = {}
+        for place, name in enumerate(self.names):
+            kind, *rest = name.split("_", 2)
+            if kind != "line":
+                alone[name] = [place], None
+                continue
+            places, lines = alone.setdefault(rest[1], ([], []))
+            places.append(place)
+            if lines is not None:
+                lines.append(line[rest[0]])
+        return list(alone.values())
 
 
 def opk_angles(R: ArrayF) -> ArrayF:
@@ -225,15 +246,7 @@ def opk_angles(R: ArrayF) -> ArrayF:
 def rotation_rad(angles_rad: ArrayF) -> ArrayF:
     """``R_x R_y R_z`` of angles (..., 3), shape (..., 3, 3)."""
     a = np.asarray(angles_rad, dtype=np.float64)
-    (cw, cp, ck), (sw, sp, sk) = np.moveaxis(np.cos(a), -1, 0), np.moveaxis(np.sin(a), -1, 0)
-    return np.stack(
-        [
-            np.stack([cp * ck, -cp * sk, sp], axis=-1),
-            np.stack([cw * sk + sw * sp * ck, cw * ck - sw * sp * sk, -sw * cp], axis=-1),
-            np.stack([sw * sk - cw * sp * ck, sw * ck + cw * sp * sk, cw * cp], axis=-1),
-        ],
-        axis=-2,
-    )
+    return rotation_opk(a[..., 0], a[..., 1], a[..., 2])
 
 
 def water_curve(

@@ -339,7 +339,7 @@ def _confirmed(
             j = label[given] + shift
             inside = (j >= 0) & (j < L)
             asked[given[inside], j[inside]] = h.possible[given[inside], j[inside]]
-        xyd, slope, _ = in_map(h, pose)
+        xyd, slope = in_map(h, pose)
         state, _ = surface.ask(xyd, slope, asked, k)
         size = np.maximum(np.bincount(h.segment, minlength=h.n_segments), 1)[:, None]
         share = np.zeros((h.n_segments, L))
@@ -378,7 +378,7 @@ def _disagreement(
         i = np.flatnonzero(j >= 0)
         asked = np.zeros(h.possible.shape, dtype=np.uint8)
         asked[i, j[i]] = 1
-        xyd, slope, _ = in_map(h, pose)
+        xyd, slope = in_map(h, pose)
         off = np.full(len(label), np.nan)
         off[i] = np.abs(surface.ask(xyd, slope, asked, k)[1][i, j[i]])
         out.append(off[label >= 0])
