@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from thalweg.core import LocalFrame, Trajectory, rotation_enu_body, rotation_opk
 from thalweg.core.geometry import TriangleMesh
-from thalweg.figures import read_picture, save
 from thalweg.figures.calibration.field import cones_of
 from thalweg.figures.calibration.tables import CONES
 from thalweg.ingest import DEPTH, GNSS_POSITION, INS_STATE
@@ -257,13 +256,11 @@ def artists(figure, gid):
     return figure.findobj(lambda artist: artist.get_gid() == gid)
 
 
-def drawn(figure, tmp_path):
+def drawn(figure):
     """The picture can be drawn, is not empty, and no word of it leaves the page."""
-    path = tmp_path / "a.png"
-    save(figure, path, dpi=50)
-    assert np.ptp(read_picture(path)) > 200
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
+    assert np.ptp(canvas.buffer_rgba()) > 200
     page, renderer = figure.bbox, canvas.get_renderer()
     for text in [t for t in words_of(figure) if t.get_text().strip()]:
         box = text.get_window_extent(renderer)

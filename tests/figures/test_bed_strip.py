@@ -42,7 +42,7 @@ def truth() -> tuple[pd.DataFrame, pd.DataFrame]:
     return pd.DataFrame([{"mean_m": 0.04, "std_within_lines_m": 0.002}]), rows
 
 
-def test_the_strip_beside_the_true_bed(points, truth, tmp_path, look) -> None:
+def test_the_strip_beside_the_true_bed(points, truth, look) -> None:
     figure = bed_strip(points, truth=truth[0], truth_lines=truth[1], title="Strip", twin=True)
     words = look.texts(figure)
     assert "Strip: n = 480 points of 8 lines, sigma of the height 3.0 cm, within a line 0.02 mm" in words
@@ -68,10 +68,10 @@ def test_the_strip_beside_the_true_bed(points, truth, tmp_path, look) -> None:
     np.testing.assert_allclose(
         errors.containers[0].lines[0].get_xdata(orig=False), STEP_S * np.arange(LINES), atol=1e-6
     )
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
-def test_a_real_boat_has_heights_only(points, tmp_path, look) -> None:
+def test_a_real_boat_has_heights_only(points, look) -> None:
     figure = bed_strip(points)
     assert "digital twin" not in look.texts(figure)
     assert "true bed" not in look.texts(figure)
@@ -79,7 +79,7 @@ def test_a_real_boat_has_heights_only(points, tmp_path, look) -> None:
     means = last.containers[0].lines[0].get_ydata(orig=False)
     # 2 cm to the west and 2 cm to the north from line to line: 4 mm higher
     np.testing.assert_allclose(np.diff(means), 0.4)
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
     with pytest.raises(InputError, match="cov_uu_m2"):
         bed_strip(points.drop(columns="cov_uu_m2"))
 

@@ -24,7 +24,7 @@ from thalweg.figures.calibration.tables import (
 # ---------------------------------------------------------------- clocks
 
 
-def test_the_offset_figure_shows_both_tracks(rng, tmp_path, look):
+def test_the_offset_figure_shows_both_tracks(rng, look):
     t = np.arange(0, 60, 0.1)
     track = pd.DataFrame(
         {"t_gps_s": 1e8 + t, "east_m": 3 * np.sin(t / 9), "north_m": 2 * np.cos(t / 7), "up_m": 0.0}
@@ -46,7 +46,7 @@ def test_the_offset_figure_shows_both_tracks(rng, tmp_path, look):
     assert crosses.get_marker() == "x"
     assert crosses.get_color() == "black"
     assert len(circles.get_xdata()) == 57
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
     # an image where the boat stands has no direction: the rest is still drawn
     standing = images.assign(residual_along_m=images["residual_along_m"].where(np.arange(len(at)) != 5))
     words = look.texts(clock_offset(standing, track, {"offset_s": 0.0, "sigma_offset_s": 0.001}))
@@ -54,7 +54,7 @@ def test_the_offset_figure_shows_both_tracks(rng, tmp_path, look):
     assert f"along {rest.mean():+.1f} ± {rest.std(ddof=0):.1f}, across" in words
 
 
-def test_intervals_jump_over_what_could_not_be_read(tmp_path, look):
+def test_intervals_jump_over_what_could_not_be_read(look):
     read = np.cumsum(np.full(50, 0.999))
     read[1::2] += 0.01
     good = np.ones(50, dtype=bool)
@@ -88,7 +88,7 @@ def test_intervals_jump_over_what_could_not_be_read(tmp_path, look):
     assert np.diff(edges) == pytest.approx(0.01)
     assert counts.sum() == 44
     assert edges[:-1] / 0.01 % 1 == pytest.approx(0.5)
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
     with pytest.raises(CoverageError, match="0 intervals between readable photos"):
         display_intervals(table.assign(readable=False))
     with pytest.raises(CoverageError, match="no photo could be read"):

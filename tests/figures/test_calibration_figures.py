@@ -75,7 +75,7 @@ def test_the_projection_is_a_rotation():
 # ---------------------------------------------------------------- field
 
 
-def test_the_field_shows_cones_and_sensors(cones, poses, tmp_path, look):
+def test_the_field_shows_cones_and_sensors(cones, poses, look):
     figure = field_setup(cones, poses, twin=True)
     words = look.texts(figure)
     assert "n = 4 cones, 3 of them used" in words
@@ -85,7 +85,7 @@ def test_the_field_shows_cones_and_sensors(cones, poses, tmp_path, look):
     assert camera.get_marker() == "o"
     assert lidar.get_marker() == "s"
     assert {t for t in words.split(" | ") if t.startswith("C")} >= {"C1", "C2", "C4", "C10"}
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
     # only wcs has a north; the grid lies below the lowest cone, wherever the origin of the frame is
     assert look.artists(figure, "north-arrow")
     low = cones.assign(apex_z_m=cones["apex_z_m"] - 5.0)
@@ -105,7 +105,7 @@ def test_a_distance_is_signed(cones):
     )
 
 
-def test_positions_have_one_colour_each(cones, poses, tmp_path, look):
+def test_positions_have_one_colour_each(cones, poses, look):
     figure = field_positions(cones, poses)
     words = look.texts(figure)
     assert "n = 2 positions, 3 of 4 cones used" in words
@@ -120,7 +120,7 @@ def test_positions_have_one_colour_each(cones, poses, tmp_path, look):
         != look.artists(figure, "camera-position_2")[0].get_color()
     )
     assert "digital twin" not in words
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 def test_arrows_are_the_z_axes(cones, poses, look):
@@ -157,7 +157,7 @@ def reference(rng, cones):
     return points, marks
 
 
-def test_the_calibration_in_four_pictures(cones, points, reference, tmp_path, look):
+def test_the_calibration_in_four_pictures(cones, points, reference, look):
     reference_points, marks = reference
     image = np.full((150, 200), 120, np.uint8)
     figure = field_reference(reference_points, cones, image, marks, points, image_name="p.jpg", twin=True)
@@ -178,19 +178,19 @@ def test_the_calibration_in_four_pictures(cones, points, reference, tmp_path, lo
     scale = float(words.split("residuals enlarged ")[1].split(" times")[0].replace(" ", ""))
     assert np.asarray(arrows.U) == pytest.approx(scale * kept["residual_x_px"].to_numpy())
     assert np.asarray(arrows.V) == pytest.approx(scale * kept["residual_y_px"].to_numpy())
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
     with pytest.raises(InputError, match="image of shape"):
         field_reference(reference_points, cones, image.astype(float), marks, points)
 
 
-def test_the_sketch_of_a_cone_has_its_symbols(tmp_path, look):
+def test_the_sketch_of_a_cone_has_its_symbols(look):
     figure = cone_frame()
     words = look.texts(figure)
     assert all(
         symbol in words for symbol in ("$a$", "$p_j$", "$s_j$", "$\\alpha$", "$z_{cocs}$", "$x_{pcs}$")
     )
     assert "no data" in words
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 def test_a_synthetic_view_colours_cones_by_height(rng, tmp_path, look):
@@ -207,7 +207,7 @@ def test_a_synthetic_view_colours_cones_by_height(rng, tmp_path, look):
     assert not np.allclose(pixels[15, 30], pixels[15, 70])
     (frame,) = look.artists(figure, "frame")
     assert len(frame.get_offsets()) == 120
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
     path = tmp_path / "view.npz"
     np.savez(path, height_m=height, shade=view.shade)
     assert np.array_equal(read_height_view(path).height_m, height, equal_nan=True)
@@ -225,7 +225,7 @@ def test_a_synthetic_view_colours_cones_by_height(rng, tmp_path, look):
 # ---------------------------------------------------------------- residuals and correlations
 
 
-def test_unrolled_cones_carry_their_residuals(cones, points, tmp_path, look):
+def test_unrolled_cones_carry_their_residuals(cones, points, look):
     figure = cone_residuals(points, cones, twin=True)
     used = points[points["used"]]
     words = look.texts(figure)
@@ -240,7 +240,7 @@ def test_unrolled_cones_carry_their_residuals(cones, points, tmp_path, look):
         assert np.asarray(cloud.get_offsets())[:, 1] == pytest.approx(along)
     mm = 1e3 * used["residual_m"].to_numpy()
     assert f"normal, mean, std: {mm.mean():+.1f}, {mm.std():.1f} mm" in words
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 def test_a_patch_is_not_cut_at_the_back_of_a_cone(rng, cones, look):
@@ -257,7 +257,7 @@ def test_a_patch_is_not_cut_at_the_back_of_a_cone(rng, cones, look):
     assert np.ptp(cloud.get_offsets()[:, 0]) < 61.0
 
 
-def test_before_and_after(rng, cones, tmp_path, look, on_cones):
+def test_before_and_after(rng, cones, look, on_cones):
     after = on_cones(rng, cones, noise_m=0.012)
     before = after.assign(x_m=after["x_m"] + 0.1, residual_m=after["residual_m"] + 0.06)
     figure = cone_before_after(before, after, cones, cone="C2", twin=True)
@@ -271,7 +271,7 @@ def test_before_and_after(rng, cones, tmp_path, look, on_cones):
     # 12 mm on a radius of 8 to 33 cm, and 10 cm along an axis inclined to it
     assert np.median(np.abs(radius[1] - 1)) < 0.07
     assert np.median(np.abs(radius[0] - 1)) > 0.12
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
     with pytest.raises(CoverageError, match="no points of cone C4"):
         cone_before_after(before, after, cones, cone="C4")
     with pytest.raises(InputError, match="columns missing: t_gps_s"):
@@ -292,7 +292,7 @@ def boat():
     )
 
 
-def test_correlations_are_those_of_the_file(tmp_path, look):
+def test_correlations_are_those_of_the_file(look):
     figure = correlation_matrix(boat(), twin=True)
     words = look.texts(figure)
     # kappa has no sigma and is left out
@@ -304,7 +304,7 @@ def test_correlations_are_those_of_the_file(tmp_path, look):
     assert values.shape == (8, 8)
     assert values[0, 2] == pytest.approx(-0.9)
     assert "−.90" in words
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
     fixed = boat()
     with pytest.raises(InputError, match="0 quantities with an error"):
         correlation_matrix(
@@ -312,7 +312,7 @@ def test_correlations_are_those_of_the_file(tmp_path, look):
         )
 
 
-def test_the_design_study_has_a_line_for_each_number_of_positions(rng, tmp_path, look):
+def test_the_design_study_has_a_line_for_each_number_of_positions(rng, look):
     rows = [
         (c, p, q, u, s * np.sqrt(18 / c / p) * f)
         for c in (4, 6, 8)
@@ -331,6 +331,6 @@ def test_the_design_study_has_a_line_for_each_number_of_positions(rng, tmp_path,
     assert y == pytest.approx(0.05 * np.sqrt(18 / np.array([4, 6, 8]) / 3))
     # lever arms in millimetres
     assert lines[2].get_ydata()[1] == pytest.approx(0.5)
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
     with pytest.raises(CoverageError, match="no row of the study"):
         calibration_design(pd.DataFrame(columns=list(STUDY)))

@@ -140,24 +140,24 @@ def test_place_and_time_choose(tmp_path: Path, capsys: pytest.CaptureFixture[str
         main(["catalogue", str(tmp_path), "--since", "yesterday"])
 
 
-def test_two_hundred_campaigns_take_five_seconds(tmp_path: Path) -> None:
+def test_eighty_campaigns_take_two_seconds(tmp_path: Path) -> None:
     """And their standardised clocks are as wide as they should be: 1 within four of its own sigmas."""
     rng = default_rng(21)
-    for k in range(200):
+    for k in range(80):
         survey(tmp_path / f"c{k:03}", day=k, offset_s=OFFSET_S + SIGMA_S * rng.standard_normal())
     start = time.process_time()
     entries = read_entries(tmp_path)
     control = write_catalogue(entries, tmp_path / "catalogue")
-    assert time.process_time() - start < 5.0
+    assert time.process_time() - start < 2.0
     offsets = control[control["quantity"] == "camera clock offset"]
-    assert len(offsets) == 200
+    assert len(offsets) == 80
     # the standard deviation of n normal values is known to 1 / sqrt(2 n)
-    assert offsets["standardised"].std() == pytest.approx(1.0, abs=4 / np.sqrt(400))
-    assert offsets["outside"].sum() <= 3  # of 200 values 0.54 are expected beyond 3; four or more: 1 in 500
+    assert offsets["standardised"].std() == pytest.approx(1.0, abs=4 / np.sqrt(160))
+    assert offsets["outside"].sum() <= 2  # of 80 values 0.22 are expected beyond 3; three or more: 1 in 700
     by_hand = offsets.iloc[7]
     others = offsets["value"].drop(offsets.index[7])
     assert by_hand["mean_others"] == pytest.approx(others.mean(), abs=1e-12)
-    assert by_hand["sigma_mean_others"] == pytest.approx(SIGMA_S / np.sqrt(199))
+    assert by_hand["sigma_mean_others"] == pytest.approx(SIGMA_S / np.sqrt(79))
 
 
 def mount(folder: Path, turn_deg: float, rng: np.random.Generator) -> None:

@@ -22,6 +22,7 @@ from thalweg.deformation import (
     heights_table,
 )
 from thalweg.deformation.foreign import Dsm, SurfaceDifference, read_difference, write_difference
+from thalweg.figures import save
 from thalweg.figures.deformation import change_page, read_pair_facts
 from thalweg.figures.deformation.heights import draw_height_difference
 from thalweg.figures.deformation.maps import draw_change_map, draw_not_seen, draw_significance_map, read_pairs
@@ -202,7 +203,7 @@ def test_along_is_to_the_right_as_seen_from_the_river_and_into_leads_away_from_i
 # ---------------------------------------------------------------- maps
 
 
-def test_change_map_counts_bare_ground_and_states_the_ends(bank, look, tmp_path):
+def test_change_map_counts_bare_ground_and_states_the_ends(bank, look):
     figure = draw_change_map(changes=bank.changes, core_points=bank.core_points, spacing_m=0.5, **WORDS)
     words = look.texts(figure)
     n = bank.n - 41 - 4  # water and plants
@@ -211,10 +212,10 @@ def test_change_map_counts_bare_ground_and_states_the_ends(bank, look, tmp_path)
     assert "n = 45" in words
     assert "positive towards it" in words
     assert len(look.artists(figure, "distances")) == 2
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
-def test_significance_map_names_states_with_their_area(bank, look, tmp_path):
+def test_significance_map_names_states_with_their_area(bank, look):
     files = {"changes": bank.changes, "core_points": bank.core_points, "spacing_m": 0.5}
     figure = draw_significance_map(**files, **WORDS)
     words = look.texts(figure)
@@ -223,10 +224,10 @@ def test_significance_map_names_states_with_their_area(bank, look, tmp_path):
     assert "vegetation: n = 4, 2 m² (1.4 %)" in words
     assert "not seen in first: n = 41, 20.5 m² (14 %)" in words
     assert "object" not in words
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
-def test_not_seen_tells_the_reason_in_each_epoch(bank, look, tmp_path):
+def test_not_seen_tells_the_reason_in_each_epoch(bank, look):
     figure = draw_not_seen(
         changes=bank.changes, visibility=bank.visibility, core_points=bank.core_points, spacing_m=0.5, **WORDS
     )
@@ -234,21 +235,21 @@ def test_not_seen_tells_the_reason_in_each_epoch(bank, look, tmp_path):
     texts = [[t.get_text() for t in ax.get_legend().get_texts()] for ax in (first, second)]
     assert texts[0][1] == "water: n = 41, 20.5 m² (14 %)"
     assert [each.split(":")[0] for each in texts[1]] == ["seen"]
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
-def test_several_pairs_stand_below_each_other(bank, look, tmp_path):
+def test_several_pairs_stand_below_each_other(bank, look):
     twice = {"changes": 2 * bank.changes, "core_points": bank.core_points, "spacing_m": 0.5}
     figure = draw_change_map(**twice, **WORDS)
     assert len(look.artists(figure, "distances")) == 4
-    look.drawn(figure, tmp_path)
-    look.drawn(draw_significance_map(**twice, **WORDS), tmp_path)
+    look.drawn(figure)
+    look.drawn(draw_significance_map(**twice, **WORDS))
 
 
 # ---------------------------------------------------------------- statistics
 
 
-def test_level_of_detection_by_parts(bank, look, tmp_path):
+def test_level_of_detection_by_parts(bank, look):
     files = {"changes": bank.changes, "core_points": bank.core_points, "spacing_m": 0.5}
     figure = draw_level_of_detection(**files, **WORDS)
     words = look.texts(figure)
@@ -256,7 +257,7 @@ def test_level_of_detection_by_parts(bank, look, tmp_path):
     assert "shared errors alone: median 3.1 cm" in words
     assert "noise and roughness alone: median 2.4 cm" in words
     assert [line.get_xdata()[0] for line in look.artists(figure, "published")] == [15.0, 19.0]
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 def test_stable_ground_leaves_significant_places_out_unless_it_was_drawn(bank, pair, tmp_path):
@@ -272,7 +273,7 @@ def test_stable_ground_leaves_significant_places_out_unless_it_was_drawn(bank, p
     assert np.array_equal(found.unmoved, found.registered)
 
 
-def test_stable_ground_is_held_against_the_standard_normal(bank, look, tmp_path):
+def test_stable_ground_is_held_against_the_standard_normal(bank, look):
     files = {"changes": bank.changes, "registrations": bank.registrations, "weights": bank.weights}
     figure = draw_stable_ground(**files, core_points=bank.core_points, spacing_m=0.5, **WORDS)
     words = look.texts(figure)
@@ -281,7 +282,7 @@ def test_stable_ground_is_held_against_the_standard_normal(bank, look, tmp_path)
     assert "all that the registration rests on: n = 222" in words
     (band,) = look.artists(figure, "band")
     assert band.get_paths()[0].vertices[:, 1].max() == pytest.approx(1.96 * 2.0, abs=0.01)
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 def test_variogram_by_hand():
@@ -299,7 +300,7 @@ def test_variogram_of_independent_values_is_their_variance(rng):
     assert gamma.mean(axis=0) == pytest.approx([4.0, 9.0], rel=0.1)
 
 
-def test_error_variogram_is_drawn(bank, look, tmp_path):
+def test_error_variogram_is_drawn(bank, look):
     files = {"changes": bank.changes, "registrations": bank.registrations, "weights": bank.weights}
     figure = draw_error_variogram(
         **files, draws=bank.draws, core_points=bank.core_points, spacing_m=0.5, **WORDS
@@ -309,7 +310,7 @@ def test_error_variogram_is_drawn(bank, look, tmp_path):
     assert gamma == pytest.approx(1.0, abs=0.35)  # independent, of the stated size
     predicted = look.artists(figure, "predicted")[0].get_ydata()
     assert predicted == pytest.approx(1.0, abs=0.2)
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 @pytest.mark.parametrize("tall", [False, True])
@@ -335,7 +336,7 @@ def test_difference_of_heights_is_drawn_with_its_sigma(look, tmp_path, tall):
     drawn = look.artists(figure, "difference")[0]
     assert drawn.get_extent()[0] == pytest.approx(10.0)
     assert drawn.get_clim() == (-30.0, 30.0)  # 99 % of the differences
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
     write_raster(
         tmp_path / "other.tif",
         Grid.around(np.zeros((1, 2)) + 1e5, 1.0, CRS.from_epsg(25833), margin_m=2),
@@ -345,7 +346,7 @@ def test_difference_of_heights_is_drawn_with_its_sigma(look, tmp_path, tall):
         read_difference(tmp_path / "other.tif")
 
 
-def test_volumes_along_the_bank(bank, look, tmp_path):
+def test_volumes_along_the_bank(bank, look):
     figure = draw_volume_along(along=bank.along, **WORDS)
     words = look.texts(figure)
     assert "erosion: −4.0 m³" in words
@@ -353,13 +354,13 @@ def test_volumes_along_the_bank(bank, look, tmp_path):
     assert "2 stretches of 10 m" in words
     assert [bar.get_height() for bar in look.artists(figure, "erosion")] == [-4.0, 0.0]
     assert [bar.get_height() for bar in look.artists(figure, "not-seen")] == [1.0, 1.0]
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 # ---------------------------------------------------------------- views of clouds
 
 
-def test_epochs_from_above(bank, look, tmp_path):
+def test_epochs_from_above(bank, look):
     figure = draw_epochs_from_above(points=bank.points, errors=bank.errors, **WORDS)
     words = look.texts(figure)
     assert "n = 80 000 points" in words
@@ -367,7 +368,7 @@ def test_epochs_from_above(bank, look, tmp_path):
     picture = look.artists(figure, "heights")[0].get_array()
     assert 2.9 < picture.max() < 3.1
     assert len(look.artists(figure, "track")) == 2
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 def test_an_epoch_of_files_has_no_boat_and_its_notes_stand_on_the_page(bank, facts, look, tmp_path):
@@ -389,7 +390,7 @@ def test_an_epoch_of_files_has_no_boat_and_its_notes_stand_on_the_page(bank, fac
         assert words in html, words
 
 
-def test_both_epochs_together_with_point_to_point_distances(bank, look, tmp_path):
+def test_both_epochs_together_with_point_to_point_distances(bank, look):
     files = {name: getattr(bank, name) for name in ("points", "errors", "changes", "core_points")}
     figure = draw_epochs_together(**files, spacing_m=0.5, **WORDS)
     words = look.texts(figure)
@@ -400,7 +401,7 @@ def test_both_epochs_together_with_point_to_point_distances(bank, look, tmp_path
     assert 0.27 < np.quantile(distance, 0.995) < 0.45
     assert np.quantile(distance, 0.5) < 0.08
     assert len(look.artists(figure, "both")[0].get_offsets()) == 80_000
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 def test_profiles_go_through_the_largest_and_the_lowest_change(bank, pair):
@@ -420,7 +421,7 @@ def test_a_motion_is_taken_off_the_second_epoch():
     assert moved[0] == pytest.approx([11.0, -0.1, -0.2])
 
 
-def test_profiles_show_both_epochs_registered(bank, look, tmp_path):
+def test_profiles_show_both_epochs_registered(bank, look):
     files = {name: getattr(bank, name) for name in ("points", "errors", "changes", "patches")}
     figure = draw_change_profiles(
         **files, registrations=bank.registrations, core_points=bank.core_points, spacing_m=0.5, **WORDS
@@ -432,7 +433,7 @@ def test_profiles_show_both_epochs_registered(bank, look, tmp_path):
     assert np.median(off[0]) == pytest.approx(0.0, abs=0.02)
     assert np.median(off[1]) == pytest.approx(0.3, abs=0.02)
     assert len(look.artists(figure, "distance")) > 3
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 def test_without_a_patch_there_is_no_profile(bank, look, tmp_path):
@@ -491,8 +492,7 @@ def test_directions_in_words(motion, words):
 
 def test_the_page_holds_all_tables_and_pictures(bank, facts, look, tmp_path):
     picture = tmp_path / "volume_along.png"
-    look.drawn(draw_volume_along(along=bank.along, **WORDS), tmp_path)
-    (tmp_path / "a.png").rename(picture)
+    save(draw_volume_along(along=bank.along, **WORDS), picture, dpi=50)
     truth = {"1-2": pd.DataFrame({"measure": ["specificity", "new_one"], "value": [0.99, 2.0], "n": [10, 1]})}
     polygon = {"kind": "erosion", "area_m2": 24.0, "true_m3": -2.4, "sigma_m3": 0.25, "measured_m2": 23.0}
     known = {"cores": 140, "measured_m3": -2.0, "expected_m3": -2.25}
@@ -542,7 +542,7 @@ def test_movement_of_both_lines_is_drawn_in_centimetres(look, tmp_path):
     figure = draw_retreat_along(retreat=[tmp_path / "retreat_1-2.csv"], **WORDS)
     assert "bank line, n = 2 stretches, at a height of +0.50 m" in look.texts(figure)
     assert figure.axes[0].lines[0].get_ydata() == pytest.approx(-30.0)
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 @pytest.fixture
@@ -566,7 +566,7 @@ def test_six_series_are_drawn_the_largest_trend_first(bank, retreating, look, tm
     assert np.ptp(trend[0].get_ydata()) == pytest.approx(40.0, abs=2.0)  # 10 cm/a over four years
     assert f"Six of {bank.n} core points over time" in look.texts(figure)
     assert trend[0].get_xdata().tolist() == [0.0, 1.0, 2.0, 4.0]
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 def test_a_page_of_many_epochs_names_those_that_jump(bank):

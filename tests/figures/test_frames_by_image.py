@@ -61,7 +61,7 @@ def test_points_get_the_number_of_their_image(cloud) -> None:
     assert np.cos(views.side.view.azimuth_rad) > 0.9
 
 
-def test_the_figure_says_how_many(cloud, look, tmp_path) -> None:
+def test_the_figure_says_how_many(cloud, look) -> None:
     images = FrameImages.of(poses())
     figure = frames_by_image(FrameViews.of_cloud(cloud[0], images), images, twin=True)
     words = look.texts(figure)
@@ -70,7 +70,7 @@ def test_the_figure_says_how_many(cloud, look, tmp_path) -> None:
     assert "11 of 12 images oriented, 1 of them without points" in words
     assert "digital twin" in words
     assert len(look.artists(figure, "images")[0].get_offsets()) == 11
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 def test_points_between_two_images_belong_to_the_nearer_one() -> None:

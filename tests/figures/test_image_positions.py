@@ -60,7 +60,7 @@ def report():
     return table
 
 
-def test_everything_is_on_the_map(look, tmp_path, trajectory):
+def test_everything_is_on_the_map(look, trajectory):
     figure = image_positions(poses(), surveyed(), report(), trajectory=trajectory, title="Test", twin=True)
     words = look.texts(figure)
     for text in (
@@ -83,7 +83,7 @@ def test_everything_is_on_the_map(look, tmp_path, trajectory):
     # vectors are alike but for their length
     np.testing.assert_allclose(arrows.U / arrows.U[0], np.array([3.0, -4.0, 20.0, 4.0]) / 3.0)
     np.testing.assert_allclose(arrows.V / arrows.V[0], np.array([4.0, -4.0, 20.0, 4.0]) / 4.0)
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 def test_vectors_and_ellipses_stay_on_the_map(look):
@@ -97,14 +97,14 @@ def test_vectors_and_ellipses_stay_on_the_map(look):
         assert np.all(np.array(ellipse.center) + half < high)
 
 
-def test_without_control_points(look, tmp_path):
+def test_without_control_points(look):
     figure = image_positions(poses(), ControlPoints.none(), report().iloc[:0])
     assert not look.artists(figure, "residuals")
     assert "control point" not in look.texts(figure).split("|")[0]
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
-def test_many_points_are_drawn_without_names(look, tmp_path):
+def test_many_points_are_drawn_without_names(look):
     names = [f"P{k:03d}" for k in range(60)]
     table = pd.concat([report().iloc[[0]]] * 60, ignore_index=True).assign(point=names)
     points = ControlPoints(
@@ -115,7 +115,7 @@ def test_many_points_are_drawn_without_names(look, tmp_path):
     )
     figure = image_positions(poses(), points, table)
     assert not [t for t in figure.axes[0].texts if t.get_text() == "P001"]
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 def test_what_does_not_belong_together_is_refused():

@@ -110,7 +110,7 @@ def test_images_are_found_by_name(tmp_path) -> None:
 # ---------------------------------------------------------------- geometry
 
 
-def test_one_tilt_bends_the_line_to_one_side_two_to_both(tmp_path, look) -> None:
+def test_one_tilt_bends_the_line_to_one_side_two_to_both(look) -> None:
     figure = sheet_deformation()
     bends = []
     for ax, (first, second) in zip(figure.axes[2:], TILTS_DEG, strict=True):
@@ -127,10 +127,10 @@ def test_one_tilt_bends_the_line_to_one_side_two_to_both(tmp_path, look) -> None
     assert titles[2].endswith("bent to one side")
     assert titles[3].endswith("bent to both sides")
     assert "digital twin" not in look.texts(figure)
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
-def test_the_volume_shows_what_the_sensor_sees(sensor: Sensor, tmp_path, look) -> None:
+def test_the_volume_shows_what_the_sensor_sees(sensor: Sensor, look) -> None:
     figure = measurement_volume_view(sensor, (0.0, 50.0, 125.0, 900.0), step_px=16, title="P4", twin=True)
     words = look.texts(figure)
     volume = measurement_volume(sensor, 16)
@@ -146,7 +146,7 @@ def test_the_volume_shows_what_the_sensor_sees(sensor: Sensor, tmp_path, look) -
     # the solver's own tolerance
     np.testing.assert_allclose(found.depth_mm, 125.0, atol=1e-6)
     assert {text.get_text() for text in figure.legends[0].get_texts()} >= {"50 mm deep", "125 mm deep"}
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 # ---------------------------------------------------------------- line
@@ -161,7 +161,7 @@ def test_departures_are_those_from_a_smooth_line() -> None:
     np.testing.assert_allclose(off, 0.25, atol=1e-6)
 
 
-def test_methods_are_compared_on_one_line(rng, tmp_path, look) -> None:
+def test_methods_are_compared_on_one_line(rng, look) -> None:
     rows = np.arange(256) + 0.5
     image = image_of_line(128.0 + 15.0 * (rows / 256) ** 2, (256, 256))
     noisy = (image * rng.gamma(4.0, 0.25, image.shape)).clip(0, 255).astype(np.uint8)
@@ -174,10 +174,10 @@ def test_methods_are_compared_on_one_line(rng, tmp_path, look) -> None:
     std = np.std(departures_px(best, best))
     assert f"speckle-weighted patch: {std:.2f} px" in look.texts(figure)
     assert len(look.artists(figure, "profile")) == 3
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
-def test_a_line_from_left_to_right_is_turned(tmp_path, look) -> None:
+def test_a_line_from_left_to_right_is_turned(look) -> None:
     rows = np.arange(128) + 0.5
     image = image_of_line(64.0 + 0.05 * rows, (128, 128))
     upright = line_measurement(image, measured(image, ("speckle_patch",)))
@@ -187,10 +187,10 @@ def test_a_line_from_left_to_right_is_turned(tmp_path, look) -> None:
     one, other = (look.artists(f, "speckle_patch departures")[0].get_ydata() for f in (upright, lying))
     # the same image in another order of memory
     np.testing.assert_allclose(one, other, atol=1e-9)
-    look.drawn(lying, tmp_path)
+    look.drawn(lying)
 
 
-def test_flags_are_shown_by_their_last_bit(tmp_path, look) -> None:
+def test_flags_are_shown_by_their_last_bit(look) -> None:
     flags = np.array([0, LineFlag.WEAK, LineFlag.SATURATED | LineFlag.NEAR_JUMP, LineFlag.NEAR_JUMP])
     assert shown_flag(flags.astype(np.uint8)).tolist() == [0, 2, 1, 4]
     rows = np.arange(96) + 0.5
@@ -204,7 +204,7 @@ def test_flags_are_shown_by_their_last_bit(tmp_path, look) -> None:
     # the detail holds the flagged ones
     assert high < 41
     assert low > 49
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
     with pytest.raises(InputError, match="columns missing: flags"):
         line_on_markers(image, table.drop(columns="flags"))
 
@@ -244,7 +244,7 @@ def observations(sensor: Sensor):
     return image_of_line(np.full(512, 250.0)), residuals, pairs
 
 
-def test_the_calibration_shows_what_was_used(sensor: Sensor, observations, tmp_path, look) -> None:
+def test_the_calibration_shows_what_was_used(sensor: Sensor, observations, look) -> None:
     image, residuals, pairs = observations
     residuals.loc[3:5, "used"] = False
     pairs.loc[1, "used"] = False
@@ -255,26 +255,26 @@ def test_the_calibration_shows_what_was_used(sensor: Sensor, observations, tmp_p
     assert len(look.artists(figure, "ray")) == 2 * m
     (rejected,) = look.artists(figure, "rejected")
     assert len(rejected.get_xdata()) == 3
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
     with pytest.raises(CoverageError, match="0 points"):
         grid_calibration(sensor, image, residuals.assign(used=False), pairs)
     with pytest.raises(InputError, match="an empty table"):
         grid_calibration(sensor, image, residuals, pairs[:0])
 
 
-def test_correlations_of_a_sensor_are_those_of_its_covariance(sensor: Sensor, tmp_path, look) -> None:
+def test_correlations_of_a_sensor_are_those_of_its_covariance(sensor: Sensor, look) -> None:
     calibration = sensor_calibration(sensor, source=Source(run="x", method="y"))
     figure = correlation_matrix(calibration, twin=True)
     (matrix,) = look.artists(figure, "matrix")
     free = calibration.sigmas > 0
     np.testing.assert_allclose(matrix.get_array(), calibration.correlation()[np.ix_(free, free)])
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 # ---------------------------------------------------------------- budget
 
 
-def test_each_cause_has_its_panel_with_the_published_figure(tmp_path, look) -> None:
+def test_each_cause_has_its_panel_with_the_published_figure(look) -> None:
     full = paper_4()
     lines, published = budget_on_lines(full, n=15), read_published()
     told = verdicts(budget_table(lines), published, contradictions(full, published))
@@ -293,7 +293,7 @@ def test_each_cause_has_its_panel_with_the_published_figure(tmp_path, look) -> N
     assert [text.get_text() for text in omega.texts] == ["contradicted"]
     (total,) = [ax for ax in shown if ax.get_title(loc="left") == f"{TOTAL} (P4: g)"]
     assert len([artist for artist in total.lines if artist.get_gid() == "published"]) == 2
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 def test_a_sensor_without_a_covariance_has_the_share_of_the_image_only(sensor: Sensor) -> None:
@@ -342,7 +342,7 @@ def on_panels(sensor: Sensor):
     return pd.concat(parts, ignore_index=True), pd.DataFrame(rows, columns=names)
 
 
-def test_panels_stand_beside_published_values(sensor: Sensor, on_panels, tmp_path, look) -> None:
+def test_panels_stand_beside_published_values(sensor: Sensor, on_panels, look) -> None:
     points, panels = on_panels
     image = image_of_line(np.full(512, 250.0))
     figure = panel_distances(sensor, image, points, panels, title="Basin", twin=True)
@@ -354,7 +354,7 @@ def test_panels_stand_beside_published_values(sensor: Sensor, on_panels, tmp_pat
     (reference,) = look.artists(figure, "reference 0")
     found = intersect(sensor, np.asarray(reference.get_xydata()))
     np.testing.assert_allclose(found.depth_mm, 128.9, atol=1e-6)  # the solver's own tolerance
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
     assert signed(-4e-4) == "0.000"
     # an image without a line: its panel stays, empty, and the picture is of the next one
     bare = panels.assign(n=[0, panels["n"][1]], mean_mm=[np.nan, 0.2], std_mm=[np.nan, 0.01])
@@ -362,14 +362,14 @@ def test_panels_stand_beside_published_values(sensor: Sensor, on_panels, tmp_pat
     figure = panel_distances(sensor, image, points[points["file"] == "1.png"], bare)
     assert "128.9 mm: no points" in look.texts(figure)
     assert "a: detail at 83.1 mm" in look.texts(figure)
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
     with pytest.raises(CoverageError, match="no point on any panel"):
         first_with_points(panels.assign(n=0))
     with pytest.raises(InputError, match="columns missing: expected_depth_mm"):
         panel_distances(sensor, image, points.drop(columns="expected_depth_mm"), panels)
 
 
-def test_models_show_root_mean_square_and_largest_error(tmp_path, look) -> None:
+def test_models_show_root_mean_square_and_largest_error(look) -> None:
     rows = [
         ("plane", 50.0, 0.3, 0.4, -1.2, 0.9, 41, 0),
         ("elliptical cone", 50.0, 0.0, 0.05, -0.1, 0.1, 41, 2),
@@ -383,4 +383,4 @@ def test_models_show_root_mean_square_and_largest_error(tmp_path, look) -> None:
         "plane",
     ]
     assert "2 without a depth" in look.texts(figure)
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)

@@ -45,7 +45,7 @@ def shifts() -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["irregular", "shift", "median_mm", "resolved"])
 
 
-def test_labels_and_reasons_are_shown_by_spacing(points, shifts, tmp_path, look) -> None:
+def test_labels_and_reasons_are_shown_by_spacing(points, shifts, look) -> None:
     figure = line_labels(points, shifts)
     words = look.texts(figure)
     assert f"scans of 3 images: n = 1 200 detections, {3 * N // 2} with a label" in words
@@ -72,7 +72,7 @@ def test_labels_and_reasons_are_shown_by_spacing(points, shifts, tmp_path, look)
         assert [text.get_text() for text in ax.texts if "told" in text.get_text()] == [verdict]
         assert len(ax.patches) == 3
         assert ax.get_ylabel() == "median disagreement / mm"
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 def test_words_count_detections_of_real_lines_only() -> None:

@@ -40,7 +40,7 @@ def points() -> pd.DataFrame:
     )
 
 
-def test_the_template_lies_on_the_line(image, points, tmp_path, look) -> None:
+def test_the_template_lies_on_the_line(image, points, look) -> None:
     figure = line_patch(image, points, title="Line", twin=True)
     words = look.texts(figure)
     assert "Line: one place of the line by a patch of 15 x 15 pixels, sigma 0.11 px, n = 225 pixels" in words
@@ -65,7 +65,7 @@ def test_the_template_lies_on_the_line(image, points, tmp_path, look) -> None:
     assert len(rows) == SIDE
     (drawn,) = look.artists(figure, "template")
     assert drawn.get_ydata().max() == pytest.approx(GROUND + PEAK, abs=0.1)
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 def test_a_line_from_left_to_right_is_turned(image, points, look) -> None:

@@ -50,15 +50,15 @@ def test_examples_shares_and_masked_parts_are_shown(rng, tmp_path, look):
     np.testing.assert_array_equal(shown[10:30], picture[10:30])
     assert shown[30:].max() < 0.5 * picture[30:].max()
     assert np.ptp(shown[30:], axis=2).max() == 0
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
-def test_supplied_masks_have_no_parts(rng, tmp_path, look):
+def test_supplied_masks_have_no_parts(rng, look):
     table = masks_table(1).assign(water_share=np.nan, sky_share=np.nan, hull_share=np.nan, source="supplied")
     picture = rng.integers(0, 255, (30, 40)).astype(np.uint8)
     figure = mask_view(table, {"00.jpg": (picture, np.ones((30, 40), bool))})
     assert not look.artists(figure, "water_share")
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 def test_wrong_input_is_told(tmp_path):

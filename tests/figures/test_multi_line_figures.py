@@ -54,7 +54,7 @@ def lines() -> pd.DataFrame:
     return pd.concat(rows, ignore_index=True)
 
 
-def test_the_geometry_is_drawn_line_by_line(lines, tmp_path, look) -> None:
+def test_the_geometry_is_drawn_line_by_line(lines, look) -> None:
     figure = multi_line_geometry(lines)
     space, section, picture = figure.axes[:3]
     assert "n = 4 lines" in look.texts(figure)
@@ -75,7 +75,7 @@ def test_the_geometry_is_drawn_line_by_line(lines, tmp_path, look) -> None:
         inside = lines[(lines["depth_mm"] == depth) & lines["in_picture"]]
         assert len(shown) == inside["line"].nunique()
         assert sum(len(line.get_xdata()) for line in shown) == len(inside)
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 def test_across_is_level_and_at_right_angles_to_the_lines(lines) -> None:
@@ -131,7 +131,7 @@ def measured(lines) -> pd.DataFrame:
     return pd.concat(rows, ignore_index=True)
 
 
-def test_images_show_labelled_points_and_those_without(measured, tmp_path, look) -> None:
+def test_images_show_labelled_points_and_those_without(measured, look) -> None:
     objects = dict.fromkeys(NAMES, plane_object(paper_4()))
     figure = multi_line_images_view(objects, measured)
     words = look.texts(figure)
@@ -149,7 +149,7 @@ def test_images_show_labelled_points_and_those_without(measured, tmp_path, look)
     (places,) = [artist for artist in figure.axes[0].collections if artist.get_gid() == "places"]
     assert len(places.get_offsets()) == n
     assert images[0].get_xlabel() == "column / px"
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 def test_objects_are_read_in_order(tmp_path) -> None:

@@ -34,7 +34,7 @@ def points(rng) -> pd.DataFrame:
     return pd.concat([second.assign(file="a.png", distance_mm=9.0), second.sample(frac=1.0, random_state=1)])
 
 
-def test_the_line_stands_beside_its_predicted_sigma(points, tmp_path, look) -> None:
+def test_the_line_stands_beside_its_predicted_sigma(points, look) -> None:
     figure = scan_profile(points, "b.png", reference="planes", title="Steps", twin=True)
     mine = points[(points["file"] == "b.png") & points["used"]]
     d = mine["distance_mm"]
@@ -63,7 +63,7 @@ def test_the_line_stands_beside_its_predicted_sigma(points, tmp_path, look) -> N
     # all but the outlier
     assert values.sum() == len(d) - 1
     assert len(edges) - 1 == classes(len(d)) == round(np.sqrt(len(d)))
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 def test_classes_are_those_of_p4() -> None:

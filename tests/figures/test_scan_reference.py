@@ -42,7 +42,7 @@ def points(rng) -> pd.DataFrame:
     )
 
 
-def test_the_object_with_its_levels(mesh, points, rng, tmp_path, look) -> None:
+def test_the_object_with_its_levels(mesh, points, rng, look) -> None:
     photo = np.full((80, 120, 3), 50, np.uint8)
     photo[20:60, 30:90] = (180, 150, 90)
     figure = scan_reference(photo, EXTENT_MM, mesh, points, levels=LEVELS, title="Steps", twin=True)
@@ -69,10 +69,10 @@ def test_the_object_with_its_levels(mesh, points, rng, tmp_path, look) -> None:
         np.sort(points["distance_mm"][points["used"]]),
     )
     assert (levels.get_xlabel(), levels.get_ylabel()) == ("x / mm", "distance / mm")
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
-def test_an_object_without_levels_and_a_picture_of_noise(mesh, points, rng, tmp_path, look) -> None:
+def test_an_object_without_levels_and_a_picture_of_noise(mesh, points, rng, look) -> None:
     photo = rng.integers(1, 250, (80, 120), dtype=np.uint8)
     # a mean of 25 has a 25th of the variance
     assert share_of_noise(photo) == pytest.approx(0.96, abs=0.01)
@@ -83,7 +83,7 @@ def test_an_object_without_levels_and_a_picture_of_noise(mesh, points, rng, tmp_
     assert "noise: no light but the laser's" in words
     assert "digital twin" not in words
     assert "d: " not in words
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 def test_points_must_lie_on_the_object(mesh, points) -> None:

@@ -66,9 +66,7 @@ def points(poses) -> pd.DataFrame:
     return pd.concat(parts, ignore_index=True)
 
 
-def test_the_set_up_shows_camera_panel_sensor_and_three_images(
-    sensor, poses, panel_m, points, tmp_path, look
-) -> None:
+def test_the_set_up_shows_camera_panel_sensor_and_three_images(sensor, poses, panel_m, points, look) -> None:
     figure = scan_setup(sensor, poses, panel_m, CAMERA, points, title="Scan", twin=True)
     words = look.texts(figure)
     assert "Scan: 6 poses by 30 marks" in words
@@ -99,7 +97,7 @@ def test_the_set_up_shows_camera_panel_sensor_and_three_images(
     # as in a picture: y grows downwards
     assert seen.yaxis_inverted()
     assert not above.yaxis_inverted()
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 def test_points_come_back_to_the_sensor(poses, points) -> None:

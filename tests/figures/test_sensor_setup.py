@@ -14,7 +14,7 @@ def sensor() -> Sensor:
 
 
 @pytest.mark.parametrize("make", [paper_3, paper_4])
-def test_ray_and_beam_meet_in_the_water(make, tmp_path, look) -> None:
+def test_ray_and_beam_meet_in_the_water(make, look) -> None:
     sensor = make()
     figure = sensor_setup(sensor, title="Sensor", twin=True)
     words = look.texts(figure)
@@ -38,7 +38,7 @@ def test_ray_and_beam_meet_in_the_water(make, tmp_path, look) -> None:
     (line,) = [line for line in image.lines if line.get_gid() == "line"]
     off = np.hypot(line.get_xdata() - pixel.get_xdata()[0], line.get_ydata() - pixel.get_ydata()[0])
     assert off.min() == 0.0
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 def test_a_pixel_on_a_level_is_as_large_as_its_image_says(sensor: Sensor) -> None:

@@ -87,7 +87,7 @@ def control():
 # ---------------------------------------------------------------- figures
 
 
-def test_ranges_of_all_chains(ranges, look, tmp_path):
+def test_ranges_of_all_chains(ranges, look):
     figure = chains_by_range(ranges, outlier_rule="without 5 NMAD", title="Test", twin=True)
     words = look.texts(figure)
     for text in (
@@ -111,10 +111,10 @@ def test_ranges_of_all_chains(ranges, look, tmp_path):
     # 6 cm and 2 mm per metre against 2 cm and 4 mm per metre
     assert line.get_xdata()[0] == pytest.approx(16.3, abs=0.3)
     assert "here (dashed): at 16." in words
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
-def test_two_chains_that_do_not_cross(chains, look, tmp_path):
+def test_two_chains_that_do_not_cross(chains, look):
     figure = chains_by_range(range_table(chains[::2]))
     assert not look.artists(figure, "own-crossing")
     assert not look.artists(figure, "observed-camera")
@@ -122,10 +122,10 @@ def test_two_chains_that_do_not_cross(chains, look, tmp_path):
     better = replace(chains[1], by_range=chains[2].by_range)
     words = look.texts(chains_by_range(range_table([chains[0], better])))
     assert "here INS and camera do not cross" in words
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
-def test_histograms_are_normalised(chains, look, tmp_path):
+def test_histograms_are_normalised(chains, look):
     figure = chain_histograms({c.name: c.distances for c in chains}, limit_m=2.0, title="Test")
     for each in chains:
         (bars,) = look.artists(figure, f"histogram-{each.name}")
@@ -140,10 +140,10 @@ def test_histograms_are_normalised(chains, look, tmp_path):
         assert fit.get_ydata().max() == pytest.approx(peak, rel=0.01)
     assert "standard normal" not in look.texts(figure)
     assert "dotted: N(0, 1)" in look.texts(figure)
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
-def test_gaps_are_seen(chains, look, tmp_path):
+def test_gaps_are_seen(chains, look):
     figure = pose_sigmas({c.name: c.trajectory for c in chains}, title="Test", twin=True)
     for k in range(3):
         (line,) = look.artists(figure, f"sigma-{k}-ins")
@@ -155,7 +155,7 @@ def test_gaps_are_seen(chains, look, tmp_path):
     words = look.texts(figure)
     assert "INS: 2.0 s without, longest 2.0 s" in words
     assert "fused: no gap" in words
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
 
 
 def test_a_long_trajectory_keeps_its_gaps_and_its_peaks(look):
@@ -171,12 +171,12 @@ def test_a_long_trajectory_keeps_its_gaps_and_its_peaks(look):
     assert np.nanmax(line.get_ydata()) == pytest.approx(3000.0, rel=1e-3)
 
 
-def test_the_study_of_outages(outages, look, tmp_path):
+def test_the_study_of_outages(outages, look):
     figure = outage_study(outages)
     (line,) = look.artists(figure, "rms-ins_velocity")
     np.testing.assert_allclose(line.get_ydata(), [60.0, 240.0, 1240.0])
     assert "n = 24 outages" in look.texts(figure)
-    look.drawn(figure, tmp_path)
+    look.drawn(figure)
     with pytest.raises(InputError, match="columns missing"):
         outage_study(outages.drop(columns="max_m"))
 

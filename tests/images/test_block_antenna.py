@@ -11,7 +11,7 @@ from thalweg.images.bundle import AdjustedBlock, pose_covariance
 from thalweg.images.bundle.adjustment import adjust_block
 from thalweg.images.bundle.problem import CLOCK, Antenna, clock_notes
 
-SEEDS = 6
+SEEDS = 4
 IMAGES = 14
 LEVER_M = np.array([0.1, -1.2, -0.3])
 CLOCK_S, JITTER_S, GNSS_M = 0.3, 0.02, 0.01

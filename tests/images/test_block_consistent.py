@@ -25,10 +25,11 @@ from thalweg.settings.sections import BlockAdjustment
 
 scene, normalised = block_scene.scene, block_scene.normalised
 
-SEEDS = 12
+SEEDS = 6
 FORMAL = BlockAdjustment(correlated=False, interior_variance=1.0)
 WANDERING = {"slow_px": 0.6, "reach": 0.5, "white_px": 0.1}
 OTHERS = {
+    "wandering": WANDERING,
     "smooth": {"slow_px": 0.3, "reach": 0.08, "kernel": "smooth"},
     "in time": {"slow_px": 0.4, "reach": 4.0, "kernel": "images", "white_px": 0.1},
     "none": {},
@@ -80,7 +81,7 @@ def test_poses_of_a_fisheye_are_consistent() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", OTHERS)
 def test_poses_are_consistent_for_errors_of_other_kinds(kind: str) -> None:
-    """Kernels that the model does not have, and none at all."""
+    """The one above with more blocks, kernels that the model does not have, and no slow errors at all."""
     check_consistent(OTHERS[kind], 30)
 
 
@@ -102,7 +103,7 @@ def test_related_errors_are_weighed_better() -> None:
 
 
 def residuals_at_truth(seed: int, **effects):
-    problem, truth = scene(np.random.default_rng(seed), images=40, points=1500, start_off=0.0, **effects)
+    problem, truth = scene(np.random.default_rng(seed), images=40, points=1000, start_off=0.0, **effects)
     b = problem.block
     x = State(b.cameras, b.R_block_ccs, b.centre_block_m, b.points_block_m, truth.G, np.zeros(0))
     view = views(x.X[b.mark_point], x.C[b.mark_image])
@@ -121,11 +122,11 @@ def test_the_errors_between_views_are_found() -> None:
     tracks, part = residuals_at_truth(7, white_px=0.15, slow_px=0.3, reach=0.1)
     found = estimate(*along_the_rows(tracks, part))
     true = Correlation(white=0.15 / 0.3, slow=0.3 / 0.3, reach_rad=0.1)
-    # 1,400 tracks with some 5 degrees of freedom each know a sigma to 1.2 %; reach, power and white part
+    # 930 tracks with some 5 degrees of freedom each know a sigma to 1.5 %; reach, power and white part
     # can stand in for each other, so the error at a distance is known to four of these (images are 3 degrees
     # apart)
     for apart in np.radians([3.0, 6.0, 12.0]):
-        assert found.change(apart) == pytest.approx(true.change(apart), rel=0.05)
+        assert found.change(apart) == pytest.approx(true.change(apart), rel=0.06)
     assert found.freedom >= 30
 
 
@@ -139,7 +140,7 @@ def test_errors_along_and_across_and_their_smoothness_are_found() -> None:
         part.residual[a:b] = draw[:, :, 0].T
     found = estimate(*along_the_rows(tracks, part))
     for apart in np.radians([3.0, 6.0, 12.0]):
-        assert found.change(apart) == pytest.approx(true.change(apart), rel=0.05)
+        assert found.change(apart) == pytest.approx(true.change(apart), rel=0.06)
     # errors of either kind in one number would be off by a quarter
     assert found.white_across < 0.75
     assert found.slow_across < 0.85

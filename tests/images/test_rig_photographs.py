@@ -1,5 +1,6 @@
 """Files with both image circles of a rig become one block: features of views, one pose for each file."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -63,10 +64,9 @@ def seen(walls: np.ndarray, origin: np.ndarray, rays: np.ndarray) -> np.ndarray:
     return grey
 
 
-@pytest.fixture(scope="module")
-def room(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TrueRig, Rig, list[Rigid]]:
-    """Eight files of a rig that goes round in a cube, positions of its front lens to 1 cm, and the truth."""
-    folder, rng = tmp_path_factory.mktemp("room"), np.random.default_rng(5)
+def seen_room(folder: Path, files: Iterable[int]) -> tuple[Path, TrueRig, Rig, list[Rigid]]:
+    """Files of a rig that goes round in a cube, positions of its front lens to 1 cm, and the truth."""
+    rng = np.random.default_rng(5)
     true, walls = true_rig(TwinDualFisheye(), 5), textures(rng)
     turn = np.linspace(0, 2.2, N)
     level = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -77,8 +77,8 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TrueRig, Rig, 
         )
         for a in turn
     ]
-    for k, front in enumerate(fronts):
-        views = []
+    for k in files:
+        front, views = fronts[k], []
         for name in LENSES:
             pose, camera = front @ true.T_front_lens[name], true.cameras[name]
             y, x = np.mgrid[0:640, 0:640] + 0.5
@@ -88,7 +88,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TrueRig, Rig, 
             grey[inside] = seen(walls, pose.shift_m, rays[inside] @ pose.R.T)
             views.append(grey.reshape(640, 640))
         picture = np.concatenate([views[0], np.rot90(views[1], 2)], axis=1)
-        picture = picture + 1.5 * rng.standard_normal(picture.shape)
+        picture = picture + 1.5 * np.random.default_rng([5, k]).standard_normal(picture.shape)
         file = np.repeat(np.clip(np.rint(picture), 0, 255).astype(np.uint8)[..., None], 3, axis=2)
         Image.fromarray(file).save(folder / f"{k:03d}.jpg", quality=96)
     places = np.array([T.shift_m for T in fronts]) + SIGMA_M * rng.standard_normal((N, 3))
@@ -111,8 +111,14 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TrueRig, Rig, 
     return folder, true, rig, fronts
 
 
-def test_features_are_those_of_the_views_up_to_the_rim(room: tuple) -> None:
-    folder, _, rig, _ = room
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TrueRig, Rig, list[Rigid]]:
+    """All eight files."""
+    return seen_room(tmp_path_factory.mktemp("room"), range(N))
+
+
+def test_features_are_those_of_the_views_up_to_the_rim(tmp_path: Path) -> None:
+    folder, _, rig, _ = seen_room(tmp_path, [3])
     path = folder / "003.jpg"
     found = extract_features({"front/003.jpg": path, "back/003.jpg": path}, settings=FEATURES, rig=rig)
     assert [p.name for p in found.pictures] == ["back/003.jpg", "front/003.jpg"]

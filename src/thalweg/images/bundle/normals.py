@@ -42,6 +42,8 @@ _MORE: Final = 10.0
 """Twice the gain in likelihood that five more numbers must bring (Akaike 1974)."""
 _ACROSS: Final = (0.1, 10.0)
 """Bounds of errors across over those along."""
+_NUMBERS: Final = np.column_stack([(-20.0, 20.0), *np.log([_ACROSS, _ACROSS, _REACHES]), (-12.0, 12.0)])
+"""Bounds of the numbers of `_shape`, (2, 5)."""
 _FREEDOMS: Final = (1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 30.0, 100.0, np.inf)
 _LEAST_SHARE: Final = 1e-3
 """Least white part of the variance, so that two views from the same place are no contradiction."""
@@ -583,15 +585,14 @@ def estimate(
     parts = tuple(np.ascontiguousarray(a[rows]) for a in (by_point, residual_px, sigma_px, view))
     degrees = (2 * length[chosen] - 3).astype(np.float64)
     logarithm, square, none = np.empty(len(chosen)), np.empty(len(chosen)), np.empty(0)
-    constants = [_constant(degrees, freedom) for freedom in _FREEDOMS]
+    freedoms = np.array(_FREEDOMS)
+    constants = np.array([_constant(degrees, freedom) for freedom in _FREEDOMS])
 
     def profile(shape: Correlation) -> tuple[float, float, float]:
         """-2 ln L for the best size and freedom of errors of that shape, and these."""
         restricted_parts(starts, *parts, shape.model, logarithm, square, none)
-        middle = max(float(np.median(square / degrees)), 1e-12)
-        found = (_sized(square, degrees, freedom, middle) for freedom in _FREEDOMS)
-        best = min((f[0] + c, f[1], nu) for f, c, nu in zip(found, constants, _FREEDOMS, strict=True))
-        return best[0] + float(logarithm.sum()), best[1], best[2]
+        value, variance, freedom = _best_sized(square, degrees, freedoms, constants)
+        return value + float(logarithm.sum()), variance, freedom
 
     fresh = start is None or start.slow == 0
     tries = (
@@ -645,12 +646,13 @@ def _numbers(shape: Correlation) -> ArrayF:
 
 def _shape(x: ArrayF) -> Correlation:
     """Errors of unit variance along the parallax."""
-    inner = float(1.0 / (1.0 + np.exp(-np.clip(x[4], -12, 12))))
+    x = np.minimum(np.maximum(x, _NUMBERS[0]), _NUMBERS[1])
+    inner = float(1.0 / (1.0 + np.exp(-x[4])))
     power = _POWERS[0] + (_POWERS[1] - _POWERS[0]) * inner
-    reach = float(np.exp(np.clip(x[3], *np.log(_REACHES))))
-    ratio = float(np.exp(np.clip(x[0], -20, 20))) / -np.expm1(-((_APART_RAD / reach) ** power))
+    reach = float(np.exp(x[3]))
+    ratio = float(np.exp(x[0])) / -np.expm1(-((_APART_RAD / reach) ** power))
     white = max(1.0 / (1.0 + ratio), _LEAST_SHARE)
-    across = np.exp(np.clip(x[1:3], *np.log(_ACROSS)))
+    across = np.exp(x[1:3])
     return Correlation(
         white=float(np.sqrt(white)),
         slow=float(np.sqrt(1.0 - white)),
@@ -670,11 +672,27 @@ def _constant(degrees: ArrayF, freedom: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
+def _best_sized(
+    square: ArrayF, degrees: ArrayF, freedoms: ArrayF, constants: ArrayF
+) -> tuple[float, float, float]:
+    """-2 ln L for the best variance and freedom of tracks, and these; ``constants`` of `_constant`.
+
+    Compiled: the search for a shape asks some thousand times.
+    """
+    middle = max(np.median(square / degrees), 1e-12)
+    best, size, freedom = np.inf, middle, freedoms[0]
+    for k in range(len(freedoms)):
+        value, variance = _sized(square, degrees, freedoms[k], middle)
+        if value + constants[k] < best:
+            best, size, freedom = value + constants[k], variance, freedoms[k]
+    return best, size, freedom
+
+
+@njit(cache=True, error_model="numpy")
 def _sized(square: ArrayF, degrees: ArrayF, freedom: float, variance: float) -> tuple[float, float]:
     """-2 ln L of Student's (normal) distribution of tracks for the best variance, and that variance.
 
-    Without `_constant`; ``variance`` is where the search begins. Compiled: the search for a shape asks some
-    thousand times.
+    Without `_constant`; ``variance`` is where the search begins.
     """
     total = degrees.sum()
     if not np.isfinite(freedom):

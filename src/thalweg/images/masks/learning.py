@@ -140,7 +140,8 @@ class PixelModel:
             """Value and gradient of the loss at flat weights."""
             w = flat.reshape(-1, classes).astype(np.float32)
             p = np.exp(_log_shares(x @ w))
-            loss = -float((weight * np.log(np.maximum((p * target).sum(axis=1, keepdims=True), 1e-12))).sum())
+            right = np.take_along_axis(p, part[:, None], axis=1)
+            loss = -float((weight * np.log(np.maximum(right, 1e-12))).sum())
             slope = x.T @ ((p - target) * weight) + 2 * _SHRINKAGE * w
             return loss + _SHRINKAGE * float((w * w).sum()), slope.astype(np.float64).ravel()
 
@@ -422,8 +423,11 @@ def _products(features: ArrayF32, mean: ArrayF32, scale: ArrayF32, products: boo
 
 
 def _log_shares(scores: AnyArray) -> ArrayF32:
-    z = scores - scores.max(axis=1, keepdims=True)
-    return np.asarray(z - np.log(np.exp(z).sum(axis=1, keepdims=True)))
+    """Logarithms (n, classes) of what each class has of the exponentials of scores (n, classes)."""
+    # class by class: NumPy is slow along short rows
+    z = np.ascontiguousarray(scores.T)
+    z -= z.max(axis=0)
+    return np.ascontiguousarray((z - np.log(np.exp(z).sum(axis=0))).T)
 
 
 # ---------------------------------------------------------------- features of each pixel of a reduced image
