@@ -735,7 +735,7 @@ def backward(
     column = np.empty((n, 1))
     keep = np.empty(6)
     kl = np.empty(n)
-    U = np.empty((part, n))
+    U, less = np.empty((part, n)), np.empty((part, part))
     for node in range(m - 1, -1, -1):
         Pk = P[node]
         for i in range(n):
@@ -743,19 +743,11 @@ def backward(
             for j in range(n):
                 x_out[node, i] -= Pk[i, j] * lam[j]
         # covariance of the first states: P - P Lam P
+        np.dot(Pk[:part], Lam, U)
+        np.dot(U, Pk[:part].T, less)
         for i in range(part):
-            for j in range(n):
-                U[i, j] = 0.0
-            for k in range(n):
-                a = Pk[i, k]
-                for j in range(n):
-                    U[i, j] += a * Lam[k, j]
             for j in range(part):
-                cov_out[node, i, j] = Pk[i, j]
-            for k in range(n):
-                a = U[i, k]
-                for j in range(part):
-                    cov_out[node, i, j] -= a * Pk[k, j]
+                cov_out[node, i, j] = Pk[i, j] - less[i, j]
         for i in range(part):
             for j in range(i):
                 s = 0.5 * (cov_out[node, i, j] + cov_out[node, j, i])
