@@ -1,6 +1,7 @@
 """Intensity against brightness: a wall with a known pattern, and boards that other people recorded."""
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from thalweg.core import Camera, Rigid
+from thalweg.core import AnyArray, Camera, Rigid
 from thalweg.core.las import read_laz
 from thalweg.ingest.clouds import read_pcd
 from thalweg.lidar import Photographs, colour_cloud
@@ -76,8 +77,7 @@ def test_sigmas_of_optima_hold_over_many_scenes(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr("thalweg.lidar.colour_check.COMMON_DEG", 1e-9)
     true = ({"clock_s": 0.0, **dict.fromkeys(TURNS, 0.0)}, {"clock_s": 0.3}, {"turn_y_deg": 1.0})
     squares = []
-    for seed in range(6):
-        case = true[seed % 3]
+    for seed, case in enumerate(true):
         found = passed(
             tmp_path,
             np.random.default_rng(seed),
@@ -125,6 +125,11 @@ FISHEYE = Camera(
 BOARDS = range(1, 38, 4)
 
 
+@cache
+def grey(picture: Path) -> AnyArray:
+    return grey_of(picture, FISHEYE)
+
+
 @pytest.fixture(scope="module")
 def acfr(data_dir: Path) -> Path:
     folder = data_dir / "acfr_vlp16_camera" / "data" / "vlp"
@@ -158,10 +163,9 @@ def auc(folder: Path, work: Path, board: int, T: Rigid) -> float:
     colour_cloud(work / "p.laz", work / "c.laz", [boards], how, occlusion=False)
     found, _ = read_laz(work / "c.laz")
     seen = found["n_views"] > 0
-    grey = grey_of(picture, FISHEYE)
     pixels = FISHEYE.project((found["xyz_m"] - T.shift_m) @ T.R)
     column, row = np.nan_to_num(pixels).astype(int).T
-    flat = (maximum_filter(grey, 21) - minimum_filter(grey, 21) < 40)[
+    flat = (maximum_filter(grey(picture), 21) - minimum_filter(grey(picture), 21) < 40)[
         np.clip(row, 0, 1207), np.clip(column, 0, 1919)
     ]
     bright = found["rgb"][seen & flat].mean(axis=1)
@@ -177,13 +181,12 @@ def test_real_boards_in_colour(acfr: Path, tmp_path: Path) -> None:
     """White squares of the board reflect more, where colours stand where they belong."""
     T = published(acfr)
     off = Rigid(R=T.R @ Rotation.from_rotvec([0, np.deg2rad(2.0), 0]).as_matrix(), shift_m=T.shift_m)
-    assert np.mean([auc(acfr, tmp_path, board, T) for board in BOARDS]) >= 0.95
-    assert np.mean([auc(acfr, tmp_path, board, off) for board in BOARDS]) <= 0.7
+    assert np.mean([auc(acfr, tmp_path, board, T) for board in BOARDS[::2]]) >= 0.95
+    assert np.mean([auc(acfr, tmp_path, board, off) for board in BOARDS[::2]]) <= 0.7
 
 
 @pytest.mark.real
-@pytest.mark.parametrize(("axis", "kind"), [(0, "turn_x_deg"), (1, "turn_y_deg")])
-def test_real_boards_tell_a_wrong_mount(acfr: Path, axis: int, kind: str) -> None:
+def test_real_boards_tell_a_wrong_mount(acfr: Path) -> None:
     """Whole scans. A camera turned by one degree is found, whatever the published place itself is off."""
     T = published(acfr)
     overlays = []
@@ -195,7 +198,7 @@ def test_real_boards_tell_a_wrong_mount(acfr: Path, axis: int, kind: str) -> Non
             Overlay(
                 xyz_m=cloud.xyz_m[seen],
                 intensity=cloud.fields["intensity"][seen].astype(float),
-                brightness=grey_of(acfr / f"images/pose{board}.png", FISHEYE),
+                brightness=grey(acfr / f"images/pose{board}.png"),
                 centre_m=T.shift_m,
                 R_wcs_ccs=T.R,
                 velocity_m_s=np.full(3, np.nan),
@@ -203,13 +206,13 @@ def test_real_boards_tell_a_wrong_mount(acfr: Path, axis: int, kind: str) -> Non
                 part=np.full(np.count_nonzero(seen), k),
             )
         )
-    turn = Rotation.from_rotvec(np.deg2rad(-1.0) * np.eye(3)[axis]).as_matrix()
-    turned = [replace(overlay, R_wcs_ccs=overlay.R_wcs_ccs @ turn) for overlay in overlays]
-    before, after = (
-        find_optima(*score_shifts(each, FISHEYE)).set_index("quantity").loc[kind]
-        for each in (overlays, turned)
-    )
-    # found as published: -0.14 and 0.22, 0.06 to 0.08 each
-    assert abs(before["optimum"]) < 0.3
-    assert after["optimum"] - before["optimum"] == pytest.approx(1.0, abs=0.1)
-    assert after["verdict"] == "shifted"
+    as_published = find_optima(*score_shifts(overlays, FISHEYE)).set_index("quantity")
+    for axis, kind in enumerate(TURNS[:2]):
+        turn = Rotation.from_rotvec(np.deg2rad(-1.0) * np.eye(3)[axis]).as_matrix()
+        turned = [replace(overlay, R_wcs_ccs=overlay.R_wcs_ccs @ turn) for overlay in overlays]
+        before = as_published.loc[kind]
+        after = find_optima(*score_shifts(turned, FISHEYE)).set_index("quantity").loc[kind]
+        # found as published: -0.14 and 0.22, 0.06 to 0.08 each
+        assert abs(before["optimum"]) < 0.3
+        assert after["optimum"] - before["optimum"] == pytest.approx(1.0, abs=0.1)
+        assert after["verdict"] == "shifted"
