@@ -1,6 +1,6 @@
 """Intensity against brightness: a wall with a known pattern, and boards that other people recorded."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from thalweg.core import AnyArray, Camera, Rigid
 from thalweg.core.las import read_laz
 from thalweg.ingest.clouds import read_pcd
-from thalweg.lidar import Photographs, colour_cloud
+from thalweg.lidar import Photographs, colour_check, colour_cloud
 from thalweg.lidar.colour_check import Overlay, find_optima, grey_of, score_shifts
 from thalweg.settings.sections import Colour
 from thalweg_lab.studies.sensors.colours import (
@@ -42,50 +42,83 @@ def passed(
     return known
 
 
-def test_a_clock_that_is_off_is_found(
-    tmp_path: Path, rng: np.random.Generator, caplog: pytest.LogCaptureFixture
-) -> None:
-    found = passed(tmp_path, rng, late_s=0.3).loc["clock_s"]
+TRUE = {
+    "right": {"clock_s": 0.0, **dict.fromkeys(TURNS, 0.0)},
+    "late": {"clock_s": 0.3},
+    "turned": {"turn_y_deg": 1.0},
+}
+"""What is off in each passage, of the quantities that are judged."""
+
+
+@dataclass(frozen=True)
+class Passage:
+    """What the check found, the scores it was found by, and what was warned of."""
+
+    found: pd.DataFrame
+    scores: tuple
+    warnings: list[str]
+
+
+@pytest.fixture(scope="module")
+def passages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Passage]:
+    """Three passages, each of a scene of its own."""
+    out = {}
+    for seed, (name, true) in enumerate(TRUE.items()):
+        scores, warnings = [], []
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(
+                colour_check,
+                "score_shifts",
+                lambda *a, into=scores: into.append(score_shifts(*a)) or into[-1],
+            )
+            patch.setattr(colour_check._LOG, "warning", lambda text, *a, into=warnings: into.append(text % a))
+            found = passed(
+                tmp_path_factory.mktemp(name),
+                np.random.default_rng(seed),
+                late_s=true.get("clock_s", 0.0),
+                turn_deg=true.get("turn_y_deg", 0.0),
+            )
+        out[name] = Passage(found, scores[-1], warnings)
+    return out
+
+
+def test_a_clock_that_is_off_is_found(passages: dict[str, Passage]) -> None:
+    found = passages["late"].found.loc["clock_s"]
     assert found["optimum"] == pytest.approx(0.3, abs=0.05)
     assert abs(found["optimum"] - 0.3) < 4 * found["sigma"]
     assert found["verdict"] == "shifted"
     assert found["dependence_best"] > 2 * found["dependence_at_zero"]
-    assert "clock_s: intensity and brightness fit best at +0.3" in caplog.text
+    told = f"clock_s: intensity and brightness fit best at {found['optimum']:+.3f} +-"
+    assert any(line.startswith(told) for line in passages["late"].warnings)
 
 
-def test_a_mount_that_is_off_is_found(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_a_mount_that_is_off_is_found(passages: dict[str, Passage]) -> None:
     """One degree: told within its sigma, and the axis by name."""
-    found = passed(tmp_path, rng, turn_deg=1.0).loc["turn_y_deg"]
+    found = passages["turned"].found.loc["turn_y_deg"]
     assert found["optimum"] == pytest.approx(1.0, abs=0.1)
     assert abs(found["optimum"] - 1.0) < 4 * found["sigma"]
     assert found["verdict"] == "shifted"
 
 
-def test_what_fits_is_silent(
-    tmp_path: Path, rng: np.random.Generator, caplog: pytest.LogCaptureFixture
-) -> None:
-    found = passed(tmp_path, rng)
+def test_what_fits_is_silent(passages: dict[str, Passage]) -> None:
+    found = passages["right"].found
     assert (found["verdict"] == "fits").all()
     assert (found["optimum"].abs() < 0.1).all()
     assert (found["photographs"][1:] == 16).all()
     assert found["photographs"]["clock_s"] == 14  # the first and the last have no neighbour on one side
-    assert caplog.text == ""
+    assert passages["right"].warnings == []
 
 
-def test_sigmas_of_optima_hold_over_many_scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sigmas_of_optima_hold_over_scenes(
+    passages: dict[str, Passage], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Blotches without shadows: what parts of a scene scatter is all that there is, neither more nor less."""
     monkeypatch.setattr("thalweg.lidar.colour_check.COMMON_DEG", 1e-9)
-    true = ({"clock_s": 0.0, **dict.fromkeys(TURNS, 0.0)}, {"clock_s": 0.3}, {"turn_y_deg": 1.0})
     squares = []
-    for seed, case in enumerate(true):
-        found = passed(
-            tmp_path,
-            np.random.default_rng(seed),
-            late_s=case.get("clock_s", 0.0),
-            turn_deg=case.get("turn_y_deg", 0.0),
-        )
+    for name, true in TRUE.items():
+        found = find_optima(*passages[name].scores).set_index("quantity")
         squares += [
-            ((found.loc[kind, "optimum"] - v) / found.loc[kind, "sigma"]) ** 2 for kind, v in case.items()
+            ((found.loc[kind, "optimum"] - v) / found.loc[kind, "sigma"]) ** 2 for kind, v in true.items()
         ]
     n = len(squares)
     low, high = chi2.ppf([0.001, 0.999], n) / n
