@@ -243,6 +243,7 @@ def with_errors(
     settings: FusionSettings,
     *,
     clock_start_s: float,
+    spread: bool = True,
 ) -> tuple[Nodes, FusionSettings, Solved, FusionErrors]:
     """The solution with errors of the sizes and times that the survey shows.
 
@@ -251,6 +252,7 @@ def with_errors(
     reference, nodes, observed, layout, settings : the task; ``observed`` receives the weights.
     solved : a solution of it.
     clock_start_s : prior mean of the clock offset about the nodes of the images.
+    spread : whether covariances count what is not known of the errors; without, they are those at the best.
 
     Returns
     -------
@@ -286,9 +288,10 @@ def with_errors(
         ):
             break
     assert model is not None
-    solved = spread_over(
-        model, reference, nodes, observed, solved, layout, settings, clock_start_s=clock_start_s
-    )
+    if spread:
+        solved = spread_over(
+            model, reference, nodes, observed, solved, layout, settings, clock_start_s=clock_start_s
+        )
     return nodes, now, replace(solved, n_solutions=steps), model
 
 
