@@ -37,15 +37,15 @@ def widths(s: ArrayF) -> tuple[ArrayF, ArrayF]:
 
 @cache
 def survey(pattern: str, leg_m: float) -> tuple[Observations, BedModel]:
-    """Soundings of a pattern with so much river a leg, and the covariance that they show."""
-    s = np.arange(40.0, 280.0, 0.15)
+    """Soundings of a pattern with so much river a leg, and the covariance that those of a zigzag show."""
+    s = np.arange(40.0, 280.0, 0.3)
     phase = s / leg_m
     if pattern == "zigzag":
         n = 10.0 * 2 / np.pi * np.arcsin(np.sin(np.pi * phase))
     else:  # from bank to bank, and along it to the next section
         s, n = (
-            np.repeat(np.arange(40.0, 280.0, leg_m), 60),
-            np.tile(np.linspace(-10, 10, 60), int(np.ceil(240 / leg_m))),
+            np.repeat(np.arange(40.0, 280.0, leg_m), 30),
+            np.tile(np.linspace(-10, 10, 30), int(np.ceil(240 / leg_m))),
         )
         phase = s / leg_m
     z = bed_m(s, n) + 0.02 * np.random.default_rng(5).standard_normal(len(s))
@@ -58,6 +58,8 @@ def survey(pattern: str, leg_m: float) -> tuple[Observations, BedModel]:
         t_s=np.full(len(s), np.nan),
         line=np.floor(phase + 0.5 * (pattern == "zigzag")).astype(np.int64),
     )
+    if (pattern, leg_m) != ("zigzag", 15.0):
+        return data, survey("zigzag", 15.0)[1]
     return data, choose_model(data, widths, SETTINGS, slow_time_s=0.0, seed=1)
 
 

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
@@ -59,10 +60,9 @@ def boat(t: np.ndarray, kind: str) -> tuple[np.ndarray, np.ndarray]:
 def slow(rng: np.random.Generator, t: np.ndarray, time_s: float) -> np.ndarray:
     """Gauss-Markov process (n, 3) of unit variance."""
     out = rng.standard_normal((len(t), 3))
-    keep = np.exp(-np.diff(t) / time_s)
-    for i, f in enumerate(keep):
-        out[i + 1] = f * out[i] + np.sqrt(1 - f * f) * out[i + 1]
-    return out
+    keep = float(np.exp(-np.diff(t).mean() / time_s))
+    out[1:] *= np.sqrt(1 - keep**2)
+    return lfilter([1.0], [1.0, -keep], out, axis=0)
 
 
 @dataclass

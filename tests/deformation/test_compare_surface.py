@@ -41,7 +41,7 @@ def test_a_mesh_gives_signed_distances_in_map_coordinates(
     cloud = points_text(tmp_path / "cloud.xyz", MAP_M + np.vstack([inside, beside, above]))
     assert main(["compare", str(cloud), str(mesh), "-o", str(tmp_path / "d.csv")]) == 0
     table = pd.read_csv(tmp_path / "d.csv")
-    assert table.distance_m[:500].to_numpy() == pytest.approx(height, abs=2e-6)
+    np.testing.assert_allclose(table.distance_m[:500], height, rtol=0, atol=2e-6)
     assert table.used.tolist() == [True] * 500 + [False] * 2
     facts = json.loads((tmp_path / "d.json").read_text())
     counts = facts["counts"]
@@ -59,7 +59,7 @@ def wall(rng: np.random.Generator, away_m: float, n: int, noise_m: float) -> np.
 
 def test_a_cloud_is_meshed_and_its_front_is_where_it_was_seen_from(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
-    reference = points_text(tmp_path / "tls.xyz", MAP_M + wall(rng, 0.0, 40_000, 0.003))
+    reference = points_text(tmp_path / "tls.xyz", MAP_M + wall(rng, 0.0, 15_000, 0.003))
     cloud = points_text(tmp_path / "boat.txt", MAP_M + wall(rng, 0.04, 4_000, 0.01))
     east, north, up = MAP_M + np.array([4, -30, 2])
     for place, sign in ((f"{east},{north},{up}", 1), (f"{east},{north + 60},{up}", -1)):

@@ -56,7 +56,10 @@ def in_local_frame(line: FlowLine, path: Path) -> River:
 
 
 @pytest.mark.real
-def test_a_real_stream_becomes_sections_volume_and_mesh(data_dir: Path, tmp_path: Path) -> None:
+def test_a_real_stream_becomes_sections_volume_and_mesh(
+    data_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("thalweg.figures.save", lambda *_: None)  # nobody looks at the bed's picture
     folder = data_dir / "river_bottom_interpolator" / "Lujan"
     points = json.loads((folder / "elevation_points.geojson").read_text())["features"]
     xyz = np.array([[*f["geometry"]["coordinates"][:2], f["properties"]["z"]] for f in points])

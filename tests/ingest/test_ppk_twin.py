@@ -51,13 +51,13 @@ def run(folder: Path, km: float, seed: int, receiver: Receiver | None = None) ->
 @pytest.fixture(scope="module")
 def short(tmp_path_factory) -> list[Run]:
     folder = tmp_path_factory.mktemp("short")
-    return [run(folder, km, seed) for km in (0.5, 3.0) for seed in SEEDS]
+    return [run(folder, km, seed) for km, seed in zip((0.5, 3.0, 0.5), SEEDS, strict=True)]
 
 
 @pytest.fixture(scope="module")
 def long(tmp_path_factory) -> list[Run]:
     folder = tmp_path_factory.mktemp("long")
-    return [run(folder, 100.0, seed) for seed in SEEDS]
+    return [run(folder, 100.0, seed) for seed in SEEDS[1:]]
 
 
 def test_short_baselines_are_fixed_and_never_wrongly(short: list[Run]) -> None:

@@ -27,7 +27,7 @@ LINE = (
 TO_ECEF = Transformer.from_crs(4979, 4978, always_xy=True)
 
 RUN = """
-import sys, pyrtklib5 as r
+import calendar, sys, pyrtklib5 as r
 conf, folder, *files = sys.argv[1:]
 variants = dict(
     base={}, tow={"out-timeform": "tow"}, utc={"out-timesys": "utc"}, jst={"out-timesys": "jst"},
@@ -45,7 +45,8 @@ for name, options in variants.items():
     assert r.loadopts(folder + "/o.conf", r.sysopts.ptr) == 1
     p, s, f, a, b = r.prcopt_t(), r.solopt_t(), r.filopt_t(), r.gtime_t(), r.gtime_t()
     r.getsysopts(p, s, f)
-    a.time = b.time = 0
+    # the first minute tells how a variant is written
+    a.time, b.time = 0, 0 if name == "base" else calendar.timegm((2021, 9, 22, 6, 30, 59))
     r.postpos(a, b, 0.0, 0.0, p, s, f, files, len(files), f"{folder}/{name}.pos", "", "")
 """
 
@@ -92,7 +93,7 @@ def test_real_drive_has_the_published_figures(variants: Path) -> None:
     ],
 )
 def test_all_variants_of_one_solution_agree(variants: Path, name: str) -> None:
-    base = read_pos([variants / "base.pos"]).positions
+    base = read_pos([variants / "base.pos"]).positions.iloc[:60]
     log = read_pos([variants / f"{name}.pos"])
     other = log.positions
     assert len(other) == len(base)

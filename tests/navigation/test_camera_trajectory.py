@@ -103,11 +103,11 @@ def taken(poses: ImagePoses, keep: np.ndarray) -> ImagePoses:
 
 
 @pytest.mark.parametrize("settings", [HALF, BRIDGE], ids=["half rotation", "bridge"])
-def test_normalised_errors_lie_in_their_band_over_thirty_seeds(settings: CloudSettings) -> None:
-    """One image a seed, so that errors are independent; 32 x 6 squares have a band of 0.76 to 1.28 (99 %)."""
+def test_normalised_errors_lie_in_their_band_over_sixteen_seeds(settings: CloudSettings) -> None:
+    """One image a seed, so that errors are independent; 16 x 6 squares have a band of 0.67 to 1.41 (99 %)."""
     after = np.array([0.0, 0.0499, -0.033]) if settings is HALF else np.array([0.0, 0.27, 0.5])
     squares = []
-    for seed in range(1, 33):
+    for seed in range(1, 17):
         recorded = survey(seed)
         found = run(recorded, settings).trajectory
         at = recorded.images.t_gps_s[6] + after
@@ -115,7 +115,7 @@ def test_normalised_errors_lie_in_their_band_over_thirty_seeds(settings: CloudSe
         assert inside.all()
         e = pose_errors(position, R, recorded.motion, at)
         squares.append([v @ np.linalg.solve(C, v) for v, C in zip(e, found.cov_at(at), strict=True)])
-    low, high = chi2.ppf([0.005, 0.995], 192) / 192
+    low, high = chi2.ppf([0.005, 0.995], 96) / 96
     mean = np.mean(squares, axis=0) / 6
     assert np.all((low < mean) & (mean < high)), mean
 
@@ -267,7 +267,7 @@ def test_chains_of_errors_are_the_covariance_of_each_pose_and_of_neighbours() ->
     sigma = np.sqrt(np.diagonal(expected, axis1=1, axis2=2))
     scale = sigma[:, :, None] * sigma[:, None, :]
     # errors of the INS grow with the root of the time, and are interpolated over a fiftieth of a second
-    assert total / scale == pytest.approx(expected / scale, abs=0.03)
+    np.testing.assert_allclose(total / scale, expected / scale, rtol=0, atol=0.03)
     at = [int(np.argmin(np.abs(chains["images"].t_gps_s - t))) for t in found.used_gps_s[3:5]]
     assert at[1] == at[0] + 1
     # the arm of the body turns both errors alike

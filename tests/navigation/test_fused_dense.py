@@ -106,7 +106,7 @@ def dense(t: Task, settings: FusionSettings = SETTINGS):
         camera=t.observed.camera,
         clock_start_s=0.003,
     )
-    rows = linearised(t.x, at, t.observed, t.layout, settings, FACTORS)
+    rows = linearised(t.x, at, t.observed, t.layout, settings).weighted(FACTORS)
     m, n = t.x.shape
     mean = np.zeros((m, n))
     mean[0] = chain.x0
@@ -243,12 +243,12 @@ def test_rows_are_the_derivatives_of_the_observations() -> None:
     """``y - H x`` is what the observation misses; differences of the states leave second order."""
     t = task(hole=False)
     at = t.reference.at(t.nodes.t_gps_s)
-    rows = linearised(t.x, at, t.observed, t.layout, SETTINGS, FACTORS)
+    rows = linearised(t.x, at, t.observed, t.layout, SETTINGS).weighted(FACTORS)
     rng = np.random.default_rng(2)
     step = 1e-4 * rng.standard_normal(t.x.shape)
     step[:, 3:6] = 0.0  # the velocity times the clock's offset is of second order by design
     missed = rows.y - np.einsum("ri,ri->r", rows.H, t.x[rows.node])
-    moved = linearised(t.x + step, at, t.observed, t.layout, SETTINGS, FACTORS)
+    moved = linearised(t.x + step, at, t.observed, t.layout, SETTINGS).weighted(FACTORS)
     missed_there = moved.y - np.einsum("ri,ri->r", moved.H, (t.x + step)[rows.node])
     change = -np.einsum("ri,ri->r", rows.H, step[rows.node])
     # steps of 1e-4 m and 1e-4 sigmas, noise of 0.3 mm and 1e-3 deg: change of 1, remainder of 1e-3

@@ -110,23 +110,23 @@ def test_a_wrong_mount_is_found_with_its_sign() -> None:
 
 
 @pytest.mark.parametrize(
-    "spec",
+    ("n", "spec"),
     [
-        {},
-        TREES,
-        {"twin": MOTORS},
+        (3, {}),
+        (3, TREES),
+        (3, {"twin": MOTORS}),
         # images that tell less: the clean case goes the same way through the code
-        pytest.param({"image_interval_s": 5.0}, marks=pytest.mark.slow),
+        pytest.param(4, {"image_interval_s": 5.0}, marks=pytest.mark.slow),
         pytest.param(
-            {"sigma_image_m": (0.05, 0.05, 0.05), "sigma_image_deg": (0.3, 0.3, 0.3)}, marks=pytest.mark.slow
+            4, {"sigma_image_m": (0.05,) * 3, "sigma_image_deg": (0.3,) * 3}, marks=pytest.mark.slow
         ),
     ],
     ids=["clean", "under trees", "heading disturbed", "few images", "weak images"],
 )
-def test_it_is_never_worse_than_the_better_chain(spec: dict) -> None:
-    """RMS over four surveys; by 5 % at most."""
+def test_it_is_never_worse_than_the_better_chain(n: int, spec: dict) -> None:
+    """RMS over n surveys; by 5 % at most."""
     totals = {"positions": [], "images": [], "all": []}
-    for seed in range(1, 5):
+    for seed in range(1, n + 1):
         recorded = make_survey(seed, VoyageSpec(duration_s=30.0, **spec))
         for name in totals:
             found = fuse(recorded, SETTINGS, with_positions=name != "images", with_images=name != "positions")
@@ -162,7 +162,7 @@ def test_poses_of_images_are_moved_to_what_all_sensors_say() -> None:
         sigma_mount_deg=0.1,
     )
     before, after, squares = [], [], []
-    for seed in range(20, 26):
+    for seed in range(20, 24):
         recorded = make_survey(seed, spec)
         found = fuse(recorded, SETTINGS)
         moved = found.image_poses(recorded.images, found.whole())
@@ -220,7 +220,7 @@ def test_a_smoother_knows_the_begin_as_well_as_the_end() -> None:
 # ---------------------------------------------------------------- wrong observations
 
 
-@pytest.mark.parametrize(("jump_m", "with_images"), [(0.3, True), (5.0, True), (0.3, False), (5.0, False)])
+@pytest.mark.parametrize(("jump_m", "with_images"), [(0.3, True), (5.0, False)])
 def test_jumps_by_multipath_do_no_harm(jump_m: float, with_images: bool) -> None:
     recorded = survey(2)
     positions = recorded.positions.copy()

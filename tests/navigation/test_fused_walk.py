@@ -10,7 +10,7 @@ from thalweg_lab.studies import outage
 
 SETTINGS = FusionSettings(use_ins_velocity=False)
 SLOW = {"ins": {"rate_hz": 10.0}, "gnss": {"rate_hz": 1.0}}
-"""Rates that keep twenty surveys short."""
+"""Rates that keep many surveys short."""
 
 
 def with_gap(seed: int, length_s: float) -> tuple[Fused, outage.Recorded, tuple[float, float]]:
@@ -28,15 +28,15 @@ def with_gap(seed: int, length_s: float) -> tuple[Fused, outage.Recorded, tuple[
     )
 
 
-@pytest.mark.parametrize(("length_s", "most"), [(10.0, 1.7), (60.0, 2.1)])
+@pytest.mark.parametrize(("length_s", "most"), [(10.0, 1.9), (60.0, 2.4)])
 def test_normalised_errors_hold_over_the_length_of_the_gap(length_s: float, most: float) -> None:
-    """Middle of the gap, 10 seeds: means of 30 squares lie below 1.7 (99 %), those of few turns below 2.1.
+    """Middle of the gap, 6 seeds: means of 18 squares lie below 1.9 (99 %), those of few turns below 2.4.
 
     Short gaps may be on the safe side: the walk of the steps, by heave, is more than a straight leg needs.
     With a walk of that size alone the mean at 60 s is 5 and more.
     """
     squares = []
-    for seed in range(1, 11):
+    for seed in range(1, 7):
         found, survey, (begin, end) = with_gap(seed, length_s)
         e, C = outage.errors_at(found, survey.motion, np.array([(begin + end) / 2]))
         squares.append(e[0, :3] @ np.linalg.solve(C[0, :3, :3], e[0, :3]) / 3)

@@ -74,9 +74,9 @@ def adjusted(problem: Problem, predicted: ImagePoses, rig: Rig, **more: Any) -> 
 
 @pytest.fixture(scope="module")
 def block() -> tuple[Recorded, Problem, ImagePoses, Rig]:
-    """A voyage of 25 s, a rig at the mount of the camera whose clock is off, its images, and predictions."""
+    """A voyage of 17 s, a rig at the mount of the camera whose clock is off, its images, and predictions."""
     spec = VoyageSpec(
-        duration_s=25.0, sigma_clock_s=0.2, jitter_s=JITTER_S, sigma_mount_m=0.0, sigma_mount_deg=0.0
+        duration_s=17.0, sigma_clock_s=0.2, jitter_s=JITTER_S, sigma_mount_m=0.0, sigma_mount_deg=0.0
     )
     recorded = make_survey(SEED, spec)
     stamp = recorded.images.t_gps_s

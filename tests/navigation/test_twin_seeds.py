@@ -1,4 +1,4 @@
-"""Are the sigmas of the trajectory consistent? Raw logs of 24 seeds, read back, against the twin's truth."""
+"""Are the sigmas of the trajectory consistent? Raw logs of 12 seeds, read back, against the twin's truth."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from thalweg_lab.voyage import Voyage, true_trajectory
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 LEVER = np.array([0.1, 0.0, -0.45])
-SEEDS = 24
+SEEDS = 12
 
 
 def normalised_errors(folder: Path, seed: int, **changes) -> tuple[np.ndarray, np.ndarray]:

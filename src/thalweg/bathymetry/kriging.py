@@ -299,9 +299,9 @@ def _nearest(points: ArrayF, cells: ArrayF, k: int) -> ArrayI:
     block = max(_AT_ONCE // len(points), 1)
     for start in range(0, len(cells), block):
         square = cdist(cells[start : start + block], points, "sqeuclidean")
+        row = np.arange(len(square))[:, None]
         some = np.argpartition(square, k - 1, axis=1)[:, :k]
-        order = np.argsort(np.take_along_axis(square, some, 1), axis=1)
-        near[start : start + block] = np.take_along_axis(some, order, 1)
+        near[start : start + block] = some[row, np.argsort(square[row, some], axis=1)]
     return near
 
 

@@ -77,6 +77,8 @@ _LEVER_HELD_M: Final = 1e-5
 """Added to an antenna that is stated without a sigma; a matrix of zeros could not be inverted."""
 _FLOOR: Final = 1e-12
 
+_AT_ONCE: Final = 50_000
+"""Images at offsets that are tried at a time: some 5 MB."""
 _STEP_S: Final = 0.1
 _ZONES: Final = 14 * 4
 _FITS: Final = 3.0
@@ -1054,17 +1056,24 @@ def at_the_end(start: Start, largest_offset_s: float) -> bool:
 
 def _best(poses: CameraPoses, track: Track, offsets: ArrayF, largest_lever_m: float) -> float | None:
     """The offset at which the antenna is nearest to one place in the median; None if there is none."""
-    least = _least(poses)
     best, found = float("inf"), None
-    for offset in offsets:
-        seen, inside = _seen(poses, track, float(offset))
-        if inside.sum() >= least:
-            seen = seen[inside]
-            middle = np.median(seen, axis=0)
-            misfit = float(np.median(np.linalg.norm(seen - middle, axis=1)))
-            if misfit < best and np.linalg.norm(middle) <= largest_lever_m:
-                best, found = misfit, float(offset)
+    for some in np.array_split(offsets, 1 + len(offsets) * len(poses.t_device_s) // _AT_ONCE):
+        seen, inside = _seen(poses, track, some)
+        enough = inside.sum(axis=1) >= _least(poses)
+        some, seen, inside = some[enough], seen[enough], inside[enough]
+        middle = np.stack([_medians(seen[..., i], inside) for i in range(3)], axis=-1)
+        misfit = _medians(np.linalg.norm(seen - middle[:, None], axis=2), inside)
+        misfit[np.linalg.norm(middle, axis=1) > largest_lever_m] = np.inf
+        if len(some) and misfit.min() < best:
+            best, found = float(misfit.min()), float(some[misfit.argmin()])
     return found
+
+
+def _medians(values: ArrayF, inside: ArrayB) -> ArrayF:
+    """Medians (k,) of those of each row (k, n) that are inside."""
+    ordered = np.sort(np.where(inside, values, np.inf), axis=1)
+    row, n = np.arange(len(values)), inside.sum(axis=1)
+    return np.asarray((ordered[row, (n - 1) // 2] + ordered[row, n // 2]) / 2)
 
 
 def _least(poses: CameraPoses) -> int:
@@ -1072,14 +1081,17 @@ def _least(poses: CameraPoses) -> int:
     return max(_LEAST_IMAGES, len(poses.t_device_s) // 5)
 
 
-def _seen(poses: CameraPoses, track: Track, offset_s: float) -> tuple[ArrayF, ArrayB]:
-    """Antenna in ccs (n, 3) at an offset, linearly between epochs, and which images the track covers (n,)."""
-    t = poses.t_device_s + offset_s
+def _seen(poses: CameraPoses, track: Track, offset_s: float | ArrayF) -> tuple[ArrayF, ArrayB]:
+    """Antenna in ccs (n, 3) at an offset, linearly between epochs, and which images the track covers (n,).
+
+    With a leading axis for several offsets (k,).
+    """
+    t = poses.t_device_s + np.asarray(offset_s)[..., None]
     right = np.clip(np.searchsorted(track.t_gps_s, t), 1, len(track.t_gps_s) - 1)
     step = track.t_gps_s[right] - track.t_gps_s[right - 1]
     inside = (t >= track.t_gps_s[0]) & (t <= track.t_gps_s[-1]) & (step < _GAP * track.step_s)
-    at = np.column_stack([np.interp(t, track.t_gps_s, track.position_m[:, i]) for i in range(3)])
-    return np.einsum("nji,nj->ni", poses.R_wcs_ccs, at - poses.centre_wcs_m), inside
+    at = np.stack([np.interp(t, track.t_gps_s, track.position_m[:, i]) for i in range(3)], axis=-1)
+    return np.einsum("nji,...nj->...ni", poses.R_wcs_ccs, at - poses.centre_wcs_m), inside
 
 
 def _apart(poses: CameraPoses, track: Track, largest_offset_s: float, largest_lever_m: float) -> ClockError:

@@ -307,6 +307,7 @@ def learn_display(
     InputError : see `read_display`.
     """
     marks = "".join("d" if mark in "HMSfx" else mark for mark in pattern)
+    _check_labels(files, labels or {}, marks, pattern)
     reduction = _reduction(files)
     sample = [photo for path in _spread(files, _SAMPLE) if (photo := _photo(path, reduction)) is not None]
     if not sample:
@@ -324,7 +325,7 @@ def learn_display(
         )
     layout, family = best
     if labels:
-        family = averaged(_labelled(files, labels, pattern, layout, reduction, family), family, least=1)
+        family = averaged(_labelled(files, labels, layout, reduction, family), family, least=1)
     training = [photo for path in _spread(files, _TRAINING) if (photo := _photo(path, reduction)) is not None]
     training = [photo for photo in training if photo.shape == shape]
     strips = [layout.strip(photo) for photo in training]
@@ -352,39 +353,36 @@ def _choose(layouts: Sequence[Layout], sample: Sequence[ArrayU8]) -> tuple[Layou
     ]
     for n_photos, n_kept in ((4, 8), (len(sample), 1)):
         few = sample[:: max(1, len(sample) // n_photos)]
-        looks = [Pictures.of(family, mixtures=False) for _, family in pairs]
-        cells = {
-            number: [layouts[number].cells(layouts[number].strip(photo)[0]) for photo in few]
-            for number in {number for number, _ in pairs}
-        }
-        scores = [
-            float(np.median([likeness(cell, pictures) for cell in cells[number]]))
-            for (number, _), pictures in zip(pairs, looks, strict=True)
-        ]
-        pairs = [pairs[i] for i in np.argsort(-np.array(scores), kind="stable")[:n_kept]]
+        scores = np.empty(len(pairs))
+        for number in {number for number, _ in pairs}:
+            own = [i for i, pair in enumerate(pairs) if pair[0] == number]
+            looks = [Pictures.of(pairs[i][1], mixtures=False) for i in own]
+            cells = [layouts[number].cells(layouts[number].strip(photo)[0]) for photo in few]
+            scores[own] = np.median([likenesses(cell, looks) for cell in cells], axis=0)
+        pairs = [pairs[i] for i in np.argsort(-scores, kind="stable")[:n_kept]]
     return (layouts[pairs[0][0]], pairs[0][1]) if pairs else None
 
 
-def _labelled(
-    files: Sequence[Path],
-    labels: Mapping[str, str],
-    pattern: str,
-    layout: Layout,
-    reduction: int,
-    family: Family,
-) -> list[tuple[int, ArrayF32]]:
-    by_name = {path.name: path for path in files}
-    out: list[tuple[int, ArrayF32]] = []
+def _check_labels(files: Sequence[Path], labels: Mapping[str, str], marks: str, pattern: str) -> None:
+    """Before anything is looked for: texts of the pattern for photographs that are there."""
+    names = {path.name for path in files}
     for name, text in labels.items():
-        if (
-            name not in by_name
-            or len(text) != len(pattern)
-            or not all(text[k].isdecimal() for k in layout.digits)
-        ):
+        same = len(text) == len(marks) and all(
+            c.isdecimal() for c, mark in zip(text, marks, strict=True) if mark == "d"
+        )
+        if name not in names or not same:
             raise InputError(
                 f"label '{text}' of '{name}'",
                 expected=f"a photograph of the series, and a text like {pattern}",
             )
+
+
+def _labelled(
+    files: Sequence[Path], labels: Mapping[str, str], layout: Layout, reduction: int, family: Family
+) -> list[tuple[int, ArrayF32]]:
+    by_name = {path.name: path for path in files}
+    out: list[tuple[int, ArrayF32]] = []
+    for name, text in labels.items():
         photo = _photo(by_name[name], reduction)
         if photo is None:
             raise InputError(f"the labelled photograph '{name}' cannot be opened", expected="an image")
@@ -588,9 +586,11 @@ def compare(cells: ArrayF32, pictures: Pictures) -> Match:
     )
 
 
-def likeness(cells: ArrayF32, pictures: Pictures) -> float:
-    """Mean correlation of cells with their best single digits."""
-    return float(_correlations(cells, pictures)[0].max(axis=(1, 2)).mean())
+def likenesses(cells: ArrayF32, looks: Sequence[Pictures]) -> ArrayF:
+    """Mean correlation of cells with their best single digits, of each of some looks of one size."""
+    flat = _pieces(cells, looks[0].size)
+    found = _along(flat, np.concatenate([look.plain for look in looks]))
+    return np.asarray(found.reshape(*flat.shape[:2], len(looks), -1).max(axis=(1, 3)).mean(axis=0))
 
 
 def placed(cells: ArrayF32, pictures: Pictures, digits: AnyArray) -> ArrayF32:
@@ -603,11 +603,15 @@ def placed(cells: ArrayF32, pictures: Pictures, digits: AnyArray) -> ArrayF32:
 
 def _correlations(cells: ArrayF32, pictures: Pictures) -> tuple[ArrayF, ArrayF32]:
     """Correlations (k, shifts, 10) with single digits, and the pieces (k, shifts, h w) compared."""
-    h, w = pictures.size
-    windows = np.lib.stride_tricks.sliding_window_view(cells, (h, w), axis=(1, 2))
-    k, ny, nx = windows.shape[:3]
-    flat = windows.reshape(k, ny * nx, h * w)
+    flat = _pieces(cells, pictures.size)
     return _along(flat, pictures.plain), flat
+
+
+def _pieces(cells: ArrayF32, size: tuple[int, int]) -> ArrayF32:
+    """Pieces (k, shifts, h w) of cells at all places of a rim."""
+    windows = np.lib.stride_tricks.sliding_window_view(cells, size, axis=(1, 2))
+    k, ny, nx = windows.shape[:3]
+    return np.asarray(windows.reshape(k, ny * nx, size[0] * size[1]))
 
 
 def _along(flat: ArrayF32, pictures: ArrayF32) -> ArrayF:
@@ -865,21 +869,19 @@ def _cells(profile: ArrayF, first: float, last: float, pattern: str) -> tuple[Ar
     n, s = int(before_d[-1]), int(before_s[-1])
     at = np.arange(len(profile))
     scale = float(profile.max())
-    best: tuple[float, ArrayF, float] | None = None
-    for share in np.linspace(*_SEPARATOR, 17) if s else [0.0]:
-        for gaps in np.linspace(-0.1, 0.6, 22):
-            # the outermost cells reach beyond the ink by half a gap on either side
-            pitch = (last - first) / (n + s * share - gaps)
-            for shift in np.linspace(0.0, 1.0, 6):
-                start = first - shift * gaps * pitch
-                borders = start + pitch * (before_d + share * before_s)
-                ink = float(np.interp(borders, at, profile).mean()) / scale
-                middles = (borders[:-1] + borders[1:]) / 2
-                inside = float(np.interp(middles[digit], at, profile).mean()) / scale
-                score = ink - 0.2 * inside
-                if best is None or score < best[0]:
-                    best = (score, borders[:-1][digit], pitch)
-    return None if best is None or best[2] < 4 else (best[1], best[2])
+    shares = np.linspace(*_SEPARATOR, 17) if s else np.zeros(1)
+    share, gaps, shift = (
+        each.reshape(-1, 1)
+        for each in np.meshgrid(shares, np.linspace(-0.1, 0.6, 22), np.linspace(0.0, 1.0, 6), indexing="ij")
+    )
+    # the outermost cells reach beyond the ink by half a gap on either side
+    pitch = (last - first) / (n + s * share - gaps)
+    borders = first - shift * gaps * pitch + pitch * (before_d + share * before_s)
+    ink = np.interp(borders, at, profile).mean(axis=1) / scale
+    middles = (borders[:, :-1] + borders[:, 1:]) / 2
+    inside = np.interp(middles[:, digit], at, profile).mean(axis=1) / scale
+    best = int(np.argmin(ink - 0.2 * inside))
+    return None if pitch[best, 0] < 4 else (borders[best, :-1][digit], float(pitch[best, 0]))
 
 
 # ---------------------------------------------------------------- images of the digits 0 to 9
@@ -1011,14 +1013,20 @@ def _scaled(digits: list[ArrayU8], height_px: int, cell_px: int, ink_px: float) 
     high, wide = rows[-1] + 1 - rows[0], columns[-1] + 1 - columns[0]
     sy, sx = 0.8 * height_px / high, ink_px / wide
     middle_x, middle_y = (columns[0] + columns[-1] + 1) / 2, (rows[0] + rows[-1] + 1) / 2
+    # drawn larger than shown: blurred by the ratio first, so that thin strokes keep their weight
+    blur_px = 0.5 / min(sx, sy)
+    ink, rim = np.max(digits, axis=0) > 0, int(np.ceil(3 * blur_px)) + 2
+    (top, bottom), (left, right) = (
+        (max(int(at[0]) - rim, 0), int(at[-1]) + rim + 1)
+        for at in (np.flatnonzero(ink.any(axis=axis)) for axis in (1, 0))
+    )
     M = np.array([
-        [sx, 0.0, cell_px / 2 - sx * middle_x],
-        [0.0, sy, height_px / 2 - sy * middle_y],
+        [sx, 0.0, cell_px / 2 - sx * (middle_x - left)],
+        [0.0, sy, height_px / 2 - sy * (middle_y - top)],
     ])  # fmt: skip
     tiles = np.empty((10, height_px, cell_px), np.float32)
     for k, digit in enumerate(digits):
-        # drawn larger than shown: blurred by the ratio first, so that thin strokes keep their weight
-        soft = cv2.GaussianBlur(digit, (0, 0), 0.5 / min(sx, sy))
+        soft = cv2.GaussianBlur(digit[top:bottom, left:right], (0, 0), blur_px)
         tile = cv2.warpAffine(soft, M, (cell_px, height_px), flags=cv2.INTER_LINEAR)
         tiles[k] = cv2.GaussianBlur(tile.astype(np.float32) / 255.0, (0, 0), 1.0)
     return tiles

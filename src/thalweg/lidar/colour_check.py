@@ -17,6 +17,7 @@ import logging
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -92,10 +93,12 @@ class Overlay:
         if kind == "clock_s":
             turn = Rotation.from_rotvec(by * self.rate_rad_s).as_matrix()
             return self.centre_m + by * self.velocity_m_s, turn @ self.R_wcs_ccs
-        axis = "xyz".index(kind[5])
-        return self.centre_m, self.R_wcs_ccs @ Rotation.from_rotvec(
-            np.deg2rad(by) * np.eye(3)[axis]
-        ).as_matrix()
+        return self.centre_m, self.R_wcs_ccs @ _turn("xyz".index(kind[5]), by)
+
+
+@cache
+def _turn(axis: int, by_deg: float) -> ArrayF:
+    return np.asarray(Rotation.from_rotvec(np.deg2rad(by_deg) * np.eye(3)[axis]).as_matrix())
 
 
 def _squares(overlay: Overlay, lens: Lens, centre_m: ArrayF, R: ArrayF, cell: AnyArray, parts: int) -> ArrayF:

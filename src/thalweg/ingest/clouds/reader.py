@@ -14,6 +14,7 @@ Binary forms are told from it and refused by name: `pcl_convert_pcd_ascii_binary
 import struct
 import tempfile
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -682,6 +683,11 @@ def _head(raw: bytes, path: Path) -> tuple[dict[str, str], int]:
 def _numbers(text: bytes, columns: int, path: Path) -> ArrayF:
     lines = [line for line in text.split(b"\n") if line.strip()]
     table = np.empty((len(lines), columns))
+    with suppress(ValueError):
+        whole = np.loadtxt(lines, ndmin=2, comments=None) if lines else table
+        if whole.shape == table.shape:
+            return np.asarray(whole)
+    # line by line, to say which one is wrong
     for i, line in enumerate(lines):
         words = line.split()
         try:

@@ -656,7 +656,9 @@ def _estimated(
     camera = replace(camera, node=of_camera)
     observed = Observed.of(None, camera, none, jumped_images(camera, reference, fusion))
     first = solve(reference, nodes, observed, layout, fusion)
-    return with_errors(reference, nodes, observed, first, layout, fusion, clock_start_s=0.0)[-1]
+    # the errors alone are asked for, no pose
+    task = (reference, nodes, observed, first, layout, fusion)
+    return with_errors(*task, clock_start_s=0.0, spread=False)[-1]
 
 
 def _with_positions(model: FusionErrors, settings: CloudSettings) -> FusionErrors:

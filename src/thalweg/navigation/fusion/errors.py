@@ -243,6 +243,7 @@ def with_errors(
     settings: FusionSettings,
     *,
     clock_start_s: float,
+    spread: bool = True,
 ) -> tuple[Nodes, FusionSettings, Solved, FusionErrors]:
     """The solution with errors of the sizes and times that the survey shows.
 
@@ -251,6 +252,7 @@ def with_errors(
     reference, nodes, observed, layout, settings : the task; ``observed`` receives the weights.
     solved : a solution of it.
     clock_start_s : prior mean of the clock offset about the nodes of the images.
+    spread : whether covariances count what is not known of the errors; without, they are those at the best.
 
     Returns
     -------
@@ -286,9 +288,10 @@ def with_errors(
         ):
             break
     assert model is not None
-    solved = spread_over(
-        model, reference, nodes, observed, solved, layout, settings, clock_start_s=clock_start_s
-    )
+    if spread:
+        solved = spread_over(
+            model, reference, nodes, observed, solved, layout, settings, clock_start_s=clock_start_s
+        )
     return nodes, now, replace(solved, n_solutions=steps), model
 
 
@@ -318,7 +321,7 @@ def estimated(
     k = len(priors)
     if not k:
         return nothing
-    innovations = _Innovations(reference, nodes, observed, solved, layout, clock_start_s)
+    innovations = _Innovations(reference, nodes, observed, solved, layout, settings, clock_start_s)
 
     def at(h: ArrayF) -> tuple[ArrayF, ArrayF, float]:
         """Innovations and their variances (r,), and -2 log p."""
@@ -380,6 +383,8 @@ def spread_over(
     start_m = first_offset(at, observed)
     cov, cross = np.zeros((2, len(nodes.t_gps_s), part, part))
     last = np.zeros_like(solved.last)
+    # nothing that `applied` changes enters the rows themselves
+    rows = linearised(solved.x, at, observed, layout, settings)
     n = 0
     for h in model.points():
         changed, factors = applied(model.values(h), settings)
@@ -394,6 +399,7 @@ def spread_over(
             start_m=start_m,
             clock_start_s=clock_start_s,
             part=part,
+            rows=rows,
         )
         away = found.x - solved.x
         pose = away[:, :part]
@@ -425,16 +431,19 @@ class _Innovations:
         observed: Observed,
         solved: Solved,
         layout: Layout,
+        settings: FusionSettings,
         clock_start_s: float,
     ) -> None:
-        self._at = reference.at(nodes.t_gps_s)
-        self._start_m = first_offset(self._at, observed)
-        self._task = nodes, observed, solved, layout, clock_start_s
+        at = reference.at(nodes.t_gps_s)
+        self._start_m = first_offset(at, observed)
+        self._rows = linearised(solved.x, at, observed, layout, settings)
+        self._first_row = np.searchsorted(self._rows.node, np.arange(len(solved.x) + 1))
+        self._task = nodes, observed, layout, clock_start_s
 
     def __call__(self, settings: FusionSettings, factors: Factors) -> tuple[ArrayF, ArrayF]:
         """Innovations (r,) and their variances (r,), in units that do not change with the factors."""
-        nodes, observed, solved, layout, clock_start_s = self._task
-        rows = linearised(solved.x, self._at, observed, layout, settings, factors)
+        nodes, observed, layout, clock_start_s = self._task
+        rows = self._rows.weighted(factors)
         t = transitions(
             nodes,
             layout,
@@ -445,10 +454,8 @@ class _Innovations:
             camera=observed.camera,
             clock_start_s=clock_start_s,
         )
-        (m, n), r = solved.x.shape, len(rows.y)
-        first_row = np.searchsorted(rows.node, np.arange(m + 1))
-        x, P = np.empty((m, n)), np.empty((m, n, n))
-        K, S, nu = np.empty((r, n)), np.empty(r), np.empty(r)
+        n, r = layout.n, len(rows.y)
+        S, nu = np.empty(r), np.empty(r)
         solver.forward(
             t.x0,
             t.p0,
@@ -460,15 +467,15 @@ class _Innovations:
             t.image_of,
             t.G,
             t.W,
-            first_row,
+            self._first_row,
             rows.H,
             rows.y,
-            x,
-            P,
-            K,
+            np.empty((0, n)),
+            np.empty((0, n, n)),
+            np.empty((0, n)),
             S,
             nu,
         )
         # rows are in units of their sigmas, which grow with the factors
-        unit = np.where(rows.of_antenna == 1, factors["gnss_white"], factors["camera"])
+        unit = self._rows.unit(factors)
         return nu * unit, S * unit**2

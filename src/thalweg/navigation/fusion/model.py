@@ -1,7 +1,7 @@
 """States and observations of the fused trajectory: nodes, transitions, linearisation."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Final, Self
 
@@ -485,15 +485,27 @@ class Transitions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rows:
-    """Observations with the variance 1: ``H`` (r, n), ``y`` (r,), and the node (r,) of each, in order.
+    """Observations ``H`` (r, n), ``y`` (r,) of a ``variance`` (r,), and the node (r,) of each, in order.
 
     ``of_antenna`` (r,) tells the group of each.
     """
 
     H: ArrayF
     y: ArrayF
+    variance: ArrayF
     node: ArrayI
     of_antenna: ArrayI
+
+    def unit(self, factors: Factors) -> ArrayF:
+        """Factors (r,) of the sigmas of the white errors."""
+        return np.where(self.of_antenna == 1, factors["gnss_white"], factors["camera"])
+
+    def weighted(self, factors: Factors) -> Self:
+        """Of the variance 1, with factors of the sigmas."""
+        scale = 1.0 / np.sqrt(self.variance * self.unit(factors) ** 2)
+        return replace(
+            self, H=self.H * scale[:, None], y=self.y * scale, variance=np.ones_like(self.variance)
+        )
 
 
 def pair_transition(step_s: ArrayF, kind: ArrayI, settings: FusionSettings, factors: Factors) -> ArrayF:
@@ -550,10 +562,10 @@ def transitions(
         ("gnss", settings.gnss_time_s),
     ]
     for group, time in processes:
-        for i in layout.states_of(group):
-            phi[:, i] = np.exp(-step / time)
-            q[:, i] = -np.expm1(-2 * step / time) * factors[group] ** 2
-            p0[i] = factors[group] ** 2
+        own = np.array(layout.states_of(group), dtype=np.int64)
+        phi[:, own] = np.exp(-step / time)[:, None]
+        q[:, own] = (-np.expm1(-2 * step / time) * factors[group] ** 2)[:, None]
+        p0[own] = factors[group] ** 2
     if antenna is not None:
         anew = np.ix_(antenna.node[antenna.begins], np.array(layout.states_of("gnss"), dtype=np.int64))
         phi[anew], q[anew] = 0.0, factors["gnss"] ** 2
@@ -649,23 +661,24 @@ def camera_rows(
     return H, y
 
 
-def weighted(H: ArrayF, y: ArrayF, root: ArrayF, variance: ArrayF) -> tuple[ArrayF, ArrayF]:
-    """Rows of the variance 1: noise is ``root`` times white noise of a variance (k,) a component."""
-    scale = 1.0 / np.sqrt(variance)
-    both = np.linalg.solve(root, np.concatenate([H, y[:, :, None]], axis=2)) * scale[:, None, None]
+def whitened(H: ArrayF, y: ArrayF, root: ArrayF) -> tuple[ArrayF, ArrayF]:
+    """Rows in units of ``root`` (k, d, d): what was ``root`` times white noise becomes white noise."""
+    both = np.linalg.solve(root, np.concatenate([H, y[:, :, None]], axis=2))
     return both[:, :, :-1], both[:, :, -1]
 
 
-def stacked(parts: list[tuple[ArrayF, ArrayF, ArrayI]]) -> Rows:
-    """Rows of antenna (first part) and images in the order of their nodes."""
-    H = np.concatenate([h.reshape(-1, h.shape[-1]) for h, _, _ in parts])
-    y = np.concatenate([v.ravel() for _, v, _ in parts])
-    node = np.concatenate([np.repeat(k, v.shape[1]) for _, v, k in parts])
-    group = np.concatenate([np.full(v.size, i) for i, (_, v, _) in enumerate(parts)])
+def stacked(parts: list[tuple[ArrayF, ArrayF, ArrayI, ArrayF]]) -> Rows:
+    """Rows of antenna (first part) and images, of a variance (k,) each, in the order of their nodes."""
+    H = np.concatenate([h.reshape(-1, h.shape[-1]) for h, _, _, _ in parts])
+    y = np.concatenate([v.ravel() for _, v, _, _ in parts])
+    node = np.concatenate([np.repeat(k, v.shape[1]) for _, v, k, _ in parts])
+    variance = np.concatenate([np.repeat(w, v.shape[1]) for _, v, _, w in parts])
+    group = np.concatenate([np.full(v.size, i) for i, (_, v, _, _) in enumerate(parts)])
     order = np.argsort(node, kind="stable")
     return Rows(
         H=np.ascontiguousarray(H[order]),
         y=np.ascontiguousarray(y[order]),
+        variance=variance[order],
         node=node[order],
         of_antenna=(group[order] == 0).astype(np.int64),
     )

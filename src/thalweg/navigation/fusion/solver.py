@@ -40,7 +40,7 @@ from thalweg.navigation.fusion.model import (
     camera_rows,
     stacked,
     transitions,
-    weighted,
+    whitened,
 )
 
 _HUBER, _STEEP = 3, 5
@@ -200,8 +200,12 @@ def smooth(
     start_m: ArrayF,
     clock_start_s: float,
     part: int = POSE,
+    rows: Rows | None = None,
 ) -> Solved:
-    """One solution, linearised at states ``x`` (m, n); covariances of the first ``part`` states."""
+    """One solution, linearised at states ``x`` (m, n); covariances of the first ``part`` states.
+
+    ``rows``: `linearised` at ``x``, if they are known already.
+    """
     t = transitions(
         nodes,
         layout,
@@ -212,7 +216,7 @@ def smooth(
         camera=observed.camera,
         clock_start_s=clock_start_s,
     )
-    rows = linearised(x, at, observed, layout, settings, factors)
+    rows = (linearised(x, at, observed, layout, settings) if rows is None else rows).weighted(factors)
     m, n, r = len(nodes.t_gps_s), layout.n, len(rows.y)
     first_row = np.searchsorted(rows.node, np.arange(m + 1))
     xf, Pf = np.empty((m, n)), np.empty((m, n, n))
@@ -256,27 +260,25 @@ def smooth(
     )
 
 
-def linearised(
-    x: ArrayF, at: Sampled, observed: Observed, layout: Layout, settings: FusionSettings, factors: Factors
-) -> Rows:
-    """Weighted rows of all observations that are not rejected."""
+def linearised(x: ArrayF, at: Sampled, observed: Observed, layout: Layout, settings: FusionSettings) -> Rows:
+    """Rows of all observations that are not rejected, for sigmas as stated."""
     parts = []
     antenna, camera = observed.antenna, observed.camera
     n = layout.n
     if antenna is not None:
         use = observed.weight_antenna > 0
         H, y = antenna_rows(x[antenna.node], _take(at, antenna.node), antenna, layout, settings)
-        variance = settings.gnss_white_share + 1.0 / np.where(use, observed.weight_antenna, 1.0) - 1.0
-        H, y = weighted(H[use], y[use], antenna.root_m[use], variance[use] * factors["gnss_white"] ** 2)
-        parts.append((H, y, antenna.node[use]))
+        H, y = whitened(H[use], y[use], antenna.root_m[use])
+        variance = settings.gnss_white_share + 1.0 / observed.weight_antenna[use] - 1.0
+        parts.append((H, y, antenna.node[use], variance))
     else:
-        parts.append((np.zeros((0, 3, n)), np.zeros((0, 3)), np.zeros(0, dtype=np.int64)))
+        parts.append((np.zeros((0, 3, n)), np.zeros((0, 3)), np.zeros(0, dtype=np.int64), np.zeros(0)))
     if camera is not None:
         use = observed.weight_camera > 0
         H, y = camera_rows(x[camera.node], _take(at, camera.node), camera, layout, settings)
-        variance = WHITE_SHARE + 1.0 / np.where(use, observed.weight_camera, 1.0) - 1.0
-        H, y = weighted(H[use], y[use], camera.root[use], variance[use] * factors["camera"] ** 2)
-        parts.append((H, y, camera.node[use]))
+        H, y = whitened(H[use], y[use], camera.root[use])
+        variance = WHITE_SHARE + 1.0 / observed.weight_camera[use] - 1.0
+        parts.append((H, y, camera.node[use], variance))
     return stacked(parts)
 
 
@@ -541,11 +543,51 @@ def _rows_transposed(A: ArrayF, f: float, g: float, phi: ArrayF, cam: int, G: Ar
 
 
 @njit(cache=True, error_model="numpy")
-def _transposed(A: ArrayF, B: ArrayF) -> None:
-    """``B <- A^T``."""
-    for i in range(A.shape[0]):
-        for j in range(A.shape[1]):
-            B[j, i] = A[i, j]
+def _columns(A: ArrayF, f: float, g: float, phi: ArrayF, cam: int, G: ArrayF, keep: ArrayF) -> None:
+    """``A <- A F^T``."""
+    n, m = A.shape
+    for i in range(n):
+        for j in range(3):
+            A[i, j] += f * A[i, 3 + j]
+            A[i, 3 + j] *= g
+        for j in range(6, m):
+            A[i, j] *= phi[j]
+        if cam >= 0:
+            for j in range(6):
+                keep[j] = 0.0
+                for k in range(6):
+                    keep[j] += G[j, k] * A[i, cam + k]
+            for j in range(6):
+                A[i, cam + j] = keep[j]
+
+
+@njit(cache=True, error_model="numpy")
+def _columns_transposed(
+    A: ArrayF, f: float, g: float, phi: ArrayF, cam: int, G: ArrayF, keep: ArrayF
+) -> None:
+    """``A <- A F``."""
+    n, m = A.shape
+    for i in range(n):
+        for j in range(3):
+            A[i, 3 + j] = f * A[i, j] + g * A[i, 3 + j]
+        for j in range(6, m):
+            A[i, j] *= phi[j]
+        if cam >= 0:
+            for j in range(6):
+                keep[j] = 0.0
+                for k in range(6):
+                    keep[j] += G[k, j] * A[i, cam + k]
+            for j in range(6):
+                A[i, cam + j] = keep[j]
+
+
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "nsz"})
+def _dot(a: ArrayF, b: ArrayF) -> float:
+    """``a . b``, summed in any order."""
+    s = 0.0
+    for i in range(len(a)):
+        s += a[i] * b[i]
+    return s
 
 
 @njit(cache=True, error_model="numpy")
@@ -583,16 +625,17 @@ def forward(
     G, W : (k, 6, 6) transitions and noise of the image's errors.
     first_row : (m + 1,) rows of ``H`` by node.
     H, y : (r, n) and (r,) observations.
-    x_out, P_out : (m, n), (m, n, n) of the filter, written.
-    K_out, S_out, nu_out : (r, n), (r,), (r,) gain, variance and innovation of each observation, written.
+    x_out, P_out : (m, n), (m, n, n) of the filter, written; or of no length, for the innovations alone.
+    K_out, S_out, nu_out : (r, n), (r,), (r,) gain, variance and innovation of each observation, written;
+        without ``P_out`` no gain.
     """
     n, m = len(x0), len(first_row) - 1
     x = x0.copy()
     P = np.diag(p0)
-    B = np.empty((n, n))
     column = np.empty((n, 1))
     keep = np.empty(6)
-    ph = np.empty(n)
+    ph, gain = np.empty(n), np.empty(n)
+    every = len(P_out) > 0
     for node in range(m):
         if node > 0:
             f, g, image = pair[node, 0], pair[node, 1], image_of[node]
@@ -602,9 +645,7 @@ def forward(
             _rows(column, f, g, phi[node], at, Gk, keep)
             x[:] = column[:, 0]
             _rows(P, f, g, phi[node], at, Gk, keep)
-            _transposed(P, B)
-            _rows(B, f, g, phi[node], at, Gk, keep)
-            _transposed(B, P)
+            _columns(P, f, g, phi[node], at, Gk, keep)
             for i in range(3):
                 P[i, i] += walk[node, i] * pair[node, 2]
                 P[i, 3 + i] += walk[node, i] * pair[node, 3]
@@ -619,25 +660,30 @@ def forward(
         for row in range(first_row[node], first_row[node + 1]):
             h = H[row]
             S, nu = 1.0, y[row]
-            for i in range(n):
-                ph[i] = 0.0
-                for j in range(n):
-                    ph[i] += P[i, j] * h[j]
-                nu -= h[i] * x[i]
+            ph[:] = 0.0
+            # by the few states that the observation depends on; P is symmetric
+            for j in range(n):
+                hj = h[j]
+                if hj != 0.0:
+                    for i in range(n):
+                        ph[i] += P[j, i] * hj
+                    nu -= hj * x[j]
             for i in range(n):
                 S += h[i] * ph[i]
             # Joseph's form: the loss of digits by a weak start stays small
             for i in range(n):
-                ki = ph[i] / S
-                K_out[row, i] = ki
-                x[i] += ki * nu
-                for j in range(i + 1):
-                    kj = ph[j] / S
-                    P[i, j] += ki * kj * S - ki * ph[j] - ph[i] * kj
-                    P[j, i] = P[i, j]
+                gain[i] = ph[i] / S
+                x[i] += gain[i] * nu
+            for i in range(n):
+                ki, pi = gain[i], ph[i]
+                for j in range(n):
+                    P[i, j] += ki * gain[j] * S - (ki * ph[j] + pi * gain[j])
+            if every:
+                K_out[row] = gain
             S_out[row], nu_out[row] = S, nu
-        x_out[node] = x
-        P_out[node] = P
+        if every:
+            x_out[node] = x
+            P_out[node] = P
 
 
 @njit(cache=True, error_model="numpy")
@@ -686,11 +732,10 @@ def backward(
     m, n = x.shape
     lam = np.zeros(n)
     Lam = np.zeros((n, n))
-    B = np.empty((n, n))
     column = np.empty((n, 1))
     keep = np.empty(6)
     kl = np.empty(n)
-    U = np.empty((part, n))
+    U, less = np.empty((part, n)), np.empty((part, part))
     for node in range(m - 1, -1, -1):
         Pk = P[node]
         for i in range(n):
@@ -698,18 +743,11 @@ def backward(
             for j in range(n):
                 x_out[node, i] -= Pk[i, j] * lam[j]
         # covariance of the first states: P - P Lam P
+        np.dot(Pk[:part], Lam, U)
+        np.dot(U, Pk[:part].T, less)
         for i in range(part):
-            for j in range(n):
-                U[i, j] = 0.0
-            for k in range(n):
-                a = Pk[i, k]
-                for j in range(n):
-                    U[i, j] += a * Lam[k, j]
             for j in range(part):
-                s = Pk[i, j]
-                for k in range(n):
-                    s -= U[i, k] * Pk[k, j]
-                cov_out[node, i, j] = s
+                cov_out[node, i, j] = Pk[i, j] - less[i, j]
         for i in range(part):
             for j in range(i):
                 s = 0.5 * (cov_out[node, i, j] + cov_out[node, j, i])
@@ -734,30 +772,26 @@ def backward(
                         cross_out[node, i, cam + j] = s
         for row in range(first_row[node + 1] - 1, first_row[node] - 1, -1):
             u, d = nu[row] / S[row], 1.0 / S[row]
-            for i in range(n):
-                kl[i] = 0.0
-                for j in range(n):
-                    kl[i] += Lam[i, j] * K[row, j]
-                u += K[row, i] * lam[i]
+            kl[:] = 0.0
+            for j in range(n):
+                a = K[row, j]
+                for i in range(n):
+                    kl[i] += Lam[j, i] * a
+                u += a * lam[j]
             for i in range(n):
                 d += K[row, i] * kl[i]
             # (I - K H)^T first, then (I - K H): at a weak start, where K H is nearly 1, the expanded
             # product would leave rounding errors of Lam that the great P multiplies twice
             for i in range(n):
-                hi = H[row, i]
-                lam[i] -= hi * u
+                hi, s = H[row, i], kl[i]
+                if hi != 0.0:
+                    lam[i] -= hi * u
+                    for j in range(n):
+                        Lam[i, j] -= hi * kl[j]
+                    s = _dot(Lam[i], K[row])
+                own = hi / S[row]
                 for j in range(n):
-                    Lam[i, j] -= hi * kl[j]
-            for i in range(n):
-                s = 0.0
-                for j in range(n):
-                    s += Lam[i, j] * K[row, j]
-                for j in range(n):
-                    Lam[i, j] -= s * H[row, j]
-            for i in range(n):
-                for j in range(i + 1):
-                    Lam[i, j] = 0.5 * (Lam[i, j] + Lam[j, i]) + H[row, i] * H[row, j] / S[row]
-                    Lam[j, i] = Lam[i, j]
+                    Lam[i, j] = (Lam[i, j] - s * H[row, j]) + own * H[row, j]
             rows[row, 0], rows[row, 1] = u * u, d
         if node == 0:
             for i in range(6, n):
@@ -806,8 +840,8 @@ def backward(
                     for k in range(6):
                         s += U[i, at + k] * W[image, k, j]
                     cross_out[node - 1, i, at + j] = s
-        _transposed(Lam, B)
-        _rows_transposed(B, f, g, phi[node], at, Gk, keep)
+        _columns_transposed(Lam, f, g, phi[node], at, Gk, keep)
         for i in range(n):
-            for j in range(n):
-                Lam[i, j] = 0.5 * (B[i, j] + B[j, i])
+            for j in range(i):
+                Lam[i, j] = 0.5 * (Lam[i, j] + Lam[j, i])
+                Lam[j, i] = Lam[i, j]

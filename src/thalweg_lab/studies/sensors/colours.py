@@ -139,7 +139,7 @@ def check_passage(
         place = world * (WALL_M / world[..., 1:2])
         seen = on_wall(look, place[..., 0] + at[0] + SPEED_M_S * late_s, place[..., 2])
         grey = np.clip(rng.uniform(0.7, 1.2) * (120 + 40 * seen) + rng.normal(0, 4, seen.shape), 0, 255)
-        Image.fromarray(grey.astype(np.uint8)).convert("RGB").save(folder / name)
+        Image.fromarray(grey.astype(np.uint8)).convert("RGB").save(folder / name, compress_level=1)
     x, z = rng.uniform(-4, 22, 60_000), rng.uniform(-3, 3, 60_000)
     order = np.argsort(x)
     xyz = np.column_stack([x, np.full(len(x), WALL_M), z])[order]
