@@ -54,7 +54,7 @@ class House:
 
 
 SERVER = """
-import ctypes, gc, json, os, runpy, sys, threading
+import ctypes, json, os, runpy, sys, threading
 import libusb_package
 from multiprocessing import forkserver, util
 import PIL.Image, jinja2, nbformat, pyarrow, pydantic, pyproj, requests, smart_open, snakemake.cli
@@ -90,9 +90,6 @@ def fork(path, words, passed):
     return child
 
 util.spawnv_passfds = fork
-gc.collect()
-gc.freeze()  # Snakemake's search for garbage leaves the libraries out, and begins less often
-gc.set_threshold(10_000, 10, 10)
 for line in sys.stdin:
     words, folder, environment, out, err = json.loads(line)
     if (child := os.fork()) == 0:
