@@ -50,4 +50,3 @@ import_module("numba.core.registry").cpu_target.target_context.refresh()
 with contextlib.suppress(import_module("thalweg.core").ThalwegError):  # said by the job that needs it
     import_module("thalweg.core.geometry")._open3d()
 gc.freeze()  # each search for garbage in a job would go through these libraries, 0.14 s
-gc.set_threshold(10_000, 10, 10)
