@@ -15,9 +15,7 @@ CHOSEN = {name: METHODS[name] for name in ("matching as P4 4.1", "matching, widt
 
 def test_wet_paper_gives_two_modes_and_the_width_takes_most_of_it_away() -> None:
     """C080, C322: 0.20 -> 0.13 mm in all, 0.17 -> 0.07 mm after three sigmas, on 8 lines of 1024 pixels."""
-    table = marker_bias([STUDIED[0], WET_PAPER], lines=6, methods=CHOSEN).set_index(
-        ["share", "method"]
-    )
+    table = marker_bias([STUDIED[0], WET_PAPER], lines=6, methods=CHOSEN).set_index(["share", "method"])
     none, paper = (table.xs(share, level="share") for share in (0.0, 0.5))
     before, after = (paper.loc[name] for name in CHOSEN)
     # detected and flagged: shape, and brightness, which knows nothing of the shape

@@ -34,6 +34,7 @@ def small(effect: Effect) -> Effect:
         for key, value in effect.twin.items()
     }
     twin["duration_s"] = SMALL["duration_s"]
+    twin["effects"] = {**twin.get("effects", {}), "lost_packets": 0.5}
     return replace(effect, twin=twin, reference={"cell_m": 0.15, **effect.reference})
 
 
