@@ -304,7 +304,7 @@ def _perspective_rays(uv: ArrayF, shape: ArrayF) -> ArrayF:
     """Newton steps on the distortion from the undistorted start."""
     ab = uv.copy()
     for _ in range(_ITERATIONS):
-        got, _, J = _distorted(*ab.T, shape, derivatives=True)
+        got, _, J = _distorted(ab[:, 0], ab[:, 1], shape, derivatives=True)
         off = uv - got
         det = J[:, 0, 0] * J[:, 1, 1] - J[:, 0, 1] * J[:, 1, 0]
         with np.errstate(invalid="ignore", divide="ignore"):
