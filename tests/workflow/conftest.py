@@ -54,7 +54,7 @@ class House:
 
 
 SERVER = """
-import gc, json, os, runpy, sys, threading
+import json, os, runpy, sys, threading
 from multiprocessing import forkserver, util
 import PIL.Image, jinja2, nbformat, pyarrow, pydantic, pyproj, requests, smart_open, snakemake.cli
 import snakemake.script
@@ -83,9 +83,6 @@ def fork(path, words, passed):
     return child
 
 util.spawnv_passfds = fork
-gc.collect()
-gc.freeze()  # Snakemake's search for garbage leaves the libraries out, and begins less often
-gc.set_threshold(10_000, 10, 10)
 for line in sys.stdin:
     words, folder, environment, out, err = json.loads(line)
     if (child := os.fork()) == 0:
