@@ -205,7 +205,7 @@ def bodies_of(parts: MeshParts) -> list[ArrayF]:
 
 
 def test_stones_are_closed_of_natural_size_and_partly_sunk() -> None:
-    river = River(CONFIG.scene, SEED)
+    river = River(TwinConfig.of_size("tiny", scene={"length_m": 75.0}).scene, SEED)
     for add, low, high in ((add_boulders, 0.12, 1.1), (add_cobbles, 0.015, 0.16)):
         parts = MeshParts()
         add(parts, river, SEED)

