@@ -14,7 +14,10 @@ CHOSEN = {name: METHODS[name] for name in ("matching as P4 4.1", "matching, widt
 
 
 def test_wet_paper_gives_two_modes_and_the_width_takes_most_of_it_away() -> None:
-    """C080, C322: 0.20 -> 0.13 mm in all, 0.17 -> 0.07 mm after three sigmas, on 8 lines of 1024 pixels; here 6 of 512."""
+    """C080, C322: 0.20 -> 0.13 mm in all, 0.17 -> 0.07 mm after three sigmas, on 8 lines of 1024 pixels.
+
+    Here 6 lines of 512.
+    """
     table = marker_bias([STUDIED[0], WET_PAPER], lines=6, size="tiny", methods=CHOSEN).set_index(
         ["share", "method"]
     )
