@@ -76,7 +76,7 @@ def test_two_perspective_cameras_are_a_rig() -> None:
         back=RigLens(box_px=(side, 0, side, side)),
     )
     true = true_rig(twin, 2)
-    marks, _ = room_marks(true, 2, 10, sigma_px=0.05)
+    marks, _ = room_marks(true, 2, 7, sigma_px=0.05)
     found = calibrate_rig(marks, room_points(2, twin.sigma_field_m)[0], settings)
     assert found.rig.base_m == pytest.approx(0.12, abs=0.001)
     assert found.rig.axes_deg == pytest.approx(twin.axes_deg, abs=0.02)

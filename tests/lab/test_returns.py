@@ -335,7 +335,8 @@ def test_rays_by_way_of_facets_find_the_same_share(
         DIVERGENCE, np.full(1, 2 * slope**2), np.full(1, np.cos(incidence)), behind_m / (before_m + behind_m)
     )[0]
     assert 0.2 < found < 0.9
-    # A quarter of a million rays in some 1,000 bins: 0.3 %; bins: below 1 %; a wide beam at 80 degrees: 1 %.
+    # A quarter of a million rays in some 1,000 bins: 0.3 %; bins: below 1 %; curve of a wide beam at 80
+    # degrees: 1 %.
     assert found == pytest.approx(said, rel=0.02)
 
 

@@ -129,7 +129,7 @@ def test_at_the_nodes_the_mesh_is_the_river_exactly(reach: Scene) -> None:
 
 
 def test_cells_are_finest_at_the_water_line() -> None:
-    config = TwinConfig.of_size("demo", scene={"length_m": 32.0})
+    config = TwinConfig.of_size("demo", scene={"length_m": 20.0})
     scene = build_scene(config, SEED).only(*GROUND)
     river = River(config.scene, SEED)
     corner = scene.vertices_wcs_m[scene.triangles]
@@ -205,7 +205,7 @@ def bodies_of(parts: MeshParts) -> list[ArrayF]:
 
 
 def test_stones_are_closed_of_natural_size_and_partly_sunk() -> None:
-    river = River(CONFIG.scene, SEED)
+    river = River(TwinConfig.of_size("tiny", scene={"length_m": 75.0}).scene, SEED)
     for add, low, high in ((add_boulders, 0.12, 1.1), (add_cobbles, 0.015, 0.16)):
         parts = MeshParts()
         add(parts, river, SEED)
@@ -316,8 +316,8 @@ def only_in(a: ArrayI, b: ArrayI) -> set[int]:
 def epoch(*changes: Change, **more: Any) -> TwinConfig:
     """The tiny reach after changes, with larger cells and fewer leaves."""
     retreat_m = 1.0 if "bank_retreat" in changes else 5.0
-    coarse = {"grid_m": 0.2, "leaves_per_bush": 60, "leaves_per_tree": 200}
-    return TwinConfig.of_size("tiny", scene={**coarse, "changes": changes, "retreat_m": retreat_m, **more})
+    coarse = {"grid_m": 0.2, "leaves_per_bush": 60, "leaves_per_tree": 200, "retreat_m": retreat_m}
+    return TwinConfig.of_size("tiny", scene={**coarse, "changes": changes, **more})
 
 
 Later = Callable[..., tuple[Scene, ArrayI]]
@@ -498,7 +498,7 @@ def test_a_drier_day_moves_the_water_alone(reach: Scene) -> None:
     shallower = soundings[0] - soundings[1]
     np.testing.assert_allclose(shallower, 0.25, atol=0.03)  # along an axis that heels
     assert np.mean(shallower) == pytest.approx(0.25, abs=0.003)
-    full = build_scene(TwinConfig.of_size("tiny", scene={"stage_m": 0.5}), SEED).only(Material.WATER)
+    full = build_scene(epoch(stage_m=0.5), SEED).only(Material.WATER)
     # A higher stage floods the beach of the inner bend, as far as it lies below the water.
     s, n = River(CONFIG.scene, SEED), np.array([0.0])
     shore = s.half_width(n) + 3.0
@@ -608,10 +608,7 @@ def test_without_objects_the_scene_is_ground_and_water() -> None:
 def test_leaves_of_a_bush_follow_the_setting() -> None:
     few, many = (
         np.count_nonzero(
-            build_scene(
-                TwinConfig.of_size("tiny", scene={"leaves_per_bush": k, "trees_per_100m": 0.0}), SEED
-            ).material
-            == Material.LEAF
+            build_scene(epoch(leaves_per_bush=k, trees_per_100m=0.0), SEED).material == Material.LEAF
         )
         for k in (100, 300)
     )

@@ -97,7 +97,7 @@ def test_capture_files_hold_the_same_points(tmp_path: Path) -> None:
 
 
 def test_the_run_sees_every_cone_from_many_sides(run_scan) -> None:
-    config = twin().model_copy(update={"duration_s": 24.0})
+    config = twin().model_copy(update={"duration_s": 16.0})
     scan = run_scan(config, SEED, **MOUNT)
     run = FieldRun(config, SEED)
     places = run.position_wcs_m(scan.t_gps_s)

@@ -17,7 +17,7 @@ from thalweg_lab.studies.bed_study import MISTAKES, NONE, campaign_of, surveyed,
 def _short_search() -> Iterator[None]:
     """How well ranges are found is judged in tests/bathymetry."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("thalweg.bathymetry.variogram._STEPS", 20)
+        patch.setattr("thalweg.bathymetry.variogram._STEPS", 12)
         yield
 
 

@@ -6,7 +6,7 @@ from thalweg_lab.studies.sensors.sheet_scans import KINDS, pose_noise, table
 
 
 def test_errors_of_poses_matter_more_for_the_wreck_because_they_are_level() -> None:
-    found = pose_noise(range(1, 3), lines=8, beams=70)
+    found = pose_noise(range(1, 3), lines=8, beams=45)
     assert len(found) == 2 * 2 * 2
     ratios = table(found).set_index("errors")
     assert list(ratios.index) == list(KINDS)
