@@ -205,10 +205,7 @@ def _residuals(setup: Setup) -> Function:
         all_nine = np.repeat(nine, len(distances), axis=0)
         turns = (all_nine[:, 0:3], all_nine[:, 3:6])
         links = [
-            Link(
-                rotation=np.repeat(rotation_opk(*turn.T), len(distances), axis=0),
-                shift_m=shift,
-            )
+            Link(rotation=np.repeat(rotation_opk(*turn.T), len(distances), axis=0), shift_m=shift)
             for turn, shift in ((nine[:, 0:3], np.zeros(3)), (nine[:, 3:6], all_nine[:, 6:]))
         ]
         chain = chain_derivatives(links, np.tile(points, (len(p), 1)))
