@@ -114,7 +114,7 @@ class Yard:
     step_deg: float = 0.2
     constant_range_m: float = 0.0
     near_m: float = np.inf
-    """Beams that pass a cone farther away are left out of the scans."""
+    """Beams that pass all cones farther away are left out of the scans."""
 
     @property
     def truth(self) -> Rigid:

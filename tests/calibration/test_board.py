@@ -286,11 +286,11 @@ def test_real_boards_as_published(acfr: Path) -> None:
 
 @pytest.mark.real
 def test_real_boards_from_pictures_and_scans(acfr: Path) -> None:
-    """Ten pictures and whole scans, from axes that are 8 degrees and 20 cm off; nothing cropped by hand."""
+    """Seven pictures and whole scans, from axes that are 8 degrees and 20 cm off; nothing cropped by hand."""
     k = [1176.93, 1177.72, 962.275 + 0.5, 612.725 + 0.5, -0.0540096, -0.0784275, 0.0959641, -0.0515253]
     camera = Camera(model="fisheye", size_px=(1920, 1208), parameters=np.array(k))
     given = []
-    for i in range(1, 38, 4):
+    for i in (1, 5, 9, 17, 21, 29, 37):
         seen = board_view(
             f"pose{i}", find_corners(read_grey(acfr / f"images/pose{i}.png"), BOARD), BOARD, camera
         )

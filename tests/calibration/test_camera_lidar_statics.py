@@ -74,7 +74,7 @@ def error_of(found: Statics, run: int) -> np.ndarray:
 def test_errors_are_as_the_joint_covariance_says(run: int) -> None:
     """Also where poses and points hang together, and for points that no picture shows."""
     squares, poses = [], []
-    for seed in range(5 if run else 8):
+    for seed in range(3 if run else 5):
         found = statics(run, seed)
         error = error_of(found, run)
         assert len(found.cov) == len(error)

@@ -27,7 +27,7 @@ NEAR = Rigid.from_opk(np.deg2rad([0.0, -90.0, 0.0]), [-0.350, 0.0, -0.250])
 """The mount by a ruler: 7 mm and 1.5 deg off."""
 
 NO_SEARCH = MountRange(lever_m=0.0, angle_deg=0.0)
-SHORT = RunSpec(duration_s=40.0, points=40_000)
+SHORT = RunSpec(duration_s=40.0, points=30_000)
 
 
 def settings(spec: RunSpec, **changes: object) -> InsLidarSettings:
@@ -238,7 +238,9 @@ def test_consistent_over_seeds_and_formal_not() -> None:
     assert not any(found.dropped for found in both)
 
 
+@pytest.mark.slow
 def test_sizes_of_the_pose_errors_are_taken_from_the_run() -> None:
+    """Estimated sizes: test_pose_process.py; that a run hands them on: the test after the next."""
     spec = replace(
         SHORT, sigma_attitude_deg=(0.3, 0.3, 0.6), attitude_time_s=5.0, duration_s=80.0, points=80_000
     )
@@ -348,13 +350,13 @@ def test_an_antenna_that_is_another_marker_is_refused() -> None:
 
 def test_the_sigma_of_the_stamps_reaches_the_adjustment() -> None:
     """A lidar that stamps 20 ms late: found if the stamps may be that wrong, else an error of the mount."""
-    run = run_of(1, SHORT)
+    run = run_of(1, replace(SHORT, points=40_000))
     late = replace(run, t_gps_s=run.t_gps_s + 0.020)
     stiff, free = (
         solved(late, settings(SHORT, search=NO_SEARCH, sigma_time_s=s), start=NEAR).T_ics_scs
         for s in (1e-6, 0.02)
     )
-    right = good(1).T_ics_scs
+    right = solved(run, settings(SHORT, search=NO_SEARCH), start=NEAR).T_ics_scs
     sigma = np.sqrt(np.diag(right.cov))
     # turned the time around: what is left is the noise of the stamps' own estimate
     assert np.all(np.abs(free.error_from(right)) < 0.5 * sigma)

@@ -163,7 +163,7 @@ def photographs(folder: Path) -> Path:
     field = build_marker_field(3, sheets_a_side=4)
     layout = MarkerLayout(module_m=MODULE_M)
     folder.mkdir()
-    for name, pose in stations(field, 3, 8).items():
+    for name, pose in stations(field, 3, 7).items():
         picture = np.full((1024, 1024), 90, np.uint8)
         # from low to high: what lies higher covers what is behind
         for sheet in sorted(field.sheets, key=lambda s: float(s.centre_wcs_m()[2])):

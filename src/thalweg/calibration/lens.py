@@ -39,6 +39,7 @@ from thalweg.core import (
     root_mean_square,
 )
 from thalweg.core.calibration import Calibration, Source
+from thalweg.core.geometry import nearest_rotation
 
 COLUMNS: Final = ("image", "column", "row", "x_px", "y_px")
 LEAST_CORNERS: Final = 6
@@ -398,18 +399,20 @@ def _board_pose(rays: ArrayF, board: ArrayF) -> tuple[ArrayF, ArrayF, float]:
     """Rotation and shift of a plane from rays to its points, and the angle (radians) by which they miss."""
     scale = float(np.ptp(board, axis=0).max()) or 1.0
     p = np.column_stack([board / scale, np.ones(len(board))])
-    A = np.einsum("nij,nk->nijk", cross_matrix(rays), p).reshape(-1, 9)
-    H = np.linalg.svd(A, full_matrices=False)[2][-1].reshape(3, 3)
-    if np.sum(np.sign(np.einsum("ni,ij,nj->n", rays, H, p))) < 0:
+    turned = cross_matrix(rays)
+    A = (turned[:, :, :, None] * p[:, None, None, :]).reshape(-1, 9)
+    H = np.linalg.eigh(A.T @ A)[1][:, 0].reshape(3, 3)
+    if np.sum(np.sign(np.add.reduce((rays @ H) * p, axis=1))) < 0:
         H = -H
     size = float(np.sqrt(np.linalg.norm(H[:, 0]) * np.linalg.norm(H[:, 1])))
     if not size > 0:
         return np.eye(3), np.zeros(3), np.inf
     H = H / size
-    U, _, Vt = np.linalg.svd(np.column_stack([H[:, 0], H[:, 1], np.cross(H[:, 0], H[:, 1])]))
-    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    first, second = H[:, 0], H[:, 1]
+    R = nearest_rotation(np.column_stack([first, second, cross_matrix(first[None])[0] @ second]))
     t = H[:, 2] * scale
     X = board @ R[:, :2].T + t
-    across = np.linalg.norm(np.cross(rays, X), axis=1)
-    angle = np.arctan2(across, np.einsum("ni,ni->n", rays, X))
+    off = (turned @ X[:, :, None])[:, :, 0]
+    across = np.sqrt(np.add.reduce(off * off, axis=1))
+    angle = np.arctan2(across, np.add.reduce(rays * X, axis=1))
     return R, t, float(np.sqrt(np.median(angle**2)))

@@ -62,11 +62,13 @@ class Linear:
     residual : (m,).
     jacobian : (m, u), dense or a sparse matrix.
     cov : (m,) variances, or (b, k, k) covariances of consecutive blocks of k residuals with ``m = b k``.
+    normal : (u, u) ``J^T cov^-1 J`` where it is known, as of derivatives that never change, or None.
     """
 
     residual: ArrayF
     jacobian: Any
     cov: ArrayF
+    normal: ArrayF | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -338,9 +340,13 @@ def _result(
         r, J, k = whitened(here.parts[i], group.name)
         keep: AnyArray = np.ones(len(here.lengths[i]), dtype=np.bool_) if mask is None else mask
         rows = np.repeat(keep, k)
-        Jk = J[rows]
-        product = Jk @ cov
-        taken = float(Jk.multiply(product).sum() if is_sparse(Jk) else np.sum(product * Jk))
+        known = here.parts[i].normal if mask is None else None
+        if known is not None:
+            taken = float(np.sum(known * cov))
+        else:
+            Jk = J[rows]
+            product = Jk @ cov
+            taken = float(Jk.multiply(product).sum() if is_sparse(Jk) else np.sum(product * Jk))
         squares = float(np.square(r[rows]).sum())
         spare[group.name] = float(rows.sum()) - taken
         sigma0[group.name] = float(np.sqrt(squares / spare[group.name])) if spare[group.name] > 1e-9 else 0.0
@@ -465,8 +471,11 @@ def normal_equations(
         cost += float(inside[root > 0].sum())
         w = np.repeat(root, k)
         Jw = scaled_rows(J, w)
-        product = Jw.T @ Jw
-        N += product.toarray() if is_sparse(product) else product
+        if part.normal is not None and mask is None and loss is None:
+            N += part.normal
+        else:
+            product = Jw.T @ Jw
+            N += product.toarray() if is_sparse(product) else product
         n += Jw.T @ (r * w)
     return Normal(N, n, cost, lengths, parts)
 

@@ -1,6 +1,7 @@
 """From a rendered picture of the grid object, with speckle and noise, to the light sheet."""
 
 import numpy as np
+import pytest
 
 from thalweg.core import rotation_opk
 from thalweg.lightsheet.calibration import CalibrationSettings, calibrate_sheet, parse_grid
@@ -13,8 +14,9 @@ from thalweg_lab.tank.objects import GridPattern, grid_object
 from thalweg_lab.tank.record import grid_text
 
 
+@pytest.mark.slow
 def test_a_rendered_picture_gives_the_sheet(lines):
-    """Three levels; an object of two goes the same way, and through the jobs of test_sheet_jobs.py."""
+    """The whole chip; small pictures of two and three levels go the same way in test_sheet_jobs.py."""
     levels_mm = (0.0, -45.0, -90.0)
     truth = lines.without_sigmas(paper_4())
     pattern = GridPattern.regular()

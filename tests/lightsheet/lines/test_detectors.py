@@ -89,9 +89,7 @@ def test_row_wise_peaks_jump(picture: "Maker") -> None:
     assert patch.max() < 0.5
 
 
-@pytest.mark.parametrize(
-    ("amplitude_px", "length_rows"), [(0.0, 1), (0.3, 12), (0.6, 4), (1.5, 12), (4.0, 40), (0.5, 1)]
-)
+@pytest.mark.parametrize(("amplitude_px", "length_rows"), [(0.0, 1), (0.6, 4), (1.5, 12), (0.5, 1)])
 def test_the_default_is_never_worse_than_the_row_fit(
     picture: "Maker", amplitude_px: float, length_rows: float
 ) -> None:

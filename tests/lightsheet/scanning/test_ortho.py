@@ -14,7 +14,7 @@ from thalweg_lab.random_numbers import generator
 from thalweg_lab.tank import render_sheet_image, sized
 from thalweg_lab.tank.plan import strip_plan
 
-LINES = 7
+LINES = 5
 
 
 def test_the_orthophoto_shows_the_albedo_of_the_bed() -> None:
@@ -40,7 +40,7 @@ def test_the_orthophoto_shows_the_albedo_of_the_bed() -> None:
     cloud = merge([profile(sensor, detect_lines(images[name]), image=name) for name in names], poses)
     photo = orthophoto(sensor, cloud, images.__getitem__, cell_m=0.001)
     seen = (photo.images > 0).ravel()
-    assert photo.counts["cells_seen"] == seen.sum() > 2000
+    assert photo.counts["cells_seen"] == seen.sum() > 1400
     assert photo.counts["views_beside_the_line"] > 0
     bed = plan.surfaces[plan.seen[0]]
     at = photo.grid.points_m[seen] * 1e3
@@ -57,7 +57,7 @@ def test_the_orthophoto_shows_the_albedo_of_the_bed() -> None:
     picture = photo.picture()
     assert picture.shape == (*photo.images.shape, 3)
     assert (picture[::-1][photo.images == 0] == 0).all()
-    with pytest.raises(GeometryError, match="none of 7 images sees any"):
+    with pytest.raises(GeometryError, match="none of 5 images sees any"):
         orthophoto(sensor, cloud, images.__getitem__, cell_m=0.001, line_margin_px=5000.0)
 
 

@@ -105,6 +105,11 @@ class Control:
         """(3n, 3n) ``W`` with ``W cov W^T = 1``."""
         return np.asarray(np.linalg.inv(np.linalg.cholesky(self.cov)))
 
+    @cached_property
+    def information(self) -> ArrayF:
+        """(3n, 3n) inverse of the covariance."""
+        return np.asarray(self.whitening.T @ self.whitening)
+
 
 @dataclass(frozen=True, slots=True)
 class Problem:
@@ -209,7 +214,7 @@ def robust_start(problem: Problem, x: State, steps: int = 40) -> State:
             other = group.model(x)
             J = np.asarray(other.jacobian)
             weighted = J / other.cov[:, None] if other.cov.ndim == 1 else np.linalg.solve(other.cov[0], J)
-            N += weighted.T @ J
+            N += weighted.T @ J if other.normal is None else other.normal
             n += weighted.T @ other.residual
         scale = np.sqrt(np.maximum(np.diag(N), 1e-30))
         Ns = N / np.outer(scale, scale) + _DAMPING * np.eye(len(N))
@@ -343,7 +348,9 @@ def _control(control: Control, layout: Layout, x: State) -> Linear:
     J = np.zeros((len(columns), len(layout.names)))
     J[:, columns] = control.whitening
     off = (x.X[control.at] - control.points_pcs).ravel()
-    return Linear(residual=control.whitening @ off, jacobian=J, cov=np.ones(len(columns)))
+    normal = np.zeros((len(layout.names),) * 2)
+    normal[np.ix_(columns, columns)] = control.information
+    return Linear(residual=control.whitening @ off, jacobian=J, cov=np.ones(len(columns)), normal=normal)
 
 
 def _interior(problem: Problem, layout: Layout, nominal: Sequence[Camera], x: State) -> Linear:

@@ -198,11 +198,13 @@ def linearise(points: RunPoints, cone: ArrayI, known: Known, state: State, knots
     border = np.zeros((n, known.n_border))
     for k, body in enumerate(known.field.moved(S_cones @ state.z[6 : 6 + c])):
         rows = np.flatnonzero(cone == k)
-        met = body.meet(origin_pcs[rows], beam[rows])
-        rows = rows[met.hit]
-        way[rows], cosine[rows] = met.range_m[met.hit], met.cosine[met.hit]
+        entry = body.ranges_m(origin_pcs[rows], beam[rows])
+        hit = np.isfinite(entry)
+        rows = rows[hit]
+        way[rows] = entry[hit]
         seen = body.see(origin_pcs[rows] + way[rows, None] * beam[rows])
         slant[rows], normal[rows] = seen.slant_m, seen.normal
+        cosine[rows] = -np.einsum("ni,ni->n", seen.normal, beam[rows])
         longer = range_m[rows] - way[rows]
         mean = _mean_inside_m(seen, body.half_angle_rad, beam[rows], cosine[rows], known.noise.across_m)
         distance[rows] = -longer * cosine[rows] + mean

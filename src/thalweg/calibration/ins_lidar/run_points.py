@@ -10,7 +10,17 @@ from scipy.signal import savgol_filter
 
 from thalweg.calibration import Cone
 from thalweg.clocks import apart_words, span_text
-from thalweg.core import ArrayB, ArrayF, ArrayI, CoverageError, GeometryError, Rigid, Trajectory, plane_rates
+from thalweg.core import (
+    ArrayB,
+    ArrayF,
+    ArrayI,
+    CoverageError,
+    GeometryError,
+    Rigid,
+    Trajectory,
+    njit,
+    plane_rates,
+)
 from thalweg.settings.sections import InsLidarFit
 
 _SMOOTHED_S: Final = 1.5
@@ -483,26 +493,43 @@ def _best(
                 moved = np.einsum("nij,gnj->gni", part.R_wcs_ics, np.cross(some[:, None], arm[None]))
             else:
                 moved = np.einsum("nij,gj->gni", part.R_wcs_ics, some)
-            score[at : at + _CHUNK] = _score(cone, length, start + moved, beam)
+            score[at : at + _CHUNK] = _score(
+                cone.apex_m, cone.axis, cone.half_angle_rad, length, start, moved, beam
+            )
         total += np.log(0.05 + score / max(float(score.max()), 1e-9))
     error = np.zeros(6)
     error[3 if turning else 0 :][:3] = changes[int(np.argmax(total))]
     return mount.moved(error)
 
 
-def _score(cone: Cone, length_m: float, points: ArrayF, beam: ArrayF) -> ArrayF:
-    """How many of points (g, n, 3) lie on the side of a cone that beams (n, 3) see, softly counted, (g,)."""
-    d = points - cone.apex_m
-    z = d @ cone.axis
-    across = d - z[..., None] * cone.axis
-    rho = np.linalg.norm(across, axis=-1)
-    cos_a, sin_a = np.cos(cone.half_angle_rad), np.sin(cone.half_angle_rad)
-    toward = cos_a * np.einsum("gni,ni->gn", across, beam) / np.maximum(rho, 1e-9) - sin_a * (
-        beam @ cone.axis
-    )
-    distance = rho * cos_a - z * sin_a
-    on = (z > 0) & (z < length_m) & (toward < 0)
-    return np.asarray(np.sum(np.where(on, np.exp(-0.5 * (distance / SCORE_WIDTH_M) ** 2), 0.0), axis=1))
+@njit(cache=True, error_model="numpy")
+def _score(
+    apex_m: ArrayF, axis: ArrayF, half_angle_rad: float, length_m: float,
+    start_m: ArrayF, moved_m: ArrayF, beam: ArrayF,
+) -> ArrayF:  # fmt: skip
+    """How many of points (n, 3), moved by (g, n, 3), lie on the side of a cone that beams (n, 3) see, softly
+    counted, (g,).
+    """
+    cos_a, sin_a = np.cos(half_angle_rad), np.sin(half_angle_rad)
+    score = np.zeros(len(moved_m))
+    d = np.empty(3)
+    for g in range(len(moved_m)):
+        for i in range(len(start_m)):
+            z = against = along = rho = 0.0
+            for j in range(3):
+                d[j] = start_m[i, j] + moved_m[g, i, j] - apex_m[j]
+                z += d[j] * axis[j]
+                along += beam[i, j] * axis[j]
+            for j in range(3):
+                across = d[j] - z * axis[j]
+                rho += across * across
+                against += across * beam[i, j]
+            rho = np.sqrt(rho)
+            toward = cos_a * against / max(rho, 1e-9) - sin_a * along
+            if 0.0 < z < length_m and toward < 0.0:
+                distance = rho * cos_a - z * sin_a
+                score[g] += np.exp(-0.5 * (distance / SCORE_WIDTH_M) ** 2)
+    return score
 
 
 def _robust_step(

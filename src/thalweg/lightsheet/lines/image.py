@@ -130,9 +130,13 @@ def green_image(image: AnyArray, settings: LineSettings) -> GreenImage:
     """
     _check(image)
     if image.ndim == 3 and settings.laser_colour != "mono":
+        daylight = is_daylight(image)
+        if daylight and settings.laser_colour == "auto":
+            channel, light = _brightest(image)
+            return _without_daylight(image, channel, light, settings)
         channel = laser_channel(image, settings.laser_colour)
-        if is_daylight(image):
-            return _without_daylight(image, channel, settings)
+        if daylight:
+            return _without_daylight(image, channel, laser_light(image, channel), settings)
         first, second = (c for c in range(3) if c != channel)
         image = image[:, :, [first, channel, second]]  # the laser's colour stands in the middle
     grey = image[:, :, 1] if image.ndim == 3 else image
@@ -278,15 +282,23 @@ def laser_channel(image: AnyArray, colour: str) -> int:
         return _CHANNELS[colour]
     if not is_daylight(image):
         return _CHANNELS["green"]
+    return _brightest(image)[0]
+
+
+def _brightest(image: AnyArray) -> tuple[int, ArrayF32]:
+    """Channel in which a few pixels stand out most, and its light, see `laser_light`."""
+    lights = [laser_light(image, channel) for channel in range(3)]
     stands_out = []
-    for channel in range(3):
-        light = cv2.GaussianBlur(laser_light(image, channel), (0, 0), 1.5)
-        spread = max(NMAD * float(np.median(np.abs(light - np.median(light)))), 1e-3)
-        stands_out.append(float(np.quantile(light, _TAIL) - np.median(light)) / spread)
-    return int(np.argmax(stands_out))
+    for light in lights:
+        soft = cv2.GaussianBlur(light, (0, 0), 1.5)
+        middle = np.median(soft)
+        spread = max(NMAD * float(np.median(np.abs(soft - middle))), 1e-3)
+        stands_out.append(float(np.quantile(soft, _TAIL) - middle) / spread)
+    channel = int(np.argmax(stands_out))
+    return channel, lights[channel]
 
 
-def _without_daylight(image: AnyArray, channel: int, settings: LineSettings) -> GreenImage:
+def _without_daylight(image: AnyArray, channel: int, light: ArrayF32, settings: LineSettings) -> GreenImage:
     """The laser's light of an image in daylight as a monochrome image."""
     own = image[:, :, channel]
     largest = _largest(own)
@@ -296,7 +308,7 @@ def _without_daylight(image: AnyArray, channel: int, settings: LineSettings) -> 
     bits = np.full(own.shape, MEASURED, np.uint8)
     bits[saturated] |= SATURATED
     return GreenImage(
-        dn=laser_light(image, channel),
+        dn=light,
         bits=bits,
         kind="rgb",
         largest_dn=largest,

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from thalweg.core import ArrayF, opk_axes, rotation_x
+from thalweg.core import ArrayF, cross_matrix, opk_axes, rotation_x
 from thalweg.lightsheet.optics.intersection import SheetPoints, intersect
 from thalweg.lightsheet.optics.sensor import CAMERA, LASER, LENS, PARAMETERS, Sensor, Window
 
@@ -104,7 +104,7 @@ def sheet_derivatives(sensor: Sensor, xy_px: ArrayLike) -> Derivatives:
     R = window.R_lcs_window
     out = R @ local
     for column, axis in zip((24, 25), _tilt_axes(window), strict=True):
-        out[:, :, column] += np.cross(axis, place @ R.T)
+        out[:, :, column] += place @ R.T @ cross_matrix(axis[None])[0].T
     return Derivatives(
         points=points,
         by_parameters=out[:, :, :k],
@@ -148,8 +148,9 @@ def ray_derivatives(origin_mm: ArrayF, directions: ArrayF, window: Window) -> Ra
     by_window[:, 2:, 2] = -q * (n_water / water**3)[:, None]
     # a turn of the window by +e about an axis turns origin and direction by -e in its frame
     for column, axis in zip((3, 4), _tilt_axes(window), strict=True):
-        by_window[:, :, column] = by_o @ (np.cross(origin_mm, axis) @ R) + np.einsum(
-            "nij,nj->ni", by_d, np.cross(directions, axis) @ R
+        turn = cross_matrix(axis[None])[0]  # row vectors: a @ turn is a x axis
+        by_window[:, :, column] = by_o @ (origin_mm @ turn @ R) + np.einsum(
+            "nij,nj->ni", by_d, directions @ turn @ R
         )
     return RayDerivatives(
         A=o[:2] + q * k[:, None],
@@ -190,7 +191,7 @@ def beam_directions(sensor: Sensor, fan_angle_rad: ArrayF) -> tuple[ArrayF, Arra
 def _turned(angles_rad: ArrayF, directions: ArrayF) -> ArrayF:
     """(n, 3, 3) derivatives of turned directions by omega, phi, kappa."""
     axes = opk_axes(angles_rad[0], angles_rad[1])
-    return np.stack([np.cross(axes[:, k], directions) for k in range(3)], axis=2)
+    return np.stack([directions @ turn.T for turn in cross_matrix(axes.T)], axis=2)
 
 
 def _tilt_axes(window: Window) -> tuple[ArrayF, ArrayF]:
