@@ -47,13 +47,12 @@ def test_seen_from_above_the_factor_is_the_index() -> None:
 def test_sigmas_are_those_of_many_draws() -> None:
     """Errors of point, level and index are drawn; one camera, so that the factor has no scatter."""
     rng = np.random.default_rng(5)
-    n = 4000
     sigma = {"sigma_point_m": 0.03, "sigma_water_m": 0.05, "sigma_index": 0.02}
-    point, level, index = (rng.normal(0.0, s, n) for s in sigma.values())
-    heights = [
-        correct_refraction([[0.0, 0.0, -1.5 + p]], w, CAMERAS[:1], index=1.333 + i).height_m.iloc[0]
-        for p, w, i in zip(point, level, index, strict=True)
-    ]
+    heights = []
+    for index in rng.normal(1.333, sigma["sigma_index"], 1000):
+        points = np.column_stack([np.zeros((4, 2)), rng.normal(-1.5, sigma["sigma_point_m"], 4)])
+        level = rng.normal(0.0, sigma["sigma_water_m"], 4)
+        heights += correct_refraction(points, level, CAMERAS[:1], index=index).height_m.tolist()
     stated = correct_refraction([[0.0, 0.0, -1.5]], 0.0, CAMERAS[:1], index=1.333, **sigma)
     assert np.std(heights) / stated.sigma_height_m.iloc[0] == pytest.approx(1.0, abs=0.05)
 

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import laspy
 import numpy as np
@@ -11,6 +12,13 @@ import pytest
 from thalweg.cli import main
 
 MAP_M = np.array([412_000.0, 5_651_000.0, 150.0])
+
+
+@pytest.fixture
+def no_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The page of pictures takes longer than the distances: one test makes it."""
+    page = SimpleNamespace(write=lambda _: None)
+    monkeypatch.setattr("thalweg.figures.accuracy.cloud_page", lambda *_, **__: page)
 
 
 def write_mesh(path: Path, corners: np.ndarray, faces: list[tuple[int, int, int]]) -> Path:
@@ -49,6 +57,7 @@ def test_a_mesh_gives_signed_distances_in_map_coordinates(
     assert facts["all"]["bias_m"] == pytest.approx(height.mean(), abs=1e-6)
     assert facts["all"]["rmse_m"] == pytest.approx(np.sqrt(np.mean(height**2)), abs=1e-6)
     assert "500 compared" in capsys.readouterr().out
+    assert "<img" in (tmp_path / "d.html").read_text()
 
 
 def wall(rng: np.random.Generator, away_m: float, n: int, noise_m: float) -> np.ndarray:
@@ -57,6 +66,7 @@ def wall(rng: np.random.Generator, away_m: float, n: int, noise_m: float) -> np.
     return np.column_stack([east, rng.normal(-away_m, noise_m, n), up])
 
 
+@pytest.mark.usefixtures("no_page")
 def test_a_cloud_is_meshed_and_its_front_is_where_it_was_seen_from(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     reference = points_text(tmp_path / "tls.xyz", MAP_M + wall(rng, 0.0, 15_000, 0.003))
@@ -75,6 +85,7 @@ def test_a_cloud_is_meshed_and_its_front_is_where_it_was_seen_from(tmp_path: Pat
     assert set(cloud_out["used"]) <= {0, 1}
 
 
+@pytest.mark.usefixtures("no_page")
 def test_the_planes_of_py4dgeo(data_dir: Path, tmp_path: Path) -> None:
     """The published mean M3C2 distance of the two planes is -0.100323 m at nine places."""
     before, after = (data_dir / "py4dgeo_planes" / f"plane_horizontal_t{i}.xyz" for i in (1, 2))

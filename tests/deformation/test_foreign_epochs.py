@@ -199,18 +199,18 @@ def test_volumes_and_distances_err_as_stated(tmp_path: Path) -> None:
     rng = np.random.default_rng(11)
     length, sigma = 5.0, 0.03
     stated = {"sigma_m": sigma, "correlation_m": length}
-    truth = ground(rng, 2500)
+    truth = ground(rng, 1800)
     first = prepared("first", clouds=[str(a_laz(tmp_path / "a.laz", truth))], **stated)
     second = replace(first, name="second", start_gps_s=first.start_gps_s + 1e7)
     cores = place_core_points([first, second], SETTINGS, Area())
     root = np.linalg.cholesky(
-        np.exp(-cdist(first.xyz_m[:, :2], first.xyz_m[:, :2]) / length) + 1e-9 * np.eye(2500)
+        np.exp(-cdist(first.xyz_m[:, :2], first.xyz_m[:, :2]) / length) + 1e-9 * np.eye(1800)
     )
     pairs = 20
     net, alarms, cells, z_dod = [], [], [], []
     for pair in range(pairs):
         noisy = [
-            replace(each, xyz_m=truth + sigma * root @ rng.standard_normal((2500, 3)))
+            replace(each, xyz_m=truth + sigma * root @ rng.standard_normal((1800, 3)))
             for each in (first, second)
         ]
         motion = register_pair(measure_pair(cores, *noisy, SETTINGS), SETTINGS)

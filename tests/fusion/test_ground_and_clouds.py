@@ -166,7 +166,7 @@ def moved(xyz, shift, turn_rad):
 def test_a_fit_finds_the_motion_within_its_sigmas(rng):
     """Blocks of the foreign cloud err by 2 cm each: that is what the covariance must hold."""
     squares = []
-    for _ in range(12):
+    for _ in range(8):
         ours, theirs = bank(rng, 12_000), bank(rng, 12_000, noise=0.03)
         block = (theirs[:, 0] // 10 + 10 * (theirs[:, 1] // 10)).astype(int)
         theirs[:, 2] += rng.normal(0, 0.02, 200)[block]
@@ -175,7 +175,8 @@ def test_a_fit_finds_the_motion_within_its_sigmas(rng):
         left = fit.motion.apply(moved(theirs, shift, turn)) - theirs
         middle = left.mean(axis=0)
         squares.append(middle @ np.linalg.solve(fit.cov[:3, :3], middle) / 3)
-    assert 0.4 < np.mean(squares) < 2.5
+    # 24 squares: as improbable as 0.4 and 2.5 are for 36
+    assert 0.31 < np.mean(squares) < 2.95
 
 
 def test_a_fit_tells_the_overlap_and_grows_the_sigmas(rng, tmp_path):

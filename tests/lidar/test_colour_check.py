@@ -163,6 +163,11 @@ def grey(picture: Path) -> AnyArray:
     return grey_of(picture, FISHEYE)
 
 
+@cache
+def flat(picture: Path) -> AnyArray:
+    return maximum_filter(grey(picture), 21) - minimum_filter(grey(picture), 21) < 40
+
+
 @pytest.fixture(scope="module")
 def acfr(data_dir: Path) -> Path:
     folder = data_dir / "acfr_vlp16_camera" / "data" / "vlp"
@@ -198,11 +203,9 @@ def auc(folder: Path, work: Path, board: int, T: Rigid) -> float:
     seen = found["n_views"] > 0
     pixels = FISHEYE.project((found["xyz_m"] - T.shift_m) @ T.R)
     column, row = np.nan_to_num(pixels).astype(int).T
-    flat = (maximum_filter(grey(picture), 21) - minimum_filter(grey(picture), 21) < 40)[
-        np.clip(row, 0, 1207), np.clip(column, 0, 1919)
-    ]
-    bright = found["rgb"][seen & flat].mean(axis=1)
-    intensity = found["intensity"][seen & flat].astype(float)
+    even = flat(picture)[np.clip(row, 0, 1207), np.clip(column, 0, 1919)]
+    bright = found["rgb"][seen & even].mean(axis=1)
+    intensity = found["intensity"][seen & even].astype(float)
     split = (np.percentile(bright, 5) + np.percentile(bright, 95)) / 2
     white, black = intensity[bright > split], intensity[bright <= split]
     above = (white[:, None] > black).mean() + 0.5 * (white[:, None] == black).mean()

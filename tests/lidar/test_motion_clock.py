@@ -29,7 +29,7 @@ MOUNT = Rigid(
     shift_m=np.array([-0.35, 0.02, -0.25]),
     cov=np.diag([5e-4] * 3 + [3e-4] * 3) ** 2,
 )
-LENGTH_S = 10.0
+LENGTH_S = 8.0
 CONFIG = TwinConfig.of_size(
     "tiny", duration_s=LENGTH_S, scene={"seed": 3}, effects={"pps_late_s": LENGTH_S + 1.0}
 )
@@ -156,7 +156,7 @@ def test_sentences_without_pps(voyage) -> None:
     scan = voyage.reader.scan()
     stated = LidarClockStated(source="nmea")
     found = clock_from_sentences(voyage.reader, scan, stated)
-    assert found.facts["sentences"] >= 5
+    assert found.facts["sentences"] >= 4
     assert found.sigma_offset_s == pytest.approx(0.206, abs=0.002)
     # the twin's sentences come 0.15 s after their second, or with the packet after that, where 0.3 s are
     # presumed with a sigma of 0.2 s
