@@ -194,7 +194,10 @@ def test_depths_are_beside_what_their_covariance_predicts() -> None:
 def calibrated(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> list[tuple[Sensor, Sensor]]:
-    """Found and true sensors of some seeds, of more in the slow tests: marker field, marks in air, rendered grid, lines, calibration."""
+    """Found and true sensors of some seeds, of more in the slow tests.
+
+    Marker field, marks in air, rendered grid, lines, calibration.
+    """
     pairs = []
     for seed in range(200, 200 + request.param):
         folder: Path = tmp_path_factory.mktemp(f"seed{seed}")
