@@ -135,12 +135,12 @@ class Browser:
     @contextmanager
     def empty_page(self) -> Iterator[Self]:
         """The browser without page and errors; to start one takes three seconds of a processor."""
+        self.set_pixels(PIXELS)
         self.call("Page.navigate", url="about:blank")
         self.wait("location.href === 'about:blank'")
         self.errors.clear()
         self.requests.clear()
         yield self
-        self.set_pixels(PIXELS)
 
     def open(self, path: Path, tail: str = "") -> None:
         """Load a page from disk."""
