@@ -1,4 +1,4 @@
-"""Surveys that several tests judge: 14 seeds through the whole chain, and a few processed wrongly."""
+"""Surveys that several tests judge: eight seeds through the whole chain, and a few processed wrongly."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -10,14 +10,23 @@ import pytest
 from thalweg_lab.studies.trials import BANKS, MISTAKES, NONE, PlantedMistake, Trial, trial
 from thalweg_lab.truth import PointErrors
 
-SEEDS = 14
+SEEDS = 8
+MANY = 14
+"""Of the slow tests: enough for range classes, and for the mistake of a tenth of a degree."""
 FEW = 6
-CORRELATION_S = 0.25
-"""Of the errors of poses, half that of the study: a survey tells twice as much, and 14 as much as 28."""
+CORRELATION_S = 0.2
+"""Of the errors of poses, less than half that of the study: a survey tells more than twice as much."""
 TWIN: dict[str, Any] = BANKS | {
     "ins": {"attitude_time_s": CORRELATION_S},
-    "gnss": {"correlation_time_s": CORRELATION_S},
+    # positions that are nearer in time than they change, as interpolation takes them
+    "gnss": {"correlation_time_s": CORRELATION_S, "rate_hz": 20.0},
+    # evenly half of the points, which err by their poses; as dense as the sample that is compared
+    "effects": {"lost_packets": 0.5, "lost_burst": 1},
+    "tls": BANKS["tls"] | {"spacing_m": 0.13},
 }
+REFERENCE: dict[str, Any] = {"cell_m": 0.15}
+TWICE = PlantedMistake(name="boresight 0.2 deg", boresight_deg=(0.2, 0.0, 0.0))
+"""Twice the smallest mistake of the study, which needs more surveys."""
 
 
 @dataclass(frozen=True)
@@ -45,18 +54,27 @@ def surveyed(
 
 @pytest.fixture(scope="session")
 def right_surveys(tmp_path_factory: pytest.TempPathFactory) -> Surveys:
-    """Processed rightly and with the smallest of the mistakes, the first few with the larger ones too."""
+    """Processed rightly and with a wrong boresight, the first few with the larger mistakes too."""
 
     def mistakes(seed: int) -> Sequence[PlantedMistake]:
-        return (NONE, *MISTAKES) if seed < FEW else (NONE, MISTAKES[0])
+        return (NONE, TWICE, *MISTAKES[1:]) if seed < FEW else (NONE, TWICE)
 
-    return surveyed(tmp_path_factory.mktemp("surveys"), SEEDS, mistakes, twin=TWIN)
+    return surveyed(tmp_path_factory.mktemp("surveys"), SEEDS, mistakes, twin=TWIN, reference=REFERENCE)
 
 
 @pytest.fixture(scope="session")
 def surveys(right_surveys: Surveys) -> list[Trial]:
     """Their errors in three dimensions and from the mesh."""
     return right_surveys.trials
+
+
+@pytest.fixture(scope="session")
+def many_surveys(tmp_path_factory: pytest.TempPathFactory) -> list[Trial]:
+    """More of them with all points, processed rightly and with the smallest mistake of the study."""
+    time = 0.25
+    twin = BANKS | {"ins": {"attitude_time_s": time}, "gnss": {"correlation_time_s": time}}
+    folder = tmp_path_factory.mktemp("many")
+    return surveyed(folder, MANY, lambda seed: (NONE, MISTAKES[0]), twin=twin).trials
 
 
 @pytest.fixture(scope="session")

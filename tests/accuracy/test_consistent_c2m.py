@@ -7,6 +7,7 @@ meshed. It errs anew with each seed; its stations by 5 mm, as section ``referenc
 import numpy as np
 import pytest
 
+from tests.accuracy.conftest import TWICE
 from thalweg_lab.studies.trials import MISTAKES, NONE, QUANTITIES, Trial, Verdict, consistency_tables, verdict
 
 
@@ -18,20 +19,26 @@ def consistent(surveys: list[Trial]) -> Verdict:
 def test_predicted_and_observed_agree(consistent: Verdict) -> None:
     assert 0.9 < consistent.ratio < 1.1
     assert consistent.ratio_low < consistent.ratio < consistent.ratio_high
-    # narrow enough to see sigmas that are 12 % wrong, as in three dimensions
-    assert consistent.ratio_high < 1.12
+    # narrow enough to see sigmas that are 16 % wrong, as in three dimensions
+    assert consistent.ratio_high < 1.16
+    assert consistent.consistent
 
 
 def test_normalised_errors_are_inside_their_band(consistent: Verdict) -> None:
     assert consistent.normalised_low < consistent.normalised < consistent.normalised_high
-    # a square of sigmas that are 10 % wrong is 1.21: it would be seen
-    assert consistent.normalised_high < 1.2
+    # a square of sigmas that are 13 % wrong is 1.28: it would be seen
+    assert consistent.normalised_high < 1.28
 
 
-def test_no_range_class_is_outside_its_band(consistent: Verdict) -> None:
-    assert len(consistent.by_range) > 12
-    assert consistent.by_range["inside"].all(), consistent.by_range[~consistent.by_range["inside"]]
-    assert consistent.consistent
+@pytest.mark.slow
+def test_no_range_class_is_outside_its_band(many_surveys: list[Trial]) -> None:
+    """`test_near_and_far_alike` of the points' normals sees sigmas that are wrong in near or far points."""
+    many = verdict([survey.to_mesh[NONE.name] for survey in many_surveys])
+    assert len(many.by_range) > 12
+    assert many.by_range["inside"].all(), many.by_range[~many.by_range["inside"]]
+    assert many.consistent
+    # narrow enough to see sigmas that are 12 % wrong
+    assert many.ratio_high < 1.12
 
 
 def test_a_surface_shows_less_than_the_whole_error(surveys: list[Trial], consistent: Verdict) -> None:
@@ -53,12 +60,21 @@ def test_wrong_sigmas_are_seen_both_ways(surveys: list[Trial], factor: float) ->
     assert not wrong.consistent
 
 
-def test_a_boresight_of_a_tenth_of_a_degree_is_noticed(surveys: list[Trial]) -> None:
-    """A turn about the boat's long axis lifts or lowers the whole bank."""
-    wrong = verdict([survey.to_mesh[MISTAKES[0].name] for survey in surveys])
+def check_boresight(surveys: list[Trial], mistake: str) -> None:
+    wrong = verdict([survey.to_mesh[mistake] for survey in surveys])
     assert wrong.ratio < 0.9
     assert wrong.ratio < wrong.ratio_low
     assert wrong.normalised > wrong.normalised_high
+
+
+def test_a_boresight_of_two_tenths_of_a_degree_is_noticed(surveys: list[Trial]) -> None:
+    """A turn about the boat's long axis lifts or lowers the whole bank."""
+    check_boresight(surveys, TWICE.name)
+
+
+@pytest.mark.slow
+def test_a_boresight_of_a_tenth_of_a_degree_is_noticed(many_surveys: list[Trial]) -> None:
+    check_boresight(many_surveys, MISTAKES[0].name)
 
 
 @pytest.mark.parametrize(

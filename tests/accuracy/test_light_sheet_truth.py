@@ -14,8 +14,6 @@ from thalweg.lightsheet.optics import FLIP, PARAMETERS, Sensor, intersect, paper
 from thalweg_lab.truth import compare_sensor
 from thalweg_lab.truth.calibration import LIGHT_SHEET_COLUMNS, aligned, turned_in_its_plane
 
-SEEDS = range(200, 204)
-
 SIGMA = {
     "camera_z_mm": 0.05,
     "camera_omega_rad": 3e-4,
@@ -192,11 +190,16 @@ def test_depths_are_beside_what_their_covariance_predicts() -> None:
 # ---------------------------------------------------------------- consistency
 
 
-@pytest.fixture(scope="module")
-def calibrated(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Sensor, Sensor]]:
-    """Found and true sensors of many seeds: marker field, marks in air, rendered grid, lines, calibration."""
+@pytest.fixture(scope="module", params=[2, pytest.param(8, marks=pytest.mark.slow)])
+def calibrated(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> list[tuple[Sensor, Sensor]]:
+    """Found and true sensors of some seeds, of more in the slow tests.
+
+    Marker field, marks in air, rendered grid, lines, calibration.
+    """
     pairs = []
-    for seed in SEEDS:
+    for seed in range(200, 200 + request.param):
         folder: Path = tmp_path_factory.mktemp(f"seed{seed}")
         basin = recorded(folder / "logs", seed, changes={"lens_pictures": 12})
         jobs = Jobs(folder / "out")
@@ -210,7 +213,7 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Sensor, S
 def test_errors_over_seeds_are_what_the_sigmas_say(calibrated: list[tuple[Sensor, Sensor]]) -> None:
     table = pd.concat([compare_sensor(found, truth) for found, truth in calibrated])
     square = (table["normalised"] ** 2).groupby(table["what"], sort=False).mean()
-    n = len(SEEDS)
+    n = len(calibrated)
     assert set(square.index) >= {
         "camera_z",
         "laser_x",
@@ -249,7 +252,7 @@ def test_joint_errors_over_seeds_are_what_the_covariance_says(
         squares += ((axes.T @ rows["normalised"].to_numpy())[kept] ** 2 / values[kept]).tolist()
     n = len(squares)
     low, high = chi2.ppf([0.0005, 0.9995], n) / n
-    assert n > 12 * len(SEEDS)
+    assert n > 12 * len(calibrated)
     assert low < np.mean(squares) < high
 
 

@@ -156,7 +156,7 @@ class Plane:
 
 
 TAU_S = 5.0
-TRIALS = 150
+TRIALS = 60
 TILTS = (np.cross(bank.OUT, bank.EAST), bank.EAST)
 """Axes in the plane: the first tilts the bank along the river, the second up its slope."""
 
@@ -208,8 +208,8 @@ def test_sigmas_of_shift_and_tilt_are_consistent(duration_s: float, plants: floa
     # a tilt up the slope is measured anew in each sweep: half of its error is white in time, and for that the
     # covariance is too large by up to what sums over blocks hold of the other half
     assert size_of_errors[2] > share_within_blocks(found.block_s, TAU_S) * low, size_of_errors
-    # 5 % are meant; 150 trials know that to 1.8 %
-    assert 0.0 < beyond / TRIALS < 0.11
+    # 5 % are meant; 60 trials know that to 2.8 %: 3.3 of these
+    assert 0.0 < beyond / TRIALS < 0.143
 
 
 @pytest.mark.parametrize("tilt_deg", [0.3, 0.5, 0.8])

@@ -9,10 +9,15 @@ import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Self
 
 import pytest
+from PIL import Image
+
+PIXELS = 0.5
+"""Of the screen per pixel of the page along both sides: the processor draws each of them."""
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 
@@ -60,14 +65,8 @@ class Browser:
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
         self.requests: list[str] = []
-        width, height = size
-        self.call(
-            "Emulation.setDeviceMetricsOverride",
-            width=width,
-            height=height,
-            deviceScaleFactor=1,
-            mobile=False,
-        )
+        self.size = size
+        self.set_pixels(PIXELS)
 
     def __enter__(self) -> Self:
         return self
@@ -122,9 +121,21 @@ class Browser:
             assert time.monotonic() < stop, f"not within {seconds} s: {condition}; {self.errors}"
             time.sleep(0.1)
 
+    def set_pixels(self, each: float) -> None:
+        """Pixels of the screen per pixel of the page, until the next page."""
+        width, height = self.size
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=each,
+            mobile=False,
+        )
+
     @contextmanager
     def empty_page(self) -> Iterator[Self]:
         """The browser without page and errors; to start one takes three seconds of a processor."""
+        self.set_pixels(PIXELS)
         self.call("Page.navigate", url="about:blank")
         self.wait("location.href === 'about:blank'")
         self.errors.clear()
@@ -143,5 +154,8 @@ class Browser:
             )
 
     def screenshot(self, path: Path) -> None:
-        """Save what the page shows."""
-        path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
+        """Save what the page shows, at the size of the page."""
+        data = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+        with Image.open(BytesIO(data)) as shown:
+            size = [round(side / PIXELS) for side in shown.size]
+            shown.resize(size, Image.Resampling.NEAREST).save(path)

@@ -368,6 +368,9 @@ def test_a_browser_opens_it_from_disk(browser: Browser, tmp_path: Path) -> None:
         assert "look=0.00,90.00" in page.run("location.hash")
         assert "colour=range" in page.run("location.hash")
         assert page.run("document.querySelector('.mark').textContent") == "digital twin"
+        page.set_pixels(1.0)
+        page.run("redraw()")
+        page.wait("settled")
         # by a clock that says how long a frame takes, fewer points are drawn while the view moves, or more
         page.run("var next = () => new Promise(requestAnimationFrame)")
         drawn = []
@@ -395,10 +398,10 @@ def test_a_missing_file_of_the_folder_is_told(browser: Browser, tmp_path: Path) 
 SIDES = {"north": (220, 40, 40), "east": (40, 200, 40), "south": (40, 40, 220), "west": (220, 220, 40)}
 
 
-@pytest.fixture
-def walk(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three panoramas along the hills, their middles to the east, each side of the world in its colour."""
-    start = make_trajectory()
+    tmp_path, start = tmp_path_factory.mktemp("walk"), make_trajectory()
     azimuth = (np.arange(1024) + 0.5) / 1024 * 360 - 180 + 90
     sides = np.array(list(SIDES.values()))[np.round(azimuth / 90).astype(int) % 4]
     picture = np.tile(sides[None], (512, 1, 1)).astype(np.uint8)

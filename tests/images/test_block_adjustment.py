@@ -226,12 +226,12 @@ def test_a_block_without_datum_names_its_unknowns(rng: np.random.Generator) -> N
 
 
 def test_blunders_are_left_out_and_counted(rng: np.random.Generator) -> None:
-    clean, truth = scene(np.random.default_rng(5), outliers=0.0)
-    dirty, _ = scene(np.random.default_rng(5), outliers=0.04)
+    clean, truth = scene(np.random.default_rng(5), points=500, outliers=0.0)
+    dirty, _ = scene(np.random.default_rng(5), points=500, outliers=0.04)
     wrong = np.linalg.norm(dirty.block.mark_px - clean.block.mark_px, axis=1)
     found = adjust_block(dirty, block_scene.OPTIONS)
     gross = wrong > 5.0
-    assert gross.sum() > 100
+    assert gross.sum() > 50
     # one along its ray's picture looks like another point; such a short track still counts little
     assert found.used[gross].mean() < 0.15
     assert found.weight[gross].mean() < 0.03

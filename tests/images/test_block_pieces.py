@@ -189,7 +189,14 @@ def rtk(truth, rng: np.random.Generator, last_s: float) -> pd.DataFrame:
     )
 
 
-def test_rtk_on_part_of_the_track_takes_the_place_of_control_points(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("seeds", "low", "high"),
+    # single blocks were 0.4 to 1.8; consistent antenna positions are the matter of test_block_antenna, too
+    [(1, 0.4, 1.8), pytest.param(6, 0.7, 1.2, marks=pytest.mark.slow)],
+)
+def test_rtk_on_part_of_the_track_takes_the_place_of_control_points(
+    tmp_path: Path, seeds: int, low: float, high: float
+) -> None:
     """FW30: no control point, fixed positions on 60 % of the track; all boards only check.
 
     The RMSE of the check points of six blocks is held against its prediction (acceptance: within 1.2). The
@@ -199,7 +206,7 @@ def test_rtk_on_part_of_the_track_takes_the_place_of_control_points(tmp_path: Pa
     would be too large.
     """
     square = predicted = 0.0
-    for seed in range(200, 206):
+    for seed in range(200, 200 + seeds):
         problem, truth = block_scene.scene(
             np.random.default_rng(seed), images=N, points=300, control=9, check=5, slow_px=0.1
         )
@@ -219,4 +226,4 @@ def test_rtk_on_part_of_the_track_takes_the_place_of_control_points(tmp_path: Pa
         assert check["points"] >= 12
         square += sum(v**2 for v in check["rmse_mm"].values())
         predicted += sum(v**2 for v in check["predicted_mm"].values())
-    assert 0.7 < np.sqrt(square / predicted) < 1.2
+    assert low < np.sqrt(square / predicted) < high

@@ -28,7 +28,7 @@ OFF = np.array([0.2, -0.2, 0.1])
 
 @pytest.fixture(scope="module")
 def survey() -> tuple[Problem, object]:
-    return block_scene.scene(np.random.default_rng(5), images=N, points=300, control=7, check=3)
+    return block_scene.scene(np.random.default_rng(5), images=N, points=220, control=7, check=3)
 
 
 def in_own_frame(problem: Problem):

@@ -47,16 +47,25 @@ def picture(block: ImageBlock, k: int, places: np.ndarray, rng: np.random.Genera
     w, h = SIZE
     image = rng.normal(110, 35, (h * FINE // 6, w * FINE // 6)).astype(np.float32)
     image = cv2.resize(image, (w * FINE, h * FINE), interpolation=cv2.INTER_CUBIC)
-    y, x = np.mgrid[: h * FINE, : w * FINE]
-    rays = np.stack([(x + 0.5) / FINE - 360, (y + 0.5) / FINE - 270, np.full(x.shape, FOCAL)], axis=2)
-    rays = rays.reshape(-1, 3) @ block.R_block_ccs[k].T
     for place in places:
+        seen = block.R_block_ccs[k].T @ (place - block.centre_block_m[k])
+        if seen[2] <= 0:
+            continue
+        # the board and as much around it
+        half = int(0.6 * FOCAL / seen[2] * FINE)
+        column, row = (int((FOCAL * seen[a] / seen[2] + (360, 270)[a]) * FINE) for a in (0, 1))
+        rows = slice(max(row - half, 0), max(row + half, 0))
+        columns = slice(max(column - half, 0), max(column + half, 0))
+        y, x = np.mgrid[: h * FINE, : w * FINE][:, rows, columns]
+        rays = np.stack([(x + 0.5) / FINE - 360, (y + 0.5) / FINE - 270, np.full(x.shape, FOCAL)], axis=2)
+        rays = rays.reshape(-1, 3) @ block.R_block_ccs[k].T
         t = (place[1] - block.centre_block_m[k, 1]) / rays[:, 1]
         hit = block.centre_block_m[k] + t[:, None] * rays
         u, v = hit[:, 0] - place[0], place[2] - hit[:, 2]
         inside = (np.maximum(np.abs(u), np.abs(v)) < 0.3).reshape(x.shape)
         dark = (np.maximum(np.abs(u), np.abs(v)) < 0.3 * (1 - 2 * 0.06)) & (u * v > 0)
-        image = np.where(inside, np.where(dark.reshape(x.shape), 30.0, 220.0), image)
+        part = image[rows, columns]
+        part[inside] = np.where(dark.reshape(x.shape), 30.0, 220.0)[inside]
     small = cv2.resize(image.astype(np.float32), SIZE, interpolation=cv2.INTER_AREA)
     noisy = cv2.GaussianBlur(small, (0, 0), 0.6) + rng.normal(0, 2, small.shape)
     return np.clip(np.round(noisy), 0, 255).astype(np.uint8)

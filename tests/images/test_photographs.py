@@ -144,6 +144,6 @@ def test_two_control_points_do_not_place_a_block(data_dir, tmp_path):
             control_points=[points],
             marks=marks,
             crs=LOCAL,
-            features=FeatureSettings(max_size_px=800, max_features=2000),
+            features=FeatureSettings(max_size_px=600, max_features=1200),
         )
     assert "three control points" in raised.value.cure

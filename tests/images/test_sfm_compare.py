@@ -31,7 +31,7 @@ from thalweg.settings.sections import FeatureSettings, MappingSettings
 
 LONG = replace(PERSPECTIVE, parameters=PERSPECTIVE.parameters * np.array([1.4, 1.4, 1, 1, 1, 1, 1, 1, 1]))
 """A camera of the same picture size with 378 px instead of 270 px."""
-SETTINGS = FeatureSettings(max_features=1500)
+SETTINGS = FeatureSettings(max_features=1000)
 
 
 class Two:
@@ -63,6 +63,12 @@ def whole(two: Two) -> Matches:
     return match_images(two.features, two.images)
 
 
+@pytest.fixture(scope="module")
+def half_known(two: Two) -> Matches:
+    """With the camera of one folder."""
+    return match_images(two.features, two.images, known=Known(of_folder={"right": LONG}))
+
+
 def test_two_cameras_of_one_size_have_focal_lengths_of_their_own(two: Two, whole: Matches) -> None:
     found = whole
     assert found.camera.tolist() == [0] * 6 + [1] * 6
@@ -81,9 +87,10 @@ def test_two_cameras_of_one_size_have_focal_lengths_of_their_own(two: Two, whole
     assert not any(len(p.images) == 12 and two.away(p) < 0.04 for p in pieces)
 
 
-def test_a_given_camera_stays_while_that_of_another_folder_is_estimated(two: Two) -> None:
-    known = Known(of_folder={"right": LONG})
-    found = match_images(two.features, two.images, known=known)
+def test_a_given_camera_stays_while_that_of_another_folder_is_estimated(
+    two: Two, half_known: Matches
+) -> None:
+    found = half_known
     assert held_cameras(found, MappingSettings()) == {2}
     assert held_cameras(found, MappingSettings(interior="estimated")) == {2}
     assert held_cameras(found, MappingSettings(interior="fixed")) == set()
@@ -153,7 +160,9 @@ def test_parts_cost_alike_and_may_be_empty(two: Two) -> None:
         part_of_pairs(plan, 4, 4)
 
 
-def test_the_jobs_of_the_parts_and_their_join(two: Two, repository: Path, tmp_path: Path) -> None:
+def test_the_jobs_of_the_parts_and_their_join(
+    two: Two, half_known: Matches, repository: Path, tmp_path: Path
+) -> None:
     two.features.write(tmp_path / "features.npz")
     assert Features.read(tmp_path / "features.npz", descriptors=False).descriptor.shape == (0, 128)
     shared = {
@@ -177,10 +186,7 @@ def test_the_jobs_of_the_parts_and_their_join(two: Two, repository: Path, tmp_pa
         script(repository, "join_matches")(pairs=pairs, matches=out, options=options, **shared)
         written.append(out.read_bytes())
     assert written[0] == written[1]
-    known = Known(of_folder={"right": LONG})
-    assert equal(
-        Matches.read(tmp_path / "matches_2.npz"), match_images(two.features, two.images, known=known)
-    )
+    assert equal(Matches.read(tmp_path / "matches_2.npz"), half_known)
     assert FeatureSettings().parts == MappingSettings().parts == 1
 
 

@@ -152,10 +152,10 @@ def test_two_epochs_in_one_cloud_are_noted() -> None:
 
 def test_two_sheets_of_a_poisson_surface_are_noted() -> None:
     p = np.concatenate([bank(), np.add(bank(2), [0, 0, 1.5])])
-    notes, facts = told(p, method="poisson", clearance_m=None, cell_m=0.1)
+    notes, facts = told(p, method="poisson", clearance_m=None, cell_m=0.2)
     assert 1.6 < facts["layers"] < 2.1
     assert any("covers its ground" in note and "second surface" in note for note in notes)
-    plain, facts = told(bank(), method="poisson", clearance_m=None, cell_m=0.1)
+    plain, facts = told(bank(), method="poisson", clearance_m=None, cell_m=0.2)
     assert facts["layers"] < 1.2
     assert plain == []
 

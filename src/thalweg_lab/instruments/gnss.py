@@ -168,7 +168,7 @@ def simulate_gnss(
     config: TwinConfig,
     seed: int,
     frame: LocalFrame,
-    out_sbp: Path,
+    out_sbp: Path | None,
     out_pos: Path,
     *,
     lever_ics_antenna_m: ArrayLike,
@@ -185,7 +185,7 @@ def simulate_gnss(
     config : section ``twin``.
     seed : seed of the campaign.
     frame : the world frame.
-    out_sbp, out_pos : targets.
+    out_sbp, out_pos : targets; None: no log of the receiver, which takes longer than all else.
     lever_ics_antenna_m : (3,) true place of the antenna in the body frame.
     scene : file of `simulate_scene`; needed only for ``twin.gnss.shadow`` and ``twin.gnss.multipath_m``.
     motion : of the boat; None: what the configuration asks for, see `motion_of`.
@@ -226,7 +226,10 @@ def simulate_gnss(
     velocity_ned = motion.sensor_velocity_wcs_mps(t, lever) @ R_ENU_NED.T
     velocity_ned += generator(seed, "gnss velocity").normal(0.0, gnss.sigma_velocity_mps, velocity_ned.shape)
     _write_pos(out_pos, frame, gps_us(t), tracks["ppk"], with_base=config.gnss.mode == "ppk")
-    _write_sbp(out_sbp, frame, gps_us(t), unix_us(config, t), tracks["rtk"], velocity_ned, gnss)
+    damage: dict[str, Any] = {}
+    if out_sbp is not None:
+        _write_sbp(out_sbp, frame, gps_us(t), unix_us(config, t), tracks["rtk"], velocity_ned, gnss)
+        damage = damage_file(out_sbp, "gnss", config.effects, generator(seed, "gnss effects"))
     facts = {
         "mode": gnss.mode,
         "epochs": len(t),
@@ -243,7 +246,7 @@ def simulate_gnss(
         },
         "sky": None if view is None else _sky_facts(view),
         "multipath_rms_m": np.sqrt(np.mean(reflected**2, axis=0)).tolist(),
-        **damage_file(out_sbp, "gnss", config.effects, generator(seed, "gnss effects")),
+        **damage,
     }
     write_effects(out_effects, "gnss", facts)
     return facts

@@ -274,7 +274,7 @@ def record(
     )
     simulate_ins(twin, seed, frame, logs.anpp)
     antenna = true["antenna"]["lever_ics_m"]
-    simulate_gnss(twin, seed, frame, folder / "rover.sbp", logs.pos, lever_ics_antenna_m=antenna, scene=scene)
+    simulate_gnss(twin, seed, frame, None, logs.pos, lever_ics_antenna_m=antenna, scene=scene)
     if logs.nmea is not None:
         face = true["echo_sounder"]["lever_ics_m"]
         simulate_echo(twin, seed, frame, scene, logs.nmea, lever_ics_echo_m=face)

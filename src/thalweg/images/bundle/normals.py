@@ -394,30 +394,26 @@ def _add_control(
         part = linearised(problem, layout, x, marks.image[rows], x.G[marks.point[rows]], marks.xy_px[rows])
         residual = part.residual
         J = np.concatenate([part.by_pose, part.by_rest, part.by_point], axis=2)
-        for i, row in enumerate(rows):
-            pose = 6 * int(layout.exposure[marks.image[row]])
-            point = layout.point(int(marks.point[row])).start
-            at = np.concatenate(
-                [np.arange(pose, pose + 6), layout.n_poses + np.arange(q), np.arange(point, point + 3)]
-            )
-            weighted = J[i] / sigma_px[row] ** 2
-            out.N[np.ix_(at, at)] += weighted.T @ J[i]
-            out.g[at] += weighted.T @ residual[i]
+        pose, point = 6 * layout.exposure[marks.image[rows]], layout.control + 3 * marks.point[rows]
+        rest = np.broadcast_to(layout.n_poses + np.arange(q), (len(rows), q))
+        at = np.concatenate([pose[:, None] + np.arange(6), rest, point[:, None] + np.arange(3)], axis=1)
+        weighted = np.swapaxes(J / sigma_px[rows, None, None] ** 2, 1, 2)
+        np.add.at(out.N, (at[:, :, None], at[:, None, :]), weighted @ J)
+        np.add.at(out.g, at, (weighted @ residual[:, :, None])[:, :, 0])
     else:
         xy = projected(problem, x, marks.image[rows], x.G[marks.point[rows]])
         residual = np.nan_to_num(marks.xy_px[rows] - xy, nan=NO_IMAGE_PX)
     out.cost["control marks"] = float(np.square(residual / sigma_px[rows, None]).sum())
     out.counts["control marks"] = 2 * len(rows)
-    cost = 0.0
-    for k in np.flatnonzero(~control.check):
-        W = np.linalg.inv(control.cov_wcs_m2[k])
-        off = control.points_wcs_m[k] - x.G[k]
-        cost += float(off @ W @ off)
-        if derive:
-            own = layout.point(int(k))
-            out.N[own, own] += W
-            out.g[own] += W @ off
-    out.cost["control points"] = cost
+    held = np.flatnonzero(~control.check)
+    W = np.linalg.inv(control.cov_wcs_m2[held])
+    off = control.points_wcs_m[held] - x.G[held]
+    weighed = (W @ off[:, :, None])[:, :, 0]
+    if derive:
+        own = layout.control + 3 * held[:, None] + np.arange(3)
+        out.N[own[:, :, None], own[:, None, :]] += W
+        out.g[own] += weighed
+    out.cost["control points"] = float((off * weighed).sum())
     out.counts["control points"] = 3 * int((~control.check).sum())
 
 
