@@ -8,6 +8,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
+from compileall import compile_file
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -279,17 +280,20 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Workers share the work of pytest on the statements ``assert``, which takes longer than all imports.
+    """Workers share the work of Python and of pytest (on the statements ``assert``) that imports wait for.
 
     In a fresh clone each of them would do it for all files: they collect the same tests at the same time.
     """
     if (worker := getattr(session.config, "workerinput", None)) is None:
         return
+    mine = slice(int(worker["workerid"].removeprefix("gw")), None, worker["workercount"])
+    for path in sorted((REPOSITORY / "src").rglob("*.py"))[mine]:
+        compile_file(path, quiet=2)
     asked = [Path(name.split("::")[0]).resolve() for name in session.config.args]
     found = {path for each in asked for path in (each.rglob("*.py") if each.is_dir() else [each])}
     files = sorted(path for path in found if path.name.startswith(WITH_TESTS))
     state = session.config.stash[rewrite.assertstate_key]
-    for path in files[int(worker["workerid"].removeprefix("gw")) :: worker["workercount"]]:
+    for path in files[mine]:
         pyc = rewrite.get_cache_dir(path) / (path.name.removesuffix(".py") + rewrite.PYC_TAIL)
         if rewrite.try_makedirs(pyc.parent) and rewrite._read_pyc(path, pyc) is None:
             digest, code = rewrite._rewrite_test(path, session.config)

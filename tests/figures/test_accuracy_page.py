@@ -273,6 +273,7 @@ def test_the_truth_has_a_section_of_its_own(found, made, tmp_path):
     assert html.index("against-the-truth") < html.index("<img")
     (table,) = [t for t in read.tables if t[0][0] == "points" and "RMSE / mm" in t[0]]
     assert table[1:] == [["all", "100", "1500"], ["bare ground", "40", "90"]]
+    assert "digital twin" not in accuracy_page(**found, pictures=[picture], twin=False).html()
 
 
 def test_the_explanation_and_the_limits_use_the_numbers(found):

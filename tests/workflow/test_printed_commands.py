@@ -113,9 +113,9 @@ def bed_through_water(folder: Path, tiny: Path, data: Path) -> None:
 
 
 def bank(folder: Path, tiny: Path, data: Path) -> None:
-    """Eleven photographs of the digital twin with the control points that its campaign measured in them."""
+    """Eight photographs of the digital twin with the control points that its campaign measured in them."""
     marks = pd.read_csv(tiny / "orientation/control_marks.csv")
-    names = sorted(marks["image"].unique())[:11]
+    names = sorted(marks["image"].unique())[:8]
     marks = marks[marks["used"] & marks["image"].isin(names)]
     marks[["image", "point", "x_px", "y_px"]].to_csv(folder / "marks.csv", index=False)
     points = pd.read_csv(tiny / "simulation/logs/control_points.csv")

@@ -80,13 +80,16 @@ def left_over(folder: Path) -> list[Path]:
     return [p for p in folder.rglob("*") if ".part-" in str(p)]
 
 
-@pytest.fixture(autouse=True)
-def _quiet(monkeypatch: pytest.MonkeyPatch) -> None:
+def be_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No log, no commit asked for, the same threads: what these tests do not look at."""
     monkeypatch.setattr(sys, "excepthook", sys.excepthook)
     monkeypatch.setattr("thalweg.workflow.job._start_log", lambda path: None)
     monkeypatch.setattr("thalweg.workflow.provenance.git_commit", lambda folder: "abc")
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         monkeypatch.setenv(name, "1")
+
+
+_quiet = pytest.fixture(be_quiet, autouse=True)
 
 
 def _dies_at(moment: int, folder: Path) -> None:
@@ -106,7 +109,28 @@ def _dies_at(moment: int, folder: Path) -> None:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="forks a process")
 def test_a_job_killed_at_any_moment_leaves_whole_outputs_or_none(tmp_path: Path) -> None:
+    """In a Python of its own: a fork of this one, with all that other tests have loaded, takes longer."""
+    root = Path(__file__).parents[2]
+    code = "from tests.workflow import test_staging; test_staging.kill_at_each_moment()"
+    paths = os.pathsep.join((str(root / "src"), str(root)))
+    run = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path)],
+        env={**os.environ, "PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr
+
+
+def kill_at_each_moment() -> None:
     """At each access of the file system, one after the other; outputs of an earlier run were there before."""
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        be_quiet(monkeypatch)
+        _kill_at_each_moment(Path(sys.argv[1]))
+
+
+def _kill_at_each_moment(tmp_path: Path) -> None:
     fork, outcomes = multiprocessing.get_context("fork"), set()
     old, job = tmp_path / "old", tmp_path / "job"
     old.mkdir()
