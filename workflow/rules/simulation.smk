@@ -405,5 +405,9 @@ rule simulate_view:
         config=of(CampaignFiles.twin_parts, "scene", "boat", "lidar"),
         seed=section("campaign", "seed"),
         frame=section("campaign", "origin"),
+        # a quick look; simulate_view alone takes more pixels than all photographs of tiny
+        shrink=lambda wildcards: (
+            2 if FILES[wildcards.campaign].campaign.twin.size == "tiny" else 1
+        ),
     script:
         "../scripts/call.py"
