@@ -226,6 +226,7 @@ def pytest_collection_finish() -> None:
 def pytest_unconfigure() -> None:
     """Libraries that count their objects at the end would miss them."""
     gc.unfreeze()
+    gc.collect()
 
 
 LONGEST_FIRST = (

@@ -72,8 +72,11 @@ class _Watch:
 _watch = _Watch()
 
 
-def _audit(event: str, arguments: tuple[Any, ...]) -> None:
-    """Python calls this at each audit event, so what does not concern it returns at once."""
+def _audit(event: str, arguments: tuple[Any, ...], _watch: _Watch = _watch) -> None:
+    """Python calls this at each audit event, so what does not concern it returns at once.
+
+    Also while it ends, when names of modules are gone: the argument stays.
+    """
     if _watch.rule is None or event not in _EVENTS or not isinstance(arguments[0], str | bytes | os.PathLike):
         return
     path = os.fsdecode(arguments[0])
