@@ -1,0 +1,12 @@
+from .nothing import NOTHING as NOTHING, WORDS as WORDS, is_nothing as is_nothing
+from .units import (
+    FATHOM as FATHOM,
+    FOOT as FOOT,
+    METRE as METRE,
+    US_SURVEY_FOOT as US_SURVEY_FOOT,
+    Unit as Unit,
+    unit_of_code as unit_of_code,
+    unit_of_letter as unit_of_letter,
+    unit_of_word as unit_of_word,
+    units_of_crs as units_of_crs,
+)
