@@ -9,7 +9,9 @@ import pytest
 
 from tests.ingest import test_velodyne_log as log
 from thalweg.core import InputError, ThalwegError, UnsupportedError
+from thalweg.ingest import LidarOptions
 from thalweg.ingest.pcap import BarePayloads, CaptureTally, Stream, read_payloads
+from thalweg.ingest.velodyne import VelodyneReader
 
 STREAMS = (Stream(port=2368, size=1206), Stream(port=8308, size=512))
 BARE = BarePayloads(marks=tuple(range(0, 1200, 100)), mark=0xFFEE)
@@ -177,6 +179,14 @@ def test_simple_packet_block_is_cut_at_the_snap_length(tmp_path):
     ((payload, _, _), _), tally = read(tmp_path / "a", content)
     assert payload.shape[0] == 0
     assert tally.losses == {"truncated_packets": 1}
+    assert tally.cut_b == (600, len(f))
+
+
+def test_a_capture_with_a_short_snap_length_says_so(tmp_path):
+    frames = [log.ethernet(log.udp(payload, 2368))[:600] for payload in DATA]
+    (tmp_path / "a.pcap").write_bytes(log.pcap(frames))
+    with pytest.raises(InputError, match=r"cut by the capture: 600 of 1,248 bytes.* -s 0"):
+        VelodyneReader(files=[tmp_path / "a.pcap"], options=LidarOptions()).scan()
 
 
 def test_bare_payloads_and_junk_between(tmp_path):

@@ -249,6 +249,13 @@ def test_the_host_clock_plays_no_part(tmp_path):
     assert offset == pytest.approx(1_000_000_000 - HOUR - 1.0, abs=1e-5)
 
 
+def test_a_week_counter_that_rolled_over_is_named(tmp_path):
+    frames = log.recording(log.times(50), hour_unix=HOUR)
+    (tmp_path / "a").write_bytes(log.pcap(frames, t0=HOUR + 1.0 + 1024 * 604_800))
+    notes = " ".join(scan_lidar([tmp_path / "a"]).report.notes)
+    assert "+1024 weeks: the week counter of a receiver rolled over" in notes
+
+
 def test_clock_survives_json():
     clock = LidarClock(first_packet=(0, 7), device_extra_s=(0.0, 3600.0), gps_minus_device_s=(math.nan, 5.0))
     again = LidarClock.from_dict(json.loads(json.dumps(clock.to_dict(), allow_nan=False)))

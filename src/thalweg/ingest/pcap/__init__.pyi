@@ -1,5 +1,6 @@
 from .capture import (
     CHUNK_BYTES as CHUNK_BYTES,
+    SNAP_CURE as SNAP_CURE,
     BarePayloads as BarePayloads,
     CaptureTally as CaptureTally,
     PayloadBlock as PayloadBlock,

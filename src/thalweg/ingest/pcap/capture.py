@@ -36,9 +36,11 @@ META: Final = 3
 FOUND: Final = 4
 """A sound record begins at the returned offset."""
 
-N_TALLY: Final = 10
+N_TALLY: Final = 12
 _RECORD, _OTHER_PORT, _OTHER_IP, _IPV6, _NOT_IP, _LINK = 0, 1, 2, 3, 4, 5
 _FRAGMENT, _CUT, _SIZE, _MALFORMED = 6, 7, 8, 9
+_HELD_B, _WHOLE_B = 10, 11
+"""Longest of the cut frames, and what a whole one measures."""
 COUNT_NAMES: Final = {
     _RECORD: "capture_records",
     _OTHER_PORT: "udp_other_ports",
@@ -164,6 +166,8 @@ def _take(
         return k
     if u + 8 + size > b:
         tally[_CUT] += 1
+        tally[_HELD_B] = max(tally[_HELD_B], b - a)
+        tally[_WHOLE_B] = max(tally[_WHOLE_B], u + 8 + size - a)
         return k
     out[k, 0] = u + 8
     out[k, 1] = wanted
@@ -437,6 +441,7 @@ PCAP_MAGIC: Final = {
     b"\xa1\xb2\x3c\x4d": (True, 1_000_000_000),
 }
 PCAPNG_MAGIC: Final = b"\x0a\x0d\x0d\x0a"
+SNAP_CURE: Final = "Capture whole packets (tcpdump -s 0)"
 CURE: Final = "Give the log as tcpdump, Wireshark or VeloView wrote it"
 
 
@@ -643,7 +648,15 @@ class BareFormat(RecordFormat):
 # ---------------------------------------------------------------- capture
 
 
-__all__ = ["CHUNK_BYTES", "BarePayloads", "CaptureTally", "PayloadBlock", "Stream", "read_payloads"]
+__all__ = [
+    "CHUNK_BYTES",
+    "SNAP_CURE",
+    "BarePayloads",
+    "CaptureTally",
+    "PayloadBlock",
+    "Stream",
+    "read_payloads",
+]
 
 CHUNK_BYTES: Final = 8 << 20
 """Bytes read at a time."""
@@ -684,6 +697,8 @@ class CaptureTally:
     notes: list[str] = field(default_factory=list)
     foreign_ports: dict[int, int] = field(default_factory=dict)
     """Payloads of the first stream's size that went to other ports: a hint at a wrong port setting."""
+    cut_b: tuple[int, int] = (0, 0)
+    """Bytes that the longest cut frame holds, and those of a whole one."""
 
 
 def _format_of(w: Window, path: Path, streams: Sequence[Stream], bare: BarePayloads | None) -> RecordFormat:
@@ -830,6 +845,12 @@ def _blocks(w: Window, sinks: Sinks, rows: int) -> list[PayloadBlock]:
 
 
 def _add_tally(sinks: Sinks, found: CaptureTally) -> None:
+    if sinks.tally[_CUT]:
+        found.cut_b = (int(sinks.tally[_HELD_B]), int(sinks.tally[_WHOLE_B]))
+        found.notes.append(
+            f"{int(sinks.tally[_CUT])} packets hold at most {found.cut_b[0]:,} of {found.cut_b[1]:,} bytes: "
+            f"the capture cut them (snap length). {SNAP_CURE}."
+        )
     for names, target in ((COUNT_NAMES, found.counts), (LOSS_NAMES, found.losses)):
         for index, name in names.items():
             if sinks.tally[index]:

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from thalweg.core import ArrayF, ArrayI, InputError, UnsupportedError, unix_from_gps
+from thalweg.core import ArrayF, ArrayI, InputError, UnsupportedError, unix_from_gps, utc_text_from_unix
 from thalweg.ingest import (
     Gap,
     IntegrityReport,
@@ -26,9 +26,10 @@ from thalweg.ingest import (
     PointBlock,
     StreamTiming,
     empty_points,
+    explain_shift,
     fit_clock,
 )
-from thalweg.ingest.pcap import CHUNK_BYTES, CaptureTally
+from thalweg.ingest.pcap import CHUNK_BYTES, SNAP_CURE, CaptureTally
 from thalweg.ingest.velodyne.clock import ClockBuilder
 from thalweg.ingest.velodyne.decode import (
     BAD_AZIMUTH,
@@ -440,6 +441,14 @@ def no_packets(tally: CaptureTally, port: int, where: str, found: Findings | Non
             where=where,
             cure="Check that it is the log of a lidar that is read, a VLP-16 with firmware 3.0.29 or later",
         )
+    if n := tally.losses.get("truncated_packets"):
+        return InputError(
+            f"all {n} lidar packets are cut by the capture: {tally.cut_b[0]:,} of {tally.cut_b[1]:,} bytes "
+            "(its snap length)",
+            expected="whole packets",
+            where=where,
+            cure=SNAP_CURE,
+        )
     held = {**tally.counts, **tally.losses}
     text = ", ".join(f"{name} {n}" for name, n in held.items() if n) or "nothing"
     cure = "Check lidar.data_port and that the capture was made on the lidar's network"
@@ -539,7 +548,13 @@ def write_report(
     gps_s = host[:, 1] * 1e-6 + clock.extra_s(packet) + clock.offset_s(packet)
     difference_s = (host[:, 2] - unix_from_gps(gps_s))[np.isfinite(gps_s)]
     if difference_s.size:
-        report.details["host_minus_sensor_s"] = round(float(np.median(difference_s)), 6)
+        shift_s = float(np.median(difference_s))
+        report.details["host_minus_sensor_s"] = round(shift_s, 6)
+        if words := explain_shift(shift_s):
+            report.note(
+                f"The clock of the host is {words}. The time of the points is the sensor's, from its GNSS "
+                f"receiver; the host's begin is {utc_text_from_unix(float(host[0, 2]), 0)}."
+            )
     if found.return_mode == "mixed":
         modes = ", ".join(f"{RETURN_MODES[m]} {n}" for m, n in sorted(found.modes.items()))
         report.note(f"The return mode changes within the recording (packets: {modes}).")
