@@ -96,6 +96,9 @@ def add_survey_commands(commands: "argparse._SubParsersAction[argparse.ArgumentP
         choices=("forward-right-down", "forward-left-up", "right-down-forward"),
         help="body axes x-y-z in a table of poses",
     )
+    cloud.add_argument(
+        "--upside-down", action="store_true", help="the body hung so: else such a trajectory is refused"
+    )
     cloud.add_argument("--time-scale", choices=("utc", "gps"), help="time scale of a table of poses")
     cloud.add_argument(
         "--sigma-position",
@@ -329,6 +332,7 @@ def _read_trajectory(options: argparse.Namespace) -> tuple[Any, list[str]]:
         time_scale=options.time_scale,
         sigma_position_m=options.sigma_position,
         sigma_attitude_deg=options.sigma_attitude,
+        upside_down=options.upside_down,
     )
     log = read_poses(options.trajectory, None, how)
     states = log.states

@@ -9,7 +9,7 @@ from thalweg.core import InputError, LocalFrame, gps_from_unix, gps_from_week, r
 from thalweg.ingest import TrackOptions
 from thalweg.ingest.registry import describe, read_poses, recognise
 from thalweg.ingest.registry.poses import POSES
-from thalweg.ingest.tracks import read_text_poses
+from thalweg.ingest.tracks import read_gpx, read_text_poses
 from thalweg.ingest.tracks.trajectories import BODY_AXES
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
@@ -167,3 +167,121 @@ def test_inertial_explorer_without_sigmas_units_or_columns(tmp_path: Path) -> No
     path.write_text(path.read_text().replace(" H-Ell", " H-MSL"))
     with pytest.raises(InputError, match="no column H-Ell"):
         read_poses([path], "sbet", stated)
+
+
+@pytest.mark.parametrize(
+    ("header", "separator", "order"),
+    [
+        ("# timestamp tx ty tz qw qx qy qz", " ", "t x y z qw qx qy qz"),
+        ("time_s,x,y,z,qw,qx,qy,qz", ",", "t x y z qw qx qy qz"),
+        (
+            "#timestamp [ms], q_w [], q_x [], q_y [], q_z [], p_x [m], p_y [m], p_z [m]",
+            ", ",
+            "ms qw qx qy qz x y z",
+        ),
+    ],
+)
+def test_names_of_columns_decide_over_their_order(
+    tmp_path: Path, header: str, separator: str, order: str
+) -> None:
+    usual = write("tum", tmp_path / "usual.txt", "forward-left-up")
+    lines = []
+    for line in usual.read_text().split("\n")[:-1]:
+        t, x, y, z, qx, qy, qz, qw = line.split()
+        cells = {"t": t, "x": x, "y": y, "z": z, "qx": qx, "qy": qy, "qz": qz, "qw": qw}
+        cells["ms"] = str(round(float(t) * 1e3))
+        lines.append(separator.join(cells[name] for name in order.split()))
+    named = tmp_path / "named.txt"
+    named.write_text("\n".join([header, *lines]) + "\n")
+    options = TrackOptions(**STATED, body_axes="forward-left-up")
+    states, expected = (read_poses([path], None, options).states for path in (named, usual))
+    np.testing.assert_allclose(states["roll_rad"], expected["roll_rad"])
+    np.testing.assert_allclose(states["t_gps_s"], expected["t_gps_s"], atol=1e-3)
+    np.testing.assert_allclose(states["h_ell_m"], expected["h_ell_m"])
+
+
+def test_a_boat_that_is_upside_down_is_asked_about(tmp_path: Path) -> None:
+    path = tmp_path / "w_first.txt"
+    path.write_text("".join(f"{T0 + k} {k} 0 0 0.9 0 0 {0.19**0.5}\n" for k in range(5)))
+    stated = STATED | {"body_axes": "forward-left-up"}
+    with pytest.raises(InputError, match=r"upside down .* in 100% .*order of the quaternion.*--upside-down"):
+        read_poses([path], None, TrackOptions(**stated))
+    log = read_poses([path], None, TrackOptions(**stated, upside_down=True))
+    assert len(log.states) == 5
+    assert "upside down" in " ".join(read_poses([path], "ins", TrackOptions(**stated)).report.notes)
+
+
+def test_stamps_against_the_stated_time_scale(tmp_path: Path) -> None:
+    path = tmp_path / "adjusted.txt"
+    path.write_text("".join(f"{402221618 + k} 0 0 0 0 0 0 1\n" for k in range(3)))
+    with pytest.raises(InputError, match=r"time_scale utc is stated, but 402221618 .* adjusted standard GPS"):
+        read_poses([path], None, TrackOptions(**STATED, body_axes="forward-left-up"))
+
+
+CORR_TIME = (
+    " CorrTime  Date  Latitude  Longitude  H-Ell  Heading  HdngSD  Pitch  PitchSD  Roll  RollSD\n"
+    " (sec) ({date}) (+/-D M S) (+/-D M S) (m) (Deg) (Deg) (Deg) (Deg) (Deg) (Deg)\n"
+    "{tow} {day} 51 03 10.0 -00 45 05.0 155.0 51.23 0.0199 -1.29 0.0049 0.03 0.0048\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("date", "day", "tow", "t_gps_s"),
+    [
+        ("MDY", "6/12/2024", 295_218.0, gps_from_week(2318, 295_218.0)),
+        ("DMY", "12/06/2024", 295_218.0, gps_from_week(2318, 295_218.0)),
+        ("YMD", "2024-06-09", 10.0, gps_from_week(2318, 10.0)),
+        # the date is of UTC, 18 s behind GPS time
+        ("MDY", "6/8/2024", 10.0, gps_from_week(2318, 10.0)),
+    ],
+)
+def test_inertial_explorer_with_date_and_corrected_time(
+    tmp_path: Path, date: str, day: str, tow: float, t_gps_s: float
+) -> None:
+    path = tmp_path / "export.txt"
+    path.write_text(CORR_TIME.format(date=date, day=day, tow=tow))
+    with pytest.raises(InputError, match=r"no standard deviations: SDEast.*sigma_position_m"):
+        read_poses([path], "sbet", TrackOptions())
+    first = read_poses([path], "sbet", TrackOptions(sigma_position_m=0.05)).states.iloc[0]
+    assert first["t_gps_s"] == t_gps_s
+    assert first["lon_deg"] == pytest.approx(-(45 / 60 + 5 / 3600))
+    assert np.rad2deg(first["sigma_heading_rad"]) == pytest.approx(0.0199)
+    report = describe(path)  # asks for nothing
+    assert report.t_first_s == t_gps_s
+    assert "no standard deviations of positions" in " ".join(report.notes)
+
+
+def test_describing_a_trajectory_without_week_asks_for_nothing(tmp_path: Path) -> None:
+    path = export(tmp_path / "boat.txt")
+    path.write_text(path.read_text().replace(" Week", " Wake").replace("Week ", "Wake "))
+    report = describe(path)
+    assert not report.synchronised
+    assert report.t_first_s == pytest.approx(300_000)
+
+
+def test_a_week_counter_that_rolled_over_is_doubted(tmp_path: Path) -> None:
+    path = export(tmp_path / "boat.txt")
+    path.write_text(path.read_text().replace("2235 ", "187 "))
+    notes = " ".join(read_poses([path], "sbet", TrackOptions()).report.notes)
+    assert "2048 weeks later 2022-11-" in notes
+
+
+GPX = '<gpx xmlns="http://www.topografix.com/GPX/1/1" xmlns:g="urn:g"><wpt lat="51" lon="13"/><trk><trkseg>{}'
+POINT = (
+    '<trkpt lat="51.05" lon="13.75"><time>2024-06-12T10:00:0{k}{zone}</time>'
+    "<extensions><g:TrackPointExtension><g:{tag}>{depth}</g:{tag}></g:TrackPointExtension></extensions></trkpt>"
+)
+
+
+@pytest.mark.parametrize("tag", ["depth", "Depth"])
+def test_depths_zones_and_waypoints_of_gpx(tmp_path: Path, tag: str) -> None:
+    path = tmp_path / "track.gpx"
+    points = [POINT.format(k=k, zone="" if k else "+02:00", tag=tag, depth=1.5 * k) for k in range(3)]
+    path.write_text(GPX.format("".join(points)) + "</trkseg></trk></gpx>")
+    log = read_gpx([path])
+    np.testing.assert_allclose(np.diff(log.positions["t_gps_s"]), [7201.0, 1.0])
+    assert log.depths["depth_m"].tolist() == [1.5, 3.0]
+    assert log.report.losses == {"depths_of_nothing": 1}
+    notes = " ".join(log.report.notes)
+    assert "2 times state no zone and are taken as UTC" in notes
+    assert "1 waypoints" in notes

@@ -40,6 +40,7 @@ from .stamps import (
     QUARTER_HOUR_S as QUARTER_HOUR_S,
     TIME_SCALES as TIME_SCALES,
     StreamTiming as StreamTiming,
+    doubtful_date as doubtful_date,
     explain_shift as explain_shift,
     fit_clock as fit_clock,
     gps_from_scale as gps_from_scale,

@@ -54,7 +54,20 @@ def read_poses(files: Sequence[Path], source: str | None, options: TrackOptions 
     options = options or TrackOptions()
     if source == "ins":  # whose trajectory takes standard deviations from the campaign
         options = replace(options, sigma_position_m=np.nan, sigma_attitude_deg=np.nan)
-    return known.poses(files, options)
+    log = known.poses(files, options)
+    over = np.abs(log.states["roll_rad"].to_numpy(dtype=np.float64)) > np.pi / 2
+    if over.mean() > 0.5 and not options.upside_down:
+        words = f"the body is upside down (roll beyond 90 degrees) in {over.mean():.0%} of the poses"
+        if source is None:
+            raise InputError(
+                words,
+                expected="a boat: x forward, y right, z down",
+                where=", ".join(map(str, files)),
+                cure="Check the order of the quaternion (a header such as `# timestamp tx ty tz qw qx qy qz` "
+                "tells it) and the axes of the body (--body-axes); if it did hang so, add --upside-down",
+            )
+        log.report.note(f"{words[0].upper()}{words[1:]}: check its axes, or how the INS is mounted.")
+    return log
 
 
 def _anpp(files: Sequence[Path], options: TrackOptions) -> PoseLog:
@@ -101,8 +114,32 @@ def _describe_poses(kind: str, files: list[Path], options: dict[str, Any], point
 def _describe_inertial_explorer(
     kind: str, files: list[Path], options: dict[str, Any], points: bool
 ) -> Recording:
-    log = _inertial_explorer(files, TrackOptions(**options))
+    """Nothing is asked: what the file does not state is left empty, and a note says so."""
+    stated = TrackOptions(**({"sigma_position_m": np.nan, "sigma_attitude_deg": np.nan} | options))
+    try:
+        log = _inertial_explorer(files, stated)
+    except InputError as error:
+        if stated.gps_week is not None or "Week" not in error.found:
+            raise
+        log = _inertial_explorer(files, replace(stated, gps_week=_ANY_WEEK))
+        _take_week_off(log, "The file")
+    for axis, words in (("sigma_east_m", "positions"), ("sigma_roll_rad", "attitudes")):
+        if log.states[axis].isna().all():
+            log.report.note(
+                f"The file states no standard deviations of {words}: they are asked for where needed."
+            )
     return Recording(kind=kind, report=log.report, tables={"states": log.states})
+
+
+def _take_week_off(log: PoseLog, what: str) -> None:
+    """Stamps as they stand in a file that is only described, and no GPS time."""
+    t0 = float(gps_from_week(_ANY_WEEK, 0.0))
+    report = log.report
+    report.synchronised = False
+    report.t_first_s = None if report.t_first_s is None else report.t_first_s - t0
+    report.t_last_s = None if report.t_last_s is None else report.t_last_s - t0
+    report.note(f"{what} holds seconds of the week only: its GPS week (logs.gps_week) places it.")
+    log.states["t_gps_s"] = np.nan
 
 
 def _is_inertial_explorer(head: bytes, size: int) -> bool:
@@ -113,11 +150,19 @@ def _is_inertial_explorer(head: bytes, size: int) -> bool:
 
 def _is_table(kind: str, head: bytes, size: int) -> bool:
     """True if the first lines hold nothing but the numbers of the format, with a rotation among them."""
-    lines = [line for line in head.splitlines()[:20] if line.strip() and not line.startswith(b"#")]
+    from thalweg.ingest.tracks import named_order
+
+    lines = [line for line in head.splitlines()[:20] if line.strip()]
     if size > len(head) and len(lines) > 1:
         lines = lines[:-1]
+    named = [order for line in lines if (order := named_order(line.decode("ascii", "replace")))]
+    if named and not lines[0].startswith(b"#"):
+        lines = lines[1:]
+    lines = [line for line in lines if not line.startswith(b"#")]
     try:
-        rows = [[float(cell) for cell in re.split(rb"[,\s]+", line.strip(b", \t\r"))] for line in lines[:10]]
+        rows = [
+            [float(cell) for cell in re.split(rb"[,;\s]+", line.strip(b",; \t\r"))] for line in lines[:10]
+        ]
     except ValueError:
         return False
     if not rows or len({len(row) for row in rows}) > 1:
@@ -125,9 +170,13 @@ def _is_table(kind: str, head: bytes, size: int) -> bool:
     n, commas = len(rows[0]), b"," in lines[0]
     if kind == "kitti":
         return n == 12 and not commas and all(_is_unit(row[k : k + 3]) for row in rows for k in (0, 4, 8))
-    if kind == "tum":
-        return n == 8 and not commas and all(_is_unit(row[4:]) for row in rows)
-    return n >= 8 and commas and all(row[0] > 1e12 and _is_unit(row[4:8]) for row in rows)
+    if n < 8 or (named and max(named[0]) >= n):
+        return False
+    q = named[0][4:] if named else range(4, 8)
+    if not all(_is_unit([row[k] for k in q]) for row in rows):
+        return False
+    nanoseconds = commas and all(row[0] > 1e12 for row in rows)
+    return nanoseconds if kind == "euroc" else n == 8 and (not commas or bool(named)) and not nanoseconds
 
 
 def _is_unit(values: Sequence[float]) -> bool:
@@ -144,14 +193,7 @@ def _describe_sbet(kind: str, files: list[Path], options: dict[str, Any], points
     week = options.get("gps_week")
     log = _sbet(files, TrackOptions(gps_week=_ANY_WEEK if week is None else week))
     if week is None:
-        # Enough to describe the file: its stamps as they stand there, and no GPS time.
-        t0 = float(gps_from_week(_ANY_WEEK, 0.0))
-        report = log.report
-        report.synchronised = False
-        report.t_first_s = None if report.t_first_s is None else report.t_first_s - t0
-        report.t_last_s = None if report.t_last_s is None else report.t_last_s - t0
-        report.note("An SBET holds seconds of the week only: give its GPS week (logs.gps_week) to place it.")
-        log.states["t_gps_s"] = np.nan
+        _take_week_off(log, "An SBET")
     return Recording(kind=kind, report=log.report, tables={"states": log.states})
 
 

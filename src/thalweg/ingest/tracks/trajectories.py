@@ -10,7 +10,8 @@ Inertial  named in its header: Week, GPSTime, Latitude,   roll, pitch, heading  
 Explorer  Longitude, H-Ell, Roll, Pitch, Heading, SD...                         seconds of the week
 ========= =============================================== ===================== ==========================
 
-Rotations turn from the body into the world frame. The first three state neither frame, scale of time nor
+Comment lines or a header that name the columns decide over their order. Rotations turn from the body into the
+world frame. The first three state neither frame, scale of time nor
 accuracy: these are asked for. Inertial Explorer's attitude is that of ``ins_state``: roll right side down,
 pitch nose up, heading clockwise from north. GPX (Topografix 2004, version 1.1) holds positions in UTC without
 standard deviations.
@@ -18,6 +19,7 @@ standard deviations.
 
 import datetime as dt
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,16 +30,31 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from thalweg.core import ArrayF, InputError, gps_from_unix, gps_from_week, parse_xml, roll_pitch_heading
+from thalweg.core import (
+    DAY_S,
+    WEEK_S,
+    ArrayF,
+    InputError,
+    gps_from_unix,
+    gps_from_week,
+    parse_xml,
+    roll_pitch_heading,
+)
 from thalweg.ingest import (
+    DEPTH,
     GNSS_POSITION,
     INS_STATE,
     NAVIGATION_INITIALISED,
+    TIME_SCALES,
     IntegrityReport,
     PoseLog,
     PositionLog,
     TrackOptions,
+    doubtful_date,
     find_gaps,
+    possible_unix,
+    tell_time_scale,
+    time_contradiction,
 )
 
 COLUMNS: Final = {"tum": 8, "euroc": 8, "kitti": 12}
@@ -88,7 +105,10 @@ def read_text_poses(kind: str, files: Sequence[Path], times: Path | None = None)
     InputError : a line does not hold the numbers of the format, a rotation is none, or the times do not fit.
     """
     report = IntegrityReport(stream="ins", format=f"{_NAMES[kind]} poses", files=[str(f) for f in files])
-    rows = np.concatenate([_numbers(kind, Path(path), report) for path in files])
+    tables = [_numbers(kind, Path(path), report) for path in files]
+    if len({table.shape[1] for table in tables}) > 1:
+        raise InputError("tables of different numbers of columns", where=", ".join(map(str, files)))
+    rows = np.concatenate(tables)
     where = ", ".join(map(str, files))
     velocity = None
     if kind == "kitti":
@@ -98,10 +118,9 @@ def read_text_poses(kind: str, files: Sequence[Path], times: Path | None = None)
         wrong |= np.linalg.det(R) < 0
         t_s = _times(times, len(rows), where) if times is not None else np.full(len(rows), np.nan)
     else:
-        position = rows[:, 1:4]
-        q_xyzw = rows[:, 4:8] if kind == "tum" else rows[:, [5, 6, 7, 4]]
+        position, q_xyzw = rows[:, 1:4], rows[:, 4:8]
         wrong = np.abs(np.linalg.norm(q_xyzw, axis=1) - 1.0) > _ORTHONORMAL
-        t_s = rows[:, 0] if kind == "tum" else rows[:, 0] * 1e-9
+        t_s = _seconds(rows[:, 0], kind, report)
         if kind == "euroc" and rows.shape[1] >= 11:
             velocity = rows[:, 8:11]
         R = np.empty((0, 3, 3)) if wrong.any() else Rotation.from_quat(q_xyzw).as_matrix()
@@ -124,20 +143,65 @@ def read_text_poses(kind: str, files: Sequence[Path], times: Path | None = None)
 _NAMES: Final = {"tum": "TUM", "euroc": "EuRoC", "kitti": "KITTI"}
 
 
+_ORDER: Final = {"tum": list(range(8)), "euroc": [0, 1, 2, 3, 5, 6, 7, 4]}
+"""Columns of time, x, y, z and the quaternion x, y, z, w where no line names them."""
+_NAMED: Final = (
+    r"#?(t|sec|stamp|(gps_?|unix_?|utc_?)?time(_?stamp)?.*)",
+    *(rf"((p|t|pos|position|tvec)[._]?(\w+_)?)?{axis}" for axis in "xyz"),
+    *(rf"(q|rot|quat|quaternion|orientation)[._]?(\w+_)?{axis}" for axis in "xyzw"),
+)
+
+
+def named_order(line: str) -> list[int] | None:
+    """Columns of time, x, y, z and the quaternion x, y, z, w by their names; None if a line names no such.
+
+    Examples
+    --------
+    >>> named_order("# timestamp tx ty tz qw qx qy qz")
+    [0, 1, 2, 3, 5, 6, 7, 4]
+    >>> named_order("#timestamp [ns], p_RS_R_x [m], p_RS_R_y, p_RS_R_z, q_RS_w [], q_RS_x, q_RS_y, q_RS_z")
+    [0, 1, 2, 3, 5, 6, 7, 4]
+    """
+    bare = re.sub(r"\[[^]]*\]|\([^)]*\)", "", line.strip().lower()).lstrip("#% ")
+    names = [name for name in re.split(r"[,;\s]+", bare) if name]
+    order = []
+    for pattern in _NAMED:
+        of = [k for k, name in enumerate(names) if re.fullmatch(pattern, name) and k not in order]
+        if not of:
+            return None
+        order.append(of[0])
+    return order
+
+
+def _seconds(stamps: ArrayF, kind: str, report: IntegrityReport) -> ArrayF:
+    """Stamps in seconds: the unit of the format, or the one that their size shows."""
+    usual, told = ("unix_ns" if kind == "euroc" else "unix_s"), tell_time_scale(stamps)
+    per_second = {"unix_ms": 1e3, "unix_us": 1e6, "unix_ns": 1e9}
+    scale = told[0] if len(told) == 1 and told[0].startswith("unix") else usual
+    if scale != usual:
+        report.note(f"The stamps are {TIME_SCALES[scale]}, by their size.")
+    return stamps / per_second.get(scale, 1.0)
+
+
 def _numbers(kind: str, path: Path, report: IntegrityReport) -> ArrayF:
-    """(n, k) numbers of a table; the first line that does not fit is named."""
+    """(n, k) numbers of a table in the order of `_ORDER`; the first line that does not fit is named."""
     if not path.is_file():
         raise InputError("file not found", where=path, cure="Check the path")
     raw = path.read_bytes()
     report.bytes_read += len(raw)
     lines = raw.decode("ascii", "replace").splitlines()
     rows: list[list[float]] = []
+    order = _ORDER.get(kind)
     for number, line in enumerate(lines, start=1):
         text = line.strip()
-        if not text or text.startswith("#"):
+        named = named_order(text) if order and not rows else None
+        if named is not None and named != order:
+            order = named
+            report.note(f"{path.name} names its columns: {text.lstrip('# ')}. They are read so.")
+        if not text or text.startswith("#") or named is not None:
             continue
         try:
-            row = [float(cell) for cell in re.split(r"[,\s]+", text.strip(","))]
+            row = [float(cell) for cell in re.split(r"[,;\s]+", text.strip(",; "))]
         except ValueError:
             row = []
         exact = kind != "euroc"
@@ -156,7 +220,14 @@ def _numbers(kind: str, path: Path, report: IntegrityReport) -> ArrayF:
             where=path,
             cure="Check the file",
         )
-    return np.array(rows)
+    table = np.array(rows)
+    if order is None:
+        return table
+    if max(order) >= table.shape[1]:
+        raise InputError(
+            f"{table.shape[1]} numbers a line, fewer than its names", expected="a number a name", where=path
+        )
+    return table[:, [*order, *(k for k in range(table.shape[1]) if k not in order)]]
 
 
 def _times(path: Path, n: int, where: str) -> ArrayF:
@@ -215,6 +286,13 @@ def states_of_poses(poses: TextPoses, options: TrackOptions) -> PoseLog:
             expected=f"one of {', '.join(BODY_AXES)}; utc (Unix time) or gps (seconds since 1980-01-06)",
             where=where,
         )
+    if wrong := time_contradiction(poses.t_s, "unix_s" if scale == "utc" else "gps_s"):
+        raise InputError(
+            f"time_scale {scale} is stated, but {wrong}",
+            expected="utc (Unix time) or gps (seconds since 1980-01-06)",
+            where=where,
+            cure="State the other scale, or convert the stamps",
+        )
     t_gps_s = gps_from_unix(poses.t_s) if scale == "utc" else gps_from_week(0, poses.t_s)
     lat, lon, height = frame.to_geodetic(poses.position_m)
     # attitudes are stated in the local level of each position, not in that of the frame's origin
@@ -272,31 +350,37 @@ def _finish(report: IntegrityReport, t_gps_s: ArrayF, scale: str) -> None:
         report.rates_hz["poses"] = 1.0 / float(np.median(step[step > 0]))
     report.timing.describe_stamps(t_gps_s)
     report.timing.unsynchronised_s = 0.0
+    if doubt := doubtful_date(t_gps_s):
+        report.note(doubt)
 
 
 # ---------------------------------------------------------------- NovAtel Inertial Explorer
 
 _ALIASES: Final = {
-    "tow": ("GPSTime", "SoW", "GPSSec"),
+    "tow": ("GPSTime", "CorrTime", "SoW", "GPSSec", "GPSSeconds", "TimeOfWeek", "TOW"),
     "week": ("Week", "GPSWeek"),
+    "date": ("Date", "GPSDate"),
     "lat": ("Latitude", "Lat"),
-    "lon": ("Longitude", "Lon"),
-    "height": ("H-Ell", "H-Ellips", "EllHeight"),
-    "v_east": ("VEast",),
-    "v_north": ("VNorth",),
-    "v_up": ("VUp",),
+    "lon": ("Longitude", "Lon", "Long"),
+    "height": ("H-Ell", "H-Ellips", "EllHeight", "HEll"),
+    "v_east": ("VEast", "VE"),
+    "v_north": ("VNorth", "VN"),
+    "v_up": ("VUp", "VU"),
     "roll": ("Roll",),
     "pitch": ("Pitch",),
     "heading": ("Heading", "Azimuth"),
-    "sd_east": ("SDEast",),
-    "sd_north": ("SDNorth",),
-    "sd_up": ("SDHeight", "SDUp"),
+    "sd_horizontal": ("SDHoriz", "SDHorz"),
+    "sd_east": ("SDEast", "SD-E", "EastSD"),
+    "sd_north": ("SDNorth", "SD-N", "NorthSD"),
+    "sd_up": ("SDHeight", "SDUp", "SD-H", "SD-U", "HeightSD"),
     "sd_roll": ("RollSD", "SDRoll"),
     "sd_pitch": ("PitchSD", "PtchSD", "SDPitch"),
-    "sd_heading": ("HdngSD", "HeadingSD", "SDHeading"),
+    "sd_heading": ("HdngSD", "HeadingSD", "SDHeading", "SDHdng"),
 }
-"""Our names of the columns -> those of export profiles."""
+"""Our names of the columns -> those of export profiles, in letters of any case."""
+_OURS: Final = {name.lower(): ours for ours, names in _ALIASES.items() for name in names}
 _NEEDED: Final = ("tow", "lat", "lon", "height", "roll", "pitch", "heading")
+_GPS_EPOCH_DAY: Final = dt.date(1980, 1, 6).toordinal()
 _DEG_OF_UNIT: Final = {"deg": 1.0, "degrees": 1.0, "min": 1 / 60, "arcmin": 1 / 60, "sec": 1 / 3600,
                        "arcsec": 1 / 3600, "rad": 180 / np.pi}  # fmt: skip
 
@@ -309,8 +393,7 @@ def is_inertial_explorer(head: bytes, size: int) -> bool:
 def _header(lines: Sequence[str]) -> int | None:
     """Number of the line with the names of the columns."""
     for number, line in enumerate(lines[:200]):
-        names = line.split()
-        if all(set(names) & set(_ALIASES[each]) for each in ("tow", "lat", "lon", "roll")):
+        if {"tow", "lat", "lon", "roll"} <= {_OURS.get(name.lower()) for name in line.split()}:
             return number
     return None
 
@@ -334,7 +417,10 @@ def read_inertial_explorer(files: Sequence[Path], options: TrackOptions | None =
     if "week" not in columns:
         if options.gps_week is None:
             raise InputError(
-                "no column Week", expected="the GPS week", where=where, cure="Export it, or set logs.gps_week"
+                "neither a column Week nor Date",
+                expected="the GPS week",
+                where=where,
+                cure="Export one of them, or set logs.gps_week",
             )
         columns["week"] = float(options.gps_week)
     for names, value, unit in (
@@ -406,8 +492,8 @@ def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
     at, place = {}, 0
     for name, unit in zip(names, units, strict=True):
         parts = 3 if "M S" in unit.upper().replace("-", " ") else 1  # degrees, minutes, seconds
-        known = next((ours for ours, theirs in _ALIASES.items() if name in theirs), None)
-        if known is not None:
+        known = _OURS.get(name.lower())
+        if known is not None and known not in at:
             at[known] = (place, parts, unit)
         place += parts
     lacking = [_ALIASES[name][0] for name in _NEEDED if name not in at]
@@ -424,8 +510,10 @@ def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
         if not cells:
             continue
         try:
+            if "date" in at:
+                cells[at["date"][0]] = _day(cells[at["date"][0]], at["date"][2])
             rows.append([float(cell) for cell in cells[:place]])
-        except ValueError:
+        except (ValueError, IndexError):
             rows.append([])
         if len(rows[-1]) != place:
             if number == len(lines):  # cut short while it was written
@@ -457,16 +545,41 @@ def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
                     cure="Export angles in degrees",
                 )
             values = values * _DEG_OF_UNIT[word]
-        elif name not in ("tow", "week") and not unit.strip().lower().startswith("m"):
+        elif name not in ("tow", "week", "date") and not unit.strip().lower().startswith("m"):
             raise InputError(
                 f"unit '{unit}' of {_ALIASES[name][0]}", expected="m, m/s", where=path, cure="Export metres"
             )
         columns[name] = values
+    if "date" in columns and "week" not in columns:
+        # noon of the date less the seconds of the week is the week's begin, half a day off at most
+        begin = (columns.pop("date") + 0.5) * DAY_S - columns["tow"]
+        columns["week"] = np.rint(begin / WEEK_S)
+        if np.abs(begin - columns["week"] * WEEK_S).max() > DAY_S:
+            raise InputError(
+                "dates and seconds of the week are of different days",
+                expected="GPS time",
+                where=path,
+                cure="Export the GPS week",
+            )
+    columns.pop("date", None)
+    if "sd_horizontal" in columns:
+        each = columns.pop("sd_horizontal") / np.sqrt(2.0)
+        columns.setdefault("sd_east", each)
+        columns.setdefault("sd_north", each)
     return pd.DataFrame(columns)
+
+
+def _day(cell: str, unit: str) -> str:
+    """Days since the GPS epoch of a date in the order of its unit, such as MDY."""
+    order = re.sub("[^DMY]", "", unit.upper())
+    order = "".join(dict.fromkeys(order))  # also MM/DD/YYYY
+    numbers = dict(zip(order if len(order) == 3 else "MDY", map(int, re.split(r"[-/.]", cell)), strict=True))
+    return str(dt.date(numbers["Y"], numbers["M"], numbers["D"]).toordinal() - _GPS_EPOCH_DAY)
 
 
 # ---------------------------------------------------------------- GPX
 
+_GPX_POINTS: Final = {"wpt": "waypoints", "rtept": "points of routes"}
 _FIX_OF_GPX: Final = {"none": "none", "dgps": "dgnss"}
 
 
@@ -483,23 +596,39 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
     report = IntegrityReport(
         stream="positions", format="GPX", files=[str(f) for f in files], time_scale="utc", synchronised=True
     )
-    rows = []
+    rows: list[tuple[float | str, ...]] = []
+    depths: list[tuple[float, float]] = []
+    others: Counter[str] = Counter()
+    no_zone = below = 0
     for path in files:
         data = path.read_bytes()
         report.bytes_read += len(data)
         try:
-            points = parse_xml(data).iterfind(".//{*}trkpt")
-            for point in points:
-                told = {each.tag.split("}")[-1]: (each.text or "").strip() for each in point}
+            root = parse_xml(data)
+            others.update(tag for tag in ("wpt", "rtept") for _ in root.iterfind(f".//{{*}}{tag}"))
+            for point in root.iterfind(".//{*}trkpt"):
+                told = {each.tag.split("}")[-1].lower(): (each.text or "").strip() for each in point.iter()}
                 if not told.get("time"):
                     report.lose("track_points_without_time")
                     continue
                 moment = dt.datetime.fromisoformat(told["time"])
-                utc = moment if moment.tzinfo else moment.replace(tzinfo=dt.UTC)
-                h = float(told.get("ele", "nan")) + float(told.get("geoidheight", "nan"))
+                no_zone += moment.tzinfo is None
+                unix_s = (moment if moment.tzinfo else moment.replace(tzinfo=dt.UTC)).timestamp()
+                if not possible_unix(unix_s):
+                    report.lose("impossible_times")
+                    continue
+                elevation_m = float(told.get("ele", "nan"))
+                below += elevation_m < 0
+                h = elevation_m + float(told.get("geoidheight", "nan"))
                 fix = _FIX_OF_GPX.get(told.get("fix", ""), "single")
                 place = float(point.attrib["lat"]), float(point.attrib["lon"])
-                rows.append((utc.timestamp(), *place, h, fix, int(told.get("sat", "-1"))))
+                rows.append((unix_s, *place, h, fix, int(told.get("sat", "-1"))))
+                # in the extensions of Garmin and others, whatever their namespace, metres
+                depth_m = float(told.get("depth") or told.get("waterdepth") or "nan")
+                if depth_m > 0:
+                    depths.append((unix_s, depth_m))
+                elif not np.isnan(depth_m):
+                    report.lose("depths_of_nothing")
         except (ParseError, KeyError, ValueError) as error:
             raise InputError(
                 f"no readable GPX ({error})",
@@ -507,12 +636,20 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
                 where=path,
                 cure="Export the track again as GPX 1.1",
             ) from error
+    left = ", ".join(f"{n} {_GPX_POINTS[tag]}" for tag, n in others.items())
     if not rows:
         raise InputError(
-            "no track point with a time",
+            "no track point with a time" + (f" (but {left})" if left else ""),
             expected="a recorded track; routes and waypoints have no times",
             where=files[0],
             cure="Export the recorded track, not the route",
+        )
+    if left:
+        report.note(f"Beside the track there are {left}: they are not read.")
+    if no_zone:
+        report.note(
+            f"{no_zone} times state no zone and are taken as UTC, as GPX demands; some writers put local "
+            "time there: compare them with another clock."
         )
     table = pd.DataFrame(rows, columns=["t_gps_s", "lat_deg", "lon_deg", "h_ell_m", "fix", "n_sats"])
     table["t_gps_s"] = gps_from_unix(table["t_gps_s"])
@@ -528,4 +665,20 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
     if table["h_ell_m"].isna().any():
         report.note("Heights of GPX are above the geoid, and the file does not say how high that is.")
     report.note("GPX states no standard deviations: orientation.sigma_position_m says them.")
-    return PositionLog(report=report, positions=table.reindex(columns=list(GNSS_POSITION.names)))
+    if below > 0.9 * len(rows):
+        report.note(
+            "The elevations are negative: depths of an echo sounder, perhaps. They are not read as such."
+        )
+    sounded = None
+    if depths:
+        unix_s, depth_m = np.array(depths).T
+        report.count("depths", len(depths))
+        report.note("Depths stand in extensions of the track points: metres, taken as below the transducer.")
+        sounded = pd.DataFrame({"t_gps_s": gps_from_unix(unix_s), "depth_m": depth_m})
+        sounded = sounded.assign(sentence="GPX", line=np.arange(1, len(sounded) + 1, dtype=np.int64))
+        sounded = sounded.reindex(columns=list(DEPTH.names))
+    if doubt := doubtful_date(t):
+        report.note(doubt)
+    return PositionLog(
+        report=report, positions=table.reindex(columns=list(GNSS_POSITION.names)), depths=sounded
+    )
