@@ -332,6 +332,12 @@ def test_each_solution_of_a_joined_file_keeps_its_own_scale_and_columns(tmp_path
     assert len(read_pos([write(tmp_path / "remark.pos", remark)]).positions) == 6
 
 
+def test_decimal_commas_are_read_as_such(tmp_path: Path) -> None:
+    points = read_pos([write(tmp_path / "a.pos", HEAD + LINE)]).positions
+    commas = read_pos([write(tmp_path / "b.pos", HEAD + LINE.replace(".", ","))]).positions
+    pd.testing.assert_frame_equal(commas, points)
+
+
 def test_each_baseline_keeps_the_base_of_its_own_header(tmp_path: Path) -> None:
     head = HEAD.replace(
         "latitude(deg) longitude(deg)  height(m)", "e-baseline(m) n-baseline(m) u-baseline(m)"

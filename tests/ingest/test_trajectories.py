@@ -285,3 +285,11 @@ def test_depths_zones_and_waypoints_of_gpx(tmp_path: Path, tag: str) -> None:
     notes = " ".join(log.report.notes)
     assert "2 times state no zone and are taken as UTC" in notes
     assert "1 waypoints" in notes
+
+
+def test_decimal_commas_are_read_as_such(tmp_path: Path) -> None:
+    path = write("tum", tmp_path / "poses.txt", "forward-left-up")
+    options = TrackOptions(**STATED, body_axes="forward-left-up")
+    expected = read_poses([path], None, options).states
+    path.write_text(path.read_text().replace(".", ","))
+    np.testing.assert_array_equal(read_poses([path], None, options).states["roll_rad"], expected["roll_rad"])

@@ -25,6 +25,12 @@ from thalweg.ingest.readers import LidarClock, LidarOptions, LidarScan, LogWindo
 PORT: Final = 7502
 """UDP port that an Ouster sends lidar packets to unless it is told another."""
 
+INSTALL: Final = (
+    ".venv/bin/python -m pip install --no-deps 'ouster-sdk>=1.0' 'rosbags<0.10' lz4 ruamel.yaml zstandard "
+    "more-itertools"
+)
+"""Beside the lock: what of the SDK's needs is read here; the others pin packages of Snakemake lower."""
+
 _TAI_MINUS_GPS_S: Final = 19.0
 _GPS_EPOCH_UNIX_S: Final = 315_964_800
 _SET_S: Final = 1e9
@@ -94,7 +100,7 @@ def _sdk() -> tuple[Any, Any]:
         raise UnsupportedError(
             f"a recording of an Ouster, and its reader is not installed ({error})",
             expected="ouster-sdk 1.0 or later",
-            cure="pip install 'thalweg[ouster]', in an environment of its own",
+            cure=f"Add it to this environment: {INSTALL}",
         ) from error
     return core, pcap
 

@@ -23,7 +23,7 @@ from thalweg.core import (
     gps_from_unix,
     utc_text_from_gps,
 )
-from thalweg.ingest import IntegrityReport, find_gaps
+from thalweg.ingest import IntegrityReport, doubtful_date, find_gaps
 
 # ---------------------------------------------------------------- walk through the records of a RINEX file:
 # which are whole, which are damaged or cut
@@ -441,6 +441,8 @@ def describe_rinex(path: Path) -> IntegrityReport:
             "time_system": scan.time_system,
             "codes": {key: " ".join(value) for key, value in scan.codes.items()},
         }
+        if doubt := doubtful_date(scan.t_gps_s):
+            report.note(doubt)
         if np.any(np.diff(scan.t_gps_s) <= 0):
             report.note("The epochs are not in order of time.")
         if scan.approx_ecef_m is None or not np.any(scan.approx_ecef_m):

@@ -150,7 +150,7 @@ def _is_inertial_explorer(head: bytes, size: int) -> bool:
 
 def _is_table(kind: str, head: bytes, size: int) -> bool:
     """True if the first lines hold nothing but the numbers of the format, with a rotation among them."""
-    from thalweg.ingest.tracks import named_order
+    from thalweg.ingest.tracks import decimal_points, named_order
 
     lines = [line for line in head.splitlines()[:20] if line.strip()]
     if size > len(head) and len(lines) > 1:
@@ -158,16 +158,14 @@ def _is_table(kind: str, head: bytes, size: int) -> bool:
     named = [order for line in lines if (order := named_order(line.decode("ascii", "replace")))]
     if named and not lines[0].startswith(b"#"):
         lines = lines[1:]
-    lines = [line for line in lines if not line.startswith(b"#")]
+    texts = [decimal_points(line.decode("ascii", "replace")) for line in lines if not line.startswith(b"#")]
     try:
-        rows = [
-            [float(cell) for cell in re.split(rb"[,;\s]+", line.strip(b",; \t\r"))] for line in lines[:10]
-        ]
+        rows = [[float(cell) for cell in re.split(r"[,;\s]+", text.strip(",; \t\r"))] for text in texts[:10]]
     except ValueError:
         return False
     if not rows or len({len(row) for row in rows}) > 1:
         return False
-    n, commas = len(rows[0]), b"," in lines[0]
+    n, commas = len(rows[0]), "," in texts[0]
     if kind == "kitti":
         return n == 12 and not commas and all(_is_unit(row[k : k + 3]) for row in rows for k in (0, 4, 8))
     if n < 8 or (named and max(named[0]) >= n):

@@ -35,6 +35,7 @@ from thalweg.ingest import (
     GNSS_POSITION,
     LAST_UNIX_S,
     IntegrityReport,
+    doubtful_date,
     find_gaps,
     repeated_rows,
     say_repeated,
@@ -118,6 +119,19 @@ def layout_from_header(header_lines: list[str], first_fields: list[str]) -> Layo
             guesses=() if bare[0] in ("GPST", "UTC", "JST") else ("times are taken as GPS time",),
         )
     return _guess(first_fields, calendar, geodetic)
+
+
+def decimal_points(line: str) -> str:
+    """A line of numbers with decimal commas between blanks or semicolons, with points.
+
+    Examples
+    --------
+    >>> decimal_points("0,5 51,25 13"), decimal_points("0.5, 51.25"), decimal_points("1,2,3")
+    ('0.5 51.25 13', '0.5, 51.25', '1,2,3')
+    """
+    words = line.split() if ";" not in line else line.split(";")
+    commas = "." not in line and len(words) > 1 and any(re.search(r"\d,\d", word) for word in words)
+    return line.replace(",", ".") if commas and all(word.count(",") <= 1 for word in words) else line
 
 
 def names_columns(line: str) -> bool:
@@ -257,6 +271,8 @@ def read_pos(files: Sequence[Path], ref_ecef_m: ArrayLike | None = None) -> PosL
     report.gaps = find_gaps(t)
     report.timing.describe_stamps(t)
     report.timing.unsynchronised_s = 0.0
+    if doubt := doubtful_date(t):
+        report.note(doubt)
     if np.any(step > 0):
         report.rates_hz = {"positions": 1.0 / float(np.median(step[step > 0]))}
     report.count("positions", len(positions))
@@ -290,7 +306,7 @@ def _read_one(
         rows: list[list[float]] = []
         first = 0
         for number, line in numbered:
-            fields = [f for f in SEPARATORS.split(line.strip()) if f]
+            fields = [f for f in SEPARATORS.split(decimal_points(line).strip()) if f]
             if layout is None and len(fields) >= 5:
                 layout = layout_from_header([h[1:] for h in heads], fields)
             row = _row(fields, layout) if layout is not None else None

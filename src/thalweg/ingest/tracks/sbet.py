@@ -40,6 +40,7 @@ from thalweg.ingest import (
     INS_STATE,
     NAVIGATION_INITIALISED,
     IntegrityReport,
+    doubtful_date,
     find_gaps,
     repeated_rows,
     say_repeated,
@@ -121,6 +122,8 @@ def read_sbet(
     report.gaps = find_gaps(t)
     report.timing.describe_stamps(t)
     report.timing.unsynchronised_s = 0.0
+    if doubt := doubtful_date(t):
+        report.note(doubt)
     report.note("An SBET states no GPS fix and no filter status: those columns are empty.")
     return SbetLog(states=states[list(INS_STATE.names)], report=report)
 

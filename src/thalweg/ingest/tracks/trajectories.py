@@ -56,6 +56,7 @@ from thalweg.ingest import (
     tell_time_scale,
     time_contradiction,
 )
+from thalweg.ingest.tracks.rtklib_pos import decimal_points
 
 COLUMNS: Final = {"tum": 8, "euroc": 8, "kitti": 12}
 """Numbers of a line that are read; EuRoC may hold velocities and biases behind."""
@@ -201,7 +202,7 @@ def _numbers(kind: str, path: Path, report: IntegrityReport) -> ArrayF:
         if not text or text.startswith("#") or named is not None:
             continue
         try:
-            row = [float(cell) for cell in re.split(r"[,;\s]+", text.strip(",; "))]
+            row = [float(cell) for cell in re.split(r"[,;\s]+", decimal_points(text).strip(",; "))]
         except ValueError:
             row = []
         exact = kind != "euroc"
@@ -506,7 +507,7 @@ def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
         )
     rows = []
     for number, line in enumerate(lines[first + 2 :], start=first + 3):
-        cells = line.split()
+        cells = decimal_points(line).split()
         if not cells:
             continue
         try:
