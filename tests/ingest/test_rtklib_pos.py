@@ -350,6 +350,13 @@ def test_each_baseline_keeps_the_base_of_its_own_header(tmp_path: Path) -> None:
     np.testing.assert_allclose(table["lat_deg"], [50.0, 51.0], atol=1e-9)
 
 
+def test_two_solutions_of_one_time_are_no_track(tmp_path: Path) -> None:
+    fixed = write(tmp_path / "fixed.pos", epochs(0, 10))
+    single = write(tmp_path / "single.pos", epochs(0, 10).replace("13.000000000", "13.000001000"))
+    with pytest.raises(InputError, match=r"10 epochs have other positions in single\.pos than in fixed\.pos"):
+        read_pos([fixed, single])
+
+
 @pytest.mark.parametrize("name", ["rover_events.pos", "camera.pos"])
 def test_times_of_events_are_no_part_of_the_track(tmp_path: Path, name: str) -> None:
     track = write(tmp_path / "rover.pos", epochs(0, 60))

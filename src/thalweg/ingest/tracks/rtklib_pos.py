@@ -235,7 +235,8 @@ def read_pos(files: Sequence[Path], ref_ecef_m: ArrayLike | None = None) -> PosL
 
     Raises
     ------
-    InputError : a file is missing, empty, no .pos file, or has no readable line; a baseline has no base.
+    InputError : a file is missing, empty, no .pos file, or has no readable line; a baseline has no base; two
+        files are solutions of the same time.
     """
     if not files:
         raise InputError("no .pos file given", expected="at least one file")
@@ -251,6 +252,7 @@ def read_pos(files: Sequence[Path], ref_ecef_m: ArrayLike | None = None) -> PosL
             f"{path.name} holds {n} times of events (pulses of a camera), whose positions were interpolated "
             "between the epochs: left out of the track."
         )
+    tracks = [path for path in files if path not in marks]
     tables = [table for path, table in zip(files, tables, strict=True) if path not in marks]
     if len(files) == 1 and _named_events(files[0]):
         report.note(
@@ -258,8 +260,10 @@ def read_pos(files: Sequence[Path], ref_ecef_m: ArrayLike | None = None) -> PosL
             "the epochs of a solution: no track."
         )
     positions = pd.concat(tables, ignore_index=True)
-    repeated = repeated_rows(positions, np.repeat(np.arange(len(tables)), [len(x) for x in tables]))
-    positions = positions[~repeated].reset_index(drop=True)
+    file = np.repeat(np.arange(len(tables)), [len(x) for x in tables])
+    repeated = repeated_rows(positions, file)
+    positions, file = positions[~repeated].reset_index(drop=True), file[~repeated]
+    _refuse_two_solutions(positions["t_gps_s"], file, tracks)
     say_repeated(report, "positions", int(repeated.sum()))
     t = positions["t_gps_s"].to_numpy()
     report.synchronised = True
@@ -279,6 +283,22 @@ def read_pos(files: Sequence[Path], ref_ecef_m: ArrayLike | None = None) -> PosL
     for fix, n in positions["fix"].value_counts().items():
         report.count(f"fix_{fix}", int(n))
     return PosLog(positions=positions, report=report, header=header)
+
+
+def _refuse_two_solutions(t_gps_s: pd.Series, file: AnyArray, files: Sequence[Path]) -> None:
+    """Raise InputError where two files hold other positions for most epochs of the shorter one."""
+    # the first file of an epoch and of each that comes after it
+    first = pd.Series(file).groupby(t_gps_s).transform("first").to_numpy()
+    for k in np.unique(file[file != first]):
+        for other in np.unique(first[(file == k) & (first != k)]):
+            n = int(((file == k) & (first == other)).sum())
+            if n > 0.5 * min((file == k).sum(), (file == other).sum()):
+                raise InputError(
+                    f"{n} epochs have other positions in {files[k].name} than in {files[other].name}",
+                    expected="one solution of each time",
+                    where=files[k],
+                    cure="Give one of both: those with more fixed positions",
+                )
 
 
 def _read_one(

@@ -117,7 +117,9 @@ def read_text_poses(kind: str, files: Sequence[Path], times: Path | None = None)
         R, position = T[:, :, :3], T[:, :, 3]
         wrong = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) > _ORTHONORMAL
         wrong |= np.linalg.det(R) < 0
-        t_s = _times(times, len(rows), where) if times is not None else np.full(len(rows), np.nan)
+        t_s = np.full(len(rows), np.nan)
+        if times is not None:
+            t_s = _seconds(_times(times, len(rows), where), kind, report)
     else:
         position, q_xyzw = rows[:, 1:4], rows[:, 4:8]
         wrong = np.abs(np.linalg.norm(q_xyzw, axis=1) - 1.0) > _ORTHONORMAL
