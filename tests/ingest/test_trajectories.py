@@ -277,11 +277,12 @@ POINT = (
 def test_depths_zones_and_waypoints_of_gpx(tmp_path: Path, tag: str) -> None:
     path = tmp_path / "track.gpx"
     points = [POINT.format(k=k, zone="" if k else "+02:00", tag=tag, depth=1.5 * k) for k in range(3)]
+    points += [POINT.format(k=3, zone="Z", tag=tag, depth=depth) for depth in ("-9999", "--")]
     path.write_text(GPX.format("".join(points)) + "</trkseg></trk></gpx>")
     log = read_gpx([path])
-    np.testing.assert_allclose(np.diff(log.positions["t_gps_s"]), [7201.0, 1.0])
+    np.testing.assert_allclose(np.diff(log.positions["t_gps_s"]), [7201.0, 1.0, 1.0, 0.0])
     assert log.depths["depth_m"].tolist() == [1.5, 3.0]
-    assert log.report.losses == {"depths_of_nothing": 1}
+    assert log.report.losses == {"depths_of_nothing": 3}
     notes = " ".join(log.report.notes)
     assert "2 times state no zone and are taken as UTC" in notes
     assert "1 waypoints" in notes

@@ -40,6 +40,7 @@ from thalweg.core import (
     parse_xml,
     roll_pitch_heading,
 )
+from thalweg.core.values import is_nothing
 from thalweg.ingest import (
     DEPTH,
     GNSS_POSITION,
@@ -610,7 +611,11 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
             root = parse_xml(data)
             others.update(tag for tag in ("wpt", "rtept") for _ in root.iterfind(f".//{{*}}{tag}"))
             for point in root.iterfind(".//{*}trkpt"):
-                told = {each.tag.split("}")[-1].lower(): (each.text or "").strip() for each in point.iter()}
+                # the point's own elements before those of its extensions
+                told = {
+                    each.tag.split("}")[-1].lower(): (each.text or "").strip()
+                    for each in (*point.iter(), *point)
+                }
                 if not told.get("time"):
                     report.lose("track_points_without_time")
                     continue
@@ -627,11 +632,8 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
                 place = float(point.attrib["lat"]), float(point.attrib["lon"])
                 rows.append((unix_s, *place, h, fix, int(told.get("sat", "-1"))))
                 # in the extensions of Garmin and others, whatever their namespace, metres
-                depth_m = float(told.get("depth") or told.get("waterdepth") or "nan")
-                if depth_m > 0:
-                    depths.append((unix_s, depth_m))
-                elif not np.isnan(depth_m):
-                    report.lose("depths_of_nothing")
+                if depth := told.get("depth") or told.get("waterdepth"):
+                    depths.append((unix_s, pd.to_numeric(depth, errors="coerce")))
         except (ParseError, KeyError, ValueError) as error:
             raise InputError(
                 f"no readable GPX ({error})",
@@ -674,8 +676,12 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
         )
     sounded = None
     if depths:
-        unix_s, depth_m = np.array(depths).T
-        report.count("depths", len(depths))
+        unix_s, depth_m = np.array(depths, dtype=np.float64).T
+        nothing = is_nothing(depth_m, "depth") | (depth_m < 0)
+        if nothing.any():
+            report.lose("depths_of_nothing", int(nothing.sum()))
+        unix_s, depth_m = unix_s[~nothing], depth_m[~nothing]
+        report.count("depths", depth_m.size)
         report.note("Depths stand in extensions of the track points: metres, taken as below the transducer.")
         sounded = pd.DataFrame({"t_gps_s": gps_from_unix(unix_s), "depth_m": depth_m})
         sounded = sounded.assign(sentence="GPX", line=np.arange(1, len(sounded) + 1, dtype=np.int64))
