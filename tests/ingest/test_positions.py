@@ -7,6 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.ingest.test_rinex import obs_3
+from thalweg.cli import main
 from thalweg.core import InputError, gps_from_unix, write_table
 from thalweg.ingest import GNSS_POSITION, INS_STATE
 from thalweg.ingest.registry import choose_tracks, read_positions, recognise
@@ -67,6 +69,22 @@ def test_of_tracks_of_the_same_time_the_best_is_taken(tmp_path: Path) -> None:
     kept, left = choose_tracks([single, fixed, later])
     assert kept == [fixed, later]
     assert left == {single: "of the same time as rover.pos, which has more fixed positions"}
+
+
+def test_a_new_campaign_says_which_track_it_takes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    line = "2021/05/12 08:31:{t:06.3f} 51.05 {lon:.9f} 300.0 1 12 .02 .02 .03\n"
+    for name, first, n in (("rover.pos", 0.0, 20), ("rover_events.pos", 3.4, 3)):
+        times = [first + k * (1 if n > 3 else 5) for k in range(n)]
+        (logs / name).write_text("".join(line.format(t=t, lon=13.25 + 1e-5 * t) for t in times))
+    (logs / "rover.obs").write_text(obs_3())
+    assert main(["new-campaign", "mine", "--from-logs", str(logs), "--folder", str(tmp_path)]) == 0
+    text = (tmp_path / "mine.yaml").read_text()
+    assert "positions: [logs/rover.pos]" in text
+    assert "# left out, 3 times of events, interpolated on a track: rover_events.pos" in text
+    assert "# the finished solution is taken; ppk would solve the raw GNSS beside it instead" in text
+    assert "taken before the raw GNSS beside it" in capsys.readouterr().err
 
 
 @pytest.mark.real
