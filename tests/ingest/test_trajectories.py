@@ -230,16 +230,18 @@ CORR_TIME = (
     [
         ("MDY", "6/12/2024", 295_218.0, gps_from_week(2318, 295_218.0)),
         ("DMY", "12/06/2024", 295_218.0, gps_from_week(2318, 295_218.0)),
+        ("MDY", "06/12/2024", "10:00:18.00", gps_from_week(2318, 295_218.0)),
         ("YMD", "2024-06-09", 10.0, gps_from_week(2318, 10.0)),
         # the date is of UTC, 18 s behind GPS time
         ("MDY", "6/8/2024", 10.0, gps_from_week(2318, 10.0)),
     ],
 )
 def test_inertial_explorer_with_date_and_corrected_time(
-    tmp_path: Path, date: str, day: str, tow: float, t_gps_s: float
+    tmp_path: Path, date: str, day: str, tow: float | str, t_gps_s: float
 ) -> None:
     path = tmp_path / "export.txt"
-    path.write_text(CORR_TIME.format(date=date, day=day, tow=tow))
+    text = CORR_TIME.format(date=date, day=day, tow=tow)
+    path.write_text(text.replace("(sec)", "(HMS)") if isinstance(tow, str) else text)
     with pytest.raises(InputError, match=r"no standard deviations: SDEast.*sigma_position_m"):
         read_poses([path], "sbet", TrackOptions())
     first = read_poses([path], "sbet", TrackOptions(sigma_position_m=0.05)).states.iloc[0]

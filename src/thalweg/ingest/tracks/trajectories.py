@@ -500,6 +500,14 @@ def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
         if known is not None and known not in at:
             at[known] = (place, parts, unit)
         place += parts
+    of_day = "tow" in at and "H" in at["tow"][2].upper()  # hours, minutes, seconds
+    if of_day and "date" not in at:
+        raise InputError(
+            "times of the day without a date",
+            expected="a column Date, or seconds of the GPS week",
+            where=path,
+            cure="Add one of them to the export profile",
+        )
     lacking = [_ALIASES[name][0] for name in _NEEDED if name not in at]
     if lacking:
         raise InputError(
@@ -514,6 +522,9 @@ def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
         if not cells:
             continue
         try:
+            if of_day:
+                hour, minute, second = cells[at["tow"][0]].split(":")
+                cells[at["tow"][0]] = str(int(hour) * 3600 + int(minute) * 60 + float(second))
             if "date" in at:
                 cells[at["date"][0]] = _day(cells[at["date"][0]], at["date"][2])
             rows.append([float(cell) for cell in cells[:place]])
@@ -554,7 +565,9 @@ def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
                 f"unit '{unit}' of {_ALIASES[name][0]}", expected="m, m/s", where=path, cure="Export metres"
             )
         columns[name] = values
-    if "date" in columns and "week" not in columns:
+    if of_day:
+        columns["tow"], columns["week"] = columns["tow"] + columns["date"] * DAY_S, np.zeros(len(table))
+    elif "date" in columns and "week" not in columns:
         # noon of the date less the seconds of the week is the week's begin, half a day off at most
         begin = (columns.pop("date") + 0.5) * DAY_S - columns["tow"]
         columns["week"] = np.rint(begin / WEEK_S)
