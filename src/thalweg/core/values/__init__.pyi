@@ -1,4 +1,13 @@
 from .nothing import NOTHING as NOTHING, WORDS as WORDS, is_nothing as is_nothing
+from .places import (
+    FORMS as FORMS,
+    check_degrees as check_degrees,
+    check_places as check_places,
+    in_words as in_words,
+    near as near,
+    readings as readings,
+    utm_of as utm_of,
+)
 from .units import (
     FATHOM as FATHOM,
     FOOT as FOOT,
