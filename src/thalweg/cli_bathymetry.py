@@ -13,14 +13,38 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
         "table",
         type=Path,
         metavar="TABLE",
-        help="soundings: CSV with east, north (or x, y), text x y z, GeoJSON points",
+        help="soundings: any text with columns, in degrees or in metres, or points of a GIS",
     )
     bed.add_argument(
-        "--crs", required=True, metavar="EPSG:...", help="coordinate system of the table, projected, metres"
+        "--crs",
+        metavar="EPSG:...",
+        help="coordinate system of the map, projected; a table in degrees needs none (its zone of UTM)",
     )
-    value = bed.add_mutually_exclusive_group(required=True)
-    value.add_argument("--height", metavar="COLUMN", help="column with heights of the bed, metres")
-    value.add_argument("--depth", metavar="COLUMN", help="column with depths below the water, metres")
+    value = bed.add_mutually_exclusive_group()
+    value.add_argument("--height", metavar="COLUMN", help="column with heights of the bed (default: by name)")
+    value.add_argument("--depth", metavar="COLUMN", help="column with depths below the water, likewise")
+    bed.add_argument(
+        "--columns",
+        type=lambda text: text.split(","),
+        metavar="NAMES",
+        help="names of the columns in their order, where the table has none: lat,lon,depth_ft,-,time",
+    )
+    bed.add_argument(
+        "--missing",
+        type=float,
+        action="append",
+        default=[],
+        metavar="VALUE",
+        help="value that stands for none, beside the usual ones such as -9999 and, of a depth, 0",
+    )
+    bed.add_argument(
+        "--valid",
+        type=float,
+        action="append",
+        default=[],
+        metavar="VALUE",
+        help="value that is meant although it usually stands for none, such as 0",
+    )
     bed.add_argument("--level", type=float, metavar="M", help="height of the water level; 0 with --depth")
     bed.add_argument(
         "--line", metavar="COLUMN", help="column with the name of the survey line (default: detected)"
@@ -38,8 +62,16 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
         help="columns east, north, in downstream order (default: from banks or soundings)",
     )
     bed.add_argument("--islands", type=Path, metavar="GEOJSON", help="polygons of islands, which are no bed")
-    bed.add_argument("--cell", type=_positive, required=True, metavar="M", help="cell size of the grid")
-    bed.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the results")
+    bed.add_argument(
+        "--cell", type=_positive, metavar="M", help="cell size of the grid (default: by the soundings)"
+    )
+    bed.add_argument(
+        "--out",
+        type=Path,
+        default=Path("bed"),
+        metavar="FOLDER",
+        help="folder of the results (default: %(default)s)",
+    )
     bed.add_argument(
         "--sigma",
         type=_positive,
@@ -242,17 +274,30 @@ def _bed(options: argparse.Namespace) -> int:
         read_islands,
         read_line,
         read_soundings,
+        usual_cell_m,
     )
     from thalweg.core import ConfigError
     from thalweg.figures import save
     from thalweg.figures.bathymetry import bed_picture
     from thalweg.settings.sections import Bathymetry
 
-    crs = map_crs(options.crs)
+    soundings = read_soundings(
+        options.table,
+        None if options.crs is None else map_crs(options.crs),
+        column=options.depth or options.height,
+        depth=None if options.depth is options.height is None else options.depth is not None,
+        level_m=options.level,
+        line_column=options.line,
+        sigma_m=options.sigma,
+        order=options.columns,
+        nothing=options.missing,
+        keep=options.valid,
+    )
+    crs = soundings.crs
     try:
         settings = Bathymetry(
             islands=[] if options.islands is None else read_islands(options.islands, crs),
-            cell_m=options.cell,
+            cell_m=options.cell or usual_cell_m(soundings.places_m),
             model=options.model,
             drift=options.drift,
             neighbours=options.neighbours,
@@ -262,15 +307,6 @@ def _bed(options: argparse.Namespace) -> int:
         raise ConfigError(
             "; ".join(f"{e['loc'][-1] if e['loc'] else ''}: {e['msg']}" for e in error.errors())
         ) from error
-    soundings = read_soundings(
-        options.table,
-        crs,
-        column=options.depth or options.height,
-        depth=options.depth is not None,
-        level_m=options.level,
-        line_column=options.line,
-        sigma_m=options.sigma,
-    )
     line = None if options.centre_line is None else read_line(options.centre_line, crs)
     banks = (
         None
@@ -280,7 +316,7 @@ def _bed(options: argparse.Namespace) -> int:
         )
     )
     found = bed_of_table(soundings, crs, settings, line=line, banks=banks)
-    relative = options.depth is not None and options.level is None
+    relative = soundings.depth and options.level is None
     found.write(
         options.out,
         {"heights": "above the water surface, metres" if relative else f"of {options.table.name}, metres"},
@@ -304,6 +340,7 @@ def _bed(options: argparse.Namespace) -> int:
         f"mean of squared error over variance {of['normalised_square']:.2f}, "
         f"{of['outside_95']:.1%} outside their 95 % interval"
     )
+    print(f"  {soundings.crs.name}, cells of {settings.cell_m:g} m")
     for note in found.notes:
         print(f"note: {note}")
     print(f"Wrote {options.out}/bed.tif, bed.png, validation.json, methods.csv, centre_line.csv")
@@ -312,17 +349,20 @@ def _bed(options: argparse.Namespace) -> int:
 
 def _flow(options: argparse.Namespace) -> int:
     import numpy as np
-    from pyproj import CRS
+    import pandas as pd
 
     from thalweg.bathymetry import read_line, read_places
 
     line = read_line(options.centre_line)
-    # any system in metres does: only GeoJSON is transformed
-    table, places = read_places(options.points, CRS.from_epsg(32633))
+    table, found = read_places(options.points, None, any_system=True)
+    places = found.xy_m
     known = np.isfinite(places).all(axis=1)
     s, n, fold = np.full(len(places), np.nan), np.full(len(places), np.nan), np.ones(len(places), dtype=bool)
     s[known], n[known], fold[known] = line.to_flow(places[known])
-    table.assign(s_m=s, n_m=n, fold=fold).to_csv(options.out, index=False, float_format="%.6f")
+    columns = {c.name: table.text(k) for k, c in enumerate(table.columns)}
+    pd.DataFrame(columns | {"s_m": s, "n_m": n, "fold": fold}).to_csv(
+        options.out, index=False, float_format="%.6f"
+    )
     print(f"{len(table):,} places, {int(fold.sum()):,} beyond the ends or where perpendiculars meet")
     if not known.all():
         print(f"note: {int((~known).sum()):,} rows without coordinates")

@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from pyproj import CRS
-from tests.conftest import check_whole
 
+from tests.conftest import check_whole
 from thalweg import core
 from thalweg.bathymetry import (
     OBSERVATIONS,

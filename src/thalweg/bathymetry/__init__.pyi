@@ -55,6 +55,7 @@ from .tables import (
     read_other_soundings as read_other_soundings,
     read_places as read_places,
     read_soundings as read_soundings,
+    usual_cell_m as usual_cell_m,
 )
 from .through_water import correct_refraction as correct_refraction, read_columns as read_columns
 from .validation import measures as measures, methods as methods, validate_bed as validate_bed

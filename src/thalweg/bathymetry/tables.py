@@ -4,9 +4,7 @@ Heights stay in the table's own vertical system. Without a centre line, one is l
 lines of soundings (sections, zigzag), or along the longest of them where they run down the river.
 """
 
-import csv
 import json
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,21 +37,12 @@ from thalweg.core import (
     read_raster,
     write_raster,
 )
+from thalweg.core.values import check_places, utm_of
+from thalweg.ingest import Places, Table, read_text_table
 from thalweg.settings.sections import Bathymetry
 
-_FEET: Final = re.compile(r"(^|[_ (\[])(ft|foot|feet)\b", re.IGNORECASE)
-"""Names of columns that are not in metres."""
 _DROWNED_M: Final = 0.5
 """Bank lines stand at the water's edge: heights this far below the level are those of another water."""
-_NAMES: Final = (
-    ("east_m", "north_m"),
-    ("east", "north"),
-    ("easting", "northing"),
-    ("e", "n"),
-    ("x_m", "y_m"),
-    ("x", "y"),
-)
-"""Names of the coordinates of a table, in any case."""
 _BREAK: Final = 8.0
 """A step this many times the usual one ends a line of soundings."""
 _TURN_DEG: Final = 45.0
@@ -99,64 +88,42 @@ def map_crs(text: str) -> CRS:
     return crs
 
 
-def read_places(path: Path, crs: CRS) -> tuple[pd.DataFrame, ArrayF]:
-    """A table of places: CSV with names, text of x y z without, GeoJSON of points.
+def read_places(
+    path: Path, crs: CRS | None, *, order: Sequence[str] | None = None, any_system: bool = False
+) -> tuple[Table, Places]:
+    """A table of places: text with names of columns, x y z without, or points of a GIS.
 
-    Returns
-    -------
-    table : its columns as they are; of text without names x, y, z; of GeoJSON its properties.
-    places_m : (n, 2) east and north.
+    Parameters
+    ----------
+    path : see `thalweg.ingest.read_text_table`.
+    crs, any_system : of the map, see `thalweg.ingest.Table.places`.
+    order : names of the columns, stated by a user.
 
     Raises
     ------
     InputError : no such file, no table, no coordinates.
     """
-    if path.suffix.lower() in {".geojson", ".json"}:
-        features, source = _features(path)
-        points = [f for f in features if (f.get("geometry") or {}).get("type") == "Point"]
-        if not points:
-            raise InputError(
-                "no points",
-                where=path,
-                expected="GeoJSON of points",
-                cure="Export soundings as points, not as lines",
-            )
-        table = pd.DataFrame([f.get("properties") or {} for f in points])
-        at = [f["geometry"]["coordinates"] for f in points]
-        if "z" not in table and all(len(c) > 2 for c in at):
-            table["z"] = [c[2] for c in at]
-        return table, _on_map(np.array([c[:2] for c in at], dtype=np.float64), source, crs, path)
-    try:
-        with path.open() as file:
-            first = file.readline()
-        bare = bool(first.strip()) and all(_is_number(w) for w in first.replace(",", " ").split())
-        table = pd.read_csv(
-            path,
-            sep=None,
-            engine="python",
-            comment="#",
-            skipinitialspace=True,
-            header=None if bare else "infer",
-        )
-    except (UnicodeDecodeError, ValueError, csv.Error) as error:
+    if path.suffix.lower() not in {".geojson", ".json"}:
+        table = read_text_table(path, order=order, bare=("x", "y", "z"))
+        return table, table.places(crs, any_system=any_system)
+    features, source = _features(path)
+    points = [f for f in features if (f.get("geometry") or {}).get("type") == "Point"]
+    if not points:
         raise InputError(
-            f"{error}",
+            "no points",
             where=path,
-            expected="CSV with a line of names, x y z text, or GeoJSON",
-            cure="Look whether the file holds a table, and whether its text is UTF-8",
-        ) from error
-    if bare:
-        table.columns = pd.Index([*"xyz", *(f"column_{k}" for k in range(4, 100))][: table.shape[1]])
-    names = {str(c).strip().lower(): c for c in table.columns}
-    for pair in _NAMES:
-        if set(pair) <= set(names):
-            xy = table[[names[k] for k in pair]].apply(pd.to_numeric, errors="coerce")
-            return table, xy.to_numpy(np.float64)
-    raise InputError(
-        f"columns {', '.join(map(str, table.columns))}",
-        where=path,
-        expected="coordinates: " + "; ".join(f"{a}, {b}" for a, b in _NAMES),
-    )
+            expected="GeoJSON of points",
+            cure="Export soundings as points, not as lines",
+        )
+    frame = pd.DataFrame([f.get("properties") or {} for f in points])
+    at = [f["geometry"]["coordinates"] for f in points]
+    if "z" not in frame and all(len(c) > 2 for c in at):
+        frame["z"] = [c[2] for c in at]
+    xy = np.array([c[:2] for c in at], dtype=np.float64)
+    if source is None and len(xy) and (np.abs(xy) <= [180.0, 90.0]).all():
+        source = CRS.from_epsg(4326)
+    on = crs or (utm_of(xy[:, 0], xy[:, 1]) if source is not None and source.is_geographic else source)
+    return Table.of(frame, path), Places(_on_map(xy, source, on, path), on, [])
 
 
 def read_line(path: Path, crs: CRS | None = None) -> FlowLine:
@@ -174,14 +141,8 @@ def read_line(path: Path, crs: CRS | None = None) -> FlowLine:
             raise InputError(f"{len(parts)} lines", where=path, expected="one centre line")
         xy = parts[0][:, :2]
         return FlowLine.through(_on_map(xy, source, crs, path) if crs is not None else xy)
-    if not path.is_file():
-        raise InputError(
-            "no such file",
-            where=path,
-            expected="a centre line as CSV: east_m, north_m",
-            cure="Check the path, or leave it out: the line then follows from banks or soundings",
-        )
-    return FlowLine.through(read_places(path, crs or CRS.from_epsg(32633))[1])
+    places = read_places(path, crs, any_system=True)[1].xy_m
+    return FlowLine.through(places[np.isfinite(places).all(axis=1)])
 
 
 def read_islands(path: Path, crs: CRS) -> list[list[tuple[float, float]]]:
@@ -201,14 +162,6 @@ def read_islands(path: Path, crs: CRS) -> list[list[tuple[float, float]]]:
     if not outlines:
         raise InputError("no polygon", where=path, expected="islands as polygons")
     return outlines
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def _features(path: Path) -> tuple[list[dict[str, Any]], CRS | None]:
@@ -275,7 +228,10 @@ class TableOfSoundings:
     places_m : (n, 2) east and north.
     height_m, sigma_m : (n,) and their noise.
     line : (n,) number of the line.
-    counts : rows read, without number, repeated, repeated and different.
+    counts : rows read, repeated, repeated and different.
+    crs : of the map.
+    column, depth : name of the column of values, and whether they are depths.
+    notes : what was converted, assumed and left out.
     """
 
     places_m: ArrayF
@@ -283,57 +239,62 @@ class TableOfSoundings:
     sigma_m: ArrayF
     line: ArrayI
     counts: dict[str, int]
+    crs: CRS
+    column: str
+    depth: bool
+    notes: tuple[str, ...] = ()
 
 
 def read_soundings(
     path: Path,
-    crs: CRS,
+    crs: CRS | None,
     *,
-    column: str,
-    depth: bool,
+    column: str | None,
+    depth: bool | None,
     level_m: float | None,
     line_column: str | None,
     sigma_m: float,
+    order: Sequence[str] | None = None,
+    nothing: Sequence[float] = (),
+    keep: Sequence[float] = (),
 ) -> TableOfSoundings:
     """Soundings of a table.
 
     Parameters
     ----------
-    path, crs : see `read_places`.
-    column : of heights, or of depths below ``level_m`` (0 where none is stated).
+    path, crs, order : see `read_places`.
+    column : of heights, or of depths below ``level_m`` (0 where none is stated); None: as the names tell.
+    depth : whether its values are depths; None: as its name tells.
+    nothing, keep : values that stand for none beside the usual ones, and such of them that are meant.
     line_column : numbers or names of lines; None: from the course, or from clusters.
     sigma_m : noise of a height, where the table has no column ``sigma`` or ``sigma_m``.
 
     Raises
     ------
-    InputError : no such column; depths that are heights or the other way round; fewer than four soundings;
-        all in one place or on one straight line.
+    InputError : no such column, or none that says whether it holds depths; depths that are heights or the
+        other way round; places that the map does not have; fewer than four soundings; all in one place or on
+        one straight line.
     """
-    table, places = read_places(path, crs)
-    missing = {c for c in (column, line_column) if c is not None} - set(table.columns)
-    if missing:
-        raise InputError(
-            f"no column {', '.join(sorted(missing))}",
-            where=path,
-            expected=f"one of {', '.join(map(str, table.columns))}",
-            cure="Name one of these as --height or --depth, and as --line",
-        )
-    if _FEET.search(column):
-        raise InputError(
-            f"column {column}, by its name in feet",
-            where=path,
-            expected="metres",
-            cure="Multiply it by 0.3048 and name it otherwise",
-        )
-    value = pd.to_numeric(table[column], errors="coerce").to_numpy(np.float64)
-    own = next((n for n in ("sigma_m", "sigma") if n in table), None)
-    sigma = (
-        np.full(len(table), sigma_m)
-        if own is None
-        else pd.to_numeric(table[own], errors="coerce").to_numpy(np.float64)
-    )
+    table, found = read_places(path, crs, order=order)
+    assert found.crs is not None
+    k, depth = _column_of_values(table, column, depth)
+    column, places = table.columns[k].name, found.xy_m
+    value = table.numbers(k, "depth" if depth else "height", nothing=nothing, keep=keep)
+    at_sigma = table.find("sigma")
+    sigma = np.full(len(table), sigma_m) if at_sigma is None else table.numbers(at_sigma, "sigma")
     known = np.isfinite(value) & np.isfinite(places).all(axis=1) & np.isfinite(sigma) & (sigma > 0)
-    counts = {"rows": len(table), "without a number": int((~known).sum())}
+    counts = {"rows": len(table)}
+    notes = [*table.notes, *found.notes, *table.unit_notes(k), *table.loss_notes()]
+    if known.any():
+        notes.append(
+            check_places(
+                places[known],
+                found.crs,
+                where=path,
+                height_m=-value[known] if depth else value[known],
+                cure="--crs",
+            )
+        )
     if depth and known.any() and np.mean(value[known] < 0) > 0.5:
         raise InputError(
             f"{np.mean(value[known] < 0):.0%} of the depths in {column} are negative",
@@ -353,7 +314,8 @@ def read_soundings(
     if line_column is None:
         line = _lines_by_place(places[known])
     else:
-        line = pd.factorize(table[line_column].to_numpy()[known])[0].astype(np.int64)
+        names = np.array(table.text(table.column(line_column)))[known]
+        line = pd.factorize(names)[0].astype(np.int64)
     of = pd.DataFrame(
         {
             "x": np.round(places[known, 0], 3),
@@ -397,7 +359,38 @@ def read_soundings(
         sigma_m=np.sqrt(of["v"].to_numpy(np.float64)),
         line=of["line"].to_numpy(np.int64),
         counts=counts,
+        crs=found.crs,
+        column=column,
+        depth=depth,
+        notes=tuple(notes),
     )
+
+
+def _column_of_values(table: Table, column: str | None, depth: bool | None) -> tuple[int, bool]:
+    """Place of the column of depths or heights, and which of both it holds."""
+    if column is None:
+        found = {q: k for q in ("depth", "height") if (k := table.find(q)) is not None}
+        if len(found) != 1:
+            raise InputError(
+                f"columns {table.listed()}",
+                where=table.path,
+                expected="one column of depths or of heights by its name",
+                cure="Name it: --depth COLUMN, or --height COLUMN",
+            )
+        return next(iter(found.values())), "depth" in found
+    k = table.column(column)
+    words = table.columns[k].words.split("_")
+    says = "depth" if "depth" in words else "height" if {"height", "elevation", "altitude"} & {*words} else ""
+    if depth is None:
+        depth = says == "depth"
+    elif says and depth != (says == "depth"):
+        raise InputError(
+            f"column {table.columns[k].name} holds {says}s by its name",
+            where=table.path,
+            expected="depths" if depth else "heights",
+            cure=f"Use --{says} {table.columns[k].name}, or name the column otherwise",
+        )
+    return k, depth
 
 
 def read_other_soundings(
@@ -456,6 +449,14 @@ def read_other_soundings(
         )
         first = int(parts[-1]["line"].max()) + 1
     return pd.concat(parts, ignore_index=True)
+
+
+def usual_cell_m(places_m: ArrayF) -> float:
+    """Cells as wide as soundings lie apart, in steps of 1, 2 and 5, and at most half a million of them."""
+    near = np.asarray(cKDTree(places_m).query(places_m, k=2)[0])[:, 1]
+    least = float(np.sqrt(np.prod(np.ptp(places_m, axis=0)) / 5e5))
+    wanted = max(float(np.median(near)), least, 0.1)
+    return float(min(s for s in (a * 10.0**k for k in range(-1, 5) for a in (1, 2, 5)) if s >= 0.99 * wanted))
 
 
 def _lines_by_place(xy: ArrayF) -> ArrayI:
@@ -804,7 +805,10 @@ def bed_of_table(
     GeometryError : a single line of soundings.
     CoverageError : no cell near enough to data.
     """
-    notes = [f"{n:,} {what}" for what, n in soundings.counts.items() if what != "rows" and n]
+    notes = [
+        *soundings.notes,
+        *(f"{n:,} {what}" for what, n in soundings.counts.items() if what != "rows" and n),
+    ]
     if line is None:
         line = (
             banks[0].line
@@ -981,18 +985,13 @@ def _reference_points(path: Path, crs: CRS, settings: Bathymetry) -> tuple[Array
             )
         xyz = np.concatenate([chunk["xyz_m"] for chunk in iter_laz(path)])
         return xyz[:, :2], xyz[:, 2], np.full(len(xyz), stated)
-    table, places = read_places(path, crs)
-    column = next((c for c in (settings.table.column, "h_ell_m") if c in table), None)
-    if column is None:
-        raise InputError(
-            f"no column {settings.table.column}",
-            where=path,
-            expected=", ".join(map(str, table.columns)),
-            cure="State bathymetry.table.column",
-        )
-    value = pd.to_numeric(table[column], errors="coerce").to_numpy(np.float64)
-    own = table.get("sigma_m", table.get("sigma", pd.Series(stated, table.index)))
-    sigma = pd.to_numeric(own, errors="coerce").fillna(stated).to_numpy(np.float64)
+    table, found = read_places(path, crs)
+    places = found.xy_m
+    k = table.find("height")
+    value = table.numbers(table.column(settings.table.column) if k is None else k, "height")
+    own = table.find("sigma")
+    sigma = np.full(len(table), stated) if own is None else table.numbers(own, "sigma")
+    sigma = np.where(np.isfinite(sigma), sigma, stated)
     known = np.isfinite(value) & np.isfinite(places).all(axis=1)
     return places[known], value[known], sigma[known]
 

@@ -45,3 +45,12 @@ from .stamps import (
     possible_unix as possible_unix,
     weighted_median as weighted_median,
 )
+from .tables import (
+    NAMES as NAMES,
+    Column as Column,
+    Places as Places,
+    Table as Table,
+    column_of as column_of,
+    read_text as read_text,
+    read_text_table as read_text_table,
+)

@@ -81,7 +81,7 @@ def check_places(
         wrong, or heights of no ground; the message names the reading that would fit.
     """
     if not len(xy_m):
-        raise InputError("no place", where=where, expected="coordinates")
+        raise InputError("no place", where=where, expected="coordinates", cure="Look at their columns")
     if height_m is not None:
         known = height_m[np.isfinite(height_m)]
         strange = (known < LOWEST_M) | (known > HIGHEST_M)
