@@ -142,7 +142,10 @@ def read_line(path: Path, crs: CRS | None = None) -> FlowLine:
         xy = parts[0][:, :2]
         return FlowLine.through(_on_map(xy, source, crs, path) if crs is not None else xy)
     places = read_places(path, crs, any_system=True)[1].xy_m
-    return FlowLine.through(places[np.isfinite(places).all(axis=1)])
+    places = places[np.isfinite(places).all(axis=1)]
+    if crs is not None:
+        check_places(places, crs, where=path, cure="--crs")
+    return FlowLine.through(places)
 
 
 def read_islands(path: Path, crs: CRS) -> list[list[tuple[float, float]]]:

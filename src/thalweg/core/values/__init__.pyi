@@ -4,9 +4,10 @@ from .places import (
     check_degrees as check_degrees,
     check_places as check_places,
     in_words as in_words,
-    near as near,
+    near_world as near_world,
     readings as readings,
     utm_of as utm_of,
+    world_of as world_of,
 )
 from .units import (
     FATHOM as FATHOM,
