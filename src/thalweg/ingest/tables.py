@@ -27,7 +27,18 @@ import pandas as pd
 from pyproj import CRS, Transformer
 
 from thalweg.core import ArrayB, ArrayF, ArrayI, InputError
-from thalweg.core.values import METRE, NOTHING, WORDS, Unit, in_words, is_nothing, unit_of_word, utm_of
+from thalweg.core.values import (
+    METRE,
+    NOTHING,
+    WORDS,
+    Unit,
+    check_places,
+    in_words,
+    is_nothing,
+    unit_of_word,
+    utm_of,
+)
+from thalweg.ingest.stamps import possible_unix
 
 # ---------------------------------------------------------------- names of columns
 
@@ -80,6 +91,8 @@ _VALUE: Final = re.compile(
     r"|[NSEWnsew]?\s*[-+]?\d{1,3}[°:d ].*"  # angle
 )
 """A cell that holds a value rather than a name."""
+_DAY: Final = r"^(\d{1,2})([./-])(\d{1,2})[./-](\d{4}|\d\d)(.*)$"
+"""A day before its month, or the other way round, and what stands behind."""
 _ANGLE: Final = re.compile(
     r"\s*([NSEW])?\s*([-+−]?\d+(?:[.,]\d+)?)\s*(?:[°d:\s]\s*(\d+(?:[.,]\d+)?)\s*(?:['′m:\s]\s*(\d+(?:[.,]\d+)?)\s*(?:''|\"|″|s)?)?)?"
     r"\s*['′°]?\s*([NSEW])?\s*",
@@ -156,6 +169,13 @@ def read_text(path: Path) -> tuple[str, list[str]]:
             cure="Save the sheet as CSV (UTF-8)",
         )
     notes: list[str] = []
+    if data[:400].lstrip().lower().startswith((b"ncols", b"dsaa", b"nrows")):
+        raise InputError(
+            "a grid as text (Esri, Surfer)",
+            expected="a table with a row for each point",
+            where=path,
+            cure="Convert it to GeoTIFF: gdal_translate FILE FILE.tif",
+        )
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         text = data.decode("utf-16", "replace")
     else:
@@ -426,6 +446,7 @@ class Table:
                         expected=f"places in {on.name}",
                         cure="State the --crs of the river, or leave it out",
                     )
+                check_places(np.column_stack([lon, lat])[known], on, where=self.path, degrees=True)
                 return Places(xy, on, notes)
         e, n = (self.find(q) for q in ("east", "north"))
         assert e is not None
@@ -498,6 +519,60 @@ class Table:
                 else "Look at the order of the columns: latitude and longitude may be exchanged",
             )
         return values
+
+    # -------------------------------- times
+
+    def times(self) -> tuple[ArrayF, list[str]] | None:
+        """Unix time (n,) of each row, NaN where there is none, and what was assumed; None without a date.
+
+        Read are ISO 8601 and days with points (day first) or slashes, where the whole file tells which number
+        is the month, in one column or in a date and a time; and numbers since 1970 in s, ms, us or ns.
+        Without a stated zone times count as UTC.
+
+        Raises
+        ------
+        InputError : days and months that may be exchanged.
+        """
+        date, time = self.find("date"), self.find("time")
+        parts = [pd.Series(self.text(k)) for k in (date, time) if k is not None]
+        if not parts:
+            return None
+        text = parts[0] if len(parts) == 1 else parts[0].str.cat(parts[1], sep=" ")
+        number = pd.to_numeric(text, errors="coerce").to_numpy(np.float64)
+        if np.isfinite(number).mean() > 0.5:
+            size = float(np.nanmedian(np.abs(number)))
+            scale = next((s for s in (1.0, 1e3, 1e6, 1e9) if possible_unix(size / s)), None)
+            if scale is None:
+                return None
+            unit = {1.0: "seconds", 1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}[scale]
+            return number / scale, [f"times taken as {unit} since 1970 (UTC)"]
+        found = text.str.extract(_DAY)
+        if found[0].notna().mean() > 0.5:
+            text = self._iso(text, found)
+        moment = pd.to_datetime(text.str.replace(" ", "T", n=1), format="ISO8601", utc=True, errors="coerce")
+        if not moment.notna().any():
+            return None
+        bare = not text.str.contains(r"(?:Z|[+-]\d\d:?\d\d)$", regex=True).any()
+        unix = moment.to_numpy("datetime64[ns]").astype(np.int64) / 1e9
+        unix = np.where(moment.notna() & possible_unix(unix), unix, np.nan)
+        return unix, ["times state no zone: taken as UTC"] if bare else []
+
+    def _iso(self, text: "pd.Series[str]", found: pd.DataFrame) -> "pd.Series[str]":
+        """Times with year, month and day in the order of ISO 8601."""
+        a, b = (pd.to_numeric(found[k], errors="coerce") for k in (0, 2))
+        point = (found[1] == ".").any()
+        if not point and a.max() <= 12 and b.max() <= 12 and not (a == b).all():
+            raise InputError(
+                f"dates such as {text.iloc[0]}",
+                where=self.path,
+                expected="a day that tells it from the month, or year-month-day",
+                cure="Write the dates as 2024-06-12, or leave the column out",
+            )
+        day, month = (a, b) if point or a.max() > 12 else (b, a)
+        year = pd.to_numeric(found[3], errors="coerce")
+        year = year.where(year > 99, year + 2000)
+        iso = [f"{y:04.0f}-{m:02.0f}-{d:02.0f}" for y, m, d in zip(year, month, day, strict=True)]
+        return pd.Series(iso).str.cat(found[4].fillna("").str.strip(" ,T"), sep=" ").str.strip()
 
     # -------------------------------- rows as texts
 
@@ -889,7 +964,7 @@ def _marks(table: Table, separator: str) -> tuple[str, str]:
             if separator == "," and mark == "," and not cells.str.contains(",", regex=False).any():
                 continue
             m, o = re.escape(mark), re.escape(other)
-            hits = cells[cells.str.fullmatch(rf"[-+−]?\d+{m}\d+").fillna(False).astype(bool)]
+            hits = cells[cells.str.fullmatch(rf"[-+−]?\d+{m}\d+(?:[eE][-+]?\d+)?").fillna(False).astype(bool)]
             if len(hits):
                 comma, point = (column.name, point) if mark == "," else (comma, column.name)
                 plain[mark] &= bool(hits.str.fullmatch(rf"[-+−]?[1-9]\d{{0,2}}{m}\d{{3}}").all())

@@ -2,6 +2,7 @@ from .nothing import NOTHING as NOTHING, WORDS as WORDS, is_nothing as is_nothin
 from .places import (
     FORMS as FORMS,
     check_degrees as check_degrees,
+    check_heights as check_heights,
     check_places as check_places,
     in_words as in_words,
     near_world as near_world,

@@ -67,7 +67,13 @@ def in_words(lon_deg: float, lat_deg: float) -> str:
 
 
 def check_places(
-    xy_m: ArrayF, crs: CRS, *, where: str | Path, height_m: ArrayF | None = None, cure: str = ""
+    xy_m: ArrayF,
+    crs: CRS,
+    *,
+    where: str | Path,
+    height_m: ArrayF | None = None,
+    cure: str = "",
+    degrees: bool = False,
 ) -> str:
     """Check coordinates of a map; returns where they lie, for a note.
 
@@ -78,6 +84,7 @@ def check_places(
     where : file, for the message.
     height_m : (n,) heights of ground, if there are any.
     cure : how this caller is told another CRS, such as ``--crs``.
+    degrees : ``xy_m`` are longitude and latitude that are to come onto the map.
 
     Raises
     ------
@@ -87,24 +94,19 @@ def check_places(
     if not len(xy_m):
         raise InputError("no place", where=where, expected="coordinates", cure="Look at their columns")
     if height_m is not None:
-        known = height_m[np.isfinite(height_m)]
-        strange = (known < LOWEST_M) | (known > HIGHEST_M)
-        if len(known) and strange.mean() > 0.5:
-            raise InputError(
-                f"heights about {np.median(known):,.0f} m",
-                where=where,
-                expected=f"ground between {LOWEST_M:,.0f} and {HIGHEST_M:,.0f} m",
-                cure="Look at the order of the columns and at their unit",
-            )
+        check_heights(height_m, where=where)
     middle = np.median(xy_m, axis=0)
     fits = _in_area(crs)
-    lon, lat = _degrees(xy_m, crs)
+    lon, lat = xy_m.T if degrees else _degrees(xy_m, crs)
     if not fits(lon, lat):
         found = f"east {middle[0]:,.1f}, north {middle[1]:,.1f} in the median"
-        xyz = np.column_stack([xy_m, np.zeros(len(xy_m))])
+        form, xyz = FORMS[2], np.column_stack([xy_m, np.zeros(len(xy_m))])
+        if degrees:
+            found = f"places about {in_words(middle[0], middle[1])}"
+            form, xyz = FORMS[1], xyz[:, [1, 0, 2]]
         words, how = next(
-            ((r.words, r.cure) for r in readings(xyz, FORMS[2], crs, None) if fits(*_geodetic(r))),
-            ("degrees" if _could_be_degrees(xy_m) else "", ""),
+            ((r.words, r.cure) for r in readings(xyz, form, crs, None) if fits(*_geodetic(r))),
+            ("degrees" if _could_be_degrees(xy_m) and not degrees else "", ""),
         )
         if words:
             found += f"; {words} would fit"
@@ -114,7 +116,7 @@ def check_places(
             expected=f"coordinates in {crs.name}, used {_area_in_words(crs)}",
             cure=how or f"Look at the order and the unit of the columns, and at {cure or 'the CRS'}",
         )
-    away = np.linalg.norm(xy_m - middle, axis=1)
+    away = np.linalg.norm(xy_m - middle, axis=1) * (0.0 if degrees else 1.0)
     if away.max() > _MOST_APART_M:
         far = away > max(_MOST_APART_M / 2, 10 * float(np.median(away)))
         raise InputError(
@@ -127,6 +129,23 @@ def check_places(
             cure="Leave these rows out, or correct them",
         )
     return f"places about {in_words(float(np.median(lon)), float(np.median(lat)))}"
+
+
+def check_heights(height_m: ArrayF, *, where: str | Path) -> None:
+    """Refuse heights (n,) that no ground has, wet or dry; NaN are none.
+
+    Raises
+    ------
+    InputError : most of them lie below the deepest trench or above the highest mountain.
+    """
+    known = height_m[np.isfinite(height_m)]
+    if len(known) and ((known < LOWEST_M) | (known > HIGHEST_M)).mean() > 0.5:
+        raise InputError(
+            f"heights about {np.median(known):,.0f} m",
+            where=where,
+            expected=f"ground between {LOWEST_M:,.0f} and {HIGHEST_M:,.0f} m",
+            cure="Look at the order of the columns and at their unit",
+        )
 
 
 def check_degrees(xy: ArrayF, *, where: str | Path, cure: str) -> None:

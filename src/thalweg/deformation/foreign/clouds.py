@@ -27,7 +27,7 @@ from thalweg.core import (
     write_table,
 )
 from thalweg.core.geometry import TriangleMesh
-from thalweg.core.values import check_degrees
+from thalweg.core.values import check_degrees, check_heights
 from thalweg.deformation import CHANGES, Comparison, cloud_to_cloud, judge_changes, measure_distances
 from thalweg.deformation.foreign.surfaces import one_frame, read_dsm
 from thalweg.ingest import read_text_table
@@ -102,6 +102,7 @@ def read_points(path: Path) -> Points:
             where=path,
             cure="Export it again, or name another file",
         )
+    check_heights(xyz[known, 2], where=path)
     if places.crs is None:
         check_degrees(xyz[known, :2], where=path, cure="Name the columns lon, lat, z, or transform them")
     notes = (*table.notes, *places.notes, *table.loss_notes())
