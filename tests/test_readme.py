@@ -31,7 +31,7 @@ def test_the_graph_names_the_packages_that_data_pass(repository: Path) -> None:
 
 
 def test_the_front_page_names_the_commands_that_check_the_software(repository: Path) -> None:
-    """Demo and tests stand where a stranger tries the software, and the checks of a submission run them so."""
+    """Demo and tests stand where a stranger tries the software; `.ci/run` calls the latter."""
     block = (repository / "README.md").read_text().split("## Try it")[1].split("\n## ")[0]
     named = re.findall(r"(?m)^    (make \w+)", block)
     assert {"make demo", "make test"} <= set(named)
