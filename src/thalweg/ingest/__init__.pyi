@@ -45,3 +45,11 @@ from .stamps import (
     possible_unix as possible_unix,
     weighted_median as weighted_median,
 )
+from .vectors import (
+    VECTOR_FORMATS as VECTOR_FORMATS,
+    Vectors as Vectors,
+    describe_layers as describe_layers,
+    is_vector_file as is_vector_file,
+    read_vectors as read_vectors,
+    vector_format as vector_format,
+)
