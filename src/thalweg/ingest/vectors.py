@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 VECTOR_FORMATS: Final = {
     "geojson": "GeoJSON",
-    "shapefile": "Shapefile (.shp)",
+    "shapefile": "Shapefile",
     "geopackage": "GeoPackage",
     "kml": "KML",
     "gml": "GML",
@@ -219,11 +219,19 @@ def read_vectors(
             warnings.simplefilter("ignore", RuntimeWarning)
             source = _source(path, kind)
             layer = _only(path, _layers(source), layer)
-            # a closed line of a drawing is the outline of an area
-            options = {"CLOSED_LINE_AS_POLYGON": "YES"} if kind == "dxf" else {}
-            table = pyogrio.read_dataframe(source, layer=layer, datetime_as_string=True, **options)
+            table = pyogrio.read_dataframe(source, layer=layer, datetime_as_string=True)
     except (RuntimeError, ValueError, shapely.errors.ShapelyError) as error:
         raise _unreadable(path, kind, error) from error
+    if kind == "dxf":
+        # a closed line of a drawing is the outline of an area
+        table = table.set_geometry(
+            [
+                shapely.Polygon(each)
+                if each is not None and each.geom_type == "LineString" and each.is_ring
+                else each
+                for each in table.geometry
+            ]
+        )
     for name, value in chosen.items():
         if name not in table or name == "geometry":
             names = ", ".join(str(c) for c in table.columns if c != "geometry")
@@ -312,7 +320,7 @@ def _format_of(path: Path) -> str:
 
 
 def _unreadable(path: Path, kind: str, error: Exception) -> InputError:
-    told = str(error).partition("; It might help")[0]
+    told = re.sub(r"\S+\.cpp, \d+: ", "", str(error).partition("; It might help")[0])
     if "not recognized" in told:
         told = f"no {VECTOR_FORMATS[kind]} that is whole"
     cure = "Look at the file in a GIS, and export it again"
