@@ -249,6 +249,7 @@ def _bed(options: argparse.Namespace) -> int:
     from thalweg.core import ConfigError
     from thalweg.figures import save
     from thalweg.figures.bathymetry import bed_picture
+    from thalweg.fusion import map_of_bed
     from thalweg.settings.sections import Bathymetry
 
     crs = map_crs(options.crs)
@@ -299,6 +300,7 @@ def _bed(options: argparse.Namespace) -> int:
         ),
         options.out / "bed.png",
     )
+    map_of_bed(options.out / "map.gpkg", found, soundings, None if banks is None else banks[0].table)
     bed, of = found.bed, found.validation
     print(f"{bed.facts['soundings']:,} soundings on {len(np.unique(soundings.line)):,} lines")
     print(f"  bed: {bed.facts['cells']:,} cells, median sigma {bed.facts['median sigma_m']:.3f} m")
@@ -310,7 +312,7 @@ def _bed(options: argparse.Namespace) -> int:
     )
     for note in (*notes, *found.notes):
         print(f"note: {note}")
-    print(f"Wrote {options.out}/bed.tif, bed.png, validation.json, methods.csv, centre_line.csv")
+    print(f"Wrote {options.out}/bed.tif, map.gpkg, bed.png, validation.json, methods.csv, centre_line.csv")
     return 0
 
 
