@@ -61,7 +61,7 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
         metavar="CSV",
         help="columns east, north, in downstream order (default: from banks or soundings)",
     )
-    bed.add_argument("--islands", type=Path, metavar="GEOJSON", help="polygons of islands, which are no bed")
+    bed.add_argument("--islands", type=Path, metavar="FILE", help="polygons of islands, which are no bed")
     bed.add_argument(
         "--cell", type=_positive, metavar="M", help="cell size of the grid (default: by the soundings)"
     )
@@ -122,7 +122,10 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
         "plan-survey", help="survey lines between two banks, and the accuracy of the bed to expect"
     )
     plan.add_argument(
-        "banks", type=Path, metavar="BANKS", help="GeoJSON: bank lines, or the water surface as a polygon"
+        "banks",
+        type=Path,
+        metavar="BANKS",
+        help="bank lines, or the water surface as a polygon: GeoJSON, Shapefile, GeoPackage, KML, GML, DXF",
     )
     plan.add_argument(
         "--crs", required=True, metavar="EPSG:...", help="coordinate system of the banks, projected, metres"
@@ -279,6 +282,7 @@ def _bed(options: argparse.Namespace) -> int:
     from thalweg.core import ConfigError
     from thalweg.figures import save
     from thalweg.figures.bathymetry import bed_picture
+    from thalweg.fusion import map_of_bed
     from thalweg.settings.sections import Bathymetry
 
     soundings = read_soundings(
@@ -294,9 +298,10 @@ def _bed(options: argparse.Namespace) -> int:
         keep=options.valid,
     )
     crs = soundings.crs
+    notes: list[str] = []
     try:
         settings = Bathymetry(
-            islands=[] if options.islands is None else read_islands(options.islands, crs),
+            islands=[] if options.islands is None else read_islands(options.islands, crs, notes),
             cell_m=options.cell or usual_cell_m(soundings.places_m),
             model=options.model,
             drift=options.drift,
@@ -307,12 +312,12 @@ def _bed(options: argparse.Namespace) -> int:
         raise ConfigError(
             "; ".join(f"{e['loc'][-1] if e['loc'] else ''}: {e['msg']}" for e in error.errors())
         ) from error
-    line = None if options.centre_line is None else read_line(options.centre_line, crs)
+    line = None if options.centre_line is None else read_line(options.centre_line, crs, notes)
     banks = (
         None
         if options.banks is None
         else read_bank_lines(
-            options.banks, crs, line, options.level, (soundings.places_m, soundings.height_m)
+            options.banks, crs, line, options.level, (soundings.places_m, soundings.height_m), notes
         )
     )
     found = bed_of_table(soundings, crs, settings, line=line, banks=banks)
@@ -331,6 +336,7 @@ def _bed(options: argparse.Namespace) -> int:
         ),
         options.out / "bed.png",
     )
+    map_of_bed(options.out / "map.gpkg", found, soundings, None if banks is None else banks[0].table)
     bed, of = found.bed, found.validation
     print(f"{bed.facts['soundings']:,} soundings on {len(np.unique(soundings.line)):,} lines")
     print(f"  bed: {bed.facts['cells']:,} cells, median sigma {bed.facts['median sigma_m']:.3f} m")
@@ -341,9 +347,9 @@ def _bed(options: argparse.Namespace) -> int:
         f"{of['outside_95']:.1%} outside their 95 % interval"
     )
     print(f"  {soundings.crs.name}, cells of {settings.cell_m:g} m")
-    for note in found.notes:
+    for note in (*notes, *found.notes):
         print(f"note: {note}")
-    print(f"Wrote {options.out}/bed.tif, bed.png, validation.json, methods.csv, centre_line.csv")
+    print(f"Wrote {options.out}/bed.tif, map.gpkg, bed.png, validation.json, methods.csv, centre_line.csv")
     return 0
 
 
@@ -379,9 +385,10 @@ def _plan(options: argparse.Namespace) -> int:
     from thalweg.core import InputError
 
     crs = map_crs(options.crs)
-    line = None if options.centre_line is None else read_line(options.centre_line, crs)
+    notes: list[str] = []
+    line = None if options.centre_line is None else read_line(options.centre_line, crs, notes)
     nothing = (np.empty((0, 2)), np.empty(0))
-    banks, _ = read_bank_lines(options.banks, crs, line, None, nothing)
+    banks, _ = read_bank_lines(options.banks, crs, line, None, nothing, notes)
     if options.variogram is None:
         left, right = banks.half_widths_m(np.linspace(0, banks.line.length_m, 500))
         width = float(np.nanmedian(left + right))
@@ -434,6 +441,8 @@ def _plan(options: argparse.Namespace) -> int:
         f"  95 % of the bed known to {plan.sigma_95_m:.3f} m, half of it to {facts['median_sigma_m']:.3f} m"
     )
     print(f"  covariance {source}")
+    for note in notes:
+        print(f"note: {note}")
     if plan.sigma_95_m > options.sigma:
         print(f"note: {options.sigma:g} m was wanted; leave out --leg for legs that reach it")
     print(f"Wrote {options.out}/waypoints.gpx, waypoints.geojson, sigma.tif, plan.json")

@@ -4,7 +4,6 @@ from .banks import (
     bank_observations as bank_observations,
     flow_of_survey as flow_of_survey,
     read_banks as read_banks,
-    read_centre_line as read_centre_line,
     shore_points as shore_points,
 )
 from .bed import (

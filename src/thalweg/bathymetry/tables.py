@@ -5,7 +5,7 @@ lines of soundings (sections, zigzag), or along the longest of them where they r
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -13,14 +13,14 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
-from pyproj import CRS, Transformer
+from pyproj import CRS
 from pyproj.exceptions import CRSError
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree, shortest_path
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from thalweg.bathymetry.banks import SIDES, Banks
+from thalweg.bathymetry.banks import SIDES, Banks, side_of
 from thalweg.bathymetry.bed import BANDS, OBSERVATIONS, Bed, cells_of_river, gridded, observations_of
 from thalweg.bathymetry.flow import FlowLine
 from thalweg.bathymetry.validation import by_class, measures, validate_bed
@@ -37,8 +37,8 @@ from thalweg.core import (
     read_raster,
     write_raster,
 )
-from thalweg.core.values import check_places, utm_of
-from thalweg.ingest import Places, Table, read_text_table
+from thalweg.core.values import check_places
+from thalweg.ingest import Places, Table, is_vector_file, read_text_table, read_vectors
 from thalweg.settings.sections import Bathymetry
 
 _DROWNED_M: Final = 0.5
@@ -103,120 +103,94 @@ def read_places(
     ------
     InputError : no such file, no table, no coordinates.
     """
-    if path.suffix.lower() not in {".geojson", ".json"}:
+    if not is_vector_file(path):
         table = read_text_table(path, order=order, bare=("x", "y", "z"))
         return table, table.places(crs, any_system=any_system)
-    features, source = _features(path)
-    points = [f for f in features if (f.get("geometry") or {}).get("type") == "Point"]
-    if not points:
+    drawn = read_vectors(path)
+    on = crs or drawn.usual_map()
+    drawn = drawn if on is None else drawn.on_map(on)
+    frame, at = drawn.points()
+    if not len(at):
         raise InputError(
             "no points",
             where=path,
-            expected="GeoJSON of points",
+            expected="a layer of points",
             cure="Export soundings as points, not as lines",
         )
-    frame = pd.DataFrame([f.get("properties") or {} for f in points])
-    at = [f["geometry"]["coordinates"] for f in points]
-    if "z" not in frame and all(len(c) > 2 for c in at):
-        frame["z"] = [c[2] for c in at]
-    xy = np.array([c[:2] for c in at], dtype=np.float64)
-    if source is None and len(xy) and (np.abs(xy) <= [180.0, 90.0]).all():
-        source = CRS.from_epsg(4326)
-    on = crs or (utm_of(xy[:, 0], xy[:, 1]) if source is not None and source.is_geographic else source)
-    return Table.of(frame, path), Places(_on_map(xy, source, on, path), on, [])
+    if "z" not in frame and at.shape[1] > 2:
+        frame["z"] = at[:, 2]
+    return Table.of(frame, path), Places(at[:, :2], on, list(drawn.notes))
 
 
-def read_line(path: Path, crs: CRS | None = None) -> FlowLine:
-    """A centre line, downstream: table of places, or GeoJSON with one line.
+def read_line(
+    path: Path, crs: CRS | None = None, notes: list[str] | None = None, *, frame: LocalFrame | None = None
+) -> FlowLine:
+    """A centre line, downstream: table of places, or a file of vectors with one line.
+
+    Parameters
+    ----------
+    path, crs : file and map; None: the numbers of the file, in metres.
+    notes : takes what was left out or assumed.
+    frame : of the world, for a line in wcs instead of on the map.
 
     Raises
     ------
-    InputError : no line.
+    InputError : no line, or one in degrees without a map.
     GeometryError : fewer than three places.
     """
-    if path.suffix.lower() in {".geojson", ".json"}:
-        features, source = _features(path)
-        parts = [xyz for f in features for xyz, _ in _lines_of(f)]
-        if len(parts) != 1:
-            raise InputError(f"{len(parts)} lines", where=path, expected="one centre line")
-        xy = parts[0][:, :2]
-        return FlowLine.through(_on_map(xy, source, crs, path) if crs is not None else xy)
-    places = read_places(path, crs, any_system=True)[1].xy_m
-    places = places[np.isfinite(places).all(axis=1)]
+    if is_vector_file(path):
+        xy = _drawn_line(path, crs, notes)
+    else:
+        xy = read_places(path, crs, any_system=True)[1].xy_m
+        xy = xy[np.isfinite(xy).all(axis=1)]
+        if crs is not None:
+            check_places(xy, crs, where=path, cure="--crs")
+    if frame is not None and crs is not None:
+        xy = frame.from_map(np.column_stack([xy, np.full(len(xy), frame.h_ell_m)]), crs)[:, :2]
+    return FlowLine.through(xy)
+
+
+def _drawn_line(path: Path, crs: CRS | None, notes: list[str] | None) -> ArrayF:
+    """Places (n, 2) of the one line of a file of vectors."""
+    drawn = read_vectors(path)
     if crs is not None:
-        check_places(places, crs, where=path, cure="--crs")
-    return FlowLine.through(places)
+        drawn = drawn.on_map(crs)
+    elif drawn.crs is not None and not drawn.crs.is_projected:
+        raise InputError(
+            f"a centre line in {drawn.crs.name}",
+            where=path,
+            expected="places in metres on a map",
+            cure="Transform it to the map of the other places, such as the UTM zone of the river",
+        )
+    lines = drawn.lines()
+    if len(lines) != 1:
+        raise InputError(f"{len(lines)} lines", where=path, expected="one centre line")
+    _keep(drawn.notes, notes)
+    return lines[0][0][:, :2]
 
 
-def read_islands(path: Path, crs: CRS) -> list[list[tuple[float, float]]]:
-    """Outlines of islands of a GeoJSON file, on the map.
+def read_islands(path: Path, crs: CRS, notes: list[str] | None = None) -> list[list[tuple[float, float]]]:
+    """Outlines of islands, polygons of a file of vectors, on the map.
+
+    Parameters
+    ----------
+    notes : takes what was left out or assumed.
 
     Raises
     ------
     InputError : no polygon.
     """
-    features, source = _features(path)
-    outlines = [
-        [(float(east), float(north)) for east, north in _on_map(xyz[:, :2], source, crs, path)]
-        for feature in features
-        if "Polygon" in str((feature.get("geometry") or {}).get("type"))
-        for xyz, _ in _lines_of(feature)
-    ]
+    drawn = read_vectors(path).on_map(crs)
+    outlines = [[(x, y) for x, y, *_ in each.exterior.coords] for each in drawn.polygons()]
     if not outlines:
         raise InputError("no polygon", where=path, expected="islands as polygons")
+    _keep(drawn.notes, notes)
     return outlines
 
 
-def _features(path: Path) -> tuple[list[dict[str, Any]], CRS | None]:
-    """Features of a GeoJSON file and the coordinate system that it names."""
-    try:
-        content = json.loads(path.read_text())
-        features = content["features"]
-        name = ((content.get("crs") or {}).get("properties") or {}).get("name")
-        return features, CRS.from_user_input(name) if name else None
-    except FileNotFoundError as error:
-        raise InputError(
-            "no such file", where=path, expected="a GeoJSON file", cure="Check the path"
-        ) from error
-    except (ValueError, KeyError, TypeError, AttributeError, CRSError) as error:
-        raise InputError(
-            f"{error}",
-            where=path,
-            expected="GeoJSON, a FeatureCollection",
-            cure="Export the lines from a GIS as GeoJSON",
-        ) from error
-
-
-def _on_map(xy: ArrayF, source: CRS | None, crs: CRS, path: Path) -> ArrayF:
-    """Places on the map; GeoJSON without a named system is in degrees (RFC 7946), or on the map already."""
-    if source is None and len(xy) and (np.abs(xy) <= [180.0, 90.0]).all():
-        source = CRS.from_epsg(4326)
-    if source is None or source.equals(crs, ignore_axis_order=True):
-        return xy
-    east, north = Transformer.from_crs(source, crs, always_xy=True).transform(xy[:, 0], xy[:, 1])
-    out = np.column_stack([east, north])
-    if not np.isfinite(out).all():
-        raise InputError(
-            f"places in {source.name} have none in {crs.name}", where=path, expected=f"places in {crs.name}"
-        )
-    return out
-
-
-def _lines_of(feature: dict[str, Any]) -> list[tuple[ArrayF, str | None]]:
-    """Lines (k, 2 or 3) of a feature, outlines of polygons too, and the side that it names."""
-    geometry = feature.get("geometry") or {}
-    at: Any = geometry.get("coordinates")
-    kind = geometry.get("type")
-    side = (feature.get("properties") or {}).get("side")
-    if kind == "LineString":
-        parts = [at]
-    elif kind in {"MultiLineString", "Polygon"}:
-        parts = at if kind == "MultiLineString" else at[:1]
-    elif kind == "MultiPolygon":
-        parts = [rings[0] for rings in at]
-    else:
-        return []
-    return [(np.array(part, dtype=np.float64), side) for part in parts]
+def _keep(found: Iterable[str], notes: list[str] | None) -> None:
+    if notes is not None:
+        notes.extend(found)
 
 
 # ---------------------------------------------------------------- soundings
@@ -557,9 +531,14 @@ def _beyond(places: ArrayF, reach_m: float) -> ArrayF:
 
 
 def read_bank_lines(
-    path: Path, crs: CRS, line: FlowLine | None, level_m: float | None, height_m: tuple[ArrayF, ArrayF]
+    path: Path,
+    crs: CRS,
+    line: FlowLine | None,
+    level_m: float | None,
+    height_m: tuple[ArrayF, ArrayF],
+    notes: list[str] | None = None,
 ) -> tuple[Banks, pd.DataFrame]:
-    """Bank lines of a GeoJSON file: lines, with or without a property ``side``, or the water as a polygon.
+    """Bank lines of a file of vectors, with or without a property ``side``, or the water as a polygon.
 
     Parameters
     ----------
@@ -567,6 +546,7 @@ def read_bank_lines(
     line : centre line; None: half way between the banks.
     level_m : height of the water; None: heights of the file, if it has any.
     height_m : places (n, 2) and heights (n,) of the soundings, which tell the direction of a line.
+    notes : takes what was left out or assumed.
 
     Returns
     -------
@@ -578,15 +558,13 @@ def read_bank_lines(
     InputError : no lines, or no bank on one side.
     GeometryError : left and right are exchanged.
     """
-    features, source = _features(path)
-    parts = [part for f in features for part in _lines_of(f)]
+    drawn = read_vectors(path).on_map(crs)
+    parts = [(xyz, side_of(properties)) for xyz, properties in drawn.lines()]
     if not parts:
         raise InputError(
             "no line and no polygon", where=path, expected="bank lines, or the water as a polygon"
         )
-    parts = [
-        (np.column_stack([_on_map(xyz[:, :2], source, crs, path), xyz[:, 2:]]), side) for xyz, side in parts
-    ]
+    _keep(drawn.notes, notes)
     if line is None:
         line = _between(parts, path, height_m)
     tables = []
@@ -669,7 +647,8 @@ def _between(parts: list[tuple[ArrayF, str | None]], path: Path, height_m: tuple
         halves = (ring[first : last + 1], np.concatenate([ring[last:], ring[: first + 1]]))
         return _between([(half, None) for half in halves], path, height_m)
     sides = [side for _, side in parts]
-    if len(parts) != 2 and set(sides) != set(SIDES):
+    outlines = any(np.array_equal(xyz[0, :2], xyz[-1, :2]) for xyz, _ in parts)
+    if (len(parts) != 2 or outlines) and set(sides) != set(SIDES):
         raise InputError(
             f"{len(parts)} lines with sides {sorted({str(s) for s in sides})}",
             where=path,

@@ -908,6 +908,11 @@ class CampaignFiles:
         made += self._where(self.is_twin() and self.has_bed(), *judged)
         return [*made, *self.bed_truth(), *self._where(self.has_bed(), "fusion/dtm.tif", "fusion/river.json")]
 
+    def mapped(self, name: str) -> list[str]:
+        """What ``map.gpkg`` of a survey draws beside its track: soundings, or what shows the river."""
+        made = self.has_soundings() if name == "bathymetry/soundings.csv" else self.has_bed()
+        return self._where(made, name)
+
     # ------------------------------------------------------------ change between epochs
 
     def is_epoch(self) -> bool:
@@ -1058,6 +1063,7 @@ class CampaignFiles:
             *self.of_pairs("volumes_along_{}.csv"),
             *self.of_pairs("retreat_{}.csv"),
             *self.of_pairs("dod_{}.tif"),
+            self._result("deformation/map.gpkg"),
             *self._where(self.has_many_epochs(), "deformation/series.parquet"),
             *self.change_truth(),
             self._result("deformation/index.html"),
@@ -1093,7 +1099,7 @@ class CampaignFiles:
                 return self._where(True, "accuracy/cloud_to_surface.laz", "accuracy/cloud.html")
         lidar = self.has_lidar()
         tables = ("orientation/trajectory.parquet", "timing/streams.csv", "timing/time_report.csv")
-        outputs = [*self._where(True, *tables, "summary.csv"), *self._map_of_track()]
+        outputs = [*self._where(True, *tables, "summary.csv", "map.gpkg"), *self._map_of_track()]
         outputs += self.ins_points()
         outputs += [*self.echo_outputs(), *self._strip_outputs(), *self._bed_outputs()]
         exported = lidar and self.campaign.georeferencing.export_map
@@ -1122,6 +1128,7 @@ class CampaignFiles:
             return alone
         rows = (
             ("trajectory of the boat", self.trajectory("ins"), True, ""),
+            ("track, soundings, river for a GIS", self._result("map.gpkg"), True, ""),
             (
                 "soundings in the world",
                 self._result("bathymetry/soundings.csv"),
