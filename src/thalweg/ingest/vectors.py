@@ -19,6 +19,7 @@ from pyproj.exceptions import CRSError
 
 from thalweg.core import ArrayB, ArrayF, InputError
 from thalweg.core.values import units_of_crs
+from thalweg.ingest.readers import HEAD_BYTES, read_head
 from thalweg.settings.sections import VECTOR_ENDINGS
 
 if TYPE_CHECKING:
@@ -72,7 +73,7 @@ def is_vector_file(path: Path) -> bool:
     if not file.is_file():
         return False
     with file.open("rb") as stream:
-        return vector_format(stream.read(65_536)) is not None
+        return vector_format(stream.read(HEAD_BYTES)) is not None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -301,8 +302,6 @@ def _choice(path: Path, where: Mapping[str, str] | None) -> tuple[Path, dict[str
 
 def _format_of(path: Path) -> str:
     """The format, by the content. Python opens the file: so a rule sees what the twin keeps from it."""
-    from thalweg.ingest.registry import read_head
-
     head = read_head(path)
     kind = vector_format(head)
     if kind is not None:
