@@ -13,7 +13,7 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
         "table",
         type=Path,
         metavar="TABLE",
-        help="soundings: CSV with east, north (or x, y), text x y z, GeoJSON points",
+        help="soundings: CSV with east, north (or x, y), text x y z, points of a GIS",
     )
     bed.add_argument(
         "--crs", required=True, metavar="EPSG:...", help="coordinate system of the table, projected, metres"
@@ -28,14 +28,16 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
     bed.add_argument(
         "--banks",
         type=Path,
-        metavar="GEOJSON",
-        help="both bank lines, or the water surface as a polygon; with heights or --level also data",
+        metavar="FILE",
+        help="both bank lines, or the water surface as a polygon (GeoJSON, Shapefile, GeoPackage, KML, GML, "
+        "DXF; FILE?layer=NAME of several); with heights or --level also data",
     )
     bed.add_argument(
         "--centre-line",
         type=Path,
-        metavar="CSV",
-        help="columns east, north, in downstream order (default: from banks or soundings)",
+        metavar="FILE",
+        help="one line of a GIS, or CSV with east, north, in downstream order (default: from banks or "
+        "soundings)",
     )
     bed.add_argument("--islands", type=Path, metavar="FILE", help="polygons of islands, which are no bed")
     bed.add_argument("--cell", type=_positive, required=True, metavar="M", help="cell size of the grid")
@@ -78,8 +80,8 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
         "--centre-line",
         type=Path,
         required=True,
-        metavar="CSV",
-        help="columns east, north, in downstream order",
+        metavar="FILE",
+        help="one line of a GIS, or CSV with east, north, in downstream order",
     )
     flow.add_argument(
         "--out", type=Path, required=True, metavar="CSV", help="table to write, with s_m, n_m, fold"
@@ -132,8 +134,9 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
     plan.add_argument(
         "--centre-line",
         type=Path,
-        metavar="CSV",
-        help="columns east, north, in downstream order (default: from banks or soundings)",
+        metavar="FILE",
+        help="one line of a GIS, or CSV with east, north, in downstream order (default: from banks or "
+        "soundings)",
     )
     plan.add_argument(
         "--variogram",

@@ -39,6 +39,7 @@ from thalweg.core import (
     read_raster,
     write_raster,
 )
+from thalweg.core.values import METRE, units_of_crs
 from thalweg.ingest import is_vector_file, read_vectors
 from thalweg.settings.sections import Bathymetry
 
@@ -194,7 +195,7 @@ def _drawn_line(path: Path, crs: CRS | None, notes: list[str] | None) -> ArrayF:
     drawn = read_vectors(path)
     if crs is not None:
         drawn = drawn.on_map(crs)
-    elif drawn.crs is not None and not drawn.crs.is_projected:
+    elif drawn.crs is not None and units_of_crs(drawn.crs)[0] != METRE:
         raise InputError(
             f"a centre line in {drawn.crs.name}",
             where=path,
