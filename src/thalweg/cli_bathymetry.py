@@ -52,14 +52,16 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
     bed.add_argument(
         "--banks",
         type=Path,
-        metavar="GEOJSON",
-        help="both bank lines, or the water surface as a polygon; with heights or --level also data",
+        metavar="FILE",
+        help="both bank lines, or the water surface as a polygon (GeoJSON, Shapefile, GeoPackage, KML, GML, "
+        "DXF; FILE?layer=NAME of several); with heights or --level also data",
     )
     bed.add_argument(
         "--centre-line",
         type=Path,
-        metavar="CSV",
-        help="columns east, north, in downstream order (default: from banks or soundings)",
+        metavar="FILE",
+        help="one line of a GIS, or CSV with east, north, in downstream order (default: from banks or "
+        "soundings)",
     )
     bed.add_argument("--islands", type=Path, metavar="FILE", help="polygons of islands, which are no bed")
     bed.add_argument(
@@ -110,8 +112,8 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
         "--centre-line",
         type=Path,
         required=True,
-        metavar="CSV",
-        help="columns east, north, in downstream order",
+        metavar="FILE",
+        help="one line of a GIS, or CSV with east, north, in downstream order",
     )
     flow.add_argument(
         "--out", type=Path, required=True, metavar="CSV", help="table to write, with s_m, n_m, fold"
@@ -164,8 +166,9 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
     plan.add_argument(
         "--centre-line",
         type=Path,
-        metavar="CSV",
-        help="columns east, north, in downstream order (default: from banks or soundings)",
+        metavar="FILE",
+        help="one line of a GIS, or CSV with east, north, in downstream order (default: from banks or "
+        "soundings)",
     )
     plan.add_argument(
         "--variogram",

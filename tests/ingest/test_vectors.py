@@ -134,7 +134,8 @@ def line(*corners: tuple[object, ...]) -> dict[str, object]:
 
 
 def test_what_cannot_be_drawn_is_counted(tmp_path: Path) -> None:
-    parts = {"type": "MultiLineString", "coordinates": [[[0, 0], [1, 1]], [[2, 2], [3, 3]]]}
+    two = {"type": "MultiLineString", "coordinates": [[[0, 0], [1, 1]], [[2, 2], [3, 3]]]}
+    parts = {"type": "GeometryCollection", "geometries": [two, {"type": "MultiPoint", "coordinates": []}]}
     bow = {"type": "Polygon", "coordinates": [[[0, 0], [4, 4], [4, 0], [0, 4], [0, 0]]]}
     path = geojson(
         tmp_path / "a.geojson", parts, None, line(("x", 1), (2, 2)), line((float("nan"), 1), (2, 2)), bow
@@ -172,6 +173,18 @@ def test_what_states_no_system_is_noted(tmp_path: Path) -> None:
     wrong = geojson(tmp_path / "e.geojson", line((EAST_M, NORTH_M), (EAST_M + 1, NORTH_M)), crs=named)
     with pytest.raises(InputError, match=r"places in .*CRS ?84.* have none in ETRS89"):
         read_vectors(wrong).on_map(MAP)
+
+
+def test_a_grid_of_a_site_is_no_place_on_a_map(tmp_path: Path) -> None:
+    BANKS.to_file(tmp_path / "a.shp")
+    (tmp_path / "a.prj").write_text('LOCAL_CS["site",UNIT["metre",1]]')
+    assert "taken for places in ETRS89" in read_vectors(tmp_path / "a.shp").on_map(MAP).notes[0]
+    # small numbers of a drawing are metres, of other files they may be degrees
+    small = BANKS[["geometry"]].translate(-EAST_M, -NORTH_M).to_frame("geometry")
+    small.to_file(tmp_path / "a.dxf", driver="DXF")
+    on_map = read_vectors(tmp_path / "a.dxf").on_map(MAP)
+    assert on_map.lines()[0][0] == pytest.approx(LEFT, abs=1e-9)
+    assert "taken for places in ETRS89" in on_map.notes[0]
 
 
 def test_heights_in_feet_become_metres(tmp_path: Path) -> None:

@@ -37,7 +37,7 @@ from thalweg.core import (
     read_raster,
     write_raster,
 )
-from thalweg.core.values import check_places
+from thalweg.core.values import METRE, check_places, units_of_crs
 from thalweg.ingest import Places, Table, is_vector_file, read_text_table, read_vectors
 from thalweg.settings.sections import Bathymetry
 
@@ -155,7 +155,7 @@ def _drawn_line(path: Path, crs: CRS | None, notes: list[str] | None) -> ArrayF:
     drawn = read_vectors(path)
     if crs is not None:
         drawn = drawn.on_map(crs)
-    elif drawn.crs is not None and not drawn.crs.is_projected:
+    elif drawn.crs is not None and units_of_crs(drawn.crs)[0] != METRE:
         raise InputError(
             f"a centre line in {drawn.crs.name}",
             where=path,

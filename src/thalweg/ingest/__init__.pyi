@@ -12,6 +12,7 @@ from .ouster import (
     is_ouster_metadata as is_ouster_metadata,
 )
 from .readers import (
+    HEAD_BYTES as HEAD_BYTES,
     Cloud as Cloud,
     CloudReader as CloudReader,
     LidarClock as LidarClock,
@@ -26,6 +27,7 @@ from .readers import (
     PositionReader as PositionReader,
     TrackOptions as TrackOptions,
     empty_points as empty_points,
+    read_head as read_head,
 )
 from .schemas import (
     DEPTH as DEPTH,

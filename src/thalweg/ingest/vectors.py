@@ -4,7 +4,6 @@ The content of a file tells its format, GDAL reads it (https://gdal.org/drivers/
 GDAL takes for longitude and latitude whatever it says, the member ``crs`` of its edition of 2008 counts.
 """
 
-import mmap
 import re
 import warnings
 from collections.abc import Mapping
@@ -15,10 +14,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pandas as pd
 from pyproj import CRS
-from pyproj.exceptions import CRSError
+from pyproj.exceptions import CRSError, ProjError
 
 from thalweg.core import ArrayB, ArrayF, InputError
 from thalweg.core.values import units_of_crs, utm_of
+from thalweg.ingest.readers import HEAD_BYTES, read_head
 from thalweg.settings.sections import VECTOR_ENDINGS
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def is_vector_file(path: Path) -> bool:
     if not file.is_file():
         return False
     with file.open("rb") as stream:
-        return vector_format(stream.read(65_536)) is not None
+        return vector_format(stream.read(HEAD_BYTES)) is not None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,12 +82,14 @@ class Vectors:
     Parameters
     ----------
     path : the file.
+    kind : its format, a key of `VECTOR_FORMATS`.
     table : a row for each point, line or polygon; collections are taken apart.
     crs : horizontal coordinate system, None where the file states none.
     notes : what was left out or assumed, a sentence each.
     """
 
     path: Path
+    kind: str
     table: "GeoDataFrame"
     crs: CRS | None
     notes: tuple[str, ...] = ()
@@ -113,8 +115,8 @@ class Vectors:
         """The same on another map.
 
         Without a stated system, numbers that can be degrees are longitude and latitude in WGS 84 (RFC 7946),
-        others are taken for places on that map already; both are noted, except in GeoJSON, where degrees need
-        no statement.
+        others, and those of drawings, are taken for places on that map already. All this is noted, except
+        that GeoJSON in degrees needs no statement.
 
         Raises
         ------
@@ -125,18 +127,23 @@ class Vectors:
         source, notes = self.crs, self.notes
         if source is None:
             xy = shapely.get_coordinates(self.table.geometry)
-            source = CRS.from_epsg(4326) if (np.abs(xy) <= _DEGREES).all() else crs
+            degrees = self.kind != "dxf" and bool((np.abs(xy) <= _DEGREES).all())
+            source = CRS.from_epsg(4326) if degrees else crs
             if source is crs:
                 notes += (f"{self.path.name} states no coordinate system: taken for places in {crs.name}",)
-            elif self.path.suffix.lower() not in {".geojson", ".json"}:
+            elif self.kind != "geojson":
                 notes += (
                     f"{self.path.name} states no coordinate system: taken for degrees of longitude and "
                     "latitude in WGS 84, which the numbers can be",
                 )
         if source.equals(crs, ignore_axis_order=True):
             return replace(self, crs=crs, notes=notes)
-        table = self.table.set_crs(source, allow_override=True).to_crs(_plane(crs))
-        if not np.isfinite(shapely.get_coordinates(table.geometry)).all():
+        try:
+            table = self.table.set_crs(source, allow_override=True).to_crs(_plane(crs))
+            there = bool(np.isfinite(shapely.get_coordinates(table.geometry)).all())
+        except ProjError:  # no way leads from one to the other
+            there = False
+        if not there:
             raise InputError(
                 f"places in {source.name} have none in {crs.name}",
                 where=self.path,
@@ -265,7 +272,9 @@ def read_vectors(
     if crs is not None:
         table, notes = _heights_in_metres(table, crs, notes)
         crs = _plane(crs)
-    return Vectors(path=path, table=table.set_crs(crs, allow_override=True), crs=crs, notes=tuple(notes))
+    return Vectors(
+        path=path, kind=kind, table=table.set_crs(crs, allow_override=True), crs=crs, notes=tuple(notes)
+    )
 
 
 def describe_layers(path: Path) -> list[dict[str, Any]]:
@@ -313,8 +322,6 @@ def _choice(path: Path, where: Mapping[str, str] | None) -> tuple[Path, dict[str
 
 def _format_of(path: Path) -> str:
     """The format, by the content. Python opens the file: so a rule sees what the twin keeps from it."""
-    from thalweg.ingest.registry import read_head
-
     head = read_head(path)
     kind = vector_format(head)
     if kind is not None:
@@ -384,6 +391,7 @@ def _simple(table: Any) -> tuple[Any, list[str]]:
     lose(np.asarray(table.geometry.isna() | table.geometry.is_empty), "without a geometry")
     while (shapely.get_type_id(table.geometry) >= _FIRST_MULTIPLE).any():
         table = table.explode(ignore_index=True)
+    table = table[~table.geometry.is_empty]
     coordinates, of = shapely.get_coordinates(table.geometry, return_index=True)
     broken = np.bincount(of[~np.isfinite(coordinates).all(axis=1)], minlength=len(table)) > 0
     lose(broken, "with coordinates that are no numbers")
@@ -402,14 +410,12 @@ def _simple(table: Any) -> tuple[Any, list[str]]:
 def _stated(path: Path, kind: str, crs: Any) -> CRS | None:
     """The coordinate system that a file states."""
     if kind == "geojson":
-        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
-            found = _CRS.search(text)
-            name = None if found is None else found.group(1)
+        found = _CRS.search(path.read_bytes())
         if found is None:
             return None
-        crs = crs if name is None else name.decode(errors="replace")
+        crs = crs if found[1] is None else found[1].decode(errors="replace")
     try:
-        return None if crs is None else CRS.from_user_input(crs)
+        known = None if crs is None else CRS.from_user_input(crs)
     except CRSError as error:
         raise InputError(
             f"the coordinate system {crs} is not known",
@@ -417,6 +423,8 @@ def _stated(path: Path, kind: str, crs: Any) -> CRS | None:
             expected="one of the EPSG registry",
             cure="Assign the layer its coordinate system in a GIS, and export it again",
         ) from error
+    # a grid of a site has no relation to a map
+    return None if known is None or known.is_engineering else known
 
 
 def _plane(crs: CRS) -> CRS:

@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Final, Literal
 
 from thalweg.settings import Campaign
@@ -36,6 +37,15 @@ _SERIES: Final = {"calibration": "grid_images", "panels": "panel_images", "strip
 def _no_length(files: Sequence[str], options: Mapping[str, Any]) -> float:
     """Length of logs where no reader is at hand."""
     return math.nan
+
+
+def _with_parts(files: Iterable[str]) -> list[str]:
+    """The files, then what belongs to a Shapefile of them: a new .dbf or .prj changes what it says."""
+    found = list(files)
+    for path in [Path(file) for file in found if file.lower().endswith(".shp")]:
+        parts = [path.with_suffix(end) for end in (".shx", ".dbf", ".prj", ".cpg")]
+        found += [str(part) for part in parts if part.exists()]
+    return found
 
 
 def _no_twin(campaign: Campaign) -> Mapping[str, Sequence[str]]:
@@ -208,6 +218,10 @@ class CampaignFiles:
             known = self.twin_logs(self.campaign)
             return [self._result(f"simulation/logs/{log}") for log in known.get(stream, ())]
         return [str(path) for path in self.campaign.log_files(stream)]
+
+    def drawn(self, stream: str) -> list[str]:
+        """Files of lines of a stream, those first that are read."""
+        return _with_parts(self.logs(stream))
 
     def boat_trajectory(self) -> list[str]:
         """The trajectory of the boat, where there is one."""
@@ -949,7 +963,7 @@ class CampaignFiles:
 
     def epoch_masks(self, epoch: str) -> list[str]:
         """Files of polygons that are left out of an epoch."""
-        return [text.partition("?")[0] for text in self._epoch(epoch).leave_out]
+        return _with_parts(text.partition("?")[0] for text in self._epoch(epoch).leave_out)
 
     def epoch_positions(self, epoch: str) -> list[str]:
         """Positions of the boat that sounded the bed of an epoch, which say when."""

@@ -1,4 +1,4 @@
-from .base import Recording as Recording, read_head as read_head
+from .base import Recording as Recording
 from .calibrations import (
     CalibrationReport as CalibrationReport,
     largest_correlations as largest_correlations,
