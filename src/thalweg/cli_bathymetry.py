@@ -7,7 +7,9 @@ from pathlib import Path
 def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Add ``bed``, ``flow``, ``plan-survey`` and ``refract``."""
     bed = commands.add_parser(
-        "bed", help="riverbed with standard deviations from a table of soundings, kriged in flow coordinates"
+        "bed",
+        help="bed of a river or a lake with standard deviations from a table of soundings, kriged in flow or "
+        "map coordinates",
     )
     bed.add_argument(
         "table",
@@ -22,6 +24,18 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
     value.add_argument("--height", metavar="COLUMN", help="column with heights of the bed, metres")
     value.add_argument("--depth", metavar="COLUMN", help="column with depths below the water, metres")
     bed.add_argument("--level", type=float, metavar="M", help="height of the water level; 0 with --depth")
+    bed.add_argument(
+        "--levels",
+        type=Path,
+        metavar="CSV",
+        help="with --depth: levels of the water by day or time, columns date (UTC) and level",
+    )
+    bed.add_argument(
+        "--coordinates",
+        choices=("auto", "flow", "map"),
+        default="auto",
+        help="along and across the flow, or east and north; auto: east and north where nothing shows a river",
+    )
     bed.add_argument(
         "--line", metavar="COLUMN", help="column with the name of the survey line (default: detected)"
     )
@@ -236,14 +250,16 @@ def _bed(options: argparse.Namespace) -> int:
     from pydantic import ValidationError
 
     from thalweg.bathymetry import (
+        FlowLine,
+        Levels,
         bed_of_table,
         map_crs,
-        read_bank_lines,
         read_islands,
         read_line,
         read_soundings,
+        water_of,
     )
-    from thalweg.core import ConfigError
+    from thalweg.core import ConfigError, InputError
     from thalweg.figures import save
     from thalweg.figures.bathymetry import bed_picture
     from thalweg.settings.sections import Bathymetry
@@ -262,25 +278,33 @@ def _bed(options: argparse.Namespace) -> int:
         raise ConfigError(
             "; ".join(f"{e['loc'][-1] if e['loc'] else ''}: {e['msg']}" for e in error.errors())
         ) from error
+    if options.levels is not None and options.depth is None:
+        raise InputError(
+            "--levels without --depth", expected="depths below these levels", cure="Heights need no levels"
+        )
     soundings = read_soundings(
         options.table,
         crs,
         column=options.depth or options.height,
         depth=options.depth is not None,
-        level_m=options.level,
+        level_m=None if options.levels else options.level,
         line_column=options.line,
         sigma_m=options.sigma,
     )
-    line = None if options.centre_line is None else read_line(options.centre_line, crs)
-    banks = (
-        None
-        if options.banks is None
-        else read_bank_lines(
-            options.banks, crs, line, options.level, (soundings.places_m, soundings.height_m)
-        )
+    if options.levels is not None:
+        soundings = soundings.above(Levels.read(options.levels))
+    water = water_of(
+        soundings,
+        crs,
+        settings,
+        line=None if options.centre_line is None else read_line(options.centre_line, crs),
+        banks=options.banks,
+        level_m=options.level,
+        depths=options.depth is not None and options.levels is None,
+        coordinates=options.coordinates,
     )
-    found = bed_of_table(soundings, crs, settings, line=line, banks=banks)
-    relative = options.depth is not None and options.level is None
+    found = bed_of_table(soundings, crs, settings, water)
+    relative = options.depth is not None and options.level is None and options.levels is None
     found.write(
         options.out,
         {"heights": "above the water surface, metres" if relative else f"of {options.table.name}, metres"},
@@ -289,7 +313,8 @@ def _bed(options: argparse.Namespace) -> int:
         bed_picture(
             bed=options.out / "bed.tif",
             observations=found.bed.data,
-            line=found.line,
+            line=water.line if isinstance(water.line, FlowLine) else None,
+            area=water.area,
             title=options.table.name,
             twin=False,
         ),
@@ -306,7 +331,8 @@ def _bed(options: argparse.Namespace) -> int:
     )
     for note in found.notes:
         print(f"note: {note}")
-    print(f"Wrote {options.out}/bed.tif, bed.png, validation.json, methods.csv, centre_line.csv")
+    course = ", centre_line.csv" if isinstance(water.line, FlowLine) else ""
+    print(f"Wrote {options.out}/bed.tif, bed.png, validation.json, methods.csv{course}")
     return 0
 
 
