@@ -7,7 +7,9 @@ from pathlib import Path
 def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Add ``bed``, ``flow``, ``plan-survey`` and ``refract``."""
     bed = commands.add_parser(
-        "bed", help="riverbed with standard deviations from a table of soundings, kriged in flow coordinates"
+        "bed",
+        help="bed of a river or a lake with standard deviations from a table of soundings, kriged in flow or "
+        "map coordinates",
     )
     bed.add_argument(
         "table",
@@ -46,6 +48,18 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
         help="value that is meant although it usually stands for none, such as 0",
     )
     bed.add_argument("--level", type=float, metavar="M", help="height of the water level; 0 with --depth")
+    bed.add_argument(
+        "--levels",
+        type=Path,
+        metavar="CSV",
+        help="with --depth: levels of the water by day or time, columns date (UTC) and level",
+    )
+    bed.add_argument(
+        "--coordinates",
+        choices=("auto", "flow", "map"),
+        default="auto",
+        help="along and across the flow, or east and north; auto: east and north where nothing shows a river",
+    )
     bed.add_argument(
         "--line", metavar="COLUMN", help="column with the name of the survey line (default: detected)"
     )
@@ -274,15 +288,17 @@ def _bed(options: argparse.Namespace) -> int:
     from pydantic import ValidationError
 
     from thalweg.bathymetry import (
+        FlowLine,
+        Levels,
         bed_of_table,
         map_crs,
-        read_bank_lines,
         read_islands,
         read_line,
         read_soundings,
         usual_cell_m,
+        water_of,
     )
-    from thalweg.core import ConfigError
+    from thalweg.core import ConfigError, InputError
     from thalweg.figures import save
     from thalweg.figures.bathymetry import bed_picture
     from thalweg.fusion import map_of_bed
@@ -293,7 +309,7 @@ def _bed(options: argparse.Namespace) -> int:
         None if options.crs is None else map_crs(options.crs),
         column=options.depth or options.height,
         depth=None if options.depth is options.height is None else options.depth is not None,
-        level_m=options.level,
+        level_m=None if options.levels else options.level,
         line_column=options.line,
         sigma_m=options.sigma,
         order=options.columns,
@@ -315,16 +331,24 @@ def _bed(options: argparse.Namespace) -> int:
         raise ConfigError(
             "; ".join(f"{e['loc'][-1] if e['loc'] else ''}: {e['msg']}" for e in error.errors())
         ) from error
-    line = None if options.centre_line is None else read_line(options.centre_line, crs, notes)
-    banks = (
-        None
-        if options.banks is None
-        else read_bank_lines(
-            options.banks, crs, line, options.level, (soundings.places_m, soundings.height_m), notes
-        )
+    if options.levels is not None:
+        if not soundings.depth:
+            raise InputError(
+                "--levels with heights", expected="depths below these levels", cure="Heights need no levels"
+            )
+        soundings = soundings.above(Levels.read(options.levels))
+    water = water_of(
+        soundings,
+        crs,
+        settings,
+        line=None if options.centre_line is None else read_line(options.centre_line, crs, notes),
+        banks=options.banks,
+        level_m=options.level,
+        depths=soundings.depth and options.levels is None,
+        coordinates=options.coordinates,
     )
-    found = bed_of_table(soundings, crs, settings, line=line, banks=banks)
-    relative = soundings.depth and options.level is None
+    found = bed_of_table(soundings, crs, settings, water)
+    relative = soundings.depth and options.level is None and options.levels is None
     found.write(
         options.out,
         {"heights": "above the water surface, metres" if relative else f"of {options.table.name}, metres"},
@@ -333,13 +357,14 @@ def _bed(options: argparse.Namespace) -> int:
         bed_picture(
             bed=options.out / "bed.tif",
             observations=found.bed.data,
-            line=found.line,
+            line=water.line if isinstance(water.line, FlowLine) else None,
+            area=water.area,
             title=options.table.name,
             twin=False,
         ),
         options.out / "bed.png",
     )
-    map_of_bed(options.out / "map.gpkg", found, soundings, None if banks is None else banks[0].table)
+    map_of_bed(options.out / "map.gpkg", found, soundings)
     bed, of = found.bed, found.validation
     print(f"{bed.facts['soundings']:,} soundings on {len(np.unique(soundings.line)):,} lines")
     print(f"  bed: {bed.facts['cells']:,} cells, median sigma {bed.facts['median sigma_m']:.3f} m")
@@ -352,7 +377,8 @@ def _bed(options: argparse.Namespace) -> int:
     print(f"  {soundings.crs.name}, cells of {settings.cell_m:g} m")
     for note in (*notes, *found.notes):
         print(f"note: {note}")
-    print(f"Wrote {options.out}/bed.tif, map.gpkg, bed.png, validation.json, methods.csv, centre_line.csv")
+    course = ", centre_line.csv" if isinstance(water.line, FlowLine) else ""
+    print(f"Wrote {options.out}/bed.tif, map.gpkg, bed.png, validation.json, methods.csv{course}")
     return 0
 
 

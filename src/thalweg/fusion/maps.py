@@ -92,24 +92,28 @@ def map_of_changes(out: Path, patches: list[Path], campaign: dict[str, Any]) -> 
     write_layers(out, layers)
 
 
-def map_of_bed(out: Path, found: BedOfTable, soundings: TableOfSoundings, banks: pd.DataFrame | None) -> None:
-    """Soundings, banks, centre line and contours of a bed of others' soundings.
+def map_of_bed(out: Path, found: BedOfTable, soundings: TableOfSoundings) -> None:
+    """Soundings and contours of a bed of others' soundings; banks and centre line, or the shores of a lake.
 
     Parameters
     ----------
     out : file to write.
     found, soundings : of `bed_of_table` and `read_soundings`.
-    banks : columns side, s_m, east_m, north_m.
     """
-    grid = found.bed.grid
+    import shapely
+
+    grid, water = found.bed.grid, found.water
     height = found.bed.up_m.reshape(grid.rows, grid.columns)
     table = pd.DataFrame({"height": soundings.height_m, "sigma": soundings.sigma_m, "line": soundings.line})
     table[["east", "north"]] = soundings.places_m
-    layers = {
-        "soundings": _points(table, ["east", "north", "height"], grid.crs),
-        "centre_line": _lines([(found.line.points_m, {})], grid.crs),
-    }
-    if banks is not None:
+    layers = {"soundings": _points(table, ["east", "north", "height"], grid.crs)}
+    if isinstance(water.line, FlowLine):
+        layers["centre_line"] = _lines([(water.line.points_m, {})], grid.crs)
+    if water.area is not None:
+        rings = shapely.get_parts(shapely.boundary(water.area))
+        layers["shores"] = _lines([(shapely.get_coordinates(ring), {}) for ring in rings], grid.crs)
+    if water.banks is not None:
+        banks = water.banks.table
         sides = [(banks[banks["side"] == side].sort_values("s_m"), side) for side in SIDES]
         layers["banks"] = _lines(
             [(rows[["east_m", "north_m"]].to_numpy(np.float64), {"side": side}) for rows, side in sides],
