@@ -382,7 +382,7 @@ def read_soundings(
             cure="Survey a zigzag or sections",
         )
     timed = bool(of["t"].notna().all())
-    begins = of.groupby("day")["t"].min() if timed else []
+    begins: list[float] = of.groupby("day")["t"].min().tolist() if timed else []
     return TableOfSoundings(
         places_m=xy,
         height_m=of["h"].to_numpy(np.float64),
