@@ -261,6 +261,7 @@ class TrackOptions:
     sigma_position_m, sigma_attitude_deg : standard deviations where a file holds none, each axis; NaN: they
         are stated later.
     times : stamps beside a KITTI table.
+    upside_down : the body is upside down, and it is meant.
     """
 
     gps_week: int | None = None
@@ -272,6 +273,7 @@ class TrackOptions:
     sigma_position_m: float | None = None
     sigma_attitude_deg: float | None = None
     times: Path | None = None
+    upside_down: bool = False
 
 
 @dataclass(slots=True, kw_only=True)

@@ -26,7 +26,7 @@ import numpy as np
 import pandas as pd
 from pyproj import CRS, Transformer
 
-from thalweg.core import ArrayB, ArrayF, ArrayI, InputError
+from thalweg.core import ArrayB, ArrayF, ArrayI, InputError, unix_from_gps
 from thalweg.core.values import (
     METRE,
     NOTHING,
@@ -38,7 +38,13 @@ from thalweg.core.values import (
     unit_of_word,
     utm_of,
 )
-from thalweg.ingest.stamps import possible_unix
+from thalweg.ingest.stamps import (
+    TIME_SCALES,
+    gps_from_scale,
+    possible_unix,
+    tell_time_scale,
+    time_scale_words,
+)
 
 # ---------------------------------------------------------------- names of columns
 
@@ -540,12 +546,15 @@ class Table:
         text = parts[0] if len(parts) == 1 else parts[0].str.cat(parts[1], sep=" ")
         number = pd.to_numeric(text, errors="coerce").to_numpy(np.float64)
         if np.isfinite(number).mean() > 0.5:
-            size = float(np.nanmedian(np.abs(number)))
-            scale = next((s for s in (1.0, 1e3, 1e6, 1e9) if possible_unix(size / s)), None)
-            if scale is None:
+            told = [each for each in tell_time_scale(number) if each not in ("week_s", "day_s")]
+            if not told:
                 return None
-            unit = {1.0: "seconds", 1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}[scale]
-            return number / scale, [f"times taken as {unit} since 1970 (UTC)"]
+            name = self.columns[time if time is not None else date or 0].name.lower()
+            scale = next((each for each in told if ("gps" in name) != each.startswith("unix")), told[0])
+            note = f"times taken as {TIME_SCALES[scale]}"
+            if len(told) > 1:
+                note += f"; {time_scale_words(number, told)}"
+            return unix_from_gps(gps_from_scale(number, scale)), [note]
         found = text.str.extract(_DAY)
         if found[0].notna().mean() > 0.5:
             text = self._iso(text, found)

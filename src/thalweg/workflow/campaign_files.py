@@ -156,7 +156,7 @@ class CampaignFiles:
 
     def track_options(self) -> dict[str, Any]:
         """What files of poses do not state."""
-        stated = {key: self.plain["ins"][key] for key in ("body_axes", "time_scale")}
+        stated = {key: self.plain["ins"][key] for key in ("body_axes", "time_scale", "upside_down")}
         return {"gps_week": self.log_option("gps_week"), **stated}
 
     def base_position(self) -> dict[str, Any]:
