@@ -27,7 +27,7 @@ from thalweg.core import ArrayF, ConfigError, InputError, rotation_ecef_enu, utc
 from thalweg.ingest import IntegrityReport, find_gaps
 from thalweg.ingest.ppk import worker as ppk_worker
 from thalweg.ingest.ppk.options import AUTO_SYSTEMS, PpkOptions, ecef_fault, engine_settings
-from thalweg.ingest.ppk.rinex import RinexScan, rinex_kind, scan_rinex, whole_records
+from thalweg.ingest.ppk.rinex import RinexScan, losses_in_words, rinex_kind, scan_rinex, whole_records
 from thalweg.ingest.ppk.trust import read_solution, replace_covariances, trust_fixes
 from thalweg.ingest.sbp import find_messages
 
@@ -534,10 +534,16 @@ def _copy_rinex(files: Sequence[Path], folder: Path, role: str, suffix: str, out
             key = f"{role} {what}"
             out.losses[key] = out.losses.get(key, 0) + n
         if scan.losses:
-            text = ", ".join(f"{key} {n}" for key, n in scan.losses.items())
+            text = losses_in_words(scan)
             out.notes.append(f"{role}: damaged or cut records were left out of {Path(file).name}: {text}.")
-            data = whole_records(scan, data)
-        (folder / f"{role}_{index:03d}.{suffix}").write_bytes(data)
+            if not scan.t_gps_s.size:
+                raise InputError(
+                    f"no whole record; damaged or cut: {text}",
+                    expected="epochs or ephemerides as RINEX writes them",
+                    where=file,
+                    cure="Look at that line and export the file again from the receiver's log",
+                )
+        (folder / f"{role}_{index:03d}.{suffix}").write_bytes(whole_records(scan, data))
 
 
 def _scan_all(folder: Path, pattern: str, where: Path) -> list[RinexScan]:
