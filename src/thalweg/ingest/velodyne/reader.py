@@ -443,6 +443,13 @@ def no_packets(tally: CaptureTally, port: int, where: str, found: Findings | Non
     held = {**tally.counts, **tally.losses}
     text = ", ".join(f"{name} {n}" for name, n in held.items() if n) or "nothing"
     cure = "Check lidar.data_port and that the capture was made on the lidar's network"
+    if cut := tally.cut_in_words():
+        return InputError(
+            f"no lidar packet is whole: {cut}",
+            expected=f"1206-byte payloads on UDP port {port}",
+            where=where,
+            cure="Capture with -s 0 (tcpdump), that is without a limit of the packets' length",
+        )
     if tally.foreign_ports:
         other, n = max(tally.foreign_ports.items(), key=lambda item: item[1])
         cure = f"{n} payloads of the right size went to port {other}: set lidar.data_port to it"
@@ -552,6 +559,8 @@ def write_report(
             f"The azimuth jumps within a packet {int(counters[JUMPS])} times (a limited field of view or "
             "damaged blocks): times behind such a jump may be early."
         )
+    if cut := tally.capture.cut_in_words():
+        report.note(f"{cut[0].upper()}{cut[1:]}; capture with -s 0.")
     for note in builder.notes + tally.capture.notes:
         report.note(note)
 
