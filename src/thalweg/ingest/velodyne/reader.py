@@ -29,7 +29,7 @@ from thalweg.ingest import (
     fit_clock,
 )
 from thalweg.ingest.pcap import CHUNK_BYTES, CaptureTally
-from thalweg.ingest.velodyne.clock import ClockBuilder
+from thalweg.ingest.velodyne.clock import ClockBuilder, clocks_apart
 from thalweg.ingest.velodyne.decode import (
     BAD_AZIMUTH,
     BAD_FLAG,
@@ -546,7 +546,10 @@ def write_report(
     gps_s = host[:, 1] * 1e-6 + clock.extra_s(packet) + clock.offset_s(packet)
     difference_s = (host[:, 2] - unix_from_gps(gps_s))[np.isfinite(gps_s)]
     if difference_s.size:
-        report.details["host_minus_sensor_s"] = round(float(np.median(difference_s)), 6)
+        shift_s = float(np.median(difference_s))
+        report.details["host_minus_sensor_s"] = round(shift_s, 6)
+        if words := clocks_apart(shift_s, float(gps_s[np.isfinite(gps_s)][0])):
+            report.note(words)
     if found.return_mode == "mixed":
         modes = ", ".join(f"{RETURN_MODES[m]} {n}" for m, n in sorted(found.modes.items()))
         report.note(f"The return mode changes within the recording (packets: {modes}).")
