@@ -319,7 +319,7 @@ def test_difference_of_heights_is_drawn_with_its_sigma(look, tmp_path, tall):
     height[:, :3], height[2:5, 10:16], height[0, 29] = np.nan, -0.29, 2.5
     height = height.T if tall else height
     raster = Dsm(
-        height, np.array([377_310.0, 5_656_780.0]), np.full(2, 0.5), CRS.from_epsg(25833), None, Path("a")
+        height, np.array([377_310.0, 5_656_780.0]), np.full(2, 0.5), CRS.from_epsg(25833), Path("a")
     )
     sigma = np.where(np.isfinite(height), 0.04, np.nan)
     found = SurfaceDifference(raster, sigma, pd.DataFrame(), [])

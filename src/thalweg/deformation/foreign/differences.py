@@ -129,7 +129,6 @@ def difference_of_epochs(
         np.array([grid.west_m, grid.north_m]),
         np.full(2, grid.cell_m),
         grid.crs,
-        None,
         Path("dod.tif"),
     )
     return SurfaceDifference(raster, sigma.reshape(shape), _volumes(compared, k, use, n, grid.cell_m), [])
