@@ -296,10 +296,10 @@ def _compare_nearest(options: argparse.Namespace) -> int:
 def _compare_surfaces(options: argparse.Namespace) -> int:
     import numpy as np
 
+    from thalweg.core import read_dsm
     from thalweg.deformation.foreign import (
         HeightErrors,
         difference_of_surfaces,
-        read_dsm,
         read_shapes,
         write_difference,
     )

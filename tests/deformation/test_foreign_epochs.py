@@ -21,6 +21,7 @@ from thalweg.core import (
     LocalFrame,
     ThalwegError,
     gps_from_unix,
+    read_dsm,
     write_raster,
 )
 from thalweg.core.las import write_laz
@@ -42,7 +43,6 @@ from thalweg.deformation.foreign import (
     difference_of_models,
     notes_of_pair,
     prepare_foreign_epoch,
-    read_dsm,
     read_epoch,
 )
 from thalweg.deformation.m3c2 import ColumnIndex

@@ -15,15 +15,13 @@ from pyproj import CRS
 from scipy.ndimage import binary_erosion
 
 from thalweg.cli import main
-from thalweg.core import ArrayF, GeometryError, InputError, UnsupportedError, read_table
+from thalweg.core import ArrayF, Dsm, GeometryError, InputError, UnsupportedError, read_dsm, read_table
 from thalweg.deformation.foreign import (
-    Dsm,
     HeightErrors,
     Shapes,
     difference_of_surfaces,
     difference_on_lines,
     onto_grid,
-    read_dsm,
     read_shapes,
     write_difference,
 )
@@ -331,6 +329,7 @@ def test_the_undeclared_value_of_the_beach_is_masked_and_counted(epochs: list[Ds
     assert epochs[2].notes == (
         "mar_20180727_dsm_resampled_1m.tif: 30,739 of 141,780 cells without a height "
         "(undeclared value -10000).",
+        "mar_20180727_dsm_resampled_1m.tif: The file states no unit of heights: metres.",
     )
     assert len(epochs[2].points_m()) == 111_041
     assert len(epochs[3].points_m()) == 83_438

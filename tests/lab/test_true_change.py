@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 from pyproj import CRS
 
-from thalweg.core import ArrayF, ArrayI, ConfigError, GeometryError, InputError, LocalFrame
-from thalweg.deformation.foreign import Dsm, SurfaceDifference
+from thalweg.core import ArrayF, ArrayI, ConfigError, Dsm, GeometryError, InputError, LocalFrame
+from thalweg.deformation.foreign import SurfaceDifference
 from thalweg.settings.twin import TwinConfig
 from thalweg.surface import Area
 from thalweg_lab.changes import Patch

@@ -103,10 +103,10 @@ from .pose_errors import (
     write_chains as write_chains,
 )
 from .raster import (
+    Dsm as Dsm,
     Grid as Grid,
-    HeightRaster as HeightRaster,
     mask_missing as mask_missing,
-    read_heights as read_heights,
+    read_dsm as read_dsm,
     read_raster as read_raster,
     write_raster as write_raster,
 )

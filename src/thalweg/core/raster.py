@@ -1,7 +1,7 @@
 """Rasters of heights, of this pipeline and of others, read and written by rasterio.
 
 Ours have named bands in cloud-optimised GeoTIFF. Those of others may have any unit, scale, order of rows and
-value for "no height": `read_heights` brings them to metres from north to south, and says what it did.
+value for "no height": `read_dsm` brings them to metres from north to south, and says what it did.
 """
 
 import re
@@ -17,14 +17,17 @@ from PIL import TiffImagePlugin
 from pyproj import CRS
 from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError
+from scipy.ndimage import map_coordinates
 
 from thalweg.core.errors import GeometryError, InputError, UnsupportedError
+from thalweg.core.geometry import TriangleMesh
 from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayI
 from thalweg.core.values import (
     HIGHEST_M,
     HUGE,
     LOWEST_M,
     Unit,
+    check_degrees,
     crs_of_geokeys,
     in_metres,
     is_nothing,
@@ -167,17 +170,18 @@ def read_raster(path: Path) -> tuple[Grid, dict[str, ArrayF], dict[str, str]]:
 # ---------------------------------------------------------------- heights of others
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HeightRaster:
-    """Heights of a raster, metres, rows from north to south and columns from west to east.
+@dataclass(frozen=True, slots=True)
+class Dsm:
+    """A raster of heights, metres.
 
     Attributes
     ----------
-    height_m : (rows, columns); NaN where there is no height.
+    height_m : (rows, columns) from north to south and west to east; NaN where there is no height.
     corner_m : (2,) east and north of the outer corner of the first cell.
-    cell_m : (2,) width and height of a cell, both positive.
-    crs : of the map and, where it is stated, of the heights; None where the file states none.
-    notes : what was masked, converted and taken for granted.
+    cell_m : (2,) width (east) and height (north) of a cell, both positive.
+    frame : coordinate system of the map and, where it is stated, of the heights; None where the file states
+        none.
+    notes : what was masked on reading, with counts, and converted.
     sigma_m : (rows, columns) standard deviation of each height, where a band holds it (a kriged bed).
     common_m : (rows, columns) its part that all heights of the raster share, in addition to ``sigma_m``.
     """
@@ -185,14 +189,66 @@ class HeightRaster:
     height_m: ArrayF
     corner_m: ArrayF
     cell_m: ArrayF
-    crs: CRS | None
+    frame: CRS | None
+    path: Path
     notes: tuple[str, ...] = ()
     sigma_m: ArrayF | None = None
     common_m: ArrayF | None = None
 
+    @property
+    def cell_area_m2(self) -> float:
+        """Area of a cell on the map."""
+        return float(self.cell_m[0] * self.cell_m[1])
 
-def read_heights(path: Path, *, nodata: float | None = None) -> HeightRaster:
+    def centres_m(self) -> ArrayF:
+        """Centres (rows * columns, 2) of all cells, row by row."""
+        rows, columns = self.height_m.shape
+        east = self.corner_m[0] + (np.arange(columns) + 0.5) * self.cell_m[0]
+        north = self.corner_m[1] - (np.arange(rows) + 0.5) * self.cell_m[1]
+        return np.column_stack([np.tile(east, rows), np.repeat(north, columns)])
+
+    def points_m(self) -> ArrayF:
+        """Centres (n, 3) of the cells that have a height, row by row."""
+        points = np.column_stack([self.centres_m(), self.height_m.ravel()])
+        return points[np.isfinite(points[:, 2])]
+
+    def mesh(self, sigma_m: float = 0.0) -> TriangleMesh:
+        """Triangles between the centres of neighbouring cells, two for each four, facing up."""
+        number = np.full(self.height_m.shape, -1)
+        known = np.isfinite(self.height_m)
+        number[known] = np.arange(known.sum())
+        nw, ne, sw, se = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
+        faces = np.concatenate(
+            [np.stack(corners, axis=-1).reshape(-1, 3) for corners in ((nw, sw, ne), (ne, sw, se))]
+        )
+        points = self.points_m()
+        return TriangleMesh(
+            vertices_m=points, faces=faces[(faces >= 0).all(axis=1)], sigma_m=np.full(len(points), sigma_m)
+        )
+
+    def places(self, points_m: ArrayF) -> ArrayF:
+        """Row and column (n, 2) of points (n, 2) in the raster; whole numbers are centres of cells."""
+        east, north = ((points_m - self.corner_m) * (1.0, -1.0) / self.cell_m - 0.5).T
+        return np.column_stack([north, east])
+
+    def at(self, points_m: ArrayF, how: str = "nearest") -> ArrayF:
+        """Heights (n,) at points (n, 2): of the cell that holds each, or bilinear between four known ones."""
+        place = self.places(points_m)
+        if how == "bilinear":
+            return np.asarray(map_coordinates(self.height_m, place.T, order=1, cval=np.nan))
+        row, col = np.floor(place + 0.5).astype(np.int64).T
+        rows, columns = self.height_m.shape
+        within = (row >= 0) & (row < rows) & (col >= 0) & (col < columns)
+        heights = np.full(len(points_m), np.nan)
+        heights[within] = self.height_m[row[within], col[within]]
+        return heights
+
+
+def read_dsm(path: Path, *, nodata: float | None = None) -> Dsm:
     """Heights of a GeoTIFF in metres: unit, scale and offset of the band and units of the map applied.
+
+    A raster with bands of heights and standard deviations (``bed.tif``, ``dtm.tif`` of this pipeline) gives
+    both.
 
     Cells with the declared value for "no height", outside of the mask of the file, NaN, or a value that only
     stands for that (-9999, -32768, ...) have none; how many is told in the notes. A value that may be either
@@ -229,7 +285,7 @@ def read_heights(path: Path, *, nodata: float | None = None) -> HeightRaster:
         ) from error
 
 
-def _heights(file: Any, path: Path, nodata: float | None) -> HeightRaster:
+def _heights(file: Any, path: Path, nodata: float | None) -> Dsm:
     corner, cell, flipped = _placement(file, path)
     names = [name or "" for name in file.descriptions]
     ours = next((each for each in _NAMED_BANDS if set(each[:2]) <= set(names)), None)
@@ -247,7 +303,13 @@ def _heights(file: Any, path: Path, nodata: float | None) -> HeightRaster:
             "a coordinate system without EPSG code or parameters", expected="one that GDAL knows", where=path,
             cure="Export the raster with the EPSG code of its coordinate system",
         )  # fmt: skip
-    if stated.crs is not None and stated.crs.is_geographic:
+    if stated.crs is None:
+        check_degrees(
+            corner + cell * np.array([[0.0, 0.0], [file.width, -file.height]]),
+            where=path,
+            cure="State its coordinate system (gdal_edit -a_srs), and transform it with gdalwarp",
+        )
+    elif stated.crs.is_geographic:
         middle = (corner + 0.5 * cell * (file.width, -file.height))[:, None]
         raise UnsupportedError(
             "cells in degrees", expected="a projected coordinate system in metres", where=path,
@@ -265,7 +327,8 @@ def _heights(file: Any, path: Path, nodata: float | None) -> HeightRaster:
         declared=file.nodatavals[number - 1],
         also=_outside_of_mask(file, number),
         of_type=raw.dtype,
-        zeros=not np.issubdtype(raw.dtype, np.integer),
+        # of whole numbers zero is one among others where there are ones and twos; ours have no such gaps
+        zeros=ours is None and (raw.dtype.kind == "f" or not np.isin(raw, (-2, -1, 1, 2)).any()),
         to_metres=(scale * metres, offset * metres),
     )
     said = list(stated.notes)
@@ -291,11 +354,12 @@ def _heights(file: Any, path: Path, nodata: float | None) -> HeightRaster:
     else:
         stated_crs = stated.crs
     across = np.array(stated.factors[:2])
-    return HeightRaster(
+    return Dsm(
         height_m=turned(values),
         corner_m=corner * across,
         cell_m=cell * across,
-        crs=stated_crs,
+        frame=stated_crs,
+        path=path,
         notes=(*notes, *(f"{path.name}: {sentence}" for sentence in said)),
         sigma_m=bands[0],
         common_m=bands[1],
@@ -410,7 +474,7 @@ def mask_missing(
     zeros: bool = True,
     to_metres: tuple[float, float] = (1.0, 0.0),
 ) -> tuple[ArrayF, tuple[str, ...]]:
-    """Heights in metres with NaN where there is none, and sentences that count these; see `read_heights`.
+    """Heights in metres with NaN where there is none, and sentences that count these; see `read_dsm`.
 
     Parameters
     ----------

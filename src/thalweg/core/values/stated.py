@@ -52,6 +52,11 @@ def in_metres(crs: CRS | None, across: Unit | None = None, up: Unit | None = Non
     >>> found.factors[0] == found.factors[2] == 1200 / 3937, found.crs.axis_info[2].unit_name
     (True, 'metre')
     """
+    if crs is not None and crs.is_compound and _nameless(crs.sub_crs_list[0]):
+        across_of, up_of = units_of_crs(crs)
+        crs, across, up = None, across or across_of, up or up_of
+    elif crs is not None and _nameless(crs):
+        crs, across = None, across or units_of_crs(crs)[0]
     own: tuple[Unit | None, Unit | None] = (None, None) if crs is None else units_of_crs(crs)
     # a projected system has its units in its parameters: those of a file beside it are of places without one
     units = (own[0] or across, up or own[1])
@@ -70,9 +75,12 @@ def in_metres(crs: CRS | None, across: Unit | None = None, up: Unit | None = Non
             crs = CRS.from_json_dict(_metric(crs.to_json_dict()))
         if crs.is_compound and str(crs.sub_crs_list[1].datum and crs.sub_crs_list[1].datum.name) in _UNKNOWN:
             crs = crs.sub_crs_list[0]
-        if crs.is_engineering and crs.name.lower() in _UNKNOWN:
-            crs = None
     return Stated(crs, (1.0 if degrees else x, 1.0 if degrees else x, z), tuple(notes))
+
+
+def _nameless(crs: CRS) -> bool:
+    """Whether it is only a form of GDAL for a map of no known system."""
+    return bool(crs.is_engineering and crs.name.lower() in _UNKNOWN)
 
 
 def _metric(part: Any) -> Any:
@@ -84,12 +92,14 @@ def _metric(part: Any) -> Any:
     out = {key: value if key == "base_crs" else _metric(value) for key, value in part.items()}
     if "coordinate_system" in out:
         out.pop("id", None)
+        out["name"] += " in metres"
         for axis in out["coordinate_system"]["axis"]:
             unit = axis["unit"]
             if unit != "degree" and not (isinstance(unit, dict) and unit.get("type") == "AngularUnit"):
                 axis["unit"] = "metre"
     elif "components" in out:
         out.pop("id", None)
+        out["name"] = " + ".join(component["name"] for component in out["components"])
     return out
 
 

@@ -23,13 +23,14 @@ from thalweg.core import (
     InputError,
     LazWriter,
     column,
+    read_dsm,
     table_kind,
     write_table,
 )
 from thalweg.core.geometry import TriangleMesh
 from thalweg.core.values import check_degrees
 from thalweg.deformation import CHANGES, Comparison, cloud_to_cloud, judge_changes, measure_distances
-from thalweg.deformation.foreign.surfaces import one_frame, read_dsm
+from thalweg.deformation.foreign.surfaces import one_frame
 from thalweg.ingest.clouds import NO_USE, read_cloud, read_pcd
 from thalweg.settings.sections import DSM_ENDINGS, TEXT_ENDINGS, Accuracy, ReferenceSettings
 from thalweg.surface import Surface, mesh_reference, read_triangles

@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from pyproj import CRS
 from scipy.stats import norm
 
-from thalweg.core import ArrayB, ArrayF, ArrayI, CoverageError, Grid, LocalFrame, frame_of
+from thalweg.core import ArrayB, ArrayF, ArrayI, CoverageError, Dsm, Grid, LocalFrame, frame_of
 from thalweg.deformation import (
     CORE_POINTS,
     Compared,
@@ -32,7 +32,6 @@ from thalweg.deformation import (
 from thalweg.deformation.foreign.epochs import dsm_of, masks_of
 from thalweg.deformation.foreign.surfaces import (
     VOLUMES,
-    Dsm,
     HeightErrors,
     SurfaceDifference,
     difference_of_surfaces,

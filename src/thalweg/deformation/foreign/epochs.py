@@ -32,6 +32,7 @@ from thalweg.core import (
     ArrayF,
     ArrayI,
     CoverageError,
+    Dsm,
     Frame,
     GeometryError,
     InputError,
@@ -41,6 +42,7 @@ from thalweg.core import (
     mask_missing,
     njit,
     prange,
+    read_dsm,
 )
 from thalweg.core.values import heights_in_words, same_heights
 from thalweg.deformation import (
@@ -53,7 +55,7 @@ from thalweg.deformation import (
     rows_of_weights,
 )
 from thalweg.deformation.foreign.clouds import ROUGHNESS_ALONE, density_notes, read_points
-from thalweg.deformation.foreign.surfaces import Dsm, HeightErrors, Shapes, one_frame, read_dsm, read_shapes
+from thalweg.deformation.foreign.surfaces import HeightErrors, Shapes, one_frame, read_shapes
 from thalweg.ingest.clouds import to_world
 from thalweg.settings import utm_code
 from thalweg.settings.sections import DSM_ENDINGS, Epoch as Statement

@@ -27,24 +27,22 @@ import pandas as pd
 import pyarrow as pa
 from pyproj import CRS
 from scipy.fft import irfft2, next_fast_len, rfft2
-from scipy.ndimage import map_coordinates
 from scipy.stats import norm
 
 from thalweg.core import (
     ArrayB,
     ArrayF,
+    Dsm,
     Frame,
     GeometryError,
     InputError,
     LocalFrame,
     column,
     frame_of,
-    read_heights,
     robust_sigma,
     table_kind,
     write_table,
 )
-from thalweg.core.geometry import TriangleMesh
 from thalweg.core.values import heights_in_words, same_heights, vertical_of
 from thalweg.settings.sections import DSM_ENDINGS
 
@@ -207,80 +205,6 @@ _DIFFERENCE_BANDS = ("difference_m", "sigma_m")
 
 
 @dataclass(frozen=True, slots=True)
-class Dsm:
-    """A raster of heights.
-
-    Attributes
-    ----------
-    height_m : (rows, columns) from north to south and west to east; NaN where there is no height.
-    corner_m : (2,) east and north of the outer corner of the first cell.
-    cell_m : (2,) width (east) and height (north) of a cell, both positive.
-    frame : coordinate system of the map and, where it is stated, of the heights; None where the file states
-        none.
-    notes : what was masked on reading, with counts, and converted.
-    sigma_m : (rows, columns) standard deviation of each height, where a band holds it (a kriged bed).
-    common_m : (rows, columns) its part that all heights of the raster share, in addition to ``sigma_m``.
-    """
-
-    height_m: ArrayF
-    corner_m: ArrayF
-    cell_m: ArrayF
-    frame: CRS | None
-    path: Path
-    notes: tuple[str, ...] = ()
-    sigma_m: ArrayF | None = None
-    common_m: ArrayF | None = None
-
-    @property
-    def cell_area_m2(self) -> float:
-        """Area of a cell on the map."""
-        return float(self.cell_m[0] * self.cell_m[1])
-
-    def centres_m(self) -> ArrayF:
-        """Centres (rows * columns, 2) of all cells, row by row."""
-        rows, columns = self.height_m.shape
-        east = self.corner_m[0] + (np.arange(columns) + 0.5) * self.cell_m[0]
-        north = self.corner_m[1] - (np.arange(rows) + 0.5) * self.cell_m[1]
-        return np.column_stack([np.tile(east, rows), np.repeat(north, columns)])
-
-    def points_m(self) -> ArrayF:
-        """Centres (n, 3) of the cells that have a height, row by row."""
-        points = np.column_stack([self.centres_m(), self.height_m.ravel()])
-        return points[np.isfinite(points[:, 2])]
-
-    def mesh(self, sigma_m: float = 0.0) -> TriangleMesh:
-        """Triangles between the centres of neighbouring cells, two for each four, facing up."""
-        number = np.full(self.height_m.shape, -1)
-        known = np.isfinite(self.height_m)
-        number[known] = np.arange(known.sum())
-        nw, ne, sw, se = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
-        faces = np.concatenate(
-            [np.stack(corners, axis=-1).reshape(-1, 3) for corners in ((nw, sw, ne), (ne, sw, se))]
-        )
-        points = self.points_m()
-        return TriangleMesh(
-            vertices_m=points, faces=faces[(faces >= 0).all(axis=1)], sigma_m=np.full(len(points), sigma_m)
-        )
-
-    def places(self, points_m: ArrayF) -> ArrayF:
-        """Row and column (n, 2) of points (n, 2) in the raster; whole numbers are centres of cells."""
-        east, north = ((points_m - self.corner_m) * (1.0, -1.0) / self.cell_m - 0.5).T
-        return np.column_stack([north, east])
-
-    def at(self, points_m: ArrayF, how: str = "nearest") -> ArrayF:
-        """Heights (n,) at points (n, 2): of the cell that holds each, or bilinear between four known ones."""
-        place = self.places(points_m)
-        if how == "bilinear":
-            return np.asarray(map_coordinates(self.height_m, place.T, order=1, cval=np.nan))
-        row, col = np.floor(place + 0.5).astype(np.int64).T
-        rows, columns = self.height_m.shape
-        within = (row >= 0) & (row < rows) & (col >= 0) & (col < columns)
-        heights = np.full(len(points_m), np.nan)
-        heights[within] = self.height_m[row[within], col[within]]
-        return heights
-
-
-@dataclass(frozen=True, slots=True)
 class HeightErrors:
     """What is stated of the errors of a raster's heights.
 
@@ -431,28 +355,6 @@ def _same(a: Frame, b: Frame) -> bool:
         return a == b
     one, two = (each and (each.sub_crs_list[0] if each.is_compound else each).to_2d() for each in (a, b))
     return bool(one.equals(two, ignore_axis_order=True)) if one is not None else two is None
-
-
-# ---------------------------------------------------------------- reading
-
-
-def read_dsm(path: Path, *, nodata: float | None = None) -> Dsm:
-    """Heights of a GeoTIFF, see `thalweg.core.read_heights`.
-
-    A raster with bands of heights and standard deviations (``bed.tif``, ``dtm.tif`` of this pipeline) gives
-    both.
-    """
-    found = read_heights(path, nodata=nodata)
-    return Dsm(
-        found.height_m,
-        found.corner_m,
-        found.cell_m,
-        found.crs,
-        path,
-        found.notes,
-        found.sigma_m,
-        found.common_m,
-    )
 
 
 # ---------------------------------------------------------------- difference

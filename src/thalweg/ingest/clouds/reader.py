@@ -109,8 +109,8 @@ _DEGREE_M: Final = 111_195.0
 """Length of a degree on a sphere as large as the earth."""
 _EARLIEST_S, _LATEST_S = -6e8, 1.2e9
 """1992 and 2049 in adjusted standard GPS time: no lidar was earlier."""
-_LEAST_UNIX_S: Final = 1.5e9
-"""2017 in Unix time, and 2027 in GPS time since 1980: more than that is Unix time."""
+_UNIX_S: Final = (1.5e9, 2.5e9)
+"""2017 to 2049 in Unix time; the former is 2027 in GPS time since 1980, so that both cannot be confused."""
 _NAMES: Final[tuple[str, ...]] = ("xyz_m", "intensity", "rgb", "t_gps_s", "t_week_s")
 
 
@@ -200,7 +200,7 @@ def _times(values: ArrayF, header: LazHeader, report: IntegrityReport) -> ArrayF
         return t
     for words, gps in (
         ("adjusted standard GPS time", t),
-        ("Unix time", gps_from_unix(t) if low > _LEAST_UNIX_S else None),
+        ("Unix time", gps_from_unix(t) if _UNIX_S[0] < low and high < _UNIX_S[1] else None),
         ("GPS time since 1980", t - ADJUSTED_OFFSET_S),
     ):
         if gps is not None and np.nanmin(gps) > _EARLIEST_S and np.nanmax(gps) < _LATEST_S:
