@@ -729,6 +729,8 @@ def columns_of(points: Any, header: LazHeader) -> dict[str, AnyArray]:
     columns: dict[str, AnyArray] = {"xyz_m": xyz, "t_gps_s": np.full(n, np.nan)}
     if header.has_time:
         columns["t_gps_s" if header.standard_time else "t_week_s"] = np.array(points["gps_time"])
+        if not header.format_version:  # others write 0 where there is no time
+            columns["t_gps_s"][columns["t_gps_s"] == 0.0] = np.nan
     for name in ("intensity", "return_number", "number_of_returns", *OPTIONAL):
         if name in dimensions:
             columns[name] = np.array(points[name])

@@ -451,7 +451,8 @@ def check_epoch_files(stated: Statement, frame: LocalFrame, crs: str) -> None:
             if not header.n_points:
                 raise InputError("a cloud without points", expected="the points of a survey", where=path,
                                  cure="Export it again, or name another file")  # fmt: skip
-            _grid_of(header.frame, stated, crs, path)
+            if not (isinstance(header.frame, CRS) and header.frame.is_geographic):  # that becomes UTM
+                _grid_of(header.frame, stated, crs, path)
 
 
 def place_of_file(
