@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from thalweg.core import LocalFrame, gps_from_unix
-from thalweg.ingest import IntegrityReport, StreamTiming, fit_clock, possible_unix
+from thalweg.ingest import (
+    IntegrityReport,
+    StreamTiming,
+    fit_clock,
+    gps_from_scale,
+    possible_unix,
+    tell_time_scale,
+    time_contradiction,
+)
 from thalweg.ingest.anpp import read_anpp
 from thalweg.ingest.nmea import read_nmea
 from thalweg.ingest.tracks import read_pos
@@ -169,3 +177,39 @@ def test_what_is_a_possible_time() -> None:
     times = [unix(x) for x in ("1980-01-05T23:59:59", "1980-01-06", "2021-05-12", "2057-06-27", "2058-01-01")]
     assert possible_unix(times).tolist() == [False, True, True, True, False]
     assert float(gps_from_unix(unix("2021-05-12"))) > 0
+
+
+UNIX_S = 1_718_186_400  # 2024-06-12T10:00:00Z, week 2318, second 295218
+
+
+@pytest.mark.parametrize(
+    ("first", "scales"),
+    [
+        (UNIX_S, ("unix_s",)),
+        (UNIX_S * 10**3, ("unix_ms",)),
+        (UNIX_S * 10**6, ("unix_us",)),
+        (UNIX_S * 10**9, ("unix_ns",)),
+        (2318 * 604_800 + 295_218 - 10**9, ("adjusted_s",)),
+        (2318 * 604_800 + 295_218, ("unix_s", "gps_s")),  # 2014 or 2024
+        (295_218, ("week_s",)),
+        (36_000, ("week_s", "day_s")),
+        (5e7, ("adjusted_s",)),
+        (5e15, ()),
+    ],
+)
+def test_scale_of_bare_numbers_by_their_size(first: float, scales: tuple[str, ...]) -> None:
+    t = first + np.arange(50.0)
+    assert tell_time_scale(np.append(t, [0.0, np.nan])) == scales
+    if len(scales) == 1 and scales != ("week_s",) and first != 5e7:
+        told = gps_from_scale(t[:1], scales[0])
+        assert told[0] == pytest.approx(2318 * 604_800 + 295_218 - 1e9, abs=1e-6)
+
+
+def test_times_against_the_scale_that_their_file_states() -> None:
+    adjusted = 402_221_618.0 + np.arange(300.0)
+    assert time_contradiction(adjusted, "adjusted_s") == ""
+    assert time_contradiction(np.append(adjusted, 17.0), "adjusted_s") == ""  # one damaged stamp
+    assert "unstated GPS week" in time_contradiction(295_218 + np.arange(9.0), "adjusted_s")
+    assert "adjusted standard" in time_contradiction(adjusted, "week_s")
+    assert time_contradiction(604_790 + np.arange(30.0), "week_s") == ""  # runs on behind the week
+    assert "none was recorded" in time_contradiction(np.zeros(5), "adjusted_s")

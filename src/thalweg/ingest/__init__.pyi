@@ -38,11 +38,16 @@ from .stamps import (
     FIRST_UNIX_S as FIRST_UNIX_S,
     LAST_UNIX_S as LAST_UNIX_S,
     QUARTER_HOUR_S as QUARTER_HOUR_S,
+    TIME_SCALES as TIME_SCALES,
     StreamTiming as StreamTiming,
     explain_shift as explain_shift,
     fit_clock as fit_clock,
+    gps_from_scale as gps_from_scale,
     hours_text as hours_text,
     possible_unix as possible_unix,
+    tell_time_scale as tell_time_scale,
+    time_contradiction as time_contradiction,
+    time_scale_words as time_scale_words,
     weighted_median as weighted_median,
 )
 from .tables import (

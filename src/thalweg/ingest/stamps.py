@@ -1,6 +1,7 @@
 """What the stamps of a stream say about its clock: period, jitter, offset, drift, and times without GPS."""
 
 import datetime as dt
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -8,13 +9,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from thalweg.core import (
+    ADJUSTED_OFFSET_S,
+    DAY_S,
     GPS_EPOCH_UNIX_S,
     LEAP_TABLE,
     LEAP_TABLE_VALID_UNTIL,
     NMAD,
+    WEEK_S,
     ArrayB,
     ArrayF,
+    InputError,
+    gps_from_unix,
+    gps_from_week,
     unix_from_gps,
+    utc_text_from_unix,
 )
 
 FIRST_UNIX_S: Final = GPS_EPOCH_UNIX_S
@@ -228,7 +236,9 @@ QUARTER_HOUR_S: Final = 900.0
 """Time zones are apart by multiples of it."""
 
 _LEAP_S: Final = float(LEAP_TABLE[-1][1])
-_DAY_S: Final = 86_400.0
+_OLD_LEAP_TOLERANCE_S: Final = 0.02
+"""An ordinary offset is this near to a whole second by chance in 4 of 100 clocks."""
+_ROLLOVER_S: Final = 1024.0 * WEEK_S
 _LARGEST_ZONE_S: Final = 14 * 3600.0
 _TOLERANCE_S: Final = 30.0
 
@@ -247,19 +257,33 @@ def explain_shift(shift_s: float, tolerance_s: float = _TOLERANCE_S) -> str:
     '+2:00 h: a time zone'
     >>> explain_shift(-18.0)
     '-18 s: the leap seconds between GPS time and UTC'
+    >>> explain_shift(-3.0)
+    '-3 s: leap seconds that one of the clocks does not know'
+    >>> explain_shift(619_315_200.2)
+    '+1024 weeks: the week counter of a receiver rolled over'
     >>> explain_shift(1.7)
     ''
     """
+    turns = round(shift_s / _ROLLOVER_S)
+    rest_s = shift_s - turns * _ROLLOVER_S
+    if turns and abs(rest_s) <= _LARGEST_ZONE_S + tolerance_s:
+        more = explain_shift(rest_s, tolerance_s)
+        if more or abs(rest_s) <= tolerance_s:
+            weeks = f"{1024 * turns:+d} weeks: the week counter of a receiver rolled over"
+            return f"{weeks}; {more}" if more else weeks
+    seconds = round(abs(shift_s))
     if abs(abs(shift_s) - _LEAP_S) <= min(1.0, tolerance_s):
         return f"{shift_s:+.0f} s: the leap seconds between GPS time and UTC"
+    if 1 <= seconds < _LEAP_S and abs(abs(shift_s) - seconds) <= min(_OLD_LEAP_TOLERANCE_S, tolerance_s):
+        return f"{shift_s:+.0f} s: leap seconds that one of the clocks does not know"
     quarters = round(shift_s / QUARTER_HOUR_S)
     if quarters == 0 or abs(shift_s - quarters * QUARTER_HOUR_S) > tolerance_s:
         return ""
     if abs(shift_s) <= _LARGEST_ZONE_S + tolerance_s:
         return f"{hours_text(quarters * QUARTER_HOUR_S)} h: a time zone"
-    days = round(shift_s / _DAY_S)
-    if days and abs(shift_s - days * _DAY_S) <= _LARGEST_ZONE_S + tolerance_s:
-        rest = quarters * QUARTER_HOUR_S - days * _DAY_S
+    days = round(shift_s / DAY_S)
+    if days and abs(shift_s - days * DAY_S) <= _LARGEST_ZONE_S + tolerance_s:
+        rest = quarters * QUARTER_HOUR_S - days * DAY_S
         more = f" and {hours_text(rest)} h" if rest else ""
         return f"{days:+d} day(s){more}: the date of a clock is wrong"
     return ""
@@ -275,3 +299,161 @@ def hours_text(seconds: float) -> str:
     """
     minutes = round(abs(seconds) / 60.0)
     return f"{'-' if seconds < 0 else '+'}{minutes // 60}:{minutes % 60:02d}"
+
+
+# ---------------------------------------------------------------- Bare numbers: which unit and scale of time
+
+
+_FIRST_TOLD_S: Final = dt.datetime(2000, 1, 1, tzinfo=dt.UTC).timestamp()
+_LAST_TOLD_S: Final = dt.datetime.fromisoformat(LEAP_TABLE_VALID_UNTIL).replace(tzinfo=dt.UTC).timestamp()
+"""Dates by which a scale is told: no digital survey before 2000, none after this version of Thalweg."""
+_MOST: Final = (0.005, 0.995)
+"""A damaged stamp or two of a long log do not hide the scale of the others."""
+
+TIME_SCALES: Final = {
+    "unix_s": "seconds since 1970 (Unix time)",
+    "unix_ms": "milliseconds since 1970",
+    "unix_us": "microseconds since 1970",
+    "unix_ns": "nanoseconds since 1970",
+    "gps_s": "GPS seconds since 1980",
+    "adjusted_s": "adjusted standard GPS time (GPS seconds since 1980 less 1e9)",
+    "week_s": "seconds of an unstated GPS week",
+    "day_s": "seconds of an unstated day",
+}
+"""Scales on which a file may count its times -> words."""
+_UNITS_A_SECOND: Final = {"unix_ms": 1e3, "unix_us": 1e6, "unix_ns": 1e9}
+_ZERO_UNIX_S: Final = {
+    **dict.fromkeys(("unix_s", "unix_ms", "unix_us", "unix_ns"), 0.0),
+    "gps_s": float(GPS_EPOCH_UNIX_S),
+    "adjusted_s": float(GPS_EPOCH_UNIX_S + ADJUSTED_OFFSET_S),
+}
+"""Scales that tell the date -> Unix time of their zero, but for leap seconds."""
+
+
+def gps_from_scale(values: ArrayLike, scale: str) -> ArrayF:
+    """Adjusted standard GPS time of bare numbers on a scale of `TIME_SCALES` that tells the date.
+
+    Raises
+    ------
+    InputError : the scale holds seconds of a week or a day that nobody states.
+
+    Examples
+    --------
+    >>> gps_from_scale([1718186400000], "unix_ms").tolist()  # 2024-06-12T10:00:00Z
+    [402221618.0]
+    """
+    if scale not in _ZERO_UNIX_S:
+        raise InputError(
+            f"the times are {TIME_SCALES[scale]}", expected="times with their date", cure="State the date"
+        )
+    t = np.asarray(values, dtype=np.float64) / _UNITS_A_SECOND.get(scale, 1.0)
+    if scale.startswith("unix"):
+        return gps_from_unix(t)
+    return t if scale == "adjusted_s" else gps_from_week(0, t)
+
+
+def tell_time_scale(values: ArrayLike) -> tuple[str, ...]:
+    """Scales of `TIME_SCALES` on which bare numbers are times of surveys, by their size.
+
+    One scale: told. Several: ambiguous, ask (`time_scale_words` says what each would mean). None: no times.
+    Zeros beside other values stand for none.
+
+    Examples
+    --------
+    >>> tell_time_scale([1718186400, 1718186401])
+    ('unix_s',)
+    >>> tell_time_scale([1718186400_000])
+    ('unix_ms',)
+    >>> tell_time_scale([402221618.0])
+    ('adjusted_s',)
+    >>> tell_time_scale([1.4e9])  # 2014 or 2024
+    ('unix_s', 'gps_s')
+    >>> tell_time_scale([295218.0])
+    ('week_s',)
+    >>> tell_time_scale([36000.0])
+    ('week_s', 'day_s')
+    >>> tell_time_scale([0.0, 0.0])
+    ()
+    """
+    span = _span(values)
+    if span is None:
+        return ()
+    low, high = span
+    if low >= 0 and high <= WEEK_S:  # also adjusted times of one week of 2011
+        return ("week_s", "day_s") if high <= DAY_S else ("week_s",)
+    return tuple(
+        scale
+        for scale in _ZERO_UNIX_S
+        if _rough_unix_s(low, scale) >= _FIRST_TOLD_S and _rough_unix_s(high, scale) <= _LAST_TOLD_S
+    )
+
+
+def time_scale_words(values: ArrayLike, scales: Sequence[str]) -> str:
+    """What each of several scales would make of the first of some bare numbers.
+
+    Examples
+    --------
+    >>> time_scale_words([1.4e9], ("unix_s", "gps_s"))
+    '1400000000 is 2014-05-13 in seconds since 1970 (Unix time), 2024-05-17 in GPS seconds since 1980'
+    """
+    t = np.asarray(values, dtype=np.float64).ravel()
+    t = t[np.isfinite(t) & (t != 0)]
+    if not t.size:
+        return "no time is written"
+    each = []
+    for scale in scales:
+        date = f"{utc_text_from_unix(_rough_unix_s(t[0], scale))[:10]} " if scale in _ZERO_UNIX_S else ""
+        each.append(f"{date}in {TIME_SCALES[scale]}")
+    return f"{t[0]:.15g} is {', '.join(each) or 'a time of a survey on no known scale'}"
+
+
+def time_contradiction(values: ArrayLike, stated: str) -> str:
+    """How bare numbers contradict the scale that their file states; empty if they suit it.
+
+    Parameters
+    ----------
+    values : as they stand in the file.
+    stated : scale of `TIME_SCALES`.
+
+    Examples
+    --------
+    >>> time_contradiction([402221618.0], "adjusted_s")
+    ''
+    >>> time_contradiction([295218.0, 295219.0], "adjusted_s")
+    '295218 .. 295219 are seconds of an unstated GPS week'
+    >>> time_contradiction([402221618.0], "week_s")
+    '402221618 .. 402221618 are adjusted standard GPS time (GPS seconds since 1980 less 1e9)'
+    >>> time_contradiction([0.0, 0.0], "adjusted_s")
+    'all times are 0: none was recorded'
+    """
+    span = _span(values)
+    if span is None:
+        return "all times are 0: none was recorded" if np.size(values) else "there is no time"
+    low, high = span
+    told = tell_time_scale(values)
+    if stated in told:
+        return ""
+    if stated in ("week_s", "day_s"):  # files run on behind the end of a week or a day
+        suits = low >= 0 and high <= 2 * (WEEK_S if stated == "week_s" else DAY_S)
+    else:
+        dates = [_rough_unix_s(value, stated) for value in (low, high)]
+        suits = "week_s" not in told and bool(possible_unix(dates).all())
+    if suits:
+        return ""
+    found = " or ".join(TIME_SCALES[scale] for scale in told) or "no times of a survey on any known scale"
+    return f"{low:.15g} .. {high:.15g} are {found}"
+
+
+def _rough_unix_s(value: float, scale: str) -> float:
+    """UTC but for leap seconds of a number on a scale that tells the date."""
+    return value / _UNITS_A_SECOND.get(scale, 1.0) + _ZERO_UNIX_S[scale]
+
+
+def _span(values: ArrayLike) -> tuple[float, float] | None:
+    """Smallest and largest of nearly all values; None if there are none but 0 and NaN."""
+    t = np.asarray(values, dtype=np.float64).ravel()
+    t = t[np.isfinite(t) & (t != 0)]
+    if not t.size:
+        return None
+    low, high = np.quantile(t, _MOST, method="nearest")
+    return float(low), float(high)
