@@ -259,35 +259,16 @@ _NO_DEPTH: Final = frozenset(NOTHING["depth"])
 """Depths by which an instrument says that it has none."""
 
 FIX_OF_QUALITY: Final = {
-    "0": "none",
-    "1": "single",
-    "2": "dgnss",
-    "3": "single",
-    "4": "fixed",
-    "5": "float",
-    "6": "dead_reckoning",
-    "7": "none",
-    "8": "none",
-    "9": "sbas",
-}
+    "0": "none", "1": "single", "2": "dgnss", "3": "single", "4": "fixed", "5": "float",
+    "6": "dead_reckoning", "7": "none", "8": "none", "9": "sbas",
+}  # fmt: skip
 """GGA field 6 -> fix; 7 is manual input, 8 a simulator, 9 SBAS in NovAtel receivers."""
 
 FIX_OF_MODE: Final = {
-    "A": "single",
-    "D": "dgnss",
-    "R": "fixed",
-    "F": "float",
-    "P": "single",
-    "E": "dead_reckoning",
-    "M": "none",
-    "S": "none",
-    "N": "none",
-    "": "single",
-}
-"""Mode indicator of RMC, GLL (NMEA 2.3) and GNS -> fix; older sentences have none."""
-
-_BEST_MODE: Final = "RFDPAEMSN"
-"""GNS has a mode a system of satellites: the best one tells."""
+    "R": "fixed", "F": "float", "D": "dgnss", "P": "single", "A": "single", "E": "dead_reckoning",
+    "M": "none", "S": "none", "N": "none", "": "single",
+}  # fmt: skip
+"""Mode indicator of RMC, GLL (NMEA 2.3) and GNS -> fix, best first; older sentences have none."""
 
 
 def second_of_day(text: str) -> float:
@@ -436,27 +417,14 @@ _RANK: Final = {"GGA": 0, "GNS": 0, "RMC": 1, "GLL": 2}
 """Of sentences of the same time the one that says most is taken."""
 _WANTED: Final = frozenset(k.encode() for k in (*_TIME_FIELD, "DBT", "DPT", "DBS", "MTW", "XDR", "DTM"))
 _UNREAD: Final[Mapping[str, str]] = {
-    "HDG": "magnetic heading",
-    "HDM": "magnetic heading",
-    "HDT": "true heading",
-    "THS": "true heading",
+    "HDG HDM": "magnetic heading",
+    "HDT THS": "true heading",
     "ROT": "rate of turn",
-    "VTG": "course and speed",
+    "VTG VBW": "course and speed",
     "VHW": "heading, speed through water",
-    "VBW": "speed",
-    "PASHR": "attitude",
-    "PRDID": "attitude",
-    "PHTRO": "attitude",
-    "PSXN": "attitude",
-    "PFEC": "attitude",
-    "PSAT": "attitude",
-    "ATT": "attitude",
-    "GGK": "position",
-    "GGQ": "position",
-    "LLK": "position",
-    "LLQ": "position",
+    "PASHR PRDID PHTRO PSXN PFEC PSAT ATT": "attitude",
+    "GGK GGQ LLK LLQ PUBX": "position",
     "PTNL": "position or attitude",
-    "PUBX": "position",
     "PGRMZ": "height",
 }
 """Sentences with a position, height, attitude or speed that nothing is taken from, and what they hold."""
@@ -577,8 +545,8 @@ def _fix(kind: str, f: list[str]) -> tuple[float, float, float, str, int, float,
             fix = FIX_OF_QUALITY.get("".join(f[6:7]), "none")
             height, age = length_m(f, 9) + length_m(f, 11), number(f, 13)
         else:
-            best = min("".join(f[6:7]).strip() or "N", key=lambda m: _BEST_MODE.find(m) % 99)
-            fix = FIX_OF_MODE.get(best, "none")
+            modes = "".join(f[6:7])  # one a system of satellites: the best tells
+            fix = next((name for mode, name in FIX_OF_MODE.items() if mode and mode in modes), "none")
             height, age = number(f, 9) + number(f, 10), number(f, 11)
     else:
         status, mode = f[2:3], f[12:13]
@@ -788,7 +756,8 @@ def _timeline(
         if given == given and given != first:
             off = round(given - first)
             if off % _ROLLOVER_DAYS == 0:
-                zero = zero + off
+                # not those behind a jump, of a receiver that found the right week meanwhile
+                zero = zero + off * (np.abs(zero - zero[np.isfinite(zero)][0]) < _ROLLOVER_DAYS / 2)
                 report.note(f"Dates of the log are {off // 7} weeks off by the given date {date}: put right.")
             else:
                 report.note(f"The log states its own date; the given date {date} is not used.")
@@ -1092,54 +1061,49 @@ def _since_sentence_s(depths: pd.DataFrame, line: _Timeline, report: IntegrityRe
     By the stamps of the logger where both have one. Else, where usually several depths stand between two
     times, they are spread evenly, with an error of up to half a step; a single one gets the time before it.
     """
-    since, sigma = np.zeros(len(depths)), np.zeros(len(depths))
-    base = depths["base"].to_numpy()
-    timed = np.flatnonzero(base >= 0)
-    own = np.flatnonzero(np.isfinite(line.clock_s))
+    since = np.zeros(len(depths))
+    timed = np.flatnonzero(depths["base"] >= 0)
     if not timed.size:
         return since
+    own = np.flatnonzero(np.isfinite(line.clock_s))
     epoch = np.full(len(line.clock_s), -1)
     epoch[own] = np.cumsum(np.diff(line.clock_s[own], prepend=np.nan) != 0) - 1
     starts = own[np.flatnonzero(np.diff(epoch[own], prepend=-1))]
-    length = np.append(np.diff(line.clock_s[starts]), np.nan)
-    same_file = np.append(np.diff(line.file[starts]), 1) == 0
-    length = np.where((length > 0) & same_file, length, np.nan)
-    usual_s = _median(length[np.isfinite(length)])
-    host = (depths["t_host_s"].to_numpy() - line.of(line.t_host_s, base))[timed]
-    groups = depths.iloc[timed].assign(epoch=epoch[base[timed]], host=host).groupby(["sentence", "epoch"])
-    spread = 0
-    n, k = groups["tick"].transform("size").to_numpy(), groups.cumcount().to_numpy()
-    long = length[epoch[base[timed]]]
-    ordered = (groups["host"].diff().fillna(1.0) > 0).groupby(
-        [depths["sentence"].iloc[timed], epoch[base[timed]]]
-    )
-    within = (host >= 0) & (host <= np.where(np.isfinite(long), long, 1.5 * usual_s))
-    stamped = within & ordered.transform("all").to_numpy()
-    normal = long <= 1.5 * usual_s
-    for kind in depths["sentence"].unique():
-        here = (depths["sentence"].to_numpy()[timed] == kind) & ~stamped
+    lasts = np.append(np.diff(line.clock_s[starts]), np.nan)
+    lasts[(np.append(np.diff(line.file[starts]), 1) != 0) | ~(lasts > 0)] = np.nan
+    usual_s = _median(lasts[np.isfinite(lasts)])
+    ping = depths.iloc[timed]
+    base = ping["base"].to_numpy()
+    host = ping["t_host_s"] - line.t_host_s[base]
+    key = [ping["sentence"], epoch[base]]
+    n, k = host.groupby(key).transform("size").to_numpy(), host.groupby(key).cumcount().to_numpy()
+    length = lasts[epoch[base]]
+    inside = host.between(0.0, np.where(np.isfinite(length), length, 1.5 * usual_s))
+    stamped = (inside & ~(host.groupby(key).diff() <= 0)).groupby(key).transform("all").to_numpy()
+    jitter = np.diff((line.t_host_s - line.clock_s)[own])
+    passed = np.where(stamped, host, 0.0)
+    sigma = stamped * NMAD / np.sqrt(2) * _median(np.abs(jitter[np.isfinite(jitter)]), 0.0)
+    normal = length <= 1.5 * usual_s
+    spread = np.zeros(len(ping), dtype=np.bool_)
+    for kind in ping["sentence"].unique():
+        here = (ping["sentence"] == kind).to_numpy() & ~stamped
         first = here & normal & (k == 0)
-        if not first.any():
-            continue
-        several = _median(n[first]) >= 2
-        ping_s = _median(long[first] / n[first])
-        step = np.where(normal, long / n, np.fmin(long / n, ping_s))
-        step = np.where(np.isfinite(step), step, ping_s)
-        here &= several | ((n > 1) & ~normal)
-        since[timed[here]] = (k + 0.5 * several)[here] * step[here]
-        sigma[timed[here]] = step[here] / np.sqrt(12)
-        spread += int(here.sum())
-    if stamped.any():
-        since[timed[stamped]] = host[stamped]
-        jitter = np.diff((line.t_host_s - line.clock_s)[own])
-        sigma[timed[stamped]] = NMAD / np.sqrt(2) * _median(np.abs(jitter[np.isfinite(jitter)]), 0.0)
-    if spread:
+        if first.any():
+            several = _median(n[first]) >= 2
+            ping_s = _median(length[first] / n[first])
+            step = np.fmin(length / n, np.where(normal, np.inf, ping_s))
+            here &= several | ((n > 1) & ~normal)
+            passed = np.where(here, (k + 0.5 * several) * step, passed)
+            sigma = np.where(here, step / np.sqrt(12), sigma)
+            spread |= here
+    if spread.any():
         report.note(
-            f"{spread:,} depths stand between two times, several a time: they are spread evenly. Stamps of "
-            "the logger before each sentence would tell more."
+            f"{spread.sum():,} depths, several between two times, are spread evenly; stamps of the logger "
+            "before each sentence would tell more."
         )
     if sigma.any():
-        report.details["sigma_depth_time_s"] = round(float(np.sqrt(np.mean(sigma[timed] ** 2))), 4)
+        report.details["sigma_depth_time_s"] = round(float(np.sqrt(np.mean(sigma**2))), 4)
+    since[timed] = passed
     return since
 
 
@@ -1191,11 +1155,11 @@ def _summarise(
     if len(regular) > 2 and np.any(np.diff(regular) > 0):
         report.rates_hz["positions"] = 1.0 / float(np.median(np.diff(regular)[np.diff(regular) > 0]))
     _summarise_instrument(report, depths, rows)
-    unread = [f"{k} {report.counts[k]:,} ({what})" for k, what in _UNREAD.items() if k in report.counts]
-    unread += [
-        f"{k} {n:,} (proprietary)"
-        for k, n in report.counts.items()
-        if _PROPRIETARY.match(k) and k not in _UNREAD
+    held = {kind: what for kinds, what in _UNREAD.items() for kind in kinds.split()}
+    unread = [
+        f"{kind} {n:,} ({held.get(kind, 'proprietary')})"
+        for kind, n in report.counts.items()
+        if kind in held or _PROPRIETARY.match(kind)
     ]
     if unread:
         report.note("Not read: " + ", ".join(unread) + ".")
