@@ -603,20 +603,17 @@ def _apart_m(a: pd.DataFrame, b: pd.DataFrame) -> tuple[float, bool]:
     """Median distance of two tracks, NaN where they do not meet, and whether it is of the same times."""
     a, b = (x.dropna(subset="clock_s").drop_duplicates("clock_s").sort_values("clock_s") for x in (a, b))
     ta, tb = a["clock_s"].to_numpy(), b["clock_s"].to_numpy()
-    at_once = bool(np.isin(tb, ta).any())
-    if at_once:
-        b = b[np.isin(tb, ta)]
-    elif len(ta) > 1 and len(tb):
+    meets = np.isin(tb, ta)
+    at_once = bool(meets.any())
+    if not at_once and len(ta) > 1:
         after = np.clip(np.searchsorted(ta, tb), 1, len(ta) - 1)
-        between = (tb > ta[after - 1]) & (tb < ta[after])
-        b = b[between & (ta[after] - ta[after - 1] <= 2.5 * np.median(np.diff(ta)))]
-    if not len(b) or not len(a):
+        short = ta[after] - ta[after - 1] <= 2.5 * np.median(np.diff(ta))
+        meets = (tb > ta[after - 1]) & (tb < ta[after]) & short
+    b = b[meets]
+    if not len(b):
         return _NAN, False
-    t = b["clock_s"]
-    north = b["lat_deg"] - np.interp(t, ta, a["lat_deg"])
-    east = (b["lon_deg"] - np.interp(t, ta, a["lon_deg"])) * np.cos(np.deg2rad(b["lat_deg"]))
-    if not at_once and len(ta) < 2:
-        return _NAN, False
+    north = b["lat_deg"] - np.interp(b["clock_s"], ta, a["lat_deg"])
+    east = (b["lon_deg"] - np.interp(b["clock_s"], ta, a["lon_deg"])) * np.cos(np.deg2rad(b["lat_deg"]))
     return 60 * 1852.0 * float(np.median(np.hypot(north, east))), at_once
 
 
