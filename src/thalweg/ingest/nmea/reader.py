@@ -601,20 +601,28 @@ def _one_receiver(a: pd.DataFrame, b: pd.DataFrame) -> bool:
 
 def _apart_m(a: pd.DataFrame, b: pd.DataFrame) -> tuple[float, bool]:
     """Median distance of two tracks, NaN where they do not meet, and whether it is of the same times."""
-    a, b = (x.dropna(subset="clock_s").drop_duplicates("clock_s").sort_values("clock_s") for x in (a, b))
-    ta, tb = a["clock_s"].to_numpy(), b["clock_s"].to_numpy()
+    ta, *place_a = _track(a).T
+    known = _track(b)
+    tb = known[:, 0]
     meets = np.isin(tb, ta)
     at_once = bool(meets.any())
     if not at_once and len(ta) > 1:
         after = np.clip(np.searchsorted(ta, tb), 1, len(ta) - 1)
         short = ta[after] - ta[after - 1] <= 2.5 * np.median(np.diff(ta))
         meets = (tb > ta[after - 1]) & (tb < ta[after]) & short
-    b = b[meets]
-    if not len(b):
+    if not meets.any():
         return _NAN, False
-    north = b["lat_deg"] - np.interp(b["clock_s"], ta, a["lat_deg"])
-    east = (b["lon_deg"] - np.interp(b["clock_s"], ta, a["lon_deg"])) * np.cos(np.deg2rad(b["lat_deg"]))
+    tb, *place_b = known[meets].T
+    north, east = (of_b - np.interp(tb, ta, of_a) for of_a, of_b in zip(place_a, place_b, strict=True))
+    east = east * np.cos(np.deg2rad(place_b[0]))
     return 60 * 1852.0 * float(np.median(np.hypot(north, east))), at_once
+
+
+def _track(fixes: pd.DataFrame) -> ArrayF:
+    """Time, latitude and longitude (n, 3) in the order of time, each time once."""
+    rows = fixes[["clock_s", "lat_deg", "lon_deg"]].to_numpy(np.float64)
+    rows = rows[np.isfinite(rows[:, 0])]
+    return np.asarray(rows[np.unique(rows[:, 0], return_index=True)[1]])
 
 
 def _choose(
