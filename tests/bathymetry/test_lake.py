@@ -16,11 +16,13 @@ from thalweg.bathymetry import (
     BedOfTable,
     FlowLine,
     Levels,
+    Observations,
     Plane,
     TableOfSoundings,
     Water,
     agreement,
     bed_of_table,
+    methods,
     water_of,
 )
 from thalweg.bathymetry.bed import gridded
@@ -306,6 +308,25 @@ def test_lines_that_are_scraps_become_patches() -> None:
     with pytest.raises(GeometryError, match="5 soundings on 1 lines") as told:
         lines_or_patches(ordered[:5], lines[:5], 1)
     check_whole(told.value)
+
+
+def test_thin_plates_among_soundings_of_one_straight_track_are_none(lake: tuple[Water, BedOfTable]) -> None:
+    """The 48 nearest soundings lie on one line: no plane goes through them."""
+    at = np.arange(200.0)
+    east, north = np.tile(at, 2), np.repeat([0.0, 1000.0], 200)
+    nothing = np.zeros(400)
+    data = Observations(
+        s_m=east,
+        n_m=north,
+        height_m=np.sin(east),
+        sigma_white_m=nothing + 0.1,
+        sigma_slow_m=nothing,
+        t_s=nothing,
+        line=np.repeat([0, 1], 200),
+    )
+    height, sigma = methods(lake[1].bed.model, QUICK)["thin plates"](data, np.array([[100.0, 10.0]]))
+    assert np.isnan(height).all()
+    assert sigma is None
 
 
 # ---------------------------------------------------------------- what cannot be
