@@ -359,6 +359,7 @@ def _bed(options: argparse.Namespace) -> int:
             observations=found.bed.data,
             line=water.line if isinstance(water.line, FlowLine) else None,
             area=water.area,
+            edge=water.edge,
             title=options.table.name,
             twin=False,
         ),
@@ -370,7 +371,7 @@ def _bed(options: argparse.Namespace) -> int:
     print(f"  bed: {bed.facts['cells']:,} cells, median sigma {bed.facts['median sigma_m']:.3f} m")
     print(f"  {bed.model.reason}")
     print(
-        f"  {of['lines']} left-out lines: rms {of['rmse_m']:.3f} m, bias {of['bias_m']:+.3f} m, "
+        f"  {of['lines']} left-out {of['left_out']}: rms {of['rmse_m']:.3f} m, bias {of['bias_m']:+.3f} m, "
         f"mean of squared error over variance {of['normalised_square']:.2f}, "
         f"{of['outside_95']:.1%} outside their 95 % interval"
     )

@@ -68,6 +68,7 @@ _WINDOW_CELLS: Final = 120
 _WINDOW_DATA: Final = 300
 _SECTION: Final = 40
 _LENGTHS_M: Final = (0.05, 1000.0)
+_USUAL: Final = (0.05, 0.95)
 _BEYOND: Final = 3.0
 """No bed leaves the range of its data by more than so many times that range."""
 _APART: Final = 5.0
@@ -451,18 +452,21 @@ def _refuse_impossible(height: ArrayF, sigma: ArrayF, data: Observations) -> Non
     Left-out lines cannot tell: rubbish that agrees with itself is foretold well.
     """
     low, high = float(data.height_m.min()), float(data.height_m.max())
-    # data that are all alike differ by their noise
-    span = high - low + 4 * float(np.median(data.sigma_white_m))
+    # data that are all alike differ by their noise; a few that are far off are no range to be unsure in
+    noise = 4 * float(np.median(data.sigma_white_m))
+    span, usual = high - low + noise, float(np.diff(np.quantile(data.height_m, _USUAL))[0]) + noise
     beyond = (height < low - _BEYOND * span) | (height > high + _BEYOND * span)
     unsure = float(np.nanmedian(sigma))
     if beyond.any():
         found = f"{int(beyond.sum()):,} cells between {np.nanmin(height):,.1f} and {np.nanmax(height):,.1f} m"
-    elif unsure > span:
-        found = f"a median sigma of {unsure:,.2f} m"
+    elif unsure > usual:
+        found = (
+            f"a median sigma of {unsure:,.2f} m, nine tenths of the data lie within {usual - noise:,.2f} m"
+        )
     else:
         return
     raise CoverageError(
-        f"{found}, the data lie between {low:,.1f} and {high:,.1f} m",
+        f"{found}; the data lie between {low:,.1f} and {high:,.1f} m",
         expected="heights and sigmas within the range of the data",
         where="the grid of the bed",
         cure="Look for soundings of another place or unit and for values that stand for none; or lower reach",

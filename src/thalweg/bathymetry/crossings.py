@@ -337,11 +337,6 @@ class Agreement:
     shift_m: ArrayF
     sigma_common_m: ArrayF
 
-    @property
-    def contradicts(self) -> bool:
-        """Whether any two parts do."""
-        return bool(self.pairs["contradicts"].any())
-
 
 def agreement(places_m: ArrayF, height_m: ArrayF, sigma_m: ArrayF, line: ArrayI, part: ArrayI) -> Agreement:
     """Compare parts of a table, rows (n,) in the order in which they were sounded.

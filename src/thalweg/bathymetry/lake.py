@@ -9,6 +9,7 @@ the eigenvector of M with the smaller eigenvalue (the variogram at short lags: C
 Geostatistics, 2.5 on geometric anisotropy). The ranges along and across it are found as in a river.
 """
 
+import csv
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self
@@ -18,6 +19,7 @@ import pandas as pd
 import shapely
 from numpy.typing import ArrayLike
 from scipy.cluster.vq import kmeans2
+from scipy.spatial import cKDTree
 
 from thalweg.core import ArrayB, ArrayF, ArrayI, GeometryError, InputError
 
@@ -29,8 +31,11 @@ _HULL: Final = 0.2
 _SHORE_PLACES: Final = 800
 _STRETCH: Final = 20
 """So many places of a shore count as one line."""
-_PATCHES: Final = 16
+_PATCHES: Final = 24
+_SCRAP: Final = 0.1
+"""Lines shorter than this share of the whole extent are scraps."""
 _FEWEST_LINES: Final = 4
+_ASKED: Final = 60
 _CLOCK: Final = r"\d{1,2}:\d{2}(:\d{2})?"
 _DATE: Final = r"\d{4}-\d{2}-\d{2}"
 _DAY_S: Final = 86_400.0
@@ -114,22 +119,39 @@ def shore_places(area: Any, least_m: float) -> tuple[ArrayF, ArrayI]:
 
 
 def lines_or_patches(places_m: ArrayF, line: ArrayI, seed: int) -> tuple[ArrayI, bool]:
-    """Lines (n,) that can be left out one by one; of fewer than four, compact patches, and whether they are.
+    """Lines (n,) that can be left out one by one, or compact patches, and whether they are patches.
 
-    A single track shows what lies beside it where it turns back: its patches are foretold from the rest.
+    A track that winds about falls into scraps, which their neighbours foretell whatever the bed is like; a
+    single one cannot be left out. Patches are foretold from what lies around them.
     """
-    if len(np.unique(line)) >= _FEWEST_LINES:
+    middle = places_m - places_m.mean(axis=0)
+    ends = pd.DataFrame(middle).groupby(line).agg(np.ptp)
+    if len(ends) >= _FEWEST_LINES and np.median(np.hypot(*ends.to_numpy().T)) > _SCRAP * np.hypot(
+        *np.ptp(middle, axis=0)
+    ):
         return line, False
     k = min(_PATCHES, len(places_m) // 5)
     if k < 2:
         raise GeometryError(
-            f"{len(places_m)} soundings on {len(np.unique(line))} lines",
+            f"{len(places_m)} soundings on {len(ends)} lines",
             where="lines of soundings",
             expected="four lines, or ten soundings, of which some can be foretold from the others",
             cure="Survey more lines",
         )
-    middle = places_m - places_m.mean(axis=0)
     return np.asarray(kmeans2(middle, k, minit="++", rng=seed)[1], dtype=np.int64), True
+
+
+def farthest_told_m(places_m: ArrayF, line: ArrayI) -> float:
+    """How far from all others soundings (n,) lie when their line is left out: the usual greatest distance.
+
+    Beyond it nothing was ever foretold: that a bed is as smooth beside a single track as along it is a guess.
+    """
+    numbers = np.unique(line)
+    far = []
+    for number in numbers[:: -(-len(numbers) // _ASKED)].tolist():
+        out = line == number
+        far.append(np.max(cKDTree(places_m[~out]).query(places_m[out])[0]))
+    return float(np.median(far))
 
 
 # ---------------------------------------------------------------- levels of the water
@@ -166,7 +188,7 @@ class Levels:
         cure = "Write date or time, and level in metres: 2024-05-01,312.45 or 2024-05-01T12:30,312.45"
         try:
             rows = pd.read_csv(path, sep=None, engine="python", header=None, dtype=str, comment="#").dropna()
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, csv.Error) as error:
             raise InputError(f"{error}", where=path, expected="CSV of times and levels", cure=cure) from error
         level = pd.to_numeric(rows.iloc[:, -1], errors="coerce").to_numpy(np.float64)
         when = rows.iloc[:, :-1].apply(lambda row: "T".join(word.strip() for word in row), axis=1)

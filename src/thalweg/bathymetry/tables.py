@@ -30,6 +30,7 @@ from thalweg.bathymetry.lake import (
     Plane,
     area_sounded,
     elongation,
+    farthest_told_m,
     lines_or_patches,
     no_half_widths,
     shore_places,
@@ -74,6 +75,8 @@ _RIVER: Final = 3.0
 _REACHED: Final = 0.9
 """Flow coordinates suit a water of which at least this share has them."""
 _PLACES: Final = 2000
+_NAMED: Final = 6
+"""So many pairs of days or lines that contradict each other are named."""
 _LINE_STRING: Final = 1
 """Of shapely's types."""
 _WIDEST_M: Final = 1_000_000.0
@@ -804,6 +807,7 @@ class Water:
     width_m : of the water.
     shore : places of the shores whose height is known, kind ``bed_observations``.
     area : polygon of the water, islands left out; None: the half widths say it.
+    edge : what its rings are.
     banks : of a river, where they are given.
     reason : why these coordinates.
     notes : what was left out or assumed.
@@ -815,6 +819,7 @@ class Water:
     width_m: float
     shore: pd.DataFrame
     area: Any
+    edge: str
     reason: str
     notes: tuple[str, ...]
     banks: Banks | None = None
@@ -856,6 +861,7 @@ def water_of(
     if extent.max() > _WIDEST_M:
         raise InputError(
             f"soundings {extent.max() / 1000:,.0f} km apart",
+            where="the table",
             expected=f"places of one water, less than {_WIDEST_M / 1000:,.0f} km",
             cure="Look at --crs and at the columns of the coordinates",
         )
@@ -983,6 +989,7 @@ def _river(
         width_m=width,
         shore=shore,
         area=None,
+        edge="banks",
         reason=reason,
         notes=tuple(notes),
         banks=None if banks is None else banks[0],
@@ -993,6 +1000,7 @@ def _refuse_outside(outside: ArrayB) -> None:
     if outside.mean() > _ALONE:
         raise InputError(
             f"{outside.mean():.0%} of the soundings lie outside the banks",
+            where="--banks",
             expected="soundings between the banks",
             cure="Look at --crs and at the columns of the coordinates",
         )
@@ -1032,6 +1040,7 @@ def _lake(
         width_m=2 * radius,
         shore=_observations("bank", s, n, places, up, sigma, -2 - number),
         area=area,
+        edge="edge of the soundings" if outline is None else "shore",
         reason=reason,
         notes=tuple(notes),
     )
@@ -1095,18 +1104,18 @@ def bed_of_table(
     GeometryError : a single line of soundings along a river.
     CoverageError : no cell near enough to data, or heights that the data cannot tell.
     """
-    lake = isinstance(water.line, Plane)
+    lake = water.basin
     notes = [
         *soundings.notes,
         *(f"{n:,} {what}" for what, n in soundings.counts.items() if what != "rows" and n),
     ]
-    notes += [f"{'map' if lake else 'flow'} coordinates: {water.reason}", *water.notes]
+    notes += [f"{'flow' if lake is None else 'map'} coordinates: {water.reason}", *water.notes]
     soundings, common, days, of_days = _agreed(soundings)
     number, patches = soundings.line, False
-    if lake:
+    if lake is not None:
         number, patches = lines_or_patches(soundings.places_m, soundings.line, seed)
     if patches:
-        notes.append("fewer than four lines: patches of soundings are left out and foretold instead")
+        notes.append("no four long lines: patches of soundings are left out and foretold instead")
     s, n, fold = water.line.to_flow(soundings.places_m)
     if fold.any():
         notes.append(f"{int(fold.sum()):,} soundings without flow coordinates left out")
@@ -1121,21 +1130,25 @@ def bed_of_table(
     _refuse_other_heights(table, water.width_m)
     data = observations_of(table)
     half_widths = water.half_widths_m
-    model = choose_model(data, half_widths, settings, slow_time_s=0.0, seed=seed, basin=water.basin)
+    model = choose_model(data, half_widths, settings, slow_time_s=0.0, seed=seed, basin=lake)
     reach = settings.reach * model.covariance.range_s_m
     around = table[["east_m", "north_m"]].to_numpy(np.float64)
-    if lake:
+    if lake is not None:
         farthest = max(reach, settings.reach * model.covariance.range_n_m)
         corners = np.reshape(shapely.bounds(water.area), (2, 2))
         around = np.clip(corners, around.min(axis=0) - farthest, around.max(axis=0) + farthest)
     grid = Grid.around(around, settings.cell_m, crs, margin_m=2 * settings.cell_m)
     span = (float(data.s_m.min()) - reach, float(data.s_m.max()) + reach)
     flow, inside = cells_of_river(grid.centres_m(), water.line, half_widths, span, settings)
-    if lake:
+    if lake is not None:
         inside &= shapely.contains_xy(water.area, grid.centres_m())
+        if not lake.wkt:
+            far = cKDTree(soundings.places_m).query(grid.centres_m())[0]
+            inside &= far <= farthest_told_m(soundings.places_m, number)
     bed = gridded(table, model, grid, flow, inside, settings, counts)
     facts, predicted, methods = validate_bed(table, model, half_widths, settings)
-    facts["coordinates"] = {"kind": "map" if lake else "flow", "reason": water.reason}
+    facts["coordinates"] = {"kind": "flow" if lake is None else "map", "reason": water.reason}
+    facts["left_out"] = "patches" if patches else "lines"
     if isinstance(water.line, Plane):
         facts["coordinates"]["azimuth_deg"] = water.line.azimuth_deg
     return BedOfTable(
@@ -1149,38 +1162,42 @@ def bed_of_table(
 
 
 def _agreed(soundings: TableOfSoundings) -> tuple[TableOfSoundings, ArrayF, dict[str, Any], list[str]]:
-    """Soundings whose days agree, what is common to those of a day, facts and notes."""
-    nothing = np.zeros(len(soundings.height_m))
-    if soundings.day is None or len(soundings.days) < 2:
-        return soundings, nothing, {}, []
-    day, names = soundings.day, soundings.days
-    found = agreement(soundings.places_m, soundings.height_m, soundings.sigma_m, soundings.line, day)
+    """Soundings whose days agree, what is common to those of a day, facts and notes.
+
+    Lines of one day that contradict each other are named: which of them is wrong nobody knows.
+    """
+    common = np.zeros(len(soundings.height_m))
+    days = soundings.day is not None and len(soundings.days) > 1
+    part = soundings.day if days else soundings.line
+    assert part is not None
+    found = agreement(soundings.places_m, soundings.height_m, soundings.sigma_m, soundings.line, part)
+    names = soundings.days if days else tuple(f"line {k}" for k in range(int(part.max()) + 1))
     pairs = found.pairs.assign(a=[names[k] for k in found.pairs["a"]], b=[names[k] for k in found.pairs["b"]])
-    facts: dict[str, Any] = {"days": {"pairs": pairs.to_dict("records")}}
-    crossing = set(found.pairs["a"]) | set(found.pairs["b"])
-    alone = [name for k, name in enumerate(names) if k not in crossing]
-    notes = [f"no line of {', '.join(alone)} crosses one of another day"] if alone else []
-    notes += [
+    told = pairs[pairs["contradicts"]]
+    notes = [
         f"{of['b']} lies {abs(of['difference_m']):.3f} m {'above' if of['difference_m'] > 0 else 'below'} "
         f"{of['a']} (median of {of['n']} crossings, sigma {of['sigma_m']:.3f} m)"
-        for of in facts["days"]["pairs"]
-        if of["contradicts"]
+        for of in told.head(_NAMED).to_dict("records")
     ]
-    if not found.contradicts:
-        return soundings, nothing, facts, notes
-    shifts = dict(zip(names, (-found.shift_m).tolist(), strict=True))
-    facts["days"] |= {
-        "shift_m": shifts,
-        "sigma_common_m": dict(zip(names, found.sigma_common_m, strict=True)),
-    }
-    notes.append(
-        "days that contradict each other brought to their mean: "
-        + ", ".join(f"{name} {shift:+.3f} m" for name, shift in shifts.items())
-        + f"; the mean may be wrong by {float(np.median(found.sigma_common_m[day])):.3f} m (sigma, in "
-        "sigma_common_m)"
-    )
-    level = soundings.height_m - found.shift_m[day]
-    return replace(soundings, height_m=level), found.sigma_common_m[day], facts, notes
+    if len(told) > _NAMED:
+        notes.append(f"{len(told) - _NAMED} more such pairs: validation.json")
+    if not days:
+        return soundings, common, {"lines_that_cross": told.to_dict("records")}, notes
+    facts: dict[str, Any] = {"pairs": pairs.to_dict("records")}
+    alone = sorted(set(names) - set(pairs["a"]) - set(pairs["b"]))
+    if alone:
+        notes.append(f"no line of {', '.join(alone)} crosses one of another day: nothing tells its level")
+    if len(told):
+        common = found.sigma_common_m[part]
+        soundings = replace(soundings, height_m=soundings.height_m - found.shift_m[part])
+        facts["shift_m"] = dict(zip(names, (-found.shift_m).tolist(), strict=True))
+        facts["sigma_common_m"] = dict(zip(names, found.sigma_common_m.tolist(), strict=True))
+        shifts = ", ".join(f"{name} {shift:+.3f} m" for name, shift in facts["shift_m"].items())
+        notes.append(
+            f"days that contradict each other brought to their mean: {shifts}; it may be wrong by "
+            f"{np.median(common):.3f} m (one sigma, sigma_common_m of the bed)"
+        )
+    return soundings, common, {"days": facts}, notes
 
 
 def _refuse_other_heights(table: pd.DataFrame, width_m: float) -> None:

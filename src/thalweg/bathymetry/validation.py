@@ -246,7 +246,10 @@ def methods(model: BedModel, settings: Bathymetry) -> dict[str, Method]:
         spline = RBFInterpolator(
             p[first], rest.height_m[first], neighbors=min(_SPLINE, len(first)), smoothing=smoothing
         )
-        return spline(places * stretch), None
+        try:
+            return spline(places * stretch), None
+        except np.linalg.LinAlgError:  # the nearest data of a place are all on one line
+            return np.full(len(places), np.nan), None
 
     return {
         "kriging": kriged(of, drift=True),

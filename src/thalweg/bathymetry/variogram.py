@@ -21,12 +21,14 @@ variogram by Cressie and Hawkins (1980) is made for the picture alone.
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize
+from scipy.spatial import cKDTree
 
 from thalweg.bathymetry.kriging import (
     KINDS,
@@ -57,6 +59,8 @@ MARGIN: Final = 0.7
 """Farther across than this share of the half width is margin."""
 _BLEND: Final = 0.1
 """Channel and margin pass into each other over this share to both sides."""
+_SHORE_STEPS: Final = 200
+"""Places of a shore are so many times nearer to each other than the middle of the lake is to it."""
 _TEST: Final = 1200
 """Soundings that are foretold to judge a model, in at most so many left-out lines:"""
 _LINES: Final = 32
@@ -178,11 +182,17 @@ class Basin(Across):
         """Place (m,) between middle and shore: 0 as far from all shores as can be, 1 on them and beyond."""
         if not self.wkt:
             return np.zeros(len(places_m))
-        area = shapely.from_wkt(self.wkt)
-        shores = area.boundary
-        shapely.prepare([area, shores])
-        far = shapely.distance(shores, shapely.points(places_m)) * shapely.contains_xy(area, places_m)
+        area, shores = _shores(self.wkt, self.radius_m / _SHORE_STEPS)
+        far = shores.query(places_m)[0] * shapely.contains_xy(area, places_m)
         return np.asarray(1.0 - np.minimum(far / self.radius_m, 1.0))
+
+
+@cache
+def _shores(wkt: str, step_m: float) -> tuple[Any, Any]:
+    """A prepared polygon, and a tree of places on its boundary: asked for the same data again and again."""
+    area = shapely.from_wkt(wkt)
+    shapely.prepare(area)
+    return area, cKDTree(shapely.get_coordinates(shapely.segmentize(area.boundary, step_m)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

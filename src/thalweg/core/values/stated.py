@@ -12,8 +12,7 @@ from pyproj.crs import CompoundCRS, GeographicCRS, ProjectedCRS
 from pyproj.crs.coordinate_operation import UTMConversion
 from pyproj.crs.coordinate_system import Ellipsoidal3DCS
 
-from thalweg.core.errors import InputError
-from thalweg.core.types import ArrayF
+from thalweg.core import ArrayF, InputError
 from thalweg.core.values.units import METRE, Unit, unit_of_code, units_of_crs
 
 _MODEL, _GEOGRAPHIC, _PROJECTED, _LINEAR_UNIT, _VERTICAL_UNIT = 1024, 2048, 3072, 3076, 4099

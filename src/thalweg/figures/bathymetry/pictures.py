@@ -237,7 +237,14 @@ def draw_bed_map(
 
 @styled
 def bed_picture(
-    *, bed: Path, observations: pd.DataFrame, line: FlowLine | None, area: Any = None, title: str, twin: bool
+    *,
+    bed: Path,
+    observations: pd.DataFrame,
+    line: FlowLine | None,
+    area: Any = None,
+    edge: str = "",
+    title: str,
+    twin: bool,
 ) -> Figure:
     """Height of a bed from a table of soundings and its standard deviation, from above.
 
@@ -246,7 +253,7 @@ def bed_picture(
     bed : raster of `thalweg.bathymetry.BANDS`.
     observations : table of kind ``bed_observations``, east and north on the map of the raster.
     line : centre line, on the same map; None: there is none.
-    area : polygon of the water; None: not drawn.
+    area, edge : polygon of the water and what its rings are; None: not drawn.
     title, twin : of the figure.
     """
     grid, bands, tags = read_raster(bed)
@@ -264,7 +271,7 @@ def bed_picture(
             course = line.to_map(np.linspace(0.0, line.length_m, 400), 0.0)
             ax.plot(*course.T, color=GREY, lw=0.8, ls="--", label="centre line", scalex=False, scaley=False)
         for k, ring in enumerate(shapely.get_rings(shapely.get_parts(area)) if area is not None else ()):
-            name = "edge of the water" if k == 0 else None
+            name = edge if k == 0 else None
             ax.plot(*ring.xy, color=VERMILION, lw=0.8, label=name, scalex=False, scaley=False)
         for source, marker, size, colour, name in looks[line is None :]:
             of = observations.loc[observations["source"] == source, ["east_m", "north_m"]].to_numpy()
