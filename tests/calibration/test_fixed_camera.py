@@ -35,7 +35,7 @@ def test_errors_of_places_are_those_that_the_sigmas_state() -> None:
         names = [f"P{i}" for i in range(9)]
         marks = pd.DataFrame({"image": f"{seed}", "point": names, "x_px": xy[:, 0], "y_px": xy[:, 1]})
         points = pd.DataFrame({"point": names, **dict(zip("xyz", (local + true_m).T, strict=True))})
-        poses, _ = resect_series(CAMERA, marks, points, sigma_px=0.8, sigma_point_m=0.02)
+        poses, _, _ = resect_series(CAMERA, marks, points, sigma_px=0.8, sigma_point_m=0.02)
         row = poses.iloc[0]
         assert row.refused == ""
         error = row[["x_m", "y_m", "z_m"]].to_numpy(float) - true_m
@@ -125,7 +125,7 @@ def test_a_camera_that_stays_and_one_that_moved() -> None:
             xy = CAMERA.project((local - at) @ R) + rng.normal(0, 0.5, (10, 2))
             tables.append(pd.DataFrame({"image": f"{k}", "point": names, "x_px": xy[:, 0], "y_px": xy[:, 1]}))
         points = pd.DataFrame({"point": names, **dict(zip("xyz", surveyed.T, strict=True))})
-        poses, _ = resect_series(CAMERA, pd.concat(tables), points, sigma_px=0.5, sigma_point_m=0.1)
+        poses, _, _ = resect_series(CAMERA, pd.concat(tables), points, sigma_px=0.5, sigma_point_m=0.1)
         assert (poses["sigma_x_m"] > 1.5 * poses["sigma_change_x_m"]).all()
         return history_facts(poses)
 
@@ -150,7 +150,7 @@ def test_check_points_take_no_part() -> None:
     points = pd.DataFrame(
         {"point": names, **dict(zip("xyz", local.T, strict=True)), "check": [False] * 7 + [True]}
     )
-    poses, residuals = resect_series(CAMERA, marks, points)
+    poses, residuals, _ = resect_series(CAMERA, marks, points)
     assert poses["points"][0] == 7
     assert poses["rms_px"][0] < 1e-3
     assert poses["check_rms_px"][0] == pytest.approx(30.0, abs=0.01)
@@ -184,7 +184,7 @@ def test_poses_and_residuals_of_two_pictures() -> None:
         {"point": names, **dict(zip("xyz", (local + np.array([100.0, 200.0, 30.0])).T, strict=True))}
     )
     unknown = marks[:1].assign(point="nowhere")
-    poses, residuals = resect_series(CAMERA, pd.concat([marks, wrong, few, unknown]), points)
+    poses, residuals, _ = resect_series(CAMERA, pd.concat([marks, wrong, few, unknown]), points)
     assert poses["image"].tolist() == ["a", "b", "c"]
     assert poses["points"].tolist() == [8, 7, 3]
     assert poses["refused"].tolist()[:2] == ["", ""]
