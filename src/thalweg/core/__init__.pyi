@@ -61,8 +61,10 @@ from .errors import (
 from .frames import (
     GRS80_SEMI_MAJOR_M as GRS80_SEMI_MAJOR_M,
     R_ENU_NED as R_ENU_NED,
+    WGS84 as WGS84,
     LocalFrame as LocalFrame,
     attitude_axes as attitude_axes,
+    ellipsoid_of as ellipsoid_of,
     opk_axes as opk_axes,
     roll_pitch_heading as roll_pitch_heading,
     rotation_ecef_enu as rotation_ecef_enu,

@@ -520,7 +520,8 @@ def frame_from_json(content: bytes, where: Path) -> tuple[Frame, bool, int]:
         frame: Frame = None
         if "local_frame" in data:
             origin = data["local_frame"]
-            frame = LocalFrame(**{k: float(origin[k]) for k in ("lat_deg", "lon_deg", "h_ell_m")})
+            lat_deg, lon_deg, h_ell_m = (float(origin[k]) for k in ("lat_deg", "lon_deg", "h_ell_m"))
+            frame = LocalFrame(lat_deg=lat_deg, lon_deg=lon_deg, h_ell_m=h_ell_m)
         elif "crs_wkt2" in data:
             frame = CRS.from_wkt(data["crs_wkt2"])
         return frame, bool(data["has_time"]), version

@@ -10,7 +10,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Final
@@ -23,7 +23,17 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from thalweg.calibration import fit_saddles
-from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayU8, GeometryError, InputError, LocalFrame, parse_xml
+from thalweg.core import (
+    AnyArray,
+    ArrayB,
+    ArrayF,
+    ArrayU8,
+    GeometryError,
+    InputError,
+    LocalFrame,
+    ellipsoid_of,
+    parse_xml,
+)
 from thalweg.core.values import FORMS, near_world, world_of
 from thalweg.images.model import (
     ControlMarks,
@@ -226,8 +236,10 @@ def frame_about(paths: Sequence[Path], *, crs: str | None) -> LocalFrame:
     InputError, GeometryError : as there; or coordinates that state no place, as ``east_m, north_m, up_m``.
     """
     nowhere = LocalFrame(lat_deg=0.0, lon_deg=0.0, h_ell_m=0.0)
-    if crs == LOCAL:
+    if crs == LOCAL or not paths:
         return nowhere
+    # Points and results in one national grid need no other datum than its own.
+    nowhere = replace(nowhere, ellipsoid=ellipsoid_of(crs_of(crs, paths[0])) if crs else nowhere.ellipsoid)
     places = []
     for path in paths:
         text, given = read_text(path)[0], crs
@@ -250,7 +262,7 @@ def frame_about(paths: Sequence[Path], *, crs: str | None) -> LocalFrame:
             cure=f"Name the columns x, y, z and give --crs EPSG:..., or --crs {LOCAL}",
         )
     lat, lon, h = nowhere.to_geodetic(np.median(np.concatenate(places), axis=0))
-    return LocalFrame(lat_deg=float(lat), lon_deg=float(lon), h_ell_m=float(h))
+    return replace(nowhere, lat_deg=float(lat), lon_deg=float(lon), h_ell_m=float(h))
 
 
 def _is_check(row: dict[str, str], path: Path) -> bool:
