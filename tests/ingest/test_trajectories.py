@@ -158,8 +158,9 @@ def test_inertial_explorer_in_degrees_minutes_seconds(tmp_path: Path) -> None:
 
 def test_inertial_explorer_without_sigmas_units_or_columns(tmp_path: Path) -> None:
     path = export(tmp_path / "bare.txt", sigmas=False)
-    with pytest.raises(InputError, match=r"no standard deviations: SDEast, SDNorth, SDH.*sigma_position_m"):
-        read_poses([path], "sbet", TrackOptions())
+    bare = read_poses([path], "sbet", TrackOptions())
+    assert bare.states[["sigma_up_m", "sigma_roll_rad"]].isna().all(axis=None)
+    assert any("SDEast, SDNorth, SDHeight" in note for note in bare.report.notes)
     stated = TrackOptions(sigma_position_m=0.1, sigma_attitude_deg=0.5)
     assert (read_poses([path], "sbet", stated).states["sigma_up_m"] == 0.1).all()
     wrong = export(tmp_path / "gon.txt", header=HEADER.replace("(deg){units}", "(gon){units}"))
@@ -168,6 +169,55 @@ def test_inertial_explorer_without_sigmas_units_or_columns(tmp_path: Path) -> No
     path.write_text(path.read_text().replace(" H-Ell", " H-MSL"))
     with pytest.raises(InputError, match="no column H-Ell"):
         read_poses([path], "sbet", stated)
+
+
+AERIAL = """Program:     Inertial Explorer Version 8.30
+ CorrTime   Date    Latitude   Longitude  H-Ell  Heading HdngSep HdngSD  Pitch PtchSD {more}
+    (sec)  {form}       {dms}       {dms}    (m)   (Deg)   (Deg)  (Deg)  (Deg)  (Deg) {units}
+295218.00  {day}   51 03 10.0  -13 45 05.0   155.0   51.23   359.97   0.02   -1.5   0.005 0.25 0.004 0.05
+"""
+PARTS = {"more": "Roll RollSD SDHoriz", "units": "(Deg) (Deg) (m)"}
+
+
+@pytest.mark.parametrize("dms", ["(+/-D M S)", "(+/-D) (M) (S)"])
+@pytest.mark.parametrize(
+    ("form", "day"), [("(MDY)", "6/12/2024"), ("(d/m/y)", "12/06/2024"), ("(YMD)", "2024-06-12")]
+)
+def test_inertial_explorer_by_date_and_other_names(tmp_path: Path, dms: str, form: str, day: str) -> None:
+    path = tmp_path / "aerial.txt"
+    path.write_text(AERIAL.format(dms=dms, form=form, day=day, **PARTS))
+    assert recognise(path) == "inertial_explorer"
+    first = read_poses([path], "sbet", TrackOptions()).states.iloc[0]
+    assert first["t_gps_s"] == gps_from_week(2318, 295_218.0)
+    assert first["lat_deg"] == pytest.approx(51 + 3 / 60 + 10 / 3600)
+    assert first["lon_deg"] == pytest.approx(-(13 + 45 / 60 + 5 / 3600))
+    angles = [
+        "heading_rad",
+        "pitch_rad",
+        "roll_rad",
+        "sigma_heading_rad",
+        "sigma_pitch_rad",
+        "sigma_roll_rad",
+    ]
+    assert np.rad2deg(first[angles].astype(float)).tolist() == pytest.approx(
+        [51.23, -1.5, 0.25, 0.02, 0.005, 0.004]
+    )
+    assert first["sigma_east_m"] == pytest.approx(0.05 / np.sqrt(2))
+    assert np.isnan(first["sigma_up_m"])
+
+
+def test_inertial_explorer_with_a_date_of_another_day_or_none(tmp_path: Path) -> None:
+    path = tmp_path / "aerial.txt"
+    path.write_text(AERIAL.format(dms="(D M S)", form="(MDY)", day="6/15/2024", **PARTS))
+    with pytest.raises(InputError, match="second 295,218 of the week on 2024-06-15, a Saturday"):
+        read_poses([path], "sbet", TrackOptions())
+    path.write_text(path.read_text().replace(" Date ", " Day "))
+    path.write_text(path.read_text().replace("6/15/2024", "0"))
+    with pytest.raises(InputError, match="no column Week or Date"):
+        read_poses([path], "sbet", TrackOptions())
+    report = describe(path)
+    assert (report.synchronised, report.t_first_s) == (False, 295_218.0)
+    assert any("neither week nor date" in note for note in report.notes)
 
 
 UPRIGHT = [0.0, 0.0, np.sin(0.3), np.cos(0.3)]

@@ -9,13 +9,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from thalweg.core import InputError, gps_from_week
+from thalweg.core import WEEK_S, InputError, gps_from_week
 from thalweg.ingest import PoseLog, TrackOptions
 from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share, read_head
 from thalweg.ingest.registry.calibrations import CalibrationReport
 
-_ANY_WEEK = 2000
-"""Stands in for the week of an SBET that is only described; taken off again."""
+_NO_WEEK = 1
+"""Stands in for the week of a file that is only described, before any survey; taken off again."""
 _SBET_RECORD = 136
 _SMRMSG_RECORD = 80
 _ROUGH: Final = (100.0, 100.0, 1200.0)
@@ -121,8 +121,22 @@ def _describe_poses(kind: str, files: list[Path], options: dict[str, Any], point
 def _describe_inertial_explorer(
     kind: str, files: list[Path], options: dict[str, Any], points: bool
 ) -> Recording:
-    log = _inertial_explorer(files, TrackOptions(**options))
+    log = _inertial_explorer(files, TrackOptions(**({"gps_week": _NO_WEEK} | options)))
+    _take_week_off(log, "neither week nor date")
     return Recording(kind=kind, report=log.report, tables={"states": log.states})
+
+
+def _take_week_off(log: PoseLog, lacking: str) -> None:
+    """Stamps as they stand in a file that is only described and tells no week, and no GPS time."""
+    report, t0 = log.report, float(gps_from_week(_NO_WEEK, 0.0))
+    if report.t_first_s is None or report.t_last_s is None or report.t_first_s > t0 + 2 * WEEK_S:
+        return
+    report.synchronised = False
+    report.t_first_s, report.t_last_s = report.t_first_s - t0, report.t_last_s - t0
+    report.note(
+        f"The file holds {lacking}, only seconds of the week: give its GPS week (logs.gps_week) to place it."
+    )
+    log.states["t_gps_s"] = np.nan
 
 
 def _is_inertial_explorer(head: bytes, size: int) -> bool:
@@ -171,17 +185,8 @@ def _describe_anpp(kind: str, files: list[Path], options: dict[str, Any], points
 
 
 def _describe_sbet(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
-    week = options.get("gps_week")
-    log = _sbet(files, TrackOptions(gps_week=_ANY_WEEK if week is None else week))
-    if week is None:
-        # Enough to describe the file: its stamps as they stand there, and no GPS time.
-        t0 = float(gps_from_week(_ANY_WEEK, 0.0))
-        report = log.report
-        report.synchronised = False
-        report.t_first_s = None if report.t_first_s is None else report.t_first_s - t0
-        report.t_last_s = None if report.t_last_s is None else report.t_last_s - t0
-        report.note("An SBET holds seconds of the week only: give its GPS week (logs.gps_week) to place it.")
-        log.states["t_gps_s"] = np.nan
+    log = _sbet(files, TrackOptions(**({"gps_week": _NO_WEEK} | options)))
+    _take_week_off(log, "no week")
     return Recording(kind=kind, report=log.report, tables={"states": log.states})
 
 
