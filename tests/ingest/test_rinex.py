@@ -202,6 +202,78 @@ def test_events_are_no_epochs(tmp_path: Path) -> None:
     assert not scan.losses
 
 
+COUNT = """
+import sys, pyrtklib5 as r
+for path in sys.argv[1:]:
+    obs, nav, sta, a = r.obs_t(), r.nav_t(), r.sta_t(), r.gtime_t()
+    a.time = 0
+    r.readrnxt(path, 1, a, a, 0.0, "", obs, nav, sta)
+    data = [obs.data[k] for k in range(obs.n)]
+    print(obs.n, *sorted({round(each.time.time + each.time.sec, 3) for each in data}))
+"""
+
+
+def mutated(text: str, rng: np.random.Generator) -> str:
+    """A file whose epoch lines have a blank more or less, other flags, or a shorter second."""
+    lines = text.split("\n")
+    date = 29 if text.startswith("     3") else 26
+    for k, each in enumerate(lines):
+        if each.startswith((">", " 17 ")):
+            what = int(rng.integers(7))
+            at = int(rng.integers(1, date))
+            if what == 0 and each[at] == " ":
+                each = each[:at] + each[at + 1 : date] + " " * (date == 26) + each[date:]
+            elif what == 1 and each[at] == " " and date == 29:
+                each = each[:at] + " " + each[at:]
+            elif what == 2:
+                each = each[: date + 2] + str(rng.choice(list(" 0123456"))) + each[date + 3 :]
+            elif what == 3:
+                cut = int(rng.integers(1, 9))
+                each = each[: date - cut] + " " * cut + each[date:]
+            elif what == 4 and date == 29:
+                each = each[:date] + each[date + 1 :]  # one blank before the flag
+            lines[k] = each
+    return "\n".join(lines)
+
+
+def test_epoch_lines_that_rtklib_reads_are_no_damage(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Blanks and flags changed at random: what RTKLIB reads as from the regular file, the scanner keeps."""
+    texts = [mutated(text, rng) for text in (obs_3(2), obs_2(2, 3)) for _ in range(120)]
+    files = [write(tmp_path, f"{k:03d}.obs", text) for k, text in enumerate(texts)]
+    files += [write(tmp_path, "v3.obs", obs_3(2)), write(tmp_path, "v2.obs", obs_2(2, 3))]
+    command = [sys.executable, "-c", COUNT, *map(str, files)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=60)
+    told = [line.split() for line in done.stdout.splitlines()]
+    regular = ["6", "1494614714.0", "1494614715.0"]
+    assert told[-2:] == [regular, regular]
+    read = 0
+    for path, theirs in zip(files, told, strict=True):
+        if theirs == regular:
+            scan = scan_rinex(path)
+            if scan.events:  # RTKLIB takes records of cycle slips for observations
+                continue
+            read += 1
+            assert not scan.losses, path.read_text()
+            assert scan.t_gps_s.size == 2
+            assert scan.n_satellite_records == 6
+    assert read > 50
+
+
+def test_one_blank_before_the_flag_and_events_by_their_flag(tmp_path: Path) -> None:
+    text = obs_3(3).replace(".0000000  0", ".0000000 0")
+    events = "".join(
+        f"> 2017 05 12 18 45 14.5000000  {flag}  {n}\n" + "G05             0              1\n" * n
+        for flag, n in ((2, 0), (5, 0), (6, 1))
+    )
+    path = write(tmp_path, "a.obs", text + events)
+    scan = scan_rinex(path)
+    assert (scan.t_gps_s.size, scan.losses) == (3, {})
+    assert scan.events == {"starts_of_motion": 1, "external_events": 1, "cycle_slip_records": 1}
+    assert describe_rinex(path).counts["external_events"] == 1
+    # RTKLIB would solve the cycle slips as an epoch: they stay out of what it gets
+    assert b"  6  1" not in whole_records(scan, path.read_bytes())
+
+
 BAD = [
     (b"", InputError, "the file is empty"),
     (b"\x1f\x8b\x08\x00rest", UnsupportedError, "gunzip a.obs"),

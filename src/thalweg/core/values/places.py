@@ -16,9 +16,7 @@ from pyproj import CRS, Transformer
 from pyproj.aoi import AreaOfInterest
 from pyproj.database import query_utm_crs_info
 
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.types import ArrayB, ArrayF
+from thalweg.core import ArrayB, ArrayF, GeometryError, InputError, LocalFrame
 
 FAR_M: Final = 10_000.0
 """Distance from the origin of a survey beyond which coordinates are others."""

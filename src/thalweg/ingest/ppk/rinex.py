@@ -36,10 +36,14 @@ _GPS_EPOCH_DAY: Final = dt.date(1980, 1, 6).toordinal()
 _BDT_TO_GPS_S: Final = 14.0  # BeiDou time started without leap seconds on 2006-01-01, when GPS - UTC was 14
 _NAV_LINES: Final = {"R": 3, "S": 3}  # lines behind the head of a navigation record; all others at least 7
 _SATELLITE: Final = re.compile(r"[GREJCIS][ \d]\d[ \d.+-]*\Z")
-_EPOCH_2: Final = re.compile(r"( [ \d]\d( [ \d]\d){4}[ \d]{3}\.[ \d]{7}  \d| {28}[2-6])[ \d]{2}\d")
-_EPOCH_3: Final = re.compile(r"> (\d{4}( [ \d]\d){4}[ \d]{3}\.\d{7}  [01]|[ \d.]{27}  [2-6])[ \d]{2}\d")
-_DATE_3: Final = ((2, 6), (7, 9), (10, 12), (13, 15), (16, 18))
-_DATE_2: Final = ((1, 3), (4, 6), (7, 9), (10, 12), (13, 15))
+_DATE: Final = re.compile(r"\s*(\d{1,4})" + r"\s+(\d{1,2})" * 4 + r"\s+(\d{1,2}(?:\.\d*)?)\s*")
+_FLAG_2: Final = re.compile(r"  ([0-6 ])([ \d]{2}\d)")
+_FLAG_3: Final = re.compile(r"(?:  ([0-6 ])| ([0-6]) )([ \d]{0,3})")
+"""Flag and number behind the date; RTKCONV 2.4.3 b29 writes one blank before the flag, others no flag."""
+_EVENTS: Final = {
+    2: "starts_of_motion", 3: "new_sites", 4: "header_records", 5: "external_events", 6: "cycle_slip_records",
+}  # fmt: skip
+"""Flags of records that are no epochs."""
 _NAV_2: Final = re.compile(r"([ \d]\d)( [ \d]\d){6}\.\d")
 _NAV_3: Final = re.compile(r"([GREJCIS])[ \d]\d \d{4}( [ \d]\d){5}")
 
@@ -55,6 +59,16 @@ class RecordWalk:
     seen: set[str] = field(default_factory=set)
     whole: list[tuple[int, int]] = field(default_factory=list)
     losses: dict[str, int] = field(default_factory=dict)
+    events: dict[str, int] = field(default_factory=dict)
+
+    def event(self, flag: int, begin: int, end: int) -> None:
+        """Count a record that is no epoch.
+
+        RTKLIB takes marks of events and cycle slips for observations: they stay out of what is whole.
+        """
+        self.events[_EVENTS[flag]] = self.events.get(_EVENTS[flag], 0) + 1
+        if flag <= 4:
+            self.whole.append((begin, end))
 
     def lose(self, what: str, n: int = 1) -> None:
         """Count a loss."""
@@ -73,8 +87,19 @@ def _day_second(
     return days, hour * 3600.0 + minute * 60.0 + second
 
 
-def _year(two_digits: int) -> int:
-    return two_digits + (1900 if two_digits >= 80 else 2000)  # RINEX 2.11, section 6.5
+def _moment(text: str) -> tuple[float, float]:
+    """Days and seconds of the date of an epoch; raises ValueError where it is none."""
+    found = _DATE.fullmatch(text)
+    if found is None:
+        raise ValueError("no date")
+    year, month, day, hour, minute = (int(word) for word in found.groups()[:5])
+    return _day_second(_year(year), month, day, hour, minute, float(found[6]))
+
+
+def _year(year: int) -> int:
+    if year >= 100:
+        return year
+    return year + (1900 if year >= 80 else 2000)  # RINEX 2.11, section 6.5
 
 
 def gps_times(found: RecordWalk, scale: str) -> ArrayF:
@@ -103,31 +128,37 @@ def walk_observation_3(lines: list[str], body: int, offsets: ArrayI, found: Reco
         if not line.startswith(">"):
             found.lose("lines_unplaced")
             continue
-        if not _EPOCH_3.match(line):
-            found.lose("epochs_garbled")
-            while i < n and not lines[i].startswith(">"):
-                i += 1
-            continue
-        try:
-            flag, count = int(line[31]), int(line[32:35])
-            moment = None
-            if flag <= 1:  # an event may leave its time blank
-                year, month, day, hour, minute = (int(line[a:b]) for a, b in _DATE_3)
-                moment = _day_second(year, month, day, hour, minute, float(line[18:29]))
-        except (ValueError, IndexError):
-            found.lose("epochs_garbled")
-            while i < n and not lines[i].startswith(">"):
-                i += 1
-            continue
+        place = _FLAG_3.match(line, 29)
+        flag = int((place[1] or place[2] or "").strip() or 0) if place else -1
+        moment = None
         records: list[str] = []
-        while len(records) < count and i < n and not lines[i].startswith(">"):
-            records.append(lines[i])
-            i += 1
+        try:
+            count = int(place[3]) if place else -1
+        except ValueError:
+            count = 0 if flag >= 2 else -1
+        try:
+            if 0 <= flag <= 2 and count > 0:  # RTKLIB reads observations behind flag 2, which has none
+                moment = _moment(line[1:29])
+        except ValueError:
+            count = count if flag == 2 else -1
+        behind = i
+        while behind < n and not lines[behind].startswith(">"):
+            behind += 1
+        if count < 0:
+            found.lose("epochs_garbled")
+            i = behind
+            continue
+        if flag == 2 and moment and not all(map(_SATELLITE.match, lines[i : min(i + count, behind)])):
+            moment = None
+        stop = min(i + count, behind) if count or flag < 2 else behind
+        records = lines[i:stop]
+        i = stop
         if len(records) < count or (moment and records and _cut_in_value(records[-1], 3)):
             found.lose("epochs_cut")
             continue
         if moment is None:
-            found.whole.append((int(offsets[start]), int(offsets[i])))
+            if flag >= 2:
+                found.event(flag, int(offsets[start]), int(offsets[i]))
             continue
         if not all(_SATELLITE.match(record.rstrip("\r\n")) for record in records):
             found.lose("epochs_garbled")
@@ -146,29 +177,28 @@ def walk_observation_2(
         line = lines[i].rstrip("\r\n")
         start = i
         i += 1
-        if not _EPOCH_2.match(line):
+        if not _opens_epoch_2(line):
             found.lose("lines_unplaced")
             continue
         flag, moment, listing, end = 0, None, 1, n + 1
         try:
-            flag, count = int(line[28]), int(line[29:32])
+            flag, count = int(line[28].strip() or 0), int(line[29:32])
             listing = max(1, -(-count // 12)) if flag in (0, 1, 6) else 1
             end = start + listing + (count * per_satellite if flag in (0, 1, 6) else count)
             if flag <= 1:
-                year, month, day, hour, minute = (int(line[a:b]) for a, b in _DATE_2)
-                moment = _day_second(_year(year), month, day, hour, minute, float(line[15:26]))
+                moment = _moment(line[:26])
         except ValueError:
             count = -1
-        whole = end <= n and not any(_EPOCH_2.match(other) for other in lines[i:end])
+        whole = end <= n and not any(map(_opens_epoch_2, lines[i:end]))
         if not whole or count < 0 or (end == n and _cut_in_value(lines[-1], 0)):
             found.lose("epochs_garbled" if count < 0 else "epochs_cut")
-            while i < n and not _EPOCH_2.match(lines[i]):
+            while i < n and not _opens_epoch_2(lines[i]):
                 i += 1
             continue
         names = "".join(lines[k].rstrip("\r\n").ljust(68)[32:68] for k in range(start, start + listing))
         i = end
         if moment is None:
-            found.whole.append((int(offsets[start]), int(offsets[end])))
+            found.event(flag, int(offsets[start]), int(offsets[end]))
             continue
         satellites = [names[3 * k : 3 * k + 3] for k in range(count)]
         values = "".join(lines[start + listing : end])
@@ -179,6 +209,14 @@ def walk_observation_2(
             continue
         letters = [default if name[0] == " " else name[0] for name in satellites]
         _keep_epoch(found, moment, letters, offsets, start, end)
+
+
+def _opens_epoch_2(line: str) -> bool:
+    """Whether a line of RINEX 2 begins an epoch or an event, which may leave its date blank."""
+    place = _FLAG_2.match(line, 26)
+    if place is None:
+        return False
+    return (place[1] in "23456" and not line[:26].strip()) or _DATE.fullmatch(line[:26]) is not None
 
 
 def _cut_in_value(line: str, shift: int) -> bool:
@@ -259,7 +297,8 @@ class RinexScan:
 
     ``t_gps_s`` are the epochs (observation) or reference times of the ephemerides (navigation), shape (n,),
     ``nav_t_gps_s`` the latter by system. ``whole`` are the byte ranges of the header and of each undamaged
-    record, ``losses`` counts what is damaged or missing.
+    record, ``losses`` counts what is damaged or missing, ``events`` the records that are no epochs by their
+    flag.
     """
 
     path: Path
@@ -277,6 +316,7 @@ class RinexScan:
     nav_t_gps_s: dict[str, ArrayF]
     whole: list[tuple[int, int]]
     losses: dict[str, int]
+    events: dict[str, int]
     bytes_read: int
 
     def text(self, label: str, start: int = 0, stop: int = 60) -> str:
@@ -353,6 +393,7 @@ def scan_rinex(path: Path) -> RinexScan:
         nav_t_gps_s={SYSTEM_OF_LETTER[key]: t[letters == key] for key in sorted(set(found.letters))},
         whole=found.whole,
         losses=found.losses,
+        events=found.events,
         bytes_read=len(data),
     )
 
@@ -386,6 +427,8 @@ def describe_rinex(path: Path) -> IntegrityReport:
     if observation:
         report.count("epochs", scan.t_gps_s.size)
         report.count("satellite records", scan.n_satellite_records)
+        for what, n in scan.events.items():
+            report.count(what, n)
         report.gaps = find_gaps(scan.t_gps_s)
         if scan.interval_s:
             report.rates_hz["epochs"] = 1.0 / scan.interval_s
@@ -408,7 +451,7 @@ def describe_rinex(path: Path) -> IntegrityReport:
             span = f"{utc_text_from_gps(float(t.min()), 0)} .. {utc_text_from_gps(float(t.max()), 0)}"
             details[name] = f"{t.size} ephemerides, reference times {span}"
     report.details = {key: value for key, value in details.items() if value not in ("", None, {})}
-    if not scan.t_gps_s.size:
+    if not scan.t_gps_s.size and not any(scan.losses.values()):
         report.note("The file holds a header only.")
     if any(scan.losses.values()):
         report.note(

@@ -344,8 +344,8 @@ def prepare_inputs(
         run_worker(tasks, folder, where=str(rover[0]), time_limit_s=time_limit_s)
 
     where_base = rover[0] if base is None else base[0]
-    out.rover = _scan_all(folder, "rover_*.obs", rover[0])
-    out.base = _scan_all(folder, "base_*.obs", where_base)
+    out.rover = _scan_all(folder, "rover_*.obs", rover[0], out.losses)
+    out.base = _scan_all(folder, "base_*.obs", where_base, out.losses)
     nav_files = sorted(folder.glob("nav_*.nav"))
     nav_files += [p for p in sorted(folder.glob("*_sbp.nav")) if p.stat().st_size]
     out.nav = [scan for scan in map(scan_rinex, nav_files) if scan.t_gps_s.size]
@@ -536,18 +536,23 @@ def _copy_rinex(files: Sequence[Path], folder: Path, role: str, suffix: str, out
         if scan.losses:
             text = ", ".join(f"{key} {n}" for key, n in scan.losses.items())
             out.notes.append(f"{role}: damaged or cut records were left out of {Path(file).name}: {text}.")
+        if scan.losses or scan.events:
             data = whole_records(scan, data)
         (folder / f"{role}_{index:03d}.{suffix}").write_bytes(data)
 
 
-def _scan_all(folder: Path, pattern: str, where: Path) -> list[RinexScan]:
+def _scan_all(folder: Path, pattern: str, where: Path, losses: Mapping[str, int]) -> list[RinexScan]:
     scans = [scan_rinex(path) for path in sorted(folder.glob(pattern)) if path.stat().st_size]
     if not sum(scan.t_gps_s.size for scan in scans):
+        role = pattern.split("_")[0]
+        left = ", ".join(f"{what} {n}" for what, n in losses.items() if what.startswith(role) and n)
         raise InputError(
-            f"no epoch with observations of the {pattern.split('_')[0]}",
+            f"no epoch with observations of the {role}" + (f" (left out: {left})" if left else ""),
             expected="at least one epoch",
             where=where,
-            cure="The file is cut or was logged without satellites",
+            cure="Copy or export the file again"
+            if left
+            else "The file is cut or was logged without satellites",
         )
     return [scan for scan in scans if scan.t_gps_s.size]
 
