@@ -19,12 +19,13 @@ standard deviations.
 
 import datetime as dt
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Final
-from xml.etree.ElementTree import ParseError
+from xml.etree.ElementTree import Element, ParseError
 
 import numpy as np
 import pandas as pd
@@ -40,7 +41,9 @@ from thalweg.core import (
     parse_xml,
     roll_pitch_heading,
 )
+from thalweg.core.values import is_nothing, unit_of_word
 from thalweg.ingest import (
+    DEPTH,
     GNSS_POSITION,
     INS_STATE,
     NAVIGATION_INITIALISED,
@@ -49,8 +52,10 @@ from thalweg.ingest import (
     PoseLog,
     PositionLog,
     TrackOptions,
+    column_of,
     find_gaps,
     gps_from_scale,
+    possible_unix,
     tell_time_scale,
     time_scale_words,
 )
@@ -618,6 +623,7 @@ def _weeks(day: ArrayF, tow_s: ArrayF, where: str) -> ArrayF:
 
 # ---------------------------------------------------------------- GPX
 
+_UNUSED: Final = {"wpt": "waypoints", "rtept": "points of routes"}
 _FIX_OF_GPX: Final = {"none": "none", "dgps": "dgnss"}
 
 
@@ -625,7 +631,8 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
     """Track points of GPX files in the order of the files.
 
     ``ele`` is above the geoid: with ``geoidheight`` beside it the ellipsoidal height is their sum, else it is
-    NaN. Points without a time are counted and left out.
+    NaN. Points without a time are counted and left out. Depths in extensions of any name space, such as
+    ``depth`` or ``water_depth``, come as soundings; times without a zone count as UTC, which a note says.
 
     Raises
     ------
@@ -634,23 +641,33 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
     report = IntegrityReport(
         stream="positions", format="GPX", files=[str(f) for f in files], time_scale="utc", synchronised=True
     )
-    rows = []
+    rows: list[tuple[float, float, float, float, str, int]] = []
+    depths: list[tuple[float, float]] = []
+    foreign: Counter[str] = Counter()
+    without_zone = 0
     for path in files:
         data = path.read_bytes()
         report.bytes_read += len(data)
         try:
-            points = parse_xml(data).iterfind(".//{*}trkpt")
-            for point in points:
+            root = parse_xml(data)
+            foreign.update(each.tag.split("}")[-1] for each in root.iter() if isinstance(each.tag, str))
+            for point in root.iterfind(".//{*}trkpt"):
                 told = {each.tag.split("}")[-1]: (each.text or "").strip() for each in point}
                 if not told.get("time"):
                     report.lose("track_points_without_time")
                     continue
                 moment = dt.datetime.fromisoformat(told["time"])
-                utc = moment if moment.tzinfo else moment.replace(tzinfo=dt.UTC)
+                without_zone += moment.tzinfo is None
+                unix_s = (moment if moment.tzinfo else moment.replace(tzinfo=dt.UTC)).timestamp()
+                if not possible_unix(unix_s):
+                    report.lose("track_points_at_impossible_times")
+                    continue
                 h = float(told.get("ele", "nan")) + float(told.get("geoidheight", "nan"))
                 fix = _FIX_OF_GPX.get(told.get("fix", ""), "single")
                 place = float(point.attrib["lat"]), float(point.attrib["lon"])
-                rows.append((utc.timestamp(), *place, h, fix, int(told.get("sat", "-1"))))
+                rows.append((unix_s, *place, h, fix, int(told.get("sat", "-1"))))
+                if (depth_m := _depth_m(point)) is not None:
+                    depths.append((unix_s, depth_m))
         except (ParseError, KeyError, ValueError) as error:
             raise InputError(
                 f"no readable GPX ({error})",
@@ -679,4 +696,39 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
     if table["h_ell_m"].isna().any():
         report.note("Heights of GPX are above the geoid, and the file does not say how high that is.")
     report.note("GPX states no standard deviations: orientation.sigma_position_m says them.")
-    return PositionLog(report=report, positions=table.reindex(columns=list(GNSS_POSITION.names)))
+    if without_zone:
+        report.note(
+            f"{without_zone:,} times state no zone: taken as UTC. Some programs write local time: "
+            "compare them with another log."
+        )
+    if unused := [f"{foreign[tag]:,} {words}" for tag, words in _UNUSED.items() if foreign[tag]]:
+        report.note(f"Only tracks are read, not the {' and '.join(unused)}.")
+    log = PositionLog(report=report, positions=table.reindex(columns=list(GNSS_POSITION.names)))
+    if depths:
+        soundings = pd.DataFrame(depths, columns=["t_gps_s", "depth_m"])
+        soundings["t_gps_s"] = gps_from_unix(soundings["t_gps_s"])
+        log.depths = soundings.assign(sentence="GPX", line=np.arange(1, len(soundings) + 1)).reindex(
+            columns=list(DEPTH.names)
+        )
+        report.count("depths", len(soundings))
+        report.note(
+            "Its depths do not say whether they begin at the transducer or the water line; a campaign takes "
+            "depths from NMEA and ANPP only."
+        )
+    return log
+
+
+def _depth_m(point: Element) -> float | None:
+    """Depth of a track point in metres, wherever its extensions hold it."""
+    for each in point.iter():
+        name = column_of(each.tag.split("}")[-1].replace("_", " "))
+        text = (each.text or "").strip()
+        if name.words != "depth" or not text:
+            continue
+        stated = next((each.attrib[key] for key in ("unit", "units", "uom") if key in each.attrib), "m")
+        unit = name.unit or unit_of_word(stated)
+        if unit is None:
+            raise ValueError(f"depths in '{stated}'")
+        value = float(text)
+        return None if is_nothing(value, "depth") else value * unit.metres
+    return None
