@@ -266,3 +266,14 @@ def test_times_of_a_table_of_poses_contradict_the_stated_scale(tmp_path: Path) -
     log = read_poses([path], "ins", options)
     assert log.states["t_gps_s"][0] == 402_221_618.0
     assert any("less 1e9" in note for note in log.report.notes)
+
+
+@pytest.mark.parametrize(("per_second", "separator"), [(10**3, " "), (10**9, " "), (10**3, ",")])
+def test_stamps_of_poses_in_other_units(tmp_path: Path, per_second: int, separator: str) -> None:
+    path = tmp_path / "poses.txt"
+    head = "# timestamp x y z qx qy qz qw\n"
+    rows = [[(1_718_186_400 + k) * per_second, 0, 0, 0, 0, 0, 0, 1] for k in range(4)]
+    path.write_text(head + "".join(separator.join(map(str, row)) + "\n" for row in rows))
+    log = read_poses([path], "ins", TrackOptions(**STATED, body_axes="forward-left-up"))
+    assert log.states["t_gps_s"].tolist() == [402_221_618.0 + k for k in range(4)]
+    assert any("seconds since 1970" in note for note in log.report.notes)

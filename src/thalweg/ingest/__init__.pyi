@@ -41,6 +41,7 @@ from .stamps import (
     LAST_UNIX_S as LAST_UNIX_S,
     QUARTER_HOUR_S as QUARTER_HOUR_S,
     TIME_SCALES as TIME_SCALES,
+    UNITS_A_SECOND as UNITS_A_SECOND,
     StreamTiming as StreamTiming,
     explain_shift as explain_shift,
     fit_clock as fit_clock,

@@ -321,7 +321,8 @@ TIME_SCALES: Final = {
     "day_s": "seconds of an unstated day",
 }
 """Scales on which a file may count its times -> words."""
-_UNITS_A_SECOND: Final = {"unix_ms": 1e3, "unix_us": 1e6, "unix_ns": 1e9}
+UNITS_A_SECOND: Final = {"unix_ms": 1e3, "unix_us": 1e6, "unix_ns": 1e9}
+"""Scales of `TIME_SCALES` that do not count seconds -> how many of them make one."""
 _ZERO_UNIX_S: Final = {
     **dict.fromkeys(("unix_s", "unix_ms", "unix_us", "unix_ns"), 0.0),
     "gps_s": float(GPS_EPOCH_UNIX_S),
@@ -348,7 +349,7 @@ def gps_from_scale(values: ArrayLike, scale: str) -> ArrayF:
         raise InputError(
             f"the times are {TIME_SCALES[scale]}", expected="times with their date", cure="State the date"
         )
-    t = np.asarray(values, dtype=np.float64) / _UNITS_A_SECOND.get(scale, 1.0)
+    t = np.asarray(values, dtype=np.float64) / UNITS_A_SECOND.get(scale, 1.0)
     t = np.where((t != 0) & possible_unix(t + _ZERO_UNIX_S[scale]), t, np.nan)
     if scale.startswith("unix"):
         return gps_from_unix(t)
@@ -452,7 +453,7 @@ def time_contradiction(values: ArrayLike, stated: str) -> str:
 
 def _rough_unix_s(value: float, scale: str) -> float:
     """UTC but for leap seconds of a number on a scale that tells the date."""
-    return value / _UNITS_A_SECOND.get(scale, 1.0) + _ZERO_UNIX_S[scale]
+    return value / UNITS_A_SECOND.get(scale, 1.0) + _ZERO_UNIX_S[scale]
 
 
 def _span(values: ArrayLike) -> tuple[float, float] | None:

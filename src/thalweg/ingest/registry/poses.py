@@ -167,10 +167,10 @@ def _is_table(kind: str, head: bytes, size: int) -> bool:
 
     at = pose_columns(kind, heads, n)
     unit = all(_is_unit([row[at[name]] for name in ("qw", "qx", "qy", "qz")]) for row in rows)
-    in_ns = all(row[at["t"]] > 1e17 for row in rows)
+    in_ns = all(row[at["t"]] > 1e12 for row in rows)
     if kind == "tum":
         named = at == pose_columns("euroc", heads, n)  # only lines above the numbers make both alike
-        return unit and not in_ns and (named or (n == 8 and not commas))
+        return unit and (not commas or not in_ns) and (named or (n == 8 and not commas))
     return unit and in_ns and commas
 
 

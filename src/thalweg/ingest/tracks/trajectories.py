@@ -48,6 +48,7 @@ from thalweg.ingest import (
     INS_STATE,
     NAVIGATION_INITIALISED,
     TIME_SCALES,
+    UNITS_A_SECOND,
     IntegrityReport,
     PoseLog,
     PositionLog,
@@ -130,7 +131,12 @@ def read_text_poses(kind: str, files: Sequence[Path], times: Path | None = None)
     else:
         position, q_xyzw = rows[:, 1:4], rows[:, 4:8]
         wrong = np.abs(np.linalg.norm(q_xyzw, axis=1) - 1.0) > _ORTHONORMAL
-        t_s = rows[:, 0] if kind == "tum" else rows[:, 0] * 1e-9
+        unit = next(iter(tell_time_scale(rows[:, 0])), "")
+        if kind == "euroc" and unit not in UNITS_A_SECOND:
+            unit = "unix_ns"
+        elif unit in UNITS_A_SECOND and (kind == "tum" or unit != "unix_ns"):
+            report.note(f"Its stamps are taken as {TIME_SCALES[unit]}.")
+        t_s = rows[:, 0] / UNITS_A_SECOND.get(unit, 1.0)
         if rows.shape[1] > len(_POSE):
             velocity = rows[:, 8:11]
         R = np.empty((0, 3, 3)) if wrong.any() else Rotation.from_quat(q_xyzw).as_matrix()
