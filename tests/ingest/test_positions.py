@@ -133,7 +133,7 @@ def test_depths_zones_and_waypoints_of_gpx(tmp_path: Path) -> None:
     other = extension.format(uri="http://sonar/1", tag="water_depth_ft", value="10")
     nothing = extension.format(uri="http://sonar/1", tag="Depth", value="0")
     rows = [
-        f'<trkpt lat="51.05" lon="13.25"><time>2024-06-12T10:00:0{k}{zone}</time>{more}</trkpt>'
+        f'<trkpt lat="51.05" lon="13.25"><ele>-2</ele><time>2024-06-12T10:00:0{k}{zone}</time>{more}</trkpt>'
         for k, (zone, more) in enumerate([("Z", garmin), ("", other), ("Z", nothing)])
     ]
     rows.append('<trkpt lat="51.05" lon="13.25"><time>1970-01-01T00:00:00Z</time></trkpt>')
@@ -144,7 +144,8 @@ def test_depths_zones_and_waypoints_of_gpx(tmp_path: Path) -> None:
     assert log.depths["t_gps_s"].tolist() == [t0, t0 + 1]
     assert log.depths["depth_m"].tolist() == pytest.approx([2.5, 3.048])
     write_table(tmp_path / "depths.parquet", log.depths, DEPTH)
-    assert log.report.losses == {"track_points_at_impossible_times": 1}
+    assert log.report.losses == {"depths_of_nothing": 1, "track_points_at_impossible_times": 1}
     notes = " ".join(log.report.notes)
     assert "1 times state no zone: taken as UTC" in notes
     assert "not the 1 waypoints" in notes
+    assert "elevations are negative" in notes

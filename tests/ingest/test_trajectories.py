@@ -218,6 +218,7 @@ def test_inertial_explorer_with_a_date_of_another_day_or_none(tmp_path: Path) ->
     report = describe(path)
     assert (report.synchronised, report.t_first_s) == (False, 295_218.0)
     assert any("neither week nor date" in note for note in report.notes)
+    assert not any("1980" in note for note in report.notes)
 
 
 UPRIGHT = [0.0, 0.0, np.sin(0.3), np.cos(0.3)]
@@ -232,13 +233,17 @@ UPRIGHT = [0.0, 0.0, np.sin(0.3), np.cos(0.3)]
         ("#time [s], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_x, q_y, q_z, q_w", "xyzw"),
         ("# stamp, position, quaternion (w, x, y, z)", "wxyz"),
         ("# poses of the boat", "xyzw"),
+        ("# time [ms] q_w [] q_x [] q_y [] q_z [] p_x [m] p_y [m] p_z [m]", "wxyz first"),
     ],
 )
 def test_names_decide_the_order_of_the_quaternion(tmp_path: Path, head: str, order: str) -> None:
     path = tmp_path / "poses.txt"
-    cells = [UPRIGHT["xyzw".index(axis)] for axis in order]
+    cells = [UPRIGHT["xyzw".index(axis)] for axis in order[:4]]
     separator = ", " if head.startswith(("timestamp,", "#time")) else " "
-    rows = [separator.join(map(str, [T0 + k, 1, 2, 3, *cells])) for k in range(4)]
+    rows = [
+        separator.join(map(str, [T0 + k, *([*cells, 1, 2, 3] if order[4:] else [1, 2, 3, *cells])]))
+        for k in range(4)
+    ]
     path.write_text("\n".join([head, *rows]) + "\n")
     assert recognise(path) == "tum"
     states = read_poses([path], "ins", TrackOptions(**STATED, body_axes="forward-left-up")).states
@@ -277,3 +282,10 @@ def test_stamps_of_poses_in_other_units(tmp_path: Path, per_second: int, separat
     log = read_poses([path], "ins", TrackOptions(**STATED, body_axes="forward-left-up"))
     assert log.states["t_gps_s"].tolist() == [402_221_618.0 + k for k in range(4)]
     assert any("seconds since 1970" in note for note in log.report.notes)
+
+
+def test_a_week_counter_that_rolled_over_is_doubted(tmp_path: Path) -> None:
+    path = export(tmp_path / "boat.txt")
+    path.write_text(path.read_text().replace("2235 ", "187 "))
+    notes = " ".join(read_poses([path], "sbet", TrackOptions()).report.notes)
+    assert "2048 weeks later 2022-11-" in notes

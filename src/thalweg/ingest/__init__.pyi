@@ -43,6 +43,7 @@ from .stamps import (
     TIME_SCALES as TIME_SCALES,
     UNITS_A_SECOND as UNITS_A_SECOND,
     StreamTiming as StreamTiming,
+    doubtful_date as doubtful_date,
     explain_shift as explain_shift,
     fit_clock as fit_clock,
     gps_from_scale as gps_from_scale,

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from thalweg.core import WEEK_S, InputError, gps_from_week
-from thalweg.ingest import PoseLog, TrackOptions
+from thalweg.ingest import PoseLog, TrackOptions, doubtful_date
 from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share, read_head
 from thalweg.ingest.registry.calibrations import CalibrationReport
 
@@ -56,6 +56,8 @@ def read_poses(files: Sequence[Path], source: str | None, options: TrackOptions 
     if source == "ins":  # whose trajectory takes standard deviations from the campaign
         options = replace(options, sigma_position_m=np.nan, sigma_attitude_deg=np.nan)
     log = known.poses(files, options)
+    if doubt := doubtful_date(log.states["t_gps_s"]):
+        log.report.note(doubt)
     if not options.upside_down:
         _refuse_upside_down(log, files[0])
     return log
@@ -130,6 +132,8 @@ def _take_week_off(log: PoseLog, lacking: str) -> None:
     """Stamps as they stand in a file that is only described and tells no week, and no GPS time."""
     report, t0 = log.report, float(gps_from_week(_NO_WEEK, 0.0))
     if report.t_first_s is None or report.t_last_s is None or report.t_first_s > t0 + 2 * WEEK_S:
+        if doubt := doubtful_date(log.states["t_gps_s"]):
+            report.note(doubt)
         return
     report.synchronised = False
     report.t_first_s, report.t_last_s = report.t_first_s - t0, report.t_last_s - t0

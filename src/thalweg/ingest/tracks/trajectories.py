@@ -54,6 +54,7 @@ from thalweg.ingest import (
     PositionLog,
     TrackOptions,
     column_of,
+    doubtful_date,
     find_gaps,
     gps_from_scale,
     possible_unix,
@@ -382,9 +383,9 @@ _ALIASES: Final = {
     "lat": ("Latitude", "Lat"),
     "lon": ("Longitude", "Lon", "Long"),
     "height": ("H-Ell", "H-Ellips", "EllHeight", "HEll"),
-    "v_east": ("VEast",),
-    "v_north": ("VNorth",),
-    "v_up": ("VUp",),
+    "v_east": ("VEast", "VE"),
+    "v_north": ("VNorth", "VN"),
+    "v_up": ("VUp", "VU"),
     "roll": ("Roll",),
     "pitch": ("Pitch",),
     "heading": ("Heading", "Azimuth", "Yaw"),
@@ -650,7 +651,7 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
     rows: list[tuple[float, float, float, float, str, int]] = []
     depths: list[tuple[float, float]] = []
     foreign: Counter[str] = Counter()
-    without_zone = 0
+    without_zone = below = 0
     for path in files:
         data = path.read_bytes()
         report.bytes_read += len(data)
@@ -668,11 +669,15 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
                 if not possible_unix(unix_s):
                     report.lose("track_points_at_impossible_times")
                     continue
+                below += float(told.get("ele", "nan")) < 0
                 h = float(told.get("ele", "nan")) + float(told.get("geoidheight", "nan"))
                 fix = _FIX_OF_GPX.get(told.get("fix", ""), "single")
                 place = float(point.attrib["lat"]), float(point.attrib["lon"])
                 rows.append((unix_s, *place, h, fix, int(told.get("sat", "-1"))))
-                if (depth_m := _depth_m(point)) is not None:
+                depth_m = _depth_m(point)
+                if depth_m is not None and np.isnan(depth_m):
+                    report.lose("depths_of_nothing")
+                elif depth_m is not None:
                     depths.append((unix_s, depth_m))
         except (ParseError, KeyError, ValueError) as error:
             raise InputError(
@@ -702,6 +707,8 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
     if table["h_ell_m"].isna().any():
         report.note("Heights of GPX are above the geoid, and the file does not say how high that is.")
     report.note("GPX states no standard deviations: orientation.sigma_position_m says them.")
+    if doubt := doubtful_date(t):
+        report.note(doubt)
     if without_zone:
         report.note(
             f"{without_zone:,} times state no zone: taken as UTC. Some programs write local time: "
@@ -709,6 +716,8 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
         )
     if unused := [f"{foreign[tag]:,} {words}" for tag, words in _UNUSED.items() if foreign[tag]]:
         report.note(f"Only tracks are read, not the {' and '.join(unused)}.")
+    if below > 0.9 * len(rows):
+        report.note("Its elevations are negative: depths, perhaps, which are not read from there.")
     log = PositionLog(report=report, positions=table.reindex(columns=list(GNSS_POSITION.names)))
     if depths:
         soundings = pd.DataFrame(depths, columns=["t_gps_s", "depth_m"])
@@ -725,7 +734,7 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
 
 
 def _depth_m(point: Element) -> float | None:
-    """Depth of a track point in metres, wherever its extensions hold it."""
+    """Depth of a track point in metres, wherever its extensions hold it; NaN where it stands for none."""
     for each in point.iter():
         name = column_of(each.tag.split("}")[-1].replace("_", " "))
         text = (each.text or "").strip()
@@ -736,5 +745,5 @@ def _depth_m(point: Element) -> float | None:
         if unit is None:
             raise ValueError(f"depths in '{stated}'")
         value = float(text)
-        return None if is_nothing(value, "depth") else value * unit.metres
+        return float("nan") if is_nothing(value, "depth") else value * unit.metres
     return None
