@@ -10,14 +10,14 @@ from pyproj import CRS
 from scipy.ndimage import binary_erosion
 
 from thalweg.cli import main
-from thalweg.core import ArrayF, GeometryError, InputError, LocalFrame, read_table
+from thalweg.core import ArrayF, GeometryError, InputError, LocalFrame, read_dsm, read_table
 from thalweg.core.las import read_laz, write_laz
 from thalweg.core.raster import Grid, write_raster
 from thalweg.deformation import CLOUD_TO_CLOUD, Comparison, cloud_to_cloud
 from thalweg.deformation.compare import CHANGES, measure_distances
 from thalweg.deformation.foreign import compare_clouds
 from thalweg.deformation.foreign.clouds import Points, compare_with_surface, read_points, sigma_of_mean
-from thalweg.deformation.foreign.surfaces import one_frame, read_dsm
+from thalweg.deformation.foreign.surfaces import one_frame
 from thalweg.settings.sections import ReferenceSettings
 
 OPTIONS = Comparison(scales_m=(1.0,), radius_m=0.8, half_length_m=3.0)

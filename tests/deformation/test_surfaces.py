@@ -1,6 +1,5 @@
 """Surface models: files, differences, sigmas of volumes, masks, and published figures of a beach."""
 
-import zlib
 from dataclasses import replace
 from datetime import date
 from itertools import pairwise
@@ -8,20 +7,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rasterio
 from geopandas import GeoDataFrame
 from PIL import Image, TiffImagePlugin
+from pyproj import CRS
 from scipy.ndimage import binary_erosion
 from shapely import Polygon
 
 from thalweg.cli import main
-from thalweg.core import ArrayF, GeometryError, InputError, UnsupportedError, read_table
+from thalweg.core import ArrayF, Dsm, GeometryError, InputError, UnsupportedError, read_dsm, read_table
 from thalweg.deformation.foreign import (
-    Dsm,
     HeightErrors,
     difference_of_surfaces,
     difference_on_lines,
     onto_grid,
-    read_dsm,
     write_difference,
 )
 from thalweg.deformation.foreign.surfaces import VOLUMES, volume_variance
@@ -78,7 +77,10 @@ def test_heights_lie_where_the_file_says(tmp_path: Path) -> None:
     height[3, 4] = -10_000.0
     dsm = read_dsm(a_tif(tmp_path / "a.tif", height))
     assert dsm.frame.to_epsg() == 25833
-    assert dsm.notes == ("a.tif: 1 of 600 cells without a height (undeclared value -10000).",)
+    assert dsm.notes == (
+        "a.tif: 1 of 600 cells without a height (undeclared value -10000).",
+        "a.tif: The file states no unit of heights: metres.",
+    )
     assert np.isnan(dsm.height_m[3, 4])
     # row 2, column 5: centre at 5.5 cells east and 2.5 cells south of the corner
     assert dsm.centres_m()[2 * 30 + 5].tolist() == [440_011.0, 5_639_995.0]
@@ -98,24 +100,24 @@ def test_declared_and_stated_values_are_no_heights(tmp_path: Path) -> None:
         read_dsm(path)
     dsm = read_dsm(path, nodata=0.0)
     assert int(np.isnan(dsm.height_m).sum()) == 90
-    assert [note.split("(")[1] for note in dsm.notes] == ["declared value -99).", "value 0, as stated)."]
+    assert [note.split("(")[1] for note in dsm.notes[:-1]] == ["declared value -99).", "value 0, as stated)."]
     assert int((read_dsm(path, nodata=np.nan).height_m == 0.0).sum()) == 60
 
 
 @pytest.mark.parametrize(
     ("keys", "error", "text"),
     [
-        ((3072, 0, 1, 25833, 4099, 0, 1, 9003), UnsupportedError, "heights in US survey feet"),
-        ((3072, 0, 1, 25833, 3076, 0, 1, 9002), UnsupportedError, "a map in feet"),
         ((2048, 0, 1, 4326), UnsupportedError, "cells in degrees"),
-        ((3072, 0, 1, 32767), UnsupportedError, "expected one with an EPSG code"),
+        ((1024, 0, 1, 2, 2048, 0, 1, 4258), UnsupportedError, r"cells in degrees.*gdalwarp.*-t_srs EPSG:326"),
+        ((3072, 0, 1, 32767), UnsupportedError, "expected one that GDAL knows"),
+        ((3072, 0, 1, 25833, 4099, 0, 1, 9101), InputError, r"GeoKey 4099: heights in the unit 9101"),
     ],
 )
-def test_units_other_than_metres_are_refused(
+def test_coordinates_that_are_no_lengths_are_refused(
     tmp_path: Path, keys: tuple[int, ...], error: type[Exception], text: str
 ) -> None:
     with pytest.raises(error, match=text):
-        read_dsm(a_tif(tmp_path / "a.tif", relief(), keys=keys))
+        read_dsm(a_tif(tmp_path / "a.tif", relief(), keys=keys, corner=(13.0, 51.0), cell=1e-5))
 
 
 def test_files_that_are_no_heights_are_refused(tmp_path: Path) -> None:
@@ -243,8 +245,8 @@ def test_rasters_that_do_not_fit_are_refused(tmp_path: Path) -> None:
 
     with pytest.raises(InputError, match=r"UTM zone 33N.*UTM zone 32N.*one coordinate system"):
         difference_of_surfaces(before, after(relief(), keys=(3072, 0, 1, 25832)))
-    vertical = [replace(before, heights=code) for code in (7837, 5773)]
-    with pytest.raises(InputError, match=r"heights of EPSG:7837.*of EPSG:5773"):
+    vertical = [replace(before, frame=CRS(f"EPSG:25833+{code}")) for code in (7837, 5773)]
+    with pytest.raises(InputError, match=r"heights of DHHN2016 height.*of EGM96 height"):
         difference_of_surfaces(*vertical)
     with pytest.raises(GeometryError, match="share no cell"):
         difference_of_surfaces(before, after(relief(), corner=(450_000.0, 5_640_000.0)))
@@ -272,20 +274,13 @@ def test_the_command_writes_bands_and_volumes(tmp_path: Path, capsys: pytest.Cap
     assert "600 cells, 510 with a difference" in printed
     assert "  erosion: 160.0 m2, -80.0 m3 (sigma " in printed
     assert "note: a.tif: 30 of 600 cells without a height (undeclared value -9999)." in printed
-    # Pillow reads no two bands of floats: its tags, and the strip by hand
-    with out.open("rb") as stream:
-        tags = TiffImagePlugin.ImageFileDirectory_v2(stream.read(8))
-        stream.seek(tags.next)
-        tags.load(stream)
-        stream.seek(tags[273][0])
-        strip = stream.read(tags[279][0])
-    bands = np.frombuffer(zlib.decompress(strip), "<f4").reshape(20, 30, 2)
+    with rasterio.open(out) as file:
+        bands, crs, place = file.read(), file.crs, file.transform
+        assert file.descriptions == ("difference_m", "sigma_m")
     found = difference_of_surfaces(before, after, (HeightErrors(0.03, 4.0), HeightErrors(0.04, 4.0)))
-    np.testing.assert_array_equal(bands[..., 0], found.raster.height_m.astype(np.float32))
-    np.testing.assert_array_equal(bands[..., 1], found.sigma_m.astype(np.float32))
-    assert tags[33922] == (0.0, 0.0, 0.0, *CORNER, 0.0)
-    assert tags[34735][-4:] == (3072, 0, 1, 25833)
-    assert "difference_m" in tags[42112]
+    np.testing.assert_array_equal(bands[0], found.raster.height_m.astype(np.float32))
+    np.testing.assert_array_equal(bands[1], found.sigma_m.astype(np.float32))
+    assert (crs.to_epsg(), place.c, place.f, place.e) == (25833, *CORNER, -2.0)
     for suffix in ("csv", "parquet"):
         assert main([*words, "--correlation", "4", "-o", str(tmp_path / f"changes.{suffix}")]) == 0
     table, _ = read_table(tmp_path / "changes.parquet", VOLUMES)
@@ -329,6 +324,7 @@ def test_the_undeclared_value_of_the_beach_is_masked_and_counted(epochs: list[Ds
     assert epochs[2].notes == (
         "mar_20180727_dsm_resampled_1m.tif: 30,739 of 141,780 cells without a height "
         "(undeclared value -10000).",
+        "mar_20180727_dsm_resampled_1m.tif: The file states no unit of heights: metres.",
     )
     assert len(epochs[2].points_m()) == 111_041
     assert len(epochs[3].points_m()) == 83_438

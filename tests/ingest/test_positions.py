@@ -58,7 +58,8 @@ def test_an_indefinite_covariance_does_not_pass(tmp_path: Path) -> None:
 def test_of_tracks_of_the_same_time_the_best_is_taken(tmp_path: Path) -> None:
     def track(name: str, first: int, quality: int) -> Path:
         lines = [
-            f"2021/05/12 08:31:{first + k:02d}.0 51.05{k * k:03d} 13.25 300.0 {quality} 12 .02 .02 .03 0 0 0 0 9"
+            f"2021/05/12 08:31:{first + k:02d}.0 51.05{k * k:03d} 13.25 300.0 {quality} 12 .02 .02 .03"
+            " 0 0 0 0 9"
             for k in range(20)
         ]
         (tmp_path / name).write_text("\n".join(lines) + "\n")

@@ -47,6 +47,7 @@ from thalweg.core import (
     frame_of,
     iter_laz,
     laz_header,
+    read_dsm,
     read_raster,
     utc_text_from_unix,
     write_raster,
@@ -1258,30 +1259,23 @@ def _reference_points(path: Path, crs: CRS, settings: Bathymetry) -> tuple[Array
     """Places (n, 2) on the map, heights (n,) of a reference, and their noise."""
     stated = settings.table.sigma_m
     kind = path.suffix.lower()
-    if kind in {".tif", ".tiff"}:
-        grid, bands, _ = read_raster(path)
-        if not grid.crs.equals(crs, ignore_axis_order=True):
-            raise InputError(
-                f"a raster in {grid.crs.name}",
-                where=path,
-                expected=crs.name,
-                cure="Transform it to campaign.crs",
-            )
-        value = next(iter(bands.values())).ravel()
-        known = np.isfinite(value)
-        return grid.centres_m()[known], value[known], np.full(known.sum(), stated)
-    if kind in {".las", ".laz"}:
-        of = laz_header(path).frame
+    if kind in {".tif", ".tiff", ".las", ".laz"}:
+        raster = read_dsm(path) if kind.startswith(".t") else None
+        of = laz_header(path).frame if raster is None else raster.frame
         if of is not None and (
             isinstance(of, LocalFrame) or not of.to_2d().equals(crs, ignore_axis_order=True)
         ):
             raise InputError(
-                f"a cloud in {'a local frame' if isinstance(of, LocalFrame) else of.name}",
+                f"a {'cloud' if raster is None else 'raster'} in "
+                f"{'a local frame' if isinstance(of, LocalFrame) else of.name}",
                 where=path,
                 expected=crs.name,
                 cure="Transform it to campaign.crs, with ellipsoidal heights",
             )
-        xyz = np.concatenate([chunk["xyz_m"] for chunk in iter_laz(path)])
+        if raster is not None:
+            xyz = raster.points_m()
+        else:
+            xyz = np.concatenate([np.empty((0, 3)), *(chunk["xyz_m"] for chunk in iter_laz(path))])
         return xyz[:, :2], xyz[:, 2], np.full(len(xyz), stated)
     table, found = read_places(path, crs)
     places = found.xy_m

@@ -102,7 +102,14 @@ from .pose_errors import (
     with_rest as with_rest,
     write_chains as write_chains,
 )
-from .raster import Grid as Grid, read_raster as read_raster, write_raster as write_raster
+from .raster import (
+    Dsm as Dsm,
+    Grid as Grid,
+    mask_missing as mask_missing,
+    read_dsm as read_dsm,
+    read_raster as read_raster,
+    write_raster as write_raster,
+)
 from .rigid import (
     SHIFT as SHIFT,
     TURN as TURN,

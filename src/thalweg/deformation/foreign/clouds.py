@@ -23,15 +23,16 @@ from thalweg.core import (
     InputError,
     LazWriter,
     column,
+    read_dsm,
     table_kind,
     write_table,
 )
 from thalweg.core.geometry import TriangleMesh
 from thalweg.core.values import check_degrees, check_heights
 from thalweg.deformation import CHANGES, Comparison, cloud_to_cloud, judge_changes, measure_distances
-from thalweg.deformation.foreign.surfaces import one_frame, read_dsm
+from thalweg.deformation.foreign.surfaces import one_frame
 from thalweg.ingest import read_text_table
-from thalweg.ingest.clouds import read_cloud, read_pcd
+from thalweg.ingest.clouds import NO_USE, read_cloud, read_pcd
 from thalweg.settings.sections import DSM_ENDINGS, TEXT_ENDINGS, Accuracy, ReferenceSettings
 from thalweg.surface import Surface, mesh_reference, read_triangles
 
@@ -59,7 +60,7 @@ _MUCH_DENSER = 20.0
 
 @dataclass(frozen=True, slots=True)
 class Points:
-    """Points (n, 3) of a file, in metres, the frame that it states, and what was assumed on reading."""
+    """Points (n, 3) of a file, in metres, the frame that it states, and what was left out and converted."""
 
     xyz_m: ArrayF
     frame: Frame
@@ -76,12 +77,21 @@ def read_points(path: Path) -> Points:
     """
     if path.suffix.lower() in DSM_ENDINGS:
         dsm = read_dsm(path)
-        return Points(dsm.points_m(), dsm.frame, path)
+        return Points(dsm.points_m(), dsm.frame, path, dsm.notes)
     if path.suffix.lower() == ".pcd":
-        return Points(np.asarray(read_pcd(path).xyz_m, np.float64), None, path)
+        pcd = read_pcd(path)
+        lost = f"{path.name}: {pcd.n_left_out:,} points without coordinates."
+        return Points(np.asarray(pcd.xyz_m, np.float64), None, path, (lost,) if pcd.n_left_out else ())
     if path.suffix.lower() not in TEXT or not path.is_file():
         cloud = read_cloud(path)
-        return Points(cloud.points, cloud.frame, path)
+        if cloud.frame is None:
+            check_degrees(
+                cloud.points[:, :2],
+                where=path,
+                cure="Transform the cloud to a map projection, or state its coordinate system in the file",
+            )
+        told = (f"{path.name}: {text}" for text in cloud.sentences() if text not in NO_USE)
+        return Points(cloud.points, cloud.frame, path, tuple(told))
     table = read_text_table(path, bare=("x", "y", "z"))
     if not table.named and len(table.columns) > 3:  # colours and intensities stand behind the coordinates
         table = read_text_table(path, order=("x", "y", "z"))
@@ -161,7 +171,7 @@ def compare_clouds(
         raise InputError(f"core points at each {core_every}-th point", expected="1 or more")
     clouds = [read_points(path) for path in (before, after)]
     frame, notes = one_frame(clouds)
-    notes += [note for cloud in clouds for note in cloud.notes]
+    notes = [note for cloud in clouds for note in cloud.notes] + notes
     shift = np.round(clouds[0].xyz_m.mean(axis=0))  # so that squares of coordinates of maps keep their digits
     for cloud in clouds:
         np.subtract(cloud.xyz_m, shift, out=cloud.xyz_m)
@@ -221,7 +231,7 @@ def compare_nearest(
         raise InputError(f"each {every}-th point", expected="1 or more")
     clouds = [read_points(path) for path in (before, after)]
     frame, notes = one_frame(clouds)
-    notes += [note for cloud in clouds for note in cloud.notes]
+    notes = [note for cloud in clouds for note in cloud.notes] + notes
     shift = np.round(clouds[0].xyz_m.mean(axis=0))
     table = cloud_to_cloud(
         clouds[0].xyz_m - shift, clouds[1].xyz_m[::every] - shift, towards=np.asarray(towards, float)
@@ -324,8 +334,7 @@ def compare_with_surface(
     else:
         vertices = Points(triangles[0], None if dsm is None else dsm.frame, reference)
     frame, notes = one_frame([points, vertices])
-    notes += [*points.notes, *vertices.notes]
-    notes += [] if dsm is None else dsm.notes
+    notes = [*points.notes, *(vertices.notes if dsm is None else dsm.notes), *notes]
     origin = np.round(np.median(vertices.xyz_m, axis=0))  # large coordinates would cost digits
     facts: dict[str, Any] = {}
     if triangles is None:

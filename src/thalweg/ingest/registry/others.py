@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from thalweg.core import InputError, read_metashape
+from thalweg.core import InputError, read_dsm, read_metashape
 from thalweg.ingest import VECTOR_FORMATS, describe_layers, vector_format
 from thalweg.ingest.registry.base import Format, Recording
 from thalweg.ingest.registry.calibrations import CalibrationReport, camera_lines, is_text
@@ -237,6 +237,11 @@ def _describe(kind: str, files: list[Path], options: dict[str, Any], points: boo
     report.bytes_read = files[0].stat().st_size
     if kind == "geotiff":
         report.details |= _raster(files[0])
+        try:
+            for sentence in read_dsm(files[0]).notes:
+                report.note(sentence.removeprefix(f"{files[0].name}: "))
+        except InputError as error:  # a photograph on the map has no heights
+            report.note(f"No heights: {error.found}.")
     if kind == "metashape_lens":
         report.details["camera"] = camera_lines(read_metashape(files[0]))
     if kind in VECTOR_FORMATS:
