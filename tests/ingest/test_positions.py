@@ -9,9 +9,8 @@ import pytest
 
 from thalweg.core import InputError, gps_from_unix, write_table
 from thalweg.ingest import DEPTH, GNSS_POSITION, INS_STATE
-from thalweg.ingest.registry import choose_tracks, read_positions, recognise
+from thalweg.ingest.registry import choose_tracks, read_depths, read_positions, recognise
 from thalweg.ingest.registry.positions import positions_from_states
-from thalweg.ingest.tracks import read_gpx
 
 NOTHING: dict[str, Any] = {"base": [], "nav": [], "ppk": {}, "base_position": {}}
 
@@ -139,7 +138,7 @@ def test_depths_zones_and_waypoints_of_gpx(tmp_path: Path) -> None:
     ]
     rows.append('<trkpt lat="51.05" lon="13.25"><time>1970-01-01T00:00:00Z</time></trkpt>')
     path.write_text(f'<gpx><wpt lat="1" lon="2"/><trk><trkseg>{"".join(rows)}</trkseg></trk></gpx>')
-    log = read_gpx([path])
+    log = read_depths([path])
     t0 = float(gps_from_unix(1_718_186_400))
     assert log.depths is not None
     assert log.depths["t_gps_s"].tolist() == [t0, t0 + 1]
@@ -150,3 +149,6 @@ def test_depths_zones_and_waypoints_of_gpx(tmp_path: Path) -> None:
     assert "1 times state no zone: taken as UTC" in notes
     assert "not the 1 waypoints" in notes
     assert "elevations are negative" in notes
+    path.write_text(GPX.format(more=""))
+    with pytest.raises(InputError, match="no depths in the extensions"):
+        read_depths([path])

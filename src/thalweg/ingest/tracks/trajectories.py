@@ -727,8 +727,8 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
         )
         report.count("depths", len(soundings))
         report.note(
-            "Its depths do not say whether they begin at the transducer or the water line; a campaign takes "
-            "depths from NMEA and ANPP only."
+            "Its depths do not say whether they begin at the transducer or the water line: they are taken as "
+            "below the transducer (logs.depth)."
         )
     return log
 
