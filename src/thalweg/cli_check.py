@@ -175,9 +175,9 @@ class FirstJobs:
         check_inputs(rover, base or None, nav)
 
     def _depth(self, paths: list[Path]) -> None:
-        from thalweg.ingest.nmea import read_nmea
+        from thalweg.ingest.registry import read_depths
 
-        self._as_stream("depth", read_nmea(paths, date=self._date()).with_depths().report)
+        self._as_stream("depth", read_depths(paths, self._date()).report)
 
     def _date(self) -> dt.date | None:
         date = self._files.log_option("depth_date")

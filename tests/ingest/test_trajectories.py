@@ -158,8 +158,9 @@ def test_inertial_explorer_in_degrees_minutes_seconds(tmp_path: Path) -> None:
 
 def test_inertial_explorer_without_sigmas_units_or_columns(tmp_path: Path) -> None:
     path = export(tmp_path / "bare.txt", sigmas=False)
-    with pytest.raises(InputError, match=r"no standard deviations: SDEast, SDNorth, SDH.*sigma_position_m"):
-        read_poses([path], "sbet", TrackOptions())
+    bare = read_poses([path], "sbet", TrackOptions())
+    assert bare.states[["sigma_up_m", "sigma_roll_rad"]].isna().all(axis=None)
+    assert any("SDEast, SDNorth, SDHeight" in note for note in bare.report.notes)
     stated = TrackOptions(sigma_position_m=0.1, sigma_attitude_deg=0.5)
     assert (read_poses([path], "sbet", stated).states["sigma_up_m"] == 0.1).all()
     wrong = export(tmp_path / "gon.txt", header=HEADER.replace("(deg){units}", "(gon){units}"))
@@ -168,6 +169,56 @@ def test_inertial_explorer_without_sigmas_units_or_columns(tmp_path: Path) -> No
     path.write_text(path.read_text().replace(" H-Ell", " H-MSL"))
     with pytest.raises(InputError, match="no column H-Ell"):
         read_poses([path], "sbet", stated)
+
+
+AERIAL = """Program:     Inertial Explorer Version 8.30
+ CorrTime   Date    Latitude   Longitude  H-Ell  Heading HdngSep HdngSD  Pitch PtchSD {more}
+    (sec)  {form}       {dms}       {dms}    (m)   (Deg)   (Deg)  (Deg)  (Deg)  (Deg) {units}
+295218.00  {day}   51 03 10.0  -13 45 05.0   155.0   51.23   359.97   0.02   -1.5   0.005 0.25 0.004 0.05
+"""
+PARTS = {"more": "Roll RollSD SDHoriz", "units": "(Deg) (Deg) (m)"}
+
+
+@pytest.mark.parametrize("dms", ["(+/-D M S)", "(+/-D) (M) (S)"])
+@pytest.mark.parametrize(
+    ("form", "day"), [("(MDY)", "6/12/2024"), ("(d/m/y)", "12/06/2024"), ("(YMD)", "2024-06-12")]
+)
+def test_inertial_explorer_by_date_and_other_names(tmp_path: Path, dms: str, form: str, day: str) -> None:
+    path = tmp_path / "aerial.txt"
+    path.write_text(AERIAL.format(dms=dms, form=form, day=day, **PARTS))
+    assert recognise(path) == "inertial_explorer"
+    first = read_poses([path], "sbet", TrackOptions()).states.iloc[0]
+    assert first["t_gps_s"] == gps_from_week(2318, 295_218.0)
+    assert first["lat_deg"] == pytest.approx(51 + 3 / 60 + 10 / 3600)
+    assert first["lon_deg"] == pytest.approx(-(13 + 45 / 60 + 5 / 3600))
+    angles = [
+        "heading_rad",
+        "pitch_rad",
+        "roll_rad",
+        "sigma_heading_rad",
+        "sigma_pitch_rad",
+        "sigma_roll_rad",
+    ]
+    assert np.rad2deg(first[angles].astype(float)).tolist() == pytest.approx(
+        [51.23, -1.5, 0.25, 0.02, 0.005, 0.004]
+    )
+    assert first["sigma_east_m"] == pytest.approx(0.05 / np.sqrt(2))
+    assert np.isnan(first["sigma_up_m"])
+
+
+def test_inertial_explorer_with_a_date_of_another_day_or_none(tmp_path: Path) -> None:
+    path = tmp_path / "aerial.txt"
+    path.write_text(AERIAL.format(dms="(D M S)", form="(MDY)", day="6/15/2024", **PARTS))
+    with pytest.raises(InputError, match="second 295,218 of the week on 2024-06-15, a Saturday"):
+        read_poses([path], "sbet", TrackOptions())
+    path.write_text(path.read_text().replace(" Date ", " Day "))
+    path.write_text(path.read_text().replace("6/15/2024", "0"))
+    with pytest.raises(InputError, match="no column Week or Date"):
+        read_poses([path], "sbet", TrackOptions())
+    report = describe(path)
+    assert (report.synchronised, report.t_first_s) == (False, 295_218.0)
+    assert any("neither week nor date" in note for note in report.notes)
+    assert not any("1980" in note for note in report.notes)
 
 
 UPRIGHT = [0.0, 0.0, np.sin(0.3), np.cos(0.3)]
@@ -182,13 +233,17 @@ UPRIGHT = [0.0, 0.0, np.sin(0.3), np.cos(0.3)]
         ("#time [s], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_x, q_y, q_z, q_w", "xyzw"),
         ("# stamp, position, quaternion (w, x, y, z)", "wxyz"),
         ("# poses of the boat", "xyzw"),
+        ("# time [ms] q_w [] q_x [] q_y [] q_z [] p_x [m] p_y [m] p_z [m]", "wxyz first"),
     ],
 )
 def test_names_decide_the_order_of_the_quaternion(tmp_path: Path, head: str, order: str) -> None:
     path = tmp_path / "poses.txt"
-    cells = [UPRIGHT["xyzw".index(axis)] for axis in order]
+    cells = [UPRIGHT["xyzw".index(axis)] for axis in order[:4]]
     separator = ", " if head.startswith(("timestamp,", "#time")) else " "
-    rows = [separator.join(map(str, [T0 + k, 1, 2, 3, *cells])) for k in range(4)]
+    rows = [
+        separator.join(map(str, [T0 + k, *([*cells, 1, 2, 3] if order[4:] else [1, 2, 3, *cells])]))
+        for k in range(4)
+    ]
     path.write_text("\n".join([head, *rows]) + "\n")
     assert recognise(path) == "tum"
     states = read_poses([path], "ins", TrackOptions(**STATED, body_axes="forward-left-up")).states
@@ -216,3 +271,21 @@ def test_times_of_a_table_of_poses_contradict_the_stated_scale(tmp_path: Path) -
     log = read_poses([path], "ins", options)
     assert log.states["t_gps_s"][0] == 402_221_618.0
     assert any("less 1e9" in note for note in log.report.notes)
+
+
+@pytest.mark.parametrize(("per_second", "separator"), [(10**3, " "), (10**9, " "), (10**3, ",")])
+def test_stamps_of_poses_in_other_units(tmp_path: Path, per_second: int, separator: str) -> None:
+    path = tmp_path / "poses.txt"
+    head = "# timestamp x y z qx qy qz qw\n"
+    rows = [[(1_718_186_400 + k) * per_second, 0, 0, 0, 0, 0, 0, 1] for k in range(4)]
+    path.write_text(head + "".join(separator.join(map(str, row)) + "\n" for row in rows))
+    log = read_poses([path], "ins", TrackOptions(**STATED, body_axes="forward-left-up"))
+    assert log.states["t_gps_s"].tolist() == [402_221_618.0 + k for k in range(4)]
+    assert any("seconds since 1970" in note for note in log.report.notes)
+
+
+def test_a_week_counter_that_rolled_over_is_doubted(tmp_path: Path) -> None:
+    path = export(tmp_path / "boat.txt")
+    path.write_text(path.read_text().replace("2235 ", "187 "))
+    notes = " ".join(read_poses([path], "sbet", TrackOptions()).report.notes)
+    assert "2048 weeks later 2022-11-" in notes

@@ -321,7 +321,8 @@ TIME_SCALES: Final = {
     "day_s": "seconds of an unstated day",
 }
 """Scales on which a file may count its times -> words."""
-_UNITS_A_SECOND: Final = {"unix_ms": 1e3, "unix_us": 1e6, "unix_ns": 1e9}
+UNITS_A_SECOND: Final = {"unix_ms": 1e3, "unix_us": 1e6, "unix_ns": 1e9}
+"""Scales of `TIME_SCALES` that do not count seconds -> how many of them make one."""
 _ZERO_UNIX_S: Final = {
     **dict.fromkeys(("unix_s", "unix_ms", "unix_us", "unix_ns"), 0.0),
     "gps_s": float(GPS_EPOCH_UNIX_S),
@@ -348,7 +349,7 @@ def gps_from_scale(values: ArrayLike, scale: str) -> ArrayF:
         raise InputError(
             f"the times are {TIME_SCALES[scale]}", expected="times with their date", cure="State the date"
         )
-    t = np.asarray(values, dtype=np.float64) / _UNITS_A_SECOND.get(scale, 1.0)
+    t = np.asarray(values, dtype=np.float64) / UNITS_A_SECOND.get(scale, 1.0)
     t = np.where((t != 0) & possible_unix(t + _ZERO_UNIX_S[scale]), t, np.nan)
     if scale.startswith("unix"):
         return gps_from_unix(t)
@@ -443,7 +444,7 @@ def time_contradiction(values: ArrayLike, stated: str) -> str:
         suits = low >= 0 and high <= 2 * (WEEK_S if stated == "week_s" else DAY_S)
     else:
         dates = [_rough_unix_s(value, stated) for value in (low, high)]
-        suits = "week_s" not in told and bool(possible_unix(dates).all())
+        suits = not told and bool(possible_unix(dates).all())
     if suits:
         return ""
     found = " or ".join(TIME_SCALES[scale] for scale in told) or "no times of a survey on any known scale"
@@ -452,7 +453,34 @@ def time_contradiction(values: ArrayLike, stated: str) -> str:
 
 def _rough_unix_s(value: float, scale: str) -> float:
     """UTC but for leap seconds of a number on a scale that tells the date."""
-    return value / _UNITS_A_SECOND.get(scale, 1.0) + _ZERO_UNIX_S[scale]
+    return value / UNITS_A_SECOND.get(scale, 1.0) + _ZERO_UNIX_S[scale]
+
+
+def doubtful_date(t_gps_s: ArrayLike) -> str:
+    """What is wrong with the dates of a stream before 2000 or years ahead; empty if they are of a survey.
+
+    Examples
+    --------
+    >>> doubtful_date(gps_from_week(2318 - 2048, 295218.0))  # doctest: +NORMALIZE_WHITESPACE
+    'The first time is 1985-03-13. A week counter that rolled over? 1024 weeks later is 2004-10-27,
+    2048 weeks later 2024-06-12.'
+    >>> doubtful_date(gps_from_week(2318, 295218.0))
+    ''
+    """
+    t = np.asarray(t_gps_s, dtype=np.float64).ravel()
+    t = t[np.isfinite(t)]
+    if not t.size:
+        return ""
+    first = float(unix_from_gps(t.min()))
+    if _FIRST_TOLD_S <= first <= _LAST_TOLD_S:
+        return ""
+    date, *later = (utc_text_from_unix(first + turns * _ROLLOVER_S)[:10] for turns in range(3))
+    if first > _LAST_TOLD_S:
+        return f"The first time is {date}, in the future."
+    return (
+        f"The first time is {date}. A week counter that rolled over? 1024 weeks later is {later[0]}, "
+        f"2048 weeks later {later[1]}."
+    )
 
 
 def _span(values: ArrayLike) -> tuple[float, float] | None:

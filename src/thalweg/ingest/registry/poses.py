@@ -9,13 +9,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from thalweg.core import InputError, gps_from_week
-from thalweg.ingest import PoseLog, TrackOptions
+from thalweg.core import WEEK_S, InputError, gps_from_week
+from thalweg.ingest import PoseLog, TrackOptions, doubtful_date
 from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share, read_head
 from thalweg.ingest.registry.calibrations import CalibrationReport
 
-_ANY_WEEK = 2000
-"""Stands in for the week of an SBET that is only described; taken off again."""
+_NO_WEEK = 1
+"""Stands in for the week of a file that is only described, before any survey; taken off again."""
 _SBET_RECORD = 136
 _SMRMSG_RECORD = 80
 _ROUGH: Final = (100.0, 100.0, 1200.0)
@@ -56,6 +56,8 @@ def read_poses(files: Sequence[Path], source: str | None, options: TrackOptions 
     if source == "ins":  # whose trajectory takes standard deviations from the campaign
         options = replace(options, sigma_position_m=np.nan, sigma_attitude_deg=np.nan)
     log = known.poses(files, options)
+    if doubt := doubtful_date(log.states["t_gps_s"]):
+        log.report.note(doubt)
     if not options.upside_down:
         _refuse_upside_down(log, files[0])
     return log
@@ -121,8 +123,24 @@ def _describe_poses(kind: str, files: list[Path], options: dict[str, Any], point
 def _describe_inertial_explorer(
     kind: str, files: list[Path], options: dict[str, Any], points: bool
 ) -> Recording:
-    log = _inertial_explorer(files, TrackOptions(**options))
+    log = _inertial_explorer(files, TrackOptions(**({"gps_week": _NO_WEEK} | options)))
+    _take_week_off(log, "neither week nor date")
     return Recording(kind=kind, report=log.report, tables={"states": log.states})
+
+
+def _take_week_off(log: PoseLog, lacking: str) -> None:
+    """Stamps as they stand in a file that is only described and tells no week, and no GPS time."""
+    report, t0 = log.report, float(gps_from_week(_NO_WEEK, 0.0))
+    if report.t_first_s is None or report.t_last_s is None or report.t_first_s > t0 + 2 * WEEK_S:
+        if doubt := doubtful_date(log.states["t_gps_s"]):
+            report.note(doubt)
+        return
+    report.synchronised = False
+    report.t_first_s, report.t_last_s = report.t_first_s - t0, report.t_last_s - t0
+    report.note(
+        f"The file holds {lacking}, only seconds of the week: give its GPS week (logs.gps_week) to place it."
+    )
+    log.states["t_gps_s"] = np.nan
 
 
 def _is_inertial_explorer(head: bytes, size: int) -> bool:
@@ -153,10 +171,10 @@ def _is_table(kind: str, head: bytes, size: int) -> bool:
 
     at = pose_columns(kind, heads, n)
     unit = all(_is_unit([row[at[name]] for name in ("qw", "qx", "qy", "qz")]) for row in rows)
-    in_ns = all(row[at["t"]] > 1e17 for row in rows)
+    in_ns = all(row[at["t"]] > 1e12 for row in rows)
     if kind == "tum":
         named = at == pose_columns("euroc", heads, n)  # only lines above the numbers make both alike
-        return unit and not in_ns and (named or (n == 8 and not commas))
+        return unit and (not commas or not in_ns) and (named or (n == 8 and not commas))
     return unit and in_ns and commas
 
 
@@ -171,17 +189,8 @@ def _describe_anpp(kind: str, files: list[Path], options: dict[str, Any], points
 
 
 def _describe_sbet(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
-    week = options.get("gps_week")
-    log = _sbet(files, TrackOptions(gps_week=_ANY_WEEK if week is None else week))
-    if week is None:
-        # Enough to describe the file: its stamps as they stand there, and no GPS time.
-        t0 = float(gps_from_week(_ANY_WEEK, 0.0))
-        report = log.report
-        report.synchronised = False
-        report.t_first_s = None if report.t_first_s is None else report.t_first_s - t0
-        report.t_last_s = None if report.t_last_s is None else report.t_last_s - t0
-        report.note("An SBET holds seconds of the week only: give its GPS week (logs.gps_week) to place it.")
-        log.states["t_gps_s"] = np.nan
+    log = _sbet(files, TrackOptions(**({"gps_week": _NO_WEEK} | options)))
+    _take_week_off(log, "no week")
     return Recording(kind=kind, report=log.report, tables={"states": log.states})
 
 

@@ -35,6 +35,7 @@ from thalweg.ingest import (
     GNSS_POSITION,
     LAST_UNIX_S,
     IntegrityReport,
+    doubtful_date,
     find_gaps,
     repeated_rows,
     say_repeated,
@@ -260,6 +261,8 @@ def read_pos(files: Sequence[Path], ref_ecef_m: ArrayLike | None = None) -> PosL
     if np.any(step > 0):
         report.rates_hz = {"positions": 1.0 / float(np.median(step[step > 0]))}
     report.count("positions", len(positions))
+    if doubt := doubtful_date(t):
+        report.note(doubt)
     for fix, n in positions["fix"].value_counts().items():
         report.count(f"fix_{fix}", int(n))
     return PosLog(positions=positions, report=report, header=header)

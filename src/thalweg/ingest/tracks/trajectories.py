@@ -19,28 +19,45 @@ standard deviations.
 
 import datetime as dt
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Final
-from xml.etree.ElementTree import ParseError
+from xml.etree.ElementTree import Element, ParseError
 
 import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from thalweg.core import ArrayF, InputError, gps_from_unix, gps_from_week, parse_xml, roll_pitch_heading
+from thalweg.core import (
+    DAY_S,
+    GPS_EPOCH_UNIX_S,
+    ArrayF,
+    InputError,
+    gps_from_unix,
+    gps_from_week,
+    parse_xml,
+    roll_pitch_heading,
+)
+from thalweg.core.values import is_nothing, unit_of_word
 from thalweg.ingest import (
+    DEPTH,
     GNSS_POSITION,
     INS_STATE,
     NAVIGATION_INITIALISED,
     TIME_SCALES,
+    UNITS_A_SECOND,
     IntegrityReport,
     PoseLog,
     PositionLog,
     TrackOptions,
+    column_of,
+    doubtful_date,
     find_gaps,
     gps_from_scale,
+    possible_unix,
     tell_time_scale,
     time_scale_words,
 )
@@ -115,7 +132,12 @@ def read_text_poses(kind: str, files: Sequence[Path], times: Path | None = None)
     else:
         position, q_xyzw = rows[:, 1:4], rows[:, 4:8]
         wrong = np.abs(np.linalg.norm(q_xyzw, axis=1) - 1.0) > _ORTHONORMAL
-        t_s = rows[:, 0] if kind == "tum" else rows[:, 0] * 1e-9
+        unit = next(iter(tell_time_scale(rows[:, 0])), "")
+        if kind == "euroc" and unit not in UNITS_A_SECOND:
+            unit = "unix_ns"
+        elif unit in UNITS_A_SECOND and (kind == "tum" or unit != "unix_ns"):
+            report.note(f"Its stamps are taken as {TIME_SCALES[unit]}.")
+        t_s = rows[:, 0] / UNITS_A_SECOND.get(unit, 1.0)
         if rows.shape[1] > len(_POSE):
             velocity = rows[:, 8:11]
         R = np.empty((0, 3, 3)) if wrong.any() else Rotation.from_quat(q_xyzw).as_matrix()
@@ -349,28 +371,38 @@ def _finish(report: IntegrityReport, t_gps_s: ArrayF, scale: str) -> None:
 
 # ---------------------------------------------------------------- NovAtel Inertial Explorer
 
+
+def _bare(name: str) -> str:
+    return name.lower().replace("-", "").replace("_", "")
+
+
 _ALIASES: Final = {
-    "tow": ("GPSTime", "SoW", "GPSSec"),
+    "tow": ("GPSTime", "CorrTime", "SoW", "GPSSec", "Seconds", "GPSSeconds", "TimeOfWeek"),
     "week": ("Week", "GPSWeek"),
+    "date": ("Date", "GPSDate", "LocalDate"),
     "lat": ("Latitude", "Lat"),
-    "lon": ("Longitude", "Lon"),
-    "height": ("H-Ell", "H-Ellips", "EllHeight"),
-    "v_east": ("VEast",),
-    "v_north": ("VNorth",),
-    "v_up": ("VUp",),
+    "lon": ("Longitude", "Lon", "Long"),
+    "height": ("H-Ell", "H-Ellips", "EllHeight", "HEll"),
+    "v_east": ("VEast", "VE"),
+    "v_north": ("VNorth", "VN"),
+    "v_up": ("VUp", "VU"),
     "roll": ("Roll",),
     "pitch": ("Pitch",),
-    "heading": ("Heading", "Azimuth"),
-    "sd_east": ("SDEast",),
-    "sd_north": ("SDNorth",),
-    "sd_up": ("SDHeight", "SDUp"),
+    "heading": ("Heading", "Azimuth", "Yaw"),
+    "sd_east": ("SDEast", "SD-E", "EastSD"),
+    "sd_north": ("SDNorth", "SD-N", "NorthSD"),
+    "sd_horizontal": ("SDHoriz", "HorizSD"),
+    "sd_up": ("SDHeight", "SDUp", "SD-VT", "SDVert", "HeightSD", "UpSD"),
     "sd_roll": ("RollSD", "SDRoll"),
     "sd_pitch": ("PitchSD", "PtchSD", "SDPitch"),
-    "sd_heading": ("HdngSD", "HeadingSD", "SDHeading"),
+    "sd_heading": ("HdngSD", "HeadingSD", "SDHeading", "AzimuthSD"),
 }
-"""Our names of the columns -> those of export profiles."""
+"""Our names of the columns -> those of export profiles, told without regard to capitals and hyphens."""
+_MOST_DAYS_APART: Final = 1.5
+"""Middle of the stated day from a time: half a day, and one that a zone may shift the date."""
 _NEEDED: Final = ("tow", "lat", "lon", "height", "roll", "pitch", "heading")
-_DEG_OF_UNIT: Final = {"deg": 1.0, "degrees": 1.0, "min": 1 / 60, "arcmin": 1 / 60, "sec": 1 / 3600,
+_OURS: Final = {_bare(name): ours for ours, names in _ALIASES.items() for name in names}
+_DEG_OF_UNIT: Final = {"deg": 1.0, "degrees": 1.0, "d": 1.0, "min": 1 / 60, "arcmin": 1 / 60, "sec": 1 / 3600,
                        "arcsec": 1 / 3600, "rad": 180 / np.pi}  # fmt: skip
 
 
@@ -382,8 +414,7 @@ def is_inertial_explorer(head: bytes, size: int) -> bool:
 def _header(lines: Sequence[str]) -> int | None:
     """Number of the line with the names of the columns."""
     for number, line in enumerate(lines[:200]):
-        names = line.split()
-        if all(set(names) & set(_ALIASES[each]) for each in ("tow", "lat", "lon", "roll")):
+        if {"tow", "lat", "lon", "roll"} <= {_OURS.get(_bare(name)) for name in line.split()}:
             return number
     return None
 
@@ -394,7 +425,8 @@ def read_inertial_explorer(files: Sequence[Path], options: TrackOptions | None =
     Parameters
     ----------
     files : in the order of time.
-    options : ``gps_week`` where there is no column of it; standard deviations where the export has none.
+    options : ``gps_week`` where there is no column of it or of the date; standard deviations where the export
+        has none, else they are NaN.
 
     Raises
     ------
@@ -404,26 +436,32 @@ def read_inertial_explorer(files: Sequence[Path], options: TrackOptions | None =
     report = IntegrityReport(stream="ins", format="NovAtel Inertial Explorer", files=[str(f) for f in files])
     columns = pd.concat([_columns(Path(path), report) for path in files], ignore_index=True)
     where = ", ".join(map(str, files))
+    if "week" not in columns and "date" in columns:
+        columns["week"] = _weeks(columns["date"].to_numpy(), columns["tow"].to_numpy(), where)
     if "week" not in columns:
         if options.gps_week is None:
             raise InputError(
-                "no column Week", expected="the GPS week", where=where, cure="Export it, or set logs.gps_week"
+                "no column Week or Date",
+                expected="the GPS week",
+                where=where,
+                cure="Export it, or set logs.gps_week",
             )
         columns["week"] = float(options.gps_week)
-    for names, value, unit in (
-        (("sd_east", "sd_north", "sd_up"), options.sigma_position_m, "sigma_position_m"),
-        (("sd_roll", "sd_pitch", "sd_heading"), options.sigma_attitude_deg, "sigma_attitude_deg"),
+    if "sd_horizontal" in columns:
+        report.note("SDHoriz holds both axes: east and north are taken as alike, SDHoriz over the root of 2.")
+        for name in ("sd_east", "sd_north"):
+            if name not in columns:
+                columns[name] = columns["sd_horizontal"] / np.sqrt(2.0)
+    for names, value, what in (
+        (("sd_east", "sd_north", "sd_up"), options.sigma_position_m, "positions"),
+        (("sd_roll", "sd_pitch", "sd_heading"), options.sigma_attitude_deg, "attitudes"),
     ):
         lacking = [name for name in names if name not in columns]
-        if lacking and value is None:
-            raise InputError(
-                f"no standard deviations: {', '.join(_ALIASES[name][0] for name in lacking)}",
-                expected="columns with the standard deviations of positions and attitudes",
-                where=where,
-                cure=f"Export them, or state {unit}",
-            )
         for name in lacking:
-            columns[name] = value
+            columns[name] = np.nan if value is None else value
+        if lacking and value is None:
+            absent = ", ".join(_ALIASES[name][0] for name in lacking)
+            report.note(f"It states no standard deviations of {what} ({absent}): to be exported, or stated.")
     c = {name: columns[name].to_numpy(dtype=np.float64) for name in columns}
     t_gps_s = gps_from_week(c["week"], c["tow"])
     nan = np.full(len(t_gps_s), np.nan)
@@ -469,6 +507,7 @@ def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
         )
     names = lines[first].split()
     units = re.findall(r"\(([^)]*)\)", lines[first + 1]) if first + 1 < len(lines) else []
+    units = _together(units) if len(units) > len(names) else units
     if len(units) != len(names):
         raise InputError(
             f"{len(units)} units below {len(names)} names of columns",
@@ -476,13 +515,15 @@ def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
             where=path,
             cure="Export with a header of names and units",
         )
-    at, place = {}, 0
+    at: dict[str, tuple[int, int, str]] = {}
+    place = 0
     for name, unit in zip(names, units, strict=True):
         parts = 3 if "M S" in unit.upper().replace("-", " ") else 1  # degrees, minutes, seconds
-        known = next((ours for ours, theirs in _ALIASES.items() if name in theirs), None)
+        known = _OURS.get(_bare(name))
         if known is not None:
-            at[known] = (place, parts, unit)
+            at.setdefault(known, (place, parts, unit))
         place += parts
+    day_at, _, form = at.get("date", (-1, 1, ""))
     lacking = [_ALIASES[name][0] for name in _NEEDED if name not in at]
     if lacking:
         raise InputError(
@@ -497,7 +538,9 @@ def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
         if not cells:
             continue
         try:
-            rows.append([float(cell) for cell in cells[:place]])
+            rows.append(
+                [_day(cell, form) if k == day_at else float(cell) for k, cell in enumerate(cells[:place])]
+            )
         except ValueError:
             rows.append([])
         if len(rows[-1]) != place:
@@ -530,7 +573,7 @@ def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
                     cure="Export angles in degrees",
                 )
             values = values * _DEG_OF_UNIT[word]
-        elif name not in ("tow", "week") and not unit.strip().lower().startswith("m"):
+        elif name not in ("tow", "week", "date") and not unit.strip().lower().startswith("m"):
             raise InputError(
                 f"unit '{unit}' of {_ALIASES[name][0]}", expected="m, m/s", where=path, cure="Export metres"
             )
@@ -538,8 +581,56 @@ def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
+def _together(units: Sequence[str]) -> list[str]:
+    """Units with those of degrees, minutes and seconds in brackets of their own as one."""
+    text = "\n".join(unit.strip() for unit in units)
+    return re.sub(r"(?im)^(?:\+/-)?d(?:eg)?\nm(?:in)?\ns(?:ec)?$", "D M S", text).split("\n")
+
+
+@lru_cache(maxsize=64)
+def _day(cell: str, form: str) -> float:
+    """Day since 1970 of a date in the order of its unit, such as ``MDY``; the year first needs none.
+
+    Raises
+    ------
+    ValueError : it is no date, or its order is not stated.
+    """
+    numbers = [int(x) for x in re.split(r"[-/.]", cell)]
+    order = "".join(dict.fromkeys(re.sub("[^dmy]", "", form.lower())))
+    if numbers[0] > 999:
+        order = "ymd"
+    if len(numbers) != 3 or sorted(order) != ["d", "m", "y"]:
+        raise ValueError(f"date {cell} ({form})")
+    day = dict(zip(order, numbers, strict=True))
+    year = day["y"] + (2000 if day["y"] < 100 else 0)
+    return float(dt.date(year, day["m"], day["d"]).toordinal() - dt.date(1970, 1, 1).toordinal())
+
+
+def _weeks(day: ArrayF, tow_s: ArrayF, where: str) -> ArrayF:
+    """GPS week (n,) in which second ``tow_s`` of the week lies at the date ``day`` (since 1970).
+
+    Raises
+    ------
+    InputError : the seconds are on another day of the week; a zone or UTC may shift it by one.
+    """
+    middle = day + 0.5 - GPS_EPOCH_UNIX_S / DAY_S - tow_s / DAY_S
+    week = np.rint(middle / 7.0)
+    apart = np.abs(middle - 7.0 * week)
+    if np.median(apart) > _MOST_DAYS_APART:
+        k = int(np.argmax(apart))
+        date = dt.date(1970, 1, 1) + dt.timedelta(days=int(day[k]))
+        raise InputError(
+            f"second {tow_s[k]:,.0f} of the week on {date:%Y-%m-%d}, a {date:%A}",
+            expected="seconds of the GPS week that lie on the date beside them",
+            where=where,
+            cure="Export the time as GPS seconds of the week",
+        )
+    return week
+
+
 # ---------------------------------------------------------------- GPX
 
+_UNUSED: Final = {"wpt": "waypoints", "rtept": "points of routes"}
 _FIX_OF_GPX: Final = {"none": "none", "dgps": "dgnss"}
 
 
@@ -547,7 +638,8 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
     """Track points of GPX files in the order of the files.
 
     ``ele`` is above the geoid: with ``geoidheight`` beside it the ellipsoidal height is their sum, else it is
-    NaN. Points without a time are counted and left out.
+    NaN. Points without a time are counted and left out. Depths in extensions of any name space, such as
+    ``depth`` or ``water_depth``, come as soundings; times without a zone count as UTC, which a note says.
 
     Raises
     ------
@@ -556,23 +648,37 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
     report = IntegrityReport(
         stream="positions", format="GPX", files=[str(f) for f in files], time_scale="utc", synchronised=True
     )
-    rows = []
+    rows: list[tuple[float, float, float, float, str, int]] = []
+    depths: list[tuple[float, float]] = []
+    foreign: Counter[str] = Counter()
+    without_zone = below = 0
     for path in files:
         data = path.read_bytes()
         report.bytes_read += len(data)
         try:
-            points = parse_xml(data).iterfind(".//{*}trkpt")
-            for point in points:
+            root = parse_xml(data)
+            foreign.update(each.tag.split("}")[-1] for each in root.iter() if isinstance(each.tag, str))
+            for point in root.iterfind(".//{*}trkpt"):
                 told = {each.tag.split("}")[-1]: (each.text or "").strip() for each in point}
                 if not told.get("time"):
                     report.lose("track_points_without_time")
                     continue
                 moment = dt.datetime.fromisoformat(told["time"])
-                utc = moment if moment.tzinfo else moment.replace(tzinfo=dt.UTC)
+                without_zone += moment.tzinfo is None
+                unix_s = (moment if moment.tzinfo else moment.replace(tzinfo=dt.UTC)).timestamp()
+                if not possible_unix(unix_s):
+                    report.lose("track_points_at_impossible_times")
+                    continue
+                below += float(told.get("ele", "nan")) < 0
                 h = float(told.get("ele", "nan")) + float(told.get("geoidheight", "nan"))
                 fix = _FIX_OF_GPX.get(told.get("fix", ""), "single")
                 place = float(point.attrib["lat"]), float(point.attrib["lon"])
-                rows.append((utc.timestamp(), *place, h, fix, int(told.get("sat", "-1"))))
+                rows.append((unix_s, *place, h, fix, int(told.get("sat", "-1"))))
+                depth_m = _depth_m(point)
+                if depth_m is not None and np.isnan(depth_m):
+                    report.lose("depths_of_nothing")
+                elif depth_m is not None:
+                    depths.append((unix_s, depth_m))
         except (ParseError, KeyError, ValueError) as error:
             raise InputError(
                 f"no readable GPX ({error})",
@@ -601,4 +707,43 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
     if table["h_ell_m"].isna().any():
         report.note("Heights of GPX are above the geoid, and the file does not say how high that is.")
     report.note("GPX states no standard deviations: orientation.sigma_position_m says them.")
-    return PositionLog(report=report, positions=table.reindex(columns=list(GNSS_POSITION.names)))
+    if doubt := doubtful_date(t):
+        report.note(doubt)
+    if without_zone:
+        report.note(
+            f"{without_zone:,} times state no zone: taken as UTC. Some programs write local time: "
+            "compare them with another log."
+        )
+    if unused := [f"{foreign[tag]:,} {words}" for tag, words in _UNUSED.items() if foreign[tag]]:
+        report.note(f"Only tracks are read, not the {' and '.join(unused)}.")
+    if below > 0.9 * len(rows):
+        report.note("Its elevations are negative: depths, perhaps, which are not read from there.")
+    log = PositionLog(report=report, positions=table.reindex(columns=list(GNSS_POSITION.names)))
+    if depths:
+        soundings = pd.DataFrame(depths, columns=["t_gps_s", "depth_m"])
+        soundings["t_gps_s"] = gps_from_unix(soundings["t_gps_s"])
+        log.depths = soundings.assign(sentence="GPX", line=np.arange(1, len(soundings) + 1)).reindex(
+            columns=list(DEPTH.names)
+        )
+        report.count("depths", len(soundings))
+        report.note(
+            "Its depths do not say whether they begin at the transducer or the water line: they are taken as "
+            "below the transducer (logs.depth)."
+        )
+    return log
+
+
+def _depth_m(point: Element) -> float | None:
+    """Depth of a track point in metres, wherever its extensions hold it; NaN where it stands for none."""
+    for each in point.iter():
+        name = column_of(each.tag.split("}")[-1].replace("_", " "))
+        text = (each.text or "").strip()
+        if name.words != "depth" or not text:
+            continue
+        stated = next((each.attrib[key] for key in ("unit", "units", "uom") if key in each.attrib), "m")
+        unit = name.unit or unit_of_word(stated)
+        if unit is None:
+            raise ValueError(f"depths in '{stated}'")
+        value = float(text)
+        return float("nan") if is_nothing(value, "depth") else value * unit.metres
+    return None
