@@ -182,7 +182,7 @@ def test_simple_packet_block_is_cut_at_the_snap_length(tmp_path):
 
 
 def test_cut_fragments_are_named(tmp_path):
-    """The fragments of an Ouster's long packets are counted as such; that they were cut shows nevertheless."""
+    """Fragments of long packets are counted as such; that they were cut shows nevertheless."""
     whole = [log.ethernet(log.udp(DATA[0], 2368, fragment=0x2000))]
     _, tally = read(tmp_path / "a", log.pcap([f[:600] for f in whole]))
     assert (
