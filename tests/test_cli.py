@@ -147,6 +147,13 @@ def test_new_campaign_says_which_of_several_tracks_it_takes(here, capsys):
     said, text = capsys.readouterr().err, Path("other.yaml").read_text()
     assert "left out, of the same time as " in said
     assert text.count(".pos]") == 1
+    (raw / "old_float.pos").unlink()
+    (raw / "single.pos").unlink()  # events without their track are no track: the raw GNSS is left
+    assert main(["new-campaign", "third", "--from-logs", "raw", "--folder", "."]) == 0
+    text = Path("third.yaml").read_text()
+    assert "  # left out, 3 times of events, interpolated on a track: rover_events.pos\n" in text
+    assert "  # positions: []" in text
+    assert "position_source: ppk" in text
 
 
 def test_new_campaign_lists_numbered_parts_in_their_order(here, monkeypatch):

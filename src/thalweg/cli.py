@@ -275,8 +275,10 @@ def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], list[str]]:
             print(f"{stream:10s} {path.parent} ({n} files, {kind})")
     streams = _of_receivers(_of_one_kind(streams))
     remarks, others = [], dict[str, list[Path]]()
-    if len(streams.get("pos", [])) > 1:
-        streams["pos"], second = choose_tracks(streams["pos"])
+    if "pos" in streams:
+        kept, second = choose_tracks(streams.pop("pos"))
+        if kept:
+            streams["pos"] = kept
         for path, why in second.items():
             others.setdefault(why, []).append(path)
     left_out |= others

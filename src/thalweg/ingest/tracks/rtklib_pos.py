@@ -231,6 +231,8 @@ def read_pos(files: Sequence[Path], ref_ecef_m: ArrayLike | None = None) -> PosL
     header: dict[str, list[str]] = {}
     tables = [_read_one(path, ref_ecef_m, report, header) for path in files]
     marks = event_marks(files, tables)
+    if len(marks) == len(files):  # nothing else was asked for
+        marks = {}
     for path, n in marks.items():
         report.lose("event_marks", n)
         report.note(
@@ -373,12 +375,12 @@ def event_marks(files: Sequence[Path], tables: Sequence[pd.DataFrame]) -> dict[P
     ----------
     files : with the positions of each in ``tables``, of kind ``gnss_position``.
     """
-    tracks = [table for path, table in zip(files, tables, strict=True) if not _named_events(path)]
+    pairs = list(zip(files, tables, strict=True))
+    tracks = [table for path, table in pairs if not _named_events(path)]
     return {
         path: len(table)
-        for path, table in zip(files, tables, strict=True)
-        if (_named_events(path) and tracks)
-        or any(_lies_on(table, track) for track in tracks if track is not table)
+        for path, table in pairs
+        if _named_events(path) or any(_lies_on(table, track) for track in tracks if track is not table)
     }
 
 
