@@ -313,7 +313,7 @@ def _read_one(
             f"none of {len(lines)} lines is a position ({first_bad or 'only a header'})",
             expected="lines of time, three coordinates, Q, ns, standard deviations, age, ratio",
             where=path,
-            cure=cure,
+            cure=_cure_of_line(lines[bad[0] - 1]) or cure if bad else cure,
         )
     if bad:
         report.lose("damaged_lines", len(bad))
@@ -411,6 +411,16 @@ def _note_resolution(text: str, report: IntegrityReport) -> None:
     """The unit of the stamps of a file, from the decimals of its first; the coarsest of all files counts."""
     unit_s = 10.0 ** -len(text.partition(".")[2])
     report.timing.resolution_s = max(unit_s, report.timing.resolution_s or 0.0)
+
+
+def _cure_of_line(line: str) -> str:
+    """What to do about a line that is nearly a position; empty where nothing is known."""
+    words = line.split()
+    if sum(re.fullmatch(r"-?\d+,\d+", word) is not None for word in words) >= 3:
+        return "Its numbers have decimal commas: write points, as RTKLIB does (sed 's/,/./g')"
+    if len(words) >= 5 and re.fullmatch(r"\d{5,6}(\.\d*)?|\d{1,4}\.\d*", words[0]):  # a week has four digits
+        return "It begins with seconds of a week without their week: solve with out-timeform=tow or hms"
+    return ""
 
 
 def _row(fields: list[str], layout: Layout) -> list[float] | None:
