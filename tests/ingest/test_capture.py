@@ -181,6 +181,17 @@ def test_simple_packet_block_is_cut_at_the_snap_length(tmp_path):
     assert tally.cut_in_words() == "captured with a snap length of 600 of 1248 bytes: 1 packet is cut"
 
 
+def test_cut_fragments_are_named(tmp_path):
+    """Fragments of long packets are counted as such; that they were cut shows nevertheless."""
+    whole = [log.ethernet(log.udp(DATA[0], 2368, fragment=0x2000))]
+    _, tally = read(tmp_path / "a", log.pcap([f[:600] for f in whole]))
+    assert (
+        tally.cut_in_words() == "captured with a snap length of 600 of 1248 bytes: parts of packets are cut"
+    )
+    _, tally = read(tmp_path / "b", log.pcap(whole))
+    assert tally.cut_in_words() == ""
+
+
 @pytest.mark.parametrize("ng", [False, True], ids=["pcap", "pcapng"])
 def test_capture_that_cut_its_packets_is_named(tmp_path, ng):
     """Every packet is cut: refused with the cause. One is whole: read, and the cut ones are said."""

@@ -290,6 +290,52 @@ def test_epoch_lines_of_any_form(tmp_path: Path) -> None:
         assert len(directly.split()) <= 6, name
 
 
+def mutated(text: str, rng: np.random.Generator) -> str:
+    """A file whose epoch lines have a blank more or less, other flags, or a shorter second."""
+    lines = text.split("\n")
+    date = 29 if text.startswith("     3") else 26
+    for k, each in enumerate(lines):
+        if each.startswith((">", " 17 ")):
+            what = int(rng.integers(7))
+            at = int(rng.integers(1, date))
+            if what == 0 and each[at] == " ":
+                each = each[:at] + each[at + 1 : date] + " " * (date == 26) + each[date:]
+            elif what == 1 and each[at] == " " and date == 29:
+                each = each[:at] + " " + each[at:]
+            elif what == 2:
+                each = each[: date + 2] + str(rng.choice(list(" 0123456"))) + each[date + 3 :]
+            elif what == 3:
+                cut = int(rng.integers(1, 9))
+                each = each[: date - cut] + " " * cut + each[date:]
+            elif what == 4 and date == 29:
+                each = each[:date] + each[date + 1 :]  # one blank before the flag
+            lines[k] = each
+    return "\n".join(lines)
+
+
+def test_epoch_lines_that_rtklib_reads_are_no_damage(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Blanks and flags changed at random: what RTKLIB reads as from the regular file, the scanner keeps."""
+    texts = [mutated(text, rng) for text in (obs_3(2), obs_2(2, 3)) for _ in range(120)]
+    files = [write(tmp_path, f"{k:03d}.obs", text) for k, text in enumerate(texts)]
+    files += [write(tmp_path, "v3.obs", obs_3(2)), write(tmp_path, "v2.obs", obs_2(2, 3))]
+    command = [sys.executable, "-c", RTKLIB_EPOCHS, *map(str, files)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=60)
+    told = [line.split() for line in done.stdout.splitlines()]
+    regular = ["14.0", "15.0", "6"]
+    assert told[-2:] == [regular, regular]
+    read = 0
+    for path, theirs in zip(files, told, strict=True):
+        if theirs == regular:
+            scan = scan_rinex(path)
+            if 6 in scan.events:  # RTKLIB takes records of cycle slips for observations
+                continue
+            read += 1
+            assert not scan.losses, path.read_text()
+            assert scan.t_gps_s.size == 2
+            assert scan.n_satellite_records == 6
+    assert read > 50
+
+
 def test_flags_and_odd_lines_are_said(tmp_path: Path) -> None:
     report = describe_rinex(write(tmp_path, "a.obs", ODD["repaired cycle slips"]))
     assert report.counts == {"epochs": 5, "satellite records": 15, "repaired cycle slips (flag 6)": 1}

@@ -232,6 +232,11 @@ def test_missing_header_is_said(tmp_path: Path) -> None:
         ("$GPGGA,123519,4807.038,N*47\n", "none of 1 lines is a position"),
         ("\x89PNG\r\n\x1a\n" * 40, "none of"),
         (HEAD + LINE[:70], "line 6"),
+        (HEAD + LINE.replace(".", ","), "decimal commas: write points"),
+        (
+            HEAD + LINE.replace("2017/05/12 18:45:13.400", "499513.400"),
+            "seconds of a week without their week",
+        ),
         (
             HEAD.replace(
                 "latitude(deg) longitude(deg)  height(m)", "e-baseline n-baseline u-baseline"

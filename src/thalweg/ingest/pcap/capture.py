@@ -102,6 +102,12 @@ def _network_layer(buf: ArrayU8, a: int, b: int, link: int) -> tuple[int, int]:
 
 
 @njit(cache=True, nogil=True)
+def _note_cut(tally: ArrayI, captured_b: int, sent_b: int) -> None:
+    tally[_CUT_TO] = max(tally[_CUT_TO], captured_b)
+    tally[_CUT_FROM] = max(tally[_CUT_FROM], sent_b)
+
+
+@njit(cache=True, nogil=True)
 def _take(
     buf: ArrayU8,
     a: int,
@@ -136,8 +142,11 @@ def _take(
     if version != 4 or header < 20 or o + header > b:
         tally[_MALFORMED] += 1
         return k
+    whole = o + _u16(buf, o + 2)
     if _u16(buf, o + 6) & 0x3FFF:
         tally[_FRAGMENT] += 1
+        if whole > b:
+            _note_cut(tally, b - a, whole - a)
         return k
     if buf[o + 9] != 17:
         tally[_OTHER_IP] += 1
@@ -165,8 +174,7 @@ def _take(
         return k
     if u + 8 + size > b:
         tally[_CUT] += 1
-        tally[_CUT_TO] = max(tally[_CUT_TO], b - a)
-        tally[_CUT_FROM] = max(tally[_CUT_FROM], u + 8 + size - a)
+        _note_cut(tally, b - a, u + 8 + size - a)
         return k
     out[k, 0] = u + 8
     out[k, 1] = wanted
@@ -695,11 +703,9 @@ class CaptureTally:
         """That the capture cut packets; empty if it did not."""
         if not self.cut_to_b:
             return ""
-        n = self.losses[LOSS_NAMES[_CUT]]
-        return (
-            f"captured with a snap length of {self.cut_to_b} of {self.cut_from_b} bytes: "
-            f"{n} packet{'s are' if n > 1 else ' is'} cut"
-        )
+        n = self.losses.get(LOSS_NAMES[_CUT], 0)
+        each = "1 packet is" if n == 1 else f"{n} packets are" if n else "parts of packets are"
+        return f"captured with a snap length of {self.cut_to_b} of {self.cut_from_b} bytes: {each} cut"
 
 
 def _format_of(w: Window, path: Path, streams: Sequence[Stream], bare: BarePayloads | None) -> RecordFormat:

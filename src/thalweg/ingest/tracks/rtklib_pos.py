@@ -232,6 +232,8 @@ def read_pos(files: Sequence[Path], ref_ecef_m: ArrayLike | None = None) -> PosL
     header: dict[str, list[str]] = {}
     tables = [_read_one(path, ref_ecef_m, report, header) for path in files]
     marks = event_marks(files, tables)
+    if len(marks) == len(files):  # nothing else was asked for
+        marks = {}
     for path, n in marks.items():
         report.lose("event_marks", n)
         report.note(
@@ -314,7 +316,7 @@ def _read_one(
             f"none of {len(lines)} lines is a position ({first_bad or 'only a header'})",
             expected="lines of time, three coordinates, Q, ns, standard deviations, age, ratio",
             where=path,
-            cure=cure,
+            cure=_cure_of_line(lines[bad[0] - 1]) or cure if bad else cure,
         )
     if bad:
         report.lose("damaged_lines", len(bad))
@@ -376,12 +378,12 @@ def event_marks(files: Sequence[Path], tables: Sequence[pd.DataFrame]) -> dict[P
     ----------
     files : with the positions of each in ``tables``, of kind ``gnss_position``.
     """
-    tracks = [table for path, table in zip(files, tables, strict=True) if not _named_events(path)]
+    pairs = list(zip(files, tables, strict=True))
+    tracks = [table for path, table in pairs if not _named_events(path)]
     return {
         path: len(table)
-        for path, table in zip(files, tables, strict=True)
-        if (_named_events(path) and tracks)
-        or any(_lies_on(table, track) for track in tracks if track is not table)
+        for path, table in pairs
+        if _named_events(path) or any(_lies_on(table, track) for track in tracks if track is not table)
     }
 
 
@@ -412,6 +414,16 @@ def _note_resolution(text: str, report: IntegrityReport) -> None:
     """The unit of the stamps of a file, from the decimals of its first; the coarsest of all files counts."""
     unit_s = 10.0 ** -len(text.partition(".")[2])
     report.timing.resolution_s = max(unit_s, report.timing.resolution_s or 0.0)
+
+
+def _cure_of_line(line: str) -> str:
+    """What to do about a line that is nearly a position; empty where nothing is known."""
+    words = line.split()
+    if sum(re.fullmatch(r"-?\d+,\d+", word) is not None for word in words) >= 3:
+        return "Its numbers have decimal commas: write points, as RTKLIB does (sed 's/,/./g')"
+    if len(words) >= 5 and re.fullmatch(r"\d{5,6}(\.\d*)?|\d{1,4}\.\d*", words[0]):  # a week has four digits
+        return "It begins with seconds of a week without their week: solve with out-timeform=tow or hms"
+    return ""
 
 
 def _row(fields: list[str], layout: Layout) -> list[float] | None:
