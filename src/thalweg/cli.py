@@ -171,13 +171,14 @@ def _new_campaign(options: argparse.Namespace) -> int:
     if options.epochs:
         text = _epochs_text(name, options, schema)
     else:
-        files = _sort_logs(options.from_logs) if options.from_logs else None
+        files, left_out = _sort_logs(options.from_logs) if options.from_logs else (None, {})
         text = campaign_text(
             name,
             folder=folder,
             files=files,
             origin=tuple(options.origin) if options.origin else _place(files or {}),
             spacing_m=_spacing_m(files or {}),
+            left_out=left_out,
             schema=schema,
         )
     folder.mkdir(parents=True, exist_ok=True)
@@ -219,9 +220,9 @@ _FILES_NAMED = 5
 """Of one kind in one folder; more are counted."""
 
 
-def _sort_logs(folder: Path) -> dict[str, list[Path]]:
-    """Files of a folder by stream, recognised by their content."""
-    from thalweg.ingest.registry import ALSO_MARKS, KINDS, LOOSE_KINDS, recognise, stream_of
+def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], dict[str, list[Path]]]:
+    """Files of a folder by stream, recognised by their content, and tracks left out by the reason."""
+    from thalweg.ingest.registry import ALSO_MARKS, KINDS, LOOSE_KINDS, choose_tracks, recognise, stream_of
     from thalweg.settings import natural_order
 
     if not folder.is_dir():
@@ -273,6 +274,14 @@ def _sort_logs(folder: Path) -> dict[str, list[Path]]:
         elif first:
             print(f"{stream:10s} {path.parent} ({n} files, {kind})")
     streams = _of_receivers(_of_one_kind(streams))
+    others: dict[str, list[Path]] = {}
+    if len(streams.get("pos", [])) > 1:
+        streams["pos"], second = choose_tracks(streams["pos"])
+        for path, why in second.items():
+            others.setdefault(why, []).append(path)
+    left_out |= others
+    if streams.get("pos") and streams.get("rover"):
+        print("pos        taken before the raw GNSS beside it: a finished solution", file=sys.stderr)
     for why, paths in left_out.items():
         named = ", ".join(str(path.relative_to(folder)) for path in paths[:3])
         more = f" and {len(paths) - 3} more" if len(paths) > 3 else ""
@@ -286,7 +295,7 @@ def _sort_logs(folder: Path) -> dict[str, list[Path]]:
             expected="Velodyne, ANPP, SBP, RINEX, NMEA, .pos, SBET, point clouds or photographs",
             cure="Look at single files with `thalweg describe FILE`",
         )
-    return streams
+    return streams, others
 
 
 def _wanted(streams: dict[str, list[Path]], loose: list[tuple[str, str, Path]]) -> set[str]:

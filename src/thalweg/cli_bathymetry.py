@@ -7,7 +7,9 @@ from pathlib import Path
 def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Add ``bed``, ``flow``, ``plan-survey`` and ``refract``."""
     bed = commands.add_parser(
-        "bed", help="riverbed with standard deviations from a table of soundings, kriged in flow coordinates"
+        "bed",
+        help="bed of a river or a lake with standard deviations from a table of soundings, kriged in flow or "
+        "map coordinates",
     )
     bed.add_argument(
         "table",
@@ -47,21 +49,35 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
     )
     bed.add_argument("--level", type=float, metavar="M", help="height of the water level; 0 with --depth")
     bed.add_argument(
+        "--levels",
+        type=Path,
+        metavar="CSV",
+        help="with --depth: levels of the water by day or time, columns date (UTC) and level",
+    )
+    bed.add_argument(
+        "--coordinates",
+        choices=("auto", "flow", "map"),
+        default="auto",
+        help="along and across the flow, or east and north; auto: east and north where nothing shows a river",
+    )
+    bed.add_argument(
         "--line", metavar="COLUMN", help="column with the name of the survey line (default: detected)"
     )
     bed.add_argument(
         "--banks",
         type=Path,
-        metavar="GEOJSON",
-        help="both bank lines, or the water surface as a polygon; with heights or --level also data",
+        metavar="FILE",
+        help="both bank lines, or the water surface as a polygon (GeoJSON, Shapefile, GeoPackage, KML, GML, "
+        "DXF; FILE?layer=NAME of several); with heights or --level also data",
     )
     bed.add_argument(
         "--centre-line",
         type=Path,
-        metavar="CSV",
-        help="columns east, north, in downstream order (default: from banks or soundings)",
+        metavar="FILE",
+        help="one line of a GIS, or CSV with east, north, in downstream order (default: from banks or "
+        "soundings)",
     )
-    bed.add_argument("--islands", type=Path, metavar="GEOJSON", help="polygons of islands, which are no bed")
+    bed.add_argument("--islands", type=Path, metavar="FILE", help="polygons of islands, which are no bed")
     bed.add_argument(
         "--cell", type=_positive, metavar="M", help="cell size of the grid (default: by the soundings)"
     )
@@ -110,8 +126,8 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
         "--centre-line",
         type=Path,
         required=True,
-        metavar="CSV",
-        help="columns east, north, in downstream order",
+        metavar="FILE",
+        help="one line of a GIS, or CSV with east, north, in downstream order",
     )
     flow.add_argument(
         "--out", type=Path, required=True, metavar="CSV", help="table to write, with s_m, n_m, fold"
@@ -122,7 +138,10 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
         "plan-survey", help="survey lines between two banks, and the accuracy of the bed to expect"
     )
     plan.add_argument(
-        "banks", type=Path, metavar="BANKS", help="GeoJSON: bank lines, or the water surface as a polygon"
+        "banks",
+        type=Path,
+        metavar="BANKS",
+        help="bank lines, or the water surface as a polygon: GeoJSON, Shapefile, GeoPackage, KML, GML, DXF",
     )
     plan.add_argument(
         "--crs", required=True, metavar="EPSG:...", help="coordinate system of the banks, projected, metres"
@@ -161,8 +180,9 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
     plan.add_argument(
         "--centre-line",
         type=Path,
-        metavar="CSV",
-        help="columns east, north, in downstream order (default: from banks or soundings)",
+        metavar="FILE",
+        help="one line of a GIS, or CSV with east, north, in downstream order (default: from banks or "
+        "soundings)",
     )
     plan.add_argument(
         "--variogram",
@@ -268,17 +288,20 @@ def _bed(options: argparse.Namespace) -> int:
     from pydantic import ValidationError
 
     from thalweg.bathymetry import (
+        FlowLine,
+        Levels,
         bed_of_table,
         map_crs,
-        read_bank_lines,
         read_islands,
         read_line,
         read_soundings,
         usual_cell_m,
+        water_of,
     )
-    from thalweg.core import ConfigError
+    from thalweg.core import ConfigError, InputError
     from thalweg.figures import save
     from thalweg.figures.bathymetry import bed_picture
+    from thalweg.fusion import map_of_bed
     from thalweg.settings.sections import Bathymetry
 
     soundings = read_soundings(
@@ -286,7 +309,7 @@ def _bed(options: argparse.Namespace) -> int:
         None if options.crs is None else map_crs(options.crs),
         column=options.depth or options.height,
         depth=None if options.depth is options.height is None else options.depth is not None,
-        level_m=options.level,
+        level_m=None if options.levels else options.level,
         line_column=options.line,
         sigma_m=options.sigma,
         order=options.columns,
@@ -294,9 +317,10 @@ def _bed(options: argparse.Namespace) -> int:
         keep=options.valid,
     )
     crs = soundings.crs
+    notes: list[str] = []
     try:
         settings = Bathymetry(
-            islands=[] if options.islands is None else read_islands(options.islands, crs),
+            islands=[] if options.islands is None else read_islands(options.islands, crs, notes),
             cell_m=options.cell or usual_cell_m(soundings.places_m),
             model=options.model,
             drift=options.drift,
@@ -307,16 +331,24 @@ def _bed(options: argparse.Namespace) -> int:
         raise ConfigError(
             "; ".join(f"{e['loc'][-1] if e['loc'] else ''}: {e['msg']}" for e in error.errors())
         ) from error
-    line = None if options.centre_line is None else read_line(options.centre_line, crs)
-    banks = (
-        None
-        if options.banks is None
-        else read_bank_lines(
-            options.banks, crs, line, options.level, (soundings.places_m, soundings.height_m)
-        )
+    if options.levels is not None:
+        if not soundings.depth:
+            raise InputError(
+                "--levels with heights", expected="depths below these levels", cure="Heights need no levels"
+            )
+        soundings = soundings.above(Levels.read(options.levels))
+    water = water_of(
+        soundings,
+        crs,
+        settings,
+        line=None if options.centre_line is None else read_line(options.centre_line, crs, notes),
+        banks=options.banks,
+        level_m=options.level,
+        depths=soundings.depth and options.levels is None,
+        coordinates=options.coordinates,
     )
-    found = bed_of_table(soundings, crs, settings, line=line, banks=banks)
-    relative = soundings.depth and options.level is None
+    found = bed_of_table(soundings, crs, settings, water)
+    relative = soundings.depth and options.level is None and options.levels is None
     found.write(
         options.out,
         {"heights": "above the water surface, metres" if relative else f"of {options.table.name}, metres"},
@@ -325,12 +357,14 @@ def _bed(options: argparse.Namespace) -> int:
         bed_picture(
             bed=options.out / "bed.tif",
             observations=found.bed.data,
-            line=found.line,
+            line=water.line if isinstance(water.line, FlowLine) else None,
+            area=water.area,
             title=options.table.name,
             twin=False,
         ),
         options.out / "bed.png",
     )
+    map_of_bed(options.out / "map.gpkg", found, soundings)
     bed, of = found.bed, found.validation
     print(f"{bed.facts['soundings']:,} soundings on {len(np.unique(soundings.line)):,} lines")
     print(f"  bed: {bed.facts['cells']:,} cells, median sigma {bed.facts['median sigma_m']:.3f} m")
@@ -341,9 +375,10 @@ def _bed(options: argparse.Namespace) -> int:
         f"{of['outside_95']:.1%} outside their 95 % interval"
     )
     print(f"  {soundings.crs.name}, cells of {settings.cell_m:g} m")
-    for note in found.notes:
+    for note in (*notes, *found.notes):
         print(f"note: {note}")
-    print(f"Wrote {options.out}/bed.tif, bed.png, validation.json, methods.csv, centre_line.csv")
+    course = ", centre_line.csv" if isinstance(water.line, FlowLine) else ""
+    print(f"Wrote {options.out}/bed.tif, map.gpkg, bed.png, validation.json, methods.csv{course}")
     return 0
 
 
@@ -379,9 +414,10 @@ def _plan(options: argparse.Namespace) -> int:
     from thalweg.core import InputError
 
     crs = map_crs(options.crs)
-    line = None if options.centre_line is None else read_line(options.centre_line, crs)
+    notes: list[str] = []
+    line = None if options.centre_line is None else read_line(options.centre_line, crs, notes)
     nothing = (np.empty((0, 2)), np.empty(0))
-    banks, _ = read_bank_lines(options.banks, crs, line, None, nothing)
+    banks, _ = read_bank_lines(options.banks, crs, line, None, nothing, notes)
     if options.variogram is None:
         left, right = banks.half_widths_m(np.linspace(0, banks.line.length_m, 500))
         width = float(np.nanmedian(left + right))
@@ -434,6 +470,8 @@ def _plan(options: argparse.Namespace) -> int:
         f"  95 % of the bed known to {plan.sigma_95_m:.3f} m, half of it to {facts['median_sigma_m']:.3f} m"
     )
     print(f"  covariance {source}")
+    for note in notes:
+        print(f"note: {note}")
     if plan.sigma_95_m > options.sigma:
         print(f"note: {options.sigma:g} m was wanted; leave out --leg for legs that reach it")
     print(f"Wrote {options.out}/waypoints.gpx, waypoints.geojson, sigma.tif, plan.json")

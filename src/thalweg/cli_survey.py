@@ -98,6 +98,9 @@ def add_survey_commands(commands: "argparse._SubParsersAction[argparse.ArgumentP
     )
     cloud.add_argument("--time-scale", choices=("utc", "gps"), help="time scale of a table of poses")
     cloud.add_argument(
+        "--upside-down", action="store_true", help="the sensor of the attitudes is mounted upside down"
+    )
+    cloud.add_argument(
         "--sigma-position",
         type=float,
         metavar="M",
@@ -329,6 +332,7 @@ def _read_trajectory(options: argparse.Namespace) -> tuple[Any, list[str]]:
         time_scale=options.time_scale,
         sigma_position_m=options.sigma_position,
         sigma_attitude_deg=options.sigma_attitude,
+        upside_down=options.upside_down,
     )
     log = read_poses(options.trajectory, None, how)
     states = log.states

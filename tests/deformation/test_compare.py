@@ -168,7 +168,7 @@ def test_tables_of_coordinates_are_read(tmp_path: Path, head: str) -> None:
     path.write_text(head + f"1.5{mark}2{mark}3{mark}7\n4{mark}5{mark}6{mark}8\n")
     assert read_points(path).xyz_m.tolist() == [[1.5, 2.0, 3.0], [4.0, 5.0, 6.0]]
     path.write_text(head)
-    with pytest.raises(InputError, match="no line of three numbers"):
+    with pytest.raises(InputError, match=r"the file is empty|no point"):
         read_points(path)
 
 

@@ -334,7 +334,7 @@ def test_values_that_may_be_no_heights_are_masked_or_refused(tmp_path: Path) -> 
         if value:
             one = prepared("first", clouds=[str(path)])
             assert len(one.xyz_m) == 370
-            assert "30 of 400 points without a height (undeclared value -10000)" in one.notes[0]
+            assert "30 rows with -10000, which stands for no value" in one.notes[0]
     broken[:30, 2] = 0.0
     np.savetxt(path, broken, fmt="%.3f")
     assert "30 of 400 points are exactly 0 m" in told(InputError, clouds=[str(path)]).found

@@ -1,7 +1,5 @@
 """Surface models: files, differences, sigmas of volumes, masks, and published figures of a beach."""
 
-import sqlite3
-import struct
 from dataclasses import replace
 from datetime import date
 from itertools import pairwise
@@ -10,24 +8,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
+from geopandas import GeoDataFrame
 from PIL import Image, TiffImagePlugin
 from pyproj import CRS
 from scipy.ndimage import binary_erosion
+from shapely import Polygon
 
 from thalweg.cli import main
 from thalweg.core import ArrayF, Dsm, GeometryError, InputError, UnsupportedError, read_dsm, read_table
 from thalweg.deformation.foreign import (
     HeightErrors,
-    Shapes,
     difference_of_surfaces,
     difference_on_lines,
     onto_grid,
-    read_shapes,
     write_difference,
 )
 from thalweg.deformation.foreign.surfaces import VOLUMES, volume_variance
 from thalweg.deformation.m3c2 import ColumnIndex, cut_cylinders, multiscale_normals
 from thalweg.deformation.series import closure, find_jumps, fit_series
+from thalweg.ingest import Vectors, read_vectors
 from thalweg.surface import Surface
 
 CORNER = (440_000.0, 5_640_000.0)
@@ -64,18 +63,9 @@ def relief(lift: float = 0.0) -> ArrayF:
 
 
 def a_package(path: Path, rings: list[list[tuple[float, float]]], code: int = 25833) -> Path:
-    """A GeoPackage with one polygon, by its specification (OGC 12-128r18)."""
-    blob = b"GP\0\1" + struct.pack("<i", code) + struct.pack("<BII", 1, 3, len(rings))
-    for ring in rings:
-        blob += struct.pack("<I", len(ring)) + np.array(ring, "<f8").tobytes()
-    with sqlite3.connect(path) as file:
-        file.execute("CREATE TABLE gpkg_geometry_columns (table_name, column_name, srs_id)")
-        file.execute("CREATE TABLE gpkg_spatial_ref_sys (srs_id, organization, organization_coordsys_id)")
-        file.execute("CREATE TABLE water (fid, geom, day)")
-        file.execute("INSERT INTO gpkg_geometry_columns VALUES ('water', 'geom', ?)", [code])
-        file.execute("INSERT INTO gpkg_spatial_ref_sys VALUES (?, 'EPSG', ?)", [code, code])
-        file.execute("INSERT INTO water VALUES (1, ?, 20180727)", [blob])
-    file.close()
+    """A GeoPackage with one polygon and its holes."""
+    water = GeoDataFrame({"day": [20180727]}, geometry=[Polygon(rings[0], rings[1:])], crs=code)
+    water.to_file(path, layer="water")
     return path
 
 
@@ -226,20 +216,25 @@ def test_polygons_are_left_out_but_not_their_holes(tmp_path: Path) -> None:
         return [(x[0], y[0]), (x[1], y[0]), (x[1], y[1]), (x[0], y[1]), (x[0], y[0])]
 
     path = a_package(tmp_path / "water.gpkg", [ring(2, 6, 8, 12), ring(4, 2, 10, 3)])
-    water = read_shapes(path, {"day": "20180727"})
+    water = read_vectors(path, where={"day": "20180727"})
     found = difference_of_surfaces(before, after, leave_out=[water])
     table = found.volumes.set_index("part")
     assert table.loc["left out", "n_cells"] == 6 * 12 - 2 * 3
     assert table.loc["erosion", "n_cells"] == 6  # rows 4-5, columns 10-12 stand in the hole
-    with pytest.raises(InputError, match="no polygon or line with"):
-        read_shapes(path, {"day": "1"})
-    with pytest.raises(InputError, match=r"no column place; expected one of fid, geom, day"):
-        read_shapes(path, {"place": "1"})
-    with pytest.raises(InputError, match="no GeoPackage with a layer"):
-        read_shapes(before.path)
-    other = read_shapes(a_package(tmp_path / "other.gpkg", [ring(2, 6, 8, 12)], 32754))
-    with pytest.raises(InputError, match=r"UTM zone 33N.*UTM zone 54S"):
-        difference_of_surfaces(before, after, leave_out=[other])
+    with pytest.raises(InputError, match="nothing that is drawn with day=1"):
+        read_vectors(path, where={"day": "1"})
+    with pytest.raises(InputError, match="no column place; expected one of day"):
+        read_vectors(path, where={"place": "1"})
+    with pytest.raises(InputError, match="no format of a map"):
+        read_vectors(before.path)
+    # the same water on another map, and one that lies elsewhere
+    water.table.to_crs(32632).to_file(tmp_path / "other.gpkg")
+    other = difference_of_surfaces(before, after, leave_out=[read_vectors(tmp_path / "other.gpkg")])
+    assert other.volumes["n_cells"].tolist() == found.volumes["n_cells"].tolist()
+    away = read_vectors(a_package(tmp_path / "away.gpkg", [[(0, 0), (1, 0), (1, 1)]]))
+    assert any(
+        "No cell lies in" in note for note in difference_of_surfaces(before, after, leave_out=[away]).notes
+    )
 
 
 def test_rasters_that_do_not_fit_are_refused(tmp_path: Path) -> None:
@@ -338,7 +333,7 @@ def test_the_undeclared_value_of_the_beach_is_masked_and_counted(epochs: list[Ds
 @pytest.mark.real
 def test_the_published_limits_of_all_eight_steps(beach: Path, epochs: list[Dsm]) -> None:
     """sandpyper rounds places in units of cells, so that it reads half a cell too far south-east."""
-    lines = read_shapes(beach / "lod_transects/mar_lod_transects.gpkg")
+    lines = read_vectors(beach / "lod_transects/mar_lod_transects.gpkg")
     theirs = [replace(each, corner_m=each.corner_m + each.cell_m * (-0.5, 0.5)) for each in epochs]
     found = [difference_on_lines(a, b, lines) for a, b in pairwise(theirs)]
     # 6 digits of numbers that it computed with 32 bits
@@ -442,8 +437,8 @@ def dry(beach: Path, epochs: list[Dsm], stack: ArrayF) -> ArrayF:
     return heights
 
 
-def waters(beach: Path, day: str) -> Shapes:
-    return read_shapes(beach / "clean/watermasks.gpkg", {"location": "mar", "raw_date": day})
+def waters(beach: Path, day: str) -> Vectors:
+    return read_vectors(beach / "clean/watermasks.gpkg", where={"location": "mar", "raw_date": day})
 
 
 @pytest.mark.real

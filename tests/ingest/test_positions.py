@@ -9,7 +9,7 @@ import pytest
 
 from thalweg.core import InputError, gps_from_unix, write_table
 from thalweg.ingest import GNSS_POSITION, INS_STATE
-from thalweg.ingest.registry import read_positions, recognise
+from thalweg.ingest.registry import choose_tracks, read_positions, recognise
 from thalweg.ingest.registry.positions import positions_from_states
 
 NOTHING: dict[str, Any] = {"base": [], "nav": [], "ppk": {}, "base_position": {}}
@@ -52,6 +52,22 @@ def test_an_indefinite_covariance_does_not_pass(tmp_path: Path) -> None:
     assert report.counts["covariances_replaced"] == 1
     assert table["cov_en_m2"].abs().max() < 1e-6
     np.testing.assert_allclose(positions_from_states(states())["sigma_up_m"], np.arange(5.0))
+
+
+def test_of_tracks_of_the_same_time_the_best_is_taken(tmp_path: Path) -> None:
+    def track(name: str, first: int, quality: int) -> Path:
+        lines = [
+            f"2021/05/12 08:31:{first + k:02d}.0 51.05{k * k:03d} 13.25 300.0 {quality} 12 .02 .02 .03"
+            " 0 0 0 0 9"
+            for k in range(20)
+        ]
+        (tmp_path / name).write_text("\n".join(lines) + "\n")
+        return tmp_path / name
+
+    fixed, single, later = track("rover.pos", 0, 1), track("spp.pos", 0, 5), track("later.pos", 25, 5)
+    kept, left = choose_tracks([single, fixed, later])
+    assert kept == [fixed, later]
+    assert left == {single: "of the same time as rover.pos, which has more fixed positions"}
 
 
 @pytest.mark.real

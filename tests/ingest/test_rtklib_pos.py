@@ -305,3 +305,52 @@ def test_every_column_of_the_positions_by_hand(tmp_path: Path) -> None:
         name: unit for name, (_, unit) in expected.items()
     }
     assert set(found) == set(expected)
+
+
+def epochs(first: float, n: int, scale: str = "GPST", step_s: float = 1.0) -> str:
+    """A solution of ``n`` epochs from a second of 10:00, moving 1e-6 deg a second north."""
+    lines = [HEAD.replace("GPST", scale)]
+    for k in range(n):
+        t = first + k * step_s
+        clock = f"2024/06/12 10:{int(t) // 60:02d}:{t % 60:06.3f}"
+        lines.append(LINE.replace("2017/05/12 18:45:13.400   50.000000000", f"{clock}   {50 + t * 1e-6:.9f}"))
+    return "".join(lines)
+
+
+def test_each_solution_of_a_joined_file_keeps_its_own_scale_and_columns(tmp_path: Path) -> None:
+    velocity = epochs(180, 5).replace("ratio\n", "ratio   vn(m/s)   ve(m/s)   vu(m/s)\n")
+    velocity = velocity.replace("12.3\n", "12.3   0.1   0.2   0.3\n")
+    text = epochs(18, 60) + epochs(120, 60, "UTC") + velocity
+    log = read_pos([write(tmp_path / "joined.pos", text)])
+    t = log.positions["t_gps_s"].to_numpy()
+    # 10:02:00 UTC is 18 s behind 10:02:00 GPST; the last one is in GPST again
+    assert t[60] - t[0] == 120.0
+    assert t[120] - t[0] == 162.0
+    assert log.report.losses == {"time_steps_back": 1}
+    assert "GPS from line 6 on, UTC from line 71 on" in " ".join(log.report.notes)
+    remark = epochs(0, 3) + "% a remark of somebody\n" + epochs(3, 3)[len(HEAD) :]
+    assert len(read_pos([write(tmp_path / "remark.pos", remark)]).positions) == 6
+
+
+def test_each_baseline_keeps_the_base_of_its_own_header(tmp_path: Path) -> None:
+    head = HEAD.replace(
+        "latitude(deg) longitude(deg)  height(m)", "e-baseline(m) n-baseline(m) u-baseline(m)"
+    )
+    line = LINE.replace("50.000000000   13.000000000   200.0000", "0.0000   0.0000   0.0000")
+    both = (
+        head + line + head.replace("50.000000000   13", "51.000000000   14") + line.replace(":13.4", ":14.4")
+    )
+    table = read_pos([write(tmp_path / "enu.pos", both)]).positions
+    np.testing.assert_allclose(table["lat_deg"], [50.0, 51.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["rover_events.pos", "camera.pos"])
+def test_times_of_events_are_no_part_of_the_track(tmp_path: Path, name: str) -> None:
+    track = write(tmp_path / "rover.pos", epochs(0, 60))
+    events = write(tmp_path / name, epochs(5.372, 5, step_s=10.0))
+    log = read_pos([track, events])
+    assert len(log.positions) == 60
+    assert log.report.losses == {"event_marks": 5}
+    # positions between the epochs that no line leads to are a second receiver's, and stay
+    other = write(tmp_path / "second.pos", events.read_text().replace("13.000000000", "13.000000300"))
+    assert len(read_pos([track, other]).positions) == 65

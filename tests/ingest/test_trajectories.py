@@ -1,5 +1,6 @@
 """Trajectories of other programs: conventions by hand, what is not stated is asked for."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -167,3 +168,51 @@ def test_inertial_explorer_without_sigmas_units_or_columns(tmp_path: Path) -> No
     path.write_text(path.read_text().replace(" H-Ell", " H-MSL"))
     with pytest.raises(InputError, match="no column H-Ell"):
         read_poses([path], "sbet", stated)
+
+
+UPRIGHT = [0.0, 0.0, np.sin(0.3), np.cos(0.3)]
+"""A level body, x y z w; with w first it would be upside down."""
+
+
+@pytest.mark.parametrize(
+    ("head", "order"),
+    [
+        ("# timestamp tx ty tz qw qx qy qz", "wxyz"),
+        ("timestamp,x,y,z,qw,qx,qy,qz", "wxyz"),
+        ("#time [s], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_x, q_y, q_z, q_w", "xyzw"),
+        ("# stamp, position, quaternion (w, x, y, z)", "wxyz"),
+        ("# poses of the boat", "xyzw"),
+    ],
+)
+def test_names_decide_the_order_of_the_quaternion(tmp_path: Path, head: str, order: str) -> None:
+    path = tmp_path / "poses.txt"
+    cells = [UPRIGHT["xyzw".index(axis)] for axis in order]
+    separator = ", " if head.startswith(("timestamp,", "#time")) else " "
+    rows = [separator.join(map(str, [T0 + k, 1, 2, 3, *cells])) for k in range(4)]
+    path.write_text("\n".join([head, *rows]) + "\n")
+    assert recognise(path) == "tum"
+    states = read_poses([path], "ins", TrackOptions(**STATED, body_axes="forward-left-up")).states
+    np.testing.assert_allclose(states["roll_rad"], 0.0, atol=1e-5)
+    np.testing.assert_allclose(states["heading_rad"], np.pi / 2 - 0.6, atol=1e-5)
+
+
+def test_a_boat_upside_down_is_refused_unless_it_is_stated(tmp_path: Path) -> None:
+    path = tmp_path / "poses.txt"
+    x, y, z, w = UPRIGHT
+    path.write_text("".join(f"{T0 + k} 0 0 0 {w} {x} {y} {z}\n" for k in range(4)))
+    options = TrackOptions(**STATED, body_axes="forward-left-up")
+    with pytest.raises(InputError, match=r"upside down in 100% of 4 poses.*order of the quaternion"):
+        read_poses([path], "ins", options)
+    assert len(read_poses([path], "ins", replace(options, upside_down=True)).states) == 4
+
+
+def test_times_of_a_table_of_poses_contradict_the_stated_scale(tmp_path: Path) -> None:
+    path = tmp_path / "poses.txt"
+    path.write_text("".join(f"{1_718_186_400 + k} 0 0 0 0 0 0 1\n" for k in range(4)))
+    options = TrackOptions(**STATED | {"time_scale": "gps"}, body_axes="forward-left-up")
+    with pytest.raises(InputError, match=r"1718186400 is 2024-06-12 in seconds since 1970"):
+        read_poses([path], "ins", options)
+    path.write_text("".join(f"{402_221_618 + k} 0 0 0 0 0 0 1\n" for k in range(4)))
+    log = read_poses([path], "ins", options)
+    assert log.states["t_gps_s"][0] == 402_221_618.0
+    assert any("less 1e9" in note for note in log.report.notes)

@@ -10,7 +10,7 @@ from thalweg.workflow import run_job
 
 
 def main(*, depth: list[Path], depths: Path, integrity: Path, date: str | None) -> None:
-    log = read_nmea(depth, date=dt.date.fromisoformat(date) if date else None)
+    log = read_nmea(depth, date=dt.date.fromisoformat(date) if date else None).with_depths()
     write_table(depths, log.depths, DEPTH)
     log.report.stream = "depth"
     log.report.write(integrity)

@@ -31,6 +31,17 @@ _STEPS: Final = 40
 _GAUSS: Final = np.polynomial.legendre.leggauss(8)
 
 
+def _spline(u: ArrayF, p: ArrayF) -> Any:
+    if not (np.diff(u) > 0).all():
+        raise GeometryError(
+            f"a centre line through {len(p)} places that leads nowhere: some lie {np.ptp(p):.3g} m apart, "
+            "others in one place",
+            expected="places one after the other, downstream",
+            cure="Look for places far away from the others, or in degrees",
+        )
+    return CubicSpline(u, p)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlowLine:
     """A centre line.
@@ -66,13 +77,13 @@ class FlowLine:
         u = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))])
         nodes, weights = _GAUSS
         for _ in range(8):  # the parameter becomes arc length
-            spline = CubicSpline(u, p)
+            spline = _spline(u, p)
             h = np.diff(u)
             speed = np.linalg.norm(spline(u[:-1, None] + h[:, None] / 2 * (1 + nodes), 1), axis=2)
             before, u = u, np.concatenate([[0.0], np.cumsum(speed @ weights * h / 2)])
             if np.abs(u - before).max() < 1e-12 * u[-1]:
                 break
-        spline = CubicSpline(u, p)
+        spline = _spline(u, p)
         starts = np.linspace(0.0, u[-1], _STARTS * len(u))
         return cls(
             points_m=p, spline=spline, length_m=float(u[-1]), tree=cKDTree(spline(starts)), starts_m=starts

@@ -5,29 +5,42 @@ lines of soundings (sections, zigzag), or along the longest of them where they r
 """
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 import pandas as pd
+import shapely
 from numpy.typing import ArrayLike
-from pyproj import CRS, Transformer
+from pyproj import CRS
 from pyproj.exceptions import CRSError
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree, shortest_path
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from thalweg.bathymetry.banks import SIDES, Banks
+from thalweg.bathymetry.banks import SIDES, Banks, side_of
 from thalweg.bathymetry.bed import BANDS, OBSERVATIONS, Bed, cells_of_river, gridded, observations_of
+from thalweg.bathymetry.crossings import DAY_GAP_S, agreement
 from thalweg.bathymetry.flow import FlowLine
+from thalweg.bathymetry.lake import (
+    Levels,
+    Plane,
+    area_sounded,
+    elongation,
+    lines_or_patches,
+    no_half_widths,
+    shore_places,
+)
 from thalweg.bathymetry.validation import by_class, measures, validate_bed
-from thalweg.bathymetry.variogram import HalfWidths, choose_model
+from thalweg.bathymetry.variogram import Basin, HalfWidths, choose_model
 from thalweg.core import (
+    ArrayB,
     ArrayF,
     ArrayI,
+    GeometryError,
     Grid,
     InputError,
     LocalFrame,
@@ -36,10 +49,11 @@ from thalweg.core import (
     laz_header,
     read_dsm,
     read_raster,
+    utc_text_from_unix,
     write_raster,
 )
-from thalweg.core.values import check_places, utm_of
-from thalweg.ingest import Places, Table, read_text_table
+from thalweg.core.values import METRE, check_places, units_of_crs
+from thalweg.ingest import Places, Table, is_vector_file, read_text_table, read_vectors
 from thalweg.settings.sections import Bathymetry
 
 _DROWNED_M: Final = 0.5
@@ -55,6 +69,14 @@ _STEEP: Final = 0.3
 _STATIONS: Final = 400
 _OTHER_DATUM_M: Final = 25.0
 """Ellipsoid and geoid differ by more nearly everywhere in Europe; no river falls so much in a survey."""
+_RIVER: Final = 3.0
+"""A river's reach is at least so many widths long."""
+_REACHED: Final = 0.9
+"""Flow coordinates suit a water of which at least this share has them."""
+_PLACES: Final = 2000
+_LINE_STRING: Final = 1
+"""Of shapely's types."""
+_WIDEST_M: Final = 1_000_000.0
 _ALONE: Final = 0.5
 """More soundings than this share outside the banks: they are of another place."""
 
@@ -104,117 +126,94 @@ def read_places(
     ------
     InputError : no such file, no table, no coordinates.
     """
-    if path.suffix.lower() not in {".geojson", ".json"}:
+    if not is_vector_file(path):
         table = read_text_table(path, order=order, bare=("x", "y", "z"))
         return table, table.places(crs, any_system=any_system)
-    features, source = _features(path)
-    points = [f for f in features if (f.get("geometry") or {}).get("type") == "Point"]
-    if not points:
+    drawn = read_vectors(path)
+    on = crs or drawn.usual_map()
+    drawn = drawn if on is None else drawn.on_map(on)
+    frame, at = drawn.points()
+    if not len(at):
         raise InputError(
             "no points",
             where=path,
-            expected="GeoJSON of points",
+            expected="a layer of points",
             cure="Export soundings as points, not as lines",
         )
-    frame = pd.DataFrame([f.get("properties") or {} for f in points])
-    at = [f["geometry"]["coordinates"] for f in points]
-    if "z" not in frame and all(len(c) > 2 for c in at):
-        frame["z"] = [c[2] for c in at]
-    xy = np.array([c[:2] for c in at], dtype=np.float64)
-    if source is None and len(xy) and (np.abs(xy) <= [180.0, 90.0]).all():
-        source = CRS.from_epsg(4326)
-    on = crs or (utm_of(xy[:, 0], xy[:, 1]) if source is not None and source.is_geographic else source)
-    return Table.of(frame, path), Places(_on_map(xy, source, on, path), on, [])
+    if "z" not in frame and at.shape[1] > 2:
+        frame["z"] = at[:, 2]
+    return Table.of(frame, path), Places(at[:, :2], on, list(drawn.notes))
 
 
-def read_line(path: Path, crs: CRS | None = None) -> FlowLine:
-    """A centre line, downstream: table of places, or GeoJSON with one line.
+def read_line(
+    path: Path, crs: CRS | None = None, notes: list[str] | None = None, *, frame: LocalFrame | None = None
+) -> FlowLine:
+    """A centre line, downstream: table of places, or a file of vectors with one line.
+
+    Parameters
+    ----------
+    path, crs : file and map; None: the numbers of the file, in metres.
+    notes : takes what was left out or assumed.
+    frame : of the world, for a line in wcs instead of on the map.
 
     Raises
     ------
-    InputError : no line.
+    InputError : no line, or one in degrees without a map.
     GeometryError : fewer than three places.
     """
-    if path.suffix.lower() in {".geojson", ".json"}:
-        features, source = _features(path)
-        parts = [xyz for f in features for xyz, _ in _lines_of(f)]
-        if len(parts) != 1:
-            raise InputError(f"{len(parts)} lines", where=path, expected="one centre line")
-        xy = parts[0][:, :2]
-        return FlowLine.through(_on_map(xy, source, crs, path) if crs is not None else xy)
-    places = read_places(path, crs, any_system=True)[1].xy_m
-    return FlowLine.through(places[np.isfinite(places).all(axis=1)])
+    if is_vector_file(path):
+        xy = _drawn_line(path, crs, notes)
+    else:
+        xy = read_places(path, crs, any_system=True)[1].xy_m
+        xy = xy[np.isfinite(xy).all(axis=1)]
+        if crs is not None:
+            check_places(xy, crs, where=path, cure="--crs")
+    if frame is not None and crs is not None:
+        xy = frame.from_map(np.column_stack([xy, np.full(len(xy), frame.h_ell_m)]), crs)[:, :2]
+    return FlowLine.through(xy)
 
 
-def read_islands(path: Path, crs: CRS) -> list[list[tuple[float, float]]]:
-    """Outlines of islands of a GeoJSON file, on the map.
+def _drawn_line(path: Path, crs: CRS | None, notes: list[str] | None) -> ArrayF:
+    """Places (n, 2) of the one line of a file of vectors."""
+    drawn = read_vectors(path)
+    if crs is not None:
+        drawn = drawn.on_map(crs)
+    elif drawn.crs is not None and units_of_crs(drawn.crs)[0] != METRE:
+        raise InputError(
+            f"a centre line in {drawn.crs.name}",
+            where=path,
+            expected="places in metres on a map",
+            cure="Transform it to the map of the other places, such as the UTM zone of the river",
+        )
+    lines = drawn.lines()
+    if len(lines) != 1:
+        raise InputError(f"{len(lines)} lines", where=path, expected="one centre line")
+    _keep(drawn.notes, notes)
+    return lines[0][0][:, :2]
+
+
+def read_islands(path: Path, crs: CRS, notes: list[str] | None = None) -> list[list[tuple[float, float]]]:
+    """Outlines of islands, polygons of a file of vectors, on the map.
+
+    Parameters
+    ----------
+    notes : takes what was left out or assumed.
 
     Raises
     ------
     InputError : no polygon.
     """
-    features, source = _features(path)
-    outlines = [
-        [(float(east), float(north)) for east, north in _on_map(xyz[:, :2], source, crs, path)]
-        for feature in features
-        if "Polygon" in str((feature.get("geometry") or {}).get("type"))
-        for xyz, _ in _lines_of(feature)
-    ]
+    drawn = read_vectors(path).on_map(crs)
+    outlines = [[(x, y) for x, y, *_ in each.exterior.coords] for each in drawn.polygons()]
     if not outlines:
         raise InputError("no polygon", where=path, expected="islands as polygons")
+    _keep(drawn.notes, notes)
     return outlines
 
 
-def _features(path: Path) -> tuple[list[dict[str, Any]], CRS | None]:
-    """Features of a GeoJSON file and the coordinate system that it names."""
-    try:
-        content = json.loads(path.read_text())
-        features = content["features"]
-        name = ((content.get("crs") or {}).get("properties") or {}).get("name")
-        return features, CRS.from_user_input(name) if name else None
-    except FileNotFoundError as error:
-        raise InputError(
-            "no such file", where=path, expected="a GeoJSON file", cure="Check the path"
-        ) from error
-    except (ValueError, KeyError, TypeError, AttributeError, CRSError) as error:
-        raise InputError(
-            f"{error}",
-            where=path,
-            expected="GeoJSON, a FeatureCollection",
-            cure="Export the lines from a GIS as GeoJSON",
-        ) from error
-
-
-def _on_map(xy: ArrayF, source: CRS | None, crs: CRS, path: Path) -> ArrayF:
-    """Places on the map; GeoJSON without a named system is in degrees (RFC 7946), or on the map already."""
-    if source is None and len(xy) and (np.abs(xy) <= [180.0, 90.0]).all():
-        source = CRS.from_epsg(4326)
-    if source is None or source.equals(crs, ignore_axis_order=True):
-        return xy
-    east, north = Transformer.from_crs(source, crs, always_xy=True).transform(xy[:, 0], xy[:, 1])
-    out = np.column_stack([east, north])
-    if not np.isfinite(out).all():
-        raise InputError(
-            f"places in {source.name} have none in {crs.name}", where=path, expected=f"places in {crs.name}"
-        )
-    return out
-
-
-def _lines_of(feature: dict[str, Any]) -> list[tuple[ArrayF, str | None]]:
-    """Lines (k, 2 or 3) of a feature, outlines of polygons too, and the side that it names."""
-    geometry = feature.get("geometry") or {}
-    at: Any = geometry.get("coordinates")
-    kind = geometry.get("type")
-    side = (feature.get("properties") or {}).get("side")
-    if kind == "LineString":
-        parts = [at]
-    elif kind in {"MultiLineString", "Polygon"}:
-        parts = at if kind == "MultiLineString" else at[:1]
-    elif kind == "MultiPolygon":
-        parts = [rings[0] for rings in at]
-    else:
-        return []
-    return [(np.array(part, dtype=np.float64), side) for part in parts]
+def _keep(found: Iterable[str], notes: list[str] | None) -> None:
+    if notes is not None:
+        notes.extend(found)
 
 
 # ---------------------------------------------------------------- soundings
@@ -233,6 +232,9 @@ class TableOfSoundings:
     crs : of the map.
     column, depth : name of the column of values, and whether they are depths.
     notes : what was converted, assumed and left out.
+    day : (n,) number of the day; None: unknown.
+    days : names of the days.
+    t_s : (n,) seconds since 1970 UTC; None: unknown.
     """
 
     places_m: ArrayF
@@ -244,6 +246,25 @@ class TableOfSoundings:
     column: str
     depth: bool
     notes: tuple[str, ...] = ()
+    day: ArrayI | None = None
+    days: tuple[str, ...] = ()
+    t_s: ArrayF | None = None
+
+    def above(self, levels: Levels) -> Self:
+        """Depths, which `height_m` holds below zero, as heights below levels of the water.
+
+        Raises
+        ------
+        InputError : the table has no times, or there is no level for some.
+        """
+        if self.t_s is None:
+            raise InputError(
+                "soundings without times",
+                where="--levels",
+                expected="a column of times beside the depths",
+                cure="Name the column of the times, or state one --level",
+            )
+        return replace(self, height_m=self.height_m + levels.at(self.t_s))
 
 
 def read_soundings(
@@ -317,6 +338,10 @@ def read_soundings(
     else:
         names = np.array(table.text(table.column(line_column)))[known]
         line = pd.factorize(names)[0].astype(np.int64)
+    t_s = np.full(len(table), np.nan)
+    if (when := table.times()) is not None:
+        t_s, said = when
+        notes += said
     of = pd.DataFrame(
         {
             "x": np.round(places[known, 0], 3),
@@ -324,14 +349,17 @@ def read_soundings(
             "h": height[known],
             "v": sigma[known] ** 2,
             "line": line,
+            "t": t_s[known],
+            "day": _days(t_s[known]),
         }
     )
-    groups = of.groupby(["x", "y"], sort=False)
+    groups = of.groupby(["x", "y", "day"], sort=False, dropna=False)
     spread = groups["h"].agg(np.ptp)
     counts["repeated"] = len(of) - len(spread)
     counts["repeated and different"] = int((spread > 3 * np.sqrt(2 * groups["v"].max())).sum())
     if counts["repeated"]:
-        one = groups.agg(h=("h", "mean"), v=("v", "mean"), line=("line", "first")).reset_index()
+        one = groups.agg(h=("h", "mean"), v=("v", "mean"), line=("line", "first"), t=("t", "first"))
+        one = one.reset_index()
         # soundings of one place that differ by more than their noise: half the difference is their sigma
         one["v"] = np.maximum(one["v"], (spread.to_numpy() / 2) ** 2)
         of = one
@@ -354,6 +382,8 @@ def read_soundings(
             expected="soundings across the river: what lies beside a single line cannot be told",
             cure="Survey a zigzag or sections",
         )
+    timed = bool(of["t"].notna().all())
+    begins: list[float] = of.groupby("day")["t"].min().tolist() if timed else []
     return TableOfSoundings(
         places_m=xy,
         height_m=of["h"].to_numpy(np.float64),
@@ -364,7 +394,18 @@ def read_soundings(
         column=column,
         depth=depth,
         notes=tuple(notes),
+        day=of["day"].to_numpy(np.int64) if timed else None,
+        days=tuple(utc_text_from_unix(float(t))[:10] for t in begins),
+        t_s=of["t"].to_numpy(np.float64) if timed else None,
     )
+
+
+def _days(t_s: ArrayF) -> ArrayF:
+    """Number of the day (n,) of times, which a pause of hours ends, wherever midnight of UTC is."""
+    out = np.full(len(t_s), np.nan)
+    order = np.argsort(t_s, kind="stable")[: int(np.isfinite(t_s).sum())]
+    out[order] = np.cumsum(np.diff(t_s[order], prepend=t_s[order][:1]) > DAY_GAP_S)
+    return out
 
 
 def _column_of_values(table: Table, column: str | None, depth: bool | None) -> tuple[int, bool]:
@@ -555,9 +596,14 @@ def _beyond(places: ArrayF, reach_m: float) -> ArrayF:
 
 
 def read_bank_lines(
-    path: Path, crs: CRS, line: FlowLine | None, level_m: float | None, height_m: tuple[ArrayF, ArrayF]
+    path: Path,
+    crs: CRS,
+    line: FlowLine | None,
+    level_m: float | None,
+    height_m: tuple[ArrayF, ArrayF],
+    notes: list[str] | None = None,
 ) -> tuple[Banks, pd.DataFrame]:
-    """Bank lines of a GeoJSON file: lines, with or without a property ``side``, or the water as a polygon.
+    """Bank lines of a file of vectors, with or without a property ``side``, or the water as a polygon.
 
     Parameters
     ----------
@@ -565,6 +611,7 @@ def read_bank_lines(
     line : centre line; None: half way between the banks.
     level_m : height of the water; None: heights of the file, if it has any.
     height_m : places (n, 2) and heights (n,) of the soundings, which tell the direction of a line.
+    notes : takes what was left out or assumed.
 
     Returns
     -------
@@ -576,15 +623,13 @@ def read_bank_lines(
     InputError : no lines, or no bank on one side.
     GeometryError : left and right are exchanged.
     """
-    features, source = _features(path)
-    parts = [part for f in features for part in _lines_of(f)]
+    drawn = read_vectors(path).on_map(crs)
+    parts = [(xyz, side_of(properties)) for xyz, properties in drawn.lines()]
     if not parts:
         raise InputError(
             "no line and no polygon", where=path, expected="bank lines, or the water as a polygon"
         )
-    parts = [
-        (np.column_stack([_on_map(xyz[:, :2], source, crs, path), xyz[:, 2:]]), side) for xyz, side in parts
-    ]
+    _keep(drawn.notes, notes)
     if line is None:
         line = _between(parts, path, height_m)
     tables = []
@@ -667,7 +712,8 @@ def _between(parts: list[tuple[ArrayF, str | None]], path: Path, height_m: tuple
         halves = (ring[first : last + 1], np.concatenate([ring[last:], ring[: first + 1]]))
         return _between([(half, None) for half in halves], path, height_m)
     sides = [side for _, side in parts]
-    if len(parts) != 2 and set(sides) != set(SIDES):
+    outlines = any(np.array_equal(xyz[0, :2], xyz[-1, :2]) for xyz, _ in parts)
+    if (len(parts) != 2 or outlines) and set(sides) != set(SIDES):
         raise InputError(
             f"{len(parts)} lines with sides {sorted({str(s) for s in sides})}",
             where=path,
@@ -747,27 +793,272 @@ def hull_of_lines(s: ArrayF, n: ArrayF, line: ArrayI) -> HalfWidths:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Water:
+    """Coordinates of a water, and where it has a bed.
+
+    Parameters
+    ----------
+    line : along and across a river, or along two directions of the map.
+    half_widths_m : of a river; NaN elsewhere.
+    basin : of a lake; None: a river.
+    width_m : of the water.
+    shore : places of the shores whose height is known, kind ``bed_observations``.
+    area : polygon of the water, islands left out; None: the half widths say it.
+    banks : of a river, where they are given.
+    reason : why these coordinates.
+    notes : what was left out or assumed.
+    """
+
+    line: FlowLine | Plane
+    half_widths_m: HalfWidths
+    basin: Basin | None
+    width_m: float
+    shore: pd.DataFrame
+    area: Any
+    reason: str
+    notes: tuple[str, ...]
+    banks: Banks | None = None
+
+
+def water_of(
+    soundings: TableOfSoundings,
+    crs: CRS,
+    settings: Bathymetry,
+    *,
+    line: FlowLine | None = None,
+    banks: Path | None = None,
+    level_m: float | None = None,
+    depths: bool = False,
+    coordinates: str = "auto",
+) -> Water:
+    """The coordinates that suit a water: along its flow, or east and north where nothing shows a river.
+
+    A river is a centre line that is given, two bank lines, an outline that is at least three times as long as
+    it is wide and whose water lies between the banks that it is cut into (nine tenths of it), or soundings
+    three times as far along the line through their middles as across, nearly all of them beside it.
+
+    Parameters
+    ----------
+    soundings, crs, settings : see `bed_of_table`.
+    line : centre line, downstream.
+    banks : file with bank lines, or with the water as a polygon.
+    level_m : height of the water at the shores.
+    depths : the soundings are depths: without a level, the shores of a lake are at zero.
+    coordinates : ``flow``, ``map`` or ``auto``.
+
+    Raises
+    ------
+    InputError : most soundings lie outside the banks or beside the centre line's perpendiculars; places too
+        far apart for one water.
+    GeometryError : no centre line, although ``flow`` is stated.
+    """
+    extent = np.ptp(soundings.places_m, axis=0)
+    if extent.max() > _WIDEST_M:
+        raise InputError(
+            f"soundings {extent.max() / 1000:,.0f} km apart",
+            expected=f"places of one water, less than {_WIDEST_M / 1000:,.0f} km",
+            cure="Look at --crs and at the columns of the coordinates",
+        )
+    outline, outline_m = (None, None) if banks is None else _outline(banks, crs)
+
+    def river(reason: str) -> Water:
+        """Along the flow."""
+        return _river(soundings, crs, settings, line, banks, level_m, reason)
+
+    def lake(reason: str) -> Water:
+        """In east and north."""
+        shore_m = next((h for h in (level_m, outline_m, 0.0 if depths else None) if h is not None), None)
+        return _lake(soundings, settings, outline, shore_m, reason)
+
+    if coordinates == "map":
+        return lake("as stated")
+    if coordinates == "flow":
+        return river("as stated")
+    if line is not None:
+        return river("along the centre line that is given")
+    if banks is not None and outline is None:
+        return river("two bank lines")
+    long = np.inf if outline is None else elongation(outline)
+    if long < _RIVER:
+        return lake(f"the outline is {long:.1f} times as long as it is wide, which is no river")
+    try:
+        found = river("")
+    except (GeometryError, InputError) as error:
+        return lake(f"no course of a river: {error.found}")
+    s, _, fold = found.line.to_flow(soundings.places_m)
+    if outline is not None:
+        reached = _share_reached(outline, found, settings)
+        if reached < _REACHED:
+            return lake(
+                f"between the banks of a river lie {reached:.0%} of the outline: bays would be cut off"
+            )
+        return replace(found, reason=f"the outline is {long:.1f} times as long as it is wide")
+    if fold.mean() > 1 - _REACHED:
+        return lake(f"{fold.mean():.0%} of the soundings have no place along a line through their middles")
+    long = float(np.ptp(s[~fold])) / found.width_m
+    if long < _RIVER:
+        return lake(f"the soundings reach {long:.1f} times as far along their middles as across")
+    return replace(found, reason=f"the soundings reach {long:.1f} times as far along their middles as across")
+
+
+def _outline(path: Path, crs: CRS) -> tuple[Any, float | None]:
+    """The water as a polygon, and its height if the file has one; None if the file holds open lines."""
+    shapes = np.asarray(read_vectors(path).on_map(crs).table.geometry)
+    lines = shapes[shapely.get_type_id(shapes) == _LINE_STRING]
+    rings = np.concatenate([shapely.get_rings(shapes), lines])
+    if not len(rings) or not shapely.is_closed(lines).all():
+        return None, None
+    height = shapely.get_coordinates(rings, include_z=True)[:, 2]
+    # rings within rings are islands; heights of zero everywhere are how 2D lines are written in 3D
+    area = shapely.build_area(shapely.union_all(rings))
+    told = bool(np.isfinite(height).all() and height.any())
+    return (None if area.is_empty else area), float(np.median(height)) if told else None
+
+
+def _share_reached(outline: Any, water: Water, settings: Bathymetry) -> float:
+    """How much of an outline lies between the banks of a river."""
+    step = float(np.sqrt(shapely.area(outline) / _PLACES))
+    west, south, east, north = shapely.bounds(outline)
+    x, y = np.meshgrid(np.arange(west, east, step), np.arange(south, north, step))
+    places = np.column_stack([x.ravel(), y.ravel()])
+    places = places[shapely.contains_xy(outline, places)]
+    bare = settings.model_copy(update={"islands": []})
+    _, inside = cells_of_river(places, water.line, water.half_widths_m, (-np.inf, np.inf), bare)
+    return float(inside.mean())
+
+
+def _river(
+    soundings: TableOfSoundings,
+    crs: CRS,
+    settings: Bathymetry,
+    line: FlowLine | None,
+    path: Path | None,
+    level_m: float | None,
+    reason: str,
+) -> Water:
+    """Coordinates along the flow, between banks or as far as soundings reach."""
+    xy, height = soundings.places_m, soundings.height_m
+    notes: list[str] = []
+    if line is None:
+        notes.append("centre line half way between the banks" if path else "centre line from the soundings")
+    banks = None if path is None else read_bank_lines(path, crs, line, level_m, (xy, height), notes)
+    if banks is not None:
+        line = banks[0].line
+    elif line is None:
+        line = centre_of_lines(xy, height, soundings.line)
+    s, n, fold = line.to_flow(xy)
+    if fold.mean() > _ALONE:
+        raise InputError(
+            f"{fold.mean():.0%} of the soundings lie beyond the ends of the centre line, or where it "
+            "bends too sharply for them",
+            where="the centre line",
+            expected="a centre line along all of them",
+            cure="Look at --centre-line, --banks and --crs; a lake needs --coordinates map",
+        )
+    if banks is None:
+        half_widths = hull_of_lines(s[~fold], n[~fold], soundings.line[~fold])
+    else:
+        half_widths = banks[0].half_widths_m
+        outside = banks[0].outside(s, n) & ~fold
+        _refuse_outside(outside)
+        if outside.any():
+            notes.append(f"{int(outside.sum()):,} soundings outside the banks, used")
+    width = float(np.nanmedian(np.sum(half_widths(s), axis=0)))
+    nothing = np.empty(0)
+    shore = _observations("bank", nothing, nothing, np.empty((0, 2)), nothing, nothing, [])
+    if banks is not None and len(banks[1]) and settings.bank_as_data:
+        of = banks[1].sort_values(["side", "s_m"], kind="stable")
+        spacing = max(width / 20, settings.cell_m)
+        of = of[~of.assign(k=(of["s_m"] // spacing)).duplicated(["side", "k"])]
+        stretch = (of["s_m"] // (20 * spacing)).to_numpy(np.int64)
+        number = -2 - 2 * (stretch - stretch.min()) - (of["side"] == "left").to_numpy(np.int64)
+        names = ("s_m", "n_m", "up_m", "sigma_m")
+        along, across, up, sigma = (of[name].to_numpy(np.float64) for name in names)
+        places = of[["east_m", "north_m"]].to_numpy(np.float64)
+        shore = _observations("bank", along, across, places, up, sigma, number)
+    return Water(
+        line=line,
+        half_widths_m=half_widths,
+        basin=None,
+        width_m=width,
+        shore=shore,
+        area=None,
+        reason=reason,
+        notes=tuple(notes),
+        banks=None if banks is None else banks[0],
+    )
+
+
+def _refuse_outside(outside: ArrayB) -> None:
+    if outside.mean() > _ALONE:
+        raise InputError(
+            f"{outside.mean():.0%} of the soundings lie outside the banks",
+            expected="soundings between the banks",
+            cure="Look at --crs and at the columns of the coordinates",
+        )
+
+
+def _lake(
+    soundings: TableOfSoundings, settings: Bathymetry, outline: Any, shore_m: float | None, reason: str
+) -> Water:
+    """East and north, turned; within the outline, or within a hull of the soundings."""
+    xy = soundings.places_m
+    plane = Plane.of(xy, soundings.height_m)
+    islands = shapely.union_all([shapely.polygons(corners) for corners in settings.islands])
+    area = area_sounded(xy, settings.cell_m) if outline is None else outline
+    area = shapely.difference(area, islands)
+    notes = []
+    outside = ~shapely.contains_xy(shapely.buffer(area, _SIGMA_BANK_M), xy)
+    _refuse_outside(outside)
+    if outside.any():
+        notes.append(f"{int(outside.sum()):,} soundings outside the shores, used")
+    places, number = shore_places(area, settings.cell_m)
+    # shores of another part of the water say nothing of what was sounded
+    near = cKDTree(xy).query(places)[0] < np.hypot(*np.ptp(xy, axis=0)) / 2
+    if outline is None or shore_m is None or not settings.bank_as_data:
+        near[:] = False
+        if outline is not None:
+            notes.append("the shore has no height and is no datum: state --level")
+    places, number = places[near], number[near]
+    s, n = plane.turned(places).T
+    up, sigma = np.full(len(places), shore_m, dtype=np.float64), np.full(len(places), _STEEP * _SIGMA_BANK_M)
+    radius = float(shapely.maximum_inscribed_circle(area).length)
+    # the edge of what was sounded is no shore
+    turned = "" if outline is None else shapely.to_wkt(shapely.transform(area, plane.turned), 3)
+    return Water(
+        line=plane,
+        half_widths_m=no_half_widths,
+        basin=Basin(wkt=turned, radius_m=radius),
+        width_m=2 * radius,
+        shore=_observations("bank", s, n, places, up, sigma, -2 - number),
+        area=area,
+        reason=reason,
+        notes=tuple(notes),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BedOfTable:
     """A bed from soundings of others.
 
     Parameters
     ----------
     bed : grid with sigmas; heights in the table's system.
-    line : centre line.
+    water : its coordinates and shores.
     validation : facts of `validate_bed`.
     predicted, methods : its tables.
     notes : what was left out or assumed.
     """
 
     bed: Bed
-    line: FlowLine
+    water: Water
     validation: dict[str, Any]
     predicted: pd.DataFrame
     methods: pd.DataFrame
     notes: tuple[str, ...]
 
     def write(self, folder: Path, tags: dict[str, str]) -> None:
-        """``bed.tif``, ``validation.json``, ``variogram.json``, ``centre_line.csv`` and tables."""
+        """``bed.tif``, ``validation.json``, ``variogram.json`` and tables; of a river ``centre_line.csv``."""
         folder.mkdir(parents=True, exist_ok=True)
         of = self.bed
         values = (of.up_m, of.sigma_m, of.sigma_common_m, of.distance_m)
@@ -775,126 +1066,133 @@ class BedOfTable:
         facts = self.validation | {"notes": list(self.notes), "bed": of.facts}
         (folder / "validation.json").write_text(json.dumps(facts, indent=2) + "\n")
         (folder / "variogram.json").write_text(json.dumps(of.model.report(), indent=2) + "\n")
-        self.line.write(folder / "centre_line.csv")
+        (folder / "centre_line.csv").unlink(missing_ok=True)
+        if isinstance(self.water.line, FlowLine):
+            self.water.line.write(folder / "centre_line.csv")
         self.predicted.to_csv(folder / "predicted.csv", index=False, float_format="%.4f")
         self.methods.to_csv(folder / "methods.csv", index=False, float_format="%.4f")
 
 
 def bed_of_table(
-    soundings: TableOfSoundings,
-    crs: CRS,
-    settings: Bathymetry,
-    *,
-    line: FlowLine | None = None,
-    banks: tuple[Banks, pd.DataFrame] | None = None,
-    seed: int = 1,
+    soundings: TableOfSoundings, crs: CRS, settings: Bathymetry, water: Water, *, seed: int = 1
 ) -> BedOfTable:
     """The bed that soundings of a table show.
+
+    Days whose lines contradict each other where they cross are brought to their mean, which is as uncertain
+    as they scatter.
 
     Parameters
     ----------
     soundings : see there.
     crs : of the map.
     settings : cell, model, drift, neighbours, reach.
-    line : centre line; None: that of the banks, or from the lines of soundings.
-    banks : of `read_bank_lines`.
+    water : of `water_of`.
     seed : of the choice of left-out lines.
 
     Raises
     ------
-    InputError : most soundings lie outside the banks or beside the centre line's perpendiculars.
-    GeometryError : a single line of soundings.
-    CoverageError : no cell near enough to data.
+    InputError : soundings above the shores.
+    GeometryError : a single line of soundings along a river.
+    CoverageError : no cell near enough to data, or heights that the data cannot tell.
     """
+    lake = isinstance(water.line, Plane)
     notes = [
         *soundings.notes,
         *(f"{n:,} {what}" for what, n in soundings.counts.items() if what != "rows" and n),
     ]
-    if line is None:
-        line = (
-            banks[0].line
-            if banks is not None
-            else centre_of_lines(soundings.places_m, soundings.height_m, soundings.line)
-        )
-        notes.append("centre line half way between the banks" if banks else "centre line from the soundings")
-    s, n, fold = line.to_flow(soundings.places_m)
-    if fold.mean() > _ALONE:
-        raise InputError(
-            f"{fold.mean():.0%} of the soundings lie beyond the ends of the centre line, or where it "
-            "bends too sharply for them",
-            where="the centre line",
-            expected="a centre line along all of them",
-            cure="Look at --centre-line, --banks and --crs",
-        )
-    outside = banks[0].outside(s, n) & ~fold if banks is not None else np.zeros(len(s), dtype=np.bool_)
-    if outside.mean() > _ALONE:
-        raise InputError(
-            f"{outside.mean():.0%} of the soundings lie outside the banks",
-            expected="soundings between the banks",
-            cure="Look at --crs and at the columns of the coordinates",
-        )
+    notes += [f"{'map' if lake else 'flow'} coordinates: {water.reason}", *water.notes]
+    soundings, common, days, of_days = _agreed(soundings)
+    number, patches = soundings.line, False
+    if lake:
+        number, patches = lines_or_patches(soundings.places_m, soundings.line, seed)
+    if patches:
+        notes.append("fewer than four lines: patches of soundings are left out and foretold instead")
+    s, n, fold = water.line.to_flow(soundings.places_m)
     if fold.any():
         notes.append(f"{int(fold.sum()):,} soundings without flow coordinates left out")
-    if outside.any():
-        notes.append(f"{int(outside.sum()):,} soundings outside the banks, used")
-    keep = ~fold
-    half_widths = (
-        banks[0].half_widths_m if banks is not None else hull_of_lines(s[keep], n[keep], soundings.line[keep])
-    )
     table = _observations(
-        "sounding", s, n, soundings.places_m, soundings.height_m, soundings.sigma_m, soundings.line
-    )[keep]
+        "sounding", s, n, soundings.places_m, soundings.height_m, soundings.sigma_m, number
+    ).assign(sigma_common_m=common)[~fold]
     counts = {"soundings": len(table), "folded": int(fold.sum())}
-    if banks is not None and len(banks[1]) and settings.bank_as_data:
-        of = banks[1].sort_values(["side", "s_m"], kind="stable")
-        spacing = max(float(np.median(half_widths(s)[0] + half_widths(s)[1])) / 20, settings.cell_m)
-        of = of[~of.assign(k=(of["s_m"] // spacing)).duplicated(["side", "k"])]
-        stretch = (of["s_m"] // (20 * spacing)).to_numpy(np.int64)
-        number = -2 - 2 * (stretch - stretch.min()) - (of["side"] == "left").to_numpy(np.int64)
-        table = pd.concat(
-            [
-                table,
-                _observations(
-                    "bank",
-                    of["s_m"].to_numpy(np.float64),
-                    of["n_m"].to_numpy(np.float64),
-                    of[["east_m", "north_m"]].to_numpy(np.float64),
-                    of["up_m"].to_numpy(np.float64),
-                    of["sigma_m"].to_numpy(np.float64),
-                    number,
-                ),
-            ],
-            ignore_index=True,
-        )
-        counts["bank places"] = len(of)
+    if len(water.shore):
+        table = pd.concat([table, water.shore], ignore_index=True)
+        counts["bank places"] = len(water.shore)
     table = frame_of(OBSERVATIONS, {name: table[name] for name in OBSERVATIONS.names})
-    _refuse_other_heights(table, half_widths)
+    _refuse_other_heights(table, water.width_m)
     data = observations_of(table)
-    model = choose_model(data, half_widths, settings, slow_time_s=0.0, seed=seed)
-    grid = Grid.around(
-        table[["east_m", "north_m"]].to_numpy(np.float64), settings.cell_m, crs, margin_m=2 * settings.cell_m
-    )
+    half_widths = water.half_widths_m
+    model = choose_model(data, half_widths, settings, slow_time_s=0.0, seed=seed, basin=water.basin)
     reach = settings.reach * model.covariance.range_s_m
+    around = table[["east_m", "north_m"]].to_numpy(np.float64)
+    if lake:
+        farthest = max(reach, settings.reach * model.covariance.range_n_m)
+        corners = np.reshape(shapely.bounds(water.area), (2, 2))
+        around = np.clip(corners, around.min(axis=0) - farthest, around.max(axis=0) + farthest)
+    grid = Grid.around(around, settings.cell_m, crs, margin_m=2 * settings.cell_m)
     span = (float(data.s_m.min()) - reach, float(data.s_m.max()) + reach)
-    flow, inside = cells_of_river(grid.centres_m(), line, half_widths, span, settings)
+    flow, inside = cells_of_river(grid.centres_m(), water.line, half_widths, span, settings)
+    if lake:
+        inside &= shapely.contains_xy(water.area, grid.centres_m())
     bed = gridded(table, model, grid, flow, inside, settings, counts)
     facts, predicted, methods = validate_bed(table, model, half_widths, settings)
+    facts["coordinates"] = {"kind": "map" if lake else "flow", "reason": water.reason}
+    if isinstance(water.line, Plane):
+        facts["coordinates"]["azimuth_deg"] = water.line.azimuth_deg
     return BedOfTable(
-        bed=bed, line=line, validation=facts, predicted=predicted, methods=methods, notes=tuple(notes)
+        bed=bed,
+        water=water,
+        validation=facts | days,
+        predicted=predicted,
+        methods=methods,
+        notes=(*notes, *of_days),
     )
 
 
-def _refuse_other_heights(table: pd.DataFrame, half_widths: HalfWidths) -> None:
-    """Soundings above the shores, or deeper below them than the river is wide: heights of another kind."""
+def _agreed(soundings: TableOfSoundings) -> tuple[TableOfSoundings, ArrayF, dict[str, Any], list[str]]:
+    """Soundings whose days agree, what is common to those of a day, facts and notes."""
+    nothing = np.zeros(len(soundings.height_m))
+    if soundings.day is None or len(soundings.days) < 2:
+        return soundings, nothing, {}, []
+    day, names = soundings.day, soundings.days
+    found = agreement(soundings.places_m, soundings.height_m, soundings.sigma_m, soundings.line, day)
+    pairs = found.pairs.assign(a=[names[k] for k in found.pairs["a"]], b=[names[k] for k in found.pairs["b"]])
+    facts: dict[str, Any] = {"days": {"pairs": pairs.to_dict("records")}}
+    crossing = set(found.pairs["a"]) | set(found.pairs["b"])
+    alone = [name for k, name in enumerate(names) if k not in crossing]
+    notes = [f"no line of {', '.join(alone)} crosses one of another day"] if alone else []
+    notes += [
+        f"{of['b']} lies {abs(of['difference_m']):.3f} m {'above' if of['difference_m'] > 0 else 'below'} "
+        f"{of['a']} (median of {of['n']} crossings, sigma {of['sigma_m']:.3f} m)"
+        for of in facts["days"]["pairs"]
+        if of["contradicts"]
+    ]
+    if not found.contradicts:
+        return soundings, nothing, facts, notes
+    shifts = dict(zip(names, (-found.shift_m).tolist(), strict=True))
+    facts["days"] |= {
+        "shift_m": shifts,
+        "sigma_common_m": dict(zip(names, found.sigma_common_m, strict=True)),
+    }
+    notes.append(
+        "days that contradict each other brought to their mean: "
+        + ", ".join(f"{name} {shift:+.3f} m" for name, shift in shifts.items())
+        + f"; the mean may be wrong by {float(np.median(found.sigma_common_m[day])):.3f} m (sigma, in "
+        "sigma_common_m)"
+    )
+    level = soundings.height_m - found.shift_m[day]
+    return replace(soundings, height_m=level), found.sigma_common_m[day], facts, notes
+
+
+def _refuse_other_heights(table: pd.DataFrame, width_m: float) -> None:
+    """Soundings above the shores, or deeper below them than the water is wide: heights of another kind."""
     up = table.groupby("source")["up_m"].median()
     if "bank" not in up:
         return
     below = float(up["bank"] - up["sounding"])
-    width = float(np.nanmedian(np.sum(half_widths(table["s_m"]), axis=0)))
-    if below < 0 or below > width:
+    if below < 0 or below > width_m:
         raise InputError(
             f"the soundings lie {abs(below):.1f} m {'below' if below > 0 else 'above'} the banks in the "
-            f"median, the river is {width:.0f} m wide",
+            f"median, the water is {width_m:.0f} m wide",
             where="--banks",
             expected="heights of soundings and banks in one system, the bed somewhat below the banks",
             cure="Name heights as --height and depths as --depth; look at --level and the heights of --banks",

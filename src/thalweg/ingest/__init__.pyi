@@ -12,6 +12,7 @@ from .ouster import (
     is_ouster_metadata as is_ouster_metadata,
 )
 from .readers import (
+    HEAD_BYTES as HEAD_BYTES,
     Cloud as Cloud,
     CloudReader as CloudReader,
     LidarClock as LidarClock,
@@ -26,6 +27,7 @@ from .readers import (
     PositionReader as PositionReader,
     TrackOptions as TrackOptions,
     empty_points as empty_points,
+    read_head as read_head,
 )
 from .schemas import (
     DEPTH as DEPTH,
@@ -58,4 +60,12 @@ from .tables import (
     column_of as column_of,
     read_text as read_text,
     read_text_table as read_text_table,
+)
+from .vectors import (
+    VECTOR_FORMATS as VECTOR_FORMATS,
+    Vectors as Vectors,
+    describe_layers as describe_layers,
+    is_vector_file as is_vector_file,
+    read_vectors as read_vectors,
+    vector_format as vector_format,
 )

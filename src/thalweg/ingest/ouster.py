@@ -11,6 +11,7 @@ Source: Ouster Firmware User Manual 3.1, "Time Synchronization"; Ouster SDK 1.0,
 
 import json
 import math
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -94,7 +95,8 @@ def _sdk() -> tuple[Any, Any]:
         raise UnsupportedError(
             f"a recording of an Ouster, and its reader is not installed ({error})",
             expected="ouster-sdk 1.0 or later",
-            cure="pip install 'thalweg[ouster]', in an environment of its own",
+            cure=f'Run: {sys.executable} -m pip install "ouster-sdk>=1.0" (it puts back click, psutil and '
+            "Flask; pip then warns of snakefmt and ipython, and surveys run as before)",
         ) from error
     return core, pcap
 

@@ -56,6 +56,7 @@ def campaign_text(
     origin: tuple[float, float, float] | None = None,
     spacing_m: float | None = None,
     schema: str = "../schema.json",
+    left_out: Mapping[str, Sequence[Path]] | None = None,
 ) -> str:
     """Text of a new campaign file.
 
@@ -67,6 +68,7 @@ def campaign_text(
     origin : latitude and longitude in degrees and ellipsoidal height in metres; a placeholder if None.
     spacing_m : distance of the points of a reference cloud from each other; None: as dense as usual.
     schema : path of the JSON schema from ``folder``, for editors.
+    left_out : tracks of the folder that are not entered, by the reason; a remark each.
     """
     lat, lon, h = origin or (51.05, 13.25, 300.0)
     mark = "" if origin else "  # CHANGE: a point near the survey"
@@ -104,6 +106,10 @@ def campaign_text(
         ),
         *_list("reference", listed.get("reference", []), "clouds to compare with: LAS, LAZ, PLY, E57"),
         *_photographs(listed),
+        *(
+            f"  # left out, {why}: {', '.join(path.name for path in paths[:_NAMED])}"
+            for why, paths in (left_out or {}).items()
+        ),
         "",
         "mounts:  # body frame of the INS, or of the boat: x forward, y right, z down",
         *_lidar(listed, levers),
@@ -113,6 +119,11 @@ def campaign_text(
         "",
         "orientation:",
         f"  position_source: {source}  # pos, sbp, ppk, nmea, gpx, sbet or ins",
+        *(
+            ["  # the finished solution is taken; ppk would solve the raw GNSS beside it instead"]
+            if listed.get("pos") and listed.get("rover")
+            else []
+        ),
         *(_ORDINARY_GNSS if source in ("nmea", "gpx") else [f"  accept_fixes: {fixes}"]),
         *_without_control(listed, source),
         *(_SIGMAS_OF_SBET if source == "sbet" and not listed.get("smrmsg") else []),

@@ -4,11 +4,13 @@ from .places import (
     HIGHEST_M as HIGHEST_M,
     LOWEST_M as LOWEST_M,
     check_degrees as check_degrees,
+    check_heights as check_heights,
     check_places as check_places,
     in_words as in_words,
-    near as near,
+    near_world as near_world,
     readings as readings,
     utm_of as utm_of,
+    world_of as world_of,
 )
 from .stated import (
     Stated as Stated,

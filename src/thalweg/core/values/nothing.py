@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from thalweg.core.types import ArrayB
+from thalweg.core import ArrayB
 
 _TEXTS: Final = (
     "|-|--|---|----|n/a|#n/a|na|nan|-nan|null|none|nil|void|nodata|no data|no_data|missing|invalid|?|*|**|***"

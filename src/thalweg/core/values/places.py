@@ -7,6 +7,7 @@ refusal names the reading that would fit. Nothing is converted here: what a file
 """
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -15,9 +16,7 @@ from pyproj import CRS, Transformer
 from pyproj.aoi import AreaOfInterest
 from pyproj.database import query_utm_crs_info
 
-from thalweg.core.errors import InputError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.types import ArrayB, ArrayF
+from thalweg.core import ArrayB, ArrayF, GeometryError, InputError, LocalFrame
 
 FAR_M: Final = 10_000.0
 """Distance from the origin of a survey beyond which coordinates are others."""
@@ -33,8 +32,11 @@ _WIDEST_M: Final = 450_000.0
 _MARGIN_DEG: Final = (3.1, 1.0)
 """Longitude and latitude by which a grid is used beyond its area, for the same reason."""
 _UNITS: Final = (("kilometres", 1e3), ("feet", 0.3048), ("centimetres", 1e-2), ("millimetres", 1e-3))
+_UTM: Final = ((32601, 32660), (32701, 32760), (25828, 25838))
+"""EPSG codes of zones of UTM that lie beside each other."""
 _MOST_APART_M: Final = 200_000.0
 
+Form = tuple[str, str, str]
 Fits = Callable[[ArrayF, ArrayF], bool]
 """Whether longitudes and latitudes (n,) in degrees can be those that are meant."""
 
@@ -63,7 +65,13 @@ def in_words(lon_deg: float, lat_deg: float) -> str:
 
 
 def check_places(
-    xy_m: ArrayF, crs: CRS, *, where: str | Path, height_m: ArrayF | None = None, cure: str = ""
+    xy_m: ArrayF,
+    crs: CRS,
+    *,
+    where: str | Path,
+    height_m: ArrayF | None = None,
+    cure: str = "",
+    degrees: bool = False,
 ) -> str:
     """Check coordinates of a map; returns where they lie, for a note.
 
@@ -74,6 +82,7 @@ def check_places(
     where : file, for the message.
     height_m : (n,) heights of ground, if there are any.
     cure : how this caller is told another CRS, such as ``--crs``.
+    degrees : ``xy_m`` are longitude and latitude that are to come onto the map.
 
     Raises
     ------
@@ -83,33 +92,29 @@ def check_places(
     if not len(xy_m):
         raise InputError("no place", where=where, expected="coordinates", cure="Look at their columns")
     if height_m is not None:
-        known = height_m[np.isfinite(height_m)]
-        strange = (known < LOWEST_M) | (known > HIGHEST_M)
-        if len(known) and strange.mean() > 0.5:
-            raise InputError(
-                f"heights about {np.median(known):,.0f} m",
-                where=where,
-                expected=f"ground between {LOWEST_M:,.0f} and {HIGHEST_M:,.0f} m",
-                cure="Look at the order of the columns and at their unit",
-            )
+        check_heights(height_m, where=where)
     middle = np.median(xy_m, axis=0)
     fits = _in_area(crs)
-    lon, lat = _degrees(xy_m, crs)
+    lon, lat = xy_m.T if degrees else _degrees(xy_m, crs)
     if not fits(lon, lat):
         found = f"east {middle[0]:,.1f}, north {middle[1]:,.1f} in the median"
-        other = next((r for r in readings(xy_m, FORMS[2], crs, []) if fits(*r[2:])), None)
-        if other is None and _could_be_degrees(xy_m):
-            other = ("degrees", "", lon, lat)
-        if other is not None:
-            found += f"; {other[0]} would fit"
+        form, xyz = FORMS[2], np.column_stack([xy_m, np.zeros(len(xy_m))])
+        if degrees:
+            found = f"places about {in_words(middle[0], middle[1])}"
+            form, xyz = FORMS[1], xyz[:, [1, 0, 2]]
+        words, how = next(
+            ((r.words, r.cure) for r in readings(xyz, form, crs, None) if fits(*_geodetic(r))),
+            ("degrees" if _could_be_degrees(xy_m) and not degrees else "", ""),
+        )
+        if words:
+            found += f"; {words} would fit"
         raise InputError(
             found,
             where=where,
             expected=f"coordinates in {crs.name}, used {_area_in_words(crs)}",
-            cure=(other[1] if other is not None and other[1] else "")
-            or f"Look at the order and the unit of the columns, and at {cure or 'the CRS'}",
+            cure=how or f"Look at the order and the unit of the columns, and at {cure or 'the CRS'}",
         )
-    away = np.linalg.norm(xy_m - middle, axis=1)
+    away = np.linalg.norm(xy_m - middle, axis=1) * (0.0 if degrees else 1.0)
     if away.max() > _MOST_APART_M:
         far = away > max(_MOST_APART_M / 2, 10 * float(np.median(away)))
         raise InputError(
@@ -122,6 +127,23 @@ def check_places(
             cure="Leave these rows out, or correct them",
         )
     return f"places about {in_words(float(np.median(lon)), float(np.median(lat)))}"
+
+
+def check_heights(height_m: ArrayF, *, where: str | Path) -> None:
+    """Refuse heights (n,) that no ground has, wet or dry; NaN are none.
+
+    Raises
+    ------
+    InputError : most of them lie below the deepest trench or above the highest mountain.
+    """
+    known = height_m[np.isfinite(height_m)]
+    if len(known) and ((known < LOWEST_M) | (known > HIGHEST_M)).mean() > 0.5:
+        raise InputError(
+            f"heights about {np.median(known):,.0f} m",
+            where=where,
+            expected=f"ground between {LOWEST_M:,.0f} and {HIGHEST_M:,.0f} m",
+            cure="Look at the order of the columns and at their unit",
+        )
 
 
 def check_degrees(xy: ArrayF, *, where: str | Path, cure: str) -> None:
@@ -150,6 +172,15 @@ def _could_be_degrees(xy: ArrayF) -> bool:
     """Whether all numbers are possible angles and some place lies away from the origin of a local system."""
     low, high = np.sort(np.abs(xy).max(axis=0))
     return bool(low <= 90 and high <= 180 and np.abs(np.median(xy, axis=0)).max() > 1.0 and len(xy) > 1)
+
+
+def _geodetic(reading: "Reading") -> tuple[ArrayF, ArrayF]:
+    """Longitude and latitude (n,) of coordinates as they may be meant."""
+    x, y = reading.values[:, 0], reading.values[:, 1]
+    if reading.form == FORMS[1]:
+        return y, x
+    assert reading.crs is not None
+    return _degrees(reading.values[:, :2], reading.crs)
 
 
 def _degrees(xy: ArrayF, crs: CRS) -> tuple[ArrayF, ArrayF]:
@@ -187,58 +218,150 @@ def _area_in_words(crs: CRS) -> str:
     return f"from {in_words(area.west, area.south)} to {in_words(area.east, area.north)}"
 
 
-def near(frame: LocalFrame) -> Fits:
-    """Whether places lie within 10 km of the origin of a survey, in the median."""
+def world_of(values: ArrayF, form: Form, crs: CRS | None, frame: LocalFrame) -> ArrayF:
+    """(n, 3) coordinates of one of `FORMS` in wcs.
 
-    def fits(lon: ArrayF, lat: ArrayF) -> bool:
-        """Whether places in degrees lie there."""
-        if not (np.isfinite(lon) & np.isfinite(lat) & (np.abs(lat) <= 90)).all():
-            return False
-        world = frame.from_geodetic(lat, lon, np.full(len(lat), frame.h_ell_m))
-        return bool(np.median(np.linalg.norm(world[:, :2], axis=1)) <= FAR_M)
+    Raises
+    ------
+    GeometryError : coordinates outside of the CRS, or a latitude beyond the poles.
+    """
+    if form == FORMS[0]:
+        return values
+    if form == FORMS[1] or (crs is not None and crs.is_geographic):
+        lat, lon = (0, 1) if form == FORMS[1] else (1, 0)
+        if (np.abs(values[:, lat]) > 90).any() or (np.abs(values[:, lon]) > 360).any():
+            raise GeometryError(
+                f"latitude {values[0, lat]:g} and longitude {values[0, lon]:g}", expected="degrees"
+            )
+        return frame.from_geodetic(values[:, lat], values[:, lon], values[:, 2])
+    assert crs is not None
+    return frame.from_map(values, crs)
 
-    return fits
 
-
-def readings(
-    values: ArrayF, form: tuple[str, ...], crs: CRS | None, grids: list[CRS]
-) -> Iterator[tuple[str, str, ArrayF, ArrayF]]:
-    """Usual mistakes: words, cure, and longitude and latitude (n,) as they would be meant.
+def near_world(
+    values: ArrayF,
+    form: Form,
+    crs: CRS | None,
+    frame: LocalFrame,
+    where: str | Path,
+    *,
+    what: str = "control points",
+    own: bool = False,
+    setting: str = "images.control.crs",
+) -> ArrayF:
+    """The same, refused where the points lie far from the campaign's origin and another reading does not.
 
     Parameters
     ----------
-    values : (n, 2 or 3) coordinates as a file has them.
+    what : the points, for the message.
+    own : whether the file itself states its CRS.
+    setting : where a user states it otherwise.
+
+    Raises
+    ------
+    GeometryError : the coordinates are those of another CRS, order or unit; the message says which.
+    """
+    problem: GeometryError | None = None
+    try:
+        found = world_of(values, form, crs, frame)
+    except GeometryError as error:
+        problem, found = error, np.full(values.shape, np.inf)
+    away = np.linalg.norm(found, axis=1)
+    # a place to 10 km tells a CRS, a unit or an order from any other
+    if problem is None and np.median(away) <= FAR_M:
+        return found
+    state = "Correct the CRS that the file states:" if own else f"Set {setting}:"
+    other = next((o for o in readings(values, form, crs, frame, state) if _away_m(o, frame) <= FAR_M), None)
+    if other is None:
+        if problem is None:
+            return found
+        raise GeometryError(problem.found, expected=problem.expected, where=where, cure=problem.cure)
+    far = f"{what} {np.median(away) / 1000:.0f} km from campaign.origin"
+    stated = (
+        "of the world frame"
+        if form == FORMS[0]
+        else "in degrees"
+        if form == FORMS[1]
+        else f"in '{crs.name}'"
+        if crs
+        else ""
+    )
+    raise GeometryError(
+        f"{problem.found if problem else far}; {other.words} would fit",
+        expected=f"coordinates {stated}",
+        where=where,
+        cure=other.cure,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """Coordinates (n, 3) as they may be meant, in a form of `FORMS` and a CRS, with words and a cure."""
+
+    words: str
+    cure: str
+    values: ArrayF
+    form: Form
+    crs: CRS | None
+
+
+def readings(
+    values: ArrayF, form: Form, crs: CRS | None, frame: LocalFrame | None, state: str = "State"
+) -> Iterator[Reading]:
+    """Usual mistakes: other orders, degrees, systems and units of coordinates (n, 3).
+
+    Parameters
+    ----------
     form : one of `FORMS`, as which they are taken.
     crs : of the last form.
-    grids : other systems that may be meant.
+    frame : of the survey; without it, its zones of UTM and its own coordinates are not tried.
+    state : how the user states a CRS, before its code.
     """
-    _, geodetic, grid = FORMS
-    x, y = values[:, 0], values[:, 1]
+    world, geodetic, grid = FORMS
+    swapped = values[:, [1, 0, 2]]
+    swap = "Swap these columns, or their names"
     names = "Name the columns {}, {}, {}"
     pair = "latitude and longitude" if form == geodetic else "east and north"
-    if form == geodetic:
-        yield f"{pair} swapped", "Swap these columns, or their names", x, y
-    elif crs is not None:
-        yield f"{pair} swapped", "Swap these columns, or their names", *_degrees(values[:, [1, 0]], crs)
+    yield Reading(f"{pair} swapped", swap, swapped, form, crs)
     if form != geodetic:
-        yield "latitude and longitude", names.format(*geodetic), y, x
-        yield "longitude and latitude", names.format("lon_deg", "lat_deg", "h_ell_m"), x, y
-    known = [] if crs is None else [crs]
-    for other in [*grids, *(g for g in known if g not in grids)]:
-        cure = f"Set images.control.crs: EPSG:{other.to_epsg()}" if grids else "Take the zone off"
+        yield Reading("latitude and longitude", names.format(*geodetic), values, geodetic, None)
+        back = names.format("lon_deg", "lat_deg", "h_ell_m")
+        yield Reading("longitude and latitude", back, swapped, geodetic, None)
+    for other in _grids(crs, frame):
+        cure = f"{state} EPSG:{other.to_epsg()}"
         if form != grid:
             cure = f"{names.format(*grid)}. {cure}"
-        if other is not crs or form != grid:
-            yield other.name, cure, *_degrees(values, other)
-        zone = np.floor(x / 1e6)
-        if (zone == int(other.utm_zone[:-1])).all() if other.utm_zone else ((zone >= 1) & (zone <= 60)).all():
-            bare = np.column_stack([x - zone * 1e6, y])
-            yield (
-                f"{other.name} with the zone before the easting",
-                "Take the zone off",
-                *_degrees(bare, other),
-            )
-    if form == grid and crs is not None:
+        yield Reading(other.name, cure, values, grid, other)
+        zone = np.floor(values[:, 0] / 1e6)
+        stated = {int(other.utm_zone[:-1])} if other.utm_zone else range(1, 61)
+        if np.isin(zone, list(stated)).all():
+            bare = values - np.stack([zone * 1e6, 0 * zone, 0 * zone], axis=1)
+            words = f"{other.name} with the zone before the easting"
+            yield Reading(words, "Take the zone off", bare, grid, other)
+    if form != geodetic:
         for words, factor in _UNITS:
             cure = f"Write metres, or the unit ({words}) behind the names of the columns"
-            yield words, cure, *_degrees(factor * values[:, :2], crs)
+            yield Reading(words, cure, factor * values, form, crs)
+    if form != world and frame is not None:
+        yield Reading("coordinates of the world frame", names.format(*world), values, world, None)
+
+
+def _away_m(other: Reading, frame: LocalFrame) -> float:
+    try:
+        found = world_of(other.values, other.form, other.crs, frame)
+    except GeometryError:
+        return np.inf
+    return float(np.median(np.linalg.norm(found[:, :2], axis=1)))
+
+
+def _grids(own: CRS | None, frame: LocalFrame | None) -> list[CRS]:
+    """The stated grid, those beside it, and the zones of UTM about the campaign."""
+    code = None if own is None else own.to_epsg()
+    codes = [] if code is None else [code]
+    if code is not None and any(low <= code <= high for low, high in _UTM):
+        codes += [code - 1, code + 1]
+    if frame is not None:
+        zone = int((frame.lon_deg + 180) // 6) + 1
+        base = 32600 if frame.lat_deg >= 0 else 32700
+        codes += [base + z for z in (zone, zone - 1, zone + 1) if 1 <= z <= 60]
+    return [CRS.from_epsg(c) for c in dict.fromkeys(codes) if any(a <= c <= b for a, b in _UTM) or c == code]

@@ -28,9 +28,10 @@ from thalweg.core import (
     write_table,
 )
 from thalweg.core.geometry import TriangleMesh
-from thalweg.core.values import check_degrees
+from thalweg.core.values import check_degrees, check_heights
 from thalweg.deformation import CHANGES, Comparison, cloud_to_cloud, judge_changes, measure_distances
 from thalweg.deformation.foreign.surfaces import one_frame
+from thalweg.ingest import read_text_table
 from thalweg.ingest.clouds import NO_USE, read_cloud, read_pcd
 from thalweg.settings.sections import DSM_ENDINGS, TEXT_ENDINGS, Accuracy, ReferenceSettings
 from thalweg.surface import Surface, mesh_reference, read_triangles
@@ -91,35 +92,31 @@ def read_points(path: Path) -> Points:
             )
         told = (f"{path.name}: {text}" for text in cloud.sentences() if text not in NO_USE)
         return Points(cloud.points, cloud.frame, path, tuple(told))
-    skipped = 0
-    with path.open(encoding="utf-8", errors="replace") as stream:
-        for line in stream:
-            words = line.replace(",", " ").replace(";", " ").split()
-            try:
-                numbers = len([float(word) for word in words[:3]])
-            except ValueError:
-                numbers = 0
-            if numbers == 3:
-                break
-            skipped += 1
-        else:
-            raise InputError(
-                "no line of three numbers",
-                expected="x, y, z in each line",
-                where=path,
-                cure="Export the points again, or name another file",
-            )
-    separator = next((mark for mark in ",;" if mark in line), r"\s+")
-    try:
-        table = pd.read_csv(
-            path, sep=separator, skiprows=skipped, header=None, usecols=[0, 1, 2], dtype=np.float64
-        )
-    except (ValueError, pd.errors.ParserError) as error:
+    table = read_text_table(path, bare=("x", "y", "z"))
+    if not table.named and len(table.columns) > 3:  # colours and intensities stand behind the coordinates
+        table = read_text_table(path, order=("x", "y", "z"))
+    places, up = table.places(None, any_system=True), table.find("height")
+    if up is None:
         raise InputError(
-            f"a line that holds no three numbers ({error})", expected="x, y, z", where=path
-        ) from error
-    xyz = table.to_numpy()
-    return Points(np.ascontiguousarray(xyz[np.isfinite(xyz).all(axis=1)]), None, path)
+            f"columns {table.listed()}",
+            expected="x, y, z by their names, or in this order without names",
+            where=path,
+            cure="Name the columns in the first line",
+        )
+    xyz = np.column_stack([places.xy_m, table.numbers(up, "height")])
+    known = np.isfinite(xyz).all(axis=1)
+    if not known.any():
+        raise InputError(
+            "no point",
+            expected="x, y, z in each line",
+            where=path,
+            cure="Export it again, or name another file",
+        )
+    check_heights(xyz[known, 2], where=path)
+    if places.crs is None:
+        check_degrees(xyz[known, :2], where=path, cure="Name the columns lon, lat, z, or transform them")
+    notes = (*table.notes, *places.notes, *table.loss_notes())
+    return Points(np.ascontiguousarray(xyz[known]), places.crs, path, notes)
 
 
 def point_spacing_m(path: Path, most: int = 2000) -> float | None:

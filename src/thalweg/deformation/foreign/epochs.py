@@ -55,7 +55,8 @@ from thalweg.deformation import (
     rows_of_weights,
 )
 from thalweg.deformation.foreign.clouds import ROUGHNESS_ALONE, density_notes, read_points
-from thalweg.deformation.foreign.surfaces import HeightErrors, Shapes, one_frame, read_shapes
+from thalweg.deformation.foreign.surfaces import HeightErrors, one_frame, onto_map
+from thalweg.ingest import Vectors, read_vectors
 from thalweg.ingest.clouds import to_world
 from thalweg.settings import utm_code
 from thalweg.settings.sections import DSM_ENDINGS, Epoch as Statement
@@ -491,14 +492,9 @@ def place_of_file(
     return (utm_code(*origin[:2]) if code is None else f"EPSG:{code}"), origin
 
 
-def masks_of(stated: Statement) -> list[Shapes]:
+def masks_of(stated: Statement) -> list[Vectors]:
     """Polygons that are left out of an epoch."""
-    masks = []
-    for text in stated.leave_out:
-        name, _, rest = text.partition("?")
-        chosen = dict(part.partition("=")[::2] for part in rest.split(",") if part)
-        masks.append(read_shapes(Path(name), chosen))
-    return masks
+    return [read_vectors(text) for text in stated.leave_out]
 
 
 def dsm_of(stated: Statement) -> Dsm:
@@ -549,22 +545,24 @@ def _on_map(crs: CRS) -> CRS:
     return (crs.sub_crs_list[0] if crs.is_compound else crs).to_2d()
 
 
-def _left_out(plan: ArrayF, masks: Sequence[Shapes], path: Path) -> tuple[ArrayB, list[str]]:
+def _left_out(plan: ArrayF, masks: Sequence[Vectors], path: Path) -> tuple[ArrayB, list[str]]:
     """Points (n,) in polygons, and a sentence about them."""
     out = np.zeros(len(plan), bool)
     for mask in masks:
         out |= mask.contain(plan)
     n = int(out.sum())
-    return out, [f"{path.name}: {n:,} of {len(plan):,} points left out by polygons."] if masks else []
+    words = [f"{path.name}: {n:,} of {len(plan):,} points left out by polygons."] if masks else []
+    return out, words + [note for mask in masks for note in mask.notes]
 
 
 def _of_cloud(
-    path: Path, stated: Statement, frame: LocalFrame, crs: str, masks: Sequence[Shapes]
+    path: Path, stated: Statement, frame: LocalFrame, crs: str, masks: Sequence[Vectors]
 ) -> _Heights:
     """Points of one cloud."""
     cloud = read_points(path)
     xyz = cloud.xyz_m
     grid, heights, notes = _grid_of(cloud.frame, stated, crs, path)
+    masks = onto_map(masks, cloud.frame)
     notes = [*cloud.notes, *notes, *(one_frame([cloud, *masks])[1] if masks else [])]
     # a height of zero is one height among others where there are heights about it
     near = np.abs(xyz[:, 2]) < 1.0
@@ -575,9 +573,10 @@ def _of_cloud(
     return _placed(xyz[keep], None, None, grid, heights, [*masked, *words, *notes], frame, crs, path)
 
 
-def _of_dsm(dsm: Dsm, stated: Statement, frame: LocalFrame, crs: str, masks: Sequence[Shapes]) -> _Heights:
+def _of_dsm(dsm: Dsm, stated: Statement, frame: LocalFrame, crs: str, masks: Sequence[Vectors]) -> _Heights:
     """Centres of the cells of a raster that have a height."""
     path = dsm.path
+    masks = onto_map(masks, dsm.frame)
     one_frame([dsm, *masks])
     grid, heights, notes = _grid_of(dsm.frame, stated, crs, path)
     if stated.sigma_m is None:

@@ -11,12 +11,8 @@ over a circle of the same area. Here the sum runs over all pairs of cells of the
 pairs at each lag is the autocorrelation of the mask, one pair of Fourier transforms. For a large area both
 tend to sigma^2 2 pi L^2 / area for the variance of the mean height; independent cells (L -> 0) give
 sigma^2 / n.
-
-Outlines of areas and lines (masks of water, stable ground, transects) are read from GeoPackage files here.
 """
 
-import sqlite3
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -44,140 +40,8 @@ from thalweg.core import (
     write_table,
 )
 from thalweg.core.values import heights_in_words, same_heights, vertical_of
+from thalweg.ingest import Vectors
 from thalweg.settings.sections import DSM_ENDINGS
-
-# ---------------------------------------------------------------- outlines
-
-_LINE, _POLYGON = 2, 3
-_COLLECTIONS = {5: _LINE, 6: _POLYGON}
-_ENVELOPE_BYTES = (0, 32, 48, 48, 64)
-
-
-@dataclass(frozen=True, slots=True)
-class Shapes:
-    """Lines or polygons of one file.
-
-    Attributes
-    ----------
-    parts : of each line its corners (k, 2), of each polygon its rings (k, 2); east and north in metres.
-    frame : coordinate system, or None where the file states none.
-    """
-
-    parts: tuple[tuple[ArrayF, ...], ...]
-    frame: CRS | None
-    path: Path
-
-    def contain(self, points_m: ArrayF) -> ArrayB:
-        """Which points (n, 2) lie in a polygon, holes of it left out."""
-        inside = np.zeros(len(points_m), bool)
-        for rings in self.parts:
-            low, high = rings[0].min(axis=0), rings[0].max(axis=0)
-            near = np.flatnonzero(((points_m >= low) & (points_m <= high)).all(axis=1))
-            x, y = points_m[near].T
-            odd = np.zeros(len(near), bool)
-            for ring in rings:
-                for a, b in zip(ring, np.roll(ring, -1, axis=0), strict=True):
-                    crosses = (a[1] > y) != (b[1] > y)
-                    if crosses.any():
-                        odd ^= crosses & (x < a[0] + (y - a[1]) * ((b[0] - a[0]) / (b[1] - a[1])))
-            inside[near[odd]] = True
-        return inside
-
-    def points_along(self, step_m: float) -> ArrayF:
-        """Points (n, 2) along each line from its start, one every ``step_m``; the rest of a line has none."""
-        points = [np.empty((0, 2))]
-        for line in (part for parts in self.parts for part in parts):
-            along = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
-            places = np.arange(0.0, np.floor(along[-1] / step_m) * step_m, step_m)
-            points.append(np.column_stack([np.interp(places, along, line[:, axis]) for axis in (0, 1)]))
-        return np.concatenate(points)
-
-
-def read_shapes(path: Path, where: dict[str, str] | None = None) -> Shapes:
-    """Lines or polygons of the first layer of a GeoPackage.
-
-    Parameters
-    ----------
-    where : columns with the value that counts, such as ``{"location": "mar"}``; compared as text.
-
-    Raises
-    ------
-    InputError : no such file, no GeoPackage, no such column, or nothing left.
-    """
-    if not path.is_file():
-        raise InputError("no such file", expected="a GeoPackage (.gpkg) of polygons or lines", where=path)
-    try:
-        with sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True) as file:
-            table, geometry, srs = file.execute(
-                "SELECT table_name, column_name, srs_id FROM gpkg_geometry_columns"
-            ).fetchone()
-            columns = [row[1] for row in file.execute(f'PRAGMA table_info("{table}")')]
-            unknown = sorted(set(where or {}) - set(columns))
-            if unknown:
-                raise InputError(
-                    f"no column {', '.join(unknown)}", expected=f"one of {', '.join(columns)}", where=path
-                )
-            wanted = "".join(f' AND CAST("{name}" AS TEXT) = ?' for name in where or {})
-            rows = file.execute(
-                f'SELECT "{geometry}" FROM "{table}" WHERE "{geometry}" IS NOT NULL{wanted}',
-                list((where or {}).values()),
-            ).fetchall()
-            code = file.execute(
-                "SELECT organization, organization_coordsys_id FROM gpkg_spatial_ref_sys WHERE srs_id = ?",
-                [srs],
-            ).fetchone()
-    except (sqlite3.Error, TypeError) as error:
-        raise InputError(
-            f"no GeoPackage with a layer ({error})", expected="a .gpkg file", where=path
-        ) from error
-    parts: list[tuple[ArrayF, ...]] = []
-    for (blob,) in rows:
-        parts += _from_wkb(blob[8 + _ENVELOPE_BYTES[blob[3] >> 1 & 7] :], path)
-    if not parts:
-        raise InputError(
-            f"no polygon or line with {where or 'any value'}", expected="at least one", where=path
-        )
-    frame = CRS.from_authority(*code) if code and srs > 0 else None
-    return Shapes(tuple(parts), frame, path)
-
-
-def _from_wkb(data: bytes, path: Path) -> list[tuple[ArrayF, ...]]:
-    """Parts of a geometry in well-known binary."""
-    parts: list[tuple[ArrayF, ...]] = []
-
-    def corners(at: int, order: str, width: int) -> tuple[ArrayF, int]:
-        """Corners of a ring and the offset behind them."""
-        (n,) = struct.unpack_from(order + "I", data, at)
-        values = np.frombuffer(data, order + "f8", n * width, at + 4).reshape(n, width)
-        return values[:, :2].astype(np.float64), at + 4 + 8 * n * width
-
-    def geometry(at: int) -> int:
-        """Take one geometry; the offset behind it."""
-        order = "<" if data[at] else ">"
-        (code,) = struct.unpack_from(order + "I", data, at + 1)
-        extra = bin(code >> 30).count("1") + {0: 0, 1: 1, 2: 1, 3: 2}[(code & 0xFFFF) // 1000]
-        kind, at = (code & 0xFFFF) % 1000, at + 5
-        if kind == _LINE:
-            line, at = corners(at, order, 2 + extra)
-            parts.append((line,))
-        elif kind == _POLYGON:
-            (n,), at = struct.unpack_from(order + "I", data, at), at + 4
-            rings = []
-            for _ in range(n):
-                ring, at = corners(at, order, 2 + extra)
-                rings.append(ring)
-            parts.append(tuple(rings))
-        elif kind in _COLLECTIONS:
-            (n,), at = struct.unpack_from(order + "I", data, at), at + 4
-            for _ in range(n):
-                at = geometry(at)
-        else:
-            raise InputError(f"a geometry of type {kind}", expected="polygons or lines", where=path)
-        return at
-
-    geometry(0)
-    return parts
-
 
 # ---------------------------------------------------------------- surfaces
 
@@ -340,13 +204,23 @@ def one_frame(placed: Sequence[Placed]) -> tuple[Frame, list[str]]:
     silent = [
         str(each.path)
         for each in stated
-        if isinstance(each.frame, CRS) and not vertical_of(each.frame) and not isinstance(each, Shapes)
+        if isinstance(each.frame, CRS) and not vertical_of(each.frame) and not isinstance(each, Vectors)
     ]
     if high and silent:
         notes.append(
             f"No system of heights in {', '.join(silent)}: taken as {heights_in_words(high[0].frame)}."
         )
     return (high or stated)[0].frame if stated else None, notes
+
+
+def onto_map(drawn: Sequence[Vectors], frame: Frame) -> list[Vectors]:
+    """Areas and lines on the map of a raster or cloud; as they are beside one that states none.
+
+    Raises
+    ------
+    InputError : places that this map does not have.
+    """
+    return [each.on_map(frame) if isinstance(frame, CRS) else each for each in drawn]
 
 
 def _same(a: Frame, b: Frame) -> bool:
@@ -433,7 +307,7 @@ def difference_of_surfaces(
     *,
     sigma_registration_m: float = 0.0,
     resample: str | None = None,
-    leave_out: Sequence[Shapes] = (),
+    leave_out: Sequence[Vectors] = (),
 ) -> SurfaceDifference:
     """Second minus first surface, with sigmas, and volumes of erosion and deposition with intervals.
 
@@ -449,7 +323,9 @@ def difference_of_surfaces(
     InputError : other coordinate systems, grids, or units of heights.
     GeometryError : no cell with a height in both.
     """
+    leave_out = onto_map(leave_out, before.frame)
     frame, notes = one_frame([before, after, *leave_out])
+    notes += [note for each in leave_out for note in each.notes]
     second, apart = onto_grid(after, before, resample)
     notes = [*before.notes, *after.notes, *notes]
     if apart > 1e-6 * before.cell_m.max():
@@ -459,7 +335,10 @@ def difference_of_surfaces(
         )
     out = np.zeros(before.height_m.shape, bool)
     for each in leave_out:
-        out |= each.contain(before.centres_m()).reshape(out.shape)
+        inside = each.contain(before.centres_m()).reshape(out.shape)
+        if not inside.any():
+            notes.append(f"No cell lies in a polygon of {each.path}.")
+        out |= inside
     seen = [np.isfinite(each.height_m) for each in (before, second)]
     difference = np.where(out, np.nan, second.height_m - before.height_m)
     known = np.isfinite(difference)
@@ -539,7 +418,7 @@ class StableGround:
     nmad_m: float
 
 
-def difference_on_lines(before: Dsm, after: Dsm, lines: Shapes, step_m: float = 1.0) -> StableGround:
+def difference_on_lines(before: Dsm, after: Dsm, lines: Vectors, step_m: float = 1.0) -> StableGround:
     """Median and NMAD (1.4826 times the median absolute deviation) of differences along lines.
 
     Parameters
@@ -550,6 +429,7 @@ def difference_on_lines(before: Dsm, after: Dsm, lines: Shapes, step_m: float = 
     ------
     GeometryError : no point with a height in both.
     """
+    (lines,) = onto_map([lines], before.frame)
     one_frame([before, after, lines])
     points = lines.points_along(step_m)
     difference = after.at(points) - before.at(points)

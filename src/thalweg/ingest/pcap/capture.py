@@ -36,9 +36,10 @@ META: Final = 3
 FOUND: Final = 4
 """A sound record begins at the returned offset."""
 
-N_TALLY: Final = 10
+N_TALLY: Final = 12
 _RECORD, _OTHER_PORT, _OTHER_IP, _IPV6, _NOT_IP, _LINK = 0, 1, 2, 3, 4, 5
 _FRAGMENT, _CUT, _SIZE, _MALFORMED = 6, 7, 8, 9
+_CUT_TO, _CUT_FROM = 10, 11  # longest of the cut frames, as captured and as sent: no counts
 COUNT_NAMES: Final = {
     _RECORD: "capture_records",
     _OTHER_PORT: "udp_other_ports",
@@ -164,6 +165,8 @@ def _take(
         return k
     if u + 8 + size > b:
         tally[_CUT] += 1
+        tally[_CUT_TO] = max(tally[_CUT_TO], b - a)
+        tally[_CUT_FROM] = max(tally[_CUT_FROM], u + 8 + size - a)
         return k
     out[k, 0] = u + 8
     out[k, 1] = wanted
@@ -684,6 +687,19 @@ class CaptureTally:
     notes: list[str] = field(default_factory=list)
     foreign_ports: dict[int, int] = field(default_factory=dict)
     """Payloads of the first stream's size that went to other ports: a hint at a wrong port setting."""
+    cut_to_b: int = 0
+    """Longest frame that the capture cut, and in ``cut_from_b`` how long it was; 0 without any."""
+    cut_from_b: int = 0
+
+    def cut_in_words(self) -> str:
+        """That the capture cut packets; empty if it did not."""
+        if not self.cut_to_b:
+            return ""
+        n = self.losses[LOSS_NAMES[_CUT]]
+        return (
+            f"captured with a snap length of {self.cut_to_b} of {self.cut_from_b} bytes: "
+            f"{n} packet{'s are' if n > 1 else ' is'} cut"
+        )
 
 
 def _format_of(w: Window, path: Path, streams: Sequence[Stream], bare: BarePayloads | None) -> RecordFormat:
@@ -834,5 +850,7 @@ def _add_tally(sinks: Sinks, found: CaptureTally) -> None:
         for index, name in names.items():
             if sinks.tally[index]:
                 target[name] = target.get(name, 0) + int(sinks.tally[index])
+    found.cut_to_b = max(found.cut_to_b, int(sinks.tally[_CUT_TO]))
+    found.cut_from_b = max(found.cut_from_b, int(sinks.tally[_CUT_FROM]))
     for port in np.flatnonzero(sinks.foreign):
         found.foreign_ports[int(port)] = found.foreign_ports.get(int(port), 0) + int(sinks.foreign[port])

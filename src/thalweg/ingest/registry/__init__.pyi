@@ -17,4 +17,8 @@ from .formats import (
 )
 from .lidar import lidar_reader as lidar_reader
 from .poses import read_poses as read_poses
-from .positions import read_positions as read_positions, read_receiver as read_receiver
+from .positions import (
+    choose_tracks as choose_tracks,
+    read_positions as read_positions,
+    read_receiver as read_receiver,
+)

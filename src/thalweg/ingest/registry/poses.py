@@ -20,6 +20,7 @@ _SBET_RECORD = 136
 _SMRMSG_RECORD = 80
 _ROUGH: Final = (100.0, 100.0, 1200.0)
 """Standard deviations that an SMRMSG stays below: metres, metres a second, arc minutes."""
+_MOST_UPSIDE_DOWN = 0.5
 _BY_VALUES = 0.05
 """Sureness of content that is told by plausible numbers alone."""
 
@@ -36,7 +37,7 @@ def read_poses(files: Sequence[Path], source: str | None, options: TrackOptions 
 
     Raises
     ------
-    InputError : of the reader.
+    InputError : of the reader, or the body is upside down throughout and nobody states that it is.
     """
     rows = [row for row in POSES if row.poses is not None and (source is None or source in row.streams)]
     known = rows[-1]
@@ -54,7 +55,26 @@ def read_poses(files: Sequence[Path], source: str | None, options: TrackOptions 
     options = options or TrackOptions()
     if source == "ins":  # whose trajectory takes standard deviations from the campaign
         options = replace(options, sigma_position_m=np.nan, sigma_attitude_deg=np.nan)
-    return known.poses(files, options)
+    log = known.poses(files, options)
+    if not options.upside_down:
+        _refuse_upside_down(log, files[0])
+    return log
+
+
+def _refuse_upside_down(log: PoseLog, where: Path) -> None:
+    """A boat floats upright: a wrong order of the quaternion or wrong axes of the body turn it over."""
+    roll = log.states["roll_rad"].dropna().to_numpy()
+    over = np.cos(roll) < 0.0
+    if len(roll) and over.mean() > _MOST_UPSIDE_DOWN:
+        angle = np.rad2deg(np.median(np.abs(roll[over])))
+        raise InputError(
+            f"the body is upside down in {over.mean():.0%} of {len(roll):,} poses (roll about {angle:.0f} "
+            "deg)",
+            expected="a boat that floats upright",
+            where=where,
+            cure="Check the order of the quaternion (w first or last) and the axes of the body (body_axes); "
+            "if the INS is mounted so, set ins.upside_down: true (thalweg georeference: --upside-down)",
+        )
 
 
 def _anpp(files: Sequence[Path], options: TrackOptions) -> PoseLog:
@@ -113,11 +133,13 @@ def _is_inertial_explorer(head: bytes, size: int) -> bool:
 
 def _is_table(kind: str, head: bytes, size: int) -> bool:
     """True if the first lines hold nothing but the numbers of the format, with a rotation among them."""
-    lines = [line for line in head.splitlines()[:20] if line.strip() and not line.startswith(b"#")]
-    if size > len(head) and len(lines) > 1:
-        lines = lines[:-1]
+    lines = [line.strip(b", \t\r") for line in head.removeprefix(b"\xef\xbb\xbf").splitlines()[:30]]
+    lines = [line for line in lines if line]
+    first = next((k for k, line in enumerate(lines) if re.match(rb"[-+.\d]", line)), len(lines))
+    heads = [line.decode("utf-8", "replace") for line in lines[:first]]
+    lines = lines[first : -1 if size > len(head) and len(lines) > first + 1 else None]
     try:
-        rows = [[float(cell) for cell in re.split(rb"[,\s]+", line.strip(b", \t\r"))] for line in lines[:10]]
+        rows = [[float(cell) for cell in re.split(rb"[,\s]+", line)] for line in lines[:10]]
     except ValueError:
         return False
     if not rows or len({len(row) for row in rows}) > 1:
@@ -125,9 +147,17 @@ def _is_table(kind: str, head: bytes, size: int) -> bool:
     n, commas = len(rows[0]), b"," in lines[0]
     if kind == "kitti":
         return n == 12 and not commas and all(_is_unit(row[k : k + 3]) for row in rows for k in (0, 4, 8))
+    if n < 8:
+        return False
+    from thalweg.ingest.tracks import pose_columns
+
+    at = pose_columns(kind, heads, n)
+    unit = all(_is_unit([row[at[name]] for name in ("qw", "qx", "qy", "qz")]) for row in rows)
+    in_ns = all(row[at["t"]] > 1e17 for row in rows)
     if kind == "tum":
-        return n == 8 and not commas and all(_is_unit(row[4:]) for row in rows)
-    return n >= 8 and commas and all(row[0] > 1e12 and _is_unit(row[4:8]) for row in rows)
+        named = at == pose_columns("euroc", heads, n)  # only lines above the numbers make both alike
+        return unit and not in_ns and (named or (n == 8 and not commas))
+    return unit and in_ns and commas
 
 
 def _is_unit(values: Sequence[float]) -> bool:

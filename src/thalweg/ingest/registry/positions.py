@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core import InputError, read_table
+from thalweg.core import InputError, ThalwegError, read_table
 from thalweg.ingest import GNSS_POSITION, INS_STATE, IntegrityReport, PositionLog, TrackOptions
 from thalweg.ingest.ppk import replace_covariances
 from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share, read_head
@@ -128,6 +128,65 @@ def read_positions(
                 "median of their neighbours of the same fix."
             )
     return positions, report
+
+
+def choose_tracks(files: Sequence[Path]) -> tuple[list[Path], dict[Path, str]]:
+    """Files of positions that make one track: of those that hold the same time one.
+
+    Parameters
+    ----------
+    files : solutions and tracks of one antenna.
+
+    Returns
+    -------
+    Files that are kept, in the given order, and the others with the reason in words: times of events, and
+    tracks of the time of a better one (more fixed positions, then smaller sigma, then more positions).
+    """
+    from thalweg.ingest.tracks import event_marks
+
+    tables: dict[Path, pd.DataFrame] = {}
+    left: dict[Path, str] = {}
+    for path in files:
+        known = find_format(POSITIONS, read_head(path), path.stat().st_size)
+        if known is None or known.positions is None:
+            continue
+        try:
+            table = known.positions([path], TrackOptions()).positions
+        except ThalwegError:
+            continue  # which the checks of the campaign say
+        if table is not None and table["t_gps_s"].notna().any():
+            tables[path] = table
+    marks = event_marks(list(tables), list(tables.values()))
+    left |= {path: f"{n} times of events, interpolated on a track" for path, n in marks.items()}
+    for path in marks:
+        del tables[path]
+    ranked = sorted(tables, key=lambda path: _goodness(tables[path]), reverse=True)
+    kept: list[Path] = []
+    for path in ranked:
+        better = next((other for other in kept if _same_time(tables[path], tables[other])), None)
+        if better is None:
+            kept.append(path)
+        else:
+            left[path] = f"of the same time as {better.name}, which has {_why(tables[better], tables[path])}"
+    return [path for path in files if path not in left], left
+
+
+def _goodness(track: pd.DataFrame) -> tuple[float, float, int]:
+    """Share of fixed positions, negative median sigma, number: larger is better."""
+    sigma = float(np.nan_to_num(track["sigma_east_m"].astype(float).median(), nan=np.inf))
+    return float((track["fix"] == "fixed").mean()), -sigma, len(track)
+
+
+def _why(better: pd.DataFrame, other: pd.DataFrame) -> str:
+    words = ("more fixed positions", "smaller standard deviations", "more positions")
+    pairs = zip(_goodness(better), _goodness(other), words, strict=True)
+    return next((word for a, b, word in pairs if a > b), "as good positions")
+
+
+def _same_time(one: pd.DataFrame, other: pd.DataFrame) -> bool:
+    """Whether most of the shorter of two tracks lies in the time of the other."""
+    (a, b), (c, d) = ((t.min(), t.max()) for t in (one["t_gps_s"], other["t_gps_s"]))
+    return bool(min(b, d) - max(a, c) > 0.5 * min(b - a, d - c))
 
 
 def _kind(path: Path) -> str | None:

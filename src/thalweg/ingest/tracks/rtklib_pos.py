@@ -8,7 +8,7 @@ north, up from the base. Standard deviations beside the diagonal are signed root
 
 import datetime as dt
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
@@ -99,8 +99,7 @@ def layout_from_header(header_lines: list[str], first_fields: list[str]) -> Layo
     text = "\n".join(header_lines)
     geodetic = re.search(r"=\s*\w+/geodetic", text) is not None
     for line in header_lines:
-        names = [n for n in SEPARATORS.split(line.strip()) if n]
-        bare = [re.sub(r"\(.*", "", n) for n in names]
+        bare = _bare_names(line)
         form = next((_POSITION[n] for n in bare if n in _POSITION), None)
         if form is None or "Q" not in bare:
             continue
@@ -119,6 +118,17 @@ def layout_from_header(header_lines: list[str], first_fields: list[str]) -> Layo
             guesses=() if bare[0] in ("GPST", "UTC", "JST") else ("times are taken as GPS time",),
         )
     return _guess(first_fields, calendar, geodetic)
+
+
+def names_columns(line: str) -> bool:
+    """Whether a header line without its ``%`` names the columns."""
+    bare = _bare_names(line)
+    return "Q" in bare and any(name in bare for name in _POSITION)
+
+
+def _bare_names(line: str) -> list[str]:
+    """Words of a header line without their units."""
+    return [re.sub(r"\(.*", "", name) for name in SEPARATORS.split(line.strip()) if name]
 
 
 def _guess(fields: list[str], calendar: bool, geodetic: bool) -> Layout:
@@ -178,6 +188,10 @@ FIX_OF_QUALITY: Final = {
 _JST_S: Final = 9 * 3600
 _KEY_VALUE: Final = re.compile(r"^%\s*([a-z][a-z .,/-]*?)\s*:\s*(.*)$", re.IGNORECASE)
 _MAX_LINES_SHOWN: Final = 20
+_SAME_EPOCH_S: Final = 1e-3
+_ON_LINE_DEG: Final = 5e-9
+"""Five units of the last digit that RTKLIB writes, half a millimetre: waves and noise are larger."""
+_NEARLY_ALL: Final = 0.9
 
 
 @dataclass(slots=True, kw_only=True)
@@ -194,7 +208,8 @@ def read_pos(files: Sequence[Path], ref_ecef_m: ArrayLike | None = None) -> PosL
 
     Parameters
     ----------
-    files : in the order of time; positions that two of them hold alike are kept once.
+    files : in the order of time; positions that two of them hold alike are kept once. Files of event marks
+        beside their track (`event_marks`) are left out.
     ref_ecef_m : (3,) earth-centred position of the base, for baselines; if None it comes from the line
         ``ref pos`` of the header.
 
@@ -215,6 +230,19 @@ def read_pos(files: Sequence[Path], ref_ecef_m: ArrayLike | None = None) -> PosL
     )
     header: dict[str, list[str]] = {}
     tables = [_read_one(path, ref_ecef_m, report, header) for path in files]
+    marks = event_marks(files, tables)
+    for path, n in marks.items():
+        report.lose("event_marks", n)
+        report.note(
+            f"{path.name} holds {n} times of events (pulses of a camera), whose positions were interpolated "
+            "between the epochs: left out of the track."
+        )
+    tables = [table for path, table in zip(files, tables, strict=True) if path not in marks]
+    if len(files) == 1 and _named_events(files[0]):
+        report.note(
+            "By its name these are times of events (pulses of a camera) with positions interpolated between "
+            "the epochs of a solution: no track."
+        )
     positions = pd.concat(tables, ignore_index=True)
     repeated = repeated_rows(positions, np.repeat(np.arange(len(tables)), [len(x) for x in tables]))
     positions = positions[~repeated].reset_index(drop=True)
@@ -223,9 +251,9 @@ def read_pos(files: Sequence[Path], ref_ecef_m: ArrayLike | None = None) -> PosL
     report.synchronised = True
     report.t_first_s, report.t_last_s = float(t.min()), float(t.max())
     step = np.diff(t)
-    for what, n in (("time_steps_back", np.sum(step < 0)), ("repeated_epochs", np.sum(step == 0))):
-        if n:
-            report.lose(what, int(n))
+    for what, times in (("time_steps_back", np.sum(step < 0)), ("repeated_epochs", np.sum(step == 0))):
+        if times:
+            report.lose(what, int(times))
     report.gaps = find_gaps(t)
     report.timing.describe_stamps(t)
     report.timing.unsynchronised_s = 0.0
@@ -248,32 +276,37 @@ def _read_one(
         raise InputError("the file is empty", expected="a RTKLIB .pos file", where=path, cure=cure)
     report.bytes_read += len(raw)
     lines = raw.decode("ascii", errors="replace").splitlines()
-    heads = [line for line in lines if line.startswith("%")]
-    own_header: dict[str, list[str]] = {}
-    for line in heads:
-        if found := _KEY_VALUE.match(line):
-            own_header.setdefault(found[1], []).append(found[2].strip())
-    for key, values in own_header.items():
-        header.setdefault(key, []).extend(values)
-    layout: Layout | None = None
-    rows: list[list[float]] = []
+    tables: list[pd.DataFrame] = []
     bad: list[int] = []
-    first_bad = ""
-    for number, line in enumerate(lines, start=1):
-        if not line.strip() or line.startswith("%"):
-            continue
-        fields = [f for f in SEPARATORS.split(line.strip()) if f]
-        if layout is None and len(fields) >= 5:
-            layout = layout_from_header([h[1:] for h in heads], fields)
-        row = _row(fields, layout) if layout is not None else None
-        if row is None:
-            bad.append(number)
-            first_bad = first_bad or f"line {number}: {line[:60]!r}"
-        else:
+    scales: list[str] = []
+    for heads, numbered in _sections(lines):
+        own_header: dict[str, list[str]] = {}
+        for line in heads:
+            if found := _KEY_VALUE.match(line):
+                own_header.setdefault(found[1], []).append(found[2].strip())
+        for key, values in own_header.items():
+            header.setdefault(key, []).extend(values)
+        layout: Layout | None = None
+        rows: list[list[float]] = []
+        first = 0
+        for number, line in numbered:
+            fields = [f for f in SEPARATORS.split(line.strip()) if f]
+            if layout is None and len(fields) >= 5:
+                layout = layout_from_header([h[1:] for h in heads], fields)
+            row = _row(fields, layout) if layout is not None else None
+            if row is None:
+                bad.append(number)
+                continue
             if not rows:
+                first = number
                 _note_resolution(fields[1], report)
             rows.append(row)
-    if layout is None or not rows:
+        if layout is not None and rows:
+            _say_layout(layout, path, report)
+            scales.append(f"{layout.scale.upper()} from line {first} on")
+            tables.append(_table(np.array(rows), layout, _base(layout, ref_ecef_m, own_header, path)))
+    first_bad = f"line {bad[0]}: {lines[bad[0] - 1][:60]!r}" if bad else ""
+    if not tables:
         raise InputError(
             f"none of {len(lines)} lines is a position ({first_bad or 'only a header'})",
             expected="lines of time, three coordinates, Q, ns, standard deviations, age, ratio",
@@ -285,6 +318,36 @@ def _read_one(
         shown = ", ".join(map(str, bad[:_MAX_LINES_SHOWN])) + (" ..." if len(bad) > _MAX_LINES_SHOWN else "")
         report.details.setdefault("damaged_lines", {})[str(path)] = shown
         report.note(f"{len(bad)} damaged lines of {path.name} are left out, the first is {first_bad}.")
+    if len({scale.split()[0] for scale in scales}) > 1:
+        report.note(
+            f"{path.name} is joined of solutions in several time scales ({', '.join(scales)}): each is read "
+            "in its own."
+        )
+    return pd.concat(tables, ignore_index=True)
+
+
+def _sections(lines: list[str]) -> Iterator[tuple[list[str], list[tuple[int, str]]]]:
+    """Header lines and numbered lines of data of each solution of a file: joined ones have a header each.
+
+    Remarks between lines of data open no solution, only a line that names the columns does.
+    """
+    heads: list[str] = []
+    rows: list[tuple[int, str]] = []
+    remarks: list[str] = []
+    for number, line in enumerate(lines, start=1):
+        if line.startswith("%"):
+            remarks.append(line)
+        elif line.strip():
+            if rows and any(names_columns(remark[1:]) for remark in remarks):
+                yield heads, rows
+                heads, rows = [], []
+            heads += remarks
+            remarks = []
+            rows.append((number, line))
+    yield heads + remarks, rows
+
+
+def _say_layout(layout: Layout, path: Path, report: IntegrityReport) -> None:
     for guess in layout.guesses:
         report.note(f"{path.name} has no column header: {guess}.")
     if layout.geodetic:
@@ -294,9 +357,52 @@ def _read_one(
         )
     if layout.scale != "gps":
         report.time_scale = "utc"
-    report.details["variant"] = f"{layout.form}{' d:m:s' if layout.dms else ''}, {layout.scale} time"
-    base = _base(layout, ref_ecef_m, own_header, path)
-    return _table(np.array(rows), layout, base)
+    variant = f"{layout.form}{' d:m:s' if layout.dms else ''}, {layout.scale} time"
+    told = report.details.get("variant", "")
+    if variant not in told.split("; "):
+        report.details["variant"] = f"{told}; {variant}" if told else variant
+
+
+def event_marks(files: Sequence[Path], tables: Sequence[pd.DataFrame]) -> dict[Path, int]:
+    """Those files of positions that hold times of events on the track of another one, and how many.
+
+    RTKLIB (demo5) writes ``NAME_events.pos`` beside ``NAME.pos``: at each pulse of a camera the straight line
+    between the neighbouring epochs. Told by its name, or by positions on these lines that no track keeps to.
+
+    Parameters
+    ----------
+    files : with the positions of each in ``tables``, of kind ``gnss_position``.
+    """
+    tracks = [table for path, table in zip(files, tables, strict=True) if not _named_events(path)]
+    return {
+        path: len(table)
+        for path, table in zip(files, tables, strict=True)
+        if (_named_events(path) and tracks)
+        or any(_lies_on(table, track) for track in tracks if track is not table)
+    }
+
+
+def _named_events(path: Path) -> bool:
+    return path.stem.lower().endswith("_events")
+
+
+def _lies_on(marks: pd.DataFrame, track: pd.DataFrame) -> bool:
+    """Whether positions lie between the epochs of a track, on the straight lines between them."""
+    t, epochs = marks["t_gps_s"].to_numpy(), track["t_gps_s"].to_numpy()
+    if (
+        len(epochs) < 2
+        or np.any(np.diff(epochs) <= 0)
+        or not (epochs[0] <= t.min() and t.max() <= epochs[-1])
+    ):
+        return False
+    after = np.clip(np.searchsorted(epochs, t), 1, len(epochs) - 1)
+    apart_s = np.minimum(epochs[after] - t, t - epochs[after - 1])
+    between = np.abs(apart_s) > _SAME_EPOCH_S
+    off_deg = [
+        np.abs(np.interp(t, epochs, track[name]) - marks[name]).to_numpy() for name in ("lat_deg", "lon_deg")
+    ]
+    on_line = between & (np.maximum(*off_deg) < _ON_LINE_DEG)
+    return bool(between.mean() > _NEARLY_ALL and on_line.sum() > _NEARLY_ALL * between.sum())
 
 
 def _note_resolution(text: str, report: IntegrityReport) -> None:

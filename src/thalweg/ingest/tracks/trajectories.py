@@ -10,7 +10,8 @@ Inertial  named in its header: Week, GPSTime, Latitude,   roll, pitch, heading  
 Explorer  Longitude, H-Ell, Roll, Pitch, Heading, SD...                         seconds of the week
 ========= =============================================== ===================== ==========================
 
-Rotations turn from the body into the world frame. The first three state neither frame, scale of time nor
+Rotations turn from the body into the world frame. Where a line above the numbers names the columns, the names
+decide, and so does a remark such as ``(w x y z)``. The first three state neither frame, scale of time nor
 accuracy: these are asked for. Inertial Explorer's attitude is that of ``ins_state``: roll right side down,
 pitch nose up, heading clockwise from north. GPX (Topografix 2004, version 1.1) holds positions in UTC without
 standard deviations.
@@ -33,15 +34,29 @@ from thalweg.ingest import (
     GNSS_POSITION,
     INS_STATE,
     NAVIGATION_INITIALISED,
+    TIME_SCALES,
     IntegrityReport,
     PoseLog,
     PositionLog,
     TrackOptions,
     find_gaps,
+    gps_from_scale,
+    tell_time_scale,
+    time_scale_words,
 )
 
-COLUMNS: Final = {"tum": 8, "euroc": 8, "kitti": 12}
-"""Numbers of a line that are read; EuRoC may hold velocities and biases behind."""
+_POSE: Final = ("t", "px", "py", "pz", "qx", "qy", "qz", "qw")
+_VELOCITY: Final = ("vx", "vy", "vz")
+_ORDER: Final = {"tum": _POSE, "euroc": (*_POSE[:4], "qw", *_POSE[4:7], *_VELOCITY)}
+"""Columns where no line names them."""
+_NAME: Final = re.compile(
+    r"(?:(q|quat\w*|ori\w*|rot\w*)|(v|vel\w*)|(?:|[tp]|pos\w*|trans\w*))(?:_[a-z_]+?)??_?([wxyz])"
+)
+_REMARKS: Final = {
+    "qw qx qy qz": re.compile(r"(?<![a-z])q?w[\s,/]*q?x[\s,/]*q?y[\s,/]*q?z(?![a-z])", re.IGNORECASE),
+    "qx qy qz qw": re.compile(r"(?<![a-z])q?x[\s,/]*q?y[\s,/]*q?z[\s,/]*q?w(?![a-z])", re.IGNORECASE),
+}
+"""Orders of a quaternion as people write them in comments."""
 
 BODY_AXES: Final = {
     "forward-right-down": np.eye(3),
@@ -98,11 +113,10 @@ def read_text_poses(kind: str, files: Sequence[Path], times: Path | None = None)
         wrong |= np.linalg.det(R) < 0
         t_s = _times(times, len(rows), where) if times is not None else np.full(len(rows), np.nan)
     else:
-        position = rows[:, 1:4]
-        q_xyzw = rows[:, 4:8] if kind == "tum" else rows[:, [5, 6, 7, 4]]
+        position, q_xyzw = rows[:, 1:4], rows[:, 4:8]
         wrong = np.abs(np.linalg.norm(q_xyzw, axis=1) - 1.0) > _ORTHONORMAL
         t_s = rows[:, 0] if kind == "tum" else rows[:, 0] * 1e-9
-        if kind == "euroc" and rows.shape[1] >= 11:
+        if rows.shape[1] > len(_POSE):
             velocity = rows[:, 8:11]
         R = np.empty((0, 3, 3)) if wrong.any() else Rotation.from_quat(q_xyzw).as_matrix()
     if wrong.any():
@@ -124,27 +138,67 @@ def read_text_poses(kind: str, files: Sequence[Path], times: Path | None = None)
 _NAMES: Final = {"tum": "TUM", "euroc": "EuRoC", "kitti": "KITTI"}
 
 
+def pose_columns(kind: str, heads: Sequence[str], width: int) -> dict[str, int]:
+    """Places of time ``t``, position ``px``, quaternion ``qw`` and velocity ``vx`` in a table of poses.
+
+    Parameters
+    ----------
+    kind : ``tum`` or ``euroc``, whose order counts where no line tells another.
+    heads : lines above the numbers.
+    width : columns of the table.
+
+    Examples
+    --------
+    >>> pose_columns("tum", ["# timestamp tx ty tz qw qx qy qz"], 8)["qw"]
+    4
+    """
+    for line in reversed(heads):
+        names = re.split(r"[,;\s]+", re.sub(r"\[[^]]*\]|\([^)]*\)", " ", line).strip("#%/ ,;\t").lower())
+        found: dict[str, int] = {}
+        for k, name in enumerate(names[-width:] if len(names) >= width else ()):
+            bare = re.sub(r"[./]", "_", re.sub(r"\b(?:field|pose|transform)[./]", "", name))
+            if known := _NAME.fullmatch(bare):
+                found.setdefault(("q" if known[1] else "v" if known[2] else "p") + known[3], k)
+            elif bare in ("t", "time", "timestamp", "stamp", "sec", "seconds"):
+                found.setdefault("t", k)
+        if found.keys() >= set(_POSE) - {"t"}:
+            return {"t": 0, **found}
+    order: tuple[str, ...] = _ORDER[kind][:width]
+    remarks = {names for names, form in _REMARKS.items() if any(form.search(line) for line in heads)}
+    if len(remarks) == 1:
+        order = (*order[:4], *remarks.pop().split(), *order[8:])
+    return {name: k for k, name in enumerate(order)}
+
+
 def _numbers(kind: str, path: Path, report: IntegrityReport) -> ArrayF:
-    """(n, k) numbers of a table; the first line that does not fit is named."""
+    """(n, 12) of KITTI, else (n, 8) time, position, quaternion x y z w, or (n, 11) with velocities behind.
+
+    The first line that does not fit is named.
+    """
     if not path.is_file():
         raise InputError("file not found", where=path, cure="Check the path")
     raw = path.read_bytes()
     report.bytes_read += len(raw)
-    lines = raw.decode("ascii", "replace").splitlines()
+    lines = raw.decode("utf-8-sig", "replace").splitlines()
     rows: list[list[float]] = []
+    heads: list[str] = []
     for number, line in enumerate(lines, start=1):
         text = line.strip()
         if not text or text.startswith("#"):
+            heads += [text] if not rows else []
             continue
         try:
             row = [float(cell) for cell in re.split(r"[,\s]+", text.strip(","))]
         except ValueError:
             row = []
-        exact = kind != "euroc"
-        if (len(row) != COLUMNS[kind] if exact else len(row) < COLUMNS[kind]) or not np.isfinite(row).all():
+            if not rows and not re.search(r"(?<![a-z_])[-+]?\d", text, re.IGNORECASE):
+                heads.append(text)
+                continue
+        fits = len(row) == 12 if kind == "kitti" else len(row) >= 8
+        if not fits or not np.isfinite(row).all():
             raise InputError(
                 f"line {number}: '{text[:60]}'",
-                expected=f"{COLUMNS[kind]} numbers{'' if exact else ' or more'}, as {_NAMES[kind]} has them",
+                expected=f"{'12' if kind == 'kitti' else '8 or more'} numbers, as {_NAMES[kind]} has them",
                 where=path,
                 cure="Check the format of the table",
             )
@@ -156,7 +210,15 @@ def _numbers(kind: str, path: Path, report: IntegrityReport) -> ArrayF:
             where=path,
             cure="Check the file",
         )
-    return np.array(rows)
+    table = np.array(rows)
+    if kind == "kitti":
+        return table
+    at = pose_columns(kind, heads, table.shape[1])
+    usual = {name: k for k, name in enumerate(_ORDER[kind])}
+    if [at[name] for name in _POSE] != [usual[name] for name in _POSE]:
+        order = " ".join(sorted(("qw", "qx", "qy", "qz"), key=lambda name: at[name]))
+        report.note(f"{path.name} names its columns: the quaternion is read as {order}.")
+    return table[:, [at[name] for name in (*_POSE, *(_VELOCITY if at.keys() >= set(_VELOCITY) else ()))]]
 
 
 def _times(path: Path, n: int, where: str) -> ArrayF:
@@ -215,7 +277,18 @@ def states_of_poses(poses: TextPoses, options: TrackOptions) -> PoseLog:
             expected=f"one of {', '.join(BODY_AXES)}; utc (Unix time) or gps (seconds since 1980-01-06)",
             where=where,
         )
-    t_gps_s = gps_from_unix(poses.t_s) if scale == "utc" else gps_from_week(0, poses.t_s)
+    told = tell_time_scale(poses.t_s)
+    unit = next((each for each in told if each.startswith("unix") == (scale == "utc")), None)
+    if unit is None or unit in ("week_s", "day_s"):
+        raise InputError(
+            time_scale_words(poses.t_s, told),
+            expected="Unix time (time_scale utc)" if scale == "utc" else "GPS seconds (time_scale gps)",
+            where=where,
+            cure="Correct time_scale, or the times of the table",
+        )
+    t_gps_s = gps_from_scale(poses.t_s, unit)
+    if unit not in ("unix_s", "gps_s"):
+        report.note(f"Its times are taken as {TIME_SCALES[unit]}.")
     lat, lon, height = frame.to_geodetic(poses.position_m)
     # attitudes are stated in the local level of each position, not in that of the frame's origin
     R_enu_wcs = np.swapaxes(frame.R_wcs_enu(lat, lon), -1, -2)

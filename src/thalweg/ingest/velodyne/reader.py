@@ -29,7 +29,7 @@ from thalweg.ingest import (
     fit_clock,
 )
 from thalweg.ingest.pcap import CHUNK_BYTES, CaptureTally
-from thalweg.ingest.velodyne.clock import ClockBuilder
+from thalweg.ingest.velodyne.clock import ClockBuilder, clocks_apart
 from thalweg.ingest.velodyne.decode import (
     BAD_AZIMUTH,
     BAD_FLAG,
@@ -443,6 +443,13 @@ def no_packets(tally: CaptureTally, port: int, where: str, found: Findings | Non
     held = {**tally.counts, **tally.losses}
     text = ", ".join(f"{name} {n}" for name, n in held.items() if n) or "nothing"
     cure = "Check lidar.data_port and that the capture was made on the lidar's network"
+    if cut := tally.cut_in_words():
+        return InputError(
+            f"no lidar packet is whole: {cut}",
+            expected=f"1206-byte payloads on UDP port {port}",
+            where=where,
+            cure="Capture with -s 0 (tcpdump), that is without a limit of the packets' length",
+        )
     if tally.foreign_ports:
         other, n = max(tally.foreign_ports.items(), key=lambda item: item[1])
         cure = f"{n} payloads of the right size went to port {other}: set lidar.data_port to it"
@@ -539,7 +546,10 @@ def write_report(
     gps_s = host[:, 1] * 1e-6 + clock.extra_s(packet) + clock.offset_s(packet)
     difference_s = (host[:, 2] - unix_from_gps(gps_s))[np.isfinite(gps_s)]
     if difference_s.size:
-        report.details["host_minus_sensor_s"] = round(float(np.median(difference_s)), 6)
+        shift_s = float(np.median(difference_s))
+        report.details["host_minus_sensor_s"] = round(shift_s, 6)
+        if words := clocks_apart(shift_s, float(gps_s[np.isfinite(gps_s)][0])):
+            report.note(words)
     if found.return_mode == "mixed":
         modes = ", ".join(f"{RETURN_MODES[m]} {n}" for m, n in sorted(found.modes.items()))
         report.note(f"The return mode changes within the recording (packets: {modes}).")
@@ -552,6 +562,8 @@ def write_report(
             f"The azimuth jumps within a packet {int(counters[JUMPS])} times (a limited field of view or "
             "damaged blocks): times behind such a jump may be early."
         )
+    if cut := tally.capture.cut_in_words():
+        report.note(f"{cut[0].upper()}{cut[1:]}; capture with -s 0.")
     for note in builder.notes + tally.capture.notes:
         report.note(note)
 
