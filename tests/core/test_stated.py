@@ -193,7 +193,7 @@ def test_rows_and_columns_run_either_way(tmp_path: Path, down: int, right: int) 
         (7, np.int16, {"nodata": 7, "units": ["cm"]}),
         (-32768, np.int16, {"units": ["cm"]}),
         (65535, np.uint16, {"scales": [0.01]}),
-        (0, np.float32, {"mask": np.repeat(np.uint8([0, 255]), [90, 510]).reshape(ROWS, COLUMNS)}),
+        (0, np.float32, {"mask": np.repeat(np.array([0, 255], np.uint8), [90, 510]).reshape(ROWS, COLUMNS)}),
     ],
 )
 def test_cells_without_a_height_are_none(

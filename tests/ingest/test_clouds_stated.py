@@ -151,7 +151,7 @@ def test_points_at_zero_of_a_map_are_none(tmp_path: Path) -> None:
 # ---------------------------------------------------------------- times
 
 IN_2021 = np.linspace(3.0e8, 3.0e8 + 50, N)
-UNIX_2021 = np.linspace(1.61e9, 1.61e9 + 50, N)
+UNIX_2021 = np.linspace(1.69e9, 1.69e9 + 50, N)
 IN_A_WEEK = 345_600.0 + np.arange(N)
 
 
@@ -163,15 +163,11 @@ IN_A_WEEK = 345_600.0 + np.arange(N)
         (True, IN_A_WEEK, None, "unstated GPS week"),
         (False, IN_A_WEEK, None, "unstated GPS week"),
         (True, IN_2021, IN_2021, ""),
-        (
-            False,
-            IN_2021,
-            IN_2021,
-            "calls its times seconds of a week; by their size they are adjusted standard",
-        ),
-        (True, IN_2021 + 1e9, IN_2021, "calls its times adjusted standard time; by their size they are GPS"),
-        (True, UNIX_2021, gps_from_unix(UNIX_2021), "by their size they are Unix time"),
-        (True, IN_2021 * 1000, None, "of no known scale"),
+        (False, IN_2021, IN_2021, "The header states seconds of an unstated GPS week, but"),
+        (True, IN_2021 + 1e9, None, "is 2011-03-13 in seconds since 1970 (Unix time), 2021-03-17 in GPS"),
+        (True, UNIX_2021, gps_from_unix(UNIX_2021), "Unix time"),
+        (True, UNIX_2021 * 1000, gps_from_unix(UNIX_2021), "milliseconds since 1970"),
+        (True, -IN_2021 * 1000, None, "Times are left empty"),
     ],
 )
 def test_times_are_what_their_size_says(

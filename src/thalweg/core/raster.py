@@ -33,6 +33,7 @@ from thalweg.core.values import (
     is_nothing,
     unit_of_key,
     unit_of_word,
+    units_of_crs,
     utm_of,
 )
 
@@ -292,9 +293,17 @@ def _heights(file: Any, path: Path, nodata: float | None) -> Dsm:
     number = names.index(ours[0]) + 1 if ours else _height_band(file, names, path)
     keys = _geo_keys(path)
     up = unit_of_key(keys, _VERTICAL_UNIT, path)
+    crs = CRS.from_wkt(file.crs.to_wkt()) if file.crs else None
     if up is None:
         up = _unit_of_band(file.units[number - 1], names[number - 1], path)
-    crs = CRS.from_wkt(file.crs.to_wkt()) if file.crs else None
+        of_crs = None if crs is None else units_of_crs(crs)[1]
+        if up is not None and of_crs is not None and abs(up.metres / of_crs.metres - 1.0) > 1e-9:
+            raise InputError(
+                f"heights in {up.plural} by the band, in {of_crs.plural} by the coordinate system",
+                expected="one unit",
+                where=path,
+                cure="Correct the one that is wrong (gdal_edit)",
+            )
     stated = in_metres(crs, unit_of_key(keys, _LINEAR_UNIT, path), up)
     if stated.crs is None and keys:  # without the type of the model GDAL passes degrees over
         stated = crs_of_geokeys(keys, up=up, where=path)

@@ -51,16 +51,18 @@ def in_metres(crs: CRS | None, across: Unit | None = None, up: Unit | None = Non
     >>> found.factors[0] == found.factors[2] == 1200 / 3937, found.crs.axis_info[2].unit_name
     (True, 'metre')
     """
-    if crs is not None and crs.is_compound and _nameless(crs.sub_crs_list[0]):
-        across_of, up_of = units_of_crs(crs)
-        crs, across, up = None, across or across_of, up or up_of
-    elif crs is not None and _nameless(crs):
-        crs, across = None, across or units_of_crs(crs)[0]
+    notes: list[str] = []
+    flat = crs.sub_crs_list[0] if crs is not None and crs.is_compound else crs
+    if crs is not None and flat is not None and flat.is_engineering:  # so GDAL has maps of no known system
+        if flat.name.lower() not in _UNKNOWN:
+            notes.append(f"The file gives its coordinates a name and no system: {flat.name}.")
+        beside = units_of_crs(crs)
+        crs, across, up = None, across or beside[0], up or beside[1]
     own: tuple[Unit | None, Unit | None] = (None, None) if crs is None else units_of_crs(crs)
     # a projected system has its units in its parameters: those of a file beside it are of places without one
     units = (own[0] or across, up or own[1])
     degrees = crs is not None and crs.is_geographic
-    notes = [
+    notes += [
         f"{what} are stated in {unit.plural} ({unit.metres:.10g} m) and converted to metres."
         for what, unit in zip(("East and north", "Heights"), units, strict=True)
         if unit is not None and not unit.is_metre
@@ -77,11 +79,6 @@ def in_metres(crs: CRS | None, across: Unit | None = None, up: Unit | None = Non
     return Stated(crs, (1.0 if degrees else x, 1.0 if degrees else x, z), tuple(notes))
 
 
-def _nameless(crs: CRS) -> bool:
-    """Whether it is only a form of GDAL for a map of no known system."""
-    return bool(crs.is_engineering and crs.name.lower() in _UNKNOWN)
-
-
 def _metric(part: Any) -> Any:
     """A CRS in PROJJSON with metres on its own axes; parameters of its projection state their units."""
     if isinstance(part, list):
@@ -89,14 +86,13 @@ def _metric(part: Any) -> Any:
     if not isinstance(part, dict):
         return part
     out = {key: value if key == "base_crs" else _metric(value) for key, value in part.items()}
-    if "coordinate_system" in out:
-        out.pop("id", None)
-        out["name"] += " in metres"
-        for axis in out["coordinate_system"]["axis"]:
-            unit = axis["unit"]
-            if unit != "degree" and not (isinstance(unit, dict) and unit.get("type") == "AngularUnit"):
-                axis["unit"] = "metre"
-    elif "components" in out:
+    for axis in out.get("coordinate_system", {}).get("axis", ()):
+        unit = axis["unit"]
+        if unit not in ("degree", "metre") and not (isinstance(unit, dict) and unit["type"] == "AngularUnit"):
+            axis["unit"] = "metre"
+            out.pop("id", None)
+            out["name"] = f"{part['name']} in metres"
+    if "components" in out:
         out.pop("id", None)
         out["name"] = " + ".join(component["name"] for component in out["components"])
     return out

@@ -29,8 +29,6 @@ from pyproj.exceptions import CRSError
 from scipy.spatial.transform import Rotation
 
 from thalweg.core import (
-    ADJUSTED_OFFSET_S,
-    WEEK_S,
     AnyArray,
     ArrayF,
     ArrayF32,
@@ -40,7 +38,6 @@ from thalweg.core import (
     LazHeader,
     LocalFrame,
     UnsupportedError,
-    gps_from_unix,
     iter_laz,
     laz_header,
     laz_layout,
@@ -50,7 +47,14 @@ from thalweg.core import (
 )
 from thalweg.core.geometry import ORDERS, PlyElement, read_ply_header
 from thalweg.core.values import in_metres, onto_map
-from thalweg.ingest import IntegrityReport
+from thalweg.ingest import (
+    TIME_SCALES,
+    IntegrityReport,
+    gps_from_scale,
+    tell_time_scale,
+    time_contradiction,
+    time_scale_words,
+)
 
 # ---------------------------------------------------------------- What the cloud readers hand over, and
 # colours to 8 bit
@@ -107,10 +111,6 @@ NO_USE: Final = (WEEK_TIMES, NO_TIMES)
 _CHUNK_POINTS: Final = 500_000
 _DEGREE_M: Final = 111_195.0
 """Length of a degree on a sphere as large as the earth."""
-_EARLIEST_S, _LATEST_S = -6e8, 1.2e9
-"""1992 and 2049 in adjusted standard GPS time: no lidar was earlier."""
-_UNIX_S: Final = (1.5e9, 2.5e9)
-"""2017 to 2049 in Unix time; the former is 2027 in GPS time since 1980, so that both cannot be confused."""
 _NAMES: Final[tuple[str, ...]] = ("xyz_m", "intensity", "rgb", "t_gps_s", "t_week_s")
 
 
@@ -184,31 +184,26 @@ def _raw(columns: dict[str, AnyArray], header: LazHeader, report: IntegrityRepor
 
 def _times(values: ArrayF, header: LazHeader, report: IntegrityReport) -> ArrayF:
     """Times (n,) by their size, whatever the flag of the header says; NaN where there is none."""
-    none = ~np.isfinite(values) | (values == 0.0)
-    t = np.where(none, np.nan, values)
-    if none.all():
-        if len(values) > 1 or header.standard_time:
-            report.note(NO_TIMES)
+    t = np.where(values == 0.0, np.nan, values)
+    scale = "adjusted_s" if header.standard_time else "week_s"
+    if not np.isfinite(t).any():
+        report.note(NO_TIMES)
         return t
-    low, high = float(np.nanmin(t)), float(np.nanmax(t))
-    if low >= 0 and high <= WEEK_S:
+    told = [each for each in tell_time_scale(t) if each != "day_s"]
+    wrong = time_contradiction(t, scale)
+    if wrong or (told and scale not in told):
+        if len(told) != 1:
+            report.note(f"Times are left empty: {wrong or time_scale_words(t, told)}.")
+            return np.full(len(t), np.nan)
+        if told[0] != "week_s":
+            report.note(f"The header states {TIME_SCALES[scale]}, but {wrong or time_scale_words(t, told)}.")
+        scale = told[0]
+    if scale == "week_s":
         report.note(WEEK_TIMES)
         return np.full(len(t), np.nan)
-    if n := int(np.count_nonzero(none)):
+    if n := int(np.count_nonzero(np.isnan(t))):
         report.lose("times_that_are_zero", n)
-    if header.standard_time and low > _EARLIEST_S and high < _LATEST_S:
-        return t
-    for words, gps in (
-        ("adjusted standard GPS time", t),
-        ("Unix time", gps_from_unix(t) if _UNIX_S[0] < low and high < _UNIX_S[1] else None),
-        ("GPS time since 1980", t - ADJUSTED_OFFSET_S),
-    ):
-        if gps is not None and np.nanmin(gps) > _EARLIEST_S and np.nanmax(gps) < _LATEST_S:
-            flag = "adjusted standard time" if header.standard_time else "seconds of a week"
-            report.note(f"The header calls its times {flag}; by their size they are {words}.")
-            return gps
-    report.note(f"Times from {low:g} to {high:g} are of no known scale: they are left empty.")
-    return np.full(len(t), np.nan)
+    return gps_from_scale(t, scale)
 
 
 def _salvage(path: Path, parts: list[dict[str, AnyArray]], marked: Counter[str], error: InputError) -> None:
