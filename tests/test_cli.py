@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.ingest.test_rinex import obs_3
 from thalweg.cli import main
 from thalweg.core import InputError
 from thalweg.ingest import IntegrityReport, registry
@@ -101,6 +102,58 @@ def test_new_campaign_from_logs(here, capsys, monkeypatch):
         "depth": [],
     }.items():
         assert campaign.log_files(stream) == [here / "raw" / name for name in names]
+
+
+POS_HEAD = (
+    "%  GPST                  latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m)   sdu(m)"
+    "  sdne(m)  sdeu(m)  sdun(m) age(s)  ratio\n"
+)
+
+
+def _solution(q: int, times_s: list[float]) -> str:
+    """RTKLIB solution of 12 June 2024; quality 1 fixed, 2 float, 5 single."""
+    rows = [
+        f"2024/06/12 10:00:{t:06.3f}   {51 + t * 1e-6:.9f}   {13.75 + 1e-7 * t * t:.9f}   155.0000   {q}  12"
+        "   0.0089   0.0067   0.0153   0.0012   0.0008  -0.0011   0.00   25.3\n"
+        for t in times_s
+    ]
+    return POS_HEAD + "".join(rows)
+
+
+def test_new_campaign_says_which_of_several_tracks_it_takes(here, capsys):
+    """Events stay out; of three solutions the fixed one is taken; raw GNSS of another year is told."""
+    raw = here / "raw"
+    raw.mkdir()
+    seconds = [float(k) for k in range(10, 40)]
+    (raw / "rover.pos").write_text(_solution(1, seconds))
+    (raw / "old_float.pos").write_text(_solution(2, seconds))
+    (raw / "single.pos").write_text(_solution(5, seconds))
+    (raw / "rover_events.pos").write_text(_solution(1, [12.4, 22.4, 32.4]))
+    (raw / "rover.21O").write_text(obs_3(5))  # 2017
+    assert main(["new-campaign", "mine", "--from-logs", "raw", "--folder", "."]) == 0
+    said, text = capsys.readouterr().err, Path("mine.yaml").read_text()
+    assert "  positions: [raw/rover.pos]" in text
+    assert "position_source: pos" in text
+    for sentence in (
+        "left out, 3 times of events, interpolated on a track: rover_events.pos",
+        "left out, of the same time as rover.pos, which has more fixed positions: old_float.pos, single.pos",
+        "positions from pos: a finished solution before raw logs; these logs would also give ppk; CHANGE: "
+        "the raw GNSS is of another time (2017-05-12), keep one of both",
+    ):
+        assert sentence in said
+        assert f"  # {sentence}\n" in text
+    (raw / "rover.pos").unlink()  # none is fixed: no third one is taken in silence
+    assert main(["new-campaign", "other", "--from-logs", "raw", "--folder", "."]) == 0
+    said, text = capsys.readouterr().err, Path("other.yaml").read_text()
+    assert "left out, of the same time as " in said
+    assert text.count(".pos]") == 1
+    (raw / "old_float.pos").unlink()
+    (raw / "single.pos").unlink()  # events without their track are no track: the raw GNSS is left
+    assert main(["new-campaign", "third", "--from-logs", "raw", "--folder", "."]) == 0
+    text = Path("third.yaml").read_text()
+    assert "  # left out, 3 times of events, interpolated on a track: rover_events.pos\n" in text
+    assert "  # positions: []" in text
+    assert "position_source: ppk" in text
 
 
 def test_new_campaign_lists_numbered_parts_in_their_order(here, monkeypatch):

@@ -75,8 +75,7 @@ def test_a_base_that_is_farther_than_trusted(
 CAPTURE = "vlp16_mrpt_gps/sample_velodyne_vlp16_gps.pcap"
 """0.4 s of a VLP-16 with GPS time."""
 WITHOUT_GPS = "vlp16_veloview/vlp-16-test-90deg-1-50-frames.pcap"
-BODY = ["--body-axes", "forward-right-down", "--upside-down", "--time-scale", "utc"]
-"""z, which is down in a boat, points up here: as simple a place of the lidar as can be."""
+BODY = ["--body-axes", "forward-right-down", "--time-scale", "utc", "--upside-down"]
 
 
 def still(path: Path, first_gps_s: float, last_gps_s: float) -> Path:

@@ -30,6 +30,14 @@ def test_the_graph_names_the_packages_that_data_pass(repository: Path) -> None:
     assert drawn == packages - {"core", "settings", "workflow", "budgets"}
 
 
+def test_the_front_page_names_the_commands_that_check_the_software(repository: Path) -> None:
+    """Demo and tests stand where a stranger tries the software; `.ci/run` calls the latter."""
+    block = (repository / "README.md").read_text().split("## Try it")[1].split("\n## ")[0]
+    named = re.findall(r"(?m)^    (make \w+)", block)
+    assert {"make demo", "make test"} <= set(named)
+    assert (repository / ".ci/run").read_text().rstrip().endswith("exec make test")
+
+
 def test_the_page_of_the_rules_is_in_step(repository: Path) -> None:
     made = runpy.run_path(str(repository / "docs/make_rules.py"))["page"](repository / "workflow/rules")
     assert (repository / "docs/rules.md").read_text() == made, "run .venv/bin/python docs/make_rules.py"

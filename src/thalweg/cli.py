@@ -171,14 +171,14 @@ def _new_campaign(options: argparse.Namespace) -> int:
     if options.epochs:
         text = _epochs_text(name, options, schema)
     else:
-        files, left_out = _sort_logs(options.from_logs) if options.from_logs else (None, {})
+        files, remarks = _sort_logs(options.from_logs) if options.from_logs else (None, [])
         text = campaign_text(
             name,
             folder=folder,
             files=files,
             origin=tuple(options.origin) if options.origin else _place(files or {}),
             spacing_m=_spacing_m(files or {}),
-            left_out=left_out,
+            remarks=remarks,
             schema=schema,
         )
     folder.mkdir(parents=True, exist_ok=True)
@@ -220,8 +220,8 @@ _FILES_NAMED = 5
 """Of one kind in one folder; more are counted."""
 
 
-def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], dict[str, list[Path]]]:
-    """Files of a folder by stream, recognised by their content, and tracks left out by the reason."""
+def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], list[str]]:
+    """Files of a folder by stream, recognised by their content, and what was chosen among tracks."""
     from thalweg.ingest.registry import ALSO_MARKS, KINDS, LOOSE_KINDS, choose_tracks, recognise, stream_of
     from thalweg.settings import natural_order
 
@@ -274,14 +274,19 @@ def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], dict[str, list[Path
         elif first:
             print(f"{stream:10s} {path.parent} ({n} files, {kind})")
     streams = _of_receivers(_of_one_kind(streams))
-    others: dict[str, list[Path]] = {}
-    if len(streams.get("pos", [])) > 1:
-        streams["pos"], second = choose_tracks(streams["pos"])
+    remarks, others = [], dict[str, list[Path]]()
+    if "pos" in streams:
+        kept, second = choose_tracks(streams.pop("pos"))
+        if kept:
+            streams["pos"] = kept
         for path, why in second.items():
             others.setdefault(why, []).append(path)
     left_out |= others
-    if streams.get("pos") and streams.get("rover"):
-        print("pos        taken before the raw GNSS beside it: a finished solution", file=sys.stderr)
+    for why, paths in others.items():
+        remarks.append(f"left out, {why}: {', '.join(path.name for path in paths)}")
+    if chosen := _chosen_source(streams):
+        remarks.append(chosen)
+        print(chosen, file=sys.stderr)
     for why, paths in left_out.items():
         named = ", ".join(str(path.relative_to(folder)) for path in paths[:3])
         more = f" and {len(paths) - 3} more" if len(paths) > 3 else ""
@@ -295,7 +300,36 @@ def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], dict[str, list[Path
             expected="Velodyne, ANPP, SBP, RINEX, NMEA, .pos, SBET, point clouds or photographs",
             cure="Look at single files with `thalweg describe FILE`",
         )
-    return streams, others
+    return streams, remarks
+
+
+def _chosen_source(streams: dict[str, list[Path]]) -> str:
+    """Which of several sources of positions is taken and why; empty where there is no choice."""
+    from thalweg.core import utc_text_from_gps
+    from thalweg.settings import position_sources
+
+    first, *others = position_sources(streams) or [""]
+    if not others:
+        return ""
+    also = " or ".join(others)
+    chosen = f"positions from {first}: a finished solution before raw logs; these logs would also give {also}"
+    solved, raw = (_span(streams.get(stream, [])) for stream in ("pos", "rover"))
+    if solved and raw and (raw[1] < solved[0] or solved[1] < raw[0]):
+        day = utc_text_from_gps(raw[0])[:10]
+        chosen += f"; CHANGE: the raw GNSS is of another time ({day}), keep one of both"
+    return chosen
+
+
+def _span(files: Sequence[Path]) -> tuple[float, float] | None:
+    """First and last GPS time of files; None where they tell none, or cannot be read."""
+    from thalweg.ingest.registry import describe
+
+    try:
+        told = [describe(path) for path in files]
+    except ThalwegError:  # which the check of the campaign says
+        return None
+    times = [t for each in told for t in (each.t_first_s, each.t_last_s) if t is not None]
+    return (min(times), max(times)) if times else None
 
 
 def _wanted(streams: dict[str, list[Path]], loose: list[tuple[str, str, Path]]) -> set[str]:

@@ -7,39 +7,87 @@ from pathlib import Path
 def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Add ``bed``, ``flow``, ``plan-survey`` and ``refract``."""
     bed = commands.add_parser(
-        "bed", help="riverbed with standard deviations from a table of soundings, kriged in flow coordinates"
+        "bed",
+        help="bed of a river or a lake with standard deviations from a table of soundings, kriged in flow or "
+        "map coordinates",
     )
     bed.add_argument(
         "table",
         type=Path,
         metavar="TABLE",
-        help="soundings: CSV with east, north (or x, y), text x y z, GeoJSON points",
+        help="soundings: any text with columns, in degrees or in metres, or points of a GIS",
     )
     bed.add_argument(
-        "--crs", required=True, metavar="EPSG:...", help="coordinate system of the table, projected, metres"
+        "--crs",
+        metavar="EPSG:...",
+        help="coordinate system of the map, projected; a table in degrees needs none (its zone of UTM)",
     )
-    value = bed.add_mutually_exclusive_group(required=True)
-    value.add_argument("--height", metavar="COLUMN", help="column with heights of the bed, metres")
-    value.add_argument("--depth", metavar="COLUMN", help="column with depths below the water, metres")
+    value = bed.add_mutually_exclusive_group()
+    value.add_argument("--height", metavar="COLUMN", help="column with heights of the bed (default: by name)")
+    value.add_argument("--depth", metavar="COLUMN", help="column with depths below the water, likewise")
+    bed.add_argument(
+        "--columns",
+        type=lambda text: text.split(","),
+        metavar="NAMES",
+        help="names of the columns in their order, where the table has none: lat,lon,depth_ft,-,time",
+    )
+    bed.add_argument(
+        "--missing",
+        type=float,
+        action="append",
+        default=[],
+        metavar="VALUE",
+        help="value that stands for none, beside the usual ones such as -9999 and, of a depth, 0",
+    )
+    bed.add_argument(
+        "--valid",
+        type=float,
+        action="append",
+        default=[],
+        metavar="VALUE",
+        help="value that is meant although it usually stands for none, such as 0",
+    )
     bed.add_argument("--level", type=float, metavar="M", help="height of the water level; 0 with --depth")
+    bed.add_argument(
+        "--levels",
+        type=Path,
+        metavar="CSV",
+        help="with --depth: levels of the water by day or time, columns date (UTC) and level",
+    )
+    bed.add_argument(
+        "--coordinates",
+        choices=("auto", "flow", "map"),
+        default="auto",
+        help="along and across the flow, or east and north; auto: east and north where nothing shows a river",
+    )
     bed.add_argument(
         "--line", metavar="COLUMN", help="column with the name of the survey line (default: detected)"
     )
     bed.add_argument(
         "--banks",
         type=Path,
-        metavar="GEOJSON",
-        help="both bank lines, or the water surface as a polygon; with heights or --level also data",
+        metavar="FILE",
+        help="both bank lines, or the water surface as a polygon (GeoJSON, Shapefile, GeoPackage, KML, GML, "
+        "DXF; FILE?layer=NAME of several); with heights or --level also data",
     )
     bed.add_argument(
         "--centre-line",
         type=Path,
-        metavar="CSV",
-        help="columns east, north, in downstream order (default: from banks or soundings)",
+        metavar="FILE",
+        help="one line of a GIS, or CSV with east, north, in downstream order (default: from banks or "
+        "soundings)",
     )
-    bed.add_argument("--islands", type=Path, metavar="GEOJSON", help="polygons of islands, which are no bed")
-    bed.add_argument("--cell", type=_positive, required=True, metavar="M", help="cell size of the grid")
-    bed.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the results")
+    bed.add_argument("--islands", type=Path, metavar="FILE", help="polygons of islands, which are no bed")
+    bed.add_argument(
+        "--cell", type=_positive, metavar="M", help="cell size of the grid (default: by the soundings)"
+    )
+    bed.add_argument(
+        "--out",
+        type=Path,
+        default=Path("bed"),
+        metavar="FOLDER",
+        help="folder of the results (default: %(default)s)",
+    )
     bed.add_argument(
         "--sigma",
         type=_positive,
@@ -78,8 +126,8 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
         "--centre-line",
         type=Path,
         required=True,
-        metavar="CSV",
-        help="columns east, north, in downstream order",
+        metavar="FILE",
+        help="one line of a GIS, or CSV with east, north, in downstream order",
     )
     flow.add_argument(
         "--out", type=Path, required=True, metavar="CSV", help="table to write, with s_m, n_m, fold"
@@ -90,7 +138,10 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
         "plan-survey", help="survey lines between two banks, and the accuracy of the bed to expect"
     )
     plan.add_argument(
-        "banks", type=Path, metavar="BANKS", help="GeoJSON: bank lines, or the water surface as a polygon"
+        "banks",
+        type=Path,
+        metavar="BANKS",
+        help="bank lines, or the water surface as a polygon: GeoJSON, Shapefile, GeoPackage, KML, GML, DXF",
     )
     plan.add_argument(
         "--crs", required=True, metavar="EPSG:...", help="coordinate system of the banks, projected, metres"
@@ -129,8 +180,9 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
     plan.add_argument(
         "--centre-line",
         type=Path,
-        metavar="CSV",
-        help="columns east, north, in downstream order (default: from banks or soundings)",
+        metavar="FILE",
+        help="one line of a GIS, or CSV with east, north, in downstream order (default: from banks or "
+        "soundings)",
     )
     plan.add_argument(
         "--variogram",
@@ -236,23 +288,40 @@ def _bed(options: argparse.Namespace) -> int:
     from pydantic import ValidationError
 
     from thalweg.bathymetry import (
+        FlowLine,
+        Levels,
         bed_of_table,
         map_crs,
-        read_bank_lines,
         read_islands,
         read_line,
         read_soundings,
+        usual_cell_m,
+        water_of,
     )
-    from thalweg.core import ConfigError
+    from thalweg.core import ConfigError, InputError
     from thalweg.figures import save
     from thalweg.figures.bathymetry import bed_picture
+    from thalweg.fusion import map_of_bed
     from thalweg.settings.sections import Bathymetry
 
-    crs = map_crs(options.crs)
+    soundings = read_soundings(
+        options.table,
+        None if options.crs is None else map_crs(options.crs),
+        column=options.depth or options.height,
+        depth=None if options.depth is options.height is None else options.depth is not None,
+        level_m=None if options.levels else options.level,
+        line_column=options.line,
+        sigma_m=options.sigma,
+        order=options.columns,
+        nothing=options.missing,
+        keep=options.valid,
+    )
+    crs = soundings.crs
+    notes: list[str] = []
     try:
         settings = Bathymetry(
-            islands=[] if options.islands is None else read_islands(options.islands, crs),
-            cell_m=options.cell,
+            islands=[] if options.islands is None else read_islands(options.islands, crs, notes),
+            cell_m=options.cell or usual_cell_m(soundings.places_m),
             model=options.model,
             drift=options.drift,
             neighbours=options.neighbours,
@@ -262,25 +331,24 @@ def _bed(options: argparse.Namespace) -> int:
         raise ConfigError(
             "; ".join(f"{e['loc'][-1] if e['loc'] else ''}: {e['msg']}" for e in error.errors())
         ) from error
-    soundings = read_soundings(
-        options.table,
+    if options.levels is not None:
+        if not soundings.depth:
+            raise InputError(
+                "--levels with heights", expected="depths below these levels", cure="Heights need no levels"
+            )
+        soundings = soundings.above(Levels.read(options.levels))
+    water = water_of(
+        soundings,
         crs,
-        column=options.depth or options.height,
-        depth=options.depth is not None,
+        settings,
+        line=None if options.centre_line is None else read_line(options.centre_line, crs, notes),
+        banks=options.banks,
         level_m=options.level,
-        line_column=options.line,
-        sigma_m=options.sigma,
+        depths=soundings.depth and options.levels is None,
+        coordinates=options.coordinates,
     )
-    line = None if options.centre_line is None else read_line(options.centre_line, crs)
-    banks = (
-        None
-        if options.banks is None
-        else read_bank_lines(
-            options.banks, crs, line, options.level, (soundings.places_m, soundings.height_m)
-        )
-    )
-    found = bed_of_table(soundings, crs, settings, line=line, banks=banks)
-    relative = options.depth is not None and options.level is None
+    found = bed_of_table(soundings, crs, settings, water)
+    relative = soundings.depth and options.level is None and options.levels is None
     found.write(
         options.out,
         {"heights": "above the water surface, metres" if relative else f"of {options.table.name}, metres"},
@@ -289,40 +357,48 @@ def _bed(options: argparse.Namespace) -> int:
         bed_picture(
             bed=options.out / "bed.tif",
             observations=found.bed.data,
-            line=found.line,
+            line=water.line if isinstance(water.line, FlowLine) else None,
+            area=water.area,
+            edge=water.edge,
             title=options.table.name,
             twin=False,
         ),
         options.out / "bed.png",
     )
+    map_of_bed(options.out / "map.gpkg", found, soundings)
     bed, of = found.bed, found.validation
     print(f"{bed.facts['soundings']:,} soundings on {len(np.unique(soundings.line)):,} lines")
     print(f"  bed: {bed.facts['cells']:,} cells, median sigma {bed.facts['median sigma_m']:.3f} m")
     print(f"  {bed.model.reason}")
     print(
-        f"  {of['lines']} left-out lines: rms {of['rmse_m']:.3f} m, bias {of['bias_m']:+.3f} m, "
+        f"  {of['lines']} left-out {of['left_out']}: rms {of['rmse_m']:.3f} m, bias {of['bias_m']:+.3f} m, "
         f"mean of squared error over variance {of['normalised_square']:.2f}, "
         f"{of['outside_95']:.1%} outside their 95 % interval"
     )
-    for note in found.notes:
+    print(f"  {soundings.crs.name}, cells of {settings.cell_m:g} m")
+    for note in (*notes, *found.notes):
         print(f"note: {note}")
-    print(f"Wrote {options.out}/bed.tif, bed.png, validation.json, methods.csv, centre_line.csv")
+    course = ", centre_line.csv" if isinstance(water.line, FlowLine) else ""
+    print(f"Wrote {options.out}/bed.tif, map.gpkg, bed.png, validation.json, methods.csv{course}")
     return 0
 
 
 def _flow(options: argparse.Namespace) -> int:
     import numpy as np
-    from pyproj import CRS
+    import pandas as pd
 
     from thalweg.bathymetry import read_line, read_places
 
     line = read_line(options.centre_line)
-    # any system in metres does: only GeoJSON is transformed
-    table, places = read_places(options.points, CRS.from_epsg(32633))
+    table, found = read_places(options.points, None, any_system=True)
+    places = found.xy_m
     known = np.isfinite(places).all(axis=1)
     s, n, fold = np.full(len(places), np.nan), np.full(len(places), np.nan), np.ones(len(places), dtype=bool)
     s[known], n[known], fold[known] = line.to_flow(places[known])
-    table.assign(s_m=s, n_m=n, fold=fold).to_csv(options.out, index=False, float_format="%.6f")
+    columns = {c.name: table.text(k) for k, c in enumerate(table.columns)}
+    pd.DataFrame(columns | {"s_m": s, "n_m": n, "fold": fold}).to_csv(
+        options.out, index=False, float_format="%.6f"
+    )
     print(f"{len(table):,} places, {int(fold.sum()):,} beyond the ends or where perpendiculars meet")
     if not known.all():
         print(f"note: {int((~known).sum()):,} rows without coordinates")
@@ -339,9 +415,10 @@ def _plan(options: argparse.Namespace) -> int:
     from thalweg.core import InputError
 
     crs = map_crs(options.crs)
-    line = None if options.centre_line is None else read_line(options.centre_line, crs)
+    notes: list[str] = []
+    line = None if options.centre_line is None else read_line(options.centre_line, crs, notes)
     nothing = (np.empty((0, 2)), np.empty(0))
-    banks, _ = read_bank_lines(options.banks, crs, line, None, nothing)
+    banks, _ = read_bank_lines(options.banks, crs, line, None, nothing, notes)
     if options.variogram is None:
         left, right = banks.half_widths_m(np.linspace(0, banks.line.length_m, 500))
         width = float(np.nanmedian(left + right))
@@ -394,6 +471,8 @@ def _plan(options: argparse.Namespace) -> int:
         f"  95 % of the bed known to {plan.sigma_95_m:.3f} m, half of it to {facts['median_sigma_m']:.3f} m"
     )
     print(f"  covariance {source}")
+    for note in notes:
+        print(f"note: {note}")
     if plan.sigma_95_m > options.sigma:
         print(f"note: {options.sigma:g} m was wanted; leave out --leg for legs that reach it")
     print(f"Wrote {options.out}/waypoints.gpx, waypoints.geojson, sigma.tif, plan.json")

@@ -117,7 +117,23 @@ def _add_imports(commands: "argparse._SubParsersAction[argparse.ArgumentParser]"
         help="map grid of the points, as EPSG:25833 (default: %(default)s)",
     )
     resect.add_argument(
-        "--camera", type=Path, required=True, metavar="FILE", help="calibration, COLMAP or OpenCV file"
+        "--camera", type=Path, metavar="FILE", help="calibration, COLMAP or OpenCV file; else --free"
+    )
+    resect.add_argument(
+        "--free",
+        type=lambda text: tuple(word.strip() for word in text.split(",") if word.strip()),
+        default=(),
+        metavar="WORDS",
+        help="what to estimate of the lens that all pictures share: focal; focal,k1; focal,centre,k1,k2",
+    )
+    resect.add_argument(
+        "--size", type=_size, metavar="WxH", help="with --free, without --camera: image size, pixels"
+    )
+    resect.add_argument(
+        "--photograph",
+        type=Path,
+        metavar="FILE",
+        help="instead of --size, or beside it for EXIF: a picture (default: looked for beside the marks)",
     )
     resect.add_argument(
         "--sigma-px",
@@ -143,6 +159,7 @@ def _add_imports(commands: "argparse._SubParsersAction[argparse.ArgumentParser]"
     resect.add_argument(
         "-o", "--out", type=Path, required=True, metavar="CSV", help="table of poses and residuals to write"
     )
+    resect.add_argument("--force", action="store_true", help="overwrite files that exist")
     resect.set_defaults(command=_resect)
 
     camera = commands.add_parser(
@@ -241,23 +258,33 @@ def _size(text: str) -> tuple[int, int]:
 
 
 def _resect(options: argparse.Namespace) -> int:
+    from thalweg.calibration import interior_calibration
+    from thalweg.core.calibration import Source, write_calibration
     from thalweg.figures.images import fixed_camera_page, pose_history
-    from thalweg.images import resect_pictures
+    from thalweg.images import resect_pictures, sigma0_band
     from thalweg.settings.sections import ControlSettings
 
-    poses, residuals, facts = resect_pictures(
+    beside = options.out.with_name(f"{options.out.stem}_residuals.csv")
+    page, title = options.out.with_suffix(".html"), f"Pictures of a fixed camera: {options.out.stem}"
+    written = [options.out, beside, page]
+    if options.free:
+        written.append(options.out.with_name(f"{options.out.stem}_camera.yaml"))
+    if not options.force:
+        _not_there(*written, cure="Choose another name, or overwrite with --force")
+    poses, residuals, facts, camera = resect_pictures(
         options.marks,
         options.points,
         options.camera,
         crs=options.crs,
         control=ControlSettings(sigma_px=options.sigma_px, sigma_m=(options.sigma_point,) * 3),
         largest_sigma_m=options.largest_sigma,
+        free=options.free,
+        size_px=options.size,
+        photograph=options.photograph,
     )
     options.out.parent.mkdir(parents=True, exist_ok=True)
     poses.to_csv(options.out, index=False)
-    beside = options.out.with_name(f"{options.out.stem}_residuals.csv")
     residuals.to_csv(beside, index=False, float_format="%.3f")
-    page, title = options.out.with_suffix(".html"), f"Pictures of a fixed camera: {options.out.stem}"
     fixed_camera_page(
         facts,
         poses,
@@ -270,12 +297,26 @@ def _resect(options: argparse.Namespace) -> int:
             print(f"{row['image']}: no pose: {row['refused']}")
             continue
         worst = max(row["sigma_x_m"], row["sigma_y_m"], row["sigma_z_m"])
+        low, high = sigma0_band(row["redundancy"])
         print(
             f"{row['image']}: {row['x_m']:.3f} {row['y_m']:.3f} {row['z_m']:.3f} m, sigma up to "
-            f"{worst:.3f} m, {row['points']} points, rms {row['rms_px']:.2f} px, sigma0 {row['sigma0']:.2f}"
+            f"{worst:.3f} m, {row['points']} points, rms {row['rms_px']:.2f} px, sigma0 {row['sigma0']:.2f} "
+            f"({low:.2f} to {high:.2f} expected)"
         )
+    for name, found in facts["lens"].items():
+        print(f"{name:>4} {found['value']:12.6g} +- {found['sigma']:.2g}")
+    if options.free:
+        source = Source(
+            run=options.out.stem,
+            method="resection with an unknown lens",
+            observations=2 * int(poses["points"][poses["refused"] == ""].sum()),
+            sigma0=float(poses["sigma0"].max()),
+        )
+        write_calibration(written[-1], interior_calibration(camera, source))
+    for note in facts["notes"]:
+        print(f"note: {note}")
     print(f"{facts['with_pose']} of {facts['pictures']} pictures have a pose")
-    print(f"Wrote {options.out}, {beside}, {page}")
+    print(f"Wrote {', '.join(str(path) for path in written)}")
     return 0
 
 
@@ -356,7 +397,7 @@ def _export_camera(options: argparse.Namespace) -> int:
             cure="Camera files are known again by their endings",
         )
     if not options.force:
-        _not_there(options.out, "Choose another name, or overwrite with --force")
+        _not_there(options.out, cure="Choose another name, or overwrite with --force")
     calibration = read_calibration(options.file)
     known = [b.name.removesuffix(SUFFIX) for b in calibration.blocks if b.name.endswith(SUFFIX)]
     block = options.block or (known[0] if len(known) == 1 else "")
@@ -376,9 +417,10 @@ def _export_camera(options: argparse.Namespace) -> int:
     return 0
 
 
-def _not_there(path: Path, cure: str = "Choose another name") -> None:
-    if path.exists():
-        raise InputError("the file exists already", where=path, cure=cure)
+def _not_there(*paths: Path, cure: str = "Choose another name") -> None:
+    for path in paths:
+        if path.exists():
+            raise InputError("the file exists already", where=path, cure=cure)
 
 
 def _sigma(text: str) -> tuple[str, float]:

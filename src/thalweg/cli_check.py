@@ -64,8 +64,7 @@ class FirstJobs:
             self._opened("positions", files.position_logs(), self._positions)
         else:
             self._tried(self._raw_gnss)
-        if states is None and not files.ins_logs():
-            self._opened("depth", files.logs("depth"), self._depth)
+        self._opened("depth", files.logs("depth"), self._depth)
         if self.errors or self.skipped:
             return  # what is missing here is no stream without overlap
         needed = ("lidar", "ins", "positions") if files.ins_logs() else ("depth", "positions")
@@ -176,9 +175,9 @@ class FirstJobs:
         check_inputs(rover, base or None, nav)
 
     def _depth(self, paths: list[Path]) -> None:
-        from thalweg.ingest.nmea import read_nmea
+        from thalweg.ingest.registry import read_depths
 
-        self._as_stream("depth", read_nmea(paths, date=self._date()).report)
+        self._as_stream("depth", read_depths(paths, self._date()).report)
 
     def _date(self) -> dt.date | None:
         date = self._files.log_option("depth_date")

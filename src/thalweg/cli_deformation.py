@@ -118,11 +118,10 @@ def add_deformation_commands(commands: "argparse._SubParsersAction[argparse.Argu
     )
     rasters.add_argument(
         "--leave-out",
-        type=_file_and_columns,
         action="append",
         default=[],
         metavar="FILE[?COLUMN=VALUE,...]",
-        help="polygons (.gpkg) to exclude, such as water; may be repeated",
+        help="polygons (GeoPackage, Shapefile, GeoJSON, KML) to exclude, such as water; may be repeated",
     )
     compare.set_defaults(command=_compare)
 
@@ -220,14 +219,6 @@ def _nodata(text: str) -> float:
         raise argparse.ArgumentTypeError(f"{text!r}; expected a number or none") from None
 
 
-def _file_and_columns(text: str) -> tuple[Path, dict[str, str]]:
-    name, _, rest = text.partition("?")
-    where = dict(part.partition("=")[::2] for part in rest.split(",") if part)
-    if not all(where.values()):
-        raise argparse.ArgumentTypeError(f"{text!r}; expected FILE?COLUMN=VALUE,COLUMN=VALUE")
-    return Path(name), where
-
-
 def _length(text: str) -> float:
     values = _numbers(text)
     if len(values) != 1 or not 0 <= values[0] < float("inf"):
@@ -296,13 +287,9 @@ def _compare_nearest(options: argparse.Namespace) -> int:
 def _compare_surfaces(options: argparse.Namespace) -> int:
     import numpy as np
 
-    from thalweg.deformation.foreign import (
-        HeightErrors,
-        difference_of_surfaces,
-        read_dsm,
-        read_shapes,
-        write_difference,
-    )
+    from thalweg.core import read_dsm
+    from thalweg.deformation.foreign import HeightErrors, difference_of_surfaces, write_difference
+    from thalweg.ingest import read_vectors
 
     before, after = (read_dsm(path, nodata=options.nodata) for path in (options.before, options.after))
     stated = (
@@ -317,7 +304,7 @@ def _compare_surfaces(options: argparse.Namespace) -> int:
         (next(stated), next(stated)),
         sigma_registration_m=options.sigma_registration,
         resample=options.resample,
-        leave_out=[read_shapes(path, where) for path, where in options.leave_out],
+        leave_out=[read_vectors(each) for each in options.leave_out],
     )
     write_difference(options.out, found)
     height = found.raster.height_m[np.isfinite(found.raster.height_m)]

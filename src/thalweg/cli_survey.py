@@ -96,10 +96,10 @@ def add_survey_commands(commands: "argparse._SubParsersAction[argparse.ArgumentP
         choices=("forward-right-down", "forward-left-up", "right-down-forward"),
         help="body axes x-y-z in a table of poses",
     )
-    cloud.add_argument(
-        "--upside-down", action="store_true", help="the body hung so: else such a trajectory is refused"
-    )
     cloud.add_argument("--time-scale", choices=("utc", "gps"), help="time scale of a table of poses")
+    cloud.add_argument(
+        "--upside-down", action="store_true", help="the sensor of the attitudes is mounted upside down"
+    )
     cloud.add_argument(
         "--sigma-position",
         type=float,

@@ -119,7 +119,7 @@ def test_a_reference_raster_of_another_system_is_refused(
     bed: tuple[Path, np.ndarray], tmp_path: Path
 ) -> None:
     grid = Grid.around(np.array([[5e5, 5e6], [5.0001e5, 5.0001e6]]), 5.0, CRS("EPSG:25832"), margin_m=0.0)
-    write_raster(tmp_path / "a.tif", grid, {"h": np.zeros(grid.rows * grid.columns)}, tags={})
+    write_raster(tmp_path / "a.tif", grid, {"h": np.ones(grid.rows * grid.columns)}, tags={})
     with pytest.raises(InputError, match="a raster in ETRS89 / UTM zone 32N") as told:
         against_reference(bed[0], [tmp_path / "a.tif"], UTM, Bathymetry())
     check_whole(told.value)

@@ -152,6 +152,15 @@ def test_three_parts_of_the_error_against_differences() -> None:
     assert grown == pytest.approx(0.1**2, rel=1e-6)  # 0.1 s at 1 m/s
 
 
+def test_an_uncertain_time_counts_along_the_track() -> None:
+    """3 m/s to the east: 0.1 s are 0.3 m there, and nothing across or up."""
+    path = straight(speed_mps=3.0)
+    sure, unsure = (located(np.full(100, 2.0), path, sigma_time_s=s)[0] for s in (0.0, 0.1))
+    for name, more_m in (("ee", 0.3), ("nn", 0.0), ("uu", 0.0)):
+        more = np.sqrt(unsure[f"cov_{name}_m2"] - sure[f"cov_{name}_m2"])
+        np.testing.assert_allclose(more, more_m, atol=1e-6)
+
+
 def test_sound_speed_scales_depths_and_its_sigma_counts() -> None:
     echo = EchoSounder(
         set_sound_speed_mps=1500.0, water_temperature_c=10.0, sigma_temperature_c=2.0, sigma_sound_speed=0.0

@@ -180,7 +180,7 @@ def test_text_without_names_and_repeated_places(river: Path, tmp_path: Path) -> 
     (tmp_path / "more.xyz").write_text("\n".join([*text, *extra]) + "\n")
     facts = made(river, tmp_path / "out", "--height", "z", table=str(tmp_path / "more.xyz"))
     notes = " ".join(facts["notes"])
-    assert "1 without a number" in notes
+    assert "1 row without a value in column z, left out, the first in line 266" in notes
     assert "2 repeated" in notes
     assert "1 repeated and different" in notes
     assert facts["true_rms"] < 0.15
@@ -191,11 +191,12 @@ BAD = {
     "in feet": (["--crs", "EPSG:2263", "--height", "h"], "foot"),
     "no such column": (["--height", "z"], "no column z"),
     "heights as depths": (["--depth", "minus"], "positive downwards"),
-    "depths as heights": (["--height", "depth", "--level", "0"], "above the level"),
-    "depths as heights beside banks": (["--height", "depth", "--banks", "high.geojson"], "m below the banks"),
+    "depths as heights by name": (["--height", "depth"], "holds depths by its name"),
+    "depths as heights": (["--height", "d2", "--level", "0"], "above the level"),
+    "depths as heights beside banks": (["--height", "d2", "--banks", "high.geojson"], "m below the banks"),
     "banks below the bed": (["--height", "high", "--banks", "high.geojson"], "m above the banks"),
     "one bank": (["--height", "h", "--banks", "one.geojson"], "1 lines"),
-    "an empty centre line": (["--height", "h", "--centre-line", "empty.csv"], "delimiter"),
+    "an empty centre line": (["--height", "h", "--centre-line", "empty.csv"], "the file is empty"),
     "level below the bed": (["--height", "h", "--level", "90"], "above the level"),
     "banks of another place": (["--height", "h", "--banks", "away.geojson"], "soundings lie"),
     "sides exchanged": (
@@ -204,12 +205,12 @@ BAD = {
     ),
     "no banks": (["--height", "h", "--banks", "soundings.csv"], "GeoJSON"),
     "one line": (["--height", "h", "--line", "same"], "1 line of soundings"),
-    "a depth in feet": (["--depth", "depth_ft"], "in feet"),
+    "a depth by pressure": (["--depth", "depth_dbar"], "in dbar"),
     "level above the banks": (
         ["--height", "h", "--level", "104.5", "--banks", "high.geojson"],
         "4.5 m above",
     ),
-    "no such file": (["--height", "h", "--centre-line", "nothing.csv"], "no such file"),
+    "no such file": (["--height", "h", "--centre-line", "nothing.csv"], "file not found"),
 }
 
 
@@ -235,7 +236,7 @@ def test_mistakes_are_told(
     table = pd.read_csv(river / "soundings.csv").assign(same=1)
     table["minus"] = -table["depth"]
     table["high"] = table["h"] + 5.0
-    table["depth_ft"] = table["depth"] / 0.3048
+    table["depth_dbar"] = table["d2"] = table["depth"]
     table.to_csv(tmp_path / "t.csv", index=False)
     words = [str(river / w) if "." in w and not w[0].isdigit() else w for w in words]
     crs = [] if "--crs" in words else ["--crs", CRS]

@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from thalweg.accuracy import verdict_of
-from thalweg.calibration import resect_series
+from thalweg.calibration import read_camera, resect_series, starting_lens
 from thalweg.calibration.fixed_camera import _columns
 from thalweg.cli import main
-from thalweg.core import Camera, InputError
+from thalweg.core import Camera, GeometryError, InputError
 from thalweg.images import read_all_marks
 from thalweg.images.fixed_camera import history_facts
 
@@ -35,7 +35,7 @@ def test_errors_of_places_are_those_that_the_sigmas_state() -> None:
         names = [f"P{i}" for i in range(9)]
         marks = pd.DataFrame({"image": f"{seed}", "point": names, "x_px": xy[:, 0], "y_px": xy[:, 1]})
         points = pd.DataFrame({"point": names, **dict(zip("xyz", (local + true_m).T, strict=True))})
-        poses, _ = resect_series(CAMERA, marks, points, sigma_px=0.8, sigma_point_m=0.02)
+        poses, _, _ = resect_series(CAMERA, marks, points, sigma_px=0.8, sigma_point_m=0.02)
         row = poses.iloc[0]
         assert row.refused == ""
         error = row[["x_m", "y_m", "z_m"]].to_numpy(float) - true_m
@@ -125,7 +125,7 @@ def test_a_camera_that_stays_and_one_that_moved() -> None:
             xy = CAMERA.project((local - at) @ R) + rng.normal(0, 0.5, (10, 2))
             tables.append(pd.DataFrame({"image": f"{k}", "point": names, "x_px": xy[:, 0], "y_px": xy[:, 1]}))
         points = pd.DataFrame({"point": names, **dict(zip("xyz", surveyed.T, strict=True))})
-        poses, _ = resect_series(CAMERA, pd.concat(tables), points, sigma_px=0.5, sigma_point_m=0.1)
+        poses, _, _ = resect_series(CAMERA, pd.concat(tables), points, sigma_px=0.5, sigma_point_m=0.1)
         assert (poses["sigma_x_m"] > 1.5 * poses["sigma_change_x_m"]).all()
         return history_facts(poses)
 
@@ -150,7 +150,7 @@ def test_check_points_take_no_part() -> None:
     points = pd.DataFrame(
         {"point": names, **dict(zip("xyz", local.T, strict=True)), "check": [False] * 7 + [True]}
     )
-    poses, residuals = resect_series(CAMERA, marks, points)
+    poses, residuals, _ = resect_series(CAMERA, marks, points)
     assert poses["points"][0] == 7
     assert poses["rms_px"][0] < 1e-3
     assert poses["check_rms_px"][0] == pytest.approx(30.0, abs=0.01)
@@ -184,7 +184,7 @@ def test_poses_and_residuals_of_two_pictures() -> None:
         {"point": names, **dict(zip("xyz", (local + np.array([100.0, 200.0, 30.0])).T, strict=True))}
     )
     unknown = marks[:1].assign(point="nowhere")
-    poses, residuals = resect_series(CAMERA, pd.concat([marks, wrong, few, unknown]), points)
+    poses, residuals, _ = resect_series(CAMERA, pd.concat([marks, wrong, few, unknown]), points)
     assert poses["image"].tolist() == ["a", "b", "c"]
     assert poses["points"].tolist() == [8, 7, 3]
     assert poses["refused"].tolist()[:2] == ["", ""]
@@ -198,3 +198,70 @@ def test_poses_and_residuals_of_two_pictures() -> None:
     bad = residuals[~residuals["used"]]
     assert bad[["image", "point"]].to_numpy().tolist() == [["b", "P3"]]
     assert bad["vy_px"].iloc[0] == pytest.approx(40.0, abs=0.5)
+
+
+def hillside(seed: int, *, noise_px: float, n: int = 28) -> tuple[Camera, pd.DataFrame, pd.DataFrame]:
+    """A lens as others are, and points over a slope 200 to 1500 m before it; marks with normal errors."""
+    rng = np.random.default_rng(seed)
+    f = 4000 * rng.uniform(0.7, 1.4)
+    lens = [f, f, *rng.normal([2000, 1500], 40), *rng.normal(0, 0.1, 2), 0, 0, 0]
+    camera = Camera(model="perspective", size_px=(4000, 3000), parameters=np.array(lens))
+    R = Rotation.from_euler("x", -95, degrees=True).as_matrix()
+    rays = camera.rays(rng.uniform([200, 400], [3800, 2800], (8 * n, 2))) @ R.T
+    # where they meet the slope up = 0.35 (north - 300) - 80
+    X = rays * (-185 / (rays[:, 2] - 0.35 * rays[:, 1]))[:, None]
+    X = X[(X[:, 1] > 200) & (X[:, 1] < 1500)][:n] + np.outer(rng.uniform(-8, 8, n), [0, 0, 1])
+    xy = np.clip(camera.project(X @ R) + rng.normal(0, noise_px, (n, 2)), 0, (4000, 3000))
+    names = [f"P{i}" for i in range(n)]
+    marks = pd.DataFrame({"image": "a", "point": names, "x_px": xy[:, 0], "y_px": xy[:, 1]})
+    return camera, marks, pd.DataFrame({"point": names, **dict(zip("xyz", X.T, strict=True))})
+
+
+def test_an_unknown_focal_length_errs_as_its_sigma_states() -> None:
+    """The true lens has a centre and a k2 that are not estimated: they count with what lenses have."""
+    squares = []
+    for seed in range(16):
+        true, marks, points = hillside(seed, noise_px=5.0)
+        near = 1.05 * true.parameters[0]
+        start = starting_lens(marks, points, true.size_px, free=["focal", "k1"], focal_px=near, sigma_px=5.0)
+        _, _, lens = resect_series(start, marks, points, sigma_px=5.0, free=["focal", "k1"])
+        assert lens.parameters[0] == lens.parameters[1]
+        squares.append((lens.parameters[0] - true.parameters[0]) ** 2 / lens.cov[0, 0])
+        assert np.sqrt(lens.cov[0, 0]) < 0.02 * lens.parameters[0]
+    low, high = chi2.ppf([0.001, 0.999], len(squares)) / len(squares)
+    assert low < np.mean(squares) < high
+
+
+def test_what_the_points_do_not_tell_is_refused_by_name() -> None:
+    true, marks, points = hillside(1, noise_px=5.0)
+    free = ["focal", "centre", "k1", "k2"]
+    start = starting_lens(marks, points, true.size_px, free=free, sigma_px=5.0)
+    with pytest.raises(GeometryError, match="k2 to"):
+        resect_series(start, marks, points, sigma_px=5.0, free=free, largest_sigma_m=50)
+    with pytest.raises(InputError, match="'focus' to be estimated; expected some of focal, centre"):
+        starting_lens(marks, points, true.size_px, free=["focus"])
+    with pytest.raises(InputError, match="pixels inside of 400 x 300"):
+        starting_lens(marks, points, (400, 300), free=["focal"])
+
+
+def test_a_photograph_without_a_camera_file_in_a_national_grid(tmp_path: Path, capsys) -> None:
+    """Swiss LV95 lies on Bessel's ellipsoid: nothing of it needs another datum. Nothing is overwritten."""
+    true, marks, points = hillside(3, noise_px=0.5)
+    points = points.assign(x=points["x"] + 2_600_000, y=points["y"] + 1_200_000, z=points["z"] + 1500)
+    marks.to_csv(tmp_path / "marks.csv", index=False)
+    points.to_csv(tmp_path / "points.csv", index=False)
+    words = ["resect", str(tmp_path / "marks.csv"), "--points", str(tmp_path / "points.csv")]
+    words += ["--free", "focal,k1", "--crs", "EPSG:2056", "-o", str(tmp_path / "poses.csv")]
+    assert main(words) == 2
+    assert "State it, as --size 6000x4000" in capsys.readouterr().err
+    words += ["--size", "4000x3000", "--sigma-px", "0.5"]
+    assert main(words) == 0
+    assert "stay in the datum of CH1903+ / LV95" in capsys.readouterr().out
+    row = pd.read_csv(tmp_path / "poses.csv").iloc[0]
+    # earth's curvature over 1 km and the scale of the map move it by centimetres
+    assert (row.x_m, row.y_m, row.z_m) == pytest.approx((2_600_000, 1_200_000, 1500), abs=6.0)
+    lens = read_camera(tmp_path / "poses_camera.yaml")
+    assert lens.parameters[0] == pytest.approx(true.parameters[0], rel=0.02)
+    assert main(words) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert main([*words, "--force"]) == 0

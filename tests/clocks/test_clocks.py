@@ -158,7 +158,7 @@ def test_ties_from_a_table(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="sigma_s"):
         read_ties(path)
     path.write_text("")
-    with pytest.raises(InputError, match="no table"):
+    with pytest.raises(InputError, match="the file is empty"):
         read_ties(path)
     path.write_text("file, text\na.jpg, 08:31:07.42\n")
     assert read_text_columns(path, ("file", "text")) == [["a.jpg"], ["08:31:07.42"]]

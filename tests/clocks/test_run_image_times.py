@@ -201,7 +201,7 @@ def test_tables_of_people_are_read_as_they_write_them(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "found"),
     [
-        ("", "this is no table"),
+        ("", "the file is empty"),
         ("file\na\n", "columns missing: t_s"),
         ("file,t_s\n", "no row"),
         ("file,t_s\na,nan\n", "'nan' in column t_s, row 1"),

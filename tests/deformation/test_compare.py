@@ -10,14 +10,14 @@ from pyproj import CRS
 from scipy.ndimage import binary_erosion
 
 from thalweg.cli import main
-from thalweg.core import ArrayF, GeometryError, InputError, LocalFrame, read_table
+from thalweg.core import ArrayF, GeometryError, InputError, LocalFrame, read_dsm, read_table
 from thalweg.core.las import read_laz, write_laz
 from thalweg.core.raster import Grid, write_raster
 from thalweg.deformation import CLOUD_TO_CLOUD, Comparison, cloud_to_cloud
 from thalweg.deformation.compare import CHANGES, measure_distances
 from thalweg.deformation.foreign import compare_clouds
 from thalweg.deformation.foreign.clouds import Points, compare_with_surface, read_points, sigma_of_mean
-from thalweg.deformation.foreign.surfaces import one_frame, read_dsm
+from thalweg.deformation.foreign.surfaces import one_frame
 from thalweg.settings.sections import ReferenceSettings
 
 OPTIONS = Comparison(scales_m=(1.0,), radius_m=0.8, half_length_m=3.0)
@@ -168,7 +168,7 @@ def test_tables_of_coordinates_are_read(tmp_path: Path, head: str) -> None:
     path.write_text(head + f"1.5{mark}2{mark}3{mark}7\n4{mark}5{mark}6{mark}8\n")
     assert read_points(path).xyz_m.tolist() == [[1.5, 2.0, 3.0], [4.0, 5.0, 6.0]]
     path.write_text(head)
-    with pytest.raises(InputError, match="no line of three numbers"):
+    with pytest.raises(InputError, match=r"the file is empty|no point"):
         read_points(path)
 
 

@@ -21,6 +21,7 @@ from thalweg.core import (
     LocalFrame,
     ThalwegError,
     gps_from_unix,
+    read_dsm,
     write_raster,
 )
 from thalweg.core.las import write_laz
@@ -42,7 +43,6 @@ from thalweg.deformation.foreign import (
     difference_of_models,
     notes_of_pair,
     prepare_foreign_epoch,
-    read_dsm,
     read_epoch,
 )
 from thalweg.deformation.m3c2 import ColumnIndex
@@ -120,6 +120,7 @@ def test_a_surface_model_has_a_point_a_cell_outside_of_its_masks(tmp_path: Path)
     assert len(one.xyz_m) == 19 * 25
     assert one.notes == (
         "a.tif: 30 of 600 cells without a height (undeclared value -10000).",
+        "a.tif: The file states no unit of heights: metres.",
         "a.tif: 100 of 600 points left out by polygons.",
         "a.tif states no system of heights: taken as ellipsoidal.",
     )
@@ -155,7 +156,8 @@ def test_a_bed_brings_the_sigmas_of_its_kriging(tmp_path: Path) -> None:
     renamed = {name.removesuffix("_m"): band for name, band in bands.items()} | {"source": 0 * sigma}
     write_raster(tmp_path / "dtm.tif", grid, renamed, tags={"heights": "DHHN2016 height"})
     model = read_dsm(tmp_path / "dtm.tif")
-    assert model.heights == 7837
+    assert model.frame is not None
+    assert model.frame.sub_crs_list[1].to_epsg() == 7837
     assert model.sigma_m == pytest.approx(sigma, rel=1e-6)
     assert model.common_m == pytest.approx(np.full(sigma.shape, 0.03))
     # difference of both beds: each cell with both sigmas, the sum with what all cells share
@@ -332,7 +334,7 @@ def test_values_that_may_be_no_heights_are_masked_or_refused(tmp_path: Path) -> 
         if value:
             one = prepared("first", clouds=[str(path)])
             assert len(one.xyz_m) == 370
-            assert "30 of 400 points without a height (undeclared value -10000)" in one.notes[0]
+            assert "30 rows with -10000, which stands for no value" in one.notes[0]
     broken[:30, 2] = 0.0
     np.savetxt(path, broken, fmt="%.3f")
     assert "30 of 400 points are exactly 0 m" in told(InputError, clouds=[str(path)]).found

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from pyproj import CRS
 
-from thalweg.core import Grid, InputError, frame_of, write_raster, write_table
+from thalweg.core import Dsm, Grid, InputError, frame_of, write_raster, write_table
 from thalweg.deformation import (
     CHANGES,
     CORE_POINTS,
@@ -21,7 +21,7 @@ from thalweg.deformation import (
     fit_series,
     heights_table,
 )
-from thalweg.deformation.foreign import Dsm, SurfaceDifference, read_difference, write_difference
+from thalweg.deformation.foreign import SurfaceDifference, read_difference, write_difference
 from thalweg.figures import save
 from thalweg.figures.deformation import change_page, read_pair_facts
 from thalweg.figures.deformation.heights import draw_height_difference
@@ -318,9 +318,7 @@ def test_difference_of_heights_is_drawn_with_its_sigma(look, tmp_path, tall):
     height = np.full((8, 30), 0.02)
     height[:, :3], height[2:5, 10:16], height[0, 29] = np.nan, -0.29, 2.5
     height = height.T if tall else height
-    raster = Dsm(
-        height, np.array([377_310.0, 5_656_780.0]), np.full(2, 0.5), CRS.from_epsg(25833), None, Path("a")
-    )
+    raster = Dsm(height, np.array([377_310.0, 5_656_780.0]), np.full(2, 0.5), CRS.from_epsg(25833), Path("a"))
     sigma = np.where(np.isfinite(height), 0.04, np.nan)
     found = SurfaceDifference(raster, sigma, pd.DataFrame(), [])
     write_difference(tmp_path / "dod_1-2.tif", found)

@@ -2,15 +2,18 @@
 
 import json
 import re
+import time
 
 import numpy as np
 import pandas as pd
 import pytest
 import rasterio
+from scipy.spatial.distance import cdist
 
 from tests.fusion.conftest import DEPTH_M, FRAME, GRID, HALF_WIDTH_M, LEVEL_UP_M, bed_up_m
-from thalweg.core import CoverageError
-from thalweg.fusion import Dtm, River
+from thalweg.bathymetry import FlowLine
+from thalweg.core import CoverageError, Trajectory
+from thalweg.fusion import Dtm, River, map_of_changes, map_of_survey
 from thalweg.fusion.exports import (
     contour_lines,
     write_bag,
@@ -28,6 +31,7 @@ from thalweg.fusion.measures import (
     long_profile,
     volume_below,
 )
+from thalweg.ingest import describe_layers, read_vectors
 from thalweg.settings.sections import Fusion
 from thalweg.settings.twin import TwinConfig
 from thalweg_lab.reach import River as TrueRiver
@@ -236,10 +240,69 @@ def test_csv_and_geojson_hold_sections_and_contours(model, sections, river, tmp_
     assert told["crs"]["properties"]["name"].endswith("25833")
     kinds = [f["properties"]["kind"] for f in told["features"]]
     assert {"contour", "thalweg", "water line", "section"} == set(kinds)
-    for level, line in contour_lines(model, 0.5)[:20]:
+    for level, line in contour_lines(model.height_m, model.centres_m(), 0.5)[:20]:
         here = model.at(line)[0]
         assert np.nanmedian(np.abs(here - level)) < 0.02
     assert LEVEL_UP_M < 0
+
+
+def test_a_survey_is_one_file_for_a_gis(model, arc, banks, tmp_path):
+    """Layers lie on the map, and two runs have the same bytes although a clock passes between them."""
+    n = 50
+    place = np.column_stack([arc.to_map(np.linspace(1, 79, n), np.zeros(n)), np.full(n, LEVEL_UP_M)])
+    valid = np.arange(n) % 25 != 0  # two runs
+    turn, cov = np.tile([0.0, 0, 0, 1], (n, 1)), np.tile(np.eye(6) * 1e-4, (n, 1, 1))
+    Trajectory(
+        frame=FRAME,
+        t_gps_s=3.0e8 + np.arange(n),
+        position_wcs_m=place,
+        quaternion_wcs_ics=turn,
+        cov_pose_wcs=cov,
+        valid=valid,
+    ).write(tmp_path / "t.parquet")
+    on_map = FRAME.to_map(place, GRID)
+    pd.DataFrame(on_map, columns=["east", "north", "height"]).assign(order="1a").to_csv(
+        tmp_path / "s.csv", index=False
+    )
+    model.write(tmp_path / "dtm.tif")
+    banks.to_csv(tmp_path / "banks.csv", index=False)
+    s = np.linspace(0, arc.length_m, 60)
+    FlowLine.through(arc.to_map(s, np.zeros(60))).write(tmp_path / "line.csv")
+    names = ("s.csv", "dtm.tif", "banks.csv", "line.csv")
+    for out in ("a.gpkg", "b.gpkg"):
+        given = [[tmp_path / name] for name in names]
+        map_of_survey(tmp_path / out, tmp_path / "t.parquet", *given, "EPSG:25833", SETTINGS)
+        time.sleep(1.1)
+    assert (tmp_path / "a.gpkg").read_bytes() == (tmp_path / "b.gpkg").read_bytes()
+    found = {of["name"]: of["n"] for of in describe_layers(tmp_path / "a.gpkg")}
+    assert set(found) == {"track", "soundings", "banks", "centre_line", "contours", "sections", "thalweg"}
+    assert (found["track"], found["soundings"], found["banks"]) == (2, n, 2)
+    track = read_vectors(f"{tmp_path}/a.gpkg?layer=track")
+    assert track.crs == GRID
+    for corners, of in track.lines():
+        assert cdist(corners, on_map).min(axis=1) == pytest.approx(0.0, abs=1e-6)
+        assert of["from_utc"].startswith("2021-03-17T")
+    for line, of in read_vectors(f"{tmp_path}/a.gpkg?layer=contours").lines():
+        assert np.nanmedian(np.abs(model.at(line)[0] - of["height_m"])) < 0.02
+    # alone, a trajectory is a map too
+    map_of_survey(tmp_path / "c.gpkg", tmp_path / "t.parquet", [], [], [], [], "EPSG:25833", SETTINGS)
+    assert [of["name"] for of in describe_layers(tmp_path / "c.gpkg")] == ["track"]
+
+
+def test_patches_of_change_are_points(tmp_path):
+    place = np.array([[10.0, 20.0, 1.0]])
+    table = pd.DataFrame(place, columns=["east_m", "north_m", "up_m"]).assign(what="erosion", volume_m3=-3.5)
+    table.to_csv(tmp_path / "patches_a_b.csv", index=False)
+    table[:0].to_csv(tmp_path / "patches_b_c.csv", index=False)
+    origin = {"lat_deg": FRAME.lat_deg, "lon_deg": FRAME.lon_deg, "h_ell_m": FRAME.h_ell_m}
+    files = [tmp_path / f"patches_{pair}.csv" for pair in ("a_b", "b_c")]
+    map_of_changes(tmp_path / "map.gpkg", files, {"origin": origin, "crs": "EPSG:25833"})
+    found, at = read_vectors(f"{tmp_path}/map.gpkg?layer=changes_a_b").points()
+    assert found.to_dict("records") == [{"what": "erosion", "volume_m3": -3.5}]
+    assert at == pytest.approx(FRAME.to_map(place, GRID), abs=1e-6)
+    # nothing has changed: a file without a row all the same
+    map_of_changes(tmp_path / "none.gpkg", files[1:], {"origin": origin, "crs": "EPSG:25833"})
+    assert [(of["name"], of["n"]) for of in describe_layers(tmp_path / "none.gpkg")] == [("changes_b_c", 0)]
 
 
 def test_a_bag_is_read_by_gdal(model, tmp_path):

@@ -9,9 +9,8 @@ import pytest
 
 from tests.ingest import test_velodyne_log as log
 from thalweg.core import InputError, ThalwegError, UnsupportedError
-from thalweg.ingest import LidarOptions
 from thalweg.ingest.pcap import BarePayloads, CaptureTally, Stream, read_payloads
-from thalweg.ingest.velodyne import VelodyneReader
+from thalweg.ingest.velodyne.reader import scan_lidar
 
 STREAMS = (Stream(port=2368, size=1206), Stream(port=8308, size=512))
 BARE = BarePayloads(marks=tuple(range(0, 1200, 100)), mark=0xFFEE)
@@ -179,14 +178,41 @@ def test_simple_packet_block_is_cut_at_the_snap_length(tmp_path):
     ((payload, _, _), _), tally = read(tmp_path / "a", content)
     assert payload.shape[0] == 0
     assert tally.losses == {"truncated_packets": 1}
-    assert tally.cut_b == (600, len(f))
+    assert tally.cut_in_words() == "captured with a snap length of 600 of 1248 bytes: 1 packet is cut"
 
 
-def test_a_capture_with_a_short_snap_length_says_so(tmp_path):
-    frames = [log.ethernet(log.udp(payload, 2368))[:600] for payload in DATA]
-    (tmp_path / "a.pcap").write_bytes(log.pcap(frames))
-    with pytest.raises(InputError, match=r"cut by the capture: 600 of 1,248 bytes.* -s 0"):
-        VelodyneReader(files=[tmp_path / "a.pcap"], options=LidarOptions()).scan()
+def test_cut_fragments_are_named(tmp_path):
+    """Fragments of long packets are counted as such; that they were cut shows nevertheless."""
+    whole = [log.ethernet(log.udp(DATA[0], 2368, fragment=0x2000))]
+    _, tally = read(tmp_path / "a", log.pcap([f[:600] for f in whole]))
+    assert (
+        tally.cut_in_words() == "captured with a snap length of 600 of 1248 bytes: parts of packets are cut"
+    )
+    _, tally = read(tmp_path / "b", log.pcap(whole))
+    assert tally.cut_in_words() == ""
+
+
+@pytest.mark.parametrize("ng", [False, True], ids=["pcap", "pcapng"])
+def test_capture_that_cut_its_packets_is_named(tmp_path, ng):
+    """Every packet is cut: refused with the cause. One is whole: read, and the cut ones are said."""
+    whole = frames_of()
+
+    def save(n_cut):
+        path = tmp_path / f"{n_cut}.pcap"
+        frames = [f[:600] for f in whole[:n_cut]] + whole[n_cut:]
+        blocks = section() + interface(snap=600) + b"".join(enhanced(f, k) for k, f in enumerate(frames))
+        path.write_bytes(blocks if ng else log.pcap(frames))
+        return path
+
+    n = len(whole)
+    with pytest.raises(InputError) as caught:
+        scan_lidar([save(n)])
+    assert f"captured with a snap length of 600 of 1248 bytes: {n} packets are cut" in str(caught.value)
+    assert "Capture with -s 0" in str(caught.value)
+    assert "data_port" not in str(caught.value)
+    report = scan_lidar([save(n - 1)]).report
+    assert report.counts["data_packets"] == 1
+    assert any(note.startswith("Captured with a snap length of 600 of 1248 bytes: ") for note in report.notes)
 
 
 def test_bare_payloads_and_junk_between(tmp_path):

@@ -212,12 +212,9 @@ def test_zero_is_no_bottom_and_water_and_tilt_are_read(tmp_path: Path) -> None:
     assert list(log.depths["depth_m"]) == [0.0, 0.0, 2.5]
     assert (log.report.counts["depths"], log.report.counts["no_bottom"]) == (1, 2)
     assert any("no bottom" in note for note in log.report.notes)
-    assert list(log.temperatures["temperature_c"]) == [9.8, 10.2]
-    assert log.temperatures["t_gps_s"][1] == gps(2018, 8, 20, 9, 47, 36)
-    np.testing.assert_array_equal(log.tilts["pitch_deg"], [-1.5, np.nan])
-    assert list(log.tilts["roll_deg"]) == [0.75, 2.0]
     assert log.report.details["water_temperature_c"] == 10.0
     assert log.report.details["pitch_deg"] == -1.5
+    assert log.report.details["roll_deg"] == 1.375
     assert not log.report.losses
 
 
@@ -225,17 +222,16 @@ def test_zero_is_no_bottom_and_water_and_tilt_are_read(tmp_path: Path) -> None:
 def test_impossible_temperatures_and_tilts_are_malformed(tmp_path: Path, body: str) -> None:
     log = log_of(tmp_path, sentence(RMC.format("094736", "200818")) + sentence(body))
     assert log.report.losses["malformed_sentences"] == 1
-    assert not len(log.temperatures)
-    assert not len(log.tilts)
+    assert not log.report.details.keys() & {"water_temperature_c", "pitch_deg"}
 
 
-def test_depth_takes_the_latest_time_and_nothing_is_interpolated(tmp_path: Path) -> None:
+def test_a_lone_depth_takes_the_time_before_it(tmp_path: Path) -> None:
     dpt = sentence("SDDPT,5.3,0.4")
-    text = dpt + sentence(RMC.format("094736", "200818")) + dpt + dpt + sentence(GGA.format("094737")) + dpt
+    text = dpt + sentence(RMC.format("094736", "200818")) + dpt + sentence(GGA.format("094737")) + dpt
     log = log_of(tmp_path, text)
-    np.testing.assert_array_equal(log.depths["t_day_s"], [np.nan, 35256.0, 35256.0, 35257.0])
-    assert np.isnan(log.depths["t_gps_s"][0])
-    assert log.depths["t_gps_s"][3] == gps(2018, 8, 20, 9, 47, 37)
+    np.testing.assert_array_equal(log.depths["t_day_s"], [np.nan, 35256.0, 35257.0])
+    second = log.depths["t_gps_s"] - gps(2018, 8, 20, 9, 47, 36)
+    np.testing.assert_array_equal(second, [np.nan, 0.0, 1.0])
 
 
 @pytest.mark.parametrize("given", [dt.date(2018, 8, 20), None])

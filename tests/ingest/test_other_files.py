@@ -36,6 +36,12 @@ FILES = {
     "sqlite": b"SQLite format 3\x00" + bytes(40),
     "video": bytes([0, 0, 0, 24]) + b"ftypmp42" + bytes(40),
     "kml": b'<?xml version="1.0"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"/>',
+    "gml": b'<?xml version="1.0"?>\n<FeatureCollection xmlns:gml="http://www.opengis.net/gml"/>',
+    "dxf": b"  0\r\nSECTION\r\n  2\r\nENTITIES\r\n",
+    "flatgeobuf": b"fgb\x03fgb\x00" + bytes(40),
+    "geopackage": b"SQLite format 3\x00" + bytes(52) + b"GPKG" + bytes(30),
+    "shapefile": bytes.fromhex("0000270a") + bytes(96) + b"\0\0\0\1",
+    "shapefile_part": b'PROJCS["ETRS_1989_UTM_Zone_33N"]',
 }
 
 

@@ -2,9 +2,11 @@
 
 import json
 import shutil
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import dpkt
 import numpy as np
 import pytest
 
@@ -96,10 +98,22 @@ def test_metadata_of_another_sensor_are_refused(data_dir: Path, tmp_path: Path, 
 
 
 @pytest.mark.real
-def test_without_the_extra_it_is_named(data_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "ouster.sdk", None)
-    with pytest.raises(UnsupportedError, match=r"not installed.*pip install --no-deps .ouster-sdk"):
-        lidar_reader([data_dir / f"{OS0}.pcap"]).scan()
+def test_capture_that_cut_its_packets_is_named(data_dir: Path, tmp_path: Path, sdk) -> None:
+    shutil.copy(data_dir / f"{OS0}.json", tmp_path / "cut.json")
+    with (data_dir / f"{OS0}.pcap").open("rb") as whole, (tmp_path / "cut.pcap").open("wb") as short:
+        writer = dpkt.pcap.Writer(short)
+        for t_s, frame in dpkt.pcap.Reader(whole):
+            writer.writepkt(frame[:600], t_s)
+    with pytest.raises(InputError, match=r"snap length of 600 of 8490 bytes: 64 packets are cut.*-s 0"):
+        lidar_reader([tmp_path / "cut.pcap"]).scan()
+
+
+def test_without_the_sdk_the_command_that_adds_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ouster.sdk", None)
+    with pytest.raises(UnsupportedError, match="its reader is not installed") as caught:
+        ouster.OusterReader(files=[Path("os1.pcap")], options=LidarOptions()).scan()
+    assert f'Run: {sys.executable} -m pip install "ouster-sdk>=1.0"' in str(caught.value)
+    assert "warns of snakefmt and ipython" in str(caught.value)
 
 
 @pytest.mark.parametrize(

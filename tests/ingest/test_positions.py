@@ -7,11 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.ingest.test_rinex import obs_3
-from thalweg.cli import main
 from thalweg.core import InputError, gps_from_unix, write_table
-from thalweg.ingest import GNSS_POSITION, INS_STATE
-from thalweg.ingest.registry import choose_tracks, read_positions, recognise
+from thalweg.ingest import DEPTH, GNSS_POSITION, INS_STATE
+from thalweg.ingest.registry import choose_tracks, read_depths, read_positions, recognise
 from thalweg.ingest.registry.positions import positions_from_states
 
 NOTHING: dict[str, Any] = {"base": [], "nav": [], "ppk": {}, "base_position": {}}
@@ -60,6 +58,7 @@ def test_of_tracks_of_the_same_time_the_best_is_taken(tmp_path: Path) -> None:
     def track(name: str, first: int, quality: int) -> Path:
         lines = [
             f"2021/05/12 08:31:{first + k:02d}.0 51.05{k * k:03d} 13.25 300.0 {quality} 12 .02 .02 .03"
+            " 0 0 0 0 9"
             for k in range(20)
         ]
         (tmp_path / name).write_text("\n".join(lines) + "\n")
@@ -69,22 +68,6 @@ def test_of_tracks_of_the_same_time_the_best_is_taken(tmp_path: Path) -> None:
     kept, left = choose_tracks([single, fixed, later])
     assert kept == [fixed, later]
     assert left == {single: "of the same time as rover.pos, which has more fixed positions"}
-
-
-def test_a_new_campaign_says_which_track_it_takes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    logs = tmp_path / "logs"
-    logs.mkdir()
-    line = "2021/05/12 08:31:{t:06.3f} 51.05 {lon:.9f} 300.0 1 12 .02 .02 .03\n"
-    for name, first, n in (("rover.pos", 0.0, 20), ("rover_events.pos", 3.4, 3)):
-        times = [first + k * (1 if n > 3 else 5) for k in range(n)]
-        (logs / name).write_text("".join(line.format(t=t, lon=13.25 + 1e-5 * t) for t in times))
-    (logs / "rover.obs").write_text(obs_3())
-    assert main(["new-campaign", "mine", "--from-logs", str(logs), "--folder", str(tmp_path)]) == 0
-    text = (tmp_path / "mine.yaml").read_text()
-    assert "positions: [logs/rover.pos]" in text
-    assert "# left out, 3 times of events, interpolated on a track: rover_events.pos" in text
-    assert "# the finished solution is taken; ppk would solve the raw GNSS beside it instead" in text
-    assert "taken before the raw GNSS beside it" in capsys.readouterr().err
 
 
 @pytest.mark.real
@@ -140,3 +123,32 @@ def test_a_gpx_without_a_track_is_refused(tmp_path: Path, text: str) -> None:
     path.write_text(text)
     with pytest.raises(InputError, match=r"no readable GPX|no track point with a time"):
         read_positions("gpx", [path], states=None, **NOTHING)
+
+
+def test_depths_zones_and_waypoints_of_gpx(tmp_path: Path) -> None:
+    """Extensions of two programs, one in feet; a time without zone; a place that is no track."""
+    path = tmp_path / "track.gpx"
+    extension = '<extensions><x:e xmlns:x="{uri}"><x:{tag}>{value}</x:{tag}></x:e></extensions>'
+    garmin = extension.format(uri="http://garmin/v2", tag="depth", value="2.5")
+    other = extension.format(uri="http://sonar/1", tag="water_depth_ft", value="10")
+    nothing = extension.format(uri="http://sonar/1", tag="Depth", value="0")
+    rows = [
+        f'<trkpt lat="51.05" lon="13.25"><ele>-2</ele><time>2024-06-12T10:00:0{k}{zone}</time>{more}</trkpt>'
+        for k, (zone, more) in enumerate([("Z", garmin), ("", other), ("Z", nothing)])
+    ]
+    rows.append('<trkpt lat="51.05" lon="13.25"><time>1970-01-01T00:00:00Z</time></trkpt>')
+    path.write_text(f'<gpx><wpt lat="1" lon="2"/><trk><trkseg>{"".join(rows)}</trkseg></trk></gpx>')
+    log = read_depths([path])
+    t0 = float(gps_from_unix(1_718_186_400))
+    assert log.depths is not None
+    assert log.depths["t_gps_s"].tolist() == [t0, t0 + 1]
+    assert log.depths["depth_m"].tolist() == pytest.approx([2.5, 3.048])
+    write_table(tmp_path / "depths.parquet", log.depths, DEPTH)
+    assert log.report.losses == {"depths_of_nothing": 1, "track_points_at_impossible_times": 1}
+    notes = " ".join(log.report.notes)
+    assert "1 times state no zone: taken as UTC" in notes
+    assert "not the 1 waypoints" in notes
+    assert "elevations are negative" in notes
+    path.write_text(GPX.format(more=""))
+    with pytest.raises(InputError, match="no depths in the extensions"):
+        read_depths([path])

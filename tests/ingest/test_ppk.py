@@ -78,7 +78,8 @@ BAD_INPUT: list[tuple[str, dict[str, bytes | None], dict[str, object], str]] = [
         "cut before the first epoch",
         {"rover": observations(n=1)[:-30]},
         {},
-        "no epoch with observations of the rover",
+        "no epoch with observations of the rover; rover: damaged or cut records were left out of rover.rnx: "
+        "epochs_cut 1 (first: line ",
     ),
     ("no common system", {"base": observations(systems="R")}, {}, "none of the systems GPS, GAL is in rover"),
     (

@@ -89,7 +89,7 @@ def other(code: int) -> np.ndarray:
         (other(25832), r"420 km from campaign\.origin.*fit EPSG:32632"),
         (other(31468), r"fit EPSG:31468.*grid files of the land survey"),
         (np.add(MAP, [3e6, 0, 0]), "another grid or place"),
-        (np.concatenate([MAP, np.zeros((3, 3))]), "Delete 3 stray points"),
+        (np.concatenate([MAP, np.ones((3, 3))]), "Delete 3 stray points"),
     ],
     ids=["swapped", "lon lat", "lat lon", "ecef", "mm", "feet", "zone", "Gauss-Krueger", "nowhere", "strays"],
 )

@@ -62,5 +62,5 @@ def test_one_blank_before_the_flag(reports: Path) -> None:
 
 
 def test_a_short_snap_length(reports: Path) -> None:
-    with pytest.raises(InputError, match=r"all 125 lidar packets are cut .* 600 of 1,248 .* -s 0"):
+    with pytest.raises(InputError, match=r"snap length of 600 of 1248 bytes: 125 packets .* -s 0"):
         describe(reports / "pcap_short_snaplen" / "lidar.pcap")

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -202,15 +203,91 @@ def test_events_are_no_epochs(tmp_path: Path) -> None:
     assert not scan.losses
 
 
-COUNT = """
+def odd_3(change: Callable[[str], str]) -> str:
+    """Five epochs of RINEX 3 whose epoch lines are changed."""
+    return "".join(change(row) if row[0] == ">" else row for row in obs_3(5).splitlines(keepends=True))
+
+
+def odd_2(change: Callable[[str], str]) -> str:
+    """Five epochs of RINEX 2 whose epoch lines are changed."""
+    rows = obs_2(5).splitlines(keepends=True)
+    return "".join(change(row) if row.startswith(" 17  5 12") else row for row in rows)
+
+
+def before(k: int, text: str, extra: str) -> str:
+    """A text of five epochs with an extra record before epoch k."""
+    mark = f" 18 45 {14 + k}.0"
+    begin = text.rindex("\n", 0, text.index(mark)) + 1
+    return text[:begin] + extra + text[begin:]
+
+
+SLIPS = "> 2017 05 12 18 45 16.0000000  6  1\nG05         1.000           1.000\n"
+ODD = {
+    "one blank before the flag": odd_3(lambda row: row.replace("00  0", "00 0")),
+    "three blanks before the flag": odd_3(lambda row: row.replace("00  0", "00   0")),
+    "one blank behind the flag": odd_3(lambda row: row.replace("0  3\n", "0 3\n")),
+    "no flag": odd_3(lambda row: row.replace("  0  3", "     3")),
+    "no decimals": odd_3(lambda row: row.replace(".0000000  0", "  0")),
+    "no decimals, in columns": odd_3(lambda row: row.replace(".0000000", " " * 8)),
+    "decimal comma": odd_3(lambda row: row.replace(".", ",")),
+    "no zeros": odd_3(lambda row: row.replace(" 05 ", " 5 ")),
+    "two digits of the year": odd_3(lambda row: row.replace(" 2017", " 17")),
+    "clock offset": odd_3(lambda row: row.rstrip() + "      -0.000123456789\n"),
+    "garbage behind the number": odd_3(lambda row: row.rstrip() + "    # ok\n"),
+    "garbage behind the values": obs_3(5).replace(" 7\n", " 7" + " " * 32 + "~?\n"),
+    "CR LF": obs_3(5).replace("\n", "\r\n"),
+    "blank lines at the end": obs_3(5) + "\n\n",
+    "power failure": obs_3(5).replace("16.0000000  0", "16.0000000  1"),
+    "start of motion with observations": obs_3(5).replace("16.0000000  0", "16.0000000  2"),
+    "start of motion": before(2, obs_3(5), f">{'':30s}2  1\n" + line("BOAT", "MARKER NAME")),
+    "new site": before(2, obs_3(5), f">{'':30s}3  1\n" + line("BOAT", "MARKER NAME")),
+    "header records": before(2, obs_3(5), f">{'':29s}4  1\n" + line("windy", "COMMENT")),
+    "external event": before(2, obs_3(5), "> 2017 05 12 18 45 15.4000000  5  0\n"),
+    "repaired cycle slips": before(2, obs_3(5), SLIPS),
+    "2: one blank before the flag": odd_2(lambda row: row.replace("00  0", "00 0")),
+    "2: more blanks": odd_2(lambda row: row.replace("0 14G 1", "0   14  G 1")),
+    "2: list elsewhere": obs_2(5).replace("\n" + " " * 32 + "G13", "\n" + " " * 34 + "G13"),
+    "2: no decimals": odd_2(lambda row: row.replace(".0000000  0", "  0")),
+    "2: CR LF": obs_2(5).replace("\n", "\r\n"),
+    "2: BeiDou and QZSS": obs_2(5).replace("G 1G 2", "C01J02"),
+    "2: start of motion": before(2, obs_2(5), f"{'':28s}2  1\n" + line("BOAT", "MARKER NAME")),
+    "2: start of motion with observations": obs_2(5).replace("16.0000000  0", "16.0000000  2"),
+    "2: event": before(2, obs_2(5), " 17  5 12 18 45 15.4000000  5  0\n"),
+    "2: repaired cycle slips": before(
+        2, obs_2(5), " 17  5 12 18 45 16.0000000  6  1G 1\n" + f"{1.0:14.3f}  {1.0:14.3f}\n" + "\n"
+    ),
+    "2: other codes from there on": obs_2(3)
+    + f"{'':28s}4  1\n"
+    + line("     1    C1", "# / TYPES OF OBSERV")
+    + "".join(f" 17  5 12 18 45 {s}.0000000  0  2G 1G 2\n" + f"{2e7:14.3f}\n" * 2 for s in (17, 18)),
+}
+RTKLIB_EPOCHS = """
 import sys, pyrtklib5 as r
-for path in sys.argv[1:]:
-    obs, nav, sta, a = r.obs_t(), r.nav_t(), r.sta_t(), r.gtime_t()
-    a.time = 0
-    r.readrnxt(path, 1, a, a, 0.0, "", obs, nav, sta)
-    data = [obs.data[k] for k in range(obs.n)]
-    print(obs.n, *sorted({round(each.time.time + each.time.sec, 3) for each in data}))
+for name in sys.argv[1:]:
+    obs, nav, sta = r.obs_t(), r.nav_t(), r.sta_t()
+    r.readrnx(name, 1, "", obs, nav, sta)
+    rows = [obs.data[k] for k in range(obs.n)]
+    print(*sorted({round(row.time.time % 60 + row.time.sec, 3) for row in rows}), len(rows))
 """
+
+
+def test_epoch_lines_of_any_form(tmp_path: Path) -> None:
+    """Whatever RTKLIB reads is read, and what is passed on to it says the same to RTKLIB."""
+    passed, raw = [], []
+    for k, (name, text) in enumerate(ODD.items()):
+        path = write(tmp_path, f"{k}.obs", text)
+        scan = scan_rinex(path)
+        assert not scan.losses, name
+        assert scan.t_gps_s.tolist() == (scan.t_gps_s[0] + np.arange(5)).tolist(), name
+        raw.append(str(path))
+        passed.append(str(write(tmp_path, f"{k}_passed.obs", whole_records(scan, path.read_bytes()))))
+    command = [sys.executable, "-c", RTKLIB_EPOCHS, *passed, *raw]
+    run = subprocess.run(command, check=True, capture_output=True, text=True, timeout=60)
+    answers = run.stdout.splitlines()
+    for name, seen, directly in zip(ODD, answers, answers[len(ODD) :], strict=False):
+        assert seen.split()[:5] == ["14.0", "15.0", "16.0", "17.0", "18.0"], name
+        assert int(seen.split()[5]) == (15 if name[:2] != "2:" else 46 if "codes" in name else 70), name
+        assert len(directly.split()) <= 6, name
 
 
 def mutated(text: str, rng: np.random.Generator) -> str:
@@ -241,16 +318,16 @@ def test_epoch_lines_that_rtklib_reads_are_no_damage(tmp_path: Path, rng: np.ran
     texts = [mutated(text, rng) for text in (obs_3(2), obs_2(2, 3)) for _ in range(120)]
     files = [write(tmp_path, f"{k:03d}.obs", text) for k, text in enumerate(texts)]
     files += [write(tmp_path, "v3.obs", obs_3(2)), write(tmp_path, "v2.obs", obs_2(2, 3))]
-    command = [sys.executable, "-c", COUNT, *map(str, files)]
+    command = [sys.executable, "-c", RTKLIB_EPOCHS, *map(str, files)]
     done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=60)
     told = [line.split() for line in done.stdout.splitlines()]
-    regular = ["6", "1494614714.0", "1494614715.0"]
+    regular = ["14.0", "15.0", "6"]
     assert told[-2:] == [regular, regular]
     read = 0
     for path, theirs in zip(files, told, strict=True):
         if theirs == regular:
             scan = scan_rinex(path)
-            if scan.events:  # RTKLIB takes records of cycle slips for observations
+            if 6 in scan.events:  # RTKLIB takes records of cycle slips for observations
                 continue
             read += 1
             assert not scan.losses, path.read_text()
@@ -259,19 +336,21 @@ def test_epoch_lines_that_rtklib_reads_are_no_damage(tmp_path: Path, rng: np.ran
     assert read > 50
 
 
-def test_one_blank_before_the_flag_and_events_by_their_flag(tmp_path: Path) -> None:
-    text = obs_3(3).replace(".0000000  0", ".0000000 0")
-    events = "".join(
-        f"> 2017 05 12 18 45 14.5000000  {flag}  {n}\n" + "G05             0              1\n" * n
-        for flag, n in ((2, 0), (5, 0), (6, 1))
+def test_flags_and_odd_lines_are_said(tmp_path: Path) -> None:
+    report = describe_rinex(write(tmp_path, "a.obs", ODD["repaired cycle slips"]))
+    assert report.counts == {"epochs": 5, "satellite records": 15, "repaired cycle slips (flag 6)": 1}
+    assert "Records of repaired cycle slips (flag 6) are no observations and are left out." in report.notes
+    assert report.clean
+    report = describe_rinex(write(tmp_path, "b.obs", ODD["one blank before the flag"]))
+    assert any(note.startswith("5 epoch lines do not keep to the columns") for note in report.notes)
+
+
+def test_garbled_file_is_no_empty_one(tmp_path: Path) -> None:
+    report = describe_rinex(write(tmp_path, "a.obs", odd_3(lambda row: row.replace(" 18 45", " 18:45"))))
+    assert "The file holds a header only." not in report.notes
+    assert "Records are damaged or cut: epochs_garbled 5 (first: line 11, '> 2017 05 12 18:45" in " ".join(
+        report.notes
     )
-    path = write(tmp_path, "a.obs", text + events)
-    scan = scan_rinex(path)
-    assert (scan.t_gps_s.size, scan.losses) == (3, {})
-    assert scan.events == {"starts_of_motion": 1, "external_events": 1, "cycle_slip_records": 1}
-    assert describe_rinex(path).counts["external_events"] == 1
-    # RTKLIB would solve the cycle slips as an epoch: they stay out of what it gets
-    assert b"  6  1" not in whole_records(scan, path.read_bytes())
 
 
 BAD = [

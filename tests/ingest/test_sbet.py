@@ -109,6 +109,18 @@ def test_week_rollover(tmp_path: Path) -> None:
     assert log.report.clean
 
 
+@pytest.mark.parametrize("zero", [gps_from_week(WEEK, 0.0), gps_from_week(WEEK, 0.0) + 1e9])
+def test_times_with_their_date_need_no_week(tmp_path: Path, zero: float) -> None:
+    """GPS seconds since 1980, and the same less 1e9 as point clouds have them."""
+    dated, sigmas = records(), smrmsg()
+    dated[:, 0] += zero
+    sigmas[:, 0] += zero
+    log = read_sbet([write(tmp_path / "a.out", dated)], None, [write(tmp_path / "s.out", sigmas)])
+    np.testing.assert_allclose(log.states["t_gps_s"], gps_from_week(WEEK, records()[:, 0]), atol=1e-6)
+    assert (log.states["sigma_north_m"] == 0.01).all()
+    assert any("hold the date" in note for note in log.report.notes)
+
+
 def test_utc_seconds(tmp_path: Path) -> None:
     path = write(tmp_path / "a.out", records())
     gps, utc = (read_sbet([path], WEEK, utc=u).states["t_gps_s"] for u in (False, True))
@@ -154,7 +166,7 @@ def test_big_endian_is_read_and_said(tmp_path: Path) -> None:
         (b"", WEEK, "0 bytes"),
         (b"abc", WEEK, "3 bytes"),
         (b"time,lat,lon\n" * 400, WEEK, "not made of records of 17 doubles"),
-        (np.full((5, 17), 1e7), WEEK, "not made of records"),
+        (np.full((5, 17), 1e10), WEEK, "not made of records"),
         (np.full((5, 17), 100.0), WEEK, "no record has possible values"),
     ],
 )

@@ -211,5 +211,6 @@ def test_times_against_the_scale_that_their_file_states() -> None:
     assert time_contradiction(np.append(adjusted, 17.0), "adjusted_s") == ""  # one damaged stamp
     assert "unstated GPS week" in time_contradiction(295_218 + np.arange(9.0), "adjusted_s")
     assert "adjusted standard" in time_contradiction(adjusted, "week_s")
+    assert "adjusted standard" in time_contradiction(adjusted, "unix_s")  # of 1982
     assert time_contradiction(604_790 + np.arange(30.0), "week_s") == ""  # runs on behind the week
     assert "none was recorded" in time_contradiction(np.zeros(5), "adjusted_s")

@@ -1,5 +1,6 @@
 """Trajectories of other programs: conventions by hand, what is not stated is asked for."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ from thalweg.core import InputError, LocalFrame, gps_from_unix, gps_from_week, r
 from thalweg.ingest import TrackOptions
 from thalweg.ingest.registry import describe, read_poses, recognise
 from thalweg.ingest.registry.poses import POSES
-from thalweg.ingest.tracks import read_gpx, read_text_poses
+from thalweg.ingest.tracks import read_text_poses
 from thalweg.ingest.tracks.trajectories import BODY_AXES
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
@@ -157,8 +158,9 @@ def test_inertial_explorer_in_degrees_minutes_seconds(tmp_path: Path) -> None:
 
 def test_inertial_explorer_without_sigmas_units_or_columns(tmp_path: Path) -> None:
     path = export(tmp_path / "bare.txt", sigmas=False)
-    with pytest.raises(InputError, match=r"no standard deviations: SDEast, SDNorth, SDH.*sigma_position_m"):
-        read_poses([path], "sbet", TrackOptions())
+    bare = read_poses([path], "sbet", TrackOptions())
+    assert bare.states[["sigma_up_m", "sigma_roll_rad"]].isna().all(axis=None)
+    assert any("SDEast, SDNorth, SDHeight" in note for note in bare.report.notes)
     stated = TrackOptions(sigma_position_m=0.1, sigma_attitude_deg=0.5)
     assert (read_poses([path], "sbet", stated).states["sigma_up_m"] == 0.1).all()
     wrong = export(tmp_path / "gon.txt", header=HEADER.replace("(deg){units}", "(gon){units}"))
@@ -169,96 +171,117 @@ def test_inertial_explorer_without_sigmas_units_or_columns(tmp_path: Path) -> No
         read_poses([path], "sbet", stated)
 
 
+AERIAL = """Program:     Inertial Explorer Version 8.30
+ CorrTime   Date    Latitude   Longitude  H-Ell  Heading HdngSep HdngSD  Pitch PtchSD {more}
+    (sec)  {form}       {dms}       {dms}    (m)   (Deg)   (Deg)  (Deg)  (Deg)  (Deg) {units}
+295218.00  {day}   51 03 10.0  -13 45 05.0   155.0   51.23   359.97   0.02   -1.5   0.005 0.25 0.004 0.05
+"""
+PARTS = {"more": "Roll RollSD SDHoriz", "units": "(Deg) (Deg) (m)"}
+
+
+@pytest.mark.parametrize("dms", ["(+/-D M S)", "(+/-D) (M) (S)"])
 @pytest.mark.parametrize(
-    ("header", "separator", "order"),
-    [
-        ("# timestamp tx ty tz qw qx qy qz", " ", "t x y z qw qx qy qz"),
-        ("time_s,x,y,z,qw,qx,qy,qz", ",", "t x y z qw qx qy qz"),
-        (
-            "#timestamp [ms], q_w [], q_x [], q_y [], q_z [], p_x [m], p_y [m], p_z [m]",
-            ", ",
-            "ms qw qx qy qz x y z",
-        ),
-    ],
+    ("form", "day"), [("(MDY)", "6/12/2024"), ("(d/m/y)", "12/06/2024"), ("(YMD)", "2024-06-12")]
 )
-def test_names_of_columns_decide_over_their_order(
-    tmp_path: Path, header: str, separator: str, order: str
-) -> None:
-    usual = write("tum", tmp_path / "usual.txt", "forward-left-up")
-    lines = []
-    for line in usual.read_text().split("\n")[:-1]:
-        t, x, y, z, qx, qy, qz, qw = line.split()
-        cells = {"t": t, "x": x, "y": y, "z": z, "qx": qx, "qy": qy, "qz": qz, "qw": qw}
-        cells["ms"] = str(round(float(t) * 1e3))
-        lines.append(separator.join(cells[name] for name in order.split()))
-    named = tmp_path / "named.txt"
-    named.write_text("\n".join([header, *lines]) + "\n")
-    options = TrackOptions(**STATED, body_axes="forward-left-up")
-    states, expected = (read_poses([path], None, options).states for path in (named, usual))
-    np.testing.assert_allclose(states["roll_rad"], expected["roll_rad"])
-    np.testing.assert_allclose(states["t_gps_s"], expected["t_gps_s"], atol=1e-3)
-    np.testing.assert_allclose(states["h_ell_m"], expected["h_ell_m"])
+def test_inertial_explorer_by_date_and_other_names(tmp_path: Path, dms: str, form: str, day: str) -> None:
+    path = tmp_path / "aerial.txt"
+    path.write_text(AERIAL.format(dms=dms, form=form, day=day, **PARTS))
+    assert recognise(path) == "inertial_explorer"
+    first = read_poses([path], "sbet", TrackOptions()).states.iloc[0]
+    assert first["t_gps_s"] == gps_from_week(2318, 295_218.0)
+    assert first["lat_deg"] == pytest.approx(51 + 3 / 60 + 10 / 3600)
+    assert first["lon_deg"] == pytest.approx(-(13 + 45 / 60 + 5 / 3600))
+    angles = [
+        "heading_rad",
+        "pitch_rad",
+        "roll_rad",
+        "sigma_heading_rad",
+        "sigma_pitch_rad",
+        "sigma_roll_rad",
+    ]
+    assert np.rad2deg(first[angles].astype(float)).tolist() == pytest.approx(
+        [51.23, -1.5, 0.25, 0.02, 0.005, 0.004]
+    )
+    assert first["sigma_east_m"] == pytest.approx(0.05 / np.sqrt(2))
+    assert np.isnan(first["sigma_up_m"])
 
 
-def test_a_boat_that_is_upside_down_is_asked_about(tmp_path: Path) -> None:
-    path = tmp_path / "w_first.txt"
-    path.write_text("".join(f"{T0 + k} {k} 0 0 0.9 0 0 {0.19**0.5}\n" for k in range(5)))
-    stated = STATED | {"body_axes": "forward-left-up"}
-    with pytest.raises(InputError, match=r"upside down .* in 100% .*order of the quaternion.*--upside-down"):
-        read_poses([path], None, TrackOptions(**stated))
-    log = read_poses([path], None, TrackOptions(**stated, upside_down=True))
-    assert len(log.states) == 5
-    assert "upside down" in " ".join(read_poses([path], "ins", TrackOptions(**stated)).report.notes)
-
-
-def test_stamps_against_the_stated_time_scale(tmp_path: Path) -> None:
-    path = tmp_path / "adjusted.txt"
-    path.write_text("".join(f"{402221618 + k} 0 0 0 0 0 0 1\n" for k in range(3)))
-    with pytest.raises(InputError, match=r"time_scale utc is stated, but 402221618 .* adjusted standard GPS"):
-        read_poses([path], None, TrackOptions(**STATED, body_axes="forward-left-up"))
-
-
-CORR_TIME = (
-    " CorrTime  Date  Latitude  Longitude  H-Ell  Heading  HdngSD  Pitch  PitchSD  Roll  RollSD\n"
-    " (sec) ({date}) (+/-D M S) (+/-D M S) (m) (Deg) (Deg) (Deg) (Deg) (Deg) (Deg)\n"
-    "{tow} {day} 51 03 10.0 -00 45 05.0 155.0 51.23 0.0199 -1.29 0.0049 0.03 0.0048\n"
-)
-
-
-@pytest.mark.parametrize(
-    ("date", "day", "tow", "t_gps_s"),
-    [
-        ("MDY", "6/12/2024", 295_218.0, gps_from_week(2318, 295_218.0)),
-        ("DMY", "12/06/2024", 295_218.0, gps_from_week(2318, 295_218.0)),
-        ("MDY", "06/12/2024", "10:00:18.00", gps_from_week(2318, 295_218.0)),
-        ("YMD", "2024-06-09", 10.0, gps_from_week(2318, 10.0)),
-        # the date is of UTC, 18 s behind GPS time
-        ("MDY", "6/8/2024", 10.0, gps_from_week(2318, 10.0)),
-    ],
-)
-def test_inertial_explorer_with_date_and_corrected_time(
-    tmp_path: Path, date: str, day: str, tow: float | str, t_gps_s: float
-) -> None:
-    path = tmp_path / "export.txt"
-    text = CORR_TIME.format(date=date, day=day, tow=tow)
-    path.write_text(text.replace("(sec)", "(HMS)") if isinstance(tow, str) else text)
-    with pytest.raises(InputError, match=r"no standard deviations: SDEast.*sigma_position_m"):
+def test_inertial_explorer_with_a_date_of_another_day_or_none(tmp_path: Path) -> None:
+    path = tmp_path / "aerial.txt"
+    path.write_text(AERIAL.format(dms="(D M S)", form="(MDY)", day="6/15/2024", **PARTS))
+    with pytest.raises(InputError, match="second 295,218 of the week on 2024-06-15, a Saturday"):
         read_poses([path], "sbet", TrackOptions())
-    first = read_poses([path], "sbet", TrackOptions(sigma_position_m=0.05)).states.iloc[0]
-    assert first["t_gps_s"] == t_gps_s
-    assert first["lon_deg"] == pytest.approx(-(45 / 60 + 5 / 3600))
-    assert np.rad2deg(first["sigma_heading_rad"]) == pytest.approx(0.0199)
-    report = describe(path)  # asks for nothing
-    assert report.t_first_s == t_gps_s
-    assert "no standard deviations of positions" in " ".join(report.notes)
-
-
-def test_describing_a_trajectory_without_week_asks_for_nothing(tmp_path: Path) -> None:
-    path = export(tmp_path / "boat.txt")
-    path.write_text(path.read_text().replace(" Week", " Wake").replace("Week ", "Wake "))
+    path.write_text(path.read_text().replace(" Date ", " Day "))
+    path.write_text(path.read_text().replace("6/15/2024", "0"))
+    with pytest.raises(InputError, match="no column Week or Date"):
+        read_poses([path], "sbet", TrackOptions())
     report = describe(path)
-    assert not report.synchronised
-    assert report.t_first_s == pytest.approx(300_000)
+    assert (report.synchronised, report.t_first_s) == (False, 295_218.0)
+    assert any("neither week nor date" in note for note in report.notes)
+    assert not any("1980" in note for note in report.notes)
+
+
+UPRIGHT = [0.0, 0.0, np.sin(0.3), np.cos(0.3)]
+"""A level body, x y z w; with w first it would be upside down."""
+
+
+@pytest.mark.parametrize(
+    ("head", "order"),
+    [
+        ("# timestamp tx ty tz qw qx qy qz", "wxyz"),
+        ("timestamp,x,y,z,qw,qx,qy,qz", "wxyz"),
+        ("#time [s], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_x, q_y, q_z, q_w", "xyzw"),
+        ("# stamp, position, quaternion (w, x, y, z)", "wxyz"),
+        ("# poses of the boat", "xyzw"),
+        ("# time [ms] q_w [] q_x [] q_y [] q_z [] p_x [m] p_y [m] p_z [m]", "wxyz first"),
+    ],
+)
+def test_names_decide_the_order_of_the_quaternion(tmp_path: Path, head: str, order: str) -> None:
+    path = tmp_path / "poses.txt"
+    cells = [UPRIGHT["xyzw".index(axis)] for axis in order[:4]]
+    separator = ", " if head.startswith(("timestamp,", "#time")) else " "
+    rows = [
+        separator.join(map(str, [T0 + k, *([*cells, 1, 2, 3] if order[4:] else [1, 2, 3, *cells])]))
+        for k in range(4)
+    ]
+    path.write_text("\n".join([head, *rows]) + "\n")
+    assert recognise(path) == "tum"
+    states = read_poses([path], "ins", TrackOptions(**STATED, body_axes="forward-left-up")).states
+    np.testing.assert_allclose(states["roll_rad"], 0.0, atol=1e-5)
+    np.testing.assert_allclose(states["heading_rad"], np.pi / 2 - 0.6, atol=1e-5)
+
+
+def test_a_boat_upside_down_is_refused_unless_it_is_stated(tmp_path: Path) -> None:
+    path = tmp_path / "poses.txt"
+    x, y, z, w = UPRIGHT
+    path.write_text("".join(f"{T0 + k} 0 0 0 {w} {x} {y} {z}\n" for k in range(4)))
+    options = TrackOptions(**STATED, body_axes="forward-left-up")
+    with pytest.raises(InputError, match=r"upside down in 100% of 4 poses.*order of the quaternion"):
+        read_poses([path], "ins", options)
+    assert len(read_poses([path], "ins", replace(options, upside_down=True)).states) == 4
+
+
+def test_times_of_a_table_of_poses_contradict_the_stated_scale(tmp_path: Path) -> None:
+    path = tmp_path / "poses.txt"
+    path.write_text("".join(f"{1_718_186_400 + k} 0 0 0 0 0 0 1\n" for k in range(4)))
+    options = TrackOptions(**STATED | {"time_scale": "gps"}, body_axes="forward-left-up")
+    with pytest.raises(InputError, match=r"1718186400 is 2024-06-12 in seconds since 1970"):
+        read_poses([path], "ins", options)
+    path.write_text("".join(f"{402_221_618 + k} 0 0 0 0 0 0 1\n" for k in range(4)))
+    log = read_poses([path], "ins", options)
+    assert log.states["t_gps_s"][0] == 402_221_618.0
+    assert any("less 1e9" in note for note in log.report.notes)
+
+
+@pytest.mark.parametrize(("per_second", "separator"), [(10**3, " "), (10**9, " "), (10**3, ",")])
+def test_stamps_of_poses_in_other_units(tmp_path: Path, per_second: int, separator: str) -> None:
+    path = tmp_path / "poses.txt"
+    head = "# timestamp x y z qx qy qz qw\n"
+    rows = [[(1_718_186_400 + k) * per_second, 0, 0, 0, 0, 0, 0, 1] for k in range(4)]
+    path.write_text(head + "".join(separator.join(map(str, row)) + "\n" for row in rows))
+    log = read_poses([path], "ins", TrackOptions(**STATED, body_axes="forward-left-up"))
+    assert log.states["t_gps_s"].tolist() == [402_221_618.0 + k for k in range(4)]
+    assert any("seconds since 1970" in note for note in log.report.notes)
 
 
 def test_a_week_counter_that_rolled_over_is_doubted(tmp_path: Path) -> None:
@@ -266,33 +289,3 @@ def test_a_week_counter_that_rolled_over_is_doubted(tmp_path: Path) -> None:
     path.write_text(path.read_text().replace("2235 ", "187 "))
     notes = " ".join(read_poses([path], "sbet", TrackOptions()).report.notes)
     assert "2048 weeks later 2022-11-" in notes
-
-
-GPX = '<gpx xmlns="http://www.topografix.com/GPX/1/1" xmlns:g="urn:g"><wpt lat="51" lon="13"/><trk><trkseg>{}'
-POINT = (
-    '<trkpt lat="51.05" lon="13.75"><time>2024-06-12T10:00:0{k}{zone}</time>'
-    "<extensions><g:TrackPointExtension><g:{tag}>{depth}</g:{tag}></g:TrackPointExtension></extensions></trkpt>"
-)
-
-
-@pytest.mark.parametrize("tag", ["depth", "Depth"])
-def test_depths_zones_and_waypoints_of_gpx(tmp_path: Path, tag: str) -> None:
-    path = tmp_path / "track.gpx"
-    points = [POINT.format(k=k, zone="" if k else "+02:00", tag=tag, depth=1.5 * k) for k in range(3)]
-    points += [POINT.format(k=3, zone="Z", tag=tag, depth=depth) for depth in ("-9999", "--")]
-    path.write_text(GPX.format("".join(points)) + "</trkseg></trk></gpx>")
-    log = read_gpx([path])
-    np.testing.assert_allclose(np.diff(log.positions["t_gps_s"]), [7201.0, 1.0, 1.0, 0.0])
-    assert log.depths["depth_m"].tolist() == [1.5, 3.0]
-    assert log.report.losses == {"depths_of_nothing": 3}
-    notes = " ".join(log.report.notes)
-    assert "2 times state no zone and are taken as UTC" in notes
-    assert "1 waypoints" in notes
-
-
-def test_decimal_commas_are_read_as_such(tmp_path: Path) -> None:
-    path = write("tum", tmp_path / "poses.txt", "forward-left-up")
-    options = TrackOptions(**STATED, body_axes="forward-left-up")
-    expected = read_poses([path], None, options).states
-    path.write_text(path.read_text().replace(".", ","))
-    np.testing.assert_array_equal(read_poses([path], None, options).states["roll_rad"], expected["roll_rad"])

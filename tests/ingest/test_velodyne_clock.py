@@ -249,11 +249,26 @@ def test_the_host_clock_plays_no_part(tmp_path):
     assert offset == pytest.approx(1_000_000_000 - HOUR - 1.0, abs=1e-5)
 
 
-def test_a_week_counter_that_rolled_over_is_named(tmp_path):
-    frames = log.recording(log.times(50), hour_unix=HOUR)
-    (tmp_path / "a").write_bytes(log.pcap(frames, t0=HOUR + 1.0 + 1024 * 604_800))
-    notes = " ".join(scan_lidar([tmp_path / "a"]).report.notes)
-    assert "+1024 weeks: the week counter of a receiver rolled over" in notes
+@pytest.mark.parametrize(
+    ("shift_s", "said"),
+    [
+        (1024 * 7 * 86400 + 0.4, "1024 weeks: the week counter of a receiver rolled over"),
+        (7200.4, "+2:00 h: a time zone"),
+        (1.4, ""),
+    ],
+)
+def test_clocks_apart_by_no_clock_error_are_named(tmp_path, shift_s, said):
+    """The clock of the capture is that far ahead of what RMC says, an hour of March 2004."""
+    hour = HOUR - 1024 * 7 * 86400
+    frames = log.recording(log.times(50), hour_unix=hour)
+    (tmp_path / "a").write_bytes(log.pcap(frames, t0=hour + 1.0 + shift_s))
+    notes = [n for n in scan_lidar([tmp_path / "a"]).report.notes if n.startswith("NMEA says ")]
+    assert len(notes) == bool(said)
+    assert not said or said in notes[0]
+    if "1024" in said:
+        assert "NMEA says 2004-03-30T" in notes[0]
+        assert "true date is probably 2023-11-14: " in notes[0]  # HOUR; GPS - UTC was 13 s, then 18 s
+        assert "set lidar.clock.offset_s to 619315205 " in notes[0]
 
 
 def test_clock_survives_json():

@@ -183,8 +183,8 @@ def test_tilt_moves_the_place_and_is_stated(tmp_path: Path) -> None:
     np.testing.assert_allclose(ahead, 2.4 * np.tan(np.deg2rad(4.0)), atol=2e-3)
     np.testing.assert_allclose(right, -2.4 * np.tan(np.deg2rad(3.0)), atol=2e-3)
     assert log.report.details["water_temperature_c"] == 12.3
-    assert log.tilts["pitch_deg"].mean() == pytest.approx(4.0, abs=0.8)
-    assert log.tilts["roll_deg"].mean() == pytest.approx(3.0, abs=0.8)
+    assert log.report.details["pitch_deg"] == pytest.approx(4.0, abs=0.8)
+    assert log.report.details["roll_deg"] == pytest.approx(3.0, abs=0.8)
 
 
 def test_weeds_return_early_where_they_grow(tmp_path: Path) -> None:

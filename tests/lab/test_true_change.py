@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 from pyproj import CRS
 
-from thalweg.core import ArrayF, ArrayI, ConfigError, GeometryError, InputError, LocalFrame
-from thalweg.deformation.foreign import Dsm, SurfaceDifference
+from thalweg.core import ArrayF, ArrayI, ConfigError, Dsm, GeometryError, InputError, LocalFrame
+from thalweg.deformation.foreign import SurfaceDifference
 from thalweg.settings.twin import TwinConfig
 from thalweg.surface import Area
 from thalweg_lab.changes import Patch
@@ -261,13 +261,13 @@ def test_differences_of_heights_are_held_against_the_truth() -> None:
     frame = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
     crs = CRS.from_epsg(25833)
     corner = np.floor(frame.to_map(np.zeros(3), crs)[:2]) + np.array([-5.0, 5.0])
-    centres = Dsm(np.zeros((10, 10)), corner, np.ones(2), crs, None, Path("dod.tif")).centres_m()
+    centres = Dsm(np.zeros((10, 10)), corner, np.ones(2), crs, Path("dod.tif")).centres_m()
     local = frame.from_map(np.column_stack([centres, np.full(100, 300.0)]), crs)
     inner = (np.abs(local[:, :2]) < 1.4).all(axis=1)
     true = np.where(inner, -0.3, 0.0)
     height = (true + 0.02).reshape(10, 10)
     height[0, 0] = np.nan
-    raster = Dsm(height, corner, np.ones(2), crs, None, Path("dod.tif"))
+    raster = Dsm(height, corner, np.ones(2), crs, Path("dod.tif"))
     found = SurfaceDifference(raster, np.full((10, 10), 0.01), pd.DataFrame(), [])
     rows = {
         name: (value, n) for name, value, n in judge_differences(found, before, after, frame, reach_m=2.0)

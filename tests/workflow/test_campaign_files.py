@@ -385,3 +385,13 @@ def test_a_log_is_cut_where_that_is_asked_for(seconds, on_cluster, length_s, n) 
     if n:
         length = 1800.0 if seconds == "auto" else seconds
         assert files.window("2") == {"index": 2, "count": n, "seconds": length}
+
+
+def test_parts_of_a_shapefile_are_inputs_too(tmp_path: Path) -> None:
+    """A bank whose side is exchanged in the .dbf is traced again."""
+    for end in ("shp", "dbf", "prj"):
+        (tmp_path / f"banks.{end}").touch()
+    boat = survey(logs={"depth": ["a.nmea"], "bank_lines": [str(tmp_path / "banks.shp")]})
+    assert [Path(file).name for file in boat.drawn("bank_lines")] == ["banks.shp", "banks.dbf", "banks.prj"]
+    assert names(boat.mapped("bathymetry/soundings.csv")) == ["bathymetry/soundings.csv"]
+    assert names(survey(logs={"lidar": ["a.pcap"]}).mapped("fusion/dtm.tif")) == []

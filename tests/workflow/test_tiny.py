@@ -358,6 +358,7 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
         "validate_bed",
         "build_dtm",
         "measure_river",
+        "export_layers",
         "compare_riverbed_with_truth",
         "compare_dtm_with_truth",
         "bathymetry_page",

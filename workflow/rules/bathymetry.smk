@@ -43,8 +43,8 @@ rule trace_river:
         errors=of(CampaignFiles.best_errors),
         positions="results/{campaign}/ingest/positions.parquet",
         points=of(CampaignFiles.best_points),
-        centre_line=raw("centre_line"),
-        banks=raw("bank_lines"),
+        centre_line=of(CampaignFiles.drawn, "centre_line"),
+        banks=of(CampaignFiles.drawn, "bank_lines"),
     output:
         traced="results/{campaign}/bathymetry/banks.csv",
         line="results/{campaign}/bathymetry/centre_line.csv",

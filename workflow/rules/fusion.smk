@@ -64,3 +64,31 @@ rule measure_river:
         fusion=section("fusion"),
     script:
         "../scripts/measure_river.py"
+
+
+rule export_layers:
+    """Track, soundings, banks, contours and sections as layers of one GeoPackage."""
+    input:
+        trajectory=of(CampaignFiles.best_trajectory),
+        soundings=of(CampaignFiles.mapped, "bathymetry/soundings.csv"),
+        dtm=of(CampaignFiles.mapped, "fusion/dtm.tif"),
+        banks=of(CampaignFiles.mapped, "bathymetry/banks.csv"),
+        line=of(CampaignFiles.mapped, "bathymetry/centre_line.csv"),
+    output:
+        out="results/{campaign}/map.gpkg",
+    log:
+        "logs/{campaign}/fusion/export_layers.log",
+    benchmark:
+        "benchmarks/{campaign}/fusion/export_layers.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000, 15),
+        runtime=minutes(10, 30),
+    params:
+        **calls("thalweg.fusion.maps:map_of_survey"),
+        crs=section("campaign", "crs"),
+        fusion=section("fusion"),
+    script:
+        "../scripts/call.py"

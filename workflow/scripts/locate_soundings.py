@@ -42,6 +42,7 @@ def main(
     water_line_ics_m: float,
 ) -> None:
     t = np.unique(read_parquet(positions)["t_gps_s"])
+    logged = json.loads(integrity.read_text())["details"]
     mount = read_mounts(mounts)["echo_sounder"]
     table, found = locate_soundings(
         read_table(depths, DEPTH)[0],
@@ -54,7 +55,8 @@ def main(
         bathymetry,
         water_line_ics_m=water_line_ics_m,
         decisions=decisions[0] if decisions else None,
-        logged_temperature_c=json.loads(integrity.read_text())["details"].get("water_temperature_c"),
+        logged_temperature_c=logged.get("water_temperature_c"),
+        sigma_time_s=logged.get("sigma_depth_time_s", 0.0),
     )
     table, found["position_time_s"], found["crossings"] = estimate_slow_errors(
         table, found["position_time_s"]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from thalweg.bathymetry import flow_of_survey, level_water, read_banks, read_centre_line, shore_points
+from thalweg.bathymetry import flow_of_survey, level_water, read_banks, read_line, shore_points
 from thalweg.core import LocalFrame, Trajectory, read_parquet
 from thalweg.navigation.ins_gnss import PoseCorrelation
 from thalweg.settings.sections import Bathymetry
@@ -36,6 +36,8 @@ def main(
         errors, receiver_s=float(np.median(np.diff(t))), position_time_s=bathymetry.position_time_s
     )
     track = path.position_wcs_m[path.valid]
+    notes: list[str] = []
+    given_banks = read_banks(banks[0], frame, crs, notes) if banks else None
     found, water = flow_of_survey(
         track[:, :2],
         shore_points(points, float(np.median(track[:, 2])) - water_line_ics_m),
@@ -47,12 +49,12 @@ def main(
             sigma_datum_m=bathymetry.sigma_datum_m,
         ),
         bathymetry,
-        given_line=read_centre_line(centre_line[0], frame, crs) if centre_line else None,
-        given_banks=read_banks(banks[0], frame, crs) if banks else None,
+        given_line=read_line(centre_line[0], crs, notes, frame=frame) if centre_line else None,
+        given_banks=given_banks,
     )
     found.write(traced)
     found.line.write(line)
-    level.write_text(json.dumps(water.report(), indent=2) + "\n")
+    level.write_text(json.dumps(water.report() | {"notes": notes}, indent=2) + "\n")
 
 
 if "snakemake" in globals():

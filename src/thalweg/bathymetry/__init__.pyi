@@ -4,7 +4,6 @@ from .banks import (
     bank_observations as bank_observations,
     flow_of_survey as flow_of_survey,
     read_banks as read_banks,
-    read_centre_line as read_centre_line,
     shore_points as shore_points,
 )
 from .bed import (
@@ -17,7 +16,9 @@ from .bed import (
     observations_of as observations_of,
 )
 from .crossings import (
+    Agreement as Agreement,
     Crossings as Crossings,
+    agreement as agreement,
     estimate_slow_errors as estimate_slow_errors,
     find_crossings as find_crossings,
 )
@@ -29,6 +30,7 @@ from .kriging import (
     krige_by_pykrige as krige_by_pykrige,
     krige_dense as krige_dense,
 )
+from .lake import Levels as Levels, Plane as Plane
 from .plan import PATTERNS as PATTERNS, SurveyPlan as SurveyPlan, course as course, plan_survey as plan_survey
 from .soundings import (
     REASONS as REASONS,
@@ -46,6 +48,7 @@ from .soundings import (
 from .tables import (
     BedOfTable as BedOfTable,
     TableOfSoundings as TableOfSoundings,
+    Water as Water,
     against_reference as against_reference,
     bed_of_table as bed_of_table,
     map_crs as map_crs,
@@ -55,6 +58,8 @@ from .tables import (
     read_other_soundings as read_other_soundings,
     read_places as read_places,
     read_soundings as read_soundings,
+    usual_cell_m as usual_cell_m,
+    water_of as water_of,
 )
 from .through_water import correct_refraction as correct_refraction, read_columns as read_columns
 from .validation import measures as measures, methods as methods, validate_bed as validate_bed

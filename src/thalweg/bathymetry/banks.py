@@ -10,8 +10,7 @@ and the scatter of the slices. A bank that nobody saw is bridged over short gaps
 left out.
 """
 
-import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -35,6 +34,7 @@ from thalweg.core import (
     LocalFrame,
     iter_laz,
 )
+from thalweg.ingest import read_vectors
 from thalweg.settings.sections import Bathymetry
 
 SIDES: Final = {"left": 1.0, "right": -1.0}
@@ -364,8 +364,19 @@ def onto_line(banks: pd.DataFrame, line: FlowLine) -> pd.DataFrame:
     return out.sort_values(["side", "s_m"], kind="stable", ignore_index=True)
 
 
-def read_banks(path: Path, frame: LocalFrame, crs: CRS) -> pd.DataFrame:
-    """Bank lines of a GeoJSON file: lines with a property ``side``, in the campaign's CRS.
+def side_of(properties: Mapping[str, Any]) -> str | None:
+    """The side of a bank line by its property ``side``, or by the layer of a drawing or its name."""
+    of = {name.lower(): str(value).strip().lower() for name, value in properties.items()}
+    return next((of[name] for name in ("side", "layer", "name") if of.get(name) in SIDES), None)
+
+
+def read_banks(path: Path, frame: LocalFrame, crs: CRS, notes: list[str] | None = None) -> pd.DataFrame:
+    """Bank lines of a file of vectors: lines with a property ``side``.
+
+    Parameters
+    ----------
+    frame, crs : of the world; the campaign's map, where the file states no coordinate system.
+    notes : takes what was left out or assumed.
 
     Returns
     -------
@@ -373,32 +384,31 @@ def read_banks(path: Path, frame: LocalFrame, crs: CRS) -> pd.DataFrame:
 
     Raises
     ------
-    InputError : no GeoJSON, no lines, or no side.
+    InputError : no file of vectors, no lines, or no side.
     """
-    try:
-        features = json.loads(path.read_text())["features"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"{error}",
-            where=path,
-            expected="GeoJSON with bank lines",
-            cure="Export the lines from a GIS as GeoJSON",
-        ) from error
+    drawn = read_vectors(path).on_map(crs)
     parts = []
-    for each in features:
-        side = (each.get("properties") or {}).get("side")
-        if side not in SIDES or each["geometry"]["type"] != "LineString":
+    kinds = drawn.table.geometry.geom_type
+    for xyz, properties in drawn.lines() if (kinds == "LineString").all() else [(np.empty((0, 2)), {})]:
+        side = side_of(properties)
+        if side is None:
             raise InputError(
-                f"a {each['geometry']['type']} with side {side!r}",
+                f"{', '.join(kinds.unique())} with side {properties.get('side')!r}",
                 where=path,
-                expected="LineStrings with a property side: left or right of the flow",
+                expected="lines with a property side: left or right of the flow",
                 cure="Add the property, as one looks downstream",
             )
-        xy = np.asarray([c[:2] for c in each["geometry"]["coordinates"]], dtype=np.float64)
-        wcs = frame.from_map(np.column_stack([xy, np.full(len(xy), frame.h_ell_m)]), crs)
-        sigma = float((each.get("properties") or {}).get("sigma_m", 0.5))
+        wcs = frame.from_map(np.column_stack([xyz[:, :2], np.full(len(xyz), frame.h_ell_m)]), crs)
+        sigma = pd.to_numeric(properties.get("sigma_m", np.nan), errors="coerce")
         parts.append(
-            pd.DataFrame({"side": side, "east_m": wcs[:, 0], "north_m": wcs[:, 1], "sigma_across_m": sigma})
+            pd.DataFrame(
+                {
+                    "side": side,
+                    "east_m": wcs[:, 0],
+                    "north_m": wcs[:, 1],
+                    "sigma_across_m": 0.5 if pd.isna(sigma) else float(sigma),
+                }
+            )
         )
     if {str(p["side"].iloc[0]) for p in parts} != set(SIDES):
         raise InputError(
@@ -407,6 +417,8 @@ def read_banks(path: Path, frame: LocalFrame, crs: CRS) -> pd.DataFrame:
             expected="at least a left and a right bank line",
             cure="Draw the other bank, or leave the file out where the lidar saw both",
         )
+    if notes is not None:
+        notes.extend(drawn.notes)
     return pd.concat(parts, ignore_index=True).assign(seen=True)
 
 
@@ -492,34 +504,6 @@ def shore_points(paths: Sequence[Path], level_m: float) -> tuple[ArrayF, ArrayF,
                 held = len(parts[0])
     rows = np.concatenate(parts)
     return rows[:, :3], rows[:, 3], rows[:, 4]
-
-
-def read_centre_line(path: Path, frame: LocalFrame, crs: CRS) -> FlowLine:
-    """The centre line of a user: CSV with east_m, north_m (or x, y) in the campaign's CRS, downstream.
-
-    Raises
-    ------
-    InputError : no table, no such columns, or fewer than three places.
-    """
-    try:
-        table = pd.read_csv(path)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{error}", where=path, expected="a centre line as CSV") from error
-    for names in (("east_m", "north_m"), ("east", "north"), ("x", "y")):
-        if set(names) <= set(table.columns):
-            xy = table[list(names)].to_numpy(np.float64)
-            break
-    else:
-        raise InputError(
-            f"columns {', '.join(map(str, table.columns))}", where=path, expected="east_m, north_m"
-        )
-    if len(xy) < 3 or not np.isfinite(xy).all():
-        raise InputError(
-            f"{len(xy)} places", where=path, expected="at least three places, all of them numbers"
-        )
-    return FlowLine.through(
-        frame.from_map(np.column_stack([xy, np.full(len(xy), frame.h_ell_m)]), crs)[:, :2]
-    )
 
 
 def _at_stations(table: pd.DataFrame, step_m: float) -> pd.DataFrame:

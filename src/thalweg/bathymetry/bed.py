@@ -14,6 +14,7 @@ from scipy.spatial.distance import cdist
 from thalweg.bathymetry.banks import Banks, bank_observations
 from thalweg.bathymetry.flow import FlowLine
 from thalweg.bathymetry.kriging import Observations, krige_by_pykrige
+from thalweg.bathymetry.lake import Plane
 from thalweg.bathymetry.soundings import with_bed_normals
 from thalweg.bathymetry.variogram import SHEET_LINE, BedModel, HalfWidths, choose_model
 from thalweg.bathymetry.water import WaterLevel
@@ -67,6 +68,9 @@ _WINDOW_CELLS: Final = 120
 _WINDOW_DATA: Final = 300
 _SECTION: Final = 40
 _LENGTHS_M: Final = (0.05, 1000.0)
+_USUAL: Final = (0.05, 0.95)
+_BEYOND: Final = 3.0
+"""No bed leaves the range of its data by more than so many times that range."""
 _APART: Final = 5.0
 """Light-sheet data whose median lies so many standard deviations off the bed of the soundings are of another
 bed, or one of both is wrong: they are left out."""
@@ -272,7 +276,11 @@ def _of_strip(strip: pd.DataFrame, line: FlowLine, times: ArrayF) -> pd.DataFram
 
 
 def cells_of_river(
-    places: ArrayF, line: FlowLine, half_widths: HalfWidths, span_m: tuple[float, float], settings: Bathymetry
+    places: ArrayF,
+    line: FlowLine | Plane,
+    half_widths: HalfWidths,
+    span_m: tuple[float, float],
+    settings: Bathymetry,
 ) -> tuple[ArrayF, ArrayB]:
     """Flow coordinates (m, 2) of places, and which of them are bed: between the shores, not on islands."""
     s, n, fold = line.to_flow(places)
@@ -402,7 +410,7 @@ def gridded(
 
     Raises
     ------
-    CoverageError : no cell is near enough to a datum.
+    CoverageError : no cell is near enough to a datum, or heights are none that the data can tell.
     """
     data = observations_of(table)
     height, sigma = _solved(model, data, flow, inside, settings)
@@ -417,6 +425,7 @@ def gridded(
             where="the grid of the bed",
             cure="Raise bathymetry.reach or lower bathymetry.cell_m",
         )
+    _refuse_impossible(height, sigma, data)
     facts: dict[str, Any] = counts | {
         "cells": known,
         "area_m2": known * settings.cell_m**2,
@@ -434,6 +443,33 @@ def gridded(
         model=model,
         data=table,
         facts=facts,
+    )
+
+
+def _refuse_impossible(height: ArrayF, sigma: ArrayF, data: Observations) -> None:
+    """Beds that leave the range of their data far behind, or know less than it: data of no one water.
+
+    Left-out lines cannot tell: rubbish that agrees with itself is foretold well.
+    """
+    low, high = float(data.height_m.min()), float(data.height_m.max())
+    # data that are all alike differ by their noise; a few that are far off are no range to be unsure in
+    noise = 4 * float(np.median(data.sigma_white_m))
+    span, usual = high - low + noise, float(np.diff(np.quantile(data.height_m, _USUAL))[0]) + noise
+    beyond = (height < low - _BEYOND * span) | (height > high + _BEYOND * span)
+    unsure = float(np.nanmedian(sigma))
+    if beyond.any():
+        found = f"{int(beyond.sum()):,} cells between {np.nanmin(height):,.1f} and {np.nanmax(height):,.1f} m"
+    elif unsure > usual:
+        found = (
+            f"a median sigma of {unsure:,.2f} m, nine tenths of the data lie within {usual - noise:,.2f} m"
+        )
+    else:
+        return
+    raise CoverageError(
+        f"{found}; the data lie between {low:,.1f} and {high:,.1f} m",
+        expected="heights and sigmas within the range of the data",
+        where="the grid of the bed",
+        cure="Look for soundings of another place or unit and for values that stand for none; or lower reach",
     )
 
 

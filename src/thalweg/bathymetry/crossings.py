@@ -20,6 +20,7 @@ import numpy as np
 import pandas as pd
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from thalweg.core import NMAD, ArrayF, ArrayI
@@ -33,10 +34,16 @@ FEWEST: Final = 8
 """Fewer crossings tell no size: what is stated stays."""
 _OUTLIER: Final = 4.0
 """Crossings whose difference is so many sigmas of its own are left out of the estimate, and counted."""
-_DAY_GAP_S: Final = 4 * 3600.0
+DAY_GAP_S: Final = 4 * 3600.0
 """A pause of this length begins another day of the survey."""
 _MOST: Final = 800
 """Crossings that are adjusted together: evenly chosen ones of more."""
+_MEDIAN: Final = 1.2533
+"""Standard deviation of a median over that of a mean."""
+_OUTSIDE: Final = 1.959964
+_FEWEST_OF_PAIR: Final = 3
+_HOLE: Final = 8.0
+"""A step so many times the usual one is a hole in a line."""
 _SIGNIFICANT: Final = 3.0
 """Days whose mean differs by so many sigmas disagree."""
 
@@ -90,7 +97,7 @@ def find_crossings(soundings: pd.DataFrame) -> Crossings:
 
     Parameters
     ----------
-    soundings : table kind ``soundings``.
+    soundings : table kind ``soundings``; a column ``day`` numbers the days, else a pause of hours ends one.
     """
     used = soundings[soundings["used"] & (soundings["line"] >= 0)].sort_values("t_gps_s", kind="stable")
     t, even = (used[name].to_numpy(np.float64) for name in ("t_gps_s", "t_even_s"))
@@ -100,7 +107,9 @@ def find_crossings(soundings: pd.DataFrame) -> Crossings:
     white = used["sigma_white_m"].to_numpy(np.float64) ** 2
     slow = used["sigma_slow_m"].to_numpy(np.float64)
     across = used["sigma_horizontal_m"].to_numpy(np.float64) ** 2
-    day = np.cumsum(np.diff(t, prepend=t[:1]) > _DAY_GAP_S)
+    day = (
+        used["day"].to_numpy(np.int64) if "day" in used else np.cumsum(np.diff(t, prepend=t[:1]) > DAY_GAP_S)
+    )
     step_s = np.diff(t)
     usual = float(np.median(step_s)) if len(step_s) else 0.0
     first = np.flatnonzero((line[1:] == line[:-1]) & (step_s > 0) & (step_s < 3 * usual))
@@ -306,3 +315,88 @@ def _days(crossings: Crossings, time_s: float) -> tuple[list[dict[str, Any]], fl
     if not any(each["disagrees"] for each in table):
         return table, 0.0
     return table, float(np.std(np.concatenate([[0.0], offset])))
+
+
+# ---------------------------------------------------------------- tables without poses
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Agreement:
+    """How days, or other parts, of a table of soundings agree where their lines cross.
+
+    Parameters
+    ----------
+    pairs : columns a, b (numbers of parts), n, difference_m (median height of b less a), sigma_m of it,
+        contradicts (beyond its 95 %; at least three crossings).
+    shift_m : (parts,) height of each part above the mean of those that it is tied to by crossings.
+    sigma_common_m : (parts,) what is left of the steps when they are taken off: the mean of a few parts is as
+        uncertain as their scatter says, a part that crosses no other is wrong by the whole of it.
+    """
+
+    pairs: pd.DataFrame
+    shift_m: ArrayF
+    sigma_common_m: ArrayF
+
+
+def agreement(places_m: ArrayF, height_m: ArrayF, sigma_m: ArrayF, line: ArrayI, part: ArrayI) -> Agreement:
+    """Compare parts of a table, rows (n,) in the order in which they were sounded.
+
+    Parameters
+    ----------
+    places_m : (n, 2).
+    height_m, sigma_m : (n,) and their noise.
+    line : (n,) number of the line.
+    part : (n,) number of the day, or of the run, from 0.
+    """
+    n = int(part.max()) + 1
+    row = np.arange(len(part), dtype=np.float64)
+    # a line that goes on after a hole, or on the next day, is another one
+    way = np.linalg.norm(np.diff(places_m, axis=0, prepend=places_m[:1]), axis=1)
+    apart = (way > _HOLE * np.median(way)) | (np.diff(part, prepend=part[:1]) != 0)
+    apart |= np.diff(line, prepend=line[:1]) != 0
+    found = find_crossings(
+        pd.DataFrame(
+            {
+                **dict.fromkeys(("t_gps_s", "t_even_s"), row),
+                **dict(zip(("east_m", "north_m"), places_m.T, strict=True)),
+                "up_m": height_m,
+                "sigma_white_m": sigma_m,
+                "line": np.cumsum(apart),
+                "day": part,
+                "used": True,
+                "sigma_slow_m": 0.0,
+                "sigma_horizontal_m": 0.0,
+            }
+        )
+    )
+    between = pd.DataFrame(
+        {
+            "a": np.minimum(found.day_a, found.day_b),
+            "b": np.maximum(found.day_a, found.day_b),
+            "d": found.difference_m * np.where(found.day_a <= found.day_b, 1.0, -1.0),
+            "v": found.white_m2,
+        }
+    )
+    between = between[between["a"] != between["b"]]
+    groups = between.groupby(["a", "b"])
+    rest = between["d"] - groups["d"].transform("median")
+    # the median takes one degree of freedom of each pair
+    free = max(1.0 - groups.ngroups / max(len(between), 1), 0.2)
+    scatter = NMAD * float(rest.abs().median()) / np.sqrt(free) if len(between) else 0.0
+    pairs = groups.agg(n=("d", "size"), difference_m=("d", "median"), v=("v", "mean")).reset_index()
+    pairs["sigma_m"] = _MEDIAN * np.maximum(np.sqrt(pairs.pop("v")), scatter) / np.sqrt(pairs["n"])
+    pairs["contradicts"] = (pairs["n"] >= _FEWEST_OF_PAIR) & (
+        pairs["difference_m"].abs() > _OUTSIDE * pairs["sigma_m"]
+    )
+    design = np.zeros((len(pairs), n))
+    design[pairs.index, pairs["b"]] = 1.0
+    design[pairs.index, pairs["a"]] = -1.0
+    weighted = design.T / pairs["sigma_m"].to_numpy() ** 2
+    # of the many solutions, the one whose mean is zero among the parts that crossings tie together
+    inverse = np.linalg.pinv(weighted @ design, hermitian=True)
+    shift = inverse @ (weighted @ pairs["difference_m"].to_numpy())
+    tied = connected_components(design.T @ design, directed=False)[1]
+    size = np.bincount(tied)[tied]
+    free_parts = n - int(tied.max()) - 1
+    spread = float(np.sqrt(np.sum(shift**2) / max(free_parts, 1)))
+    return Agreement(pairs=pairs, shift_m=shift, sigma_common_m=np.sqrt(spread**2 / size + np.diag(inverse)))

@@ -65,18 +65,25 @@ class FlowLine:
             raise GeometryError(f"a centre line of {len(p)} places", expected="at least three")
         u = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))])
         nodes, weights = _GAUSS
-        for _ in range(8):  # the parameter becomes arc length
-            spline = CubicSpline(u, p)
-            h = np.diff(u)
-            speed = np.linalg.norm(spline(u[:-1, None] + h[:, None] / 2 * (1 + nodes), 1), axis=2)
-            before, u = u, np.concatenate([[0.0], np.cumsum(speed @ weights * h / 2)])
-            if np.abs(u - before).max() < 1e-12 * u[-1]:
-                break
-        spline = CubicSpline(u, p)
-        starts = np.linspace(0.0, u[-1], _STARTS * len(u))
-        return cls(
-            points_m=p, spline=spline, length_m=float(u[-1]), tree=cKDTree(spline(starts)), starts_m=starts
-        )
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):
+                for _ in range(8):  # the parameter becomes arc length
+                    spline = CubicSpline(u, p)
+                    h = np.diff(u)
+                    speed = np.linalg.norm(spline(u[:-1, None] + h[:, None] / 2 * (1 + nodes), 1), axis=2)
+                    before, u = u, np.concatenate([[0.0], np.cumsum(speed @ weights * h / 2)])
+                    if np.abs(u - before).max() < 1e-12 * u[-1]:
+                        break
+                spline = CubicSpline(u, p)
+                starts = np.linspace(0.0, u[-1], _STARTS * len(u))
+                tree = cKDTree(spline(starts))
+        except ValueError as error:  # lengths that do not grow, or places that are not finite
+            raise GeometryError(
+                f"a centre line through {len(p)} places that go to and fro",
+                expected="places one after the other, downstream, none of them far away from the others",
+                cure="Look for places of another river, or in degrees",
+            ) from error
+        return cls(points_m=p, spline=spline, length_m=float(u[-1]), tree=tree, starts_m=starts)
 
     def to_flow(self, places_m: ArrayLike) -> tuple[ArrayF, ArrayF, ArrayB]:
         """Flow coordinates of places (m, 2).

@@ -261,6 +261,7 @@ def locate_soundings(
     water_line_ics_m: float,
     decisions: Path | None = None,
     logged_temperature_c: float | None = None,
+    sigma_time_s: float = 0.0,
 ) -> tuple[pd.DataFrame, dict[str, Any]]:
     """Soundings in the world with their errors, and with the reason of each that does not count.
 
@@ -273,6 +274,7 @@ def locate_soundings(
     water_line_ics_m : down coordinate of the water line in the body frame.
     decisions : by hand, CSV with t_from_s, t_to_s (GPS time), keep; the last one that names a time holds.
     logged_temperature_c : of the water, as the instrument logged it.
+    sigma_time_s : standard deviation of the time of a ping that the log places between two others.
 
     Returns
     -------
@@ -314,7 +316,7 @@ def locate_soundings(
     axis, cos_theta = axis_range_m(r, b, np.array([0.0, 0.0, 1.0]), np.deg2rad(echo.beam_deg / 2))
     x = x_t + axis[:, None] * b
     white, slow, common = _covariances(
-        trajectory, at, R, x, x_t, axis, b, transducer, correlation, echo, settings, sound, level
+        trajectory, at, R, x, x_t, axis, b, transducer, correlation, echo, settings, sound, sigma_time_s
     )
     total = white + slow + common
     line = _lines(t, x_t, valid & (reason == ""), settings.line_turn_deg)
@@ -496,7 +498,7 @@ def _covariances(
     echo: EchoSounder,
     settings: Bathymetry,
     sound: Sound,
-    level: ArrayF,
+    sigma_time_s: float,
 ) -> tuple[ArrayF, ArrayF, ArrayF]:
     """White, slow and common part (n, 3, 3) of the covariance of each place."""
     cov = trajectory.cov_at(t)
@@ -510,11 +512,12 @@ def _covariances(
     turn = cov[:, :3, 3:] @ np.linalg.pinv(attitude)
     own = cov[:, :3, :3] - turn @ np.swapaxes(cov[:, :3, 3:], 1, 2)
     bb = b[:, :, None] * b[:, None, :]
-    white = correlation.white_share * own + echo.sigma_depth_m**2 * bb
-    slow = pose - correlation.white_share * own
     velocity = _velocity(trajectory, t)
+    along = velocity[:, :, None] * velocity[:, None, :]
+    white = correlation.white_share * own + echo.sigma_depth_m**2 * bb + sigma_time_s**2 * along
+    slow = pose - correlation.white_share * own
     common = R @ transducer.cov_m2 @ np.swapaxes(R, 1, 2)
-    common = common + transducer.sigma_lag_s**2 * velocity[:, :, None] * velocity[:, None, :]
+    common = common + transducer.sigma_lag_s**2 * along
     common += ((axis_m * sound.sigma / sound.factor) ** 2)[:, None, None] * bb
     tilt = np.deg2rad(echo.sigma_tilt_deg)
     common += ((axis_m * tilt) ** 2)[:, None, None] * (np.eye(3) - bb)

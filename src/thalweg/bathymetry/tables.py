@@ -4,56 +4,61 @@ Heights stay in the table's own vertical system. Without a centre line, one is l
 lines of soundings (sections, zigzag), or along the longest of them where they run down the river.
 """
 
-import csv
 import json
-import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 import pandas as pd
+import shapely
 from numpy.typing import ArrayLike
-from pyproj import CRS, Transformer
+from pyproj import CRS
 from pyproj.exceptions import CRSError
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree, shortest_path
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from thalweg.bathymetry.banks import SIDES, Banks
+from thalweg.bathymetry.banks import SIDES, Banks, side_of
 from thalweg.bathymetry.bed import BANDS, OBSERVATIONS, Bed, cells_of_river, gridded, observations_of
+from thalweg.bathymetry.crossings import DAY_GAP_S, agreement
 from thalweg.bathymetry.flow import FlowLine
+from thalweg.bathymetry.lake import (
+    Levels,
+    Plane,
+    area_sounded,
+    elongation,
+    farthest_told_m,
+    lines_or_patches,
+    no_half_widths,
+    shore_places,
+)
 from thalweg.bathymetry.validation import by_class, measures, validate_bed
-from thalweg.bathymetry.variogram import HalfWidths, choose_model
+from thalweg.bathymetry.variogram import Basin, HalfWidths, choose_model
 from thalweg.core import (
+    ArrayB,
     ArrayF,
     ArrayI,
+    GeometryError,
     Grid,
     InputError,
     LocalFrame,
     frame_of,
     iter_laz,
     laz_header,
+    read_dsm,
     read_raster,
+    utc_text_from_unix,
     write_raster,
 )
+from thalweg.core.values import METRE, check_places, units_of_crs
+from thalweg.ingest import Places, Table, is_vector_file, read_text_table, read_vectors
 from thalweg.settings.sections import Bathymetry
 
-_FEET: Final = re.compile(r"(^|[_ (\[])(ft|foot|feet)\b", re.IGNORECASE)
-"""Names of columns that are not in metres."""
 _DROWNED_M: Final = 0.5
 """Bank lines stand at the water's edge: heights this far below the level are those of another water."""
-_NAMES: Final = (
-    ("east_m", "north_m"),
-    ("east", "north"),
-    ("easting", "northing"),
-    ("e", "n"),
-    ("x_m", "y_m"),
-    ("x", "y"),
-)
-"""Names of the coordinates of a table, in any case."""
 _BREAK: Final = 8.0
 """A step this many times the usual one ends a line of soundings."""
 _TURN_DEG: Final = 45.0
@@ -65,6 +70,16 @@ _STEEP: Final = 0.3
 _STATIONS: Final = 400
 _OTHER_DATUM_M: Final = 25.0
 """Ellipsoid and geoid differ by more nearly everywhere in Europe; no river falls so much in a survey."""
+_RIVER: Final = 3.0
+"""A river's reach is at least so many widths long."""
+_REACHED: Final = 0.9
+"""Flow coordinates suit a water of which at least this share has them."""
+_PLACES: Final = 2000
+_NAMED: Final = 6
+"""So many pairs of days or lines that contradict each other are named."""
+_LINE_STRING: Final = 1
+"""Of shapely's types."""
+_WIDEST_M: Final = 1_000_000.0
 _ALONE: Final = 0.5
 """More soundings than this share outside the banks: they are of another place."""
 
@@ -99,168 +114,109 @@ def map_crs(text: str) -> CRS:
     return crs
 
 
-def read_places(path: Path, crs: CRS) -> tuple[pd.DataFrame, ArrayF]:
-    """A table of places: CSV with names, text of x y z without, GeoJSON of points.
+def read_places(
+    path: Path, crs: CRS | None, *, order: Sequence[str] | None = None, any_system: bool = False
+) -> tuple[Table, Places]:
+    """A table of places: text with names of columns, x y z without, or points of a GIS.
 
-    Returns
-    -------
-    table : its columns as they are; of text without names x, y, z; of GeoJSON its properties.
-    places_m : (n, 2) east and north.
+    Parameters
+    ----------
+    path : see `thalweg.ingest.read_text_table`.
+    crs, any_system : of the map, see `thalweg.ingest.Table.places`.
+    order : names of the columns, stated by a user.
 
     Raises
     ------
     InputError : no such file, no table, no coordinates.
     """
-    if path.suffix.lower() in {".geojson", ".json"}:
-        features, source = _features(path)
-        points = [f for f in features if (f.get("geometry") or {}).get("type") == "Point"]
-        if not points:
-            raise InputError(
-                "no points",
-                where=path,
-                expected="GeoJSON of points",
-                cure="Export soundings as points, not as lines",
-            )
-        table = pd.DataFrame([f.get("properties") or {} for f in points])
-        at = [f["geometry"]["coordinates"] for f in points]
-        if "z" not in table and all(len(c) > 2 for c in at):
-            table["z"] = [c[2] for c in at]
-        return table, _on_map(np.array([c[:2] for c in at], dtype=np.float64), source, crs, path)
-    try:
-        with path.open() as file:
-            first = file.readline()
-        bare = bool(first.strip()) and all(_is_number(w) for w in first.replace(",", " ").split())
-        table = pd.read_csv(
-            path,
-            sep=None,
-            engine="python",
-            comment="#",
-            skipinitialspace=True,
-            header=None if bare else "infer",
-        )
-    except (UnicodeDecodeError, ValueError, csv.Error) as error:
+    if not is_vector_file(path):
+        table = read_text_table(path, order=order, bare=("x", "y", "z"))
+        return table, table.places(crs, any_system=any_system)
+    drawn = read_vectors(path)
+    on = crs or drawn.usual_map()
+    drawn = drawn if on is None else drawn.on_map(on)
+    frame, at = drawn.points()
+    if not len(at):
         raise InputError(
-            f"{error}",
+            "no points",
             where=path,
-            expected="CSV with a line of names, x y z text, or GeoJSON",
-            cure="Look whether the file holds a table, and whether its text is UTF-8",
-        ) from error
-    if bare:
-        table.columns = pd.Index([*"xyz", *(f"column_{k}" for k in range(4, 100))][: table.shape[1]])
-    names = {str(c).strip().lower(): c for c in table.columns}
-    for pair in _NAMES:
-        if set(pair) <= set(names):
-            xy = table[[names[k] for k in pair]].apply(pd.to_numeric, errors="coerce")
-            return table, xy.to_numpy(np.float64)
-    raise InputError(
-        f"columns {', '.join(map(str, table.columns))}",
-        where=path,
-        expected="coordinates: " + "; ".join(f"{a}, {b}" for a, b in _NAMES),
-    )
+            expected="a layer of points",
+            cure="Export soundings as points, not as lines",
+        )
+    if "z" not in frame and at.shape[1] > 2:
+        frame["z"] = at[:, 2]
+    return Table.of(frame, path), Places(at[:, :2], on, list(drawn.notes))
 
 
-def read_line(path: Path, crs: CRS | None = None) -> FlowLine:
-    """A centre line, downstream: table of places, or GeoJSON with one line.
+def read_line(
+    path: Path, crs: CRS | None = None, notes: list[str] | None = None, *, frame: LocalFrame | None = None
+) -> FlowLine:
+    """A centre line, downstream: table of places, or a file of vectors with one line.
+
+    Parameters
+    ----------
+    path, crs : file and map; None: the numbers of the file, in metres.
+    notes : takes what was left out or assumed.
+    frame : of the world, for a line in wcs instead of on the map.
 
     Raises
     ------
-    InputError : no line.
+    InputError : no line, or one in degrees without a map.
     GeometryError : fewer than three places.
     """
-    if path.suffix.lower() in {".geojson", ".json"}:
-        features, source = _features(path)
-        parts = [xyz for f in features for xyz, _ in _lines_of(f)]
-        if len(parts) != 1:
-            raise InputError(f"{len(parts)} lines", where=path, expected="one centre line")
-        xy = parts[0][:, :2]
-        return FlowLine.through(_on_map(xy, source, crs, path) if crs is not None else xy)
-    if not path.is_file():
+    if is_vector_file(path):
+        xy = _drawn_line(path, crs, notes)
+    else:
+        xy = read_places(path, crs, any_system=True)[1].xy_m
+        xy = xy[np.isfinite(xy).all(axis=1)]
+        if crs is not None:
+            check_places(xy, crs, where=path, cure="--crs")
+    if frame is not None and crs is not None:
+        xy = frame.from_map(np.column_stack([xy, np.full(len(xy), frame.h_ell_m)]), crs)[:, :2]
+    return FlowLine.through(xy)
+
+
+def _drawn_line(path: Path, crs: CRS | None, notes: list[str] | None) -> ArrayF:
+    """Places (n, 2) of the one line of a file of vectors."""
+    drawn = read_vectors(path)
+    if crs is not None:
+        drawn = drawn.on_map(crs)
+    elif drawn.crs is not None and units_of_crs(drawn.crs)[0] != METRE:
         raise InputError(
-            "no such file",
+            f"a centre line in {drawn.crs.name}",
             where=path,
-            expected="a centre line as CSV: east_m, north_m",
-            cure="Check the path, or leave it out: the line then follows from banks or soundings",
+            expected="places in metres on a map",
+            cure="Transform it to the map of the other places, such as the UTM zone of the river",
         )
-    return FlowLine.through(read_places(path, crs or CRS.from_epsg(32633))[1])
+    lines = drawn.lines()
+    if len(lines) != 1:
+        raise InputError(f"{len(lines)} lines", where=path, expected="one centre line")
+    _keep(drawn.notes, notes)
+    return lines[0][0][:, :2]
 
 
-def read_islands(path: Path, crs: CRS) -> list[list[tuple[float, float]]]:
-    """Outlines of islands of a GeoJSON file, on the map.
+def read_islands(path: Path, crs: CRS, notes: list[str] | None = None) -> list[list[tuple[float, float]]]:
+    """Outlines of islands, polygons of a file of vectors, on the map.
+
+    Parameters
+    ----------
+    notes : takes what was left out or assumed.
 
     Raises
     ------
     InputError : no polygon.
     """
-    features, source = _features(path)
-    outlines = [
-        [(float(east), float(north)) for east, north in _on_map(xyz[:, :2], source, crs, path)]
-        for feature in features
-        if "Polygon" in str((feature.get("geometry") or {}).get("type"))
-        for xyz, _ in _lines_of(feature)
-    ]
+    drawn = read_vectors(path).on_map(crs)
+    outlines = [[(x, y) for x, y, *_ in each.exterior.coords] for each in drawn.polygons()]
     if not outlines:
         raise InputError("no polygon", where=path, expected="islands as polygons")
+    _keep(drawn.notes, notes)
     return outlines
 
 
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
-
-
-def _features(path: Path) -> tuple[list[dict[str, Any]], CRS | None]:
-    """Features of a GeoJSON file and the coordinate system that it names."""
-    try:
-        content = json.loads(path.read_text())
-        features = content["features"]
-        name = ((content.get("crs") or {}).get("properties") or {}).get("name")
-        return features, CRS.from_user_input(name) if name else None
-    except FileNotFoundError as error:
-        raise InputError(
-            "no such file", where=path, expected="a GeoJSON file", cure="Check the path"
-        ) from error
-    except (ValueError, KeyError, TypeError, AttributeError, CRSError) as error:
-        raise InputError(
-            f"{error}",
-            where=path,
-            expected="GeoJSON, a FeatureCollection",
-            cure="Export the lines from a GIS as GeoJSON",
-        ) from error
-
-
-def _on_map(xy: ArrayF, source: CRS | None, crs: CRS, path: Path) -> ArrayF:
-    """Places on the map; GeoJSON without a named system is in degrees (RFC 7946), or on the map already."""
-    if source is None and len(xy) and (np.abs(xy) <= [180.0, 90.0]).all():
-        source = CRS.from_epsg(4326)
-    if source is None or source.equals(crs, ignore_axis_order=True):
-        return xy
-    east, north = Transformer.from_crs(source, crs, always_xy=True).transform(xy[:, 0], xy[:, 1])
-    out = np.column_stack([east, north])
-    if not np.isfinite(out).all():
-        raise InputError(
-            f"places in {source.name} have none in {crs.name}", where=path, expected=f"places in {crs.name}"
-        )
-    return out
-
-
-def _lines_of(feature: dict[str, Any]) -> list[tuple[ArrayF, str | None]]:
-    """Lines (k, 2 or 3) of a feature, outlines of polygons too, and the side that it names."""
-    geometry = feature.get("geometry") or {}
-    at: Any = geometry.get("coordinates")
-    kind = geometry.get("type")
-    side = (feature.get("properties") or {}).get("side")
-    if kind == "LineString":
-        parts = [at]
-    elif kind in {"MultiLineString", "Polygon"}:
-        parts = at if kind == "MultiLineString" else at[:1]
-    elif kind == "MultiPolygon":
-        parts = [rings[0] for rings in at]
-    else:
-        return []
-    return [(np.array(part, dtype=np.float64), side) for part in parts]
+def _keep(found: Iterable[str], notes: list[str] | None) -> None:
+    if notes is not None:
+        notes.extend(found)
 
 
 # ---------------------------------------------------------------- soundings
@@ -275,7 +231,13 @@ class TableOfSoundings:
     places_m : (n, 2) east and north.
     height_m, sigma_m : (n,) and their noise.
     line : (n,) number of the line.
-    counts : rows read, without number, repeated, repeated and different.
+    counts : rows read, repeated, repeated and different.
+    crs : of the map.
+    column, depth : name of the column of values, and whether they are depths.
+    notes : what was converted, assumed and left out.
+    day : (n,) number of the day; None: unknown.
+    days : names of the days.
+    t_s : (n,) seconds since 1970 UTC; None: unknown.
     """
 
     places_m: ArrayF
@@ -283,57 +245,81 @@ class TableOfSoundings:
     sigma_m: ArrayF
     line: ArrayI
     counts: dict[str, int]
+    crs: CRS
+    column: str
+    depth: bool
+    notes: tuple[str, ...] = ()
+    day: ArrayI | None = None
+    days: tuple[str, ...] = ()
+    t_s: ArrayF | None = None
+
+    def above(self, levels: Levels) -> Self:
+        """Depths, which `height_m` holds below zero, as heights below levels of the water.
+
+        Raises
+        ------
+        InputError : the table has no times, or there is no level for some.
+        """
+        if self.t_s is None:
+            raise InputError(
+                "soundings without times",
+                where="--levels",
+                expected="a column of times beside the depths",
+                cure="Name the column of the times, or state one --level",
+            )
+        return replace(self, height_m=self.height_m + levels.at(self.t_s))
 
 
 def read_soundings(
     path: Path,
-    crs: CRS,
+    crs: CRS | None,
     *,
-    column: str,
-    depth: bool,
+    column: str | None,
+    depth: bool | None,
     level_m: float | None,
     line_column: str | None,
     sigma_m: float,
+    order: Sequence[str] | None = None,
+    nothing: Sequence[float] = (),
+    keep: Sequence[float] = (),
 ) -> TableOfSoundings:
     """Soundings of a table.
 
     Parameters
     ----------
-    path, crs : see `read_places`.
-    column : of heights, or of depths below ``level_m`` (0 where none is stated).
+    path, crs, order : see `read_places`.
+    column : of heights, or of depths below ``level_m`` (0 where none is stated); None: as the names tell.
+    depth : whether its values are depths; None: as its name tells.
+    nothing, keep : values that stand for none beside the usual ones, and such of them that are meant.
     line_column : numbers or names of lines; None: from the course, or from clusters.
     sigma_m : noise of a height, where the table has no column ``sigma`` or ``sigma_m``.
 
     Raises
     ------
-    InputError : no such column; depths that are heights or the other way round; fewer than four soundings;
-        all in one place or on one straight line.
+    InputError : no such column, or none that says whether it holds depths; depths that are heights or the
+        other way round; places that the map does not have; fewer than four soundings; all in one place or on
+        one straight line.
     """
-    table, places = read_places(path, crs)
-    missing = {c for c in (column, line_column) if c is not None} - set(table.columns)
-    if missing:
-        raise InputError(
-            f"no column {', '.join(sorted(missing))}",
-            where=path,
-            expected=f"one of {', '.join(map(str, table.columns))}",
-            cure="Name one of these as --height or --depth, and as --line",
-        )
-    if _FEET.search(column):
-        raise InputError(
-            f"column {column}, by its name in feet",
-            where=path,
-            expected="metres",
-            cure="Multiply it by 0.3048 and name it otherwise",
-        )
-    value = pd.to_numeric(table[column], errors="coerce").to_numpy(np.float64)
-    own = next((n for n in ("sigma_m", "sigma") if n in table), None)
-    sigma = (
-        np.full(len(table), sigma_m)
-        if own is None
-        else pd.to_numeric(table[own], errors="coerce").to_numpy(np.float64)
-    )
+    table, found = read_places(path, crs, order=order)
+    assert found.crs is not None
+    k, depth = _column_of_values(table, column, depth)
+    column, places = table.columns[k].name, found.xy_m
+    value = table.numbers(k, "depth" if depth else "height", nothing=nothing, keep=keep)
+    at_sigma = table.find("sigma")
+    sigma = np.full(len(table), sigma_m) if at_sigma is None else table.numbers(at_sigma, "sigma")
     known = np.isfinite(value) & np.isfinite(places).all(axis=1) & np.isfinite(sigma) & (sigma > 0)
-    counts = {"rows": len(table), "without a number": int((~known).sum())}
+    counts = {"rows": len(table)}
+    notes = [*table.notes, *found.notes, *table.unit_notes(k), *table.loss_notes()]
+    if known.any():
+        notes.append(
+            check_places(
+                places[known],
+                found.crs,
+                where=path,
+                height_m=-value[known] if depth else value[known],
+                cure="--crs",
+            )
+        )
     if depth and known.any() and np.mean(value[known] < 0) > 0.5:
         raise InputError(
             f"{np.mean(value[known] < 0):.0%} of the depths in {column} are negative",
@@ -353,7 +339,12 @@ def read_soundings(
     if line_column is None:
         line = _lines_by_place(places[known])
     else:
-        line = pd.factorize(table[line_column].to_numpy()[known])[0].astype(np.int64)
+        names = np.array(table.text(table.column(line_column)))[known]
+        line = pd.factorize(names)[0].astype(np.int64)
+    t_s = np.full(len(table), np.nan)
+    if (when := table.times()) is not None:
+        t_s, said = when
+        notes += said
     of = pd.DataFrame(
         {
             "x": np.round(places[known, 0], 3),
@@ -361,14 +352,17 @@ def read_soundings(
             "h": height[known],
             "v": sigma[known] ** 2,
             "line": line,
+            "t": t_s[known],
+            "day": _days(t_s[known]),
         }
     )
-    groups = of.groupby(["x", "y"], sort=False)
+    groups = of.groupby(["x", "y", "day"], sort=False, dropna=False)
     spread = groups["h"].agg(np.ptp)
     counts["repeated"] = len(of) - len(spread)
     counts["repeated and different"] = int((spread > 3 * np.sqrt(2 * groups["v"].max())).sum())
     if counts["repeated"]:
-        one = groups.agg(h=("h", "mean"), v=("v", "mean"), line=("line", "first")).reset_index()
+        one = groups.agg(h=("h", "mean"), v=("v", "mean"), line=("line", "first"), t=("t", "first"))
+        one = one.reset_index()
         # soundings of one place that differ by more than their noise: half the difference is their sigma
         one["v"] = np.maximum(one["v"], (spread.to_numpy() / 2) ** 2)
         of = one
@@ -391,13 +385,57 @@ def read_soundings(
             expected="soundings across the river: what lies beside a single line cannot be told",
             cure="Survey a zigzag or sections",
         )
+    timed = bool(of["t"].notna().all())
+    begins: list[float] = of.groupby("day")["t"].min().tolist() if timed else []
     return TableOfSoundings(
         places_m=xy,
         height_m=of["h"].to_numpy(np.float64),
         sigma_m=np.sqrt(of["v"].to_numpy(np.float64)),
         line=of["line"].to_numpy(np.int64),
         counts=counts,
+        crs=found.crs,
+        column=column,
+        depth=depth,
+        notes=tuple(notes),
+        day=of["day"].to_numpy(np.int64) if timed else None,
+        days=tuple(utc_text_from_unix(float(t))[:10] for t in begins),
+        t_s=of["t"].to_numpy(np.float64) if timed else None,
     )
+
+
+def _days(t_s: ArrayF) -> ArrayF:
+    """Number of the day (n,) of times, which a pause of hours ends, wherever midnight of UTC is."""
+    out = np.full(len(t_s), np.nan)
+    order = np.argsort(t_s, kind="stable")[: int(np.isfinite(t_s).sum())]
+    out[order] = np.cumsum(np.diff(t_s[order], prepend=t_s[order][:1]) > DAY_GAP_S)
+    return out
+
+
+def _column_of_values(table: Table, column: str | None, depth: bool | None) -> tuple[int, bool]:
+    """Place of the column of depths or heights, and which of both it holds."""
+    if column is None:
+        found = {q: k for q in ("depth", "height") if (k := table.find(q)) is not None}
+        if len(found) != 1:
+            raise InputError(
+                f"columns {table.listed()}",
+                where=table.path,
+                expected="one column of depths or of heights by its name",
+                cure="Name it: --depth COLUMN, or --height COLUMN",
+            )
+        return next(iter(found.values())), "depth" in found
+    k = table.column(column)
+    words = table.columns[k].words.split("_")
+    says = "depth" if "depth" in words else "height" if {"height", "elevation", "altitude"} & {*words} else ""
+    if depth is None:
+        depth = says == "depth"
+    elif says and depth != (says == "depth"):
+        raise InputError(
+            f"column {table.columns[k].name} holds {says}s by its name",
+            where=table.path,
+            expected="depths" if depth else "heights",
+            cure=f"Use --{says} {table.columns[k].name}, or name the column otherwise",
+        )
+    return k, depth
 
 
 def read_other_soundings(
@@ -456,6 +494,14 @@ def read_other_soundings(
         )
         first = int(parts[-1]["line"].max()) + 1
     return pd.concat(parts, ignore_index=True)
+
+
+def usual_cell_m(places_m: ArrayF) -> float:
+    """Cells as wide as soundings lie apart, in steps of 1, 2 and 5, and at most half a million of them."""
+    near = np.asarray(cKDTree(places_m).query(places_m, k=2)[0])[:, 1]
+    least = float(np.sqrt(np.prod(np.ptp(places_m, axis=0)) / 5e5))
+    wanted = max(float(np.median(near)), least, 0.1)
+    return float(min(s for s in (a * 10.0**k for k in range(-1, 5) for a in (1, 2, 5)) if s >= 0.99 * wanted))
 
 
 def _lines_by_place(xy: ArrayF) -> ArrayI:
@@ -553,9 +599,14 @@ def _beyond(places: ArrayF, reach_m: float) -> ArrayF:
 
 
 def read_bank_lines(
-    path: Path, crs: CRS, line: FlowLine | None, level_m: float | None, height_m: tuple[ArrayF, ArrayF]
+    path: Path,
+    crs: CRS,
+    line: FlowLine | None,
+    level_m: float | None,
+    height_m: tuple[ArrayF, ArrayF],
+    notes: list[str] | None = None,
 ) -> tuple[Banks, pd.DataFrame]:
-    """Bank lines of a GeoJSON file: lines, with or without a property ``side``, or the water as a polygon.
+    """Bank lines of a file of vectors, with or without a property ``side``, or the water as a polygon.
 
     Parameters
     ----------
@@ -563,6 +614,7 @@ def read_bank_lines(
     line : centre line; None: half way between the banks.
     level_m : height of the water; None: heights of the file, if it has any.
     height_m : places (n, 2) and heights (n,) of the soundings, which tell the direction of a line.
+    notes : takes what was left out or assumed.
 
     Returns
     -------
@@ -574,15 +626,13 @@ def read_bank_lines(
     InputError : no lines, or no bank on one side.
     GeometryError : left and right are exchanged.
     """
-    features, source = _features(path)
-    parts = [part for f in features for part in _lines_of(f)]
+    drawn = read_vectors(path).on_map(crs)
+    parts = [(xyz, side_of(properties)) for xyz, properties in drawn.lines()]
     if not parts:
         raise InputError(
             "no line and no polygon", where=path, expected="bank lines, or the water as a polygon"
         )
-    parts = [
-        (np.column_stack([_on_map(xyz[:, :2], source, crs, path), xyz[:, 2:]]), side) for xyz, side in parts
-    ]
+    _keep(drawn.notes, notes)
     if line is None:
         line = _between(parts, path, height_m)
     tables = []
@@ -665,7 +715,8 @@ def _between(parts: list[tuple[ArrayF, str | None]], path: Path, height_m: tuple
         halves = (ring[first : last + 1], np.concatenate([ring[last:], ring[: first + 1]]))
         return _between([(half, None) for half in halves], path, height_m)
     sides = [side for _, side in parts]
-    if len(parts) != 2 and set(sides) != set(SIDES):
+    outlines = any(np.array_equal(xyz[0, :2], xyz[-1, :2]) for xyz, _ in parts)
+    if (len(parts) != 2 or outlines) and set(sides) != set(SIDES):
         raise InputError(
             f"{len(parts)} lines with sides {sorted({str(s) for s in sides})}",
             where=path,
@@ -745,27 +796,278 @@ def hull_of_lines(s: ArrayF, n: ArrayF, line: ArrayI) -> HalfWidths:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Water:
+    """Coordinates of a water, and where it has a bed.
+
+    Parameters
+    ----------
+    line : along and across a river, or along two directions of the map.
+    half_widths_m : of a river; NaN elsewhere.
+    basin : of a lake; None: a river.
+    width_m : of the water.
+    shore : places of the shores whose height is known, kind ``bed_observations``.
+    area : polygon of the water, islands left out; None: the half widths say it.
+    edge : what its rings are.
+    banks : of a river, where they are given.
+    reason : why these coordinates.
+    notes : what was left out or assumed.
+    """
+
+    line: FlowLine | Plane
+    half_widths_m: HalfWidths
+    basin: Basin | None
+    width_m: float
+    shore: pd.DataFrame
+    area: Any
+    edge: str
+    reason: str
+    notes: tuple[str, ...]
+    banks: Banks | None = None
+
+
+def water_of(
+    soundings: TableOfSoundings,
+    crs: CRS,
+    settings: Bathymetry,
+    *,
+    line: FlowLine | None = None,
+    banks: Path | None = None,
+    level_m: float | None = None,
+    depths: bool = False,
+    coordinates: str = "auto",
+) -> Water:
+    """The coordinates that suit a water: along its flow, or east and north where nothing shows a river.
+
+    A river is a centre line that is given, two bank lines, an outline that is at least three times as long as
+    it is wide and whose water lies between the banks that it is cut into (nine tenths of it), or soundings
+    three times as far along the line through their middles as across, nearly all of them beside it.
+
+    Parameters
+    ----------
+    soundings, crs, settings : see `bed_of_table`.
+    line : centre line, downstream.
+    banks : file with bank lines, or with the water as a polygon.
+    level_m : height of the water at the shores.
+    depths : the soundings are depths: without a level, the shores of a lake are at zero.
+    coordinates : ``flow``, ``map`` or ``auto``.
+
+    Raises
+    ------
+    InputError : most soundings lie outside the banks or beside the centre line's perpendiculars; places too
+        far apart for one water.
+    GeometryError : no centre line, although ``flow`` is stated.
+    """
+    extent = np.ptp(soundings.places_m, axis=0)
+    if extent.max() > _WIDEST_M:
+        raise InputError(
+            f"soundings {extent.max() / 1000:,.0f} km apart",
+            where="the table",
+            expected=f"places of one water, less than {_WIDEST_M / 1000:,.0f} km",
+            cure="Look at --crs and at the columns of the coordinates",
+        )
+    outline, outline_m = (None, None) if banks is None else _outline(banks, crs)
+
+    def river(reason: str) -> Water:
+        """Along the flow."""
+        return _river(soundings, crs, settings, line, banks, level_m, reason)
+
+    def lake(reason: str) -> Water:
+        """In east and north."""
+        shore_m = next((h for h in (level_m, outline_m, 0.0 if depths else None) if h is not None), None)
+        return _lake(soundings, settings, outline, shore_m, reason)
+
+    if coordinates == "map":
+        return lake("as stated")
+    if coordinates == "flow":
+        return river("as stated")
+    if line is not None:
+        return river("along the centre line that is given")
+    if banks is not None and outline is None:
+        return river("two bank lines")
+    long = np.inf if outline is None else elongation(outline)
+    if long < _RIVER:
+        return lake(f"the outline is {long:.1f} times as long as it is wide, which is no river")
+    try:
+        found = river("")
+    except (GeometryError, InputError) as error:
+        return lake(f"no course of a river: {error.found}")
+    s, _, fold = found.line.to_flow(soundings.places_m)
+    if outline is not None:
+        reached = _share_reached(outline, found, settings)
+        if reached < _REACHED:
+            return lake(
+                f"between the banks of a river lie {reached:.0%} of the outline: bays would be cut off"
+            )
+        return replace(found, reason=f"the outline is {long:.1f} times as long as it is wide")
+    if fold.mean() > 1 - _REACHED:
+        return lake(f"{fold.mean():.0%} of the soundings have no place along a line through their middles")
+    long = float(np.ptp(s[~fold])) / found.width_m
+    if long < _RIVER:
+        return lake(f"the soundings reach {long:.1f} times as far along their middles as across")
+    return replace(found, reason=f"the soundings reach {long:.1f} times as far along their middles as across")
+
+
+def _outline(path: Path, crs: CRS) -> tuple[Any, float | None]:
+    """The water as a polygon, and its height if the file has one; None if the file holds open lines."""
+    shapes = np.asarray(read_vectors(path).on_map(crs).table.geometry)
+    lines = shapes[shapely.get_type_id(shapes) == _LINE_STRING]
+    rings = np.concatenate([shapely.get_rings(shapes), lines])
+    if not len(rings) or not shapely.is_closed(lines).all():
+        return None, None
+    height = shapely.get_coordinates(rings, include_z=True)[:, 2]
+    # rings within rings are islands; heights of zero everywhere are how 2D lines are written in 3D
+    area = shapely.build_area(shapely.union_all(rings))
+    told = bool(np.isfinite(height).all() and height.any())
+    return (None if area.is_empty else area), float(np.median(height)) if told else None
+
+
+def _share_reached(outline: Any, water: Water, settings: Bathymetry) -> float:
+    """How much of an outline lies between the banks of a river."""
+    step = float(np.sqrt(shapely.area(outline) / _PLACES))
+    west, south, east, north = shapely.bounds(outline)
+    x, y = np.meshgrid(np.arange(west, east, step), np.arange(south, north, step))
+    places = np.column_stack([x.ravel(), y.ravel()])
+    places = places[shapely.contains_xy(outline, places)]
+    bare = settings.model_copy(update={"islands": []})
+    _, inside = cells_of_river(places, water.line, water.half_widths_m, (-np.inf, np.inf), bare)
+    return float(inside.mean())
+
+
+def _river(
+    soundings: TableOfSoundings,
+    crs: CRS,
+    settings: Bathymetry,
+    line: FlowLine | None,
+    path: Path | None,
+    level_m: float | None,
+    reason: str,
+) -> Water:
+    """Coordinates along the flow, between banks or as far as soundings reach."""
+    xy, height = soundings.places_m, soundings.height_m
+    notes: list[str] = []
+    if line is None:
+        notes.append("centre line half way between the banks" if path else "centre line from the soundings")
+    banks = None if path is None else read_bank_lines(path, crs, line, level_m, (xy, height), notes)
+    if banks is not None:
+        line = banks[0].line
+    elif line is None:
+        line = centre_of_lines(xy, height, soundings.line)
+    s, n, fold = line.to_flow(xy)
+    if fold.mean() > _ALONE:
+        raise InputError(
+            f"{fold.mean():.0%} of the soundings lie beyond the ends of the centre line, or where it "
+            "bends too sharply for them",
+            where="the centre line",
+            expected="a centre line along all of them",
+            cure="Look at --centre-line, --banks and --crs; a lake needs --coordinates map",
+        )
+    if banks is None:
+        half_widths = hull_of_lines(s[~fold], n[~fold], soundings.line[~fold])
+    else:
+        half_widths = banks[0].half_widths_m
+        outside = banks[0].outside(s, n) & ~fold
+        _refuse_outside(outside)
+        if outside.any():
+            notes.append(f"{int(outside.sum()):,} soundings outside the banks, used")
+    width = float(np.nanmedian(np.sum(half_widths(s), axis=0)))
+    nothing = np.empty(0)
+    shore = _observations("bank", nothing, nothing, np.empty((0, 2)), nothing, nothing, [])
+    if banks is not None and len(banks[1]) and settings.bank_as_data:
+        of = banks[1].sort_values(["side", "s_m"], kind="stable")
+        spacing = max(width / 20, settings.cell_m)
+        of = of[~of.assign(k=(of["s_m"] // spacing)).duplicated(["side", "k"])]
+        stretch = (of["s_m"] // (20 * spacing)).to_numpy(np.int64)
+        number = -2 - 2 * (stretch - stretch.min()) - (of["side"] == "left").to_numpy(np.int64)
+        names = ("s_m", "n_m", "up_m", "sigma_m")
+        along, across, up, sigma = (of[name].to_numpy(np.float64) for name in names)
+        places = of[["east_m", "north_m"]].to_numpy(np.float64)
+        shore = _observations("bank", along, across, places, up, sigma, number)
+    return Water(
+        line=line,
+        half_widths_m=half_widths,
+        basin=None,
+        width_m=width,
+        shore=shore,
+        area=None,
+        edge="banks",
+        reason=reason,
+        notes=tuple(notes),
+        banks=None if banks is None else banks[0],
+    )
+
+
+def _refuse_outside(outside: ArrayB) -> None:
+    if outside.mean() > _ALONE:
+        raise InputError(
+            f"{outside.mean():.0%} of the soundings lie outside the banks",
+            where="--banks",
+            expected="soundings between the banks",
+            cure="Look at --crs and at the columns of the coordinates",
+        )
+
+
+def _lake(
+    soundings: TableOfSoundings, settings: Bathymetry, outline: Any, shore_m: float | None, reason: str
+) -> Water:
+    """East and north, turned; within the outline, or within a hull of the soundings."""
+    xy = soundings.places_m
+    plane = Plane.of(xy, soundings.height_m)
+    islands = shapely.union_all([shapely.polygons(corners) for corners in settings.islands])
+    area = area_sounded(xy, settings.cell_m) if outline is None else outline
+    area = shapely.difference(area, islands)
+    notes = []
+    outside = ~shapely.contains_xy(shapely.buffer(area, _SIGMA_BANK_M), xy)
+    _refuse_outside(outside)
+    if outside.any():
+        notes.append(f"{int(outside.sum()):,} soundings outside the shores, used")
+    places, number = shore_places(area, settings.cell_m)
+    # shores of another part of the water say nothing of what was sounded
+    near = cKDTree(xy).query(places)[0] < np.hypot(*np.ptp(xy, axis=0)) / 2
+    if outline is None or shore_m is None or not settings.bank_as_data:
+        near[:] = False
+        if outline is not None:
+            notes.append("the shore has no height and is no datum: state --level")
+    places, number = places[near], number[near]
+    s, n = plane.turned(places).T
+    up, sigma = np.full(len(places), shore_m, dtype=np.float64), np.full(len(places), _STEEP * _SIGMA_BANK_M)
+    radius = float(shapely.maximum_inscribed_circle(area).length)
+    # the edge of what was sounded is no shore
+    turned = "" if outline is None else shapely.to_wkt(shapely.transform(area, plane.turned), 3)
+    return Water(
+        line=plane,
+        half_widths_m=no_half_widths,
+        basin=Basin(wkt=turned, radius_m=radius),
+        width_m=2 * radius,
+        shore=_observations("bank", s, n, places, up, sigma, -2 - number),
+        area=area,
+        edge="edge of the soundings" if outline is None else "shore",
+        reason=reason,
+        notes=tuple(notes),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BedOfTable:
     """A bed from soundings of others.
 
     Parameters
     ----------
     bed : grid with sigmas; heights in the table's system.
-    line : centre line.
+    water : its coordinates and shores.
     validation : facts of `validate_bed`.
     predicted, methods : its tables.
     notes : what was left out or assumed.
     """
 
     bed: Bed
-    line: FlowLine
+    water: Water
     validation: dict[str, Any]
     predicted: pd.DataFrame
     methods: pd.DataFrame
     notes: tuple[str, ...]
 
     def write(self, folder: Path, tags: dict[str, str]) -> None:
-        """``bed.tif``, ``validation.json``, ``variogram.json``, ``centre_line.csv`` and tables."""
+        """``bed.tif``, ``validation.json``, ``variogram.json`` and tables; of a river ``centre_line.csv``."""
         folder.mkdir(parents=True, exist_ok=True)
         of = self.bed
         values = (of.up_m, of.sigma_m, of.sigma_common_m, of.distance_m)
@@ -773,123 +1075,141 @@ class BedOfTable:
         facts = self.validation | {"notes": list(self.notes), "bed": of.facts}
         (folder / "validation.json").write_text(json.dumps(facts, indent=2) + "\n")
         (folder / "variogram.json").write_text(json.dumps(of.model.report(), indent=2) + "\n")
-        self.line.write(folder / "centre_line.csv")
+        (folder / "centre_line.csv").unlink(missing_ok=True)
+        if isinstance(self.water.line, FlowLine):
+            self.water.line.write(folder / "centre_line.csv")
         self.predicted.to_csv(folder / "predicted.csv", index=False, float_format="%.4f")
         self.methods.to_csv(folder / "methods.csv", index=False, float_format="%.4f")
 
 
 def bed_of_table(
-    soundings: TableOfSoundings,
-    crs: CRS,
-    settings: Bathymetry,
-    *,
-    line: FlowLine | None = None,
-    banks: tuple[Banks, pd.DataFrame] | None = None,
-    seed: int = 1,
+    soundings: TableOfSoundings, crs: CRS, settings: Bathymetry, water: Water, *, seed: int = 1
 ) -> BedOfTable:
     """The bed that soundings of a table show.
+
+    Days whose lines contradict each other where they cross are brought to their mean, which is as uncertain
+    as they scatter.
 
     Parameters
     ----------
     soundings : see there.
     crs : of the map.
     settings : cell, model, drift, neighbours, reach.
-    line : centre line; None: that of the banks, or from the lines of soundings.
-    banks : of `read_bank_lines`.
+    water : of `water_of`.
     seed : of the choice of left-out lines.
 
     Raises
     ------
-    InputError : most soundings lie outside the banks or beside the centre line's perpendiculars.
-    GeometryError : a single line of soundings.
-    CoverageError : no cell near enough to data.
+    InputError : soundings above the shores.
+    GeometryError : a single line of soundings along a river.
+    CoverageError : no cell near enough to data, or heights that the data cannot tell.
     """
-    notes = [f"{n:,} {what}" for what, n in soundings.counts.items() if what != "rows" and n]
-    if line is None:
-        line = (
-            banks[0].line
-            if banks is not None
-            else centre_of_lines(soundings.places_m, soundings.height_m, soundings.line)
-        )
-        notes.append("centre line half way between the banks" if banks else "centre line from the soundings")
-    s, n, fold = line.to_flow(soundings.places_m)
-    if fold.mean() > _ALONE:
-        raise InputError(
-            f"{fold.mean():.0%} of the soundings lie beyond the ends of the centre line, or where it "
-            "bends too sharply for them",
-            where="the centre line",
-            expected="a centre line along all of them",
-            cure="Look at --centre-line, --banks and --crs",
-        )
-    outside = banks[0].outside(s, n) & ~fold if banks is not None else np.zeros(len(s), dtype=np.bool_)
-    if outside.mean() > _ALONE:
-        raise InputError(
-            f"{outside.mean():.0%} of the soundings lie outside the banks",
-            expected="soundings between the banks",
-            cure="Look at --crs and at the columns of the coordinates",
-        )
+    lake = water.basin
+    notes = [
+        *soundings.notes,
+        *(f"{n:,} {what}" for what, n in soundings.counts.items() if what != "rows" and n),
+    ]
+    notes += [f"{'flow' if lake is None else 'map'} coordinates: {water.reason}", *water.notes]
+    soundings, common, days, of_days = _agreed(soundings)
+    number, patches = soundings.line, False
+    if lake is not None:
+        number, patches = lines_or_patches(soundings.places_m, soundings.line, seed)
+    if patches:
+        notes.append("no four long lines: patches of soundings are left out and foretold instead")
+    s, n, fold = water.line.to_flow(soundings.places_m)
     if fold.any():
         notes.append(f"{int(fold.sum()):,} soundings without flow coordinates left out")
-    if outside.any():
-        notes.append(f"{int(outside.sum()):,} soundings outside the banks, used")
-    keep = ~fold
-    half_widths = (
-        banks[0].half_widths_m if banks is not None else hull_of_lines(s[keep], n[keep], soundings.line[keep])
-    )
     table = _observations(
-        "sounding", s, n, soundings.places_m, soundings.height_m, soundings.sigma_m, soundings.line
-    )[keep]
+        "sounding", s, n, soundings.places_m, soundings.height_m, soundings.sigma_m, number
+    ).assign(sigma_common_m=common)[~fold]
     counts = {"soundings": len(table), "folded": int(fold.sum())}
-    if banks is not None and len(banks[1]) and settings.bank_as_data:
-        of = banks[1].sort_values(["side", "s_m"], kind="stable")
-        spacing = max(float(np.median(half_widths(s)[0] + half_widths(s)[1])) / 20, settings.cell_m)
-        of = of[~of.assign(k=(of["s_m"] // spacing)).duplicated(["side", "k"])]
-        stretch = (of["s_m"] // (20 * spacing)).to_numpy(np.int64)
-        number = -2 - 2 * (stretch - stretch.min()) - (of["side"] == "left").to_numpy(np.int64)
-        table = pd.concat(
-            [
-                table,
-                _observations(
-                    "bank",
-                    of["s_m"].to_numpy(np.float64),
-                    of["n_m"].to_numpy(np.float64),
-                    of[["east_m", "north_m"]].to_numpy(np.float64),
-                    of["up_m"].to_numpy(np.float64),
-                    of["sigma_m"].to_numpy(np.float64),
-                    number,
-                ),
-            ],
-            ignore_index=True,
-        )
-        counts["bank places"] = len(of)
+    if len(water.shore):
+        table = pd.concat([table, water.shore], ignore_index=True)
+        counts["bank places"] = len(water.shore)
     table = frame_of(OBSERVATIONS, {name: table[name] for name in OBSERVATIONS.names})
-    _refuse_other_heights(table, half_widths)
+    _refuse_other_heights(table, water.width_m)
     data = observations_of(table)
-    model = choose_model(data, half_widths, settings, slow_time_s=0.0, seed=seed)
-    grid = Grid.around(
-        table[["east_m", "north_m"]].to_numpy(np.float64), settings.cell_m, crs, margin_m=2 * settings.cell_m
-    )
+    half_widths = water.half_widths_m
+    model = choose_model(data, half_widths, settings, slow_time_s=0.0, seed=seed, basin=lake)
     reach = settings.reach * model.covariance.range_s_m
+    around = table[["east_m", "north_m"]].to_numpy(np.float64)
+    if lake is not None:
+        farthest = max(reach, settings.reach * model.covariance.range_n_m)
+        corners = np.reshape(shapely.bounds(water.area), (2, 2))
+        around = np.clip(corners, around.min(axis=0) - farthest, around.max(axis=0) + farthest)
+    grid = Grid.around(around, settings.cell_m, crs, margin_m=2 * settings.cell_m)
     span = (float(data.s_m.min()) - reach, float(data.s_m.max()) + reach)
-    flow, inside = cells_of_river(grid.centres_m(), line, half_widths, span, settings)
+    flow, inside = cells_of_river(grid.centres_m(), water.line, half_widths, span, settings)
+    if lake is not None:
+        inside &= shapely.contains_xy(water.area, grid.centres_m())
+        if not lake.wkt:
+            far = cKDTree(soundings.places_m).query(grid.centres_m())[0]
+            inside &= far <= farthest_told_m(soundings.places_m, number)
     bed = gridded(table, model, grid, flow, inside, settings, counts)
     facts, predicted, methods = validate_bed(table, model, half_widths, settings)
+    facts["coordinates"] = {"kind": "flow" if lake is None else "map", "reason": water.reason}
+    facts["left_out"] = "patches" if patches else "lines"
+    if isinstance(water.line, Plane):
+        facts["coordinates"]["azimuth_deg"] = water.line.azimuth_deg
     return BedOfTable(
-        bed=bed, line=line, validation=facts, predicted=predicted, methods=methods, notes=tuple(notes)
+        bed=bed,
+        water=water,
+        validation=facts | days,
+        predicted=predicted,
+        methods=methods,
+        notes=(*notes, *of_days),
     )
 
 
-def _refuse_other_heights(table: pd.DataFrame, half_widths: HalfWidths) -> None:
-    """Soundings above the shores, or deeper below them than the river is wide: heights of another kind."""
+def _agreed(soundings: TableOfSoundings) -> tuple[TableOfSoundings, ArrayF, dict[str, Any], list[str]]:
+    """Soundings whose days agree, what is common to those of a day, facts and notes.
+
+    Lines of one day that contradict each other are named: which of them is wrong nobody knows.
+    """
+    common = np.zeros(len(soundings.height_m))
+    days = soundings.day is not None and len(soundings.days) > 1
+    part = soundings.day if days else soundings.line
+    assert part is not None
+    found = agreement(soundings.places_m, soundings.height_m, soundings.sigma_m, soundings.line, part)
+    names = soundings.days if days else tuple(f"line {k}" for k in range(int(part.max()) + 1))
+    pairs = found.pairs.assign(a=[names[k] for k in found.pairs["a"]], b=[names[k] for k in found.pairs["b"]])
+    told = pairs[pairs["contradicts"]]
+    notes = [
+        f"{of['b']} lies {abs(of['difference_m']):.3f} m {'above' if of['difference_m'] > 0 else 'below'} "
+        f"{of['a']} (median of {of['n']} crossings, sigma {of['sigma_m']:.3f} m)"
+        for of in told.head(_NAMED).to_dict("records")
+    ]
+    if len(told) > _NAMED:
+        notes.append(f"{len(told) - _NAMED} more such pairs: validation.json")
+    if not days:
+        return soundings, common, {"lines_that_cross": told.to_dict("records")}, notes
+    facts: dict[str, Any] = {"pairs": pairs.to_dict("records")}
+    alone = sorted(set(names) - set(pairs["a"]) - set(pairs["b"]))
+    if alone:
+        notes.append(f"no line of {', '.join(alone)} crosses one of another day: nothing tells its level")
+    if len(told):
+        common = found.sigma_common_m[part]
+        soundings = replace(soundings, height_m=soundings.height_m - found.shift_m[part])
+        facts["shift_m"] = dict(zip(names, (-found.shift_m).tolist(), strict=True))
+        facts["sigma_common_m"] = dict(zip(names, found.sigma_common_m.tolist(), strict=True))
+        shifts = ", ".join(f"{name} {shift:+.3f} m" for name, shift in facts["shift_m"].items())
+        notes.append(
+            f"days that contradict each other brought to their mean: {shifts}; it may be wrong by "
+            f"{np.median(common):.3f} m (one sigma, sigma_common_m of the bed)"
+        )
+    return soundings, common, {"days": facts}, notes
+
+
+def _refuse_other_heights(table: pd.DataFrame, width_m: float) -> None:
+    """Soundings above the shores, or deeper below them than the water is wide: heights of another kind."""
     up = table.groupby("source")["up_m"].median()
     if "bank" not in up:
         return
     below = float(up["bank"] - up["sounding"])
-    width = float(np.nanmedian(np.sum(half_widths(table["s_m"]), axis=0)))
-    if below < 0 or below > width:
+    if below < 0 or below > width_m:
         raise InputError(
             f"the soundings lie {abs(below):.1f} m {'below' if below > 0 else 'above'} the banks in the "
-            f"median, the river is {width:.0f} m wide",
+            f"median, the water is {width_m:.0f} m wide",
             where="--banks",
             expected="heights of soundings and banks in one system, the bed somewhat below the banks",
             cure="Name heights as --height and depths as --depth; look at --level and the heights of --banks",
@@ -956,43 +1276,31 @@ def _reference_points(path: Path, crs: CRS, settings: Bathymetry) -> tuple[Array
     """Places (n, 2) on the map, heights (n,) of a reference, and their noise."""
     stated = settings.table.sigma_m
     kind = path.suffix.lower()
-    if kind in {".tif", ".tiff"}:
-        grid, bands, _ = read_raster(path)
-        if not grid.crs.equals(crs, ignore_axis_order=True):
-            raise InputError(
-                f"a raster in {grid.crs.name}",
-                where=path,
-                expected=crs.name,
-                cure="Transform it to campaign.crs",
-            )
-        value = next(iter(bands.values())).ravel()
-        known = np.isfinite(value)
-        return grid.centres_m()[known], value[known], np.full(known.sum(), stated)
-    if kind in {".las", ".laz"}:
-        of = laz_header(path).frame
+    if kind in {".tif", ".tiff", ".las", ".laz"}:
+        raster = read_dsm(path) if kind.startswith(".t") else None
+        of = laz_header(path).frame if raster is None else raster.frame
         if of is not None and (
             isinstance(of, LocalFrame) or not of.to_2d().equals(crs, ignore_axis_order=True)
         ):
             raise InputError(
-                f"a cloud in {'a local frame' if isinstance(of, LocalFrame) else of.name}",
+                f"a {'cloud' if raster is None else 'raster'} in "
+                f"{'a local frame' if isinstance(of, LocalFrame) else of.name}",
                 where=path,
                 expected=crs.name,
                 cure="Transform it to campaign.crs, with ellipsoidal heights",
             )
-        xyz = np.concatenate([chunk["xyz_m"] for chunk in iter_laz(path)])
+        if raster is not None:
+            xyz = raster.points_m()
+        else:
+            xyz = np.concatenate([np.empty((0, 3)), *(chunk["xyz_m"] for chunk in iter_laz(path))])
         return xyz[:, :2], xyz[:, 2], np.full(len(xyz), stated)
-    table, places = read_places(path, crs)
-    column = next((c for c in (settings.table.column, "h_ell_m") if c in table), None)
-    if column is None:
-        raise InputError(
-            f"no column {settings.table.column}",
-            where=path,
-            expected=", ".join(map(str, table.columns)),
-            cure="State bathymetry.table.column",
-        )
-    value = pd.to_numeric(table[column], errors="coerce").to_numpy(np.float64)
-    own = table.get("sigma_m", table.get("sigma", pd.Series(stated, table.index)))
-    sigma = pd.to_numeric(own, errors="coerce").fillna(stated).to_numpy(np.float64)
+    table, found = read_places(path, crs)
+    places = found.xy_m
+    k = table.find("height")
+    value = table.numbers(table.column(settings.table.column) if k is None else k, "height")
+    own = table.find("sigma")
+    sigma = np.full(len(table), stated) if own is None else table.numbers(own, "sigma")
+    sigma = np.where(np.isfinite(sigma), sigma, stated)
     known = np.isfinite(value) & np.isfinite(places).all(axis=1)
     return places[known], value[known], sigma[known]
 

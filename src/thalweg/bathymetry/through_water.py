@@ -18,6 +18,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from thalweg.core import ArrayF, GeometryError, InputError
+from thalweg.ingest import read_text_table
 
 __all__ = ["correct_refraction", "read_columns"]
 
@@ -27,11 +28,6 @@ NO_LEVEL: Final = "no water level"
 UNSEEN: Final = "no camera looks steeply enough"
 _CHUNK: Final = 1 << 16
 """Points at once: bounds the memory of points times cameras."""
-_NAMES: Final = {
-    "x": ("x", "east", "east_m", "easting"),
-    "y": ("y", "north", "north_m", "northing"),
-    "z": ("z", "height", "height_m", "up_m", "sfm_z"),
-}
 
 
 def correct_refraction(
@@ -153,38 +149,23 @@ def read_columns(path: Path, *, height: str | None = None, water: str | None = N
     ------
     InputError : no table, no such column, or text where numbers are expected.
     """
-    try:
-        table = pd.read_csv(path, skipinitialspace=True)
-    except (ValueError, UnicodeDecodeError) as error:
+    table = read_text_table(path, bare=("x", "y", "z"))
+    up = table.find("height") if height is None else table.column(height)
+    if up is None:
         raise InputError(
-            f"no table: {error}", where=path, expected="a CSV file with a line of column names"
-        ) from error
-    known = {str(name).strip().lower(): name for name in table.columns}
-    wanted = [
-        [name.lower()] if name is not None else list(_NAMES[axis])
-        for axis, name in (("x", None), ("y", None), ("z", height))
-    ] + ([[water.lower()]] if water is not None else [])
-    chosen = []
-    for names in wanted:
-        found = next((known[name] for name in names if name in known), None)
-        if found is None:
-            raise InputError(
-                f"no column {' or '.join(names)}",
-                expected=f"one of the columns {', '.join(map(str, table.columns))}",
-                where=path,
-                cure="Name the column of heights by --height, that of the water by --water",
-            )
-        chosen.append(found)
-    try:
-        values = table[chosen].to_numpy(np.float64)
-    except ValueError as error:
-        raise InputError(str(error), expected="numbers", where=path) from error
-    if not len(values) or not np.isfinite(values[:, :3]).all():
-        bad = np.flatnonzero(~np.isfinite(values[:, :3]).all(axis=1))
-        raise InputError(
-            f"{len(bad)} of {len(values)} rows without coordinates"
-            + (f", first row {bad[0] + 2}" if len(bad) else ""),
-            expected="x, y and height in each row",
+            f"columns {table.listed()}",
+            expected="a column of heights",
             where=path,
+            cure="Name the column of heights by --height",
         )
-    return values[:, :3], values[:, 3] if water is not None else np.full(len(values), np.nan)
+    xyz = np.column_stack([table.places(None, any_system=True).xy_m, table.numbers(up, "height")])
+    bad = np.flatnonzero(~np.isfinite(xyz).all(axis=1))
+    if len(bad) or not len(xyz):
+        raise InputError(
+            f"{len(bad)} of {len(xyz)} rows without coordinates",
+            expected="x, y and height in each row",
+            where=f"{path}:{table.line[bad[0]]}" if len(bad) else path,
+            cure="Leave these rows out",
+        )
+    level = np.full(len(xyz), np.nan) if water is None else table.numbers(table.column(water), "level")
+    return xyz, level

@@ -17,7 +17,7 @@ from scipy.spatial import QhullError, cKDTree
 
 from thalweg.bathymetry.bed import observations_of
 from thalweg.bathymetry.kriging import CovarianceModel, Observations
-from thalweg.bathymetry.variogram import MARGIN, BedModel, Drift, HalfWidths
+from thalweg.bathymetry.variogram import MARGIN, Basin, BedModel, Drift, HalfWidths
 from thalweg.core import ArrayB, ArrayF, ArrayI
 from thalweg.settings.sections import Bathymetry
 
@@ -73,7 +73,8 @@ def validate_bed(
     predicted["depth_m"] = level - predicted["up_m"]
     of_lines, of_blocks = (predicted[predicted["group"] == group] for group in ("line", "block"))
     classes = by_class(of_lines)
-    for name, inside in (("channel", ~of_lines["margin"]), ("margin", of_lines["margin"])):
+    margin = of_lines["margin"]
+    for name, inside in (("channel", ~margin), ("margin", margin)) if margin.any() else ():
         if inside.sum() >= 10:
             classes[name] = measures(of_lines[inside])
     facts = measures(of_lines) | {
@@ -157,6 +158,12 @@ def _predicted(
     height, sigma = model.fitted_to(rest).predict(rest, beside.reshape(-1, 2), neighbours=settings.neighbours)
     height, sigma = height.reshape(3, -1), sigma[: len(there)]
     left, right = half_widths(there.s_m)
+    across = model.drift.across
+    near_shore = (
+        across.margin(there.places_m) > 0.5
+        if isinstance(across, Basin)
+        else np.abs(there.n_m) > MARGIN * np.where(there.n_m > 0, left, right)
+    )
     return pd.DataFrame(
         {
             "group": group,
@@ -168,7 +175,7 @@ def _predicted(
             "sigma_m": np.sqrt(sigma**2 + model.own_variance(there)),
             "slope": np.hypot(*(height[1:] - height[0])) / settings.cell_m,
             "distance_m": cKDTree(rest.places_m).query(there.places_m)[0],
-            "margin": np.abs(there.n_m) > MARGIN * np.where(there.n_m > 0, left, right),
+            "margin": near_shore,
         }
     )
 
@@ -239,7 +246,10 @@ def methods(model: BedModel, settings: Bathymetry) -> dict[str, Method]:
         spline = RBFInterpolator(
             p[first], rest.height_m[first], neighbors=min(_SPLINE, len(first)), smoothing=smoothing
         )
-        return spline(places * stretch), None
+        try:
+            return spline(places * stretch), None
+        except np.linalg.LinAlgError:  # the nearest data of a place are all on one line
+            return np.full(len(places), np.nan), None
 
     return {
         "kriging": kriged(of, drift=True),

@@ -21,11 +21,14 @@ variogram by Cressie and Hawkins (1980) is made for the picture alone.
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Final, Self
+from functools import cache
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize
+from scipy.spatial import cKDTree
 
 from thalweg.bathymetry.kriging import (
     KINDS,
@@ -56,6 +59,8 @@ MARGIN: Final = 0.7
 """Farther across than this share of the half width is margin."""
 _BLEND: Final = 0.1
 """Channel and margin pass into each other over this share to both sides."""
+_SHORE_STEPS: Final = 200
+"""Places of a shore are so many times nearer to each other than the middle of the lake is to it."""
 _TEST: Final = 1200
 """Soundings that are foretold to judge a model, in at most so many left-out lines:"""
 _LINES: Final = 32
@@ -87,6 +92,21 @@ Hydrol. 372; the settings of RiverBottomInterpolator, 10 and 20), and a cross-se
 of the two rivers of RiverBottomInterpolator fit best with 1.7 (29 sections) and 1.2 (15)."""
 _FACTORS: Final = (2.5, 2.5, 3.0, 10.0, 2.0)
 """One standard deviation of the logarithm of each."""
+
+
+class Usual(NamedTuple):
+    """What is usual of a kind of water: bounds, values and factors of `_BOUNDS`, `_USUAL`, `_FACTORS`."""
+
+    bounds: tuple[tuple[float, float], ...]
+    values: tuple[float, ...]
+    factors: tuple[float, ...]
+
+
+RIVER: Final = Usual(tuple(_BOUNDS.values()), _USUAL, _FACTORS)
+LAKE: Final = Usual(
+    ((0.02, 4.0), (0.5, 20.0), *RIVER.bounds[2:]), (1.0, 1.5, *_USUAL[2:]), (2.5, 2.0, *_FACTORS[2:])
+)
+"""Of a water with no flow: half of its extent is the half width, nothing makes a direction the longer one."""
 _STRIDES: Final = (0.5, 0.7, 0.5, 1.0, 0.3)
 
 
@@ -146,13 +166,43 @@ class Across:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Basin(Across):
+    """Where places lie between the shores and the middle of a lake.
+
+    Parameters
+    ----------
+    wkt : polygon of the water in coordinates of kriging; empty: no shore is known.
+    radius_m : distance of its middle from the shores.
+    """
+
+    wkt: str = ""
+    radius_m: float = 0.0
+
+    def at(self, places_m: ArrayF) -> ArrayF:
+        """Place (m,) between middle and shore: 0 as far from all shores as can be, 1 on them and beyond."""
+        if not self.wkt:
+            return np.zeros(len(places_m))
+        area, shores = _shores(self.wkt, self.radius_m / _SHORE_STEPS)
+        far = shores.query(places_m)[0] * shapely.contains_xy(area, places_m)
+        return np.asarray(1.0 - np.minimum(far / self.radius_m, 1.0))
+
+
+@cache
+def _shores(wkt: str, step_m: float) -> tuple[Any, Any]:
+    """A prepared polygon, and a tree of places on its boundary: asked for the same data again and again."""
+    area = shapely.from_wkt(wkt)
+    shapely.prepare(area)
+    return area, cKDTree(shapely.get_coordinates(shapely.segmentize(area.boundary, step_m)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Drift:
     """What is removed before kriging, besides a mean.
 
     Parameters
     ----------
     kind : one of `DRIFTS`.
-    across : of the river.
+    across : of the river, or of the lake.
     coefficients : of q, q^2, q^3, q^4 with q = n over half width (section); of these, of the narrowness N and
         of N (1 - q^2) (section_width): a river is deeper where it is narrower, because the same water must
         pass; of s (fall).
@@ -174,9 +224,11 @@ class Drift:
         ------
         GeometryError : the drift ``section`` or ``section_width`` without banks on both sides.
         """
-        if kind.startswith("section") and len(across.s_m) < 2:
+        basin = isinstance(across, Basin) and across.wkt and kind == "section"
+        if kind.startswith("section") and not basin and len(across.s_m) < 2:
             raise GeometryError(
-                "no half widths for a mean cross-section", expected="both banks along the survey"
+                f"no half widths for the drift {kind}",
+                expected="both banks along the survey; for a mean section of a lake its outline",
             )
         bare = cls(kind=kind, across=across, s0_m=float(data.s_m.mean()))
         rows = np.column_stack([np.ones(len(data)), bare.functions(data.places_m)])
@@ -282,7 +334,8 @@ class BedModel:
         """Of what `report` gave."""
         drift: dict[str, Any] = dict(report["drift"])
         across = drift["across"]
-        drift["across"] = Across(s_m=tuple(across["s_m"]), width_m=tuple(map(tuple, across["width_m"])))
+        across |= {"s_m": tuple(across["s_m"]), "width_m": tuple(map(tuple, across["width_m"]))}
+        drift["across"] = Basin(**across) if "wkt" in across else Across(**across)
         drift["coefficients"] = tuple(drift["coefficients"])
         drift["cov"] = tuple(map(tuple, drift["cov"]))
         values: dict[str, Any] = {name: report[name] for name in cls.__dataclass_fields__}
@@ -291,7 +344,13 @@ class BedModel:
 
 
 def choose_model(
-    data: Observations, half_widths: HalfWidths, settings: Bathymetry, *, slow_time_s: float, seed: int
+    data: Observations,
+    half_widths: HalfWidths,
+    settings: Bathymetry,
+    *,
+    slow_time_s: float,
+    seed: int,
+    basin: Basin | None = None,
 ) -> BedModel:
     """The drift and the covariance that foretell left-out lines best.
 
@@ -302,6 +361,7 @@ def choose_model(
     settings : what is stated.
     slow_time_s : correlation time of errors that last.
     seed : of the choice of lines and soundings, where there are many.
+    basin : of a lake; None: a river.
 
     Raises
     ------
@@ -314,21 +374,21 @@ def choose_model(
             f"{len(lines)} line of soundings",
             where="lines of soundings",
             expected="at least two: what lies beside a single line cannot be told",
-            cure="Survey a zigzag or sections; or lower bathymetry.line_turn_deg, if lines run together",
+            cure="Survey a zigzag or sections; or lower bathymetry.line_turn_deg, if lines run together; "
+            "a table may be mapped with --coordinates map, as if the bed were as smooth across as along",
         )
     test, train = _thinned(data, lines, rng)
     half = _typical_half_width(data, half_widths)
-    across = Across.of(data, half_widths)
+    across = Across.of(data, half_widths) if basin is None else basin
     share = across.margin(data.places_m)
     # without banks nothing is margin
     margin = settings.margin_roughness or (None if share.any() else 1.0)
     known = bool(np.isfinite(half_widths(data.s_m)[0]).any() and np.isfinite(half_widths(data.s_m)[1]).any())
     covered = known and len(across.s_m) > 1 and _widest_gap(data, half_widths) <= _WIDEST_GAP
-    drifts = (
-        [d for d in DRIFTS if covered or not d.startswith("section")]
-        if settings.drift == "auto"
-        else [settings.drift]
-    )
+    drifts = [d for d in DRIFTS if covered or not d.startswith("section")]
+    if basin is not None and basin.wkt and np.diff(np.sort(basin.at(data.places_m))).max() <= _WIDEST_GAP:
+        drifts.append("section")
+    drifts = drifts if settings.drift == "auto" else [settings.drift]
     kinds = KINDS if settings.model == "auto" else (settings.model,)
     compared: dict[str, float] = {}
     best: BedModel | None = None
@@ -338,7 +398,9 @@ def choose_model(
         drift = Drift.fitted(drift_kind, data, across)
         rest = data.lifted(data.height_m - drift.at(data.places_m))
         parts = _left_out(data, share, test, train, drift)
-        found, rough, score = _fitted(rest, parts, kind, half, slow_time_s, start, margin)
+        found, rough, score = _fitted(
+            rest, parts, kind, half, slow_time_s, start, margin, RIVER if basin is None else LAKE
+        )
         compared[f"{drift_kind}, {kind}"] = score
         if best is None or score < best.score:
             best = BedModel(
@@ -416,12 +478,13 @@ def _fitted(
     slow_time_s: float,
     start: ArrayF | None,
     margin: float | None,
+    of: Usual,
 ) -> tuple[CovarianceModel, float, float]:
     """Parameters of a model with the best score, the factor of the margin, and the score."""
     variance = max(float(rest.height_m.var()), 1e-6)
-    n = len(_BOUNDS) if margin is None else len(_BOUNDS) - 1
-    low, high = np.log(list(_BOUNDS.values()))[:n].T
-    usual, spread = np.log(_USUAL)[:n], np.log(_FACTORS)[:n]
+    n = len(of.values) if margin is None else len(of.values) - 1
+    low, high = np.log(of.bounds)[:n].T
+    usual, spread = np.log(of.values)[:n], np.log(of.factors)[:n]
 
     def model_of(q: ArrayF) -> tuple[CovarianceModel, float]:
         """Covariance and margin of logarithms of range, anisotropy, sill, micro-relief and margin."""

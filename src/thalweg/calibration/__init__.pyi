@@ -25,8 +25,10 @@ from .camera import (
     write_poses as write_poses,
 )
 from .camera_files import (
+    LENS_SIGMA as LENS_SIGMA,
     SUFFIX as SUFFIX,
     camera_of as camera_of,
+    free_of_lens as free_of_lens,
     interior_calibration as interior_calibration,
     nominal_camera as nominal_camera,
     read_camera as read_camera,
@@ -66,7 +68,7 @@ from .echo_sounder import (
     EchoSettings as EchoSettings,
     estimate_echo_sounder as estimate_echo_sounder,
 )
-from .fixed_camera import resect_series as resect_series
+from .fixed_camera import resect_series as resect_series, starting_lens as starting_lens
 from .lens import (
     LensCalibration as LensCalibration,
     calibrate_lens as calibrate_lens,

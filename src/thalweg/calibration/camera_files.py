@@ -1,6 +1,6 @@
 """Interior orientations as calibration files with their covariance, and cameras from files of any kind."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -9,6 +9,7 @@ import numpy as np
 from thalweg.core import (
     LENS_LINE,
     PARAMETERS,
+    ArrayF,
     Camera,
     ConfigError,
     GeometryError,
@@ -26,6 +27,13 @@ SUFFIX: Final = "_interior"
 
 TRIED: Final = {"perspective": (0.62, 0.8, 1.0, 1.25, 1.6, 2.1), "fisheye": (0.24, 0.3, 0.36, 0.44, 0.54)}
 """Focal lengths over the longer side: 22 to 76 mm on full frame; fisheyes of 106 to 240 degrees."""
+
+LENS_SIGMA: Final = {"k1": 0.1, "k2": 0.1, "k3": 0.05, "k4": 0.02, "p1": 0.002, "p2": 0.002}
+"""Sigmas of distortion about zero: what lenses have."""
+_FREE: Final = {"focal": ("fx", "fy"), "centre": ("cx", "cy")}
+"""Words for parameters that belong together; ``focal`` is one number, because pixels are square."""
+_TOLD_FOCAL, _TOLD_CENTRE = 0.1, 0.02
+"""Sigmas, over the focal length and over the longer side, at which points tell no more than a guess does."""
 
 
 # ---------------------------------------------------------------- files
@@ -134,6 +142,65 @@ def nominal_camera(name: str, model: Model, size_px: tuple[int, int], focal_px: 
     return Camera(model=model, size_px=size_px, parameters=p, name=name)
 
 
+def free_of_lens(camera: Camera, words: Sequence[str]) -> dict[str, ArrayF]:
+    """What is to be estimated of a lens: name of an unknown -> (k,) change of the parameters by it.
+
+    Parameters
+    ----------
+    camera : parameters that its covariance observes are left to that.
+    words : ``focal`` (one for both axes), ``centre`` (principal point), or names of parameters.
+
+    Raises
+    ------
+    InputError : a word that is none of them.
+    """
+    names = camera.parameter_names
+    open_ = {name for name, variance in zip(names, np.diag(camera.cov), strict=True) if not variance > 0}
+    found: dict[str, ArrayF] = {}
+    for word in words:
+        parts = _FREE.get(word, (word,))
+        if not set(parts) <= set(names):
+            raise InputError(
+                f"{word!r} to be estimated", expected=f"some of {', '.join([*_FREE, *names])}, with commas"
+            )
+        unit = {name: np.eye(len(names))[names.index(name)] for name in parts if name in open_}
+        if word == "focal" and len(unit) == 2:
+            # one unknown, in pixels of the mean focal length
+            unit = {"focal": sum(unit.values()) * camera.parameters / camera.parameters[:2].mean()}
+        found |= unit
+    return found
+
+
+def require_told(camera: Camera, names: Collection[str]) -> None:
+    """Refuse parameters about which an estimate says no more than what lenses have anyway.
+
+    Parameters
+    ----------
+    camera : estimated, with covariance.
+    names : of `free_of_lens`.
+
+    Raises
+    ------
+    GeometryError : names the parameters with their sigmas.
+    """
+    known = dict(zip(camera.parameter_names, np.sqrt(np.diag(camera.cov)), strict=True))
+    focal = _TOLD_FOCAL * camera.parameters[0]
+    centre = _TOLD_CENTRE * max(camera.size_px)
+    limits = {"fx": focal, "fy": focal, "cx": centre, "cy": centre, **LENS_SIGMA}
+    parameters = dict.fromkeys(p for name in names for p in (("fx",) if name == "focal" else (name,)))
+    vague = [p for p in parameters if not known[p] <= limits[p]]
+    if vague:
+        said = ", ".join(
+            f"{'focal' if p == 'fx' else p} to {known[p]:.2g}, not {limits[p]:.2g}" for p in vague
+        )
+        raise GeometryError(
+            f"the points determine {said}",
+            expected="less than what is known of a lens without them",
+            cure="Leave these out of --free, or measure more points: at different distances, and towards the "
+            "corners of the picture",
+        )
+
+
 def starting_camera_by(
     misfit: Callable[[Camera], float],
     name: str,
@@ -149,11 +216,15 @@ def starting_camera_by(
     """
     if focal_px is not None:
         return nominal_camera(name, model, size_px, focal_px)
-    return best_nominal(name, model, size_px, misfit)
+    return best_nominal(name, model, size_px, misfit, TRIED[model])
 
 
 def best_nominal(
-    name: str, model: Model, size_px: tuple[int, int], misfit: Callable[[Camera], float]
+    name: str,
+    model: Model,
+    size_px: tuple[int, int],
+    misfit: Callable[[Camera], float],
+    shares: Sequence[float],
 ) -> Camera:
     """The tried focal length with the smallest misfit.
 
@@ -161,6 +232,7 @@ def best_nominal(
     ----------
     name, model, size_px : of the camera.
     misfit : of a camera; `GeometryError` counts as infinite.
+    shares : focal lengths over the longer side.
 
     Raises
     ------
@@ -168,7 +240,7 @@ def best_nominal(
     """
     best: tuple[float, Camera] | None = None
     reason: GeometryError | None = None
-    for share in TRIED[model]:
+    for share in shares:
         camera = nominal_camera(name, model, size_px, share * max(size_px))
         try:
             value = misfit(camera)

@@ -30,7 +30,7 @@ from thalweg.core import (
     table_kind,
     utc_text_from_gps,
 )
-from thalweg.ingest import explain_shift
+from thalweg.ingest import explain_shift, read_text_table
 
 _F = pa.float64()
 RUN_IMAGE_TIMES = table_kind(
@@ -707,20 +707,16 @@ def read_text_columns(path: Path, names: tuple[str, ...]) -> list[list[str]]:
     ------
     InputError : the file is missing, empty or no table, or lacks a column.
     """
-    expected = f"a CSV table with the columns {', '.join(names)}"
-    if not path.is_file():
-        raise InputError("file not found", where=path, expected=expected)
-    try:
-        table = pd.read_csv(path, dtype=str, skipinitialspace=True, keep_default_na=False)
-    except (pd.errors.EmptyDataError, pd.errors.ParserError, UnicodeDecodeError) as error:
-        raise InputError(f"this is no table ({error})", where=path, expected=expected) from error
-    table.columns = pd.Index([str(name).strip() for name in table.columns])
-    missing = [name for name in names if name not in table]
+    table = read_text_table(path)
+    of = {column.name: k for k, column in enumerate(table.columns)}
+    missing = [name for name in names if name not in of]
     if missing or not len(table):
         raise InputError(
-            f"columns missing: {', '.join(missing)}" if missing else "no row", where=path, expected=expected
+            f"columns missing: {', '.join(missing)}" if missing else "no row",
+            where=path,
+            expected=f"a CSV table with the columns {', '.join(names)}",
         )
-    return [[value.strip() for value in table[name]] for name in names]
+    return [table.text(of[name]) for name in names]
 
 
 def read_number_columns(path: Path, names: tuple[str, ...]) -> list[ArrayF]:

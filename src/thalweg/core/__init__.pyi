@@ -61,8 +61,10 @@ from .errors import (
 from .frames import (
     GRS80_SEMI_MAJOR_M as GRS80_SEMI_MAJOR_M,
     R_ENU_NED as R_ENU_NED,
+    WGS84 as WGS84,
     LocalFrame as LocalFrame,
     attitude_axes as attitude_axes,
+    ellipsoid_of as ellipsoid_of,
     opk_axes as opk_axes,
     roll_pitch_heading as roll_pitch_heading,
     rotation_ecef_enu as rotation_ecef_enu,
@@ -102,7 +104,14 @@ from .pose_errors import (
     with_rest as with_rest,
     write_chains as write_chains,
 )
-from .raster import Grid as Grid, read_raster as read_raster, write_raster as write_raster
+from .raster import (
+    Dsm as Dsm,
+    Grid as Grid,
+    mask_missing as mask_missing,
+    read_dsm as read_dsm,
+    read_raster as read_raster,
+    write_raster as write_raster,
+)
 from .rigid import (
     SHIFT as SHIFT,
     TURN as TURN,

@@ -24,6 +24,9 @@ R_ENU_NED: Final[ArrayF] = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0
 GRS80_SEMI_MAJOR_M: Final = 6_378_137.0
 """Semi-major axis of GRS80 and of WGS84."""
 
+WGS84: Final = "+ellps=WGS84"
+"""Ellipsoid of GNSS positions in the words of PROJ; GRS80 is the same to 0.1 mm."""
+
 MAX_SCALE_ERROR: Final = 0.005
 """Scale error beyond which a projection is no survey grid: within its zone UTM stays below 0.1 %."""
 
@@ -150,6 +153,8 @@ class LocalFrame:
     ----------
     lat_deg, lon_deg : geodetic origin.
     h_ell_m : ellipsoidal height of the origin.
+    ellipsoid : in the words of PROJ. Another one is for work within a national grid alone, without GNSS: all
+        geodetic coordinates are then those of that grid's own datum, and none is transformed.
 
     Examples
     --------
@@ -161,14 +166,15 @@ class LocalFrame:
     lat_deg: float
     lon_deg: float
     h_ell_m: float
+    ellipsoid: str = WGS84
 
     @cached_property
     def _geodetic_to_enu(self) -> Transformer:
         return Transformer.from_pipeline(
             "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad "
-            "+step +proj=cart +ellps=WGS84 "
+            f"+step +proj=cart {self.ellipsoid} "
             # float(): PROJ takes the "np.float64(51.05)" of a NumPy number for 0
-            f"+step +proj=topocentric +ellps=WGS84 +lat_0={float(self.lat_deg)!r} "
+            f"+step +proj=topocentric {self.ellipsoid} +lat_0={float(self.lat_deg)!r} "
             f"+lon_0={float(self.lon_deg)!r} +h_0={float(self.h_ell_m)!r}"
         )
 
@@ -217,7 +223,7 @@ class LocalFrame:
         GeometryError : the CRS is not projected, a point lies far outside its area of use, or PROJ knows no
             exact operation to it.
         """
-        projection = _map_projection(crs)
+        projection = _map_projection(crs, self.ellipsoid)
         lat, lon, h = self.to_geodetic(points_wcs)
         _check_area_of_use(crs, lat, lon)
         scale = grid_factors(crs, self.lat_deg, self.lon_deg)[1]
@@ -245,7 +251,7 @@ class LocalFrame:
         GeometryError : the CRS is not projected, or the points lie far outside its area of use.
         """
         p = np.asarray(points_map, dtype=np.float64)
-        lon, lat = _map_projection(crs).transform(p[..., 0], p[..., 1], direction="INVERSE")
+        lon, lat = _map_projection(crs, self.ellipsoid).transform(p[..., 0], p[..., 1], direction="INVERSE")
         if not np.all(np.isfinite(lon[np.isfinite(p[..., 0])])):
             raise GeometryError(
                 f"coordinates outside of '{crs.name}'",
@@ -256,8 +262,16 @@ class LocalFrame:
         return self.from_geodetic(lat, lon, p[..., 2])
 
 
-def _map_projection(crs: CRS) -> Transformer:
-    """Longitude, latitude in degrees -> easting, northing of a projected CRS, in the CRS's own datum."""
+def ellipsoid_of(crs: CRS) -> str:
+    """Ellipsoid of a CRS in the words of PROJ; `WGS84` for all that cannot be told from it."""
+    ellipsoid = crs.ellipsoid
+    if ellipsoid is None or abs(ellipsoid.semi_major_metre - GRS80_SEMI_MAJOR_M) <= 0.5:
+        return WGS84
+    return f"+a={ellipsoid.semi_major_metre!r} +b={ellipsoid.semi_minor_metre!r}"
+
+
+def _map_projection(crs: CRS, own: str) -> Transformer:
+    """Longitude, latitude in degrees -> easting, northing of a projected CRS on the ellipsoid ``own``."""
     if not crs.is_projected:
         raise GeometryError(
             f"'{crs.name}' is not a projected CRS",
@@ -268,12 +282,11 @@ def _map_projection(crs: CRS) -> Transformer:
     geodetic = horizontal.geodetic_crs
     if geodetic is None:
         raise GeometryError(f"'{crs.name}' has no geodetic base", expected="a projected CRS")
-    ellipsoid = geodetic.ellipsoid
-    if ellipsoid is None or abs(ellipsoid.semi_major_metre - GRS80_SEMI_MAJOR_M) > 0.5:
+    if geodetic.ellipsoid is None or ellipsoid_of(geodetic) != own:
         # Without this check a Gauss-Krueger grid (Bessel ellipsoid) came out 180 m away, without a word.
+        name = geodetic.ellipsoid.name if geodetic.ellipsoid else "unknown"
         raise GeometryError(
-            f"'{crs.name}' is on the ellipsoid {ellipsoid.name if ellipsoid else 'unknown'}, another datum "
-            "than that of GNSS positions",
+            f"'{crs.name}' is on the ellipsoid {name}, another datum than that of GNSS positions",
             expected="a grid on GRS80 or WGS84, such as ETRS89 / UTM",
             cure="Export to such a grid, and transform it with the grid files of the land survey afterwards",
         )

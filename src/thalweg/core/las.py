@@ -10,9 +10,11 @@ intensities and colours are multiplied by 256, 16-bit ones are stored as they ar
 
 import contextlib
 import json
+import logging
 import struct
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Final, Self, TypeAlias
@@ -30,8 +32,10 @@ import thalweg
 from thalweg.core.errors import GeometryError, InputError, ThalwegError
 from thalweg.core.frames import LocalFrame
 from thalweg.core.timescales import unix_from_gps
-from thalweg.core.types import AnyArray, ArrayF
+from thalweg.core.types import AnyArray, ArrayB, ArrayF
+from thalweg.core.values import Stated, crs_of_geokeys, in_metres, unit_of_key
 
+log = logging.getLogger("thalweg")
 __all__ = ["LazHeader", "LazWriter", "iter_laz", "laz_header", "read_laz", "write_laz"]
 _MAX_SCALE_M: Final = 0.01
 _INT32: Final = np.iinfo(np.int32)
@@ -59,6 +63,10 @@ _COMPRESSORS: Final = (1, 2, 3)
 _LAYERS: Final = {10: 9, 11: 1, 12: 2, 13: 1}
 _BYTES_LAYERED: Final = 14
 _MIN_TABLE_BYTES: Final = 8
+_WKT, _GEO_KEYS, _GEO_DOUBLES, _GEO_TEXT, _VERTICAL_UNIT = 2112, 34735, 34736, 34737, 4099
+_FARTHEST_M: Final = 1e9
+_NOISE: Final = {7: "points_of_class_7_noise", 18: "points_of_class_18_noise"}
+"""Classes of the ASPRS for low and high points that are none of a surface."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +75,9 @@ class LazHeader:
 
     ``frame`` is a `LocalFrame`, a CRS or None; ``extra_dimensions`` maps name to (type, description);
     ``standard_time`` is true if times are adjusted standard GPS times; ``has_time`` is false if the
-    writer stated that there are none; ``format_version`` is 0 for a foreign file.
+    writer stated that there are none; ``format_version`` is 0 for a foreign file. Of a foreign file scales
+    and offsets are in metres, whatever its unit (degrees stay degrees); ``notes`` are sentences about what
+    it states and what not. ``box_m`` (2, 3) holds the lowest and highest coordinates that the header states.
     """
 
     n_points: int
@@ -80,7 +90,8 @@ class LazHeader:
     has_time: bool
     extra_dimensions: Mapping[str, tuple[str, str]]
     format_version: int
-    crs_note: str = ""
+    notes: tuple[str, ...] = ()
+    box_m: ArrayF | None = None
 
 
 # ---------------------------------------------------------------- files
@@ -346,8 +357,13 @@ def laz_header(path: Path) -> LazHeader:
         return header_from_laspy(reader.header, path)
 
 
-def iter_laz(path: Path, chunk_points: int = 1_000_000) -> Iterator[dict[str, AnyArray]]:
+def iter_laz(
+    path: Path, chunk_points: int = 1_000_000, left_out: Counter[str] | None = None
+) -> Iterator[dict[str, AnyArray]]:
     """Points of a LAS/LAZ file, chunk by chunk.
+
+    Of foreign files points that are marked as none of the surface (withheld, synthetic, noise of class 7 and
+    18) are left out; their numbers are added to ``left_out``, or told in the log where there is none.
 
     Yields
     ------
@@ -366,6 +382,7 @@ def iter_laz(path: Path, chunk_points: int = 1_000_000) -> Iterator[dict[str, An
         reader = laspy.open(path)
     with reader:
         header = header_from_laspy(reader.header, path)
+        counts: Counter[str] = Counter() if left_out is None else left_out
         done, present = 0, header.n_points
         if not reader.header.are_points_compressed:
             room = path.stat().st_size - reader.header.offset_to_point_data
@@ -374,11 +391,18 @@ def iter_laz(path: Path, chunk_points: int = 1_000_000) -> Iterator[dict[str, An
             want = min(chunk_points, present - done)
             with library_errors(path, f"read points {done:,} to {done + want:,} of {header.n_points:,}"):
                 points = reader.read_points(want)
+                n = len(points)
+                if not header.format_version:
+                    points = _kept(points, counts)
                 columns = columns_of(points, header)
-            yield columns
-            done += len(points)
-            if len(points) < want:
+            if len(points):
+                yield columns
+            done += n
+            if n < want:
                 break
+        if left_out is None:
+            for what, n in counts.items():
+                log.warning("%s: %s %s left out.", path.name, f"{n:,}", what.replace("_", " "))
         if done < header.n_points:
             raise InputError(
                 f"the file ends after {done:,} points",
@@ -496,7 +520,8 @@ def frame_from_json(content: bytes, where: Path) -> tuple[Frame, bool, int]:
         frame: Frame = None
         if "local_frame" in data:
             origin = data["local_frame"]
-            frame = LocalFrame(**{k: float(origin[k]) for k in ("lat_deg", "lon_deg", "h_ell_m")})
+            lat_deg, lon_deg, h_ell_m = (float(origin[k]) for k in ("lat_deg", "lon_deg", "h_ell_m"))
+            frame = LocalFrame(lat_deg=lat_deg, lon_deg=lon_deg, h_ell_m=h_ell_m)
         elif "crs_wkt2" in data:
             frame = CRS.from_wkt(data["crs_wkt2"])
         return frame, bool(data["has_time"]), version
@@ -517,22 +542,30 @@ def header_from_laspy(header: Any, where: Path) -> LazHeader:
     InputError : Thalweg's own VLR is damaged.
     """
     frame: Frame = None
-    has_time, version, crs_note = True, 0, ""
+    has_time, version = True, 0
+    stated = Stated(None, (1.0, 1.0, 1.0), ())
     own = [v for v in header.vlrs if v.user_id == VLR_USER and v.record_id == VLR_RECORD]
     if own:
         frame, has_time, version = frame_from_json(own[0].record_data, where)
     else:
-        try:
-            frame = header.parse_crs()
-        except Exception as error:  # laspy and pyproj raise whatever the damaged record leads them to
-            crs_note = f"The CRS record cannot be read ({error}); the cloud counts as without CRS."
+        stated = _stated(header, where)
+        frame = stated.crs
+    factors = np.asarray(stated.factors)
+    scales, offsets = np.asarray(header.scales) * factors, np.asarray(header.offsets) * factors
+    if not ((scales > 0) & (scales < _FARTHEST_M)).all() or not (np.abs(offsets) < _FARTHEST_M).all():
+        raise InputError(
+            f"coordinates in steps of {header.scales.tolist()} from {header.offsets.tolist()}",
+            expected="steps above zero, and an offset on the earth",
+            where=where,
+            cure="The header is damaged: export the cloud again",
+        )
     point_format = header.point_format
     return LazHeader(
         n_points=int(header.point_count),
         frame=frame,
-        scale_m=float(max(header.scales)),
-        scales_m=(float(header.scales[0]), float(header.scales[1]), float(header.scales[2])),
-        offsets_m=(float(header.offsets[0]), float(header.offsets[1]), float(header.offsets[2])),
+        scale_m=float(scales.max()),
+        scales_m=(float(scales[0]), float(scales[1]), float(scales[2])),
+        offsets_m=(float(offsets[0]), float(offsets[1]), float(offsets[2])),
         point_format=int(point_format.id),
         standard_time=int(header.global_encoding.gps_time_type) == 1,
         has_time=has_time and "gps_time" in point_format.dimension_names,
@@ -541,8 +574,48 @@ def header_from_laspy(header: Any, where: Path) -> LazHeader:
             for d in point_format.extra_dimensions
         },
         format_version=version,
-        crs_note=crs_note,
+        notes=stated.notes,
+        box_m=np.array([header.mins, header.maxs]) * factors,
     )
+
+
+def _stated(header: Any, where: Path) -> Stated:
+    """What the records of a foreign file state of its coordinates: WKT, GeoKeys, or both.
+
+    Raises
+    ------
+    InputError : a unit that no table knows.
+    """
+    records: dict[int, bytes] = {}
+    for vlr in (*header.vlrs, *(header.evlrs or ())):
+        if vlr.user_id.rstrip("\0") == "LASF_Projection":
+            records.setdefault(int(vlr.record_id), bytes(vlr.record_data_bytes()))
+    directory = np.frombuffer(records.get(_GEO_KEYS, b"")[: len(records.get(_GEO_KEYS, b"")) // 2 * 2], "<u2")
+    problem = ""
+    try:
+        text = records.get(_WKT, b"").decode("utf-8", errors="replace").strip("\0 \r\n")
+        if text:
+            # a WKT of the map alone may have keys of heights beside it
+            up = unit_of_key(directory.tolist(), _VERTICAL_UNIT, where)
+            return in_metres(CRS.from_wkt(text), None, up)
+    except CRSError as error:
+        problem = f"The CRS record cannot be read ({str(error).splitlines()[0]}); "
+    try:
+        if directory.size:
+            doubles = records.get(_GEO_DOUBLES, b"")
+            found = crs_of_geokeys(
+                directory.tolist(),
+                np.frombuffer(doubles[: len(doubles) // 8 * 8], "<f8").tolist(),
+                records.get(_GEO_TEXT, b"").decode("latin-1").strip("\0"),
+                where=where,
+            )
+            return found if not problem else replace(found, notes=(f"{problem}GeoKeys count.", *found.notes))
+    except InputError:
+        raise
+    except Exception as error:  # GDAL and pyproj raise whatever the damaged record leads them to
+        problem = f"The CRS record cannot be read ({error}); "
+    none = in_metres(None)
+    return replace(none, notes=(f"{problem}the cloud counts as without CRS.",)) if problem else none
 
 
 def check_las_bytes(path: Path) -> None:
@@ -633,6 +706,20 @@ def library_errors(
 # ---------------------------------------------------------------- columns and their LAS types
 
 
+def _kept(points: Any, counts: Counter[str]) -> Any:
+    """Points of a laspy record that are meant; the others are counted under their first reason."""
+    keep = np.ones(len(points), dtype=np.bool_)
+    classes = np.asarray(points["classification"])
+    reasons: list[tuple[str, ArrayB]] = [
+        (f"points_{flag}", np.asarray(points[flag]) != 0) for flag in ("withheld", "synthetic")
+    ]
+    for name, marked in (*reasons, *((name, classes == number) for number, name in _NOISE.items())):
+        if n := int(np.count_nonzero(marked & keep)):
+            counts[name] += n
+            keep &= ~marked
+    return points if keep.all() else points[keep]
+
+
 def columns_of(points: Any, header: LazHeader) -> dict[str, AnyArray]:
     """Columns of a laspy point record, as `iter_laz` describes them."""
     n = len(points)
@@ -643,6 +730,8 @@ def columns_of(points: Any, header: LazHeader) -> dict[str, AnyArray]:
     columns: dict[str, AnyArray] = {"xyz_m": xyz, "t_gps_s": np.full(n, np.nan)}
     if header.has_time:
         columns["t_gps_s" if header.standard_time else "t_week_s"] = np.array(points["gps_time"])
+        if not header.format_version:  # others write 0 where there is no time
+            columns["t_gps_s"][columns["t_gps_s"] == 0.0] = np.nan
     for name in ("intensity", "return_number", "number_of_returns", *OPTIONAL):
         if name in dimensions:
             columns[name] = np.array(points[name])

@@ -1,15 +1,50 @@
-"""Rasters of heights with named bands: cloud-optimised GeoTIFF, written and read by rasterio."""
+"""Rasters of heights, of this pipeline and of others, read and written by rasterio.
 
+Ours have named bands in cloud-optimised GeoTIFF. Those of others may have any unit, scale, order of rows and
+value for "no height": `read_dsm` brings them to metres from north to south, and says what it did.
+"""
+
+import re
+import struct
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import numpy as np
+from PIL import TiffImagePlugin
 from pyproj import CRS
+from pyproj.crs import CompoundCRS
+from pyproj.exceptions import CRSError
+from scipy.ndimage import map_coordinates
 
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.types import AnyArray, ArrayF, ArrayI
+from thalweg.core.errors import GeometryError, InputError, UnsupportedError
+from thalweg.core.geometry import TriangleMesh
+from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayI
+from thalweg.core.values import (
+    HIGHEST_M,
+    HUGE,
+    LOWEST_M,
+    Unit,
+    check_degrees,
+    crs_of_geokeys,
+    in_metres,
+    is_nothing,
+    unit_of_key,
+    unit_of_word,
+    units_of_crs,
+    utm_of,
+)
+
+_LINEAR_UNIT, _VERTICAL_UNIT, _PROJECTED, _GEO_KEYS = 3076, 4099, 3072, 34735
+_LEAST_ZEROS: Final = 10
+_NAMED_BANDS: Final = (("height_m", "sigma_m", "sigma_common_m"), ("height", "sigma", "sigma_common"))
+"""Of ``bed.tif`` and of ``dtm.tif``: height, standard deviation, its part that all heights share."""
+_HEIGHT: Final = re.compile(
+    r"\b(heights?|elevations?|altitudes?|z|dem|dsm|dtm|dgm|bathymetry)\b", re.IGNORECASE
+)
+_IN_BRACKETS: Final = re.compile(r"[\[(]([^\])]+)[\])]\s*$")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,3 +166,382 @@ def read_raster(path: Path) -> tuple[Grid, dict[str, ArrayF], dict[str, str]]:
             return grid, dict(zip(names, values, strict=True)), dict(file.tags())
     except RasterioError as error:
         raise InputError(f"{error}", where=path, expected="a GeoTIFF") from error
+
+
+# ---------------------------------------------------------------- heights of others
+
+
+@dataclass(frozen=True, slots=True)
+class Dsm:
+    """A raster of heights, metres.
+
+    Attributes
+    ----------
+    height_m : (rows, columns) from north to south and west to east; NaN where there is no height.
+    corner_m : (2,) east and north of the outer corner of the first cell.
+    cell_m : (2,) width (east) and height (north) of a cell, both positive.
+    frame : coordinate system of the map and, where it is stated, of the heights; None where the file states
+        none.
+    notes : what was masked on reading, with counts, and converted.
+    sigma_m : (rows, columns) standard deviation of each height, where a band holds it (a kriged bed).
+    common_m : (rows, columns) its part that all heights of the raster share, in addition to ``sigma_m``.
+    """
+
+    height_m: ArrayF
+    corner_m: ArrayF
+    cell_m: ArrayF
+    frame: CRS | None
+    path: Path
+    notes: tuple[str, ...] = ()
+    sigma_m: ArrayF | None = None
+    common_m: ArrayF | None = None
+
+    @property
+    def cell_area_m2(self) -> float:
+        """Area of a cell on the map."""
+        return float(self.cell_m[0] * self.cell_m[1])
+
+    def centres_m(self) -> ArrayF:
+        """Centres (rows * columns, 2) of all cells, row by row."""
+        rows, columns = self.height_m.shape
+        east = self.corner_m[0] + (np.arange(columns) + 0.5) * self.cell_m[0]
+        north = self.corner_m[1] - (np.arange(rows) + 0.5) * self.cell_m[1]
+        return np.column_stack([np.tile(east, rows), np.repeat(north, columns)])
+
+    def points_m(self) -> ArrayF:
+        """Centres (n, 3) of the cells that have a height, row by row."""
+        points = np.column_stack([self.centres_m(), self.height_m.ravel()])
+        return points[np.isfinite(points[:, 2])]
+
+    def mesh(self, sigma_m: float = 0.0) -> TriangleMesh:
+        """Triangles between the centres of neighbouring cells, two for each four, facing up."""
+        number = np.full(self.height_m.shape, -1)
+        known = np.isfinite(self.height_m)
+        number[known] = np.arange(known.sum())
+        nw, ne, sw, se = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
+        faces = np.concatenate(
+            [np.stack(corners, axis=-1).reshape(-1, 3) for corners in ((nw, sw, ne), (ne, sw, se))]
+        )
+        points = self.points_m()
+        return TriangleMesh(
+            vertices_m=points, faces=faces[(faces >= 0).all(axis=1)], sigma_m=np.full(len(points), sigma_m)
+        )
+
+    def places(self, points_m: ArrayF) -> ArrayF:
+        """Row and column (n, 2) of points (n, 2) in the raster; whole numbers are centres of cells."""
+        east, north = ((points_m - self.corner_m) * (1.0, -1.0) / self.cell_m - 0.5).T
+        return np.column_stack([north, east])
+
+    def at(self, points_m: ArrayF, how: str = "nearest") -> ArrayF:
+        """Heights (n,) at points (n, 2): of the cell that holds each, or bilinear between four known ones."""
+        place = self.places(points_m)
+        if how == "bilinear":
+            return np.asarray(map_coordinates(self.height_m, place.T, order=1, cval=np.nan))
+        row, col = np.floor(place + 0.5).astype(np.int64).T
+        rows, columns = self.height_m.shape
+        within = (row >= 0) & (row < rows) & (col >= 0) & (col < columns)
+        heights = np.full(len(points_m), np.nan)
+        heights[within] = self.height_m[row[within], col[within]]
+        return heights
+
+
+def read_dsm(path: Path, *, nodata: float | None = None) -> Dsm:
+    """Heights of a GeoTIFF in metres: unit, scale and offset of the band and units of the map applied.
+
+    A raster with bands of heights and standard deviations (``bed.tif``, ``dtm.tif`` of this pipeline) gives
+    both.
+
+    Cells with the declared value for "no height", outside of the mask of the file, NaN, or a value that only
+    stands for that (-9999, -32768, ...) have none; how many is told in the notes. A value that may be either
+    is refused: exact zeros in ten cells or more, and heights that no place on Earth has.
+
+    Parameters
+    ----------
+    nodata : value without a height, beside a declared one; NaN says that all that is left are heights.
+
+    Raises
+    ------
+    InputError : no such file, no raster, no place on the map, no heights, or values that may be none.
+    UnsupportedError : several bands of which none is called height, a turned raster, degrees, or an
+        unknown unit.
+    """
+    import rasterio
+    from rasterio.errors import NotGeoreferencedWarning, RasterioError
+
+    if not path.is_file() or not path.stat().st_size:
+        raise InputError(
+            "an empty file" if path.is_file() else "no such file", expected="a GeoTIFF of heights", where=path
+        )
+    try:
+        with warnings.catch_warnings(), rasterio.Env(GTIFF_REPORT_COMPD_CS=True):
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.open(path) as file:
+                return _heights(file, path, nodata)
+    except (RasterioError, CRSError) as error:
+        raise InputError(
+            f"no raster that can be read ({error})",
+            expected="a GeoTIFF with one band of heights",
+            where=path,
+            cure="Export one band again, as 32-bit numbers",
+        ) from error
+
+
+def _heights(file: Any, path: Path, nodata: float | None) -> Dsm:
+    corner, cell, flipped = _placement(file, path)
+    names = [name or "" for name in file.descriptions]
+    ours = next((each for each in _NAMED_BANDS if set(each[:2]) <= set(names)), None)
+    number = names.index(ours[0]) + 1 if ours else _height_band(file, names, path)
+    keys = _geo_keys(path)
+    up = unit_of_key(keys, _VERTICAL_UNIT, path)
+    crs = CRS.from_wkt(file.crs.to_wkt()) if file.crs else None
+    if up is None:
+        up = _unit_of_band(file.units[number - 1], names[number - 1], path)
+        of_crs = None if crs is None else units_of_crs(crs)[1]
+        if up is not None and of_crs is not None and abs(up.metres / of_crs.metres - 1.0) > 1e-9:
+            raise InputError(
+                f"heights in {up.plural} by the band, in {of_crs.plural} by the coordinate system",
+                expected="one unit",
+                where=path,
+                cure="Correct the one that is wrong (gdal_edit)",
+            )
+    stated = in_metres(crs, unit_of_key(keys, _LINEAR_UNIT, path), up)
+    if stated.crs is None and keys:  # without the type of the model GDAL passes degrees over
+        stated = crs_of_geokeys(keys, up=up, where=path)
+    if stated.crs is None and _PROJECTED in keys[4::4]:
+        raise UnsupportedError(
+            "a coordinate system without EPSG code or parameters", expected="one that GDAL knows", where=path,
+            cure="Export the raster with the EPSG code of its coordinate system",
+        )  # fmt: skip
+    if stated.crs is None:
+        check_degrees(
+            corner + cell * np.array([[0.0, 0.0], [file.width, -file.height]]),
+            where=path,
+            cure="State its coordinate system (gdal_edit -a_srs), and transform it with gdalwarp",
+        )
+    elif stated.crs.is_geographic:
+        middle = (corner + 0.5 * cell * (file.width, -file.height))[:, None]
+        raise UnsupportedError(
+            "cells in degrees", expected="a projected coordinate system in metres", where=path,
+            cure="Transform the raster to a map projection: gdalwarp -r bilinear -t_srs "
+            f"EPSG:{utm_of(middle[0], middle[1]).to_epsg()} {path.name} in_metres.tif",
+        )  # fmt: skip
+    scale, offset = float(file.scales[number - 1]), float(file.offsets[number - 1])
+    metres = stated.factors[2]
+    raw = file.read(number)
+    values, notes = mask_missing(
+        raw.astype(np.float64),
+        path,
+        "cells",
+        nodata=nodata,
+        declared=file.nodatavals[number - 1],
+        also=_outside_of_mask(file, number),
+        of_type=raw.dtype,
+        # of whole numbers zero is one among others where there are ones and twos; ours have no such gaps
+        zeros=ours is None and (raw.dtype.kind == "f" or not np.isin(raw, (-2, -1, 1, 2)).any()),
+        to_metres=(scale * metres, offset * metres),
+    )
+    said = list(stated.notes)
+    if (scale, offset) != (1.0, 0.0):
+        said.append(f"Heights are the numbers of the file times {scale:g} plus {offset:g}, as it states.")
+    if file.count > 1 and ours is None:
+        said.append(
+            f"Band {number} ({names[number - 1] or 'without a name'}) of {file.count} holds the heights."
+        )
+
+    def turned(band: ArrayF) -> ArrayF:
+        """Rows from north to south, columns from west to east."""
+        return np.ascontiguousarray(band[:: -1 if flipped[1] else 1, :: -1 if flipped[0] else 1])
+
+    bands: list[ArrayF | None] = [None, None]
+    if ours:
+        known = np.isfinite(values)
+        stated_crs, said = _with_heights(stated.crs, file.tags().get("heights", "ellipsoidal"), path), []
+        for k, name in enumerate(ours[1:]):
+            if name in names:
+                band = file.read(names.index(name) + 1, masked=True).astype(np.float64).filled(np.nan)
+                bands[k] = turned(np.where(known, band, np.nan))
+    else:
+        stated_crs = stated.crs
+    across = np.array(stated.factors[:2])
+    return Dsm(
+        height_m=turned(values),
+        corner_m=corner * across,
+        cell_m=cell * across,
+        frame=stated_crs,
+        path=path,
+        notes=(*notes, *(f"{path.name}: {sentence}" for sentence in said)),
+        sigma_m=bands[0],
+        common_m=bands[1],
+    )
+
+
+def _placement(file: Any, path: Path) -> tuple[ArrayF, ArrayF, tuple[bool, bool]]:
+    """Outer corner in the north-west, size of a cell, and whether columns and rows run backwards."""
+    t = file.transform
+    if t.is_identity and file.gcps[0] == []:
+        raise InputError(
+            "a raster without a place on the map", expected="a GeoTIFF (scale and tie point)", where=path,
+            cure="Export it as GeoTIFF, or with a world file (.tfw) beside it",
+        )  # fmt: skip
+    if t.is_identity or abs(t.b) > 1e-9 * abs(t.a) or abs(t.d) > 1e-9 * abs(t.e) or not t.a * t.e:
+        raise UnsupportedError(
+            "a raster that is turned or bent", expected="rows along east", where=path,
+            cure=f"Resample it to a grid along east and north: gdalwarp -r bilinear {path.name} straight.tif",
+        )  # fmt: skip
+    flipped = (t.a < 0, t.e > 0)
+    corner = np.array([t.c + min(t.a, 0.0) * file.width, t.f + max(t.e, 0.0) * file.height])
+    return corner, np.array([abs(t.a), abs(t.e)]), flipped
+
+
+def _height_band(file: Any, names: list[str], path: Path) -> int:
+    """Number of the band of heights: the only one, or the only one that is called so."""
+    bands = [k for k, colour in enumerate(file.colorinterp, 1) if colour.name != "alpha"]
+    if len(bands) > 1:
+        called = [k for k in bands if _HEIGHT.search(re.sub(r"[_\W]+", " ", names[k - 1]))]
+        if len(called) != 1:
+            words = ", ".join(repr(name) for name in names if name) or "without names"
+            raise UnsupportedError(
+                f"{len(bands)} bands ({words})",
+                expected="one band of heights, or one that is called height or elevation",
+                where=path,
+                cure="Export heights alone",
+            )
+        bands = called
+    return bands[0]
+
+
+def _unit_of_band(unit: str | None, name: str, path: Path) -> Unit | None:
+    """Unit of length that the band itself states, as its unit or in brackets behind its name.
+
+    Raises
+    ------
+    UnsupportedError : another unit.
+    """
+    if unit and unit.lower() not in {"unknown", "none", "1"}:
+        found = unit_of_word(unit) or unit_of_word(unit.split()[0])
+        if found is None:
+            raise UnsupportedError(
+                f"heights in {unit!r}",
+                expected="a unit of length",
+                where=path,
+                cure="Export heights in metres",
+            )
+        return found
+    bracket = _IN_BRACKETS.search(name)
+    return unit_of_word(bracket[1]) if bracket else None
+
+
+def _geo_keys(path: Path) -> list[int]:
+    """The GeoKey directory of a TIFF; of it GDAL does not hand over the units that contradict a code."""
+    try:
+        with path.open("rb") as file:
+            header = file.read(8)
+            header += file.read(8) if 43 in header[2:4] else b""  # BigTIFF
+            first = TiffImagePlugin.ImageFileDirectory_v2(header)
+            file.seek(first.next)
+            first.load(file)
+            return [int(key) for key in first.get(_GEO_KEYS, ())]
+    except (SyntaxError, OSError, ValueError, struct.error):
+        return []  # a raster of another format
+
+
+def _outside_of_mask(file: Any, number: int) -> ArrayB | None:
+    """Cells (rows, columns) that a mask of the file, or an opaque band, leaves out; None without one."""
+    flags = {flag.name for flag in file.mask_flag_enums[number - 1]}
+    return file.read_masks(number) == 0 if flags & {"per_dataset", "alpha"} else None
+
+
+def _with_heights(crs: CRS | None, heights: str, path: Path) -> CRS | None:
+    """A map with the heights that a tag of this pipeline names.
+
+    Raises
+    ------
+    UnsupportedError : PROJ does not know them.
+    """
+    if crs is None:
+        return None
+    if heights.startswith("ellipsoidal"):
+        return crs.to_3d()
+    try:
+        vertical = CRS.from_user_input(heights)
+    except CRSError as error:
+        raise UnsupportedError(
+            f"heights {heights!r}", expected="a height system that PROJ knows", where=path
+        ) from error
+    return CompoundCRS(f"{crs.name} + {vertical.name}", [crs, vertical])
+
+
+def mask_missing(
+    heights: ArrayF,
+    path: Path,
+    what: str,
+    *,
+    nodata: float | None,
+    declared: float | None = None,
+    also: ArrayB | None = None,
+    of_type: Any = np.float64,
+    zeros: bool = True,
+    to_metres: tuple[float, float] = (1.0, 0.0),
+) -> tuple[ArrayF, tuple[str, ...]]:
+    """Heights in metres with NaN where there is none, and sentences that count these; see `read_dsm`.
+
+    Parameters
+    ----------
+    heights : numbers as the file has them.
+    what : "cells" or "points".
+    nodata, declared : values without a height, as stated and as the file declares.
+    also : of the same shape, which have none by a mask.
+    of_type : of the numbers in the file: the ends of an integer type of 16 or more bits stand for nothing.
+    zeros : ten exact zeros and more are refused unless ``nodata`` says what they are.
+    to_metres : factor and summand that make metres of the numbers.
+    """
+    values = heights.copy()
+    masked: dict[str, int] = {}
+
+    def mask(which: ArrayB, words: str) -> None:
+        """Make heights empty, and count those that this takes."""
+        which &= ~np.isnan(values)
+        if n := int(which.sum()):
+            masked[words] = n
+            values[which] = np.nan
+
+    if not np.isfinite(values).all():
+        masked["NaN"] = int((~np.isfinite(values)).sum())
+        values[~np.isfinite(values)] = np.nan
+    for value, words in ((declared, "declared value {:g}"), (nodata, "value {:g}, as stated")):
+        if value is not None and np.isfinite(value):
+            mask(np.isclose(values, value, rtol=1e-6, atol=0.0), words.format(value))
+    if also is not None:
+        mask(also.copy(), "mask of the file")
+    extremes: tuple[int, ...] = ()
+    if np.issubdtype(of_type, np.integer) and np.dtype(of_type).itemsize > 1:
+        extremes = (int(np.iinfo(of_type).min) or -1, int(np.iinfo(of_type).max))
+    # in centimetres 9999 is a height like others
+    plain = abs(to_metres[0] - 1.0) < 1e-9
+    undeclared = is_nothing(values, "height" if plain else "other", extra=extremes) & np.isfinite(values)
+    mask(undeclared & (np.abs(values) >= HUGE), f"undeclared value beyond {HUGE:g}")
+    for value in np.unique(values[undeclared & np.isfinite(values)]):
+        mask(values == value, f"undeclared value {value:g}")
+    one = what.removesuffix("s")
+    if not np.isfinite(values).any():
+        raise InputError(f"no {one} has a height", expected="heights in metres", where=path)
+    if nodata is None and zeros and (n := int((values == 0.0).sum())) >= _LEAST_ZEROS:
+        raise InputError(
+            f"{n:,} of {values.size:,} {what} are exactly 0 m, and no value for missing heights is declared",
+            expected="heights, or a declared value where there are none",
+            where=path,
+            cure="State --nodata 0 where they are no heights, or --nodata none where they are (in a "
+            "campaign: nodata)",
+        )
+    values = values * to_metres[0] + to_metres[1]
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    if low < LOWEST_M or high > HIGHEST_M:
+        raise InputError(
+            f"heights from {low:g} to {high:g} m",
+            expected=f"heights between {LOWEST_M:g} and {HIGHEST_M:g} m",
+            where=path,
+            cure="State the value that stands for missing heights (--nodata; in a campaign nodata), or "
+            "export metres",
+        )
+    count = f"of {values.size:,} {what} without a height"
+    return values, tuple(f"{path.name}: {n:,} {count} ({words})." for words, n in masked.items())

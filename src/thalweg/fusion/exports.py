@@ -558,15 +558,19 @@ def write_swmm(path: Path, sections: Sequence[Section], settings: Fusion) -> Non
     path.write_text("\n".join(out))
 
 
-def contour_lines(model: Dtm, interval_m: float) -> list[tuple[float, ArrayF]]:
-    """Contours of a model: height and vertices (k, 2) in the map grid."""
+def contour_lines(height_m: ArrayF, centres_m: ArrayF, interval_m: float) -> list[tuple[float, ArrayF]]:
+    """Contours of heights (rows, columns): height and vertices (k, 2) in the map grid.
+
+    Parameters
+    ----------
+    centres_m : (rows, columns, 2) of the cells.
+    """
     from contourpy import contour_generator
 
-    centres = model.centres_m()
-    known = np.isfinite(model.height_m)
-    low, high = float(model.height_m[known].min()), float(model.height_m[known].max())
+    known = np.isfinite(height_m)
+    low, high = float(height_m[known].min()), float(height_m[known].max())
     drawn = contour_generator(
-        x=centres[0, :, 0], y=centres[:, 0, 1], z=np.ma.masked_array(model.height_m, ~known)
+        x=centres_m[0, :, 0], y=centres_m[:, 0, 1], z=np.ma.masked_array(height_m, ~known)
     )
     levels = np.arange(np.ceil(low / interval_m), np.floor(high / interval_m) + 1) * interval_m
     lines: Any = [(float(level), drawn.lines(float(level))) for level in levels]
@@ -579,7 +583,7 @@ def write_geojson(
     """Contours, thalweg, water line and sections as lines in the campaign's grid."""
     features = [
         _line(line, kind="contour", height_m=level)
-        for level, line in contour_lines(model, settings.contour_m)
+        for level, line in contour_lines(model.height_m, model.centres_m(), settings.contour_m)
     ]
     thalweg = np.concatenate([river.to_map([s.s_m], [s.thalweg_m]) for s in sections])
     features.append(_line(thalweg, kind="thalweg"))

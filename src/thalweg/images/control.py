@@ -6,12 +6,11 @@ those of OpenDroneMap from the centre of the first pixel (OpenSfM adds the half 
 pixel is added.
 """
 
-import csv
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Final
@@ -24,7 +23,18 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from thalweg.calibration import fit_saddles
-from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayU8, GeometryError, InputError, LocalFrame, parse_xml
+from thalweg.core import (
+    AnyArray,
+    ArrayB,
+    ArrayF,
+    ArrayU8,
+    GeometryError,
+    InputError,
+    LocalFrame,
+    ellipsoid_of,
+    parse_xml,
+)
+from thalweg.core.values import FORMS, near_world, world_of
 from thalweg.images.model import (
     ControlMarks,
     ControlPoints,
@@ -34,6 +44,7 @@ from thalweg.images.model import (
     nearest_to_rays,
     robust_similarity,
 )
+from thalweg.ingest import read_text, read_text_table
 from thalweg.settings.sections import LOCAL, ControlSettings
 
 _ROLES: Final = {
@@ -53,12 +64,12 @@ NAMES: Final[Mapping[str, tuple[str, ...]]] = {
     "east_m": ("east_m",),
     "north_m": ("north_m",),
     "up_m": ("up_m",),
-    "lat_deg": ("lat_deg", "latitude", "y/latitude"),
-    "lon_deg": ("lon_deg", "longitude", "x/longitude"),
-    "h_ell_m": ("h_ell_m", "h_m", "altitude", "z/altitude"),
+    "lat_deg": ("lat_deg", "latitude", "y/latitude", "lat"),
+    "lon_deg": ("lon_deg", "longitude", "x/longitude", "lon", "long", "lng"),
+    "h_ell_m": ("h_ell_m", "h_m", "altitude", "z/altitude", "height", "elevation", "z"),
     "x": ("x", "x/east", "x/easting", "easting", "east"),
     "y": ("y", "y/north", "y/northing", "northing", "north"),
-    "z": ("z", "z/altitude", "altitude", "height"),
+    "z": ("z", "z/altitude", "altitude", "height", "elevation"),
     "sigma_east_m": ("sigma_east_m", "sigma_x_m", "x/east accuracy", "x accuracy", "sx", "sigmax"),
     "sigma_north_m": ("sigma_north_m", "sigma_y_m", "y/north accuracy", "y accuracy", "sy", "sigmay"),
     "sigma_up_m": ("sigma_up_m", "sigma_z_m", "z/altitude accuracy", "z accuracy", "sz", "sigmaz"),
@@ -69,14 +80,6 @@ NAMES: Final[Mapping[str, tuple[str, ...]]] = {
 """Headings, in small letters, by which a column is known."""
 LINE: Final = "line"
 """Key of a row under which the number of its line stands."""
-FAR_M: Final = 10_000.0
-"""Distance of control points from the survey beyond which the coordinates are others."""
-FORMS: Final = (("east_m", "north_m", "up_m"), ("lat_deg", "lon_deg", "h_ell_m"), ("x", "y", "z"))
-"""Columns of coordinates: in the world frame, geodetic, in a CRS."""
-_FOOT_M: Final = 0.3048
-_UTM: Final = ((32601, 32660), (32701, 32760), (25828, 25838))
-"""EPSG codes of zones of UTM that lie beside each other."""
-
 Loader = Callable[[str], "ArrayU8 | None"]
 """Grey values (h, w) of an image by its name; None if there are none."""
 COLUMNS: Final = ("image", "point", "x_px", "y_px", "sigma_px", "score", "used", "reason")
@@ -148,13 +151,13 @@ def read_control_points(
     InputError : no such file, unknown columns or roles, numbers that are none, or an unknown CRS.
     GeometryError : coordinates outside of the CRS, or far from the survey where another reading is near.
     """
-    text, given = read_text(path), crs
+    text, given = read_text(path)[0], crs
     if path.suffix.lower() == ".xml":
         rows, crs = metashape_points(path, text, crs)
     elif is_gcp_list(text):
         rows, crs = gcp_points(path, text)
     else:
-        rows = table_rows(path, text, ("id", *FORMS[0]))
+        rows = table_rows(path, ("id", *FORMS[0]))
     if not rows:
         raise InputError(
             "no control points",
@@ -233,17 +236,19 @@ def frame_about(paths: Sequence[Path], *, crs: str | None) -> LocalFrame:
     InputError, GeometryError : as there; or coordinates that state no place, as ``east_m, north_m, up_m``.
     """
     nowhere = LocalFrame(lat_deg=0.0, lon_deg=0.0, h_ell_m=0.0)
-    if crs == LOCAL:
+    if crs == LOCAL or not paths:
         return nowhere
+    # Points and results in one national grid need no other datum than its own.
+    nowhere = replace(nowhere, ellipsoid=ellipsoid_of(crs_of(crs, paths[0])) if crs else nowhere.ellipsoid)
     places = []
     for path in paths:
-        text, given = read_text(path), crs
+        text, given = read_text(path)[0], crs
         if path.suffix.lower() == ".xml":
             rows, given = metashape_points(path, text, crs)
         elif is_gcp_list(text):
             rows, given = gcp_points(path, text)
         else:
-            rows = table_rows(path, text, ("id", *FORMS[0]))
+            rows = table_rows(path, ("id", *FORMS[0]))
         form = next((f for f in FORMS[1:] if rows and all(name in rows[0] for name in f)), None)
         if form is None:
             continue
@@ -257,7 +262,7 @@ def frame_about(paths: Sequence[Path], *, crs: str | None) -> LocalFrame:
             cure=f"Name the columns x, y, z and give --crs EPSG:..., or --crs {LOCAL}",
         )
     lat, lon, h = nowhere.to_geodetic(np.median(np.concatenate(places), axis=0))
-    return LocalFrame(lat_deg=float(lat), lon_deg=float(lon), h_ell_m=float(h))
+    return replace(nowhere, lat_deg=float(lat), lon_deg=float(lon), h_ell_m=float(h))
 
 
 def _is_check(row: dict[str, str], path: Path) -> bool:
@@ -280,7 +285,7 @@ def read_marks(path: Path) -> MarkTable:
     ------
     InputError : no such file, unknown columns, or numbers that are none.
     """
-    text = read_text(path)
+    text = read_text(path)[0]
     skipped: dict[str, int] = {}
     if path.suffix.lower() == ".xml":
         rows, skipped = metashape_marks(path, text)
@@ -290,7 +295,7 @@ def read_marks(path: Path) -> MarkTable:
             for r in gcp_rows(path, text)
         ]
     else:
-        rows = table_rows(path, text, ("image", "point", "x_px", "y_px"))
+        rows = table_rows(path, ("image", "point", "x_px", "y_px"))
         if rows and "image" not in rows[0]:  # a table for each picture, which it is called like
             rows = [row | {"image": path.stem} for row in rows]
     xy = np.array([[number(r, "x_px", path), number(r, "y_px", path)] for r in rows]).reshape(-1, 2)
@@ -356,7 +361,7 @@ def read_camera_positions(
     InputError : no such file, unknown columns, numbers that are none, an image twice, or no standard
         deviations.
     """
-    rows = table_rows(path, read_text(path), ("image", *FORMS[2]))
+    rows = table_rows(path, ("image", *FORMS[2]))
     rows = [{"image": row.get("id", ""), **row} for row in rows]  # whose column may be called a label
     if not rows:
         raise InputError("no positions", expected="at least one row", where=path)
@@ -517,36 +522,8 @@ def _coordinates(
 # other programs write them: text to rows by our own names
 
 
-def read_text(path: Path) -> str:
-    """Text of a table.
-
-    Raises
-    ------
-    InputError : no such file, or no text in UTF-8.
-    """
-    if not path.is_file():
-        raise InputError("file not found", expected="a table", where=path)
-    data = path.read_bytes()
-    if data.startswith(b"PK\x03\x04"):
-        raise InputError(
-            "a workbook or a zip archive",
-            expected="a table as text",
-            where=path,
-            cure="Save the sheet as CSV (UTF-8)",
-        )
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError("no UTF-8 text", expected="a table", where=path, cure="Save it as UTF-8") from error
-    if "\0" in text:
-        raise InputError("zero bytes", expected="a table as text", where=path, cure="Save it as CSV (UTF-8)")
-    return text
-
-
-def table_rows(path: Path, text: str, needed: Sequence[str] = ()) -> list[dict[str, str]]:
-    """Rows of a table with named columns, by our names of these.
-
-    Decimal commas are read where columns are apart by semicolons or tabs.
+def table_rows(path: Path, needed: Sequence[str] = ()) -> list[dict[str, str]]:
+    """Rows of a table with named columns, by our names of these, numbers with points and in metres.
 
     Parameters
     ----------
@@ -554,47 +531,18 @@ def table_rows(path: Path, text: str, needed: Sequence[str] = ()) -> list[dict[s
 
     Raises
     ------
-    InputError : an empty table, no headings, or a row that is too short.
+    InputError : see `thalweg.ingest.read_text_table`; no names of columns.
     """
-    numbered = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
-    while (
-        numbered
-        and numbered[0][1].startswith("#")
-        and not re.match(r"#\s*(label|id)\b", numbered[0][1], re.IGNORECASE)
-    ):
-        numbered = numbered[1:]
-    if not numbered:
-        raise InputError("an empty table", expected="a first line with the names of the columns", where=path)
-    first = numbered[0][1].lstrip("#").lstrip()
-    numbered = [item for item in numbered[1:] if not item[1].startswith("#")]
-    separator = max(",;\t", key=first.count)
-    head = [re.sub(r"[_ ]\((m|px|deg|°)\)$", "", name.strip().lower()) for name in _cells(first, separator)]
-    ours = {
-        name: head.index(found)
-        for name, known in NAMES.items()
-        if (found := next((k for k in known if k in head), None)) is not None
-    }
-    lacking = [name for name in needed if name not in ours]
-    if lacking and sum(_is_number(cell) for cell in head) >= 2:
+    table = read_text_table(path)
+    if not table.named:
         raise InputError(
-            f"no names of columns: the first line is '{first[:60]}'",
+            f"no names of columns: the first line is '{','.join(table.cells.iloc[0])[:60]}'",
             expected=f"a first line such as {','.join(needed)}",
             where=path,
             cure="Write the names of the columns above the numbers",
         )
-    rows = []
-    for number, line in numbered:
-        cells = _cells(line, separator)
-        if len(cells) < len(head):
-            raise InputError(
-                f"{len(cells)} columns",
-                expected=f"{len(head)} as in the first line",
-                where=f"{path}:{number}",
-            )
-        if separator != ",":
-            cells = [re.sub(r"^\s*([-+]?\d+),(\d+)\s*$", r"\1.\2", cell) for cell in cells]
-        rows.append({name: cells[at].strip() for name, at in ours.items()} | {LINE: str(number)})
-    return rows
+    rows = table.rows(NAMES)
+    return [row | {LINE: str(number)} for row, number in zip(rows, table.line.tolist(), strict=True)]
 
 
 def required(row: Mapping[str, str], name: str, path: Path) -> str:
@@ -608,7 +556,10 @@ def required(row: Mapping[str, str], name: str, path: Path) -> str:
     if not value:
         known = " or ".join(NAMES.get(name, (name,))[:3])
         raise InputError(
-            f"no {name}", expected=f"a column {known} with a value in each row", where=place_of(row, path)
+            f"no {name}",
+            expected=f"a column {known} with a value in each row",
+            where=place_of(row, path),
+            cure="Add it, or leave the row out",
         )
     return value
 
@@ -626,8 +577,12 @@ def number(row: Mapping[str, str], name: str, path: Path, default: float | None 
             required(row, name, path)
         return float(default if default is not None else math.nan)
     if not _is_number(text):
-        comma = "" if "," not in text else "Write decimals with a point"
-        raise InputError(f"{name} '{text}'", expected="a number", where=place_of(row, path), cure=comma)
+        raise InputError(
+            f"{name} '{text}'",
+            expected="a number",
+            where=place_of(row, path),
+            cure="Correct the cell, or leave the row out",
+        )
     return float(text)
 
 
@@ -641,10 +596,6 @@ def listed(names: Sequence[str]) -> str:
     return ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
 
 
-def _cells(line: str, separator: str) -> list[str]:
-    return next(csv.reader([line], delimiter=separator))
-
-
 def _is_number(text: str) -> bool:
     try:
         return math.isfinite(float(text))
@@ -654,69 +605,6 @@ def _is_number(text: str) -> bool:
 
 # ---------------------------------------------------------------- coordinates of control points into wcs, and
 # what they may be where they lie far from the survey
-
-
-def world_of(values: ArrayF, form: tuple[str, ...], crs: CRS | None, frame: LocalFrame) -> ArrayF:
-    """(n, 3) coordinates of one of `FORMS` in wcs.
-
-    Raises
-    ------
-    GeometryError : coordinates outside of the CRS, or a latitude beyond the poles.
-    """
-    if form[0] == "east_m":
-        return values
-    if form[0] == "lat_deg" or (crs is not None and crs.is_geographic):
-        lat, lon = (0, 1) if form[0] == "lat_deg" else (1, 0)
-        if (np.abs(values[:, lat]) > 90).any() or (np.abs(values[:, lon]) > 360).any():
-            raise GeometryError(
-                f"latitude {values[0, lat]:g} and longitude {values[0, lon]:g}", expected="degrees"
-            )
-        return frame.from_geodetic(values[:, lat], values[:, lon], values[:, 2])
-    assert crs is not None
-    return frame.from_map(values, crs)
-
-
-def near_world(
-    values: ArrayF,
-    form: tuple[str, ...],
-    crs: CRS | None,
-    frame: LocalFrame,
-    path: Path,
-    *,
-    own: bool = False,
-) -> ArrayF:
-    """The same, refused where the points lie far from the campaign's origin and another reading does not.
-
-    Parameters
-    ----------
-    own : whether the file itself states its CRS.
-
-    Raises
-    ------
-    GeometryError : the coordinates are those of another CRS, order or unit; the message says which.
-    """
-    problem: GeometryError | None = None
-    try:
-        found = world_of(values, form, crs, frame)
-    except GeometryError as error:
-        problem, found = error, np.full(values.shape, np.inf)
-    away = np.linalg.norm(found, axis=1)
-    if problem is None and np.median(away) <= FAR_M:
-        return found
-    # a place to 10 km tells a CRS, a unit or an order from any other
-    other = next((o for o in _readings(values, form, crs, frame) if _median(*o[2:], frame) <= FAR_M), None)
-    if other is None:
-        if problem is None:
-            return found
-        raise GeometryError(problem.found, expected=problem.expected, where=path, cure=problem.cure)
-    words, cure = other[:2]
-    if own:
-        cure = cure.replace("Set images.control.crs:", "Correct the CRS that the file states:")
-    far = f"control points {np.median(away) / 1000:.0f} km from campaign.origin"
-    said = problem.found if problem else far
-    raise GeometryError(
-        f"{said}; {words} would fit", expected=f"coordinates {_stated(form, crs)}", where=path, cure=cure
-    )
 
 
 def crs_of(text: str | None, path: Path) -> CRS:
@@ -744,61 +632,6 @@ def crs_of(text: str | None, path: Path) -> CRS:
         raise InputError(
             f"the CRS '{text.strip()[:80]}' is not known", expected="such as EPSG:25833", where=path
         ) from error
-
-
-def _median(values: ArrayF, form: tuple[str, ...], crs: CRS | None, frame: LocalFrame) -> float:
-    try:
-        found = world_of(values, form, crs, frame)
-    except GeometryError:
-        return np.inf
-    return float(np.median(np.linalg.norm(found[:, :2], axis=1)))
-
-
-def _readings(
-    values: ArrayF, form: tuple[str, ...], crs: CRS | None, frame: LocalFrame
-) -> Iterator[tuple[str, str, ArrayF, tuple[str, ...], CRS | None]]:
-    """Usual mistakes: words, cure, and the coordinates as they would be meant."""
-    world, geodetic, grid = FORMS
-    swapped = values[:, [1, 0, 2]]
-    swap = "Swap these columns, or their names"
-    names = "Name the columns {}, {}, {}"
-    pair = "latitude and longitude" if form == geodetic else "east and north"
-    yield f"{pair} swapped", swap, swapped, form, crs
-    if form != geodetic:
-        yield "latitude and longitude", names.format(*geodetic), values, geodetic, None
-        yield "longitude and latitude", names.format("lon_deg", "lat_deg", "h_ell_m"), swapped, geodetic, None
-    for other in _grids(crs, frame):
-        cure = f"Set images.control.crs: EPSG:{other.to_epsg()}"
-        if form != grid:
-            cure = f"{names.format(*grid)}. {cure}"
-        yield other.name, cure, values, grid, other
-        zone = np.floor(values[:, 0] / 1e6)
-        if (zone >= 1).all() and (zone <= 60).all():
-            bare = values - np.stack([zone * 1e6, 0 * zone, 0 * zone], axis=1)
-            yield f"{other.name} with the zone before the easting", "Take the zone off", bare, grid, other
-    for words, factor in (("millimetres", 1e-3), ("centimetres", 1e-2), ("feet", _FOOT_M)):
-        if form != geodetic:
-            yield words, "Write the coordinates in metres", factor * values, form, crs
-    if form != world:
-        yield "coordinates of the world frame", names.format(*world), values, world, None
-
-
-def _grids(own: CRS | None, frame: LocalFrame) -> list[CRS]:
-    """The stated grid, those beside it, and the zones of UTM about the campaign."""
-    zone = int((frame.lon_deg + 180) // 6) + 1
-    code = None if own is None else own.to_epsg()
-    codes = [] if code is None else [code]
-    if code is not None and any(low <= code <= high for low, high in _UTM):
-        codes += [code - 1, code + 1]
-    base = 32600 if frame.lat_deg >= 0 else 32700
-    codes += [base + z for z in (zone, zone - 1, zone + 1) if 1 <= z <= 60]
-    return [CRS.from_epsg(c) for c in dict.fromkeys(codes) if any(a <= c <= b for a, b in _UTM) or c == code]
-
-
-def _stated(form: tuple[str, ...], crs: CRS | None) -> str:
-    if form[0] == "x" and crs is not None:
-        return f"in '{crs.name}'"
-    return "of the world frame" if form[0] == "east_m" else "in degrees"
 
 
 # ---------------------------------------------------------------- control points and marks as other programs

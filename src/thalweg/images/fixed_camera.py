@@ -9,47 +9,66 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from pyproj import CRS
+from scipy.stats import chi2
 
-from thalweg.calibration import read_camera, resect_series
-from thalweg.core import InputError
+from thalweg.calibration import nominal_camera, read_camera, resect_series, starting_lens
+from thalweg.core import WGS84, ArrayF, Camera, InputError
 from thalweg.images.control import crs_of, frame_about, read_all_control_points, read_all_marks
+from thalweg.images.masks import size_of
+from thalweg.images.sfm import focal_from_exif
+from thalweg.ingest.photos import read_head
 from thalweg.settings import natural_order
 from thalweg.settings.sections import LOCAL, ControlSettings, FixedCamera
 
 log = logging.getLogger("thalweg")
 AXES = ("x", "y", "z")
+_TOLD = 0.5
+"""Sigma of a parameter over what it was before, below which the points tell it."""
 
 
 def resect_pictures(
     marks: Sequence[Path],
     control_points: Sequence[Path],
-    camera: Path,
+    camera: Path | None,
     *,
     crs: str = LOCAL,
     control: ControlSettings | None = None,
     largest_sigma_m: float = FixedCamera().largest_sigma_m,
-) -> tuple[pd.DataFrame, pd.DataFrame, dict[str, Any]]:
-    """Poses of pictures in which control points were measured, each for itself.
+    free: Sequence[str] = (),
+    size_px: tuple[int, int] | None = None,
+    photograph: Path | None = None,
+) -> tuple[pd.DataFrame, pd.DataFrame, dict[str, Any], Camera]:
+    """Poses of pictures in which control points were measured, each for itself, or with the lens they share.
 
     Parameters
     ----------
     marks : tables as of `thalweg.images.read_marks`: one of all pictures, or one for each.
     control_points : tables as of `thalweg.images.read_control_points`.
-    camera : calibration, COLMAP or OpenCV file of the interior orientation.
+    camera : calibration, COLMAP or OpenCV file of the interior orientation; None: what is ``free`` is
+        estimated, see `starting_lens`.
     crs : of coordinates ``x, y, z``; `LOCAL` for a frame of the surveyor's own. Results are in it, too.
     control : section ``images.control``; None: its defaults.
     largest_sigma_m : a place that is known worse is refused.
+    free : what to estimate of the lens, as of `free_of_lens`.
+    size_px, photograph : of a camera without a file: width and height, or a photograph that tells them and by
+        EXIF the focal length to begin with; None: the pictures themselves, if they lie beside their marks.
 
     Returns
     -------
-    poses, residuals : see `resect_series`, pictures in natural order of their names.
-    facts : see `history_facts`.
+    poses, residuals, camera : see `resect_series`, pictures in natural order of their names.
+    facts : see `history_facts`; of an estimated lens its ``lens`` (parameter: value and sigma), too.
 
     Raises
     ------
     InputError, GeometryError : tables that cannot be read, a CRS that is no map grid, marks without control
-        points, or no picture with a pose.
+        points, no picture with a pose, no lens, or points that do not tell what is free of it.
     """
+    if camera is None and not free:
+        raise InputError(
+            "no interior orientation",
+            expected="a file of the camera, or what is to be estimated of it",
+            cure="Name one with --camera, or estimate it from the points with --free focal or focal,k1",
+        )
     section = control or ControlSettings()
     frame = frame_about(control_points, crs=crs)
     grid = None if crs == LOCAL else crs_of(crs, control_points[0])
@@ -74,8 +93,20 @@ def resect_pictures(
     known = pd.DataFrame({"point": points.names, "check": points.check})
     known[list(AXES)] = points.points_wcs_m
     known[[f"sigma_{axis}_m" for axis in AXES]] = sigma
-    poses, residuals = resect_series(
-        read_camera(camera), table, known, sigma_px=section.sigma_px, largest_sigma_m=largest_sigma_m
+    notes = []
+    if camera is None:
+        size, focal_px = _size_and_focal(marks[0].parent, [*order], size_px, photograph)
+        start = starting_lens(table, known, size, free=free, focal_px=focal_px, sigma_px=section.sigma_px)
+        stated = f" (EXIF states {focal_px:.0f} px)" if focal_px else ""
+        notes.append(
+            f"Lens: begun with a focal length of {start.parameters[0]:.0f} px, by which the points fit best"
+            f"{stated}; what --free leaves out counts with what lenses have (centre 1 % of the longer side, "
+            "k1 and k2 0.1 about 0)"
+        )
+    else:
+        start = read_camera(camera)
+    poses, residuals, lens = resect_series(
+        start, table, known, sigma_px=section.sigma_px, largest_sigma_m=largest_sigma_m, free=free
     )
     if "x_m" not in poses:
         raise InputError(
@@ -89,8 +120,82 @@ def resect_pictures(
         poses.loc[rows, columns] = frame.to_map(
             poses.loc[rows, columns].to_numpy(), CRS.from_user_input(grid)
         )
-    facts = {"crs": crs, "strange_marks": int((~table["point"].isin(points.names)).sum())}
-    return poses, residuals, facts | history_facts(poses)
+        if frame.ellipsoid != WGS84:
+            notes.append(
+                f"Points and results stay in the datum of {grid.name}: nothing is transformed to that of GNSS"
+            )
+    strange = int((~table["point"].isin(points.names)).sum())
+    if strange:
+        notes.append(f"{strange} marks show points without coordinates: left out")
+    notes += global_test_notes(poses)
+    facts = {"crs": crs, "notes": notes, "lens": {}}
+    if free:
+        before, after = (np.sqrt(np.diag(c.cov)) for c in (start, lens))
+        facts["lens"] = {
+            name: {"value": float(lens.parameters[k]), "sigma": float(after[k])}
+            for k, name in enumerate(lens.parameter_names)
+            if after[k] > 0 and (before[k] == 0 or after[k] < _TOLD * before[k])
+        }
+    return poses, residuals, facts | history_facts(poses), lens
+
+
+def _size_and_focal(
+    folder: Path, names: Sequence[str], size_px: tuple[int, int] | None, photograph: Path | None
+) -> tuple[tuple[int, int], float | None]:
+    """Size of the pictures and focal length by EXIF (None: not stated), as told or found beside the marks.
+
+    Raises
+    ------
+    InputError : nothing tells the size, or a file is no photograph.
+    GeometryError : the sides of the photograph have another ratio than the size stated.
+    """
+    if photograph is None and size_px is None:
+        photograph = next((p for name in names if size_of(p := folder / name)), None)
+    if photograph is None:
+        if size_px is None:
+            raise InputError(
+                "a lens to be estimated for pictures of an unknown size",
+                expected="their width and height",
+                cure="State it, as --size 6000x4000, or name one of the pictures with --photograph",
+            )
+        return size_px, None
+    head, focal_px = read_head(photograph), focal_from_exif(photograph)
+    size = (head.width, head.height)
+    if size_px is None:
+        return size, focal_px
+    # points may have been measured in pictures of another size than this one
+    scaled = nominal_camera(photograph.name, "perspective", size, focal_px or max(size)).scaled(size_px)
+    return size_px, float(scaled.parameters[0]) if focal_px else None
+
+
+def global_test_notes(poses: pd.DataFrame) -> list[str]:
+    """Sentences about the global test: whether residuals are as large as stated sigmas let expect.
+
+    Parameters
+    ----------
+    poses : of `resect_series`.
+    """
+    good = poses[(poses["refused"] == "") & (poses["redundancy"] > 0)]
+    low, high = sigma0_band(good["redundancy"].to_numpy(np.float64))
+    notes = []
+    for rows, than, so in (
+        (good["sigma0"] > high, "more", "too small"),
+        (good["sigma0"] < low, "less", "too large"),
+    ):
+        if rows.any():
+            notes.append(
+                f"Global test failed in {int(rows.sum())} of {len(good)} pictures: sigma0 "
+                f"{good.loc[rows, 'sigma0'].median():.2f}, {low[rows].min():.2f} to {high[rows].max():.2f} "
+                f"expected: image or control points err {than} than stated (--sigma-px, --sigma-point), and "
+                f"standard deviations of the results are {so} by about that factor"
+            )
+    return notes
+
+
+def sigma0_band(redundancy: ArrayF) -> tuple[ArrayF, ArrayF]:
+    """Values between which sigma0 lies with 95 %, if all sigmas are right."""
+    low, high = (np.sqrt(chi2.ppf(p, redundancy) / redundancy) for p in (0.025, 0.975))
+    return low, high
 
 
 def history_facts(poses: pd.DataFrame) -> dict[str, Any]:
@@ -152,7 +257,7 @@ def resect_files(
     campaign : ``crs``.
     control : section ``images.control``.
     """
-    found, left, told = resect_pictures(
+    found, left, told, _ = resect_pictures(
         marks, control_points, interior, crs=campaign["crs"], control=control, largest_sigma_m=largest_sigma_m
     )
     found.to_csv(poses, index=False)
@@ -160,3 +265,5 @@ def resect_files(
     facts.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
     for name, reason in told["refused"].items():
         log.warning("%s: no pose: %s", name, reason)
+    for note in told["notes"]:
+        log.warning(note)

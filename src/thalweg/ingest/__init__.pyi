@@ -12,6 +12,7 @@ from .ouster import (
     is_ouster_metadata as is_ouster_metadata,
 )
 from .readers import (
+    HEAD_BYTES as HEAD_BYTES,
     Cloud as Cloud,
     CloudReader as CloudReader,
     LidarClock as LidarClock,
@@ -26,6 +27,7 @@ from .readers import (
     PositionReader as PositionReader,
     TrackOptions as TrackOptions,
     empty_points as empty_points,
+    read_head as read_head,
 )
 from .schemas import (
     DEPTH as DEPTH,
@@ -39,6 +41,7 @@ from .stamps import (
     LAST_UNIX_S as LAST_UNIX_S,
     QUARTER_HOUR_S as QUARTER_HOUR_S,
     TIME_SCALES as TIME_SCALES,
+    UNITS_A_SECOND as UNITS_A_SECOND,
     StreamTiming as StreamTiming,
     doubtful_date as doubtful_date,
     explain_shift as explain_shift,
@@ -50,4 +53,21 @@ from .stamps import (
     time_contradiction as time_contradiction,
     time_scale_words as time_scale_words,
     weighted_median as weighted_median,
+)
+from .tables import (
+    NAMES as NAMES,
+    Column as Column,
+    Places as Places,
+    Table as Table,
+    column_of as column_of,
+    read_text as read_text,
+    read_text_table as read_text_table,
+)
+from .vectors import (
+    VECTOR_FORMATS as VECTOR_FORMATS,
+    Vectors as Vectors,
+    describe_layers as describe_layers,
+    is_vector_file as is_vector_file,
+    read_vectors as read_vectors,
+    vector_format as vector_format,
 )

@@ -11,6 +11,8 @@ Source: Ouster Firmware User Manual 3.1, "Time Synchronization"; Ouster SDK 1.0,
 
 import json
 import math
+import sys
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,12 +26,6 @@ from thalweg.ingest.readers import LidarClock, LidarOptions, LidarScan, LogWindo
 
 PORT: Final = 7502
 """UDP port that an Ouster sends lidar packets to unless it is told another."""
-
-INSTALL: Final = (
-    ".venv/bin/python -m pip install --no-deps 'ouster-sdk>=1.0' 'rosbags<0.10' lz4 ruamel.yaml zstandard "
-    "more-itertools"
-)
-"""Beside the lock: what of the SDK's needs is read here; the others pin packages of Snakemake lower."""
 
 _TAI_MINUS_GPS_S: Final = 19.0
 _GPS_EPOCH_UNIX_S: Final = 315_964_800
@@ -100,7 +96,8 @@ def _sdk() -> tuple[Any, Any]:
         raise UnsupportedError(
             f"a recording of an Ouster, and its reader is not installed ({error})",
             expected="ouster-sdk 1.0 or later",
-            cure=f"Add it to this environment: {INSTALL}",
+            cure=f'Run: {sys.executable} -m pip install "ouster-sdk>=1.0" (it puts back click, psutil and '
+            "Flask; pip then warns of snakefmt and ipython, and surveys run as before)",
         ) from error
     return core, pcap
 
@@ -151,6 +148,18 @@ class OusterReader:
                 )
             source.close()
 
+    def _cut(self, port: int) -> str:
+        """Whether the capture cut the packets, in words: the SDK passes over such packets in silence."""
+        from thalweg.ingest.pcap import CaptureTally, Stream, read_payloads
+
+        core, _ = _sdk()
+        tally = CaptureTally()
+        streams = [Stream(port=port, size=core.PacketFormat(self._info()).lidar_packet_size)]
+        for path in self.files:
+            if path.suffix.lower() != ".json":
+                deque(read_payloads(path, streams, tally=tally), maxlen=0)
+        return tally.cut_in_words()
+
     def scan(self) -> LidarScan:
         """Read the recording once.
 
@@ -173,9 +182,18 @@ class OusterReader:
             tally.feed(frame)
             n_points += sum(part.n for part in _points(frame, info, self.options, LidarClock(), 0, None))
         if not tally.frames:
+            port = info.config.udp_port_lidar or PORT
+            cut = self._cut(port)
+            if cut:
+                raise InputError(
+                    f"no lidar packet is whole: {cut}",
+                    expected=f"packets of a {info.prod_line} on UDP port {port}",
+                    where=", ".join(report.files),
+                    cure="Capture with -s 0 (tcpdump), that is without a limit of the packets' length",
+                )
             raise InputError(
                 "no lidar packets of the sensor that the metadata name",
-                expected=f"packets of a {info.prod_line} on UDP port {info.config.udp_port_lidar or PORT}",
+                expected=f"packets of a {info.prod_line} on UDP port {port}",
                 where=", ".join(report.files),
                 cure="Check that metadata and capture belong together",
             )

@@ -14,10 +14,12 @@ from typing import Any, Final, Literal, Protocol, Self
 import numpy as np
 import pandas as pd
 
-from thalweg.core import ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8, ConfigError, LocalFrame
+from thalweg.core import ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8, ConfigError, InputError, LocalFrame
 from thalweg.ingest.integrity import IntegrityReport
 from thalweg.settings.sections import Lidar
 
+HEAD_BYTES: Final = 65_536
+"""So many first bytes tell the format of a file."""
 RETURN_CHOICES: Final = ("all", "strongest", "last")
 
 
@@ -259,7 +261,7 @@ class TrackOptions:
     sigma_position_m, sigma_attitude_deg : standard deviations where a file holds none, each axis; NaN: they
         are stated later.
     times : stamps beside a KITTI table.
-    upside_down : the body did hang upside down; else such attitudes are doubted.
+    upside_down : the body is upside down, and it is meant.
     """
 
     gps_week: int | None = None
@@ -317,3 +319,32 @@ class CloudReader(Protocol):
 
     def __call__(self, path: Path) -> Cloud:
         """Read a file."""
+
+
+def read_head(path: Path) -> bytes:
+    """First `HEAD_BYTES` of a file.
+
+    Raises
+    ------
+    InputError : the file is missing, empty, a folder, or cannot be read.
+    """
+    if not path.exists():
+        raise InputError("file not found", where=path, cure="Check the path")
+    if path.is_dir():
+        raise InputError("this is a folder", where=path, expected="a file")
+    if not path.is_file():
+        raise InputError("this is a pipe or a device", where=path, expected="a file")
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(HEAD_BYTES)
+    except OSError as error:
+        raise InputError(
+            f"the file cannot be read: {error.strerror}",
+            where=path,
+            cure="Check its permissions and the disk",
+        ) from error
+    if not head:
+        raise InputError(
+            "the file is empty", where=path, expected="a raw log", cure="Check the logger and copy"
+        )
+    return head

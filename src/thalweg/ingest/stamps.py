@@ -306,7 +306,7 @@ def hours_text(seconds: float) -> str:
 
 _FIRST_TOLD_S: Final = dt.datetime(2000, 1, 1, tzinfo=dt.UTC).timestamp()
 _LAST_TOLD_S: Final = dt.datetime.fromisoformat(LEAP_TABLE_VALID_UNTIL).replace(tzinfo=dt.UTC).timestamp()
-"""Dates by which a scale is told: no digital survey before 2000, none after this version of Thalweg."""
+"""Dates by which a scale is told first: few digital surveys before 2000, none after this version."""
 _MOST: Final = (0.005, 0.995)
 """A damaged stamp or two of a long log do not hide the scale of the others."""
 
@@ -321,7 +321,8 @@ TIME_SCALES: Final = {
     "day_s": "seconds of an unstated day",
 }
 """Scales on which a file may count its times -> words."""
-_UNITS_A_SECOND: Final = {"unix_ms": 1e3, "unix_us": 1e6, "unix_ns": 1e9}
+UNITS_A_SECOND: Final = {"unix_ms": 1e3, "unix_us": 1e6, "unix_ns": 1e9}
+"""Scales of `TIME_SCALES` that do not count seconds -> how many of them make one."""
 _ZERO_UNIX_S: Final = {
     **dict.fromkeys(("unix_s", "unix_ms", "unix_us", "unix_ns"), 0.0),
     "gps_s": float(GPS_EPOCH_UNIX_S),
@@ -332,6 +333,8 @@ _ZERO_UNIX_S: Final = {
 
 def gps_from_scale(values: ArrayLike, scale: str) -> ArrayF:
     """Adjusted standard GPS time of bare numbers on a scale of `TIME_SCALES` that tells the date.
+
+    NaN where no survey can have been made at that time, as at a zero that stands for no time.
 
     Raises
     ------
@@ -346,7 +349,8 @@ def gps_from_scale(values: ArrayLike, scale: str) -> ArrayF:
         raise InputError(
             f"the times are {TIME_SCALES[scale]}", expected="times with their date", cure="State the date"
         )
-    t = np.asarray(values, dtype=np.float64) / _UNITS_A_SECOND.get(scale, 1.0)
+    t = np.asarray(values, dtype=np.float64) / UNITS_A_SECOND.get(scale, 1.0)
+    t = np.where((t != 0) & possible_unix(t + _ZERO_UNIX_S[scale]), t, np.nan)
     if scale.startswith("unix"):
         return gps_from_unix(t)
     return t if scale == "adjusted_s" else gps_from_week(0, t)
@@ -381,11 +385,14 @@ def tell_time_scale(values: ArrayLike) -> tuple[str, ...]:
     low, high = span
     if low >= 0 and high <= WEEK_S:  # also adjusted times of one week of 2011
         return ("week_s", "day_s") if high <= DAY_S else ("week_s",)
-    return tuple(
-        scale
-        for scale in _ZERO_UNIX_S
-        if _rough_unix_s(low, scale) >= _FIRST_TOLD_S and _rough_unix_s(high, scale) <= _LAST_TOLD_S
-    )
+    told: tuple[str, ...] = ()
+    for first, last in ((_FIRST_TOLD_S, _LAST_TOLD_S), (FIRST_UNIX_S, LAST_UNIX_S)):
+        told = told or tuple(
+            scale
+            for scale in _ZERO_UNIX_S
+            if _rough_unix_s(low, scale) >= first and _rough_unix_s(high, scale) <= last
+        )
+    return told
 
 
 def time_scale_words(values: ArrayLike, scales: Sequence[str]) -> str:
@@ -446,7 +453,7 @@ def time_contradiction(values: ArrayLike, stated: str) -> str:
 
 def _rough_unix_s(value: float, scale: str) -> float:
     """UTC but for leap seconds of a number on a scale that tells the date."""
-    return value / _UNITS_A_SECOND.get(scale, 1.0) + _ZERO_UNIX_S[scale]
+    return value / UNITS_A_SECOND.get(scale, 1.0) + _ZERO_UNIX_S[scale]
 
 
 def doubtful_date(t_gps_s: ArrayLike) -> str:

@@ -7,4 +7,8 @@ from .load import (
     with_calibrations as with_calibrations,
 )
 from .messages import natural_order as natural_order
-from .template import campaign_text as campaign_text, epochs_text as epochs_text
+from .template import (
+    campaign_text as campaign_text,
+    epochs_text as epochs_text,
+    position_sources as position_sources,
+)

@@ -9,13 +9,12 @@ from thalweg.core import Key, Mistake
 from thalweg.settings.checks_files import check_file, no_match
 from thalweg.settings.checks_place import check_crs, parse_crs
 from thalweg.settings.messages import expand
-from thalweg.settings.sections import CLOUD_ENDINGS, DSM_ENDINGS, TEXT_ENDINGS, Epoch
+from thalweg.settings.sections import CLOUD_ENDINGS, DSM_ENDINGS, TEXT_ENDINGS, VECTOR_ENDINGS, Epoch
 
 _SOURCES: Final = ("campaign", "clouds", "dsm")
 _OF_CAMPAIGNS: Final = ("chain", "surface")
 _OF_FILES: Final = ("name", "date_utc", "crs", "sigma_m", "nodata", "leave_out")
 """``correlation_m`` also belongs to the bed of a campaign, whose kriging gives the sigmas."""
-_MASK_ENDINGS: Final[tuple[str, ...]] = (".gpkg",)
 
 
 def check_epochs(raw: object, identity: Mapping[str, Any], folder: Path) -> Iterator[Mistake]:
@@ -124,11 +123,11 @@ def _check_files(
         listed.append(((*where, "dsm"), each["dsm"], DSM_ENDINGS))
     masks = each.get("leave_out")
     for k, text in enumerate(masks if isinstance(masks, list) else []):
-        listed.append(((*where, "leave_out", k), text, _MASK_ENDINGS))
+        listed.append(((*where, "leave_out", k), text, VECTOR_ENDINGS))
     for place, text, endings in listed:
         if not isinstance(text, str):
             continue
-        name = text.partition("?")[0] if endings == _MASK_ENDINGS else text
+        name = text.partition("?")[0] if endings == VECTOR_ENDINGS else text
         matches = [Path(path) for path in expand(name, folder)]
         if not matches:
             yield no_match(place, name, folder)
@@ -144,7 +143,7 @@ def _check_files(
                     expected=", ".join(endings),
                     cure="Export it as one of these; surface models stand under dsm, points under clouds",
                 )
-            elif endings != _MASK_ENDINGS:
+            elif endings != VECTOR_ENDINGS:
                 first = before.setdefault(path.resolve(), int(str(where[1])))
                 if first != where[1]:
                     yield Mistake(

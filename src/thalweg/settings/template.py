@@ -56,7 +56,7 @@ def campaign_text(
     origin: tuple[float, float, float] | None = None,
     spacing_m: float | None = None,
     schema: str = "../schema.json",
-    left_out: Mapping[str, Sequence[Path]] | None = None,
+    remarks: Sequence[str] = (),
 ) -> str:
     """Text of a new campaign file.
 
@@ -68,7 +68,7 @@ def campaign_text(
     origin : latitude and longitude in degrees and ellipsoidal height in metres; a placeholder if None.
     spacing_m : distance of the points of a reference cloud from each other; None: as dense as usual.
     schema : path of the JSON schema from ``folder``, for editors.
-    left_out : tracks of the folder that are not entered, by the reason; a remark each.
+    remarks : sentences on what was chosen among the logs, written below them.
     """
     lat, lon, h = origin or (51.05, 13.25, 300.0)
     mark = "" if origin else "  # CHANGE: a point near the survey"
@@ -106,10 +106,7 @@ def campaign_text(
         ),
         *_list("reference", listed.get("reference", []), "clouds to compare with: LAS, LAZ, PLY, E57"),
         *_photographs(listed),
-        *(
-            f"  # left out, {why}: {', '.join(path.name for path in paths[:_NAMED])}"
-            for why, paths in (left_out or {}).items()
-        ),
+        *(f"  # {remark}" for remark in remarks),
         "",
         "mounts:  # body frame of the INS, or of the boat: x forward, y right, z down",
         *_lidar(listed, levers),
@@ -119,11 +116,6 @@ def campaign_text(
         "",
         "orientation:",
         f"  position_source: {source}  # pos, sbp, ppk, nmea, gpx, sbet or ins",
-        *(
-            ["  # the finished solution is taken; ppk would solve the raw GNSS beside it instead"]
-            if listed.get("pos") and listed.get("rover")
-            else []
-        ),
         *(_ORDINARY_GNSS if source in ("nmea", "gpx") else [f"  accept_fixes: {fixes}"]),
         *_without_control(listed, source),
         *(_SIGMAS_OF_SBET if source == "sbet" and not listed.get("smrmsg") else []),
@@ -369,14 +361,26 @@ def _source(listed: Mapping[str, Sequence[str]]) -> tuple[str, list[str]]:
             gnss += [f"  {line}" for line in _list(key, listed.get(key, []), meaning)]
     else:
         gnss = ["  # gnss: {rover: [], base: [], nav: []}  # raw GNSS: SBP or RINEX"]
+    sources = position_sources(listed)
+    if sources and sources[0] == "ppk":
+        gnss.append("    base_from: rinex_header  # CHANGE: or sbp, base_ecef_m, base_llh")
+    found = {"ins": "ins", "nmea": "depth"}
+    return next(iter(sources or [s for s, stream in found.items() if listed.get(stream)]), "pos"), gnss
+
+
+def position_sources(listed: Mapping[str, Sequence[str | Path]]) -> list[str]:
+    """What GNSS logs by stream can be ``orientation.position_source``: finished before raw, best first."""
+    found = []
     if listed.get("pos"):
-        return ("gpx" if all(name.lower().endswith(".gpx") for name in listed["pos"]) else "pos"), gnss
+        found.append("gpx" if all(Path(name).suffix.lower() == ".gpx" for name in listed["pos"]) else "pos")
     if listed.get("sbet"):
-        return "sbet", gnss
-    if listed.get("base") or (listed.get("rover") and all(map(is_rinex_name, map(Path, listed["rover"])))):
-        return "ppk", [*gnss, "    base_from: rinex_header  # CHANGE: or sbp, base_ecef_m, base_llh"]
-    found = {"sbp": "rover", "ins": "ins", "nmea": "depth"}
-    return next((source for source, stream in found.items() if listed.get(stream)), "pos"), gnss
+        found.append("sbet")
+    rover = listed.get("rover")
+    if listed.get("base") or (rover and all(is_rinex_name(Path(name)) for name in rover)):
+        found.append("ppk")
+    elif rover:
+        found.append("sbp")
+    return found
 
 
 def _list(key: str, paths: Sequence[str], meaning: str) -> list[str]:

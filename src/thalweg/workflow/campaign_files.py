@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Final, Literal
 
 from thalweg.settings import Campaign
@@ -36,6 +37,15 @@ _SERIES: Final = {"calibration": "grid_images", "panels": "panel_images", "strip
 def _no_length(files: Sequence[str], options: Mapping[str, Any]) -> float:
     """Length of logs where no reader is at hand."""
     return math.nan
+
+
+def _with_parts(files: Iterable[str]) -> list[str]:
+    """The files, then what belongs to a Shapefile of them: a new .dbf or .prj changes what it says."""
+    found = list(files)
+    for path in [Path(file) for file in found if file.lower().endswith(".shp")]:
+        parts = [path.with_suffix(end) for end in (".shx", ".dbf", ".prj", ".cpg")]
+        found += [str(part) for part in parts if part.exists()]
+    return found
 
 
 def _no_twin(campaign: Campaign) -> Mapping[str, Sequence[str]]:
@@ -146,7 +156,7 @@ class CampaignFiles:
 
     def track_options(self) -> dict[str, Any]:
         """What files of poses do not state."""
-        stated = {key: self.plain["ins"][key] for key in ("body_axes", "time_scale")}
+        stated = {key: self.plain["ins"][key] for key in ("body_axes", "time_scale", "upside_down")}
         return {"gps_week": self.log_option("gps_week"), **stated}
 
     def base_position(self) -> dict[str, Any]:
@@ -208,6 +218,10 @@ class CampaignFiles:
             known = self.twin_logs(self.campaign)
             return [self._result(f"simulation/logs/{log}") for log in known.get(stream, ())]
         return [str(path) for path in self.campaign.log_files(stream)]
+
+    def drawn(self, stream: str) -> list[str]:
+        """Files of lines of a stream, those first that are read."""
+        return _with_parts(self.logs(stream))
 
     def boat_trajectory(self) -> list[str]:
         """The trajectory of the boat, where there is one."""
@@ -908,6 +922,11 @@ class CampaignFiles:
         made += self._where(self.is_twin() and self.has_bed(), *judged)
         return [*made, *self.bed_truth(), *self._where(self.has_bed(), "fusion/dtm.tif", "fusion/river.json")]
 
+    def mapped(self, name: str) -> list[str]:
+        """What ``map.gpkg`` of a survey draws beside its track: soundings, or what shows the river."""
+        made = self.has_soundings() if name == "bathymetry/soundings.csv" else self.has_bed()
+        return self._where(made, name)
+
     # ------------------------------------------------------------ change between epochs
 
     def is_epoch(self) -> bool:
@@ -944,7 +963,7 @@ class CampaignFiles:
 
     def epoch_masks(self, epoch: str) -> list[str]:
         """Files of polygons that are left out of an epoch."""
-        return [text.partition("?")[0] for text in self._epoch(epoch).leave_out]
+        return _with_parts(text.partition("?")[0] for text in self._epoch(epoch).leave_out)
 
     def epoch_positions(self, epoch: str) -> list[str]:
         """Positions of the boat that sounded the bed of an epoch, which say when."""
@@ -1058,6 +1077,7 @@ class CampaignFiles:
             *self.of_pairs("volumes_along_{}.csv"),
             *self.of_pairs("retreat_{}.csv"),
             *self.of_pairs("dod_{}.tif"),
+            self._result("deformation/map.gpkg"),
             *self._where(self.has_many_epochs(), "deformation/series.parquet"),
             *self.change_truth(),
             self._result("deformation/index.html"),
@@ -1093,7 +1113,7 @@ class CampaignFiles:
                 return self._where(True, "accuracy/cloud_to_surface.laz", "accuracy/cloud.html")
         lidar = self.has_lidar()
         tables = ("orientation/trajectory.parquet", "timing/streams.csv", "timing/time_report.csv")
-        outputs = [*self._where(True, *tables, "summary.csv"), *self._map_of_track()]
+        outputs = [*self._where(True, *tables, "summary.csv", "map.gpkg"), *self._map_of_track()]
         outputs += self.ins_points()
         outputs += [*self.echo_outputs(), *self._strip_outputs(), *self._bed_outputs()]
         exported = lidar and self.campaign.georeferencing.export_map
@@ -1122,6 +1142,7 @@ class CampaignFiles:
             return alone
         rows = (
             ("trajectory of the boat", self.trajectory("ins"), True, ""),
+            ("track, soundings, river for a GIS", self._result("map.gpkg"), True, ""),
             (
                 "soundings in the world",
                 self._result("bathymetry/soundings.csv"),

@@ -189,6 +189,7 @@ def bed_of(
         settings,
         water_line_ics_m=water_line,
         logged_temperature_c=log.report.details.get("water_temperature_c"),
+        sigma_time_s=log.report.details.get("sigma_depth_time_s", 0.0),
     )
     soundings, slow_time_s, _ = estimate_slow_errors(soundings, facts["position_time_s"])
     if mistake.independent:

@@ -37,7 +37,10 @@ from .network import (
 from .points import FieldPoints as FieldPoints, read_points as read_points, write_points as write_points
 from .resection import (
     LARGEST_SIGMA0 as LARGEST_SIGMA0,
+    LEAST_MARKS as LEAST_MARKS,
     Resected as Resected,
     pose_from_rays as pose_from_rays,
     resect as resect,
+    resect_together as resect_together,
+    start_misfit_px as start_misfit_px,
 )

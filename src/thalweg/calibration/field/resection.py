@@ -6,12 +6,13 @@ observed with their covariance: held fixed, its errors would make good marks nea
 covariance of the pose then also carries what marks share through the joint covariance of the points.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, Self
 
 import numpy as np
 import pandas as pd
+from scipy import sparse
 
 from thalweg.calibration.field.points import FieldPoints
 from thalweg.core import (
@@ -35,6 +36,8 @@ LEAST_MARKS: Final = 4
 LEAST_MARKERS: Final = 2
 REJECT_SIGMAS: Final = 4.0
 _CAP_RAD: Final = 0.01
+_WIDE_CAP_RAD: Final = 0.05
+"""The same where the lens is only roughly known."""
 _LEAST_SHARE: Final = 0.5
 _MOST: Final = 0.9
 """Of the marks that must fit for another reading of them to count."""
@@ -152,6 +155,79 @@ def resect(
     raise GeometryError(error.found, expected=error.expected, where=error.where, cure=reading) from error
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Seen:
+    """Known marks of a picture, their places in the field, and a pose to begin with."""
+
+    where: str
+    start: Rigid
+    marker: ArrayI
+    at: ArrayI
+    xy: ArrayF
+    sigma: ArrayF
+    off_rad: ArrayF
+    """Angles between the rays and the directions to the points at the start."""
+
+
+def _seen(
+    camera: Camera,
+    marks: pd.DataFrame,
+    points: FieldPoints,
+    sigma_factor: float,
+    where: str,
+    cap_rad: float,
+    triples: int = _TRIPLES,
+) -> _Seen:
+    """The marks of a picture with a start.
+
+    Raises
+    ------
+    GeometryError : too few marks, or half of them further than ``cap_rad`` from any pose.
+    """
+    index = points.index
+    keys = list(zip(marks["marker"].astype(int), marks["corner"].astype(int), strict=True))
+    known = np.array([k in index for k in keys], dtype=np.bool_)
+    marker = np.array([k[0] for k in keys], np.int64)[known]
+    _require(marker, where, "known marks on", len(marks))
+    at = np.array([index[k] for k, ok in zip(keys, known, strict=True) if ok], np.int64)
+    xy = marks[["x_px", "y_px"]].to_numpy(np.float64)[known]
+    sigma = marks["sigma_px"].to_numpy(np.float64)[known] * sigma_factor
+    rays = camera.rays(xy)
+    seen = np.isfinite(rays).all(axis=1)
+    _require(marker[seen], where, "marks inside the lens model, on", len(marks))
+    start, angles = pose_from_rays(
+        points.points_pcs[at[seen]], rays[seen], marker[seen], cap_rad=cap_rad, triples=triples
+    )
+    good = angles < cap_rad
+    if good.mean() < _LEAST_SHARE or good.sum() < LEAST_MARKS:
+        raise GeometryError(
+            f"only {int(good.sum())} of {len(good)} marks agree with any pose",
+            expected="most of them",
+            where=where,
+            cure="Check that the picture shows this field and that no marker has been moved since",
+        )
+    return _Seen(
+        where=where,
+        start=start,
+        marker=marker[seen],
+        at=at[seen],
+        xy=xy[seen],
+        sigma=sigma[seen],
+        off_rad=angles,
+    )
+
+
+def start_misfit_px(camera: Camera, marks: pd.DataFrame, points: FieldPoints) -> float:
+    """Mean distance of the marks of a picture from where its start puts them; gross errors are cut off.
+
+    Raises
+    ------
+    GeometryError : there is no start.
+    """
+    off = _seen(camera, marks, points, 1.0, "", _WIDE_CAP_RAD, _TRIPLES // 3).off_rad
+    return float(camera.parameters[0] * np.minimum(off, _WIDE_CAP_RAD).mean())
+
+
 def _pose(
     camera: Camera,
     marks: pd.DataFrame,
@@ -162,74 +238,62 @@ def _pose(
     largest_sigma_m: float,
 ) -> Resected:
     """Pose of a picture, however well it fits, see `resect`."""
-    index = points.index
-    keys = list(zip(marks["marker"].astype(int), marks["corner"].astype(int), strict=True))
-    known = np.array([k in index for k in keys], dtype=np.bool_)
-    marker = np.array([k[0] for k in keys], np.int64)[known]
-    _require(marker, where, "known marks on", len(marks))
-    at = np.array([index[k] for k, ok in zip(keys, known, strict=True) if ok], np.int64)
-    xy = marks[["x_px", "y_px"]].to_numpy(np.float64)[known]
-    sigma = marks["sigma_px"].to_numpy(np.float64)[known] * sigma_factor
-    X = points.points_pcs[at]
-    cov_X = np.array([points.cov[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] for i in at])
-    rays = camera.rays(xy)
-    seen = np.isfinite(rays).all(axis=1)
-    _require(marker[seen], where, "marks inside the lens model, on", len(marks))
-    start, angles = pose_from_rays(X[seen], rays[seen], marker[seen], cap_rad=_CAP_RAD)
-    good = angles < _CAP_RAD
-    if good.mean() < _LEAST_SHARE or good.sum() < LEAST_MARKS:
+    seen = _seen(camera, marks, points, sigma_factor, where, _CAP_RAD)
+    return _Fit.of(
+        camera if with_interior else replace(camera, cov=np.zeros_like(camera.cov)), [seen], points, {}
+    ).resected(0, largest_sigma_m)
+
+
+def resect_together(
+    camera: Camera,
+    marks: Mapping[str, pd.DataFrame],
+    points: FieldPoints,
+    free: Mapping[str, ArrayF],
+    *,
+    largest_sigma_m: float = _LARGEST_SIGMA_M,
+) -> tuple[Camera, dict[str, Resected], dict[str, str]]:
+    """Poses of pictures and the interior orientation that they share, in one adjustment.
+
+    Parameters
+    ----------
+    camera : start; parameters with a variance are observed with its covariance.
+    marks, points, largest_sigma_m : as of `resect`, marks by picture.
+    free : unknowns that nothing but the marks tells: name -> (k,) change of the camera's parameters by it.
+
+    Returns
+    -------
+    camera : with the covariance of what was estimated.
+    poses : by picture, with the covariance of everything.
+    refused : picture -> why it has no pose.
+
+    Raises
+    ------
+    UnobservableError : the marks do not determine an unknown, which is named.
+    GeometryError : no picture has a start, or there are no more marks than unknowns.
+    """
+    seen: list[_Seen] = []
+    poses: dict[str, Resected] = {}
+    refused: dict[str, str] = {}
+    for image, table in marks.items():
+        try:
+            seen.append(_seen(camera, table, points, 1.0, image, _WIDE_CAP_RAD))
+        except GeometryError as error:
+            refused[image] = error.found
+    got, sought = 2 * sum(len(one.at) for one in seen), 6 * len(seen) + len(free)
+    if not seen or got <= sought:
         raise GeometryError(
-            f"only {int(good.sum())} of {len(good)} marks agree with any pose",
-            expected="most of them",
-            where=where,
-            cure="Check that the picture shows this field and that no marker has been moved since",
+            f"{got} image coordinates for {sought} unknowns" if seen else next(iter(refused.values())),
+            expected="more observations than unknowns, so that they check each other",
+            cure="Measure more control points, or estimate less of the lens",
         )
-    X, cov_X, xy, sigma = X[seen], cov_X[seen], xy[seen], sigma[seen]
-    marker, at = marker[seen], at[seen]
-    loose = np.flatnonzero(np.diag(camera.cov) > 0) if with_interior else np.empty(0, np.int64)
-    adjusted = _adjusted(camera, start, X, cov_X, xy, sigma, loose)
-    used = adjusted.used["marks"]
-    _require(marker[used], where, "fitting marks on", len(marks))
-    if used.mean() < _LEAST_SHARE:
-        raise GeometryError(
-            f"{int((~used).sum())} of {len(used)} marks do not fit",
-            expected="less than half of them wrong",
-            where=where,
-            cure="Look at the picture: motion blur, a moved marker, or a camera that was refocused",
-        )
-    found = adjusted.x.camera
-    _require_one_solution(adjusted.x.pose, found, X[used], xy[used], sigma[used], marker[used], where)
-    T, cov_marks, by_interior, by_points = _propagated(
-        adjusted, camera.cov, points, at[used], sigma[used], loose
-    )
-    if float(T.sigma_shift_m.max()) > largest_sigma_m:
-        raise GeometryError(
-            f"the pose has a sigma of {T.sigma_shift_m.max():.2f} m from {int(used.sum())} marks",
-            expected=f"at most {largest_sigma_m:g} m",
-            where=where,
-            cure="Record it again with markers spread over the whole picture",
-        )
-    v = -adjusted.residuals["marks"].reshape(-1, 2)
-    residuals = pd.DataFrame(
-        {
-            "marker": marker,
-            "corner": [points.points[i][1] for i in at],
-            "vx_px": v[:, 0],
-            "vy_px": v[:, 1],
-            "standardised": adjusted.standardised["marks"],
-            "used": used,
-        }
-    )
-    return Resected(
-        T_pcs_ccs=T,
-        cov_marks=cov_marks,
-        by_interior=by_interior,
-        by_points=by_points,
-        residuals=residuals,
-        redundancy=adjusted.redundancy,
-        sigma0=float(np.sqrt(adjusted.sigma0_squared)),
-        moved=_moved(marker, used),
-    )
+    fit = _Fit.of(camera, seen, points, free)
+    for k, one in enumerate(seen):
+        try:
+            poses[one.where] = fit.resected(k, largest_sigma_m)
+        except GeometryError as error:
+            refused[one.where] = error.found
+    cov = fit.propagated(slice(6 * len(seen), None)).cov
+    return replace(fit.adjusted.x.camera, cov=fit.change @ cov @ fit.change.T), poses, refused
 
 
 def _require(marker: ArrayI, where: str, what: str, seen: int) -> None:
@@ -254,83 +318,200 @@ def _project(camera: Camera, pose: Rigid, X: ArrayF) -> tuple[ArrayF, ArrayF, Ar
 
 @dataclass(frozen=True, slots=True)
 class _State:
-    pose: Rigid
+    poses: tuple[Rigid, ...]
     camera: Camera
 
 
-def _adjusted(
-    camera: Camera, start: Rigid, X: ArrayF, cov_X: ArrayF, xy: ArrayF, sigma: ArrayF, loose: ArrayI
-) -> Adjusted[_State]:
-    k = len(loose)
+@dataclass(frozen=True, slots=True)
+class _Propagated:
+    """Covariance of unknowns (n,), the part of the marks, derivatives by the camera and the points."""
 
-    def marks(x: _State) -> Linear:
-        """Pixels of the marks less the measured ones."""
-        got, by_pose, by_point, by_parameters = _project(x.camera, x.pose, X)
-        J = np.concatenate([by_pose, by_parameters[:, :, loose]], axis=2)
-        residual = got - xy
-        lost = ~np.isfinite(residual).all(axis=1)
-        residual[lost], J[lost], by_point[lost] = _NO_IMAGE_PX, 0.0, 0.0
-        cov = by_point @ cov_X @ np.swapaxes(by_point, 1, 2) + np.square(sigma)[:, None, None] * np.eye(2)
-        return Linear(residual=residual.ravel(), jacobian=J.reshape(-1, 6 + k), cov=cov)
-
-    def interior(x: _State) -> Linear:
-        """The interior orientation as an observation of itself."""
-        J = np.concatenate([np.zeros((k, 6)), np.eye(k)], axis=1)
-        off = (x.camera.parameters - camera.parameters)[loose]
-        return Linear(residual=off, jacobian=J, cov=camera.cov[np.ix_(loose, loose)][None])
-
-    def update(x: _State, dx: ArrayF) -> _State:
-        """Small changes put on the state; a focal length stays positive."""
-        p = x.camera.parameters.copy()
-        p[loose] += dx[6:]
-        p[:2] = np.maximum(p[:2], 0.05 * camera.parameters[:2])
-        return _State(x.pose.moved(dx[:6]), x.camera.with_parameters(p))
-
-    groups = [Observations("marks", marks)]
-    if k:
-        groups.append(Observations("interior orientation", interior))
-    return adjust(
-        groups,
-        _State(start, camera),
-        [*_NAMES, *(camera.parameter_names[i] for i in loose)],
-        update=update,
-        loss="huber",
-        reject_sigmas=REJECT_SIGMAS,
-        max_iterations=200,
-        cure="Record the picture again with markers spread over it",
-    )
+    cov: ArrayF
+    cov_marks: ArrayF
+    by_interior: ArrayF
+    by_points: ArrayF
 
 
-def _propagated(
-    adjusted: Adjusted[_State],
-    cov_interior: ArrayF,
-    points: FieldPoints,
-    at: ArrayI,
-    sigma: ArrayF,
-    loose: ArrayI,
-) -> tuple[Rigid, ArrayF, ArrayF, ArrayF]:
-    """Pose with covariance, the part of the marks, and the derivatives by camera and points.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Fit:
+    """An adjustment of pictures with one camera, whose unknowns are six a picture and then the lens.
 
-    The adjustment weights marks by ``S = s^2 I + P C P^T`` with each point's own block ``C``, and the
-    interior orientation by ``Q``. Its solution ``dx = -N^-1 (A^T S^-1 r + Q^-1 r_interior)`` carries the
-    errors of the marks, of the points with all their correlations, and of the interior orientation.
+    ``loose`` are the parameters that the camera's own covariance observes, ``change`` (k, f) how parameters
+    follow the unknowns of the lens: first those, then the free ones.
     """
-    pose = adjusted.x.pose
-    _, by_pose, by_point, by_parameters = _project(adjusted.x.camera, pose, points.points_pcs[at])
-    J = np.concatenate([by_pose, by_parameters[:, :, loose]], axis=2)
-    blocks = np.array([points.cov[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] for i in at])
-    S = by_point @ blocks @ np.swapaxes(by_point, 1, 2) + np.square(sigma)[:, None, None] * np.eye(2)
-    K = adjusted.cov[:6] @ np.swapaxes(np.linalg.solve(S, J), 1, 2)
-    cov_marks = np.einsum("mai,m,mbi->ab", K, np.square(sigma), K)
-    by_interior = np.zeros((6, len(cov_interior)))
-    if len(loose):
-        Q = cov_interior[np.ix_(loose, loose)]
-        by_interior[:, loose] = np.linalg.solve(Q, adjusted.cov[6:, :6]).T
-    parts = np.zeros((len(points.points), 6, 3))
-    np.add.at(parts, at, -K @ by_point)
-    by_points = np.swapaxes(parts, 0, 1).reshape(6, -1)
-    cov = cov_marks + by_points @ points.cov @ by_points.T + by_interior @ cov_interior @ by_interior.T
-    return pose.with_cov(cov), (cov_marks + cov_marks.T) / 2, by_interior, by_points
+
+    camera: Camera
+    pictures: Sequence[_Seen]
+    points: FieldPoints
+    loose: ArrayI
+    change: ArrayF
+    adjusted: Adjusted[_State]
+
+    @classmethod
+    def of(
+        cls, camera: Camera, pictures: Sequence[_Seen], points: FieldPoints, free: Mapping[str, ArrayF]
+    ) -> Self:
+        """Adjust poses, and what is known with an error or free of the lens."""
+        loose = np.flatnonzero(np.diag(camera.cov) > 0)
+        change = np.column_stack([np.eye(len(camera.parameters))[:, loose], *free.values()])
+        first = 6 * len(pictures)
+        xy, sigma = (np.concatenate([getattr(p, name) for p in pictures]) for name in ("xy", "sigma"))
+        cov_X = _blocks(points, np.concatenate([p.at for p in pictures]))
+
+        def marks(x: _State) -> Linear:
+            """Pixels of the marks less the measured ones."""
+            got, by_point, J = _projected(x, pictures, points, change)
+            residual = got - xy
+            lost = ~np.isfinite(residual).all(axis=1)
+            residual[lost], by_point[lost] = _NO_IMAGE_PX, 0.0
+            cov = by_point @ cov_X @ np.swapaxes(by_point, 1, 2) + np.square(sigma)[:, None, None] * np.eye(2)
+            return Linear(residual=residual.ravel(), jacobian=J, cov=cov)
+
+        def interior(x: _State) -> Linear:
+            """The interior orientation as an observation of itself."""
+            J = np.zeros((len(loose), first + change.shape[1]))
+            J[:, first:] = change[loose]
+            off = (x.camera.parameters - camera.parameters)[loose]
+            return Linear(residual=off, jacobian=J, cov=camera.cov[np.ix_(loose, loose)][None])
+
+        def update(x: _State, dx: ArrayF) -> _State:
+            """Small changes put on the state; a focal length stays positive."""
+            p = x.camera.parameters + change @ dx[first:]
+            p[:2] = np.maximum(p[:2], 0.05 * camera.parameters[:2])
+            steps = dx[:first].reshape(-1, 6)
+            moved = tuple(T.moved(step) for T, step in zip(x.poses, steps, strict=True))
+            return _State(moved, x.camera.with_parameters(p))
+
+        groups = [Observations("marks", marks)]
+        if len(loose):
+            groups.append(Observations("interior orientation", interior))
+        of = [""] if len(pictures) == 1 else [f"{p.where} " for p in pictures]
+        adjusted = adjust(
+            groups,
+            _State(tuple(p.start for p in pictures), camera),
+            [
+                *(f"{picture}{name}" for picture in of for name in _NAMES),
+                *(camera.parameter_names[i] for i in loose),
+                *free,
+            ],
+            update=update,
+            loss="huber",
+            reject_sigmas=REJECT_SIGMAS,
+            max_iterations=200,
+            cure="Estimate less of the lens, or measure points at more different distances"
+            if free
+            else "Record the picture again with markers spread over it",
+        )
+        return cls(
+            camera=camera, pictures=pictures, points=points, loose=loose, change=change, adjusted=adjusted
+        )
+
+    def propagated(self, rows: slice) -> _Propagated:
+        """Covariance of some unknowns, and where it comes from.
+
+        The adjustment weights marks by ``S = s^2 I + P C P^T`` with each point's own block ``C``, and the
+        interior orientation by ``Q``. Its solution ``dx = -N^-1 (A^T S^-1 r + B^T Q^-1 r_interior)`` carries
+        the errors of the marks, of the points with all their correlations, and of the interior orientation.
+        """
+        used = self.adjusted.used["marks"]
+        at = np.concatenate([p.at for p in self.pictures])[used]
+        variance = np.square(np.concatenate([p.sigma for p in self.pictures])[used])
+        _, by_point, J = _projected(self.adjusted.x, self.pictures, self.points, self.change)
+        by_point, columns = by_point[used], self.adjusted.cov[:, rows]
+        S = by_point @ _blocks(self.points, at) @ np.swapaxes(by_point, 1, 2)
+        S += variance[:, None, None] * np.eye(2)
+        # (m, 2, n): derivatives of the unknowns by the marks
+        K = np.linalg.solve(S, np.asarray(J @ columns).reshape(-1, 2, columns.shape[1])[used])
+        n, loose = columns.shape[1], self.loose
+        cov_marks = np.einsum("mia,m,mib->ab", K, variance, K)
+        by_interior = np.zeros((n, len(self.camera.cov)))
+        if len(loose):
+            first = 6 * len(self.pictures)
+            Q = self.camera.cov[np.ix_(loose, loose)]
+            by_interior[:, loose] = np.linalg.solve(Q, columns[first : first + len(loose)]).T
+        parts = np.zeros((len(self.points.points), n, 3))
+        np.add.at(parts, at, -np.swapaxes(K, 1, 2) @ by_point)
+        by_points = np.swapaxes(parts, 0, 1).reshape(n, -1)
+        cov = cov_marks + by_points @ self.points.cov @ by_points.T
+        cov += by_interior @ self.camera.cov @ by_interior.T
+        return _Propagated((cov + cov.T) / 2, (cov_marks + cov_marks.T) / 2, by_interior, by_points)
+
+    def resected(self, k: int, largest_sigma_m: float) -> Resected:
+        """Pose of the k-th picture.
+
+        Raises
+        ------
+        GeometryError : half of its marks do not fit, or they hardly determine the pose.
+        """
+        one, x = self.pictures[k], self.adjusted.x
+        rows = np.repeat(np.arange(len(self.pictures)), [len(p.at) for p in self.pictures]) == k
+        used = self.adjusted.used["marks"][rows]
+        _require(one.marker[used], one.where, "fitting marks on", len(one.marker))
+        if used.mean() < _LEAST_SHARE:
+            raise GeometryError(
+                f"{int((~used).sum())} of {len(used)} marks do not fit",
+                expected="less than half of them wrong",
+                where=one.where,
+                cure="Look at the picture: motion blur, a moved marker, or a camera that was refocused",
+            )
+        X = self.points.points_pcs[one.at][used]
+        _require_one_solution(
+            x.poses[k], x.camera, X, one.xy[used], one.sigma[used], one.marker[used], one.where
+        )
+        found = self.propagated(slice(6 * k, 6 * k + 6))
+        T = x.poses[k].with_cov(found.cov)
+        if float(T.sigma_shift_m.max()) > largest_sigma_m:
+            raise GeometryError(
+                f"the pose has a sigma of {T.sigma_shift_m.max():.2f} m from {int(used.sum())} marks",
+                expected=f"at most {largest_sigma_m:g} m",
+                where=one.where,
+                cure="Record it again with markers spread over the whole picture",
+            )
+        v = -self.adjusted.residuals["marks"].reshape(-1, 2)[rows]
+        residuals = pd.DataFrame(
+            {
+                "marker": one.marker,
+                "corner": [self.points.points[i][1] for i in one.at],
+                "vx_px": v[:, 0],
+                "vy_px": v[:, 1],
+                "standardised": self.adjusted.standardised["marks"][rows],
+                "used": used,
+            }
+        )
+        return Resected(
+            T_pcs_ccs=T,
+            cov_marks=found.cov_marks,
+            by_interior=found.by_interior,
+            by_points=found.by_points,
+            residuals=residuals,
+            redundancy=self.adjusted.redundancy,
+            sigma0=float(np.sqrt(self.adjusted.sigma0_squared)),
+            moved=_moved(one.marker, used),
+        )
+
+
+def _blocks(points: FieldPoints, at: ArrayI) -> ArrayF:
+    """(m, 3, 3) covariances of single points."""
+    return np.array([points.cov[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] for i in at])
+
+
+def _projected(
+    x: _State, pictures: Sequence[_Seen], points: FieldPoints, change: ArrayF
+) -> tuple[ArrayF, ArrayF, Any]:
+    """Pixels (m, 2) of all marks, derivatives by their points (m, 2, 3), and by the unknowns (2m, u)."""
+    parts = [_project(x.camera, T, points.points_pcs[p.at]) for T, p in zip(x.poses, pictures, strict=True)]
+    xy, by_pose, by_point, by_parameters = (np.concatenate(each) for each in zip(*parts, strict=True))
+    by_lens = by_parameters @ change
+    lost = ~np.isfinite(xy).all(axis=1)
+    by_pose[lost], by_lens[lost] = 0.0, 0.0
+    of = [each[1].shape[0] for each in parts]
+    if len(of) == 1:
+        return xy, by_point, np.concatenate([by_pose, by_lens], axis=2).reshape(2 * len(xy), -1)
+    ends = np.cumsum(of)
+    poses = [by_pose[end - m : end].reshape(2 * m, 6) for m, end in zip(of, ends, strict=True)]
+    diagonal = sparse.block_diag([sparse.csr_array(part) for part in poses], format="csr")
+    lens = sparse.csr_array(by_lens.reshape(2 * len(xy), -1))
+    return xy, by_point, sparse.hstack([diagonal, lens], format="csr")
 
 
 def _require_one_solution(

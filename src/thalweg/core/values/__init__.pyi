@@ -1,4 +1,27 @@
-from .nothing import NOTHING as NOTHING, WORDS as WORDS, is_nothing as is_nothing
+from .nothing import HUGE as HUGE, NOTHING as NOTHING, WORDS as WORDS, is_nothing as is_nothing
+from .places import (
+    FORMS as FORMS,
+    HIGHEST_M as HIGHEST_M,
+    LOWEST_M as LOWEST_M,
+    check_degrees as check_degrees,
+    check_heights as check_heights,
+    check_places as check_places,
+    in_words as in_words,
+    near_world as near_world,
+    readings as readings,
+    utm_of as utm_of,
+    world_of as world_of,
+)
+from .stated import (
+    Stated as Stated,
+    crs_of_geokeys as crs_of_geokeys,
+    heights_in_words as heights_in_words,
+    in_metres as in_metres,
+    onto_map as onto_map,
+    same_heights as same_heights,
+    unit_of_key as unit_of_key,
+    vertical_of as vertical_of,
+)
 from .units import (
     FATHOM as FATHOM,
     FOOT as FOOT,

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from thalweg.core.types import ArrayB
+from thalweg.core import ArrayB
 
 _TEXTS: Final = (
     "|-|--|---|----|n/a|#n/a|na|nan|-nan|null|none|nil|void|nodata|no data|no_data|missing|invalid|?|*|**|***"
@@ -19,7 +19,7 @@ _TEXTS: Final = (
 WORDS: Final = frozenset(_TEXTS.split("|"))
 """Texts of a cell without a value, small letters."""
 _ANY: Final = (-9999.0, -99999.0, -999999.0, -32768.0, -32767.0, -9999.99, -9999.9)
-_HUGE: Final = 1e9
+HUGE: Final = 1e9
 """No length, angle or depth of a survey: 1.70141e38 (Surfer), 3.4028e38 (float32) and their like."""
 NOTHING: Final[Mapping[str, tuple[float, ...]]] = {
     "depth": (
@@ -60,7 +60,7 @@ def is_nothing(
     """
     x = np.asarray(values, dtype=np.float64)
     with np.errstate(invalid="ignore"):
-        out = ~np.isfinite(x) | (np.abs(x) >= _HUGE)
+        out = ~np.isfinite(x) | (np.abs(x) >= HUGE)
     for value in {*NOTHING[quantity], *extra} - set(keep):
         out |= np.isclose(x, value, rtol=1e-7, atol=0.0)  # single precision rounds what it stores
     return np.asarray(out)

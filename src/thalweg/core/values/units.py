@@ -29,6 +29,11 @@ class Unit:
         """True if nothing is to be converted."""
         return abs(self.metres - 1.0) < 1e-12
 
+    @property
+    def plural(self) -> str:
+        """Its name as a sentence has it, such as ``US survey feet``."""
+        return self.name.replace("foot", "feet") if "foot" in self.name else f"{self.name}s"
+
 
 METRE: Final = Unit("metre", 1.0)
 FOOT: Final = Unit("foot", 0.3048)

@@ -24,15 +24,11 @@ from .epochs import (
     read_epoch as read_epoch,
 )
 from .surfaces import (
-    Dsm as Dsm,
     HeightErrors as HeightErrors,
-    Shapes as Shapes,
     SurfaceDifference as SurfaceDifference,
     difference_of_surfaces as difference_of_surfaces,
     difference_on_lines as difference_on_lines,
     onto_grid as onto_grid,
     read_difference as read_difference,
-    read_dsm as read_dsm,
-    read_shapes as read_shapes,
     write_difference as write_difference,
 )

@@ -23,13 +23,16 @@ from thalweg.core import (
     InputError,
     LazWriter,
     column,
+    read_dsm,
     table_kind,
     write_table,
 )
 from thalweg.core.geometry import TriangleMesh
+from thalweg.core.values import check_degrees, check_heights
 from thalweg.deformation import CHANGES, Comparison, cloud_to_cloud, judge_changes, measure_distances
-from thalweg.deformation.foreign.surfaces import one_frame, read_dsm
-from thalweg.ingest.clouds import read_cloud, read_pcd
+from thalweg.deformation.foreign.surfaces import one_frame
+from thalweg.ingest import read_text_table
+from thalweg.ingest.clouds import NO_USE, read_cloud, read_pcd
 from thalweg.settings.sections import DSM_ENDINGS, TEXT_ENDINGS, Accuracy, ReferenceSettings
 from thalweg.surface import Surface, mesh_reference, read_triangles
 
@@ -57,11 +60,12 @@ _MUCH_DENSER = 20.0
 
 @dataclass(frozen=True, slots=True)
 class Points:
-    """Points (n, 3) of a file, in metres, and the frame that it states."""
+    """Points (n, 3) of a file, in metres, the frame that it states, and what was left out and converted."""
 
     xyz_m: ArrayF
     frame: Frame
     path: Path
+    notes: tuple[str, ...] = ()
 
 
 def read_points(path: Path) -> Points:
@@ -73,41 +77,46 @@ def read_points(path: Path) -> Points:
     """
     if path.suffix.lower() in DSM_ENDINGS:
         dsm = read_dsm(path)
-        return Points(dsm.points_m(), dsm.frame, path)
+        return Points(dsm.points_m(), dsm.frame, path, dsm.notes)
     if path.suffix.lower() == ".pcd":
-        return Points(np.asarray(read_pcd(path).xyz_m, np.float64), None, path)
+        pcd = read_pcd(path)
+        lost = f"{path.name}: {pcd.n_left_out:,} points without coordinates."
+        return Points(np.asarray(pcd.xyz_m, np.float64), None, path, (lost,) if pcd.n_left_out else ())
     if path.suffix.lower() not in TEXT or not path.is_file():
         cloud = read_cloud(path)
-        return Points(cloud.points, cloud.frame, path)
-    skipped = 0
-    with path.open(encoding="utf-8", errors="replace") as stream:
-        for line in stream:
-            words = line.replace(",", " ").replace(";", " ").split()
-            try:
-                numbers = len([float(word) for word in words[:3]])
-            except ValueError:
-                numbers = 0
-            if numbers == 3:
-                break
-            skipped += 1
-        else:
-            raise InputError(
-                "no line of three numbers",
-                expected="x, y, z in each line",
+        if cloud.frame is None:
+            check_degrees(
+                cloud.points[:, :2],
                 where=path,
-                cure="Export the points again, or name another file",
+                cure="Transform the cloud to a map projection, or state its coordinate system in the file",
             )
-    separator = next((mark for mark in ",;" if mark in line), r"\s+")
-    try:
-        table = pd.read_csv(
-            path, sep=separator, skiprows=skipped, header=None, usecols=[0, 1, 2], dtype=np.float64
-        )
-    except (ValueError, pd.errors.ParserError) as error:
+        told = (f"{path.name}: {text}" for text in cloud.sentences() if text not in NO_USE)
+        return Points(cloud.points, cloud.frame, path, tuple(told))
+    table = read_text_table(path, bare=("x", "y", "z"))
+    if not table.named and len(table.columns) > 3:  # colours and intensities stand behind the coordinates
+        table = read_text_table(path, order=("x", "y", "z"))
+    places, up = table.places(None, any_system=True), table.find("height")
+    if up is None:
         raise InputError(
-            f"a line that holds no three numbers ({error})", expected="x, y, z", where=path
-        ) from error
-    xyz = table.to_numpy()
-    return Points(np.ascontiguousarray(xyz[np.isfinite(xyz).all(axis=1)]), None, path)
+            f"columns {table.listed()}",
+            expected="x, y, z by their names, or in this order without names",
+            where=path,
+            cure="Name the columns in the first line",
+        )
+    xyz = np.column_stack([places.xy_m, table.numbers(up, "height")])
+    known = np.isfinite(xyz).all(axis=1)
+    if not known.any():
+        raise InputError(
+            "no point",
+            expected="x, y, z in each line",
+            where=path,
+            cure="Export it again, or name another file",
+        )
+    check_heights(xyz[known, 2], where=path)
+    if places.crs is None:
+        check_degrees(xyz[known, :2], where=path, cure="Name the columns lon, lat, z, or transform them")
+    notes = (*table.notes, *places.notes, *table.loss_notes())
+    return Points(np.ascontiguousarray(xyz[known]), places.crs, path, notes)
 
 
 def point_spacing_m(path: Path, most: int = 2000) -> float | None:
@@ -162,6 +171,7 @@ def compare_clouds(
         raise InputError(f"core points at each {core_every}-th point", expected="1 or more")
     clouds = [read_points(path) for path in (before, after)]
     frame, notes = one_frame(clouds)
+    notes = [note for cloud in clouds for note in cloud.notes] + notes
     shift = np.round(clouds[0].xyz_m.mean(axis=0))  # so that squares of coordinates of maps keep their digits
     for cloud in clouds:
         np.subtract(cloud.xyz_m, shift, out=cloud.xyz_m)
@@ -221,6 +231,7 @@ def compare_nearest(
         raise InputError(f"each {every}-th point", expected="1 or more")
     clouds = [read_points(path) for path in (before, after)]
     frame, notes = one_frame(clouds)
+    notes = [note for cloud in clouds for note in cloud.notes] + notes
     shift = np.round(clouds[0].xyz_m.mean(axis=0))
     table = cloud_to_cloud(
         clouds[0].xyz_m - shift, clouds[1].xyz_m[::every] - shift, towards=np.asarray(towards, float)
@@ -323,7 +334,7 @@ def compare_with_surface(
     else:
         vertices = Points(triangles[0], None if dsm is None else dsm.frame, reference)
     frame, notes = one_frame([points, vertices])
-    notes += [] if dsm is None else dsm.notes
+    notes = [*points.notes, *(vertices.notes if dsm is None else dsm.notes), *notes]
     origin = np.round(np.median(vertices.xyz_m, axis=0))  # large coordinates would cost digits
     facts: dict[str, Any] = {}
     if triangles is None:

@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from pyproj import CRS
 from scipy.stats import norm
 
-from thalweg.core import ArrayB, ArrayF, ArrayI, CoverageError, Grid, LocalFrame, frame_of
+from thalweg.core import ArrayB, ArrayF, ArrayI, CoverageError, Dsm, Grid, LocalFrame, frame_of
 from thalweg.deformation import (
     CORE_POINTS,
     Compared,
@@ -32,7 +32,6 @@ from thalweg.deformation import (
 from thalweg.deformation.foreign.epochs import dsm_of, masks_of
 from thalweg.deformation.foreign.surfaces import (
     VOLUMES,
-    Dsm,
     HeightErrors,
     SurfaceDifference,
     difference_of_surfaces,
@@ -129,7 +128,6 @@ def difference_of_epochs(
         np.array([grid.west_m, grid.north_m]),
         np.full(2, grid.cell_m),
         grid.crs,
-        None,
         Path("dod.tif"),
     )
     return SurfaceDifference(raster, sigma.reshape(shape), _volumes(compared, k, use, n, grid.cell_m), [])

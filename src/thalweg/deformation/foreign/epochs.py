@@ -32,15 +32,19 @@ from thalweg.core import (
     ArrayF,
     ArrayI,
     CoverageError,
+    Dsm,
     Frame,
     GeometryError,
     InputError,
     LocalFrame,
     gps_from_unix,
     laz_header,
+    mask_missing,
     njit,
     prange,
+    read_dsm,
 )
+from thalweg.core.values import heights_in_words, same_heights
 from thalweg.deformation import (
     ColumnIndex,
     Epoch,
@@ -51,15 +55,8 @@ from thalweg.deformation import (
     rows_of_weights,
 )
 from thalweg.deformation.foreign.clouds import ROUGHNESS_ALONE, density_notes, read_points
-from thalweg.deformation.foreign.surfaces import (
-    Dsm,
-    HeightErrors,
-    Shapes,
-    mask_missing,
-    one_frame,
-    read_dsm,
-    read_shapes,
-)
+from thalweg.deformation.foreign.surfaces import HeightErrors, one_frame, onto_map
+from thalweg.ingest import Vectors, read_vectors
 from thalweg.ingest.clouds import to_world
 from thalweg.settings import utm_code
 from thalweg.settings.sections import DSM_ENDINGS, Epoch as Statement
@@ -455,7 +452,8 @@ def check_epoch_files(stated: Statement, frame: LocalFrame, crs: str) -> None:
             if not header.n_points:
                 raise InputError("a cloud without points", expected="the points of a survey", where=path,
                                  cure="Export it again, or name another file")  # fmt: skip
-            _grid_of(header.frame, stated, crs, path)
+            if not (isinstance(header.frame, CRS) and header.frame.is_geographic):  # that becomes UTM
+                _grid_of(header.frame, stated, crs, path)
 
 
 def place_of_file(
@@ -489,19 +487,14 @@ def place_of_file(
         anywhere = LocalFrame(lat_deg=0.0, lon_deg=0.0, h_ell_m=0.0)
         lat, lon, h = anywhere.to_geodetic(anywhere.from_map(np.median(points, axis=0)[None], file)[0])
         origin = (round(float(lat), 4), round(float(lon), 4), round(float(h)))
-    horizontal = None if file is None else _part(file, 0)
+    horizontal = None if file is None else _on_map(file)
     code = None if horizontal is None else horizontal.to_epsg()
     return (utm_code(*origin[:2]) if code is None else f"EPSG:{code}"), origin
 
 
-def masks_of(stated: Statement) -> list[Shapes]:
+def masks_of(stated: Statement) -> list[Vectors]:
     """Polygons that are left out of an epoch."""
-    masks = []
-    for text in stated.leave_out:
-        name, _, rest = text.partition("?")
-        chosen = dict(part.partition("=")[::2] for part in rest.split(",") if part)
-        masks.append(read_shapes(Path(name), chosen))
-    return masks
+    return [read_vectors(text) for text in stated.leave_out]
 
 
 def dsm_of(stated: Statement) -> Dsm:
@@ -524,49 +517,53 @@ def _grid_of(file: Frame, stated: Statement, crs: str, path: Path) -> tuple[Fram
         return file, "ellipsoidal", []
     said = None if stated.crs is None else CRS.from_user_input(stated.crs)
     if file is not None and said is not None:
-        for what, a, b in (
-            ("", _part(file, 0), _part(said, 0)),
-            ("heights ", _part(file, 1), _part(said, 1)),
-        ):
-            if a is not None and b is not None and not a.equals(b, ignore_axis_order=True):
-                raise InputError(
-                    f"the file states {what}{a.name}, the campaign file {b.name}",
-                    expected="one of them to be right",
-                    where=path,
-                    cure="Correct crs in the campaign file, or the file",
-                )
+        a, b = _on_map(file), _on_map(said)
+        found = (
+            f"{a.name}, the campaign file {b.name}"
+            if not a.equals(b, ignore_axis_order=True)
+            else ""
+            if same_heights(file, said)
+            else f"heights {heights_in_words(file)}, the campaign file {heights_in_words(said)}"
+        )
+        if found:
+            raise InputError(
+                f"the file states {found}",
+                expected="one of them to be right",
+                where=path,
+                cure="Correct crs in the campaign file, or the file",
+            )
     grid = file or said or CRS.from_user_input(crs)
     notes = [] if file is not None or said is not None else [f"{path.name} states no grid: taken as {crs}."]
-    vertical = next((v for each in (file, said) if each is not None and (v := _part(each, 1))), None)
-    if vertical is None and stated.crs is None:
+    heights = heights_in_words(file) or heights_in_words(said)
+    if not heights and stated.crs is None:
         notes.append(f"{path.name} states no system of heights: taken as ellipsoidal.")
-    return grid, "ellipsoidal" if vertical is None else vertical.name, notes
+    return grid, heights or "ellipsoidal", notes
 
 
-def _part(crs: CRS, number: int) -> CRS | None:
-    """Horizontal (0) or vertical (1) part of a coordinate system."""
-    if crs.is_compound:
-        return crs.sub_crs_list[number]
-    return crs if number == 0 else None
+def _on_map(crs: CRS) -> CRS:
+    """Horizontal part of a coordinate system."""
+    return (crs.sub_crs_list[0] if crs.is_compound else crs).to_2d()
 
 
-def _left_out(plan: ArrayF, masks: Sequence[Shapes], path: Path) -> tuple[ArrayB, list[str]]:
+def _left_out(plan: ArrayF, masks: Sequence[Vectors], path: Path) -> tuple[ArrayB, list[str]]:
     """Points (n,) in polygons, and a sentence about them."""
     out = np.zeros(len(plan), bool)
     for mask in masks:
         out |= mask.contain(plan)
     n = int(out.sum())
-    return out, [f"{path.name}: {n:,} of {len(plan):,} points left out by polygons."] if masks else []
+    words = [f"{path.name}: {n:,} of {len(plan):,} points left out by polygons."] if masks else []
+    return out, words + [note for mask in masks for note in mask.notes]
 
 
 def _of_cloud(
-    path: Path, stated: Statement, frame: LocalFrame, crs: str, masks: Sequence[Shapes]
+    path: Path, stated: Statement, frame: LocalFrame, crs: str, masks: Sequence[Vectors]
 ) -> _Heights:
     """Points of one cloud."""
     cloud = read_points(path)
     xyz = cloud.xyz_m
     grid, heights, notes = _grid_of(cloud.frame, stated, crs, path)
-    notes += one_frame([cloud, *masks])[1] if masks else []
+    masks = onto_map(masks, cloud.frame)
+    notes = [*cloud.notes, *notes, *(one_frame([cloud, *masks])[1] if masks else [])]
     # a height of zero is one height among others where there are heights about it
     near = np.abs(xyz[:, 2]) < 1.0
     gap = 2 * int((xyz[:, 2] == 0.0).sum()) > int(near.sum())
@@ -576,15 +573,12 @@ def _of_cloud(
     return _placed(xyz[keep], None, None, grid, heights, [*masked, *words, *notes], frame, crs, path)
 
 
-def _of_dsm(dsm: Dsm, stated: Statement, frame: LocalFrame, crs: str, masks: Sequence[Shapes]) -> _Heights:
+def _of_dsm(dsm: Dsm, stated: Statement, frame: LocalFrame, crs: str, masks: Sequence[Vectors]) -> _Heights:
     """Centres of the cells of a raster that have a height."""
     path = dsm.path
+    masks = onto_map(masks, dsm.frame)
     one_frame([dsm, *masks])
     grid, heights, notes = _grid_of(dsm.frame, stated, crs, path)
-    if dsm.heights is not None:
-        heights = CRS.from_epsg(dsm.heights).name
-    if dsm.heights is not None or dsm.sigma_m is not None:  # rasters with named bands state their heights
-        notes = [note for note in notes if "heights" not in note]
     if stated.sigma_m is None:
         HeightErrors.of_bands(dsm, stated.correlation_m)
     out, words = _left_out(dsm.centres_m(), masks, path)

@@ -11,13 +11,8 @@ over a circle of the same area. Here the sum runs over all pairs of cells of the
 pairs at each lag is the autocorrelation of the mask, one pair of Fourier transforms. For a large area both
 tend to sigma^2 2 pi L^2 / area for the variance of the mean height; independent cells (L -> 0) give
 sigma^2 / n.
-
-Outlines of areas and lines (masks of water, stable ground, transects) are read from GeoPackage files here.
 """
 
-import sqlite3
-import struct
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,163 +21,27 @@ from typing import Protocol
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-from PIL import TiffImagePlugin
 from pyproj import CRS
-from pyproj.exceptions import CRSError
 from scipy.fft import irfft2, next_fast_len, rfft2
-from scipy.ndimage import map_coordinates
 from scipy.stats import norm
 
 from thalweg.core import (
     ArrayB,
     ArrayF,
+    Dsm,
     Frame,
     GeometryError,
     InputError,
     LocalFrame,
-    UnsupportedError,
     column,
     frame_of,
-    read_raster,
     robust_sigma,
     table_kind,
     write_table,
 )
-from thalweg.core.geometry import TriangleMesh
+from thalweg.core.values import heights_in_words, same_heights, vertical_of
+from thalweg.ingest import Vectors
 from thalweg.settings.sections import DSM_ENDINGS
-
-# ---------------------------------------------------------------- outlines
-
-_LINE, _POLYGON = 2, 3
-_COLLECTIONS = {5: _LINE, 6: _POLYGON}
-_ENVELOPE_BYTES = (0, 32, 48, 48, 64)
-
-
-@dataclass(frozen=True, slots=True)
-class Shapes:
-    """Lines or polygons of one file.
-
-    Attributes
-    ----------
-    parts : of each line its corners (k, 2), of each polygon its rings (k, 2); east and north in metres.
-    frame : coordinate system, or None where the file states none.
-    """
-
-    parts: tuple[tuple[ArrayF, ...], ...]
-    frame: CRS | None
-    path: Path
-
-    def contain(self, points_m: ArrayF) -> ArrayB:
-        """Which points (n, 2) lie in a polygon, holes of it left out."""
-        inside = np.zeros(len(points_m), bool)
-        for rings in self.parts:
-            low, high = rings[0].min(axis=0), rings[0].max(axis=0)
-            near = np.flatnonzero(((points_m >= low) & (points_m <= high)).all(axis=1))
-            x, y = points_m[near].T
-            odd = np.zeros(len(near), bool)
-            for ring in rings:
-                for a, b in zip(ring, np.roll(ring, -1, axis=0), strict=True):
-                    crosses = (a[1] > y) != (b[1] > y)
-                    if crosses.any():
-                        odd ^= crosses & (x < a[0] + (y - a[1]) * ((b[0] - a[0]) / (b[1] - a[1])))
-            inside[near[odd]] = True
-        return inside
-
-    def points_along(self, step_m: float) -> ArrayF:
-        """Points (n, 2) along each line from its start, one every ``step_m``; the rest of a line has none."""
-        points = [np.empty((0, 2))]
-        for line in (part for parts in self.parts for part in parts):
-            along = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
-            places = np.arange(0.0, np.floor(along[-1] / step_m) * step_m, step_m)
-            points.append(np.column_stack([np.interp(places, along, line[:, axis]) for axis in (0, 1)]))
-        return np.concatenate(points)
-
-
-def read_shapes(path: Path, where: dict[str, str] | None = None) -> Shapes:
-    """Lines or polygons of the first layer of a GeoPackage.
-
-    Parameters
-    ----------
-    where : columns with the value that counts, such as ``{"location": "mar"}``; compared as text.
-
-    Raises
-    ------
-    InputError : no such file, no GeoPackage, no such column, or nothing left.
-    """
-    if not path.is_file():
-        raise InputError("no such file", expected="a GeoPackage (.gpkg) of polygons or lines", where=path)
-    try:
-        with sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True) as file:
-            table, geometry, srs = file.execute(
-                "SELECT table_name, column_name, srs_id FROM gpkg_geometry_columns"
-            ).fetchone()
-            columns = [row[1] for row in file.execute(f'PRAGMA table_info("{table}")')]
-            unknown = sorted(set(where or {}) - set(columns))
-            if unknown:
-                raise InputError(
-                    f"no column {', '.join(unknown)}", expected=f"one of {', '.join(columns)}", where=path
-                )
-            wanted = "".join(f' AND CAST("{name}" AS TEXT) = ?' for name in where or {})
-            rows = file.execute(
-                f'SELECT "{geometry}" FROM "{table}" WHERE "{geometry}" IS NOT NULL{wanted}',
-                list((where or {}).values()),
-            ).fetchall()
-            code = file.execute(
-                "SELECT organization, organization_coordsys_id FROM gpkg_spatial_ref_sys WHERE srs_id = ?",
-                [srs],
-            ).fetchone()
-    except (sqlite3.Error, TypeError) as error:
-        raise InputError(
-            f"no GeoPackage with a layer ({error})", expected="a .gpkg file", where=path
-        ) from error
-    parts: list[tuple[ArrayF, ...]] = []
-    for (blob,) in rows:
-        parts += _from_wkb(blob[8 + _ENVELOPE_BYTES[blob[3] >> 1 & 7] :], path)
-    if not parts:
-        raise InputError(
-            f"no polygon or line with {where or 'any value'}", expected="at least one", where=path
-        )
-    frame = CRS.from_authority(*code) if code and srs > 0 else None
-    return Shapes(tuple(parts), frame, path)
-
-
-def _from_wkb(data: bytes, path: Path) -> list[tuple[ArrayF, ...]]:
-    """Parts of a geometry in well-known binary."""
-    parts: list[tuple[ArrayF, ...]] = []
-
-    def corners(at: int, order: str, width: int) -> tuple[ArrayF, int]:
-        """Corners of a ring and the offset behind them."""
-        (n,) = struct.unpack_from(order + "I", data, at)
-        values = np.frombuffer(data, order + "f8", n * width, at + 4).reshape(n, width)
-        return values[:, :2].astype(np.float64), at + 4 + 8 * n * width
-
-    def geometry(at: int) -> int:
-        """Take one geometry; the offset behind it."""
-        order = "<" if data[at] else ">"
-        (code,) = struct.unpack_from(order + "I", data, at + 1)
-        extra = bin(code >> 30).count("1") + {0: 0, 1: 1, 2: 1, 3: 2}[(code & 0xFFFF) // 1000]
-        kind, at = (code & 0xFFFF) % 1000, at + 5
-        if kind == _LINE:
-            line, at = corners(at, order, 2 + extra)
-            parts.append((line,))
-        elif kind == _POLYGON:
-            (n,), at = struct.unpack_from(order + "I", data, at), at + 4
-            rings = []
-            for _ in range(n):
-                ring, at = corners(at, order, 2 + extra)
-                rings.append(ring)
-            parts.append(tuple(rings))
-        elif kind in _COLLECTIONS:
-            (n,), at = struct.unpack_from(order + "I", data, at), at + 4
-            for _ in range(n):
-                at = geometry(at)
-        else:
-            raise InputError(f"a geometry of type {kind}", expected="polygons or lines", where=path)
-        return at
-
-    geometry(0)
-    return parts
-
 
 # ---------------------------------------------------------------- surfaces
 
@@ -206,99 +65,7 @@ VOLUMES = table_kind(
 """One row for each set of cells; cells that were not seen have an area and no volume."""
 _COLUMNS = tuple(item.name for item in VOLUMES)
 
-_SCALE, _TIES, _MATRIX, _KEYS, _NODATA, _METADATA = 33550, 33922, 34264, 34735, 42113, 42112
-_RASTER_TYPE, _GEOGRAPHIC, _PROJECTED, _LINEAR_UNIT, _VERTICAL, _VERTICAL_UNIT = (
-    1025,
-    2048,
-    3072,
-    3076,
-    4096,
-    4099,
-)
-_UNITS = {9002: "feet", 9003: "US survey feet"}
-_METRE, _USER_DEFINED = 9001, 32767
-_LIMITS_M = (-12_000.0, 9_000.0)
-_USUAL = (-9999.0, -10_000.0, -32_767.0, -32_768.0, -99_999.0)
-"""What programs write where there is no height; no land lies so deep."""
-_LEAST_ZEROS = 10
-_NAMED_BANDS = (("height_m", "sigma_m", "sigma_common_m"), ("height", "sigma", "sigma_common"))
-"""Of ``bed.tif`` and of ``dtm.tif``: height, standard deviation, its part that all heights share."""
 _DIFFERENCE_BANDS = ("difference_m", "sigma_m")
-
-
-@dataclass(frozen=True, slots=True)
-class Dsm:
-    """A raster of heights.
-
-    Attributes
-    ----------
-    height_m : (rows, columns) from north to south and west to east; NaN where there is no height.
-    corner_m : (2,) east and north of the outer corner of the first cell.
-    cell_m : (2,) width (east) and height (north) of a cell, both positive.
-    frame : coordinate system of the map, None where the file states none.
-    heights : EPSG code of the heights' coordinate system, None where none is stated.
-    notes : what was masked on reading, with counts.
-    sigma_m : (rows, columns) standard deviation of each height, where a band holds it (a kriged bed).
-    common_m : (rows, columns) its part that all heights of the raster share, in addition to ``sigma_m``.
-    """
-
-    height_m: ArrayF
-    corner_m: ArrayF
-    cell_m: ArrayF
-    frame: CRS | None
-    heights: int | None
-    path: Path
-    notes: tuple[str, ...] = ()
-    sigma_m: ArrayF | None = None
-    common_m: ArrayF | None = None
-
-    @property
-    def cell_area_m2(self) -> float:
-        """Area of a cell on the map."""
-        return float(self.cell_m[0] * self.cell_m[1])
-
-    def centres_m(self) -> ArrayF:
-        """Centres (rows * columns, 2) of all cells, row by row."""
-        rows, columns = self.height_m.shape
-        east = self.corner_m[0] + (np.arange(columns) + 0.5) * self.cell_m[0]
-        north = self.corner_m[1] - (np.arange(rows) + 0.5) * self.cell_m[1]
-        return np.column_stack([np.tile(east, rows), np.repeat(north, columns)])
-
-    def points_m(self) -> ArrayF:
-        """Centres (n, 3) of the cells that have a height, row by row."""
-        points = np.column_stack([self.centres_m(), self.height_m.ravel()])
-        return points[np.isfinite(points[:, 2])]
-
-    def mesh(self, sigma_m: float = 0.0) -> TriangleMesh:
-        """Triangles between the centres of neighbouring cells, two for each four, facing up."""
-        number = np.full(self.height_m.shape, -1)
-        known = np.isfinite(self.height_m)
-        number[known] = np.arange(known.sum())
-        nw, ne, sw, se = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
-        faces = np.concatenate(
-            [np.stack(corners, axis=-1).reshape(-1, 3) for corners in ((nw, sw, ne), (ne, sw, se))]
-        )
-        points = self.points_m()
-        return TriangleMesh(
-            vertices_m=points, faces=faces[(faces >= 0).all(axis=1)], sigma_m=np.full(len(points), sigma_m)
-        )
-
-    def places(self, points_m: ArrayF) -> ArrayF:
-        """Row and column (n, 2) of points (n, 2) in the raster; whole numbers are centres of cells."""
-        east, north = ((points_m - self.corner_m) * (1.0, -1.0) / self.cell_m - 0.5).T
-        return np.column_stack([north, east])
-
-    def at(self, points_m: ArrayF, how: str = "nearest") -> ArrayF:
-        """Heights (n,) at points (n, 2): of the cell that holds each, or bilinear between four known ones."""
-        place = self.places(points_m)
-        if how == "bilinear":
-            return np.asarray(map_coordinates(self.height_m, place.T, order=1, cval=np.nan))
-        row, col = np.floor(place + 0.5).astype(np.int64).T
-        rows, columns = self.height_m.shape
-        within = (row >= 0) & (row < rows) & (col >= 0) & (col < columns)
-        heights = np.full(len(points_m), np.nan)
-        heights[within] = self.height_m[row[within], col[within]]
-        return heights
 
 
 @dataclass(frozen=True, slots=True)
@@ -400,7 +167,7 @@ def one_frame(placed: Sequence[Placed]) -> tuple[Frame, list[str]]:
 
     Raises
     ------
-    InputError : different frames, or one that is not in metres.
+    InputError : different frames or heights, or one that is not in metres.
     """
     stated = [each for each in placed if each.frame is not None]
     for each in stated:
@@ -423,263 +190,45 @@ def one_frame(placed: Sequence[Placed]) -> tuple[Frame, list[str]]:
                 expected="one coordinate system, with the same heights",
                 cure="Transform one of them before the comparison",
             )
+    high = [each for each in stated if vertical_of(each.frame) is not None]
+    for each in high:
+        if not same_heights(high[0].frame, each.frame):
+            raise InputError(
+                f"{high[0].path} has heights of {heights_in_words(high[0].frame)}, "
+                f"{each.path} of {heights_in_words(each.frame)}",
+                expected="one system of heights",
+                cure="Transform one of them before the comparison",
+            )
     missing = [str(each.path) for each in placed if each.frame is None]
     notes = [f"No coordinate system in {', '.join(missing)}: taken as that of the other."] if missing else []
-    return (stated[0].frame if stated else None), notes
+    silent = [
+        str(each.path)
+        for each in stated
+        if isinstance(each.frame, CRS) and not vertical_of(each.frame) and not isinstance(each, Vectors)
+    ]
+    if high and silent:
+        notes.append(
+            f"No system of heights in {', '.join(silent)}: taken as {heights_in_words(high[0].frame)}."
+        )
+    return (high or stated)[0].frame if stated else None, notes
+
+
+def onto_map(drawn: Sequence[Vectors], frame: Frame) -> list[Vectors]:
+    """Areas and lines on the map of a raster or cloud; as they are beside one that states none.
+
+    Raises
+    ------
+    InputError : places that this map does not have.
+    """
+    return [each.on_map(frame) if isinstance(frame, CRS) else each for each in drawn]
 
 
 def _same(a: Frame, b: Frame) -> bool:
+    """Whether two frames are one on the map."""
     if isinstance(a, LocalFrame) or isinstance(b, LocalFrame):
         return a == b
-    return bool(a.equals(b, ignore_axis_order=True)) if a is not None else b is None
-
-
-# ---------------------------------------------------------------- reading
-
-
-def read_dsm(path: Path, *, nodata: float | None = None) -> Dsm:
-    """Heights of a GeoTIFF.
-
-    A raster with bands of heights and standard deviations (``bed.tif``, ``dtm.tif`` of this pipeline) gives
-    both.
-
-    Cells with the declared value for "no height", NaN, or a value that only stands for that (-9999, -10000,
-    ...) have none; how many is told in the notes. A value that may be either is refused: exact zeros in ten
-    cells or more, and heights that no place on Earth has.
-
-    Parameters
-    ----------
-    nodata : value without a height, beside a declared one; NaN says that all that is left are heights.
-
-    Raises
-    ------
-    InputError : no such file, no raster, no place on the map, no heights, or values that may be no heights.
-    UnsupportedError : several bands, rotated rasters, degrees, feet, a coordinate system without EPSG code.
-    """
-    if (named := _named_bands(path)) is not None:
-        return named
-    tags, values = _read_tiff(path)
-    keys = _geo_keys(tags)
-    frame, heights = _frame(keys, path)
-    corner, cell = _placement(tags, keys, path)
-    whole = np.issubdtype(values.dtype, np.integer)
-    declared = _number(tags[_NODATA], path) if _NODATA in tags else None
-    values, notes = mask_missing(
-        values.astype(np.float64), path, "cells", nodata=nodata, declared=declared, zeros=not whole
-    )
-    return Dsm(values, corner, cell, frame, heights, path, notes)
-
-
-def mask_missing(
-    heights_m: ArrayF,
-    path: Path,
-    what: str,
-    *,
-    nodata: float | None,
-    declared: float | None = None,
-    zeros: bool = True,
-) -> tuple[ArrayF, tuple[str, ...]]:
-    """Heights with NaN where there is none, and sentences that count them; rules of `read_dsm`.
-
-    Parameters
-    ----------
-    what : "cells" or "points".
-    nodata, declared : values without a height, as stated and as the file declares.
-    zeros : ten exact zeros and more are refused unless ``nodata`` says what they are.
-    """
-    values = heights_m
-    masked: dict[str, int] = {}
-
-    def mask(which: ArrayB, words: str) -> None:
-        """Make heights empty, and count those that this takes."""
-        nonlocal values
-        if n := int((which & np.isfinite(values)).sum()):
-            masked[words] = n
-            values = np.where(which, np.nan, values)
-
-    if not np.isfinite(values).all():
-        masked["NaN"] = int((~np.isfinite(values)).sum())
-        values = np.where(np.isfinite(values), values, np.nan)
-    if declared is not None and np.isfinite(declared):
-        mask(np.isclose(values, declared, rtol=1e-6, atol=0.0), f"declared value {declared:g}")
-    if nodata is not None and np.isfinite(nodata):
-        mask(np.isclose(values, nodata, rtol=1e-6, atol=0.0), f"value {nodata:g}, as stated")
-    for usual in _USUAL:
-        mask(values == usual, f"undeclared value {usual:g}")
-    mask(np.abs(values) > 1e30, "undeclared value beyond 1e30")
-    one = what.removesuffix("s")
-    if not np.isfinite(values).any():
-        raise InputError(f"no {one} has a height", expected="heights in metres", where=path)
-    if nodata is None and zeros and (n := int((values == 0.0).sum())) >= _LEAST_ZEROS:
-        raise InputError(
-            f"{n:,} of {values.size:,} {what} are exactly 0 m, and no value for missing heights is declared",
-            expected="heights, or a declared value where there are none",
-            where=path,
-            cure="State --nodata 0 where they are no heights, or --nodata none where they are (in a "
-            "campaign: nodata)",
-        )
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    if low < _LIMITS_M[0] or high > _LIMITS_M[1]:
-        raise InputError(
-            f"heights from {low:g} to {high:g} m",
-            expected=f"heights between {_LIMITS_M[0]:g} and {_LIMITS_M[1]:g} m",
-            where=path,
-            cure="State the value that stands for missing heights (--nodata; in a campaign nodata), or "
-            "export metres",
-        )
-    count = f"of {values.size:,} {what} without a height"
-    return values, tuple(f"{path.name}: {n:,} {count} ({words})." for words, n in masked.items())
-
-
-def _named_bands(path: Path) -> Dsm | None:
-    """A raster of this pipeline, whose bands have names; None of others.
-
-    Raises
-    ------
-    InputError : it is turned, or has no coordinate system.
-    """
-    try:
-        with path.open("rb") as file:
-            header = file.read(8)
-            header += file.read(8) if 43 in header[2:4] else b""  # BigTIFF
-            first = TiffImagePlugin.ImageFileDirectory_v2(header)
-            file.seek(first.next)
-            first.load(file)
-            described = str(first.get(_METADATA, ""))
-    except (SyntaxError, OSError, ValueError, struct.error):
-        return None  # whoever reads it says what it is
-
-    def has(names: tuple[str, str, str]) -> bool:
-        """Whether bands have the first two names."""
-        return all(f'role="description">{name}<' in described for name in names[:2])
-
-    names = next(filter(has, _NAMED_BANDS), None)
-    if names is None:
-        return None
-    grid, bands, tags = read_raster(path)
-    height, sigma, common = (bands.get(name) for name in names)
-    if height is None or sigma is None:
-        return None
-    heights = tags.get("heights", "ellipsoidal")
-    known = np.isfinite(height)
-    return Dsm(
-        height,
-        np.array([grid.west_m, grid.north_m]),
-        np.full(2, grid.cell_m),
-        grid.crs,
-        _vertical_code(heights, path),
-        path,
-        (),
-        np.where(known, sigma, np.nan),
-        None if common is None else np.where(known, common, np.nan),
-    )
-
-
-def _vertical_code(heights: str, path: Path) -> int | None:
-    """EPSG code of heights that a tag names; None of ellipsoidal ones.
-
-    Raises
-    ------
-    UnsupportedError : PROJ does not know them.
-    """
-    if heights.startswith("ellipsoidal"):
-        return None
-    try:
-        return CRS.from_user_input(heights).to_epsg()
-    except CRSError as error:
-        raise UnsupportedError(
-            f"heights {heights!r}", expected="a height system that PROJ knows", where=path
-        ) from error
-
-
-def _read_tiff(path: Path) -> tuple[dict[int, object], ArrayF]:
-    if not path.is_file() or not path.stat().st_size:
-        raise InputError(
-            "an empty file" if path.is_file() else "no such file", expected="a GeoTIFF of heights", where=path
-        )
-    try:
-        # not Image.open: it takes rasters of more than 179 million cells for an attack
-        with TiffImagePlugin.TiffImageFile(path) as image:
-            tags = dict(image.tag_v2)
-            values = np.array(image)
-    except (SyntaxError, OSError, ValueError, KeyError, EOFError) as error:
-        raise InputError(
-            f"no raster that can be read ({error})",
-            expected="a GeoTIFF with one band of heights",
-            where=path,
-            cure="Export one band again, as 32-bit numbers",
-        ) from error
-    if values.ndim != 2:
-        raise UnsupportedError(
-            f"{values.shape[2]} bands",
-            expected="one band of heights",
-            where=path,
-            cure="Export heights alone",
-        )
-    return tags, values
-
-
-def _number(declared: object, path: Path) -> float:
-    try:
-        return float(str(declared).strip("\0 "))
-    except ValueError:
-        raise InputError(
-            f"{declared!r} as the value for missing heights", expected="a number", where=path
-        ) from None
-
-
-def _geo_keys(tags: dict[int, object]) -> dict[int, int]:
-    """GeoKeys with a number of their own (OGC 19-008r4, 7.1.2)."""
-    directory = np.asarray(tags.get(_KEYS, (1, 1, 0, 0)), np.int64).reshape(-1, 4)[1:]
-    return {int(key): int(value) for key, place, _, value in directory if place == 0}
-
-
-def _frame(keys: dict[int, int], path: Path) -> tuple[CRS | None, int | None]:
-    for key, what in ((_LINEAR_UNIT, "a map"), (_VERTICAL_UNIT, "heights")):
-        if keys.get(key, _METRE) != _METRE:
-            unit = _UNITS.get(keys[key], f"units with the EPSG code {keys[key]}")
-            raise UnsupportedError(
-                f"{what} in {unit}", expected="metres", where=path, cure="Transform the raster to metres"
-            )
-    code = keys.get(_PROJECTED)
-    if code is None:
-        if _GEOGRAPHIC in keys:
-            raise UnsupportedError(
-                "cells in degrees", expected="a projected coordinate system in metres", where=path,
-                cure="Transform the raster to a map projection such as UTM",
-            )  # fmt: skip
-        return None, keys.get(_VERTICAL)
-    try:
-        frame = CRS.from_epsg(code)  # 32767 stands for a coordinate system that has none
-    except CRSError as error:
-        raise UnsupportedError(
-            f"coordinate system {code}: {error}", expected="one with an EPSG code", where=path,
-            cure="Export the raster with the EPSG code of its coordinate system",
-        ) from error  # fmt: skip
-    vertical = keys.get(_VERTICAL)
-    return frame, None if vertical == _USER_DEFINED else vertical
-
-
-def _placement(tags: dict[int, object], keys: dict[int, int], path: Path) -> tuple[ArrayF, ArrayF]:
-    if _MATRIX in tags:
-        m = np.asarray(tags[_MATRIX], float).reshape(4, 4)
-        cell, corner, turned = np.array([m[0, 0], -m[1, 1]]), m[:2, 3], m[0, 1] != 0 or m[1, 0] != 0
-    elif _SCALE in tags and _TIES in tags:
-        cell, ties = np.asarray(tags[_SCALE], float)[:2], np.asarray(tags[_TIES], float)
-        corner, turned = ties[3:5] - ties[:2] * cell * (1.0, -1.0), len(ties) != 6
-    else:
-        raise InputError(
-            "a raster without a place on the map", expected="a GeoTIFF (scale and tie point)", where=path,
-            cure="Export it as GeoTIFF; world files (.tfw) are not read",
-        )  # fmt: skip
-    if turned or not (cell > 0).all():
-        raise UnsupportedError(
-            "a raster that is turned, mirrored or bent", expected="rows from north to south", where=path,
-            cure="Resample it to a grid along east and north",
-        )  # fmt: skip
-    if keys.get(_RASTER_TYPE) == 2:  # the place is that of the centre of a cell
-        corner = corner - 0.5 * cell * (1.0, -1.0)
-    return np.asarray(corner, float), np.asarray(cell, float)
+    one, two = (each and (each.sub_crs_list[0] if each.is_compound else each).to_2d() for each in (a, b))
+    return bool(one.equals(two, ignore_axis_order=True)) if one is not None else two is None
 
 
 # ---------------------------------------------------------------- difference
@@ -758,7 +307,7 @@ def difference_of_surfaces(
     *,
     sigma_registration_m: float = 0.0,
     resample: str | None = None,
-    leave_out: Sequence[Shapes] = (),
+    leave_out: Sequence[Vectors] = (),
 ) -> SurfaceDifference:
     """Second minus first surface, with sigmas, and volumes of erosion and deposition with intervals.
 
@@ -774,13 +323,9 @@ def difference_of_surfaces(
     InputError : other coordinate systems, grids, or units of heights.
     GeometryError : no cell with a height in both.
     """
+    leave_out = onto_map(leave_out, before.frame)
     frame, notes = one_frame([before, after, *leave_out])
-    if None not in (before.heights, after.heights) and before.heights != after.heights:
-        raise InputError(
-            f"{before.path} has heights of EPSG:{before.heights}, {after.path} of EPSG:{after.heights}",
-            expected="one system of heights",
-            cure="Transform one of them before the comparison",
-        )
+    notes += [note for each in leave_out for note in each.notes]
     second, apart = onto_grid(after, before, resample)
     notes = [*before.notes, *after.notes, *notes]
     if apart > 1e-6 * before.cell_m.max():
@@ -790,7 +335,10 @@ def difference_of_surfaces(
         )
     out = np.zeros(before.height_m.shape, bool)
     for each in leave_out:
-        out |= each.contain(before.centres_m()).reshape(out.shape)
+        inside = each.contain(before.centres_m()).reshape(out.shape)
+        if not inside.any():
+            notes.append(f"No cell lies in a polygon of {each.path}.")
+        out |= inside
     seen = [np.isfinite(each.height_m) for each in (before, second)]
     difference = np.where(out, np.nan, second.height_m - before.height_m)
     known = np.isfinite(difference)
@@ -870,7 +418,7 @@ class StableGround:
     nmad_m: float
 
 
-def difference_on_lines(before: Dsm, after: Dsm, lines: Shapes, step_m: float = 1.0) -> StableGround:
+def difference_on_lines(before: Dsm, after: Dsm, lines: Vectors, step_m: float = 1.0) -> StableGround:
     """Median and NMAD (1.4826 times the median absolute deviation) of differences along lines.
 
     Parameters
@@ -881,6 +429,7 @@ def difference_on_lines(before: Dsm, after: Dsm, lines: Shapes, step_m: float = 
     ------
     GeometryError : no point with a height in both.
     """
+    (lines,) = onto_map([lines], before.frame)
     one_frame([before, after, lines])
     points = lines.points_along(step_m)
     difference = after.at(points) - before.at(points)
@@ -941,46 +490,28 @@ def read_difference(path: Path) -> SurfaceDifference:
     corner, cell = np.array([place.c, place.f]), np.array([place.a, -place.e])
     frame = None if crs is None else CRS.from_wkt(crs.to_wkt())
     none = frame_of(VOLUMES, {item.name: np.empty(0, item.type.to_pandas_dtype()) for item in VOLUMES})
-    return SurfaceDifference(Dsm(bands[0], corner, cell, frame, None, path), bands[1], none, [])
+    return SurfaceDifference(Dsm(bands[0], corner, cell, frame, path), bands[1], none, [])
 
 
 def _write_bands(path: Path, grid: Dsm, bands: dict[str, ArrayF]) -> None:
-    """A GeoTIFF of 32-bit bands in one compressed strip; Pillow writes its tags, but not two bands."""
+    """A GeoTIFF of 32-bit bands with names."""
+    import rasterio
+
     rows, columns = grid.height_m.shape
-    strip = zlib.compress(np.stack(list(bands.values()), axis=-1).astype("<f4").tobytes())
-    names = "".join(
-        f'<Item name="DESCRIPTION" sample="{i}" role="description">{name}</Item>'
-        for i, name in enumerate(bands)
-    )
-    keys = [1024, 0, 1, 1, _RASTER_TYPE, 0, 1, 1]
-    if grid.frame is not None and (code := grid.frame.to_epsg()):
-        keys += [_PROJECTED, 0, 1, code]
-    if grid.heights:
-        keys += [_VERTICAL, 0, 1, grid.heights]
-    short, whole, double, text = 3, 4, 12, 2
-    tags: dict[int, tuple[int, object]] = {
-        256: (whole, columns),
-        257: (whole, rows),
-        258: (short, (32,) * len(bands)),
-        259: (short, 8),  # deflate
-        262: (short, 1),
-        273: (whole, 0),  # the strip follows the tags; Pillow adds their length
-        277: (short, len(bands)),
-        278: (whole, rows),
-        279: (whole, len(strip)),
-        284: (short, 1),  # band beside band
-        338: (short, (0,) * (len(bands) - 1)),
-        339: (short, (3,) * len(bands)),  # floating point
-        _SCALE: (double, (*grid.cell_m.tolist(), 0.0)),
-        _TIES: (double, (0.0, 0.0, 0.0, *grid.corner_m.tolist(), 0.0)),
-        _KEYS: (short, (1, 1, 0, len(keys) // 4, *keys)),
-        _METADATA: (text, f"<GDALMetadata>{names}</GDALMetadata>"),
-        _NODATA: (text, "nan"),
-    }
-    directory = TiffImagePlugin.ImageFileDirectory_v2(b"II\x2a\x00\x00\x00\x00\x00")
-    for tag, (kind, value) in tags.items():
-        directory.tagtype[tag] = kind
-        directory[tag] = value
-    with path.open("wb") as file:
-        directory.save(file)
-        file.write(strip)
+    (east, north), (width, height) = grid.corner_m.tolist(), grid.cell_m.tolist()
+    with rasterio.open(
+        path,
+        "w",
+        driver="GTiff",
+        height=rows,
+        width=columns,
+        count=len(bands),
+        dtype="float32",
+        crs=None if grid.frame is None else grid.frame.to_wkt(),
+        transform=rasterio.Affine(width, 0.0, east, 0.0, -height, north),
+        nodata=float("nan"),
+        compress="deflate",
+    ) as out:
+        for k, (name, values) in enumerate(bands.items(), 1):
+            out.write(values.astype(np.float32), k)
+            out.set_band_description(k, name)

@@ -7,6 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
+import shapely
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
@@ -235,29 +236,44 @@ def draw_bed_map(
 
 
 @styled
-def bed_picture(*, bed: Path, observations: pd.DataFrame, line: FlowLine, title: str, twin: bool) -> Figure:
+def bed_picture(
+    *,
+    bed: Path,
+    observations: pd.DataFrame,
+    line: FlowLine | None,
+    area: Any = None,
+    edge: str = "",
+    title: str,
+    twin: bool,
+) -> Figure:
     """Height of a bed from a table of soundings and its standard deviation, from above.
 
     Parameters
     ----------
     bed : raster of `thalweg.bathymetry.BANDS`.
     observations : table of kind ``bed_observations``, east and north on the map of the raster.
-    line : centre line, on the same map.
+    line : centre line, on the same map; None: there is none.
+    area, edge : polygon of the water and what its rings are; None: not drawn.
     title, twin : of the figure.
     """
     grid, bands, tags = read_raster(bed)
     height = bands["height_m"]
-    words = f"Riverbed: {title}, n = {count(int(np.isfinite(height).sum()))} cells of {grid.cell_m:g} m"
+    kind = "Bed" if line is None else "Riverbed"
+    words = f"{kind}: {title}, n = {count(int(np.isfinite(height).sum()))} cells of {grid.cell_m:g} m"
     low, high = robust_limits(height, 0.5, 99.5)
     look = {"cmap": DEPTH_MAP.reversed(), "vmin": low, "vmax": high}
     sigma = np.hypot(bands["sigma_m"], np.nan_to_num(bands["sigma_common_m"]))
     above = " above the water" if "water surface" in tags.get("heights", "") else ""
     figure, axes = _value_and_sigma(grid, height, look, f"height{above} [m]", sigma, words, twin=twin)
-    course = line.to_map(np.linspace(0.0, line.length_m, 400), 0.0)
     looks = (("bank", "x", 3.0, VERMILION, "banks"), ("sounding", ".", 1.2, "black", "soundings"))
     for ax in axes:
-        ax.plot(*course.T, color=GREY, lw=0.8, ls="--", label="centre line", scalex=False, scaley=False)
-        for source, marker, size, colour, name in looks:
+        if line is not None:
+            course = line.to_map(np.linspace(0.0, line.length_m, 400), 0.0)
+            ax.plot(*course.T, color=GREY, lw=0.8, ls="--", label="centre line", scalex=False, scaley=False)
+        for k, ring in enumerate(shapely.get_rings(shapely.get_parts(area)) if area is not None else ()):
+            name = edge if k == 0 else None
+            ax.plot(*ring.xy, color=VERMILION, lw=0.8, label=name, scalex=False, scaley=False)
+        for source, marker, size, colour, name in looks[line is None :]:
             of = observations.loc[observations["source"] == source, ["east_m", "north_m"]].to_numpy()
             if len(of):
                 ax.plot(*of.T, ls="none", marker=marker, ms=size, color=colour, label=name)

@@ -118,15 +118,17 @@ def fixed_camera_page(
         Finding("its standard deviation, one picture", f"{metres('sigma_m')} m"),
         Finding("spread from picture to picture", spread, still),
         Finding("rms of the marks", f"{facts['rms_px']:.2f} px"),
+        *(
+            Finding(f"lens, {name}", f"{p['value']:.6g}", f"± {p['sigma']:.2g}")
+            for name, p in facts["lens"].items()
+        ),
     ]
     page = Page(title, f"From picture to picture: {still}.", findings).section("History")
     page.figures(pictures, captions)
     shown = poses.drop(columns=[f"q{a}" for a in "xyzw"])
     page.section("Pictures").table(shown, "Pose of each picture, or why there is none.", digits=5)
-    if facts["strange_marks"]:
-        page.section("Notes").lines(
-            [f"{facts['strange_marks']} marks show points without coordinates: left out"]
-        )
+    if facts["notes"]:
+        page.section("Notes").lines(facts["notes"])
     return page
 
 

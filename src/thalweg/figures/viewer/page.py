@@ -179,7 +179,7 @@ def read_view(path: Path, most_points: int = MOST_POINTS, quantities: Sequence[s
     return View(
         xyz_m=found["xyz_m"],
         frame=header.frame,
-        n_total=header.n_points,
+        n_total=at,
         rgb=rgb if rgb is not None and rgb.any() else None,
         coloured=found["n_views"] > 0 if "n_views" in found else None,
         intensity=found["intensity"] if found.get("intensity", np.zeros(1)).any() else None,

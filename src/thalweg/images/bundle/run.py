@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from thalweg.calibration import LENS_SIGMA
 from thalweg.core import PARAMETERS, ArrayF, ArrayI, Camera, GeometryError, rotation_vector
 from thalweg.images.bundle.adjustment import AdjustedBlock, ControlResult, adjust_block, control_result
 from thalweg.images.bundle.checks import (
@@ -222,12 +223,6 @@ def _surprise(square: ArrayF, degrees: ArrayF, model: Correlation) -> ArrayF:
 _LEAST_CONTROL: Final = 4
 """Control points that must stay when one is made a check point: four can still contradict each other."""
 _MOST_DEMOTED: Final = 3
-_DISTORTION: Final = {"k1": 0.1, "k2": 0.1, "k3": 0.05, "k4": 0.02, "p1": 0.002, "p2": 0.002}
-"""Sigmas of distortion about its start value where it is not to be estimated freely: what lenses have.
-
-Held without a sigma it would bend the others, and their covariance would not tell: with a k3 of -0.018 held
-at zero, k2 came out ten sigmas off.
-"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -364,6 +359,8 @@ def orient_block(
     control, marks, left_out = _usable(control, marks, start if source == "control points" else None)
     check_datum(moved, given, control, antenna, left_out)
     cameras, free, weighted = _interior(moved.cameras, settings, known)
+    # Held without a sigma, distortion that is not estimated freely would bend the rest, and no covariance
+    # would tell: with a k3 of -0.018 held at zero, k2 came out ten sigmas off.
     problem = Problem(
         block=replace(moved, cameras=cameras),
         control=control,
@@ -373,7 +370,7 @@ def orient_block(
         weighted=weighted,
         held=np.zeros((len(block.images if rig is None else rig.exposures), 6), np.bool_),
         square_pixels=settings.square_pixels,
-        prior_sigma={k: v for k, v in _DISTORTION.items() if k not in settings.free_parameters},
+        prior_sigma={k: v for k, v in LENS_SIGMA.items() if k not in settings.free_parameters},
         rig=rig,
     )
     problem, adjusted, result, told = adjust_from_either_start(problem, settings, predictions, progress)
@@ -455,7 +452,7 @@ def _interior(
             mode = "weighted" if own is not None and bool((np.diag(own.cov) > 0).any()) else "free"
         if mode in ("weighted", "fixed") and own is not None:
             camera = replace(own, name=camera.name)
-        sought = {*settings.free_parameters, *_DISTORTION}
+        sought = {*settings.free_parameters, *LENS_SIGMA}
         has = [name for name in PARAMETERS[camera.model] if name in sought]
         if mode == "weighted":
             sigma = dict(zip(camera.parameter_names, np.diag(camera.cov), strict=True))

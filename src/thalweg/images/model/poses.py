@@ -6,7 +6,7 @@ vector in wcs, ``R_true = exp([dtheta]x) R_estimated``. Images that share tie po
 keeps the covariance of each image with the next one, which is what an interpolation between both needs.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -149,8 +149,8 @@ class ImagePoses:
         columns |= {
             f"next_{_PARTS[i]}_{_PARTS[j]}": self.cov_next[:, i, j] for i in range(6) for j in range(6)
         }
-        origin = {"lat_deg": self.frame.lat_deg, "lon_deg": self.frame.lon_deg, "h_ell_m": self.frame.h_ell_m}
-        write_table(path, frame_of(IMAGE_POSES, columns), IMAGE_POSES, {**self.facts, "origin": origin})
+        meta = {**self.facts, "origin": asdict(self.frame)}
+        write_table(path, frame_of(IMAGE_POSES, columns), IMAGE_POSES, meta)
 
     @classmethod
     def read(cls, path: Path) -> Self:

@@ -1,4 +1,4 @@
-from .colmap import colmap as colmap, from_colmap as from_colmap
+from .colmap import colmap as colmap, focal_from_exif as focal_from_exif, from_colmap as from_colmap
 from .features import (
     WIDEST_DEG as WIDEST_DEG,
     extract_features as extract_features,

@@ -1,7 +1,8 @@
 """Point clouds of other makers: LAS/LAZ, PLY and E57, with every lost point counted.
 
 Coordinates stay in the file's own frame, in float64; nothing is shifted or transformed but the poses of
-the scans inside an E57, which belong to the format.
+the scans inside an E57, which belong to the format, units, which become metres, and degrees, which become
+the zone of UTM of their middle.
 
 A LAZ file keeps the table of its chunks at the end, and no library reads one without it. Chunks of
 layered LAZ (point formats 6 to 10) state the sizes of their layers, so a cut file is walked from the
@@ -13,6 +14,7 @@ Binary forms are told from it and refused by name: `pcl_convert_pcd_ascii_binary
 
 import struct
 import tempfile
+from collections import Counter
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -44,7 +46,15 @@ from thalweg.core import (
     whole_chunks,
 )
 from thalweg.core.geometry import ORDERS, PlyElement, read_ply_header
-from thalweg.ingest import IntegrityReport
+from thalweg.core.values import in_metres, onto_map
+from thalweg.ingest import (
+    TIME_SCALES,
+    IntegrityReport,
+    gps_from_scale,
+    tell_time_scale,
+    time_contradiction,
+    time_scale_words,
+)
 
 # ---------------------------------------------------------------- What the cloud readers hand over, and
 # colours to 8 bit
@@ -94,8 +104,13 @@ def eight_bit(rgb: AnyArray, report: IntegrityReport) -> ArrayU8:
 
 
 WEEK_TIMES: Final = "Times are seconds of an unstated GPS week: they are left empty."
+NO_TIMES: Final = "All times are 0: the points have none."
+NO_USE: Final = (WEEK_TIMES, NO_TIMES)
+"""Notes of no use where times do not count."""
 
 _CHUNK_POINTS: Final = 500_000
+_DEGREE_M: Final = 111_195.0
+"""Length of a degree on a sphere as large as the earth."""
 _NAMES: Final[tuple[str, ...]] = ("xyz_m", "intensity", "rgb", "t_gps_s", "t_week_s")
 
 
@@ -109,26 +124,32 @@ def read_las(path: Path, report: IntegrityReport) -> RawCloud:
     header = laz_header(path)
     report.format = f"LAS/LAZ, point format {header.point_format}"
     report.count("points_declared", header.n_points)
-    if header.crs_note:
-        report.note(header.crs_note)
+    for sentence in header.notes:
+        report.note(sentence)
     parts: list[dict[str, AnyArray]] = []
+    marked: Counter[str] = Counter()
     try:
-        _collect(iter_laz(path, _CHUNK_POINTS), parts)
+        _collect(iter_laz(path, _CHUNK_POINTS, marked), parts)
     except InputError as error:
         if not parts:
-            _salvage(path, parts, error)
+            _salvage(path, parts, marked, error)
         report.note(f"The file is cut or damaged: {error.found}.")
     n = sum(len(part["xyz_m"]) for part in parts)
+    for what, lost in marked.items():
+        report.lose(what, lost)
     if not n:
+        words = " and ".join(f"{lost:,} {what.replace('_', ' ')}" for what, lost in marked.items())
         raise InputError(
-            "the cloud has no points",
-            expected="at least one point",
+            f"the cloud has no points but {words}" if words else "the cloud has no points",
+            expected="at least one point" + (" that is meant" if words else ""),
             where=path,
-            cure="Export it again, or name another file",
+            cure="Clear these flags or classes where the points are meant"
+            if words
+            else "Export it again, or name another file",
         )
-    if n < header.n_points:
-        report.lose("points_missing", header.n_points - n)
-        report.note(f"{n:,} of {header.n_points:,} points could be read.")
+    if (there := n + marked.total()) < header.n_points:
+        report.lose("points_missing", header.n_points - there)
+        report.note(f"{there:,} of {header.n_points:,} points could be read.")
     return _raw({name: np.concatenate([p[name] for p in parts]) for name in parts[0]}, header, report)
 
 
@@ -139,20 +160,53 @@ def _collect(chunks: Iterable[dict[str, AnyArray]], parts: list[dict[str, AnyArr
 
 
 def _raw(columns: dict[str, AnyArray], header: LazHeader, report: IntegrityReport) -> RawCloud:
-    if "t_week_s" in columns:
-        report.note(WEEK_TIMES)
+    points = columns["xyz_m"]
+    if header.box_m is not None and not header.format_version:
+        step = 1.5 * np.array(header.scales_m)
+        outside = ((points < header.box_m[0] - step) | (points > header.box_m[1] + step)).any(axis=1)
+        if n := int(np.count_nonzero(outside)):
+            report.note(f"{n:,} points lie outside of the box that the header states; the points count.")
     t = columns["t_gps_s"]
+    if not header.format_version and header.has_time:
+        t = _times(columns["t_gps_s" if header.standard_time else "t_week_s"], header, report)
+    steps = header.scales_m
+    if isinstance(header.frame, CRS) and header.frame.is_geographic:
+        steps = (steps[0] * _DEGREE_M, steps[1] * _DEGREE_M, steps[2])
     return RawCloud(
-        points=columns["xyz_m"],
+        points=points,
         intensity=columns["intensity"].astype(np.float32) if "intensity" in columns else None,
         rgb=eight_bit(columns["rgb"], report) if "rgb" in columns else None,
         t_gps_s=t if np.isfinite(t).any() else None,
         frame=header.frame,
-        step_m=header.scale_m,
+        step_m=max(steps),
     )
 
 
-def _salvage(path: Path, parts: list[dict[str, AnyArray]], error: InputError) -> None:
+def _times(values: ArrayF, header: LazHeader, report: IntegrityReport) -> ArrayF:
+    """Times (n,) by their size, whatever the flag of the header says; NaN where there is none."""
+    t = np.where(values == 0.0, np.nan, values)
+    scale = "adjusted_s" if header.standard_time else "week_s"
+    if not np.isfinite(t).any():
+        report.note(NO_TIMES)
+        return t
+    told = [each for each in tell_time_scale(t) if each != "day_s"]
+    wrong = time_contradiction(t, scale)
+    if wrong or (told and scale not in told):
+        if len(told) != 1:
+            report.note(f"Times are left empty: {wrong or time_scale_words(t, told)}.")
+            return np.full(len(t), np.nan)
+        if told[0] != "week_s":
+            report.note(f"The header states {TIME_SCALES[scale]}, but {wrong or time_scale_words(t, told)}.")
+        scale = told[0]
+    if scale == "week_s":
+        report.note(WEEK_TIMES)
+        return np.full(len(t), np.nan)
+    if n := int(np.count_nonzero(np.isnan(t))):
+        report.lose("times_that_are_zero", n)
+    return gps_from_scale(t, scale)
+
+
+def _salvage(path: Path, parts: list[dict[str, AnyArray]], marked: Counter[str], error: InputError) -> None:
     """Read the whole chunks of a cut layered LAZ; raises the first error again if there are none."""
     layout = laz_layout(path)
     table, end = whole_chunks(path, layout) if layout is not None else ([], 0)
@@ -172,7 +226,7 @@ def _salvage(path: Path, parts: list[dict[str, AnyArray]], error: InputError) ->
             with library_errors(path, "mend the LAZ file"):
                 lazrs.write_chunk_table(out, table, lazrs.LazVlr(layout.laszip))
         try:
-            _collect(iter_laz(mended, _CHUNK_POINTS), parts)
+            _collect(iter_laz(mended, _CHUNK_POINTS, marked), parts)
         except InputError:
             if not parts:
                 raise error from None
@@ -188,6 +242,8 @@ _ANGLES: Final = ("Azimuth", "Elevation")
 _e57_COLOURS: Final = ("colorRed", "colorGreen", "colorBlue")
 _BUFFER_POINTS: Final = 1 << 20
 _PAGE: Final = 1024
+_ROUNDED: Final = 0.05
+"""A rotation whose numbers were rounded has a length that differs from 1 by less."""
 
 
 def read_e57(path: Path, report: IntegrityReport) -> RawCloud:
@@ -210,7 +266,7 @@ def read_e57(path: Path, report: IntegrityReport) -> RawCloud:
     try:
         with library_errors(path, "read the E57 structure", cure):
             n_scans = file.scan_count
-            frame = _crs(file)
+            frame = _crs(file, report)
         for index in range(n_scans):
             part = _scan(file, index, path, report)
             if part is not None:
@@ -252,13 +308,15 @@ def _check_header(path: Path) -> None:
         )
 
 
-def _crs(file: Any) -> CRS | None:
+def _crs(file: Any, report: IntegrityReport) -> CRS | None:
+    """CRS of the file; its coordinates are metres by the standard, whatever unit the text has."""
     if not file.root.isDefined("coordinateMetadata"):
         return None
-    text = str(file.root["coordinateMetadata"].value())
+    text = str(file.root["coordinateMetadata"].value()).strip()
     try:
-        return CRS.from_wkt(text) if text.strip() else None
+        return in_metres(CRS.from_wkt(text)).crs if text else None
     except CRSError:
+        report.note(f"The text on coordinates is no CRS ({text[:60]!r}): the cloud counts as without one.")
         return None
 
 
@@ -267,7 +325,7 @@ def _scan(file: Any, index: int, path: Path, report: IntegrityReport) -> dict[st
         header = file.get_header(index)
         declared = int(header.point_count)
         fields = list(header.point_fields)
-        pose = _pose(header)
+        pose = _pose(header, index, report)
         limits = _colour_limit(header) if set(_e57_COLOURS) <= set(fields) else 255.0
     report.count("points_declared", declared)
     system = next((s for s in (_CARTESIAN, _SPHERICAL) if set(s) <= set(fields)), None)
@@ -293,6 +351,10 @@ def _scan(file: Any, index: int, path: Path, report: IntegrityReport) -> dict[st
         good = data[invalid] == 0
         if lost := int(np.count_nonzero(~good)):
             report.lose("points_marked_invalid", lost)
+    at_scanner = np.all([data[name] == 0.0 for name in system[: 1 if system is _SPHERICAL else 3]], axis=0)
+    if lost := int(np.count_nonzero(at_scanner & good)):
+        report.lose("points_at_the_scanner_itself", lost)
+        good &= ~at_scanner
     xyz = np.stack([data[name] for name in system], axis=-1)[good]
     # the poses are doubles: what counts are the numbers before them
     steps = [_step(header, name, xyz[:, i]) for i, name in enumerate(system) if not name.endswith(_ANGLES)]
@@ -351,11 +413,18 @@ def _step(header: Any, name: str, values: ArrayF) -> float:
     return 0.0
 
 
-def _pose(header: Any) -> tuple[ArrayF, ArrayF] | None:
+def _pose(header: Any, index: int, report: IntegrityReport) -> tuple[ArrayF, ArrayF] | None:
     if not header.has_pose():
         return None
     w, x, y, z = (float(v) for v in header.rotation)
     translation = np.asarray(header.translation, dtype=np.float64)
+    length = float(np.linalg.norm([w, x, y, z]))
+    if not abs(length - 1.0) < _ROUNDED:
+        report.note(
+            f"Scan {index + 1} states the quaternion {w:g}, {x:g}, {y:g}, {z:g}, which is no rotation: its "
+            "points are shifted and not turned."
+        )
+        return np.eye(3), translation
     return Rotation.from_quat([x, y, z, w]).as_matrix(), translation
 
 
@@ -484,6 +553,8 @@ _READERS: Final = {b"LASF": read_las, b"ply": read_ply, b"ASTM-E57": read_e57}
 NO_CRS: Final = "The file states no coordinate reference system."
 _FINE_M: Final = 1.01e-3
 """Steps of a millimetre are usual and are not told."""
+_FAR_FROM_ZERO_M: Final = 1000.0
+"""In a cloud on a map a point at 0, 0, 0 is none."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -492,7 +563,7 @@ class Cloud:
 
     Attributes
     ----------
-    points : (n, 3) float64, m (or the unit of the file's CRS).
+    points : (n, 3) float64, metres: other units and degrees are converted where the file states them.
     intensity : (n,) float32 as stored, or None.
     rgb : (n, 3) uint8, or None; 16-bit and unit-interval colours are brought to 8 bit.
     normals : (n, 3) float32 in the file's frame, or None.
@@ -516,6 +587,11 @@ class Cloud:
         """CRS of the points; the engineering CRS of a local frame; None if the file states none."""
         return local_crs(self.frame) if isinstance(self.frame, LocalFrame) else self.frame
 
+    def sentences(self) -> list[str]:
+        """Losses and notes of the report, as people read them; that there is no CRS is told by callers."""
+        lost = [f"{n:,} {what.replace('_', ' ')}." for what, n in self.report.losses.items()]
+        return lost + [text for text in self.report.notes if text != NO_CRS]
+
 
 def read_cloud(path: Path) -> Cloud:
     """Read a cloud; the format is recognised by content.
@@ -526,8 +602,8 @@ def read_cloud(path: Path) -> Cloud:
 
     Returns
     -------
-    The finite points. Points that are not finite, marked invalid, or missing at the end of a cut file
-    are counted in ``report.losses``.
+    The points that are meant. Points that are not finite, marked as invalid, withheld, synthetic or noise,
+    or missing at the end of a cut file are counted in ``report.losses``.
 
     Raises
     ------
@@ -558,6 +634,11 @@ def _cloud(raw: RawCloud, report: IntegrityReport, path: Path) -> Cloud:
     finite: AnyArray = np.all(np.isfinite(raw.points), axis=1)
     if lost := int(np.count_nonzero(~finite)):
         report.lose("points_not_finite", lost)
+    zero: AnyArray = finite & ~np.any(raw.points, axis=1)
+    if zero.any() and np.linalg.norm(np.median(raw.points[finite], axis=0)) > _FAR_FROM_ZERO_M:
+        report.lose("points_at_zero", int(np.count_nonzero(zero)))
+        finite &= ~zero
+        lost = int(np.count_nonzero(~finite))
     if not finite.any():
         raise InputError(
             f"none of {len(finite):,} points is finite",
@@ -573,12 +654,16 @@ def _cloud(raw: RawCloud, report: IntegrityReport, path: Path) -> Cloud:
         )
 
     def keep(values: AnyArray | None) -> AnyArray | None:
-        """A column without the rows of points that are not finite."""
+        """A column without the rows of points that are none."""
         if values is None:
             return None
         return values if lost == 0 else values[finite]
 
     points = np.ascontiguousarray(raw.points[finite] if lost else raw.points, dtype=np.float64)
+    frame = raw.frame
+    if isinstance(frame, CRS) and (frame.is_geographic or frame.is_geocentric):
+        points, frame, note = onto_map(points, frame)
+        report.note(note)
     report.count("points", len(points))
     t = keep(raw.t_gps_s)
     if t is not None and np.isfinite(t).any():
@@ -592,7 +677,7 @@ def _cloud(raw: RawCloud, report: IntegrityReport, path: Path) -> Cloud:
         rgb=keep(raw.rgb),
         normals=keep(raw.normals),
         t_gps_s=t,
-        frame=raw.frame,
+        frame=frame,
         report=report,
         step_m=raw.step_m,
     )

@@ -10,7 +10,7 @@ from pyproj.exceptions import ProjError
 
 from thalweg.core import AnyArray, ArrayF, Frame, GeometryError, InputError, LazWriter, LocalFrame
 from thalweg.ingest import IntegrityReport
-from thalweg.ingest.clouds.reader import NO_CRS, WEEK_TIMES, Cloud, read_cloud
+from thalweg.ingest.clouds.reader import NO_USE, Cloud, read_cloud
 
 # ---------------------------------------------------------------- A reference that does not lie where the
 # campaign is: where it lies, and what it may be instead
@@ -142,8 +142,7 @@ CHUNK = 1_000_000
 COARSEST_M: Final = 0.01
 """Coordinates in coarser steps are no reference: scanners measure millimetres."""
 
-_UNTOLD: Final = (NO_CRS, WEEK_TIMES)
-"""Said with what is assumed instead, and of no use: a reference has no times."""
+
 _ENOUGH: Final = 1000
 _SAMPLE: Final = 200_000
 
@@ -227,9 +226,8 @@ def gather_reference(files: list[Path], out: Path, frame: LocalFrame, crs: str) 
             total.bytes_read += cloud.report.bytes_read
             for what, n in cloud.report.losses.items():
                 total.lose(what, n)
-                total.note(f"{path.name}: {n:,} {what.replace('_', ' ')}.")
-            for sentence in cloud.report.notes:
-                if sentence not in _UNTOLD:
+            for sentence in cloud.sentences():
+                if sentence not in NO_USE:
                     total.note(f"{path.name}: {sentence}")
             intensity = _sixteen_bit(cloud.intensity, len(points))
             for start in range(0, len(points), CHUNK):

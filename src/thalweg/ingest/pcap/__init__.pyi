@@ -1,6 +1,5 @@
 from .capture import (
     CHUNK_BYTES as CHUNK_BYTES,
-    SNAP_CURE as SNAP_CURE,
     BarePayloads as BarePayloads,
     CaptureTally as CaptureTally,
     PayloadBlock as PayloadBlock,

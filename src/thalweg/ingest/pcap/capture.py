@@ -39,8 +39,7 @@ FOUND: Final = 4
 N_TALLY: Final = 12
 _RECORD, _OTHER_PORT, _OTHER_IP, _IPV6, _NOT_IP, _LINK = 0, 1, 2, 3, 4, 5
 _FRAGMENT, _CUT, _SIZE, _MALFORMED = 6, 7, 8, 9
-_HELD_B, _WHOLE_B = 10, 11
-"""Longest of the cut frames, and what a whole one measures."""
+_CUT_TO, _CUT_FROM = 10, 11  # longest of the cut frames, as captured and as sent: no counts
 COUNT_NAMES: Final = {
     _RECORD: "capture_records",
     _OTHER_PORT: "udp_other_ports",
@@ -103,6 +102,12 @@ def _network_layer(buf: ArrayU8, a: int, b: int, link: int) -> tuple[int, int]:
 
 
 @njit(cache=True, nogil=True)
+def _note_cut(tally: ArrayI, captured_b: int, sent_b: int) -> None:
+    tally[_CUT_TO] = max(tally[_CUT_TO], captured_b)
+    tally[_CUT_FROM] = max(tally[_CUT_FROM], sent_b)
+
+
+@njit(cache=True, nogil=True)
 def _take(
     buf: ArrayU8,
     a: int,
@@ -137,8 +142,11 @@ def _take(
     if version != 4 or header < 20 or o + header > b:
         tally[_MALFORMED] += 1
         return k
+    whole = o + _u16(buf, o + 2)
     if _u16(buf, o + 6) & 0x3FFF:
         tally[_FRAGMENT] += 1
+        if whole > b:
+            _note_cut(tally, b - a, whole - a)
         return k
     if buf[o + 9] != 17:
         tally[_OTHER_IP] += 1
@@ -166,8 +174,7 @@ def _take(
         return k
     if u + 8 + size > b:
         tally[_CUT] += 1
-        tally[_HELD_B] = max(tally[_HELD_B], b - a)
-        tally[_WHOLE_B] = max(tally[_WHOLE_B], u + 8 + size - a)
+        _note_cut(tally, b - a, u + 8 + size - a)
         return k
     out[k, 0] = u + 8
     out[k, 1] = wanted
@@ -441,7 +448,6 @@ PCAP_MAGIC: Final = {
     b"\xa1\xb2\x3c\x4d": (True, 1_000_000_000),
 }
 PCAPNG_MAGIC: Final = b"\x0a\x0d\x0d\x0a"
-SNAP_CURE: Final = "Capture whole packets (tcpdump -s 0)"
 CURE: Final = "Give the log as tcpdump, Wireshark or VeloView wrote it"
 
 
@@ -648,15 +654,7 @@ class BareFormat(RecordFormat):
 # ---------------------------------------------------------------- capture
 
 
-__all__ = [
-    "CHUNK_BYTES",
-    "SNAP_CURE",
-    "BarePayloads",
-    "CaptureTally",
-    "PayloadBlock",
-    "Stream",
-    "read_payloads",
-]
+__all__ = ["CHUNK_BYTES", "BarePayloads", "CaptureTally", "PayloadBlock", "Stream", "read_payloads"]
 
 CHUNK_BYTES: Final = 8 << 20
 """Bytes read at a time."""
@@ -697,8 +695,17 @@ class CaptureTally:
     notes: list[str] = field(default_factory=list)
     foreign_ports: dict[int, int] = field(default_factory=dict)
     """Payloads of the first stream's size that went to other ports: a hint at a wrong port setting."""
-    cut_b: tuple[int, int] = (0, 0)
-    """Bytes that the longest cut frame holds, and those of a whole one."""
+    cut_to_b: int = 0
+    """Longest frame that the capture cut, and in ``cut_from_b`` how long it was; 0 without any."""
+    cut_from_b: int = 0
+
+    def cut_in_words(self) -> str:
+        """That the capture cut packets; empty if it did not."""
+        if not self.cut_to_b:
+            return ""
+        n = self.losses.get(LOSS_NAMES[_CUT], 0)
+        each = "1 packet is" if n == 1 else f"{n} packets are" if n else "parts of packets are"
+        return f"captured with a snap length of {self.cut_to_b} of {self.cut_from_b} bytes: {each} cut"
 
 
 def _format_of(w: Window, path: Path, streams: Sequence[Stream], bare: BarePayloads | None) -> RecordFormat:
@@ -845,15 +852,11 @@ def _blocks(w: Window, sinks: Sinks, rows: int) -> list[PayloadBlock]:
 
 
 def _add_tally(sinks: Sinks, found: CaptureTally) -> None:
-    if sinks.tally[_CUT]:
-        found.cut_b = (int(sinks.tally[_HELD_B]), int(sinks.tally[_WHOLE_B]))
-        found.notes.append(
-            f"{int(sinks.tally[_CUT])} packets hold at most {found.cut_b[0]:,} of {found.cut_b[1]:,} bytes: "
-            f"the capture cut them (snap length). {SNAP_CURE}."
-        )
     for names, target in ((COUNT_NAMES, found.counts), (LOSS_NAMES, found.losses)):
         for index, name in names.items():
             if sinks.tally[index]:
                 target[name] = target.get(name, 0) + int(sinks.tally[index])
+    found.cut_to_b = max(found.cut_to_b, int(sinks.tally[_CUT_TO]))
+    found.cut_from_b = max(found.cut_from_b, int(sinks.tally[_CUT_FROM]))
     for port in np.flatnonzero(sinks.foreign):
         found.foreign_ports[int(port)] = found.foreign_ports.get(int(port), 0) + int(sinks.foreign[port])

@@ -6,7 +6,6 @@ the clock is then one small number, ``t_gps_s = t_device_s + dt`` (P2 3.2), and 
 in it.
 """
 
-import csv
 import datetime as dt
 import math
 import re
@@ -30,7 +29,7 @@ from thalweg.core import (
     table_kind,
     unix_from_gps,
 )
-from thalweg.ingest import IntegrityReport, explain_shift, find_gaps, possible_unix
+from thalweg.ingest import IntegrityReport, explain_shift, find_gaps, possible_unix, read_text_table
 from thalweg.ingest.photos.exif import CivilStamp, ImageHead, civil_second, offset_seconds, read_head
 from thalweg.ingest.photos.files import (
     by_any_name,
@@ -152,25 +151,19 @@ def read_time_table(path: Path) -> dict[str, CivilStamp]:
     ------
     InputError : the table is missing, lacks a column, or holds a time that is none, or a file twice.
     """
-    if not path.is_file():
-        raise InputError("file not found", where=path, expected="a CSV table of times")
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError("the table is no UTF-8 text", where=path, cure="Save it as CSV in UTF-8") from error
-    separator = ";" if text.split("\n", 1)[0].count(";") else ","
-    rows = csv.DictReader(text.splitlines(), delimiter=separator)
-    names = [name.strip() for name in rows.fieldnames or []]
-    rows.fieldnames = names
-    known = [name for name in TIME_COLUMNS if name in names]
-    if "file" not in names or len(known) != 1:
+    table = read_text_table(path)
+    at = {column.name.lower(): k for k, column in enumerate(table.columns)}
+    known = [name for name in TIME_COLUMNS if name in at]
+    if "file" not in at or len(known) != 1:
         raise InputError(
-            f"columns {names}", where=path, expected=f"the columns file and one of {', '.join(TIME_COLUMNS)}"
+            f"columns {table.listed()}",
+            where=path,
+            expected=f"the columns file and one of {', '.join(TIME_COLUMNS)}",
+            cure="Name the columns in the first line",
         )
     out: dict[str, CivilStamp] = {}
-    for row in rows:
-        where = f"{path}:{rows.line_num}"
-        file, value = (row["file"] or "").strip(), (row[known[0]] or "").strip()
+    for file, value, line in zip(table.text(at["file"]), table.text(at[known[0]]), table.line, strict=True):
+        where = f"{path}:{line}"
         if not file:
             raise InputError("a row without file name", where=where, expected="the name of an image")
         if file in out:

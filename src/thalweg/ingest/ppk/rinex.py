@@ -6,6 +6,8 @@ The Receiver Independent Exchange Format", versions 2.11, 3.05 and 4.01 (tables 
 
 import datetime as dt
 import re
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Literal
@@ -23,7 +25,7 @@ from thalweg.core import (
     gps_from_unix,
     utc_text_from_gps,
 )
-from thalweg.ingest import IntegrityReport, doubtful_date, find_gaps
+from thalweg.ingest import IntegrityReport, find_gaps
 
 # ---------------------------------------------------------------- walk through the records of a RINEX file:
 # which are whole, which are damaged or cut
@@ -35,23 +37,23 @@ from thalweg.ingest import IntegrityReport, doubtful_date, find_gaps
 _GPS_EPOCH_DAY: Final = dt.date(1980, 1, 6).toordinal()
 _BDT_TO_GPS_S: Final = 14.0  # BeiDou time started without leap seconds on 2006-01-01, when GPS - UTC was 14
 _NAV_LINES: Final = {"R": 3, "S": 3}  # lines behind the head of a navigation record; all others at least 7
-_SATELLITE: Final = re.compile(r"[GREJCIS][ \d]\d[ \d.+-]*\Z")
-_DATE: Final = re.compile(r"\s*(\d{1,4})" + r"\s+(\d{1,2})" * 4 + r"\s+(\d{1,2}(?:\.\d*)?)\s*")
-_FLAG_2: Final = re.compile(r"  ([0-6 ])([ \d]{2}\d)")
-_FLAG_3: Final = re.compile(r"(?:  ([0-6 ])| ([0-6]) )([ \d]{0,3})")
-"""Flag and number behind the date; RTKCONV 2.4.3 b29 writes one blank before the flag, others no flag."""
-_EVENTS: Final = {
-    2: "starts_of_motion", 3: "new_sites", 4: "header_records", 5: "external_events", 6: "cycle_slip_records",
-}  # fmt: skip
-"""Flags of records that are no epochs."""
+_SATELLITE: Final = re.compile(r"[A-Z ][ \d]\d[ \d.+-]*\Z")
+_REGULAR_2: Final = re.compile(r"( [ \d]\d( [ \d]\d){4}[ \d]{3}\.[ \d]{7}  \d| {28}[2-6])[ \d]{2}\d")
+_REGULAR_3: Final = re.compile(r"> (\d{4}( [ \d]\d){4}[ \d]{3}\.\d{7}  [01]|[ \d.]{27}  [2-6])[ \d]{2}\d")
+_DATE: Final = r"(\d{4}|\d\d?)\s+(\d\d?)\s+(\d\d?)\s+(\d\d?)\s+(\d\d?)\s+(\d\d?(?:[.,]\d*)?)"
+_FLAG_NUMBER: Final = r"\s+([0-6 ])([ \d]{2}\d|\s+\d{1,3})(?!\d)"
+"""Flag (none is 0) and number of records, in their columns or apart by any blanks."""
+_EPOCH_2: Final = re.compile(rf"\s*{_DATE}{_FLAG_NUMBER}|\s{{26,29}}([2-6])([ \d]{{2}}\d)\s*\Z")
+_EPOCH_3: Final = re.compile(rf">\s*{_DATE}{_FLAG_NUMBER}|>\s+([2-6])([ \d]{{2}}\d|\s+\d{{1,3}})\s*\Z")
 _NAV_2: Final = re.compile(r"([ \d]\d)( [ \d]\d){6}\.\d")
 _NAV_3: Final = re.compile(r"([GREJCIS])[ \d]\d \d{4}( [ \d]\d){5}")
 
 
 @dataclass(slots=True)
 class RecordWalk:
-    """Collected while walking through the body."""
+    """Collected while walking through the body; ``offsets`` are the first bytes of the lines."""
 
+    offsets: ArrayI
     days: list[float] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     letters: list[str] = field(default_factory=list)
@@ -59,20 +61,67 @@ class RecordWalk:
     seen: set[str] = field(default_factory=set)
     whole: list[tuple[int, int]] = field(default_factory=list)
     losses: dict[str, int] = field(default_factory=dict)
-    events: dict[str, int] = field(default_factory=dict)
+    first_loss: str = ""
+    """Number and begin of the first damaged line."""
+    events: Counter[int] = field(default_factory=Counter)
+    """Epoch records that are no observations, by their flag."""
+    regular: dict[int, tuple[int, str]] = field(default_factory=dict)
+    """End of an epoch line with odd columns, and how it should read, by its begin."""
 
-    def event(self, flag: int, begin: int, end: int) -> None:
-        """Count a record that is no epoch.
+    def keep(self, start: int, end: int) -> None:
+        """Lines ``start`` to ``end`` (exclusive) are a whole record."""
+        self.whole.append((int(self.offsets[start]), int(self.offsets[end])))
 
-        RTKLIB takes marks of events and cycle slips for observations: they stay out of what is whole.
-        """
-        self.events[_EVENTS[flag]] = self.events.get(_EVENTS[flag], 0) + 1
-        if flag <= 4:
-            self.whole.append((begin, end))
+    def put_right(self, start: int, end: int, text: str) -> None:
+        """Lines ``start`` to ``end`` (exclusive), odd in form, should read ``text``."""
+        self.regular[int(self.offsets[start])] = int(self.offsets[end]), text
 
-    def lose(self, what: str, n: int = 1) -> None:
-        """Count a loss."""
-        self.losses[what] = self.losses.get(what, 0) + n
+    def lose(self, what: str, number: int, line: str) -> None:
+        """Count a loss that begins with line ``number`` (from 0)."""
+        self.losses[what] = self.losses.get(what, 0) + 1
+        self.first_loss = self.first_loss or f"line {number + 1}, {line.rstrip()[:60]!r}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Epoch:
+    """An epoch line: date and time (None where it states none), flag, number of records, and what follows."""
+
+    moment: tuple[int, int, int, int, int, float] | None
+    flag: int
+    count: int
+    tail: str
+
+    def line(self, major: int, names: Sequence[str] = ()) -> str:
+        """The line in the columns of the format; in RINEX 2 with its satellites, 12 a line."""
+        if self.moment is None:
+            date = " " * (27 if major < 3 else 29)
+        else:
+            year, *rest, second = self.moment
+            date = f" {year % 100:02d}" if major < 3 else f" {year}"
+            date += "".join(f" {value:02d}" for value in rest) + f"{second:11.7f} "
+        rows = ["".join(names[k : k + 12]) for k in range(0, len(names), 12)] or [""]
+        listing = ("\n" + " " * 32).join(rows)
+        return f"{'>' if major >= 3 else ''}{date} {self.flag}{self.count:3d}{listing}\n"
+
+
+def _read_epoch(line: str, form: re.Pattern[str]) -> _Epoch | None:
+    """The words of an epoch line, whatever blanks lie between them: RTKLIB reads dates so, too."""
+    match = form.match(line)
+    if match is None:
+        return None
+    year, month, day, hour, minute, second, flag, count, event, event_count = match.groups()
+    tail = line[match.end() :].rstrip()
+    if event is not None:
+        return _Epoch(None, int(event), int(event_count), tail)
+    moment = (
+        int(year) if len(year) == 4 else _year(int(year)),
+        int(month),
+        int(day),
+        int(hour),
+        int(minute),
+        float(second.replace(",", ".")),
+    )
+    return _Epoch(moment, int(flag.strip() or 0), int(count), tail)
 
 
 def _day_second(
@@ -87,19 +136,8 @@ def _day_second(
     return days, hour * 3600.0 + minute * 60.0 + second
 
 
-def _moment(text: str) -> tuple[float, float]:
-    """Days and seconds of the date of an epoch; raises ValueError where it is none."""
-    found = _DATE.fullmatch(text)
-    if found is None:
-        raise ValueError("no date")
-    year, month, day, hour, minute = (int(word) for word in found.groups()[:5])
-    return _day_second(_year(year), month, day, hour, minute, float(found[6]))
-
-
-def _year(year: int) -> int:
-    if year >= 100:
-        return year
-    return year + (1900 if year >= 80 else 2000)  # RINEX 2.11, section 6.5
+def _year(two_digits: int) -> int:
+    return two_digits + (1900 if two_digits >= 80 else 2000)  # RINEX 2.11, section 6.5
 
 
 def gps_times(found: RecordWalk, scale: str) -> ArrayF:
@@ -118,105 +156,120 @@ def gps_times(found: RecordWalk, scale: str) -> ArrayF:
     return np.asarray(t, dtype=np.float64)
 
 
-def walk_observation_3(lines: list[str], body: int, offsets: ArrayI, found: RecordWalk) -> None:
+def walk_observation_3(lines: list[str], body: int, codes: dict[str, list[str]], found: RecordWalk) -> None:
     """Epochs of RINEX 3 and 4: ``>``, date, flag, number, then one line a satellite."""
     i, n = body, len(lines)
     while i < n:
-        line = lines[i]
-        start = i
+        line, start = lines[i], i
         i += 1
         if not line.startswith(">"):
-            found.lose("lines_unplaced")
+            if line.strip():
+                found.lose("lines_unplaced", start, line)
             continue
-        place = _FLAG_3.match(line, 29)
-        flag = int((place[1] or place[2] or "").strip() or 0) if place else -1
-        moment = None
+        epoch = _read_epoch(line, _EPOCH_3)
+        if epoch is None:
+            found.lose("epochs_garbled", start, line)
+            while i < n and not lines[i].startswith(">"):
+                i += 1
+            continue
         records: list[str] = []
-        try:
-            count = int(place[3]) if place else -1
-        except ValueError:
-            count = 0 if flag >= 2 else -1
-        try:
-            if 0 <= flag <= 2 and count > 0:  # RTKLIB reads observations behind flag 2, which has none
-                moment = _moment(line[1:29])
-        except ValueError:
-            count = count if flag == 2 else -1
-        behind = i
-        while behind < n and not lines[behind].startswith(">"):
-            behind += 1
-        if count < 0:
-            found.lose("epochs_garbled")
-            i = behind
-            continue
-        if flag == 2 and moment and not all(map(_SATELLITE.match, lines[i : min(i + count, behind)])):
-            moment = None
-        stop = min(i + count, behind) if count or flag < 2 else behind
-        records = lines[i:stop]
-        i = stop
-        if len(records) < count or (moment and records and _cut_in_value(records[-1], 3)):
-            found.lose("epochs_cut")
-            continue
-        if moment is None:
-            if flag >= 2:
-                found.event(flag, int(offsets[start]), int(offsets[i]))
-            continue
-        if not all(_SATELLITE.match(record.rstrip("\r\n")) for record in records):
-            found.lose("epochs_garbled")
-            continue
-        _keep_epoch(found, moment, [record[0] for record in records], offsets, start, i)
+        while len(records) < epoch.count and i < n and not lines[i].startswith(">"):
+            records.append(lines[i])
+            i += 1
+        observed = epoch.flag <= 1 or (epoch.flag == 2 and records and _are_satellites(records, codes))
+        if len(records) < epoch.count or (observed and records and _cut_in_value(records[-1], 3)):
+            found.lose("epochs_cut", start, line)
+        elif not observed:
+            codes = _event(epoch.flag, records, codes, "", 3, found, start, i)
+        elif not _are_satellites(records, codes):
+            found.lose("epochs_garbled", start, line)
+        else:
+            letters = [record[0] for record in records]
+            if _keep_epoch(found, epoch, letters, start, i, line) and not _REGULAR_3.match(line):
+                found.put_right(start, start + 1, epoch.line(3))
+
+
+def _are_satellites(records: list[str], codes: dict[str, list[str]]) -> bool:
+    """True if each line holds a satellite and numbers, as far as the header tells of columns."""
+    widths = {letter: 3 + 16 * len(names) for letter, names in codes.items()}
+    return all(_SATELLITE.match(record.rstrip()[: widths.get(record[:1])]) for record in records)
 
 
 def walk_observation_2(
-    lines: list[str], body: int, offsets: ArrayI, letter: str, n_codes: int, found: RecordWalk
+    lines: list[str], body: int, letter: str, codes: dict[str, list[str]], found: RecordWalk
 ) -> None:
     """Epochs of RINEX 2: a satellite list of 12 a line, then ceil(codes / 5) lines a satellite."""
     i, n = body, len(lines)
-    per_satellite = max(1, -(-n_codes // 5))
     default = "G" if letter == "M" else letter
     while i < n:
-        line = lines[i].rstrip("\r\n")
-        start = i
+        line, start = lines[i], i
         i += 1
-        if not _opens_epoch_2(line):
-            found.lose("lines_unplaced")
+        epoch = _read_epoch(line, _EPOCH_2)
+        if epoch is None:
+            if line.strip():
+                found.lose("lines_unplaced", start, line)
             continue
-        flag, moment, listing, end = 0, None, 1, n + 1
-        try:
-            flag, count = int(line[28].strip() or 0), int(line[29:32])
-            listing = max(1, -(-count // 12)) if flag in (0, 1, 6) else 1
-            end = start + listing + (count * per_satellite if flag in (0, 1, 6) else count)
-            if flag <= 1:
-                moment = _moment(line[:26])
-        except ValueError:
-            count = -1
-        whole = end <= n and not any(map(_opens_epoch_2, lines[i:end]))
-        if not whole or count < 0 or (end == n and _cut_in_value(lines[-1], 0)):
-            found.lose("epochs_garbled" if count < 0 else "epochs_cut")
-            while i < n and not _opens_epoch_2(lines[i]):
+        per_satellite = max(1, -(-len(next(iter(codes.values()), [])) // 5))
+        satellites = epoch.flag in (0, 1, 6) or (epoch.flag == 2 and epoch.tail != "")
+        listing = max(1, -(-epoch.count // 12)) if satellites else 1
+        end = start + listing + (epoch.count * per_satellite if satellites else epoch.count)
+        whole = end <= n and not any(_EPOCH_2.match(other) for other in lines[i:end])
+        if not whole or (end == n and _cut_in_value(lines[-1], 0)):
+            found.lose("epochs_cut", start, line)
+            while i < n and not _EPOCH_2.match(lines[i]):
                 i += 1
             continue
-        names = "".join(lines[k].rstrip("\r\n").ljust(68)[32:68] for k in range(start, start + listing))
         i = end
-        if moment is None:
-            found.event(flag, int(offsets[start]), int(offsets[end]))
+        if not satellites or epoch.flag == 6:
+            codes = _event(epoch.flag, lines[start + 1 : end], codes, letter, 2, found, start, end)
             continue
-        satellites = [names[3 * k : 3 * k + 3] for k in range(count)]
-        values = "".join(lines[start + listing : end])
-        if not all(re.fullmatch(r"[GRES ][ \d]\d", name) for name in satellites) or not re.fullmatch(
-            r"[ \d.+\-\r\n]*", values
+        lists = [epoch.tail, *(more.rstrip()[32:] for more in lines[start + 1 : start + listing])]
+        parts = [_listed(text) for text in lists]
+        names = [part[k : k + 3] for part in parts for k in range(0, len(part), 3)][: epoch.count]
+        values = "".join(row.rstrip()[:80] for row in lines[start + listing : end])
+        if (
+            len(names) < epoch.count
+            or not all(re.fullmatch(r"[A-Z ][ \d]\d", name) for name in names)
+            or not re.fullmatch(r"[ \d.+\-]*", values)
         ):
-            found.lose("epochs_garbled")
+            found.lose("epochs_garbled", start, line)
             continue
-        letters = [default if name[0] == " " else name[0] for name in satellites]
-        _keep_epoch(found, moment, letters, offsets, start, end)
+        letters = [default if name[0] == " " else name[0] for name in names]
+        odd = not _REGULAR_2.match(line) or any(
+            lines[start + k][32:68].rstrip() != p for k, p in enumerate(parts)
+        )
+        if _keep_epoch(found, epoch, letters, start, end, line) and odd:
+            found.put_right(start, start + listing, epoch.line(2, names))
 
 
-def _opens_epoch_2(line: str) -> bool:
-    """Whether a line of RINEX 2 begins an epoch or an event, which may leave its date blank."""
-    place = _FLAG_2.match(line, 26)
-    if place is None:
-        return False
-    return (place[1] in "23456" and not line[:26].strip()) or _DATE.fullmatch(line[:26]) is not None
+def _listed(text: str) -> str:
+    """Up to 12 satellites of a list; blanks before the first letter are none of it."""
+    return (text.lstrip() if text.lstrip()[:1].isalpha() else text)[:36].rstrip()
+
+
+def _event(
+    flag: int,
+    records: list[str],
+    codes: dict[str, list[str]],
+    letter: str,
+    major: int,
+    found: RecordWalk,
+    start: int,
+    end: int,
+) -> dict[str, list[str]]:
+    """Take a record that is no epoch; the observation codes that hold from there on.
+
+    RTKLIB gets what it reads rightly: a new site (3) and header lines (4). It would take repaired cycle slips
+    (6) and the lines behind a start of motion (2) for observations, and may drop the epoch behind a mark (5).
+    """
+    found.events[flag] += 1
+    if flag not in (3, 4):
+        return codes
+    found.keep(start, end)
+    header: dict[str, list[str]] = {}
+    for record in records:
+        header.setdefault(record[60:].strip(), []).append(record[:60])
+    return codes | _codes(header, letter, major)
 
 
 def _cut_in_value(line: str, shift: int) -> bool:
@@ -226,18 +279,23 @@ def _cut_in_value(line: str, shift: int) -> bool:
 
 
 def _keep_epoch(
-    found: RecordWalk, moment: tuple[float, float], letters: list[str], offsets: ArrayI, start: int, end: int
-) -> None:
-    found.days.append(moment[0])
-    found.seconds.append(moment[1])
+    found: RecordWalk, epoch: _Epoch, letters: list[str], start: int, end: int, line: str
+) -> bool:
+    """Take an epoch; False, and a loss, if its date is none."""
+    try:
+        day, second = _day_second(*(epoch.moment or (0, 0, 0, 0, 0, 0.0)))  # without a date: none that is
+    except ValueError:
+        found.lose("epochs_garbled", start, line)
+        return False
+    found.days.append(day)
+    found.seconds.append(second)
     found.n_sat += len(letters)
-    found.seen |= set(letters)
-    found.whole.append((int(offsets[start]), int(offsets[end])))
+    found.seen |= {"G" if letter == " " else letter for letter in letters}
+    found.keep(start, end)
+    return True
 
 
-def walk_navigation(
-    lines: list[str], body: int, offsets: ArrayI, major: int, letter: str, found: RecordWalk
-) -> None:
+def walk_navigation(lines: list[str], body: int, major: int, letter: str, found: RecordWalk) -> None:
     """Ephemerides: a head line with satellite and reference time, then lines that begin with blanks."""
     head = _NAV_2 if major < 3 else _NAV_3
     i, n = body, len(lines)
@@ -250,9 +308,9 @@ def walk_navigation(
             if line.startswith(">") and not line.startswith("> EPH"):
                 while i < n and not lines[i].startswith(">"):  # RINEX 4: STO, EOP, ION
                     i += 1
-                found.whole.append((int(offsets[start]), int(offsets[i])))
+                found.keep(start, i)
             elif not line.startswith("> EPH"):
-                found.lose("lines_unplaced")
+                found.lose("lines_unplaced", start, line)
             continue
         while i < n and lines[i].startswith("   "):
             i += 1
@@ -264,17 +322,17 @@ def walk_navigation(
             year = _year(numbers[0]) if major < 3 else numbers[0]
             day, second = _day_second(year, numbers[1], numbers[2], numbers[3], numbers[4], numbers[5])
         except (ValueError, IndexError):
-            found.lose("ephemerides_garbled")
+            found.lose("ephemerides_garbled", start, line)
             continue
         needed = _NAV_LINES.get(system, 7)
         if i - start - 1 < needed or (i == n and not lines[-1].endswith("\n") and i - start - 1 == needed):
-            found.lose("ephemerides_cut")
+            found.lose("ephemerides_cut", start, line)
             continue
         begin = start - 1 if major >= 4 and lines[start - 1].startswith("> EPH") else start
         found.days.append(day)
         found.seconds.append(second)
         found.letters.append(system)
-        found.whole.append((int(offsets[begin]), int(offsets[i])))
+        found.keep(begin, i)
 
 
 # ---------------------------------------------------------------- rinex
@@ -297,8 +355,9 @@ class RinexScan:
 
     ``t_gps_s`` are the epochs (observation) or reference times of the ephemerides (navigation), shape (n,),
     ``nav_t_gps_s`` the latter by system. ``whole`` are the byte ranges of the header and of each undamaged
-    record, ``losses`` counts what is damaged or missing, ``events`` the records that are no epochs by their
-    flag.
+    record, ``losses`` counts what is damaged or missing, and ``first_loss`` names the first such line.
+    ``events`` counts the records that are no observations by their flag, and ``regular`` has, by its
+    first byte, the end of each epoch line that does not keep to the columns, and how it should read.
     """
 
     path: Path
@@ -316,7 +375,9 @@ class RinexScan:
     nav_t_gps_s: dict[str, ArrayF]
     whole: list[tuple[int, int]]
     losses: dict[str, int]
-    events: dict[str, int]
+    first_loss: str
+    events: dict[int, int]
+    regular: dict[int, tuple[int, str]]
     bytes_read: int
 
     def text(self, label: str, start: int = 0, stop: int = 60) -> str:
@@ -358,20 +419,20 @@ def scan_rinex(path: Path) -> RinexScan:
             cure="The file is cut or damaged; copy or export it again",
         )
     offsets = np.concatenate([[0], np.cumsum([len(line) for line in lines])]).astype(np.int64)
-    found = RecordWalk(whole=[(0, int(offsets[body]))])
+    found = RecordWalk(offsets)
+    found.keep(0, body)
     codes = _codes(header, letter, int(version[0]))
     if kind == "navigation":
-        walk_navigation(lines, body, offsets, int(version[0]), letter, found)
+        walk_navigation(lines, body, int(version[0]), letter, found)
         scale = ""
     else:
         scale = _text(header, "TIME OF FIRST OBS", 48, 51) or {"R": "GLO", "E": "GAL", "C": "BDT"}.get(
             letter, "GPS"
         )
-        n_codes = len(next(iter(codes.values()), []))
         if int(version[0]) >= 3:
-            walk_observation_3(lines, body, offsets, found)
+            walk_observation_3(lines, body, codes, found)
         else:
-            walk_observation_2(lines, body, offsets, letter, n_codes, found)
+            walk_observation_2(lines, body, letter, codes, found)
     t = gps_times(found, scale)
     letters = np.array(found.letters, dtype="U1")
     systems = found.seen | set(found.letters)
@@ -393,7 +454,9 @@ def scan_rinex(path: Path) -> RinexScan:
         nav_t_gps_s={SYSTEM_OF_LETTER[key]: t[letters == key] for key in sorted(set(found.letters))},
         whole=found.whole,
         losses=found.losses,
-        events=found.events,
+        first_loss=found.first_loss,
+        events=dict(sorted(found.events.items())),
+        regular=found.regular,
         bytes_read=len(data),
     )
 
@@ -427,8 +490,6 @@ def describe_rinex(path: Path) -> IntegrityReport:
     if observation:
         report.count("epochs", scan.t_gps_s.size)
         report.count("satellite records", scan.n_satellite_records)
-        for what, n in scan.events.items():
-            report.count(what, n)
         report.gaps = find_gaps(scan.t_gps_s)
         if scan.interval_s:
             report.rates_hz["epochs"] = 1.0 / scan.interval_s
@@ -441,8 +502,6 @@ def describe_rinex(path: Path) -> IntegrityReport:
             "time_system": scan.time_system,
             "codes": {key: " ".join(value) for key, value in scan.codes.items()},
         }
-        if doubt := doubtful_date(scan.t_gps_s):
-            report.note(doubt)
         if np.any(np.diff(scan.t_gps_s) <= 0):
             report.note("The epochs are not in order of time.")
         if scan.approx_ecef_m is None or not np.any(scan.approx_ecef_m):
@@ -453,19 +512,48 @@ def describe_rinex(path: Path) -> IntegrityReport:
             span = f"{utc_text_from_gps(float(t.min()), 0)} .. {utc_text_from_gps(float(t.max()), 0)}"
             details[name] = f"{t.size} ephemerides, reference times {span}"
     report.details = {key: value for key, value in details.items() if value not in ("", None, {})}
-    if not scan.t_gps_s.size and not any(scan.losses.values()):
-        report.note("The file holds a header only.")
-    if any(scan.losses.values()):
+    for flag, n in scan.events.items():
+        report.count(_EVENTS[flag][0], n)
+        if _EVENTS[flag][1]:
+            report.note(_EVENTS[flag][1])
+    if scan.regular:
         report.note(
-            "Records are damaged or cut: " + ", ".join(f"{k} {v}" for k, v in scan.losses.items()) + "."
+            f"{len(scan.regular)} epoch lines do not keep to the columns of RINEX: read by their words."
         )
+    if any(scan.losses.values()):
+        report.note(f"Records are damaged or cut: {losses_in_words(scan)}.")
+    elif not scan.t_gps_s.size:
+        report.note("The file holds a header only.")
     return report
 
 
+_EVENTS: Final = {
+    2: ("starts of motion (flag 2)", ""),
+    3: ("new sites (flag 3)", "The antenna was set up anew within the file (flag 3)."),
+    4: ("header records (flag 4)", ""),
+    5: ("external events (flag 5)", ""),
+    6: (
+        "repaired cycle slips (flag 6)",
+        "Records of repaired cycle slips (flag 6) are no observations and are left out.",
+    ),
+}
+
+
+def losses_in_words(scan: RinexScan) -> str:
+    """What is damaged, how often, and the first line of it."""
+    return ", ".join(f"{what} {n}" for what, n in scan.losses.items()) + f" (first: {scan.first_loss})"
+
+
 def whole_records(scan: RinexScan, data: bytes) -> bytes:
-    """The header and the undamaged records of a scanned file, each ending with a line feed."""
-    parts = [data[a:b] for a, b in scan.whole]
-    return b"".join(part if part.endswith(b"\n") else part + b"\n" for part in parts)
+    """Header and undamaged records of a scanned file, epoch lines in their columns, each with a line feed."""
+    parts = []
+    for a, b in scan.whole:
+        part = data[a:b]
+        if a in scan.regular:
+            end, line = scan.regular[a]
+            part = line.encode() + data[end:b]
+        parts.append(part if part.endswith(b"\n") else part + b"\n")
+    return b"".join(parts)
 
 
 def _check_container(path: Path, data: bytes) -> None:

@@ -27,7 +27,7 @@ from thalweg.core import ArrayF, ConfigError, InputError, rotation_ecef_enu, utc
 from thalweg.ingest import IntegrityReport, find_gaps
 from thalweg.ingest.ppk import worker as ppk_worker
 from thalweg.ingest.ppk.options import AUTO_SYSTEMS, PpkOptions, ecef_fault, engine_settings
-from thalweg.ingest.ppk.rinex import RinexScan, rinex_kind, scan_rinex, whole_records
+from thalweg.ingest.ppk.rinex import RinexScan, losses_in_words, rinex_kind, scan_rinex, whole_records
 from thalweg.ingest.ppk.trust import read_solution, replace_covariances, trust_fixes
 from thalweg.ingest.sbp import find_messages
 
@@ -344,8 +344,8 @@ def prepare_inputs(
         run_worker(tasks, folder, where=str(rover[0]), time_limit_s=time_limit_s)
 
     where_base = rover[0] if base is None else base[0]
-    out.rover = _scan_all(folder, "rover_*.obs", rover[0], out.losses)
-    out.base = _scan_all(folder, "base_*.obs", where_base, out.losses)
+    out.rover = _scan_all(folder, "rover", rover[0], out.notes)
+    out.base = _scan_all(folder, "base", where_base, out.notes)
     nav_files = sorted(folder.glob("nav_*.nav"))
     nav_files += [p for p in sorted(folder.glob("*_sbp.nav")) if p.stat().st_size]
     out.nav = [scan for scan in map(scan_rinex, nav_files) if scan.t_gps_s.size]
@@ -534,24 +534,21 @@ def _copy_rinex(files: Sequence[Path], folder: Path, role: str, suffix: str, out
             key = f"{role} {what}"
             out.losses[key] = out.losses.get(key, 0) + n
         if scan.losses:
-            text = ", ".join(f"{key} {n}" for key, n in scan.losses.items())
+            text = losses_in_words(scan)
             out.notes.append(f"{role}: damaged or cut records were left out of {Path(file).name}: {text}.")
-        if scan.losses or scan.events:
-            data = whole_records(scan, data)
-        (folder / f"{role}_{index:03d}.{suffix}").write_bytes(data)
+        (folder / f"{role}_{index:03d}.{suffix}").write_bytes(whole_records(scan, data))
 
 
-def _scan_all(folder: Path, pattern: str, where: Path, losses: Mapping[str, int]) -> list[RinexScan]:
-    scans = [scan_rinex(path) for path in sorted(folder.glob(pattern)) if path.stat().st_size]
+def _scan_all(folder: Path, role: str, where: Path, notes: Sequence[str]) -> list[RinexScan]:
+    scans = [scan_rinex(path) for path in sorted(folder.glob(f"{role}_*.obs")) if path.stat().st_size]
     if not sum(scan.t_gps_s.size for scan in scans):
-        role = pattern.split("_")[0]
-        left = ", ".join(f"{what} {n}" for what, n in losses.items() if what.startswith(role) and n)
+        damage = [note for note in notes if note.startswith(f"{role}: damaged or cut")]
         raise InputError(
-            f"no epoch with observations of the {role}" + (f" (left out: {left})" if left else ""),
+            "; ".join([f"no epoch with observations of the {role}", *(note.rstrip(".") for note in damage)]),
             expected="at least one epoch",
             where=where,
-            cure="Copy or export the file again"
-            if left
+            cure="Look at the line that is named and export the file again"
+            if damage
             else "The file is cut or was logged without satellites",
         )
     return [scan for scan in scans if scan.t_gps_s.size]

@@ -19,6 +19,7 @@ from .lidar import lidar_reader as lidar_reader
 from .poses import read_poses as read_poses
 from .positions import (
     choose_tracks as choose_tracks,
+    read_depths as read_depths,
     read_positions as read_positions,
     read_receiver as read_receiver,
 )

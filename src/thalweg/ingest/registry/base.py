@@ -7,10 +7,18 @@ from typing import Any, Final
 
 import pandas as pd
 
-from thalweg.core import AnyArray, ArrayF32, InputError
-from thalweg.ingest import CloudReader, IntegrityReport, LidarOptions, LidarReader, PoseReader, PositionReader
+from thalweg.core import AnyArray, ArrayF32
+from thalweg.ingest import (
+    HEAD_BYTES as HEAD_BYTES,
+    CloudReader,
+    IntegrityReport,
+    LidarOptions,
+    LidarReader,
+    PoseReader,
+    PositionReader,
+    read_head as read_head,
+)
 
-HEAD_BYTES: Final = 65_536
 SURE: Final = 1.0
 """What `Format.matches` gives for content that is of no other format."""
 
@@ -85,32 +93,3 @@ def framed_share(length: AnyArray, frame_bytes: int, head: bytes) -> float:
     share = (int(length.sum()) + frame_bytes * length.size) / len(head)
     # a tenth: real logs begin with garbage, and a chance CRC match covers a few bytes of 65,536 only
     return min(share, 0.99 * SURE) if share > 0.1 else 0.0
-
-
-def read_head(path: Path) -> bytes:
-    """First `HEAD_BYTES` of a file.
-
-    Raises
-    ------
-    InputError : the file is missing, empty, a folder, or cannot be read.
-    """
-    if not path.exists():
-        raise InputError("file not found", where=path, cure="Check the path")
-    if path.is_dir():
-        raise InputError("this is a folder", where=path, expected="a file")
-    if not path.is_file():
-        raise InputError("this is a pipe or a device", where=path, expected="a file")
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(HEAD_BYTES)
-    except OSError as error:
-        raise InputError(
-            f"the file cannot be read: {error.strerror}",
-            where=path,
-            cure="Check its permissions and the disk",
-        ) from error
-    if not head:
-        raise InputError(
-            "the file is empty", where=path, expected="a raw log", cure="Check the logger and copy"
-        )
-    return head

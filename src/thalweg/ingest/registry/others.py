@@ -12,7 +12,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from thalweg.core import read_metashape
+from thalweg.core import InputError, read_dsm, read_metashape
+from thalweg.ingest import VECTOR_FORMATS, describe_layers, vector_format
 from thalweg.ingest.registry.base import Format, Recording
 from thalweg.ingest.registry.calibrations import CalibrationReport, camera_lines, is_text
 
@@ -95,6 +96,33 @@ def _is_xyz(head: bytes, size: int) -> bool:
     return is_text(head) and _XYZ.match(head) is not None and b"image" not in _cells(head)
 
 
+def _is_drawn(kind: str) -> Callable[[bytes, int], bool]:
+    """Vectors of this format; of JSON only what has coordinates."""
+
+    def matches(head: bytes, size: int) -> bool:
+        if vector_format(head) != kind:
+            return False
+        return kind != "geojson" or (is_text(head) and b'"type"' in head and b'"coordinates"' in head)
+
+    return matches
+
+
+def _is_part_of_shapefile(head: bytes, size: int) -> bool:
+    """Its index, its coordinate system (ESRI WKT), its encoding, or its table (dBASE III)."""
+    if head.startswith(b"\0\0\x27\x0a") or re.match(rb"(PROJ|GEOG|COMPD|LOCAL)(CS|_CS)\[", head):
+        return True
+    if head.strip().upper() in {b"UTF-8", b"ISO-8859-1", b"ANSI 1252", b"1252", b"LDID/87"}:
+        return True
+    if len(head) < 33 or head[0] != 3 or not (0 < head[2] <= 12 and 0 < head[3] <= 31):
+        return False
+    n, begins, row = struct.unpack_from("<IHH", head, 4)
+    return begins % 32 == 1 and abs(begins + n * row - size) <= 1
+
+
+_DRAWN: Final = (
+    "banks, islands, a centre line or soundings: `thalweg bed`, `thalweg plan-survey`, logs.bank_lines, "
+    "logs.centre_line; areas left out: epochs.leave_out"
+)
 _CONVERT: Final = (
     "export its topics with the tool of the recorder (rosbag, ros2 bag, mcap): Thalweg reads the raw captures"
 )
@@ -176,17 +204,21 @@ _ROWS: Final[Sequence[tuple[str, str, tuple[bytes, ...], Callable[[bytes, int], 
         _is_xyz,
         "`thalweg bed` for soundings, `thalweg compare` for clouds",
     ),
+    *(
+        (kind, f"points, lines or areas ({name})", (), _is_drawn(kind), _DRAWN)
+        for kind, name in VECTOR_FORMATS.items()
+    ),
     (
-        "geojson",
-        "lines or polygons (GeoJSON)",
+        "shapefile_part",
+        "part of a Shapefile (.shx, .dbf, .prj, .cpg)",
         (),
-        _has(b'"type"', b'"coordinates"'),
-        "logs.bank_lines, `thalweg bed --banks`, `thalweg plan-survey`",
+        _is_part_of_shapefile,
+        "keep it beside the .shp of the same name",
     ),
     ("pcd", "PCD cloud", (b"# .PCD", b"VERSION .7", b"VERSION 0.7"), None, "logs.board_scans"),
     ("rosbag", "ROS bag", (b"#ROSBAG V2.0",), None, _CONVERT),
     ("mcap", "MCAP recording", (b"\x89MCAP0\r\n",), None, _CONVERT),
-    ("sqlite", "SQLite database (ROS 2 bag, GeoPackage, COLMAP)", (b"SQLite format 3\x00",), None, _CONVERT),
+    ("sqlite", "SQLite database (ROS 2 bag, COLMAP)", (b"SQLite format 3\x00",), None, _CONVERT),
     (
         "video",
         "video (MP4, MOV)",
@@ -194,7 +226,6 @@ _ROWS: Final[Sequence[tuple[str, str, tuple[bytes, ...], Callable[[bytes, int], 
         lambda head, size: head[4:8] == b"ftyp",
         "`thalweg frames` makes photographs of it with a table of their times",
     ),
-    ("kml", "places (KML)", (), _has(b"<kml"), "for maps; no log"),
 )
 """Kind, words for people, first bytes, what the content must be, and what it is good for."""
 _USES: Final = {kind: use for kind, _, _, _, use in _ROWS}
@@ -206,10 +237,30 @@ def _describe(kind: str, files: list[Path], options: dict[str, Any], points: boo
     report.bytes_read = files[0].stat().st_size
     if kind == "geotiff":
         report.details |= _raster(files[0])
+        try:
+            for sentence in read_dsm(files[0]).notes:
+                report.note(sentence.removeprefix(f"{files[0].name}: "))
+        except InputError as error:  # a photograph on the map has no heights
+            report.note(f"No heights: {error.found}.")
     if kind == "metashape_lens":
         report.details["camera"] = camera_lines(read_metashape(files[0]))
+    if kind in VECTOR_FORMATS:
+        report.details |= _drawn(files[0], report)
     report.details["use"] = _USES[kind]
     return Recording(kind=kind, report=report)
+
+
+def _drawn(path: Path, report: CalibrationReport) -> dict[str, str]:
+    """A line for each layer of a file of vectors."""
+    try:
+        layers = describe_layers(path)
+    except InputError as error:
+        report.note(str(error))
+        return {}
+    return {
+        f"layer {of['name']}": f"{of['n']:,} {of['geometry']}, coordinate system: {of['crs']}"
+        for of in layers
+    }
 
 
 def _raster(path: Path) -> dict[str, str]:

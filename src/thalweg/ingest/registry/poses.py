@@ -9,17 +9,18 @@ from typing import Any, Final
 
 import numpy as np
 
-from thalweg.core import InputError, gps_from_week
-from thalweg.ingest import PoseLog, TrackOptions
+from thalweg.core import WEEK_S, InputError, gps_from_week
+from thalweg.ingest import PoseLog, TrackOptions, doubtful_date
 from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share, read_head
 from thalweg.ingest.registry.calibrations import CalibrationReport
 
-_ANY_WEEK = 2000
-"""Stands in for the week of an SBET that is only described; taken off again."""
+_NO_WEEK = 1
+"""Stands in for the week of a file that is only described, before any survey; taken off again."""
 _SBET_RECORD = 136
 _SMRMSG_RECORD = 80
 _ROUGH: Final = (100.0, 100.0, 1200.0)
 """Standard deviations that an SMRMSG stays below: metres, metres a second, arc minutes."""
+_MOST_UPSIDE_DOWN = 0.5
 _BY_VALUES = 0.05
 """Sureness of content that is told by plausible numbers alone."""
 
@@ -36,7 +37,7 @@ def read_poses(files: Sequence[Path], source: str | None, options: TrackOptions 
 
     Raises
     ------
-    InputError : of the reader.
+    InputError : of the reader, or the body is upside down throughout and nobody states that it is.
     """
     rows = [row for row in POSES if row.poses is not None and (source is None or source in row.streams)]
     known = rows[-1]
@@ -55,19 +56,27 @@ def read_poses(files: Sequence[Path], source: str | None, options: TrackOptions 
     if source == "ins":  # whose trajectory takes standard deviations from the campaign
         options = replace(options, sigma_position_m=np.nan, sigma_attitude_deg=np.nan)
     log = known.poses(files, options)
-    over = np.abs(log.states["roll_rad"].to_numpy(dtype=np.float64)) > np.pi / 2
-    if over.mean() > 0.5 and not options.upside_down:
-        words = f"the body is upside down (roll beyond 90 degrees) in {over.mean():.0%} of the poses"
-        if source is None:
-            raise InputError(
-                words,
-                expected="a boat: x forward, y right, z down",
-                where=", ".join(map(str, files)),
-                cure="Check the order of the quaternion (a header such as `# timestamp tx ty tz qw qx qy qz` "
-                "tells it) and the axes of the body (--body-axes); if it did hang so, add --upside-down",
-            )
-        log.report.note(f"{words[0].upper()}{words[1:]}: check its axes, or how the INS is mounted.")
+    if doubt := doubtful_date(log.states["t_gps_s"]):
+        log.report.note(doubt)
+    if not options.upside_down:
+        _refuse_upside_down(log, files[0])
     return log
+
+
+def _refuse_upside_down(log: PoseLog, where: Path) -> None:
+    """A boat floats upright: a wrong order of the quaternion or wrong axes of the body turn it over."""
+    roll = log.states["roll_rad"].dropna().to_numpy()
+    over = np.cos(roll) < 0.0
+    if len(roll) and over.mean() > _MOST_UPSIDE_DOWN:
+        angle = np.rad2deg(np.median(np.abs(roll[over])))
+        raise InputError(
+            f"the body is upside down in {over.mean():.0%} of {len(roll):,} poses (roll about {angle:.0f} "
+            "deg)",
+            expected="a boat that floats upright",
+            where=where,
+            cure="Check the order of the quaternion (w first or last) and the axes of the body (body_axes); "
+            "if the INS is mounted so, set ins.upside_down: true (thalweg georeference: --upside-down)",
+        )
 
 
 def _anpp(files: Sequence[Path], options: TrackOptions) -> PoseLog:
@@ -114,31 +123,23 @@ def _describe_poses(kind: str, files: list[Path], options: dict[str, Any], point
 def _describe_inertial_explorer(
     kind: str, files: list[Path], options: dict[str, Any], points: bool
 ) -> Recording:
-    """Nothing is asked: what the file does not state is left empty, and a note says so."""
-    stated = TrackOptions(**({"sigma_position_m": np.nan, "sigma_attitude_deg": np.nan} | options))
-    try:
-        log = _inertial_explorer(files, stated)
-    except InputError as error:
-        if stated.gps_week is not None or "Week" not in error.found:
-            raise
-        log = _inertial_explorer(files, replace(stated, gps_week=_ANY_WEEK))
-        _take_week_off(log, "The file")
-    for axis, words in (("sigma_east_m", "positions"), ("sigma_roll_rad", "attitudes")):
-        if log.states[axis].isna().all():
-            log.report.note(
-                f"The file states no standard deviations of {words}: they are asked for where needed."
-            )
+    log = _inertial_explorer(files, TrackOptions(**({"gps_week": _NO_WEEK} | options)))
+    _take_week_off(log, "neither week nor date")
     return Recording(kind=kind, report=log.report, tables={"states": log.states})
 
 
-def _take_week_off(log: PoseLog, what: str) -> None:
-    """Stamps as they stand in a file that is only described, and no GPS time."""
-    t0 = float(gps_from_week(_ANY_WEEK, 0.0))
-    report = log.report
+def _take_week_off(log: PoseLog, lacking: str) -> None:
+    """Stamps as they stand in a file that is only described and tells no week, and no GPS time."""
+    report, t0 = log.report, float(gps_from_week(_NO_WEEK, 0.0))
+    if report.t_first_s is None or report.t_last_s is None or report.t_first_s > t0 + 2 * WEEK_S:
+        if doubt := doubtful_date(log.states["t_gps_s"]):
+            report.note(doubt)
+        return
     report.synchronised = False
-    report.t_first_s = None if report.t_first_s is None else report.t_first_s - t0
-    report.t_last_s = None if report.t_last_s is None else report.t_last_s - t0
-    report.note(f"{what} holds seconds of the week only: its GPS week (logs.gps_week) places it.")
+    report.t_first_s, report.t_last_s = report.t_first_s - t0, report.t_last_s - t0
+    report.note(
+        f"The file holds {lacking}, only seconds of the week: give its GPS week (logs.gps_week) to place it."
+    )
     log.states["t_gps_s"] = np.nan
 
 
@@ -150,31 +151,31 @@ def _is_inertial_explorer(head: bytes, size: int) -> bool:
 
 def _is_table(kind: str, head: bytes, size: int) -> bool:
     """True if the first lines hold nothing but the numbers of the format, with a rotation among them."""
-    from thalweg.ingest.tracks import decimal_points, named_order
-
-    lines = [line for line in head.splitlines()[:20] if line.strip()]
-    if size > len(head) and len(lines) > 1:
-        lines = lines[:-1]
-    named = [order for line in lines if (order := named_order(line.decode("ascii", "replace")))]
-    if named and not lines[0].startswith(b"#"):
-        lines = lines[1:]
-    texts = [decimal_points(line.decode("ascii", "replace")) for line in lines if not line.startswith(b"#")]
+    lines = [line.strip(b", \t\r") for line in head.removeprefix(b"\xef\xbb\xbf").splitlines()[:30]]
+    lines = [line for line in lines if line]
+    first = next((k for k, line in enumerate(lines) if re.match(rb"[-+.\d]", line)), len(lines))
+    heads = [line.decode("utf-8", "replace") for line in lines[:first]]
+    lines = lines[first : -1 if size > len(head) and len(lines) > first + 1 else None]
     try:
-        rows = [[float(cell) for cell in re.split(r"[,;\s]+", text.strip(",; \t\r"))] for text in texts[:10]]
+        rows = [[float(cell) for cell in re.split(rb"[,\s]+", line)] for line in lines[:10]]
     except ValueError:
         return False
     if not rows or len({len(row) for row in rows}) > 1:
         return False
-    n, commas = len(rows[0]), "," in texts[0]
+    n, commas = len(rows[0]), b"," in lines[0]
     if kind == "kitti":
         return n == 12 and not commas and all(_is_unit(row[k : k + 3]) for row in rows for k in (0, 4, 8))
-    if n < 8 or (named and max(named[0]) >= n):
+    if n < 8:
         return False
-    q = named[0][4:] if named else range(4, 8)
-    if not all(_is_unit([row[k] for k in q]) for row in rows):
-        return False
-    nanoseconds = commas and all(row[0] > 1e12 for row in rows)
-    return nanoseconds if kind == "euroc" else n == 8 and (not commas or bool(named)) and not nanoseconds
+    from thalweg.ingest.tracks import pose_columns
+
+    at = pose_columns(kind, heads, n)
+    unit = all(_is_unit([row[at[name]] for name in ("qw", "qx", "qy", "qz")]) for row in rows)
+    in_ns = all(row[at["t"]] > 1e12 for row in rows)
+    if kind == "tum":
+        named = at == pose_columns("euroc", heads, n)  # only lines above the numbers make both alike
+        return unit and (not commas or not in_ns) and (named or (n == 8 and not commas))
+    return unit and in_ns and commas
 
 
 def _is_unit(values: Sequence[float]) -> bool:
@@ -188,10 +189,8 @@ def _describe_anpp(kind: str, files: list[Path], options: dict[str, Any], points
 
 
 def _describe_sbet(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
-    week = options.get("gps_week")
-    log = _sbet(files, TrackOptions(gps_week=_ANY_WEEK if week is None else week))
-    if week is None:
-        _take_week_off(log, "An SBET")
+    log = _sbet(files, TrackOptions(**({"gps_week": _NO_WEEK} | options)))
+    _take_week_off(log, "no week")
     return Recording(kind=kind, report=log.report, tables={"states": log.states})
 
 

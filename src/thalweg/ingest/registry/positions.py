@@ -60,6 +60,34 @@ def read_receiver(files: list[Path]) -> tuple[pd.DataFrame, IntegrityReport]:
     return GNSS_POSITION.empty_table().to_pandas(), report
 
 
+def read_depths(files: list[Path], date: dt.date | None = None) -> PositionLog:
+    """Soundings of an NMEA log, or those in the extensions of a GPX track.
+
+    Parameters
+    ----------
+    files : parts of one recording in the order of time.
+    date : UTC date of the first sentence of NMEA without dates.
+
+    Raises
+    ------
+    InputError : the files hold no depths.
+    """
+    if _kind(files[0]) != "gpx":
+        from thalweg.ingest.nmea import read_nmea
+
+        found = read_nmea(files, date=date).with_depths()
+        return PositionLog(report=found.report, depths=found.depths)
+    log = _gpx(files, TrackOptions())
+    if log.depths is None:
+        raise InputError(
+            "no depths in the extensions of the track points",
+            expected="an element depth or water_depth",
+            where=files[0],
+            cure="Give an NMEA log in logs.depth, or a table of soundings to `thalweg bed`",
+        )
+    return log
+
+
 def read_positions(
     source: str,
     logs: list[Path],
@@ -284,7 +312,7 @@ POSITIONS: Final = (
     Format(
         kind="gpx",
         words="track (GPX)",
-        streams=("pos",),
+        streams=("pos", "depth"),
         matches=lambda head, size: b"<gpx" in head,
         positions=_gpx,
         describe=_describe,

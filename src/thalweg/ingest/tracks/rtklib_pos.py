@@ -121,19 +121,6 @@ def layout_from_header(header_lines: list[str], first_fields: list[str]) -> Layo
     return _guess(first_fields, calendar, geodetic)
 
 
-def decimal_points(line: str) -> str:
-    """A line of numbers with decimal commas between blanks or semicolons, with points.
-
-    Examples
-    --------
-    >>> decimal_points("0,5 51,25 13"), decimal_points("0.5, 51.25"), decimal_points("1,2,3")
-    ('0.5 51.25 13', '0.5, 51.25', '1,2,3')
-    """
-    words = line.split() if ";" not in line else line.split(";")
-    commas = "." not in line and len(words) > 1 and any(re.search(r"\d,\d", word) for word in words)
-    return line.replace(",", ".") if commas and all(word.count(",") <= 1 for word in words) else line
-
-
 def names_columns(line: str) -> bool:
     """Whether a header line without its ``%`` names the columns."""
     bare = _bare_names(line)
@@ -246,6 +233,8 @@ def read_pos(files: Sequence[Path], ref_ecef_m: ArrayLike | None = None) -> PosL
     header: dict[str, list[str]] = {}
     tables = [_read_one(path, ref_ecef_m, report, header) for path in files]
     marks = event_marks(files, tables)
+    if len(marks) == len(files):  # nothing else was asked for
+        marks = {}
     for path, n in marks.items():
         report.lose("event_marks", n)
         report.note(
@@ -275,11 +264,11 @@ def read_pos(files: Sequence[Path], ref_ecef_m: ArrayLike | None = None) -> PosL
     report.gaps = find_gaps(t)
     report.timing.describe_stamps(t)
     report.timing.unsynchronised_s = 0.0
-    if doubt := doubtful_date(t):
-        report.note(doubt)
     if np.any(step > 0):
         report.rates_hz = {"positions": 1.0 / float(np.median(step[step > 0]))}
     report.count("positions", len(positions))
+    if doubt := doubtful_date(t):
+        report.note(doubt)
     for fix, n in positions["fix"].value_counts().items():
         report.count(f"fix_{fix}", int(n))
     return PosLog(positions=positions, report=report, header=header)
@@ -326,7 +315,7 @@ def _read_one(
         rows: list[list[float]] = []
         first = 0
         for number, line in numbered:
-            fields = [f for f in SEPARATORS.split(decimal_points(line).strip()) if f]
+            fields = [f for f in SEPARATORS.split(line.strip()) if f]
             if layout is None and len(fields) >= 5:
                 layout = layout_from_header([h[1:] for h in heads], fields)
             row = _row(fields, layout) if layout is not None else None
@@ -347,7 +336,7 @@ def _read_one(
             f"none of {len(lines)} lines is a position ({first_bad or 'only a header'})",
             expected="lines of time, three coordinates, Q, ns, standard deviations, age, ratio",
             where=path,
-            cure=cure,
+            cure=_cure_of_line(lines[bad[0] - 1]) or cure if bad else cure,
         )
     if bad:
         report.lose("damaged_lines", len(bad))
@@ -409,12 +398,12 @@ def event_marks(files: Sequence[Path], tables: Sequence[pd.DataFrame]) -> dict[P
     ----------
     files : with the positions of each in ``tables``, of kind ``gnss_position``.
     """
-    tracks = [table for path, table in zip(files, tables, strict=True) if not _named_events(path)]
+    pairs = list(zip(files, tables, strict=True))
+    tracks = [table for path, table in pairs if not _named_events(path)]
     return {
         path: len(table)
-        for path, table in zip(files, tables, strict=True)
-        if (_named_events(path) and tracks)
-        or any(_lies_on(table, track) for track in tracks if track is not table)
+        for path, table in pairs
+        if _named_events(path) or any(_lies_on(table, track) for track in tracks if track is not table)
     }
 
 
@@ -445,6 +434,16 @@ def _note_resolution(text: str, report: IntegrityReport) -> None:
     """The unit of the stamps of a file, from the decimals of its first; the coarsest of all files counts."""
     unit_s = 10.0 ** -len(text.partition(".")[2])
     report.timing.resolution_s = max(unit_s, report.timing.resolution_s or 0.0)
+
+
+def _cure_of_line(line: str) -> str:
+    """What to do about a line that is nearly a position; empty where nothing is known."""
+    words = line.split()
+    if sum(re.fullmatch(r"-?\d+,\d+", word) is not None for word in words) >= 3:
+        return "Its numbers have decimal commas: write points, as RTKLIB does (sed 's/,/./g')"
+    if len(words) >= 5 and re.fullmatch(r"\d{5,6}(\.\d*)?|\d{1,4}\.\d*", words[0]):  # a week has four digits
+        return "It begins with seconds of a week without their week: solve with out-timeform=tow or hms"
+    return ""
 
 
 def _row(fields: list[str], layout: Layout) -> list[float] | None:

@@ -39,11 +39,14 @@ from thalweg.core import (
 from thalweg.ingest import (
     INS_STATE,
     NAVIGATION_INITIALISED,
+    TIME_SCALES,
     IntegrityReport,
-    doubtful_date,
     find_gaps,
+    gps_from_scale,
     repeated_rows,
     say_repeated,
+    tell_time_scale,
+    time_scale_words,
 )
 
 _FIELDS: Final = 17
@@ -53,6 +56,8 @@ _EARTH_M: Final = 6_378_137.0
 # Below this speed the steps of the positions are too noisy to tell one velocity convention from another.
 _TELLING_SPEED_MPS: Final = 0.5
 _MAX_WEEK: Final = 10_000
+_LAST_TIME_S: Final = 3e9
+"""More than any count of seconds that has a date."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -71,7 +76,8 @@ def read_sbet(
     Parameters
     ----------
     files : in the order of time; records that two of them hold alike are kept once.
-    gps_week : full GPS week of the first record; an SBET does not state it. From a date:
+    gps_week : full GPS week of the first record; an SBET does not state it, unless its times hold the date
+        (GPS seconds since 1980, with or without 1e9, or Unix time), which their size shows. From a date:
         ``week_from_gps(gps_from_unix(unix_time_of_the_date))[0]``.
     smrmsg : companions with the standard deviations, taken at the time of each record (linear).
     utc : times are seconds of the week in UTC (an export option of POSPac).
@@ -87,13 +93,6 @@ def read_sbet(
     """
     if not files:
         raise InputError("no SBET file given", expected="at least one file")
-    if gps_week is None or not 0 < int(gps_week) < _MAX_WEEK:
-        raise InputError(
-            f"GPS week {gps_week}",
-            expected="the full GPS week of the first record, such as 1948 (not modulo 1024)",
-            where=files[0],
-            cure="An SBET holds seconds of the week only: give the week of the survey",
-        )
     report = IntegrityReport(
         stream="ins",
         format="SBET",
@@ -110,9 +109,20 @@ def read_sbet(
             where=", ".join(map(str, files)),
             cure="Check that this is an SBET with latitude and longitude (not a projected export)",
         )
-    t = _times(records[:, 0], int(gps_week), report, utc=utc)
+    scale = _dated_scale(records[:, 0])
+    if not scale and (gps_week is None or not 0 < int(gps_week) < _MAX_WEEK):
+        raise InputError(
+            f"GPS week {gps_week}",
+            expected="the full GPS week of the first record, such as 1948 (not modulo 1024)",
+            where=files[0],
+            cure="An SBET holds seconds of the week only: give the week of the survey",
+        )
+    if scale:
+        told = time_scale_words(records[:, 0], tell_time_scale(records[:, 0]))
+        report.note(f"Its times hold the date and are taken as {TIME_SCALES[scale]}: {told}.")
+    t = _times(records[:, 0], int(gps_week or 0), report, utc=utc)
     states = _states(records, t, report)
-    for name, values in _sigmas(smrmsg, t, int(gps_week), report, utc=utc).items():
+    for name, values in _sigmas(smrmsg, t, int(gps_week or 0), report, utc=utc).items():
         states[name] = values
     report.count("records", len(states))
     report.t_first_s, report.t_last_s = float(t.min()), float(t.max())
@@ -122,8 +132,6 @@ def read_sbet(
     report.gaps = find_gaps(t)
     report.timing.describe_stamps(t)
     report.timing.unsynchronised_s = 0.0
-    if doubt := doubtful_date(t):
-        report.note(doubt)
     report.note("An SBET states no GPS fix and no filter status: those columns are empty.")
     return SbetLog(states=states[list(INS_STATE.names)], report=report)
 
@@ -179,7 +187,16 @@ def _records(path: Path, n_fields: int, report: IntegrityReport) -> ArrayF:
 def _possible_times(t: AnyArray) -> AnyArray:
     # Files may run on behind the end of the week; a denormal number is the sign of the wrong byte order.
     with np.errstate(invalid="ignore"):
-        return (t >= 0) & (t < 2 * WEEK_S) & ((t == 0) | (t > 1e-6))
+        return (t >= 0) & (t < (_LAST_TIME_S if _dated_scale(t) else 2 * WEEK_S)) & ((t == 0) | (t > 1e-6))
+
+
+def _dated_scale(t: AnyArray) -> str:
+    """Scale of times with their date, which other programs write; empty for seconds of the week."""
+    with np.errstate(invalid="ignore"):
+        if not (2 * WEEK_S < np.median(t) < _LAST_TIME_S):
+            return ""
+    told = [scale for scale in tell_time_scale(t) if scale.endswith("_s")]
+    return next((scale for scale in told if scale != "unix_s"), told[0] if told else "")
 
 
 def _plausible(records: ArrayF, report: IntegrityReport) -> AnyArray:
@@ -190,7 +207,7 @@ def _plausible(records: ArrayF, report: IntegrityReport) -> AnyArray:
             & (np.abs(records[:, 2]) <= 2 * np.pi)
             & (np.abs(records[:, 3]) < 1e5),
             "impossible_attitudes": (np.abs(records[:, 7:11]) <= 4 * np.pi).all(axis=1),
-            "not_finite_or_huge": (np.abs(records) < 1e9).all(axis=1),
+            "not_finite_or_huge": (np.abs(records[:, 1:]) < 1e9).all(axis=1),
         }
     keep = np.ones(len(records), dtype=np.bool_)
     for what, good in checks.items():
@@ -210,6 +227,8 @@ def _times(second: ArrayF, week: int, report: IntegrityReport, *, utc: bool) -> 
         report.lose("time_steps_back", back)
     if same := int(np.sum(step == 0)):
         report.lose("repeated_times", same)
+    if scale := _dated_scale(second):
+        return gps_from_scale(second, scale)
     if not utc:
         return gps_from_week(week + weeks, second)
     whole = np.floor(second)

@@ -10,8 +10,8 @@ Inertial  named in its header: Week, GPSTime, Latitude,   roll, pitch, heading  
 Explorer  Longitude, H-Ell, Roll, Pitch, Heading, SD...                         seconds of the week
 ========= =============================================== ===================== ==========================
 
-Comment lines or a header that name the columns decide over their order. Rotations turn from the body into the
-world frame. The first three state neither frame, scale of time nor
+Rotations turn from the body into the world frame. Where a line above the numbers names the columns, the names
+decide, and so does a remark such as ``(w x y z)``. The first three state neither frame, scale of time nor
 accuracy: these are asked for. Inertial Explorer's attitude is that of ``ins_state``: roll right side down,
 pitch nose up, heading clockwise from north. GPX (Topografix 2004, version 1.1) holds positions in UTC without
 standard deviations.
@@ -22,9 +22,10 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Final
-from xml.etree.ElementTree import ParseError
+from xml.etree.ElementTree import Element, ParseError
 
 import numpy as np
 import pandas as pd
@@ -32,7 +33,7 @@ from scipy.spatial.transform import Rotation
 
 from thalweg.core import (
     DAY_S,
-    WEEK_S,
+    GPS_EPOCH_UNIX_S,
     ArrayF,
     InputError,
     gps_from_unix,
@@ -40,27 +41,39 @@ from thalweg.core import (
     parse_xml,
     roll_pitch_heading,
 )
-from thalweg.core.values import is_nothing
+from thalweg.core.values import is_nothing, unit_of_word
 from thalweg.ingest import (
     DEPTH,
     GNSS_POSITION,
     INS_STATE,
     NAVIGATION_INITIALISED,
     TIME_SCALES,
+    UNITS_A_SECOND,
     IntegrityReport,
     PoseLog,
     PositionLog,
     TrackOptions,
+    column_of,
     doubtful_date,
     find_gaps,
+    gps_from_scale,
     possible_unix,
     tell_time_scale,
-    time_contradiction,
+    time_scale_words,
 )
-from thalweg.ingest.tracks.rtklib_pos import decimal_points
 
-COLUMNS: Final = {"tum": 8, "euroc": 8, "kitti": 12}
-"""Numbers of a line that are read; EuRoC may hold velocities and biases behind."""
+_POSE: Final = ("t", "px", "py", "pz", "qx", "qy", "qz", "qw")
+_VELOCITY: Final = ("vx", "vy", "vz")
+_ORDER: Final = {"tum": _POSE, "euroc": (*_POSE[:4], "qw", *_POSE[4:7], *_VELOCITY)}
+"""Columns where no line names them."""
+_NAME: Final = re.compile(
+    r"(?:(q|quat\w*|ori\w*|rot\w*)|(v|vel\w*)|(?:|[tp]|pos\w*|trans\w*))(?:_[a-z_]+?)??_?([wxyz])"
+)
+_REMARKS: Final = {
+    "qw qx qy qz": re.compile(r"(?<![a-z])q?w[\s,/]*q?x[\s,/]*q?y[\s,/]*q?z(?![a-z])", re.IGNORECASE),
+    "qx qy qz qw": re.compile(r"(?<![a-z])q?x[\s,/]*q?y[\s,/]*q?z[\s,/]*q?w(?![a-z])", re.IGNORECASE),
+}
+"""Orders of a quaternion as people write them in comments."""
 
 BODY_AXES: Final = {
     "forward-right-down": np.eye(3),
@@ -107,10 +120,7 @@ def read_text_poses(kind: str, files: Sequence[Path], times: Path | None = None)
     InputError : a line does not hold the numbers of the format, a rotation is none, or the times do not fit.
     """
     report = IntegrityReport(stream="ins", format=f"{_NAMES[kind]} poses", files=[str(f) for f in files])
-    tables = [_numbers(kind, Path(path), report) for path in files]
-    if len({table.shape[1] for table in tables}) > 1:
-        raise InputError("tables of different numbers of columns", where=", ".join(map(str, files)))
-    rows = np.concatenate(tables)
+    rows = np.concatenate([_numbers(kind, Path(path), report) for path in files])
     where = ", ".join(map(str, files))
     velocity = None
     if kind == "kitti":
@@ -118,14 +128,17 @@ def read_text_poses(kind: str, files: Sequence[Path], times: Path | None = None)
         R, position = T[:, :, :3], T[:, :, 3]
         wrong = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) > _ORTHONORMAL
         wrong |= np.linalg.det(R) < 0
-        t_s = np.full(len(rows), np.nan)
-        if times is not None:
-            t_s = _seconds(_times(times, len(rows), where), kind, report)
+        t_s = _times(times, len(rows), where) if times is not None else np.full(len(rows), np.nan)
     else:
         position, q_xyzw = rows[:, 1:4], rows[:, 4:8]
         wrong = np.abs(np.linalg.norm(q_xyzw, axis=1) - 1.0) > _ORTHONORMAL
-        t_s = _seconds(rows[:, 0], kind, report)
-        if kind == "euroc" and rows.shape[1] >= 11:
+        unit = next(iter(tell_time_scale(rows[:, 0])), "")
+        if kind == "euroc" and unit not in UNITS_A_SECOND:
+            unit = "unix_ns"
+        elif unit in UNITS_A_SECOND and (kind == "tum" or unit != "unix_ns"):
+            report.note(f"Its stamps are taken as {TIME_SCALES[unit]}.")
+        t_s = rows[:, 0] / UNITS_A_SECOND.get(unit, 1.0)
+        if rows.shape[1] > len(_POSE):
             velocity = rows[:, 8:11]
         R = np.empty((0, 3, 3)) if wrong.any() else Rotation.from_quat(q_xyzw).as_matrix()
     if wrong.any():
@@ -147,72 +160,67 @@ def read_text_poses(kind: str, files: Sequence[Path], times: Path | None = None)
 _NAMES: Final = {"tum": "TUM", "euroc": "EuRoC", "kitti": "KITTI"}
 
 
-_ORDER: Final = {"tum": list(range(8)), "euroc": [0, 1, 2, 3, 5, 6, 7, 4]}
-"""Columns of time, x, y, z and the quaternion x, y, z, w where no line names them."""
-_NAMED: Final = (
-    r"#?(t|sec|stamp|(gps_?|unix_?|utc_?)?time(_?stamp)?.*)",
-    *(rf"((p|t|pos|position|tvec)[._]?(\w+_)?)?{axis}" for axis in "xyz"),
-    *(rf"(q|rot|quat|quaternion|orientation)[._]?(\w+_)?{axis}" for axis in "xyzw"),
-)
+def pose_columns(kind: str, heads: Sequence[str], width: int) -> dict[str, int]:
+    """Places of time ``t``, position ``px``, quaternion ``qw`` and velocity ``vx`` in a table of poses.
 
-
-def named_order(line: str) -> list[int] | None:
-    """Columns of time, x, y, z and the quaternion x, y, z, w by their names; None if a line names no such.
+    Parameters
+    ----------
+    kind : ``tum`` or ``euroc``, whose order counts where no line tells another.
+    heads : lines above the numbers.
+    width : columns of the table.
 
     Examples
     --------
-    >>> named_order("# timestamp tx ty tz qw qx qy qz")
-    [0, 1, 2, 3, 5, 6, 7, 4]
-    >>> named_order("#timestamp [ns], p_RS_R_x [m], p_RS_R_y, p_RS_R_z, q_RS_w [], q_RS_x, q_RS_y, q_RS_z")
-    [0, 1, 2, 3, 5, 6, 7, 4]
+    >>> pose_columns("tum", ["# timestamp tx ty tz qw qx qy qz"], 8)["qw"]
+    4
     """
-    bare = re.sub(r"\[[^]]*\]|\([^)]*\)", "", line.strip().lower()).lstrip("#% ")
-    names = [name for name in re.split(r"[,;\s]+", bare) if name]
-    order = []
-    for pattern in _NAMED:
-        of = [k for k, name in enumerate(names) if re.fullmatch(pattern, name) and k not in order]
-        if not of:
-            return None
-        order.append(of[0])
-    return order
-
-
-def _seconds(stamps: ArrayF, kind: str, report: IntegrityReport) -> ArrayF:
-    """Stamps in seconds: the unit of the format, or the one that their size shows."""
-    usual, told = ("unix_ns" if kind == "euroc" else "unix_s"), tell_time_scale(stamps)
-    per_second = {"unix_ms": 1e3, "unix_us": 1e6, "unix_ns": 1e9}
-    scale = told[0] if len(told) == 1 and told[0].startswith("unix") else usual
-    if scale != usual:
-        report.note(f"The stamps are {TIME_SCALES[scale]}, by their size.")
-    return stamps / per_second.get(scale, 1.0)
+    for line in reversed(heads):
+        names = re.split(r"[,;\s]+", re.sub(r"\[[^]]*\]|\([^)]*\)", " ", line).strip("#%/ ,;\t").lower())
+        found: dict[str, int] = {}
+        for k, name in enumerate(names[-width:] if len(names) >= width else ()):
+            bare = re.sub(r"[./]", "_", re.sub(r"\b(?:field|pose|transform)[./]", "", name))
+            if known := _NAME.fullmatch(bare):
+                found.setdefault(("q" if known[1] else "v" if known[2] else "p") + known[3], k)
+            elif bare in ("t", "time", "timestamp", "stamp", "sec", "seconds"):
+                found.setdefault("t", k)
+        if found.keys() >= set(_POSE) - {"t"}:
+            return {"t": 0, **found}
+    order: tuple[str, ...] = _ORDER[kind][:width]
+    remarks = {names for names, form in _REMARKS.items() if any(form.search(line) for line in heads)}
+    if len(remarks) == 1:
+        order = (*order[:4], *remarks.pop().split(), *order[8:])
+    return {name: k for k, name in enumerate(order)}
 
 
 def _numbers(kind: str, path: Path, report: IntegrityReport) -> ArrayF:
-    """(n, k) numbers of a table in the order of `_ORDER`; the first line that does not fit is named."""
+    """(n, 12) of KITTI, else (n, 8) time, position, quaternion x y z w, or (n, 11) with velocities behind.
+
+    The first line that does not fit is named.
+    """
     if not path.is_file():
         raise InputError("file not found", where=path, cure="Check the path")
     raw = path.read_bytes()
     report.bytes_read += len(raw)
-    lines = raw.decode("ascii", "replace").splitlines()
+    lines = raw.decode("utf-8-sig", "replace").splitlines()
     rows: list[list[float]] = []
-    order = _ORDER.get(kind)
+    heads: list[str] = []
     for number, line in enumerate(lines, start=1):
         text = line.strip()
-        named = named_order(text) if order and not rows else None
-        if named is not None and named != order:
-            order = named
-            report.note(f"{path.name} names its columns: {text.lstrip('# ')}. They are read so.")
-        if not text or text.startswith("#") or named is not None:
+        if not text or text.startswith("#"):
+            heads += [text] if not rows else []
             continue
         try:
-            row = [float(cell) for cell in re.split(r"[,;\s]+", decimal_points(text).strip(",; "))]
+            row = [float(cell) for cell in re.split(r"[,\s]+", text.strip(","))]
         except ValueError:
             row = []
-        exact = kind != "euroc"
-        if (len(row) != COLUMNS[kind] if exact else len(row) < COLUMNS[kind]) or not np.isfinite(row).all():
+            if not rows and not re.search(r"(?<![a-z_])[-+]?\d", text, re.IGNORECASE):
+                heads.append(text)
+                continue
+        fits = len(row) == 12 if kind == "kitti" else len(row) >= 8
+        if not fits or not np.isfinite(row).all():
             raise InputError(
                 f"line {number}: '{text[:60]}'",
-                expected=f"{COLUMNS[kind]} numbers{'' if exact else ' or more'}, as {_NAMES[kind]} has them",
+                expected=f"{'12' if kind == 'kitti' else '8 or more'} numbers, as {_NAMES[kind]} has them",
                 where=path,
                 cure="Check the format of the table",
             )
@@ -225,13 +233,14 @@ def _numbers(kind: str, path: Path, report: IntegrityReport) -> ArrayF:
             cure="Check the file",
         )
     table = np.array(rows)
-    if order is None:
+    if kind == "kitti":
         return table
-    if max(order) >= table.shape[1]:
-        raise InputError(
-            f"{table.shape[1]} numbers a line, fewer than its names", expected="a number a name", where=path
-        )
-    return table[:, [*order, *(k for k in range(table.shape[1]) if k not in order)]]
+    at = pose_columns(kind, heads, table.shape[1])
+    usual = {name: k for k, name in enumerate(_ORDER[kind])}
+    if [at[name] for name in _POSE] != [usual[name] for name in _POSE]:
+        order = " ".join(sorted(("qw", "qx", "qy", "qz"), key=lambda name: at[name]))
+        report.note(f"{path.name} names its columns: the quaternion is read as {order}.")
+    return table[:, [at[name] for name in (*_POSE, *(_VELOCITY if at.keys() >= set(_VELOCITY) else ()))]]
 
 
 def _times(path: Path, n: int, where: str) -> ArrayF:
@@ -290,14 +299,18 @@ def states_of_poses(poses: TextPoses, options: TrackOptions) -> PoseLog:
             expected=f"one of {', '.join(BODY_AXES)}; utc (Unix time) or gps (seconds since 1980-01-06)",
             where=where,
         )
-    if wrong := time_contradiction(poses.t_s, "unix_s" if scale == "utc" else "gps_s"):
+    told = tell_time_scale(poses.t_s)
+    unit = next((each for each in told if each.startswith("unix") == (scale == "utc")), None)
+    if unit is None or unit in ("week_s", "day_s"):
         raise InputError(
-            f"time_scale {scale} is stated, but {wrong}",
-            expected="utc (Unix time) or gps (seconds since 1980-01-06)",
+            time_scale_words(poses.t_s, told),
+            expected="Unix time (time_scale utc)" if scale == "utc" else "GPS seconds (time_scale gps)",
             where=where,
-            cure="State the other scale, or convert the stamps",
+            cure="Correct time_scale, or the times of the table",
         )
-    t_gps_s = gps_from_unix(poses.t_s) if scale == "utc" else gps_from_week(0, poses.t_s)
+    t_gps_s = gps_from_scale(poses.t_s, unit)
+    if unit not in ("unix_s", "gps_s"):
+        report.note(f"Its times are taken as {TIME_SCALES[unit]}.")
     lat, lon, height = frame.to_geodetic(poses.position_m)
     # attitudes are stated in the local level of each position, not in that of the frame's origin
     R_enu_wcs = np.swapaxes(frame.R_wcs_enu(lat, lon), -1, -2)
@@ -354,16 +367,19 @@ def _finish(report: IntegrityReport, t_gps_s: ArrayF, scale: str) -> None:
         report.rates_hz["poses"] = 1.0 / float(np.median(step[step > 0]))
     report.timing.describe_stamps(t_gps_s)
     report.timing.unsynchronised_s = 0.0
-    if doubt := doubtful_date(t_gps_s):
-        report.note(doubt)
 
 
 # ---------------------------------------------------------------- NovAtel Inertial Explorer
 
+
+def _bare(name: str) -> str:
+    return name.lower().replace("-", "").replace("_", "")
+
+
 _ALIASES: Final = {
-    "tow": ("GPSTime", "CorrTime", "SoW", "GPSSec", "GPSSeconds", "TimeOfWeek", "TOW"),
+    "tow": ("GPSTime", "CorrTime", "SoW", "GPSSec", "Seconds", "GPSSeconds", "TimeOfWeek"),
     "week": ("Week", "GPSWeek"),
-    "date": ("Date", "GPSDate"),
+    "date": ("Date", "GPSDate", "LocalDate"),
     "lat": ("Latitude", "Lat"),
     "lon": ("Longitude", "Lon", "Long"),
     "height": ("H-Ell", "H-Ellips", "EllHeight", "HEll"),
@@ -372,20 +388,21 @@ _ALIASES: Final = {
     "v_up": ("VUp", "VU"),
     "roll": ("Roll",),
     "pitch": ("Pitch",),
-    "heading": ("Heading", "Azimuth"),
-    "sd_horizontal": ("SDHoriz", "SDHorz"),
+    "heading": ("Heading", "Azimuth", "Yaw"),
     "sd_east": ("SDEast", "SD-E", "EastSD"),
     "sd_north": ("SDNorth", "SD-N", "NorthSD"),
-    "sd_up": ("SDHeight", "SDUp", "SD-H", "SD-U", "HeightSD"),
+    "sd_horizontal": ("SDHoriz", "HorizSD"),
+    "sd_up": ("SDHeight", "SDUp", "SD-VT", "SDVert", "HeightSD", "UpSD"),
     "sd_roll": ("RollSD", "SDRoll"),
     "sd_pitch": ("PitchSD", "PtchSD", "SDPitch"),
-    "sd_heading": ("HdngSD", "HeadingSD", "SDHeading", "SDHdng"),
+    "sd_heading": ("HdngSD", "HeadingSD", "SDHeading", "AzimuthSD"),
 }
-"""Our names of the columns -> those of export profiles, in letters of any case."""
-_OURS: Final = {name.lower(): ours for ours, names in _ALIASES.items() for name in names}
+"""Our names of the columns -> those of export profiles, told without regard to capitals and hyphens."""
+_MOST_DAYS_APART: Final = 1.5
+"""Middle of the stated day from a time: half a day, and one that a zone may shift the date."""
 _NEEDED: Final = ("tow", "lat", "lon", "height", "roll", "pitch", "heading")
-_GPS_EPOCH_DAY: Final = dt.date(1980, 1, 6).toordinal()
-_DEG_OF_UNIT: Final = {"deg": 1.0, "degrees": 1.0, "min": 1 / 60, "arcmin": 1 / 60, "sec": 1 / 3600,
+_OURS: Final = {_bare(name): ours for ours, names in _ALIASES.items() for name in names}
+_DEG_OF_UNIT: Final = {"deg": 1.0, "degrees": 1.0, "d": 1.0, "min": 1 / 60, "arcmin": 1 / 60, "sec": 1 / 3600,
                        "arcsec": 1 / 3600, "rad": 180 / np.pi}  # fmt: skip
 
 
@@ -397,7 +414,7 @@ def is_inertial_explorer(head: bytes, size: int) -> bool:
 def _header(lines: Sequence[str]) -> int | None:
     """Number of the line with the names of the columns."""
     for number, line in enumerate(lines[:200]):
-        if {"tow", "lat", "lon", "roll"} <= {_OURS.get(name.lower()) for name in line.split()}:
+        if {"tow", "lat", "lon", "roll"} <= {_OURS.get(_bare(name)) for name in line.split()}:
             return number
     return None
 
@@ -408,7 +425,8 @@ def read_inertial_explorer(files: Sequence[Path], options: TrackOptions | None =
     Parameters
     ----------
     files : in the order of time.
-    options : ``gps_week`` where there is no column of it; standard deviations where the export has none.
+    options : ``gps_week`` where there is no column of it or of the date; standard deviations where the export
+        has none, else they are NaN.
 
     Raises
     ------
@@ -418,29 +436,32 @@ def read_inertial_explorer(files: Sequence[Path], options: TrackOptions | None =
     report = IntegrityReport(stream="ins", format="NovAtel Inertial Explorer", files=[str(f) for f in files])
     columns = pd.concat([_columns(Path(path), report) for path in files], ignore_index=True)
     where = ", ".join(map(str, files))
+    if "week" not in columns and "date" in columns:
+        columns["week"] = _weeks(columns["date"].to_numpy(), columns["tow"].to_numpy(), where)
     if "week" not in columns:
         if options.gps_week is None:
             raise InputError(
-                "neither a column Week nor Date",
+                "no column Week or Date",
                 expected="the GPS week",
                 where=where,
-                cure="Export one of them, or set logs.gps_week",
+                cure="Export it, or set logs.gps_week",
             )
         columns["week"] = float(options.gps_week)
-    for names, value, unit in (
-        (("sd_east", "sd_north", "sd_up"), options.sigma_position_m, "sigma_position_m"),
-        (("sd_roll", "sd_pitch", "sd_heading"), options.sigma_attitude_deg, "sigma_attitude_deg"),
+    if "sd_horizontal" in columns:
+        report.note("SDHoriz holds both axes: east and north are taken as alike, SDHoriz over the root of 2.")
+        for name in ("sd_east", "sd_north"):
+            if name not in columns:
+                columns[name] = columns["sd_horizontal"] / np.sqrt(2.0)
+    for names, value, what in (
+        (("sd_east", "sd_north", "sd_up"), options.sigma_position_m, "positions"),
+        (("sd_roll", "sd_pitch", "sd_heading"), options.sigma_attitude_deg, "attitudes"),
     ):
         lacking = [name for name in names if name not in columns]
-        if lacking and value is None:
-            raise InputError(
-                f"no standard deviations: {', '.join(_ALIASES[name][0] for name in lacking)}",
-                expected="columns with the standard deviations of positions and attitudes",
-                where=where,
-                cure=f"Export them, or state {unit}",
-            )
         for name in lacking:
-            columns[name] = value
+            columns[name] = np.nan if value is None else value
+        if lacking and value is None:
+            absent = ", ".join(_ALIASES[name][0] for name in lacking)
+            report.note(f"It states no standard deviations of {what} ({absent}): to be exported, or stated.")
     c = {name: columns[name].to_numpy(dtype=np.float64) for name in columns}
     t_gps_s = gps_from_week(c["week"], c["tow"])
     nan = np.full(len(t_gps_s), np.nan)
@@ -486,6 +507,7 @@ def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
         )
     names = lines[first].split()
     units = re.findall(r"\(([^)]*)\)", lines[first + 1]) if first + 1 < len(lines) else []
+    units = _together(units) if len(units) > len(names) else units
     if len(units) != len(names):
         raise InputError(
             f"{len(units)} units below {len(names)} names of columns",
@@ -493,21 +515,15 @@ def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
             where=path,
             cure="Export with a header of names and units",
         )
-    at, place = {}, 0
+    at: dict[str, tuple[int, int, str]] = {}
+    place = 0
     for name, unit in zip(names, units, strict=True):
         parts = 3 if "M S" in unit.upper().replace("-", " ") else 1  # degrees, minutes, seconds
-        known = _OURS.get(name.lower())
-        if known is not None and known not in at:
-            at[known] = (place, parts, unit)
+        known = _OURS.get(_bare(name))
+        if known is not None:
+            at.setdefault(known, (place, parts, unit))
         place += parts
-    of_day = "tow" in at and "H" in at["tow"][2].upper()  # hours, minutes, seconds
-    if of_day and "date" not in at:
-        raise InputError(
-            "times of the day without a date",
-            expected="a column Date, or seconds of the GPS week",
-            where=path,
-            cure="Add one of them to the export profile",
-        )
+    day_at, _, form = at.get("date", (-1, 1, ""))
     lacking = [_ALIASES[name][0] for name in _NEEDED if name not in at]
     if lacking:
         raise InputError(
@@ -518,17 +534,14 @@ def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
         )
     rows = []
     for number, line in enumerate(lines[first + 2 :], start=first + 3):
-        cells = decimal_points(line).split()
+        cells = line.split()
         if not cells:
             continue
         try:
-            if of_day:
-                hour, minute, second = cells[at["tow"][0]].split(":")
-                cells[at["tow"][0]] = str(int(hour) * 3600 + int(minute) * 60 + float(second))
-            if "date" in at:
-                cells[at["date"][0]] = _day(cells[at["date"][0]], at["date"][2])
-            rows.append([float(cell) for cell in cells[:place]])
-        except (ValueError, IndexError):
+            rows.append(
+                [_day(cell, form) if k == day_at else float(cell) for k, cell in enumerate(cells[:place])]
+            )
+        except ValueError:
             rows.append([])
         if len(rows[-1]) != place:
             if number == len(lines):  # cut short while it was written
@@ -565,38 +578,59 @@ def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
                 f"unit '{unit}' of {_ALIASES[name][0]}", expected="m, m/s", where=path, cure="Export metres"
             )
         columns[name] = values
-    if of_day:
-        columns["tow"], columns["week"] = columns["tow"] + columns["date"] * DAY_S, np.zeros(len(table))
-    elif "date" in columns and "week" not in columns:
-        # noon of the date less the seconds of the week is the week's begin, half a day off at most
-        begin = (columns.pop("date") + 0.5) * DAY_S - columns["tow"]
-        columns["week"] = np.rint(begin / WEEK_S)
-        if np.abs(begin - columns["week"] * WEEK_S).max() > DAY_S:
-            raise InputError(
-                "dates and seconds of the week are of different days",
-                expected="GPS time",
-                where=path,
-                cure="Export the GPS week",
-            )
-    columns.pop("date", None)
-    if "sd_horizontal" in columns:
-        each = columns.pop("sd_horizontal") / np.sqrt(2.0)
-        columns.setdefault("sd_east", each)
-        columns.setdefault("sd_north", each)
     return pd.DataFrame(columns)
 
 
-def _day(cell: str, unit: str) -> str:
-    """Days since the GPS epoch of a date in the order of its unit, such as MDY."""
-    order = re.sub("[^DMY]", "", unit.upper())
-    order = "".join(dict.fromkeys(order))  # also MM/DD/YYYY
-    numbers = dict(zip(order if len(order) == 3 else "MDY", map(int, re.split(r"[-/.]", cell)), strict=True))
-    return str(dt.date(numbers["Y"], numbers["M"], numbers["D"]).toordinal() - _GPS_EPOCH_DAY)
+def _together(units: Sequence[str]) -> list[str]:
+    """Units with those of degrees, minutes and seconds in brackets of their own as one."""
+    text = "\n".join(unit.strip() for unit in units)
+    return re.sub(r"(?im)^(?:\+/-)?d(?:eg)?\nm(?:in)?\ns(?:ec)?$", "D M S", text).split("\n")
+
+
+@lru_cache(maxsize=64)
+def _day(cell: str, form: str) -> float:
+    """Day since 1970 of a date in the order of its unit, such as ``MDY``; the year first needs none.
+
+    Raises
+    ------
+    ValueError : it is no date, or its order is not stated.
+    """
+    numbers = [int(x) for x in re.split(r"[-/.]", cell)]
+    order = "".join(dict.fromkeys(re.sub("[^dmy]", "", form.lower())))
+    if numbers[0] > 999:
+        order = "ymd"
+    if len(numbers) != 3 or sorted(order) != ["d", "m", "y"]:
+        raise ValueError(f"date {cell} ({form})")
+    day = dict(zip(order, numbers, strict=True))
+    year = day["y"] + (2000 if day["y"] < 100 else 0)
+    return float(dt.date(year, day["m"], day["d"]).toordinal() - dt.date(1970, 1, 1).toordinal())
+
+
+def _weeks(day: ArrayF, tow_s: ArrayF, where: str) -> ArrayF:
+    """GPS week (n,) in which second ``tow_s`` of the week lies at the date ``day`` (since 1970).
+
+    Raises
+    ------
+    InputError : the seconds are on another day of the week; a zone or UTC may shift it by one.
+    """
+    middle = day + 0.5 - GPS_EPOCH_UNIX_S / DAY_S - tow_s / DAY_S
+    week = np.rint(middle / 7.0)
+    apart = np.abs(middle - 7.0 * week)
+    if np.median(apart) > _MOST_DAYS_APART:
+        k = int(np.argmax(apart))
+        date = dt.date(1970, 1, 1) + dt.timedelta(days=int(day[k]))
+        raise InputError(
+            f"second {tow_s[k]:,.0f} of the week on {date:%Y-%m-%d}, a {date:%A}",
+            expected="seconds of the GPS week that lie on the date beside them",
+            where=where,
+            cure="Export the time as GPS seconds of the week",
+        )
+    return week
 
 
 # ---------------------------------------------------------------- GPX
 
-_GPX_POINTS: Final = {"wpt": "waypoints", "rtept": "points of routes"}
+_UNUSED: Final = {"wpt": "waypoints", "rtept": "points of routes"}
 _FIX_OF_GPX: Final = {"none": "none", "dgps": "dgnss"}
 
 
@@ -604,7 +638,8 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
     """Track points of GPX files in the order of the files.
 
     ``ele`` is above the geoid: with ``geoidheight`` beside it the ellipsoidal height is their sum, else it is
-    NaN. Points without a time are counted and left out.
+    NaN. Points without a time are counted and left out. Depths in extensions of any name space, such as
+    ``depth`` or ``water_depth``, come as soundings; times without a zone count as UTC, which a note says.
 
     Raises
     ------
@@ -613,40 +648,37 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
     report = IntegrityReport(
         stream="positions", format="GPX", files=[str(f) for f in files], time_scale="utc", synchronised=True
     )
-    rows: list[tuple[float | str, ...]] = []
+    rows: list[tuple[float, float, float, float, str, int]] = []
     depths: list[tuple[float, float]] = []
-    others: Counter[str] = Counter()
-    no_zone = below = 0
+    foreign: Counter[str] = Counter()
+    without_zone = below = 0
     for path in files:
         data = path.read_bytes()
         report.bytes_read += len(data)
         try:
             root = parse_xml(data)
-            others.update(tag for tag in ("wpt", "rtept") for _ in root.iterfind(f".//{{*}}{tag}"))
+            foreign.update(each.tag.split("}")[-1] for each in root.iter() if isinstance(each.tag, str))
             for point in root.iterfind(".//{*}trkpt"):
-                # the point's own elements before those of its extensions
-                told = {
-                    each.tag.split("}")[-1].lower(): (each.text or "").strip()
-                    for each in (*point.iter(), *point)
-                }
+                told = {each.tag.split("}")[-1]: (each.text or "").strip() for each in point}
                 if not told.get("time"):
                     report.lose("track_points_without_time")
                     continue
                 moment = dt.datetime.fromisoformat(told["time"])
-                no_zone += moment.tzinfo is None
+                without_zone += moment.tzinfo is None
                 unix_s = (moment if moment.tzinfo else moment.replace(tzinfo=dt.UTC)).timestamp()
                 if not possible_unix(unix_s):
-                    report.lose("impossible_times")
+                    report.lose("track_points_at_impossible_times")
                     continue
-                elevation_m = float(told.get("ele", "nan"))
-                below += elevation_m < 0
-                h = elevation_m + float(told.get("geoidheight", "nan"))
+                below += float(told.get("ele", "nan")) < 0
+                h = float(told.get("ele", "nan")) + float(told.get("geoidheight", "nan"))
                 fix = _FIX_OF_GPX.get(told.get("fix", ""), "single")
                 place = float(point.attrib["lat"]), float(point.attrib["lon"])
                 rows.append((unix_s, *place, h, fix, int(told.get("sat", "-1"))))
-                # in the extensions of Garmin and others, whatever their namespace, metres
-                if depth := told.get("depth") or told.get("waterdepth"):
-                    depths.append((unix_s, pd.to_numeric(depth, errors="coerce")))
+                depth_m = _depth_m(point)
+                if depth_m is not None and np.isnan(depth_m):
+                    report.lose("depths_of_nothing")
+                elif depth_m is not None:
+                    depths.append((unix_s, depth_m))
         except (ParseError, KeyError, ValueError) as error:
             raise InputError(
                 f"no readable GPX ({error})",
@@ -654,20 +686,12 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
                 where=path,
                 cure="Export the track again as GPX 1.1",
             ) from error
-    left = ", ".join(f"{n} {_GPX_POINTS[tag]}" for tag, n in others.items())
     if not rows:
         raise InputError(
-            "no track point with a time" + (f" (but {left})" if left else ""),
+            "no track point with a time",
             expected="a recorded track; routes and waypoints have no times",
             where=files[0],
             cure="Export the recorded track, not the route",
-        )
-    if left:
-        report.note(f"Beside the track there are {left}: they are not read.")
-    if no_zone:
-        report.note(
-            f"{no_zone} times state no zone and are taken as UTC, as GPX demands; some writers put local "
-            "time there: compare them with another clock."
         )
     table = pd.DataFrame(rows, columns=["t_gps_s", "lat_deg", "lon_deg", "h_ell_m", "fix", "n_sats"])
     table["t_gps_s"] = gps_from_unix(table["t_gps_s"])
@@ -683,24 +707,43 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
     if table["h_ell_m"].isna().any():
         report.note("Heights of GPX are above the geoid, and the file does not say how high that is.")
     report.note("GPX states no standard deviations: orientation.sigma_position_m says them.")
-    if below > 0.9 * len(rows):
-        report.note(
-            "The elevations are negative: depths of an echo sounder, perhaps. They are not read as such."
-        )
-    sounded = None
-    if depths:
-        unix_s, depth_m = np.array(depths, dtype=np.float64).T
-        nothing = is_nothing(depth_m, "depth") | (depth_m < 0)
-        if nothing.any():
-            report.lose("depths_of_nothing", int(nothing.sum()))
-        unix_s, depth_m = unix_s[~nothing], depth_m[~nothing]
-        report.count("depths", depth_m.size)
-        report.note("Depths stand in extensions of the track points: metres, taken as below the transducer.")
-        sounded = pd.DataFrame({"t_gps_s": gps_from_unix(unix_s), "depth_m": depth_m})
-        sounded = sounded.assign(sentence="GPX", line=np.arange(1, len(sounded) + 1, dtype=np.int64))
-        sounded = sounded.reindex(columns=list(DEPTH.names))
     if doubt := doubtful_date(t):
         report.note(doubt)
-    return PositionLog(
-        report=report, positions=table.reindex(columns=list(GNSS_POSITION.names)), depths=sounded
-    )
+    if without_zone:
+        report.note(
+            f"{without_zone:,} times state no zone: taken as UTC. Some programs write local time: "
+            "compare them with another log."
+        )
+    if unused := [f"{foreign[tag]:,} {words}" for tag, words in _UNUSED.items() if foreign[tag]]:
+        report.note(f"Only tracks are read, not the {' and '.join(unused)}.")
+    if below > 0.9 * len(rows):
+        report.note("Its elevations are negative: depths, perhaps, which are not read from there.")
+    log = PositionLog(report=report, positions=table.reindex(columns=list(GNSS_POSITION.names)))
+    if depths:
+        soundings = pd.DataFrame(depths, columns=["t_gps_s", "depth_m"])
+        soundings["t_gps_s"] = gps_from_unix(soundings["t_gps_s"])
+        log.depths = soundings.assign(sentence="GPX", line=np.arange(1, len(soundings) + 1)).reindex(
+            columns=list(DEPTH.names)
+        )
+        report.count("depths", len(soundings))
+        report.note(
+            "Its depths do not say whether they begin at the transducer or the water line: they are taken as "
+            "below the transducer (logs.depth)."
+        )
+    return log
+
+
+def _depth_m(point: Element) -> float | None:
+    """Depth of a track point in metres, wherever its extensions hold it; NaN where it stands for none."""
+    for each in point.iter():
+        name = column_of(each.tag.split("}")[-1].replace("_", " "))
+        text = (each.text or "").strip()
+        if name.words != "depth" or not text:
+            continue
+        stated = next((each.attrib[key] for key in ("unit", "units", "uom") if key in each.attrib), "m")
+        unit = name.unit or unit_of_word(stated)
+        if unit is None:
+            raise ValueError(f"depths in '{stated}'")
+        value = float(text)
+        return float("nan") if is_nothing(value, "depth") else value * unit.metres
+    return None

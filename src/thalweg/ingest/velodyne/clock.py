@@ -14,8 +14,8 @@ from typing import Final
 
 import numpy as np
 
-from thalweg.core import gps_from_unix
-from thalweg.ingest import LidarClock, possible_unix
+from thalweg.core import gps_from_unix, unix_from_gps, utc_text_from_gps
+from thalweg.ingest import LidarClock, explain_shift, possible_unix
 from thalweg.ingest.velodyne.model import HOUR_US
 from thalweg.ingest.velodyne.packets import GAP, STEP_BACK, PacketBlock, PositionPacket
 
@@ -30,6 +30,9 @@ BREAK_S: Final = 10.0
 """After a hole this long the PPS state counts as unknown until it is reported again."""
 SET_S: Final = 1.0
 """A longer jump of the free-running clock, up to `HEAD_S` before it locks, is the clock being set."""
+_WRONG_S: Final = 10.0
+"""Clocks of computers that follow no time server are some seconds off."""
+_WEEK_S: Final = 7 * 86_400
 _HOUR_S: Final = 3600
 
 
@@ -70,6 +73,30 @@ def parse_rmc(sentence: bytes) -> tuple[float, str]:
         return math.nan, "no date"
     unix_s = day + 3600 * int(clock[:2]) + 60 * int(clock[2:4]) + int(clock[4:6]) + second
     return (unix_s, "") if possible_unix(unix_s) and second < 1.0 else (math.nan, "no date")
+
+
+def clocks_apart(host_minus_sensor_s: float, t_gps_s: float) -> str:
+    """A sentence where the capture's clock and the sentences differ by no clock error; else empty.
+
+    Parameters
+    ----------
+    host_minus_sensor_s : clock of the capturing computer minus UTC by RMC and packets.
+    t_gps_s : a time of the sensor, whose date is named.
+    """
+    words = explain_shift(host_minus_sensor_s)
+    if not words or abs(host_minus_sensor_s) < _WRONG_S:
+        return ""
+    sensor, host = (utc_text_from_gps(t_gps_s + shift, 0) for shift in (0.0, host_minus_sensor_s))
+    sentence = f"NMEA says {sensor}, the clock of the capture {host}: {words}"
+    weeks = 1024 * round(host_minus_sensor_s / (1024 * _WEEK_S))
+    if not weeks:
+        return f"{sentence}. Times follow NMEA."
+    # UTC is what the receiver got right but for its date: the leap seconds since then count, too
+    true_s = float(gps_from_unix(unix_from_gps(t_gps_s) + weeks * _WEEK_S))
+    return (
+        f"{sentence}. The true date is probably {host[:10]}: set lidar.clock.offset_s to "
+        f"{true_s - t_gps_s:.0f} (with the leap seconds since then), and update the firmware of the receiver."
+    )
 
 
 @dataclass(slots=True)

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from thalweg.core import ArrayF, ArrayI, InputError, UnsupportedError, unix_from_gps, utc_text_from_unix
+from thalweg.core import ArrayF, ArrayI, InputError, UnsupportedError, unix_from_gps
 from thalweg.ingest import (
     Gap,
     IntegrityReport,
@@ -26,11 +26,10 @@ from thalweg.ingest import (
     PointBlock,
     StreamTiming,
     empty_points,
-    explain_shift,
     fit_clock,
 )
-from thalweg.ingest.pcap import CHUNK_BYTES, SNAP_CURE, CaptureTally
-from thalweg.ingest.velodyne.clock import ClockBuilder
+from thalweg.ingest.pcap import CHUNK_BYTES, CaptureTally
+from thalweg.ingest.velodyne.clock import ClockBuilder, clocks_apart
 from thalweg.ingest.velodyne.decode import (
     BAD_AZIMUTH,
     BAD_FLAG,
@@ -441,17 +440,16 @@ def no_packets(tally: CaptureTally, port: int, where: str, found: Findings | Non
             where=where,
             cure="Check that it is the log of a lidar that is read, a VLP-16 with firmware 3.0.29 or later",
         )
-    if n := tally.losses.get("truncated_packets"):
-        return InputError(
-            f"all {n} lidar packets are cut by the capture: {tally.cut_b[0]:,} of {tally.cut_b[1]:,} bytes "
-            "(its snap length)",
-            expected="whole packets",
-            where=where,
-            cure=SNAP_CURE,
-        )
     held = {**tally.counts, **tally.losses}
     text = ", ".join(f"{name} {n}" for name, n in held.items() if n) or "nothing"
     cure = "Check lidar.data_port and that the capture was made on the lidar's network"
+    if cut := tally.cut_in_words():
+        return InputError(
+            f"no lidar packet is whole: {cut}",
+            expected=f"1206-byte payloads on UDP port {port}",
+            where=where,
+            cure="Capture with -s 0 (tcpdump), that is without a limit of the packets' length",
+        )
     if tally.foreign_ports:
         other, n = max(tally.foreign_ports.items(), key=lambda item: item[1])
         cure = f"{n} payloads of the right size went to port {other}: set lidar.data_port to it"
@@ -550,11 +548,8 @@ def write_report(
     if difference_s.size:
         shift_s = float(np.median(difference_s))
         report.details["host_minus_sensor_s"] = round(shift_s, 6)
-        if words := explain_shift(shift_s):
-            report.note(
-                f"The clock of the host is {words}. The time of the points is the sensor's, from its GNSS "
-                f"receiver; the host's begin is {utc_text_from_unix(float(host[0, 2]), 0)}."
-            )
+        if words := clocks_apart(shift_s, float(gps_s[np.isfinite(gps_s)][0])):
+            report.note(words)
     if found.return_mode == "mixed":
         modes = ", ".join(f"{RETURN_MODES[m]} {n}" for m, n in sorted(found.modes.items()))
         report.note(f"The return mode changes within the recording (packets: {modes}).")
@@ -567,6 +562,8 @@ def write_report(
             f"The azimuth jumps within a packet {int(counters[JUMPS])} times (a limited field of view or "
             "damaged blocks): times behind such a jump may be early."
         )
+    if cut := tally.capture.cut_in_words():
+        report.note(f"{cut[0].upper()}{cut[1:]}; capture with -s 0.")
     for note in builder.notes + tally.capture.notes:
         report.note(note)
 

@@ -26,6 +26,7 @@ from .deformation import (
     CLOUD_ENDINGS as CLOUD_ENDINGS,
     DSM_ENDINGS as DSM_ENDINGS,
     TEXT_ENDINGS as TEXT_ENDINGS,
+    VECTOR_ENDINGS as VECTOR_ENDINGS,
     Classes as Classes,
     Deformation as Deformation,
     Epoch as Epoch,

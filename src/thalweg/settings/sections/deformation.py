@@ -31,6 +31,7 @@ CLOUD_ENDINGS: Final = (".las", ".laz", ".ply", ".e57")
 TEXT_ENDINGS: Final = (".xyz", ".txt", ".csv", ".asc", ".pts")
 """Tables of points: x, y, z in the first three columns, a head of any number of lines."""
 DSM_ENDINGS: Final = (".tif", ".tiff")
+VECTOR_ENDINGS: Final = (".gpkg", ".shp", ".geojson", ".json", ".kml", ".gml", ".fgb", ".dxf")
 """Rasters of heights."""
 
 
@@ -86,8 +87,8 @@ class Epoch(Section):
     )
     leave_out: list[str] = Field(
         default=[],
-        description="Of files: polygons (GeoPackage) without comparison, such as water; "
-        "FILE?COLUMN=VALUE,... chooses some of a file",
+        description="Of files: polygons (GeoPackage, Shapefile, GeoJSON, KML) without comparison, such as "
+        "water; FILE?COLUMN=VALUE,... chooses some of a file, FILE?layer=NAME a layer",
         examples=[["watermasks.gpkg?location=mar,raw_date=20180727"]],
     )
 

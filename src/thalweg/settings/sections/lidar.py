@@ -52,7 +52,11 @@ class LidarClockStated(Section):
         default=0.2, le=2, description="Standard deviation of `nmea_delay_s`, seconds"
     )
     offset_s: Finite = Field(
-        default=0.0, ge=-86_400, le=86_400, description="Added to the time of every packet, seconds"
+        default=0.0,
+        ge=-1.3e9,
+        le=1.3e9,
+        description="Added to the time of every packet, seconds; 1024 weeks and the leap seconds since then "
+        "where the week counter of the receiver rolled over",
     )
 
     @field_validator("first_packet_utc")

@@ -346,13 +346,13 @@ class Logs(Section):
     )
     centre_line: Files = Field(
         default=(),
-        description="Centre line of the river, downstream: CSV with east_m, north_m in campaign.crs; else "
-        "from banks and track",
+        description="Centre line of the river, downstream: CSV with east_m, north_m in campaign.crs, or one "
+        "line of a GIS; else from banks and track",
     )
     bank_lines: Files = Field(
         default=(),
-        description="Bank lines: GeoJSON in campaign.crs with `side: left` and `right`; else where "
-        "the ground of the cloud meets the water",
+        description="Bank lines with `side: left` and `right` (GeoJSON, Shapefile, GeoPackage, KML, GML, "
+        "DXF); else where the ground of the cloud meets the water",
     )
     uav: Files = Field(
         default=(),
@@ -366,13 +366,13 @@ class Logs(Section):
     )
     soundings: Files = Field(
         default=(),
-        description="Soundings of others, further data of the bed: CSV, text of x y z or GeoJSON in "
+        description="Soundings of others, further data of the bed: CSV, text of x y z or points of a GIS in "
         "campaign.crs; section bathymetry.table says which column they are in",
     )
     reference_bed: Files = Field(
         default=(),
         description="Surfaces or points that the bed is compared with, such as a multibeam survey: GeoTIFF, "
-        "LAS, LAZ, CSV, text of x y z, GeoJSON in campaign.crs, ellipsoidal heights",
+        "LAS, LAZ, CSV, text of x y z, points of a GIS in campaign.crs, ellipsoidal heights",
     )
     time_lapse: TimeLapseLogs = Field(
         default=TimeLapseLogs(), description="Images of the bank, and control points"

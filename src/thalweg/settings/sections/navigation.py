@@ -36,6 +36,10 @@ class Ins(Section):
     time_scale: Literal["utc", "gps"] | None = Field(
         default=None, description="Stamps of such a table: `utc` Unix time, `gps` seconds since 1980-01-06"
     )
+    upside_down: bool = Field(
+        default=False,
+        description="The INS is mounted upside down; else poses that are so throughout are refused",
+    )
 
 
 class Ppk(Section):

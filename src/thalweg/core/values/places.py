@@ -1,0 +1,367 @@
+"""One check of places for every input: can these coordinates be meant, and if not, how else would they fit?
+
+Coordinates of a map are right where its coordinate reference system is used: PROJ knows the area of use of
+each. A survey that has an origin knows better: its places lie within 10 km. Coordinates that fit neither are
+tried as what people usually mistake (order, degrees, feet, another zone, a zone before the easting), and the
+refusal names the reading that would fit. Nothing is converted here: what a file does not state is asked.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from pyproj import CRS, Transformer
+from pyproj.aoi import AreaOfInterest
+from pyproj.database import query_utm_crs_info
+
+from thalweg.core import ArrayB, ArrayF, GeometryError, InputError, LocalFrame
+
+FAR_M: Final = 10_000.0
+"""Distance from the origin of a survey beyond which coordinates are others."""
+FORMS: Final = (("east_m", "north_m", "up_m"), ("lat_deg", "lon_deg", "h_ell_m"), ("x", "y", "z"))
+"""Columns of coordinates: in the world frame, geodetic, in a CRS."""
+LOWEST_M: Final = -12_000.0
+HIGHEST_M: Final = 9_000.0
+"""Heights of ground, wet or dry; the deepest trench and the highest mountain lie within."""
+_NEAR_ZERO_M: Final = 1_000.0
+"""No national grid has ground so near to its false origin: these are degrees, or a local system."""
+_WIDEST_M: Final = 450_000.0
+"""Farthest from its meridian that a zone of UTM is used: all of Germany is published in zone 32."""
+_MARGIN_DEG: Final = (3.1, 1.0)
+"""Longitude and latitude by which a grid is used beyond its area, for the same reason."""
+_UNITS: Final = (("kilometres", 1e3), ("feet", 0.3048), ("centimetres", 1e-2), ("millimetres", 1e-3))
+_UTM: Final = ((32601, 32660), (32701, 32760), (25828, 25838))
+"""EPSG codes of zones of UTM that lie beside each other."""
+_MOST_APART_M: Final = 200_000.0
+
+Form = tuple[str, str, str]
+Fits = Callable[[ArrayF, ArrayF], bool]
+"""Whether longitudes and latitudes (n,) in degrees can be those that are meant."""
+
+
+def utm_of(lon_deg: ArrayF, lat_deg: ArrayF) -> CRS:
+    """The zone of UTM (WGS 84) in the middle of places in degrees.
+
+    Raises
+    ------
+    InputError : beyond 84 N or 80 S, where there is none.
+    """
+    lon, lat = float(np.median(lon_deg)), float(np.median(lat_deg))
+    lon = (lon + 180.0) % 360.0 - 180.0
+    found = query_utm_crs_info(datum_name="WGS 84", area_of_interest=AreaOfInterest(lon, lat, lon, lat))
+    if not found:
+        raise InputError(
+            f"places about {in_words(lon, lat)}", expected="a zone of UTM", cure="State a projected --crs"
+        )
+    return CRS.from_epsg(int(found[0].code))
+
+
+def in_words(lon_deg: float, lat_deg: float) -> str:
+    """A place as people say it, such as ``51.0500 N, 13.7500 E``."""
+    side = ("N" if lat_deg >= 0 else "S", "E" if lon_deg >= 0 else "W")
+    return f"{abs(lat_deg):.4f} {side[0]}, {abs(lon_deg):.4f} {side[1]}"
+
+
+def check_places(
+    xy_m: ArrayF,
+    crs: CRS,
+    *,
+    where: str | Path,
+    height_m: ArrayF | None = None,
+    cure: str = "",
+    degrees: bool = False,
+) -> str:
+    """Check coordinates of a map; returns where they lie, for a note.
+
+    Parameters
+    ----------
+    xy_m : (n, 2) finite east and north in ``crs``, metres.
+    crs : projected.
+    where : file, for the message.
+    height_m : (n,) heights of ground, if there are any.
+    cure : how this caller is told another CRS, such as ``--crs``.
+    degrees : ``xy_m`` are longitude and latitude that are to come onto the map.
+
+    Raises
+    ------
+    InputError : no place, places outside of the area of use of the CRS, so far apart that one of them is
+        wrong, or heights of no ground; the message names the reading that would fit.
+    """
+    if not len(xy_m):
+        raise InputError("no place", where=where, expected="coordinates", cure="Look at their columns")
+    if height_m is not None:
+        check_heights(height_m, where=where)
+    middle = np.median(xy_m, axis=0)
+    fits = _in_area(crs)
+    lon, lat = xy_m.T if degrees else _degrees(xy_m, crs)
+    if not fits(lon, lat):
+        found = f"east {middle[0]:,.1f}, north {middle[1]:,.1f} in the median"
+        form, xyz = FORMS[2], np.column_stack([xy_m, np.zeros(len(xy_m))])
+        if degrees:
+            found = f"places about {in_words(middle[0], middle[1])}"
+            form, xyz = FORMS[1], xyz[:, [1, 0, 2]]
+        words, how = next(
+            ((r.words, r.cure) for r in readings(xyz, form, crs, None) if fits(*_geodetic(r))),
+            ("degrees" if _could_be_degrees(xy_m) and not degrees else "", ""),
+        )
+        if words:
+            found += f"; {words} would fit"
+        raise InputError(
+            found,
+            where=where,
+            expected=f"coordinates in {crs.name}, used {_area_in_words(crs)}",
+            cure=how or f"Look at the order and the unit of the columns, and at {cure or 'the CRS'}",
+        )
+    away = np.linalg.norm(xy_m - middle, axis=1) * (0.0 if degrees else 1.0)
+    if away.max() > _MOST_APART_M:
+        far = away > max(_MOST_APART_M / 2, 10 * float(np.median(away)))
+        raise InputError(
+            f"{int(far.sum()):,} of {len(away):,} places lie up to {away.max() / 1000:,.0f} km from the "
+            f"others, the first at east {xy_m[far][0, 0]:,.1f}, north {xy_m[far][0, 1]:,.1f}"
+            if far.any()
+            else f"places up to {away.max() / 1000:,.0f} km from their middle",
+            where=where,
+            expected="places of one survey",
+            cure="Leave these rows out, or correct them",
+        )
+    return f"places about {in_words(float(np.median(lon)), float(np.median(lat)))}"
+
+
+def check_heights(height_m: ArrayF, *, where: str | Path) -> None:
+    """Refuse heights (n,) that no ground has, wet or dry; NaN are none.
+
+    Raises
+    ------
+    InputError : most of them lie below the deepest trench or above the highest mountain.
+    """
+    known = height_m[np.isfinite(height_m)]
+    if len(known) and ((known < LOWEST_M) | (known > HIGHEST_M)).mean() > 0.5:
+        raise InputError(
+            f"heights about {np.median(known):,.0f} m",
+            where=where,
+            expected=f"ground between {LOWEST_M:,.0f} and {HIGHEST_M:,.0f} m",
+            cure="Look at the order of the columns and at their unit",
+        )
+
+
+def check_degrees(xy: ArrayF, *, where: str | Path, cure: str) -> None:
+    """Refuse coordinates of no stated system that look like degrees rather than metres.
+
+    Parameters
+    ----------
+    xy : (n, 2).
+    cure : what the user of this caller can do.
+
+    Raises
+    ------
+    InputError : all lie within 180 and 90, in steps no finer than degrees need.
+    """
+    if _could_be_degrees(xy) and np.ptp(xy, axis=0).max() < 0.5:
+        raise InputError(
+            f"coordinates from {xy.min(axis=0).round(6).tolist()} to {xy.max(axis=0).round(6).tolist()}, "
+            "which look like degrees",
+            where=where,
+            expected="metres",
+            cure=cure,
+        )
+
+
+def _could_be_degrees(xy: ArrayF) -> bool:
+    """Whether all numbers are possible angles and some place lies away from the origin of a local system."""
+    low, high = np.sort(np.abs(xy).max(axis=0))
+    return bool(low <= 90 and high <= 180 and np.abs(np.median(xy, axis=0)).max() > 1.0 and len(xy) > 1)
+
+
+def _geodetic(reading: "Reading") -> tuple[ArrayF, ArrayF]:
+    """Longitude and latitude (n,) of coordinates as they may be meant."""
+    x, y = reading.values[:, 0], reading.values[:, 1]
+    if reading.form == FORMS[1]:
+        return y, x
+    assert reading.crs is not None
+    return _degrees(reading.values[:, :2], reading.crs)
+
+
+def _degrees(xy: ArrayF, crs: CRS) -> tuple[ArrayF, ArrayF]:
+    """Longitude and latitude (n,) of coordinates of a map; NaN where nobody uses it so."""
+    if crs.is_geographic:
+        return xy[:, 0], xy[:, 1]
+    lon, lat = Transformer.from_crs(crs, 4326, always_xy=True).transform(xy[:, 0], xy[:, 1])
+    wrong = np.abs(xy[:, :2]).max(axis=1) <= _NEAR_ZERO_M
+    if crs.utm_zone:
+        wrong |= np.abs(xy[:, 0] - 500_000.0) > _WIDEST_M
+    return np.where(wrong, np.nan, lon), np.where(wrong, np.nan, lat)
+
+
+def _in_area(crs: CRS) -> Fits:
+    """Whether most places lie where a CRS is used; of one without a stated area, on the earth."""
+    area = crs.area_of_use
+
+    def fits(lon: ArrayF, lat: ArrayF) -> bool:
+        """Whether places in degrees lie there."""
+        inside: ArrayB = np.isfinite(lon) & np.isfinite(lat) & (np.abs(lat) <= 90)
+        lon, lat = np.where(inside, lon, 0.0), np.where(inside, lat, 0.0)
+        if area is not None:
+            width = area.east - area.west + (360.0 if area.east < area.west else 0.0)
+            inside &= (lon - area.west + _MARGIN_DEG[0]) % 360.0 <= width + 2 * _MARGIN_DEG[0]
+            inside &= (lat >= area.south - _MARGIN_DEG[1]) & (lat <= area.north + _MARGIN_DEG[1])
+        return bool(inside.mean() > 0.5)
+
+    return fits
+
+
+def _area_in_words(crs: CRS) -> str:
+    area = crs.area_of_use
+    if area is None:
+        return "anywhere"
+    return f"from {in_words(area.west, area.south)} to {in_words(area.east, area.north)}"
+
+
+def world_of(values: ArrayF, form: Form, crs: CRS | None, frame: LocalFrame) -> ArrayF:
+    """(n, 3) coordinates of one of `FORMS` in wcs.
+
+    Raises
+    ------
+    GeometryError : coordinates outside of the CRS, or a latitude beyond the poles.
+    """
+    if form == FORMS[0]:
+        return values
+    if form == FORMS[1] or (crs is not None and crs.is_geographic):
+        lat, lon = (0, 1) if form == FORMS[1] else (1, 0)
+        if (np.abs(values[:, lat]) > 90).any() or (np.abs(values[:, lon]) > 360).any():
+            raise GeometryError(
+                f"latitude {values[0, lat]:g} and longitude {values[0, lon]:g}", expected="degrees"
+            )
+        return frame.from_geodetic(values[:, lat], values[:, lon], values[:, 2])
+    assert crs is not None
+    return frame.from_map(values, crs)
+
+
+def near_world(
+    values: ArrayF,
+    form: Form,
+    crs: CRS | None,
+    frame: LocalFrame,
+    where: str | Path,
+    *,
+    what: str = "control points",
+    own: bool = False,
+    setting: str = "images.control.crs",
+) -> ArrayF:
+    """The same, refused where the points lie far from the campaign's origin and another reading does not.
+
+    Parameters
+    ----------
+    what : the points, for the message.
+    own : whether the file itself states its CRS.
+    setting : where a user states it otherwise.
+
+    Raises
+    ------
+    GeometryError : the coordinates are those of another CRS, order or unit; the message says which.
+    """
+    problem: GeometryError | None = None
+    try:
+        found = world_of(values, form, crs, frame)
+    except GeometryError as error:
+        problem, found = error, np.full(values.shape, np.inf)
+    away = np.linalg.norm(found, axis=1)
+    # a place to 10 km tells a CRS, a unit or an order from any other
+    if problem is None and np.median(away) <= FAR_M:
+        return found
+    state = "Correct the CRS that the file states:" if own else f"Set {setting}:"
+    other = next((o for o in readings(values, form, crs, frame, state) if _away_m(o, frame) <= FAR_M), None)
+    if other is None:
+        if problem is None:
+            return found
+        raise GeometryError(problem.found, expected=problem.expected, where=where, cure=problem.cure)
+    far = f"{what} {np.median(away) / 1000:.0f} km from campaign.origin"
+    stated = (
+        "of the world frame"
+        if form == FORMS[0]
+        else "in degrees"
+        if form == FORMS[1]
+        else f"in '{crs.name}'"
+        if crs
+        else ""
+    )
+    raise GeometryError(
+        f"{problem.found if problem else far}; {other.words} would fit",
+        expected=f"coordinates {stated}",
+        where=where,
+        cure=other.cure,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """Coordinates (n, 3) as they may be meant, in a form of `FORMS` and a CRS, with words and a cure."""
+
+    words: str
+    cure: str
+    values: ArrayF
+    form: Form
+    crs: CRS | None
+
+
+def readings(
+    values: ArrayF, form: Form, crs: CRS | None, frame: LocalFrame | None, state: str = "State"
+) -> Iterator[Reading]:
+    """Usual mistakes: other orders, degrees, systems and units of coordinates (n, 3).
+
+    Parameters
+    ----------
+    form : one of `FORMS`, as which they are taken.
+    crs : of the last form.
+    frame : of the survey; without it, its zones of UTM and its own coordinates are not tried.
+    state : how the user states a CRS, before its code.
+    """
+    world, geodetic, grid = FORMS
+    swapped = values[:, [1, 0, 2]]
+    swap = "Swap these columns, or their names"
+    names = "Name the columns {}, {}, {}"
+    pair = "latitude and longitude" if form == geodetic else "east and north"
+    yield Reading(f"{pair} swapped", swap, swapped, form, crs)
+    if form != geodetic:
+        yield Reading("latitude and longitude", names.format(*geodetic), values, geodetic, None)
+        back = names.format("lon_deg", "lat_deg", "h_ell_m")
+        yield Reading("longitude and latitude", back, swapped, geodetic, None)
+    for other in _grids(crs, frame):
+        cure = f"{state} EPSG:{other.to_epsg()}"
+        if form != grid:
+            cure = f"{names.format(*grid)}. {cure}"
+        yield Reading(other.name, cure, values, grid, other)
+        zone = np.floor(values[:, 0] / 1e6)
+        stated = {int(other.utm_zone[:-1])} if other.utm_zone else range(1, 61)
+        if np.isin(zone, list(stated)).all():
+            bare = values - np.stack([zone * 1e6, 0 * zone, 0 * zone], axis=1)
+            words = f"{other.name} with the zone before the easting"
+            yield Reading(words, "Take the zone off", bare, grid, other)
+    if form != geodetic:
+        for words, factor in _UNITS:
+            cure = f"Write metres, or the unit ({words}) behind the names of the columns"
+            yield Reading(words, cure, factor * values, form, crs)
+    if form != world and frame is not None:
+        yield Reading("coordinates of the world frame", names.format(*world), values, world, None)
+
+
+def _away_m(other: Reading, frame: LocalFrame) -> float:
+    try:
+        found = world_of(other.values, other.form, other.crs, frame)
+    except GeometryError:
+        return np.inf
+    return float(np.median(np.linalg.norm(found[:, :2], axis=1)))
+
+
+def _grids(own: CRS | None, frame: LocalFrame | None) -> list[CRS]:
+    """The stated grid, those beside it, and the zones of UTM about the campaign."""
+    code = None if own is None else own.to_epsg()
+    codes = [] if code is None else [code]
+    if code is not None and any(low <= code <= high for low, high in _UTM):
+        codes += [code - 1, code + 1]
+    if frame is not None:
+        zone = int((frame.lon_deg + 180) // 6) + 1
+        base = 32600 if frame.lat_deg >= 0 else 32700
+        codes += [base + z for z in (zone, zone - 1, zone + 1) if 1 <= z <= 60]
+    return [CRS.from_epsg(c) for c in dict.fromkeys(codes) if any(a <= c <= b for a, b in _UTM) or c == code]

@@ -1,0 +1,995 @@
+"""Tables of other people: any text with columns, read once for all callers.
+
+What the file states decides: its encoding, separator, decimal mark, names and units of columns. What it does
+not state is refused where it cannot be told, and noted where one answer is usual. A row that is not taken is
+counted with its reason and the line at which that happened first.
+
+========== ==================================================================================================
+encoding   UTF-8 with or without mark, UTF-16 with mark, else Windows-1252 (noted)
+separator  tab, semicolon, bar, comma, blanks: the first that cuts most lines into as many cells
+decimals   points or commas, the whole file alike; digits in groups are put together
+header     the last line without a number above the first line with one, also behind ``#``, ``%`` or ``//``
+units      in the name (``depth_ft``, ``WaterDepthFt``, ``Depth (m)``), in a line below it, or in cells
+nothing    words and numbers of `thalweg.core.values.NOTHING`
+========== ==================================================================================================
+"""
+
+import csv
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from io import StringIO
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from pyproj import CRS, Transformer
+
+from thalweg.core import ArrayB, ArrayF, ArrayI, InputError, unix_from_gps
+from thalweg.core.values import (
+    METRE,
+    NOTHING,
+    WORDS,
+    Unit,
+    check_places,
+    in_words,
+    is_nothing,
+    unit_of_word,
+    utm_of,
+)
+from thalweg.ingest.stamps import (
+    TIME_SCALES,
+    gps_from_scale,
+    possible_unix,
+    tell_time_scale,
+    time_scale_words,
+)
+
+# ---------------------------------------------------------------- names of columns
+
+
+NAMES: Final[Mapping[str, str]] = {
+    "east": "east easting e x eastings rechtswert rw ost utm_e utm_x xcoord",
+    "north": "north northing n y northings hochwert hw nord utm_n utm_y ycoord",
+    "lat": "lat latitude breite y/latitude",
+    "lon": "lon long lng longitude laenge länge x/longitude",
+    "height": "height z elevation elev alt altitude h h_ell ell_height sfm_z hoehe höhe rl z/altitude up",
+    "depth": "depth d tiefe profondeur prof profundidad sounding soundings wd",
+    "sigma": "sigma sigma_z sigma_up sigma_height sigma_depth sd std stdev stddev uncertainty tvu accuracy",
+    "line": "line line_id line_name profile section transect track run survey_line",
+    "time": "time timestamp datetime date_time time_utc utc utc_time gps_time epoch epoch_ms unix unix_s t",
+    "date": "date day datum date_utc",
+    "level": "level water_level wl stage gauge wasserstand pegel",
+}
+"""Quantities and the names, small letters without units, by which columns of them are known."""
+_KIND: Final = {"east": "position", "north": "position", "level": "height"}
+"""Row of `NOTHING` for a quantity whose name is none."""
+_FILLER_WORDS: Final = (
+    "point coord coordinate coordinates coords gps gnss utm water mean avg average measured corrected of "
+    "the in wgs epsg value bottom bed river lake decimal degrees deg dd degree pos position map grid surveyed"
+)
+_FILLERS: Final = frozenset(_FILLER_WORDS.split())
+"""Words in names that change nothing of what is meant."""
+_OTHER_UNITS: Final = "bar dbar mbar kpa hpa pa psi ms us s sec min v mv counts raw_counts px pixel pixels"
+_NO_LENGTHS: Final = frozenset(_OTHER_UNITS.split())
+"""Units that are known and are no lengths."""
+_OF_IMAGES: Final = frozenset(["px", "pixel", "pixels", "s", "ms", "us"])
+"""Those of them that belong to places and times of pictures."""
+_HEADS: Final = ("#", "%", "//", "!")
+"""How lines begin that are no rows."""
+_SAMPLE: Final = 400
+"""Lines by which the form of a table is told."""
+_LARGE: Final = 2_000_000
+"""Characters beyond which a table of plain numbers is read as such."""
+_ALIKE: Final = 0.8
+"""Share of the lines that a separator must cut into the same number of cells."""
+_MOST_GARBLED: Final = 0.05
+"""Share of cells without a number beyond which a column is refused rather than thinned."""
+_SECOND_M: Final = 10.0
+"""Two statements of one place (degrees, and metres of the grid) that differ by more contradict each other."""
+
+_NUMBER: Final = re.compile(r"[-+−]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?")
+_COMMA_NUMBER: Final = re.compile(r"[-+−]?\d+(?:,\d+)?")
+_VALUE: Final = re.compile(
+    r"[-+−]?(?:\d[\d.,'\u00a0\u202f ]*|\.\d+)(?:[eEdD][-+]?\d+)?(?: ?[a-zA-Z]{1,8})?"  # number, with its unit
+    r"|\d{1,4}[-./]\d{1,2}[-./]\d{1,4}([T ,]+.*)?|\d{1,2}:\d{2}(:\d{2}.*)?"  # date, time of day
+    r"|[NSEWnsew]?\s*[-+]?\d{1,3}[°:d ].*"  # angle
+)
+"""A cell that holds a value rather than a name."""
+_DAY: Final = r"^(\d{1,2})([./-])(\d{1,2})[./-](\d{4}|\d\d)(.*)$"
+"""A day before its month, or the other way round, and what stands behind."""
+_ANGLE: Final = re.compile(
+    r"\s*([NSEW])?\s*([-+−]?\d+(?:[.,]\d+)?)\s*(?:[°d:\s]\s*(\d+(?:[.,]\d+)?)\s*(?:['′m:\s]\s*(\d+(?:[.,]\d+)?)\s*(?:''|\"|″|s)?)?)?"
+    r"\s*['′°]?\s*([NSEW])?\s*",
+    re.IGNORECASE,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column: name as the file has it, the words of it without unit, and its unit, if one is stated.
+
+    ``foreign`` is a stated unit that is no length.
+    """
+
+    name: str
+    words: str
+    unit: Unit | None = None
+    foreign: str = ""
+
+
+def column_of(name: str) -> Column:
+    """What the name of a column says.
+
+    Examples
+    --------
+    >>> column_of("WaterDepthFt").words, column_of("WaterDepthFt").unit.name
+    ('depth', 'foot')
+    >>> column_of("Depth_in_Feet").words, column_of("depth (US ft)").unit.name
+    ('depth', 'US survey foot')
+    >>> column_of("POINT_Z").words
+    'z'
+    """
+    bare = name.strip().strip("\"'").strip()
+    unit, foreign, rest = None, "", bare
+    if bracket := re.search(r"[(\[{<]([^)\]}>]*)[)\]}>]\s*$", bare):
+        rest = bare[: bracket.start()]
+        unit = unit_of_word(bracket[1])
+        word = bracket[1].strip().lower()
+        foreign = word if unit is None and word in _NO_LENGTHS else ""
+    split = re.sub(r"([a-zäöüß])([A-ZÄÖÜ])", r"\1 \2", rest)
+    tokens = re.findall(r"[a-zäöüßéèà/]+", re.sub(r"([A-Z]+)([A-Z][a-z])", r"\1 \2", split).lower())
+    if unit is None and not foreign:
+        for k in (3, 2, 1):
+            if len(tokens) > k and (unit := unit_of_word("_".join(tokens[-k:]))) is not None:
+                tokens = tokens[:-k]
+                break
+        else:
+            if len(tokens) > 1 and tokens[-1] in _NO_LENGTHS:
+                foreign = tokens.pop()
+    kept = [t for t in tokens if t not in _FILLERS] or tokens
+    return Column(bare, "_".join(kept), unit, foreign)
+
+
+# ---------------------------------------------------------------- the file
+
+
+def read_text(path: Path) -> tuple[str, list[str]]:
+    """Text of a file and what had to be assumed about its encoding.
+
+    Raises
+    ------
+    InputError : no such file, a folder or device, empty, a workbook, or no text.
+    """
+    if not path.exists():
+        raise InputError("file not found", expected="a table", where=path, cure="Check the path")
+    if not path.is_file():
+        raise InputError("a folder or a device", expected="a table", where=path, cure="Name a file")
+    data = path.read_bytes()
+    if data.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0")):
+        raise InputError(
+            "a workbook or a zip archive",
+            expected="a table as text",
+            where=path,
+            cure="Save the sheet as CSV (UTF-8)",
+        )
+    notes: list[str] = []
+    if data[:400].lstrip().lower().startswith((b"ncols", b"dsaa", b"nrows")):
+        raise InputError(
+            "a grid as text (Esri, Surfer)",
+            expected="a table with a row for each point",
+            where=path,
+            cure="Convert it to GeoTIFF: gdal_translate FILE FILE.tif",
+        )
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        text = data.decode("utf-16", "replace")
+    else:
+        try:
+            text = data.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = data.decode("cp1252", "replace")
+            notes.append("The text is no UTF-8 and is read as Windows-1252 (Latin-1).")
+    if "\0" in text[:100_000]:
+        raise InputError("zero bytes", expected="a table as text", where=path, cure="Save it as CSV (UTF-8)")
+    if not text.strip():
+        raise InputError("the file is empty", expected="a table", where=path, cure="Export it again")
+    return text, notes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """A table as a file has it.
+
+    Attributes
+    ----------
+    path : the file.
+    columns : of the header; without one named by their place (``column 1``) or as the caller states.
+    named : whether the file names its columns.
+    cells : (n, k) texts without blanks around them.
+    line : (n,) number of each row's line in the file, from 1.
+    decimal, thousands : marks inside numbers; no ``thousands`` if empty.
+    losses : rows that were not taken: reason -> their number and the first line; grows as columns are read.
+    notes : what was assumed.
+    """
+
+    path: Path
+    columns: tuple[Column, ...]
+    named: bool
+    cells: pd.DataFrame
+    line: ArrayI
+    decimal: str = "."
+    thousands: str = ""
+    losses: dict[str, tuple[int, int]] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        return len(self.line)
+
+    @classmethod
+    def of(cls, frame: pd.DataFrame, path: Path) -> "Table":
+        """The table of values that another format holds, such as attributes of points."""
+        cells = frame.astype(object).where(frame.notna(), "").astype(str)
+        return cls(
+            path=path,
+            columns=tuple(column_of(str(name)) for name in frame),
+            named=True,
+            cells=cells.set_axis(range(frame.shape[1]), axis=1).reset_index(drop=True),
+            line=np.arange(1, len(frame) + 1),
+        )
+
+    # -------------------------------- which column
+
+    def find(self, quantity: str, names: Mapping[str, str] = NAMES) -> int | None:
+        """Place of the column of a quantity; None if there is none.
+
+        Raises
+        ------
+        InputError : several columns may be meant.
+        """
+        known = names[quantity].split()
+        found = [k for k, c in enumerate(self.columns) if c.words in known or c.name.lower() in known]
+        plain = [k for k in found if _without_unit(self.columns[k].name) in known]
+        if len(found) > 1 and len(plain) == 1:  # depth beside depth_corrected: what is named without more
+            return plain[0]
+        if len(found) > 1:
+            listed = ", ".join(self.columns[k].name for k in found)
+            raise InputError(
+                f"several columns of {quantity}: {listed}",
+                expected="one of them",
+                where=self.path,
+                cure="Name the one that is meant, or rename the others",
+            )
+        return found[0] if found else None
+
+    def column(self, name: str) -> int:
+        """Place of a column by the name that a user states: as in the file, in another case, or a quantity.
+
+        Raises
+        ------
+        InputError : no such column.
+        """
+        wanted = name.strip()
+        for same in (str, str.casefold):
+            found = [k for k, c in enumerate(self.columns) if same(c.name) == same(wanted)]
+            if found:
+                return found[0]
+        by_quantity = self.find(wanted) if wanted in NAMES else None
+        if by_quantity is None:
+            raise InputError(
+                f"no column {name}",
+                where=self.path,
+                expected=f"one of {self.listed()}",
+                cure="Name one of these",
+            )
+        return by_quantity
+
+    def listed(self) -> str:
+        """Names of the columns, for a message."""
+        return ", ".join(c.name for c in self.columns)
+
+    def having(self, quantities: Sequence[str]) -> bool:
+        """Whether there is a column of each quantity."""
+        return all(self.find(q) is not None for q in quantities)
+
+    # -------------------------------- what stands in it
+
+    def text(self, k: int) -> list[str]:
+        """Cells of a column."""
+        cells = self.cells[k]
+        return [f"{v:.15g}" for v in cells] if cells.dtype.kind == "f" else list(cells)
+
+    def numbers(
+        self, k: int, quantity: str = "other", *, nothing: Sequence[float] = (), keep: Sequence[float] = ()
+    ) -> ArrayF:
+        """Numbers (n,) of a column in metres (other quantities as they stand); NaN where there is no value.
+
+        Cells without a value are counted by reason, each row at its first.
+
+        Parameters
+        ----------
+        k : place of the column.
+        quantity : which values stand for none, see `thalweg.core.values.NOTHING`.
+        nothing, keep : more such values, and such that are meant.
+
+        Raises
+        ------
+        InputError : a unit that is no length, or text in more than a twentieth of the cells.
+        """
+        column, cells = self.columns[k], self.cells[k]
+        if column.foreign:
+            raise InputError(
+                f"column {column.name} in {column.foreign}",
+                where=self.path,
+                expected="a unit of length",
+                cure="Convert it to metres, or name another column",
+            )
+        values = self._parsed(cells)
+        words = np.asarray(cells.str.lower().isin(WORDS), dtype=np.bool_) if np.isnan(values).any() else None
+        metres = np.ones(len(values))
+        if words is not None:
+            odd = np.flatnonzero(np.isnan(values) & ~words)
+            for row in odd.tolist():  # a unit behind the number, group marks, Fortran's exponents
+                values[row], metres[row] = self._odd(cells.iloc[row])
+            odd = odd[np.isnan(values[odd])]
+            self._lose("without a value", column.name, words)
+            if len(odd):
+                first = f"'{cells.iloc[int(odd[0])][:40]}' in column {column.name}"
+                if len(odd) > _MOST_GARBLED * len(values):
+                    raise InputError(
+                        f"{first}, and {len(odd) - 1:,} more of {len(values):,} rows without a number",
+                        expected="numbers",
+                        where=f"{self.path}:{self.line[odd[0]]}",
+                        cure="Look at the separator and the decimal mark, or name another column",
+                    )
+                mark = np.zeros(len(values), dtype=np.bool_)
+                mark[odd] = True
+                self._lose(f"with {first.split(' in column')[0]} for a number", column.name, mark)
+        kind = quantity if quantity in NOTHING else _KIND.get(quantity, "other")
+        none = is_nothing(values, kind, nothing, keep) & np.isfinite(values)
+        if none.any():
+            shown = ", ".join(f"{v:g}" for v in np.unique(values[none])[:3])
+            self._lose(f"with {shown}, which stands for no value,", column.name, none)
+        unit = (column.unit or METRE).metres
+        return np.where(none, np.nan, values * np.where(metres == 1.0, unit, metres))
+
+    def _parsed(self, cells: "pd.Series[Any]") -> ArrayF:
+        if cells.dtype.kind == "f":
+            return cells.to_numpy(np.float64).copy()
+        if self.thousands:
+            cells = cells.str.replace(self.thousands, "", regex=False)
+        if self.decimal == ",":
+            cells = cells.str.replace(",", ".", regex=False)
+        return pd.to_numeric(cells, errors="coerce").to_numpy(np.float64, na_value=np.nan).copy()
+
+    def _odd(self, text: str) -> tuple[float, float]:
+        """A number that pandas does not read, and the metres of the unit behind it."""
+        bare = re.sub(r"(?<=\d)['\u00a0\u202f ](?=\d{3})", "", text.replace("−", "-"))
+        if self.thousands:
+            bare = bare.replace(self.thousands, "")
+        if self.decimal == ",":
+            bare = bare.replace(",", ".")
+        found = re.fullmatch(rf"({_NUMBER.pattern})\s*([^\d\s.,].*)?", bare.strip())
+        if not found:
+            return np.nan, 1.0
+        unit = METRE if found[2] is None else unit_of_word(found[2])
+        return (np.nan, 1.0) if unit is None else (float(re.sub("[dD]", "e", found[1])), unit.metres)
+
+    def _lose(self, reason: str, column: str, rows: ArrayB) -> None:
+        if n := int(rows.sum()):
+            self.losses[f"{reason} in column {column}"] = (n, int(self.line[np.argmax(rows)]))
+
+    def loss_notes(self) -> list[str]:
+        """A sentence for each reason for which rows were not taken."""
+        return [
+            f"{n:,} row{'s' if n > 1 else ''} {reason}, left out, the first in line {line}"
+            for reason, (n, line) in self.losses.items()
+        ]
+
+    def unit_notes(self, *places: int) -> list[str]:
+        """What was converted, or taken as metres, of some columns."""
+        out = []
+        for k in places:
+            c = self.columns[k]
+            if c.unit is None:
+                out.append(f"column {c.name} states no unit: taken as metres")
+            elif not c.unit.is_metre:
+                out.append(f"column {c.name} converted from {c.unit.name} ({c.unit.metres:.10g} m)")
+        return out
+
+    # -------------------------------- places
+
+    def places(self, crs: CRS | None, *, any_system: bool = False) -> "Places":
+        """East and north of each row on a map.
+
+        Columns of latitude and longitude are transformed, onto the zone of UTM in their middle without a
+        stated map; of a file that states both, the two are compared.
+
+        Parameters
+        ----------
+        crs : of the map, in metres; None where the table states degrees.
+        any_system : coordinates in metres need no CRS.
+
+        Raises
+        ------
+        InputError : no columns of coordinates, or none of a stated system.
+        """
+        metric, angular = self.having(("east", "north")), self.having(("lat", "lon"))
+        if not (metric or angular):
+            raise InputError(
+                f"columns {self.listed()}",
+                where=self.path,
+                expected="coordinates: east, north; x, y; latitude, longitude",
+                cure="Name the columns in the first line, or state their order"
+                + ("" if self.named else ": --columns x,y,z"),
+            )
+        if angular:
+            lat, lon = self.angles("lat"), self.angles("lon")
+            lost = (lat == 0.0) & (lon == 0.0)  # receivers without a fix
+            self._lose("with 0, 0, which is no place,", "latitude, longitude", lost)
+            lat[lost] = lon[lost] = np.nan
+            known = np.isfinite(lat) & np.isfinite(lon)
+            if not known.any():
+                raise InputError(
+                    "no row has a latitude and a longitude",
+                    where=self.path,
+                    expected="degrees",
+                    cure="Look whether the receiver had a fix",
+                )
+            on = crs if crs is not None else utm_of(lon[known], lat[known])
+            east, north = Transformer.from_crs(4326, on, always_xy=True).transform(lon, lat)
+            xy = np.column_stack([east, north])
+            xy[~known] = np.nan
+            notes = [f"latitude and longitude taken as WGS 84 and transformed to {on.name}"]
+            if crs is None:
+                notes[0] += ", the zone of UTM of the data"
+            if not (metric and crs is not None):
+                if not np.isfinite(xy[known]).all():
+                    middle = in_words(float(np.median(lon[known])), float(np.median(lat[known])))
+                    raise InputError(
+                        f"places about {middle} have none in {on.name}",
+                        where=self.path,
+                        expected=f"places in {on.name}",
+                        cure="State the --crs of the river, or leave it out",
+                    )
+                check_places(np.column_stack([lon, lat])[known], on, where=self.path, degrees=True)
+                return Places(xy, on, notes)
+        e, n = (self.find(q) for q in ("east", "north"))
+        assert e is not None
+        assert n is not None
+        if crs is None and not any_system:
+            raise InputError(
+                f"columns {self.columns[e].name}, {self.columns[n].name} without a coordinate system",
+                where=self.path,
+                expected="its code",
+                cure="State --crs EPSG:..., or name the columns lat, lon if they are degrees",
+            )
+        own = np.column_stack([self.numbers(e, "east"), self.numbers(n, "north")])
+        if angular and crs is not None:
+            both = np.isfinite(own).all(axis=1) & np.isfinite(xy).all(axis=1)
+            apart = np.linalg.norm(own - xy, axis=1)[both]
+            if len(apart) and np.median(apart) > _SECOND_M:
+                raise InputError(
+                    f"columns {self.columns[e].name}, {self.columns[n].name} lie {np.median(apart):,.0f} m "
+                    "from those of latitude and longitude in the median",
+                    where=self.path,
+                    expected=f"one place in each row, in {on.name}",
+                    cure="Look at --crs, or leave two of the columns out",
+                )
+        lost = (own == 0.0).all(axis=1)
+        self._lose("with 0, 0, which is no place,", "east, north", lost)
+        own[lost] = np.nan
+        return Places(own, crs, [x for x in self.unit_notes(e, n) if "converted" in x])
+
+    def angles(self, quantity: str) -> ArrayF:
+        """Degrees (n,) of the column of latitude or longitude; NaN where there is no value.
+
+        Decimal degrees, degrees with minutes and seconds, and letters of the hemisphere are read, the letter
+        also in a column of its own.
+
+        Raises
+        ------
+        InputError : no such column, or angles beyond 90 or 180.
+        """
+        k = self.find(quantity)
+        assert k is not None
+        letters, limit = ("NS", 90.0) if quantity == "lat" else ("EW", 180.0)
+        cells = self.cells[k]
+        values = self._parsed(cells)
+        for row in np.flatnonzero(np.isnan(values)).tolist():
+            values[row] = _angle(cells.iloc[row], letters)
+        values[is_nothing(values, "position")] = np.nan
+        none = ~np.isfinite(values)
+        if none.mean() > _MOST_GARBLED and not cells[none].str.lower().isin(WORDS).all():
+            bad = int(np.flatnonzero(none)[0])
+            raise InputError(
+                f"'{cells.iloc[bad][:40]}' in column {self.columns[k].name}, {int(none.sum()):,} such cells",
+                expected=f"a {'latitude' if quantity == 'lat' else 'longitude'} in degrees",
+                where=f"{self.path}:{self.line[bad]}",
+                cure="Write decimal degrees, or degrees, minutes and seconds with blanks between them",
+            )
+        self._lose("without a value", self.columns[k].name, none)
+        for beside in (c for c in (k - 1, k + 1) if 0 <= c < len(self.columns)):
+            side = pd.Series(self.text(beside)).str.upper()
+            if len(side) and side.isin([*letters, ""]).all() and side.isin(list(letters)).any():
+                values = np.where(side == letters[1], -np.abs(values), values)
+        known = values[np.isfinite(values)]
+        if len(known) and np.abs(known).max() > limit:
+            minutes = (np.abs(known) % 100 < 60).all() and np.abs(known).max() < 100 * limit
+            raise InputError(
+                f"{known[np.argmax(np.abs(known))]:g} in column {self.columns[k].name}",
+                expected=f"degrees up to {limit:.0f}",
+                where=self.path,
+                cure="These look like degrees and minutes in one number (ddmm.mmmm): write decimal degrees"
+                if minutes
+                else "Look at the order of the columns: latitude and longitude may be exchanged",
+            )
+        return values
+
+    # -------------------------------- times
+
+    def times(self) -> tuple[ArrayF, list[str]] | None:
+        """Unix time (n,) of each row, NaN where there is none, and what was assumed; None without a date.
+
+        Read are ISO 8601 and days with points (day first) or slashes, where the whole file tells which number
+        is the month, in one column or in a date and a time; and numbers since 1970 in s, ms, us or ns.
+        Without a stated zone times count as UTC.
+
+        Raises
+        ------
+        InputError : days and months that may be exchanged.
+        """
+        date, time = self.find("date"), self.find("time")
+        parts = [pd.Series(self.text(k)) for k in (date, time) if k is not None]
+        if not parts:
+            return None
+        text = parts[0] if len(parts) == 1 else parts[0].str.cat(parts[1], sep=" ")
+        number = pd.to_numeric(text, errors="coerce").to_numpy(np.float64)
+        if np.isfinite(number).mean() > 0.5:
+            told = [each for each in tell_time_scale(number) if each not in ("week_s", "day_s")]
+            if not told:
+                return None
+            name = self.columns[time if time is not None else date or 0].name.lower()
+            scale = next((each for each in told if ("gps" in name) != each.startswith("unix")), told[0])
+            note = f"times taken as {TIME_SCALES[scale]}"
+            if len(told) > 1:
+                note += f"; {time_scale_words(number, told)}"
+            return unix_from_gps(gps_from_scale(number, scale)), [note]
+        found = text.str.extract(_DAY)
+        if found[0].notna().mean() > 0.5:
+            text = self._iso(text, found)
+        moment = pd.to_datetime(text.str.replace(" ", "T", n=1), format="ISO8601", utc=True, errors="coerce")
+        if not moment.notna().any():
+            return None
+        bare = not text.str.contains(r"(?:Z|[+-]\d\d:?\d\d)$", regex=True).any()
+        unix = moment.to_numpy("datetime64[ns]").astype(np.int64) / 1e9
+        unix = np.where(moment.notna() & possible_unix(unix), unix, np.nan)
+        return unix, ["times state no zone: taken as UTC"] if bare else []
+
+    def _iso(self, text: "pd.Series[str]", found: pd.DataFrame) -> "pd.Series[str]":
+        """Times with year, month and day in the order of ISO 8601."""
+        a, b = (pd.to_numeric(found[k], errors="coerce") for k in (0, 2))
+        point = (found[1] == ".").any()
+        if not point and a.max() <= 12 and b.max() <= 12 and not (a == b).all():
+            raise InputError(
+                f"dates such as {text.iloc[0]}",
+                where=self.path,
+                expected="a day that tells it from the month, or year-month-day",
+                cure="Write the dates as 2024-06-12, or leave the column out",
+            )
+        day, month = (a, b) if point or a.max() > 12 else (b, a)
+        year = pd.to_numeric(found[3], errors="coerce")
+        year = year.where(year > 99, year + 2000)
+        iso = [f"{y:04.0f}-{m:02.0f}-{d:02.0f}" for y, m, d in zip(year, month, day, strict=True)]
+        return pd.Series(iso).str.cat(found[4].fillna("").str.strip(" ,T"), sep=" ").str.strip()
+
+    # -------------------------------- rows as texts
+
+    def rows(self, names: Mapping[str, Iterable[str]]) -> list[dict[str, str]]:
+        """Rows as texts by the caller's own names of columns, numbers with a decimal point and in metres.
+
+        Parameters
+        ----------
+        names : our name -> names, small letters, by which the column is known; the first one counts.
+        """
+        heads = {c.name.lower(): k for k, c in reversed(list(enumerate(self.columns)))}
+        words = {c.words: k for k, c in reversed(list(enumerate(self.columns)))}
+        where = {
+            ours: k
+            for ours, known in names.items()
+            if (k := next((d[n] for n in known for d in (heads, words) if n in d), None)) is not None
+        }
+        for k in where.values():
+            if self.columns[k].foreign and self.columns[k].foreign not in _OF_IMAGES:
+                self.numbers(k)  # refuses it
+        columns = {ours: self._plain(k) for ours, k in where.items()}
+        return (
+            [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+            if columns
+            else []
+        )
+
+    def _plain(self, k: int) -> list[str]:
+        """Cells of a column, numbers as Python reads them and in metres."""
+        unit = self.columns[k].unit or METRE
+        values = self._parsed(self.cells[k])
+        out = self.text(k)
+        for row, (text, value) in enumerate(zip(out, values.tolist(), strict=True)):
+            metres = unit.metres
+            if np.isnan(value) and text[:1] in "0123456789+-.−":
+                value, own = self._odd(text)
+                metres = own if own != 1.0 else metres
+            if not np.isnan(value) and (metres != 1.0 or not _NUMBER.fullmatch(text) or self.thousands):
+                out[row] = repr(value * metres)
+        return out
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """East and north (n, 2) on the map ``crs`` (None: none is stated), NaN where a row has none; notes."""
+
+    xy_m: ArrayF
+    crs: CRS | None
+    notes: list[str]
+
+
+def _without_unit(name: str) -> str:
+    """A name in small letters without its unit, but with all other words."""
+    bare = re.sub(r"[(\[{<][^)\]}>]*[)\]}>]\s*$", "", name).strip().lower()
+    head, _, tail = bare.rpartition("_")
+    return head if head and unit_of_word(tail) is not None else bare
+
+
+def _angle(text: str, letters: str) -> float:
+    """Degrees of an angle as people write it; NaN for anything else."""
+    found = _ANGLE.fullmatch(text.replace("−", "-"))
+    if not found or (found[1] and found[5]):
+        return np.nan
+    letter = (found[1] or found[5] or letters[0]).upper()
+    parts = [float((found[k] or "0").replace(",", ".")) for k in (2, 3, 4)]
+    if letter not in letters or parts[1] >= 60 or parts[2] >= 60:
+        return np.nan
+    size = abs(parts[0]) + parts[1] / 60 + parts[2] / 3600
+    return -size if letter == letters[1] or found[2].startswith("-") else size
+
+
+# ---------------------------------------------------------------- form of a table: separator, header, marks
+
+
+def read_text_table(path: Path, *, order: Sequence[str] | None = None, bare: Sequence[str] = ()) -> Table:
+    """Read a table of any form.
+
+    Parameters
+    ----------
+    path : the file.
+    order : names of the columns as a user states them, ``-`` for one that is left out; a header of the file
+        is then not used.
+    bare : names of the columns of a file without header of just so many columns, such as x, y, z.
+
+    Raises
+    ------
+    InputError : no table: see `read_text`; lines that no separator cuts alike; decimal commas in a table
+        that commas separate; no names of columns where they are needed; a second header with other names.
+    """
+    text, notes = read_text(path)
+    lines = re.split(r"\r\n|\r|\n", text[: 200 * _SAMPLE])[: -1 if len(text) > 200 * _SAMPLE else None]
+    sample = [line for line in lines if line.strip() and not line.lstrip().startswith(_HEADS)][:_SAMPLE]
+    if not sample:
+        raise InputError("comments only", expected="rows of numbers", where=path, cure="Export it again")
+    separator = _separator(sample)
+    if separator == ",":
+        _refuse_decimal_commas(sample, path)
+    head, below, first = _header(_cells("\n".join(lines), separator, path), lines, separator)
+    body = _numbers_alone(text, separator, first) if len(text) > _LARGE else None
+    if body is None or (head and len(head) != body.shape[1]):
+        body = _cells(text, separator, path).iloc[first:]
+        filled = (body != "").any(axis=1).to_numpy()
+        number = np.flatnonzero(filled) + first + 1
+        body = body[filled].reset_index(drop=True)
+        width = _usual_width(body) if head is None else max(len(head), _usual_width(body))
+        if head is not None and width > len(head):
+            head = _more_names(head, body, width, notes)
+    else:
+        number, width = np.arange(first + 1, first + 1 + len(body)), body.shape[1]
+    table = Table(
+        path=path,
+        columns=_with_units(_columns(head, order, bare, width, path), below),
+        named=head is not None or order is not None,
+        cells=body,
+        line=number.astype(np.int64),
+        notes=notes,
+    )
+    if body[0].dtype.kind == "f":
+        return table
+    table = _whole_rows(table, head, width)
+    decimal, thousands = _marks(table, separator)
+    return replace(table, decimal=decimal, thousands=thousands)
+
+
+def _numbers_alone(text: str, separator: str, first: int) -> pd.DataFrame | None:
+    """The rows of a large file of plain numbers, which are read ten times as fast; None for any other."""
+    try:
+        frame = pd.read_csv(
+            StringIO(text),
+            sep=separator,
+            header=None,
+            skiprows=first,
+            skipinitialspace=True,
+            skip_blank_lines=False,
+            dtype=np.float64,
+            engine="c",
+        )
+    except (ValueError, pd.errors.ParserError):
+        return None
+    return None if frame.isna().to_numpy().any() else frame
+
+
+def _split(line: str, separator: str) -> list[str]:
+    if separator == r"\s+":
+        return line.split()
+    if len(separator) > 1:
+        return re.split(separator, line)
+    try:
+        return next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+    except csv.Error:
+        return line.split(separator)
+
+
+def _separator(sample: Sequence[str]) -> str:
+    """What stands between the cells; a table of one column counts as separated by commas."""
+    tail = sample[len(sample) // 3 :] if len(sample) > 2 else sample
+
+    def cuts(separator: str) -> bool:
+        """Whether most lines have the same number of cells, two or more."""
+        counts = np.bincount([len(_split(line, separator)) for line in tail])
+        return bool(counts[2:].max(initial=0) >= _ALIKE * len(tail))
+
+    for mark in "\t;|":
+        if cuts(mark):
+            return mark
+
+    def commas_inside(separator: str) -> bool:
+        """Whether all cells are numbers, and some have a comma."""
+        cells = [cell for line in tail for cell in _split(line.strip(), separator) if cell]
+        return any("," in c for c in cells) and all(_COMMA_NUMBER.fullmatch(c) for c in cells)
+
+    for blank in (r"\s+", r",\s+"):
+        if cuts(blank) and commas_inside(blank):
+            return blank
+    if cuts(","):
+        return ","
+    return r"\s+" if cuts(r"\s+") else ","
+
+
+def _refuse_decimal_commas(sample: Sequence[str], path: Path) -> None:
+    """Whole numbers only, and each second one with the same digits or a zero in front: x,xx,y,yy."""
+    rows = [[cell.strip() for cell in line.split(",")] for line in sample]
+    body = [row for row in rows if all(re.fullmatch(r"[-+]?\d+", cell) for cell in row)]
+    names = [row for row in rows if not any(re.fullmatch(r"[-+]?[\d.]+", cell) for cell in row)]
+    ragged = len({len(row) for row in body}) > 1
+    more = bool(names) and sum(len(row) > len(names[0]) for row in body) > 0.5 * (len(rows) - len(names))
+    pairs = False
+    if body and not ragged and len(body[0]) % 2 == 0 and len(body) >= _ALIKE * len(rows):
+        after = [row[1::2] for row in body]
+        pairs = len(body[0]) >= 4 and any(c.startswith("0") and len(c) > 1 for row in after for c in row)
+    if pairs or (body and more):
+        raise InputError(
+            f"numbers with decimal commas in a table that commas separate, such as {','.join(body[0])[:60]}",
+            expected="decimal points, or another separator",
+            where=path,
+            cure="Save it with semicolons between the columns, or with decimal points",
+        )
+
+
+def _cells(text: str, separator: str, path: Path) -> pd.DataFrame:
+    """All lines of a file as texts, a row for each line, so that rows keep their line numbers."""
+    if any(mark in text for mark in _HEADS):
+        text = re.sub(r"(?m)^[ \t]*(?:#|%|//|!).*$", "", text)
+    text = re.sub(r"\r\n|\r", "\n", text)
+    if separator == r",\s+":
+        text, separator = re.sub(r",[ \t]+", ";", text), ";"
+    sample = text[: 200 * _SAMPLE].split("\n")
+    width = max(len(_split(line, separator)) for line in sample) + 1
+    try:
+        frame = pd.read_csv(
+            StringIO(text),
+            sep=separator,
+            header=None,
+            names=range(width),
+            skipinitialspace=True,
+            dtype=str,
+            keep_default_na=False,
+            na_filter=False,
+            skip_blank_lines=False,
+            engine="c",
+        )
+    except (pd.errors.ParserError, pd.errors.EmptyDataError) as error:
+        raise InputError(
+            f"no table ({str(error).splitlines()[0].strip()})",
+            expected="lines with the same number of cells",
+            where=path,
+            cure="Look at that line: a quotation mark or a separator too many",
+        ) from error
+    if not text.rstrip("\n").count("\n") + 1 <= len(frame) <= text.count("\n") + 1:
+        raise InputError(
+            f"{text.count(chr(10)) + 1:,} lines, of which quotation marks make {len(frame):,} rows",
+            expected="a row in each line",
+            where=path,
+            cure="Look for a quotation mark without its partner",
+        )
+    frame = frame.fillna("").astype(str)
+    return frame.apply(lambda column: column.str.strip())
+
+
+def _header(
+    cells: pd.DataFrame, lines: Sequence[str], separator: str
+) -> tuple[list[str] | None, list[str], int]:
+    """Names of the columns, units in a line of their own, and how many lines stand above the first row."""
+    few = cells.iloc[: len(lines)].to_numpy()
+    values = [[bool(c) and _VALUE.fullmatch(c) is not None for c in row] for row in few]
+    counts = [len([c for c in row if c]) for row in few]
+    usual = (
+        int(np.bincount(np.array(counts[len(counts) // 3 :] or counts)[-_SAMPLE:]).argmax()) if counts else 0
+    )
+    first = next(
+        (k for k, row in enumerate(values) if any(row) and counts[k] >= max(1, usual // 2)), len(values)
+    )
+    if first == len(values):  # names alone, or a table of texts
+        first = next((k for k, n in enumerate(counts) if n), -1) + 1
+    units: list[str] = []
+    for k in range(min(first, len(values)) - 1, -1, -1):
+        row = list(few[k])
+        while row and not row[-1]:
+            row.pop()
+        if row and not units and _are_units(row):
+            units = row
+        elif row and len(row) >= max(1, usual - 1) and not any(values[k]):
+            return row, units, first
+        elif row:
+            break
+    comments = [x.lstrip() for x in lines[:first] if x.lstrip().startswith(_HEADS)]
+    for line in reversed(comments):
+        names = [c.strip() for c in _split(line.lstrip("#%/! \t"), separator)]
+        if len(names) < 2 or len(names) != usual:
+            names = line.lstrip("#%/! \t").replace(",", " ").split()
+        known = sum(any(column_of(c).words in words.split() for words in NAMES.values()) for c in names)
+        if len(names) == usual and known >= 2:
+            return names, units, first
+    return None, units, first
+
+
+def _are_units(row: Sequence[str]) -> bool:
+    """Whether a line below the names holds units."""
+    words = [c.strip("()[]{}").lower() for c in row if c]
+    known = [
+        unit_of_word(w) is not None or w in _NO_LENGTHS or w in {"deg", "°", "degrees", "-", "1", "utc"}
+        for w in words
+    ]
+    return bool(words) and all(known)
+
+
+def _usual_width(body: pd.DataFrame) -> int:
+    filled = (body.iloc[:_SAMPLE] != "").to_numpy()
+    last = filled.shape[1] - np.argmax(filled[:, ::-1], axis=1)
+    return int(np.bincount(last).argmax()) if len(last) else 0
+
+
+def _more_names(head: list[str], body: pd.DataFrame, width: int, notes: list[str]) -> list[str]:
+    """Names of all columns where rows have more cells than the header: R leaves out the rows' own names."""
+    more = [f"column {k}" for k in range(len(head) + 1, width + 1)]
+    counted = body[0].tolist() == [str(k) for k in range(1, len(body) + 1)]
+    if len(more) == 1 and (counted or not body[0].str.fullmatch(_NUMBER).any()):
+        notes.append("The first column has no name in the header: the others are named from the second on.")
+        return ["row", *head]
+    notes.append(f"{len(more)} columns behind {head[-1]} have no name.")
+    return [*head, *more]
+
+
+def _columns(
+    head: list[str] | None, order: Sequence[str] | None, bare: Sequence[str], width: int, path: Path
+) -> tuple[Column, ...]:
+    if order is not None:
+        if len(order) > width:
+            raise InputError(
+                f"{width} columns",
+                where=path,
+                expected=f"{len(order)} as stated: {', '.join(order)}",
+                cure="State as many names as the table has columns, - for one that is not used",
+            )
+        names = [*order, *(f"column {k}" for k in range(len(order) + 1, width + 1))]
+        return tuple(
+            column_of(name) if name != "-" else Column(f"column {k}", "") for k, name in enumerate(names, 1)
+        )
+    if head is not None:
+        return tuple(column_of(name) for name in head)
+    if bare and width == len(bare):
+        return tuple(column_of(name) for name in bare)
+    return tuple(Column(f"column {k}", "") for k in range(1, width + 1))
+
+
+def _whole_rows(table: Table, head: list[str] | None, width: int) -> Table:
+    """The table without repeated headers and without rows of more cells than there are columns."""
+    cells = table.cells
+    keep = np.ones(len(cells), dtype=np.bool_)
+    if head is not None and len(cells):
+        again = (cells.iloc[:, : len(head)] == head).all(axis=1).to_numpy()
+        if again.any():
+            table.losses["with the names of the columns again"] = _count(again, table.line)
+            keep &= ~again
+        names = cells[0].str.lower().isin([head[0].lower(), *(w for x in NAMES.values() for w in x.split())])
+        for row in np.flatnonzero(names.to_numpy() & keep).tolist():
+            other = [column_of(c).words for c in cells.iloc[row] if c]
+            known = [w for w in other if any(w in x.split() for x in NAMES.values())]
+            if len(known) >= 2 and other != [c.words for c in table.columns][: len(other)]:
+                raise InputError(
+                    f"a second header with other columns: {', '.join(c for c in cells.iloc[row] if c)}",
+                    where=f"{table.path}:{table.line[row]}",
+                    expected=table.listed(),
+                    cure="Split the file there",
+                )
+    long = (cells.iloc[:, width:] != "").any(axis=1).to_numpy()
+    if long.any():
+        if long.mean() > _MOST_GARBLED:
+            raise InputError(
+                f"{int(long.sum()):,} of {len(long):,} rows have more than {width} cells",
+                where=f"{table.path}:{table.line[np.argmax(long)]}",
+                expected=f"{width} as most rows have: {table.listed()}",
+                cure="Decimal commas between commas do this: save it with semicolons, or decimal points",
+            )
+        table.losses[f"of more than {width} cells"] = _count(long, table.line)
+        keep &= ~long
+    return replace(table, cells=cells[keep].iloc[:, :width].reset_index(drop=True), line=table.line[keep])
+
+
+def _count(mark: ArrayB, line: ArrayI) -> tuple[int, int]:
+    return int(mark.sum()), int(line[np.argmax(mark)])
+
+
+def _with_units(columns: tuple[Column, ...], below: Sequence[str]) -> tuple[Column, ...]:
+    """The columns with the units of a line below their names."""
+    out = list(columns)
+    for k, word in enumerate(below[: len(out)]):
+        bare = word.strip("()[]{}").lower()
+        if (unit := unit_of_word(bare)) is not None:
+            out[k] = replace(out[k], unit=unit)
+        elif bare in _NO_LENGTHS:
+            out[k] = replace(out[k], foreign=bare)
+    return tuple(out)
+
+
+def _marks(table: Table, separator: str) -> tuple[str, str]:
+    """Decimal mark and mark between groups of digits; the whole file decides.
+
+    Raises
+    ------
+    InputError : some numbers have decimal points and others decimal commas.
+    """
+    point = comma = ""
+    groups: dict[str, bool] = {",": False, ".": False}
+    plain: dict[str, bool] = {",": True, ".": True}
+    for k, column in enumerate(table.columns):
+        cells = table.cells[k]
+        for mark, other in ((",", "."), (".", ",")):
+            if separator == "," and mark == "," and not cells.str.contains(",", regex=False).any():
+                continue
+            m, o = re.escape(mark), re.escape(other)
+            hits = cells[cells.str.fullmatch(rf"[-+−]?\d+{m}\d+(?:[eE][-+]?\d+)?").fillna(False).astype(bool)]
+            if len(hits):
+                comma, point = (column.name, point) if mark == "," else (comma, column.name)
+                plain[mark] &= bool(hits.str.fullmatch(rf"[-+−]?[1-9]\d{{0,2}}{m}\d{{3}}").all())
+            many = cells.str.fullmatch(
+                rf"[-+−]?\d{{1,3}}(?:{m}\d{{3}})+{o}\d+|[-+−]?\d{{1,3}}(?:{m}\d{{3}}){{2,}}"
+            )
+            groups[mark] |= bool(many.any())
+    if groups[","] and plain[","] and not groups["."]:
+        return ".", ","
+    if groups["."] and plain["."] and not groups[","]:
+        return ",", "."
+    if comma and point:
+        raise InputError(
+            f"decimal commas in column {comma} and decimal points in column {point}",
+            where=table.path,
+            expected="one decimal mark in the whole file",
+            cure="Save the table again with decimal points",
+        )
+    return (",", "") if comma else (".", "")

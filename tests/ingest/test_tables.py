@@ -1,0 +1,241 @@
+"""Tables as people and programs write them: what is read, what is asked, what is counted."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from pyproj import CRS
+
+from tests.conftest import check_whole
+from thalweg.core import InputError
+from thalweg.core.values import (
+    FOOT,
+    US_SURVEY_FOOT,
+    check_places,
+    is_nothing,
+    unit_of_code,
+    unit_of_letter,
+    unit_of_word,
+    units_of_crs,
+)
+from thalweg.ingest import column_of, read_text_table
+
+UTM = CRS("EPSG:32633")
+PLACES = np.array([[412000.0, 5650000.0], [412100.0, 5650100.0], [412030.0, 5650200.0]])
+
+
+def write(folder: Path, text: str, encoding: str = "utf-8") -> Path:
+    path = folder / "table.csv"
+    path.write_bytes(text.encode(encoding))
+    return path
+
+
+# ---------------------------------------------------------------- units and values that stand for none
+
+
+def test_units_by_word_letter_code_and_crs() -> None:
+    assert [unit_of_word(w).metres for w in ("m", "CM", "ft", "(feet)", "fathoms", "mm")] == [
+        1.0, 0.01, 0.3048, 0.3048, 1.8288, 0.001,
+    ]  # fmt: skip
+    assert {unit_of_word(w) for w in ("US ft", "ft_us", "usft", "survey feet", "ftUS")} == {US_SURVEY_FOOT}
+    assert unit_of_word("dbar") is None
+    assert [unit_of_letter(x).metres for x in "MfF"] == [1.0, 0.3048, 1.8288]
+    assert unit_of_code(9002) == FOOT
+    assert unit_of_code(9003) == US_SURVEY_FOOT
+    assert unit_of_code(4326) is None
+    # California zone 1 in US survey feet, heights of NAVD88 in the same; degrees with a height in metres
+    assert units_of_crs(CRS("EPSG:2225+6360")) == (US_SURVEY_FOOT, US_SURVEY_FOOT)
+    across, up = units_of_crs(CRS("EPSG:4979"))
+    assert across is None
+    assert up.is_metre
+
+
+def test_names_of_columns_tell_quantity_and_unit() -> None:
+    told = {
+        "WaterDepthFt": ("depth", FOOT.metres),
+        "Depth_in_Feet": ("depth", FOOT.metres),
+        "depth_ft_us": ("depth", US_SURVEY_FOOT.metres),
+        "Depth (m)": ("depth", 1.0),
+        "DEPTH[Feet]": ("depth", FOOT.metres),
+        "depth_cm": ("depth", 0.01),
+        "Northing": ("northing", None),
+        "POINT_Z": ("z", None),
+        " x ": ("x", None),
+        "UTM Easting (m)": ("easting", 1.0),
+        "Bed elevation": ("elevation", None),
+    }
+    for name, (words, metres) in told.items():
+        found = column_of(name)
+        assert (found.words, found.unit and found.unit.metres) == (words, metres), name
+    assert column_of("depth_dbar").foreign == "dbar"
+
+
+def test_nothing_is_met_exactly() -> None:
+    depths = [0.0, -9999.0, 999.0, 998.9, 3.4028235e38, np.nan, 2.5, -32768.0]
+    assert is_nothing(depths, "depth").tolist() == [True, True, True, False, True, True, False, True]
+    assert not is_nothing([0.0, 12.0, -3.0], "height").any()
+    assert is_nothing([77.0], "depth", extra=[77.0]).all()
+    assert not is_nothing([0.0], "depth", keep=[0.0]).any()
+
+
+# ---------------------------------------------------------------- rows
+
+
+def test_rows_that_are_not_taken_are_counted_with_their_first_line(tmp_path: Path) -> None:
+    rows = [f"{412000 + k},5650000,{1 + k / 50:.2f}" for k in range(50)]
+    rows[3] = "412003,5650000,-9999"
+    rows[7] = "412007,5650000,--"
+    rows[9] = "412009,5650000,mud"
+    rows[11] = "412011,5650000,-9999"
+    rows[13] = "x,y,depth"
+    rows[15] = "0,0,1.0"
+    table = read_text_table(write(tmp_path, "# a logger\n\nx,y,depth\n" + "\n".join(rows)))
+    assert len(table) == 49
+    depth = table.numbers(table.find("depth"), "depth")
+    xy = table.places(UTM).xy_m
+    assert np.isnan(depth).sum() == 4
+    assert np.isnan(xy).any(axis=1).sum() == 1
+    told = " ".join(table.loss_notes())
+    assert (
+        "2 rows with -9999, which stands for no value, in column depth, left out, the first in line 7" in told
+    )
+    assert "1 row without a value in column depth, left out, the first in line 11" in told
+    assert "'mud' for a number in column depth, left out, the first in line 13" in told
+    assert "1 row with the names of the columns again, left out, the first in line 17" in told
+    assert "1 row with 0, 0, which is no place, in column east, north, left out, the first in line 19" in told
+
+
+def test_a_large_file_of_numbers_is_the_same_as_a_small_one(tmp_path: Path, monkeypatch) -> None:
+    text = "y x z\n" + "\n".join(f"{5650000 + k} {412000 + 2 * k} {k / 8}" for k in range(60))
+    slow = read_text_table(write(tmp_path, text))
+    monkeypatch.setattr("thalweg.ingest.tables._LARGE", 10)
+    fast = read_text_table(tmp_path / "table.csv")
+    assert fast.cells[0].dtype.kind == "f"
+    assert slow.cells[0].dtype.kind != "f"
+    np.testing.assert_array_equal(fast.places(UTM).xy_m, slow.places(UTM).xy_m)
+    np.testing.assert_array_equal(fast.numbers(2), slow.numbers(2))
+    assert fast.text(0) == slow.text(0)
+    assert fast.line.tolist() == slow.line.tolist()
+
+
+REFUSED = {
+    "two depths": ("x,y,depth_raw,depth,depth\n1,2,3,4,5\n", "several columns of depth: depth, depth"),
+    "text": ("x,y,depth\n" + "412000,5650000,1 m or so\n" * 3, "2 more of 3 rows without a number"),
+    "minutes": (
+        "lat,lon,depth\n" + "5103.000,01345.000,2\n" * 3,
+        "degrees and minutes in one number (ddmm.mmmm)",
+    ),
+    "no names": ("412000,5650000,1.5,7\n" * 3, "--columns x,y,z"),
+    "a quotation mark": ('x,y,z\n1,2,"3\n4,5,6\n', "quotation mark"),
+    "a grid": ("ncols 4\nnrows 2\n1 2 3 4\n", "gdal_translate"),
+}
+
+
+def places_and_depths(path: Path) -> None:
+    table = read_text_table(path, bare=("x", "y", "z"))
+    table.places(UTM)
+    table.numbers(table.find("depth"), "depth")
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_told_is_asked(case: str, tmp_path: Path) -> None:
+    text, words = REFUSED[case]
+    path = write(tmp_path, text)
+    with pytest.raises(InputError) as caught:
+        places_and_depths(path)
+    assert words in str(caught.value)
+    check_whole(caught.value)
+
+
+def test_latin_1_is_read_and_said(tmp_path: Path) -> None:
+    table = read_text_table(write(tmp_path, "x;y;z;Gewässer\n1;2;3;Weiße Elster\n", "latin-1"))
+    assert table.notes == ["The text is no UTF-8 and is read as Windows-1252 (Latin-1)."]
+    assert table.text(3) == ["Weiße Elster"]
+
+
+def test_names_of_rows_that_r_leaves_without_a_name(tmp_path: Path) -> None:
+    table = read_text_table(write(tmp_path, '"x" "y" "z"\n"1" 10 20 30\n"2" 11 21 31\n'))
+    assert [c.name for c in table.columns] == ["row", "x", "y", "z"]
+    assert table.numbers(table.find("east")).tolist() == [10.0, 11.0]
+
+
+# ---------------------------------------------------------------- angles and times
+
+
+def test_angles_as_people_write_them(tmp_path: Path) -> None:
+    rows = [
+        "51.0515;13.25",
+        "51 3 5.4;13 15 0",
+        "51°03'05.4\"N;13°15'00\"E",
+        "N51.0515;E13.25",
+        "51 3.09 N;13 15 E",
+    ]
+    table = read_text_table(write(tmp_path, "lat;lon\n" + "\n".join(rows) + "\n"))
+    np.testing.assert_allclose(table.angles("lat"), 51.0515, atol=1e-12)
+    np.testing.assert_allclose(table.angles("lon"), 13.25, atol=1e-12)
+    south = read_text_table(write(tmp_path, "lat,ns,lon,ew\n33.5,S,70.25,W\n33.5,S,70.25,W\n"))
+    assert south.angles("lat").tolist() == [-33.5, -33.5]
+    assert south.angles("lon").tolist() == [-70.25, -70.25]
+
+
+@pytest.mark.parametrize(
+    ("head", "rows", "first", "note"),
+    [
+        ("time", ["2024-06-12T10:00:00Z", "2024-06-12T10:00:01.5Z"], "2024-06-12T10:00:00", ""),
+        ("time", ["2024-06-12T12:00:00+02:00", "2024-06-12 12:00:01+02:00"], "2024-06-12T10:00:00", ""),
+        ("Timestamp", ["2024-06-12 10:00:00", "2024-06-12 10:00:01"], "2024-06-12T10:00:00", "no zone"),
+        ("date,time", ["12.06.2024,10:00:00", "12.06.2024,10:00:01"], "2024-06-12T10:00:00", "no zone"),
+        ("date,time", ["06/12/2024,10:00:00", "06/13/2024,10:00:01"], "2024-06-12T10:00:00", "no zone"),
+        ("epoch", ["1718186400", "1718186401"], "2024-06-12T10:00:00", "seconds since 1970"),
+        ("time", ["1718186400000", "1718186401000"], "2024-06-12T10:00:00", "milliseconds since 1970"),
+        ("gps_time", ["1402221618", "1402221619"], "2024-06-12T10:00:00", "2014-06-08 in"),
+        ("unix", ["1402221618", "1402221619"], "2014-06-08T10:00:18", "2024-06-12 in"),
+        ("time", ["402221618", "402221619"], "2024-06-12T10:00:00", "less 1e9"),
+    ],
+)
+def test_times(tmp_path: Path, head: str, rows: list[str], first: str, note: str) -> None:
+    table = read_text_table(write(tmp_path, f"{head},x\n" + "".join(f"{r},1\n" for r in rows)))
+    unix, notes = table.times()
+    assert unix[0] == pytest.approx(pd.Timestamp(first, tz="UTC").timestamp(), abs=1e-6)
+    assert (note in " ".join(notes)) if note else not notes
+
+
+def test_days_and_months_that_may_be_exchanged_are_asked_about(tmp_path: Path) -> None:
+    table = read_text_table(write(tmp_path, "date,x\n03/04/2024,1\n03/05/2024,1\n"))
+    with pytest.raises(InputError, match="dates such as 03/04/2024") as caught:
+        table.times()
+    check_whole(caught.value)
+
+
+# ---------------------------------------------------------------- places
+
+
+READINGS = {
+    "east and north swapped": PLACES[:, ::-1],
+    "feet": PLACES / 0.3048,
+    "kilometres": PLACES / 1000,
+    "centimetres": PLACES * 100,
+    "millimetres": PLACES * 1000,
+    "longitude and latitude": np.array([[13.746, 50.99], [13.75, 50.98]]),
+    "latitude and longitude": np.array([[50.99, 13.746], [50.98, 13.75]]),
+    "WGS 84 / UTM zone 33N with the zone before the easting": PLACES + np.array([33e6, 0.0]),
+}
+
+
+@pytest.mark.parametrize("words", READINGS)
+def test_the_reading_that_would_fit_is_named(words: str) -> None:
+    with pytest.raises(InputError, match=f"{words} would fit"):
+        check_places(READINGS[words], UTM, where="a.csv", cure="--crs")
+
+
+def test_places_that_can_be_meant_are_said() -> None:
+    assert check_places(PLACES, UTM, where="a.csv") == "places about 50.9958 N, 13.7464 E"
+    # all of Germany is published in zone 32
+    assert "N, 13." in check_places(PLACES + np.array([420_000.0, 5_000.0]), CRS("EPSG:25832"), where="a.csv")
+    with pytest.raises(InputError, match=r"1 of 4 places lie up to 1,000 km from the others"):
+        check_places(np.vstack([PLACES, [1_412_000.0, 5_650_000.0]]), UTM, where="a.csv")
+    with pytest.raises(InputError, match=r"heights about 412,000 m; expected ground"):
+        check_places(PLACES, UTM, where="a.csv", height_m=np.full(3, 412_000.0))
+    with pytest.raises(InputError, match="used from 39"):
+        check_places(PLACES, CRS("EPSG:22175"), where="a.csv")
