@@ -289,3 +289,18 @@ def test_a_week_counter_that_rolled_over_is_doubted(tmp_path: Path) -> None:
     path.write_text(path.read_text().replace("2235 ", "187 "))
     notes = " ".join(read_poses([path], "sbet", TrackOptions()).report.notes)
     assert "2048 weeks later 2022-11-" in notes
+
+
+def test_inertial_explorer_with_a_time_of_the_day(tmp_path: Path) -> None:
+    path = tmp_path / "export.txt"
+    head = "GPSTime Date Lat Lon H-Ell Roll Pitch Heading\n(HMS) (DMY) (deg) (deg) (m) (deg) (deg) (deg)\n"
+    row = "10:00:18.25 12/06/2024 51.05 13.75 155.0 1.0 2.0 3.0\n"
+    path.write_text(head + row)
+    stated = TrackOptions(sigma_position_m=0.1, sigma_attitude_deg=0.5)
+    states = read_poses([path], "sbet", stated).states
+    assert states["t_gps_s"].iloc[0] == gps_from_week(2318, 295_218.25)
+    path.write_text(
+        (head + row).replace("Date", "Week").replace("(DMY)", "(weeks)").replace("12/06/2024", "2318")
+    )
+    with pytest.raises(InputError, match="times of the day without a date"):
+        read_poses([path], "sbet", stated)

@@ -539,7 +539,7 @@ def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
             continue
         try:
             rows.append(
-                [_day(cell, form) if k == day_at else float(cell) for k, cell in enumerate(cells[:place])]
+                [_day(cell, form) if k == day_at else _number(cell) for k, cell in enumerate(cells[:place])]
             )
         except ValueError:
             rows.append([])
@@ -578,7 +578,25 @@ def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
                 f"unit '{unit}' of {_ALIASES[name][0]}", expected="m, m/s", where=path, cure="Export metres"
             )
         columns[name] = values
+    if "h" in at["tow"][2].lower():  # hours, minutes and seconds of the day
+        if "date" not in columns:
+            raise InputError(
+                "times of the day without a date",
+                expected="a column Date, or seconds of the GPS week",
+                where=path,
+                cure="Add one of them to the export profile",
+            )
+        columns["tow"] += (columns["date"] + 4) % 7 * DAY_S  # 1970 began on a Thursday
     return pd.DataFrame(columns)
+
+
+def _number(cell: str) -> float:
+    """A number, or seconds of the day of a clock such as 10:00:18.5."""
+    hours, *rest = cell.split(":")
+    if not rest:
+        return float(cell)
+    minutes, seconds = rest
+    return int(hours) * 3600.0 + int(minutes) * 60.0 + float(seconds)
 
 
 def _together(units: Sequence[str]) -> list[str]:
