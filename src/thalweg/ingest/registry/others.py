@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from thalweg.core import InputError, read_dsm, read_metashape
-from thalweg.ingest import VECTOR_FORMATS, describe_layers, vector_format
+from thalweg.ingest import NAMES, VECTOR_FORMATS, column_of, describe_layers, read_text_table, vector_format
 from thalweg.ingest.registry.base import Format, Recording
 from thalweg.ingest.registry.calibrations import CalibrationReport, camera_lines, is_text
 
@@ -26,6 +26,8 @@ _NUMBER: Final = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _XYZ: Final = re.compile(
     rb"\A(?:[#/][^\n]*\n)*(?:[ \t]*" + (_NUMBER + rb"[ \t,;]+") * 2 + _NUMBER + rb"[^\n]*\n){3}"
 )
+_LEAST_SURE: Final = 0.05
+"""Of what any other kind may be too."""
 _QUATERNION: Final = 1e-3
 """By which the length of four numbers may differ from 1 that are a rotation."""
 
@@ -92,6 +94,15 @@ def _columns(*names: bytes) -> Callable[[bytes, int], bool]:
     return lambda head, size: is_text(head) and _cells(head) == set(names)
 
 
+def _names_places(head: bytes) -> bool:
+    """Whether the first line of a text names two columns of places, heights or depths."""
+    text = head.decode("utf-16" if head[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig", "replace")
+    first = next((x.lstrip("#%/! ") for x in text.splitlines() if x.strip("#%/! ")), "")
+    words = {column_of(cell).words for cell in re.split(r"[,;|\t]|\s{2,}", first)}
+    known = ("lat", "lon", "east", "north", "height", "depth")
+    return "\0" not in text and sum(bool(words & set(NAMES[q].split())) for q in known) >= 2
+
+
 def _is_xyz(head: bytes, size: int) -> bool:
     return is_text(head) and _XYZ.match(head) is not None and b"image" not in _cells(head)
 
@@ -126,7 +137,7 @@ _DRAWN: Final = (
 _CONVERT: Final = (
     "export its topics with the tool of the recorder (rosbag, ros2 bag, mcap): Thalweg reads the raw captures"
 )
-_ROWS: Final[Sequence[tuple[str, str, tuple[bytes, ...], Callable[[bytes, int], bool] | None, str]]] = (
+_ROWS: Final[Sequence[tuple[str, str, tuple[bytes, ...], Callable[[bytes, int], float] | None, str]]] = (
     (
         "geotiff",
         "raster of heights (GeoTIFF)",
@@ -198,6 +209,13 @@ _ROWS: Final[Sequence[tuple[str, str, tuple[bytes, ...], Callable[[bytes, int], 
         "`thalweg calibrate-lens`",
     ),
     (
+        "table",
+        "table with named columns",
+        (),
+        lambda head, size: _LEAST_SURE if _names_places(head) else 0.0,
+        "`thalweg bed` for soundings, `thalweg compare` for clouds",
+    ),
+    (
         "xyz",
         "points as text (x, y, z)",
         (),
@@ -244,10 +262,30 @@ def _describe(kind: str, files: list[Path], options: dict[str, Any], points: boo
             report.note(f"No heights: {error.found}.")
     if kind == "metashape_lens":
         report.details["camera"] = camera_lines(read_metashape(files[0]))
+    if kind in ("table", "xyz"):
+        _tell_table(files[0], report)
     if kind in VECTOR_FORMATS:
         report.details |= _drawn(files[0], report)
     report.details["use"] = _USES[kind]
     return Recording(kind=kind, report=report)
+
+
+def _tell_table(path: Path, report: CalibrationReport) -> None:
+    """Columns of a table with what they hold, rows, and what is left out of them."""
+    table = read_text_table(path, bare=("x", "y", "z"))
+    report.count("rows", len(table))
+    told = []
+    for k, column in enumerate(table.columns):
+        quantity = next((q for q in NAMES if column.words in NAMES[q].split()), "")
+        unit = column.unit.name if column.unit is not None else column.foreign
+        told.append(" ".join(filter(None, (column.name, f"= {quantity}" if quantity else "", unit))))
+        if quantity in ("lat", "lon", "east", "north", "height", "depth"):
+            values = table.angles(quantity) if quantity in ("lat", "lon") else table.numbers(k, quantity)
+            if np.isfinite(values).any():
+                told[-1] += f" {np.nanmin(values):.10g} .. {np.nanmax(values):.10g}"
+    report.details["columns"] = "; ".join(told)
+    for sentence in (*table.notes, *table.loss_notes()):
+        report.note(sentence)
 
 
 def _drawn(path: Path, report: CalibrationReport) -> dict[str, str]:
