@@ -1115,7 +1115,7 @@ def bed_of_table(
     if lake is not None:
         number, patches = lines_or_patches(soundings.places_m, soundings.line, seed)
     if patches:
-        notes.append("no four long lines: patches of soundings are left out and foretold instead")
+        notes.append("no four long lines: patches of soundings are left out and predicted instead")
     s, n, fold = water.line.to_flow(soundings.places_m)
     if fold.any():
         notes.append(f"{int(fold.sum()):,} soundings without flow coordinates left out")
