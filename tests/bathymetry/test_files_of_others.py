@@ -60,7 +60,7 @@ def test_text_and_geojson_are_the_same_soundings_as_csv(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def bed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray]:
-    """A bed of 40 x 20 m that errs by 5 cm where 5 cm are predicted, and the true heights of its cells."""
+    """A bed of 40 x 20 m that errs by 5 cm where 5 cm are foretold, and the true heights of its cells."""
     path = tmp_path_factory.mktemp("bed") / "bed.tif"
     grid = Grid.around(CORNER[None, :2] + np.array([[0.0, 0.0], [40.0, 20.0]]), 1.0, UTM, margin_m=0.0)
     centres = grid.centres_m()

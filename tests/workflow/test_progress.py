@@ -58,7 +58,7 @@ def test_a_line_says_time_count_campaign_and_work(progress: ModuleType, capsys, 
     ]
 
 
-def test_the_end_is_predicted_from_the_times_of_earlier_jobs(
+def test_the_end_is_foretold_from_the_times_of_earlier_jobs(
     progress: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Ten jobs of 1 s and one of 90 s: after the ten a tenth of the work is done, not ten elevenths."""

@@ -104,7 +104,7 @@ def _fix_rows(positions: Path) -> list[tuple[str, float, str, str]]:
 
 
 def _image_rows(images: Path) -> list[tuple[str, float, str, str]]:
-    """Poses of the photographs, and their check points as the adjustment predicted them."""
+    """Poses of the photographs, and their check points as the adjustment foretold them."""
     facts = json.loads(images.read_text())
     rows = [
         ("photographs with a pose", float(facts["images"]), "1", images.name),

@@ -449,7 +449,7 @@ def gridded(
 def _refuse_impossible(height: ArrayF, sigma: ArrayF, data: Observations) -> None:
     """Beds that leave the range of their data far behind, or know less than it: data of no one water.
 
-    Left-out lines cannot tell: rubbish that agrees with itself is predicted well.
+    Left-out lines cannot tell: rubbish that agrees with itself is foretold well.
     """
     low, high = float(data.height_m.min()), float(data.height_m.max())
     # data that are all alike differ by their noise; a few that are far off are no range to be unsure in

@@ -122,7 +122,7 @@ def lines_or_patches(places_m: ArrayF, line: ArrayI, seed: int) -> tuple[ArrayI,
     """Lines (n,) that can be left out one by one, or compact patches, and whether they are patches.
 
     A track that winds about falls into scraps, which their neighbours foretell whatever the bed is like; a
-    single one cannot be left out. Patches are predicted from what lies around them.
+    single one cannot be left out. Patches are foretold from what lies around them.
     """
     middle = places_m - places_m.mean(axis=0)
     ends = pd.DataFrame(middle).groupby(line).agg(np.ptp)
@@ -135,7 +135,7 @@ def lines_or_patches(places_m: ArrayF, line: ArrayI, seed: int) -> tuple[ArrayI,
         raise GeometryError(
             f"{len(places_m)} soundings on {len(ends)} lines",
             where="lines of soundings",
-            expected="four lines, or ten soundings, of which some can be predicted from the others",
+            expected="four lines, or ten soundings, of which some can be foretold from the others",
             cure="Survey more lines",
         )
     return np.asarray(kmeans2(middle, k, minit="++", rng=seed)[1], dtype=np.int64), True
@@ -144,7 +144,7 @@ def lines_or_patches(places_m: ArrayF, line: ArrayI, seed: int) -> tuple[ArrayI,
 def farthest_told_m(places_m: ArrayF, line: ArrayI) -> float:
     """How far from all others soundings (n,) lie when their line is left out: the usual greatest distance.
 
-    Beyond it nothing was ever predicted: that a bed is as smooth beside a single track as along it is a guess.
+    Beyond it nothing was ever foretold: that a bed is as smooth beside a single track as along it is a guess.
     """
     numbers = np.unique(line)
     far = []

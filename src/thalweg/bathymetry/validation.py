@@ -42,7 +42,7 @@ Method = Callable[[Observations, ArrayF], tuple[ArrayF, ArrayF | None]]
 def validate_bed(
     table: pd.DataFrame, model: BedModel, half_widths: HalfWidths, settings: Bathymetry
 ) -> tuple[dict[str, Any], pd.DataFrame, pd.DataFrame]:
-    """Lines and stretches predicted from everything else.
+    """Lines and stretches foretold from everything else.
 
     Parameters
     ----------
@@ -113,12 +113,12 @@ def measures(predicted: pd.DataFrame) -> dict[str, Any]:
         "normalised_square": float(np.nanmean(z**2)) if told else np.nan,
         "outside_95": float(np.nanmean(np.abs(z) > _OUTSIDE)) if told else np.nan,
         "n": int(known.sum()),
-        "not_predicted": int((~known).sum()),
+        "not_foretold": int((~known).sum()),
     }
 
 
 def _lines(data: Observations, sounding: ArrayB) -> Iterator[tuple[int, ArrayB, ArrayI]]:
-    """Number, membership (n,) and places in it that are predicted, of lines to be left out."""
+    """Number, membership (n,) and places in it that are foretold, of lines to be left out."""
     numbers = np.unique(data.line[sounding])
     step = -(-len(numbers) // _MOST_LINES)
     for number in numbers[::step].tolist():

@@ -8,7 +8,7 @@ the negative logarithm of the normal density that kriging gives to soundings tha
 and Raftery 2007, J. Am. Stat. Assoc. 102), and of what is usual in rivers, where ``m`` is the number of
 left-out lines: the errors of a line go together, it counts as one. Four lines alone say little: their score
 is as good with a range of 600 m as with one of 100 m, and the standard deviations differ by a factor of
-three. Ranges and anisotropy are bounded as well. A line is predicted without its part in the drift.
+three. Ranges and anisotropy are bounded as well. A line is foretold without its part in the drift.
 
 Shorelines are data, but they judge nothing: they are level all along by definition, and a model that
 foretells them best is too smooth for the bed.
@@ -62,12 +62,12 @@ _BLEND: Final = 0.1
 _SHORE_STEPS: Final = 200
 """Places of a shore are so many times nearer to each other than the middle of the lake is to it."""
 _TEST: Final = 1200
-"""Soundings that are predicted to judge a model, in at most so many left-out lines:"""
+"""Soundings that are foretold to judge a model, in at most so many left-out lines:"""
 _LINES: Final = 32
 SHEET_LINE: Final = -1_000_000
 """Lines of the light sheet count down from here; negative lines above it are stretches of the banks."""
 _DATA: Final = 1500
-"""Soundings that they are predicted from."""
+"""Soundings that they are foretold from."""
 _STEPS: Final = 90
 _ALL: Final = 512
 """So few data make each cell all together: no step where neighbours change."""
@@ -75,7 +75,7 @@ _COMPARED: Final = 1500
 _SURVEYS: Final = 100
 """So many soundings make the picture of the variogram, and so many surveys of the model its band."""
 _NEIGHBOURS: Final = 24
-"""Data that a left-out sounding is predicted from while models are compared."""
+"""Data that a left-out sounding is foretold from while models are compared."""
 _BOUNDS: Final = {
     "range": (0.15, 4.0),
     "anisotropy": (1.0, 40.0),
@@ -441,7 +441,7 @@ def _widest_gap(data: Observations, half_widths: HalfWidths) -> float:
 
 
 def _thinned(data: Observations, lines: ArrayI, rng: np.random.Generator) -> tuple[list[ArrayI], ArrayI]:
-    """Soundings to foretell, by left-out line, and data that they are predicted from."""
+    """Soundings to foretell, by left-out line, and data that they are foretold from."""
     chosen = rng.choice(lines, min(_LINES, len(lines)), replace=False)
     test = []
     for line in np.sort(chosen).tolist():
@@ -467,7 +467,7 @@ def _typical_half_width(data: Observations, half_widths: HalfWidths) -> float:
 
 
 _Part = tuple[Observations, Observations, ArrayF, ArrayF]
-"""What is known without a left-out line, what is predicted of it, and how much of the margin either is."""
+"""What is known without a left-out line, what is foretold of it, and how much of the margin either is."""
 
 
 def _fitted(

@@ -278,7 +278,7 @@ class Fit:
     motion : of the cloud.
     cov : (6, 6) of shift (east, north, up) and rotation vector.
     undetermined : motions that the common ground does not show, in words.
-    overlap : a row a block of common ground: place, cells, median before and after, spread, sigma predicted.
+    overlap : a row a block of common ground: place, cells, median before and after, spread, sigma foretold.
     facts : for people.
     """
 
@@ -542,7 +542,7 @@ def _overlap(
                 else np.nan,
                 "median_after_m": middle,
                 "nmad_m": NMAD * float(np.median(np.abs(d - middle))),
-                "sigma_predicted_m": root_mean_square(sigma[here]),
+                "sigma_foretold_m": root_mean_square(sigma[here]),
             }
         )
     return pd.DataFrame(rows)

@@ -94,7 +94,7 @@ class InterpolationError:
     variances_m2 : (k, 3) in their middle, beyond the covariance of the epochs; not decreasing.
     order : (3,) the error at the nominal step grows with the step to this power.
     noise_m2 : (3,) variance that is new in each epoch; 0 where it cannot be told from motion.
-    n_residuals : (k,) epochs that were left out and predicted.
+    n_residuals : (k,) epochs that were left out and foretold.
     """
 
     spacings_s: ArrayF
