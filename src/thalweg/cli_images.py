@@ -24,7 +24,8 @@ def add_image_commands(commands: "argparse._SubParsersAction[argparse.ArgumentPa
         help="photographs and control points or positions -> poses with sigmas, lens, tie points, page",
         description="Structure from motion and one adjustment with control points or positions of the camera "
         "inside. At least three control points, each measured in two photographs, or three positions off a "
-        "line; points of role 'check' judge the result.",
+        "line; points of role 'check' judge the result. Without either the photographs become a model in a "
+        "frame of its own, without scale.",
     )
     orient.add_argument("photographs", type=Path, nargs="+", metavar="PHOTO", help="folders or files")
     orient.add_argument(
@@ -39,7 +40,8 @@ def add_image_commands(commands: "argparse._SubParsersAction[argparse.ArgumentPa
         "--marks",
         type=Path,
         metavar="FILE",
-        help="image, point, x_px, y_px from the upper left corner as CSV; XML of Metashape; gcp_list.txt",
+        help="image, point, x_px, y_px from the upper left corner as CSV; XML of Metashape; gcp_list.txt; "
+        "without --points of tie points",
     )
     orient.add_argument(
         "--positions",
@@ -48,7 +50,7 @@ def add_image_commands(commands: "argparse._SubParsersAction[argparse.ArgumentPa
         help="image, x, y, z and accuracy of the projection centres, beside control points or instead",
     )
     orient.add_argument(
-        "--crs", required=True, metavar="CRS", help="map grid of the points, as EPSG:25833; or local"
+        "--crs", metavar="CRS", help="map grid of points and positions, as EPSG:25833; or local"
     )
     orient.add_argument(
         "--camera", type=Path, metavar="FILE", help="calibration, COLMAP or OpenCV file (default: estimated)"
@@ -99,10 +101,16 @@ def _orient(options: argparse.Namespace) -> int:
     from thalweg.ingest.photos import find_images
     from thalweg.settings.sections import BlockAdjustment, ControlSettings, FeatureSettings
 
-    if bool(options.points) != bool(options.marks) or not (options.points or options.positions):
+    if options.points and not options.marks:
         raise ConfigError(
-            "neither control points with marks nor positions",
-            expected="--points and --marks, or --positions, or all three",
+            "control points without marks",
+            expected="--marks: where the photographs show them",
+            where="thalweg orient",
+        )
+    if (options.points or options.positions) and not options.crs:
+        raise ConfigError(
+            "coordinates without a CRS",
+            expected="--crs EPSG:... of the map grid, or --crs local",
             where="thalweg orient",
         )
     found = orient_photographs(
@@ -123,11 +131,13 @@ def _orient(options: argparse.Namespace) -> int:
     written = found.write(options.out, name=name)
     page, title = options.out / "index.html", f"Photographs of {name}"
     images, control = pieces_tables(found.found)
+    # the map is one of metres
+    drawn = () if found.crs is None else ("places",)
     orientation_page(
         found.found.facts,
         images,
         control,
-        {"places": image_positions(found.found.poses, found.control, control, title=title)},
+        {n: image_positions(found.found.poses, found.control, control, title=title) for n in drawn},
         captions={
             "places": "Projection centres, control and check points with residual vectors: adjusted minus "
             "surveyed, as if the point's own coordinates had taken no part."

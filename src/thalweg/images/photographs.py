@@ -3,7 +3,7 @@
 import json
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,7 +13,7 @@ from pyproj import CRS
 from scipy.spatial.transform import Rotation
 
 from thalweg.calibration import LENSES, Rig, read_camera, read_rig, read_views
-from thalweg.core import ArrayF, InputError, LazWriter, LocalFrame, Trajectory
+from thalweg.core import ArrayB, ArrayF, InputError, LazWriter, LocalFrame, Trajectory
 from thalweg.core.calibration import Source
 from thalweg.images.bundle import (
     Boat,
@@ -27,6 +27,7 @@ from thalweg.images.bundle import (
 )
 from thalweg.images.control import (
     CameraPositions,
+    MarkTable,
     crs_of,
     frame_about,
     matched_marks,
@@ -35,7 +36,7 @@ from thalweg.images.control import (
     read_camera_positions,
 )
 from thalweg.images.masks import size_of
-from thalweg.images.model import ControlPoints, ImageBlock, ImagePoses, unknown_poses
+from thalweg.images.model import ControlPoints, ImageBlock, ImagePoses, triangulated, unknown_poses
 from thalweg.images.sfm import (
     WIDEST_DEG,
     Known,
@@ -74,6 +75,10 @@ FILES: Final = (
     "orientation.json",
 )
 """What an oriented block is written to."""
+_OF_THE_WORLD: Final = ("image_poses.parquet", "control_points.csv")
+"""Files whose columns are metres of the world, or surveyed points: a model in its own frame has none."""
+_MODEL_STEP: Final = 1e-5
+"""Resolution of the tie points of a model, whose base is one, as LAZ."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,19 +89,24 @@ class PhotographBlock:
     ----------
     found : adjusted pieces, poses of all images, facts.
     control : surveyed points in the world frame.
-    crs : of the coordinates of all files, or `LOCAL`.
+    crs : of the coordinates of all files, or `LOCAL`; None: a model in its own frame, without scale.
+    marked : names of measured tie points, the last points of a piece, by the names of its images.
     """
 
     found: Pieces
     control: ControlPoints
-    crs: str
+    crs: str | None
+    marked: Mapping[tuple[str, ...], tuple[str, ...]] = field(default_factory=dict)
 
     def coordinates(self, points_wcs_m: ArrayF) -> ArrayF:
         """Points (n, 3) of the world frame in the coordinates of the control points; NaN stays."""
         return in_crs(points_wcs_m, self.found.poses.frame, self.crs)
 
     def point_table(self) -> pd.DataFrame:
-        """Tie points of all pieces: ``x_m, y_m, z_m``, ``images`` that show the point, ``piece``."""
+        """Tie points of all pieces: ``x_m, y_m, z_m``, ``images`` that show the point, ``piece``.
+
+        Of a model ``x, y, z``; with measured tie points ``point``, their names.
+        """
         tables = []
         for k, piece in enumerate(self.found.oriented):
             adjusted = piece.adjusted
@@ -104,8 +114,11 @@ class PhotographBlock:
             shown = np.bincount(marks, minlength=len(adjusted.x.X))
             rows = np.flatnonzero(shown >= 2)
             xyz = self.coordinates(adjusted.x.X[rows] + adjusted.origin_m)
-            table = pd.DataFrame(xyz, columns=["x_m", "y_m", "z_m"])
-            tables.append(table.assign(images=shown[rows], piece=k))
+            table = pd.DataFrame(xyz, columns=_axes(self.crs)).assign(images=shown[rows], piece=k)
+            if self.marked:
+                names = self.marked.get(adjusted.problem.block.images, ())
+                table["point"] = np.array([""] * (len(shown) - len(names)) + list(names), object)[rows]
+            tables.append(table)
         return pd.concat(tables, ignore_index=True)
 
     def write(self, folder: Path, *, name: str) -> list[Path]:
@@ -118,16 +131,19 @@ class PhotographBlock:
 
         Returns
         -------
-        paths : of `FILES`.
+        paths : of `FILES`; of a model without those that are metres of the world.
         """
+        files = [file for file in FILES if self.crs is not None or file not in _OF_THE_WORLD]
         folder.mkdir(parents=True, exist_ok=True)
         facts = self.found.facts
-        self.found.poses.write(folder / "image_poses.parquet")
+        if self.crs is not None:
+            self.found.poses.write(folder / "image_poses.parquet")
         pose_table(self.found.poses, self.crs).to_csv(
             folder / "image_poses.csv", index=False, float_format="%.9g"
         )
         points = self.point_table()
-        points.to_csv(folder / "points.csv", index=False, float_format="%.3f")
+        digits = "%.3f" if self.crs is not None else "%.9g"
+        points.to_csv(folder / "points.csv", index=False, float_format=digits)
         self._write_cloud(folder / "points.laz", points)
         source = Source(
             run=name,
@@ -138,48 +154,55 @@ class PhotographBlock:
         write_cameras(folder / "camera.yaml", folder / "cameras.csv", self.found.oriented, source)
         images, control = pieces_tables(self.found)
         images.to_csv(folder / "images.csv", index=False, float_format="%.6g")
-        control.to_csv(folder / "control_points.csv", index=False, float_format="%.6g")
+        if self.crs is not None:
+            control.to_csv(folder / "control_points.csv", index=False, float_format="%.6g")
         stated = {"crs": self.crs, **facts}
         (folder / "orientation.json").write_text(json.dumps(stated, indent=2) + "\n", encoding="utf-8")
-        return [folder / file for file in FILES]
+        return [folder / file for file in files]
 
     def _write_cloud(self, path: Path, points: pd.DataFrame) -> None:
         """The tie points as LAZ in the CRS of the control points, or without one in a local frame."""
-        xyz = points[["x_m", "y_m", "z_m"]].to_numpy()
-        frame = None if self.crs == LOCAL else CRS.from_user_input(self.crs)
+        xyz = points[_axes(self.crs)].to_numpy()
+        frame = None if self.crs in (None, LOCAL) else CRS.from_user_input(self.crs)
+        step = 0.001 if self.crs is not None else _MODEL_STEP
         dimensions = {"images": ("u2", "photographs that show the point"), "piece": ("u2", "of the block")}
-        with LazWriter(path, frame, extra_dimensions=dimensions) as writer:
+        with LazWriter(path, frame, scale_m=step, extra_dimensions=dimensions) as writer:
             writer.append(xyz, extra={key: points[key].to_numpy(np.uint16) for key in dimensions})
 
 
-def in_crs(points_wcs_m: ArrayF, frame: LocalFrame, crs: str) -> ArrayF:
-    """Points (n, 3) of the world frame in a map grid, or as they are (`LOCAL`); NaN stays."""
+def _axes(crs: str | None) -> list[str]:
+    return ["x", "y", "z"] if crs is None else ["x_m", "y_m", "z_m"]
+
+
+def in_crs(points_wcs_m: ArrayF, frame: LocalFrame, crs: str | None) -> ArrayF:
+    """Points (n, 3) of the world frame in a map grid, or as they are (`LOCAL`, None); NaN stays."""
     known = np.isfinite(points_wcs_m).all(axis=1)
     out = np.full(points_wcs_m.shape, np.nan)
-    if crs == LOCAL:
+    if crs in (None, LOCAL):
         out[known] = points_wcs_m[known]
     elif known.any():
         out[known] = frame.to_map(points_wcs_m[known], CRS.from_user_input(crs))
     return out
 
 
-def pose_table(poses: ImagePoses, crs: str) -> pd.DataFrame:
+def pose_table(poses: ImagePoses, crs: str | None) -> pd.DataFrame:
     """A row for each image.
 
     Columns: ``image``, ``x_m, y_m, z_m`` of the projection centre, the quaternion ``qx, qy, qz, qw`` from
     the camera's frame (right, down, into the picture) to local east, north, up (to x, y, z of a local
     frame), ``sigma_x_m`` ... , ``sigma_rotation_x_deg`` ... about the axes of the world, ``rms_px``,
-    ``reason`` why there is no pose.
+    ``reason`` why there is no pose. Of a model in its own frame (None) places are ``x, y, z`` with
+    ``sigma_x`` ...
     """
     quaternion = np.full((len(poses.images), 4), np.nan)
     quaternion[poses.oriented] = Rotation.from_matrix(poses.R_wcs_ccs[poses.oriented]).as_quat()
     sigma = np.sqrt(np.diagonal(poses.cov_pose_wcs, axis1=1, axis2=2))
     places = in_crs(poses.centre_wcs_m, poses.frame, crs)
     columns: dict[str, Any] = {"image": list(poses.images)}
-    columns |= dict(zip(("x_m", "y_m", "z_m"), places.T, strict=True))
+    columns |= dict(zip(_axes(crs), places.T, strict=True))
     columns |= dict(zip(("qx", "qy", "qz", "qw"), quaternion.T, strict=True))
-    for k, axis in enumerate("xyz"):
-        columns[f"sigma_{axis}_m"] = sigma[:, k]
+    for k, axis in enumerate(_axes(crs)):
+        columns[f"sigma_{axis}"] = sigma[:, k]
     for k, axis in enumerate("xyz"):
         columns[f"sigma_rotation_{axis}_deg"] = np.rad2deg(sigma[:, 3 + k])
     return pd.DataFrame(columns | {"rms_px": poses.rms_px, "reason": list(poses.reasons)})
@@ -187,7 +210,7 @@ def pose_table(poses: ImagePoses, crs: str) -> pd.DataFrame:
 
 def what_is_given(
     images: Images,
-    crs: str,
+    crs: str | None,
     control_points: Sequence[Path],
     marks: Path | None,
     positions: Path | None,
@@ -198,8 +221,10 @@ def what_is_given(
     Parameters and errors as of `orient_photographs`, before the first photograph is looked at.
     """
     placed = [*control_points, *([] if positions is None else [positions])]
+    if placed and crs is None:
+        raise InputError("coordinates without a CRS", expected=f"a map grid, or {LOCAL}", where=placed[0])
     frame = frame_about(placed, crs=crs)
-    if crs != LOCAL and not crs_of(crs, placed[0]).is_projected:
+    if crs not in (None, LOCAL) and placed and not crs_of(crs, placed[0]).is_projected:
         raise InputError(
             f"the CRS {crs}",
             expected=f"a projected one, or {LOCAL}",
@@ -215,16 +240,59 @@ def what_is_given(
     if marks is not None:
         sizes = [size_of(path) or (0, 0) for path in files.values()]
         table = read_all_marks([marks])
-        matched_marks(
-            table, points, tuple(files), sizes, tuple(files), sigma_px=section.sigma_px, where=marks
-        )
+        meant = points if control_points else _without_coordinates(table)
+        matched_marks(table, meant, tuple(files), sizes, tuple(files), sigma_px=section.sigma_px, where=marks)
     return frame, points, centres, files
+
+
+def _without_coordinates(table: MarkTable) -> ControlPoints:
+    """The points of a table of marks, whose places nobody knows, for the sake of their names."""
+    names = tuple({name.strip().casefold(): name.strip() for name in table.point}.values())
+    n = len(names)
+    return ControlPoints(
+        names=names,
+        points_wcs_m=np.zeros((n, 3)),
+        cov_wcs_m2=np.tile(np.eye(3), (n, 1, 1)),
+        check=np.ones(n, np.bool_),
+    )
+
+
+def with_measured_points(
+    block: ImageBlock, marks: Path, exposures: Sequence[str], *, sigma_px: float
+) -> tuple[ImageBlock, tuple[str, ...]]:
+    """The block with tie points that were measured by hand, behind its own, and their names.
+
+    Points whose rays of two photographs or more do not meet are none.
+
+    Parameters
+    ----------
+    marks : table as of `read_marks`.
+    exposures : names of all photographs.
+    sigma_px : of marks that state none.
+    """
+    table = read_all_marks([marks])
+    points = _without_coordinates(table)
+    sizes = [block.cameras[c].size_px for c in block.camera]
+    found, _ = matched_marks(table, points, block.images, sizes, exposures, sigma_px=sigma_px, where=marks)
+    places = triangulated(block, found, len(points.names))
+    keep: ArrayB = np.isfinite(places[:, 0])
+    index = len(block.points_block_m) + np.cumsum(keep) - 1
+    rows = np.lexsort((found.image, found.point))
+    rows = rows[keep[found.point[rows]]]
+    return replace(
+        block,
+        points_block_m=np.concatenate([block.points_block_m, places[keep]]),
+        mark_image=np.concatenate([block.mark_image, found.image[rows]]),
+        mark_point=np.concatenate([block.mark_point, index[found.point[rows]]]),
+        mark_px=np.concatenate([block.mark_px, found.xy_px[rows]]),
+        sigma_px=np.concatenate([block.sigma_px, found.sigma_px[rows]]),
+    ), tuple(name for name, k in zip(points.names, keep, strict=True) if k)
 
 
 def orient_photographs(
     images: Images,
     *,
-    crs: str,
+    crs: str | None,
     control_points: Sequence[Path] = (),
     marks: Path | None = None,
     positions: Path | None = None,
@@ -240,12 +308,15 @@ def orient_photographs(
 ) -> PhotographBlock:
     """Orient photographs by what is known of them, without a boat: surveyed points, positions of the camera.
 
+    Without either they are oriented in a frame of their own (`thalweg.images.bundle.run.model_block`).
+
     Parameters
     ----------
     images : photographs by name, or files and folders.
-    crs : of coordinates ``x, y, z``; `LOCAL` for a frame of the surveyor's own. Results are in it, too.
+    crs : of coordinates ``x, y, z``; `LOCAL` for a frame of the surveyor's own. Results are in it, too. None
+        where nothing has coordinates.
     control_points : tables as of `read_control_points`.
-    marks : table of their image points, as of `read_marks`.
+    marks : table of their image points, as of `read_marks`; without control points of tie points.
     positions : table as of `read_camera_positions`; without control points three or more, not on a line.
     camera : calibration, COLMAP or OpenCV file of the interior orientation; None: it is estimated.
     masks : folder of masks; see `extract_features`.
@@ -258,9 +329,16 @@ def orient_photographs(
     Raises
     ------
     InputError : photographs, points or marks that cannot be used, or no two photographs with common points.
-    GeometryError : fewer than three points that are measured in two photographs each and fewer than three
-        positions, or such as do not fit the photographs.
+    GeometryError : control points or positions, but fewer than three points that are measured in two
+        photographs each and fewer than three positions, or such as do not fit the photographs.
     """
+    own_frame = rig is None and not control_points and positions is None
+    if own_frame and crs not in (None, LOCAL):
+        raise InputError(
+            f"the CRS {crs}, and nothing that has coordinates in it",
+            expected="control points with marks, or positions of the camera",
+            cure="Give these, or no CRS: the photographs are then oriented in a frame of their own",
+        )
     say = progress or (lambda line: None)
     section = control or ControlSettings()
     frame, points, centres, files = what_is_given(
@@ -271,9 +349,13 @@ def orient_photographs(
     if rig is not None:
         known = Known(t_s={name: float(k) for k, name in enumerate(exposures)})
     mapped = _mapped(files, known, masks, features, mapping, rig, threads, say)
-    say("adjustment with control points")
+    blocks, marked = mapped.blocks, {}
+    if marks is not None and rig is None and not control_points:
+        both = [with_measured_points(b, marks, exposures, sigma_px=section.sigma_px) for b in blocks]
+        blocks, marked = [b for b, _ in both], {b.images: names for b, names in both}
+    say("adjustment in a frame of its own" if own_frame else "adjustment with control points")
     pieces = adjust_pieces(
-        mapped.blocks,
+        blocks,
         unknown_poses(frame, exposures),
         reasons=mapped.reasons,
         frame=frame,
@@ -286,9 +368,20 @@ def orient_photographs(
         boat=None,
         centres=centres,
         rig=rig,
+        own_frame=own_frame,
     )
     pieces.facts["structure_from_motion"] = mapped.facts
-    return PhotographBlock(found=pieces, control=points, crs=crs)
+    block = PhotographBlock(found=pieces, control=points, crs=None if own_frame else crs, marked=marked)
+    if marks is not None and marked:
+        given = len(_without_coordinates(read_all_marks([marks])).names)
+        used = block.point_table().query("point != ''")["point"].nunique()
+        pieces.facts["measured_tie_points"] = {"given": given, "used": used}
+        if used < given:
+            pieces.facts["notes"].append(
+                f"{given - used} of {given} measured tie points take no part: fewer than two of their marks "
+                "are in photographs of the block and fit"
+            )
+    return block
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

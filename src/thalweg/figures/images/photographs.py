@@ -603,6 +603,9 @@ def _three(values: Mapping[str, float]) -> str:
 
 
 def _sigma_finding(facts: Mapping[str, Any], stated: str = "") -> Finding:
+    if "model_frame" in facts:
+        sigma = " / ".join(f"{v:.2g}" for v in facts["sigma_position_model"].values())
+        return Finding("standard deviation of their places, x / y / z, median", f"{sigma} units of the model")
     sigma = _three(facts["sigma_position_mm"])
     return Finding("standard deviation of their places, x / y / z, median", f"{sigma} mm", stated)
 
@@ -668,8 +671,11 @@ def orientation_page(
     else:
         findings.append(Finding("check points", "none", "cannot tell"))
         lead = "No check point judges the standard deviations; give some of the points the role check."
-    page = Page(title, lead, findings).section("Places")
-    page.figures(pictures, captions)
+    if "model_frame" in facts:
+        lead = f"{facts['notes'][0]}."
+    page = Page(title, lead, findings)
+    if pictures:
+        page.section("Places").figures(pictures, captions)
     if len(control):
         _add_points(
             page.section("Control and check points"),

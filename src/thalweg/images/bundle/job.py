@@ -121,6 +121,7 @@ def adjust_campaign(
     elsewhere: frozenset[str] = frozenset(),
     centres: CameraPositions | None = None,
     rig: Rig | None = None,
+    own_frame: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> tuple[Oriented, ImagePoses, dict[str, Any]]:
     """Adjust the images of a campaign.
@@ -133,6 +134,7 @@ def adjust_campaign(
     centres : measured positions of the cameras themselves, in place of ``boat``.
     rig : calibration of the lenses that took the images, which are named by lens and exposure
         (``front/NAME``); ``predictions``, mount and results are those of exposures, at the front lens.
+    own_frame : as of `orient_block`.
 
     Returns
     -------
@@ -197,6 +199,7 @@ def adjust_campaign(
         antenna=antenna,
         known=known,
         rig=frames,
+        own_frame=own_frame,
         progress=progress,
     )
     facts = facts_of(oriented.adjusted, oriented.control, oriented.notes, oriented.demoted)
@@ -270,11 +273,17 @@ def read_pieces(block: Path, pieces: Path | None) -> list[ImageBlock]:
 
 
 def adjust_pieces(
-    blocks: Sequence[ImageBlock], predictions: ImagePoses, *, reasons: Mapping[str, str], **options: Any
+    blocks: Sequence[ImageBlock],
+    predictions: ImagePoses,
+    *,
+    reasons: Mapping[str, str],
+    own_frame: bool = False,
+    **options: Any,
 ) -> Pieces:
     """Adjust each piece of a block by itself.
 
-    A piece that cannot be adjusted is left out with its reason; what is lost is counted, also in seconds.
+    A piece that cannot be adjusted is left out with its reason; what is lost is counted, also in seconds. A
+    model in a frame of its own is that of the main piece.
 
     Parameters
     ----------
@@ -299,11 +308,20 @@ def adjust_pieces(
         told.append(facts)
         if k and len(block.images) < LEAST:
             facts["left_out"] = f"{len(block.images)} images, {LEAST} are needed"
+        elif k and own_frame:
+            facts["left_out"] = "no common points join it to the main one, and a model has one frame"
         else:
             others = {name for b in blocks if b is not block for name in b.images} - set(block.images)
             try:
                 done.append(
-                    adjust_campaign(block, predictions, reasons=lost, elsewhere=frozenset(others), **options)
+                    adjust_campaign(
+                        block,
+                        predictions,
+                        reasons=lost,
+                        elsewhere=frozenset(others),
+                        own_frame=own_frame,
+                        **options,
+                    )
                 )
             except ThalwegError as error:
                 first_error = first_error or error
@@ -333,12 +351,17 @@ def adjust_pieces(
         }
         facts["notes"] = [*facts["notes"], *_notes(told), *(n for _, _, f in done[1:] for n in f["notes"])]
     facts["notes"] = [*facts["notes"], *_gap_notes(gaps)]
+    if own_frame:
+        facts = _of_a_model(facts, done[0][0].datum)
     poses = replace(poses, facts=done[0][1].facts)
     return Pieces(oriented=tuple(o for o, _, _ in done), poses=poses, facts=facts, piece=piece)
 
 
 def pieces_tables(found: Pieces) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Tables of images and of control points as of `image_report`, with the column ``piece`` (-1: none)."""
+    """Tables of images and of control points as of `image_report`, with the column ``piece`` (-1: none).
+
+    Of a model in its own frame ``sigma_x``, ``sigma_y``, ``sigma_z`` are in its units.
+    """
     names = found.poses.images
     reasons = dict(zip(names, found.poses.reasons, strict=True))
     each = [image_table(o.adjusted, names, reasons) for o in found.oriented]
@@ -347,10 +370,31 @@ def pieces_tables(found: Pieces) -> tuple[pd.DataFrame, pd.DataFrame]:
         rows = found.piece == k
         images.loc[rows] = table.loc[rows]
     images["piece"] = found.piece
+    if "model_frame" in found.facts:
+        for a, b in zip(_AXES, "xyz", strict=True):
+            images[f"sigma_{a}_mm"] /= 1e3
+            images = images.rename(
+                columns={
+                    f"sigma_{a}_mm": f"sigma_{b}",
+                    f"sigma_rotation_{a}_mdeg": f"sigma_rotation_{b}_mdeg",
+                }
+            )
     control = [
         control_table(o.adjusted, o.control, o.left_out).assign(piece=k) for k, o in enumerate(found.oriented)
     ]
     return images, pd.concat([t for t in control if len(t)] or control[:1], ignore_index=True)
+
+
+def _of_a_model(facts: Mapping[str, Any], datum: str) -> dict[str, Any]:
+    """Facts of a block in its own frame, which has no millimetres and no east, with a note that says so."""
+    position, turn = (facts[name].values() for name in ("sigma_position_mm", "sigma_rotation_mdeg"))
+    told: dict[str, Any] = {"model_frame": {"datum": datum, "scale": "unknown"}}
+    told |= {name: value for name, value in facts.items() if name != "sigma_position_mm"}
+    told["sigma_position_model"] = {a: v / 1e3 for a, v in zip("xyz", position, strict=True)}
+    told["sigma_rotation_mdeg"] = dict(zip("xyz", turn, strict=True))
+    note = f"Model frame, no scale: {datum}. All standard deviations are relative to these"
+    told["notes"] = [note, *facts["notes"]]
+    return told
 
 
 def time_gaps(poses: ImagePoses) -> list[dict[str, Any]]:
@@ -634,6 +678,12 @@ def _places(adjusted: AdjustedBlock) -> dict[str, Any]:
 
 def summary_text(facts: Mapping[str, Any]) -> str:
     """A few lines for the log."""
+    if "model_frame" in facts:
+        place, axes = " / ".join(f"{v:.2g}" for v in facts["sigma_position_model"].values()), "x / y / z"
+        place += " units of the model"
+    else:
+        place, axes = " / ".join(f"{v:.1f}" for v in facts["sigma_position_mm"].values()), "east / north / up"
+        place += " mm"
     lines = [
         f"{facts['images']} images, {facts['tie_points']} tie points with {facts['tie_marks']} marks "
         f"({facts['marks_a_point']:.1f} each), {facts['control_points']} control points",
@@ -641,11 +691,9 @@ def summary_text(facts: Mapping[str, Any]) -> str:
         "errors of a mark in units of its sigma, along / across the parallax: white {white:.2f} / "
         "{white_across:.2f}, slow {slow:.2f} / {slow_across:.2f} over {reach_deg:.1f} degrees to the power "
         "{power:.1f}".format(**facts["correlation"]),
-        "position "
-        + " / ".join(f"{v:.1f}" for v in facts["sigma_position_mm"].values())
-        + " mm, rotation "
+        f"position {place}, rotation "
         + " / ".join(f"{v:.1f}" for v in facts["sigma_rotation_mdeg"].values())
-        + " thousandths of a degree (median over the images, east / north / up)",
+        + f" thousandths of a degree (median over the images, {axes})",
     ]
     check = facts["check_points"]
     if check:

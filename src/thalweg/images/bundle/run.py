@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from thalweg.calibration import LENS_SIGMA
-from thalweg.core import PARAMETERS, ArrayF, ArrayI, Camera, GeometryError, rotation_vector
+from thalweg.core import PARAMETERS, ArrayB, ArrayF, ArrayI, Camera, GeometryError, rotation_vector
 from thalweg.images.bundle.adjustment import AdjustedBlock, ControlResult, adjust_block, control_result
 from thalweg.images.bundle.checks import (
     LEAST,
@@ -229,7 +229,8 @@ _MOST_DEMOTED: Final = 3
 class Oriented:
     """An adjusted block, its control points, those left out with the reason, and notes for people.
 
-    ``demoted`` names control points that contradicted the others and were made check points.
+    ``demoted`` names control points that contradicted the others and were made check points; ``datum`` says
+    what fixes a block in a frame of its own, and is empty in the world.
     """
 
     adjusted: AdjustedBlock
@@ -237,6 +238,46 @@ class Oriented:
     demoted: tuple[str, ...] = ()
     left_out: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    datum: str = ""
+
+
+def model_block(block: ImageBlock) -> tuple[ImageBlock, ArrayB, str]:
+    """The block in a frame of its own, by the seven coordinates that a block without control leaves open.
+
+    Origin and axes are those of a photograph; a coordinate of the one farthest from it is the unit.
+    Photographs of few marks are neither: all others would be uncertain as they are.
+
+    Returns
+    -------
+    block : moved, turned and scaled.
+    held : (i, 6) what is held of the poses.
+    datum : in words.
+
+    Raises
+    ------
+    GeometryError : all photographs were taken at one place.
+    """
+    marks = np.bincount(block.mark_image, minlength=len(block.images))
+    firm = np.flatnonzero(2 * marks >= np.median(marks))
+    first = int(firm[0])
+    R, centre = block.R_block_ccs[first].T, block.centre_block_m[first]
+    away = (block.centre_block_m - centre) @ R.T
+    base = int(firm[np.argmax(np.linalg.norm(away[firm], axis=1))])
+    axis = int(np.argmax(np.abs(away[base])))
+    length = float(np.abs(away[base, axis]))
+    if not length > 0:
+        raise GeometryError(
+            "photographs that were all taken at one place",
+            expected="two places at least, from which points are seen",
+            cure="Take photographs from different places; a camera that only turns shows no depth",
+        )
+    held = np.zeros((len(block.images), 6), np.bool_)
+    held[first], held[base, axis] = True, True
+    datum = (
+        f"origin and axes of {block.images[first]} (x right, y down, z into the picture), unit: "
+        f"{'xyz'[axis]} of {block.images[base]} is {np.sign(away[base, axis]):+.0f}"
+    )
+    return block.transformed(R, -R @ centre / length, 1.0 / length), held, datum
 
 
 def world_block(
@@ -329,9 +370,10 @@ def orient_block(
     antenna: Antenna | None = None,
     known: Interiors = None,
     rig: RigFrames | None = None,
+    own_frame: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> Oriented:
-    """Orient a block in the world.
+    """Orient a block in the world, or in a frame of its own.
 
     Parameters
     ----------
@@ -342,6 +384,7 @@ def orient_block(
     rig : lenses that expose together.
     known : interior orientation from a calibration, with covariance, of all cameras of the block or by their
         names; cameras without one are estimated.
+    own_frame : nothing places the block: it is a model in the frame of `model_block`, without a scale.
 
     Raises
     ------
@@ -353,11 +396,17 @@ def orient_block(
         # for the start an image of the exposure will do
         first = np.unique(rig.exposure, return_index=True)[1]
         known_at = replace(antenna, image=first[antenna.image])
-    moved, start, source = world_block(block, control, marks, predictions, known_at)
-    notes = list(start.notes)
-    given = control
-    control, marks, left_out = _usable(control, marks, start if source == "control points" else None)
-    check_datum(moved, given, control, antenna, left_out)
+    notes: list[str] = []
+    left_out: dict[str, str] = {}
+    held, datum = np.zeros((len(block.images if rig is None else rig.exposures), 6), np.bool_), ""
+    if own_frame:
+        moved, held, datum = model_block(block)
+    else:
+        moved, start, source = world_block(block, control, marks, predictions, known_at)
+        notes += start.notes
+        given = control
+        control, marks, left_out = _usable(control, marks, start if source == "control points" else None)
+        check_datum(moved, given, control, antenna, left_out)
     cameras, free, weighted = _interior(moved.cameras, settings, known)
     # Held without a sigma, distortion that is not estimated freely would bend the rest, and no covariance
     # would tell: with a k3 of -0.018 held at zero, k2 came out ten sigmas off.
@@ -368,7 +417,7 @@ def orient_block(
         antenna=antenna,
         free=free,
         weighted=weighted,
-        held=np.zeros((len(block.images if rig is None else rig.exposures), 6), np.bool_),
+        held=held,
         square_pixels=settings.square_pixels,
         prior_sigma={k: v for k, v in LENS_SIGMA.items() if k not in settings.free_parameters},
         rig=rig,
@@ -399,7 +448,9 @@ def orient_block(
     notes += interior_notes(adjusted, known)
     notes += clock_notes(antenna, float(adjusted.x.extras[-1]) if len(adjusted.x.extras) else 0.0)
     notes += [*adjusted.notes, *result.notes, *doubts(problem.control, result, antenna)]
-    return Oriented(adjusted=adjusted, control=result, demoted=tuple(demoted), left_out=left_out, notes=notes)
+    return Oriented(
+        adjusted=adjusted, control=result, demoted=tuple(demoted), left_out=left_out, notes=notes, datum=datum
+    )
 
 
 def _contradicting(control: ControlPoints, result: ControlResult) -> int | None:
