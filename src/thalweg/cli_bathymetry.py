@@ -306,7 +306,7 @@ def _bed(options: argparse.Namespace) -> int:
 
     soundings = read_soundings(
         options.table,
-        None if options.crs is None else map_crs(options.crs),
+        None if options.crs is None else map_crs(options.crs, feet=True),
         column=options.depth or options.height,
         depth=None if options.depth is options.height is None else options.depth is not None,
         level_m=None if options.levels else options.level,

@@ -188,7 +188,10 @@ def test_text_without_names_and_repeated_places(river: Path, tmp_path: Path) -> 
 
 BAD = {
     "in degrees": (["--crs", "EPSG:4326", "--height", "h"], "is in degrees"),
-    "in feet": (["--crs", "EPSG:2263", "--height", "h"], "foot"),
+    "a system in feet of another place": (
+        ["--crs", "EPSG:2263", "--height", "h"],
+        "Long Island (ftUS), used",
+    ),
     "no such column": (["--height", "z"], "no column z"),
     "heights as depths": (["--depth", "minus"], "positive downwards"),
     "depths as heights by name": (["--height", "depth"], "holds depths by its name"),

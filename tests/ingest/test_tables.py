@@ -229,6 +229,23 @@ def test_the_reading_that_would_fit_is_named(words: str) -> None:
         check_places(READINGS[words], UTM, where="a.csv", cure="--crs")
 
 
+def test_a_map_in_feet_comes_into_metres(tmp_path: Path) -> None:
+    """New York in feet of the US survey: by the CRS, by the names of the columns, by degrees."""
+    feet, metres = CRS("EPSG:2263"), np.array([[300_000.0, 65_000.0], [300_100.0, 65_020.0]])
+    foot = 1200 / 3937
+    rows = "".join(f"{e!r},{n!r}\n" for e, n in (metres / foot).tolist())
+    own = read_text_table(write(tmp_path, "x,y\n" + rows)).places(feet)
+    assert own.xy_m == pytest.approx(metres, abs=1e-6)
+    assert own.crs.axis_info[0].unit_name == "metre"
+    assert "taken in the unit of NAD83 / New York Long Island (ftUS)" in own.notes[0]
+    rows = "".join(f"{e},{n}\n" for e, n in metres.tolist())
+    named = read_text_table(write(tmp_path, "x_m,y_m\n" + rows)).places(feet)
+    assert named.xy_m == pytest.approx(metres, abs=1e-6)
+    table = read_text_table(write(tmp_path, "x,y\n" + rows))
+    with pytest.raises(InputError, match="used from"):
+        table.places(feet)
+
+
 def test_places_that_can_be_meant_are_said() -> None:
     assert check_places(PLACES, UTM, where="a.csv") == "places about 50.9958 N, 13.7464 E"
     # all of Germany is published in zone 32

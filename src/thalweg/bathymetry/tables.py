@@ -84,12 +84,16 @@ _ALONE: Final = 0.5
 """More soundings than this share outside the banks: they are of another place."""
 
 
-def map_crs(text: str) -> CRS:
-    """A coordinate system in metres on a map.
+def map_crs(text: str, *, feet: bool = False) -> CRS:
+    """A coordinate system of a map.
+
+    Parameters
+    ----------
+    feet : also one in feet; else in metres alone.
 
     Raises
     ------
-    InputError : unknown, in degrees or in feet.
+    InputError : unknown, in degrees, or in feet.
     """
     try:
         crs = CRS.from_user_input(text)
@@ -104,7 +108,7 @@ def map_crs(text: str) -> CRS:
             expected="a projected system in metres",
             cure="Transform the table to the UTM zone of the river, such as EPSG:32633",
         )
-    if any(abs(axis.unit_conversion_factor - 1) > 1e-9 for axis in crs.axis_info[:2]):
+    if not feet and any(abs(axis.unit_conversion_factor - 1) > 1e-9 for axis in crs.axis_info[:2]):
         raise InputError(
             f"{text} ({crs.name}) is in {crs.axis_info[0].unit_name}",
             where="--crs",

@@ -33,6 +33,7 @@ from thalweg.core.values import (
     WORDS,
     Unit,
     check_places,
+    in_metres,
     in_words,
     is_nothing,
     unit_of_word,
@@ -407,7 +408,7 @@ class Table:
 
         Parameters
         ----------
-        crs : of the map, in metres; None where the table states degrees.
+        crs : of the map, in metres or feet, which the result is not; None where the table states degrees.
         any_system : coordinates in metres need no CRS.
 
         Raises
@@ -415,6 +416,10 @@ class Table:
         InputError : no columns of coordinates, or none of a stated system.
         """
         metric, angular = self.having(("east", "north")), self.having(("lat", "lon"))
+        stated, unit_m = crs, 1.0
+        if crs is not None:
+            found = in_metres(crs)
+            crs, unit_m = found.crs, found.factors[0]
         if not (metric or angular):
             raise InputError(
                 f"columns {self.listed()}",
@@ -465,6 +470,13 @@ class Table:
                 cure="State --crs EPSG:..., or name the columns lat, lon if they are degrees",
             )
         own = np.column_stack([self.numbers(e, "east"), self.numbers(n, "north")])
+        notes = [x for x in self.unit_notes(e, n) if "converted" in x]
+        if unit_m != 1.0 and stated is not None:
+            if self.columns[e].unit is None:
+                own *= unit_m
+                notes.append(f"east and north taken in the unit of {stated.name} ({unit_m:.10g} m)")
+            whole = np.isfinite(own).all(axis=1)
+            check_places(own[whole] / unit_m, stated, where=self.path, cure="--crs")
         if angular and crs is not None:
             both = np.isfinite(own).all(axis=1) & np.isfinite(xy).all(axis=1)
             apart = np.linalg.norm(own - xy, axis=1)[both]
@@ -479,7 +491,7 @@ class Table:
         lost = (own == 0.0).all(axis=1)
         self._lose("with 0, 0, which is no place,", "east, north", lost)
         own[lost] = np.nan
-        return Places(own, crs, [x for x in self.unit_notes(e, n) if "converted" in x])
+        return Places(own, crs, notes)
 
     def angles(self, quantity: str) -> ArrayF:
         """Degrees (n,) of the column of latitude or longitude; NaN where there is no value.

@@ -29,8 +29,8 @@ _NEAR_ZERO_M: Final = 1_000.0
 """No national grid has ground so near to its false origin: these are degrees, or a local system."""
 _WIDEST_M: Final = 450_000.0
 """Farthest from its meridian that a zone of UTM is used: all of Germany is published in zone 32."""
-_MARGIN_DEG: Final = (3.1, 1.0)
-"""Longitude and latitude by which a grid is used beyond its area, for the same reason."""
+_MARGIN_DEG: Final = {True: (3.1, 1.0), False: (1.5, 0.7)}
+"""Longitude and latitude by which a zone of UTM (true), or another grid, is used beyond its area."""
 _UNITS: Final = (("kilometres", 1e3), ("feet", 0.3048), ("centimetres", 1e-2), ("millimetres", 1e-3))
 _UTM: Final = ((32601, 32660), (32701, 32760), (25828, 25838))
 """EPSG codes of zones of UTM that lie beside each other."""
@@ -197,6 +197,7 @@ def _degrees(xy: ArrayF, crs: CRS) -> tuple[ArrayF, ArrayF]:
 def _in_area(crs: CRS) -> Fits:
     """Whether most places lie where a CRS is used; of one without a stated area, on the earth."""
     area = crs.area_of_use
+    east_of, north_of = _MARGIN_DEG[bool(crs.utm_zone)]
 
     def fits(lon: ArrayF, lat: ArrayF) -> bool:
         """Whether places in degrees lie there."""
@@ -204,8 +205,8 @@ def _in_area(crs: CRS) -> Fits:
         lon, lat = np.where(inside, lon, 0.0), np.where(inside, lat, 0.0)
         if area is not None:
             width = area.east - area.west + (360.0 if area.east < area.west else 0.0)
-            inside &= (lon - area.west + _MARGIN_DEG[0]) % 360.0 <= width + 2 * _MARGIN_DEG[0]
-            inside &= (lat >= area.south - _MARGIN_DEG[1]) & (lat <= area.north + _MARGIN_DEG[1])
+            inside &= (lon - area.west + east_of) % 360.0 <= width + 2 * east_of
+            inside &= (lat >= area.south - north_of) & (lat <= area.north + north_of)
         return bool(inside.mean() > 0.5)
 
     return fits
