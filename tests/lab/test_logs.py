@@ -443,7 +443,12 @@ HOLDERS = {
 }
 """Modules that the generators use to hold and write what they made; none of their formulas shapes a log."""
 
-BEHIND = {"core/documents.py", "lightsheet/optics/refraction.py"}
+BEHIND = {
+    "core/documents.py",
+    "core/values/stated.py",
+    "core/values/units.py",
+    "lightsheet/optics/refraction.py",
+}
 """What the modules above import for their other functions; no generator imports it itself."""
 
 

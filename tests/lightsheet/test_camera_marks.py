@@ -23,7 +23,7 @@ def test_a_good_table(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "no table"),
+        ("", "the file is empty"),
         (HEAD, "no row"),
         ("marker,x_px,y_px,sigma_px\n1,1,1,1\n", "columns missing: corner"),
         (HEAD + "s.png,1,0,10.5,,0.1\n", "'' in column y_px, row 1"),

@@ -93,7 +93,7 @@ def test_depths_that_fit_no_order_are_measured_and_not_explained_away() -> None:
         ("file,depth,sigma_mm\na.png,1,1\n", r"columns missing: depth_mm"),
         ("name,depth_mm,sigma_mm\na.png,1,1\n", r"columns missing: file"),
         ("file,depth_mm,sigma_mm\n", "no row"),
-        ("", "no table"),
+        ("", "the file is empty"),
         ("file,depth_mm,sigma_mm\na.png,deep,0.02\n", "'deep' in column depth_mm, row 1"),
         ("file,depth_mm,sigma_mm\na.png,128.9,\n", "'' in column sigma_mm, row 1"),
         ("file,depth_mm,sigma_mm\na.png,128.9,0.02\na.png,72.7,0.02\n", "two depths for a.png"),

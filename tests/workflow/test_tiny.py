@@ -204,7 +204,7 @@ def test_the_processing_needs_no_truth(tiny_house) -> None:
     of = ("with_truth", "chains_with_truth", "riverbed_with_truth", "dtm_with_truth", "rig_with_truth")
     assert judges == {f"compare_{name}" for name in of}
     shown = {rule for rule in after if rule.startswith("plot_") or rule.endswith("_page")}
-    assert after - judges - shown == {"summarise"}
+    assert after - judges - shown == {"summarise", "export_layers"}
 
 
 def test_the_bed_is_as_good_as_its_sigmas_say(tiny_house) -> None:
@@ -554,6 +554,7 @@ def test_an_sbet_and_photographs_give_the_chains_of_camera_and_all_sensors(tiny_
     ).products()
     assert {row.name for row in products if row.made} == {
         "trajectory of the boat",
+        "track, soundings, river for a GIS",
         "trajectories by camera and by all sensors",
     }
     tiny_house.snakemake("--config", f"campaign={path}")

@@ -37,7 +37,8 @@ def front_page(
     title : heading.
     twin : whether a digital twin wrote the logs.
     products : name, file, made (whether the logs make it) and needs of each; none but for a survey.
-    pages : HTML files; each gets a link with its own heading and the first sentence of its lead.
+    pages : HTML files; each gets a link with its own heading and the first sentence of its lead. Layers for a
+        GIS among them are linked by ``products``.
     pictures, captions : PNG files, and by stem what they show.
     summary : columns quantity, value, unit; None: there is none.
 
@@ -51,8 +52,8 @@ def front_page(
         return Path(relpath(path, final_path(target).parent)).as_posix()
 
     page = Page(title, "Digital twin: simulated instruments wrote these logs." if twin else "")
-    if pages:
-        page.section("Pages").links({at(path): _heading(path) for path in pages})
+    if linked := [path for path in pages if path.suffix == ".html"]:
+        page.section("Pages").links({at(path): _heading(path) for path in linked})
     if products:
         page.section("Products")
         page.links({at(each["file"]): (each["name"], "") for each in products if each["made"]})

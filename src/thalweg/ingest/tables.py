@@ -488,9 +488,10 @@ class Table:
                     expected=f"one place in each row, in {on.name}",
                     cure="Look at --crs, or leave two of the columns out",
                 )
-        lost = (own == 0.0).all(axis=1)
-        self._lose("with 0, 0, which is no place,", "east, north", lost)
-        own[lost] = np.nan
+        if crs is not None:  # in a system of its own the origin is a place
+            lost = (own == 0.0).all(axis=1)
+            self._lose("with 0, 0, which is no place,", "east, north", lost)
+            own[lost] = np.nan
         return Places(own, crs, notes)
 
     def angles(self, quantity: str) -> ArrayF:

@@ -1249,8 +1249,8 @@ class CampaignFiles:
         return [asdict(product) for product in self.products()]
 
     def pages(self) -> list[str]:
-        """The pages that `all` builds, but the front page."""
-        return [path for path in self._made() if path.endswith(".html")]
+        """The pages that `all` builds, but the front page, and the layers for a GIS that it links."""
+        return [path for path in self._made() if path.endswith((".html", ".gpkg"))]
 
     def summary(self) -> list[str]:
         """The table of the most important figures of a survey."""

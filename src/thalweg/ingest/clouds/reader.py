@@ -193,7 +193,7 @@ def _times(values: ArrayF, header: LazHeader, report: IntegrityReport) -> ArrayF
     wrong = time_contradiction(t, scale)
     if wrong or (told and scale not in told):
         if len(told) != 1:
-            report.note(f"Times are left empty: {wrong or time_scale_words(t, told)}.")
+            report.note(f"Times are left empty: {time_scale_words(t, told) if told else wrong}.")
             return np.full(len(t), np.nan)
         if told[0] != "week_s":
             report.note(f"The header states {TIME_SCALES[scale]}, but {wrong or time_scale_words(t, told)}.")
