@@ -9,16 +9,18 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+import pyproj
 import pytest
 import rasterio
 from scipy.spatial import cKDTree
 
 from tests.conftest import check_whole
-from thalweg.bathymetry import FlowLine
+from thalweg.bathymetry import FlowLine, read_soundings
 from thalweg.cli import main
 from thalweg.core import ThalwegError, read_raster
 
 CRS = "EPSG:32633"
+UTM = pyproj.CRS(CRS)
 EAST, NORTH = 500_000.0, 5_400_000.0
 HALF_M = 10.0
 
@@ -181,9 +183,22 @@ def test_text_without_names_and_repeated_places(river: Path, tmp_path: Path) -> 
     facts = made(river, tmp_path / "out", "--height", "z", table=str(tmp_path / "more.xyz"))
     notes = " ".join(facts["notes"])
     assert "1 row without a value in column z, left out, the first in line 266" in notes
-    assert "2 repeated" in notes
+    assert "1 repeated rows" in notes
+    assert "1 repeated " in notes.replace("repeated rows", "")
     assert "1 repeated and different" in notes
     assert facts["true_rms"] < 0.15
+
+
+def test_a_file_joined_with_itself_is_the_same_soundings(river: Path, tmp_path: Path) -> None:
+    text = (river / "soundings.csv").read_text()
+    (tmp_path / "twice.csv").write_text(text + text)
+    once, twice = (
+        read_soundings(path, UTM, column="h", depth=False, level_m=None, line_column=None, sigma_m=0.02)
+        for path in (river / "soundings.csv", tmp_path / "twice.csv")
+    )
+    for name in ("places_m", "height_m", "sigma_m", "line"):
+        np.testing.assert_array_equal(getattr(twice, name), getattr(once, name))
+    assert twice.counts["repeated rows"] == len(once.line)
 
 
 BAD = {

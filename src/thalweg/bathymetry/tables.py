@@ -235,7 +235,7 @@ class TableOfSoundings:
     places_m : (n, 2) east and north.
     height_m, sigma_m : (n,) and their noise.
     line : (n,) number of the line.
-    counts : rows read, repeated, repeated and different.
+    counts : rows read, repeated rows, other soundings repeated at a place, and those that differ there.
     crs : of the map.
     column, depth : name of the column of values, and whether they are depths.
     notes : what was converted, assumed and left out.
@@ -339,16 +339,21 @@ def read_soundings(
             expected="heights of a bed under water",
             cure=f"Use --depth {column} if they are depths; look at --level",
         )
+    if depth and (n := int(np.count_nonzero(value[known] < 0))):
+        notes.append(f"{n:,} depths in {column} are negative: above the level that they count from")
     height = (level_m or 0.0) - value if depth else value
+    t_s = np.full(len(table), np.nan)
+    if (when := table.times()) is not None:
+        t_s, said = when
+        notes += said
+    # a row that stands twice, as in a file joined with itself, is one sounding on one line
+    again = pd.DataFrame(np.column_stack([places, height, t_s])).duplicated().to_numpy() & known
+    counts["repeated rows"], known = int(again.sum()), known & ~again
     if line_column is None:
         line = _lines_by_place(places[known])
     else:
         names = np.array(table.text(table.column(line_column)))[known]
         line = pd.factorize(names)[0].astype(np.int64)
-    t_s = np.full(len(table), np.nan)
-    if (when := table.times()) is not None:
-        t_s, said = when
-        notes += said
     of = pd.DataFrame(
         {
             "x": np.round(places[known, 0], 3),
@@ -372,11 +377,9 @@ def read_soundings(
         of = one
     xy = of[["x", "y"]].to_numpy(np.float64)
     if len(of) < 4:
-        again = (
-            f", {counts['repeated']:,} more rows at the same places (degrees?)" if counts["repeated"] else ""
-        )
+        more = counts["repeated"] + counts["repeated rows"]
         raise InputError(
-            f"{len(of)} soundings{again}",
+            f"{len(of)} soundings" + (f", {more:,} more rows at the same places (degrees?)" if more else ""),
             where=path,
             expected="at least four, on two lines or more",
             cure="Look at the columns of places and values: rows without numbers are left out",

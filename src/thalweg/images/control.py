@@ -55,7 +55,7 @@ _ROLES: Final = {
 _NAMED: Final = 5
 """Names that a message lists."""
 NAMES: Final[Mapping[str, tuple[str, ...]]] = {
-    "id": ("id", "label", "name", "point", "gcp", "marker", "gcp_name"),
+    "id": ("id", "label", "name", "point", "gcp", "marker", "gcp_name", "point_id", "pointid", "punkt", "nr"),
     "image": ("image", "photo", "camera", "image_name", "file", "filename", "camera_label"),
     "point": ("point", "gcp", "marker", "label", "id", "gcp_name", "marker_label"),
     "x_px": ("x_px", "u", "u_px", "im_x", "image_u", "x"),
@@ -67,9 +67,9 @@ NAMES: Final[Mapping[str, tuple[str, ...]]] = {
     "lat_deg": ("lat_deg", "latitude", "y/latitude", "lat"),
     "lon_deg": ("lon_deg", "longitude", "x/longitude", "lon", "long", "lng"),
     "h_ell_m": ("h_ell_m", "h_m", "altitude", "z/altitude", "height", "elevation", "z"),
-    "x": ("x", "x/east", "x/easting", "easting", "east"),
-    "y": ("y", "y/north", "y/northing", "northing", "north"),
-    "z": ("z", "z/altitude", "altitude", "height", "elevation"),
+    "x": ("x", "x/east", "x/easting", "easting", "east", "rechtswert"),
+    "y": ("y", "y/north", "y/northing", "northing", "north", "hochwert"),
+    "z": ("z", "z/altitude", "altitude", "height", "elevation", "höhe", "hoehe"),
     "sigma_east_m": ("sigma_east_m", "sigma_x_m", "x/east accuracy", "x accuracy", "sx", "sigmax"),
     "sigma_north_m": ("sigma_north_m", "sigma_y_m", "y/north accuracy", "y accuracy", "sy", "sigmay"),
     "sigma_up_m": ("sigma_up_m", "sigma_z_m", "z/altitude accuracy", "z accuracy", "sz", "sigmaz"),

@@ -383,6 +383,7 @@ def _simple(table: Any) -> tuple[Any, list[str]]:
     notes = []
 
     def lose(which: ArrayB, words: str) -> None:
+        """Leave rows out, and count them."""
         nonlocal table
         if which.any():
             notes.append(f"{int(which.sum()):,} {words}, left out")

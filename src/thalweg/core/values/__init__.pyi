@@ -3,6 +3,7 @@ from .places import (
     FORMS as FORMS,
     HIGHEST_M as HIGHEST_M,
     LOWEST_M as LOWEST_M,
+    away_m as away_m,
     check_degrees as check_degrees,
     check_heights as check_heights,
     check_places as check_places,

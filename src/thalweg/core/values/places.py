@@ -272,7 +272,7 @@ def near_world(
     if problem is None and np.median(away) <= FAR_M:
         return found
     state = "Correct the CRS that the file states:" if own else f"Set {setting}:"
-    other = next((o for o in readings(values, form, crs, frame, state) if _away_m(o, frame) <= FAR_M), None)
+    other = next((o for o in readings(values, form, crs, frame, state) if away_m(o, frame) <= FAR_M), None)
     if other is None:
         if problem is None:
             return found
@@ -347,7 +347,8 @@ def readings(
         yield Reading("coordinates of the world frame", names.format(*world), values, world, None)
 
 
-def _away_m(other: Reading, frame: LocalFrame) -> float:
+def away_m(other: Reading, frame: LocalFrame) -> float:
+    """Median distance of places, as they may be meant, from the origin of a survey; or infinite."""
     try:
         found = world_of(other.values, other.form, other.crs, frame)
     except GeometryError:

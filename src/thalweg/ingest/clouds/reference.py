@@ -1,6 +1,5 @@
 """Reference clouds of any format -> one cloud in the world frame."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
@@ -9,6 +8,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
 from thalweg.core import AnyArray, ArrayF, Frame, GeometryError, InputError, LazWriter, LocalFrame
+from thalweg.core.values import FORMS, away_m, readings
 from thalweg.ingest import IntegrityReport
 from thalweg.ingest.clouds.reader import NO_USE, Cloud, read_cloud
 
@@ -21,13 +21,6 @@ FARTHEST_M: Final = 20_000.0
 
 _MOST_POINTS: Final = 100_000
 _EARTH_M: Final = (6.33e6, 6.40e6)
-_UNITS: Final = (
-    (1000.0, "millimetres"),
-    (1e6, "micrometres"),
-    (100.0, "centimetres"),
-    (1 / 0.3048, "feet"),
-    (0.001, "kilometres"),
-)
 _OTHER_GRIDS: Final = (31466, 31467, 31468, 31469, 4647, 5650)
 """Gauss-Krueger of Germany, and UTM with the zone before the easting."""
 
@@ -80,39 +73,25 @@ def misplaced(
 def _guess(points: ArrayF, frame: LocalFrame, crs: str, origin: ArrayF | None) -> str:
     """What the file may be, and what to do about it."""
     middle = _middle(points)
-    x, y = float(middle[0]), float(middle[1])
     export = f"export the file in {crs}"
-    for (a, b), order in (((x, y), "longitude, latitude"), ((y, x), "latitude, longitude")):
-        if abs(a - frame.lon_deg) < 1.0 and abs(b - frame.lat_deg) < 1.0:
-            return f"These are degrees ({order}): {export}"
     if _EARTH_M[0] < float(np.linalg.norm(middle)) < _EARTH_M[1] and abs(middle[2]) > 1e4:
         return f"Earth-centred coordinates: {export}"
-    if origin is not None:
-        if np.hypot(x - origin[0], y - origin[1]) < FARTHEST_M:
-            away = np.hypot(points[:, 0] - origin[0], points[:, 1] - origin[1]) > FARTHEST_M
-            if n := int(np.count_nonzero(away)):
-                return f"Delete {n:,} stray points: the others lie where they should"
-            return f"They fit {crs}: correct the CRS that the file states"
-        if np.hypot(y - origin[0], x - origin[1]) < FARTHEST_M:
-            return "East and north are swapped: export them in this order"
-        for factor, unit in _UNITS:
-            if np.hypot(x / factor - origin[0], y / factor - origin[1]) < FARTHEST_M:
-                return f"The unit looks like {unit}: export metres"
-    if np.hypot(x, y) < FARTHEST_M:
-        return f"Local coordinates of the scanner or of a project? Give the file its place: {export}"
-    for code in _other_grids(frame):
-        if _fits(code, x, y, frame):
+    if origin is not None and np.hypot(*(middle - origin)[:2]) < FARTHEST_M:
+        away = np.hypot(*(points - origin)[:, :2].T) > FARTHEST_M
+        if n := int(np.count_nonzero(away)):
+            return f"Delete {n:,} stray points: the others lie where they should"
+        return f"They fit {crs}: correct the CRS that the file states"
+    for other in readings(middle[None], FORMS[2], CRS.from_user_input(crs), frame):
+        if away_m(other, frame) < FARTHEST_M:
+            if other.form == FORMS[0]:
+                return f"Local coordinates of the scanner or of a project? Give the file its place: {export}"
+            return f"{other.words[0].upper()}{other.words[1:]} would fit: {export}"
+    for code in _OTHER_GRIDS:
+        if _fits(code, float(middle[0]), float(middle[1]), frame):
             grid = CRS.from_epsg(code)
             how = ", with the grid files of the land survey" if "DHDN" in grid.name else ""
             return f"They fit EPSG:{code} ({grid.name}): {export}{how}"
     return f"Coordinates of another grid or place: {export}; check campaign.crs and campaign.origin"
-
-
-def _other_grids(frame: LocalFrame) -> Iterator[int]:
-    zone = int((frame.lon_deg + 180.0) // 6) + 1
-    for step in (0, -1, 1, -2, 2):
-        yield (32600 if frame.lat_deg >= 0 else 32700) + (zone + step - 1) % 60 + 1
-    yield from _OTHER_GRIDS
 
 
 def _fits(code: int, x: float, y: float, frame: LocalFrame) -> bool:

@@ -633,6 +633,7 @@ def _choose(
     horizontal = np.hypot(*sigmas[["sigma_north_m", "sigma_east_m"]].to_numpy(np.float64).T)
 
     def merit(k: int) -> tuple[bool, float, float, int, int]:
+        """What speaks for a receiver, the smaller the better."""
         rows = fixes[receiver == k]
         stated = horizontal[sigmas["talker"].isin(owners[k])]
         goodness = float(np.median([_GOODNESS.index(fix) for fix in rows["fix"]]))

@@ -29,7 +29,15 @@ from thalweg.core import (
     table_kind,
     unix_from_gps,
 )
-from thalweg.ingest import IntegrityReport, explain_shift, find_gaps, possible_unix, read_text_table
+from thalweg.ingest import (
+    IntegrityReport,
+    explain_shift,
+    find_gaps,
+    possible_unix,
+    read_text_table,
+    tell_time_scale,
+    time_scale_words,
+)
 from thalweg.ingest.photos.exif import CivilStamp, ImageHead, civil_second, offset_seconds, read_head
 from thalweg.ingest.photos.files import (
     by_any_name,
@@ -199,7 +207,13 @@ def _stamp(text: str, form: str, where: str) -> CivilStamp:
             expected="ISO 8601, such as 2021-05-12T08:31:07.123Z" if form == "time_utc" else "a number",
         ) from error
     if not possible_unix(second):
-        raise InputError(f"'{text}' is no date of a survey", where=where, expected="a time after 1980")
+        size = [] if form == "time_utc" else [float(text.replace(",", "."))]
+        raise InputError(
+            f"'{text}' is no date of a survey",
+            where=where,
+            expected="a time after 1980",
+            cure=time_scale_words(size, tell_time_scale(size)) if size else "Look at the clock of the camera",
+        )
     return CivilStamp(second_s=second, fraction_s=fraction, resolution_s=10.0**-digits, utc_offset_s=offset_s)
 
 

@@ -111,6 +111,7 @@ def _is_drawn(kind: str) -> Callable[[bytes, int], bool]:
     """Vectors of this format; of JSON only what has coordinates."""
 
     def matches(head: bytes, size: int) -> bool:
+        """Whether a file begins like this format."""
         if vector_format(head) != kind:
             return False
         return kind != "geojson" or (is_text(head) and b'"type"' in head and b'"coordinates"' in head)
