@@ -260,3 +260,10 @@ def test_what_is_broken_is_refused_with_a_sentence(tmp_path: Path) -> None:
     for path, words in broken(tmp_path).items():
         with pytest.raises(InputError, match=words):
             read_vectors(path)
+
+
+def test_latitude_before_longitude_is_named(tmp_path: Path) -> None:
+    """GeoJSON has longitude first; (13.7, 51.0) and (51.0, 13.7) are both places on the earth."""
+    path = geojson(tmp_path / "a.geojson", line((51.0, 13.74), (51.001, 13.75), (51.002, 13.75)))
+    with pytest.raises(InputError, match="latitude and longitude swapped would fit"):
+        read_vectors(path).on_map(MAP)

@@ -17,7 +17,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError, ProjError
 
 from thalweg.core import ArrayB, ArrayF, InputError
-from thalweg.core.values import units_of_crs, utm_of
+from thalweg.core.values import check_places, units_of_crs, utm_of
 from thalweg.ingest.readers import HEAD_BYTES, read_head
 from thalweg.settings.sections import VECTOR_ENDINGS
 
@@ -136,6 +136,10 @@ class Vectors:
                     f"{self.path.name} states no coordinate system: taken for degrees of longitude and "
                     "latitude in WGS 84, which the numbers can be",
                 )
+        xy = shapely.get_coordinates(self.table.geometry)
+        degrees = source.is_geographic and bool((np.abs(xy) <= _DEGREES).all())
+        if crs.is_projected and (degrees or (self.crs is None and self.kind != "dxf")):
+            check_places(xy, crs, where=self.path, degrees=degrees, one_survey=False)
         if source.equals(crs, ignore_axis_order=True):
             return replace(self, crs=crs, notes=notes)
         try:

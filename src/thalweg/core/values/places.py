@@ -72,6 +72,7 @@ def check_places(
     height_m: ArrayF | None = None,
     cure: str = "",
     degrees: bool = False,
+    one_survey: bool = True,
 ) -> str:
     """Check coordinates of a map; returns where they lie, for a note.
 
@@ -83,6 +84,7 @@ def check_places(
     height_m : (n,) heights of ground, if there are any.
     cure : how this caller is told another CRS, such as ``--crs``.
     degrees : ``xy_m`` are longitude and latitude that are to come onto the map.
+    one_survey : whether the places are those of one survey, not of a country's layer.
 
     Raises
     ------
@@ -114,8 +116,8 @@ def check_places(
             expected=f"coordinates in {crs.name}, used {_area_in_words(crs)}",
             cure=how or f"Look at the order and the unit of the columns, and at {cure or 'the CRS'}",
         )
-    away = np.linalg.norm(xy_m - middle, axis=1) * (0.0 if degrees else 1.0)
-    if away.max() > _MOST_APART_M:
+    away = np.linalg.norm(xy_m - middle, axis=1)
+    if one_survey and not degrees and away.max() > _MOST_APART_M:
         far = away > max(_MOST_APART_M / 2, 10 * float(np.median(away)))
         raise InputError(
             f"{int(far.sum()):,} of {len(away):,} places lie up to {away.max() / 1000:,.0f} km from the "
