@@ -50,6 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if sys.stderr.isatty():
         to_terminal()
     try:
+        _refuse_no_files(options)
         code = command(options)
         sys.stdout.flush()
     except ThalwegError as error:
@@ -65,6 +66,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(file_trouble(error), file=sys.stderr)
         return EXIT_MISTAKE
     return code
+
+
+def _refuse_no_files(options: argparse.Namespace) -> None:
+    """Refuse pipes and devices, whose reading may never end, among the paths of a command."""
+    for value in vars(options).values():
+        for path in value if isinstance(value, list) else [value]:
+            if isinstance(path, Path) and path.exists() and not path.is_file() and not path.is_dir():
+                raise InputError(
+                    "this is a pipe or a device",
+                    where=path,
+                    expected="a file",
+                    cure="Write what it gives into a file, and name that",
+                )
 
 
 def _show_warning(message: Warning | str, *_: object) -> None:

@@ -42,6 +42,16 @@ def test_broken_yaml_names_line_and_cure(text, line, fragment):
         (b"\xff\xfe\x00\x01", "not UTF-8"),
         (b"\x00\x01\x02", "not valid YAML"),
         (b"a: &x [1, *x]\n", "cannot be read"),
+        (b"a: 1\nb: !!bool maybe\n", "line 2 calls 'maybe' bool"),
+        (b"a: !!timestamp soon\n", "line 1 calls 'soon' timestamp"),
+        (b"campaign: {seed: 1" + b"0" * 400 + b"}\n", "campaign.seed: found 10000"),
+        (
+            b"b0: &b0 {a: 1}\n"
+            + b"".join(
+                b"b%d: &b%d {<<: [%s]}\n" % (k, k, b",".join([b"*b%d" % (k - 1)] * 9)) for k in range(1, 12)
+            ),
+            "more than 100,000 values, through merges (<<) of merges",
+        ),
     ],
 )
 def test_files_that_are_no_campaign(tmp_path, content, fragment):

@@ -390,6 +390,27 @@ def test_a_browser_opens_it_from_disk(browser: Browser, tmp_path: Path) -> None:
         assert len(page.requests) > 5
 
 
+def test_no_text_of_the_data_becomes_a_program(browser: Browser, tmp_path: Path) -> None:
+    """Titles that look like parts of the page, names of files that begin a comment or end a script."""
+    hostile = "{{data}} <script>document.title='run'</script><!--<script>"
+    view = View(
+        xyz_m=hills()[::20],
+        frame=FRAME,
+        n_total=20_544,
+        image=np.zeros(20_545, int),
+        clouds=[hostile, "b"],
+        extras={"cloud": (np.ones(20_545), "<b>"), hostile: (np.arange(20_545.0), "<b>")},
+    )
+    write_viewer(view, tmp_path / "v", title=hostile, photographs={0: [hostile, hostile]})
+    with browser.empty_page() as page:
+        page.open(tmp_path / "v/index.html")
+        page.wait("typeof settled !== 'undefined' && settled")
+        assert page.run("document.querySelector('h1').textContent") == hostile
+        assert page.run("document.title") == hostile
+        assert page.run("document.querySelectorAll('b').length") == 0
+        assert page.errors == []
+
+
 def test_a_missing_file_of_the_folder_is_told(browser: Browser, tmp_path: Path) -> None:
     write_viewer(View(xyz_m=hills()[::20], frame=FRAME, n_total=20_544), tmp_path / "v", title="x")
     (tmp_path / "v/nodes/r.js").unlink()

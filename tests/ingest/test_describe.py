@@ -175,6 +175,9 @@ def test_a_pipe_does_not_hang(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.sbp")
     with pytest.raises(InputError, match="pipe or a device"):
         describe(tmp_path / "pipe.sbp")
+    os.mkfifo(tmp_path / "table.csv")
+    for command in ("describe", "bed"):
+        assert main([command, str(tmp_path / "table.csv")]) == 2
 
 
 @pytest.mark.real

@@ -1,5 +1,6 @@
 """Each row: what is wrong in an otherwise good campaign, where the message says it is, and the cure."""
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -414,3 +415,18 @@ def test_unreadable_log(write, survey, monkeypatch):
     path = write()
     monkeypatch.setattr(Path, "open", refuse)
     assert "Permission denied" in str(mistakes_of(path))
+
+
+def test_what_is_no_file_and_a_pattern_without_end_are_named(write, survey, monkeypatch):
+    """A link to itself, a pipe that nobody fills, a whole disk, a folder of too many files."""
+    raw = survey / "raw"
+    (raw / "loop.anpp").symlink_to("loop.anpp")
+    os.mkfifo(raw / "pipe.anpp")
+    for name, words in (("loop", "a link that leads to no file"), ("pipe", "this is a pipe or a device")):
+        text = str(mistakes_of(write({"logs.ins": [f"raw/{name}.anpp"]})))
+        assert f"logs.ins[0]: raw/{name}.anpp: {words}; expected " in text
+    with pytest.raises(ConfigError, match=r"pattern '/\*\*/\*' searches a whole disk.*raw/lidar/\*.pcap"):
+        load_campaign(write({"logs.ins": ["/**/*"]}))
+    monkeypatch.setattr("thalweg.settings.messages.MOST_FILES", 3)
+    with pytest.raises(ConfigError, match="matches more than 3 files and folders"):
+        load_campaign(write({"logs.ins": ["raw/**/*"]}))

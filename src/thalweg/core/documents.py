@@ -264,9 +264,10 @@ def validated(
                 mistakes += _mistakes(detail, model, document)
     elif not mistakes:
         mark, field = next(iter(model.model_fields.items()))
-        version = get_args(field.annotation)[0]
+        versions = get_args(field.annotation)
+        expected = f"a {what} that begins with {mark}: {versions[0]}" if versions else f"keys of the {what}"
         found_kind = "nothing stands here" if document.data is None else "no keys with values"
-        mistakes.append(document.mistake((), found_kind, f"a {what} that begins with {mark}: {version}"))
+        mistakes.append(document.mistake((), found_kind, expected))
     return None, sorted(mistakes, key=lambda mistake: mistake.line)
 
 
@@ -434,7 +435,11 @@ def _construct(
     if isinstance(node, yaml.SequenceNode):
         return [_construct(loader, item, (*path, i), document) for i, item in enumerate(node.value)]
     if not isinstance(node, yaml.MappingNode):
-        return loader.construct_object(node)
+        try:
+            return loader.construct_object(node)
+        except (LookupError, ArithmeticError, TypeError, AttributeError):
+            kind = node.tag.removeprefix(_TAG)
+            raise ValueError(f"line {node.start_mark.line + 1} calls {node.value!r} {kind}") from None
     seen: dict[str, int] = {}
     for key_node, _ in node.value:
         line = key_node.start_mark.line + 1
@@ -450,6 +455,8 @@ def _construct(
                 )
             )
         seen.setdefault(key, line)
+    if _n_keys(node, {}) > MAX_VALUES:
+        raise ValueError(f"more than {MAX_VALUES:,} values, through merges (<<) of merges")
     loader.flatten_mapping(node)
     data: dict[str, Any] = {}
     for key_node, value_node in node.value:
@@ -457,6 +464,20 @@ def _construct(
         document.lines[(*path, key)] = key_node.start_mark.line + 1
         data[key] = _construct(loader, value_node, (*path, key), document)
     return data
+
+
+def _n_keys(node: yaml.Node, known: dict[yaml.Node, int]) -> int:
+    """Keys of a mapping, or of a list of mappings, when all that they merge (``<<``) is copied into them."""
+    if node not in known:
+        match node:
+            case yaml.MappingNode():
+                n = sum(_n_keys(v, known) if k.tag == _TAG + "merge" else 1 for k, v in node.value)
+            case yaml.SequenceNode():
+                n = sum(_n_keys(each, known) for each in node.value)
+            case _:
+                n = 0
+        known[node] = n
+    return known[node]
 
 
 def _syntax_mistake(error: yaml.YAMLError, text: str) -> Mistake:

@@ -70,7 +70,8 @@ def check_files(logs: Logs, folder: Path) -> tuple[list[Mistake], dict[str, tupl
                         searched.setdefault(path.resolve(), where)
                 else:
                     mistakes += check_file(where, text, path)
-                mistakes += _check_twice(where, path, first_use)
+                if path.exists():
+                    mistakes += _check_twice(where, path, first_use)
                 paths.append(str(path))
         files[stream] = tuple(paths)
     return [*mistakes, *_check_nested(first_use, searched)], files
@@ -106,12 +107,26 @@ def check_file(where: tuple[Key, ...], text: str, path: Path) -> Iterator[Mistak
                 expected="a file",
                 cure=f"Name the files in it, for instance with a pattern: {text.rstrip('/')}/*",
             )
+        elif path.is_symlink() and not path.exists():
+            yield Mistake(
+                path=where,
+                found=f"{text}: a link that leads to no file",
+                expected=f"a log at {path}",
+                cure="Link it to the log, or copy the log there",
+            )
         elif not path.exists():
             yield Mistake(
                 path=where,
                 found=f"{text}: no such file",
                 expected=f"a log at {path}",
                 cure=missing_cure(path),
+            )
+        elif not path.is_file():
+            yield Mistake(
+                path=where,
+                found=f"{text}: this is a pipe or a device",
+                expected="a file",
+                cure="Write what it gives into a file, and name that",
             )
         elif path.stat().st_size == 0:
             yield Mistake(

@@ -5,10 +5,12 @@ import glob
 import math
 import os
 import re
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from pydantic_core import ErrorDetails
 
@@ -52,16 +54,33 @@ def anchor(text: str, folder: Path) -> Path:
     return Path(os.path.normpath(folder.absolute() / os.path.expanduser(text)))  # noqa: PTH111 - unknown ~user stays
 
 
+MOST_FILES: Final = 100_000
+"""No stream of a survey has that many; a pattern of a level too high soon has."""
+
+
 def expand(text: str, folder: Path) -> list[Path]:
     """Files that a path or a pattern names, in `natural_order`; empty if a pattern matches none.
 
     An existing file whose name holds pattern characters is taken as it is.
+
+    Raises
+    ------
+    ConfigError : the pattern searches a whole disk, or matches more than `MOST_FILES`.
     """
     path = anchor(text, folder)
     if not is_pattern(text) or path.exists():
         return [path]
-    matches = (Path(m) for m in glob.glob(str(path), recursive=True))  # noqa: PTH207 - absolute patterns
-    return sorted((m for m in matches if m.is_file()), key=natural_order)
+    everywhere = path.parts.index("**") if "**" in path.parts else len(path.parts)
+    matches = [] if everywhere < 2 else list(islice(glob.iglob(str(path), recursive=True), MOST_FILES + 1))  # noqa: PTH207 - absolute patterns
+    if everywhere < 2 or len(matches) > MOST_FILES:
+        raise ConfigError(
+            f"the pattern {text!r} searches a whole disk"
+            if everywhere < 2
+            else f"the pattern {text!r} matches more than {MOST_FILES:,} files and folders",
+            expected="the files of one stream",
+            cure="Name the folder that holds them, for instance raw/lidar/*.pcap",
+        )
+    return sorted((m for m in map(Path, matches) if m.is_file()), key=natural_order)
 
 
 def natural_order(path: Path) -> tuple[tuple[tuple[str | int, ...], ...], tuple[str, ...]]:
@@ -392,7 +411,9 @@ def mistake_of(error: ErrorDetails) -> Mistake:
     elif kind == "missing":
         return _missing(path, value)
     elif kind in _RANGE:
-        cure = range_cure(path, float(value)) if isinstance(value, int | float) else ""
+        # whole numbers of a YAML file may have hundreds of digits
+        number = isinstance(value, int | float) and abs(value) <= sys.float_info.max
+        cure = range_cure(path, float(value)) if number else ""
     elif kind in _NUMBER:
         cure = "Write it without decimals" if kind == "int_from_float" or _is_float(value) else ""
         cure = cure or number_cure(path, value)

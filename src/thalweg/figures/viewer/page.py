@@ -7,6 +7,7 @@ disk may be shown, but not drawn on by WebGL.
 
 import base64
 import json
+import re
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -377,16 +378,17 @@ def write_viewer(
     every = "all" if n_shown == view.n_total else f"{n_shown:,} of"
     lead = f"{len(panoramas)} panoramas, point cloud," if panoramas else "Point cloud,"
     lead = f"{lead} {every} {view.n_total:,} points. {_place(view.frame)}"
-    page = (
-        _text("viewer.html")
-        .replace("{{title}}", escape(title))
-        .replace("{{lead}}", escape(lead))
-        .replace("{{mark}}", f'<span class="mark">{TWIN_MARK}</span>' if twin else "")
-        .replace("{{style}}", _text("viewer.css"))
-        .replace("{{program}}", _text("viewer.js"))
-        # a text of the data must not end the script that holds it
-        .replace("{{data}}", json.dumps(facts, allow_nan=False).replace("</", "<\\/"))
-    )
+    parts = {
+        "title": escape(title),
+        "lead": escape(lead),
+        "mark": f'<span class="mark">{TWIN_MARK}</span>' if twin else "",
+        "style": _text("viewer.css"),
+        "program": _text("viewer.js"),
+        # no text of the data can end the script that holds it, or begin a comment in it
+        "data": json.dumps(facts, allow_nan=False).replace("<", "\\u003c"),
+    }
+    # in one pass: a title that looks like a part stays a title
+    page = re.sub(r"\{\{(\w+)\}\}", lambda part: parts[part[1]], _text("viewer.html"))
     (folder / "index.html").write_text(page, encoding="utf-8")
     return n_shown
 
