@@ -399,7 +399,7 @@ def test_no_text_of_the_data_becomes_a_program(browser: Browser, tmp_path: Path)
         n_total=20_544,
         image=np.zeros(20_545, int),
         clouds=[hostile, "b"],
-        extras={"cloud": (np.ones(20_545), "<b>"), hostile: (np.arange(20_545.0), "<b>")},
+        extras={"cloud": (np.ones(20_545), "<u>"), hostile: (np.arange(20_545.0), "<u>")},
     )
     write_viewer(view, tmp_path / "v", title=hostile, photographs={0: [hostile, hostile]})
     with browser.empty_page() as page:
@@ -407,7 +407,7 @@ def test_no_text_of_the_data_becomes_a_program(browser: Browser, tmp_path: Path)
         page.wait("typeof settled !== 'undefined' && settled")
         assert page.run("document.querySelector('h1').textContent") == hostile
         assert page.run("document.title") == hostile
-        assert page.run("document.querySelectorAll('b').length") == 0
+        assert page.run("document.querySelectorAll('u').length") == 0
         assert page.errors == []
 
 
