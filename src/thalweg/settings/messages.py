@@ -411,9 +411,10 @@ def mistake_of(error: ErrorDetails) -> Mistake:
     elif kind == "missing":
         return _missing(path, value)
     elif kind in _RANGE:
-        # whole numbers of a YAML file may have hundreds of digits
-        number = isinstance(value, int | float) and abs(value) <= sys.float_info.max
-        cure = range_cure(path, float(value)) if number else ""
+        if isinstance(value, int) and abs(value) > sys.float_info.max:
+            cure = "Write fewer digits"
+        elif isinstance(value, int | float):
+            cure = range_cure(path, float(value))
     elif kind in _NUMBER:
         cure = "Write it without decimals" if kind == "int_from_float" or _is_float(value) else ""
         cure = cure or number_cure(path, value)
