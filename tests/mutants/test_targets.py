@@ -44,7 +44,7 @@ def test_every_module_with_numbers_has_tests_that_answer(run: Any, repository: P
     ("text", "mistakes"),
     [
         ("x = cho_factor(m, True)\n", 0),
-        ("x = np.full(n, -1)\n", 1),  # without its minus, but not -2
+        ("x = np.full(n, -1)\n", 2),  # no minus, arguments swapped, but not -2
         ("for _ in range(3):\n    f()\n", 0),
         ("for i in range(3):\n    f(i)\n", 1),
         ("CHUNK: int = 1000\n", 0),
