@@ -46,7 +46,7 @@ def test_every_module_with_numbers_has_tests_that_answer(run: Any, repository: P
         ("x = cho_factor(m, True)\n", 0),
         ("x = np.full(n, -1)\n", 2),  # no minus, arguments swapped, but not -2
         ("for _ in range(3):\n    f()\n", 0),
-        ("for i in range(3):\n    f(i)\n", 1),
+        ("for i in levels(3):\n    f(i)\n", 1),
         ("CHUNK: int = 1000\n", 0),
         ("x = max(s, 1e-12)\n", 1),  # min
         ("x = t * 1e-9\n", 2),
