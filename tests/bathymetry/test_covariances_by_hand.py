@@ -8,7 +8,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from thalweg.bathymetry import Sound, Transducer, locate_soundings, with_bed_normals
-from thalweg.bathymetry.crossings import SPREAD, TIME_SPREAD, Crossings, _estimated, agreement
+from thalweg.bathymetry.crossings import (
+    SPREAD,
+    TIME_SPREAD,
+    Crossings,
+    _estimated,
+    agreement,
+    estimate_slow_errors,
+    find_crossings,
+)
 from thalweg.bathymetry.kriging import CovarianceModel, Observations, krige, krige_dense
 from thalweg.bathymetry.variogram import BedModel
 from thalweg.core import LocalFrame, Trajectory
@@ -69,7 +77,7 @@ def tilted() -> SimpleNamespace:
 
 
 def place(of: SimpleNamespace, e: np.ndarray) -> np.ndarray:
-    """Where a sounding lies with errors: pose (6), lever (3), range, factor of the sound, lag, time, tilts."""
+    """Where a sounding lies with errors: pose (6), lever (3), range, factor of sound, lag, time, tilts."""
     turned = Rotation.from_rotvec(e[3:6]) * of.R
     forward, right = np.sin(np.deg2rad(of.echo.tilt_deg))
     beam = np.array([forward, right, np.sqrt(1 - forward**2 - right**2)])
@@ -163,6 +171,36 @@ def test_twice_the_same_lines_tell_no_more() -> None:
     three = Crossings(**{name: np.repeat(getattr(one, name), 3) for name in one.__slots__})
     few, repeated = (_estimated(each, 1e3)[0].sigma_log for each in (one, three))
     assert repeated == pytest.approx(few, rel=0.1)
+
+
+def test_slow_errors_grow_by_the_factor_and_variances_by_its_square() -> None:
+    """Four lines to the east, four to the north, with errors of a line twice as large as stated."""
+    rng = np.random.default_rng(14)
+    k = np.arange(10.0)
+    legs = [np.column_stack([k, np.full(10, y)]) for y in (1.5, 3.5, 5.5, 7.5)]
+    legs += [np.column_stack([np.full(10, x), k]) for x in (1.5, 3.5, 5.5, 7.5)]
+    places, line = np.concatenate(legs), np.repeat(np.arange(8), 10)
+    t = 1e3 * line + np.tile(k, 8)
+    table = pd.DataFrame(
+        {
+            "t_gps_s": t, "t_even_s": t, "east_m": places[:, 0], "north_m": places[:, 1],
+            "up_m": -2.0 + np.repeat(0.2 * rng.standard_normal(8), 10), "sigma_white_m": 0.02,
+            "sigma_slow_m": 0.1, "sigma_common_m": 0.03, "sigma_horizontal_m": 0.02,
+            "cov_uu_m2": 0.02**2 + 0.1**2 + 0.03**2, "line": line, "used": True,
+        }
+    )  # fmt: skip
+    out, time_s, facts = estimate_slow_errors(table, 50.0)
+    assert (facts["n"], facts["estimated"], facts["left_out"]) == (16, True, 0)
+    factor = facts["slow_factor_predictive"]
+    assert factor == pytest.approx(facts["slow_factor"] * np.exp(facts["slow_factor_sigma_log"] ** 2))
+    assert 1.2 < factor < 4.0
+    assert out["sigma_slow_m"].to_numpy() == pytest.approx(0.1 * factor)
+    assert out["cov_uu_m2"].to_numpy() == pytest.approx(0.02**2 + (0.1 * factor) ** 2 + 0.03**2)
+    found = find_crossings(table)
+    stated = found.white_m2 + np.diag(found.slow_covariance_m2(50.0))
+    assert facts["normalised_square"] == pytest.approx(np.mean(found.difference_m**2 / stated))
+    after = found.white_m2 + factor**2 * np.diag(found.slow_covariance_m2(time_s))
+    assert facts["normalised_square_after"] == pytest.approx(np.mean(found.difference_m**2 / after))
 
 
 def test_the_later_day_lies_higher_whichever_was_numbered_first() -> None:

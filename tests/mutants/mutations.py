@@ -104,6 +104,8 @@ IDLE_FLAGS: Final = {
     "xtol",
     "ftol",
     "gtol",
+    "xatol",
+    "fatol",
     "max_nfev",
     "maxiter",
     "max_iterations",
@@ -223,6 +225,13 @@ def _unseen(node: ast.AST, child: ast.AST) -> bool:
     compared = isinstance(node, ast.Call) and _name(node.func) in {"max", "maximum"}
     if isinstance(child, ast.Constant) and (compared or isinstance(node, ast.Compare)):
         return type(child.value) is float and 0.0 < child.value <= TINY
+    if isinstance(node, ast.Dict):  # options of an optimiser
+        keys = [
+            key.value
+            for key, value in zip(node.keys, node.values, strict=True)
+            if value is child and isinstance(key, ast.Constant)
+        ]
+        return any(key in IDLE_FLAGS for key in keys)
     if isinstance(node, ast.Call) and _name(node.func) == "cho_factor":
         return isinstance(child, ast.Constant)
     if isinstance(node, ast.Subscript) and child is node.slice:
