@@ -1,13 +1,15 @@
-"""The law of total covariance of a trajectory whose error sizes are known roughly, by hand."""
+"""Noise of a step, and the law of total covariance where sizes of errors are known roughly: by hand."""
 
 from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
-from thalweg.navigation.fusion import errors
+from thalweg.navigation.fusion import FusionSettings, errors
 from thalweg.navigation.fusion.errors import spread_over
+from thalweg.navigation.fusion.model import GROUPS, INS, MODEL, RESET, pair_transition
 
 
 @dataclass
@@ -45,3 +47,28 @@ def test_covariances_count_the_mean_of_all_and_their_scatter(monkeypatch: pytest
     end = np.mean([np.outer(a[1], a[1]) for a in away], axis=0)
     assert out.last == pytest.approx(np.mean([d.last for d in draws], axis=0) + end)
     assert out.x is best.x
+
+
+# ---------------------------------------------------------------- transitions
+
+
+def exact_noise(T: float, rate: float, density: float) -> tuple[np.ndarray, np.ndarray]:
+    """Transition and noise of d' = e, e' = -rate e + white noise, by the matrix exponential of Van Loan."""
+    A = np.array([[0.0, 1.0], [0.0, -rate]])
+    block = np.zeros((4, 4))
+    block[:2, :2], block[:2, 2:], block[2:, 2:] = -A, np.diag([0.0, density]), A.T
+    found = expm(block * T)
+    phi = found[2:, 2:].T
+    return phi, phi @ found[:2, 2:]
+
+
+@pytest.mark.parametrize("T", [0.001, 0.05, 0.3, 4.0, 60.0])
+def test_the_noise_of_a_step_is_that_of_the_process(T: float) -> None:
+    """Along the INS an integrated Gauss-Markov process, without it a random walk of the velocity."""
+    settings = FusionSettings(velocity_time_s=3.0, sigma_velocity_mps=0.05, sigma_acceleration=0.4)
+    factors = dict.fromkeys(GROUPS, 1.0) | {"velocity": 2.0, "acceleration": 0.5}
+    found = pair_transition(np.full(3, T), np.array([INS, MODEL, RESET]), settings, factors)
+    for row, rate, density in ((0, 1 / 3.0, 2 * 0.1**2 / 3.0), (1, 0.0, 0.2**2)):
+        phi, Q = exact_noise(T, rate, density)
+        assert found[row] == pytest.approx([phi[0, 1], phi[1, 1], Q[0, 0], Q[0, 1], Q[1, 1]], rel=1e-6)
+    assert found[2] == pytest.approx([0.0, 0.0, 0.0, 0.0, 0.1**2])
