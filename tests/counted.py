@@ -14,7 +14,7 @@ from pathlib import Path
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 
-def tests_of(path: Path) -> int:
+def count_tests(path: Path) -> int:
     """Test functions of a file, those of classes with them."""
     return sum(
         isinstance(node, ast.FunctionDef) and node.name.startswith("test_")
@@ -22,12 +22,12 @@ def tests_of(path: Path) -> int:
     )
 
 
-def tests_by_folder(tests: Path) -> Counter[str]:
+def count_by_folder(tests: Path) -> Counter[str]:
     """Test functions below each folder of ``tests``; its own files are the folder ``.``."""
     found = Counter[str]()
     for path in tests.rglob("test_*.py"):
         inside = path.relative_to(tests)
-        found[inside.parts[0] if len(inside.parts) > 1 else "."] += tests_of(path)
+        found[inside.parts[0] if len(inside.parts) > 1 else "."] += count_tests(path)
     return found
 
 
@@ -55,7 +55,7 @@ def main() -> int:
     file = REPOSITORY / "tests/counted.csv"
     with file.open(newline="") as stream:
         head, *rows = csv.reader(stream)
-    lost, new = compared(tests_by_folder(REPOSITORY / "tests"), rows)
+    lost, new = compared(count_by_folder(REPOSITORY / "tests"), rows)
     print(*lost, sep="\n", end="\n" * bool(lost))
     if new != rows and not lost:
         with file.open("w", newline="") as stream:

@@ -24,7 +24,7 @@ from packaging.utils import canonicalize_name
 from pydantic import BaseModel
 
 from tests.conftest import real_recordings_skipped
-from tests.counted import compared, tests_by_folder, tests_of
+from tests.counted import compared, count_by_folder, count_tests
 from thalweg.core import read_yaml
 from thalweg.settings import Campaign
 from thalweg.workflow.codehash import imported_modules, modules_behind, reached_modules
@@ -696,7 +696,7 @@ def test_every_test_file_holds_a_test(repository: Path) -> None:
     """A merge once left one line of a file of 747."""
     files = sorted((repository / "tests").rglob("test_*.py"))
     assert len(files) > 400
-    assert [path.name for path in files if tests_of(path) == 0] == []
+    assert [path.name for path in files if count_tests(path) == 0] == []
 
 
 def test_every_test_that_documents_name_exists(repository: Path) -> None:
@@ -717,7 +717,7 @@ def test_tests_that_a_merge_loses_are_missed(tmp_path: Path) -> None:
     """The figure may fall only with a row that says why; both sides' figures stand after a merge."""
     (tmp_path / "lidar").mkdir()
     (tmp_path / "lidar/test_a.py").write_text("def test_1(): ...\nclass TestB:\n    def test_2(self): ...\n")
-    found = tests_by_folder(tmp_path)
+    found = count_by_folder(tmp_path)
     assert found == {"lidar": 2}
     assert compared(found, []) == ([], [["lidar", "2", ""]])
     (lost,), _ = compared(found, [["lidar", "3", ""], ["lidar", "4", ""]])
