@@ -138,7 +138,7 @@ class Run:
 
     @property
     def accused(self) -> dict[tuple[str, str], str]:
-        """The test file that failed, after a crash all of them; by what tells runs of the right code apart."""
+        """The test file that failed, or all after a crash; by what tells runs of the right code apart."""
         text = self.log.read_text(errors="replace")
         failed = re.search(r"^(?:FAILED|ERROR) tests/(.+?)(?:::| |$)", text, re.M)
         tests = (failed.group(1),) if failed else self.target.tests
