@@ -312,6 +312,9 @@ def report(runs: Sequence[Run], seed: int, cpu_s: float, wall_s: float, left: in
     left : mistakes, drawn anywhere, that were not run because time was up.
     """
     lost = [run for run in runs if run.verdict == "survived"]
+    from scipy.stats import binomtest  # loads numpy, which reads how many threads it may have
+
+    low, high = binomtest(len(lost), len(runs)).proportion_ci(method="wilson")
     commit = subprocess.run(
         ["git", "rev-parse", "--short", "HEAD"], cwd=REPOSITORY, capture_output=True, text=True, check=False
     ).stdout.strip()
@@ -320,14 +323,16 @@ def report(runs: Sequence[Run], seed: int, cpu_s: float, wall_s: float, left: in
         "",
         "Written by `make mutants` (`tests/mutants/run.py` says how it works). Each run draws other",
         "mistakes, and none is taken out by hand: those that change nothing observable and that no rule of",
-        "`tests/mutants/mutations.py` tells count as survivors.",
+        "`tests/mutants/mutations.py` tells count as survivors. Studies, whole campaigns and real recordings",
+        "(tests marked slow, workflow, real) are not run.",
         "",
         f"- seed {seed} (`make mutants SEED={seed}` repeats it), commit {commit or 'unknown'}, "
         f"{datetime.datetime.now(datetime.UTC).date()}",
         f"- {cpu_s / 60:.0f} CPU minutes, {wall_s / 60:.0f} minutes"
         + (f"; {left} more were drawn and not run: time was up" if left else ""),
         f"- **{len(runs) - len(lost)} of {len(runs)} mistakes found, {len(lost)} survive "
-        f"({100 * len(lost) / len(runs):.1f} %)**; at most {100 * MOST_SURVIVORS:.0f} % may",
+        f"({100 * len(lost) / len(runs):.1f} %)**, of all mistakes {100 * low:.0f} to {100 * high:.0f} % "
+        f"(95 %); at most {100 * MOST_SURVIVORS:.0f} % may",
         "",
         "| module | test files | mistakes | found | survive |",
         "| --- | --- | --- | --- | --- |",
