@@ -64,6 +64,7 @@ check-rest:
 	@.venv/bin/ruff format --check .
 	@.venv/bin/snakefmt --check Snakefile workflow
 	@envs/check-workflow.sh
+	@$(PY) tests/counted.py
 
 test-slow: env ## long studies
 	@$(PY) -m pytest -m slow --benchmark-disable tests
@@ -74,8 +75,8 @@ test-cluster: env ## a campaign on a SLURM of its own, with forced faults (Debia
 fuzz: env ## every binary reader on 10,000 mutated inputs
 	@THALWEG_FUZZ=10000 $(PY) -m pytest -n $(CORES) -k fuzz tests/ingest tests/core
 
-mutants: env ## 300 deliberate mistakes that tests must find
-	@$(PY) tests/mutants/run.py --workers $(CORES)
+mutants: env ## 500 deliberate mistakes, other ones each time, that tests must find; SEED=number repeats a draw
+	@$(PY) tests/mutants/run.py --workers $(CORES) $(if $(SEED),--seed $(SEED))
 
 golden: env ## results of small campaigns beside those of another checkout, made by the same command there; BEFORE=folder
 	@for each in tiny field_tiny basin_tiny; do $(SNAKEMAKE) --config campaign=$$each || exit; done

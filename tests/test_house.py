@@ -24,6 +24,7 @@ from packaging.utils import canonicalize_name
 from pydantic import BaseModel
 
 from tests.conftest import real_recordings_skipped
+from tests.counted import compared, count_by_folder, count_tests
 from thalweg.core import read_yaml
 from thalweg.settings import Campaign
 from thalweg.workflow.codehash import imported_modules, modules_behind, reached_modules
@@ -686,6 +687,48 @@ def test_the_patterns_find_what_they_are_for() -> None:
 def test_no_tracked_file_is_above_a_megabyte(tracked: list[Path], repository: Path) -> None:
     sizes = {str(p.relative_to(repository)): p.stat().st_size for p in tracked}
     assert {name: size for name, size in sizes.items() if size > 1_000_000} == {}
+
+
+# ---------------------------------------------------------------- tests that are there
+
+
+def test_every_test_file_holds_a_test(repository: Path) -> None:
+    """A merge once left one line of a file of 747."""
+    files = sorted((repository / "tests").rglob("test_*.py"))
+    assert len(files) > 400
+    assert [path.name for path in files if count_tests(path) == 0] == []
+
+
+def test_every_test_that_documents_name_exists(repository: Path) -> None:
+    """As a file, as a function, or as ``file.py::function``."""
+    names = set[str]()  # of modules and of functions
+    for path in (repository / "tests").rglob("*.py"):
+        names |= {path.stem, *re.findall(r"def (test_\w+)", path.read_text())}
+    pages = [*repository.glob("*.md"), *(repository / "docs").rglob("*.md")]
+    texts = {p: p.read_text() for p in pages if p.name != "mutants.md"}  # that page shows lines of source
+    told = {(p.name, name) for p, text in texts.items() for name in re.findall(r"\btest_\w+", text)}
+    assert len(told) > 50
+    assert sorted((page, name) for page, name in told if name not in names) == []
+    files = {(p.name, name) for p, text in texts.items() for name in re.findall(r"\btests/[\w/]+\.py", text)}
+    assert sorted((page, name) for page, name in files if not (repository / name).is_file()) == []
+
+
+def test_tests_that_a_merge_loses_are_missed(tmp_path: Path) -> None:
+    """The figure may fall only with a row that says why; both sides' figures stand after a merge."""
+    (tmp_path / "lidar").mkdir()
+    (tmp_path / "lidar/test_a.py").write_text("def test_1(): ...\nclass TestB:\n    def test_2(self): ...\n")
+    found = count_by_folder(tmp_path)
+    assert found == {"lidar": 2}
+    assert compared(found, []) == ([], [["lidar", "2", ""]])
+    (lost,), _ = compared(found, [["lidar", "3", ""], ["lidar", "4", ""]])
+    assert "tests/lidar has 2 tests, 2 fewer" in lost
+    why = ["lidar", "2", "went with their reader"]
+    assert compared(found, [["lidar", "4", ""], why]) == ([], [["lidar", "4", ""], why])
+    (lost,), _ = compared(found, [["lidar", "5", ""], why])
+    assert "1 fewer" in lost
+    assert compared(found, [["lidar", "3", ""], why])[1] == [["lidar", "4", ""], why]
+    (lost,), _ = compared(found, [["clocks", "1", ""]])
+    assert "tests/clocks has 0 tests" in lost
 
 
 # ---------------------------------------------------------------- settings

@@ -184,3 +184,21 @@ def test_means_of_heights_keep_their_variance_in_even_time(smooth: bool) -> None
         np.testing.assert_allclose(ours, exact, rtol=0, atol=0.03 * 0.02**2)
     with pytest.raises(GeometryError, match="no errors of heights"):
         even_time([replace(chain, root=np.zeros_like(root))])
+
+
+@pytest.mark.parametrize("sigma_m", [0.03, 1.0, 20.0])
+def test_even_time_runs_by_the_rate_at_which_errors_are_forgotten(sigma_m: float) -> None:
+    """Forgotten in 3 s at first and in 12 s later: four times as fast, however large the errors are."""
+    t = np.arange(0.0, 120.5, 0.5)
+    keep = np.exp(-0.5 / np.where(t <= 60.0, 3.0, 12.0))
+    chain = ErrorChain(
+        name="all",
+        t_gps_s=t,
+        root=np.tile(np.diag([5.0, 5.0, sigma_m, 1.0, 1.0, 1.0]), (len(t), 1, 1)),
+        link=keep[:, None, None] * np.eye(6),
+    )
+    at, even, time_s = even_time([chain])
+    first, second = (np.diff(np.interp(span, at, even))[0] for span in ([15.0, 45.0], [75.0, 105.0]))
+    assert first / second == pytest.approx(4.0, rel=0.1)
+    assert time_s / (first / 30.0) == pytest.approx(3.0, rel=0.1)
+    assert (even[0], even[-1]) == pytest.approx((0.0, 120.0))

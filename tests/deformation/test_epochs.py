@@ -116,6 +116,17 @@ def test_groups_and_own_noise_are_the_covariance_of_each_point(survey) -> None:
     assert epoch.several_returns.sum() == 10
 
 
+def test_boat_scanner_and_water_of_each_moment_by_hand(survey) -> None:
+    """The middle of the moments; 0.3 m along a z axis that rolls by 178 and pitches by 2 degrees."""
+    epoch, t = prepared(survey), np.minimum(0.05 + 0.1 * np.arange(41), 4.0)
+    assert epoch.t_s == pytest.approx(t)
+    assert epoch.boat_m == pytest.approx(np.column_stack([1.5 * t, 0.1 * t, np.full(41, 2.0)]), abs=1e-5)
+    down = np.cos(np.deg2rad(178.0)) * np.cos(np.deg2rad(2.0))
+    assert epoch.water_m == pytest.approx(np.full(41, 2.0 + 0.3 * down))
+    turned = Rotation.from_euler("ZYX", [80 + 3 * t[7], 2.0, 178.0], degrees=True)
+    assert epoch.scanner_m[7] - epoch.boat_m[7] == pytest.approx(turned.apply(survey[2].shift_m), abs=1e-4)
+
+
 def test_the_noise_of_the_receiver_is_a_quarter_and_mounts_last_for_ever(survey) -> None:
     groups = {group.name: group for group in prepared(survey).groups}
     assert set(groups) == {"position", "position, white", "attitude", "mount, shift", "mount, rotation"}

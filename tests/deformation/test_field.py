@@ -5,8 +5,8 @@ import pytest
 import scipy.sparse as sp
 from scipy.stats import chi2, false_discovery_control
 
-from thalweg.core import ArrayF, GeometryError
-from thalweg.deformation.field import ErrorField, ErrorGroup, benjamini_hochberg
+from thalweg.core import ArrayF, ErrorChain, GeometryError
+from thalweg.deformation.field import ErrorField, ErrorGroup, benjamini_hochberg, joint_fields
 from thalweg.deformation.m3c2 import ColumnIndex, cut_cylinders, pose_weights
 
 
@@ -163,3 +163,42 @@ def test_distances_of_two_surveys_err_as_the_field_says() -> None:
     assert low < squares < high
     assert np.mean(independent) > 3.0
     assert 0.0 < np.mean(single) < 0.12  # 5 %; a pair holds some three independent values
+
+
+def test_a_chain_in_other_axes_turns_shift_and_rotation() -> None:
+    """The covariance of (shift, rotation) between two nodes, both parts turned; times from a start."""
+    rng = np.random.default_rng(11)
+    turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    chain = ErrorChain(
+        name="all",
+        t_gps_s=1e9 + np.array([5.0, 7.0]),
+        root=rng.standard_normal((2, 6, 4)),
+        link=np.tile(0.5 * np.eye(4), (2, 1, 1)),
+    )
+    group = ErrorGroup.of_chain(chain, 1e9, turn)
+    assert group.t_s == pytest.approx([5.0, 7.0])
+    both = np.kron(np.eye(2), turn)
+    across = group.times_covariance(np.eye(12))
+    for i in range(2):
+        for k in range(2):
+            stated = (1.0 if i == k else 0.5) * chain.root[i] @ chain.root[k].T
+            assert across[6 * i : 6 * i + 6, 6 * k : 6 * k + 6] == pytest.approx(both @ stated @ both.T)
+
+
+def test_one_mount_of_two_surveys_is_one_error_on_the_times_of_both() -> None:
+    """Times go on where the first survey ends; a sum of products of both has the covariance of one error."""
+    rng = np.random.default_rng(12)
+    sigma = np.array([0.1, 0.2, 0.3])
+    fields = []
+    for t, name in ((np.array([0.0, 2.0]), "mount"), (np.array([1.0, 4.0, 5.0]), "mount")):
+        mount = ErrorGroup.from_sigmas(name, t, sigma, np.inf)
+        own = ErrorGroup.from_sigmas("position", t, sigma, 1.0)
+        rows = sp.csr_matrix(rng.standard_normal((4, 3 * len(t))))
+        fields.append(ErrorField((mount, own), (rows, rows)))
+    one, two = joint_fields(fields, common="mount")
+    assert [group.name for group in one.groups] == ["mount", "position", "position"]
+    assert one.groups[0].t_s == pytest.approx([0.0, 2.0, 3.0, 6.0, 7.0])
+    alike = [field.rows[0].toarray().reshape(4, -1, 3).sum(axis=1) for field in fields]
+    shared = np.sum(((alike[0] + alike[1]) * sigma) ** 2, axis=1)
+    alone = sum(field.groups[1].variances(field.rows[1]) for field in fields)
+    assert (one + two).variances() == pytest.approx(shared + alone)

@@ -5,12 +5,16 @@ constant that is doubled or one larger, a lost minus or ``not``, swapped argumen
 for 0, the other truth value. A comparison is negated (``<`` to ``>=``) and not shifted (``<`` to ``<=``):
 between measured numbers the shifted one is the same function.
 
-Left alone: docstrings and other text, type hints, decorators, assertions, what stands behind ``raise`` or
-goes to the log, and arguments that change no number (``strict`` of `zip`, tolerances for rounding).
+Left alone, because no test of results can see it: docstrings and other text, type hints, decorators,
+assertions, what stands behind ``raise`` or goes to the log, arguments that change no number (``strict`` of
+`zip`, tolerances for rounding, which triangle is factorised), rounds of an iteration beyond those that it
+needs, -2 for -1 where a number stands for none, sizes of what is held in memory at once, and guards against
+a division by zero.
 """
 
 import ast
 import copy
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -95,8 +99,29 @@ IDLE_FLAGS: Final = {
     "repr",
     "atol",
     "rtol",
+    "rcond",
+    "tol",
+    "xtol",
+    "ftol",
+    "gtol",
+    "xatol",
+    "fatol",
+    "max_nfev",
+    "maxiter",
+    "max_iterations",
+    "lower",
+    "workers",
+    "leafsize",
+    "chunksize",
+    "row_group_size",
+    "overwrite_a",
+    "overwrite_b",
 }
 """Arguments that change no number where the input is right: flags, and tolerances for rounding."""
+UNSEEN: Final = re.compile(r"(?i)(chunk|block|buffer|version|bytes|workers|threads|rounds|iterations|steps)$")
+"""Ends of the names of constants that say how work is cut, or how long it may take."""
+TINY: Final = 1e-6
+"""A number up to this, within a comparison or `max`, guards against a division by zero."""
 LOGGERS: Final = {"debug", "info", "warning", "error", "exception"}
 
 
@@ -159,11 +184,11 @@ def _walk(tree: ast.Module) -> Iterator[tuple[ast.expr | ast.stmt, str]]:
             if isinstance(node, ast.FunctionDef):
                 children = [*node.args.defaults, *(d for d in node.args.kw_defaults if d), *children]
         elif isinstance(node, ast.AnnAssign):
-            children = [node.value] if node.value else []
+            children = [node.value] if node.value and not _unseen(node, node.value) else []
         else:
             if isinstance(node, ast.expr | ast.AugAssign):
                 yield node, function
-            children = [child for child in ast.iter_child_nodes(node) if not _only_shape(node, child)]
+            children = [child for child in ast.iter_child_nodes(node) if not _unseen(node, child)]
         todo += [(child, function) for child in reversed(children)]
 
 
@@ -180,14 +205,35 @@ def _left_alone(node: ast.AST) -> bool:
         isinstance(t, ast.Name) and t.id == "__all__" for t in node.targets
     ):
         return True
+    if isinstance(node, ast.Call) and _name(node.func).endswith(("Error", "Warning")):
+        return True
     call = node.value if isinstance(node, ast.Expr) else None
     if isinstance(call, ast.Call) and isinstance(call.func, ast.Attribute):
         return call.func.attr in LOGGERS
     return False
 
 
-def _only_shape(node: ast.AST, child: ast.AST) -> bool:
-    """Whether a child holds sizes and places: another one fails at once and asks nothing of the tests."""
+def _unseen(node: ast.AST, child: ast.AST) -> bool:
+    """Whether no test of results can see a change of a child, or all fail at once (sizes, places)."""
+    if isinstance(node, ast.UnaryOp) and isinstance(child, ast.Constant):
+        return child.value == 1 and type(child.value) is int  # any negative number stands for none
+    if isinstance(node, ast.For) and child is node.iter:
+        return isinstance(node.target, ast.Name) and node.target.id == "_"  # rounds of an iteration
+    if isinstance(node, ast.Assign | ast.AnnAssign) and child is node.value:
+        names = [node.target] if isinstance(node, ast.AnnAssign) else node.targets
+        return any(isinstance(name, ast.Name) and UNSEEN.search(name.id) for name in names)
+    compared = isinstance(node, ast.Call) and _name(node.func) in {"max", "maximum"}
+    if isinstance(child, ast.Constant) and (compared or isinstance(node, ast.Compare)):
+        return type(child.value) is float and 0.0 < child.value <= TINY
+    if isinstance(node, ast.Dict):  # options of an optimiser
+        keys = [
+            key.value
+            for key, value in zip(node.keys, node.values, strict=True)
+            if value is child and isinstance(key, ast.Constant)
+        ]
+        return any(key in IDLE_FLAGS for key in keys)
+    if isinstance(node, ast.Call) and _name(node.func) == "cho_factor":
+        return isinstance(child, ast.Constant)
     if isinstance(node, ast.Subscript) and child is node.slice:
         return all(
             isinstance(n, ast.Constant | ast.Slice | ast.Tuple | ast.UnaryOp | ast.USub | ast.Load)
