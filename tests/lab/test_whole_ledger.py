@@ -142,20 +142,21 @@ def test_what_could_fail_was_not_put_in(ledger, entries) -> None:
 
 def test_page_table_and_words_count_alike(ledger, entries, tmp_path: Path) -> None:
     """A row of ledger.csv is an entry; the page has it once, and every count is of these rows."""
-    counts = by_class(ledger).set_index("class")
+    counts = by_class(ledger).set_index("verdict")
     assert counts.loc["all", "all"] == len(ledger) == len(entries)
-    assert (counts.loc["all"] == counts.drop(index="all").sum()).all()
+    assert (counts.loc["all"] == counts.loc[list(VERDICTS)].sum()).all()
+    assert (counts["all"] == counts.drop(columns="all").sum(axis=1)).all()
     for verdict in VERDICTS:
-        assert counts.loc["all", verdict] == (ledger["verdict"] == verdict).sum()
-    assert counts.loc["all", "could have failed"] == could_fail(ledger).sum()
+        assert counts.loc[verdict, "all"] == (ledger["verdict"] == verdict).sum()
+    assert counts.loc["could have failed", "all"] == could_fail(ledger).sum()
     said = f"{could_fail(ledger).sum()} of {len(ledger)} could have failed by a number: "
-    assert sentence(ledger).startswith(f"{said}{counts.loc['all', 'of these failed']} did, ")
+    assert sentence(ledger).startswith(f"{said}{counts.loc['of these failed', 'all']} did, ")
     html = written(ledger, tmp_path)
     assert said in html
     for verdict in VERDICTS:
         section = html.partition(f'<h2 id="{verdict.replace(" ", "-")}">')[2].partition("<h2")[0]
         shown = section.count("<tr><td")
-        assert shown == counts.loc["all", verdict], verdict
+        assert shown == counts.loc[verdict, "all"], verdict
     assert said.strip() in " ".join(told(ledger, headlines(ledger, NAMED)).split())
 
 
@@ -163,7 +164,7 @@ def test_what_was_not_run_is_named_above_the_counts(ledger, entries, results, pa
     """In a clone the campaign `basin` is not there; with its results nothing waits for it."""
     waiting = ledger[ledger["command"] == "snakemake --config campaign=basin"]
     assert set(waiting["verdict"]) == {NO_RESULT}
-    line = f"{len(waiting)} without a result until snakemake --config campaign=basin"
+    line = f"{len(waiting)} rows wait for snakemake --config campaign=basin"
     html, text = written(ledger, tmp_path), told(ledger, headlines(ledger, NAMED))
     assert html.index(line) < html.index("could have failed") < html.index('id="counts"')
     assert text.index(line) < text.index("could have failed")

@@ -79,7 +79,9 @@ def write_ledger(ledger: pd.DataFrame, headlines: pd.DataFrame, path: Path) -> N
     )
     page.section("Headlines").table(headlines, "Main results of the thesis and its papers")
     page.section("Counts")
-    page.table(by_class(table), "Rows of ledger.csv by class and verdict (ledger_verdicts.csv)")
+    counted = by_class(table)
+    counted["what it says"] = counted["verdict"].map(MEANINGS).fillna("")
+    page.table(counted, "Rows of ledger.csv by class and verdict (ledger_verdicts.csv)")
     page.text(
         "Classes: A exact, B statistic on the digital twin, C procedure only, D figure, I input. A tolerance "
         "is half a unit of the last printed digit, with three sigmas of our own number where the rule says "
@@ -90,7 +92,7 @@ def write_ledger(ledger: pd.DataFrame, headlines: pd.DataFrame, path: Path) -> N
     for verdict in VERDICTS:
         part = table[table["verdict"] == verdict]
         if len(part):
-            page.section(verdict.capitalize()).text(f"{MEANINGS[verdict].capitalize()}.")
+            page.section(verdict.capitalize())
         for chapter, rows in part.groupby(chapters, sort=False):
             shown = readable(rows).assign(
                 file=rows["file"].where(rows["file"] != "", rows["source"]).to_numpy()

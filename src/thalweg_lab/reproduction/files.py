@@ -55,7 +55,7 @@ PUT_IN: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     "constant": ("a constant of the stored instrument", ("input constant",)),
     "arithmetic": ("arithmetic of printed numbers", ("exact", "procedure only")),
     "decoded": ("a stored table turned back", ("exact",)),
-    "definition": ("true by definition", ("exact", "statistic on the twin")),
+    "definition": ("holds whatever is measured", ("exact", "statistic on the twin")),
     "fitted": ("met by an input chosen for it", KINDS),
 }
 """Why a number is no finding of this project, in words, and of which kinds it may be: no measurement could

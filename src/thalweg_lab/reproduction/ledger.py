@@ -425,7 +425,7 @@ def sentence(table: pd.DataFrame) -> str:
 def missing_words(table: pd.DataFrame) -> list[str]:
     """What was not run: how many rows wait for which command, those that most wait for first."""
     waiting = table.loc[(table["verdict"] == NO_RESULT) & (table["command"].fillna("") != ""), "command"]
-    return [f"{n} without a result until {command}" for command, n in waiting.value_counts().items()]
+    return [f"{n} rows wait for {command}" for command, n in waiting.value_counts().items()]
 
 
 def summary(table: pd.DataFrame) -> str:
@@ -441,16 +441,14 @@ def summary(table: pd.DataFrame) -> str:
 
 
 def by_class(table: pd.DataFrame) -> pd.DataFrame:
-    """Rows by class (lines) and verdict (columns), all, and those that could have failed and did."""
+    """Rows by verdict (lines) and class (columns); below them all, those that could have failed, and that did."""
     free = could_fail(table)
     classes = table["kind"].map(CLASSES)
-    found = pd.crosstab(classes, table["verdict"])
-    found = found.reindex(index=sorted(CLASSES.values()), columns=list(VERDICTS), fill_value=0)
-    found["all"] = found.sum(axis=1)
-    for name, rows in ((COULD_FAIL, free), (FAILED, free & (table["verdict"] == NOT_MATCHED))):
-        found[name] = classes[rows].value_counts().reindex(found.index, fill_value=0)
-    found.loc["all"] = found.sum()
-    return found.rename_axis(index="class", columns=None).reset_index()
+    lines = {verdict: table["verdict"] == verdict for verdict in VERDICTS}
+    lines |= {"all": table["verdict"] != "", COULD_FAIL: free, FAILED: free & lines[NOT_MATCHED]}
+    found = pd.DataFrame({line: classes[rows].value_counts() for line, rows in lines.items()}).T
+    found = found.reindex(columns=sorted(CLASSES.values())).fillna(0).astype(int)
+    return found.assign(all=found.sum(axis=1)).rename_axis(index="verdict").reset_index()
 
 
 def markdown(table: pd.DataFrame, *, title: str, twin: bool) -> str:

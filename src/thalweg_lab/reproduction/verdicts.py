@@ -380,7 +380,8 @@ def headlines(ledger: pd.DataFrame, named: pd.DataFrame) -> pd.DataFrame:
         {
             "result": named["result"],
             "place": [row["where"] for row in chosen],
-            "printed": [row["printed"] for row in chosen],
+            # cells of tables are printed without their unit
+            "printed": [row["printed"] + f" {row['unit']}" * row["printed"][-1].isdigit() for row in chosen],
             "ours": [ours_words(row | {"n": math.nan}) for row in chosen],
             "verdict": [verdict_words(row) for row in chosen],
             "why": named["why"],
