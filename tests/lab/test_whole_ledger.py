@@ -140,7 +140,7 @@ def test_what_could_fail_was_not_put_in(ledger, entries) -> None:
     assert (ledger[ledger["kind"] == "figure"]["verdict"].isin([THERE, "waived"])).all()
 
 
-def test_page_table_and_words_count_alike(ledger, entries, tmp_path: Path) -> None:
+def test_page_table_words_and_docs_count_alike(ledger, entries, repository: Path, tmp_path: Path) -> None:
     """A row of ledger.csv is an entry; the page has it once, and every count is of these rows."""
     counts = by_class(ledger).set_index("verdict")
     assert counts.loc["all", "all"] == len(ledger) == len(entries)
@@ -157,6 +157,10 @@ def test_page_table_and_words_count_alike(ledger, entries, tmp_path: Path) -> No
         section = html.partition(f'<h2 id="{verdict.replace(" ", "-")}">')[2].partition("<h2")[0]
         shown = section.count("<tr><td")
         assert shown == counts.loc[verdict, "all"], verdict
+    # docs count the same rows, whatever was run when they were written
+    recorded_counts = pd.read_csv(repository / "docs/validation/ledger_verdicts.csv").set_index("verdict")
+    assert recorded_counts.loc["all"].to_dict() == counts.loc["all"].to_dict()
+    assert f"Of {len(ledger)} rows " in (repository / "docs/ledger.md").read_text()
     assert said.strip() in " ".join(told(ledger, headlines(ledger, NAMED)).split())
 
 

@@ -441,7 +441,7 @@ def summary(table: pd.DataFrame) -> str:
 
 
 def by_class(table: pd.DataFrame) -> pd.DataFrame:
-    """Rows by verdict (lines) and class (columns); below them all, those that could have failed, and that did."""
+    """Rows by verdict (lines) and class (columns); below them all, those that could have failed, and did."""
     free = could_fail(table)
     classes = table["kind"].map(CLASSES)
     lines = {verdict: table["verdict"] == verdict for verdict in VERDICTS}

@@ -382,7 +382,7 @@ def headlines(ledger: pd.DataFrame, named: pd.DataFrame) -> pd.DataFrame:
             "place": [row["where"] for row in chosen],
             # cells of tables are printed without their unit
             "printed": [row["printed"] + f" {row['unit']}" * row["printed"][-1].isdigit() for row in chosen],
-            "ours": [ours_words(row | {"n": math.nan}) for row in chosen],
+            "ours": [ours_words(row | {"n": math.nan}) or "none" for row in chosen],
             "verdict": [verdict_words(row) for row in chosen],
             "why": named["why"],
         }
@@ -396,7 +396,7 @@ def told(ledger: pd.DataFrame, chosen: pd.DataFrame) -> str:
     text += textwrap.fill(f"Of the published numbers {sentence(ledger)}.", 100) + "\n\n"
     text += by_class(ledger).to_string(index=False) + "\n\n"
     for row in chosen.to_dict("records"):
-        words = f"{row['result']}: printed {row['printed']}; ours {row['ours'] or 'none'}; {row['verdict']}."
+        words = f"{row['result']}: printed {row['printed']}; ours {row['ours']}; {row['verdict']}."
         text += textwrap.fill(words, 100, subsequent_indent="    ") + "\n"
     return text
 
