@@ -168,7 +168,7 @@ def test_what_was_not_run_is_named_above_the_counts(ledger, entries, results, pa
     """In a clone the campaign `basin` is not there; with its results nothing waits for it."""
     waiting = ledger[ledger["command"] == "snakemake --config campaign=basin"]
     assert set(waiting["verdict"]) == {NO_RESULT}
-    line = f"{len(waiting)} rows wait for snakemake --config campaign=basin"
+    line = f"snakemake --config campaign=basin for {len(waiting)} rows"
     html, text = written(ledger, tmp_path), told(ledger, headlines(ledger, NAMED))
     assert html.index(line) < html.index("could have failed") < html.index('id="counts"')
     assert text.index(line) < text.index("could have failed")

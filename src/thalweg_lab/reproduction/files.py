@@ -56,7 +56,7 @@ PUT_IN: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     "arithmetic": ("arithmetic of printed numbers", ("exact", "procedure only")),
     "decoded": ("a stored table turned back", ("exact",)),
     "definition": ("holds whatever is measured", ("exact", "statistic on the twin")),
-    "fitted": ("met by an input chosen for it", KINDS),
+    "fitted": ("fitted to it or to its neighbours", KINDS),
 }
 """Why a number is no finding of this project, in words, and of which kinds it may be: no measurement could
 have given it otherwise, or geometry or inputs were fitted to it or to its neighbours."""

@@ -66,7 +66,7 @@ MEANINGS: Final = {
     "make it false",
     THERE: "no number is printed: a figure or procedure of that kind exists, which says nothing of how good "
     "it is",
-    INPUT: "put into the twin, a constant of a stored instrument, or met by an input chosen for it; it "
+    INPUT: "put into the twin, a constant of a stored instrument, or fitted to the number or its neighbours; it "
     "confirms nothing",
     NO_RESULT: "the campaign or study that gives our number was not run here; the reason has the command",
     NOT_REPRODUCIBLE: "the original data are not published, nothing here takes the number, or published "
@@ -423,9 +423,9 @@ def sentence(table: pd.DataFrame) -> str:
 
 
 def missing_words(table: pd.DataFrame) -> list[str]:
-    """What was not run: how many rows wait for which command, those that most wait for first."""
+    """What was not run: which command gives how many rows a result, that for most of them first."""
     waiting = table.loc[(table["verdict"] == NO_RESULT) & (table["command"].fillna("") != ""), "command"]
-    return [f"{n} rows wait for {command}" for command, n in waiting.value_counts().items()]
+    return [f"{command} for {n} row{'s' * (n > 1)}" for command, n in waiting.value_counts().items()]
 
 
 def summary(table: pd.DataFrame) -> str:
@@ -542,7 +542,8 @@ def verdict_words(row: Mapping[Any, Any]) -> str:
     if verdict != NOT_MATCHED or not np.isfinite(amount):
         return verdict
     unit = "" if row["unit"] in ("", "1") else f" {row['unit']}"
-    return f"{verdict}: off by {amount:+.3g}{unit}"
+    put_in = f"; put in: {PUT_IN[row['put_in']][0]}" if row["put_in"] else ""
+    return f"{verdict}: off by {amount:+.3g}{unit}{put_in}"
 
 
 def why_words(row: Mapping[Any, Any]) -> str:
