@@ -66,8 +66,8 @@ MEANINGS: Final = {
     "make it false",
     THERE: "no number is printed: a figure or procedure of that kind exists, which says nothing of how good "
     "it is",
-    INPUT: "put into the twin, a constant of a stored instrument, or fitted to the number or its neighbours; it "
-    "confirms nothing",
+    INPUT: "put into the twin, a constant of a stored instrument, or fitted to the number or its neighbours; "
+    "it confirms nothing",
     NO_RESULT: "the campaign or study that gives our number was not run here; the reason has the command",
     NOT_REPRODUCIBLE: "the original data are not published, nothing here takes the number, or published "
     "numbers contradict each other",
