@@ -142,7 +142,7 @@ rule reproduce:
     """Published numbers recomputed; the verdicts appear on the terminal each time they are asked for."""
     input:
         text="results/reproduction/error_budgets.txt",
-        ledger="results/reproduction/ledger_verdicts.csv",
+        ledger="results/reproduction/ledger.txt",
         pictures="results/reproduction/figures/error_budget.png",
     log:
         "logs/reproduction/reproduce.log",

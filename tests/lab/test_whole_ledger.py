@@ -18,23 +18,41 @@ from thalweg.settings import load_campaign
 from thalweg_lab.figures import write_ledger
 from thalweg_lab.reproduction import (
     ITEMS,
+    NO_RESULT,
     NOT_MATCHED,
-    SIX,
+    VERDICTS,
     Results,
-    ledger_counts,
+    by_class,
+    headlines,
     missing_items,
     parts_of,
     read_ledger,
     read_ledgers,
     read_pages,
     recorded,
+    sentence,
+    told,
     whole_ledger,
 )
 from thalweg_lab.reproduction.files import NAMES, Entry
-from thalweg_lab.reproduction.ledger import FOUND, MISSED, Found, verdict_of
-from thalweg_lab.reproduction.verdicts import COMPUTED, INPUT, MATCHED, NOT_REPRODUCIBLE, page_of
+from thalweg_lab.reproduction.ledger import (
+    ABOVE,
+    BELOW,
+    BY_DEFINITION,
+    INPUT,
+    NOT_REPRODUCIBLE,
+    REPRODUCED,
+    THERE,
+    Found,
+    could_fail,
+    verdict_of,
+)
+from thalweg_lab.reproduction.verdicts import COMPUTED, page_of
 
 MOST_WAIVED = 30
+MET = (REPRODUCED, BELOW, ABOVE, BY_DEFINITION, INPUT)
+NAMED = pd.read_csv(Path(__file__).parents[2] / "resources/published/headlines.csv")
+"""What stands at the head of the page."""
 
 
 @pytest.fixture(scope="module")
@@ -86,39 +104,77 @@ def ledger(entries, results, pages) -> pd.DataFrame:
 def test_every_item_stands_in_the_ledger(entries, ledger) -> None:
     assert missing_items(entries) == []
     assert len(ITEMS) == 328 + 30 + 39
-    assert set(ledger["id"]) == set(ITEMS)
+    assert len(ledger) == len(entries)
+    assert set(" ".join(ledger["rows"]).split()) == set(ITEMS)
     without = tuple(e for e in entries if "C138" not in e.rows)
     assert missing_items(without) == ["C138"]
 
 
-def test_every_row_has_one_of_six_verdicts_and_a_reason(ledger) -> None:
-    assert set(ledger["verdict"]) == set(SIX)
+def test_every_row_has_a_verdict_and_a_reason(ledger) -> None:
+    assert set(ledger["verdict"]) <= set(VERDICTS)
     for row in ledger.to_dict("records"):
         assert row["reason"], row
-        assert re.search(r"\(p\. \d+\)$", row["source"]), row
-    assert ledger[ledger["verdict"] == "open"]["id"].str.startswith("FW").all()
+        assert re.search(r"\(p\. \d+\)$", row["where"]), row
+    assert ledger[ledger["verdict"] == "open"]["rows"].str.startswith("FW").all()
     assert (ledger["verdict"] == "waived").sum() <= MOST_WAIVED
     # misses first, then by item
-    assert ledger["verdict"].map(SIX.index).is_monotonic_increasing
+    assert ledger["verdict"].map(VERDICTS.index).is_monotonic_increasing
     for _, part in ledger.groupby("verdict"):
-        assert part["id"].map(ITEMS.index).is_monotonic_increasing
+        assert part["rows"].str.split().str[0].map(ITEMS.index).is_monotonic_increasing
 
 
-def test_exact_numbers_that_are_missed_are_explained(ledger, entries) -> None:
-    missed = ledger[(ledger["class"] == "A") & (ledger["verdict"] == NOT_MATCHED)]
+def test_exact_numbers_that_are_missed_are_explained(ledger) -> None:
+    missed = ledger[(ledger["kind"] == "exact") & (ledger["verdict"] == NOT_MATCHED)]
     assert len(missed)
-    for row in missed.to_dict("records"):
-        (entry,) = (e for e in entries if row["id"] in e.rows and e.part == row["part"])
-        assert entry.note, row
-        assert entry.note.rstrip(".") in row["reason"]
+    assert (missed["note"] != "").all(), missed["name"].tolist()
 
 
-def test_counts_add_up(ledger) -> None:
-    counts = ledger_counts(ledger).set_index("class")
-    assert counts.loc["all", "all"] == len(ledger)
-    assert counts.drop(index="all")["all"].sum() == len(ledger)
-    for verdict in SIX:
-        assert counts.loc["all", verdict] == (ledger["verdict"] == verdict).sum()
+def test_what_could_fail_was_not_put_in(ledger, entries) -> None:
+    """Cells of the tables that are a sigma itself, arithmetic, and fitted geometry are no findings."""
+    by_name = {e.name: e for e in entries}
+    for row in ledger[could_fail(ledger)].to_dict("records"):
+        assert not by_name[row["name"]].put_in
+        assert by_name[row["name"]].ours.source not in NAMES, row
+    cells = ledger[ledger["source"].str.contains("p2_table1.csv: influence|t_table3_1.csv: influence")]
+    assert cells["verdict"].value_counts().to_dict() == {BY_DEFINITION: 72, INPUT: 60}
+    assert (ledger[ledger["kind"] == "figure"]["verdict"].isin([THERE, "waived"])).all()
+
+
+def test_page_table_words_and_docs_count_alike(ledger, entries, repository: Path, tmp_path: Path) -> None:
+    """A row of ledger.csv is an entry; the page has it once, and every count is of these rows."""
+    counts = by_class(ledger).set_index("verdict")
+    assert counts.loc["all", "all"] == len(ledger) == len(entries)
+    assert (counts.loc["all"] == counts.loc[list(VERDICTS)].sum()).all()
+    assert (counts["all"] == counts.drop(columns="all").sum(axis=1)).all()
+    for verdict in VERDICTS:
+        assert counts.loc[verdict, "all"] == (ledger["verdict"] == verdict).sum()
+    assert counts.loc["could have failed", "all"] == could_fail(ledger).sum()
+    said = f"{could_fail(ledger).sum()} of {len(ledger)} could have failed by a number: "
+    assert sentence(ledger).startswith(f"{said}{counts.loc['of these failed', 'all']} did, ")
+    html = written(ledger, tmp_path)
+    assert said in html
+    for verdict in VERDICTS:
+        section = html.partition(f'<h2 id="{verdict.replace(" ", "-")}">')[2].partition("<h2")[0]
+        shown = section.count("<tr><td")
+        assert shown == counts.loc[verdict, "all"], verdict
+    # docs count the same rows, whatever was run when they were written
+    recorded_counts = pd.read_csv(repository / "docs/validation/ledger_verdicts.csv").set_index("verdict")
+    assert recorded_counts.loc["all"].to_dict() == counts.loc["all"].to_dict()
+    assert f"Of {len(ledger)} rows " in (repository / "docs/ledger.md").read_text()
+    assert said.strip() in " ".join(told(ledger, headlines(ledger, NAMED)).split())
+
+
+def test_what_was_not_run_is_named_above_the_counts(ledger, entries, results, pages, tmp_path: Path) -> None:
+    """In a clone the campaign `basin` is not there; with its results nothing waits for it."""
+    waiting = ledger[ledger["command"] == "snakemake --config campaign=basin"]
+    assert set(waiting["verdict"]) == {NO_RESULT}
+    line = f"snakemake --config campaign=basin for {len(waiting)} rows"
+    html, text = written(ledger, tmp_path), told(ledger, headlines(ledger, NAMED))
+    assert html.index(line) < html.index("could have failed") < html.index('id="counts"')
+    assert text.index(line) < text.index("could have failed")
+    without = ledger.assign(command="")
+    assert "Not run" not in told(without, headlines(ledger, NAMED))
+    assert "Not run here" not in written(without, tmp_path)
 
 
 def test_no_entry_of_the_tables_is_typed_twice(entries) -> None:
@@ -204,7 +260,7 @@ def test_records_take_the_place_of_results(results, entries, repository: Path, t
     own.write_text(json.dumps({"sigma_offset_s": 0.007}))
     run = replace(results, files={entry.ours.name: own}, _read={})
     assert (run.find(entry.ours).value, run.find(entry.ours).file) == (0.007, own.as_posix())
-    assert verdict_of(entry, run.find(entry.ours))[0] == MISSED
+    assert verdict_of(entry, run.find(entry.ours))[0] == NOT_MATCHED
 
 
 def test_names_of_campaigns_are_put_before_paths_once(repository: Path, entries) -> None:
@@ -224,43 +280,45 @@ def test_names_of_campaigns_are_put_before_paths_once(repository: Path, entries)
     ("item", "part", "found", "tolerance", "verdict"),
     [
         # by hand: sqrt(30^2 / 3), 3 mrad of 30 m, erf, sqrt of the printed squares
-        ("C053", "", 17.3205, 1e-4, MATCHED),
-        ("C058", "footprint", 9.0, 1e-9, MATCHED),
-        ("C056", "two sigmas", 95.4500, 1e-4, MATCHED),
-        ("C202", "root 50 m", 250.01, 0.01, MATCHED),
-        ("C218", "root 50 m", 182.15, 0.01, MATCHED),
-        ("C033", "unknowns", 42, 0, MATCHED),
-        ("C032", "unknowns", 41, 0, MATCHED),
-        ("C046", "frames", 1021.02, 0.01, MATCHED),
+        ("C053", "", 17.3205, 1e-4, BY_DEFINITION),
+        ("C058", "footprint", 9.0, 1e-9, BY_DEFINITION),
+        ("C056", "two sigmas", 95.4500, 1e-4, BY_DEFINITION),
+        ("C202", "root 50 m", 250.01, 0.01, BY_DEFINITION),
+        ("C218", "root 50 m", 182.15, 0.01, BY_DEFINITION),
+        ("C033", "unknowns", 42, 0, BY_DEFINITION),
+        ("C032", "unknowns", 41, 0, BY_DEFINITION),
+        ("C046", "frames", 1021.02, 0.01, BY_DEFINITION),
         # identities to rounding
-        ("C028", "", 0.0, 1e-9, MATCHED),
-        ("C104", "", 0.0, 1e-12, MATCHED),
-        ("C105", "", 0.0, 1e-9, MATCHED),
-        ("C107", "", 0.0, 1e-12, MATCHED),
-        ("C111", "", 0.0, 1e-12, MATCHED),
-        ("C116", "", 0.0, 0.0, MATCHED),
+        ("C028", "", 0.0, 1e-9, REPRODUCED),
+        ("C104", "", 0.0, 1e-12, REPRODUCED),
+        ("C105", "", 0.0, 1e-9, REPRODUCED),
+        ("C107", "", 0.0, 1e-12, REPRODUCED),
+        ("C111", "", 0.0, 1e-12, REPRODUCED),
+        ("C116", "", 0.0, 0.0, REPRODUCED),
         # misprints: 16 / 55.296 us; 0.067 deg; 229 mm / 23 ms / 50 m; 7 deg/s in 50 ns; 5.5 um 100 / 12
-        ("E07", "", 289351.85, 0.01, MATCHED),
-        ("E10", "", 1.16937, 1e-5, MATCHED),
-        ("E12", "", 11.4093, 1e-4, MATCHED),
-        ("E16", "", 3.0543e-4, 1e-8, MATCHED),
-        ("E22", "", 0.0458333, 1e-6, MATCHED),
-        ("E26", "root", 0.30916, 1e-5, MATCHED),
+        ("E07", "", 289351.85, 0.01, REPRODUCED),
+        ("E10", "", 1.16937, 1e-5, BY_DEFINITION),
+        ("E12", "", 11.4093, 1e-4, BY_DEFINITION),
+        ("E16", "", 3.0543e-4, 1e-8, BY_DEFINITION),
+        ("E22", "", 0.0458333, 1e-6, BY_DEFINITION),
+        ("E26", "root", 0.30916, 1e-5, BY_DEFINITION),
         ("E01", "", 10.2889, 1e-4, NOT_REPRODUCIBLE),
         ("E06", "", 14.9896, 1e-4, NOT_REPRODUCIBLE),
         # printed totals and cells that do not say what the text says
         ("C060", "theory", 2, 0, NOT_MATCHED),
         ("C314", "printed", 2, 0, NOT_MATCHED),
-        ("C314", "angles", 4, 0, MATCHED),
-        ("C310", "printed", 4, 0, MATCHED),
+        ("C314", "angles", 4, 0, BY_DEFINITION),
+        ("C310", "printed", 4, 0, BY_DEFINITION),
         # stored geometry and constants
         ("C263", "lever arm", 16.0, 0.01, INPUT),
         ("C009", "vertical view", 30.0, 1e-9, INPUT),
     ],
 )
 def test_computed_numbers(ledger, item: str, part: str, found: float, tolerance: float, verdict: str) -> None:
-    (row,) = ledger[(ledger["id"] == item) & (ledger["part"] == part)].to_dict("records")
-    assert float(row["found"]) == pytest.approx(found, abs=tolerance)
+    of_item = ledger["rows"].str.split().map(lambda rows: item in rows)
+    its_part = ledger["name"].str.partition(" ")[2] == part
+    (row,) = ledger[of_item & its_part].to_dict("records")
+    assert float(row["ours"]) == pytest.approx(found, abs=tolerance)
     assert row["verdict"] == verdict
 
 
@@ -269,13 +327,12 @@ def test_computed_numbers(ledger, item: str, part: str, found: float, tolerance:
 
 def one_of_each(entries: tuple[Entry, ...], ledger: pd.DataFrame) -> Iterator[Entry]:
     """An entry of each source and rule that is compared, with a number."""
-    good = ledger[ledger["verdict"].isin([MATCHED, INPUT])]
-    known = set(zip(good["id"], good["part"], strict=True))
+    known = set(ledger.loc[ledger["verdict"].isin(MET), "name"])
     seen = set()
     for entry in entries:
         key = entry.ours.source, entry.rule, entry.kind
         compared = entry.rule in ("equal", "at most", "at least", "inside", "misprint", "same word")
-        if compared and (entry.rows[0], entry.part) in known and key not in seen:
+        if compared and entry.name in known and key not in seen:
             seen.add(key)
             yield entry
 
@@ -304,7 +361,7 @@ def test_files_settings_and_parts_that_change_turn_the_verdict(entries, results,
     def verdict(name: str, changed: Results) -> str:
         return str(whole_ledger((by_name[name],), changed, pages)["verdict"].iloc[0])
 
-    assert verdict("C025 std", results) == MATCHED
+    assert verdict("C025 std", results) == REPRODUCED
     content, path = results.records["field/timing/clock_stability.json"]
     jumped = {**results.records, "field/timing/clock_stability.json": ({**content, "std_s": 0.030}, path)}
     assert verdict("C025 std", replace(results, records=jumped)) == NOT_MATCHED
@@ -312,7 +369,7 @@ def test_files_settings_and_parts_that_change_turn_the_verdict(entries, results,
     full = json.loads(json.dumps(results.settings["full"]))
     full["twin"]["ins"]["sigma_roll_deg"] = 0.3
     assert verdict("C003 roll", replace(results, settings={"full": full})) == NOT_MATCHED
-    assert verdict("C041", results) == MATCHED
+    assert verdict("C041", results) == THERE
     without = {**results.parts, "rule": lambda name: name != "mask_images"}
     assert verdict("C041", replace(results, parts=without)) == NOT_MATCHED
     assert (
@@ -321,27 +378,27 @@ def test_files_settings_and_parts_that_change_turn_the_verdict(entries, results,
     table, path = results.records["full/accuracy/chains.csv"]
     worse = table.assign(camera=table["camera"] * 10)
     chains = {**results.records, "full/accuracy/chains.csv": (worse, path)}
-    assert verdict("C051 RMSE", results) == MATCHED
+    assert verdict("C051 RMSE", results) == BELOW
     assert verdict("C051 RMSE", replace(results, records=chains)) == NOT_MATCHED
-    assert verdict("C051 RMSE", replace(results, records={})) == NOT_REPRODUCIBLE
+    assert verdict("C051 RMSE", replace(results, records={})) == NO_RESULT
 
 
 def test_a_printed_digit_that_changes_is_told(entries, ledger, results) -> None:
     """Every number that is compared to its last digit: one more or less in it, and the verdict turns."""
-    good = ledger[ledger["verdict"].isin([MATCHED, INPUT])].drop_duplicates(["id", "part"])
-    found = {(row["id"], row["part"]): row for row in good.to_dict("records")}
+    good = ledger[ledger["verdict"].isin(MET)]
+    found = {row["name"]: row for row in good.to_dict("records")}
     told = 0
     for entry in entries:
-        row = found.get((entry.rows[0], entry.part))
+        row = found.get(entry.name)
         exact = entry.rule == "equal" and entry.basis == "printed digits" and not entry.tolerance
         if row is None or not exact or not isinstance(entry.value, float):
             continue
         step = 2.0 * entry.half_unit or 1.0
         for other in (entry.value + step, entry.value - step):
-            ours = Found(value=float(row["found"]))
+            ours = Found(value=float(row["ours"]))
             # exactly half a unit off, a number rounds both ways
             on_border = np.isclose(abs(ours.value - other), entry.half_unit)
-            assert on_border or verdict_of(replace(entry, value=other), ours)[0] == MISSED, entry
+            assert on_border or verdict_of(replace(entry, value=other), ours)[0] == NOT_MATCHED, entry
             told += not on_border
     assert told > 60
 
@@ -372,7 +429,14 @@ def test_values_stand_in_their_printed_text(entries) -> None:
 
 
 @pytest.mark.parametrize(
-    ("ours", "verdict"), [(0.17, FOUND), (0.1749, FOUND), (0.18, MISSED), (0.25, MISSED), (0.16, MISSED)]
+    ("ours", "verdict"),
+    [
+        (0.17, BY_DEFINITION),
+        (0.1749, BY_DEFINITION),
+        (0.18, NOT_MATCHED),
+        (0.25, NOT_MATCHED),
+        (0.16, NOT_MATCHED),
+    ],
 )
 def test_a_misprint_is_confirmed_by_the_number_decided_on_alone(entries, ours: float, verdict: str) -> None:
     entry = next(e for e in entries if e.name == "E26")
@@ -405,6 +469,8 @@ sections:
         ("ours: {none: not done}", "ours: {rule: mask_images}", "none, with a reason"),
         ("rule: present", "rule: equal, value: 1, basis: goal", "present: a rule is there or not"),
         ("[C041]", "[X41]", "X41"),
+        ("kind: exact", "kind: exact, put_in: setting", "found 'setting' for the kind 'exact'"),
+        ("basis: printed digits", "basis: direction", "found direction for the rule 'misprint'"),
     ],
 )
 def test_mistakes_in_a_ledger_are_told(tmp_path: Path, old: str, new: str, told: str) -> None:
@@ -428,20 +494,48 @@ def test_two_files_must_not_have_one_name(tmp_path: Path) -> None:
 # ---------------------------------------------------------------- page
 
 
-def test_the_page_opens_with_the_misses_and_holds_all_items(ledger, tmp_path: Path) -> None:
-    path = tmp_path / "ledger.html"
-    ledger.to_csv(tmp_path / "ledger.csv", index=False)
-    write_ledger(pd.read_csv(tmp_path / "ledger.csv"), path)
-    html = path.read_text()
-    assert html.index('id="not-matched"') < html.index('id="counts"') < html.index('id="matched-t"')
-    missed = html[html.index('id="not-matched"') : html.index('id="counts"')]
-    for row in ledger[ledger["verdict"] == NOT_MATCHED].to_dict("records"):
-        assert row["id"] in missed, row
+def written(ledger: pd.DataFrame, folder: Path) -> str:
+    """The page from the file, as anybody may make it."""
+    ledger.to_csv(folder / "ledger.csv", index=False)
+    write_ledger(pd.read_csv(folder / "ledger.csv"), headlines(ledger, NAMED), folder / "ledger.html")
+    return (folder / "ledger.html").read_text()
+
+
+def test_the_page_opens_with_what_could_fail_and_the_headlines(ledger, tmp_path: Path) -> None:
+    html = written(ledger, tmp_path)
+    at = [html.index(f'id="{part}"') for part in ("headlines", "counts", "not-matched", "reproduced")]
+    assert at == sorted(at)
+    assert html.index("could have failed by a number") < at[0]
     for item in ITEMS:
         assert re.search(rf"\b{item}\b", html), item
     assert ">nan<" not in html
-    # an item whose verdict turns goes to the top
-    worse = ledger.assign(verdict=ledger["verdict"].where(ledger["id"] != "C053", NOT_MATCHED))
-    write_ledger(worse, path)
-    html = path.read_text()
-    assert "C053" in html[html.index('id="not-matched"') : html.index('id="counts"')]
+    # a number that turns goes to the misses
+    worse = ledger.assign(verdict=ledger["verdict"].where(ledger["name"] != "C053", NOT_MATCHED))
+    html = written(worse, tmp_path)
+    assert "C053" in html[html.index('id="not-matched"') : html.index('id="reproduced"')]
+
+
+def test_headlines_show_both_sides_of_a_result(ledger) -> None:
+    """The RMSE of all points stands beside the one without outliers, which is a bound that is met."""
+    shown = headlines(ledger, NAMED)
+    assert 20 <= len(shown) <= 35
+    by_name = shown.set_index(NAMED["entry"])
+    assert by_name.loc["C051 RMSE", "verdict"].startswith("below a bound: 35.1 % of it")
+    assert by_name.loc["C051 all points", "verdict"] == "not matched: off by +17.3 cm"
+    assert by_name.loc["C051 all points", ["printed", "ours"]].tolist() == ["14 cm", "31.79 cm"]
+    assert by_name["why"].str.len().min() > 10
+    with pytest.raises(ConfigError, match="no entry C999"):
+        headlines(ledger, NAMED.assign(entry="C999"))
+
+
+@pytest.mark.parametrize(
+    ("ours", "sigma", "verdict"),
+    [(-0.5, 0.2, REPRODUCED), (-0.5, 0.3, NOT_MATCHED), (0.5, 0.2, NOT_MATCHED), (-0.5, np.nan, REPRODUCED)],
+)
+def test_a_direction_counts_beyond_two_sigmas(entries, ours: float, sigma: float, verdict: str) -> None:
+    entry = next(e for e in entries if e.name == "C312 narrow beam")
+    assert (entry.rule, entry.value, entry.basis) == ("at most", 0.0, "direction")
+    assert verdict_of(entry, Found(value=ours, sigma=sigma))[0] == verdict
+    # a bound that is printed as a number is no direction
+    bound = replace(entry, basis="goal")
+    assert verdict_of(bound, Found(value=-0.5, sigma=sigma))[0] == BELOW

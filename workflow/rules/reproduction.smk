@@ -50,23 +50,26 @@ rule budget_tables:
 
 
 rule ledger:
-    """Every published number, misprint and idea for future work with a verdict: matched or not, input, not reproducible, waived, open."""
+    """Every published number, misprint and idea for future work with a verdict: which could have failed, and which did."""
     input:
         published=sorted((ROOT / laboratory.PUBLISHED).glob("*.yaml")),
+        named=ROOT / laboratory.PUBLISHED / "headlines.csv",
         cells=expand(PUBLISHED_FILE, name=BUDGETS),
         pages=ROOT / "resources" / "thesis_pages.yaml",
         stored=[ROOT / name for name in laboratory.STORED],
         tables=rules.budget_tables.output.tables,
-        # all but its own record
+        # all but its own records
         records=sorted(
             {*(ROOT / "docs" / "validation").glob("*.csv")}
-            - {ROOT / "docs" / "validation" / "ledger_verdicts.csv"}
+            - {*(ROOT / "docs" / "validation").glob("ledger_*.csv")}
         ),
         recorded=sorted((ROOT / "config" / "studies").glob("*.yaml")),
         campaigns=lambda wildcards: laboratory.whole_ledger_campaigns(ROOT),
     output:
         ledger="results/reproduction/ledger.csv",
         verdicts="results/reproduction/ledger_verdicts.csv",
+        chosen="results/reproduction/ledger_headlines.csv",
+        text="results/reproduction/ledger.txt",
         page=report(
             "results/reproduction/ledger.html",
             caption="../report/ledger.rst",

@@ -25,7 +25,7 @@ rule compare_line_methods:
 
 
 rule light_sheet_ledger:
-    """Each published number with a verdict: found, put in, within a bound, missed and by how much, not checkable."""
+    """Each published number with a verdict: reproduced, below a bound, by definition, input, not matched and by how much."""
     input:
         published=ROOT / laboratory.LEDGER,
         stored=[ROOT / name for name in laboratory.STORED],

@@ -3,17 +3,21 @@
 import logging
 from pathlib import Path
 
+import pandas as pd
+
 from thalweg.settings import load_campaign
 from thalweg.workflow import run_job
 from thalweg_lab.figures import write_ledger
 from thalweg_lab.reproduction import (
     Results,
-    ledger_counts,
+    by_class,
+    headlines,
     missing_items,
     parts_of,
     read_ledgers,
     read_pages,
     recorded,
+    told,
     whole_ledger,
 )
 
@@ -23,10 +27,13 @@ log = logging.getLogger("thalweg")
 def main(
     *,
     published: list[Path],
+    named: Path,
     pages: Path,
     campaigns: list[Path],
     ledger: Path,
     verdicts: Path,
+    chosen: Path,
+    text: Path,
     page: Path,
     root: str,
     results: dict[str, str],
@@ -46,10 +53,12 @@ def main(
     )
     table = whole_ledger(entries, found, read_pages(pages))
     table.to_csv(ledger, index=False, float_format="%.6g")
-    counts = ledger_counts(table)
-    counts.to_csv(verdicts, index=False)
-    write_ledger(table, page)
-    log.info("%s", counts.to_string(index=False))
+    by_class(table).to_csv(verdicts, index=False)
+    shown = headlines(table, pd.read_csv(named))
+    shown.to_csv(chosen, index=False)
+    text.write_text(told(table, shown), encoding="utf-8")
+    write_ledger(table, shown, page)
+    log.info("%s", text.read_text(encoding="utf-8"))
 
 
 if "snakemake" in globals():

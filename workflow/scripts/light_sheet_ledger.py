@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from thalweg.workflow import run_job
-from thalweg_lab.reproduction import Results, counts, judged, markdown, read_ledger, sentence
+from thalweg_lab.reproduction import Results, counts, distinct, judged, markdown, read_ledger, sentence
 
 log = logging.getLogger("thalweg")
 
@@ -29,7 +29,7 @@ def main(
     table.to_csv(ledger, index=False, float_format="%.6g")
     counts(table).to_csv(numbers, index=False)
     text.write_text(markdown(table, title=campaign["title"], twin=twin), encoding="utf-8")
-    log.info("%s", sentence(table))
+    log.info("%s", sentence(distinct(table)))
 
 
 if "snakemake" in globals():

@@ -10,14 +10,15 @@ from thalweg.core import read_parquet
 from thalweg.figures import Page
 from thalweg.lightsheet.figures import light_sheet_page, read_scans
 from thalweg_lab.reproduction import (
-    MISSED,
+    MEANINGS,
     NO_RESULT,
     NOT_MATCHED,
-    SIX,
+    VERDICTS,
     VERDICTS_NOTE,
+    by_class,
     counts,
-    found_words,
-    ledger_counts,
+    distinct,
+    missing_words,
     readable,
     sentence,
 )
@@ -28,6 +29,12 @@ LEDGER_NOTE: Final = (
     "sigmas of our own number. " + VERDICTS_NOTE.replace("*", "") + " All entries with their reasons are in "
     "ledger.md."
 )
+_WORDS: Final = ("note", "basis", "reason", "command", "printed", "unit", "put_in", "file", "source")
+
+
+def _read(ledger: pd.DataFrame) -> pd.DataFrame:
+    """A ledger as its CSV gives it, with empty words where it has none."""
+    return ledger.assign(**{name: ledger[name].astype(object).fillna("") for name in _WORDS})
 
 
 def ledger_section(page: Page, ledger: pd.DataFrame | None) -> Page:
@@ -40,81 +47,58 @@ def ledger_section(page: Page, ledger: pd.DataFrame | None) -> Page:
     """
     if ledger is None:
         return page
-    table = ledger.fillna({"note": "", "basis": "", "reason": "", "printed": "", "unit": "", "put_in": ""})
+    table = _read(ledger)
     page.section("Published numbers").text(LEDGER_NOTE)
-    words = sentence(table)
-    page.text(words[0].upper() + words[1:] + ".")
+    page.text(f"Of printed numbers, each counted once, {sentence(distinct(table))}.")
     page.table(counts(table).query("entries > 0"), "Verdicts on published numbers (ledger_counts.csv)")
-    missed = table[table["verdict"] == MISSED]
+    missed = table[table["verdict"] == NOT_MATCHED]
     if len(missed):
-        notes = missed["note"].where(missed["note"] != "", missed["reason"]).to_numpy()
-        page.table(readable(missed).assign(remark=notes), "Published numbers that were missed (ledger.csv)")
+        page.table(readable(missed), "Published numbers that are not matched (ledger.csv)")
     absent = table[table["verdict"] == NO_RESULT]
     if len(absent):
-        page.table(
-            absent[["rows", "where", "quantity", "printed", "reason"]], "Without a result yet (ledger.csv)"
-        )
+        page.table(readable(absent).drop(columns=["rule", "ours"]), "Without a result yet (ledger.csv)")
     return page
 
 
-SIX_NOTE: Final = (
-    "Matched: our number meets its rule, a rule or picture of the project is there, or a computation "
-    "confirms a misprint. Not matched: it does not. Input: what was put into the twin or a stored "
-    "instrument, or is met by an input that was chosen for it; it confirms nothing. Not reproducible: the "
-    "original is not published, contradicts itself, or its result is not there yet. Waived: nothing that "
-    "software could show. Open: an idea for future work that is not done. A tolerance is half a unit of the "
-    "last printed digit, with three sigmas of our own number where the reason says so. Classes: A exact, B "
-    "statistic on the digital twin, C procedure only, D figure, I input."
-)
-
-
-def write_ledger(ledger: pd.DataFrame, path: Path) -> None:
-    """Page of the whole ledger: misses first, then the counts, then all other items by verdict and source.
+def write_ledger(ledger: pd.DataFrame, headlines: pd.DataFrame, path: Path) -> None:
+    """Page of the whole ledger: what could have failed, headlines, counts, then all entries by verdict.
 
     Parameters
     ----------
     ledger : `thalweg_lab.reproduction.whole_ledger`.
+    headlines : `thalweg_lab.reproduction.headlines`.
     path : target.
     """
-    entries = _joined(ledger)
-    missed = entries[entries["verdict"] == NOT_MATCHED]
+    table = _read(ledger)
+    missing = "; ".join(missing_words(table))
     page = Page(
         "Published numbers and what became of them",
-        f"{len(missed)} of {len(entries)} entries are not matched. Numbers of the digital twin speak of the "
-        "software, not of a boat.",
+        (f"Not run here: {missing}. " if missing else "")
+        + f"Of the published numbers {sentence(table)}. Numbers of the digital twin speak of the software, "
+        "not of a boat. T and P1 to P4 are the thesis and its papers.",
     )
-    page.section("Not matched")
-    if len(missed):
-        page.table(missed[list(_READ)], "Every printed number that was missed, and by how much (ledger.csv)")
-    else:
-        page.text("None.")
-    page.section("Counts").text(SIX_NOTE)
-    page.table(ledger_counts(entries), "Entries by class and verdict; ledger.csv has a row for each item")
-    for verdict in SIX[1:]:
-        part = entries[entries["verdict"] == verdict]
-        for source in dict.fromkeys(part["chapter"]):
-            rows = part[part["chapter"] == source]
-            name = f"{verdict.capitalize()}: {source}"
-            page.section(name).table(rows[list(_READ)], f"{name} (ledger.csv)")
+    page.section("Headlines").table(headlines, "Main results of the thesis and its papers")
+    page.section("Counts")
+    counted = by_class(table)
+    counted["what it says"] = counted["verdict"].map(MEANINGS).fillna("")
+    page.table(counted, "Rows of ledger.csv by class and verdict (ledger_verdicts.csv)")
+    page.text(
+        "Classes: A exact, B statistic on the digital twin, C procedure only, D figure, I input. A tolerance "
+        "is half a unit of the last printed digit, with three sigmas of our own number where the rule says "
+        "sampling error."
+    )
+    lists = {"F": "future work", "E": "misprints"}
+    chapters = table["rows"].str[0].map(lists).fillna(table["where"].str.split().str[0])
+    for verdict in VERDICTS:
+        part = table[table["verdict"] == verdict]
+        if len(part):
+            page.section(verdict.capitalize())
+        for chapter, rows in part.groupby(chapters, sort=False):
+            shown = readable(rows).assign(
+                file=rows["file"].where(rows["file"] != "", rows["source"]).to_numpy()
+            )
+            page.table(shown, f"{verdict.capitalize()}: {chapter} (ledger.csv)")
     page.write(path)
-
-
-_READ: Final = ("items", "source", "quantity", "published", "found", "reason and file")
-
-
-def _joined(ledger: pd.DataFrame) -> pd.DataFrame:
-    """An entry a row, its items together; ``chapter`` is the source, or the list of misprints or ideas."""
-    table = ledger.fillna({"part": "", "unit": "", "reason": "", "file": ""})
-    table = table.assign(found=[found_words(row) for row in table.to_dict("records")])
-    same = ["part", "source", "quantity", "published", "found", "reason", "file", "verdict", "class"]
-    rows = []
-    for values, part in table.groupby(same, sort=False):
-        row = dict(zip(same, values, strict=True))
-        first = str(part["id"].iloc[0])
-        lists = {"F": "future work", "E": "misprints", "C": str(row["source"]).split()[0]}
-        row |= {"items": " ".join(part["id"]), "chapter": lists[first[0]]}
-        rows.append(row | {"reason and file": f"{row['reason']} [{row['file']}]"})
-    return pd.DataFrame(rows)
 
 
 def write_light_sheet_page(

@@ -5,25 +5,28 @@ from .files import (
     result_files as result_files,
 )
 from .ledger import (
-    MISSED as MISSED,
+    MEANINGS as MEANINGS,
     NO_RESULT as NO_RESULT,
+    NOT_MATCHED as NOT_MATCHED,
+    VERDICTS as VERDICTS,
     VERDICTS_NOTE as VERDICTS_NOTE,
     Results as Results,
+    by_class as by_class,
     counts as counts,
+    distinct as distinct,
     judged as judged,
     markdown as markdown,
+    missing_words as missing_words,
     readable as readable,
     sentence as sentence,
 )
 from .verdicts import (
     ITEMS as ITEMS,
-    NOT_MATCHED as NOT_MATCHED,
-    SIX as SIX,
-    found_words as found_words,
-    ledger_counts as ledger_counts,
+    headlines as headlines,
     missing_items as missing_items,
     parts_of as parts_of,
     read_pages as read_pages,
     recorded as recorded,
+    told as told,
     whole_ledger as whole_ledger,
 )

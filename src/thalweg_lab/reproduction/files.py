@@ -37,9 +37,12 @@ RULES: Final = (
 )
 """``misprint``: our number is the one that was ``decided`` on, and not the printed one. ``waived``: nothing
 that software could show, such as a photograph of hardware. ``open``: an idea for future work, not done."""
-BASES: Final = ("printed digits", "sampling error", "goal", "identity")
+NOT_COMPARED: Final = ("present", "not checkable", "waived", "open")
+"""Rules under which no number can fail."""
+BASES: Final = ("printed digits", "sampling error", "goal", "direction", "identity")
 """Where a tolerance comes from: half a unit of the last digit; that and three sigmas of our own number; a
-bound that the project sets itself (with half a unit); or the arithmetic of float64, stated as ``tolerance``.
+bound, printed or set by the project (with half a unit); which of two is larger, or on which side of zero, as
+the text says in words; or the arithmetic of float64, stated as ``tolerance``.
 Printed digits state a ``tolerance`` where several printed numbers make one, with the reason in ``why``."""
 
 TAKES: Final = ("one", "mean", "median", "rms", "sum", "count", "least", "largest", "largest size")
@@ -52,11 +55,13 @@ PUT_IN: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     "constant": ("a constant of the stored instrument", ("input constant",)),
     "arithmetic": ("arithmetic of printed numbers", ("exact", "procedure only")),
     "decoded": ("a stored table turned back", ("exact",)),
-    "definition": ("true by definition", ("exact", "statistic on the twin")),
-    "fitted": ("met by an input chosen for it", KINDS),
+    "definition": ("holds whatever is measured", ("exact", "statistic on the twin")),
+    "fitted": ("fitted to it or to its neighbours", KINDS),
 }
 """Why a number is no finding of this project, in words, and of which kinds it may be: no measurement could
 have given it otherwise, or geometry or inputs were fitted to it or to its neighbours."""
+BY_ARITHMETIC: Final = ("arithmetic", "definition")
+"""Classes of `PUT_IN` that hold by arithmetic or definition; the others are inputs."""
 
 ALWAYS_PUT_IN: Final = {
     "times": "arithmetic",
@@ -95,8 +100,7 @@ ALWAYS_PUT_IN: Final = {
     "depth_lines_seen": "fitted",
     "survey_rmse": "fitted",
 }
-"""Functions of `ledger` and `arithmetic` whose numbers are put in, whatever the entry says; a misprint that
-they show is a finding."""
+"""Functions of `ledger` and `verdicts` whose numbers are put in, whatever the entry says."""
 
 FITTED: Final = (("triangulation/budget_published.csv", "computed_mm"), ("chain_study_goals.csv", "found_m"))
 """Files and columns that rest on geometry or inputs which were fitted to published figures: the prototype of
@@ -109,7 +113,6 @@ POINTERS: Final = {".csv": "column", ".parquet": "column", ".json": "key", ".yam
 """What says where a number stands, by the kind of file."""
 
 _NEEDS_VALUE: Final = ("equal", "at most", "at least", "inside", "misprint")
-_NOT_COMPARED: Final = ("present", "not checkable", "waived", "open")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -422,20 +425,20 @@ class _Entry(Part):
             )
         if self.basis in ("printed digits", "sampling error") and self.half_unit is None:
             yield wrong("half_unit is missing", "half a unit of the last printed digit")
+        if self.basis == "direction" and self.rule not in ("at most", "at least"):
+            yield wrong(f"found direction for the rule {self.rule!r}", "at most or at least")
         if self.basis == "sampling error" and not (self.ours.sigma or self.ours.sigma_of):
             yield wrong("no sigma", "a sigma for the basis 'sampling error'", at=("ours",))
 
     def _put_in_fits(self) -> Iterator[PydanticCustomError]:
         """A number that was put in says so, in the class that its source implies; others must not."""
         given, found = self.put_in, f"found {self.put_in!r}"
-        if self.rule in _NOT_COMPARED:
+        if self.rule in NOT_COMPARED:
             if given:
                 expected = "no put_in where nothing is compared"
                 yield wrong(f"{found} with the rule {self.rule!r}", expected, at=("put_in",))
             return
         needed = _must_be_put_in(self.ours)
-        if self.rule == "misprint" and not given:
-            return
         if not given:
             if needed or self.kind == "input constant":
                 because = f"its number comes from {needed[1]}" if needed else "its kind is 'input constant'"

@@ -1,17 +1,11 @@
-"""Published numbers of the light-sheet sensor beside those of this pipeline on the digital twin; verdicts.
+"""Published numbers beside those of this pipeline on the digital twin; verdicts.
 
-A number that meets its rule is ``found`` if a measurement or computation could have given another one;
-``put in`` if it is an input, a constant, arithmetic of printed numbers or true by definition; ``met by an
-input chosen for it`` if geometry or inputs were fitted to it or to its neighbours; ``below a bound`` or
-``above a bound``, with its share of the bound, if the print only says how good or bad something is;
-``shown`` if no number is printed. All others are ``missed``, with the amount beyond the tolerance; ``not
-checkable``, because the original data are not published, the number was chosen by the operator, or
-published lines contradict each other; or ``no result yet``, if the file or number is not there. A tolerance
-is half a unit of the last printed digit, in some rules and three sigmas of our own number, never what would
-make a number fit.
+What each verdict says stands in `MEANINGS`. It follows from the rule, basis, ``put_in`` and source that an
+entry declares and from the number found, never from the row itself. A tolerance is half a unit of the last
+printed digit, in some rules and three sigmas of our own number, never what would make a number fit.
 
 Some printed numbers are compared in several quantities (the sigma of a parameter by the image alone and in
-all). They are counted once, with the weakest of their verdicts.
+all). `distinct` has them once, with the weakest of their verdicts.
 """
 
 import json
@@ -25,7 +19,7 @@ import numpy as np
 import pandas as pd
 import yaml
 
-from thalweg.budgets import BY_CHOICE, read_budget, rmse_mm
+from thalweg.budgets import read_budget, rmse_mm
 from thalweg.core import ArrayF, InputError, read_parquet
 from thalweg.core.geometry import read_mesh
 from thalweg.lightsheet.budget import budget, budget as budget_correlations, checks as budget_checks
@@ -48,33 +42,55 @@ from thalweg.lightsheet.optics import (
     refractive_index,
 )
 from thalweg.lightsheet.poses import pose_source_table
-from thalweg_lab.reproduction.files import KINDS, NAMES, PUT_IN, Entry, Ours
+from thalweg_lab.reproduction.files import BY_ARITHMETIC, CLASSES, NAMES, NOT_COMPARED, PUT_IN, Entry, Ours
 
-FOUND: Final = "found"
-WAS_PUT_IN: Final = "put in"
+NOT_MATCHED: Final = "not matched"
+REPRODUCED: Final = "reproduced"
 BELOW: Final = "below a bound"
 ABOVE: Final = "above a bound"
-SHOWN: Final = "shown"
-MISSED: Final = "missed"
-NOT_CHECKABLE: Final = "not checkable"
+BY_DEFINITION: Final = "by definition"
+THERE: Final = "there"
+INPUT: Final = "input"
 NO_RESULT: Final = "no result yet"
-VERDICTS: Final = (FOUND, WAS_PUT_IN, BY_CHOICE, BELOW, ABOVE, SHOWN, MISSED, NOT_CHECKABLE, NO_RESULT)
-WEAKEST_FIRST: Final = (MISSED, NO_RESULT, NOT_CHECKABLE, BY_CHOICE, WAS_PUT_IN, SHOWN, ABOVE, BELOW, FOUND)
+NOT_REPRODUCIBLE: Final = "not reproducible"
+WAIVED: Final = "waived"
+OPEN: Final = "open"
+MEANINGS: Final = {
+    NOT_MATCHED: "our number misses its rule, by the amount told, or the figure or part is not there",
+    REPRODUCED: "a measurement or computation gave the printed number, or the order of two numbers that the "
+    "text states, and could have given another",
+    BELOW: "the print is an upper bound, and our number is the share of it that is told: a twin that lacks "
+    "what spoiled the experiment meets it easily",
+    ABOVE: "the same of a lower bound",
+    BY_DEFINITION: "true by arithmetic of printed numbers or by our own definitions; no measurement could "
+    "make it false",
+    THERE: "no number is printed: a figure or procedure of that kind exists, which says nothing of how good "
+    "it is",
+    INPUT: "put into the twin, a constant of a stored instrument, or fitted to the number or its neighbours; "
+    "it confirms nothing",
+    NO_RESULT: "the campaign or study that gives our number was not run here; the reason has the command",
+    NOT_REPRODUCIBLE: "the original data are not published, nothing here takes the number, or published "
+    "numbers contradict each other",
+    WAIVED: "nothing that software could show: photographs of hardware, slips of words",
+    OPEN: "an idea for future work that is not done",
+}
+"""What each verdict says; misses first, as in counts and on pages."""
+VERDICTS: Final = tuple(MEANINGS)
+WEAKEST_FIRST: Final = (
+    *(NOT_MATCHED, NO_RESULT, NOT_REPRODUCIBLE, WAIVED, OPEN, INPUT, BY_DEFINITION, THERE, ABOVE, BELOW),
+    REPRODUCED,
+)
 """Which verdict counts for a printed number that is compared in several quantities."""
+COULD_FAIL: Final = "could have failed"
+FAILED: Final = "of these failed"
 FAR_BELOW: Final = 1.0 / 3.0
 """Share of a bound that an error-free twin would meet as well: the match says little."""
 SAMPLING_SIGMAS: Final = 3.0
 """Sigmas of our own number that the basis ``sampling error`` adds: one of 370 normal numbers lies beyond."""
+DIRECTION_SIGMAS: Final = 2.0
+"""Sigmas by which a number must lie on the side that the text states; within them it says nothing."""
 NO_SIGMA: Final = "the number has no sigma, or is none"
-VERDICTS_NOTE: Final = (
-    "*Found*: a measurement or computation gave the printed number and could have given another. *Put "
-    "in*: an input of the twin, a constant of a stored instrument, arithmetic of printed numbers, a "
-    "stored table turned back, or true by definition; it confirms nothing. *Met by an input chosen for "
-    "it*: geometry or inputs were fitted to the figure or to its neighbours. *Below* or *above a bound*: "
-    "with the share of the bound that our number is; a twin without errors meets every upper bound. "
-    "*Shown*: no number is printed. A printed number that is compared in several quantities is counted "
-    "once, with the weakest verdict."
-)
+VERDICTS_NOTE: Final = "; ".join(f"*{verdict}*: {meaning}" for verdict, meaning in MEANINGS.items()) + "."
 """What the verdicts mean, for pages."""
 COLUMNS: Final = (
     "rows",
@@ -99,6 +115,7 @@ COLUMNS: Final = (
     "of_bound",
     "verdict",
     "reason",
+    "command",
     "source",
     "note",
     "file",
@@ -117,14 +134,15 @@ SPREADS: Final = ("binomial", "scatter", "unit")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Found:
-    """Our number: ``value`` a number or word, None if there is none, and then ``absent`` says why; ``sigma``
-    and ``n`` where the result has them; ``file`` that it was read from.
+    """Our number: ``value`` a number or word, None if there is none, and then ``absent`` says why and
+    ``command`` what makes it; ``sigma`` and ``n`` where the result has them; ``file`` that it was read from.
     """
 
     value: float | str | None = None
     sigma: float = float("nan")
     n: float = float("nan")
     absent: str = ""
+    command: str = ""
     file: str = ""
 
 
@@ -195,7 +213,7 @@ class Results:
         elif name in self.records:
             content, path = self.records[name]
         else:
-            return Found(absent=f"{name}{self._how_to_get(ours.source, name)}")
+            return Found(absent=f"{name} is not there", command=self._command(ours.source, name))
         try:
             if ours.axis:
                 found = Found(value=float(np.sort(np.ptp(content, axis=0))[-ours.axis]) * ours.times)
@@ -204,17 +222,15 @@ class Results:
             else:
                 found = _of_tree(content, ours)
         except _AbsentError as absent:
-            if here:
-                return Found(absent=f"{name}: {absent}")
-            return Found(absent=f"{path}: {absent}; {name}{self._how_to_get(ours.source, name)}")
+            command = "" if here else self._command(ours.source, name)
+            return Found(absent=f"{name if here else path}: {absent}", command=command)
         return replace(found, file=path.as_posix())
 
-    def _how_to_get(self, source: str, name: str) -> str:
+    def _command(self, source: str, name: str) -> str:
+        """What makes a file; nothing for one that this campaign does not make."""
         if source == "study":
-            return f" is not there; snakemake results/reproduction/{name}"
-        if not self.parts:
-            return " is not among the results of this campaign"
-        return f" is not among the results; snakemake --config campaign={name.split('/')[0]}"
+            return f"snakemake results/reproduction/{name}"
+        return f"snakemake --config campaign={name.split('/')[0]}" if self.parts else ""
 
     def _parts(self, ours: Ours) -> Found:
         names = ours.name.split(", ")
@@ -272,14 +288,16 @@ def verdict_of(entry: Entry, found: Found) -> tuple[str, float, float]:
     A number on the border itself is inside: 1e-9 of the value is left to rounding.
     """
     nan = float("nan")
-    if entry.rule in ("not checkable", "waived", "open"):
-        return NOT_CHECKABLE, nan, nan
+    if entry.rule in (WAIVED, OPEN):
+        return entry.rule, nan, nan
+    if entry.rule == "not checkable":
+        return NOT_REPRODUCIBLE, nan, nan
     if found.value is None:
-        return NO_RESULT, nan, nan
+        return (NOT_MATCHED if entry.ours.source in NAMES else NO_RESULT), nan, nan
     if entry.rule == "present":
-        return SHOWN, nan, nan
+        return THERE, nan, nan
     if entry.rule == "same word":
-        return (_met(entry) if found.value == entry.value else MISSED), nan, nan
+        return (_met(entry) if found.value == entry.value else NOT_MATCHED), nan, nan
     if isinstance(found.value, str) or not np.isfinite(found.value):
         return NO_RESULT, nan, nan
     low, high = _bounds(entry)
@@ -288,27 +306,37 @@ def verdict_of(entry: Entry, found: Found) -> tuple[str, float, float]:
         as_printed = abs(found.value - entry.value) <= entry.half_unit
         # what lies apart is that from the number that was decided on
         return (
-            (FOUND, entry.half_unit, nan)
+            (_met(entry), entry.half_unit, nan)
             if right and not as_printed
-            else (MISSED, entry.half_unit, found.value - entry.decided)
+            else (NOT_MATCHED, entry.half_unit, found.value - entry.decided)
         )
     tolerance = entry.tolerance if entry.basis == "identity" or entry.tolerance else entry.half_unit
     if entry.basis == "sampling error":
         if not np.isfinite(found.sigma):
             return NO_RESULT, nan, nan
         tolerance += SAMPLING_SIGMAS * found.sigma
+    if entry.basis == "direction" and np.isfinite(found.sigma):
+        tolerance = -DIRECTION_SIGMAS * found.sigma
     rounding = 1e-9 * max(abs(b) for b in (low, high) if np.isfinite(b))
     above, below = found.value - (high + tolerance), (low - tolerance) - found.value
     if max(above, below) <= rounding:
         return _met(entry), tolerance, nan
-    return MISSED, tolerance, above if above > rounding else -below
+    return NOT_MATCHED, tolerance, above if above > rounding else -below
 
 
 def _met(entry: Entry) -> str:
     """Verdict of an entry whose rule is met."""
     if entry.put_in:
-        return BY_CHOICE if entry.put_in == "fitted" else WAS_PUT_IN
-    return {"at most": BELOW, "at least": ABOVE}.get(entry.rule, FOUND)
+        return BY_DEFINITION if entry.put_in in BY_ARITHMETIC else INPUT
+    if entry.basis == "direction":
+        return REPRODUCED
+    return {"at most": BELOW, "at least": ABOVE}.get(entry.rule, REPRODUCED)
+
+
+def could_fail(table: pd.DataFrame) -> "pd.Series[bool]":
+    """Rows of a table of `judged` with a number that was not put in and has a result to compare."""
+    compared = ~table["rule"].isin(NOT_COMPARED) & (table["put_in"].fillna("") == "")
+    return compared & table["verdict"].isin([NOT_MATCHED, REPRODUCED, BELOW, ABOVE])
 
 
 def distinct(table: pd.DataFrame) -> pd.DataFrame:
@@ -339,71 +367,65 @@ def counts(table: pd.DataFrame) -> pd.DataFrame:
 
     Returns
     -------
-    Columns ``what, distinct, entries``: all; each verdict; what was put in and met, by class (`PUT_IN`);
-    numbers below a third of their bound; and those without a result that only studies of an hour give.
-    ``distinct`` counts printed numbers, ``entries`` the quantities that are compared with them.
+    Columns ``what, distinct, entries``: all; those that could have failed by a number, and that did; each
+    verdict; numbers below a third of their bound. ``distinct`` counts printed numbers, ``entries`` the
+    quantities that are compared with them.
     """
-    parts = [(t, count(t)) for t in (distinct(table), table)]
-    rows = [("all", *(len(t) for t, _ in parts))]
-    rows += [(verdict, *(found[verdict] for _, found in parts)) for verdict in VERDICTS]
-    rows += [
-        (f"put in: {name}", *(int((_is_met(t) & (t["put_in"] == name)).sum()) for t, _ in parts))
-        for name in PUT_IN
-    ]
-    rows.append(("below a third of a bound", *(int(_far_below(t).sum()) for t, _ in parts)))
-    rows.append(("only by long studies", *(int(_by_study(t).sum()) for t, _ in parts)))
-    return pd.DataFrame(rows, columns=["what", "distinct", "entries"])
-
-
-def _is_met(table: pd.DataFrame) -> "pd.Series[bool]":
-    return table["verdict"].isin([WAS_PUT_IN, BY_CHOICE])
+    found = {}
+    for name, part in (("distinct", distinct(table)), ("entries", table)):
+        free = could_fail(part)
+        failed = int((part.loc[free, "verdict"] == NOT_MATCHED).sum())
+        found[name] = {"all": len(part), COULD_FAIL: int(free.sum()), FAILED: failed}
+        found[name] |= count(part) | {"below a third of a bound": int(_far_below(part).sum())}
+    return pd.DataFrame(found).rename_axis(index="what").reset_index()
 
 
 def _far_below(table: pd.DataFrame) -> "pd.Series[bool]":
     return (table["verdict"] == BELOW) & (table["of_bound"] < FAR_BELOW)
 
 
-def _by_study(table: pd.DataFrame) -> "pd.Series[bool]":
-    studies = table["source"].astype(str).str.startswith("reproduction/")
-    return (table["verdict"] == NO_RESULT) & studies
-
-
 def sentence(table: pd.DataFrame) -> str:
-    """What became of the printed numbers, each counted once.
+    """How many rows could have failed by a number, how many did, and what all others are.
 
     Examples
     --------
-    >>> sentence(
+    >>> words = sentence(
     ...     pd.DataFrame(
     ...         {
-    ...             "rows": ["C068", "C069", "C069"],
-    ...             "printed": ["0.5", "0.1", "0.1"],
-    ...             "value": [0.5, 0.1, 0.1],
-    ...             "verdict": ["found", "below a bound", "missed"],
-    ...             "of_bound": [float("nan"), 0.2, 1.5],
-    ...             "source": ["", "", ""],
-    ...             "put_in": ["", "", ""],
+    ...             "rule": ["equal", "at most", "at most", "equal", "present"],
+    ...             "put_in": ["", "", "", "setting", ""],
+    ...             "verdict": ["reproduced", "below a bound", "not matched", "input", "there"],
+    ...             "of_bound": [float("nan"), 0.2, 1.5, float("nan"), float("nan")],
     ...         }
     ...     )
     ... )
-    'of 2 distinct numbers: 1 found, 0 put in, 0 below a bound, 1 missed, 0 not checkable'
+    >>> words.split(". ")[1]
+    'The others: 1 there, 1 input'
+    >>> words.split(", ")[:2]
+    ['3 of 5 could have failed by a number: 1 did', '1 are reproduced']
     """
-    found = counts(table)
-    n = dict(zip(found["what"].astype(str), found["distinct"].astype(int), strict=True))
-    studies, absent = n["only by long studies"], n[NO_RESULT]
-    chosen, far = n[BY_CHOICE], n["below a third of a bound"]
-    parts = [
-        f"{n[FOUND]} found",
-        f"{n[WAS_PUT_IN] + chosen} put in" + f" ({chosen} of them {BY_CHOICE})" * bool(chosen),
-        f"{n[BELOW]} below a bound" + f" ({far} of them below a third of it)" * bool(far),
-        f"{n[ABOVE]} above a bound" * bool(n[ABOVE]),
-        f"{n[SHOWN]} shown without a printed number" * bool(n[SHOWN]),
-        f"{n[MISSED]} missed",
-        f"{n[NOT_CHECKABLE]} not checkable",
-        f"{studies} that only long studies give" * bool(studies),
-        f"{absent - studies} without a result yet" * (absent > studies),
+    free = could_fail(table)
+    able = count(table[free])
+    far = int(_far_below(table).sum())
+    told = [f"{free.sum()} of {len(table)} could have failed by a number: {able.pop(NOT_MATCHED)} did"]
+    told += [
+        f"{n} are {verdict}" + f" ({far} of them below a third of it)" * (verdict == BELOW and far > 0)
+        for verdict, n in able.items()
+        if n
     ]
-    return f"of {n['all']} distinct numbers: " + ", ".join(filter(None, parts))
+    differs = " (put in otherwise, or printed numbers that contradict each other)"
+    others = [
+        f"{n} {verdict}" + differs * (verdict == NOT_MATCHED)
+        for verdict, n in count(table[~free]).items()
+        if n
+    ]
+    return ", ".join(told) + f". The others: {', '.join(others)}" * bool(others)
+
+
+def missing_words(table: pd.DataFrame) -> list[str]:
+    """What was not run: which command gives how many rows a result, that for most of them first."""
+    waiting = table.loc[(table["verdict"] == NO_RESULT) & (table["command"].fillna("") != ""), "command"]
+    return [f"{command} for {n} row{'s' * (n > 1)}" for command, n in waiting.value_counts().items()]
 
 
 def summary(table: pd.DataFrame) -> str:
@@ -411,20 +433,22 @@ def summary(table: pd.DataFrame) -> str:
 
     Examples
     --------
-    >>> summary(pd.DataFrame({"verdict": ["found", "missed", "missed"]}))
-    '3 entries: 1 found, 2 missed'
+    >>> summary(pd.DataFrame({"verdict": ["reproduced", "not matched", "not matched"]}))
+    '3 entries: 2 not matched, 1 reproduced'
     """
     parts = [f"{n} {word}" for word, n in count(table).items() if n]
     return f"{len(table)} entr{'y' if len(table) == 1 else 'ies'}: " + ", ".join(parts)
 
 
-def by_kind(table: pd.DataFrame) -> pd.DataFrame:
-    """Numbers of entries by kind (rows) and verdict (columns)."""
-    found = pd.crosstab(table["kind"], table["verdict"])
-    found = found.reindex(
-        index=[k for k in KINDS if k in found.index], columns=[v for v in VERDICTS if v in found.columns]
-    )
-    return found.reset_index().rename_axis(columns=None)
+def by_class(table: pd.DataFrame) -> pd.DataFrame:
+    """Rows by verdict (lines) and class (columns); below them all, those that could have failed, and did."""
+    free = could_fail(table)
+    classes = table["kind"].map(CLASSES)
+    lines = {verdict: table["verdict"] == verdict for verdict in VERDICTS}
+    lines |= {"all": table["verdict"] != "", COULD_FAIL: free, FAILED: free & lines[NOT_MATCHED]}
+    found = pd.DataFrame({line: classes[rows].value_counts() for line, rows in lines.items()}).T
+    found = found.reindex(columns=sorted(CLASSES.values())).fillna(0).astype(int)
+    return found.assign(all=found.sum(axis=1)).rename_axis(index="verdict").reset_index()
 
 
 def markdown(table: pd.DataFrame, *, title: str, twin: bool) -> str:
@@ -437,46 +461,51 @@ def markdown(table: pd.DataFrame, *, title: str, twin: bool) -> str:
             "",
         ]
     lines += [
-        f"{_sentence(sentence(table))}",
+        f"Of printed numbers, each counted once, {sentence(distinct(table))}.",
         "",
         *_grid(counts(table).query("entries > 0")),
         "",
-        VERDICTS_NOTE,
+        *(f"- *{verdict}*: {meaning}" for verdict, meaning in MEANINGS.items()),
         "",
-        f"By kind of number, {summary(table)}:",
+        "A printed number that is compared in several quantities is counted once, with the weakest verdict.",
         "",
-        *_grid(by_kind(table)),
+        f"By class of number, {summary(table)}:",
+        "",
+        *_grid(by_class(table)),
         "",
         "Tolerances: *printed digits*, half a unit of the last printed digit; *sampling error*, that and "
-        "three sigmas of our number; *goal*, a bound with half a unit; *identity*, the arithmetic of "
-        "float64. A number is *missed by* what lies beyond its tolerance, above zero where ours is larger.",
+        "three sigmas of our number; *goal*, a bound with half a unit; *direction*, which of two is larger; "
+        "*identity*, the arithmetic of float64. A number is *off by* what lies beyond its tolerance, above "
+        "zero where ours is larger.",
     ]
     for section in dict.fromkeys(table["section"]):
         part = table[table["section"] == section]
         lines += ["", f"## {section}", "", summary(part) + ".", ""]
         lines += _grid(readable(part))
     for verdict, head in (
-        (MISSED, "Missed"),
+        (NOT_MATCHED, "Not matched"),
         (NO_RESULT, "No result yet"),
-        (NOT_CHECKABLE, "Not checkable, and why"),
+        (NOT_REPRODUCIBLE, "Not reproducible, and why"),
     ):
         part = table[table["verdict"] == verdict]
         if not len(part):
             continue
         lines += ["", f"## {head}", ""]
         for row in part.to_dict("records"):
-            told = [verdict_words(row), f"rule: {row['reason']}", row["note"]]
-            words = " ".join(_sentence(text) for text in told if text) if verdict == MISSED else row["reason"]
-            lines.append(f"- {row['name']}, {row['quantity']}: {words}")
+            amount = f"{verdict_words(row)}; " * (verdict == NOT_MATCHED)
+            lines.append(f"- {row['name']}, {row['quantity']}: {amount}{why_words(row)}.")
     return "\n".join(lines) + "\n"
 
 
 def readable(table: pd.DataFrame) -> pd.DataFrame:
-    """Columns to read: rows, where, quantity, printed, rule, ours, verdict."""
-    names = ["rows", "where", "quantity", "printed", "rule", "ours", "verdict"]
+    """Columns to read: rows, where, quantity, printed, rule, ours, verdict, why."""
+    names = ["rows", "where", "quantity", "printed", "rule", "ours", "verdict", "why"]
     return pd.DataFrame(
         [
-            [*(row[name] for name in names[:4]), rule_words(row), ours_words(row), verdict_words(row)]
+            [
+                *(row[n] for n in names[:4]),
+                *(f(row) for f in (rule_words, ours_words, verdict_words, why_words)),
+            ]
             for row in table.to_dict("records")
         ],
         columns=names,
@@ -504,20 +533,23 @@ def ours_words(row: Mapping[Any, Any]) -> str:
 
 
 def verdict_words(row: Mapping[Any, Any]) -> str:
-    """Verdict, with why a number was put in, its share of the bound, or by how much it was missed."""
-    amount, put_in = row["missed_by"], row["put_in"]
-    if row["verdict"] == WAS_PUT_IN and put_in in PUT_IN:
-        return f"{WAS_PUT_IN}: {PUT_IN[put_in][0]}"
-    if row["verdict"] in (BELOW, ABOVE) and np.isfinite(row["of_bound"]):
-        return f"{row['verdict']}: {100.0 * row['of_bound']:.3g} % of it"
-    if row["verdict"] != MISSED or not np.isfinite(amount):
-        return str(row["verdict"])
+    """Verdict, with why a number was put in, its share of the bound, or by how much it is off."""
+    verdict, amount = str(row["verdict"]), row["missed_by"]
+    if verdict in (INPUT, BY_DEFINITION):
+        return f"{verdict}: {PUT_IN[row['put_in']][0]}"
+    if verdict in (BELOW, ABOVE) and np.isfinite(row["of_bound"]):
+        return f"{verdict}: {100.0 * row['of_bound']:.3g} % of it"
+    if verdict != NOT_MATCHED or not np.isfinite(amount):
+        return verdict
     unit = "" if row["unit"] in ("", "1") else f" {row['unit']}"
-    return f"missed by {amount:+.3g}{unit}"
+    put_in = f"; put in: {PUT_IN[row['put_in']][0]}" if row["put_in"] else ""
+    return f"{verdict}: off by {amount:+.3g}{unit}{put_in}"
 
 
-def _sentence(text: str) -> str:
-    return text[0].upper() + text[1:] + "." * (text[-1] != ".")
+def why_words(row: Mapping[Any, Any]) -> str:
+    """Reason of the rule, or what is absent and the command that makes it; what a reader should know."""
+    told = (row["reason"], row["command"], row["note"])
+    return "; ".join(text.rstrip(".") for text in told if isinstance(text, str) and text)
 
 
 def _grid(table: pd.DataFrame) -> list[str]:
@@ -564,11 +596,19 @@ def _row(entry: Entry, found: Found) -> dict[str, Any]:
         "missed_by": missed_by,
         "of_bound": found.value / bound if bound and isinstance(found.value, float) else float("nan"),
         "verdict": verdict,
-        "reason": (found.absent or NO_SIGMA) if verdict == NO_RESULT else entry.why,
+        "reason": _reason(entry, found, verdict),
+        "command": found.command if verdict == NO_RESULT else "",
         "source": _source(entry),
         "note": entry.note,
         "file": found.file,
     }
+
+
+def _reason(entry: Entry, found: Found, verdict: str) -> str:
+    if verdict == NO_RESULT:
+        return found.absent or NO_SIGMA
+    told = [found.absent, entry.why] if entry.ours.source in ("none", *NAMES) else [entry.why]
+    return "; ".join(dict.fromkeys(filter(None, told)))
 
 
 def _source(entry: Entry) -> str:

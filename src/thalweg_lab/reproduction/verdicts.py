@@ -1,14 +1,7 @@
-"""The whole ledger: every published item with one of six verdicts.
+"""The whole ledger: every published number with its verdict, and the headlines of the thesis and its papers.
 
-`thalweg_lab.reproduction.ledger` says how near our number is and what that is worth; here the numbers of all
-files of ``resources/published`` come together, an item a row, in six words:
-
-- *matched*: our number meets its rule, a part of the project is there, or a misprint is confirmed;
-- *not matched*: it does not, or the part is not there;
-- *not reproducible*: the original is not published, contradicts itself, or its result is not there;
-- *input*: what was put in, or met by an input that was chosen for it: it confirms nothing;
-- *waived*: nothing that software could show;
-- *open*: an idea for future work that is not done.
+`thalweg_lab.reproduction.ledger` judges; here the entries of all files of ``resources/published`` come
+together, one a row.
 
 Numbers of T, P1 and P2 that need no campaign stand here: identities, arithmetic of printed numbers,
 misprints. Functions as in `thalweg_lab.reproduction.ledger`: each takes the published numbers by the names of
@@ -17,6 +10,7 @@ their entries, so that nothing printed is typed in here, and the arguments of it
 
 import importlib
 import math
+import textwrap
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -31,20 +25,19 @@ from thalweg.calibration import PARAMETERS, Cone
 from thalweg.core import ArrayF, Camera, ConfigError, Rigid, rotation_opk
 from thalweg.ingest.velodyne import VLP16
 from thalweg.lightsheet.optics import refract_as_printed
-from thalweg_lab.reproduction.files import CLASSES, NAMES, PUT_IN, Entry
+from thalweg_lab.reproduction.files import Entry
 from thalweg_lab.reproduction.ledger import (
-    ABOVE,
-    BELOW,
     BUDGETS,
     FUNCTIONS,
-    MISSED,
-    NO_RESULT,
-    NOT_CHECKABLE,
+    VERDICTS,
     Found,
     Results,
+    by_class,
     depth_by_cause,
     judged,
+    missing_words,
     ours_words,
+    sentence,
     verdict_words,
 )
 
@@ -335,29 +328,6 @@ ARITHMETIC: Final[dict[str, Callable[..., Found]]] = {
 
 # ---------------------------------------------------------------- the whole ledger
 
-MATCHED: Final = "matched"
-NOT_MATCHED: Final = "not matched"
-NOT_REPRODUCIBLE: Final = "not reproducible"
-INPUT: Final = "input"
-WAIVED: Final = "waived"
-OPEN: Final = "open"
-SIX: Final = (NOT_MATCHED, MATCHED, INPUT, NOT_REPRODUCIBLE, WAIVED, OPEN)
-"""Verdicts in the order of the page: misses first."""
-LEDGER_COLUMNS: Final = (
-    "id",
-    "part",
-    "source",
-    "quantity",
-    "published",
-    "unit",
-    "found",
-    "sigma",
-    "tolerance",
-    "verdict",
-    "reason",
-    "file",
-    "class",
-)
 ITEMS: Final = (
     *(f"C{i:03d}" for i in range(1, 329)),
     *(f"E{i:02d}" for i in range(1, 31)),
@@ -366,11 +336,10 @@ ITEMS: Final = (
 """Published items, misprints and ideas for future work."""
 COMPUTED: Final = {**FUNCTIONS, **ARITHMETIC}
 """What entries of all files may name as ``computed``."""
-_EXACT: Final = ("arithmetic", "definition")
 
 
 def whole_ledger(entries: Iterable[Entry], results: Results, pages: Mapping[str, int]) -> pd.DataFrame:
-    """A row for each item and entry, see `LEDGER_COLUMNS`; misses first, then in the order of the items.
+    """A row for each entry as of `judged`, ``where`` with its page; misses first, then by the first item.
 
     Parameters
     ----------
@@ -383,57 +352,53 @@ def whole_ledger(entries: Iterable[Entry], results: Results, pages: Mapping[str,
     InputError : a result cannot be read, or an entry names a function that does not exist.
     ConfigError : an entry stands at a place without a page.
     """
-    entries = tuple(entries)
-    table = judged(entries, results, COMPUTED)
-    rows = [
-        _ledger_row(item, entry, row, pages)
-        for entry, row in zip(entries, table.to_dict("records"), strict=True)
-        for item in entry.rows
-    ]
-    ledger = pd.DataFrame(rows, columns=list(LEDGER_COLUMNS))
-    order = ledger["verdict"].map(SIX.index), ledger["id"].map(ITEMS.index)
-    return ledger.iloc[np.lexsort([o.to_numpy() for o in reversed(order)])].reset_index(drop=True)
+    table = judged(tuple(entries), results, COMPUTED)
+    table["where"] = [f"{where} (p. {page_of(where, pages)})" for where in table["where"]]
+    order = table["rows"].str.split().str[0].map(ITEMS.index), table["verdict"].map(VERDICTS.index)
+    return table.iloc[np.lexsort(order)].reset_index(drop=True)
 
 
-def verdict_in_six(row: Mapping[Any, Any], entry: Entry) -> str:
-    """The verdict of a row of `judged` in the six words."""
-    if entry.rule in (WAIVED, OPEN):
-        return entry.rule
-    verdict = row["verdict"]
-    if verdict == MISSED or (verdict == NO_RESULT and entry.ours.source in NAMES):
-        return NOT_MATCHED
-    if verdict in (NOT_CHECKABLE, NO_RESULT):
-        return NOT_REPRODUCIBLE
-    if entry.put_in:
-        return MATCHED if entry.kind == "exact" and entry.put_in in _EXACT else INPUT
-    return MATCHED
+def headlines(ledger: pd.DataFrame, named: pd.DataFrame) -> pd.DataFrame:
+    """Main results of the thesis and its papers: what is printed, ours, the verdict, and why in plain words.
+
+    Parameters
+    ----------
+    ledger : see `whole_ledger`.
+    named : columns ``entry, result, why``: name of an entry, what it is, and what its verdict is worth.
+
+    Raises
+    ------
+    ConfigError : a name is no entry.
+    """
+    rows = {row["name"]: row for row in ledger.to_dict("records")}
+    if unknown := [name for name in named["entry"] if name not in rows]:
+        raise ConfigError(
+            f"no entry {', '.join(unknown)}", where="headlines.csv", expected="names such as C051 RMSE"
+        )
+    chosen = [rows[name] for name in named["entry"]]
+    return pd.DataFrame(
+        {
+            "result": named["result"],
+            "place": [row["where"] for row in chosen],
+            # cells of tables are printed without their unit
+            "printed": [row["printed"] + f" {row['unit']}" * row["printed"][-1].isdigit() for row in chosen],
+            "ours": [ours_words(row | {"n": math.nan}) or "none" for row in chosen],
+            "verdict": [verdict_words(row) for row in chosen],
+            "why": named["why"],
+        }
+    )
 
 
-def _ledger_row(item: str, entry: Entry, row: Mapping[Any, Any], pages: Mapping[str, int]) -> dict[str, Any]:
-    verdict = verdict_in_six(row, entry)
-    told = []
-    if row["verdict"] in (MISSED, BELOW, ABOVE):
-        told.append(verdict_words(row))
-    if verdict in (INPUT, MATCHED) and entry.put_in:
-        told.append(PUT_IN[entry.put_in][0])
-    if row["verdict"] == NOT_CHECKABLE and entry.ours.source == "none" and entry.ours.name != row["reason"]:
-        told.append(entry.ours.name)
-    told += [row["reason"], entry.note]
-    return {
-        "id": item,
-        "part": entry.part,
-        "source": f"{entry.where} (p. {page_of(entry.where, pages)})",
-        "quantity": entry.quantity,
-        "published": entry.printed,
-        "unit": entry.unit,
-        "found": row["ours"],
-        "sigma": row["sigma"],
-        "tolerance": row["tolerance"],
-        "verdict": verdict,
-        "reason": "; ".join(dict.fromkeys(text.rstrip(".") for text in told if text)),
-        "file": row["file"] or row["source"],
-        "class": CLASSES[entry.kind],
-    }
+def told(ledger: pd.DataFrame, chosen: pd.DataFrame) -> str:
+    """For the terminal: what was not run, the counts, and the headlines without their reasons."""
+    lines = missing_words(ledger)
+    text = "Not run here:\n" * bool(lines) + "".join(f"  {line}\n" for line in lines) + "\n"
+    text += textwrap.fill(f"Of the published numbers {sentence(ledger)}.", 100) + "\n\n"
+    text += by_class(ledger).to_string(index=False) + "\n\n"
+    for row in chosen.to_dict("records"):
+        words = f"{row['result']}: printed {row['printed']}; ours {row['ours']}; {row['verdict']}."
+        text += textwrap.fill(words, 100, subsequent_indent="    ") + "\n"
+    return text
 
 
 def page_of(where: str, pages: Mapping[str, int]) -> int:
@@ -466,24 +431,10 @@ def read_pages(path: Path) -> dict[str, int]:
     }
 
 
-def ledger_counts(ledger: pd.DataFrame) -> pd.DataFrame:
-    """Rows by class (lines) and verdict (columns), and all of them."""
-    found = pd.crosstab(ledger["class"], ledger["verdict"])
-    found = found.reindex(index=sorted(CLASSES.values()), columns=list(SIX), fill_value=0)
-    found.loc["all"] = found.sum()
-    found["all"] = found.sum(axis=1)
-    return found.rename_axis(index="class", columns=None).reset_index()
-
-
 def missing_items(entries: Iterable[Entry]) -> list[str]:
     """Items without an entry, and rows that are no item."""
     found = {row for entry in entries for row in entry.rows}
     return [item for item in ITEMS if item not in found] + sorted(found - set(ITEMS))
-
-
-def found_words(row: Mapping[Any, Any]) -> str:
-    """Our number with unit and sigma, of a row of the ledger."""
-    return ours_words({"ours": row["found"], "sigma": row["sigma"], "n": float("nan"), "unit": row["unit"]})
 
 
 # ---------------------------------------------------------------- what entries may point to
