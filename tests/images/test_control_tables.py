@@ -128,6 +128,12 @@ def test_opendronemap_counts_from_the_centre_of_the_first_pixel(tmp_path: Path) 
     np.testing.assert_allclose(found.points_wcs_m, LOCAL[:2], atol=2e-4)
     marks, _ = match(path)
     np.testing.assert_allclose(marks.xy_px, [[100.5, 200.5], [301.0, 400.5], [5.5, 6.5]])
+    unnamed = (
+        f"+proj=utm +zone=33 +datum=WGS84 +units=m\n{a} 5 6 I.JPG\n# {a}\n{a} 7 8 J.JPG\n{b} 1 2 J.JPG\n"
+    )
+    found = points(write(tmp_path, "unnamed.txt", unnamed), crs=None)
+    assert found.names == ("gcp1", "gcp2")
+    assert read_marks(tmp_path / "unnamed.txt").point == ("gcp1", "gcp1", "gcp2")
     with pytest.raises(InputError, match="two places of A"):
         points(write(tmp_path, "gcp2.txt", text + f"{b}\t1\t2\tIMG_1.JPG\tA\n"), crs=None)
 
@@ -153,7 +159,11 @@ def test_marks_with_and_without_sigma(tmp_path: Path) -> None:
         ("image,point,x_px\nIMG_1.JPG,A,5\n", r"no y_px; expected a column y_px or v"),
         ("image,point,x_px,y_px\nIMG_1.JPG,A\n", r"marks\.csv:2: no x_px; expected a column x_px"),
         ("", r"the file is empty; expected a table"),
-        ("EPSG:32633\n1 2 3 4\n", r"marks\.csv:2: 4 columns; expected x y z im_x im_y image"),
+        (
+            "EPSG:32633\n1 2 3 4\n5 6 7 8\n",
+            r"marks\.csv: 4 columns; expected 6 .*: x, y, z, x_px, y_px, image",
+        ),
+        ("EPSG:32633\n1 2 3 4 5 a\n5 6 7 8 9\n5 6 7 8 9 b\n", r"marks\.csv:3: no image"),
     ],
 )
 def test_wrong_marks_are_told(tmp_path: Path, text: str, answer: str) -> None:
