@@ -74,10 +74,10 @@ def recognise(path: Path) -> str:
     ------
     InputError : the file is missing, empty, a folder, or of no kind that Thalweg reads.
     """
-    head = read_head(path)
-    known = find_format(FORMATS, head, path.stat().st_size)
+    known = find_format(FORMATS, path)
     if known is not None:
         return known.kind
+    head = read_head(path)
     if head.startswith(b"PAR1") and _is_image_poses(path):
         return "image_poses"
     for mark, words, cure in _WRAPPED:

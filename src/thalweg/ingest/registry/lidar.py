@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from thalweg.ingest import LidarOptions, LidarReader
-from thalweg.ingest.registry.base import HEAD_BYTES, Format, Recording, find_format
+from thalweg.ingest.registry.base import Format, Recording, find_format
 
 _PAYLOAD = 1206
 _PCAP: Final = (
@@ -29,11 +29,9 @@ def lidar_reader(files: Sequence[Path], options: LidarOptions | None = None) -> 
     """
     paths, chosen = [Path(path) for path in files], options or LidarOptions()
     for path in paths:
-        if path.is_file():
-            with path.open("rb") as stream:
-                known = find_format(LIDARS, stream.read(HEAD_BYTES), path.stat().st_size)
-            if known is not None and known.lidar is not None:
-                return known.lidar(paths, chosen)
+        known = find_format(LIDARS, path) if path.is_file() and path.stat().st_size else None
+        if known is not None and known.lidar is not None:
+            return known.lidar(paths, chosen)
     return _velodyne(paths, chosen)  # which says what it finds instead
 
 

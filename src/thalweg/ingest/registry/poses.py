@@ -9,9 +9,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from thalweg.core import WEEK_S, InputError, gps_from_week
+from thalweg.core import WEEK_S, ArrayF, InputError, gps_from_week
 from thalweg.ingest import PoseLog, TrackOptions, doubtful_date
-from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share, read_head
+from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share
 from thalweg.ingest.registry.calibrations import CalibrationReport
 
 _NO_WEEK = 1
@@ -42,7 +42,7 @@ def read_poses(files: Sequence[Path], source: str | None, options: TrackOptions 
     rows = [row for row in POSES if row.poses is not None and (source is None or source in row.streams)]
     known = rows[-1]
     if len(rows) > 1:
-        found = find_format(rows, read_head(files[0]), files[0].stat().st_size)
+        found = find_format(rows, files[0])
         if found is None and source is None:
             raise InputError(
                 "no trajectory with attitudes is recognised",
@@ -200,13 +200,14 @@ def _anpp_share(head: bytes, size: int) -> float:
     return framed_share(find_packets(np.frombuffer(head, dtype=np.uint8)).length, 5, head)
 
 
+def _records(head: bytes, size: int, record_bytes: int) -> list[ArrayF]:
+    """Records (n, k) of doubles in both orders of bytes; none of a file that holds less than two."""
+    whole = head[: len(head) // record_bytes * record_bytes if size >= 2 * record_bytes else 0]
+    return [np.frombuffer(whole, f"{order}f8").reshape(-1, record_bytes // 8) for order in "<>" if len(whole)]
+
+
 def _is_sbet(head: bytes, size: int) -> float:
-    if size < 2 * _SBET_RECORD:
-        return 0.0
-    for byte_order in "<>":
-        records = np.frombuffer(head[: len(head) // _SBET_RECORD * _SBET_RECORD], f"{byte_order}f8").reshape(
-            -1, 17
-        )
+    for records in _records(head, size, _SBET_RECORD):
         time, lat, lon, height = records[:, :4].T
         if not np.isfinite(records[:, :4]).all():
             continue
@@ -227,12 +228,8 @@ def _is_sbet(head: bytes, size: int) -> float:
 
 def _is_smrmsg(head: bytes, size: int) -> float:
     """Times that go up, and beside them nothing but small positive numbers."""
-    if size % _SMRMSG_RECORD or size < 2 * _SMRMSG_RECORD:
-        return 0.0
     limits = np.repeat(_ROUGH, 3)
-    for byte_order in "<>":
-        whole = head[: len(head) // _SMRMSG_RECORD * _SMRMSG_RECORD]
-        records = np.frombuffer(whole, f"{byte_order}f8").reshape(-1, 10)
+    for records in _records(head, size, _SMRMSG_RECORD) if size % _SMRMSG_RECORD == 0 else ():
         with np.errstate(invalid="ignore"):
             small = (records[:, 1:] > 1e-9) & (records[:, 1:] < limits)
             step = np.diff(records[:, 0])
@@ -242,12 +239,15 @@ def _is_smrmsg(head: bytes, size: int) -> float:
 
 
 def _describe_smrmsg(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
+    size = files[0].stat().st_size
+    details = {"records": f"{size // _SMRMSG_RECORD:,}", "use": "logs.smrmsg, beside its SBET"}
     report = CalibrationReport(
-        stream="smrmsg", format="standard deviations of an SBET", files=[str(files[0])]
+        stream="smrmsg",
+        format="standard deviations of an SBET",
+        files=[str(files[0])],
+        bytes_read=size,
+        details=details,
     )
-    report.bytes_read = files[0].stat().st_size
-    report.details["records"] = f"{report.bytes_read // _SMRMSG_RECORD:,}"
-    report.details["use"] = "logs.smrmsg, beside its SBET"
     return Recording(kind=kind, report=report)
 
 

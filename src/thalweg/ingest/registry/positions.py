@@ -12,7 +12,7 @@ import pandas as pd
 from thalweg.core import InputError, ThalwegError, read_table
 from thalweg.ingest import GNSS_POSITION, INS_STATE, IntegrityReport, PositionLog, TrackOptions
 from thalweg.ingest.ppk import replace_covariances
-from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share, read_head
+from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share
 
 _NMEA = re.compile(rb"[$!][A-Z]{2}[A-Z]{3},[^\r\n*]*(\*[0-9A-Fa-f]{2})?")
 _POS_LINE = re.compile(
@@ -23,14 +23,7 @@ _POS_LINE = re.compile(
 
 def positions_from_states(states: pd.DataFrame) -> pd.DataFrame:
     """The positions inside INS states as table kind ``gnss_position``: of the ics origin, not an antenna."""
-    table = pd.DataFrame({name: states[name] for name in ("t_gps_s", "lat_deg", "lon_deg", "h_ell_m", "fix")})
-    for name in ("sigma_east_m", "sigma_north_m", "sigma_up_m"):
-        table[name] = states[name]
-    table["n_sats"] = -1
-    for name in GNSS_POSITION.names:
-        if name not in table:
-            table[name] = float("nan")
-    return table[list(GNSS_POSITION.names)]
+    return states.assign(n_sats=-1).reindex(columns=list(GNSS_POSITION.names))
 
 
 def read_receiver(files: list[Path]) -> tuple[pd.DataFrame, IntegrityReport]:
@@ -49,9 +42,8 @@ def read_receiver(files: list[Path]) -> tuple[pd.DataFrame, IntegrityReport]:
     """
     sbp = [path for path in files if _kind(path) == "sbp"]
     if sbp:
-        from thalweg.ingest.sbp import read_sbp
-
-        log = read_sbp(sbp)
+        log = _sbp(sbp, TrackOptions())
+        assert log.positions is not None
         return log.positions, log.report
     from thalweg.ingest.ppk import describe_rinex
 
@@ -72,12 +64,13 @@ def read_depths(files: list[Path], date: dt.date | None = None) -> PositionLog:
     ------
     InputError : the files hold no depths.
     """
-    if _kind(files[0]) != "gpx":
-        from thalweg.ingest.nmea import read_nmea
+    from thalweg.ingest.nmea import read_nmea
+    from thalweg.ingest.tracks import read_gpx
 
+    if _kind(files[0]) != "gpx":
         found = read_nmea(files, date=date).with_depths()
         return PositionLog(report=found.report, depths=found.depths)
-    log = _gpx(files, TrackOptions())
+    log = read_gpx(files)
     if log.depths is None:
         raise InputError(
             "no depths in the extensions of the track points",
@@ -175,7 +168,7 @@ def choose_tracks(files: Sequence[Path]) -> tuple[list[Path], dict[Path, str]]:
     tables: dict[Path, pd.DataFrame] = {}
     left: dict[Path, str] = {}
     for path in files:
-        known = find_format(POSITIONS, read_head(path), path.stat().st_size)
+        known = find_format(POSITIONS, path)
         if known is None or known.positions is None:
             continue
         try:
@@ -218,7 +211,7 @@ def _same_time(one: pd.DataFrame, other: pd.DataFrame) -> bool:
 
 
 def _kind(path: Path) -> str | None:
-    known = find_format(POSITIONS, read_head(path), path.stat().st_size)
+    known = find_format(POSITIONS, path)
     return None if known is None else known.kind
 
 
