@@ -11,6 +11,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Final
@@ -132,14 +133,14 @@ class MarkTable:
 
     def without(self, images: Collection[str]) -> "MarkTable":
         """The marks that are not in some images; names as the campaign has them."""
-        keep = np.array([name not in images for name in self.image], np.bool_)
-        return MarkTable(
-            image=tuple(name for name, k in zip(self.image, keep, strict=True) if k),
-            point=tuple(name for name, k in zip(self.point, keep, strict=True) if k),
+        keep = np.flatnonzero([name not in images for name in self.image])
+        return replace(
+            self,
+            image=tuple(self.image[k] for k in keep),
+            point=tuple(self.point[k] for k in keep),
             xy_px=self.xy_px[keep],
             sigma_px=self.sigma_px[keep],
             used=self.used[keep],
-            skipped=self.skipped,
         )
 
 
@@ -217,16 +218,16 @@ def read_all_control_points(
         read_control_points(path, frame, crs=crs, sigma_m=sigma_m, height_offset_m=height_offset_m)
         for path in paths
     ]
-    for k, (path, part) in enumerate(zip(paths, parts, strict=True)):
-        for other, before in zip(paths[:k], parts[:k], strict=True):
-            both = sorted(set(part.names) & set(before.names))
-            if both:
-                raise InputError(
-                    f"{listed(both)} stand{'s' if len(both) == 1 else ''} in {other.name}, too",
-                    where=path,
-                    expected="each control point in one file",
-                    cure="Leave one of the files out, or rename the points",
-                )
+    held: dict[str, Path] = {}
+    for path, part in zip(paths, parts, strict=True):
+        if both := sorted(set(part.names) & held.keys()):
+            raise InputError(
+                f"{listed(both)} stand{'s' if len(both) == 1 else ''} in {held[both[0]].name}, too",
+                where=path,
+                expected="each control point in one file",
+                cure="Leave one of the files out, or rename the points",
+            )
+        held |= dict.fromkeys(part.names, path)
     return ControlPoints.joined(parts)
 
 
@@ -850,9 +851,8 @@ def _sights(
     """Where each board should be in each image; boards outside of an image are left out without a word."""
     place = control.points_wcs_m if place is None else place
     out = []
-    masks: dict[int, AnyArray | None] = {}
+    mask = cache(mask)
     for k, centre in enumerate(place):
-        toward = block.centre_block_m.mean(axis=0) - centre
         near = np.argsort(np.linalg.norm(block.centre_block_m - centre, axis=1))[:10]
         toward = block.centre_block_m[near].mean(axis=0) - centre
         right = np.cross([0.0, 0.0, 1.0], toward)
@@ -874,9 +874,7 @@ def _sights(
             height = 2.0 * float(np.linalg.norm(by_module[:, 1]))
             if height < boards.least_board_px:
                 sight.reason = f"too small: {height:.0f} px"
-            if i not in masks:
-                masks[i] = mask(block.images[i])
-            veil = masks[i]
+            veil = mask(block.images[i])
             if veil is not None and search_m == 0.0 and not sight.reason:
                 y, x = (int(v) for v in np.clip(xy[0][::-1], 0, np.array(veil.shape) - 1))
                 if veil[y, x] == 0:
@@ -991,10 +989,9 @@ def _agreed(block: ImageBlock, sights: Sequence[_Sight], n_points: int, boards: 
                 if not np.isfinite(point).all():
                     continue
                 good = _near(block, options, point)
-                votes = sum(max((s.score for s, _ in group), default=0.0) for group in _by_image(good))
+                votes = sum({s.image: s.score for s, _ in good}.values())
                 if votes > agree:
-                    chosen = [o for o in options if any(o[0] is g[0] and o[1] is g[1] for g in good)]
-                    r, c = _rays(block, chosen)
+                    r, c = _rays(block, good)
                     best, agree = nearest_to_rays(c, r), votes
         good = _near(block, options, best) if np.isfinite(best).all() else []
         if len({s.image for s, _ in good}) >= boards.least_images:
@@ -1005,18 +1002,14 @@ def _agreed(block: ImageBlock, sights: Sequence[_Sight], n_points: int, boards: 
 def _near(
     block: ImageBlock, options: Sequence[tuple[_Sight, ArrayF]], point: ArrayF
 ) -> list[tuple[_Sight, ArrayF]]:
-    near = []
-    for sight, xy in options:
+    def is_near(sight: _Sight, xy: ArrayF) -> bool:
+        """Whether the point is seen where this candidate is."""
         seen = (point - block.centre_block_m[sight.image]) @ block.R_block_ccs[sight.image]
         at = block.cameras[block.camera[sight.image]].project(seen)[0]
         limit = max(_AGREE_PX, _AGREE_MODULES * float(np.linalg.norm(sight.by_module[:, 1])))
-        if np.linalg.norm(at - xy) < limit:
-            near.append((sight, xy))
-    return near
+        return bool(np.linalg.norm(at - xy) < limit)
 
-
-def _by_image(options: Sequence[tuple[_Sight, ArrayF]]) -> list[list[tuple[_Sight, ArrayF]]]:
-    return [[o for o in options if o[0].image == i] for i in {o[0].image for o in options}]
+    return [option for option in options if is_near(*option)]
 
 
 def _rays(block: ImageBlock, options: Sequence[tuple[_Sight, ArrayF]]) -> tuple[ArrayF, ArrayF]:
@@ -1047,8 +1040,8 @@ def _moved(points: ArrayF, control: ControlPoints, notes: list[str]) -> Similari
 def _consistent(block: ImageBlock, sights: Sequence[_Sight], n_points: int, boards: ControlSettings) -> None:
     """Crossings that the other images of a board contradict are marked."""
     for k in range(n_points):
-        own = [s for s in sights if s.point == k and s.fitted is not None]
-        options = [(s, s.fitted) for s in own if s.fitted is not None]
+        options = [(s, s.fitted) for s in sights if s.point == k and s.fitted is not None]
+        own = [s for s, _ in options]
         if len(options) < 2:
             for sight in own:
                 sight.reason = "in one image only"
