@@ -525,10 +525,10 @@ def table_rows(path: Path, needed: Sequence[str] = ()) -> list[dict[str, str]]:
             where=path,
             cure="Write the names of the columns above the numbers",
         )
-    return rows_of(table)
+    return named_rows(table)
 
 
-def rows_of(table: Table, names: Mapping[str, tuple[str, ...]] = NAMES) -> list[dict[str, str]]:
+def named_rows(table: Table, names: Mapping[str, tuple[str, ...]] = NAMES) -> list[dict[str, str]]:
     """Rows of a table by our names of the columns, with their lines.
 
     Raises

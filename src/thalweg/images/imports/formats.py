@@ -27,7 +27,7 @@ from thalweg.core import (
     parse_xml,
 )
 from thalweg.core.values import FORMS
-from thalweg.images.control import NAMES, crs_of, numbers, required, rows_of, sigmas
+from thalweg.images import NAMES, crs_of, named_rows, numbers, required, sigmas
 from thalweg.images.imports.source import (
     WORLD,
     Angles,
@@ -113,7 +113,7 @@ def read_angles_table(
     table = read_text_table(path, bare=_ORDER)
     if not table.named and len(table.columns) == len(_ORDER) + len(_MATRIX):
         table = read_text_table(path, order=(*_ORDER, *_MATRIX))
-    rows = rows_of(table, _COLUMNS)
+    rows = named_rows(table, _COLUMNS)
     if not rows:
         raise InputError("no row", expected="one an image", where=path)
     estimated = any(column.name.lower() == "x_est" for column in table.columns)

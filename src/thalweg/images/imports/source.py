@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from thalweg.core import GRS80_SEMI_MAJOR_M, AnyArray, ArrayF, Camera, InputError, LocalFrame
 from thalweg.core.values import FORMS, world_of
-from thalweg.images.control import crs_of
+from thalweg.images import crs_of
 
 Kind = Literal["world", "map", "geographic", "geocentric", "free"]
 WORLD = "world"

@@ -6,7 +6,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from thalweg.ingest import LidarOptions, LidarReader
+from thalweg.ingest import (
+    LidarOptions,
+    LidarReader,
+    OusterReader,
+    describe_metadata,
+    is_ouster_capture,
+    is_ouster_metadata,
+)
 from thalweg.ingest.registry.base import Format, Recording, find_format
 
 _PAYLOAD = 1206
@@ -42,27 +49,11 @@ def _velodyne(files: Sequence[Path], options: LidarOptions) -> LidarReader:
 
 
 def _ouster(files: Sequence[Path], options: LidarOptions) -> LidarReader:
-    from thalweg.ingest import OusterReader
-
     return OusterReader(files=files, options=options)
 
 
 def _describe_metadata(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
-    from thalweg.ingest import describe_metadata
-
     return Recording(kind=kind, report=describe_metadata(files[0]))
-
-
-def _is_ouster(head: bytes, size: int) -> bool:
-    from thalweg.ingest import is_ouster_capture
-
-    return is_ouster_capture(head, size)
-
-
-def _is_metadata(head: bytes, size: int) -> bool:
-    from thalweg.ingest import is_ouster_metadata
-
-    return is_ouster_metadata(head, size)
 
 
 def _describe(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
@@ -89,7 +80,7 @@ LIDARS: Final = (
         words="Ouster capture (pcap, pcapng)",
         streams=("lidar",),
         magic=_PCAP,
-        matches=_is_ouster,
+        matches=is_ouster_capture,
         lidar=_ouster,
         describe=_describe,
     ),
@@ -97,7 +88,7 @@ LIDARS: Final = (
         kind="ouster_metadata",
         words="metadata of an Ouster (JSON)",
         streams=("lidar",),
-        matches=_is_metadata,
+        matches=is_ouster_metadata,
         lidar=_ouster,
         describe=_describe_metadata,
     ),

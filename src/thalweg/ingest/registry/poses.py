@@ -10,9 +10,18 @@ from typing import Any, Final
 import numpy as np
 
 from thalweg.core import WEEK_S, ArrayF, InputError, gps_from_week
-from thalweg.ingest import PoseLog, TrackOptions, doubtful_date
+from thalweg.ingest import PoseLog, PoseReader, TrackOptions, doubtful_date
+from thalweg.ingest.anpp import find_packets, read_anpp
 from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share
 from thalweg.ingest.registry.calibrations import CalibrationReport
+from thalweg.ingest.tracks import (
+    is_inertial_explorer,
+    pose_columns,
+    read_inertial_explorer,
+    read_sbet,
+    read_text_poses,
+    states_of_poses,
+)
 
 _NO_WEEK = 1
 """Stands in for the week of a file that is only described, before any survey; taken off again."""
@@ -80,35 +89,21 @@ def _refuse_upside_down(log: PoseLog, where: Path) -> None:
 
 
 def _anpp(files: Sequence[Path], options: TrackOptions) -> PoseLog:
-    from thalweg.ingest.anpp import read_anpp
-
     log = read_anpp(files)
     return PoseLog(states=log.states, positions=log.gnss, depths=log.depth, report=log.report)
 
 
 def _sbet(files: Sequence[Path], options: TrackOptions) -> PoseLog:
-    from thalweg.ingest.tracks import read_sbet
-
     log = read_sbet(files, gps_week=options.gps_week, smrmsg=options.smrmsg or None)
     return PoseLog(states=log.states, report=log.report)
 
 
-def _inertial_explorer(files: Sequence[Path], options: TrackOptions) -> PoseLog:
-    from thalweg.ingest.tracks import read_inertial_explorer
-
-    return read_inertial_explorer(files, options)
-
-
 def _poses(kind: str, files: Sequence[Path], options: TrackOptions) -> PoseLog:
-    from thalweg.ingest.tracks import read_text_poses, states_of_poses
-
     return states_of_poses(read_text_poses(kind, files, options.times), options)
 
 
 def _describe_poses(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
     """As it stands, or on Earth if the options say where."""
-    from thalweg.ingest.tracks import read_text_poses
-
     if options.keys() - {"times"}:
         log = _poses(kind, files, TrackOptions(**options))
         return Recording(kind=kind, report=log.report, tables={"states": log.states})
@@ -120,11 +115,11 @@ def _describe_poses(kind: str, files: list[Path], options: dict[str, Any], point
     return Recording(kind=kind, report=report)
 
 
-def _describe_inertial_explorer(
-    kind: str, files: list[Path], options: dict[str, Any], points: bool
+def _describe_weekless(
+    reader: PoseReader, lacking: str, kind: str, files: list[Path], options: dict[str, Any], points: bool
 ) -> Recording:
-    log = _inertial_explorer(files, TrackOptions(**({"gps_week": _NO_WEEK} | options)))
-    _take_week_off(log, "neither week nor date")
+    log = reader(files, TrackOptions(**({"gps_week": _NO_WEEK} | options)))
+    _take_week_off(log, lacking)
     return Recording(kind=kind, report=log.report, tables={"states": log.states})
 
 
@@ -141,12 +136,6 @@ def _take_week_off(log: PoseLog, lacking: str) -> None:
         f"The file holds {lacking}, only seconds of the week: give its GPS week (logs.gps_week) to place it."
     )
     log.states["t_gps_s"] = np.nan
-
-
-def _is_inertial_explorer(head: bytes, size: int) -> bool:
-    from thalweg.ingest.tracks import is_inertial_explorer
-
-    return is_inertial_explorer(head, size)
 
 
 def _is_table(kind: str, head: bytes, size: int) -> bool:
@@ -167,8 +156,6 @@ def _is_table(kind: str, head: bytes, size: int) -> bool:
         return n == 12 and not commas and all(_is_unit(row[k : k + 3]) for row in rows for k in (0, 4, 8))
     if n < 8:
         return False
-    from thalweg.ingest.tracks import pose_columns
-
     at = pose_columns(kind, heads, n)
     unit = all(_is_unit([row[at[name]] for name in ("qw", "qx", "qy", "qz")]) for row in rows)
     in_ns = all(row[at["t"]] > 1e12 for row in rows)
@@ -188,15 +175,7 @@ def _describe_anpp(kind: str, files: list[Path], options: dict[str, Any], points
     return Recording(kind=kind, report=log.report, tables={"states": log.states, "positions": log.positions})
 
 
-def _describe_sbet(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
-    log = _sbet(files, TrackOptions(**({"gps_week": _NO_WEEK} | options)))
-    _take_week_off(log, "no week")
-    return Recording(kind=kind, report=log.report, tables={"states": log.states})
-
-
 def _anpp_share(head: bytes, size: int) -> float:
-    from thalweg.ingest.anpp import find_packets
-
     return framed_share(find_packets(np.frombuffer(head, dtype=np.uint8)).length, 5, head)
 
 
@@ -256,9 +235,9 @@ POSES: Final = (
         kind="inertial_explorer",
         words="NovAtel Inertial Explorer text",
         streams=("sbet",),
-        matches=_is_inertial_explorer,
-        poses=_inertial_explorer,
-        describe=_describe_inertial_explorer,
+        matches=is_inertial_explorer,
+        poses=read_inertial_explorer,
+        describe=partial(_describe_weekless, read_inertial_explorer, "neither week nor date"),
     ),
     *(
         Format(
@@ -289,7 +268,7 @@ POSES: Final = (
         streams=("sbet",),
         matches=_is_sbet,
         poses=_sbet,
-        describe=_describe_sbet,
+        describe=partial(_describe_weekless, _sbet, "no week"),
     ),
     Format(
         kind="smrmsg",
