@@ -1,5 +1,6 @@
 """Tables of control points and marks in all forms, and what is said of wrong ones."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -284,6 +285,20 @@ def test_several_files_are_one_survey(tmp_path: Path) -> None:
     assert read_all_control_points([], FRAME, **options).names == ()
     with pytest.raises(InputError, match=r"a\.csv: A stands in a\.csv, too"):
         read_all_control_points([a, a], FRAME, **options)
+
+
+def test_points_whose_names_differ_in_case_only_are_refused(tmp_path: Path) -> None:
+    path = write(tmp_path, "m.csv", "image,point,x_px,y_px\nIMG_1.JPG,A,5,6\n")
+    alike = ControlPoints.joined([control(), replace(control(), names=("D", "b", "F"))])
+    with pytest.raises(InputError, match="control points called B in another case, too"):
+        matched_marks(read_marks(path), alike, IMAGES[:2], [SIZE] * 2, IMAGES, sigma_px=0.5)
+
+
+def test_a_row_with_a_cell_too_many_is_refused(tmp_path: Path) -> None:
+    rows = "".join(f"P{k},{k},2,3\n" for k in range(30))
+    path = write(tmp_path, "p.csv", f"id,east_m,north_m,up_m\n{rows}Q,1,2,3,4\n")
+    with pytest.raises(InputError, match=r"1 row of more than 4 cells, left out, the first in line 32"):
+        points(path)
 
 
 def test_names_with_folders_and_in_another_case(tmp_path: Path) -> None:

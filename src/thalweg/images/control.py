@@ -12,7 +12,6 @@ from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
 from typing import Final
 from xml.etree import ElementTree
@@ -407,7 +406,13 @@ def matched_marks(
     every = list(dict.fromkeys([*images, *all_images]))
     names = list(dict.fromkeys(table.image))
     index_of = dict(zip(names, matched(names, every, str(where), once=False).tolist(), strict=True))
-    of_point = _by_case(control.names)
+    of_point = {name.strip().casefold(): k for k, name in enumerate(control.names)}
+    if len(of_point) < len(control.names):
+        alike = [n for k, n in enumerate(control.names) if of_point[n.strip().casefold()] != k]
+        raise InputError(
+            f"control points called {listed(alike)} in another case, too",
+            expected="names that differ in more than their case",
+        )
     strange = sorted(name for name in names if index_of[name] < 0)
     unknown = sorted({name for name in table.point if name.strip().casefold() not in of_point})
     for what, names, known, cure in (
@@ -427,15 +432,15 @@ def matched_marks(
                 cure=cure,
                 expected=f"{what} such as {listed(known[:3])}",
             )
-    rows, dropped = [], dict(table.skipped)
+    rows, dropped = [], Counter(table.skipped)
     seen: set[tuple[int, int]] = set()
     for row, (image, point) in enumerate(zip(table.image, table.point, strict=True)):
         if not table.used[row]:
-            dropped["not to be used"] = dropped.get("not to be used", 0) + 1
+            dropped["not to be used"] += 1
             continue
         at = index_of[image]
         if at >= len(images):
-            dropped["in images without a pose"] = dropped.get("in images without a pose", 0) + 1
+            dropped["in images without a pose"] += 1
             continue
         xy, size = table.xy_px[row], sizes_px[at]
         if not ((xy >= 0).all() and xy[0] <= size[0] and xy[1] <= size[1]):
@@ -458,23 +463,7 @@ def matched_marks(
         xy_px=table.xy_px[index[:, 0]],
         sigma_px=np.where(np.isfinite(sigma), sigma, sigma_px),
     )
-    return marks, dropped
-
-
-def _by_case(names: Sequence[str]) -> dict[str, int]:
-    """Index by the name in small letters.
-
-    Raises
-    ------
-    InputError : two names differ in case only.
-    """
-    small = sorted((name.strip().casefold(), name) for name in names)
-    for (a, one), (b, other) in pairwise(small):
-        if a == b:
-            raise InputError(
-                f"control points {one} and {other}", expected="names that differ in more than their case"
-            )
-    return {name.strip().casefold(): k for k, name in enumerate(names)}
+    return marks, dict(dropped)
 
 
 def _coordinates(

@@ -9,7 +9,7 @@ table has the rotation matrix beside the angles (as it is or transposed), both m
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 from xml.etree import ElementTree
 
 import numpy as np
@@ -88,23 +88,14 @@ _MOST_PX: Final = 1.0
 # each image, as text
 
 
-def read_angles_table(
-    path: Path,
-    *,
-    crs: str | None,
-    default_crs: str | None,
-    unit: str,
-    rotation: str,
-    direction: str,
-    axes: str,
-) -> Finished:
+def read_angles_table(path: Path, settings: Mapping[str, Any], default_crs: str | None) -> Finished:
     """Poses of a table of coordinates and angles.
 
     Parameters
     ----------
-    crs : what the coordinates refer to; None: as the file says, else ``default_crs``.
-    unit : ``deg``, ``gon``, ``rad``; ``auto``: as the header says, else degrees.
-    rotation, direction, axes : how to read the angles.
+    settings : section ``images.finished``: what the coordinates refer to (``crs``; None: as the file says,
+        else ``default_crs``), the unit of the angles (``angle_unit``; ``auto``: as the header says, else
+        degrees), and how to read them (``rotation``, ``direction``, ``axes``).
 
     Raises
     ------
@@ -131,13 +122,13 @@ def read_angles_table(
     coordinates = numbers(rows, form, path)
     names = tuple(required(row, "image", path) for row in rows)
     stated = _angle_unit(table)
-    notes = list(table.notes)
+    crs, unit, notes = settings["crs"], settings["angle_unit"], list(table.notes)
     if unit == "auto":
         unit = stated or "deg"
     elif stated not in (None, unit):
         notes.append(f"The header says {stated}, images.finished.angle_unit {unit}: {unit} it is")
-    values = numbers(rows, _ANGLES, path)
-    angles = Angles(values=values, unit=unit, rotation=rotation, direction=direction, axes=axes)
+    how = (settings[name] for name in ("rotation", "direction", "axes"))
+    angles = Angles(numbers(rows, _ANGLES, path), unit, *how)
     if rows[0].keys() >= set(_MATRIX):
         _check_matrix(angles, numbers(rows, _MATRIX, path).reshape(-1, 3, 3), names, path)
     unknown = (np.nan, np.nan, np.nan)

@@ -216,15 +216,7 @@ def _read(path: Path, predictions: ImagePoses, settings: Mapping[str, Any], crs:
         return _read_own(path, predictions.frame)
     if path.suffix.lower() == ".xml":
         return read_metashape(path, settings["crs"])
-    return read_angles_table(
-        path,
-        crs=settings["crs"],
-        default_crs=crs,
-        unit=settings["angle_unit"],
-        rotation=settings["rotation"],
-        direction=settings["direction"],
-        axes=settings["axes"],
-    )
+    return read_angles_table(path, settings, crs)
 
 
 def _add(
@@ -256,7 +248,11 @@ def _add(
         centre, R, cov, aligned = _aligned(chosen, compared, predicted, settings)
         out.common[at] = _common(predictions)
         facts |= {"aligned": aligned}
-        notes = [_align_note(aligned)]
+        notes = [
+            f"a free model put onto the predicted poses of {aligned['images']:.0f} images: scale "
+            f"{aligned['scale']:.6g}, rms {aligned['rms_m']:.2f} m and {aligned['rms_deg']:.2f} degrees; it "
+            "errs as a whole as the prediction does, and control points would do better"
+        ]
     else:
         offset_m = 0.0 if source.following is not None else settings["height_offset_m"]  # our own have none
         try:
@@ -344,8 +340,7 @@ def _aligned(
             f"a similarity of the scale {fit.scale:.6g} puts it onto the predicted poses with an {fitted}"
         )
     centre = fit.scale * chosen.coordinates @ fit.R.T + fit.shift_m
-    J = np.zeros((6, 6))
-    J[:3, :3], J[3:, 3:] = fit.scale * fit.R, fit.R
+    J = np.kron(np.diag([fit.scale, 1.0]), fit.R)
     cov = np.where(np.isfinite(chosen.cov), J @ np.nan_to_num(chosen.cov) @ J.T, np.nan)
     told = {
         "scale": fit.scale,
@@ -354,14 +349,6 @@ def _aligned(
         "images": float(len(compared.names)),
     }
     return centre, fit.R @ chosen.R_place_ccs, cov, told
-
-
-def _align_note(told: Mapping[str, float]) -> str:
-    return (
-        f"a free model put onto the predicted poses of {told['images']:.0f} images: scale "
-        f"{told['scale']:.6g}, rms {told['rms_m']:.2f} m and {told['rms_deg']:.2f} degrees; it errs as a "
-        "whole as the prediction does, and control points would do better"
-    )
 
 
 def _common(predictions: ImagePoses) -> ArrayF:
