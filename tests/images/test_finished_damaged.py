@@ -131,8 +131,8 @@ def test_damaged_xml(tmp_path: Path, truth: Scene, old: str, new: str, words: st
     [
         (" 7 run/IMG_0003.JPG", "", "no pose"),
         (r"^4 \S+", "4 9.0", "length"),
-        ("7 OPENCV 720", "7 OPENCV wide", "no cameras"),
-        (" -2e-4", "", "no cameras"),
+        ("7 OPENCV 720", "7 OPENCV wide", "no camera"),
+        (" -2e-4", "", "7 parameters"),
     ],
 )
 def test_damaged_colmap_text(tmp_path: Path, truth: Scene, old: str, new: str, words: str) -> None:

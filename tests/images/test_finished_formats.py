@@ -270,6 +270,8 @@ def test_colmap_text_and_binary_agree_with_pycolmap(tmp_path: Path, truth: Scene
         assert found.cameras[0] is not None
         np.testing.assert_allclose(found.cameras[0].project(rays), pixels, atol=1e-9)
         assert_poses(import_orientations([place], predictions(truth), settings(crs="world")).poses, truth)
+    for number, name in ((4, "OPENCV"), (5, "OPENCV_FISHEYE"), (11, "RAD_TAN_THIN_PRISM_FISHEYE")):
+        assert int(getattr(pycolmap.CameraModelId, name)) == number
 
 
 def test_colmap_counts_tie_points_and_takes_any_of_its_files(tmp_path: Path, truth: Scene) -> None:

@@ -14,8 +14,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from shutil import copyfile
-from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
@@ -70,12 +68,20 @@ CURE_FREE: Final = (
 )
 _POSE: Final = struct.Struct("<i7di")
 _POINTS: Final = np.dtype([("xy", "<f8", 2), ("point", "<u8")])
-_CAMERA_BYTES: Final = 48
-"""Of a camera with three parameters."""
+_CAMERA: Final = struct.Struct("<iiQQ")
+_MODELS: Final = (
+    "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV",
+    "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE",
+)  # fmt: skip
+"""Names of COLMAP's models by their number."""
+_COUNTS: Final = {"FOV": 5, "THIN_PRISM_FISHEYE": 12, "RAD_TAN_THIN_PRISM_FISHEYE": 16}
+"""Parameters of those that are not known here."""
 _NOTHING: Final = 2**64 - 1
 _NUMBER: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 Pose = tuple[str, int, Sequence[float], int]
 """Name, number of the camera, quaternion (w, x, y, z) and translation, tie points."""
+Lens = tuple[int, str, tuple[int, int], Sequence[float]]
+"""Number, model, size in pixels, parameters."""
 
 _SIGMAS: Final = 4.0
 _BETTER: Final = 0.25
@@ -533,12 +539,7 @@ def _binary_images(path: Path) -> Iterator[Pose]:
             )
             at = end + 9 + points.size * _POINTS.itemsize
     except (struct.error, ValueError) as error:  # a name that is no text is one of values
-        raise InputError(
-            "the file ends inside a record, or holds something else",
-            expected="a whole images.bin of COLMAP",
-            where=f"{path}:{at}",
-            cure="Copy the model again",
-        ) from error
+        raise _cut(path, at) from error
     if at != len(data):
         raise InputError(
             f"{len(data) - at} bytes behind the last image", expected="none", where=f"{path}:{at}"
@@ -546,41 +547,74 @@ def _binary_images(path: Path) -> Iterator[Pose]:
 
 
 def _cameras(folder: Path, notes: list[str]) -> dict[int, Camera]:
-    """Interior orientations by number, which COLMAP reads itself; others than ours leave a note."""
-    path = next((p for p in (folder / "cameras.bin", folder / "cameras.txt") if p.is_file()), None)
-    if path is None:
-        return {}
-    if path.suffix == ".bin":
-        _count(path.read_bytes(), _CAMERA_BYTES, path)
-    with TemporaryDirectory() as name:  # beside no images: it does not look where a damaged file ends
-        alone = Path(name)
-        for part in ("images", "points3D"):
-            (alone / f"{part}{path.suffix}").write_bytes(bytes(8) if path.suffix == ".bin" else b"")
-        copyfile(path, alone / path.name)
-        try:
-            found = colmap().Reconstruction(str(alone)).cameras
-        except (ValueError, IndexError, RuntimeError, MemoryError) as error:
-            raise InputError(
-                f"no cameras ({str(error).rpartition('] ')[2]})",
-                expected="cameras as COLMAP writes them: id model width height parameters",
-                where=path,
-                cure="Copy or export the model again",
-            ) from error
-    cameras: dict[int, Camera] = {}
-    for key, made in sorted(found.items()):
-        model = made.model_name
+    """Interior orientations by number; those that cannot be taken over leave a note."""
+    binary, text = folder / "cameras.bin", folder / "cameras.txt"
+    rows = _binary_cameras(binary) if binary.is_file() else _text_cameras(text) if text.is_file() else ()
+    found: dict[int, Camera] = {}
+    for key, model, (width, height), values in rows:
         if model not in COLMAP_MODELS:
             notes.append(
                 f"The camera model {model} of camera {key} is not known here: no interior orientation"
             )
             continue
+        n = len(COLMAP_MODELS[model][1])
+        if len(values) != n:
+            raise InputError(f"{len(values)} parameters of camera {key}", expected=f"{n}", where=folder)
+        pc = colmap()
+        of_model = getattr(pc.CameraModelId, model)
+        made = pc.Camera(camera_id=key, model=of_model, width=width, height=height, params=values)
         try:
-            cameras[key], off_px = from_colmap(made, f"camera_{key}")
+            found[key], off_px = from_colmap(made, f"camera_{key}")
         except ThalwegError as error:
-            raise InputError(error.found, expected=error.expected, where=path) from error
+            raise InputError(error.found, expected=error.expected, where=folder) from error
         if off_px > 0:
             notes.append(f"Camera {key}: {model} as the model of Brown, up to {off_px:.3f} px different")
-    return cameras
+    return found
+
+
+def _text_cameras(path: Path) -> Iterator[Lens]:
+    for number, line in enumerate(_text(path), 1):
+        words = line.split("#")[0].split()
+        if not words:
+            continue
+        try:
+            yield int(words[0]), words[1], (int(words[2]), int(words[3])), [float(w) for w in words[4:]]
+        except (ValueError, IndexError) as error:
+            raise InputError(
+                f"no camera: {line.strip()[:60]!r}",
+                expected="id model width height parameters",
+                where=f"{path}:{number}",
+            ) from error
+
+
+def _binary_cameras(path: Path) -> Iterator[Lens]:
+    data = path.read_bytes()
+    at = 8
+    for _ in range(_count(data, _CAMERA.size, path)):
+        try:
+            key, number, width, height = _CAMERA.unpack_from(data, at)
+            if number not in range(len(_MODELS)):
+                raise InputError(
+                    f"camera model number {number}",
+                    expected=f"one of COLMAP's up to {len(_MODELS) - 1}",
+                    where=f"{path}:{at}",
+                    cure="Export the model as text",
+                )
+            model = _MODELS[number]
+            n = _COUNTS.get(model) or len(COLMAP_MODELS[model][1])
+            yield key, model, (width, height), struct.unpack_from(f"<{n}d", data, at + _CAMERA.size)
+        except struct.error as error:
+            raise _cut(path, at) from error
+        at += _CAMERA.size + 8 * n
+
+
+def _cut(path: Path, at: int) -> InputError:
+    return InputError(
+        "the file ends inside a record",
+        expected="a whole binary file of COLMAP",
+        where=f"{path}:{at}",
+        cure="Copy the model again",
+    )
 
 
 def _count(data: bytes, least_bytes: int, path: Path) -> int:
