@@ -1,5 +1,6 @@
 """Tables of control points and marks in all forms, and what is said of wrong ones."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -128,6 +129,12 @@ def test_opendronemap_counts_from_the_centre_of_the_first_pixel(tmp_path: Path) 
     np.testing.assert_allclose(found.points_wcs_m, LOCAL[:2], atol=2e-4)
     marks, _ = match(path)
     np.testing.assert_allclose(marks.xy_px, [[100.5, 200.5], [301.0, 400.5], [5.5, 6.5]])
+    unnamed = (
+        f"+proj=utm +zone=33 +datum=WGS84 +units=m\n{a} 5 6 I.JPG\n# {a}\n{a} 7 8 J.JPG\n{b} 1 2 J.JPG\n"
+    )
+    found = points(write(tmp_path, "unnamed.txt", unnamed), crs=None)
+    assert found.names == ("gcp1", "gcp2")
+    assert read_marks(tmp_path / "unnamed.txt").point == ("gcp1", "gcp1", "gcp2")
     with pytest.raises(InputError, match="two places of A"):
         points(write(tmp_path, "gcp2.txt", text + f"{b}\t1\t2\tIMG_1.JPG\tA\n"), crs=None)
 
@@ -154,6 +161,7 @@ def test_marks_with_and_without_sigma(tmp_path: Path) -> None:
         ("image,point,x_px,y_px\nIMG_1.JPG,A\n", r"marks\.csv:2: no x_px; expected a column x_px"),
         ("", r"the file is empty; expected a table"),
         ("EPSG:32633\n1 2 3 4\n", r"marks\.csv:2: 4 columns; expected x y z im_x im_y image"),
+        ("EPSG:32633\n1 2 3 4 five a\n", r"marks\.csv:2: y_px 'five'; expected a number"),
     ],
 )
 def test_wrong_marks_are_told(tmp_path: Path, text: str, answer: str) -> None:
@@ -277,6 +285,20 @@ def test_several_files_are_one_survey(tmp_path: Path) -> None:
     assert read_all_control_points([], FRAME, **options).names == ()
     with pytest.raises(InputError, match=r"a\.csv: A stands in a\.csv, too"):
         read_all_control_points([a, a], FRAME, **options)
+
+
+def test_points_whose_names_differ_in_case_only_are_refused(tmp_path: Path) -> None:
+    path = write(tmp_path, "m.csv", "image,point,x_px,y_px\nIMG_1.JPG,A,5,6\n")
+    alike = ControlPoints.joined([control(), replace(control(), names=("D", "b", "F"))])
+    with pytest.raises(InputError, match="control points called B in another case, too"):
+        matched_marks(read_marks(path), alike, IMAGES[:2], [SIZE] * 2, IMAGES, sigma_px=0.5)
+
+
+def test_a_row_with_a_cell_too_many_is_refused(tmp_path: Path) -> None:
+    rows = "".join(f"P{k},{k},2,3\n" for k in range(30))
+    path = write(tmp_path, "p.csv", f"id,east_m,north_m,up_m\n{rows}Q,1,2,3,4\n")
+    with pytest.raises(InputError, match=r"1 row of more than 4 cells, left out, the first in line 32"):
+        points(path)
 
 
 def test_names_with_folders_and_in_another_case(tmp_path: Path) -> None:

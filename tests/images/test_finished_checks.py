@@ -27,7 +27,7 @@ from tests.images.finished_scene import (
 )
 from thalweg.core import InputError, exp_rotation, opk_of
 from thalweg.images.imports import import_orientations
-from thalweg.images.model import align, mean_rotation
+from thalweg.images.model import align, mean_rotation, unknown_poses
 
 
 @pytest.fixture
@@ -145,7 +145,7 @@ def test_small_errors_of_the_prediction_are_no_mistake(
 @pytest.mark.parametrize(
     ("what", "words"),
     [
-        ("swapped", "east and north (or longitude and latitude) swapped would fit"),
+        ("swapped", "east and north swapped would fit"),
         ("zone", "WGS 84 / UTM zone 32N would fit"),
         ("world", "Set images.finished.crs: world"),
         ("degrees", "Set images.finished.crs: EPSG:4326"),
@@ -168,6 +168,27 @@ def test_wrong_coordinates_are_named(
     }[what]
     path = table(tmp_path / "eo.txt", truth, xyz, angles_deg(angles))
     assert words in refused(path, truth, rng, crs=crs)
+
+
+@pytest.mark.parametrize("mistake", ["swapped", "degrees", None])
+def test_without_predictions_poses_far_from_the_survey_are_refused(
+    tmp_path: Path, truth: Scene, mistake: str | None
+) -> None:
+    grid = FRAME.to_map(truth.C, UTM33)
+    lat, lon, h = FRAME.to_geodetic(truth.C)
+    xyz, words = {
+        "swapped": (grid[:, [1, 0, 2]], "east and north swapped would fit"),
+        "degrees": (np.column_stack([lon, lat, h]), "longitude and latitude would fit"),
+        None: (grid, ""),
+    }[mistake]
+    path = table(tmp_path / "eo.txt", truth, xyz, angles_deg(grid_rotations(truth)))
+    blind = unknown_poses(FRAME, truth.images)
+    if mistake is None:
+        found = import_orientations([path], blind, settings(), crs="EPSG:25833")
+        assert_poses(found.poses, truth, atol_m=1e-7, atol=3e-8)
+    else:
+        with pytest.raises(InputError, match=words):
+            import_orientations([path], blind, settings(), crs="EPSG:25833")
 
 
 def test_heights_above_the_geoid_are_named_and_their_cure_works(
@@ -220,7 +241,7 @@ def test_another_datum_is_refused(tmp_path: Path, truth: Scene) -> None:
         import_orientations([path], predictions(truth), settings(crs="EPSG:31469"))
     wkt = CRS.from_epsg(4314).to_wkt("WKT1_GDAL")
     path = write_metashape(tmp_path / "c.xml", truth.images, *geocentric(truth), reference=wkt)
-    with pytest.raises(InputError, match="datum of 'DHDN'"):
+    with pytest.raises(InputError, match="'DHDN' is on the ellipsoid Bessel 1841, another datum"):
         import_orientations([path], predictions(truth), settings())
 
 

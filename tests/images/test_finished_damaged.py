@@ -78,17 +78,18 @@ def test_without_predictions_nothing_is_checked_and_that_is_said(tmp_path: Path,
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "no row"),
-        ("a.jpg 1 2 3\n", "4 columns"),
+        ("", "the file is empty"),
+        ("image,x,y,z,omega,phi,kappa\n", "no row"),
+        ("a.jpg 1 2 3\n", "no column image, x, y, z, omega, phi, kappa among column 1"),
         ("a.jpg 1 2 3 4 5 six\n", "kappa 'six'"),
-        ("image;X;Y;Z;Omega;Phi;Kappa\na.jpg;1,5;2;3;4;5;6\n", "Write decimals with a point"),
+        ("a b.jpg 1 2 3 4 5 6\nc.jpg 1 2 3 4 5 6\nd.jpg 1 2 3 4 5 6\n", "eo.txt:1: 1 of 3 rows have more"),
         ("label,x,y,z,yaw,pitch,roll\na,1,2,3,4,5,6\n", "export omega, phi, kappa"),
         ("image,x,y,omega,phi,kappa\na,1,2,4,5,6\n", "no column z"),
         ("image,x,y,z,omega [deg],phi [gon],kappa\na,1,2,3,4,5,6\n", "angles in deg and gon"),
-        ("image,x,y,z,omega,phi,kappa,sx\na,1,2,3,4,5,6,0\n", "not positive"),
+        ("image,x,y,z,omega,phi,kappa,sx\na,1,2,3,4,5,6,0\n", "a standard deviation of 0 m of a"),
         ("a.jpg 1 2 3 4 5 6\na.jpg 1 2 3 4 5 6\n", r"two poses of a.jpg"),
         ("a.jpg 1 2 nan 4 5 6\n", "z 'nan'"),
-        (",1,2,3,4,5,6\n", "without a name"),
+        (",1,2,3,4,5,6\n", "eo.txt:1: no image"),
     ],
 )
 def test_damaged_tables(tmp_path: Path, truth: Scene, text: str, words: str) -> None:
@@ -112,7 +113,7 @@ def test_a_table_without_a_crs_is_refused(tmp_path: Path, truth: Scene) -> None:
         ("</document>", "<chunk><camera/></chunk></document>", "2 chunks"),
         ("<transform><rotation>", "<transform><rotation>x ", "9 numbers"),
         ("<scale>3.7", "<scale>-3.7", "positive number"),
-        ("<f>582.0", "<f>wide", "f 'wide'"),
+        ("<f>582.0", "<f>wide", "'wide' of f of Sensor 'boat'"),
     ],
 )
 def test_damaged_xml(tmp_path: Path, truth: Scene, old: str, new: str, words: str) -> None:

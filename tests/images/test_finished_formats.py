@@ -219,6 +219,35 @@ def test_sigmas_of_the_settings_where_the_file_states_none(tmp_path: Path, truth
     assert found.facts["sigmas_from_settings"] == {"positions": 12, "rotations": 12}
 
 
+def test_a_table_in_feet_with_decimal_commas_and_windows_letters(tmp_path: Path, truth: Scene) -> None:
+    """The forms that every other table may have; the angles state gon, the coordinates feet."""
+    rows = zip(truth.images, truth.C / 0.3048, angles_deg(truth.R) * 10 / 9, strict=True)
+    text = "Image;X_ft;Y_ft;Z_ft;Omega [gon];Phi [gon];Kappa [gon];Gerät\r\n"
+    for name, place, angles in rows:
+        numbers = ";".join(repr(float(v)).replace(".", ",") for v in (*place, *angles))
+        text += f"{name};{numbers};ü\r\n"
+    path = tmp_path / "eo.txt"
+    path.write_bytes(text.encode("cp1252"))
+    found = import_orientations([path], predictions(truth), settings(crs="world"))
+    assert_poses(found.poses, truth)
+    assert any("Windows-1252" in note for note in found.facts["notes"])
+
+
+def test_estimated_places_of_metashapes_reference_pane_are_taken(tmp_path: Path, truth: Scene) -> None:
+    """Its stated longitudes and angles are 1e-3 degrees off, the estimated ones are right."""
+    lat, lon, h = FRAME.to_geodetic(truth.C)
+    angles = angles_deg(np.swapaxes(FRAME.R_wcs_enu(lat, lon), 1, 2) @ truth.R)
+    xyz = np.column_stack([lon, lat, h])
+    head = "#Label,X/Longitude,Y/Latitude,Z/Altitude,Omega,Phi,Kappa,Accuracy_X/Y/Z_(m)"
+    head += ",X_est,Y_est,Z_est,Omega_est,Phi_est,Kappa_est"
+    rows = np.column_stack([angles + 1e-3, np.full(12, 0.05), xyz, angles])
+    path = tmp_path / "reference.csv"
+    path.write_text(angles_text(truth.images, xyz + 1e-3, rows, head, ","))
+    found = import_orientations([path], predictions(truth), settings())
+    # degrees with 17 digits: 1e-9 m
+    assert_poses(found.poses, truth, atol_m=5e-9)
+
+
 # ---------------------------------------------------------------- COLMAP
 
 
@@ -238,6 +267,7 @@ def test_colmap_text_and_binary_agree_with_pycolmap(tmp_path: Path, truth: Scene
             np.testing.assert_allclose(found.coordinates[k], oracle[name].projection_center(), atol=EXACT)
         rays = np.array([[0.2, -0.1, 1.0], [-0.4, 0.3, 1.0]])
         pixels = np.array([model.cameras[7].img_from_cam(ray) for ray in rays]).reshape(-1, 2)
+        assert found.cameras[0] is not None
         np.testing.assert_allclose(found.cameras[0].project(rays), pixels, atol=1e-9)
         assert_poses(import_orientations([place], predictions(truth), settings(crs="world")).poses, truth)
     for number, name in ((4, "OPENCV"), (5, "OPENCV_FISHEYE"), (11, "RAD_TAN_THIN_PRISM_FISHEYE")):

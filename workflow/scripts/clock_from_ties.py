@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from thalweg.clocks import clock_from_ties, read_number_columns, read_ties, ties as times
+from thalweg.clocks import TIE_COLUMNS, clock_from_ties, read_number_columns, ties as times
 from thalweg.core import InputError, read_table, write_table
 from thalweg.ingest.photos import IMAGE_STAMPS
 from thalweg.workflow import run_job
@@ -35,10 +35,10 @@ def main(
             cure="Put all rows into one file; give clock_ties or trigger_pulses, not both",
         )
     if ties:
-        found = read_ties(ties[0])
+        found = read_number_columns(ties[0], TIE_COLUMNS)
         tested = json.loads(stability[0].read_text()) if stability else None
         jitter_s, words = times.jitter_of_ties(jitter_s, tested)
-        model = clock_from_ties(found.t_device_s, found.t_gps_s, found.sigma_s, jitter_s=jitter_s)
+        model = clock_from_ties(*found, jitter_s=jitter_s)
         model = replace(model, notes=(*model.notes, words))
         table = times.tied_images(stamped, model)
     else:

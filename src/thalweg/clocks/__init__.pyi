@@ -27,12 +27,12 @@ from .synchronise import (
     image_fixes as image_fixes,
 )
 from .ties import (
+    TIE_COLUMNS as TIE_COLUMNS,
     ClockModel as ClockModel,
     clock_from_ties as clock_from_ties,
     read_number_columns as read_number_columns,
     read_run_image_times as read_run_image_times,
     read_text_columns as read_text_columns,
-    read_ties as read_ties,
     triggered_images as triggered_images,
 )
 from .track import Track as Track

@@ -1,5 +1,10 @@
 """Clocks against GPS time by ties or by a hardware trigger, and the times of images that follow.
 
+The stamp ``t_device_s`` of a clock lies on the axis of adjusted GPS time as if the clock were right. What is
+left is::
+
+    t_gps = t_device + offset + drift (t_device - reference) + jitter of the single stamp
+
 With a trigger an image takes the time of its pulse, plus the delay from the pulse to the middle of the
 exposure; what the camera's own stamps say is then used to find the pulse, and for images without pulse only.
 """
@@ -68,6 +73,8 @@ QUARTZ_DRIFT: Final = 50e-6
 specified to 20 to 50 ppm over their temperature range."""
 _KEY: Final = "thalweg_clock"
 _VERSION: Final = 1
+TIE_COLUMNS: Final = ("t_device_s", "t_gps_s", "sigma_s")
+"""Columns of a table of simultaneous readings of both clocks, and the sigma of their difference."""
 _NUMBERS: Final = ("offset_s", "reference_s", "drift", "jitter_s", "sigma_jitter_s", "t_first_s", "t_last_s")
 
 
@@ -192,8 +199,9 @@ class ClockModel:
         if not isinstance(data, dict) or data.pop(_KEY, None) != _VERSION:
             raise InputError("this is no clock file", where=path, expected=f"the key {_KEY}: {_VERSION}")
         try:
-            values = {name: _value(name, value) for name, value in data.items()}
-            return cls(**values)
+            nan = {name: float("nan") for name in _NUMBERS if name in data and data[name] is None}
+            data |= nan | {"notes": tuple(data.get("notes", ()))}
+            return cls(**data)
         except (TypeError, ValueError) as error:
             raise InputError(
                 f"a key is missing, unknown or holds no number ({error})", where=path, expected="a clock file"
@@ -368,26 +376,6 @@ def _names(names: list[str]) -> str:
 # drift.
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Ties:
-    """Simultaneous readings: ``t_device_s`` (n,), ``t_gps_s`` (n,), ``sigma_s`` (n,) of their difference."""
-
-    t_device_s: ArrayF
-    t_gps_s: ArrayF
-    sigma_s: ArrayF
-
-
-def read_ties(path: Path) -> Ties:
-    """Ties from a CSV table with the columns ``t_device_s``, ``t_gps_s`` and ``sigma_s``.
-
-    Raises
-    ------
-    InputError : the table is missing, lacks a column, or holds what is no number.
-    """
-    t_device_s, t_gps_s, sigma_s = read_number_columns(path, ("t_device_s", "t_gps_s", "sigma_s"))
-    return Ties(t_device_s=t_device_s, t_gps_s=t_gps_s, sigma_s=sigma_s)
-
-
 def clock_from_ties(
     t_device_s: ArrayLike,
     t_gps_s: ArrayLike,
@@ -520,25 +508,20 @@ class PulseMatch:
 
 
 def trigger_clock(
-    *,
-    t_first_s: float,
-    t_last_s: float,
-    delay_s: float = 0.0,
-    sigma_delay_s: float = 0.0,
-    jitter_s: float = 0.0,
+    *, t_first_s: float, t_last_s: float, delay_s: float = 0.0, jitter_s: float = 0.0
 ) -> ClockModel:
     """Clock of images whose stamps *are* the pulses: no offset but the delay from pulse to exposure.
 
     Parameters
     ----------
     t_first_s, t_last_s : first and last pulse.
-    delay_s, sigma_delay_s : from the pulse to the middle of the exposure.
+    delay_s : from the pulse to the middle of the exposure.
     jitter_s : standard deviation of the delay from image to image.
     """
     return ClockModel(
         offset_s=delay_s,
         reference_s=(t_first_s + t_last_s) / 2,
-        cov=np.diag([sigma_delay_s**2, 0.0]),
+        cov=np.zeros((2, 2)),
         jitter_s=jitter_s,
         source=TRIGGERED + (f" with a delay of {delay_s * 1e3:g} ms" if delay_s else ""),
         t_first_s=t_first_s,
@@ -609,12 +592,7 @@ def match_pulses(
 
 
 def clock_from_pulses(
-    t_device_s: ArrayLike,
-    t_pulse_s: ArrayLike,
-    match: PulseMatch,
-    *,
-    delay_s: float = 0.0,
-    sigma_delay_s: float = 0.0,
+    t_device_s: ArrayLike, t_pulse_s: ArrayLike, match: PulseMatch, *, delay_s: float = 0.0
 ) -> ClockModel:
     """Offset, drift and jitter of the camera's own stamps, from the images that have a pulse.
 
@@ -634,7 +612,7 @@ def clock_from_pulses(
         offset_s=d0,
         drift=drift,
         reference_s=reference,
-        cov=np.diag([jitter**2 / residual.size + sigma_delay_s**2, jitter**2 / spread]),
+        cov=np.diag([jitter**2 / residual.size, jitter**2 / spread]),
         jitter_s=jitter,
         sigma_jitter_s=jitter / np.sqrt(2.0 * free),
         source=f"{residual.size} pulses of a hardware trigger",
@@ -649,18 +627,16 @@ def clock_from_pulses(
 
 def _fit(t: ArrayF, p: ArrayF, start: float, near: float) -> tuple[int, float, float]:
     """Images explained, offset and scatter of an alignment, from a first offset."""
-    offset, used = start, np.zeros(t.size, dtype=bool)
-    for _ in range(5):
+    offset = start
+    for iteration in range(6):
         pulse = _nearest(t, p, offset, near)
         used = pulse >= 0
         if not used.any():
             return 0, offset, float("inf")
-        offset = float(np.median(p[pulse[used]] - t[used]))
-    pulse = _nearest(t, p, offset, near)
-    used = pulse >= 0
-    if not used.any():
-        return 0, offset, float("inf")
-    return int(used.sum()), offset, _scatter(p[pulse[used]] - t[used] - offset)
+        off = p[pulse[used]] - t[used]
+        if iteration < 5:
+            offset = float(np.median(off))
+    return int(used.sum()), offset, robust_sigma(off - offset)
 
 
 def _nearest(t: ArrayF, p: ArrayF, offset: float, near: float) -> ArrayI:
@@ -673,27 +649,6 @@ def _nearest(t: ArrayF, p: ArrayF, offset: float, near: float) -> ArrayI:
     first = np.ones(t.size, dtype=bool)
     first[order[1:]] = best[order][1:] != best[order][:-1]
     return np.where(first & (away <= near), best, -1).astype(np.int64)
-
-
-def _scatter(values: ArrayF) -> float:
-    return robust_sigma(values)
-
-
-# ---------------------------------------------------------------- what is known of a clock, however it was
-# found
-#
-# The stamp ``t_device_s`` of a clock lies on the axis of adjusted GPS time as if the clock were right. What
-# is left is::
-#
-#     t_gps = t_device + offset + drift (t_device - reference) + jitter of the single stamp
-
-
-def _value(name: str, value: Any) -> Any:
-    if name in _NUMBERS:
-        return float("nan") if value is None else float(value)
-    if name == "cov":
-        return np.array(value, dtype=np.float64)
-    return tuple(value) if name == "notes" else value
 
 
 # ---------------------------------------------------------------- small CSV tables that people write: ties,

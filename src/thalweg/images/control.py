@@ -11,7 +11,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from functools import cache
 from pathlib import Path
 from typing import Final
 from xml.etree import ElementTree
@@ -44,7 +44,7 @@ from thalweg.images.model import (
     nearest_to_rays,
     robust_similarity,
 )
-from thalweg.ingest import read_text, read_text_table
+from thalweg.ingest import Table, read_text, read_text_table
 from thalweg.settings.sections import LOCAL, ControlSettings
 
 _ROLES: Final = {
@@ -70,14 +70,23 @@ NAMES: Final[Mapping[str, tuple[str, ...]]] = {
     "x": ("x", "x/east", "x/easting", "easting", "east", "rechtswert"),
     "y": ("y", "y/north", "y/northing", "northing", "north", "hochwert"),
     "z": ("z", "z/altitude", "altitude", "height", "elevation", "höhe", "hoehe"),
-    "sigma_east_m": ("sigma_east_m", "sigma_x_m", "x/east accuracy", "x accuracy", "sx", "sigmax"),
-    "sigma_north_m": ("sigma_north_m", "sigma_y_m", "y/north accuracy", "y accuracy", "sy", "sigmay"),
-    "sigma_up_m": ("sigma_up_m", "sigma_z_m", "z/altitude accuracy", "z accuracy", "sz", "sigmaz"),
+    "sigma_east_m": ("sigma_east_m", "sigma_x_m", "x/east accuracy", "x accuracy", "sx", "sigmax", "sigma_x"),
+    "sigma_north_m": (
+        "sigma_north_m",
+        "sigma_y_m",
+        "y/north accuracy",
+        "y accuracy",
+        "sy",
+        "sigmay",
+        "sigma_y",
+    ),
+    "sigma_up_m": ("sigma_up_m", "sigma_z_m", "z/altitude accuracy", "z accuracy", "sz", "sigmaz", "sigma_z"),
     "accuracy": ("accuracy", "accuracy (m)", "accuracy_x/y/z"),
     "role": ("role", "type"),
     "used": ("used",),
 }
 """Headings, in small letters, by which a column is known."""
+_SIGMAS: Final = ("sigma_east_m", "sigma_north_m", "sigma_up_m")
 LINE: Final = "line"
 """Key of a row under which the number of its line stands."""
 Loader = Callable[[str], "ArrayU8 | None"]
@@ -123,14 +132,14 @@ class MarkTable:
 
     def without(self, images: Collection[str]) -> "MarkTable":
         """The marks that are not in some images; names as the campaign has them."""
-        keep = np.array([name not in images for name in self.image], np.bool_)
-        return MarkTable(
-            image=tuple(name for name, k in zip(self.image, keep, strict=True) if k),
-            point=tuple(name for name, k in zip(self.point, keep, strict=True) if k),
+        keep = np.flatnonzero([name not in images for name in self.image])
+        return replace(
+            self,
+            image=tuple(self.image[k] for k in keep),
+            point=tuple(self.point[k] for k in keep),
             xy_px=self.xy_px[keep],
             sigma_px=self.sigma_px[keep],
             used=self.used[keep],
-            skipped=self.skipped,
         )
 
 
@@ -151,13 +160,7 @@ def read_control_points(
     InputError : no such file, unknown columns or roles, numbers that are none, or an unknown CRS.
     GeometryError : coordinates outside of the CRS, or far from the survey where another reading is near.
     """
-    text, given = read_text(path)[0], crs
-    if path.suffix.lower() == ".xml":
-        rows, crs = metashape_points(path, text, crs)
-    elif is_gcp_list(text):
-        rows, crs = gcp_points(path, text)
-    else:
-        rows = table_rows(path, ("id", *FORMS[0]))
+    rows, stated = _point_rows(path, crs)
     if not rows:
         raise InputError(
             "no control points",
@@ -166,30 +169,34 @@ def read_control_points(
             cure="Add the surveyed points, or let the antenna's positions take their place: "
             "images.adjustment.antenna.use: true",
         )
-    sigmas = [
-        [
-            number(row, f"sigma_{axis}_m", path, number(row, "accuracy", path, default))
-            for axis, default in zip(("east", "north", "up"), sigma_m, strict=True)
-        ]
-        for row in rows
-    ]
-    for row, values in zip(rows, sigmas, strict=True):
-        if min(values) <= 0:
-            raise InputError(
-                f"a standard deviation of {min(values):g} m of {row.get('id', '')}",
-                expected="metres above zero",
-                where=place_of(row, path),
-                cure="State how well the point was surveyed; 0 would make it perfect",
-            )
+    sigma = sigmas(rows, path, sigma_m)
     try:
         return ControlPoints(
             names=tuple(required(row, "id", path) for row in rows),
-            points_wcs_m=_coordinates(rows, frame, crs, path, height_offset_m, own=crs is not given),
-            cov_wcs_m2=np.array([np.diag(np.square(s)) for s in sigmas]),
+            points_wcs_m=_coordinates(rows, frame, stated, path, height_offset_m, own=stated is not crs),
+            cov_wcs_m2=np.square(sigma)[:, :, None] * np.eye(3),
             check=np.array([_is_check(row, path) for row in rows]),
         )
     except GeometryError as error:
         raise GeometryError(error.found, expected=error.expected, where=path, cure=error.cure) from error
+
+
+def _point_rows(path: Path, crs: str | None) -> tuple[list[dict[str, str]], str | None]:
+    """Rows of surveyed points in any of the known forms, and the CRS that the file states, or ``crs``."""
+    text = read_text(path)[0]
+    if path.suffix.lower() == ".xml":
+        return metashape_points(path, text, crs)
+    if not is_gcp_list(text):
+        return table_rows(path, ("id", *FORMS[0])), crs
+    points: dict[str, dict[str, str]] = {}
+    rows, stated = _gcp_rows(path, text)
+    for row in rows:
+        first = points.setdefault(row["id"], row)
+        if any(first[a] != row[a] for a in "xyz"):
+            raise InputError(
+                f"two places of {row['id']}", expected="the same coordinates in each row", where=path
+            )
+    return list(points.values()), stated
 
 
 def read_all_control_points(
@@ -210,16 +217,16 @@ def read_all_control_points(
         read_control_points(path, frame, crs=crs, sigma_m=sigma_m, height_offset_m=height_offset_m)
         for path in paths
     ]
-    for k, (path, part) in enumerate(zip(paths, parts, strict=True)):
-        for other, before in zip(paths[:k], parts[:k], strict=True):
-            both = sorted(set(part.names) & set(before.names))
-            if both:
-                raise InputError(
-                    f"{listed(both)} stand{'s' if len(both) == 1 else ''} in {other.name}, too",
-                    where=path,
-                    expected="each control point in one file",
-                    cure="Leave one of the files out, or rename the points",
-                )
+    held: dict[str, Path] = {}
+    for path, part in zip(paths, parts, strict=True):
+        if both := sorted(set(part.names) & held.keys()):
+            raise InputError(
+                f"{listed(both)} stand{'s' if len(both) == 1 else ''} in {held[both[0]].name}, too",
+                where=path,
+                expected="each control point in one file",
+                cure="Leave one of the files out, or rename the points",
+            )
+        held |= dict.fromkeys(part.names, path)
     return ControlPoints.joined(parts)
 
 
@@ -242,18 +249,11 @@ def frame_about(paths: Sequence[Path], *, crs: str | None) -> LocalFrame:
     nowhere = replace(nowhere, ellipsoid=ellipsoid_of(crs_of(crs, paths[0])) if crs else nowhere.ellipsoid)
     places = []
     for path in paths:
-        text, given = read_text(path)[0], crs
-        if path.suffix.lower() == ".xml":
-            rows, given = metashape_points(path, text, crs)
-        elif is_gcp_list(text):
-            rows, given = gcp_points(path, text)
-        else:
-            rows = table_rows(path, ("id", *FORMS[0]))
-        form = next((f for f in FORMS[1:] if rows and all(name in rows[0] for name in f)), None)
-        if form is None:
-            continue
-        values = np.array([[number(row, name, path) for name in form] for row in rows])
-        places.append(world_of(values, form, crs_of(given, path) if form[0] == "x" else None, nowhere))
+        rows, stated = _point_rows(path, crs)
+        form = next((f for f in FORMS[1:] if rows and rows[0].keys() >= set(f)), None)
+        if form is not None:
+            own = crs_of(stated, path) if form[0] == "x" else None
+            places.append(world_of(numbers(rows, form, path), form, own, nowhere))
     if not places:
         raise InputError(
             "control points without a place on the earth",
@@ -286,27 +286,21 @@ def read_marks(path: Path) -> MarkTable:
     InputError : no such file, unknown columns, or numbers that are none.
     """
     text = read_text(path)[0]
-    skipped: dict[str, int] = {}
+    skipped, first_px = dict[str, int](), 0.0
     if path.suffix.lower() == ".xml":
         rows, skipped = metashape_marks(path, text)
     elif is_gcp_list(text):
-        rows = [
-            {"image": r["image"], "point": r["id"], "x_px": r["x_px"], "y_px": r["y_px"]}
-            for r in gcp_rows(path, text)
-        ]
+        (rows, _), first_px = _gcp_rows(path, text), 0.5
     else:
         rows = table_rows(path, ("image", "point", "x_px", "y_px"))
         if rows and "image" not in rows[0]:  # a table for each picture, which it is called like
             rows = [row | {"image": path.stem} for row in rows]
-    xy = np.array([[number(r, "x_px", path), number(r, "y_px", path)] for r in rows]).reshape(-1, 2)
-    if is_gcp_list(text):
-        xy = xy + 0.5
     return MarkTable(
         image=tuple(required(r, "image", path) for r in rows),
         point=tuple(required(r, "point", path) for r in rows),
-        xy_px=xy,
-        sigma_px=np.array([number(r, "sigma_px", path, math.nan) for r in rows]),
-        used=np.array([(r.get("used") or "true").strip().lower() in ("true", "1", "yes") for r in rows]),
+        xy_px=numbers(rows, ("x_px", "y_px"), path) + first_px,
+        sigma_px=numbers(rows, ("sigma_px",), path, math.nan)[:, 0],
+        used=np.array([(r.get("used") or "true").lower() in ("true", "1", "yes") for r in rows]),
         skipped=skipped,
     )
 
@@ -365,23 +359,12 @@ def read_camera_positions(
     rows = [{"image": row.get("id", ""), **row} for row in rows]  # whose column may be called a label
     if not rows:
         raise InputError("no positions", expected="at least one row", where=path)
-    axes = ("east", "north", "up")
-    if not all("accuracy" in row or all(f"sigma_{a}_m" in row for a in axes) for row in rows):
+    if not all("accuracy" in row or row.keys() >= set(_SIGMAS) for row in rows):
         raise InputError(
             "positions of the camera without standard deviations",
             expected="a column accuracy, or sigma_x_m, sigma_y_m, sigma_z_m, in metres",
             where=path,
             cure="State how well they were measured: by them the block is weighted and judged",
-        )
-    sigma = np.array(
-        [
-            [number(row, f"sigma_{a}_m", path, number(row, "accuracy", path, 0.0)) for a in axes]
-            for row in rows
-        ]
-    )
-    if (sigma <= 0).any():
-        raise InputError(
-            f"a standard deviation of {sigma.min():g} m", expected="metres above zero", where=path
         )
     names = tuple(required(row, "image", path) for row in rows)
     twice = next((name for name, n in Counter(names).items() if n > 1), None)
@@ -390,7 +373,7 @@ def read_camera_positions(
     return CameraPositions(
         images=names,
         centre_wcs_m=_coordinates(rows, frame, crs, path, height_offset_m, own=False),
-        sigma_m=sigma,
+        sigma_m=sigmas(rows, path, (0.0, 0.0, 0.0)),
     )
 
 
@@ -423,7 +406,13 @@ def matched_marks(
     every = list(dict.fromkeys([*images, *all_images]))
     names = list(dict.fromkeys(table.image))
     index_of = dict(zip(names, matched(names, every, str(where), once=False).tolist(), strict=True))
-    of_point = _by_case(control.names)
+    of_point = {name.strip().casefold(): k for k, name in enumerate(control.names)}
+    if len(of_point) < len(control.names):
+        alike = [n for k, n in enumerate(control.names) if of_point[n.strip().casefold()] != k]
+        raise InputError(
+            f"control points called {listed(alike)} in another case, too",
+            expected="names that differ in more than their case",
+        )
     strange = sorted(name for name in names if index_of[name] < 0)
     unknown = sorted({name for name in table.point if name.strip().casefold() not in of_point})
     for what, names, known, cure in (
@@ -443,15 +432,15 @@ def matched_marks(
                 cure=cure,
                 expected=f"{what} such as {listed(known[:3])}",
             )
-    rows, dropped = [], dict(table.skipped)
+    rows, dropped = [], Counter(table.skipped)
     seen: set[tuple[int, int]] = set()
     for row, (image, point) in enumerate(zip(table.image, table.point, strict=True)):
         if not table.used[row]:
-            dropped["not to be used"] = dropped.get("not to be used", 0) + 1
+            dropped["not to be used"] += 1
             continue
         at = index_of[image]
         if at >= len(images):
-            dropped["in images without a pose"] = dropped.get("in images without a pose", 0) + 1
+            dropped["in images without a pose"] += 1
             continue
         xy, size = table.xy_px[row], sizes_px[at]
         if not ((xy >= 0).all() and xy[0] <= size[0] and xy[1] <= size[1]):
@@ -474,23 +463,7 @@ def matched_marks(
         xy_px=table.xy_px[index[:, 0]],
         sigma_px=np.where(np.isfinite(sigma), sigma, sigma_px),
     )
-    return marks, dropped
-
-
-def _by_case(names: Sequence[str]) -> dict[str, int]:
-    """Index by the name in small letters.
-
-    Raises
-    ------
-    InputError : two names differ in case only.
-    """
-    small = sorted((name.strip().casefold(), name) for name in names)
-    for (a, one), (b, other) in pairwise(small):
-        if a == b:
-            raise InputError(
-                f"control points {one} and {other}", expected="names that differ in more than their case"
-            )
-    return {name.strip().casefold(): k for k, name in enumerate(names)}
+    return marks, dict(dropped)
 
 
 def _coordinates(
@@ -502,7 +475,7 @@ def _coordinates(
     *,
     own: bool,
 ) -> ArrayF:
-    form = next((f for f in FORMS if all(name in rows[0] for name in f)), None)
+    form = next((f for f in FORMS if rows[0].keys() >= set(f)), None)
     if form is None:
         raise InputError(
             f"columns {', '.join(sorted(set(rows[0]) - {LINE}))}",
@@ -510,12 +483,12 @@ def _coordinates(
             where=path,
             cure="Name the columns of the coordinates in the first line",
         )
-    values = np.array([[number(row, name, path) for name in form] for row in rows])
-    if form[0] != "east_m":
+    values = numbers(rows, form, path)
+    if form != FORMS[0]:
         values[:, 2] += height_offset_m
-    if form[0] == "x" and crs == LOCAL:
+    if form == FORMS[2] and crs == LOCAL:
         return values
-    return near_world(values, form, crs_of(crs, path) if form[0] == "x" else None, frame, path, own=own)
+    return near_world(values, form, crs_of(crs, path) if form == FORMS[2] else None, frame, path, own=own)
 
 
 # ---------------------------------------------------------------- tables with named columns as people and
@@ -541,8 +514,25 @@ def table_rows(path: Path, needed: Sequence[str] = ()) -> list[dict[str, str]]:
             where=path,
             cure="Write the names of the columns above the numbers",
         )
-    rows = table.rows(NAMES)
-    return [row | {LINE: str(number)} for row, number in zip(rows, table.line.tolist(), strict=True)]
+    return named_rows(table)
+
+
+def named_rows(table: Table, names: Mapping[str, tuple[str, ...]] = NAMES) -> list[dict[str, str]]:
+    """Rows of a table by our names of the columns, with their lines.
+
+    Raises
+    ------
+    InputError : a row with more cells than there are columns; a unit that none of the columns can have.
+    """
+    if long := next((words for words in table.loss_notes() if " cells" in words), None):
+        raise InputError(
+            long,
+            expected=f"the cells {table.listed()} in each row",
+            where=table.path,
+            cure="Correct these rows: a separator too many, or a name with a blank",
+        )
+    rows = table.rows(names) or [{} for _ in range(len(table))]
+    return [row | {LINE: str(line)} for row, line in zip(rows, table.line.tolist(), strict=True)]
 
 
 def required(row: Mapping[str, str], name: str, path: Path) -> str:
@@ -571,19 +561,65 @@ def number(row: Mapping[str, str], name: str, path: Path, default: float | None 
     ------
     InputError : no number, and no default.
     """
-    text = row.get(name, "").strip()
-    if not text or (default is not None and text.casefold() in ("nan", "none", "-")):
-        if default is None:
-            required(row, name, path)
-        return float(default if default is not None else math.nan)
-    if not _is_number(text):
+    text = row.get(name, "")
+    if default is not None and text.casefold() in ("", "nan", "none", "-"):
+        return default
+    text = text or required(row, name, path)
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
         raise InputError(
             f"{name} '{text}'",
             expected="a number",
             where=place_of(row, path),
             cure="Correct the cell, or leave the row out",
         )
-    return float(text)
+    return value
+
+
+def numbers(
+    rows: Sequence[Mapping[str, str]], names: Sequence[str], path: Path, default: float | None = None
+) -> ArrayF:
+    """Some columns (n, k) as numbers, see `number`."""
+    values = [[number(row, name, path, default) for name in names] for row in rows]
+    return np.array(values, np.float64).reshape(-1, len(names))
+
+
+def sigmas(
+    rows: Sequence[Mapping[str, str]], path: Path, default: Sequence[float], names: Sequence[str] = ()
+) -> ArrayF:
+    """Standard deviations (n, 3) of coordinates in metres, or of the columns ``names``.
+
+    Parameters
+    ----------
+    default : (3,) where the file states none, neither for each axis nor as one ``accuracy``; NaN is taken.
+
+    Raises
+    ------
+    InputError : one is not above zero.
+    """
+    common = "" if names else "accuracy"
+    out = np.array(
+        [
+            [
+                number(row, name, path, number(row, common, path, known))
+                for name, known in zip(names or _SIGMAS, default, strict=True)
+            ]
+            for row in rows
+        ]
+    )
+    for row, values in zip(rows, out, strict=True):
+        if (values <= 0).any():
+            raise InputError(
+                f"a standard deviation of {np.nanmin(values):g}{' m' if common else ''} of "
+                f"{row.get('id') or row.get('image', '')}",
+                expected="numbers above zero",
+                where=place_of(row, path),
+                cure="State how well it was measured; 0 would make it perfect",
+            )
+    return out
 
 
 def place_of(row: Mapping[str, str], path: Path) -> str:
@@ -594,13 +630,6 @@ def place_of(row: Mapping[str, str], path: Path) -> str:
 def listed(names: Sequence[str]) -> str:
     """The first names, and how many more."""
     return ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
-
-
-def _is_number(text: str) -> bool:
-    try:
-        return math.isfinite(float(text))
-    except ValueError:
-        return False
 
 
 # ---------------------------------------------------------------- coordinates of control points into wcs, and
@@ -646,34 +675,26 @@ def is_gcp_list(text: str) -> bool:
     return bool(re.match(r"\s*(EPSG:\d+|WGS84 UTM|\+proj=)", first, re.IGNORECASE))
 
 
-def gcp_rows(path: Path, text: str) -> list[dict[str, str]]:
-    """Rows ``x y z im_x im_y image [name]``; a point without name is known by its coordinates."""
-    rows: list[dict[str, str]] = []
-    unnamed: dict[tuple[str, ...], str] = {}
-    numbered = [(k, line.split()) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
-    for number, cells in numbered[1:]:
-        if cells[0].startswith("#"):
+def _gcp_rows(path: Path, text: str) -> tuple[list[dict[str, str]], str]:
+    """Rows ``x y z im_x im_y image [name]`` of a ``gcp_list.txt`` by our names of the columns, and its CRS.
+
+    Nothing is to be told of its form: blanks or tabs stand between the cells, and the last one may be
+    missing in some rows. A point without name is known by its coordinates.
+    """
+    (_, crs), *lines = [(k, line.strip()) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
+    rows, unnamed = [], dict[tuple[str, ...], str]()
+    for number, line in lines:
+        if line.startswith("#"):
             continue
+        cells = line.split()
         if len(cells) < 6:
             raise InputError(
                 f"{len(cells)} columns", expected="x y z im_x im_y image [name]", where=f"{path}:{number}"
             )
         name = cells[6] if len(cells) > 6 else unnamed.setdefault(tuple(cells[:3]), f"gcp{len(unnamed) + 1}")
-        keys = ("x", "y", "z", "x_px", "y_px", "image")
-        rows.append({**dict(zip(keys, cells, strict=False)), "id": name})
-    return rows
-
-
-def gcp_points(path: Path, text: str) -> tuple[list[dict[str, str]], str]:
-    """Points of a ``gcp_list.txt``, each once, and its CRS."""
-    points: dict[str, dict[str, str]] = {}
-    for row in gcp_rows(path, text):
-        first = points.setdefault(row["id"], row)
-        if any(first[a] != row[a] for a in "xyz"):
-            raise InputError(
-                f"two places of {row['id']}", expected="the same coordinates in each row", where=path
-            )
-    return list(points.values()), next(line for line in text.splitlines() if line.strip()).strip()
+        keys = ("x", "y", "z", "x_px", "y_px", "image", "id", "point", LINE)
+        rows.append(dict(zip(keys, (*cells[:6], name, name, str(number)), strict=True)))
+    return rows, crs
 
 
 def _metashape(path: Path, text: str) -> ElementTree.Element:
@@ -819,9 +840,8 @@ def _sights(
     """Where each board should be in each image; boards outside of an image are left out without a word."""
     place = control.points_wcs_m if place is None else place
     out = []
-    masks: dict[int, AnyArray | None] = {}
+    mask = cache(mask)
     for k, centre in enumerate(place):
-        toward = block.centre_block_m.mean(axis=0) - centre
         near = np.argsort(np.linalg.norm(block.centre_block_m - centre, axis=1))[:10]
         toward = block.centre_block_m[near].mean(axis=0) - centre
         right = np.cross([0.0, 0.0, 1.0], toward)
@@ -843,9 +863,7 @@ def _sights(
             height = 2.0 * float(np.linalg.norm(by_module[:, 1]))
             if height < boards.least_board_px:
                 sight.reason = f"too small: {height:.0f} px"
-            if i not in masks:
-                masks[i] = mask(block.images[i])
-            veil = masks[i]
+            veil = mask(block.images[i])
             if veil is not None and search_m == 0.0 and not sight.reason:
                 y, x = (int(v) for v in np.clip(xy[0][::-1], 0, np.array(veil.shape) - 1))
                 if veil[y, x] == 0:
@@ -960,10 +978,9 @@ def _agreed(block: ImageBlock, sights: Sequence[_Sight], n_points: int, boards: 
                 if not np.isfinite(point).all():
                     continue
                 good = _near(block, options, point)
-                votes = sum(max((s.score for s, _ in group), default=0.0) for group in _by_image(good))
+                votes = sum({s.image: s.score for s, _ in good}.values())
                 if votes > agree:
-                    chosen = [o for o in options if any(o[0] is g[0] and o[1] is g[1] for g in good)]
-                    r, c = _rays(block, chosen)
+                    r, c = _rays(block, good)
                     best, agree = nearest_to_rays(c, r), votes
         good = _near(block, options, best) if np.isfinite(best).all() else []
         if len({s.image for s, _ in good}) >= boards.least_images:
@@ -974,18 +991,14 @@ def _agreed(block: ImageBlock, sights: Sequence[_Sight], n_points: int, boards: 
 def _near(
     block: ImageBlock, options: Sequence[tuple[_Sight, ArrayF]], point: ArrayF
 ) -> list[tuple[_Sight, ArrayF]]:
-    near = []
-    for sight, xy in options:
+    def is_near(sight: _Sight, xy: ArrayF) -> bool:
+        """Whether the point is seen where this candidate is."""
         seen = (point - block.centre_block_m[sight.image]) @ block.R_block_ccs[sight.image]
         at = block.cameras[block.camera[sight.image]].project(seen)[0]
         limit = max(_AGREE_PX, _AGREE_MODULES * float(np.linalg.norm(sight.by_module[:, 1])))
-        if np.linalg.norm(at - xy) < limit:
-            near.append((sight, xy))
-    return near
+        return bool(np.linalg.norm(at - xy) < limit)
 
-
-def _by_image(options: Sequence[tuple[_Sight, ArrayF]]) -> list[list[tuple[_Sight, ArrayF]]]:
-    return [[o for o in options if o[0].image == i] for i in {o[0].image for o in options}]
+    return [option for option in options if is_near(*option)]
 
 
 def _rays(block: ImageBlock, options: Sequence[tuple[_Sight, ArrayF]]) -> tuple[ArrayF, ArrayF]:
@@ -1016,8 +1029,8 @@ def _moved(points: ArrayF, control: ControlPoints, notes: list[str]) -> Similari
 def _consistent(block: ImageBlock, sights: Sequence[_Sight], n_points: int, boards: ControlSettings) -> None:
     """Crossings that the other images of a board contradict are marked."""
     for k in range(n_points):
-        own = [s for s in sights if s.point == k and s.fitted is not None]
-        options = [(s, s.fitted) for s in own if s.fitted is not None]
+        options = [(s, s.fitted) for s in sights if s.point == k and s.fitted is not None]
+        own = [s for s, _ in options]
         if len(options) < 2:
             for sight in own:
                 sight.reason = "in one image only"

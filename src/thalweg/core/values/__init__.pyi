@@ -1,8 +1,10 @@
 from .nothing import HUGE as HUGE, NOTHING as NOTHING, WORDS as WORDS, is_nothing as is_nothing
 from .places import (
+    FAR_M as FAR_M,
     FORMS as FORMS,
     HIGHEST_M as HIGHEST_M,
     LOWEST_M as LOWEST_M,
+    Reading as Reading,
     away_m as away_m,
     check_degrees as check_degrees,
     check_heights as check_heights,

@@ -10,13 +10,13 @@ correlated by a stated share, for which a file has no place::
 
 import re
 import struct
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from pyproj import CRS
 from scipy.spatial.transform import Rotation
 
 from thalweg.core import (
@@ -31,19 +31,17 @@ from thalweg.core import (
     ThalwegError,
     robust_sigma,
 )
+from thalweg.core.values import FAR_M, FORMS, Reading, readings, world_of
 from thalweg.images.imports.formats import read_angles_table, read_metashape
 from thalweg.images.imports.source import (
     Finished,
     Place,
-    between_frames,
     ccs_rotations,
     changes,
     conventions,
-    orthogonal,
     place_of,
     to_world,
     world_axes,
-    world_positions,
 )
 from thalweg.images.model import (
     LEAST_IMAGES,
@@ -55,6 +53,7 @@ from thalweg.images.model import (
     matched,
     mean_rotation,
     predicted_sigmas,
+    unknown_poses,
 )
 from thalweg.images.sfm import colmap, from_colmap
 
@@ -67,19 +66,22 @@ CURE_FREE: Final = (
     "prediction with "
     "images.finished.align: predictions"
 )
-_NUMBERS: Final = {
-    0: "SIMPLE_PINHOLE", 1: "PINHOLE", 2: "SIMPLE_RADIAL", 3: "RADIAL", 4: "OPENCV", 5: "OPENCV_FISHEYE",
-    6: "FULL_OPENCV", 7: "FOV", 8: "SIMPLE_RADIAL_FISHEYE", 9: "RADIAL_FISHEYE", 10: "THIN_PRISM_FISHEYE",
-    11: "RAD_TAN_THIN_PRISM_FISHEYE",
-}  # fmt: skip
-_COUNTS: Final = {"FOV": 5, "THIN_PRISM_FISHEYE": 12, "RAD_TAN_THIN_PRISM_FISHEYE": 16}
 _POSE: Final = struct.Struct("<i7di")
+_POINTS: Final = np.dtype([("xy", "<f8", 2), ("point", "<u8")])
 _CAMERA: Final = struct.Struct("<iiQQ")
-_POINT_BYTES: Final = 24
+_MODELS: Final = (
+    "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV",
+    "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE",
+)  # fmt: skip
+"""Names of COLMAP's models by their number."""
+_COUNTS: Final = {"FOV": 5, "THIN_PRISM_FISHEYE": 12, "RAD_TAN_THIN_PRISM_FISHEYE": 16}
+"""Parameters of those that are not known here."""
 _NOTHING: Final = 2**64 - 1
-_MOST: Final = 10_000_000
-Pose = tuple[str, int, list[float], int]
+_NUMBER: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+Pose = tuple[str, int, Sequence[float], int]
 """Name, number of the camera, quaternion (w, x, y, z) and translation, tie points."""
+Lens = tuple[int, str, tuple[int, int], Sequence[float]]
+"""Number, model, size in pixels, parameters."""
 
 _SIGMAS: Final = 4.0
 _BETTER: Final = 0.25
@@ -89,10 +91,13 @@ _SUSPECT_RAD: Final = np.deg2rad(3.0)
 _GEOID_M: Final = (15.0, 110.0)
 """Heights of geoids above the ellipsoid are within +-107 m; below 15 m other causes are likelier."""
 _LEVEL_M: Final = 3.0
-_ALIKE_M: Final = 1.0
 _NORTH: Final = ("grid", "true")
-_UTM: Final = ((32601, 32660), (32701, 32760), (25828, 25838))
-"""EPSG codes of zones of UTM that lie beside each other."""
+_CURES: Final = {
+    "coordinates of the world frame": "Set images.finished.crs: world",
+    "longitude and latitude": "Set images.finished.crs: EPSG:4326",
+    "latitude and longitude": "Swap these columns, and set images.finished.crs: EPSG:4326",
+}
+"""Cures of readings that a user states in the settings rather than by names of columns."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,18 +109,8 @@ class Predicted:
     R_wcs_ccs: ArrayF
     sigma_m: float
     sigma_rad: float
-    most_m: float
-    most_rad: float
-
-    @property
-    def limit_m(self) -> float:
-        """Median distance that is believed: no less than the predictions' own sigma allows."""
-        return max(self.most_m, _SIGMAS * self.sigma_m)
-
-    @property
-    def limit_rad(self) -> float:
-        """Median angle that is believed."""
-        return max(self.most_rad, _SIGMAS * self.sigma_rad)
+    limit_m: float
+    limit_rad: float
 
 
 # ---------------------------------------------------------------- poses
@@ -132,16 +127,11 @@ class Imported:
 
 @dataclass(slots=True, kw_only=True)
 class _Table:
-    """Poses of the campaign's images as they are filled in."""
+    """Poses of the campaign's images as they are filled in, with what `ImagePoses` does not keep."""
 
-    centre: ArrayF
-    R: ArrayF
-    cov: ArrayF
+    poses: ImagePoses
     common: ArrayF
-    following: ArrayF
     known_following: ArrayI
-    n_marks: ArrayF
-    rms_px: ArrayF
     reasons: list[str]
     source: list[str]
     cameras: list[Camera | None]
@@ -168,50 +158,38 @@ def import_orientations(
     """
     n = len(predictions.images)
     out = _Table(
-        centre=np.full((n, 3), np.nan),
-        R=np.full((n, 3, 3), np.nan),
-        cov=np.full((n, 6, 6), np.nan),
+        poses=replace(
+            unknown_poses(predictions.frame, predictions.images),
+            t_gps_s=predictions.t_gps_s,
+            sigma_t_s=predictions.sigma_t_s,
+            cov_next=np.zeros((n, 6, 6)),
+            n_marks=np.zeros(n),
+        ),
         common=np.zeros((n, 6, 6)),
-        following=np.zeros((n, 6, 6)),
         known_following=np.full(n, -1, np.int64),
-        n_marks=np.zeros(n),
-        rms_px=np.full(n, np.nan),
         reasons=[NOT_IN_FILE] * n,
         source=[""] * n,
         cameras=[None] * n,
     )
-    facts: list[dict[str, Any]] = []
-    for path in _sources(files):
-        if path.suffix.lower() == ".parquet":
-            facts.append(_add_own(out, path, predictions, settings))
-        else:
-            facts.append(_add(out, _read(path, settings, crs), predictions, settings))
-    oriented: ArrayB = np.asarray(np.isfinite(out.centre).all(axis=1))
+    facts = [
+        _add(out, _read(path, predictions, settings, crs), predictions, settings) for path in _sources(files)
+    ]
+    oriented: ArrayB = np.asarray(np.isfinite(out.poses.centre_wcs_m).all(axis=1))
     filled = _covariances(out, oriented, settings)
-    camera = _camera(out, oriented)
-    without = {predictions.images[k]: out.reasons[k] for k in np.flatnonzero(~oriented)}
+    camera = _camera(out)
     told = {
         "images": n,
         "oriented": int(oriented.sum()),
-        "without_pose": without,
+        "without_pose": {predictions.images[k]: out.reasons[k] for k in np.flatnonzero(~oriented)},
         "files": facts,
         "sigmas_from_settings": filled,
         "notes": out.notes,
         "neighbour_correlation": settings["neighbour_correlation"],
     }
-    poses = ImagePoses(
-        frame=predictions.frame,
-        images=predictions.images,
-        t_gps_s=predictions.t_gps_s,
-        sigma_t_s=predictions.sigma_t_s,
+    poses = replace(
+        out.poses,
         oriented=oriented,
         reasons=tuple("" if good else reason for good, reason in zip(oriented, out.reasons, strict=True)),
-        centre_wcs_m=out.centre,
-        R_wcs_ccs=out.R,
-        cov_pose_wcs=out.cov,
-        cov_next=out.following,
-        n_marks=out.n_marks,
-        rms_px=out.rms_px,
         facts={"source": "finished orientations: " + ", ".join(sorted({f["program"] for f in facts}))},
     )
     return Imported(poses=poses, camera=camera, facts=told)
@@ -237,20 +215,14 @@ def _sources(files: Sequence[Path]) -> list[Path]:
     return list(dict.fromkeys(found))
 
 
-def _read(path: Path, settings: Mapping[str, Any], crs: str | None) -> Finished:
+def _read(path: Path, predictions: ImagePoses, settings: Mapping[str, Any], crs: str | None) -> Finished:
     if path.is_dir():
         return read_model(path, settings["crs"])
+    if path.suffix.lower() == ".parquet":
+        return _read_own(path, predictions.frame)
     if path.suffix.lower() == ".xml":
         return read_metashape(path, settings["crs"])
-    return read_angles_table(
-        path,
-        crs=settings["crs"],
-        default_crs=crs,
-        unit=settings["angle_unit"],
-        rotation=settings["rotation"],
-        direction=settings["direction"],
-        axes=settings["axes"],
-    )
+    return read_angles_table(path, settings, crs)
 
 
 def _add(
@@ -278,38 +250,51 @@ def _add(
         "without_pose_in_file": len(source.absent),
         "place": source.place.text,
     }
-    common = np.zeros((6, 6))
     if source.place.kind == "free":
         centre, R, cov, aligned = _aligned(chosen, compared, predicted, settings)
-        common = _common(predictions)
+        out.common[at] = _common(predictions)
         facts |= {"aligned": aligned}
-        check = Check(notes=[_align_note(aligned)])
+        notes = [
+            f"a free model put onto the predicted poses of {aligned['images']:.0f} images: scale "
+            f"{aligned['scale']:.6g}, rms {aligned['rms_m']:.2f} m and {aligned['rms_deg']:.2f} degrees; it "
+            "errs as a whole as the prediction does, and control points would do better"
+        ]
     else:
+        offset_m = 0.0 if source.following is not None else settings["height_offset_m"]  # our own have none
         try:
             centre, R, cov = to_world(
-                chosen,
-                predictions.frame,
-                north=settings["north"],
-                height_offset_m=settings["height_offset_m"],
+                chosen, predictions.frame, north=settings["north"], height_offset_m=offset_m
             )
         except GeometryError as error:
-            if compared is None:
-                raise
-            raise placed(compared, predicted, error) from error
-        check = Check(notes=[UNCHECKED])
+            other = _other_place(chosen if compared is None else compared, predicted)
+            raise _misplaced(source, error, other) from error
+        notes = [UNCHECKED]
         if compared is not None:
-            check = check_poses(compared, centre[known], R[known], predicted)
-    out.notes += [f"{Path(source.where).name}: {note}" for note in (*source.notes, *check.notes)]
-    _fill(out, at, source.where, images)
-    out.centre[at], out.R[at], out.cov[at], out.common[at] = centre, R, cov, common
-    out.n_marks[at] = chosen.n_marks
-    for k, c in zip(at.tolist(), chosen.camera.tolist(), strict=True):
-        out.cameras[k] = source.cameras[c] if c >= 0 else None
-    return facts | check.facts
+            notes, more = check_poses(compared, centre[known], R[known], predicted)
+            facts |= more
+        elif np.median(np.linalg.norm(centre, axis=1)) > FAR_M and (other := _other_place(chosen, predicted)):
+            away = GeometryError(f"positions a median of {_distance(centre)} away from campaign.origin")
+            raise _misplaced(source, away, other)
+    out.notes += [f"{Path(source.where).name}: {note}" for note in (*source.notes, *notes)]
+    for k, camera in zip(at.tolist(), chosen.cameras, strict=True):
+        if out.source[k]:
+            raise InputError(
+                f"{images[k]} has a pose in {Path(out.source[k]).name}, too",
+                expected="each image in one file",
+                where=source.where,
+            )
+        out.source[k], out.cameras[k] = source.where, camera
+    poses = out.poses
+    poses.centre_wcs_m[at], poses.R_wcs_ccs[at], poses.cov_pose_wcs[at] = centre, R, cov
+    poses.n_marks[at], poses.rms_px[at] = chosen.n_marks, chosen.rms_px
+    if chosen.following is not None:
+        poses.cov_next[at] = chosen.following
+        out.known_following[at] = np.append(every[1:], -1)[rows]
+    return facts
 
 
 def _predicted(predictions: ImagePoses, rows: ArrayI, settings: Mapping[str, Any]) -> Predicted:
-    """Predictions of images ``rows``, with the limits of belief."""
+    """Predictions of images ``rows``, with the limits of belief: no less than their own sigmas allow."""
     sigma_m, sigma_rad = predicted_sigmas(predictions)
     return Predicted(
         frame=predictions.frame,
@@ -317,34 +302,27 @@ def _predicted(predictions: ImagePoses, rows: ArrayI, settings: Mapping[str, Any
         R_wcs_ccs=predictions.R_wcs_ccs[rows],
         sigma_m=sigma_m,
         sigma_rad=sigma_rad,
-        most_m=settings["most_position_m"],
-        most_rad=float(np.deg2rad(settings["most_angle_deg"])),
+        limit_m=max(settings["most_position_m"], _SIGMAS * sigma_m),
+        limit_rad=max(float(np.deg2rad(settings["most_angle_deg"])), _SIGMAS * sigma_rad),
     )
-
-
-def _fill(out: _Table, at: ArrayI, where: str, images: Sequence[str]) -> None:
-    for k in at.tolist():
-        if out.source[k]:
-            raise InputError(
-                f"{images[k]} has a pose in {Path(out.source[k]).name}, too",
-                expected="each image in one file",
-                where=where,
-            )
-        out.source[k] = where
 
 
 def _aligned(
     chosen: Finished, compared: Finished | None, predicted: Predicted, settings: Mapping[str, Any]
 ) -> tuple[ArrayF, ArrayF, ArrayF, dict[str, float]]:
     """A model in a frame of its own on the predictions, or the refusal of it."""
-    words = f"a model of {chosen.program} in a frame of its own, without scale and place"
-    if compared is None:
-        raise InputError(
-            f"{words}; no image has a prediction",
+
+    def refused(why: str) -> InputError:
+        """The model has no place, and why it gets none."""
+        return InputError(
+            f"a model of {chosen.program} in a frame of its own, without scale and place; {why}",
             expected="poses in a CRS",
             where=chosen.where,
             cure=CURE_FREE,
         )
+
+    if compared is None:
+        raise refused("no image has a prediction")
     try:
         fit = align(
             compared.coordinates,
@@ -355,33 +333,20 @@ def _aligned(
             predicted.sigma_rad,
         )
     except GeometryError as error:
-        raise InputError(
-            f"{words}; it cannot be put onto the prediction, either: {error.found}",
-            expected="poses in a CRS",
-            where=chosen.where,
-            cure=CURE_FREE,
-        ) from error
+        raise refused(f"it cannot be put onto the prediction, either: {error.found}") from error
     fitted = (
         f"rms of {fit.rms_m:.2f} m and {np.rad2deg(fit.rms_rad):.2f} degrees in {len(compared.names)} images"
     )
     if fit.rms_m > predicted.limit_m or fit.rms_rad > predicted.limit_rad:
-        raise InputError(
-            f"{words}; a similarity leaves an {fitted} against the predicted poses: it is not the same track",
-            expected="poses in a CRS",
-            where=chosen.where,
-            cure=CURE_FREE,
+        raise refused(
+            f"a similarity leaves an {fitted} against the predicted poses: it is not the same track"
         )
     if settings["align"] != "predictions":
-        raise InputError(
-            f"{words}; a similarity of the scale {fit.scale:.6g} puts it onto the predicted poses "
-            f"with an {fitted}",
-            expected="poses in a CRS",
-            where=chosen.where,
-            cure=CURE_FREE,
+        raise refused(
+            f"a similarity of the scale {fit.scale:.6g} puts it onto the predicted poses with an {fitted}"
         )
     centre = fit.scale * chosen.coordinates @ fit.R.T + fit.shift_m
-    J = np.zeros((6, 6))
-    J[:3, :3], J[3:, 3:] = fit.scale * fit.R, fit.R
+    J = np.kron(np.diag([fit.scale, 1.0]), fit.R)
     cov = np.where(np.isfinite(chosen.cov), J @ np.nan_to_num(chosen.cov) @ J.T, np.nan)
     told = {
         "scale": fit.scale,
@@ -392,14 +357,6 @@ def _aligned(
     return centre, fit.R @ chosen.R_place_ccs, cov, told
 
 
-def _align_note(told: Mapping[str, float]) -> str:
-    return (
-        f"a free model put onto the predicted poses of {told['images']:.0f} images: scale "
-        f"{told['scale']:.6g}, rms {told['rms_m']:.2f} m and {told['rms_deg']:.2f} degrees; it errs as a "
-        "whole as the prediction does, and control points would do better"
-    )
-
-
 def _common(predictions: ImagePoses) -> ArrayF:
     """Covariance (6, 6) of what an aligned model errs by as a whole: the mean of the predictions' own."""
     cov = predictions.cov_pose_wcs[comparable(predictions)]
@@ -407,89 +364,53 @@ def _common(predictions: ImagePoses) -> ArrayF:
     return np.asarray(cov.mean(axis=0)) if len(cov) else np.zeros((6, 6))
 
 
-def _add_own(out: _Table, path: Path, predictions: ImagePoses, settings: Mapping[str, Any]) -> dict[str, Any]:
+def _read_own(path: Path, frame: LocalFrame) -> Finished:
     """Poses that Thalweg wrote, maybe of a campaign with another origin."""
     own = ImagePoses.read(path)
     rows = np.flatnonzero(own.oriented)
-    if not len(rows):
-        raise InputError("no image with a pose", expected="at least one", where=path)
-    every = matched(own.images, predictions.images, str(path))
-    check_share(
-        every[rows], [own.images[k] for k in rows], predictions.images, settings["least_matched"], str(path)
-    )
-    for k in np.flatnonzero(~own.oriented & (every >= 0)).tolist():
-        if not out.source[every[k]]:
-            out.reasons[every[k]] = own.reasons[k]
-    place = Place(kind="world")
-    rank = np.full(len(own.images), -1, np.int64)
-    rank[rows[:-1]] = rows[1:]
-    rows = rows[every[rows] >= 0]
-    at = every[rows]
-    centre, R, cov, following = between_frames(
-        own.frame,
-        predictions.frame,
-        own.centre_wcs_m[rows],
-        own.R_wcs_ccs[rows],
-        own.cov_pose_wcs[rows],
-        own.cov_next[rows],
-    )
-    known = comparable(predictions)[at]
-    source = Finished(
+    turn = frame.R_ecef_enu.T @ own.frame.R_ecef_enu
+    J = np.kron(np.eye(2), turn)
+    return Finished(
         program="Thalweg",
         where=str(path),
-        place=place,
+        place=Place(kind="world"),
         names=tuple(own.images[k] for k in rows),
-        coordinates=centre,
-        R_place_ccs=R,
-        cov=cov,
-        camera=np.full(len(rows), -1, np.int64),
+        coordinates=frame.from_ecef(
+            own.centre_wcs_m[rows] @ own.frame.R_ecef_enu.T + own.frame.origin_ecef_m
+        ),
+        R_place_ccs=turn @ own.R_wcs_ccs[rows],
+        cov=J @ own.cov_pose_wcs[rows] @ J.T,
+        following=J @ own.cov_next[rows] @ J.T,
+        n_marks=own.n_marks[rows],
+        rms_px=own.rms_px[rows],
+        absent={own.images[k]: own.reasons[k] for k in np.flatnonzero(~own.oriented)},
     )
-    predicted = _predicted(predictions, at[known], settings)
-    check = Check(notes=[UNCHECKED])
-    if known.any():
-        check = check_poses(source.chosen(np.flatnonzero(known)), centre[known], R[known], predicted)
-    _fill(out, at, str(path), predictions.images)
-    out.notes += [f"{path.name}: {note}" for note in check.notes]
-    out.centre[at], out.R[at], out.cov[at] = centre, R, cov
-    out.following[at] = following
-    out.known_following[at] = np.where(rank[rows] >= 0, every[rank[rows]], -1)
-    out.n_marks[at], out.rms_px[at] = own.n_marks[rows], own.rms_px[rows]
-    return {
-        "program": "Thalweg",
-        "file": str(path),
-        "poses": int(own.oriented.sum()),
-        "matched": len(at),
-        "not_of_the_campaign": [own.images[k] for k in np.flatnonzero(own.oriented & (every < 0))],
-        "without_pose_in_file": int((~own.oriented).sum()),
-        "place": place.text,
-        **check.facts,
-    }
 
 
 def _covariances(out: _Table, oriented: ArrayB, settings: Mapping[str, Any]) -> dict[str, int]:
     """Fill in what no file states, add what all images share, and the covariances of neighbours."""
     rows = np.flatnonzero(oriented)
+    cov, following = out.poses.cov_pose_wcs, out.poses.cov_next
     parts = (("positions", slice(0, 3), settings["sigma_position_m"]),
              ("rotations", slice(3, 6), np.deg2rad(settings["sigma_angle_deg"])))  # fmt: skip
     filled = {}
     for name, part, sigma in parts:
-        lost = rows[~np.isfinite(out.cov[rows, part, part]).all(axis=(1, 2))]
-        cross = slice(3, 6) if part.start == 0 else slice(0, 3)
-        out.cov[lost, part, part] = np.eye(3) * sigma**2
-        out.cov[lost, part, cross] = out.cov[lost, cross, part] = 0.0
+        lost = rows[~np.isfinite(cov[rows, part, part]).all(axis=(1, 2))]
+        cov[lost, part] = cov[lost, :, part] = 0.0
+        cov[lost, part, part] = np.eye(3) * sigma**2
         filled[name] = len(lost)
-    out.cov[rows] = np.nan_to_num(out.cov[rows])
-    root = _roots(out.cov[rows])
+    cov[rows] = np.nan_to_num(cov[rows])
+    root = _roots(cov[rows])
     for k, (a, b) in enumerate(zip(rows[:-1].tolist(), rows[1:].tolist(), strict=True)):
         if out.known_following[a] == b:
             continue
         own = out.known_following[a] >= 0 or out.source[a] != out.source[b]
-        out.following[a] = 0.0 if own else settings["neighbour_correlation"] * root[k] @ root[k + 1]
+        following[a] = 0.0 if own else settings["neighbour_correlation"] * root[k] @ root[k + 1]
         if out.source[a] == out.source[b]:
-            out.following[a] += out.common[a]
+            following[a] += out.common[a]
     if len(rows):
-        out.following[rows[-1]] = 0.0
-    out.cov[rows] += out.common[rows]
+        following[rows[-1]] = 0.0
+    cov[rows] += out.common[rows]
     return filled
 
 
@@ -501,22 +422,16 @@ def _roots(cov: ArrayF) -> ArrayF:
     return np.asarray(sigma[:, :, None] * half)
 
 
-def _camera(out: _Table, oriented: ArrayB) -> Camera | None:
+def _camera(out: _Table) -> Camera | None:
     """The interior orientation of most images, and a note where there are others."""
-    counts: dict[int, int] = {}
-    known: dict[int, Camera] = {}
-    for k in np.flatnonzero(oriented).tolist():
-        camera = out.cameras[k]
-        if camera is not None:
-            counts[id(camera)] = counts.get(id(camera), 0) + 1
-            known[id(camera)] = camera
+    known = {id(camera): camera for camera in out.cameras if camera is not None}
+    counts = Counter(id(camera) for camera in out.cameras if camera is not None).most_common()
     if not counts:
         return None
-    best = max(counts, key=lambda key: counts[key])
+    best, n = counts[0]
     if len(counts) > 1:
         out.notes.append(
-            f"{len(counts)} interior orientations; the one of most images ({counts[best]}) is taken: "
-            f"{known[best].name}"
+            f"{len(counts)} interior orientations; the one of most images ({n}) is taken: {known[best].name}"
         )
     return known[best]
 
@@ -553,30 +468,28 @@ def read_model(folder: Path, crs: str | None) -> Finished:
     poses = list(_binary_images(where) if binary else _text_images(where))
     if not poses:
         raise InputError("no registered image", expected="at least one", where=where)
-    names = tuple(pose[0] for pose in poses)
-    values = np.array([pose[2] for pose in poses])
-    size = np.linalg.norm(values[:, :4], axis=1)
-    if not np.isfinite(values).all() or (np.abs(size - 1) > 1e-3).any():
-        k = int(np.argmax(~(np.abs(size - 1) <= 1e-3) | ~np.isfinite(values).all(axis=1)))
+    names, lenses, values, n_marks = zip(*poses, strict=True)
+    q = np.array(values)
+    size = np.linalg.norm(q[:, :4], axis=1)
+    bad = ~(np.abs(size - 1) <= 1e-3) | ~np.isfinite(q).all(axis=1)
+    if bad.any():
+        k = int(np.argmax(bad))
         raise InputError(
             f"the quaternion of {names[k]} has the length {size[k]:.4g}", expected="1", where=where
         )
-    R_ccs_place = Rotation.from_quat(values[:, [1, 2, 3, 0]]).as_matrix()
-    R = orthogonal(np.swapaxes(R_ccs_place, 1, 2), str(where), names)
+    R = Rotation.from_quat(q[:, :4], scalar_first=True).inv().as_matrix()
     notes: list[str] = []
     cameras = _cameras(folder, notes)
-    index = {key: k for k, key in enumerate(cameras)}
     return Finished(
         program="COLMAP",
         where=str(where),
-        place=Place(kind="free") if crs is None else place_of(crs, str(where)),
+        place=Place(kind="free") if crs is None else place_of(crs, where),
         names=names,
-        coordinates=-np.einsum("nij,nj->ni", R, values[:, 4:]),
+        coordinates=-np.einsum("nij,nj->ni", R, q[:, 4:]),
         R_place_ccs=R,
         cov=np.full((len(names), 6, 6), np.nan),
-        camera=np.array([index.get(pose[1], -1) for pose in poses]),
-        cameras=tuple(cameras.values()),
-        n_marks=np.array([float(pose[3]) for pose in poses]),
+        cameras=[cameras.get(key) for key in lenses],
+        n_marks=np.array(n_marks, np.float64),
         notes=tuple(notes),
     )
 
@@ -611,26 +524,22 @@ def _text_images(path: Path) -> Iterator[Pose]:
 
 def _binary_images(path: Path) -> Iterator[Pose]:
     data = path.read_bytes()
-    at, count = 8, _count(data, path)
-    for _ in range(count):
-        if at + _POSE.size > len(data):
-            raise _cut(path, at)
-        values = _POSE.unpack_from(data, at)
-        at += _POSE.size
-        end = data.find(b"\0", at)
-        if end < 0 or end + 9 > len(data):
-            raise _cut(path, at)
-        try:
-            name = data[at:end].decode()
-        except UnicodeDecodeError as error:
-            raise InputError("a name that is no text", expected="images.bin", where=f"{path}:{at}") from error
-        n = int.from_bytes(data[end + 1 : end + 9], "little")
-        at = end + 9
-        if n > (len(data) - at) // _POINT_BYTES:
-            raise _cut(path, at)
-        points = np.frombuffer(data, np.dtype([("xy", "<f8", 2), ("point", "<u8")]), n, at)["point"]
-        at += n * _POINT_BYTES
-        yield name, int(values[8]), list(values[1:8]), int((points != _NOTHING).sum())
+    at = 8
+    try:
+        for _ in range(_count(data, _POSE.size, path)):
+            values = _POSE.unpack_from(data, at)
+            end = data.index(b"\0", at + _POSE.size)
+            (n,) = struct.unpack_from("<Q", data, end + 1)
+            points = np.frombuffer(data, _POINTS, min(n, len(data)), end + 9)["point"]
+            yield (
+                data[at + _POSE.size : end].decode(),
+                values[8],
+                values[1:8],
+                int((points != _NOTHING).sum()),
+            )
+            at = end + 9 + points.size * _POINTS.itemsize
+    except (struct.error, ValueError) as error:  # a name that is no text is one of values
+        raise _cut(path, at) from error
     if at != len(data):
         raise InputError(
             f"{len(data) - at} bytes behind the last image", expected="none", where=f"{path}:{at}"
@@ -640,40 +549,30 @@ def _binary_images(path: Path) -> Iterator[Pose]:
 def _cameras(folder: Path, notes: list[str]) -> dict[int, Camera]:
     """Interior orientations by number; those that cannot be taken over leave a note."""
     binary, text = folder / "cameras.bin", folder / "cameras.txt"
-    rows = (
-        _binary_cameras(binary) if binary.is_file() else _text_cameras(text) if text.is_file() else iter(())
-    )
+    rows = _binary_cameras(binary) if binary.is_file() else _text_cameras(text) if text.is_file() else ()
     found: dict[int, Camera] = {}
-    for key, model, size, values in rows:
-        expected = len(COLMAP_MODELS[model][1]) if model in COLMAP_MODELS else None
-        if expected is None:
+    for key, model, (width, height), values in rows:
+        if model not in COLMAP_MODELS:
             notes.append(
                 f"The camera model {model} of camera {key} is not known here: no interior orientation"
             )
             continue
-        if len(values) != expected:
-            raise InputError(
-                f"{len(values)} parameters of camera {key}", expected=f"{expected}", where=folder
-            )
+        n = len(COLMAP_MODELS[model][1])
+        if len(values) != n:
+            raise InputError(f"{len(values)} parameters of camera {key}", expected=f"{n}", where=folder)
         pc = colmap()
-        made = pc.Camera(
-            camera_id=key,
-            model=getattr(pc.CameraModelId, model),
-            width=size[0],
-            height=size[1],
-            params=values,
-        )
+        of_model = getattr(pc.CameraModelId, model)
+        made = pc.Camera(camera_id=key, model=of_model, width=width, height=height, params=values)
         try:
-            camera, off_px = from_colmap(made, f"camera_{key}")
+            found[key], off_px = from_colmap(made, f"camera_{key}")
         except ThalwegError as error:
             raise InputError(error.found, expected=error.expected, where=folder) from error
-        found[key] = camera
         if off_px > 0:
             notes.append(f"Camera {key}: {model} as the model of Brown, up to {off_px:.3f} px different")
     return found
 
 
-def _text_cameras(path: Path) -> Iterator[tuple[int, str, tuple[int, int], list[float]]]:
+def _text_cameras(path: Path) -> Iterator[Lens]:
     for number, line in enumerate(_text(path), 1):
         words = line.split("#")[0].split()
         if not words:
@@ -688,37 +587,25 @@ def _text_cameras(path: Path) -> Iterator[tuple[int, str, tuple[int, int], list[
             ) from error
 
 
-def _binary_cameras(path: Path) -> Iterator[tuple[int, str, tuple[int, int], list[float]]]:
+def _binary_cameras(path: Path) -> Iterator[Lens]:
     data = path.read_bytes()
     at = 8
-    for _ in range(_count(data, path)):
-        if at + _CAMERA.size > len(data):
-            raise _cut(path, at)
-        key, number, width, height = _CAMERA.unpack_from(data, at)
-        model = _NUMBERS.get(number)
-        if model is None:
-            raise InputError(
-                f"camera model number {number}",
-                expected="one of COLMAP's up to 11",
-                where=f"{path}:{at}",
-                cure="Export the model as text",
-            )
-        n = _COUNTS.get(model) or len(COLMAP_MODELS[model][1])
-        at += _CAMERA.size
-        if at + 8 * n > len(data):
-            raise _cut(path, at)
-        values = list(struct.unpack_from(f"<{n}d", data, at))
-        at += 8 * n
-        yield key, model, (width, height), values
-
-
-def _count(data: bytes, path: Path) -> int:
-    count = int.from_bytes(data[:8], "little")
-    if len(data) < 8 or count > _MOST:
-        raise InputError(
-            f"{len(data)} bytes that are no model", expected="a binary file of COLMAP", where=path
-        )
-    return count
+    for _ in range(_count(data, _CAMERA.size, path)):
+        try:
+            key, number, width, height = _CAMERA.unpack_from(data, at)
+            if number not in range(len(_MODELS)):
+                raise InputError(
+                    f"camera model number {number}",
+                    expected=f"one of COLMAP's up to {len(_MODELS) - 1}",
+                    where=f"{path}:{at}",
+                    cure="Export the model as text",
+                )
+            model = _MODELS[number]
+            n = _COUNTS.get(model) or len(COLMAP_MODELS[model][1])
+            yield key, model, (width, height), struct.unpack_from(f"<{n}d", data, at + _CAMERA.size)
+        except struct.error as error:
+            raise _cut(path, at) from error
+        at += _CAMERA.size + 8 * n
 
 
 def _cut(path: Path, at: int) -> InputError:
@@ -730,6 +617,16 @@ def _cut(path: Path, at: int) -> InputError:
     )
 
 
+def _count(data: bytes, least_bytes: int, path: Path) -> int:
+    """Number of records at the beginning of a binary file, which must have room for them."""
+    count = int.from_bytes(data[:8], "little")
+    if count * least_bytes > len(data) - 8:
+        raise InputError(
+            f"{len(data)} bytes that are no model", expected="a binary file of COLMAP", where=path
+        )
+    return count
+
+
 def _text(path: Path) -> list[str]:
     try:
         return path.read_text(encoding="utf-8-sig").splitlines()
@@ -739,11 +636,7 @@ def _text(path: Path) -> list[str]:
 
 def _is_points(words: list[str]) -> bool:
     """Whether a line holds triples of numbers; the name of a pose stands among the first ten words."""
-    return len(words) % 3 == 0 and all(_is_number(word) for word in words[:12])
-
-
-def _is_number(word: str) -> bool:
-    return bool(re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", word))
+    return len(words) % 3 == 0 and all(_NUMBER.fullmatch(word) for word in words[:12])
 
 
 # ---------------------------------------------------------------- can the poses be those of the campaign, and
@@ -754,16 +647,10 @@ def _is_number(word: str) -> bool:
 # above the geoid, another order of angles, another unit, other axes. The one that fits is named.
 
 
-@dataclass(slots=True, kw_only=True)
-class Check:
-    """Notes for people and facts of a comparison."""
-
-    notes: list[str] = field(default_factory=list)
-    facts: dict[str, Any] = field(default_factory=dict)
-
-
-def check_poses(source: Finished, centre: ArrayF, R: ArrayF, predicted: Predicted) -> Check:
-    """Compare poses in wcs with predicted ones.
+def check_poses(
+    source: Finished, centre: ArrayF, R: ArrayF, predicted: Predicted
+) -> tuple[list[str], dict[str, Any]]:
+    """Compare poses in wcs with predicted ones: notes for people, and facts.
 
     Parameters
     ----------
@@ -774,39 +661,43 @@ def check_poses(source: Finished, centre: ArrayF, R: ArrayF, predicted: Predicte
     ------
     InputError : positions or attitudes are not those of the campaign; it says what would fit.
     """
-    out = Check()
     if len(centre) < LEAST_IMAGES:
-        out.notes.append(f"{len(centre)} images with a prediction: the poses could not be checked against it")
-        return out
+        return [f"{len(centre)} images with a prediction: the poses could not be checked against it"], {}
     off = centre - predicted.centre_wcs_m
     away, turn = np.linalg.norm(off, axis=1), angles_between(R, predicted.R_wcs_ccs)
-    out.facts = {
+    facts = {
         "images_compared": len(centre),
         "median_distance_m": float(np.median(away)),
         "median_height_difference_m": float(np.median(off[:, 2])),
         "median_angle_deg": float(np.rad2deg(np.median(turn))),
     }
-    check_heights(source, off, predicted, out)
+    notes = check_heights(source, off, predicted)
     if np.median(away) > predicted.limit_m:
-        raise _misplaced(source, predicted, np.median(away))
+        far = GeometryError(
+            f"positions a median of {_distance(off)} away from the predicted ones",
+            expected=f"at most {predicted.limit_m:.0f} m",
+            cure="Check images.finished.crs, that the file belongs to this survey, and the camera's clock, "
+            "by which the prediction goes; images.finished.most_position_m is the limit",
+        )
+        raise _misplaced(source, far, _other_place(source, predicted))
     _check_attitudes(source, R, turn, predicted)
-    out.notes += _north_note(source, R, turn, predicted)
+    notes += _north_note(source, R, turn, predicted)
     for what, values, limit, unit in (
         ("m", away, predicted.limit_m, 1.0),
         ("degrees", turn, predicted.limit_rad, np.rad2deg(1.0)),
     ):
-        far = np.flatnonzero(values > limit)
-        if len(far):
+        far_off = np.flatnonzero(values > limit)
+        if len(far_off):
             worst = int(np.argmax(values))
-            out.notes.append(
-                f"{len(far)} of {len(values)} images are more than {limit * unit:.0f} {what} away from their "
-                f"prediction, most of all {source.names[worst]} with {values[worst] * unit:.1f} {what}"
+            notes.append(
+                f"{len(far_off)} of {len(values)} images are more than {limit * unit:.0f} {what} away from "
+                f"their prediction, most of all {source.names[worst]} with {values[worst] * unit:.1f} {what}"
             )
-    return out
+    return notes, facts
 
 
-def check_heights(source: Finished, off: ArrayF, predicted: Predicted, out: Check) -> None:
-    """Name a constant difference of heights with positions that fit.
+def check_heights(source: Finished, off: ArrayF, predicted: Predicted) -> list[str]:
+    """A note where heights differ by a constant, with positions that fit.
 
     Parameters
     ----------
@@ -821,7 +712,7 @@ def check_heights(source: Finished, off: ArrayF, predicted: Predicted, out: Chec
     level = max(_LEVEL_M, 3.0 * predicted.sigma_m)
     flat = float(np.median(np.linalg.norm(off[:, :2], axis=1)))
     if scatter > level or flat > predicted.limit_m or abs(height) <= level:
-        return
+        return []
     words = (
         f"heights {abs(height):.1f} m {'below' if height < 0 else 'above'} the predicted ones, all "
         f"alike (NMAD {scatter:.2f} m), with positions that fit to {flat:.1f} m"
@@ -834,92 +725,41 @@ def check_heights(source: Finished, off: ArrayF, predicted: Predicted, out: Chec
             cure="Heights above the geoid differ so: raise images.finished.height_offset_m by the height of "
             f"the geoid there, about {-height:.0f} m, from the geoid model of the land survey",
         )
-    out.notes.append(words + ": check whether they are above the ellipsoid")
+    return [words + ": check whether they are above the ellipsoid"]
 
 
-def placed(source: Finished, predicted: Predicted, error: GeometryError) -> ThalwegError:
-    """The error to raise where coordinates do not fit into their CRS, with what would fit."""
-    for words, cure, median in _other_places(source, predicted):
-        if median <= predicted.limit_m:
-            return _wrong_place(source, f"{error.found}", words, cure)
-    return InputError(error.found, expected=error.expected, where=source.where, cure=error.cure)
-
-
-def _misplaced(source: Finished, predicted: Predicted, median_m: float) -> InputError:
-    found = f"positions a median of {_distance(median_m)} away from the predicted ones"
-    tried = [t for t in _other_places(source, predicted) if t[2] <= predicted.limit_m]
-    if tried:
-        # WGS 84 and ETRS89 fit alike: the first of them is nearest to what was stated
-        least = min(t[2] for t in tried)
-        words, cure, _ = next(t for t in tried if t[2] <= least + _ALIKE_M)
-        return _wrong_place(source, found, words, cure)
+def _misplaced(source: Finished, error: GeometryError, other: Reading | None) -> InputError:
+    """What to raise of coordinates that are not meant so, with the reading that would fit."""
+    if other is None:
+        return InputError(error.found, expected=error.expected, where=source.where, cure=error.cure)
     return InputError(
-        found,
-        expected=f"at most {predicted.limit_m:.0f} m",
-        where=source.where,
-        cure="Check images.finished.crs, that the file belongs to this survey, and the camera's "
-        "clock, by which "
-        "the prediction goes; images.finished.most_position_m is the limit",
-    )
-
-
-def _wrong_place(source: Finished, found: str, words: str, cure: str) -> InputError:
-    return InputError(
-        f"{found}; {words} would fit",
+        f"{error.found}; {other.words} would fit",
         expected=f"coordinates in {source.place.text}",
         where=source.where,
-        cure=cure,
+        cure=_CURES.get(other.words, other.cure),
     )
 
 
-def _other_places(source: Finished, predicted: Predicted) -> Iterator[tuple[str, str, float]]:
-    """Other readings of the coordinates: words, cure, and the median distance that is left."""
-    x = source.coordinates
-    swapped = x[:, [1, 0, 2]]
+def _other_place(source: Finished, predicted: Predicted) -> Reading | None:
+    """The usual mistake that would explain the coordinates of a file; without prediction, near the origin."""
+    x, place, frame = source.coordinates, source.place, predicted.frame
+    form = FORMS[0] if place.kind == "world" else FORMS[2]
     inside = -np.einsum("nij,nj->ni", source.R_place_ccs, x)
-    world, degrees = Place(kind="world"), Place(kind="geographic", crs=CRS.from_epsg(4326))
-    own = source.place
-    swap, metres, centres = "Swap these columns of the file", "Export in metres", "Export projection centres"
-    readings: list[tuple[str, str, ArrayF, Place]] = [
-        ("east and north (or longitude and latitude) swapped", swap, swapped, own),
-        ("world coordinates of the campaign", "Set images.finished.crs: world", x, world),
-        ("the translations of world-to-camera transforms", centres, inside, own),
-        ("feet", metres, x * 0.3048, own),
-        ("millimetres", metres, x * 1e-3, own),
-        ("longitude and latitude", "Set images.finished.crs: EPSG:4326", x, degrees),
-        ("latitude and longitude", f"{swap}, and set images.finished.crs: EPSG:4326", swapped, degrees),
-    ]
-    readings += [
-        (crs.name, f"Set images.finished.crs: EPSG:{crs.to_epsg()}", x, Place(kind="map", crs=crs))
-        for crs in _grids(own, predicted.frame)
-    ]
-    for words, cure, values, place in readings:
-        median = _median_distance(values, place, predicted)
-        if np.isfinite(median):
-            yield words, cure, median
-
-
-def _grids(place: Place, frame: LocalFrame) -> list[CRS]:
-    """Zones of UTM around the campaign and beside the stated one."""
-    zone = int((frame.lon_deg + 180) // 6) + 1
-    codes = [
-        32600 + z if frame.lat_deg >= 0 else 32700 + z for z in (zone, zone - 1, zone + 1) if 1 <= z <= 60
-    ]
-    codes += [25800 + z for z in (zone, zone - 1, zone + 1) if 28 <= z <= 38]
-    own = place.crs.to_epsg() if place.crs is not None else None
-    if own is not None and any(low <= own <= high for low, high in _UTM):
-        codes = [own - 1, own + 1, *codes]
-    return [CRS.from_epsg(code) for code in dict.fromkeys(codes) if code != own]
-
-
-def _median_distance(coordinates: ArrayF, place: Place, predicted: Predicted) -> float:
-    try:
-        centre = world_positions(coordinates, place, predicted.frame)
-    except GeometryError:
-        return float("inf")
-    off = centre - predicted.centre_wcs_m
-    # heights above the geoid are a mistake of their own
-    return float(np.median(np.linalg.norm(off[:, :2], axis=1)))
+    centres = Reading(
+        "the translations of world-to-camera transforms", "Export projection centres", inside, form, place.crs
+    )
+    near, limit_m = predicted.centre_wcs_m, predicted.limit_m
+    if not len(near):
+        near, limit_m = np.zeros(3), FAR_M
+    for other in (*readings(x, form, place.crs, frame, "Set images.finished.crs:"), centres):
+        try:
+            off = world_of(other.values, other.form, other.crs, frame) - near
+        except GeometryError:
+            continue
+        # heights above the geoid are a mistake of their own
+        if np.median(np.linalg.norm(off[:, :2], axis=1)) <= limit_m:
+            return other
+    return None
 
 
 def _check_attitudes(source: Finished, R: ArrayF, turn: ArrayF, predicted: Predicted) -> None:
@@ -1007,5 +847,6 @@ def _constant_turn(R: ArrayF, median_rad: float, predicted: Predicted) -> str:
     return ""
 
 
-def _distance(metres: float) -> str:
+def _distance(off: ArrayF) -> str:
+    metres = np.median(np.linalg.norm(off, axis=1))
     return f"{metres:.0f} m" if metres < 10_000 else f"{metres / 1000:.0f} km"

@@ -7,25 +7,19 @@ geographic coordinates those of the place itself.
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import Any, Final, Literal
+from pathlib import Path
+from typing import Final, Literal
 
 import numpy as np
 from pyproj import CRS
-from pyproj.exceptions import CRSError
+from scipy.spatial.transform import Rotation
 
-from thalweg.core import (
-    GRS80_SEMI_MAJOR_M,
-    AnyArray,
-    ArrayF,
-    ArrayI,
-    Camera,
-    GeometryError,
-    InputError,
-    LocalFrame,
-)
+from thalweg.core import GRS80_SEMI_MAJOR_M, AnyArray, ArrayF, Camera, InputError, LocalFrame
+from thalweg.core.values import FORMS, world_of
+from thalweg.images import crs_of
 
 Kind = Literal["world", "map", "geographic", "geocentric", "free"]
 WORLD = "world"
@@ -80,7 +74,7 @@ class Place:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Angles:
     """Three angles of each pose as they stand in a table, (n, 3) in ``unit``, and how they were read."""
 
@@ -105,9 +99,10 @@ class Finished:
     R_place_ccs : (n, 3, 3).
     cov : (n, 6, 6) of (shift in metres; rotation vector) about the axes to which the rotations refer; NaN
         where the file states nothing.
-    camera : (n,) index of the interior orientation; -1 if the file has none.
-    cameras : interior orientations.
+    cameras : n interior orientations, None where the file has none; or no names at all.
     n_marks : (n,) tie points in each image, 0 if not known.
+    rms_px : (n,) of their residuals; NaN if not known.
+    following : (n, 6, 6) covariance of each pose with the next one of the file; None if it states none.
     absent : images of the file without pose, and why.
     angles : as they stand in a table; None for other files.
     notes : for people.
@@ -120,17 +115,18 @@ class Finished:
     coordinates: ArrayF
     R_place_ccs: ArrayF
     cov: ArrayF
-    camera: ArrayI
-    cameras: tuple[Camera, ...] = ()
-    n_marks: ArrayF = field(default_factory=lambda: np.empty(0))
+    cameras: Sequence[Camera | None] = ()
+    n_marks: ArrayF | float = 0.0
+    rms_px: ArrayF | float = math.nan
+    following: ArrayF | None = None
     absent: Mapping[str, str] = field(default_factory=dict)
     angles: Angles | None = None
     notes: tuple[str, ...] = ()
-    facts: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not len(self.n_marks):
-            object.__setattr__(self, "n_marks", np.zeros(len(self.names)))
+        for name in ("n_marks", "rms_px"):
+            object.__setattr__(self, name, np.broadcast_to(getattr(self, name), len(self.names)))
+        object.__setattr__(self, "cameras", self.cameras or (None,) * len(self.names))
         if not len(self.names):
             raise InputError("no image with a pose", expected="at least one", where=self.where)
         twice = sorted(name for name, times in Counter(self.names).items() if times > 1)[:3]
@@ -140,63 +136,48 @@ class Finished:
         if bad.any():
             name = self.names[int(np.argmax(bad))]
             raise InputError(f"no finite coordinates of {name}", expected="three numbers", where=self.where)
-        gram = self.R_place_ccs @ np.swapaxes(self.R_place_ccs, 1, 2)
-        # the readers have made them orthogonal, see `orthogonal`
-        off = np.abs(gram - np.eye(3)).max(axis=(1, 2))
-        odd = ~(off < 1e-9) | (np.linalg.det(self.R_place_ccs) < 0)
-        if odd.any():
-            name = self.names[int(np.argmax(odd))]
-            raise InputError(
-                f"the rotation of {name} is none",
-                expected="an orthogonal matrix, no reflection",
-                where=self.where,
-            )
 
     def chosen(self, rows: AnyArray) -> "Finished":
         """Some of the poses, by index."""
-        angles = self.angles
-        if angles is not None:
-            angles = replace(angles, values=angles.values[rows])
+        angles = None if self.angles is None else replace(self.angles, values=self.angles.values[rows])
         return replace(
             self,
             names=tuple(self.names[i] for i in rows),
             coordinates=self.coordinates[rows],
             R_place_ccs=self.R_place_ccs[rows],
             cov=self.cov[rows],
-            camera=self.camera[rows],
-            n_marks=self.n_marks[rows],
+            cameras=[self.cameras[i] for i in rows],
+            n_marks=np.asarray(self.n_marks)[rows],
+            rms_px=np.asarray(self.rms_px)[rows],
+            following=None if self.following is None else self.following[rows],
             angles=angles,
         )
 
 
-def place_of(text: str | CRS, where: str) -> Place:
+def place_of(text: str, path: Path) -> Place:
     """From the name of a CRS, or ``world``.
 
     Raises
     ------
     InputError : an unknown CRS, or one that is neither projected nor geographic nor geocentric.
     """
-    if isinstance(text, str) and text.strip().lower() == WORLD:
+    if text.strip().lower() == WORLD:
         return Place(kind="world")
-    try:
-        crs = CRS.from_user_input(text)
-    except CRSError as error:
-        raise InputError(
-            f"the CRS '{str(text)[:80]}' is not known", expected="such as EPSG:25833, or world", where=where
-        ) from error
-    base = crs.sub_crs_list[0] if crs.is_compound else crs
-    if base.is_projected:
-        return Place(kind="map", crs=crs)
-    if base.is_geocentric:
-        return Place(kind="geocentric", crs=crs)
-    if base.is_geographic:
-        return Place(kind="geographic", crs=crs)
-    raise InputError(
-        f"the CRS '{crs.name}' has no place on the earth",
-        expected="a grid, or geographic coordinates",
-        where=where,
-        cure="Name the CRS in images.finished.crs",
+    crs = crs_of(text, path)
+    kinds: tuple[tuple[Kind, bool], ...] = (
+        ("map", crs.is_projected),
+        ("geocentric", crs.is_geocentric),
+        ("geographic", crs.is_geographic),
     )
+    kind = next((kind for kind, holds in kinds if holds), None)
+    if kind is None:
+        raise InputError(
+            f"the CRS '{crs.name}' has no place on the earth",
+            expected="a grid, or geographic coordinates",
+            where=path,
+            cure="Name the CRS in images.finished.crs",
+        )
+    return Place(kind=kind, crs=crs)
 
 
 def orthogonal(R: ArrayF, where: str, names: tuple[str, ...]) -> ArrayF:
@@ -206,9 +187,7 @@ def orthogonal(R: ArrayF, where: str, names: tuple[str, ...]) -> ArrayF:
     ------
     InputError : a matrix is more than 1e-3 away from any rotation.
     """
-    if not np.isfinite(R).all():
-        k = int(np.argmax(~np.isfinite(R).all(axis=(1, 2))))
-        raise InputError(f"the rotation of {names[k]} holds no numbers", expected="a rotation", where=where)
+    R = np.where(np.isfinite(R).all(axis=(1, 2), keepdims=True), R, 0.0)
     U, s, Vt = np.linalg.svd(R)
     bad = (np.abs(s - 1) > 1e-3).any(axis=1) | (np.linalg.det(R) < 0)
     if bad.any():
@@ -268,28 +247,16 @@ def world_positions(coordinates: ArrayF, place: Place, frame: LocalFrame) -> Arr
     """
     if place.kind in ("world", "free"):
         return coordinates
-    crs = place.crs
-    assert crs is not None
-    if place.kind == "map":
-        return frame.from_map(coordinates, crs)
-    _check_datum(crs)
     if place.kind == "geocentric":
         return frame.from_ecef(coordinates)
-    lon, lat = coordinates[:, 0], coordinates[:, 1]
-    if not ((np.abs(lat) <= 90) & (np.abs(lon) <= 360)).all():
-        k = int(np.argmax((np.abs(lat) > 90) | (np.abs(lon) > 360)))
-        raise GeometryError(
-            f"longitude {lon[k]:.3f}, latitude {lat[k]:.3f}",
-            expected=f"degrees of '{crs.name}'",
-            cure="Check images.finished.crs and the order of the columns: X is the longitude",
-        )
-    return frame.from_geodetic(lat, lon, coordinates[:, 2])
+    assert place.crs is not None
+    if place.kind == "geographic":
+        check_datum(place.crs, "images.finished.crs")
+    return world_of(coordinates, FORMS[2], place.crs, frame)
 
 
 def raised(coordinates: ArrayF, place: Place, offset_m: float, frame: LocalFrame) -> ArrayF:
     """Coordinates with an offset added to their heights."""
-    if not offset_m:
-        return coordinates
     if place.kind == "geocentric":
         lat, lon, _ = frame.to_geodetic(frame.from_ecef(coordinates))
         up = (frame.R_ecef_enu @ frame.R_wcs_enu(lat, lon))[:, :, 2]
@@ -326,25 +293,20 @@ def to_world(
     return centre, axes @ source.R_place_ccs, cov
 
 
-def between_frames(
-    source: LocalFrame, target: LocalFrame, centre: ArrayF, R: ArrayF, cov: ArrayF, following: ArrayF
-) -> tuple[ArrayF, ArrayF, ArrayF, ArrayF]:
-    """Poses of one world frame in another one: the origins of two campaigns."""
-    turn = target.R_ecef_enu.T @ source.R_ecef_enu
-    ecef = centre @ source.R_ecef_enu.T + source.origin_ecef_m
-    J = np.zeros((6, 6))
-    J[:3, :3] = J[3:, 3:] = turn
-    return target.from_ecef(ecef), turn @ R, J @ cov @ J.T, J @ following @ J.T
+def check_datum(crs: CRS, where: str | Path) -> None:
+    """Refuse geographic and geocentric coordinates in a datum other than that of GNSS.
 
-
-def _check_datum(crs: CRS) -> None:
-    """As `LocalFrame.from_map` does for grids."""
+    Raises
+    ------
+    InputError : another ellipsoid; grids are checked by `LocalFrame.from_map`.
+    """
     ellipsoid = crs.ellipsoid
     if ellipsoid is None or abs(ellipsoid.semi_major_metre - GRS80_SEMI_MAJOR_M) > 0.5:
-        raise GeometryError(
+        raise InputError(
             f"'{crs.name}' is on the ellipsoid {ellipsoid.name if ellipsoid else 'unknown'}, another datum "
             "than that of GNSS positions",
             expected="coordinates on GRS80 or WGS84",
+            where=where,
             cure="Export in WGS84 or ETRS89",
         )
 
@@ -362,25 +324,12 @@ def _check_datum(crs: CRS) -> None:
 # ``R_z(kappa) R_y(phi) R_x(omega)``; with ``world_to_image`` the product is the transposed matrix.
 
 
-def turns(axis: str, angle_rad: ArrayF) -> ArrayF:
-    """Rotations (n, 3, 3) about one axis, as `thalweg.core.frames.rotation_x` and its sisters."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    k = _PLACE[axis]
-    i, j = (k + 1) % 3, (k + 2) % 3
-    R = np.zeros((len(angle_rad), 3, 3))
-    R[:, k, k] = 1.0
-    R[:, i, i] = R[:, j, j] = c
-    R[:, i, j], R[:, j, i] = -s, s
-    return R
-
-
-def image_rotations(angles: Angles) -> ArrayF:
-    """``R_place_image`` (n, 3, 3) of the angles, in the file's own image axes."""
-    order = ORDERS[angles.rotation]
-    rad = angles.values * UNITS[angles.unit]
-    first, second, third = (turns(a, rad[:, _PLACE[a]]) for a in order)
-    R = first @ second @ third
-    return np.asarray(np.swapaxes(R, 1, 2) if angles.direction == "world_to_image" else R)
+def image_rotations(angles: Angles, n: int = 3) -> ArrayF:
+    """``R_place_image`` (n, 3, 3) in the file's own image axes, of all angles or the first ``n`` turns."""
+    order = ORDERS[angles.rotation][:n]
+    rad = angles.values[:, [_PLACE[axis] for axis in order]] * UNITS[angles.unit]
+    R = Rotation.from_euler(order.upper(), rad)
+    return np.asarray((R.inv() if angles.direction == "world_to_image" else R).as_matrix())
 
 
 def ccs_rotations(angles: Angles) -> ArrayF:
@@ -391,27 +340,23 @@ def ccs_rotations(angles: Angles) -> ArrayF:
 
 def angle_covariance(angles: Angles, sigma: ArrayF) -> ArrayF:
     """Covariance (n, 3, 3) of the rotation vector in the file's frame, of sigmas (n, 3) of the angles."""
-    order = ORDERS[angles.rotation]
-    rad = angles.values * UNITS[angles.unit]
-    before = np.tile(np.eye(3), (len(rad), 1, 1))
-    axes = np.zeros((len(rad), 3, 3))
-    for name in order:
+    axes = np.zeros((len(angles.values), 3, 3))
+    forward = replace(angles, direction="image_to_world")
+    for n, name in enumerate(ORDERS[angles.rotation]):
         k = _PLACE[name]
-        axes[:, :, k] = before[:, :, k]
-        before = before @ turns(name, rad[:, k])
+        axes[:, k, k] = 1.0
+        if n:
+            axes[:, :, k] = image_rotations(forward, n)[:, :, k]
     if angles.direction == "world_to_image":
         # d(M^T) = -[M^T v]x M^T
-        axes = -np.swapaxes(before, 1, 2) @ axes
+        axes = -image_rotations(angles) @ axes
     J = axes * (sigma * UNITS[angles.unit])[:, None, :]
     return np.asarray(J @ np.swapaxes(J, 1, 2))
 
 
 def conventions(angles: Angles) -> Iterator[Angles]:
     """All usual readings of the same numbers, those first that differ least from the one at hand."""
-    found = [
-        Angles(values=angles.values, unit=unit, rotation=rotation, direction=direction, axes=axes)
-        for unit, rotation, direction, axes in product(UNITS, ORDERS, DIRECTIONS, AXES)
-    ]
+    found = [Angles(angles.values, *how) for how in product(UNITS, ORDERS, DIRECTIONS, AXES)]
     yield from sorted(found, key=lambda other: len(changes(angles, other)))
 
 

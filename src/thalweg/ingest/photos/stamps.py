@@ -187,18 +187,14 @@ def _stamp(text: str, form: str, where: str) -> CivilStamp:
     whole = re.sub(r"[.,]\d+", "", text)
     try:
         if form == "time_utc":
-            moment = dt.datetime.fromisoformat(whole.replace("Z", "+00:00"))
-            own = moment.utcoffset()
-            offset_s = 0.0 if own is None else own.total_seconds()
+            moment = dt.datetime.fromisoformat(whole)
+            offset_s = (moment.utcoffset() or dt.timedelta()).total_seconds()
             second = int(moment.replace(tzinfo=dt.UTC).timestamp())
         else:
-            value = float(text.replace(",", "."))
-            if not math.isfinite(value):
-                raise ValueError(text)  # noqa: TRY301
-            offset_s = 0.0
+            value, offset_s = float(text.replace(",", ".")), 0.0
             if form == "t_gps_s":
                 value = float(unix_from_gps(value))
-            second = math.floor(value)
+            second = math.floor(value)  # of what is not finite it raises
             fraction = fraction if form == "unix_s" else value - second
     except (ValueError, OverflowError) as error:
         raise InputError(
@@ -307,15 +303,17 @@ def read_image_stamps(
         report.lose("table_rows_without_image", len(listed))
         report.note(f"{len(listed)} rows of {times} name no image: {_names(sorted(listed))}.")
     order = _order(source, stamps, times is not None, offset_s, report)
-    chosen = [_first(order, stamps, i) for i in range(len(files))]
+    chosen = [
+        next(((name, stamp) for name in order if (stamp := stamps[name][i]) is not None), ("none", None))
+        for i in range(len(files))
+    ]
     unix_s, undeclared = _utc([stamp for _, stamp in chosen], offset_s)
     if undeclared and utc_offset is None:
         report.note(f"{undeclared} stamps state no offset from UTC: read as UTC.")
-    t_device_s = np.full(len(files), np.nan)
     known = np.isfinite(unix_s)
-    t_device_s[known] = gps_from_unix(
-        np.floor(unix_s[known]), np.round((unix_s[known] - np.floor(unix_s[known])) * 1e6)
-    )
+    whole = np.floor(unix_s)
+    t_device_s = np.full(len(files), np.nan)
+    t_device_s[known] = gps_from_unix(whole[known], np.round((unix_s - whole)[known] * 1e6))
     table = frame_of(
         IMAGE_STAMPS,
         {
@@ -417,16 +415,6 @@ def _fineness(stamps: list[CivilStamp | None]) -> tuple[float, int]:
     return (float(np.median(known)) if known else float("inf"), len(stamps) - len(known))
 
 
-def _first(
-    order: list[str], stamps: dict[str, list[CivilStamp | None]], i: int
-) -> tuple[str, CivilStamp | None]:
-    for name in order:
-        stamp = stamps[name][i]
-        if stamp is not None:
-            return name, stamp
-    return "none", None
-
-
 def _utc(stamps: list[CivilStamp | None], offset_s: float) -> tuple[ArrayF, int]:
     """UTC as Unix time (n,), NaN without stamp, and how many stamps did not state their offset."""
     unix_s = np.full(len(stamps), np.nan)
@@ -486,19 +474,13 @@ def _describe_cameras(table: pd.DataFrame, report: IntegrityReport) -> None:
     seen = table[table["width"] > 0]
     cameras = Counter(
         (f"{row.make} {row.model}".strip(), f"{row.width} x {row.height}") for row in seen.itertuples()
-    )
+    ).most_common(4)
     if not cameras:
         return
-    (model, size), _ = cameras.most_common(1)[0]
-    report.model, report.details["size"] = model, size
+    (report.model, report.details["size"]), _ = cameras[0]
     if len(cameras) > 1:
-        report.note(
-            "Images of several cameras or sizes: "
-            + ", ".join(
-                f"{n} of {name or 'unknown'} {pixels}" for (name, pixels), n in cameras.most_common(4)
-            )
-            + "."
-        )
+        listed = ", ".join(f"{n} of {name or 'unknown'} {pixels}" for (name, pixels), n in cameras)
+        report.note(f"Images of several cameras or sizes: {listed}.")
 
 
 def _names(names: Sequence[str] | pd.Series) -> str:

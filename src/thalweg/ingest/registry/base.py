@@ -51,6 +51,7 @@ class Format:
     words : its name for people.
     streams : where files of it stand in ``logs`` (names of `thalweg.settings.sections.logs.STREAM_KEYS`);
         the first one is where `thalweg new-campaign` puts them.
+    use : what a file of no stream is good for.
     magic : first bytes, any of them.
     matches : head of a file (`HEAD_BYTES`) and size of the file -> how sure its content is of this format,
         0 to `SURE`; asked where no ``magic`` is given, or behind it.
@@ -62,6 +63,7 @@ class Format:
     words: str
     describe: Callable[[str, list[Path], dict[str, Any], bool], Recording]
     streams: tuple[str, ...] = ()
+    use: str = ""
     magic: tuple[bytes, ...] = ()
     matches: Callable[[bytes, int], float] | None = None
     lidar: Callable[[Sequence[Path], LidarOptions], LidarReader] | None = None
@@ -76,8 +78,14 @@ class Format:
         return SURE if self.matches is None else float(self.matches(head, size))
 
 
-def find_format(formats: Sequence[Format], head: bytes, size: int) -> Format | None:
-    """The format of which a file is surest, the first of several alike; None if there is none."""
+def find_format(formats: Sequence[Format], path: Path) -> Format | None:
+    """The format of which a file is surest, the first of several alike; None if there is none.
+
+    Raises
+    ------
+    InputError : see `read_head`.
+    """
+    head, size = read_head(path), path.stat().st_size
     best, most = None, 0.0
     for each in formats:
         sure = each.sureness(head, size)

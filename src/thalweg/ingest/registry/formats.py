@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from thalweg.core import InputError
 from thalweg.ingest import IntegrityReport
+from thalweg.ingest.ppk import PpkOptions, run_ppk
 from thalweg.ingest.registry.base import Format, Recording, find_format, read_head
 from thalweg.ingest.registry.calibrations import CALIBRATIONS
 from thalweg.ingest.registry.clouds import CLOUDS
@@ -74,10 +75,10 @@ def recognise(path: Path) -> str:
     ------
     InputError : the file is missing, empty, a folder, or of no kind that Thalweg reads.
     """
-    head = read_head(path)
-    known = find_format(FORMATS, head, path.stat().st_size)
+    known = find_format(FORMATS, path)
     if known is not None:
         return known.kind
+    head = read_head(path)
     if head.startswith(b"PAR1") and _is_image_poses(path):
         return "image_poses"
     for mark, words, cure in _WRAPPED:
@@ -170,8 +171,6 @@ def load_recording(
     """
     options = dict(options or {})
     if reader == "ppk":
-        from thalweg.ingest.ppk import PpkOptions, run_ppk
-
         solution = run_ppk(files, base or None, nav or [], PpkOptions.from_sections({}, options))
         return Recording(kind="ppk", report=solution.report, tables={"positions": solution.positions})
     known = FORMAT_OF_KIND[recognise(files[0])]

@@ -8,8 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from thalweg.core import ClockError, InputError
-from thalweg.ingest import IntegrityReport
+from thalweg.core import ClockError
+from thalweg.ingest import IntegrityReport, read_text
 from thalweg.ingest.photos import CivilStamp, read_head, read_image_stamps
 from thalweg.ingest.registry.base import Format, Recording
 from thalweg.ingest.registry.calibrations import CalibrationReport, is_text
@@ -82,7 +82,7 @@ def describe_images(kind: str, path: Path) -> IntegrityReport:
 
     Raises
     ------
-    InputError : the photograph is damaged, or the table is no UTF-8 text.
+    InputError : the photograph is damaged, or the table is no text.
     """
     if kind == "photograph":
         head = read_head(path)
@@ -100,14 +100,9 @@ def describe_images(kind: str, path: Path) -> IntegrityReport:
             report.details["time"] = _civil(head.stamp) if known == "exif" else f"from {known}"
             report.details["gps time"] = f"{stamps.table['t_device_s'][0]:.3f} s less 1e9"
         return report
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(
-            "no UTF-8 text", expected=_WORDS[kind], where=path, cure="Save it as UTF-8"
-        ) from error
+    text, notes = read_text(path)
     lines = [line for line in text.splitlines() if line.strip()]
-    report = CalibrationReport(stream="images", format=_WORDS[kind], files=[str(path)])
+    report = CalibrationReport(stream="images", format=_WORDS[kind], files=[str(path)], notes=notes)
     if kind.startswith("metashape"):
         counted = {name: len(re.findall(rf"<{name}\s", text)) for name in ("camera", "marker", "location")}
         report.details["holds"] = ", ".join(f"{n} elements {name}" for name, n in counted.items() if n)

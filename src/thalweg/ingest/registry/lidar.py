@@ -6,8 +6,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from thalweg.ingest import LidarOptions, LidarReader
-from thalweg.ingest.registry.base import HEAD_BYTES, Format, Recording, find_format
+from thalweg.ingest import (
+    LidarOptions,
+    LidarReader,
+    OusterReader,
+    describe_metadata,
+    is_ouster_capture,
+    is_ouster_metadata,
+)
+from thalweg.ingest.registry.base import Format, Recording, find_format
 
 _PAYLOAD = 1206
 _PCAP: Final = (
@@ -29,11 +36,9 @@ def lidar_reader(files: Sequence[Path], options: LidarOptions | None = None) -> 
     """
     paths, chosen = [Path(path) for path in files], options or LidarOptions()
     for path in paths:
-        if path.is_file():
-            with path.open("rb") as stream:
-                known = find_format(LIDARS, stream.read(HEAD_BYTES), path.stat().st_size)
-            if known is not None and known.lidar is not None:
-                return known.lidar(paths, chosen)
+        known = find_format(LIDARS, path) if path.is_file() and path.stat().st_size else None
+        if known is not None and known.lidar is not None:
+            return known.lidar(paths, chosen)
     return _velodyne(paths, chosen)  # which says what it finds instead
 
 
@@ -44,27 +49,11 @@ def _velodyne(files: Sequence[Path], options: LidarOptions) -> LidarReader:
 
 
 def _ouster(files: Sequence[Path], options: LidarOptions) -> LidarReader:
-    from thalweg.ingest import OusterReader
-
     return OusterReader(files=files, options=options)
 
 
 def _describe_metadata(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
-    from thalweg.ingest import describe_metadata
-
     return Recording(kind=kind, report=describe_metadata(files[0]))
-
-
-def _is_ouster(head: bytes, size: int) -> bool:
-    from thalweg.ingest import is_ouster_capture
-
-    return is_ouster_capture(head, size)
-
-
-def _is_metadata(head: bytes, size: int) -> bool:
-    from thalweg.ingest import is_ouster_metadata
-
-    return is_ouster_metadata(head, size)
 
 
 def _describe(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
@@ -91,7 +80,7 @@ LIDARS: Final = (
         words="Ouster capture (pcap, pcapng)",
         streams=("lidar",),
         magic=_PCAP,
-        matches=_is_ouster,
+        matches=is_ouster_capture,
         lidar=_ouster,
         describe=_describe,
     ),
@@ -99,7 +88,7 @@ LIDARS: Final = (
         kind="ouster_metadata",
         words="metadata of an Ouster (JSON)",
         streams=("lidar",),
-        matches=_is_metadata,
+        matches=is_ouster_metadata,
         lidar=_ouster,
         describe=_describe_metadata,
     ),

@@ -6,7 +6,8 @@ cameras of Metashape, camera poses control points.
 
 import re
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -138,121 +139,12 @@ _DRAWN: Final = (
 _CONVERT: Final = (
     "export its topics with the tool of the recorder (rosbag, ros2 bag, mcap): Thalweg reads the raw captures"
 )
-_ROWS: Final[Sequence[tuple[str, str, tuple[bytes, ...], Callable[[bytes, int], float] | None, str]]] = (
-    (
-        "geotiff",
-        "raster of heights (GeoTIFF)",
-        (),
-        _is_geotiff,
-        "`thalweg compare-clouds` takes surface models",
-    ),
-    (
-        "dbat_project",
-        "project of the Damped Bundle Adjustment Toolbox (XML)",
-        (),
-        _has(b"dbat_script_version"),
-        "its tables of points and marks, with names of columns, belong in logs.time_lapse",
-    ),
-    (
-        "dbat_camera",
-        "camera of the Damped Bundle Adjustment Toolbox (XML)",
-        (),
-        _has(b"dbat_camera_version"),
-        "its distortion corrects measured places, ours ideal ones: leave it out, the lens is estimated",
-    ),
-    (
-        "dbat_report",
-        "report of the Damped Bundle Adjustment Toolbox",
-        (),
-        _has(b"Damped Bundle Adjustment Toolbox result"),
-        "a result, no input",
-    ),
-    (
-        "metashape_lens",
-        "lens of Metashape (XML)",
-        (),
-        _has(b"<calibration>", b"<projection>"),
-        "`thalweg import-camera`, or logs.time_lapse.interior",
-    ),
-    (
-        "colmap_images",
-        "orientations of COLMAP (images.txt)",
-        (),
-        _is_images_txt,
-        "name the folder of the model in logs.time_lapse.orientations",
-    ),
-    (
-        "colmap_images_bin",
-        "orientations of COLMAP (images.bin)",
-        (),
-        _is_images_bin,
-        "name the folder of the model in logs.time_lapse.orientations",
-    ),
-    (
-        "camera_poses",
-        "camera poses with yaw, pitch, roll",
-        (),
-        _is_pose_table,
-        "export them with omega, phi, kappa: logs.time_lapse.orientations",
-    ),
-    (
-        "image_points",
-        "points of one image (label, x, y)",
-        (),
-        _columns(b"label", b"x", b"y"),
-        "one table of all images, with a column image: logs.time_lapse.marks, `thalweg resect`",
-    ),
-    (
-        "corners",
-        "corners of a checkerboard",
-        (),
-        _columns(b"image", b"column", b"row", b"x_px", b"y_px"),
-        "`thalweg calibrate-lens`",
-    ),
-    (
-        "table",
-        "table with named columns",
-        (),
-        lambda head, size: _LEAST_SURE if _names_places(head) else 0.0,
-        "`thalweg bed` for soundings, `thalweg compare` for clouds",
-    ),
-    (
-        "xyz",
-        "points as text (x, y, z)",
-        (),
-        _is_xyz,
-        "`thalweg bed` for soundings, `thalweg compare` for clouds",
-    ),
-    *(
-        (kind, f"points, lines or areas ({name})", (), _is_drawn(kind), _DRAWN)
-        for kind, name in VECTOR_FORMATS.items()
-    ),
-    (
-        "shapefile_part",
-        "part of a Shapefile (.shx, .dbf, .prj, .cpg)",
-        (),
-        _is_part_of_shapefile,
-        "keep it beside the .shp of the same name",
-    ),
-    ("pcd", "PCD cloud", (b"# .PCD", b"VERSION .7", b"VERSION 0.7"), None, "logs.board_scans"),
-    ("rosbag", "ROS bag", (b"#ROSBAG V2.0",), None, _CONVERT),
-    ("mcap", "MCAP recording", (b"\x89MCAP0\r\n",), None, _CONVERT),
-    ("sqlite", "SQLite database (ROS 2 bag, COLMAP)", (b"SQLite format 3\x00",), None, _CONVERT),
-    (
-        "video",
-        "video (MP4, MOV)",
-        (),
-        lambda head, size: head[4:8] == b"ftyp",
-        "`thalweg frames` makes photographs of it with a table of their times",
-    ),
-)
-"""Kind, words for people, first bytes, what the content must be, and what it is good for."""
-_USES: Final = {kind: use for kind, _, _, _, use in _ROWS}
-_WORDS: Final = {kind: words for kind, words, _, _, _ in _ROWS}
 
 
-def _describe(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
-    report = CalibrationReport(stream="other", format=_WORDS[kind], files=[str(files[0])])
+def _describe(
+    words: str, use: str, kind: str, files: list[Path], options: dict[str, Any], points: bool
+) -> Recording:
+    report = CalibrationReport(stream="other", format=words, files=[str(files[0])])
     report.bytes_read = files[0].stat().st_size
     if kind == "geotiff":
         report.details |= _raster(files[0])
@@ -267,7 +159,7 @@ def _describe(kind: str, files: list[Path], options: dict[str, Any], points: boo
         _tell_table(files[0], report)
     if kind in VECTOR_FORMATS:
         report.details |= _drawn(files[0], report)
-    report.details["use"] = _USES[kind]
+    report.details["use"] = use
     return Recording(kind=kind, report=report)
 
 
@@ -316,7 +208,106 @@ def _raster(path: Path) -> dict[str, str]:
         }
 
 
-OTHERS: Final = tuple(
-    Format(kind=kind, words=words, magic=magic, matches=matches, describe=_describe)
-    for kind, words, magic, matches, _ in _ROWS
+def _other(
+    kind: str,
+    words: str,
+    use: str,
+    matches: Callable[[bytes, int], float] | None,
+    magic: tuple[bytes, ...] = (),
+) -> Format:
+    return Format(
+        kind=kind, words=words, use=use, magic=magic, matches=matches, describe=partial(_describe, words, use)
+    )
+
+
+OTHERS: Final = (
+    _other(
+        "geotiff", "raster of heights (GeoTIFF)", "`thalweg compare-clouds` takes surface models", _is_geotiff
+    ),
+    _other(
+        "dbat_project",
+        "project of the Damped Bundle Adjustment Toolbox (XML)",
+        "its tables of points and marks, with names of columns, belong in logs.time_lapse",
+        _has(b"dbat_script_version"),
+    ),
+    _other(
+        "dbat_camera",
+        "camera of the Damped Bundle Adjustment Toolbox (XML)",
+        "its distortion corrects measured places, ours ideal ones: leave it out, the lens is estimated",
+        _has(b"dbat_camera_version"),
+    ),
+    _other(
+        "dbat_report",
+        "report of the Damped Bundle Adjustment Toolbox",
+        "a result, no input",
+        _has(b"Damped Bundle Adjustment Toolbox result"),
+    ),
+    _other(
+        "metashape_lens",
+        "lens of Metashape (XML)",
+        "`thalweg import-camera`, or logs.time_lapse.interior",
+        _has(b"<calibration>", b"<projection>"),
+    ),
+    _other(
+        "colmap_images",
+        "orientations of COLMAP (images.txt)",
+        "name the folder of the model in logs.time_lapse.orientations",
+        _is_images_txt,
+    ),
+    _other(
+        "colmap_images_bin",
+        "orientations of COLMAP (images.bin)",
+        "name the folder of the model in logs.time_lapse.orientations",
+        _is_images_bin,
+    ),
+    _other(
+        "camera_poses",
+        "camera poses with yaw, pitch, roll",
+        "export them with omega, phi, kappa: logs.time_lapse.orientations",
+        _is_pose_table,
+    ),
+    _other(
+        "image_points",
+        "points of one image (label, x, y)",
+        "one table of all images, with a column image: logs.time_lapse.marks, `thalweg resect`",
+        _columns(b"label", b"x", b"y"),
+    ),
+    _other(
+        "corners",
+        "corners of a checkerboard",
+        "`thalweg calibrate-lens`",
+        _columns(b"image", b"column", b"row", b"x_px", b"y_px"),
+    ),
+    _other(
+        "table",
+        "table with named columns",
+        "`thalweg bed` for soundings, `thalweg compare` for clouds",
+        lambda head, size: _LEAST_SURE if _names_places(head) else 0.0,
+    ),
+    _other(
+        "xyz",
+        "points as text (x, y, z)",
+        "`thalweg bed` for soundings, `thalweg compare` for clouds",
+        _is_xyz,
+    ),
+    *(
+        _other(kind, f"points, lines or areas ({name})", _DRAWN, _is_drawn(kind))
+        for kind, name in VECTOR_FORMATS.items()
+    ),
+    _other(
+        "shapefile_part",
+        "part of a Shapefile (.shx, .dbf, .prj, .cpg)",
+        "keep it beside the .shp of the same name",
+        _is_part_of_shapefile,
+    ),
+    _other("pcd", "PCD cloud", "logs.board_scans", None, (b"# .PCD", b"VERSION .7", b"VERSION 0.7")),
+    _other("rosbag", "ROS bag", _CONVERT, None, (b"#ROSBAG V2.0",)),
+    _other("mcap", "MCAP recording", _CONVERT, None, (b"\x89MCAP0\r\n",)),
+    _other("sqlite", "SQLite database (ROS 2 bag, COLMAP)", _CONVERT, None, (b"SQLite format 3\x00",)),
+    _other(
+        "video",
+        "video (MP4, MOV)",
+        "`thalweg frames` makes photographs of it with a table of their times",
+        lambda head, size: head[4:8] == b"ftyp",
+    ),
 )

@@ -9,10 +9,19 @@ from typing import Any, Final
 
 import numpy as np
 
-from thalweg.core import WEEK_S, InputError, gps_from_week
-from thalweg.ingest import PoseLog, TrackOptions, doubtful_date
-from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share, read_head
+from thalweg.core import WEEK_S, ArrayF, InputError, gps_from_week
+from thalweg.ingest import PoseLog, PoseReader, TrackOptions, doubtful_date
+from thalweg.ingest.anpp import find_packets, read_anpp
+from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share
 from thalweg.ingest.registry.calibrations import CalibrationReport
+from thalweg.ingest.tracks import (
+    is_inertial_explorer,
+    pose_columns,
+    read_inertial_explorer,
+    read_sbet,
+    read_text_poses,
+    states_of_poses,
+)
 
 _NO_WEEK = 1
 """Stands in for the week of a file that is only described, before any survey; taken off again."""
@@ -42,7 +51,7 @@ def read_poses(files: Sequence[Path], source: str | None, options: TrackOptions 
     rows = [row for row in POSES if row.poses is not None and (source is None or source in row.streams)]
     known = rows[-1]
     if len(rows) > 1:
-        found = find_format(rows, read_head(files[0]), files[0].stat().st_size)
+        found = find_format(rows, files[0])
         if found is None and source is None:
             raise InputError(
                 "no trajectory with attitudes is recognised",
@@ -80,35 +89,21 @@ def _refuse_upside_down(log: PoseLog, where: Path) -> None:
 
 
 def _anpp(files: Sequence[Path], options: TrackOptions) -> PoseLog:
-    from thalweg.ingest.anpp import read_anpp
-
     log = read_anpp(files)
     return PoseLog(states=log.states, positions=log.gnss, depths=log.depth, report=log.report)
 
 
 def _sbet(files: Sequence[Path], options: TrackOptions) -> PoseLog:
-    from thalweg.ingest.tracks import read_sbet
-
     log = read_sbet(files, gps_week=options.gps_week, smrmsg=options.smrmsg or None)
     return PoseLog(states=log.states, report=log.report)
 
 
-def _inertial_explorer(files: Sequence[Path], options: TrackOptions) -> PoseLog:
-    from thalweg.ingest.tracks import read_inertial_explorer
-
-    return read_inertial_explorer(files, options)
-
-
 def _poses(kind: str, files: Sequence[Path], options: TrackOptions) -> PoseLog:
-    from thalweg.ingest.tracks import read_text_poses, states_of_poses
-
     return states_of_poses(read_text_poses(kind, files, options.times), options)
 
 
 def _describe_poses(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
     """As it stands, or on Earth if the options say where."""
-    from thalweg.ingest.tracks import read_text_poses
-
     if options.keys() - {"times"}:
         log = _poses(kind, files, TrackOptions(**options))
         return Recording(kind=kind, report=log.report, tables={"states": log.states})
@@ -120,11 +115,11 @@ def _describe_poses(kind: str, files: list[Path], options: dict[str, Any], point
     return Recording(kind=kind, report=report)
 
 
-def _describe_inertial_explorer(
-    kind: str, files: list[Path], options: dict[str, Any], points: bool
+def _describe_weekless(
+    reader: PoseReader, lacking: str, kind: str, files: list[Path], options: dict[str, Any], points: bool
 ) -> Recording:
-    log = _inertial_explorer(files, TrackOptions(**({"gps_week": _NO_WEEK} | options)))
-    _take_week_off(log, "neither week nor date")
+    log = reader(files, TrackOptions(**({"gps_week": _NO_WEEK} | options)))
+    _take_week_off(log, lacking)
     return Recording(kind=kind, report=log.report, tables={"states": log.states})
 
 
@@ -141,12 +136,6 @@ def _take_week_off(log: PoseLog, lacking: str) -> None:
         f"The file holds {lacking}, only seconds of the week: give its GPS week (logs.gps_week) to place it."
     )
     log.states["t_gps_s"] = np.nan
-
-
-def _is_inertial_explorer(head: bytes, size: int) -> bool:
-    from thalweg.ingest.tracks import is_inertial_explorer
-
-    return is_inertial_explorer(head, size)
 
 
 def _is_table(kind: str, head: bytes, size: int) -> bool:
@@ -167,8 +156,6 @@ def _is_table(kind: str, head: bytes, size: int) -> bool:
         return n == 12 and not commas and all(_is_unit(row[k : k + 3]) for row in rows for k in (0, 4, 8))
     if n < 8:
         return False
-    from thalweg.ingest.tracks import pose_columns
-
     at = pose_columns(kind, heads, n)
     unit = all(_is_unit([row[at[name]] for name in ("qw", "qx", "qy", "qz")]) for row in rows)
     in_ns = all(row[at["t"]] > 1e12 for row in rows)
@@ -188,25 +175,18 @@ def _describe_anpp(kind: str, files: list[Path], options: dict[str, Any], points
     return Recording(kind=kind, report=log.report, tables={"states": log.states, "positions": log.positions})
 
 
-def _describe_sbet(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
-    log = _sbet(files, TrackOptions(**({"gps_week": _NO_WEEK} | options)))
-    _take_week_off(log, "no week")
-    return Recording(kind=kind, report=log.report, tables={"states": log.states})
-
-
 def _anpp_share(head: bytes, size: int) -> float:
-    from thalweg.ingest.anpp import find_packets
-
     return framed_share(find_packets(np.frombuffer(head, dtype=np.uint8)).length, 5, head)
 
 
+def _records(head: bytes, size: int, record_bytes: int) -> list[ArrayF]:
+    """Records (n, k) of doubles in both orders of bytes; none of a file that holds less than two."""
+    whole = head[: len(head) // record_bytes * record_bytes if size >= 2 * record_bytes else 0]
+    return [np.frombuffer(whole, f"{order}f8").reshape(-1, record_bytes // 8) for order in "<>" if len(whole)]
+
+
 def _is_sbet(head: bytes, size: int) -> float:
-    if size < 2 * _SBET_RECORD:
-        return 0.0
-    for byte_order in "<>":
-        records = np.frombuffer(head[: len(head) // _SBET_RECORD * _SBET_RECORD], f"{byte_order}f8").reshape(
-            -1, 17
-        )
+    for records in _records(head, size, _SBET_RECORD):
         time, lat, lon, height = records[:, :4].T
         if not np.isfinite(records[:, :4]).all():
             continue
@@ -227,12 +207,8 @@ def _is_sbet(head: bytes, size: int) -> float:
 
 def _is_smrmsg(head: bytes, size: int) -> float:
     """Times that go up, and beside them nothing but small positive numbers."""
-    if size % _SMRMSG_RECORD or size < 2 * _SMRMSG_RECORD:
-        return 0.0
     limits = np.repeat(_ROUGH, 3)
-    for byte_order in "<>":
-        whole = head[: len(head) // _SMRMSG_RECORD * _SMRMSG_RECORD]
-        records = np.frombuffer(whole, f"{byte_order}f8").reshape(-1, 10)
+    for records in _records(head, size, _SMRMSG_RECORD) if size % _SMRMSG_RECORD == 0 else ():
         with np.errstate(invalid="ignore"):
             small = (records[:, 1:] > 1e-9) & (records[:, 1:] < limits)
             step = np.diff(records[:, 0])
@@ -242,12 +218,15 @@ def _is_smrmsg(head: bytes, size: int) -> float:
 
 
 def _describe_smrmsg(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
+    size = files[0].stat().st_size
+    details = {"records": f"{size // _SMRMSG_RECORD:,}", "use": "logs.smrmsg, beside its SBET"}
     report = CalibrationReport(
-        stream="smrmsg", format="standard deviations of an SBET", files=[str(files[0])]
+        stream="smrmsg",
+        format="standard deviations of an SBET",
+        files=[str(files[0])],
+        bytes_read=size,
+        details=details,
     )
-    report.bytes_read = files[0].stat().st_size
-    report.details["records"] = f"{report.bytes_read // _SMRMSG_RECORD:,}"
-    report.details["use"] = "logs.smrmsg, beside its SBET"
     return Recording(kind=kind, report=report)
 
 
@@ -256,9 +235,9 @@ POSES: Final = (
         kind="inertial_explorer",
         words="NovAtel Inertial Explorer text",
         streams=("sbet",),
-        matches=_is_inertial_explorer,
-        poses=_inertial_explorer,
-        describe=_describe_inertial_explorer,
+        matches=is_inertial_explorer,
+        poses=read_inertial_explorer,
+        describe=partial(_describe_weekless, read_inertial_explorer, "neither week nor date"),
     ),
     *(
         Format(
@@ -289,7 +268,7 @@ POSES: Final = (
         streams=("sbet",),
         matches=_is_sbet,
         poses=_sbet,
-        describe=_describe_sbet,
+        describe=partial(_describe_weekless, _sbet, "no week"),
     ),
     Format(
         kind="smrmsg",

@@ -11,8 +11,10 @@ import pandas as pd
 
 from thalweg.core import InputError, ThalwegError, read_table
 from thalweg.ingest import GNSS_POSITION, INS_STATE, IntegrityReport, PositionLog, TrackOptions
-from thalweg.ingest.ppk import replace_covariances
-from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share, read_head
+from thalweg.ingest.nmea import read_nmea
+from thalweg.ingest.ppk import PpkOptions, describe_rinex, replace_covariances, run_ppk
+from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share
+from thalweg.ingest.tracks import event_marks, read_gpx, read_pos
 
 _NMEA = re.compile(rb"[$!][A-Z]{2}[A-Z]{3},[^\r\n*]*(\*[0-9A-Fa-f]{2})?")
 _POS_LINE = re.compile(
@@ -23,14 +25,7 @@ _POS_LINE = re.compile(
 
 def positions_from_states(states: pd.DataFrame) -> pd.DataFrame:
     """The positions inside INS states as table kind ``gnss_position``: of the ics origin, not an antenna."""
-    table = pd.DataFrame({name: states[name] for name in ("t_gps_s", "lat_deg", "lon_deg", "h_ell_m", "fix")})
-    for name in ("sigma_east_m", "sigma_north_m", "sigma_up_m"):
-        table[name] = states[name]
-    table["n_sats"] = -1
-    for name in GNSS_POSITION.names:
-        if name not in table:
-            table[name] = float("nan")
-    return table[list(GNSS_POSITION.names)]
+    return states.assign(n_sats=-1).reindex(columns=list(GNSS_POSITION.names))
 
 
 def read_receiver(files: list[Path]) -> tuple[pd.DataFrame, IntegrityReport]:
@@ -49,12 +44,9 @@ def read_receiver(files: list[Path]) -> tuple[pd.DataFrame, IntegrityReport]:
     """
     sbp = [path for path in files if _kind(path) == "sbp"]
     if sbp:
-        from thalweg.ingest.sbp import read_sbp
-
-        log = read_sbp(sbp)
+        log = _sbp(sbp, TrackOptions())
+        assert log.positions is not None
         return log.positions, log.report
-    from thalweg.ingest.ppk import describe_rinex
-
     report = describe_rinex(files[0])
     report.stream = "gnss"
     return GNSS_POSITION.empty_table().to_pandas(), report
@@ -73,11 +65,9 @@ def read_depths(files: list[Path], date: dt.date | None = None) -> PositionLog:
     InputError : the files hold no depths.
     """
     if _kind(files[0]) != "gpx":
-        from thalweg.ingest.nmea import read_nmea
-
         found = read_nmea(files, date=date).with_depths()
         return PositionLog(report=found.report, depths=found.depths)
-    log = _gpx(files, TrackOptions())
+    log = read_gpx(files)
     if log.depths is None:
         raise InputError(
             "no depths in the extensions of the track points",
@@ -121,8 +111,6 @@ def read_positions(
         assert log.positions is not None
         positions, report = log.positions, log.report
     elif source == "ppk":
-        from thalweg.ingest.ppk import PpkOptions, run_ppk
-
         solution = run_ppk(logs, base or None, nav, PpkOptions.from_sections(ppk, base_position))
         positions, report = solution.positions, solution.report
     elif source in ("ins", "sbet") and states is not None:
@@ -170,12 +158,10 @@ def choose_tracks(files: Sequence[Path]) -> tuple[list[Path], dict[Path, str]]:
     Files that are kept, in the given order, and the others with the reason in words: times of events, and
     tracks of the time of a better one (more fixed positions, then smaller sigma, then more positions).
     """
-    from thalweg.ingest.tracks import event_marks
-
     tables: dict[Path, pd.DataFrame] = {}
     left: dict[Path, str] = {}
     for path in files:
-        known = find_format(POSITIONS, read_head(path), path.stat().st_size)
+        known = find_format(POSITIONS, path)
         if known is None or known.positions is None:
             continue
         try:
@@ -218,7 +204,7 @@ def _same_time(one: pd.DataFrame, other: pd.DataFrame) -> bool:
 
 
 def _kind(path: Path) -> str | None:
-    known = find_format(POSITIONS, read_head(path), path.stat().st_size)
+    known = find_format(POSITIONS, path)
     return None if known is None else known.kind
 
 
@@ -230,21 +216,15 @@ def _sbp(files: Sequence[Path], options: TrackOptions) -> PositionLog:
 
 
 def _pos(files: Sequence[Path], options: TrackOptions) -> PositionLog:
-    from thalweg.ingest.tracks import read_pos
-
     log = read_pos(files)
     return PositionLog(positions=log.positions, report=log.report)
 
 
 def _gpx(files: Sequence[Path], options: TrackOptions) -> PositionLog:
-    from thalweg.ingest.tracks import read_gpx
-
     return read_gpx(files)
 
 
 def _nmea(files: Sequence[Path], options: TrackOptions) -> PositionLog:
-    from thalweg.ingest.nmea import read_nmea
-
     log = read_nmea(files, date=options.date)
     return PositionLog(positions=log.positions, depths=log.depths, report=log.report)
 
@@ -259,8 +239,6 @@ def _describe(kind: str, files: list[Path], options: dict[str, Any], points: boo
 
 
 def _describe_rinex(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
-    from thalweg.ingest.ppk import describe_rinex
-
     return Recording(kind=kind, report=describe_rinex(files[0]))
 
 
