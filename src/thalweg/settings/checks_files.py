@@ -69,9 +69,12 @@ def check_files(logs: Logs, folder: Path) -> tuple[list[Mistake], dict[str, tupl
                     if photographs:
                         searched.setdefault(path.resolve(), where)
                 else:
-                    mistakes += check_file(where, text, path)
-                if path.exists():
-                    mistakes += _check_twice(where, path, first_use)
+                    wrong = list(check_file(where, text, path))
+                    mistakes += wrong
+                    if wrong:
+                        paths.append(str(path))
+                        continue
+                mistakes += _check_twice(where, path, first_use)
                 paths.append(str(path))
         files[stream] = tuple(paths)
     return [*mistakes, *_check_nested(first_use, searched)], files
