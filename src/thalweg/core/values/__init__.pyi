@@ -3,13 +3,11 @@ from .places import (
     FORMS as FORMS,
     HIGHEST_M as HIGHEST_M,
     LOWEST_M as LOWEST_M,
-    away_m as away_m,
     check_degrees as check_degrees,
     check_heights as check_heights,
     check_places as check_places,
     in_words as in_words,
     near_world as near_world,
-    readings as readings,
     utm_of as utm_of,
     world_of as world_of,
 )
