@@ -32,7 +32,7 @@ from thalweg.core.values import check_degrees, check_heights
 from thalweg.deformation import CHANGES, Comparison, cloud_to_cloud, judge_changes, measure_distances
 from thalweg.deformation.foreign.surfaces import one_frame
 from thalweg.ingest import read_text_table
-from thalweg.ingest.clouds import NO_USE, read_cloud, read_pcd
+from thalweg.ingest.clouds import NO_USE, read_cloud
 from thalweg.settings.sections import DSM_ENDINGS, TEXT_ENDINGS, Accuracy, ReferenceSettings
 from thalweg.surface import Surface, mesh_reference, read_triangles
 
@@ -78,10 +78,6 @@ def read_points(path: Path) -> Points:
     if path.suffix.lower() in DSM_ENDINGS:
         dsm = read_dsm(path)
         return Points(dsm.points_m(), dsm.frame, path, dsm.notes)
-    if path.suffix.lower() == ".pcd":
-        pcd = read_pcd(path)
-        lost = f"{path.name}: {pcd.n_left_out:,} points without coordinates."
-        return Points(np.asarray(pcd.xyz_m, np.float64), None, path, (lost,) if pcd.n_left_out else ())
     if path.suffix.lower() not in TEXT or not path.is_file():
         cloud = read_cloud(path)
         if cloud.frame is None:
