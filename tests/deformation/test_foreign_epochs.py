@@ -12,6 +12,7 @@ from scipy.stats import chi2
 
 from tests.deformation.test_changes import SETTINGS as BANK, bank, epoch
 from tests.deformation.test_surfaces import a_package, a_tif
+from tests.las_files import write_laz
 from thalweg.core import (
     ArrayF,
     CoverageError,
@@ -24,7 +25,6 @@ from thalweg.core import (
     read_dsm,
     write_raster,
 )
-from thalweg.core.las import write_laz
 from thalweg.deformation import (
     check_order,
     compare_epochs,
