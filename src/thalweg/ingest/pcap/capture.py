@@ -12,6 +12,7 @@ decide: the end of the window, a header that cannot be, a block that changes the
 """
 
 import struct
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from io import BufferedReader
@@ -598,10 +599,10 @@ class CaptureTally:
 
     format: str = ""
     bytes_read: int = 0
-    counts: dict[str, int] = field(default_factory=dict)
-    losses: dict[str, int] = field(default_factory=dict)
+    counts: Counter[str] = field(default_factory=Counter)
+    losses: Counter[str] = field(default_factory=Counter)
     notes: list[str] = field(default_factory=list)
-    foreign_ports: dict[int, int] = field(default_factory=dict)
+    foreign_ports: Counter[int] = field(default_factory=Counter)
     """Payloads of the first stream's size that went to other ports: a hint at a wrong port setting."""
     cut_to_b: int = 0
     """Longest frame that the capture cut, and in ``cut_from_b`` how long it was; 0 without any."""
@@ -611,7 +612,7 @@ class CaptureTally:
         """That the capture cut packets; empty if it did not."""
         if not self.cut_to_b:
             return ""
-        n = self.losses.get(LOSS_NAMES[_CUT], 0)
+        n = self.losses[LOSS_NAMES[_CUT]]
         each = "1 packet is" if n == 1 else f"{n} packets are" if n else "parts of packets are"
         return f"captured with a snap length of {self.cut_to_b} of {self.cut_from_b} bytes: {each} cut"
 
@@ -736,14 +737,13 @@ def _resume(w: Window, form: RecordFormat, sinks: Sinks, o: int) -> int:
 
 def _report_damage(found: CaptureTally, path: Path, bad: int, resumed: int, cut: bool) -> None:
     skipped = max(0, resumed - bad)
-    found.losses["bytes_skipped"] = found.losses.get("bytes_skipped", 0) + skipped
+    found.losses["bytes_skipped"] += skipped
     if cut:
-        found.losses["cut_records"] = found.losses.get("cut_records", 0) + 1
+        found.losses["cut_records"] += 1
         found.notes.append(f"{path.name} ends inside a packet: the last {skipped} bytes are unusable.")
         return
-    n = found.losses.get("damaged_records", 0) + 1
-    found.losses["damaged_records"] = n
-    if n <= _NAMED_DAMAGES:
+    found.losses["damaged_records"] += 1
+    if found.losses["damaged_records"] <= _NAMED_DAMAGES:
         found.notes.append(f"{path.name}: damaged at byte {bad}, reading goes on at byte {resumed}.")
 
 
@@ -771,8 +771,8 @@ def _add_tally(sinks: Sinks, found: CaptureTally) -> None:
     for names, target in ((COUNT_NAMES, found.counts), (LOSS_NAMES, found.losses)):
         for index, name in names.items():
             if sinks.tally[index]:
-                target[name] = target.get(name, 0) + int(sinks.tally[index])
+                target[name] += int(sinks.tally[index])
     found.cut_to_b = max(found.cut_to_b, int(sinks.tally[_CUT_TO]))
     found.cut_from_b = max(found.cut_from_b, int(sinks.tally[_CUT_FROM]))
     for port in np.flatnonzero(sinks.foreign):
-        found.foreign_ports[int(port)] = found.foreign_ports.get(int(port), 0) + int(sinks.foreign[port])
+        found.foreign_ports[int(port)] += int(sinks.foreign[port])

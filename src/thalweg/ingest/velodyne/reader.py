@@ -391,7 +391,7 @@ def no_packets(tally: CaptureTally, port: int, where: str, found: Findings | Non
             cure="Capture with -s 0 (tcpdump), that is without a limit of the packets' length",
         )
     if tally.foreign_ports:
-        other, n = max(tally.foreign_ports.items(), key=lambda item: item[1])
+        other, n = tally.foreign_ports.most_common(1)[0]
         cure = f"{n} payloads of the right size went to port {other}: set lidar.data_port to it"
     return InputError(
         f"no lidar packets (the file holds: {text})",
