@@ -33,7 +33,7 @@ from thalweg.core.errors import GeometryError, InputError, ThalwegError
 from thalweg.core.frames import LocalFrame
 from thalweg.core.timescales import unix_from_gps
 from thalweg.core.types import AnyArray, ArrayB, ArrayF
-from thalweg.core.values import Stated, crs_of_geokeys, in_metres, unit_of_key
+from thalweg.core.values import Stated, crs_of_geokeys, in_metres
 
 log = logging.getLogger("thalweg")
 __all__ = ["LazHeader", "LazWriter", "iter_laz", "laz_header", "read_laz"]
@@ -63,7 +63,7 @@ _LAYERED: Final = 3
 _COMPRESSORS: Final = (1, 2, 3)
 _LAYERS: Final = {10: 9, 11: 1, 12: 2, 13: 1}
 _BYTES_LAYERED: Final = 14
-_WKT, _GEO_KEYS, _GEO_DOUBLES, _GEO_TEXT, _VERTICAL_UNIT = 2112, 34735, 34736, 34737, 4099
+_WKT, _GEO_KEYS, _GEO_DOUBLES, _GEO_TEXT = 2112, 34735, 34736, 34737
 _FARTHEST_M: Final = 1e9
 _NOISE: Final = {7: "points_of_class_7_noise", 18: "points_of_class_18_noise"}
 """Classes of the ASPRS for low and high points that are none of a surface."""
@@ -587,32 +587,28 @@ def _stated(header: Any, where: Path) -> Stated:
     for vlr in (*header.vlrs, *(header.evlrs or ())):
         if vlr.user_id.rstrip("\0") == "LASF_Projection":
             records.setdefault(int(vlr.record_id), bytes(vlr.record_data_bytes()))
-    directory = np.frombuffer(records.get(_GEO_KEYS, b"")[: len(records.get(_GEO_KEYS, b"")) // 2 * 2], "<u2")
-    problem = ""
+    directory, doubles = (
+        np.frombuffer(raw[: len(raw) // size * size], kind).tolist()
+        for raw, size, kind in (
+            (records.get(_GEO_KEYS, b""), 2, "<u2"),
+            (records.get(_GEO_DOUBLES, b""), 8, "<f8"),
+        )
+    )
+    keys = directory, doubles, records.get(_GEO_TEXT, b"").decode("latin-1").strip("\0")
+    text = records.get(_WKT, b"").decode("utf-8", errors="replace").strip("\0 \r\n")
+    problem, crs = "", None
     try:
-        text = records.get(_WKT, b"").decode("utf-8", errors="replace").strip("\0 \r\n")
-        if text:
-            # a WKT of the map alone may have keys of heights beside it
-            up = unit_of_key(directory.tolist(), _VERTICAL_UNIT, where)
-            return in_metres(CRS.from_wkt(text), None, up)
+        crs = CRS.from_wkt(text) if text else None
     except CRSError as error:
         problem = f"The CRS record cannot be read ({str(error).splitlines()[0]}); "
     try:
-        if directory.size:
-            doubles = records.get(_GEO_DOUBLES, b"")
-            found = crs_of_geokeys(
-                directory.tolist(),
-                np.frombuffer(doubles[: len(doubles) // 8 * 8], "<f8").tolist(),
-                records.get(_GEO_TEXT, b"").decode("latin-1").strip("\0"),
-                where=where,
-            )
-            return found if not problem else replace(found, notes=(f"{problem}GeoKeys count.", *found.notes))
+        found = crs_of_geokeys(*keys, crs=crs, where=where)
     except InputError:
         raise
     except Exception as error:  # GDAL and pyproj raise whatever the damaged record leads them to
-        problem = f"The CRS record cannot be read ({error}); "
-    none = in_metres(None)
-    return replace(none, notes=(f"{problem}the cloud counts as without CRS.",)) if problem else none
+        found, problem = in_metres(None), f"The CRS record cannot be read ({error}); "
+    then = "the cloud counts as without CRS" if found.crs is None else "GeoKeys count"
+    return replace(found, notes=(f"{problem}{then}.", *found.notes)) if problem else found
 
 
 def check_las_bytes(path: Path) -> None:

@@ -18,7 +18,6 @@ from .stated import (
     in_metres as in_metres,
     onto_map as onto_map,
     same_heights as same_heights,
-    unit_of_key as unit_of_key,
     vertical_of as vertical_of,
 )
 from .units import (

@@ -190,37 +190,26 @@ class Parts:
 
     file_starts: list[int] = field(default_factory=list)
     parts: list[Part] = field(default_factory=list)
-    _next_file: int = 0
+    _file: int = -1
 
     def feed(self, block: PacketBlock, keep: ArrayI) -> None:
         """Take in the next block, of which the rows ``keep`` are used."""
-        if not keep.size:
-            return
-        files = self._begins(block, keep)
-        back = keep[block.event[keep] == STEP_BACK]
-        edges = np.unique(np.array([keep[0], *files, *back], dtype=np.int64))
-        for rows in np.split(keep, np.searchsorted(keep, edges)[1:]):
-            row, t_us = int(rows[0]), block.t_us[rows]
-            first, newest = int(t_us.min()), int(t_us.max())
-            if row in files or block.event[row] == STEP_BACK or not self.parts:
+        number = np.searchsorted(self.file_starts, block.first_packet + keep, side="right") - 1
+        begins = np.diff(number, prepend=self._file) != 0
+        edges = np.flatnonzero(begins | (block.event[keep] == STEP_BACK))
+        for rows in np.split(np.arange(keep.size), edges):
+            if not rows.size:
+                continue
+            first, row, t_us = rows[0], int(keep[rows[0]]), block.t_us[keep[rows]]
+            oldest, newest = int(t_us.min()), int(t_us.max())
+            if first in edges:
                 packet, jump_us = block.first_packet + row, int(block.jump_us[row])
-                event = int(block.event[row])
-                self.parts.append(Part(files.get(row, -1), packet, jump_us, event, first, newest))
+                event, file = int(block.event[row]), int(number[first]) if begins[first] else -1
+                self.parts.append(Part(file, packet, jump_us, event, oldest, newest))
             part = self.parts[-1]
-            part.first_us, part.newest_us = min(part.first_us, first), max(part.newest_us, newest)
+            part.first_us, part.newest_us = min(part.first_us, oldest), max(part.newest_us, newest)
             part.n += rows.size
-
-    def _begins(self, block: PacketBlock, keep: ArrayI) -> dict[int, int]:
-        """Rows of the first packets kept of files -> number of the file."""
-        packet = block.first_packet + keep
-        found: dict[int, int] = {}
-        while self._next_file < len(self.file_starts):
-            at = int(np.searchsorted(packet, self.file_starts[self._next_file]))
-            if at == keep.size:  # begins further on
-                break
-            found[int(keep[at])] = self._next_file
-            self._next_file += 1
-        return found
+            self._file = int(number[rows[-1]])
 
     def early(self, clock: LidarClock) -> list[tuple[Part, float]]:
         """Files that begin before the end of the one before, and by how many seconds.
