@@ -7,7 +7,6 @@ the hour: the one that brings TOH within half an hour of it. The host clock is n
 Source: VLP-16 User Manual 63-9243 Rev. D, sections 7.4 (GPS), 9.3.1.6 and 9.3.3; HDL-32E and VLP-32C alike.
 """
 
-import datetime as dt
 import math
 from collections import Counter
 from dataclasses import dataclass, field
@@ -16,7 +15,8 @@ from typing import Final
 import numpy as np
 
 from thalweg.core import gps_from_unix, unix_from_gps, utc_text_from_gps
-from thalweg.ingest import LidarClock, explain_shift, possible_unix
+from thalweg.ingest import LidarClock, explain_shift
+from thalweg.ingest.nmea import days_of_date, second_of_day
 from thalweg.ingest.velodyne.model import HOUR_US
 from thalweg.ingest.velodyne.packets import GAP, STEP_BACK, PacketBlock, PositionPacket
 
@@ -64,16 +64,13 @@ def parse_rmc(sentence: bytes) -> tuple[float, str]:
     if fields[2] != "A":
         return math.nan, "no fix"
     clock, date = fields[1], fields[9]
-    if not (clock[:6].isdecimal() and date.isdecimal() and len(clock) >= 6 and len(date) == 6):
+    if len(date) != 6:
         return math.nan, "no date"
-    year = int(date[4:]) + (1900 if int(date[4:]) >= 80 else 2000)
     try:
-        day = dt.datetime(year, int(date[2:4]), int(date[:2]), tzinfo=dt.UTC).timestamp()
-        second = float("0" + clock[6:]) if clock[6:] else 0.0
+        days = days_of_date(int(date[:2]), int(date[2:4]), int(date[4:]))
+        return float(86_400 * days + second_of_day(clock)), ""
     except ValueError:
         return math.nan, "no date"
-    unix_s = day + 3600 * int(clock[:2]) + 60 * int(clock[2:4]) + int(clock[4:6]) + second
-    return (unix_s, "") if possible_unix(unix_s) and second < 1.0 else (math.nan, "no date")
 
 
 def clocks_apart(host_minus_sensor_s: float, t_gps_s: float) -> str:
