@@ -33,6 +33,5 @@ CLOUDS: Final = tuple(
         ("las", "LAS/LAZ cloud", b"LASF"),
         ("ply", "PLY cloud or mesh", b"ply"),
         ("e57", "E57 cloud", b"ASTM-E57"),
-        ("pcd", "PCD cloud", b"# .PCD"),
     )
 )

@@ -7,7 +7,7 @@ azimuth of the next packet would spare half a hundredth of a degree where the ro
 packet may be missing, late or of another rotation, and points would then depend on what the network lost.
 """
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -120,7 +120,7 @@ def decode(
     distance = np.empty(2, np.int64)
     brightness = np.empty(2, np.uint8)
     wanted = np.empty(2, np.bool_)
-    w = 0
+    w: Any = 0
     for p in range(payload.shape[0]):
         points[p] = 0
         if not keep[p]:
