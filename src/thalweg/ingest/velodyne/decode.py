@@ -79,12 +79,45 @@ def _select(near: int, far: int, strongest: int, returns: int, low: int, high: i
 
 
 @njit(cache=True, nogil=True)
+def count_points(
+    payload: ArrayU8, keep: ArrayB, returns: int, low: int, high: int, points: ArrayI, counters: ArrayI
+) -> None:
+    """Number of points of each packet, and counts of damaged blocks, azimuth jumps and double returns."""
+    azimuth = np.empty(12, np.int64)
+    gap = np.empty(12, np.float64)
+    for p in range(payload.shape[0]):
+        points[p] = 0
+        if not keep[p]:
+            continue
+        row = payload[p]
+        per = 2 if row[1204] == 0x39 else 1
+        _azimuths(row, per, azimuth, gap, 0.0, counters)
+        n = 0
+        for g in range(12 // per):
+            if azimuth[g] < 0:
+                continue
+            q = 100 * per * g + 4
+            for j in range(q, q + 96, 3):
+                d: Any = np.int64(row[j]) | np.int64(row[j + 1]) << 8
+                if per == 1:
+                    n += d > 0 and low <= d <= high
+                    continue
+                s = np.int64(row[j + 100]) | np.int64(row[j + 101]) << 8
+                if d == s:
+                    n += d > 0 and low <= d <= high
+                else:
+                    near, far = (min(d, s), max(d, s)) if min(d, s) > 0 else (max(d, s), np.int64(0))
+                    counters[TWO_RETURNS] += far > 0
+                    a, b = _select(near, far, s, returns, low, high)
+                    n += a
+                    n += b
+        points[p] = n
+
+
+@njit(cache=True, nogil=True)
 def decode(
     payload: ArrayU8,
-    keep: ArrayB,
-    count_only: bool,
     points: ArrayI,
-    counters: ArrayI,
     first_packet: int,
     t_device_s: ArrayF,
     offset_s: ArrayF,
@@ -108,37 +141,28 @@ def decode(
     o_n: ArrayU8,
     o_packet: ArrayI,
 ) -> float:
-    """Count the points (n,) of the packets that are kept, and write them unless ``count_only``.
-
-    ``counters`` take damaged blocks, azimuth jumps and double returns. Returns the azimuth gap of the last
-    block, which the first of the next piece may need.
-    """
+    """Write the points of all packets with ``points[p] > 0``; returns the azimuth gap of the last block."""
     azimuth = np.empty(12, np.int64)
     gap = np.empty(12, np.float64)
+    ignored = np.zeros(N_COUNTERS, np.int64)
     unit = np.pi / 18000.0
     # Rows beyond the first are used in dual mode only: nearer and farther return of the shot.
     distance = np.empty(2, np.int64)
     brightness = np.empty(2, np.uint8)
     wanted = np.empty(2, np.bool_)
-    w: Any = 0
+    w = 0
     for p in range(payload.shape[0]):
-        points[p] = 0
-        if not keep[p]:
+        if points[p] == 0:
             continue
-        row, start = payload[p], w
+        row = payload[p]
         per = 2 if row[1204] == 0x39 else 1
-        last = _azimuths(row, per, azimuth, gap, rate, counters)
+        rate = _azimuths(row, per, azimuth, gap, rate, ignored)
         for g in range(12 // per):
             if azimuth[g] < 0:
                 continue
             q = 100 * per * g + 4
-            if count_only and per == 1:  # most recordings: a loop that compilers make fast
-                for j in range(q, q + 96, 3):
-                    d = np.int64(row[j]) | np.int64(row[j + 1]) << 8
-                    w += d > 0 and low <= d <= high
-                continue
-            t_block = t_device_s[p] + g * block_s if not count_only else 0.0
             sin_a, cos_a = np.sin(azimuth[g] * unit), np.cos(azimuth[g] * unit)
+            t_block = t_device_s[p] + g * block_s
             for c in range(32):
                 j = q + 3 * c
                 d = np.int64(row[j]) | np.int64(row[j + 1]) << 8
@@ -156,14 +180,10 @@ def decode(
                         wanted[0] = distance[0] > 0 and low <= distance[0] <= high
                     else:
                         rows, n_returns = 2, 2
-                        counters[TWO_RETURNS] += 1
                         k = 0 if d < s else 1
                         distance[k], brightness[k] = d, row[j + 2]
                         distance[1 - k], brightness[1 - k] = s, row[j + 102]
                         wanted[0], wanted[1] = _select(distance[0], distance[1], s, returns, low, high)
-                    if count_only:
-                        w += wanted[0] + (rows == 2 and wanted[1])
-                        continue
                 x = gap[g] * shots[1, c] * unit + shots[6, c]
                 a = azimuth[g] + gap[g] * shots[1, c] + shots[6, c] / unit
                 x2 = x * x
@@ -195,7 +215,4 @@ def decode(
                     o_n[w] = n_returns
                     o_packet[w] = first_packet + p
                     w += 1
-        points[p] = w - start
-        if w > start:
-            rate = last
     return rate

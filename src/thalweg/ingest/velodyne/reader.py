@@ -37,6 +37,7 @@ from thalweg.ingest.velodyne.decode import (
     N_COUNTERS,
     RETURNS,
     TWO_RETURNS,
+    count_points,
     decode,
 )
 from thalweg.ingest.velodyne.model import DUAL, MODELS, RETURN_MODES, VLP16, Model, choose_model, product_name
@@ -670,6 +671,13 @@ class VelodyneReader:
         return iter_points(self.files, self.options, clock, max_points, window=window)
 
 
+def _range_ticks(options: LidarOptions, unit_m: float) -> tuple[int, int]:
+    """Limits of the range in units of the model."""
+    low = max(1, math.ceil(options.min_range_m / unit_m - 1e-6))
+    high = math.floor(min(options.max_range_m, 65536 * unit_m) / unit_m + 1e-6)
+    return low, high
+
+
 def _first_model(files: Sequence[Path], options: LidarOptions, chunk_bytes: int) -> Model:
     """The model that the first packets name, or the setting."""
     product = first_product(files, options.data_port, chunk_bytes)
@@ -678,54 +686,11 @@ def _first_model(files: Sequence[Path], options: LidarOptions, chunk_bytes: int)
     )[0]
 
 
-def _decode(
-    block: PacketBlock,
-    rows: slice,
-    options: LidarOptions,
-    model: Model,
-    counters: ArrayI,
-    *,
-    rate: float = 0.0,
-    write: tuple[int, ArrayF, ArrayF] | None = None,
-) -> tuple[PointBlock, ArrayI, float]:
-    """Points of some packets, their number in each packet, and the azimuth gap of the last block.
-
-    ``write`` is the number of all points, and device times and offsets of the packets; None counts only.
-    """
-    payload = block.payload[rows]
-    points = np.empty(len(payload), dtype=np.int64)
-    n, t_device_s, offset_s = write or (0, np.empty(0), np.empty(0))
-    out = empty_points(n)
-    rate = decode(
-        payload,
-        block.keep[rows],
-        write is None,
-        points,
-        counters,
-        block.first_packet + int(rows.start or 0),
-        t_device_s,
-        offset_s,
-        model.block_s,
-        model.shots,
-        model.vertical_offset_m(options.vertical_corrections),
-        RETURNS[options.returns],
-        max(1, math.ceil(options.min_range_m / model.range_unit_m - 1e-6)),
-        math.floor(min(options.max_range_m, 65536 * model.range_unit_m) / model.range_unit_m + 1e-6),
-        model.range_unit_m,
-        rate,
-        out.t_gps_s,
-        out.t_device_s,
-        out.xyz_scs_m,
-        out.range_m,
-        out.azimuth_rad,
-        out.ring,
-        out.laser,
-        out.intensity,
-        out.return_number,
-        out.n_returns,
-        out.packet,
-    )
-    return out, points, rate
+def _count(block: PacketBlock, options: LidarOptions, model: Model, counters: ArrayI) -> ArrayI:
+    points = np.empty(block.payload.shape[0], dtype=np.int64)
+    low, high = _range_ticks(options, model.range_unit_m)
+    count_points(block.payload, block.keep, RETURNS[options.returns], low, high, points, counters)
+    return points
 
 
 def scan_lidar(
@@ -756,7 +721,7 @@ def scan_lidar(
     counters = np.zeros(N_COUNTERS, dtype=np.int64)
     n_points = 0
     for block in read_packets(paths, options, model, tally=tally, chunk_bytes=chunk_bytes):
-        n_points += int(_decode(block, slice(None), options, model, counters)[1].sum())
+        n_points += int(_count(block, options, model, counters).sum())
         findings.feed(block)
         clock.feed(block)
     where = ", ".join(str(p) for p in paths)
@@ -840,9 +805,11 @@ def iter_points(
         if start == end:
             continue
         if lead is not None:
-            rate = _decode(*lead, options, model, counters, rate=rate)[2]
+            before, rows = lead
+            n = _count(before, options, model, counters)[rows]
+            rate = _decode(before, rows, n, np.zeros(n.size), np.zeros(n.size), options, model, rate)[1]
             lead = None
-        points = _decode(block, slice(None), options, model, counters)[1]
+        points = _count(block, options, model, counters)
         packet = block.first_packet + np.arange(points.size)
         t_device_s = block.t_us * 1e-6 + clock.extra_s(packet)
         offset_s = clock.offset_s(packet)
@@ -851,8 +818,9 @@ def iter_points(
             done = int(total[start - 1]) if start else 0
             stop = min(end, max(start + 1, int(np.searchsorted(total, done + limit, side="right"))))
             piece = slice(start, stop)
-            write = int(points[piece].sum()), t_device_s[piece], offset_s[piece]
-            out, _, rate = _decode(block, piece, options, model, counters, rate=rate, write=write)
+            out, rate = _decode(
+                block, piece, points[piece], t_device_s[piece], offset_s[piece], options, model, rate
+            )
             if out.n:
                 yield out
             start = stop
@@ -881,3 +849,44 @@ def _rows_of(
         yield block, int(start), int(end)
         if end < n:
             return
+
+
+def _decode(
+    block: PacketBlock,
+    piece: slice,
+    points: ArrayI,
+    t_device_s: ArrayF,
+    offset_s: ArrayF,
+    options: LidarOptions,
+    model: Model,
+    rate: float,
+) -> tuple[PointBlock, float]:
+    out = empty_points(int(points.sum()))
+    low, high = _range_ticks(options, model.range_unit_m)
+    rate = decode(
+        block.payload[piece],
+        points,
+        block.first_packet + int(piece.start),
+        t_device_s,
+        offset_s,
+        model.block_s,
+        model.shots,
+        model.vertical_offset_m(options.vertical_corrections),
+        RETURNS[options.returns],
+        low,
+        high,
+        model.range_unit_m,
+        rate,
+        out.t_gps_s,
+        out.t_device_s,
+        out.xyz_scs_m,
+        out.range_m,
+        out.azimuth_rad,
+        out.ring,
+        out.laser,
+        out.intensity,
+        out.return_number,
+        out.n_returns,
+        out.packet,
+    )
+    return out, rate
