@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.las_files import write_laz
 from thalweg.core import LocalFrame
 from thalweg.core.geometry import TriangleMesh
-from thalweg.core.las import write_laz
 from thalweg.lidar import CORRELATION_DIMENSIONS, CORRELATIONS, SIGMAS
 from thalweg.lidar.cloud import EXTRA_DIMENSIONS
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from tests.accuracy import bank_samples as bank
+from tests.las_files import write_laz
 from thalweg.accuracy import ComparisonSettings, check_frames, compare_with_mesh
 from thalweg.accuracy.comparison import Reach
 from thalweg.core import CoverageError, InputError
-from thalweg.core.las import write_laz
 from thalweg.surface import Area
 
 

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from thalweg.calibration import BoardSettings, Checkerboard, calibrate_board, calibrate_board_poses
 from thalweg.calibration.boards import BoardPose, BoardPoses, BoardView, board_view, find_corners, read_grey
 from thalweg.core import Camera, GeometryError, InputError, Rigid, UnobservableError
-from thalweg.ingest.clouds import read_pcd
+from thalweg.ingest.clouds import read_cloud
 from thalweg.settings.sections import LidarAccuracy
 
 BOARD = Checkerboard(columns=7, rows=5, square_m=0.095, width_m=0.85, height_m=0.61)
@@ -294,11 +294,9 @@ def test_real_boards_from_pictures_and_scans(acfr: Path) -> None:
         seen = board_view(
             f"pose{i}", find_corners(read_grey(acfr / f"images/pose{i}.png"), BOARD), BOARD, camera
         )
-        cloud = read_pcd(acfr / f"pcd/pose{i}_full.pcd")
-        ring = cloud.fields["ring"].astype(np.int64)
-        given.append(
-            BoardPose(view=seen, points_scs_m=cloud.xyz_m, reflectivity=cloud.fields["intensity"], ring=ring)
-        )
+        cloud = read_cloud(acfr / f"pcd/pose{i}_full.pcd")
+        ring = cloud.ring
+        given.append(BoardPose(view=seen, points_scs_m=cloud.points, reflectivity=cloud.intensity, ring=ring))
         if i > 1:
             # the first of the published observations belongs to another board than its picture
             middle = observations(acfr)[i - 1, 0]
@@ -312,5 +310,5 @@ def test_real_boards_from_pictures_and_scans(acfr: Path) -> None:
     assert got["inside"]
     assert found.table["used"].all()
     # their crops of the boards hold these points
-    target = read_pcd(acfr / "pcd/pose9_target.pcd").xyz_m
+    target = read_cloud(acfr / "pcd/pose9_target.pcd").points
     assert found.table.set_index("pose").loc["pose9", "points"] == pytest.approx(0.75 * len(target), rel=0.2)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from pyproj import CRS
 
+from tests.las_files import write_laz
 from thalweg.core import (
     GeometryError,
     InputError,
@@ -18,7 +19,7 @@ from thalweg.core import (
     laz_header,
     local_crs,
 )
-from thalweg.core.las import read_laz, write_laz
+from thalweg.core.las import read_laz
 
 FRAME = LocalFrame(lat_deg=51.0501234567890123, lon_deg=13.25, h_ell_m=300.1)
 EXTRA = {

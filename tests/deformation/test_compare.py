@@ -9,9 +9,10 @@ import pytest
 from pyproj import CRS
 from scipy.ndimage import binary_erosion
 
+from tests.las_files import write_laz
 from thalweg.cli import main
 from thalweg.core import ArrayF, GeometryError, InputError, LocalFrame, read_dsm, read_table
-from thalweg.core.las import read_laz, write_laz
+from thalweg.core.las import read_laz
 from thalweg.core.raster import Grid, write_raster
 from thalweg.deformation import CLOUD_TO_CLOUD, Comparison, cloud_to_cloud
 from thalweg.deformation.compare import CHANGES, measure_distances

@@ -12,6 +12,7 @@ from scipy.stats import chi2
 
 from tests.deformation.test_changes import SETTINGS as BANK, bank, epoch
 from tests.deformation.test_surfaces import a_package, a_tif
+from tests.las_files import write_laz
 from thalweg.core import (
     ArrayF,
     CoverageError,
@@ -24,7 +25,6 @@ from thalweg.core import (
     read_dsm,
     write_raster,
 )
-from thalweg.core.las import write_laz
 from thalweg.deformation import (
     check_order,
     compare_epochs,
@@ -309,7 +309,7 @@ def test_files_of_another_grid_place_or_height_are_refused(tmp_path: Path) -> No
         check_epoch_files(Epoch(clouds=[laz], crs="EPSG:25832"), FRAME, "EPSG:25833")
     swapped = tmp_path / "swapped.xyz"
     np.savetxt(swapped, FRAME.to_map(local, CRS_25833)[:, [1, 0, 2]], fmt="%.3f")
-    assert "swapped" in told(GeometryError, clouds=[str(swapped)]).cure
+    assert "swapped" in told(GeometryError, clouds=[str(swapped)]).found
     far = Area(polygon_en_m=np.array([[500.0, 0.0], [509.0, 0.0], [509.0, 5.0]]))
     with pytest.raises(CoverageError, match=r"their middle is at east 11\.4, north 8\.0"):
         prepared("first", far, clouds=[laz])

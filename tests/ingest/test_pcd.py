@@ -1,12 +1,12 @@
-"""ASCII PCD clouds: good ones, and what is refused."""
+"""PCD clouds: good ones, cut and damaged ones, and what is refused."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from thalweg.core import InputError, UnsupportedError
-from thalweg.ingest.clouds import read_pcd
+from thalweg.core import InputError
+from thalweg.ingest.clouds import read_cloud
 
 HEAD = """# .PCD v0.7 - Point Cloud Data file format
 VERSION 0.7
@@ -30,42 +30,64 @@ def written(tmp_path: Path, text: str) -> Path:
 
 
 def test_points_and_fields(tmp_path: Path) -> None:
-    cloud = read_pcd(written(tmp_path, HEAD + BODY))
-    np.testing.assert_array_equal(cloud.xyz_m, [[1.5, 2, 3], [-1, 0.5, 2.25]])
-    np.testing.assert_array_equal(cloud.fields["ring"], [0, 8])
-    assert cloud.n_left_out == 1
+    cloud = read_cloud(written(tmp_path, HEAD + BODY))
+    np.testing.assert_array_equal(cloud.points, [[1.5, 2, 3], [-1, 0.5, 2.25]])
+    np.testing.assert_array_equal(cloud.intensity, [10, 20])
+    np.testing.assert_array_equal(cloud.ring, [0, 8])
+    assert cloud.report.losses == {"points_not_finite": 1}
 
 
-def test_an_empty_cloud(tmp_path: Path) -> None:
-    cloud = read_pcd(written(tmp_path, HEAD.replace("POINTS 3", "POINTS 0")))
-    assert cloud.xyz_m.shape == (0, 3)
+def test_the_binary_form_with_padding_is_read_alike(tmp_path: Path) -> None:
+    """As PCL pads: a field without a meaning between, of several values, twice."""
+    fields = [("xyz", "<f4", 3), ("a", "u1", 4), ("intensity", "<f4"), ("ring", "<u2"), ("b", "u1", 2)]
+    rows = np.zeros(3, fields)
+    rows["xyz"] = [[1.5, 2, 3], [-1, 0.5, 2.25], [np.nan, np.nan, np.nan]]
+    rows["intensity"], rows["ring"] = [10, 20, 0], [0, 8, 15]
+    head = (
+        HEAD.replace("FIELDS x y z intensity ring", "FIELDS x y z _ intensity ring _")
+        .replace("SIZE 4 4 4 4 2", "SIZE 4 4 4 1 4 2 1")
+        .replace("TYPE F F F F U", "TYPE F F F U F U U")
+        .replace("COUNT 1 1 1 1 1", "COUNT 1 1 1 4 1 1 2")
+        .replace("ascii", "binary")
+    )
+    path = tmp_path / "a.pcd"
+    path.write_bytes(head.encode() + rows.tobytes())
+    cloud = read_cloud(path)
+    np.testing.assert_array_equal(cloud.points, [[1.5, 2, 3], [-1, 0.5, 2.25]])
+    np.testing.assert_array_equal(cloud.intensity, [10, 20])
+    np.testing.assert_array_equal(cloud.ring, [0, 8])
+    path.write_bytes(head.encode() + rows.tobytes()[:-1])
+    assert read_cloud(path).report.losses == {"points_missing": 1}
+
+
+@pytest.mark.parametrize(
+    ("text", "losses"),
+    [
+        (HEAD + BODY.rsplit("\n", 2)[0], {"points_missing": 1}),
+        (HEAD + BODY.replace("20 8", "20"), {"damaged_lines": 1, "points_not_finite": 1}),
+        (HEAD + BODY.replace("20 8", "20 x"), {"damaged_lines": 1, "points_not_finite": 1}),
+    ],
+    ids=["cut", "short line", "word"],
+)
+def test_what_is_missing_or_damaged_is_counted(tmp_path: Path, text: str, losses: dict[str, int]) -> None:
+    cloud = read_cloud(written(tmp_path, text))
+    assert cloud.report.losses == losses
+    np.testing.assert_array_equal(cloud.points[0], [1.5, 2, 3])
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (HEAD + BODY.rsplit("\n", 2)[0], "2 points where the head says 3"),
-        (HEAD + BODY.replace("20 8", "20"), r"point 2 is '-1 0.5 2.25 20'"),
-        (HEAD + BODY.replace("20 8", "20 x"), "point 2 is"),
-        (HEAD.replace("x y z", "a b c") + BODY, "no fields x, y, z"),
-        ("ply\nformat ascii 1.0\n", "no PCD head"),
-        ("", "no PCD head"),
+        (HEAD.replace("x y z", "a b c") + BODY, "expected x, y, z, each once"),
+        (HEAD.replace("POINTS 3", "POINTS 0"), "none of 0 points is finite"),
+        (HEAD.replace("SIZE 4 4", "SIZE 4") + BODY, "no PCD head"),
+        (HEAD.replace("POINTS 3", "POINTS many") + BODY, "no PCD head"),
+        (HEAD.replace("DATA", "DATE") + BODY, "no PCD head"),
+        (HEAD.replace("ascii", "binary_compressed"), "pcl_convert_pcd_ascii_binary"),
     ],
-    ids=["cut", "short line", "word", "no coordinates", "another format", "empty"],
+    ids=["no coordinates", "no points", "sizes", "words", "no data", "compressed"],
 )
 def test_bad_files_are_told(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(InputError, match=message) as caught:
-        read_pcd(written(tmp_path, text))
+        read_cloud(written(tmp_path, text))
     assert "a.pcd" in str(caught.value)
-
-
-def test_binary_is_named(tmp_path: Path) -> None:
-    with pytest.raises(UnsupportedError, match="pcl_convert_pcd_ascii_binary"):
-        read_pcd(written(tmp_path, HEAD.replace("ascii", "binary") + "\x00\x01"))
-    with pytest.raises(UnsupportedError, match="COUNT"):
-        read_pcd(written(tmp_path, HEAD.replace("COUNT 1", "COUNT 3") + BODY))
-
-
-def test_a_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="file not found"):
-        read_pcd(tmp_path / "none.pcd")

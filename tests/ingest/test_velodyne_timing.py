@@ -6,7 +6,7 @@ import pytest
 from tests.ingest import test_velodyne_log as log
 from thalweg.core import gps_from_unix
 from thalweg.ingest.velodyne.clock import parse_rmc
-from thalweg.ingest.velodyne.reader import HostPairs, scan_lidar
+from thalweg.ingest.velodyne.reader import scan_lidar
 
 HOUR = 1_700_000_000 // 3600 * 3600
 GPS_HOUR = float(gps_from_unix(HOUR))
@@ -82,25 +82,6 @@ def test_the_drift_of_a_free_running_sensor_against_the_host(tmp_path) -> None:
     # 5 s of stamps in microseconds: 0.1 ppm
     assert details["free_running_drift_ppm"] == pytest.approx(50.0, abs=1.0)
     assert details["free_running_drift_sigma_ppm"] < 1.0
-
-
-class Block:
-    """As much of a block of packets as `HostPairs` looks at."""
-
-    def __init__(self, first: int, n: int) -> None:
-        self.first_packet = first
-        self.t_us = (first + np.arange(n)) * 1000
-        self.t_host_s = (first + np.arange(n)) * 1e-3
-
-
-def test_pairs_of_a_long_recording_are_thinned_evenly() -> None:
-    pairs = HostPairs()
-    for first in range(0, 1_000_000, 10_000):
-        pairs.feed(Block(first, 10_000), np.arange(10_000))
-    packet = pairs.table()[:, 0]
-    assert 400 < len(packet) <= 1024
-    assert np.unique(np.diff(packet)).tolist() == [pairs.every]
-    assert packet[-1] > 1_000_000 - 2 * pairs.every
 
 
 def test_an_rmc_of_an_impossible_year_names_no_hour() -> None:

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 
 from thalweg.core import AnyArray, Camera, Rigid
 from thalweg.core.las import read_laz
-from thalweg.ingest.clouds import read_pcd
+from thalweg.ingest.clouds import read_cloud
 from thalweg.lidar import Photographs, colour_check, colour_cloud
 from thalweg.lidar.colour_check import Overlay, find_optima, grey_of, score_shifts
 from thalweg.settings.sections import Colour
@@ -188,10 +188,8 @@ def auc(folder: Path, work: Path, board: int, T: Rigid) -> float:
 
     Points on the flat of a square, where the picture differs by 40 at most within 21 pixels.
     """
-    cloud = read_pcd(folder / f"pcd/pose{board}_target.pcd")
-    save_cloud(
-        work / "p.laz", cloud.xyz_m, np.full(len(cloud.xyz_m), START_S), 256 * cloud.fields["intensity"]
-    )
+    cloud = read_cloud(folder / f"pcd/pose{board}_target.pcd")
+    save_cloud(work / "p.laz", cloud.points, np.full(len(cloud.points), START_S), 256 * cloud.intensity)
     poses = poses_of(T.shift_m[None], T.R[None], np.array([START_S]))
     picture = folder / f"images/pose{board}.png"
     # one picture, 10 cm off the lidar: nothing on the board hides anything
@@ -227,13 +225,13 @@ def test_real_boards_tell_a_wrong_mount(acfr: Path) -> None:
     T = published(acfr)
     overlays = []
     for k, board in enumerate(BOARDS):
-        cloud = read_pcd(acfr / f"pcd/pose{board}_full.pcd")
-        ccs = (cloud.xyz_m - T.shift_m) @ T.R
+        cloud = read_cloud(acfr / f"pcd/pose{board}_full.pcd")
+        ccs = (cloud.points - T.shift_m) @ T.R
         seen = (ccs[:, 2] > 0.5) & (np.linalg.norm(ccs, axis=1) < 30)
         overlays.append(
             Overlay(
-                xyz_m=cloud.xyz_m[seen],
-                intensity=cloud.fields["intensity"][seen].astype(float),
+                xyz_m=cloud.points[seen],
+                intensity=cloud.intensity[seen].astype(float),
                 brightness=grey(acfr / f"images/pose{board}.png"),
                 centre_m=T.shift_m,
                 R_wcs_ccs=T.R,

@@ -8,9 +8,9 @@ import pytest
 import yaml
 from pyproj import CRS
 
+from tests.las_files import write_laz
 from thalweg.cli import main
 from thalweg.core import ConfigError
-from thalweg.core.las import write_laz
 from thalweg.settings import load_campaigns, with_calibrations
 from thalweg.workflow import CampaignFiles
 

@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.las_files import write_laz
 from thalweg.core import CoverageError, GeometryError, InputError, LocalFrame
 from thalweg.core.geometry import RayCaster, TriangleMesh
-from thalweg.core.las import read_laz, write_laz
+from thalweg.core.las import read_laz
 from thalweg.settings.sections import ReferenceSettings
 from thalweg.settings.twin import TwinConfig
 from thalweg.surface import Area, area_margin_m, mesh_reference, read_reference

@@ -50,7 +50,7 @@ from thalweg.core import (
 from thalweg.core.calibration import Calibration, Source, pose_block
 from thalweg.core.geometry import nearest_rotation
 from thalweg.ingest import LidarOptions
-from thalweg.ingest.clouds import read_pcd
+from thalweg.ingest.clouds import read_cloud
 from thalweg.ingest.registry import lidar_reader
 from thalweg.settings.sections import Board, LidarAccuracy
 
@@ -818,15 +818,15 @@ def edge_rows(view: BoardView, T_ccs_scs: Rigid, edges: Edges) -> tuple[ArrayF, 
 
 
 def read_scan(path: Path, options: LidarOptions) -> tuple[ArrayF, ArrayF, AnyArray | None]:
-    """Points (n, 3) in scs, reflectivities (n,) and rings (n,) of a capture or of an ASCII PCD cloud.
+    """Points (n, 3) in scs, reflectivities (n,) and rings (n,) of a capture or of a cloud, such as PCD.
 
     A cloud without ``ring`` gives None, without ``intensity`` 50 percent.
     """
     if path.suffix.lower() not in CAPTURES:
-        cloud = read_pcd(path)
-        brightness = cloud.fields.get("intensity", np.full(len(cloud.xyz_m), 50.0))
-        ring = cloud.fields.get("ring")
-        return cloud.xyz_m, brightness, None if ring is None else ring.astype(np.int64)
+        cloud = read_cloud(path)
+        n = len(cloud.points)
+        brightness = np.full(n, 50.0) if cloud.intensity is None else cloud.intensity.astype(np.float64)
+        return cloud.points, brightness, cloud.ring
     blocks = list(lidar_reader([path], options).points())
     if not blocks:
         raise InputError("no points", expected="a lidar recording", where=path)

@@ -13,7 +13,7 @@ import json
 import logging
 import struct
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
@@ -33,10 +33,10 @@ from thalweg.core.errors import GeometryError, InputError, ThalwegError
 from thalweg.core.frames import LocalFrame
 from thalweg.core.timescales import unix_from_gps
 from thalweg.core.types import AnyArray, ArrayB, ArrayF
-from thalweg.core.values import Stated, crs_of_geokeys, in_metres, unit_of_key
+from thalweg.core.values import Stated, crs_of_geokeys, in_metres
 
 log = logging.getLogger("thalweg")
-__all__ = ["LazHeader", "LazWriter", "iter_laz", "laz_header", "read_laz", "write_laz"]
+__all__ = ["LazHeader", "LazWriter", "iter_laz", "laz_header", "read_laz"]
 _MAX_SCALE_M: Final = 0.01
 _INT32: Final = np.iinfo(np.int32)
 
@@ -50,7 +50,8 @@ _HEADER_SIZE: Final = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
 _POINT_SIZE: Final = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 # Far above any real record (a hundred doubles as extra bytes); a damaged length must not ask for gigabytes.
 _MAX_POINT_SIZE: Final = 1024
-_MIB: Final = 1 << 20
+_MOST_IN_CHUNK: Final = 1 << 26
+_VARIABLE_CHUNKS: Final = 0xFFFFFFFF
 
 ExtraDimension = tuple[str, str] | tuple[str, str, float]
 """Type (numpy code such as ``f4``, ``u1``), description with unit, and optionally the scale of an integer."""
@@ -62,8 +63,7 @@ _LAYERED: Final = 3
 _COMPRESSORS: Final = (1, 2, 3)
 _LAYERS: Final = {10: 9, 11: 1, 12: 2, 13: 1}
 _BYTES_LAYERED: Final = 14
-_MIN_TABLE_BYTES: Final = 8
-_WKT, _GEO_KEYS, _GEO_DOUBLES, _GEO_TEXT, _VERTICAL_UNIT = 2112, 34735, 34736, 34737, 4099
+_WKT, _GEO_KEYS, _GEO_DOUBLES, _GEO_TEXT = 2112, 34735, 34736, 34737
 _FARTHEST_M: Final = 1e9
 _NOISE: Final = {7: "points_of_class_7_noise", 18: "points_of_class_18_noise"}
 """Classes of the ASPRS for low and high points that are none of a surface."""
@@ -144,7 +144,13 @@ class LazWriter:
         self._frame = frame
         self._scale_m = scale_m
         self._extra = dict(extra_dimensions or {})
-        check_extra_texts(self._extra, path)
+        for text in (text for name, spec in self._extra.items() for text in (name, spec[1])):
+            if len(text.encode()) > _TEXT_BYTES:
+                raise GeometryError(
+                    f"'{text}' has {len(text.encode())} bytes",
+                    expected=f"at most {_TEXT_BYTES} (LAS extra bytes)",
+                    where=path,
+                )
         self._offset = None if offset_m is None else np.asarray(offset_m, dtype=np.float64)
         self._columns: frozenset[str] = frozenset()
         self._header: Any = None
@@ -272,8 +278,22 @@ class LazWriter:
         header.generating_software = f"thalweg {thalweg.__version__}"
         # The day of the data, not of the run: the same input gives the same bytes.
         t = columns.get("t_gps_s")
-        header.creation_date = _date_of(float(t[0])) if t is not None else None
-        header.add_extra_dims([extra_params(name, spec) for name, spec in self._extra.items()])
+        header.creation_date = None
+        if t is not None:
+            second = np.datetime64(int(unix_from_gps(float(t[0]))), "s")
+            header.creation_date = second.astype("datetime64[D]").item()
+        header.add_extra_dims(
+            [
+                laspy.ExtraBytesParams(
+                    name=name,
+                    type=np.dtype(spec[0]),
+                    description=spec[1],
+                    scales=np.array(spec[2:]) if len(spec) == 3 else None,
+                    offsets=np.zeros(1) if len(spec) == 3 else None,
+                )
+                for name, spec in self._extra.items()
+            ]
+        )
         header.global_encoding.wkt = True  # formats 6 and above demand the bit, with or without a CRS
         if self._wkt:
             header.vlrs.append(WktCoordinateSystemVlr(self._wkt))
@@ -328,21 +348,6 @@ class LazWriter:
                 values = columns[name] / spec[2] if len(spec) == 3 else columns[name]
                 record.array[name] = integers(name, values, stored, self.path)
         return record
-
-
-def write_laz(
-    path: Path,
-    chunks: Iterable[Mapping[str, Any]],
-    frame: Frame,
-    *,
-    scale_m: float = 0.001,
-    extra_dimensions: Mapping[str, ExtraDimension] | None = None,
-) -> int:
-    """Write a cloud from chunks, each a mapping of the arguments of `LazWriter.append`; returns the count."""
-    with LazWriter(path, frame, scale_m=scale_m, extra_dimensions=extra_dimensions) as writer:
-        for chunk in chunks:
-            writer.append(**chunk)
-    return writer.n_points
 
 
 def laz_header(path: Path) -> LazHeader:
@@ -422,18 +427,10 @@ def read_laz(path: Path) -> tuple[dict[str, AnyArray], LazHeader]:
     header = laz_header(path)
     chunks = list(iter_laz(path))
     if not chunks:
-        empty = laspy.ScaleAwarePointRecord.zeros(0, header=_laspy_header(path))
+        with laspy.open(path) as reader:
+            empty = laspy.ScaleAwarePointRecord.zeros(0, header=reader.header)
         chunks = [columns_of(empty, header)]
     return {name: np.concatenate([chunk[name] for chunk in chunks]) for name in chunks[0]}, header
-
-
-def _laspy_header(path: Path) -> Any:
-    with laspy.open(path) as reader:
-        return reader.header
-
-
-def _date_of(t_gps_s: float) -> Any:
-    return np.datetime64(int(unix_from_gps(t_gps_s)), "s").astype("datetime64[D]").item()
 
 
 # ---------------------------------------------------------------- header: frame, CRS, plausibility
@@ -590,99 +587,71 @@ def _stated(header: Any, where: Path) -> Stated:
     for vlr in (*header.vlrs, *(header.evlrs or ())):
         if vlr.user_id.rstrip("\0") == "LASF_Projection":
             records.setdefault(int(vlr.record_id), bytes(vlr.record_data_bytes()))
-    directory = np.frombuffer(records.get(_GEO_KEYS, b"")[: len(records.get(_GEO_KEYS, b"")) // 2 * 2], "<u2")
-    problem = ""
+    directory, doubles = (
+        np.frombuffer(raw[: len(raw) // size * size], kind).tolist()
+        for raw, size, kind in (
+            (records.get(_GEO_KEYS, b""), 2, "<u2"),
+            (records.get(_GEO_DOUBLES, b""), 8, "<f8"),
+        )
+    )
+    keys = directory, doubles, records.get(_GEO_TEXT, b"").decode("latin-1").strip("\0")
+    text = records.get(_WKT, b"").decode("utf-8", errors="replace").strip("\0 \r\n")
+    problem, crs = "", None
     try:
-        text = records.get(_WKT, b"").decode("utf-8", errors="replace").strip("\0 \r\n")
-        if text:
-            # a WKT of the map alone may have keys of heights beside it
-            up = unit_of_key(directory.tolist(), _VERTICAL_UNIT, where)
-            return in_metres(CRS.from_wkt(text), None, up)
+        crs = CRS.from_wkt(text) if text else None
     except CRSError as error:
         problem = f"The CRS record cannot be read ({str(error).splitlines()[0]}); "
     try:
-        if directory.size:
-            doubles = records.get(_GEO_DOUBLES, b"")
-            found = crs_of_geokeys(
-                directory.tolist(),
-                np.frombuffer(doubles[: len(doubles) // 8 * 8], "<f8").tolist(),
-                records.get(_GEO_TEXT, b"").decode("latin-1").strip("\0"),
-                where=where,
-            )
-            return found if not problem else replace(found, notes=(f"{problem}GeoKeys count.", *found.notes))
+        found = crs_of_geokeys(*keys, crs=crs, where=where)
     except InputError:
         raise
     except Exception as error:  # GDAL and pyproj raise whatever the damaged record leads them to
-        problem = f"The CRS record cannot be read ({error}); "
-    none = in_metres(None)
-    return replace(none, notes=(f"{problem}the cloud counts as without CRS.",)) if problem else none
+        found, problem = in_metres(None), f"The CRS record cannot be read ({error}); "
+    then = "the cloud counts as without CRS" if found.crs is None else "GeoKeys count"
+    return replace(found, notes=(f"{problem}{then}.", *found.notes)) if problem else found
 
 
 def check_las_bytes(path: Path) -> None:
-    """Check the public header block before a library believes its sizes.
+    """Compare the public header block with the file before a library believes its sizes.
 
     Raises
     ------
-    InputError : missing, empty, no LAS file, or sizes in the header that contradict the file.
+    InputError : missing, no LAS file, or sizes in the header that contradict the file.
     """
     if not path.is_file():
         raise InputError("file not found", expected="a LAS or LAZ cloud", where=path, cure="Check the path")
     size = path.stat().st_size
     with path.open("rb") as stream:
         head = stream.read(375)
-    cure = "Copy the file again from its source; the header is damaged"
 
     def refuse(found: str, expected: str) -> InputError:
         """The error of a damaged header."""
+        cure = "Copy the file again from its source; the header is damaged"
         return InputError(found, expected=expected, where=path, cure=cure)
 
     if head[:4] != b"LASF":
         raise refuse(f"begins with {head[:4]!r}", "'LASF', a LAS or LAZ cloud")
-    if size < 227:
-        raise refuse(f"cut inside the header: {size} bytes", "at least 227 bytes")
-    major, minor = head[24], head[25]
-    if major != 1 or minor not in _HEADER_SIZE:
-        raise refuse(f"LAS version {major}.{minor}", "1.0 to 1.4")
-    header_size, offset, n_vlrs, fmt, record = struct.unpack_from("<HIIBH", head, 94)
-    if header_size < _HEADER_SIZE[minor] or size < header_size:
-        raise refuse(f"header size {header_size} in a file of {size} bytes", f">= {_HEADER_SIZE[minor]}")
-    if not header_size <= offset <= size:
-        raise refuse(f"points begin at byte {offset} of {size}", f"{header_size} to {size}")
-    if header_size + 54 * n_vlrs > offset:
-        raise refuse(f"{n_vlrs} VLRs in {offset - header_size} bytes", "at least 54 bytes each")
-    if fmt & 0x3F >= len(_POINT_SIZE):
-        raise refuse(f"point format {fmt & 0x3F}", "0 to 10")
-    if not _POINT_SIZE[fmt & 0x3F] <= record <= _MAX_POINT_SIZE:
-        raise refuse(f"point record length {record}", f"{_POINT_SIZE[fmt & 0x3F]} to {_MAX_POINT_SIZE}")
-    if minor == 4:
+    least = _HEADER_SIZE.get(head[25], 0) if len(head) >= 227 and head[24] == 1 else 0
+    if size < max(least, 227):
+        raise refuse(f"cut inside the header: {size} bytes", f"at least {max(least, 227)} bytes")
+    if not least:
+        raise refuse(f"LAS version {head[24]}.{head[25]}", "1.0 to 1.4")
+    header_size, start, n_vlrs, kind, record = struct.unpack_from("<HIIBH", head, 94)
+    first_evlr, n_evlrs, n_points = 0, 0, struct.unpack_from("<I", head, 107)[0]
+    if head[25] == 4:
         first_evlr, n_evlrs, n_points = struct.unpack_from("<QIQ", head, 235)
-        if n_evlrs and (first_evlr < offset or first_evlr + 60 * n_evlrs > size):
-            raise refuse(
-                f"{n_evlrs} extended VLRs from byte {first_evlr} of {size}", "records inside the file"
-            )
-    else:
-        (n_points,) = struct.unpack_from("<I", head, 107)
-    # LASzip needs about 0.1 byte a point at the very least (50,000 equal points: 12 bytes a layer).
-    if n_points > 1000 * max(size - offset, 0) + 1000:
-        raise refuse(f"{n_points:,} points in {size - offset:,} bytes", "a number that fits the file")
-    _check_vlrs(path, header_size, offset, n_vlrs, refuse)
-
-
-def _check_vlrs(path: Path, start: int, stop: int, n_vlrs: int, refuse: Any) -> None:
-    with path.open("rb") as stream:
-        stream.seek(start)
-        for index in range(n_vlrs):
-            vlr = stream.read(54)
-            user, record, length = vlr[2:18].rstrip(b"\0"), *struct.unpack_from("<HH", vlr, 18)
-            if stream.tell() + length > stop:
-                raise refuse(
-                    f"VLR {index + 1} of {n_vlrs} claims {length} bytes", "records before the points"
-                )
-            content = stream.read(length)
-            if user == b"laszip encoded" and record == 22204:
-                (chunk,) = struct.unpack_from("<I", content.ljust(34, b"\0"), 12)
-                if chunk != 0xFFFFFFFF and not 0 < chunk <= 64 * _MIB:
-                    raise refuse(f"LASzip chunks of {chunk:,} points", "1 to 67,108,864 points")
+    kind &= 0x3F
+    for what, found, low, high in (
+        ("header size", header_size, least, size),
+        ("first byte of the points", start, header_size + 54 * n_vlrs, size),
+        ("end of the extended VLRs", first_evlr + 60 * n_evlrs if n_evlrs else start, start, size),
+        ("point format", kind, 0, len(_POINT_SIZE) - 1),
+        ("point record length", record, _POINT_SIZE[min(kind, len(_POINT_SIZE) - 1)], _MAX_POINT_SIZE),
+        # LASzip needs about 0.1 byte a point at the very least (50,000 equal points: 12 bytes a layer)
+        ("points", n_points, 0, 1000 * max(size - start, 0) + 1000),
+    ):
+        if not low <= found <= high:
+            raise refuse(f"{what}: {found:,} in a file of {size:,} bytes", f"{low:,} to {high:,}")
 
 
 @contextlib.contextmanager
@@ -742,31 +711,6 @@ def columns_of(points: Any, header: LazHeader) -> dict[str, AnyArray]:
     return columns
 
 
-def extra_params(name: str, spec: ExtraDimension) -> Any:
-    """Laspy's description of an extra dimension."""
-    scales, offsets = (np.array([spec[2]]), np.zeros(1)) if len(spec) == 3 else (None, None)
-    return laspy.ExtraBytesParams(
-        name=name, type=np.dtype(spec[0]), description=spec[1], scales=scales, offsets=offsets
-    )
-
-
-def check_extra_texts(extra: Mapping[str, ExtraDimension], path: Path) -> None:
-    """Refuse names and descriptions that LAS would cut.
-
-    Raises
-    ------
-    GeometryError : a text is longer than 32 bytes.
-    """
-    for name, spec in extra.items():
-        for text in (name, spec[1]):
-            if len(text.encode()) > _TEXT_BYTES:
-                raise GeometryError(
-                    f"'{text}' has {len(text.encode())} bytes",
-                    expected=f"at most {_TEXT_BYTES} (LAS extra bytes)",
-                    where=path,
-                )
-
-
 def sixteen_bit(name: str, values: AnyArray, path: Path) -> AnyArray:
     """Bring 8-bit values to 16 bit (x 256); 16-bit ones stay.
 
@@ -819,39 +763,31 @@ class LazLayout:
 
 
 def laz_layout(path: Path) -> LazLayout | None:
-    """Layout of a LAZ file whose header is sound (`las_header.check_las_bytes`); None if not compressed.
+    """Layout of a LAZ file whose header is sound (`check_las_bytes`); None if not compressed.
 
     Raises
     ------
     InputError : the LASzip record is missing or contradicts the header.
     """
-    with path.open("rb") as stream:
-        head = stream.read(375)
-        header_size, start, n_vlrs, fmt, record = struct.unpack_from("<HIIBH", head, 94)
-        if not fmt & 0xC0:
-            return None
-        stream.seek(header_size)
-        laszip = b""
-        for _ in range(n_vlrs):
-            vlr = stream.read(54)
-            number, length = struct.unpack_from("<HH", vlr, 18)
-            content = stream.read(length)
-            if vlr[2:18].rstrip(b"\0") == b"laszip encoded" and number == 22204:
-                laszip = content
-    items: list[tuple[int, int, int]] = []
-    if len(laszip) >= 34:
-        n_items = struct.unpack_from("<H", laszip, 32)[0]
-        if len(laszip) >= 34 + 6 * n_items:
-            items = [struct.unpack_from("<HHH", laszip, 34 + 6 * i) for i in range(n_items)]
-    compressor = struct.unpack_from("<H", laszip)[0] if items else 0
-    if compressor not in _COMPRESSORS or sum(size for _, size, _ in items) != record:
+    with path.open("rb") as stream, library_errors(path, "read the LAS header"):
+        header = laspy.LasHeader.read_from(stream)
+    if not header.are_points_compressed:
+        return None
+    laszip = next((vlr.record_data for vlr in header.vlrs if vlr.user_id == "laszip encoded"), b"")
+    compressor, chunk, n = struct.unpack_from("<H10xI16xH", laszip.ljust(34, b"\0"))
+    items = list(struct.iter_unpack("<HHH", laszip[34 : 34 + 6 * n])) if len(laszip) >= 34 + 6 * n else []
+    record = header.point_format.size
+    sound = 0 < chunk <= _MOST_IN_CHUNK or chunk == _VARIABLE_CHUNKS
+    if compressor not in _COMPRESSORS or not sound or sum(size for _, size, _ in items) != record:
         raise InputError(
-            f"the LASzip record (compressor {compressor}, items {items}) contradicts {record}-byte points",
+            f"the LASzip record (compressor {compressor}, chunks of {chunk:,}, items {items}) contradicts "
+            f"{record}-byte points",
             expected="items that add up to the point record",
             where=path,
             cure="Copy the file again from its source; the header is damaged",
         )
     layers = sum(size if kind == _BYTES_LAYERED else _LAYERS.get(kind, 0) for kind, size, _ in items)
+    start = int(header.offset_to_point_data)
     return LazLayout(start, record, layers if compressor == _LAYERED else 0, laszip)
 
 
@@ -886,7 +822,7 @@ def check_chunks(path: Path) -> None:
             stream.seek(size - 8)
             table_at = struct.unpack("<q", stream.read(8))[0]
         first = layout.start + 8
-        if not first <= table_at <= size - _MIN_TABLE_BYTES:
+        if not first <= table_at <= size - 8:
             raise refuse(f"the chunk table should be at byte {table_at:,} of {size:,}")
         stream.seek(table_at)
         n_chunks = struct.unpack("<II", stream.read(8))[1]

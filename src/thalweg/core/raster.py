@@ -29,15 +29,13 @@ from thalweg.core.values import (
     Unit,
     check_degrees,
     crs_of_geokeys,
-    in_metres,
     is_nothing,
-    unit_of_key,
     unit_of_word,
     units_of_crs,
     utm_of,
 )
 
-_LINEAR_UNIT, _VERTICAL_UNIT, _PROJECTED, _GEO_KEYS = 3076, 4099, 3072, 34735
+_PROJECTED, _GEO_KEYS = 3072, 34735
 _LEAST_ZEROS: Final = 10
 _NAMED_BANDS: Final = (("height_m", "sigma_m", "sigma_common_m"), ("height", "sigma", "sigma_common"))
 """Of ``bed.tif`` and of ``dtm.tif``: height, standard deviation, its part that all heights share."""
@@ -292,21 +290,18 @@ def _heights(file: Any, path: Path, nodata: float | None) -> Dsm:
     ours = next((each for each in _NAMED_BANDS if set(each[:2]) <= set(names)), None)
     number = names.index(ours[0]) + 1 if ours else _height_band(file, names, path)
     keys = _geo_keys(path)
-    up = unit_of_key(keys, _VERTICAL_UNIT, path)
     crs = CRS.from_wkt(file.crs.to_wkt()) if file.crs else None
-    if up is None:
-        up = _unit_of_band(file.units[number - 1], names[number - 1], path)
-        of_crs = None if crs is None else units_of_crs(crs)[1]
-        if up is not None and of_crs is not None and abs(up.metres / of_crs.metres - 1.0) > 1e-9:
-            raise InputError(
-                f"heights in {up.plural} by the band, in {of_crs.plural} by the coordinate system",
-                expected="one unit",
-                where=path,
-                cure="Correct the one that is wrong (gdal_edit)",
-            )
-    stated = in_metres(crs, unit_of_key(keys, _LINEAR_UNIT, path), up)
-    if stated.crs is None and keys:  # without the type of the model GDAL passes degrees over
-        stated = crs_of_geokeys(keys, up=up, where=path)
+    up = _unit_of_band(file.units[number - 1], names[number - 1], path)
+    of_crs = None if crs is None else units_of_crs(crs)[1]
+    if up is not None and of_crs is not None and abs(up.metres / of_crs.metres - 1.0) > 1e-9:
+        raise InputError(
+            f"heights in {up.plural} by the band, in {of_crs.plural} by the coordinate system",
+            expected="one unit",
+            where=path,
+            cure="Correct the one that is wrong (gdal_edit)",
+        )
+    # without the type of the model GDAL passes degrees over
+    stated = crs_of_geokeys(keys, crs=crs, up=up, where=path)
     if stated.crs is None and _PROJECTED in keys[4::4]:
         raise UnsupportedError(
             "a coordinate system without EPSG code or parameters", expected="one that GDAL knows", where=path,

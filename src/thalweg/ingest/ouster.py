@@ -12,7 +12,7 @@ Source: Ouster Firmware User Manual 3.1, "Time Synchronization"; Ouster SDK 1.0,
 import json
 import math
 import sys
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -123,7 +123,7 @@ class OusterReader:
                 f"metadata that the SDK refuses: {error}", expected="metadata of an Ouster", where=path
             ) from error
 
-    def _frames(self, errors: dict[str, int] | None = None) -> Iterator[Any]:
+    def _frames(self, errors: Counter[str] | None = None) -> Iterator[Any]:
         _, pcap = _sdk()
         meta = [str(metadata_of(self.files))]
         for path in self.files:
@@ -140,12 +140,8 @@ class OusterReader:
                     f"the SDK cannot read it: {error}", expected="a capture of this Ouster", where=path
                 ) from error
             if errors is not None:
-                errors["packets_of_another_sensor"] = (
-                    errors.get("packets_of_another_sensor", 0) + source.id_error_count
-                )
-                errors["packets_of_wrong_size"] = (
-                    errors.get("packets_of_wrong_size", 0) + source.size_error_count
-                )
+                errors["packets_of_another_sensor"] += source.id_error_count
+                errors["packets_of_wrong_size"] += source.size_error_count
             source.close()
 
     def _cut(self, port: int) -> str:
@@ -168,7 +164,7 @@ class OusterReader:
         InputError : a file is missing or damaged, there are no metadata, or no packets of the sensor.
         UnsupportedError : the SDK is not installed.
         """
-        info, errors = self._info(), dict[str, int]()
+        info, errors = self._info(), Counter[str]()
         report = IntegrityReport(
             stream="lidar",
             format=f"Ouster packets ({info.format.udp_profile_lidar}), ouster-sdk",
@@ -184,18 +180,15 @@ class OusterReader:
         if not tally.frames:
             port = info.config.udp_port_lidar or PORT
             cut = self._cut(port)
-            if cut:
-                raise InputError(
-                    f"no lidar packet is whole: {cut}",
-                    expected=f"packets of a {info.prod_line} on UDP port {port}",
-                    where=", ".join(report.files),
-                    cure="Capture with -s 0 (tcpdump), that is without a limit of the packets' length",
-                )
             raise InputError(
-                "no lidar packets of the sensor that the metadata name",
+                f"no lidar packet is whole: {cut}"
+                if cut
+                else "no lidar packets of the sensor that the metadata name",
                 expected=f"packets of a {info.prod_line} on UDP port {port}",
                 where=", ".join(report.files),
-                cure="Check that metadata and capture belong together",
+                cure="Capture with -s 0 (tcpdump), that is without a limit of the packets' length"
+                if cut
+                else "Check that metadata and capture belong together",
             )
         clock = _clock(info, tally, report)
         report.count("points", n_points)
@@ -297,7 +290,7 @@ class _Tally:
     def __init__(self, info: Any) -> None:
         self.info = info
         self.frames = self.columns = self.end = 0
-        self.returns: dict[str, int] = {}
+        self.returns = Counter[str]()
         self.first_s = self.last_s = math.nan
         self.host: list[tuple[float, float]] = []
         self.missing: list[ArrayI] = []
@@ -325,7 +318,7 @@ class _Tally:
         for name in ("RANGE", "RANGE2"):
             if name in frame.fields:
                 n = int(np.count_nonzero(np.asarray(frame.field(name))[:, valid]))
-                self.returns[name] = self.returns.get(name, 0) + n
+                self.returns[name] += n
         stamps = np.asarray(frame.packet_timestamp, dtype=np.int64)
         got = np.flatnonzero(stamps)
         if got.size:

@@ -5,7 +5,6 @@ from .places import (
     HIGHEST_M as HIGHEST_M,
     LOWEST_M as LOWEST_M,
     Reading as Reading,
-    away_m as away_m,
     check_degrees as check_degrees,
     check_heights as check_heights,
     check_places as check_places,
@@ -22,7 +21,6 @@ from .stated import (
     in_metres as in_metres,
     onto_map as onto_map,
     same_heights as same_heights,
-    unit_of_key as unit_of_key,
     vertical_of as vertical_of,
 )
 from .units import (

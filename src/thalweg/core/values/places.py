@@ -35,6 +35,9 @@ _UNITS: Final = (("kilometres", 1e3), ("feet", 0.3048), ("centimetres", 1e-2), (
 _UTM: Final = ((32601, 32660), (32701, 32760), (25828, 25838))
 """EPSG codes of zones of UTM that lie beside each other."""
 _MOST_APART_M: Final = 200_000.0
+_EARTH_M: Final = (6.33e6, 6.40e6)
+_OLD_GRIDS: Final = (31466, 31467, 31468, 31469)
+"""EPSG codes of grids of another datum, that of Germany until 1990 and after."""
 
 Form = tuple[str, str, str]
 Fits = Callable[[ArrayF, ArrayF], bool]
@@ -251,6 +254,8 @@ def near_world(
     what: str = "control points",
     own: bool = False,
     setting: str = "images.control.crs",
+    cure: str = "",
+    farthest_m: float = np.inf,
 ) -> ArrayF:
     """The same, refused where the points lie far from the campaign's origin and another reading does not.
 
@@ -259,41 +264,40 @@ def near_world(
     what : the points, for the message.
     own : whether the file itself states its CRS.
     setting : where a user states it otherwise.
+    cure : what to do with a file that has no columns to name.
+    farthest_m : refused beyond this distance from the origin, whatever else would fit.
 
     Raises
     ------
-    GeometryError : the coordinates are those of another CRS, order or unit; the message says which.
+    GeometryError : the coordinates are those of another CRS, order or unit, which the message names, or too
+        far away.
     """
     problem: GeometryError | None = None
     try:
         found = world_of(values, form, crs, frame)
     except GeometryError as error:
         problem, found = error, np.full(values.shape, np.inf)
-    away = np.linalg.norm(found, axis=1)
+    away = float(np.median(np.linalg.norm(found, axis=1)))
     # a place to 10 km tells a CRS, a unit or an order from any other
-    if problem is None and np.median(away) <= FAR_M:
+    if away <= FAR_M:
         return found
     state = "Correct the CRS that the file states:" if own else f"Set {setting}:"
-    other = next((o for o in readings(values, form, crs, frame, state) if away_m(o, frame) <= FAR_M), None)
-    if other is None:
-        if problem is None:
-            return found
-        raise GeometryError(problem.found, expected=problem.expected, where=where, cure=problem.cure)
-    far = f"{what} {np.median(away) / 1000:.0f} km from campaign.origin"
-    stated = (
-        "of the world frame"
-        if form == FORMS[0]
-        else "in degrees"
-        if form == FORMS[1]
-        else f"in '{crs.name}'"
-        if crs
-        else ""
-    )
+    middle = np.median(values, axis=0)[None]
+    strays = problem is not None and away_m(Reading("", "", middle, form, crs), frame) <= FAR_M
+    others = () if strays else readings(middle, form, crs, frame, state)
+    other = next((o for o in others if away_m(o, frame) <= FAR_M), None)
+    if other is None and problem is None and away <= farthest_m:
+        return found
+    stated = {FORMS[0]: "of the world frame", FORMS[1]: "in degrees"}.get(form, f"in '{crs and crs.name}'")
+    told = problem.found if problem else f"{away / 1000:,.0f} km from campaign.origin"
+    fits = f"; {other.words} would fit" if other else ""
+    if strays:
+        cure = "Leave these points out: the others lie where they should"
     raise GeometryError(
-        f"{problem.found if problem else far}; {other.words} would fit",
+        f"{what} about {', '.join(f'{value:.10g}' for value in middle[0])}: {told}{fits}",
         expected=f"coordinates {stated}",
         where=where,
-        cure=other.cure,
+        cure=cure or (other.cure if other else problem.cure if problem else ""),
     )
 
 
@@ -341,6 +345,20 @@ def readings(
             bare = values - np.stack([zone * 1e6, 0 * zone, 0 * zone], axis=1)
             words = f"{other.name} with the zone before the easting"
             yield Reading(words, "Take the zone off", bare, grid, other)
+    if (
+        frame is not None
+        and form == grid
+        and _EARTH_M[0] < np.linalg.norm(np.median(values, axis=0)) < _EARTH_M[1]
+    ):
+        earth = np.column_stack(Transformer.from_crs(4978, 4979).transform(*values.T))
+        yield Reading("Earth-centred coordinates", "Export coordinates of a map", earth, geodetic, None)
+    for code in _OLD_GRIDS if frame is not None and form == grid else ():
+        old = CRS.from_epsg(code)
+        lat, lon = Transformer.from_crs(old, 4326).transform(values[:, 1], values[:, 0])
+        places = np.column_stack([lat, lon, values[:, 2]])
+        yield Reading(
+            old.name, "Transform them with the grid files of the land survey", places, geodetic, None
+        )
     if form != geodetic:
         for words, factor in _UNITS:
             cure = f"Write metres, or the unit ({words}) behind the names of the columns"

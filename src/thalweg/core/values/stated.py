@@ -12,7 +12,7 @@ from pyproj.crs import CompoundCRS, GeographicCRS, ProjectedCRS
 from pyproj.crs.coordinate_operation import UTMConversion
 from pyproj.crs.coordinate_system import Ellipsoidal3DCS
 
-from thalweg.core import ArrayF, InputError
+from thalweg.core import ArrayF, ArrayI, InputError
 from thalweg.core.values.units import METRE, Unit, unit_of_code, units_of_crs
 
 _MODEL, _GEOGRAPHIC, _PROJECTED, _LINEAR_UNIT, _VERTICAL_UNIT = 1024, 2048, 3072, 3076, 4099
@@ -98,21 +98,16 @@ def _metric(part: Any) -> Any:
     return out
 
 
-def unit_of_key(directory: Sequence[int], key: int, where: str | Path = "") -> Unit | None:
-    """Unit of length that a GeoKey states (3076 of the map, 4099 of heights).
+def _unit_of_key(keys: ArrayI, key: int, of: str, where: str | Path) -> Unit | None:
+    """Unit of length that one of the GeoKeys (n, 4) states (3076 of the map, 4099 of heights).
 
     Raises
     ------
     InputError : a unit that no table knows.
     """
-    keys = np.asarray(directory, np.int64)
-    keys = keys[: len(keys) // 4 * 4].reshape(-1, 4)[1:]
     code = next((int(value) for name, place, _, value in keys if name == key and place == 0), 0)
-    if not code:
-        return None
-    unit = unit_of_code(code)
-    if unit is None:
-        of = "the map" if key == _LINEAR_UNIT else "heights"
+    unit = unit_of_code(code) if code else None
+    if code and unit is None:
         raise InputError(
             f"GeoKey {key}: {of} in the unit {code}" + (" (user-defined)" if code == _USER_DEFINED else ""),
             expected="a unit of length of the EPSG database, such as 9001 (metre) or 9003 (US survey foot)",
@@ -127,6 +122,7 @@ def crs_of_geokeys(
     doubles: Sequence[float] = (),
     text: str = "",
     *,
+    crs: CRS | None = None,
     up: Unit | None = None,
     where: str | Path = "",
 ) -> Stated:
@@ -135,6 +131,7 @@ def crs_of_geokeys(
     Parameters
     ----------
     directory, doubles, text : tags 34735, 34736, 34737, which LAS has as records of the same numbers.
+    crs : that the file states beside; of the keys only units count then.
     up : unit of heights that the file states elsewhere; a key counts more.
     where : file, for messages.
 
@@ -142,19 +139,22 @@ def crs_of_geokeys(
     ------
     InputError : a unit that no table knows.
     """
+    rows = np.asarray(directory[: len(directory) // 4 * 4], np.int64).reshape(-1, 4)[1:]
+    across = _unit_of_key(rows, _LINEAR_UNIT, "the map", where)
+    up = _unit_of_key(rows, _VERTICAL_UNIT, "heights", where) or up
+    found = in_metres(crs, across, up)
+    if found.crs is not None or not len(rows):
+        return found
     from PIL import Image, TiffImagePlugin
     from rasterio import Env
     from rasterio.io import MemoryFile
 
-    rows = np.asarray(directory[: len(directory) // 4 * 4], np.int64).reshape(-1, 4)[1:]
     rows = rows[rows[:, 0] > 0]  # some writers leave an empty one, and count it
     if _MODEL not in rows[:, 0]:
         kind = 1 if _PROJECTED in rows[:, 0] else 2 if _GEOGRAPHIC in rows[:, 0] else 0
         rows = np.concatenate([rows, [[_MODEL, 0, 1, kind]]]) if kind else rows
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     directory = (1, 1, 0, len(rows), *rows.ravel().tolist())
-    across = unit_of_key(directory, _LINEAR_UNIT, where)
-    up = unit_of_key(directory, _VERTICAL_UNIT, where) or up
     tags = TiffImagePlugin.ImageFileDirectory_v2()
     values: Mapping[int, tuple[int, object]] = {
         33550: (12, (1.0, 1.0, 0.0)),

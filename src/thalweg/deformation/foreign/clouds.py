@@ -32,7 +32,7 @@ from thalweg.core.values import check_degrees, check_heights
 from thalweg.deformation import CHANGES, Comparison, cloud_to_cloud, judge_changes, measure_distances
 from thalweg.deformation.foreign.surfaces import one_frame
 from thalweg.ingest import read_text_table
-from thalweg.ingest.clouds import NO_USE, read_cloud, read_pcd
+from thalweg.ingest.clouds import NO_USE, read_cloud
 from thalweg.settings.sections import DSM_ENDINGS, TEXT_ENDINGS, Accuracy, ReferenceSettings
 from thalweg.surface import Surface, mesh_reference, read_triangles
 
@@ -78,10 +78,6 @@ def read_points(path: Path) -> Points:
     if path.suffix.lower() in DSM_ENDINGS:
         dsm = read_dsm(path)
         return Points(dsm.points_m(), dsm.frame, path, dsm.notes)
-    if path.suffix.lower() == ".pcd":
-        pcd = read_pcd(path)
-        lost = f"{path.name}: {pcd.n_left_out:,} points without coordinates."
-        return Points(np.asarray(pcd.xyz_m, np.float64), None, path, (lost,) if pcd.n_left_out else ())
     if path.suffix.lower() not in TEXT or not path.is_file():
         cloud = read_cloud(path)
         if cloud.frame is None:
@@ -136,6 +132,16 @@ def point_spacing_m(path: Path, most: int = 2000) -> float | None:
     return float(np.median(near[:, 1]))
 
 
+def _two(before: Path, after: Path) -> tuple[ArrayF, ArrayF, ArrayF, Frame, list[str]]:
+    """Points (n, 3) of two clouds, the shift that was taken off, their frame, and notes."""
+    clouds = [read_points(path) for path in (before, after)]
+    frame, notes = one_frame(clouds)
+    shift = np.round(clouds[0].xyz_m.mean(axis=0))  # so that squares of coordinates of maps keep their digits
+    for cloud in clouds:
+        np.subtract(cloud.xyz_m, shift, out=cloud.xyz_m)
+    return clouds[0].xyz_m, clouds[1].xyz_m, shift, frame, [*clouds[0].notes, *clouds[1].notes, *notes]
+
+
 def compare_clouds(
     before: Path,
     after: Path,
@@ -169,13 +175,7 @@ def compare_clouds(
     """
     if core_every < 1:
         raise InputError(f"core points at each {core_every}-th point", expected="1 or more")
-    clouds = [read_points(path) for path in (before, after)]
-    frame, notes = one_frame(clouds)
-    notes = [note for cloud in clouds for note in cloud.notes] + notes
-    shift = np.round(clouds[0].xyz_m.mean(axis=0))  # so that squares of coordinates of maps keep their digits
-    for cloud in clouds:
-        np.subtract(cloud.xyz_m, shift, out=cloud.xyz_m)
-    first, second = (cloud.xyz_m for cloud in clouds)
+    first, second, shift, frame, notes = _two(before, after)
     cores = first[::core_every].copy()
     found = measure_distances(cores, first, second, options, towards=np.asarray(towards, float))
     if None in sigma_m:
@@ -229,13 +229,8 @@ def compare_nearest(
     """
     if every < 1:
         raise InputError(f"each {every}-th point", expected="1 or more")
-    clouds = [read_points(path) for path in (before, after)]
-    frame, notes = one_frame(clouds)
-    notes = [note for cloud in clouds for note in cloud.notes] + notes
-    shift = np.round(clouds[0].xyz_m.mean(axis=0))
-    table = cloud_to_cloud(
-        clouds[0].xyz_m - shift, clouds[1].xyz_m[::every] - shift, towards=np.asarray(towards, float)
-    )
+    first, second, shift, frame, notes = _two(before, after)
+    table = cloud_to_cloud(first, second[::every], towards=np.asarray(towards, float))
     table[["east_m", "north_m", "up_m"]] += shift
     notes.append(
         f"Points of the first cloud lie {table['spacing_m'].median():.3f} m apart in the median: distances "
@@ -481,10 +476,9 @@ def write_changes(path: Path, table: pd.DataFrame, frame: Frame, kind: pa.Schema
     else:
         place = ["east_m", "north_m", "up_m"]
         kept = [item for item in kind if item.name not in {"core", "state", *place}]
-        extra = {item.name: ("u1" if item.type == pa.bool_() else "f8", _unit(item)) for item in kept}
+        extra = {
+            item.name: ("u1" if item.type == pa.bool_() else "f8", (item.metadata or {})[b"unit"].decode())
+            for item in kept
+        }
         with LazWriter(path, frame, extra_dimensions=extra) as writer:
             writer.append(table[place].to_numpy(), extra={name: table[name].to_numpy() for name in extra})
-
-
-def _unit(item: object) -> str:
-    return str(getattr(item, "metadata", {}).get(b"unit", b"").decode())

@@ -31,10 +31,10 @@ from thalweg.deformation import (
 )
 from thalweg.deformation.foreign.epochs import dsm_of, masks_of
 from thalweg.deformation.foreign.surfaces import (
-    VOLUMES,
     HeightErrors,
     SurfaceDifference,
     difference_of_surfaces,
+    volume_table,
 )
 from thalweg.settings.sections import Deformation, Epoch as Statement
 from thalweg.surface import Area
@@ -194,15 +194,15 @@ def _joined(one: Pair, two: Pair) -> Pair:
 def _volumes(compared: Compared, k: int, use: ArrayB, n: ArrayI, cell_m: float) -> pd.DataFrame:
     """Table `VOLUMES` of the cells behind the first k places."""
     distance, sigma = compared.distance_m[k:], compared.sigma_m[k:]
-    wide = float(norm.isf(0.025))
+    limit = float(norm.isf(0.025)) * sigma
     seen = n > 0
     with np.errstate(invalid="ignore"):
         parts: Sequence[tuple[str, ArrayB]] = (
             ("net", use),
             ("erosion", use & (distance < 0)),
             ("deposition", use & (distance > 0)),
-            ("erosion beyond the level of detection", use & (distance < -wide * sigma)),
-            ("deposition beyond the level of detection", use & (distance > wide * sigma)),
+            ("erosion beyond the level of detection", use & (distance < -limit)),
+            ("deposition beyond the level of detection", use & (distance > limit)),
         )
     products = np.zeros((len(parts), k + len(use)))
     for product, (_, cells) in zip(products, parts, strict=True):
@@ -210,14 +210,12 @@ def _volumes(compared: Compared, k: int, use: ArrayB, n: ArrayI, cell_m: float) 
     spread = np.sqrt(np.sum(compared.variances(products), axis=0))
     volume = products @ np.nan_to_num(compared.distance_m)
     rows = [
-        (name, int(cells.sum()), cells.sum() * cell_m**2, v, s, v - wide * s, v + wide * s)
+        (name, int(cells.sum()), float(cells.sum()) * cell_m**2, float(v), float(s))
         for (name, cells), v, s in zip(parts, volume, spread, strict=True)
     ]
     for name, cells in (
         ("not seen in second", ~use & seen[:, 0] & ~seen[:, 1]),
         ("too few points", ~use & seen.all(axis=1)),
     ):
-        rows.append((name, int(cells.sum()), cells.sum() * cell_m**2, *[np.nan] * 4))
-    columns = [item.name for item in VOLUMES]
-    table = pd.DataFrame(rows, columns=columns)
-    return frame_of(VOLUMES, {name: table[name].to_numpy() for name in columns})
+        rows.append((name, int(cells.sum()), float(cells.sum()) * cell_m**2, np.nan, np.nan))
+    return volume_table(rows)

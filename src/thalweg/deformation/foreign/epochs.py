@@ -28,7 +28,6 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 
 from thalweg.core import (
     AnyArray,
-    ArrayB,
     ArrayF,
     ArrayI,
     CoverageError,
@@ -54,8 +53,8 @@ from thalweg.deformation import (
     pose_weights,
     rows_of_weights,
 )
-from thalweg.deformation.foreign.clouds import ROUGHNESS_ALONE, density_notes, read_points
-from thalweg.deformation.foreign.surfaces import HeightErrors, one_frame, onto_map
+from thalweg.deformation.foreign.clouds import ROUGHNESS_ALONE, Points, density_notes, read_points
+from thalweg.deformation.foreign.surfaces import HeightErrors, one_frame, onto_map, torus_spectrum
 from thalweg.ingest import Vectors, read_vectors
 from thalweg.ingest.clouds import to_world
 from thalweg.settings import utm_code
@@ -157,9 +156,8 @@ class SpatialErrors:
         shape = tuple(
             next_fast_len(max(2 * n - 1, n + _FADED), real=True) for n in (lines, columns)
         )  # no two cells of the grid are nearer around the torus than on the grid
-        down, right = (np.minimum(np.arange(n), n - np.arange(n)) for n in shape)
-        distance = np.hypot(down[:, None], right) * self.cell_m
-        return rfft2(np.exp(-distance / self.correlation_m)), (shape[0], shape[1])
+        cell_m = np.full(2, self.cell_m)
+        return torus_spectrum(shape, cell_m, self.correlation_m), (shape[0], shape[1])
 
     def _correlated(self, u: ArrayF) -> ArrayF:
         """Correlation matrix times columns (m, q)."""
@@ -388,9 +386,10 @@ def prepare_foreign_epoch(
     time_s = float(gps_from_unix(moment.timestamp())) if moment is not None else float(start_gps_s or 0.0)
     masks = masks_of(stated)
     if stated.dsm is not None:
-        parts = [_of_dsm(dsm_of(stated), stated, frame, crs, masks)]
+        files: list[Points | Dsm] = [dsm_of(stated)]
     else:
-        parts = [_of_cloud(Path(path), stated, frame, crs, masks) for path in stated.clouds]
+        files = [read_points(Path(path)) for path in stated.clouds]
+    parts = [_heights(file, stated, frame, crs, masks) for file in files]
     heights = sorted({part.heights for part in parts})
     if len(heights) > 1:
         raise InputError(f"files with heights {' and '.join(heights)}", expected="one system of heights",
@@ -445,7 +444,7 @@ def check_epoch_files(stated: Statement, frame: LocalFrame, crs: str) -> None:
     """
     masks = masks_of(stated)
     if stated.dsm is not None:
-        _of_dsm(dsm_of(stated), stated, frame, crs, masks)
+        _heights(dsm_of(stated), stated, frame, crs, masks)
     for path in map(Path, stated.clouds):
         if path.suffix.lower() in _LAS:
             header = laz_header(path)
@@ -545,66 +544,36 @@ def _on_map(crs: CRS) -> CRS:
     return (crs.sub_crs_list[0] if crs.is_compound else crs).to_2d()
 
 
-def _left_out(plan: ArrayF, masks: Sequence[Vectors], path: Path) -> tuple[ArrayB, list[str]]:
-    """Points (n,) in polygons, and a sentence about them."""
-    out = np.zeros(len(plan), bool)
-    for mask in masks:
-        out |= mask.contain(plan)
-    n = int(out.sum())
-    words = [f"{path.name}: {n:,} of {len(plan):,} points left out by polygons."] if masks else []
-    return out, words + [note for mask in masks for note in mask.notes]
-
-
-def _of_cloud(
-    path: Path, stated: Statement, frame: LocalFrame, crs: str, masks: Sequence[Vectors]
+def _heights(
+    file: Points | Dsm, stated: Statement, frame: LocalFrame, crs: str, masks: Sequence[Vectors]
 ) -> _Heights:
-    """Points of one cloud."""
-    cloud = read_points(path)
-    xyz = cloud.xyz_m
-    grid, heights, notes = _grid_of(cloud.frame, stated, crs, path)
-    masks = onto_map(masks, cloud.frame)
-    notes = [*cloud.notes, *notes, *(one_frame([cloud, *masks])[1] if masks else [])]
-    # a height of zero is one height among others where there are heights about it
-    near = np.abs(xyz[:, 2]) < 1.0
-    gap = 2 * int((xyz[:, 2] == 0.0).sum()) > int(near.sum())
-    z, masked = mask_missing(xyz[:, 2], path, "points", nodata=_nodata(stated), zeros=gap)
-    out, words = _left_out(xyz[:, :2], masks, path)
-    keep = np.isfinite(z) & ~out
-    return _placed(xyz[keep], None, None, grid, heights, [*masked, *words, *notes], frame, crs, path)
-
-
-def _of_dsm(dsm: Dsm, stated: Statement, frame: LocalFrame, crs: str, masks: Sequence[Vectors]) -> _Heights:
-    """Centres of the cells of a raster that have a height."""
-    path = dsm.path
-    masks = onto_map(masks, dsm.frame)
-    one_frame([dsm, *masks])
-    grid, heights, notes = _grid_of(dsm.frame, stated, crs, path)
-    if stated.sigma_m is None:
-        HeightErrors.of_bands(dsm, stated.correlation_m)
-    out, words = _left_out(dsm.centres_m(), masks, path)
-    keep = np.isfinite(dsm.height_m.ravel()) & ~out
-    if dsm.sigma_m is not None and stated.sigma_m is None:
-        unknown = keep & ~np.isfinite(dsm.sigma_m.ravel())
+    """Points of a cloud, or centres of the cells of a raster that have a height, in the world frame."""
+    path, sigma, common = file.path, None, None
+    masked: tuple[str, ...] = ()
+    masks = onto_map(masks, file.frame)
+    grid, heights, notes = _grid_of(file.frame, stated, crs, path)
+    notes += one_frame([file, *masks])[1] if masks else []
+    if isinstance(file, Dsm):
+        plan, z = file.centres_m(), file.height_m.ravel()
+        if stated.sigma_m is None and HeightErrors.of_bands(file, stated.correlation_m) is not None:
+            sigma, common = (None if each is None else each.ravel() for each in (file.sigma_m, file.common_m))
+    else:
+        plan, z = file.xyz_m[:, :2], file.xyz_m[:, 2]
+        # a height of zero is one height among others where there are heights about it
+        gap = 2 * int((z == 0.0).sum()) > int((np.abs(z) < 1.0).sum())
+        z, masked = mask_missing(z, path, "points", nodata=_nodata(stated), zeros=gap)
+    keep = np.isfinite(z)
+    words = [note for mask in masks for note in mask.notes]
+    if masks:
+        out = np.any([mask.contain(plan) for mask in masks], axis=0)
+        keep &= ~out
+        words.insert(0, f"{path.name}: {out.sum():,} of {len(plan):,} points left out by polygons.")
+    if sigma is not None:
+        unknown = keep & ~np.isfinite(sigma)
         keep &= ~unknown
         if unknown.any():
-            words.append(f"{path.name}: {int(unknown.sum()):,} cells without a standard deviation left out.")
-    xyz = np.column_stack([dsm.centres_m(), dsm.height_m.ravel()])[keep]
-    bands = [None if band is None else band.ravel()[keep] for band in (dsm.sigma_m, dsm.common_m)]
-    return _placed(xyz, bands[0], bands[1], grid, heights, [*dsm.notes, *words, *notes], frame, crs, path)
-
-
-def _placed(
-    xyz: ArrayF,
-    sigma_m: ArrayF | None,
-    common_m: ArrayF | None,
-    grid: Frame,
-    heights: str,
-    notes: list[str],
-    frame: LocalFrame,
-    crs: str,
-    path: Path,
-) -> _Heights:
-    """Points of a file in the world frame."""
+            words.append(f"{path.name}: {unknown.sum():,} cells without a standard deviation left out.")
+    xyz = np.column_stack([plan, z])[keep]
     if not len(xyz):
         raise InputError(
             "no point is left", expected="points outside of the polygons of leave_out", where=path,
@@ -612,8 +581,11 @@ def _placed(
         )  # fmt: skip
     if isinstance(grid, LocalFrame):
         turn, shift = between_frames(grid, frame)
-        return _Heights(xyz @ turn.T + shift, sigma_m, common_m, heights, notes)
-    return _Heights(to_world(xyz, grid, frame, crs, path)[0], sigma_m, common_m, heights, notes)
+        xyz = xyz @ turn.T + shift
+    else:
+        xyz = to_world(xyz, grid, frame, crs, path)[0]
+    bands = [None if band is None else band[keep] for band in (sigma, common)]
+    return _Heights(xyz, bands[0], bands[1], heights, [*masked, *file.notes, *words, *notes])
 
 
 def _errors(

@@ -26,6 +26,7 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.stats import norm
 
 from thalweg.core import (
+    AnyArray,
     ArrayB,
     ArrayF,
     Dsm,
@@ -63,9 +64,32 @@ VOLUMES = table_kind(
     ],
 )
 """One row for each set of cells; cells that were not seen have an area and no volume."""
-_COLUMNS = tuple(item.name for item in VOLUMES)
+_WIDE = float(norm.isf(0.025))
+"""Standard deviations of half an interval of 95 %."""
 
 _DIFFERENCE_BANDS = ("difference_m", "sigma_m")
+
+
+def volume_table(rows: Sequence[tuple[str, int, float, float, float]]) -> pd.DataFrame:
+    """Table `VOLUMES` of part, number of cells, area, volume and its standard deviation (or NaN)."""
+    names = [item.name for item in VOLUMES]
+    table = pd.DataFrame(rows, columns=names[:5])
+    half = _WIDE * table["sigma_m3"]
+    table["low_m3"], table["high_m3"] = table["volume_m3"] - half, table["volume_m3"] + half
+    return frame_of(VOLUMES, {name: table[name].to_numpy() for name in names})
+
+
+def torus_spectrum(shape: tuple[int, ...], cell_m: ArrayF, correlation_m: float) -> AnyArray:
+    """Fourier transform of the correlation ``exp(-d / L)`` about a cell of a torus of cells.
+
+    Parameters
+    ----------
+    shape : rows and columns.
+    cell_m : (2,) width and height of a cell.
+    """
+    down, right = (np.minimum(np.arange(n), n - np.arange(n)) for n in shape)
+    distance = np.hypot(down[:, None] * cell_m[1], right * cell_m[0])
+    return rfft2(np.exp(-distance / correlation_m))
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,11 +317,9 @@ def volume_variance(cells: ArrayB, cell_m: ArrayF, errors: HeightErrors) -> floa
         for size, each in zip(part.shape, cell_m[::-1], strict=True)
     ]
     shape = tuple(next_fast_len(size + far, real=True) for size, far in zip(part.shape, reach, strict=True))
-    pairs = irfft2(np.abs(rfft2(part, shape)) ** 2, shape)
-    down, right = (np.r_[0 : far + 1, -far:0] for far in reach)
-    distance = np.hypot(down[:, None] * cell_m[1], right * cell_m[0])
-    products = pairs[np.ix_(down, right)]
-    return area**2 * (float((products * np.exp(-distance / errors.correlation_m)).sum()) + shared)
+    spectrum = torus_spectrum(shape, cell_m, errors.correlation_m)
+    near = irfft2(spectrum * rfft2(part, shape), shape)[: part.shape[0], : part.shape[1]]
+    return area**2 * (float((part * near).sum()) + shared)
 
 
 def difference_of_surfaces(
@@ -356,17 +378,16 @@ def difference_of_surfaces(
         notes.append("Without sigmas of both rasters there are no limits and no intervals.")
         sigma_registration_m = np.nan
     sigma = np.hypot(np.hypot(stated[0].single_m, stated[1].single_m), sigma_registration_m)
-    limit = float(norm.isf(0.025)) * sigma
+    limit = _WIDE * sigma
 
-    def volume(part: str, cells: ArrayB, *, measured: bool = True) -> dict[str, object]:
-        """Row of the table: volume of a set of cells with its 95 % interval, or its area alone."""
+    def volume(part: str, cells: ArrayB, *, measured: bool = True) -> tuple[str, int, float, float, float]:
+        """Row of the table: volume of a set of cells with its standard deviation, or its area alone."""
         n, area = int(cells.sum()), float(cells.sum()) * before.cell_area_m2
-        total = float(difference[cells].sum()) * before.cell_area_m2 if measured else np.nan
-        variance = sum(volume_variance(cells, before.cell_m, each) for each in stated) if measured else np.nan
-        spread = float(np.sqrt(variance + (area * sigma_registration_m) ** 2))
-        half = float(norm.isf(0.025)) * spread
-        values = (part, n, area, total, spread, total - half, total + half)
-        return dict(zip(_COLUMNS, values, strict=True))
+        if not measured:
+            return part, n, area, np.nan, np.nan
+        total = float(difference[cells].sum()) * before.cell_area_m2
+        variance = sum(volume_variance(cells, before.cell_m, each) for each in stated)
+        return part, n, area, total, float(np.sqrt(variance + (area * sigma_registration_m) ** 2))
 
     with np.errstate(invalid="ignore"):
         rows = [volume("net", known), volume("erosion", difference < 0), volume("deposition", difference > 0)]
@@ -382,14 +403,8 @@ def difference_of_surfaces(
         ("not seen", ~seen[0] & ~seen[1] & ~out),
     ):
         rows.append(volume(part, cells, measured=False))
-    table = pd.DataFrame(rows)
     raster = replace(before, height_m=difference, frame=frame, notes=())
-    return SurfaceDifference(
-        raster,
-        np.where(known, sigma, np.nan),
-        frame_of(VOLUMES, {name: table[name].to_numpy() for name in _COLUMNS}),
-        notes,
-    )
+    return SurfaceDifference(raster, np.where(known, sigma, np.nan), volume_table(rows), notes)
 
 
 def _refuse_other_units(before: Dsm, second: Dsm, known: ArrayB) -> None:
@@ -489,8 +504,7 @@ def read_difference(path: Path) -> SurfaceDifference:
         )
     corner, cell = np.array([place.c, place.f]), np.array([place.a, -place.e])
     frame = None if crs is None else CRS.from_wkt(crs.to_wkt())
-    none = frame_of(VOLUMES, {item.name: np.empty(0, item.type.to_pandas_dtype()) for item in VOLUMES})
-    return SurfaceDifference(Dsm(bands[0], corner, cell, frame, path), bands[1], none, [])
+    return SurfaceDifference(Dsm(bands[0], corner, cell, frame, path), bands[1], volume_table([]), [])
 
 
 def _write_bands(path: Path, grid: Dsm, bands: dict[str, ArrayF]) -> None:

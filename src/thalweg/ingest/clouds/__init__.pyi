@@ -1,2 +1,2 @@
-from .reader import NO_USE as NO_USE, read_cloud as read_cloud, read_pcd as read_pcd
+from .reader import NO_USE as NO_USE, read_cloud as read_cloud
 from .reference import gather_reference as gather_reference, to_world as to_world

@@ -1,4 +1,4 @@
-"""Point clouds of other makers: LAS/LAZ, PLY and E57, with every lost point counted.
+"""Point clouds of other makers: LAS/LAZ, PLY, E57 and PCD, with every lost point counted.
 
 Coordinates stay in the file's own frame, in float64; nothing is shifted or transformed but the poses of
 the scans inside an E57, which belong to the format, units, which become metres, and degrees, which become
@@ -9,14 +9,14 @@ layered LAZ (point formats 6 to 10) state the sizes of their layers, so a cut fi
 front, its whole chunks are given a new table in a temporary file, and that is read (LASzip 3
 specification, "layered chunked" compressor).
 
-Binary forms are told from it and refused by name: `pcl_convert_pcd_ascii_binary` turns them into ASCII.
+Of PCD files, the Point Cloud Library's, the compressed form is refused by name.
 """
 
+import re
 import struct
 import tempfile
 from collections import Counter
 from collections.abc import Iterable
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -32,6 +32,7 @@ from thalweg.core import (
     AnyArray,
     ArrayF,
     ArrayF32,
+    ArrayI,
     ArrayU8,
     Frame,
     InputError,
@@ -56,24 +57,46 @@ from thalweg.ingest import (
     time_scale_words,
 )
 
-# ---------------------------------------------------------------- What the cloud readers hand over, and
-# colours to 8 bit
+# ---------------------------------------------------------------- what the cloud readers hand over
+
+
+NO_CRS: Final = "The file states no coordinate reference system."
 
 
 @dataclass(slots=True, kw_only=True)
-class RawCloud:
-    """Columns of a cloud before points that are not finite are dropped.
+class Cloud:
+    """A point cloud in the frame of its file.
 
-    ``step_m`` is the coarsest step of the coordinates that the number format can tell.
+    Attributes
+    ----------
+    points : (n, 3) float64, metres: other units and degrees are converted where the file states them.
+    report : counts, losses and notes.
+    intensity : (n,) float32 as stored, or None.
+    rgb : (n, 3) uint8, or None; 16-bit and unit-interval colours are brought to 8 bit.
+    t_gps_s : (n,) adjusted standard GPS time, NaN where unknown, or None.
+    ring : (n,) number of the laser, or None.
+    frame : local frame or CRS that the file states, else None.
+    step_m : coarsest step of the coordinates that the file's number format can tell; 0: far below 1 mm.
     """
 
     points: ArrayF
-    intensity: AnyArray | None = None
-    rgb: AnyArray | None = None
-    normals: AnyArray | None = None
-    t_gps_s: AnyArray | None = None
-    frame: Any = None
+    report: IntegrityReport
+    intensity: ArrayF32 | None = None
+    rgb: ArrayU8 | None = None
+    t_gps_s: ArrayF | None = None
+    ring: ArrayI | None = None
+    frame: Frame = None
     step_m: float = 0.0
+
+    @property
+    def crs(self) -> CRS | None:
+        """CRS of the points; the engineering CRS of a local frame; None if the file states none."""
+        return local_crs(self.frame) if isinstance(self.frame, LocalFrame) else self.frame
+
+    def sentences(self) -> list[str]:
+        """Losses and notes of the report, as people read them; that there is no CRS is told by callers."""
+        lost = [f"{n:,} {what.replace('_', ' ')}." for what, n in self.report.losses.items()]
+        return lost + [text for text in self.report.notes if text != NO_CRS]
 
 
 def single_step_m(values: AnyArray) -> float:
@@ -114,7 +137,7 @@ _DEGREE_M: Final = 111_195.0
 _NAMES: Final[tuple[str, ...]] = ("xyz_m", "intensity", "rgb", "t_gps_s", "t_week_s")
 
 
-def read_las(path: Path, report: IntegrityReport) -> RawCloud:
+def read_las(path: Path, report: IntegrityReport) -> Cloud:
     """All points of a LAS or LAZ file that can be read.
 
     Raises
@@ -159,7 +182,7 @@ def _collect(chunks: Iterable[dict[str, AnyArray]], parts: list[dict[str, AnyArr
         parts.append(kept)  # one by one: what was read before an error stays
 
 
-def _raw(columns: dict[str, AnyArray], header: LazHeader, report: IntegrityReport) -> RawCloud:
+def _raw(columns: dict[str, AnyArray], header: LazHeader, report: IntegrityReport) -> Cloud:
     points = columns["xyz_m"]
     if header.box_m is not None and not header.format_version:
         step = 1.5 * np.array(header.scales_m)
@@ -172,7 +195,8 @@ def _raw(columns: dict[str, AnyArray], header: LazHeader, report: IntegrityRepor
     steps = header.scales_m
     if isinstance(header.frame, CRS) and header.frame.is_geographic:
         steps = (steps[0] * _DEGREE_M, steps[1] * _DEGREE_M, steps[2])
-    return RawCloud(
+    return Cloud(
+        report=report,
         points=points,
         intensity=columns["intensity"].astype(np.float32) if "intensity" in columns else None,
         rgb=eight_bit(columns["rgb"], report) if "rgb" in columns else None,
@@ -241,12 +265,11 @@ _SPHERICAL: Final = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
 _ANGLES: Final = ("Azimuth", "Elevation")
 _e57_COLOURS: Final = ("colorRed", "colorGreen", "colorBlue")
 _BUFFER_POINTS: Final = 1 << 20
-_PAGE: Final = 1024
 _ROUNDED: Final = 0.05
 """A rotation whose numbers were rounded has a length that differs from 1 by less."""
 
 
-def read_e57(path: Path, report: IntegrityReport) -> RawCloud:
+def read_e57(path: Path, report: IntegrityReport) -> Cloud:
     """All scans of an E57 file in one cloud.
 
     A scan that the library stops reading (wrong page checksum, cut file) keeps the points before the
@@ -257,7 +280,6 @@ def read_e57(path: Path, report: IntegrityReport) -> RawCloud:
     InputError : the file cannot be opened as E57, or holds no points.
     """
     report.format = "E57"
-    _check_header(path)
     cure = "Copy the file again from its source; the XML section at the end of an E57 must be whole"
     with library_errors(path, "open the E57 file", cure):
         file = pye57.E57(str(path))
@@ -281,31 +303,14 @@ def read_e57(path: Path, report: IntegrityReport) -> RawCloud:
     for name in sorted(set.union(*columns) - common):
         report.note(f"'{name}' is not in all scans and is left out.")
     joined = {name: np.concatenate([p[name] for p in parts]) for name in common}
-    return RawCloud(
+    return Cloud(
+        report=report,
         points=joined["points"],
         intensity=joined.get("intensity"),
         rgb=eight_bit(joined["rgb"], report) if "rgb" in joined else None,
         frame=frame,
         step_m=max(float(p["step_m"]) for p in parts),
     )
-
-
-def _check_header(path: Path) -> None:
-    size = path.stat().st_size
-    with path.open("rb") as stream:
-        head = stream.read(48)
-    if len(head) < 48:
-        raise InputError(f"{size} bytes", expected="an E57 header of 48 bytes", where=path)
-    physical, xml_offset, xml_length, page = (
-        int.from_bytes(head[i : i + 8], "little") for i in (16, 24, 32, 40)
-    )
-    if physical != size or page != _PAGE or not 0 < xml_offset < size or not 0 < xml_length <= size:
-        raise InputError(
-            f"header states {physical:,} bytes, pages of {page}, XML at {xml_offset:,}; found {size:,}",
-            expected="sizes that agree",
-            where=path,
-            cure="The file is cut or damaged; without the XML at its end no point is found: copy it again",
-        )
 
 
 def _crs(file: Any, report: IntegrityReport) -> CRS | None:
@@ -326,7 +331,6 @@ def _scan(file: Any, index: int, path: Path, report: IntegrityReport) -> dict[st
         declared = int(header.point_count)
         fields = list(header.point_fields)
         pose = _pose(header, index, report)
-        limits = _colour_limit(header) if set(_e57_COLOURS) <= set(fields) else 255.0
     report.count("points_declared", declared)
     system = next((s for s in (_CARTESIAN, _SPHERICAL) if set(s) <= set(fields)), None)
     if system is None:
@@ -369,8 +373,7 @@ def _scan(file: Any, index: int, path: Path, report: IntegrityReport) -> dict[st
     if "intensity" in data:
         part["intensity"] = data["intensity"][good]
     if _e57_COLOURS[0] in data:
-        colours = np.stack([data[name] for name in _e57_COLOURS], axis=-1)[good]
-        part["rgb"] = colours if limits > 255 else np.clip(colours, 0, 255).astype(np.uint8)
+        part["rgb"] = np.stack([data[name] for name in _e57_COLOURS], axis=-1)[good]
     return part
 
 
@@ -428,20 +431,14 @@ def _pose(header: Any, index: int, report: IntegrityReport) -> tuple[ArrayF, Arr
     return Rotation.from_quat([x, y, z, w]).as_matrix(), translation
 
 
-def _colour_limit(header: Any) -> float:
-    node = header.node
-    if not node.isDefined("colorLimits"):
-        return 255.0
-    return max(float(node["colorLimits"][f"{name}Maximum"].value()) for name in _e57_COLOURS)
-
-
 # ---------------------------------------------------------------- vertices of a PLY file (ascii, binary of
-# either byte order); faces are no points and are left out
+# either byte order), whose faces are no points and are left out; points of a PCD file
 #
-# Format: G. Turk, "The PLY Polygon File Format" (1994).
+# Formats: G. Turk, "The PLY Polygon File Format" (1994); "The PCD file format", Point Cloud Library, 0.7.
 
 
 _INTENSITY: Final = ("intensity", "scalar_intensity", "reflectance", "scalar_reflectance")
+_PCD_HEAD: Final = re.compile(rb"(?:[^\n]*\n)*?DATA[ \t]+\w+[ \t]*\r?\n")
 _COLOURS: Final = (
     ("red", "green", "blue"),
     ("r", "g", "b"),
@@ -449,7 +446,7 @@ _COLOURS: Final = (
 )
 
 
-def read_ply(path: Path, report: IntegrityReport) -> RawCloud:
+def read_ply(path: Path, report: IntegrityReport) -> Cloud:
     """Vertices of a PLY file.
 
     Raises
@@ -473,24 +470,76 @@ def read_ply(path: Path, report: IntegrityReport) -> RawCloud:
             where=path,
             cure="Export as LAZ",
         )
-    names = vertex.names
-    if not {"x", "y", "z"} <= set(names) or len(set(names)) < len(names):
-        raise InputError(f"vertex properties {names}", expected="x, y, z, each once", where=path)
-    table = _body(path, header.end, form, before, vertex, report)
-    report.count("points_declared", vertex.count)
     for element in elements[index + 1 :]:
         if element.count:
             report.note(f"{element.count:,} elements '{element.name}' are no points and are left out.")
+    return _of_vertices(path, header.end, form, before, vertex, report)
+
+
+_PCD_FORMS: Final = {"ascii": "ascii", "binary": "binary_little_endian"}
+_HEAD_BYTES: Final = 1 << 14
+
+
+def read_pcd(path: Path, report: IntegrityReport) -> Cloud:
+    """Points of a PCD file.
+
+    Raises
+    ------
+    InputError : the head is damaged, or there are no fields x, y, z.
+    UnsupportedError : the data are compressed.
+    """
+    with path.open("rb") as stream:
+        match = _PCD_HEAD.match(stream.read(_HEAD_BYTES))
+    try:
+        text = match[0].decode("latin-1") if match else ""
+        head = dict(line.partition(" ")[::2] for line in text.splitlines())
+        names, sizes, types = (head[key].split() for key in ("FIELDS", "SIZE", "TYPE"))
+        counts = map(int, head.get("COUNT", "1 " * len(names)).split())
+        fields = [
+            (name if name != "_" and not k else f"{name} {i} {k}", f"{kind.lower()}{size}")
+            for i, (name, size, kind, count) in enumerate(zip(names, sizes, types, counts, strict=True))
+            for k in range(count)
+        ]
+        points, end = PlyElement("points", int(head["POINTS"]), fields), match.end() if match else 0
+        points.dtype("<")
+    except (KeyError, ValueError, TypeError) as error:
+        raise InputError(
+            f"no PCD head ({error})",
+            expected="FIELDS, SIZE, TYPE, POINTS and DATA",
+            where=path,
+            cure="Export or copy the file again",
+        ) from error
+    form = _PCD_FORMS.get(head["DATA"].strip())
+    if form is None:
+        raise UnsupportedError(
+            f"data in the form {head['DATA']!r}",
+            expected=" or ".join(_PCD_FORMS),
+            where=path,
+            cure="Convert it with pcl_convert_pcd_ascii_binary <in> <out> 0",
+        )
+    report.format = f"PCD {form}"
+    return _of_vertices(path, end, form, [], points, report)
+
+
+def _of_vertices(
+    path: Path, start: int, form: str, before: list[PlyElement], vertex: PlyElement, report: IntegrityReport
+) -> Cloud:
+    """Cloud of the rows of a table of points, which begins at the byte ``start``."""
+    names = vertex.names
+    if not {"x", "y", "z"} <= set(names) or len(set(names)) < len(names):
+        raise InputError(f"properties {names} of points", expected="x, y, z, each once", where=path)
+    table = _body(path, start, form, before, vertex, report)
+    report.count("points_declared", vertex.count)
     types = dict(vertex.fields)
     points = np.stack([table[a].astype(np.float64) for a in "xyz"], axis=-1)
     single = [i for i, a in enumerate("xyz") if types[a] == "f4" and form != "ascii"]
-    return RawCloud(
+    colours = next((c for c in _COLOURS if set(c) <= set(types)), None)
+    return Cloud(
+        report=report,
         points=points,
         intensity=next((table[n].astype(np.float32) for n in _INTENSITY if n in types), None),
-        rgb=next((eight_bit(_stack(table, c), report) for c in _COLOURS if set(c) <= set(types)), None),
-        normals=_stack(table, ("nx", "ny", "nz")).astype(np.float32)
-        if {"nx", "ny", "nz"} <= set(types)
-        else None,
+        rgb=eight_bit(np.stack([table[n] for n in colours], axis=-1), report) if colours else None,
+        ring=table["ring"].astype(np.int64) if "ring" in types else None,
         step_m=single_step_m(points[:, single]) if single else 0.0,
     )
 
@@ -542,55 +591,21 @@ def _cut(present: int, declared: int, report: IntegrityReport) -> None:
         report.note(f"The file is cut: {present:,} of {declared:,} points are there.")
 
 
-def _stack(table: AnyArray, names: tuple[str, ...]) -> AnyArray:
-    return np.stack([table[n] for n in names], axis=-1)
-
-
 # ---------------------------------------------------------------- reader
 
 
-_READERS: Final = {b"LASF": read_las, b"ply": read_ply, b"ASTM-E57": read_e57}
-NO_CRS: Final = "The file states no coordinate reference system."
+_READERS: Final = {
+    b"LASF": read_las,
+    b"ply": read_ply,
+    b"ASTM-E57": read_e57,
+    b"# .PCD": read_pcd,
+    b"VERSION": read_pcd,
+}
+_KINDS: Final = "a LAS, LAZ, PLY, E57 or PCD cloud"
 _FINE_M: Final = 1.01e-3
 """Steps of a millimetre are usual and are not told."""
 _FAR_FROM_ZERO_M: Final = 1000.0
 """In a cloud on a map a point at 0, 0, 0 is none."""
-
-
-@dataclass(slots=True, kw_only=True)
-class Cloud:
-    """A point cloud in the frame of its file.
-
-    Attributes
-    ----------
-    points : (n, 3) float64, metres: other units and degrees are converted where the file states them.
-    intensity : (n,) float32 as stored, or None.
-    rgb : (n, 3) uint8, or None; 16-bit and unit-interval colours are brought to 8 bit.
-    normals : (n, 3) float32 in the file's frame, or None.
-    t_gps_s : (n,) adjusted standard GPS time, NaN where unknown, or None.
-    frame : local frame or CRS that the file states, else None.
-    report : counts, losses and notes.
-    step_m : coarsest step of the coordinates that the file's number format can tell; 0: far below 1 mm.
-    """
-
-    points: ArrayF
-    intensity: ArrayF32 | None
-    rgb: ArrayU8 | None
-    normals: ArrayF32 | None
-    t_gps_s: ArrayF | None
-    frame: Frame
-    report: IntegrityReport
-    step_m: float = 0.0
-
-    @property
-    def crs(self) -> CRS | None:
-        """CRS of the points; the engineering CRS of a local frame; None if the file states none."""
-        return local_crs(self.frame) if isinstance(self.frame, LocalFrame) else self.frame
-
-    def sentences(self) -> list[str]:
-        """Losses and notes of the report, as people read them; that there is no CRS is told by callers."""
-        lost = [f"{n:,} {what.replace('_', ' ')}." for what, n in self.report.losses.items()]
-        return lost + [text for text in self.report.notes if text != NO_CRS]
 
 
 def read_cloud(path: Path) -> Cloud:
@@ -598,7 +613,7 @@ def read_cloud(path: Path) -> Cloud:
 
     Parameters
     ----------
-    path : LAS, LAZ, PLY or E57.
+    path : LAS, LAZ, PLY, E57 or PCD.
 
     Returns
     -------
@@ -611,176 +626,51 @@ def read_cloud(path: Path) -> Cloud:
     UnsupportedError : another format.
     """
     if not path.is_file():
-        raise InputError(
-            "file not found", expected="a LAS, LAZ, PLY or E57 cloud", where=path, cure="Check the path"
-        )
+        raise InputError("file not found", expected=_KINDS, where=path, cure="Check the path")
     with path.open("rb") as stream:
         head = stream.read(16)
     if not head:
-        raise InputError("the file is empty", expected="a LAS, LAZ, PLY or E57 cloud", where=path)
+        raise InputError("the file is empty", expected=_KINDS, where=path)
     reader = next((r for magic, r in _READERS.items() if head.startswith(magic)), None)
     if reader is None:
         raise UnsupportedError(
-            f"begins with {head[:8]!r}",
-            expected="a LAS, LAZ, PLY or E57 cloud",
-            where=path,
-            cure="Export the cloud as LAZ",
+            f"begins with {head[:8]!r}", expected=_KINDS, where=path, cure="Export the cloud as LAZ"
         )
     report = IntegrityReport(stream="cloud", format="", files=[str(path)], bytes_read=path.stat().st_size)
-    return _cloud(reader(path, report), report, path)
-
-
-def _cloud(raw: RawCloud, report: IntegrityReport, path: Path) -> Cloud:
-    finite: AnyArray = np.all(np.isfinite(raw.points), axis=1)
-    if lost := int(np.count_nonzero(~finite)):
+    cloud = reader(path, report)
+    good: AnyArray = np.all(np.isfinite(cloud.points), axis=1)
+    if lost := int(np.count_nonzero(~good)):
         report.lose("points_not_finite", lost)
-    zero: AnyArray = finite & ~np.any(raw.points, axis=1)
-    if zero.any() and np.linalg.norm(np.median(raw.points[finite], axis=0)) > _FAR_FROM_ZERO_M:
+    zero: AnyArray = good & ~np.any(cloud.points, axis=1)
+    if zero.any() and np.linalg.norm(np.median(cloud.points[good], axis=0)) > _FAR_FROM_ZERO_M:
         report.lose("points_at_zero", int(np.count_nonzero(zero)))
-        finite &= ~zero
-        lost = int(np.count_nonzero(~finite))
-    if not finite.any():
+        good &= ~zero
+    if not good.any():
         raise InputError(
-            f"none of {len(finite):,} points is finite",
+            f"none of {len(good):,} points is finite",
             expected="points",
             where=path,
             cure="Export the cloud again",
         )
-    if raw.step_m > _FINE_M:
-        reach = float(np.abs(raw.points[finite]).max())
+    if not good.all():
+        for name in ("points", "intensity", "rgb", "t_gps_s", "ring"):
+            if (values := getattr(cloud, name)) is not None:
+                setattr(cloud, name, values[good])
+    if cloud.step_m > _FINE_M:
         report.note(
-            f"Coordinates up to {reach:.0f} m resolve {raw.step_m * 1000:.3g} mm only (single precision, or "
-            "a coarse scale). Export doubles, a finer scale, or coordinates with a shift."
+            f"Coordinates up to {np.abs(cloud.points).max():.0f} m resolve {cloud.step_m * 1000:.3g} mm "
+            "only (single precision, or a coarse scale). Export doubles, a finer scale, or coordinates with "
+            "a shift."
         )
-
-    def keep(values: AnyArray | None) -> AnyArray | None:
-        """A column without the rows of points that are none."""
-        if values is None:
-            return None
-        return values if lost == 0 else values[finite]
-
-    points = np.ascontiguousarray(raw.points[finite] if lost else raw.points, dtype=np.float64)
-    frame = raw.frame
-    if isinstance(frame, CRS) and (frame.is_geographic or frame.is_geocentric):
-        points, frame, note = onto_map(points, frame)
+    if isinstance(cloud.frame, CRS) and (cloud.frame.is_geographic or cloud.frame.is_geocentric):
+        cloud.points, cloud.frame, note = onto_map(cloud.points, cloud.frame)
         report.note(note)
-    report.count("points", len(points))
-    t = keep(raw.t_gps_s)
+    cloud.points = np.ascontiguousarray(cloud.points)
+    report.count("points", len(cloud.points))
+    t = cloud.t_gps_s
     if t is not None and np.isfinite(t).any():
         report.synchronised, report.time_scale = True, "gps"
         report.t_first_s, report.t_last_s = float(np.nanmin(t)), float(np.nanmax(t))
-    if raw.frame is None:
+    if cloud.frame is None:
         report.note(NO_CRS)
-    return Cloud(
-        points=points,
-        intensity=keep(raw.intensity),
-        rgb=keep(raw.rgb),
-        normals=keep(raw.normals),
-        t_gps_s=t,
-        frame=frame,
-        report=report,
-        step_m=raw.step_m,
-    )
-
-
-# ---------------------------------------------------------------- Clouds in the ASCII form of the Point
-# Cloud Library's PCD files, version 0.7, as single scans often come
-
-
-_KEYS: Final = ("FIELDS", "POINTS", "DATA")
-_HEAD_LINES: Final = 30
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PcdCloud:
-    """Points of a file: ``xyz_m`` (n, 3), all ``fields`` (n,) by name, number of points left out."""
-
-    xyz_m: ArrayF
-    fields: dict[str, ArrayF]
-    n_left_out: int
-
-
-def read_pcd(path: Path) -> PcdCloud:
-    """Read an ASCII PCD file.
-
-    Points with coordinates that are not finite (PCL writes ``nan`` for missing returns) are left out and
-    counted.
-
-    Raises
-    ------
-    InputError : the file is missing, is none, or holds other than the stated number of points and fields.
-    UnsupportedError : the data are binary.
-    """
-    if not path.is_file():
-        raise InputError("file not found", expected="a PCD cloud", where=path)
-    raw = path.read_bytes()
-    head, body = _head(raw, path)
-    names = head["FIELDS"].split()
-    if head["DATA"] != "ascii":
-        raise UnsupportedError(
-            f"data in the form {head['DATA']!r}",
-            expected="ascii",
-            where=path,
-            cure="Convert it with pcl_convert_pcd_ascii_binary <in> <out> 0",
-        )
-    if any(count != "1" for count in head.get("COUNT", "").split()):
-        raise UnsupportedError(
-            f"fields with several values each (COUNT {head['COUNT']})", expected="COUNT 1", where=path
-        )
-    missing = [name for name in "xyz" if name not in names]
-    if missing:
-        raise InputError(f"no fields {', '.join(missing)}", expected="x, y and z", where=path)
-    table = _numbers(raw[body:], len(names), path)
-    if not head["POINTS"].isdigit() or len(table) != int(head["POINTS"]):
-        raise InputError(
-            f"{len(table)} points where the head says {head['POINTS']}",
-            expected="a whole file",
-            where=path,
-            cure="Copy the file again: it is cut off or was joined with another one",
-        )
-    good = np.isfinite(table[:, [names.index(a) for a in "xyz"]]).all(axis=1)
-    fields = {name: table[good, i] for i, name in enumerate(names)}
-    xyz = np.stack([fields[a] for a in "xyz"], axis=1)
-    return PcdCloud(xyz_m=xyz, fields=fields, n_left_out=int(np.count_nonzero(~good)))
-
-
-def _head(raw: bytes, path: Path) -> tuple[dict[str, str], int]:
-    """Entries of the head, and where the data begin."""
-    head: dict[str, str] = {}
-    start = 0
-    for _ in range(_HEAD_LINES):
-        end = raw.find(b"\n", start)
-        line = raw[start : end if end >= 0 else len(raw)].decode("ascii", errors="replace").strip()
-        if line and not line.startswith("#"):
-            key, _, value = line.partition(" ")
-            head[key] = value.strip()
-        if end < 0 or "DATA" in head:
-            break
-        start = end + 1
-    missing = [key for key in _KEYS if key not in head]
-    if missing:
-        raise InputError(
-            f"no PCD head (without {', '.join(missing)})", expected="FIELDS, POINTS and DATA", where=path
-        )
-    return head, end + 1 if end >= 0 else len(raw)
-
-
-def _numbers(text: bytes, columns: int, path: Path) -> ArrayF:
-    lines = [line for line in text.split(b"\n") if line.strip()]
-    table = np.empty((len(lines), columns))
-    with suppress(ValueError):
-        whole = np.loadtxt(lines, ndmin=2, comments=None) if lines else table
-        if whole.shape == table.shape:
-            return np.asarray(whole)
-    # line by line, to say which one is wrong
-    for i, line in enumerate(lines):
-        words = line.split()
-        try:
-            table[i] = [float(word) for word in words]
-        except ValueError as error:
-            raise InputError(
-                f"point {i + 1} is {line[:60].decode('ascii', errors='replace')!r}",
-                expected=f"{columns} numbers",
-                where=path,
-            ) from error
-    return table
+    return cloud

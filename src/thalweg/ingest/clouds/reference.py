@@ -4,118 +4,15 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from pyproj import CRS, Transformer
-from pyproj.exceptions import ProjError
+from pyproj import CRS
 
-from thalweg.core import AnyArray, ArrayF, Frame, GeometryError, InputError, LazWriter, LocalFrame
-from thalweg.core.values import FORMS, away_m, readings
+from thalweg.core import AnyArray, ArrayF, Frame, InputError, LazWriter, LocalFrame
+from thalweg.core.values import FORMS, near_world
 from thalweg.ingest import IntegrityReport
 from thalweg.ingest.clouds.reader import NO_USE, Cloud, read_cloud
 
-# ---------------------------------------------------------------- A reference that does not lie where the
-# campaign is: where it lies, and what it may be instead
-
-
 FARTHEST_M: Final = 20_000.0
 """A reference farther from the origin belongs to another survey, or is in another grid than was thought."""
-
-_MOST_POINTS: Final = 100_000
-_EARTH_M: Final = (6.33e6, 6.40e6)
-_OTHER_GRIDS: Final = (31466, 31467, 31468, 31469, 4647, 5650)
-"""Gauss-Krueger of Germany, and UTM with the zone before the easting."""
-
-
-def place_in_words(points: ArrayF) -> str:
-    """Smallest and largest coordinates of a file."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    names = zip(("east", "north", "height"), low, high, strict=True)
-    return ", ".join(f"{name} {round(a, 4):.10g} to {round(b, 4):.10g}" for name, a, b in names)
-
-
-def check_near(
-    local_m: ArrayF, points: ArrayF, frame: LocalFrame, crs: str, stated: str, where: Path
-) -> None:
-    """Refuse a cloud whose middle is more than 20 km from the origin.
-
-    Parameters
-    ----------
-    local_m : (n, 3) wcs.
-    points : (n, 3) as the file has them.
-    frame, crs : world frame and map grid of the campaign.
-    stated : CRS that the file states; empty if it states none.
-    where : the file.
-
-    Raises
-    ------
-    GeometryError : with the coordinates of the file and a guess at what they are.
-    """
-    middle = _middle(local_m)
-    away_m = float(np.hypot(middle[0], middle[1]))
-    if not away_m <= FARTHEST_M:
-        raise misplaced(f"{away_m / 1000:,.0f} km from campaign.origin", points, frame, crs, stated, where)
-
-
-def misplaced(
-    found: str, points: ArrayF, frame: LocalFrame, crs: str, stated: str, where: Path
-) -> GeometryError:
-    """The error for coordinates that are none of the campaign's place; parameters as for `check_near`."""
-    said = f"the file states {stated}" if stated else f"the file states no CRS, taken as {crs}"
-    origin = _origin(frame, crs)
-    expected = "" if origin is None else f"a place near east {origin[0]:.0f}, north {origin[1]:.0f} ({crs})"
-    return GeometryError(
-        f"{place_in_words(points)} ({said}): {found}",
-        expected=expected,
-        where=where,
-        cure=_guess(points, frame, crs, origin),
-    )
-
-
-def _guess(points: ArrayF, frame: LocalFrame, crs: str, origin: ArrayF | None) -> str:
-    """What the file may be, and what to do about it."""
-    middle = _middle(points)
-    export = f"export the file in {crs}"
-    if _EARTH_M[0] < float(np.linalg.norm(middle)) < _EARTH_M[1] and abs(middle[2]) > 1e4:
-        return f"Earth-centred coordinates: {export}"
-    if origin is not None and np.hypot(*(middle - origin)[:2]) < FARTHEST_M:
-        away = np.hypot(*(points - origin)[:, :2].T) > FARTHEST_M
-        if n := int(np.count_nonzero(away)):
-            return f"Delete {n:,} stray points: the others lie where they should"
-        return f"They fit {crs}: correct the CRS that the file states"
-    for other in readings(middle[None], FORMS[2], CRS.from_user_input(crs), frame):
-        if away_m(other, frame) < FARTHEST_M:
-            if other.form == FORMS[0]:
-                return f"Local coordinates of the scanner or of a project? Give the file its place: {export}"
-            return f"{other.words[0].upper()}{other.words[1:]} would fit: {export}"
-    for code in _OTHER_GRIDS:
-        if _fits(code, float(middle[0]), float(middle[1]), frame):
-            grid = CRS.from_epsg(code)
-            how = ", with the grid files of the land survey" if "DHDN" in grid.name else ""
-            return f"They fit EPSG:{code} ({grid.name}): {export}{how}"
-    return f"Coordinates of another grid or place: {export}; check campaign.crs and campaign.origin"
-
-
-def _fits(code: int, x: float, y: float, frame: LocalFrame) -> bool:
-    try:
-        lon, lat = Transformer.from_crs(CRS.from_epsg(code), 4326, always_xy=True).transform(x, y)
-    except ProjError:
-        return False
-    return bool(abs(lon - frame.lon_deg) < 0.3 and abs(lat - frame.lat_deg) < 0.2)
-
-
-def _origin(frame: LocalFrame, crs: str) -> ArrayF | None:
-    try:
-        return frame.to_map(np.zeros(3), CRS.from_user_input(crs))
-    except GeometryError:
-        return None
-
-
-def _middle(points: ArrayF) -> ArrayF:
-    return np.asarray(np.median(points[:: -(-len(points) // _MOST_POINTS)], axis=0))
-
-
-# ---------------------------------------------------------------- reference
-
-
 CHUNK = 1_000_000
 
 COARSEST_M: Final = 0.01
@@ -141,7 +38,7 @@ def to_world(points: ArrayF, stated: Frame, frame: LocalFrame, crs: str, where: 
     ------
     InputError : the file is in another local frame than the campaign.
     GeometryError : the coordinates do not lie in the map grid, or more than 20 km from the origin; the
-        message says where they lie and what they may be.
+        message says where they lie and what they may be (`near_world`).
     """
     if isinstance(stated, LocalFrame):
         if stated != frame:
@@ -152,12 +49,17 @@ def to_world(points: ArrayF, stated: Frame, frame: LocalFrame, crs: str, where: 
                 cure="Process both with the same campaign.origin",
             )
         return points, ""
-    name = "" if stated is None else stated.name
-    try:
-        local = frame.from_map(points, stated or CRS.from_user_input(crs))
-    except GeometryError as error:
-        raise misplaced(error.found, points, frame, crs, name, where) from error
-    check_near(local, points, frame, crs, name, where)
+    said = f"states no CRS, taken as {crs}" if stated is None else f"states {stated.name}"
+    local = near_world(
+        points,
+        FORMS[2],
+        stated or CRS.from_user_input(crs),
+        frame,
+        where,
+        what=f"points (the file {said})",
+        cure=f"Export the file in {crs}, or check campaign.crs and campaign.origin",
+        farthest_m=FARTHEST_M,
+    )
     if stated is None:
         return local, f"{where.name} states no CRS: taken as {crs} with ellipsoidal heights."
     note = ""

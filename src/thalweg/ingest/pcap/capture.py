@@ -12,12 +12,12 @@ decide: the end of the window, a header that cannot be, a block that changes the
 """
 
 import struct
-from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from io import BufferedReader
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -36,10 +36,11 @@ META: Final = 3
 FOUND: Final = 4
 """A sound record begins at the returned offset."""
 
-N_TALLY: Final = 12
+N_TALLY: Final = 13
 _RECORD, _OTHER_PORT, _OTHER_IP, _IPV6, _NOT_IP, _LINK = 0, 1, 2, 3, 4, 5
 _FRAGMENT, _CUT, _SIZE, _MALFORMED = 6, 7, 8, 9
 _CUT_TO, _CUT_FROM = 10, 11  # longest of the cut frames, as captured and as sent: no counts
+_SECOND: Final = 12  # of the last record of classic pcap
 COUNT_NAMES: Final = {
     _RECORD: "capture_records",
     _OTHER_PORT: "udp_other_ports",
@@ -66,9 +67,24 @@ _MAX_FRAME: Final = 70_000
 _DAY_S: Final = 86_400
 
 
+class Sinks(NamedTuple):
+    """Arrays that the compiled walks fill: which payloads are wanted, what was counted, and rows found.
+
+    A row of ``out`` is the payload's first byte in the window, its stream, its record, and its sender.
+    """
+
+    ports: ArrayI
+    sizes: ArrayI
+    tally: ArrayI
+    foreign: ArrayI
+    out: ArrayI
+    out_t: ArrayF
+
+
 @njit(cache=True, nogil=True, inline="always")
-def _u16(buf: ArrayU8, o: int) -> Any:
-    return (np.int64(buf[o]) << 8) | np.int64(buf[o + 1])
+def _u16(buf: ArrayU8, o: int, big: bool = True) -> Any:
+    a, b = np.int64(buf[o]), np.int64(buf[o + 1])
+    return (a << 8) | b if big else (b << 8) | a
 
 
 @njit(cache=True, nogil=True)
@@ -108,21 +124,9 @@ def _note_cut(tally: ArrayI, captured_b: int, sent_b: int) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _take(
-    buf: ArrayU8,
-    a: int,
-    b: int,
-    link: int,
-    t_s: float,
-    ports: ArrayI,
-    sizes: ArrayI,
-    tally: ArrayI,
-    foreign: ArrayI,
-    out: ArrayI,
-    out_t: ArrayF,
-    k: int,
-) -> int:
+def _take(buf: ArrayU8, a: int, b: int, link: int, t_s: float, sinks: Sinks, k: int) -> int:
     """Find the payload in frame [a, b), count what it is, store it as row ``k`` if wanted; next ``k``."""
+    ports, sizes, tally = sinks.ports, sinks.sizes, sinks.tally
     tally[_RECORD] += 1
     if link < 0:
         tally[_LINK] += 1
@@ -167,7 +171,7 @@ def _take(
     if not ours:
         tally[_OTHER_PORT] += 1
         if size == sizes[0]:
-            foreign[port] += 1
+            sinks.foreign[port] += 1
         return k
     if wanted < 0:
         tally[_SIZE] += 1
@@ -176,37 +180,22 @@ def _take(
         tally[_CUT] += 1
         _note_cut(tally, b - a, u + 8 + size - a)
         return k
-    out[k, 0] = u + 8
-    out[k, 1] = wanted
-    out[k, 2] = tally[_RECORD] - 1
-    out[k, 3] = _u32(buf, o + 12, True)
-    out_t[k] = t_s
+    sinks.out[k, :] = (u + 8, wanted, tally[_RECORD] - 1, _u32(buf, o + 12, True))
+    sinks.out_t[k] = t_s
     return k + 1
 
 
 @njit(cache=True, nogil=True)
 def walk_pcap(
-    buf: ArrayU8,
-    n: int,
-    o: int,
-    big: bool,
-    ticks_per_s: int,
-    check_length: bool,
-    link: int,
-    ports: ArrayI,
-    sizes: ArrayI,
-    tally: ArrayI,
-    foreign: ArrayI,
-    out: ArrayI,
-    out_t: ArrayF,
-) -> tuple[int, int, int, int, int]:
-    """Walk classic pcap records from ``o``; returns (status, offset, previous record, rows, last second)."""
-    k, last, second = 0, -1, -1
+    buf: ArrayU8, n: int, o: int, big: bool, ticks_per_s: int, check_length: bool, link: int, sinks: Sinks
+) -> tuple[int, int, int, int]:
+    """Walk classic pcap records from ``o``; returns (status, offset, previous record, rows)."""
+    k, last = 0, -1
     while True:
-        if k >= out.shape[0]:
-            return FULL, o, last, k, second
+        if k >= sinks.out.shape[0]:
+            return FULL, o, last, k
         if o + 16 > n:
-            return NEED, o, last, k, second
+            return NEED, o, last, k
         fraction = _u32(buf, o + 4, big)
         length = _u32(buf, o + 8, big)
         original = _u32(buf, o + 12, big)
@@ -217,12 +206,12 @@ def walk_pcap(
             or length > MAX_RECORD
             or (check_length and length > original)
         ):
-            return BAD, o, last, k, second
+            return BAD, o, last, k
         if o + 16 + length > n:
-            return NEED, o, last, k, second
-        second = _u32(buf, o, big)
-        t_s = second + fraction / ticks_per_s
-        k = _take(buf, o + 16, o + 16 + length, link, t_s, ports, sizes, tally, foreign, out, out_t, k)
+            return NEED, o, last, k
+        sinks.tally[_SECOND] = _u32(buf, o, big)
+        t_s = sinks.tally[_SECOND] + fraction / ticks_per_s
+        k = _take(buf, o + 16, o + 16 + length, link, t_s, sinks, k)
         last = o
         o += 16 + length
 
@@ -275,77 +264,50 @@ def find_pcap(
 
 @njit(cache=True, nogil=True)
 def walk_pcapng(
-    buf: ArrayU8,
-    n: int,
-    o: int,
-    big: bool,
-    links: ArrayI,
-    ticks_per_s: ArrayF,
-    offset_s: ArrayF,
-    snap: ArrayI,
-    ports: ArrayI,
-    sizes: ArrayI,
-    tally: ArrayI,
-    foreign: ArrayI,
-    out: ArrayI,
-    out_t: ArrayF,
-) -> tuple[int, int, int, int, int]:
-    """Walk pcapng blocks from ``o``; returns (status, offset, previous block, rows, -1)."""
+    buf: ArrayU8, n: int, o: int, big: bool, interfaces: ArrayF, sinks: Sinks
+) -> tuple[int, int, int, int]:
+    """Walk pcapng blocks from ``o``; returns (status, offset, previous block, rows).
+
+    A row of ``interfaces`` is the link type, ticks per second, offset in seconds, and snap length.
+    """
     k, last = 0, -1
     while True:
-        if k >= out.shape[0]:
-            return FULL, o, last, k, -1
+        if k >= sinks.out.shape[0]:
+            return FULL, o, last, k
         if o + 12 > n:
-            return NEED, o, last, k, -1
+            return NEED, o, last, k
         kind = _u32(buf, o, big)
         if kind == 0x0A0D0D0A:
-            return META, o, last, k, -1
+            return META, o, last, k
         length = _u32(buf, o + 4, big)
         if length < 12 or length % 4 or length > _MAX_BLOCK:
-            return BAD, o, last, k, -1
+            return BAD, o, last, k
         if o + length > n:
-            return NEED, o, last, k, -1
+            return NEED, o, last, k
         if _u32(buf, o + length - 4, big) != length:
-            return BAD, o, last, k, -1
+            return BAD, o, last, k
         if kind == 1:
-            return META, o, last, k, -1
+            return META, o, last, k
         interface, start, captured, t_s = np.int64(-1), np.int64(0), np.int64(0), np.nan
         if (kind == 6 or kind == 2) and length >= 32:
-            if kind == 6:
-                interface = _u32(buf, o + 8, big)
-            elif big:
-                interface = _u16(buf, o + 8)
-            else:
-                interface = np.int64(buf[o + 8]) | (np.int64(buf[o + 9]) << 8)
+            interface = _u32(buf, o + 8, big) if kind == 6 else _u16(buf, o + 8, big)
             start, captured = np.int64(o + 28), _u32(buf, o + 20, big)
             if captured > length - 32:
                 interface = np.int64(1 << 32)
-            elif interface < links.size:
+            elif interface < len(interfaces):
                 ticks = _u32(buf, o + 12, big) * 4294967296.0 + _u32(buf, o + 16, big)
-                t_s = ticks / ticks_per_s[interface] + offset_s[interface]
-        elif kind == 3 and length >= 16 and links.size > 0:
+                t_s = ticks / interfaces[interface, 1] + interfaces[interface, 2]
+        elif kind == 3 and length >= 16 and len(interfaces) > 0:
             interface, start = np.int64(0), np.int64(o + 12)
             captured = min(_u32(buf, o + 8, big), length - 16)
-            if snap[0] > 0:
-                captured = min(captured, snap[0])
-        if interface >= links.size:
-            tally[_RECORD] += 1
-            tally[_MALFORMED] += 1
+            if interfaces[0, 3] > 0:
+                captured = min(captured, np.int64(interfaces[0, 3]))
+        if interface >= len(interfaces):
+            sinks.tally[_RECORD] += 1
+            sinks.tally[_MALFORMED] += 1
         elif interface >= 0:
-            k = _take(
-                buf,
-                start,
-                start + captured,
-                links[interface],
-                t_s,
-                ports,
-                sizes,
-                tally,
-                foreign,
-                out,
-                out_t,
-                k,
-            )
+            link = np.int64(interfaces[interface, 0])
+            k = _take(buf, start, start + captured, link, t_s, sinks, k)
         last = o
         o += length
 
@@ -378,41 +340,29 @@ def _marks_at(buf: ArrayU8, o: int, marks: AnyArray, mark: int) -> int:
 
 @njit(cache=True, nogil=True)
 def walk_bare(
-    buf: ArrayU8,
-    n: int,
-    o: int,
-    final: bool,
-    size: int,
-    marks: ArrayI,
-    mark: int,
-    tally: ArrayI,
-    out: ArrayI,
-    out_t: ArrayF,
-) -> tuple[int, int, int, int, int]:
-    """Walk payloads of ``size`` bytes without any header.
+    buf: ArrayU8, n: int, o: int, final: bool, marks: ArrayI, mark: int, sinks: Sinks
+) -> tuple[int, int, int, int]:
+    """Walk payloads of the first stream without any header.
 
     All marks must be in place; half of them do if all of the next payload's are. Fewer conditions would let
     a stream pass that is shifted by the distance of two marks.
     """
-    k, last = 0, -1
+    k, last, size = 0, -1, sinks.sizes[0]
     while True:
-        if k >= out.shape[0]:
-            return FULL, o, last, k, -1
+        if k >= sinks.out.shape[0]:
+            return FULL, o, last, k
         if o + size > n:
-            return NEED, o, last, k, -1
+            return NEED, o, last, k
         hits = _marks_at(buf, o, marks, mark)
         if hits < marks.size:
             if o + 2 * size > n and not final:
-                return NEED, o, last, k, -1
+                return NEED, o, last, k
             sound = o + 2 * size > n or _marks_at(buf, o + size, marks, mark) == marks.size
             if 2 * hits < marks.size or not sound:
-                return BAD, o, last, k, -1
-        out[k, 0] = o
-        out[k, 1] = 0
-        out[k, 2] = tally[_RECORD]
-        out[k, 3] = 0
-        out_t[k] = np.nan
-        tally[_RECORD] += 1
+                return BAD, o, last, k
+        sinks.out[k, :] = (o, 0, sinks.tally[_RECORD], 0)
+        sinks.out_t[k] = np.nan
+        sinks.tally[_RECORD] += 1
         k += 1
         last = o
         o += size
@@ -437,9 +387,6 @@ def gather(buf: ArrayU8, start: ArrayI, payload: ArrayU8) -> None:
 
 # ---------------------------------------------------------------- the record layers of capture files: classic
 # pcap, pcapng, and payloads without any header
-
-
-# ---------------------------------------------------------------- captures in pieces
 
 PCAP_MAGIC: Final = {
     b"\xd4\xc3\xb2\xa1": (False, 1_000_000),
@@ -496,43 +443,7 @@ class Window:
         self.final = got < len(room)
 
 
-class RecordFormat(ABC):
-    """State of one file format: how to walk on, how to find the next sound record."""
-
-    name = ""
-    start = 0
-
-    @abstractmethod
-    def walk(self, w: Window, o: int, sinks: "Sinks") -> tuple[int, int, int, int, int]:
-        """Take in records from ``o`` on; returns (status, offset, previous record, rows, last second)."""
-
-    @abstractmethod
-    def find(self, w: Window, o: int) -> tuple[int, int]:
-        """Look for a sound record from ``o`` on; returns (status, offset)."""
-
-    def meta(self, w: Window, o: int) -> tuple[int, int]:
-        """Take in a block that describes others; returns (status, offset behind it)."""
-        return BAD, o
-
-
-class Sinks:
-    """Arrays that the compiled walks fill."""
-
-    def __init__(self, streams: Sequence[Stream], rows: int) -> None:
-        self.ports = np.array([s.port for s in streams], dtype=np.int64)
-        self.sizes = np.array([s.size for s in streams], dtype=np.int64)
-        self.tally = np.zeros(N_TALLY, dtype=np.int64)
-        self.foreign = np.zeros(65536, dtype=np.int64)
-        self.out = np.empty((rows, 4), dtype=np.int64)
-        self.out_t = np.empty(rows, dtype=np.float64)
-
-    @property
-    def all(self) -> tuple[ArrayI, ArrayI, ArrayI, ArrayI, ArrayI, ArrayF]:
-        """The arrays in the order in which the walks take them."""
-        return self.ports, self.sizes, self.tally, self.foreign, self.out, self.out_t
-
-
-class Pcap(RecordFormat):
+class Pcap:
     """Classic pcap: one link type, stamps in micro- or nanoseconds."""
 
     start = 24
@@ -553,47 +464,42 @@ class Pcap(RecordFormat):
                 cure="Capture on the Ethernet interface of the lidar",
             )
         self.link = LINK_TYPES[link]
-        self.second = -1
         # Some writers put a wrong original length everywhere; then it says nothing about damage.
         lengths = struct.unpack((">" if self.big else "<") + "2I", head[32:40]) if len(head) >= 40 else (0, 0)
         self.check_length = lengths[0] <= lengths[1]
         unit = "microseconds" if self.ticks == 1_000_000 else "nanoseconds"
         self.name = f"pcap, {unit}, {'big' if self.big else 'little'} endian"
 
-    def walk(self, w: Window, o: int, sinks: Sinks) -> tuple[int, int, int, int, int]:
-        """Take in records, see `RecordFormat.walk`."""
-        result = walk_pcap(w.buf, w.n, o, self.big, self.ticks, self.check_length, self.link, *sinks.all)
-        self.second = result[4] if result[4] >= 0 else self.second
-        return result
+    def walk(self, w: Window, o: int, sinks: Sinks) -> tuple[int, int, int, int]:
+        """Take in records from ``o`` on; returns (status, offset, previous record, rows)."""
+        return walk_pcap(w.buf, w.n, o, self.big, self.ticks, self.check_length, self.link, sinks)
 
-    def find(self, w: Window, o: int) -> tuple[int, int]:
-        """Look for a sound record, see `RecordFormat.find`."""
-        return find_pcap(w.buf, w.n, o, self.big, self.ticks, self.second, w.final)
+    def find(self, w: Window, o: int, sinks: Sinks) -> tuple[int, int]:
+        """Look for a sound record from ``o`` on; returns (status, offset)."""
+        return find_pcap(w.buf, w.n, o, self.big, self.ticks, sinks.tally[_SECOND], w.final)
 
 
-class Pcapng(RecordFormat):
+class Pcapng:
     """pcapng: sections of either byte order, interfaces with their own link type and clock."""
 
     name = "pcapng"
+    start = 0
 
     def __init__(self) -> None:
         self.big = False
-        self.interfaces: list[tuple[int, float, float, int]] = []
+        self.interfaces: list[tuple[float, float, float, float]] = []
 
-    def walk(self, w: Window, o: int, sinks: Sinks) -> tuple[int, int, int, int, int]:
-        """Take in records, see `RecordFormat.walk`."""
-        links = np.array([i[0] for i in self.interfaces], dtype=np.int64)
-        ticks = np.array([i[1] for i in self.interfaces], dtype=np.float64)
-        offsets = np.array([i[2] for i in self.interfaces], dtype=np.float64)
-        snaps = np.array([i[3] for i in self.interfaces], dtype=np.int64)
-        return walk_pcapng(w.buf, w.n, o, self.big, links, ticks, offsets, snaps, *sinks.all)
+    def walk(self, w: Window, o: int, sinks: Sinks) -> tuple[int, int, int, int]:
+        """Take in records, see `Pcap.walk`."""
+        interfaces = np.array(self.interfaces, dtype=np.float64).reshape(-1, 4)
+        return walk_pcapng(w.buf, w.n, o, self.big, interfaces, sinks)
 
-    def find(self, w: Window, o: int) -> tuple[int, int]:
-        """Look for a sound record, see `RecordFormat.find`."""
+    def find(self, w: Window, o: int, sinks: Sinks) -> tuple[int, int]:
+        """Look for a sound record, see `Pcap.find`."""
         return find_pcapng(w.buf, w.n, o, self.big, w.final)
 
     def meta(self, w: Window, o: int) -> tuple[int, int]:
-        """Take in a section header or an interface description."""
+        """Take in a section header or an interface description; returns (status, offset behind it)."""
         head = w.buf[o : min(o + 28, w.n)].tobytes()
         if head[:4] == PCAPNG_MAGIC:
             if head[8:12] not in (b"\x1a\x2b\x3c\x4d", b"\x4d\x3c\x2b\x1a"):
@@ -632,24 +538,27 @@ def _interface_clock(options: bytes, order: str) -> tuple[float, float]:
     return ticks, float(offset_s)
 
 
-class BareFormat(RecordFormat):
+class BareFormat:
     """Payloads of the main stream, one after another."""
+
+    start = 0
 
     def __init__(self, size: int, bare: BarePayloads) -> None:
         self.size, self.mark = size, bare.mark
         self.marks = np.array(bare.marks, dtype=np.int64)
         self.name = f"bare {size}-byte payloads"
 
-    def walk(self, w: Window, o: int, sinks: Sinks) -> tuple[int, int, int, int, int]:
-        """Take in records, see `RecordFormat.walk`."""
-        return walk_bare(
-            w.buf, w.n, o, w.final, self.size, self.marks, self.mark, sinks.tally, sinks.out, sinks.out_t
-        )
+    def walk(self, w: Window, o: int, sinks: Sinks) -> tuple[int, int, int, int]:
+        """Take in records, see `Pcap.walk`."""
+        return walk_bare(w.buf, w.n, o, w.final, self.marks, self.mark, sinks)
 
-    def find(self, w: Window, o: int) -> tuple[int, int]:
-        """Look for a sound record, see `RecordFormat.find`."""
+    def find(self, w: Window, o: int, sinks: Sinks) -> tuple[int, int]:
+        """Look for a sound record, see `Pcap.find`."""
         return find_bare(w.buf, w.n, o, self.size, self.marks, self.mark)
 
+
+RecordFormat = Pcap | Pcapng | BareFormat
+"""State of one file format: how to walk on, how to find the next sound record."""
 
 # ---------------------------------------------------------------- capture
 
@@ -690,10 +599,10 @@ class CaptureTally:
 
     format: str = ""
     bytes_read: int = 0
-    counts: dict[str, int] = field(default_factory=dict)
-    losses: dict[str, int] = field(default_factory=dict)
+    counts: Counter[str] = field(default_factory=Counter)
+    losses: Counter[str] = field(default_factory=Counter)
     notes: list[str] = field(default_factory=list)
-    foreign_ports: dict[int, int] = field(default_factory=dict)
+    foreign_ports: Counter[int] = field(default_factory=Counter)
     """Payloads of the first stream's size that went to other ports: a hint at a wrong port setting."""
     cut_to_b: int = 0
     """Longest frame that the capture cut, and in ``cut_from_b`` how long it was; 0 without any."""
@@ -703,7 +612,7 @@ class CaptureTally:
         """That the capture cut packets; empty if it did not."""
         if not self.cut_to_b:
             return ""
-        n = self.losses.get(LOSS_NAMES[_CUT], 0)
+        n = self.losses[LOSS_NAMES[_CUT]]
         each = "1 packet is" if n == 1 else f"{n} packets are" if n else "parts of packets are"
         return f"captured with a snap length of {self.cut_to_b} of {self.cut_from_b} bytes: {each} cut"
 
@@ -718,8 +627,7 @@ def _format_of(w: Window, path: Path, streams: Sequence[Stream], bare: BarePaylo
         return Pcapng()
     if bare is not None:
         form = BareFormat(streams[0].size, bare)
-        status, _ = form.find(w, 0)
-        if status == FOUND:
+        if find_bare(w.buf, w.n, 0, form.size, form.marks, form.mark)[0] == FOUND:
             return form
     packed = {b"\x1f\x8b": "gzip", b"BZh": "bzip2", b"\xfd7zXZ": "xz", b"\x28\xb5\x2f\xfd": "zstd"}
     kind = next((name for magic, name in packed.items() if head.startswith(magic)), "")
@@ -770,7 +678,16 @@ def read_payloads(
         w.fill()
         form = _format_of(w, path, streams, bare)
         found.format = form.name
-        sinks = Sinks(streams, w.buf.size // (min(s.size for s in streams) + 16) + 2)
+        rows = w.buf.size // (min(s.size for s in streams) + 16) + 2
+        sinks = Sinks(
+            ports=np.array([s.port for s in streams], dtype=np.int64),
+            sizes=np.array([s.size for s in streams], dtype=np.int64),
+            tally=np.zeros(N_TALLY, dtype=np.int64),
+            foreign=np.zeros(65536, dtype=np.int64),
+            out=np.empty((rows, 4), dtype=np.int64),
+            out_t=np.empty(rows, dtype=np.float64),
+        )
+        sinks.tally[_SECOND] = -1
         yield from _read(w, form, sinks, path, found)
     found.bytes_read += w.base + w.n
     _add_tally(sinks, found)
@@ -782,11 +699,11 @@ def _read(
     """Walk all records; at a damaged one look for the next sound one and count the bytes between."""
     o, previous, floor = form.start, -1, -1
     while True:
-        status, o, last, rows, _ = form.walk(w, o, sinks)
+        status, o, last, rows = form.walk(w, o, sinks)
         if rows:
             yield _blocks(w, sinks, rows)
         previous = w.base + last if last >= 0 else previous
-        if status == META:
+        if status == META and isinstance(form, Pcapng):
             status, o = form.meta(w, o)
         if status == NEED and not w.final:
             w.refill(o)
@@ -799,17 +716,17 @@ def _read(
             # The length of the record before may be what is wrong, so the search begins inside it; never
             # before the last resumption, so that each search ends further on.
             inside = previous + 17 if previous >= w.base and not cut else bad + 1
-            o = _resume(w, form, max(min(inside, bad + 1), floor + 1) - w.base)
+            o = _resume(w, form, sinks, max(min(inside, bad + 1), floor + 1) - w.base)
             floor = w.base + o
             _report_damage(found, path, bad, floor, cut and o >= w.n)
             if o >= w.n:
                 return
 
 
-def _resume(w: Window, form: RecordFormat, o: int) -> int:
+def _resume(w: Window, form: RecordFormat, sinks: Sinks, o: int) -> int:
     """Offset in the (moved on) window of the next sound record, or its end if there is none."""
     while True:
-        status, o = form.find(w, o)
+        status, o = form.find(w, o, sinks)
         if status == FOUND:
             return o
         if w.final:
@@ -820,14 +737,13 @@ def _resume(w: Window, form: RecordFormat, o: int) -> int:
 
 def _report_damage(found: CaptureTally, path: Path, bad: int, resumed: int, cut: bool) -> None:
     skipped = max(0, resumed - bad)
-    found.losses["bytes_skipped"] = found.losses.get("bytes_skipped", 0) + skipped
+    found.losses["bytes_skipped"] += skipped
     if cut:
-        found.losses["cut_records"] = found.losses.get("cut_records", 0) + 1
+        found.losses["cut_records"] += 1
         found.notes.append(f"{path.name} ends inside a packet: the last {skipped} bytes are unusable.")
         return
-    n = found.losses.get("damaged_records", 0) + 1
-    found.losses["damaged_records"] = n
-    if n <= _NAMED_DAMAGES:
+    found.losses["damaged_records"] += 1
+    if found.losses["damaged_records"] <= _NAMED_DAMAGES:
         found.notes.append(f"{path.name}: damaged at byte {bad}, reading goes on at byte {resumed}.")
 
 
@@ -855,8 +771,8 @@ def _add_tally(sinks: Sinks, found: CaptureTally) -> None:
     for names, target in ((COUNT_NAMES, found.counts), (LOSS_NAMES, found.losses)):
         for index, name in names.items():
             if sinks.tally[index]:
-                target[name] = target.get(name, 0) + int(sinks.tally[index])
+                target[name] += int(sinks.tally[index])
     found.cut_to_b = max(found.cut_to_b, int(sinks.tally[_CUT_TO]))
     found.cut_from_b = max(found.cut_from_b, int(sinks.tally[_CUT_FROM]))
     for port in np.flatnonzero(sinks.foreign):
-        found.foreign_ports[int(port)] = found.foreign_ports.get(int(port), 0) + int(sinks.foreign[port])
+        found.foreign_ports[int(port)] += int(sinks.foreign[port])

@@ -7,15 +7,16 @@ the hour: the one that brings TOH within half an hour of it. The host clock is n
 Source: VLP-16 User Manual 63-9243 Rev. D, sections 7.4 (GPS), 9.3.1.6 and 9.3.3; HDL-32E and VLP-32C alike.
 """
 
-import datetime as dt
 import math
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 
 from thalweg.core import gps_from_unix, unix_from_gps, utc_text_from_gps
-from thalweg.ingest import LidarClock, explain_shift, possible_unix
+from thalweg.ingest import LidarClock, explain_shift
+from thalweg.ingest.nmea import days_of_date, second_of_day
 from thalweg.ingest.velodyne.model import HOUR_US
 from thalweg.ingest.velodyne.packets import GAP, STEP_BACK, PacketBlock, PositionPacket
 
@@ -63,16 +64,13 @@ def parse_rmc(sentence: bytes) -> tuple[float, str]:
     if fields[2] != "A":
         return math.nan, "no fix"
     clock, date = fields[1], fields[9]
-    if not (clock[:6].isdecimal() and date.isdecimal() and len(clock) >= 6 and len(date) == 6):
+    if len(date) != 6:
         return math.nan, "no date"
-    year = int(date[4:]) + (1900 if int(date[4:]) >= 80 else 2000)
     try:
-        day = dt.datetime(year, int(date[2:4]), int(date[:2]), tzinfo=dt.UTC).timestamp()
-        second = float("0" + clock[6:]) if clock[6:] else 0.0
+        days = days_of_date(int(date[:2]), int(date[2:4]), int(date[4:]))
+        return float(86_400 * days + second_of_day(clock)), ""
     except ValueError:
         return math.nan, "no date"
-    unix_s = day + 3600 * int(clock[:2]) + 60 * int(clock[2:4]) + int(clock[4:6]) + second
-    return (unix_s, "") if possible_unix(unix_s) and second < 1.0 else (math.nan, "no date")
 
 
 def clocks_apart(host_minus_sensor_s: float, t_gps_s: float) -> str:
@@ -117,7 +115,7 @@ class ClockBuilder:
     ``counts`` holds position packets by PPS state and by what was wrong with their sentence.
     """
 
-    counts: dict[str, int] = field(default_factory=dict)
+    counts: Counter[str] = field(default_factory=Counter)
     notes: list[str] = field(default_factory=list)
     stretches: list[_Stretch] = field(default_factory=list)
     file_starts: list[int] = field(default_factory=list)
@@ -205,15 +203,12 @@ class ClockBuilder:
             return 0.0
         return max(self.longest_silence_s, (now_us - self.last_report_t_us) * 1e-6 - self.holes_s)
 
-    def _count(self, what: str) -> None:
-        self.counts[what] = self.counts.get(what, 0) + 1
-
     def _report(self, block: PacketBlock, position: PositionPacket) -> None:
-        self._count("position_packets")
+        self.counts["position_packets"] += 1
         if position.pps >= len(PPS_STATES) or position.toh_us >= HOUR_US:
-            self._count("position_packets_damaged")
+            self.counts["position_packets_damaged"] += 1
             return
-        self._count(f"pps_{PPS_STATES[position.pps]}")
+        self.counts[f"pps_{PPS_STATES[position.pps]}"] += 1
         if position.after_packet == block.first_packet and self.newest_us is not None:
             reference = self.newest_us
         else:
@@ -232,13 +227,13 @@ class ClockBuilder:
         fresh = position.sentence != self.last_sentence
         self.last_sentence = position.sentence
         if wrong:
-            self._count(f"rmc_{wrong.replace(' ', '_')}")
+            self.counts[f"rmc_{wrong.replace(' ', '_')}"] += 1
             if math.isnan(self.stretches[-1].offset_s):
                 self.stretches[-1].why = f"PPS locked, but RMC: {wrong}"
             return
         lag_s = (rmc_s - position.toh_us * 1e-6 + _HOUR_S / 2) % _HOUR_S - _HOUR_S / 2
         if abs(lag_s) > MAX_LAG_S:
-            self._count("rmc_not_of_this_second")
+            self.counts["rmc_not_of_this_second"] += 1
             if fresh or math.isnan(self.stretches[-1].offset_s):
                 self._unlock(block, position, f"RMC and packet stamps disagree by {abs(lag_s):.0f} s")
             return

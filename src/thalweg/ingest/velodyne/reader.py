@@ -4,7 +4,6 @@ Both read the files in pieces: memory does not grow with the recording. The fram
 manual: x right, y forward (azimuth 0), z up along the axis of rotation.
 """
 
-import itertools
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -24,7 +23,6 @@ from thalweg.ingest import (
     LidarScan,
     LogWindow,
     PointBlock,
-    StreamTiming,
     empty_points,
     fit_clock,
 )
@@ -65,7 +63,8 @@ from thalweg.ingest.velodyne.packets import (
 LONGEST_STEP_US: Final = 20_000
 """Longer steps from packet to packet are holes; a packet takes 1.3 ms or 0.7 ms."""
 
-_MOST_PAIRS: Final = 1024
+_PACKETS_A_PAIR: Final = 64
+"""Of so many packets one stands beside its host stamp: 24 MB in a day."""
 _RESOLUTION_S: Final = 1e-6
 _SET_S: Final = 0.1
 """A free-running clock is not wrong by that much within a stretch; a larger jump is the clock being set."""
@@ -76,114 +75,52 @@ _LEAST_SPAN_S: Final = 2.0
 """Pairs of stamps, and the time that they span, without which the drift of a free-running clock is noise."""
 
 
-@dataclass(slots=True)
-class HostPairs:
-    """Sensor stamps beside stamps of the capture host, evenly spread over a recording of any length.
-
-    One of ``every`` packets is taken; if the list is full, every second entry goes and ``every`` doubles.
-    """
-
-    every: int = 64
-    rows: ArrayF = field(default_factory=lambda: np.empty((_MOST_PAIRS, 3)))
-    n: int = 0
-
-    def feed(self, block: PacketBlock, keep: ArrayI) -> None:
-        """Take in some of the kept packets of the next block."""
-        good = keep[np.isfinite(block.t_host_s[keep])]
-        good = good[(block.first_packet + good) % self.every == 0]
-        for i in good.tolist():
-            if self.n == _MOST_PAIRS:
-                self.every *= 2
-                half = self.rows[: self.n][self.rows[: self.n, 0] % self.every == 0]
-                self.n = len(half)
-                self.rows[: self.n] = half
-            if (block.first_packet + i) % self.every == 0:
-                self.rows[self.n] = block.first_packet + i, block.t_us[i], block.t_host_s[i]
-                self.n += 1
-
-    def table(self) -> ArrayF:
-        """Index, unrolled stamp in microseconds and host stamp (n, 3)."""
-        return self.rows[: self.n].copy()
-
-
 def write_timing(
-    report: IntegrityReport,
-    step_counts: ArrayI,
-    host: ArrayF,
-    builder: ClockBuilder,
-    clock: LidarClock,
-    stops_s: list[float],
-    set_s: dict[int, float],
+    report: IntegrityReport, found: "Findings", builder: ClockBuilder, clock: LidarClock, stops_s: list[float]
 ) -> None:
     """Fill in the clock state of a recording.
 
     Parameters
     ----------
     report : takes the numbers.
-    step_counts : how often a packet followed another after so many microseconds; the last entry: or more.
-    host : (n, 3) index, unrolled stamp in microseconds and host stamp of some packets.
-    builder, clock : of the scan; a stretch of the clock is locked or not.
+    found, builder, clock : of the scan; a stretch of the clock is locked or not.
     stops_s : end of each stretch on the device's clock.
-    set_s : packets before which the sensor set its clock, and by how much.
     """
     timing = report.timing
     timing.resolution_s = _RESOLUTION_S
-    steps = np.flatnonzero(step_counts[:-1])
-    if steps.size:
-        timing.describe_steps(np.asarray(steps * 1e-6), step_counts[steps].astype(np.float64))
-    starts = [s.t_us * 1e-6 + s.extra_s for s in builder.stretches]
-    locked = [not math.isnan(v) for v in clock.gps_minus_device_s]
-    step_s = timing.period_s or 0.0
+    starts_s = [s.t_us * 1e-6 + s.extra_s for s in builder.stretches]
+    offset_s = np.array(clock.gps_minus_device_s)
+    locked = np.isfinite(offset_s).tolist()
+    step_s = found.model.packet_s(max(found.modes))
+    # a jump by which the sensor set its clock within a stretch is no time
+    set_s = {h.packet: h.jump_us * 1e-6 - step_s for h in found.holes if h.packet in builder.clock_set}
     lengths = [
-        max(b - a - sum(jump - step_s for k, jump in set_s.items() if first < k < end), 0.0)
+        max(b - a - sum(jump for k, jump in set_s.items() if first < k < end), 0.0)
         for a, b, first, end in zip(
-            starts, stops_s, clock.first_packet, [*clock.first_packet[1:], math.inf], strict=True
+            starts_s, stops_s, clock.first_packet, [*clock.first_packet[1:], math.inf], strict=True
         )
     ]
-    _write_pps(timing, builder, lengths, locked)
-    _write_unsynchronised(timing, clock, (starts, stops_s, lengths), locked)
-    _write_host(report, host, clock)
-
-
-def _write_pps(timing: StreamTiming, builder: ClockBuilder, lengths: list[float], locked: list[bool]) -> None:
-    """Share of locked time, time before the first lock, and losses; unknown without position packets."""
-    if not builder.counts.get("position_packets"):
-        return
-    total = sum(lengths)
-    held = sum(length for length, good in zip(lengths, locked, strict=True) if good)
-    timing.pps_locked_share = held / total if total > 0 else float(any(locked))
-    first = locked.index(True) if any(locked) else len(locked)
-    timing.pps_unlocked_start_s = sum(lengths[:first])
-    timing.pps_losses = sum(1 for before, after in itertools.pairwise(locked) if before and not after)
-
-
-def _write_unsynchronised(
-    timing: StreamTiming,
-    clock: LidarClock,
-    spans: tuple[list[float], list[float], list[float]],
-    locked: list[bool],
-) -> None:
-    """Stretches without GPS time; their place follows from the locked stretches beside them."""
-    starts, stops, lengths = spans
-    offset = clock.gps_minus_device_s
-    timing.unsynchronised_s = 0.0
-    for free, group in itertools.groupby(range(len(locked)), key=lambda i: not locked[i]):
-        if not free:
-            continue
-        run = list(group)
-        length = sum(lengths[i] for i in run)
-        timing.unsynchronised_s += length
-        i, j = run[0] - 1, run[-1] + 1
-        after = starts[j] + offset[j] if j < len(locked) else None
-        if i >= 0:
-            before = stops[i] + offset[i]
-            timing.unsynchronised.append((before, before + length if after is None else max(after, before)))
-        elif after is not None:
-            timing.unsynchronised.append((after - length, after))
+    if builder.counts.get("position_packets"):
+        total = sum(lengths)
+        held = sum(length for length, good in zip(lengths, locked, strict=True) if good)
+        timing.pps_locked_share = held / total if total > 0 else float(any(locked))
+        first = locked.index(True) if any(locked) else len(locked)
+        timing.pps_unlocked_start_s = sum(lengths[:first])
+        timing.pps_losses = sum(1 for before, after in pairwise(locked) if before and not after)
+    # both ends of each stretch; of the device's clock only differences count
+    ends = np.column_stack([starts_s, stops_s]) + offset_s[:, None]
+    timing.place_unsynchronised(np.repeat(np.cumsum([0.0, *lengths]), 2)[1:-1], ends.ravel())
+    steps = np.flatnonzero(found.step_counts[:-1])
+    if steps.size:
+        timing.describe_steps(np.asarray(steps * 1e-6), found.step_counts[steps].astype(np.float64))
+    _write_host(report, np.concatenate(found.host or [np.empty((0, 3))]), clock)
 
 
 def _write_host(report: IntegrityReport, host: ArrayF, clock: LidarClock) -> None:
-    """The capture host's clock against UTC, and the sensor's free-running clock against the host's."""
+    """The capture host's clock against UTC, and the sensor's free-running clock against the host's.
+
+    ``host`` (n, 3) holds index, unrolled stamp in microseconds and host stamp of some packets.
+    """
     packet = host[:, 0].astype(np.int64)
     device_s = host[:, 1] * 1e-6 + clock.extra_s(packet)
     gps_s = device_s + clock.offset_s(packet)
@@ -192,6 +129,10 @@ def _write_host(report: IntegrityReport, host: ArrayF, clock: LidarClock) -> Non
     if known.any():
         report.timing.describe_host(gps_s, host[:, 2])
         drift_ppm = report.timing.clock_drift_ppm or 0.0
+        shift_s = float(np.median(host[known, 2] - unix_from_gps(gps_s[known])))
+        report.details["host_minus_sensor_s"] = round(shift_s, 6)
+        if words := clocks_apart(shift_s, float(gps_s[known][0])):
+            report.note(words)
     stretch = np.searchsorted(np.array(clock.first_packet), packet, side="right") - 1
     for number in np.unique(stretch[~known]):
         free = stretch == number
@@ -249,37 +190,26 @@ class Parts:
 
     file_starts: list[int] = field(default_factory=list)
     parts: list[Part] = field(default_factory=list)
-    _next_file: int = 0
+    _file: int = -1
 
     def feed(self, block: PacketBlock, keep: ArrayI) -> None:
         """Take in the next block, of which the rows ``keep`` are used."""
-        if not keep.size:
-            return
-        files = self._begins(block, keep)
-        back = keep[block.event[keep] == STEP_BACK]
-        edges = np.unique(np.array([keep[0], *files, *back], dtype=np.int64))
-        for rows in np.split(keep, np.searchsorted(keep, edges)[1:]):
-            row, t_us = int(rows[0]), block.t_us[rows]
-            first, newest = int(t_us.min()), int(t_us.max())
-            if row in files or block.event[row] == STEP_BACK or not self.parts:
+        number = np.searchsorted(self.file_starts, block.first_packet + keep, side="right") - 1
+        begins = np.diff(number, prepend=self._file) != 0
+        edges = np.flatnonzero(begins | (block.event[keep] == STEP_BACK))
+        for rows in np.split(np.arange(keep.size), edges):
+            if not rows.size:
+                continue
+            first, row, t_us = rows[0], int(keep[rows[0]]), block.t_us[keep[rows]]
+            oldest, newest = int(t_us.min()), int(t_us.max())
+            if first in edges:
                 packet, jump_us = block.first_packet + row, int(block.jump_us[row])
-                event = int(block.event[row])
-                self.parts.append(Part(files.get(row, -1), packet, jump_us, event, first, newest))
+                event, file = int(block.event[row]), int(number[first]) if begins[first] else -1
+                self.parts.append(Part(file, packet, jump_us, event, oldest, newest))
             part = self.parts[-1]
-            part.first_us, part.newest_us = min(part.first_us, first), max(part.newest_us, newest)
+            part.first_us, part.newest_us = min(part.first_us, oldest), max(part.newest_us, newest)
             part.n += rows.size
-
-    def _begins(self, block: PacketBlock, keep: ArrayI) -> dict[int, int]:
-        """Rows of the first packets kept of files -> number of the file."""
-        packet = block.first_packet + keep
-        found: dict[int, int] = {}
-        while self._next_file < len(self.file_starts):
-            at = int(np.searchsorted(packet, self.file_starts[self._next_file]))
-            if at == keep.size:  # begins further on
-                break
-            found[int(keep[at])] = self._next_file
-            self._next_file += 1
-        return found
+            self._file = int(number[rows[-1]])
 
     def early(self, clock: LidarClock) -> list[tuple[Part, float]]:
         """Files that begin before the end of the one before, and by how many seconds.
@@ -366,9 +296,8 @@ class Findings:
     first: tuple[int, int] = (0, 0)
     last: tuple[int, int] = (0, 0)
     """Index and unrolled stamp of the first and of the last packet kept that was not late."""
-    host: list[tuple[int, int, float]] = field(default_factory=list)
-    """Index, unrolled stamp and host stamp of one packet of each piece."""
-    host_pairs: HostPairs = field(default_factory=HostPairs)
+    host: list[ArrayF] = field(default_factory=list)
+    """Index, unrolled stamp and host stamp (n, 3) of some packets of each piece."""
     parts: Parts = field(default_factory=Parts)
 
     @property
@@ -404,10 +333,10 @@ class Findings:
             if newest.size:
                 self.last = (block.first_packet + int(newest[-1]), int(block.t_us[newest[-1]]))
             self.parts.feed(block, keep)
-            self.host_pairs.feed(block, keep)
-            if math.isfinite(block.t_host_s[keep[0]]):
-                packet = block.first_packet + int(keep[0])
-                self.host.append((packet, int(block.t_us[keep[0]]), float(block.t_host_s[keep[0]])))
+            some = keep[(block.first_packet + keep) % _PACKETS_A_PAIR == 0]
+            some = some[np.isfinite(block.t_host_s[some])]
+            pairs = [block.first_packet + some, block.t_us[some], block.t_host_s[some]]
+            self.host.append(np.column_stack(pairs).astype(np.float64))
         for i in np.flatnonzero((block.event == GAP) | (block.event == LATE) | (block.event == STEP_BACK)):
             self._hole(block, int(i))
 
@@ -451,7 +380,7 @@ def no_packets(tally: CaptureTally, port: int, where: str, found: Findings | Non
             cure="Capture with -s 0 (tcpdump), that is without a limit of the packets' length",
         )
     if tally.foreign_ports:
-        other, n = max(tally.foreign_ports.items(), key=lambda item: item[1])
+        other, n = tally.foreign_ports.most_common(1)[0]
         cure = f"{n} payloads of the right size went to port {other}: set lidar.data_port to it"
     return InputError(
         f"no lidar packets (the file holds: {text})",
@@ -539,17 +468,7 @@ def write_report(
         report.rates_hz["rotation"] = float(degrees / 360 / found.model.block_s)
     report.details["return_mode"] = found.return_mode
     report.details["product"] = product_name(found.product)
-    set_s = {h.packet: h.jump_us * 1e-6 for h in found.holes if h.packet in builder.clock_set}
-    write_timing(report, found.step_counts, found.host_pairs.table(), builder, clock, stops, set_s)
-    host = np.array(found.host).reshape(-1, 3)
-    packet = host[:, 0].astype(np.int64)
-    gps_s = host[:, 1] * 1e-6 + clock.extra_s(packet) + clock.offset_s(packet)
-    difference_s = (host[:, 2] - unix_from_gps(gps_s))[np.isfinite(gps_s)]
-    if difference_s.size:
-        shift_s = float(np.median(difference_s))
-        report.details["host_minus_sensor_s"] = round(shift_s, 6)
-        if words := clocks_apart(shift_s, float(gps_s[np.isfinite(gps_s)][0])):
-            report.note(words)
+    write_timing(report, found, builder, clock, stops)
     if found.return_mode == "mixed":
         modes = ", ".join(f"{RETURN_MODES[m]} {n}" for m, n in sorted(found.modes.items()))
         report.note(f"The return mode changes within the recording (packets: {modes}).")
