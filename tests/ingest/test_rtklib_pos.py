@@ -213,7 +213,7 @@ def test_gaps_steps_back_and_several_files(tmp_path: Path) -> None:
     )
     log = read_pos([first, second])
     assert log.report.counts["positions"] == 9
-    assert log.report.losses == {"time_steps_back": 1, "repeated_epochs": 1}
+    assert log.report.losses == {"time_steps_back": 1, "repeated_times": 1}
     assert [gap.lost for gap in log.report.gaps] == [6]
     assert "UTC" in log.report.lines()[3]
 

@@ -30,16 +30,7 @@ from thalweg.core import (
     gps_from_unix,
     rotation_ecef_enu,
 )
-from thalweg.ingest import (
-    FIRST_UNIX_S,
-    GNSS_POSITION,
-    LAST_UNIX_S,
-    IntegrityReport,
-    doubtful_date,
-    find_gaps,
-    repeated_rows,
-    say_repeated,
-)
+from thalweg.ingest import FIRST_UNIX_S, GNSS_POSITION, LAST_UNIX_S, IntegrityReport, doubtful_date
 
 # ---------------------------------------------------------------- which columns a RTKLIB .pos file has: read
 # from its header, or guessed from its first line
@@ -230,6 +221,7 @@ def read_pos(files: Sequence[Path], ref_ecef_m: ArrayLike | None = None) -> PosL
     report = IntegrityReport(
         stream="positions", format="RTKLIB .pos", files=[str(f) for f in files], time_scale="gps"
     )
+    report.synchronised = True
     header: dict[str, list[str]] = {}
     tables = [_read_one(path, ref_ecef_m, report, header) for path in files]
     marks = event_marks(files, tables)
@@ -250,22 +242,11 @@ def read_pos(files: Sequence[Path], ref_ecef_m: ArrayLike | None = None) -> PosL
         )
     positions = pd.concat(tables, ignore_index=True)
     file = np.repeat(np.arange(len(tables)), [len(x) for x in tables])
-    repeated = repeated_rows(positions, file)
-    positions, file = positions[~repeated].reset_index(drop=True), file[~repeated]
+    once = report.keep_once(positions, file, "positions")
+    positions, file = positions[once].reset_index(drop=True), file[once]
     _refuse_two_solutions(positions["t_gps_s"], file, tracks)
-    say_repeated(report, "positions", int(repeated.sum()))
     t = positions["t_gps_s"].to_numpy()
-    report.synchronised = True
-    report.t_first_s, report.t_last_s = float(t.min()), float(t.max())
-    step = np.diff(t)
-    for what, times in (("time_steps_back", np.sum(step < 0)), ("repeated_epochs", np.sum(step == 0))):
-        if times:
-            report.lose(what, int(times))
-    report.gaps = find_gaps(t)
-    report.timing.describe_stamps(t)
-    report.timing.unsynchronised_s = 0.0
-    if np.any(step > 0):
-        report.rates_hz = {"positions": 1.0 / float(np.median(step[step > 0]))}
+    report.take_times(t, "positions")
     report.count("positions", len(positions))
     if doubt := doubtful_date(t):
         report.note(doubt)

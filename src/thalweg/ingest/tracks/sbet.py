@@ -41,10 +41,7 @@ from thalweg.ingest import (
     NAVIGATION_INITIALISED,
     TIME_SCALES,
     IntegrityReport,
-    find_gaps,
     gps_from_scale,
-    repeated_rows,
-    say_repeated,
     tell_time_scale,
     time_scale_words,
 )
@@ -125,13 +122,7 @@ def read_sbet(
     for name, values in _sigmas(smrmsg, t, int(gps_week or 0), report, utc=utc).items():
         states[name] = values
     report.count("records", len(states))
-    report.t_first_s, report.t_last_s = float(t.min()), float(t.max())
-    step = np.diff(t)
-    if np.any(step > 0):
-        report.rates_hz["records"] = 1.0 / float(np.median(step[step > 0]))
-    report.gaps = find_gaps(t)
-    report.timing.describe_stamps(t)
-    report.timing.unsynchronised_s = 0.0
+    report.take_times(t, "records")
     report.note("An SBET states no GPS fix and no filter status: those columns are empty.")
     return SbetLog(states=states[list(INS_STATE.names)], report=report)
 
@@ -141,9 +132,7 @@ def _joined(files: Sequence[Path], n_fields: int, what: str, report: IntegrityRe
     parts = [_records(path, n_fields, report) for path in files]
     records = np.concatenate(parts)
     file = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-    repeated = repeated_rows(pd.DataFrame(records), file)
-    say_repeated(report, what, int(repeated.sum()))
-    return records[~repeated]
+    return records[report.keep_once(pd.DataFrame(records), file, what)]
 
 
 def _records(path: Path, n_fields: int, report: IntegrityReport) -> ArrayF:
@@ -223,10 +212,6 @@ def _times(second: ArrayF, week: int, report: IntegrityReport, *, utc: bool) -> 
     weeks = np.concatenate([[0], np.cumsum(step < -0.5 * WEEK_S)])
     if weeks[-1]:
         report.note(f"The times pass the end of the GPS week {weeks[-1]} times.")
-    if back := int(np.sum((step < 0) & (step >= -0.5 * WEEK_S))):
-        report.lose("time_steps_back", back)
-    if same := int(np.sum(step == 0)):
-        report.lose("repeated_times", same)
     if scale := _dated_scale(second):
         return gps_from_scale(second, scale)
     if not utc:
