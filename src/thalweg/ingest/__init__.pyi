@@ -26,7 +26,6 @@ from .readers import (
 from .schemas import (
     DEPTH as DEPTH,
     GNSS_POSITION as GNSS_POSITION,
-    INS_RAW as INS_RAW,
     INS_STATE as INS_STATE,
     NAVIGATION_INITIALISED as NAVIGATION_INITIALISED,
 )

@@ -524,7 +524,7 @@ def _choose(table: pd.DataFrame, report: IntegrityReport) -> pd.DataFrame:
         stated = horizontal[table["talker"].isin(owners[k])]
         goodness = float(np.median([_GOODNESS.index(fix) for fix in rows["fix"]]))
         few = len(rows) < _FEW * len(fixes) / len(owners)
-        return few, -goodness, _median(stated.to_numpy(np.float64), np.inf), rows["kind"].map(_RANK).min(), -len(rows)
+        return few, -goodness, _median(stated, np.inf), rows["kind"].map(_RANK).min(), -len(rows)
 
     ranked = sorted(owners, key=merit)
     chosen = fixes[receiver == ranked[0]]
@@ -617,7 +617,7 @@ def _wrapped(seconds: ArrayF) -> ArrayF:
     return np.asarray((seconds + _HALF_DAY_S) % DAY_S - _HALF_DAY_S)
 
 
-def _median(values: ArrayF, otherwise: float = _NAN) -> float:
+def _median(values: Any, otherwise: float = _NAN) -> float:
     return float(np.median(values)) if len(values) else otherwise
 
 
@@ -656,7 +656,7 @@ def _agreeing(table: pd.DataFrame, report: IntegrityReport) -> set[str]:
 
 
 def _midnights(second: ArrayF, file: ArrayI, report: IntegrityReport) -> tuple[ArrayI, set[int]]:
-    """Midnights (n,) since the first of the times (n,), files that begin back in time; steps back are lost."""
+    """Midnights (n,) since the first of the times (n,), files that begin back in time; others are lost."""
     step, begins = np.diff(second, prepend=second[0]), np.diff(file, prepend=file[0]) > 0
     turn, count, files_back = np.zeros(len(second), dtype=np.int64), 0, set()
     for i in np.flatnonzero((step < 0) | (step > _HALF_DAY_S)).tolist():
