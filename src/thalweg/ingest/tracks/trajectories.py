@@ -36,6 +36,7 @@ from thalweg.core import (
     GPS_EPOCH_UNIX_S,
     ArrayF,
     InputError,
+    frame_of,
     gps_from_unix,
     gps_from_week,
     parse_xml,
@@ -46,7 +47,6 @@ from thalweg.ingest import (
     DEPTH,
     GNSS_POSITION,
     INS_STATE,
-    NAVIGATION_INITIALISED,
     TIME_SCALES,
     UNITS_A_SECOND,
     IntegrityReport,
@@ -61,6 +61,7 @@ from thalweg.ingest import (
     tell_time_scale,
     time_scale_words,
 )
+from thalweg.ingest.tracks.sbet import FINISHED, half_turn
 
 _POSE: Final = ("t", "px", "py", "pz", "qx", "qy", "qz", "qw")
 _VELOCITY: Final = ("vx", "vy", "vz")
@@ -273,18 +274,15 @@ def states_of_poses(poses: TextPoses, options: TrackOptions) -> PoseLog:
     where, report = ", ".join(poses.report.files), poses.report
     frame, axes, scale = options.frame, options.body_axes, options.time_scale
     sigmas = (options.sigma_position_m, options.sigma_attitude_deg)
-    missing = [
-        name
-        for name, value in (
-            ("frame", frame),
-            ("body_axes", axes),
-            ("time_scale", scale),
-            ("sigma_position_m", sigmas[0]),
-            ("sigma_attitude_deg", sigmas[1]),
-            ("times", None if np.isnan(poses.t_s).any() else 1),
-        )
-        if value is None
-    ]
+    stated = {
+        "frame": frame,
+        "body_axes": axes,
+        "time_scale": scale,
+        "sigma_position_m": sigmas[0],
+        "sigma_attitude_deg": sigmas[1],
+        "times": None if np.isnan(poses.t_s).any() else poses.t_s,
+    }
+    missing = [name for name, value in stated.items() if value is None]
     if missing or frame is None or axes is None or sigmas[0] is None or sigmas[1] is None:
         raise InputError(
             f"not stated: {', '.join(missing)}",
@@ -319,9 +317,11 @@ def states_of_poses(poses: TextPoses, options: TrackOptions) -> PoseLog:
     if poses.velocity_mps is not None:
         velocity = np.einsum("nij,nj->ni", R_enu_wcs, poses.velocity_mps)
     attitude_rad = np.deg2rad(sigmas[1])
-    states = _table(
-        t_gps_s,
+    states = frame_of(
+        INS_STATE,
         {
+            **FINISHED,
+            "t_gps_s": t_gps_s,
             "t_device_s": poses.t_s,
             "lat_deg": lat,
             "lon_deg": lon,
@@ -335,38 +335,14 @@ def states_of_poses(poses: TextPoses, options: TrackOptions) -> PoseLog:
             **{f"sigma_{axis}_m": sigmas[0] for axis in ("north", "east", "up")},
             **{f"sigma_{angle}_rad": attitude_rad for angle in ("roll", "pitch", "heading")},
         },
+        unknown=np.nan,
     )
-    _finish(report, t_gps_s, "utc" if scale == "utc" else "gps")
+    report.synchronised, report.time_scale = True, "utc" if scale == "utc" else "gps"
+    report.take_times(t_gps_s, "poses")
     if np.isfinite(attitude_rad):
         each = f"{sigmas[0]} m and {sigmas[1]} deg for each pose"
         report.note(f"Standard deviations are stated, not the table's: {each}.")
     return PoseLog(states=states, report=report)
-
-
-def _table(t_gps_s: ArrayF, columns: dict[str, ArrayF | float]) -> pd.DataFrame:
-    """Table kind ``ins_state``; what the source does not hold is NaN, and no fix."""
-    table = pd.DataFrame({"t_gps_s": t_gps_s, **columns})
-    for name in INS_STATE.names:
-        if name not in table:
-            table[name] = np.nan
-    table["fix"] = "none"
-    table["system_status"] = np.zeros(len(table), dtype=np.uint16)
-    table["filter_status"] = np.full(len(table), NAVIGATION_INITIALISED, dtype=np.uint16)
-    return table[list(INS_STATE.names)]
-
-
-def _finish(report: IntegrityReport, t_gps_s: ArrayF, scale: str) -> None:
-    report.time_scale = "utc" if scale == "utc" else "gps"
-    report.synchronised = True
-    report.t_first_s, report.t_last_s = float(t_gps_s.min()), float(t_gps_s.max())
-    report.gaps = find_gaps(t_gps_s)
-    step = np.diff(t_gps_s)
-    if np.any(step <= 0):
-        report.lose("steps_back", int((step <= 0).sum()))
-    if np.any(step > 0):
-        report.rates_hz["poses"] = 1.0 / float(np.median(step[step > 0]))
-    report.timing.describe_stamps(t_gps_s)
-    report.timing.unsynchronised_s = 0.0
 
 
 # ---------------------------------------------------------------- NovAtel Inertial Explorer
@@ -433,7 +409,13 @@ def read_inertial_explorer(files: Sequence[Path], options: TrackOptions | None =
     InputError : a column that is needed is missing, a unit is not known, or a line is damaged.
     """
     options = options or TrackOptions()
-    report = IntegrityReport(stream="ins", format="NovAtel Inertial Explorer", files=[str(f) for f in files])
+    report = IntegrityReport(
+        stream="ins",
+        format="NovAtel Inertial Explorer",
+        files=[str(f) for f in files],
+        time_scale="gps",
+        synchronised=True,
+    )
     columns = pd.concat([_columns(Path(path), report) for path in files], ignore_index=True)
     where = ", ".join(map(str, files))
     if "week" not in columns and "date" in columns:
@@ -464,16 +446,17 @@ def read_inertial_explorer(files: Sequence[Path], options: TrackOptions | None =
             report.note(f"It states no standard deviations of {what} ({absent}): to be exported, or stated.")
     c = {name: columns[name].to_numpy(dtype=np.float64) for name in columns}
     t_gps_s = gps_from_week(c["week"], c["tow"])
-    nan = np.full(len(t_gps_s), np.nan)
-    states = _table(
-        t_gps_s,
+    states = frame_of(
+        INS_STATE,
         {
+            **FINISHED,
+            "t_gps_s": t_gps_s,
             "lat_deg": c["lat"],
-            "lon_deg": np.where(c["lon"] > 180, c["lon"] - 360, c["lon"]),
+            "lon_deg": half_turn(c["lon"]),
             "h_ell_m": c["height"],
-            "v_east_mps": c.get("v_east", nan),
-            "v_north_mps": c.get("v_north", nan),
-            "v_down_mps": -c.get("v_up", nan),
+            "v_east_mps": c.get("v_east", np.nan),
+            "v_north_mps": c.get("v_north", np.nan),
+            "v_down_mps": -c.get("v_up", np.nan),
             "roll_rad": np.deg2rad(c["roll"]),
             "pitch_rad": np.deg2rad(c["pitch"]),
             "heading_rad": np.mod(np.deg2rad(c["heading"]), 2 * np.pi),
@@ -484,9 +467,10 @@ def read_inertial_explorer(files: Sequence[Path], options: TrackOptions | None =
             "sigma_pitch_rad": np.deg2rad(c["sd_pitch"]),
             "sigma_heading_rad": np.deg2rad(c["sd_heading"]),
         },
+        unknown=np.nan,
     )
     report.count("poses", len(states))
-    _finish(report, t_gps_s, "gps")
+    report.take_times(t_gps_s, "poses")
     return PoseLog(states=states, report=report)
 
 
@@ -714,13 +698,7 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
     table = pd.DataFrame(rows, columns=["t_gps_s", "lat_deg", "lon_deg", "h_ell_m", "fix", "n_sats"])
     table["t_gps_s"] = gps_from_unix(table["t_gps_s"])
     t = table["t_gps_s"].to_numpy()
-    step = np.diff(t)
-    if np.any(step < 0):
-        report.lose("time_steps_back", int(np.sum(step < 0)))
-    report.t_first_s, report.t_last_s = float(t.min()), float(t.max())
-    report.gaps = find_gaps(t)
-    if np.any(step > 0):
-        report.rates_hz = {"positions": 1.0 / float(np.median(step[step > 0]))}
+    report.take_times(t, "positions")
     report.count("positions", len(table))
     if table["h_ell_m"].isna().any():
         report.note("Heights of GPX are above the geoid, and the file does not say how high that is.")
@@ -736,14 +714,12 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
         report.note(f"Only tracks are read, not the {' and '.join(unused)}.")
     if below > 0.9 * len(rows):
         report.note("Its elevations are negative: depths, perhaps, which are not read from there.")
-    log = PositionLog(report=report, positions=table.reindex(columns=list(GNSS_POSITION.names)))
+    log = PositionLog(report=report, positions=frame_of(GNSS_POSITION, dict(table), unknown=np.nan))
     if depths:
-        soundings = pd.DataFrame(depths, columns=["t_gps_s", "depth_m"])
-        soundings["t_gps_s"] = gps_from_unix(soundings["t_gps_s"])
-        log.depths = soundings.assign(sentence="GPX", line=np.arange(1, len(soundings) + 1)).reindex(
-            columns=list(DEPTH.names)
-        )
-        report.count("depths", len(soundings))
+        unix_s, depth_m = np.array(depths).T
+        values = {"t_gps_s": gps_from_unix(unix_s), "depth_m": depth_m, "line": np.arange(1, len(depths) + 1)}
+        log.depths = frame_of(DEPTH, {**values, "sentence": "GPX"}, unknown=np.nan)
+        report.count("depths", len(depths))
         report.note(
             "Its depths do not say whether they begin at the transducer or the water line: they are taken as "
             "below the transducer (logs.depth)."
