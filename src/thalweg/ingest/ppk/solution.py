@@ -34,7 +34,14 @@ from thalweg.core import (
 from thalweg.ingest import IntegrityReport
 from thalweg.ingest.ppk import worker as ppk_worker
 from thalweg.ingest.ppk.options import AUTO_SYSTEMS, PpkOptions, ecef_fault, engine_settings
-from thalweg.ingest.ppk.rinex import RinexScan, losses_in_words, rinex_kind, scan_rinex, whole_records
+from thalweg.ingest.ppk.rinex import (
+    SYSTEM_OF_LETTER,
+    RinexScan,
+    losses_in_words,
+    rinex_kind,
+    scan_rinex,
+    whole_records,
+)
 from thalweg.ingest.ppk.trust import read_solution, replace_covariances, trust_fixes
 from thalweg.ingest.sbp import find_messages
 
@@ -568,7 +575,8 @@ def _covers(nav: list[RinexScan], system: str, t: ArrayF) -> bool:
 
 
 def _bands(scans: list[RinexScan], system: str) -> set[str]:
-    codes = [code for scan in scans for code in scan.codes.get(system, next(iter(scan.codes.values()), []))]
+    letter = next(key for key, name in SYSTEM_OF_LETTER.items() if name == system)
+    codes = [code for scan in scans for code in scan.codes.get(letter, next(iter(scan.codes.values()), []))]
     return {code[:2] for code in codes if code.startswith("L")}
 
 
