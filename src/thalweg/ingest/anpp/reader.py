@@ -76,16 +76,20 @@ def add_orientation_sigmas(states: pd.DataFrame, records: AnppRecords, clock: Cl
     of_packet = of_packet.dropna(subset="t_device_s").sort_values("t_device_s", kind="stable")
     if of_packet.empty or states.empty:
         return 0
-    t = of_packet["t_device_s"].to_numpy()
-    limit = max(_MAX_SIGMA_AGE_S, 1.5 * float(np.median(np.diff(t))) if t.size > 1 else 0.0)
-    at = states["t_device_s"].to_numpy()
-    right = np.clip(np.searchsorted(t, at), min(1, t.size - 1), t.size - 1)
-    left = np.maximum(right - 1, 0)
-    nearest = np.where(np.abs(at - t[left]) <= np.abs(t[right] - at), left, right)
-    fits = np.abs(at - t[nearest]) <= limit
+    step = of_packet["t_device_s"].diff().median()
+    limit = max(_MAX_SIGMA_AGE_S, 1.5 * step if len(of_packet) > 1 else 0.0)
+    at = states["t_device_s"].sort_values(kind="stable")
+    near = pd.merge_asof(
+        at.to_frame(),
+        of_packet,
+        on="t_device_s",
+        direction="nearest",
+        tolerance=limit,  # type: ignore[arg-type]  # the stubs know times only
+    )
+    near = near.set_index(at.index).reindex(states.index)
     for k, name in enumerate(("roll", "pitch", "heading")):
-        states[f"sigma_{name}_rad"] = np.where(fits, of_packet[k].to_numpy()[nearest], np.nan)
-    return int(fits.sum())
+        states[f"sigma_{name}_rad"] = near[k]
+    return int(near[0].notna().sum())
 
 
 def gnss_table(records: AnppRecords, clock: Clock) -> tuple[pd.DataFrame, int, int]:
@@ -138,14 +142,10 @@ def blank_impossible(states: pd.DataFrame) -> int:
 def _satellites(records: AnppRecords, clock: Clock, packet: ArrayI) -> ArrayI:
     """Satellites in use by the packet 30 of the same moment as each packet, -1 where there is none."""
     satellites = records.of(ap.SATELLITES)
-    out = np.full(packet.size, -1, dtype=np.int64)
-    if satellites.packet.size and packet.size:
-        used = satellites.fields["used"].astype(np.int64).sum(axis=1)
-        moment, own = clock.before(satellites.packet), clock.before(packet)
-        at = np.clip(np.searchsorted(moment, own), 0, moment.size - 1)
-        same = moment[at] == own
-        out[same] = used[at[same]]
-    return out
+    used = satellites.fields["used"].astype(np.int64).sum(axis=1)
+    of_moment = pd.Series(used, index=clock.before(satellites.packet))
+    of_moment = of_moment[~of_moment.index.duplicated()]
+    return of_moment.reindex(clock.before(packet), fill_value=-1).to_numpy(np.int64)
 
 
 def depth_table(records: AnppRecords, clock: Clock) -> tuple[pd.DataFrame, int]:

@@ -127,18 +127,16 @@ def measured_gps_minus_utc(
 ) -> tuple[ArrayF, ArrayF]:
     """GPS - UTC (rounded to ms) and Unix time of each MsgUtcTime that stands with a GPS time of its tow."""
     utc = records.of(sm.UTC_TIME, sender)
-    f = utc.fields
-    ok = (f["flags"] & 7 != 0) & (f["month"] >= 1) & (f["month"] <= 12) & (f["day"] >= 1) & (f["day"] <= 31)
-    ok &= (f["year"] >= 1980) & (f["year"] < 2200) & (f["hours"] < 24) & (f["minutes"] < 60)
-    if not track.number.size or not ok.any():
+    utc = utc.take(utc.fields["flags"] & 7 != 0)
+    if not track.number.size or not utc.number.size:
         return np.empty(0), np.empty(0)
-    utc = utc.take(np.asarray(ok))
     index = track.before(utc.number)
-    same = track.tow_ms[index] == utc.fields["tow"]
+    names = {"year": "year", "month": "month", "day": "day", "hour": "hours", "minute": "minutes"}
+    parts = pd.DataFrame({ours: utc.fields[name] for ours, name in names.items()})
+    moment = pd.to_datetime(parts, errors="coerce").to_numpy("datetime64[s]")
+    same = (track.tow_ms[index] == utc.fields["tow"]) & ~np.isnat(moment)
     f, index = utc.fields[same], index[same]
-    months = (f["year"].astype(np.int64) - 1970) * 12 + f["month"] - 1
-    days = months.astype("datetime64[M]").astype("datetime64[D]").astype(np.int64) + f["day"] - 1
-    seconds = ((days * 24 + f["hours"]) * 60 + f["minutes"]) * 60 + f["seconds"]
+    seconds = moment[same].astype(np.int64) + f["seconds"]
     gps = track.week[index] * WEEK_S + track.tow_ms[index] // 1000 + GPS_EPOCH_UNIX_S
     rest = (track.tow_ms[index] % 1000) * 1e-3 + track.ns[index] * 1e-9 - f["ns"] * 1e-9
     return np.round((gps - seconds) + rest, 3), np.asarray(seconds + f["ns"] * 1e-9, dtype=np.float64)
@@ -172,7 +170,7 @@ def positions_table(
     for group in POSITION_GROUPS:
         lost: Counter[str] = Counter()
         parts = [_positions_of(records.of(kind, sender), kind, track, lost) for kind in group]
-        if any(part["t_gps_s"].size for part in parts):
+        if any(map(len, parts)):
             break
     else:
         sizes = [records.of(kind, sender).number.size for kind in POSITION_KINDS]
@@ -181,25 +179,21 @@ def positions_table(
     for reason in ("without_fix", "impossible"):
         # both messages of an epoch say the same: counting them once each would double the number
         dropped[f"positions_{reason}_dropped"] += max(lost[f"{reason} {kind}"] for kind in group)
-    rank = np.concatenate([np.full(part["t_gps_s"].size, i) for i, part in enumerate(parts)])
-    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    table = pd.concat([part.assign(rank=i) for i, part in enumerate(parts)], ignore_index=True)
     if not track.number.size:  # epochs cannot be told apart: one message type only
-        keep = np.flatnonzero(rank == rank.min())
+        table = table[table["rank"] == table["rank"].min()]
     else:
-        key = np.round(columns["t_gps_s"] * 1000.0)
-        best = np.lexsort((columns["number"], rank))
-        _, first = np.unique(key[best], return_index=True)
-        keep = best[first]
-        repeated = max(int((rank == i).sum()) - np.unique(key[rank == i]).size for i in range(len(parts)))
-        dropped["positions_repeated_dropped"] += repeated
-    keep = keep[np.argsort(columns["number"][keep], kind="stable")]
-    columns = {name: column_[keep] for name, column_ in columns.items()}
-    columns["age_s"] = _age(records, track, sender, columns["t_gps_s"])
-    used = tuple(kind for i, kind in enumerate(group) if (rank[keep] == i).any())
-    return frame_of(GNSS_POSITION, {n: columns[n] for n in GNSS_POSITION.names}), used
+        table["epoch_ms"] = np.round(table["t_gps_s"] * 1000.0)
+        again = table.duplicated(["rank", "epoch_ms"]).groupby(table["rank"]).sum()
+        dropped["positions_repeated_dropped"] += int(again.max())
+        table = table.sort_values(["rank", "number"], kind="stable").drop_duplicates("epoch_ms")
+    table = table.sort_values("number", kind="stable", ignore_index=True)
+    table["age_s"] = _age(records, track, sender, table["t_gps_s"])
+    used = tuple(group[i] for i in sorted(table["rank"].unique()))
+    return frame_of(GNSS_POSITION, dict(table)), used
 
 
-def _positions_of(messages: Messages, kind: int, track: WeekTrack, lost: Counter[str]) -> dict[str, AnyArray]:
+def _positions_of(messages: Messages, kind: int, track: WeekTrack, lost: Counter[str]) -> pd.DataFrame:
     """Columns of one message type, with the number of the message."""
     names = sm.FIX_DEP_A if kind in sm.DEP_A else sm.FIX
     words = names[messages.fields["flags"] & 7]
@@ -214,9 +208,7 @@ def _positions_of(messages: Messages, kind: int, track: WeekTrack, lost: Counter
     possible = (np.abs(values["lat_deg"]) <= 90) & (np.abs(values["lon_deg"]) <= 360)
     possible &= np.isfinite(values["h_ell_m"]) & ~(np.isnan(t) & bool(track.number.size))
     lost[f"impossible {kind}"] += int((~possible).sum())
-    nan = np.full(m.number.size, np.nan)
-    every = {**dict.fromkeys(GNSS_POSITION.names, nan), **values}
-    return {name: np.asarray(value)[possible] for name, value in every.items()}
+    return pd.DataFrame({**dict.fromkeys(GNSS_POSITION.names, np.nan), **values})[possible]
 
 
 def _geodetic(m: Messages, kind: int) -> dict[str, Any]:
@@ -267,18 +259,12 @@ def _millimetres(value: AnyArray) -> ArrayF:
     return np.where((value > 0) & (value < 0xFFFF), value * 1e-3, np.nan)
 
 
-def _age(records: SbpRecords, track: WeekTrack, sender: int, t_gps_s: AnyArray) -> ArrayF:
+def _age(records: SbpRecords, track: WeekTrack, sender: int, t_gps_s: "pd.Series[float]") -> ArrayF:
     """Age of the corrections from the MsgAgeCorrections of the same time, NaN where there is none."""
     age = records.of(sm.AGE, sender)
     age = age.take(age.fields["age"] != 0xFFFF)
-    out = np.full(t_gps_s.size, np.nan)
-    if age.number.size and out.size:
-        key, first = np.unique(np.round(track.times(age) * 1000.0), return_index=True)
-        wanted = np.round(t_gps_s * 1000.0)
-        at = np.minimum(np.searchsorted(key, wanted), key.size - 1)
-        same = key[at] == wanted
-        out[same] = age.fields["age"][first][at[same]] * 0.1
-    return out
+    stated = pd.Series(age.fields["age"] * 0.1, index=np.round(track.times(age) * 1000.0))
+    return np.asarray(stated[~stated.index.duplicated()].reindex(np.round(t_gps_s * 1000.0)))
 
 
 def base_positions(records: SbpRecords) -> ArrayF:

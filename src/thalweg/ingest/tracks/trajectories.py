@@ -129,7 +129,20 @@ def read_text_poses(kind: str, files: Sequence[Path], times: Path | None = None)
         R, position = T[:, :, :3], T[:, :, 3]
         wrong = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) > _ORTHONORMAL
         wrong |= np.linalg.det(R) < 0
-        t_s = _times(times, len(rows), where) if times is not None else np.full(len(rows), np.nan)
+        t_s = np.full(len(rows), np.nan)
+        if times is not None:
+            _, told = _lines(times, "Check the path of the times")
+            try:
+                t_s = np.loadtxt(told, ndmin=1, dtype=np.float64)
+            except ValueError as error:
+                raise InputError(str(error), expected="one time in seconds a line", where=times) from error
+            if t_s.shape != (len(rows),):
+                raise InputError(
+                    f"{t_s.size} times beside {len(rows)} poses of {where}",
+                    expected="one time a pose",
+                    where=times,
+                    cure="Give the times of this very table",
+                )
     else:
         position, q_xyzw = rows[:, 1:4], rows[:, 4:8]
         wrong = np.abs(np.linalg.norm(q_xyzw, axis=1) - 1.0) > _ORTHONORMAL
@@ -198,11 +211,8 @@ def _numbers(kind: str, path: Path, report: IntegrityReport) -> ArrayF:
 
     The first line that does not fit is named.
     """
-    if not path.is_file():
-        raise InputError("file not found", where=path, cure="Check the path")
-    raw = path.read_bytes()
-    report.bytes_read += len(raw)
-    lines = raw.decode("utf-8-sig", "replace").splitlines()
+    n_bytes, lines = _lines(path)
+    report.bytes_read += n_bytes
     rows: list[list[float]] = []
     heads: list[str] = []
     for number, line in enumerate(lines, start=1):
@@ -244,21 +254,12 @@ def _numbers(kind: str, path: Path, report: IntegrityReport) -> ArrayF:
     return table[:, [at[name] for name in (*_POSE, *(_VELOCITY if at.keys() >= set(_VELOCITY) else ()))]]
 
 
-def _times(path: Path, n: int, where: str) -> ArrayF:
+def _lines(path: Path, cure: str = "Check the path") -> tuple[int, list[str]]:
+    """Number of the bytes, and the lines, of a text file."""
     if not path.is_file():
-        raise InputError("file not found", where=path, cure="Check the path of the times")
-    try:
-        t_s = np.loadtxt(path, ndmin=1, dtype=np.float64)
-    except ValueError as error:
-        raise InputError(str(error), expected="one time in seconds a line", where=path) from error
-    if t_s.shape != (n,):
-        raise InputError(
-            f"{t_s.size} times beside {n} poses of {where}",
-            expected="one time a pose",
-            where=path,
-            cure="Give the times of this very table",
-        )
-    return t_s
+        raise InputError("file not found", where=path, cure=cure)
+    raw = path.read_bytes()
+    return len(raw), raw.decode("utf-8-sig", "replace").splitlines()
 
 
 def states_of_poses(poses: TextPoses, options: TrackOptions) -> PoseLog:
@@ -348,10 +349,6 @@ def states_of_poses(poses: TextPoses, options: TrackOptions) -> PoseLog:
 # ---------------------------------------------------------------- NovAtel Inertial Explorer
 
 
-def _bare(name: str) -> str:
-    return name.lower().replace("-", "").replace("_", "")
-
-
 _ALIASES: Final = {
     "tow": ("GPSTime", "CorrTime", "SoW", "GPSSec", "Seconds", "GPSSeconds", "TimeOfWeek"),
     "week": ("Week", "GPSWeek"),
@@ -377,7 +374,8 @@ _ALIASES: Final = {
 _MOST_DAYS_APART: Final = 1.5
 """Middle of the stated day from a time: half a day, and one that a zone may shift the date."""
 _NEEDED: Final = ("tow", "lat", "lon", "height", "roll", "pitch", "heading")
-_OURS: Final = {_bare(name): ours for ours, names in _ALIASES.items() for name in names}
+_NO_HYPHENS: Final = str.maketrans("", "", "-_")
+_OURS: Final = {x.lower().translate(_NO_HYPHENS): ours for ours, names in _ALIASES.items() for x in names}
 _DEG_OF_UNIT: Final = {"deg": 1.0, "degrees": 1.0, "d": 1.0, "min": 1 / 60, "arcmin": 1 / 60, "sec": 1 / 3600,
                        "arcsec": 1 / 3600, "rad": 180 / np.pi}  # fmt: skip
 
@@ -390,7 +388,9 @@ def is_inertial_explorer(head: bytes, size: int) -> bool:
 def _header(lines: Sequence[str]) -> int | None:
     """Number of the line with the names of the columns."""
     for number, line in enumerate(lines[:200]):
-        if {"tow", "lat", "lon", "roll"} <= {_OURS.get(_bare(name)) for name in line.split()}:
+        if {"tow", "lat", "lon", "roll"} <= {
+            _OURS.get(name.lower().translate(_NO_HYPHENS)) for name in line.split()
+        }:
             return number
     return None
 
@@ -476,11 +476,8 @@ def read_inertial_explorer(files: Sequence[Path], options: TrackOptions | None =
 
 def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
     """The known columns of one export, angles in degrees."""
-    if not path.is_file():
-        raise InputError("file not found", where=path, cure="Check the path")
-    raw = path.read_bytes()
-    report.bytes_read += len(raw)
-    lines = raw.decode("ascii", "replace").splitlines()
+    n_bytes, lines = _lines(path)
+    report.bytes_read += n_bytes
     first = _header(lines)
     if first is None:
         raise InputError(
@@ -490,8 +487,10 @@ def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
             cure="Export with a header",
         )
     names = lines[first].split()
-    units = re.findall(r"\(([^)]*)\)", lines[first + 1]) if first + 1 < len(lines) else []
-    units = _together(units) if len(units) > len(names) else units
+    units = re.findall(r"\(([^)]*)\)", "".join(lines[first + 1 : first + 2]))
+    if len(units) > len(names):  # degrees, minutes and seconds in brackets of their own
+        text = "\n".join(map(str.strip, units))
+        units = re.sub(r"(?im)^(?:\+/-)?d(?:eg)?\nm(?:in)?\ns(?:ec)?$", "D M S", text).split("\n")
     if len(units) != len(names):
         raise InputError(
             f"{len(units)} units below {len(names)} names of columns",
@@ -503,7 +502,7 @@ def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
     place = 0
     for name, unit in zip(names, units, strict=True):
         parts = 3 if "M S" in unit.upper().replace("-", " ") else 1  # degrees, minutes, seconds
-        known = _OURS.get(_bare(name))
+        known = _OURS.get(name.lower().translate(_NO_HYPHENS))
         if known is not None:
             at.setdefault(known, (place, parts, unit))
         place += parts
@@ -581,12 +580,6 @@ def _number(cell: str) -> float:
         return float(cell)
     minutes, seconds = rest
     return int(hours) * 3600.0 + int(minutes) * 60.0 + float(seconds)
-
-
-def _together(units: Sequence[str]) -> list[str]:
-    """Units with those of degrees, minutes and seconds in brackets of their own as one."""
-    text = "\n".join(unit.strip() for unit in units)
-    return re.sub(r"(?im)^(?:\+/-)?d(?:eg)?\nm(?:in)?\ns(?:ec)?$", "D M S", text).split("\n")
 
 
 @lru_cache(maxsize=64)
