@@ -121,7 +121,12 @@ def run_worker(
         ) from error
     if done.returncode != 0 or not answer.is_file():
         code = done.returncode
-        how = f"crashed with {_signal_name(-code)}" if code < 0 else f"ended with exit code {code}"
+        names = {int(each): each.name for each in signal.Signals}
+        how = (
+            f"crashed with {names.get(-code, f'signal {-code}')}"
+            if code < 0
+            else f"ended with exit code {code}"
+        )
         raise InputError(f"the RTKLIB engine {how}; it printed: {_tail(log)}", where=where, cure=cure)
     result = json.loads(answer.read_text())
     return EngineAnswer(result["engine"], result["answers"], _tail(log))
@@ -139,12 +144,8 @@ def check_settings(path: Path, settings: Mapping[str, str]) -> None:
     ------
     ConfigError : the engine took another value; it replaces words that it does not know without a message.
     """
-    taken: dict[str, str] = {}
     text = path.read_text(errors="replace") if path.is_file() else ""
-    for line in text.splitlines():
-        match = re.match(r"(\S+)\s*=([^#]*)", line)
-        if match:
-            taken[match.group(1)] = match.group(2).strip()
+    taken = {key: value.strip() for key, value in re.findall(r"(?m)^(\S+)[^\S\n]*=([^#\n]*)", text)}
     wrong = [
         f"{key}: asked {value!r}, taken {taken.get(key, 'nothing')!r}"
         for key, value in settings.items()
@@ -166,25 +167,22 @@ def _same(taken: str, asked: str) -> bool:
         return taken == asked
 
 
-def _signal_name(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return f"signal {number}"
-
-
 def _tail(log: Path, limit: int = 1500) -> str:
     """The last lines that the engine printed; progress lines, which end in a carriage return, once."""
     if not log.is_file():
         return "nothing"
     text = log.read_bytes()[-200_000:].decode("utf-8", "replace")
     lines = [line.strip() for line in re.split(r"[\r\n]+", text) if line.strip()]
-    lines = [a for a, b in zip(lines, [*lines, ""][1:], strict=True) if not (_progress(a) and _progress(b))]
-    return " | ".join(lines)[-limit:] or "nothing"
+    progress = [bool(_PROGRESS.match(line)) for line in lines]
+    kept = [
+        a
+        for a, this, after in zip(lines, progress, [*progress, False][1:], strict=True)
+        if not (this and after)
+    ]
+    return " | ".join(kept)[-limit:] or "nothing"
 
 
-def _progress(line: str) -> bool:
-    return line.startswith(("processing", "reading", "scanning")) or bool(re.match(r"\d{4}/\d\d/\d\d", line))
+_PROGRESS: Final = re.compile(r"processing|reading|scanning|\d{4}/\d\d/\d\d")
 
 
 # ---------------------------------------------------------------- SBP logs as PPK sees them

@@ -322,13 +322,11 @@ def _clock(report: IntegrityReport, track: WeekTrack, positions: pd.DataFrame) -
 
 
 def _messages(report: IntegrityReport, records: SbpRecords) -> None:
-    by_name: dict[str, int] = {}
-    unknown: dict[int, int] = {}
-    for (kind, sender), n in sorted(records.counts.items(), key=lambda item: -item[1]):
-        name = message_name(kind)
-        by_name[f"{name or f'0x{kind:04X}'} {sender}"] = n
-        if name is None:
-            unknown[kind] = unknown.get(kind, 0) + n
+    counts = sorted(records.counts.items(), key=lambda item: -item[1])
+    by_type: Counter[int] = Counter()
+    for (kind, _), n in counts:
+        by_type[kind] += n
+    unknown = {kind: n for kind, n in by_type.items() if message_name(kind) is None}
     if unknown:
         report.count("messages_of_unknown_type", sum(unknown.values()))
         report.note(
@@ -344,18 +342,23 @@ def _messages(report: IntegrityReport, records: SbpRecords) -> None:
             + ", ".join(f"{message_name(kind)} ({n:,})" for kind, n in records.wrong_size.items())
             + "."
         )
-    for name, kind in (("imu_raw", sm.IMU_RAW), ("mag_raw", sm.MAG_RAW)):
-        n = sum(count for (k, _), count in records.counts.items() if k == kind)
+    ephemerides = sum(n for kind, n in by_type.items() if (message_name(kind) or "").startswith("MsgEphem"))
+    for name, n in (
+        ("imu_raw", by_type[sm.IMU_RAW]),
+        ("mag_raw", by_type[sm.MAG_RAW]),
+        ("ephemerides", ephemerides),
+    ):
         if n:
             report.count(name, n)
-    ephemerides = sum(n for name, n in by_name.items() if name.startswith("MsgEphemeris"))
-    if ephemerides:
-        report.count("ephemerides", ephemerides)
+    if events := by_type[sm.EVENT]:
+        report.note(f"Not read: {events:,} times of events, such as pulses of a camera (MsgExtEvent).")
     for sender in sorted({s for s, _ in records.signals}):
         report.details[f"signals by code, sender {sender}"] = {
             str(code): n for (s, code), n in sorted(records.signals.items()) if s == sender
         }
-    report.details["messages by type and sender"] = by_name
+    report.details["messages by type and sender"] = {
+        f"{message_name(kind) or f'0x{kind:04X}'} {sender}": n for (kind, sender), n in counts
+    }
 
 
 def _utc(report: IntegrityReport, offset_s: ArrayF, unix_s: ArrayF) -> None:
@@ -455,8 +458,6 @@ def _log_of(records: SbpRecords) -> SbpLog:
     for name, n in dropped.items():
         if n:
             report.count(name, n)
-    if events := sum(n for (kind, _), n in records.counts.items() if kind == sm.EVENT):
-        report.note(f"Not read: {events:,} times of events, such as pulses of a camera (MsgExtEvent).")
     if others:
         report.note(
             f"Positions of sender {sender} are used; those of {', '.join(map(str, sorted(others)))} "

@@ -414,33 +414,27 @@ def _row(fields: list[str], layout: Layout) -> list[float] | None:
     if len(fields) != layout.n_fields:
         return None
     try:
+        numbers = [float(x) for x in fields[2:]]
         if layout.calendar:
-            year, month, day = (int(x) for x in re.split("[/-]", fields[0]))
-            hour, minute, second = fields[1].split(":")
-            days = dt.date(year, month, day).toordinal() - _UNIX_ORDINAL
-            h, m, s = int(hour), int(minute), float(second)
-            if not (0 <= h < 24 and 0 <= m < 60 and 0 <= s < 61):
+            days = dt.date(*map(int, re.split("[/-]", fields[0]))).toordinal() - _UNIX_ORDINAL
+            hour, minute, second = map(float, fields[1].split(":"))
+            if not (0 <= hour < 24 and 0 <= minute < 60 and 0 <= second < 61):
                 return None
             # 23:59:60 belongs to the day before; Unix time cannot say it, so it is carried apart.
-            leap = float(s >= 60)
-            whole = days * DAY_S + h * 3600 + m * 60
-            time, fraction = float(whole), s - leap
+            leap = float(second >= 60)
+            time, fraction = days * DAY_S + hour * 3600 + minute * 60, second - leap
         else:
-            week, tow = int(fields[0]), float(fields[1])
-            if not (0 <= tow < WEEK_S + 1):
+            week, fraction, leap = int(fields[0]), float(fields[1]), 0.0
+            if not (0 <= fraction < WEEK_S + 1):
                 return None
-            time, fraction, leap = float(GPS_EPOCH_UNIX_S + week * WEEK_S), tow, 0.0
+            time = float(GPS_EPOCH_UNIX_S + week * WEEK_S)
         if not FIRST_UNIX_S <= time + fraction <= LAST_UNIX_S:
             return None
-        at = 2
+        position, rest = numbers[:3], numbers[3:]
         if layout.dms:
-            position = [_degrees(fields[2:5]), _degrees(fields[5:8]), float(fields[8])]
-            at = 9
-        else:
-            position = [float(x) for x in fields[2:5]]
-            at = 5
-        rest = [float(x) for x in fields[at:]]
-    except ValueError:
+            position = [_degrees(fields[2:5]), _degrees(fields[5:8]), numbers[6]]
+            rest = numbers[7:]
+    except (TypeError, ValueError):
         return None
     quality = rest[layout.names.index("Q")] if "Q" in layout.names else 0.0
     if not np.all(np.isfinite(position)) or quality not in FIX_OF_QUALITY:
