@@ -417,12 +417,13 @@ def _row(fields: list[str], layout: Layout) -> list[float] | None:
         numbers = [float(x) for x in fields[2:]]
         if layout.calendar:
             days = dt.date(*map(int, re.split("[/-]", fields[0]))).toordinal() - _UNIX_ORDINAL
-            hour, minute, second = map(float, fields[1].split(":"))
+            hours, minutes, seconds = fields[1].split(":")
+            hour, minute, second = int(hours), int(minutes), float(seconds)
             if not (0 <= hour < 24 and 0 <= minute < 60 and 0 <= second < 61):
                 return None
             # 23:59:60 belongs to the day before; Unix time cannot say it, so it is carried apart.
             leap = float(second >= 60)
-            time, fraction = days * DAY_S + hour * 3600 + minute * 60, second - leap
+            time, fraction = float(days * DAY_S + hour * 3600 + minute * 60), second - leap
         else:
             week, fraction, leap = int(fields[0]), float(fields[1]), 0.0
             if not (0 <= fraction < WEEK_S + 1):
