@@ -4,7 +4,6 @@ import binascii
 import datetime as dt
 import struct
 from collections.abc import Sequence
-from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +12,9 @@ import pytest
 
 from thalweg.core import InputError, ThalwegError, gps_from_unix, read_table, write_table
 from thalweg.core.timescales import LeapSecondWarning
-from thalweg.ingest import DEPTH, GNSS_POSITION, INS_RAW, INS_STATE
+from thalweg.ingest import DEPTH, GNSS_POSITION, INS_STATE
 from thalweg.ingest.anpp import read_anpp
-from thalweg.ingest.anpp.reader import HEAVE, PASSTHROUGH, AnppLog
+from thalweg.ingest.anpp.reader import AnppLog
 
 T0 = 1_494_614_695  # 2017-05-12T18:44:55 UTC
 UTC_FIXED = 0x8 | 7 << 4 | 0x7
@@ -36,18 +35,14 @@ def state(
     return packet(20, head + struct.pack("<16f", *numbers))
 
 
-def raw(value: float = 1.0) -> bytes:
-    return packet(28, struct.pack("<12f", *(value + k for k in range(12))))
+def depth(value: float = 1.0) -> bytes:
+    return packet(53, struct.pack("<2f", value, 0.1))
 
 
 def gnss(t_us: int, flags: int = 7 | 1 << 4) -> bytes:
     t = T0 * 1_000_000 + t_us
     head = struct.pack("<II3d", t // 10**6, t % 10**6, 0.9, 0.23, 151.0)
     return packet(29, head + struct.pack("<10fH", 1, 2, 3, 0.02, 0.01, 0.04, 0, 0, 0, 0, flags))
-
-
-def nmea(body: str) -> bytes:
-    return f"${body}*{reduce(int.__xor__, body.encode()):02X}".encode()
 
 
 def read(tmp_path: Path, *logs: bytes) -> AnppLog:
@@ -77,16 +72,11 @@ def test_state_with_utc_is_on_the_gps_axis(tmp_path: Path) -> None:
 
 
 def test_tables_fit_their_kinds(tmp_path: Path) -> None:
-    data = state(0) + raw() + gnss(0) + packet(53, struct.pack("<2f", 2.5, 0.1))
-    data += packet(58, struct.pack("<4f", 1, 2, 3, 4)) + packet(10, b"\x01" + nmea("GPZDA,,,,,,"))
-    log = read(tmp_path, data)
+    log = read(tmp_path, state(0) + gnss(0) + depth())
     for name, table, kind in (
         ("s", log.states, INS_STATE),
-        ("r", log.raw, INS_RAW),
         ("g", log.gnss, GNSS_POSITION),
         ("d", log.depth, DEPTH),
-        ("h", log.heave, HEAVE),
-        ("p", log.passthrough, PASSTHROUGH),
     ):
         assert len(table) == 1
         write_table(tmp_path / f"{name}.parquet", table, kind)
@@ -117,11 +107,11 @@ def test_fix_words(bits: int, word: str, tmp_path: Path) -> None:
 
 def test_before_utc_there_is_no_gps_time(tmp_path: Path) -> None:
     boot = -T0 * 1_000_000  # the device counts from 1970 until it knows better
-    data = b"".join(state(boot + k * 100_000, filter_status=NO_UTC) + raw() for k in range(3))
-    data += b"".join(state(k * 100_000) + raw() for k in range(4))
+    data = b"".join(state(boot + k * 100_000, filter_status=NO_UTC) + depth() for k in range(3))
+    data += b"".join(state(k * 100_000) + depth() for k in range(4))
     log = read(tmp_path, data)
     assert log.states["t_gps_s"].isna().tolist() == [True] * 3 + [False] * 4
-    assert log.raw["t_gps_s"].isna().tolist() == [True] * 3 + [False] * 4
+    assert log.depth["t_gps_s"].isna().tolist() == [True] * 3 + [False] * 4
     np.testing.assert_allclose(log.states["t_device_s"][:3], [0.0, 0.1, 0.2], atol=1e-15)  # last bit
     assert log.report.synchronised
     assert not log.report.gaps  # setting the clock is no gap
@@ -134,22 +124,12 @@ def test_utc_bit_with_an_impossible_date_is_not_believed(tmp_path: Path) -> None
     assert log.report.losses["impossible_times"] == 1
 
 
-def test_raw_packet_takes_the_state_before_it(tmp_path: Path) -> None:
-    data = raw(0) + b"".join(state(k * 50_000) + raw(k + 1) for k in range(4))
+def test_a_packet_takes_the_time_of_the_state_before_it(tmp_path: Path) -> None:
+    data = depth(0) + b"".join(state(k * 50_000) + depth(k + 1) for k in range(4))
     log = read(tmp_path, data)
-    assert np.isnan(log.raw["t_device_s"][0])
-    np.testing.assert_array_equal(log.raw["t_device_s"][1:], log.states["t_device_s"])
-    np.testing.assert_array_equal(log.raw["t_gps_s"][1:], log.states["t_gps_s"])
-    assert log.raw["accel_x_mps2"].tolist() == [0, 1, 2, 3, 4]
-    assert log.report.counts["raw_sensors_without_time"] == 1
-
-
-def test_raw_packets_faster_than_states_count_on(tmp_path: Path) -> None:
-    data = b"".join(state(k * 100_000) + raw() * 4 for k in range(6))
-    log = read(tmp_path, data)
-    # 0.5 us: the resolution of a Unix time in float64
-    np.testing.assert_allclose(log.raw["t_device_s"] - T0, np.arange(24) * 0.025, atol=5e-7)
-    assert log.report.counts["raw_sensors_between_states"] == 18
+    assert np.isnan(log.depth["t_gps_s"][0])
+    np.testing.assert_array_equal(log.depth["t_gps_s"][1:], log.states["t_gps_s"])
+    assert log.depth["depth_m"].tolist() == [0, 1, 2, 3, 4]
 
 
 def test_orientation_sigmas_come_from_the_nearest_packet_26(tmp_path: Path) -> None:
@@ -187,8 +167,8 @@ def test_packet_92_stands_in_for_29(tmp_path: Path) -> None:
 
 
 def test_depths(tmp_path: Path) -> None:
-    depth = [packet(53, struct.pack("<2f", value, 0)) for value in (2.5, float("nan"), 3.5)]
-    log = read(tmp_path, state(0) + depth[0] + state(1_000_000) + depth[1] + depth[2])
+    packets = [depth(value) for value in (2.5, float("nan"), 3.5)]
+    log = read(tmp_path, state(0) + packets[0] + state(1_000_000) + packets[1] + packets[2])
     assert log.depth["depth_m"].tolist() == [2.5, 3.5]
     np.testing.assert_array_equal(log.depth["t_gps_s"], log.states["t_gps_s"])
     assert log.depth["line"].tolist() == [2, 5]
@@ -196,42 +176,39 @@ def test_depths(tmp_path: Path) -> None:
     assert log.report.losses == {"depths_not_a_number": 1}
 
 
-def test_nmea_sentences_in_passthrough_packets(tmp_path: Path) -> None:
-    good = [nmea(f"SDDPT,{depth},0.3") for depth in (2.5, 2.7)]
-    text = good[0] + b"\r\n$SDDPT,2.6,0.3*00\r\n$SDD" + good[1] + b"\r\n"
-    pieces = [packet(10, b"\x01" + text[a : a + 10]) for a in range(0, len(text), 10)]
-    log = read(tmp_path, b"".join(state(k * 100_000) + p for k, p in enumerate(pieces)) + packet(10, b""))
-    assert log.passthrough["sentence"].tolist() == [sentence.decode() for sentence in good]
-    assert log.passthrough["route"].tolist() == ["auxiliary", "auxiliary"]
-    assert log.passthrough["packet"].tolist() == [4, 12]
-    assert log.passthrough["t_gps_s"][0] == log.states["t_gps_s"][1]
-    assert log.report.losses == {"nmea_sentences_with_wrong_checksum": 1}
+def test_packets_that_nothing_is_taken_from_are_named(tmp_path: Path) -> None:
+    log = read(
+        tmp_path, state(0) + packet(10, b"\x01$SDDPT,2.6,0.3*5A") + packet(28, bytes(48)) * 3 + depth()
+    )
+    assert any(
+        note.startswith("Not read: packets 10 ") and "28 raw sensors 3" in note for note in log.report.notes
+    )
+    assert log.report.clean
 
 
 def test_calendar_packet_gives_time_too(tmp_path: Path) -> None:
     moment = dt.datetime(2016, 2, 29, 23, 59, 58, tzinfo=dt.UTC)
     calendar = struct.pack("<IHHBBBBBB", 250_000, 2016, 59, 1, 29, 1, 23, 59, 58)
     status = packet(23, struct.pack("<HH", 0, 8))
-    log = read(tmp_path, status + packet(22, calendar) + raw() + packet(22, b"\xff" * 14) + raw())
-    assert log.raw["t_device_s"][0] == moment.timestamp() + 0.25
-    assert log.raw["t_gps_s"][0] == float(gps_from_unix(moment.timestamp(), 250_000))
+    log = read(tmp_path, status + packet(22, calendar) + depth() + packet(22, b"\xff" * 14) + depth())
+    assert log.depth["t_gps_s"][0] == float(gps_from_unix(moment.timestamp(), 250_000))
     assert log.report.losses == {"impossible_times": 1}
 
 
 def test_gap_backward_step_and_repeated_time_are_counted(tmp_path: Path) -> None:
     steps = [0, 1, 2, 3, 9, 10, 8, 9, 9, 10]
     log = read(tmp_path, b"".join(state(k * 100_000, rpy=(i, 0, 0)) for i, k in enumerate(steps)))
-    assert log.report.losses == {"time_steps_backwards": 1, "times_repeated": 1}
+    assert log.report.losses == {"time_steps_back": 1, "repeated_times": 1}
     assert [g.lost for g in log.report.gaps] == [5]
     assert len(log.states) == 10
 
 
 def test_files_that_overlap_are_joined_once(tmp_path: Path) -> None:
-    epochs = [state(k * 100_000) + raw(k) + packet(53, struct.pack("<2f", 2, 0)) for k in range(30)]
+    epochs = [state(k * 100_000) + gnss(k * 100_000) + depth(2.0) for k in range(30)]
     one, two = b"".join(epochs[:20]), b"".join(epochs[15:])
     log = read(tmp_path, one, two)
     whole = read(tmp_path, one + b"".join(epochs[20:]))
-    for name in ("states", "raw", "depth"):
+    for name in ("states", "gnss", "depth"):
         got, want = getattr(log, name), getattr(whole, name)
         np.testing.assert_array_equal(got["t_gps_s"], want["t_gps_s"])
     assert log.report.counts["repeated_packets_dropped"] == 15
@@ -239,14 +216,14 @@ def test_files_that_overlap_are_joined_once(tmp_path: Path) -> None:
     assert log.packet_counts[20] == 35
 
 
-def test_an_overlap_that_begins_between_state_and_raw(tmp_path: Path) -> None:
-    epochs = [state(k * 100_000) + raw(k) for k in range(30)]
-    log = read(tmp_path, b"".join(epochs[:20]), raw(14) + b"".join(epochs[15:]))
-    assert log.raw["accel_x_mps2"].tolist() == list(range(30))
-    np.testing.assert_array_equal(log.raw["t_gps_s"], log.states["t_gps_s"])
-    # without overlap the same raw packet belongs to the last state of the file before
-    log = read(tmp_path, b"".join(epochs[:20])[: -len(raw())], raw(19) + b"".join(epochs[20:]))
-    np.testing.assert_array_equal(log.raw["t_gps_s"], log.states["t_gps_s"])
+def test_an_overlap_that_begins_between_state_and_depth(tmp_path: Path) -> None:
+    epochs = [state(k * 100_000) + depth(k) for k in range(30)]
+    log = read(tmp_path, b"".join(epochs[:20]), depth(14) + b"".join(epochs[15:]))
+    assert log.depth["depth_m"].tolist() == list(range(30))
+    np.testing.assert_array_equal(log.depth["t_gps_s"], log.states["t_gps_s"])
+    # without overlap the same packet belongs to the last state of the file before
+    log = read(tmp_path, b"".join(epochs[:20])[: -len(depth())], depth(19) + b"".join(epochs[20:]))
+    np.testing.assert_array_equal(log.depth["t_gps_s"], log.states["t_gps_s"])
     assert log.report.clean
 
 
@@ -266,11 +243,11 @@ def test_positions_that_cannot_be_are_blanked(tmp_path: Path) -> None:
 
 
 def test_unknown_ids_and_odd_sizes_are_counted(tmp_path: Path) -> None:
-    log = read(tmp_path, state(0) + packet(222, b"abc") * 3 + packet(28, bytes(13)) + packet(20, bytes(99)))
-    assert log.packet_counts == {20: 2, 28: 1, 222: 3}
+    log = read(tmp_path, state(0) + packet(222, b"abc") * 3 + packet(53, bytes(13)) + packet(20, bytes(99)))
+    assert log.packet_counts == {20: 2, 53: 1, 222: 3}
     assert log.report.details["packets by id"]["222 unknown"] == 3
     assert log.report.losses == {"packets_of_wrong_size": 2}
-    assert any("28 raw sensors are not of the documented size of 48" in n for n in log.report.notes)
+    assert any("are not of the documented size of 8" in n for n in log.report.notes)
 
 
 def test_device_and_alarms(tmp_path: Path) -> None:
@@ -326,11 +303,8 @@ def test_a_rest_of_a_packet_as_last_file_is_no_error(tmp_path: Path) -> None:
 def small_log() -> bytes:
     data = packet(3, struct.pack("<6I", 1, 5, 1, 1, 2, 3))
     for k in range(12):
-        data += state(k * 100_000) + raw(k) + packet(26, struct.pack("<3f", 0.1, 0.1, 0.1))
-        data += gnss(k * 100_000) + packet(53, struct.pack("<2f", 2.0, 0.1))
-        data += packet(10, b"\x00" + nmea("SDDPT,2.5,0.3")) + packet(
-            22, struct.pack("<IHH6B", 1, 2017, 0, 4, 12, 0, 1, 1, k)
-        )
+        data += state(k * 100_000) + depth(k) + packet(26, struct.pack("<3f", 0.1, 0.1, 0.1))
+        data += gnss(k * 100_000) + packet(22, struct.pack("<IHH6B", 1, 2017, 0, 4, 12, 0, 1, 1, k))
     return data
 
 

@@ -286,7 +286,7 @@ def test_line_endings(tmp_path: Path, ending: str) -> None:
     log = log_of(tmp_path, text)
     assert len(log.positions) == 1
     assert log.report.clean
-    assert log.depths["line"][0] == (3 if ending == "\n\r" else 2)
+    assert log.depths["line"][0] == 2
 
 
 @pytest.mark.parametrize(

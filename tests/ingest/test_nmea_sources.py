@@ -94,7 +94,7 @@ def test_a_week_counter_that_rolled_over_is_named_and_put_right_if_stated(tmp_pa
 
 def test_dates_of_the_last_century_are_doubted(tmp_path: Path) -> None:
     log = read(tmp_path, "".join(rmc(START + i, "150393") for i in range(5)))
-    assert noted(log, "before 2000", "2012-10-29")
+    assert noted(log, "rolled over", "2012-10-29", "logs.depth_date")
 
 
 @pytest.mark.parametrize(

@@ -460,3 +460,9 @@ def test_real_navigation(data_dir: Path) -> None:
     report = describe_rinex(path)
     assert report.counts == {"ephemerides": len(heads)}
     assert report.clean
+
+
+def test_a_number_with_a_blank_inside_is_garbled(tmp_path: Path) -> None:
+    """Such a count of satellites ended in a ValueError."""
+    odd = obs_3(3).replace("  0  3", "  00 3", 1)
+    assert scan_rinex(write(tmp_path, "a.obs", odd)).losses == {"epochs_garbled": 1}

@@ -1,6 +1,7 @@
 """Faults of the INS: each has the size that its settings say, and leaves everything else alone."""
 
 import json
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import pandas as pd
 import pytest
 
 from thalweg.core import R_ENU_NED, LocalFrame, rotation_enu_body
-from thalweg.ingest.anpp import read_anpp
+from thalweg.ingest.anpp import find_packets, read_anpp
 from thalweg.ingest.anpp.reader import AnppLog
 from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import attitude_errors_rad, boat_field_mg, simulate_ins
@@ -30,19 +31,41 @@ DECLINATION = float(np.arctan2(15.0, 199.0))
 MOTORS = [[3.0, -4.0, 1.0], [3.0, 4.0, -1.0]]
 
 
+SENSORS = {"accel": "mps2", "gyro": "radps", "mag": "mg"}
+
+
 def twin(**ins: Any) -> TwinConfig:
     return TwinConfig.of_size("tiny", duration_s=8.0, ins=ins)
 
 
-def record(folder: Path, config: TwinConfig) -> tuple[AnppLog, dict[str, Any], bytes]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Log(AnppLog):
+    """A log with its raw sensors (packets 28), which the reader leaves aside."""
+
+    raw: pd.DataFrame
+
+
+def raw_sensors(data: bytes) -> pd.DataFrame:
+    found = find_packets(np.frombuffer(data, np.uint8))
+    values = found.payloads(np.flatnonzero(found.kind == 28), 48).view("<f4").astype(np.float64)
+    axes = [f"{name}_{axis}_{unit}" for name, unit in SENSORS.items() for axis in "xyz"]
+    return pd.DataFrame(values, columns=[*axes, "temperature", "pressure", "pressure_temperature"])
+
+
+def record(folder: Path, config: TwinConfig) -> tuple[Log, dict[str, Any], bytes]:
     """The log as the reader sees it, what was done to it, and its bytes."""
     path = folder / "ins.anpp"
     facts = simulate_ins(config, SEED, FRAME, path, out_effects=folder / "ins.json")
     assert json.loads((folder / "ins.json").read_text()) == json.loads(json.dumps({"stream": "ins", **facts}))
-    return read_anpp([path]), facts, path.read_bytes()
+    log, data = read_anpp([path]), path.read_bytes()
+    return (
+        Log(**{each.name: getattr(log, each.name) for each in fields(log)}, raw=raw_sensors(data)),
+        facts,
+        data,
+    )
 
 
-def magnetometer(log: AnppLog) -> np.ndarray:
+def magnetometer(log: Log) -> np.ndarray:
     return log.raw[["mag_x_mg", "mag_y_mg", "mag_z_mg"]].to_numpy()
 
 
@@ -57,7 +80,7 @@ def assert_equal_but(first: pd.DataFrame, second: pd.DataFrame, *columns: str) -
 
 
 @pytest.fixture(scope="module")
-def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[AnppLog, dict[str, Any], bytes]:
+def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Log, dict[str, Any], bytes]:
     return record(tmp_path_factory.mktemp("plain"), twin())
 
 

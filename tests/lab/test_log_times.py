@@ -59,11 +59,9 @@ def record(folder: Path, config: TwinConfig) -> dict[str, pd.DataFrame]:
     )
     simulate_echo(config, SEED, FRAME, bed(folder), folder / "echo.nmea", lever_ics_echo_m=[0.2, 0.0, 0.3])
     nmea = read_nmea([folder / "echo.nmea"])
-    sbp = read_sbp([folder / "rover.sbp"])
     return {
         "ins": read_anpp([folder / "ins.anpp"]).states,
-        "sbp": sbp.positions,
-        "sbp velocity": sbp.velocities,
+        "sbp": read_sbp([folder / "rover.sbp"]).positions,
         "pos": read_pos([folder / "ppk.pos"]).positions,
         "echo": nmea.depths[nmea.depths["sentence"] == "DPT"],
         "nmea": nmea.positions,

@@ -6,7 +6,7 @@ east-north-up at the origin of the campaign: metric, Cartesian, and free of map 
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Final
 
 import numpy as np
@@ -207,8 +207,7 @@ class LocalFrame:
     @cached_property
     def origin_ecef_m(self) -> ArrayF:
         """Earth-centred coordinates of the origin, shape (3,)."""
-        to_ecef = Transformer.from_crs(4979, 4978, always_xy=True, allow_ballpark=False)
-        return np.array(to_ecef.transform(self.lon_deg, self.lat_deg, self.h_ell_m))
+        return ecef_of(self.lat_deg, self.lon_deg, self.h_ell_m)
 
     @cached_property
     def R_ecef_enu(self) -> ArrayF:
@@ -319,6 +318,23 @@ def _check_area_of_use(crs: CRS, lat_deg: ArrayF, lon_deg: ArrayF, margin_deg: f
             expected=f"latitude {area.south} .. {area.north}, longitude {area.west} .. {area.east}",
             cure="Check campaign.crs and campaign.origin",
         )
+
+
+@cache
+def _geodetic_to_ecef() -> Transformer:
+    return Transformer.from_crs(4979, 4978, always_xy=True, allow_ballpark=False)
+
+
+def ecef_of(lat_deg: ArrayLike, lon_deg: ArrayLike, h_ell_m: ArrayLike) -> ArrayF:
+    """Earth-centred coordinates (..., 3) of geodetic positions on WGS 84, metres."""
+    return np.stack(_geodetic_to_ecef().transform(lon_deg, lat_deg, h_ell_m), axis=-1)
+
+
+def geodetic_of(xyz_ecef_m: ArrayLike) -> tuple[ArrayF, ArrayF, ArrayF]:
+    """Latitude and longitude in degrees and ellipsoidal height of (..., 3) earth-centred coordinates."""
+    p = np.asarray(xyz_ecef_m, dtype=np.float64)
+    lon, lat, h = _geodetic_to_ecef().transform(p[..., 0], p[..., 1], p[..., 2], direction="INVERSE")
+    return np.asarray(lat), np.asarray(lon), np.asarray(h)
 
 
 def rotation_ecef_enu(lat_deg: ArrayLike, lon_deg: ArrayLike) -> ArrayF:

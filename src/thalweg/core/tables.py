@@ -36,13 +36,14 @@ def kind_of(schema: pa.Schema) -> tuple[str, int]:
     return meta.get(b"kind", b"").decode(), int(meta.get(b"version", b"0"))
 
 
-def frame_of(schema: pa.Schema, values: Mapping[str, Any]) -> pd.DataFrame:
+def frame_of(schema: pa.Schema, values: Mapping[str, Any], unknown: Any = None) -> pd.DataFrame:
     """DataFrame in the column order and with the types of a table kind.
 
     Parameters
     ----------
     schema : made by `table_kind`.
-    values : (n,) array-like of each column of the kind; other keys are left out.
+    values : (n,) array-like of each column of the kind, or one value for all rows; other keys are left out.
+    unknown : value of columns that are not given; None refuses them.
 
     Raises
     ------
@@ -50,15 +51,16 @@ def frame_of(schema: pa.Schema, values: Mapping[str, Any]) -> pd.DataFrame:
     """
     missing = [name for name in schema.names if name not in values]
     kind, _ = kind_of(schema)
-    if missing:
+    if unknown is not None:
+        values = {**dict.fromkeys(missing, unknown), **values}
+    elif missing:
         raise InputError(f"columns missing: {missing}", expected=f"the columns of table kind '{kind}'")
     out = {}
     for item in schema:
         value = values[item.name]
         try:
-            out[item.name] = (
-                value if pa.types.is_string(item.type) else np.asarray(value, item.type.to_pandas_dtype())
-            )
+            text = pa.types.is_string(item.type)
+            out[item.name] = value if text else np.asarray(value, item.type.to_pandas_dtype())[()]
         except (ValueError, TypeError) as error:
             raise InputError(
                 f"column '{item.name}' holds no {item.type} ({error})", expected=f"table kind '{kind}'"

@@ -1,10 +1,4 @@
-from .integrity import (
-    Gap as Gap,
-    IntegrityReport as IntegrityReport,
-    find_gaps as find_gaps,
-    repeated_rows as repeated_rows,
-    say_repeated as say_repeated,
-)
+from .integrity import Gap as Gap, IntegrityReport as IntegrityReport, find_gaps as find_gaps
 from .ouster import (
     OusterReader as OusterReader,
     describe_metadata as describe_metadata,
@@ -32,7 +26,6 @@ from .readers import (
 from .schemas import (
     DEPTH as DEPTH,
     GNSS_POSITION as GNSS_POSITION,
-    INS_RAW as INS_RAW,
     INS_STATE as INS_STATE,
     NAVIGATION_INITIALISED as NAVIGATION_INITIALISED,
 )

@@ -74,6 +74,40 @@ class IntegrityReport:
         if sentence not in self.notes:
             self.notes.append(sentence)
 
+    def take_times(self, t_s: ArrayLike, rows: str, resolution_s: float | None = None) -> None:
+        """Take span, gaps, rate, jitter, times that step back or repeat from the times of the stream.
+
+        Parameters
+        ----------
+        t_s : (n,) in the order of the log, NaN for a row without a time.
+        rows : what has these times, in the plural.
+        resolution_s : unit of the stamps, if the format tells.
+        """
+        every = np.asarray(t_s, dtype=np.float64)
+        t = every[np.isfinite(every)]
+        self.timing.describe_stamps(t, resolution_s)
+        self.timing.unsynchronised_s = (every.size - t.size) * (self.timing.period_s or 0.0)
+        self.gaps = find_gaps(t)
+        if t.size:
+            self.t_first_s, self.t_last_s = float(t.min()), float(t.max())
+        step = np.diff(t)
+        if np.any(step > 0):
+            self.rates_hz[rows] = 1.0 / float(np.median(step[step > 0]))
+        for what, n in (
+            ("time_steps_back", int(np.sum(step < 0))),
+            ("repeated_times", int(np.sum(step == 0))),
+        ):
+            if n:
+                self.lose(what, n)
+
+    def keep_once(self, table: pd.DataFrame, file: AnyArray, what: str) -> ArrayB:
+        """False (n,) for rows that an earlier file holds already; they are counted as ``what``, a plural."""
+        again = repeated_rows(table, file)
+        if n := int(again.sum()):
+            self.count(f"repeated_{what.replace(' ', '_')}_dropped", n)
+            self.note(f"The files overlap: {n:,} {what} that occur in two of them are kept once.")
+        return ~again
+
     def to_json(self) -> str:
         """JSON text; NaN is written as null."""
         return json.dumps(_plain(asdict(self)), indent=2, allow_nan=False) + "\n"
@@ -201,10 +235,3 @@ def repeated_rows(table: pd.DataFrame, file: AnyArray) -> ArrayB:
     first = np.full(int(group.max()) + 1, number.max(), dtype=np.int64)
     np.minimum.at(first, group, number)
     return np.asarray(number > first[group])
-
-
-def say_repeated(report: IntegrityReport, what: str, n: int) -> None:
-    """Count rows that were dropped because two files hold them; ``what`` is their plural."""
-    if n:
-        report.count(f"repeated_{what.replace(' ', '_')}_dropped", n)
-        report.note(f"The files overlap: {n:,} {what} that occur in two of them are kept once.")

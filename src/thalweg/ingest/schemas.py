@@ -43,21 +43,6 @@ INS_STATE = table_kind(
 NAVIGATION_INITIALISED: Final = 0b111
 """Bits of the filter status (orientation, navigation, heading) without which a position is arbitrary."""
 
-INS_RAW = table_kind(
-    "ins_raw",
-    1,
-    [
-        _T_GPS,
-        column("t_device_s", _F, "s", "Unix time of the state packet beside it: raw packets carry none"),
-        *(column(f"accel_{a}_mps2", _F, "m/s^2", f"acceleration, body {a}") for a in "xyz"),
-        *(column(f"gyro_{a}_radps", _F, "rad/s", f"angular rate, body {a}") for a in "xyz"),
-        *(column(f"mag_{a}_mg", _F, "mG", f"magnetic field, body {a}") for a in "xyz"),
-        column("imu_temperature_degc", _F, "degC", "temperature of the IMU"),
-        column("pressure_pa", _F, "Pa", "air pressure"),
-        column("pressure_temperature_degc", _F, "degC", "temperature of the pressure sensor"),
-    ],
-)
-
 GNSS_POSITION = table_kind(
     "gnss_position",
     1,

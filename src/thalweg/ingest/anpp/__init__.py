@@ -1,4 +1,4 @@
-"""Advanced Navigation packet protocol: states, raw sensors, integrity."""
+"""Advanced Navigation packet protocol: states, positions, depths, integrity."""
 
 import lazy_loader
 

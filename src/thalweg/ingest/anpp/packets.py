@@ -36,8 +36,10 @@ def _layout(fields: str) -> np.dtype[Any]:
 
 
 STATE, UNIX_TIME, FORMATTED_TIME, STATUS, EULER_SIGMA = 20, 21, 22, 23, 26
-RAW_SENSORS, RAW_GNSS, SATELLITES, DEPTH_IN, HEAVE, GNSS_PVT = 28, 29, 30, 53, 58, 92
-DEVICE, PASSTHROUGH, GNSS_RECEIVER = 3, 10, 69
+RAW_GNSS, SATELLITES, DEPTH_IN, GNSS_PVT = 29, 30, 53, 92
+DEVICE, GNSS_RECEIVER = 3, 69
+UNREAD: Final = (10, 28, 58)
+"""Sentences of other instruments passed through, raw sensors, heave: packets that nothing is taken from."""
 
 LAYOUTS: Final[Mapping[int, np.dtype[Any]]] = {
     DEVICE: _layout("firmware:u4 device:u4 hardware:u4 serial:u4*3"),
@@ -51,14 +53,12 @@ LAYOUTS: Final[Mapping[int, np.dtype[Any]]] = {
     ),
     STATUS: _layout("system:u2 filter:u2"),
     EULER_SIGMA: _layout("sigma:f4*3"),
-    RAW_SENSORS: _layout("accel:f4*3 gyro:f4*3 mag:f4*3 temperature:f4 pressure:f4 pressure_temperature:f4"),
     RAW_GNSS: _layout(
         "unix_s:u4 us:u4 lat:f8 lon:f8 height:f8 velocity:f4*3 sigma:f4*3 tilt:f4 heading:f4 "
         "sigma_tilt:f4 sigma_heading:f4 flags:u2"
     ),
     SATELLITES: _layout("hdop:f4 vdop:f4 used:u1*5"),
     DEPTH_IN: _layout("depth:f4 sigma:f4"),
-    HEAVE: _layout("heave:f4*4"),
     GNSS_RECEIVER: _layout("manufacturer:u1 model:u1"),
     GNSS_PVT: _layout(
         "receiver:u1 reserved:u1 flags:u2 unix_s:u4 us:u4 lat:f8 lon:f8 height:f8 sigma:f4*3 velocity:f4*3 "
@@ -66,9 +66,6 @@ LAYOUTS: Final[Mapping[int, np.dtype[Any]]] = {
     ),
 }
 """Packets that are decoded. Packet 69 is longer (48 or 68 bytes): only its head is of interest."""
-
-VARIABLE: Final = frozenset({PASSTHROUGH, GNSS_RECEIVER})
-"""Decoded packets without a fixed length."""
 
 NAMES: Final[Mapping[int, str]] = {
     0: "acknowledge", 1: "request", 2: "boot mode", 3: "device information", 4: "restore factory settings",
@@ -214,8 +211,6 @@ class AnppRecords:
     by_id: dict[int, Records] = field(default_factory=dict)
     counts: dict[int, int] = field(default_factory=dict)
     wrong_size: dict[int, int] = field(default_factory=dict)
-    passthrough: list[tuple[int, int, bytes]] = field(default_factory=list)
-    """Packet number, route and bytes of each serial port passthrough packet."""
     satellites_31: list[int] = field(default_factory=list)
     """Satellites listed in each packet 31."""
 
@@ -257,18 +252,13 @@ def collect(files: Sequence[Path], chunk_bytes: int = CHUNK_BYTES) -> AnppRecord
 
 def _decode(block: PacketBlock, key: int, out: AnppRecords, parts: dict[int, list[Records]]) -> None:
     rows = np.flatnonzero(block.kind == key)
-    if key == PASSTHROUGH:
-        for row in rows[block.length[rows] > 1]:
-            start, size = int(block.offset[row]), int(block.length[row])
-            data = block.buf[start : start + size].tobytes()
-            out.passthrough.append((block.first + int(row), data[0], data[1:]))
-    elif key == 31:
+    if key == 31:
         out.satellites_31 += (block.length[rows] // 7).tolist()
     layout = LAYOUTS.get(key)
     if layout is None:
         return
     size = layout.itemsize
-    good = block.length[rows] >= size if key in VARIABLE else block.length[rows] == size
+    good = block.length[rows] >= size if key == GNSS_RECEIVER else block.length[rows] == size
     if not good.all():
         out.wrong_size[key] = out.wrong_size.get(key, 0) + int((~good).sum())
         rows = rows[good]
@@ -312,6 +302,11 @@ class Clock:
     def before(self, packet: ArrayI) -> ArrayI:
         """Index of the time packet before each packet (or that packet itself); -1 where there is none."""
         return np.searchsorted(self.packet, packet, side="right").astype(np.int64) - 1
+
+    def at(self, packet: ArrayI) -> tuple[ArrayF, ArrayF]:
+        """GPS and device time of the time packet before each packet, NaN where there is none."""
+        index = self.before(packet)
+        return np.append(self.t_gps_s, np.nan)[index], np.append(self.t_device_s, np.nan)[index]
 
 
 def gps_time(unix_s: AnyArray, us: AnyArray, valid: ArrayB) -> ArrayF:

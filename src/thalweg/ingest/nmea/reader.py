@@ -21,51 +21,57 @@ structure"). It is computed for a whole chunk at once; only wanted sentences bec
 """
 
 import datetime as dt
+import math
 import re
+from array import array
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cache, reduce
 from itertools import combinations
+from operator import xor
 from pathlib import Path
-from typing import Final, Self
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 import pandas as pd
 
-from thalweg.core import DAY_S, NMAD, ArrayF, ArrayI, InputError, gps_from_unix
-from thalweg.core.values import NOTHING, unit_of_letter
-from thalweg.ingest import (
-    DEPTH,
-    GNSS_POSITION,
-    IntegrityReport,
-    explain_shift,
-    find_gaps,
-    possible_unix,
-    repeated_rows,
-    say_repeated,
+from thalweg.core import (
+    DAY_S,
+    NMAD,
+    ArrayF,
+    ArrayI,
+    InputError,
+    frame_of,
+    gps_from_unix,
+    unix_from_gps,
+    utc_text_from_unix,
 )
+from thalweg.core.values import NOTHING, unit_of_letter
+from thalweg.ingest import DEPTH, GNSS_POSITION, IntegrityReport, doubtful_date, explain_shift, possible_unix
 
-# ---------------------------------------------------------------- NMEA 0183 sentences out of a log's
-# bytes: framing, checksum, logger prefixes, TAG blocks
+# ---------------------------------------------------------------- sentences out of a log's bytes: framing,
+# checksum, prefixes of loggers, TAG blocks
 
 
-_SENTENCE: Final = re.compile(rb"[$!]([A-Z][A-Z0-9]{1,9},[^$!\r\n*]*)(?:\*([^$!\r\n]{0,2}))?")
+_NAN: Final = float("nan")
+_SENTENCE: Final = re.compile(
+    rb"[$!]([A-Z][A-Z0-9]{1,9},[^$!\r\n*]*)(\*(?:([0-9A-Fa-f]{2})|[^$!\r\n]{0,2}))?"
+)
 _TAG: Final = re.compile(rb"\\([^\\*]*)\*([0-9A-Fa-f]{2})\\\s*$")
 _TAG_TIME: Final = re.compile(rb"(?:^|,)c:(\d{9,13})(?:,|$)")
 _TAG_SOURCE: Final = re.compile(rb"(?:^|,)s:([^,]+)")
 _UNIX: Final = re.compile(rb"^\W*(\d{9,10}(?:\.\d+)?|\d{13})(?:\W.*)?$")
 _ISO: Final = re.compile(
-    rb"^\W*(\d{4})[-/](\d\d)[-/](\d\d)[ T,;]+(\d\d):(\d\d):(\d\d(?:[.,]\d+)?)"
-    rb"(?:(Z)|([+-]\d\d):?(\d\d))?(?:\W.*)?$"
+    rb"^\W*(\d{4})[-/](\d\d)[-/](\d\d)[ T,;]+(\d\d:\d\d:\d\d(?:[.,]\d+)?)(Z|[+-]\d\d:?\d\d)?(?:\W.*)?$"
 )
-_BLANK: Final = b"\r\n \t\0"
 _CHUNK: Final = 1 << 22
-_UNIX_ORDINAL: Final = dt.date(1970, 1, 1).toordinal()
+_UNIX_DAY: Final = dt.date(1970, 1, 1).toordinal()
 
 
-@dataclass(frozen=True, slots=True)
-class Sentence:
-    """A sentence with a good checksum: talker (with the source of a TAG block), three-letter type, fields,
-    line from 1, logger's Unix time or NaN.
+class Sentence(NamedTuple):
+    """A sentence with a good checksum: talker (with the source of a TAG block), three-letter type, the fields
+    behind, line from 1, logger's Unix time or NaN.
     """
 
     talker: str
@@ -75,8 +81,8 @@ class Sentence:
     t_host_s: float
 
 
-def scan_sentences(path: Path, wanted: frozenset[bytes], report: IntegrityReport) -> Iterator[Sentence]:
-    """Wanted sentences of a log in the order of the file; everything else is counted.
+def scan_sentences(path: Path, report: IntegrityReport) -> Iterator[Sentence]:
+    """Sentences of a log that `_FIELDS` knows, in the order of the file; everything else is counted.
 
     A sentence without a checksum is used only if the first 4 MB of the file hold no good checksum at all:
     in a log with checksums it is a cut sentence.
@@ -84,7 +90,6 @@ def scan_sentences(path: Path, wanted: frozenset[bytes], report: IntegrityReport
     Parameters
     ----------
     path : log of any line ending.
-    wanted : three-letter types, such as ``b"GGA"``, of any talker of two letters.
     report : takes the counts.
 
     Raises
@@ -93,154 +98,82 @@ def scan_sentences(path: Path, wanted: frozenset[bytes], report: IntegrityReport
     """
     if not path.is_file():
         raise InputError("file not found", expected="an NMEA log", where=path, cure="Check the path")
-    line = 0
-    demand: bool | None = None
-    tail = b""
+    line, demand = 1, None
     with path.open("rb") as stream:
-        while True:
-            data = stream.read(_CHUNK)
-            report.bytes_read += len(data)
-            chunk = tail + data
-            tail = b""
-            if data:
-                cut = max(chunk.rfind(b"\n"), chunk.rfind(b"\r")) + 1
-                # "\r" at the very end may be half of "\r\n"
-                if cut and chunk[cut - 1 : cut] == b"\r" and cut == len(chunk):
-                    cut = max(chunk.rfind(b"\n", 0, cut - 1), chunk.rfind(b"\r", 0, cut - 1)) + 1
-                if cut or len(chunk) < 2 * _CHUNK:
-                    chunk, tail = chunk[:cut], chunk[cut:]
-            if chunk:
-                found = _frames(chunk)
-                if demand is None:
-                    demand = bool(np.any(found.good))
-                yield from _sentences(chunk, found, line, wanted, demand, report)
-                line += found.n_lines
-            if not data:
-                return
+        while chunk := stream.read(_CHUNK) + stream.readline(_CHUNK):
+            report.bytes_read += len(chunk)
+            matches = list(_SENTENCE.finditer(chunk))
+            spans = np.array([m.span(1) for m in matches], dtype=np.int64).ravel()
+            # 256 is no number of two hexadecimal digits: a wrong checksum; -1: none is stated
+            stated = np.array([int(m[3] or b"100", 16) if m[2] else -1 for m in matches], dtype=np.int64)
+            # reduceat takes pairs (begin, end); a byte is added: an end of the chunk is an index too
+            good = np.bitwise_xor.reduceat(np.frombuffer(chunk + b"\0", np.uint8), spans)[::2] == stated
+            bare = stated < 0
+            if demand is None:
+                demand = bool(good.any())
+            for tally, what, which in (
+                (report.count, "sentences", good),
+                (report.lose, "bad_checksum", ~good & ~bare),
+                (report.lose, "without_checksum", bare & demand),
+                (report.count, "sentences_without_checksum", bare & (not demand)),
+            ):
+                if which.any():
+                    tally(what, int(which.sum()))
+            feed = b"\n" if b"\n" in chunk else b"\r"
+            end = 0
+            for match, usable in zip(matches, (good | bare & (not demand)).tolist(), strict=True):
+                between = chunk[end : match.start()]
+                end = match.end()
+                line += between.count(feed)
+                t_host_s, source = _stamp(between, report)
+                if usable:
+                    head, *fields = match[1].decode("latin-1").split(",")
+                    kind = head if head.startswith("P") else head[2:]
+                    report.count(kind)
+                    if len(head) == 5 and kind in _FIELDS:
+                        yield Sentence(head[:2] + source, kind, fields, line, t_host_s)
+            line += chunk.count(feed, end)
+            _stamp(chunk[end:] + b"\n", report)
 
 
-@dataclass(frozen=True, slots=True)
-class _Frames:
-    matches: list[re.Match[bytes]]
-    good: np.ndarray[tuple[int], np.dtype[np.bool_]]
-    stated: np.ndarray[tuple[int], np.dtype[np.bool_]]
-    line: list[int]
-    n_lines: int
+def _stamp(between: bytes, report: IntegrityReport) -> tuple[float, str]:
+    """Unix time of the logger before a sentence, NaN without one, and its source, if stated.
 
-
-def _frames(chunk: bytes) -> _Frames:
-    matches = list(_SENTENCE.finditer(chunk))
-    raw = np.frombuffer(chunk, dtype=np.uint8)
-    feeds = raw == 10
-    returns = raw == 13
-    returns[:-1] &= ~feeds[1:]
-    ends = np.flatnonzero(feeds | returns)
-    spans = np.array([m.span(1) for m in matches], dtype=np.int64).reshape(-1, 2)
-    stated = np.array([_hex(m[2]) for m in matches], dtype=np.int64)
-    # reduceat takes pairs (begin, end); a byte is added so that an end at the end of the chunk is an index
-    sums = np.bitwise_xor.reduceat(np.append(raw, np.uint8(0)), spans.ravel())[::2] if matches else stated
-    line = np.searchsorted(ends, spans[:, 0]).tolist()
-    # 256: no hexadecimal number of two digits, which is a wrong checksum; -1: none stated
-    return _Frames(matches, sums == stated, stated >= 0, line, len(ends))
-
-
-def _hex(text: bytes | None) -> int:
-    if text is None:
-        return -1
-    try:
-        return int(text, 16) if len(text) == 2 else 256
-    except ValueError:
-        return 256
-
-
-def _sentences(
-    chunk: bytes,
-    found: _Frames,
-    first_line: int,
-    wanted: frozenset[bytes],
-    demand: bool,
-    report: IntegrityReport,
-) -> Iterator[Sentence]:
-    n_good = int(np.count_nonzero(found.good))
-    n_bare = int(np.count_nonzero(~found.stated))
-    if n_good:
-        report.count("sentences", n_good)
-    if n_bad := len(found.matches) - n_good - n_bare:
-        report.lose("bad_checksum", n_bad)
-    if n_bare and demand:
-        report.lose("without_checksum", n_bare)
-    elif n_bare:
-        report.count("sentences_without_checksum", n_bare)
-    use = found.good if demand else found.good | ~found.stated
-    kinds: dict[bytes, int] = {}
-    end = 0
-    for match, usable, line in zip(found.matches, use.tolist(), found.line, strict=True):
-        start = match.start()
-        t_host_s, source = float("nan"), ""
-        if start - end > 2:
-            t_host_s, source = _between(chunk[end:start], report, followed=True)
-        end = match.end()
-        if not usable:
-            continue
-        body = match[1]
-        comma = body.index(b",")
-        kind = body[:comma] if body.startswith(b"P") else body[2:comma]
-        kinds[kind] = kinds.get(kind, 0) + 1
-        if comma == 5 and kind in wanted:
-            fields = body.decode("latin-1").split(",")
-            yield Sentence(fields[0][:2] + source, fields[0][2:], fields, first_line + line + 1, t_host_s)
-    if len(chunk) - end > 2:
-        _between(chunk[end:], report, followed=False)
-    for kind, n in kinds.items():
-        report.count(kind.decode("ascii"), n)
-
-
-def _between(text: bytes, report: IntegrityReport, *, followed: bool) -> tuple[float, str]:
-    """Count what lies between sentences; logger's stamp before the next one, and its source if stated."""
-    nothing = float("nan"), ""
-    if not text.strip(_BLANK):
-        return nothing
-    lines = re.split(rb"[\r\n]+", text)
-    prefix = lines.pop() if followed else b""
-    for line in lines:
-        if line.startswith(b"#"):
+    What else lies between two sentences is counted.
+    """
+    if not between.strip(b"\r\n \t\0"):
+        return _NAN, ""
+    *lines, prefix = re.split(rb"[\r\n]+", between)
+    found = _prefix(prefix, report) if prefix.strip() else (_NAN, "")
+    for text in lines if found else (*lines, prefix):
+        if text.startswith(b"#"):
             report.count("comment_lines")
-        elif line.strip(_BLANK):
-            report.lose("foreign_bytes", len(line))
-    if not prefix.strip(_BLANK):
-        return nothing
-    found = _prefix(prefix, report)
-    if found is None:
-        report.lose("foreign_bytes", len(prefix))
-        return nothing
-    report.count("prefixed_sentences")
-    return found
+        elif text.strip(b" \t\0"):
+            report.lose("foreign_bytes", len(text))
+    if found and prefix.strip():
+        report.count("prefixed_sentences")
+    return found or (_NAN, "")
 
 
 def _prefix(prefix: bytes, report: IntegrityReport) -> tuple[float, str] | None:
     """Unix time and source in a prefix; NaN for a TAG block without a time; None if it is nothing known."""
     if tag := _TAG.search(prefix):
-        total = 0
-        for byte in tag[1]:
-            total ^= byte
-        if total != int(tag[2], 16):
+        if reduce(xor, tag[1], 0) != int(tag[2], 16):
             return None
         stamp, source = _TAG_TIME.search(tag[1]), _TAG_SOURCE.search(tag[1])
         name = " of " + source[1].decode("latin-1") if source else ""
-        return _seconds(stamp[1]) if stamp else float("nan"), name
+        return _seconds(stamp[1]) if stamp else _NAN, name
     if number := _UNIX.match(prefix):
         return _seconds(number[1]), ""
     if date := _ISO.match(prefix):
-        year, month, day, hour, minute = (int(x) for x in date.groups()[:5])
+        year, month, day, time, zone = (part.decode() for part in date.groups(b""))
         try:
-            days = dt.date(year, month, day).toordinal() - _UNIX_ORDINAL
+            moment = dt.datetime.fromisoformat(f"{year}-{month}-{day}T{time}{zone or 'Z'}")
         except ValueError:
             return None
-        if date[8]:
-            minute -= (-1 if date[8].startswith(b"-") else 1) * (abs(int(date[8])) * 60 + int(date[9]))
-        elif not date[7]:
+        if not zone:
             report.note("Stamps of the logger state no zone: they are taken as UTC.")
-        return days * DAY_S + hour * 3600 + minute * 60 + float(date[6].replace(b",", b".")), ""
+        return moment.timestamp(), ""
     return None
 
 
@@ -250,172 +183,38 @@ def _seconds(digits: bytes) -> float:
     return value / 1000 if value > 1e11 else value
 
 
-# ---------------------------------------------------------------- values out of NMEA fields: times, dates,
-# coordinates, qualities, depths
+# ---------------------------------------------------------------- sentences into rows of one table
 
 
-_NAN: Final = float("nan")
-_NO_DEPTH: Final = frozenset(NOTHING["depth"])
-"""Depths by which an instrument says that it has none."""
-
-FIX_OF_QUALITY: Final = {
-    "0": "none", "1": "single", "2": "dgnss", "3": "single", "4": "fixed", "5": "float",
-    "6": "dead_reckoning", "7": "none", "8": "none", "9": "sbas",
-}  # fmt: skip
-"""GGA field 6 -> fix; 7 is manual input, 8 a simulator, 9 SBAS in NovAtel receivers."""
-
-FIX_OF_MODE: Final = {
-    "R": "fixed", "F": "float", "D": "dgnss", "P": "single", "A": "single", "E": "dead_reckoning",
-    "M": "none", "S": "none", "N": "none", "": "single",
-}  # fmt: skip
-"""Mode indicator of RMC, GLL (NMEA 2.3) and GNS -> fix, best first; older sentences have none."""
-
-
-def second_of_day(text: str) -> float:
-    """Second of the day from hhmmss[.sss]; 86400 and above inside a leap second.
-
-    Raises
-    ------
-    ValueError : not such a time.
-    """
-    if len(text) < 6 or not text[:6].isdecimal():
-        raise ValueError(text)
-    hour, minute, second = int(text[:2]), int(text[2:4]), float(text[4:])
-    if hour > 23 or minute > 59 or second >= 61:
-        raise ValueError(text)
-    return hour * 3600 + minute * 60 + second
-
-
-def days_of_date(day: int, month: int, year: int) -> int:
-    """Days since 1970-01-01; a year of two digits is 1980 to 2057.
-
-    Raises
-    ------
-    ValueError : no date, or one at which no survey can have been made.
-    """
-    if year < 100:
-        year += 1900 if year >= 80 else 2000
-    days = dt.date(year, month, day).toordinal() - _UNIX_ORDINAL
-    if not possible_unix(days * DAY_S):
-        raise ValueError(year)
-    return days
-
-
-def degrees(text: str, side: str) -> float:
-    """Degrees from (d)ddmm.mmmm and N, S, E or W.
-
-    Raises
-    ------
-    ValueError : not such an angle, or out of range.
-    """
-    value = float(text)
-    whole = int(value / 100)
-    angle = whole + (value - 100 * whole) / 60
-    limit = {"N": 90, "S": 90, "E": 180, "W": 180}.get(side, -1)
-    if not (0 <= angle <= limit and value - 100 * whole < 60):
-        raise ValueError(text)
-    return -angle if side in "SW" else angle
-
-
-def number(fields: list[str], index: int) -> float:
-    """A number; NaN where the field is empty or not there.
-
-    Raises
-    ------
-    ValueError : something else than a finite number.
-    """
-    if index >= len(fields) or not fields[index].strip():
-        return float("nan")
-    value = float(fields[index])
-    if value - value != 0:
-        raise ValueError(fields[index])
-    return value
-
-
-def length_m(fields: list[str], index: int) -> float:
-    """A length in metres from a number and the letter of its unit behind it; no letter: metres.
-
-    Raises
-    ------
-    ValueError : no finite number, or an unknown letter.
-    """
-    value, letter = number(fields, index), "".join(fields[index + 1 : index + 2]).strip()
-    unit = unit_of_letter(letter or "M")
-    if value == value and unit is None:
-        raise ValueError(letter)
-    return value * unit.metres if unit is not None else value
-
-
-def below_depth(fields: list[str]) -> tuple[float, str]:
-    """Depth in metres of DBT or DBS and the letter of its unit: metres if given, else feet, else fathoms.
-
-    NaN if none is given. Depths in several units must agree to within 2 % and a unit of their last places:
-    instruments round, or cut off, and one has fathoms of 1.85 m.
-
-    Raises
-    ------
-    ValueError : an unknown unit, or depths that contradict each other.
-    """
-    stated: dict[str, tuple[float, float]] = {}
-    for at in (1, 3, 5):
-        value = number(fields, at)
-        if value == value:
-            letter = fields[at + 1].strip()
-            unit = unit_of_letter(letter)
-            if unit is None or letter in stated:
-                raise ValueError(fields)
-            depth = 0.0 if value in _NO_DEPTH else value * unit.metres
-            stated[letter] = depth, unit.metres * 10.0 ** -len(fields[at].strip().partition(".")[2])
-    seen = {letter: pair for letter, pair in stated.items() if pair[0] != 0.0} or stated
-    for letter in ("M", "f", "F"):
-        if letter in seen:
-            depth, step = seen[letter]
-            if any(abs(other - depth) > 0.02 * depth + step + more for other, more in seen.values()):
-                raise ValueError(fields)
-            return depth, letter
-    return _NAN, ""
-
-
-def water_temperature_c(fields: list[str]) -> float:
-    """Temperature of the water by MTW, degrees Celsius; NaN if none is stated.
-
-    Raises
-    ------
-    ValueError : another unit, or a temperature that liquid water does not have.
-    """
-    value = number(fields, 1)
-    if value == value and (fields[2:3] not in (["C"], []) or not -3.0 <= value <= 60.0):
-        raise ValueError(fields)
-    return value
-
-
-def pitch_and_roll_deg(fields: list[str]) -> tuple[float, float]:
-    """Pitch and roll among the transducers of XDR, groups of type, value, unit, name; NaN where not there.
-
-    Raises
-    ------
-    ValueError : an angle that is no number or more than a right angle.
-    """
-    found = {"pitch": float("nan"), "roll": float("nan")}
-    for at in range(1, len(fields) - 3, 4):
-        name = fields[at + 3].strip().upper()
-        key = "pitch" if name.startswith(("PITCH", "PTCH")) else "roll" if name.startswith("ROLL") else ""
-        if key and (fields[at].strip(), fields[at + 2].strip()) == ("A", "D"):
-            angle = number(fields, at + 1)
-            if abs(angle) > 90.0:
-                raise ValueError(angle)
-            found[key] = angle
-    return found["pitch"], found["roll"]
-
-
-# ---------------------------------------------------------------- sentences into rows
-
-
-_TIME_FIELD: Final = {"GGA": 1, "GNS": 1, "RMC": 1, "GLL": 5, "GST": 1, "ZDA": 1}
-_PLACE_FIELD: Final = {"GGA": 2, "GNS": 2, "RMC": 3, "GLL": 1}
+_SIGMAS: Final = ("major_m", "minor_m", "axis_deg", "sigma_north_m", "sigma_east_m", "sigma_up_m")
+_FIELDS: Final = {
+    kind: names.split()
+    for kind, names in {
+        "GGA": "time lat north lon east quality n_sats hdop height height_unit geoid geoid_unit age",
+        "GNS": "time lat north lon east modes n_sats hdop height geoid age",
+        "RMC": "time status lat north lon east speed course date variation side modes",
+        "GLL": "lat north lon east time status modes",
+        "GST": f"time rms {' '.join(_SIGMAS)}",
+        "ZDA": "time day month year",
+        "DPT": "depth offset",
+        "DBT": "depth unit depth2 unit2 depth3 unit3",
+        "DBS": "depth unit depth2 unit2 depth3 unit3",
+        "MTW": "temperature unit",
+        "DTM": "datum",
+        "XDR": "",
+    }.items()
+}
+"""Sentences that are read, with names for their fields in the order of NMEA 0183."""
+_NUMBERS: Final = (
+    *("line", "file", "t_host_s", "second", "decimals", "day", "void"),
+    *("lat_deg", "lon_deg", "h_ell_m", "n_sats", "age_s", "step_m", *_SIGMAS),
+    *("depth_m", "offset_m", "water_temperature_c", "pitch_deg", "roll_deg"),
+)
+"""Columns of the table of sentences besides talker, kind and fix."""
+_PLACE: Final = {name: k for k, name in enumerate(_NUMBERS)}
+_UNKNOWN: Final = array("d", [_NAN] * len(_NUMBERS))
 _RANK: Final = {"GGA": 0, "GNS": 0, "RMC": 1, "GLL": 2}
-"""Of sentences of the same time the one that says most is taken."""
-_WANTED: Final = frozenset(k.encode() for k in (*_TIME_FIELD, "DBT", "DPT", "DBS", "MTW", "XDR", "DTM"))
+"""Sentences of positions; of the same time the one that says most is taken."""
 _UNREAD: Final[Mapping[str, str]] = {
     "HDG HDM": "magnetic heading",
     "HDT THS": "true heading",
@@ -428,132 +227,218 @@ _UNREAD: Final[Mapping[str, str]] = {
     "PGRMZ": "height",
 }
 """Sentences with a position, height, attitude or speed that nothing is taken from, and what they hold."""
-
-
-@dataclass(slots=True)
-class _Rows:
-    """What the sentences say, in the order of the log; ``tick`` is the row of the latest time, -1: none."""
-
-    times: list[tuple[str, float, float, bool, float, int]] = field(default_factory=list)
-    fixes: list[tuple[int, str, str, float, float, float, str, int, float, float]] = field(
-        default_factory=list
-    )
-    sigmas: list[tuple[int | str | float, ...]] = field(default_factory=list)
-    depths: list[tuple[int, str, str, float, float, float, int, int]] = field(default_factory=list)
-    temperatures: list[float] = field(default_factory=list)
-    tilts: list[tuple[float, float]] = field(default_factory=list)
-    void: dict[str, bool] = field(default_factory=dict)
-    """Whether the receiver of a talker says that it has no fix."""
-    decimals: int = 0
-    """Most decimals of a time of day."""
-
-
-_TIMES: Final = ["talker", "second", "day", "void", "t_host_s", "file"]
-_FIXES: Final = [
-    *("tick", "talker", "kind", "lat_deg", "lon_deg", "h_ell_m", "fix", "n_sats", "age_s", "step_m")
-]
-_DEPTHS: Final = ["tick", "talker", "sentence", "t_host_s", "depth_m", "offset_m", "line", "file"]
 _PROPRIETARY: Final = re.compile("P[A-Z][A-Z0-9]{2,}$")
-_GPS_EPOCH_DAY: Final = dt.date(1980, 1, 6).toordinal() - _UNIX_ORDINAL
+_GPS_EPOCH_DAY: Final = dt.date(1980, 1, 6).toordinal() - _UNIX_DAY
 _DATUMS: Final = frozenset(["", "W84", "P90", "999"])
 """Reference systems of DTM that agree with WGS 84, or say nothing."""
+_NO_DEPTH: Final = frozenset(NOTHING["depth"])
+"""Depths by which an instrument says that it has none."""
+
+FIX_OF_QUALITY: Final = {
+    "1": "single", "2": "dgnss", "3": "single", "4": "fixed", "5": "float", "6": "dead_reckoning",
+    "9": "sbas",
+}  # fmt: skip
+"""GGA field 6 -> fix, else none; 7 is manual input, 8 a simulator, 9 SBAS in NovAtel receivers."""
+
+FIX_OF_MODE: Final = {
+    "R": "fixed", "F": "float", "D": "dgnss", "P": "single", "A": "single", "E": "dead_reckoning",
+}  # fmt: skip
+"""Mode indicator of RMC, GLL (NMEA 2.3) and GNS (one a system of satellites) -> fix, else none."""
+_GOODNESS: Final = ("none", "dead_reckoning", "single", "dgnss", "sbas", "float", "fixed")
 
 
-def _take(sentence: Sentence, rows: _Rows, file: int, report: IntegrityReport) -> None:
-    """Take one sentence; a malformed one changes nothing."""
-    kind, talker, f = sentence.kind, sentence.talker, sentence.fields
-    if kind in _TIME_FIELD:
-        text = "".join(f[_TIME_FIELD[kind] :][:1]).strip()
-        second = second_of_day(text) if text else _NAN
-        void = _void(kind, f)
-        void = rows.void.get(talker, False) if void is None else void
-        day = _NAN if void else _date(kind, f)
-        fix = _fix(kind, f)
-        sigma = tuple(number(f, i) for i in range(3, 9)) if kind == "GST" else ()
-        rows.void[talker] = void
-        tick = -1
-        if second == second:
-            tick = len(rows.times)
-            rows.times.append((talker, second, day, void, sentence.t_host_s, file))
-            rows.decimals = max(rows.decimals, len(text.partition(".")[2]))
-        if fix is not None:
-            rows.fixes.append((tick, talker, kind, *fix))
-        elif kind == "GST":
-            rows.sigmas.append((tick, talker, *sigma))
-        elif kind != "ZDA":
-            report.count("sentences_without_position")
-    elif kind == "MTW":
-        temperature = water_temperature_c(f)
-        if temperature == temperature:
-            rows.temperatures.append(temperature)
-    elif kind == "XDR":
-        rows.tilts.append(pitch_and_roll_deg(f))
-    elif kind == "DTM":
-        if (name := f[1].strip()) not in _DATUMS:
-            report.note(f"The receiver states the datum {name} (DTM); positions are taken as WGS 84.")
-    else:
-        depth, letter = (number(f, 1), "M") if kind == "DPT" else below_depth(f)
-        offset = number(f, 2) if kind == "DPT" else _NAN
+def _take(
+    sentence: Sentence, f: Mapping[str, str], void: dict[str, bool], report: IntegrityReport
+) -> dict[str, Any]:
+    """Values of one sentence by column; ``f`` has its fields by name, "" for those that are empty.
+
+    ``void`` is kept: whether the receiver of a talker says that it has no fix.
+
+    Raises
+    ------
+    ValueError : an impossible field; nothing was taken then.
+    """
+    talker, kind = sentence.talker, sentence.kind
+    if kind == "MTW":
+        degc = number(f["temperature"])
+        if not f["temperature"] or (f["unit"] in ("C", "") and -3.0 <= degc <= 60.0):
+            return {"water_temperature_c": degc}
+        raise ValueError(f)
+    if kind == "XDR":
+        return pitch_and_roll_deg(sentence.fields)
+    if kind == "DTM":
+        if f["datum"] not in _DATUMS:
+            report.note(f"The receiver states the datum {f['datum']} (DTM); positions are taken as WGS 84.")
+        return {}
+    if kind in ("DPT", "DBT", "DBS"):
+        depth, letter = stated_depth(f, "M" if kind == "DPT" else "")
+        offset = number(f["offset"])
         if depth != depth:
             report.count("empty_depths")
-            return
-        depth = 0.0 if depth in _NO_DEPTH else depth
-        if depth < 0:
-            raise ValueError(depth)
+            return {}
         if letter != "M":
             words = "feet (0.3048 m)" if letter == "f" else "fathoms (1.8288 m)"
             report.note(f"{kind} states depths in {words} only: they are converted.")
-        tick = len(rows.times) - 1
-        rows.depths.append((tick, talker, kind, sentence.t_host_s, depth, offset, sentence.line, file))
-
-
-def _void(kind: str, f: list[str]) -> bool | None:
-    """Whether the sentence says that the receiver has no fix; None: it does not tell."""
+        return {"depth_m": depth, "offset_m": offset}
     if kind == "GGA":
-        return f[6:7] in ([], [""], ["0"])
-    if kind == "GNS":
-        return not "".join(f[6:7]).strip("NM ")
-    if kind == "RMC":
-        return f[2] == "V"
-    return f[6:7] == ["V"] if kind == "GLL" else None
-
-
-def _date(kind: str, f: list[str]) -> float:
-    """Days since 1970; NaN without a date, or with that of a receiver that counts from the GPS epoch."""
-    day = _NAN
-    if kind == "RMC" and len(f) > 9 and f[9].strip():
-        if len(f[9]) != 6:
-            raise ValueError(f[9])
-        day = days_of_date(int(f[9][:2]), int(f[9][2:4]), int(f[9][4:]))
-    if kind == "ZDA" and len(f) > 4 and all(x.strip() for x in f[2:5]):
-        day = days_of_date(int(f[2]), int(f[3]), int(f[4]))
-    return day if day > _GPS_EPOCH_DAY + 1 else _NAN
-
-
-def _fix(kind: str, f: list[str]) -> tuple[float, float, float, str, int, float, float] | None:
-    """Latitude, longitude, height, fix, satellites, age of corrections, metres of the last decimal."""
-    at = _PLACE_FIELD.get(kind)
-    if at is None or len(f) < at + 4 or not (f[at].strip() and f[at + 2].strip()):
-        return None
-    lat, lon = degrees(f[at], f[at + 1]), degrees(f[at + 2], f[at + 3])
-    step_m = 1852.0 * 10.0 ** -len(f[at].strip().partition(".")[2])
-    height, n_sats, age = _NAN, -1, _NAN
-    if kind in ("GGA", "GNS"):
-        satellites = number(f, 7)
-        n_sats = int(satellites) if satellites == satellites else -1
-        if kind == "GGA":
-            fix = FIX_OF_QUALITY.get("".join(f[6:7]), "none")
-            height, age = length_m(f, 9) + length_m(f, 11), number(f, 13)
-        else:
-            modes = "".join(f[6:7])  # one a system of satellites: the best tells
-            fix = next((name for mode, name in FIX_OF_MODE.items() if mode and mode in modes), "none")
-            height, age = number(f, 9) + number(f, 10), number(f, 11)
+        no_fix = f["quality"] in ("", "0")
+    elif kind == "GNS":
+        no_fix = not f["modes"].strip("NM")
     else:
-        status, mode = f[2:3], f[12:13]
-        if kind == "GLL":  # of NMEA 2.0 ends before the status
-            status, mode = f[6:7], f[7:8]
-        fix = FIX_OF_MODE.get("".join(mode), "none") if "".join(status) in ("A", "D", "") else "none"
-    return lat, lon, height, fix, n_sats, age, step_m
+        no_fix = f["status"] == "V" if kind in _RANK else void.get(talker, False)
+    row: dict[str, Any] = {"void": no_fix}
+    if f["time"]:
+        row |= {"second": second_of_day(f["time"]), "decimals": decimals(f["time"])}
+    if len(f["date"]) not in (0, 6):
+        raise ValueError(f)
+    date = (f["date"][:2], f["date"][2:4], f["date"][4:]) if f["date"] else (f["day"], f["month"], f["year"])
+    if all(date) and not no_fix:
+        day = days_of_date(*map(int, date))
+        if day > _GPS_EPOCH_DAY + 1:  # from which a receiver without the date counts
+            row["day"] = day
+    if kind == "GST":
+        row |= {name: number(f[name]) for name in _SIGMAS}
+    elif f["lat"] and f["lon"]:
+        if kind == "GGA":
+            fix = FIX_OF_QUALITY.get(f["quality"], "none")
+        else:  # GLL of NMEA 2.0 ends before the status
+            modes = [FIX_OF_MODE.get(mode, "none") for mode in f["modes"]] or ["none" if no_fix else "single"]
+            fix = max(modes, key=_GOODNESS.index) if f["status"] in ("A", "D", "") else "none"
+        row |= {
+            "lat_deg": degrees(f["lat"], f["north"], "NS"),
+            "lon_deg": degrees(f["lon"], f["east"], "EW"),
+            "h_ell_m": length_m(f["height"], f["height_unit"]) + length_m(f["geoid"], f["geoid_unit"]),
+            "fix": fix,
+            "n_sats": int(number(f["n_sats"] or "-1")),
+            "age_s": number(f["age"]),
+            "step_m": 1852.0 * 10.0 ** -decimals(f["lat"]),
+        }
+    elif kind in _RANK:
+        report.count("sentences_without_position")
+    void[talker] = no_fix
+    return row
+
+
+def second_of_day(text: str) -> float:
+    """Second of the day from hhmmss[.sss]; 86400 and above inside a leap second.
+
+    Raises
+    ------
+    ValueError : not such a time.
+    """
+    if not text[:6].isdecimal():
+        raise ValueError(text)
+    hour, minute, second = int(text[:2]), int(text[2:4]), float(text[4:])
+    if hour > 23 or minute > 59 or second >= 61:
+        raise ValueError(text)
+    return hour * 3600 + minute * 60 + second
+
+
+@cache
+def days_of_date(day: int, month: int, year: int) -> int:
+    """Days since 1970-01-01; a year of two digits is 1980 to 2057.
+
+    Raises
+    ------
+    ValueError : no date, or one at which no survey can have been made.
+    """
+    if year < 100:
+        year += 1900 if year >= 80 else 2000
+    days = dt.date(year, month, day).toordinal() - _UNIX_DAY
+    if not possible_unix(days * DAY_S):
+        raise ValueError(year)
+    return days
+
+
+def degrees(text: str, side: str, sides: str) -> float:
+    """Degrees from (d)ddmm.mmmm and one of the two ``sides``, N and S or E and W.
+
+    Raises
+    ------
+    ValueError : not such an angle, or out of range.
+    """
+    whole, minutes = divmod(float(text), 100)
+    angle = whole + minutes / 60
+    if side not in tuple(sides) or not (0 <= angle <= (90 if sides == "NS" else 180) and minutes < 60):
+        raise ValueError(text)
+    return -angle if side == sides[1] else angle
+
+
+def number(text: str) -> float:
+    """A number; NaN of an empty field.
+
+    Raises
+    ------
+    ValueError : something else than a finite number.
+    """
+    value = float(text or "nan")
+    if text and not math.isfinite(value):
+        raise ValueError(text)
+    return value
+
+
+def decimals(text: str) -> int:
+    """Digits behind the point."""
+    return len(text.partition(".")[2])
+
+
+def length_m(text: str, letter: str) -> float:
+    """A length in metres from a number and the letter of its unit; no letter: metres.
+
+    Raises
+    ------
+    ValueError : no finite number, or an unknown letter.
+    """
+    unit = unit_of_letter(letter or "M")
+    if text and unit is None:
+        raise ValueError(letter)
+    return number(text) * (unit.metres if unit else 1.0)
+
+
+def stated_depth(f: Mapping[str, str], usual_unit: str) -> tuple[float, str]:
+    """Depth in metres and the letter of its unit: metres if given, else feet, else fathoms; NaN if none is.
+
+    Depths in several units must agree to within 2 % and a unit of their last places: instruments round, or
+    cut off, and one has fathoms of 1.85 m.
+
+    Raises
+    ------
+    ValueError : an unknown unit, a negative depth, or depths that contradict each other.
+    """
+    stated: dict[str, tuple[float, float]] = {}
+    for k in ("", "2", "3"):
+        if text := f["depth" + k]:
+            letter = f["unit" + k] or usual_unit
+            unit = unit_of_letter(letter)
+            if unit is None or letter in stated:
+                raise ValueError(f)
+            value = number(text)
+            depth = 0.0 if value in _NO_DEPTH else value * unit.metres
+            stated[letter] = depth, unit.metres * 10.0 ** -decimals(text)
+    seen = {letter: pair for letter, pair in stated.items() if pair[0] != 0.0} or stated
+    letter = next((each for each in "MfF" if each in seen), "")
+    depth, step = seen.get(letter, (_NAN, 0.0))
+    if depth < 0 or any(abs(other - depth) > 0.02 * depth + step + more for other, more in seen.values()):
+        raise ValueError(f)
+    return depth, letter
+
+
+def pitch_and_roll_deg(fields: list[str]) -> dict[str, Any]:
+    """Pitch and roll among the transducers of XDR, groups of type, value, unit, name.
+
+    Raises
+    ------
+    ValueError : an angle that is no number or more than a right angle.
+    """
+    found: dict[str, Any] = {}
+    for kind, value, unit, name in zip(*(map(str.strip, fields[k::4]) for k in range(4)), strict=False):
+        key = re.match("(P)I?TCH|(R)OLL", name.upper())
+        if key and (kind, unit) == ("A", "D"):
+            angle = number(value)
+            if abs(angle) > 90.0:
+                raise ValueError(angle)
+            found["pitch_deg" if key[1] else "roll_deg"] = angle
+    return found
 
 
 # ---------------------------------------------------------------- receivers: whose positions, whose time
@@ -561,26 +446,24 @@ def _fix(kind: str, f: list[str]) -> tuple[float, float, float, str, int, float,
 
 _SATELLITES: Final = re.compile("G|BD|QZ")
 """Talkers of satellite systems: a receiver names those in use."""
-_GOODNESS: Final = ("none", "dead_reckoning", "single", "dgnss", "sbas", "float", "fixed")
 _SAME_PLACE_M: Final = 0.5
 """Sentences of one receiver at one time lie no farther apart, rounding aside."""
 _FEW: Final = 0.1
 """A receiver with a smaller share of the positions than this is not chosen, however good."""
 
 
-def _receivers(fixes: pd.DataFrame, second: ArrayF) -> tuple[pd.DataFrame, ArrayI]:
+def _receivers(fixes: pd.DataFrame) -> tuple[pd.DataFrame, ArrayI]:
     """Fixes with their time ``clock_s`` over midnights, and the number of the receiver of each.
 
     Sentences belong together where they state the same place at the same time, whatever their talkers (GN and
     GP of one receiver). Without a common time, talkers belong together where the track of the one passes the
     places of the other; where they do not meet at all, satellite systems are of one receiver.
     """
-    clock = np.full(len(fixes), np.nan)
-    timed = np.isfinite(second)
-    clock[timed] = np.unwrap(second[timed], period=DAY_S)
-    clock = np.round(clock, 3)
+    clock = fixes["second"].to_numpy(copy=True)
+    timed = np.isfinite(clock)
+    clock[timed] = np.round(np.unwrap(clock[timed], period=DAY_S), 3)
     fixes = fixes.assign(clock_s=clock)
-    block = np.cumsum(np.append(True, clock[1:] != clock[:-1])[: len(clock)])
+    block = np.cumsum(np.diff(clock, prepend=np.nan) != 0)  # NaN differs from everything
     again = fixes.groupby([block, "talker", "kind"]).cumcount().clip(upper=3)
     node = fixes.groupby(["talker", "kind", again], sort=False).ngroup().to_numpy()
     tracks = [fixes[node == k] for k in range(node.max(initial=-1) + 1)]
@@ -625,21 +508,23 @@ def _track(fixes: pd.DataFrame) -> ArrayF:
     return np.asarray(rows[np.unique(rows[:, 0], return_index=True)[1]])
 
 
-def _choose(
-    fixes: pd.DataFrame, receiver: ArrayI, sigmas: pd.DataFrame, report: IntegrityReport
-) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Fixes of the best receiver and the standard deviations that its talkers state; the others are named."""
+def _choose(table: pd.DataFrame, report: IntegrityReport) -> pd.DataFrame:
+    """The table with positions of the best receiver alone; others are named, their accuracies taken out."""
+    fixes = table[table["fix"].notna()]
+    if fixes.empty:
+        return table
+    report.count("position_sentences", len(fixes))
+    fixes, receiver = _receivers(fixes)
     owners = {int(k): set(fixes["talker"][receiver == k]) for k in np.unique(receiver)}
-    horizontal = np.hypot(*sigmas[["sigma_north_m", "sigma_east_m"]].to_numpy(np.float64).T)
+    horizontal = pd.Series(np.hypot(table["sigma_north_m"], table["sigma_east_m"])).dropna()
 
     def merit(k: int) -> tuple[bool, float, float, int, int]:
         """What speaks for a receiver, the smaller the better."""
         rows = fixes[receiver == k]
-        stated = horizontal[sigmas["talker"].isin(owners[k])]
+        stated = horizontal[table["talker"].isin(owners[k])]
         goodness = float(np.median([_GOODNESS.index(fix) for fix in rows["fix"]]))
         few = len(rows) < _FEW * len(fixes) / len(owners)
-        best = min(_RANK[kind] for kind in rows["kind"].unique())
-        return few, -goodness, _median(stated[np.isfinite(stated)], np.inf), best, -len(rows)
+        return few, -goodness, _median(stated, np.inf), rows["kind"].map(_RANK).min(), -len(rows)
 
     ranked = sorted(owners, key=merit)
     chosen = fixes[receiver == ranked[0]]
@@ -650,7 +535,9 @@ def _choose(
         far = f", {apart:.1f} m from it" if np.isfinite(apart) else ""
         report.note(f"Positions come from {_named(chosen)}; those of {_named(other)}{far}, are not used.")
     foreign = set().union(*(owners[k] for k in ranked[1:])) - owners[ranked[0]]
-    return chosen, sigmas[~sigmas["talker"].isin(foreign)]
+    table.loc[fixes.index[receiver != ranked[0]], "fix"] = None
+    table.loc[table["talker"].isin(foreign), "sigma_north_m"] = np.nan
+    return table
 
 
 def _named(rows: pd.DataFrame) -> str:
@@ -666,114 +553,63 @@ _HALF_DAY_S: Final = 43_200
 _SHORTEST_HOLE_S: Final = 60.0
 _ROLLOVER_DAYS: Final = 7168
 """The week counter of GPS begins anew after 1024 weeks."""
-_FIRST_YEARS_DAY: Final = dt.date(2000, 1, 1).toordinal() - _UNIX_ORDINAL
-"""Recordings of boats of before are rarer than receivers whose week counter rolled over."""
 
 
-@dataclass(slots=True, kw_only=True)
-class _Timeline:
-    """Times of the log, arrays (n,) over its time sentences.
+def _add_times(table: pd.DataFrame, date: dt.date | None, report: IntegrityReport) -> set[int]:
+    """Add the times of the sentences; returns the files whose begin lies before the end of the one before.
 
-    Attributes
-    ----------
-    base : the sentence whose time holds then; -1: none.
-    clock_s : second over midnights; NaN where the receiver had no time. t_gps_s : NaN without a date.
-    second, t_host_s, file : as they are in the log.
-    dated : whether any date is known.
-    steps_back, files_back : how often the time goes back; files whose begin does.
-    """
-
-    base: ArrayI
-    clock_s: ArrayF
-    t_gps_s: ArrayF
-    second: ArrayF
-    t_host_s: ArrayF
-    file: ArrayI
-    dated: bool = False
-    steps_back: int = 0
-    files_back: set[int] = field(default_factory=set)
-
-    def at(self, tick: ArrayI, file: ArrayI) -> ArrayI:
-        """Sentence (k,) whose time holds for what follows the time sentence ``tick`` (k,) in ``file`` (k,).
-
-        What stands ahead of a file's first time has none: the last time of the file before may be older by
-        hours, or newer where the files overlap.
-        """
-        if not len(self.base):
-            return np.full(len(tick), -1)
-        base = np.where(tick >= 0, self.base[tick], -1)
-        return np.where((self.file[base] == file) & np.isfinite(self.clock_s[base]), base, -1)
-
-    def of(self, values: ArrayF, base: ArrayI) -> ArrayF:
-        """Values (k,) of the sentences ``base`` (k,), NaN without one."""
-        return np.where(base >= 0, values[base], np.nan) if len(values) else np.full(len(base), np.nan)
-
-
-def _timeline(
-    times: pd.DataFrame, talkers: set[str], date: dt.date | None, report: IntegrityReport
-) -> _Timeline:
-    """Time of the sentences of the receiver of ``talkers`` and of those that agree with it.
+    ``clock_s`` is the second over midnights and ``t_gps_s`` GPS time (NaN without a date) of sentences of the
+    receiver of the positions and of those that agree with it, NaN at others; ``base`` is the row of that one
+    whose time holds at each row, -1 ahead of a file's first: the last time of the file before may be older by
+    hours, or newer where the files overlap.
 
     A stretch between holes in which a receiver had no fix counts from when it was switched on: it is no time.
     A date holds for its stretch, before it too, and for stretches behind it that state none.
     """
-    second, file = times["second"].to_numpy(np.float64), times["file"].to_numpy(np.int64)
-    out = _Timeline(
-        base=np.full(len(times), -1),
-        clock_s=np.full(len(times), np.nan),
-        t_gps_s=np.full(len(times), np.nan),
-        second=second,
-        t_host_s=times["t_host_s"].to_numpy(np.float64),
-        file=file,
-    )
-    own = np.flatnonzero(times["talker"].isin(_agreeing(times, talkers, report)))
-    given = _NAN if date is None else float(days_of_date(date.day, date.month, date.year))
-    out.dated = given == given
+    table[["clock_s", "t_gps_s", "base"]] = np.nan, np.nan, -1
+    timed = table[table["second"].notna()]
+    own = timed.index[timed["talker"].isin(_agreeing(table, report))].to_numpy()
     if not own.size:
-        return out
-    out.base[own] = own
-    out.base = np.maximum.accumulate(out.base)
-    step = _wrapped(np.diff(second[own], prepend=second[own[0]]))
-    hole = np.abs(step) > max(_SHORTEST_HOLE_S, 10 * _median(step[step > 0], 0.0))
-    run = pd.Series(np.cumsum(hole))
-    day = times["day"].to_numpy(np.float64)[own]
-    sure = pd.Series(np.isfinite(day) | ~times["void"].to_numpy(np.bool_)[own]).groupby(run).transform("any")
+        return set()
+    last = pd.Series(own, index=own).reindex(table.index).groupby(table["file"]).ffill()
+    s, file, day = (table[name].to_numpy()[own] for name in ("second", "file", "day"))
+    step = _wrapped(np.diff(s, prepend=s[0]))
+    run = np.cumsum(np.abs(step) > max(_SHORTEST_HOLE_S, 10 * _median(step[step > 0], 0.0)))
+    fixed = np.isfinite(day) | ~table["void"].to_numpy(np.bool_)[own]
+    sure = pd.Series(fixed).groupby(run).transform("any").to_numpy()
     if sure.any():
-        own, run, day = own[sure], run[sure], day[sure]
-    s, f = second[own], file[own]
-    midnights = _midnights(s, f, out)
+        own, run, day, s, file = (values[sure] for values in (own, run, day, s, file))
+    midnights, files_back = _midnights(s, file, report)
     epoch = np.cumsum(np.diff(s, prepend=s[0]) != 0)
-    dates = pd.Series(day - midnights, index=run.index).groupby([run.to_numpy(), epoch]).transform("last")
-    dates = dates.groupby(run).ffill().groupby(run).bfill()
-    zero = dates.to_numpy()
-    change = np.diff(zero, prepend=np.nan) * (np.diff(f, prepend=f[0]) == 0)
-    if jumps := int(
-        np.sum((change != 0) & np.isfinite(change) & ((np.diff(run, prepend=0) == 0) | (change < 0)))
-    ):
+    dates = pd.Series(day - midnights).groupby([run, epoch]).transform("last").groupby(run).ffill()
+    dates = dates.groupby(run).bfill()
+    change = np.diff(dates, prepend=np.nan) * (np.diff(file, prepend=file[0]) == 0)
+    jump = (change != 0) & np.isfinite(change) & ((np.diff(run, prepend=0) == 0) | (change < 0))
+    if jumps := int(jump.sum()):
         report.lose("date_jumps", jumps)
         report.note(
             f"The date jumps {jumps} times without a midnight: two logs in one file, or a receiver whose "
             "week counter rolled over (1024 weeks)."
         )
-    zero = dates.ffill().to_numpy()
-    if np.isfinite(zero).any():
-        out.dated = True
-        first = float((zero + midnights)[np.isfinite(zero)][0])
-        if given == given and given != first:
-            off = round(given - first)
-            if off % _ROLLOVER_DAYS == 0:
-                # not those behind a jump, of a receiver that found the right week meanwhile
-                zero = zero + off * (np.abs(zero - zero[np.isfinite(zero)][0]) < _ROLLOVER_DAYS / 2)
-                report.note(f"Dates of the log are {off // 7} weeks off by the given date {date}: put right.")
-            else:
-                report.note(f"The log states its own date; the given date {date} is not used.")
-    else:
-        zero = np.full(len(own), given)
-    out.clock_s[own] = midnights * DAY_S + s
-    out.t_gps_s[own] = _gps(zero + midnights, s)
-    report.timing.describe_host(out.t_gps_s, out.t_host_s)
-    _say_dates(out.t_gps_s[own], zero + midnights, report)
-    return out
+    zero = dates.ffill().to_numpy(np.float64, copy=True)
+    given = _NAN if date is None else float(days_of_date(date.day, date.month, date.year))
+    known = np.flatnonzero(np.isfinite(zero))
+    if not known.size:
+        zero[:] = given
+    elif date is not None and (off := round(given - (zero + midnights)[known[0]])):
+        if off % _ROLLOVER_DAYS == 0:
+            # not those behind a jump, of a receiver that found the right week meanwhile
+            zero += off * (np.abs(zero - zero[known[0]]) < _ROLLOVER_DAYS / 2)
+            report.note(f"Dates of the log are {off // 7} weeks off by the given date {date}: put right.")
+        else:
+            report.note(f"The log states its own date; the given date {date} is not used.")
+    times = {"clock_s": midnights * DAY_S + s, "t_gps_s": _gps(zero + midnights, s)}
+    table[["clock_s", "t_gps_s"]] = pd.DataFrame(times, index=own).reindex(table.index)
+    # of those without a sure time none holds, nor one from before them
+    table["base"] = last.where(last.isin(own), -1).astype(np.int64)
+    report.timing.describe_host(table["t_gps_s"].to_numpy(), table["t_host_s"].to_numpy())
+    _say_dates(table["t_gps_s"].dropna().to_numpy(), report)
+    return files_back
 
 
 def _wrapped(seconds: ArrayF) -> ArrayF:
@@ -781,7 +617,7 @@ def _wrapped(seconds: ArrayF) -> ArrayF:
     return np.asarray((seconds + _HALF_DAY_S) % DAY_S - _HALF_DAY_S)
 
 
-def _median(values: ArrayF, otherwise: float = _NAN) -> float:
+def _median(values: Any, otherwise: float = _NAN) -> float:
     return float(np.median(values)) if len(values) else otherwise
 
 
@@ -792,22 +628,20 @@ def _gps(day: ArrayF, second: ArrayF) -> ArrayF:
     return np.asarray(gps_from_unix(day * DAY_S + whole) + (second - leap - whole) + leap)
 
 
-def _agreeing(times: pd.DataFrame, talkers: set[str], report: IntegrityReport) -> set[str]:
-    """The talkers whose times agree with those of a receiver; the dates of others than it are taken out."""
+def _agreeing(table: pd.DataFrame, report: IntegrityReport) -> set[str]:
+    """Talkers whose times agree with those of the receiver of the positions; dates of others are dropped."""
+    times = table[table["second"].notna()]
     present = times["talker"].value_counts()
-    own = talkers & set(present.index) or set(present.index[:1])
-    at = np.flatnonzero(times["talker"].isin(own))
-    second, day = times["second"].to_numpy(), times["day"].to_numpy().copy()
-    period = _median(np.diff(np.unique(second[at])))
-    agreeing, dated = set(own), np.isfinite(day[at]).any()
+    own = set(table["talker"][table["fix"].notna()]) & set(present.index) or set(present.index[:1])
+    at = times[times["talker"].isin(own)]
+    period = _median(np.diff(np.unique(at["second"])), 1.0)
+    agreeing, dated = set(own), at["day"].notna().any()
     for talker in set(present.index) - own:
-        rows = np.flatnonzero(times["talker"] == talker)
-        before = np.searchsorted(at, rows) - 1
-        off = _median(_wrapped(second[rows] - second[at[before]])[before >= 0], 0.0)
-        days = (
-            np.nanmedian(day[rows]) - np.nanmedian(day[at]) if dated and np.isfinite(day[rows]).any() else 0
-        )
-        late = abs(off) > (period if period == period else 1.0) + 0.5
+        rows = times[times["talker"] == talker]
+        before = np.searchsorted(at.index, rows.index) - 1
+        off = _median(_wrapped(rows["second"] - at["second"].to_numpy()[before])[before >= 0], 0.0)
+        days = rows["day"].median() - at["day"].median() if dated and rows["day"].notna().any() else 0
+        late = abs(off) > period + 0.5
         if not late:
             agreeing.add(talker)
         if late or abs(days) > 1:
@@ -817,48 +651,43 @@ def _agreeing(times: pd.DataFrame, talkers: set[str], report: IntegrityReport) -
                 f"{'times' if late else 'dates'} are not used. {explain_shift(off)}".strip()
             )
         if dated:
-            day[rows] = np.nan
-    times["day"] = day
+            table.loc[rows.index, "day"] = np.nan
     return agreeing
 
 
-def _midnights(second: ArrayF, file: ArrayI, out: _Timeline) -> ArrayI:
-    """Midnights (n,) since the first of the times (n,); counts what goes back in ``out``."""
+def _midnights(second: ArrayF, file: ArrayI, report: IntegrityReport) -> tuple[ArrayI, set[int]]:
+    """Midnights (n,) since the first of the times (n,), files that begin back in time; others are lost."""
     step, begins = np.diff(second, prepend=second[0]), np.diff(file, prepend=file[0]) > 0
-    turn, count = np.zeros(len(second), dtype=np.int64), 0
+    turn, count, files_back = np.zeros(len(second), dtype=np.int64), 0, set()
     for i in np.flatnonzero((step < 0) | (step > _HALF_DAY_S)).tolist():
         # a sentence of before midnight that came late, or a file that overlaps
         late = count > 0 and (begins[i] or (second[i - 1] < 60 and second[i] > DAY_S - 60))
         if step[i] < -_HALF_DAY_S or (step[i] > 0 and late):
             turn[i] = 1 if step[i] < 0 else -1
             count += turn[i]
-        if begins[i] and (-_HALF_DAY_S <= step[i] < 0 or turn[i] < 0):
-            out.files_back.add(int(file[i]))
-        elif -_HALF_DAY_S <= step[i] < 0:
-            out.steps_back += 1
-    return np.cumsum(turn)
+        back = -_HALF_DAY_S <= step[i] < 0
+        if begins[i] and (back or turn[i] < 0):
+            files_back.add(int(file[i]))
+        elif back:
+            report.lose("time_steps_back")
+    return np.cumsum(turn), files_back
 
 
-def _say_dates(t_gps_s: ArrayF, day: ArrayF, report: IntegrityReport) -> None:
+def _say_dates(t_gps_s: ArrayF, report: IntegrityReport) -> None:
     """What stamps of the logger say of the dates, and dates at which hardly anybody surveyed."""
     off = report.timing.clock_offset_s
-    known = day[np.isfinite(day)]
-    weeks = 0 if off is None else round(off / (_ROLLOVER_DAYS * DAY_S)) * 1024
-    if off is not None and weeks > 0 and abs(off - weeks * 7 * DAY_S) < DAY_S:
-        true = dt.date.fromordinal(int(known[0]) + _UNIX_ORDINAL + 7 * weeks)
-        report.lose("dates_off_by_1024_weeks", len(known))
+    if off is None:
+        if doubt := doubtful_date(t_gps_s):
+            report.note(f"{doubt} If so, state logs.depth_date.")
+    elif round(off / (_ROLLOVER_DAYS * DAY_S)) > 0 and "week counter" in explain_shift(off, DAY_S):
+        true = utc_text_from_unix(float(unix_from_gps(t_gps_s[0])) + round(off / DAY_S / 7) * 7 * DAY_S)[:10]
+        report.lose("dates_off_by_1024_weeks", len(t_gps_s))
         report.note(
-            f"The dates are {weeks} weeks before the stamps of the logger: the week counter of the "
-            f"receiver rolled over. State logs.depth_date: {true}."
+            f"The dates are {round(off / DAY_S / 7)} weeks before the stamps of the logger: the week counter "
+            f"of the receiver rolled over. State logs.depth_date: {true}."
         )
-    elif off is not None and (words := explain_shift(off)):
+    elif words := explain_shift(off):
         report.note(f"The logger's clock differs from the sentences by {words}.")
-    if off is None and known.size and known[0] < _FIRST_YEARS_DAY:
-        later = (str(dt.date.fromordinal(int(known[0]) + _UNIX_ORDINAL + k * _ROLLOVER_DAYS)) for k in (1, 2))
-        report.note(
-            "The dates are before 2000, as of a receiver whose week counter rolled over (1024 weeks). If so, "
-            f"state logs.depth_date: {' or '.join(later)}."
-        )
 
 
 # ---------------------------------------------------------------- reader
@@ -923,14 +752,24 @@ def read_nmea(files: Sequence[Path], date: dt.date | None = None) -> NmeaLog:
     if not files:
         raise InputError("no NMEA log given", expected="at least one file")
     report = IntegrityReport(stream="nmea", format="NMEA 0183", files=[str(f) for f in files])
-    rows = _Rows()
+    texts: list[tuple[str, str, str | None]] = []
+    numbers = array("d")
     bad: list[str] = []
+    void: dict[str, bool] = {}
     for index, path in enumerate(files):
-        for sentence in scan_sentences(path, _WANTED, report):
+        for each in scan_sentences(path, report):
+            fields = defaultdict(str, zip(_FIELDS[each.kind], map(str.strip, each.fields), strict=False))
             try:
-                _take(sentence, rows, index, report)
-            except (ValueError, IndexError):
-                bad.append(f"{path.name} line {sentence.line}")
+                row = _take(each, fields, void, report)
+            except ValueError:
+                bad.append(f"{path.name} line {each.line}")
+                continue
+            texts.append((each.talker, each.kind, row.pop("fix", None)))
+            row |= {"line": each.line, "file": index, "t_host_s": each.t_host_s}
+            begin = len(numbers)
+            numbers.extend(_UNKNOWN)
+            for name, value in row.items():
+                numbers[begin + _PLACE[name]] = value
     if not report.counts.get("sentences", 0) + report.counts.get("sentences_without_checksum", 0):
         raise InputError(
             f"no NMEA sentence in {report.bytes_read:,} bytes"
@@ -943,96 +782,75 @@ def read_nmea(files: Sequence[Path], date: dt.date | None = None) -> NmeaLog:
         report.lose("malformed_sentences", len(bad))
         report.details["malformed"] = ", ".join(bad[:20]) + (" ..." if len(bad) > 20 else "")
         report.note(f"{len(bad)} sentences have a good frame but impossible fields, the first at {bad[0]}.")
-    return _log(rows, date, report)
-
-
-def _log(rows: _Rows, date: dt.date | None, report: IntegrityReport) -> NmeaLog:
-    times = pd.DataFrame(rows.times, columns=_TIMES).astype({"second": np.float64, "day": np.float64})
-    fixes = pd.DataFrame(rows.fixes, columns=_FIXES)
-    sigmas = pd.DataFrame(rows.sigmas, columns=["tick", "talker", *_SIGMAS])
-    if len(fixes):
-        report.count("position_sentences", len(fixes))
-        tick = fixes["tick"].to_numpy()
-        second = times["second"].to_numpy()[tick] if len(times) else np.full(len(fixes), np.nan)
-        fixes, receiver = _receivers(fixes, np.where(tick >= 0, second, np.nan))
-        fixes, sigmas = _choose(fixes, receiver, sigmas, report)
-    else:
-        fixes = fixes.assign(clock_s=0.0)
-    line = _timeline(times, set(fixes["talker"]), date, report)
-    positions, position_file = _positions(fixes, sigmas, line, report)
-    depths = _depths(rows, line, report)
-    overlapping: set[int] = set()
-    positions = _once(positions, position_file, "positions", overlapping, report)
-    depths = _once(depths, depths["file"].to_numpy(), "depths", overlapping, report)
-    if back := line.steps_back + len(line.files_back - overlapping):
-        report.lose("time_steps_back", back)
-    if line.dated:
-        untimed = depths["t_gps_s"].isna() & (depths["tick"] >= 0)
+    table = pd.DataFrame(np.frombuffer(numbers).reshape(-1, len(_NUMBERS)), columns=list(_NUMBERS))
+    table[["talker", "kind", "fix"]] = pd.DataFrame(texts, columns=["talker", "kind", "fix"], dtype=object)
+    table = _choose(table, report)
+    files_back = _add_times(table, date, report)
+    parts = []
+    for name, part in (("positions", _positions(table, report)), ("depths", _depths(table, report))):
+        # rows without GPS time are all kept: a second of an unknown day is no time stamp
+        timed = part[part["t_gps_s"].notna()]
+        once = report.keep_once(
+            timed.drop(columns=["line", "file", "base"], errors="ignore"), timed["file"].to_numpy(), name
+        )
+        files_back -= set(timed["file"][~once])
+        parts.append(part.drop(index=timed.index[~once]).reset_index(drop=True))
+    positions, depths = parts
+    if files_back:
+        report.lose("time_steps_back", len(files_back))
+    if date is not None or table["t_gps_s"].notna().any():
+        untimed = depths["t_gps_s"].isna() & depths["seen"]
         for name, n in (("positions", positions["t_gps_s"].isna().sum()), ("depths", untimed.sum())):
             if n:
-                report.lose(f"{name}_without_time", n)
+                report.lose(f"{name}_without_time", int(n))
                 report.note(f"{n:,} {name} come from before the receiver knew time and date: they get none.")
-    depths["t_gps_s"] += _since_sentence_s(depths, line, report)
-    table = depths[list(DEPTH.names)].astype({"line": np.int64, "sentence": object})
-    _summarise(report, positions, table, line, rows)
-    return NmeaLog(positions=positions, depths=table, report=report)
+    depths["t_gps_s"] += _since_sentence_s(depths, table, report)
+    positions, depths = frame_of(GNSS_POSITION, dict(positions)), frame_of(DEPTH, dict(depths))
+    _summarise(report, positions, depths, table)
+    return NmeaLog(positions=positions, depths=depths, report=report)
 
 
-_SIGMAS: Final = ("major_m", "minor_m", "axis_deg", "sigma_north_m", "sigma_east_m", "sigma_up_m")
-
-
-def _positions(
-    fixes: pd.DataFrame, sigmas: pd.DataFrame, line: _Timeline, report: IntegrityReport
-) -> tuple[pd.DataFrame, ArrayI]:
-    """Table of kind ``gnss_position``, one row an epoch, and the number of the file of each row."""
-    second = line.of(line.second, fixes["tick"].to_numpy(np.int64))
-    epoch = np.cumsum(np.diff(second, prepend=np.nan) != 0)  # NaN differs from everything
-    rank = fixes["kind"].map(_RANK).to_numpy(np.int64)
-    kept = fixes.iloc[np.lexsort((rank, epoch))]
+def _positions(table: pd.DataFrame, report: IntegrityReport) -> pd.DataFrame:
+    """Columns of kind ``gnss_position`` and the number of the file, one row an epoch."""
+    fixes = table[table["fix"].notna()]
+    epoch = np.cumsum(np.diff(fixes["second"], prepend=np.nan) != 0)  # NaN differs from everything
+    kept = fixes.iloc[np.lexsort((fixes["kind"].map(_RANK), epoch))]
     kept = kept[~pd.Series(np.sort(epoch), index=kept.index).duplicated()].sort_index()
-    tick = kept["tick"].to_numpy(np.int64)
-    file = line.file[tick] if len(line.file) else np.zeros(len(kept), dtype=np.int64)
-    base = line.at(tick, file)
-    own = np.where(base == tick, base, -1)
-    stated = sigmas.assign(clock_s=line.of(line.clock_s, sigmas["tick"].to_numpy(np.int64)))
-    stated = stated.dropna(subset="clock_s").drop_duplicates("clock_s", keep="last").set_index("clock_s")
-    gst = stated[list(_SIGMAS)].reindex(line.of(line.clock_s, own)).to_numpy(np.float64)
-    major, minor, angle = gst[:, 0], gst[:, 1], np.deg2rad(gst[:, 2])
-    cov_en = (major**2 - minor**2) * np.sin(angle) * np.cos(angle)
+    stated = table[table["kind"] == "GST"].dropna(subset=["clock_s", "sigma_north_m"])
+    stated = stated.drop_duplicates("clock_s", keep="last").set_index("clock_s")
+    gst = stated[list(_SIGMAS)].reindex(kept["clock_s"]).set_axis(kept.index)
+    angle = np.deg2rad(gst["axis_deg"])
+    cov_en = (gst["major_m"] ** 2 - gst["minor_m"] ** 2) * np.sin(angle) * np.cos(angle)
     # An ellipse that contradicts the standard deviations by more than the rounding to 1 mm is not used.
-    inside = np.abs(cov_en) <= gst[:, 3] * gst[:, 4]
-    if lost := int(np.count_nonzero(np.isfinite(cov_en) & ~inside)):
+    inside = np.abs(cov_en) <= gst["sigma_north_m"] * gst["sigma_east_m"]
+    if lost := int((cov_en.notna() & ~inside).sum()):
         report.lose("contradicting_error_ellipses", lost)
-    table = kept.assign(
-        t_gps_s=line.of(line.t_gps_s, own),
-        n_sats=kept["n_sats"].astype(np.int32),
-        sigma_north_m=gst[:, 3],
-        sigma_east_m=gst[:, 4],
-        sigma_up_m=gst[:, 5],
-        cov_en_m2=np.where(inside, cov_en, np.nan),
-        cov_eu_m2=np.nan,
-        cov_nu_m2=np.nan,
-        ratio=np.nan,
-    )
-    if bare := int((kept["kind"].isin(["GGA", "GNS"]) & kept["h_ell_m"].isna()).sum()):
-        kinds = "/".join(sorted(set(kept["kind"]) & {"GGA", "GNS"}))
-        report.note(f"{bare} {kinds} sentences have no geoid separation: no ellipsoidal height can be given.")
+    bare = kept["kind"].isin(["GGA", "GNS"]) & kept["h_ell_m"].isna()
+    if bare.any():
+        kinds = "/".join(sorted(kept["kind"][bare].unique()))
+        report.note(
+            f"{bare.sum()} {kinds} sentences have no geoid separation: no ellipsoidal height can be given."
+        )
     if void := int((kept["fix"] == "none").sum()):
         report.count("positions_without_fix", void)
-    table = table[list(GNSS_POSITION.names)].astype({"fix": object}).reset_index(drop=True)
-    return table, file
+    columns = ["t_gps_s", "lat_deg", "lon_deg", "h_ell_m", "fix", "n_sats", "age_s", "file"]
+    unknown = dict.fromkeys(("cov_eu_m2", "cov_nu_m2", "ratio"), np.nan)
+    return kept[columns].assign(**gst[list(_SIGMAS[3:])], cov_en_m2=cov_en.where(inside), **unknown)
 
 
-def _depths(rows: _Rows, line: _Timeline, report: IntegrityReport) -> pd.DataFrame:
+def _depths(table: pd.DataFrame, report: IntegrityReport) -> pd.DataFrame:
     """Depths, each with the time of the sentence before it; what a second talker repeats is left out."""
-    table = pd.DataFrame(rows.depths, columns=_DEPTHS)
-    kept = [_one_talker(part, report) for _, part in table.groupby("sentence", sort=False)]
-    table = pd.concat(kept).sort_index() if kept else table
-    floats = dict.fromkeys(("t_host_s", "depth_m", "offset_m"), np.float64)
-    table = table.astype(floats | {"tick": np.int64, "file": np.int64})
-    base = line.at(table["tick"].to_numpy(), table["file"].to_numpy())
-    t_day_s, t_gps_s = line.of(line.second, base), line.of(line.t_gps_s, base)
-    return table.assign(base=base, t_day_s=t_day_s, t_gps_s=t_gps_s).reset_index(drop=True)
+    depths = table[table["depth_m"].notna()]
+    kept = [_one_talker(part, report) for _, part in depths.groupby("kind", sort=False)]
+    depths = pd.concat(kept).sort_index() if kept else depths
+    depths = depths[["talker", "kind", "line", "file", "t_host_s", "depth_m", "offset_m", "base"]]
+    of_base = table[["second", "t_gps_s"]].reindex(depths["base"])
+    return depths.assign(
+        sentence=depths["kind"],
+        seen=table["second"].notna().cummax().reindex(depths.index),
+        t_day_s=of_base["second"].to_numpy(),
+        t_gps_s=of_base["t_gps_s"].to_numpy(),
+    )
 
 
 def _one_talker(part: pd.DataFrame, report: IntegrityReport) -> pd.DataFrame:
@@ -1051,7 +869,7 @@ def _one_talker(part: pd.DataFrame, report: IntegrityReport) -> pd.DataFrame:
         apart = float(
             np.median(np.min(np.abs(other["depth_m"].to_numpy() - own["depth_m"].to_numpy()[near]), 0))
         )
-        kind = f"{talker}{other['sentence'].iloc[0]}"
+        kind = f"{talker}{other['kind'].iloc[0]}"
         report.count("repeated_depths_of_other_talkers", len(other))
         report.note(
             f"{len(other):,} depths of {kind} stand beside those of {main} (median difference "
@@ -1061,7 +879,7 @@ def _one_talker(part: pd.DataFrame, report: IntegrityReport) -> pd.DataFrame:
     return part
 
 
-def _since_sentence_s(depths: pd.DataFrame, line: _Timeline, report: IntegrityReport) -> ArrayF:
+def _since_sentence_s(depths: pd.DataFrame, table: pd.DataFrame, report: IntegrityReport) -> ArrayF:
     """Time (n,) from the time sentence before each depth to the depth.
 
     By the stamps of the logger where both have one. Else, where usually several depths stand between two
@@ -1071,26 +889,25 @@ def _since_sentence_s(depths: pd.DataFrame, line: _Timeline, report: IntegrityRe
     timed = np.flatnonzero(depths["base"] >= 0)
     if not timed.size:
         return since
-    own = np.flatnonzero(np.isfinite(line.clock_s))
-    epoch = np.full(len(line.clock_s), -1)
-    epoch[own] = np.cumsum(np.diff(line.clock_s[own], prepend=np.nan) != 0) - 1
-    starts = own[np.flatnonzero(np.diff(epoch[own], prepend=-1))]
-    lasts = np.append(np.diff(line.clock_s[starts]), np.nan)
-    lasts[(np.append(np.diff(line.file[starts]), 1) != 0) | ~(lasts > 0)] = np.nan
+    own = table[table["clock_s"].notna()]
+    number = np.cumsum(np.diff(own["clock_s"], prepend=np.nan) != 0) - 1
+    starts = own[np.diff(number, prepend=-1) > 0]
+    lasts = np.append(np.diff(starts["clock_s"]), np.nan)
+    lasts[(np.append(np.diff(starts["file"]), 1) != 0) | ~(lasts > 0)] = np.nan
     usual_s = _median(lasts[np.isfinite(lasts)])
     ping = depths.iloc[timed]
-    base = ping["base"].to_numpy()
-    host = ping["t_host_s"] - line.t_host_s[base]
-    key = [ping["sentence"], epoch[base]]
+    epoch = pd.Series(number, index=own.index).reindex(ping["base"]).to_numpy()
+    host = ping["t_host_s"] - table["t_host_s"].reindex(ping["base"]).to_numpy()
+    key = [ping["sentence"], epoch]
     n, k = host.groupby(key).transform("size").to_numpy(), host.groupby(key).cumcount().to_numpy()
-    length = lasts[epoch[base]]
+    length = lasts[epoch]
     inside = host.between(0.0, np.where(np.isfinite(length), length, 1.5 * usual_s))
     stamped = (inside & ~(host.groupby(key).diff() <= 0)).groupby(key).transform("all").to_numpy()
-    jitter = np.diff((line.t_host_s - line.clock_s)[own])
+    jitter = np.diff(own["t_host_s"] - own["clock_s"])
     passed = np.where(stamped, host, 0.0)
     sigma = stamped * NMAD / np.sqrt(2) * _median(np.abs(jitter[np.isfinite(jitter)]), 0.0)
     normal = length <= 1.5 * usual_s
-    spread = np.zeros(len(ping), dtype=np.bool_)
+    spread = 0
     for kind in ping["sentence"].unique():
         here = (ping["sentence"] == kind).to_numpy() & ~stamped
         first = here & normal & (k == 0)
@@ -1101,10 +918,10 @@ def _since_sentence_s(depths: pd.DataFrame, line: _Timeline, report: IntegrityRe
             here &= several | ((n > 1) & ~normal)
             passed = np.where(here, (k + 0.5 * several) * step, passed)
             sigma = np.where(here, step / np.sqrt(12), sigma)
-            spread |= here
-    if spread.any():
+            spread += here.sum()
+    if spread:
         report.note(
-            f"{spread.sum():,} depths, several between two times, are spread evenly; stamps of the logger "
+            f"{spread:,} depths, several between two times, are spread evenly; stamps of the logger "
             "before each sentence would tell more."
         )
     if sigma.any():
@@ -1113,66 +930,32 @@ def _since_sentence_s(depths: pd.DataFrame, line: _Timeline, report: IntegrityRe
     return since
 
 
-def _once(
-    table: pd.DataFrame, file: ArrayI, what: str, overlapping: set[int], report: IntegrityReport
-) -> pd.DataFrame:
-    """The table without what an earlier file holds at the same time; such files go into ``overlapping``.
-
-    Rows without GPS time are all kept: a second of an unknown day is no time stamp.
-    """
-    content = table.drop(columns=["line", "file", "tick", "base"], errors="ignore")
-    repeated = repeated_rows(content, file) & np.isfinite(table["t_gps_s"].to_numpy())
-    overlapping.update(np.unique(file[repeated]).tolist())
-    say_repeated(report, what, int(repeated.sum()))
-    return table[~repeated].reset_index(drop=True)
-
-
 def _summarise(
-    report: IntegrityReport, positions: pd.DataFrame, depths: pd.DataFrame, line: _Timeline, rows: _Rows
+    report: IntegrityReport, positions: pd.DataFrame, depths: pd.DataFrame, table: pd.DataFrame
 ) -> None:
-    n_depths = int(np.count_nonzero(depths["depth_m"] > 0))
-    for what, n in (("positions", len(positions)), ("depths", n_depths)):
-        report.count(what, n)
-    t = np.concatenate([positions["t_gps_s"], depths["t_gps_s"]])
-    t = t[np.isfinite(t)]
-    report.synchronised = bool(t.size)
-    known = line.clock_s[np.isfinite(line.clock_s)]
-    report.time_scale = "utc" if known.size else "none"
-    if t.size:
-        report.t_first_s, report.t_last_s = float(t.min()), float(t.max())
-    elif known.size:
-        report.t_first_s, report.t_last_s = float(known.min()), float(known.max())
-        if not line.dated:
-            stamp = line.t_host_s[np.isfinite(line.t_host_s)]
-            day = (
-                f": {dt.datetime.fromtimestamp(stamp[0], dt.UTC):%Y-%m-%d} by the logger"
-                if stamp.size
-                else ""
-            )
+    """Counts, time span, what the echo sounder says about the water and itself, and what is not read."""
+    report.count("positions", len(positions))
+    report.count("depths", int((depths["depth_m"] > 0).sum()))
+    known = table["clock_s"].dropna()
+    t = positions["t_gps_s"]
+    # steps back were counted in all sentences
+    t = t[~(t.duplicated() & t.notna())].sort_values()
+    report.take_times(t, "positions", 10.0 ** -table["decimals"].max() if len(known) else None)
+    t = pd.concat([t, depths["t_gps_s"]]).dropna()
+    report.synchronised = bool(len(t))
+    report.time_scale = "utc" if len(known) else "none"
+    if len(known):
+        span = t if len(t) else known
+        report.t_first_s, report.t_last_s = float(span.min()), float(span.max())
+        if table["t_gps_s"].isna().all():
+            stamps = table["t_host_s"].dropna()
+            day = f": {utc_text_from_unix(stamps.iloc[0])[:10]} by the logger" if len(stamps) else ""
             report.note(
                 "The log has times but no date: nothing is synchronised. Give the UTC date of its start "
                 f"(logs.depth_date{day})."
             )
     else:
         report.note("The log has no time sentence: nothing is synchronised.")
-    regular = positions["t_gps_s"].dropna().drop_duplicates().to_numpy()
-    report.gaps = find_gaps(regular)
-    report.timing.describe_stamps(regular, 10.0**-rows.decimals if known.size else None)
-    if len(regular) > 2 and np.any(np.diff(regular) > 0):
-        report.rates_hz["positions"] = 1.0 / float(np.median(np.diff(regular)[np.diff(regular) > 0]))
-    _summarise_instrument(report, depths, rows)
-    held = {kind: what for kinds, what in _UNREAD.items() for kind in kinds.split()}
-    unread = [
-        f"{kind} {n:,} ({held.get(kind, 'proprietary')})"
-        for kind, n in report.counts.items()
-        if kind in held or _PROPRIETARY.match(kind)
-    ]
-    if unread:
-        report.note("Not read: " + ", ".join(unread) + ".")
-
-
-def _summarise_instrument(report: IntegrityReport, depths: pd.DataFrame, rows: _Rows) -> None:
-    """Pings without bottom, and the medians of what the echo sounder says about the water and itself."""
     if offsets := sorted(depths["offset_m"].dropna().unique()):
         report.details["DPT offsets"] = ", ".join(f"{x:g} m" for x in offsets)
     kinds = depths["sentence"].value_counts()
@@ -1183,14 +966,17 @@ def _summarise_instrument(report: IntegrityReport, depths: pd.DataFrame, rows: _
         report.note("DBS depths are below the water line, all others below the transducer.")
     if "DBK" in report.counts:
         report.note("Depths below the keel (DBK) are not read: soundings begin at the transducer (DPT, DBT).")
-    if silent := int(np.count_nonzero(depths["depth_m"] == 0)):
+    if silent := int((depths["depth_m"] == 0).sum()):
         report.count("no_bottom", silent)
         report.note(f"{silent:,} depths are 0, or a number for none: the instrument saw no bottom.")
-    tilts = np.array(rows.tilts, dtype=np.float64).reshape(-1, 2)
-    for name, values in (
-        ("water_temperature_c", np.array(rows.temperatures)),
-        ("pitch_deg", tilts[:, 0]),
-        ("roll_deg", tilts[:, 1]),
-    ):
-        if np.isfinite(values).any():
-            report.details[name] = round(float(np.nanmedian(values)), 3)
+    for name in ("water_temperature_c", "pitch_deg", "roll_deg"):
+        if table[name].notna().any():
+            report.details[name] = round(float(table[name].median()), 3)
+    held = {kind: what for kinds, what in _UNREAD.items() for kind in kinds.split()}
+    unread = [
+        f"{kind} {n:,} ({held.get(kind, 'proprietary')})"
+        for kind, n in report.counts.items()
+        if kind in held or _PROPRIETARY.match(kind)
+    ]
+    if unread:
+        report.note("Not read: " + ", ".join(unread) + ".")

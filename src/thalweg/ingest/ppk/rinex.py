@@ -25,7 +25,7 @@ from thalweg.core import (
     gps_from_unix,
     utc_text_from_gps,
 )
-from thalweg.ingest import IntegrityReport, find_gaps
+from thalweg.ingest import IntegrityReport
 
 # ---------------------------------------------------------------- walk through the records of a RINEX file:
 # which are whole, which are damaged or cut
@@ -41,32 +41,56 @@ _SATELLITE: Final = re.compile(r"[A-Z ][ \d]\d[ \d.+-]*\Z")
 _REGULAR_2: Final = re.compile(r"( [ \d]\d( [ \d]\d){4}[ \d]{3}\.[ \d]{7}  \d| {28}[2-6])[ \d]{2}\d")
 _REGULAR_3: Final = re.compile(r"> (\d{4}( [ \d]\d){4}[ \d]{3}\.\d{7}  [01]|[ \d.]{27}  [2-6])[ \d]{2}\d")
 _DATE: Final = r"(\d{4}|\d\d?)\s+(\d\d?)\s+(\d\d?)\s+(\d\d?)\s+(\d\d?)\s+(\d\d?(?:[.,]\d*)?)"
-_FLAG_NUMBER: Final = r"\s+([0-6 ])([ \d]{2}\d|\s+\d{1,3})(?!\d)"
+_THREE: Final = r"(?:  \d| \d\d|\d{3})"
+"""A number right-aligned in three columns."""
+_FLAG_NUMBER: Final = rf"\s+([0-6 ])({_THREE}|\s+\d{{1,3}})(?!\d)"
 """Flag (none is 0) and number of records, in their columns or apart by any blanks."""
-_EPOCH_2: Final = re.compile(rf"\s*{_DATE}{_FLAG_NUMBER}|\s{{26,29}}([2-6])([ \d]{{2}}\d)\s*\Z")
-_EPOCH_3: Final = re.compile(rf">\s*{_DATE}{_FLAG_NUMBER}|>\s+([2-6])([ \d]{{2}}\d|\s+\d{{1,3}})\s*\Z")
+_EPOCH_2: Final = re.compile(rf"\s*{_DATE}{_FLAG_NUMBER}|\s{{26,29}}([2-6])({_THREE})\s*\Z")
+_EPOCH_3: Final = re.compile(rf">\s*{_DATE}{_FLAG_NUMBER}|>\s+([2-6])({_THREE}|\s+\d{{1,3}})\s*\Z")
 _NAV_2: Final = re.compile(r"([ \d]\d)( [ \d]\d){6}\.\d")
 _NAV_3: Final = re.compile(r"([GREJCIS])[ \d]\d \d{4}( [ \d]\d){5}")
 
 
-@dataclass(slots=True)
-class RecordWalk:
-    """Collected while walking through the body; ``offsets`` are the first bytes of the lines."""
+SYSTEM_OF_LETTER: Final = {"G": "GPS", "R": "GLO", "E": "GAL", "J": "QZS", "C": "BDS", "I": "IRN", "S": "SBS"}
+"""Satellite systems by their RINEX letter."""
 
+
+@dataclass(slots=True, kw_only=True)
+class RinexScan:
+    """What a RINEX file holds.
+
+    Attributes
+    ----------
+    header : lines by their label.
+    codes : observation codes by the letter of the system, as the header states them.
+    time_system : of the epochs; empty in navigation files, where it goes by system.
+    t_gps_s : (n,) epochs, or reference times of ephemerides.
+    letters : system of each ephemeris; seen : systems of the observations.
+    n_satellite_records : lines of satellites.
+    whole : byte ranges of the header and of each undamaged record.
+    losses, first_loss : what is damaged or missing, and number and begin of the first such line.
+    events : records that are no observations, by their flag.
+    regular : first byte -> end of an epoch line that does not keep to the columns, and how it should read.
+    """
+
+    path: Path
+    version: str
+    kind: Literal["observation", "navigation"]
     offsets: ArrayI
+    header: dict[str, list[str]]
+    codes: dict[str, list[str]]
+    time_system: str
+    bytes_read: int
     days: list[float] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     letters: list[str] = field(default_factory=list)
-    n_sat: int = 0
     seen: set[str] = field(default_factory=set)
+    n_satellite_records: int = 0
     whole: list[tuple[int, int]] = field(default_factory=list)
-    losses: dict[str, int] = field(default_factory=dict)
+    losses: Counter[str] = field(default_factory=Counter)
     first_loss: str = ""
-    """Number and begin of the first damaged line."""
     events: Counter[int] = field(default_factory=Counter)
-    """Epoch records that are no observations, by their flag."""
     regular: dict[int, tuple[int, str]] = field(default_factory=dict)
-    """End of an epoch line with odd columns, and how it should read, by its begin."""
 
     def keep(self, start: int, end: int) -> None:
         """Lines ``start`` to ``end`` (exclusive) are a whole record."""
@@ -78,8 +102,54 @@ class RecordWalk:
 
     def lose(self, what: str, number: int, line: str) -> None:
         """Count a loss that begins with line ``number`` (from 0)."""
-        self.losses[what] = self.losses.get(what, 0) + 1
+        self.losses[what] += 1
         self.first_loss = self.first_loss or f"line {number + 1}, {line.rstrip()[:60]!r}"
+
+    def text(self, label: str, start: int = 0, stop: int = 60) -> str:
+        """Columns ``start:stop`` of the first header line with this label, stripped; "" if absent."""
+        return self.header.get(label, [""])[0][start:stop].strip()
+
+    def _three(self, label: str) -> ArrayF | None:
+        """Three numbers of a header line, None without them."""
+        try:
+            values = np.array(self.text(label).split()[:3], dtype=np.float64)
+        except ValueError:
+            return None
+        return values if values.size == 3 and np.isfinite(values).all() else None
+
+    @property
+    def approx_ecef_m(self) -> ArrayF | None:
+        """Approximate position (3,), None without one."""
+        return self._three("APPROX POSITION XYZ")
+
+    @property
+    def antenna_delta_hen_m(self) -> tuple[float, float, float]:
+        """Height, east and north of the antenna's reference point above the marker."""
+        hen = self._three("ANTENNA: DELTA H/E/N")
+        return (0.0, 0.0, 0.0) if hen is None else (float(hen[0]), float(hen[1]), float(hen[2]))
+
+    @property
+    def systems(self) -> tuple[str, ...]:
+        """Names of the systems that it holds."""
+        return tuple(name for key, name in SYSTEM_OF_LETTER.items() if key in self.seen.union(self.letters))
+
+    @property
+    def t_gps_s(self) -> ArrayF:
+        """Adjusted standard GPS time of the epochs, or of the reference times of the ephemerides."""
+        days, seconds = np.array(self.days, np.float64), np.array(self.seconds, np.float64)
+        letters = np.array(self.letters, dtype="U1")
+        navigation = self.kind == "navigation"
+        utc = letters == "R" if navigation else np.full(days.shape, self.time_system in {"GLO", "UTC"})
+        bdt = letters == "C" if navigation else np.full(days.shape, self.time_system == "BDT")
+        t = days * DAY_S - ADJUSTED_OFFSET_S + seconds + bdt * _BDT_TO_GPS_S
+        t[utc] = gps_from_unix(days[utc] * DAY_S + GPS_EPOCH_UNIX_S + seconds[utc])
+        return t
+
+    @property
+    def nav_t_gps_s(self) -> dict[str, ArrayF]:
+        """Reference times of the ephemerides by system."""
+        t, letters = self.t_gps_s, np.array(self.letters, dtype="U1")
+        return {SYSTEM_OF_LETTER[key]: t[letters == key] for key in sorted(set(self.letters))}
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,25 +210,15 @@ def _year(two_digits: int) -> int:
     return two_digits + (1900 if two_digits >= 80 else 2000)  # RINEX 2.11, section 6.5
 
 
-def gps_times(found: RecordWalk, scale: str) -> ArrayF:
-    """Adjusted standard GPS time of what was found; ``scale`` is "" for navigation: it goes by system."""
-    days, seconds = np.array(found.days), np.array(found.seconds)
-    t = days * DAY_S - ADJUSTED_OFFSET_S + seconds
-    letters = np.array(found.letters, dtype="U1")
-    utc = letters == "R" if not scale else np.full(t.shape, scale in {"GLO", "UTC"})
-    bdt = letters == "C" if not scale else np.full(t.shape, scale == "BDT")
-    if t.size == 0:
-        return np.zeros(0)
-    t = np.where(bdt, t + _BDT_TO_GPS_S, t)
-    if np.any(utc):
-        unix = days[utc] * DAY_S + GPS_EPOCH_UNIX_S + seconds[utc]
-        t[utc] = gps_from_unix(unix)
-    return np.asarray(t, dtype=np.float64)
-
-
-def walk_observation_3(lines: list[str], body: int, codes: dict[str, list[str]], found: RecordWalk) -> None:
+def walk_observation_3(lines: list[str], body: int, found: RinexScan) -> None:
     """Epochs of RINEX 3 and 4: ``>``, date, flag, number, then one line a satellite."""
-    i, n = body, len(lines)
+    i, n, codes = body, len(lines), found.codes
+
+    def satellites(records: list[str]) -> bool:
+        """Whether each line holds a satellite and numbers, as far as the header tells of columns."""
+        widths = {letter: 3 + 16 * len(names) for letter, names in codes.items()}
+        return all(_SATELLITE.match(record.rstrip()[: widths.get(record[:1])]) for record in records)
+
     while i < n:
         line, start = lines[i], i
         i += 1
@@ -176,12 +236,12 @@ def walk_observation_3(lines: list[str], body: int, codes: dict[str, list[str]],
         while len(records) < epoch.count and i < n and not lines[i].startswith(">"):
             records.append(lines[i])
             i += 1
-        observed = epoch.flag <= 1 or (epoch.flag == 2 and records and _are_satellites(records, codes))
+        observed = epoch.flag <= 1 or (epoch.flag == 2 and records and satellites(records))
         if len(records) < epoch.count or (observed and records and _cut_in_value(records[-1], 3)):
             found.lose("epochs_cut", start, line)
         elif not observed:
             codes = _event(epoch.flag, records, codes, "", 3, found, start, i)
-        elif not _are_satellites(records, codes):
+        elif not satellites(records):
             found.lose("epochs_garbled", start, line)
         else:
             letters = [record[0] for record in records]
@@ -189,17 +249,9 @@ def walk_observation_3(lines: list[str], body: int, codes: dict[str, list[str]],
                 found.put_right(start, start + 1, epoch.line(3))
 
 
-def _are_satellites(records: list[str], codes: dict[str, list[str]]) -> bool:
-    """True if each line holds a satellite and numbers, as far as the header tells of columns."""
-    widths = {letter: 3 + 16 * len(names) for letter, names in codes.items()}
-    return all(_SATELLITE.match(record.rstrip()[: widths.get(record[:1])]) for record in records)
-
-
-def walk_observation_2(
-    lines: list[str], body: int, letter: str, codes: dict[str, list[str]], found: RecordWalk
-) -> None:
+def walk_observation_2(lines: list[str], body: int, letter: str, found: RinexScan) -> None:
     """Epochs of RINEX 2: a satellite list of 12 a line, then ceil(codes / 5) lines a satellite."""
-    i, n = body, len(lines)
+    i, n, codes = body, len(lines), found.codes
     default = "G" if letter == "M" else letter
     while i < n:
         line, start = lines[i], i
@@ -224,7 +276,8 @@ def walk_observation_2(
             codes = _event(epoch.flag, lines[start + 1 : end], codes, letter, 2, found, start, end)
             continue
         lists = [epoch.tail, *(more.rstrip()[32:] for more in lines[start + 1 : start + listing])]
-        parts = [_listed(text) for text in lists]
+        # up to 12 satellites a line; blanks before the first letter are none of it
+        parts = [(x.lstrip() if x.lstrip()[:1].isalpha() else x)[:36].rstrip() for x in lists]
         names = [part[k : k + 3] for part in parts for k in range(0, len(part), 3)][: epoch.count]
         values = "".join(row.rstrip()[:80] for row in lines[start + listing : end])
         if (
@@ -242,18 +295,13 @@ def walk_observation_2(
             found.put_right(start, start + listing, epoch.line(2, names))
 
 
-def _listed(text: str) -> str:
-    """Up to 12 satellites of a list; blanks before the first letter are none of it."""
-    return (text.lstrip() if text.lstrip()[:1].isalpha() else text)[:36].rstrip()
-
-
 def _event(
     flag: int,
     records: list[str],
     codes: dict[str, list[str]],
     letter: str,
     major: int,
-    found: RecordWalk,
+    found: RinexScan,
     start: int,
     end: int,
 ) -> dict[str, list[str]]:
@@ -278,9 +326,7 @@ def _cut_in_value(line: str, shift: int) -> bool:
     return not line.endswith("\n") and (length < 14 or 0 < length % 16 < 14)
 
 
-def _keep_epoch(
-    found: RecordWalk, epoch: _Epoch, letters: list[str], start: int, end: int, line: str
-) -> bool:
+def _keep_epoch(found: RinexScan, epoch: _Epoch, letters: list[str], start: int, end: int, line: str) -> bool:
     """Take an epoch; False, and a loss, if its date is none."""
     try:
         day, second = _day_second(*(epoch.moment or (0, 0, 0, 0, 0, 0.0)))  # without a date: none that is
@@ -289,13 +335,13 @@ def _keep_epoch(
         return False
     found.days.append(day)
     found.seconds.append(second)
-    found.n_sat += len(letters)
+    found.n_satellite_records += len(letters)
     found.seen |= {"G" if letter == " " else letter for letter in letters}
     found.keep(start, end)
     return True
 
 
-def walk_navigation(lines: list[str], body: int, major: int, letter: str, found: RecordWalk) -> None:
+def walk_navigation(lines: list[str], body: int, major: int, letter: str, found: RinexScan) -> None:
     """Ephemerides: a head line with satellite and reference time, then lines that begin with blanks."""
     head = _NAV_2 if major < 3 else _NAV_3
     i, n = body, len(lines)
@@ -338,52 +384,12 @@ def walk_navigation(lines: list[str], body: int, major: int, letter: str, found:
 # ---------------------------------------------------------------- rinex
 
 
-SYSTEM_OF_LETTER: Final = {"G": "GPS", "R": "GLO", "E": "GAL", "J": "QZS", "C": "BDS", "I": "IRN", "S": "SBS"}
-"""Satellite systems by their RINEX letter."""
-
 _FOREIGN: Final = (
     (b"\x1f\x8b", "gzip", "gunzip"),
     (b"\x1f\x9d", "compress (.Z)", "uncompress"),
     (b"PK\x03\x04", "zip", "unzip"),
     (b"BZh", "bzip2", "bunzip2"),
 )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RinexScan:
-    """What a RINEX file holds.
-
-    ``t_gps_s`` are the epochs (observation) or reference times of the ephemerides (navigation), shape (n,),
-    ``nav_t_gps_s`` the latter by system. ``whole`` are the byte ranges of the header and of each undamaged
-    record, ``losses`` counts what is damaged or missing, and ``first_loss`` names the first such line.
-    ``events`` counts the records that are no observations by their flag, and ``regular`` has, by its
-    first byte, the end of each epoch line that does not keep to the columns, and how it should read.
-    """
-
-    path: Path
-    version: str
-    kind: Literal["observation", "navigation"]
-    time_system: str
-    header: dict[str, list[str]]
-    systems: tuple[str, ...]
-    t_gps_s: ArrayF
-    approx_ecef_m: ArrayF | None
-    antenna_delta_hen_m: tuple[float, float, float]
-    interval_s: float | None
-    codes: dict[str, list[str]]
-    n_satellite_records: int
-    nav_t_gps_s: dict[str, ArrayF]
-    whole: list[tuple[int, int]]
-    losses: dict[str, int]
-    first_loss: str
-    events: dict[int, int]
-    regular: dict[int, tuple[int, str]]
-    bytes_read: int
-
-    def text(self, label: str, start: int = 0, stop: int = 60) -> str:
-        """Columns ``start:stop`` of the first header line with this label, stripped; "" if absent."""
-        lines = self.header.get(label, [""])
-        return lines[0][start:stop].strip()
 
 
 def scan_rinex(path: Path) -> RinexScan:
@@ -403,14 +409,8 @@ def scan_rinex(path: Path) -> RinexScan:
     text = data.decode("latin-1")
     lines = re.findall(r"[^\n]*\n|[^\n]+\Z", text)  # splitlines would also cut at form feeds and 0x85
     version, kind, letter = _first_line(path, lines[0].rstrip("\r\n"))
-    header: dict[str, list[str]] = {}
-    body = 0
-    for number, line in enumerate(lines):
-        label = line[60:].strip()
-        header.setdefault(label, []).append(line[:60])
-        if label == "END OF HEADER":
-            body = number + 1
-            break
+    major = int(version[0])
+    body = next((k for k, line in enumerate(lines, start=1) if line[60:].strip() == "END OF HEADER"), 0)
     if not body:
         raise InputError(
             f"the header does not end within {len(lines)} lines",
@@ -418,47 +418,30 @@ def scan_rinex(path: Path) -> RinexScan:
             where=path,
             cure="The file is cut or damaged; copy or export it again",
         )
-    offsets = np.concatenate([[0], np.cumsum([len(line) for line in lines])]).astype(np.int64)
-    found = RecordWalk(offsets)
-    found.keep(0, body)
-    codes = _codes(header, letter, int(version[0]))
-    if kind == "navigation":
-        walk_navigation(lines, body, int(version[0]), letter, found)
-        scale = ""
-    else:
-        scale = _text(header, "TIME OF FIRST OBS", 48, 51) or {"R": "GLO", "E": "GAL", "C": "BDT"}.get(
-            letter, "GPS"
-        )
-        if int(version[0]) >= 3:
-            walk_observation_3(lines, body, codes, found)
-        else:
-            walk_observation_2(lines, body, letter, codes, found)
-    t = gps_times(found, scale)
-    letters = np.array(found.letters, dtype="U1")
-    systems = found.seen | set(found.letters)
-    step = np.diff(t)
-    interval = _floats(header, "INTERVAL", 1)
-    return RinexScan(
+    header: dict[str, list[str]] = {}
+    for line in lines[:body]:
+        header.setdefault(line[60:].strip(), []).append(line[:60])
+    found = RinexScan(
         path=path,
         version=version,
         kind=kind,
-        time_system=scale or "GPS",
+        offsets=np.cumsum([0, *map(len, lines)]),
         header=header,
-        systems=tuple(name for key, name in SYSTEM_OF_LETTER.items() if key in systems),
-        t_gps_s=t,
-        approx_ecef_m=_approx(header),
-        antenna_delta_hen_m=_delta(header),
-        interval_s=interval[0] if interval else float(np.median(step)) if step.size else None,
-        codes={SYSTEM_OF_LETTER.get(key, key): value for key, value in codes.items()},
-        n_satellite_records=found.n_sat,
-        nav_t_gps_s={SYSTEM_OF_LETTER[key]: t[letters == key] for key in sorted(set(found.letters))},
-        whole=found.whole,
-        losses=found.losses,
-        first_loss=found.first_loss,
-        events=dict(sorted(found.events.items())),
-        regular=found.regular,
+        codes=_codes(header, letter, major),
+        time_system="",
         bytes_read=len(data),
     )
+    found.keep(0, body)
+    if kind == "navigation":
+        walk_navigation(lines, body, major, letter, found)
+        return found
+    usual = {"R": "GLO", "E": "GAL", "C": "BDT"}.get(letter, "GPS")
+    found.time_system = found.text("TIME OF FIRST OBS", 48, 51) or usual
+    if major >= 3:
+        walk_observation_3(lines, body, found)
+    else:
+        walk_observation_2(lines, body, letter, found)
+    return found
 
 
 def rinex_kind(path: Path, head: bytes) -> Literal["observation", "navigation"]:
@@ -470,72 +453,68 @@ def rinex_kind(path: Path, head: bytes) -> Literal["observation", "navigation"]:
 def describe_rinex(path: Path) -> IntegrityReport:
     """Integrity report of a RINEX observation or navigation file; raises as `scan_rinex` does."""
     scan = scan_rinex(path)
-    observation = scan.kind == "observation"
+    t, observation = scan.t_gps_s, scan.kind == "observation"
     report = IntegrityReport(
         stream="raw GNSS" if observation else "GNSS ephemerides",
         format=f"RINEX {scan.version} {scan.kind}",
         files=[str(path)],
         model=scan.text("REC # / TYPE / VERS", 20, 40),
         time_scale="utc" if scan.time_system == "GLO" else "gps",
-        synchronised=scan.t_gps_s.size > 0,
+        synchronised=t.size > 0,
         bytes_read=scan.bytes_read,
         losses=dict(scan.losses),
     )
-    if scan.t_gps_s.size:
-        report.t_first_s, report.t_last_s = float(np.min(scan.t_gps_s)), float(np.max(scan.t_gps_s))
     details: dict[str, object] = {
         "systems": ", ".join(scan.systems),
         "program": scan.text("PGM / RUN BY / DATE"),
     }
     if observation:
-        report.count("epochs", scan.t_gps_s.size)
+        report.count("epochs", t.size)
         report.count("satellite records", scan.n_satellite_records)
-        report.gaps = find_gaps(scan.t_gps_s)
-        if scan.interval_s:
-            report.rates_hz["epochs"] = 1.0 / scan.interval_s
+        report.take_times(t, "epochs")
         details |= {
             "marker": scan.text("MARKER NAME"),
             "antenna": scan.text("ANT # / TYPE", 20, 40),
             "approx_ecef_m": None if scan.approx_ecef_m is None else scan.approx_ecef_m.tolist(),
             "antenna_delta_hen_m": list(scan.antenna_delta_hen_m),
-            "interval_s": scan.interval_s,
             "time_system": scan.time_system,
-            "codes": {key: " ".join(value) for key, value in scan.codes.items()},
+            "codes": {SYSTEM_OF_LETTER.get(key, key): " ".join(value) for key, value in scan.codes.items()},
         }
-        if np.any(np.diff(scan.t_gps_s) <= 0):
+        if np.any(np.diff(t) <= 0):
             report.note("The epochs are not in order of time.")
         if scan.approx_ecef_m is None or not np.any(scan.approx_ecef_m):
             report.note("The header holds no approximate position (it is absent or zero).")
     else:
-        report.count("ephemerides", scan.t_gps_s.size)
-        for name, t in scan.nav_t_gps_s.items():
-            span = f"{utc_text_from_gps(float(t.min()), 0)} .. {utc_text_from_gps(float(t.max()), 0)}"
-            details[name] = f"{t.size} ephemerides, reference times {span}"
+        report.count("ephemerides", t.size)
+        if t.size:
+            report.t_first_s, report.t_last_s = float(t.min()), float(t.max())
+        for name, times in scan.nav_t_gps_s.items():
+            span = f"{utc_text_from_gps(float(times.min()), 0)} .. {utc_text_from_gps(float(times.max()), 0)}"
+            details[name] = f"{times.size} ephemerides, reference times {span}"
     report.details = {key: value for key, value in details.items() if value not in ("", None, {})}
-    for flag, n in scan.events.items():
-        report.count(_EVENTS[flag][0], n)
-        if _EVENTS[flag][1]:
-            report.note(_EVENTS[flag][1])
+    for flag, n in sorted(scan.events.items()):
+        report.count(f"{_EVENTS[flag]} (flag {flag})", n)
+    if scan.events[3]:
+        report.note("The antenna was set up anew within the file (flag 3).")
+    if scan.events[6]:
+        report.note("Records of repaired cycle slips (flag 6) are no observations and are left out.")
     if scan.regular:
         report.note(
             f"{len(scan.regular)} epoch lines do not keep to the columns of RINEX: read by their words."
         )
     if any(scan.losses.values()):
         report.note(f"Records are damaged or cut: {losses_in_words(scan)}.")
-    elif not scan.t_gps_s.size:
+    elif not t.size:
         report.note("The file holds a header only.")
     return report
 
 
 _EVENTS: Final = {
-    2: ("starts of motion (flag 2)", ""),
-    3: ("new sites (flag 3)", "The antenna was set up anew within the file (flag 3)."),
-    4: ("header records (flag 4)", ""),
-    5: ("external events (flag 5)", ""),
-    6: (
-        "repaired cycle slips (flag 6)",
-        "Records of repaired cycle slips (flag 6) are no observations and are left out.",
-    ),
+    2: "starts of motion",
+    3: "new sites",
+    4: "header records",
+    5: "external events",
+    6: "repaired cycle slips",
 }
 
 
@@ -600,28 +579,6 @@ def _first_line(path: Path, line: str) -> tuple[str, Literal["observation", "nav
         expected="observation (O) or navigation (N) data",
         where=path,
     )
-
-
-def _text(header: dict[str, list[str]], label: str, start: int, stop: int) -> str:
-    return header.get(label, [""])[0][start:stop].strip()
-
-
-def _floats(header: dict[str, list[str]], label: str, n: int) -> list[float] | None:
-    try:
-        values = [float(word) for word in header[label][0].split()[:n]]
-    except (KeyError, ValueError):
-        return None
-    return values if len(values) == n and all(np.isfinite(values)) else None
-
-
-def _approx(header: dict[str, list[str]]) -> ArrayF | None:
-    xyz = _floats(header, "APPROX POSITION XYZ", 3)
-    return None if xyz is None else np.array(xyz)
-
-
-def _delta(header: dict[str, list[str]]) -> tuple[float, float, float]:
-    hen = _floats(header, "ANTENNA: DELTA H/E/N", 3) or [0.0, 0.0, 0.0]
-    return hen[0], hen[1], hen[2]
 
 
 def _codes(header: dict[str, list[str]], letter: str, major: int) -> dict[str, list[str]]:

@@ -21,13 +21,27 @@ from typing import Any, Final, Literal
 
 import numpy as np
 import pandas as pd
-from pyproj import Transformer
 
-from thalweg.core import ArrayF, ConfigError, InputError, rotation_ecef_enu, utc_text_from_gps
-from thalweg.ingest import IntegrityReport, find_gaps
+from thalweg.core import (
+    ArrayF,
+    ConfigError,
+    InputError,
+    ecef_of,
+    geodetic_of,
+    rotation_ecef_enu,
+    utc_text_from_gps,
+)
+from thalweg.ingest import IntegrityReport
 from thalweg.ingest.ppk import worker as ppk_worker
 from thalweg.ingest.ppk.options import AUTO_SYSTEMS, PpkOptions, ecef_fault, engine_settings
-from thalweg.ingest.ppk.rinex import RinexScan, losses_in_words, rinex_kind, scan_rinex, whole_records
+from thalweg.ingest.ppk.rinex import (
+    SYSTEM_OF_LETTER,
+    RinexScan,
+    losses_in_words,
+    rinex_kind,
+    scan_rinex,
+    whole_records,
+)
 from thalweg.ingest.ppk.trust import read_solution, replace_covariances, trust_fixes
 from thalweg.ingest.sbp import find_messages
 
@@ -107,7 +121,12 @@ def run_worker(
         ) from error
     if done.returncode != 0 or not answer.is_file():
         code = done.returncode
-        how = f"crashed with {_signal_name(-code)}" if code < 0 else f"ended with exit code {code}"
+        names = {int(each): each.name for each in signal.Signals}
+        how = (
+            f"crashed with {names.get(-code, f'signal {-code}')}"
+            if code < 0
+            else f"ended with exit code {code}"
+        )
         raise InputError(f"the RTKLIB engine {how}; it printed: {_tail(log)}", where=where, cure=cure)
     result = json.loads(answer.read_text())
     return EngineAnswer(result["engine"], result["answers"], _tail(log))
@@ -125,12 +144,8 @@ def check_settings(path: Path, settings: Mapping[str, str]) -> None:
     ------
     ConfigError : the engine took another value; it replaces words that it does not know without a message.
     """
-    taken: dict[str, str] = {}
     text = path.read_text(errors="replace") if path.is_file() else ""
-    for line in text.splitlines():
-        match = re.match(r"(\S+)\s*=([^#]*)", line)
-        if match:
-            taken[match.group(1)] = match.group(2).strip()
+    taken = {key: value.strip() for key, value in re.findall(r"(?m)^(\S+)[^\S\n]*=([^#\n]*)", text)}
     wrong = [
         f"{key}: asked {value!r}, taken {taken.get(key, 'nothing')!r}"
         for key, value in settings.items()
@@ -152,36 +167,25 @@ def _same(taken: str, asked: str) -> bool:
         return taken == asked
 
 
-def _signal_name(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return f"signal {number}"
-
-
 def _tail(log: Path, limit: int = 1500) -> str:
     """The last lines that the engine printed; progress lines, which end in a carriage return, once."""
     if not log.is_file():
         return "nothing"
     text = log.read_bytes()[-200_000:].decode("utf-8", "replace")
     lines = [line.strip() for line in re.split(r"[\r\n]+", text) if line.strip()]
-    lines = [a for a, b in zip(lines, [*lines, ""][1:], strict=True) if not (_progress(a) and _progress(b))]
-    return " | ".join(lines)[-limit:] or "nothing"
+    progress = [bool(_PROGRESS.match(line)) for line in lines]
+    kept = [
+        a
+        for a, this, after in zip(lines, progress, [*progress, False][1:], strict=True)
+        if not (this and after)
+    ]
+    return " | ".join(kept)[-limit:] or "nothing"
 
 
-def _progress(line: str) -> bool:
-    return line.startswith(("processing", "reading", "scanning")) or bool(re.match(r"\d{4}/\d\d/\d\d", line))
+_PROGRESS: Final = re.compile(r"processing|reading|scanning|\d{4}/\d\d/\d\d")
 
 
-# ---------------------------------------------------------------- input files of a PPK run: their kinds, the
-# files that the engine reads, and checks before it runs
-
-
-# ---------------------------------------------------------------- SBP log as PPK sees it: intact frames, lost
-# bytes, base position, who sent observations
-
-
-# ---------------------------------------------------------------- the solution
+# ---------------------------------------------------------------- SBP logs as PPK sees them
 
 MSG_BASE_POS_ECEF: Final = 0x0048
 MSG_OBS: Final = 0x004A
@@ -569,7 +573,8 @@ def _covers(nav: list[RinexScan], system: str, t: ArrayF) -> bool:
 
 
 def _bands(scans: list[RinexScan], system: str) -> set[str]:
-    codes = [code for scan in scans for code in scan.codes.get(system, next(iter(scan.codes.values()), []))]
+    letter = next(key for key, name in SYSTEM_OF_LETTER.items() if name == system)
+    codes = [code for scan in scans for code in scan.codes.get(letter, next(iter(scan.codes.values()), []))]
     return {code[:2] for code in codes if code.startswith("L")}
 
 
@@ -589,8 +594,6 @@ def _list(names: set[str]) -> str:
 
 # ---------------------------------------------------------------- solution
 
-
-__all__ = ["PpkOptions", "PpkSolution", "run_ppk"]
 
 _BASE_MOVES_M: Final = 15.0
 """Single-point positions of two frequencies scatter by a few metres."""
@@ -698,7 +701,7 @@ def run_ppk(
         positions,
         replace_covariances(floats)[0],
         None if backward is None else replace_covariances(backward)[0],
-        _baseline_m(positions, base_ecef_m),
+        np.linalg.norm(_places(positions) - base_ecef_m, axis=1),
         trusted_baseline_km=options.trusted_baseline_km,
         least_fix_s=options.least_fix_s,
     )
@@ -747,15 +750,12 @@ def base_extent_m(rover: Sequence[Path], base: Sequence[Path], nav: Sequence[Pat
         )
     if single.empty:
         raise InputError("no single-point position", expected="observations and ephemerides", where=base[0])
-    return float(np.median(_from_middle_m(_ecef(single))))
+    return float(np.median(_from_middle_m(_places(single))))
 
 
-def _ecef(positions: pd.DataFrame) -> ArrayF:
+def _places(positions: pd.DataFrame) -> ArrayF:
     """Earth-centred places (n, 3) of positions, metres."""
-    to_ecef = Transformer.from_crs(4979, 4978, always_xy=True, allow_ballpark=False)
-    return np.stack(
-        to_ecef.transform(*(positions[c].to_numpy() for c in ("lon_deg", "lat_deg", "h_ell_m"))), axis=-1
-    )
+    return ecef_of(*(positions[c].to_numpy() for c in ("lat_deg", "lon_deg", "h_ell_m")))
 
 
 def _from_middle_m(xyz: ArrayF) -> ArrayF:
@@ -795,7 +795,7 @@ def _base_position(inputs: PpkInputs, options: PpkOptions, base_file: Path) -> t
         )
     assert position is not None
     if np.any(delta):
-        lat, lon, _ = _geodetic(position)
+        lat, lon, _ = geodetic_of(position)
         position = position + rotation_ecef_enu(lat, lon) @ delta
     return np.asarray(position, dtype=np.float64), notes
 
@@ -855,7 +855,7 @@ def _check_base(single: pd.DataFrame, base_ecef_m: ArrayF, base_file: Path) -> t
         return None, [
             "The base position could not be checked: its observations give no single-point position."
         ]
-    xyz = _ecef(single)
+    xyz = _places(single)
     if (moved := float(np.median(_from_middle_m(xyz)))) > _BASE_MOVES_M:
         raise InputError(
             f"the base moved: its single-point positions lie {moved:.0f} m from their middle, median",
@@ -886,7 +886,6 @@ def _report(
     answer: EngineAnswer,
     files: list[str],
 ) -> IntegrityReport:
-    t = positions["t_gps_s"].to_numpy()
     n_rover = inputs.rover_t_gps_s.size
     by_fix = positions["fix"].value_counts().to_dict()
     n = {name: int(by_fix.get(name, 0)) for name in ("fixed", "float", "single")}
@@ -898,8 +897,6 @@ def _report(
         model=inputs.rover[0].text("REC # / TYPE / VERS", 20, 40),
         time_scale="gps",
         synchronised=True,
-        t_first_s=float(t[0]),
-        t_last_s=float(t[-1]),
         bytes_read=inputs.bytes_read,
         counts={
             "rover epochs": n_rover,
@@ -908,14 +905,11 @@ def _report(
             "positions": len(positions),
         },
         losses=dict(inputs.losses),
-        gaps=find_gaps(t),
     )
+    report.take_times(positions["t_gps_s"], "positions")
     if n_none:
         report.lose("rover epochs without solution", n_none)
-    step = np.diff(t)
-    if step.size:
-        report.rates_hz["positions"] = 1.0 / float(np.median(step))
-    baseline = _baseline_m(positions, base_ecef_m)
+    baseline = np.linalg.norm(_places(positions) - base_ecef_m, axis=1)
     report.details = {
         "fix_ratio": n["fixed"] / n_rover,
         "n_rover_epochs": n_rover,
@@ -940,15 +934,3 @@ def _report(
     if n["single"]:
         report.note(f"{n['single']} positions are single-point: metres, without the base.")
     return report
-
-
-def _baseline_m(positions: pd.DataFrame, base_ecef_m: ArrayF) -> ArrayF:
-    to_ecef = Transformer.from_crs(4979, 4978, always_xy=True, allow_ballpark=False)
-    columns = (positions[c].to_numpy() for c in ("lon_deg", "lat_deg", "h_ell_m"))
-    return np.asarray(np.linalg.norm(np.stack(to_ecef.transform(*columns), axis=-1) - base_ecef_m, axis=1))
-
-
-def _geodetic(xyz_ecef_m: ArrayF) -> tuple[float, float, float]:
-    to_geodetic = Transformer.from_crs(4978, 4979, always_xy=True, allow_ballpark=False)
-    lon, lat, h = to_geodetic.transform(*(float(x) for x in xyz_ecef_m))
-    return float(lat), float(lon), float(h)

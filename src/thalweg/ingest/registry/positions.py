@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core import InputError, ThalwegError, read_table
+from thalweg.core import InputError, ThalwegError, frame_of, read_table
 from thalweg.ingest import GNSS_POSITION, INS_STATE, IntegrityReport, PositionLog, TrackOptions
 from thalweg.ingest.nmea import read_nmea
 from thalweg.ingest.ppk import PpkOptions, describe_rinex, replace_covariances, run_ppk
@@ -25,7 +25,7 @@ _POS_LINE = re.compile(
 
 def positions_from_states(states: pd.DataFrame) -> pd.DataFrame:
     """The positions inside INS states as table kind ``gnss_position``: of the ics origin, not an antenna."""
-    return states.assign(n_sats=-1).reindex(columns=list(GNSS_POSITION.names))
+    return frame_of(GNSS_POSITION, {**states.reset_index(drop=True), "n_sats": -1}, unknown=np.nan)
 
 
 def read_receiver(files: list[Path]) -> tuple[pd.DataFrame, IntegrityReport]:
@@ -116,25 +116,18 @@ def read_positions(
     elif source in ("ins", "sbet") and states is not None:
         table, _ = read_table(states, INS_STATE)
         positions = positions_from_states(table)
-        t = positions["t_gps_s"].dropna()
         report = IntegrityReport(
             stream="positions",
             format=f"positions of the {'INS' if source == 'ins' else 'SBET'} states",
             files=[str(states)],
             time_scale="gps",
-            synchronised=bool(len(t)),
-            t_first_s=float(t.min()) if len(t) else None,
-            t_last_s=float(t.max()) if len(t) else None,
+            synchronised=bool(positions["t_gps_s"].notna().any()),
             counts={"positions": len(positions)},
         )
+        report.take_times(positions["t_gps_s"], "positions")
     else:
         raise InputError(f"position source '{source}'", expected="pos, sbp, nmea, gpx, ppk, sbet or ins")
     report.stream = "positions"
-    if report.timing.period_s is None:
-        t_gps_s = positions["t_gps_s"].to_numpy()
-        report.timing.describe_stamps(t_gps_s)
-        untimed = int((~np.isfinite(t_gps_s)).sum())
-        report.timing.unsynchronised_s = untimed * (report.timing.period_s or 0.0)
     if source != "ppk":  # which has done so itself
         positions, n_replaced = replace_covariances(positions)
         if n_replaced:

@@ -4,15 +4,14 @@ Frames are found and decoded in compiled code and numpy; the library ``sbp`` nam
 the oracle of the tests. Sender 0 relays the base, any other sender is the rover.
 """
 
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
-from pyproj import Transformer
 from sbp.table import lookup
 
 from thalweg.core import (
@@ -24,16 +23,15 @@ from thalweg.core import (
     ArrayB,
     ArrayF,
     ArrayI,
-    LocalFrame,
-    column,
+    ecef_of,
     frame_of,
+    geodetic_of,
     gps_from_week,
     gps_minus_utc,
     rotation_ecef_enu,
-    table_kind,
     utc_text_from_unix,
 )
-from thalweg.ingest import GNSS_POSITION, IntegrityReport, find_gaps
+from thalweg.ingest import GNSS_POSITION, IntegrityReport
 from thalweg.ingest.framing import CHUNK_BYTES
 from thalweg.ingest.sbp import messages as sm
 from thalweg.ingest.sbp.messages import Messages, SbpRecords, collect
@@ -129,18 +127,16 @@ def measured_gps_minus_utc(
 ) -> tuple[ArrayF, ArrayF]:
     """GPS - UTC (rounded to ms) and Unix time of each MsgUtcTime that stands with a GPS time of its tow."""
     utc = records.of(sm.UTC_TIME, sender)
-    f = utc.fields
-    ok = (f["flags"] & 7 != 0) & (f["month"] >= 1) & (f["month"] <= 12) & (f["day"] >= 1) & (f["day"] <= 31)
-    ok &= (f["year"] >= 1980) & (f["year"] < 2200) & (f["hours"] < 24) & (f["minutes"] < 60)
-    if not track.number.size or not ok.any():
+    utc = utc.take(utc.fields["flags"] & 7 != 0)
+    if not track.number.size or not utc.number.size:
         return np.empty(0), np.empty(0)
-    utc = utc.take(np.asarray(ok))
     index = track.before(utc.number)
-    same = track.tow_ms[index] == utc.fields["tow"]
+    names = {"year": "year", "month": "month", "day": "day", "hour": "hours", "minute": "minutes"}
+    parts = pd.DataFrame({ours: utc.fields[name] for ours, name in names.items()})
+    moment = pd.to_datetime(parts, errors="coerce").to_numpy("datetime64[s]")
+    same = (track.tow_ms[index] == utc.fields["tow"]) & ~np.isnat(moment)
     f, index = utc.fields[same], index[same]
-    months = (f["year"].astype(np.int64) - 1970) * 12 + f["month"] - 1
-    days = months.astype("datetime64[M]").astype("datetime64[D]").astype(np.int64) + f["day"] - 1
-    seconds = ((days * 24 + f["hours"]) * 60 + f["minutes"]) * 60 + f["seconds"]
+    seconds = moment[same].astype(np.int64) + f["seconds"]
     gps = track.week[index] * WEEK_S + track.tow_ms[index] // 1000 + GPS_EPOCH_UNIX_S
     rest = (track.tow_ms[index] % 1000) * 1e-3 + track.ns[index] * 1e-9 - f["ns"] * 1e-9
     return np.round((gps - seconds) + rest, 3), np.asarray(seconds + f["ns"] * 1e-9, dtype=np.float64)
@@ -148,50 +144,6 @@ def measured_gps_minus_utc(
 
 # ---------------------------------------------------------------- tables out of decoded SBP messages
 
-
-_F = pa.float64()
-_T = column("t_gps_s", _F, "s", "adjusted standard GPS time; NaN if the log has no GPS week")
-_N_SATS = column("n_sats", pa.int32(), "1", "satellites used")
-
-GNSS_BASELINE = table_kind(
-    "gnss_baseline",
-    1,
-    [
-        _T,
-        column("north_m", _F, "m", "rover minus base, north at the base"),
-        column("east_m", _F, "m", "rover minus base, east"),
-        column("down_m", _F, "m", "rover minus base, down"),
-        column("fix", pa.string(), "1", "single, sbas, dgnss, float, fixed, dead_reckoning"),
-        _N_SATS,
-        column("sigma_h_m", _F, "m", "standard deviation, horizontal; NaN if unknown"),
-        column("sigma_v_m", _F, "m", "standard deviation, vertical; NaN if unknown"),
-    ],
-)
-
-GNSS_VELOCITY = table_kind(
-    "gnss_velocity",
-    1,
-    [
-        _T,
-        column("v_north_mps", _F, "m/s", "velocity north"),
-        column("v_east_mps", _F, "m/s", "velocity east"),
-        column("v_down_mps", _F, "m/s", "velocity down"),
-        _N_SATS,
-        column("sigma_h_mps", _F, "m/s", "standard deviation, horizontal; NaN if unknown"),
-        column("sigma_v_mps", _F, "m/s", "standard deviation, vertical; NaN if unknown"),
-    ],
-)
-
-GNSS_EVENT = table_kind(
-    "gnss_event",
-    1,
-    [
-        _T,
-        column("pin", pa.int32(), "1", "number of the pin"),
-        column("level", pa.int32(), "1", "level after the edge: 1 rising, 0 falling"),
-        column("time_good", pa.bool_(), "1", "the receiver states a time better than 1 us"),
-    ],
-)
 
 POSITION_GROUPS: Final = (
     (sm.POS_LLH_COV, sm.POS_LLH),
@@ -206,20 +158,8 @@ POSITION_KINDS: Final = tuple(kind for group in POSITION_GROUPS for kind in grou
 _ECEF_KINDS: Final = frozenset({sm.POS_ECEF, sm.POS_ECEF_COV, sm.POS_ECEF_DEP_A})
 
 
-@dataclass(slots=True, kw_only=True)
-class Dropped:
-    """Rows that a table does not hold, by reason."""
-
-    counts: dict[str, int] = field(default_factory=dict)
-
-    def add(self, reason: str, n: int) -> None:
-        """Count rows."""
-        if n:
-            self.counts[reason] = self.counts.get(reason, 0) + int(n)
-
-
 def positions_table(
-    records: SbpRecords, track: WeekTrack, sender: int, dropped: Dropped
+    records: SbpRecords, track: WeekTrack, sender: int, dropped: Counter[str]
 ) -> tuple[pd.DataFrame, tuple[int, ...]]:
     """Positions with a fix as table kind ``gnss_position``, and the message types that they are from.
 
@@ -228,67 +168,55 @@ def positions_table(
     (it equals the longer axis of the error ellipse where a receiver sends both), and is taken for both axes.
     """
     for group in POSITION_GROUPS:
-        lost = Dropped()
+        lost: Counter[str] = Counter()
         parts = [_positions_of(records.of(kind, sender), kind, track, lost) for kind in group]
-        if any(part["t_gps_s"].size for part in parts):
+        if any(map(len, parts)):
             break
     else:
-        _count_without_fix(records, sender, dropped)
+        sizes = [records.of(kind, sender).number.size for kind in POSITION_KINDS]
+        dropped["positions_without_fix_dropped"] += max(sizes, default=0)
         return frame_of(GNSS_POSITION, dict.fromkeys(GNSS_POSITION.names, np.empty(0))), ()
     for reason in ("without_fix", "impossible"):
         # both messages of an epoch say the same: counting them once each would double the number
-        worst = max((lost.counts.get(f"{reason} {kind}", 0) for kind in group), default=0)
-        dropped.add(f"positions_{reason}_dropped", worst)
-    rank = np.concatenate([np.full(part["t_gps_s"].size, i) for i, part in enumerate(parts)])
-    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        dropped[f"positions_{reason}_dropped"] += max(lost[f"{reason} {kind}"] for kind in group)
+    table = pd.concat([part.assign(rank=i) for i, part in enumerate(parts)], ignore_index=True)
     if not track.number.size:  # epochs cannot be told apart: one message type only
-        keep = np.flatnonzero(rank == rank.min())
+        table = table[table["rank"] == table["rank"].min()]
     else:
-        key = np.round(columns["t_gps_s"] * 1000.0)
-        best = np.lexsort((columns["number"], rank))
-        _, first = np.unique(key[best], return_index=True)
-        keep = best[first]
-        repeated = max(int((rank == i).sum()) - np.unique(key[rank == i]).size for i in range(len(parts)))
-        dropped.add("positions_repeated_dropped", repeated)
-    keep = keep[np.argsort(columns["number"][keep], kind="stable")]
-    columns = {name: column_[keep] for name, column_ in columns.items()}
-    columns["age_s"] = _age(records, track, sender, columns["t_gps_s"])
-    used = tuple(kind for i, kind in enumerate(group) if (rank[keep] == i).any())
-    return frame_of(GNSS_POSITION, {n: columns[n] for n in GNSS_POSITION.names}), used
+        table["epoch_ms"] = np.round(table["t_gps_s"] * 1000.0)
+        again = table.duplicated(["rank", "epoch_ms"]).groupby(table["rank"]).sum()
+        dropped["positions_repeated_dropped"] += int(again.max())
+        table = table.sort_values(["rank", "number"], kind="stable").drop_duplicates("epoch_ms")
+    table = table.sort_values("number", kind="stable", ignore_index=True)
+    table["age_s"] = _age(records, track, sender, table["t_gps_s"])
+    used = tuple(group[i] for i in sorted(table["rank"].unique()))
+    return frame_of(GNSS_POSITION, dict(table)), used
 
 
-def _count_without_fix(records: SbpRecords, sender: int, dropped: Dropped) -> None:
-    sizes = [records.of(kind, sender).number.size for kind in POSITION_KINDS]
-    dropped.add("positions_without_fix_dropped", max(sizes, default=0))
-
-
-def _positions_of(messages: Messages, kind: int, track: WeekTrack, lost: Dropped) -> dict[str, AnyArray]:
+def _positions_of(messages: Messages, kind: int, track: WeekTrack, lost: Counter[str]) -> pd.DataFrame:
     """Columns of one message type, with the number of the message."""
     names = sm.FIX_DEP_A if kind in sm.DEP_A else sm.FIX
     words = names[messages.fields["flags"] & 7]
     first = "x" if kind in _ECEF_KINDS else "lat"
     empty = messages.fields[first] == 0  # a receiver without solution sends zeros
     with_fix = np.asarray((words != "none") & ~empty)
-    lost.add(f"without_fix {kind}", int((~with_fix).sum()))
+    lost[f"without_fix {kind}"] += int((~with_fix).sum())
     m = messages.take(with_fix)
     values = _geodetic(m, kind)
     t = track.times(m)
     values |= {"t_gps_s": t, "fix": words[with_fix], "n_sats": m.fields["n_sats"], "number": m.number}
     possible = (np.abs(values["lat_deg"]) <= 90) & (np.abs(values["lon_deg"]) <= 360)
     possible &= np.isfinite(values["h_ell_m"]) & ~(np.isnan(t) & bool(track.number.size))
-    lost.add(f"impossible {kind}", int((~possible).sum()))
-    nan = np.full(m.number.size, np.nan)
-    every = {**dict.fromkeys(GNSS_POSITION.names, nan), **values}
-    return {name: np.asarray(value)[possible] for name, value in every.items()}
+    lost[f"impossible {kind}"] += int((~possible).sum())
+    return pd.DataFrame({**dict.fromkeys(GNSS_POSITION.names, np.nan), **values})[possible]
 
 
 def _geodetic(m: Messages, kind: int) -> dict[str, Any]:
     """Latitude, longitude, height, sigmas and covariances in east-north-up."""
     f = m.fields
     if kind in _ECEF_KINDS:
-        to_geodetic = Transformer.from_crs(4978, 4979, always_xy=True, allow_ballpark=False)
-        lon, lat, h = to_geodetic.transform(f["x"], f["y"], f["z"])
-        out = {"lat_deg": np.asarray(lat), "lon_deg": np.asarray(lon), "h_ell_m": np.asarray(h)}
+        lat, lon, h = geodetic_of(np.stack([f["x"], f["y"], f["z"]], axis=-1))
+        out: dict[str, Any] = {"lat_deg": lat, "lon_deg": lon, "h_ell_m": h}
         if kind == sm.POS_ECEF_COV:
             R = rotation_ecef_enu(np.where(np.isfinite(lat), lat, 0.0), np.where(np.isfinite(lon), lon, 0.0))
             C = np.swapaxes(R, -1, -2) @ _matrix(f, "xyz") @ R
@@ -331,86 +259,12 @@ def _millimetres(value: AnyArray) -> ArrayF:
     return np.where((value > 0) & (value < 0xFFFF), value * 1e-3, np.nan)
 
 
-def _age(records: SbpRecords, track: WeekTrack, sender: int, t_gps_s: AnyArray) -> ArrayF:
+def _age(records: SbpRecords, track: WeekTrack, sender: int, t_gps_s: "pd.Series[float]") -> ArrayF:
     """Age of the corrections from the MsgAgeCorrections of the same time, NaN where there is none."""
     age = records.of(sm.AGE, sender)
     age = age.take(age.fields["age"] != 0xFFFF)
-    out = np.full(t_gps_s.size, np.nan)
-    if age.number.size and out.size:
-        key, first = np.unique(np.round(track.times(age) * 1000.0), return_index=True)
-        wanted = np.round(t_gps_s * 1000.0)
-        at = np.minimum(np.searchsorted(key, wanted), key.size - 1)
-        same = key[at] == wanted
-        out[same] = age.fields["age"][first][at[same]] * 0.1
-    return out
-
-
-def baselines_table(records: SbpRecords, track: WeekTrack, sender: int) -> pd.DataFrame:
-    """Baselines with a fix as table kind ``gnss_baseline``."""
-    kind = sm.BASELINE_NED if records.of(sm.BASELINE_NED, sender).number.size else sm.BASELINE_NED_DEP_A
-    m = records.of(kind, sender)
-    words = (sm.FIX_DEP_A if kind in sm.DEP_A else sm.FIX)[m.fields["flags"] & 7]
-    good = np.asarray(words != "none")
-    m = m.take(good)
-    return _once(
-        frame_of(
-            GNSS_BASELINE,
-            {
-                "t_gps_s": track.times(m),
-                "north_m": m.fields["n"] * 1e-3,
-                "east_m": m.fields["e"] * 1e-3,
-                "down_m": m.fields["d"] * 1e-3,
-                "fix": words[good],
-                "n_sats": m.fields["n_sats"],
-                "sigma_h_m": _millimetres(m.fields["h_accuracy"]),
-                "sigma_v_m": _millimetres(m.fields["v_accuracy"]),
-            },
-        )
-    )
-
-
-def velocities_table(records: SbpRecords, track: WeekTrack, sender: int) -> pd.DataFrame:
-    """Valid velocities as table kind ``gnss_velocity``."""
-    kind = sm.VEL_NED if records.of(sm.VEL_NED, sender).number.size else sm.VEL_NED_DEP_A
-    m = records.of(kind, sender)
-    m = m.take(np.asarray((m.fields["flags"] & 7 != 0) | (kind in sm.DEP_A)))
-    return _once(
-        frame_of(
-            GNSS_VELOCITY,
-            {
-                "t_gps_s": track.times(m),
-                "v_north_mps": m.fields["n"] * 1e-3,
-                "v_east_mps": m.fields["e"] * 1e-3,
-                "v_down_mps": m.fields["d"] * 1e-3,
-                "n_sats": m.fields["n_sats"],
-                "sigma_h_mps": _millimetres(m.fields["h_accuracy"]),
-                "sigma_v_mps": _millimetres(m.fields["v_accuracy"]),
-            },
-        )
-    )
-
-
-def events_table(records: SbpRecords) -> pd.DataFrame:
-    """External events (camera triggers, PPS) as table kind ``gnss_event``; NaN where the week is not set."""
-    f = records.of(sm.EVENT).fields
-    known = possible_week(records.of(sm.EVENT))
-    t = gps_from_week(f["wn"], f["tow"] * 1e-3) + f["ns"] * 1e-9
-    return _once(
-        frame_of(
-            GNSS_EVENT,
-            {
-                "t_gps_s": np.where(known, t, np.nan),
-                "pin": f["pin"],
-                "level": f["flags"] & 1,
-                "time_good": f["flags"] & 2 != 0,
-            },
-        )
-    )
-
-
-def _once(table: pd.DataFrame) -> pd.DataFrame:
-    """The table without rows that are repeated in full (files that overlap)."""
-    return table.drop_duplicates(ignore_index=True)
+    stated = pd.Series(age.fields["age"] * 0.1, index=np.round(track.times(age) * 1000.0))
+    return np.asarray(stated[~stated.index.duplicated()].reindex(np.round(t_gps_s * 1000.0)))
 
 
 def base_positions(records: SbpRecords) -> ArrayF:
@@ -422,8 +276,7 @@ def base_positions(records: SbpRecords) -> ArrayF:
         return np.asarray(xyz)
     f = records.of(sm.BASE_LLH).fields
     f = f[(np.abs(f["lat"]) <= 90) & (f["lat"] != 0) & np.isfinite(f["lon"]) & np.isfinite(f["height"])]
-    to_ecef = Transformer.from_crs(4979, 4978, always_xy=True, allow_ballpark=False)
-    return np.stack(to_ecef.transform(f["lon"], f["lat"], f["height"]), axis=-1).reshape(-1, 3)
+    return ecef_of(f["lat"], f["lon"], f["height"])
 
 
 # ---------------------------------------------------------------- what the integrity report says about an SBP
@@ -449,79 +302,31 @@ def message_name(kind: int) -> str | None:
     return None if found is None else str(found.__name__)
 
 
-def describe_log(
-    report: IntegrityReport,
-    records: SbpRecords,
-    track: WeekTrack,
-    positions: pd.DataFrame,
-    kinds: tuple[int, ...],
-    base_ecef_m: ArrayF,
-    offset_s: ArrayF,
-    unix_s: ArrayF,
-    obs_epochs: dict[int, tuple[int, float, float]],
-) -> None:
-    """Fill in messages, losses, clock state, UTC offset, base and gaps."""
-    _clock(report, track, positions)
-    records.tally.write(report, "message")
-    _messages(report, records)
-    _utc(report, offset_s, unix_s)
-    if len(positions):
-        report.details["positions from"] = " + ".join(str(message_name(k)) for k in kinds)
-        report.details["fixes"] = {str(k): int(v) for k, v in positions["fix"].value_counts().items()}
-    else:
-        report.note("The log holds no position with a fix.")
-    if base_ecef_m.shape[0]:
-        spread = float(np.ptp(base_ecef_m, axis=0).max())
-        report.count("base_positions", base_ecef_m.shape[0])
-        if len(positions):
-            lat, lon, h = positions[["lat_deg", "lon_deg", "h_ell_m"]].median().tolist()
-            rover = LocalFrame(lat_deg=lat, lon_deg=lon, h_ell_m=h)
-            away_m = float(np.linalg.norm(rover.origin_ecef_m - np.median(base_ecef_m, axis=0)))
-            report.details["distance of the base"] = f"{away_m / 1000:.3f} km, median"
-        if spread > _BASE_MOVE_M:
-            report.note(
-                f"The base positions stated in the log differ by up to {spread:.3f} m; the median is used."
-            )
-    for sender, (n, _, _) in obs_epochs.items():
-        report.count("observation_epochs_base" if sender == 0 else f"observation_epochs_{sender}", n)
-
-
 def _clock(report: IntegrityReport, track: WeekTrack, positions: pd.DataFrame) -> None:
-    t = positions["t_gps_s"].to_numpy()
-    t = t[np.isfinite(t)]
-    what = "positions" if t.size else "time messages"
-    t = t if t.size else track.t_gps_s
-    report.synchronised = bool(t.size)
-    report.time_scale = "gps" if t.size else "none"
+    """Times of the positions, or without any of the messages that state them."""
+    t, what = positions["t_gps_s"].to_numpy(), "positions"
+    if not np.isfinite(t).any():
+        t, what = track.t_gps_s, "time messages"
+        t = t[np.diff(t, prepend=np.nan) != 0]  # an epoch has several messages of observations
     if not t.size:
         report.note(
             "No message states a valid GPS week (MsgGPSTime, MsgObs): the time of the week alone is no date, "
             "and nothing in this log can be timed."
         )
         return
-    report.t_first_s, report.t_last_s = float(t.min()), float(t.max())
-    report.gaps = find_gaps(t)
-    report.timing.describe_stamps(t, _NANOSECOND_S if track.ns.any() else _MILLISECOND_S)
-    untimed = len(positions) - int(np.isfinite(positions["t_gps_s"]).sum())
-    report.timing.unsynchronised_s = untimed * (report.timing.period_s or 0.0)
+    report.synchronised, report.time_scale = True, "gps"
+    report.take_times(t, what, _NANOSECOND_S if track.ns.any() else _MILLISECOND_S)
     report.details["GPS week from"] = track.source
-    step = np.diff(t)
-    if (step > 0).any():
-        report.rates_hz[what] = 1.0 / float(np.median(step[step > 0]))
-    backwards = int((step < 0).sum())
-    if backwards:
-        report.lose("time_steps_backwards", backwards)
-        report.note(f"Time steps backwards {backwards:,} times among {t.size:,} {what}.")
+    if back := report.losses.get("time_steps_back", 0):
+        report.note(f"Time steps backwards {back:,} times among {t.size:,} {what}.")
 
 
 def _messages(report: IntegrityReport, records: SbpRecords) -> None:
-    by_name: dict[str, int] = {}
-    unknown: dict[int, int] = {}
-    for (kind, sender), n in sorted(records.counts.items(), key=lambda item: -item[1]):
-        name = message_name(kind)
-        by_name[f"{name or f'0x{kind:04X}'} {sender}"] = n
-        if name is None:
-            unknown[kind] = unknown.get(kind, 0) + n
+    counts = sorted(records.counts.items(), key=lambda item: -item[1])
+    by_type: Counter[int] = Counter()
+    for (kind, _), n in counts:
+        by_type[kind] += n
+    unknown = {kind: n for kind, n in by_type.items() if message_name(kind) is None}
     if unknown:
         report.count("messages_of_unknown_type", sum(unknown.values()))
         report.note(
@@ -537,18 +342,23 @@ def _messages(report: IntegrityReport, records: SbpRecords) -> None:
             + ", ".join(f"{message_name(kind)} ({n:,})" for kind, n in records.wrong_size.items())
             + "."
         )
-    for name, kind in (("imu_raw", sm.IMU_RAW), ("mag_raw", sm.MAG_RAW)):
-        n = sum(count for (k, _), count in records.counts.items() if k == kind)
+    ephemerides = sum(n for kind, n in by_type.items() if (message_name(kind) or "").startswith("MsgEphem"))
+    for name, n in (
+        ("imu_raw", by_type[sm.IMU_RAW]),
+        ("mag_raw", by_type[sm.MAG_RAW]),
+        ("ephemerides", ephemerides),
+    ):
         if n:
             report.count(name, n)
-    ephemerides = sum(n for name, n in by_name.items() if name.startswith("MsgEphemeris"))
-    if ephemerides:
-        report.count("ephemerides", ephemerides)
+    if events := by_type[sm.EVENT]:
+        report.note(f"Not read: {events:,} times of events, such as pulses of a camera (MsgExtEvent).")
     for sender in sorted({s for s, _ in records.signals}):
         report.details[f"signals by code, sender {sender}"] = {
             str(code): n for (s, code), n in sorted(records.signals.items()) if s == sender
         }
-    report.details["messages by type and sender"] = by_name
+    report.details["messages by type and sender"] = {
+        f"{message_name(kind) or f'0x{kind:04X}'} {sender}": n for (kind, sender), n in counts
+    }
 
 
 def _utc(report: IntegrityReport, offset_s: ArrayF, unix_s: ArrayF) -> None:
@@ -573,9 +383,6 @@ def _utc(report: IntegrityReport, offset_s: ArrayF, unix_s: ArrayF) -> None:
 # ---------------------------------------------------------------- reader
 
 
-__all__ = ["SbpLog", "read_sbp"]
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SbpLog:
     """What an SBP log holds.
@@ -583,24 +390,13 @@ class SbpLog:
     Attributes
     ----------
     positions : table kind ``gnss_position``: the receiver's own solution, epochs with a fix.
-    baselines : table kind ``gnss_baseline``.
-    velocities : table kind ``gnss_velocity``.
-    events : table kind ``gnss_event``: camera triggers, PPS.
     base_ecef_m : (3,) median of the base positions that the log states, earth-centred; None if none.
-    obs_epochs : by sender (0 = base) number of epochs with raw observations, first and last of them in
-        adjusted GPS time.
-    gps_minus_utc_s : as the receiver states it; None if it states no UTC.
     message_counts : messages by (type, sender), of any type.
     report : integrity report, stream ``"gnss"``.
     """
 
     positions: pd.DataFrame
-    baselines: pd.DataFrame
-    velocities: pd.DataFrame
-    events: pd.DataFrame
     base_ecef_m: ArrayF | None
-    obs_epochs: dict[int, tuple[int, float, float]]
-    gps_minus_utc_s: float | None
     message_counts: dict[tuple[int, int], int]
     report: IntegrityReport
 
@@ -627,28 +423,41 @@ def read_sbp(files: Sequence[Path], *, chunk_bytes: int = CHUNK_BYTES) -> SbpLog
 def _log_of(records: SbpRecords) -> SbpLog:
     sender, others = _rover(records)
     track = build_track(records, sender or None)
-    dropped = Dropped()
+    dropped: Counter[str] = Counter()
     positions, kinds = positions_table(records, track, sender, dropped)
-    baselines = baselines_table(records, track, sender)
-    velocities = velocities_table(records, track, sender)
-    events = events_table(records)
     base = base_positions(records)
-    offset_s, unix_s = measured_gps_minus_utc(records, track, sender or None)
     report = IntegrityReport(stream="gnss", format="SBP", files=[])
-    obs_epochs = _observation_epochs(records)
-    describe_log(report, records, track, positions, kinds, base, offset_s, unix_s, obs_epochs)
-    for name, table in (
-        ("positions", positions),
-        ("baselines", baselines),
-        ("velocities", velocities),
-        ("events", events),
-    ):
-        report.count(name, len(table))
-    impossible = dropped.counts.pop("positions_impossible_dropped", 0)
-    if impossible:
+    _clock(report, track, positions)
+    records.tally.write(report, "message")
+    _messages(report, records)
+    _utc(report, *measured_gps_minus_utc(records, track, sender or None))
+    report.count("positions", len(positions))
+    if len(positions):
+        report.details["positions from"] = " + ".join(str(message_name(k)) for k in kinds)
+        report.details["fixes"] = {str(k): int(v) for k, v in positions["fix"].value_counts().items()}
+    else:
+        report.note("The log holds no position with a fix.")
+    if len(base):
+        report.count("base_positions", len(base))
+        if len(positions):
+            rover = ecef_of(*positions[["lat_deg", "lon_deg", "h_ell_m"]].median())
+            away_m = float(np.linalg.norm(rover - np.median(base, axis=0)))
+            report.details["distance of the base"] = f"{away_m / 1000:.3f} km, median"
+        spread = float(np.ptp(base, axis=0).max())
+        if spread > _BASE_MOVE_M:
+            report.note(
+                f"The base positions stated in the log differ by up to {spread:.3f} m; the median is used."
+            )
+    obs = records.of(sm.OBS)
+    obs = obs.take(possible_week(obs))
+    epochs = pd.DataFrame({"sender": obs.sender, "wn": obs.fields["wn"], "tow": obs.fields["tow"]})
+    for who, n in epochs.drop_duplicates()["sender"].value_counts().sort_index().items():
+        report.count("observation_epochs_base" if who == 0 else f"observation_epochs_{who}", int(n))
+    if impossible := dropped.pop("positions_impossible_dropped", 0):
         report.lose("positions_impossible", impossible)
-    for name, n in dropped.counts.items():
-        report.count(name, n)
+    for name, n in dropped.items():
+        if n:
+            report.count(name, n)
     if others:
         report.note(
             f"Positions of sender {sender} are used; those of {', '.join(map(str, sorted(others)))} "
@@ -656,12 +465,7 @@ def _log_of(records: SbpRecords) -> SbpLog:
         )
     return SbpLog(
         positions=positions,
-        baselines=baselines,
-        velocities=velocities,
-        events=events,
-        base_ecef_m=np.median(base, axis=0) if base.shape[0] else None,
-        obs_epochs=obs_epochs,
-        gps_minus_utc_s=_most_common(offset_s),
+        base_ecef_m=np.median(base, axis=0) if len(base) else None,
         message_counts=dict(sorted(records.counts.items())),
         report=report,
     )
@@ -676,22 +480,3 @@ def _rover(records: SbpRecords) -> tuple[int, dict[int, int]]:
             others = {s: n for s, n in found.items() if s != best}
             return best, others if kinds == POSITION_KINDS else {}
     return 0, {}
-
-
-def _observation_epochs(records: SbpRecords) -> dict[int, tuple[int, float, float]]:
-    """Epochs of MsgObs by sender: number, first, last (adjusted GPS time); power-up epochs left out."""
-    obs = records.of(sm.OBS)
-    obs = obs.take(possible_week(obs))
-    out = {}
-    for sender in np.unique(obs.sender):
-        f = obs.fields[obs.sender == sender]
-        t = np.unique(gps_from_week(f["wn"], f["tow"] * 1e-3))
-        out[int(sender)] = (int(t.size), float(t[0]), float(t[-1]))
-    return out
-
-
-def _most_common(values: ArrayF) -> float | None:
-    if not values.size:
-        return None
-    found, counts = np.unique(values, return_counts=True)
-    return float(found[np.argmax(counts)])

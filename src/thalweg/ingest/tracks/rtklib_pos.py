@@ -15,8 +15,6 @@ from typing import Final, Literal
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
-from pyproj import Transformer
 
 from thalweg.core import (
     ADJUSTED_OFFSET_S,
@@ -25,21 +23,15 @@ from thalweg.core import (
     WEEK_S,
     AnyArray,
     ArrayF,
-    GeometryError,
     InputError,
+    ecef_of,
+    frame_of,
+    geodetic_of,
     gps_from_unix,
     rotation_ecef_enu,
 )
-from thalweg.ingest import (
-    FIRST_UNIX_S,
-    GNSS_POSITION,
-    LAST_UNIX_S,
-    IntegrityReport,
-    doubtful_date,
-    find_gaps,
-    repeated_rows,
-    say_repeated,
-)
+from thalweg.ingest import FIRST_UNIX_S, GNSS_POSITION, LAST_UNIX_S, IntegrityReport, doubtful_date
+from thalweg.ingest.tracks.sbet import half_turn
 
 # ---------------------------------------------------------------- which columns a RTKLIB .pos file has: read
 # from its header, or guessed from its first line
@@ -135,7 +127,7 @@ def _bare_names(line: str) -> list[str]:
 def _guess(fields: list[str], calendar: bool, geodetic: bool) -> Layout:
     numbers = [_number(f) for f in fields[2:]]
     # RTKLIB writes 13 fields behind the time, 9 more with velocities, 4 more with degrees-minutes-seconds.
-    dms = len(numbers) in (17, 26) and not _is_quality(numbers, 3) and _is_quality(numbers, 7)
+    dms = len(numbers) in (17, 26) and numbers[3] not in range(8) and numbers[7] in range(8)
     first = numbers[:3]
     radius = sum(n * n for n in first) ** 0.5
     form: Form
@@ -162,15 +154,6 @@ def _guess(fields: list[str], calendar: bool, geodetic: bool) -> Layout:
     )
 
 
-def covariance_names(form: Form) -> tuple[str, ...]:
-    """Names of the three standard deviations and three signed roots of covariances, in RTKLIB's order."""
-    return _ORDER[form]
-
-
-def _is_quality(numbers: list[float], index: int) -> bool:
-    return index < len(numbers) and numbers[index] in range(8)
-
-
 def _number(text: str) -> float:
     try:
         return float(text)
@@ -187,7 +170,7 @@ FIX_OF_QUALITY: Final = {
 """RTKLIB's Q -> fix of table kind ``gnss_position``."""
 
 _JST_S: Final = 9 * 3600
-_KEY_VALUE: Final = re.compile(r"^%\s*([a-z][a-z .,/-]*?)\s*:\s*(.*)$", re.IGNORECASE)
+_REF_POS: Final = re.compile(r"^%\s*ref pos\s*:\s*(.*)$", re.MULTILINE)
 _MAX_LINES_SHOWN: Final = 20
 _SAME_EPOCH_S: Final = 1e-3
 _ON_LINE_DEG: Final = 5e-9
@@ -197,22 +180,19 @@ _NEARLY_ALL: Final = 0.9
 
 @dataclass(slots=True, kw_only=True)
 class PosLog:
-    """A solution: positions (table kind ``gnss_position``), report, and the header as key -> values."""
+    """A solution: positions (table kind ``gnss_position``) and the report."""
 
     positions: pd.DataFrame
     report: IntegrityReport
-    header: dict[str, list[str]]
 
 
-def read_pos(files: Sequence[Path], ref_ecef_m: ArrayLike | None = None) -> PosLog:
+def read_pos(files: Sequence[Path]) -> PosLog:
     """Read one or several .pos files.
 
     Parameters
     ----------
     files : in the order of time; positions that two of them hold alike are kept once. Files of event marks
         beside their track (`event_marks`) are left out.
-    ref_ecef_m : (3,) earth-centred position of the base, for baselines; if None it comes from the line
-        ``ref pos`` of the header.
 
     Returns
     -------
@@ -230,8 +210,8 @@ def read_pos(files: Sequence[Path], ref_ecef_m: ArrayLike | None = None) -> PosL
     report = IntegrityReport(
         stream="positions", format="RTKLIB .pos", files=[str(f) for f in files], time_scale="gps"
     )
-    header: dict[str, list[str]] = {}
-    tables = [_read_one(path, ref_ecef_m, report, header) for path in files]
+    report.synchronised = True
+    tables = [_read_one(path, report) for path in files]
     marks = event_marks(files, tables)
     if len(marks) == len(files):  # nothing else was asked for
         marks = {}
@@ -250,28 +230,17 @@ def read_pos(files: Sequence[Path], ref_ecef_m: ArrayLike | None = None) -> PosL
         )
     positions = pd.concat(tables, ignore_index=True)
     file = np.repeat(np.arange(len(tables)), [len(x) for x in tables])
-    repeated = repeated_rows(positions, file)
-    positions, file = positions[~repeated].reset_index(drop=True), file[~repeated]
+    once = report.keep_once(positions, file, "positions")
+    positions, file = positions[once].reset_index(drop=True), file[once]
     _refuse_two_solutions(positions["t_gps_s"], file, tracks)
-    say_repeated(report, "positions", int(repeated.sum()))
     t = positions["t_gps_s"].to_numpy()
-    report.synchronised = True
-    report.t_first_s, report.t_last_s = float(t.min()), float(t.max())
-    step = np.diff(t)
-    for what, times in (("time_steps_back", np.sum(step < 0)), ("repeated_epochs", np.sum(step == 0))):
-        if times:
-            report.lose(what, int(times))
-    report.gaps = find_gaps(t)
-    report.timing.describe_stamps(t)
-    report.timing.unsynchronised_s = 0.0
-    if np.any(step > 0):
-        report.rates_hz = {"positions": 1.0 / float(np.median(step[step > 0]))}
+    report.take_times(t, "positions")
     report.count("positions", len(positions))
     if doubt := doubtful_date(t):
         report.note(doubt)
     for fix, n in positions["fix"].value_counts().items():
         report.count(f"fix_{fix}", int(n))
-    return PosLog(positions=positions, report=report, header=header)
+    return PosLog(positions=positions, report=report)
 
 
 def _refuse_two_solutions(t_gps_s: pd.Series, file: AnyArray, files: Sequence[Path]) -> None:
@@ -290,9 +259,7 @@ def _refuse_two_solutions(t_gps_s: pd.Series, file: AnyArray, files: Sequence[Pa
                 )
 
 
-def _read_one(
-    path: Path, ref_ecef_m: ArrayLike | None, report: IntegrityReport, header: dict[str, list[str]]
-) -> pd.DataFrame:
+def _read_one(path: Path, report: IntegrityReport) -> pd.DataFrame:
     cure = "Check that this is a solution of RTKLIB (not NMEA, not a statistics file)"
     if not path.is_file():
         raise InputError("file not found", expected="a RTKLIB .pos file", where=path, cure="Check the path")
@@ -305,12 +272,6 @@ def _read_one(
     bad: list[int] = []
     scales: list[str] = []
     for heads, numbered in _sections(lines):
-        own_header: dict[str, list[str]] = {}
-        for line in heads:
-            if found := _KEY_VALUE.match(line):
-                own_header.setdefault(found[1], []).append(found[2].strip())
-        for key, values in own_header.items():
-            header.setdefault(key, []).extend(values)
         layout: Layout | None = None
         rows: list[list[float]] = []
         first = 0
@@ -329,7 +290,9 @@ def _read_one(
         if layout is not None and rows:
             _say_layout(layout, path, report)
             scales.append(f"{layout.scale.upper()} from line {first} on")
-            tables.append(_table(np.array(rows), layout, _base(layout, ref_ecef_m, own_header, path)))
+            tables.append(
+                _table(np.array(rows), layout, _base(heads, path) if layout.form == "enu" else None)
+            )
     first_bad = f"line {bad[0]}: {lines[bad[0] - 1][:60]!r}" if bad else ""
     if not tables:
         raise InputError(
@@ -451,33 +414,28 @@ def _row(fields: list[str], layout: Layout) -> list[float] | None:
     if len(fields) != layout.n_fields:
         return None
     try:
+        numbers = [float(x) for x in fields[2:]]
         if layout.calendar:
-            year, month, day = (int(x) for x in re.split("[/-]", fields[0]))
-            hour, minute, second = fields[1].split(":")
-            days = dt.date(year, month, day).toordinal() - _UNIX_ORDINAL
-            h, m, s = int(hour), int(minute), float(second)
-            if not (0 <= h < 24 and 0 <= m < 60 and 0 <= s < 61):
+            days = dt.date(*map(int, re.split("[/-]", fields[0]))).toordinal() - _UNIX_ORDINAL
+            hours, minutes, seconds = fields[1].split(":")
+            hour, minute, second = int(hours), int(minutes), float(seconds)
+            if not (0 <= hour < 24 and 0 <= minute < 60 and 0 <= second < 61):
                 return None
             # 23:59:60 belongs to the day before; Unix time cannot say it, so it is carried apart.
-            leap = float(s >= 60)
-            whole = days * DAY_S + h * 3600 + m * 60
-            time, fraction = float(whole), s - leap
+            leap = float(second >= 60)
+            time, fraction = float(days * DAY_S + hour * 3600 + minute * 60), second - leap
         else:
-            week, tow = int(fields[0]), float(fields[1])
-            if not (0 <= tow < WEEK_S + 1):
+            week, fraction, leap = int(fields[0]), float(fields[1]), 0.0
+            if not (0 <= fraction < WEEK_S + 1):
                 return None
-            time, fraction, leap = float(GPS_EPOCH_UNIX_S + week * WEEK_S), tow, 0.0
+            time = float(GPS_EPOCH_UNIX_S + week * WEEK_S)
         if not FIRST_UNIX_S <= time + fraction <= LAST_UNIX_S:
             return None
-        at = 2
+        position, rest = numbers[:3], numbers[3:]
         if layout.dms:
-            position = [_degrees(fields[2:5]), _degrees(fields[5:8]), float(fields[8])]
-            at = 9
-        else:
-            position = [float(x) for x in fields[2:5]]
-            at = 5
-        rest = [float(x) for x in fields[at:]]
-    except ValueError:
+            position = [_degrees(fields[2:5]), _degrees(fields[5:8]), numbers[6]]
+            rest = numbers[7:]
+    except (TypeError, ValueError):
         return None
     quality = rest[layout.names.index("Q")] if "Q" in layout.names else 0.0
     if not np.all(np.isfinite(position)) or quality not in FIX_OF_QUALITY:
@@ -496,37 +454,25 @@ def _degrees(fields: list[str]) -> float:
     return -size if fields[0].startswith("-") else size
 
 
-def _base(
-    layout: Layout, ref_ecef_m: ArrayLike | None, header: Mapping[str, list[str]], path: Path
-) -> ArrayF | None:
-    if layout.form != "enu":
-        return None
-    if ref_ecef_m is not None:
-        base = np.asarray(ref_ecef_m, dtype=np.float64)
-        if base.shape != (3,) or not np.all(np.isfinite(base)):
-            raise GeometryError(f"ref_ecef_m={ref_ecef_m!r}", expected="three earth-centred coordinates, m")
-        return base
-    text = header.get("ref pos", [""])[0]
-    numbers = _reference(text)
+def _base(heads: Sequence[str], path: Path) -> ArrayF:
+    """Earth-centred position (3,) of the base of a baseline, as the header states (``ref pos``)."""
+    found = _REF_POS.search("\n".join(heads))
+    text = found[1].strip() if found else ""
+    fields = [f for f in SEPARATORS.split(text) if f]
+    try:
+        numbers = [float(f) for f in fields]
+        if len(numbers) == 7:
+            numbers = [_degrees(fields[:3]), _degrees(fields[3:6]), numbers[6]]
+    except ValueError:
+        numbers = []
     if len(numbers) != 3 or not np.any(numbers):
         raise InputError(
             f"a baseline east, north, up without the position of its base (ref pos {text!r})",
             expected="a header line '% ref pos : ...'",
             where=path,
-            cure="Give the base's earth-centred position, or solve with out-solformat=llh or xyz",
+            cure="Solve with out-solformat=llh or xyz",
         )
-    if np.linalg.norm(numbers) > 6e6:
-        return np.array(numbers)
-    return np.array(_TO_ECEF.transform(numbers[1], numbers[0], numbers[2]))
-
-
-def _reference(text: str) -> list[float]:
-    fields = [f for f in SEPARATORS.split(text) if f]
-    try:
-        numbers = [float(f) for f in fields]
-        return [_degrees(fields[:3]), _degrees(fields[3:6]), numbers[6]] if len(numbers) == 7 else numbers
-    except ValueError:
-        return []
+    return np.array(numbers) if np.linalg.norm(numbers) > 6e6 else ecef_of(*numbers)
 
 
 def _table(rows: ArrayF, layout: Layout, base: ArrayF | None) -> pd.DataFrame:
@@ -550,41 +496,39 @@ def _table(rows: ArrayF, layout: Layout, base: ArrayF | None) -> pd.DataFrame:
         if base is None:
             xyz = position
         else:
-            base_lon, base_lat, _ = _TO_ECEF.transform(*base, direction="INVERSE")
-            R_base = rotation_ecef_enu(base_lat, base_lon)
+            R_base = rotation_ecef_enu(*geodetic_of(base)[:2])
             xyz = position @ R_base.T + base
             covariance = R_base @ covariance @ R_base.T
-        lon, lat, height = (np.asarray(a) for a in _TO_ECEF.transform(*xyz.T, direction="INVERSE"))
+        lat, lon, height = geodetic_of(xyz)
         R = rotation_ecef_enu(lat, lon)
         covariance = np.swapaxes(R, 1, 2) @ covariance @ R
-    unknown: AnyArray = np.full(n, np.nan)
     sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
-    frame = pd.DataFrame(
+    return frame_of(
+        GNSS_POSITION,
         {
             "t_gps_s": t,
             "lat_deg": lat,
-            "lon_deg": np.where(lon > 180.0, lon - 360.0, lon),
+            "lon_deg": half_turn(lon),
             "h_ell_m": height,
             "fix": [FIX_OF_QUALITY[int(q)] for q in values.get("Q", np.zeros(n))],
-            "n_sats": values.get("ns", np.full(n, -1.0)).astype(np.int32),
+            "n_sats": values.get("ns", -1),
             "sigma_east_m": sigma[:, 0],
             "sigma_north_m": sigma[:, 1],
             "sigma_up_m": sigma[:, 2],
             "cov_en_m2": covariance[:, 0, 1],
             "cov_eu_m2": covariance[:, 0, 2],
             "cov_nu_m2": covariance[:, 1, 2],
-            "age_s": values.get("age", unknown),
-            "ratio": values.get("ratio", unknown),
-        }
+            "age_s": values.get("age", np.nan),
+            "ratio": values.get("ratio", np.nan),
+        },
     )
-    return frame[list(GNSS_POSITION.names)]
 
 
 def _covariance(values: Mapping[str, ArrayF], layout: Layout, n: int) -> ArrayF:
     """(n, 3, 3) in the file's own axes: east-north-up or earth-centred; NaN where not stated."""
     axes = {"e": 0, "n": 1, "u": 2} if layout.form != "xyz" else {"x": 0, "y": 1, "z": 2}
     covariance = np.full((n, 3, 3), np.nan)
-    for name in covariance_names(layout.form):
+    for name in _ORDER[layout.form]:
         if name in values:
             i, j = axes[name[2]], axes[name[-1]]
             covariance[:, i, j] = covariance[:, j, i] = values[name] * np.abs(values[name])
@@ -592,4 +536,3 @@ def _covariance(values: Mapping[str, ArrayF], layout: Layout, n: int) -> ArrayF:
 
 
 _UNIX_ORDINAL: Final = dt.date(1970, 1, 1).toordinal()
-_TO_ECEF: Final = Transformer.from_crs(4979, 4978, always_xy=True, allow_ballpark=False)

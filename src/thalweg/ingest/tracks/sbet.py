@@ -32,6 +32,7 @@ from thalweg.core import (
     AnyArray,
     ArrayF,
     InputError,
+    frame_of,
     gps_from_unix,
     gps_from_week,
     utc_text_from_gps,
@@ -41,10 +42,7 @@ from thalweg.ingest import (
     NAVIGATION_INITIALISED,
     TIME_SCALES,
     IntegrityReport,
-    find_gaps,
     gps_from_scale,
-    repeated_rows,
-    say_repeated,
     tell_time_scale,
     time_scale_words,
 )
@@ -56,6 +54,8 @@ _EARTH_M: Final = 6_378_137.0
 # Below this speed the steps of the positions are too noisy to tell one velocity convention from another.
 _TELLING_SPEED_MPS: Final = 0.5
 _MAX_WEEK: Final = 10_000
+FINISHED: Final = {"fix": "none", "system_status": 0, "filter_status": NAVIGATION_INITIALISED}
+"""Columns of ``ins_state`` for a trajectory that other software finished."""
 _LAST_TIME_S: Final = 3e9
 """More than any count of seconds that has a date."""
 
@@ -121,19 +121,12 @@ def read_sbet(
         told = time_scale_words(records[:, 0], tell_time_scale(records[:, 0]))
         report.note(f"Its times hold the date and are taken as {TIME_SCALES[scale]}: {told}.")
     t = _times(records[:, 0], int(gps_week or 0), report, utc=utc)
-    states = _states(records, t, report)
-    for name, values in _sigmas(smrmsg, t, int(gps_week or 0), report, utc=utc).items():
-        states[name] = values
+    sigmas = _sigmas(smrmsg, t, int(gps_week or 0), report, utc=utc)
+    states = frame_of(INS_STATE, {**_states(records, t, report), **sigmas, **FINISHED}, unknown=np.nan)
     report.count("records", len(states))
-    report.t_first_s, report.t_last_s = float(t.min()), float(t.max())
-    step = np.diff(t)
-    if np.any(step > 0):
-        report.rates_hz["records"] = 1.0 / float(np.median(step[step > 0]))
-    report.gaps = find_gaps(t)
-    report.timing.describe_stamps(t)
-    report.timing.unsynchronised_s = 0.0
+    report.take_times(t, "records")
     report.note("An SBET states no GPS fix and no filter status: those columns are empty.")
-    return SbetLog(states=states[list(INS_STATE.names)], report=report)
+    return SbetLog(states=states, report=report)
 
 
 def _joined(files: Sequence[Path], n_fields: int, what: str, report: IntegrityReport) -> ArrayF:
@@ -141,9 +134,7 @@ def _joined(files: Sequence[Path], n_fields: int, what: str, report: IntegrityRe
     parts = [_records(path, n_fields, report) for path in files]
     records = np.concatenate(parts)
     file = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-    repeated = repeated_rows(pd.DataFrame(records), file)
-    say_repeated(report, what, int(repeated.sum()))
-    return records[~repeated]
+    return records[report.keep_once(pd.DataFrame(records), file, what)]
 
 
 def _records(path: Path, n_fields: int, report: IntegrityReport) -> ArrayF:
@@ -223,10 +214,6 @@ def _times(second: ArrayF, week: int, report: IntegrityReport, *, utc: bool) -> 
     weeks = np.concatenate([[0], np.cumsum(step < -0.5 * WEEK_S)])
     if weeks[-1]:
         report.note(f"The times pass the end of the GPS week {weeks[-1]} times.")
-    if back := int(np.sum((step < 0) & (step >= -0.5 * WEEK_S))):
-        report.lose("time_steps_back", back)
-    if same := int(np.sum(step == 0)):
-        report.lose("repeated_times", same)
     if scale := _dated_scale(second):
         return gps_from_scale(second, scale)
     if not utc:
@@ -235,33 +222,28 @@ def _times(second: ArrayF, week: int, report: IntegrityReport, *, utc: bool) -> 
     return gps_from_unix(GPS_EPOCH_UNIX_S + (week + weeks) * WEEK_S + whole) + (second - whole)
 
 
-def _states(records: ArrayF, t: ArrayF, report: IntegrityReport) -> pd.DataFrame:
-    lat, lon, height = records[:, 1], records[:, 2], records[:, 3]
-    wander = records[:, 10]
+def _states(records: ArrayF, t: ArrayF, report: IntegrityReport) -> dict[str, ArrayF]:
     north, east, down = _velocity(records, t, report)
-    nan = np.full(len(t), np.nan)
-    longitude = np.rad2deg(lon)
-    return pd.DataFrame(
-        {
-            "t_gps_s": t,
-            "t_device_s": nan,
-            "lat_deg": np.rad2deg(lat),
-            "lon_deg": np.where(longitude > 180, longitude - 360, longitude),
-            "h_ell_m": height,
-            "v_north_mps": north,
-            "v_east_mps": east,
-            "v_down_mps": down,
-            "roll_rad": records[:, 7],
-            "pitch_rad": records[:, 8],
-            "heading_rad": np.mod(records[:, 9] - wander, 2 * np.pi),
-            "rate_x_radps": records[:, 14],
-            "rate_y_radps": records[:, 15],
-            "rate_z_radps": records[:, 16],
-            "fix": "none",
-            "system_status": np.zeros(len(t), dtype=np.uint16),
-            "filter_status": np.full(len(t), NAVIGATION_INITIALISED, dtype=np.uint16),  # a finished solution
-        }
-    )
+    return {
+        "t_gps_s": t,
+        "lat_deg": np.rad2deg(records[:, 1]),
+        "lon_deg": half_turn(np.rad2deg(records[:, 2])),
+        "h_ell_m": records[:, 3],
+        "v_north_mps": north,
+        "v_east_mps": east,
+        "v_down_mps": down,
+        "roll_rad": records[:, 7],
+        "pitch_rad": records[:, 8],
+        "heading_rad": np.mod(records[:, 9] - records[:, 10], 2 * np.pi),
+        "rate_x_radps": records[:, 14],
+        "rate_y_radps": records[:, 15],
+        "rate_z_radps": records[:, 16],
+    }
+
+
+def half_turn(longitude_deg: ArrayF) -> ArrayF:
+    """Longitudes of up to a whole turn in -180 to 180 degrees."""
+    return np.where(longitude_deg > 180, longitude_deg - 360, longitude_deg)
 
 
 def _velocity(records: ArrayF, t: ArrayF, report: IntegrityReport) -> tuple[ArrayF, ArrayF, ArrayF]:
@@ -323,7 +305,7 @@ def _sigmas(
     }
     if not files:
         report.note("Without the smrmsg file nothing is known about the standard deviations.")
-        return {name: np.full(len(t), np.nan) for name in columns}
+        return {}
     report.files += [str(f) for f in files]
     records = _joined(files, _SMRMSG_FIELDS, "smrmsg records", report)
     with np.errstate(invalid="ignore"):

@@ -36,6 +36,7 @@ from thalweg.core import (
     GPS_EPOCH_UNIX_S,
     ArrayF,
     InputError,
+    frame_of,
     gps_from_unix,
     gps_from_week,
     parse_xml,
@@ -46,7 +47,6 @@ from thalweg.ingest import (
     DEPTH,
     GNSS_POSITION,
     INS_STATE,
-    NAVIGATION_INITIALISED,
     TIME_SCALES,
     UNITS_A_SECOND,
     IntegrityReport,
@@ -61,6 +61,7 @@ from thalweg.ingest import (
     tell_time_scale,
     time_scale_words,
 )
+from thalweg.ingest.tracks.sbet import FINISHED, half_turn
 
 _POSE: Final = ("t", "px", "py", "pz", "qx", "qy", "qz", "qw")
 _VELOCITY: Final = ("vx", "vy", "vz")
@@ -128,7 +129,20 @@ def read_text_poses(kind: str, files: Sequence[Path], times: Path | None = None)
         R, position = T[:, :, :3], T[:, :, 3]
         wrong = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) > _ORTHONORMAL
         wrong |= np.linalg.det(R) < 0
-        t_s = _times(times, len(rows), where) if times is not None else np.full(len(rows), np.nan)
+        t_s = np.full(len(rows), np.nan)
+        if times is not None:
+            _, told = _lines(times, "Check the path of the times")
+            try:
+                t_s = np.loadtxt(told, ndmin=1, dtype=np.float64)
+            except ValueError as error:
+                raise InputError(str(error), expected="one time in seconds a line", where=times) from error
+            if t_s.shape != (len(rows),):
+                raise InputError(
+                    f"{t_s.size} times beside {len(rows)} poses of {where}",
+                    expected="one time a pose",
+                    where=times,
+                    cure="Give the times of this very table",
+                )
     else:
         position, q_xyzw = rows[:, 1:4], rows[:, 4:8]
         wrong = np.abs(np.linalg.norm(q_xyzw, axis=1) - 1.0) > _ORTHONORMAL
@@ -197,11 +211,8 @@ def _numbers(kind: str, path: Path, report: IntegrityReport) -> ArrayF:
 
     The first line that does not fit is named.
     """
-    if not path.is_file():
-        raise InputError("file not found", where=path, cure="Check the path")
-    raw = path.read_bytes()
-    report.bytes_read += len(raw)
-    lines = raw.decode("utf-8-sig", "replace").splitlines()
+    n_bytes, lines = _lines(path)
+    report.bytes_read += n_bytes
     rows: list[list[float]] = []
     heads: list[str] = []
     for number, line in enumerate(lines, start=1):
@@ -243,21 +254,12 @@ def _numbers(kind: str, path: Path, report: IntegrityReport) -> ArrayF:
     return table[:, [at[name] for name in (*_POSE, *(_VELOCITY if at.keys() >= set(_VELOCITY) else ()))]]
 
 
-def _times(path: Path, n: int, where: str) -> ArrayF:
+def _lines(path: Path, cure: str = "Check the path") -> tuple[int, list[str]]:
+    """Number of the bytes, and the lines, of a text file."""
     if not path.is_file():
-        raise InputError("file not found", where=path, cure="Check the path of the times")
-    try:
-        t_s = np.loadtxt(path, ndmin=1, dtype=np.float64)
-    except ValueError as error:
-        raise InputError(str(error), expected="one time in seconds a line", where=path) from error
-    if t_s.shape != (n,):
-        raise InputError(
-            f"{t_s.size} times beside {n} poses of {where}",
-            expected="one time a pose",
-            where=path,
-            cure="Give the times of this very table",
-        )
-    return t_s
+        raise InputError("file not found", where=path, cure=cure)
+    raw = path.read_bytes()
+    return len(raw), raw.decode("utf-8-sig", "replace").splitlines()
 
 
 def states_of_poses(poses: TextPoses, options: TrackOptions) -> PoseLog:
@@ -273,18 +275,15 @@ def states_of_poses(poses: TextPoses, options: TrackOptions) -> PoseLog:
     where, report = ", ".join(poses.report.files), poses.report
     frame, axes, scale = options.frame, options.body_axes, options.time_scale
     sigmas = (options.sigma_position_m, options.sigma_attitude_deg)
-    missing = [
-        name
-        for name, value in (
-            ("frame", frame),
-            ("body_axes", axes),
-            ("time_scale", scale),
-            ("sigma_position_m", sigmas[0]),
-            ("sigma_attitude_deg", sigmas[1]),
-            ("times", None if np.isnan(poses.t_s).any() else 1),
-        )
-        if value is None
-    ]
+    stated = {
+        "frame": frame,
+        "body_axes": axes,
+        "time_scale": scale,
+        "sigma_position_m": sigmas[0],
+        "sigma_attitude_deg": sigmas[1],
+        "times": None if np.isnan(poses.t_s).any() else poses.t_s,
+    }
+    missing = [name for name, value in stated.items() if value is None]
     if missing or frame is None or axes is None or sigmas[0] is None or sigmas[1] is None:
         raise InputError(
             f"not stated: {', '.join(missing)}",
@@ -319,9 +318,11 @@ def states_of_poses(poses: TextPoses, options: TrackOptions) -> PoseLog:
     if poses.velocity_mps is not None:
         velocity = np.einsum("nij,nj->ni", R_enu_wcs, poses.velocity_mps)
     attitude_rad = np.deg2rad(sigmas[1])
-    states = _table(
-        t_gps_s,
+    states = frame_of(
+        INS_STATE,
         {
+            **FINISHED,
+            "t_gps_s": t_gps_s,
             "t_device_s": poses.t_s,
             "lat_deg": lat,
             "lon_deg": lon,
@@ -335,45 +336,17 @@ def states_of_poses(poses: TextPoses, options: TrackOptions) -> PoseLog:
             **{f"sigma_{axis}_m": sigmas[0] for axis in ("north", "east", "up")},
             **{f"sigma_{angle}_rad": attitude_rad for angle in ("roll", "pitch", "heading")},
         },
+        unknown=np.nan,
     )
-    _finish(report, t_gps_s, "utc" if scale == "utc" else "gps")
+    report.synchronised, report.time_scale = True, "utc" if scale == "utc" else "gps"
+    report.take_times(t_gps_s, "poses")
     if np.isfinite(attitude_rad):
         each = f"{sigmas[0]} m and {sigmas[1]} deg for each pose"
         report.note(f"Standard deviations are stated, not the table's: {each}.")
     return PoseLog(states=states, report=report)
 
 
-def _table(t_gps_s: ArrayF, columns: dict[str, ArrayF | float]) -> pd.DataFrame:
-    """Table kind ``ins_state``; what the source does not hold is NaN, and no fix."""
-    table = pd.DataFrame({"t_gps_s": t_gps_s, **columns})
-    for name in INS_STATE.names:
-        if name not in table:
-            table[name] = np.nan
-    table["fix"] = "none"
-    table["system_status"] = np.zeros(len(table), dtype=np.uint16)
-    table["filter_status"] = np.full(len(table), NAVIGATION_INITIALISED, dtype=np.uint16)
-    return table[list(INS_STATE.names)]
-
-
-def _finish(report: IntegrityReport, t_gps_s: ArrayF, scale: str) -> None:
-    report.time_scale = "utc" if scale == "utc" else "gps"
-    report.synchronised = True
-    report.t_first_s, report.t_last_s = float(t_gps_s.min()), float(t_gps_s.max())
-    report.gaps = find_gaps(t_gps_s)
-    step = np.diff(t_gps_s)
-    if np.any(step <= 0):
-        report.lose("steps_back", int((step <= 0).sum()))
-    if np.any(step > 0):
-        report.rates_hz["poses"] = 1.0 / float(np.median(step[step > 0]))
-    report.timing.describe_stamps(t_gps_s)
-    report.timing.unsynchronised_s = 0.0
-
-
 # ---------------------------------------------------------------- NovAtel Inertial Explorer
-
-
-def _bare(name: str) -> str:
-    return name.lower().replace("-", "").replace("_", "")
 
 
 _ALIASES: Final = {
@@ -401,7 +374,8 @@ _ALIASES: Final = {
 _MOST_DAYS_APART: Final = 1.5
 """Middle of the stated day from a time: half a day, and one that a zone may shift the date."""
 _NEEDED: Final = ("tow", "lat", "lon", "height", "roll", "pitch", "heading")
-_OURS: Final = {_bare(name): ours for ours, names in _ALIASES.items() for name in names}
+_NO_HYPHENS: Final = str.maketrans("", "", "-_")
+_OURS: Final = {x.lower().translate(_NO_HYPHENS): ours for ours, names in _ALIASES.items() for x in names}
 _DEG_OF_UNIT: Final = {"deg": 1.0, "degrees": 1.0, "d": 1.0, "min": 1 / 60, "arcmin": 1 / 60, "sec": 1 / 3600,
                        "arcsec": 1 / 3600, "rad": 180 / np.pi}  # fmt: skip
 
@@ -414,7 +388,9 @@ def is_inertial_explorer(head: bytes, size: int) -> bool:
 def _header(lines: Sequence[str]) -> int | None:
     """Number of the line with the names of the columns."""
     for number, line in enumerate(lines[:200]):
-        if {"tow", "lat", "lon", "roll"} <= {_OURS.get(_bare(name)) for name in line.split()}:
+        if {"tow", "lat", "lon", "roll"} <= {
+            _OURS.get(name.lower().translate(_NO_HYPHENS)) for name in line.split()
+        }:
             return number
     return None
 
@@ -433,7 +409,13 @@ def read_inertial_explorer(files: Sequence[Path], options: TrackOptions | None =
     InputError : a column that is needed is missing, a unit is not known, or a line is damaged.
     """
     options = options or TrackOptions()
-    report = IntegrityReport(stream="ins", format="NovAtel Inertial Explorer", files=[str(f) for f in files])
+    report = IntegrityReport(
+        stream="ins",
+        format="NovAtel Inertial Explorer",
+        files=[str(f) for f in files],
+        time_scale="gps",
+        synchronised=True,
+    )
     columns = pd.concat([_columns(Path(path), report) for path in files], ignore_index=True)
     where = ", ".join(map(str, files))
     if "week" not in columns and "date" in columns:
@@ -464,16 +446,17 @@ def read_inertial_explorer(files: Sequence[Path], options: TrackOptions | None =
             report.note(f"It states no standard deviations of {what} ({absent}): to be exported, or stated.")
     c = {name: columns[name].to_numpy(dtype=np.float64) for name in columns}
     t_gps_s = gps_from_week(c["week"], c["tow"])
-    nan = np.full(len(t_gps_s), np.nan)
-    states = _table(
-        t_gps_s,
+    states = frame_of(
+        INS_STATE,
         {
+            **FINISHED,
+            "t_gps_s": t_gps_s,
             "lat_deg": c["lat"],
-            "lon_deg": np.where(c["lon"] > 180, c["lon"] - 360, c["lon"]),
+            "lon_deg": half_turn(c["lon"]),
             "h_ell_m": c["height"],
-            "v_east_mps": c.get("v_east", nan),
-            "v_north_mps": c.get("v_north", nan),
-            "v_down_mps": -c.get("v_up", nan),
+            "v_east_mps": c.get("v_east", np.nan),
+            "v_north_mps": c.get("v_north", np.nan),
+            "v_down_mps": -c.get("v_up", np.nan),
             "roll_rad": np.deg2rad(c["roll"]),
             "pitch_rad": np.deg2rad(c["pitch"]),
             "heading_rad": np.mod(np.deg2rad(c["heading"]), 2 * np.pi),
@@ -484,19 +467,17 @@ def read_inertial_explorer(files: Sequence[Path], options: TrackOptions | None =
             "sigma_pitch_rad": np.deg2rad(c["sd_pitch"]),
             "sigma_heading_rad": np.deg2rad(c["sd_heading"]),
         },
+        unknown=np.nan,
     )
     report.count("poses", len(states))
-    _finish(report, t_gps_s, "gps")
+    report.take_times(t_gps_s, "poses")
     return PoseLog(states=states, report=report)
 
 
 def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
     """The known columns of one export, angles in degrees."""
-    if not path.is_file():
-        raise InputError("file not found", where=path, cure="Check the path")
-    raw = path.read_bytes()
-    report.bytes_read += len(raw)
-    lines = raw.decode("ascii", "replace").splitlines()
+    n_bytes, lines = _lines(path)
+    report.bytes_read += n_bytes
     first = _header(lines)
     if first is None:
         raise InputError(
@@ -506,8 +487,10 @@ def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
             cure="Export with a header",
         )
     names = lines[first].split()
-    units = re.findall(r"\(([^)]*)\)", lines[first + 1]) if first + 1 < len(lines) else []
-    units = _together(units) if len(units) > len(names) else units
+    units = re.findall(r"\(([^)]*)\)", "".join(lines[first + 1 : first + 2]))
+    if len(units) > len(names):  # degrees, minutes and seconds in brackets of their own
+        text = "\n".join(map(str.strip, units))
+        units = re.sub(r"(?im)^(?:\+/-)?d(?:eg)?\nm(?:in)?\ns(?:ec)?$", "D M S", text).split("\n")
     if len(units) != len(names):
         raise InputError(
             f"{len(units)} units below {len(names)} names of columns",
@@ -519,7 +502,7 @@ def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
     place = 0
     for name, unit in zip(names, units, strict=True):
         parts = 3 if "M S" in unit.upper().replace("-", " ") else 1  # degrees, minutes, seconds
-        known = _OURS.get(_bare(name))
+        known = _OURS.get(name.lower().translate(_NO_HYPHENS))
         if known is not None:
             at.setdefault(known, (place, parts, unit))
         place += parts
@@ -597,12 +580,6 @@ def _number(cell: str) -> float:
         return float(cell)
     minutes, seconds = rest
     return int(hours) * 3600.0 + int(minutes) * 60.0 + float(seconds)
-
-
-def _together(units: Sequence[str]) -> list[str]:
-    """Units with those of degrees, minutes and seconds in brackets of their own as one."""
-    text = "\n".join(unit.strip() for unit in units)
-    return re.sub(r"(?im)^(?:\+/-)?d(?:eg)?\nm(?:in)?\ns(?:ec)?$", "D M S", text).split("\n")
 
 
 @lru_cache(maxsize=64)
@@ -714,13 +691,7 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
     table = pd.DataFrame(rows, columns=["t_gps_s", "lat_deg", "lon_deg", "h_ell_m", "fix", "n_sats"])
     table["t_gps_s"] = gps_from_unix(table["t_gps_s"])
     t = table["t_gps_s"].to_numpy()
-    step = np.diff(t)
-    if np.any(step < 0):
-        report.lose("time_steps_back", int(np.sum(step < 0)))
-    report.t_first_s, report.t_last_s = float(t.min()), float(t.max())
-    report.gaps = find_gaps(t)
-    if np.any(step > 0):
-        report.rates_hz = {"positions": 1.0 / float(np.median(step[step > 0]))}
+    report.take_times(t, "positions")
     report.count("positions", len(table))
     if table["h_ell_m"].isna().any():
         report.note("Heights of GPX are above the geoid, and the file does not say how high that is.")
@@ -736,14 +707,12 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
         report.note(f"Only tracks are read, not the {' and '.join(unused)}.")
     if below > 0.9 * len(rows):
         report.note("Its elevations are negative: depths, perhaps, which are not read from there.")
-    log = PositionLog(report=report, positions=table.reindex(columns=list(GNSS_POSITION.names)))
+    log = PositionLog(report=report, positions=frame_of(GNSS_POSITION, dict(table), unknown=np.nan))
     if depths:
-        soundings = pd.DataFrame(depths, columns=["t_gps_s", "depth_m"])
-        soundings["t_gps_s"] = gps_from_unix(soundings["t_gps_s"])
-        log.depths = soundings.assign(sentence="GPX", line=np.arange(1, len(soundings) + 1)).reindex(
-            columns=list(DEPTH.names)
-        )
-        report.count("depths", len(soundings))
+        unix_s, depth_m = np.array(depths).T
+        values = {"t_gps_s": gps_from_unix(unix_s), "depth_m": depth_m, "line": np.arange(1, len(depths) + 1)}
+        log.depths = frame_of(DEPTH, {**values, "sentence": "GPX"}, unknown=np.nan)
+        report.count("depths", len(depths))
         report.note(
             "Its depths do not say whether they begin at the transducer or the water line: they are taken as "
             "below the transducer (logs.depth)."
