@@ -84,7 +84,6 @@ def soundings_of(places: list[np.ndarray], day: list[int], *, seed: int = 3) -> 
         height_m=-depth_of(xy) - OFFSETS[days] + noise,
         sigma_m=np.full(len(xy), 0.03),
         line=number,
-        counts={},
         crs=UTM,
         column="depth",
         depth=True,
@@ -284,7 +283,6 @@ def test_a_single_track_over_a_pond_is_mapped_as_far_as_it_tells() -> None:
         height_m=-3 + 0.3 * np.sin(x / 15) * np.cos(y / 15),
         sigma_m=np.full(len(xy), 0.02),
         line=np.zeros(len(xy), dtype=np.int64),
-        counts={},
         crs=UTM,
         column="z",
         depth=False,
@@ -370,6 +368,8 @@ NOON = 1_714_564_800.0  # 2024-05-01 12:00 UTC
     ("text", "expected"),
     [
         ("date,level_m\n2024-05-02,312.8\n2024-05-01,312.5\n", [312.5, 312.5, 312.8]),
+        # in feet
+        ("date;level_ft\n2024-05-01;10\n2024-05-02;20\n", [3.048, 3.048, 6.096]),
         ("2024-05-01T11:00,1.0\n2024-05-01T13:00Z,2.0\n2024-05-02T13:00,2.0\n", [1.5, 1.75, 2.0]),
         ("2024-05-01;11:00;1.0\n2024-05-01;13:00;2.0\n2024-05-02;13:00;2.0\n", [1.5, 1.75, 2.0]),
     ],
