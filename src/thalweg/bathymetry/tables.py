@@ -77,6 +77,8 @@ _RIVER: Final = 3.0
 """A river's reach is at least so many widths long."""
 _REACHED: Final = 0.9
 """Flow coordinates suit a water of which at least this share has them."""
+_COURSE: Final = 0.2
+"""Lines across a river, or beside each other, leave half of the soundings on more than this share of it."""
 _PLACES: Final = 2000
 _NAMED: Final = 6
 """So many pairs of days or lines that contradict each other are named."""
@@ -815,7 +817,8 @@ def water_of(
 
     A river is a centre line that is given, two bank lines, an outline that is at least three times as long as
     it is wide and whose water lies between the banks that it is cut into (nine tenths of it), or soundings
-    three times as far along the line through their middles as across, nearly all of them beside it.
+    three times as far along the line through their middles as across, nearly all of them beside it and not
+    all on one course.
 
     Parameters
     ----------
@@ -866,7 +869,7 @@ def water_of(
         found = river("")
     except (GeometryError, InputError) as error:
         return lake(f"no course of a river: {error.found}")
-    s, _, fold = found.line.to_flow(soundings.places_m)
+    s, n, fold = found.line.to_flow(soundings.places_m)
     if outline is not None:
         reached = _share_reached(outline, found, settings)
         if reached < _REACHED:
@@ -879,6 +882,12 @@ def water_of(
     long = float(np.ptp(s[~fold])) / found.width_m
     if long < _RIVER:
         return lake(f"the soundings reach {long:.1f} times as far along their middles as across")
+    half = float(np.ptp(np.quantile(n[~fold], [0.25, 0.75])))
+    if half < _COURSE * found.width_m:
+        return lake(
+            f"the soundings follow one course, half of them within {half:.1f} m across it: the way of "
+            "a boat, which shows no river"
+        )
     return replace(found, reason=f"the soundings reach {long:.1f} times as far along their middles as across")
 
 
