@@ -1,6 +1,5 @@
 """Sections, volumes and files for hydraulic programs, against formulas and other readers."""
 
-import json
 import re
 import time
 
@@ -14,14 +13,7 @@ from tests.fusion.conftest import DEPTH_M, FRAME, GRID, HALF_WIDTH_M, LEVEL_UP_M
 from thalweg.bathymetry import FlowLine
 from thalweg.core import CoverageError, Trajectory
 from thalweg.fusion import Dtm, River, map_of_changes, map_of_survey
-from thalweg.fusion.exports import (
-    contour_lines,
-    write_bag,
-    write_csv,
-    write_geojson,
-    write_hecras,
-    write_swmm,
-)
+from thalweg.fusion.exports import contour_lines, write_bag, write_csv, write_hecras, write_swmm
 from thalweg.fusion.measures import (
     correlated_sigma,
     cut_sections,
@@ -231,15 +223,10 @@ def test_transects_of_swmm_are_read_back(sections, tmp_path):
         assert min(read)[0] == pytest.approx(np.nanmin(section.height_m), abs=6e-4)
 
 
-def test_csv_and_geojson_hold_sections_and_contours(model, sections, river, tmp_path):
+def test_csv_holds_sections_and_contours_their_height(model, sections, tmp_path):
     write_csv(tmp_path / "sections.csv", sections)
     table = pd.read_csv(tmp_path / "sections.csv")
     assert table["s_m"].nunique() == len(sections)
-    write_geojson(tmp_path / "lines.geojson", model, sections, river, SETTINGS)
-    told = json.loads((tmp_path / "lines.geojson").read_text())
-    assert told["crs"]["properties"]["name"].endswith("25833")
-    kinds = [f["properties"]["kind"] for f in told["features"]]
-    assert {"contour", "thalweg", "water line", "section"} == set(kinds)
     for level, line in contour_lines(model.height_m, model.centres_m(), 0.5)[:20]:
         here = model.at(line)[0]
         assert np.nanmedian(np.abs(here - level)) < 0.02

@@ -127,7 +127,6 @@ def axis_of_track(track_m: ArrayF) -> FlowLine:
     """
     p = np.asarray(track_m, dtype=np.float64)
     p = p[np.isfinite(p).all(axis=1)]
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))])
     # a boat that stands jitters: only steps beyond the jitter count
     kept, last = [0], 0
     for k in range(1, len(p)):
@@ -137,14 +136,14 @@ def axis_of_track(track_m: ArrayF) -> FlowLine:
     p = p[kept]
     if len(p) < 8:
         raise GeometryError(
-            f"a track of {way[-1] if len(way) else 0.0:.1f} m",
+            f"a track of {len(p)} places {_RESAMPLED_M:g} m apart",
             expected="a boat that went along the river",
             where="the trajectory",
             cure="State logs.centre_line",
         )
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))])
-    u = np.arange(0.0, way[-1], _RESAMPLED_M)
-    even = np.column_stack([np.interp(u, way, p[:, k]) for k in (0, 1)])
+    way = _way(p)
+    at = np.arange(0.0, way[-1], _RESAMPLED_M)
+    even = np.column_stack([np.interp(at, way, each) for each in p.T])
     # Smoothing beyond the zigzag's own length moves the line no more; far beyond, it cuts the bends.
     usable: list[tuple[FlowLine, float]] = []
     every = -(-len(even) // _JUDGED)
@@ -199,15 +198,30 @@ def _smoothed(points: ArrayF, sigma: float) -> ArrayF:
 
 def _through(points: ArrayF) -> FlowLine:
     """A centre line through points, sampled coarsely, that goes on straight beyond them."""
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    n = max(int(way[-1] / 4.0), 4)
-    u = np.linspace(0, way[-1], n)
-    p = np.column_stack([np.interp(u, way, points[:, k]) for k in (0, 1)])
-    ends = []
-    for a, b in ((p[1], p[0]), (p[-2], p[-1])):
-        t = (b - a) / np.linalg.norm(b - a)
-        ends.append(b + np.arange(1, 6)[:, None] * (_END_M / 5) * t)
-    return FlowLine.through(np.concatenate([ends[0][::-1], p, ends[1]]))
+    n = max(int(_way(points)[-1] / 4.0), 4)
+    return FlowLine.through(beyond(resampled(points, n), _END_M, steps=5))
+
+
+def resampled(line_m: ArrayF, n: int) -> ArrayF:
+    """``n`` places at even distances along a line (k, 2), from its start to its end."""
+    # shapely would look for each place from the start of the line
+    way = _way(line_m)
+    at = np.linspace(0.0, way[-1], n)
+    return np.column_stack([np.interp(at, way, each) for each in line_m.T])
+
+
+def _way(line_m: ArrayF) -> ArrayF:
+    """Distances (k,) of the corners of a line from its start, along it."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line_m, axis=0), axis=1))])
+
+
+def beyond(line_m: ArrayF, reach_m: float, *, steps: int = 1) -> ArrayF:
+    """Places (k, 2) of a line that goes on straight beyond both ends, in so many steps."""
+    away = np.linspace(0.0, reach_m, steps + 1)[1:, None]
+    before, after = (
+        b + away * (b - a) / max(float(np.linalg.norm(b - a)), 1e-9) for a, b in (line_m[1::-1], line_m[-2:])
+    )
+    return np.concatenate([before[::-1], line_m, after])
 
 
 # ---------------------------------------------------------------- banks
@@ -239,16 +253,10 @@ def trace_banks(
     """
     rows: list[tuple[Any, ...]] = []
     stations = np.arange(span_m[0], span_m[1] + settings.bank_station_m, settings.bank_station_m)
-    if len(cloud_m):
-        low, high = float(cloud_m[:, 2].min()), float(level.at(np.array(span_m))[0].max()) + _SLICES_M[-1]
-        cloud_m, sigma_up_m, sigma_horizontal_m = (
-            a[(cloud_m[:, 2] >= low) & (cloud_m[:, 2] <= high)]
-            for a in (cloud_m, sigma_up_m, sigma_horizontal_m)
-        )
-    s, n, fold = (
-        axis.to_flow(cloud_m[:, :2]) if len(cloud_m) else (np.empty(0), np.empty(0), np.empty(0, bool))
-    )
-    above = cloud_m[:, 2] - level.at(s)[0] if len(cloud_m) else np.empty(0)
+    low = cloud_m[:, 2] <= float(level.at(np.array(span_m))[0].max()) + _SLICES_M[-1]
+    cloud_m, sigma_up_m, sigma_horizontal_m = cloud_m[low], sigma_up_m[low], sigma_horizontal_m[low]
+    s, n, fold = axis.to_flow(cloud_m[:, :2])
+    above = cloud_m[:, 2] - level.at(s)[0]
     near = ~fold & (np.abs(n) < _FARTHEST_M) & (above > _SLICES_M[0]) & (above < _SLICES_M[-1])
     for side, sign in SIDES.items():
         mine = np.flatnonzero(near & (n * sign > 0))
@@ -349,19 +357,28 @@ def onto_line(banks: pd.DataFrame, line: FlowLine) -> pd.DataFrame:
     if not len(banks):
         return banks
     s, n, _ = line.to_flow(banks[["east_m", "north_m"]].to_numpy(np.float64))
-    sign = banks["side"].map(SIDES).to_numpy(np.float64)
-    wrong = float(np.mean(sign * n <= 0))
+    return on_their_sides(banks.assign(s_m=s, n_m=n), "bank lines (logs.bank_lines, --banks)")
+
+
+def on_their_sides(banks: pd.DataFrame, where: Path | str) -> pd.DataFrame:
+    """Places of banks that lie on the side of the centre line that they name, in order.
+
+    Raises
+    ------
+    GeometryError : one of twenty or more does not.
+    """
+    right = banks["side"].map(SIDES).astype(np.float64) * banks["n_m"] > 0
+    wrong = float(np.mean(~right)) if len(banks) else 0.0
     if wrong > 0.05:
         raise GeometryError(
             f"{wrong:.0%} of the bank's places lie on the other side of the centre line",
             expected="left and right of the flow, downstream",
-            where="bank lines (logs.bank_lines, --banks)",
+            where=where,
             cure="Turn the centre line round, or exchange the sides"
             if wrong > 0.5
             else "Draw the bank lines so that they do not cross",
         )
-    out = banks.assign(s_m=s, n_m=n)[sign * n > 0]
-    return out.sort_values(["side", "s_m"], kind="stable", ignore_index=True)
+    return banks[right].sort_values(["side", "s_m"], kind="stable", ignore_index=True)
 
 
 def side_of(properties: Mapping[str, Any]) -> str | None:

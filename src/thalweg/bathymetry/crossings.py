@@ -22,6 +22,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
+from scipy.stats import t as student
 
 from thalweg.core import NMAD, ArrayF, ArrayI
 from thalweg.navigation.ins_gnss import Estimate
@@ -41,6 +42,8 @@ _MOST: Final = 800
 _MEDIAN: Final = 1.2533
 """Standard deviation of a median over that of a mean."""
 _OUTSIDE: Final = 1.959964
+_ONE_SIGMA: Final = 0.841345
+"""Share of a normal distribution below one standard deviation."""
 _FEWEST_OF_PAIR: Final = 3
 _HOLE: Final = 8.0
 """A step so many times the usual one is a hole in a line."""
@@ -329,8 +332,9 @@ class Agreement:
     pairs : columns a, b (numbers of parts), n, difference_m (median height of b less a), sigma_m of it,
         contradicts (beyond its 95 %; at least three crossings).
     shift_m : (parts,) height of each part above the mean of those that it is tied to by crossings.
-    sigma_common_m : (parts,) what is left of the steps when they are taken off: the mean of a few parts is as
-        uncertain as their scatter says, a part that crosses no other is wrong by the whole of it.
+    sigma_common_m : (parts,) what is left of the steps when they are taken off, half a 68 % interval: the
+        mean of a few parts is as uncertain as their scatter says, by Student's distribution because they are
+        few, and a part that crosses no other is wrong by the whole of it.
     """
 
     pairs: pd.DataFrame
@@ -398,5 +402,8 @@ def agreement(places_m: ArrayF, height_m: ArrayF, sigma_m: ArrayF, line: ArrayI,
     tied = connected_components(design.T @ design, directed=False)[1]
     size = np.bincount(tied)[tied]
     free_parts = n - int(tied.max()) - 1
-    spread = float(np.sqrt(np.sum(shift**2) / max(free_parts, 1)))
+    # the scatter of so few parts is hardly known itself: two thirds of the means lie within this of the truth
+    spread = float(
+        np.sqrt(np.sum(shift**2) / max(free_parts, 1)) * student.ppf(_ONE_SIGMA, max(free_parts, 1))
+    )
     return Agreement(pairs=pairs, shift_m=shift, sigma_common_m=np.sqrt(spread**2 / size + np.diag(inverse)))

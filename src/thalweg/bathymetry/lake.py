@@ -9,7 +9,6 @@ the eigenvector of M with the smaller eigenvalue (the variogram at short lags: C
 Geostatistics, 2.5 on geometric anisotropy). The ranges along and across it are found as in a river.
 """
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self
@@ -22,6 +21,7 @@ from scipy.cluster.vq import kmeans2
 from scipy.spatial import cKDTree
 
 from thalweg.core import ArrayB, ArrayF, ArrayI, GeometryError, InputError
+from thalweg.ingest import read_text_table
 
 _PAIRED: Final = 1000
 _NEAR: Final = 0.15
@@ -178,31 +178,29 @@ class Levels:
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """A table of two columns, date or time (UTC) and level in metres, or of date, time and level.
+        """A table of date or time (UTC) and level, or of date, time and level, in metres or as its name says.
 
         Raises
         ------
         InputError : no such table, or times that are neither ``2024-05-01``, ``2024-05-01T12:30`` nor
             ``12:30``.
         """
-        cure = "Write date or time, and level in metres: 2024-05-01,312.45 or 2024-05-01T12:30,312.45"
-        try:
-            rows = pd.read_csv(path, sep=None, engine="python", header=None, dtype=str, comment="#").dropna()
-        except (OSError, ValueError, csv.Error) as error:
-            raise InputError(f"{error}", where=path, expected="CSV of times and levels", cure=cure) from error
-        level = pd.to_numeric(rows.iloc[:, -1], errors="coerce").to_numpy(np.float64)
-        when = rows.iloc[:, :-1].apply(lambda row: "T".join(word.strip() for word in row), axis=1)
-        known = np.isfinite(level)
-        known[1:] |= ~known[1:]  # a line of names comes first or not at all
-        when, level = when[known], level[known]
+        table = read_text_table(path)
+        last = len(table.columns) - 1
+        level = table.numbers(last, "level")
+        when = pd.Series(["T".join(row) for row in table.cells.iloc[:, :last].to_numpy()], dtype=str)
         clock, daily = (bool(len(when)) and bool(when.str.fullmatch(p).all()) for p in (_CLOCK, _DATE))
         text = "1970-01-01T" + when.str.zfill(5) if clock else when
-        t = pd.to_datetime(text, format="ISO8601", utc=True, errors="coerce")
-        bad = ~(t.notna() & np.isfinite(level))
-        if bad.any() or not len(t):
-            found = f"no time and level: {', '.join(rows[known][bad].iloc[0])}" if len(t) else "no level"
-            raise InputError(found, where=path, expected="times and levels", cure=cure)
-        t = (t - pd.Timestamp(0, tz="UTC")).dt.total_seconds().to_numpy()
+        moment = pd.to_datetime(text, format="ISO8601", utc=True, errors="coerce")
+        bad = np.flatnonzero(moment.isna() | np.isnan(level))
+        if len(bad) or not len(table):
+            raise InputError(
+                f"no time and level: {', '.join(table.cells.iloc[bad[0]])}" if len(bad) else "no level",
+                where=f"{path}:{table.line[bad[0]]}" if len(bad) else path,
+                expected="times and levels",
+                cure="Write date or time, and level: 2024-05-01,312.45 or 2024-05-01T12:30,312.45",
+            )
+        t = np.asarray((moment - pd.Timestamp(0, tz="UTC")).dt.total_seconds(), dtype=np.float64)
         order = np.argsort(t, kind="stable")
         return cls(t_s=t[order], level_m=level[order], clock=clock, daily=daily, path=path)
 

@@ -16,12 +16,13 @@ import shapely
 from numpy.typing import ArrayLike
 from pyproj import CRS
 from pyproj.exceptions import CRSError
+from scipy.ndimage import gaussian_filter1d
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree, shortest_path
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from thalweg.bathymetry.banks import SIDES, Banks, side_of
+from thalweg.bathymetry.banks import SIDES, Banks, beyond, on_their_sides, resampled, side_of
 from thalweg.bathymetry.bed import BANDS, OBSERVATIONS, Bed, cells_of_river, gridded, observations_of
 from thalweg.bathymetry.crossings import DAY_GAP_S, agreement
 from thalweg.bathymetry.flow import FlowLine
@@ -64,6 +65,8 @@ _BREAK: Final = 8.0
 _TURN_DEG: Final = 45.0
 _SHUFFLED: Final = 0.2
 """A file with more breaks than this share of its rows does not follow the boat: its lines are clusters."""
+_CONTRADICT: Final = 3.0
+"""Soundings of one place that differ by so many sigmas contradict each other."""
 _SIGMA_BANK_M: Final = 0.5
 _STEEP: Final = 0.3
 """Rise of the bed near the shore, for what a shoreline's error across is in height."""
@@ -74,6 +77,8 @@ _RIVER: Final = 3.0
 """A river's reach is at least so many widths long."""
 _REACHED: Final = 0.9
 """Flow coordinates suit a water of which at least this share has them."""
+_COURSE: Final = 0.2
+"""Lines across a river, or beside each other, leave half of the soundings on more than this share of it."""
 _PLACES: Final = 2000
 _NAMED: Final = 6
 """So many pairs of days or lines that contradict each other are named."""
@@ -101,19 +106,13 @@ def map_crs(text: str, *, feet: bool = False) -> CRS:
         raise InputError(
             f"--crs {text}: {error}", expected="a projected system such as EPSG:32633"
         ) from error
-    if not crs.is_projected:
+    if not crs.is_projected or not (feet or units_of_crs(crs)[0] == METRE):
         raise InputError(
-            f"{text} ({crs.name}) is in {crs.axis_info[0].unit_name}s",
+            f"{text} ({crs.name}) is in {crs.axis_info[0].unit_name}{'' if crs.is_projected else 's'}",
             where="--crs",
             expected="a projected system in metres",
-            cure="Transform the table to the UTM zone of the river, such as EPSG:32633",
-        )
-    if not feet and any(abs(axis.unit_conversion_factor - 1) > 1e-9 for axis in crs.axis_info[:2]):
-        raise InputError(
-            f"{text} ({crs.name}) is in {crs.axis_info[0].unit_name}",
-            where="--crs",
-            expected="a projected system in metres",
-            cure="Transform places and heights to metres",
+            cure="State the UTM zone of the river, such as EPSG:32633: degrees are transformed to it, and "
+            "files that state another system",
         )
     return crs
 
@@ -169,7 +168,21 @@ def read_line(
     GeometryError : fewer than three places.
     """
     if is_vector_file(path):
-        xy = _drawn_line(path, crs, notes)
+        drawn = read_vectors(path)
+        if crs is not None:
+            drawn = drawn.on_map(crs)
+        elif drawn.crs is not None and units_of_crs(drawn.crs)[0] != METRE:
+            raise InputError(
+                f"a centre line in {drawn.crs.name}",
+                where=path,
+                expected="places in metres on a map",
+                cure="Transform it to the map of the other places, such as the UTM zone of the river",
+            )
+        lines = drawn.lines()
+        if len(lines) != 1:
+            raise InputError(f"{len(lines)} lines", where=path, expected="one centre line")
+        _keep(drawn.notes, notes)
+        xy = lines[0][0][:, :2]
     else:
         xy = read_places(path, crs, any_system=True)[1].xy_m
         xy = xy[np.isfinite(xy).all(axis=1)]
@@ -178,25 +191,6 @@ def read_line(
     if frame is not None and crs is not None:
         xy = frame.from_map(np.column_stack([xy, np.full(len(xy), frame.h_ell_m)]), crs)[:, :2]
     return FlowLine.through(xy)
-
-
-def _drawn_line(path: Path, crs: CRS | None, notes: list[str] | None) -> ArrayF:
-    """Places (n, 2) of the one line of a file of vectors."""
-    drawn = read_vectors(path)
-    if crs is not None:
-        drawn = drawn.on_map(crs)
-    elif drawn.crs is not None and units_of_crs(drawn.crs)[0] != METRE:
-        raise InputError(
-            f"a centre line in {drawn.crs.name}",
-            where=path,
-            expected="places in metres on a map",
-            cure="Transform it to the map of the other places, such as the UTM zone of the river",
-        )
-    lines = drawn.lines()
-    if len(lines) != 1:
-        raise InputError(f"{len(lines)} lines", where=path, expected="one centre line")
-    _keep(drawn.notes, notes)
-    return lines[0][0][:, :2]
 
 
 def read_islands(path: Path, crs: CRS, notes: list[str] | None = None) -> list[list[tuple[float, float]]]:
@@ -235,7 +229,6 @@ class TableOfSoundings:
     places_m : (n, 2) east and north.
     height_m, sigma_m : (n,) and their noise.
     line : (n,) number of the line.
-    counts : rows read, repeated rows, other soundings repeated at a place, and those that differ there.
     crs : of the map.
     column, depth : name of the column of values, and whether they are depths.
     notes : what was converted, assumed and left out.
@@ -248,7 +241,6 @@ class TableOfSoundings:
     height_m: ArrayF
     sigma_m: ArrayF
     line: ArrayI
-    counts: dict[str, int]
     crs: CRS
     column: str
     depth: bool
@@ -312,7 +304,6 @@ def read_soundings(
     at_sigma = table.find("sigma")
     sigma = np.full(len(table), sigma_m) if at_sigma is None else table.numbers(at_sigma, "sigma")
     known = np.isfinite(value) & np.isfinite(places).all(axis=1) & np.isfinite(sigma) & (sigma > 0)
-    counts = {"rows": len(table)}
     notes = [*table.notes, *found.notes, *table.unit_notes(k), *table.loss_notes()]
     if known.any():
         notes.append(
@@ -348,7 +339,9 @@ def read_soundings(
         notes += said
     # a row that stands twice, as in a file joined with itself, is one sounding on one line
     again = pd.DataFrame(np.column_stack([places, height, t_s])).duplicated().to_numpy() & known
-    counts["repeated rows"], known = int(again.sum()), known & ~again
+    known &= ~again
+    if n := int(again.sum()):
+        notes.append(f"{n:,} rows stand in the table before, with the same place and value: taken once")
     if line_column is None:
         line = _lines_by_place(places[known])
     else:
@@ -367,9 +360,17 @@ def read_soundings(
     )
     groups = of.groupby(["x", "y", "day"], sort=False, dropna=False)
     spread = groups["h"].agg(np.ptp)
-    counts["repeated"] = len(of) - len(spread)
-    counts["repeated and different"] = int((spread > 3 * np.sqrt(2 * groups["v"].max())).sum())
-    if counts["repeated"]:
+    more = len(of) - len(spread)
+    if more:
+        notes.append(
+            f"{more:,} soundings lie at the place of another one of the same day: their mean is taken"
+        )
+        differ = int((spread > _CONTRADICT * np.sqrt(2 * groups["v"].max())).sum())
+        if differ:
+            notes[-1] += (
+                f"; at {differ:,} places they differ by more than {_CONTRADICT:g} sigmas, and half of the "
+                "difference is taken as their sigma"
+            )
         one = groups.agg(h=("h", "mean"), v=("v", "mean"), line=("line", "first"), t=("t", "first"))
         one = one.reset_index()
         # soundings of one place that differ by more than their noise: half the difference is their sigma
@@ -377,7 +378,7 @@ def read_soundings(
         of = one
     xy = of[["x", "y"]].to_numpy(np.float64)
     if len(of) < 4:
-        more = counts["repeated"] + counts["repeated rows"]
+        more += int(again.sum())
         raise InputError(
             f"{len(of)} soundings" + (f", {more:,} more rows at the same places (degrees?)" if more else ""),
             where=path,
@@ -399,7 +400,6 @@ def read_soundings(
         height_m=of["h"].to_numpy(np.float64),
         sigma_m=np.sqrt(of["v"].to_numpy(np.float64)),
         line=of["line"].to_numpy(np.int64),
-        counts=counts,
         crs=found.crs,
         column=column,
         depth=depth,
@@ -581,7 +581,7 @@ def centre_of_lines(xy: ArrayF, height_m: ArrayF, line: ArrayI) -> FlowLine:
     if _rises(places, xy, height_m):
         places = places[::-1]
     width = max(float(np.median(lengths)), 1.0)
-    return FlowLine.through(_beyond(places, 2 * width))
+    return FlowLine.through(beyond(places, 2 * width))
 
 
 def _chain(places: ArrayF) -> ArrayI:
@@ -595,14 +595,6 @@ def _chain(places: ArrayF) -> ArrayI:
     while out[-1] != start:
         out.append(int(before[start, out[-1]]))
     return np.array(out[::-1], dtype=np.int64)
-
-
-def _beyond(places: ArrayF, reach_m: float) -> ArrayF:
-    """Places of a line that goes on straight beyond both ends."""
-    ends = []
-    for a, b in ((places[1], places[0]), (places[-2], places[-1])):
-        ends.append(b + reach_m * (b - a) / max(float(np.linalg.norm(b - a)), 1e-9))
-    return np.concatenate([ends[:1], places, ends[1:]])
 
 
 def read_bank_lines(
@@ -644,7 +636,7 @@ def read_bank_lines(
         line = _between(parts, path, height_m)
     tables = []
     for xyz, side in parts:
-        dense = _densified(xyz)
+        dense = _dense(xyz)
         s, n, fold = line.to_flow(dense[:, :2])
         # the ends of a polygon run across the river and are no bank
         across = np.abs(np.gradient(n)) > 2 * np.abs(np.gradient(s))
@@ -661,22 +653,12 @@ def read_bank_lines(
             }
         )
         tables.append(of[~fold & ~across])
-    table = pd.concat(tables, ignore_index=True)
-    wrong = float(np.mean(table["side"].map(SIDES) * table["n_m"] <= 0)) if len(table) else 0.0
-    if wrong > 0.05:
-        raise InputError(
-            f"{wrong:.0%} of the bank's places lie on the other side of the centre line",
-            where=path,
-            expected="left and right of the flow, downstream",
-            cure="Turn the centre line round, or exchange the sides" if wrong > 0.5 else "The banks cross",
-        )
-    table = table[table["side"].map(SIDES) * table["n_m"] > 0]
+    table = on_their_sides(pd.concat(tables, ignore_index=True), path)
     for side in SIDES:
         if (table["side"] == side).sum() < 2:
             raise InputError(
                 f"no {side} bank beside the centre line", where=path, expected="a left and a right bank"
             )
-    table = table.sort_values(["side", "s_m"], kind="stable", ignore_index=True)
     # heights of zero everywhere are how 2D lines are written in 3D
     data = table[np.isfinite(table["up_m"])] if table["up_m"].fillna(0).abs().max() > 0 else table[:0]
     if level_m is not None:
@@ -706,17 +688,19 @@ def _at_stations(table: pd.DataFrame) -> pd.DataFrame:
     return pd.concat(parts, ignore_index=True)
 
 
-def _densified(xyz: ArrayF) -> ArrayF:
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz[:, :2], axis=0), axis=1))])
-    at = np.unique(np.concatenate([way, np.linspace(0, way[-1], _STATIONS)]))
-    return np.column_stack([np.interp(at, way, xyz[:, k]) for k in range(xyz.shape[1])])
+def _dense(xyz: ArrayF) -> ArrayF:
+    """Corners of a line, with or without heights, and so many between them that no step is long."""
+    line = shapely.LineString(xyz)
+    return np.asarray(
+        shapely.get_coordinates(shapely.segmentize(line, line.length / _STATIONS), include_z=line.has_z)
+    )
 
 
 def _between(parts: list[tuple[ArrayF, str | None]], path: Path, height_m: tuple[ArrayF, ArrayF]) -> FlowLine:
     """The line half way between two banks."""
     if len(parts) == 1 and np.array_equal(parts[0][0][0, :2], parts[0][0][-1, :2]):
         # an outline: it turns back at its ends
-        ring = _densified(parts[0][0])[:, :2]
+        ring = _dense(parts[0][0])[:, :2]
         ends = divmod(int(np.argmax(cdist(ring, ring))), len(ring))
         first, last = sorted(ends)
         halves = (ring[first : last + 1], np.concatenate([ring[last:], ring[: first + 1]]))
@@ -738,23 +722,23 @@ def _between(parts: list[tuple[ArrayF, str | None]], path: Path, height_m: tuple
         a[0] - b[-1]
     ) + np.linalg.norm(a[-1] - b[0]):
         b = b[::-1]
-    a, b = _densified(a), _densified(b)
+    a, b = _dense(a), _dense(b)
     # pairs of nearest places follow the bends better than equal shares of the length
     near_b, near_a = b[cKDTree(b).query(a)[1]], a[cKDTree(a).query(b)[1]]
     width = float(np.median(np.linalg.norm(a - near_b, axis=1)))
-    middle = ((a + near_b) / 2 + _even((b + near_a) / 2, len(a))) / 2
+    middle = ((a + near_b) / 2 + resampled((b + near_a) / 2, len(a))) / 2
     length = np.linalg.norm(np.diff(middle, axis=0), axis=1).sum()
     k = int(np.clip(length / max(width, 1e-6), 8, 200))
-    places = _smoothed_line(_even(middle, 8 * k), 4)[:: 8 if k > 8 else 4]
-    left = parts[0][0] if sides[0] == "left" else parts[1][0] if sides[1] == "left" else None
-    if left is not None:
-        t, d = places[1] - places[0], left[:, :2] - places[0]
-        k = int(np.argmin(np.linalg.norm(d, axis=1)))
-        turn = t[0] * d[k, 1] - t[1] * d[k, 0] < 0
+    even = resampled(middle, 8 * k)
+    smooth = gaussian_filter1d(even, 4, axis=0, mode="nearest")
+    smooth[[0, -1]] = even[[0, -1]]
+    places = smooth[:: 8 if k > 8 else 4]
+    if "left" in sides:
+        left = parts[sides.index("left")][0]
+        turn = bool(np.median(FlowLine.through(places).to_flow(left[:, :2])[1]) < 0)
     else:
-        xy, z = height_m
-        turn = _rises(places, xy, z)
-    return FlowLine.through(_beyond(places[::-1] if turn else places, width))
+        turn = _rises(places, *height_m)
+    return FlowLine.through(beyond(places[::-1] if turn else places, width))
 
 
 def _rises(places: ArrayF, xy: ArrayF, height_m: ArrayF) -> bool:
@@ -763,20 +747,6 @@ def _rises(places: ArrayF, xy: ArrayF, height_m: ArrayF) -> bool:
         return False
     at = cKDTree(places).query(xy)[1]
     return bool(np.sum((at - at.mean()) * (height_m - height_m.mean())) > 0)
-
-
-def _even(p: ArrayF, n: int) -> ArrayF:
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))])
-    at = np.linspace(0, way[-1], n)
-    return np.column_stack([np.interp(at, way, p[:, k]) for k in (0, 1)])
-
-
-def _smoothed_line(p: ArrayF, sigma: int) -> ArrayF:
-    from scipy.ndimage import gaussian_filter1d
-
-    inner = gaussian_filter1d(p, sigma, axis=0, mode="nearest")
-    inner[0], inner[-1] = p[0], p[-1]
-    return np.asarray(inner)
 
 
 def hull_of_lines(s: ArrayF, n: ArrayF, line: ArrayI) -> HalfWidths:
@@ -847,7 +817,8 @@ def water_of(
 
     A river is a centre line that is given, two bank lines, an outline that is at least three times as long as
     it is wide and whose water lies between the banks that it is cut into (nine tenths of it), or soundings
-    three times as far along the line through their middles as across, nearly all of them beside it.
+    three times as far along the line through their middles as across, nearly all of them beside it and not
+    all on one course.
 
     Parameters
     ----------
@@ -898,7 +869,7 @@ def water_of(
         found = river("")
     except (GeometryError, InputError) as error:
         return lake(f"no course of a river: {error.found}")
-    s, _, fold = found.line.to_flow(soundings.places_m)
+    s, n, fold = found.line.to_flow(soundings.places_m)
     if outline is not None:
         reached = _share_reached(outline, found, settings)
         if reached < _REACHED:
@@ -911,6 +882,12 @@ def water_of(
     long = float(np.ptp(s[~fold])) / found.width_m
     if long < _RIVER:
         return lake(f"the soundings reach {long:.1f} times as far along their middles as across")
+    half = float(np.ptp(np.quantile(n[~fold], [0.25, 0.75])))
+    if half < _COURSE * found.width_m:
+        return lake(
+            f"the soundings follow one course, half of them within {half:.1f} m across it: the way of "
+            "a boat, which shows no river"
+        )
     return replace(found, reason=f"the soundings reach {long:.1f} times as far along their middles as across")
 
 
@@ -977,18 +954,17 @@ def _river(
         if outside.any():
             notes.append(f"{int(outside.sum()):,} soundings outside the banks, used")
     width = float(np.nanmedian(np.sum(half_widths(s), axis=0)))
-    nothing = np.empty(0)
-    shore = _observations("bank", nothing, nothing, np.empty((0, 2)), nothing, nothing, [])
+    shore = _observations("bank", np.empty((0, 2)), np.empty((0, 2)), np.empty(0), np.empty(0), [])
     if banks is not None and len(banks[1]) and settings.bank_as_data:
         of = banks[1].sort_values(["side", "s_m"], kind="stable")
         spacing = max(width / 20, settings.cell_m)
         of = of[~of.assign(k=(of["s_m"] // spacing)).duplicated(["side", "k"])]
         stretch = (of["s_m"] // (20 * spacing)).to_numpy(np.int64)
         number = -2 - 2 * (stretch - stretch.min()) - (of["side"] == "left").to_numpy(np.int64)
-        names = ("s_m", "n_m", "up_m", "sigma_m")
-        along, across, up, sigma = (of[name].to_numpy(np.float64) for name in names)
-        places = of[["east_m", "north_m"]].to_numpy(np.float64)
-        shore = _observations("bank", along, across, places, up, sigma, number)
+        flow, places = (
+            of[[*names]].to_numpy(np.float64) for names in (("s_m", "n_m"), ("east_m", "north_m"))
+        )
+        shore = _observations("bank", flow, places, of["up_m"].array, of["sigma_m"].array, number)
     return Water(
         line=line,
         half_widths_m=half_widths,
@@ -1035,7 +1011,6 @@ def _lake(
         if outline is not None:
             notes.append("the shore has no height and is no datum: state --level")
     places, number = places[near], number[near]
-    s, n = plane.turned(places).T
     up, sigma = np.full(len(places), shore_m, dtype=np.float64), np.full(len(places), _STEEP * _SIGMA_BANK_M)
     radius = float(shapely.maximum_inscribed_circle(area).length)
     # the edge of what was sounded is no shore
@@ -1045,7 +1020,7 @@ def _lake(
         half_widths_m=no_half_widths,
         basin=Basin(wkt=turned, radius_m=radius),
         width_m=2 * radius,
-        shore=_observations("bank", s, n, places, up, sigma, -2 - number),
+        shore=_observations("bank", plane.turned(places), places, up, sigma, -2 - number),
         area=area,
         edge="edge of the soundings" if outline is None else "shore",
         reason=reason,
@@ -1114,9 +1089,9 @@ def bed_of_table(
     lake = water.basin
     notes = [
         *soundings.notes,
-        *(f"{n:,} {what}" for what, n in soundings.counts.items() if what != "rows" and n),
+        f"{'flow' if lake is None else 'map'} coordinates: {water.reason}",
+        *water.notes,
     ]
-    notes += [f"{'flow' if lake is None else 'map'} coordinates: {water.reason}", *water.notes]
     soundings, common, days, of_days = _agreed(soundings)
     number, patches = soundings.line, False
     if lake is not None:
@@ -1126,8 +1101,9 @@ def bed_of_table(
     s, n, fold = water.line.to_flow(soundings.places_m)
     if fold.any():
         notes.append(f"{int(fold.sum()):,} soundings without flow coordinates left out")
+    flow = np.column_stack([s, n])
     table = _observations(
-        "sounding", s, n, soundings.places_m, soundings.height_m, soundings.sigma_m, number
+        "sounding", flow, soundings.places_m, soundings.height_m, soundings.sigma_m, number
     ).assign(sigma_common_m=common)[~fold]
     counts = {"soundings": len(table), "folded": int(fold.sum())}
     if len(water.shore):
@@ -1313,19 +1289,13 @@ def _reference_points(path: Path, crs: CRS, settings: Bathymetry) -> tuple[Array
 
 
 def _observations(
-    source: str,
-    s: ArrayF,
-    n: ArrayF,
-    places: ArrayF,
-    height: ArrayF,
-    sigma: ArrayF,
-    line: ArrayI | Sequence[int],
+    source: str, flow: ArrayF, places: ArrayF, height: Any, sigma: Any, line: ArrayI | Sequence[int]
 ) -> pd.DataFrame:
     return pd.DataFrame(
         {
             "source": source,
-            "s_m": s,
-            "n_m": n,
+            "s_m": flow[:, 0],
+            "n_m": flow[:, 1],
             "east_m": places[:, 0],
             "north_m": places[:, 1],
             "up_m": height,

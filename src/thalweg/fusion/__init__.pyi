@@ -27,7 +27,6 @@ from .exports import (
     write_2dm as write_2dm,
     write_bag as write_bag,
     write_csv as write_csv,
-    write_geojson as write_geojson,
     write_hecras as write_hecras,
     write_selafin as write_selafin,
     write_swmm as write_swmm,

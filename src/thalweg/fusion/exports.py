@@ -1,8 +1,7 @@
-"""Sections, terrain and triangles for hydraulic programs: HEC-RAS, SWMM, CSV, GeoJSON, BAG, meshes.
+"""Sections, terrain and triangles for hydraulic programs: HEC-RAS, SWMM, CSV, BAG, meshes.
 
 Sources: HEC-RAS User's Manual 6.6, "RAS GIS Import File (RASImport.sdf)", keywords of its header table;
-Storm Water Management Model User's Manual 5.1, appendix D.2, section [TRANSECTS]; RFC 7946 (GeoJSON;
-coordinates stay in the campaign's grid, named as GeoJSON 2008 did, for GIS that read it).
+Storm Water Management Model User's Manual 5.1, appendix D.2, section [TRANSECTS].
 
 **Triangles** have banks, toes and thalweg as edges. Nodes stand in rows across the flow line; between two
 neighbouring lines (bank, toe, thalweg) a row has as many as its width asks for, and the strip between two
@@ -11,7 +10,6 @@ left of small angles and of folds on the inner side of bends goes by collapsing 
 triangle, as long as that makes no smaller angle.
 """
 
-import json
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -358,7 +356,7 @@ def write_ugrid(path: Path, mesh: RiverMesh, *, crs_wkt: str) -> None:
 # ---------------------------------------------------------------- exports
 
 _OF_MESH = ("2dm", "selafin", "ugrid")
-_OF_SECTIONS = {"hecras", "swmm", "csv", "geojson"}
+_OF_SECTIONS = {"hecras", "swmm", "csv"}
 _SWMM_MOST_POINTS = 1500
 """SWMM 5 takes no more stations in a transect."""
 
@@ -382,7 +380,6 @@ def export_river(
         "hecras": lambda: write_hecras(folder / "RASImport.sdf", sections, river),
         "swmm": lambda: write_swmm(folder / "transects.inp", sections, settings),
         "csv": lambda: write_csv(folder / "sections.csv", sections),
-        "geojson": lambda: write_geojson(folder / "lines.geojson", model, sections, river, settings),
         "bag": lambda: write_bag(folder / "terrain.bag", model),
     }
     facts: dict[str, Any] = {"not_written": {}}
@@ -575,34 +572,6 @@ def contour_lines(height_m: ArrayF, centres_m: ArrayF, interval_m: float) -> lis
     levels = np.arange(np.ceil(low / interval_m), np.floor(high / interval_m) + 1) * interval_m
     lines: Any = [(float(level), drawn.lines(float(level))) for level in levels]
     return [(level, np.asarray(line)) for level, of_level in lines for line in of_level]
-
-
-def write_geojson(
-    path: Path, model: Dtm, sections: Sequence[Section], river: River, settings: Fusion
-) -> None:
-    """Contours, thalweg, water line and sections as lines in the campaign's grid."""
-    features = [
-        _line(line, kind="contour", height_m=level)
-        for level, line in contour_lines(model.height_m, model.centres_m(), settings.contour_m)
-    ]
-    thalweg = np.concatenate([river.to_map([s.s_m], [s.thalweg_m]) for s in sections])
-    features.append(_line(thalweg, kind="thalweg"))
-    outline = river.outline_m()
-    features.append(_line(np.vstack([outline, outline[:1]]), kind="water line"))
-    features += [_line(s.places_m[[0, -1]], kind="section", s_m=round(s.s_m, 3)) for s in sections]
-    code = model.crs.to_epsg()
-    told: dict[str, Any] = {"type": "FeatureCollection"}
-    if code:
-        told["crs"] = {"type": "name", "properties": {"name": f"urn:ogc:def:crs:EPSG::{code}"}}
-    path.write_text(json.dumps(told | {"features": features}))
-
-
-def _line(places_m: ArrayF, **properties: Any) -> dict[str, Any]:
-    return {
-        "type": "Feature",
-        "properties": properties,
-        "geometry": {"type": "LineString", "coordinates": np.round(places_m, 3).tolist()},
-    }
 
 
 def write_bag(path: Path, model: Dtm) -> None:

@@ -325,34 +325,41 @@ class Table:
                 expected="a unit of length",
                 cure="Convert it to metres, or name another column",
             )
-        values = self._parsed(cells)
-        words = np.asarray(cells.str.lower().isin(WORDS), dtype=np.bool_) if np.isnan(values).any() else None
-        metres = np.ones(len(values))
-        if words is not None:
-            odd = np.flatnonzero(np.isnan(values) & ~words)
-            for row in odd.tolist():  # a unit behind the number, group marks, Fortran's exponents
-                values[row], metres[row] = self._odd(cells.iloc[row])
-            odd = odd[np.isnan(values[odd])]
+        values, metres = self._values(k)
+        if np.isnan(values).any():
+            words = np.asarray(cells.str.lower().isin(WORDS), dtype=np.bool_)
             self._lose("without a value", column.name, words)
-            if len(odd):
-                first = f"'{cells.iloc[int(odd[0])][:40]}' in column {column.name}"
-                if len(odd) > _MOST_GARBLED * len(values):
+            odd = np.isnan(values) & ~words
+            if odd.any():
+                row = int(np.argmax(odd))
+                first = f"'{cells.iloc[row][:40]}'"
+                if odd.mean() > _MOST_GARBLED:
                     raise InputError(
-                        f"{first}, and {len(odd) - 1:,} more of {len(values):,} rows without a number",
+                        f"{first} in column {column.name}, and {int(odd.sum()) - 1:,} more of "
+                        f"{len(values):,} rows without a number",
                         expected="numbers",
-                        where=f"{self.path}:{self.line[odd[0]]}",
+                        where=f"{self.path}:{self.line[row]}",
                         cure="Look at the separator and the decimal mark, or name another column",
                     )
-                mark = np.zeros(len(values), dtype=np.bool_)
-                mark[odd] = True
-                self._lose(f"with {first.split(' in column')[0]} for a number", column.name, mark)
+                self._lose(f"with {first} for a number", column.name, odd)
         kind = quantity if quantity in NOTHING else _KIND.get(quantity, "other")
         none = is_nothing(values, kind, nothing, keep) & np.isfinite(values)
         if none.any():
             shown = ", ".join(f"{v:g}" for v in np.unique(values[none])[:3])
             self._lose(f"with {shown}, which stands for no value,", column.name, none)
-        unit = (column.unit or METRE).metres
-        return np.where(none, np.nan, values * np.where(metres == 1.0, unit, metres))
+        return np.where(none, np.nan, values * metres)
+
+    def _values(self, k: int) -> tuple[ArrayF, ArrayF]:
+        """Numbers (n,) of a column as they stand, NaN where there is none, and the metres of their units."""
+        cells = self.cells[k]
+        values = self._parsed(cells)
+        metres = np.full(len(values), (self.columns[k].unit or METRE).metres)
+        if (none := np.isnan(values)).any():
+            # a unit behind the number, group marks, Fortran's exponents
+            for row in np.flatnonzero(none & cells.str.match(r"[-+−.,\d]").to_numpy(np.bool_)).tolist():
+                values[row], own = self._odd(cells.iloc[row])
+                metres[row] = metres[row] if own == 1.0 else own
+        return values, metres
 
     def _parsed(self, cells: "pd.Series[Any]") -> ArrayF:
         if cells.dtype.kind == "f":
@@ -624,15 +631,9 @@ class Table:
 
     def _plain(self, k: int) -> list[str]:
         """Cells of a column, numbers as Python reads them and in metres."""
-        unit = self.columns[k].unit or METRE
-        values = self._parsed(self.cells[k])
         out = self.text(k)
-        for row, (text, value) in enumerate(zip(out, values.tolist(), strict=True)):
-            metres = unit.metres
-            if np.isnan(value) and text[:1] in "0123456789+-.−":
-                value, own = self._odd(text)
-                metres = own if own != 1.0 else metres
-            if not np.isnan(value) and (metres != 1.0 or not _NUMBER.fullmatch(text) or self.thousands):
+        for row, (value, metres) in enumerate(zip(*(x.tolist() for x in self._values(k)), strict=True)):
+            if not np.isnan(value) and (metres != 1.0 or not _NUMBER.fullmatch(out[row]) or self.thousands):
                 out[row] = repr(value * metres)
         return out
 

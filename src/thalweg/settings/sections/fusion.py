@@ -146,8 +146,8 @@ class Fusion(Section):
     contour_m: Positive = Field(default=0.25, le=100, description="Interval of contours, metres")
     sections: SectionSettings = Field(default=SectionSettings(), description="Cross sections")
     mesh: MeshSettings = Field(default=MeshSettings(), description="Triangles for hydraulic models")
-    exports: list[Literal["2dm", "selafin", "ugrid", "hecras", "swmm", "csv", "bag", "geojson"]] = Field(
-        default=["2dm", "selafin", "ugrid", "hecras", "swmm", "csv", "bag", "geojson"],
+    exports: list[Literal["2dm", "selafin", "ugrid", "hecras", "swmm", "csv", "bag"]] = Field(
+        default=["2dm", "selafin", "ugrid", "hecras", "swmm", "csv", "bag"],
         description="Files that are written for other programs",
     )
 
