@@ -133,9 +133,10 @@ def test_a_lake_has_its_bays_and_no_bed_on_its_island(lake: tuple[Water, BedOfTa
     assert shapely.contains_xy(WATER, cells).all()
     assert found.bed.facts["area_m2"] == pytest.approx(WATER.area, rel=0.02)
     assert np.std(error) < 0.25
-    # two-sided: not too sure, not too modest; the mean of three days is part of it
-    assert 0.5 < np.sqrt(np.mean(sigma**2) / np.mean(error**2)) < 2.5
-    assert 0.4 < found.validation["normalised_square"] < 2.0
+    # One observation: in this lake sigmas are twice the errors, for the mean of three days is part of them,
+    # and between the tracks (0.62) they are 1.3 of them. No study asks it of many lakes.
+    assert 1.0 < np.sqrt(np.mean(sigma**2) / np.mean(error**2)) < 2.5
+    assert 0.4 < found.validation["normalised_square"] < 1.3
     assert found.validation["coordinates"]["kind"] == "map"
     assert "times as long as it is wide, which is no river" in found.notes[0]
 
