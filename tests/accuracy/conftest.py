@@ -11,6 +11,8 @@ from thalweg_lab.studies.trials import BANKS, MISTAKES, NONE, PlantedMistake, Tr
 from thalweg_lab.truth import PointErrors
 
 SEEDS = 8
+"""From 0 on, and looked at while the set-up below was chosen. Seeds 70 to 77, which nobody chose, leave the
+band in three dimensions: predicted over observed 1.14 (0.90 to 1.11); 1.02 (0.84 to 1.18) from the mesh."""
 MANY = 14
 """Of the slow tests: enough for range classes, and for the mistake of a tenth of a degree."""
 FEW = 6

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from pyproj import CRS
 
+from tests.bands import band
 from tests.conftest import check_whole
 from thalweg import core
 from thalweg.bathymetry import (
@@ -235,8 +236,9 @@ def test_banks_where_the_ground_meets_the_water(survey) -> None:
     error = np.abs(n) - HALF_M
     seen = banks.table["seen"].to_numpy()
     assert np.sqrt(np.mean(error[seen] ** 2)) < 0.1
+    # One-sided: sigmas are those of a cell, the errors of so clean a bank a third of them (square 0.12)
     z = error[seen] / banks.table["sigma_across_m"].to_numpy()[seen]
-    assert 0.05 < np.mean(z**2) < 1.5
+    assert np.mean(z**2) < 1.0
     gap = (n > 0) & (s > 63) & (s < 77)
     assert gap.any()
     assert not seen[gap].any()
@@ -305,7 +307,9 @@ def errors(bed, line: FlowLine) -> tuple[np.ndarray, np.ndarray]:
 def test_bed_of_a_channel_and_its_sigmas(survey, bed) -> None:
     error, sigma = errors(bed, survey[0])
     assert np.sqrt(np.mean(error**2)) < 0.06
-    assert 0.4 < np.mean((error / sigma) ** 2) < 1.6
+    # One observation, of a bed that is smoother than the model's: squares of 0.4. The guard is `bed_study`,
+    # of 40 rivers.
+    assert 0.3 < np.mean((error / sigma) ** 2) < 1.0
     assert bed.model.covariance.range_s_m > 2 * bed.model.covariance.range_n_m  # rivers are long
 
 
@@ -347,7 +351,8 @@ def test_left_out_lines_judge_the_methods(survey, bed) -> None:
     _, banks, _, _ = survey
     facts, predicted, methods = validate_bed(bed.data, bed.model, banks.half_widths_m, Bathymetry())
     assert facts["lines"] == predicted.loc[predicted["group"] == "line", "number"].nunique() >= 8
-    assert 0.4 < facts["normalised_square"] < 1.8
+    # one observation of some ten lines; 0.89, within a factor of two. The guard is `bed_study`
+    assert 0.45 < facts["normalised_square"] < 1.8
     rmse = methods.set_index("method")["rmse_m"]
     assert rmse["kriging"] < 0.6 * rmse["kriging, same range along and across"]
     assert rmse["kriging"] < rmse["inverse distance"]
@@ -409,7 +414,7 @@ def test_model_of_a_field_of_known_covariance() -> None:
         data, widths = field(12, np.random.default_rng(seed))
         found.append(choose_model(data, widths, settings, slow_time_s=0.0, seed=seed))
     ratio = np.array([m.covariance.range_s_m / m.covariance.range_n_m for m in found])
-    assert 3.0 < np.median(ratio) < 20.0  # 7.5
+    assert np.median(ratio) == pytest.approx(7.5, rel=0.5)
     slope = [m.covariance.sill_m2 / m.covariance.range_n_m for m in found]
     assert np.median(slope) == pytest.approx(0.09 / 8.0, rel=0.6)
 
@@ -450,7 +455,8 @@ def test_four_lines_are_no_reason_for_small_sigmas() -> None:
         model = choose_model(data, widths, settings, slow_time_s=0.0, seed=seed)
         height, sigma = model.predict(data, hidden, neighbours=48)
         squares.append(float(np.mean(((height - z[len(known) :]) / sigma) ** 2)))
-    assert 0.6 < np.median(squares) < 1.5
+    low, high = band(6 * 8)  # six beds, each with some eight places between the lines that err by themselves
+    assert low < np.mean(squares) < high
     assert max(squares) < 4.0
 
 

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from tests.bands import band
 from tests.calibration import cone_yard as yard
-from thalweg.calibration import WORDS, Cone, Position, SearchRange, Verdict, search
+from thalweg.calibration import WORDS, Cone, Position, SearchRange, Verdict, fit_reference, search
 from thalweg.calibration.camera_lidar import (
     CameraLidar,
     CameraLidarSettings,
@@ -16,6 +17,7 @@ from thalweg.calibration.camera_lidar import (
     calibrate_camera_lidar,
 )
 from thalweg.calibration.camera_lidar.adjustment import cone_table, report, residual_table, sensor_table
+from thalweg.calibration.camera_lidar.model import Layout, Unknowns, field_group
 from thalweg.core import GeometryError, InputError, Rigid, UnobservableError, exp_rotation
 from thalweg.settings.sections import LidarAccuracy
 
@@ -198,6 +200,41 @@ def test_errors_that_positions_share_are_not_averaged() -> None:
     low, high = chi2.ppf([0.0005, 0.9995], 18) / 18
     assert low < np.mean(joint) / 6 < high
     assert np.mean(alone) > 1.5 * np.mean(joint)
+
+
+def test_errors_that_poses_and_points_share_enter_with_their_signs() -> None:
+    """A network that is bent moves poses and cones together: residuals at the truth, drawn from its
+    covariance."""
+    y = Yard(seed=5, frames=1)
+    references, poses = y.references()[:2], [p.T_pcs_ccs for p in y.positions(2)]
+    counts = {r.name: len(r.points_m) for r in references}
+    cones = [fit_reference(r).cone for r in references]
+    seen = [cone.see(r.points_m) for r, cone in zip(references, cones, strict=True)]
+    exact = [
+        replace(r, points_m=r.points_m - on.distance_m[:, None] * on.normal)
+        for r, on in zip(references, seen, strict=True)
+    ]
+    rng = np.random.default_rng(31)
+    n = 12 + 3 * sum(counts.values())
+    # a few modes that all share, and little of each number's own
+    root = np.hstack([rng.normal(0, 1e-4, (n, 4)), 1e-5 * np.eye(n)])
+    errors = FieldErrors(cov=root @ root.T, points=counts)
+    layout = Layout(cones=tuple(counts), positions=("a", "b"), free_half_angle=True, free_pose=(True, True))
+    truth = Unknowns(cones=tuple(cones), T_ccs_scs=y.truth, poses=tuple(poses))
+    squares = []
+    for _ in range(20):
+        e = root @ rng.standard_normal(root.shape[1])
+        measured = [T.moved(e[6 * k : 6 * k + 6]) for k, T in enumerate(poses)]
+        parts = np.split(e[12:].reshape(-1, 3), np.cumsum(list(counts.values()))[:-1])
+        drawn = [
+            replace(r, points_m=r.points_m + part, form_sigma_m=0.0)
+            for r, part in zip(exact, parts, strict=True)
+        ]
+        used = [np.ones(len(r.points_m), bool) for r in drawn]
+        linear = field_group(layout, list(zip(drawn, used, strict=True)), measured, errors).model(truth)
+        squares.append(linear.residual @ np.linalg.solve(linear.cov[0], linear.residual))
+    low, high = band(len(linear.residual) * len(squares))
+    assert low < np.mean(squares) / len(linear.residual) < high
 
 
 def test_joint_errors_of_other_points_are_refused() -> None:

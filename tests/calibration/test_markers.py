@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.bands import band
 from thalweg.calibration import SADDLES_MODULES, MarkerLayout, sheet_picture
 from thalweg.calibration.markers import MIRRORED, NO_SADDLES, TWICE, UNKNOWN, Detection, detect
 from thalweg.core import InputError
@@ -115,9 +116,11 @@ def test_saddles_are_where_they_were_drawn(module_px: float, limit_px: float, le
     assert np.sqrt((off**2).mean()) < limit_px
     # a shift of half a pixel, OpenCV's convention, would show here; mean of 30 to 48 of 0.02 to 0.05 px
     assert np.abs(off.mean(axis=0)).max() < 0.03
-    # stated sigmas are right within a factor of two where residuals make them; their floor is that of
-    # photographs (test_saddles.py), four times the errors of so clean a drawing
-    assert 0.15 < np.sqrt(np.median(np.square(off).sum(axis=1) / np.square(sigma)) / 1.386) < 2.0
+    # One-sided: sigmas have the floor of photographs (test_saddles.py), four times the errors of so clean a
+    # drawing with 12 px a module (0.22 of them; 0.46 and 0.72 with 6 and 4 px). Four saddles err as one
+    # sheet.
+    _, high = np.sqrt(band(2 * least / 4))
+    assert np.sqrt(np.median(np.square(off).sum(axis=1) / np.square(sigma)) / 1.386) < high
 
 
 def test_bent_sheets_are_read() -> None:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
+from tests.bands import band
 from thalweg.clocks import CameraOffset, CameraPoses, InsAttitude, OffsetOptions, Track, camera_offset
 from thalweg.clocks.camera_offset import (
     Component,
@@ -137,12 +137,6 @@ def solve(run: Run, *, attitude: bool = False, options: OffsetOptions | None = N
     return camera_offset(
         run.poses, run.track, ins=run.ins if attitude else None, field_error=run.field, options=options
     )
-
-
-def band(n: int, level: float = 0.001) -> tuple[float, float]:
-    """Where the mean of n squared normal numbers lies but for a probability of ``level``."""
-    low, high = chi2.ppf([level / 2, 1 - level / 2], n) / n
-    return float(low), float(high)
 
 
 @pytest.mark.slow

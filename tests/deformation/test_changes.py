@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from scipy.stats import chi2
 
+from tests.bands import band
 from thalweg.core import ArrayF, GeometryError
 from thalweg.deformation import (
     YEAR_S,
@@ -547,7 +548,8 @@ def test_both_lines_of_a_bank_retreat_by_what_was_cut_off_and_their_sigmas_hold(
         cut, still = starts < 6.0, starts > 13.0
         assert lines.loc[cut, "nsm_m"].to_numpy() == pytest.approx(-0.6, abs=0.15)
         normalised.append(np.mean((lines["nsm_m"] / lines["sigma_m"])[still] ** 2))
-    assert 0.6 < np.mean(normalised) < 1.5
+    low, high = band(2 * len(normalised))  # two stretches of a pair err by themselves
+    assert low < np.mean(normalised) < high
 
 
 def test_a_shift_that_nobody_registers_shows_in_the_distances() -> None:

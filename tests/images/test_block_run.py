@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.bands import band
 from tests.images import block_scene
 from thalweg.core import GeometryError, LocalFrame, Rigid, exp_rotation
 from thalweg.images.bundle import Boat, adjust_campaign, marks_of_campaign, pose_covariance, summary_text
@@ -74,8 +75,10 @@ def test_a_block_finds_its_place_by_control_points_alone(survey) -> None:
     problem, truth = survey
     found = orient_block(model_frame(problem), problem.control, problem.marks, SETTINGS)
     each, _ = block_scene.normalised(found.adjusted, truth)
-    # some ten independent errors of one block
-    assert 0.3 < each.mean() < 2.2
+    # One observation: poses of a block bend together, as if four of them erred by themselves. The guard is
+    # tests/images/test_block_consistent.py, over 30 blocks.
+    low, high = band(6 * 4)
+    assert low < each.mean() < high
     assert not found.control.suspect.any()
     assert found.notes == []
 
@@ -119,7 +122,9 @@ def test_tables_and_facts(oriented) -> None:
     assert facts["redundancy"] == adjusted.redundancy
     assert facts["cameras"]["camera"]["fx"]["sigma"] > 0
     check = check_statistics(adjusted, found.control)
-    assert 0.3 < check["ratio"] < 1.8
+    # one observation as well, of some three check points
+    low, high = np.sqrt(band(3 * 3))
+    assert low < check["ratio"] < high
     text = summary_text(facts)
     assert "control points" in text
     assert "check points: RMSE" in text
@@ -314,7 +319,10 @@ def test_a_campaign_with_tables(survey, tmp_path: Path) -> None:
     assert facts["antenna_positions"]["images with a position"] == N
     assert set(facts["antenna"]) == {f"antenna lever arm {a}" for a in "xyz"}
     each, _ = block_scene.normalised(found.adjusted, truth)
-    assert 0.25 < each.mean() < 2.2
+    # One observation: poses of a block bend together, as if four of them erred by themselves. The guard is
+    # tests/images/test_block_consistent.py, over 30 blocks.
+    low, high = band(6 * 4)
+    assert low < each.mean() < high
     json.dumps(facts)
 
 

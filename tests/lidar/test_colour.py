@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from PIL import Image
 
+from tests.bands import band
 from thalweg.core import CoverageError, InputError, LocalFrame
 from thalweg.core.camera import Camera
 from thalweg.core.las import read_laz
@@ -196,7 +197,7 @@ def exposed(rng: np.random.Generator, gains: np.ndarray, *, noise: float) -> tup
     return view, values
 
 
-def test_exposures_are_found_as_well_as_their_sigmas_say(rng: np.random.Generator) -> None:
+def test_exposures_are_found_and_their_sigmas_too_small_by_a_known_factor(rng: np.random.Generator) -> None:
     true = np.exp(rng.normal(0, 0.2, (25, 3)))
     view, values = exposed(rng, true, noise=0.1)
     view[view == 24] = -1  # the last one shares no points
@@ -204,8 +205,10 @@ def test_exposures_are_found_as_well_as_their_sigmas_say(rng: np.random.Generato
     error = np.log(gains[:24] / true[:24])
     error -= error.mean(axis=0)  # the level of all is free
     assert np.abs(error).max() < 0.02
-    # 72 errors; passers-by and rounding are in the noise that the residuals show; one factor 1.2 for them
-    assert 0.7 < np.sqrt((error**2).mean()) / sigma[:24].mean() < 1.4 * 1.2
+    # Sigmas are too small: beside passers-by, a tenth, errors are 1.6 of them (1.48 to 1.72 with six other
+    # seeds).
+    low, high = np.sqrt(band(error.size))
+    assert 1.6 * low < np.sqrt((error**2).mean()) / sigma[:24].mean() < 1.6 * high
     assert gains[24] == pytest.approx(1.0)
     assert sigma[24] == pytest.approx(0.3, rel=0.01)
     assert n[24] == 0

@@ -161,7 +161,8 @@ def test_the_mesh_of_the_twin_is_its_ground(twin: tuple[Scene, np.ndarray]) -> N
     # noise of the scanner 1.0 to 1.7 mm a component at 25 m, and what a mixed spot adds
     assert abs(error.mean()) < 0.001
     assert 1.4826 * np.median(np.abs(error)) < 0.004
-    assert 0.3 < 1.4826 * np.median(np.abs(error / mesh.sigma_m[bare])) < 1.2
+    # sigmas of corners are on the safe side: errors of 0.75 and 0.64 of them with two draws
+    assert 0.5 < 1.4826 * np.median(np.abs(error / mesh.sigma_m[bare])) < 1.0
     assert facts["pieces"] < 40
 
 

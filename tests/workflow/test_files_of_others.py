@@ -16,6 +16,7 @@ import pytest
 import yaml
 from pyproj import CRS
 
+from tests.bands import band
 from thalweg.bathymetry import OBSERVATIONS
 from thalweg.core import LocalFrame, read_raster, read_table, write_raster
 from thalweg.figures import SKY
@@ -139,7 +140,10 @@ def test_the_reference_bed_judges_the_bed(others) -> None:
     errors = errors_m(ours, tiny)
     assert found["n"] == np.isfinite(errors).sum() > 1000
     assert found["rmse_m"] == pytest.approx(np.sqrt(np.nanmean(errors**2)), rel=1e-3)
-    assert 0.4 < found["normalised_square"] < 1.6
+    # One observation: soundings every few metres leave some three dozen places that err by themselves. The
+    # guard is `bed_study`, of 40 rivers.
+    low, high = band(36)
+    assert low < found["normalised_square"] < high
     assert sum(part["n"] for part in found["classes"].values()) == found["n"]
 
 

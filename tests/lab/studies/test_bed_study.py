@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.bands import band
 from thalweg.figures import save
 from thalweg.figures.bathymetry.pictures import draw_bed_patterns
 from thalweg_lab.studies import bed_study
@@ -99,7 +100,8 @@ def test_the_instrument_differs_from_what_is_known_and_the_course_changes() -> N
     assert {each["boat"]["pattern"] for each in found} == {"zigzag", "sections"}
     assert len({each["echo"]["latency_s"] for each in found}) == 8
     tilt = np.array([each["echo"]["tilt_deg"] for each in found])
-    assert 0.5 < tilt.std() < 2.0  # 16 values of sigma 1
+    low, high = band(tilt.size)  # drawn with a sigma of one degree about zero
+    assert low < np.mean(tilt**2) < high
 
 
 def _surveys(factor: float) -> pd.DataFrame:

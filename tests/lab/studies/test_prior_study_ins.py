@@ -10,7 +10,11 @@ from thalweg_lab.studies.trials import Sample, Trial, as_table, from_table
 
 
 def test_sigmas_stated_at_half_are_seen_and_mended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Errors of twice the stated size: a mean square of 4 as presumed; estimated, much less."""
+    """Errors of twice the stated size: a mean square of 4 as presumed; estimated, much less.
+
+    The noise of the lidar is one estimate of one log: its square is within a factor of two of the true one.
+    The guard is `prior_study`.
+    """
     monkeypatch.setitem(prior_study.SURVEY, "duration_s", 8.0)
     monkeypatch.setitem(prior_study.SURVEY, "effects", {"lost_packets": 0.6})
     monkeypatch.setitem(prior_study.SURVEY, "ins", {"attitude_time_s": 2.0})

@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.bands import band
 from thalweg.core import ArrayF
 from thalweg_lab.studies import prior_study as study
 from thalweg_lab.studies.outage import FRAME, LEVER_ANTENNA_M
@@ -52,13 +53,17 @@ def test_slow_errors_of_the_heading_are_in_no_sigma() -> None:
 
 
 def test_sigmas_stated_too_small_fail_as_presumed_and_hold_as_estimated() -> None:
-    """One survey of 40 s: means of a few independent values, so that only what is four times off shows."""
+    """One observation: 40 s hold some four errors, which last 10 s, of each of six numbers of the pose.
+
+    Only what is four times off shows. The guard is `prior_study`, of six voyages of two minutes.
+    """
     rows = study.run_navigation("stated_half", 2, duration_s=40.0)
     found = rows[rows["quantity"] == "pose"].set_index(["chain", "model"])["nees"]
     for chain in ("fused", "camera"):
         assert found[chain, "presumed"] > 2.2
         assert found[chain, "estimated"] < 0.6 * found[chain, "presumed"]
-        assert 0.4 < found[chain, "estimated"] < 1.9
+        low, high = band(6 * 4)
+        assert low < found[chain, "estimated"] < high
     assert set(rows["chain"]) == set(study.CHAINS)
     assert (rows["n"] > 90).all()
 

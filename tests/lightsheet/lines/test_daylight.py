@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.bands import band
 from tests.lightsheet.laser_images import (
     GreyValues,
     daylight_board,
@@ -118,9 +119,11 @@ def test_lines_on_a_checkerboard_in_daylight(colour: str) -> None:
         assert np.mean(np.abs(off) < 2.0) > 0.99
         squares.append(np.mean((off / found.sigma_px) ** 2))
         errors.append(np.std(off))
-    # four pictures of some 40 independent places each: 6 % (1 sigma). Eight had 1.09, 0.90 and 0.97, twelve
-    # others 1.00, 0.94 and 1.09. By the noise of single pixels and speckle 0.87, 0.89 and, in blue, 0.53
-    assert 0.72 < np.sqrt(np.mean(squares)) < 1.35
+    # Eight pictures had 1.09, 0.90 and 0.97, twelve others 1.00, 0.94 and 1.09, these four 1.10, 0.81 and
+    # 0.84: roots that scatter as those of eight values a picture. By the noise of single pixels and speckle
+    # they were 0.87, 0.89 and, in blue, 0.53.
+    low, high = np.sqrt(band(8 * len(squares)))
+    assert low < np.sqrt(np.mean(squares)) < high
     assert max(errors) < 0.45
 
 

@@ -7,6 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import curve_fit
 
+from tests.bands import band
 from tests.lightsheet.laser_images import GreyValues, grey_values, laser_mosaic, mean_line_intensity
 from thalweg.core import ArrayF
 from thalweg.lightsheet.lines import LineFlag, LineSettings, detect_lines
@@ -68,8 +69,9 @@ def test_std_and_sigma_on_speckle(
 def test_sigma_follows_the_speckle(picture: "Maker", optics: SpeckleOptics) -> None:
     """The speckle is not a setting: contrast and correlation come from the image."""
     error, normalised = all_errors(picture, LineSettings(), optics=optics)
-    # 0.03 px and 0.2 px; F/16 has only some 100 independent places (7 %), and a contrast near 1
-    assert 0.75 < np.sqrt(np.mean(normalised**2)) < 1.3
+    # 0.03 px and 0.2 px; F/16 has only some 100 independent places, and a contrast near 1
+    low, high = band(100)
+    assert low < np.mean(normalised**2) < high
     # 0.03 and 0.21 px; patches that take strong speckle for an uneven surface stay low and leave 0.37 px
     assert error.std() < (0.05 if optics.f_number < 8 else 0.28)
 
@@ -103,8 +105,12 @@ def test_the_default_is_never_worse_than_the_row_fit(
     assert default.std() < max(1.3 * fixed.std() if amplitude_px < 1 and length_rows > 1 else 9, 0.1)
     if (amplitude_px, length_rows) == (0.6, 4):
         assert default.std() < 0.75 * fixed.std()
-    # the part that the surface adds is in sigma, but only as a mean over the neighbourhood
-    assert 0.7 < np.sqrt(np.mean(normalised**2)) < 1.45
+    # The part that the surface adds is in sigma as a mean over the neighbourhood, of some 100 that err by
+    # themselves: where it is white from row to row, sigma is too small by a third.
+    low, high = np.sqrt(band(100))
+    assert (
+        low < np.sqrt(np.mean(normalised**2)) < high * (1.2 if amplitude_px > 0 and length_rows == 1 else 1)
+    )
 
 
 @pytest.mark.parametrize("share", [0.0, 0.25, 1.0])
@@ -125,7 +131,9 @@ def test_the_default_follows_the_speckle_of_the_image(picture: "Maker", share: f
         normalised.append(z)
         others.append(made.errors(detect_lines(image, LSM))[0])
     assert np.concatenate(error).std() < (1.2 if share == 0.0 else 0.75) * np.concatenate(others).std()
-    assert 0.75 < np.sqrt(np.mean(np.concatenate(normalised) ** 2)) < 1.25
+    # roots of 1.13, 1.11, 1.12 and, with another draw, 1.11, 0.98, 0.75: they scatter as those of 25 values
+    low, high = band(25)
+    assert low < np.mean(np.concatenate(normalised) ** 2) < high
 
 
 # ---------------------------------------------------------------- no noise
@@ -215,7 +223,8 @@ def test_a_mosaic_and_its_colours_give_what_green_pixels_can(picture: "Maker") -
         error, normalised = made.errors(detect_lines(image))
         assert error.std() < most  # half of the pixels of a mosaic are green
         assert abs(error.mean()) < 0.03
-        assert 0.75 < np.sqrt(np.mean(normalised**2)) < 1.3
+        low, high = band(100)  # places that are independent in half of the pixels
+        assert low < np.mean(normalised**2) < high
     assert (
         detect_lines(mosaic).x_px.tobytes()
         == detect_lines(mosaic, LineSettings(layout="rggb")).x_px.tobytes()
@@ -232,8 +241,9 @@ def test_over_exposed_lines_lose_little_because_the_flanks_know(
     error, normalised = made.errors(points)
     assert error.std() < most
     assert points.has(LineFlag.SATURATED).all()
-    # nothing of the speckle's statistics is left to see: the sigma is on the safe side
-    assert 0.5 < np.sqrt(np.mean(normalised**2)) < 1.2
+    # Nothing of the speckle's statistics is left to see: sigma is on the safe side, by 1.4 where most rows
+    # are saturated. Upper end by 100 independent places; the lower one says how cautious it may be.
+    assert 0.6**2 < np.mean(normalised**2) < band(100)[1]
 
 
 def test_a_dark_line_is_measured_and_called_weak(picture: "Maker") -> None:
@@ -241,7 +251,8 @@ def test_a_dark_line_is_measured_and_called_weak(picture: "Maker") -> None:
     points = detect_lines(made.image, LineSettings(least_snr=40.0))
     error, normalised = made.errors(points)
     assert error.std() < 0.2
-    assert 0.7 < np.sqrt(np.mean(normalised**2)) < 1.3
+    low, high = band(25)  # roots of 0.92 and 0.71 with two draws: places of a weak line err together
+    assert low < np.mean(normalised**2) < high
     assert points.has(LineFlag.WEAK).mean() > 0.3
     assert not detect_lines(made.image, LineSettings(least_snr=2.0)).has(LineFlag.WEAK).any()
 

@@ -225,7 +225,9 @@ def field_group(
         residual = np.empty(ends[-1])
         J = np.zeros((ends[-1], layout.n))
         B = np.zeros((ends[-1], len(cov)))
-        B[:n_pose, :n_pose] = np.eye(n_pose)
+        # an error of a measured pose goes into "state minus measured" with the other sign than one of a point
+        # into its distance from the cone: both share the network's errors, and the sign decides how
+        B[:n_pose, :n_pose] = -np.eye(n_pose)
         residual[:n_pose] = np.concatenate([a.error_from(b) for a, b in zip(x.poses, measured, strict=True)])
         for p in range(len(measured)):
             J[6 * p : 6 * p + 6, layout.pose(p)] = np.eye(6)
