@@ -49,9 +49,9 @@ WARN_SIGMAS: Final = 3.0
 """An optimum farther from zero than that is warned of."""
 COMMON_DEG: Final = 0.15
 """What edges of intensity and of brightness differ by in a whole scene though clock and mount are right, one
-sigma: shadows, slanted beams, wet feet of stones. Turns that four surveys of the twin showed (tiny, demo, tiny
-with seeds 101 and 102; twelve, 0.16 degrees rms, 0.34 at most) less what parts of these scenes scatter (0.06);
-twelve values leave 0.10 to 0.24 (95 %)."""
+sigma: shadows, slanted beams, wet feet of stones. Turns that four surveys of the twin showed (tiny, demo,
+tiny with seeds 101 and 102; twelve, 0.16 degrees rms, 0.34 at most) less what parts of these scenes scatter
+(0.06); twelve values leave 0.10 to 0.24 (95 %)."""
 DETECTED: Final = 1.645
 """Quantile of the chance, 95 %, with which an error of the size ``detects`` is called."""
 _PARTS: Final = 24
