@@ -229,6 +229,8 @@ def test_the_terrain_model_is_as_good_as_its_sigmas_say(tiny_house) -> None:
     square = "mean of squared error over variance"
     assert 0.5 < truth[f"bed from soundings: {square}"] < 2.2
     assert 0.2 < truth[f"banks by the lidar, within 5 m of the bed: {square}"] < 1.6
+    # crowns and roofs gave 1.1 to 1.5 m; four seeds without them 0.08 to 0.13 m
+    assert truth["banks by the lidar, farther away: root mean square error, m"] < 0.3
     assert truth["steps at seams: share outside 95 %"] < 0.05
     facts = json.loads((tiny_house.root / BASE / "fusion/dtm.json").read_text())
     assert facts["seam_and_bend_above_two_sigma"] < 0.05
