@@ -33,6 +33,7 @@ from thalweg_lab.instruments import (
     Lasers,
     LidarSensor,
     Shots,
+    as_it_errs,
     simulate_lidar,
 )
 from thalweg_lab.random_numbers import generator
@@ -494,7 +495,7 @@ def run_times(config: TwinConfig, seed: int) -> ImageTimes:
     released = phase + np.arange(n) / camera.rate_hz
     # Independent errors of std / sqrt 2 about an even grid give intervals of the stated std.
     released = released + rng.standard_normal(n) * camera.interval_jitter_s / np.sqrt(2.0)
-    exposed = released + camera.jitter_s * shutter.standard_normal(n)
+    exposed = released + as_it_errs(config, seed).camera.jitter_s * shutter.standard_normal(n)
     return _times(config, released, exposed)
 
 
@@ -509,7 +510,7 @@ def static_times(config: TwinConfig, seed: int, begin_gps_s: ArrayF) -> ImageTim
     """
     shutter = generator(seed, "camera shutter, static").standard_normal(len(begin_gps_s))
     released = np.asarray(begin_gps_s) + _STATIC_S - start_gps_s(config)
-    return _times(config, released, released + config.camera.jitter_s * shutter)
+    return _times(config, released, released + as_it_errs(config, seed).camera.jitter_s * shutter)
 
 
 def _times(config: TwinConfig, released_s: ArrayF, exposed_s: ArrayF) -> ImageTimes:

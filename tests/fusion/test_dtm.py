@@ -12,7 +12,15 @@ from tests.bands import band
 from tests.fusion.conftest import DEPTH_M, FRAME, GRID, HALF_WIDTH_M, LEVEL_UP_M, bed_up_m
 from thalweg.core import CoverageError, InputError
 from thalweg.fusion import Cloud, Dtm, River, Source, build_dtm, dtm_facts, seam_steps
-from thalweg.fusion.dtm import cells_inside, interpolation_error, layer_of_cloud, membrane
+from thalweg.fusion.dtm import (
+    Layer,
+    cells_inside,
+    contradictions,
+    interpolation_error,
+    layer_of_cloud,
+    loose_patches,
+    membrane,
+)
 from thalweg.settings.sections import Fusion, Vertical
 
 CELL_M = 0.5
@@ -100,6 +108,86 @@ def test_a_step_between_bed_and_banks_shows(river, rng, tmp_path):
     step, sigma, bend = seam_steps(found)
     assert np.mean(np.abs(step) - bend > 2 * sigma) > 0.3
     assert dtm_facts(found)["seam_above_two_sigma"] > 0.3
+
+
+@pytest.mark.parametrize("offset_m", [0.0, 0.1, 0.3, 1.0])
+def test_clouds_that_lie_apart_contradict_each_other(river, rng, tmp_path, offset_m):
+    """The model between them has no step, whatever the offset: the layers tell it."""
+    bed = write_bed(tmp_path / "bed.tif", river, rng, margin_m=0.0)
+    own, other = bank_cloud(river, rng), bank_cloud(river, rng)
+    other = replace(other, xyz_m=other.xyz_m + np.array([0.0, 0.0, offset_m]))
+    clouds = {Source.LIDAR: own, Source.SURROUNDINGS: other}
+    facts = dtm_facts(build_dtm(bed, clouds, river.outline_m(), FRAME, Fusion()))
+    (found,) = facts["contradictions"].values()
+    assert list(facts["contradictions"]) == ["banks by the lidar less cloud of the surroundings"]
+    assert found["cells"] > 3000
+    assert found["median_m"] == pytest.approx(-offset_m, abs=0.005)
+    if offset_m:
+        assert found["above_two_sigma"] > 0.95
+    else:
+        assert found["above_two_sigma"] < 0.1
+
+
+def test_a_difference_of_layers_is_told_with_both_sigmas():
+    def layer(source, height, sigma):
+        height = np.array([height])
+        zero = np.zeros_like(height)
+        return Layer(
+            source=source, height_m=height, sigma_m=zero + sigma, sigma_common_m=zero, distance_m=zero
+        )
+
+    bed = layer(Source.BED, [1.0, 2.0, np.nan, 4.0], 0.3)
+    bank = layer(Source.LIDAR, [np.nan, 1.1, 3.0, 2.9], 0.4)
+    assert contradictions([bed, bank, layer(Source.SURROUNDINGS, [np.nan] * 4, 0.1)]) == {
+        "bed from soundings less banks by the lidar": {
+            "cells": 2,
+            "median_m": pytest.approx(1.0),
+            "spread_m": pytest.approx(0.1 * 1.4826, rel=1e-4),
+            "above_two_sigma": 0.5,  # 0.9 and 1.1 m beside twice 0.5 m
+        }
+    }
+
+
+def test_crowns_and_roofs_behind_the_bank_are_no_ground():
+    """Rows of cells of 1 m: water, a bank of slope 1, a terrace; then a hill, a roof, a crown far away."""
+    height = np.full((60, 40), np.nan)
+    height[1:10] = np.arange(9.0)[:, None]
+    height[10, :] = 12.0  # a wall of 4 m on the bank has no slope, 40 m2
+    height[20:24, 0:30] = 7.0  # 120 m2 of a hill
+    height[30:34, 0:20] = 9.0  # a roof of 80 m2
+    height[40, 5] = 11.0
+    water = np.zeros(height.shape, bool)
+    water[0] = True
+    loose = loose_patches(height, water, 1.0)
+    true = np.zeros_like(loose)
+    true[10, :], true[30:34, 0:20], true[40, 5] = True, True, True
+    assert (loose == true).all()
+    # cells two apart hang together, cells three apart do not; a slope of 1.1 does not
+    for apart, step, found in ((2, 2.0, 0), (3, 0.0, 1), (2, 2.2, 1), (1, 1.0, 0), (1, 1.1, 1)):
+        row = np.full((1, 8), np.nan)
+        row[0, 2], row[0, 2 + apart] = 0.0, step
+        assert loose_patches(row, np.arange(8)[None] == 0, 1.0).sum() == found
+    fine = np.full((1, 9), np.nan)
+    fine[0, [4, 8]] = 0.0  # a metre from the water, and from each other, in cells of 0.25 m
+    assert not loose_patches(fine, np.arange(9)[None] == 0, 0.25).any()
+
+
+def test_crowns_behind_the_bank_leave_no_height_and_are_counted(river, rng, tmp_path):
+    bed = write_bed(tmp_path / "bed.tif", river, rng)
+    bank = bank_cloud(river, rng)
+    middle = np.array([*river.flow.to_map(40.0, HALF_WIDTH_M + 14)[0], LEVEL_UP_M + 6.0])
+    crown = middle + rng.uniform(-1.5, 1.5, (400, 3))
+    points = Cloud(
+        xyz_m=np.vstack([bank.xyz_m, crown]),
+        sigma_horizontal_m=np.full(len(bank.xyz_m) + 400, 0.02),
+        sigma_up_m=np.full(len(bank.xyz_m) + 400, 0.02),
+    )
+    alone, found = (
+        build_dtm(bed, {Source.LIDAR: cloud}, river.outline_m(), FRAME, Fusion()) for cloud in (bank, points)
+    )
+    assert dtm_facts(alone)["banks_not_ground_for_certain"] == 0
+    assert 20 < dtm_facts(found)["banks_not_ground_for_certain"] < 70
+    assert np.isfinite(found.height_m).sum() == np.isfinite(alone.height_m).sum()
 
 
 def test_clouds_say_nothing_where_the_bed_is_under_water(river, rng, tmp_path):

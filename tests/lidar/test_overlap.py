@@ -20,6 +20,8 @@ from thalweg.lidar.overlap import (
     Scatter,
     _at_knots,
     _joined,
+    _left_between_knots,
+    _left_by_time,
     _Likelihood,
     _positive,
     _principal_axes,
@@ -146,6 +148,37 @@ def test_the_gradient_is_that_of_the_density() -> None:
     for i, step in enumerate(1e-4 * np.eye(len(NAMES))):
         difference = (density(z + step)[0] - density(z - step)[0]) / 2e-4
         assert gradient[i] == pytest.approx(difference, rel=1e-5, abs=1e-4)
+
+
+def test_what_changes_between_knots_is_new_in_each_epoch() -> None:
+    """Weight of the white noise by hand: its own variance, a third of what each position leaves, and what an
+    attitude leaves on its mean arm; half of either, because an epoch holds two intervals of knots.
+    """
+    sample, trajectory = survey(5)
+    window = _window(sample, trajectory, MOUNT, LEVER, BEAM, 0.0, LENGTH_S, EPOCH_S)
+    assert window is not None
+    p = prior(position_time_s=0.5, attitude_time_s=1.0)
+    P, _, _ = _Likelihood([window], p, np.full(6, 1e-3), epoch_s=EPOCH_S)._prior(window, np.zeros(len(NAMES)))
+    slow, white = p.sigmas()
+    left = np.array([_left_between_knots(0.5)] * 3 + [_left_between_knots(0.25)] * 3)
+    arms = np.array([1 / 3] * 3 + window.arms_m2[3:].tolist())
+    assert (window.arms_m2[3:] > 5.0**2 / 10).all()  # banks 6 to 20 m away
+    first = 6 * window.n_slow
+    expected = 1.0 / (white**2 + np.sum(left * arms * slow**2) / 2)
+    assert np.diag(P)[first : first + 3] == pytest.approx(expected)
+
+
+def test_what_interpolation_leaves_is_that_of_a_process(rng: np.random.Generator) -> None:
+    """Means over the places between two knots, from the covariance of the process at many of them."""
+    for step in (1e-3, 0.02, 0.25, 3.0):
+        at = np.linspace(0.0, 1.0, 2001)
+        cov = np.exp(-step * np.abs(at[:, None] - at[[0, -1]]))  # with the knots
+        weights = np.column_stack([1 - at, at])
+        own = np.exp(-step * np.abs(np.array([[0.0, 1.0], [1.0, 0.0]])))
+        left = 1 - 2 * np.sum(weights * cov, axis=1) + np.einsum("ni,ij,nj->n", weights, own, weights)
+        assert _left_between_knots(step) == pytest.approx(np.trapezoid(left, at), rel=2e-3)
+        more, less = (_left_between_knots(step * np.exp(-e)) for e in (1e-4, -1e-4))
+        assert _left_by_time(step) == pytest.approx((more - less) / 2e-4, rel=1e-2)
 
 
 def test_a_magnet_on_the_boat_is_noticed() -> None:

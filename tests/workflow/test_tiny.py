@@ -238,6 +238,8 @@ def test_the_terrain_model_is_as_good_as_its_sigmas_say(tiny_house) -> None:
     assert low < truth[f"bed from soundings: {square}"] < high
     low, high = band(25)
     assert low < truth[f"banks by the lidar, within 5 m of the bed: {square}"] < high
+    # crowns and roofs gave 1.1 to 1.5 m; four seeds without them 0.08 to 0.13 m
+    assert truth["banks by the lidar, farther away: root mean square error, m"] < 0.3
     assert truth["steps at seams: share outside 95 %"] < 0.05
     facts = json.loads((tiny_house.root / BASE / "fusion/dtm.json").read_text())
     assert facts["seam_and_bend_above_two_sigma"] < 0.05

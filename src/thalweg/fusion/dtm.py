@@ -10,6 +10,12 @@ Where the part ``p`` of the pose is known, less what a mean over the time of a c
 no scatter makes the shared part smaller: plants and relief scatter as noise does, and would pass for it, so
 that ``min(w^2, s^2 - p^2)`` is what counts as new.
 
+**Ground that hangs together.** The lower envelope of a cloud is ground only where beams reached the ground:
+behind a bank, what is lowest may be a crown, a roof, the top of a wall. Cells that lie within two cells (at
+least 1 m) of each other, and rise by no more than 45 degrees from one to the other, hang together (the slope
+filter of Vosselman 2000, on cells). A patch of the boat's lidar that hangs together neither with the water
+line nor over 100 m2 is no ground for certain: it has no height, and is counted. A larger roof passes.
+
 **Water.** Where the bed has a height inside the water line, no cloud has one: what a lidar or a drone saw
 there is the dry edge of a cell, a plant, the surface.
 
@@ -17,7 +23,8 @@ there is the dry edge of a cell, a plant, the surface.
 ``taper^2 / sigma^2``. The taper rises from 0 to 1 over `fusion.blend_m` from the border of a source inward,
 wherever another source goes on: no source ends with a step. The bed's shorelines come from the lidar and the
 surroundings are laid on it, so that sigmas are averaged, not variances. Sources that contradict each other
-beyond their sigmas raise the sigma (Birge 1932).
+beyond their sigmas raise the sigma (Birge 1932). No step is left then, however far they lie apart, so that
+contradictions are told of the layers, before they are blended.
 
 **Gaps.** Cells without a height inside the water line, and others on request, take the membrane through
 their borders (Laplace's equation). Its error at distance d from data is what the model itself shows: the
@@ -26,7 +33,8 @@ difference of known heights from the mean of those d to either side. The band of
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any, Final
 
@@ -34,7 +42,9 @@ import numpy as np
 import scipy.sparse as sp
 from pyproj import CRS, Transformer
 from scipy import ndimage
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
+from scipy.spatial import cKDTree
 
 from thalweg.core import NMAD, ArrayB, ArrayF, ArrayI, ArrayU8, CoverageError, InputError, LocalFrame
 from thalweg.fusion.clouds import SOURCE_WORDS, Cloud, Source
@@ -46,6 +56,12 @@ _GEOID_PLACES: Final = 400
 """Places of the model that the plane through a geoid is fitted to: many more than its three numbers."""
 _LAGS: Final = (1, 2, 4, 8, 16, 32)
 _LEAST_SIGMA_M: Final = 1e-3
+HANGS_M: Final = 1.0
+"""Cells farther apart than this, and than two cells, do not hang together."""
+STEEPEST: Final = 1.0
+"""Steepest ground from cell to cell, as of `thalweg.surface.LowerEnvelope`."""
+LEAST_GROUND_M2: Final = 100.0
+"""A smaller patch without a way to the water may be a crown or a roof."""
 _LEAST_LAG_CELLS: Final = 30
 
 
@@ -66,6 +82,7 @@ class Dtm:
     vertical : name of the height system; empty: ellipsoidal heights.
     separation : height of its zero above the ellipsoid as a plane: value where east and north are zero,
         metres; rise per metre to the east and to the north.
+    layers : what was seen of the layers that it is made of, for people; no file holds it.
     """
 
     height_m: ArrayF
@@ -78,6 +95,7 @@ class Dtm:
     crs: CRS
     vertical: str = ""
     separation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    layers: Mapping[str, Any] = field(default_factory=dict)
 
     def centres_m(self) -> ArrayF:
         """East and north (rows, columns, 2) of the centres of the cells."""
@@ -265,6 +283,49 @@ def layer_of_cloud(
     )
 
 
+def loose_patches(height_m: ArrayF, water: ArrayB, cell_m: float) -> ArrayB:
+    """Known cells (rows, columns) that hang neither together with the water nor over `LEAST_GROUND_M2`.
+
+    Parameters
+    ----------
+    height_m : (rows, columns); NaN: nothing known.
+    water : (rows, columns) cells inside the water line.
+    """
+    known = np.isfinite(height_m)
+    reach = max(HANGS_M, 2 * cell_m) / cell_m + 1e-6
+    place, height = np.argwhere(known), height_m[known]
+    a, b = cKDTree(place).query_pairs(reach, output_type="ndarray").T
+    together = np.abs(height[a] - height[b]) <= STEEPEST * cell_m * np.linalg.norm(
+        place[a] - place[b], axis=1
+    )
+    n, size = int(together.sum()), len(place)
+    links = sp.coo_matrix((np.ones(n), (a[together], b[together])), shape=(size, size))
+    patch = connected_components(links, directed=False)[1]
+    shore = known & (ndimage.distance_transform_edt(~water) <= reach) if water.any() else np.zeros_like(known)
+    held = np.bincount(patch) * cell_m**2 >= LEAST_GROUND_M2
+    held[patch[shore[known]]] = True
+    loose = np.zeros_like(known)
+    loose[known] = ~held[patch]
+    return loose
+
+
+def contradictions(layers: list[Layer]) -> dict[str, dict[str, float]]:
+    """How two layers differ in the cells that both know, by their names: first less second."""
+    found = {}
+    for one, other in combinations(layers, 2):
+        apart = one.height_m - other.height_m
+        both = np.isfinite(apart)
+        if both.any():
+            of, sigma = apart[both], np.hypot(one.sigma_m, other.sigma_m)[both]
+            found[f"{SOURCE_WORDS[one.source]} less {SOURCE_WORDS[other.source]}"] = {
+                "cells": int(both.sum()),
+                "median_m": float(np.median(of)),
+                "spread_m": NMAD * float(np.median(np.abs(of - np.median(of)))),
+                "above_two_sigma": float(np.mean(np.abs(of) > 2 * sigma)),
+            }
+    return found
+
+
 def _slopes(height: ArrayF, cell_m: float) -> tuple[ArrayF, ArrayF, ArrayF]:
     """Slopes to the east and to the north between neighbouring cells, one-sided at borders, else zero; and
     the squared change of slope from cell to cell, mean of three by three cells.
@@ -360,11 +421,16 @@ def build_dtm(
     water = cells_inside(water_m, corner, cell, shape)
     layers = [layer_of_bed(bed, corner, cell, shape)]
     wet = water & np.isfinite(layers[0].height_m)
-    layers += [
-        layer_of_cloud(source, cloud, corner, cell, shape).without(wet) for source, cloud in in_map.items()
-    ]
+    no_ground = 0
+    for source, cloud in in_map.items():
+        layer = layer_of_cloud(source, cloud, corner, cell, shape).without(wet)
+        if source is Source.LIDAR:
+            loose = loose_patches(layer.height_m, water, cell)
+            layer, no_ground = layer.without(loose), int(loose.sum())
+        layers.append(layer)
     model = blend(layers, corner, cell, crs, blend_m=settings.blend_m)
-    model = _filled(model, water, settings)
+    seen = {"banks_not_ground_for_certain": no_ground, "contradictions": contradictions(layers)}
+    model = replace(_filled(model, water, settings), layers=seen)
     vertical = settings.vertical
     if vertical.name is None:
         return model
@@ -669,11 +735,12 @@ def seam_steps(model: Dtm) -> tuple[ArrayF, ArrayF, ArrayF]:
 
 
 def dtm_facts(model: Dtm) -> dict[str, Any]:
-    """Cells by source, sigmas, and steps at seams, for people."""
+    """Cells by source, sigmas, steps at seams, and what was seen of the layers, for people."""
     known = np.isfinite(model.height_m)
     step, sigma, bend = seam_steps(model)
     size = np.abs(step)
     return {
+        **model.layers,
         "cells": int(known.sum()),
         "cell_m": model.cell_m,
         "heights": model.vertical or "ellipsoidal",

@@ -16,7 +16,10 @@ integrated out::
 
     -2 log L = log|N + P| - log|P| - h^T (N + P)^-1 h
 
-with the normal equations ``N x = h`` of the errors, planes eliminated, and their prior weights ``P``. What is
+with the normal equations ``N x = h`` of the errors, planes eliminated, and their prior weights ``P``. Between
+their knots errors are interpolated. What that leaves is new in each epoch and counts with the white noise: of
+a Gauss-Markov process with the interval ``s`` of the knots, over its correlation time, the share
+``5/3 + exp(-s)/3 - 4 (s - 1 + exp(-s))/s^2`` of its variance, about ``s/3``. What is
 stated stays as prior knowledge: a lognormal factor with the spread of the settings.
 
 A heading that a magnet on the boat disturbs errs as ``A sin h + B cos h`` with the heading ``h``; both are
@@ -121,12 +124,15 @@ class Scatter:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Window:
-    """Normal equations of one window: ``N`` (u, u), ``h`` (u,), and how much they rest on."""
+    """Normal equations of one window: ``N`` (u, u), ``h`` (u,), mean squares ``arms_m2`` (6,) of the
+    derivatives along the normals by errors of position (in any direction) and attitude, and what it rests on.
+    """
 
     N: ArrayF
     h: ArrayF
     n_slow: int
     n_fast: int
+    arms_m2: ArrayF
     planes: int
     observations: int
     scatter: Scatter
@@ -372,6 +378,7 @@ def _window(
         h=h,
         n_slow=n_slow,
         n_fast=n_fast,
+        arms_m2=np.concatenate([np.full(3, 1 / 3), np.mean(pose[:, 3:] ** 2, axis=0)]),
         planes=len(np.unique(owner)),
         observations=len(n),
         scatter=_scatter_of_epochs(local[:, 0], planes, joined, noise),
@@ -576,14 +583,24 @@ class _Likelihood:
             side.append(o / size[j] ** 2)
             by_time.append(_gauss_markov_by_time(window.n_slow, SLOW_S / time[j], size[j]))
         row = 6 * window.n_slow + np.arange(3 * window.n_fast)
-        white = np.tile(1.0 / (fast * f["white"]) ** 2, window.n_fast)
+        # of any direction: a share of each error of a position, and what an attitude moves along the normals
+        share = size**2 * window.arms_m2 * min(1.0, SLOW_S / self.epoch_s)  # an epoch is a mean of several
+        left = np.array([_left_between_knots(SLOW_S / t) for t in time]) * share
+        left_by_time = np.array([_left_by_time(SLOW_S / t) for t in time]) * share
+        own = (fast * f["white"]) ** 2
+        white = np.tile(1.0 / (own + left.sum()), window.n_fast)
         P[row, row] = white
         logdet += float(np.sum(np.log(white)))
         last = u - _BORDER + np.arange(_BORDER)
         P[last, last] = 1.0 / self.sigma_border**2
         logdet -= 2 * float(np.sum(np.log(self.sigma_border)))
 
-        def of_size(which: Sequence[int]) -> Callable[[ArrayF, ArrayF], float]:
+        def of_variance(S: ArrayF, x: ArrayF, change_m2: ArrayF) -> float:
+            """By a change (3,) of the variances of the white noise: dP = -P^2 dV."""
+            excess = 1.0 - (S[row, row] + x[row] ** 2) * white
+            return float(np.sum(excess * white * np.tile(change_m2, window.n_fast)))
+
+        def of_size(which: list[int]) -> Callable[[ArrayF, ArrayF], float]:
             """By the logarithm of a size: dP = -2 P."""
 
             def derivative(S: ArrayF, x: ArrayF) -> float:
@@ -591,11 +608,11 @@ class _Likelihood:
                 total = 0.0
                 for j in which:
                     total += _product(S, x, rows[j], main[j], side[j]) - window.n_slow
-                return -2.0 * total
+                return -2.0 * total + of_variance(S, x, np.full(3, 2.0 * left[which].sum()))
 
             return derivative
 
-        def of_time(which: Sequence[int]) -> Callable[[ArrayF, ArrayF], float]:
+        def of_time(which: list[int]) -> Callable[[ArrayF, ArrayF], float]:
             """By the logarithm of a correlation time."""
 
             def derivative(S: ArrayF, x: ArrayF) -> float:
@@ -604,13 +621,13 @@ class _Likelihood:
                 for j in which:
                     d, o, log = by_time[j]
                     total += _product(S, x, rows[j], d, o) - log
-                return total
+                return total + of_variance(S, x, np.full(3, left_by_time[which].sum()))
 
             return derivative
 
         def of_white(S: ArrayF, x: ArrayF) -> float:
             """By the logarithm of the white noise's size."""
-            return float(-2.0 * (np.sum((S[row, row] + x[row] ** 2) * white) - len(row)))
+            return of_variance(S, x, 2.0 * own)
 
         parts = {
             "position": of_size([0, 1, 2]),
@@ -638,6 +655,19 @@ def _gauss_markov(n: int, step: float) -> tuple[ArrayF, ArrayF, float]:
     main = np.full(n, (1 + a * a) / q)
     main[[0, -1]] = 1.0 / q
     return main, np.full(n - 1, -a / q), -(n - 1) * float(np.log(q))
+
+
+def _left_between_knots(step: float) -> float:
+    """Mean variance that linear interpolation leaves of a process of size 1; step: see `_gauss_markov`."""
+    if step < 1e-2:  # where the terms below cancel each other
+        return step / 3
+    return float(5 / 3 + np.exp(-step) / 3 - 4 * (step - 1 + np.exp(-step)) / step**2)
+
+
+def _left_by_time(step: float) -> float:
+    """Derivative of `_left_between_knots` by the logarithm of the correlation time."""
+    e = 1e-3
+    return (_left_between_knots(step * np.exp(-e)) - _left_between_knots(step * np.exp(e))) / (2 * e)
 
 
 def _gauss_markov_by_time(n: int, step: float, size: float) -> tuple[ArrayF, ArrayF, float]:

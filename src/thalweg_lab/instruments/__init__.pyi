@@ -30,6 +30,7 @@ from .lidar import (
     Shots as Shots,
     simulate_lidar as simulate_lidar,
 )
+from .misstated import as_it_errs as as_it_errs
 from .raw_gnss import (
     Receiver as Receiver,
     record_raw_gnss as record_raw_gnss,

@@ -28,6 +28,7 @@ from thalweg.core.geometry import RayCaster
 from thalweg.settings.twin import TwinConfig, TwinGnss
 from thalweg_lab import writers
 from thalweg_lab.instruments.effects import damage_file, inside
+from thalweg_lab.instruments.misstated import as_it_errs, factors
 from thalweg_lab.random_numbers import gauss_markov, generator
 from thalweg_lab.river import Material, Scene
 from thalweg_lab.voyage import Motion, epochs, motion_of, write_effects
@@ -125,7 +126,7 @@ def stated_sigmas_m(gnss: TwinGnss, kinds: ArrayI, growth: ArrayF | float = 1.0)
 
 
 def antenna_errors_m(config: TwinConfig, seed: int, engine: str, kinds: ArrayI, sigmas_m: ArrayF) -> ArrayF:
-    """Errors (n, 3) east, north, up that the stated sigmas contain.
+    """Errors (n, 3) east, north, up that the stated sigmas contain, unless they are misstated.
 
     Carrier-phase solutions: Gauss-Markov plus white noise, ``white_share`` of the variance is new in each
     epoch, of its own in each engine. Code solutions: Gauss-Markov with ``single_time_s``, the same in both
@@ -139,7 +140,7 @@ def antenna_errors_m(config: TwinConfig, seed: int, engine: str, kinds: ArrayI, 
     kinds : (n,) values of `Solution`.
     sigmas_m : (n, 3) what `stated_sigmas_m` gives.
     """
-    gnss = config.gnss
+    gnss, size = as_it_errs(config, seed).gnss, factors(config, seed)["gnss_position"]
     n, step_s = len(kinds), 1.0 / gnss.rate_hz
     phase = generator(seed, f"gnss {engine}")
     code = generator(seed, "gnss single")
@@ -150,7 +151,7 @@ def antenna_errors_m(config: TwinConfig, seed: int, engine: str, kinds: ArrayI, 
         white = phase.standard_normal(n)
         unit = np.sqrt(1.0 - gnss.white_share) * slow + np.sqrt(gnss.white_share) * white
         out[:, axis] = np.where(single, gauss_markov(code, n, step_s, 1.0, gnss.single_time_s), unit)
-    return out * sigmas_m
+    return out * sigmas_m * size
 
 
 def multipath_errors_m(config: TwinConfig, seed: int, share: ArrayF) -> ArrayF:

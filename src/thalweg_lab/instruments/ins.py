@@ -17,6 +17,7 @@ from thalweg.settings.twin import TwinConfig, TwinIns
 from thalweg_lab import writers
 from thalweg_lab.instruments.bed import true_depth_m
 from thalweg_lab.instruments.effects import damage_file
+from thalweg_lab.instruments.misstated import as_it_errs, factors
 from thalweg_lab.random_numbers import gauss_markov, generator
 from thalweg_lab.river import Scene
 from thalweg_lab.voyage import LEAD_S, Motion, epochs, motion_of, write_effects
@@ -83,10 +84,9 @@ def simulate_ins(
     unstated = unstated_heading_errors_rad(config, motion, t, boat_field)
     attitude = attitude_errors_rad(config, seed, t, motion.start_gps_s)
     attitude[:, 2] += unstated
-    rng = generator(seed, "ins position")
+    rng, true_m = generator(seed, "ins position"), as_it_errs(config, seed).ins.sigma_position_m
     position_error = np.stack(
-        [gauss_markov(rng, len(t), 1.0 / ins.rate_hz, s, ins.position_time_s) for s in ins.sigma_position_m],
-        axis=1,
+        [gauss_markov(rng, len(t), 1.0 / ins.rate_hz, s, ins.position_time_s) for s in true_m], axis=1
     )
     velocity_error = velocity_errors_mps(config, seed, len(t))
     bias = np.deg2rad(ins.gyro_bias_degps) * generator(seed, "ins gyro bias").standard_normal(3)
@@ -120,6 +120,7 @@ def simulate_ins(
         "motor_field_mg": [list(field) for field in ins.motor_field_mg],
         "boat_field_max_mg": float(np.linalg.norm(boat_field, axis=1).max(initial=0.0)),
         "unstated_heading_error_deg": _extent_deg(unstated),
+        "error_factors": factors(config, seed),
         **damage_file(out_anpp, "ins", config.effects, generator(seed, "ins effects")),
     }
     write_effects(out_effects, "ins", facts)
@@ -128,7 +129,7 @@ def simulate_ins(
 
 def velocity_errors_mps(config: TwinConfig, seed: int, n: int) -> ArrayF:
     """Errors (n, 3) of the velocity north, east, down: Gauss-Markov processes."""
-    ins = config.ins
+    ins = as_it_errs(config, seed).ins
     rng = generator(seed, "ins velocity")
     axes = [
         gauss_markov(rng, n, 1.0 / ins.rate_hz, ins.sigma_velocity_mps, ins.velocity_time_s) for _ in range(3)
@@ -258,7 +259,7 @@ def _packets(config: TwinConfig, row: dict[str, Any]) -> bytes:
 
 def attitude_errors_rad(config: TwinConfig, seed: int, t_gps_s: ArrayF, start_gps_s: float) -> ArrayF:
     """Errors (n, 3) of roll, pitch and heading: Gauss-Markov processes, and the heading's drift."""
-    ins = config.ins
+    ins = as_it_errs(config, seed).ins
     rng = generator(seed, "ins attitude")
     sigmas = np.deg2rad([ins.sigma_roll_deg, ins.sigma_pitch_deg, ins.sigma_heading_deg])
     errors = [

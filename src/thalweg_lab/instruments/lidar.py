@@ -27,6 +27,7 @@ from thalweg_lab.instruments.footprint import (
     range_sigma_m,
     seen,
 )
+from thalweg_lab.instruments.misstated import as_it_errs
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.river import HULL_MATERIAL, HULL_REFLECTANCE, REFLECTANCE, Hull, Material, Scene, Waves
 from thalweg_lab.voyage import Motion, motion_of, write_effects
@@ -554,7 +555,7 @@ def simulate_lidar(
     """
     motion = motion_of(config, seed) if motion is None else motion
     sensor = LidarSensor.on_board(
-        config,
+        as_it_errs(config, seed),
         seed,
         motion,
         scene if isinstance(scene, Scene) else Scene.read(scene),

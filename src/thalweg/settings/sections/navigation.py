@@ -105,13 +105,18 @@ class ErrorModel(Section):
         default=3.0, description="The correlation times below may be wrong by this factor"
     )
     position_time_s: Positive = Field(
-        default=10.0, le=3600, description="Correlation time of the positions' slow errors, seconds"
+        default=10.0,
+        le=3600,
+        description="Correlation time of the positions' slow errors, seconds; presumed, no data sheet has it",
     )
     attitude_time_s: Positive = Field(
-        default=20.0, le=3600, description="Correlation time of the attitude errors, seconds"
+        default=20.0,
+        le=3600,
+        description="Correlation time of the attitude errors, seconds; presumed, no data sheet has it",
     )
     white_share: Annotated[float, Field(ge=0.01, le=0.99)] = Field(
-        default=0.25, description="Share of the positions' variance that is new in each epoch"
+        default=0.25,
+        description="Share of the positions' variance that is new in each epoch; presumed, as wide as sizes",
     )
 
 

@@ -982,6 +982,12 @@ class TwinEffects(Section):
     mount_errors: bool = Field(
         default=True, description="Sensors sit off the campaign's mounts by errors of the stated sigmas"
     )
+    misstated: bool = Field(
+        default=False,
+        description="Instruments err otherwise than their logs and the defaults state: in sizes, "
+        "correlation times, shares and the beam by factors from 1/2 to 2, drawn from the seed; "
+        "false: known errors",
+    )
 
 
 SIZES: Final[Mapping[str, Mapping[str, Any]]] = {
