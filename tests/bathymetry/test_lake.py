@@ -132,7 +132,7 @@ def test_a_lake_has_its_bays_and_no_bed_on_its_island(lake: tuple[Water, BedOfTa
     assert shapely.contains_xy(WATER, cells).all()
     assert found.bed.facts["area_m2"] == pytest.approx(WATER.area, rel=0.02)
     assert np.std(error) < 0.25
-    # One observation: the mean of three days is one draw. In this lake sigmas of the rest are twice the errors,
+    # One observation: the mean of three days is one draw. Sigmas of the rest are twice the errors here,
     # between the tracks (0.62) they are 1.3 of them. No study asks it of many lakes.
     assert abs(np.mean(error)) < 2 * np.sqrt(np.mean(sigma**2))
     assert 0.5 < np.sqrt(np.nanmean(found.bed.sigma_m**2)) / np.std(error) < 2.5
