@@ -341,7 +341,7 @@ def test_pictures_and_scans_of_boards_go_together(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="1 pictures and 0 scans"):
         read_board_poses([tmp_path / "pose1.png"], [], board, camera, LidarOptions())
     cloud = tmp_path / "pose1.pcd"
-    cloud.write_text("FIELDS x y z\nPOINTS 1\nDATA ascii\n1 2 3\n")
+    cloud.write_text("VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS 1\nDATA ascii\n1 2 3\n")
     poses, lost = read_board_poses([tmp_path / "pose1.png"], [cloud], board, camera, LidarOptions())
     assert poses == []
     assert lost["reason"].iloc[0].startswith("pose1.png: no checkerboard")

@@ -1,10 +1,12 @@
 """Interior orientations of Metashape in our parameters: each sign and each name by hand."""
 
+from xml.etree import ElementTree
+
 import numpy as np
 import pytest
 
 from thalweg.core.camera import Camera, from_metashape
-from thalweg.images.imports.formats import _carried, project_metashape
+from thalweg.images.imports.formats import project_metashape, sensor_camera
 
 SIZE_PX = (720, 540)
 STATED = {
@@ -38,8 +40,18 @@ def test_a_covariance_changes_its_names_with_its_parameters() -> None:
     stated = ("f", "b1", "cx", "p1", "p2")
     root = np.random.default_rng(13).standard_normal((5, 5))
     C = root @ root.T
-    names = ("fx", "fy", "cx", "cy", "p1", "p2")
-    found = _carried(names, stated, C)
+    values = "".join(f"<{name}>{value}</{name}>" for name, value in STATED.items() if value)
+    sensor = ElementTree.fromstring(
+        f"""<sensor label="a" type="frame"><calibration type="frame" class="adjusted">
+        <resolution width="720" height="540"/>{values}</calibration>
+        <covariance><params>{" ".join(stated)}</params>
+        <coeffs>{" ".join(map(repr, C.ravel().tolist()))}</coeffs></covariance></sensor>"""
+    )
+    camera = sensor_camera(sensor, "a.xml", [])
+    assert camera is not None
+    assert camera.cov is not None
+    at = [camera.parameter_names.index(name) for name in ("fx", "fy", "cx", "cy", "p1", "p2")]
+    found = camera.cov[np.ix_(at, at)]
     assert found[0, 0] == pytest.approx(C[0, 0] + 2 * C[0, 1] + C[1, 1])
     assert found[0, 1] == pytest.approx(C[0, 0] + C[0, 1])
     assert found[0, 2] == pytest.approx(C[0, 2] + C[1, 2])

@@ -272,7 +272,11 @@ def _add(
         if compared is not None:
             notes, more = check_poses(compared, centre[known], R[known], predicted)
             facts |= more
-        elif np.median(np.linalg.norm(centre, axis=1)) > FAR_M and (other := _other_place(chosen, predicted)):
+        elif (
+            chosen.place.kind != "world"  # nothing says where a system of its own begins
+            and np.median(np.linalg.norm(centre, axis=1)) > FAR_M
+            and (other := _other_place(chosen, predicted))
+        ):
             away = GeometryError(f"positions a median of {_distance(centre)} away from campaign.origin")
             raise _misplaced(source, away, other)
     out.notes += [f"{Path(source.where).name}: {note}" for note in (*source.notes, *notes)]
