@@ -236,7 +236,15 @@ _FILES_NAMED = 5
 
 def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], list[str]]:
     """Files of a folder by stream, recognised by their content, and what was chosen among tracks."""
-    from thalweg.ingest.registry import ALSO_MARKS, KINDS, LOOSE_KINDS, choose_tracks, recognise, stream_of
+    from thalweg.ingest.registry import (
+        ALSO_MARKS,
+        KINDS,
+        LOOSE_KINDS,
+        choose_tracks,
+        has_depths,
+        recognise,
+        stream_of,
+    )
     from thalweg.settings import natural_order
 
     if not folder.is_dir():
@@ -288,6 +296,10 @@ def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], list[str]]:
         elif first:
             print(f"{stream:10s} {path.parent} ({n} files, {kind})")
     streams = _of_receivers(_of_one_kind(streams))
+    if "depth" not in streams and (sounders := [path for path in streams.get("ins", []) if has_depths(path)]):
+        streams["depth"] = sounders
+        for path in sounders:
+            print(f"depth      {path} (the same log)")
     remarks, others = [], dict[str, list[Path]]()
     if "pos" in streams:
         kept, second = choose_tracks(streams.pop("pos"))

@@ -150,5 +150,5 @@ def test_depths_zones_and_waypoints_of_gpx(tmp_path: Path) -> None:
     assert "not the 1 waypoints" in notes
     assert "elevations are negative" in notes
     path.write_text(GPX.format(more=""))
-    with pytest.raises(InputError, match="no depths in the extensions"):
+    with pytest.raises(InputError, match="no depths in this recording"):
         read_depths([path])

@@ -56,6 +56,7 @@ from thalweg.core import (
 )
 from thalweg.core.values import METRE, check_places, units_of_crs
 from thalweg.ingest import Places, Table, is_vector_file, read_text_table, read_vectors
+from thalweg.ingest.registry import soundings_table
 from thalweg.settings.sections import Bathymetry
 
 _DROWNED_M: Final = 0.5
@@ -132,6 +133,11 @@ def read_places(
     ------
     InputError : no such file, no table, no coordinates.
     """
+    if (recorded := soundings_table(path)) is not None:
+        frame, notes = recorded
+        table = Table.of(frame, path)
+        found = table.places(crs, any_system=any_system)
+        return table, replace(found, notes=[*notes, *found.notes])
     if not is_vector_file(path):
         table = read_text_table(path, order=order, bare=("x", "y", "z"))
         return table, table.places(crs, any_system=any_system)

@@ -167,7 +167,8 @@ class IntegrityReport:
                 + (f", about {lost:,} records lost" if lost else "")
             )
         for key, value in self.details.items():
-            out.append(f"  {key:9s} {value}")
+            listed = ", ".join(f"{k} {v:,}" for k, v in value.items()) if isinstance(value, dict) else value
+            out.append(f"  {key:9s} {listed}")
         out += [f"  note      {sentence}" for sentence in self.notes]
         return out
 

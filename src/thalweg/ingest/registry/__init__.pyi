@@ -19,7 +19,9 @@ from .lidar import lidar_reader as lidar_reader
 from .poses import read_poses as read_poses
 from .positions import (
     choose_tracks as choose_tracks,
+    has_depths as has_depths,
     read_depths as read_depths,
     read_positions as read_positions,
     read_receiver as read_receiver,
+    soundings_table as soundings_table,
 )

@@ -12,6 +12,7 @@ import numpy as np
 from thalweg.core import WEEK_S, ArrayF, InputError, gps_from_week
 from thalweg.ingest import PoseLog, PoseReader, TrackOptions, doubtful_date
 from thalweg.ingest.anpp import find_packets, read_anpp
+from thalweg.ingest.ardupilot import is_dataflash, is_telemetry, read_ardupilot
 from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share
 from thalweg.ingest.registry.calibrations import CalibrationReport
 from thalweg.ingest.tracks import (
@@ -169,10 +170,13 @@ def _is_unit(values: Sequence[float]) -> bool:
     return abs(sum(v * v for v in values) - 1.0) < 1e-2
 
 
-def _describe_anpp(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
-    log = _anpp(files, TrackOptions(**options))
-    assert log.positions is not None
-    return Recording(kind=kind, report=log.report, tables={"states": log.states, "positions": log.positions})
+def _describe_states(
+    reader: PoseReader, kind: str, files: list[Path], options: dict[str, Any], points: bool
+) -> Recording:
+    log = reader(files, TrackOptions(**options))
+    tables = {"states": log.states, "positions": log.positions, "depths": log.depths}
+    held = {name: table for name, table in tables.items() if table is not None and len(table)}
+    return Recording(kind=kind, report=log.report, tables=held)
 
 
 def _anpp_share(head: bytes, size: int) -> float:
@@ -257,10 +261,24 @@ POSES: Final = (
     Format(
         kind="anpp",
         words="Advanced Navigation ANPP log",
-        streams=("ins",),
+        streams=("ins", "depth"),
         matches=_anpp_share,
         poses=_anpp,
-        describe=_describe_anpp,
+        describe=partial(_describe_states, _anpp),
+    ),
+    *(
+        Format(
+            kind=kind,
+            words=words,
+            streams=("ins", "depth"),
+            matches=matches,
+            poses=read_ardupilot,
+            describe=partial(_describe_states, read_ardupilot),
+        )
+        for kind, words, matches in (
+            ("dataflash", "ArduPilot dataflash log", is_dataflash),
+            ("mavlink", "MAVLink telemetry", is_telemetry),
+        )
     ),
     Format(
         kind="sbet",

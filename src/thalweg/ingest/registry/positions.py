@@ -9,11 +9,19 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core import InputError, ThalwegError, frame_of, read_table
-from thalweg.ingest import GNSS_POSITION, INS_STATE, IntegrityReport, PositionLog, TrackOptions
+from thalweg.core import InputError, ThalwegError, frame_of, read_table, utc_text_from_gps
+from thalweg.ingest import (
+    GNSS_POSITION,
+    INS_STATE,
+    IntegrityReport,
+    PositionLog,
+    PositionReader,
+    TrackOptions,
+)
 from thalweg.ingest.nmea import read_nmea
 from thalweg.ingest.ppk import PpkOptions, describe_rinex, replace_covariances, run_ppk
 from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share
+from thalweg.ingest.registry.poses import POSES
 from thalweg.ingest.tracks import event_marks, read_gpx, read_pos
 
 _NMEA = re.compile(rb"[$!][A-Z]{2}[A-Z]{3},[^\r\n*]*(\*[0-9A-Fa-f]{2})?")
@@ -21,6 +29,9 @@ _POS_LINE = re.compile(
     rb"(?m)^\s*(\d{4}/\d\d/\d\d[ ,;\t]+\d\d:\d\d:\d\d(\.\d+)?|\d{4}[ ,;\t]+\d{1,6}\.\d+)"
     rb"([ ,;\t]+[-\d.:]+){6,}"
 )
+
+MOST_STEP_S: Final = 2.0
+"""Positions this far apart in time, or three usual steps, have soundings between them."""
 
 
 def positions_from_states(states: pd.DataFrame) -> pd.DataFrame:
@@ -53,7 +64,7 @@ def read_receiver(files: list[Path]) -> tuple[pd.DataFrame, IntegrityReport]:
 
 
 def read_depths(files: list[Path], date: dt.date | None = None) -> PositionLog:
-    """Soundings of an NMEA log, or those in the extensions of a GPX track.
+    """Soundings of any recording that may hold some: NMEA, extensions of a GPX track, logs of an autopilot.
 
     Parameters
     ----------
@@ -64,18 +75,79 @@ def read_depths(files: list[Path], date: dt.date | None = None) -> PositionLog:
     ------
     InputError : the files hold no depths.
     """
-    if _kind(files[0]) != "gpx":
-        found = read_nmea(files, date=date).with_depths()
-        return PositionLog(report=found.report, depths=found.depths)
-    log = read_gpx(files)
-    if log.depths is None:
+    log = _of_soundings(files[0])(files, TrackOptions(date=date))
+    if log.depths is None or log.depths.empty:
         raise InputError(
-            "no depths in the extensions of the track points",
-            expected="an element depth or water_depth",
+            "no depths in this recording",
+            expected="NMEA sentences DBT or DPT, depths in extensions of GPX, or messages of an echo sounder",
             where=files[0],
-            cure="Give an NMEA log in logs.depth, or a table of soundings to `thalweg bed`",
+            cure="Give another log in logs.depth, or a table of soundings to `thalweg bed`",
         )
     return log
+
+
+def has_depths(path: Path) -> bool:
+    """Whether a recording of a kind that may hold soundings does."""
+    try:
+        return find_format(_WITH_DEPTHS, path) is not None and bool(read_depths([path]).report)
+    except ThalwegError:
+        return False
+
+
+def soundings_table(path: Path) -> tuple[pd.DataFrame, list[str]] | None:
+    """Soundings of a recording with their places, as a table of soundings has them.
+
+    Parameters
+    ----------
+    path : any file.
+
+    Returns
+    -------
+    Columns ``latitude``, ``longitude``, ``depth_m`` and ``time`` (UTC), and notes; None where the file is of
+    no format that holds depths.
+
+    Raises
+    ------
+    InputError : the recording has no depths, no positions, or no time in common.
+    """
+    if find_format(_WITH_DEPTHS, path) is None:
+        return None
+    log = read_depths([path])
+    assert log.depths is not None
+    track = None if log.positions is None else log.positions.dropna(subset=["t_gps_s", "lat_deg"])
+    if track is None or len(track) < 2:
+        raise InputError(
+            f"{len(log.depths):,} depths and no positions with times beside them",
+            where=path,
+            expected="a recording that holds both, on one clock",
+            cure="Put depths and track into a campaign (`thalweg new-campaign`), or give a table with places",
+        )
+    track = track.drop_duplicates("t_gps_s").sort_values("t_gps_s")
+    t = log.depths["t_gps_s"].to_numpy(np.float64)
+    after = np.clip(np.searchsorted(track["t_gps_s"], t), 1, len(track) - 1)
+    step = np.diff(track["t_gps_s"])[after - 1]
+    within = (t >= track["t_gps_s"].iloc[0]) & (t <= track["t_gps_s"].iloc[-1])
+    near = within & (step <= max(MOST_STEP_S, 3 * float(np.median(step[within])) if within.any() else 0.0))
+    depth = log.depths["depth_m"].to_numpy(np.float64)
+    seen = near & (depth > 0)
+    if not seen.any():
+        raise InputError(
+            f"none of {len(t):,} depths has a bottom and a position at its time",
+            where=path,
+            expected="depths and positions of the same minutes",
+            cure="Look at it with `thalweg describe`",
+        )
+    notes = [*log.report.notes, "Depths are below the transducer, as recorded: its draught is not added."]
+    for what, n in (("without a bottom", near & (depth <= 0)), ("without a position at their time", ~near)):
+        if n.any():
+            notes.append(f"{int(n.sum()):,} of {len(t):,} depths {what} are left out")
+    table = {
+        name: np.interp(t[seen], track["t_gps_s"], track[column])
+        for name, column in (("latitude", "lat_deg"), ("longitude", "lon_deg"))
+    }
+    return pd.DataFrame(
+        table | {"depth_m": depth[seen], "time": [utc_text_from_gps(x) for x in t[seen]]}
+    ), notes
 
 
 def read_positions(
@@ -196,6 +268,19 @@ def _same_time(one: pd.DataFrame, other: pd.DataFrame) -> bool:
     return bool(min(b, d) - max(a, c) > 0.5 * min(b - a, d - c))
 
 
+def _of_soundings(path: Path) -> PositionReader:
+    known = find_format(_WITH_DEPTHS, path)
+    reader = None if known is None else known.positions or known.poses
+    if reader is None:
+        raise InputError(
+            "a recording of no kind that holds depths",
+            where=path,
+            expected=", ".join(row.words for row in _WITH_DEPTHS),
+            cure="Look at it with `thalweg describe`",
+        )
+    return reader
+
+
 def _kind(path: Path) -> str | None:
     known = find_format(POSITIONS, path)
     return None if known is None else known.kind
@@ -297,3 +382,5 @@ POSITIONS: Final = (
         describe=_describe,
     ),
 )
+
+_WITH_DEPTHS: Final = tuple(row for row in (*POSITIONS, *POSES) if "depth" in row.streams)

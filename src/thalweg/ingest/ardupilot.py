@@ -1,0 +1,467 @@
+"""ArduPilot autopilots: dataflash logs (``.BIN``) and MAVLink telemetry (``.tlog``), read by ``pymavlink``.
+
+Both stamp with the time since the autopilot started. GPS time comes from fixes (dataflash: week and
+milliseconds) or from ``SYSTEM_TIME`` (telemetry); without either the stamps stay those of the device, and
+have no GPS time. A fix is logged when it has arrived: later than its epoch by the lag of the receiver, which
+is the parameter ``GPS_DELAY_MS`` or, where that is 0, the `USUAL_LAG_S` of ArduPilot's driver.
+
+Attitude and position are those of the filter (ATT, POS), their standard deviations from its covariance
+(XKV1: quaternion, velocity, position; XKF4.errRP: tilt). Depths are WATER_DEPTH and DPTH, else those of
+rangefinders that look down. Heights are above mean sea level; only a stated undulation (GPA.Und,
+GPS_RAW_INT.alt_ellipsoid) makes them ellipsoidal.
+Source: ArduPilot, "Onboard Message Log Messages"; MAVLink common and ardupilotmega message sets.
+"""
+
+import contextlib
+import io
+import re
+import struct
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from thalweg.core import ArrayF, InputError, UnsupportedError, frame_of, gps_from_unix, gps_from_week
+from thalweg.ingest.integrity import IntegrityReport
+from thalweg.ingest.readers import PoseLog, TrackOptions
+from thalweg.ingest.schemas import DEPTH, GNSS_POSITION, INS_STATE, NAVIGATION_INITIALISED
+
+Messages = Mapping[str, pd.DataFrame]
+"""Messages by name, a column ``t_s`` (since the start of the autopilot) beside the format's own fields."""
+
+USUAL_LAG_S: Final = 0.12
+"""Lag of u-blox M8 and F9 receivers that ArduPilot presumes (AP_GPS_UBLOX::get_lag)."""
+_JUMP_S: Final = 0.9
+DOWN: Final = 25
+"""Orientation of a rangefinder that looks down (MAV_SENSOR_ROTATION_PITCH_270)."""
+_FIX: Final = {2: "2d", 3: "single", 4: "dgnss", 5: "float", 6: "fixed", 7: "fixed", 8: "ppp"}
+_AUTOPILOT: Final = 1
+"""Component of MAVLink that is the autopilot; ground stations and companions repeat its messages."""
+_UNITS: Final = {"TimeUS": 1e-6, "time_boot_ms": 1e-3, "time_usec": 1e-6}
+"""Fields with the time since the start of the autopilot, to seconds."""
+_DATAFLASH: Final = (
+    *("GPS", "GPS2", "GPA", "ATT", "POS", "AHR2", "XKF1", "NKF1", "XKF4", "XKV1", "RFND", "DPTH", "CAM"),
+    *("PARM", "MSG"),
+)
+_TELEMETRY: Final = (
+    *("ATTITUDE", "GLOBAL_POSITION_INT", "GPS_RAW_INT", "SYSTEM_TIME", "WATER_DEPTH", "DISTANCE_SENSOR"),
+    *("CAMERA_FEEDBACK", "STATUSTEXT"),
+)
+
+
+def is_dataflash(head: bytes, size: int) -> bool:
+    """True if a file begins as a dataflash log: the format of the messages that state formats."""
+    return head.startswith((b"\xa3\x95\x80\x80\x59FMT\x00", b"FMT, 128, 89, FMT,"))
+
+
+def is_telemetry(head: bytes, size: int) -> bool:
+    """True if MAVLink frames follow each other in the head, each behind a stamp in microseconds."""
+    at, frames = 0, 0
+    while at + 12 <= len(head) and frames < 20:
+        first, length = head[at + 8], head[at + 9]
+        signed = first == 0xFD and head[at + 10] & 1
+        whole = 8 + {0xFE: 8, 0xFD: 12}.get(first, 0) + length + 13 * signed
+        if first not in (0xFE, 0xFD) or not 1e15 < int.from_bytes(head[at : at + 8], "big") < 4e15:
+            return False
+        at, frames = at + whole, frames + 1
+    return frames >= min(20, max(2, size // 300))
+
+
+def read_ardupilot(files: Sequence[Path], options: TrackOptions) -> PoseLog:
+    """States, GNSS positions and depths of an ArduPilot vehicle.
+
+    Parameters
+    ----------
+    files : logs in the order of time; the autopilot's clock starts anew in each.
+    options : not needed.
+
+    Raises
+    ------
+    InputError : a file holds neither attitudes, positions nor depths.
+    UnsupportedError : pymavlink is not installed.
+    """
+    report = IntegrityReport(
+        stream="ins", format="", files=[str(path) for path in files], time_scale="device"
+    )
+    logs = [_read(path, report) for path in files]
+    states, positions, depths = (pd.concat(parts, ignore_index=True) for parts in zip(*logs, strict=True))
+    report.synchronised = bool(states["t_gps_s"].notna().any())
+    if report.synchronised:
+        report.time_scale = "gps"
+    report.take_times(states["t_gps_s" if report.synchronised else "t_device_s"], "states")
+    for name, table in (("states", states), ("positions", positions), ("depths", depths)):
+        report.count(name, len(table))
+    return PoseLog(states=states, positions=positions, depths=depths if len(depths) else None, report=report)
+
+
+def _read(path: Path, report: IntegrityReport) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
+    with path.open("rb") as stream:
+        dataflash = is_dataflash(stream.read(64), 0)
+    report.bytes_read += path.stat().st_size
+    if dataflash:
+        report.format = "ArduPilot dataflash log"
+        found = _of_dataflash(_dataflash(path, report), report)
+    else:
+        report.format = "MAVLink telemetry log"
+        found = _of_telemetry(_telemetry(path, report), report)
+    attitude, place, fixes, depths, gps_minus_boot_s = found
+    if attitude.empty and fixes.empty and depths.empty:
+        raise InputError(
+            "neither attitudes, positions nor depths",
+            expected="messages ATT, POS, GPS, DPTH or RFND (telemetry: ATTITUDE, GPS_RAW_INT, WATER_DEPTH)",
+            where=path,
+            cure="Set LOG_BITMASK to log attitude and GPS; LOG_DISARMED 1 logs from the start",
+        )
+    if np.isnan(gps_minus_boot_s):
+        report.note("No GPS time in the log: its stamps are seconds since the autopilot started.")
+    undulation = fixes["h_ell_m"] - fixes["alt_m"]
+    states = _states(attitude, place, float(undulation.median()), gps_minus_boot_s)
+    if states["h_ell_m"].isna().all() and states["lat_deg"].notna().any():
+        report.note(
+            "Heights are above mean sea level, no undulation of the geoid is stated: no ellipsoidal height."
+        )
+    depths = frame_of(DEPTH, {**depths, "t_gps_s": depths["t_s"] + gps_minus_boot_s}, unknown=np.nan)
+    return states, frame_of(GNSS_POSITION, dict(fixes), unknown=np.nan), depths
+
+
+def _states(
+    attitude: pd.DataFrame, place: pd.DataFrame, undulation_m: float, offset_s: float
+) -> pd.DataFrame:
+    """Attitudes with the filter's position at their times, table kind ``ins_state``."""
+    t_s = attitude["t_s"].to_numpy(np.float64)
+
+    def at(name: str) -> ArrayF:
+        known = place[place[name].notna()] if name in place else place.iloc[:0]
+        if known.empty:
+            return np.full(len(t_s), np.nan)
+        return np.interp(t_s, known["t_s"], known[name], left=np.nan, right=np.nan)
+
+    heading = np.mod(attitude["yaw_rad"].to_numpy(np.float64), 2 * np.pi)
+    tilt = at("sigma_tilt_rad") / np.sqrt(2.0)
+    names = ("lat_deg", "lon_deg", "v_north_mps", "v_east_mps", "v_down_mps")
+    return frame_of(
+        INS_STATE,
+        {
+            **{name: at(name) for name in names},
+            **{f"sigma_{axis}_m": at(f"sigma_{axis}_m") for axis in ("north", "east", "up")},
+            **{name: attitude[name] for name in attitude if name.startswith(("roll", "pitch", "rate"))},
+            "t_gps_s": t_s + offset_s,
+            "t_device_s": t_s,
+            "h_ell_m": at("alt_m") + undulation_m,
+            "heading_rad": np.where(heading >= 2 * np.pi, 0.0, heading),
+            "sigma_roll_rad": tilt,
+            "sigma_pitch_rad": tilt,
+            "sigma_heading_rad": at("sigma_heading_rad"),
+            "fix": "3d",
+            "system_status": 0,
+            "filter_status": np.where(np.isfinite(at("lat_deg")), NAVIGATION_INITIALISED, 0),
+        },
+        unknown=np.nan,
+    )
+
+
+# ---------------------------------------------------------------- dataflash
+
+
+def _dataflash(path: Path, report: IntegrityReport) -> Messages:
+    """Messages of a dataflash log; pymavlink finds them, whole columns are unpacked at once."""
+    DFReader = _pymavlink("DFReader")
+    said = io.StringIO()
+    with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
+        with path.open("rb") as stream:
+            text = stream.read(3) == b"FMT"
+        if text:
+            return _recv(DFReader.DFReader_text(str(path)), _DATAFLASH, report)
+        log = DFReader.DFReader_binary(str(path))
+    found, numbers = {}, {}
+    covered = 0
+    for name, kind in sorted(log.name_to_id.items()):
+        form = log.formats[kind]
+        at = np.asarray(log.offsets[kind], dtype=np.int64)
+        at = at[at + form.len <= log.data_len]
+        covered += at.size * form.len
+        if at.size:
+            numbers[name] = int(at.size)
+        if at.size and name in _DATAFLASH:
+            data = np.frombuffer(log.data_map, np.uint8)
+            rows = data[at[:, None] + np.arange(3, form.len)].tobytes()
+            plain = re.sub(r"(\d+)s", r"\1s", form.msg_struct)
+            table = pd.DataFrame(list(struct.iter_unpack(plain, rows)), columns=form.columns)
+            scales = dict(zip(form.columns, form.msg_mults, strict=True))
+            found[name] = table.assign(**{key: table[key] * by for key, by in scales.items() if by})
+    log.filehandle.close()
+    report.details["messages"] = numbers
+    if lost := log.data_len - covered:
+        report.lose("bytes_outside_messages", lost)
+    return {name: _stamped(table) for name, table in found.items()}
+
+
+def _of_dataflash(
+    log: Messages, report: IntegrityReport
+) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame, pd.DataFrame, float]:
+    fixes, offset_s = _dataflash_fixes(log, report)
+    angles = _main(log.get("ATT", _NONE), "", 0).rename(
+        columns={"Roll": "roll", "Pitch": "pitch", "Yaw": "yaw"}
+    )
+    attitude = pd.DataFrame({"t_s": angles.get("t_s", _EMPTY)})
+    for name in ("roll", "pitch", "yaw"):
+        attitude[f"{name}_rad"] = np.deg2rad(angles.get(name, _EMPTY).astype(float))
+    core = int(log["XKF4"]["PI"].mode().iloc[0]) if "XKF4" in log and "PI" in log["XKF4"] else 0
+    named = {"Lat": "lat_deg", "Lng": "lon_deg", "Alt": "alt_m"}
+    place = log.get("POS", log.get("AHR2", _NONE)).rename(columns=named)
+    if len(place):  # without a fix both are 0
+        place = place[(place["lat_deg"] != 0.0) | (place["lon_deg"] != 0.0)]
+    speed = _main(log.get("XKF1", log.get("NKF1", _NONE)), "C", core)
+    speed = speed.rename(columns={"VN": "v_north_mps", "VE": "v_east_mps", "VD": "v_down_mps"})
+    sigmas = _filter_sigmas(log, core)
+    if sigmas.empty and fixes["sigma_up_m"].notna().any():
+        report.note(
+            "The filter's covariance is not logged: positions have the receiver's standard deviations."
+        )
+        sigmas = fixes[["t_s", "sigma_east_m", "sigma_north_m", "sigma_up_m"]]
+    place = _joined(place, speed, sigmas)
+    pings = log.get("DPTH", _NONE).rename(columns={"Depth": "depth_m"}).assign(sentence="DPTH")
+    if pings.empty and "RFND" in log:
+        down = log["RFND"].query("Orient == @DOWN" if "Orient" in log["RFND"] else "index == index")
+        pings = down.rename(columns={"Dist": "depth_m"}).assign(sentence="RFND")
+        if "Stat" in pings:  # 4: a good distance
+            pings["depth_m"] = pings["depth_m"].where(pings["Stat"] == 4, 0.0)
+    words = [
+        str(each, "latin-1") if isinstance(each, bytes) else each
+        for each in log.get("MSG", _NONE).get("Message", ())
+    ]
+    report.model = next((w.strip("\0") for w in words if w.startswith("Ardu") or "Rover" in w), "")
+    if "CAM" in log:
+        report.count("camera_triggers", len(log["CAM"]))
+    return attitude, place, fixes, _depths(pings), offset_s
+
+
+def _dataflash_fixes(log: Messages, report: IntegrityReport) -> tuple[pd.DataFrame, float]:
+    """Fixes of the better receiver (``gnss_position``, ``t_s``, ``alt_m``); GPS minus boot time, seconds."""
+    receivers = (
+        dict(tuple(log["GPS"].groupby("I"))) if "I" in log.get("GPS", ()) else {0: log.get("GPS", _NONE)}
+    )
+    if "GPS2" in log:
+        receivers[1] = log["GPS2"]
+    chosen = max(receivers, key=lambda i: float(receivers[i].get("Status", _EMPTY).mean() or 0.0))
+    if len(receivers) > 1:
+        report.note(f"{len(receivers)} GNSS receivers: fixes of number {chosen}, by status, are taken.")
+    gps = receivers[chosen]
+    if gps.empty:
+        return _fixes(gps, {}), np.nan
+    timed = gps[gps["GWk"] > 1024]
+    t_gps_s = pd.Series(gps_from_week(timed["GWk"], timed["GMS"] * 1e-3), index=timed.index).reindex(
+        gps.index
+    )
+    offset_s = np.nan
+    if len(timed):
+        params = log.get("PARM", pd.DataFrame({"Name": [], "Value": []}))
+        delay = params.loc[params["Name"].astype(str).str.contains("GPS1?_DELAY_MS"), "Value"]
+        lag_s = float(delay.iloc[0]) * 1e-3 if len(delay) and delay.iloc[0] > 0 else USUAL_LAG_S
+        lead_s = (t_gps_s - gps["t_s"]).dropna()
+        # of the fix that was on its way the shortest; a receiver that corrects its leap seconds jumps
+        offset_s = float(lead_s[(lead_s - lead_s.median()).abs() < _JUMP_S].max()) + lag_s
+        whence = "stated" if lag_s != USUAL_LAG_S else "presumed"
+        report.note(
+            f"The autopilot's clock is on GPS time by its fixes, which arrive {lag_s:.2f} s late ({whence})."
+        )
+    quality = _main(log.get("GPA", _NONE), "I", chosen)
+    near = _joined(gps[["t_s"]], quality)
+    alt = gps["Alt"].astype(float)
+    return (
+        _fixes(
+            gps,
+            {
+                "t_s": gps["t_s"],
+                "t_gps_s": t_gps_s,
+                "lat_deg": gps["Lat"],
+                "lon_deg": gps["Lng"],
+                "alt_m": alt,
+                "h_ell_m": alt + near["Und"].to_numpy() if "Und" in near else np.nan,
+                "status": gps["Status"],
+                "n_sats": gps["NSats"],
+                "horizontal_m": near["HAcc"].to_numpy() if "HAcc" in near else np.nan,
+                "sigma_up_m": near["VAcc"].to_numpy() if "VAcc" in near else np.nan,
+            },
+        ),
+        offset_s,
+    )
+
+
+def _filter_sigmas(log: Messages, core: int) -> pd.DataFrame:
+    """Standard deviations out of the diagonal of the filter's covariance.
+
+    The quaternion's error is half the small rotation: four times the trace of its covariance is the sum of
+    the variances of all three angles, of which ``errRP`` squared is the part of roll and pitch.
+    """
+    variances, health = (_main(log.get(name, _NONE), "C", core) for name in ("XKV1", "XKF4"))
+    if variances.empty or health.empty:
+        return pd.DataFrame()
+    both = _joined(variances, health[["t_s", "errRP"]])
+    turn = 4.0 * both[["V00", "V01", "V02", "V03"]].sum(axis=1)
+    sigmas = {
+        f"sigma_{axis}_m": np.sqrt(both[v]) for axis, v in (("north", "V07"), ("east", "V08"), ("up", "V09"))
+    }
+    return pd.DataFrame(
+        {
+            "t_s": both["t_s"],
+            **sigmas,
+            "sigma_tilt_rad": both["errRP"],
+            "sigma_heading_rad": np.sqrt(np.maximum(turn - both["errRP"] ** 2, 0.0)),
+        }
+    )
+
+
+# ---------------------------------------------------------------- telemetry
+
+
+def _telemetry(path: Path, report: IntegrityReport) -> Messages:
+    mavutil = _pymavlink("mavutil")
+    mavutil.set_dialect("ardupilotmega")
+    with contextlib.closing(mavutil.mavlogfile(str(path))) as log:
+        return _recv(log, _TELEMETRY, report)
+
+
+def _recv(log: Any, wanted: Sequence[str], report: IntegrityReport) -> Messages:
+    rows: dict[str, list[dict[str, Any]]] = {}
+    numbers: Counter[str] = Counter()
+    while (message := log.recv_msg()) is not None:
+        name = message.get_type()
+        if name == "BAD_DATA":
+            report.lose("bad_messages", 1)
+            continue
+        numbers[name] += 1
+        from_autopilot = not hasattr(message, "get_srcComponent") or message.get_srcComponent() == _AUTOPILOT
+        if name in wanted and from_autopilot:
+            rows.setdefault(name, []).append(message.to_dict() | {"t_host_s": message._timestamp})
+    report.details["messages"] = dict(sorted(numbers.items()))
+    return {name: _stamped(pd.DataFrame(part)) for name, part in rows.items()}
+
+
+def _of_telemetry(
+    log: Messages, report: IntegrityReport
+) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame, pd.DataFrame, float]:
+    clock = log.get("SYSTEM_TIME", _NONE)
+    clock = clock[clock["time_unix_usec"] > 1e15] if len(clock) else clock
+    offset_s = np.nan
+    if len(clock):
+        offset_s = float((gps_from_unix(clock["time_unix_usec"] * 1e-6) - clock["t_s"]).median())
+    elif len(spoken := log.get("ATTITUDE", log.get("GPS_RAW_INT", _NONE))):
+        host = spoken["t_host_s"].iloc[[0, -1]].to_list()
+        when = " .. ".join(f"{pd.Timestamp(t, unit='s'):%Y-%m-%d %H:%M:%S}" for t in host)
+        report.note(f"The ground station received it {when} by its own clock (UTC, if that clock was right).")
+    raw = log.get("GPS_RAW_INT", _NONE)
+    fixes = _fixes(raw, {})
+    if len(raw):
+        alt, ellipsoidal = raw["alt"] * 1e-3, raw.get("alt_ellipsoid", pd.Series(0, index=raw.index)) * 1e-3
+        accuracy = [
+            (raw[name] * 1e-3).where(raw[name] > 0) if name in raw else np.nan for name in ("h_acc", "v_acc")
+        ]
+        fixes = _fixes(
+            raw,
+            {
+                "t_s": raw["t_s"],
+                "t_gps_s": raw["t_s"] + offset_s,
+                "lat_deg": raw["lat"] * 1e-7,
+                "lon_deg": raw["lon"] * 1e-7,
+                "alt_m": alt,
+                "h_ell_m": ellipsoidal.where(ellipsoidal != 0.0),
+                "status": raw["fix_type"],
+                "n_sats": raw["satellites_visible"].replace(255, -1),
+                "horizontal_m": accuracy[0],
+                "sigma_up_m": accuracy[1],
+            },
+        )
+    spoken = log.get("ATTITUDE", _NONE)
+    attitude = pd.DataFrame({"t_s": spoken.get("t_s", _EMPTY)})
+    for ours, theirs in (
+        *((f"{name}_rad", name) for name in ("roll", "pitch", "yaw")),
+        *(
+            (f"rate_{axis}_radps", f"{name}speed")
+            for axis, name in (("x", "roll"), ("y", "pitch"), ("z", "yaw"))
+        ),
+    ):
+        attitude[ours] = spoken.get(theirs, _EMPTY)
+    whole = log.get("GLOBAL_POSITION_INT", _NONE)
+    scales = {"lat": 1e-7, "lon": 1e-7, "alt": 1e-3, "vx": 1e-2, "vy": 1e-2, "vz": 1e-2}
+    names = ("lat_deg", "lon_deg", "alt_m", "v_north_mps", "v_east_mps", "v_down_mps")
+    place = pd.DataFrame({"t_s": whole.get("t_s", _EMPTY)})
+    for ours, (theirs, scale) in zip(names, scales.items(), strict=True):
+        place[ours] = whole.get(theirs, _EMPTY) * scale
+    place = place[(place["lat_deg"] != 0.0) | (place["lon_deg"] != 0.0)]
+    sigmas = fixes[["t_s", "sigma_east_m", "sigma_north_m", "sigma_up_m"]]
+    pings = (
+        log.get("WATER_DEPTH", _NONE).rename(columns={"distance": "depth_m"}).assign(sentence="WATER_DEPTH")
+    )
+    if len(pings):
+        pings["depth_m"] = pings["depth_m"].where(pings["healthy"] != 0, 0.0)
+    elif "DISTANCE_SENSOR" in log:
+        pings = log["DISTANCE_SENSOR"].query("orientation == @DOWN").assign(sentence="DISTANCE_SENSOR")
+        pings["depth_m"] = pings["current_distance"] * 1e-2
+    words = log.get("STATUSTEXT", _NONE).get("text", ())
+    report.model = next((str(w) for w in words if str(w).startswith("Ardu")), "")
+    if "CAMERA_FEEDBACK" in log:
+        report.count("camera_triggers", len(log["CAMERA_FEEDBACK"]))
+    return attitude, _joined(place, sigmas), fixes, _depths(pings), offset_s
+
+
+# ---------------------------------------------------------------- what both have in common
+
+
+_EMPTY: Final = pd.Series(dtype=np.float64)
+_NONE: Final = pd.DataFrame({"t_s": _EMPTY})
+
+
+def _pymavlink(module: str) -> Any:
+    import importlib
+
+    try:
+        return importlib.import_module(f"pymavlink.{module}")
+    except ImportError as error:
+        raise UnsupportedError(
+            "a log of an ArduPilot autopilot, and pymavlink is not installed",
+            expected="the library pymavlink",
+            cure="Install it: pip install 'thalweg[ardupilot]'",
+        ) from error
+
+
+def _stamped(table: pd.DataFrame) -> pd.DataFrame:
+    unit = next((name for name in _UNITS if name in table), None)
+    return table if unit is None else table.assign(t_s=table[unit] * _UNITS[unit])
+
+
+def _main(table: pd.DataFrame, instance: str, number: int) -> pd.DataFrame:
+    """Rows of one instance of a sensor or filter, all where the message has none."""
+    return table[table[instance] == number] if instance in table else table
+
+
+def _joined(left: pd.DataFrame, *others: pd.DataFrame) -> pd.DataFrame:
+    """Columns of other messages at the times of ``left``, from the nearest in time."""
+    found = left.sort_values("t_s", kind="stable")
+    for other in others:
+        if len(other):
+            new = [name for name in other if name == "t_s" or name not in found]
+            found = pd.merge_asof(found, other[new].sort_values("t_s"), on="t_s", direction="nearest")
+    return found
+
+
+def _fixes(rows: pd.DataFrame, columns: Mapping[str, Any]) -> pd.DataFrame:
+    """Fixes as ``gnss_position`` and what else is known of them; those without a fix are left out."""
+    names = ("t_s", "alt_m", "horizontal_m", "status", *(field.name for field in GNSS_POSITION))
+    table = pd.DataFrame(dict.fromkeys(names, np.nan) | dict(columns), index=rows.index)
+    table = table[table["status"] >= 2]
+    # accuracies of receivers are radial: each axis has its share of the square
+    radial = table["horizontal_m"].where(table["horizontal_m"] > 0) / np.sqrt(2.0)
+    table = table.assign(sigma_east_m=radial, sigma_north_m=radial, fix=table["status"].map(_FIX))
+    return table.reset_index(drop=True)
+
+
+def _depths(pings: pd.DataFrame) -> pd.DataFrame:
+    """Soundings with ``t_s``; a message of no number is no sounding."""
+    if "depth_m" not in pings:
+        return pd.DataFrame({"t_s": [], "depth_m": [], "sentence": [], "line": []})
+    kept = pings[["t_s", "depth_m", "sentence"]].dropna().reset_index(drop=True)
+    return kept.assign(line=np.arange(1, len(kept) + 1))

@@ -1,0 +1,250 @@
+"""Logs of ArduPilot: made here message by message, and real ones beside pymavlink's own counts."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from thalweg.bathymetry import read_soundings
+from thalweg.core import InputError, gps_from_unix, gps_from_week
+from thalweg.ingest import TrackOptions
+from thalweg.ingest.ardupilot import USUAL_LAG_S, read_ardupilot
+from thalweg.ingest.registry import describe, read_depths, recognise, stream_of
+
+SIZES = {
+    "Q": "Q",
+    "B": "B",
+    "I": "I",
+    "H": "H",
+    "c": "h",
+    "C": "H",
+    "L": "i",
+    "f": "f",
+    "E": "I",
+    "N": "16s",
+    "Z": "64s",
+}
+SCALES = {"c": 0.01, "C": 0.01, "L": 1e-7, "E": 0.01}
+MESSAGES = {
+    "GPS": (130, "QBBIHBCLLf", "TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt"),
+    "GPA": (131, "QBCCCf", "TimeUS,I,VDop,HAcc,VAcc,Und"),
+    "ATT": (132, "Qccc", "TimeUS,Roll,Pitch,Yaw"),
+    "POS": (133, "QLLf", "TimeUS,Lat,Lng,Alt"),
+    "XKF4": (134, "QBfB", "TimeUS,C,errRP,PI"),
+    "XKV1": (135, "QBffffffffff", "TimeUS,C,V00,V01,V02,V03,V04,V05,V06,V07,V08,V09"),
+    "DPTH": (136, "QLLf", "TimeUS,Lat,Lng,Depth"),
+    "RFND": (137, "QBfBB", "TimeUS,Instance,Dist,Stat,Orient"),
+    "PARM": (138, "QNf", "TimeUS,Name,Value"),
+    "MSG": (139, "QZ", "TimeUS,Message"),
+}
+WEEK, LAG_S = 2300, 0.2
+
+
+def packed(name: str, *values: object) -> bytes:
+    kind, form, _ = MESSAGES[name]
+    raw = [
+        v.encode() if isinstance(v, str) else round(v / SCALES[c]) if c in SCALES else v  # type: ignore[operator]
+        for c, v in zip(form, values, strict=True)
+    ]
+    return struct.pack("<BBB" + "".join(SIZES[c] for c in form), 0xA3, 0x95, kind, *raw)
+
+
+def heads() -> bytes:
+    out = b""
+    for name, (kind, form, columns) in {
+        "FMT": (128, "BBnNZ", "Type,Length,Name,Format,Columns"),
+        **MESSAGES,
+    }.items():
+        length = 89 if name == "FMT" else 3 + struct.calcsize("<" + "".join(SIZES[c] for c in form))
+        out += struct.pack(
+            "<BBBBB4s16s64s", 0xA3, 0x95, 128, kind, length, name.encode(), form.encode(), columns.encode()
+        )
+    return out
+
+
+def boat_log(*, und_m: float = 46.5, delay_ms: float = 0.0, depth: str = "DPTH", gps: bool = True) -> bytes:
+    """Two crossings of a river in 60 s at 10 Hz, 4 m deep; a receiver whose fixes come `LAG_S` late."""
+    out = [
+        heads(),
+        packed("PARM", 1_000, "GPS1_DELAY_MS", delay_ms),
+        packed("MSG", 1_000, "ArduRover V4.5.1 (ab)"),
+    ]
+    for k in range(600):
+        us = 50_000_000 + 100_000 * k
+        lat, lng = 51.0 + 2e-5 * abs(k - 300) / 10, 13.0 + 3e-6 * k / 10
+        out.append(packed("ATT", us, 1.5, -0.5, 10.0))
+        out.append(packed("POS", us + 700, lat, lng, 100.0))
+        if k % 2 == 0 and gps:  # the epoch before its arrival
+            ms = 100_000_000 + 100 * k - round(1e3 * LAG_S)
+            out.append(packed("GPS", us, 0, 6, ms, WEEK, 20, 0.6, lat, lng, 100.0))
+            out.append(packed("GPA", us, 0, 1.0, 0.02, 0.03, und_m))
+        if k % 5 == 0:
+            for core, scale in ((0, 9.0), (1, 1.0)):
+                out.append(packed("XKF4", us, core, 0.006 * scale**0.5, 1))
+                v = [2.1447e-4, 4.466e-6, 4.474e-6, 1.9831e-5, 1.0, 1.0, 1.0, 0.0004, 0.0009, 0.0016]
+                out.append(packed("XKV1", us, core, *(scale * x for x in v)))
+        if depth == "DPTH":
+            out.append(packed("DPTH", us + 20_000, lat, lng, 4.0 + 0.1 * (k % 3)))
+        else:
+            out.append(packed("RFND", us + 20_000, 0, 4.0, 4 if k % 10 else 2, 25))
+            out.append(packed("RFND", us + 20_000, 1, 30.0, 4, 0))  # looks ahead
+    return b"".join(out)
+
+
+@pytest.fixture
+def boat(tmp_path: Path) -> Path:
+    path = tmp_path / "00000042.BIN"
+    path.write_bytes(boat_log())
+    return path
+
+
+def test_a_boat_has_attitude_place_depth_and_their_sigmas_on_gps_time(boat: Path) -> None:
+    log = read_ardupilot([boat], TrackOptions())
+    assert log.report.model == "ArduRover V4.5.1 (ab)"
+    assert (len(log.states), len(log.positions), len(log.depths)) == (600, 300, 600)
+    # boot second 50 is when the fix of the epoch LAG_S before it came: the usual lag is presumed
+    at_boot_50 = float(gps_from_week(WEEK, 100_000.0)) - LAG_S + USUAL_LAG_S
+    assert log.states["t_gps_s"].iloc[0] == pytest.approx(at_boot_50, abs=1e-4)
+    assert log.depths["t_gps_s"].iloc[0] == pytest.approx(at_boot_50 + 0.02, abs=1e-4)
+    assert log.positions["t_gps_s"].iloc[0] == pytest.approx(
+        float(gps_from_week(WEEK, 100_000.0)) - LAG_S, abs=1e-6
+    )
+    row = log.states.iloc[300]
+    assert np.rad2deg([row.roll_rad, row.pitch_rad, row.heading_rad]) == pytest.approx(
+        [1.5, -0.5, 10.0], abs=1e-3
+    )
+    assert row.h_ell_m == pytest.approx(146.5, abs=1e-3)
+    assert (row.sigma_north_m, row.sigma_east_m, row.sigma_up_m) == pytest.approx(
+        (0.02, 0.03, 0.04), rel=1e-5
+    )
+    assert row.sigma_roll_rad == pytest.approx(0.006 / np.sqrt(2), rel=1e-5)
+    # a turn by 1.754 deg about the vertical at heading 214 gives these quaternions, by hand
+    assert np.rad2deg(row.sigma_heading_rad) == pytest.approx(1.754, abs=0.005)
+    fix = log.positions.iloc[0]
+    assert (fix.fix, fix.n_sats, fix.h_ell_m) == ("fixed", 20, pytest.approx(146.5))
+    assert fix.sigma_east_m == pytest.approx(0.02 / np.sqrt(2))
+    assert fix.sigma_up_m == pytest.approx(0.03)
+
+
+def test_a_stated_lag_counts(tmp_path: Path) -> None:
+    path = tmp_path / "log.bin"
+    path.write_bytes(boat_log(delay_ms=1e3 * LAG_S))
+    log = read_ardupilot([path], TrackOptions())
+    assert log.states["t_gps_s"].iloc[0] == pytest.approx(float(gps_from_week(WEEK, 100_000.0)), abs=1e-4)
+    assert any("0.20 s late (stated)" in note for note in log.report.notes)
+
+
+def test_rangefinders_count_where_they_look_down_and_see_the_bottom(tmp_path: Path) -> None:
+    path = tmp_path / "log.bin"
+    path.write_bytes(boat_log(depth="RFND"))
+    depths = read_depths([path]).depths
+    assert depths["depth_m"].value_counts().to_dict() == {4.0: 540, 0.0: 60}
+
+
+def test_without_undulation_there_is_no_ellipsoidal_height(tmp_path: Path) -> None:
+    path = tmp_path / "log.bin"
+    path.write_bytes(boat_log(und_m=float("nan")))
+    log = read_ardupilot([path], TrackOptions())
+    assert log.states["h_ell_m"].isna().all()
+    assert any("above mean sea level" in note for note in log.report.notes)
+
+
+def test_damage_is_counted(boat: Path) -> None:
+    data = boat.read_bytes()
+    boat.write_bytes(data[:40_000] + b"\0" * 100 + data[40_000:-7])
+    log = read_ardupilot([boat], TrackOptions())
+    assert log.report.losses["bytes_outside_messages"] >= 100
+    assert len(log.states) >= 598
+
+
+def test_a_log_without_gps_stays_on_the_clock_of_the_device(tmp_path: Path) -> None:
+    path = tmp_path / "log.bin"
+    path.write_bytes(boat_log(gps=False))
+    report = describe(path)
+    assert not report.synchronised
+    assert any("No GPS time" in note for note in report.notes)
+
+
+def test_soundings_of_a_log_make_a_bed(boat: Path) -> None:
+    assert (recognise(boat), stream_of("dataflash", boat)) == ("dataflash", "ins")
+    soundings = read_soundings(
+        boat, None, column=None, depth=None, level_m=None, line_column=None, sigma_m=0.05
+    )
+    assert soundings.depth
+    assert soundings.crs.to_epsg() == 32633
+    assert -soundings.height_m.mean() == pytest.approx(4.1, abs=0.01)
+    assert any("without a position at their time" in note for note in soundings.notes)
+
+
+def telemetry(*, unix_s: float = 1.7e9, component: int = 1) -> bytes:
+    vehicle = mavlink.MAVLink(None, srcSystem=1, srcComponent=component)
+    out = []
+
+    def say(message: mavlink.MAVLink_message, t_s: float) -> None:
+        out.append(struct.pack(">Q", round(1e6 * (1.65e9 + t_s))) + message.pack(vehicle))
+
+    for k in range(100):
+        boot_ms, t_s = 20_000 + 200 * k, 0.2 * k
+        place = (round(1e7 * (51 + 2e-6 * k)), round(1e7 * (13 + 1e-6 * k)))
+        say(mavlink.MAVLink_system_time_message(round(1e6 * (unix_s + t_s)) if unix_s else 0, boot_ms), t_s)
+        say(mavlink.MAVLink_attitude_message(boot_ms, 0.01, -0.02, -1.0, 0.1, 0.2, 0.3), t_s)
+        say(
+            mavlink.MAVLink_global_position_int_message(boot_ms, *place, 101_000, 1_000, 100, 50, 0, 30_000),
+            t_s,
+        )
+        raw = (1000 * boot_ms, 6, *place, 101_000, 80, 90, 100, 0, 15)
+        say(mavlink.MAVLink_gps_raw_int_message(*raw, alt_ellipsoid=147_500, h_acc=28, v_acc=40), t_s)
+        say(
+            mavlink.MAVLink_water_depth_message(boot_ms, 0, k != 3, *place, 101.0, 0.0, 0.0, 0.0, 2.5, 12.0),
+            t_s,
+        )
+    return b"".join(out)
+
+
+def test_telemetry_gives_the_same_tables(tmp_path: Path) -> None:
+    path = tmp_path / "flight.tlog"
+    path.write_bytes(telemetry())
+    assert recognise(path) == "mavlink"
+    log = read_ardupilot([path], TrackOptions())
+    state = log.states.iloc[50]
+    assert state.t_gps_s == pytest.approx(float(gps_from_unix(1.7e9 + 10.0)), abs=1e-3)
+    assert (state.roll_rad, state.pitch_rad) == pytest.approx((0.01, -0.02))
+    assert state.heading_rad == pytest.approx(2 * np.pi - 1.0)
+    assert (state.v_north_mps, state.v_east_mps, state.rate_z_radps) == pytest.approx((1.0, 0.5, 0.3))
+    assert state.h_ell_m == pytest.approx(147.5)
+    assert (state.sigma_north_m, state.sigma_up_m) == pytest.approx((0.028 / np.sqrt(2), 0.040))
+    assert log.depths["depth_m"].value_counts().to_dict() == {2.5: 99, 0.0: 1}
+
+
+def test_telemetry_without_a_clock_has_no_gps_time(tmp_path: Path) -> None:
+    path = tmp_path / "flight.tlog"
+    path.write_bytes(telemetry(unix_s=0.0))
+    report = describe(path)
+    assert not report.synchronised
+    assert any("ground station received it 2022-04-15" in note for note in report.notes)
+
+
+def test_what_a_ground_station_says_is_not_the_vehicles(tmp_path: Path) -> None:
+    path = tmp_path / "flight.tlog"
+    path.write_bytes(telemetry(component=190))
+    with pytest.raises(InputError, match="neither attitudes, positions nor depths"):
+        describe(path)
+
+
+@pytest.mark.real
+def test_real_logs_are_as_pymavlink_counts_them(data_dir: Path) -> None:
+    today = data_dir / "today"
+    plane = read_ardupilot([today / "ardupilot_pymavlink/test.BIN"], TrackOptions())
+    assert (len(plane.positions), len(plane.states)) == (5, 24)
+    assert plane.positions["t_gps_s"].iloc[0] == pytest.approx(float(gps_from_week(1973, 6448.0)))
+    first = plane.positions.iloc[0]
+    assert (first.lat_deg, first.lon_deg) == pytest.approx((-35.3626277, 149.1653034), abs=1e-9)
+    sub = describe(today / "mavlink_ardusub/small.BIN")
+    assert sub.counts["states"] == 237
+    assert not sub.synchronised
+    far = read_ardupilot([today / "mavlink_ardusub/small.tlog"], TrackOptions())
+    assert far.report.losses == {"bad_messages": 4}
+    assert (far.report.details["messages"]["ATTITUDE"], len(far.states)) == (5245, 5245)
+    assert not far.report.synchronised
