@@ -69,8 +69,8 @@ BAD_INPUT: list[tuple[str, dict[str, bytes | None], dict[str, object], str]] = [
     ("nav as rover", {"rover": ephemerides(day=11)}, {}, "RINEX navigation data given as rover"),
     ("nav as base", {"base": ephemerides(day=11)}, {}, "RINEX navigation data given as base"),
     ("rover is base", {"base": observations()}, {}, "the same content is given as rover"),
-    ("rover without base", {"base": None}, {}, "a RINEX rover holds no corrections"),
-    ("text file", {"rover": b"hello world\n" * 99}, {}, "neither an SBP log nor a RINEX file"),
+    ("rover without base", {"base": None}, {}, "only an SBP rover holds observations"),
+    ("text file", {"rover": b"hello world\n" * 99}, {}, "neither an SBP or UBX log nor a RINEX file"),
     ("gzip", {"base": b"\x1f\x8b\x08rest"}, {}, "Unpack it: gunzip"),
     ("Hatanaka", {"base": b"3.0                 COMPACT RINEX FORMAT\n"}, {}, "crx2rnx"),
     ("cut in the header", {"rover": observations()[:200]}, {}, "the header does not end"),
@@ -105,7 +105,7 @@ BAD_INPUT: list[tuple[str, dict[str, bytes | None], dict[str, object], str]] = [
         "SBP cut to nothing",
         {"rover": ROVER_ONLY[:7], "base": None},
         {},
-        "neither an SBP log nor a RINEX file",
+        "neither an SBP or UBX log nor a RINEX file",
     ),
 ]
 

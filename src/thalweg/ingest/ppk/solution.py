@@ -44,6 +44,7 @@ from thalweg.ingest.ppk.rinex import (
 )
 from thalweg.ingest.ppk.trust import read_solution, replace_covariances, trust_fixes
 from thalweg.ingest.sbp import find_messages
+from thalweg.ingest.ubx import RAW_OBSERVATIONS, ubx_frames, ubx_share
 
 # ---------------------------------------------------------------- the engine behind a process border
 
@@ -236,7 +237,7 @@ def looks_like_sbp(data: bytes) -> bool:
 # ---------------------------------------------------------------- inputs
 
 
-Kind = Literal["SBP", "observation", "navigation"]
+Kind = Literal["SBP", "UBX", "observation", "navigation"]
 
 EPHEMERIS_AGE_S: Final = {
     "GPS": 7201.0,
@@ -248,7 +249,7 @@ EPHEMERIS_AGE_S: Final = {
 }
 """Largest distance from the reference time at which RTKLIB uses an ephemeris (rtklib.h, MAXDTOE)."""
 
-_CURE_ROVER: Final = "Give the rover's SBP log or RINEX observation files"
+_CURE_ROVER: Final = "Give the rover's SBP or UBX log or RINEX observation files"
 _CURE_BASE: Final = "Give base=None for the corrections inside an SBP log, or the files of the base station"
 
 
@@ -280,7 +281,7 @@ class PpkInputs:
 
 
 def kind_of_file(path: Path) -> Kind:
-    """Whether a file is an SBP log, RINEX observations or RINEX navigation data.
+    """Whether a file is an SBP or UBX log, RINEX observations or RINEX navigation data.
 
     Raises
     ------
@@ -290,16 +291,19 @@ def kind_of_file(path: Path) -> Kind:
         raise InputError("file not found", expected="an SBP log or a RINEX file", where=path)
     with path.open("rb") as stream:
         head = stream.read(65536)
-    if b"RINEX VERSION" not in head[:100] and looks_like_sbp(head):
-        return "SBP"
+    if b"RINEX VERSION" not in head[:100]:
+        if looks_like_sbp(head):
+            return "SBP"
+        if ubx_share(head, path.stat().st_size):
+            return "UBX"
     try:
         return rinex_kind(path, head)
     except InputError as error:
         if "first line" not in error.found:
             raise
         raise InputError(
-            "neither an SBP log nor a RINEX file",
-            expected="SBP frames (0x55 ... CRC) or a line 'RINEX VERSION / TYPE'",
+            "neither an SBP or UBX log nor a RINEX file",
+            expected="SBP frames (0x55 ... CRC), UBX frames (0xB5 0x62 ...) or a line 'RINEX VERSION / TYPE'",
             where=path,
             cure="Export the raw observations of the receiver as RINEX 3",
         ) from error
@@ -330,6 +334,8 @@ def prepare_inputs(
         out.rover_sbp = _join_sbp(rover, folder / "rover.sbp", "rover", out)
         _need_observations(out.rover_sbp, rover[0], base=False)
         tasks.append(_conversion(folder, "rover", ""))
+    elif rover_kind == "UBX":
+        tasks.append(_join_ubx(rover, folder, "rover", out))
     else:
         _copy_rinex(rover, folder, "rover", "obs", out)
     if base is None:
@@ -341,6 +347,8 @@ def prepare_inputs(
         relayed = not out.base_sbp.observations(base=False)  # the log of a receiver that only heard the base
         _need_observations(out.base_sbp, base[0], base=relayed)
         tasks.append(_conversion(folder, "base", "CONVBASE,BASEPOS" if relayed else ""))
+    elif base_kind == "UBX":
+        tasks.append(_join_ubx(base, folder, "base", out))
     else:
         _copy_rinex(base, folder, "base", "obs", out)
     _copy_rinex(nav, folder, "nav", "nav", out)
@@ -351,7 +359,7 @@ def prepare_inputs(
     out.rover = _scan_all(folder, "rover", rover[0], out.notes)
     out.base = _scan_all(folder, "base", where_base, out.notes)
     nav_files = sorted(folder.glob("nav_*.nav"))
-    nav_files += [p for p in sorted(folder.glob("*_sbp.nav")) if p.stat().st_size]
+    nav_files += [p for p in sorted(folder.glob("*_log.nav")) if p.stat().st_size]
     out.nav = [scan for scan in map(scan_rinex, nav_files) if scan.t_gps_s.size]
     if not out.nav:
         found = "the navigation files hold no ephemeris" if nav else "no navigation file is given"
@@ -379,11 +387,11 @@ def check_inputs(
     ------
     InputError : a file is missing, of the wrong kind, or given twice; a RINEX rover without a base.
     """
-    rover_kind = _role_kind(rover, "rover", ("SBP", "observation"), _CURE_ROVER)
-    base_kind = None if base is None else _role_kind(base, "base", ("SBP", "observation"), _CURE_BASE)
+    rover_kind = _role_kind(rover, "rover", ("SBP", "UBX", "observation"), _CURE_ROVER)
+    base_kind = None if base is None else _role_kind(base, "base", ("SBP", "UBX", "observation"), _CURE_BASE)
     if base is None and rover_kind != "SBP":
         raise InputError(
-            "no base files, and a RINEX rover holds no corrections",
+            "no base files, and only an SBP rover holds observations of its base",
             expected="the observation files of a base station",
             where=rover[0],
             cure=_CURE_BASE,
@@ -461,7 +469,7 @@ def _role_kind(files: Sequence[Path], role: str, allowed: tuple[Kind, ...], cure
     kinds = [kind_of_file(Path(file)) for file in files]
     for file, kind in zip(files, kinds, strict=True):
         if kind not in allowed or kind != kinds[0]:
-            name = kind if kind == "SBP" else f"RINEX {kind} data"
+            name = kind if kind in ("SBP", "UBX") else f"RINEX {kind} data"
             raise InputError(
                 f"{name} given as {role}",
                 expected=f"{' or '.join(allowed)} data"
@@ -518,13 +526,33 @@ def _need_observations(frames: SbpFrames, file: Path, *, base: bool) -> None:
     )
 
 
+def _join_ubx(files: Sequence[Path], folder: Path, role: str, out: PpkInputs) -> dict[str, Any]:
+    report = IntegrityReport(stream=role, format="UBX", files=[])
+    n = sum(name in RAW_OBSERVATIONS for file in files for name, _ in ubx_frames(Path(file), report))
+    out.bytes_read += report.bytes_read
+    if lost := report.losses.get("bytes_outside_messages", 0):
+        out.losses[f"{role} UBX bytes outside of intact messages"] = lost
+        out.notes.append(f"{role}: {lost:,} of {report.bytes_read:,} UBX bytes belong to no intact message.")
+    if not n:
+        raise InputError(
+            "no raw observations in a UBX log",
+            expected="messages RXM-RAWX (and RXM-SFRBX for ephemerides)",
+            where=files[0],
+            cure="Enable UBX-RXM-RAWX and UBX-RXM-SFRBX in the receiver, or give RINEX observation files",
+        )
+    source = folder / f"{role}.ubx"
+    source.write_bytes(b"".join(Path(file).read_bytes() for file in files))
+    return _conversion(folder, role, "") | {"format": "UBX", "source": str(source)}
+
+
 def _conversion(folder: Path, role: str, receiver_options: str, source: str = "") -> dict[str, Any]:
     return {
         "action": "convert",
+        "format": "SBP",
         "source": str(folder / f"{source or role}.sbp"),
         "obs": str(folder / f"{role}_000.obs"),
         # Ephemerides come from the receiver that decoded them; those among the corrections are put aside.
-        "nav": str(folder / (f"{role}.ignored" if source else f"{role}_sbp.nav")),
+        "nav": str(folder / (f"{role}.ignored" if source else f"{role}_log.nav")),
         "receiver_options": receiver_options,
     }
 

@@ -11,7 +11,7 @@ from typing import Any
 
 
 def convert(job: dict[str, Any]) -> dict[str, Any]:
-    """SBP to RINEX 3.04: ``{source, obs, nav, receiver_options}`` -> ``{returned}``."""
+    """A receiver's log to RINEX 3.04: ``{format, source, obs, nav, receiver_options}`` -> ``{returned}``."""
     import pyrtklib5 as rtk
 
     options = rtk.rnxopt_t()
@@ -24,7 +24,9 @@ def convert(job: dict[str, Any]) -> dict[str, Any]:
     for index, char in enumerate(job["receiver_options"] + "\0"):
         options.rcvopt[index] = char
     outputs = [job["obs"], job["nav"], *[""] * 7]
-    return {"returned": int(rtk.convrnx(rtk.STRFMT_SBP, options, job["source"], outputs))}
+    return {
+        "returned": int(rtk.convrnx(getattr(rtk, f"STRFMT_{job['format']}"), options, job["source"], outputs))
+    }
 
 
 def solve(job: dict[str, Any]) -> dict[str, Any]:

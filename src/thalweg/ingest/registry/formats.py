@@ -118,6 +118,8 @@ def stream_of(kind: str, path: Path) -> str | None:
     if kind == "rinex" and _rinex_type(path) in {"N", "G", "H"}:
         return "nav"
     stream = next(iter(FORMAT_OF_KIND[kind].streams), None)
+    if kind == "ubx" and not describe(path).counts.get("positions"):
+        stream = "rover"
     if stream == "time_lapse" and "mask" in path.parent.name.lower():
         return "masks"
     if stream == "rover" and any(mark in path.name.lower() for mark in ("base", "ref")):

@@ -23,6 +23,7 @@ from thalweg.ingest.ppk import PpkOptions, describe_rinex, replace_covariances, 
 from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share
 from thalweg.ingest.registry.poses import POSES
 from thalweg.ingest.tracks import event_marks, read_gpx, read_pos
+from thalweg.ingest.ubx import read_ubx, ubx_share
 
 _NMEA = re.compile(rb"[$!][A-Z]{2}[A-Z]{3},[^\r\n*]*(\*[0-9A-Fa-f]{2})?")
 _POS_LINE = re.compile(
@@ -342,6 +343,14 @@ def _sbp_share(head: bytes, size: int) -> float:
 
 
 POSITIONS: Final = (
+    Format(
+        kind="ubx",
+        words="u-blox UBX log",
+        streams=("pos", "rover", "base", "depth"),
+        matches=ubx_share,
+        positions=read_ubx,
+        describe=_describe,
+    ),
     Format(
         kind="rinex",
         words="RINEX file",

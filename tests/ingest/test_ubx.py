@@ -1,0 +1,146 @@
+"""Logs of u-blox receivers: made here message by message, and real ones beside other programs."""
+
+import datetime as dt
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pyubx2 import GET, UBXMessage
+
+from thalweg.core import InputError, gps_from_week
+from thalweg.ingest import TrackOptions
+from thalweg.ingest.ppk import describe_rinex
+from thalweg.ingest.ppk.solution import prepare_inputs
+from thalweg.ingest.registry import describe, recognise, stream_of
+from thalweg.ingest.ubx import read_ubx
+
+WEEK, FIRST_S = 2300, 100_000.0
+UTC = dt.datetime(1980, 1, 6) + dt.timedelta(weeks=WEEK, seconds=FIRST_S - 18.0)
+
+
+def pvt(k: int, **other: object) -> bytes:
+    """Epoch ``k``, a second each: a fixed ambiguity 2 cm apart in the radius, 3 cm in height."""
+    utc = UTC + dt.timedelta(seconds=k)
+    values = {
+        "year": utc.year, "month": utc.month, "day": utc.day, "hour": utc.hour, "min": utc.minute,
+        "second": utc.second, "validDate": 1, "validTime": 1, "fixType": 3, "gnssFixOk": 1, "diffSoln": 1,
+        "carrSoln": 2, "numSV": 21, "lon": 13.0, "lat": 51.0 + 1e-6 * k, "height": 146_500, "hMSL": 100_000,
+        "hAcc": 20, "vAcc": 30,
+    }  # fmt: skip
+    return at_time(UBXMessage("NAV", "NAV-PVT", GET, **(values | other)), k, 6)
+
+
+def at_time(message: UBXMessage, k: int, at: int) -> bytes:
+    """The message's bytes with its time of week, which pyubx2 would turn into a time of day."""
+    body = bytearray(message.serialize())
+    body[at : at + 4] = struct.pack("<I", round(1e3 * (FIRST_S + k)))
+    a = b = 0
+    for byte in body[2:-2]:
+        a = (a + byte) & 0xFF
+        b = (b + a) & 0xFF
+    body[-2:] = bytes([a, b])
+    return bytes(body)
+
+
+def log_of(tmp_path: Path, *parts: bytes) -> Path:
+    path = tmp_path / "receiver.ubx"
+    path.write_bytes(b"".join(parts))
+    return path
+
+
+def test_positions_have_time_place_fix_and_sigmas(tmp_path: Path) -> None:
+    path = log_of(
+        tmp_path, *(pvt(k) for k in range(10)), pvt(10, carrSoln=1), pvt(11, carrSoln=0), pvt(12, gnssFixOk=0)
+    )
+    assert (recognise(path), stream_of("ubx", path)) == ("ubx", "pos")
+    log = read_ubx([path], TrackOptions())
+    assert log.positions is not None
+    assert log.positions["t_gps_s"].tolist() == [float(gps_from_week(WEEK, FIRST_S + k)) for k in range(12)]
+    assert log.positions["fix"].tolist() == ["fixed"] * 10 + ["float", "dgnss"]
+    row = log.positions.iloc[3]
+    assert (row.lat_deg, row.lon_deg, row.h_ell_m, row.n_sats) == pytest.approx((51.000003, 13.0, 146.5, 21))
+    assert row.sigma_east_m == row.sigma_north_m == pytest.approx(0.02 / np.sqrt(2))
+    assert row.sigma_up_m == pytest.approx(0.03)
+    assert log.report.counts["positions_without_fix"] == 1
+
+
+def test_a_receiver_that_does_not_know_the_leap_seconds_yet_is_on_time(tmp_path: Path) -> None:
+    """The date is off by some seconds then; the time of the week is not."""
+    utc = UTC + dt.timedelta(seconds=5)
+    path = log_of(tmp_path, pvt(0, second=utc.second, min=utc.minute, hour=utc.hour), pvt(1))
+    log = read_ubx([path], TrackOptions())
+    assert log.positions is not None
+    assert log.positions["t_gps_s"].iloc[0] == float(gps_from_week(WEEK, FIRST_S))
+
+
+def test_finer_places_and_covariances_of_the_same_epoch_count(tmp_path: Path) -> None:
+    fine = UBXMessage(
+        "NAV",
+        "NAV-HPPOSLLH",
+        GET,
+        lat=51.0000000,
+        lon=13.0,
+        height=146_500,
+        hAcc=14.0,
+        vAcc=22.5,
+        _HPheight=0.4,
+    )
+    cov = UBXMessage(
+        "NAV", "NAV-COV", GET, posCovValid=1, posCovNN=4e-4, posCovEE=9e-4, posCovDD=16e-4, posCovNE=1e-4,
+        posCovND=2e-4, posCovED=3e-4,
+    )  # fmt: skip
+    path = log_of(tmp_path, pvt(0), at_time(fine, 0, 10), pvt(1), at_time(cov, 1, 6))
+    log = read_ubx([path], TrackOptions())
+    assert log.positions is not None
+    first, second = log.positions.iloc[0], log.positions.iloc[1]
+    assert first.h_ell_m == pytest.approx(146.5004, abs=1e-5)
+    assert (first.sigma_east_m, first.sigma_up_m) == pytest.approx((0.0140 / np.sqrt(2), 0.0225))
+    assert (second.sigma_north_m, second.sigma_east_m, second.sigma_up_m) == pytest.approx((0.02, 0.03, 0.04))
+    # down is minus up
+    assert (second.cov_en_m2, second.cov_eu_m2, second.cov_nu_m2) == pytest.approx((1e-4, -3e-4, -2e-4))
+
+
+def test_damage_and_other_protocols_are_counted(tmp_path: Path) -> None:
+    nmea = b"$GPGGA,034622.00,5100.0000,N,01300.0000,E,4,21,0.6,100.0,M,46.5,M,1.0,0001*"
+    nmea += f"{np.bitwise_xor.reduce(np.frombuffer(nmea[1:-1], np.uint8)):02X}\r\n".encode()
+    bad = bytearray(pvt(1))
+    bad[40] ^= 0xFF
+    path = log_of(tmp_path, pvt(0), nmea, bytes(bad), b"\0" * 7, pvt(2), pvt(3)[:-9])
+    log = read_ubx([path], TrackOptions())
+    assert log.positions is not None
+    assert len(log.positions) == 2
+    assert log.report.counts["bytes_of_NMEA"] == len(nmea)
+    assert log.report.losses["bytes_outside_messages"] == len(bad) + 7 + len(pvt(3)) - 9
+
+
+def test_without_a_week_there_is_no_gps_time(tmp_path: Path) -> None:
+    path = log_of(tmp_path, pvt(0, validDate=0), pvt(1, validTime=0))
+    report = describe(path)
+    assert not report.synchronised
+    assert report.counts["positions_without_week"] == 2
+
+
+def test_a_log_without_raw_observations_is_no_rover(tmp_path: Path) -> None:
+    path = log_of(tmp_path, *(pvt(k) for k in range(3)))
+    base = tmp_path / "base.ubx"
+    base.write_bytes(pvt(0) + pvt(7))
+    with pytest.raises(InputError, match="no raw observations in a UBX log"):
+        prepare_inputs([path], [base], [], tmp_path, time_limit_s=20)
+
+
+@pytest.mark.real
+def test_real_raw_observations_are_those_of_other_programs(data_dir: Path, tmp_path: Path) -> None:
+    """Counts of pyubx2; epochs, satellites and the first approximate position of RTKLIB's own conversion."""
+    mixed = data_dir / "today/ubx_nmea_raw_2008/ubx_20080526.ubx"
+    pure = data_dir / "today/ubx_pyubx2/pygpsdata-RXMRAWX.log"
+    assert [recognise(path) for path in (mixed, pure)] == ["ubx", "ubx"]
+    assert [stream_of("ubx", path) for path in (mixed, pure)] == ["pos", "rover"]
+    report = describe(mixed)
+    assert report.details["messages"] == {"RXM-RAW": 242, "RXM-SFRB": 842}
+    assert report.counts["positions"] == 242
+    assert describe(pure).counts["raw_epochs"] == 14
+    prepare_inputs([mixed], [pure], [], tmp_path, time_limit_s=60)
+    observations = describe_rinex(tmp_path / "rover_000.obs")
+    assert observations.t_first_s == pytest.approx(float(gps_from_week(1481, 107_964.999)))
+    assert observations.counts["epochs"] == 242
