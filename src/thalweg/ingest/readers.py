@@ -278,11 +278,16 @@ class TrackOptions:
 
 @dataclass(slots=True, kw_only=True)
 class PositionLog:
-    """``positions`` of table kind ``gnss_position``, ``depths`` of kind ``depth`` if the log holds any."""
+    """``positions`` of table kind ``gnss_position``, ``depths`` of kind ``depth`` if the log holds any.
+
+    ``soundings`` are depths of a log that tells the place of each: columns ``latitude``, ``longitude``,
+    ``depth_m`` and, where it is known, ``time``.
+    """
 
     report: IntegrityReport
     positions: pd.DataFrame | None = None
     depths: pd.DataFrame | None = None
+    soundings: pd.DataFrame | None = None
 
 
 @dataclass(slots=True, kw_only=True)

@@ -22,6 +22,7 @@ from thalweg.ingest.nmea import read_nmea
 from thalweg.ingest.ppk import PpkOptions, describe_rinex, replace_covariances, run_ppk
 from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share
 from thalweg.ingest.registry.poses import POSES
+from thalweg.ingest.sounders import is_lowrance, is_pd0, read_lowrance, read_pd0
 from thalweg.ingest.tracks import event_marks, read_gpx, read_pos
 from thalweg.ingest.ubx import read_ubx, ubx_share
 
@@ -115,6 +116,8 @@ def soundings_table(path: Path) -> tuple[pd.DataFrame, list[str]] | None:
         return None
     log = read_depths([path])
     assert log.depths is not None
+    if log.soundings is not None:
+        return log.soundings, list(log.report.notes)
     track = None if log.positions is None else log.positions.dropna(subset=["t_gps_s", "lat_deg"])
     if track is None or len(track) < 2:
         raise InputError(
@@ -350,6 +353,15 @@ POSITIONS: Final = (
         matches=ubx_share,
         positions=read_ubx,
         describe=_describe,
+    ),
+    *(
+        Format(
+            kind=kind, words=words, streams=("depth",), matches=matches, positions=reader, describe=_describe
+        )
+        for kind, words, matches, reader in (
+            ("lowrance", "Lowrance SL2 or SL3 log", is_lowrance, read_lowrance),
+            ("pd0", "TRDI ADCP log (PD0)", is_pd0, read_pd0),
+        )
     ),
     Format(
         kind="rinex",

@@ -1,0 +1,189 @@
+"""Echo sounders with own positions: made here byte by byte, and real ones beside other programs."""
+
+import math
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from thalweg.core import InputError, gps_from_unix
+from thalweg.ingest import TrackOptions
+from thalweg.ingest.registry import describe, read_depths, recognise, soundings_table, stream_of
+from thalweg.ingest.sounders import read_lowrance, read_pd0
+
+RADIUS_M = 6_356_752.3142
+UNIX_S = 1_700_000_000
+
+
+def frame(version: int, at: int, k: int, channel: int, depth_ft: float, unix: int) -> bytes:
+    size, places = {2: (160, (28, 32, 64, 60, 108, 112, 140)), 3: (184, (8, 12, 48, 40, 92, 96, 124))}[
+        version
+    ]
+    out = bytearray(size)
+    out[:4] = struct.pack("<I", at)
+    east, north = (
+        math.radians(13.0) * RADIUS_M,
+        math.log(math.tan(math.pi / 4 + math.radians(51.0) / 2)) * RADIUS_M,
+    )
+    values = (size, channel, depth_ft, unix, round(east) + 2 * k, round(north) + k, 500 * k)
+    for where, kind, value in zip(places, ("<H", "<H", "<f", "<I", "<i", "<i", "<I"), values, strict=True):
+        out[where : where + struct.calcsize(kind)] = struct.pack(kind, value)
+    return bytes(out)
+
+
+def sonar_log(version: int, *, unix: int = UNIX_S, n: int = 20) -> bytes:
+    """Two channels a ping; the downscan misses the bottom in every second one."""
+    out = bytearray(struct.pack("<HHHH", version, 1, 1970, 0))
+    for k in range(n):
+        for channel in (0, 2):
+            depth_ft = 10.0 + k if channel == 0 or k % 2 else 0.0
+            out += frame(version, len(out), k, channel, depth_ft, unix)
+    return bytes(out)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_lowrance_has_metres_places_and_times(tmp_path: Path, version: int) -> None:
+    path = tmp_path / "Sonar0001.bin"
+    path.write_bytes(sonar_log(version))
+    assert recognise(path) == "lowrance"
+    found = soundings_table(path)
+    assert found is not None
+    table, notes = found
+    assert table["depth_m"].tolist() == pytest.approx(((10.0 + np.arange(20)) * 0.3048).tolist())
+    # whole metres of Mercator are less than a metre on the ground
+    assert table["latitude"].iloc[0] == pytest.approx(51.0, abs=1e-5)
+    assert table["longitude"].iloc[0] == pytest.approx(13.0, abs=1e-5)
+    assert table["time"].iloc[3] == "2023-11-14T22:13:21.500Z"
+    assert any("primary channel" in note for note in notes)
+
+
+def test_lowrance_without_a_date_has_soundings_without_time(tmp_path: Path) -> None:
+    path = tmp_path / "log.sl2"
+    path.write_bytes(sonar_log(2, unix=0xFFFFFFFF))
+    found = soundings_table(path)
+    assert found is not None
+    assert list(found[0]) == ["latitude", "longitude", "depth_m"]
+    assert not describe(path).synchronised
+
+
+def test_lowrance_damage_is_counted_and_passed(tmp_path: Path) -> None:
+    whole = sonar_log(2)
+    path = tmp_path / "log.sl2"
+    hurt = bytearray(whole)
+    hurt[8 + 160 * 4 + 28] = 0  # a frame of no size, where other readers never end
+    path.write_bytes(bytes(hurt[:-50]))
+    report = read_lowrance([path], TrackOptions()).report
+    assert report.losses["bytes_outside_frames"] == 160 + 110
+    assert report.counts["pings"] == 19
+
+
+def test_lowrance_without_bottom_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "log.sl2"
+    path.write_bytes(bytes(struct.pack("<HHHH", 2, 1, 1970, 0)) + frame(2, 8, 0, 0, 0.0, UNIX_S))
+    with pytest.raises(InputError, match="none with a depth and a place"):
+        describe(path)
+
+
+def ensemble(
+    k: int, *, vertical_m: float | None, beams_m: float, heading_deg: float, quality: int = 4
+) -> bytes:
+    """An ensemble at 51 N, 13 W, level, beams of 20 degrees; its clock is 8 h 0 min 2 s behind UTC."""
+    fixed = bytearray(59)
+    fixed[4] = 0b0000_0001
+    fixed[5] = 0b0000_0001  # 20 degrees
+    variable = bytearray(66)
+    variable[:2] = b"\x80\0"
+    variable[4:11] = bytes([23, 11, 14, 14, 13, k % 60, 50])
+    variable[18:20] = struct.pack("<H", round(heading_deg * 100))
+    bottom = bytearray(89)
+    bottom[:2] = b"\x00\x06"
+    bottom[16:24] = struct.pack("<4H", *[round(beams_m * 100)] * 4)
+    time = f"2213{k % 60 + 2:02d}.50".encode()
+    place = struct.pack("<d", 51.0) + b"N" + struct.pack("<d", 13.0 + 1e-5 * k) + b"W"
+    gga = b"$GPGGA\0" + time + b"\0" + place + bytes([quality, 18]) + bytes(21)
+    empty = b"$GPGGA,221312.00,,,,,0,00,99.99,,,,,,*60\r\n\0"
+    nmea = [b"\x22\x20\x04\0" + struct.pack("<Hd", len(text), -0.1) + text for text in (empty, gga)]
+    blocks = [bytes(fixed), bytes(variable), bytes(bottom), *nmea]
+    if vertical_m is not None:
+        blocks.append(b"\x00\x41" + bytes(2) + struct.pack("<I", round(vertical_m * 1000)) + b"\0")
+    start, offsets = 6 + 2 * len(blocks), []
+    for block in blocks:
+        offsets.append(start)
+        start += len(block)
+    head = (
+        b"\x7f\x7f" + struct.pack("<HBB", start, 0, len(blocks)) + struct.pack(f"<{len(blocks)}H", *offsets)
+    )
+    body = head + b"".join(blocks)
+    return body + struct.pack("<H", sum(body) & 0xFFFF)
+
+
+def test_an_adcp_gives_its_vertical_beam_on_gnss_time(tmp_path: Path) -> None:
+    path = tmp_path / "river.PD0"
+    pings = [ensemble(k, vertical_m=4.0 if k else 0.0, beams_m=3.9, heading_deg=0.0) for k in range(10)]
+    path.write_bytes(b"".join(pings) + pings[0][:40])
+    assert (recognise(path), stream_of("pd0", path)) == ("pd0", "depth")
+    log = read_pd0([path], TrackOptions())
+    assert log.report.losses == {"bytes_outside_ensembles": 40}
+    assert log.positions is not None
+    assert log.positions["t_gps_s"].iloc[0] == pytest.approx(float(gps_from_unix(1_699_999_982.5)), abs=1e-6)
+    assert set(log.positions["fix"]) == {"fixed"}
+    assert log.positions["lon_deg"].iloc[3] == pytest.approx(-13.00003, abs=1e-9)
+    assert log.soundings is not None
+    assert log.soundings["depth_m"].tolist() == [4.0] * 9
+    notes = " ".join(log.report.notes)
+    assert "28,802.00 s behind GNSS: it may show local time" in notes
+    assert "-0.10 m from it" in notes
+    assert len(read_depths([path]).depths) == 10  # type: ignore[arg-type]
+
+
+def test_slanted_beams_hit_where_they_look(tmp_path: Path) -> None:
+    """Heading east: beam 3 looks east, beam 1 to starboard is south, all by 4 m times tan 20 degrees."""
+    path = tmp_path / "river.PD0"
+    path.write_bytes(ensemble(0, vertical_m=None, beams_m=4.0, heading_deg=90.0))
+    found = soundings_table(path)
+    assert found is not None
+    table, away = found[0], 4.0 * math.tan(math.radians(20.0))
+    north = (table["latitude"] - 51.0) * math.radians(1.0) * 6_371_000.0
+    east = (table["longitude"] + 13.0) * math.radians(1.0) * 6_371_000.0 * math.cos(math.radians(51.0))
+    assert north.tolist() == pytest.approx([-away, away, 0.0, 0.0], abs=1e-6)
+    assert east.tolist() == pytest.approx([0.0, 0.0, away, -away], abs=1e-6)
+    assert table["depth_m"].tolist() == pytest.approx([4.0] * 4)
+
+
+def test_an_adcp_without_fixes_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "river.PD0"
+    path.write_bytes(ensemble(0, vertical_m=4.0, beams_m=4.0, heading_deg=0.0, quality=0))
+    with pytest.raises(InputError, match="1 ensembles without a position"):
+        describe(path)
+
+
+@pytest.mark.real
+def test_a_real_lowrance_is_as_sonarlight_reads_it(data_dir: Path) -> None:
+    path = data_dir / "today/lowrance_sl2/input.sl2"
+    found = soundings_table(path)
+    assert found is not None
+    table = found[0]
+    assert (len(table), table["depth_m"].median()) == (111, pytest.approx(4.062375, abs=1e-5))
+    assert (table["latitude"].min(), table["latitude"].max()) == pytest.approx(
+        (60.148965, 60.149032), abs=1e-6
+    )
+    assert (table["longitude"].min(), table["longitude"].max()) == pytest.approx(
+        (32.319333, 32.319531), abs=1e-6
+    )
+
+
+@pytest.mark.real
+def test_a_real_adcp_is_as_mhkit_reads_it(data_dir: Path) -> None:
+    """mhkit: 272 ensembles without the last, vertical beam 270, clock 1.67 s behind by the first pair."""
+    path = data_dir / "today/trdi_riverpro_tanana/RiverPro_test01.PD0"
+    log = read_pd0([path], TrackOptions())
+    assert log.report.counts["ensembles"] == 273
+    assert log.soundings is not None
+    assert len(log.soundings) == 271
+    assert log.soundings["depth_m"].median() == pytest.approx(5.253, abs=0.05)
+    assert log.soundings["depth_m"].max() == pytest.approx(9.270, abs=1e-3)
+    assert (log.soundings["latitude"].min(), log.soundings["longitude"].max()) == pytest.approx(
+        (64.561951, -149.063675), abs=2e-5
+    )
+    assert any("1.7" in note and "behind GNSS" in note for note in log.report.notes)
