@@ -240,8 +240,8 @@ def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], list[str]]:
         ALSO_MARKS,
         KINDS,
         LOOSE_KINDS,
+        also_streams,
         choose_tracks,
-        has_depths,
         recognise,
         stream_of,
     )
@@ -254,6 +254,7 @@ def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], list[str]]:
     left_out: dict[str, list[Path]] = {}
     loose: list[tuple[str, str, Path]] = []
     known: list[tuple[str, str, Path]] = []
+    beside: dict[str, list[Path]] = {}
     for path in sorted((p for p in folder.rglob("*") if p.is_file()), key=natural_order):
         try:
             kind = recognise(path)
@@ -271,6 +272,8 @@ def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], list[str]]:
         else:
             known.append((stream, kind, path))
             streams.setdefault(stream, []).append(path)
+            for other in also_streams(kind, path):
+                beside.setdefault(other, []).append(path)
             if kind in ALSO_MARKS:
                 streams.setdefault("image_marks", []).append(path)
     for (stream, parent), n in pictures.items():
@@ -279,6 +282,11 @@ def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], list[str]]:
             continue
         print(f"{stream:10s} {parent} (folder with {n} photographs)")
         streams.setdefault(stream, []).append(parent)
+    for stream, paths in beside.items():
+        if stream not in streams:  # a log of its own comes first
+            streams[stream] = paths
+            for path in paths:
+                print(f"{stream:10s} {path} (the same file)")
     wanted = _wanted(streams, loose)
     for stream, kind, path in loose:
         if stream in wanted:
@@ -296,10 +304,6 @@ def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], list[str]]:
         elif first:
             print(f"{stream:10s} {path.parent} ({n} files, {kind})")
     streams = _of_receivers(_of_one_kind(streams))
-    if "depth" not in streams and (sounders := [path for path in streams.get("ins", []) if has_depths(path)]):
-        streams["depth"] = sounders
-        for path in sounders:
-            print(f"depth      {path} (the same log)")
     remarks, others = [], dict[str, list[Path]]()
     if "pos" in streams:
         kept, second = choose_tracks(streams.pop("pos"))

@@ -31,8 +31,6 @@ FILES = {
     "xyz": b"412000.1 5650970.2 140.33\n412001.1 5650971.2 140.31\n412002.1 5650972.2 140.29\n",
     "geojson": b'{"type": "FeatureCollection", "features": [{"geometry": {"coordinates": [1, 2]}}]}',
     "pcd": b"# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\n",
-    "rosbag": b"#ROSBAG V2.0\n" + bytes(40),
-    "mcap": b"\x89MCAP0\r\n" + bytes(40),
     "sqlite": b"SQLite format 3\x00" + bytes(40),
     "video": bytes([0, 0, 0, 24]) + b"ftypmp42" + bytes(40),
     "kml": b'<?xml version="1.0"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"/>',

@@ -144,6 +144,7 @@ class LidarOptions:
     returns : ``"all"``; in dual mode also ``"strongest"`` or ``"last"`` (the farthest) return of each
         shot. A single-return recording has one return a shot, which is kept in any case.
     data_port, position_port : UDP ports of a Velodyne; an Ouster names its own.
+    topic : of the clouds in a bag of ROS, where it holds several.
 
     Raises
     ------
@@ -157,6 +158,7 @@ class LidarOptions:
     returns: Literal["all", "strongest", "last"] = "all"
     data_port: int = Lidar().data_port
     position_port: int = Lidar().position_port
+    topic: str = ""
 
     def __post_init__(self) -> None:
         if self.returns not in RETURN_CHOICES:

@@ -6,9 +6,9 @@ knew it. One channel is taken: the same ping stands in all.
 
 **PD0** holds an ensemble for each ping: a vertical beam where the instrument has one (RiverPro, RioPro,
 Sentinel V), four slanted beams of the bottom track, whose ranges are vertical distances from the transducer,
-and sentences of GNSS and of an echo sounder, rewritten by WinRiver. GGA tells the time of day, and the clock of
-the instrument, which may be local time, the nearest day. The vertical beam is taken, else each slanted beam at
-the place where it hits.
+and sentences of GNSS and of an echo sounder, rewritten by WinRiver. GGA tells the time of day; the day is the
+nearest to the instrument's clock, which may be local time. The vertical beam is taken, else each slanted beam
+at the place where it hits.
 Source: Teledyne RD Instruments, WorkHorse Commands and Output Data Format (2014); WinRiver II User's Guide.
 """
 

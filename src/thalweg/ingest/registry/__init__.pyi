@@ -10,6 +10,7 @@ from .formats import (
     KINDS_OF_STREAM as KINDS_OF_STREAM,
     LIDAR_KINDS as LIDAR_KINDS,
     LOOSE_KINDS as LOOSE_KINDS,
+    also_streams as also_streams,
     describe as describe,
     load_recording as load_recording,
     recognise as recognise,
@@ -19,7 +20,6 @@ from .lidar import lidar_reader as lidar_reader
 from .poses import read_poses as read_poses
 from .positions import (
     choose_tracks as choose_tracks,
-    has_depths as has_depths,
     read_depths as read_depths,
     read_positions as read_positions,
     read_receiver as read_receiver,

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from thalweg.core import InputError
+from thalweg.core import InputError, ThalwegError
 from thalweg.ingest import IntegrityReport
 from thalweg.ingest.ppk import PpkOptions, run_ppk
 from thalweg.ingest.registry.base import Format, Recording, find_format, read_head
@@ -18,7 +18,8 @@ from thalweg.ingest.registry.images import IMAGES
 from thalweg.ingest.registry.lidar import LIDARS
 from thalweg.ingest.registry.others import OTHERS
 from thalweg.ingest.registry.poses import POSES
-from thalweg.ingest.registry.positions import POSITIONS
+from thalweg.ingest.registry.positions import POSITIONS, read_depths
+from thalweg.ingest.ros import streams_of_bag
 
 FORMATS: Final = (*LIDARS, *CLOUDS, *POSES, *POSITIONS, *CALIBRATIONS, *OTHERS, *IMAGES)
 """In the order in which a file is tried against them."""
@@ -120,11 +121,25 @@ def stream_of(kind: str, path: Path) -> str | None:
     stream = next(iter(FORMAT_OF_KIND[kind].streams), None)
     if kind == "ubx" and not describe(path).counts.get("positions"):
         stream = "rover"
+    if kind == "rosbag":
+        stream = next(iter(streams_of_bag(path)), None)
     if stream == "time_lapse" and "mask" in path.parent.name.lower():
         return "masks"
     if stream == "rover" and any(mark in path.name.lower() for mark in ("base", "ref")):
         return "base"
     return stream
+
+
+def also_streams(kind: str, path: Path) -> list[str]:
+    """Further streams of ``logs`` that one file of a recognised kind gives, beside that of `stream_of`."""
+    if kind == "rosbag":
+        return streams_of_bag(path)[1:]
+    if "depth" not in FORMAT_OF_KIND[kind].streams[1:]:
+        return []
+    try:
+        return ["depth"] if read_depths([path]).depths is not None else []
+    except ThalwegError:
+        return []
 
 
 def _rinex_type(path: Path) -> str:

@@ -1,6 +1,7 @@
 """Formats of lidars, and the reader of a recording."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,11 +11,22 @@ from thalweg.ingest import (
     LidarOptions,
     LidarReader,
     OusterReader,
+    TrackOptions,
     describe_metadata,
     is_ouster_capture,
     is_ouster_metadata,
 )
 from thalweg.ingest.registry.base import Format, Recording, find_format
+from thalweg.ingest.ros import (
+    BagLidar,
+    describe_bag,
+    has_velodyne_packets,
+    is_bag,
+    read_bag_poses,
+    read_bag_positions,
+    streams_of_bag,
+    velodyne_capture,
+)
 
 _PAYLOAD = 1206
 _PCAP: Final = (
@@ -52,6 +64,29 @@ def _ouster(files: Sequence[Path], options: LidarOptions) -> LidarReader:
     return OusterReader(files=files, options=options)
 
 
+def _bag(files: Sequence[Path], options: LidarOptions) -> LidarReader:
+    if all(has_velodyne_packets(path) for path in files):
+        return _velodyne([velodyne_capture(path) for path in files], options)
+    return BagLidar(files=files, options=options)
+
+
+def _describe_bag(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
+    recording = Recording(kind=kind, report=describe_bag(files[0]))
+    streams = streams_of_bag(files[0])
+    if points and "lidar" in streams:
+        recording = replace(_describe(kind, files, options, points), report=recording.report)
+    for stream, reader in (("ins", read_bag_poses), ("pos", read_bag_positions)):
+        if stream in streams:
+            log = reader(files, TrackOptions())
+            tables = {
+                "positions": log.positions,
+                "depths": log.depths,
+                "states": getattr(log, "states", None),
+            }
+            recording.tables |= {name: table for name, table in tables.items() if table is not None}
+    return recording
+
+
 def _describe_metadata(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
     return Recording(kind=kind, report=describe_metadata(files[0]))
 
@@ -74,7 +109,20 @@ def _is_payloads(head: bytes, size: int) -> bool:
     return len(head) >= _PAYLOAD and all(head[i : i + 2] == b"\xff\xee" for i in starts)
 
 
+BAG: Final = Format(
+    kind="rosbag",
+    words="bag of ROS (bag, db3, mcap)",
+    streams=("lidar", "ins", "pos", "depth"),
+    matches=is_bag,
+    lidar=_bag,
+    poses=read_bag_poses,
+    positions=read_bag_positions,
+    describe=_describe_bag,
+)
+"""A bag is a row of lidars, of poses and of positions."""
+
 LIDARS: Final = (
+    BAG,
     Format(
         kind="ouster",
         words="Ouster capture (pcap, pcapng)",

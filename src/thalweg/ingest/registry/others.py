@@ -136,9 +136,6 @@ _DRAWN: Final = (
     "banks, islands, a centre line or soundings: `thalweg bed`, `thalweg plan-survey`, logs.bank_lines, "
     "logs.centre_line; areas left out: epochs.leave_out"
 )
-_CONVERT: Final = (
-    "export its topics with the tool of the recorder (rosbag, ros2 bag, mcap): Thalweg reads the raw captures"
-)
 
 
 def _describe(
@@ -301,9 +298,9 @@ OTHERS: Final = (
         _is_part_of_shapefile,
     ),
     _other("pcd", "PCD cloud", "logs.board_scans", None, (b"# .PCD", b"VERSION .7", b"VERSION 0.7")),
-    _other("rosbag", "ROS bag", _CONVERT, None, (b"#ROSBAG V2.0",)),
-    _other("mcap", "MCAP recording", _CONVERT, None, (b"\x89MCAP0\r\n",)),
-    _other("sqlite", "SQLite database (ROS 2 bag, COLMAP)", _CONVERT, None, (b"SQLite format 3\x00",)),
+    _other(
+        "sqlite", "SQLite database (COLMAP?)", "nothing that Thalweg reads", None, (b"SQLite format 3\x00",)
+    ),
     _other(
         "video",
         "video (MP4, MOV)",

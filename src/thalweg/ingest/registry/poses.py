@@ -15,6 +15,7 @@ from thalweg.ingest.anpp import find_packets, read_anpp
 from thalweg.ingest.ardupilot import is_dataflash, is_telemetry, read_ardupilot
 from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share
 from thalweg.ingest.registry.calibrations import CalibrationReport
+from thalweg.ingest.registry.lidar import BAG
 from thalweg.ingest.tracks import (
     is_inertial_explorer,
     pose_columns,
@@ -235,6 +236,7 @@ def _describe_smrmsg(kind: str, files: list[Path], options: dict[str, Any], poin
 
 
 POSES: Final = (
+    BAG,
     Format(
         kind="inertial_explorer",
         words="NovAtel Inertial Explorer text",

@@ -21,6 +21,7 @@ from thalweg.ingest import (
 from thalweg.ingest.nmea import read_nmea
 from thalweg.ingest.ppk import PpkOptions, describe_rinex, replace_covariances, run_ppk
 from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share
+from thalweg.ingest.registry.lidar import BAG
 from thalweg.ingest.registry.poses import POSES
 from thalweg.ingest.sounders import is_lowrance, is_pd0, read_lowrance, read_pd0
 from thalweg.ingest.tracks import event_marks, read_gpx, read_pos
@@ -86,14 +87,6 @@ def read_depths(files: list[Path], date: dt.date | None = None) -> PositionLog:
             cure="Give another log in logs.depth, or a table of soundings to `thalweg bed`",
         )
     return log
-
-
-def has_depths(path: Path) -> bool:
-    """Whether a recording of a kind that may hold soundings does."""
-    try:
-        return find_format(_WITH_DEPTHS, path) is not None and bool(read_depths([path]).report)
-    except ThalwegError:
-        return False
 
 
 def soundings_table(path: Path) -> tuple[pd.DataFrame, list[str]] | None:
@@ -346,6 +339,7 @@ def _sbp_share(head: bytes, size: int) -> float:
 
 
 POSITIONS: Final = (
+    BAG,
     Format(
         kind="ubx",
         words="u-blox UBX log",

@@ -1,0 +1,268 @@
+"""Bags of ROS: written here by rosbags, and real ones beside its counts."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
+
+from thalweg.core import InputError, gps_from_unix
+from thalweg.ingest import LidarOptions, TrackOptions
+from thalweg.ingest.registry import describe, lidar_reader, read_depths, read_poses, recognise
+from thalweg.ingest.ros import read_bag_positions, streams_of_bag
+
+UNIX_S = 1_700_000_000
+KIND = {"f4": 7, "f8": 8, "u4": 6, "u2": 4, "u1": 2}
+
+
+class Bag:
+    """A bag of ROS 1 or 2 that grows by messages."""
+
+    def __init__(self, path: Path, ros: int = 1) -> None:
+        self.ros = ros
+        self.store = get_typestore(Stores.ROS1_NOETIC if ros == 1 else Stores.ROS2_HUMBLE)
+        self.writer: Any = Writer1(path) if ros == 1 else Writer2(path, version=9)
+        self.writer.open()
+        self.topics: dict[str, Any] = {}
+
+    def of(self, name: str, /, **fields: Any) -> Any:
+        kind = self.store.types[name]
+        if name == "std_msgs/msg/Header" and self.ros == 1:
+            fields["seq"] = 0
+        return kind(**fields)
+
+    def header(self, t_s: float, frame: str = "body") -> Any:
+        whole = int(np.floor(t_s))
+        stamp = self.of("builtin_interfaces/msg/Time", sec=whole, nanosec=round((t_s - whole) * 1e9))
+        return self.of("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
+
+    def say(self, topic: str, name: str, message: Any, t_s: float) -> None:
+        if topic not in self.topics:
+            self.topics[topic] = self.writer.add_connection(topic, name, typestore=self.store)
+        write = self.store.serialize_ros1 if self.ros == 1 else self.store.serialize_cdr
+        self.writer.write(self.topics[topic], round(t_s * 1e9), write(message, name))
+
+    def cloud(self, topic: str, t_s: float, rows: Any, *, recorded_s: float | None = None) -> None:
+        """A cloud whose fields are the columns of a structured array; 5 bytes of padding behind each."""
+        padded = np.dtype(
+            {
+                "names": rows.dtype.names,
+                "formats": [rows.dtype[n] for n in rows.dtype.names],
+                "offsets": [rows.dtype.fields[n][1] for n in rows.dtype.names],
+                "itemsize": rows.dtype.itemsize + 5,
+            }
+        )
+        data = np.zeros(len(rows), padded)
+        for n in rows.dtype.names:
+            data[n] = rows[n]
+        fields = [
+            self.of(
+                "sensor_msgs/msg/PointField",
+                name=n,
+                offset=padded.fields[n][1],
+                datatype=KIND[padded[n].str[1:]],
+                count=1,
+            )
+            for n in rows.dtype.names
+        ]
+        message = self.of(
+            "sensor_msgs/msg/PointCloud2",
+            header=self.header(t_s, "os_lidar"),
+            height=1,
+            width=len(rows),
+            fields=fields,
+            is_bigendian=False,
+            point_step=padded.itemsize,
+            row_step=padded.itemsize * len(rows),
+            data=np.frombuffer(data.tobytes(), np.uint8),
+            is_dense=True,
+        )
+        self.say(topic, "sensor_msgs/msg/PointCloud2", message, recorded_s or t_s)
+
+    def fix(self, t_s: float, k: int, *, status: int = 2, topic: str = "/fix") -> None:
+        service = self.of("sensor_msgs/msg/NavSatStatus", status=status, service=1)
+        cov = np.diag([0.0004, 0.0009, 0.0016])
+        cov[0, 1] = cov[1, 0] = 0.0001
+        message = self.of(
+            "sensor_msgs/msg/NavSatFix",
+            header=self.header(t_s),
+            status=service,
+            latitude=51.0 + 1e-6 * k,
+            longitude=13.0,
+            altitude=146.5,
+            position_covariance=cov.ravel(),
+            position_covariance_type=3,
+        )
+        self.say(topic, "sensor_msgs/msg/NavSatFix", message, t_s)
+
+    def imu(self, t_s: float, xyzw: tuple[float, ...], *, known: bool = True) -> None:
+        def vector(x: float, y: float, z: float) -> Any:
+            return self.of("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+
+        orientation_covariance = np.diag([1e-6, 4e-6, 9e-6]).ravel()
+        if not known:
+            orientation_covariance[0] = -1.0
+        message = self.of(
+            "sensor_msgs/msg/Imu",
+            header=self.header(t_s),
+            orientation=self.of(
+                "geometry_msgs/msg/Quaternion", **dict(zip(("x", "y", "z", "w"), xyzw, strict=True))
+            ),
+            orientation_covariance=orientation_covariance,
+            angular_velocity=vector(0.1, 0.2, 0.3),
+            angular_velocity_covariance=np.zeros(9),
+            linear_acceleration=vector(0.0, 0.0, 9.8),
+            linear_acceleration_covariance=np.zeros(9),
+        )
+        self.say("/imu/data", "sensor_msgs/msg/Imu", message, t_s)
+
+    def depth(self, topic: str, t_s: float, metres: float) -> None:
+        message = self.of(
+            "sensor_msgs/msg/Range",
+            header=self.header(t_s),
+            radiation_type=0,
+            field_of_view=0.1,
+            min_range=0.3,
+            max_range=50.0,
+            range=metres,
+            **({} if self.ros == 1 or "variance" not in self.fields_of("Range") else {"variance": 0.0}),
+        )
+        self.say(topic, "sensor_msgs/msg/Range", message, t_s)
+
+    def fields_of(self, name: str) -> set[str]:
+        return set(self.store.types[f"sensor_msgs/msg/{name}"].__dataclass_fields__)
+
+
+def points(time: str, kind: str, values: list[float]) -> Any:
+    """Three points: 10 m ahead, 5 m to the left, none."""
+    dtype = [("x", "f4"), ("y", "f4"), ("z", "f4"), ("intensity", "f4"), (time, kind), ("ring", "u2")]
+    rows = np.zeros(3, np.dtype(dtype))
+    rows["x"], rows["y"], rows["z"] = [10, 0, 0], [0, 5, 0], [1, 2, 0]
+    rows["intensity"], rows["ring"], rows[time] = [7, 300, 0], [4, 5, 6], values
+    return rows
+
+
+TIMES = {
+    "seconds since the header (Velodyne)": points("time", "f4", [0.05, -0.05, 0.0]),
+    "nanoseconds since the header (Ouster)": points("t", "u4", [50_000_000, 0, 0]),
+    "Unix seconds (Hesai, RoboSense)": points("timestamp", "f8", [UNIX_S + 0.05, UNIX_S, UNIX_S]),
+    "Unix nanoseconds (Livox)": points(
+        "timestamp", "f8", [1e9 * (UNIX_S + 0.05), 1e9 * UNIX_S, 1e9 * UNIX_S]
+    ),
+}
+
+
+@pytest.mark.parametrize("how", TIMES)
+def test_points_have_their_own_times(tmp_path: Path, how: str) -> None:
+    bag = Bag(tmp_path / "survey.bag")
+    for k in range(3):
+        bag.cloud("/points", UNIX_S + 0.1 * k, TIMES[how])
+    bag.writer.close()
+    reader = lidar_reader([tmp_path / "survey.bag"])
+    scan = reader.scan()
+    assert (scan.n_points, scan.report.counts["shots_without_return"]) == (6, 3)
+    assert not any("no times of their own" in note for note in scan.report.notes)
+    block = next(reader.points(scan.clock))
+    assert block.t_gps_s[0] == pytest.approx(float(gps_from_unix(UNIX_S + 0.05)), abs=1e-6)
+    # right, forward, up
+    assert block.xyz_scs_m.tolist() == [[0, 10, 1], [-5, 0, 2]]
+    assert block.azimuth_rad.tolist() == pytest.approx([0.0, 1.5 * np.pi])
+    assert (block.ring.tolist(), block.intensity.tolist()) == ([4, 5], [7, 255])
+
+
+def test_points_without_times_are_told(tmp_path: Path) -> None:
+    bag = Bag(tmp_path / "survey.bag")
+    bag.cloud("/points", UNIX_S, points("other", "f4", [0, 0, 0]), recorded_s=UNIX_S + 20 * 86_400)
+    bag.writer.close()
+    notes = " ".join(lidar_reader([tmp_path / "survey.bag"]).scan().report.notes)
+    assert "up to a turn of the lidar off" in notes
+    assert "20.0 days ahead of the headers: recorded from a replay" in notes
+
+
+def test_of_two_lidars_one_is_asked_for(tmp_path: Path) -> None:
+    bag = Bag(tmp_path / "survey.bag")
+    bag.cloud("/front", UNIX_S, points("time", "f4", [0, 0, 0]))
+    bag.cloud("/rear", UNIX_S, points("time", "f4", [0, 0, 0])[:1])
+    bag.writer.close()
+    path = tmp_path / "survey.bag"
+    with pytest.raises(InputError, match=r"2 topics of clouds.*Name the one that is meant in lidar\.topic"):
+        lidar_reader([path]).scan()
+    assert lidar_reader([path], LidarOptions(topic="/rear")).scan().n_points == 1
+
+
+@pytest.mark.parametrize("ros", [1, 2])
+def test_a_boat_in_a_bag(tmp_path: Path, ros: int) -> None:
+    """Heading 30 degrees east of north is yaw 60 from east, roll 10 to starboard."""
+    path = tmp_path / ("boat.bag" if ros == 1 else "boat")
+    bag = Bag(path, ros)
+    q = tuple(Rotation.from_euler("ZYX", [60.0, 0.0, 10.0], degrees=True).as_quat())
+    for k in range(20):
+        bag.fix(UNIX_S + 0.2 * k, k, status=-1 if k == 7 else 2)
+        bag.imu(UNIX_S + 0.2 * k + 0.1, q)
+        bag.depth("/range/ahead", UNIX_S + 0.2 * k, 30.0)
+        bag.depth("/echo_sounder", UNIX_S + 0.2 * k, 99.0 if k == 3 else 4.0)
+    bag.writer.close()
+    if ros == 2:
+        (path,) = path.glob("*.db3")
+    assert recognise(path) == "rosbag"
+    assert streams_of_bag(path) == ["ins", "depth"]
+    log = read_poses([path], "ins")
+    assert len(log.states) == 20
+    row = log.states.iloc[10]
+    assert np.rad2deg([row.roll_rad, row.pitch_rad, row.heading_rad]) == pytest.approx([10, 0, 30], abs=1e-6)
+    assert row.lat_deg == pytest.approx(51.0 + 1.05e-5, abs=1e-12)
+    assert row.t_gps_s == pytest.approx(float(gps_from_unix(UNIX_S + 2.1)), abs=1e-6)
+    assert (row.rate_x_radps, row.rate_y_radps, row.rate_z_radps) == pytest.approx((0.1, -0.2, -0.3))
+    assert (row.sigma_roll_rad, row.sigma_heading_rad) == pytest.approx((0.001, 0.003))
+    fix = read_bag_positions([path], TrackOptions()).positions
+    assert fix is not None
+    assert len(fix) == 19
+    assert (fix["sigma_east_m"].iloc[0], fix["sigma_up_m"].iloc[0]) == pytest.approx((0.02, 0.04))
+    assert fix["cov_en_m2"].iloc[0] == pytest.approx(1e-4)
+    depths = read_depths([path]).depths
+    assert depths is not None
+    assert depths["depth_m"].value_counts().to_dict() == {4.0: 19, 0.0: 1}
+
+
+def test_an_imu_without_orientation_is_no_pose(tmp_path: Path) -> None:
+    bag = Bag(tmp_path / "boat.bag")
+    bag.fix(UNIX_S, 0)
+    bag.imu(UNIX_S, (0.0, 0.0, 0.0, 1.0), known=False)
+    bag.writer.close()
+    with pytest.raises(InputError, match="gives no orientation"):
+        read_poses([tmp_path / "boat.bag"], "ins")
+
+
+def test_a_cut_bag_is_refused_with_its_cure(tmp_path: Path) -> None:
+    bag = Bag(tmp_path / "boat.bag")
+    for k in range(50):
+        bag.fix(UNIX_S + k, k)
+    bag.writer.close()
+    path = tmp_path / "boat.bag"
+    path.write_bytes(path.read_bytes()[:6_000])
+    with pytest.raises(InputError, match=r"cannot be opened.*rosbag reindex"):
+        describe(path)
+    with pytest.raises(InputError, match=r"cannot be opened.*Give it the ending"):
+        describe(path.rename(tmp_path / "boat"))
+
+
+@pytest.mark.real
+def test_real_bags(data_dir: Path) -> None:
+    """Points, stamps, the 237.8 days of a replay; as many packets of a Velodyne as its capture has."""
+    today = data_dir / "today"
+    reader = lidar_reader([today / "ros1_luminar_pointcloud2/test.bag"])
+    scan = reader.scan()
+    assert any("237.8 days" in note for note in scan.report.notes)
+    blocks = list(reader.points(scan.clock))
+    assert [block.n for block in blocks[:3]] == [35_707, 36_055, 36_267]
+    assert blocks[0].t_gps_s[0] == pytest.approx(float(gps_from_unix(1583971570.0)), abs=0.2)
+    packets = lidar_reader([next((today / "ros2_velodyne_vlp32_packets").glob("*.db3"))]).scan()
+    assert (packets.model, packets.report.counts["data_packets"]) == ("VLP-32C", 379)
+    for folder, words in (("ros1_ouster_packets", "Ouster"), ("ros2_hesai_xt32_packets", "Hesai")):
+        path = next(each for each in (today / folder).iterdir() if each.suffix in (".bag", ".db3"))
+        with pytest.raises(InputError, match=f"Packets of an? {words}"):
+            lidar_reader([path]).scan()
