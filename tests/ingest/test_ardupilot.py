@@ -8,6 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from thalweg.bathymetry import read_soundings
+from thalweg.cli import main
 from thalweg.core import InputError, gps_from_unix, gps_from_week
 from thalweg.ingest import TrackOptions
 from thalweg.ingest.ardupilot import USUAL_LAG_S, read_ardupilot
@@ -116,6 +117,7 @@ def test_a_boat_has_attitude_place_depth_and_their_sigmas_on_gps_time(boat: Path
         [1.5, -0.5, 10.0], abs=1e-3
     )
     assert row.h_ell_m == pytest.approx(146.5, abs=1e-3)
+    assert set(log.states["fix"]) == {"fixed"}
     assert (row.sigma_north_m, row.sigma_east_m, row.sigma_up_m) == pytest.approx(
         (0.02, 0.03, 0.04), rel=1e-5
     )
@@ -248,3 +250,15 @@ def test_real_logs_are_as_pymavlink_counts_them(data_dir: Path) -> None:
     assert far.report.losses == {"bad_messages": 4}
     assert (far.report.details["messages"]["ATTITUDE"], len(far.states)) == (5245, 5245)
     assert not far.report.synchronised
+
+
+def test_one_file_stands_in_each_stream_that_it_holds(
+    boat: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "campaigns"
+    assert main(["new-campaign", "boat", "--from-logs", str(tmp_path), "--folder", str(folder)]) == 0
+    path = folder / "boat.yaml"
+    text = path.read_text().replace("lever_ics_m: CHANGE", "lever_ics_m: [0.0, 0.0, 0.3]")
+    path.write_text(text)
+    assert main(["check-config", str(path)]) == 0
+    assert "files: 1 ins, 1 depth" in capsys.readouterr().out

@@ -24,7 +24,15 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core import ArrayF, InputError, UnsupportedError, frame_of, gps_from_unix, gps_from_week
+from thalweg.core import (
+    AnyArray,
+    ArrayF,
+    InputError,
+    UnsupportedError,
+    frame_of,
+    gps_from_unix,
+    gps_from_week,
+)
 from thalweg.ingest.integrity import IntegrityReport
 from thalweg.ingest.readers import PoseLog, TrackOptions
 from thalweg.ingest.schemas import DEPTH, GNSS_POSITION, INS_STATE, NAVIGATION_INITIALISED
@@ -118,7 +126,9 @@ def _read(path: Path, report: IntegrityReport) -> tuple[pd.DataFrame, pd.DataFra
     if np.isnan(gps_minus_boot_s):
         report.note("No GPS time in the log: its stamps are seconds since the autopilot started.")
     undulation = fixes["h_ell_m"] - fixes["alt_m"]
-    states = _states(attitude, place, float(undulation.median()), gps_minus_boot_s)
+    states = _states(
+        attitude, _joined(place, fixes[["t_s", "fix"]]), float(undulation.median()), gps_minus_boot_s
+    )
     if states["h_ell_m"].isna().all() and states["lat_deg"].notna().any():
         report.note(
             "Heights are above mean sea level, no undulation of the geoid is stated: no ellipsoidal height."
@@ -147,7 +157,7 @@ def _states(
         {
             **{name: at(name) for name in names},
             **{f"sigma_{axis}_m": at(f"sigma_{axis}_m") for axis in ("north", "east", "up")},
-            **{name: attitude[name] for name in attitude if name.startswith(("roll", "pitch", "rate"))},
+            **{name: attitude[name] for name in attitude.columns.difference(["t_s", "yaw_rad"]).tolist()},
             "t_gps_s": t_s + offset_s,
             "t_device_s": t_s,
             "h_ell_m": at("alt_m") + undulation_m,
@@ -155,12 +165,23 @@ def _states(
             "sigma_roll_rad": tilt,
             "sigma_pitch_rad": tilt,
             "sigma_heading_rad": at("sigma_heading_rad"),
-            "fix": "3d",
+            "fix": _nearest(place, t_s),
             "system_status": 0,
             "filter_status": np.where(np.isfinite(at("lat_deg")), NAVIGATION_INITIALISED, 0),
         },
         unknown=np.nan,
     )
+
+
+def _nearest(place: pd.DataFrame, t_s: ArrayF) -> AnyArray:
+    """Fix (n,) of the nearest position, in the words of ``ins_state``."""
+    if "fix" not in place or place.empty:
+        return np.full(len(t_s), "none", dtype=object)
+    times = place["t_s"].to_numpy(np.float64)
+    after = np.clip(np.searchsorted(times, t_s), 1, max(len(times) - 1, 1))
+    at = np.where(t_s - times[after - 1] < times[np.minimum(after, len(times) - 1)] - t_s, after - 1, after)
+    fix = place["fix"].to_numpy(object)[np.minimum(at, len(times) - 1)]
+    return np.where(fix == "single", "3d", fix)
 
 
 # ---------------------------------------------------------------- dataflash
@@ -230,7 +251,7 @@ def _of_dataflash(
         if "Stat" in pings:  # 4: a good distance
             pings["depth_m"] = pings["depth_m"].where(pings["Stat"] == 4, 0.0)
     words = [
-        str(each, "latin-1") if isinstance(each, bytes) else each
+        each.decode("latin-1") if isinstance(each, bytes) else str(each)
         for each in log.get("MSG", _NONE).get("Message", ())
     ]
     report.model = next((w.strip("\0") for w in words if w.startswith("Ardu") or "Rover" in w), "")
@@ -241,9 +262,9 @@ def _of_dataflash(
 
 def _dataflash_fixes(log: Messages, report: IntegrityReport) -> tuple[pd.DataFrame, float]:
     """Fixes of the better receiver (``gnss_position``, ``t_s``, ``alt_m``); GPS minus boot time, seconds."""
-    receivers = (
-        dict(tuple(log["GPS"].groupby("I"))) if "I" in log.get("GPS", ()) else {0: log.get("GPS", _NONE)}
-    )
+    gps = log.get("GPS", _NONE)
+    numbers = gps["I"].unique().tolist() if "I" in gps else [0]
+    receivers = {int(i): _main(gps, "I", int(i)) for i in numbers}
     if "GPS2" in log:
         receivers[1] = log["GPS2"]
     chosen = max(receivers, key=lambda i: float(receivers[i].get("Status", _EMPTY).mean() or 0.0))

@@ -243,7 +243,9 @@ class BagLidar:
             synchronised=True,
             bytes_read=sum(path.stat().st_size for path in self.files),
         )
-        stamps, lags, n_points, empty, timed = [], [], 0, 0, True
+        stamps: list[float] = []
+        lags: list[float] = []
+        n_points, empty, timed = 0, 0, True
         for stamp_s, recorded_s, message in self._clouds(report):
             points = _points_of(message, stamp_s)
             block = _block(points, self.options, len(stamps))
@@ -306,7 +308,7 @@ def _points_of(message: Any, stamp_s: float) -> dict[str, Any]:
         table = {name: np.array([getattr(p, name) for p in message.points], np.float64) for name in names}
         table["t"] = table.pop("offset_time")
         stamp_s = message.timebase * 1e-9 if message.timebase > _ABSOLUTE_NS else stamp_s
-        timed_as = ("t", 1e-9)
+        timed_as: tuple[str, float] | None = ("t", 1e-9)
     else:
         order = ">" if message.is_bigendian else "<"
         fields = [f for f in message.fields if f.datatype in _TYPES]
@@ -479,7 +481,7 @@ def _fixes(path: Path, report: IntegrityReport) -> pd.DataFrame:
         )
     _say_stamps(report, np.array(lags))
     report.note("Heights of NavSatFix are above the ellipsoid, if its driver keeps to the definition.")
-    return frame_of(GNSS_POSITION, pd.DataFrame(rows, columns=GNSS_POSITION.names), unknown=np.nan)
+    return frame_of(GNSS_POSITION, dict(pd.DataFrame(rows, columns=GNSS_POSITION.names)), unknown=np.nan)
 
 
 def _depths(path: Path, report: IntegrityReport) -> pd.DataFrame:
@@ -494,7 +496,7 @@ def _depths(path: Path, report: IntegrityReport) -> pd.DataFrame:
             )
     for other in topics[1:]:
         report.note(f"Depths are those of {topics[0]}; {other} is left out.")
-    return frame_of(DEPTH, pd.DataFrame(rows, columns=DEPTH.names), unknown=np.nan)
+    return frame_of(DEPTH, dict(pd.DataFrame(rows, columns=DEPTH.names)), unknown=np.nan)
 
 
 def read_bag_poses(files: Sequence[Path], options: TrackOptions) -> PoseLog:

@@ -31,6 +31,8 @@ FOLDERS: Final = PHOTOGRAPHS | {"masks", "finished_orientations"}
 IMAGE_ENDINGS: Final = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 """As `thalweg.ingest.photos.files` knows photographs, which is not imported for a quick check."""
 
+_ONE_RECORDER: Final = frozenset({"lidar", "ins", "pos", "depth"})
+"""Streams that one file may hold together: a bag of ROS, the log of an autopilot, NMEA."""
 _MANY_PARTS: Final = {"control_points", "marks", "orientations"}
 """Keys that may name one file: OpenDroneMap and Metashape write points, marks and poses together."""
 
@@ -208,6 +210,8 @@ def _check_twice(
     if other[:2] == where[:2] == ("logs", "time_lapse") and {other[2], where[2]} <= _MANY_PARTS:
         return
     if other[:3] == where[:3] == ("logs", "time_lapse", "interiors"):
+        return
+    if other[0] == where[0] == "logs" and other[1] != where[1] and {other[1], where[1]} <= _ONE_RECORDER:
         return
     if other[:3] == where[:3] == ("logs", "light_sheet", "scans") and {other[4], where[4]} <= SHARED_PARTS:
         return

@@ -93,12 +93,12 @@ def campaign_text(
         "",
         "logs:  # relative to this file or absolute; ~ and patterns like raw/*.pcap work",
         *_list("lidar", listed.get("lidar", []), "Velodyne captures"),
-        *_list("ins", listed.get("ins", []), "Advanced Navigation ANPP"),
+        *_list("ins", listed.get("ins", []), "INS or autopilot"),
         *gnss,
         *_list("positions", listed.get("pos", []), "RTKLIB .pos, NMEA or GPX"),
         *_list("sbet", listed.get("sbet", []), "Applanix SBET; needs gps_week"),
         *_beside_sbet(listed),
-        *_list("depth", listed.get("depth", []), "echo sounder, NMEA"),
+        *_list("depth", listed.get("depth", []), "echo sounder"),
         *(
             ["  # depth_date: 2026-05-12  # UTC day of its start, where it has none"]
             if listed.get("depth")

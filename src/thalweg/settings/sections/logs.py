@@ -313,7 +313,10 @@ class Logs(Section):
     """Files of each stream, in order of time. Relative to this file or absolute; ``~`` and globs work."""
 
     lidar: Files = Field(default=(), description="Velodyne captures: pcap, pcapng or bare payloads")
-    ins: Files = Field(default=(), description="Advanced Navigation ANPP logs")
+    ins: Files = Field(
+        default=(),
+        description="Logs of the INS (ANPP), of an autopilot (ArduPilot), bags of ROS, tables of poses",
+    )
     gnss: GnssLogs = Field(default=GnssLogs(), description="Raw GNSS of boat and base")
     positions: Files = Field(
         default=(), description="Positions of the boat's antenna: RTKLIB .pos files, or NMEA 0183"
