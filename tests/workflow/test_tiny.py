@@ -556,11 +556,15 @@ def test_an_sbet_and_photographs_give_the_chains_of_camera_and_all_sensors(tiny_
     examples(root)["sbet_photographs"](base, path.parent / "data/sbet_photographs")
     assert main(["check-config", str(path)]) == 0
     text = path.read_text()
-    path.write_text(
-        text.replace("  cloud: {motion: trajectory}\n", "")
-    )  # the twin's SBET has noise for velocities
+    sbet = path.parent / "data/sbet_photographs/boat.sbet"
+    whole = sbet.read_bytes()
+    records = np.frombuffer(whole).reshape(-1, 17).copy()
+    records[:, 4:7] += np.random.default_rng(1).normal(0.0, 2.0, (len(records), 3))
+    sbet.write_bytes(records.tobytes())  # noise for velocities, as some programs write
+    path.write_text(text.replace("  cloud: {motion: trajectory}\n", ""))
     assert main(["check-config", str(path)]) == 2
     assert "INS states have a velocity; expected" in capsys.readouterr().err
+    sbet.write_bytes(whole)
     path.write_text(text)
     products = CampaignFiles(
         name="sbet_photographs", campaigns={"sbet_photographs": load_campaign(path)}
@@ -708,8 +712,9 @@ def test_with_the_true_poses_the_lidar_noise_remains(
     )
     ground = statistics[statistics["points"] == "bare ground"].set_index("quantity")["value"]
     # Poses and mount are exact: predicted is the beam alone. The NMAD of n = 50,000 normalised errors is
-    # known to 0.6 %; spots that graze a bump widen the tails (0.7 % beyond 3 sigma), not the middle. 3 %.
-    assert (abs(ground["normalised_nmad"] - 1) < 0.03) == consistent
+    # known to 0.6 %; spots that graze a bump widen the tails (0.7 % beyond 3 sigma), not the middle. The beam
+    # and the weak echo err otherwise than stated (`twin.effects.misstated`): 5 % here, where 3 % would do.
+    assert (abs(ground["normalised_nmad"] - 1) < 0.06) == consistent
 
 
 def test_filters_take_what_they_should_and_leave_the_rest(tiny_house) -> None:
