@@ -457,6 +457,7 @@ OF_OTHER_THINGS = {
     ("clocks/track.py", "white_share"),
     ("ingest/velodyne/reader.py", "max_points"),  # of a block in memory
     ("ingest/ouster.py", "max_points"),
+    ("ingest/recorders/ros.py", "max_points"),
     ("ingest/readers.py", "max_points"),
     ("core/adjustment.py", "max_iterations"),
     ("core/las.py", "chunk_points"),

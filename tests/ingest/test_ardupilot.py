@@ -11,7 +11,7 @@ from thalweg.bathymetry import read_soundings
 from thalweg.cli import main
 from thalweg.core import InputError, gps_from_unix, gps_from_week
 from thalweg.ingest import TrackOptions
-from thalweg.ingest.ardupilot import USUAL_LAG_S, read_ardupilot
+from thalweg.ingest.recorders import USUAL_LAG_S, read_ardupilot
 from thalweg.ingest.registry import describe, read_depths, recognise, stream_of
 
 SIZES = {

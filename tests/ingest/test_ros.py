@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from thalweg.core import InputError, gps_from_unix
 from thalweg.ingest import LidarOptions, TrackOptions
+from thalweg.ingest.recorders import read_bag_positions, streams_of_bag
 from thalweg.ingest.registry import describe, lidar_reader, read_depths, read_poses, recognise
-from thalweg.ingest.ros import read_bag_positions, streams_of_bag
 
 UNIX_S = 1_700_000_000
 KIND = {"f4": 7, "f8": 8, "u4": 6, "u2": 4, "u1": 2}

@@ -9,8 +9,8 @@ import pytest
 
 from thalweg.core import InputError, gps_from_unix
 from thalweg.ingest import TrackOptions
+from thalweg.ingest.recorders import read_lowrance, read_pd0
 from thalweg.ingest.registry import describe, read_depths, recognise, soundings_table, stream_of
-from thalweg.ingest.sounders import read_lowrance, read_pd0
 
 RADIUS_M = 6_356_752.3142
 UNIX_S = 1_700_000_000

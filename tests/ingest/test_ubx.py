@@ -12,8 +12,8 @@ from thalweg.core import InputError, gps_from_week
 from thalweg.ingest import TrackOptions
 from thalweg.ingest.ppk import describe_rinex
 from thalweg.ingest.ppk.solution import prepare_inputs
+from thalweg.ingest.recorders import read_ubx
 from thalweg.ingest.registry import describe, recognise, stream_of
-from thalweg.ingest.ubx import read_ubx
 
 WEEK, FIRST_S = 2300, 100_000.0
 UTC = dt.datetime(1980, 1, 6) + dt.timedelta(weeks=WEEK, seconds=FIRST_S - 18.0)

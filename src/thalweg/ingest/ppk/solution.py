@@ -43,8 +43,8 @@ from thalweg.ingest.ppk.rinex import (
     whole_records,
 )
 from thalweg.ingest.ppk.trust import read_solution, replace_covariances, trust_fixes
+from thalweg.ingest.recorders import RAW_OBSERVATIONS, ubx_frames, ubx_share
 from thalweg.ingest.sbp import find_messages
-from thalweg.ingest.ubx import RAW_OBSERVATIONS, ubx_frames, ubx_share
 
 # ---------------------------------------------------------------- the engine behind a process border
 

@@ -11,6 +11,7 @@ from typing import Any, Final
 from thalweg.core import InputError, ThalwegError
 from thalweg.ingest import IntegrityReport
 from thalweg.ingest.ppk import PpkOptions, run_ppk
+from thalweg.ingest.recorders import streams_of_bag
 from thalweg.ingest.registry.base import Format, Recording, find_format, read_head
 from thalweg.ingest.registry.calibrations import CALIBRATIONS
 from thalweg.ingest.registry.clouds import CLOUDS
@@ -19,7 +20,6 @@ from thalweg.ingest.registry.lidar import LIDARS
 from thalweg.ingest.registry.others import OTHERS
 from thalweg.ingest.registry.poses import POSES
 from thalweg.ingest.registry.positions import POSITIONS, read_depths
-from thalweg.ingest.ros import streams_of_bag
 
 FORMATS: Final = (*LIDARS, *CLOUDS, *POSES, *POSITIONS, *CALIBRATIONS, *OTHERS, *IMAGES)
 """In the order in which a file is tried against them."""

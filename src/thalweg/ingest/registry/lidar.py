@@ -16,8 +16,7 @@ from thalweg.ingest import (
     is_ouster_capture,
     is_ouster_metadata,
 )
-from thalweg.ingest.registry.base import Format, Recording, find_format
-from thalweg.ingest.ros import (
+from thalweg.ingest.recorders import (
     BagLidar,
     describe_bag,
     has_velodyne_packets,
@@ -27,6 +26,7 @@ from thalweg.ingest.ros import (
     streams_of_bag,
     velodyne_capture,
 )
+from thalweg.ingest.registry.base import Format, Recording, find_format
 
 _PAYLOAD = 1206
 _PCAP: Final = (

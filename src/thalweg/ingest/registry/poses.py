@@ -12,7 +12,7 @@ import numpy as np
 from thalweg.core import WEEK_S, ArrayF, InputError, gps_from_week
 from thalweg.ingest import PoseLog, PoseReader, TrackOptions, doubtful_date
 from thalweg.ingest.anpp import find_packets, read_anpp
-from thalweg.ingest.ardupilot import is_dataflash, is_telemetry, read_ardupilot
+from thalweg.ingest.recorders import is_dataflash, is_telemetry, read_ardupilot
 from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share
 from thalweg.ingest.registry.calibrations import CalibrationReport
 from thalweg.ingest.registry.lidar import BAG

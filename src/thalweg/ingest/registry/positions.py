@@ -20,12 +20,11 @@ from thalweg.ingest import (
 )
 from thalweg.ingest.nmea import read_nmea
 from thalweg.ingest.ppk import PpkOptions, describe_rinex, replace_covariances, run_ppk
+from thalweg.ingest.recorders import is_lowrance, is_pd0, read_lowrance, read_pd0, read_ubx, ubx_share
 from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share
 from thalweg.ingest.registry.lidar import BAG
 from thalweg.ingest.registry.poses import POSES
-from thalweg.ingest.sounders import is_lowrance, is_pd0, read_lowrance, read_pd0
 from thalweg.ingest.tracks import event_marks, read_gpx, read_pos
-from thalweg.ingest.ubx import read_ubx, ubx_share
 
 _NMEA = re.compile(rb"[$!][A-Z]{2}[A-Z]{3},[^\r\n*]*(\*[0-9A-Fa-f]{2})?")
 _POS_LINE = re.compile(

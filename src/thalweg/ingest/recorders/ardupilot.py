@@ -33,9 +33,15 @@ from thalweg.core import (
     gps_from_unix,
     gps_from_week,
 )
-from thalweg.ingest.integrity import IntegrityReport
-from thalweg.ingest.readers import PoseLog, TrackOptions
-from thalweg.ingest.schemas import DEPTH, GNSS_POSITION, INS_STATE, NAVIGATION_INITIALISED
+from thalweg.ingest import (
+    DEPTH,
+    GNSS_POSITION,
+    INS_STATE,
+    NAVIGATION_INITIALISED,
+    IntegrityReport,
+    PoseLog,
+    TrackOptions,
+)
 
 Messages = Mapping[str, pd.DataFrame]
 """Messages by name, a column ``t_s`` (since the start of the autopilot) beside the format's own fields."""

@@ -18,10 +18,8 @@ import numpy as np
 import pandas as pd
 
 from thalweg.core import WEEK_S, AnyArray, UnsupportedError, frame_of, gps_from_unix, gps_from_week
-from thalweg.ingest.integrity import IntegrityReport
+from thalweg.ingest import GNSS_POSITION, IntegrityReport, PositionLog, TrackOptions
 from thalweg.ingest.nmea import read_nmea
-from thalweg.ingest.readers import PositionLog, TrackOptions
-from thalweg.ingest.schemas import GNSS_POSITION
 
 RAW_OBSERVATIONS: Final = ("RXM-RAWX", "RXM-RAW")
 _POSITIONS: Final = (

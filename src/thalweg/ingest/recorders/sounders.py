@@ -21,9 +21,7 @@ import numpy as np
 import pandas as pd
 
 from thalweg.core import ArrayF, InputError, frame_of, gps_from_unix, utc_text_from_gps, utc_text_from_unix
-from thalweg.ingest.integrity import IntegrityReport
-from thalweg.ingest.readers import PositionLog, TrackOptions
-from thalweg.ingest.schemas import DEPTH, GNSS_POSITION
+from thalweg.ingest import DEPTH, GNSS_POSITION, IntegrityReport, PositionLog, TrackOptions
 
 FOOT_M: Final = 0.3048
 _MERCATOR_RADIUS_M: Final = 6_356_752.3142

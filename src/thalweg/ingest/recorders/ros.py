@@ -28,8 +28,12 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from thalweg.core import ArrayF, InputError, UnsupportedError, frame_of, gps_from_unix, roll_pitch_heading
-from thalweg.ingest.integrity import IntegrityReport
-from thalweg.ingest.readers import (
+from thalweg.ingest import (
+    DEPTH,
+    GNSS_POSITION,
+    INS_STATE,
+    NAVIGATION_INITIALISED,
+    IntegrityReport,
     LidarClock,
     LidarOptions,
     LidarScan,
@@ -39,7 +43,6 @@ from thalweg.ingest.readers import (
     PositionLog,
     TrackOptions,
 )
-from thalweg.ingest.schemas import DEPTH, GNSS_POSITION, INS_STATE, NAVIGATION_INITIALISED
 
 _CLOUDS: Final = (
     "sensor_msgs/msg/PointCloud2",

@@ -1,0 +1,28 @@
+from .ardupilot import (
+    USUAL_LAG_S as USUAL_LAG_S,
+    is_dataflash as is_dataflash,
+    is_telemetry as is_telemetry,
+    read_ardupilot as read_ardupilot,
+)
+from .ros import (
+    BagLidar as BagLidar,
+    describe_bag as describe_bag,
+    has_velodyne_packets as has_velodyne_packets,
+    is_bag as is_bag,
+    read_bag_poses as read_bag_poses,
+    read_bag_positions as read_bag_positions,
+    streams_of_bag as streams_of_bag,
+    velodyne_capture as velodyne_capture,
+)
+from .sounders import (
+    is_lowrance as is_lowrance,
+    is_pd0 as is_pd0,
+    read_lowrance as read_lowrance,
+    read_pd0 as read_pd0,
+)
+from .ubx import (
+    RAW_OBSERVATIONS as RAW_OBSERVATIONS,
+    read_ubx as read_ubx,
+    ubx_frames as ubx_frames,
+    ubx_share as ubx_share,
+)
