@@ -1,7 +1,9 @@
 """Logs of ArduPilot: made here message by message, and real ones beside pymavlink's own counts."""
 
+import contextlib
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from thalweg.bathymetry import read_soundings
 from thalweg.cli import main
-from thalweg.core import InputError, gps_from_unix, gps_from_week
+from thalweg.core import InputError, ThalwegError, gps_from_unix, gps_from_week
 from thalweg.ingest import TrackOptions
 from thalweg.ingest.recorders import USUAL_LAG_S, read_ardupilot
 from thalweg.ingest.registry import describe, read_depths, recognise, stream_of
@@ -262,3 +264,13 @@ def test_one_file_stands_in_each_stream_that_it_holds(
     path.write_text(text)
     assert main(["check-config", str(path)]) == 0
     assert "files: 1 ins, 1 depth" in capsys.readouterr().out
+
+
+def test_damaged_logs_are_read_or_refused(tmp_path: Path, fuzz: Any) -> None:
+    path = tmp_path / "fuzz.bin"
+    for data in fuzz.inputs(boat_log()[:20_000], telemetry()[:9_000]):
+        path.write_bytes(data)
+        with contextlib.suppress(ThalwegError):
+            log = read_ardupilot([path], TrackOptions())
+            fuzz.was_read(reported=any(log.report.losses.values()))
+    fuzz.check(read=0.7, troubled=0.2)

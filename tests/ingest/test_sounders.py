@@ -1,13 +1,15 @@
 """Echo sounders with own positions: made here byte by byte, and real ones beside other programs."""
 
+import contextlib
 import math
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from thalweg.core import InputError, gps_from_unix
+from thalweg.core import InputError, ThalwegError, gps_from_unix
 from thalweg.ingest import TrackOptions
 from thalweg.ingest.recorders import read_lowrance, read_pd0
 from thalweg.ingest.registry import describe, read_depths, recognise, soundings_table, stream_of
@@ -187,3 +189,13 @@ def test_a_real_adcp_is_as_mhkit_reads_it(data_dir: Path) -> None:
         (64.561951, -149.063675), abs=2e-5
     )
     assert any("1.7" in note and "behind GNSS" in note for note in log.report.notes)
+
+
+def test_damaged_logs_are_read_or_refused(tmp_path: Path, fuzz: Any) -> None:
+    path = tmp_path / "fuzz.sl2"
+    for data in fuzz.inputs(sonar_log(2)):
+        path.write_bytes(data)
+        with contextlib.suppress(ThalwegError):
+            log = read_lowrance([path], TrackOptions())
+            fuzz.was_read(reported=any(log.report.losses.values()))
+    fuzz.check(read=0.5, troubled=0.2)

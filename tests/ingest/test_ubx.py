@@ -1,14 +1,16 @@
 """Logs of u-blox receivers: made here message by message, and real ones beside other programs."""
 
+import contextlib
 import datetime as dt
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from pyubx2 import GET, UBXMessage
 
-from thalweg.core import InputError, gps_from_week
+from thalweg.core import InputError, ThalwegError, gps_from_week
 from thalweg.ingest import TrackOptions
 from thalweg.ingest.ppk import describe_rinex
 from thalweg.ingest.ppk.solution import prepare_inputs
@@ -144,3 +146,13 @@ def test_real_raw_observations_are_those_of_other_programs(data_dir: Path, tmp_p
     observations = describe_rinex(tmp_path / "rover_000.obs")
     assert observations.t_first_s == pytest.approx(float(gps_from_week(1481, 107_964.999)))
     assert observations.counts["epochs"] == 242
+
+
+def test_damaged_logs_are_read_or_refused(tmp_path: Path, fuzz: Any) -> None:
+    path = tmp_path / "fuzz.ubx"
+    for data in fuzz.inputs(b"".join(pvt(k) for k in range(30))):
+        path.write_bytes(data)
+        with contextlib.suppress(ThalwegError):
+            log = read_ubx([path], TrackOptions())
+            fuzz.was_read(reported=any(log.report.losses.values()))
+    fuzz.check(read=0.9, troubled=0.2)

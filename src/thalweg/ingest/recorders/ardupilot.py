@@ -13,11 +13,11 @@ Source: ArduPilot, "Onboard Message Log Messages"; MAVLink common and ardupilotm
 """
 
 import contextlib
-import io
+import os
 import re
 import struct
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -115,12 +115,18 @@ def _read(path: Path, report: IntegrityReport) -> tuple[pd.DataFrame, pd.DataFra
     with path.open("rb") as stream:
         dataflash = is_dataflash(stream.read(64), 0)
     report.bytes_read += path.stat().st_size
-    if dataflash:
-        report.format = "ArduPilot dataflash log"
-        found = _of_dataflash(_dataflash(path, report), report)
-    else:
-        report.format = "MAVLink telemetry log"
-        found = _of_telemetry(_telemetry(path, report), report)
+    report.format = "ArduPilot dataflash log" if dataflash else "MAVLink telemetry log"
+    read, tables = (_dataflash, _of_dataflash) if dataflash else (_telemetry, _of_telemetry)
+    messages = read(path, report)
+    try:
+        found = tables(messages, report)
+    except KeyError as error:
+        raise InputError(
+            f"messages without the field {error}",
+            expected="the fields of ArduPilot's messages",
+            where=path,
+            cure="Download the log from the autopilot again: its formats are damaged",
+        ) from error
     attitude, place, fixes, depths, gps_minus_boot_s = found
     if attitude.empty and fixes.empty and depths.empty:
         raise InputError(
@@ -196,13 +202,20 @@ def _nearest(place: pd.DataFrame, t_s: ArrayF) -> AnyArray:
 def _dataflash(path: Path, report: IntegrityReport) -> Messages:
     """Messages of a dataflash log; pymavlink finds them, whole columns are unpacked at once."""
     DFReader = _pymavlink("DFReader")
-    said = io.StringIO()
-    with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
-        with path.open("rb") as stream:
-            text = stream.read(3) == b"FMT"
-        if text:
-            return _recv(DFReader.DFReader_text(str(path)), _DATAFLASH, report)
-        log = DFReader.DFReader_binary(str(path))
+    with path.open("rb") as stream:
+        text = stream.read(3) == b"FMT"
+    try:
+        with _silent():  # it prints a line for each byte between messages, which are counted here
+            log = DFReader.DFReader_text(str(path)) if text else DFReader.DFReader_binary(str(path))
+    except Exception as error:  # it raises no narrower one
+        raise InputError(
+            f"damaged formats of messages ({error})",
+            expected="a whole dataflash log",
+            where=path,
+            cure="Download it from the autopilot again",
+        ) from error
+    if text:
+        return _recv(log, _DATAFLASH, report)
     found, numbers = {}, {}
     covered = 0
     for name, kind in sorted(log.name_to_id.items()):
@@ -212,7 +225,7 @@ def _dataflash(path: Path, report: IntegrityReport) -> Messages:
         covered += at.size * form.len
         if at.size:
             numbers[name] = int(at.size)
-        if at.size and name in _DATAFLASH:
+        if at.size and name in _DATAFLASH and len(form.columns) == len(form.msg_mults):
             data = np.frombuffer(log.data_map, np.uint8)
             rows = data[at[:, None] + np.arange(3, form.len)].tobytes()
             plain = re.sub(r"(\d+)s", r"\1s", form.msg_struct)
@@ -223,7 +236,23 @@ def _dataflash(path: Path, report: IntegrityReport) -> Messages:
     report.details["messages"] = numbers
     if lost := log.data_len - covered:
         report.lose("bytes_outside_messages", lost)
-    return {name: _stamped(table) for name, table in found.items()}
+    stamped = {name: _stamped(table) for name, table in found.items()}
+    return {name: table for name, table in stamped.items() if "t_s" in table}
+
+
+@contextlib.contextmanager
+def _silent() -> Iterator[None]:
+    """Nothing of what a library writes to the terminal, from C too."""
+    kept = [os.dup(1), os.dup(2)]
+    with Path(os.devnull).open("wb") as nowhere:
+        try:
+            for stream in (1, 2):
+                os.dup2(nowhere.fileno(), stream)
+            yield
+        finally:
+            for stream, copy in zip((1, 2), kept, strict=True):
+                os.dup2(copy, stream)
+                os.close(copy)
 
 
 def _of_dataflash(
@@ -330,7 +359,8 @@ def _filter_sigmas(log: Messages, core: int) -> pd.DataFrame:
     both = _joined(variances, health[["t_s", "errRP"]])
     turn = 4.0 * both[["V00", "V01", "V02", "V03"]].sum(axis=1)
     sigmas = {
-        f"sigma_{axis}_m": np.sqrt(both[v]) for axis, v in (("north", "V07"), ("east", "V08"), ("up", "V09"))
+        f"sigma_{axis}_m": np.sqrt(both[v].where(both[v] > 0))
+        for axis, v in (("north", "V07"), ("east", "V08"), ("up", "V09"))
     }
     return pd.DataFrame(
         {

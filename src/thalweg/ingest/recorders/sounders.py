@@ -29,6 +29,8 @@ _FRAME: Final = {  # by version: where fields stand in the head of a frame, and 
     2: {"size": 28, "channel": 32, "depth": 64, "unix": 60, "x": 108, "y": 112, "ms": 140, "bytes": 144},
     3: {"size": 8, "channel": 12, "depth": 48, "unix": 40, "x": 92, "y": 96, "ms": 124, "bytes": 168},
 }
+_DEEPEST_FT: Final = 36_200.0
+"""No water is deeper; what exceeds it is damage."""
 _CHANNELS: Final = {0: "primary", 1: "secondary", 2: "downscan"}
 _SET_UNIX_S: Final = (946_684_800, 4_000_000_000)
 """A clock within these was set; 0xFFFFFFFF stands for none."""
@@ -92,6 +94,13 @@ def _frames(path: Path, report: IntegrityReport) -> pd.DataFrame:
     """Heads of all frames of a file; bytes of none are counted."""
     data = path.read_bytes()
     report.bytes_read += len(data)
+    if not is_lowrance(data[:64], len(data)):
+        raise InputError(
+            "the head of the file is none of SL2 or SL3",
+            expected="a Lowrance log",
+            where=path,
+            cure="Copy the file from the unit again",
+        )
     at = _FRAME[data[0]]
     starts, covered, here = [], 8, 8
     while here + at["bytes"] <= len(data):
@@ -112,12 +121,14 @@ def _frames(path: Path, report: IntegrityReport) -> pd.DataFrame:
         width = np.dtype(kind).itemsize
         return np.ascontiguousarray(heads[:, at[name] : at[name] + width]).view(kind)[:, 0]
 
+    depth_ft = field("depth", "<f4")
+    possible = np.isfinite(depth_ft) & (depth_ft < _DEEPEST_FT)
     ms, first = field("ms", "<u4").astype(np.float64), field("unix", "<u4")[:1]
     known = len(first) and _SET_UNIX_S[0] < first[0] < _SET_UNIX_S[1]
     return pd.DataFrame(
         {
             "channel": field("channel", "<u2"),
-            "depth_m": field("depth", "<f4").astype(np.float64) * FOOT_M,
+            "depth_m": np.where(possible, depth_ft, np.float32(0.0)).astype(np.float64) * FOOT_M,
             "x": field("x", "<i4").astype(np.float64),
             "y": field("y", "<i4").astype(np.float64),
             "unix_s": float(first[0]) + ms * 1e-3 if known else np.nan,

@@ -193,7 +193,8 @@ def _positions(tables: dict[str, pd.DataFrame], report: IntegrityReport) -> pd.D
         cov = cov.reindex(table.index)
         for ours, theirs in (("east", "EE"), ("north", "NN"), ("up", "DD")):
             name = f"sigma_{ours}_m"
-            values[name] = np.sqrt(cov[f"posCov{theirs}"]).fillna(values[name])
+            variance = cov[f"posCov{theirs}"]
+            values[name] = np.sqrt(variance.where(variance > 0)).fillna(values[name])
         values |= {
             "cov_en_m2": cov["posCovNE"], "cov_eu_m2": -cov["posCovED"], "cov_nu_m2": -cov["posCovND"]
         }  # fmt: skip
