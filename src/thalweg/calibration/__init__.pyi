@@ -29,6 +29,7 @@ from .camera_files import (
     SUFFIX as SUFFIX,
     camera_of as camera_of,
     free_of_lens as free_of_lens,
+    guessed_lens as guessed_lens,
     interior_calibration as interior_calibration,
     nominal_camera as nominal_camera,
     read_camera as read_camera,
