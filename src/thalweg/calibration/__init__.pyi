@@ -69,7 +69,7 @@ from .echo_sounder import (
     EchoSettings as EchoSettings,
     estimate_echo_sounder as estimate_echo_sounder,
 )
-from .fixed_camera import resect_series as resect_series, starting_lens as starting_lens
+from .fixed_camera import Interior as Interior, resect_series as resect_series, starting_lens as starting_lens
 from .lens import (
     LensCalibration as LensCalibration,
     calibrate_lens as calibrate_lens,

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -20,7 +20,6 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from thalweg.calibration import calibrate_lens, corners_of_pictures, read_camera, read_corners, resect_series
-from thalweg.calibration.fixed_camera import Interior
 from thalweg.core import ArrayF, Camera, Model, ThalwegError, rotation_opk
 
 _AXES: Final = ("x", "y", "z")
@@ -107,7 +106,8 @@ def resections(first: int, n: int) -> None:
         k = len(squares)
         told = "| - | - | - |"
         if k:
-            low, high = chi2.ppf([0.0005, 0.9995], k) / k  # three coordinates of a place err together
+            # three coordinates of a place err together
+            low, high = (float(chi2.ppf(p, k)) / k for p in (0.0005, 0.9995))
             told = (
                 f"| {np.mean(squares):.2f} | {low:.2f} to {high:.2f} "
                 f"| {np.median(errors):.2f}, {np.median(sigmas):.2f} |"
@@ -153,7 +153,7 @@ def strasbourg(
 ) -> Iterator[tuple[str, Camera, pd.DataFrame, pd.DataFrame, dict[str, ArrayF], float]]:
     """Five aerial photographs and 16 surveyed points; places by DBAT's block."""
     folder = data / "dbat_sxb/script/sxb"
-    read = {"comment": "#", "header": None, "skipinitialspace": True}
+    read: dict[str, Any] = {"comment": "#", "header": None, "skipinitialspace": True}
     columns = ["point", "name", *_AXES, *(f"sigma_{a}_m" for a in _AXES)]
     points = pd.read_csv(folder / "reference/sxb-control.txt", names=columns, **read)
     marks = pd.read_csv(folder / "measurements/markpts.txt", names=["point", "image", "x_px", "y_px"], **read)
@@ -296,7 +296,7 @@ def halves(data: Path, splits: int) -> None:
     ):
         images = np.array(sorted(corners["image"].unique()))
         rng = np.random.default_rng(38)
-        apart = []
+        apart: list[ArrayF] = []
         while len(apart) < splits:
             half = corners["image"].isin(set(rng.permutation(images)[: len(images) // 2]))
             a, b = (
