@@ -19,7 +19,14 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from thalweg.calibration import calibrate_lens, corners_of_pictures, read_camera, read_corners, resect_series
+from thalweg.calibration import (
+    Interior,
+    calibrate_lens,
+    corners_of_pictures,
+    read_camera,
+    read_corners,
+    resect_series,
+)
 from thalweg.core import ArrayF, Camera, Model, ThalwegError, rotation_opk
 
 _AXES: Final = ("x", "y", "z")
