@@ -120,6 +120,13 @@ def _add_imports(commands: "argparse._SubParsersAction[argparse.ArgumentParser]"
         "--camera", type=Path, metavar="FILE", help="calibration, COLMAP or OpenCV file; else --free"
     )
     resect.add_argument(
+        "--interior",
+        choices=("auto", "free", "weighted", "fixed"),
+        default="auto",
+        help="interior orientation of --camera; auto: weighted by its covariance if it has one that the "
+        "marks do not contradict, else a guess (focal length 2 %%, ...) that is estimated with the poses",
+    )
+    resect.add_argument(
         "--free",
         type=lambda text: tuple(word.strip() for word in text.split(",") if word.strip()),
         default=(),
@@ -168,7 +175,7 @@ def _add_imports(commands: "argparse._SubParsersAction[argparse.ArgumentParser]"
     camera.add_argument(
         "file", type=Path, metavar="FILE", help="cameras.txt, YAML or JSON with a matrix, XML of Metashape"
     )
-    _add_sigmas(camera, "focal_px, centre_px, distortion")
+    _add_sigmas(camera, "focal_px, centre_px, distortion, or a coefficient: k2")
     camera.add_argument(
         "--camera", type=int, metavar="NUMBER", help="number of the camera, if the file holds several"
     )
@@ -259,16 +266,16 @@ def _size(text: str) -> tuple[int, int]:
 
 def _resect(options: argparse.Namespace) -> int:
     from thalweg.calibration import interior_calibration
+    from thalweg.core import global_test
     from thalweg.core.calibration import Source, write_calibration
     from thalweg.figures.images import fixed_camera_page, pose_history
-    from thalweg.images import resect_pictures, sigma0_band
-    from thalweg.settings.sections import ControlSettings
+    from thalweg.images import resect_pictures
+    from thalweg.settings.sections import ControlSettings, FixedCamera
 
     beside = options.out.with_name(f"{options.out.stem}_residuals.csv")
     page, title = options.out.with_suffix(".html"), f"Pictures of a fixed camera: {options.out.stem}"
-    written = [options.out, beside, page]
-    if options.free:
-        written.append(options.out.with_name(f"{options.out.stem}_camera.yaml"))
+    lens = options.out.with_name(f"{options.out.stem}_camera.yaml")
+    written = [options.out, beside, page, lens]
     if not options.force:
         _not_there(*written, cure="Choose another name, or overwrite with --force")
     poses, residuals, facts, camera = resect_pictures(
@@ -277,7 +284,7 @@ def _resect(options: argparse.Namespace) -> int:
         options.camera,
         crs=options.crs,
         control=ControlSettings(sigma_px=options.sigma_px, sigma_m=(options.sigma_point,) * 3),
-        largest_sigma_m=options.largest_sigma,
+        settings=FixedCamera(largest_sigma_m=options.largest_sigma, interior=options.interior),
         free=options.free,
         size_px=options.size,
         photograph=options.photograph,
@@ -297,22 +304,24 @@ def _resect(options: argparse.Namespace) -> int:
             print(f"{row['image']}: no pose: {row['refused']}")
             continue
         worst = max(row["sigma_x_m"], row["sigma_y_m"], row["sigma_z_m"])
-        low, high = sigma0_band(row["redundancy"])
+        test = global_test(row["sigma0"], row["redundancy"])
         print(
             f"{row['image']}: {row['x_m']:.3f} {row['y_m']:.3f} {row['z_m']:.3f} m, sigma up to "
-            f"{worst:.3f} m, {row['points']} points, rms {row['rms_px']:.2f} px, sigma0 {row['sigma0']:.2f} "
-            f"({low:.2f} to {high:.2f} expected)"
+            f"{worst:.3f} m, {row['points']} points, rms {row['rms_px']:.2f} px, sigma0 {test.sigma0:.2f} "
+            f"({test.low:.2f} to {test.high:.2f} expected)"
         )
     for name, found in facts["lens"].items():
         print(f"{name:>4} {found['value']:12.6g} +- {found['sigma']:.2g}")
-    if options.free:
+    if facts["lens"]:
         source = Source(
             run=options.out.stem,
             method="resection with an unknown lens",
             observations=2 * int(poses["points"][poses["refused"] == ""].sum()),
             sigma0=float(poses["sigma0"].max()),
         )
-        write_calibration(written[-1], interior_calibration(camera, source))
+        write_calibration(lens, interior_calibration(camera, source))
+    else:
+        written.remove(lens)
     for note in facts["notes"]:
         print(f"note: {note}")
     print(f"{facts['with_pose']} of {facts['pictures']} pictures have a pose")
@@ -381,6 +390,8 @@ def _import_camera(options: argparse.Namespace) -> int:
         size_px=tuple(options.size_px) if options.size_px else None,
     )
     write_calibration(options.out, found)
+    if held := found.blocks[0].facts.get("held"):
+        print(f"held at their values, sigma zero: {', '.join(held)}; not so? --sigma {held[0]}=...")
     print(f"Wrote {options.out}. Look at it with: thalweg describe {options.out}")
     return 0
 

@@ -1,5 +1,7 @@
 """Poses of a fixed camera from control points: simulated with known errors, and a glacier's time lapse."""
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +29,7 @@ def test_errors_of_places_are_those_that_the_sigmas_state() -> None:
     """24 pictures with points far from the origin, normal errors of image points and of control points."""
     rng = np.random.default_rng(11)
     R = Rotation.from_euler("x", -100, degrees=True).as_matrix()  # looks north, slightly down
-    true_m, squares = np.array([500_000.0, 5_600_000.0, 320.0]), []
+    true_m, squares, contradicted = np.array([500_000.0, 5_600_000.0, 320.0]), [], 0
     local = np.column_stack([rng.uniform(-25, 25, 9), rng.uniform(60, 120, 9), rng.uniform(-25, 5, 9)])
     for seed in range(24):
         moved = local + rng.normal(0, 0.02, local.shape)
@@ -35,11 +37,19 @@ def test_errors_of_places_are_those_that_the_sigmas_state() -> None:
         names = [f"P{i}" for i in range(9)]
         marks = pd.DataFrame({"image": f"{seed}", "point": names, "x_px": xy[:, 0], "y_px": xy[:, 1]})
         points = pd.DataFrame({"point": names, **dict(zip("xyz", (local + true_m).T, strict=True))})
-        poses, _, _ = resect_series(CAMERA, marks, points, sigma_px=0.8, sigma_point_m=0.02)
+        try:
+            poses, *_ = resect_series(
+                CAMERA, marks, points, sigma_px=0.8, sigma_point_m=0.02, interior="fixed"
+            )
+        except GeometryError:
+            contradicted += 1
+            continue
         row = poses.iloc[0]
         assert row.refused == ""
         error = row[["x_m", "y_m", "z_m"]].to_numpy(float) - true_m
         squares.append((error / row[["sigma_x_m", "sigma_y_m", "sigma_z_m"]].to_numpy(float)) ** 2)
+    # one of a thousand right lenses is doubted by chance
+    assert contradicted <= 1
     low, high = chi2.ppf([0.001, 0.999], len(squares)) / len(squares)
     assert (low < np.mean(squares, axis=0)).all()
     assert (np.mean(squares, axis=0) < high).all()
@@ -60,8 +70,12 @@ def test_a_glacier_camera(
     rms_px: tuple[float, float],
     data_dir: Path,
     tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Four points in a picture give the published centre; three are refused."""
+    """Four points in a picture give the published centre; three are refused.
+
+    The file states no sigma: four points leave a lens that may err by 2 % open, and its places uncertain.
+    """
     folder = data_dir / "icepy4d_belvedere" / "assets"
     world = pd.read_csv(folder / "targets" / "target_world.csv")
     world.columns = ["point", "x", "y", "z"]
@@ -73,7 +87,19 @@ def test_a_glacier_camera(
     marks.to_csv(tmp_path / "marks.csv", index=False)
     words = ["resect", *(str(tmp_path / name) for name in ("marks.csv",)), "--sigma-px", "5"]
     files = ["--points", str(tmp_path / "points.csv"), "--camera", str(folder / f"calib/{camera}.txt")]
-    assert main([*words, *files, "--sigma-point", "0.02", "-o", str(tmp_path / "poses.csv")]) == 0
+    words += [*files, "--sigma-point", "0.02", "-o", str(tmp_path / "poses.csv")]
+    assert main([*words, "--largest-sigma", "20"]) == 0
+    poses = pd.read_csv(tmp_path / "poses.csv").dropna(subset="x_m")
+    place, sigma = (poses[[f"{s}{a}_m" for a in "xyz"]].to_numpy() for s in ("", "sigma_"))
+    assert (np.abs(place - np.array(centre_m)) < 2 * sigma).all()
+    assert sigma.max() > 3.0
+    assert "states no standard deviations: it counts as a guess" in capsys.readouterr().out
+    assert main([*words, "--force", "--interior", "weighted"]) == 2
+    assert (
+        "states no standard deviations; expected a calibration with a covariance" in capsys.readouterr().err
+    )
+    assert main([*words, "--force", "--interior", "fixed"]) == 0
+    assert re.search(r"1 % longer would move the place of IMG_\d+ by \d", capsys.readouterr().out)
     poses = pd.read_csv(tmp_path / "poses.csv")
     n = marks.groupby("image").size()
     three = poses["image"].map(n) < 4
@@ -125,7 +151,7 @@ def test_a_camera_that_stays_and_one_that_moved() -> None:
             xy = CAMERA.project((local - at) @ R) + rng.normal(0, 0.5, (10, 2))
             tables.append(pd.DataFrame({"image": f"{k}", "point": names, "x_px": xy[:, 0], "y_px": xy[:, 1]}))
         points = pd.DataFrame({"point": names, **dict(zip("xyz", surveyed.T, strict=True))})
-        poses, _, _ = resect_series(CAMERA, pd.concat(tables), points, sigma_px=0.5, sigma_point_m=0.1)
+        poses, *_ = resect_series(CAMERA, pd.concat(tables), points, sigma_px=0.5, sigma_point_m=0.1)
         assert (poses["sigma_x_m"] > 1.5 * poses["sigma_change_x_m"]).all()
         return history_facts(poses)
 
@@ -150,7 +176,7 @@ def test_check_points_take_no_part() -> None:
     points = pd.DataFrame(
         {"point": names, **dict(zip("xyz", local.T, strict=True)), "check": [False] * 7 + [True]}
     )
-    poses, residuals, _ = resect_series(CAMERA, marks, points)
+    poses, residuals, *_ = resect_series(CAMERA, marks, points)
     assert poses["points"][0] == 7
     assert poses["rms_px"][0] < 1e-3
     assert poses["check_rms_px"][0] == pytest.approx(30.0, abs=0.01)
@@ -184,7 +210,7 @@ def test_poses_and_residuals_of_two_pictures() -> None:
         {"point": names, **dict(zip("xyz", (local + np.array([100.0, 200.0, 30.0])).T, strict=True))}
     )
     unknown = marks[:1].assign(point="nowhere")
-    poses, residuals, _ = resect_series(CAMERA, pd.concat([marks, wrong, few, unknown]), points)
+    poses, residuals, *_ = resect_series(CAMERA, pd.concat([marks, wrong, few, unknown]), points)
     assert poses["image"].tolist() == ["a", "b", "c"]
     assert poses["points"].tolist() == [8, 7, 3]
     assert poses["refused"].tolist()[:2] == ["", ""]
@@ -224,7 +250,7 @@ def test_an_unknown_focal_length_errs_as_its_sigma_states() -> None:
         true, marks, points = hillside(seed, noise_px=5.0)
         near = 1.05 * true.parameters[0]
         start = starting_lens(marks, points, true.size_px, free=["focal", "k1"], focal_px=near, sigma_px=5.0)
-        _, _, lens = resect_series(start, marks, points, sigma_px=5.0, free=["focal", "k1"])
+        _, _, lens, _ = resect_series(start, marks, points, sigma_px=5.0, free=["focal", "k1"])
         assert lens.parameters[0] == lens.parameters[1]
         squares.append((lens.parameters[0] - true.parameters[0]) ** 2 / lens.cov[0, 0])
         assert np.sqrt(lens.cov[0, 0]) < 0.02 * lens.parameters[0]
@@ -265,3 +291,65 @@ def test_a_photograph_without_a_camera_file_in_a_national_grid(tmp_path: Path, c
     assert main(words) == 2
     assert "exists already" in capsys.readouterr().err
     assert main([*words, "--force"]) == 0
+
+
+def without_sigma(true: Camera, share: float) -> Camera:
+    """Another program's camera: a focal length that is wrong by a share, the middle, no distortion."""
+    f = (1 + share) * true.parameters[0]
+    return replace(true, parameters=np.array([f, f, 2000.0, 1500.0, 0, 0, 0, 0, 0]))
+
+
+def test_a_camera_without_sigmas_is_a_guess() -> None:
+    """1 to 3 % off: squares of the centre's errors over its variances; held as exact they were thousands."""
+    squares = []
+    rng = np.random.default_rng(20261128)
+    for seed in range(400, 412):
+        true, marks, points = hillside(seed, noise_px=1.0, n=10)
+        camera = without_sigma(true, rng.choice([-1, 1]) * rng.uniform(0.01, 0.03))
+        poses, _, lens, notes = resect_series(camera, marks, points, largest_sigma_m=50)
+        assert notes[0].startswith("The interior orientation of camera states no standard deviations")
+        row = poses.iloc[0]
+        place, sigma = (row[[f"{s}{a}_m" for a in "xyz"]].to_numpy(float) for s in ("", "sigma_"))
+        squares.append((place / sigma) ** 2)
+        assert abs(lens.parameters[0] - true.parameters[0]) < 4 * np.sqrt(lens.cov[0, 0])
+    # three coordinates of one place are no three values
+    low, high = chi2.ppf([0.001, 0.999], len(squares)) / len(squares)
+    assert low < np.mean(squares) < high
+
+
+@pytest.mark.parametrize(("noise_px", "sigma_px"), [(1.0, 1.0), (0.5, 5.0), (1.0, 0.2)])
+def test_marks_contradict_an_interior_orientation_whatever_sigma_they_state(
+    noise_px: float, sigma_px: float
+) -> None:
+    """With a sigma of marks of 5 px, ten times too large, sigma0 looks innocent."""
+    true, marks, points = hillside(413, noise_px=noise_px)
+    camera = without_sigma(true, 0.03)
+    stated = replace(camera, cov=np.diag(np.square([1.0, 1.0, 1.0, 1.0, *[1e-4] * 5])))
+    for given, interior in ((camera, "fixed"), (stated, "weighted")):
+        with pytest.raises(
+            GeometryError, match=r"contradict the interior orientation of camera .* they want fx"
+        ):
+            resect_series(given, marks, points, sigma_px=sigma_px, interior=interior)
+    poses, _, lens, notes = resect_series(stated, marks, points, sigma_px=sigma_px)
+    assert notes[0].startswith("The marks contradict the interior orientation of camera")
+    row = poses.iloc[0]
+    assert np.linalg.norm(row[["x_m", "y_m", "z_m"]].to_numpy(float)) < 3 * row.sigma_y_m
+    assert lens.parameters[0] == pytest.approx(true.parameters[0], rel=0.01)
+    # the right lens is believed
+    right = replace(true, cov=stated.cov)
+    assert resect_series(right, marks, points, sigma_px=sigma_px, interior="weighted")[0]["refused"][0] == ""
+
+
+def test_marks_that_err_more_than_stated_make_the_sigmas_larger() -> None:
+    """By sigma0, all but the part of the lens; too large sigmas are told and kept."""
+    true, marks, points = hillside(414, noise_px=2.0)
+    sigma, notes = {}, {}
+    for stated in (0.5, 2.0, 20.0):
+        poses, _, _, notes[stated] = resect_series(
+            true, marks, points, sigma_px=stated, interior="fixed", largest_sigma_m=50
+        )
+        sigma[stated] = poses["sigma_y_m"][0]
+    assert sigma[0.5] == pytest.approx(sigma[2.0], rel=0.2)
+    assert sigma[20.0] == pytest.approx(10 * sigma[2.0], rel=0.1)
+    assert ["Global test" in " ".join(notes[s]) for s in (0.5, 2.0, 20.0)] == [True, False, True]
+    assert "err less than stated" in " ".join(notes[20.0])

@@ -13,7 +13,7 @@ from thalweg.calibration.field import Layout, Problem, State, measure_field, net
 from thalweg.calibration.field.bundle import Bar
 from thalweg.calibration.field.description import ScaleBar
 from thalweg.calibration.field.network import _frame, _scaled
-from thalweg.core import ArrayF, Camera, GeometryError, Rigid, rotation_opk
+from thalweg.core import ArrayF, Camera, GeometryError, GlobalTest, Rigid, rotation_opk
 
 # ---------------------------------------------------------------- the frame
 
@@ -230,7 +230,7 @@ def test_tables_of_a_network_by_hand() -> None:
         redundancy=5.0,
         sigma0_squared=1.44,
         group_sigma0={"scale bars": 0.7},
-        global_test=lambda: (0.25, 2.25),
+        global_test=lambda: GlobalTest(sigma0=1.2, low=0.5, high=1.5),
     )
     rejected = [("image", "z.jpg", "r"), ("mark", "m", "s"), ("mark", "n", "t")]
     scale = SimpleNamespace(sigma=3e-5, used=np.array([True, False, True]))

@@ -15,6 +15,7 @@ from thalweg.core import (
     adjust,
     check_rank,
     exp_rotation,
+    global_test,
     normal_equations,
     prior,
 )
@@ -156,8 +157,8 @@ def test_a_circle_from_points_with_errors(rng: np.random.Generator) -> None:
     error = found.x - [3.0, -2.0, 5.0]
     # three degrees of freedom; 16.3 is the quantile of 99.9 %
     assert error @ np.linalg.solve(found.cov, error) < 16.3
-    low, high = found.global_test(0.001)
-    assert low < found.sigma0_squared < high
+    test = found.global_test(0.001)
+    assert test.low < test.sigma0 < test.high
 
 
 # ---------------------------------------------------------------- covariance over seeds
@@ -381,10 +382,24 @@ def test_the_band_of_the_global_test_is_that_of_the_table() -> None:
         "values",
         lambda x: Linear(residual=x[0] - np.zeros(11), jacobian=np.ones((11, 1)), cov=np.ones((11, 1, 1))),
     )
-    low, high = adjust([ones], np.zeros(1), ["x"]).global_test()
-    assert (low, high) == pytest.approx((0.3247, 2.0483), abs=1e-4)
-    low, high = adjust([ones], np.zeros(1), ["x"]).global_test(level=0.01)
-    assert (low, high) == pytest.approx((0.2156, 2.5188), abs=1e-4)
+    test = adjust([ones], np.zeros(1), ["x"]).global_test()
+    assert (test.low**2, test.high**2) == pytest.approx((0.3247, 2.0483), abs=1e-4)
+    test = adjust([ones], np.zeros(1), ["x"]).global_test(level=0.01)
+    assert (test.low**2, test.high**2) == pytest.approx((0.2156, 2.5188), abs=1e-4)
+
+
+def test_the_global_test_scales_what_is_too_small_and_warns_on_both_sides() -> None:
+    """Ten degrees of freedom: 0.3247 and 2.0483 of the square, by table."""
+    too_small, right, too_large = (global_test(sigma0, 10) for sigma0 in (1.5, 1.4, 0.5))
+    assert [t.factor for t in (too_small, right, too_large)] == [1.5, 1.0, 1.0]
+    assert right.note("marks") == ""
+    assert too_small.note("marks") == (
+        "Global test failed (sigma0 1.50, 0.57 to 1.43 expected): marks err more than stated; standard "
+        "deviations are multiplied by 1.50"
+    )
+    assert "marks err less than stated" in too_large.note("marks")
+    # nothing left over tells nothing
+    assert (global_test(0.0, 0).factor, global_test(7.0, 0).note("marks")) == (1.0, "")
 
 
 def test_huber_weights_by_hand() -> None:

@@ -285,6 +285,35 @@ def test_cameras_come_in_with_the_sigmas_that_are_stated(tmp_path):
         import_camera(tmp_path / "cam.json", {"focal_px": 1.0}, kind="opencv")
 
 
+def test_a_sigma_that_is_asked_for_is_never_dropped(tmp_path, capsys):
+    """Zeros of a lens that nobody calibrated err as stated; those beside a calibrated one when named."""
+    bare = np.array([3700.0, 3700.0, 2300.0, 1720.0, 0, 0, 0, 0, 0])
+    radial = bare + np.array([0, 0, 0, 0, -0.1, 0, 0, 0, 0])
+    expected = {
+        "bare": ([0.1, 0.1, 0.0, 0.0, 0.1], {"distortion": 0.1}),
+        "radial": ([0.1, 0.0, 0.0, 0.0, 0.0], {"distortion": 0.1}),
+        "named": ([0.1, 0.02, 0.003, 0.0, 0.0], {"distortion": 0.1, "k2": 0.02, "p1": 0.003}),
+    }
+    for name, (sigmas, stated) in expected.items():
+        values = bare if name == "bare" else radial
+        camera = Camera(model="perspective", size_px=(4592, 3448), parameters=values)
+        write_opencv(tmp_path / f"{name}.json", camera)
+        found = import_camera(
+            tmp_path / f"{name}.json", {"focal_px": 9.0, "centre_px": 5.0, **stated}, kind="opencv"
+        )
+        np.testing.assert_allclose(found.sigmas, [9.0, 9.0, 5.0, 5.0, *sigmas])
+        held = [n for n, s in zip(("k1", "k2", "p1", "p2", "k3"), sigmas, strict=True) if s == 0]
+        assert found.blocks[0].facts["held"] == held
+    words = ["import-camera", str(tmp_path / "bare.json"), str(tmp_path / "out.yaml")]
+    words += ["--sigma", "focal_px=9", "--sigma", "centre_px=5"]
+    assert main(words) == 2
+    assert "no sigma distortion" in capsys.readouterr().err
+    assert main([*words, "--sigma", "k4=0.1", "--sigma", "distortion=0.1"]) == 2
+    assert "a sigma of k4, which a perspective camera does not have" in capsys.readouterr().err
+    assert main([*words, "--sigma", "distortion=0.1"]) == 0
+    assert "held at their values, sigma zero: p1, p2" in capsys.readouterr().out
+
+
 def test_describe_says_what_a_foreign_file_does_not(chain, tmp_path):
     report = describe(chain)
     assert report.stream == "calibration"

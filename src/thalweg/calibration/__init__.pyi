@@ -29,6 +29,7 @@ from .camera_files import (
     SUFFIX as SUFFIX,
     camera_of as camera_of,
     free_of_lens as free_of_lens,
+    guessed_lens as guessed_lens,
     interior_calibration as interior_calibration,
     nominal_camera as nominal_camera,
     read_camera as read_camera,
@@ -68,7 +69,7 @@ from .echo_sounder import (
     EchoSettings as EchoSettings,
     estimate_echo_sounder as estimate_echo_sounder,
 )
-from .fixed_camera import resect_series as resect_series, starting_lens as starting_lens
+from .fixed_camera import Interior as Interior, resect_series as resect_series, starting_lens as starting_lens
 from .lens import (
     LensCalibration as LensCalibration,
     calibrate_lens as calibrate_lens,

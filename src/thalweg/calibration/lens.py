@@ -5,11 +5,13 @@ plane is found from ``d x (H [X, Y, 1]) = 0``, which holds for rays beyond 90 de
 length whose rays fit best starts the adjustment. The noise of the corners is estimated, gross errors are
 rejected by name.
 
-A board that is not flat, or printed unevenly, errs alike in all corners of a picture: residuals are small and
-the lens is worse than they say. What the pictures say of each other tells. Without picture ``p`` the lens
-moves by ``d_p = (N - N_p)^-1 g_p`` (``N_p``, ``g_p``: its normal equations without its pose); noise of single
-corners would make ``sum d_p' N d_p`` as large as ``sum tr(N (N - N_p)^-1 - I)``. By their quotient the
-covariance is enlarged, where it is above one (delete-one jackknife, Efron 1982, in one step).
+A board that is not flat, blur and motion err alike in all corners of a picture: residuals are small and the
+lens is worse than they say. What the pictures say of each other tells (block jackknife, Efron 1982, in one
+step). Without picture ``p`` the lens moves by ``d_p = (N - N_p)^-1 g_p`` (``N_p``, ``g_p``: its normal
+equations without its pose), and ``J = (n - 1) / n sum d_p d_p^T`` is the covariance of the lens, whatever
+errs in a picture. From few pictures it is uncertain, and singular from fewer than parameters; so it counts
+half, and ``N^-1`` times the geometric mean of the ratios of both variances, one at least, the other half
+(shrinkage, Ledoit and Wolf 2004). What errs alike in all pictures is not seen.
 """
 
 from collections.abc import Sequence
@@ -75,7 +77,8 @@ class LensCalibration:
     corners : image, column, row, x_px, y_px, ``vx_px, vy_px`` (observed minus computed), ``angle_deg`` from
         the axis, ``used``.
     sigma_px : noise of a coordinate of a corner, estimated from the residuals.
-    picture_factor : by which the variance of the lens is larger than that noise makes it, 1 at least.
+    picture_factor : by which the pictures make variances of the lens larger than that noise, their geometric
+        mean, 1 at least.
     rms_px : root mean square residual of the coordinates that were used.
     left_out : picture -> why it took no part.
     """
@@ -226,23 +229,16 @@ def calibrate_lens(
     found = _adjusted(camera, start, xy[rows], board[rows], number, _START_PX)
     scatter = _rms(found) * np.sqrt(found.used["corners"].sum() * 2 / found.redundancy)
     found = _adjusted(camera, found.x, xy[rows], board[rows], number, scatter)
-    k = len(camera.parameters)
-    factor = _picture_factor(camera, found, xy[rows], board[rows], number, scatter)
+    sigma = scatter * float(np.sqrt(found.sigma0_squared))
+    cov, factor = _by_pictures(camera, found, xy[rows], board[rows], number, sigma)
     table = corners[rows].reset_index(drop=True)
     v = found.residuals["corners"].reshape(-1, 2)
     ccs = _in_camera(found.x, board[rows], number)
     table["vx_px"], table["vy_px"] = v.T
     table["angle_deg"] = np.rad2deg(np.arctan2(np.hypot(ccs[:, 0], ccs[:, 1]), ccs[:, 2]))
     table["used"] = found.used["corners"]
-    sigma = scatter * float(np.sqrt(found.sigma0_squared))
     return LensCalibration(
-        camera=Camera(
-            model=model,
-            size_px=size_px,
-            parameters=found.x.parameters,
-            cov=found.cov[:k, :k] * found.sigma0_squared * factor,
-            name=name,
-        ),
+        camera=Camera(model=model, size_px=size_px, parameters=found.x.parameters, cov=cov, name=name),
         corners=table,
         sigma_px=sigma,
         picture_factor=factor,
@@ -339,32 +335,38 @@ def _adjusted(
     )
 
 
-def _picture_factor(
+def _by_pictures(
     camera: Camera, found: Adjusted[_State], xy: ArrayF, board: ArrayF, number: ArrayI, sigma_px: float
-) -> float:
-    """What the pictures say of each other over what the noise of corners lets expect, 1 at least."""
-    k = len(camera.parameters)
+) -> tuple[ArrayF, float]:
+    """Covariance (k, k) of the lens by what its pictures say of each other, and its factor over the noise.
+
+    Parameters
+    ----------
+    sigma_px : noise of a coordinate of a corner.
+    """
+    k, n = len(camera.parameters), len(found.x.t)
     equations = _corner_equations(camera, found.x, xy, board, number, sigma_px)
     used, of = np.repeat(found.used["corners"], 2), np.repeat(number, 2)
-    normals, sums = [], []
-    for p in range(len(found.x.t)):
-        J, v = equations.jacobian[used & (of == p)], equations.residual[used & (of == p)]
+    normals, sums = np.empty((n, k, k)), np.empty((n, k))
+    for p in range(n):
+        J, v = (part[used & (of == p)] / sigma_px for part in (equations.jacobian, equations.residual))
         by_lens, by_pose = J[:, :k], J[:, k + 6 * p : k + 6 * p + 6]
         free = by_lens - by_pose @ np.linalg.lstsq(by_pose, by_lens, rcond=None)[0]
-        normals.append(free.T @ free)
-        sums.append(free.T @ v)
-    N = np.sum(normals, axis=0)
+        normals[p], sums[p] = free.T @ free, free.T @ v
+    N = normals.sum(axis=0)
     scale = 1.0 / np.sqrt(np.diag(N))  # focal length and distortion have other units
-    scaled, moved, expected = scale[:, None] * N * scale, 0.0, 0.0
+    units = np.outer(scale, scale)
+    noise = np.linalg.inv(N * units)
+    moved = []
     for own, g in zip(normals, sums, strict=True):
-        rest = scaled - scale[:, None] * own * scale
-        if np.linalg.cond(rest) > _UNDETERMINED:
-            continue  # the lens rests on this picture: the others do not judge it
-        without = np.linalg.inv(rest)
-        d = without @ (scale * g)
-        moved += float(d @ scaled @ d)
-        expected += float(np.trace(scaled @ without)) - k
-    return max(1.0, moved / (sigma_px**2 * found.sigma0_squared * expected)) if expected > 0.0 else 1.0
+        rest = (N - own) * units
+        if np.linalg.cond(rest) < _UNDETERMINED:  # else the lens rests on this picture: nothing judges it
+            moved.append(np.linalg.solve(rest, scale * g))
+    if len(moved) < LEAST_PICTURES:
+        return noise * units, 1.0
+    jackknife = (n - 1) / len(moved) * np.transpose(moved) @ np.array(moved)
+    factor = max(1.0, float(np.exp(np.mean(np.log(np.diag(jackknife) / np.diag(noise))))))
+    return (jackknife + factor * noise) / 2 * units, factor
 
 
 def _start(

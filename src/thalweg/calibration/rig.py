@@ -310,7 +310,8 @@ class RigCalibration:
         the axis, azimuth_deg about it, used.
     exposures : file, base_m, axes_deg, length (of its contradiction to the others, in sigmas), used.
     rejected : what, name, reason.
-    sigma0, redundancy : of the relative orientations of all exposures.
+    sigma0, redundancy : of the relative orientations of all exposures; where the global test fails, the
+        covariance is multiplied by sigma0 squared.
     report : of the adjustment on the field.
     """
 
@@ -463,13 +464,15 @@ def calibrate_rig(
                 cure="Take the pictures again with a rig that is fixed, and marks that stay where they are",
             )
     k = len(PARAMETERS[settings.model])
+    # exposures that differ more than their sigmas say: the rig moves, or marks of an exposure err alike
+    cov_rig = found.global_test().factor ** 2 * found.cov
     cameras = {
         name: network.cameras[name].with_parameters(
-            found.x.parameters[i * k : (i + 1) * k], found.cov[i * k : (i + 1) * k, i * k : (i + 1) * k]
+            found.x.parameters[i * k : (i + 1) * k], cov_rig[i * k : (i + 1) * k, i * k : (i + 1) * k]
         )
         for i, name in enumerate(LENSES)
     }
-    T = found.x.T.with_cov(found.cov[2 * k :, 2 * k :])
+    T = found.x.T.with_cov(cov_rig[2 * k :, 2 * k :])
     if np.rad2deg(np.arccos(np.clip(T.R[2, 2], -1, 1))) < _OPPOSITE_DEG:
         raise GeometryError(
             f"both lenses look the same way within {np.rad2deg(np.arccos(T.R[2, 2])):.1f} degrees",
@@ -496,7 +499,7 @@ def calibrate_rig(
         if not ok
     ]
     return RigCalibration(
-        rig=Rig(cameras=cameras, T_back_front=T, settings=settings, cov=found.cov),
+        rig=Rig(cameras=cameras, T_back_front=T, settings=settings, cov=cov_rig),
         residuals=_residuals(network, marks, cameras, points),
         exposures=exposures,
         rejected=pd.concat([network.rejected, pd.DataFrame(lost)], ignore_index=True),

@@ -46,6 +46,7 @@ from thalweg.core import (
     attitude_axes,
     cross_matrix,
     exp_rotation,
+    global_test,
     utc_text_from_gps,
 )
 from thalweg.ingest import QUARTER_HOUR_S, explain_shift
@@ -618,8 +619,8 @@ def _result(
 ) -> CameraOffset:
     used = reason == ""
     n, state, model = int(used.sum()), fit.state, fit.model
-    low, high = (float(chi2.ppf(p, fit.redundancy)) / fit.redundancy for p in (_TAIL, 1 - _TAIL))
-    scale = fit.sigma0_squared if fit.sigma0_squared > high else 1.0
+    test = global_test(float(np.sqrt(fit.sigma0_squared)), fit.redundancy, level=2 * _TAIL)
+    low, high, scale = test.low**2, test.high**2, test.factor**2
     notes = []
     if scale > 1.0:
         notes.append(

@@ -32,11 +32,13 @@ __all__ = [
     "RANK_TOLERANCE",
     "REJECT_SIGMAS",
     "Adjusted",
+    "GlobalTest",
     "Linear",
     "Observations",
     "UnobservableError",
     "adjust",
     "condition",
+    "global_test",
     "prior",
 ]
 State = TypeVar("State")
@@ -132,10 +134,67 @@ class Adjusted(Generic[State]):
         at = [self.names.index(name) for name in names]
         return self.cov[np.ix_(at, at)]
 
-    def global_test(self, level: float = 0.05) -> tuple[float, float]:
-        """Two-sided band that holds ``sigma0_squared`` with probability ``1 - level`` if all is right."""
-        low, high = (float(chi2.ppf(p, self.redundancy)) for p in (level / 2, 1 - level / 2))
-        return low / self.redundancy, high / self.redundancy
+    def global_test(self, level: float = 0.05) -> "GlobalTest":
+        """Whether the residuals are as large as the stated sigmas let expect."""
+        return global_test(float(np.sqrt(self.sigma0_squared)), self.redundancy, level)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GlobalTest:
+    """Global test of an adjustment: sigma0 beside the band that holds it if all stated sigmas are right.
+
+    Parameters
+    ----------
+    sigma0 : root of the squared standardised residuals over the redundancy.
+    low, high : two-sided band of sigma0, by the chi-square distribution of its redundancy.
+    """
+
+    sigma0: float
+    low: float
+    high: float
+
+    @property
+    def factor(self) -> float:
+        """What standard deviations are to be multiplied with: sigma0 above its band, else 1.
+
+        Residuals below the band do not make them smaller: what errs alike in all observations leaves none.
+        """
+        return self.sigma0 if self.sigma0 > self.high else 1.0
+
+    def note(self, what: str) -> str:
+        """A sentence where the test fails, else "".
+
+        Parameters
+        ----------
+        what : what the sigmas are stated of, in the plural: "image and control points".
+        """
+        if self.low <= self.sigma0 <= self.high:
+            return ""
+        band = f"sigma0 {self.sigma0:.2f}, {self.low:.2f} to {self.high:.2f} expected"
+        if self.sigma0 > self.high:
+            return (
+                f"Global test failed ({band}): {what} err more than stated; standard deviations are "
+                f"multiplied by {self.sigma0:.2f}"
+            )
+        return (
+            f"Global test failed ({band}): {what} err less than stated, and standard deviations of the "
+            "results are too large by up to that factor"
+        )
+
+
+def global_test(sigma0: float, redundancy: float, level: float = 0.05) -> GlobalTest:
+    """Two-sided chi-square test of sigma0 at its redundancy (Koch 1999, sec. 4.2); it passes without any.
+
+    Parameters
+    ----------
+    sigma0 : root of the squared standardised residuals over the redundancy.
+    redundancy : above zero, or there is nothing to test.
+    level : probability by which right sigmas fail.
+    """
+    if not redundancy > 0:
+        return GlobalTest(sigma0=sigma0, low=0.0, high=np.inf)
+    low, high = (float(np.sqrt(chi2.ppf(p, redundancy) / redundancy)) for p in (level / 2, 1 - level / 2))
+    return GlobalTest(sigma0=sigma0, low=low, high=high)
 
 
 def adjust(

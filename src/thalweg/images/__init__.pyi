@@ -18,11 +18,7 @@ from .control import (
     sigmas as sigmas,
 )
 from .finished import judge_points as judge_points, place_files as place_files
-from .fixed_camera import (
-    resect_files as resect_files,
-    resect_pictures as resect_pictures,
-    sigma0_band as sigma0_band,
-)
+from .fixed_camera import resect_files as resect_files, resect_pictures as resect_pictures
 from .photographs import (
     PhotographBlock as PhotographBlock,
     orient_files as orient_files,

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from pyproj import CRS
-from scipy.stats import chi2
 
-from thalweg.calibration import nominal_camera, read_camera, resect_series, starting_lens
-from thalweg.core import WGS84, ArrayF, Camera, InputError
+from thalweg.calibration import guessed_lens, nominal_camera, read_camera, resect_series, starting_lens
+from thalweg.core import WGS84, Camera, InputError
 from thalweg.images.control import crs_of, frame_about, read_all_control_points, read_all_marks
 from thalweg.images.masks import size_of
 from thalweg.images.sfm import focal_from_exif
@@ -33,7 +32,7 @@ def resect_pictures(
     *,
     crs: str = LOCAL,
     control: ControlSettings | None = None,
-    largest_sigma_m: float = FixedCamera().largest_sigma_m,
+    settings: FixedCamera | None = None,
     free: Sequence[str] = (),
     size_px: tuple[int, int] | None = None,
     photograph: Path | None = None,
@@ -48,7 +47,7 @@ def resect_pictures(
         estimated, see `starting_lens`.
     crs : of coordinates ``x, y, z``; `LOCAL` for a frame of the surveyor's own. Results are in it, too.
     control : section ``images.control``; None: its defaults.
-    largest_sigma_m : a place that is known worse is refused.
+    settings : section ``images.fixed_camera``; None: its defaults.
     free : what to estimate of the lens, as of `free_of_lens`.
     size_px, photograph : of a camera without a file: width and height, or a photograph that tells them and by
         EXIF the focal length to begin with; None: the pictures themselves, if they lie beside their marks.
@@ -69,7 +68,7 @@ def resect_pictures(
             expected="a file of the camera, or what is to be estimated of it",
             cure="Name one with --camera, or estimate it from the points with --free focal or focal,k1",
         )
-    section = control or ControlSettings()
+    section, settings = control or ControlSettings(), settings or FixedCamera()
     frame = frame_about(control_points, crs=crs)
     grid = None if crs == LOCAL else crs_of(crs, control_points[0])
     if grid is not None and not grid.is_projected:
@@ -105,14 +104,26 @@ def resect_pictures(
         )
     else:
         start = read_camera(camera)
-    poses, residuals, lens = resect_series(
-        start, table, known, sigma_px=section.sigma_px, largest_sigma_m=largest_sigma_m, free=free
+    poses, residuals, lens, told = resect_series(
+        start,
+        table,
+        known,
+        sigma_px=section.sigma_px,
+        largest_sigma_m=settings.largest_sigma_m,
+        interior=settings.interior,
+        free=free,
     )
+    notes += told
     if "x_m" not in poses:
         raise InputError(
             f"none of {len(poses)} pictures has a pose: {poses['refused'].iloc[0]}",
             expected="four control points in a picture, which are not near a line",
-            cure="Measure more points; a larger images.fixed_camera.largest_sigma_m lets weak poses pass",
+            cure=". ".join(
+                [
+                    *told,
+                    "Measure more points; a larger images.fixed_camera.largest_sigma_m lets weak poses pass",
+                ]
+            ),
         )
     if grid is not None:
         rows = poses["x_m"].notna()
@@ -127,14 +138,13 @@ def resect_pictures(
     strange = int((~table["point"].isin(points.names)).sum())
     if strange:
         notes.append(f"{strange} marks show points without coordinates: left out")
-    notes += global_test_notes(poses)
     facts = {"crs": crs, "notes": notes, "lens": {}}
-    if free:
-        before, after = (np.sqrt(np.diag(c.cov)) for c in (start, lens))
+    if free or not np.array_equal(lens.parameters, start.parameters):
+        guess, found = (np.sqrt(np.diag(c.cov)) for c in (guessed_lens(start, free), lens))
         facts["lens"] = {
-            name: {"value": float(lens.parameters[k]), "sigma": float(after[k])}
+            name: {"value": float(lens.parameters[k]), "sigma": float(found[k])}
             for k, name in enumerate(lens.parameter_names)
-            if after[k] > 0 and (before[k] == 0 or after[k] < _TOLD * before[k])
+            if found[k] > 0 and (guess[k] == 0 or found[k] < _TOLD * guess[k])
         }
     return poses, residuals, facts | history_facts(poses), lens
 
@@ -166,36 +176,6 @@ def _size_and_focal(
     # points may have been measured in pictures of another size than this one
     scaled = nominal_camera(photograph.name, "perspective", size, focal_px or max(size)).scaled(size_px)
     return size_px, float(scaled.parameters[0]) if focal_px else None
-
-
-def global_test_notes(poses: pd.DataFrame) -> list[str]:
-    """Sentences about the global test: whether residuals are as large as stated sigmas let expect.
-
-    Parameters
-    ----------
-    poses : of `resect_series`.
-    """
-    good = poses[(poses["refused"] == "") & (poses["redundancy"] > 0)]
-    low, high = sigma0_band(good["redundancy"].to_numpy(np.float64))
-    notes = []
-    for rows, than, so in (
-        (good["sigma0"] > high, "more", "too small"),
-        (good["sigma0"] < low, "less", "too large"),
-    ):
-        if rows.any():
-            notes.append(
-                f"Global test failed in {int(rows.sum())} of {len(good)} pictures: sigma0 "
-                f"{good.loc[rows, 'sigma0'].median():.2f}, {low[rows].min():.2f} to {high[rows].max():.2f} "
-                f"expected: image or control points err {than} than stated (--sigma-px, --sigma-point), and "
-                f"standard deviations of the results are {so} by about that factor"
-            )
-    return notes
-
-
-def sigma0_band(redundancy: ArrayF) -> tuple[ArrayF, ArrayF]:
-    """Values between which sigma0 lies with 95 %, if all sigmas are right."""
-    low, high = (np.sqrt(chi2.ppf(p, redundancy) / redundancy) for p in (0.025, 0.975))
-    return low, high
 
 
 def history_facts(poses: pd.DataFrame) -> dict[str, Any]:
@@ -248,17 +228,17 @@ def resect_files(
     facts: Path,
     campaign: dict[str, Any],
     control: ControlSettings,
-    largest_sigma_m: float,
+    settings: FixedCamera,
 ) -> None:
     """The pictures of a fixed camera of a campaign -> tables of poses and residuals, and facts.
 
     Parameters
     ----------
     campaign : ``crs``.
-    control : section ``images.control``.
+    control, settings : sections ``images.control`` and ``images.fixed_camera``.
     """
     found, left, told, _ = resect_pictures(
-        marks, control_points, interior, crs=campaign["crs"], control=control, largest_sigma_m=largest_sigma_m
+        marks, control_points, interior, crs=campaign["crs"], control=control, settings=settings
     )
     found.to_csv(poses, index=False)
     left.to_csv(residuals, index=False, float_format="%.3f")

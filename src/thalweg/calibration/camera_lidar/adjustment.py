@@ -944,7 +944,7 @@ def report(result: "CameraLidar", nominal: Rigid) -> dict[str, Any]:
     T = result.T_ccs_scs
     s = np.sqrt(np.diag(T.cov))
     back = T.error_from(nominal)
-    low, high = result.adjusted.global_test()
+    test = result.adjusted.global_test()
     return {
         "lever_ccs_scs_m": T.shift_m.tolist(),
         "lever_length_m": float(np.linalg.norm(T.shift_m)),
@@ -958,8 +958,8 @@ def report(result: "CameraLidar", nominal: Rigid) -> dict[str, Any]:
         },
         "unknowns": len(result.adjusted.names),
         "iterations": result.adjusted.n_iterations,
-        "sigma0": float(np.sqrt(result.adjusted.sigma0_squared)),
-        "sigma0_band": [float(np.sqrt(low)), float(np.sqrt(high))],
+        "sigma0": test.sigma0,
+        "sigma0_band": [test.low, test.high],
         "group_sigma0": result.group_sigma0,
         "lidar_sigma_factor": float(np.sqrt(result.variance_factor)),
         "points": int(result.residuals["points"].sum()),

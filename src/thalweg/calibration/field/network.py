@@ -352,7 +352,7 @@ def network_of(
     )
     cov_points = _symmetric(cov[layout.points :, layout.points :])
     sigma = np.sqrt(np.maximum(np.diag(cov_points), 0.0)).reshape(-1, 3)
-    low, high = adjusted.global_test()
+    test = adjusted.global_test()
     report: dict[str, Any] = {
         "images": len(block.images),
         "points": len(block.points),
@@ -361,8 +361,8 @@ def network_of(
         "marks_rejected": int((~used).sum()),
         "unknowns": len(adjusted.names),
         "redundancy": adjusted.redundancy,
-        "sigma0": float(np.sqrt(adjusted.sigma0_squared)),
-        "sigma0_band": [float(np.sqrt(low)), float(np.sqrt(high))],
+        "sigma0": test.sigma0,
+        "sigma0_band": [test.low, test.high],
         "mark_rms_px": root_mean_square(v[used]),
         "mark_sigma_px": root_mean_square(block.sigma_px[used]),
         "object_sigma_mean_mm": float(np.sqrt(np.square(sigma).mean()) * 1000.0),

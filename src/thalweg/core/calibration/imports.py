@@ -14,7 +14,7 @@ these files states how well it is known, so whoever imports one must say it.
 """
 
 from collections.abc import Callable, Mapping, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -52,6 +52,7 @@ cosine of the angle from the axis (Mei and Rives 2007; Khomutenko et al. 2016; U
 _CLOSE_PX: Final = 0.02
 """A model by a sphere must become a fisheye within so much."""
 
+COEFFICIENTS: Final = tuple(dict.fromkeys(name for names in PARAMETERS.values() for name in names[4:]))
 SIGMAS: Final = {
     "angle_deg": "rotations about each axis, degrees",
     "lever_m": "coordinates of the lever arm, metres",
@@ -59,8 +60,9 @@ SIGMAS: Final = {
     "centre_px": "principal point, pixels",
     "distortion": "each distortion coefficient",
     "time_s": "offset of the camera's clock, seconds",
+    **{name: f"the distortion coefficient {name}" for name in COEFFICIENTS},
 }
-"""Standard deviations that an import may need."""
+"""Standard deviations that an import may need; of a coefficient by its name instead of ``distortion``."""
 
 ORTHOGONAL: Final = 1e-4
 """Rotation matrices are written with five digits or more (CloudCompare has six and more)."""
@@ -268,13 +270,14 @@ def import_camera(
 ) -> Calibration:
     """Interior orientation of a file of COLMAP, OpenCV or ROS with stated standard deviations, uncorrelated.
 
-    Distortion coefficients that are exactly zero are no part of the model that was calibrated: their sigma
-    is zero.
+    Coefficients that are exactly zero beside others are no part of the model that was calibrated: the sigma
+    of ``distortion`` is not theirs. Where all are zero nobody calibrated any, and it is that of the radial
+    ones. A sigma by the name of a parameter always counts. The facts of the block name what is ``held``.
 
     Parameters
     ----------
     path : ``cameras.txt``, or YAML or JSON of OpenCV or ROS.
-    sigmas : ``focal_px``, ``centre_px``, ``distortion``.
+    sigmas : ``focal_px``, ``centre_px``, ``distortion``, or names of parameters.
     kind : ``colmap``, ``opencv`` or ``metashape_lens``.
     number : of the camera, where COLMAP has several.
     model, size_px : where a file of OpenCV does not say them.
@@ -289,9 +292,14 @@ def import_camera(
         camera = _one_camera(read_colmap(path), number, path)
     else:
         camera = read_opencv(path, model, size_px) if kind == "opencv" else read_metashape(path)
-    values = zip(camera.parameter_names[4:], camera.parameters[4:], strict=True)
-    held = {quantity for quantity, value in values if value == 0.0}
-    part = _interior(f"{name}_interior", camera, sigmas, path, held)
+    coefficients = dict(zip(camera.parameter_names[4:], camera.parameters[4:], strict=True))
+    calibrated = {name for name, value in coefficients.items() if value != 0.0}
+    held = set(coefficients) - (calibrated or {name for name in coefficients if name.startswith("k")})
+    block, cov = _interior(f"{name}_interior", camera, sigmas, path, held)
+    left = [
+        n for n, variance in zip(block.quantities, np.diag(cov), strict=True) if n in held and variance == 0
+    ]
+    part = (replace(block, facts={**block.facts, "held": left}) if left else block, cov)
     words = {"colmap": "COLMAP", "opencv": "OpenCV", "metashape_lens": "Metashape"}[kind]
     return _joined([part], title=f"{words}: {path.name}", run=path.stem, method=f"{words}, sigmas as stated")
 
@@ -312,11 +320,19 @@ def _one_camera(cameras: Mapping[int, Camera], number: int | None, path: Path) -
 def _interior(
     name: str, camera: Camera, sigmas: Mapping[str, float], path: Path, held: Set[str]
 ) -> tuple[Block, ArrayF]:
-    """Block and covariance; parameters that are ``held`` have no error."""
+    """Block and covariance; parameters that are ``held`` have no error unless one is stated by their name."""
     names = PARAMETERS[camera.model]
+    if strange := [key for key in sigmas if key in COEFFICIENTS and key not in names]:
+        raise InputError(
+            f"a sigma of {strange[0]}, which a {camera.model} camera does not have",
+            where=path,
+            expected=f"one of {', '.join(names)}",
+        )
     keys = ["focal_px", "focal_px", "centre_px", "centre_px", *["distortion"] * (len(names) - 4)]
-    pairs = zip(names, keys, strict=True)
-    sigma = np.array([0.0 if quantity in held else _sigma(sigmas, key, path) for quantity, key in pairs])
+    stated = [(name, name if name in sigmas else key) for name, key in zip(names, keys, strict=True)]
+    sigma = np.array(
+        [0.0 if name in held and key != name else _sigma(sigmas, key, path) for name, key in stated]
+    )
     block = Block(
         name=name,
         quantities=names,

@@ -18,6 +18,7 @@ from thalweg.core import (
     Rigid,
     ThalwegError,
     cross_matrix,
+    global_test,
     opk_of,
     rotation_z,
 )
@@ -163,8 +164,9 @@ def camera_over_window(
     by_points = by_pose @ resected.by_points + by_window
     by_lens = by_pose @ resected.by_interior
     Q = nominal.camera.cov
+    scatter = global_test(resected.sigma0, resected.redundancy).factor
     cov = (
-        by_pose @ resected.cov_marks @ by_pose.T
+        scatter**2 * by_pose @ resected.cov_marks @ by_pose.T
         + by_points @ points.cov @ by_points.T
         + by_lens @ Q @ by_lens.T
     )

@@ -22,7 +22,6 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
-from scipy.stats import chi2
 
 from thalweg.calibration.field import LARGEST_SIGMA0, FieldPoints, resect
 from thalweg.clocks import read_number_columns, read_text_columns
@@ -35,6 +34,7 @@ from thalweg.core import (
     Rigid,
     Trajectory,
     cross_matrix,
+    global_test,
 )
 from thalweg.lightsheet.optics import Sensor, point_derivatives, project, sheet_in_water
 from thalweg.lightsheet.poses.poses import M_PER_MM, SensorPoses, by_pose, compressed, factor
@@ -385,7 +385,5 @@ def _refuse_misfits(sigma0: ArrayF, redundancy: ArrayF, reasons: list[str]) -> f
         reasons[k] = f"the marks are {sigma0[k]:.0f} times their sigmas off any pose"
     good = known & (sigma0 <= limit)
     spare = float(redundancy[good].sum())
-    if not spare > 0:
-        return 1.0
-    pooled = float((sigma0[good] ** 2 * redundancy[good]).sum()) / spare
-    return float(np.sqrt(pooled)) if pooled > chi2.ppf(0.99, spare) / spare else 1.0
+    squares = float((sigma0[good] ** 2 * redundancy[good]).sum())
+    return global_test(float(np.sqrt(squares / max(spare, 1e-9))), spare, level=0.02).factor

@@ -486,6 +486,13 @@ class StatedClock(Section):
 class FixedCamera(Section):
     """A camera that stays: a pose from control points in each picture."""
 
+    interior: Literal["auto", "free", "weighted", "fixed"] = Field(
+        default="auto",
+        description="Interior orientation: `weighted`: the file's covariance is an observation; `fixed`: its "
+        "values are exact; `free`: the focal length is estimated, the rest is a guess; `auto`: weighted by a "
+        "covariance that the marks do not contradict, else a guess that is estimated with the poses (focal "
+        "length 2 %, principal point 1 % of the longer side, k1 and k2 0.1)",
+    )
     largest_sigma_m: Positive = Field(
         default=5.0,
         le=1000,
