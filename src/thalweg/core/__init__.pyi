@@ -110,6 +110,7 @@ from .raster import (
     Dsm as Dsm,
     Grid as Grid,
     mask_missing as mask_missing,
+    open_raster as open_raster,
     read_dsm as read_dsm,
     read_raster as read_raster,
     write_raster as write_raster,

@@ -50,6 +50,8 @@ _HEADER_SIZE: Final = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
 _POINT_SIZE: Final = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 # Far above any real record (a hundred doubles as extra bytes); a damaged length must not ask for gigabytes.
 _MAX_POINT_SIZE: Final = 1024
+_LARGEST_SCALE, _LARGEST_OFFSET = 1e4, 1e11
+"""Of coordinates: the Earth is 4e7 m around, 4e10 mm."""
 _MOST_IN_CHUNK: Final = 1 << 26
 _VARIABLE_CHUNKS: Final = 0xFFFFFFFF
 
@@ -652,6 +654,13 @@ def check_las_bytes(path: Path) -> None:
     ):
         if not low <= found <= high:
             raise refuse(f"{what}: {found:,} in a file of {size:,} bytes", f"{low:,} to {high:,}")
+    scales, offsets = np.frombuffer(head, "<f8", 6, 131).reshape(2, 3)
+    # the compared sides are NaN where one of them is
+    if n_points and not ((scales > 0.0) & (scales < _LARGEST_SCALE) & (abs(offsets) < _LARGEST_OFFSET)).all():
+        raise refuse(
+            f"scales {', '.join(f'{s:g}' for s in scales)}, offsets {', '.join(f'{o:g}' for o in offsets)}",
+            f"scales between 0 and {_LARGEST_SCALE:g}, offsets within {_LARGEST_OFFSET:g} of 0",
+        )
 
 
 @contextlib.contextmanager
