@@ -19,6 +19,7 @@ from .costs import (
     per_rule as per_rule,
     read_costs as read_costs,
 )
+from .failures import tell_failures_last as tell_failures_last
 from .figures import read_figures as read_figures
 from .forked import fork_scripts as fork_scripts
 from .job import job_arguments as job_arguments, run_job as run_job
