@@ -56,6 +56,7 @@ from thalweg.core import (
     InputError,
     LocalFrame,
     open_raster,
+    parse_json,
 )
 from thalweg.fusion.clouds import SOURCE_WORDS, Cloud, Source
 from thalweg.settings.sections import Fusion
@@ -173,7 +174,7 @@ class Dtm:
             height_m=bands[0], sigma_m=bands[1], source=np.nan_to_num(bands[2]).astype(np.uint8),
             distance_m=bands[3], sigma_common_m=bands[4], corner_m=corner, cell_m=cell, crs=crs,
             vertical="" if tags.get("heights", "ellipsoidal") == "ellipsoidal" else tags["heights"],
-            separation=tuple(json.loads(tags.get("separation", "[0, 0, 0]"))),
+            separation=tuple(parse_json(tags.get("separation", "[0, 0, 0]"), path)),
         )  # fmt: skip
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import thalweg
-from thalweg.core import UNFINISHED, InputError, steps
+from thalweg.core import UNFINISHED, InputError, others_may_write, steps
 
 log = logging.getLogger("thalweg")
 
@@ -311,10 +311,21 @@ def cache_entry(made_of: Mapping[str, Any], outputs: Sequence[Path], threads: in
     made_of : `origin` of the job.
     outputs : final names.
     threads : of the job; some sums depend on them in their last digits.
+
+    Raises
+    ------
+    InputError : others may write into the folder; their results would be taken for one's own.
     """
     folder = os.environ.get(CACHE)
     if not folder or made_of["rule"] not in SHARED:
         return None
+    if others_may_write(Path(folder)):
+        raise InputError(
+            f"others may write into the folder {CACHE}, and what they put there would count as results",
+            expected="a folder of one's own",
+            where=Path(folder).absolute(),
+            cure="Take the right to write from others (chmod go-w), or set the variable to another folder",
+        )
     contents = [(Path(name).name, digest) for name, digest in made_of["inputs"].items()]
     decides = {**made_of, "inputs": contents, "libraries": library_versions(), "threads": threads}
     text = json.dumps([decides, [str(each) for each in outputs]], sort_keys=True, default=str)
