@@ -72,7 +72,7 @@ test-slow: env ## long studies
 test-cluster: env ## a campaign on a SLURM of its own, with forced faults (Debian: slurm-wlm, munge)
 	@$(PY) tests/cluster/run --cpus $(CORES)
 
-fuzz: env ## every binary reader on 10,000 mutated inputs
+fuzz: env ## every reader of recordings and documents on 10,000 mutated inputs
 	@THALWEG_FUZZ=10000 $(PY) -m pytest -n $(CORES) -k fuzz tests/ingest tests/core
 
 mutants: env ## 500 deliberate mistakes, other ones each time, that tests must find; SEED=number repeats a draw

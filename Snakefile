@@ -189,10 +189,6 @@ onerror:
             f"{name}: {f'{n} jobs not done' if (n := undone.count(name)) else 'done'}"
         )
     logs = [Path(each) for each in ([log] if isinstance(log, str) else log)]
-    for cure in cures_in(
+    FAILURES.cures += cures_in(
         "\n".join(each.read_text(errors="replace") for each in logs)
-    ):
-        print(cure)
-    print(
-        "\nA job failed. Its message stands above; the traceback is in the file under logs/ named there."
     )

@@ -53,7 +53,7 @@ def data_dir() -> Path:
 
 @pytest.fixture(scope="session")
 def fuzz_count() -> int:
-    """Mutated inputs per binary reader: 100 in the suite, THALWEG_FUZZ=10000 for the long run."""
+    """Mutated inputs per reader: 100 in the suite, THALWEG_FUZZ=10000 for the long run."""
     return int(os.environ.get("THALWEG_FUZZ", "100"))
 
 

@@ -89,7 +89,7 @@ def test_the_commands_exist(repository: Path, capsys: pytest.CaptureFixture[str]
                 seen[words[1]] += place == "README.md"
     names = re.findall(r"(?m)^    ([a-z]+(?:-[a-z]+)*)(?: |$)", _parser().format_help())
     # README names their neighbours, docs the rest
-    beside = {"import-calibration", "export-camera", "schema", "catalogue", "cluster", "costs"}
+    beside = {"import-calibration", "export-camera", "schema", "catalogue", "cluster", "costs", "verify"}
     assert {name for name in names if not seen[name]} <= beside
 
 

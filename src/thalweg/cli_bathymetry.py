@@ -407,12 +407,11 @@ def _flow(options: argparse.Namespace) -> int:
 
 
 def _plan(options: argparse.Namespace) -> int:
-    import json
 
     import numpy as np
 
     from thalweg.bathymetry import BedModel, CovarianceModel, map_crs, plan_survey, read_bank_lines, read_line
-    from thalweg.core import InputError
+    from thalweg.core import InputError, read_json
 
     crs = map_crs(options.crs)
     notes: list[str] = []
@@ -428,7 +427,7 @@ def _plan(options: argparse.Namespace) -> int:
         source = f"assumed: {options.relief:g} m, ranges {2 * width:.0f} m along and {width / 2:.0f} m across"
     else:
         try:
-            model = BedModel.of_report(json.loads(options.variogram.read_text())).covariance
+            model = BedModel.of_report(read_json(options.variogram)).covariance
         except (ValueError, KeyError, TypeError) as error:
             raise InputError(
                 f"{error!r}",

@@ -416,24 +416,22 @@ def _compare_with_surface(options: argparse.Namespace) -> int:
 
 def summarise_changes(folder: Path) -> int:
     """Print what changed between the epochs of a campaign, and where its files are."""
-    import json
-
     import pandas as pd
 
-    from thalweg.core import read_parquet
+    from thalweg.core import read_json, read_parquet
 
     found = folder / "deformation"
     print(f"\nSummary of campaign {folder.name}")
     for path in sorted(found.glob("volumes_[0-9]*.csv")):
         pair = path.stem.removeprefix("volumes_")
-        facts = json.loads((found / f"registration_{pair}.json").read_text())
+        facts = read_json(found / f"registration_{pair}.json")
         print(f"\nEpochs {pair}")
         for row in pd.read_csv(path).itertuples():
             volume = f"{row.volume_m3:+9.2f} m3, sigma {row.sigma_m3:.2f} m3"
             print(f"  {row.what:<11}{volume}, on {row.area_m2:,.0f} m2")
         states = read_parquet(found / f"changes_{pair}.parquet")["state"].value_counts()
         print("  core points: " + ", ".join(f"{n:,} {state}" for state, n in states.items()))
-        for note in json.loads((found / f"changes_{pair}.json").read_text()).get("notes", ()):
+        for note in read_json(found / f"changes_{pair}.json").get("notes", ()):
             print(f"  note: {note}")
         if facts["model"] != "none":
             moved = ", ".join(f"{facts['parameters'][f'{a}_m']:+.3f}" for a in ("east", "north", "up"))

@@ -1,4 +1,4 @@
-"""The commands ``catalogue`` and ``costs`` for a folder of results, and ``cluster`` for jobs on SLURM."""
+"""The commands ``catalogue``, ``costs``, ``verify`` for folders of results; ``cluster`` for jobs on SLURM."""
 
 import argparse
 import re
@@ -63,7 +63,7 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def add_result_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add ``catalogue`` and ``costs``."""
+    """Add ``catalogue``, ``costs`` and ``verify``."""
     catalogue = commands.add_parser(
         "catalogue",
         help="all campaigns of a folder of results: page, table, STAC items, calibration over the season; "
@@ -97,6 +97,14 @@ def add_result_commands(commands: "argparse._SubParsersAction[argparse.ArgumentP
         help="write requests that follow from it (default: %(const)s)",
     )
     costs.set_defaults(command=_costs)
+    verify = commands.add_parser(
+        "verify",
+        help="are the files of a folder of results what was written? What is not, and how to make it again",
+    )
+    verify.add_argument(
+        "results", type=Path, nargs="?", default=Path("results"), help="folder (default: %(default)s)"
+    )
+    verify.set_defaults(command=_verify)
 
 
 def _date(text: str) -> str:
@@ -165,3 +173,26 @@ def _costs(options: argparse.Namespace) -> int:
         options.write.write_text("".join(lines), encoding="utf-8")
         print(f"requests of {len(rules)} rules: {options.write}")
     return int((rules["remark"].str.startswith("more")).any())
+
+
+_NAMED = 5
+"""Files without a record; more are counted."""
+
+
+def _verify(options: argparse.Namespace) -> int:
+    from thalweg.core import InputError
+    from thalweg.workflow import verify
+
+    if not options.results.is_dir():
+        raise InputError("no such folder", expected="a folder of results", where=options.results)
+    found = verify(options.results)
+    for name, words in found.wrong.items():
+        print(f"{name} {words}")
+    print(f"{found.as_written} outputs are as they were written, {len(found.wrong)} are not")
+    if n := len(found.unrecorded):
+        named = ", ".join(str(each) for each in found.unrecorded[:_NAMED])
+        print(f"{n} files without a record: {named}{f' and {n - _NAMED} more' if n > _NAMED else ''}")
+    if found.wrong:
+        print("Made again, in the folder of the run, by:")
+        print("\n".join(f"  {command}" for command in found.commands()))
+    return int(bool(found.wrong))

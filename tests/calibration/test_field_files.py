@@ -130,7 +130,7 @@ def test_a_field_from_marks_to_files(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="other, version 1"):
         read_facts(facts)
     facts.write_text("{")
-    with pytest.raises(InputError, match="no facts of a field"):
+    with pytest.raises(InputError, match=r"no JSON .*; expected facts of a calibration field"):
         read_facts(facts)
 
 

@@ -2,16 +2,17 @@
 
 import importlib
 import os
+import pwd
 import re
 import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import pytest
 
-from thalweg.core import kernels
+from thalweg.core import kernels, others_may_write
 
 FILES = {
     "__init__.py": "",
@@ -123,6 +124,52 @@ def test_where_no_cache_can_be_written_machine_code_stands_beside_the_module(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     assert bench("alone").h(3) == 3
     assert list((tmp_path / "bench/__pycache__").glob("bench.alone-*/*.nbi"))
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o1777])
+def test_machine_code_is_not_taken_from_where_others_may_put_theirs(
+    tmp_path: Path,
+    bench: Callable[[str], ModuleType],
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    mode: int,
+) -> None:
+    monkeypatch.setattr(kernels.numba.config, "CACHE_DIR", "")
+    kernels._tell_shared.cache_clear()
+    shared = tmp_path / "cache/thalweg/kernels"
+    shared.mkdir(parents=True)
+    shared.chmod(mode)
+    assert bench("alone").h(3) == 3
+    assert list(shared.iterdir()) == []
+    assert list((tmp_path / "bench/__pycache__").glob("bench.alone-*/*.nbi"))
+    assert "machine code is not kept in" in caplog.text
+    assert caplog.text.count("others may write") == 1
+    shared.chmod(0o755)
+    assert bench("alone").h(3) == 3
+    assert len(list(shared.glob("bench.alone-*/*.nbi"))) == 1
+
+
+def test_whose_folder_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "sticky").mkdir()
+    (tmp_path / "sticky").chmod(0o1777)
+    (tmp_path / "open").mkdir()
+    (tmp_path / "open").chmod(0o777)
+    of_group = tmp_path / "group"
+    of_group.mkdir()
+    of_group.chmod(0o775)
+    assert [
+        others_may_write(tmp_path / name) for name in (".", "new", "sticky/new", "sticky", "open/new")
+    ] == [*(False, False, False), *(True, True)]
+    monkeypatch.setattr("grp.getgrgid", lambda number: SimpleNamespace(gr_name="users"))
+    assert others_may_write(of_group)
+    name = pwd.getpwuid(os.getuid()).pw_name
+    monkeypatch.setattr("grp.getgrgid", lambda number: SimpleNamespace(gr_name=name))
+    assert not others_may_write(of_group)
+    monkeypatch.setattr("os.getuid", lambda: 4711)
+    monkeypatch.setattr("pwd.getpwuid", lambda number: SimpleNamespace(pw_name="another"))
+    (tmp_path / "own").mkdir()
+    if (tmp_path / "own").stat().st_uid:  # the super-user's is nobody else's
+        assert others_may_write(tmp_path / "own")
 
 
 def test_all_modules_take_numba_from_one_place(repository: Path) -> None:

@@ -67,6 +67,21 @@ def test_round_trip(tmp_path: Path, scale_m: float, suffix: str) -> None:
     assert not list(path.parent.glob(".*"))
 
 
+@pytest.mark.parametrize(
+    ("at", "value"), [(131, 0.0), (139, -0.001), (147, np.nan), (155, 1e300), (163, -np.inf), (171, np.nan)]
+)
+def test_scales_and_offsets_that_no_cloud_has(tmp_path: Path, at: int, value: float) -> None:
+    """All points would lie in one place, or none anywhere."""
+    path = tmp_path / "a.las"
+    write_laz(path, [{"xyz_m": np.ones((10, 3))}], FRAME)
+    data = bytearray(path.read_bytes())
+    data[at : at + 8] = np.float64(value).tobytes()
+    path.write_bytes(data)
+    for read in (laz_header, read_laz):
+        with pytest.raises(InputError, match=r"scales .*, offsets .*; expected scales between 0 and 10000"):
+            read(path)
+
+
 def test_header_statements_as_laspy_reads_them(tmp_path: Path) -> None:
     path, given = tmp_path / "a.laz", columns(5000)
     write_laz(path, [given], FRAME, extra_dimensions=EXTRA)
@@ -214,7 +229,7 @@ def test_cut_file_is_no_whole_result(tmp_path: Path, suffix: str) -> None:
     [
         (b'"format_version": 1', b'"format_version": 9', "newer version"),
         (b'"lat_deg"', b'"let_deg"', "VLR is damaged"),
-        (b'{"format_version"', b'\x00"format_version"', "VLR is damaged"),
+        (b'{"format_version"', b'\x00"format_version"', "no JSON .* the thalweg VLR"),
     ],
 )
 def test_damaged_facts(tmp_path: Path, old: bytes, new: bytes, fragment: str) -> None:

@@ -7,7 +7,8 @@ import pytest
 import rasterio
 from pyproj import CRS
 
-from thalweg.core import GeometryError, Grid, InputError, read_raster, write_raster
+from thalweg.core import GeometryError, Grid, InputError, read_dsm, read_raster, write_raster
+from thalweg.ingest.registry import recognise
 
 UTM = CRS("EPSG:25833")
 
@@ -38,6 +39,18 @@ def test_cells_of_places() -> None:
     assert row.tolist() == [0, 2, -1, -1]
     assert column.tolist() == [0, 3, -1, -1]
     np.testing.assert_array_equal(grid.at(grid.centres_m())[0], np.repeat([0, 1, 2], 4))
+
+
+def test_a_raster_of_thousands_of_millions_of_cells_is_refused(tmp_path: Path) -> None:
+    """Of which the file holds none: some kilobytes, and 14 GB as numbers."""
+    path = tmp_path / "sparse.tif"
+    place = rasterio.Affine(1.0, 0.0, 400_000.0, 0.0, -1.0, 5_600_000.0)
+    size = {"height": 60_000, "width": 60_000, "count": 1, "dtype": "float32", "tiled": True, "nodata": -9999}
+    rasterio.open(path, "w", driver="GTiff", transform=place, crs=UTM, sparse_ok=True, **size).close()
+    for read in (read_raster, read_dsm):
+        with pytest.raises(InputError, match=r"60,000 by 60,000 cells; expected at most 400 million at once"):
+            read(path)
+    assert recognise(path) == "geotiff"  # a BigTIFF
 
 
 def test_bad_rasters_are_named(tmp_path: Path) -> None:

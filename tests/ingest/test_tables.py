@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from pyproj import CRS
 
-from tests.conftest import check_whole
+from tests.conftest import check_whole, time_limit
 from thalweg.core import InputError
 from thalweg.core.values import (
     FOOT,
@@ -256,3 +256,9 @@ def test_places_that_can_be_meant_are_said() -> None:
         check_places(PLACES, UTM, where="a.csv", height_m=np.full(3, 412_000.0))
     with pytest.raises(InputError, match="used from 39"):
         check_places(PLACES, CRS("EPSG:22175"), where="a.csv")
+
+
+def test_a_line_of_a_megabyte_is_no_name_for_long() -> None:
+    """Each of its brackets was looked for to its end: minutes."""
+    with time_limit(5.0, "a line of brackets"):
+        assert column_of("[" * 1_000_000).unit is None

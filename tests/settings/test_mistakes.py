@@ -1,6 +1,7 @@
 """Each row: what is wrong in an otherwise good campaign, where the message says it is, and the cure."""
 
 import os
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -415,6 +416,17 @@ def test_unreadable_log(write, survey, monkeypatch):
     path = write()
     monkeypatch.setattr(Path, "open", refuse)
     assert "Permission denied" in str(mistakes_of(path))
+
+
+@pytest.mark.parametrize("name", ["<b>", "{b}", "a<b", "{campaign}"])
+def test_names_in_which_snakemake_reads_wildcards_are_refused(write, survey, name):
+    """Its own words on them are of rules and lines of the Snakefile."""
+    (survey / name).mkdir()
+    shutil.copy(survey / "raw/boat.anpp", survey / name)
+    for pattern in (f"{name}/boat.anpp", f"{name}/*.anpp", "*/boat.anpp"):
+        text = str(mistakes_of(write({"logs.ins": [pattern]})))
+        assert f"logs.ins[0]: the path {survey}" in text
+        assert "expected names without < > { }, which Snakemake reads as wildcards. Rename" in text
 
 
 def test_what_is_no_file_and_a_pattern_without_end_are_named(write, survey, monkeypatch):

@@ -112,6 +112,29 @@ def test_a_job_that_fails_asks_the_hook_that_it_has_set(
     )
 
 
+def test_a_job_that_takes_longer_than_it_asks_for_is_told_and_ended_on_request(
+    execute: Callable[..., None],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "script.py").write_text("import time\ntime.sleep(0.5)\n")
+    script = script_of(rulename="scan_lidar", log=["scan.log"])
+    script.resources["runtime"] = 0.003
+    execute(script, "script.py")
+    said = capsys.readouterr().err
+    assert "scan_lidar has run for 0.003 minutes; it asks for 0.003" in said
+    assert said.count("has run for") in (1, 2)  # and at twice the time
+    (tmp_path / "script.py").write_text("import time\ntime.sleep(60)\n")
+    limited = forked._forking(execute, get_context("forkserver"), limited=True)
+    with pytest.raises(subprocess.CalledProcessError, match="SIGTERM"):
+        limited(script, "script.py")
+    told = r"scan_lidar was ended by its limit of 0\.003 minutes .* More of them: --set-resources scan_lidar:"
+    assert re.search(told, capsys.readouterr().err)
+    assert re.search(told, (tmp_path / "scan.log").read_text())
+
+
 def test_jobs_that_end_beside_each_other_keep_their_exit_codes(
     execute: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -435,6 +435,16 @@ def test_results_are_shared_by_what_decides_them(tmp_path: Path, shared: Callabl
     assert found(tmp_path / "third")["table.csv"].startswith("old")
 
 
+def test_a_cache_into_which_others_may_write_is_refused(tmp_path: Path, shared: Callable[..., int]) -> None:
+    (tmp_path / "cache").mkdir()
+    (tmp_path / "cache").chmod(0o777)
+    with pytest.raises(InputError, match=r"others may write into the folder THALWEG_CACHE.* \(chmod go-w\)"):
+        shared("first")
+    assert list((tmp_path / "cache").iterdir()) == []
+    (tmp_path / "cache").chmod(0o755)
+    assert [shared("first"), shared("second")] == [1, 0]
+
+
 def test_a_flipped_byte_in_the_cache_is_told_and_made_again(
     tmp_path: Path, shared: Callable[..., int], caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -5,7 +5,7 @@ import os
 
 import yaml
 from snakemake.exceptions import WorkflowError
-from snakemake.logging import DefaultFilter, get_event
+from snakemake.logging import DefaultFilter, get_event, logger as snakemake_logger
 from snakemake_interface_logger_plugins.common import LogEvent
 
 from thalweg.settings import load_campaigns, with_calibrations
@@ -21,6 +21,7 @@ from thalweg.workflow import (
     read_figures,
     refuse_shell,
     start_driver,
+    tell_failures_last,
     use_scratch,
 )
 from thalweg_lab import campaign_files as laboratory
@@ -38,12 +39,17 @@ def hear_errors():
 
 
 hear_errors()
+# Snakemake's words on a failure would be the last ones.
+FAILURES = tell_failures_last(snakemake_logger) if workflow.is_main_process else None
 
 if workflow.storage_settings.default_storage_provider == "fs":
     use_scratch(workflow.storage_settings.local_storage_prefix / "fs")
 
 if workflow.is_main_process or workflow.remote_exec:
-    fork_scripts(after=0 if workflow.is_main_process else 1)
+    fork_scripts(
+        after=0 if workflow.is_main_process else 1,
+        limited=config.get("limit") == "runtime",
+    )
 
 if workflow.is_main_process and workflow.non_local_exec and not workflow.dryrun:
     given = workflow.resource_settings._parsed_default_resources

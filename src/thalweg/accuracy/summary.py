@@ -1,10 +1,11 @@
 """The most important figures of a campaign in one table: quantity, value, unit, where it comes from."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
+
+from thalweg.core import read_json
 
 COLUMNS = ["quantity", "value", "unit", "source"]
 REFERENCE_FIGURES = {
@@ -59,7 +60,7 @@ def summary_table(
         rows.append((f"{stream['stream']}: bytes lost", stream["lost_bytes"], "1", streams.name))
     if positions is not None:
         rows += _fix_rows(positions)
-    poses = json.loads(trajectory.read_text())
+    poses = read_json(trajectory)
     share = poses["n_positions_used"] / poses["n_positions"] if poses["n_positions"] else 0.0
     rows.append(("positions used", 100 * share, "%", trajectory.name))
     rows.append(("trajectory nodes with a valid pose", float(poses["n_nodes_valid"]), "1", trajectory.name))
@@ -77,7 +78,7 @@ def summary_table(
     if images is not None:
         rows += _image_rows(images)
     if soundings is not None:
-        reasons = json.loads(soundings.read_text())["by_reason"]
+        reasons = read_json(soundings)["by_reason"]
         rows.append(("soundings in the world", float(reasons.pop("")), "1", soundings.name))
         rows += [(f"  left out: {why}", float(n), "1", soundings.name) for why, n in reasons.items() if n]
     if bed is not None:
@@ -91,7 +92,7 @@ def summary_table(
 
 def _fix_rows(positions: Path) -> list[tuple[str, float, str, str]]:
     """What raw GNSS gave: fixed epochs, those that were not trusted, how far away the base was."""
-    facts = json.loads(positions.read_text())["details"]
+    facts = read_json(positions)["details"]
     if "fix_ratio" not in facts:
         return []
     refused = float(sum(facts["n_fixes_refused"].values()))
@@ -105,7 +106,7 @@ def _fix_rows(positions: Path) -> list[tuple[str, float, str, str]]:
 
 def _image_rows(images: Path) -> list[tuple[str, float, str, str]]:
     """Poses of the photographs, and their check points as the adjustment foretold them."""
-    facts = json.loads(images.read_text())
+    facts = read_json(images)
     rows = [
         ("photographs with a pose", float(facts["images"]), "1", images.name),
         ("photographs without a pose", float(facts["images_without_pose"]), "1", images.name),
@@ -126,7 +127,7 @@ def _image_rows(images: Path) -> list[tuple[str, float, str, str]]:
 
 def _bed_rows(bed: Path) -> list[tuple[str, float, str, str]]:
     """How well the riverbed foretells lines of soundings that it did not see."""
-    facts = json.loads(bed.read_text())
+    facts = read_json(bed)
     return [
         ("riverbed: left-out lines", float(facts["lines"]), "1", bed.name),
         ("riverbed: RMSE of left-out lines", facts["rmse_m"], "m", bed.name),

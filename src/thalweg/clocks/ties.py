@@ -31,6 +31,7 @@ from thalweg.core import (
     column,
     frame_of,
     read_table,
+    read_yaml,
     robust_sigma,
     table_kind,
     utc_text_from_gps,
@@ -190,12 +191,10 @@ class ClockModel:
         ------
         InputError : the file is missing or not of this form.
         """
-        if not path.is_file():
-            raise InputError("file not found", where=path, expected="a clock file (camera_clock.yaml)")
-        try:
-            data: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
-        except (yaml.YAMLError, UnicodeDecodeError) as error:
-            raise InputError(f"no YAML ({error})", where=path) from error
+        document = read_yaml(path)
+        for mistake in document.mistakes:
+            raise InputError(mistake.found, where=path, expected="a clock file", cure=mistake.cure)
+        data = document.data
         if not isinstance(data, dict) or data.pop(_KEY, None) != _VERSION:
             raise InputError("this is no clock file", where=path, expected=f"the key {_KEY}: {_VERSION}")
         try:

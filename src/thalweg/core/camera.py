@@ -26,7 +26,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal
-from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -398,13 +397,13 @@ def read_metashape(path: Path) -> Camera:
     InputError : no such file, or numbers that are none.
     UnsupportedError : a skew, a fourth radial or a higher tangential term other than zero.
     """
+    root = parse_xml(_text(path), path, "a lens that Metashape saved")
     try:
-        root = parse_xml(_text(path))
         found = {e.tag: (e.text or "").strip() for e in root}
         size = (int(found["width"]), int(found["height"]))
         p = {k: float(found.get(k, 0.0)) for k in _METASHAPE}
         lost = {k: float(found[k]) for k in ("b2", "p3", "p4") if float(found.get(k, 0.0)) != 0.0}
-    except (ElementTree.ParseError, KeyError, ValueError) as error:
+    except (KeyError, ValueError) as error:
         raise InputError(f"no lens: {error}", expected="width, height, f and so on", where=path) from error
     model: Model = "perspective" if found.get("projection", "frame") == "frame" else "fisheye"
     lost |= {k: p[k] for k in (("k4",) if model == "perspective" else ("p1", "p2")) if p[k]}

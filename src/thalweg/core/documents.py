@@ -5,6 +5,7 @@ field of a model names the kind and the version of the document, as ``thalweg_fi
 """
 
 import difflib
+import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,7 +17,7 @@ import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from thalweg.core.errors import ConfigError
+from thalweg.core.errors import ConfigError, InputError
 
 if TYPE_CHECKING:
     from thalweg.core.types import AnyArray, ArrayU8
@@ -38,6 +39,13 @@ def final_path(path: Path) -> Path:
     return Path(*(part for part in path.parts if not part.startswith(UNFINISHED)))
 
 
+_AGAIN: Final = "Copy the file again, or export it again from the program that wrote it"
+
+
+_MOST_DIGITS: Final = 300
+"""Of a whole number: a longer one is beyond what a float can hold."""
+
+
 class _Builder(ElementTree.TreeBuilder):
     """Builds trees of documents that declare no types: entities could read files, or grow without bound."""
 
@@ -46,19 +54,65 @@ class _Builder(ElementTree.TreeBuilder):
         raise ElementTree.ParseError(f"it declares a document type ({name}), which no survey program writes")
 
 
-def parse_xml(text: str | bytes) -> ElementTree.Element:
+def parse_xml(text: str | bytes, where: str | Path, expected: str = "XML") -> ElementTree.Element:
     """Root of an XML document.
+
+    Parameters
+    ----------
+    where : its file.
+    expected : what the document should be.
 
     Raises
     ------
-    xml.etree.ElementTree.ParseError : no XML, or one with a document type and so perhaps entities.
+    InputError : no XML, or one with a document type and so perhaps entities.
     """
     parser = ElementTree.XMLParser(target=_Builder())
-    parser.feed(text)
-    root = parser.close()
+    try:
+        parser.feed(text)
+        root = parser.close()
+    except (ElementTree.ParseError, ValueError, LookupError) as error:  # the last two: of an encoding
+        raise InputError(f"no XML ({error})", expected=expected, where=where, cure=_AGAIN) from error
     if not isinstance(root, ElementTree.Element):
-        raise ElementTree.ParseError("no element found")
+        raise InputError("no XML (no element found)", expected=expected, where=where, cure=_AGAIN)
     return root
+
+
+def _whole(digits: str) -> int:
+    """A whole number, if whatever works with numbers can take it."""
+    if len(digits) > _MOST_DIGITS:
+        raise ValueError(f"a number of {len(digits)} digits")
+    return int(digits)
+
+
+def parse_json(text: str | bytes, where: str | Path, expected: str = "JSON", cure: str = _AGAIN) -> Any:
+    """What a text in JSON holds.
+
+    Parameters
+    ----------
+    where : its file.
+    expected : what the text should be.
+    cure : how to get a whole one.
+
+    Raises
+    ------
+    InputError : no JSON, not in UTF-8, or lists in lists without end.
+    """
+    try:
+        return json.loads(text, parse_int=_whole)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"no JSON ({error})", expected=expected, where=where, cure=cure) from error
+
+
+def read_json(path: Path, expected: str = "JSON", cure: str = _AGAIN) -> Any:
+    """What a file in JSON holds; see `parse_json`.
+
+    Raises
+    ------
+    InputError : no such file, or no JSON.
+    """
+    if not path.is_file():
+        raise InputError("file not found", expected=expected, where=path, cure=cure)
+    return parse_json(path.read_bytes().removeprefix(b"\xef\xbb\xbf"), path, expected, cure)
 
 
 def decode_picture(data: "ArrayU8", flags: int) -> "AnyArray | None":
@@ -377,7 +431,7 @@ for _name, _pattern, _first in (
 
 # YAML 1.1 reads 010 as octal 8; here it is ten, as written.
 for _kind in (_Loader, _QuickLoader):
-    _kind.add_constructor(_TAG + "int", lambda _loader, node: int(node.value))
+    _kind.add_constructor(_TAG + "int", lambda _loader, node: _whole(node.value))
 
 
 def read_yaml(path: Path) -> Document:

@@ -6,6 +6,9 @@ what to do about it.
 
 import errno
 import logging
+import os
+import re
+import stat
 import time
 from collections.abc import Iterable, Iterator, Sized
 from pathlib import Path
@@ -54,6 +57,10 @@ FULL: Final = frozenset({errno.ENOSPC, errno.EDQUOT})
 """What the system says of a disk without room."""
 
 
+_UNBROKEN: Final = re.compile(r"(\S{150})\S{150,}")
+"""Of a file that is damaged, a message may quote a word of thousands of letters: its beginning is enough."""
+
+
 class ThalwegError(Exception):
     """Base of all errors raised on purpose; its text is meant to be read by a user.
 
@@ -66,8 +73,8 @@ class ThalwegError(Exception):
     """
 
     def __init__(self, found: str, *, expected: str = "", where: str | Path = "", cure: str = "") -> None:
-        self.found = found
-        self.expected = expected
+        self.found, self.expected = (_UNBROKEN.sub(r"\1...", each) for each in (found, expected))
+        found, expected = self.found, self.expected
         self.where = str(where)
         self.cure = cure
         text = f"{self.where}: {found}" if self.where else found
@@ -101,6 +108,33 @@ class ConfigError(ThalwegError):
 
 class CoverageError(ThalwegError):
     """Data are asked for outside the time span or area in which they exist."""
+
+
+def others_may_write(folder: Path) -> bool:
+    """Whether another user may put something into a folder, which would be believed or run as one's own.
+
+    Of a folder that is not there yet the next one above it is asked: where that has the sticky bit, as
+    ``/tmp`` has it, nobody can take away what one makes there. A group of the user alone counts as the user,
+    and so does the super-user. False where systems know no owners.
+    """
+    if not hasattr(os, "getuid"):
+        return False
+    import grp
+    import pwd
+
+    folder = folder.absolute()
+    place = next(each for each in (folder, *folder.parents) if each.exists())
+    found = place.stat()
+    shared = found.st_mode & stat.S_IWOTH
+    try:
+        own_group = grp.getgrgid(found.st_gid).gr_name == pwd.getpwuid(os.getuid()).pw_name
+    except KeyError:  # numbers without names, as in a container
+        own_group = False
+    if found.st_mode & stat.S_IWGRP and not own_group:
+        shared = True
+    if place != folder:
+        return bool(shared) and not found.st_mode & stat.S_ISVTX
+    return bool(shared) or found.st_uid not in (0, os.getuid())
 
 
 def file_trouble(error: OSError) -> str:

@@ -9,10 +9,12 @@ edit compiles again what it reaches and nothing else, and checkouts with equal k
 
 import enum
 import hashlib
+import logging
 import os
 import shutil
 import time
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
@@ -21,6 +23,8 @@ import numba
 import numpy as np
 from numba import get_num_threads, njit, prange, set_num_threads
 from numba.core.caching import InTreeCacheLocator
+
+from thalweg.core.errors import others_may_write
 
 __all__ = ["KernelCache", "get_num_threads", "njit", "prange", "set_num_threads", "stamp"]
 
@@ -34,6 +38,7 @@ numba.config.CACHE_LOCATOR_CLASSES = (
     "IPythonCacheLocator,ZipCacheLocator"
 )
 
+log = logging.getLogger(__name__)
 PACKAGES: Final = {"thalweg", "thalweg_lab"}
 _KEPT_DAYS: Final = 30.0
 """Folders that no process has used for so long are removed."""
@@ -92,7 +97,8 @@ class KernelCache(InTreeCacheLocator):
     """Tells numba where the machine code of a function of the project is kept, and what it belongs to.
 
     The folder is ``<user's cache>/thalweg/kernels/<module>-<stamp>``; beside the module where the user has no
-    cache that can be written. ``NUMBA_CACHE_DIR`` takes the place of the user's cache.
+    cache that can be written. ``NUMBA_CACHE_DIR`` takes the place of the user's cache. A folder into which
+    others may write is not used: what they put there would run here.
     """
 
     def __init__(self, py_func: Any, py_file: str) -> None:
@@ -105,7 +111,7 @@ class KernelCache(InTreeCacheLocator):
         if py_func.__module__.split(".")[0] not in PACKAGES:
             return None
         self = cls(py_func, py_file)
-        for base in (_kernels_folder(), Path(py_file).parent / "__pycache__"):
+        for base in _kernels_folders(Path(py_file).parent):
             path = base / _folders.setdefault(py_func.__module__, f"{py_func.__module__}-{self._stamp[:16]}")
             self._cache_path = os.fspath(path)
             try:
@@ -124,10 +130,24 @@ class KernelCache(InTreeCacheLocator):
         return self._stamp
 
 
-def _kernels_folder() -> Path:
+def _kernels_folders(beside: Path) -> list[Path]:
+    """Where machine code may be kept, the best first; none into which others could put theirs."""
     own = os.environ.get("NUMBA_CACHE_DIR")
-    cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(own or cache) / "thalweg" / "kernels"
+    base = Path(own or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    folders = [base / "thalweg" / "kernels", beside / "__pycache__"]
+    if shared := [each for each in folders if others_may_write(each)]:
+        _tell_shared(shared[0])
+    return [each for each in folders if each not in shared]
+
+
+@cache
+def _tell_shared(folder: Path) -> None:
+    numba.config.CACHE_DIR = ""  # numba itself would take it next
+    log.warning(
+        "machine code is not kept in %s, into which others may write; expected a folder of one's own. Take"
+        " the right to write from others (chmod go-w), or set NUMBA_CACHE_DIR to another folder.",
+        folder,
+    )
 
 
 def _forget_old(base: Path) -> None:

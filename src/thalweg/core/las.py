@@ -29,6 +29,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 import thalweg
+from thalweg.core.documents import parse_json
 from thalweg.core.errors import GeometryError, InputError, ThalwegError
 from thalweg.core.frames import LocalFrame
 from thalweg.core.timescales import unix_from_gps
@@ -41,6 +42,13 @@ _MAX_SCALE_M: Final = 0.01
 _INT32: Final = np.iinfo(np.int32)
 
 Frame: TypeAlias = LocalFrame | CRS | None
+
+
+def frame_in_words(frame: Frame) -> str:
+    """A frame for a message: of a coordinate system its name, without its kilobyte of WKT."""
+    return frame.name if isinstance(frame, CRS) else str(frame)
+
+
 """Frame of a cloud: the local world frame, a map projection, or unknown."""
 VLR_USER: Final = "thalweg"
 VLR_RECORD: Final = 1
@@ -50,6 +58,8 @@ _HEADER_SIZE: Final = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
 _POINT_SIZE: Final = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 # Far above any real record (a hundred doubles as extra bytes); a damaged length must not ask for gigabytes.
 _MAX_POINT_SIZE: Final = 1024
+_LARGEST_SCALE, _LARGEST_OFFSET = 1e4, 1e11
+"""Of coordinates: the Earth is 4e7 m around, 4e10 mm."""
 _MOST_IN_CHUNK: Final = 1 << 26
 _VARIABLE_CHUNKS: Final = 0xFFFFFFFF
 
@@ -505,7 +515,7 @@ def frame_from_json(content: bytes, where: Path) -> tuple[Frame, bool, int]:
     InputError : the content is damaged or of a newer version.
     """
     try:
-        data = json.loads(content)
+        data = parse_json(content, where, "JSON in the thalweg VLR")
         version = int(data["format_version"])
         if version > FORMAT_VERSION:
             raise InputError(
@@ -630,7 +640,7 @@ def check_las_bytes(path: Path) -> None:
         return InputError(found, expected=expected, where=path, cure=cure)
 
     if head[:4] != b"LASF":
-        raise refuse(f"begins with {head[:4]!r}", "'LASF', a LAS or LAZ cloud")
+        raise refuse(f"begins with {head[:4].hex(' ')}", "4c 41 53 46 (LASF), a LAS or LAZ cloud")
     least = _HEADER_SIZE.get(head[25], 0) if len(head) >= 227 and head[24] == 1 else 0
     if size < max(least, 227):
         raise refuse(f"cut inside the header: {size} bytes", f"at least {max(least, 227)} bytes")
@@ -652,6 +662,13 @@ def check_las_bytes(path: Path) -> None:
     ):
         if not low <= found <= high:
             raise refuse(f"{what}: {found:,} in a file of {size:,} bytes", f"{low:,} to {high:,}")
+    scales, offsets = np.frombuffer(head, "<f8", 6, 131).reshape(2, 3)
+    # the compared sides are NaN where one of them is
+    if n_points and not ((scales > 0.0) & (scales < _LARGEST_SCALE) & (abs(offsets) < _LARGEST_OFFSET)).all():
+        raise refuse(
+            f"scales {', '.join(f'{s:g}' for s in scales)}, offsets {', '.join(f'{o:g}' for o in offsets)}",
+            f"scales between 0 and {_LARGEST_SCALE:g}, offsets within {_LARGEST_OFFSET:g} of 0",
+        )
 
 
 @contextlib.contextmanager

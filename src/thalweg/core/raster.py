@@ -7,7 +7,8 @@ value for "no height": `read_dsm` brings them to metres from north to south, and
 import re
 import struct
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self
@@ -35,6 +36,8 @@ from thalweg.core.values import (
     utm_of,
 )
 
+MOST_CELLS: Final = 400_000_000
+"""Of a raster: 3 GB of numbers, several times while it is worked on."""
 _PROJECTED, _GEO_KEYS = 3072, 34735
 _LEAST_ZEROS: Final = 10
 _NAMED_BANDS: Final = (("height_m", "sigma_m", "sigma_common_m"), ("height", "sigma", "sigma_common"))
@@ -75,7 +78,7 @@ class Grid:
         low, high = places_m.min(axis=0) - margin_m, places_m.max(axis=0) + margin_m
         first, last = np.floor(low / cell_m), np.ceil(high / cell_m)
         columns, rows = (last - first).astype(np.int64).tolist()
-        if rows * columns > 400_000_000:
+        if rows * columns > MOST_CELLS:
             raise GeometryError(
                 f"{columns} by {rows} cells of {cell_m:g} m",
                 expected="at most 400 million",
@@ -132,6 +135,47 @@ def write_raster(
         out.update_tags(**(tags or {}))
 
 
+@contextmanager
+def open_raster(path: Path, *, whole: bool = True) -> Iterator[Any]:
+    """A raster of any format of GDAL, open for reading; whatever fails within the block is told of the file.
+
+    Parameters
+    ----------
+    whole : bands are read at once, which needs memory for all cells.
+
+    Raises
+    ------
+    InputError : no such file, no raster, a damaged one, or more cells than are read at once: some hundred
+        bytes can stand for thousands of millions.
+    """
+    import rasterio
+    from rasterio.errors import NotGeoreferencedWarning, RasterioError
+
+    if not path.is_file() or not path.stat().st_size:
+        raise InputError(
+            "an empty file" if path.is_file() else "no such file", expected="a GeoTIFF", where=path
+        )
+    try:
+        with warnings.catch_warnings(), rasterio.Env(GTIFF_REPORT_COMPD_CS=True):
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.open(path) as file:
+                if whole and file.width * file.height > MOST_CELLS:
+                    raise InputError(
+                        f"{file.width:,} by {file.height:,} cells",
+                        expected=f"at most {MOST_CELLS // 1_000_000} million at once",
+                        where=path,
+                        cure="Cut out the survey (gdal_translate -projwin), or make the cells larger (-tr)",
+                    )
+                yield file
+    except (RasterioError, CRSError) as error:
+        raise InputError(
+            f"no raster that can be read ({error})",
+            expected="a GeoTIFF that is whole",
+            where=path,
+            cure="Export it again (one band of heights as 32-bit numbers), or copy it again from its source",
+        ) from error
+
+
 def read_raster(path: Path) -> tuple[Grid, dict[str, ArrayF], dict[str, str]]:
     """Grid, bands by name (``band 1``, ... where they have none) with NaN for nodata, and tags.
 
@@ -139,31 +183,26 @@ def read_raster(path: Path) -> tuple[Grid, dict[str, ArrayF], dict[str, str]]:
     ------
     InputError : no raster, no CRS, a raster that is turned, or cells that are not square.
     """
-    import rasterio
-    from rasterio.errors import RasterioError
-
-    try:
-        with rasterio.open(path) as file:
-            t = file.transform
-            if file.crs is None or t.b != 0 or t.d != 0 or abs(t.a + t.e) > 1e-9 * t.a:
-                raise InputError(
-                    f"a raster with CRS {file.crs} and transform {tuple(t)[:6]}",
-                    where=path,
-                    expected="a CRS, and square cells whose rows run from north to south",
-                )
-            grid = Grid(
-                west_m=t.c,
-                north_m=t.f,
-                cell_m=t.a,
-                rows=file.height,
-                columns=file.width,
-                crs=CRS.from_wkt(file.crs.to_wkt()),
+    with open_raster(path) as file:
+        t = file.transform
+        if file.crs is None or t.b != 0 or t.d != 0 or abs(t.a + t.e) > 1e-9 * t.a:
+            crs = None if file.crs is None else CRS.from_wkt(file.crs.to_wkt()).name
+            raise InputError(
+                f"a raster with CRS {crs} and transform {tuple(t)[:6]}",
+                where=path,
+                expected="a CRS, and square cells whose rows run from north to south",
             )
-            values: Any = file.read(masked=True).astype(np.float64).filled(np.nan)
-            names = [name or f"band {k}" for k, name in enumerate(file.descriptions, 1)]
-            return grid, dict(zip(names, values, strict=True)), dict(file.tags())
-    except RasterioError as error:
-        raise InputError(f"{error}", where=path, expected="a GeoTIFF") from error
+        grid = Grid(
+            west_m=t.c,
+            north_m=t.f,
+            cell_m=t.a,
+            rows=file.height,
+            columns=file.width,
+            crs=CRS.from_wkt(file.crs.to_wkt()),
+        )
+        values: Any = file.read(masked=True).astype(np.float64).filled(np.nan)
+        names = [name or f"band {k}" for k, name in enumerate(file.descriptions, 1)]
+        return grid, dict(zip(names, values, strict=True)), dict(file.tags())
 
 
 # ---------------------------------------------------------------- heights of others
@@ -263,25 +302,8 @@ def read_dsm(path: Path, *, nodata: float | None = None) -> Dsm:
     UnsupportedError : several bands of which none is called height, a turned raster, degrees, or an
         unknown unit.
     """
-    import rasterio
-    from rasterio.errors import NotGeoreferencedWarning, RasterioError
-
-    if not path.is_file() or not path.stat().st_size:
-        raise InputError(
-            "an empty file" if path.is_file() else "no such file", expected="a GeoTIFF of heights", where=path
-        )
-    try:
-        with warnings.catch_warnings(), rasterio.Env(GTIFF_REPORT_COMPD_CS=True):
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(path) as file:
-                return _heights(file, path, nodata)
-    except (RasterioError, CRSError) as error:
-        raise InputError(
-            f"no raster that can be read ({error})",
-            expected="a GeoTIFF with one band of heights",
-            where=path,
-            cure="Export one band again, as 32-bit numbers",
-        ) from error
+    with open_raster(path) as file:
+        return _heights(file, path, nodata)
 
 
 def _heights(file: Any, path: Path, nodata: float | None) -> Dsm:

@@ -15,6 +15,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from thalweg.core.documents import parse_json, read_json
 from thalweg.core.errors import InputError
 
 # ---------------------------------------------------------------- Parquet
@@ -146,7 +147,7 @@ def read_table(path: Path, schema: pa.Schema) -> tuple[pd.DataFrame, dict[str, A
     missing = [n for n in schema.names if n not in table.column_names]
     if missing:
         raise InputError(f"columns missing: {missing}", where=path, cure=cure)
-    meta = json.loads((table.schema.metadata or {}).get(b"meta", b"{}"))
+    meta = parse_json((table.schema.metadata or {}).get(b"meta", b"{}"), path)
     return table.select(list(schema.names)).to_pandas(), meta
 
 
@@ -175,11 +176,9 @@ def read_marked(path: Path, key: str, *, kind: str, version: int, what: str, cur
     ------
     InputError : the file is missing, no such JSON, or of another kind or version.
     """
-    if not path.is_file():
-        raise InputError("file not found", expected=what, where=path, cure=cure)
     expected = f"{kind}, version {version}"
+    facts = read_json(path, what, cure)
     try:
-        facts = json.loads(path.read_text(encoding="utf-8"))
         found, content = (facts["kind"], facts["version"]), dict(facts[key])
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"no {what} ({error!r})", expected=expected, where=path, cure=cure) from error

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from thalweg.core import ArrayB, ArrayF, GeometryError, robust_sigma
+from thalweg.core import ArrayB, ArrayF, GeometryError, read_json, robust_sigma
 from thalweg.deformation.field import ErrorField
 from thalweg.settings.sections import Deformation
 from thalweg.surface import Area
@@ -485,4 +485,4 @@ def write_registration(json_path: Path, weights_path: Path, found: Registration)
 def read_registration(json_path: Path, weights_path: Path) -> Registration:
     """Read what `write_registration` wrote."""
     with np.load(weights_path) as stored:
-        return Registration(facts=json.loads(json_path.read_text()), **stored)
+        return Registration(facts=read_json(json_path), **stored)

@@ -44,6 +44,7 @@ from thalweg.core import (
     cross_matrix,
     iter_laz,
     laz_header,
+    read_json,
     symmetric_roots,
 )
 from thalweg.deformation.field import ErrorField, ErrorGroup, SharedErrors, rows_of_weights
@@ -150,7 +151,7 @@ class Epoch:
     @classmethod
     def read(cls, folder: Path) -> Self:
         """Read what `write` wrote."""
-        facts = json.loads((folder / "errors.json").read_text())
+        facts = read_json(folder / "errors.json")
         with np.load(folder / "points.npz") as stored:
             arrays = dict(stored)
         groups = []

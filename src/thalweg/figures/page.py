@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Any, Final, Self
+from urllib.parse import quote
 
 import pandas as pd
 from matplotlib.figure import Figure
@@ -150,8 +151,7 @@ class Page:
     def links(self, targets: Mapping[str, tuple[str, str]]) -> Self:
         """Add a list of links: relative address -> (words of the link, sentence beside it)."""
         items = "".join(
-            f'<li><a href="{escape(href)}">{escape(words)}</a>'
-            f"{': ' * bool(sentence)}{escape(sentence)}</li>\n"
+            f'<li><a href="{quote(href)}">{escape(words)}</a>{": " * bool(sentence)}{escape(sentence)}</li>\n'
             for href, (words, sentence) in targets.items()
         )
         self._body.append(f"<ul>\n{items}</ul>")
@@ -160,7 +160,7 @@ class Page:
     def thumbnails(self, pictures: Mapping[str, str]) -> Self:
         """Add small pictures that open the large ones: relative address -> words below it."""
         items = "".join(
-            f'<a href="{escape(href)}"><img loading="lazy" alt="{escape(words)}" src="{escape(href)}">'
+            f'<a href="{quote(href)}"><img loading="lazy" alt="{escape(words)}" src="{quote(href)}">'
             f"<span>{escape(words)}</span></a>\n"
             for href, words in pictures.items()
         )

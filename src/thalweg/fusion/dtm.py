@@ -46,7 +46,18 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import cKDTree
 
-from thalweg.core import NMAD, ArrayB, ArrayF, ArrayI, ArrayU8, CoverageError, InputError, LocalFrame
+from thalweg.core import (
+    NMAD,
+    ArrayB,
+    ArrayF,
+    ArrayI,
+    ArrayU8,
+    CoverageError,
+    InputError,
+    LocalFrame,
+    open_raster,
+    parse_json,
+)
 from thalweg.fusion.clouds import SOURCE_WORDS, Cloud, Source
 from thalweg.settings.sections import Fusion
 
@@ -163,7 +174,7 @@ class Dtm:
             height_m=bands[0], sigma_m=bands[1], source=np.nan_to_num(bands[2]).astype(np.uint8),
             distance_m=bands[3], sigma_common_m=bands[4], corner_m=corner, cell_m=cell, crs=crs,
             vertical="" if tags.get("heights", "ellipsoidal") == "ellipsoidal" else tags["heights"],
-            separation=tuple(json.loads(tags.get("separation", "[0, 0, 0]"))),
+            separation=tuple(parse_json(tags.get("separation", "[0, 0, 0]"), path)),
         )  # fmt: skip
 
 
@@ -174,24 +185,17 @@ def read_bands(path: Path, n: int) -> tuple[ArrayF, ArrayF, float, CRS, dict[str
     ------
     InputError : no such file, too few bands, cells that are turned or not square, or no grid.
     """
-    import rasterio
-    from rasterio.errors import RasterioError
-
-    if not path.is_file():
-        raise InputError("no such file", expected="a GeoTIFF", where=path)
-    try:
-        with rasterio.open(path) as file:
-            turn, crs = file.transform, file.crs
-            if file.count < n or crs is None or turn.b or turn.d or not np.isclose(turn.a, -turn.e):
-                raise InputError(
-                    f"{file.count} bands, grid {crs}, cells {turn.a:g} by {-turn.e:g}",
-                    expected=f"at least {n} bands in a map grid, square cells, north up", where=path,
-                )  # fmt: skip
-            bands = file.read(list(range(1, n + 1)), masked=True).astype(np.float64).filled(np.nan)
-            corner = np.array([turn.c, turn.f])
-            return bands, corner, float(turn.a), CRS.from_wkt(crs.to_wkt()), dict(file.tags())
-    except RasterioError as wrong:
-        raise InputError(f"no raster ({wrong})", expected="a GeoTIFF", where=path) from wrong
+    with open_raster(path) as file:
+        turn, crs = file.transform, file.crs
+        if file.count < n or crs is None or turn.b or turn.d or not np.isclose(turn.a, -turn.e):
+            grid = "none" if crs is None else CRS.from_wkt(crs.to_wkt()).name
+            raise InputError(
+                f"{file.count} bands, grid {grid}, cells {turn.a:g} by {-turn.e:g}",
+                expected=f"at least {n} bands in a map grid, square cells, north up", where=path,
+            )  # fmt: skip
+        bands = file.read(list(range(1, n + 1)), masked=True).astype(np.float64).filled(np.nan)
+        corner = np.array([turn.c, turn.f])
+        return bands, corner, float(turn.a), CRS.from_wkt(crs.to_wkt()), dict(file.tags())
 
 
 def _placed(affine: Any, corner_m: ArrayF, cell_m: float) -> Any:
@@ -456,30 +460,24 @@ def separation_at(plane: tuple[float, float, float], places_m: ArrayF) -> ArrayF
 
 def _plane_of_grid(path: Path, places_m: ArrayF, crs: CRS) -> tuple[tuple[float, float, float], float]:
     """A plane through the grid of a geoid about places (n, 2), and how far the grid lies off it (rms)."""
-    import rasterio
-    from rasterio.errors import RasterioError
-
     some = places_m[:: -(-len(places_m) // _GEOID_PLACES)]
-    try:
-        with rasterio.open(path) as file:
-            if file.crs is None:
-                raise InputError("no coordinate system", expected="a grid of a geoid", where=path)
-            onto = Transformer.from_crs(crs, CRS.from_wkt(file.crs.to_wkt()), always_xy=True)
-            x, y = onto.transform(some[:, 0], some[:, 1])
-            if file.crs.is_geographic:  # some grids count from 0 to 360 degrees
-                x = file.bounds.left + (np.asarray(x) - file.bounds.left) % 360.0
-            turn = file.transform
-            column, row = (np.asarray(x) - turn.c) / turn.a, (np.asarray(y) - turn.f) / turn.e
-            (top, below), (left, right) = (
-                np.clip([np.floor(k.min()) - 2, np.ceil(k.max()) + 2], 0, most).astype(int)
-                for k, most in ((row, file.height), (column, file.width))
-            )
-            band = np.full((1, 1), np.nan)  # the grid lies elsewhere
-            if below > top and right > left:
-                part = ((top, below), (left, right))
-                band = file.read(1, window=part, masked=True).astype(float).filled(np.nan)
-    except (RasterioError, OSError) as wrong:
-        raise InputError(f"no grid ({wrong})", expected="a geoid as GeoTIFF or .gtx", where=path) from wrong
+    with open_raster(path, whole=False) as file:
+        if file.crs is None:
+            raise InputError("no coordinate system", expected="a grid of a geoid", where=path)
+        onto = Transformer.from_crs(crs, CRS.from_wkt(file.crs.to_wkt()), always_xy=True)
+        x, y = onto.transform(some[:, 0], some[:, 1])
+        if file.crs.is_geographic:  # some grids count from 0 to 360 degrees
+            x = file.bounds.left + (np.asarray(x) - file.bounds.left) % 360.0
+        turn = file.transform
+        column, row = (np.asarray(x) - turn.c) / turn.a, (np.asarray(y) - turn.f) / turn.e
+        (top, below), (left, right) = (
+            np.clip([np.floor(k.min()) - 2, np.ceil(k.max()) + 2], 0, most).astype(int)
+            for k, most in ((row, file.height), (column, file.width))
+        )
+        band = np.full((1, 1), np.nan)  # the grid lies elsewhere
+        if below > top and right > left:
+            part = ((top, below), (left, right))
+            band = file.read(1, window=part, masked=True).astype(float).filled(np.nan)
     at = (row - top - 0.5, column - left - 0.5)
     found = ndimage.map_coordinates(band, at, order=1, cval=np.nan)
     if not np.isfinite(found).all():

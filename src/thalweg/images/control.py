@@ -698,12 +698,7 @@ def _gcp_rows(path: Path, text: str) -> tuple[list[dict[str, str]], str]:
 
 
 def _metashape(path: Path, text: str) -> ElementTree.Element:
-    try:
-        root = parse_xml(text)
-    except ElementTree.ParseError as error:
-        raise InputError(
-            f"no XML ({error})", expected="markers as Metashape exports them", where=path
-        ) from error
+    root = parse_xml(text, path, "markers as Metashape exports them")
     if root.find(".//markers") is None:
         raise InputError("no markers", expected="markers as Metashape exports them", where=path)
     return root

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from thalweg.core import AnyArray, ArrayB, utc_text_from_gps
+from thalweg.core import AnyArray, ArrayB, read_json, utc_text_from_gps
 from thalweg.ingest.stamps import StreamTiming
 
 TimeScale = Literal["gps", "utc", "device", "host", "none"]
@@ -120,7 +120,7 @@ class IntegrityReport:
     @classmethod
     def read(cls, path: Path) -> Self:
         """Read a report written by `write`."""
-        data = json.loads(path.read_text())
+        data = read_json(path, "a report of a reader")
         # JSON knows no NaN: a hole before the clock was set has no time
         data["gaps"] = [
             Gap(**(gap | {"t_start_s": math.nan if gap["t_start_s"] is None else gap["t_start_s"]}))

@@ -9,7 +9,6 @@ of both it is shows beside the host's stamps, 37 s apart).
 Source: Ouster Firmware User Manual 3.1, "Time Synchronization"; Ouster SDK 1.0, "Lidar Packet Format".
 """
 
-import json
 import math
 import sys
 from collections import Counter, deque
@@ -20,7 +19,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from thalweg.core import ArrayI, InputError, UnsupportedError, gps_from_unix, gps_from_week, gps_minus_utc
+from thalweg.core import (
+    ArrayI,
+    InputError,
+    UnsupportedError,
+    gps_from_unix,
+    gps_from_week,
+    gps_minus_utc,
+    read_json,
+)
 from thalweg.ingest.integrity import Gap, IntegrityReport
 from thalweg.ingest.readers import LidarClock, LidarOptions, LidarScan, LogWindow, PointBlock
 
@@ -77,11 +84,10 @@ def metadata_of(files: Sequence[Path]) -> Path:
 
 def describe_metadata(path: Path) -> IntegrityReport:
     """What the metadata of an Ouster say about it."""
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise InputError(f"no JSON: {error}", expected="metadata of an Ouster", where=path) from error
-    info = data.get("sensor_info", data)
+    data = read_json(path, "metadata of an Ouster")
+    info = data.get("sensor_info", data) if isinstance(data, dict) else None
+    if not isinstance(info, dict):
+        raise InputError("JSON without keys", expected="metadata of an Ouster", where=path)
     report = IntegrityReport(stream="lidar", format="Ouster metadata", files=[str(path)])
     report.model = str(info.get("prod_line", ""))
     report.note("The metadata of a lidar: name it in logs.lidar beside its captures.")

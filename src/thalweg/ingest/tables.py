@@ -120,6 +120,10 @@ class Column:
     foreign: str = ""
 
 
+_LONGEST_NAME: Final = 200
+"""Letters of a column's name; the first line of what is no table may be one of a megabyte."""
+
+
 def column_of(name: str) -> Column:
     """What the name of a column says.
 
@@ -132,7 +136,7 @@ def column_of(name: str) -> Column:
     >>> column_of("POINT_Z").words
     'z'
     """
-    bare = name.strip().strip("\"'").strip()
+    bare = name.strip()[:_LONGEST_NAME].strip("\"'").strip()
     unit, foreign, rest = None, "", bare
     if bracket := re.search(r"[(\[{<]([^)\]}>]*)[)\]}>]\s*$", bare):
         rest = bare[: bracket.start()]

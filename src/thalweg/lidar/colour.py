@@ -38,6 +38,7 @@ from thalweg.core import (
     CoverageError,
     InputError,
     LazWriter,
+    frame_in_words,
     iter_laz,
     laz_header,
     njit,
@@ -460,8 +461,8 @@ def _views_of_lens(points: Path, source: Photographs, settings: Colour) -> Views
     frame = laz_header(points).frame
     if frame != poses.frame:
         raise InputError(
-            f"a cloud in the frame {frame}",
-            expected=f"that of the image poses, {poses.frame}",
+            f"a cloud in the frame {frame_in_words(frame)}",
+            expected=f"that of the image poses, {frame_in_words(poses.frame)}",
             where=points,
             cure="Colour the cloud of the same campaign",
         )

@@ -38,6 +38,7 @@ from thalweg.core import (
     LocalFrame,
     Rigid,
     column,
+    frame_in_words,
     frame_of,
     iter_laz,
     laz_header,
@@ -480,7 +481,9 @@ def _range_maps(
     header = laz_header(points)
     if header.frame != frame:
         raise InputError(
-            f"a cloud in the frame {header.frame}", expected=f"that of the poses, {frame}", where=points
+            f"a cloud in the frame {frame_in_words(header.frame)}",
+            expected=f"that of the poses, {frame_in_words(frame)}",
+            where=points,
         )
     rows = max(2, round(180.0 / settings.cell_deg))
     maps = [np.full((rows, 2 * rows), np.inf) for _ in places]

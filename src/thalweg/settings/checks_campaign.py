@@ -15,7 +15,7 @@ from typing import Any, Final
 from thalweg.core import Key, Mistake
 from thalweg.settings.campaign import ID_PATTERN
 from thalweg.settings.checks_epochs import check_epochs
-from thalweg.settings.checks_files import IMAGE_ENDINGS, check_files
+from thalweg.settings.checks_files import IMAGE_ENDINGS, check_files, no_path
 from thalweg.settings.checks_place import (
     check_base,
     check_crs,
@@ -261,10 +261,8 @@ def check_interior(chosen: Any, folder: Path) -> Iterator[Mistake]:
     if not isinstance(chosen, str) or not chosen:
         return
     where = ("calibration", "boat_camera", "interior")
-    if "\0" in chosen:
-        yield Mistake(
-            path=where, found=f"found {chosen!r}", expected="a path", cure="Remove the character \\0"
-        )
+    if (wrong := no_path(where, chosen, folder)) is not None:
+        yield wrong
         return
     path = anchor(chosen, folder)
     if not path.is_file():

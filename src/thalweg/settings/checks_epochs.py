@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from thalweg.core import Key, Mistake
-from thalweg.settings.checks_files import check_file, no_match
+from thalweg.settings.checks_files import check_file, no_match, no_path
 from thalweg.settings.checks_place import check_crs, parse_crs
 from thalweg.settings.messages import expand
 from thalweg.settings.sections import CLOUD_ENDINGS, DSM_ENDINGS, TEXT_ENDINGS, VECTOR_ENDINGS, Epoch
@@ -128,6 +128,9 @@ def _check_files(
         if not isinstance(text, str):
             continue
         name = text.partition("?")[0] if endings == VECTOR_ENDINGS else text
+        if (wrong_name := no_path(place, name, folder)) is not None:
+            yield wrong_name
+            continue
         matches = [Path(path) for path in expand(name, folder)]
         if not matches:
             yield no_match(place, name, folder)

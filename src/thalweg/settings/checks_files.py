@@ -58,13 +58,16 @@ def check_files(logs: Logs, folder: Path) -> tuple[list[Mistake], dict[str, tupl
         paths: list[str] = []
         for i, text in enumerate(logs.files(stream)):
             where: tuple[Key, ...] = ("logs", *keys, i)
-            if "\0" in text:
-                mistakes.append(_no_path(where, text))
+            if (wrong_name := no_path(where, text, folder)) is not None:
+                mistakes.append(wrong_name)
                 continue
             matches = expand(text, folder)
             if not matches:
                 mistakes.append(no_match(where, text, folder))
             for path in matches:
+                if (wrong_name := no_path(where, str(path), folder)) is not None:
+                    mistakes.append(wrong_name)
+                    break
                 photographs = stream in PHOTOGRAPHS or (keys[-1] == "images" and keys[0] == "light_sheet")
                 if (photographs or stream in FOLDERS) and path.is_dir():
                     mistakes += _check_folder(where, text, path, photographs=photographs)
@@ -82,10 +85,20 @@ def check_files(logs: Logs, folder: Path) -> tuple[list[Mistake], dict[str, tupl
     return [*mistakes, *_check_nested(first_use, searched)], files
 
 
-def _no_path(where: tuple[Key, ...], text: str) -> Mistake:
-    return Mistake(
-        path=where, found=f"found {text!r}", expected="a path", cure="Remove the character \\0 from the path"
-    )
+def no_path(where: tuple[Key, ...], text: str, folder: Path) -> Mistake | None:
+    """The mistake of a path below a folder that no file can have, or in which Snakemake reads wildcards."""
+    if "\0" in text:
+        cure = "Remove the character \\0 from the path"
+        return Mistake(path=where, found=f"found {text!r}", expected="a path", cure=cure)
+    path = str(anchor(text, folder))
+    if found := sorted(set("<>{}") & set(path)):
+        return Mistake(
+            path=where,
+            found=f"the path {path} holds {' '.join(found)}",
+            expected="names without < > { }, which Snakemake reads as wildcards",
+            cure="Rename the file or folder",
+        )
+    return None
 
 
 def no_match(where: tuple[Key, ...], text: str, folder: Path) -> Mistake:

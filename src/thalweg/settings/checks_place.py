@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from thalweg.core import Key, Mistake, ThalwegError, read_yaml
+from thalweg.settings.checks_files import no_path
 from thalweg.settings.messages import anchor, missing_cure
 from thalweg.settings.sections import GnssLogs, is_calibration_path
 
@@ -248,10 +249,8 @@ def check_mounts_calibration(mounts: Any, campaign_id: Any, folder: Path) -> Ite
                 cure="Remove the line: a calibration campaign starts from the values of its section mounts",
             )
         return
-    if "\0" in chosen:
-        yield Mistake(
-            path=SETTING, found=f"found {chosen!r}", expected="a path", cure="Remove the character \\0"
-        )
+    if (wrong := no_path(SETTING, chosen, folder)) is not None:
+        yield wrong
         return
     path = anchor(chosen, folder)
     found = _file(chosen, path)

@@ -17,6 +17,7 @@ from thalweg.core import (
     GeometryError,
     InputError,
     LocalFrame,
+    frame_in_words,
     iter_laz,
     laz_header,
     njit,
@@ -567,8 +568,8 @@ def read_reference(
     theirs = laz_header(path).frame
     if theirs != frame:
         raise InputError(
-            f"the reference is in the frame {theirs}",
-            expected=f"the campaign's world frame, {frame}",
+            f"the reference is in the frame {frame_in_words(theirs)}",
+            expected=f"the campaign's world frame, {frame_in_words(frame)}",
             where=path,
             cure="Run the rule read_reference again",
         )

@@ -19,8 +19,9 @@ from .costs import (
     per_rule as per_rule,
     read_costs as read_costs,
 )
+from .failures import tell_failures_last as tell_failures_last
 from .figures import read_figures as read_figures
 from .forked import fork_scripts as fork_scripts
 from .job import job_arguments as job_arguments, run_job as run_job
-from .provenance import other_versions as other_versions
+from .provenance import other_versions as other_versions, verify as verify
 from .staging import use_scratch as use_scratch

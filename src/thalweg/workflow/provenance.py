@@ -7,15 +7,17 @@ import logging
 import os
 import platform
 import secrets
+import shlex
 import shutil
 import subprocess
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import thalweg
-from thalweg.core import UNFINISHED, InputError
+from thalweg.core import UNFINISHED, InputError, others_may_write, steps
 
 log = logging.getLogger("thalweg")
 
@@ -148,6 +150,85 @@ def other_versions(outputs: Iterable[Path]) -> dict[str, int]:
     return found
 
 
+TEMPORARY: Final = frozenset(
+    {"georeference_window", "count_neighbours", "extract_features", "match_features"}
+)
+"""Rules whose outputs are removed once they have been used (``temp`` of Snakemake)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verified:
+    """What became of the files of a folder of results since they were written.
+
+    Attributes
+    ----------
+    as_written : number of outputs, files and folders, whose content has the recorded checksum.
+    wrong : output by its name in the run -> what is wrong with it, in words.
+    unrecorded : files that no job recorded, such as notes, reports and catalogues.
+    """
+
+    as_written: int
+    wrong: Mapping[str, str]
+    unrecorded: Sequence[Path]
+
+    def commands(self) -> list[str]:
+        """Commands that make again what is wrong, one for each campaign."""
+        by_folder: dict[str, list[str]] = {}
+        for name in self.wrong:
+            by_folder.setdefault(Path(name).parts[1] if len(Path(name).parts) > 2 else "", []).append(name)
+        return [
+            shlex.join(
+                [
+                    *("snakemake", "--cores", "all"),
+                    # studies, published numbers and real recordings are of no campaign
+                    *(["--config", f"campaign={folder}"] if _is_campaign(folder) else []),
+                    *("--force", *names),
+                ]
+            )
+            for folder, names in by_folder.items()
+        ]
+
+
+def _is_campaign(name: str) -> bool:
+    return any(Path("config", "campaigns").rglob(f"{name}.yaml"))
+
+
+def verify(results: Path) -> Verified:
+    """Hold all files of a folder of results against the records beside them.
+
+    A file that was cut or changed and has its old time would otherwise stay for ever: Snakemake compares
+    times alone, and what no job reads, such as a page, no job checks (`refuse_damage`).
+    """
+    records = sorted(results.rglob(f"*{META}"))
+    outputs = {each.with_name(each.name.removesuffix(META)): each for each in records}
+    as_written, wrong = 0, {}
+    for output, beside in steps(outputs.items(), "output"):
+        name = str(output)
+        try:
+            record = json.loads(beside.read_text(encoding="utf-8"))
+            name, rule = record["output"], record["rule"]
+            if not output.exists():
+                words = "" if rule in TEMPORARY else f"is missing; {rule} wrote it on {record['written_utc']}"
+            elif sha256_of(output) != record["sha256"]:
+                words = f"is not what {rule} wrote on {record['written_utc']}"
+            else:
+                words, as_written = "", as_written + 1
+        except (ValueError, TypeError, KeyError):
+            words = f"has a record that is damaged ({beside.name})"
+        if words:
+            wrong[name] = words
+    unrecorded = [
+        path
+        for path in sorted(results.rglob("*"))
+        if path.is_file()
+        and not path.name.startswith(".")
+        and not path.name.endswith(META)
+        and UNFINISHED not in path.as_posix()
+        and not any(each in outputs for each in (path, *path.parents))
+    ]
+    return Verified(as_written, wrong, unrecorded)
+
+
 META: Final = ".meta.json"
 
 
@@ -230,10 +311,21 @@ def cache_entry(made_of: Mapping[str, Any], outputs: Sequence[Path], threads: in
     made_of : `origin` of the job.
     outputs : final names.
     threads : of the job; some sums depend on them in their last digits.
+
+    Raises
+    ------
+    InputError : others may write into the folder; their results would be taken for one's own.
     """
     folder = os.environ.get(CACHE)
     if not folder or made_of["rule"] not in SHARED:
         return None
+    if others_may_write(Path(folder)):
+        raise InputError(
+            f"others may write into the folder {CACHE}, and what they put there would count as results",
+            expected="a folder of one's own",
+            where=Path(folder).absolute(),
+            cure="Take the right to write from others (chmod go-w), or set the variable to another folder",
+        )
     contents = [(Path(name).name, digest) for name, digest in made_of["inputs"].items()]
     decides = {**made_of, "inputs": contents, "libraries": library_versions(), "threads": threads}
     text = json.dumps([decides, [str(each) for each in outputs]], sort_keys=True, default=str)

@@ -12,7 +12,7 @@ import numpy as np
 from thalweg.calibration import FORM_SIGMA_M, ConeReference, Position, mark_name
 from thalweg.calibration.camera_lidar.model import FieldErrors
 from thalweg.calibration.field import FieldDescription, FieldNetwork, FieldPoints, Resected
-from thalweg.core import AnyArray, ArrayF, Camera, InputError, Rigid
+from thalweg.core import AnyArray, ArrayF, Camera, InputError, Rigid, parse_json
 from thalweg.ingest import LidarReader
 from thalweg.ingest.photos import list_images, natural_key
 from thalweg.settings.sections import LidarAccuracy
@@ -407,7 +407,7 @@ def read_statics(path: Path) -> Statics:
         with np.load(path, allow_pickle=False) as stored:
             part = {name: stored[name] for name in stored.files}
         kind, images, lost = (str(part[name]) for name in ("kind", "images", "lost"))
-        names, reasons, cov = tuple(json.loads(images)), json.loads(lost), part["cov"]
+        names, reasons, cov = tuple(parse_json(images, path)), parse_json(lost, path), part["cov"]
         points = tuple((int(m), int(c)) for m, c in part["points"])
         n = 6 * len(names)
         poses = tuple(

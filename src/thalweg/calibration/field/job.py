@@ -21,7 +21,7 @@ from thalweg.calibration.field.network import (
     start_network,
 )
 from thalweg.calibration.field.points import FieldPoints
-from thalweg.core import Camera, GeometryError, InputError, LocalFrame, Model, Rigid, ThalwegError
+from thalweg.core import Camera, GeometryError, InputError, LocalFrame, Model, Rigid, ThalwegError, read_json
 
 _NAMED: Final = 8
 """Points named of those with one reason."""
@@ -362,10 +362,8 @@ def read_facts(path: Path) -> dict[str, Any]:
     ------
     InputError : the file is missing or something else.
     """
-    if not path.is_file():
-        raise InputError("file not found", expected="facts of a calibration field", where=path)
+    facts = read_json(path, "facts of a calibration field")
     try:
-        facts = json.loads(path.read_text())
         known = (facts["kind"], facts["version"]) == (KIND, VERSION)
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(

@@ -14,7 +14,7 @@ from thalweg.calibration.field import FieldDescription, FieldPoints
 from thalweg.calibration.ins_lidar.adjustment import InsLidar
 from thalweg.calibration.ins_lidar.antenna import AntennaLever, antenna_lever, check_nominal, phase_centre
 from thalweg.calibration.ins_lidar.run_points import FieldCones
-from thalweg.core import ArrayF, GeometryError, InputError, Rigid
+from thalweg.core import ArrayF, GeometryError, InputError, Rigid, read_json
 from thalweg.core.calibration import Calibration, Source, pose_block, read_calibration, write_calibration
 
 KIND: Final = "thalweg lidar mount"
@@ -224,10 +224,8 @@ def read_mount_result(path: Path) -> MountResult:
     ------
     InputError : the file is missing or something else.
     """
-    if not path.is_file():
-        raise InputError("file not found", expected=f"{KIND}, version {VERSION}", where=path)
+    document = read_json(path, f"{KIND}, version {VERSION}")
     try:
-        document = json.loads(path.read_text())
         known = (document["kind"], document["version"]) == (KIND, VERSION)
         place, given = document["T_ics_scs"], document["antenna"]
         result = MountResult(

@@ -11,7 +11,17 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, GeometryError, InputError, LocalFrame, njit
+from thalweg.core import (
+    AnyArray,
+    ArrayB,
+    ArrayF,
+    ArrayI,
+    GeometryError,
+    InputError,
+    LocalFrame,
+    njit,
+    parse_json,
+)
 
 NO_FACE: Final = -1
 """Stands for the face on the other side of a border edge."""
@@ -315,7 +325,7 @@ def _facts_of_comments(comments: list[str], path: Path) -> dict[str, Any] | None
     if not text:
         return None
     try:
-        told = json.loads(text)
+        told = parse_json(text, path)
         version = told["format"]
         LocalFrame(**told["origin"])
         if version == FORMAT and isinstance(told["facts"], dict):

@@ -42,6 +42,7 @@ from thalweg.core import (
     njit,
     prange,
     read_dsm,
+    read_json,
 )
 from thalweg.core.values import heights_in_words, same_heights
 from thalweg.deformation import (
@@ -298,7 +299,7 @@ class ForeignEpoch(Epoch):
     @classmethod
     def read(cls, folder: Path) -> Self:
         """Read what `write` wrote."""
-        facts = json.loads((folder / "errors.json").read_text())
+        facts = read_json(folder / "errors.json")
         with np.load(folder / "points.npz") as stored:
             arrays = dict(stored)
         groups: list[SpatialErrors | ErrorGroup] = []
@@ -320,7 +321,7 @@ class ForeignEpoch(Epoch):
 
 def read_epoch(folder: Path) -> Epoch:
     """A prepared epoch, of a survey or of files, by its ``errors.json``."""
-    kind = json.loads((folder / "errors.json").read_text()).get("kind")
+    kind = read_json(folder / "errors.json").get("kind")
     return ForeignEpoch.read(folder) if kind == KIND else Epoch.read(folder)
 
 

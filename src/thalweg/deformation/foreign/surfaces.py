@@ -36,6 +36,7 @@ from thalweg.core import (
     LocalFrame,
     column,
     frame_of,
+    open_raster,
     robust_sigma,
     table_kind,
     write_table,
@@ -488,16 +489,10 @@ def read_difference(path: Path) -> SurfaceDifference:
     ------
     InputError : no such file, or a raster with other bands.
     """
-    import rasterio
-    from rasterio.errors import RasterioError
-
-    try:
-        with rasterio.open(path) as file:
-            names = tuple(file.descriptions)
-            bands = file.read().astype(np.float64) if names == _DIFFERENCE_BANDS else None
-            place, crs = file.transform, file.crs
-    except RasterioError as error:
-        raise InputError(f"{error}", where=path, expected="a difference of surfaces (.tif)") from error
+    with open_raster(path) as file:
+        names = tuple(file.descriptions)
+        bands = file.read().astype(np.float64) if names == _DIFFERENCE_BANDS else None
+        place, crs = file.transform, file.crs
     if bands is None:
         raise InputError(
             f"bands {', '.join(map(str, names))}", expected=" and ".join(_DIFFERENCE_BANDS), where=path

@@ -37,6 +37,7 @@ from thalweg.core import (
     LocalFrame,
     Trajectory,
     final_path,
+    frame_in_words,
     iter_laz,
     laz_header,
     read_table,
@@ -222,8 +223,8 @@ def read_views(
     for path, view in zip(paths, views, strict=True):
         if view.frame != views[0].frame:
             raise InputError(
-                f"a cloud in the frame {view.frame}",
-                expected=f"that of {paths[0].name}, {views[0].frame}",
+                f"a cloud in the frame {frame_in_words(view.frame)}",
+                expected=f"that of {paths[0].name}, {frame_in_words(views[0].frame)}",
                 where=path,
                 cure="Transform it, or give it a page of its own",
             )

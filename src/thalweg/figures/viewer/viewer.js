@@ -463,7 +463,7 @@ function frame() {
   drawn = chosen;
   for (const node of absent.slice(0, Math.max(0, AT_ONCE - loading))) load(node);
   for (const place of inside ? [inside, ...neighbours()] : [])
-    if (place.state === "absent") readScript(place, `views/${place.name}.js`);
+    if (place.state === "absent") readScript(place, `views/${encodeURIComponent(place.name)}.js`);
   gl.viewport(0, 0, scene.width, scene.height);
   gl.bindFramebuffer(gl.FRAMEBUFFER, targets.colour.frame);
   gl.enable(gl.DEPTH_TEST);

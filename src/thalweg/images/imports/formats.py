@@ -299,10 +299,7 @@ def read_metashape(path: Path, crs: str | None) -> Finished:
 
 
 def _chunk(path: Path) -> ElementTree.Element:
-    try:
-        root = parse_xml(path.read_bytes())
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise InputError(f"no XML ({error})", expected="a cameras XML of Metashape", where=path) from error
+    root = parse_xml(path.read_bytes(), path, "a cameras XML of Metashape")
     chunks = [
         c for c in ([root] if root.tag == "chunk" else root.iter("chunk")) if c.find(".//camera") is not None
     ]

@@ -24,6 +24,7 @@ from thalweg.core import (
     InputError,
     cross_matrix,
     exp_rotation,
+    parse_json,
     root_mean_square,
     rotation_vector,
 )
@@ -173,7 +174,7 @@ class ImageBlock:
         try:
             with np.load(path, allow_pickle=False) as stored:
                 arrays = {name: stored[name] for name in stored.files}
-            head = json.loads(str(arrays.pop("head")))
+            head = parse_json(str(arrays.pop("head")), path)
         except (ValueError, KeyError, OSError) as error:
             raise InputError(f"no block of images ({error})", expected="an .npz", where=path) from error
         if (head.get("kind"), head.get("version")) != ("image_block", _FORMAT):

@@ -19,7 +19,7 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 from thalweg.calibration import Rig, lens_view, read_rig_masks
-from thalweg.core import ArrayB, ArrayI, InputError, steps
+from thalweg.core import ArrayB, ArrayI, InputError, parse_json, steps
 from thalweg.images.model import (
     ImageBlock,
     LensView,
@@ -327,7 +327,7 @@ def read_arrays(
     try:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files if name not in without}
-        head = json.loads(str(arrays.pop("head")))
+        head = parse_json(str(arrays.pop("head")), path)
     except (ValueError, KeyError, OSError, EOFError) as error:
         raise InputError(f"not readable ({error})", expected=f"{kind} in an .npz", where=path) from error
     if (head.get("kind"), head.get("version")) != (kind, version):

@@ -634,7 +634,7 @@ def read_cloud(path: Path) -> Cloud:
     reader = next((r for magic, r in _READERS.items() if head.startswith(magic)), None)
     if reader is None:
         raise UnsupportedError(
-            f"begins with {head[:8]!r}", expected=_KINDS, where=path, cure="Export the cloud as LAZ"
+            f"begins with {head[:8].hex(' ')}", expected=_KINDS, where=path, cure="Export the cloud as LAZ"
         )
     report = IntegrityReport(stream="cloud", format="", files=[str(path)], bytes_read=path.stat().st_size)
     cloud = reader(path, report)

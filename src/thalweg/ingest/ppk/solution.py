@@ -28,6 +28,7 @@ from thalweg.core import (
     InputError,
     ecef_of,
     geodetic_of,
+    read_json,
     rotation_ecef_enu,
     utc_text_from_gps,
 )
@@ -129,7 +130,7 @@ def run_worker(
             else f"ended with exit code {code}"
         )
         raise InputError(f"the RTKLIB engine {how}; it printed: {_tail(log)}", where=where, cure=cure)
-    result = json.loads(answer.read_text())
+    result = read_json(answer)
     return EngineAnswer(result["engine"], result["answers"], _tail(log))
 
 

@@ -13,15 +13,21 @@ from typing import Any, Final
 
 import numpy as np
 
-from thalweg.core import InputError, read_dsm, read_metashape
+from thalweg.core import InputError, open_raster, read_dsm, read_metashape
 from thalweg.ingest import NAMES, VECTOR_FORMATS, column_of, describe_layers, read_text_table, vector_format
 from thalweg.ingest.registry.base import Format, Recording
 from thalweg.ingest.registry.calibrations import CalibrationReport, camera_lines, is_text
 
 _GEO_TAGS: Final = frozenset({33550, 33922, 34264, 34735})
 """ModelPixelScale, ModelTiepoint, ModelTransformation, GeoKeyDirectory (OGC 19-008r4)."""
-_TAGS: Final = {b"II*\x00": "<", b"MM\x00*": ">"}
-"""Byte order of a TIFF by its first bytes."""
+_TAGS: Final = {
+    b"II*\x00": ("<", "I", 4, "H", 12),
+    b"MM\x00*": (">", "I", 4, "H", 12),
+    b"II+\x00": ("<", "Q", 8, "Q", 20),
+    b"MM\x00+": (">", "Q", 8, "Q", 20),
+}
+"""By the first bytes of a TIFF, and of one beyond 4 GB (BigTIFF): order of bytes, kind and place of the
+offset of the directory, kind of its number of entries, bytes of each."""
 _ANGLES: Final = ({b"yaw", b"pitch", b"roll"}, {b"heading", b"pitch", b"roll"})
 _NUMBER: Final = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _XYZ: Final = re.compile(
@@ -35,15 +41,15 @@ _QUATERNION: Final = 1e-3
 
 def _is_geotiff(head: bytes, size: int) -> bool:
     """Whether a TIFF states a place on the earth; its directory has to lie within the head."""
-    order = _TAGS.get(head[:4])
-    if order is None:
+    if head[:4] not in _TAGS or len(head) < 16:
         return False
-    at = struct.unpack_from(f"{order}I", head, 4)[0]
-    if at + 2 > len(head):
+    order, offset, place, number, entry = _TAGS[head[:4]]
+    at = struct.unpack_from(order + offset, head, place)[0]
+    first = at + struct.calcsize(number)
+    if first > len(head):
         return False
-    n = struct.unpack_from(f"{order}H", head, at)[0]
-    ends = min(at + 2 + 12 * n, len(head) - 1)
-    return any(struct.unpack_from(f"{order}H", head, k)[0] in _GEO_TAGS for k in range(at + 2, ends, 12))
+    ends = min(first + entry * struct.unpack_from(order + number, head, at)[0], len(head) - 1)
+    return any(struct.unpack_from(f"{order}H", head, k)[0] in _GEO_TAGS for k in range(first, ends, entry))
 
 
 def _cells(head: bytes) -> set[bytes]:
@@ -193,9 +199,7 @@ def _drawn(path: Path, report: CalibrationReport) -> dict[str, str]:
 
 def _raster(path: Path) -> dict[str, str]:
     """Size, cell, reference system and gaps of a raster."""
-    import rasterio
-
-    with rasterio.open(path) as source:
+    with open_raster(path, whole=False) as source:
         nodata = "none stated" if source.nodata is None else f"{source.nodata:g}"
         return {
             "size": f"{source.width} x {source.height} cells of {source.res[0]:g} x {source.res[1]:g}, "

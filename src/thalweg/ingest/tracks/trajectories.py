@@ -25,7 +25,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Final
-from xml.etree.ElementTree import Element, ParseError
+from xml.etree.ElementTree import Element
 
 import numpy as np
 import pandas as pd
@@ -650,8 +650,8 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
     for path in files:
         data = path.read_bytes()
         report.bytes_read += len(data)
+        root = parse_xml(data, path, "track points with lat, lon and time")
         try:
-            root = parse_xml(data)
             foreign.update(each.tag.split("}")[-1] for each in root.iter() if isinstance(each.tag, str))
             for point in root.iterfind(".//{*}trkpt"):
                 told = {each.tag.split("}")[-1]: (each.text or "").strip() for each in point}
@@ -674,7 +674,7 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
                     report.lose("depths_of_nothing")
                 elif depth_m is not None:
                     depths.append((unix_s, depth_m))
-        except (ParseError, KeyError, ValueError) as error:
+        except (KeyError, ValueError) as error:
             raise InputError(
                 f"no readable GPX ({error})",
                 expected="track points with lat, lon and time",

@@ -15,8 +15,8 @@ The errors of a picture's own marks differ from pose to pose. Those of the panel
 interior orientation are the same in all pictures: they turn and shift the scan as a whole.
 """
 
-import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -35,6 +35,7 @@ from thalweg.core import (
     Trajectory,
     cross_matrix,
     global_test,
+    read_json,
 )
 from thalweg.lightsheet.optics import Sensor, point_derivatives, project, sheet_in_water
 from thalweg.lightsheet.poses.poses import M_PER_MM, SensorPoses, by_pose, compressed, factor
@@ -249,23 +250,25 @@ def read_standing_camera(path: Path) -> Camera:
     InputError : the file is missing or incomplete.
     """
     expected = "JSON with model, size_px and parameters (fx, fy, cx, cy, k1, ...)"
-    if not path.is_file():
-        raise InputError("file not found", where=path, expected=expected)
+    data = read_json(path, expected)
     try:
-        data = json.loads(path.read_text())
         size = tuple(int(n) for n in data["size_px"])
         values = {str(name): float(value) for name, value in data["parameters"].items()}
         model = data["model"]
-    except (json.JSONDecodeError, KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InputError(f"this cannot be read ({error})", where=path, expected=expected) from error
     if model != "perspective" or len(size) != 2:
         raise InputError(f"a {model} camera of {size} pixels", where=path, expected="a perspective camera")
-    names = Camera(model="perspective", size_px=(size[0], size[1]), parameters=np.ones(9)).parameter_names
-    missing = [name for name in names if name not in values]
-    if missing:
-        raise InputError(f"parameters missing: {', '.join(missing)}", where=path, expected=expected)
-    parameters = np.array([values[name] for name in names])
-    return Camera(model="perspective", size_px=(size[0], size[1]), parameters=parameters, name=path.stem)
+    try:
+        camera = Camera(
+            model="perspective", size_px=(size[0], size[1]), parameters=np.ones(9), name=path.stem
+        )
+        missing = [name for name in camera.parameter_names if name not in values]
+        if missing:
+            raise InputError(f"parameters missing: {', '.join(missing)}", where=path, expected=expected)
+        return replace(camera, parameters=np.array([values[name] for name in camera.parameter_names]))
+    except GeometryError as error:
+        raise InputError(error.found, where=path, expected=error.expected) from error
 
 
 def panel_poses(

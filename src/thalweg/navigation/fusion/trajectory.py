@@ -29,6 +29,7 @@ from thalweg.core import (
     Trajectory,
     cross_matrix,
     exp_rotation,
+    frame_in_words,
     root_mean_square,
     utc_text_from_gps,
     with_rest,
@@ -415,8 +416,8 @@ def _check_images(images: ImagePoses | None, frame: LocalFrame, T_ccs_ics: Rigid
         )
     if images.frame != frame:
         raise InputError(
-            f"the image poses lie in the world frame of {images.frame}",
-            expected=str(frame),
+            f"the image poses lie in the world frame of {frame_in_words(images.frame)}",
+            expected=frame_in_words(frame),
             cure="Orient the images in the campaign's frame, or set campaign.origin to theirs",
         )
 

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from thalweg.core import ArrayF, Trajectory, attitude_axes, cross_matrix, even_time, read_chains
+from thalweg.core import ArrayF, Trajectory, attitude_axes, cross_matrix, even_time, read_chains, read_json
 
 NAMES: Final = ("position", "roll_pitch", "heading", "white", "position_time_s", "attitude_time_s")
 """Parameters: factors on the stated sigmas of the positions' slow part, of roll and pitch, of the heading and
@@ -314,7 +314,7 @@ class PoseCorrelation:
                 receiver_s=receiver_s,
                 even=None if position_time_s else (t_gps_s, even_s),
             )
-        facts = json.loads(errors.read_text())
+        facts = read_json(errors)
         found = {name: fact["value"] for name, fact in facts["estimates"].items()}
         return cls(
             position_s=position_time_s or found["position_time_s"],
@@ -332,7 +332,7 @@ class PoseCorrelation:
 
 def beam_factors(path: Path) -> dict[str, float]:
     """Factors on the sigmas of a single measurement of the lidar, of a file that `ErrorModel.write` wrote."""
-    estimates = json.loads(path.read_text())["estimates"]
+    estimates = read_json(path)["estimates"]
     return {name: float(estimates[name]["predictive"]) for name in BEAM}
 
 

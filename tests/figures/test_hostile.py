@@ -1,0 +1,202 @@
+"""No text of data becomes a part of a page or a program, whichever field of whichever page it stands in."""
+
+import re
+from collections.abc import Callable, Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+from pyproj import CRS
+
+from tests.figures.browser import Browser
+from thalweg.core import Frame
+from thalweg.figures import Finding, Page, costs_page, front_page
+from thalweg.figures.catalogue import CATALOGUE, CONTROL, Entry, catalogue_page
+from thalweg.figures.firstlook import recordings_page
+from thalweg.figures.images import orientation_page
+from thalweg.figures.viewer import View, write_viewer
+from thalweg.ingest import IntegrityReport
+
+HOSTILE = (
+    "{{data}}\"' onload='window.ran=1' <script>window.ran=2</script><!--<script>"
+    "<img src=x onerror=window.ran=3>"
+    "</td></h1></title></style><svg/onload=window.ran=4> javascript:window.ran=5 \\u003c ${window.ran=6} ]]>"
+)
+HARMLESS = "x"
+"""Pages have the same elements with either."""
+
+
+def every_method(text: str, folder: Path) -> Page:
+    """Each way to bring a text onto a page."""
+    Image.new("RGB", (2, 2)).save(folder / "p.png")
+    table = pd.DataFrame({text: [text, text], f"{text}2": [1.0, 2.0]})
+    page = Page(text, text, [Finding(text, text, text)])
+    page.section(text).text(f"{text}\n\n{text}").lines([text]).figure(folder / "p.png", text)
+    page.section(text).figures({text: folder / "p.png"}, {text: text}).links({text: (text, text)})
+    return page.thumbnails({text: text}).table(table, text, {text: text})
+
+
+def photographs(text: str, folder: Path) -> Page:
+    """Names of pictures, cameras (EXIF), points, notes."""
+    number = dict.fromkeys(("images", "redundancy", "tie_points"), 3) | {"sigma0": 1.0, "marks_a_point": 3.0}
+    facts = number | {
+        "check_points": None, "model_frame": {}, "notes": [text, text],
+        "sigma_position_model": {text: 1.0},
+        "cameras": {text: {text: {"value": 1.0, "sigma": 0.1}}},
+    }  # fmt: skip
+    columns = [f"{s}without_{a}_mm" for s in ("", "sigma_") for a in ("east", "north", "up")]
+    control = pd.DataFrame(
+        [dict.fromkeys(columns, 1.0) | dict.fromkeys(("images", "rms_px", "normalised"), 1.0)
+         | dict.fromkeys(("point", "role", "suspect", "reason"), text)]
+    )  # fmt: skip
+    images = pd.DataFrame({"image": [text], "camera": [text], "reason": [text]})
+    return orientation_page(facts, images, control, {}, captions={}, title=text)
+
+
+def recordings(text: str, folder: Path) -> Page:
+    """What a log says of itself: file, sensor, format, details, notes."""
+    report = IntegrityReport(stream=text, format=text, files=[text], model=text, notes=[text])
+    report.count(text, 3)
+    report.lose(text, 1)
+    report.details |= {text: text}
+    return recordings_page([report], [text], [[]])
+
+
+def costs(text: str, folder: Path) -> Page:
+    """Names of rules and campaigns."""
+    names = ("jobs", "wall_s", "cpu_s", "longest_s", "memory_mb", "asked_mb", "input_mb", "output_mb")
+    rules = pd.DataFrame([{"rule": text[:9], "remark": text} | dict.fromkeys(names, 1.0)])
+    return costs_page(pd.DataFrame({"campaign": [text], "cpu_s": [1.0]}), rules)
+
+
+def catalogue(text: str, folder: Path) -> Page:
+    """Titles and remarks of campaigns, and what they calibrated."""
+    of = {"double": 1.0, "bool": True, "int64": 1}
+    row = {each.name: of.get(str(each.type), text) for each in CATALOGUE}
+    # names of figures have room for a word
+    control = pd.DataFrame([{each.name: of.get(str(each.type), text[:9]) for each in CONTROL}])
+    entry = Entry(row, {}, [], None, {}, {"index.html": text})
+    return catalogue_page([entry], pd.DataFrame([row]), control)
+
+
+PAGES: dict[str, Callable[[str, Path], Page]] = {
+    each.__name__: each for each in (every_method, photographs, recordings, costs, catalogue)
+}
+
+
+def local_crs_called(name: str) -> Frame:
+    """A coordinate system whose name is any text, as a cloud may state it."""
+    quoted = name.replace('"', '""').replace("{", "(")  # else pyproj takes it for JSON
+    return CRS.from_wkt(f'LOCAL_CS["{quoted}",UNIT["metre",1],AXIS["Easting",EAST],AXIS["Northing",NORTH]]')
+
+
+def made_of(text: str, folder: Path) -> dict[str, Path]:
+    """All pages with a text in each of their fields."""
+    found = {}
+    for name, make in PAGES.items():
+        found[name] = folder / f"{name}.html"
+        make(text, folder).write(found[name])
+    found["front"] = folder / "front/index.html"
+    products = [
+        {"name": text, "file": "a.laz", "made": True, "needs": text},
+        {"name": text, "file": "", "made": False, "needs": text},
+    ]
+    summary = pd.DataFrame({"quantity": [text], "value": [1.0], "unit": [text]})
+    front_page(
+        found["front"], title=text, twin=True, products=products, pages=list(found.values())[:2],
+        pictures=[folder / "p.png"], captions={"p": text}, summary=summary,
+    ).write(found["front"])  # fmt: skip
+    points = np.random.default_rng(1).uniform(0, 9, (3000, 3))
+    view = View(
+        xyz_m=points, frame=local_crs_called(text), n_total=3000, image=np.zeros(3000, int),
+        clouds=[text, "b"], extras={"cloud": (np.ones(3000), text), text: (np.arange(3000.0), text)},
+    )  # fmt: skip
+    panorama = {"name": text, "at": [0, 0, 0], "sigma": [1, 1, 1], "heading": 0.0, "utc": text}
+    panorama["axes"] = np.eye(3).tolist()
+    for name, panoramas in (("viewer", []), ("walk", [panorama])):
+        write_viewer(
+            view, folder / name, title=text, photographs={0: [text, text, text]}, panoramas=panoramas
+        )
+        found[name] = folder / name / "index.html"
+    return found
+
+
+@pytest.fixture(scope="module")
+def hostile(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    return made_of(HOSTILE, tmp_path_factory.mktemp("hostile"))
+
+
+class Elements(HTMLParser):
+    """Elements with the names of their attributes, in order, and the texts of scripts."""
+
+    def __init__(self, page: Path) -> None:
+        super().__init__()
+        self.found: list[tuple[str, ...]] = []
+        self.scripts: list[str] = []
+        self.addresses: list[str] = []
+        self.feed(page.read_text(encoding="utf-8"))
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found.append((tag, *(name for name, _ in attrs)))
+        self.addresses += [str(value) for name, value in attrs if name in ("href", "src")]
+
+    def handle_comment(self, data: str) -> None:
+        self.found.append(("comment", data))
+
+    def handle_data(self, data: str) -> None:
+        if self.cdata_elem == "script":
+            self.scripts.append(data)
+
+
+def test_a_hostile_text_gives_the_elements_of_a_harmless_one(
+    hostile: dict[str, Path], tmp_path: Path
+) -> None:
+    for name, page in made_of(HARMLESS, tmp_path).items():
+        harmless, found = Elements(page), Elements(hostile[name])
+        assert "window.ran=2" in hostile[name].read_text(), name  # it is there, as text
+        assert found.found == harmless.found, name
+        for address in found.addresses:
+            assert re.match(r"#|data:image/png;base64,|[^:]*$", address), (name, address)
+        assert len(found.scripts) == len(harmless.scripts), name
+        for script in found.scripts:
+            (data,) = re.findall(r"(?m)^const DATA = .*;$", script)
+            assert "window.ran=2" in data
+            assert "<" not in data
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with Browser(tmp_path_factory.mktemp("profile")) as opened:
+        yield opened
+
+
+def test_no_script_of_a_hostile_text_runs(browser: Browser, hostile: dict[str, Path]) -> None:
+    for name, path in hostile.items():
+        with browser.empty_page() as page:
+            page.open(path)
+            page.wait("document.readyState === 'complete'")
+            if name in ("viewer", "walk"):
+                page.wait("typeof settled !== 'undefined'")
+            assert page.run("document.querySelector('h1').textContent").startswith(
+                HOSTILE[:20] if name not in ("recordings", "costs", "catalogue") else ""
+            )
+            assert page.run("typeof window.ran") == "undefined", name
+            assert page.run("document.querySelectorAll('svg, [onload], [onerror]').length") == 0, name
+
+
+def test_pages_are_written_by_page_and_viewer_alone(repository: Path) -> None:
+    """What they do not escape nobody else writes."""
+    tag = re.compile(r"</?(?:a|b|body|div|h\d|html|i|img|li|p|script|span|table|td|tr|ul)\b[^<]*>")
+    files = [path for name in ("src", "workflow") for path in (repository / name).rglob("*.py")]
+    writers = {path.relative_to(repository).as_posix() for path in files if tag.search(path.read_text())}
+    assert writers <= {
+        "src/thalweg/figures/page.py",
+        "src/thalweg/figures/front.py",  # this and the next read headings of pages
+        "src/thalweg/figures/catalogue.py",
+        "src/thalweg/figures/viewer/page.py",
+        "src/thalweg/workflow/codehash.py",  # `<script>` stands for a name
+    }
