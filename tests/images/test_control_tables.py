@@ -76,6 +76,35 @@ def test_geodetic_and_map_coordinates(tmp_path: Path) -> None:
         points(path, crs=None)
 
 
+def test_the_height_of_the_ellipsoid_goes_with_degrees(tmp_path: Path) -> None:
+    """Receivers write the height above the geoid and above the ellipsoid beside each other, 43 m apart."""
+    lat, lon, h = FRAME.to_geodetic(LOCAL)
+    rows = [
+        f"{n},{c - 43:.4f},{b:.10f},{a:.10f},{c:.4f}" for n, a, b, c in zip("ABC", lat, lon, h, strict=True)
+    ]
+    text = "Name,Elevation,Longitude,Latitude,Ellipsoidal height\n" + "\n".join(rows) + "\n"
+    np.testing.assert_allclose(points(write(tmp_path, "e.csv", text)).points_wcs_m, LOCAL, atol=2e-4)
+
+
+def test_a_coordinate_that_stands_for_none_is_refused(tmp_path: Path) -> None:
+    text = "id,east_m,north_m,up_m\nA,10,20,1.5\nB,-35,40,-9999\n"
+    with pytest.raises(InputError, match=r"csv:3: up_m -9999, which stands for no value") as caught:
+        points(write(tmp_path, "n.csv", text))
+    assert caught.value.cure
+
+
+def test_metashape_ends_with_a_row_of_errors(tmp_path: Path) -> None:
+    grid = FRAME.to_map(LOCAL, CRS("EPSG:25833"))
+    rows = [
+        f"{n}\t{a:.4f}\t{b:.4f}\t{c:.4f}\t0,005".replace(".", ",")
+        for n, (a, b, c) in zip("ABC", grid, strict=True)
+    ]
+    text = "#Label\tX/Ost\tY/Nord\tZ/Höhe\tAccuracy\n" + "\n".join(rows) + "\n# Total Error\n\t\t\t\t0,012\n"
+    found = points(write(tmp_path, "m.txt", text))
+    assert found.names == ("A", "B", "C")
+    np.testing.assert_allclose(found.points_wcs_m, LOCAL, atol=2e-4)
+
+
 def test_metashape_reference_pane(tmp_path: Path) -> None:
     grid = FRAME.to_map(LOCAL, CRS("EPSG:25833"))
     head = "#CoordinateSystem: ...\n#Label,X/East,Y/North,Z/Altitude,Accuracy_(m),Error_(m),X_error\n"

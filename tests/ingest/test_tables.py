@@ -160,7 +160,50 @@ def test_names_of_rows_that_r_leaves_without_a_name(tmp_path: Path) -> None:
     assert table.numbers(table.find("east")).tolist() == [10.0, 11.0]
 
 
+def test_lines_above_the_names_may_hold_values(tmp_path: Path) -> None:
+    text = "Boat export\nSite: Elbe\nDate: 2024-06-18\n\nEasting Northing Depth\n" + "1 2 3.5\n2 3 3.6\n" * 4
+    table = read_text_table(write(tmp_path, text))
+    assert table.listed() == "Easting, Northing, Depth"
+    assert table.numbers(2).tolist() == [3.5, 3.6] * 4
+    assert table.line.tolist() == list(range(6, 14))
+
+
+@pytest.mark.parametrize("line", ["Units: US feet", "# unit = ft", "# depths in fathoms, WGS 84"])
+def test_a_unit_above_columns_that_name_none_is_asked_about(line: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="above columns that name no unit") as caught:
+        read_text_table(write(tmp_path, f"{line}\nx y depth\n1 2 3.5\n2 3 3.6\n"))
+    check_whole(caught.value)
+    # a column that names its unit, or metres, leave nothing to ask
+    assert len(read_text_table(write(tmp_path, f"{line}\nx y depth_ft\n1 2 3.5\n2 3 3.6\n"))) == 2
+    assert len(read_text_table(write(tmp_path, "# Units: m\nx y depth\n1 2 3.5\n2 3 3.6\n"))) == 2
+
+
+def test_nines_beyond_all_other_depths_stand_for_none(tmp_path: Path) -> None:
+    """99.9 m in a pond of 2 m; in a lake of 60 m it is a depth, and where a user says so."""
+    pond, lake = "depth\n1.5\n99.9\n2.0\n", "depth\n60\n99.9\n50\n"
+    assert np.isnan(read_text_table(write(tmp_path, pond)).numbers(0, "depth")).tolist() == [0, 1, 0]
+    assert np.isfinite(read_text_table(write(tmp_path, pond)).numbers(0, "depth", keep=[99.9])).all()
+    assert np.isfinite(read_text_table(write(tmp_path, lake)).numbers(0, "depth")).all()
+
+
+def test_names_in_other_languages_are_quantities(tmp_path: Path) -> None:
+    for head in ("Est;Nord;Profondità", "Este;Norte;Profundidad (m)", "X/Ost;Y/Nord;Wassertiefe [m]"):
+        table = read_text_table(write(tmp_path, f"{head}\n1;2;3\n2;3;4\n"))
+        assert [table.find(q) for q in ("east", "north", "depth")] == [0, 1, 2], head
+
+
+def test_leica_gsi_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="Leica GSI") as caught:
+        read_text_table(write(tmp_path, "110001+00000001 81..10+00377300 82..10+05656850\n"))
+    check_whole(caught.value)
+
+
 # ---------------------------------------------------------------- angles and times
+
+
+def test_longitudes_counted_all_around(tmp_path: Path) -> None:
+    table = read_text_table(write(tmp_path, "lat,lon\n44.5,286.75\n44.5,286.76\n"))
+    np.testing.assert_allclose(table.angles("lon"), [-73.25, -73.24], atol=1e-12)
 
 
 def test_angles_as_people_write_them(tmp_path: Path) -> None:
@@ -192,6 +235,10 @@ def test_angles_as_people_write_them(tmp_path: Path) -> None:
         ("gps_time", ["1402221618", "1402221619"], "2024-06-12T10:00:00", "2014-06-08 in"),
         ("unix", ["1402221618", "1402221619"], "2014-06-08T10:00:18", "2024-06-12 in"),
         ("time", ["402221618", "402221619"], "2024-06-12T10:00:00", "less 1e9"),
+        ("Datum,Uhrzeit", ["12.06.2024,10:00:00", "12.06.2024,10:00:01"], "2024-06-12T10:00:00", "no zone"),
+        ("date,clock", ["13/06/2024,10:00:00", "13/06/2024,10:00:01"], "2024-06-13T10:00:00", "no zone"),
+        ("date", ["2024-06-12", "2024-06-12"], "2024-06-12T00:00:00", "days without a time"),
+        ("Date/Time", ["6/13/2024 1:30:00 PM", "6/13/2024 1:30:01 PM"], "2024-06-13T13:30:00", "no zone"),
     ],
 )
 def test_times(tmp_path: Path, head: str, rows: list[str], first: str, note: str) -> None:
@@ -199,6 +246,14 @@ def test_times(tmp_path: Path, head: str, rows: list[str], first: str, note: str
     unix, notes = table.times()
     assert unix[0] == pytest.approx(pd.Timestamp(first, tz="UTC").timestamp(), abs=1e-6)
     assert (note in " ".join(notes)) if note else not notes
+
+
+def test_times_that_are_not_understood_are_said(tmp_path: Path) -> None:
+    """Day numbers of a spreadsheet, and seconds of a day: no time is made up, and the column is named."""
+    for value in ("45461.39583", "12 o'clock"):
+        unix, notes = read_text_table(write(tmp_path, f"time,x\n{value},1\n{value},2\n")).times()
+        assert np.isnan(unix).all()
+        assert notes == [f"column time is not read: '{value}' is no time with a date"]
 
 
 def test_days_and_months_that_may_be_exchanged_are_asked_about(tmp_path: Path) -> None:

@@ -34,7 +34,7 @@ from thalweg.core import (
     ellipsoid_of,
     parse_xml,
 )
-from thalweg.core.values import FORMS, near_world, world_of
+from thalweg.core.values import FORMS, HUGE, is_nothing, near_world, world_of
 from thalweg.images.model import (
     ControlMarks,
     ControlPoints,
@@ -44,7 +44,7 @@ from thalweg.images.model import (
     nearest_to_rays,
     robust_similarity,
 )
-from thalweg.ingest import Table, read_text, read_text_table
+from thalweg.ingest import NAMES as WORDS, Table, read_text, read_text_table
 from thalweg.settings.sections import LOCAL, ControlSettings
 
 _ROLES: Final = {
@@ -56,7 +56,7 @@ _NAMED: Final = 5
 """Names that a message lists."""
 NAMES: Final[Mapping[str, tuple[str, ...]]] = {
     "id": ("id", "label", "name", "point", "gcp", "marker", "gcp_name", "point_id", "pointid", "punkt", "nr"),
-    "image": ("image", "photo", "camera", "image_name", "file", "filename", "camera_label"),
+    "image": ("image", "photo", "camera", "image_name", "imagename", "file", "filename", "camera_label"),
     "point": ("point", "gcp", "marker", "label", "id", "gcp_name", "marker_label"),
     "x_px": ("x_px", "u", "u_px", "im_x", "image_u", "x"),
     "y_px": ("y_px", "v", "v_px", "im_y", "image_v", "y"),
@@ -64,13 +64,24 @@ NAMES: Final[Mapping[str, tuple[str, ...]]] = {
     "east_m": ("east_m",),
     "north_m": ("north_m",),
     "up_m": ("up_m",),
-    "lat_deg": ("lat_deg", "latitude", "y/latitude", "lat"),
-    "lon_deg": ("lon_deg", "longitude", "x/longitude", "lon", "long", "lng"),
-    "h_ell_m": ("h_ell_m", "h_m", "altitude", "z/altitude", "height", "elevation", "z"),
-    "x": ("x", "x/east", "x/easting", "easting", "east", "rechtswert"),
-    "y": ("y", "y/north", "y/northing", "northing", "north", "hochwert"),
-    "z": ("z", "z/altitude", "altitude", "height", "elevation", "höhe", "hoehe"),
-    "sigma_east_m": ("sigma_east_m", "sigma_x_m", "x/east accuracy", "x accuracy", "sx", "sigmax", "sigma_x"),
+    "lat_deg": ("lat_deg", *WORDS["lat"].split()),
+    "lon_deg": ("lon_deg", *WORDS["lon"].split()),
+    "h_ell_m": ("h_ell_m", "h_m", "ellipsoidal_height", "ell_height", "h_ell", *WORDS["height"].split()),
+    "x": ("x", *WORDS["east"].split()),
+    "y": ("y", *WORDS["north"].split()),
+    "z": ("z", *WORDS["height"].split()),
+    "sigma_east_m": (
+        "sigma_east_m",
+        "sigma_x_m",
+        "x/east accuracy",
+        "x accuracy",
+        "sx",
+        "sigmax",
+        "sigma_x",
+        "easting rms",
+        "accuracy_horizontal",
+        "horizontal_accuracy",
+    ),
     "sigma_north_m": (
         "sigma_north_m",
         "sigma_y_m",
@@ -79,8 +90,22 @@ NAMES: Final[Mapping[str, tuple[str, ...]]] = {
         "sy",
         "sigmay",
         "sigma_y",
+        "northing rms",
+        "accuracy_horizontal",
+        "horizontal_accuracy",
     ),
-    "sigma_up_m": ("sigma_up_m", "sigma_z_m", "z/altitude accuracy", "z accuracy", "sz", "sigmaz", "sigma_z"),
+    "sigma_up_m": (
+        "sigma_up_m",
+        "sigma_z_m",
+        "z/altitude accuracy",
+        "z accuracy",
+        "sz",
+        "sigmaz",
+        "sigma_z",
+        "elevation rms",
+        "accuracy_vertical",
+        "vertical_accuracy",
+    ),
     "accuracy": ("accuracy", "accuracy (m)", "accuracy_x/y/z"),
     "role": ("role", "type"),
     "used": ("used",),
@@ -484,6 +509,16 @@ def _coordinates(
             cure="Name the columns of the coordinates in the first line",
         )
     values = numbers(rows, form, path)
+    none = np.column_stack([is_nothing(values[:, :2], "position"), is_nothing(values[:, 2], "height")])
+    none &= np.abs(values) < HUGE  # those may be millimetres
+    if none.any():
+        k, axis = np.argwhere(none)[0]
+        raise InputError(
+            f"{form[axis]} {values[k, axis]:g}, which stands for no value",
+            expected="coordinates of each point",
+            where=place_of(rows[k], path),
+            cure="Correct the cell, or leave the row out",
+        )
     if form != FORMS[0]:
         values[:, 2] += height_offset_m
     if form == FORMS[2] and crs == LOCAL:
@@ -532,7 +567,13 @@ def named_rows(table: Table, names: Mapping[str, tuple[str, ...]] = NAMES) -> li
             cure="Correct these rows: a separator too many, or a name with a blank",
         )
     rows = table.rows(names) or [{} for _ in range(len(table))]
-    return [row | {LINE: str(line)} for row, line in zip(rows, table.line.tolist(), strict=True)]
+    meant = {"id", "image", "point", "x_px", "y_px", *(name for form in FORMS for name in form)}
+    return [
+        row | {LINE: str(line)}
+        for row, line in zip(rows, table.line.tolist(), strict=True)
+        # Metashape ends its tables with a row of mean errors
+        if not meant & row.keys() or any(row[name] for name in meant & row.keys())
+    ]
 
 
 def required(row: Mapping[str, str], name: str, path: Path) -> str:

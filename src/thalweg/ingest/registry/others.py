@@ -300,6 +300,15 @@ OTHERS: Final = (
         "keep it beside the .shp of the same name",
         _is_part_of_shapefile,
     ),
+    _other(
+        "tcx", "workout (TCX)", "convert it to GPX: logs.pos, logs.depth", _has(b"<TrainingCenterDatabase")
+    ),
+    _other(
+        "fit",
+        "recording of a watch or sounder (FIT)",
+        "convert it to GPX with the depths: logs.pos, logs.depth",
+        lambda head, size: head[8:12] == b".FIT",
+    ),
     _other("pcd", "PCD cloud", "logs.board_scans", None, (b"# .PCD", b"VERSION .7", b"VERSION 0.7")),
     _other("rosbag", "ROS bag", _CONVERT, None, (b"#ROSBAG V2.0",)),
     _other("mcap", "MCAP recording", _CONVERT, None, (b"\x89MCAP0\r\n",)),
