@@ -16,6 +16,7 @@ from shapely import Polygon
 
 from thalweg.cli import main
 from thalweg.core import ArrayF, Dsm, GeometryError, InputError, UnsupportedError, read_dsm, read_table
+from thalweg.core.values import Vectors, read_vectors
 from thalweg.deformation.foreign import (
     HeightErrors,
     difference_of_surfaces,
@@ -26,7 +27,6 @@ from thalweg.deformation.foreign import (
 from thalweg.deformation.foreign.surfaces import VOLUMES, volume_variance
 from thalweg.deformation.m3c2 import ColumnIndex, cut_cylinders, multiscale_normals
 from thalweg.deformation.series import closure, find_jumps, fit_series
-from thalweg.ingest import Vectors, read_vectors
 from thalweg.surface import Surface
 
 CORNER = (440_000.0, 5_640_000.0)

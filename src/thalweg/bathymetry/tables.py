@@ -54,8 +54,8 @@ from thalweg.core import (
     utc_text_from_unix,
     write_raster,
 )
-from thalweg.core.values import METRE, check_places, units_of_crs
-from thalweg.ingest import Places, Table, is_vector_file, read_text_table, read_vectors
+from thalweg.core.values import METRE, check_places, is_vector_file, read_vectors, units_of_crs
+from thalweg.ingest import Places, Table, read_text_table
 from thalweg.settings.sections import Bathymetry
 
 _DROWNED_M: Final = 0.5

@@ -14,7 +14,8 @@ from typing import Any, Final
 import numpy as np
 
 from thalweg.core import InputError, read_dsm, read_metashape
-from thalweg.ingest import NAMES, VECTOR_FORMATS, column_of, describe_layers, read_text_table, vector_format
+from thalweg.core.values import VECTOR_FORMATS, describe_layers, vector_format
+from thalweg.ingest import NAMES, column_of, read_text_table
 from thalweg.ingest.registry.base import Format, Recording
 from thalweg.ingest.registry.calibrations import CalibrationReport, camera_lines, is_text
 
