@@ -1,5 +1,6 @@
 """Poses of a fixed camera from control points: simulated with known errors, and a glacier's time lapse."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,8 @@ from thalweg.calibration.fixed_camera import _columns
 from thalweg.cli import main
 from thalweg.core import Camera, GeometryError, InputError
 from thalweg.images import read_all_marks
-from thalweg.images.fixed_camera import history_facts
+from thalweg.images.fixed_camera import history_facts, resect_files
+from thalweg.settings.sections import ControlSettings, FixedCamera
 
 CAMERA = Camera(
     model="perspective",
@@ -265,3 +267,30 @@ def test_a_photograph_without_a_camera_file_in_a_national_grid(tmp_path: Path, c
     assert main(words) == 2
     assert "exists already" in capsys.readouterr().err
     assert main([*words, "--force"]) == 0
+
+
+def test_a_campaign_without_a_camera_file(tmp_path: Path) -> None:
+    """The rule of the campaign estimates the lens as the command does; what it needs is asked for."""
+    true, marks, points = hillside(3, noise_px=0.5)
+    marks.to_csv(tmp_path / "marks.csv", index=False)
+    points.assign(z=points["z"] + 1500).to_csv(tmp_path / "points.csv", index=False)
+
+    def run(section: FixedCamera) -> dict[str, object]:
+        files = {name: tmp_path / f"{name}.out" for name in ("poses", "residuals", "facts")}
+        resect_files(
+            marks=[tmp_path / "marks.csv"],
+            control_points=[tmp_path / "points.csv"],
+            interior=[],
+            **files,
+            campaign={"crs": "local"},
+            control=ControlSettings(sigma_px=0.5),
+            fixed_camera=section,
+        )
+        return json.loads(files["facts"].read_text())
+
+    lens = run(FixedCamera(size_px=(4000, 3000)))["lens"]
+    assert lens["fx"]["value"] == pytest.approx(true.parameters[0], abs=4 * lens["fx"]["sigma"])
+    with pytest.raises(InputError, match=r"images\.fixed_camera\.size_px"):
+        run(FixedCamera())
+    with pytest.raises(InputError, match="'focus' to be estimated"):
+        run(FixedCamera(size_px=(4000, 3000), free=["focus"]))

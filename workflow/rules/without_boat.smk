@@ -103,7 +103,7 @@ rule resect_pictures:
         **calls("thalweg.images.fixed_camera:resect_files"),
         campaign=identity("crs"),
         control=section("images", "control"),
-        largest_sigma_m=section("images", "fixed_camera", "largest_sigma_m"),
+        fixed_camera=section("images", "fixed_camera"),
     script:
         "../scripts/call.py"
 

@@ -100,7 +100,7 @@ def resect_pictures(
         stated = f" (EXIF states {focal_px:.0f} px)" if focal_px else ""
         notes.append(
             f"Lens: begun with a focal length of {start.parameters[0]:.0f} px, by which the points fit best"
-            f"{stated}; what --free leaves out counts with what lenses have (centre 1 % of the longer side, "
+            f"{stated}; what is not free counts with what lenses have (centre 1 % of the longer side, "
             "k1 and k2 0.1 about 0)"
         )
     else:
@@ -156,7 +156,8 @@ def _size_and_focal(
             raise InputError(
                 "a lens to be estimated for pictures of an unknown size",
                 expected="their width and height",
-                cure="State it, as --size 6000x4000, or name one of the pictures with --photograph",
+                cure="State it, as --size 6000x4000 (in a campaign images.fixed_camera.size_px), or name "
+                "one of the pictures with --photograph",
             )
         return size_px, None
     head, focal_px = read_head(photograph), focal_from_exif(photograph)
@@ -242,23 +243,31 @@ def resect_files(
     *,
     marks: list[Path],
     control_points: list[Path],
-    interior: Path,
+    interior: list[Path],
     poses: Path,
     residuals: Path,
     facts: Path,
     campaign: dict[str, Any],
     control: ControlSettings,
-    largest_sigma_m: float,
+    fixed_camera: FixedCamera,
 ) -> None:
     """The pictures of a fixed camera of a campaign -> tables of poses and residuals, and facts.
 
     Parameters
     ----------
+    interior : file of the lens; none: the points tell what ``fixed_camera.free`` says.
     campaign : ``crs``.
-    control : section ``images.control``.
+    control, fixed_camera : sections ``images.control``, ``images.fixed_camera``.
     """
     found, left, told, _ = resect_pictures(
-        marks, control_points, interior, crs=campaign["crs"], control=control, largest_sigma_m=largest_sigma_m
+        marks,
+        control_points,
+        next(iter(interior), None),
+        crs=campaign["crs"],
+        control=control,
+        largest_sigma_m=fixed_camera.largest_sigma_m,
+        free=() if interior else fixed_camera.free,
+        size_px=fixed_camera.size_px,
     )
     found.to_csv(poses, index=False)
     left.to_csv(residuals, index=False, float_format="%.3f")
