@@ -323,7 +323,7 @@ def read_marks(path: Path) -> MarkTable:
     return MarkTable(
         image=tuple(required(r, "image", path) for r in rows),
         point=tuple(required(r, "point", path) for r in rows),
-        xy_px=numbers(rows, ("x_px", "y_px"), path) + first_px,
+        xy_px=_meant(rows, ("x_px", "y_px"), path) + first_px,
         sigma_px=numbers(rows, ("sigma_px",), path, math.nan)[:, 0],
         used=np.array([(r.get("used") or "true").lower() in ("true", "1", "yes") for r in rows]),
         skipped=skipped,
@@ -491,6 +491,23 @@ def matched_marks(
     return marks, dict(dropped)
 
 
+def _meant(rows: Sequence[Mapping[str, str]], names: Sequence[str], path: Path) -> ArrayF:
+    """Coordinates (n, k), each of which stands for a value; see `numbers`."""
+    values = numbers(rows, names, path)
+    none = is_nothing(values, "position")
+    none[:, 2:] = is_nothing(values[:, 2:], "height")
+    none &= np.abs(values) < HUGE  # those may be millimetres
+    if none.any():
+        k, axis = np.argwhere(none)[0]
+        raise InputError(
+            f"{names[axis]} {values[k, axis]:g}, which stands for no value",
+            expected="coordinates of each point",
+            where=place_of(rows[k], path),
+            cure="Correct the cell, or leave the row out",
+        )
+    return values
+
+
 def _coordinates(
     rows: list[dict[str, str]],
     frame: LocalFrame,
@@ -508,17 +525,7 @@ def _coordinates(
             where=path,
             cure="Name the columns of the coordinates in the first line",
         )
-    values = numbers(rows, form, path)
-    none = np.column_stack([is_nothing(values[:, :2], "position"), is_nothing(values[:, 2], "height")])
-    none &= np.abs(values) < HUGE  # those may be millimetres
-    if none.any():
-        k, axis = np.argwhere(none)[0]
-        raise InputError(
-            f"{form[axis]} {values[k, axis]:g}, which stands for no value",
-            expected="coordinates of each point",
-            where=place_of(rows[k], path),
-            cure="Correct the cell, or leave the row out",
-        )
+    values = _meant(rows, form, path)
     if form != FORMS[0]:
         values[:, 2] += height_offset_m
     if form == FORMS[2] and crs == LOCAL:
