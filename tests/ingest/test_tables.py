@@ -192,10 +192,25 @@ def test_names_in_other_languages_are_quantities(tmp_path: Path) -> None:
         assert [table.find(q) for q in ("east", "north", "depth")] == [0, 1, 2], head
 
 
-def test_leica_gsi_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="Leica GSI") as caught:
-        read_text_table(write(tmp_path, "110001+00000001 81..10+00377300 82..10+05656850\n"))
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("110001+00000001 81..10+00377300 82..10+05656850\n", "Leica GSI"),
+        ("<html><table><tr><td>lat</td></tr></table></html>", "a page or a workbook in XML"),
+    ],
+)
+def test_files_of_another_form_are_named(text: str, words: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=words) as caught:
+        read_text_table(write(tmp_path, text))
     check_whole(caught.value)
+
+
+def test_a_line_of_dashes_below_the_names(tmp_path: Path) -> None:
+    table = read_text_table(
+        write(tmp_path, "  East  North  Depth\n  ----  -----  -----\n" + "  10.0  20.0  1.5\n" * 3)
+    )
+    assert table.listed() == "East, North, Depth"
+    assert table.numbers(2).tolist() == [1.5] * 3
 
 
 # ---------------------------------------------------------------- angles and times
@@ -238,6 +253,9 @@ def test_angles_as_people_write_them(tmp_path: Path) -> None:
         ("Datum,Uhrzeit", ["12.06.2024,10:00:00", "12.06.2024,10:00:01"], "2024-06-12T10:00:00", "no zone"),
         ("date,clock", ["13/06/2024,10:00:00", "13/06/2024,10:00:01"], "2024-06-13T10:00:00", "no zone"),
         ("date", ["2024-06-12", "2024-06-12"], "2024-06-12T00:00:00", "days without a time"),
+        ("Date,Time", ["20240612,100000", "20240612,100001"], "2024-06-12T10:00:00", "no zone"),
+        ("Time", ["12-Jun-2024 10:00:00", "12-Jun-2024 10:00:01"], "2024-06-12T10:00:00", "no zone"),
+        ("week,tow", ["2318,295218.0", "2318,295219.0"], "2024-06-12T10:00:00", "GPS weeks and seconds"),
         ("Date/Time", ["6/13/2024 1:30:00 PM", "6/13/2024 1:30:01 PM"], "2024-06-13T13:30:00", "no zone"),
     ],
 )

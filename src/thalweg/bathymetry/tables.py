@@ -305,6 +305,8 @@ def read_soundings(
     sigma = np.full(len(table), sigma_m) if at_sigma is None else table.numbers(at_sigma, "sigma")
     known = np.isfinite(value) & np.isfinite(places).all(axis=1) & np.isfinite(sigma) & (sigma > 0)
     notes = [*table.notes, *found.notes, *table.unit_notes(k), *table.loss_notes()]
+    if table.columns[k].words == "z" and not depth:
+        notes.append(f"column {column} taken as heights, positive upwards: depths need --depth {column}")
     if known.any():
         notes.append(
             check_places(

@@ -26,7 +26,7 @@ import numpy as np
 import pandas as pd
 from pyproj import CRS, Transformer
 
-from thalweg.core import ArrayB, ArrayF, ArrayI, InputError, unix_from_gps
+from thalweg.core import DAY_S, ArrayB, ArrayF, ArrayI, InputError, gps_from_week, unix_from_gps
 from thalweg.core.values import (
     METRE,
     NOTHING,
@@ -62,7 +62,8 @@ NAMES: Final[Mapping[str, str]] = {
     "sigma": "sigma sigma_z sigma_up sigma_height sigma_depth sd std stdev stddev uncertainty tvu accuracy",
     "line": "line line_id line_name profile section transect track run survey_line",
     "time": "time timestamp datetime date_time time_utc utc utc_time gps_time epoch epoch_ms unix unix_s t "
-    "uhrzeit zeit zeitstempel heure hora ora tijd",
+    "uhrzeit zeit zeitstempel heure hora ora tijd tow sow gps_sow",
+    "week": "week gps_week gpsweek wn",
     "date": "date day datum date_utc fecha",
     "level": "level water_level wl stage gauge wasserstand pegel",
 }
@@ -105,6 +106,7 @@ _OTHERS: Final = (
         "a file of Leica GSI",
         "Export the points as CSV with names of columns",
     ),
+    (re.compile(rb"\s*<[?!a-zA-Z]"), "a page or a workbook in XML", "Save the sheet as CSV (UTF-8)"),
 )
 """Texts of another form, by their beginning."""
 
@@ -119,6 +121,10 @@ _VALUE: Final = re.compile(
 _DAY: Final = r"^(\d{1,2})([./-])(\d{1,2})[./-](\d{4}|\d\d)(.*)$"
 """A day before its month, or the other way round, and what stands behind."""
 _CLOCK: Final = r"\d{1,2}:\d\d(?::\d\d(?:[.,]\d*)?)?(?: ?[aApP]\.?[mM]\.?)?"
+_WORDED: Final = re.compile(
+    r"(?i)\d ?[ap]\.?m\.?$|[-/ ](?:jan|feb|mar|apr|may|jun|jul|aug|sep|oct|nov|dec)[a-z]*[-/ ]"
+)
+"""Clocks of twelve hours, and months by name."""
 _ANGLE: Final = re.compile(
     r"\s*([NSEW])?\s*([-+−]?\d+(?:[.,]\d+)?)\s*(?:[°d:\s]\s*(\d+(?:[.,]\d+)?)\s*(?:['′m:\s]\s*(\d+(?:[.,]\d+)?)\s*(?:''|\"|″|s)?)?)?"
     r"\s*['′°]?\s*([NSEW])?\s*",
@@ -586,6 +592,9 @@ class Table:
         if not parts:
             return None
         name = self.columns[time if time is not None else date or 0].name
+        if (week := self.find("week")) is not None and time is not None:
+            t_gps_s = gps_from_week(self.numbers(week, "time"), self.numbers(time, "time"))
+            return unix_from_gps(t_gps_s), [f"times taken as GPS weeks and seconds of the week ({name})"]
         text = parts[0] if len(parts) == 1 else parts[0].str.cat(parts[1], sep=" ")
         none = f"column {name} is not read: '{text.iloc[0] if len(text) else ''}' is no time with a date"
         number = pd.to_numeric(text, errors="coerce").to_numpy(np.float64)
@@ -601,7 +610,7 @@ class Table:
         found = text.str.extract(_DAY)
         if found[0].notna().mean() > 0.5:
             text = self._iso(text, found)
-        if text.str.fullmatch(r".*\d ?[ap]\.?m\.?", case=False).all():  # of clocks with twelve hours
+        if text.str.contains(_WORDED).all():
             text = pd.to_datetime(text, format="mixed", errors="coerce").astype(str)
         moment = pd.to_datetime(text.str.replace(" ", "T", n=1), format="ISO8601", utc=True, errors="coerce")
         if not moment.notna().any():
@@ -609,9 +618,9 @@ class Table:
         notes = []
         if not text.str.contains(r"(?:Z|[+-]\d\d:?\d\d)$", regex=True).any():
             notes.append("times state no zone: taken as UTC")
-        if not text.str.contains(":", regex=False).any():
-            notes = [f"column {name} holds days without a time: midnight of UTC is taken"]
         unix = moment.to_numpy("datetime64[ns]").astype(np.int64) / 1e9
+        if (unix[moment.notna()] % DAY_S == 0.0).all():
+            notes = [f"column {name} holds days without a time: midnight of UTC is taken"]
         return np.where(moment.notna() & possible_unix(unix), unix, np.nan), notes
 
     def _iso(self, text: "pd.Series[str]", found: pd.DataFrame) -> "pd.Series[str]":
@@ -946,7 +955,10 @@ def _are_units(row: Sequence[str]) -> bool:
     """Whether a line below the names holds units."""
     words = [c.strip("()[]{}").lower() for c in row if c]
     known = [
-        unit_of_word(w) is not None or w in _NO_LENGTHS or w in {"deg", "°", "degrees", "-", "1", "utc"}
+        unit_of_word(w) is not None
+        or not w.strip("-=_")
+        or w in _NO_LENGTHS
+        or w in {"deg", "°", "degrees", "-", "1", "utc"}
         for w in words
     ]
     return bool(words) and all(known)
