@@ -387,8 +387,9 @@ def _flow(options: argparse.Namespace) -> int:
     import numpy as np
     import pandas as pd
 
-    from thalweg.bathymetry import read_line, read_places
+    from thalweg.bathymetry import read_line
     from thalweg.core import InputError
+    from thalweg.ingest import read_places
 
     line = read_line(options.centre_line)
     table, found = read_places(options.points, None, any_system=True)

@@ -3,8 +3,10 @@
 from dataclasses import replace
 from pathlib import Path
 
+import geopandas as gpd
 import numpy as np
 import pytest
+import shapely
 from pyproj import CRS
 
 from thalweg.core import GeometryError, InputError, LocalFrame
@@ -91,6 +93,27 @@ def test_a_coordinate_that_stands_for_none_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"csv:3: up_m -9999, which stands for no value") as caught:
         points(write(tmp_path, "n.csv", text))
     assert caught.value.cure
+
+
+def test_points_of_a_gis_are_control_points(tmp_path: Path) -> None:
+    """On the map, in degrees, with heights in the geometry or beside it; not by attributes."""
+    grid = FRAME.to_map(LOCAL, CRS("EPSG:25833"))
+    layer = gpd.GeoDataFrame(
+        {"name": list("ABC"), "role": ["check", "control", "control"], "accuracy": 0.004, "east": 1.0},
+        geometry=shapely.points(grid),
+        crs="EPSG:25833",
+    )
+    layer.to_file(tmp_path / "p.gpkg")
+    flat = layer.assign(elevation=grid[:, 2], geometry=shapely.points(grid[:, :2])).set_crs("EPSG:25833")
+    flat.to_file(tmp_path / "p.shp")
+    layer.to_crs("EPSG:4258").to_file(tmp_path / "p.geojson")
+    for name, crs in (("p.gpkg", None), ("p.shp", "EPSG:3857"), ("p.geojson", None)):
+        found = points(tmp_path / name, crs)
+        assert found.names == ("A", "B", "C"), name
+        # GeoJSON has seven digits of a degree
+        np.testing.assert_allclose(found.points_wcs_m, LOCAL, atol=1e-2 if "json" in name else 1e-4)
+        assert found.check.tolist() == [True, False, False]
+        np.testing.assert_allclose(np.sqrt(found.cov_wcs_m2[0].diagonal()), 0.004)
 
 
 def test_metashape_ends_with_a_row_of_errors(tmp_path: Path) -> None:

@@ -12,10 +12,11 @@ import pandas as pd
 import pytest
 from pyproj import CRS, Transformer
 
-from thalweg.bathymetry import read_columns, read_line, read_places, read_soundings
+from thalweg.bathymetry import read_columns, read_line, read_soundings
 from thalweg.core import LocalFrame, ThalwegError
 from thalweg.deformation.foreign import read_points
 from thalweg.images import read_control_points, read_marks
+from thalweg.ingest import read_places
 from thalweg.ingest.tracks import read_bed_survey
 
 UTM = CRS("EPSG:25833")

@@ -55,7 +55,7 @@ from thalweg.core import (
     write_raster,
 )
 from thalweg.core.values import METRE, check_places, is_vector_file, read_vectors, units_of_crs
-from thalweg.ingest import Places, Table, read_text_table
+from thalweg.ingest import Table, read_places
 from thalweg.settings.sections import Bathymetry
 
 _DROWNED_M: Final = 0.5
@@ -115,40 +115,6 @@ def map_crs(text: str, *, feet: bool = False) -> CRS:
             "files that state another system",
         )
     return crs
-
-
-def read_places(
-    path: Path, crs: CRS | None, *, order: Sequence[str] | None = None, any_system: bool = False
-) -> tuple[Table, Places]:
-    """A table of places: text with names of columns, x y z without, or points of a GIS.
-
-    Parameters
-    ----------
-    path : see `thalweg.ingest.read_text_table`.
-    crs, any_system : of the map, see `thalweg.ingest.Table.places`.
-    order : names of the columns, stated by a user.
-
-    Raises
-    ------
-    InputError : no such file, no table, no coordinates.
-    """
-    if not is_vector_file(path):
-        table = read_text_table(path, order=order, bare=("x", "y", "z"))
-        return table, table.places(crs, any_system=any_system)
-    drawn = read_vectors(path)
-    on = crs or drawn.usual_map()
-    drawn = drawn if on is None else drawn.on_map(on)
-    frame, at = drawn.points()
-    if not len(at):
-        raise InputError(
-            "no points",
-            where=path,
-            expected="a layer of points",
-            cure="Export soundings as points, not as lines",
-        )
-    if "z" not in frame and at.shape[1] > 2:
-        frame["z"] = at[:, 2]
-    return Table.of(frame, path), Places(at[:, :2], on, list(drawn.notes))
 
 
 def read_line(
@@ -283,7 +249,7 @@ def read_soundings(
 
     Parameters
     ----------
-    path, crs, order : see `read_places`.
+    path, crs, order : see `thalweg.ingest.read_places`.
     column : of heights, or of depths below ``level_m`` (0 where none is stated); None: as the names tell.
     depth : whether its values are depths; None: as its name tells.
     nothing, keep : values that stand for none beside the usual ones, and such of them that are meant.

@@ -34,7 +34,7 @@ from thalweg.core import (
     ellipsoid_of,
     parse_xml,
 )
-from thalweg.core.values import FORMS, HUGE, is_nothing, near_world, world_of
+from thalweg.core.values import FORMS, HUGE, is_nothing, is_vector_file, near_world, world_of
 from thalweg.images.model import (
     ControlMarks,
     ControlPoints,
@@ -44,7 +44,7 @@ from thalweg.images.model import (
     nearest_to_rays,
     robust_similarity,
 )
-from thalweg.ingest import NAMES as WORDS, Table, read_text, read_text_table
+from thalweg.ingest import NAMES as WORDS, Table, read_places, read_text, read_text_table
 from thalweg.settings.sections import LOCAL, ControlSettings
 
 _ROLES: Final = {
@@ -208,11 +208,13 @@ def read_control_points(
 
 def _point_rows(path: Path, crs: str | None) -> tuple[list[dict[str, str]], str | None]:
     """Rows of surveyed points in any of the known forms, and the CRS that the file states, or ``crs``."""
+    if is_vector_file(path):
+        return _placed_rows(path, (), crs)
     text = read_text(path)[0]
     if path.suffix.lower() == ".xml":
         return metashape_points(path, text, crs)
     if not is_gcp_list(text):
-        return table_rows(path, ("id", *FORMS[0])), crs
+        return _placed_rows(path, ("id", *FORMS[0]), crs)
     points: dict[str, dict[str, str]] = {}
     rows, stated = _gcp_rows(path, text)
     for row in rows:
@@ -222,6 +224,16 @@ def _point_rows(path: Path, crs: str | None) -> tuple[list[dict[str, str]], str 
                 f"two places of {row['id']}", expected="the same coordinates in each row", where=path
             )
     return list(points.values()), stated
+
+
+def _placed_rows(
+    path: Path, needed: Sequence[str], crs: str | None
+) -> tuple[list[dict[str, str]], str | None]:
+    """Rows of a table, or of points of a GIS, and the CRS that the file states, or ``crs``."""
+    if not is_vector_file(path):
+        return table_rows(path, needed), crs
+    table, found = read_places(path, None, any_system=True)
+    return named_rows(table), crs if found.crs is None else found.crs.to_wkt()
 
 
 def read_all_control_points(
@@ -380,7 +392,7 @@ def read_camera_positions(
     InputError : no such file, unknown columns, numbers that are none, an image twice, or no standard
         deviations.
     """
-    rows = table_rows(path, ("image", *FORMS[2]))
+    rows, stated = _placed_rows(path, ("image", *FORMS[2]), crs)
     rows = [{"image": row.get("id", ""), **row} for row in rows]  # whose column may be called a label
     if not rows:
         raise InputError("no positions", expected="at least one row", where=path)
@@ -397,7 +409,7 @@ def read_camera_positions(
         raise InputError(f"two positions of {twice}", expected="each image once", where=path)
     return CameraPositions(
         images=names,
-        centre_wcs_m=_coordinates(rows, frame, crs, path, height_offset_m, own=False),
+        centre_wcs_m=_coordinates(rows, frame, stated, path, height_offset_m, own=stated is not crs),
         sigma_m=sigmas(rows, path, (0.0, 0.0, 0.0)),
     )
 

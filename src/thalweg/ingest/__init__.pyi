@@ -53,6 +53,7 @@ from .tables import (
     Places as Places,
     Table as Table,
     column_of as column_of,
+    read_places as read_places,
     read_text as read_text,
     read_text_table as read_text_table,
 )

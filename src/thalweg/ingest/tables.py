@@ -36,6 +36,8 @@ from thalweg.core.values import (
     in_metres,
     in_words,
     is_nothing,
+    is_vector_file,
+    read_vectors,
     unit_of_word,
     utm_of,
 )
@@ -106,7 +108,11 @@ _OTHERS: Final = (
         "a file of Leica GSI",
         "Export the points as CSV with names of columns",
     ),
-    (re.compile(rb"\s*<[?!a-zA-Z]"), "a page or a workbook in XML", "Save the sheet as CSV (UTF-8)"),
+    (
+        re.compile(rb"(?i)\s*(?:<\?[^>]*>\s*)*<(?:!doctype html|html|table|workbook)\b"),
+        "a page or a workbook in XML",
+        "Save the sheet as CSV (UTF-8)",
+    ),
 )
 """Texts of another form, by their beginning."""
 
@@ -771,6 +777,41 @@ def read_text_table(path: Path, *, order: Sequence[str] | None = None, bare: Seq
     table = _whole_rows(table, head, width)
     decimal, thousands = _marks(table, separator)
     return replace(table, decimal=decimal, thousands=thousands)
+
+
+def read_places(
+    path: Path, crs: CRS | None, *, order: Sequence[str] | None = None, any_system: bool = False
+) -> tuple[Table, Places]:
+    """A table of places: text with names of columns, x y z without, or points of a GIS.
+
+    Of points of a GIS their coordinates are columns x, y, z, and what the layer holds beside are the others.
+
+    Parameters
+    ----------
+    path, order : see `read_text_table`.
+    crs, any_system : of the map, see `Table.places`.
+
+    Raises
+    ------
+    InputError : no such file, no table, no coordinates.
+    """
+    if not is_vector_file(path):
+        table = read_text_table(path, order=order, bare=("x", "y", "z"))
+        return table, table.places(crs, any_system=any_system)
+    drawn = read_vectors(path)
+    on = crs or drawn.usual_map()
+    drawn = drawn if on is None else drawn.on_map(on)
+    frame, at = drawn.points()
+    if not len(at):
+        raise InputError(
+            "no points", where=path, expected="a layer of points", cure="Export them as points, not as lines"
+        )
+    placed = {word for quantity in ("east", "north", "lat", "lon") for word in NAMES[quantity].split()}
+    frame = frame[[name for name in frame if column_of(str(name)).words not in placed]]
+    frame = frame.assign(x=at[:, 0], y=at[:, 1])
+    if "z" not in frame and at.shape[1] > 2:
+        frame = frame.assign(z=at[:, 2])
+    return Table.of(frame, path), Places(at[:, :2], on, list(drawn.notes))
 
 
 def _refuse_unit_above(lines: Sequence[str], table: Table) -> None:
