@@ -55,6 +55,7 @@ from .errors import (
     ThalwegError as ThalwegError,
     UnsupportedError as UnsupportedError,
     file_trouble as file_trouble,
+    require_file as require_file,
     steps as steps,
     to_terminal as to_terminal,
 )

@@ -19,7 +19,7 @@ from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError
 from scipy.ndimage import map_coordinates
 
-from thalweg.core.errors import GeometryError, InputError, UnsupportedError
+from thalweg.core.errors import GeometryError, InputError, UnsupportedError, require_file
 from thalweg.core.geometry import TriangleMesh
 from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayI
 from thalweg.core.values import (
@@ -266,10 +266,7 @@ def read_dsm(path: Path, *, nodata: float | None = None) -> Dsm:
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
-    if not path.is_file() or not path.stat().st_size:
-        raise InputError(
-            "an empty file" if path.is_file() else "no such file", expected="a GeoTIFF of heights", where=path
-        )
+    require_file(path, "a GeoTIFF of heights")
     try:
         with warnings.catch_warnings(), rasterio.Env(GTIFF_REPORT_COMPD_CS=True):
             warnings.simplefilter("ignore", NotGeoreferencedWarning)

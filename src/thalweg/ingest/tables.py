@@ -26,7 +26,7 @@ import numpy as np
 import pandas as pd
 from pyproj import CRS, Transformer
 
-from thalweg.core import DAY_S, ArrayB, ArrayF, ArrayI, InputError, gps_from_week, unix_from_gps
+from thalweg.core import DAY_S, ArrayB, ArrayF, ArrayI, InputError, gps_from_week, require_file, unix_from_gps
 from thalweg.core.values import (
     METRE,
     NOTHING,
@@ -194,10 +194,7 @@ def read_text(path: Path) -> tuple[str, list[str]]:
     ------
     InputError : no such file, a folder or device, empty, a workbook, or no text.
     """
-    if not path.exists():
-        raise InputError("file not found", expected="a table", where=path, cure="Check the path")
-    if not path.is_file():
-        raise InputError("a folder or a device", expected="a table", where=path, cure="Name a file")
+    require_file(path, "a table")
     data = path.read_bytes()
     if data.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0")):
         raise InputError(

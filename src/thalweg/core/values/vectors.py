@@ -16,7 +16,7 @@ import pandas as pd
 from pyproj import CRS
 from pyproj.exceptions import CRSError, ProjError
 
-from thalweg.core import ArrayB, ArrayF, InputError
+from thalweg.core import ArrayB, ArrayF, InputError, require_file
 from thalweg.core.values.places import check_places, utm_of
 from thalweg.core.values.units import units_of_crs
 
@@ -332,11 +332,7 @@ def _head(path: Path) -> bytes:
 
 def _format_of(path: Path) -> str:
     """The format, by the content. Python opens the file: so a rule sees what the twin keeps from it."""
-    if not path.is_file():
-        found = "this is a folder or a device" if path.exists() else "file not found"
-        raise InputError(found, expected="a file of a map", where=path, cure="Check the path")
-    if not path.stat().st_size:
-        raise InputError("the file is empty", expected="a file of a map", where=path, cure="Export it again")
+    require_file(path, "a file of a map")
     head = _head(path)
     kind = vector_format(head)
     if kind is not None:
