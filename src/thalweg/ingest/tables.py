@@ -64,8 +64,9 @@ NAMES: Final[Mapping[str, str]] = {
     "sigma": "sigma sigma_z sigma_up sigma_height sigma_depth sd std stdev stddev uncertainty tvu accuracy",
     "line": "line line_id line_name profile section transect track run survey_line",
     "time": "time timestamp datetime date_time time_utc utc utc_time gps_time epoch epoch_ms unix unix_s t "
-    "uhrzeit zeit zeitstempel heure hora ora tijd tow sow gps_sow",
+    "uhrzeit zeit zeitstempel heure hora ora tijd",
     "week": "week gps_week gpsweek wn",
+    "tow": "tow sow gps_sow gps_tow seconds_of_week",
     "date": "date day datum date_utc fecha",
     "level": "level water_level wl stage gauge wasserstand pegel",
 }
@@ -272,9 +273,8 @@ class Table:
         ------
         InputError : several columns may be meant.
         """
-        known = names[quantity].split()
-        found = [k for k, c in enumerate(self.columns) if c.words in known or c.name.lower() in known]
-        plain = [k for k in found if _without_unit(self.columns[k].name) in known]
+        found = self._all(quantity, names)
+        plain = [k for k in found if _without_unit(self.columns[k].name) in names[quantity].split()]
         if len(found) > 1 and len(plain) == 1:  # depth beside depth_corrected: what is named without more
             return plain[0]
         if len(found) > 1:
@@ -286,6 +286,10 @@ class Table:
                 cure="Name the one that is meant, or rename the others",
             )
         return found[0] if found else None
+
+    def _all(self, quantity: str, names: Mapping[str, str] = NAMES) -> list[int]:
+        known = names[quantity].split()
+        return [k for k, c in enumerate(self.columns) if c.words in known or c.name.lower() in known]
 
     def column(self, name: str) -> int:
         """Place of a column by the name that a user states: as in the file, in another case, or a quantity.
@@ -586,18 +590,32 @@ class Table:
         ------
         InputError : days and months that may be exchanged.
         """
-        date, time = self.find("date"), self.find("time")
+        date, named, found = self.find("date"), self._all("time"), None
+        columns: Sequence[int | None] = named or [None]
+        for time in columns:
+            found = self._moments(date, time)
+            if found is None or np.isfinite(found[0]).any():
+                if found is not None and len(named) > 1:
+                    others = ", ".join(self.columns[k].name for k in named if k != time)
+                    found[1].append(f"times of column {self.columns[time or 0].name}, not of {others}")
+                break
+        return found
+
+    def _moments(self, date: int | None, time: int | None) -> tuple[ArrayF, list[str]] | None:
+        """Times by a column of dates, one of times, or both; see `times`."""
         if time is None:  # a clock under any name
             cells = {k: pd.Series(self.text(k)) for k in range(len(self.columns)) if k != date}
             clocks = [k for k, c in cells.items() if len(c) and c.str.fullmatch(_CLOCK).all()]
             time = clocks[0] if len(clocks) == 1 else None
         parts = [pd.Series(self.text(k)) for k in (date, time) if k is not None]
+        week, tow = self.find("week"), self.find("tow")
+        if not parts and week is not None and tow is not None:
+            t_gps_s = gps_from_week(self.numbers(week, "time"), self.numbers(tow, "time"))
+            note = f"times taken as GPS weeks and seconds of the week ({self.columns[tow].name})"
+            return unix_from_gps(t_gps_s), [note]
         if not parts:
             return None
         name = self.columns[time if time is not None else date or 0].name
-        if (week := self.find("week")) is not None and time is not None:
-            t_gps_s = gps_from_week(self.numbers(week, "time"), self.numbers(time, "time"))
-            return unix_from_gps(t_gps_s), [f"times taken as GPS weeks and seconds of the week ({name})"]
         text = parts[0] if len(parts) == 1 else parts[0].str.cat(parts[1], sep=" ")
         none = f"column {name} is not read: '{text.iloc[0] if len(text) else ''}' is no time with a date"
         number = pd.to_numeric(text, errors="coerce").to_numpy(np.float64)
@@ -689,16 +707,12 @@ class Places:
 
 def _nines(values: ArrayF, kind: str, keep: Sequence[float]) -> ArrayB:
     """Depths and heights such as 99.9 that exceed all others by far: instruments write them for none."""
-    out = np.zeros(len(values), np.bool_)
     known = np.unique(values[np.isfinite(values)])
-    while (
-        kind in ("depth", "height") and len(known) > 1 and known[-1] > 3 * max(abs(known[-2]), abs(known[0]))
-    ):
-        if known[-1] in keep or not re.fullmatch(r"99+(\.9+)?|9\.9+", f"{known[-1]:.15g}"):
-            break
-        out |= values == known[-1]
-        known = known[:-1]
-    return out
+    if kind not in ("depth", "height") or len(known) < 2:
+        return np.zeros(len(values), np.bool_)
+    top, others = known[-1], np.abs(known[[0, -2]]).max()
+    lone = top > 3 * others and top not in keep and re.fullmatch(r"99+(\.9+)?|9\.9+", f"{top:.15g}")
+    return np.asarray((values == top) & bool(lone))
 
 
 def _without_unit(name: str) -> str:
