@@ -170,12 +170,29 @@ def test_lines_above_the_names_may_hold_values(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("line", ["Units: US feet", "# unit = ft", "# depths in fathoms, WGS 84"])
 def test_a_unit_above_columns_that_name_none_is_asked_about(line: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="above columns that name no unit") as caught:
+    with pytest.raises(InputError, match="beside columns that name no unit") as caught:
         read_text_table(write(tmp_path, f"{line}\nx y depth\n1 2 3.5\n2 3 3.6\n"))
     check_whole(caught.value)
     # a column that names its unit, or metres, leave nothing to ask
     assert len(read_text_table(write(tmp_path, f"{line}\nx y depth_ft\n1 2 3.5\n2 3 3.6\n"))) == 2
     assert len(read_text_table(write(tmp_path, "# Units: m\nx y depth\n1 2 3.5\n2 3 3.6\n"))) == 2
+
+
+def test_a_column_of_units_is_asked_about_too(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="'unit: ft' beside columns that name no unit") as caught:
+        read_text_table(write(tmp_path, "lat,lon,depth,units\n51,13,3.5,ft\n51,13,3.6,ft\n"))
+    check_whole(caught.value)
+    assert len(read_text_table(write(tmp_path, "lat,lon,depth,units\n51,13,3.5,m\n51,13,3.6,m\n"))) == 2
+
+
+def test_parts_of_angles_are_no_angles(tmp_path: Path) -> None:
+    """Degrees, minutes and seconds in three columns: the minutes are no latitude."""
+    table = read_text_table(
+        write(tmp_path, "lat_d,lat_m,lat_s,lon_d,lon_m,lon_s,depth (in)\n51,3,5,13,15,0,60\n")
+    )
+    with pytest.raises(InputError, match="expected coordinates"):
+        table.places(UTM)
+    assert table.numbers(6, "depth").tolist() == [1.524]
 
 
 def test_nines_beyond_all_other_depths_stand_for_none(tmp_path: Path) -> None:

@@ -508,7 +508,7 @@ def _meant(rows: Sequence[Mapping[str, str]], names: Sequence[str], path: Path) 
     values = numbers(rows, names, path)
     none = is_nothing(values, "position")
     none[:, 2:] = is_nothing(values[:, 2:], "height")
-    none &= np.abs(values) < HUGE  # those may be millimetres
+    none &= (np.abs(values) < HUGE) | (np.abs(values) > 1000.0 * HUGE)  # between are millimetres of a map
     if none.any():
         k, axis = np.argwhere(none)[0]
         raise InputError(

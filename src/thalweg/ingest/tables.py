@@ -289,7 +289,12 @@ class Table:
 
     def _all(self, quantity: str, names: Mapping[str, str] = NAMES) -> list[int]:
         known = names[quantity].split()
-        return [k for k, c in enumerate(self.columns) if c.words in known or c.name.lower() in known]
+        angle = quantity in ("lat", "lon")  # whose minutes and seconds may stand in lat_m, lat_s
+        return [
+            k
+            for k, c in enumerate(self.columns)
+            if (c.words in known or c.name.lower() in known) and not (angle and (c.unit or c.foreign))
+        ]
 
     def column(self, name: str) -> int:
         """Place of a column by the name that a user states: as in the file, in another case, or a quantity.
@@ -826,14 +831,20 @@ def read_places(
 
 
 def _refuse_unit_above(lines: Sequence[str], table: Table) -> None:
-    """A line above the rows that states a unit of all that follows, such as ``Units: feet``."""
-    for number, line in enumerate(lines, 1):
+    """A line above the rows, or a column, that states a unit of others, such as ``Units: feet``."""
+    stated = list(enumerate(lines, 1))
+    for k, column in enumerate(table.columns):
+        if re.fullmatch(r"(?:depth_)?(?:units?|einheit)", column.words):
+            stated += [
+                (int(line), f"unit: {cell}") for line, cell in zip(table.line, table.text(k), strict=True)
+            ]
+    for number, line in stated:
         found = re.search(r"(?i)\bunits?\W+(.*)|\b(?:depths?|heights?|elevations?) in (.*)", line)
         words = re.findall(r"[a-z]+", (found[1] or found[2] or "").lower())[:3] if found else []
         units = [unit_of_word(" ".join(words[: k + 1])) for k in range(len(words))]
         if any(unit is not None and not unit.is_metre for unit in units):
             raise InputError(
-                f"'{line.strip()[:60]}' above columns that name no unit: {table.listed()}",
+                f"'{line.strip()[:60]}' beside columns that name no unit: {table.listed()}",
                 expected="a unit behind the name of each column that it is meant for, such as depth_ft",
                 where=f"{table.path}:{number}",
                 cure="Rename these columns, or state all with --columns",
