@@ -72,8 +72,8 @@ test-slow: env ## long studies
 test-cluster: env ## a campaign on a SLURM of its own, with forced faults (Debian: slurm-wlm, munge)
 	@$(PY) tests/cluster/run --cpus $(CORES)
 
-fuzz: env ## every reader of recordings and documents on 10,000 mutated inputs
-	@THALWEG_FUZZ=10000 $(PY) -m pytest -n $(CORES) -k fuzz tests/ingest tests/core
+fuzz: env ## readers of recordings and documents on 10,000 mutated inputs, example tables in other forms; SEED=number: other draws
+	@THALWEG_FUZZ=10000 THALWEG_FUZZ_SEED=$(or $(SEED),0) $(PY) -m pytest -n $(CORES) -k fuzz tests/ingest tests/core
 
 mutants: env ## 500 deliberate mistakes, other ones each time, that tests must find; SEED=number repeats a draw
 	@$(PY) tests/mutants/run.py --workers $(CORES) $(if $(SEED),--seed $(SEED))

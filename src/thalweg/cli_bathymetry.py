@@ -387,7 +387,9 @@ def _flow(options: argparse.Namespace) -> int:
     import numpy as np
     import pandas as pd
 
-    from thalweg.bathymetry import read_line, read_places
+    from thalweg.bathymetry import read_line
+    from thalweg.core import InputError
+    from thalweg.ingest import read_places
 
     line = read_line(options.centre_line)
     table, found = read_places(options.points, None, any_system=True)
@@ -395,6 +397,13 @@ def _flow(options: argparse.Namespace) -> int:
     known = np.isfinite(places).all(axis=1)
     s, n, fold = np.full(len(places), np.nan), np.full(len(places), np.nan), np.ones(len(places), dtype=bool)
     s[known], n[known], fold[known] = line.to_flow(places[known])
+    if fold.all():
+        raise InputError(
+            f"none of {len(table):,} places lies beside the centre line",
+            expected="places along it",
+            where=options.points,
+            cure="Look whether both are in one coordinate system, and in metres",
+        )
     columns = {c.name: table.text(k) for k, c in enumerate(table.columns)}
     pd.DataFrame(columns | {"s_m": s, "n_m": n, "fold": fold}).to_csv(
         options.out, index=False, float_format="%.6f"

@@ -288,8 +288,8 @@ def _compare_surfaces(options: argparse.Namespace) -> int:
     import numpy as np
 
     from thalweg.core import read_dsm
+    from thalweg.core.values import read_vectors
     from thalweg.deformation.foreign import HeightErrors, difference_of_surfaces, write_difference
-    from thalweg.ingest import read_vectors
 
     before, after = (read_dsm(path, nodata=options.nodata) for path in (options.before, options.after))
     stated = (

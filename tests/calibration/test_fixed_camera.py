@@ -1,5 +1,6 @@
 """Poses of a fixed camera from control points: simulated with known errors, and a glacier's time lapse."""
 
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,8 @@ from thalweg.calibration.fixed_camera import _columns
 from thalweg.cli import main
 from thalweg.core import Camera, GeometryError, InputError
 from thalweg.images import read_all_marks
-from thalweg.images.fixed_camera import history_facts
+from thalweg.images.fixed_camera import history_facts, resect_files
+from thalweg.settings.sections import ControlSettings, FixedCamera
 
 CAMERA = Camera(
     model="perspective",
@@ -353,3 +355,30 @@ def test_marks_that_err_more_than_stated_make_the_sigmas_larger() -> None:
     assert sigma[20.0] == pytest.approx(10 * sigma[2.0], rel=0.1)
     assert ["Global test" in " ".join(notes[s]) for s in (0.5, 2.0, 20.0)] == [True, False, True]
     assert "err less than stated" in " ".join(notes[20.0])
+
+
+def test_a_campaign_without_a_camera_file(tmp_path: Path) -> None:
+    """The rule of the campaign estimates the lens as the command does; what it needs is asked for."""
+    true, marks, points = hillside(3, noise_px=0.5)
+    marks.to_csv(tmp_path / "marks.csv", index=False)
+    points.assign(z=points["z"] + 1500).to_csv(tmp_path / "points.csv", index=False)
+
+    def run(section: FixedCamera) -> dict[str, object]:
+        files = {name: tmp_path / f"{name}.out" for name in ("poses", "residuals", "facts")}
+        resect_files(
+            marks=[tmp_path / "marks.csv"],
+            control_points=[tmp_path / "points.csv"],
+            interior=[],
+            **files,
+            campaign={"crs": "local"},
+            control=ControlSettings(sigma_px=0.5),
+            settings=section,
+        )
+        return json.loads(files["facts"].read_text())
+
+    lens = run(FixedCamera(size_px=(4000, 3000)))["lens"]
+    assert lens["fx"]["value"] == pytest.approx(true.parameters[0], abs=4 * lens["fx"]["sigma"])
+    with pytest.raises(InputError, match=r"images\.fixed_camera\.size_px"):
+        run(FixedCamera())
+    with pytest.raises(InputError, match="'focus' to be estimated"):
+        run(FixedCamera(size_px=(4000, 3000), free=["focus"]))

@@ -16,6 +16,7 @@ from shapely import Polygon
 
 from thalweg.cli import main
 from thalweg.core import ArrayF, Dsm, GeometryError, InputError, UnsupportedError, read_dsm, read_table
+from thalweg.core.values import Vectors, read_vectors
 from thalweg.deformation.foreign import (
     HeightErrors,
     difference_of_surfaces,
@@ -26,7 +27,6 @@ from thalweg.deformation.foreign import (
 from thalweg.deformation.foreign.surfaces import VOLUMES, volume_variance
 from thalweg.deformation.m3c2 import ColumnIndex, cut_cylinders, multiscale_normals
 from thalweg.deformation.series import closure, find_jumps, fit_series
-from thalweg.ingest import Vectors, read_vectors
 from thalweg.surface import Surface
 
 CORNER = (440_000.0, 5_640_000.0)
@@ -126,10 +126,14 @@ def test_files_that_are_no_heights_are_refused(tmp_path: Path) -> None:
     text.write_text("no raster")
     cut = a_tif(tmp_path / "cut.tif", relief())
     cut.write_bytes(cut.read_bytes()[:1500])
-    for path, found in ((empty, "an empty file"), (text, "no raster"), (cut, "no raster that can be read")):
+    for path, found in (
+        (empty, "the file is empty"),
+        (text, "no raster"),
+        (cut, "no raster that can be read"),
+    ):
         with pytest.raises(InputError, match=found):
             read_dsm(path)
-    with pytest.raises(InputError, match="no such file"):
+    with pytest.raises(InputError, match="file not found"):
         read_dsm(tmp_path / "none.tif")
     with pytest.raises(InputError, match="no cell has a height"):
         read_dsm(a_tif(tmp_path / "a.tif", np.full((4, 5), -9999.0)))

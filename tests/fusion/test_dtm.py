@@ -323,7 +323,7 @@ def test_water_that_no_bed_reaches_is_refused(river, rng, tmp_path):
     far = river.outline_m() + np.array([400.0, 0.0])
     with pytest.raises(CoverageError, match="inside the water line"):
         build_dtm(bed, {}, far, FRAME, Fusion())
-    with pytest.raises(InputError, match="no such file"):
+    with pytest.raises(InputError, match="file not found"):
         build_dtm(tmp_path / "none.tif", {}, far, FRAME, Fusion())
 
 

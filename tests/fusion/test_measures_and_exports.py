@@ -12,6 +12,7 @@ from scipy.spatial.distance import cdist
 from tests.fusion.conftest import DEPTH_M, FRAME, GRID, HALF_WIDTH_M, LEVEL_UP_M, bed_up_m
 from thalweg.bathymetry import FlowLine
 from thalweg.core import CoverageError, Trajectory
+from thalweg.core.values import describe_layers, read_vectors
 from thalweg.fusion import Dtm, River, map_of_changes, map_of_survey
 from thalweg.fusion.exports import contour_lines, write_bag, write_csv, write_hecras, write_swmm
 from thalweg.fusion.measures import (
@@ -23,7 +24,6 @@ from thalweg.fusion.measures import (
     long_profile,
     volume_below,
 )
-from thalweg.ingest import describe_layers, read_vectors
 from thalweg.settings.sections import Fusion
 from thalweg.settings.twin import TwinConfig
 from thalweg_lab.reach import River as TrueRiver

@@ -3,8 +3,10 @@
 from dataclasses import replace
 from pathlib import Path
 
+import geopandas as gpd
 import numpy as np
 import pytest
+import shapely
 from pyproj import CRS
 
 from thalweg.core import GeometryError, InputError, LocalFrame
@@ -74,6 +76,56 @@ def test_geodetic_and_map_coordinates(tmp_path: Path) -> None:
     np.testing.assert_allclose(points(path).points_wcs_m, LOCAL, atol=2e-4)
     with pytest.raises(InputError, match=r"without a CRS.*campaign\.crs"):
         points(path, crs=None)
+
+
+def test_the_height_of_the_ellipsoid_goes_with_degrees(tmp_path: Path) -> None:
+    """Receivers write the height above the geoid and above the ellipsoid beside each other, 43 m apart."""
+    lat, lon, h = FRAME.to_geodetic(LOCAL)
+    rows = [
+        f"{n},{c - 43:.4f},{b:.10f},{a:.10f},{c:.4f}" for n, a, b, c in zip("ABC", lat, lon, h, strict=True)
+    ]
+    text = "Name,Elevation,Longitude,Latitude,Ellipsoidal height\n" + "\n".join(rows) + "\n"
+    np.testing.assert_allclose(points(write(tmp_path, "e.csv", text)).points_wcs_m, LOCAL, atol=2e-4)
+
+
+def test_a_coordinate_that_stands_for_none_is_refused(tmp_path: Path) -> None:
+    text = "id,east_m,north_m,up_m\nA,10,20,1.5\nB,-35,40,-9999\n"
+    with pytest.raises(InputError, match=r"csv:3: up_m -9999, which stands for no value") as caught:
+        points(write(tmp_path, "n.csv", text))
+    assert caught.value.cure
+
+
+def test_points_of_a_gis_are_control_points(tmp_path: Path) -> None:
+    """On the map, in degrees, with heights in the geometry or beside it; not by attributes."""
+    grid = FRAME.to_map(LOCAL, CRS("EPSG:25833"))
+    layer = gpd.GeoDataFrame(
+        {"name": list("ABC"), "role": ["check", "control", "control"], "accuracy": 0.004, "east": 1.0},
+        geometry=shapely.points(grid),
+        crs="EPSG:25833",
+    )
+    layer.to_file(tmp_path / "p.gpkg")
+    flat = layer.assign(elevation=grid[:, 2], geometry=shapely.points(grid[:, :2])).set_crs("EPSG:25833")
+    flat.to_file(tmp_path / "p.shp")
+    layer.to_crs("EPSG:4258").to_file(tmp_path / "p.geojson")
+    for name, crs in (("p.gpkg", None), ("p.shp", "EPSG:3857"), ("p.geojson", None)):
+        found = points(tmp_path / name, crs)
+        assert found.names == ("A", "B", "C"), name
+        # GeoJSON has seven digits of a degree
+        np.testing.assert_allclose(found.points_wcs_m, LOCAL, atol=1e-2 if "json" in name else 1e-4)
+        assert found.check.tolist() == [True, False, False]
+        np.testing.assert_allclose(np.sqrt(found.cov_wcs_m2[0].diagonal()), 0.004)
+
+
+def test_metashape_ends_with_a_row_of_errors(tmp_path: Path) -> None:
+    grid = FRAME.to_map(LOCAL, CRS("EPSG:25833"))
+    rows = [
+        f"{n}\t{a:.4f}\t{b:.4f}\t{c:.4f}\t0,005".replace(".", ",")
+        for n, (a, b, c) in zip("ABC", grid, strict=True)
+    ]
+    text = "#Label\tX/Ost\tY/Nord\tZ/Höhe\tAccuracy\n" + "\n".join(rows) + "\n# Total Error\n\t\t\t\t0,012\n"
+    found = points(write(tmp_path, "m.txt", text))
+    assert found.names == ("A", "B", "C")
+    np.testing.assert_allclose(found.points_wcs_m, LOCAL, atol=2e-4)
 
 
 def test_metashape_reference_pane(tmp_path: Path) -> None:

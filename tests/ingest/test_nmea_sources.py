@@ -291,3 +291,18 @@ def test_traits_of_reports(data_dir: Path, trait: str, words: str) -> None:
     if trait == "fast_pings":
         off = log.depths["depth_m"] - 3.0 - 0.06 * (since_start(log) + 0.0)
         assert abs(off.mean()) < 0.001
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        ("SDXDR,D,3.10,M,DEPTH", "2 depths of a transducer"),
+        ("PSKPDPT,3.10,0.30,0,42,25,2,0", "2 sentences PSKPDPT"),
+        ("SDDBT,3.10,f,3.10,M,3.10,F", "2 sentences with impossible fields"),
+    ],
+)
+def test_depths_that_are_not_read_are_the_cause(body: str, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "log.nmea"
+    path.write_text("".join(rmc(START + k) + sentence(body) for k in range(2)))
+    with pytest.raises(InputError, match=words):
+        read_nmea([path]).with_depths()

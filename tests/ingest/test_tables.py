@@ -160,7 +160,82 @@ def test_names_of_rows_that_r_leaves_without_a_name(tmp_path: Path) -> None:
     assert table.numbers(table.find("east")).tolist() == [10.0, 11.0]
 
 
+def test_lines_above_the_names_may_hold_values(tmp_path: Path) -> None:
+    text = "Boat export\nSite: Elbe\nDate: 2024-06-18\n\nEasting Northing Depth\n" + "1 2 3.5\n2 3 3.6\n" * 4
+    table = read_text_table(write(tmp_path, text))
+    assert table.listed() == "Easting, Northing, Depth"
+    assert table.numbers(2).tolist() == [3.5, 3.6] * 4
+    assert table.line.tolist() == list(range(6, 14))
+
+
+@pytest.mark.parametrize("line", ["Units: US feet", "# unit = ft", "# depths in fathoms, WGS 84"])
+def test_a_unit_above_columns_that_name_none_is_asked_about(line: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="beside columns that name no unit") as caught:
+        read_text_table(write(tmp_path, f"{line}\nx y depth\n1 2 3.5\n2 3 3.6\n"))
+    check_whole(caught.value)
+    # a column that names its unit, or metres, leave nothing to ask
+    assert len(read_text_table(write(tmp_path, f"{line}\nx y depth_ft\n1 2 3.5\n2 3 3.6\n"))) == 2
+    assert len(read_text_table(write(tmp_path, "# Units: m\nx y depth\n1 2 3.5\n2 3 3.6\n"))) == 2
+
+
+def test_a_column_of_units_is_asked_about_too(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="'unit: ft' beside columns that name no unit") as caught:
+        read_text_table(write(tmp_path, "lat,lon,depth,units\n51,13,3.5,ft\n51,13,3.6,ft\n"))
+    check_whole(caught.value)
+    assert len(read_text_table(write(tmp_path, "lat,lon,depth,units\n51,13,3.5,m\n51,13,3.6,m\n"))) == 2
+
+
+def test_parts_of_angles_are_no_angles(tmp_path: Path) -> None:
+    """Degrees, minutes and seconds in three columns: the minutes are no latitude."""
+    table = read_text_table(
+        write(tmp_path, "lat_d,lat_m,lat_s,lon_d,lon_m,lon_s,depth (in)\n51,3,5,13,15,0,60\n")
+    )
+    with pytest.raises(InputError, match="expected coordinates"):
+        table.places(UTM)
+    assert table.numbers(6, "depth").tolist() == [1.524]
+
+
+def test_nines_beyond_all_other_depths_stand_for_none(tmp_path: Path) -> None:
+    """99.9 m in a pond of 2 m; in a lake of 60 m it is a depth, and where a user says so."""
+    pond, lake = "depth\n1.5\n99.9\n2.0\n", "depth\n60\n99.9\n50\n"
+    assert np.isnan(read_text_table(write(tmp_path, pond)).numbers(0, "depth")).tolist() == [0, 1, 0]
+    assert np.isfinite(read_text_table(write(tmp_path, pond)).numbers(0, "depth", keep=[99.9])).all()
+    assert np.isfinite(read_text_table(write(tmp_path, lake)).numbers(0, "depth")).all()
+
+
+def test_names_in_other_languages_are_quantities(tmp_path: Path) -> None:
+    for head in ("Est;Nord;Profondità", "Este;Norte;Profundidad (m)", "X/Ost;Y/Nord;Wassertiefe [m]"):
+        table = read_text_table(write(tmp_path, f"{head}\n1;2;3\n2;3;4\n"))
+        assert [table.find(q) for q in ("east", "north", "depth")] == [0, 1, 2], head
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("110001+00000001 81..10+00377300 82..10+05656850\n", "Leica GSI"),
+        ("<html><table><tr><td>lat</td></tr></table></html>", "a page or a workbook in XML"),
+    ],
+)
+def test_files_of_another_form_are_named(text: str, words: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=words) as caught:
+        read_text_table(write(tmp_path, text))
+    check_whole(caught.value)
+
+
+def test_a_line_of_dashes_below_the_names(tmp_path: Path) -> None:
+    table = read_text_table(
+        write(tmp_path, "  East  North  Depth\n  ----  -----  -----\n" + "  10.0  20.0  1.5\n" * 3)
+    )
+    assert table.listed() == "East, North, Depth"
+    assert table.numbers(2).tolist() == [1.5] * 3
+
+
 # ---------------------------------------------------------------- angles and times
+
+
+def test_longitudes_counted_all_around(tmp_path: Path) -> None:
+    table = read_text_table(write(tmp_path, "lat,lon\n44.5,286.75\n44.5,286.76\n"))
+    np.testing.assert_allclose(table.angles("lon"), [-73.25, -73.24], atol=1e-12)
 
 
 def test_angles_as_people_write_them(tmp_path: Path) -> None:
@@ -192,6 +267,25 @@ def test_angles_as_people_write_them(tmp_path: Path) -> None:
         ("gps_time", ["1402221618", "1402221619"], "2024-06-12T10:00:00", "2014-06-08 in"),
         ("unix", ["1402221618", "1402221619"], "2014-06-08T10:00:18", "2024-06-12 in"),
         ("time", ["402221618", "402221619"], "2024-06-12T10:00:00", "less 1e9"),
+        ("Datum,Uhrzeit", ["12.06.2024,10:00:00", "12.06.2024,10:00:01"], "2024-06-12T10:00:00", "no zone"),
+        ("date,clock", ["13/06/2024,10:00:00", "13/06/2024,10:00:01"], "2024-06-13T10:00:00", "no zone"),
+        ("date", ["2024-06-12", "2024-06-12"], "2024-06-12T00:00:00", "days without a time"),
+        ("Date,Time", ["20240612,100000", "20240612,100001"], "2024-06-12T10:00:00", "no zone"),
+        ("Time", ["12-Jun-2024 10:00:00", "12-Jun-2024 10:00:01"], "2024-06-12T10:00:00", "no zone"),
+        (
+            "time,week,tow",
+            ["2024-06-12T10:00:00Z,2318,1", "2024-06-12T10:00:01Z,2318,2"],
+            "2024-06-12T10:00:00",
+            "",
+        ),
+        (
+            "time,gps_time,stamp",
+            ["10:00:00,1402221618,a", "10:00:01,1402221619,a"],
+            "2024-06-12T10:00:00",
+            "not of time",
+        ),
+        ("week,tow", ["2318,295218.0", "2318,295219.0"], "2024-06-12T10:00:00", "GPS weeks and seconds"),
+        ("Date/Time", ["6/13/2024 1:30:00 PM", "6/13/2024 1:30:01 PM"], "2024-06-13T13:30:00", "no zone"),
     ],
 )
 def test_times(tmp_path: Path, head: str, rows: list[str], first: str, note: str) -> None:
@@ -199,6 +293,14 @@ def test_times(tmp_path: Path, head: str, rows: list[str], first: str, note: str
     unix, notes = table.times()
     assert unix[0] == pytest.approx(pd.Timestamp(first, tz="UTC").timestamp(), abs=1e-6)
     assert (note in " ".join(notes)) if note else not notes
+
+
+def test_times_that_are_not_understood_are_said(tmp_path: Path) -> None:
+    """Day numbers of a spreadsheet, and seconds of a day: no time is made up, and the column is named."""
+    for value in ("45461.39583", "12 o'clock"):
+        unix, notes = read_text_table(write(tmp_path, f"time,x\n{value},1\n{value},2\n")).times()
+        assert np.isnan(unix).all()
+        assert notes == [f"column time is not read: '{value}' is no time with a date"]
 
 
 def test_days_and_months_that_may_be_exchanged_are_asked_about(tmp_path: Path) -> None:

@@ -230,6 +230,7 @@ UPRIGHT = [0.0, 0.0, np.sin(0.3), np.cos(0.3)]
     [
         ("# timestamp tx ty tz qw qx qy qz", "wxyz"),
         ("timestamp,x,y,z,qw,qx,qy,qz", "wxyz"),
+        ("timestamp,x,y,z,q[0],q[1],q[2],q[3]", "wxyz"),
         ("#time [s], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_x, q_y, q_z, q_w", "xyzw"),
         ("# stamp, position, quaternion (w, x, y, z)", "wxyz"),
         ("# poses of the boat", "xyzw"),

@@ -10,9 +10,10 @@ import shapely
 from geopandas import GeoDataFrame
 from pyproj import CRS
 
-from thalweg.bathymetry import read_bank_lines, read_banks, read_islands, read_line, read_places
+from thalweg.bathymetry import read_bank_lines, read_banks, read_islands, read_line
 from thalweg.core import InputError, LocalFrame
-from thalweg.ingest import describe_layers, read_vectors
+from thalweg.core.values import describe_layers, read_vectors
+from thalweg.ingest import read_places
 from thalweg.ingest.registry import describe
 
 MAP = CRS.from_epsg(25833)

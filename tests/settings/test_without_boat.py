@@ -76,7 +76,7 @@ def test_complete_ones_need_neither_origin_nor_mounts(tmp_path: Path, logs: Any,
             "logs.time_lapse.positions",
             "beside other logs",
         ),
-        ({"fixed_camera": {"marks": ["marks.csv"]}}, "local", "logs.fixed_camera.interior", "missing"),
+        ({"fixed_camera": {"marks": ["marks.csv"]}}, "local", "logs.fixed_camera.control_points", "missing"),
         ({"fixed_camera": FIXED, "ins": ["boat.anpp"]}, "local", "logs.ins", "would not be used"),
         ({"cloud": ["a.laz"]}, "local", "logs.reference", "missing"),
         ({"cloud": ["a.laz", "b.laz"], "reference": ["points.csv"]}, "local", "logs.cloud", "2 files"),
@@ -98,6 +98,17 @@ def test_a_stated_time_needs_its_standard_deviation(tmp_path: Path) -> None:
     path = tmp_path / "alone.yaml"
     path.write_text(path.read_text() + "lidar_accuracy: {sigma_time_s: 0.1}\n")
     assert load_campaign(path).lidar.clock.first_packet_unix_s == 1_778_587_200.0
+
+
+def test_the_points_of_a_fixed_camera_tell_its_lens(tmp_path: Path) -> None:
+    """No calibration file is needed: the setting says what is estimated instead."""
+    logs = {"fixed_camera": {name: FIXED[name] for name in ("marks", "control_points")}}
+    campaign = load_campaign(written(tmp_path, logs))
+    assert not campaign.logs.fixed_camera.interior
+    assert campaign.images.fixed_camera.free == ["focal", "k1"]
+    files = {"fixed_marks": [tmp_path / "marks.csv"], "fixed_points": [tmp_path / "points.csv"]}
+    text = campaign_text("alone", folder=tmp_path, files=files)
+    assert "interior" not in text
 
 
 @pytest.mark.parametrize("kind", ["photographs", "fixed_camera", "cloud"])

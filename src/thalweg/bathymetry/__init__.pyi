@@ -56,7 +56,6 @@ from .tables import (
     read_islands as read_islands,
     read_line as read_line,
     read_other_soundings as read_other_soundings,
-    read_places as read_places,
     read_soundings as read_soundings,
     usual_cell_m as usual_cell_m,
     water_of as water_of,

@@ -34,7 +34,7 @@ from thalweg.core import (
     LocalFrame,
     iter_laz,
 )
-from thalweg.ingest import read_vectors
+from thalweg.core.values import read_vectors
 from thalweg.settings.sections import Bathymetry
 
 SIDES: Final = {"left": 1.0, "right": -1.0}

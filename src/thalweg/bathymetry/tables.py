@@ -54,8 +54,8 @@ from thalweg.core import (
     utc_text_from_unix,
     write_raster,
 )
-from thalweg.core.values import METRE, check_places, units_of_crs
-from thalweg.ingest import Places, Table, is_vector_file, read_text_table, read_vectors
+from thalweg.core.values import METRE, check_places, is_vector_file, read_vectors, units_of_crs
+from thalweg.ingest import Places, Table, read_places as places_of_table
 from thalweg.ingest.registry import soundings_table
 from thalweg.settings.sections import Bathymetry
 
@@ -121,40 +121,18 @@ def map_crs(text: str, *, feet: bool = False) -> CRS:
 def read_places(
     path: Path, crs: CRS | None, *, order: Sequence[str] | None = None, any_system: bool = False
 ) -> tuple[Table, Places]:
-    """A table of places: text with names of columns, x y z without, or points of a GIS.
-
-    Parameters
-    ----------
-    path : see `thalweg.ingest.read_text_table`.
-    crs, any_system : of the map, see `thalweg.ingest.Table.places`.
-    order : names of the columns, stated by a user.
+    """`thalweg.ingest.read_places`, and soundings of a recording that holds their places too.
 
     Raises
     ------
-    InputError : no such file, no table, no coordinates.
+    InputError : see there.
     """
-    if (recorded := soundings_table(path)) is not None:
-        frame, notes = recorded
-        table = Table.of(frame, path)
-        found = table.places(crs, any_system=any_system)
-        return table, replace(found, notes=[*notes, *found.notes])
-    if not is_vector_file(path):
-        table = read_text_table(path, order=order, bare=("x", "y", "z"))
-        return table, table.places(crs, any_system=any_system)
-    drawn = read_vectors(path)
-    on = crs or drawn.usual_map()
-    drawn = drawn if on is None else drawn.on_map(on)
-    frame, at = drawn.points()
-    if not len(at):
-        raise InputError(
-            "no points",
-            where=path,
-            expected="a layer of points",
-            cure="Export soundings as points, not as lines",
-        )
-    if "z" not in frame and at.shape[1] > 2:
-        frame["z"] = at[:, 2]
-    return Table.of(frame, path), Places(at[:, :2], on, list(drawn.notes))
+    if (recorded := soundings_table(path)) is None:
+        return places_of_table(path, crs, order=order, any_system=any_system)
+    frame, notes = recorded
+    table = Table.of(frame, path)
+    found = table.places(crs, any_system=any_system)
+    return table, replace(found, notes=[*notes, *found.notes])
 
 
 def read_line(
@@ -289,7 +267,7 @@ def read_soundings(
 
     Parameters
     ----------
-    path, crs, order : see `read_places`.
+    path, crs, order : see `thalweg.ingest.read_places`.
     column : of heights, or of depths below ``level_m`` (0 where none is stated); None: as the names tell.
     depth : whether its values are depths; None: as its name tells.
     nothing, keep : values that stand for none beside the usual ones, and such of them that are meant.
@@ -311,6 +289,8 @@ def read_soundings(
     sigma = np.full(len(table), sigma_m) if at_sigma is None else table.numbers(at_sigma, "sigma")
     known = np.isfinite(value) & np.isfinite(places).all(axis=1) & np.isfinite(sigma) & (sigma > 0)
     notes = [*table.notes, *found.notes, *table.unit_notes(k), *table.loss_notes()]
+    if table.columns[k].words == "z" and not depth:
+        notes.append(f"column {column} taken as heights, positive upwards: depths need --depth {column}")
     if known.any():
         notes.append(
             check_places(

@@ -18,7 +18,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from thalweg.core import ArrayF, GeometryError, InputError
-from thalweg.ingest import read_text_table
+from thalweg.ingest import read_places
 
 __all__ = ["correct_refraction", "read_columns"]
 
@@ -149,7 +149,7 @@ def read_columns(path: Path, *, height: str | None = None, water: str | None = N
     ------
     InputError : no table, no such column, or text where numbers are expected.
     """
-    table = read_text_table(path, bare=("x", "y", "z"))
+    table, found = read_places(path, None, any_system=True)
     up = table.find("height") if height is None else table.column(height)
     if up is None:
         raise InputError(
@@ -158,7 +158,7 @@ def read_columns(path: Path, *, height: str | None = None, water: str | None = N
             where=path,
             cure="Name the column of heights by --height",
         )
-    xyz = np.column_stack([table.places(None, any_system=True).xy_m, table.numbers(up, "height")])
+    xyz = np.column_stack([found.xy_m, table.numbers(up, "height")])
     bad = np.flatnonzero(~np.isfinite(xyz).all(axis=1))
     if len(bad) or not len(xyz):
         raise InputError(

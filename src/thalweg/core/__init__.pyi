@@ -60,6 +60,7 @@ from .errors import (
     UnsupportedError as UnsupportedError,
     file_trouble as file_trouble,
     others_may_write as others_may_write,
+    require_file as require_file,
     steps as steps,
     to_terminal as to_terminal,
 )

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from thalweg.core.documents import parse_xml, parse_yaml
-from thalweg.core.errors import GeometryError, InputError, UnsupportedError
+from thalweg.core.errors import GeometryError, InputError, UnsupportedError, require_file
 from thalweg.core.types import ArrayF
 
 Model = Literal["perspective", "fisheye"]
@@ -523,8 +523,7 @@ def write_opencv(path: Path, camera: Camera) -> None:
 
 
 def _text(path: Path) -> str:
-    if not path.is_file():
-        raise InputError("file not found", expected="a camera file", where=path)
+    require_file(path, "a camera file")
     try:
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:

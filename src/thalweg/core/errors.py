@@ -137,6 +137,28 @@ def others_may_write(folder: Path) -> bool:
     return bool(shared) or found.st_uid not in (0, os.getuid())
 
 
+def require_file(path: Path, expected: str) -> None:
+    """Refuse a path where no file stands, or an empty one.
+
+    Parameters
+    ----------
+    expected : what the file should be, such as "a RINEX file".
+
+    Raises
+    ------
+    InputError : missing, a folder, a pipe or device, or empty.
+    """
+    found, cure = "the file is empty", "Copy or export it again"
+    if not path.exists():
+        found, cure = "file not found", "Check the path"
+    elif not path.is_file():
+        found = "this is a folder" if path.is_dir() else "this is a pipe or a device"
+        cure = "Name a file"
+    elif path.stat().st_size:
+        return
+    raise InputError(found, expected=expected, where=path, cure=cure)
+
+
 def file_trouble(error: OSError) -> str:
     """What the system says of a file, with the file and what to do, as a sentence for people."""
     cure = (

@@ -30,7 +30,7 @@ from pyproj.exceptions import CRSError
 
 import thalweg
 from thalweg.core.documents import parse_json
-from thalweg.core.errors import GeometryError, InputError, ThalwegError
+from thalweg.core.errors import GeometryError, InputError, ThalwegError, require_file
 from thalweg.core.frames import LocalFrame
 from thalweg.core.timescales import unix_from_gps
 from thalweg.core.types import AnyArray, ArrayB, ArrayF
@@ -628,8 +628,7 @@ def check_las_bytes(path: Path) -> None:
     ------
     InputError : missing, no LAS file, or sizes in the header that contradict the file.
     """
-    if not path.is_file():
-        raise InputError("file not found", expected="a LAS or LAZ cloud", where=path, cure="Check the path")
+    require_file(path, "a LAS or LAZ cloud")
     size = path.stat().st_size
     with path.open("rb") as stream:
         head = stream.read(375)

@@ -20,7 +20,7 @@ from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError
 from scipy.ndimage import map_coordinates
 
-from thalweg.core.errors import GeometryError, InputError, UnsupportedError
+from thalweg.core.errors import GeometryError, InputError, UnsupportedError, require_file
 from thalweg.core.geometry import TriangleMesh
 from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayI
 from thalweg.core.values import (
@@ -302,6 +302,7 @@ def read_dsm(path: Path, *, nodata: float | None = None) -> Dsm:
     UnsupportedError : several bands of which none is called height, a turned raster, degrees, or an
         unknown unit.
     """
+    require_file(path, "a GeoTIFF of heights")
     with open_raster(path) as file:
         return _heights(file, path, nodata)
 

@@ -34,7 +34,7 @@ from thalweg.core import (
     ellipsoid_of,
     parse_xml,
 )
-from thalweg.core.values import FORMS, near_world, world_of
+from thalweg.core.values import FORMS, HUGE, is_nothing, is_vector_file, near_world, world_of
 from thalweg.images.model import (
     ControlMarks,
     ControlPoints,
@@ -44,7 +44,7 @@ from thalweg.images.model import (
     nearest_to_rays,
     robust_similarity,
 )
-from thalweg.ingest import Table, read_text, read_text_table
+from thalweg.ingest import NAMES as WORDS, Table, read_places, read_text, read_text_table
 from thalweg.settings.sections import LOCAL, ControlSettings
 
 _ROLES: Final = {
@@ -56,7 +56,7 @@ _NAMED: Final = 5
 """Names that a message lists."""
 NAMES: Final[Mapping[str, tuple[str, ...]]] = {
     "id": ("id", "label", "name", "point", "gcp", "marker", "gcp_name", "point_id", "pointid", "punkt", "nr"),
-    "image": ("image", "photo", "camera", "image_name", "file", "filename", "camera_label"),
+    "image": ("image", "photo", "camera", "image_name", "imagename", "file", "filename", "camera_label"),
     "point": ("point", "gcp", "marker", "label", "id", "gcp_name", "marker_label"),
     "x_px": ("x_px", "u", "u_px", "im_x", "image_u", "x"),
     "y_px": ("y_px", "v", "v_px", "im_y", "image_v", "y"),
@@ -64,13 +64,24 @@ NAMES: Final[Mapping[str, tuple[str, ...]]] = {
     "east_m": ("east_m",),
     "north_m": ("north_m",),
     "up_m": ("up_m",),
-    "lat_deg": ("lat_deg", "latitude", "y/latitude", "lat"),
-    "lon_deg": ("lon_deg", "longitude", "x/longitude", "lon", "long", "lng"),
-    "h_ell_m": ("h_ell_m", "h_m", "altitude", "z/altitude", "height", "elevation", "z"),
-    "x": ("x", "x/east", "x/easting", "easting", "east", "rechtswert"),
-    "y": ("y", "y/north", "y/northing", "northing", "north", "hochwert"),
-    "z": ("z", "z/altitude", "altitude", "height", "elevation", "höhe", "hoehe"),
-    "sigma_east_m": ("sigma_east_m", "sigma_x_m", "x/east accuracy", "x accuracy", "sx", "sigmax", "sigma_x"),
+    "lat_deg": ("lat_deg", *WORDS["lat"].split()),
+    "lon_deg": ("lon_deg", *WORDS["lon"].split()),
+    "h_ell_m": ("h_ell_m", "h_m", "ellipsoidal_height", "ell_height", "h_ell", *WORDS["height"].split()),
+    "x": ("x", *WORDS["east"].split()),
+    "y": ("y", *WORDS["north"].split()),
+    "z": ("z", *WORDS["height"].split()),
+    "sigma_east_m": (
+        "sigma_east_m",
+        "sigma_x_m",
+        "x/east accuracy",
+        "x accuracy",
+        "sx",
+        "sigmax",
+        "sigma_x",
+        "easting rms",
+        "accuracy_horizontal",
+        "horizontal_accuracy",
+    ),
     "sigma_north_m": (
         "sigma_north_m",
         "sigma_y_m",
@@ -79,8 +90,22 @@ NAMES: Final[Mapping[str, tuple[str, ...]]] = {
         "sy",
         "sigmay",
         "sigma_y",
+        "northing rms",
+        "accuracy_horizontal",
+        "horizontal_accuracy",
     ),
-    "sigma_up_m": ("sigma_up_m", "sigma_z_m", "z/altitude accuracy", "z accuracy", "sz", "sigmaz", "sigma_z"),
+    "sigma_up_m": (
+        "sigma_up_m",
+        "sigma_z_m",
+        "z/altitude accuracy",
+        "z accuracy",
+        "sz",
+        "sigmaz",
+        "sigma_z",
+        "elevation rms",
+        "accuracy_vertical",
+        "vertical_accuracy",
+    ),
     "accuracy": ("accuracy", "accuracy (m)", "accuracy_x/y/z"),
     "role": ("role", "type"),
     "used": ("used",),
@@ -183,11 +208,13 @@ def read_control_points(
 
 def _point_rows(path: Path, crs: str | None) -> tuple[list[dict[str, str]], str | None]:
     """Rows of surveyed points in any of the known forms, and the CRS that the file states, or ``crs``."""
+    if is_vector_file(path):
+        return _placed_rows(path, (), crs)
     text = read_text(path)[0]
     if path.suffix.lower() == ".xml":
         return metashape_points(path, text, crs)
     if not is_gcp_list(text):
-        return table_rows(path, ("id", *FORMS[0])), crs
+        return _placed_rows(path, ("id", *FORMS[0]), crs)
     points: dict[str, dict[str, str]] = {}
     rows, stated = _gcp_rows(path, text)
     for row in rows:
@@ -197,6 +224,16 @@ def _point_rows(path: Path, crs: str | None) -> tuple[list[dict[str, str]], str 
                 f"two places of {row['id']}", expected="the same coordinates in each row", where=path
             )
     return list(points.values()), stated
+
+
+def _placed_rows(
+    path: Path, needed: Sequence[str], crs: str | None
+) -> tuple[list[dict[str, str]], str | None]:
+    """Rows of a table, or of points of a GIS, and the CRS that the file states, or ``crs``."""
+    if not is_vector_file(path):
+        return table_rows(path, needed), crs
+    table, found = read_places(path, None, any_system=True)
+    return named_rows(table), crs if found.crs is None else found.crs.to_wkt()
 
 
 def read_all_control_points(
@@ -298,7 +335,7 @@ def read_marks(path: Path) -> MarkTable:
     return MarkTable(
         image=tuple(required(r, "image", path) for r in rows),
         point=tuple(required(r, "point", path) for r in rows),
-        xy_px=numbers(rows, ("x_px", "y_px"), path) + first_px,
+        xy_px=_meant(rows, ("x_px", "y_px"), path) + first_px,
         sigma_px=numbers(rows, ("sigma_px",), path, math.nan)[:, 0],
         used=np.array([(r.get("used") or "true").lower() in ("true", "1", "yes") for r in rows]),
         skipped=skipped,
@@ -355,7 +392,7 @@ def read_camera_positions(
     InputError : no such file, unknown columns, numbers that are none, an image twice, or no standard
         deviations.
     """
-    rows = table_rows(path, ("image", *FORMS[2]))
+    rows, stated = _placed_rows(path, ("image", *FORMS[2]), crs)
     rows = [{"image": row.get("id", ""), **row} for row in rows]  # whose column may be called a label
     if not rows:
         raise InputError("no positions", expected="at least one row", where=path)
@@ -372,7 +409,7 @@ def read_camera_positions(
         raise InputError(f"two positions of {twice}", expected="each image once", where=path)
     return CameraPositions(
         images=names,
-        centre_wcs_m=_coordinates(rows, frame, crs, path, height_offset_m, own=False),
+        centre_wcs_m=_coordinates(rows, frame, stated, path, height_offset_m, own=stated is not crs),
         sigma_m=sigmas(rows, path, (0.0, 0.0, 0.0)),
     )
 
@@ -466,6 +503,23 @@ def matched_marks(
     return marks, dict(dropped)
 
 
+def _meant(rows: Sequence[Mapping[str, str]], names: Sequence[str], path: Path) -> ArrayF:
+    """Coordinates (n, k), each of which stands for a value; see `numbers`."""
+    values = numbers(rows, names, path)
+    none = is_nothing(values, "position")
+    none[:, 2:] = is_nothing(values[:, 2:], "height")
+    none &= (np.abs(values) < HUGE) | (np.abs(values) > 1000.0 * HUGE)  # between are millimetres of a map
+    if none.any():
+        k, axis = np.argwhere(none)[0]
+        raise InputError(
+            f"{names[axis]} {values[k, axis]:g}, which stands for no value",
+            expected="coordinates of each point",
+            where=place_of(rows[k], path),
+            cure="Correct the cell, or leave the row out",
+        )
+    return values
+
+
 def _coordinates(
     rows: list[dict[str, str]],
     frame: LocalFrame,
@@ -483,7 +537,7 @@ def _coordinates(
             where=path,
             cure="Name the columns of the coordinates in the first line",
         )
-    values = numbers(rows, form, path)
+    values = _meant(rows, form, path)
     if form != FORMS[0]:
         values[:, 2] += height_offset_m
     if form == FORMS[2] and crs == LOCAL:
@@ -532,7 +586,13 @@ def named_rows(table: Table, names: Mapping[str, tuple[str, ...]] = NAMES) -> li
             cure="Correct these rows: a separator too many, or a name with a blank",
         )
     rows = table.rows(names) or [{} for _ in range(len(table))]
-    return [row | {LINE: str(line)} for row, line in zip(rows, table.line.tolist(), strict=True)]
+    meant = {"id", "image", "point", "x_px", "y_px", *(name for form in FORMS for name in form)}
+    return [
+        row | {LINE: str(line)}
+        for row, line in zip(rows, table.line.tolist(), strict=True)
+        # Metashape ends its tables with a row of mean errors
+        if not meant & row.keys() or any(row[name] for name in meant & row.keys())
+    ]
 
 
 def required(row: Mapping[str, str], name: str, path: Path) -> str:

@@ -99,7 +99,7 @@ def resect_pictures(
         stated = f" (EXIF states {focal_px:.0f} px)" if focal_px else ""
         notes.append(
             f"Lens: begun with a focal length of {start.parameters[0]:.0f} px, by which the points fit best"
-            f"{stated}; what --free leaves out counts with what lenses have (centre 1 % of the longer side, "
+            f"{stated}; what is not free counts with what lenses have (centre 1 % of the longer side, "
             "k1 and k2 0.1 about 0)"
         )
     else:
@@ -166,7 +166,8 @@ def _size_and_focal(
             raise InputError(
                 "a lens to be estimated for pictures of an unknown size",
                 expected="their width and height",
-                cure="State it, as --size 6000x4000, or name one of the pictures with --photograph",
+                cure="State it, as --size 6000x4000 (in a campaign images.fixed_camera.size_px), or name "
+                "one of the pictures with --photograph",
             )
         return size_px, None
     head, focal_px = read_head(photograph), focal_from_exif(photograph)
@@ -222,7 +223,7 @@ def resect_files(
     *,
     marks: list[Path],
     control_points: list[Path],
-    interior: Path,
+    interior: list[Path],
     poses: Path,
     residuals: Path,
     facts: Path,
@@ -234,11 +235,19 @@ def resect_files(
 
     Parameters
     ----------
+    interior : file of the lens; none: the points tell what ``fixed_camera.free`` says.
     campaign : ``crs``.
     control, settings : sections ``images.control`` and ``images.fixed_camera``.
     """
     found, left, told, _ = resect_pictures(
-        marks, control_points, interior, crs=campaign["crs"], control=control, settings=settings
+        marks,
+        control_points,
+        next(iter(interior), None),
+        crs=campaign["crs"],
+        control=control,
+        settings=settings,
+        free=() if interior else settings.free,
+        size_px=settings.size_px,
     )
     found.to_csv(poses, index=False)
     left.to_csv(residuals, index=False, float_format="%.3f")

@@ -53,14 +53,7 @@ from .tables import (
     Places as Places,
     Table as Table,
     column_of as column_of,
+    read_places as read_places,
     read_text as read_text,
     read_text_table as read_text_table,
-)
-from .vectors import (
-    VECTOR_FORMATS as VECTOR_FORMATS,
-    Vectors as Vectors,
-    describe_layers as describe_layers,
-    is_vector_file as is_vector_file,
-    read_vectors as read_vectors,
-    vector_format as vector_format,
 )

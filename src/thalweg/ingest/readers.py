@@ -14,7 +14,17 @@ from typing import Any, Final, Literal, Protocol, Self
 import numpy as np
 import pandas as pd
 
-from thalweg.core import ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8, ConfigError, InputError, LocalFrame
+from thalweg.core import (
+    ArrayB,
+    ArrayF,
+    ArrayF32,
+    ArrayI,
+    ArrayU8,
+    ConfigError,
+    InputError,
+    LocalFrame,
+    require_file,
+)
 from thalweg.ingest.integrity import IntegrityReport
 from thalweg.settings.sections import Lidar
 
@@ -335,23 +345,13 @@ def read_head(path: Path) -> bytes:
     ------
     InputError : the file is missing, empty, a folder, or cannot be read.
     """
-    if not path.exists():
-        raise InputError("file not found", where=path, cure="Check the path")
-    if path.is_dir():
-        raise InputError("this is a folder", where=path, expected="a file")
-    if not path.is_file():
-        raise InputError("this is a pipe or a device", where=path, expected="a file")
+    require_file(path, "a raw log")
     try:
         with path.open("rb") as stream:
-            head = stream.read(HEAD_BYTES)
+            return stream.read(HEAD_BYTES)
     except OSError as error:
         raise InputError(
             f"the file cannot be read: {error.strerror}",
             where=path,
             cure="Check its permissions and the disk",
         ) from error
-    if not head:
-        raise InputError(
-            "the file is empty", where=path, expected="a raw log", cure="Check the logger and copy"
-        )
-    return head

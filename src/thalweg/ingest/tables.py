@@ -26,7 +26,7 @@ import numpy as np
 import pandas as pd
 from pyproj import CRS, Transformer
 
-from thalweg.core import ArrayB, ArrayF, ArrayI, InputError, unix_from_gps
+from thalweg.core import DAY_S, ArrayB, ArrayF, ArrayI, InputError, gps_from_week, require_file, unix_from_gps
 from thalweg.core.values import (
     METRE,
     NOTHING,
@@ -36,6 +36,8 @@ from thalweg.core.values import (
     in_metres,
     in_words,
     is_nothing,
+    is_vector_file,
+    read_vectors,
     unit_of_word,
     utm_of,
 )
@@ -51,16 +53,21 @@ from thalweg.ingest.stamps import (
 
 
 NAMES: Final[Mapping[str, str]] = {
-    "east": "east easting e x eastings rechtswert rw ost utm_e utm_x xcoord",
-    "north": "north northing n y northings hochwert hw nord utm_n utm_y ycoord",
-    "lat": "lat latitude breite y/latitude",
-    "lon": "lon long lng longitude laenge länge x/longitude",
-    "height": "height z elevation elev alt altitude h h_ell ell_height sfm_z hoehe höhe rl z/altitude up",
-    "depth": "depth d tiefe profondeur prof profundidad sounding soundings wd",
+    "east": "east easting e x eastings rechtswert ostwert rw ost est este oost utm_e utm_x xcoord",
+    "north": "north northing n y northings hochwert nordwert hw nord norte noord utm_n utm_y ycoord",
+    "lat": "lat latitude breite latitud latitudine breedtegraad",
+    "lon": "lon long lng longitude laenge länge longitud longitudine lengtegraad",
+    "height": "height z elevation elev alt altitude h h_ell ell_height sfm_z hoehe höhe rl up hauteur "
+    "altura quota hoogte",
+    "depth": "depth d tiefe wassertiefe profondeur prof profundidad profundidade profondità diepte sounding "
+    "soundings wd",
     "sigma": "sigma sigma_z sigma_up sigma_height sigma_depth sd std stdev stddev uncertainty tvu accuracy",
     "line": "line line_id line_name profile section transect track run survey_line",
-    "time": "time timestamp datetime date_time time_utc utc utc_time gps_time epoch epoch_ms unix unix_s t",
-    "date": "date day datum date_utc",
+    "time": "time timestamp datetime date_time time_utc utc utc_time gps_time epoch epoch_ms unix unix_s t "
+    "uhrzeit zeit zeitstempel heure hora ora tijd",
+    "week": "week gps_week gpsweek wn",
+    "tow": "tow sow gps_sow gps_tow seconds_of_week",
+    "date": "date day datum date_utc fecha",
     "level": "level water_level wl stage gauge wasserstand pegel",
 }
 """Quantities and the names, small letters without units, by which columns of them are known."""
@@ -68,7 +75,8 @@ _KIND: Final = {"east": "position", "north": "position", "level": "height"}
 """Row of `NOTHING` for a quantity whose name is none."""
 _FILLER_WORDS: Final = (
     "point coord coordinate coordinates coords gps gnss utm water mean avg average measured corrected of "
-    "the in wgs epsg value bottom bed river lake decimal degrees deg dd degree pos position map grid surveyed"
+    "the in wgs epsg value bottom bed river lake decimal degrees deg dd degree pos position map grid "
+    "surveyed nhn nn msl asl"
 )
 _FILLERS: Final = frozenset(_FILLER_WORDS.split())
 """Words in names that change nothing of what is meant."""
@@ -90,6 +98,25 @@ _MOST_GARBLED: Final = 0.05
 _SECOND_M: Final = 10.0
 """Two statements of one place (degrees, and metres of the grid) that differ by more contradict each other."""
 
+_OTHERS: Final = (
+    (
+        re.compile(rb"(?i)\s*(?:ncols|dsaa|nrows)"),
+        "a grid as text (Esri, Surfer)",
+        "Convert it to GeoTIFF: gdal_translate FILE FILE.tif",
+    ),
+    (
+        re.compile(rb"\s*\*?11[\d.]{4}[+-]\w{8}"),
+        "a file of Leica GSI",
+        "Export the points as CSV with names of columns",
+    ),
+    (
+        re.compile(rb"(?i)\s*(?:<\?[^>]*>\s*)*<(?:!doctype html|html|table|workbook)\b"),
+        "a page or a workbook in XML",
+        "Save the sheet as CSV (UTF-8)",
+    ),
+)
+"""Texts of another form, by their beginning."""
+
 _NUMBER: Final = re.compile(r"[-+−]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?")
 _COMMA_NUMBER: Final = re.compile(r"[-+−]?\d+(?:,\d+)?")
 _VALUE: Final = re.compile(
@@ -100,6 +127,11 @@ _VALUE: Final = re.compile(
 """A cell that holds a value rather than a name."""
 _DAY: Final = r"^(\d{1,2})([./-])(\d{1,2})[./-](\d{4}|\d\d)(.*)$"
 """A day before its month, or the other way round, and what stands behind."""
+_CLOCK: Final = r"\d{1,2}:\d\d(?::\d\d(?:[.,]\d*)?)?(?: ?[aApP]\.?[mM]\.?)?"
+_WORDED: Final = re.compile(
+    r"(?i)\d ?[ap]\.?m\.?$|[-/ ](?:jan|feb|mar|apr|may|jun|jul|aug|sep|oct|nov|dec)[a-z]*[-/ ]"
+)
+"""Clocks of twelve hours, and months by name."""
 _ANGLE: Final = re.compile(
     r"\s*([NSEW])?\s*([-+−]?\d+(?:[.,]\d+)?)\s*(?:[°d:\s]\s*(\d+(?:[.,]\d+)?)\s*(?:['′m:\s]\s*(\d+(?:[.,]\d+)?)\s*(?:''|\"|″|s)?)?)?"
     r"\s*['′°]?\s*([NSEW])?\s*",
@@ -137,14 +169,14 @@ def column_of(name: str) -> Column:
     'z'
     """
     bare = name.strip()[:_LONGEST_NAME].strip("\"'").strip()
-    unit, foreign, rest = None, "", bare
-    if bracket := re.search(r"[(\[{<]([^)\]}>]*)[)\]}>]\s*$", bare):
-        rest = bare[: bracket.start()]
+    unit, foreign, rest = None, "", re.sub(r"(?i)\b(?:[xyz]|date)/(?=\w\w)", "", bare)
+    if bracket := re.search(r"[(\[{<]([^)\]}>]*)[)\]}>]\s*$", rest):
+        rest = rest[: bracket.start()]
         unit = unit_of_word(bracket[1])
         word = bracket[1].strip().lower()
         foreign = word if unit is None and word in _NO_LENGTHS else ""
     split = re.sub(r"([a-zäöüß])([A-ZÄÖÜ])", r"\1 \2", rest)
-    tokens = re.findall(r"[a-zäöüßéèà/]+", re.sub(r"([A-Z]+)([A-Z][a-z])", r"\1 \2", split).lower())
+    tokens = re.findall(r"[^\W\d_]+", re.sub(r"([A-Z]+)([A-Z][a-z])", r"\1 \2", split).lower())
     if unit is None and not foreign:
         for k in (3, 2, 1):
             if len(tokens) > k and (unit := unit_of_word("_".join(tokens[-k:]))) is not None:
@@ -167,10 +199,7 @@ def read_text(path: Path) -> tuple[str, list[str]]:
     ------
     InputError : no such file, a folder or device, empty, a workbook, or no text.
     """
-    if not path.exists():
-        raise InputError("file not found", expected="a table", where=path, cure="Check the path")
-    if not path.is_file():
-        raise InputError("a folder or a device", expected="a table", where=path, cure="Name a file")
+    require_file(path, "a table")
     data = path.read_bytes()
     if data.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0")):
         raise InputError(
@@ -180,13 +209,9 @@ def read_text(path: Path) -> tuple[str, list[str]]:
             cure="Save the sheet as CSV (UTF-8)",
         )
     notes: list[str] = []
-    if data[:400].lstrip().lower().startswith((b"ncols", b"dsaa", b"nrows")):
-        raise InputError(
-            "a grid as text (Esri, Surfer)",
-            expected="a table with a row for each point",
-            where=path,
-            cure="Convert it to GeoTIFF: gdal_translate FILE FILE.tif",
-        )
+    for form, words, cure in _OTHERS:
+        if form.match(data[:400]):
+            raise InputError(words, expected="a table with a row for each point", where=path, cure=cure)
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         text = data.decode("utf-16", "replace")
     else:
@@ -252,9 +277,8 @@ class Table:
         ------
         InputError : several columns may be meant.
         """
-        known = names[quantity].split()
-        found = [k for k, c in enumerate(self.columns) if c.words in known or c.name.lower() in known]
-        plain = [k for k in found if _without_unit(self.columns[k].name) in known]
+        found = self._all(quantity, names)
+        plain = [k for k in found if _without_unit(self.columns[k].name) in names[quantity].split()]
         if len(found) > 1 and len(plain) == 1:  # depth beside depth_corrected: what is named without more
             return plain[0]
         if len(found) > 1:
@@ -266,6 +290,15 @@ class Table:
                 cure="Name the one that is meant, or rename the others",
             )
         return found[0] if found else None
+
+    def _all(self, quantity: str, names: Mapping[str, str] = NAMES) -> list[int]:
+        known = names[quantity].split()
+        angle = quantity in ("lat", "lon")  # whose minutes and seconds may stand in lat_m, lat_s
+        return [
+            k
+            for k, c in enumerate(self.columns)
+            if (c.words in known or c.name.lower() in known) and not (angle and (c.unit or c.foreign))
+        ]
 
     def column(self, name: str) -> int:
         """Place of a column by the name that a user states: as in the file, in another case, or a quantity.
@@ -347,7 +380,7 @@ class Table:
                     )
                 self._lose(f"with {first} for a number", column.name, odd)
         kind = quantity if quantity in NOTHING else _KIND.get(quantity, "other")
-        none = is_nothing(values, kind, nothing, keep) & np.isfinite(values)
+        none = (is_nothing(values, kind, nothing, keep) | _nines(values, kind, keep)) & np.isfinite(values)
         if none.any():
             shown = ", ".join(f"{v:g}" for v in np.unique(values[none])[:3])
             self._lose(f"with {shown}, which stands for no value,", column.name, none)
@@ -538,6 +571,9 @@ class Table:
             if len(side) and side.isin([*letters, ""]).all() and side.isin(list(letters)).any():
                 values = np.where(side == letters[1], -np.abs(values), values)
         known = values[np.isfinite(values)]
+        if quantity == "lon" and len(known) and known.min() >= 0.0 and known.max() <= 360.0:
+            values = np.where(values > limit, values - 360.0, values)  # counted eastwards all around
+            known = values[np.isfinite(values)]
         if len(known) and np.abs(known).max() > limit:
             minutes = (np.abs(known) % 100 < 60).all() and np.abs(known).max() < 100 * limit
             raise InputError(
@@ -563,18 +599,40 @@ class Table:
         ------
         InputError : days and months that may be exchanged.
         """
-        date, time = self.find("date"), self.find("time")
+        date, named, found = self.find("date"), self._all("time"), None
+        columns: Sequence[int | None] = named or [None]
+        for time in columns:
+            found = self._moments(date, time)
+            if found is None or np.isfinite(found[0]).any():
+                if found is not None and len(named) > 1:
+                    others = ", ".join(self.columns[k].name for k in named if k != time)
+                    found[1].append(f"times of column {self.columns[time or 0].name}, not of {others}")
+                break
+        return found
+
+    def _moments(self, date: int | None, time: int | None) -> tuple[ArrayF, list[str]] | None:
+        """Times by a column of dates, one of times, or both; see `times`."""
+        if time is None:  # a clock under any name
+            cells = {k: pd.Series(self.text(k)) for k in range(len(self.columns)) if k != date}
+            clocks = [k for k, c in cells.items() if len(c) and c.str.fullmatch(_CLOCK).all()]
+            time = clocks[0] if len(clocks) == 1 else None
         parts = [pd.Series(self.text(k)) for k in (date, time) if k is not None]
+        week, tow = self.find("week"), self.find("tow")
+        if not parts and week is not None and tow is not None:
+            t_gps_s = gps_from_week(self.numbers(week, "time"), self.numbers(tow, "time"))
+            note = f"times taken as GPS weeks and seconds of the week ({self.columns[tow].name})"
+            return unix_from_gps(t_gps_s), [note]
         if not parts:
             return None
+        name = self.columns[time if time is not None else date or 0].name
         text = parts[0] if len(parts) == 1 else parts[0].str.cat(parts[1], sep=" ")
+        none = f"column {name} is not read: '{text.iloc[0] if len(text) else ''}' is no time with a date"
         number = pd.to_numeric(text, errors="coerce").to_numpy(np.float64)
         if np.isfinite(number).mean() > 0.5:
             told = [each for each in tell_time_scale(number) if each not in ("week_s", "day_s")]
             if not told:
-                return None
-            name = self.columns[time if time is not None else date or 0].name.lower()
-            scale = next((each for each in told if ("gps" in name) != each.startswith("unix")), told[0])
+                return np.full(len(text), np.nan), [none]
+            scale = next((x for x in told if ("gps" in name.lower()) != x.startswith("unix")), told[0])
             note = f"times taken as {TIME_SCALES[scale]}"
             if len(told) > 1:
                 note += f"; {time_scale_words(number, told)}"
@@ -582,13 +640,18 @@ class Table:
         found = text.str.extract(_DAY)
         if found[0].notna().mean() > 0.5:
             text = self._iso(text, found)
+        if text.str.contains(_WORDED).all():
+            text = pd.to_datetime(text, format="mixed", errors="coerce").astype(str)
         moment = pd.to_datetime(text.str.replace(" ", "T", n=1), format="ISO8601", utc=True, errors="coerce")
         if not moment.notna().any():
-            return None
-        bare = not text.str.contains(r"(?:Z|[+-]\d\d:?\d\d)$", regex=True).any()
+            return np.full(len(text), np.nan), [none]
+        notes = []
+        if not text.str.contains(r"(?:Z|[+-]\d\d:?\d\d)$", regex=True).any():
+            notes.append("times state no zone: taken as UTC")
         unix = moment.to_numpy("datetime64[ns]").astype(np.int64) / 1e9
-        unix = np.where(moment.notna() & possible_unix(unix), unix, np.nan)
-        return unix, ["times state no zone: taken as UTC"] if bare else []
+        if (unix[moment.notna()] % DAY_S == 0.0).all():
+            notes = [f"column {name} holds days without a time: midnight of UTC is taken"]
+        return np.where(moment.notna() & possible_unix(unix), unix, np.nan), notes
 
     def _iso(self, text: "pd.Series[str]", found: pd.DataFrame) -> "pd.Series[str]":
         """Times with year, month and day in the order of ISO 8601."""
@@ -649,6 +712,16 @@ class Places:
     xy_m: ArrayF
     crs: CRS | None
     notes: list[str]
+
+
+def _nines(values: ArrayF, kind: str, keep: Sequence[float]) -> ArrayB:
+    """Depths and heights such as 99.9 that exceed all others by far: instruments write them for none."""
+    known = np.unique(values[np.isfinite(values)])
+    if kind not in ("depth", "height") or len(known) < 2:
+        return np.zeros(len(values), np.bool_)
+    top, others = known[-1], np.abs(known[[0, -2]]).max()
+    lone = top > 3 * others and top not in keep and re.fullmatch(r"99+(\.9+)?|9\.9+", f"{top:.15g}")
+    return np.asarray((values == top) & bool(lone))
 
 
 def _without_unit(name: str) -> str:
@@ -717,11 +790,69 @@ def read_text_table(path: Path, *, order: Sequence[str] | None = None, bare: Seq
         line=number.astype(np.int64),
         notes=notes,
     )
+    if all(column.unit is None for column in table.columns):
+        _refuse_unit_above(lines[:first], table)
     if body[0].dtype.kind == "f":
         return table
     table = _whole_rows(table, head, width)
     decimal, thousands = _marks(table, separator)
     return replace(table, decimal=decimal, thousands=thousands)
+
+
+def read_places(
+    path: Path, crs: CRS | None, *, order: Sequence[str] | None = None, any_system: bool = False
+) -> tuple[Table, Places]:
+    """A table of places: text with names of columns, x y z without, or points of a GIS.
+
+    Of points of a GIS their coordinates are columns x, y, z, and what the layer holds beside are the others.
+
+    Parameters
+    ----------
+    path, order : see `read_text_table`.
+    crs, any_system : of the map, see `Table.places`.
+
+    Raises
+    ------
+    InputError : no such file, no table, no coordinates.
+    """
+    if not is_vector_file(path):
+        table = read_text_table(path, order=order, bare=("x", "y", "z"))
+        return table, table.places(crs, any_system=any_system)
+    drawn = read_vectors(path)
+    on = crs or drawn.usual_map()
+    drawn = drawn if on is None else drawn.on_map(on)
+    frame, at = drawn.points()
+    if not len(at):
+        raise InputError(
+            "no points", where=path, expected="a layer of points", cure="Export them as points, not as lines"
+        )
+    placed = {word for quantity in ("east", "north", "lat", "lon") for word in NAMES[quantity].split()}
+    frame = frame[[name for name in frame if column_of(str(name)).words not in placed]]
+    frame = frame.assign(x=at[:, 0], y=at[:, 1])
+    if "z" not in frame and at.shape[1] > 2:
+        frame = frame.assign(z=at[:, 2])
+    return Table.of(frame, path), Places(at[:, :2], on, list(drawn.notes))
+
+
+def _refuse_unit_above(lines: Sequence[str], table: Table) -> None:
+    """A line above the rows, or a column, that states a unit of others, such as ``Units: feet``."""
+    stated = list(enumerate(lines, 1))
+    for k, column in enumerate(table.columns):
+        if re.fullmatch(r"(?:depth_)?(?:units?|einheit)", column.words):
+            stated += [
+                (int(line), f"unit: {cell}") for line, cell in zip(table.line, table.text(k), strict=True)
+            ]
+    for number, line in stated:
+        found = re.search(r"(?i)\bunits?\W+(.*)|\b(?:depths?|heights?|elevations?) in (.*)", line)
+        words = re.findall(r"[a-z]+", (found[1] or found[2] or "").lower())[:3] if found else []
+        units = [unit_of_word(" ".join(words[: k + 1])) for k in range(len(words))]
+        if any(unit is not None and not unit.is_metre for unit in units):
+            raise InputError(
+                f"'{line.strip()[:60]}' beside columns that name no unit: {table.listed()}",
+                expected="a unit behind the name of each column that it is meant for, such as depth_ft",
+                where=f"{table.path}:{number}",
+                cure="Rename these columns, or state all with --columns",
+            )
 
 
 def _numbers_alone(text: str, separator: str, first: int) -> pd.DataFrame | None:
@@ -854,6 +985,13 @@ def _header(
     )
     if first == len(values):  # names alone, or a table of texts
         first = next((k for k, n in enumerate(counts) if n), -1) + 1
+    named = next(
+        (k for k, row in enumerate(few) if not any(values[k]) and counts[k] >= usual - 1 and _known(row) > 1),
+        -1,
+    )
+    # a line above the names may hold a value, such as a date, but is no row
+    if named >= first and not any(counts[k] == usual and all(values[k][:usual]) for k in range(first, named)):
+        first = next((k for k in range(named + 1, len(values)) if any(values[k])), named + 1)
     units: list[str] = []
     for k in range(min(first, len(values)) - 1, -1, -1):
         row = list(few[k])
@@ -870,17 +1008,24 @@ def _header(
         names = [c.strip() for c in _split(line.lstrip("#%/! \t"), separator)]
         if len(names) < 2 or len(names) != usual:
             names = line.lstrip("#%/! \t").replace(",", " ").split()
-        known = sum(any(column_of(c).words in words.split() for words in NAMES.values()) for c in names)
-        if len(names) == usual and known >= 2:
+        if len(names) == usual and _known(names) >= 2:
             return names, units, first
     return None, units, first
+
+
+def _known(row: Iterable[str]) -> int:
+    """How many cells are names of quantities."""
+    return sum(any(column_of(c).words in words.split() for words in NAMES.values()) for c in row if c)
 
 
 def _are_units(row: Sequence[str]) -> bool:
     """Whether a line below the names holds units."""
     words = [c.strip("()[]{}").lower() for c in row if c]
     known = [
-        unit_of_word(w) is not None or w in _NO_LENGTHS or w in {"deg", "°", "degrees", "-", "1", "utc"}
+        unit_of_word(w) is not None
+        or not w.strip("-=_")
+        or w in _NO_LENGTHS
+        or w in {"deg", "°", "degrees", "-", "1", "utc"}
         for w in words
     ]
     return bool(words) and all(known)

@@ -782,20 +782,22 @@ def _check_photographs(parts: Parts) -> Iterator[Mistake]:
 def _check_alone(logs: Logs) -> Iterator[Mistake]:
     """What a camera that stays and a finished cloud need."""
     if logs.kind == "fixed_camera":
-        needed = {
-            "marks": "where control points are in the pictures",
-            "control_points": "surveyed points",
-            "interior": "the interior orientation of the camera",
-        }
+        needed = {"marks": "where control points are in the pictures", "control_points": "surveyed points"}
         for name, what in needed.items():
-            count = len(getattr(logs.fixed_camera, name))
-            if not count or (count > 1 and name == "interior"):
+            if not getattr(logs.fixed_camera, name):
                 yield Mistake(
                     path=("logs", "fixed_camera", name),
-                    found="missing" if not count else f"{count} files",
-                    expected=what if not count else "one file; a second camera is another campaign",
-                    cure=f"Add the line `{name}: [...]`" if not count else "Name one",
+                    found="missing",
+                    expected=what,
+                    cure=f"Add the line `{name}: [...]`",
                 )
+        if (count := len(logs.fixed_camera.interior)) > 1:
+            yield Mistake(
+                path=("logs", "fixed_camera", "interior"),
+                found=f"{count} files",
+                expected="one file; a second camera is another campaign",
+                cure="Name one",
+            )
     elif logs.kind == "cloud":
         for name in ("cloud", "reference"):
             count = len(getattr(logs, name))

@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from thalweg.core import Key, Mistake
+from thalweg.core.values import VECTOR_ENDINGS
 from thalweg.settings.checks_files import check_file, no_match, no_path
 from thalweg.settings.checks_place import check_crs, parse_crs
 from thalweg.settings.messages import expand
-from thalweg.settings.sections import CLOUD_ENDINGS, DSM_ENDINGS, TEXT_ENDINGS, VECTOR_ENDINGS, Epoch
+from thalweg.settings.sections import CLOUD_ENDINGS, DSM_ENDINGS, TEXT_ENDINGS, Epoch
 
 _SOURCES: Final = ("campaign", "clouds", "dsm")
 _OF_CAMPAIGNS: Final = ("chain", "surface")

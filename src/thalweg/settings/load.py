@@ -15,6 +15,7 @@ from thalweg.settings.campaign import Campaign
 from thalweg.settings.checks_campaign import Parts, domain_mistakes
 from thalweg.settings.checks_epochs import check_dates
 from thalweg.settings.checks_place import SETTING
+from thalweg.settings.drawn import with_drawn
 from thalweg.settings.messages import CampaignError, anchor, expand, mistake_of, nearest, show
 from thalweg.settings.sections import Epoch, Logs, is_calibration_path
 
@@ -39,6 +40,8 @@ def validate(document: Document, path: Path) -> tuple[Campaign | None, list[Mist
     campaign: Campaign | None = None
     data = document.data
     if isinstance(data, dict):
+        data, drawn = with_drawn(data, path.parent)
+        found += drawn
         campaign, errors, parts = _validate_models(data, path)
         domain, files = domain_mistakes(parts)
         found += errors + domain

@@ -229,7 +229,7 @@ def _alone(listed: Mapping[str, Sequence[str]], spacing_m: float | None) -> list
             ("fixed_marks", "marks", "where the control points are in the pictures"),
             ("fixed_points", "control_points", _one_of(listed, "fixed_points", _SURVEYED)),
             ("fixed_interior", "interior", _one_of(listed, "fixed_interior", "interior orientation")),
-        )
+        )[: 3 if listed.get("fixed_interior") else 2]  # which the points tell, too
         return [
             *frame,
             "  fixed_camera:  # a camera that stays: docs/images.md",

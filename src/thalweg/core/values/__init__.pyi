@@ -34,3 +34,12 @@ from .units import (
     unit_of_word as unit_of_word,
     units_of_crs as units_of_crs,
 )
+from .vectors import (
+    VECTOR_ENDINGS as VECTOR_ENDINGS,
+    VECTOR_FORMATS as VECTOR_FORMATS,
+    Vectors as Vectors,
+    describe_layers as describe_layers,
+    is_vector_file as is_vector_file,
+    read_vectors as read_vectors,
+    vector_format as vector_format,
+)

@@ -49,7 +49,7 @@ _WORDS: Final[Mapping[Unit, str]] = {
     US_SURVEY_FOOT: "ft_us ftus us_ft usft us_foot us_feet foot_us feet_us survey_foot survey_feet "
     "us_survey_foot us_survey_feet usfoot usfeet sft ussft ft_survey feet_survey",
     FATHOM: "ftm fathom fathoms fth fm",
-    Unit("inch", 0.0254): "inch inches",
+    Unit("inch", 0.0254): "in inch inches",
     Unit("yard", 0.9144): "yd yds yard yards",
 }
 _OF_WORD: Final = {word: unit for unit, words in _WORDS.items() for word in words.split()}

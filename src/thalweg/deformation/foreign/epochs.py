@@ -44,7 +44,7 @@ from thalweg.core import (
     read_dsm,
     read_json,
 )
-from thalweg.core.values import heights_in_words, same_heights
+from thalweg.core.values import Vectors, heights_in_words, read_vectors, same_heights
 from thalweg.deformation import (
     ColumnIndex,
     Epoch,
@@ -56,7 +56,6 @@ from thalweg.deformation import (
 )
 from thalweg.deformation.foreign.clouds import ROUGHNESS_ALONE, Points, density_notes, read_points
 from thalweg.deformation.foreign.surfaces import HeightErrors, one_frame, onto_map, torus_spectrum
-from thalweg.ingest import Vectors, read_vectors
 from thalweg.ingest.clouds import to_world
 from thalweg.settings import utm_code
 from thalweg.settings.sections import DSM_ENDINGS, Epoch as Statement

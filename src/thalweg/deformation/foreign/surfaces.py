@@ -41,8 +41,7 @@ from thalweg.core import (
     table_kind,
     write_table,
 )
-from thalweg.core.values import heights_in_words, same_heights, vertical_of
-from thalweg.ingest import Vectors
+from thalweg.core.values import Vectors, heights_in_words, same_heights, vertical_of
 from thalweg.settings.sections import DSM_ENDINGS
 
 # ---------------------------------------------------------------- surfaces

@@ -44,6 +44,7 @@ from thalweg.core import (
     laz_layout,
     library_errors,
     local_crs,
+    require_file,
     whole_chunks,
 )
 from thalweg.core.geometry import ORDERS, PlyElement, read_ply_header
@@ -625,12 +626,9 @@ def read_cloud(path: Path) -> Cloud:
     InputError : missing, empty, damaged beyond reading, or without any finite point.
     UnsupportedError : another format.
     """
-    if not path.is_file():
-        raise InputError("file not found", expected=_KINDS, where=path, cure="Check the path")
+    require_file(path, _KINDS)
     with path.open("rb") as stream:
         head = stream.read(16)
-    if not head:
-        raise InputError("the file is empty", expected=_KINDS, where=path)
     reader = next((r for magic, r in _READERS.items() if head.startswith(magic)), None)
     if reader is None:
         raise UnsupportedError(

@@ -227,6 +227,8 @@ _UNREAD: Final[Mapping[str, str]] = {
     "PGRMZ": "height",
 }
 """Sentences with a position, height, attitude or speed that nothing is taken from, and what they hold."""
+_OWN_DEPTH: Final = re.compile("P[A-Z0-9]+D(?:PT|BT|BS)")
+"""Sentences of one maker that by their name hold depths."""
 _PROPRIETARY: Final = re.compile("P[A-Z][A-Z0-9]{2,}$")
 _GPS_EPOCH_DAY: Final = dt.date(1980, 1, 6).toordinal() - _UNIX_DAY
 _DATUMS: Final = frozenset(["", "W84", "P90", "999"])
@@ -265,6 +267,8 @@ def _take(
             return {"water_temperature_c": degc}
         raise ValueError(f)
     if kind == "XDR":
+        if any("DEPTH" in text.upper() for text in sentence.fields):
+            report.count("XDR_depths")
         return pitch_and_roll_deg(sentence.fields)
     if kind == "DTM":
         if f["datum"] not in _DATUMS:
@@ -718,10 +722,13 @@ class NmeaLog:
                 "no_bottom": "depths of 0",
                 "empty_depths": "empty depths",
                 "DBK": "depths below the keel (DBK), which are not read",
+                "XDR_depths": "depths of a transducer (XDR), which are not read",
+                "malformed_sentences": "sentences with impossible fields, such as depths in metres and "
+                "feet that contradict each other",
             }
-            met = [
-                f"{self.report.counts[k]:,} {words}" for k, words in seen.items() if k in self.report.counts
-            ]
+            counts = self.report.counts | self.report.losses
+            seen |= {k: f"sentences {k}, which are not read" for k in counts if _OWN_DEPTH.fullmatch(k)}
+            met = [f"{counts[k]:,} {words}" for k, words in seen.items() if k in counts]
             raise InputError(
                 "no depth above 0 in the log" + (": " + ", ".join(met) if met else ""),
                 expected="sentences DPT, DBT or DBS of an echo sounder",

@@ -23,6 +23,7 @@ from thalweg.core import (
     InputError,
     UnsupportedError,
     gps_from_unix,
+    require_file,
     utc_text_from_gps,
 )
 from thalweg.ingest import IntegrityReport
@@ -402,8 +403,7 @@ def scan_rinex(path: Path) -> RinexScan:
     InputError : the file is missing, empty, no RINEX, or its header is cut.
     UnsupportedError : it is compressed (gzip, compress, Hatanaka), or neither observation nor navigation.
     """
-    if not path.is_file():
-        raise InputError("file not found", expected="a RINEX file", where=path)
+    require_file(path, "a RINEX file")
     data = path.read_bytes()
     _check_container(path, data)
     text = data.decode("latin-1")
@@ -536,8 +536,6 @@ def whole_records(scan: RinexScan, data: bytes) -> bytes:
 
 
 def _check_container(path: Path, data: bytes) -> None:
-    if not data:
-        raise InputError("the file is empty", expected="a RINEX file", where=path)
     for magic, name, command in _FOREIGN:
         if data.startswith(magic):
             raise UnsupportedError(

@@ -29,6 +29,7 @@ from thalweg.core import (
     ecef_of,
     geodetic_of,
     read_json,
+    require_file,
     rotation_ecef_enu,
     utc_text_from_gps,
 )
@@ -288,8 +289,7 @@ def kind_of_file(path: Path) -> Kind:
     ------
     InputError : it is missing, empty or none of them.
     """
-    if not path.is_file():
-        raise InputError("file not found", expected="an SBP log or a RINEX file", where=path)
+    require_file(path, "an SBP log or a RINEX file")
     with path.open("rb") as stream:
         head = stream.read(65536)
     if b"RINEX VERSION" not in head[:100]:

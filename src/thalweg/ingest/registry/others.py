@@ -14,7 +14,8 @@ from typing import Any, Final
 import numpy as np
 
 from thalweg.core import InputError, open_raster, read_dsm, read_metashape
-from thalweg.ingest import NAMES, VECTOR_FORMATS, column_of, describe_layers, read_text_table, vector_format
+from thalweg.core.values import VECTOR_FORMATS, describe_layers, vector_format
+from thalweg.ingest import NAMES, column_of, read_text_table
 from thalweg.ingest.registry.base import Format, Recording
 from thalweg.ingest.registry.calibrations import CalibrationReport, camera_lines, is_text
 
@@ -300,6 +301,15 @@ OTHERS: Final = (
         "part of a Shapefile (.shx, .dbf, .prj, .cpg)",
         "keep it beside the .shp of the same name",
         _is_part_of_shapefile,
+    ),
+    _other(
+        "tcx", "workout (TCX)", "convert it to GPX: logs.pos, logs.depth", _has(b"<TrainingCenterDatabase")
+    ),
+    _other(
+        "fit",
+        "recording of a watch or sounder (FIT)",
+        "convert it to GPX with the depths: logs.pos, logs.depth",
+        lambda head, size: head[8:12] == b".FIT",
     ),
     _other("pcd", "PCD cloud", "logs.board_scans", None, (b"# .PCD", b"VERSION .7", b"VERSION 0.7")),
     _other(

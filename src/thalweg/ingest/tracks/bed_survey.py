@@ -18,7 +18,7 @@ from pyproj import CRS
 
 from thalweg.core import ArrayF, InputError, LocalFrame
 from thalweg.core.values import FORMS, near_world
-from thalweg.ingest import read_text_table
+from thalweg.ingest import read_places
 
 COLUMNS: Final = ("east_m", "north_m", "h_ell_m", "sigma_m")
 
@@ -74,7 +74,7 @@ def read_bed_survey(files: Sequence[Path], frame: LocalFrame, crs: str) -> BedSu
 
 def _read(path: Path, crs: CRS) -> ArrayF:
     """East, north on the map, height and its sigma (n, 4) of one table."""
-    table = read_text_table(path)
+    table, found = read_places(path, crs)
     height, sigma = table.find("height"), table.find("sigma")
     if height is None or sigma is None:
         raise InputError(
@@ -83,9 +83,7 @@ def _read(path: Path, crs: CRS) -> ArrayF:
             where=path,
             cure="Name the columns in the first line",
         )
-    numbers = np.column_stack(
-        [table.places(crs).xy_m, table.numbers(height, "height"), table.numbers(sigma, "sigma")]
-    )
+    numbers = np.column_stack([found.xy_m, table.numbers(height, "height"), table.numbers(sigma, "sigma")])
     bad = np.argwhere(~np.isfinite(numbers) | ((numbers <= 0) & [False, False, False, True]))
     if len(bad):
         row, column = bad[0]

@@ -28,6 +28,7 @@ from thalweg.core import (
     frame_of,
     geodetic_of,
     gps_from_unix,
+    require_file,
     rotation_ecef_enu,
 )
 from thalweg.ingest import FIRST_UNIX_S, GNSS_POSITION, LAST_UNIX_S, IntegrityReport, doubtful_date
@@ -261,11 +262,8 @@ def _refuse_two_solutions(t_gps_s: pd.Series, file: AnyArray, files: Sequence[Pa
 
 def _read_one(path: Path, report: IntegrityReport) -> pd.DataFrame:
     cure = "Check that this is a solution of RTKLIB (not NMEA, not a statistics file)"
-    if not path.is_file():
-        raise InputError("file not found", expected="a RTKLIB .pos file", where=path, cure="Check the path")
+    require_file(path, "a RTKLIB .pos file")
     raw = path.read_bytes()
-    if not raw.strip():
-        raise InputError("the file is empty", expected="a RTKLIB .pos file", where=path, cure=cure)
     report.bytes_read += len(raw)
     lines = raw.decode("ascii", errors="replace").splitlines()
     tables: list[pd.DataFrame] = []

@@ -199,6 +199,14 @@ def pose_columns(kind: str, heads: Sequence[str], width: int) -> dict[str, int]:
                 found.setdefault("t", k)
         if found.keys() >= set(_POSE) - {"t"}:
             return {"t": 0, **found}
+        # PX4 and its like count from the real part (Hamilton)
+        parts = [
+            k
+            for k, name in enumerate(re.split(r"[,;\s]+", line.lower()))
+            if re.fullmatch(r".*q\w*\[[0-3]\]", name)
+        ]
+        if len(parts) == 4 and found.keys() >= {"px", "py", "pz"}:
+            return {"t": 0, **found, **dict(zip(("qw", "qx", "qy", "qz"), parts, strict=True))}
     order: tuple[str, ...] = _ORDER[kind][:width]
     remarks = {names for names, form in _REMARKS.items() if any(form.search(line) for line in heads)}
     if len(remarks) == 1:
@@ -224,7 +232,7 @@ def _numbers(kind: str, path: Path, report: IntegrityReport) -> ArrayF:
             row = [float(cell) for cell in re.split(r"[,\s]+", text.strip(","))]
         except ValueError:
             row = []
-            if not rows and not re.search(r"(?<![a-z_])[-+]?\d", text, re.IGNORECASE):
+            if not rows and not re.search(r"(?<![a-z_\[])[-+]?\d", text, re.IGNORECASE):
                 heads.append(text)
                 continue
         fits = len(row) == 12 if kind == "kitti" else len(row) >= 8

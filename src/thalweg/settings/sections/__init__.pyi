@@ -26,7 +26,6 @@ from .deformation import (
     CLOUD_ENDINGS as CLOUD_ENDINGS,
     DSM_ENDINGS as DSM_ENDINGS,
     TEXT_ENDINGS as TEXT_ENDINGS,
-    VECTOR_ENDINGS as VECTOR_ENDINGS,
     Classes as Classes,
     Deformation as Deformation,
     Epoch as Epoch,

@@ -4,7 +4,7 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
-from thalweg.settings.sections.base import Finite, NonNegative, Positive, Section, Vector3
+from thalweg.settings.sections.base import Finite, NonNegative, Positive, Section, Vector3, or_file
 
 EDGES_PER_CELL: Final = 1.5
 """Points of cells side by side are a cell apart, and across the corner 1.4 times that."""
@@ -18,7 +18,9 @@ class Area(Section):
 
     polygon: Annotated[list[Corner], Field(min_length=3, max_length=10_000)] | None = Field(
         default=None,
-        description="Corners east, north in the coordinates of `frame`, metres; null: no limit in plan",
+        description="Corners east, north in the coordinates of `frame`, metres, or a file of a GIS with one "
+        "polygon, FILE?COLUMN=VALUE of several; null: no limit in plan",
+        json_schema_extra=or_file,
     )
     frame: Literal["local", "map"] = Field(
         default="local",

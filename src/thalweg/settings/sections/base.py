@@ -3,6 +3,13 @@
 from typing import Annotated, Any, Final, Self
 
 from pydantic import BaseModel, ConfigDict, Field
+from pydantic.config import JsonDict
+
+
+def or_file(schema: JsonDict) -> None:
+    """What is drawn may also be the name of a file of a GIS, whose corners the loader takes."""
+    told = {key: schema.pop(key) for key in ("type", "items") if key in schema}
+    schema["anyOf"] = [*([told] if told else schema["anyOf"]), {"type": "string"}]  # type: ignore[misc]
 
 
 class Section(BaseModel):

@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from thalweg.settings.sections.accuracy import Corner
-from thalweg.settings.sections.base import Finite, NonNegative, Positive, Section
+from thalweg.settings.sections.base import Finite, NonNegative, Positive, Section, or_file
 
 
 class EchoSounder(Section):
@@ -109,7 +109,9 @@ class Bathymetry(Section):
         default=True, description="Bank lines are data of the bed: the water level, with their sigma"
     )
     islands: list[Annotated[list[Corner], Field(min_length=3)]] = Field(
-        default=[], description="Polygons east, north that are no bed, local frame, metres"
+        default=[],
+        description="Polygons east, north that are no bed, local frame, metres, or a file of a GIS",
+        json_schema_extra=or_file,
     )
     cell_m: Annotated[float, Field(ge=0.05, le=100)] = Field(
         default=0.5, description="Cell of the bed, metres"

@@ -6,7 +6,7 @@ from typing import Annotated, Final, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from thalweg.settings.sections.accuracy import Area, Corner
-from thalweg.settings.sections.base import Finite, NonNegative, Positive, Section, Vector3
+from thalweg.settings.sections.base import Finite, NonNegative, Positive, Section, Vector3, or_file
 
 
 def _moment(text: str) -> dt.datetime | None:
@@ -31,7 +31,6 @@ CLOUD_ENDINGS: Final = (".las", ".laz", ".ply", ".e57")
 TEXT_ENDINGS: Final = (".xyz", ".txt", ".csv", ".asc", ".pts")
 """Tables of points: x, y, z in the first three columns, a head of any number of lines."""
 DSM_ENDINGS: Final = (".tif", ".tiff")
-VECTOR_ENDINGS: Final = (".gpkg", ".shp", ".geojson", ".json", ".kml", ".gml", ".fgb", ".dxf")
 """Rasters of heights."""
 
 
@@ -190,8 +189,9 @@ class Deformation(Section):
     )
     stable: list[Annotated[list[Corner], Field(min_length=3)]] | None = Field(
         default=None,
-        description="Polygons east, north of ground that did not move, local frame, metres; null: what most "
-        "of the bank agrees on",
+        description="Polygons east, north of ground that did not move, local frame, metres, or a file of a "
+        "GIS; null: what most of the bank agrees on",
+        json_schema_extra=or_file,
     )
     registration: Literal["none", "shift", "shift+heading", "rigid"] = Field(
         default="shift+heading", description="Motion between the epochs that stable ground shows"

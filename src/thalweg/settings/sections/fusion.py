@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from thalweg.settings.sections.accuracy import Corner
-from thalweg.settings.sections.base import Finite, NonNegative, Positive, Section
+from thalweg.settings.sections.base import Finite, NonNegative, Positive, Section, or_file
 
 
 class GroundFilter(Section):
@@ -29,8 +29,9 @@ class CloudFit(Section):
     )
     stable: list[Annotated[list[Corner], Field(min_length=3)]] | None = Field(
         default=None,
-        description="Polygons east, north of bare, stable ground, local frame, metres; null: all ground that "
-        "both clouds have",
+        description="Polygons east, north of bare, stable ground, local frame, metres, or a file of a GIS; "
+        "null: all ground that both clouds have",
+        json_schema_extra=or_file,
     )
     cell_m: Annotated[float, Field(ge=0.1, le=20)] = Field(
         default=0.5, description="Both clouds are compared in cells of this width, metres"
@@ -140,8 +141,9 @@ class Fusion(Section):
     )
     weir: Corner | None = Field(
         default=None,
-        description="East, north of the middle of a weir at the lower end, local frame, metres: is the river "
-        "deeper before it? null: there is none",
+        description="East, north of the middle of a weir at the lower end, local frame, metres, or a file of "
+        "a GIS with this point: is the river deeper before it? null: there is none",
+        json_schema_extra=or_file,
     )
     contour_m: Positive = Field(default=0.25, le=100, description="Interval of contours, metres")
     sections: SectionSettings = Field(default=SectionSettings(), description="Cross sections")

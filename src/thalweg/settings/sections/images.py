@@ -13,6 +13,8 @@ from thalweg.settings.sections.logs import FolderName
 from thalweg.settings.sections.mounts import CameraMount
 from thalweg.settings.sections.navigation import Fix
 
+Pixels = Annotated[int, Field(ge=0, le=100_000)]
+
 # ---------------------------------------------------------------- structure from motion
 
 
@@ -498,6 +500,15 @@ class FixedCamera(Section):
         le=1000,
         description="Pictures whose projection centre is known worse than this are refused, metres",
     )
+    free: list[str] = Field(
+        default=["focal", "k1"],
+        description="Without `logs.fixed_camera.interior`: what the points tell of the lens that all "
+        "pictures share, as focal; focal, k1; focal, centre, k1, k2. What they cannot tell is refused",
+    )
+    size_px: tuple[Pixels, Pixels] | None = Field(
+        default=None,
+        description="Likewise: width and height of the pictures, pixels; null: of those beside their marks",
+    )
 
 
 class Images(Section):
@@ -535,8 +546,6 @@ class Images(Section):
 
 
 # ---------------------------------------------------------------- sections rig and panorama
-
-Pixels = Annotated[int, Field(ge=0, le=100_000)]
 
 
 class RigLens(Section):

@@ -250,7 +250,9 @@ class FixedCameraLogs(Section):
         default=(), description="Surveyed points, as for `time_lapse.control_points`"
     )
     interior: Files = Field(
-        default=(), description="Interior orientation of the camera: calibration, OpenCV or COLMAP file"
+        default=(),
+        description="Interior orientation of the camera: calibration, OpenCV or COLMAP file; none: the "
+        "points tell it (`images.fixed_camera.free`)",
     )
 
 

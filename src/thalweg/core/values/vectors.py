@@ -16,14 +16,14 @@ import pandas as pd
 from pyproj import CRS
 from pyproj.exceptions import CRSError, ProjError
 
-from thalweg.core import ArrayB, ArrayF, InputError
-from thalweg.core.values import check_places, units_of_crs, utm_of
-from thalweg.ingest.readers import HEAD_BYTES, read_head
-from thalweg.settings.sections import VECTOR_ENDINGS
+from thalweg.core import ArrayB, ArrayF, InputError, require_file
+from thalweg.core.values.places import check_places, utm_of
+from thalweg.core.values.units import units_of_crs
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
 
+VECTOR_ENDINGS: Final = (".gpkg", ".shp", ".geojson", ".json", ".kml", ".gml", ".fgb", ".dxf")
 VECTOR_FORMATS: Final = {
     "geojson": "GeoJSON",
     "shapefile": "Shapefile",
@@ -34,6 +34,8 @@ VECTOR_FORMATS: Final = {
     "dxf": "DXF",
 }
 """Formats of `read_vectors`, and their names for people."""
+_HEAD_BYTES: Final = 65_536
+"""By which the format of a file is told."""
 _PARTS: Final = (".shx", ".dbf", ".prj", ".cpg", ".sbn", ".sbx", ".qix")
 """Files beside a Shapefile's .shp."""
 _DXF: Final = re.compile(rb"\A(?:\s*999\r?\n[^\n]*\n)*\s*0\s+SECTION\s")
@@ -71,8 +73,7 @@ def is_vector_file(path: Path) -> bool:
         return True
     if not file.is_file():
         return False
-    with file.open("rb") as stream:
-        return vector_format(stream.read(HEAD_BYTES)) is not None
+    return vector_format(_head(file)) is not None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -324,9 +325,15 @@ def _choice(path: Path, where: Mapping[str, str] | None) -> tuple[Path, dict[str
     return Path(name), chosen | dict(pairs)
 
 
+def _head(path: Path) -> bytes:
+    with path.open("rb") as stream:
+        return stream.read(_HEAD_BYTES)
+
+
 def _format_of(path: Path) -> str:
     """The format, by the content. Python opens the file: so a rule sees what the twin keeps from it."""
-    head = read_head(path)
+    require_file(path, "a file of a map")
+    head = _head(path)
     kind = vector_format(head)
     if kind is not None:
         return kind
