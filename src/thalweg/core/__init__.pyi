@@ -55,6 +55,7 @@ from .errors import (
     ThalwegError as ThalwegError,
     UnsupportedError as UnsupportedError,
     file_trouble as file_trouble,
+    in_options as in_options,
     steps as steps,
     to_terminal as to_terminal,
 )

@@ -6,8 +6,9 @@ what to do about it.
 
 import errno
 import logging
+import re
 import time
-from collections.abc import Iterable, Iterator, Sized
+from collections.abc import Iterable, Iterator, Mapping, Sized
 from pathlib import Path
 from typing import Final, TypeVar
 
@@ -101,6 +102,19 @@ class ConfigError(ThalwegError):
 
 class CoverageError(ThalwegError):
     """Data are asked for outside the time span or area in which they exist."""
+
+
+def in_options(text: str, options: Mapping[str, str]) -> str:
+    """A message of a command, whose reader has no campaign: with options in the place of settings.
+
+    Parameters
+    ----------
+    text : names settings of campaigns, such as ``reference.cell_m``.
+    options : the option of the command that stands for a setting, by the name of the setting.
+    """
+    for setting, option in options.items():
+        text = re.sub(rf"(?<![\w.]){re.escape(setting)}(?!\w|\.\w)", option, text)
+    return text
 
 
 def file_trouble(error: OSError) -> str:

@@ -191,12 +191,23 @@ def distances_along(
     """
     distance = after.along_m - before.along_m
     if not np.isfinite(distance).any():
-        n = [int((each.n > 0).sum()) for each in (before, after)]
+        k, n = len(cores_m), [int((each.n > 0).sum()) for each in (before, after)]
+        if not np.isfinite(normals).any():
+            raise GeometryError(
+                f"none of {k:,} core points has three neighbours of the first epoch for a normal",
+                expected="radii that fit the spacing of the points",
+                cure="Raise deformation.scales_m",
+            )
+        few = all(n)
         raise GeometryError(
-            f"none of {len(cores_m):,} core points has enough points of both epochs; {n[0]:,} have points of "
+            f"none of {k:,} core points has enough points of both epochs; {n[0]:,} have points of "
             f"the first, {n[1]:,} of the second",
-            expected="clouds that overlap, in one frame",
-            cure="Check that both have the same coordinate system, heights and units",
+            expected="cylinders that hold enough points" if few else "clouds that overlap, in one frame",
+            cure="Raise deformation.cylinder_radius_m above the spacing of the points, or lower "
+            "deformation.least_in_cylinder"
+            if few
+            else "Check that both have the same coordinate system, heights and units; raise "
+            "deformation.reach_m where the change is larger",
         )
     with np.errstate(invalid="ignore", divide="ignore"):
         roughness = np.sqrt(before.std_m**2 / before.n + after.std_m**2 / after.n)
