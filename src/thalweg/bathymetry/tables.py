@@ -36,6 +36,7 @@ from thalweg.bathymetry.lake import (
     no_half_widths,
     shore_places,
 )
+from thalweg.bathymetry.signs import asked_of_lake, asked_of_river, asked_of_shores
 from thalweg.bathymetry.validation import by_class, measures, validate_bed
 from thalweg.bathymetry.variogram import Basin, HalfWidths, choose_model
 from thalweg.core import (
@@ -137,7 +138,7 @@ def read_places(
         return table, table.places(crs, any_system=any_system)
     drawn = read_vectors(path)
     on = crs or drawn.usual_map()
-    drawn = drawn if on is None else drawn.on_map(on)
+    states, drawn = drawn.crs, drawn if on is None else drawn.on_map(on)
     frame, at = drawn.points()
     if not len(at):
         raise InputError(
@@ -145,6 +146,13 @@ def read_places(
             where=path,
             expected="a layer of points",
             cure="Export soundings as points, not as lines",
+        )
+    if on is not None and states is not None and states.is_projected and not states.equals(on):
+        check_places(
+            at[:, :2],
+            on,
+            where=f"{path}, which states {states.name}",
+            cure="--crs: without it the file's own counts",
         )
     if "z" not in frame and at.shape[1] > 2:
         frame["z"] = at[:, 2]
@@ -235,6 +243,7 @@ class TableOfSoundings:
     day : (n,) number of the day; None: unknown.
     days : names of the days.
     t_s : (n,) seconds since 1970 UTC; None: unknown.
+    level_m : height of the water in the median, where it is told by time.
     """
 
     places_m: ArrayF
@@ -248,6 +257,7 @@ class TableOfSoundings:
     day: ArrayI | None = None
     days: tuple[str, ...] = ()
     t_s: ArrayF | None = None
+    level_m: float | None = None
 
     def above(self, levels: Levels) -> Self:
         """Depths, which `height_m` holds below zero, as heights below levels of the water.
@@ -263,7 +273,8 @@ class TableOfSoundings:
                 expected="a column of times beside the depths",
                 cure="Name the column of the times, or state one --level",
             )
-        return replace(self, height_m=self.height_m + levels.at(self.t_s))
+        level = levels.at(self.t_s)
+        return replace(self, height_m=self.height_m + level, level_m=float(np.median(level)))
 
 
 def read_soundings(
@@ -852,7 +863,15 @@ def water_of(
     def lake(reason: str) -> Water:
         """In east and north."""
         shore_m = next((h for h in (level_m, outline_m, 0.0 if depths else None) if h is not None), None)
-        return _lake(soundings, settings, outline, shore_m, reason)
+        found = _lake(soundings, settings, outline, shore_m, reason)
+        if level_m is None or outline_m is None or abs(level_m - outline_m) <= _DROWNED_M:
+            return found
+        side = "above" if level_m > outline_m else "below"
+        told = (
+            f"the level of {level_m:g} m lies {abs(level_m - outline_m):.1f} m {side} the outline of "
+            "--banks: are both in one vertical system? Without --level the heights of the outline count"
+        )
+        return replace(found, notes=(*found.notes, told))
 
     if coordinates == "map":
         return lake("as stated")
@@ -1111,6 +1130,12 @@ def bed_of_table(
         counts["bank places"] = len(water.shore)
     table = frame_of(OBSERVATIONS, {name: table[name] for name in OBSERVATIONS.names})
     _refuse_other_heights(table, water.width_m)
+    if lake is None:
+        notes += asked_of_river(table, water.half_widths_m, depths=soundings.depth)
+    elif lake.wkt:
+        places, height = soundings.places_m, soundings.height_m
+        notes += asked_of_lake(water.area, places, height, depths=soundings.depth)
+    notes += asked_of_shores(table, soundings.level_m)
     data = observations_of(table)
     half_widths = water.half_widths_m
     model = choose_model(data, half_widths, settings, slow_time_s=0.0, seed=seed, basin=lake)
