@@ -125,7 +125,7 @@ def points_in(epsg: int) -> tuple[list[dict], list[dict]]:
 
 
 def test_a_file_that_states_another_map_than_the_user_gets_a_word(tmp_path: Path) -> None:
-    """Places of zone 32 come onto zone 33 with a note; those of Argentina are refused with what they state."""
+    """Places of zone 32 come onto zone 33 with a note; those of Argentina are refused."""
     path = geojson(tmp_path / "zone32.geojson", 32632, *points_in(32632))
     how = {"column": "h", "depth": False, "level_m": None, "line_column": None, "sigma_m": 0.03}
     found = read_soundings(path, UTM33, **how)
