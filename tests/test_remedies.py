@@ -27,10 +27,21 @@ SECTIONS = "|".join(sorted(Campaign.model_fields, key=len, reverse=True))
 SETTING = re.compile(rf"(?<![\w./-])(?:{SECTIONS})(?:\.[a-z][a-z_0-9]*)+(?![\w(])")
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*[a-z]")
 FILES = re.compile(r"\.(json|html|md|parquet|laz|png|csv|bin|txt|py)$")
-OTHERS = {"--cores", "--config", "--rerun-incomplete", "--executor", "--profile", "--unlock", "--until"}
-"""Options of Snakemake."""
-OF_CAMPAIGNS = {"new-campaign", "check-config", "catalogue", "costs", "summary"}
-"""Commands whose reader has a campaign file."""
+OTHERS = {"--cores", "--config", "--rerun-incomplete", "--executor", "--profile", "--unlock", "--until"} | {
+    "--directory",
+    "--models",
+}
+"""Options of Snakemake, and of Kalibr."""
+OF_A_CAMPAIGN = re.compile(r"\S+ of a campaign")
+OF_CAMPAIGNS = {"new-campaign", "check-config", "catalogue", "costs", "summary", "describe"}
+"""Commands whose reader has a campaign file, or wants to know where a file goes in one."""
+BY_NAME_ALONE = {"import-calibration", "import-camera"}
+"""Commands that share the recognition of files with ``describe``, and none of its other messages."""
+
+CALLING_OTHERS = {"thalweg.workflow.cluster", "thalweg.workflow.provenance"}
+"""Modules that run SLURM and Git."""
+NO_SETTINGS = {"lidar.x_m"}
+"""A quantity of a calibration file."""
 
 Place = tuple[str, str]
 """Module, and the name of a function, ``Class.method``, class or constant in it."""
@@ -198,7 +209,7 @@ def options_of(parser: argparse.ArgumentParser) -> set[str]:
     return {each for action in parser._actions for each in action.option_strings}
 
 
-@pytest.mark.parametrize("name", sorted(set(commands()) - OF_CAMPAIGNS))
+@pytest.mark.parametrize("name", sorted(set(commands()) - OF_CAMPAIGNS - BY_NAME_ALONE))
 def test_a_command_names_its_own_options(name: str) -> None:
     """No setting of a campaign, of which this caller has none, and no option of another command."""
     parser = commands()[name]
@@ -207,7 +218,7 @@ def test_a_command_names_its_own_options(name: str) -> None:
     wrong = set()
     for where, words in messages((handler.__module__, handler.__qualname__)):
         shown = in_options(words, renamed)
-        wrong |= {f"{where} {each}" for each in settings_in(shown)}
+        wrong |= {f"{where} {each}" for each in settings_in(OF_A_CAMPAIGN.sub("", shown))}
         wrong |= {f"{where} {each}" for each in set(OPTION.findall(shown)) - options_of(parser) - OTHERS}
     assert sorted(wrong) == []
 
@@ -216,9 +227,11 @@ def test_all_that_messages_name_is_there() -> None:
     known = set().union(*(options_of(each) for each in _all_parsers())) | OTHERS
     wrong = set()
     for name, module in modules().items():
-        for definition in module.defined:
+        for definition in {} if name in CALLING_OTHERS else module.defined:
             for line, words in body((name, definition)).words:
-                wrong |= {f"{name}:{line} {each}" for each in settings_in(words) if not exists(each)}
+                wrong |= {
+                    f"{name}:{line} {each}" for each in settings_in(words) - NO_SETTINGS if not exists(each)
+                }
                 wrong |= {f"{name}:{line} {each}" for each in set(OPTION.findall(words)) - known}
     assert sorted(wrong) == []
 
@@ -236,5 +249,5 @@ def _all_parsers() -> Iterator[argparse.ArgumentParser]:
 def test_options_that_stand_for_settings_are_both_there() -> None:
     for name, parser in commands().items():
         for setting, words in (parser.get_default("settings") or {}).items():
-            assert exists(setting), f"{name}: {setting}"
+            assert exists(setting) or " " in setting, f"{name}: {setting}"
             assert set(OPTION.findall(words)) <= options_of(parser), f"{name}: {words}"

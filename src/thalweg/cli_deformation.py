@@ -3,6 +3,8 @@
 import argparse
 from pathlib import Path
 
+from thalweg.cli_remedies import OF_A_FILE, of_a_campaign
+
 
 def add_deformation_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Add ``compare-clouds`` and ``compare``."""
@@ -131,6 +133,9 @@ def add_deformation_commands(commands: "argparse._SubParsersAction[argparse.Argu
             "deformation.towards": "--towards",
             "deformation.resample": "--resample",
             "deformation.control": "--control",
+            "accuracy.area": "part of the cloud",
+            "epochs.nodata": "--nodata",
+            **OF_A_FILE,
         },
     )
 
@@ -201,6 +206,9 @@ def add_deformation_commands(commands: "argparse._SubParsersAction[argparse.Argu
             "reference.sigma_m": "--sigma-reference",
             "accuracy.max_distance_m": "--max-distance",
             "accuracy.registration": "--registration",
+            "accuracy.area": "part of the reference",
+            **of_a_campaign(["reference.isolated_radius_m", "reference.poisson_depth"]),
+            **OF_A_FILE,
         },
     )
 

@@ -136,7 +136,7 @@ def test_a_file_that_states_another_map_than_the_user_gets_a_word(tmp_path: Path
     assert not any("transformed" in note for note in same.notes)
     shapes = [{"type": "Point", "coordinates": [5_596_816.0 + 9 * k, 6_189_399.0 + k**2]} for k in range(9)]
     far = geojson(tmp_path / "far.geojson", 22175, shapes, [{"h": 2.0 + k} for k in range(9)])
-    with pytest.raises(InputError, match=r"which states POSGAR 98 / Argentina 5.*--crs: without it"):
+    with pytest.raises(InputError, match=r"which states POSGAR 98 / Argentina 5.*campaign.crs: without it"):
         read_soundings(far, UTM33, **how)
     lines = [{"type": "LineString", "coordinates": [[500_000.0 + k, 5_400_000.0] for k in range(3)]}]
     drawn = read_vectors(geojson(tmp_path / "bank.geojson", 25833, lines, [{}])).on_map(UTM33)

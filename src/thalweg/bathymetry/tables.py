@@ -152,7 +152,7 @@ def read_places(
             at[:, :2],
             on,
             where=f"{path}, which states {states.name}",
-            cure="--crs: without it the file's own counts",
+            cure="campaign.crs: without it the file's own counts",
         )
     if "z" not in frame and at.shape[1] > 2:
         frame["z"] = at[:, 2]
@@ -195,7 +195,7 @@ def read_line(
         xy = read_places(path, crs, any_system=True)[1].xy_m
         xy = xy[np.isfinite(xy).all(axis=1)]
         if crs is not None:
-            check_places(xy, crs, where=path, cure="--crs")
+            check_places(xy, crs, where=path, cure="campaign.crs")
     if frame is not None and crs is not None:
         xy = frame.from_map(np.column_stack([xy, np.full(len(xy), frame.h_ell_m)]), crs)[:, :2]
     return FlowLine.through(xy)
@@ -679,7 +679,7 @@ def read_bank_lines(
                 f"the level of {level_m:g} m lies {above:.1f} m above the bank lines",
                 where=path,
                 expected="bank lines at the edge of that water",
-                cure="Look at --level, or leave it out: then the heights of the banks count",
+                cure="Look at this level, or leave it out: then the heights of the banks count",
             )
         data = table.assign(up_m=level_m)
     banks = Banks(table=_at_stations(table), line=line)

@@ -110,10 +110,12 @@ def in_options(text: str, options: Mapping[str, str]) -> str:
     Parameters
     ----------
     text : names settings of campaigns, such as ``reference.cell_m``.
-    options : the option of the command that stands for a setting, by the name of the setting.
+    options : the option of the command that stands for a setting, by the name of the setting; or words, by
+        those in whose place they stand.
     """
     for setting, option in options.items():
-        text = re.sub(rf"(?<![\w.]){re.escape(setting)}(?!\w|\.\w)", option, text)
+        whole = (r"(?<![\w.])", r"(?!\w|\.\w)") if re.fullmatch(r"[\w.]+", setting) else ("", "")
+        text = re.sub(re.escape(setting).join(whole), option, text)
     return text
 
 

@@ -432,8 +432,8 @@ class Table:
                 f"columns {self.listed()}",
                 where=self.path,
                 expected="coordinates: east, north; x, y; latitude, longitude",
-                cure="Name the columns in the first line, or state their order"
-                + ("" if self.named else ": --columns x,y,z"),
+                cure="Name the columns in the first line"
+                + ("" if self.named else ", or state their order: --columns x,y,z"),
             )
         if angular:
             lat, lon = self.angles("lat"), self.angles("lon")
@@ -462,7 +462,7 @@ class Table:
                         f"places about {middle} have none in {on.name}",
                         where=self.path,
                         expected=f"places in {on.name}",
-                        cure="State the --crs of the river, or leave it out",
+                        cure="Look at campaign.crs: is it used at these places?",
                     )
                 check_places(np.column_stack([lon, lat])[known], on, where=self.path, degrees=True)
                 return Places(xy, on, notes)
@@ -474,7 +474,7 @@ class Table:
                 f"columns {self.columns[e].name}, {self.columns[n].name} without a coordinate system",
                 where=self.path,
                 expected="its code",
-                cure="State --crs EPSG:..., or name the columns lat, lon if they are degrees",
+                cure="State campaign.crs, such as EPSG:32633, or name the columns lat, lon of degrees",
             )
         own = np.column_stack([self.numbers(e, "east"), self.numbers(n, "north")])
         notes = [x for x in self.unit_notes(e, n) if "converted" in x]
@@ -483,7 +483,7 @@ class Table:
                 own *= unit_m
                 notes.append(f"east and north taken in the unit of {stated.name} ({unit_m:.10g} m)")
             whole = np.isfinite(own).all(axis=1)
-            check_places(own[whole] / unit_m, stated, where=self.path, cure="--crs")
+            check_places(own[whole] / unit_m, stated, where=self.path, cure="campaign.crs")
         if angular and crs is not None:
             both = np.isfinite(own).all(axis=1) & np.isfinite(xy).all(axis=1)
             apart = np.linalg.norm(own - xy, axis=1)[both]
@@ -493,7 +493,7 @@ class Table:
                     "from those of latitude and longitude in the median",
                     where=self.path,
                     expected=f"one place in each row, in {on.name}",
-                    cure="Look at --crs, or leave two of the columns out",
+                    cure="Look at campaign.crs, or leave two of the columns out",
                 )
         if crs is not None:  # in a system of its own the origin is a place
             lost = (own == 0.0).all(axis=1)

@@ -416,7 +416,7 @@ def fit_bank(points_wcs_m: ArrayLike, toward_m: ArrayLike) -> BankFit:
         raise GeometryError(
             f"a cloud of {len(p)} points",
             expected="at least 3 that are not on a line",
-            cure="Look at the reference file and at accuracy.area",
+            cure="Look at the reference file, and take a larger accuracy.area",
         )
     p = p[:: -(-len(p) // _MOST_POINTS)]
     _refuse_line(p)

@@ -422,7 +422,7 @@ class LowerEnvelope:
             raise GeometryError(
                 f"a reference of {self._extent[0]:.0f} m by {self._extent[1]:.0f} m",
                 expected=f"at most {MOST_CELLS * LEVELS_M[-1] ** 2 / 1e6:.0f} km2 in the plane of the bank",
-                cure="Set accuracy.area, or look for stray points far away",
+                cure="Take a smaller accuracy.area, or look for stray points far away",
             )
         self._lowest = np.empty((0, 3))
         self._levels: list[ArrayF] = []

@@ -73,7 +73,7 @@ def compared(table: pd.DataFrame) -> pd.DataFrame:
         raise CoverageError(
             f"none of {len(table)} points was compared with the reference",
             expected="points near the reference and not only at its border",
-            cure="See the counts of the comparison; check accuracy.area and accuracy.max_distance_m",
+            cure="See the counts of the comparison; take a larger accuracy.area or accuracy.max_distance_m",
         )
     return used
 

@@ -300,7 +300,9 @@ OTHERS: Final = (
         "keep it beside the .shp of the same name",
         _is_part_of_shapefile,
     ),
-    _other("pcd", "PCD cloud", "logs.board_scans", None, (b"# .PCD", b"VERSION .7", b"VERSION 0.7")),
+    _other(
+        "pcd", "PCD cloud", "logs.calibration.board_scans", None, (b"# .PCD", b"VERSION .7", b"VERSION 0.7")
+    ),
     _other("rosbag", "ROS bag", _CONVERT, None, (b"#ROSBAG V2.0",)),
     _other("mcap", "MCAP recording", _CONVERT, None, (b"\x89MCAP0\r\n",)),
     _other("sqlite", "SQLite database (ROS 2 bag, COLMAP)", _CONVERT, None, (b"SQLite format 3\x00",)),
