@@ -164,7 +164,8 @@ def add_deformation_commands(commands: "argparse._SubParsersAction[argparse.Argu
         "--max-distance",
         type=_above_zero,
         metavar="M",
-        help="largest distance that is compared (default: 100 times the usual side of the triangles)",
+        help="largest distance that is compared (default: 100 times the usual side of the triangles, "
+        "or a tenth of the extent of the reference)",
     )
     surface.add_argument(
         "--sigma-reference",

@@ -75,6 +75,8 @@ _FEWEST_CORES: Final = 1000
 """Of small clouds more points are core points than one a cylinder."""
 _SIDES: Final = 100.0
 """Points as many usual sides of its triangles from a reference are not of it."""
+_OF_EXTENT: Final = 0.1
+"""Nor are those farther than this share of its extent, where the triangles are large."""
 _SAME: Final = 1e-6
 """Places nearer than this share of a side are the same: formats round."""
 
@@ -366,7 +368,7 @@ def compare_with_surface(
     seen_from_m : place in the common frame from which the reference is seen: its front, where distances are
         positive; None: from above. A mesh has its front by itself.
     max_distance_m : points that are farther from the surface are not compared; None: than 100 times the usual
-        side of its triangles.
+        side of its triangles, or than a tenth of its extent.
     outlier_nmads : limits of outliers about the median, in NMAD.
     registration : whether the cloud is also fitted to the reference by a rigid motion.
 
@@ -418,7 +420,8 @@ def compare_with_surface(
     surface = Surface(mesh)
     found = surface.distances(points.xyz_m - origin)
     side = usual_side_m(mesh.vertices_m, mesh.faces)
-    reach = _SIDES * side if max_distance_m is None else max_distance_m
+    extent = float(np.linalg.norm(np.ptp(mesh.vertices_m, axis=0)))
+    reach = min(_SIDES * side, _OF_EXTENT * extent) if max_distance_m is None else max_distance_m
     lengths["max_distance_m"] = reach
     facts["lengths"] = lengths
     # what is taken as ground is an estimate, the reference's own points are the reference
@@ -431,7 +434,7 @@ def compare_with_surface(
     if not used.any():
         raise CoverageError(
             f"none of {len(distance):,} points: {far.sum():,} are farther than {reach:.3g} m from the "
-            f"reference (nearest {np.abs(distance).min():.3g} m), the others lie beside its border",
+            f"reference (nearest {np.abs(distance).min():#.4g} m), the others lie beside its border",
             expected="a cloud and a reference of one place",
             where=cloud,
             cure="Compare their coordinates and height systems, or raise accuracy.max_distance_m",
