@@ -259,7 +259,9 @@ MAY_IMPORT = {
     **{name: set(PACKAGES[: i + 1]) for i, name in enumerate(PACKAGES)},
     "workflow": {"core", "settings", "workflow"},
     "cli": {*PACKAGES, "workflow", "cli", *COMMANDS},
-    **{key: {*PACKAGES, "workflow"} if key in OF_THE_WORKFLOW else set(PACKAGES) for key in COMMANDS},
+    **{key: {*PACKAGES, "cli_remedies"} for key in COMMANDS},
+    **{key: {*PACKAGES, "workflow"} for key in OF_THE_WORKFLOW},
+    "cli_remedies": set(),
     "__main__": {"cli"},
     "__init__": set(),
 }
@@ -435,6 +437,7 @@ UNREACHED = {
     "cli_check.py": "the command line",
     "cli_deformation.py": "the command line",
     "cli_images.py": "the command line",
+    "cli_remedies.py": "the command line",
     "cli_results.py": "the command line",
     "cli_survey.py": "the command line",
     **dict.fromkeys(

@@ -22,7 +22,7 @@ from thalweg.cli_deformation import add_deformation_commands, summarise_changes
 from thalweg.cli_images import add_image_commands
 from thalweg.cli_results import add_cluster_commands, add_result_commands
 from thalweg.cli_survey import add_survey_commands
-from thalweg.core import ConfigError, InputError, ThalwegError, file_trouble, to_terminal
+from thalweg.core import ConfigError, InputError, ThalwegError, file_trouble, in_options, to_terminal
 
 if TYPE_CHECKING:
     from thalweg.settings import Campaign
@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
     except ThalwegError as error:
         sys.stdout.flush()
-        print(error, file=sys.stderr)
+        print(in_options(str(error), getattr(options, "settings", {})), file=sys.stderr)
         return EXIT_MISTAKE
     except OSError as error:
         if isinstance(error, BrokenPipeError):

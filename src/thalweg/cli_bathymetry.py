@@ -3,6 +3,8 @@
 import argparse
 from pathlib import Path
 
+from thalweg.cli_remedies import OF_A_FILE, of_a_campaign
+
 
 def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Add ``bed``, ``flow``, ``plan-survey`` and ``refract``."""
@@ -118,7 +120,19 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
         metavar="RANGES",
         help="leave cells empty beyond this multiple of the range from data (default: %(default)s)",
     )
-    bed.set_defaults(command=_bed)
+    bed.set_defaults(
+        command=_bed,
+        settings={
+            "campaign.crs": "--crs",
+            "campaign.origin": "the origin",
+            "bathymetry.reach": "--reach",
+            "bathymetry.cell_m": "--cell",
+            "bathymetry.line_turn_deg": "--line",
+            "accuracy.area.polygon": "--islands",
+            "accuracy.area": "--islands",
+            **of_a_campaign(["bathymetry.engine"]),
+        },
+    )
 
     flow = commands.add_parser("flow", help="flow coordinates of points: along and across a centre line")
     flow.add_argument("points", type=Path, metavar="POINTS", help="CSV with east, north (or x, y)")
@@ -132,7 +146,7 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
     flow.add_argument(
         "--out", type=Path, required=True, metavar="CSV", help="table to write, with s_m, n_m, fold"
     )
-    flow.set_defaults(command=_flow)
+    flow.set_defaults(command=_flow, settings=OF_A_FILE | {"campaign.origin": "the origin"})
 
     plan = commands.add_parser(
         "plan-survey", help="survey lines between two banks, and the accuracy of the bed to expect"
@@ -207,7 +221,16 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
     )
     plan.add_argument("--power", type=_positive, metavar="W", help="power of the boat at this speed")
     plan.add_argument("--battery", type=_positive, metavar="WH", help="energy of one battery")
-    plan.set_defaults(command=_plan)
+    plan.set_defaults(
+        command=_plan,
+        settings=OF_A_FILE
+        | {
+            "campaign.crs": "--crs",
+            "campaign.origin": "the origin",
+            "accuracy.area.polygon": "the outline",
+            "accuracy.area": "the outline",
+        },
+    )
 
     refract = commands.add_parser(
         "refract",
@@ -242,7 +265,7 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
         help="largest angle of a ray off the vertical (default: %(default)s)",
     )
     refract.add_argument("-o", "--out", type=Path, required=True, metavar="CSV", help="table to write")
-    refract.set_defaults(command=_refract)
+    refract.set_defaults(command=_refract, settings=OF_A_FILE)
 
 
 def _positive(text: str) -> float:
@@ -298,7 +321,7 @@ def _bed(options: argparse.Namespace) -> int:
         usual_cell_m,
         water_of,
     )
-    from thalweg.core import ConfigError, InputError
+    from thalweg.core import ConfigError, InputError, in_options
     from thalweg.figures import save
     from thalweg.figures.bathymetry import bed_picture
     from thalweg.fusion import map_of_bed
@@ -377,7 +400,7 @@ def _bed(options: argparse.Namespace) -> int:
     )
     print(f"  {soundings.crs.name}, cells of {settings.cell_m:g} m")
     for note in (*notes, *found.notes):
-        print(f"note: {note}")
+        print(f"note: {in_options(note, options.settings)}")
     course = ", centre_line.csv" if isinstance(water.line, FlowLine) else ""
     print(f"Wrote {options.out}/bed.tif, map.gpkg, bed.png, validation.json, methods.csv{course}")
     return 0

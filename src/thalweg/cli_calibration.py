@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from thalweg.cli_remedies import of_a_campaign
 from thalweg.core import InputError
 
 if TYPE_CHECKING:
@@ -167,7 +168,17 @@ def _add_imports(commands: "argparse._SubParsersAction[argparse.ArgumentParser]"
         "-o", "--out", type=Path, required=True, metavar="CSV", help="table of poses and residuals to write"
     )
     resect.add_argument("--force", action="store_true", help="overwrite files that exist")
-    resect.set_defaults(command=_resect)
+    resect.set_defaults(
+        command=_resect,
+        settings={
+            "campaign.crs": "--crs",
+            "campaign.origin": "the origin",
+            "images.control.crs": "--crs",
+            "images.fixed_camera.largest_sigma_m": "--largest-sigma",
+            ", or state their order: --columns x,y,z": "",
+            **of_a_campaign(["images.adjustment.antenna.use"]),
+        },
+    )
 
     camera = commands.add_parser(
         "import-camera", help="camera file of COLMAP, OpenCV, ROS or Metashape -> calibration file"

@@ -3,6 +3,8 @@
 import argparse
 from pathlib import Path
 
+from thalweg.cli_remedies import OF_A_FILE, of_a_campaign
+
 
 def add_deformation_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Add ``compare-clouds`` and ``compare``."""
@@ -42,30 +44,28 @@ def add_deformation_commands(commands: "argparse._SubParsersAction[argparse.Argu
     compare.add_argument(
         "--core-every",
         type=_count,
-        default=50,
         metavar="N",
-        help="every N-th point of BEFORE is a core point (default: %(default)s)",
+        help="every N-th point of BEFORE is a core point (default: as many as a cylinder holds); with c2c "
+        "every N-th of AFTER is compared (default: all)",
     )
     compare.add_argument(
         "--scales",
         type=_lengths,
-        default=(0.5, 1.0, 2.0),
         metavar="M,M,...",
-        help="radii for normals, of which the most planar is used (default: 0.5,1,2)",
+        help="radii for normals, of which the most planar is used (default: 1, 2, 4 cylinders, or 10, 20, 40 "
+        "times the scatter of the points)",
     )
     compare.add_argument(
         "--cylinder",
-        type=_length,
-        default=0.5,
+        type=_above_zero,
         metavar="M",
-        help="radius of the cylinders (default: %(default)s)",
+        help="radius of the cylinders (default: 3 times the spacing of the sparser cloud)",
     )
     compare.add_argument(
         "--reach",
-        type=_length,
-        default=5.0,
+        type=_above_zero,
         metavar="M",
-        help="half length of the cylinders along the normal (default: %(default)s)",
+        help="half length of the cylinders along the normal (default: 30 times their radius)",
     )
     compare.add_argument(
         "--least-points",
@@ -123,7 +123,21 @@ def add_deformation_commands(commands: "argparse._SubParsersAction[argparse.Argu
         metavar="FILE[?COLUMN=VALUE,...]",
         help="polygons (GeoPackage, Shapefile, GeoJSON, KML) to exclude, such as water; may be repeated",
     )
-    compare.set_defaults(command=_compare)
+    compare.set_defaults(
+        command=_compare,
+        settings={
+            "deformation.scales_m": "--scales",
+            "deformation.cylinder_radius_m": "--cylinder",
+            "deformation.reach_m": "--reach",
+            "deformation.least_in_cylinder": "--least-points",
+            "deformation.towards": "--towards",
+            "deformation.resample": "--resample",
+            "deformation.control": "--control",
+            "accuracy.area": "part of the cloud",
+            "epochs.nodata": "--nodata",
+            **OF_A_FILE,
+        },
+    )
 
     surface = commands.add_parser(
         "compare", help="signed distances of a cloud from a reference mesh or cloud, with statistics"
@@ -148,42 +162,56 @@ def add_deformation_commands(commands: "argparse._SubParsersAction[argparse.Argu
     )
     surface.add_argument(
         "--max-distance",
-        type=_length,
-        default=1.0,
+        type=_above_zero,
         metavar="M",
-        help="largest distance that is compared (default: %(default)s)",
+        help="largest distance that is compared (default: 100 times the usual side of the triangles, "
+        "or a tenth of the extent of the reference)",
     )
     surface.add_argument(
         "--sigma-reference",
         type=_length,
-        default=0.005,
         metavar="M",
-        help="standard deviation of the reference (default: %(default)s)",
+        help="standard deviation of the reference that its points share (default: 0)",
     )
     surface.add_argument(
         "--method", choices=("delaunay", "poisson"), default="delaunay", help="meshing method"
     )
     surface.add_argument(
-        "--cell", type=_length, default=0.05, metavar="M", help="cell size of thinning (default: %(default)s)"
+        "--cell",
+        type=_above_zero,
+        metavar="M",
+        help="cell in which points of a reference cloud become one (default: by their spacing and scatter)",
     )
     surface.add_argument(
         "--longest-edge",
-        type=_length,
-        default=0.5,
+        type=_above_zero,
         metavar="M",
-        help="triangles with longer edges become holes (default: %(default)s)",
+        help="triangles with longer edges become holes (default: 5 times their usual longest edge)",
     )
     surface.add_argument(
         "--clearance",
         type=_length,
-        default=0.3,
         metavar="M",
-        help="reference points farther in front of the ground are plants; 0: all stay (default: %(default)s)",
+        help="reference points farther in front of the ground are plants (default: all points are ground)",
     )
     surface.add_argument(
         "--registration", action="store_true", help="also fit the cloud to the reference by a rigid motion"
     )
-    surface.set_defaults(command=_compare_with_surface)
+    surface.set_defaults(
+        command=_compare_with_surface,
+        settings={
+            "reference.cell_m": "--cell",
+            "reference.longest_edge_m": "--longest-edge",
+            "reference.clearance_m": "--clearance",
+            "reference.method": "--method",
+            "reference.sigma_m": "--sigma-reference",
+            "accuracy.max_distance_m": "--max-distance",
+            "accuracy.registration": "--registration",
+            "accuracy.area": "part of the reference",
+            **of_a_campaign(["reference.isolated_radius_m", "reference.poisson_depth"]),
+            **OF_A_FILE,
+        },
+    )
 
 
 def _numbers(text: str) -> tuple[float, ...]:
@@ -224,6 +252,13 @@ def _length(text: str) -> float:
     if len(values) != 1 or not 0 <= values[0] < float("inf"):
         raise argparse.ArgumentTypeError(f"{text!r}; expected one length in metres")
     return values[0]
+
+
+def _above_zero(text: str) -> float:
+    value = _length(text)
+    if not value:
+        raise argparse.ArgumentTypeError(f"{text!r}; expected a length above zero")
+    return value
 
 
 def _place(text: str) -> tuple[float, float, float]:
@@ -268,16 +303,16 @@ def _compare_nearest(options: argparse.Namespace) -> int:
             cure="Use --method m3c2 for limits and significance",
         )
     table, frame, notes = compare_nearest(
-        options.before, options.after, every=options.core_every, towards=options.towards
+        options.before, options.after, every=options.core_every or 1, towards=options.towards
     )
     write_changes(options.out, table, frame, CLOUD_TO_CLOUD)
     nearest, plane = table["distance_m"], table["plane_distance_m"]
     print(f"{len(table):,} points of the second cloud")
     print(
-        f"  to the nearest point: mean {nearest.mean():.4f} m, median {nearest.median():.4f} m, "
-        f"largest {nearest.max():.4f} m"
+        f"  to the nearest point: mean {nearest.mean():.4g} m, median {nearest.median():.4g} m, "
+        f"largest {nearest.max():.4g} m"
     )
-    print(f"  to the plane of the nearest: mean {plane.mean():+.4f} m, median {plane.median():+.4f} m")
+    print(f"  to the plane of the nearest: mean {plane.mean():+.4g} m, median {plane.median():+.4g} m")
     for note in notes:
         print(f"note: {note}")
     print(f"Wrote {options.out}")
@@ -326,32 +361,29 @@ def _compare_surfaces(options: argparse.Namespace) -> int:
 def _compare_clouds(options: argparse.Namespace) -> int:
     import numpy as np
 
-    from thalweg.deformation import Comparison
-    from thalweg.deformation.foreign import compare_clouds, sigma_of_mean, write_changes
+    from thalweg.deformation.foreign import compare_clouds, write_changes
 
     table, frame, notes = compare_clouds(
         options.before,
         options.after,
-        Comparison(
-            scales_m=options.scales,
-            radius_m=options.cylinder,
-            half_length_m=options.reach,
-            least_points=options.least_points,
-            control=options.control,
-        ),
+        {
+            "scales_m": options.scales,
+            "radius_m": options.cylinder,
+            "half_length_m": options.reach,
+            "least_points": options.least_points,
+            "control": options.control,
+        },
         core_every=options.core_every,
         towards=options.towards,
         sigma_m=(options.sigma_a, options.sigma_b),
         sigma_registration_m=options.sigma_registration,
+        correlation_m=options.correlation,
     )
     write_changes(options.out, table, frame)
     distance = table["distance_m"].dropna()
     print(f"{len(table):,} core points, {len(distance):,} with a distance")
-    print(f"  mean {distance.mean():+.4f} m, median {distance.median():+.4f} m, std {distance.std():.4f} m")
-    if options.correlation and None not in (options.sigma_a, options.sigma_b):
-        whole = sigma_of_mean(table, options.cylinder, options.correlation)
-        print(f"  standard deviation of the mean {whole:.4f} m")
-    print(f"  level of detection (95 %), median: {np.nanmedian(table['lod95_m']):.4f} m")
+    print(f"  mean {distance.mean():+.4g} m, median {distance.median():+.4g} m, std {distance.std():.4g} m")
+    print(f"  level of detection (95 %), median: {np.nanmedian(table['lod95_m']):.4g} m")
     for state, n in table["state"].value_counts().items():
         print(f"  {state}: {n:,}")
     for note in notes:
@@ -363,47 +395,44 @@ def _compare_clouds(options: argparse.Namespace) -> int:
 def _compare_with_surface(options: argparse.Namespace) -> int:
     import json
 
-    from thalweg.core import ConfigError
+    from thalweg.core import in_options
     from thalweg.deformation.foreign import DISTANCES, compare_with_surface, write_changes
     from thalweg.figures.accuracy import CAPTIONS, cloud_page, distance_histogram, distances_in_plan
-    from thalweg.settings.sections import ReferenceSettings
 
-    try:
-        settings = ReferenceSettings(
-            sigma_m=options.sigma_reference,
-            method=options.method,
-            cell_m=options.cell,
-            longest_edge_m=options.longest_edge,
-            isolated_radius_m=max(options.longest_edge, 0.02),
-            clearance_m=options.clearance or None,
-        )
-    except ValueError as error:
-        raise ConfigError(
-            f"settings of the mesh: {error}", expected="lengths within their limits", where="thalweg compare"
-        ) from error
     table, frame, facts, notes = compare_with_surface(
         options.cloud,
         options.reference,
-        settings,
+        {
+            "sigma_m": options.sigma_reference,
+            "method": options.method,
+            "cell_m": options.cell,
+            "longest_edge_m": options.longest_edge,
+            "clearance_m": options.clearance or None,
+        },
         seen_from_m=options.seen_from,
         max_distance_m=options.max_distance,
         registration=options.registration,
     )
     write_changes(options.out, table, frame, DISTANCES)
+    notes = [in_options(note, options.settings) for note in notes]
     facts |= {"cloud": str(options.cloud), "reference": str(options.reference), "notes": notes}
     beside = options.out.with_suffix(".json")
     beside.write_text(json.dumps(facts, indent=2) + "\n", encoding="utf-8")
     for words, n in facts["counts"].items():
         print(f"{n:>12,} {words.replace('_', ' ')}")
+    lengths = (
+        f"{words.removesuffix('_m').replace('_', ' ')} {m:.3g} m" for words, m in facts["lengths"].items()
+    )
+    print(f"lengths: {', '.join(lengths)}")
     shown = {name: facts[name] for name in ("all", "without_outliers")}
     moved = facts.get("registration", {})
     if moved.get("done"):
         shown["after registration, without outliers"] = moved["without_outliers"]
     for name, one in shown.items():
         print(
-            f"{name.replace('_', ' ')}: mean {one['bias_m']:+.4f} m, std {one['std_m']:.4f} m, RMSE "
-            f"{one['rmse_m']:.4f} m, median {one['median_m']:+.4f} m, NMAD {one['nmad_m']:.4f} m, "
-            f"95 % within {one['p95_m']:.4f} m"
+            f"{name.replace('_', ' ')}: mean {one['bias_m']:+.4g} m, std {one['std_m']:.4g} m, RMSE "
+            f"{one['rmse_m']:.4g} m, median {one['median_m']:+.4g} m, NMAD {one['nmad_m']:.4g} m, "
+            f"95 % within {one['p95_m']:.4g} m"
         )
     page, title = options.out.with_suffix(".html"), f"{options.cloud.name} and {options.reference.name}"
     pictures = {"distances_in_plan": distances_in_plan(table, title=title)}

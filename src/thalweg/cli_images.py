@@ -5,6 +5,8 @@ import os
 import sys
 from pathlib import Path
 
+from thalweg.cli_remedies import of_a_campaign
+
 
 def add_image_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Add ``orient`` and ``frames``."""
@@ -90,7 +92,32 @@ def add_image_commands(commands: "argparse._SubParsersAction[argparse.ArgumentPa
         "--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="threads (default: all cores)"
     )
     orient.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the results")
-    orient.set_defaults(command=_orient)
+    orient.set_defaults(
+        command=_orient,
+        settings={
+            "campaign.crs": "--crs",
+            "campaign.origin": "the origin",
+            "images.control.crs": "--crs",
+            "images.adjustment.interior": "--interior",
+            "images.mapping.interior": "--interior",
+            "logs.time_lapse.images": "the photographs",
+            "logs.time_lapse.interior": "--camera",
+            "logs.time_lapse.interiors": "--camera",
+            "mounts.calibration": "--camera",
+            ", or state their order: --columns x,y,z": "",
+            **of_a_campaign(
+                [
+                    "images.adjustment.antenna.use",
+                    "images.clock",
+                    "images.control.height_offset_m",
+                    "images.mapping.cameras",
+                    "images.mapping.lens",
+                    "images.mapping.pairs",
+                    "mounts.camera",
+                ]
+            ),
+        },
+    )
 
 
 def _orient(options: argparse.Namespace) -> int:

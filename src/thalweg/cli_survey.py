@@ -4,6 +4,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from thalweg.cli_remedies import OF_A_FILE, of_a_campaign
+
 
 def add_survey_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Add ``ppk``, ``georeference`` and ``view``."""
@@ -66,7 +68,23 @@ def add_survey_commands(commands: "argparse._SubParsersAction[argparse.ArgumentP
         help="ambiguity fixes over a longer baseline count as float (default: %(default)s)",
     )
     ppk.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the results")
-    ppk.set_defaults(command=_ppk)
+    ppk.set_defaults(
+        command=_ppk,
+        settings={
+            "ppk.trusted_baseline_km": "--trusted-baseline",
+            **of_a_campaign(
+                [
+                    "campaign.origin",
+                    "ppk.least_fix_s",
+                    "orientation.max_gap_s",
+                    "orientation.max_attitude_gap_s",
+                    "orientation.antenna_h_ell_m",
+                    "orientation.sigma_position_m",
+                    "orientation.accept_fixes",
+                ]
+            ),
+        },
+    )
 
     cloud = commands.add_parser(
         "georeference", help="lidar capture and trajectory -> cloud with a standard deviation for each point"
@@ -167,7 +185,35 @@ def add_survey_commands(commands: "argparse._SubParsersAction[argparse.ArgumentP
     )
     cloud.add_argument("--crs", metavar="EPSG:...", help="also write the cloud in this map grid")
     cloud.add_argument("--out", type=Path, required=True, metavar="LAZ", help="cloud to write")
-    cloud.set_defaults(command=_georeference)
+    cloud.set_defaults(
+        command=_georeference,
+        settings={
+            "campaign.crs": "--crs",
+            "campaign.origin": "--origin",
+            "georeferencing.min_range_m": "--min-range",
+            "georeferencing.max_range_m": "--max-range",
+            "ins.body_axes": "--body-axes",
+            "ins.sigma_position_m": "--sigma-position",
+            "ins.time_scale": "--time-scale",
+            "ins.upside_down": "--upside-down",
+            "lidar.clock.first_packet_utc": "--first-packet",
+            "lidar.clock.offset_s": "--time-offset",
+            "lidar.model": "--model",
+            "logs.gps_week": "--gps-week",
+            "logs.lidar": "LIDAR",
+            "logs.smrmsg": "--smrmsg",
+            "orientation.max_attitude_gap_s": "--max-gap",
+            **of_a_campaign(
+                [
+                    "filters.below_water_m",
+                    "filters.max_sigma_m",
+                    "filters.water_line_ics_m",
+                    "lidar.data_port",
+                    "lidar.returns",
+                ]
+            ),
+        },
+    )
 
     view = commands.add_parser(
         "view",
@@ -194,10 +240,11 @@ def add_survey_commands(commands: "argparse._SubParsersAction[argparse.ArgumentP
     view.add_argument(
         "-o", "--out", type=Path, required=True, metavar="FOLDER", help="for the page and what belongs to it"
     )
-    view.set_defaults(command=_view)
+    view.set_defaults(command=_view, settings=OF_A_FILE)
 
 
 def _ppk(options: argparse.Namespace) -> int:
+    from thalweg.core import in_options
     from thalweg.figures.survey import gnss_page
     from thalweg.ingest.ppk import PpkOptions, run_ppk, write_solution
 
@@ -225,7 +272,7 @@ def _ppk(options: argparse.Namespace) -> int:
         f"{facts['n_none']:,} without a position; {refused:,} fixes refused; baseline "
         f"{facts['baseline_m'] / 1000:.2f} km"
     )
-    print("\n".join(f"note: {note}" for note in solution.report.notes))
+    print("\n".join(f"note: {in_options(note, options.settings)}" for note in solution.report.notes))
     print(f"Wrote {', '.join(file.name for file in [*files, page])} to {options.out}")
     return 0
 
@@ -235,7 +282,7 @@ def _georeference(options: argparse.Namespace) -> int:
     from datetime import datetime
 
     from thalweg.calibration import resolve_mounts
-    from thalweg.core import InputError, Rigid, gps_from_unix
+    from thalweg.core import InputError, Rigid, gps_from_unix, in_options
     from thalweg.core.calibration import read_calibration
     from thalweg.ingest import LidarOptions
     from thalweg.ingest.registry import lidar_reader
@@ -303,7 +350,7 @@ def _georeference(options: argparse.Namespace) -> int:
     for row in table.to_dict("records"):
         if row["n"]:
             print(f"{row['n']:>12,} {row['words']}")
-    print("\n".join(f"note: {note}" for note in notes))
+    print("\n".join(f"note: {in_options(note, options.settings)}" for note in notes))
     print(f"Wrote {', '.join(str(path) for path in [*written, facts])}")
     return 0
 

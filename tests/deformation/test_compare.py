@@ -228,7 +228,7 @@ def test_the_sigma_of_a_mean_is_that_of_all_pairs(tmp_path: Path, capsys: pytest
     assert low < np.mean(np.square(drawn)) < high
     words = ["compare-clouds", str(before), str(after), "-o", str(tmp_path / "e.csv"), "--scales", "1"]
     assert main([*words, "--sigma-a", "0.03", "--sigma-b", "0.04", "--correlation-m", "8"]) == 0
-    assert "standard deviation of the mean 0.0" in capsys.readouterr().out
+    assert "standard deviation of the mean of 0.0" in capsys.readouterr().out
 
 
 def test_frames_are_one_if_they_are_equal(tmp_path: Path) -> None:

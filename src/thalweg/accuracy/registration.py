@@ -263,8 +263,8 @@ def _fit(points: ArrayF, surface: Surface, max_distance_m: float) -> _Fit:
         raise GeometryError(
             f"no convergence in {iterations} iterations; the last step was {1000 * size:.2g} mm",
             expected=f"steps below {100 * JITTER:g} % of the distances' spread of {1000 * spread_m:.2g} mm",
-            cure="Is the reference rough or small there? Choose another accuracy.area, or set "
-            "accuracy.registration to false",
+            cure="Is the reference rough or small there? Choose another accuracy.area, or do without "
+            "accuracy.registration",
         )
     distance = found.distance_m[use]
     return _Fit(

@@ -36,6 +36,7 @@ from thalweg.bathymetry.lake import (
     no_half_widths,
     shore_places,
 )
+from thalweg.bathymetry.signs import asked_of_lake, asked_of_river, asked_of_shores
 from thalweg.bathymetry.validation import by_class, measures, validate_bed
 from thalweg.bathymetry.variogram import Basin, HalfWidths, choose_model
 from thalweg.core import (
@@ -171,7 +172,7 @@ def read_line(
         xy = read_places(path, crs, any_system=True)[1].xy_m
         xy = xy[np.isfinite(xy).all(axis=1)]
         if crs is not None:
-            check_places(xy, crs, where=path, cure="--crs")
+            check_places(xy, crs, where=path, cure="campaign.crs")
     if frame is not None and crs is not None:
         xy = frame.from_map(np.column_stack([xy, np.full(len(xy), frame.h_ell_m)]), crs)[:, :2]
     return FlowLine.through(xy)
@@ -219,6 +220,7 @@ class TableOfSoundings:
     day : (n,) number of the day; None: unknown.
     days : names of the days.
     t_s : (n,) seconds since 1970 UTC; None: unknown.
+    level_m : height of the water in the median, where it is told by time.
     """
 
     places_m: ArrayF
@@ -232,6 +234,7 @@ class TableOfSoundings:
     day: ArrayI | None = None
     days: tuple[str, ...] = ()
     t_s: ArrayF | None = None
+    level_m: float | None = None
 
     def above(self, levels: Levels) -> Self:
         """Depths, which `height_m` holds below zero, as heights below levels of the water.
@@ -247,7 +250,8 @@ class TableOfSoundings:
                 expected="a column of times beside the depths",
                 cure="Name the column of the times, or state one --level",
             )
-        return replace(self, height_m=self.height_m + levels.at(self.t_s))
+        level = levels.at(self.t_s)
+        return replace(self, height_m=self.height_m + level, level_m=float(np.median(level)))
 
 
 def read_soundings(
@@ -654,7 +658,7 @@ def read_bank_lines(
                 f"the level of {level_m:g} m lies {above:.1f} m above the bank lines",
                 where=path,
                 expected="bank lines at the edge of that water",
-                cure="Look at --level, or leave it out: then the heights of the banks count",
+                cure="Look at this level, or leave it out: then the heights of the banks count",
             )
         data = table.assign(up_m=level_m)
     banks = Banks(table=_at_stations(table), line=line)
@@ -838,7 +842,15 @@ def water_of(
     def lake(reason: str) -> Water:
         """In east and north."""
         shore_m = next((h for h in (level_m, outline_m, 0.0 if depths else None) if h is not None), None)
-        return _lake(soundings, settings, outline, shore_m, reason)
+        found = _lake(soundings, settings, outline, shore_m, reason)
+        if level_m is None or outline_m is None or abs(level_m - outline_m) <= _DROWNED_M:
+            return found
+        side = "above" if level_m > outline_m else "below"
+        told = (
+            f"the level of {level_m:g} m lies {abs(level_m - outline_m):.1f} m {side} the outline of "
+            "--banks: are both in one vertical system? Without --level the heights of the outline count"
+        )
+        return replace(found, notes=(*found.notes, told))
 
     if coordinates == "map":
         return lake("as stated")
@@ -1097,6 +1109,12 @@ def bed_of_table(
         counts["bank places"] = len(water.shore)
     table = frame_of(OBSERVATIONS, {name: table[name] for name in OBSERVATIONS.names})
     _refuse_other_heights(table, water.width_m)
+    if lake is None:
+        notes += asked_of_river(table, water.half_widths_m, depths=soundings.depth)
+    elif lake.wkt:
+        places, height = soundings.places_m, soundings.height_m
+        notes += asked_of_lake(water.area, places, height, depths=soundings.depth)
+    notes += asked_of_shores(table, soundings.level_m)
     data = observations_of(table)
     half_widths = water.half_widths_m
     model = choose_model(data, half_widths, settings, slow_time_s=0.0, seed=seed, basin=lake)

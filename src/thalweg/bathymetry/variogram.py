@@ -374,7 +374,8 @@ def choose_model(
             f"{len(lines)} line of soundings",
             where="lines of soundings",
             expected="at least two: what lies beside a single line cannot be told",
-            cure="Survey a zigzag or sections; or lower bathymetry.line_turn_deg, if lines run together; "
+            cure="Survey a zigzag or sections; if lines run together, tell them apart by "
+            "bathymetry.line_turn_deg; "
             "a table may be mapped with --coordinates map, as if the bed were as smooth across as along",
         )
     test, train = _thinned(data, lines, rng)

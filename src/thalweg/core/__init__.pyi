@@ -59,6 +59,7 @@ from .errors import (
     ThalwegError as ThalwegError,
     UnsupportedError as UnsupportedError,
     file_trouble as file_trouble,
+    in_options as in_options,
     others_may_write as others_may_write,
     require_file as require_file,
     steps as steps,

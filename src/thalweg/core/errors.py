@@ -10,7 +10,7 @@ import os
 import re
 import stat
 import time
-from collections.abc import Iterable, Iterator, Sized
+from collections.abc import Iterable, Iterator, Mapping, Sized
 from pathlib import Path
 from typing import Final, TypeVar
 
@@ -157,6 +157,21 @@ def require_file(path: Path, expected: str) -> None:
     elif path.stat().st_size:
         return
     raise InputError(found, expected=expected, where=path, cure=cure)
+
+
+def in_options(text: str, options: Mapping[str, str]) -> str:
+    """A message of a command, whose reader has no campaign: with options in the place of settings.
+
+    Parameters
+    ----------
+    text : names settings of campaigns, such as ``reference.cell_m``.
+    options : the option of the command that stands for a setting, by the name of the setting; or words, by
+        those in whose place they stand.
+    """
+    for setting, option in options.items():
+        whole = (r"(?<![\w.])", r"(?!\w|\.\w)") if re.fullmatch(r"[\w.]+", setting) else ("", "")
+        text = re.sub(re.escape(setting).join(whole), option, text)
+    return text
 
 
 def file_trouble(error: OSError) -> str:

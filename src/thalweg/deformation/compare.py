@@ -62,6 +62,8 @@ CLOUD_TO_CLOUD = table_kind(
 
 _POINTS_A_TILE = 1_500_000
 _POINTS_A_CHUNK = 200_000
+_ASKED = 1000
+"""Core points that tell whether clouds lie at one place."""
 CONTROLS = ("fdr", "none")
 """What the level of significance holds for: the rate of false discoveries, or each core point alone."""
 
@@ -177,13 +179,30 @@ def measure_distances(
             n[i, rows], along[i, rows], std[i, rows] = cut.n, cut.along_m, cut.std_m
             del index
     cuts = [Cylinders(*each) for each in zip(n, along, std, strict=True)]
-    return distances_along(cores_m, normals, scale, cuts[0], cuts[1])
+    meet = np.isfinite(along).all(axis=0).any()
+    if not meet:  # cylinders between sparse points are empty although the clouds lie at one place
+        near = cKDTree(after_m).query(cores_m[:: -(-k // _ASKED)])[0]
+        meet = float(np.median(near)) <= options.half_length_m
+    return distances_along(cores_m, normals, scale, cuts[0], cuts[1], one_place=bool(meet))
 
 
 def distances_along(
-    cores_m: ArrayF, normals: ArrayF, scale_m: ArrayF, before: Cylinders, after: Cylinders
+    cores_m: ArrayF,
+    normals: ArrayF,
+    scale_m: ArrayF,
+    before: Cylinders,
+    after: Cylinders,
+    *,
+    one_place: bool = False,
 ) -> Distances:
     """Distances from what cylinders about core points cut out of both clouds.
+
+    Parameters
+    ----------
+    cores_m, normals : (k, 3) core points and axes of their cylinders; scale_m : (k,) radius of each normal's
+        fit.
+    before, after : what they cut out of the first and the second epoch.
+    one_place : the second epoch is known to have points near the core points.
 
     Raises
     ------
@@ -191,12 +210,23 @@ def distances_along(
     """
     distance = after.along_m - before.along_m
     if not np.isfinite(distance).any():
-        n = [int((each.n > 0).sum()) for each in (before, after)]
+        k, n = len(cores_m), [int((each.n > 0).sum()) for each in (before, after)]
+        if not np.isfinite(normals).any():
+            raise GeometryError(
+                f"none of {k:,} core points has three neighbours of the first epoch for a normal",
+                expected="radii that fit the spacing of the points",
+                cure="Raise deformation.scales_m",
+            )
+        few = one_place or all(n)
         raise GeometryError(
-            f"none of {len(cores_m):,} core points has enough points of both epochs; {n[0]:,} have points of "
+            f"none of {k:,} core points has enough points of both epochs; {n[0]:,} have points of "
             f"the first, {n[1]:,} of the second",
-            expected="clouds that overlap, in one frame",
-            cure="Check that both have the same coordinate system, heights and units",
+            expected="cylinders that hold enough points" if few else "clouds that overlap, in one frame",
+            cure="Raise deformation.cylinder_radius_m above the spacing of the points, or lower "
+            "deformation.least_in_cylinder"
+            if few
+            else "Check that both have the same coordinate system, heights and units; raise "
+            "deformation.reach_m where the change is larger",
         )
     with np.errstate(invalid="ignore", divide="ignore"):
         roughness = np.sqrt(before.std_m**2 / before.n + after.std_m**2 / after.n)

@@ -173,7 +173,7 @@ def save(figure: Figure, path: Path | BytesIO, *, dpi: int = 200, note: str | No
             f"figure format '{kind}'",
             expected=f"one of {', '.join(FORMATS)}",
             where=str(path),
-            cure="Set figures.format",
+            cure="Name a file that ends so",
         )
     # A date or a version in the file would make two runs differ.
     undated = {"png": "Software", "pdf": "CreationDate", "svg": "Date"}

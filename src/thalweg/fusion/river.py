@@ -67,7 +67,7 @@ class River:
             if (self.banks["side"] == side).sum() < 2:
                 raise InputError(
                     f"no {side} bank line", expected="both banks, at least two points each",
-                    cure="Look at the coverage of the banks, or give bathymetry.banks",
+                    cure="Look at the coverage of the banks, or give logs.bank_lines",
                 )  # fmt: skip
         s_m = np.linspace(0.0, self.flow.length_m, 200)
         left, right = self.offsets_m(s_m)

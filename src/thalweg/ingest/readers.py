@@ -179,7 +179,7 @@ class LidarOptions:
             raise ConfigError(
                 f"lidar ranges {self.min_range_m} .. {self.max_range_m} m",
                 expected="0 <= min_range_m < max_range_m",
-                cure="Set lidar.min_range_m and lidar.max_range_m",
+                cure="Set georeferencing.min_range_m and georeferencing.max_range_m",
             )
         for port in (self.data_port, self.position_port):
             if not 0 < port < 65536:

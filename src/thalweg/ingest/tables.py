@@ -469,8 +469,8 @@ class Table:
                 f"columns {self.listed()}",
                 where=self.path,
                 expected="coordinates: east, north; x, y; latitude, longitude",
-                cure="Name the columns in the first line, or state their order"
-                + ("" if self.named else ": --columns x,y,z"),
+                cure="Name the columns in the first line"
+                + ("" if self.named else ", or state their order: --columns x,y,z"),
             )
         if angular:
             lat, lon = self.angles("lat"), self.angles("lon")
@@ -499,7 +499,7 @@ class Table:
                         f"places about {middle} have none in {on.name}",
                         where=self.path,
                         expected=f"places in {on.name}",
-                        cure="State the --crs of the river, or leave it out",
+                        cure="Look at campaign.crs: is it used at these places?",
                     )
                 check_places(np.column_stack([lon, lat])[known], on, where=self.path, degrees=True)
                 return Places(xy, on, notes)
@@ -511,7 +511,7 @@ class Table:
                 f"columns {self.columns[e].name}, {self.columns[n].name} without a coordinate system",
                 where=self.path,
                 expected="its code",
-                cure="State --crs EPSG:..., or name the columns lat, lon if they are degrees",
+                cure="State campaign.crs, such as EPSG:32633, or name the columns lat, lon of degrees",
             )
         own = np.column_stack([self.numbers(e, "east"), self.numbers(n, "north")])
         notes = [x for x in self.unit_notes(e, n) if "converted" in x]
@@ -520,7 +520,7 @@ class Table:
                 own *= unit_m
                 notes.append(f"east and north taken in the unit of {stated.name} ({unit_m:.10g} m)")
             whole = np.isfinite(own).all(axis=1)
-            check_places(own[whole] / unit_m, stated, where=self.path, cure="--crs")
+            check_places(own[whole] / unit_m, stated, where=self.path, cure="campaign.crs")
         if angular and crs is not None:
             both = np.isfinite(own).all(axis=1) & np.isfinite(xy).all(axis=1)
             apart = np.linalg.norm(own - xy, axis=1)[both]
@@ -530,7 +530,7 @@ class Table:
                     "from those of latitude and longitude in the median",
                     where=self.path,
                     expected=f"one place in each row, in {on.name}",
-                    cure="Look at --crs, or leave two of the columns out",
+                    cure="Look at campaign.crs, or leave two of the columns out",
                 )
         if crs is not None:  # in a system of its own the origin is a place
             lost = (own == 0.0).all(axis=1)
@@ -820,7 +820,7 @@ def read_places(
         return table, table.places(crs, any_system=any_system)
     drawn = read_vectors(path)
     on = crs or drawn.usual_map()
-    drawn = drawn if on is None else drawn.on_map(on)
+    states, drawn = drawn.crs, drawn if on is None else drawn.on_map(on)
     frame, at = drawn.points()
     if not len(at):
         raise InputError(
@@ -829,6 +829,13 @@ def read_places(
     placed = {word for quantity in ("east", "north", "lat", "lon") for word in NAMES[quantity].split()}
     frame = frame[[name for name in frame if column_of(str(name)).words not in placed]]
     frame = frame.assign(x=at[:, 0], y=at[:, 1])
+    if on is not None and states is not None and states.is_projected and not states.equals(on):
+        check_places(
+            at[:, :2],
+            on,
+            where=f"{path}, which states {states.name}",
+            cure="campaign.crs: without it the file's own counts",
+        )
     if "z" not in frame and at.shape[1] > 2:
         frame = frame.assign(z=at[:, 2])
     return Table.of(frame, path), Places(at[:, :2], on, list(drawn.notes))

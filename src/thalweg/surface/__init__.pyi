@@ -1,4 +1,10 @@
 from .area import Area as Area
+from .by_data import (
+    Texture as Texture,
+    meshing_by_data as meshing_by_data,
+    texture_of as texture_of,
+    usual_side_m as usual_side_m,
+)
 from .cloud_to_mesh import Distances as Distances, Surface as Surface
 from .meshing import BankFrame as BankFrame, read_triangles as read_triangles
 from .reference import (

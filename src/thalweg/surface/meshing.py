@@ -33,7 +33,7 @@ STEEP_DEG: Final = 80.0
 _MOST_POINTS: Final = 500_000
 """Of larger clouds every k-th point is enough for a mean direction."""
 _PATCHES_ACROSS: Final = 20
-_PATCH_M: Final = (0.1, 1.0)
+_LARGEST_PATCH_M: Final = 1.0
 _POINTS_A_PATCH: Final = 8
 _THICKNESS: Final = 0.3
 """Patches thicker than this share of their width are no surface."""
@@ -416,7 +416,7 @@ def fit_bank(points_wcs_m: ArrayLike, toward_m: ArrayLike) -> BankFit:
         raise GeometryError(
             f"a cloud of {len(p)} points",
             expected="at least 3 that are not on a line",
-            cure="Look at the reference file and at accuracy.area",
+            cure="Look at the reference file, and take a larger accuracy.area",
         )
     p = p[:: -(-len(p) // _MOST_POINTS)]
     _refuse_line(p)
@@ -448,7 +448,7 @@ def _refuse_line(p: ArrayF) -> None:
 def _patches(p: ArrayF) -> tuple[ArrayF, ArrayF]:
     """Middles (k, 3) and unit normals (k, 3), of either sign, of planar pieces of equal size."""
     low = p.min(axis=0)
-    size = float(np.clip(np.max(p.max(axis=0) - low) / _PATCHES_ACROSS, *_PATCH_M))
+    size = min(float(np.max(p.max(axis=0) - low)) / _PATCHES_ACROSS, _LARGEST_PATCH_M)
     # Thin clouds: larger patches until enough of them hold enough points.
     for _ in range(12):
         centre, cov, n = _moments(p, low, size)

@@ -279,7 +279,7 @@ def _of_cleaning(facts: Mapping[str, Any]) -> list[str]:
         notes.append(
             f"Cleaning took {removed:,} of {counts['given']:,} reference points (isolated "
             f"{counts.get('isolated', 0):,}, in front {counts.get('in_front', 0):,}, behind "
-            f"{counts.get('behind', 0):,}): look at reference.isolated_radius_m and reference.clearance_m."
+            f"{counts.get('behind', 0):,}): look at {_of_steps(counts)}."
         )
     unused, kept = counts.get("unused_vertices", 0), counts["kept"]
     if unused > _MUCH_UNUSED * kept:
@@ -288,6 +288,15 @@ def _of_cleaning(facts: Mapping[str, Any]) -> list[str]:
             f"({facts['settings']['longest_edge_m']:g} m) above their spacing."
         )
     return notes
+
+
+def _of_steps(counts: Mapping[str, int]) -> str:
+    """Settings of the steps that took points."""
+    lonely = "reference.isolated_radius_m, which must fit the spacing of the points"
+    steps = [lonely] if counts.get("isolated") else []
+    if counts.get("in_front", 0) + counts.get("behind", 0):
+        steps.append("reference.clearance_m")
+    return ", and at ".join(steps) or "the file"
 
 
 def _of_second_surfaces(facts: Mapping[str, Any]) -> list[str]:
@@ -341,8 +350,7 @@ def clean_reference(points_m: ArrayF, frame: BankFrame, settings: ReferenceSetti
         raise InputError(
             f"cleaning leaves {len(points)} points of the reference: {_counts_in_words(counts)}",
             expected=f"at least {LEAST_POINTS} points of a surface",
-            cure="Look at reference.isolated_radius_m and isolated_neighbours (they must fit the spacing of "
-            "the points) and at reference.clearance_m",
+            cure=f"Look at {_of_steps(counts)}",
         )
     thinned = thin(frame.to_bank(points), settings.cell_m, cubes=settings.method == "poisson")
     counts["off_surface"] = thinned.n_trimmed
@@ -381,7 +389,7 @@ def finite_and_single(points_m: ArrayF) -> tuple[ArrayF, dict[str, int]]:
         raise InputError(
             f"a reference of {len(points)} usable points: {_counts_in_words(counts)}",
             expected=f"at least {LEAST_POINTS} points of a surface",
-            cure="Look at the reference file, at its CRS, and at accuracy.area",
+            cure="Look at the reference file and its CRS, and take a larger accuracy.area",
         )
     return points, counts
 

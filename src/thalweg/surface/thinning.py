@@ -31,8 +31,8 @@ _SMALL_SAMPLE: Final = np.array([1.0, 1.0, 1.196, 1.495, 1.363, 1.206, 1.200, 1.
 """Factor that makes the MAD of 0 to 9 values unbiased; above ``n / (n - 0.8)`` (Croux and Rousseeuw 1992)."""
 _LEAST_FREEDOM: Final = 12
 """With fewer degrees of freedom within the cells, the scatter of their points about a plane helps out."""
-_LEAST_SIGMA_M: Final = 1e-4
-"""No surface is known better: clouds are stored in steps of a millimetre or less."""
+_LEAST_SIGMA: Final = (1e-4, 1e-2)
+"""Metres and share of a cell: no surface is known better than the smaller one; clouds are stored in steps."""
 _BLOCK = 4096
 
 LEVELS_M: Final = (4.0, 2.0, 1.0, 0.5)
@@ -91,12 +91,13 @@ def thin(points_m: ArrayF, cell_m: float, *, cubes: bool) -> Thinned:
     middle, spread = deviations(p, start, normal)
     factor = np.where(n < len(_SMALL_SAMPLE), _SMALL_SAMPLE[np.minimum(n, 9)], n / (n - 0.8))
     limit = TRIM * NMAD * pooled_spread(n, spread * factor, near)
-    mean, n_in, squares = trimmed_means(p, start, normal, middle, np.maximum(limit, _LEAST_SIGMA_M))
+    least_m = min(_LEAST_SIGMA[0], _LEAST_SIGMA[1] * cell_m)
+    mean, n_in, squares = trimmed_means(p, start, normal, middle, np.maximum(limit, least_m))
     sigma = np.sqrt(_scatter(n_in, squares, near, variance) / n_in)
     return Thinned(
         points=mean,
         normals=normal,
-        sigma_m=np.maximum(sigma, _LEAST_SIGMA_M),
+        sigma_m=np.maximum(sigma, least_m),
         n_merged=n_in,
         n_trimmed=int(n.sum() - n_in.sum()),
     )
@@ -421,7 +422,7 @@ class LowerEnvelope:
             raise GeometryError(
                 f"a reference of {self._extent[0]:.0f} m by {self._extent[1]:.0f} m",
                 expected=f"at most {MOST_CELLS * LEVELS_M[-1] ** 2 / 1e6:.0f} km2 in the plane of the bank",
-                cure="Set accuracy.area, or look for stray points far away",
+                cure="Take a smaller accuracy.area, or look for stray points far away",
             )
         self._lowest = np.empty((0, 3))
         self._levels: list[ArrayF] = []

@@ -56,7 +56,9 @@ def utm_of(lon_deg: ArrayF, lat_deg: ArrayF) -> CRS:
     found = query_utm_crs_info(datum_name="WGS 84", area_of_interest=AreaOfInterest(lon, lat, lon, lat))
     if not found:
         raise InputError(
-            f"places about {in_words(lon, lat)}", expected="a zone of UTM", cure="State a projected --crs"
+            f"places about {in_words(lon, lat)}",
+            expected="a zone of UTM",
+            cure="State campaign.crs, a projected one",
         )
     return CRS.from_epsg(int(found[0].code))
 
@@ -85,7 +87,7 @@ def check_places(
     crs : projected.
     where : file, for the message.
     height_m : (n,) heights of ground, if there are any.
-    cure : how this caller is told another CRS, such as ``--crs``.
+    cure : how this caller is told another CRS, such as ``campaign.crs``.
     degrees : ``xy_m`` are longitude and latitude that are to come onto the map.
     one_survey : whether the places are those of one survey, not of a country's layer.
 

@@ -156,6 +156,8 @@ class Vectors:
                 cure="Look whether its numbers are in the system that it states, and degrees in the order "
                 "longitude, latitude",
             )
+        if source.is_projected:
+            notes += (f"{self.path.name} states {source.name}: its places were transformed to {crs.name}",)
         return replace(self, table=table, crs=crs, notes=notes)
 
     def lines(self) -> list[tuple[ArrayF, dict[str, Any]]]:

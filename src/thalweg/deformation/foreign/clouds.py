@@ -2,6 +2,7 @@
 
 import json
 import logging
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -34,7 +35,15 @@ from thalweg.deformation.foreign.surfaces import one_frame
 from thalweg.ingest import read_text_table
 from thalweg.ingest.clouds import NO_USE, read_cloud
 from thalweg.settings.sections import DSM_ENDINGS, TEXT_ENDINGS, Accuracy, ReferenceSettings
-from thalweg.surface import Surface, mesh_reference, read_triangles
+from thalweg.surface import (
+    Surface,
+    Texture,
+    mesh_reference,
+    meshing_by_data,
+    read_triangles,
+    texture_of,
+    usual_side_m,
+)
 
 log = logging.getLogger("thalweg")
 TEXT = frozenset(TEXT_ENDINGS)
@@ -56,6 +65,20 @@ DISTANCES: Final = table_kind(
     ],
 )
 _MUCH_DENSER = 20.0
+_RADIUS: Final = 3.0
+"""Radius of a cylinder in spacings."""
+_ROUGH: Final = 10.0
+"""Least radius of a normal in scatters."""
+_REACH: Final = 30.0
+"""Reach of a cylinder to both sides in radii."""
+_FEWEST_CORES: Final = 1000
+"""Of small clouds more points are core points than one a cylinder."""
+_SIDES: Final = 100.0
+"""Points as many usual sides of its triangles from a reference are not of it."""
+_OF_EXTENT: Final = 0.1
+"""Nor are those farther than this share of its extent, where the triangles are large."""
+_SAME: Final = 1e-6
+"""Places nearer than this share of a side are the same: formats round."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,37 +168,56 @@ def _two(before: Path, after: Path) -> tuple[ArrayF, ArrayF, ArrayF, Frame, list
 def compare_clouds(
     before: Path,
     after: Path,
-    options: Comparison,
+    options: Comparison | Mapping[str, Any],
     *,
-    core_every: int = 50,
+    core_every: int | None = 50,
     towards: tuple[float, float, float] = (0.0, 0.0, 1.0),
     sigma_m: tuple[float | None, float | None] = (None, None),
     sigma_registration_m: float = 0.0,
+    correlation_m: float = 0.0,
 ) -> tuple[pd.DataFrame, Frame, list[str]]:
     """Compare two clouds from files at every n-th point of the first.
 
     Parameters
     ----------
     before, after : clouds in one frame.
-    options : radii, level of significance.
-    core_every : every how many-th point of the first cloud is a core point.
+    options : radii, level of significance. A mapping holds what is stated; other lengths are by the data
+        (`lengths_by_data`).
+    core_every : every how many-th point of the first cloud is a core point; None: as many as a cylinder
+        holds.
     towards : direction to which normals point.
     sigma_m : standard deviation of each cloud along the normal that neighbouring points share; None if
         unknown.
     sigma_registration_m : standard deviation of the registration of both.
+    correlation_m : above zero, a note tells the standard deviation of the mean (`sigma_of_mean`).
 
     Returns
     -------
-    Table `CHANGES`, the frame of the clouds, and notes for the reader.
+    Table `CHANGES`, the frame of the clouds, and notes for the reader, with the lengths that the data told.
 
     Raises
     ------
     InputError : files that cannot be read or state different frames, or core points of no cloud.
     GeometryError : clouds that do not overlap.
     """
-    if core_every < 1:
+    if core_every is not None and core_every < 1:
         raise InputError(f"core points at each {core_every}-th point", expected="1 or more")
     first, second, shift, frame, notes = _two(before, after)
+    if core_every is None or not isinstance(options, Comparison):
+        textures = [texture_of(cloud, first.mean(axis=0) + towards) for cloud in (first, second)]
+        if not isinstance(options, Comparison):
+            options = lengths_by_data(textures, options)
+        n = np.pi * (options.radius_m / textures[0].spacing_m) ** 2
+        core_every = core_every or max(round(min(n, len(first) / _FEWEST_CORES)), 1)
+        told = " and ".join(
+            f"{each.spacing_m:.3g} m apart, scatter {each.scatter_m:.2g} m" for each in textures
+        )
+        notes.append(
+            f"Points of the clouds are {told}: cylinders of radius {options.radius_m:.3g} m reach "
+            f"{options.half_length_m:.3g} m to both sides, normals are of radii "
+            f"{', '.join(f'{radius:.3g}' for radius in options.scales_m)} m, 1 of {core_every} points is "
+            "a core point."
+        )
     cores = first[::core_every].copy()
     found = measure_distances(cores, first, second, options, towards=np.asarray(towards, float))
     if None in sigma_m:
@@ -190,8 +232,33 @@ def compare_clouds(
         sigma_white_m=np.zeros(k),
         sigma_registration_m=sigma_registration_m,
     )
+    if correlation_m and None not in sigma_m:
+        whole = sigma_of_mean(table, options.radius_m, correlation_m)
+        notes.append(f"The stated sigmas give a standard deviation of the mean of {whole:.4g} m.")
     table[["east_m", "north_m", "up_m"]] += shift
     return table, frame, notes
+
+
+def lengths_by_data(textures: Sequence[Texture], stated: Mapping[str, Any]) -> Comparison:
+    """How two clouds are compared: as stated, and with lengths of their own where nothing is.
+
+    A cylinder has a radius of three spacings of the sparser cloud, so that it holds some 28 of its points,
+    and reaches 30 radii to both sides. Normals are fitted in one, two and four radii, or in ten times the
+    scatter if that is more: with diameters of 20 to 25 times the roughness they err by less than 2 % of a
+    distance (Lague, Brodu and Leroux 2013, 4.1).
+
+    Parameters
+    ----------
+    textures : of both clouds.
+    stated : fields of `Comparison`; None counts as not stated.
+    """
+    known = {name: value for name, value in stated.items() if value is not None}
+    spacing = max(each.spacing_m for each in textures)
+    radius = known.setdefault("radius_m", _RADIUS * spacing)
+    widest = max(radius, _ROUGH * max(each.scatter_m for each in textures))
+    known.setdefault("scales_m", (widest, 2.0 * widest, 4.0 * widest))
+    known.setdefault("half_length_m", _REACH * radius)
+    return Comparison(**known)
 
 
 ROUGHNESS_ALONE: Final = (
@@ -282,10 +349,10 @@ def sigma_of_mean(table: pd.DataFrame, radius_m: float, correlation_m: float) ->
 def compare_with_surface(
     cloud: Path,
     reference: Path,
-    settings: ReferenceSettings,
+    settings: ReferenceSettings | Mapping[str, Any],
     *,
     seen_from_m: tuple[float, float, float] | None = None,
-    max_distance_m: float = 1.0,
+    max_distance_m: float | None = None,
     outlier_nmads: float = 3.0,
     registration: bool = False,
 ) -> tuple[pd.DataFrame, Frame, dict[str, Any], list[str]]:
@@ -296,10 +363,12 @@ def compare_with_surface(
     cloud : a file as of `read_points`.
     reference : a mesh (PLY with faces), a surface model (GeoTIFF; the centres of its cells are joined by
         triangles), or a cloud, which is meshed.
-    settings : how a cloud is meshed; its ``sigma_m`` joins that of the surface's own noise.
+    settings : how a cloud is meshed; its ``sigma_m`` joins that of the surface's own noise. A mapping holds
+        what is stated; the rest is by the data (`thalweg.surface.meshing_by_data`).
     seen_from_m : place in the common frame from which the reference is seen: its front, where distances are
         positive; None: from above. A mesh has its front by itself.
-    max_distance_m : points that are farther from the surface are not compared.
+    max_distance_m : points that are farther from the surface are not compared; None: than 100 times the usual
+        side of its triangles, or than a tenth of its extent.
     outlier_nmads : limits of outliers about the median, in NMAD.
     registration : whether the cloud is also fitted to the reference by a rigid motion.
 
@@ -307,7 +376,8 @@ def compare_with_surface(
     -------
     table : kind `DISTANCES`, a row a point of the cloud.
     frame : of both files.
-    facts : ``counts`` of what became of the points, statistics ``all`` and ``without_outliers`` (see
+    facts : ``counts`` of what became of the points (those that are points of the reference too have the
+        distance 0), ``lengths`` that were used, statistics ``all`` and ``without_outliers`` (see
         `describe_errors`), ``mesh`` facts of a meshed reference, ``registration``: the motion with its
         standard deviations, and statistics after it, or why there is none.
     notes : sentences for the reader.
@@ -327,42 +397,58 @@ def compare_with_surface(
     if triangles is None:
         vertices = read_points(reference)
     else:
-        vertices = Points(triangles[0], None if dsm is None else dsm.frame, reference)
+        known = triangles[0] if dsm is None else dsm.points_m()
+        vertices = Points(known, None if dsm is None else dsm.frame, reference)
     frame, notes = one_frame([points, vertices])
     notes = [*points.notes, *(vertices.notes if dsm is None else dsm.notes), *notes]
     origin = np.round(np.median(vertices.xyz_m, axis=0))  # large coordinates would cost digits
     facts: dict[str, Any] = {}
+    lengths: dict[str, float] = {}
+    sigma_m = settings.sigma_m if isinstance(settings, ReferenceSettings) else settings.get("sigma_m") or 0.0
     if triangles is None:
         above = vertices.xyz_m.mean(axis=0) - origin + [0.0, 0.0, np.ptp(vertices.xyz_m[:, :2]) / 1e3 + 50.0]
-        seen = above if seen_from_m is None else np.asarray(seen_from_m) - origin
-        mesh, facts["mesh"] = mesh_reference(
-            vertices.xyz_m - origin, track_m=np.atleast_2d(seen), settings=settings
-        )
+        seen = np.atleast_2d(above if seen_from_m is None else np.asarray(seen_from_m) - origin)
+        if not isinstance(settings, ReferenceSettings):
+            settings, texture = meshing_by_data(vertices.xyz_m - origin, seen, settings)
+            lengths = {"spacing_m": texture.spacing_m, "scatter_m": texture.scatter_m}
+        lengths |= {"cell_m": settings.cell_m, "longest_edge_m": settings.longest_edge_m}
+        mesh, facts["mesh"] = mesh_reference(vertices.xyz_m - origin, track_m=seen, settings=settings)
         notes += facts["mesh"]["notes"]
     else:
         corners, faces = triangles
         mesh = TriangleMesh(vertices_m=corners - origin, faces=faces, sigma_m=np.zeros(len(corners)))
     surface = Surface(mesh)
     found = surface.distances(points.xyz_m - origin)
-    distance = found.distance_m
-    far = np.abs(distance) > max_distance_m
-    used = ~far & ~found.at_border
+    side = usual_side_m(mesh.vertices_m, mesh.faces)
+    extent = float(np.linalg.norm(np.ptp(mesh.vertices_m, axis=0)))
+    reach = min(_SIDES * side, _OF_EXTENT * extent) if max_distance_m is None else max_distance_m
+    lengths["max_distance_m"] = reach
+    facts["lengths"] = lengths
+    # what is taken as ground is an estimate, the reference's own points are the reference
+    apart = cKDTree(vertices.xyz_m).query(points.xyz_m, distance_upper_bound=_SAME * side, workers=-1)[0]
+    shared = np.isfinite(apart)
+    distance = np.where(shared, 0.0, found.distance_m)
+    at_border = found.at_border & (np.abs(distance) > _SAME * side)
+    far = np.abs(distance) > reach
+    used = ~far & ~at_border
     if not used.any():
         raise CoverageError(
-            f"none of {len(distance):,} points: {far.sum():,} are farther than {max_distance_m:g} m from the "
-            f"reference (nearest {np.abs(distance).min():.2f} m), the others lie beside its border",
+            f"none of {len(distance):,} points: {far.sum():,} are farther than {reach:.3g} m from the "
+            f"reference (nearest {np.abs(distance).min():#.4g} m), the others lie beside its border",
             expected="a cloud and a reference of one place",
             where=cloud,
-            cure="Compare their coordinates and height systems, or raise --max-distance",
+            cure="Compare their coordinates and height systems, or raise accuracy.max_distance_m",
         )
+    if n := int(shared.sum()):
+        notes.append(f"{n:,} of {len(shared):,} points are points of the reference: their distance is zero.")
     low, high = outlier_limits(distance[used], outlier_nmads)
     outlier = used & ((distance < low) | (distance > high))
     table = pd.DataFrame(
         {
             **{name: points.xyz_m[:, k] for k, name in enumerate(("east_m", "north_m", "up_m"))},
             "distance_m": distance,
-            "sigma_reference_m": np.hypot(found.sigma_m, settings.sigma_m),
-            "at_border": found.at_border,
+            "sigma_reference_m": np.hypot(found.sigma_m, sigma_m),
+            "at_border": at_border,
             "used": used,
             "outlier": outlier,
         }
@@ -371,16 +457,19 @@ def compare_with_surface(
         "counts": {
             "points": len(table),
             "too_far": int(far.sum()),
-            "at_border": int((found.at_border & ~far).sum()),
+            "at_border": int((at_border & ~far).sum()),
             "compared": int(used.sum()),
+            "points_of_the_reference": int(shared.sum()),
             "outliers": int(outlier.sum()),
         },
         "all": describe_errors(distance[used]),
         "without_outliers": describe_errors(distance[used & ~outlier]),
     }
-    if registration:
-        compared = points.xyz_m[used] - origin
-        facts["registration"] = _registered(compared, surface, origin, max_distance_m, outlier_nmads)
+    if registration and shared.all():
+        facts["registration"] = {"done": False, "reason": "all points are points of the reference"}
+    elif registration:
+        compared = points.xyz_m[used & ~shared] - origin
+        facts["registration"] = _registered(compared, surface, origin, reach, outlier_nmads)
     return table, frame, facts, notes
 
 

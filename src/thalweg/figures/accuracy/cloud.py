@@ -128,7 +128,11 @@ def cloud_page(
     share = counts["compared"] / counts["points"]
     findings = [
         Finding("points compared", f"{count(counts['compared'])} of {count(counts['points'])} ({share:.0%})"),
-        Finding("mean distance, without outliers", centimetres(kept["bias_m"], sign=True), _offset(moved)),
+        Finding(
+            "mean distance, all and without outliers",
+            f"{centimetres(raw['bias_m'], sign=True)}, {centimetres(kept['bias_m'], sign=True)}",
+            _offset(moved),
+        ),
         Finding(
             "RMSE, all and without outliers", f"{centimetres(raw['rmse_m'])}, {centimetres(kept['rmse_m'])}"
         ),
@@ -140,7 +144,9 @@ def cloud_page(
         after = moved["without_outliers"]
         findings.append(Finding("RMSE after registration", centimetres(after["rmse_m"])))
     findings.append(Finding("standard deviations of the cloud", "the file states none", "cannot tell"))
-    lead = f"The cloud lies {centimetres(kept['rmse_m'])} (RMSE) from its reference"
+    lead = f"The cloud lies {centimetres(raw['rmse_m'])} (RMSE) from its reference"
+    if counts["outliers"]:
+        lead += f", {centimetres(kept['rmse_m'])} without {count(counts['outliers'])} outliers"
     lead += f"; {offset}." if (offset := _offset(moved)) else "."
     page = Page(title, lead, findings).section("Distances")
     page.figures(pictures, captions)

@@ -73,7 +73,7 @@ def compared(table: pd.DataFrame) -> pd.DataFrame:
         raise CoverageError(
             f"none of {len(table)} points was compared with the reference",
             expected="points near the reference and not only at its border",
-            cure="See the counts of the comparison; check accuracy.area and accuracy.max_distance_m",
+            cure="See the counts of the comparison; take a larger accuracy.area or accuracy.max_distance_m",
         )
     return used
 
@@ -94,7 +94,8 @@ def centimetres(value_m: float, *, sign: bool = False) -> str:
     >>> centimetres(-0.0412, sign=True).split("\N{NO-BREAK SPACE}")
     ['−4.1', 'cm']
     """
-    text = f"{100 * value_m:{'+' if sign else ''}.1f}".replace("-", "\N{MINUS SIGN}")
+    digits = ".1f" if abs(value_m) >= 5e-4 or not value_m else ".2g"  # small is not nothing
+    text = f"{100 * value_m:{'+' if sign else ''}{digits}}".replace("-", "\N{MINUS SIGN}")
     return f"{text}{_TIE}cm"
 
 
@@ -125,7 +126,7 @@ def round_limit_m(distance_m: ArrayF) -> float:
     0.5
     """
     median, nmad = robust_fit(distance_m)
-    return round_above(max(abs(median) + 3.0 * nmad, 1e-3))
+    return round_above(abs(median) + 3.0 * nmad or 1e-3)
 
 
 # ---------------------------------------------------------------- histogram with normal and robust fit (P2

@@ -311,10 +311,10 @@ OTHERS: Final = (
         "convert it to GPX with the depths: logs.pos, logs.depth",
         lambda head, size: head[8:12] == b".FIT",
     ),
-    _other("pcd", "PCD cloud", "logs.board_scans", None, (b"# .PCD", b"VERSION .7", b"VERSION 0.7")),
     _other(
-        "sqlite", "SQLite database (COLMAP?)", "nothing that Thalweg reads", None, (b"SQLite format 3\x00",)
+        "pcd", "PCD cloud", "logs.calibration.board_scans", None, (b"# .PCD", b"VERSION .7", b"VERSION 0.7")
     ),
+    _other("sqlite", "SQLite database", "of COLMAP: export its model", None, (b"SQLite format 3\x00",)),
     _other(
         "video",
         "video (MP4, MOV)",

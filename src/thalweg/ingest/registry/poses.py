@@ -86,7 +86,7 @@ def _refuse_upside_down(log: PoseLog, where: Path) -> None:
             expected="a boat that floats upright",
             where=where,
             cure="Check the order of the quaternion (w first or last) and the axes of the body (body_axes); "
-            "if the INS is mounted so, set ins.upside_down: true (thalweg georeference: --upside-down)",
+            "if the INS is mounted so, state so by ins.upside_down",
         )
 
 

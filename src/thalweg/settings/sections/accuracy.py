@@ -56,13 +56,13 @@ class ReferenceSettings(Section):
         description="`delaunay`: triangles in the plane of the bank, goes through the data; `poisson`: "
         "smooth surface through oriented points, also for overhangs",
     )
-    cell_m: Annotated[float, Field(ge=0.005, le=5, allow_inf_nan=False)] = Field(
+    cell_m: Positive = Field(
         default=0.05, description="The cloud is thinned to one point a cell of this width, metres"
     )
-    longest_edge_m: Annotated[float, Field(gt=0, le=50, allow_inf_nan=False)] = Field(
+    longest_edge_m: Positive = Field(
         default=0.5, description="Triangles with a longer edge are holes: no surface is made up, metres"
     )
-    isolated_radius_m: Annotated[float, Field(ge=0.02, le=20, allow_inf_nan=False)] = Field(
+    isolated_radius_m: Positive = Field(
         default=0.25, description="Radius of the neighbourhood of a reference point, metres"
     )
     isolated_neighbours: int = Field(
@@ -70,7 +70,6 @@ class ReferenceSettings(Section):
     )
     clearance_m: Positive | None = Field(
         default=0.3,
-        le=20,
         description="Points that stand farther than this in front of the lower envelope of the cloud are "
         "vegetation or loose objects and left out, metres along the bank's normal; null: off, and spikes of "
         "single cells stay as well",
