@@ -48,6 +48,11 @@ from .series import (
     fit_series as fit_series,
     heights_table as heights_table,
 )
+from .spatial import (
+    SpatialErrors as SpatialErrors,
+    place_in_cells as place_in_cells,
+    torus_spectrum as torus_spectrum,
+)
 from .visibility import VISIBILITY as VISIBILITY, observe_visibility as observe_visibility
 from .volumes import (
     STATES as STATES,
