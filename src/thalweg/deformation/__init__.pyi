@@ -34,6 +34,7 @@ from .epochs import (
     prepare_epoch as prepare_epoch,
 )
 from .field import (
+    COMMON as COMMON,
     ErrorField as ErrorField,
     ErrorGroup as ErrorGroup,
     benjamini_hochberg as benjamini_hochberg,

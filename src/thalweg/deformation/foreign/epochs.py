@@ -29,6 +29,7 @@ from thalweg.core import (
 )
 from thalweg.core.values import heights_in_words, same_heights
 from thalweg.deformation import (
+    COMMON,
     ColumnIndex,
     Epoch,
     ErrorField,
@@ -44,14 +45,14 @@ from thalweg.deformation.foreign.surfaces import HeightErrors, one_frame, onto_m
 from thalweg.ingest import Vectors, read_vectors
 from thalweg.ingest.clouds import to_world
 from thalweg.settings import utm_code
-from thalweg.settings.sections import DSM_ENDINGS, Epoch as Statement
+from thalweg.settings.sections import DSM_ENDINGS, Deformation, Epoch as Statement
 from thalweg.surface import Area
 
 # ---------------------------------------------------------------- epochs
 
 KIND: Final = "files"
 """Of epochs from elsewhere, in ``errors.json``."""
-STATED, COMMON, UNKNOWN = "stated", "stated, common to all", "not stated"
+STATED, UNKNOWN = "stated", "not stated"
 """Groups of errors."""
 _LAS: Final = (".las", ".laz")
 
@@ -62,10 +63,16 @@ class ForeignEpoch(Epoch):
 
     Attributes
     ----------
-    statement : ``heights`` (system, in words), ``notes`` (sentences for the reader), ``sigma_known``.
+    statement : ``heights`` (system, in words), ``notes`` (sentences for the reader), ``sigma_known``,
+        ``is_raster``, ``whole``: nothing was left out by polygons.
     """
 
     statement: Mapping[str, Any]
+
+    @property
+    def is_raster(self) -> bool:
+        """Whether it is a raster of heights, which shows no shift in plan."""
+        return bool(self.statement["is_raster"])
 
     @property
     def heights(self) -> str:
@@ -151,7 +158,7 @@ class ForeignEpoch(Epoch):
             name=facts["name"],
             start_gps_s=facts["start_gps_s"],
             groups=tuple(groups),
-            statement={key: facts[key] for key in ("heights", "notes", "sigma_known")},
+            statement={key: facts[key] for key in ("heights", "notes", "sigma_known", "is_raster", "whole")},
             **arrays,
         )
 
@@ -162,18 +169,82 @@ def read_epoch(folder: Path) -> Epoch:
     return ForeignEpoch.read(folder) if kind == KIND else Epoch.read(folder)
 
 
-def notes_of_pair(before: Epoch, after: Epoch, n: ArrayI) -> list[str]:
-    """What a reader of a comparison has to know: assumptions, unknown sigmas, densities.
+def notes_of_pair(
+    before: Epoch, after: Epoch, n: ArrayI, registration: Mapping[str, Any] | None = None
+) -> list[str]:
+    """What a reader of a comparison has to know: assumptions, motions, unknown sigmas, densities.
 
     Parameters
     ----------
     n : (k, 2) points of both epochs in the cylinders.
+    registration : facts of `thalweg.deformation.Registration`.
     """
+    facts = registration or {}
     notes = [f"{epoch.name}: {note}" for epoch in (before, after) for note in epoch.notes]
+    whole = [
+        each.name for each in (before, after) if isinstance(each, ForeignEpoch) and each.statement["whole"]
+    ]
+    if whole:
+        notes.append(
+            f"Nothing is left out of {' and '.join(whole)} by polygons (leave_out): water, breaking waves, "
+            "plants, cars and holes that a program filled count as ground."
+        )
+    if "would_be" in facts:
+        moved = facts["would_be"]
+        words = ", ".join(f"{axis} {moved[f'{axis}_m']:+.3f} m" for axis in ("east", "north", "up"))
+        notes.append(
+            "No stable ground is drawn (deformation.stable), and nothing is taken off: what most of a "
+            f"surface agrees on may be change. It agrees on {words}; the epochs may differ by it as a whole. "
+            + (
+                "Sigmas and intervals hold what is stated of that (sigma_common_m)."
+                if facts["whole_stated"]
+                else f"Sigmas and intervals hold {facts['sigma_as_a_whole_m'][2]:.3f} m of one error of all "
+                "heights: what is agreed on, the scatter of all differences, and stated sigmas. Draw stable "
+                "ground, or state sigma_common_m of both epochs."
+            )
+        )
     unknown = [epoch.name for epoch in (before, after) if not epoch.sigma_known]
-    if unknown:
+    if unknown and "estimated" in facts and facts["sigma"] == "estimated":
+        found = facts["estimated"]
+        notes.append(
+            f"No sigma is stated of {' and '.join(unknown)}. Stable ground shows {found['sigma_m']:.3f} m of "
+            f"an epoch, alike over {found['correlation_m']:.2g} m, which counts instead."
+        )
+    elif unknown:
         notes.append(f"No sigma is stated of {' and '.join(unknown)}. {ROUGHNESS_ALONE}")
     return notes + density_notes(n)
+
+
+def with_drawn_areas(settings: Deformation, frame: LocalFrame, crs: str) -> Deformation:
+    """Settings whose stable ground is polygons of the local frame, of the file that they name.
+
+    Lines and points are as wide as a quarter of a cell of core points.
+
+    Parameters
+    ----------
+    frame : of all epochs; crs : map grid of the campaign.
+
+    Raises
+    ------
+    InputError : the file cannot be read, lies elsewhere, or has an area with a hole.
+    """
+    if not isinstance(settings.stable, str):
+        return settings
+    drawn = read_vectors(settings.stable).on_map(CRS.from_user_input(crs))
+    half_m = 0.25 * settings.core_spacing_m / np.sqrt(2.0)
+    areas = [each if each.geom_type == "Polygon" else each.buffer(half_m) for each in drawn.table.geometry]
+    if any(area.interiors for area in areas):
+        raise InputError(
+            "stable ground with a hole", expected="polygons without holes", where=settings.stable,
+            cure="Cut the polygon in two through the hole",
+        )  # fmt: skip
+    corners = []
+    for area in areas:
+        plan = np.asarray(area.exterior.coords)[:-1, :2]
+        in_map = np.column_stack([plan, np.full(len(plan), frame.h_ell_m)])
+        local = to_world(in_map, CRS.from_user_input(crs), frame, crs, Path(settings.stable))[0]
+        corners.append([(float(east), float(north)) for east, north in local[:, :2]])
+    return settings.replace(stable=corners)
 
 
 # ---------------------------------------------------------------- from files
@@ -267,6 +338,8 @@ def prepare_foreign_epoch(
             "heights": heights[0],
             "notes": [note for part in parts for note in part.notes],
             "sigma_known": stated.sigma_m is not None or banded is not None,
+            "is_raster": stated.dsm is not None,
+            "whole": not masks and banded is None,
         },
     )
 
@@ -451,7 +524,9 @@ def _errors(
     groups: list[SpatialErrors | ErrorGroup] = [
         SpatialErrors(STATED if known else UNKNOWN, cell, cell_m, root, length)
     ]
-    if common is not None and stated.sigma_m is None:
+    if stated.sigma_common_m is not None:
+        common = np.full(len(xyz_m), stated.sigma_common_m)
+    if common is not None:
         of_all = np.bincount(node, np.nan_to_num(common)) / n
         groups.append(ErrorGroup(COMMON, np.zeros(len(cell)), of_all[:, None, None] * np.diag(axes), np.inf))
     return tuple(groups), node, white
