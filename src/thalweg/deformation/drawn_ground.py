@@ -217,7 +217,10 @@ def _on_drawn_ground(
     if known:
         index = [ColumnIndex.of(epoch.xyz_m, radius_m) for epoch in epochs]
         fields = joint_fields(
-            [epoch.field(places, normals, own, **how) for epoch, own in zip(epochs, index, strict=True)]
+            [
+                _without_common(epoch.field(places, normals, own, **how))
+                for epoch, own in zip(epochs, index, strict=True)
+            ]
         )
         whole = sum_of(fields, solver.reshape(-1, n, len(places)))
         covs["the stated sigmas"] = whole.covariance_with(whole)
@@ -377,9 +380,8 @@ def field_with(
     facts : of `Motions`.
     epochs : whose errors the field holds, one or two.
     """
-    parts = list(zip(field.groups, field.rows, strict=True))
-    if facts.get("areas") == "drawn":
-        parts = [part for part in parts if part[0].name != COMMON]
+    own = _without_common(field) if facts.get("areas") == "drawn" else field
+    parts = list(zip(own.groups, own.rows, strict=True))
     estimated = facts.get("estimated")
     if estimated and estimated["correlation_m"] > 0:
         widest = float(np.ptp(places_m[:, :2], axis=0).max()) / 32.0  # core points lie apart, and draws cost
@@ -391,6 +393,12 @@ def field_with(
         rows = sp.csr_matrix((normals.ravel(), index, 3 * np.arange(k + 1)), shape=(k, 3 * len(cell)))
         parts.append((SpatialErrors(ESTIMATED, cell, cell_m, root, estimated["correlation_m"]), rows))
     return ErrorField(tuple(group for group, _ in parts), tuple(rows for _, rows in parts))
+
+
+def _without_common(field: ErrorField) -> ErrorField:
+    """A field without the error that all heights of an epoch share: a motion that is taken off holds it."""
+    kept = [i for i, group in enumerate(field.groups) if group.name != COMMON]
+    return ErrorField(tuple(field.groups[i] for i in kept), tuple(field.rows[i] for i in kept))
 
 
 def with_motion(field: ErrorField, design: ArrayF, cov: ArrayF) -> ErrorField:

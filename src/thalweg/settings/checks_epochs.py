@@ -81,8 +81,8 @@ def _check_stable(stable: object, folder: Path) -> Iterator[Mistake]:
             path=where,
             found="not filled in yet",
             expected="ground that did not move between the epochs: a file of polygons, lines or points",
-            cure="Draw roads, roofs, rock in a GIS, in three and more areas that lie apart, and name the file; "
-            "null where there is none: nothing is taken off then",
+            cure="Draw roads, roofs, rock in a GIS, in three and more areas that lie apart, and name the "
+            "file; null where there is none: nothing is taken off then",
         )
     elif isinstance(stable, str):
         name = stable.partition("?")[0]
