@@ -12,6 +12,7 @@ import shapely
 
 from tests.deformation.test_foreign_epochs import CRS_25833, FRAME, ORIGIN, ground, prepared
 from tests.deformation.test_surfaces import a_tif
+from thalweg.cli import main
 from thalweg.core import ArrayF, GeometryError, InputError
 from thalweg.deformation import (
     Compared,
@@ -26,6 +27,7 @@ from thalweg.deformation import (
 from thalweg.deformation.foreign import ForeignEpoch, difference_of_models, notes_of_pair, with_drawn_areas
 from thalweg.settings.sections import Deformation, Epoch as Statement
 from thalweg.surface import Area
+from thalweg_lab.studies.ground_study import all_pairs
 
 EAST, NORTH = round(ORIGIN[0]), round(ORIGIN[1]) + 40
 """Corner of the rasters in the north-west; they reach 80 m to the east and 40 m to the south."""
@@ -220,6 +222,35 @@ def test_polygons_lines_and_points_of_a_file_are_stable_ground(tmp_path: Path) -
     gpd.GeoDataFrame(geometry=[shapely.affinity.translate(ring, EAST, NORTH)], crs=25833).to_file(path)
     with pytest.raises(InputError, match="stable ground with a hole"):
         with_drawn_areas(SETTINGS.replace(stable=str(path)), FRAME, "EPSG:25833")
+
+
+@pytest.mark.real
+def test_what_is_taken_off_a_beach_is_what_its_transects_show(
+    data_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three of the nine surveys that docs/deformation.md has, as a stranger would set them up."""
+    monkeypatch.chdir(tmp_path)
+    folder, days = data_dir / "sandpyper_dsm", ("20181113", "20181211", "20190516")
+    files = [folder / f"dsm_1m/mar_{day}_dsm_resampled_1m.tif" for day in days]
+    epochs = [f"{file}@{day[:4]}-{day[4:6]}-{day[6:]}" for file, day in zip(files, days, strict=True)]
+    assert main(["new-campaign", "beach", "--folder", ".", "--epochs", *epochs]) == 0
+    text = Path("beach.yaml").read_text()
+    for day in days:
+        mask = f'["{folder}/clean/watermasks.gpkg?location=mar,raw_date={day}"]'
+        text = text.replace("leave_out: CHANGE", f"leave_out: {mask}", 1)
+    text = text.replace("stable: CHANGE", f"stable: {folder}/lod_transects/mar_lod_transects.gpkg")
+    Path("beach.yaml").write_text(text.replace(": CHANGE", ": null") + "  resample: bilinear\n")
+    assert main(["check-config", "beach.yaml"]) == 0
+    pairs, held = all_pairs(Path("beach.yaml"))
+    assert list(pairs["pair"]) == ["1-2", "1-3", "2-3"]
+    # published: +0.037 m (n 101) of the first, -0.2 m of the pairs with the May survey
+    assert pairs["median_m"].to_numpy() == pytest.approx([0.037, -0.155, -0.204], abs=0.003)
+    assert ((pairs["taken_off_m"] - pairs["median_m"]).abs() < 3.0 * pairs["sigma_m"]).all()
+    assert pairs["sigma_m"].between(0.01, 0.12).all()
+    gap = (pairs["net_m3"] - pairs["net_without_m3"]).abs()
+    assert (gap < 1.96 * pairs["sigma_without_m3"]).all()
+    assert (gap > 1000.0).all()  # that much would be wrong without the ground
+    assert ((held["off_m"] / held["sigma_m"]) ** 2).mean() < 2.0
 
 
 def test_a_cloud_without_a_trajectory_keeps_its_shift_too(tmp_path: Path) -> None:

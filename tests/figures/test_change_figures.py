@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from pyproj import CRS
 
-from thalweg.core import Dsm, Grid, InputError, frame_of, write_raster, write_table
+from thalweg.core import Dsm, GeometryError, Grid, InputError, frame_of, write_raster, write_table
 from thalweg.deformation import (
     CHANGES,
     CORE_POINTS,
@@ -281,6 +281,12 @@ def test_stable_ground_leaves_significant_places_out_unless_it_was_drawn(bank, p
     assert np.array_equal(found.unmoved, found.registered)
 
 
+def test_where_no_ground_is_drawn_the_pictures_of_it_say_so(bank, pair, tmp_path):
+    np.savez(tmp_path / "none.npz", stable=np.zeros(len(pair.state), bool))
+    with pytest.raises(GeometryError, match="no core point lies on stable ground"):
+        read_stable([pair], bank.registrations, [tmp_path / "none.npz"])
+
+
 def test_stable_ground_is_held_against_the_standard_normal(bank, look):
     files = {"changes": bank.changes, "registrations": bank.registrations, "weights": bank.weights}
     figure = draw_stable_ground(**files, core_points=bank.core_points, spacing_m=0.5, **WORDS)
@@ -486,8 +492,8 @@ def test_words_where_nothing_was_found(bank, facts):
 def test_the_lead_gives_both_volumes_what_was_taken_off_and_why_they_differ(facts):
     lead, findings = head([facts])
     assert lead.startswith(
-        "Epochs 1 to 2: the net volume is no different from zero. Net along normals −1.40 ± 0.90 m³ on 120 m² "
-        "of surface, by heights −1.70 ± 0.80 m³ on 118 m² of the map. They differ by their places"
+        "Epochs 1 to 2: the net volume is no different from zero. Net along normals −1.40 ± 0.90 m³ on "
+        "120 m² of surface, by heights −1.70 ± 0.80 m³ on 118 m² of the map. They differ by their places"
     )
     assert "Warning" not in lead
     rows = {each.quantity: (each.value, each.verdict) for each in findings}
@@ -541,7 +547,10 @@ def test_without_a_sigma_and_drawn_ground_there_is_no_verdict(bank, facts):
 
 
 def test_areas_of_drawn_ground_stand_on_the_page(bank, facts):
-    areas = [{"area": 1, "places": 30, "off_m": 0.012}, {"area": 2, "places": 4, "off_m": None}]
+    areas = [
+        {"east_m": 10.0, "north_m": 5.0, "places": 30, "off_m": 0.012},
+        {"east_m": 70.0, "north_m": 5.0, "places": 4, "off_m": None},
+    ]
     told = {"areas": "drawn", "n_areas": 2, "by_area": areas, "sigma": "stated"}
     told |= {"sigma_from": "the stated sigmas"}
     drawn = replace(facts, registration={**facts.registration, **told})

@@ -114,26 +114,22 @@ def moved_apart(
     )
     n = len(epochs)
     known = all(epoch.sigma_known for epoch in epochs)
-    nothing = Motions(
-        np.zeros((n, 6)), np.zeros((6 * n, 6 * n)), np.zeros(len(cores), bool), {"model": "none"}
-    )
+    seen = np.isfinite(along_m) & bare
+    parameters, cov = np.zeros((n, 6)), np.zeros((6 * n, 6 * n))
     if not model:
-        nothing.facts["sigma"] = "stated" if known else "unknown"
-        return nothing
-    middle = places.mean(axis=0)
+        facts = {"model": "none", "sigma": "stated" if known else "unknown"}
+        return Motions(parameters, cov, seen.all(axis=0), facts)
     if settings.stable is not None:
         return _on_drawn_ground(epochs, settings, kind, places, normals)
-    seen = np.isfinite(along_m) & bare
     guess, scatter_m = np.zeros((n, 6)), np.zeros(n)
     if (seen.sum(axis=1) >= _LEAST).all():
-        H = design_of(places, normals, middle)[:, model]
+        H = design_of(places, normals, places.mean(axis=0))[:, model]
         filled = np.nan_to_num(along_m)
         solver = robust_network(H, filled, np.where(seen, 1.0, 0.0))[0]
         guess[:, model] = np.einsum("eafk,fk->ea", solver, filled)
         rest = _off_level(filled - guess[:, model] @ H.T, seen)
         scatter_m = np.array([robust_sigma(row[np.isfinite(row)], 0.0) for row in rest])
         scatter_m *= np.sqrt(n / (n - 1.0))
-    cov = nothing.cov
     stated_whole = all(
         epoch.has_trajectory or COMMON in {group.name for group in epoch.groups} for epoch in epochs
     )
@@ -144,7 +140,7 @@ def moved_apart(
             here = [6 * e + i for i in shifts]
             stated = 0.0 if epoch.has_trajectory else _stated_m(epoch)[shifts]
             cov[here, here] += scatter_m[e] ** 2 + np.square(stated)
-    facts = {
+    facts: dict[str, Any] = {
         "model": "none",
         "areas": "none are drawn",
         "sigma": "stated" if known else "unknown",
@@ -152,7 +148,7 @@ def moved_apart(
         "would_be": [dict(zip(PARAMETERS, each, strict=True)) for each in guess.tolist()],
         "sigma_as_a_whole_m": np.sqrt(np.diag(cov)).reshape(n, 6)[:, :3].tolist(),
     }
-    return Motions(nothing.parameters, cov, nothing.stable, facts)
+    return Motions(parameters, cov, np.zeros(len(cores), bool), facts)
 
 
 def _stated_m(epoch: Epoch) -> ArrayF:
@@ -247,7 +243,12 @@ def _on_drawn_ground(
         "candidates": len(places),
         "resolution": (resolution[-1, :, -1] - resolution[-1, :, 0]).tolist(),
         "by_area": [
-            {"area": int(i) + 1, "places": int(m), "off_m": _median((rest[-1] - rest[0])[area == i])}
+            {
+                "east_m": float(areas[i].centroid.x),
+                "north_m": float(areas[i].centroid.y),
+                "places": int(m),
+                "off_m": _median((rest[-1] - rest[0])[area == i]),
+            }
             for i, m in zip(drawn, places_in, strict=True)
         ],
     }

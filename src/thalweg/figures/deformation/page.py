@@ -229,13 +229,15 @@ def contradiction(pair: PairFacts) -> str:
 def both_volumes(pair: PairFacts) -> str:
     """The net volume along normals and by heights, and why they differ."""
     normal, vertical = pair.volume("net"), pair.heights
-    states = pair.changes["state"]
-    things = float(pair.area_m2[states.isin(("vegetation", "object"))].sum())
+    things = pair.changes["state"].isin(("vegetation", "object"))
+    area = pair.area_m2[things]
+    theirs = float((pair.changes.loc[things, "distance_m"] * area).sum())
     return (
         f"Net along normals {cubic_metres(normal)} on {normal['area_m2']:,.0f} m² of surface, by heights "
         f"{cubic_metres(vertical)} on {vertical['area_m2']:,.0f} m² of the map. They differ by their places: "
-        f"along normals core points count that both epochs saw within reach, without {things:,.0f} m² of "
-        "plants and things; by heights every cell of the map in which both have a height."
+        f"along normals core points count that both epochs saw within reach, without {area.sum():,.0f} m² of "
+        f"plants, things and rough relief, on which {signed(theirs, 1)} m³ were measured; by heights every "
+        "cell of the map in which both have a height."
     )
 
 
@@ -306,7 +308,8 @@ def verdict(pair: PairFacts) -> str:
     words = [
         f"{pair.words}: {cubic_metres(erosion)} by erosion on {erosion['area_m2']:.1f} m² and "
         f"{cubic_metres(deposition)} by deposition on {deposition['area_m2']:.1f} m² of bare ground that "
-        f"changed significantly; net, with the places that did not, {cubic_metres(net)}, {zero}",
+        f"{'changed significantly' if pair.sigma_known else 'stands out from roughness'}; net, with the "
+        f"places that did not, {cubic_metres(net)}, {zero}",
         both_volumes(pair),
         contradiction(pair),
         f"At half of the {count(n)} measured core points a change of {centimetres(median)} stands out "
@@ -338,7 +341,7 @@ def _motion(registration: Mapping[str, Any]) -> str:
     """Whether the epochs moved against each other, and what stable ground cannot tell."""
     if "would_be" in registration:
         would = registration["would_be"]
-        words = ", ".join(f"{a} {signed(100 * would[f'{a}_m'], 1)} cm" for a in ("east", "north", "up"))
+        words = ", ".join(f"{a} {signed(100 * would[f'{a}_m'], 1)} cm" for a in _ENU)
         return (
             "Nothing was taken off, as no stable ground is drawn: most of the surface agrees on a motion of "
             f"the second epoch of {words}, which may be change. The epochs may differ by it."
@@ -348,7 +351,8 @@ def _motion(registration: Mapping[str, Any]) -> str:
     values, sigmas = registration["parameters"], registration["sigmas"]
     shift = ", ".join(
         f"{axis} {signed(100 * values[f'{axis}_m'], 1)} ± {100 * sigmas[f'{axis}_m']:.1f} cm"
-        for axis in ("east", "north", "up")
+        for axis in _ENU
+        if sigmas[f"{axis}_m"] > 0
     )
     words = (
         f"On stable ground the second epoch lies off the first by {shift}: "
@@ -707,12 +711,13 @@ def _by_area(page: Page, pair: PairFacts) -> None:
     """How far each drawn area lies off the motion of all."""
     found = pair.registration
     rows = pd.DataFrame(found["by_area"]).assign(off_m=lambda each: 100 * each["off_m"].astype(float))
-    names = {"off_m": "off the motion of all"}
+    names = {"east_m": "east", "north_m": "north", "off_m": "off the motion of all"}
     caption = (
         f"{pair.words}: stable areas that lie apart, and the median of their places after the motion; its "
         f"standard deviation is by {found['sigma_from']}"
     )
-    page.table(rows.rename(columns=names), caption, {"off the motion of all": "cm"}, digits=3)
+    units = {"east": "m", "north": "m", "off the motion of all": "cm"}
+    page.table(rows.rename(columns=names), caption, units, digits=3)
 
 
 def _unseen(page: Page, pairs: Sequence[PairFacts]) -> None:
