@@ -56,6 +56,7 @@ from .spatial import (
 )
 from .visibility import VISIBILITY as VISIBILITY, observe_visibility as observe_visibility
 from .volumes import (
+    IN_VOLUME as IN_VOLUME,
     STATES as STATES,
     classify_changes as classify_changes,
     estimate_retreat as estimate_retreat,

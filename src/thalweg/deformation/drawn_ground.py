@@ -117,8 +117,8 @@ def moved_apart(
     seen = np.isfinite(along_m) & bare
     parameters, cov = np.zeros((n, 6)), np.zeros((6 * n, 6 * n))
     if not model:
-        facts = {"model": "none", "sigma": "stated" if known else "unknown"}
-        return Motions(parameters, cov, seen.all(axis=0), facts)
+        words = {"model": "none", "sigma": "stated" if known else "unknown"}
+        return Motions(parameters, cov, np.asarray(seen.all(axis=0)), words)
     if settings.stable is not None:
         return _on_drawn_ground(epochs, settings, kind, places, normals)
     guess, scatter_m = np.zeros((n, 6)), np.zeros(n)

@@ -19,6 +19,7 @@ import pandas as pd
 
 from thalweg.core import ArrayF, GeometryError, InputError, LocalFrame, robust_sigma
 from thalweg.deformation import (
+    IN_VOLUME,
     Epoch,
     Registration,
     classify_changes,
@@ -29,7 +30,6 @@ from thalweg.deformation import (
     register_pair,
 )
 from thalweg.deformation.foreign import difference_of_models, dsm_of, prepare_foreign_epoch, with_drawn_areas
-from thalweg.deformation.volumes import IN_VOLUME
 from thalweg.ingest import read_vectors
 from thalweg.settings import load_campaign
 from thalweg.settings.sections import Deformation, Epoch as Statement
@@ -165,7 +165,7 @@ def in_markdown(pairs: pd.DataFrame, held: pd.DataFrame) -> str:
     ]
     for i, row in enumerate(pairs.itertuples()):
         cells = (
-            row.pair,
+            str(row.pair),
             f"{row.agreed_m:+.3f} m",
             f"{row.median_m:+.3f} ± {row.nmad_m:.3f} m ({row.n})",
             f"{row.taken_off_m:+.3f} ± {row.sigma_m:.3f} m",
