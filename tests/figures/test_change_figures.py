@@ -534,6 +534,7 @@ def test_without_a_sigma_and_drawn_ground_there_is_no_verdict(bank, facts):
     )  # fmt: skip
     lead, findings = head([silent])
     assert "no verdict: no sigma_m is stated or estimated of both epochs" in lead
+    assert "the epochs may lie off each other as a whole; most of the surface agrees on −20.4 cm" in lead
     assert not [each for each in findings if "not zero" in each.verdict or "no different" in each.verdict]
     assert findings[4].value == "nothing"
     assert "most of the surface agrees on −20.4 cm" in findings[4].verdict

@@ -283,6 +283,12 @@ def head(pairs: Sequence[PairFacts]) -> tuple[str, list[Finding]]:
     lead = (
         f"the net volume is {verdicts['net']}." if pair.sigma_known else f"{verdicts['net']} of both epochs."
     )
+    if "would_be" in pair.registration:
+        value = signed(100 * pair.registration["would_be"]["up_m"], 1)
+        lead += (
+            " No stable ground is drawn, and nothing is taken off: the epochs may lie off each other as a "
+            f"whole; most of the surface agrees on {value} cm."
+        )
     warnings = [words for each in pairs if (words := contradiction(each))]
     return " ".join([f"{pair.words}: {lead}", both_volumes(pair), *warnings]), findings
 
