@@ -409,6 +409,10 @@ def test_surface_models_with_dates_become_a_campaign(data_dir, tmp_path, capsys,
     text = Path("beach.yaml").read_text()
     assert "  # the points of the first file are 1 m apart\n" in text
     assert "  core_spacing_m: 4\n" in text
+    text = text.replace("leave_out: CHANGE", "leave_out: []").replace(": CHANGE", ": null")
+    lines = data_dir / "sandpyper_dsm/lod_transects/mar_lod_transects.gpkg"
+    text = text.replace("stable: null", f"stable: {lines}")
+    Path("beach.yaml").write_text(text)
     assert main(["check-config", "beach.yaml"]) == 2
     assert "another grid: cells of" in capsys.readouterr().err
     Path("beach.yaml").write_text(f"{text}  resample: bilinear\n")

@@ -563,7 +563,7 @@ def _check_epochs(campaign: "Campaign") -> None:
     if not any(epoch.of_files for epoch in campaign.epochs or []):
         return
     from thalweg.core import LocalFrame
-    from thalweg.deformation.foreign import check_epoch_files, dsm_of, onto_grid
+    from thalweg.deformation.foreign import check_epoch_files, dsm_of, onto_grid, with_drawn_areas
 
     wrong = []
     assert campaign.campaign.origin is not None  # epochs have one
@@ -573,6 +573,10 @@ def _check_epochs(campaign: "Campaign") -> None:
             check_epoch_files(epoch, frame, campaign.campaign.crs)
         except ThalwegError as error:
             wrong.append(f"  epochs[{number}]: {error}")
+    try:
+        with_drawn_areas(campaign.deformation, frame, campaign.campaign.crs)
+    except ThalwegError as error:
+        wrong.append(f"  deformation.stable: {error}")
     for number, (before, after) in enumerate(pairwise(campaign.epochs or [])):
         if wrong or before.dsm is None or after.dsm is None:
             continue

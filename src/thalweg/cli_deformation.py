@@ -462,6 +462,8 @@ def summarise_changes(folder: Path) -> int:
         print("  core points: " + ", ".join(f"{n:,} {state}" for state, n in states.items()))
         for note in read_json(found / f"changes_{pair}.json").get("notes", ()):
             print(f"  note: {note}")
+        heights = pd.read_csv(found / f"dod_{pair}.csv").set_index("part").loc["net"]
+        print(f"  net by heights {heights.volume_m3:+9.2f} m3, sigma {heights.sigma_m3:.2f} m3")
         if facts["model"] != "none":
             moved = ", ".join(f"{facts['parameters'][f'{a}_m']:+.3f}" for a in ("east", "north", "up"))
             print(

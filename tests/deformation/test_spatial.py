@@ -7,9 +7,9 @@ from scipy.spatial.distance import cdist
 from scipy.stats import chi2
 
 from thalweg.core import ArrayF, GeometryError
+from thalweg.deformation import SpatialErrors, place_in_cells
 from thalweg.deformation.field import ErrorField
 from thalweg.deformation.foreign import HeightErrors
-from thalweg.deformation.foreign.epochs import SpatialErrors, place_in_cells
 from thalweg.deformation.foreign.surfaces import volume_variance
 
 

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from pyproj import CRS
 
-from thalweg.core import Dsm, Grid, InputError, frame_of, write_raster, write_table
+from thalweg.core import Dsm, GeometryError, Grid, InputError, frame_of, write_raster, write_table
 from thalweg.deformation import (
     CHANGES,
     CORE_POINTS,
@@ -26,7 +26,15 @@ from thalweg.figures import save
 from thalweg.figures.deformation import change_page, read_pair_facts
 from thalweg.figures.deformation.heights import draw_height_difference
 from thalweg.figures.deformation.maps import draw_change_map, draw_not_seen, draw_significance_map, read_pairs
-from thalweg.figures.deformation.page import direction, largest_patches, limits, verdict
+from thalweg.figures.deformation.page import (
+    contradiction,
+    direction,
+    head,
+    largest_patches,
+    limits,
+    taken_off,
+    verdict,
+)
 from thalweg.figures.deformation.statistics import (
     draw_error_variogram,
     draw_level_of_detection,
@@ -273,6 +281,12 @@ def test_stable_ground_leaves_significant_places_out_unless_it_was_drawn(bank, p
     assert np.array_equal(found.unmoved, found.registered)
 
 
+def test_where_no_ground_is_drawn_the_pictures_of_it_say_so(bank, pair, tmp_path):
+    np.savez(tmp_path / "none.npz", stable=np.zeros(len(pair.state), bool))
+    with pytest.raises(GeometryError, match="no core point lies on stable ground"):
+        read_stable([pair], bank.registrations, [tmp_path / "none.npz"])
+
+
 def test_stable_ground_is_held_against_the_standard_normal(bank, look):
     files = {"changes": bank.changes, "registrations": bank.registrations, "weights": bank.weights}
     figure = draw_stable_ground(**files, core_points=bank.core_points, spacing_m=0.5, **WORDS)
@@ -473,6 +487,78 @@ def test_words_where_nothing_was_found(bank, facts):
     assert "drawn by hand" in limits([drawn])
     html = change_page([json.loads(bank.errors[0].read_text())], [calm]).html()
     assert "deformation.registration is none" in html
+
+
+def test_the_lead_gives_both_volumes_what_was_taken_off_and_why_they_differ(facts):
+    lead, findings = head([facts])
+    assert lead.startswith(
+        "Epochs 1 to 2: the net volume is no different from zero. Net along normals −1.40 ± 0.90 m³ on "
+        "120 m² of surface, by heights −1.70 ± 0.80 m³ on 118 m² of the map. They differ by their places"
+    )
+    assert "Warning" not in lead
+    rows = {each.quantity: (each.value, each.verdict) for each in findings}
+    assert rows["net volume by heights"] == ("−1.70 ± 0.80 m³", "not zero, at 95 %")
+    assert rows["taken off in height as a motion of the second epoch"] == (
+        "+5.0 ± 1.0 cm",
+        "what most of the bank agrees on",
+    )
+
+
+@pytest.mark.parametrize(
+    ("by_heights", "sigma", "words"),
+    [
+        (-3.1, 0.8, ""),
+        (-3.3, 0.8, "contradict each other"),
+        (1.0, 0.8, "have opposite signs"),
+        (0.4, 2.0, ""),
+    ],
+)
+def test_two_volumes_that_contradict_each_other_are_a_warning(facts, by_heights, sigma, words):
+    """−1.4 ± 0.9 m³ along normals: 1.96 times the larger sigma apart, or of two signs and one beyond it."""
+    table = facts.difference.assign(volume_m3=by_heights, sigma_m3=sigma)
+    other = replace(facts, difference=table)
+    told = contradiction(other)
+    assert bool(told) == bool(words)
+    assert words in told
+    assert told in head([other])[0]
+    assert told in verdict(other)
+
+
+def test_without_a_sigma_and_drawn_ground_there_is_no_verdict(bank, facts):
+    motion = dict.fromkeys(("east_m", "north_m", "up_m", "turn_east", "turn_north", "turn_up"), 0.0)
+    silent = replace(
+        facts,
+        registration={"model": "none", "areas": "none are drawn", "sigma": "unknown",
+                      "would_be": motion | {"up_m": -0.204}},
+        volumes=facts.volumes.assign(low_m3=-3.0, high_m3=-0.5),
+    )  # fmt: skip
+    lead, findings = head([silent])
+    assert "no verdict: no sigma_m is stated or estimated of both epochs" in lead
+    assert "the epochs may lie off each other as a whole; most of the surface agrees on −20.4 cm" in lead
+    assert not [each for each in findings if "not zero" in each.verdict or "no different" in each.verdict]
+    assert findings[4].value == "nothing"
+    assert "most of the surface agrees on −20.4 cm" in findings[4].verdict
+    words = verdict(silent)
+    assert "on which there is no verdict" in words
+    assert "different from zero" not in words
+    assert "The epochs may differ by it" in words
+    assert "they may lie off each other as a whole" in limits([silent])
+    html = change_page([json.loads(bank.errors[0].read_text())], [silent]).html()
+    assert "not registered (no stable ground is drawn" in html
+
+
+def test_areas_of_drawn_ground_stand_on_the_page(bank, facts):
+    areas = [
+        {"east_m": 10.0, "north_m": 5.0, "places": 30, "off_m": 0.012},
+        {"east_m": 70.0, "north_m": 5.0, "places": 4, "off_m": None},
+    ]
+    told = {"areas": "drawn", "n_areas": 2, "by_area": areas, "sigma": "stated"}
+    told |= {"sigma_from": "the stated sigmas"}
+    drawn = replace(facts, registration={**facts.registration, **told})
+    assert taken_off(drawn.registration) == ("+5.0 ± 1.0 cm", "drawn ground, 2 areas")
+    html = change_page([json.loads(bank.errors[0].read_text())], [drawn]).html()
+    assert "stable areas that lie apart" in html
+    assert "standard deviation is by the stated sigmas" in html
 
 
 @pytest.mark.parametrize(

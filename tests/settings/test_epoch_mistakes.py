@@ -213,7 +213,20 @@ def test_a_new_campaign_of_files_has_their_grid_and_place(
     capsys.readouterr()
     assert main(["check-config", str(folder / "flood.yaml")]) == 2
     assert "not a day such as" in capsys.readouterr().err
-    (folder / "flood.yaml").write_text(text.replace("CHANGE  # day", "2020-03-13  # day"))
+    text = text.replace("CHANGE  # day", "2020-03-13  # day")
+    (folder / "flood.yaml").write_text(text)
+    # what a verdict needs is asked for, of each epoch, all at once
+    assert main(["check-config", str(folder / "flood.yaml")]) == 2
+    asked = capsys.readouterr().err
+    for key in ("sigma_m", "correlation_m", "leave_out"):
+        for i in (0, 1):
+            assert f"epochs[{i}].{key}: not filled in yet" in asked
+    assert "deformation.stable: not filled in yet; expected ground that did not move" in asked
+    text = text.replace("leave_out: CHANGE", "leave_out: []").replace(": CHANGE", ": null")
+    (folder / "flood.yaml").write_text(text.replace("stable: null", "stable: roads.gpkg"))
+    assert main(["check-config", str(folder / "flood.yaml")]) == 2
+    assert "roads.gpkg" in capsys.readouterr().err
+    (folder / "flood.yaml").write_text(text)
     assert main(["check-config", str(folder / "flood.yaml")]) == 0
     assert "epochs epoch_1, epoch_2" in capsys.readouterr().out
     place = load_campaigns("flood", folder)["flood"].campaign

@@ -104,6 +104,7 @@ rule coregister_epochs:
     input:
         epochs=of_wildcard("pair", CampaignFiles.epochs_of, "points.npz"),
         core_points="results/{campaign}/deformation/core_points.parquet",
+        stable=of(CampaignFiles.stable_ground),
     output:
         registration="results/{campaign}/deformation/registration_{pair}.json",
         weights="results/{campaign}/deformation/registration_{pair}.npz",
@@ -119,6 +120,7 @@ rule coregister_epochs:
         runtime=minutes(10, 60),
     params:
         code=code_version("coregister_epochs"),
+        campaign=identity("origin", "crs"),
         deformation=section("deformation"),
     script:
         "../scripts/coregister_epochs.py"
@@ -217,6 +219,7 @@ rule change_series:
     input:
         epochs=of(CampaignFiles.all_epochs, "points.npz"),
         core_points="results/{campaign}/deformation/core_points.parquet",
+        stable=of(CampaignFiles.stable_ground),
     output:
         series="results/{campaign}/deformation/series.parquet",
         heights="results/{campaign}/deformation/heights.parquet",
@@ -234,6 +237,7 @@ rule change_series:
         runtime=minutes(20, 60),
     params:
         code=code_version("change_series"),
+        campaign=identity("origin", "crs"),
         deformation=section("deformation"),
     script:
         "../scripts/change_series.py"

@@ -3,8 +3,9 @@
 import json
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
-from thalweg.core import read_table, write_table
+from thalweg.core import LocalFrame, read_table, write_table
 from thalweg.deformation import (
     CORE_POINTS,
     HEIGHTS,
@@ -14,7 +15,7 @@ from thalweg.deformation import (
     heights_table,
     series_of_epochs,
 )
-from thalweg.deformation.foreign import read_epoch
+from thalweg.deformation.foreign import read_epoch, with_drawn_areas
 from thalweg.settings.sections import Deformation
 from thalweg.workflow import run_job
 
@@ -27,10 +28,12 @@ def main(
     heights: Path,
     jumps: Path,
     retreat: Path,
+    campaign: dict[str, Any],
     deformation: Deformation,
 ) -> None:
+    settings = with_drawn_areas(deformation, LocalFrame(**campaign["origin"]), campaign["crs"])
     read = [read_epoch(path.parent) for path in epochs]
-    found = series_of_epochs(read_table(core_points, CORE_POINTS)[0], read, deformation)
+    found = series_of_epochs(read_table(core_points, CORE_POINTS)[0], read, settings)
     write_table(series, fit_series(found.years, found.height_m, found.sigma_m), SERIES)
     write_table(heights, heights_table(found.years, found.height_m, found.sigma_m), HEIGHTS)
     moving = fit_series(found.years, found.line_m, found.line_sigma_m)

@@ -66,7 +66,7 @@ def main(
         years=(after.start_gps_s - before.start_gps_s) / YEAR_S,
     )
     moved_lines.to_csv(retreat, index=False)
-    found |= {"notes": notes_of_pair(before, after, places.n)}
+    found |= {"notes": notes_of_pair(before, after, places.n, moved.facts)}
     facts.write_text(json.dumps(found, indent=2) + "\n")
 
 

@@ -1,20 +1,28 @@
 """Two epochs -> the motion between them that stable ground shows."""
 
 from pathlib import Path
+from typing import Any
 
-from thalweg.core import read_table
+from thalweg.core import LocalFrame, read_table
 from thalweg.deformation import CORE_POINTS, measure_pair, register_pair, write_registration
-from thalweg.deformation.foreign import read_epoch
+from thalweg.deformation.foreign import read_epoch, with_drawn_areas
 from thalweg.settings.sections import Deformation
 from thalweg.workflow import run_job
 
 
 def main(
-    *, epochs: list[Path], core_points: Path, registration: Path, weights: Path, deformation: Deformation
+    *,
+    epochs: list[Path],
+    core_points: Path,
+    registration: Path,
+    weights: Path,
+    campaign: dict[str, Any],
+    deformation: Deformation,
 ) -> None:
+    settings = with_drawn_areas(deformation, LocalFrame(**campaign["origin"]), campaign["crs"])
     before, after = (read_epoch(path.parent) for path in epochs)
-    pair = measure_pair(read_table(core_points, CORE_POINTS)[0], before, after, deformation)
-    write_registration(registration, weights, register_pair(pair, deformation))
+    pair = measure_pair(read_table(core_points, CORE_POINTS)[0], before, after, settings)
+    write_registration(registration, weights, register_pair(pair, settings))
 
 
 if "snakemake" in globals():

@@ -31,9 +31,10 @@ def main(
     campaign: dict[str, Any],
     deformation: Deformation,
 ) -> None:
+    moved = read_registration(registration, weights)
     if models:
         first, second = (Epoch(**each) for each in models)
-        found = difference_of_models(first, second, deformation, campaign["crs"])
+        found = difference_of_models(first, second, deformation, campaign["crs"], moved)
     else:
         frame = LocalFrame(**campaign["origin"])
         before, after = (read_epoch(path.parent) for path in epochs)
@@ -41,7 +42,7 @@ def main(
             read_table(core_points, CORE_POINTS)[0],
             before,
             after,
-            read_registration(registration, weights),
+            moved,
             deformation,
             Area.from_section(deformation.area, frame, campaign["crs"]),
             frame=frame,

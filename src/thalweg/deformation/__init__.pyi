@@ -34,6 +34,7 @@ from .epochs import (
     prepare_epoch as prepare_epoch,
 )
 from .field import (
+    COMMON as COMMON,
     ErrorField as ErrorField,
     ErrorGroup as ErrorGroup,
     benjamini_hochberg as benjamini_hochberg,
@@ -48,8 +49,14 @@ from .series import (
     fit_series as fit_series,
     heights_table as heights_table,
 )
+from .spatial import (
+    SpatialErrors as SpatialErrors,
+    place_in_cells as place_in_cells,
+    torus_spectrum as torus_spectrum,
+)
 from .visibility import VISIBILITY as VISIBILITY, observe_visibility as observe_visibility
 from .volumes import (
+    IN_VOLUME as IN_VOLUME,
     STATES as STATES,
     classify_changes as classify_changes,
     estimate_retreat as estimate_retreat,

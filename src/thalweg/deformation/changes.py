@@ -1,7 +1,7 @@
 """Two epochs of boats compared: registered distances with the errors that their points share."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -13,7 +13,15 @@ from scipy.stats import norm
 from thalweg.core import ArrayB, ArrayF, column, frame_of, table_kind
 from thalweg.deformation.compare import Comparison, Distances, distances_along, judge_changes
 from thalweg.deformation.core_points import bank_line_m, lines_of_bank
-from thalweg.deformation.coregistration import Network, Registration, coregister, coregister_network
+from thalweg.deformation.coregistration import (
+    PARAMETERS,
+    Network,
+    Registration,
+    coregister,
+    coregister_network,
+    design_of,
+)
+from thalweg.deformation.drawn_ground import between_two, field_with, moved_apart, with_motion
 from thalweg.deformation.epochs import Epoch, highest_water_m
 from thalweg.deformation.field import ErrorField, joint_fields
 from thalweg.deformation.m3c2 import ColumnIndex, Cylinders, cut_cylinders, mean_in_cylinders
@@ -45,6 +53,7 @@ class Pair:
     Attributes
     ----------
     cores : table `thalweg.deformation.core_points.CORE_POINTS`.
+    epochs : both.
     found : distances.
     field : shared errors of the distances.
     white_m : (k,) standard deviation of the distances by noise and roughness of single points.
@@ -53,6 +62,7 @@ class Pair:
     """
 
     cores: pd.DataFrame
+    epochs: tuple[Epoch, Epoch]
     found: Distances
     field: ErrorField
     white_m: ArrayF
@@ -77,12 +87,14 @@ class Measured:
 
     Attributes
     ----------
+    epoch : the epoch.
     cut : what cylinders cut out.
     field : shared errors of the mean positions.
     own_m : (k,) standard deviation of the means by the predicted noise of single points.
     several : (k,) share of points whose beam had more than one echo.
     """
 
+    epoch: Epoch
     cut: Cylinders
     field: ErrorField
     own_m: ArrayF
@@ -138,7 +150,7 @@ def measure_epoch(cores: pd.DataFrame, epoch: Epoch, settings: Deformation) -> M
     with np.errstate(invalid="ignore", divide="ignore"):
         own = np.sqrt(np.sum(along * means[:, :6], axis=1) / cut.n)
     field = epoch.field(places, normals, index, **how)
-    return Measured(cut=cut, field=field, own_m=own, several=means[:, 6])
+    return Measured(epoch=epoch, cut=cut, field=field, own_m=own, several=means[:, 6])
 
 
 def _places(cores: pd.DataFrame) -> tuple[ArrayF, ArrayF]:
@@ -170,6 +182,7 @@ def _pair(cores: pd.DataFrame, one: Measured, two: Measured, settings: Deformati
     found = distances_along(places, normals, cores["scale_m"].to_numpy(), one.cut, two.cut)
     return Pair(
         cores=cores,
+        epochs=(one.epoch, two.epoch),
         found=found,
         field=difference_of(one.field, two.field, common_mounts=settings.errors.common_mounts),
         white_m=np.hypot(one.white_m, two.white_m),
@@ -187,24 +200,51 @@ def series_of_epochs(cores: pd.DataFrame, epochs: Sequence[Epoch], settings: Def
     """
     places, normals = _places(cores)
     every = [measure_epoch(cores, epoch, settings) for epoch in epochs]
-    fields = joint_fields(
-        [alone.field for alone in every], common="mount" if settings.errors.common_mounts else None
-    )
     along = np.array([np.where(a.cut.n >= settings.least_in_cylinder, a.cut.along_m, np.nan) for a in every])
     white = np.array([alone.white_m for alone in every])
     along[~np.isfinite(white)] = np.nan
     scatter = np.array([alone.cut.std_m for alone in every])
-    network = coregister_network(places, normals, along, white, is_bare(scatter.T), fields, settings)
+    common = "mount" if settings.errors.common_mounts else None
+    apart = None
+    if not all(epoch.has_trajectory for epoch in epochs):
+        apart = moved_apart(cores, epochs, settings, along, is_bare(scatter.T))
+    fields = joint_fields(
+        [
+            alone.field if apart is None else field_with(alone.field, places, normals, apart.facts, 1)
+            for alone in every
+        ],
+        common=common,
+    )
+    if apart is not None and apart.facts["model"] != "none":
+        apart.facts.update(
+            parameters=[dict(zip(PARAMETERS, each, strict=True)) for each in apart.parameters.tolist()],
+            sigmas=[
+                dict(zip(PARAMETERS, each, strict=True))
+                for each in np.sqrt(np.maximum(np.diag(apart.cov), 0.0)).reshape(-1, 6).tolist()
+            ],
+        )
+    network = (
+        coregister_network(places, normals, along, white, is_bare(scatter.T), fields, settings)
+        if apart is None
+        else Network(
+            apart.parameters,
+            apart.cov,
+            design_of(places, normals, places.mean(axis=0)),
+            np.zeros((len(epochs), 6, *along.shape)),
+            apart.stable,
+            apart.facts,
+        )
+    )
     height = network.registered(along)
     raw = along - along[0]
     # how far two epochs may lie apart as such: the mean distance before any registration
-    apart, steps = [], []
+    lying, steps = [], []
     for one, two in pairwise(every):
         pair = _pair(cores, one, two, settings)
         steps.append(register_pair(pair, settings).registered(pair.found.distance_m))
         use = np.isfinite(pair.found.distance_m)
         row = np.where(use, 1.0 / max(int(use.sum()), 1), 0.0)[None]
-        apart.append(float(np.sqrt(pair.field.combined(row).variances()[0])))
+        lying.append(float(np.sqrt(pair.field.combined(row).variances()[0])))
     whole = _pair(cores, every[0], every[-1], settings)
     first_to_last = register_pair(whole, settings).registered(whole.found.distance_m)
     bare = is_bare(scatter.T) & np.isfinite(height).all(axis=0)
@@ -216,7 +256,7 @@ def series_of_epochs(cores: pd.DataFrame, epochs: Sequence[Epoch], settings: Def
         height_m=height,
         sigma_m=np.sqrt(network.variances(fields, white)),
         raw_m=raw,
-        sigma_apart_m=np.array(apart),
+        sigma_apart_m=np.array(lying),
         network=network,
         misclosure=closure(np.array(steps), first_to_last),
         lines=lines,
@@ -233,8 +273,19 @@ def difference_of(before: ErrorField, after: ErrorField, *, common_mounts: bool)
 
 
 def register_pair(pair: Pair, settings: Deformation) -> Registration:
-    """The motion between both epochs, see `thalweg.deformation.coregistration.coregister`."""
+    """The motion between both epochs.
+
+    Of boats with their trajectories see `thalweg.deformation.coregistration.coregister`, of others
+    `thalweg.deformation.drawn_ground`: what nobody drew as stable takes nothing off.
+    """
     found = pair.found
+    if not all(epoch.has_trajectory for epoch in pair.epochs):
+        along = np.stack([np.where(np.isfinite(found.distance_m), 0.0, np.nan), found.distance_m])
+        apart = moved_apart(pair.cores, pair.epochs, settings, along, pair.bare)
+        parameters, cov, facts = between_two(apart)
+        k = len(pair.cores)
+        design = design_of(found.cores_m, found.normals, found.cores_m.mean(axis=0))
+        return Registration(parameters, cov, design, np.zeros((6, k)), apart.stable, facts)
     return coregister(
         found.cores_m, found.normals, found.distance_m, pair.white_m, pair.bare, pair.field, settings
     )
@@ -249,7 +300,7 @@ class Compared:
     pair, registration : what they come from.
     distance_m : (k,) registered; NaN where an epoch has too few points.
     sigma_field_m : (k,) by errors that points share, with what the registration takes off them.
-    sigma_registration_m : (k,) by noise of the stable ground.
+    sigma_registration_m : (k,) by noise of the stable ground, or by the motion where it is known apart.
     """
 
     pair: Pair
@@ -289,9 +340,15 @@ def draw_errors(compared: Compared, seed: int) -> pd.DataFrame:
 def registered_distances(pair: Pair, registration: Registration) -> Compared:
     """Registered distances, and their variance with the registration's own weights.
 
-    The variance of ``d - h'S d`` is ``var d - 2 h' cov(S d, d) + h' cov(S d) h``.
+    The variance of ``d - h'S d`` is ``var d - 2 h' cov(S d, d) + h' cov(S d) h``. A motion that is known
+    apart from the distances has no ``S``, and its covariance is one more error of all of them.
     """
-    S, design = registration.weights, registration.design
+    S, design, found = registration.weights, registration.design, pair.found
+    apart = 0.0
+    if not S.any():
+        field = field_with(pair.field, found.cores_m, found.normals, registration.facts, 2)
+        pair = replace(pair, field=field)
+        apart = np.einsum("ki,ij,kj->k", design, registration.cov, design)
     motion = pair.field.combined(S)
     with_all = pair.field.covariance_with(motion)
     own = motion.covariance_with(motion)
@@ -300,12 +357,14 @@ def registered_distances(pair: Pair, registration: Registration) -> Compared:
     white = np.nan_to_num(pair.white_m) ** 2
     noise = np.einsum("ki,ij,kj->k", design, (S * white) @ S.T, design)
     noise -= 2.0 * np.sum(design * S.T, axis=1) * white  # a stable core point's noise is in both
+    if registration.cov.any() and not S.any():
+        pair = replace(pair, field=with_motion(pair.field, design, registration.cov))
     return Compared(
         pair=pair,
         registration=registration,
-        distance_m=registration.registered(pair.found.distance_m),
+        distance_m=registration.registered(found.distance_m),
         sigma_field_m=np.sqrt(np.maximum(field, 0.0)),
-        sigma_registration_m=np.sqrt(np.maximum(noise, 0.0)),
+        sigma_registration_m=np.sqrt(np.maximum(noise, 0.0) + apart),
     )
 
 

@@ -27,12 +27,20 @@ from thalweg.deformation.field import ErrorField
 from thalweg.settings.sections import Deformation
 from thalweg.surface import Area
 
-_TOO_FAR = (
+TOO_FAR = (
     "Look at datum, base station and antenna height of both surveys; or is the stable ground that most of "
     "the bank agrees on not stable? Then draw deformation.stable"
 )
 PARAMETERS = ("east_m", "north_m", "up_m", "turn_east", "turn_north", "turn_up")
-_MODELS = {"none": [], "shift": [0, 1, 2], "shift+heading": [0, 1, 2, 5], "rigid": [0, 1, 2, 3, 4, 5]}
+MODELS = {
+    "none": [],
+    "height": [2],
+    "shift": [0, 1, 2],
+    "shift+heading": [0, 1, 2, 5],
+    "rigid": [0, 1, 2, 3, 4, 5],
+}
+BY_DEFAULT = "shift+heading"
+"""Motion of a boat's epochs: a heading's error is the largest that it has."""
 _LEAST = 30
 """Stable core points that a registration needs."""
 _WEAK = 0.01
@@ -111,10 +119,10 @@ def coregister(
     ------
     GeometryError : too little stable ground, a stable area that moved, or epochs that lie too far apart.
     """
-    model = _MODELS[settings.registration]
+    model = MODELS[settings.registration or BY_DEFAULT]
     middle = cores_m.mean(axis=0)
     design = design_of(cores_m, normals, middle)
-    areas = _areas(cores_m, settings.stable)
+    areas = _areas(cores_m, settings)
     candidates = np.isfinite(distance_m) & np.isfinite(white_m) & bare & areas.any(axis=0)
     nothing = Registration(
         np.zeros(6), np.zeros((6, 6)), design, np.zeros((6, len(cores_m))), candidates, {"model": "none"}
@@ -144,16 +152,20 @@ def coregister(
         raise GeometryError(
             f"the second epoch lies {size:.2f} m off the first on stable ground",
             expected=f"at most deformation.largest_shift_m = {settings.largest_shift_m:g} m",
-            cure=_TOO_FAR,
+            cure=TOO_FAR,
         )
     facts = _facts(found, settings, model, solver, candidates, areas)
     return Registration(parameters, cov, design, weights, kept > 0, facts)
 
 
-def _areas(cores_m: ArrayF, polygons: Sequence[Sequence[tuple[float, float]]] | None) -> ArrayB:
+def _areas(cores_m: ArrayF, settings: Deformation) -> ArrayB:
     """Which core points (a, k) lie in which stable area; one area of everything, if none is drawn."""
+    polygons = settings.stable
     if polygons is None:
         return np.ones((1, len(cores_m)), dtype=bool)
+    assert not isinstance(polygons, str), (
+        "files are read before: thalweg.deformation.foreign.with_drawn_areas"
+    )
     return np.array([Area(polygon_en_m=np.asarray(each, float)).contains(cores_m) for each in polygons])
 
 
@@ -226,27 +238,39 @@ def _facts(
     areas: ArrayB,
 ) -> dict[str, Any]:
     """Parameters with sigmas, whether a registration is needed, and what the ground does not show."""
-    cov = found.cov[np.ix_(model, model)]
-    values, vectors = np.linalg.eigh(cov)
-    shown = values > 1e-9 * values[-1]
-    z = vectors[:, shown].T @ found.parameters[model]
-    statistic = float(np.sum(z**2 / values[shown]))
-    left = np.eye(len(model)) - solver @ found.design[:, model]
-    share, direction = np.linalg.eigh(0.5 * (left + left.T))
-    weak = direction[:, share > 0.5].T.round(3).tolist()
     return {
-        "model": settings.registration,
-        "parameters": dict(zip(PARAMETERS, found.parameters.tolist(), strict=True)),
-        "sigmas": dict(zip(PARAMETERS, np.sqrt(np.diag(found.cov)).tolist(), strict=True)),
-        "test_statistic": statistic,
-        "degrees_of_freedom": int(shown.sum()),
-        "p_value": float(chi2.sf(statistic, shown.sum())),
-        "needed": bool(chi2.sf(statistic, shown.sum()) < 0.05),
-        "not_shown": weak,  # directions in the space of the estimated parameters
+        "model": settings.registration or BY_DEFAULT,
+        **facts_of_motion(found.parameters, found.cov, model, solver @ found.design[:, model]),
         "stable_cores": int(found.stable.sum()),
         "candidates": int(candidates.sum()),
         "areas": "drawn" if settings.stable is not None else "what most of the bank agrees on",
         "n_areas": len(areas),
+    }
+
+
+def facts_of_motion(parameters: ArrayF, cov: ArrayF, model: list[int], resolution: ArrayF) -> dict[str, Any]:
+    """Parameters (6,) with sigmas, whether they are more than nothing, directions that are not shown.
+
+    Parameters
+    ----------
+    model : which are estimated, p of them.
+    resolution : (p, p) change of the estimates for a change of the motion: the identity if all is shown.
+    """
+    part = cov[np.ix_(model, model)]
+    values, vectors = np.linalg.eigh(part)
+    shown = values > 1e-9 * values[-1]
+    z = vectors[:, shown].T @ parameters[model]
+    statistic = float(np.sum(z**2 / values[shown]))
+    left = np.eye(len(model)) - resolution
+    share, direction = np.linalg.eigh(0.5 * (left + left.T))
+    return {
+        "parameters": dict(zip(PARAMETERS, parameters.tolist(), strict=True)),
+        "sigmas": dict(zip(PARAMETERS, np.sqrt(np.diag(cov)).tolist(), strict=True)),
+        "test_statistic": statistic,
+        "degrees_of_freedom": int(shown.sum()),
+        "p_value": float(chi2.sf(statistic, shown.sum())),
+        "needed": bool(chi2.sf(statistic, shown.sum()) < 0.05),
+        "not_shown": direction[:, share > 0.5].T.round(3).tolist(),  # in the space of the parameters
     }
 
 
@@ -257,7 +281,7 @@ class Network(_Motion):
     """Motions of n epochs against their common ground.
 
     ``parameters`` (n, 6) of each epoch, their sum is zero; ``cov`` (6 n, 6 n); ``weights`` (n, 6, n, k): how
-    the motion of an epoch follows from the means of all epochs.
+    the motion of an epoch follows from the means of all epochs; nothing where it is known apart from them.
     """
 
     __slots__ = ()
@@ -284,9 +308,7 @@ class Network(_Motion):
             motion = sum_of(fields, by_motion)
             design = self.design if products is None else products @ self.design
             asked = own if products is None else own.combined(products)
-            spread = motion.covariance_with(motion) + np.einsum(
-                "ank,nk,bnk->ab", by_motion, noise, by_motion, optimize=True
-            )
+            spread = self.cov[6 * e : 6 * e + 6, 6 * e : 6 * e + 6]
             shared = asked.covariance_with(motion)
             mine = by_motion[:, e].T * noise[e][:, None]
             shared = shared + (mine if products is None else products @ mine)
@@ -328,10 +350,10 @@ def coregister_network(
     ------
     GeometryError : too little stable ground, a stable area that moved, or epochs that lie too far apart.
     """
-    model = _MODELS[settings.registration]
+    model = MODELS[settings.registration or BY_DEFAULT]
     n, k = along_m.shape
     design = design_of(cores_m, normals, cores_m.mean(axis=0))
-    areas = _areas(cores_m, settings.stable)
+    areas = _areas(cores_m, settings)
     seen = np.isfinite(along_m) & np.isfinite(white_m)
     candidates = (seen.sum(axis=0) > 1) & bare & areas.any(axis=0)
     weights = np.zeros((n, 6, n, k))
@@ -349,7 +371,7 @@ def coregister_network(
     variance = np.array([field.variances() for field in fields]) + np.nan_to_num(white_m) ** 2
     weight = np.where(candidates & seen, 1.0 / np.maximum(variance, 1e-8), 0.0)
     known = np.nan_to_num(along_m)
-    solver, kept = _robust_network(design[:, model], known, weight)
+    solver, kept = robust_network(design[:, model], known, weight)
     weights[:, model] = solver
     parameters = np.einsum("eafk,fk->ea", weights, known)
     every = weights.reshape(6 * n, n, k)
@@ -359,7 +381,7 @@ def coregister_network(
     found = Network(parameters, cov, design, weights, kept, {})
     _check_network(found, along_m, white_m, areas, fields, settings)
     facts = {
-        "model": settings.registration,
+        "model": settings.registration or BY_DEFAULT,
         "parameters": [dict(zip(PARAMETERS, each, strict=True)) for each in parameters.tolist()],
         "sigmas": [
             dict(zip(PARAMETERS, each, strict=True))
@@ -371,7 +393,7 @@ def coregister_network(
     return Network(parameters, cov, design, weights, kept, facts)
 
 
-def _robust_network(H: ArrayF, along: ArrayF, weight: ArrayF) -> tuple[ArrayF, ArrayB]:
+def robust_network(H: ArrayF, along: ArrayF, weight: ArrayF) -> tuple[ArrayF, ArrayB]:
     """Tukey's estimate: how motions (n, p) follow from means (n, k), as (n, p, n, k); core points that count.
 
     A core point counts with all its epochs or not at all: one that moved tells of no epoch.
@@ -389,7 +411,7 @@ def _robust_network(H: ArrayF, along: ArrayF, weight: ArrayF) -> tuple[ArrayF, A
         worst = np.max(np.abs(rest), axis=0)
         scale = robust_sigma(rest[seen], 0.0)
         share = np.where(use, np.maximum(1.0 - (worst / (4.685 * max(scale, 1e-6))) ** 2, 0.0) ** 2, 0.0)
-        solver = _network_solver(H, weight * share)
+        solver = network_solver(H, weight * share)
         motion = np.einsum("eafk,fk->ea", solver, along)
         left = along - motion @ H.T
         level = np.sum(weight * left, axis=0) / np.maximum(np.sum(weight, axis=0), 1e-300)
@@ -400,7 +422,7 @@ def _robust_network(H: ArrayF, along: ArrayF, weight: ArrayF) -> tuple[ArrayF, A
     return solver, share > 0
 
 
-def _network_solver(H: ArrayF, weight: ArrayF) -> ArrayF:
+def network_solver(H: ArrayF, weight: ArrayF) -> ArrayF:
     """Least squares (n, p, n, k) without the levels, in the motions that the ground shows."""
     n, k = weight.shape
     p = H.shape[1]
@@ -440,7 +462,7 @@ def _check_network(
             raise GeometryError(
                 f"epoch {e + 1} lies {size:.2f} m off the one before on stable ground",
                 expected=f"at most deformation.largest_shift_m = {settings.largest_shift_m:g} m",
-                cure=_TOO_FAR,
+                cure=TOO_FAR,
             )
     if len(areas) < 2:
         return

@@ -163,6 +163,16 @@ class Epoch:
         return cls(name=facts["name"], start_gps_s=facts["start_gps_s"], groups=tuple(groups), **arrays)
 
     @property
+    def has_trajectory(self) -> bool:
+        """Whether a boat's trajectory says what errs."""
+        return len(self.boat_m) > 0
+
+    @property
+    def is_raster(self) -> bool:
+        """Whether it is a raster of heights, which shows no shift in plan."""
+        return False
+
+    @property
     def heights(self) -> str:
         """System of heights, in words."""
         return "ellipsoidal"

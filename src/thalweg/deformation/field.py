@@ -25,13 +25,16 @@ Source: Gelb (1974), Applied Optimal Estimation, 2.2, for the process; the sums 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 import scipy.sparse as sp
 
 from thalweg.core import AnyArray, ArrayF, ArrayI, ErrorChain, GeometryError, njit, prange, symmetric_roots
 from thalweg.deformation.m3c2 import Weights
+
+COMMON: Final = "stated, common to all"
+"""Group of an error that all heights of an epoch share; a motion that is taken off holds it."""
 
 
 class SharedErrors(Protocol):

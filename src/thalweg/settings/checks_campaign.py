@@ -679,7 +679,12 @@ def domain_mistakes(parts: Parts) -> tuple[list[Mistake], dict[str, tuple[str, .
             parts.raw("twin"),
             parts.raw("mounts"),
         ),
-        *check_epochs(parts.raw("epochs"), parts.raw("campaign") or {}, parts.path.parent),
+        *check_epochs(
+            parts.raw("epochs"),
+            parts.raw("campaign") or {},
+            parts.raw("deformation") or {},
+            parts.path.parent,
+        ),
         *_check_lists(parts),
         *_check_ppk(parts),
         *_check_bed(parts),

@@ -14,17 +14,19 @@ from thalweg.settings.sections import CLOUD_ENDINGS, DSM_ENDINGS, TEXT_ENDINGS, 
 
 _SOURCES: Final = ("campaign", "clouds", "dsm")
 _OF_CAMPAIGNS: Final = ("chain", "surface")
-_OF_FILES: Final = ("name", "date_utc", "crs", "sigma_m", "nodata", "leave_out")
+_OF_FILES: Final = ("name", "date_utc", "crs", "sigma_m", "sigma_common_m", "nodata", "leave_out")
 """``correlation_m`` also belongs to the bed of a campaign, whose kriging gives the sigmas."""
 
 
-def check_epochs(raw: object, identity: Mapping[str, Any], folder: Path) -> Iterator[Mistake]:
+def check_epochs(
+    raw: object, identity: Mapping[str, Any], change: Mapping[str, Any], folder: Path
+) -> Iterator[Mistake]:
     """Mistakes in the section ``epochs``, without the files of other campaigns.
 
     Parameters
     ----------
     raw : the section as written.
-    identity : the section ``campaign`` as written.
+    identity : the section ``campaign`` as written; change: the section ``deformation``.
     folder : of the campaign file.
     """
     entries = [each if isinstance(each, dict) else {} for each in raw] if isinstance(raw, list) else []
@@ -69,6 +71,27 @@ def check_epochs(raw: object, identity: Mapping[str, Any], folder: Path) -> Iter
         yield from _check_files(each, given[0], where, folder, files)
         yield from check_crs(each.get("crs"), identity.get("origin"), (*where, "crs"))
     yield from _check_heights(entries)
+    yield from _check_stable(change.get("stable"), folder)
+
+
+def _check_stable(stable: object, folder: Path) -> Iterator[Mistake]:
+    """A file of stable ground is there."""
+    where: tuple[Key, ...] = ("deformation", "stable")
+    if stable == "CHANGE":
+        yield Mistake(
+            path=where,
+            found="not filled in yet",
+            expected="ground that did not move between the epochs: a file of polygons, lines or points",
+            cure="Draw roads, roofs, rock in a GIS, in three and more areas that lie apart, and name the "
+            "file; null where there is none: nothing is taken off then",
+        )
+    elif isinstance(stable, str):
+        name = stable.partition("?")[0]
+        matches = [Path(path) for path in expand(name, folder)]
+        if not matches:
+            yield no_match(where, name, folder)
+        for path in matches:
+            yield from check_file(where, name, path)
 
 
 def _check_keys(each: Mapping[str, Any], source: str, where: tuple[Key, ...]) -> Iterator[Mistake]:

@@ -16,7 +16,7 @@ from thalweg.settings.checks_place import geodetic_place, parse_crs
 from thalweg.settings.messages import anchor
 
 _ONE_AREA: Final = (("accuracy", "area", "polygon"), ("deformation", "area", "polygon"))
-_AREAS: Final = (("deformation", "stable"), ("fusion", "fit", "stable"), ("bathymetry", "islands"))
+_AREAS: Final = (("fusion", "fit", "stable"), ("bathymetry", "islands"))
 _PLACE: Final = ("fusion", "weir")
 _LONGEST_EDGE_M: Final = 500.0
 """A straight line of a map is curved in the world frame, by less than 0.2 mm on this length."""

@@ -76,7 +76,10 @@ def _anchored(campaign: Campaign | None, path: Path) -> Campaign | None:
         campaign = campaign.model_copy(update={"calibration": section})
     if campaign.epochs is not None:
         epochs = [_anchored_epoch(epoch, path.parent) for epoch in campaign.epochs]
-        campaign = campaign.model_copy(update={"epochs": epochs})
+        change = campaign.deformation
+        if isinstance(change.stable, str):
+            change = change.model_copy(update={"stable": str(anchor(change.stable, path.parent))})
+        campaign = campaign.model_copy(update={"epochs": epochs, "deformation": change})
     return campaign
 
 

@@ -156,7 +156,7 @@ def epochs_text(
         "",
         "deformation:",
         "  # area: {polygon: [[east, north], ...], min_height_m: 0.0}  # part of the bank to compare",
-        "  # stable: [[[east, north], ...], ...]  # unmoved ground; without: what most of it agrees on",
+        *_stable(epochs),
         *_core_points(spacing_m),
     ]
     return "\n".join(lines) + "\n"
@@ -200,8 +200,22 @@ def _epoch(epoch: str | tuple[Path, str], folder: Path) -> list[str]:
         f"  - {key}",
         f"    date_utc: {date}" if date else "    date_utc: CHANGE  # day or UTC time of the survey",
         "    # crs: EPSG:25833+7837  # grid and heights, where the file states none",
-        "    # sigma_m: 0.03  # errors that neighbouring points share; without, limits hold roughness alone",
-        "    # correlation_m: 20.0  # distance over which they are alike",
+        "    sigma_m: CHANGE  # errors that neighbouring points share, as 0.03; null: unknown, no verdict",
+        "    correlation_m: CHANGE  # distance over which they are alike, as 20.0; null with sigma_m: null",
+        "    # sigma_common_m: 0.05  # error of all heights together, where no stable ground is drawn",
+        "    leave_out: CHANGE  # polygons of water, waves, plants, cars: [water.gpkg]; []: all is ground",
+    ]
+
+
+def _stable(epochs: Sequence[str | tuple[Path, str]]) -> list[str]:
+    """Lines of ground that did not move, which epochs without a trajectory need."""
+    if all(isinstance(epoch, str) for epoch in epochs):
+        return [
+            "  # stable: [[[east, north], ...], ...]  # unmoved ground; without: what most of it agrees on"
+        ]
+    return [
+        "  stable: CHANGE  # ground that did not move, in three and more areas: roads.gpkg (polygons, lines,",
+        "    # points); null: nothing is taken off, and the epochs may lie off each other as a whole",
     ]
 
 

@@ -965,6 +965,11 @@ class CampaignFiles:
         """Files of polygons that are left out of an epoch."""
         return _with_parts(text.partition("?")[0] for text in self._epoch(epoch).leave_out)
 
+    def stable_ground(self) -> list[str]:
+        """Files of the ground that did not move."""
+        drawn = self.campaign.deformation.stable
+        return _with_parts([drawn.partition("?")[0]]) if isinstance(drawn, str) else []
+
     def epoch_positions(self, epoch: str) -> list[str]:
         """Positions of the boat that sounded the bed of an epoch, which say when."""
         bed = self._epoch(epoch).campaign is not None

@@ -22,6 +22,7 @@ from .epochs import (
     place_of_file as place_of_file,
     prepare_foreign_epoch as prepare_foreign_epoch,
     read_epoch as read_epoch,
+    with_drawn_areas as with_drawn_areas,
 )
 from .surfaces import (
     HeightErrors as HeightErrors,

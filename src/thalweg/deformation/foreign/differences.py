@@ -43,15 +43,20 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 
 def difference_of_models(
-    before: Statement, after: Statement, settings: Deformation, crs: str
+    before: Statement,
+    after: Statement,
+    settings: Deformation,
+    crs: str,
+    registration: Registration | None = None,
 ) -> SurfaceDifference:
-    """Difference of two surface models on the grid of the first; nothing is registered.
+    """Difference of two surface models on the grid of the first, without the height that was taken off.
 
     Parameters
     ----------
     before, after : epochs whose ``dsm`` is a file.
     settings : ``resample``.
     crs : map grid of rasters that state none.
+    registration : motion of the second epoch, of which rasters show the height.
 
     Raises
     ------
@@ -64,12 +69,27 @@ def difference_of_models(
     errors = [
         HeightErrors.of_bands(model, stated.correlation_m)
         if stated.sigma_m is None
-        else HeightErrors(stated.sigma_m, stated.correlation_m or 0.0)
+        else HeightErrors(stated.sigma_m, stated.correlation_m or 0.0, stated.sigma_common_m or 0.0)
         for model, stated in zip(models, (before, after), strict=True)
     ]
+    facts = {} if registration is None else registration.facts
+    sigma_m = 0.0 if registration is None else float(np.sqrt(registration.cov[2, 2]))
+    if registration is not None:
+        models[1] = replace(models[1], height_m=models[1].height_m - registration.parameters[2])
+    if facts.get("areas") == "drawn":  # what all heights of an epoch share was taken off
+        errors = [each and replace(each, common_m=0.0) for each in errors]
+    if "estimated" in facts:
+        errors = [HeightErrors(**facts["estimated"])] * 2
+    elif sigma_m and None in errors:  # all that is known of the heights is how far they may lie off
+        errors = [each or HeightErrors(0.0) for each in errors]
     masks = [mask for stated in (before, after) for mask in masks_of(stated)]
     return difference_of_surfaces(
-        models[0], models[1], (errors[0], errors[1]), resample=settings.resample, leave_out=masks
+        models[0],
+        models[1],
+        (errors[0], errors[1]),
+        sigma_registration_m=sigma_m,
+        resample=settings.resample,
+        leave_out=masks,
     )
 
 
@@ -183,6 +203,7 @@ def _joined(one: Pair, two: Pair) -> Pair:
     )
     return Pair(
         cores=pd.concat([one.cores, two.cores], ignore_index=True),
+        epochs=one.epochs,
         found=found,
         field=ErrorField(one.field.groups, rows),
         white_m=np.concatenate([one.white_m, two.white_m]),

@@ -2,17 +2,6 @@ r"""Epochs from elsewhere: clouds and surface models with a date, in the frame o
 
 Of their errors is known what somebody states: a standard deviation that neighbouring points share, and how
 far (`SpatialErrors`). They have no trajectory: nothing is known of what they could have seen.
-
-**Errors that neighbouring places share.** With the stated standard deviation sigma and distance L, the shared
-error is a field over the plan with three independent components and the covariance
-
-    sigma_i sigma_j exp(-d_ij / L)
-
-between places at the distance d (Rolstad, Haug and Denby 2009, J. Glaciology 55,
-https://doi.org/10.3189/002214309789470950). The points of a cell of L / 8 have one error, so that a sum over
-points is one over cells: of few cells pair by pair, of many by Fourier transforms of the grid. What a cell
-hides is a correlation of 0.94 that counts as 1, and in the variance of a sum over more than L about a
-thousandth. Points above each other have the same place.
 """
 
 import json
@@ -22,9 +11,7 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 import numpy as np
-import scipy.sparse as sp
 from pyproj import CRS
-from scipy.fft import irfft2, next_fast_len, rfft2
 
 from thalweg.core import (
     AnyArray,
@@ -33,187 +20,39 @@ from thalweg.core import (
     CoverageError,
     Dsm,
     Frame,
-    GeometryError,
     InputError,
     LocalFrame,
     gps_from_unix,
     laz_header,
     mask_missing,
-    njit,
-    prange,
     read_dsm,
     read_json,
 )
 from thalweg.core.values import Vectors, heights_in_words, read_vectors, same_heights
 from thalweg.deformation import (
+    COMMON,
     ColumnIndex,
     Epoch,
     ErrorField,
     ErrorGroup,
+    SpatialErrors,
     between_frames,
+    place_in_cells,
     pose_weights,
     rows_of_weights,
 )
 from thalweg.deformation.foreign.clouds import ROUGHNESS_ALONE, Points, density_notes, read_points
-from thalweg.deformation.foreign.surfaces import HeightErrors, one_frame, onto_map, torus_spectrum
+from thalweg.deformation.foreign.surfaces import HeightErrors, one_frame, onto_map
 from thalweg.ingest.clouds import to_world
 from thalweg.settings import utm_code
-from thalweg.settings.sections import DSM_ENDINGS, Epoch as Statement
+from thalweg.settings.sections import DSM_ENDINGS, Deformation, Epoch as Statement
 from thalweg.surface import Area
-
-# ---------------------------------------------------------------- errors that neighbouring places share
-
-CELLS_IN_LENGTH = 8.0
-"""Cells of the grid in a correlation length."""
-MOST_CELLS = 2048
-"""Cells along the longer side of the grid; of shorter correlations a cell counts as one error."""
-_FADED = 64
-"""Cells after which a correlation has faded (``exp(-8)``)."""
-_FEW = 300
-"""Cells up to which a sum goes over pairs."""
-
-
-@dataclass(frozen=True, slots=True)
-class SpatialErrors:
-    """Errors of places: three components, alike over one length.
-
-    Attributes
-    ----------
-    name : what errs.
-    cell : (m, 2) column and row of each node in a grid of ``cell_m``, from zero.
-    cell_m : edge of the cells, metres.
-    root : (m, 3, 3) roots of the covariance of each node, world axes, metres.
-    correlation_m : L, metres.
-    """
-
-    name: str
-    cell: ArrayI
-    cell_m: float
-    root: ArrayF
-    correlation_m: float
-
-    def __post_init__(self) -> None:
-        if not 0 < self.correlation_m < np.inf or not self.cell_m > 0:
-            raise GeometryError(
-                f"errors ({self.name}) correlated over {self.correlation_m} m in cells of {self.cell_m} m",
-                expected="a length above zero; errors of single points are noise",
-            )
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Columns and rows of the grid."""
-        columns, rows = self.cell.max(axis=0) + 1
-        return int(columns), int(rows)
-
-    def variances(self, rows: sp.csr_matrix) -> ArrayF:
-        """Variance (k,) of products with the derivatives ``rows`` (k, 3 m), component by component."""
-        total = np.zeros(rows.shape[0])
-        columns, lines = self.size
-        table = np.exp(
-            -np.hypot(*np.meshgrid(range(columns), range(lines))) * self.cell_m / self.correlation_m
-        )
-        for scaled in self._scaled(rows):
-            scaled.sort_indices()
-            many = np.diff(scaled.indptr) > _FEW
-            total += _of_pairs(scaled.indptr, scaled.indices, scaled.data, self.cell, table, ~many)
-            for k in np.flatnonzero(many):
-                u = np.zeros(len(self.cell))
-                part = slice(scaled.indptr[k], scaled.indptr[k + 1])
-                u[scaled.indices[part]] = scaled.data[part]
-                total[k] += float(u @ self._correlated(u[:, None])[:, 0])
-        return total
-
-    def times_covariance(self, columns: ArrayF) -> ArrayF:
-        """Covariance matrix of all errors (3 m, 3 m) times columns (3 m, q), without the matrix."""
-        m = len(self.cell)
-        u = np.einsum("kji,kjq->kiq", self.root, columns.reshape(m, 3, -1))
-        summed = self._correlated(u.reshape(m, -1)).reshape(u.shape)
-        return np.einsum("kij,kjq->kiq", self.root, summed).reshape(3 * m, -1)
-
-    def draw(self, rng: np.random.Generator) -> ArrayF:
-        """Errors (3 m,) drawn by embedding the covariance in that of a torus (Dietrich and Newsam 1997)."""
-        spectrum, shape = self._spectrum()
-        root = np.sqrt(np.maximum(spectrum.real, 0.0))
-        process = np.empty((len(self.cell), 3))
-        for axis in range(3):
-            field = irfft2(root * rfft2(rng.standard_normal(shape)), shape)
-            process[:, axis] = field[self.cell[:, 1], self.cell[:, 0]]
-        return np.einsum("kij,kj->ki", self.root, process).ravel()
-
-    def _scaled(self, rows: sp.csr_matrix) -> list[sp.csr_matrix]:
-        """For each component of unit variance its derivatives (k, m)."""
-        m = len(self.cell)
-        blocks = sp.bsr_matrix((self.root, np.arange(m), np.arange(m + 1)), shape=(3 * m, 3 * m))
-        scaled = (rows @ blocks.tocsr()).tocsc()
-        parts = [scaled[:, axis::3].tocsr() for axis in range(3)]
-        for part in parts:
-            part.eliminate_zeros()
-        return parts
-
-    def _spectrum(self) -> tuple[AnyArray, tuple[int, int]]:
-        """Fourier transform of the correlation about a cell on a torus, and its shape (rows, columns)."""
-        columns, lines = self.size
-        shape = tuple(
-            next_fast_len(max(2 * n - 1, n + _FADED), real=True) for n in (lines, columns)
-        )  # no two cells of the grid are nearer around the torus than on the grid
-        cell_m = np.full(2, self.cell_m)
-        return torus_spectrum(shape, cell_m, self.correlation_m), (shape[0], shape[1])
-
-    def _correlated(self, u: ArrayF) -> ArrayF:
-        """Correlation matrix times columns (m, q)."""
-        spectrum, shape = self._spectrum()
-        out = np.empty_like(u)
-        for q in range(u.shape[1]):
-            grid = np.zeros(shape)
-            grid[self.cell[:, 1], self.cell[:, 0]] = u[:, q]
-            out[:, q] = irfft2(spectrum * rfft2(grid), shape)[self.cell[:, 1], self.cell[:, 0]]
-        return out
-
-
-def place_in_cells(plan_m: ArrayF, correlation_m: float) -> tuple[ArrayI, ArrayI, float]:
-    """Cells that hold points (n, 2).
-
-    Returns
-    -------
-    node : (n,) number of the cell of each point.
-    cell : (m, 2) column and row of the occupied cells, from zero.
-    cell_m : edge of a cell: an eighth of the correlation length, or more where there would be too many.
-    """
-    low = plan_m.min(axis=0)
-    extent = float(np.ptp(plan_m, axis=0).max())
-    cell_m = max(correlation_m / CELLS_IN_LENGTH, extent / (MOST_CELLS - 1))
-    place = np.floor((plan_m - low) / cell_m).astype(np.int64)
-    rows = int(place[:, 1].max()) + 1
-    names, node = np.unique(place[:, 0] * rows + place[:, 1], return_inverse=True)
-    return node.astype(np.int64), np.column_stack(np.divmod(names, rows)), cell_m
-
-
-@njit(cache=True, parallel=True)
-def _of_pairs(
-    start: AnyArray, node: AnyArray, value: AnyArray, cell: AnyArray, table: AnyArray, use: AnyArray
-) -> AnyArray:
-    """Sum over pairs of entries of each sparse row of values times correlations; zero where not used."""
-    out = np.zeros(len(start) - 1)
-    for row in prange(len(out)):
-        if not use[row]:
-            continue
-        total = 0.0
-        for a in range(start[row], start[row + 1]):
-            i = node[a]
-            total += value[a] * value[a]
-            for b in range(start[row], a):
-                j = node[b]
-                down, right = abs(cell[i, 1] - cell[j, 1]), abs(cell[i, 0] - cell[j, 0])
-                total += 2.0 * value[a] * value[b] * table[down, right]
-        out[row] = total
-    return out
-
 
 # ---------------------------------------------------------------- epochs
 
 KIND: Final = "files"
 """Of epochs from elsewhere, in ``errors.json``."""
-STATED, COMMON, UNKNOWN = "stated", "stated, common to all", "not stated"
+STATED, UNKNOWN = "stated", "not stated"
 """Groups of errors."""
 _LAS: Final = (".las", ".laz")
 
@@ -224,10 +63,16 @@ class ForeignEpoch(Epoch):
 
     Attributes
     ----------
-    statement : ``heights`` (system, in words), ``notes`` (sentences for the reader), ``sigma_known``.
+    statement : ``heights`` (system, in words), ``notes`` (sentences for the reader), ``sigma_known``,
+        ``is_raster``, ``whole``: nothing was left out by polygons.
     """
 
     statement: Mapping[str, Any]
+
+    @property
+    def is_raster(self) -> bool:
+        """Whether it is a raster of heights, which shows no shift in plan."""
+        return bool(self.statement["is_raster"])
 
     @property
     def heights(self) -> str:
@@ -313,7 +158,7 @@ class ForeignEpoch(Epoch):
             name=facts["name"],
             start_gps_s=facts["start_gps_s"],
             groups=tuple(groups),
-            statement={key: facts[key] for key in ("heights", "notes", "sigma_known")},
+            statement={key: facts[key] for key in ("heights", "notes", "sigma_known", "is_raster", "whole")},
             **arrays,
         )
 
@@ -324,18 +169,82 @@ def read_epoch(folder: Path) -> Epoch:
     return ForeignEpoch.read(folder) if kind == KIND else Epoch.read(folder)
 
 
-def notes_of_pair(before: Epoch, after: Epoch, n: ArrayI) -> list[str]:
-    """What a reader of a comparison has to know: assumptions, unknown sigmas, densities.
+def notes_of_pair(
+    before: Epoch, after: Epoch, n: ArrayI, registration: Mapping[str, Any] | None = None
+) -> list[str]:
+    """What a reader of a comparison has to know: assumptions, motions, unknown sigmas, densities.
 
     Parameters
     ----------
     n : (k, 2) points of both epochs in the cylinders.
+    registration : facts of `thalweg.deformation.Registration`.
     """
+    facts = registration or {}
     notes = [f"{epoch.name}: {note}" for epoch in (before, after) for note in epoch.notes]
+    whole = [
+        each.name for each in (before, after) if isinstance(each, ForeignEpoch) and each.statement["whole"]
+    ]
+    if whole:
+        notes.append(
+            f"Nothing is left out of {' and '.join(whole)} by polygons (leave_out): water, breaking waves, "
+            "plants, cars and holes that a program filled count as ground."
+        )
+    if "would_be" in facts:
+        moved = facts["would_be"]
+        words = ", ".join(f"{axis} {moved[f'{axis}_m']:+.3f} m" for axis in ("east", "north", "up"))
+        notes.append(
+            "No stable ground is drawn (deformation.stable), and nothing is taken off: what most of a "
+            f"surface agrees on may be change. It agrees on {words}; the epochs may differ by it as a whole. "
+            + (
+                "Sigmas and intervals hold what is stated of that (sigma_common_m)."
+                if facts["whole_stated"]
+                else f"Sigmas and intervals hold {facts['sigma_as_a_whole_m'][2]:.3f} m of one error of all "
+                "heights: what is agreed on, the scatter of all differences, and stated sigmas. Draw stable "
+                "ground, or state sigma_common_m of both epochs."
+            )
+        )
     unknown = [epoch.name for epoch in (before, after) if not epoch.sigma_known]
-    if unknown:
+    if unknown and "estimated" in facts and facts["sigma"] == "estimated":
+        found = facts["estimated"]
+        notes.append(
+            f"No sigma is stated of {' and '.join(unknown)}. Stable ground shows {found['sigma_m']:.3f} m of "
+            f"an epoch, alike over {found['correlation_m']:.2g} m, which counts instead."
+        )
+    elif unknown:
         notes.append(f"No sigma is stated of {' and '.join(unknown)}. {ROUGHNESS_ALONE}")
     return notes + density_notes(n)
+
+
+def with_drawn_areas(settings: Deformation, frame: LocalFrame, crs: str) -> Deformation:
+    """Settings whose stable ground is polygons of the local frame, of the file that they name.
+
+    Lines and points are as wide as a quarter of a cell of core points.
+
+    Parameters
+    ----------
+    frame : of all epochs; crs : map grid of the campaign.
+
+    Raises
+    ------
+    InputError : the file cannot be read, lies elsewhere, or has an area with a hole.
+    """
+    if not isinstance(settings.stable, str):
+        return settings
+    drawn = read_vectors(settings.stable).on_map(CRS.from_user_input(crs))
+    half_m = 0.25 * settings.core_spacing_m / np.sqrt(2.0)
+    areas = [each if each.geom_type == "Polygon" else each.buffer(half_m) for each in drawn.table.geometry]
+    if any(area.interiors for area in areas):
+        raise InputError(
+            "stable ground with a hole", expected="polygons without holes", where=settings.stable,
+            cure="Cut the polygon in two through the hole",
+        )  # fmt: skip
+    corners = []
+    for area in areas:
+        plan = np.asarray(area.exterior.coords)[:-1, :2]
+        in_map = np.column_stack([plan, np.full(len(plan), frame.h_ell_m)])
+        local = to_world(in_map, CRS.from_user_input(crs), frame, crs, Path(settings.stable))[0]
+        corners.append([(float(east), float(north)) for east, north in local[:, :2]])
+    return settings.replace(stable=corners)
 
 
 # ---------------------------------------------------------------- from files
@@ -429,6 +338,8 @@ def prepare_foreign_epoch(
             "heights": heights[0],
             "notes": [note for part in parts for note in part.notes],
             "sigma_known": stated.sigma_m is not None or banded is not None,
+            "is_raster": stated.dsm is not None,
+            "whole": not masks and banded is None,
         },
     )
 
@@ -613,7 +524,9 @@ def _errors(
     groups: list[SpatialErrors | ErrorGroup] = [
         SpatialErrors(STATED if known else UNKNOWN, cell, cell_m, root, length)
     ]
-    if common is not None and stated.sigma_m is None:
+    if stated.sigma_common_m is not None:
+        common = np.full(len(xyz_m), stated.sigma_common_m)
+    if common is not None:
         of_all = np.bincount(node, np.nan_to_num(common)) / n
         groups.append(ErrorGroup(COMMON, np.zeros(len(cell)), of_all[:, None, None] * np.diag(axes), np.inf))
     return tuple(groups), node, white

@@ -26,7 +26,6 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.stats import norm
 
 from thalweg.core import (
-    AnyArray,
     ArrayB,
     ArrayF,
     Dsm,
@@ -42,6 +41,7 @@ from thalweg.core import (
     write_table,
 )
 from thalweg.core.values import Vectors, heights_in_words, same_heights, vertical_of
+from thalweg.deformation import torus_spectrum
 from thalweg.settings.sections import DSM_ENDINGS
 
 # ---------------------------------------------------------------- surfaces
@@ -77,19 +77,6 @@ def volume_table(rows: Sequence[tuple[str, int, float, float, float]]) -> pd.Dat
     half = _WIDE * table["sigma_m3"]
     table["low_m3"], table["high_m3"] = table["volume_m3"] - half, table["volume_m3"] + half
     return frame_of(VOLUMES, {name: table[name].to_numpy() for name in names})
-
-
-def torus_spectrum(shape: tuple[int, ...], cell_m: ArrayF, correlation_m: float) -> AnyArray:
-    """Fourier transform of the correlation ``exp(-d / L)`` about a cell of a torus of cells.
-
-    Parameters
-    ----------
-    shape : rows and columns.
-    cell_m : (2,) width and height of a cell.
-    """
-    down, right = (np.minimum(np.arange(n), n - np.arange(n)) for n in shape)
-    distance = np.hypot(down[:, None] * cell_m[1], right * cell_m[0])
-    return rfft2(np.exp(-distance / correlation_m))
 
 
 @dataclass(frozen=True, slots=True)

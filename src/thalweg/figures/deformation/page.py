@@ -139,6 +139,17 @@ class PairFacts:
         return {str(key): float(value) for key, value in rows.iloc[0].drop("what").items()}
 
     @property
+    def heights(self) -> Mapping[str, float]:
+        """Net volume of the difference of heights."""
+        row = self.difference[self.difference["part"] == "net"].iloc[0]
+        return {name: float(row[name]) for name, _, _ in DIFFERENCES}
+
+    @property
+    def sigma_known(self) -> bool:
+        """Whether standard deviations of both epochs are stated, or estimated on drawn ground."""
+        return self.registration.get("sigma") != "unknown"
+
+    @property
     def unseen_m2(self) -> float:
         """Area that one epoch or both did not see."""
         return float(self.area_m2[self.changes["state"].isin(NOT_SEEN)].sum())
@@ -188,30 +199,98 @@ def cubic_metres(row: Mapping[str, float]) -> str:
     return f"{signed(row['volume_m3'], digits)} ± {row['sigma_m3']:.{digits}f} m³"
 
 
+def told(row: Mapping[str, float], *, known: bool) -> str:
+    """What a volume and its interval say; nothing where no sigma is stated or estimated."""
+    if not known:
+        return "no verdict: no sigma_m is stated or estimated"
+    return "not zero, at 95 %" if row["low_m3"] > 0 or row["high_m3"] < 0 else "no different from zero"
+
+
+def contradiction(pair: PairFacts) -> str:
+    """A warning if the volume along normals and that of heights are no volume of one change; else nothing.
+
+    Both have the same shared errors, so that they may differ by less than either errs.
+    """
+    normal, vertical = pair.volume("net"), pair.heights
+    one, two = normal["volume_m3"], vertical["volume_m3"]
+    sigma = np.nanmax([normal["sigma_m3"], vertical["sigma_m3"], 0.0])
+    apart = abs(one - two) > 1.96 * sigma
+    opposite = one * two < 0 and max(abs(one), abs(two)) > sigma
+    if not (apart or opposite):
+        return ""
+    how = "have opposite signs" if one * two < 0 else "contradict each other"
+    return (
+        f"Warning: the net volume along normals is {cubic_metres(normal)}, that of heights "
+        f"{cubic_metres(vertical)}; they {how}. Believe neither before it is known which places one has and "
+        "the other lacks (vegetation_roughness_m, reach_m, water and masks)."
+    )
+
+
+def both_volumes(pair: PairFacts) -> str:
+    """The net volume along normals and by heights, and why they differ."""
+    normal, vertical = pair.volume("net"), pair.heights
+    things = pair.changes["state"].isin(("vegetation", "object"))
+    area = pair.area_m2[things]
+    theirs = float((pair.changes.loc[things, "distance_m"] * area).sum())
+    return (
+        f"Net along normals {cubic_metres(normal)} on {normal['area_m2']:,.0f} m² of surface, by heights "
+        f"{cubic_metres(vertical)} on {vertical['area_m2']:,.0f} m² of the map. They differ by their places: "
+        f"along normals core points count that both epochs saw within reach, without {area.sum():,.0f} m² of "
+        f"plants, things and rough relief, on which {signed(theirs, 1)} m³ were measured; by heights every "
+        "cell of the map in which both have a height."
+    )
+
+
+def taken_off(registration: Mapping[str, Any]) -> tuple[str, str]:
+    """The height that was taken off the second epoch, and on what ground."""
+    if "would_be" in registration:
+        would = 100 * registration["would_be"]["up_m"]
+        return "nothing", f"no stable ground is drawn; most of the surface agrees on {signed(would, 1)} cm"
+    if "parameters" not in registration:
+        return "nothing", "deformation.registration is none"
+    value, sigma = (100 * registration[each]["up_m"] for each in ("parameters", "sigmas"))
+    drawn = registration["areas"] == "drawn"
+    areas = f"drawn ground, {registration['n_areas']} areas" if drawn else registration["areas"]
+    return f"{signed(value, 1)} ± {sigma:.1f} cm", areas
+
+
 def head(pairs: Sequence[PairFacts]) -> tuple[str, list[Finding]]:
-    """The first sentence and the numbers of the last pair, which spans all epochs, each with its verdict."""
+    """The first sentences and the numbers of the last pair, which spans all epochs, each with its verdict."""
     if not pairs:
         return "No pair of epochs.", []
     pair = pairs[-1]
     parts = {what: pair.volume(what) for what in ("erosion", "deposition", "net")}
-    told = {
-        what: "not zero, at 95 %" if row["low_m3"] > 0 or row["high_m3"] < 0 else "no different from zero"
-        for what, row in parts.items()
-    }
+    verdicts = {what: told(row, known=pair.sigma_known) for what, row in parts.items()}
     total = float(pair.area_m2.sum())
     findings = [
-        Finding("volume of erosion", cubic_metres(parts["erosion"]), told["erosion"]),
-        Finding("volume of deposition", cubic_metres(parts["deposition"]), told["deposition"]),
+        Finding("volume of erosion", cubic_metres(parts["erosion"]), verdicts["erosion"]),
+        Finding("volume of deposition", cubic_metres(parts["deposition"]), verdicts["deposition"]),
         Finding(
-            "net volume, with what did not change significantly", cubic_metres(parts["net"]), told["net"]
+            "net volume along normals, with what did not change significantly",
+            cubic_metres(parts["net"]),
+            verdicts["net"],
         ),
+        Finding(
+            "net volume by heights", cubic_metres(pair.heights), told(pair.heights, known=pair.sigma_known)
+        ),
+        Finding("taken off in height as a motion of the second epoch", *taken_off(pair.registration)),
         Finding(
             "change that stands out at half of the core points, 95 %",
             centimetres(float(pair.changes["lod95_m"].median())),
         ),
         Finding("not seen in an epoch, in no volume", f"{pair.unseen_m2:.1f} of {total:.0f} m²"),
     ]
-    return f"{pair.words}: the net volume is {told['net']}.", findings
+    lead = (
+        f"the net volume is {verdicts['net']}." if pair.sigma_known else f"{verdicts['net']} of both epochs."
+    )
+    if "would_be" in pair.registration:
+        value = signed(100 * pair.registration["would_be"]["up_m"], 1)
+        lead += (
+            " No stable ground is drawn, and nothing is taken off: the epochs may lie off each other as a "
+            f"whole; most of the surface agrees on {value} cm."
+        )
+    warnings = [words for each in pairs if (words := contradiction(each))]
+    return " ".join([f"{pair.words}: {lead}", both_volumes(pair), *warnings]), findings
 
 
 def verdict(pair: PairFacts) -> str:
@@ -224,13 +303,21 @@ def verdict(pair: PairFacts) -> str:
     erosion, deposition, net = (pair.volume(what) for what in ("erosion", "deposition", "net"))
     n = int(pair.changes["distance_m"].notna().sum())
     total = float(pair.area_m2.sum())
-    beyond = net["low_m3"] > 0 or net["high_m3"] < 0
+    beyond = told(net, known=True).startswith("not")
+    zero = (
+        f"which is {'different from' if beyond else 'no different from'} zero at 95 % (± is one standard "
+        "deviation)."
+        if pair.sigma_known
+        else "on which there is no verdict, as no standard deviation is stated or estimated."
+    )
     median = float(pair.changes["lod95_m"].median())
     words = [
         f"{pair.words}: {cubic_metres(erosion)} by erosion on {erosion['area_m2']:.1f} m² and "
         f"{cubic_metres(deposition)} by deposition on {deposition['area_m2']:.1f} m² of bare ground that "
-        f"changed significantly; net, with the places that did not, {cubic_metres(net)}, which is "
-        f"{'different from' if beyond else 'no different from'} zero at 95 % (± is one standard deviation).",
+        f"{'changed significantly' if pair.sigma_known else 'stands out from roughness'}; net, with the "
+        f"places that did not, {cubic_metres(net)}, {zero}",
+        both_volumes(pair),
+        contradiction(pair),
         f"At half of the {count(n)} measured core points a change of {centimetres(median)} stands out "
         "from the errors at 95 %.",
         largest_patches(pair.patches),
@@ -238,7 +325,7 @@ def verdict(pair: PairFacts) -> str:
         f"{pair.unseen_m2:.1f} m² ({100 * pair.unseen_m2 / total:.1f} % of {total:.0f} m²) were not seen in "
         "one epoch or both: they are in no volume.",
     ]
-    return " ".join(words)
+    return " ".join(filter(None, words))
 
 
 def largest_patches(patches: pd.DataFrame) -> str:
@@ -258,12 +345,20 @@ def largest_patches(patches: pd.DataFrame) -> str:
 
 def _motion(registration: Mapping[str, Any]) -> str:
     """Whether the epochs moved against each other, and what stable ground cannot tell."""
-    if registration.get("model") == "none" or "parameters" not in registration:
+    if "would_be" in registration:
+        would = registration["would_be"]
+        words = ", ".join(f"{a} {signed(100 * would[f'{a}_m'], 1)} cm" for a in _ENU)
+        return (
+            "Nothing was taken off, as no stable ground is drawn: most of the surface agrees on a motion of "
+            f"the second epoch of {words}, which may be change. The epochs may differ by it."
+        )
+    if "parameters" not in registration:
         return "The epochs were not registered on each other."
     values, sigmas = registration["parameters"], registration["sigmas"]
     shift = ", ".join(
         f"{axis} {signed(100 * values[f'{axis}_m'], 1)} ± {100 * sigmas[f'{axis}_m']:.1f} cm"
-        for axis in ("east", "north", "up")
+        for axis in _ENU
+        if sigmas[f"{axis}_m"] > 0
     )
     words = (
         f"On stable ground the second epoch lies off the first by {shift}: "
@@ -303,9 +398,13 @@ def direction(motion: Sequence[float]) -> str:
 def limits(pairs: Sequence[PairFacts]) -> str:
     """What the page does not hold."""
     drawn = any(pair.registration.get("areas") == "drawn" for pair in pairs)
+    nothing = any("would_be" in pair.registration for pair in pairs)
     stable = (
-        "Stable ground was drawn by hand; whether it was stable, only an area that moved against the others "
-        "would show."
+        "No stable ground was drawn, and epochs without a trajectory are registered on nothing else: they "
+        "may lie off each other as a whole. The intervals hold that as far as it is stated or can be guessed."
+        if nothing
+        else "Stable ground was drawn by hand; whether it was stable, only an area that moved against the "
+        "others would show."
         if drawn
         else "No stable areas were drawn: what most of the bank agrees on is taken as unmoved. A bank that "
         "moved as a whole, or by less than its points scatter, looks stable, and its motion is taken off as "
@@ -467,8 +566,8 @@ def _differences(page: Page, pairs: Sequence[PairFacts]) -> None:
     page.section("Difference of heights").text(
         "Heights of both epochs in cells of the map and their difference (dod_<pair>.tif: difference and "
         "standard deviation). Of clouds it is the mean height about the middle of each cell, registered as "
-        "the distances are; of two surface models the difference of the rasters, not registered. On a steep "
-        "bank the distances along normals say more."
+        "the distances are; of two surface models the difference of the rasters, without the height that was "
+        "taken off. On a steep bank the distances along normals say more."
     )
     table, units = _of_pairs([(pair, pair.difference) for pair in pairs], DIFFERENCES, "part")
     page.table(table, "Volumes of the difference of heights", units, digits=3)
@@ -512,12 +611,17 @@ def _series(page: Page, facts: Mapping[str, Any], rates: pd.DataFrame) -> None:
             if flagged
             else "No epoch jumps and returns over most of the bank."
         )
-        + " All epochs are registered to each other in one adjustment, in which changes close. Were each "
-        "pair registered by itself, the changes from epoch to epoch would miss that from first to last by "
+        + (
+            " Nothing is taken off any epoch, as no stable ground is drawn. Were each pair"
+            if "would_be" in facts["network"]
+            else " All epochs are registered to each other in one adjustment, in which changes close. Were "
+            "each pair"
+        )
+        + " registered by itself, the changes from epoch to epoch would miss that from first to last by "
         f"{100 * closed['rms_m']:.1f} cm (root mean square of n = {count(closed['n'])} core points)."
     )
     network = facts["network"]
-    if network:
+    if "parameters" in network:
         motions = pd.DataFrame(
             {
                 "epoch": np.arange(len(network["parameters"])) + 1,
@@ -571,8 +675,10 @@ def _registration(page: Page, pairs: Sequence[PairFacts]) -> None:
         found = pair.registration
         name = pair.name.replace("-", " to ")
         if "parameters" not in found:
-            page.text(f"{pair.words}: not registered (deformation.registration is none).")
+            page.text(f"{pair.words}: not registered ({taken_off(found)[1]}).")
             continue
+        if "by_area" in found:
+            _by_area(page, pair)
         for key, words in MOTIONS.items():
             turn = key.startswith("turn")
             value, sigma = found["parameters"][key], found["sigmas"][key]
@@ -605,6 +711,19 @@ def _registration(page: Page, pairs: Sequence[PairFacts]) -> None:
     if rows:
         page.table(pd.DataFrame(rows), "Motion of the second epoch against the first", digits=3)
         page.table(pd.DataFrame(tests), "Was a registration needed?", digits=3)
+
+
+def _by_area(page: Page, pair: PairFacts) -> None:
+    """How far each drawn area lies off the motion of all."""
+    found = pair.registration
+    rows = pd.DataFrame(found["by_area"]).assign(off_m=lambda each: 100 * each["off_m"].astype(float))
+    names = {"east_m": "east", "north_m": "north", "off_m": "off the motion of all"}
+    caption = (
+        f"{pair.words}: stable areas that lie apart, and the median of their places after the motion; its "
+        f"standard deviation is by {found['sigma_from']}"
+    )
+    units = {"east": "m", "north": "m", "off the motion of all": "cm"}
+    page.table(rows.rename(columns=names), caption, units, digits=3)
 
 
 def _unseen(page: Page, pairs: Sequence[PairFacts]) -> None:

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from scipy.spatial.distance import pdist
 from scipy.stats import norm
 
-from thalweg.core import ArrayB, ArrayF, ArrayI, read_table
+from thalweg.core import ArrayB, ArrayF, ArrayI, GeometryError, read_table
 from thalweg.deformation import CORE_POINTS, DRAWS, HEIGHTS, SERIES
 from thalweg.figures import (
     BLUE,
@@ -64,12 +64,23 @@ class Stable:
 def read_stable(
     pairs: Sequence[BankPair], registrations: Sequence[Path], weights: Sequence[Path]
 ) -> list[Stable]:
-    """Stable ground of all pairs from what `thalweg.deformation.write_registration` wrote."""
+    """Stable ground of all pairs from what `thalweg.deformation.write_registration` wrote.
+
+    Raises
+    ------
+    GeometryError : no core point of a pair lies on stable ground.
+    """
     found = []
     for pair, facts, arrays in zip(pairs, registrations, weights, strict=True):
         with np.load(arrays) as stored:
             stable = np.asarray(stored["stable"], dtype=bool)
         stable &= ~np.isin(pair.state, NOT_GROUND) & np.isfinite(pair.table["distance_m"].to_numpy())
+        if not stable.any():
+            raise GeometryError(
+                "no core point lies on stable ground",
+                expected="ground that did not move between the epochs",
+                cure="Draw it, and name the file as deformation.stable",
+            )
         drawn = json.loads(facts.read_text()).get("areas") == "drawn"
         found.append(Stable(stable, stable if drawn else stable & (pair.state == "no significant change")))
     return found

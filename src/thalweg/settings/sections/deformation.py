@@ -6,7 +6,7 @@ from typing import Annotated, Final, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from thalweg.settings.sections.accuracy import Area, Corner
-from thalweg.settings.sections.base import Finite, NonNegative, Positive, Section, Vector3, or_file
+from thalweg.settings.sections.base import Finite, NonNegative, Positive, Section, Vector3
 
 
 def _moment(text: str) -> dt.datetime | None:
@@ -72,7 +72,13 @@ class Epoch(Section):
     sigma_m: NonNegative | None = Field(
         default=None,
         description="Of files: standard deviation that neighbouring points share (of clouds: of each "
-        "coordinate; of surface models: of the height), metres; null: unknown, limits hold roughness alone",
+        "coordinate; of surface models: of the height), metres; null: unknown, no verdict without drawn "
+        "stable ground",
+    )
+    sigma_common_m: NonNegative | None = Field(
+        default=None,
+        description="Of files: standard deviation that all heights share (datum, base station, control), "
+        "metres; not needed where stable ground is drawn; null: unknown",
     )
     correlation_m: NonNegative | None = Field(
         default=None,
@@ -187,14 +193,17 @@ class Deformation(Section):
     least_in_cylinder: int = Field(
         default=5, ge=2, le=10_000, description="Points that a mean needs in each epoch"
     )
-    stable: list[Annotated[list[Corner], Field(min_length=3)]] | None = Field(
+    stable: list[Annotated[list[Corner], Field(min_length=3)]] | str | None = Field(
         default=None,
-        description="Polygons east, north of ground that did not move, local frame, metres, or a file of a "
-        "GIS; null: what most of the bank agrees on",
-        json_schema_extra=or_file,
+        description="Ground that did not move: polygons east, north, local frame, metres, or a file of "
+        "polygons, lines and points (FILE?COLUMN=VALUE chooses). Null: of boats what most of the bank agrees "
+        "on; of clouds and surface models nothing is taken off",
+        examples=["roads.gpkg"],
     )
-    registration: Literal["none", "shift", "shift+heading", "rigid"] = Field(
-        default="shift+heading", description="Motion between the epochs that stable ground shows"
+    registration: Literal["none", "height", "shift", "shift+heading", "rigid"] | None = Field(
+        default=None,
+        description="Motion between the epochs that stable ground shows; null: shift+heading, with a surface "
+        "model height. Two surface models show their height alone",
     )
     towards: Vector3 = Field(
         default=(0.0, 0.0, 1.0),
