@@ -103,12 +103,9 @@ def _parts(value: Any, state: str) -> Any:
 # ---------------------------------------------------------------- what must not be seen
 
 
-def faults(figure: Figure) -> list[str]:
-    """Axes and scales of colours without data, words over words, and words of no number."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        figure.draw_without_rendering()
-    found = [f"warning: {each.message}" for each in caught]
+def faults(figure: Figure, *, laid_out: bool = True) -> list[str]:
+    """Axes and scales of colours without data, words of no number and, of a layout, words over words."""
+    found = _words_over_words(figure) if laid_out else []
     scales = {ax for ax in figure.axes if hasattr(ax, "_colorbar")}
     for ax in figure.axes:
         name = ax.get_title(loc="left") or ax.get_title() or ax.get_ylabel() or ax.get_xlabel()
@@ -121,6 +118,14 @@ def faults(figure: Figure) -> list[str]:
             found.append(f"limits of axes: {name!r}")
     words = {text.get_text(): text for text in figure.findobj(lambda a: hasattr(a, "get_text"))}
     found += [f"words: {words_!r}" for words_ in words if re.search(r"\b(nan|inf|NaN|None|NaT)\b", words_)]
+    return found
+
+
+def _words_over_words(figure: Figure) -> list[str]:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        figure.draw_without_rendering()
+    found = [f"warning: {each.message}" for each in caught]
     renderer = figure._get_renderer()
     boxes = [(text, text.get_window_extent(renderer)) for text in _headings(figure)]
     for (a, of_a), (b, of_b) in combinations(boxes, 2):

@@ -376,7 +376,7 @@ def test_what_has_nothing_to_show_is_left_out_with_its_reason(
             continue
         try:
             figure, wrong = warned(lambda make=make: draw(**make()))
-            wrong += faults(figure)
+            wrong += faults(figure, laid_out=not case.endswith(("equal", "empty")))  # like one and nan
         except NoSuchStateError:
             continue
         except ThalwegError as error:

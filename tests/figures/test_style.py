@@ -152,3 +152,19 @@ def test_a_line_of_one_point_is_seen():
         return figure
 
     assert [line.get_marker() for line in one().axes[0].lines] == [".", "None"]
+
+
+def test_the_panel_above_takes_over_the_shared_axis():
+    @style.styled
+    def two() -> Figure:
+        figure = style.new_figure(80.0, "n = 2", twin=False)
+        above, below = figure.subplots(2, 1, sharex=True)
+        above.plot([1.0, 2.0], [2.0, 3.0])
+        below.plot([1.0, 2.0], [np.nan, np.nan])
+        below.set(xlabel="time / s", ylabel="b / m")
+        return figure
+
+    above, below = two().axes
+    assert texts_of(below) == ["Left out: no value of b over time."]
+    assert above.get_xlabel() == "time / s"
+    assert above.xaxis.get_tick_params()["labelbottom"]

@@ -234,6 +234,7 @@ def _leave_out_empty_panels(figure: Figure) -> None:
     for ax in empty:
         own = [text.get_text() for text in ax.texts if re.search(r"\bno\b", text.get_text())]
         leave_out(ax, own[0] if own else f"no value of {_quantity(ax)}")
+        _pass_on_labels(ax, [other for other in panels if other not in empty])
     for line in (line for ax in figure.axes for line in ax.lines):
         if line.get_marker() in (None, "None", "", " ") and _finite_points(line.get_xydata()) == 1:
             line.set_marker(".")  # a line of one point is not seen
@@ -246,6 +247,22 @@ def _leave_out_empty_panels(figure: Figure) -> None:
     for text in words:
         if dashed(text.get_text()) != text.get_text():
             text.set_text(dashed(text.get_text()))
+
+
+def _pass_on_labels(ax: Axes, others: list[Axes]) -> None:
+    """The panel above one that is left out gets the numbers and words of the axis that both share."""
+    place = ax.get_position()
+    above = [
+        other
+        for other in others
+        if other.get_shared_x_axes().joined(other, ax)
+        and np.isclose(other.get_position().x0, place.x0)
+        and other.get_position().y0 > place.y0
+    ]
+    if above:
+        lowest = min(above, key=lambda other: other.get_position().y0)
+        lowest.tick_params(labelbottom=True)
+        lowest.set_xlabel(lowest.get_xlabel() or ax.get_xlabel())
 
 
 def dashed(words: str) -> str:

@@ -44,7 +44,8 @@ def epochs_together(clouds: Sequence[CloudOfEpoch], pair: BankPair, *, title: st
         cKDTree(each.boat_m).query(xyz)[0] if len(each.boat_m) else None
         for each, xyz in zip((first, last), shown, strict=True)
     ]
-    limit = max((float(np.quantile(part, 0.99)) for part in far if part is not None), default=0.0)
+    known = [part for part in far if part is not None]
+    limit = float(np.quantile(np.concatenate(known), 0.99)) if known else 0.0
     for ax, letter, each, xyz, (s, _), distance in zip(
         panels, "ab", (first, last), shown, bank, far, strict=False
     ):
