@@ -45,11 +45,12 @@ from thalweg.figures.deformation.statistics import (
     read_stable,
     variogram,
 )
-from thalweg.figures.deformation.together import draw_epochs_together
+from thalweg.figures.deformation.together import draw_epochs_together, epochs_together
 from thalweg.figures.deformation.views import (
     draw_change_profiles,
     draw_epochs_from_above,
     places_of,
+    read_clouds,
     without_motion,
 )
 
@@ -414,6 +415,19 @@ def test_both_epochs_together_with_point_to_point_distances(bank, look):
     assert np.quantile(distance, 0.5) < 0.08
     assert len(look.artists(figure, "both")[0].get_offsets()) == 80_000
     look.drawn(figure)
+
+
+def test_epochs_that_no_boat_surveyed_show_no_distance_from_it(bank, pair, look):
+    clouds = [
+        replace(each, xyz_m=each.xyz_m[::40], boat_m=np.empty((0, 3)))
+        for each in read_clouds(bank.points, bank.errors)
+    ]
+    figure = epochs_together(clouds, pair, **WORDS)
+    words = look.texts(figure)
+    assert "a) epoch 1, spring, from the side" in words
+    assert not any(each in words for each in ("boat", "river", "Left out"))
+    assert len(look.artists(figure, "cloud a")[0].get_offsets()) == len(clouds[0].xyz_m)
+    assert [ax.get_ylabel() for ax in figure.axes if ax.get_label() == "<colorbar>"] == ["distance / m"]
 
 
 def test_profiles_go_through_the_largest_and_the_lowest_change(bank, pair):

@@ -127,7 +127,7 @@ def test_a_station_without_points_says_so(made, boat, tmp_path):
     slabs = slabs_of(made, OPTIONS | {"stations_m": [0.0, 500.0]})
     figure = cross_sections(slabs, made.mesh, boat, water_line_ics_m=0.2)
     texts = [text.get_text() for text in figure.axes[2].texts]
-    assert texts == ["no point of the cloud"]
+    assert texts == ["Left out: no point of the cloud."]
     for name in ("a.png", "b.png"):
         save(cross_sections(slabs, made.mesh, boat), tmp_path / name, dpi=50)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()

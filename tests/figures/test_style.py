@@ -2,9 +2,11 @@
 
 import matplotlib as mpl
 import numpy as np
+import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 
-from thalweg.core import InputError
+from thalweg.core import CoverageError, InputError
 from thalweg.figures import style
 from thalweg.figures.survey.maps import survey_map
 
@@ -69,6 +71,8 @@ def test_robust_limits():
     assert style.robust_limits(np.arange(101.0), 10, 90) == (10.0, 90.0)
     assert style.robust_limits([]) == (0.0, 1.0)
     assert style.robust_limits([np.nan, 5.0, 5.0]) == (2.5, 7.5)
+    assert style.robust_limits([0.02, 0.02]) == (0.01, 0.03)  # a sigma stays positive
+    assert style.robust_limits([0.0]) == (-0.5, 0.5)
 
 
 @pytest.mark.parametrize(("metres", "text"), [(0.2, "0.2 m"), (50.0, "50 m"), (2000.0, "2 km")])
@@ -87,3 +91,80 @@ def test_legend_below_fits_the_page():
     box = figure.legends[0].get_window_extent()
     assert box.x1 <= figure.bbox.x1
     assert len(figure.legends[0].get_texts()) == 7
+
+
+@style.styled
+def two_panels(table: pd.DataFrame, words: str = "") -> Figure:
+    figure = style.new_figure(80.0, f"mean {table['b'].mean():+.1f} cm", twin=False)
+    for ax, name in zip(figure.subplots(1, 2), "ab", strict=True):
+        drawn = ax.scatter(table["x"], table[name], c=table[name])
+        figure.colorbar(drawn, ax=ax)
+        ax.set(xlabel="time / s", ylabel=f"{name} / m", title=f"panel {name}")
+        ax.axhline(0.0)
+        ax.text(0.5, 0.5, words, transform=ax.transAxes)
+    return figure
+
+
+def texts_of(ax):
+    return [" ".join(text.get_text().split()) for text in ax.texts]
+
+
+TABLE = pd.DataFrame({"x": [1.0, 2.0], "a": [3.0, 4.0], "b": [np.nan, np.nan]})
+
+
+def test_a_panel_without_a_value_gives_way_to_its_reason():
+    figure = two_panels(TABLE)
+    full, empty, scale = figure.axes  # the scale of colours of the other panel is gone
+    assert scale.get_label() == "<colorbar>"
+    assert len(full.collections) == 1
+    assert full.axison
+    assert texts_of(empty) == ["Left out: no value of b over time."]
+    assert not empty.axison
+    assert not empty.collections
+    assert empty.get_title(loc="left") == "panel b"
+    assert figure.get_suptitle() == "mean – cm"
+    own = two_panels(TABLE, "no echo came back").axes[1]
+    assert texts_of(own) == ["Left out: no echo came back."]
+
+
+def test_a_figure_without_a_value_says_what_is_missing(tmp_path):
+    with pytest.raises(CoverageError, match="no value of a over time, b over time"):
+        two_panels(TABLE.assign(a=np.nan))
+    with pytest.raises(CoverageError, match="no number in a, b of all 2 rows of 'table'"):
+        style.drawn(lambda table: int(table["a"].mean()), TABLE.assign(a=np.nan))
+    TABLE.iloc[:0].to_parquet(tmp_path / "t.parquet")
+    with pytest.raises(CoverageError, match=r"'t\.parquet' is empty"):
+        style.drawn(lambda path: pd.read_parquet(path)["a"].iloc[0], tmp_path / "t.parquet")
+
+
+def test_a_mistake_of_the_program_stays_one():
+    with pytest.raises(IndexError):
+        style.drawn(lambda table: table["a"].iloc[7], TABLE[["x", "a"]])
+
+
+def test_a_line_of_one_point_is_seen():
+    @style.styled
+    def one() -> Figure:
+        figure = style.new_figure(80.0, "n = 1", twin=False)
+        ax = figure.subplots()
+        ax.plot([1.0, np.nan], [2.0, 3.0])
+        ax.plot([1.0, 2.0], [2.0, 3.0])
+        return figure
+
+    assert [line.get_marker() for line in one().axes[0].lines] == [".", "None"]
+
+
+def test_the_panel_above_takes_over_the_shared_axis():
+    @style.styled
+    def two() -> Figure:
+        figure = style.new_figure(80.0, "n = 2", twin=False)
+        above, below = figure.subplots(2, 1, sharex=True)
+        above.plot([1.0, 2.0], [2.0, 3.0])
+        below.plot([1.0, 2.0], [np.nan, np.nan])
+        below.set(xlabel="time / s", ylabel="b / m")
+        return figure
+
+    above, below = two().axes
+    assert texts_of(below) == ["Left out: no value of b over time."]
+    assert above.get_xlabel() == "time / s"
+    assert above.xaxis.get_tick_params()["labelbottom"]

@@ -136,7 +136,6 @@ def test_a_file_of_a_gis_in_place_of_corners(write, tmp_path):
         {
             "accuracy.area": {"polygon": "area.geojson"},
             "deformation.area": {"polygon": "areas.gpkg?name=bank", "frame": "map"},
-            "deformation.stable": "areas.gpkg",
             "fusion.fit": {"stable": "areas.gpkg?name=meadow"},
             "bathymetry.islands": "area.geojson",
             "fusion.weir": "weir.shp",
@@ -150,8 +149,6 @@ def test_a_file_of_a_gis_in_place_of_corners(write, tmp_path):
 
     same(campaign.accuracy.area.polygon, corners)
     same(campaign.deformation.area.polygon, on_map)
-    assert [len(each) for each in campaign.deformation.stable] == [4, 4]
-    same(campaign.deformation.stable[0], corners)
     assert len(campaign.fusion.fit.stable) == 1
     same(campaign.bathymetry.islands[0], corners)
     np.testing.assert_allclose(campaign.fusion.weir, corners[1], atol=1e-3)

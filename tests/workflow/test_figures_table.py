@@ -200,6 +200,15 @@ def rows(repository: Path) -> list[Figure]:
     return found
 
 
+def test_captions_of_files_speak_of_no_boat_and_no_river(rows: list[Figure]) -> None:
+    """A campaign of surface models: nobody sailed, and what is compared may be a beach."""
+    table = Figures(rows)
+    ours, theirs = table.captions("deformation"), table.captions("deformation", of_files=True)
+    assert list(ours) == list(theirs)
+    assert any("boat" in words for words in ours.values())
+    assert [name for name, words in theirs.items() if re.search(r"\b(boat|river)", words)] == []
+
+
 def test_every_row_gives_what_its_function_takes(rows: list[Figure]) -> None:
     assert len(rows) > 50
     for row in rows:

@@ -183,7 +183,12 @@ PAGES = {
             "polygons": of(CampaignFiles.change_truth, "truth_polygons_{}.csv"),
             "pictures": of_page("deformation"),
         },
-        "params": {"captions": FIGURES.captions("deformation")},
+        "params": {
+            "captions": lambda wildcards: FIGURES.captions(
+                "deformation",
+                of_files=not FILES[wildcards.campaign].epochs_with_trajectory(True),
+            )
+        },
     },
 }
 

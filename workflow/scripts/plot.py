@@ -5,7 +5,7 @@ from importlib import import_module
 from pathlib import Path
 
 from thalweg.core import ThalwegError
-from thalweg.figures import empty_figure, save
+from thalweg.figures import drawn, empty_figure, save
 from thalweg.workflow import job_arguments, run_job
 
 
@@ -18,7 +18,7 @@ def main(*, figure_png: Path, draw: str, shows: str, dpi: int) -> None:
     function = getattr(import_module(module), name)
     arguments = job_arguments(function, snakemake)
     try:
-        figure, reason = function(**arguments), None
+        figure, reason = drawn(function, **arguments), None
     except ThalwegError as error:
         logging.getLogger("thalweg").warning("nothing to show: %s", error)
         reason = " ".join(str(error).split())

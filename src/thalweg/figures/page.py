@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
+from html import escape as escaped
 from pathlib import Path
 from typing import Any, Final, Self
 from urllib.parse import quote
@@ -15,7 +15,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from thalweg.core import InputError
-from thalweg.figures.style import save
+from thalweg.figures.style import dashed, save
 
 PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 
@@ -170,7 +170,7 @@ class Page:
     def table(
         self, frame: pd.DataFrame, caption: str, units: Mapping[str, str] | None = None, *, digits: int = 6
     ) -> Self:
-        """Add a table.
+        """Add a table; one without a row is a sentence.
 
         Parameters
         ----------
@@ -186,6 +186,8 @@ class Page:
         unknown = [name for name in units or {} if name not in frame.columns]
         if unknown:
             raise InputError(f"units for columns {unknown}", expected=f"columns {list(frame.columns)}")
+        if frame.empty:
+            return self.text(f"{caption.rstrip('.')}: none.")
         numeric = {name: pd.api.types.is_numeric_dtype(frame[name]) for name in frame.columns}
         head = "".join(
             f"<th{_class(numeric[name])}>{escape(str(name))}{_unit((units or {}).get(str(name), ''))}</th>"
@@ -230,6 +232,11 @@ class Page:
         """Write the page; the same content gives the same bytes."""
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(self.html(), encoding="utf-8")
+
+
+def escape(words: str) -> str:
+    """Words as HTML; a number that is none stands as a dash."""
+    return escaped(dashed(words))
 
 
 def _png(picture: Figure | Path, dpi: int) -> bytes:

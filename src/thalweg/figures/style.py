@@ -1,24 +1,31 @@
 """Look of all figures: style, size, colours, the mark of the digital twin, and how a figure is saved."""
 
+import dataclasses
 import re
 import textwrap
-from collections.abc import Callable, Iterable
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache, wraps
+from inspect import signature
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Final, ParamSpec
 
 import matplotlib as mpl
 import numpy as np
+import pandas as pd
 from cmcrameri import cm
 from matplotlib.axes import Axes
+from matplotlib.collections import QuadMesh
 from matplotlib.colors import Colormap, ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.patches import StepPatch
 from matplotlib.patheffects import withStroke
+from matplotlib.text import Text
 from numpy.typing import ArrayLike
 from PIL import Image, UnidentifiedImageError
 
-from thalweg.core import ArrayF, ArrayU8, InputError
+from thalweg.core import ArrayF, ArrayU8, CoverageError, InputError, read_parquet
 
 
 def read_picture(path: Path) -> ArrayU8:
@@ -111,15 +118,216 @@ def _parameters() -> Any:
 
 
 def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
-    """Decorator: draw a figure in the style of the project."""
+    """Decorator: draw a figure in the style of the project, and leave out what has nothing to show.
+
+    A panel without a value gives way to a sentence, a statistic of no value to a dash. Where nothing is left,
+    or the function fails on an input that holds no value, `CoverageError` is raised with the reason.
+    """
 
     @wraps(draw)
     def inner(*args: P.args, **kwargs: P.kwargs) -> Figure:
         """Draw under the house's style, whatever the user's own is."""
-        with mpl.rc_context(_parameters()):
-            return draw(*args, **kwargs)
+        with (
+            mpl.rc_context(_parameters()),
+            np.errstate(divide="ignore", invalid="ignore"),
+            warnings.catch_warnings(),
+        ):
+            warnings.filterwarnings("ignore", _OF_NOTHING)
+            figure = drawn(draw, *args, **kwargs)
+            _leave_out_empty_panels(figure)
+            return figure
 
     return inner
+
+
+def drawn(draw: Callable[P, Figure], /, *args: P.args, **kwargs: P.kwargs) -> Figure:
+    """What a function draws of its inputs; where it fails on one that holds no value, that is the reason.
+
+    Raises
+    ------
+    CoverageError : an input holds no value: a table, array or file with its columns.
+    """
+    try:
+        return draw(*args, **kwargs)
+    except (ArithmeticError, LookupError, ValueError, StopIteration) as error:
+        inputs = signature(draw).bind(*args, **kwargs).arguments
+        lacking = [words for name, value in inputs.items() for words in _lacking(name, value)]
+        if not lacking:
+            raise
+        raise CoverageError(
+            f"nothing to draw: {', '.join(lacking[:_MOST_REASONS])} ({error or type(error).__name__})",
+            cure="See what the step that makes it counts as left out",
+        ) from error
+
+
+_OF_NOTHING: Final = (
+    "Mean of empty slice|Degrees of freedom <= 0|All-NaN (slice|axis)|invalid value|divide by zero|"
+    "No artists with labels found"
+)
+"""Warnings of statistics and legends of no value, which the figure itself says."""
+
+_TABLES: Final[dict[str, Callable[[Path], pd.DataFrame]]] = {".parquet": read_parquet, ".csv": pd.read_csv}
+
+_MOST_REASONS: Final = 4
+"""Inputs without a value that an error names."""
+
+
+def _lacking(name: str, value: Any) -> Iterator[str]:
+    """What of an input of a figure holds no value, in words."""
+    if isinstance(value, Path) and value.suffix in _TABLES and value.is_file():
+        name, value = value.name, _TABLES[value.suffix](value)
+    if isinstance(value, pd.DataFrame) and not value.empty:
+        numbers = value.select_dtypes("number")
+        empty = [str(column) for column in numbers if not np.isfinite(numbers[column].to_numpy(float)).any()]
+        if empty:
+            yield f"no number in {', '.join(empty[:_MOST_REASONS])} of all {len(value)} rows of '{name}'"
+    elif isinstance(value, pd.DataFrame | np.ndarray | list | tuple | Mapping) and len(value) == 0:
+        yield f"'{name}' is empty"
+    elif isinstance(value, np.ndarray) and value.dtype.kind == "f" and not np.isfinite(value).any():
+        yield f"no number in '{name}'"
+    elif isinstance(value, list | tuple | Mapping):
+        for each in value.values() if isinstance(value, Mapping) else value:
+            yield from _lacking(name, each)
+    elif dataclasses.is_dataclass(value):
+        parts = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+        for part, inner in parts.items():
+            if not isinstance(inner, list | tuple | Mapping):  # notes, say, may be none
+                yield from _lacking(f"{part} of {name}", inner)
+
+
+def leave_out(ax: Axes, reason: str) -> None:
+    """Put a sentence in the place of a panel; its title stays.
+
+    Parameters
+    ----------
+    ax : the panel.
+    reason : why nothing can be drawn, as ``no point has a sigma``.
+    """
+    for artist in (*ax.lines, *ax.collections, *ax.patches, *ax.images, *ax.texts):
+        scale = getattr(artist, "colorbar", None)
+        if scale is not None:
+            scale.remove()
+        artist.remove()
+    legend = ax.get_legend()
+    if legend is not None:
+        legend.remove()
+    ax.set_axis_off()
+    ax.set_aspect("auto")
+    lines = textwrap.wrap(f"Left out: {reason}.", max(int(_LETTERS_ACROSS * ax.get_position().width), 16))
+    ax.text(0.0, 0.5, "\n".join(lines), transform=ax.transAxes, va="center", fontsize=8, gid="left-out")
+
+
+def _leave_out_empty_panels(figure: Figure) -> None:
+    """Sentences for panels without a value, dashes for numbers that are none.
+
+    Raises
+    ------
+    CoverageError : no panel has a value.
+    """
+    panels = [ax for ax in figure.axes if ax.get_visible() and ax.axison and ax.get_label() != "<colorbar>"]
+    places = [ax.get_position().bounds for ax in panels]
+    full = {place for ax, place in zip(panels, places, strict=True) if _shows_a_value(ax)}
+    empty = [ax for ax, place in zip(panels, places, strict=True) if place not in full]
+    if empty and not full:
+        names = dict.fromkeys(filter(None, (_quantity(ax) for ax in empty)))
+        raise CoverageError(f"nothing to draw: no value of {', '.join(names)}")
+    for ax in empty:
+        own = [text.get_text() for text in ax.texts if re.search(r"\bno\b", text.get_text())]
+        leave_out(ax, own[0] if own else f"no value of {_quantity(ax)}")
+        _pass_on_labels(ax, [other for other in panels if other not in empty])
+    for line in (line for ax in figure.axes for line in ax.lines):
+        if line.get_marker() in (None, "None", "", " ") and _finite_points(line.get_xydata()) == 1:
+            line.set_marker(".")  # a line of one point is not seen
+    words = [each for each in figure.get_children() if isinstance(each, Text)]
+    for ax in figure.axes:
+        words += [each for each in ax.get_children() if isinstance(each, Text)]
+        words += [ax.xaxis.label, ax.yaxis.label]
+    for legend in filter(None, (*figure.legends, *(ax.get_legend() for ax in figure.axes))):
+        words += legend.get_texts()
+    for text in words:
+        if dashed(text.get_text()) != text.get_text():
+            text.set_text(dashed(text.get_text()))
+
+
+def _pass_on_labels(ax: Axes, others: list[Axes]) -> None:
+    """The panel above one that is left out gets the numbers and words of the axis that both share."""
+    place = ax.get_position()
+    above = [
+        other
+        for other in others
+        if other.get_shared_x_axes().joined(other, ax)
+        and np.isclose(other.get_position().x0, place.x0)
+        and other.get_position().y0 > place.y0
+    ]
+    if above:
+        lowest = min(above, key=lambda other: other.get_position().y0)
+        lowest.tick_params(labelbottom=True)
+        lowest.set_xlabel(lowest.get_xlabel() or ax.get_xlabel())
+
+
+def dashed(words: str) -> str:
+    """Words with a dash for each number that is none.
+
+    Examples
+    --------
+    >>> dashed("mean +nan cm of banana")
+    'mean – cm of banana'
+    """
+    return _NO_NUMBER.sub("–", words)
+
+
+def _quantity(ax: Axes) -> str:
+    """What a panel shows, by the words of its axes."""
+    labels = [
+        re.split(r" / | \[", " ".join(label.split()))[0] for label in (ax.get_ylabel(), ax.get_xlabel())
+    ]
+    return " over ".join(filter(None, labels)) or ax.get_title(loc="left")
+
+
+def _shows_a_value(ax: Axes) -> bool:
+    """True if a panel holds anything finite; lines and bands across all of it are none."""
+    # by identity: transforms of equal matrices are equal
+    across = {id(each) for each in (ax.transAxes, ax.get_xaxis_transform(), ax.get_yaxis_transform())}
+    if ax.images or ax.tables or not ax.has_data():
+        return bool(ax.images or ax.tables) and all(_any_finite(image.get_array()) for image in ax.images)
+    return (
+        any(
+            id(line.get_transform()) not in across and _finite_points(line.get_xydata()) > 0
+            for line in ax.lines
+        )
+        or any(
+            id(patch.get_data_transform()) not in across
+            and (
+                np.any(patch.get_data()[0])
+                if isinstance(patch, StepPatch)
+                else _finite_points(patch.get_extents().get_points()) > 0
+            )
+            for patch in ax.patches
+        )
+        or any(map(_collection_shows_a_value, ax.collections))
+    )
+
+
+def _collection_shows_a_value(collection: Any) -> bool:
+    values, offsets = collection.get_array(), collection.get_offsets()
+    if values is not None and not _any_finite(values):
+        return False
+    if np.any(offsets) or not len(offsets) or isinstance(collection, QuadMesh):
+        return isinstance(collection, QuadMesh) or _finite_points(np.ma.filled(offsets, np.nan)) > 0
+    return any(_finite_points(path.vertices) for path in collection.get_paths())
+
+
+def _finite_points(xy: ArrayLike) -> int:
+    return int(np.isfinite(np.asarray(xy, np.float64)).all(axis=1).sum())
+
+
+def _any_finite(values: ArrayLike | None) -> bool:
+    return bool(np.isfinite(np.ma.filled(np.ma.asarray(values, np.float64), np.nan)).any())
+
+
+_NO_NUMBER: Final = re.compile(r"[+−-]?\b(?:nan|inf)\b")
+_LETTERS_ACROSS: Final = 100
+"""Letters of a sentence in the place of a panel that is as wide as the page."""
 
 
 def new_figure(height_mm: float, title: str, *, twin: bool) -> Figure:
@@ -210,15 +418,15 @@ def note_of(path: Path) -> str | None:
         return picture.info.get("Comment")
 
 
-def count(n: int) -> str:
-    """A number of things with thousands apart: ``12 345``.
+def count(n: float) -> str:
+    """A number of things with thousands apart: ``12 345``; nan: a dash.
 
     Examples
     --------
     >>> count(1234567).split()
     ['1', '234', '567']
     """
-    return f"{n:,}".replace(",", "\N{NO-BREAK SPACE}")
+    return "–" if np.isnan(n) else f"{int(n):,}".replace(",", "\N{NO-BREAK SPACE}")
 
 
 def robust_limits(values: ArrayLike, low: float = 1.0, high: float = 99.0) -> tuple[float, float]:
@@ -230,7 +438,7 @@ def robust_limits(values: ArrayLike, low: float = 1.0, high: float = 99.0) -> tu
     a, b = (float(x) for x in np.percentile(v, [low, high]))
     if b - a > 1e-9 * max(abs(a), abs(b), 1e-6):
         return a, b
-    half = 0.5 * max(abs(a), 1.0)
+    half = 0.5 * abs(a) or 0.5
     return a - half, b + half
 
 
@@ -386,4 +594,4 @@ def marks_in_free_corners(ax: Axes, points_en_m: ArrayF) -> None:
 
 def plan_height_mm(span_x_m: float, span_y_m: float) -> float:
     """Height of a figure whose one panel shows an area of the given size at equal scales."""
-    return 0.80 * WIDTH_MM * span_y_m / span_x_m + 28.0
+    return 0.80 * WIDTH_MM * span_y_m / max(span_x_m, 1e-9) + 28.0

@@ -44,6 +44,7 @@ class Figure(BaseModel):
     memory_mb: Annotated[list[float], BeforeValidator(_listed), Field(min_length=1, max_length=2)] = [2000]
     file: str | None = None
     caption: str
+    caption_of_files: str | None = None
 
     @property
     def rule(self) -> str:
@@ -138,9 +139,13 @@ class Figures:
             if all(_ask(condition, campaign, *scan) for condition in row.when)
         ]
 
-    def captions(self, *pages: str) -> dict[str, str]:
-        """Captions of the pictures of pages by name."""
-        return {row.name: row.caption for row in self.rows if row.page in pages}
+    def captions(self, *pages: str, of_files: bool = False) -> dict[str, str]:
+        """Captions of the pictures of pages by name; ``of_files``: no boat surveyed what they show."""
+        return {
+            row.name: (row.caption_of_files if of_files else None) or row.caption
+            for row in self.rows
+            if row.page in pages
+        }
 
 
 def read_figures(path: Path, *, source: Path = SOURCE) -> Figures:

@@ -461,7 +461,7 @@ def pivot(
         for quantity, heading, _, factor in columns:
             if quantity in known:
                 value = known[quantity] * factor
-                row[heading] = int(value) if quantity == "n" else float(value)
+                row[heading] = int(value) if quantity == "n" and np.isfinite(value) else float(value)
         rows.append(row)
     out = short(pd.DataFrame(rows))
     units = {heading: unit for _, heading, unit, _ in columns if unit != "1" and heading in out.columns}

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
+from thalweg.core import CoverageError
 from thalweg.figures import (
     BLUE,
     GREEN,
@@ -120,11 +121,10 @@ def draw_terrain_model(*, dtm: Path, title: str, twin: bool) -> Figure:
 def draw_long_profile(*, profile: Path, title: str, twin: bool) -> Figure:
     """Thalweg with its band of 95 %, mean bed and water along the river."""
     table = pd.read_csv(profile)
+    if table.empty:
+        raise CoverageError("no section has heights from bank to bank", expected="soundings on both sides")
     figure = new_figure(90.0, f"Long profile: {title}, n = {count(len(table))} sections", twin=twin)
     ax = figure.subplots()
-    if table.empty:
-        ax.text(0.5, 0.5, "no section has heights from bank to bank", ha="center", transform=ax.transAxes)
-        return figure
     s, z = table["s_m"].to_numpy(), table["thalweg_m"].to_numpy()
     band = WIDE * table["sigma_thalweg_m"].to_numpy()
     ax.fill_between(s, z - band, z + band, color=SKY, alpha=0.5, lw=0, label="95 % of the thalweg")

@@ -30,6 +30,7 @@ from thalweg.figures import (
     SKY,
     VERMILION,
     count,
+    leave_out,
     new_figure,
     north_arrow,
     plural,
@@ -698,7 +699,7 @@ def _reference(figure: Figure, ax: Axes, points: pd.DataFrame, bodies: dict[str,
     )
     name_cones(ax, list(bodies.values()), REFERENCE_VIEW)
     _frame(ax, np.concatenate([xy, _outline(bodies)]))
-    ax.set_title(f"a: reference points, median 3D sigma {np.median(sigma_mm):.2f} mm")
+    ax.set_title(f"a: reference points,\nmedian 3D sigma {np.median(sigma_mm):.2f} mm")
     figure.colorbar(
         ScalarMappable(Normalize(*limits), SIGMA_MAP), ax=ax, label="3D sigma / mm", shrink=0.7, pad=0.02
     )
@@ -773,6 +774,9 @@ def _lidar(ax: Axes, points: pd.DataFrame, bodies: dict[str, FieldCone]) -> None
             zorder=4,
         )
         reach.append(_outline_of(ax, cone, view, at))
+    if not reach:
+        leave_out(ax, "no lidar point on a cone that is known")
+        return
     _frame(ax, np.concatenate(reach))
     part = f", {count(len(shown))} of {count(len(points))} shown" if len(shown) < len(points) else ""
     ax.set_title(f"c: lidar points on {plural(points['cone'].nunique(), 'cone')}{part}")
@@ -801,6 +805,9 @@ def _residuals(figure: Figure, ax: Axes, points: pd.DataFrame, bodies: dict[str,
             rasterized=True,
         )
         reach.append(_outline_of(ax, cone, view, at))
+    if not reach:
+        leave_out(ax, "no lidar point on a cone that is known")
+        return
     _frame(ax, np.concatenate(reach))
     ax.set_title(f"d: residuals, mean {residual_mm.mean():+.1f} mm, std {residual_mm.std():.1f} mm")
     figure.colorbar(

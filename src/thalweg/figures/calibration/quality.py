@@ -156,6 +156,8 @@ def calibration_design(
             part = table[(table["unit"] == unit) & (table["quantity"] == name)]
             _panel(axes[i, k], part, positions, unit)
             axes[i, k].set_title(_title(name, unit))
+        for ax in axes[i, len(quantities[unit]) :]:
+            ax.set_axis_off()
         axes[i, 0].set_ylabel("sigma of rotation / °" if unit == "deg" else "sigma of lever arm / mm")
     for ax in axes[-1]:
         ax.set_xlabel("cones / 1")

@@ -139,7 +139,7 @@ def _frame(figure: Figure, ax: Axes, points: pd.DataFrame, on_cone: np.ndarray, 
         zorder=3,
     )
     low, high = xy[on_cone].min(axis=0), xy[on_cone].max(axis=0)
-    pad = 0.06 * float((high - low).max())
+    pad = max(0.06 * float((high - low).max()), 0.01)
     ax.set_aspect("equal", adjustable="box")
     ax.set_xlim(low[0] - pad, high[0] + pad)
     ax.set_ylim(low[1] - 1.5 * pad, high[1] + pad)

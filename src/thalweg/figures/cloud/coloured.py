@@ -7,7 +7,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from thalweg.core import ArrayF, CoverageError, Trajectory
-from thalweg.figures import BLUE, GREY, WIDTH_MM, count, new_figure, styled
+from thalweg.figures import BLUE, GREY, WIDTH_MM, count, leave_out, new_figure, robust_limits, styled
 from thalweg.lidar import sample_cloud
 
 
@@ -71,7 +71,7 @@ def coloured_bank(
     side = 1.0 if np.sum(across[has] > 0) >= np.sum(across[has] < 0) else -1.0
     mine = np.flatnonzero(across * side > 0)
     mine = mine[np.argsort(-np.abs(across[mine]), kind="stable")]
-    low, high = np.quantile(along[mine][has[mine]], [0.01, 0.99])
+    low, high = robust_limits(along[mine][has[mine]])
     top = np.quantile(xyz_m[mine, 2][has[mine]], 0.999) + 0.5
     bottom = np.quantile(xyz_m[mine, 2][has[mine]], 0.001) - 0.3
     each_mm = float(np.clip(0.8 * WIDTH_MM * (top - bottom) / (high - low), 25.0, 80.0))
@@ -123,7 +123,10 @@ def colour_check(check: pd.DataFrame, curves: pd.DataFrame, *, title: str, twin:
         "clock_s": "photographs later by / s",
         **{f"turn_{a}_deg": f"camera turned about its {a} axis by / degrees" for a in "xyz"},
     }
-    for ax, row in zip(figure.subplots(2, 2, sharey=True).flat, check.to_dict("records"), strict=True):
+    panels = figure.subplots(2, 2, sharey=True).ravel()
+    for ax in panels[len(check) :]:
+        leave_out(ax, "not tested")
+    for ax, row in zip(panels, check.to_dict("records"), strict=False):
         curve = curves[curves["quantity"] == row["quantity"]]
         ax.axvline(0.0, color=GREY, linewidth=0.8)
         ax.plot(curve["shift"], 1e3 * curve["dependence"], ".-", color=BLUE, markersize=4)

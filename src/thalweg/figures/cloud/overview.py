@@ -48,6 +48,8 @@ TICK_APART: Final = 0.055
 """Least distance of two ticks of a bent colour scale, as a share of its length."""
 STRIP: Final = 0.09
 """Free strip below the picture of a reach, for scale bar and axes, as a share of the width."""
+_LEAST_MM: Final = 34.0
+"""Least height of a panel: its label has some words."""
 STRAYS: Final = 30
 """Most points above the upper edge of a detail that are taken for strays."""
 
@@ -246,7 +248,7 @@ def cloud_detail(
     if rgb is not None:
         looks.insert(0, (pack_rgb(rgb[inside]), None))
     head = f"{title}, n = {count(len(points))} points"
-    each_mm = 0.80 * WIDTH_MM * view.height_px / view.width_px
+    each_mm = max(0.80 * WIDTH_MM * view.height_px / view.width_px, _LEAST_MM)
     figure = new_figure(len(looks) * each_mm + 26.0, head, twin=twin)
     axes = figure.subplots(len(looks), 1, sharex=True, squeeze=False)[:, 0]
     bottom = high - view.height_px * pixel

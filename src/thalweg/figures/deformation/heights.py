@@ -17,8 +17,9 @@ from thalweg.figures.deformation.maps import SCALE_SHARE, signed
 
 _LEGEND_MM: Final = 36.0
 """Beside the panels: labels of the axis and the scale of colours."""
+_LEAST_MM: Final = 34.0
 _TALLEST_MM: Final = 160.0
-"""Height of a panel."""
+"""Heights of a panel; one of a single row of cells holds the words of its axes."""
 
 
 @styled
@@ -34,7 +35,7 @@ def height_difference(pairs: Sequence[tuple[str, SurfaceDifference]], *, title: 
     shape = rows * raster.cell_m[1] / (columns * raster.cell_m[0])
     side_by_side = shape > 0.8
     across, down = (2, len(pairs)) if side_by_side else (1, 2 * len(pairs))
-    panel_mm = min(shape * (WIDTH_MM - _LEGEND_MM) / across, _TALLEST_MM)
+    panel_mm = float(np.clip(shape * (WIDTH_MM - _LEGEND_MM) / across, _LEAST_MM, _TALLEST_MM))
     beside_mm = 34.0 if side_by_side else 16.0  # scales of colours lie below panels that stand side by side
     figure = new_figure(
         down * (panel_mm + beside_mm) + 14.0, f"{title}, n = {count(len(known))} cells", twin=twin

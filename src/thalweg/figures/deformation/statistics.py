@@ -374,8 +374,9 @@ def volume_along(tables: Sequence[tuple[str, pd.DataFrame]], *, title: str, twin
         volumes.set_ylabel("volume / m³")
         low, high = volumes.get_ylim()
         volumes.set_ylim(low, high + 0.18 * (high - low))
+        length_m = float((table["s_to_m"] - table["s_from_m"]).iloc[0])
         volumes.set_title(
-            f"epochs {name.replace('-', ' to ')}, {len(rows)} stretches of {width[0]:g} m, bars: 95 %"
+            f"epochs {name.replace('-', ' to ')}, {len(rows)} stretches of {length_m:g} m, bars: 95 %"
         )
         volumes.legend(loc="upper center", ncols=3)
         volumes.tick_params(labelbottom=False)

@@ -40,18 +40,24 @@ def epochs_together(clouds: Sequence[CloudOfEpoch], pair: BankPair, *, title: st
     n = count(len(first.xyz_m) + len(last.xyz_m))
     figure = new_figure(118.0 * float(heights.sum()) + 92.0, f"{title}, n = {n} points", twin=twin)
     panels = figure.subplots(4, 1, height_ratios=heights.tolist(), sharex=True)
-    far = [cKDTree(each.boat_m).query(xyz)[0] for each, xyz in zip((first, last), shown, strict=True)]
-    limit = float(np.quantile(np.concatenate(far), 0.99))
+    far = [
+        cKDTree(each.boat_m).query(xyz)[0] if len(each.boat_m) else None
+        for each, xyz in zip((first, last), shown, strict=True)
+    ]
+    known = [part for part in far if part is not None]
+    limit = float(np.quantile(np.concatenate(known), 0.99)) if known else 0.0
     for ax, letter, each, xyz, (s, _), distance in zip(
         panels, "ab", (first, last), shown, bank, far, strict=False
     ):
         drawn = ax.scatter(
-            s, xyz[:, 2], c=distance, s=0.6, cmap=RANGE_MAP, vmin=0.0, vmax=limit, lw=0, rasterized=True,
-            gid=f"cloud {letter}",
+            s, xyz[:, 2], c="0.4" if distance is None else distance, s=0.6, cmap=RANGE_MAP if limit else None,
+            vmin=0.0 if limit else None, vmax=limit or None, lw=0, rasterized=True, gid=f"cloud {letter}",
         )  # fmt: skip
-        ax.set_title(f"{letter}) epoch {each.number}, {each.name}, from the river")
+        side = "the side" if distance is None else "the river"
+        ax.set_title(f"{letter}) epoch {each.number}, {each.name}, from {side}")
         ax.set_ylabel("height / m")
-        _bar(figure, ax, drawn, "from the boat / m")
+        if distance is not None:
+            _bar(figure, ax, drawn, "from the boat / m")
     ax = panels[2]
     rng = np.random.default_rng(0)
     both = np.concatenate([np.stack(part, axis=1) for part in bank])
@@ -75,10 +81,10 @@ def epochs_together(clouds: Sequence[CloudOfEpoch], pair: BankPair, *, title: st
     )
     _bar(figure, ax, drawn, "distance / m", extend="max")
     for ax in panels[2:]:
-        ax.set_ylabel("from the\nriver / m")
+        ax.set_ylabel("from the\nriver / m" if limit else "across / m")
     for ax in panels:
         ax.margins(x=0.01)
-    panels[3].set_xlabel("along the bank / m")
+    panels[3].set_xlabel("along the bank / m" if limit else "along / m")
     legend_below(figure, panels[2])
     return figure
 

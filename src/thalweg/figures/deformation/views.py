@@ -29,6 +29,8 @@ from thalweg.figures import (
 )
 from thalweg.figures.deformation.maps import BankPair, read_pairs, signed
 
+_LEAST_MM: Final = 30.0
+"""Least height of a plan: its title has three lines."""
 PIXELS: Final = 700
 """Of the longer side of a cloud from above."""
 SHOWN: Final = 6000
@@ -81,7 +83,7 @@ def epochs_from_above(clouds: Sequence[CloudOfEpoch], *, title: str, twin: bool)
     wide, tall = high - low
     side_by_side = tall > 0.8 * wide
     rows, columns = (1, len(clouds)) if side_by_side else (len(clouds), 1)
-    panel_mm = tall / wide * (WIDTH_MM - 30.0) / columns + (8.0 if side_by_side else 0.0)
+    panel_mm = max(tall / wide * (WIDTH_MM - 30.0) / columns, _LEAST_MM) + (16.0 if side_by_side else 0.0)
     n = count(sum(len(each.xyz_m) for each in clouds))
     figure = new_figure(rows * (panel_mm + 12.0) + 24.0, f"{title}, n = {n} points", twin=twin)
     panels = figure.subplots(rows, columns, squeeze=False).ravel()

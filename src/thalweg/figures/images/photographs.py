@@ -409,7 +409,8 @@ def _components(points: pd.DataFrame, prefix: str) -> ArrayF:
 
 
 def _words(points: pd.DataFrame) -> str:
-    check: AnyArray = ((points["role"] == "check") & (points["images"] > 0)).to_numpy()
+    measured = np.isfinite(points["without_east_mm"].to_numpy(np.float64))
+    check: AnyArray = ((points["role"] == "check") & (points["images"] > 0)).to_numpy() & measured
     words = "a: residual vectors with the ellipses of their sigmas"
     if not check.any():
         return words

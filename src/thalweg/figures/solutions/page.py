@@ -311,7 +311,7 @@ def lead(table: pd.DataFrame) -> str:
         f"{percent(value(table, SHOTS, 'share_with_pose', name))} by {BY_NAME[name]}" for name in names
     )
     decoded = max(value(table, SHOTS, "decoded", name) for name in names)
-    words = [f"Points with a pose, of {count(int(decoded))} that the lidar recorded: {share}."]
+    words = [f"Points with a pose, of {count(decoded)} that the lidar recorded: {share}."]
     rmse = {name: value(table, WITHOUT_OUTLIERS, "rmse", name) for name in names}
     if not all(np.isfinite(list(rmse.values()))):
         words.append("There is no reference surface, so their clouds cannot be compared with one.")
@@ -573,7 +573,7 @@ def side_by_side(table: pd.DataFrame, costs: Costs) -> pd.DataFrame:
 
     rows = [
         row("points with a pose", {n: percent(x) for n, x in of(SHOTS, "share_with_pose").items()}),
-        row("points in the cloud", {n: count(int(x)) for n, x in of(SHOTS, "in_cloud").items()}),
+        row("points in the cloud", {n: count(x) for n, x in of(SHOTS, "in_cloud").items()}),
         row("points on a square metre", {n: f"{x:.3g}" for n, x in of(REFERENCE, "density").items()}),
         row("reference that holds points", {n: percent(x) for n, x in of(REFERENCE, "covered").items()}),
     ]

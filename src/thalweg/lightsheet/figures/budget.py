@@ -25,6 +25,8 @@ OR: Final = " or "
 ACROSS: Final = 4
 """Panels in a row."""
 _MM_PER_ROW: Final = 37.0
+_LEAST_MM: Final = 84.0
+"""One row of panels holds the words of the axis that all share."""
 
 MODEL_COLUMNS: Final = ("model", "depth_mm", "mean_mm", "std_mm", "low_mm", "high_mm", "n", "lost")
 """Columns of `thalweg.lightsheet.optics.approximations.model_errors`."""
@@ -78,7 +80,7 @@ def depth_budget(
         "or more on each line"
     )
     rows = -(-len(causes) // ACROSS)
-    figure = new_figure(20.0 + _MM_PER_ROW * rows, head, twin=twin)
+    figure = new_figure(max(20.0 + _MM_PER_ROW * rows, _LEAST_MM), head, twin=twin)
     axes = figure.subplots(rows, ACROSS, sharex=True, squeeze=False)
     along = "y_px" if np.ptp(lines["y_px"]) >= np.ptp(lines["x_px"]) else "x_px"
     for k, (ax, cause) in enumerate(zip(axes.flat, causes, strict=False)):
@@ -93,7 +95,8 @@ def depth_budget(
         ax.grid()
     for ax in axes.flat[len(causes) :]:
         ax.axis("off")
-    figure.supylabel("standard deviation of the depth / mm; each panel has its own scale", fontsize=8)
+    label = "standard deviation of the depth / mm; each panel has its own scale"
+    figure.supylabel(label if rows > 1 else label.replace("; ", ";\n"), fontsize=8)
     _legend(figure, list(axes.flat[: len(causes)]))
     return figure
 

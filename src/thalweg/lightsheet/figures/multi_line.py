@@ -14,7 +14,18 @@ from matplotlib.colors import Colormap, ListedColormap, Normalize
 from matplotlib.figure import Figure
 
 from thalweg.core import AnyArray, ArrayF, InputError, read_parquet
-from thalweg.figures import DEPTH_MAP, GREY, SKY, VERMILION, count, new_figure, plural, robust_limits, styled
+from thalweg.figures import (
+    DEPTH_MAP,
+    GREY,
+    SKY,
+    VERMILION,
+    count,
+    leave_out,
+    new_figure,
+    plural,
+    robust_limits,
+    styled,
+)
 from thalweg.figures.calibration import Oblique
 from thalweg.lightsheet.figures.scan_reference import mesh_picture
 from thalweg.lightsheet.figures.views import (
@@ -181,7 +192,7 @@ def across_direction(lines: pd.DataFrame) -> ArrayF:
     """Level unit vector (3,) across the lines, from the first to the last on the deepest level."""
     level = lines[lines["depth_mm"] == lines["depth_mm"].max()]
     middles = level.groupby("line")[["x_mm", "y_mm"]].mean().to_numpy(np.float64)
-    way = middles[-1] - middles[0]
+    way = middles[-1] - middles[0] if len(middles) > 1 else np.array([1.0, 0.0])
     return np.array([*(way / np.linalg.norm(way)), 0.0])
 
 
@@ -290,6 +301,8 @@ def multi_line_images_view(
 
 def image_words(points: pd.DataFrame) -> str:
     """How many points of an image have a label; where none has, how good a guess would be."""
+    if points.empty:
+        return "no points"
     has = points["line"] >= 0
     if has.any():
         return f"{count(int(has.sum()))} of {count(len(points))} points labelled"
@@ -314,6 +327,8 @@ def _image(ax: Axes, seen: SeenObject, points: pd.DataFrame, colours: ScalarMapp
         )
     shades = colours.to_rgba(points["line"][has].to_numpy())
     ax.scatter(points["x_px"][has], points["y_px"][has], c=shades, s=1.2, lw=0, gid="labelled", zorder=4)
+    if points.empty:
+        return
     low = points[["x_px", "y_px"]].min().to_numpy() - 0.05 * seen.image.shape[0]
     high = points[["x_px", "y_px"]].max().to_numpy() + 0.05 * seen.image.shape[0]
     side = 0.5 * float((high - low).max())
@@ -388,6 +403,8 @@ def line_labels(points: pd.DataFrame, shifts: pd.DataFrame) -> Figure:
         f"{count(int((points['line'] >= 0).sum()))} with a label"
     )
     figure = new_figure(42.0 + 62.0 * len(spacings), head, twin=True)
+    # limits that follow equal scales are found after the layout, and their numbers may be wider
+    figure.set_layout_engine("constrained", rect=(0.015, 0.0, 0.985, 1.0))
     axes = figure.subplots(len(spacings), 3, squeeze=False, width_ratios=[1.15, 1.0, 1.0])
     depths = Normalize(*robust_limits(points["depth_mm"]))
     numbers = ScalarMappable(Normalize(0, max(int(points["true_line"].max()), 1)), LINE_MAP)
@@ -433,6 +450,9 @@ def label_words(points: pd.DataFrame) -> str:
 def _map(ax: Axes, points: pd.DataFrame, depths: Normalize) -> None:
     """Places of labelled points from above, and those whose label is wrong."""
     given = points[points["line"] >= 0]
+    if given.empty:
+        leave_out(ax, "no point has a label")
+        return
     wrong = given[given["line"] != given["true_line"]]
     shown = given.iloc[:: max(1, -(-len(given) // _MOST_POINTS))]
     ax.scatter(
@@ -477,7 +497,8 @@ def _labelled_image(ax: Axes, points: pd.DataFrame, numbers: ScalarMappable) -> 
         *(f"{name}: {count(int(n))}" for name, n in reasons.items()),
     ]
     ax.text(0.98, 0.02, "\n".join(words), transform=ax.transAxes, fontsize=6, ha="right", va="bottom")
-    low, high = float(points["row"].min()), float(points["row"].max())
+    low = float(points["row"].min())
+    high = max(float(points["row"].max()), low + 1.0)
     # room for the reasons
     ax.set_ylim(high + 0.45 * (high - low), low - 0.03 * (high - low))
     ax.set(xlabel="column / px", ylabel="row / px")
@@ -485,6 +506,9 @@ def _labelled_image(ax: Axes, points: pd.DataFrame, numbers: ScalarMappable) -> 
 
 def _shifts(ax: Axes, shifts: pd.DataFrame) -> None:
     """By how much lines disagree about the surface, with the labels and with all of them shifted."""
+    if shifts.empty:
+        leave_out(ax, "no test with shifted labels")
+        return
     colours = [SKY if shift == 0 else GREY for shift in shifts["shift"]]
     bars = ax.bar(shifts["shift"], shifts["median_mm"], color=colours, gid="shifts")
     ax.bar_label(bars, [f"{value:.2f}" for value in shifts["median_mm"]], fontsize=6, padding=1)

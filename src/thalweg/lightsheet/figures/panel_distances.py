@@ -54,9 +54,10 @@ def panel_distances(
         f"{title}: mean {signed(off.mean())} mm, standard deviation {off.std():.3f} mm, "
         f"n = {count(len(points))} points in {plural(len(panels), 'depth')}"
     )
-    figure = new_figure(70.0 + _MM_PER_PANEL * len(shown), head, twin=twin)
-    grid = figure.add_gridspec(len(shown) + 3, 2, width_ratios=[1.0, 1.7])
-    _detail(figure.add_subplot(grid[: len(shown), 0]), sensor, image, points, shown)
+    rows = max(len(shown), 2)  # the detail needs the height of two
+    figure = new_figure(70.0 + _MM_PER_PANEL * rows, head, twin=twin)
+    grid = figure.add_gridspec(rows + 3, 2, width_ratios=[1.0, 1.7])
+    _detail(figure.add_subplot(grid[:rows, 0]), sensor, image, points, shown)
     along = "x_mm" if np.ptp(points["x_mm"]) >= np.ptp(points["y_mm"]) else "y_mm"
     limit = 1.1 * float(off.abs().quantile(0.999)) + 1e-6
     first: Axes | None = None
@@ -70,7 +71,7 @@ def panel_distances(
             ax.set_xlabel(f"{along[0]} / mm")
         if k == 0:
             ax.set_title("b: measured minus reference depth / mm")
-    below = figure.add_subplot(grid[len(shown) :, :])
+    below = figure.add_subplot(grid[rows:, :])
     _beside_published(below, shown)
     legend_below(figure, below)
     return figure

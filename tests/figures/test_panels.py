@@ -1,0 +1,409 @@
+"""Every figure with nothing to show: no table, an empty one, one value, the same value, no number.
+
+A figure function is one below ``@styled`` in a folder called ``figures``. Each has an example: the arguments
+that a test of its own gives to it, which are caught while that test runs.
+"""
+
+import ast
+import inspect
+import re
+from collections.abc import Callable, Iterator, Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+
+from tests.figures.conftest import make_comparison
+from tests.figures.panel_states import STATES, CaughtError, NoSuchStateError, catch, faults, in_state, warned
+from thalweg.core import ThalwegError
+
+EXAMPLES: Final = {
+    "bathymetry/test_soundings.py": {
+        "figures.bathymetry.pictures:draw_sounding_lines": "test_each_line_is_drawn_with_what_it_lost"
+    },
+    "figures/test_bed_strip.py": {
+        "lightsheet.figures.survey:bed_strip": "test_the_strip_beside_the_true_bed"
+    },
+    "figures/test_budget.py": {
+        "figures.survey.budget:error_budget": "test_the_stack_ends_at_the_total_and_at_100_percent"
+    },
+    "figures/test_calibration_clocks.py": {
+        "figures.calibration.clock:clock_offset": "test_the_offset_figure_shows_both_tracks",
+        "figures.calibration.clock:clock_stability": "test_intervals_jump_over_what_could_not_be_read",
+    },
+    "figures/test_calibration_figures.py": {
+        "figures.calibration.cones:cone_before_after": "test_before_and_after",
+        "figures.calibration.cones:cone_residuals": "test_the_same_tables_give_the_same_bytes",
+        "figures.calibration.field:field_positions": "test_positions_have_one_colour_each",
+        "figures.calibration.field:field_reference": "test_the_calibration_in_four_pictures",
+        "figures.calibration.field:field_setup": "test_the_field_shows_cones_and_sensors",
+        "figures.calibration.quality:calibration_design": (
+            "test_the_design_study_has_a_line_for_each_number_of_positions"
+        ),
+        "figures.calibration.quality:correlation_matrix": "test_correlations_are_those_of_the_file",
+        "figures.calibration.synthetic_view:synthetic_view": "test_a_synthetic_view_colours_cones_by_height",
+    },
+    "figures/test_catalogue.py": {"figures.catalogue:control_chart": "test_items_are_those_of_stac"},
+    "figures/test_change_figures.py": {
+        "figures.deformation.heights:height_difference": (
+            "test_difference_of_heights_is_drawn_with_its_sigma[False]"
+        ),
+        "figures.deformation.maps:change_map": "test_change_map_counts_bare_ground_and_states_the_ends",
+        "figures.deformation.maps:not_seen": "test_not_seen_tells_the_reason_in_each_epoch",
+        "figures.deformation.maps:significance_map": "test_significance_map_names_states_with_their_area",
+        "figures.deformation.statistics:error_variogram": "test_error_variogram_is_drawn",
+        "figures.deformation.statistics:level_of_detection": "test_level_of_detection_by_parts",
+        "figures.deformation.statistics:retreat_along": (
+            "test_movement_of_both_lines_is_drawn_in_centimetres"
+        ),
+        "figures.deformation.statistics:stable_ground": (
+            "test_stable_ground_is_held_against_the_standard_normal"
+        ),
+        "figures.deformation.statistics:time_series": "test_six_series_are_drawn_the_largest_trend_first",
+        "figures.deformation.statistics:volume_along": "test_volumes_along_the_bank",
+        "figures.deformation.together:epochs_together": (
+            "test_both_epochs_together_with_point_to_point_distances"
+        ),
+        "figures.deformation.views:epochs_from_above": "test_epochs_from_above",
+        "figures.deformation.views:profiles": "test_profiles_show_both_epochs_registered",
+    },
+    "figures/test_cloud_quality.py": {
+        "figures.cloud.overview:cloud_by_range": "test_histogram_holds_all_ranges",
+        "figures.cloud.overview:cloud_by_sigma": "test_median_line_follows_the_sigmas",
+    },
+    "figures/test_cross_sections.py": {
+        "figures.accuracy.cross_sections:cross_sections": "test_what_the_picture_says"
+    },
+    "figures/test_distance_map.py": {
+        "figures.accuracy.distance_map:distance_map": "test_the_title_states_n_mean_and_rmse"
+    },
+    "figures/test_distance_statistics.py": {
+        "figures.accuracy.distances:distance_by_range": "test_the_curves_are_those_of_the_table",
+        "figures.accuracy.distances:distance_histogram": "test_every_point_is_a_bar_or_counted_beyond",
+    },
+    "figures/test_first_looks.py": {
+        "figures.firstlook.first_look:attitude_first_look": "test_attitude_lines_break_at_holes_and_wraps",
+        "figures.firstlook.first_look:depth_first_look": (
+            "test_depth_axis_points_down_and_sentences_are_apart"
+        ),
+        "figures.firstlook.first_look:lidar_first_look": "test_lidar_draws_all_finite_points",
+        "figures.firstlook.first_look:track_first_look": "test_track_is_relative_to_the_median",
+    },
+    "figures/test_footprints.py": {
+        "figures.cloud.footprints:footprints": "test_figure_draws_every_footprint_to_scale"
+    },
+    "figures/test_frames_by_image.py": {
+        "figures.cloud.frames_by_image:frames_by_image": "test_the_figure_says_how_many"
+    },
+    "figures/test_image_positions.py": {
+        "figures.images.photographs:image_positions": "test_everything_is_on_the_map"
+    },
+    "figures/test_light_sheet_figures.py": {
+        "lightsheet.figures.budget:depth_budget": "test_each_cause_has_its_panel_with_the_published_figure",
+        "lightsheet.figures.budget:model_errors_view": "test_models_show_root_mean_square_and_largest_error",
+        "lightsheet.figures.grid_calibration:grid_calibration": "test_the_calibration_shows_what_was_used",
+        "lightsheet.figures.lines:line_measurement": "test_methods_are_compared_on_one_line",
+        "lightsheet.figures.lines:line_on_markers": "test_flags_are_shown_by_their_last_bit",
+        "lightsheet.figures.panel_distances:panel_distances": "test_panels_stand_beside_published_values",
+        "lightsheet.figures.sensor:measurement_volume_view": "test_the_volume_shows_what_the_sensor_sees",
+    },
+    "figures/test_line_labels.py": {
+        "lightsheet.figures.multi_line:line_labels": "test_labels_and_reasons_are_shown_by_spacing"
+    },
+    "figures/test_line_patch.py": {
+        "lightsheet.figures.lines:line_patch": "test_the_template_lies_on_the_line"
+    },
+    "figures/test_maps_and_clouds.py": {
+        "figures.cloud.overview:cloud_detail": "test_detail_axes_limits_and_colours",
+        "figures.cloud.overview:cloud_overview": "test_overview_of_an_array_and_of_chunks_is_the_same",
+        "figures.cloud.overview:coloured_reach": "test_reach_in_colour_above_and_by_intensity_below",
+        "figures.survey.maps:survey_map": "test_track_has_one_segment_a_pair_of_valid_nodes",
+    },
+    "figures/test_mask_view.py": {
+        "figures.images.photographs:mask_view": "test_examples_shares_and_masked_parts_are_shown"
+    },
+    "figures/test_multi_line_figures.py": {
+        "lightsheet.figures.multi_line:multi_line_geometry": "test_the_geometry_is_drawn_line_by_line",
+        "lightsheet.figures.multi_line:multi_line_images_view": (
+            "test_images_show_labelled_points_and_those_without"
+        ),
+    },
+    "figures/test_panorama_figures.py": {
+        "figures.cloud.coloured:colour_check": "test_the_check_of_clock_and_mount_shows_its_optimum",
+        "figures.cloud.coloured:coloured_bank": "test_the_coloured_bank_is_seen_from_the_boat",
+        "figures.panorama.panoramas:panorama_picture": "test_a_panorama_shows_where_north_is",
+        "figures.panorama.panoramas:seam_cost": "test_the_cost_of_the_base_is_that_of_the_range",
+        "figures.panorama.rig:rig_field": "test_marks_of_the_field_lie_where_their_angles_say",
+        "figures.panorama.rig:rig_residuals": "test_residuals_are_split_along_and_across_the_radius",
+        "figures.panorama.rig:rig_sketch": "test_the_sketch_tells_base_angle_and_their_sigmas",
+        "figures.panorama.rig:seam_views": "test_both_sides_of_the_seam_are_cut_out_where_they_are",
+    },
+    "figures/test_reference_view.py": {
+        "figures.accuracy.reference_view:reference_view": "test_figure_names_the_scan_and_counts_its_points"
+    },
+    "figures/test_removed.py": {
+        "figures.cloud.removed:removed_points": "test_one_panel_for_each_reason_with_its_numbers"
+    },
+    "figures/test_scan_profile.py": {
+        "lightsheet.figures.scan_distances:scan_profile": "test_the_line_stands_beside_its_predicted_sigma"
+    },
+    "figures/test_scan_reference.py": {
+        "lightsheet.figures.scan_reference:scan_reference": "test_the_object_with_its_levels"
+    },
+    "figures/test_scan_setup.py": {
+        "lightsheet.figures.scan_setup:scan_setup": (
+            "test_the_set_up_shows_camera_panel_sensor_and_three_images"
+        )
+    },
+    "figures/test_scene_view.py": {
+        "figures.cloud.overview:scene_view": "test_the_figure_shows_both_pictures_with_their_scale"
+    },
+    "figures/test_sensor_setup.py": {
+        "lightsheet.figures.sensor:sensor_setup": "test_ray_and_beam_meet_in_the_water[paper_3]"
+    },
+    "figures/test_streams_and_errors.py": {
+        "figures.accuracy.distances:error_versus_range": "test_error_versus_range_shows_the_table",
+        "figures.survey.streams:streams_in_time": "test_bars_are_spans_on_the_utc_axis",
+    },
+    "figures/test_trajectory.py": {"figures.survey.maps:trajectory_sheet": "test_sheet_of_a_track_with_gaps"},
+    "figures/test_trajectory_comparison.py": {
+        "figures.solutions.comparison:chain_histograms": "test_histograms_are_normalised",
+        "figures.solutions.comparison:chains_by_range": "test_ranges_of_all_chains",
+        "figures.solutions.comparison:outage_study": "test_the_study_of_outages",
+        "figures.solutions.comparison:pose_sigmas": "test_gaps_are_seen",
+    },
+}
+
+"""Test by file and function that gives an example of a figure function."""
+
+NO_EXAMPLE: Final = {
+    "figures.bathymetry.pictures:bed_picture": "a bed and its rasters: tests/workflow/test_tiny.py",
+    "figures.bathymetry.pictures:draw_bed_map": "a whole survey: tests/workflow/test_files_of_others.py",
+    "figures.bathymetry.pictures:draw_bed_patterns": "a study: tests/lab/studies/test_bed_study.py",
+    "figures.bathymetry.pictures:draw_bed_sections": "a whole survey: tests/workflow/test_tiny.py",
+    "figures.bathymetry.pictures:draw_variogram": "a whole survey: tests/workflow/test_tiny.py",
+    "figures.bathymetry.terrain:draw_terrain_model": "a whole survey: tests/workflow/test_tiny.py",
+    "figures.calibration.cones:cone_frame": "a sketch without inputs",
+    "figures.style:empty_figure": "the sentence itself",
+    "lightsheet.figures.sensor:sheet_deformation": "a sketch without inputs",
+    "lightsheet.figures.survey:joint_survey_figure": "a study: tests/lab/studies/test_joint_study.py",
+    "thalweg_lab.figures.joint_river:joint_river_figure": "a study: tests/lab/studies/test_joint_study.py",
+}
+"""Figure functions that no test here calls, and why."""
+
+
+def _comparison(_: Path) -> dict[str, Any]:
+    return {"table": make_comparison(np.random.default_rng(1), n=400).table}
+
+
+def _costs(_: Path) -> dict[str, Any]:
+    numbers = {name: [3.0, 5.0] for name in ("cpu_s", "memory_mb", "asked_mb")}
+    return {"rules": pd.DataFrame({"rule": ["a", "b"], "jobs": [1, 2], **numbers})}
+
+
+def _poses(_: Path) -> dict[str, Any]:
+    k = np.arange(5.0)
+    rows = {f"{axis}_m": k for axis in ("east", "north", "up")}
+    rows |= {f"sigma_change_{axis}_m": 0.1 + 0 * k for axis in ("east", "north", "up")}
+    names = [f"{i}.jpg" for i in range(5)]
+    return {
+        "poses": pd.DataFrame({"image": names, "refused": "", "rms_px": k, "check_rms_px": np.nan, **rows})
+    }
+
+
+def _scan(_: Path) -> dict[str, Any]:
+    k = np.arange(300)
+    points = {"file": np.where(k < 150, "a.png", "b.png"), "x_m": 1e-4 * (k % 150), "y_m": 1e-3 * (k // 150)}
+    points |= {"z_m": 0.02, "distance_mm": np.sin(k), "sigma_mm": 1.0, "sigma_own_mm": 0.5, "used": k > 3}
+    row = {"points": "all lines", "lines": 2, "rule": "3 sigma", "n": 296, "mean_mm": 0.1, "std_mm": 0.7}
+    row |= {"n_kept": 296, "std_kept_mm": 0.7}
+    return {"points": pd.DataFrame(points), "statistics": pd.DataFrame([row])}
+
+
+def _left_out(folder: Path) -> dict[str, Any]:
+    k = np.arange(40.0)
+    rows = {
+        "group": np.where(k < 20, "line", "block"),
+        "up_m": np.sin(k),
+        "predicted_m": np.cos(k),
+        "sigma_m": 1.0,
+    }
+    pd.DataFrame(rows).to_parquet(folder / "predicted.parquet")
+    return {"predicted": folder / "predicted.parquet", "title": "a river", "twin": False}
+
+
+def _profile(folder: Path) -> dict[str, Any]:
+    names = ("s_m", "thalweg_m", "sigma_thalweg_m", "mean_bed_m", "level_m")
+    pd.DataFrame({name: np.arange(5.0) for name in names}).to_csv(folder / "profile.csv")
+    return {"profile": folder / "profile.csv", "title": "a river", "twin": False}
+
+
+PAGES: Final = {
+    "figures/test_accuracy_page.py": {
+        "figures.accuracy.page:accuracy_page": "test_the_truth_has_a_section_of_its_own"
+    },
+    "figures/test_bed_strip.py": {
+        "lightsheet.figures.page:strip_page": "test_the_page_counts_what_was_left_out"
+    },
+    "figures/test_calibration_page.py": {
+        "figures.calibration.page:calibration_page": "test_the_page_is_whole"
+    },
+    "figures/test_change_figures.py": {
+        "figures.deformation.page:change_page": "test_the_page_holds_all_tables_and_pictures"
+    },
+    "figures/test_light_sheet_page.py": {
+        "lightsheet.figures.page:light_sheet_page": "test_the_page_says_what_was_found_and_what_was_left_out"
+    },
+    "figures/test_trajectory_comparison.py": {
+        "figures.solutions.page:trajectory_comparison_page": "test_the_page_holds_all_chains"
+    },
+}
+"""The same for functions that make a page."""
+
+OWN: Final[Mapping[str, Callable[[Path], dict[str, Any]]]] = {
+    "figures.accuracy.cloud:distances_in_plan": _comparison,
+    "figures.bathymetry.pictures:draw_left_out": _left_out,
+    "figures.bathymetry.terrain:draw_long_profile": _profile,
+    "figures.catalogue:costs_figure": _costs,
+    "figures.images.fixed_camera:pose_history": _poses,
+    "lightsheet.figures.scan_distances:scan_distances": _scan,
+}
+"""Examples made here."""
+
+ALIKE: Final = {
+    "figures.bathymetry.pictures:draw_soundings": "figures.bathymetry.pictures:draw_sounding_lines",
+    "figures.bathymetry.pictures:draw_sounding_errors": "figures.bathymetry.pictures:draw_sounding_lines",
+    "lightsheet.figures.lines:sheet_image": "lightsheet.figures.lines:line_on_markers",
+}
+"""Figure functions that take the example of another one."""
+
+
+IMPOSSIBLE: Final = {
+    ("lightsheet.figures.budget:model_errors_view", "all equal"): "one row a model and depth"
+}
+"""What no file can hold."""
+
+
+def figure_functions() -> list[str]:
+    """All of them, as ``module:function``; ``thalweg.`` is left out."""
+    found = []
+    source = Path(__file__).parents[2] / "src"
+    for file in sorted(source.glob("**/figures/**/*.py")):
+        module = ".".join(file.relative_to(source).with_suffix("").parts).removeprefix("thalweg.")
+        found += [
+            f"{module}:{node.name}"
+            for node in ast.parse(file.read_text(encoding="utf-8")).body
+            if isinstance(node, ast.FunctionDef)
+            and any(isinstance(each, ast.Name) and each.id == "styled" for each in node.decorator_list)
+        ]
+    return found
+
+
+TESTED: Final = [name for name in figure_functions() if name not in NO_EXAMPLE]
+
+
+def function_of(name: str) -> Callable[..., Figure]:
+    """The function of ``module:function``."""
+    module, function = name.split(":")
+    package = "" if module.startswith("thalweg_lab") else "thalweg."
+    return getattr(import_module(package + module), function)
+
+
+@pytest.fixture(scope="module")
+def examples(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Mapping[str, Any]]:
+    """Arguments by figure function, caught from its test: that ends where the figure would be drawn."""
+    listed = [*EXAMPLES.items(), *PAGES.items()]
+    wanted = {f"{file}::{test}": name for file, of in listed for name, test in of.items()}
+    folder = tmp_path_factory.mktemp("examples")
+    found = {name: make(folder) for name, make in OWN.items()}
+
+    class Catcher:
+        @pytest.hookimpl(hookwrapper=True)
+        def pytest_runtest_call(self, item: pytest.Item) -> Iterator[None]:
+            name = wanted[item.nodeid.split("tests/")[-1]]
+            draw = inspect.unwrap(function_of(name))
+            code, draw.__code__ = draw.__code__, catch.__code__
+            try:
+                outcome = yield
+            finally:
+                draw.__code__ = code
+            error = outcome.excinfo[1] if outcome.excinfo else None
+            if isinstance(error, CaughtError):
+                found[name] = dict(inspect.signature(draw).bind(*error.args[0], **error.args[1]).arguments)
+            outcome.force_result(None)
+
+    tests = Path(__file__).parents[1]
+    pytest.main(
+        ["-q", "--no-header", "-p", "no:cacheprovider", f"--basetemp={folder}/x", f"--rootdir={tests.parent}",
+         *(str(tests / node) for node in wanted)],
+        plugins=[Catcher()],
+    )  # fmt: skip
+    return found | {name: found[other] for name, other in ALIKE.items()}
+
+
+def test_every_figure_function_is_called_here() -> None:
+    listed = [*NO_EXAMPLE, *OWN, *ALIKE, *(name for of in EXAMPLES.values() for name in of)]
+    assert len(listed) == len(set(listed))
+    assert set(listed) == set(figure_functions()), "add an example of it, made here or of its test"
+
+
+def cases(name: str, example: Mapping[str, Any]) -> Iterator[tuple[str, Callable[[], dict[str, Any]]]]:
+    """What is tried: all inputs in a state, each table alone in it, and each input absent that may be."""
+    for state in STATES:
+        yield f"all {state}", lambda s=state: {key: in_state(each, s) for key, each in example.items()}
+    tables = [key for key, each in example.items() if isinstance(each, pd.DataFrame)]
+    for key in tables if len(example) > 1 else []:
+        for state in ("empty", "nan"):
+            yield f"{key} {state}", lambda k=key, s=state: {**example, k: in_state(example[k], s)}
+    for key, parameter in inspect.signature(function_of(name)).parameters.items():
+        if parameter.default is None and example.get(key) is not None:
+            yield f"{key} absent", lambda k=key: {other: example[other] for other in example if other != k}
+        if isinstance(example.get(key), list | dict):
+            yield f"{key} none", lambda k=key: {**example, k: type(example[k])()}
+
+
+@pytest.mark.parametrize("name", TESTED)
+def test_what_has_nothing_to_show_is_left_out_with_its_reason(
+    name: str, examples: Mapping[str, Mapping[str, Any]]
+) -> None:
+    draw, found = function_of(name), []
+    for case, make in cases(name, examples[name]):
+        if (name, case) in IMPOSSIBLE:
+            continue
+        try:
+            figure, wrong = warned(lambda make=make: draw(**make()))
+            wrong += faults(figure, laid_out=not case.endswith(("equal", "empty")))  # like one and nan
+        except NoSuchStateError:
+            continue
+        except ThalwegError as error:
+            wrong = [] if len(str(error)) > 20 else [f"no reason: {error}"]
+        except Exception as error:
+            wrong = [f"{type(error).__name__}: {error}"]
+        found += [f"{case}: {words}" for words in wrong]
+    assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize("name", [name for of in PAGES.values() for name in of])
+def test_pages_say_what_there_is_none_of(name: str, examples: Mapping[str, Mapping[str, Any]]) -> None:
+    """No table without a row and no word of no number."""
+    build, found = function_of(name), []
+    for case, make in cases(name, examples[name]):
+        if not case.endswith((" empty", " nan", " absent")) or case.startswith("all"):
+            continue
+        try:
+            page, wrong = warned(lambda make=make: build(**make()).html())
+        except ThalwegError as error:
+            page, wrong = "", [] if len(str(error)) > 20 else [f"no reason: {error}"]
+        except Exception as error:
+            page, wrong = "", [f"{type(error).__name__}: {error}"]
+        words = re.sub(r"<style>.*?</style>|<[^>]*>", " ", page, flags=re.DOTALL)
+        wrong += [
+            f"words: {each!r}" for each in re.findall(r".{0,40}\b(?:nan|NaN|NaT|inf|None)\b.{0,20}", words)
+        ]
+        wrong += ["a table without a row"] if re.search(r"<tbody>\s*</tbody>", page) else []
+        found += [f"{case}: {each}" for each in wrong]
+    assert not found, "\n".join(found)
