@@ -187,15 +187,15 @@ def find_starts(image: GreenImage, settings: LineSettings) -> Starts:
             cure="Shut out daylight; state 'laser_colour' for a laser of another colour; for one that all "
             "pixels see raise 'largest_colour_slope'",
         )
+    ghost = _beyond_ends(image, row, x, prominence, piece, keep, width)
+    counts["beyond_an_end"] = int(np.count_nonzero(ghost))
+    keep &= ~ghost
     if not keep.any():
         raise InputError(
             f"no laser line: {row.size} bright places, none of which goes on over {settings.least_rows} rows",
             expected="at least one line",
             cure="Look at the image: laser on, exposure, direction of the line ('across')",
         )
-    ghost = _beyond_ends(image, row, x, prominence, piece, keep, width)
-    counts["beyond_an_end"] = int(np.count_nonzero(ghost))
-    keep &= ~ghost
     order = np.flatnonzero(keep)[np.lexsort((row[keep], piece[keep]))]
     _, numbers = np.unique(piece[order], return_inverse=True)
     first, last = _ends(row[order], numbers)
