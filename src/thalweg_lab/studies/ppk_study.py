@@ -13,8 +13,7 @@ from typing import Final
 import numpy as np
 
 from thalweg.core import ArrayF, InputError, LocalFrame
-from thalweg.ingest.ppk import PpkOptions, run_ppk
-from thalweg.ingest.ppk.trust import covariance_enu
+from thalweg.ingest.ppk import PpkOptions, covariance_enu, run_ppk
 from thalweg_lab.instruments import Receiver, record_raw_gnss
 
 BASELINES_M: Final = (1.0, 100.0, 5000.0)
