@@ -275,6 +275,7 @@ _SOFT: Final = 0.3
 _TAIL: Final = 0.997
 """A line covers at least the rest of the pixels."""
 _CLEARLY: Final = 1.5
+_WIDE_PX: Final = 15.0
 _CHANNELS: Final = {"red": 0, "green": 1, "blue": 2}
 
 
@@ -346,7 +347,8 @@ def _brightest(image: AnyArray) -> tuple[int, ArrayF32]:
     lights = [laser_light(image, channel) for channel in range(3)]
     stands_out = []
     for light in lights:
-        soft = cv2.GaussianBlur(light, (0, 0), 1.5)
+        # things of another tint than the rest are wide, a line is not
+        soft = cv2.GaussianBlur(light, (0, 0), 1.5) - cv2.GaussianBlur(light, (0, 0), _WIDE_PX)
         middle = np.median(soft)
         spread = max(NMAD * float(np.median(np.abs(soft - middle))), 1e-3)
         stands_out.append(float(np.quantile(soft, _TAIL) - middle) / spread)
