@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.bands import band
 from thalweg.core import ArrayF, ConfigError, InputError, LocalFrame, ThalwegError, write_table
 from thalweg.core.timescales import week_from_gps
 from thalweg.ingest import GNSS_POSITION
@@ -126,18 +127,40 @@ def test_a_shifted_base_shifts_the_answer(static: PpkSolution, sbp: Path) -> Non
     assert difference.mean(axis=0) == pytest.approx(shift, abs=5e-4)
 
 
-def test_static_scatter_against_predicted_sigma(static: PpkSolution) -> None:
-    """The engine's sigma is of the right size and conservative against the scatter of 6.3 minutes.
+def sigmas_m(positions: pd.DataFrame) -> ArrayF:
+    return np.sqrt(np.diagonal(covariance_enu(positions), axis1=1, axis2=2))
 
-    Measured: std 1.2, 1.8, 2.2 mm against 4.8, 5.6, 10.8 mm: ratios 0.26, 0.33, 0.21. The scatter of a short
-    session misses slow multipath, so that a ratio below one is expected; above one would be an optimistic
-    sigma, below 0.1 a meaningless one.
+
+def test_static_scatter_against_predicted_sigma(static: PpkSolution) -> None:
+    """The stated sigma is of the size of the scatter of 6.3 minutes.
+
+    Measured: 1.2, 1.8, 2.2 mm against 2.4, 2.7, 5.3 mm: ratios 0.52, 0.67, 0.42 (of the engine's own 0.26,
+    0.33, 0.21). The scatter of a short session misses slow multipath, so that less than one is expected.
     """
-    fixed = static.fixed
-    sigma = fixed[["sigma_east_m", "sigma_north_m", "sigma_up_m"]].to_numpy()
-    ratio = enu(fixed).std(axis=0) / np.sqrt(np.mean(sigma**2, axis=0))
+    ratio = enu(static.fixed).std(axis=0) / np.sqrt(np.mean(sigmas_m(static.fixed) ** 2, axis=0))
     assert np.all(ratio < 1.0)
-    assert np.all(ratio > 0.1)
+    assert np.all(ratio > 0.35)
+    assert static.report.details["fixed_sigma_factor"] == pytest.approx(0.49, abs=0.02)
+
+
+def test_float_sigmas_hold_from_the_first_second(static: PpkSolution, car: PpkSolution) -> None:
+    """Errors of the first 22 and 12 seconds over sigmas: 0.7 (were 0.2) and 0.8 (0.1)."""
+    mean = static.fixed[["lat_deg", "lon_deg", "h_ell_m"]].mean()
+    for solution, frame in ((static, LocalFrame(**mean)), (car, START)):
+        floats = solution.positions[solution.positions["fix"] == "float"]
+        floats = floats[floats["t_gps_s"] < solution.positions["t_gps_s"].iloc[0] + 30.0]
+        rms = np.sqrt(np.mean(enu(floats, frame) ** 2) / np.mean(sigmas_m(floats) ** 2))
+        low, high = np.sqrt(band(3, level=0.99))  # a filter that converges is one observation of each axis
+        assert max(low, 0.4) < rms < high
+
+
+def test_a_car_at_rest_lies_within_its_sigmas_of_the_published_place(car: PpkSolution) -> None:
+    """19 fixed epochs at 5.4 km, one observation of each axis: NEES 1.2 (was 4.2)."""
+    rest = car.fixed[car.fixed["t_gps_s"] < car.positions["t_gps_s"].iloc[0] + 30.0]
+    d = enu(rest, START)
+    nees = np.einsum("ni,nij,nj->n", d, np.linalg.inv(covariance_enu(rest)), d).mean() / 3
+    low, high = band(3, level=0.95)
+    assert low < nees < high
 
 
 def test_covariances_are_positive_definite(static: PpkSolution, car: PpkSolution, tmp_path: Path) -> None:

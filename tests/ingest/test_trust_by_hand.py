@@ -6,7 +6,7 @@ import pytest
 
 from thalweg.core import LocalFrame
 from thalweg.ingest import GNSS_POSITION
-from thalweg.ingest.ppk.trust import _float_factor, trust_fixes
+from thalweg.ingest.ppk.trust import trust_fixes
 
 LAT, LON, H = 51.05, 13.25, 150.0
 DEG_OF_EAST = 1e-5 / float(
@@ -25,22 +25,28 @@ def positions(n: int, fix: str, sigma_m: float, east_m: object = 0.0) -> pd.Data
     )  # fmt: skip
 
 
-def judged(table: pd.DataFrame, floats: pd.DataFrame, baseline_m: float, **how: float):
+def judged(table: pd.DataFrame, floats: pd.DataFrame, baseline_m: float, rise_m: float = 0.0, **how: float):
     given = {"trusted_baseline_km": 20.0, "least_fix_s": 10.0} | how
-    return trust_fixes(table, floats, None, np.full(len(table), baseline_m), **given)
+    n = len(table)
+    return trust_fixes(table, floats, 1.0, None, np.full(n, baseline_m), np.full(n, rise_m), **given)
 
 
-def test_sigmas_grow_by_a_millimetre_a_kilometre_and_twice_that_in_height() -> None:
-    """10 km: 10, 10, 20 mm beside 10 mm of a fix; 50, 50, 100 mm beside twice 200 mm of a float position."""
+def test_sigmas_grow_by_two_millimetres_a_kilometre_and_three_in_height() -> None:
+    """10 km: 20, 20, 30 mm beside 10 mm of a fix; 50, 50, 100 mm beside twice 200 mm of a float position.
+
+    100 m of rise add 15 mm in height.
+    """
     table = positions(60, "fixed", 0.01)
     table.loc[30:, "fix"] = "float"
     table.loc[30:, ["sigma_east_m", "sigma_north_m", "sigma_up_m"]] = 0.2
-    out, trust = judged(table, positions(60, "float", 0.2), 10_000.0)
+    out, trust = judged(table, positions(60, "float", 0.2), 10_000.0, 100.0)
     assert trust.refused == {"baseline": 0, "duration": 0, "float": 0}
-    assert trust.float_factor == 2.0
+    assert trust.float_factors == (2.0, 2.0)
+    assert not trust.known
     sigmas = out[["sigma_east_m", "sigma_north_m", "sigma_up_m"]].to_numpy()
-    assert sigmas[0] == pytest.approx([np.hypot(0.01, 0.01)] * 2 + [np.hypot(0.01, 0.02)])
-    assert sigmas[59] == pytest.approx([np.hypot(0.4, 0.05)] * 2 + [np.hypot(0.4, 0.1)])
+    up = np.sqrt(0.01**2 + 0.03**2 + 0.015**2)
+    assert sigmas[0] == pytest.approx([np.hypot(0.01, 0.02)] * 2 + [up])
+    assert sigmas[59] == pytest.approx([np.hypot(0.4, 0.05)] * 2 + [np.sqrt(0.4**2 + 0.1**2 + 0.015**2)])
 
 
 @pytest.mark.parametrize(("east_m", "refused"), [(0.75, 0), (-0.75, 0), (0.80, 60), (-0.80, 60)])
@@ -64,13 +70,32 @@ def test_runs_that_are_short_and_baselines_that_are_long_are_refused() -> None:
     assert judged(positions(60, "fixed", 0.01), floats, 19_999.0)[1].refused["baseline"] == 0
 
 
-@pytest.mark.parametrize("factor", [1.0, 3.0, 30.0])
-def test_the_factor_of_float_sigmas_is_that_of_two_directions(factor: float) -> None:
-    """Both err by so many of their sigmas; at least 2, at most 10."""
-    rng = np.random.default_rng(9)
-    one, two = (positions(6000, "float", 0.1, factor * 0.1 * rng.standard_normal(6000)) for _ in range(2))
-    for table in (one, two):
-        table["lat_deg"] += factor * 0.1 * rng.standard_normal(6000) / 111_200.0
-        table["h_ell_m"] += factor * 0.1 * rng.standard_normal(6000)
-    # the median of 6000 squares of each axis is known to 2 %
-    assert _float_factor(one, two) == pytest.approx(float(np.clip(factor, 2.0, 10.0)), rel=0.03)
+@pytest.mark.parametrize(
+    ("direction", "first", "last"), [("forward", 0.5, 4.0), ("backward", 4.0, 0.5), ("combined", 4.0, 4.0)]
+)
+def test_float_sigmas_follow_what_means_of_so_many_epochs_show(
+    direction: str, first: float, last: float
+) -> None:
+    """A variance of 0.25 of single epochs, 16 of means of 64, a straight line in logarithms between."""
+    n = 64
+    table = positions(n, "float", 0.1)
+    table.loc[7, "fix"] = "single"
+    known = (np.array([1.0, 64.0]), np.array([0.25, 16.0]))
+    limits = {"trusted_baseline_km": 20.0, "least_fix_s": 10.0, "direction": direction}
+    out, trust = trust_fixes(table, table, 9.0, known, np.zeros(n), np.zeros(n), **limits)
+    sigma = out["sigma_up_m"].to_numpy()
+    assert sigma[[0, -1]] == pytest.approx([0.1 * first, 0.1 * last])
+    assert sigma[7] == pytest.approx(0.1)  # no float position
+    if direction == "forward":
+        assert sigma[8] == pytest.approx(0.1 * 0.5 * 8.0 ** (np.log(9.0) / np.log(64.0)))
+    assert trust.fixed_factor == 3.0
+    assert trust.known
+    assert trust.notes() == []
+
+
+def test_sigmas_of_fixed_positions_are_the_engines_times_what_the_residuals_show() -> None:
+    table = positions(60, "fixed", 0.01)
+    floats = positions(60, "float", 0.2)
+    limits = {"trusted_baseline_km": 20.0, "least_fix_s": 10.0}
+    out, _ = trust_fixes(table, floats, 0.0625, None, np.zeros(60), np.zeros(60), **limits)
+    assert out["sigma_east_m"].to_numpy() == pytest.approx(0.0025)

@@ -7,7 +7,7 @@ import pytest
 
 from tests.lightsheet.laser_images import GreyValues, grey_values, laser_mosaic, mean_line_intensity
 from thalweg.core import AnyArray, ConfigError, InputError
-from thalweg.lightsheet.lines import LineSettings, detect_lines, green_image
+from thalweg.lightsheet.lines import LineSettings, detect_lines, green_image, search
 from thalweg_lab.random_numbers import generator
 
 
@@ -44,6 +44,13 @@ def test_each_bad_image_says_what_is_wrong(image: AnyArray, settings: dict[str, 
     with pytest.raises(InputError) as caught:
         detect_lines(image, LineSettings(**settings))  # type: ignore[arg-type]
     assert re.search(words, str(caught.value)), str(caught.value)
+
+
+def test_a_line_of_which_only_smoothed_ends_are_left_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Glints in a picture of a room left nothing else: a bare IndexError."""
+    monkeypatch.setattr(search, "_beyond_ends", lambda *given: given[5])
+    with pytest.raises(InputError, match="none of which goes on over 8 rows"):
+        detect_lines(line())
 
 
 @pytest.mark.parametrize(

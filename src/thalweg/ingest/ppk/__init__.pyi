@@ -7,4 +7,8 @@ from .solution import (
     check_inputs as check_inputs,
     run_ppk as run_ppk,
 )
-from .trust import REFUSALS as REFUSALS, replace_covariances as replace_covariances
+from .trust import (
+    REFUSALS as REFUSALS,
+    covariance_enu as covariance_enu,
+    replace_covariances as replace_covariances,
+)

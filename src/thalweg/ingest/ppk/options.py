@@ -7,6 +7,7 @@ from typing import Any, Final, Literal, Self
 import numpy as np
 
 from thalweg.core import ArrayF, ConfigError, LocalFrame
+from thalweg.ingest.ppk.residuals import CODE_RATIO, PHASE_M
 from thalweg.settings.sections import Ppk
 
 SYSTEM_BITS: Final[Mapping[str, int]] = {"GPS": 1, "SBS": 2, "GLO": 4, "GAL": 8, "QZS": 16, "BDS": 32}
@@ -217,6 +218,11 @@ def engine_settings(options: PpkOptions, base_ecef_m: ArrayF, *, single: bool = 
         "pos2-arthresmin": f"{options.ratio_threshold:.10g}",
         "pos2-arthresmax": f"{options.ratio_threshold:.10g}",
         "pos2-maxage": f"{options.max_age_s:.10g}",
+        # what the engine takes as noise, so that its residuals tell how large it is
+        "stats-errphase": f"{PHASE_M:g}",
+        "stats-errphaseel": f"{PHASE_M:g}",
+        **{f"stats-eratio{k}": f"{CODE_RATIO:g}" for k in (1, 2, 5, 6)},
+        "out-outstat": "off" if single else "residual",
         "out-solformat": "llh",
         "out-outhead": "on",
         "out-outopt": "on",

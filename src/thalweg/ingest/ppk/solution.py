@@ -36,6 +36,7 @@ from thalweg.core import (
 from thalweg.ingest import IntegrityReport
 from thalweg.ingest.ppk import worker as ppk_worker
 from thalweg.ingest.ppk.options import AUTO_SYSTEMS, PpkOptions, ecef_fault, engine_settings
+from thalweg.ingest.ppk.residuals import code_factors, phase_factor, read_residuals
 from thalweg.ingest.ppk.rinex import (
     SYSTEM_OF_LETTER,
     RinexScan,
@@ -632,8 +633,6 @@ _BASE_LIMIT_M = (
 )
 _BASE_DOUBT_M = 30.0  # three times the 95 % error of a single-point position
 _HEADER_DELTA_M = 1e-4
-_MANY_FLOATS = 0.05
-"""With a larger share of positions that are not fixed a backward run says how well floats know themselves."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -677,9 +676,9 @@ def run_ppk(
     Returns
     -------
     PpkSolution; ``report.details`` holds fix_ratio (of all rover epochs), n_fixed, n_float, n_single,
-    n_other, n_none, n_rover_epochs, n_fixes_refused (by reason), float_sigma_factor, baseline_m (median)
-    and baseline_max_m, base_ecef_m, base_check_m
-    (distance to the base's own single-point position), n_covariances_replaced, engine and options.
+    n_other, n_none, n_rover_epochs, n_fixes_refused (by reason), fixed_sigma_factor, float_sigma_factors (of
+    the first and the last epoch), baseline_m (median) and baseline_max_m, base_ecef_m, base_check_m (distance
+    to the base's own single-point position), n_covariances_replaced, engine and options.
 
     Raises
     ------
@@ -696,30 +695,18 @@ def run_ppk(
         notes = preflight(inputs, options, rover_file, base_file)
         base_ecef_m, base_notes = _base_position(inputs, options, base_file)
         where = f"{rover_file}, {base_file}"
-        single, _ = _solve(
-            folder,
-            inputs,
-            options,
-            base_ecef_m=base_ecef_m,
-            where=where,
-            time_limit_s=time_limit_s,
-            single=True,
-        )
-        base_check_m, check_notes = _check_base(single, base_ecef_m, base_file)
         solve = partial(
             _solve, folder, inputs, base_ecef_m=base_ecef_m, where=where, time_limit_s=time_limit_s
         )
-        positions, answer = solve(options, single=False)
-        fixed = (positions["fix"] == "fixed").to_numpy()
-        without_integers = replace(options, ambiguity="off")
-        floats = solve(without_integers, single=False)[0] if fixed.any() else positions
-        backward = None
-        if options.direction == "forward" and np.sum(~fixed) > _MANY_FLOATS * len(fixed):
-            backward = solve(replace(without_integers, direction="backward"), single=False)[0]
+        base_check_m, check_notes = _check_base(solve(options, single=True).positions, base_ecef_m, base_file)
+        run = solve(options, single=False)
+        positions, floats = run.positions, run
+        if (positions["fix"] == "fixed").any():
+            floats = solve(replace(options, ambiguity="off"), single=False)
     if positions.empty:
         raise InputError(
             f"the RTKLIB engine found no position for {inputs.rover_t_gps_s.size} rover epochs; it printed: "
-            f"{answer.output}",
+            f"{run.answer.output}",
             expected="at least one position",
             where=where,
             cure="; ".join(notes + base_notes + check_notes)
@@ -728,14 +715,17 @@ def run_ppk(
     positions, n_replaced = replace_covariances(positions)
     positions, trust = trust_fixes(
         positions,
-        replace_covariances(floats)[0],
-        None if backward is None else replace_covariances(backward)[0],
+        replace_covariances(floats.positions)[0],
+        phase_factor(run.residuals),
+        code_factors(floats.residuals),
         np.linalg.norm(_places(positions) - base_ecef_m, axis=1),
+        positions["h_ell_m"].to_numpy() - geodetic_of(base_ecef_m)[2],
         trusted_baseline_km=options.trusted_baseline_km,
         least_fix_s=options.least_fix_s,
+        direction=options.direction,
     )
     files = [str(file) for file in [*rover, *(base or []), *nav]]
-    report = _report(positions, inputs, options, base_ecef_m, answer, files)
+    report = _report(positions, inputs, options, base_ecef_m, run.answer, files)
     report.details |= {"base_check_m": base_check_m, "n_covariances_replaced": n_replaced, **trust.report()}
     if n_replaced:
         report.note(
@@ -768,7 +758,7 @@ def base_extent_m(rover: Sequence[Path], base: Sequence[Path], nav: Sequence[Pat
         folder = Path(name)
         inputs = prepare_inputs(rover, base, nav, folder, time_limit_s=_QUICK_S)
         options = PpkOptions(base_source="rinex_header", systems=_common_systems(inputs))
-        single, _ = _solve(
+        single = _solve(
             folder,
             inputs,
             options,
@@ -776,7 +766,7 @@ def base_extent_m(rover: Sequence[Path], base: Sequence[Path], nav: Sequence[Pat
             where=str(base[0]),
             time_limit_s=_QUICK_S,
             single=True,
-        )
+        ).positions
     if single.empty:
         raise InputError("no single-point position", expected="observations and ephemerides", where=base[0])
     return float(np.median(_from_middle_m(_places(single))))
@@ -849,6 +839,15 @@ def _sbp_base(inputs: PpkInputs, base_file: Path, notes: list[str]) -> ArrayF:
     return np.asarray(position)
 
 
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """What a run of the engine gave: positions, residuals (`read_residuals`), and what it printed."""
+
+    positions: pd.DataFrame
+    residuals: pd.DataFrame
+    answer: EngineAnswer
+
+
 def _solve(
     folder: Path,
     inputs: PpkInputs,
@@ -858,7 +857,7 @@ def _solve(
     where: str,
     time_limit_s: float,
     single: bool,
-) -> tuple[pd.DataFrame, EngineAnswer]:
+) -> _Run:
     """One run of the engine: PPK of the rover, or single-point positions of the base every 30 s."""
     name = "single" if single else "ppk"
     config, readback, output = (folder / f"{name}.{end}" for end in ("conf", "taken", "pos"))
@@ -874,8 +873,11 @@ def _solve(
     }
     answer = run_worker([task], folder, where=where, time_limit_s=time_limit_s)
     check_settings(readback, settings)
+    residuals = read_residuals(folder / f"{output.name}.stat")
     # a filter that runs backward writes its last epoch first
-    return read_solution(output).sort_values("t_gps_s", kind="stable", ignore_index=True), answer
+    return _Run(
+        read_solution(output).sort_values("t_gps_s", kind="stable", ignore_index=True), residuals, answer
+    )
 
 
 def _check_base(single: pd.DataFrame, base_ecef_m: ArrayF, base_file: Path) -> tuple[float | None, list[str]]:

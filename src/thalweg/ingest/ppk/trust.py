@@ -9,14 +9,11 @@ a run of neighbouring fixed epochs:
 - its *distance from the float solution* of the same epochs, whose ambiguities are no integers: with the
   covariance of the float solution it is beyond three sigmas for most of the run.
 
-What is refused becomes the float position of that epoch. Standard deviations grow in proportion to the
-baseline by what double differences leave of the atmosphere, ``1e-6`` of its length in plan and ``2e-6`` in
-height: the proportional parts that makers of receivers state for relative positions (1 mm/km), and twice that
-in height, where the troposphere enters by two to three times its delay at the zenith (Teunissen and
-Montenbruck 2017, Springer Handbook of Global Navigation Satellite Systems, ch. 6 and 26); those of float
-positions by five times that. These are also doubled, because multipath that lasts for minutes is no part of
-them, or multiplied by the factor by which a forward and a backward run of the filter differ more than both
-say, if that is larger.
+What is refused becomes the float position of that epoch. The engine's covariances are multiplied by what the
+residuals show (`thalweg.ingest.ppk.residuals`); those of float positions by what they show of means over as
+many epochs as the filter has seen. To these comes what double differences leave of the atmosphere in all
+satellites alike, which no residual shows: in proportion to the baseline `ATMOSPHERE`, that of float positions
+`FLOAT_ATMOSPHERE`, and in height `RISE` times the difference of heights.
 
 The .pos text of the engine becomes a table here, and covariances that cannot be true are replaced.
 """
@@ -127,11 +124,18 @@ def _too_small(C: ArrayF) -> ArrayB:
 
 # ---------------------------------------------------------------- trust
 
-ATMOSPHERE: Final = np.array([1e-6, 1e-6, 2e-6])
-"""Standard deviations east, north, up that the atmosphere adds, in parts of the baseline."""
+ATMOSPHERE: Final = np.array([2e-6, 2e-6, 3e-6])
+"""Standard deviations east, north, up that the atmosphere adds, in parts of the baseline: the ionosphere
+differs by 1 mm/km at the zenith on L1 and 1.6 times that on L2, of which the engine takes the mean, and
+enters by a dilution of precision of 1.5 in plan and 2.3 in height (Teunissen and Montenbruck 2017, ch. 6 and
+26)."""
 FLOAT_ATMOSPHERE: Final = np.array([5e-6, 5e-6, 1e-5])
-"""The same of float positions, which rest on the code: the ionosphere differs by 1 to 2 mm/km at the zenith,
-by 2.4 times that for low satellites, and enters by a dilution of precision of 2 in plan and 3 in height."""
+"""The same of float positions, which rest on the code: 1 to 2 mm/km at the zenith, 2.4 times that for low
+satellites, by a dilution of precision of 2 in plan and 3 in height."""
+RISE: Final = 1.5e-4
+"""Standard deviation of a height by water vapour between the heights of both antennas, of which the engine's
+troposphere knows nothing: 0.12 m at the zenith that fade over 2 km (6e-5 of the rise), which heights feel 2.5
+times."""
 REFUSALS: Final = {
     "baseline": "the baseline is longer than ppk.trusted_baseline_km",
     "duration": "the run of fixed epochs is shorter than ppk.least_fix_s",
@@ -141,12 +145,8 @@ REFUSALS: Final = {
 _THREE_SIGMA: Final = float(chi2.ppf(0.9973, 3))
 _FLOAT_FLOOR_M: Final = np.array([0.05, 0.05, 0.10])
 """A float solution that has converged states less than multipath and atmosphere leave."""
-LEAST_FACTOR: Final = 2.0
-"""Float positions err about so many times as much as the engine states: with fixed ones as truth 1.5, 1.7 and
-1.8, 1.9 times (root mean square of the axes; forward, backward) on two real recordings over 7 m and 5 km."""
-_LARGEST_FACTOR: Final = 10.0
-_FEWEST: Final = 30
-"""Fewer float epochs of both directions tell no factor."""
+UNKNOWN_FACTOR: Final = 2.0
+"""On the standard deviations of float positions where too few epochs tell one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -156,19 +156,24 @@ class Trust:
     Parameters
     ----------
     refused : fixed epochs that became float, by `REFUSALS`.
-    float_factor : on the standard deviations of float positions.
+    fixed_factor : on the standard deviations of fixed positions.
+    float_factors : on those of float positions, in the first and in the last epoch of the filter.
+    known : whether the residuals told the latter.
     without_float : refused epochs that have no float position and were left out.
     """
 
     refused: dict[str, int]
-    float_factor: float
+    fixed_factor: float
+    float_factors: tuple[float, float]
+    known: bool
     without_float: int
 
     def report(self) -> dict[str, Any]:
         """As details of an integrity report."""
         return {
             "n_fixes_refused": dict(self.refused),
-            "float_sigma_factor": self.float_factor,
+            "fixed_sigma_factor": self.fixed_factor,
+            "float_sigma_factors": list(self.float_factors),
             "n_refused_without_float": self.without_float,
         }
 
@@ -177,10 +182,10 @@ class Trust:
         said = [
             f"{n:,} fixed epochs count as float: {REFUSALS[why]}." for why, n in self.refused.items() if n
         ]
-        if self.float_factor > LEAST_FACTOR:
+        if not self.known:
             said.append(
-                f"A forward and a backward run differ {self.float_factor:.1f} times as much as their "
-                "standard deviations say: those of float positions are multiplied by that."
+                "Too few epochs and satellites tell how large the errors of the code are: standard "
+                f"deviations of float positions are {UNKNOWN_FACTOR:g} times the engine's."
             )
         if self.without_float:
             said.append(f"{self.without_float:,} of them have no float position and were left out.")
@@ -190,11 +195,14 @@ class Trust:
 def trust_fixes(
     positions: pd.DataFrame,
     floats: pd.DataFrame,
-    backward: pd.DataFrame | None,
+    fixed_variance: float,
+    float_variance: tuple[ArrayF, ArrayF] | None,
     baseline_m: ArrayF,
+    rise_m: ArrayF,
     *,
     trusted_baseline_km: float,
     least_fix_s: float,
+    direction: str = "forward",
 ) -> tuple[pd.DataFrame, Trust]:
     """Judge the fixes of a solution, and give all positions standard deviations that hold.
 
@@ -202,18 +210,30 @@ def trust_fixes(
     ----------
     positions : table of kind ``gnss_position``, the solution with integer ambiguities.
     floats : the same observations with float ambiguities.
-    backward : float ambiguities by a filter that runs backward; None: the factor is `LEAST_FACTOR`.
-    baseline_m : (n,) distance of each of `positions` from the base.
+    fixed_variance : factor of `phase_factor`.
+    float_variance : numbers of epochs and factors of `code_factors`; None: `UNKNOWN_FACTOR` squared.
+    baseline_m, rise_m : (n,) distance of each of `positions` from the base, and difference of their heights.
     trusted_baseline_km : integers of longer baselines are not trusted.
     least_fix_s : nor those of shorter runs.
+    direction : in which the filter ran: ``forward``, ``backward`` or ``combined``.
 
     Returns
     -------
     positions : with refused fixes as float positions.
-    trust : counts and factor.
+    trust : counts and factors.
     """
-    factor = LEAST_FACTOR if backward is None else _float_factor(floats, backward)
-    floats = _scaled(floats, factor)
+    after, factors = float_variance or (np.ones(1), np.full(1, UNKNOWN_FACTOR**2))
+    n_epochs = len(floats)
+
+    def float_factor(t_gps_s: ArrayF) -> ArrayF:
+        """Of the variances at these times, by how many epochs the filter has seen."""
+        seen = np.searchsorted(floats["t_gps_s"].to_numpy(np.float64), t_gps_s - 1e-3) + 1
+        seen = {"forward": seen, "backward": n_epochs + 1 - seen, "combined": np.full(len(seen), n_epochs)}[
+            direction
+        ]
+        return np.asarray(np.exp(np.interp(np.log(np.maximum(seen, 1)), np.log(after), np.log(factors))))
+
+    floats = _scaled(floats, float_factor(floats["t_gps_s"].to_numpy(np.float64)))
     t = positions["t_gps_s"].to_numpy(np.float64)
     fixed = (positions["fix"] == "fixed").to_numpy()
     beside, known = _at(floats, t)
@@ -230,17 +250,27 @@ def trust_fixes(
             why[of] = "float"
         why[of[long]] = "baseline"
     refused = why != ""
-    out = _scaled(positions, factor, positions["fix"].to_numpy() == "float")
+    kinds = positions["fix"].to_numpy()
+    out = _scaled(
+        positions, np.where(fixed, fixed_variance, np.where(kinds == "float", float_factor(t), 1.0))
+    )
     take = refused & known
     for name in positions.columns:
         out.loc[take, name] = floats[name].to_numpy()[beside[take]]
     covariance = covariance_enu(out)
     parts = np.where((out["fix"] == "float").to_numpy()[:, None], FLOAT_ATMOSPHERE, ATMOSPHERE)
     covariance[:, range(3), range(3)] += (baseline_m[:, None] * parts) ** 2
+    covariance[:, 2, 2] += (RISE * rise_m) ** 2
     out = with_covariance_enu(out, covariance)
     lost = refused & ~known
     counts = {name: int((why == name).sum()) for name in REFUSALS}
-    found = Trust(refused=counts, float_factor=factor, without_float=int(lost.sum()))
+    found = Trust(
+        refused=counts,
+        fixed_factor=float(np.sqrt(fixed_variance)),
+        float_factors=(float(np.sqrt(factors[0])), float(np.sqrt(factors[-1]))),
+        known=float_variance is not None,
+        without_float=int(lost.sum()),
+    )
     return out[~lost].reset_index(drop=True), found
 
 
@@ -278,23 +308,6 @@ def _enu(a: pd.DataFrame, b: pd.DataFrame) -> ArrayF:
     return np.asarray(next(places) - next(places))
 
 
-def _float_factor(forward: pd.DataFrame, backward: pd.DataFrame) -> float:
-    """How many times both directions differ more than their sigmas say; at least `LEAST_FACTOR`.
-
-    Both share the observations, so that their difference says too little rather than too much.
-    """
-    beside, known = _at(backward, forward["t_gps_s"].to_numpy(np.float64))
-    known &= (forward["fix"] == "float").to_numpy()
-    if known.sum() < _FEWEST:
-        return LEAST_FACTOR
-    a, b = forward[known], backward.iloc[beside[known]]
-    variance = sum(np.diagonal(covariance_enu(each), axis1=1, axis2=2) for each in (a, b))
-    # the median, so that the first minutes of either direction do not rule
-    square = np.median(_enu(a, b) ** 2 / variance, axis=0) / chi2.ppf(0.5, 1)
-    return float(np.clip(np.sqrt(np.mean(square)), LEAST_FACTOR, _LARGEST_FACTOR))
-
-
-def _scaled(table: pd.DataFrame, factor: float, rows: ArrayB | None = None) -> pd.DataFrame:
-    """The table with standard deviations of those rows multiplied."""
-    scale = np.where(np.ones(len(table), bool) if rows is None else rows, factor**2, 1.0)
-    return with_covariance_enu(table, covariance_enu(table) * scale[:, None, None])
+def _scaled(table: pd.DataFrame, factor: ArrayF) -> pd.DataFrame:
+    """The table with variances multiplied (n,)."""
+    return with_covariance_enu(table, covariance_enu(table) * factor[:, None, None])

@@ -46,6 +46,7 @@ FLAGS: Final = (
     (int(LineFlag.NEAR_JUMP), "near a jump", ORANGE, "^"),
     (int(LineFlag.ALBEDO_EDGE), "edge of the brightness", VERMILION, "D"),
     (int(LineFlag.SATURATED), "saturated", RED, "x"),
+    (int(LineFlag.APART), "apart from the line", BLUE, "+"),
 )
 """Flags with words, colour and marker; a point with several shows the last of them."""
 _BESIDE_MARKER: Final = 8.0

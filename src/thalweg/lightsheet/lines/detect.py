@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from thalweg.core import NMAD, AnyArray, ArrayF, ArrayF32, ArrayI, InputError, njit
+from thalweg.core import NMAD, AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, InputError, njit
 from thalweg.lightsheet.lines import fits
 from thalweg.lightsheet.lines.albedo import albedo_edges, remove_width_shift
 from thalweg.lightsheet.lines.fits import ridge_points
@@ -424,6 +424,12 @@ _SATURATED_SHARE: Final = 0.1
 _LEAST_REACH_ROWS: Final = 2
 _LIKE_ROWS: Final = 91
 """Neighbours along a line whose noise is taken as alike in daylight."""
+_LARGEST_FACTOR: Final = 4.0
+_END_ROWS: Final = 60
+"""Rows at the end of a line that tell where it goes on."""
+_ON_THE_LINE_PX: Final = 3.0
+_BEND: Final = 0.05
+"""By so much the slope of a line may change beyond its end, pixels a row."""
 _SLOPE_ROWS: Final = 5
 """Patches lower than that keep the slope of their start: their rows do not determine it."""
 
@@ -452,14 +458,17 @@ def detect_lines(image: AnyArray, settings: LineSettings | None = None) -> LineP
     """
     settings = settings or LineSettings()
     green = green_image(np.asarray(image), settings)
+    board: dict[str, float] = {}
     if settings.board is not None:
-        green = replace(green, region=board_region(np.asarray(image), settings))
+        region, share = board_region(np.asarray(image), settings)
+        green, board = replace(green, region=region), {"board_share": share}
     if settings.method == "auto":
         settings = replace(settings, method="lsm" if green.daylight else "speckle_patch")
     if settings.method != "speckle_patch":
         green = green.taken_as_measured()
     by_rows = settings.across == "rows" or (settings.across == "auto" and runs_down(green))
     points = _measure(green if by_rows else green.transposed(), settings)
+    points = replace(points, facts=points.facts | board)
     if not by_rows:
         points = _exchanged(points)
     return points
@@ -501,6 +510,9 @@ def _measure(green: GreenImage, settings: LineSettings) -> LinePoints:
         )
         if green.daylight:
             fitted[:, fits.SIGMA] = _seen_sigma(fitted[:, fits.SEEN], fitted[:, fits.SIGMA])
+            fitted[:, fits.SIGMA] *= _sigma_factor(
+                starts, starts.x_px + fitted[:, fits.MEAN], fitted[:, fits.SIGMA], 2 * settings.patch_rows
+            )
     else:
         rows = np.ones(starts.row.size, np.int64)
         fitted = _fit(green, starts, rows, noise, normal, half_across=_ACROSS * starts.half_width_px)
@@ -518,6 +530,55 @@ def _seen_sigma(seen: ArrayF, by_model: ArrayF) -> ArrayF:
     n = np.convolve(known, window, "same")
     variance = np.where(n > _LIKE_ROWS / 4, total / np.maximum(n, 1.0), np.nan)
     return np.where(np.isfinite(by_model) & (variance > 0.0), np.sqrt(np.abs(variance)), by_model)
+
+
+def _sigma_factor(starts: Starts, x_px: ArrayF, sigma_px: ArrayF, apart_rows: int) -> float:
+    """How many times as much as their sigmas say places scatter about a smooth line; 1 where it is short.
+
+    Third differences of places two patches apart share no pixel and see no curve of second degree; the
+    variance of each is ``s0 + 9 s1 + 9 s2 + s3``.
+    """
+    ratios = []
+    for begin, stop in pairwise(np.flatnonzero(np.diff(starts.piece, prepend=-1, append=-1))):
+        row = starts.row[begin:stop] - starts.row[begin]
+        place, variance = np.full((2, row[-1] + 1), np.nan)
+        place[row], variance[row] = x_px[begin:stop], sigma_px[begin:stop] ** 2
+        if place.size > 3 * apart_rows:
+            a, b, c, d = (slice(k * apart_rows, place.size - (3 - k) * apart_rows) for k in range(4))
+            bend = place[d] - 3.0 * place[c] + 3.0 * place[b] - place[a]
+            of_bend = variance[d] + 9.0 * variance[c] + 9.0 * variance[b] + variance[a]
+            ratios.append(np.abs(bend) / np.sqrt(of_bend))
+    known = np.concatenate([np.zeros(0), *ratios])
+    known = known[np.isfinite(known)]
+    if known.size < _LIKE_ROWS:
+        return 1.0
+    # edges of a pattern make errors larger here and there; what is torn apart is none of the line
+    usual = np.minimum(known, _CLIP * NMAD * np.median(known))
+    return float(np.clip(np.sqrt(np.mean(usual**2)), 1.0 / _LARGEST_FACTOR, _LARGEST_FACTOR))
+
+
+def _apart(row: ArrayF, x_px: ArrayF, piece: ArrayI, peak_dn: ArrayF) -> ArrayB:
+    """Points (n,) of pieces that do not continue the line, see `LineFlag.APART`.
+
+    The line begins with the piece of most light and takes in, nearest first, the pieces whose near end lies
+    where its own next `_END_ROWS` rows lead.
+    """
+    on = piece == int(np.argmax(np.bincount(piece, weights=peak_dn)))
+    waiting = set(piece[~on].tolist())
+    while waiting:
+        pieces = {k: np.flatnonzero(piece == k) for k in waiting}
+        away = {k: np.abs(row[at][:, None] - row[on]).min(axis=1) for k, at in pieces.items()}
+        for k in sorted(waiting, key=lambda k: float(away[k].min())):
+            at = pieces[k][np.argmin(away[k])]
+            end = np.flatnonzero(on)[np.argsort(np.abs(row[on] - row[at]))[:_END_ROWS]]
+            ahead = np.polyfit(row[end] - row[at], x_px[end], 1)[1]
+            if abs(x_px[at] - ahead) < _ON_THE_LINE_PX + _BEND * away[k].min():
+                on |= piece == k
+                waiting.remove(k)
+                break
+        else:
+            break
+    return np.asarray(~on)
 
 
 def _some(starts: Starts, number: int) -> Starts:
@@ -721,8 +782,13 @@ def _points(
         | _near_jump(starts, keep, rows, height) * int(LineFlag.NEAR_JUMP)
         | near_edge * int(LineFlag.ALBEDO_EDGE)
     )
+    apart = np.zeros(x.size, bool)
+    if green.daylight and settings.lines == 1:
+        apart = _apart(y, x, piece, shape[:, fits.PEAK])
+        flags |= apart * int(LineFlag.APART)
+        counts["apart_from_the_line"] = int(np.count_nonzero(apart))
     counts["points"] = int(x.size)
-    return LinePoints(
+    points = LinePoints(
         line=np.full(x.size, 0 if settings.lines == 1 else -1),
         piece=piece,
         x_px=x,
@@ -737,6 +803,11 @@ def _points(
         counts=counts,
         facts=facts,
     )
+    if green.region is None:
+        return points
+    # a board is a plane, on which there is one line
+    counts["points"] = int(np.count_nonzero(~apart))
+    return points.where(~apart)
 
 
 def _near_jump(starts: Starts, keep: AnyArray, rows: ArrayI, height: int) -> AnyArray:

@@ -15,7 +15,7 @@ from typing import Final, Literal
 import cv2
 import numpy as np
 
-from thalweg.core import NMAD, AnyArray, ArrayB, ArrayF, ArrayF32, ArrayU8, InputError, njit
+from thalweg.core import NMAD, AnyArray, ArrayB, ArrayF, ArrayF32, ArrayU8, GeometryError, InputError, njit
 from thalweg.lightsheet.lines.settings import LineSettings
 
 MEASURED: Final = 1
@@ -68,6 +68,7 @@ class GreenImage:
     In a mosaic ``dn`` is interpolated at red and blue pixels; their bit `MEASURED` is not set. ``other``
     (h, w) is the mean of red and blue light around each pixel, None for a monochrome image and where
     ``daylight`` was taken away, see `laser_light`. ``region`` (h, w): where a line counts; None: everywhere.
+    ``colour`` of the light in ``dn``.
     """
 
     dn: ArrayF32
@@ -78,6 +79,7 @@ class GreenImage:
     other: ArrayF32 | None
     daylight: bool = False
     region: ArrayB | None = None
+    colour: str = "green"
 
     def taken_as_measured(self) -> "GreenImage":
         """Interpolated pixels count like measured ones."""
@@ -129,6 +131,7 @@ def green_image(image: AnyArray, settings: LineSettings) -> GreenImage:
         than the others, or too many saturated pixels.
     """
     _check(image)
+    colour = "green"
     if image.ndim == 3 and settings.laser_colour != "mono":
         daylight = is_daylight(image)
         if daylight and settings.laser_colour == "auto":
@@ -138,6 +141,7 @@ def green_image(image: AnyArray, settings: LineSettings) -> GreenImage:
         if daylight:
             return _without_daylight(image, channel, laser_light(image, channel), settings)
         first, second = (c for c in range(3) if c != channel)
+        colour = list(_CHANNELS)[channel]
         image = image[:, :, [first, channel, second]]  # the laser's colour stands in the middle
     grey = image[:, :, 1] if image.ndim == 3 else image
     dn = np.ascontiguousarray(grey, np.float32)
@@ -158,7 +162,13 @@ def green_image(image: AnyArray, settings: LineSettings) -> GreenImage:
     bits[saturated] |= SATURATED
     kind: Kind = "mosaic" if parity >= 0 else ("rgb" if image.ndim == 3 else "mono")
     return GreenImage(
-        dn=dn, bits=bits, kind=kind, largest_dn=largest, saturation_dn=float(level), other=other
+        dn=dn,
+        bits=bits,
+        kind=kind,
+        largest_dn=largest,
+        saturation_dn=float(level),
+        other=other,
+        colour=colour,
     )
 
 
@@ -166,10 +176,21 @@ _SQUARES: Final = 0.9
 """Of the squares around the outermost corners that much counts: their outer edges are none of a line."""
 
 
-def board_region(image: AnyArray, settings: LineSettings) -> ArrayB:
+_PARTS: Final = ((6, 5), (5, 3), (3, 3))
+"""Corners from which what a picture cuts off a board is grown."""
+_ON_A_GRID_PX: Final = 2.0
+
+
+def board_region(image: AnyArray, settings: LineSettings) -> tuple[ArrayB, float]:
     """Pixels (h, w) of the checkerboard of ``settings.board`` in an image, its outer squares included.
 
-    It is looked for in the two colours that are not the laser's, where there are colours.
+    It is looked for in the two colours that are not the laser's, where there are colours. Of a board that the
+    picture cuts off or something covers, what is seen counts.
+
+    Returns
+    -------
+    region : (h, w).
+    share : of the corners that are seen.
 
     Raises
     ------
@@ -186,14 +207,45 @@ def board_region(image: AnyArray, settings: LineSettings) -> ArrayB:
         grey = np.delete(grey, laser, axis=2).mean(axis=2)
     grey = np.clip(grey * (255.0 / _largest(image)), 0.0, 255.0).astype(np.uint8)
     board = Checkerboard(columns=columns, rows=rows, square_m=1.0, width_m=side, height_m=side)
-    corners = find_corners(grey, board).reshape(rows, columns, 2)
-    v, u = np.mgrid[:rows, :columns].astype(np.float64)
-    H, _ = cv2.findHomography(np.stack([u, v], axis=-1).reshape(-1, 2), corners.reshape(-1, 2))
-    low, right, top = -_SQUARES, columns - 1 + _SQUARES, rows - 1 + _SQUARES
+    try:
+        corners = find_corners(grey, board).reshape(rows, columns, 2)
+    except GeometryError:
+        part = _part_of_board(grey, columns, rows)
+        if part is None:
+            raise
+        corners = part
+    H = _grid(corners)
+    low, right, top = -_SQUARES, corners.shape[1] - 1 + _SQUARES, corners.shape[0] - 1 + _SQUARES
     outline = np.array([[[low, low], [right, low], [right, top], [low, top]]])
     region = np.zeros(image.shape[:2], np.uint8)
     cv2.fillConvexPoly(region, np.rint(cv2.perspectiveTransform(outline, H)[0] - 0.5).astype(np.int32), 1)
-    return region.astype(np.bool_)
+    return region.astype(np.bool_), corners.shape[0] * corners.shape[1] / (columns * rows)
+
+
+def _part_of_board(grey: ArrayU8, columns: int, rows: int) -> ArrayF | None:
+    """Corners (r, c, 2) of the largest part of a board that is seen, pixels; None where there is none."""
+    best: ArrayF | None = None
+    for pattern in _PARTS:
+        flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
+        found, at, meta = cv2.findChessboardCornersSBWithMeta(grey, pattern, flags)
+        if not found or (best is not None and meta.size <= best.size // 2):
+            continue
+        if max(meta.shape) > max(columns, rows) or min(meta.shape) > min(columns, rows):
+            continue
+        corners = at.reshape(*meta.shape, 2).astype(np.float64) + 0.5
+        v, u = np.mgrid[: meta.shape[0], : meta.shape[1]].astype(np.float64)
+        numbers = np.stack([u, v], axis=-1).reshape(-1, 1, 2)
+        grid = cv2.perspectiveTransform(numbers, _grid(corners))
+        if np.abs(grid.reshape(corners.shape) - corners).max() < _ON_A_GRID_PX:
+            best = corners
+    return best
+
+
+def _grid(corners_px: ArrayF) -> ArrayF:
+    """Homography from numbers (column, row) of corners (r, c, 2) to pixels."""
+    v, u = np.mgrid[: corners_px.shape[0], : corners_px.shape[1]].astype(np.float64)
+    H, _ = cv2.findHomography(np.stack([u, v], axis=-1).reshape(-1, 2), corners_px.reshape(-1, 2))
+    return np.asarray(H)
 
 
 # ---------------------------------------------------------------- laser lines in daylight
@@ -222,6 +274,8 @@ _SOFT: Final = 0.3
 """Added to the brightness by which the laser's light is divided, as a share of its median."""
 _TAIL: Final = 0.997
 """A line covers at least the rest of the pixels."""
+_CLEARLY: Final = 1.5
+_WIDE_PX: Final = 15.0
 _CHANNELS: Final = {"red": 0, "green": 1, "blue": 2}
 
 
@@ -276,13 +330,16 @@ def laser_light(image: AnyArray, channel: int) -> ArrayF32:
 def laser_channel(image: AnyArray, colour: str) -> int:
     """Channel of the laser: the stated one, or that in which a few pixels stand out most.
 
-    In the dark `auto` is green, as in all images that were not taken in daylight.
+    In the dark it is green unless another is clearly brighter: a white, over-exposed line has no colour.
     """
     if colour != "auto":
         return _CHANNELS[colour]
-    if not is_daylight(image):
-        return _CHANNELS["green"]
-    return _brightest(image)[0]
+    if is_daylight(image):
+        return _brightest(image)[0]
+    some = image[::3, ::3].reshape(-1, 3).astype(np.float64)
+    light = np.quantile(some, _TAIL, axis=0) - np.median(some, axis=0)
+    channel = int(np.argmax(light))
+    return channel if light[channel] > _CLEARLY * light[_CHANNELS["green"]] else _CHANNELS["green"]
 
 
 def _brightest(image: AnyArray) -> tuple[int, ArrayF32]:
@@ -290,7 +347,8 @@ def _brightest(image: AnyArray) -> tuple[int, ArrayF32]:
     lights = [laser_light(image, channel) for channel in range(3)]
     stands_out = []
     for light in lights:
-        soft = cv2.GaussianBlur(light, (0, 0), 1.5)
+        # things of another tint than the rest are wide, a line is not
+        soft = cv2.GaussianBlur(light, (0, 0), 1.5) - cv2.GaussianBlur(light, (0, 0), _WIDE_PX)
         middle = np.median(soft)
         spread = max(NMAD * float(np.median(np.abs(soft - middle))), 1e-3)
         stands_out.append(float(np.quantile(soft, _TAIL) - middle) / spread)
@@ -315,6 +373,7 @@ def _without_daylight(image: AnyArray, channel: int, light: ArrayF32, settings: 
         saturation_dn=float(level),
         other=None,
         daylight=True,
+        colour=list(_CHANNELS)[channel],
     )
 
 

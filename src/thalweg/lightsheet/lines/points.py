@@ -23,7 +23,12 @@ LINE_POINTS: Final = table_kind(
         column("width_px", pa.float64(), "px", "distance at which the line falls to 1/e^2"),
         column("background_dn", pa.float64(), "1", "grey value beside the line"),
         column("rows", pa.int32(), "1", "rows of the patch"),
-        column("flags", pa.uint8(), "1", "bits: 1 saturated, 2 weak, 4 near a jump, 8 edge of the albedo"),
+        column(
+            "flags",
+            pa.uint8(),
+            "1",
+            "bits: 1 saturated, 2 weak, 4 near a jump, 8 edge of the albedo, 16 apart",
+        ),
     ],
 )
 """Points of lines in one image."""

@@ -179,22 +179,23 @@ def find_starts(image: GreenImage, settings: LineSettings) -> Starts:
         counts["short_pieces"] += int(np.count_nonzero(keep & ~long_enough))
         keep &= long_enough
     if not keep.any() and counts["daylight_pattern"]:
+        others = " and ".join(c for c in ("red", "green", "blue") if c != image.colour)
         raise InputError(
-            f"no laser line: {counts['daylight_pattern']} bright places are as bright in red and blue as in "
-            "green: a pattern in daylight",
-            expected="a line of a green laser",
-            cure="Shut out daylight; for a laser that red and blue pixels see as well raise "
-            "'largest_colour_slope'",
+            f"no laser line: {counts['daylight_pattern']} bright places are as bright in {others} as in "
+            f"{image.colour}: a pattern in daylight",
+            expected=f"a line of a {image.colour} laser, the colour that was looked for",
+            cure="Shut out daylight; state 'laser_colour' for a laser of another colour; for one that all "
+            "pixels see raise 'largest_colour_slope'",
         )
+    ghost = _beyond_ends(image, row, x, prominence, piece, keep, width)
+    counts["beyond_an_end"] = int(np.count_nonzero(ghost))
+    keep &= ~ghost
     if not keep.any():
         raise InputError(
             f"no laser line: {row.size} bright places, none of which goes on over {settings.least_rows} rows",
             expected="at least one line",
             cure="Look at the image: laser on, exposure, direction of the line ('across')",
         )
-    ghost = _beyond_ends(image, row, x, prominence, piece, keep, width)
-    counts["beyond_an_end"] = int(np.count_nonzero(ghost))
-    keep &= ~ghost
     order = np.flatnonzero(keep)[np.lexsort((row[keep], piece[keep]))]
     _, numbers = np.unique(piece[order], return_inverse=True)
     first, last = _ends(row[order], numbers)

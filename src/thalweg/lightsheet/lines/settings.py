@@ -25,6 +25,9 @@ class LineFlag(IntFlag):
     """The line ends within the patch: an edge of the object, a shadow, or the end of the sheet."""
     ALBEDO_EDGE = 8
     """The brightness changes along the line within the patch, or the ambient light does across it."""
+    APART = 16
+    """In daylight: the piece does not continue the line, which is one curve where a plane of light meets one
+    surface. It lies on another surface, or is a reflection or no laser at all."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
