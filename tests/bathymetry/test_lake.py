@@ -144,17 +144,19 @@ def test_a_lake_has_its_bays_and_no_bed_on_its_island(lake: tuple[Water, BedOfTa
 def test_days_that_contradict_each_other_are_named_and_enlarge_the_sigma(
     lake: tuple[Water, BedOfTable],
 ) -> None:
-    facts = lake[1].validation["days"]
-    pairs = {(of["a"], of["b"]): of for of in facts["pairs"]}
+    facts = lake[1].validation["agreement"]
+    pairs = {(of["a"], of["b"]): of for of in facts["pairs of days"]}
     for (a, b), of in pairs.items():
         true = OFFSETS[DAYS.index(a)] - OFFSETS[DAYS.index(b)]
         assert of["contradicts"]
         assert of["difference_m"] == pytest.approx(true, abs=3 * of["sigma_m"] + 0.01)
     expected = OFFSETS - OFFSETS.mean()
-    assert list(facts["shift_m"].values()) == pytest.approx(expected, abs=0.08)
+    # the soundings hold depths
+    steps = {of["run"]: of["step_m"] for of in facts["steps"]}
+    assert list(steps.values()) == pytest.approx(-expected, abs=0.08)
     # the mean of three days with this scatter: 68 % of Student's distribution of two degrees of freedom
     expected = 1.32 * np.std(OFFSETS, ddof=1) / np.sqrt(3)
-    assert facts["sigma_common_m"][DAYS[0]] == pytest.approx(expected, rel=0.15)
+    assert facts["steps"][0]["sigma_common_m"] == pytest.approx(expected, rel=0.15)
     assert any("2024-05-03 lies" in note and "crossings" in note for note in lake[1].notes)
     assert any("brought to their mean" in note for note in lake[1].notes)
 
@@ -174,8 +176,9 @@ def test_days_that_agree_change_nothing() -> None:
     line = np.concatenate([north.ravel() // 10, 5 + north.ravel() // 10]).astype(np.int64)
     noise = 0.02 * np.random.default_rng(1).standard_normal(len(xy))
     same = agreement(xy, noise, np.full(len(xy), 0.02), line, day)
-    assert same.pairs["n"].tolist() == [16]
-    assert not same.pairs["contradicts"].any()
+    assert same.pairs["run"]["n"].tolist() == [16]
+    assert not same.pairs["run"]["contradicts"].any()
+    assert not (same.shift_m.any() or same.sigma_m.any() or same.sigma_common_m.any() or same.sigma_line_m)
     # a third day beside them crosses none: a step of the others is its own too
     away = np.concatenate([xy, along + 500.0])
     step = np.concatenate([noise + 0.3 * day, noise[: len(along)]])
@@ -183,7 +186,7 @@ def test_days_that_agree_change_nothing() -> None:
     found = agreement(
         away, step, np.full(len(away), 0.02), np.concatenate([line, line[: len(along)] + 20]), three
     )
-    assert found.pairs["difference_m"].tolist() == pytest.approx([0.3], abs=0.02)
+    assert found.pairs["run"]["difference_m"].tolist() == pytest.approx([0.3], abs=0.02)
     assert found.shift_m == pytest.approx([-0.15, 0.15, 0.0], abs=0.01)
     spread = 1.84 * np.std([0.0, 0.3], ddof=1)  # of two days: one degree of freedom
     assert found.sigma_common_m == pytest.approx([spread / np.sqrt(2)] * 2 + [spread], rel=0.1)
