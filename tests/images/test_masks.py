@@ -199,7 +199,7 @@ def test_ground_that_mirrors_nothing_is_no_water(series, tmp_path, ground):
     table = make_masks(files, tmp_path / "masks")
     assert (read(tmp_path / "masks", files)[np.stack(below)] > 0).mean() > 0.95
     assert (table["water_share"] == 0).all()
-    assert "it counts as land, nothing is masked as water" in table.attrs["notes"][0]
+    assert "cannot tell whether the foreground is water" in table.attrs["notes"][0]
     if ground == "lawn":
         told = make_masks(files, tmp_path / "water", MaskSettings(least_mirror=-1.0))
         assert (told["water_share"] > 0.25).all()
@@ -312,7 +312,7 @@ def test_a_series_without_parts_is_left_alone(tmp_path, rng):
     for f in files:
         cv2.imwrite(str(f), rng.integers(0, 256, (120, 160, 3)).astype(np.uint8))
     table = make_masks(files, tmp_path / "out")
-    assert table.attrs["notes"] == ["water and land cannot be told apart: only the own boat is masked"]
+    assert table.attrs["notes"] == ["cannot tell water, sky and land apart: only the own boat is masked"]
     assert (read(tmp_path / "out", files) == 255).all()
 
 
