@@ -494,8 +494,9 @@ def _most_probable(
         return float(fit + 2 * np.log(np.diag(lower[0])).sum() + np.sum(((x - middle) / spread) ** 2))
 
     simplex = middle + (np.vstack([np.zeros(len(middle)), 2 * np.eye(len(middle))]) - 1) * spread / 3
-    options = {"xatol": 0.05, "fatol": 0.05, "initial_simplex": simplex}
-    found = minimize(cost, middle, method="Nelder-Mead", options=options)
+    found = minimize(
+        cost, middle, method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.05, "initial_simplex": simplex}
+    )
     return dict(zip(names, np.exp(found.x).tolist(), strict=True)), float(found.fun)
 
 

@@ -19,6 +19,7 @@ one relief for all, beds of the twin between 0.6 and 0.9 of the half width erred
 variogram by Cressie and Hawkins (1980) is made for the picture alone.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import cache
@@ -609,7 +610,13 @@ def _per_slope(model: BedModel, data: Observations, test: list[ArrayI], settings
         unusual = ((x - np.log(_USUAL_PER_SLOPE)) / np.log(_PER_SLOPE_FACTOR)) ** 2 / (2 * len(square))
         return float(np.mean(np.log(factor) + z2[known] / factor) / 2 + unusual)
 
-    return float(np.exp(minimize_scalar(cost, bounds=np.log(_PER_SLOPES), method="bounded").x))
+    return float(
+        np.exp(
+            minimize_scalar(
+                cost, bounds=(math.log(_PER_SLOPES[0]), math.log(_PER_SLOPES[1])), method="bounded"
+            ).x
+        )
+    )
 
 
 def _parameters(model: BedModel, half_m: float, rest: Observations) -> ArrayF:
