@@ -77,6 +77,7 @@ MASK_COLUMNS: Final = ("image", "usable_share", "water_share", "sky_share", "hul
 EXAMPLES: Final = 3
 MOST_ON_SHEET: Final = 24
 _SHEET_COLUMNS: Final = 4
+_NAME_LETTERS: Final = 26
 _LONGEST_PX: Final = 900
 """Side of a picture in the figure; more would not be seen."""
 _DARKER: Final = 0.42
@@ -619,7 +620,9 @@ def mask_sheet(images: Images, masks: Path, table: pd.DataFrame, *, title: str) 
             for column, (label, _, _) in _LINES.items()
             if column == "usable_share" or row[column] > 0
         ]
-        words = f"{row['image']}\n{', '.join(shares)}"
+        name = str(row["image"])
+        name = name if len(name) <= _NAME_LETTERS else f"...{name[-_NAME_LETTERS:]}"
+        words = f"{name}\n{', '.join(shares)}"
         ax.set_title(
             f"{words}\ncannot tell: {row['cannot_tell']}" if row["cannot_tell"] else words, fontsize=6
         )
