@@ -56,10 +56,10 @@ _GAIN: Final = 10.0
 """Twice the logarithm of the probability that steps must add: by chance they do once in a hundred."""
 _NOTHING: Final = 0.005
 """A variance below this share of those of all steps counts as nothing."""
+_GAIN_OF_LINES: Final = 4.0
+"""The same of a step of each line: where a line crosses one other, nothing tells it from noise."""
 _STEP_SPREAD: Final = 3.0
-_NOISE_SPREAD: Final = 2.0
-"""One standard deviation of the logarithms of variances: of steps about half the mean square of the
-differences, of noise beyond the stated one about that."""
+"""One standard deviation of the logarithms of variances, about half the mean square of the differences."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -462,6 +462,11 @@ def _variances_of_steps(d: ArrayF, white: ArrayF, ends: dict[str, _Ends]) -> tup
         usual = max(float(np.mean(d[some] ** 2)) / 2, 1e-12)
         noise, alone = _most_probable(d[some], white[some], {}, usual)
         steps, together = _most_probable(d[some], white[some], shared, usual)
+        if "line" in shared:
+            rest = {name: m for name, m in shared.items() if name != "line"}
+            fewer, without = _most_probable(d[some], white[some], rest, usual) if rest else (noise, alone)
+            if without - together < _GAIN_OF_LINES:
+                steps, together = fewer, without
         variance = dict.fromkeys(variance, 0.0) | (steps if alone - together > _GAIN else noise)
         # the smallest of a few variances is never found to be nothing
         least = _NOTHING * sum(variance[name] for name in ends)
@@ -479,11 +484,10 @@ def _most_probable(
 ) -> tuple[dict[str, float], float]:
     """Variances of shared steps and of noise, and twice the negative logarithm of the probability."""
     names = (*shared, "noise")
-    # steps may be as large as the differences; noise is known better, by what is stated, which stays if the
-    # crossings are few
+    # of few crossings the noise is as stated: nothing tells it from steps
     few = len(d) < FEWEST
-    middle = np.log([usual] * len(shared) + [float(white.mean()) * (_NOTHING if few else 1.0)])
-    spread = np.array([_STEP_SPREAD] * len(shared) + [_NOTHING if few else _NOISE_SPREAD])
+    middle = np.log([usual] * len(shared) + [_NOTHING * float(white.mean()) if few else usual])
+    spread = np.array([_STEP_SPREAD] * len(shared) + [_NOTHING if few else _STEP_SPREAD])
 
     def cost(x: ArrayF) -> float:
         """Of logarithms of the variances."""
