@@ -463,8 +463,8 @@ def _variances_of_steps(d: ArrayF, white: ArrayF, ends: dict[str, _Ends]) -> tup
         noise, alone = _most_probable(d[some], white[some], {}, usual)
         steps, together = _most_probable(d[some], white[some], shared, usual)
         if "line" in shared:
-            rest = {name: m for name, m in shared.items() if name != "line"}
-            fewer, without = _most_probable(d[some], white[some], rest, usual) if rest else (noise, alone)
+            less = {name: m for name, m in shared.items() if name != "line"}
+            fewer, without = _most_probable(d[some], white[some], less, usual) if less else (noise, alone)
             if without - together < _GAIN_OF_LINES:
                 steps, together = fewer, without
         variance = dict.fromkeys(variance, 0.0) | (steps if alone - together > _GAIN else noise)
