@@ -1,15 +1,18 @@
-"""The commands ``thalweg orient`` and ``frames``: photographs without a campaign, and those of a video."""
+"""The commands ``thalweg orient``, ``masks`` and ``frames``: and those of videos, without a campaign."""
 
 import argparse
 import os
 import sys
 from pathlib import Path
+from typing import Final
+
+_MASKED: Final = ("water", "sky", "hull", "moved")
 
 from thalweg.cli_remedies import of_a_campaign
 
 
 def add_image_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add ``orient`` and ``frames``."""
+    """Add ``orient``, ``masks`` and ``frames``."""
     frames = commands.add_parser("frames", help="video -> photographs with a table of their times")
     frames.add_argument("video", type=Path, metavar="VIDEO", help="MP4, MOV")
     frames.add_argument(
@@ -21,6 +24,22 @@ def add_image_commands(commands: "argparse._SubParsersAction[argparse.ArgumentPa
     frames.add_argument("--sigma-begin", type=float, metavar="S", help="its standard deviation")
     frames.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the frames")
     frames.set_defaults(command=_frames)
+    masks = commands.add_parser(
+        "masks",
+        help="photographs of a series -> masks of water, sky, own boat, what moved; a sheet to look at",
+        description="A part is masked only where the photographs show that it is one: water by reflections, "
+        "sky by its smoothness and light, the own boat by keeping its place in eight photographs or more; "
+        "of a camera that stayed what moved. What cannot be told is left usable and said.",
+    )
+    masks.add_argument("photographs", type=Path, nargs="+", metavar="PHOTO", help="folders or files")
+    masks.add_argument(
+        "--least-mirror",
+        type=float,
+        metavar="R",
+        help="correlation with its reflection from which on the foreground is water; -1: always",
+    )
+    masks.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the masks")
+    masks.set_defaults(command=_masks)
     orient = commands.add_parser(
         "orient",
         help="photographs and control points or positions -> poses with sigmas, lens, tie points, page",
@@ -173,6 +192,33 @@ def _orient(options: argparse.Namespace) -> int:
     ).write(page)
     print(summary_text(found.found.facts))
     print(f"Wrote {', '.join(str(path) for path in [page, *written])}")
+    return 0
+
+
+def _masks(options: argparse.Namespace) -> int:
+    from thalweg.figures import save
+    from thalweg.figures.images import mask_sheet
+    from thalweg.images.masks import known_camera, make_masks_of_cameras
+    from thalweg.ingest.photos import find_images, named_images
+    from thalweg.settings.sections import MaskSettings
+
+    images = named_images(find_images(options.photographs).files)
+    settings = MaskSettings()
+    if options.least_mirror is not None:
+        settings = MaskSettings(least_mirror=options.least_mirror)
+    found = make_masks_of_cameras(images, options.out, settings, known_camera([], [], {}))
+    found.to_csv(options.out / "masks.csv", index=False)
+    save(
+        mask_sheet(images, options.out, found, title=f"Masks of {options.out.resolve().name}"),
+        options.out / "overview.png",
+    )
+    for row in found.to_dict("records"):
+        shares = [f"{part} {100 * row[f'{part}_share']:.1f} %" for part in ("usable", *_MASKED)]
+        untold = f"cannot tell: {row['cannot_tell']}" if row["cannot_tell"] else ""
+        print(f"{row['image']}: {'; '.join(filter(None, (', '.join(shares), untold, row['note'])))}")
+    for note in found.attrs["notes"]:
+        print(f"note: {note}")
+    print(f"Wrote {len(found)} masks, masks.csv and overview.png in {options.out}")
     return 0
 
 

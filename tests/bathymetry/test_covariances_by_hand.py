@@ -213,9 +213,9 @@ def test_the_later_day_lies_higher_whichever_was_numbered_first() -> None:
     height = np.where(north, -1.6, -2.0)
     for part, sign in ((north, 1.0), (~north, -1.0)):
         found = agreement(places, height, np.full(54, 0.02), line, part.astype(np.int64))
-        assert found.pairs["n"].tolist() == [9]
-        assert found.pairs["difference_m"].tolist() == pytest.approx([0.4 * sign])
-        assert found.shift_m == pytest.approx([-0.2 * sign, 0.2 * sign])
+        assert found.pairs["run"]["n"].tolist() == [9]
+        assert found.pairs["run"]["difference_m"].tolist() == pytest.approx([0.4 * sign])
+        assert found.shift_m == pytest.approx([-0.2 * sign, 0.2 * sign], abs=0.002)
 
 
 # ---------------------------------------------------------------- bed

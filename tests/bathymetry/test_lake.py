@@ -1,6 +1,7 @@
 """Beds of lakes: coordinates of the map, shores and islands, days that contradict each other, levels."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from thalweg.bathymetry import (
     agreement,
     bed_of_table,
     methods,
+    read_soundings,
     water_of,
 )
 from thalweg.bathymetry.bed import gridded
@@ -144,17 +146,19 @@ def test_a_lake_has_its_bays_and_no_bed_on_its_island(lake: tuple[Water, BedOfTa
 def test_days_that_contradict_each_other_are_named_and_enlarge_the_sigma(
     lake: tuple[Water, BedOfTable],
 ) -> None:
-    facts = lake[1].validation["days"]
-    pairs = {(of["a"], of["b"]): of for of in facts["pairs"]}
+    facts = lake[1].validation["agreement"]
+    pairs = {(of["a"], of["b"]): of for of in facts["pairs of days"]}
     for (a, b), of in pairs.items():
         true = OFFSETS[DAYS.index(a)] - OFFSETS[DAYS.index(b)]
         assert of["contradicts"]
         assert of["difference_m"] == pytest.approx(true, abs=3 * of["sigma_m"] + 0.01)
     expected = OFFSETS - OFFSETS.mean()
-    assert list(facts["shift_m"].values()) == pytest.approx(expected, abs=0.08)
+    # the soundings hold depths
+    steps = {of["run"]: of["step_m"] for of in facts["steps"]}
+    assert list(steps.values()) == pytest.approx(-expected, abs=0.08)
     # the mean of three days with this scatter: 68 % of Student's distribution of two degrees of freedom
     expected = 1.32 * np.std(OFFSETS, ddof=1) / np.sqrt(3)
-    assert facts["sigma_common_m"][DAYS[0]] == pytest.approx(expected, rel=0.15)
+    assert facts["steps"][0]["sigma_common_m"] == pytest.approx(expected, rel=0.15)
     assert any("2024-05-03 lies" in note and "crossings" in note for note in lake[1].notes)
     assert any("brought to their mean" in note for note in lake[1].notes)
 
@@ -174,8 +178,10 @@ def test_days_that_agree_change_nothing() -> None:
     line = np.concatenate([north.ravel() // 10, 5 + north.ravel() // 10]).astype(np.int64)
     noise = 0.02 * np.random.default_rng(1).standard_normal(len(xy))
     same = agreement(xy, noise, np.full(len(xy), 0.02), line, day)
-    assert same.pairs["n"].tolist() == [16]
-    assert not same.pairs["contradicts"].any()
+    assert same.pairs["run"]["n"].tolist() == [16]
+    assert not same.pairs["run"]["contradicts"].any()
+    nothing = [same.shift_m, same.sigma_m, same.sigma_common_m, [same.sigma_line_m]]
+    assert not np.concatenate(nothing).any()
     # a third day beside them crosses none: a step of the others is its own too
     away = np.concatenate([xy, along + 500.0])
     step = np.concatenate([noise + 0.3 * day, noise[: len(along)]])
@@ -183,7 +189,7 @@ def test_days_that_agree_change_nothing() -> None:
     found = agreement(
         away, step, np.full(len(away), 0.02), np.concatenate([line, line[: len(along)] + 20]), three
     )
-    assert found.pairs["difference_m"].tolist() == pytest.approx([0.3], abs=0.02)
+    assert found.pairs["run"]["difference_m"].tolist() == pytest.approx([0.3], abs=0.02)
     assert found.shift_m == pytest.approx([-0.15, 0.15, 0.0], abs=0.01)
     spread = 1.84 * np.std([0.0, 0.3], ddof=1)  # of two days: one degree of freedom
     assert found.sigma_common_m == pytest.approx([spread / np.sqrt(2)] * 2 + [spread], rel=0.1)
@@ -467,3 +473,75 @@ def test_the_command_maps_a_lake(
     (tmp_path / "l.csv").write_text("2024-05-01,3.0\n")
     assert main([*words, "--levels", str(tmp_path / "l.csv")]) == 2
     assert "without times" in capsys.readouterr().err
+
+
+# ---------------------------------------------------------------- runs of one day, and the outline as the map
+
+
+def test_runs_are_pieces_between_pauses_or_names_of_a_column(tmp_path: Path) -> None:
+    """Two days; on the first one a pause of five minutes; the second day sails line a again."""
+    east, north = np.meshgrid(np.arange(8.0) * 3, np.arange(4.0) * 10)
+    t = np.arange(32) * 2.0
+    t[16:] += 300.0
+    t[24:] += 86_400.0
+    name = np.repeat(["a", "b", "c", "a"], 8)
+    table = tmp_path / "t.csv"
+    rows = zip(500_000 + east.ravel(), 5_400_000 + north.ravel(), NOON + t, name, strict=True)
+    lines = [f"{x},{y},{1 + 0.1 * k},{pd.Timestamp(s, unit='s')}Z,{n}" for k, (x, y, s, n) in enumerate(rows)]
+    table.write_text("\n".join(["x,y,depth,time,track", *lines]))
+    known = {"column": "depth", "depth": True, "level_m": None, "sigma_m": 0.02}
+    by_pause = read_soundings(table, UTM, line_column=None, **known)
+    assert by_pause.run is not None
+    assert by_pause.run.tolist() == [0] * 16 + [1] * 8 + [2] * 8
+    assert [name.startswith("the run of 20") for name in by_pause.runs] == [True] * 3
+    named = read_soundings(table, UTM, line_column="track", **known)
+    assert named.run is not None
+    assert np.unique(named.run).tolist() == [0, 1, 2, 3]
+    assert len(set(named.run[[0, 8, 16, 24]].tolist())) == 4
+    assert [name.split(" of ")[0] for name in named.runs] == ["a", "b", "c", "a"]
+
+
+@pytest.mark.parametrize("scatter_m", [0.0, 0.15])
+def test_steps_of_runs_are_adjusted_and_nothing_else_is(scatter_m: float) -> None:
+    """Runs of three lines; steps drawn anew, or none; two-sided."""
+    rng = np.random.default_rng(5521)
+    along, across = tracks(12.0, along_east=True), tracks(24.0, along_east=False)
+    places = along + across
+    run_of = np.arange(len(places)) // 3
+    number = np.repeat(np.arange(len(places)), [len(p) for p in places])
+    xy, run = np.concatenate(places), run_of[number]
+    normalised = []
+    for _ in range(3):
+        step = rng.normal(0.0, scatter_m, run_of.max() + 1)
+        height = -depth_of(xy) + step[run] + 0.03 * rng.standard_normal(len(xy))
+        found = agreement(xy, height, np.full(len(xy), 0.03), number, run)
+        if scatter_m == 0:
+            assert not np.concatenate([found.shift_m, found.sigma_m, [found.sigma_line_m]]).any()
+            continue
+        error = found.shift_m - step
+        assert found.sigma_run_m == pytest.approx(np.std(step, ddof=1), rel=0.5)
+        normalised.append(np.mean(((error - error.mean()) / found.sigma_m) ** 2))
+        assert np.std(error) < 0.3 * scatter_m
+    if normalised:
+        assert 0.15 < np.mean(normalised) < 2.0
+
+
+def test_an_outline_is_the_map_in_flow_coordinates_too(tmp_path: Path) -> None:
+    """A bay that folds back behind a spit lies beyond the half widths, which are one number a side."""
+    spit = shapely.affinity.translate(strip(60.0, 8.0), 150.0, 38.0)
+    bay = shapely.affinity.translate(strip(70.0, 20.0), 150.0, 46.0)
+    mouth = shapely.affinity.translate(strip(10.0, 10.0), 210.0, 38.0)
+    water = shapely.union_all([strip(400.0, 40.0), bay, mouth]).difference(spit.buffer(-0.1))
+    path = write_outline(tmp_path / "w.geojson", water)
+    x, y = np.meshgrid(np.arange(5.0, 400.0, 20.0), np.arange(2.0, 66.0, 6.0))
+    plain = Bathymetry(cell_m=8.0, model="matern32", drift="none", reach=8.0)
+    places = ORIGIN + np.column_stack([x.ravel("F"), y.ravel("F")])
+    soundings = soundings_of([places[shapely.contains_xy(water, places)]], [0])
+    soundings = replace(soundings, line=pd.factorize(soundings.places_m[:, 0])[0])
+    found = water_of(soundings, UTM, plain, banks=path, depths=True, coordinates="flow")
+    assert isinstance(found.line, FlowLine)
+    bed = bed_of_table(soundings, UTM, plain, found).bed
+    row, column = bed.grid.at(soundings.places_m)
+    on = np.isfinite(bed.up_m)[row * bed.grid.columns + column]
+    assert on.all()
+    assert bed.facts["area_m2"] == pytest.approx(water.area, rel=0.05)

@@ -9,12 +9,13 @@ import pytest
 from thalweg.core import Camera, InputError, exp_rotation
 from thalweg.images.masks.images import (
     Horizons,
-    camera_stayed,
     depression,
     learn_series,
+    looks_like_sky,
     mirror_level,
     nominal_depression,
     steady_parts,
+    steady_share,
 )
 from thalweg.images.masks.learning import LAND, MOVED, PixelModel, _best_path, read_reduced, water_line
 from thalweg.settings.sections import MaskSettings
@@ -133,10 +134,26 @@ def still_images(rng, n):
 
 
 def test_whether_the_camera_stayed(rng):
-    assert camera_stayed(still_images(rng, 12))
-    assert not camera_stayed(still_images(rng, 5))  # too few to tell
-    assert not camera_stayed(moving_images(rng, 12))
-    assert not camera_stayed(moving_images(rng, 12, hull=False))
+    assert steady_share(still_images(rng, 12)) > 0.6
+    assert steady_share(still_images(rng, 5)) == 0.0  # too few to tell
+    assert steady_share(moving_images(rng, 12)) < 0.6
+    assert steady_share(moving_images(rng, 12, hull=False)) < 0.25
+
+
+def test_sky_is_smooth_and_brighter_than_land(rng):
+    """Snow and meadows are as bright, night is as smooth; of either alone nobody can tell."""
+    image = rng.integers(60, 110, (120, 640, 3)).astype(np.uint8)
+    upper = np.zeros((120, 640), dtype=bool)
+    upper[:50] = True
+    image[upper] = np.linspace(190, 215, upper.sum()).astype(np.uint8)[:, None]
+    assert looks_like_sky(image, upper, ~upper)
+    assert not looks_like_sky(255 - image, upper, ~upper)
+    snow = image.copy()
+    snow[upper] = rng.integers(170, 250, (upper.sum(), 3))
+    assert not looks_like_sky(snow, upper, ~upper)
+    none = np.zeros_like(upper)
+    assert looks_like_sky(image, none, ~none)
+    assert not looks_like_sky(image, ~none, none)
 
 
 def test_of_a_camera_that_stayed_only_what_moved_is_masked(rng, tmp_path):
@@ -149,14 +166,15 @@ def test_of_a_camera_that_stayed_only_what_moved_is_masked(rng, tmp_path):
         cv2.imwrite(str(files[f"{k}.png"]), image)
     settings = MaskSettings(analysis_px=320)
     model = learn_series(files, settings, Horizons.of(None, None, settings))
-    assert model.notes == ("the camera stayed: what moved is masked, pixel by pixel over time",)
-    parts, notes = model.parts(images[4], (240, 160), "4.png")
+    assert "cannot tell water and sky that kept still" in model.notes[0]
+    parts, notes, untold = model.parts(images[4], (240, 160), "4.png")
     assert not notes
+    assert untold == ["water and sky that keep still"]
     assert set(np.unique(parts)) == {LAND, MOVED}
     assert (parts[35:65, 105:135] == MOVED).all()
     assert (parts[112:] == MOVED).mean() > 0.95
     rest = parts[:100].copy()
     rest[24:76, 94:146] = LAND
     assert (rest == MOVED).mean() < 0.02
-    parts, _ = model.parts(images[5], (240, 160), "5.png")
+    parts, _, _ = model.parts(images[5], (240, 160), "5.png")
     assert (parts[:100] == MOVED).mean() < 0.02

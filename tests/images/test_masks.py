@@ -1,5 +1,6 @@
 """Masks of water, sky and own boat on rendered images, against what each pixel truly shows."""
 
+import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from thalweg.cli import main
 from thalweg.core import Camera, InputError, LocalFrame
 from thalweg.images.masks import make_masks
 from thalweg.images.masks.images import COLUMNS
@@ -199,7 +201,7 @@ def test_ground_that_mirrors_nothing_is_no_water(series, tmp_path, ground):
     table = make_masks(files, tmp_path / "masks")
     assert (read(tmp_path / "masks", files)[np.stack(below)] > 0).mean() > 0.95
     assert (table["water_share"] == 0).all()
-    assert "it counts as land, nothing is masked as water" in table.attrs["notes"][0]
+    assert "cannot tell whether the foreground is water" in table.attrs["notes"][0]
     if ground == "lawn":
         told = make_masks(files, tmp_path / "water", MaskSettings(least_mirror=-1.0))
         assert (told["water_share"] > 0.25).all()
@@ -312,7 +314,7 @@ def test_a_series_without_parts_is_left_alone(tmp_path, rng):
     for f in files:
         cv2.imwrite(str(f), rng.integers(0, 256, (120, 160, 3)).astype(np.uint8))
     table = make_masks(files, tmp_path / "out")
-    assert table.attrs["notes"] == ["water and land cannot be told apart: only the own boat is masked"]
+    assert table.attrs["notes"] == ["cannot tell water, sky and land apart: only the own boat is masked"]
     assert (read(tmp_path / "out", files) == 255).all()
 
 
@@ -328,3 +330,40 @@ def test_few_images_are_masked_without_the_hull(series, tmp_path):
 def test_nearly_all_masked_is_told(series, tmp_path):
     table = make_masks(series.files[:9], tmp_path, MaskSettings(least_usable_share=1.0))
     assert table["note"].str.startswith("nearly all masked: ").all()
+
+
+# ---------------------------------------------------------------- the command, and pictures of others
+
+
+def test_the_command_writes_masks_a_table_and_a_sheet(series, automatic, tmp_path, capsys):
+    folder, table = automatic
+    assert main(["masks", str(series.files[0].parent), "--out", str(tmp_path / "m")]) == 0
+    said = capsys.readouterr().out
+    np.testing.assert_array_equal(read(tmp_path / "m", series.files), read(folder, series.files))
+    first = table.iloc[0]
+    assert f"{first['image']}: usable {100 * first['usable_share']:.1f} %, water" in said
+    assert (tmp_path / "m/masks.csv").read_text().startswith(",".join(COLUMNS))
+    sheet = cv2.imread(str(tmp_path / "m/overview.png"))
+    assert sheet is not None
+    # pictures and not an empty sheet: many of its pixels are neither white nor black
+    assert ((sheet > 10) & (sheet < 245)).mean() > 0.2
+
+
+@pytest.mark.real
+def test_of_a_glacier_nothing_is_water_or_sky(data_dir, tmp_path):
+    """Belvedere: polygons drawn by hand say where clouds and a stream are, which do not count."""
+    root = data_dir / "icepy4d_belvedere/assets"
+    if not root.is_dir():
+        pytest.skip("no icepy4d_belvedere")
+    drawn = json.loads((Path(__file__).parent / "drawn_masks.json").read_text())
+    for camera in ("cam1", "cam2"):
+        files = sorted((root / "img" / camera).glob("*.jpg"))
+        table = make_masks(files, tmp_path / camera)
+        for file, told in zip(files, table["cannot_tell"], strict=True):
+            mask = cv2.imread(str(tmp_path / camera / f"{file.name}.png"), cv2.IMREAD_UNCHANGED)
+            land = np.ones_like(mask)
+            size = np.array(mask.shape[::-1]) - 1
+            for polygon in drawn[f"img/{camera}/{file.stem}"]["skip"]:
+                cv2.fillPoly(land, [np.round(np.array(polygon) * size).astype(np.int32)], 0)
+            assert (mask[land > 0] == 0).mean() < 0.02
+            assert "water" in told

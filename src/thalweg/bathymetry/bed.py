@@ -414,6 +414,7 @@ def gridded(
     """
     data = observations_of(table)
     height, sigma = _solved(model, data, flow, inside, settings)
+    sigma = model.steepened(sigma, _steepness(grid, height))
     common, distance, far = _nearest(table, data, model, flow, inside, settings.reach)
     for values in (height, sigma, common, distance):
         values[far | ~inside] = np.nan
@@ -561,6 +562,19 @@ def _slopes(grid: Grid, up_m: ArrayF, frame: LocalFrame, soundings: pd.DataFrame
     row, col = np.full(len(places), -1), np.full(len(places), -1)
     row[known], col[known] = grid.at(frame.to_map(places[known], grid.crs)[:, :2])
     return (np.where(row >= 0, east[row, col], np.nan), np.where(row >= 0, north[row, col], np.nan))
+
+
+def _steepness(grid: Grid, up_m: ArrayF) -> ArrayF:
+    """Slope (m,) of cells towards their neighbours that have a height; 0 without any."""
+    surface = up_m.reshape(grid.rows, grid.columns)
+    square = np.zeros_like(surface)
+    for axis in (0, 1):
+        edge = [(1, 1) if k == axis else (0, 0) for k in (0, 1)]
+        rise = np.pad(np.diff(surface, axis=axis) / grid.cell_m, edge, constant_values=np.nan)
+        sides = np.stack([np.delete(rise, end, axis=axis) for end in (0, -1)])
+        known = np.isfinite(sides).sum(axis=0)
+        square += (np.nansum(sides, axis=0) / np.maximum(known, 1)) ** 2
+    return np.sqrt(square).ravel()
 
 
 def _nearest(

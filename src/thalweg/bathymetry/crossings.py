@@ -39,6 +39,9 @@ DAY_GAP_S: Final = 4 * 3600.0
 """A pause of this length begins another day of the survey."""
 _MOST: Final = 800
 """Crossings that are adjusted together: evenly chosen ones of more."""
+_TELLING: Final = 240
+"""Crossings that tell the variances of steps."""
+_TRIES: Final = 3
 _MEDIAN: Final = 1.2533
 """Standard deviation of a median over that of a mean."""
 _OUTSIDE: Final = 1.959964
@@ -49,6 +52,14 @@ _HOLE: Final = 8.0
 """A step so many times the usual one is a hole in a line."""
 _SIGNIFICANT: Final = 3.0
 """Days whose mean differs by so many sigmas disagree."""
+_GAIN: Final = 10.0
+"""Twice the logarithm of the probability that steps must add: by chance they do once in a hundred."""
+_NOTHING: Final = 0.005
+"""A variance below this share of those of all steps counts as nothing."""
+_GAIN_OF_LINES: Final = 4.0
+"""The same of a step of each line: where a line crosses one other, nothing tells it from noise."""
+_STEP_SPREAD: Final = 3.0
+"""One standard deviation of the logarithms of variances, about half the mean square of the differences."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -325,39 +336,59 @@ def _days(crossings: Crossings, time_s: float) -> tuple[list[dict[str, Any]], fl
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Agreement:
-    """How days, or other parts, of a table of soundings agree where their lines cross.
+    """How runs, or days, of a table of soundings agree where their lines cross.
 
     Parameters
     ----------
-    pairs : columns a, b (numbers of parts), n, difference_m (median height of b less a), sigma_m of it,
-        contradicts (beyond its 95 %; at least three crossings).
-    shift_m : (parts,) height of each part above the mean of those that it is tied to by crossings.
-    sigma_common_m : (parts,) what is left of the steps when they are taken off, half a 68 % interval: the
-        mean of a few parts is as uncertain as their scatter says, by Student's distribution because they are
-        few, and a part that crosses no other is wrong by the whole of it.
+    pairs : of ``day``, ``run`` and ``line``: columns a, b (numbers), n, difference_m (median height of b less
+        a), sigma_m of it, contradicts (beyond its 95 %; at least three crossings).
+    shift_m : (runs,) step of each run, as it is most probable.
+    sigma_m : (runs,) what is left of it against the other runs when it is taken off.
+    sigma_common_m : (runs,) what is left in the mean of those that crossings tie together, half a 68 %
+        interval: the mean of a few days is as uncertain as their scatter says, by Student's distribution
+        because they are few, and a run that crosses no other is wrong by the whole of it.
+    sigma_line_m : step of a line within its run.
+    sigma_run_m, sigma_day_m : how far steps of runs and of days scatter; 0: these agree.
     """
 
-    pairs: pd.DataFrame
+    pairs: dict[str, pd.DataFrame]
     shift_m: ArrayF
+    sigma_m: ArrayF
     sigma_common_m: ArrayF
+    sigma_line_m: float
+    sigma_run_m: float
+    sigma_day_m: float
 
 
-def agreement(places_m: ArrayF, height_m: ArrayF, sigma_m: ArrayF, line: ArrayI, part: ArrayI) -> Agreement:
+def agreement(
+    places_m: ArrayF, height_m: ArrayF, sigma_m: ArrayF, line: ArrayI, run: ArrayI, day: ArrayI | None = None
+) -> Agreement:
     """Compare parts of a table, rows (n,) in the order in which they were sounded.
+
+    A difference of two lines at a place is
+
+        d = (day_b + run_b + line_b) - (day_a + run_a + line_a) + noise,
+
+    each a step drawn anew. Their variances, and that of noise beyond the stated one, are the most probable
+    ones; steps count only if the differences are clearly foretold better with them than with noise alone.
+    Given the variances the steps of days and runs follow by least squares, with these as prior knowledge.
 
     Parameters
     ----------
     places_m : (n, 2).
     height_m, sigma_m : (n,) and their noise.
     line : (n,) number of the line.
-    part : (n,) number of the day, or of the run, from 0.
+    run : (n,) number of the run, from 0.
+    day : (n,) number of the day, from 0; None: one day.
     """
-    n = int(part.max()) + 1
-    row = np.arange(len(part), dtype=np.float64)
-    # a line that goes on after a hole, or on the next day, is another one
+    day = np.zeros(len(run), dtype=np.int64) if day is None else day
+    row = np.arange(len(run), dtype=np.float64)
+    # a line that goes on after a hole, or in the next run, is another one
     way = np.linalg.norm(np.diff(places_m, axis=0, prepend=places_m[:1]), axis=1)
-    apart = (way > _HOLE * np.median(way)) | (np.diff(part, prepend=part[:1]) != 0)
-    apart |= np.diff(line, prepend=line[:1]) != 0
+    apart = way > _HOLE * np.median(way)
+    for of in (day, run, line):
+        apart |= np.diff(of, prepend=of[:1]) != 0
+    piece = np.cumsum(apart)
     found = find_crossings(
         pd.DataFrame(
             {
@@ -365,21 +396,118 @@ def agreement(places_m: ArrayF, height_m: ArrayF, sigma_m: ArrayF, line: ArrayI,
                 **dict(zip(("east_m", "north_m"), places_m.T, strict=True)),
                 "up_m": height_m,
                 "sigma_white_m": sigma_m,
-                "line": np.cumsum(apart),
-                "day": part,
+                "line": piece,
+                "day": day,
                 "used": True,
                 "sigma_slow_m": 0.0,
                 "sigma_horizontal_m": 0.0,
             }
         )
     )
+    a, b = (np.floor(t).astype(np.int64) for t in (found.a_s, found.b_s))
+    d, white = found.difference_m, found.white_m2
+    ends = {"day": (day[a], day[b]), "run": (run[a], run[b]), "line": (piece[a], piece[b])}
+    variance, kept = _variances_of_steps(d, white, ends)
+    of_day = np.zeros(int(run.max()) + 1, dtype=np.int64)
+    of_day[run] = day
+    prior = variance["day"] * (of_day[:, None] == of_day) + variance["run"] * np.eye(len(of_day))
+    design = np.zeros((len(kept), len(of_day)))
+    design[np.arange(len(kept)), ends["run"][1][kept]] += 1.0
+    design[np.arange(len(kept)), ends["run"][0][kept]] -= 1.0
+    gain = prior @ design.T
+    cov_d = np.diag(white[kept] + variance["noise"]) + variance["line"] * _shared(ends["line"], kept)
+    cov_d += gain.T @ design.T
+    weights = np.linalg.solve(cov_d, gain.T).T
+    cov = prior - weights @ gain.T
+    tied = connected_components(design.T @ design, directed=False)[1]
+    mean = (tied[:, None] == tied) / np.bincount(tied)[tied]
+    common = np.diag(mean @ cov @ mean)
+    # the scatter of so few parts is hardly known itself: two thirds of the means lie within this of the truth
+    part = of_day if variance["day"] > 0 else np.arange(len(of_day))
+    free = max(len(np.unique(part)) - len(np.unique(tied)), 1)
+    return Agreement(
+        pairs={k: _pairs(d, white, of[a], of[b]) for k, of in (("day", day), ("run", run), ("line", line))},
+        shift_m=weights @ d[kept],
+        sigma_m=np.sqrt(np.maximum(np.diag(cov) - common, 0.0)),
+        sigma_common_m=np.sqrt(np.maximum(common, 0.0)) * float(student.ppf(_ONE_SIGMA, free)),
+        **{f"sigma_{name}_m": float(np.sqrt(variance[name])) for name in ends},
+    )
+
+
+_Ends = tuple[ArrayI, ArrayI]
+"""Numbers of the day, the run or the line of both heights of each crossing."""
+
+
+def _shared(ends: _Ends, kept: ArrayI) -> ArrayF:
+    """Covariance (k, k) of differences by steps of variance 1 at their ends."""
+    a, b = (of[kept] for of in ends)
+    same = [p[:, None] == q for p, q in ((b, b), (a, a), (a, b), (b, a))]
+    return 1.0 * same[0] + same[1] - same[2] - same[3]
+
+
+def _variances_of_steps(d: ArrayF, white: ArrayF, ends: dict[str, _Ends]) -> tuple[dict[str, float], ArrayI]:
+    """Variances of steps by kind, and of noise that is not stated, and the crossings that are no outliers."""
+    variance = dict.fromkeys((*ends, "noise"), 0.0)
+    kept = np.arange(len(d))
+    for _ in range(_TRIES):
+        if not len(kept):
+            break
+        some = kept[np.unique(np.linspace(0, len(kept) - 1, min(len(kept), _TELLING)).astype(np.int64))]
+        shared: dict[str, ArrayF] = {}
+        for name, of in ends.items():
+            # days of one run each, runs of one line each: one step
+            new = _shared(of, some)
+            if new.any() and not any(np.array_equal(new, old) for old in shared.values()):
+                shared[name] = new
+        usual = max(float(np.mean(d[some] ** 2)) / 2, 1e-12)
+        noise, alone = _most_probable(d[some], white[some], {}, usual)
+        steps, together = _most_probable(d[some], white[some], shared, usual)
+        if "line" in shared:
+            less = {name: m for name, m in shared.items() if name != "line"}
+            fewer, without = _most_probable(d[some], white[some], less, usual) if less else (noise, alone)
+            if without - together < _GAIN_OF_LINES:
+                steps, together = fewer, without
+        variance = dict.fromkeys(variance, 0.0) | (steps if alone - together > _GAIN else noise)
+        # the smallest of a few variances is never found to be nothing
+        least = _NOTHING * sum(variance[name] for name in ends)
+        variance |= {name: 0.0 for name in ends if variance[name] < least}
+        rest = white + variance["noise"] + 2 * sum(variance[name] for name in ends)
+        good = np.flatnonzero(d**2 < _OUTLIER**2 * rest)
+        if np.array_equal(good, kept):
+            break
+        kept = good
+    return variance, kept[np.unique(np.linspace(0, len(kept) - 1, min(len(kept), _MOST)).astype(np.int64))]
+
+
+def _most_probable(
+    d: ArrayF, white: ArrayF, shared: dict[str, ArrayF], usual: float
+) -> tuple[dict[str, float], float]:
+    """Variances of shared steps and of noise, and twice the negative logarithm of the probability."""
+    names = (*shared, "noise")
+    # of few crossings the noise is as stated: nothing tells it from steps
+    few = len(d) < FEWEST
+    middle = np.log([usual] * len(shared) + [_NOTHING * float(white.mean()) if few else usual])
+    spread = np.array([_STEP_SPREAD] * len(shared) + [_NOTHING if few else _STEP_SPREAD])
+
+    def cost(x: ArrayF) -> float:
+        """Of logarithms of the variances."""
+        v = np.exp(np.clip(x, -40.0, 20.0))
+        cov = np.diag(white + v[-1]) + sum((k * m for k, m in zip(v, shared.values(), strict=False)), 0.0)
+        lower = cho_factor(cov, lower=True)
+        fit = d @ cho_solve(lower, d)
+        return float(fit + 2 * np.log(np.diag(lower[0])).sum() + np.sum(((x - middle) / spread) ** 2))
+
+    simplex = middle + (np.vstack([np.zeros(len(middle)), 2 * np.eye(len(middle))]) - 1) * spread / 3
+    found = minimize(
+        cost, middle, method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.05, "initial_simplex": simplex}
+    )
+    return dict(zip(names, np.exp(found.x).tolist(), strict=True)), float(found.fun)
+
+
+def _pairs(d: ArrayF, white: ArrayF, a: ArrayI, b: ArrayI) -> pd.DataFrame:
+    """Median differences of pairs of parts, and whether they contradict each other."""
     between = pd.DataFrame(
-        {
-            "a": np.minimum(found.day_a, found.day_b),
-            "b": np.maximum(found.day_a, found.day_b),
-            "d": found.difference_m * np.where(found.day_a <= found.day_b, 1.0, -1.0),
-            "v": found.white_m2,
-        }
+        {"a": np.minimum(a, b), "b": np.maximum(a, b), "d": d * np.where(a <= b, 1.0, -1.0), "v": white}
     )
     between = between[between["a"] != between["b"]]
     groups = between.groupby(["a", "b"])
@@ -392,18 +520,4 @@ def agreement(places_m: ArrayF, height_m: ArrayF, sigma_m: ArrayF, line: ArrayI,
     pairs["contradicts"] = (pairs["n"] >= _FEWEST_OF_PAIR) & (
         pairs["difference_m"].abs() > _OUTSIDE * pairs["sigma_m"]
     )
-    design = np.zeros((len(pairs), n))
-    design[pairs.index, pairs["b"]] = 1.0
-    design[pairs.index, pairs["a"]] = -1.0
-    weighted = design.T / pairs["sigma_m"].to_numpy() ** 2
-    # of the many solutions, the one whose mean is zero among the parts that crossings tie together
-    inverse = np.linalg.pinv(weighted @ design, hermitian=True)
-    shift = inverse @ (weighted @ pairs["difference_m"].to_numpy())
-    tied = connected_components(design.T @ design, directed=False)[1]
-    size = np.bincount(tied)[tied]
-    free_parts = n - int(tied.max()) - 1
-    # the scatter of so few parts is hardly known itself: two thirds of the means lie within this of the truth
-    spread = float(
-        np.sqrt(np.sum(shift**2) / max(free_parts, 1)) * student.ppf(_ONE_SIGMA, max(free_parts, 1))
-    )
-    return Agreement(pairs=pairs, shift_m=shift, sigma_common_m=np.sqrt(spread**2 / size + np.diag(inverse)))
+    return pairs

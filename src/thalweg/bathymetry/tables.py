@@ -83,7 +83,12 @@ _COURSE: Final = 0.2
 """Lines across a river, or beside each other, leave half of the soundings on more than this share of it."""
 _PLACES: Final = 2000
 _NAMED: Final = 6
-"""So many pairs of days or lines that contradict each other are named."""
+"""So many pairs of days, runs or lines that contradict each other are named."""
+_PAUSE_S: Final = 60.0
+_PAUSE: Final = 20.0
+"""A pause so long, and so many times the usual interval, begins another run."""
+_APART: Final = 30.0
+"""In correlation times: errors so far apart are independent."""
 _LINE_STRING: Final = 1
 """Of shapely's types."""
 _WIDEST_M: Final = 1_000_000.0
@@ -221,6 +226,9 @@ class TableOfSoundings:
     days : names of the days.
     t_s : (n,) seconds since 1970 UTC; None: unknown.
     level_m : height of the water in the median, where it is told by time.
+    run : (n,) number of the run, within which the height of the transducer, the water level and the speed of
+        sound are the same; None: the days are runs, or there is one.
+    runs : names of the runs.
     """
 
     places_m: ArrayF
@@ -235,6 +243,8 @@ class TableOfSoundings:
     days: tuple[str, ...] = ()
     t_s: ArrayF | None = None
     level_m: float | None = None
+    run: ArrayI | None = None
+    runs: tuple[str, ...] = ()
 
     def above(self, levels: Levels) -> Self:
         """Depths, which `height_m` holds below zero, as heights below levels of the water.
@@ -275,7 +285,8 @@ def read_soundings(
     column : of heights, or of depths below ``level_m`` (0 where none is stated); None: as the names tell.
     depth : whether its values are depths; None: as its name tells.
     nothing, keep : values that stand for none beside the usual ones, and such of them that are meant.
-    line_column : numbers or names of lines; None: from the course, or from clusters.
+    line_column : numbers or names of lines, files, launches: each is a run of its own. None: lines from the
+        course, or from clusters; runs from pauses, if there are times.
     sigma_m : noise of a height, where the table has no column ``sigma`` or ``sigma_m``.
 
     Raises
@@ -332,11 +343,11 @@ def read_soundings(
     known &= ~again
     if n := int(again.sum()):
         notes.append(f"{n:,} rows stand in the table before, with the same place and value: taken once")
-    if line_column is None:
-        line = _lines_by_place(places[known])
-    else:
-        names = np.array(table.text(table.column(line_column)))[known]
-        line = pd.factorize(names)[0].astype(np.int64)
+    names = (
+        np.full(len(table), "") if line_column is None else np.array(table.text(table.column(line_column)))
+    )
+    named, name = pd.factorize(names[known])
+    line = _lines_by_place(places[known]) if line_column is None else named.astype(np.int64)
     of = pd.DataFrame(
         {
             "x": np.round(places[known, 0], 3),
@@ -344,8 +355,9 @@ def read_soundings(
             "h": height[known],
             "v": sigma[known] ** 2,
             "line": line,
+            "name": named,
             "t": t_s[known],
-            "day": _days(t_s[known]),
+            "day": _since_pauses(t_s[known], DAY_GAP_S),
         }
     )
     groups = of.groupby(["x", "y", "day"], sort=False, dropna=False)
@@ -361,7 +373,8 @@ def read_soundings(
                 f"; at {differ:,} places they differ by more than {_CONTRADICT:g} sigmas, and half of the "
                 "difference is taken as their sigma"
             )
-        one = groups.agg(h=("h", "mean"), v=("v", "mean"), line=("line", "first"), t=("t", "first"))
+        first = {k: (k, "first") for k in ("line", "name", "t")}
+        one = groups.agg(h=("h", "mean"), v=("v", "mean"), **first)
         one = one.reset_index()
         # soundings of one place that differ by more than their noise: half the difference is their sigma
         one["v"] = np.maximum(one["v"], (spread.to_numpy() / 2) ** 2)
@@ -385,6 +398,8 @@ def read_soundings(
         )
     timed = bool(of["t"].notna().all())
     begins: list[float] = of.groupby("day")["t"].min().tolist() if timed else []
+    days = tuple(utc_text_from_unix(float(t))[:10] for t in begins)
+    run, runs = _runs(of, None if line_column is None else name.tolist(), days)
     return TableOfSoundings(
         places_m=xy,
         height_m=of["h"].to_numpy(np.float64),
@@ -395,17 +410,37 @@ def read_soundings(
         depth=depth,
         notes=tuple(notes),
         day=of["day"].to_numpy(np.int64) if timed else None,
-        days=tuple(utc_text_from_unix(float(t))[:10] for t in begins),
+        days=days,
         t_s=of["t"].to_numpy(np.float64) if timed else None,
+        run=run,
+        runs=runs,
     )
 
 
-def _days(t_s: ArrayF) -> ArrayF:
-    """Number of the day (n,) of times, which a pause of hours ends, wherever midnight of UTC is."""
+def _since_pauses(t_s: ArrayF, pause_s: float) -> ArrayF:
+    """Number of pauses (n,) before times: a day ends with a pause of hours, wherever midnight of UTC is."""
     out = np.full(len(t_s), np.nan)
     order = np.argsort(t_s, kind="stable")[: int(np.isfinite(t_s).sum())]
-    out[order] = np.cumsum(np.diff(t_s[order], prepend=t_s[order][:1]) > DAY_GAP_S)
+    out[order] = np.cumsum(np.diff(t_s[order], prepend=t_s[order][:1]) > pause_s)
     return out
+
+
+def _runs(
+    of: pd.DataFrame, names: list[str] | None, days: tuple[str, ...]
+) -> tuple[ArrayI | None, tuple[str, ...]]:
+    """Numbers (n,) and names of runs: of a column, each day anew, or pieces between pauses; None: untold."""
+    if not days and names is None:
+        return None, ()
+    if names is not None:
+        keys = of[["day", "name"]].fillna(0).astype(np.int64)
+        number, first = pd.factorize(pd.MultiIndex.from_frame(keys), sort=True)
+        texts = [f"{names[k]} of {days[int(d)]}" if len(days) > 1 else names[k] for d, k in first]
+        return number.astype(np.int64), tuple(texts)
+    t = of["t"].to_numpy(np.float64)
+    usual = float(np.median(np.diff(np.sort(t))))
+    number = _since_pauses(t, max(_PAUSE_S, _PAUSE * usual)).astype(np.int64)
+    begins = pd.Series(t).groupby(number).min()
+    return number, tuple(f"the run of {utc_text_from_unix(float(b))[:16].replace('T', ' ')}" for b in begins)
 
 
 def _column_of_values(table: Table, column: str | None, depth: bool | None) -> tuple[int, bool]:
@@ -773,7 +808,8 @@ class Water:
     basin : of a lake; None: a river.
     width_m : of the water.
     shore : places of the shores whose height is known, kind ``bed_observations``.
-    area : polygon of the water, islands left out; None: the half widths say it.
+    area : polygon of the water, islands left out: its outline, or what a lake's soundings surround; None: the
+        half widths say it.
     edge : what its rings are.
     banks : of a river, where they are given.
     reason : why these coordinates.
@@ -837,7 +873,7 @@ def water_of(
 
     def river(reason: str) -> Water:
         """Along the flow."""
-        return _river(soundings, crs, settings, line, banks, level_m, reason)
+        return _river(soundings, crs, settings, line, banks, level_m, reason, outline)
 
     def lake(reason: str) -> Water:
         """In east and north."""
@@ -923,8 +959,9 @@ def _river(
     path: Path | None,
     level_m: float | None,
     reason: str,
+    outline: Any = None,
 ) -> Water:
-    """Coordinates along the flow, between banks or as far as soundings reach."""
+    """Coordinates along the flow, between banks, within an outline or as far as soundings reach."""
     xy, height = soundings.places_m, soundings.height_m
     notes: list[str] = []
     if line is None:
@@ -948,6 +985,8 @@ def _river(
     else:
         half_widths = banks[0].half_widths_m
         outside = banks[0].outside(s, n) & ~fold
+        if outline is not None:
+            outside = ~shapely.contains_xy(shapely.buffer(outline, _SIGMA_BANK_M), xy)
         _refuse_outside(outside)
         if outside.any():
             notes.append(f"{int(outside.sum()):,} soundings outside the banks, used")
@@ -969,8 +1008,8 @@ def _river(
         basin=None,
         width_m=width,
         shore=shore,
-        area=None,
-        edge="banks",
+        area=outline if outline is None else _without_islands(outline, settings),
+        edge="banks" if outline is None else "shore",
         reason=reason,
         notes=tuple(notes),
         banks=None if banks is None else banks[0],
@@ -987,15 +1026,17 @@ def _refuse_outside(outside: ArrayB) -> None:
         )
 
 
+def _without_islands(area: Any, settings: Bathymetry) -> Any:
+    return shapely.difference(area, shapely.union_all([shapely.polygons(of) for of in settings.islands]))
+
+
 def _lake(
     soundings: TableOfSoundings, settings: Bathymetry, outline: Any, shore_m: float | None, reason: str
 ) -> Water:
     """East and north, turned; within the outline, or within a hull of the soundings."""
     xy = soundings.places_m
     plane = Plane.of(xy, soundings.height_m)
-    islands = shapely.union_all([shapely.polygons(corners) for corners in settings.islands])
-    area = area_sounded(xy, settings.cell_m) if outline is None else outline
-    area = shapely.difference(area, islands)
+    area = _without_islands(area_sounded(xy, settings.cell_m) if outline is None else outline, settings)
     notes = []
     outside = ~shapely.contains_xy(shapely.buffer(area, _SIGMA_BANK_M), xy)
     _refuse_outside(outside)
@@ -1067,8 +1108,8 @@ def bed_of_table(
 ) -> BedOfTable:
     """The bed that soundings of a table show.
 
-    Days whose lines contradict each other where they cross are brought to their mean, which is as uncertain
-    as they scatter.
+    Days and runs whose lines contradict each other where they cross are brought to their mean, which is as
+    uncertain as they scatter; what is left of each step, and a step of each line, are errors of soundings.
 
     Parameters
     ----------
@@ -1090,7 +1131,7 @@ def bed_of_table(
         f"{'flow' if lake is None else 'map'} coordinates: {water.reason}",
         *water.notes,
     ]
-    soundings, common, days, of_days = _agreed(soundings)
+    soundings, left, steps, of_steps = _agreed(soundings)
     number, patches = soundings.line, False
     if lake is not None:
         number, patches = lines_or_patches(soundings.places_m, soundings.line, seed)
@@ -1102,7 +1143,7 @@ def bed_of_table(
     flow = np.column_stack([s, n])
     table = _observations(
         "sounding", flow, soundings.places_m, soundings.height_m, soundings.sigma_m, number
-    ).assign(sigma_common_m=common)[~fold]
+    ).assign(**left)[~fold]
     counts = {"soundings": len(table), "folded": int(fold.sum())}
     if len(water.shore):
         table = pd.concat([table, water.shore], ignore_index=True)
@@ -1117,7 +1158,9 @@ def bed_of_table(
     notes += asked_of_shores(table, soundings.level_m)
     data = observations_of(table)
     half_widths = water.half_widths_m
-    model = choose_model(data, half_widths, settings, slow_time_s=0.0, seed=seed, basin=lake)
+    model = choose_model(
+        data, half_widths, settings, slow_time_s=1.0 * bool(left["sigma_slow_m"].any()), seed=seed, basin=lake
+    )
     reach = settings.reach * model.covariance.range_s_m
     around = table[["east_m", "north_m"]].to_numpy(np.float64)
     if lake is not None:
@@ -1126,12 +1169,24 @@ def bed_of_table(
         around = np.clip(corners, around.min(axis=0) - farthest, around.max(axis=0) + farthest)
     grid = Grid.around(around, settings.cell_m, crs, margin_m=2 * settings.cell_m)
     span = (float(data.s_m.min()) - reach, float(data.s_m.max()) + reach)
-    flow, inside = cells_of_river(grid.centres_m(), water.line, half_widths, span, settings)
-    if lake is not None:
-        inside &= shapely.contains_xy(water.area, grid.centres_m())
-        if not lake.wkt:
-            far = cKDTree(soundings.places_m).query(grid.centres_m())[0]
-            inside &= far <= farthest_told_m(soundings.places_m, number)
+    # an outline is the map, bays included, which lie beyond half widths
+    edges = half_widths if water.area is None else no_half_widths
+    flow, inside = cells_of_river(grid.centres_m(), water.line, edges, span, settings)
+    if water.area is not None:
+        places = soundings.places_m[~fold]
+        row, column = grid.at(places[shapely.contains_xy(water.area, places)])
+        of_soundings = np.zeros(len(inside), dtype=np.bool_)
+        of_soundings[row * grid.columns + column] = True
+        of_water = shapely.contains_xy(water.area, grid.centres_m())
+        if water.basin is None and (lost := int((of_water & ~inside).sum())):
+            notes.append(
+                f"{lost:,} cells of the outline are no bed: beyond the ends of the centre line, or it bends "
+                "too sharply for them; --coordinates map has them"
+            )
+        inside = (inside & of_water) | of_soundings
+    if lake is not None and not lake.wkt:
+        far = cKDTree(soundings.places_m).query(grid.centres_m())[0]
+        inside &= far <= farthest_told_m(soundings.places_m, number)
     bed = gridded(table, model, grid, flow, inside, settings, counts)
     facts, predicted, methods = validate_bed(table, model, half_widths, settings)
     facts["coordinates"] = {"kind": "flow" if lake is None else "map", "reason": water.reason}
@@ -1141,50 +1196,96 @@ def bed_of_table(
     return BedOfTable(
         bed=bed,
         water=water,
-        validation=facts | days,
+        validation=facts | {"agreement": steps},
         predicted=predicted,
         methods=methods,
-        notes=(*notes, *of_days),
+        notes=(*notes, *of_steps),
     )
 
 
-def _agreed(soundings: TableOfSoundings) -> tuple[TableOfSoundings, ArrayF, dict[str, Any], list[str]]:
-    """Soundings whose days agree, what is common to those of a day, facts and notes.
+def _agreed(soundings: TableOfSoundings) -> tuple[TableOfSoundings, pd.DataFrame, dict[str, Any], list[str]]:
+    """Soundings without the steps of days and runs, what is left of them, facts and notes.
 
-    Lines of one day that contradict each other are named: which of them is wrong nobody knows.
+    What is left: columns sigma_common_m, sigma_slow_m and t_even_s of kind ``bed_observations``. A line keeps
+    a step of its own, which kriging adjusts: which of two lines is wrong nobody knows.
     """
-    common = np.zeros(len(soundings.height_m))
-    days = soundings.day is not None and len(soundings.days) > 1
-    part = soundings.day if days else soundings.line
-    assert part is not None
-    found = agreement(soundings.places_m, soundings.height_m, soundings.sigma_m, soundings.line, part)
-    names = soundings.days if days else tuple(f"line {k}" for k in range(int(part.max()) + 1))
-    pairs = found.pairs.assign(a=[names[k] for k in found.pairs["a"]], b=[names[k] for k in found.pairs["b"]])
-    told = pairs[pairs["contradicts"]]
-    notes = [
+    day, run, line = soundings.day, soundings.run, soundings.line
+    if run is None:
+        run = np.zeros(len(line), dtype=np.int64) if day is None else day
+    names = {
+        "day": soundings.days,
+        "run": soundings.runs or soundings.days or ("",),
+        "line": tuple(f"line {k}" for k in range(int(line.max()) + 1)),
+    }
+    found = agreement(soundings.places_m, soundings.height_m, soundings.sigma_m, line, run, day)
+    many = len(names["run"]) > 1
+    notes = []
+    if many:
+        of_days = f" on {len(soundings.days)} days" if len(soundings.days) > 1 else ""
+        notes.append(f"{len(names['run'])} runs{of_days}, compared where they cross")
+    facts: dict[str, Any] = {}
+    told, more = [], 0
+    same = soundings.runs in ((), soundings.days)
+    for kind, skip in (("day", len(soundings.days) < 2), ("run", not many or same), ("line", many)):
+        if skip:
+            continue
+        of = found.pairs[kind]
+        of = of.assign(a=[names[kind][k] for k in of["a"]], b=[names[kind][k] for k in of["b"]])
+        facts[f"pairs of {kind}s"] = (of if kind != "line" else of[of["contradicts"]]).to_dict("records")
+        apart = of[of["contradicts"]].to_dict("records")
+        told += apart[:_NAMED]
+        more += len(apart[_NAMED:])
+    notes += [
         f"{of['b']} lies {abs(of['difference_m']):.3f} m {'above' if of['difference_m'] > 0 else 'below'} "
         f"{of['a']} (median of {of['n']} crossings, sigma {of['sigma_m']:.3f} m)"
-        for of in told.head(_NAMED).to_dict("records")
+        for of in told
     ]
-    if len(told) > _NAMED:
-        notes.append(f"{len(told) - _NAMED} more such pairs: validation.json")
-    if not days:
-        return soundings, common, {"lines_that_cross": told.to_dict("records")}, notes
-    facts: dict[str, Any] = {"pairs": pairs.to_dict("records")}
-    alone = sorted(set(names) - set(pairs["a"]) - set(pairs["b"]))
-    if alone:
-        notes.append(f"no line of {', '.join(alone)} crosses one of another day: nothing tells its level")
-    if len(told):
-        common = found.sigma_common_m[part]
-        soundings = replace(soundings, height_m=soundings.height_m - found.shift_m[part])
-        facts["shift_m"] = dict(zip(names, (-found.shift_m).tolist(), strict=True))
-        facts["sigma_common_m"] = dict(zip(names, found.sigma_common_m.tolist(), strict=True))
-        shifts = ", ".join(f"{name} {shift:+.3f} m" for name, shift in facts["shift_m"].items())
+    if more:
+        notes.append(f"{more} more such pairs: validation.json")
+    tied = set(found.pairs["run"]["a"]) | set(found.pairs["run"]["b"])
+    alone = [name for k, name in enumerate(names["run"]) if k not in tied]
+    if many and alone:
         notes.append(
-            f"days that contradict each other brought to their mean: {shifts}; it may be wrong by "
-            f"{np.median(common):.3f} m (one sigma, sigma_common_m of the bed)"
+            f"{', '.join(alone[:_NAMED])}{f' and {len(alone) - _NAMED} more' if len(alone) > _NAMED else ''} "
+            f"cross{'es' if len(alone) == 1 else ''} no other: nothing tells the level"
         )
-    return soundings, common, {"days": facts}, notes
+    scatter = {k: v for k in names if (v := float(getattr(found, f"sigma_{k}_m"))) > 0}
+    for kind, sigma in scatter.items():
+        facts[f"sigma_{kind}_m"] = sigma
+    if {"day", "run"} & {*scatter}:
+        rows = zip(names["run"], found.shift_m, found.sigma_m, found.sigma_common_m, strict=True)
+        facts["steps"] = [
+            {"run": name, "step_m": float(u), "sigma_m": float(own), "sigma_common_m": float(common)}
+            for name, u, own, common in rows
+        ]
+        kinds = " and ".join(f"{k}s by {scatter[k]:.3f} m" for k in ("day", "run") if k in scatter)
+        largest = max(facts["steps"], key=lambda of: abs(of["step_m"]))
+        notes.append(
+            f"steps brought to their mean: they scatter, {kinds} (one sigma); the largest, {largest['run']}, "
+            f"is {largest['step_m']:+.3f} m with a sigma of {largest['sigma_m']:.3f} m; the mean may be "
+            f"wrong by {np.median(found.sigma_common_m):.3f} m (one sigma, sigma_common_m of the bed)"
+        )
+    if "line" in scatter:
+        notes.append(
+            f"lines differ by {np.sqrt(2) * scatter['line']:.3f} m where they cross (one sigma of the "
+            "difference), beside noise and steps: an error of each whole line, in the sigmas"
+        )
+    # an error of a run and one of each of its lines: neighbouring lines share what is the run's
+    pieces = pd.MultiIndex.from_arrays([run, line])
+    number, first = pd.factorize(pieces, sort=True)
+    of_run = found.sigma_m[first.get_level_values(0)]
+    whole = np.hypot(of_run, found.sigma_line_m)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        apart_s = np.minimum(-2 * np.log(of_run / whole), _APART)
+    apart_s[np.diff(first.get_level_values(0), prepend=-1) != 0] = _APART
+    left = pd.DataFrame(
+        {
+            "sigma_common_m": found.sigma_common_m[run],
+            "sigma_slow_m": whole[number],
+            "t_even_s": np.cumsum(np.nan_to_num(apart_s, nan=_APART))[number],
+        }
+    )
+    return replace(soundings, height_m=soundings.height_m - found.shift_m[run]), left, facts, notes
 
 
 def _refuse_other_heights(table: pd.DataFrame, width_m: float) -> None:

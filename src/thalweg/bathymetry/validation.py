@@ -153,10 +153,9 @@ def _predicted(
     rest, there = data.where(~out), data.where(at)
     if len(rest) < 4:
         return pd.DataFrame()
-    # beside each place as well, for the slope
-    beside = there.places_m + settings.cell_m * np.array([[[0.0, 0.0]], [[1.0, 0.0]], [[0.0, 1.0]]])
-    height, sigma = model.fitted_to(rest).predict(rest, beside.reshape(-1, 2), neighbours=settings.neighbours)
-    height, sigma = height.reshape(3, -1), sigma[: len(there)]
+    height, sigma, slope = model.fitted_to(rest).predict_slope(
+        rest, there.places_m, neighbours=settings.neighbours, step_m=settings.cell_m
+    )
     left, right = half_widths(there.s_m)
     across = model.drift.across
     near_shore = (
@@ -171,9 +170,9 @@ def _predicted(
             "s_m": there.s_m,
             "n_m": there.n_m,
             "up_m": there.height_m,
-            "predicted_m": height[0],
-            "sigma_m": np.sqrt(sigma**2 + model.own_variance(there)),
-            "slope": np.hypot(*(height[1:] - height[0])) / settings.cell_m,
+            "predicted_m": height,
+            "sigma_m": model.steepened(np.sqrt(sigma**2 + model.own_variance(there)), slope),
+            "slope": slope,
             "distance_m": cKDTree(rest.places_m).query(there.places_m)[0],
             "margin": near_shore,
         }

@@ -19,6 +19,7 @@ one relief for all, beds of the twin between 0.6 and 0.9 of the half width erred
 variogram by Cressie and Hawkins (1980) is made for the picture alone.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import cache
@@ -27,7 +28,7 @@ from typing import Any, Final, NamedTuple, Self
 import numpy as np
 import shapely
 from numpy.typing import ArrayLike
-from scipy.optimize import minimize
+from scipy.optimize import minimize, minimize_scalar
 from scipy.spatial import cKDTree
 
 from thalweg.bathymetry.kriging import (
@@ -92,6 +93,13 @@ Hydrol. 372; the settings of RiverBottomInterpolator, 10 and 20), and a cross-se
 of the two rivers of RiverBottomInterpolator fit best with 1.7 (29 sections) and 1.2 (15)."""
 _FACTORS: Final = (2.5, 2.5, 3.0, 10.0, 2.0)
 """One standard deviation of the logarithm of each."""
+
+
+_USUAL_PER_SLOPE: Final = 2.0
+_PER_SLOPE_FACTOR: Final = 3.0
+_PER_SLOPES: Final = (0.01, 50.0)
+"""Growth of errors with the slope: doubled variance at a slope of 0.5, to within a factor, and bounds."""
+_LEAST_LEFT: Final = 4
 
 
 class Usual(NamedTuple):
@@ -265,6 +273,7 @@ class BedModel:
     compared : score by drift and model.
     reason : in a sentence.
     of_line : at most so many soundings of one line make a cell; 0: any.
+    per_slope : variances of errors are 1 + (per_slope slope)^2 times those of kriging.
     """
 
     drift: Drift
@@ -274,6 +283,7 @@ class BedModel:
     compared: dict[str, float]
     reason: str
     of_line: int = 0
+    per_slope: float = 0.0
 
     def fitted_to(self, data: Observations) -> Self:
         """The same covariance with the drift of other data, and its errors."""
@@ -309,6 +319,19 @@ class BedModel:
             )
         return height + self.drift.at(there), sigma
 
+    def steepened(self, sigma_m: ArrayF, slope: ArrayF) -> ArrayF:
+        """Standard deviations (m,) where the bed has slopes (m,), of those of kriging."""
+        return sigma_m * np.sqrt(1 + (self.per_slope * slope) ** 2)
+
+    def predict_slope(
+        self, data: Observations, places_m: ArrayF, *, neighbours: int, step_m: float
+    ) -> tuple[ArrayF, ArrayF, ArrayF]:
+        """Height and standard deviation of `predict`, and the slope (m,) from places a step beside."""
+        beside = places_m + step_m * np.array([[[0.0, 0.0]], [[1.0, 0.0]], [[0.0, 1.0]]])
+        height, sigma = self.predict(data, beside.reshape(-1, 2), neighbours=neighbours)
+        height = height.reshape(3, -1)
+        return height[0], sigma[: len(places_m)], np.hypot(*(height[1:] - height[0])) / step_m
+
     def error_covariance(self, data: Observations, places_m: ArrayF) -> ArrayF:
         """Covariance (m, m) of the errors of what `predict` says with all data as neighbours."""
         functions = (self.drift.functions(data.places_m), self.drift.functions(places_m))
@@ -338,7 +361,7 @@ class BedModel:
         drift["across"] = Basin(**across) if "wkt" in across else Across(**across)
         drift["coefficients"] = tuple(drift["coefficients"])
         drift["cov"] = tuple(map(tuple, drift["cov"]))
-        values: dict[str, Any] = {name: report[name] for name in cls.__dataclass_fields__}
+        values: dict[str, Any] = {name: report[name] for name in cls.__dataclass_fields__ if name in report}
         values |= {"drift": Drift(**drift), "covariance": CovarianceModel(**report["covariance"])}
         return cls(**values)
 
@@ -422,6 +445,7 @@ def choose_model(
     of_margins = f", relief of the margins {best.margin:.2f} times the channel's" if margin is None else ""
     if four_lines < any_line:
         best = replace(best, of_line=quarter)
+    best = replace(best, per_slope=_per_slope(best, data, test, settings))
     second = sorted(compared.values())[1] if len(compared) > 1 else np.nan
     reason = (
         f"drift {best.drift.kind}, model {best.covariance.kind}"
@@ -558,6 +582,42 @@ def _score(
         total += float(np.sum(np.log(var) / 2 + (left_out.height_m - height) ** 2 / (2 * var)))
         n += len(left_out)
     return total / n if np.isfinite(total) else 1e6
+
+
+def _per_slope(model: BedModel, data: Observations, test: list[ArrayI], settings: Bathymetry) -> float:
+    """How errors of left-out lines grow with the slope of the bed: most probable, with what is usual.
+
+    One covariance for all of a bed knows neither that a steep part is rougher than a level one, nor that
+    places that are a little wrong make heights wrong there.
+    """
+    square, slope = [], []
+    for of in test:
+        others = data.where(data.line != data.line[of[0]]) if len(of) else data
+        if len(of) and len(others) >= _LEAST_LEFT:
+            there = data.where(of)
+            height, sigma, steep = model.fitted_to(others).predict_slope(
+                others, there.places_m, neighbours=settings.neighbours, step_m=settings.cell_m
+            )
+            square.append((there.height_m - height) ** 2 / (sigma**2 + model.own_variance(there)))
+            slope.append(steep)
+    if not square:
+        return 0.0
+    z2, s2 = np.concatenate(square), np.concatenate(slope) ** 2
+    known = np.isfinite(z2) & np.isfinite(s2)
+
+    def cost(x: float) -> float:
+        """Mean negative log density, and what is usual."""
+        factor = 1 + np.exp(2 * x) * s2[known]
+        unusual = ((x - np.log(_USUAL_PER_SLOPE)) / np.log(_PER_SLOPE_FACTOR)) ** 2 / (2 * len(square))
+        return float(np.mean(np.log(factor) + z2[known] / factor) / 2 + unusual)
+
+    return float(
+        np.exp(
+            minimize_scalar(
+                cost, bounds=(math.log(_PER_SLOPES[0]), math.log(_PER_SLOPES[1])), method="bounded"
+            ).x
+        )
+    )
 
 
 def _parameters(model: BedModel, half_m: float, rest: Observations) -> ArrayF:

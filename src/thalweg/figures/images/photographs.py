@@ -75,6 +75,9 @@ _AXES: Final = (("east", BLUE, "o"), ("north", VERMILION, "s"), ("up", GREEN, "^
 MASK_COLUMNS: Final = ("image", "usable_share", "water_share", "sky_share", "hull_share", "source", "note")
 """Columns of the table of masks, see `thalweg.images.masks.images`."""
 EXAMPLES: Final = 3
+MOST_ON_SHEET: Final = 24
+_SHEET_COLUMNS: Final = 4
+_NAME_LETTERS: Final = 26
 _LONGEST_PX: Final = 900
 """Side of a picture in the figure; more would not be seen."""
 _DARKER: Final = 0.42
@@ -587,6 +590,46 @@ def _shares(ax: Axes, rows: pd.DataFrame, examples: list[int], letter: str) -> N
     ax.set_title(f"{letter}: parts of all images; dotted: those above")
     ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     ax.grid()
+
+
+@styled
+def mask_sheet(images: Images, masks: Path, table: pd.DataFrame, *, title: str) -> Figure:
+    """Pictures with what is masked dark and hatched, its shares, and what cannot be told.
+
+    Parameters
+    ----------
+    images : of the series, by name or as files.
+    masks : folder of ``<image>.png``.
+    table : of `thalweg.images.masks.make_masks`; of many, `MOST_ON_SHEET` pictures are shown, evenly chosen.
+    title : first words of the title.
+    """
+    masked = table[np.isfinite(table["usable_share"].to_numpy(np.float64))]
+    if not len(masked):
+        raise CoverageError("no image has a mask", expected="at least one")
+    shown = masked.iloc[np.unique(np.linspace(0, len(masked) - 1, MOST_ON_SHEET).astype(np.int64))]
+    pictures = read_examples([str(name) for name in shown["image"]], images, masks)
+    columns = min(_SHEET_COLUMNS, len(shown))
+    lines = -(-len(shown) // columns)
+    high = max(p.shape[0] / p.shape[1] for p, _ in pictures.values())
+    head = f"{title}: {len(shown)} of {plural(len(table), 'image')}; dark: masked"
+    figure = new_figure(lines * (WIDTH_MM / columns * high + 16.0) + 12.0, head, twin=False)
+    axes = np.ravel(figure.subplots(lines, columns, squeeze=False))
+    for ax, row in zip(axes, shown.to_dict("records"), strict=False):
+        _picture(ax, *pictures[str(row["image"])])
+        shares = [
+            f"{label} {100 * row[column]:.0f} %"
+            for column, (label, _, _) in _LINES.items()
+            if column == "usable_share" or row[column] > 0
+        ]
+        name = str(row["image"])
+        name = name if len(name) <= _NAME_LETTERS else f"...{name[-_NAME_LETTERS:]}"
+        words = f"{name}\n{', '.join(shares)}"
+        ax.set_title(
+            f"{words}\ncannot tell: {row['cannot_tell']}" if row["cannot_tell"] else words, fontsize=6
+        )
+    for ax in axes[len(shown) :]:
+        ax.remove()
+    return figure
 
 
 def draw_mask_view(*, images: list[Path], masks: Path, table: Path, title: str, twin: bool) -> Figure:

@@ -78,6 +78,11 @@ _SURE: Final = 2.0
 _NEAR_SHARE: Final = 0.16
 """Side of the neighbourhood, share of the image's height."""
 
+_TEXTURE_PX: Final = 640
+_SKY_TEXTURE: Final = 0.015
+"""Median gradient (logarithm of light per pixel of a picture so wide) of a sky, clouds included: 0.000 to
+0.011 in photographs and two twins; of snow, clouds on mountains, meadows and night 0.023 to 0.115."""
+_DARK: Final = 8.0
 _OPEN_SHARE: Final = 0.012
 _LARGE_SHARE: Final = 0.004
 _COVERED: Final = 0.01
@@ -209,6 +214,20 @@ def against_sky(features: ArrayF32, sure: ArrayB) -> tuple[ArrayF32, ArrayB]:
     return own - total / np.maximum(share, 1e-6)[..., None], share > _COVERED
 
 
+def looks_like_sky(image: ArrayU8, sky: ArrayB, land: ArrayB) -> bool:
+    """Whether pixels (h, w) of an image are smooth and brighter than the land, as meadows and snow are not.
+
+    What was learned from a series tells two parts that differ, and not that one of them is the sky.
+    """
+    if not sky.any() or not land.any():
+        return not sky.any()
+    light = np.log(image.astype(np.float32) + _DARK).mean(axis=2)
+    across, down = (cv2.Sobel(light, cv2.CV_32F, *d, ksize=3) / 8 for d in ((1, 0), (0, 1)))
+    # light changes less from pixel to pixel in a larger picture
+    texture = float(np.median(np.hypot(across, down)[sky])) * max(sky.shape) / _TEXTURE_PX
+    return texture < _SKY_TEXTURE and float(np.median(light[sky])) > float(np.median(light[land]))
+
+
 def sky_pixels(model: SkyModel, features: ArrayF32, may_be: ArrayB) -> ArrayB:
     """Pixels (h, w) of sky, of those (h, w) that may be sky."""
     odds = _odds(model.rough, features, may_be)
@@ -281,6 +300,9 @@ def steady_parts(images: Sequence[ArrayU8]) -> ArrayB:
 
 _STAYED: Final = 0.6
 """Share of the edges of a series that are steady where the camera stayed; on a boat only the hull's are."""
+_STAYED_ASIDE: Final = 0.25
+"""Share of the edges beside an own boat that are steady where the camera hardly moved: 0.47 of a lake from
+its bank, 0.03 from a boat."""
 _VARIES: Final = 4.0
 """A pixel that scatters more than this many times the median one shows what always moves: water, leaves."""
 _OFF: Final = 5.0
@@ -334,21 +356,25 @@ def _opened(part: ArrayB) -> ArrayB:
     return np.asarray(cv2.dilate(kept, k), np.bool_)
 
 
-def camera_stayed(images: Sequence[ArrayU8]) -> bool:
-    """Whether a series of images (h, w, 3) of one size shows one view: most of its edges keep their place.
+def steady_share(images: Sequence[ArrayU8], without: ArrayB | None = None) -> float:
+    """Share of the edges of a series of images (h, w, 3) of one size that keep their place; 0 of short ones.
 
-    False for short series.
+    Parameters
+    ----------
+    without : (h, w) pixels that do not count.
     """
     if len(images) < LEAST_IMAGES:
-        return False
+        return 0.0
     strong = []
     for image in images:
         light = np.log(image.astype(np.float32) + 8.0).mean(axis=2)
         gradient = np.stack([cv2.Sobel(light, cv2.CV_32F, *d, ksize=3) / 8 for d in ((1, 0), (0, 1))])
         strong.append(np.hypot(*gradient) > _FAINT)
     edges = np.mean(strong, axis=0) > 0.5
+    if without is not None:
+        edges &= ~_wider(without, _RIM_PX)
     _, coherence = _steadiness(images)
-    return bool(edges.any() and np.mean(coherence[edges] > _STEADY) > _STAYED)
+    return float(np.mean(coherence[edges] > _STEADY)) if edges.any() else 0.0
 
 
 def _steadiness(images: Sequence[ArrayU8]) -> tuple[ArrayF32, ArrayF32]:
@@ -708,7 +734,8 @@ class SeriesModel:
     settings : how images are masked.
     notes : what a user should know about the whole series.
     still : what a camera that stayed saw: then only what moved is masked, and nothing is water or own boat.
-    water : whether what lies below the lines is water; else it is land.
+    water : whether what lies below the lines is water; else nobody can tell, and it is not masked.
+    boat : whether what keeps its place is the own boat; else nobody can tell.
     """
 
     scenery: Scenery | None
@@ -720,9 +747,12 @@ class SeriesModel:
     notes: tuple[str, ...]
     still: StillScene | None = None
     water: bool = True
+    boat: bool = True
 
-    def parts(self, image: ArrayU8, size_px: tuple[int, int], name: str) -> tuple[ArrayU8, list[str]]:
-        """Parts (h, w) of an image at analysis size, in the codes of `mask_settings`, and notes.
+    def parts(
+        self, image: ArrayU8, size_px: tuple[int, int], name: str
+    ) -> tuple[ArrayU8, list[str], list[str]]:
+        """Parts (h, w) of an image at analysis size, in the codes of `mask_settings`, notes, what is untold.
 
         Parameters
         ----------
@@ -732,12 +762,16 @@ class SeriesModel:
         """
         h, w = image.shape[:2]
         notes: list[str] = []
+        untold = [] if self.boat else ["own boat"]
+        untold += [] if self.water and self.scenery is not None else ["water"]
         if self.still is not None:
+            untold = ["water and sky that keep still"]
             if size_px != self.size_px:
-                return np.full((h, w), LAND, np.uint8), ["another size than most images: nothing is masked"]
+                notes.append("another size than most images: nothing is masked")
+                return np.full((h, w), LAND, np.uint8), notes, ["anything"]
             sh, sw = self.still.median.shape
             moved = self.still.moved(cv2.resize(image, (sw, sh), interpolation=cv2.INTER_AREA))
-            return np.where(enlarged(moved, (w, h)), MOVED, LAND).astype(np.uint8), notes
+            return np.where(enlarged(moved, (w, h)), MOVED, LAND).astype(np.uint8), notes, untold
         hull = np.zeros((h, w), dtype=np.bool_)
         if size_px == self.size_px:
             hull = _wider(enlarged(self.hull, (w, h)), self.settings.hull_margin_share * h)
@@ -752,9 +786,15 @@ class SeriesModel:
                     notes.append("no water line found")
                 out[below] = WATER
             if self.sky is not None:
-                out[sky_pixels(self.sky, fine_features(image), ~below & ~hull)] = SKY
+                sky = sky_pixels(self.sky, fine_features(image), ~below & ~hull)
+                if looks_like_sky(image, sky, ~sky & ~below & ~hull):
+                    out[sky] = SKY
+                else:
+                    untold.append("sky")
+        else:
+            untold.append("sky")
         out[hull] = HULL
-        return out, notes
+        return out, notes, untold
 
     def _lines(self, image: ArrayU8, name: str, hull: ArrayB) -> AnyArray:
         """First row of water (w,) in each column of an image at analysis size."""
@@ -804,7 +844,7 @@ def learn_series(
     fine = [(name, image) for name, image, own in read if own == size]
     coarse = [(name, scaled_to(image, settings.analysis_px // 2)) for name, image in fine]
     notes = []
-    if camera_stayed([image for _, image in coarse]):
+    if steady_share([image for _, image in coarse]) > _STAYED:
         still = StillScene.of([image for _, image in coarse])
         return SeriesModel(
             scenery=None,
@@ -813,17 +853,26 @@ def learn_series(
             size_px=size,
             horizons=horizons,
             settings=settings,
-            notes=("the camera stayed: what moved is masked, pixel by pixel over time",),
+            notes=(
+                "the camera stayed: what moved is masked, pixel by pixel over time; cannot tell water and "
+                "sky that kept still from land",
+            ),
             still=still,
         )
     hull = steady_parts([image for _, image in coarse])
     if len(coarse) < LEAST_IMAGES:
         notes.append(f"{len(coarse)} images are too few to find the own boat by what keeps its place")
+    boat = True
+    if hull.any() and steady_share([image for _, image in coarse], hull) > _STAYED_ASIDE:
+        boat, hull = False, np.zeros_like(hull)
+        notes.append(
+            "cannot tell the own boat: much of what is beside it keeps its place too; it is not masked"
+        )
     samples = [_sample(image, hull, name, horizons) for name, image in coarse]
     scenery = learn_scenery(samples, hull, rng)
     sky, water = None, True
     if scenery is None:
-        notes.append("water and land cannot be told apart: only the own boat is masked")
+        notes.append("cannot tell water, sky and land apart: only the own boat is masked")
     else:
         mirrors = [
             mirrored_columns(
@@ -832,11 +881,18 @@ def learn_series(
             for (_, image), s in zip(coarse, samples, strict=True)
         ]
         known = [each for each in mirrors if np.isfinite(each)]
-        if known and np.mean(known) < settings.least_mirror:
+        found = float(np.mean(known)) if 2 * len(known) >= len(mirrors) else -1.0
+        if found < settings.least_mirror:
             water = False
             notes.append(
-                f"the foreground mirrors nothing of what is behind it (correlation {np.mean(known):.2f}, "
-                f"water from {settings.least_mirror:g} on): it counts as land, nothing is masked as water"
+                "cannot tell whether the foreground is water: "
+                + (
+                    f"it mirrors too little of what is behind it (correlation {found:.2f}, water from "
+                    f"{settings.least_mirror:g} on)"
+                    if found > -1
+                    else "its edge leaves no room above or below it to look for reflections"
+                )
+                + "; nothing is masked as water. If it is, give masks, or set least_mirror to -1"
             )
         step = max(-(-len(fine) // _LOOKS_OF_SKY), 1)
         sky = _learned_sky([i for _, i in fine][::step], samples[::step], hull, scenery, rng)
@@ -851,6 +907,7 @@ def learn_series(
         settings=settings,
         notes=tuple(notes),
         water=water,
+        boat=boat,
     )
 
 
@@ -933,9 +990,11 @@ COLUMNS: Final = (
     "hull_share",
     "moved_share",
     "source",
+    "cannot_tell",
     "note",
 )
-"""Columns of the table of masks; shares of masks that the user made are unknown but for the usable one."""
+"""Columns of the table of masks; shares of masks that the user made are unknown but for the usable one. What
+cannot be told is not masked."""
 
 
 # ---------------------------------------------------------------- masks of images
@@ -1019,7 +1078,7 @@ def _one(
         return _row(name, "none", {}, [*problems, f"no mask: {error.found}"]), None
     if model is None:
         return _row(name, "none", {"usable": 1.0}, problems), np.full((h, w), 255, dtype=np.uint8)
-    parts, notes = model.parts(image, (w, h), name)
+    parts, notes, untold = model.parts(image, (w, h), name)
     counts = np.bincount(parts.ravel(), minlength=len(PARTS)) / parts.size
     shares = {part: float(counts[code]) for part, code in PARTS.items()}
     shares["usable"] = shares.pop("land")
@@ -1030,15 +1089,18 @@ def _one(
         usable = cv2.resize(usable, (w, h), interpolation=cv2.INTER_LINEAR)
         usable = ((usable > 127) * np.uint8(255)).astype(np.uint8)
     found = [*problems, *notes, *_sparse(shares, settings)]
-    return _row(name, "automatic", shares, found), usable
+    return _row(name, "automatic", shares, found, untold), usable
 
 
-def _row(image: str, source: str, shares: dict[str, float], notes: Sequence[str]) -> dict[str, Any]:
+def _row(
+    image: str, source: str, shares: dict[str, float], notes: Sequence[str], untold: Sequence[str] = ()
+) -> dict[str, Any]:
     values = {
         f"{name}_share": round(shares.get(name, np.nan), 5)
         for name in ("usable", "water", "sky", "hull", "moved")
     }
-    return {"image": image, **values, "source": source, "note": "; ".join(notes)}
+    said = {"source": source, "cannot_tell": ", ".join(untold), "note": "; ".join(notes)}
+    return {"image": image, **values, **said}
 
 
 def _sparse(shares: dict[str, float], settings: MaskSettings) -> list[str]:

@@ -160,7 +160,7 @@ class MaskSettings(Section):
         description="Least standard deviation of the approximate horizon, from trajectory and mount, degrees",
     )
     least_mirror: Annotated[float, Field(ge=-1, le=1)] = Field(
-        default=0.35,
+        default=0.45,
         description="Correlation over the columns of an image, below its water line with above it, mean over "
         "the series, from which on the foreground is water; -1: always, for water that mirrors nothing",
     )
