@@ -6,9 +6,9 @@ import sys
 from pathlib import Path
 from typing import Final
 
-_MASKED: Final = ("water", "sky", "hull", "moved")
-
 from thalweg.cli_remedies import of_a_campaign
+
+_MASKED: Final = ("water", "sky", "hull", "moved")
 
 
 def add_image_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
