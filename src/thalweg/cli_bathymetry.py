@@ -412,12 +412,14 @@ def _flow(options: argparse.Namespace) -> int:
 
     from thalweg.bathymetry import read_line
     from thalweg.core import InputError
+    from thalweg.core.values import check_degrees
     from thalweg.ingest import read_places
 
     line = read_line(options.centre_line)
     table, found = read_places(options.points, None, any_system=True)
     places = found.xy_m
     known = np.isfinite(places).all(axis=1)
+    check_degrees(places[known], where=options.points, cure="Name the columns lat, lon")
     s, n, fold = np.full(len(places), np.nan), np.full(len(places), np.nan), np.ones(len(places), dtype=bool)
     s[known], n[known], fold[known] = line.to_flow(places[known])
     if fold.all():
