@@ -14,7 +14,7 @@ from thalweg.bathymetry.signs import asked_of_lake, asked_of_river, asked_of_sho
 from thalweg.bathymetry.tables import water_of
 from thalweg.cli import main
 from thalweg.core import InputError
-from thalweg.ingest import read_vectors
+from thalweg.core.values import read_vectors
 from thalweg.settings.sections import Bathymetry
 
 UTM33 = pyproj.CRS.from_epsg(32633)

@@ -18,8 +18,8 @@ from thalweg.calibration.field import read_facts, read_field
 from thalweg.clocks import ClockModel
 from thalweg.core import LocalFrame, ThalwegError, read_marked
 from thalweg.core.calibration import read_kalibr, read_matrix
+from thalweg.core.values import read_vectors
 from thalweg.images import read_control_points, read_marks
-from thalweg.ingest import read_vectors
 from thalweg.ingest.ouster import describe_metadata
 from thalweg.ingest.tracks import read_gpx
 from thalweg.lightsheet.poses import read_standing_camera

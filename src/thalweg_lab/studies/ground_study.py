@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 
 from thalweg.core import ArrayF, GeometryError, InputError, LocalFrame, robust_sigma
+from thalweg.core.values import read_vectors
 from thalweg.deformation import (
     IN_VOLUME,
     Epoch,
@@ -30,7 +31,6 @@ from thalweg.deformation import (
     register_pair,
 )
 from thalweg.deformation.foreign import difference_of_models, dsm_of, prepare_foreign_epoch, with_drawn_areas
-from thalweg.ingest import read_vectors
 from thalweg.settings import load_campaign
 from thalweg.settings.sections import Deformation, Epoch as Statement
 from thalweg.surface import Area
