@@ -18,6 +18,8 @@ START_GPS_S = 304_845_206.0  # 2021-05-12, adjusted
 S = np.arange(240.0)
 SEEDS = (41, 43, 44)
 """Nobody chose them; with 42 the engine finds no position, and says so."""
+FAR = (43, 44, 601, 602, 603, 604)
+"""100 km away; of these 44 alone is off by three times its sigmas, the others have NEES 0.15 to 1.4."""
 FIXING = (5, 7)
 """Chosen: the engine calls some positions fixed 100 km away; with 41, 43, 44 and 45 it calls none."""
 
@@ -60,7 +62,7 @@ def short(tmp_path_factory) -> list[Run]:
 @pytest.fixture(scope="module")
 def long(tmp_path_factory) -> list[Run]:
     folder = tmp_path_factory.mktemp("long")
-    return [run(folder, 100.0, seed) for seed in (*SEEDS[1:], *FIXING)]
+    return [run(folder, 100.0, seed) for seed in (*FAR, *FIXING)]
 
 
 def test_short_baselines_are_fixed_and_never_wrongly(short: list[Run]) -> None:
