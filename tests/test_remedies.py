@@ -27,9 +27,9 @@ SECTIONS = "|".join(sorted(Campaign.model_fields, key=len, reverse=True))
 SETTING = re.compile(rf"(?<![\w./-])(?:{SECTIONS})(?:\.[a-z][a-z_0-9]*)+(?![\w(])")
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*[a-z]")
 FILES = re.compile(r"\.(json|html|md|parquet|laz|png|csv|bin|txt|py)$")
-OTHERS = {"--cores", "--config", "--rerun-incomplete", "--executor", "--profile", "--unlock", "--until"} | {
-    "--directory",
-    "--models",
+OTHERS = {
+    *("--force", "--set-resources", "--cores", "--config", "--rerun-incomplete", "--executor", "--profile"),
+    *("--unlock", "--until", "--directory", "--models"),
 }
 """Options of Snakemake, and of Kalibr."""
 OF_A_CAMPAIGN = re.compile(r"\S+ of a campaign")

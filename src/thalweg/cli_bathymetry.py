@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from thalweg.cli_remedies import OF_A_FILE, of_a_campaign
+from thalweg.cli_remedies import OF_A_FILE, OF_A_RECORDING, of_a_campaign
 
 
 def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -130,6 +130,7 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
             "bathymetry.line_turn_deg": "--line",
             "accuracy.area.polygon": "--islands",
             "accuracy.area": "--islands",
+            **OF_A_RECORDING,
             **of_a_campaign(["bathymetry.engine"]),
         },
     )

@@ -176,6 +176,8 @@ def _add_imports(commands: "argparse._SubParsersAction[argparse.ArgumentParser]"
             "images.control.crs": "--crs",
             "images.fixed_camera.largest_sigma_m": "--largest-sigma",
             ", or state their order: --columns x,y,z": "",
+            ", or state all with --columns": "",
+            " (in a campaign images.fixed_camera.size_px)": "",
             **of_a_campaign(["images.adjustment.antenna.use"]),
         },
     )

@@ -39,7 +39,9 @@ def add_image_commands(commands: "argparse._SubParsersAction[argparse.ArgumentPa
         help="correlation with its reflection from which on the foreground is water; -1: always",
     )
     masks.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the masks")
-    masks.set_defaults(command=_masks)
+    masks.set_defaults(
+        command=_masks, settings=of_a_campaign(["logs.time_lapse.images", "logs.time_lapse.interiors"])
+    )
     orient = commands.add_parser(
         "orient",
         help="photographs and control points or positions -> poses with sigmas, lens, tie points, page",
@@ -124,6 +126,7 @@ def add_image_commands(commands: "argparse._SubParsersAction[argparse.ArgumentPa
             "logs.time_lapse.interiors": "--camera",
             "mounts.calibration": "--camera",
             ", or state their order: --columns x,y,z": "",
+            ", or state all with --columns": "",
             **of_a_campaign(
                 [
                     "images.adjustment.antenna.use",

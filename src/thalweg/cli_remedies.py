@@ -6,6 +6,7 @@ from typing import Final
 OF_A_FILE: Final = {
     "campaign.crs": "the coordinate system in the file",
     ", or state their order: --columns x,y,z": "",
+    ", or state all with --columns": "",
     "State --nodata 0 where they are no heights, or --nodata none where they are (in a campaign: nodata)": (
         "Declare the value of missing heights in the file"
     ),
@@ -17,3 +18,14 @@ OF_A_FILE: Final = {
 def of_a_campaign(settings: Iterable[str]) -> dict[str, str]:
     """Settings that a command has no option for: a campaign has them."""
     return {each: f"{each} of a campaign" for each in settings}
+
+
+OF_A_RECORDING: Final = of_a_campaign(
+    (
+        *("logs.depth_date", "logs.depth", "logs.lidar", "logs.gps_week", "logs.smrmsg"),
+        *("lidar.returns", "lidar.topic", "lidar.model", "lidar.data_port", "lidar.clock.offset_s"),
+        *("georeferencing.min_range_m", "georeferencing.max_range_m"),
+        *("ins.body_axes", "ins.time_scale", "orientation.sigma_position_m"),
+    )
+)
+"""Of commands that read a recording of any kind, with nothing but what it states."""

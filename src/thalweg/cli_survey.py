@@ -210,6 +210,7 @@ def add_survey_commands(commands: "argparse._SubParsersAction[argparse.ArgumentP
                     "filters.water_line_ics_m",
                     "lidar.data_port",
                     "lidar.returns",
+                    "lidar.topic",
                 ]
             ),
         },

@@ -76,7 +76,7 @@ def test_a_pose_the_other_way_round_is_refused(section):
     ("text", "message"),
     [
         (None, "file not found"),
-        ("{", "no mounts"),
+        ("{", "no JSON"),
         ('{"kind": "thalweg mounts", "version": 9, "mounts": {}}', "version 9; expected thalweg mounts"),
         ('{"kind": "thalweg mounts"}', "no mounts"),
     ],

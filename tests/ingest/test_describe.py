@@ -145,7 +145,7 @@ def test_the_page_shows_every_recording(data_dir: Path, repository: Path, tmp_pa
     table = recordings_table(reports, titles)
     assert table["time"].tolist() == ["unsynchronised", "unsynchronised"]
     html = recordings_page(reports, titles, pictures).html()
-    assert html.count("data:image/png;base64,") == 3  # attitudes; depths and track
+    assert html.count("data:image/png;base64,") == 4  # a depth and attitudes; depths and track
     assert all(title in html for title in titles)
     assert "http" not in html.replace("http-equiv", "")
 

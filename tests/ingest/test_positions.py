@@ -121,7 +121,7 @@ def test_a_track_in_gpx(tmp_path: Path) -> None:
 def test_a_gpx_without_a_track_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "track.gpx"
     path.write_text(text)
-    with pytest.raises(InputError, match=r"no readable GPX|no track point with a time"):
+    with pytest.raises(InputError, match=r"no readable GPX|no XML|no track point with a time"):
         read_positions("gpx", [path], states=None, **NOTHING)
 
 

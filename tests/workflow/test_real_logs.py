@@ -48,6 +48,6 @@ def test_the_page_of_real_recordings(house, data_dir) -> None:
     assert "points 73,486" in table["counts"].str.cat(sep=" ")
     assert {p.name for p in (folder / "nmea_humminbird").glob("*.png")} == {"depths.png", "positions.png"}
     html = (folder / "index.html").read_text()
-    assert html.count("data:image/png;base64,") == 4
+    assert html.count("data:image/png;base64,") == 5
     assert 'src="http' not in html
     assert "unsynchronised" in html

@@ -56,7 +56,7 @@ from thalweg.core import (
     write_raster,
 )
 from thalweg.core.values import METRE, check_places, is_vector_file, read_vectors, units_of_crs
-from thalweg.ingest import Places, Table, read_places as places_of_table
+from thalweg.ingest import Table, read_places
 from thalweg.ingest.registry import soundings_table
 from thalweg.settings.sections import Bathymetry
 
@@ -122,23 +122,6 @@ def map_crs(text: str, *, feet: bool = False) -> CRS:
             "files that state another system",
         )
     return crs
-
-
-def read_places(
-    path: Path, crs: CRS | None, *, order: Sequence[str] | None = None, any_system: bool = False
-) -> tuple[Table, Places]:
-    """`thalweg.ingest.read_places`, and soundings of a recording that holds their places too.
-
-    Raises
-    ------
-    InputError : see there.
-    """
-    if (recorded := soundings_table(path)) is None:
-        return places_of_table(path, crs, order=order, any_system=any_system)
-    frame, notes = recorded
-    table = Table.of(frame, path)
-    found = table.places(crs, any_system=any_system)
-    return table, replace(found, notes=[*notes, *found.notes])
 
 
 def read_line(
@@ -295,7 +278,12 @@ def read_soundings(
         other way round; places that the map does not have; fewer than four soundings; all in one place or on
         one straight line.
     """
-    table, found = read_places(path, crs, order=order)
+    if (recorded := soundings_table(path)) is None:
+        table, found = read_places(path, crs, order=order)
+    else:
+        table = Table.of(recorded[0], path)
+        found = table.places(crs)
+        found = replace(found, notes=[*recorded[1], *found.notes])
     assert found.crs is not None
     k, depth = _column_of_values(table, column, depth)
     column, places = table.columns[k].name, found.xy_m

@@ -187,13 +187,13 @@ def _lens_to_begin_with(
         raise InputError(
             f"the interior orientation of {camera.name} states no standard deviations",
             expected="a calibration with a covariance",
-            cure="State them with thalweg import-camera --sigma, or estimate it with --interior free",
+            cure="State them (thalweg import-camera), or estimate it with --interior free",
         )
     if interior == "auto" and not stated:
         told = (
             f"The interior orientation of {camera.name} states no standard deviations: it counts as a guess "
             "(focal length 2 %, principal point 1 % of the longer side, k1 and k2 0.1) and is estimated with "
-            "the poses. Is it known better? State it: thalweg import-camera FILE OUT --sigma ..."
+            "the poses. Is it known better? State it by `thalweg import-camera`"
         )
         return guessed_lens(camera, free), True, [told]
     if interior == "fixed":

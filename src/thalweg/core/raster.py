@@ -151,10 +151,7 @@ def open_raster(path: Path, *, whole: bool = True) -> Iterator[Any]:
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
-    if not path.is_file() or not path.stat().st_size:
-        raise InputError(
-            "an empty file" if path.is_file() else "no such file", expected="a GeoTIFF", where=path
-        )
+    require_file(path, "a GeoTIFF")
     try:
         with warnings.catch_warnings(), rasterio.Env(GTIFF_REPORT_COMPD_CS=True):
             warnings.simplefilter("ignore", NotGeoreferencedWarning)

@@ -217,7 +217,7 @@ def distances_along(
                 expected="radii that fit the spacing of the points",
                 cure="Raise deformation.scales_m",
             )
-        few = one_place or all(n)
+        few = one_place or bool(((before.n > 0) & (after.n > 0)).any())
         raise GeometryError(
             f"none of {k:,} core points has enough points of both epochs; {n[0]:,} have points of "
             f"the first, {n[1]:,} of the second",

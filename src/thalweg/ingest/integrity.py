@@ -167,8 +167,11 @@ class IntegrityReport:
                 + (f", about {lost:,} records lost" if lost else "")
             )
         for key, value in self.details.items():
-            listed = ", ".join(f"{k} {v:,}" for k, v in value.items()) if isinstance(value, dict) else value
-            out.append(f"  {key:9s} {listed}")
+            if isinstance(value, dict):
+                value = ", ".join(
+                    f"{k} {v:,}" if isinstance(v, int) else f"{k} {v}" for k, v in value.items()
+                )
+            out.append(f"  {key:9s} {value}")
         out += [f"  note      {sentence}" for sentence in self.notes]
         return out
 

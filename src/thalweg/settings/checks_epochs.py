@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from thalweg.core import Key, Mistake
-from thalweg.core.values import VECTOR_ENDINGS
 from thalweg.settings.checks_files import check_file, no_match, no_path
 from thalweg.settings.checks_place import check_crs, parse_crs
 from thalweg.settings.messages import expand
@@ -139,6 +138,8 @@ def _check_files(
     each: Mapping[str, Any], source: str, where: tuple[Key, ...], folder: Path, before: dict[Path, int]
 ) -> Iterator[Mistake]:
     """Files are there, hold something, have an ending that is read, and belong to one epoch."""
+    from thalweg.core.values import VECTOR_ENDINGS
+
     listed: list[tuple[tuple[Key, ...], object, tuple[str, ...]]] = []
     if source == "clouds" and isinstance(each["clouds"], list):
         endings: tuple[str, ...] = (*CLOUD_ENDINGS, *TEXT_ENDINGS)

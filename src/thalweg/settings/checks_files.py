@@ -31,7 +31,7 @@ FOLDERS: Final = PHOTOGRAPHS | {"masks", "finished_orientations"}
 IMAGE_ENDINGS: Final = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 """As `thalweg.ingest.photos.files` knows photographs, which is not imported for a quick check."""
 
-_ONE_RECORDER: Final = frozenset({"lidar", "ins", "pos", "depth"})
+_ONE_RECORDER: Final = frozenset({"lidar", "ins", "positions", "depth"})
 """Streams that one file may hold together: a bag of ROS, the log of an autopilot, NMEA."""
 _MANY_PARTS: Final = {"control_points", "marks", "orientations"}
 """Keys that may name one file: OpenDroneMap and Metashape write points, marks and poses together."""

@@ -8,10 +8,7 @@ import copy
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
-from thalweg.core import InputError, Key, LocalFrame, Mistake
-from thalweg.core.values import read_vectors
+from thalweg.core import InputError, Key, Mistake
 from thalweg.settings.checks_place import geodetic_place, parse_crs
 from thalweg.settings.messages import anchor
 
@@ -55,6 +52,11 @@ def _corners(path: tuple[Key, ...], file: Path, data: dict[str, Any], on_map: bo
     ------
     InputError : not to be read, of another kind, or no map and origin to place it by.
     """
+    import numpy as np
+
+    from thalweg.core import LocalFrame
+    from thalweg.core.values import read_vectors
+
     identity = data.get("campaign")
     stated = identity if isinstance(identity, dict) else {}
     place, crs = geodetic_place(stated.get("origin")), parse_crs(str(stated.get("crs")).strip())

@@ -303,12 +303,15 @@ OTHERS: Final = (
         _is_part_of_shapefile,
     ),
     _other(
-        "tcx", "workout (TCX)", "convert it to GPX: logs.pos, logs.depth", _has(b"<TrainingCenterDatabase")
+        "tcx",
+        "workout (TCX)",
+        "convert it to GPX: logs.positions, logs.depth",
+        _has(b"<TrainingCenterDatabase"),
     ),
     _other(
         "fit",
         "recording of a watch or sounder (FIT)",
-        "convert it to GPX with the depths: logs.pos, logs.depth",
+        "convert it to GPX with the depths: logs.positions, logs.depth",
         lambda head, size: head[8:12] == b".FIT",
     ),
     _other(
