@@ -6,19 +6,25 @@ that a test of its own gives to it, which are caught while that test runs.
 
 import ast
 import inspect
-import re
 from collections.abc import Callable, Iterator, Mapping
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.figure import Figure
 
 from tests.figures.conftest import make_comparison
-from tests.figures.panel_states import STATES, CaughtError, NoSuchStateError, catch, faults, in_state, warned
+from tests.figures.panel_states import (
+    CaughtError,
+    NoSuchStateError,
+    cases,
+    catch,
+    faults,
+    faults_of_page,
+    function_of,
+    warned,
+)
 from thalweg.core import ThalwegError
 
 EXAMPLES: Final = {
@@ -306,13 +312,6 @@ def figure_functions() -> list[str]:
 TESTED: Final = [name for name in figure_functions() if name not in NO_EXAMPLE]
 
 
-def function_of(name: str) -> Callable[..., Figure]:
-    """The function of ``module:function``."""
-    module, function = name.split(":")
-    package = "" if module.startswith("thalweg_lab") else "thalweg."
-    return getattr(import_module(package + module), function)
-
-
 @pytest.fixture(scope="module")
 def examples(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Mapping[str, Any]]:
     """Arguments by figure function, caught from its test: that ends where the figure would be drawn."""
@@ -351,21 +350,6 @@ def test_every_figure_function_is_called_here() -> None:
     assert set(listed) == set(figure_functions()), "add an example of it, made here or of its test"
 
 
-def cases(name: str, example: Mapping[str, Any]) -> Iterator[tuple[str, Callable[[], dict[str, Any]]]]:
-    """What is tried: all inputs in a state, each table alone in it, and each input absent that may be."""
-    for state in STATES:
-        yield f"all {state}", lambda s=state: {key: in_state(each, s) for key, each in example.items()}
-    tables = [key for key, each in example.items() if isinstance(each, pd.DataFrame)]
-    for key in tables if len(example) > 1 else []:
-        for state in ("empty", "nan"):
-            yield f"{key} {state}", lambda k=key, s=state: {**example, k: in_state(example[k], s)}
-    for key, parameter in inspect.signature(function_of(name)).parameters.items():
-        if parameter.default is None and example.get(key) is not None:
-            yield f"{key} absent", lambda k=key: {other: example[other] for other in example if other != k}
-        if isinstance(example.get(key), list | dict):
-            yield f"{key} none", lambda k=key: {**example, k: type(example[k])()}
-
-
 @pytest.mark.parametrize("name", TESTED)
 def test_what_has_nothing_to_show_is_left_out_with_its_reason(
     name: str, examples: Mapping[str, Mapping[str, Any]]
@@ -400,10 +384,6 @@ def test_pages_say_what_there_is_none_of(name: str, examples: Mapping[str, Mappi
             page, wrong = "", [] if len(str(error)) > 20 else [f"no reason: {error}"]
         except Exception as error:
             page, wrong = "", [f"{type(error).__name__}: {error}"]
-        words = re.sub(r"<style>.*?</style>|<[^>]*>", " ", page, flags=re.DOTALL)
-        wrong += [
-            f"words: {each!r}" for each in re.findall(r".{0,40}\b(?:nan|NaN|NaT|inf|None)\b.{0,20}", words)
-        ]
-        wrong += ["a table without a row"] if re.search(r"<tbody>\s*</tbody>", page) else []
+        wrong += faults_of_page(page)
         found += [f"{case}: {each}" for each in wrong]
     assert not found, "\n".join(found)
