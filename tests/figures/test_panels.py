@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 import pytest
+from PIL import Image
 
 from tests.figures.conftest import make_comparison
 from tests.figures.panel_states import (
@@ -221,6 +222,18 @@ def _poses(_: Path) -> dict[str, Any]:
     }
 
 
+def _masks(folder: Path) -> dict[str, Any]:
+    names = ["a.png", "b.png"]
+    for name in names:
+        for file in (folder / name, folder / "masks" / f"{name}.png"):
+            file.parent.mkdir(exist_ok=True)
+            Image.new("L", (40, 30), 200).save(file)
+    shares = {"usable_share": [0.9, 0.5], "water_share": [0.1, 0.5], "sky_share": 0.0, "hull_share": 0.0}
+    table = pd.DataFrame({"image": names, **shares, "moved_share": 0.0, "cannot_tell": ["", "water"]})
+    images = [folder / name for name in names]
+    return {"images": images, "masks": folder / "masks", "table": table, "title": "Masks"}
+
+
 def _scan(_: Path) -> dict[str, Any]:
     k = np.arange(300)
     points = {"file": np.where(k < 150, "a.png", "b.png"), "x_m": 1e-4 * (k % 150), "y_m": 1e-3 * (k // 150)}
@@ -276,6 +289,7 @@ OWN: Final[Mapping[str, Callable[[Path], dict[str, Any]]]] = {
     "figures.bathymetry.terrain:draw_long_profile": _profile,
     "figures.catalogue:costs_figure": _costs,
     "figures.images.fixed_camera:pose_history": _poses,
+    "figures.images.photographs:mask_sheet": _masks,
     "lightsheet.figures.scan_distances:scan_distances": _scan,
 }
 """Examples made here."""
