@@ -1,12 +1,14 @@
 """Inputs of a figure or page without anything in them, and what must not be seen of them."""
 
 import dataclasses
+import inspect
 import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from importlib import import_module
 from itertools import combinations
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 import numpy as np
 import pandas as pd
@@ -98,6 +100,29 @@ def _parts(value: Any, state: str) -> Any:
         return dataclasses.replace(value, **changed)
     except Exception as error:
         raise NoSuchStateError(str(error)) from error
+
+
+def function_of(name: str) -> Callable[..., Any]:
+    """The function of ``module:function``."""
+    module, function = name.split(":")
+    package = "" if module.startswith("thalweg_lab") else "thalweg."
+    return getattr(import_module(package + module), function)
+
+
+def cases(name: str, example: Mapping[str, Any]) -> Iterator[tuple[str, Callable[[], dict[str, Any]]]]:
+    """What is tried: all inputs in a state, each table alone in it, and each input absent that may be."""
+    for state in STATES:
+        yield f"all {state}", lambda s=state: {key: in_state(each, s) for key, each in example.items()}
+    tables = [key for key, each in example.items() if isinstance(each, pd.DataFrame)]
+    for key in tables if len(example) > 1 else []:
+        for state in ("empty", "nan"):
+            yield f"{key} {state}", lambda k=key, s=state: {**example, k: in_state(example[k], s)}
+    for key, parameter in inspect.signature(function_of(name)).parameters.items():
+        may_be_none = parameter.default is None or type(None) in get_args(parameter.annotation)
+        if may_be_none and example.get(key) is not None:
+            yield f"{key} absent", lambda k=key: {**example, k: None}
+        if isinstance(example.get(key), list | dict):
+            yield f"{key} none", lambda k=key: {**example, k: type(example[k])()}
 
 
 # ---------------------------------------------------------------- what must not be seen
@@ -201,3 +226,10 @@ def warned(call: Callable[[], Any]) -> tuple[Any, list[str]]:
         warnings.simplefilter("always")
         found = call()
     return found, [f"warning: {each.message}" for each in caught]
+
+
+def faults_of_page(html: str) -> list[str]:
+    """Words of no number, and tables without a row."""
+    words = re.sub(r"<style>.*?</style>|<[^>]*>", " ", html, flags=re.DOTALL)
+    found = [f"words: {each!r}" for each in re.findall(r".{0,40}\b(?:nan|NaN|NaT|inf|None)\b.{0,20}", words)]
+    return found + (["a table without a row"] if re.search(r"<tbody>\s*</tbody>", html) else [])

@@ -1,7 +1,10 @@
 """Pictures and page of change between epochs, from a made-up bank of three hundred core points."""
 
+import inspect
 import json
+import re
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -25,7 +28,13 @@ from thalweg.deformation.foreign import SurfaceDifference, read_difference, writ
 from thalweg.figures import save
 from thalweg.figures.deformation import change_page, read_pair_facts
 from thalweg.figures.deformation.heights import draw_height_difference
-from thalweg.figures.deformation.maps import draw_change_map, draw_not_seen, draw_significance_map, read_pairs
+from thalweg.figures.deformation.maps import (
+    draw_change_map,
+    draw_not_seen,
+    draw_significance_map,
+    read_pairs,
+    scene,
+)
 from thalweg.figures.deformation.page import (
     contradiction,
     direction,
@@ -34,6 +43,7 @@ from thalweg.figures.deformation.page import (
     limits,
     taken_off,
     verdict,
+    write_change_page,
 )
 from thalweg.figures.deformation.statistics import (
     draw_error_variogram,
@@ -53,8 +63,11 @@ from thalweg.figures.deformation.views import (
     read_clouds,
     without_motion,
 )
+from thalweg.workflow.figures import read_figures
 
 WORDS = {"title": "a bank", "twin": True}
+BY_BOAT = {"by_boat": True, **WORDS}
+FIGURES_YAML = Path(__file__).parents[2] / "workflow/figures.yaml"
 ROOT = np.sqrt(0.5)
 
 
@@ -180,7 +193,7 @@ def bank(tmp_path_factory):
 
 @pytest.fixture
 def pair(bank):
-    return read_pairs(bank.changes, bank.core_points, 0.5)[0]
+    return read_pairs(bank.changes, bank.core_points, 0.5, by_boat=True)[0]
 
 
 @pytest.fixture
@@ -213,20 +226,20 @@ def test_along_is_to_the_right_as_seen_from_the_river_and_into_leads_away_from_i
 
 
 def test_change_map_counts_bare_ground_and_states_the_ends(bank, look):
-    figure = draw_change_map(changes=bank.changes, core_points=bank.core_points, spacing_m=0.5, **WORDS)
+    figure = draw_change_map(changes=bank.changes, core_points=bank.core_points, spacing_m=0.5, **BY_BOAT)
     words = look.texts(figure)
     n = bank.n - 41 - 4  # water and plants
     assert f"n = {n} core points" in words
     assert "from −35 to +20 cm, 1 beyond the scale" in words
     assert "n = 45" in words
-    assert "positive towards it" in words
+    assert "positive where it came" in words
     assert len(look.artists(figure, "distances")) == 2
     look.drawn(figure)
 
 
 def test_significance_map_names_states_with_their_area(bank, look):
     files = {"changes": bank.changes, "core_points": bank.core_points, "spacing_m": 0.5}
-    figure = draw_significance_map(**files, **WORDS)
+    figure = draw_significance_map(**files, **BY_BOAT)
     words = look.texts(figure)
     # 5 columns by 4 rows of half a square metre each, of 287
     assert "erosion: n = 20, 10 m² (7 %)" in words
@@ -238,7 +251,11 @@ def test_significance_map_names_states_with_their_area(bank, look):
 
 def test_not_seen_tells_the_reason_in_each_epoch(bank, look):
     figure = draw_not_seen(
-        changes=bank.changes, visibility=bank.visibility, core_points=bank.core_points, spacing_m=0.5, **WORDS
+        changes=bank.changes,
+        visibility=bank.visibility,
+        core_points=bank.core_points,
+        spacing_m=0.5,
+        **BY_BOAT,
     )
     first, second = (ax for ax in figure.axes if ax.get_legend())
     texts = [[t.get_text() for t in ax.get_legend().get_texts()] for ax in (first, second)]
@@ -249,10 +266,10 @@ def test_not_seen_tells_the_reason_in_each_epoch(bank, look):
 
 def test_several_pairs_stand_below_each_other(bank, look):
     twice = {"changes": 2 * bank.changes, "core_points": bank.core_points, "spacing_m": 0.5}
-    figure = draw_change_map(**twice, **WORDS)
+    figure = draw_change_map(**twice, **BY_BOAT)
     assert len(look.artists(figure, "distances")) == 4
     look.drawn(figure)
-    look.drawn(draw_significance_map(**twice, **WORDS))
+    look.drawn(draw_significance_map(**twice, **BY_BOAT))
 
 
 # ---------------------------------------------------------------- statistics
@@ -260,7 +277,7 @@ def test_several_pairs_stand_below_each_other(bank, look):
 
 def test_level_of_detection_by_parts(bank, look):
     files = {"changes": bank.changes, "core_points": bank.core_points, "spacing_m": 0.5}
-    figure = draw_level_of_detection(**files, **WORDS)
+    figure = draw_level_of_detection(**files, **BY_BOAT)
     words = look.texts(figure)
     assert "level of detection: median 3.9 cm, 95 % below 3.9 cm" in words
     assert "shared errors alone: median 3.1 cm" in words
@@ -290,7 +307,7 @@ def test_where_no_ground_is_drawn_the_pictures_of_it_say_so(bank, pair, tmp_path
 
 def test_stable_ground_is_held_against_the_standard_normal(bank, look):
     files = {"changes": bank.changes, "registrations": bank.registrations, "weights": bank.weights}
-    figure = draw_stable_ground(**files, core_points=bank.core_points, spacing_m=0.5, **WORDS)
+    figure = draw_stable_ground(**files, core_points=bank.core_points, spacing_m=0.5, **BY_BOAT)
     words = look.texts(figure)
     # 287 without water, plants and both patches; the patch of 20 cm is ten sigmas off
     assert "stable ground: n = 202" in words
@@ -318,7 +335,7 @@ def test_variogram_of_independent_values_is_their_variance(rng):
 def test_error_variogram_is_drawn(bank, look):
     files = {"changes": bank.changes, "registrations": bank.registrations, "weights": bank.weights}
     figure = draw_error_variogram(
-        **files, draws=bank.draws, core_points=bank.core_points, spacing_m=0.5, **WORDS
+        **files, draws=bank.draws, core_points=bank.core_points, spacing_m=0.5, **BY_BOAT
     )
     assert "found, n = 202 core points" in look.texts(figure)
     gamma = look.artists(figure, "variogram")[0].get_ydata()
@@ -360,7 +377,7 @@ def test_difference_of_heights_is_drawn_with_its_sigma(look, tmp_path, tall):
 
 
 def test_volumes_along_the_bank(bank, look):
-    figure = draw_volume_along(along=bank.along, **WORDS)
+    figure = draw_volume_along(along=bank.along, **BY_BOAT)
     words = look.texts(figure)
     assert "erosion: −4.0 m³" in words
     assert "net: −1.4 m³" in words
@@ -405,9 +422,9 @@ def test_an_epoch_of_files_has_no_boat_and_its_notes_stand_on_the_page(bank, fac
 
 def test_both_epochs_together_with_point_to_point_distances(bank, look):
     files = {name: getattr(bank, name) for name in ("points", "errors", "changes", "core_points")}
-    figure = draw_epochs_together(**files, spacing_m=0.5, **WORDS)
+    figure = draw_epochs_together(**files, spacing_m=0.5, **BY_BOAT)
     words = look.texts(figure)
-    assert "a) epoch 1, spring, from the river" in words
+    assert "a) epoch 1, spring, seen from the river, heights not to scale" in words
     assert "n = 80 000 points" in words
     distance = np.asarray(look.artists(figure, "distances")[0].get_array())
     # 0.42 m across a slope of 45 degrees and 0.05 m up, to points some centimetres apart
@@ -422,9 +439,9 @@ def test_epochs_that_no_boat_surveyed_show_no_distance_from_it(bank, pair, look)
         replace(each, xyz_m=each.xyz_m[::40], boat_m=np.empty((0, 3)))
         for each in read_clouds(bank.points, bank.errors)
     ]
-    figure = epochs_together(clouds, pair, **WORDS)
+    figure = epochs_together(clouds, replace(pair, scene=scene(by_boat=False)), **WORDS)
     words = look.texts(figure)
-    assert "a) epoch 1, spring, from the side" in words
+    assert "a) epoch 1, spring, seen from the side" in words
     assert not any(each in words for each in ("boat", "river", "Left out"))
     assert len(look.artists(figure, "cloud a")[0].get_offsets()) == len(clouds[0].xyz_m)
     assert [ax.get_ylabel() for ax in figure.axes if ax.get_label() == "<colorbar>"] == ["distance / m"]
@@ -450,7 +467,7 @@ def test_a_motion_is_taken_off_the_second_epoch():
 def test_profiles_show_both_epochs_registered(bank, look):
     files = {name: getattr(bank, name) for name in ("points", "errors", "changes", "patches")}
     figure = draw_change_profiles(
-        **files, registrations=bank.registrations, core_points=bank.core_points, spacing_m=0.5, **WORDS
+        **files, registrations=bank.registrations, core_points=bank.core_points, spacing_m=0.5, **BY_BOAT
     )
     first = look.artists(figure, "first epoch")[0].get_xydata()
     second = look.artists(figure, "second epoch, registered")[0].get_xydata()
@@ -467,7 +484,7 @@ def test_without_a_patch_there_is_no_profile(bank, look, tmp_path):
     pd.read_csv(bank.patches[0]).iloc[:0].to_csv(empty, index=False)
     files = {name: getattr(bank, name) for name in ("points", "errors", "changes", "registrations")}
     figure = draw_change_profiles(
-        **files, patches=[empty], core_points=bank.core_points, spacing_m=0.5, **WORDS
+        **files, patches=[empty], core_points=bank.core_points, spacing_m=0.5, **BY_BOAT
     )
     assert "no patch of change" in look.texts(figure)
 
@@ -590,7 +607,7 @@ def test_directions_in_words(motion, words):
 
 def test_the_page_holds_all_tables_and_pictures(bank, facts, look, tmp_path):
     picture = tmp_path / "volume_along.png"
-    save(draw_volume_along(along=bank.along, **WORDS), picture, dpi=50)
+    save(draw_volume_along(along=bank.along, **BY_BOAT), picture, dpi=50)
     truth = {"1-2": pd.DataFrame({"measure": ["specificity", "new_one"], "value": [0.99, 2.0], "n": [10, 1]})}
     polygon = {"kind": "erosion", "area_m2": 24.0, "true_m3": -2.4, "sigma_m3": 0.25, "measured_m2": 23.0}
     known = {"cores": 140, "measured_m3": -2.0, "expected_m3": -2.25}
@@ -637,7 +654,7 @@ def test_movement_of_both_lines_is_drawn_in_centimetres(look, tmp_path):
     table = pd.DataFrame(rows).assign(sigma_m=0.05)
     table = table.assign(low_m=table["nsm_m"] - 0.1, high_m=table["nsm_m"] + 0.1, epr_m_a=0.0)
     table.to_csv(tmp_path / "retreat_1-2.csv", index=False)
-    figure = draw_retreat_along(retreat=[tmp_path / "retreat_1-2.csv"], **WORDS)
+    figure = draw_retreat_along(retreat=[tmp_path / "retreat_1-2.csv"], **BY_BOAT)
     assert "bank line, n = 2 stretches, at a height of +0.50 m" in look.texts(figure)
     assert figure.axes[0].lines[0].get_ydata() == pytest.approx(-30.0)
     look.drawn(figure)
@@ -698,3 +715,53 @@ def test_the_limits_of_epochs_of_files_stand_on_the_page(facts):
     assert "have no trajectory" not in limits([facts])
     unseen = facts.visibility.assign(seen_2=False, reason_2="no trajectory")
     assert "nobody knows whether there was nothing" in limits([replace(facts, visibility=unseen)])
+
+
+def test_pictures_and_page_of_files_speak_of_no_boat_river_or_bank(bank, look, tmp_path):
+    """Captions, titles, axes and text of a campaign of which no epoch has a trajectory."""
+    points, errors = [], []
+    for i in range(2):
+        own = tmp_path / f"{i}"
+        own.mkdir()
+        with np.load(bank.points[i]) as stored:
+            np.savez(own / "points.npz", xyz_m=stored["xyz_m"][::20], boat_m=np.empty((0, 3)))
+        group = {"name": "stated", "correlation_s": None, "lasts": "over 20 m", "unit": "m"}
+        about = {"groups": [group | {"sigma": [0.0, 0.0, 0.03]}]}
+        (own / "errors.json").write_text(json.dumps(json.loads(bank.errors[i].read_text()) | about))
+        points.append(own / "points.npz")
+        errors.append(own / "errors.json")
+    motion = dict.fromkeys(("east_m", "north_m", "up_m", "turn_east", "turn_north", "turn_up"), 0.0)
+    facts = {"model": "none", "areas": "none are drawn", "sigma": "unknown", "would_be": motion}
+    (tmp_path / "registration_1-2.json").write_text(json.dumps(facts))
+    line = {"height_m": 0.5, "s_from_m": 0.0, "s_to_m": 5.0, "cores": 4, "nsm_m": 0.1, "low_m": 0.0}
+    moved = pd.DataFrame([{"line": name, **line, "high_m": 0.2} for name in ("bank line", "bank top")])
+    moved.to_csv(tmp_path / "retreat_1-2.csv", index=False)
+    jumps = [
+        {"epoch": i, "name": f"{i}", "n": 9, "before_m": 0.1, "after_m": 0.1, "share": 0.9, "flagged": i == 1}
+        for i in range(3)
+    ]
+    told = {"epochs": jumps, "closure": {"rms_m": 0.01, "n": 9}, "network": {"would_be": {}}}
+    (tmp_path / "jumps.json").write_text(json.dumps(told))
+    rate = {"n_epochs": 3, "lrr_m_a": -0.3, "sigma_lrr_m_a": 0.02}
+    moved.assign(**rate).to_csv(tmp_path / "rates.csv", index=False)
+    known = vars(bank) | {
+        "points": points, "errors": errors, "registrations": [tmp_path / "registration_1-2.json"],
+        "retreat": [tmp_path / "retreat_1-2.csv"], "spacing_m": 0.5, "by_boat": False,
+        "series": [tmp_path / "jumps.json", tmp_path / "rates.csv"], "truth": [], "polygons": [],
+        "pictures": [], "captions": {}, "page": tmp_path / "index.html", "title": "a dune", "twin": True,
+    }  # fmt: skip
+    found = {}
+    for row in read_figures(FIGURES_YAML).rows:
+        module, _, name = (row.draw or "").partition(":")
+        if row.kind == "change":
+            found[f"caption of {row.name}"] = row.caption_of_files or row.caption
+            draw = inspect.unwrap(getattr(import_module(module), name))
+            wanted = inspect.signature(draw).parameters
+            if row.name not in ("height_difference", "time_series"):  # from files of other kinds, see above
+                found[row.name] = look.texts(draw(**{key: known[key] for key in wanted}))
+    write_change_page(**{key: known[key] for key in inspect.signature(write_change_page).parameters})
+    found["page"] = known["page"].read_text()
+    spoken = {name: re.findall(r"\b(?:river|boat|bank)s?\b.{0,40}", words) for name, words in found.items()}
+    assert not {name: words for name, words in spoken.items() if words}
+    assert len(found) == 13 + 11 + 1
+    assert "Rates of contour and upper edge" in found["page"]

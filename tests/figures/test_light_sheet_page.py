@@ -208,6 +208,14 @@ def test_points_are_counted_under_each_of_their_flags() -> None:
     flags = [0, LineFlag.SATURATED, LineFlag.SATURATED | LineFlag.ALBEDO_EDGE]
     table = flag_counts({"stepped": pd.DataFrame({"flags": pd.Series(flags, dtype="uint8")})})
     assert table.to_dict("records") == [
-        {"series": "stepped", "points": 3, "saturated": 2, "weak": 0, "near jump": 0, "albedo edge": 1}
+        {
+            "series": "stepped",
+            "points": 3,
+            "saturated": 2,
+            "weak": 0,
+            "near jump": 0,
+            "albedo edge": 1,
+            "apart": 0,
+        }
     ]
     assert not len(flag_counts({}))

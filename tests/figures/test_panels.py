@@ -6,19 +6,26 @@ that a test of its own gives to it, which are caught while that test runs.
 
 import ast
 import inspect
-import re
 from collections.abc import Callable, Iterator, Mapping
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.figure import Figure
+from PIL import Image
 
 from tests.figures.conftest import make_comparison
-from tests.figures.panel_states import STATES, CaughtError, NoSuchStateError, catch, faults, in_state, warned
+from tests.figures.panel_states import (
+    CaughtError,
+    NoSuchStateError,
+    cases,
+    catch,
+    faults,
+    faults_of_page,
+    function_of,
+    warned,
+)
 from thalweg.core import ThalwegError
 
 EXAMPLES: Final = {
@@ -215,6 +222,18 @@ def _poses(_: Path) -> dict[str, Any]:
     }
 
 
+def _masks(folder: Path) -> dict[str, Any]:
+    names = ["a.png", "b.png"]
+    for name in names:
+        for file in (folder / name, folder / "masks" / f"{name}.png"):
+            file.parent.mkdir(exist_ok=True)
+            Image.new("L", (40, 30), 200).save(file)
+    shares = {"usable_share": [0.9, 0.5], "water_share": [0.1, 0.5], "sky_share": 0.0, "hull_share": 0.0}
+    table = pd.DataFrame({"image": names, **shares, "moved_share": 0.0, "cannot_tell": ["", "water"]})
+    images = [folder / name for name in names]
+    return {"images": images, "masks": folder / "masks", "table": table, "title": "Masks"}
+
+
 def _scan(_: Path) -> dict[str, Any]:
     k = np.arange(300)
     points = {"file": np.where(k < 150, "a.png", "b.png"), "x_m": 1e-4 * (k % 150), "y_m": 1e-3 * (k // 150)}
@@ -270,6 +289,7 @@ OWN: Final[Mapping[str, Callable[[Path], dict[str, Any]]]] = {
     "figures.bathymetry.terrain:draw_long_profile": _profile,
     "figures.catalogue:costs_figure": _costs,
     "figures.images.fixed_camera:pose_history": _poses,
+    "figures.images.photographs:mask_sheet": _masks,
     "lightsheet.figures.scan_distances:scan_distances": _scan,
 }
 """Examples made here."""
@@ -304,13 +324,6 @@ def figure_functions() -> list[str]:
 
 
 TESTED: Final = [name for name in figure_functions() if name not in NO_EXAMPLE]
-
-
-def function_of(name: str) -> Callable[..., Figure]:
-    """The function of ``module:function``."""
-    module, function = name.split(":")
-    package = "" if module.startswith("thalweg_lab") else "thalweg."
-    return getattr(import_module(package + module), function)
 
 
 @pytest.fixture(scope="module")
@@ -351,21 +364,6 @@ def test_every_figure_function_is_called_here() -> None:
     assert set(listed) == set(figure_functions()), "add an example of it, made here or of its test"
 
 
-def cases(name: str, example: Mapping[str, Any]) -> Iterator[tuple[str, Callable[[], dict[str, Any]]]]:
-    """What is tried: all inputs in a state, each table alone in it, and each input absent that may be."""
-    for state in STATES:
-        yield f"all {state}", lambda s=state: {key: in_state(each, s) for key, each in example.items()}
-    tables = [key for key, each in example.items() if isinstance(each, pd.DataFrame)]
-    for key in tables if len(example) > 1 else []:
-        for state in ("empty", "nan"):
-            yield f"{key} {state}", lambda k=key, s=state: {**example, k: in_state(example[k], s)}
-    for key, parameter in inspect.signature(function_of(name)).parameters.items():
-        if parameter.default is None and example.get(key) is not None:
-            yield f"{key} absent", lambda k=key: {other: example[other] for other in example if other != k}
-        if isinstance(example.get(key), list | dict):
-            yield f"{key} none", lambda k=key: {**example, k: type(example[k])()}
-
-
 @pytest.mark.parametrize("name", TESTED)
 def test_what_has_nothing_to_show_is_left_out_with_its_reason(
     name: str, examples: Mapping[str, Mapping[str, Any]]
@@ -400,10 +398,6 @@ def test_pages_say_what_there_is_none_of(name: str, examples: Mapping[str, Mappi
             page, wrong = "", [] if len(str(error)) > 20 else [f"no reason: {error}"]
         except Exception as error:
             page, wrong = "", [f"{type(error).__name__}: {error}"]
-        words = re.sub(r"<style>.*?</style>|<[^>]*>", " ", page, flags=re.DOTALL)
-        wrong += [
-            f"words: {each!r}" for each in re.findall(r".{0,40}\b(?:nan|NaN|NaT|inf|None)\b.{0,20}", words)
-        ]
-        wrong += ["a table without a row"] if re.search(r"<tbody>\s*</tbody>", page) else []
+        wrong += faults_of_page(page)
         found += [f"{case}: {each}" for each in wrong]
     assert not found, "\n".join(found)

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from thalweg.core import CoverageError, InputError
 from thalweg.figures import style
+from thalweg.figures.calibration.cones import cone_frame
 from thalweg.figures.survey.maps import survey_map
 
 
@@ -36,7 +37,9 @@ def test_drawing_leaves_the_users_settings_alone(trajectory):
 
 
 def test_unknown_format_is_refused(tmp_path, trajectory):
-    with pytest.raises(InputError, match=r"format 'jpg'; expected one of png, pdf, svg"):
+    with pytest.raises(
+        InputError, match=r"format 'jpg'; expected one of png, pdf, svg.*Name a file that ends so"
+    ):
         style.save(survey_map(trajectory), tmp_path / "map.jpg")
     assert not list(tmp_path.iterdir())
 
@@ -168,3 +171,37 @@ def test_the_panel_above_takes_over_the_shared_axis():
     assert texts_of(below) == ["Left out: no value of b over time."]
     assert above.get_xlabel() == "time / s"
     assert above.xaxis.get_tick_params()["labelbottom"]
+
+
+def test_dollar_signs_in_names_are_no_formula(tmp_path):
+    """Two of them around bad TeX end matplotlib, around good TeX they change what people wrote."""
+    bad, good = "from $\\bad{ to $9", "$x$"
+
+    @style.styled
+    def figure_of(words):
+        figure = style.new_figure(90.0, words, twin=False)
+        left, right = figure.subplots(1, 2)
+        left.barh([words, "b"], [1.0, 2.0], label=words)
+        left.set(xlabel=words, title=words)
+        left.legend()
+        right.plot([1.0, 1e5], [1.0, 2.0])
+        right.set_xscale("log")
+        right.set_xlabel(words)
+        right.annotate(words, (2.0, 1.5))
+        right.set_yticks([1.0, 2.0], [words, "b"])
+        return figure
+
+    for words in (bad, good):
+        figure = figure_of(words)
+        style.save(figure, tmp_path / "a.svg")  # asks for each text
+        found = [t for t in figure.findobj(mpl.text.Text) if words in t.get_text()]
+        assert len(found) == 10  # ticks have a label on both sides
+        assert not [t for t in found if t.get_parse_math()]
+        powers = figure.axes[1].get_xticklabels()
+        assert all(each.get_parse_math() and "mathdefault" in each.get_text() for each in powers)
+
+
+def test_a_sketch_shows_its_formulas():
+    found = [t for t in cone_frame().findobj(mpl.text.Text) if "$" in t.get_text()]
+    assert len(found) > 10
+    assert all(each.get_parse_math() for each in found)

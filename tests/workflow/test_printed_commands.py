@@ -169,6 +169,7 @@ MADE_FOR: dict[str, tuple[Callable[[Path, Path, Path], None], tuple[str, ...]]] 
     "plan-survey": (river, ("plan/plan.json",)),
     "refract": (bed_through_water, ("bed.csv",)),
     "orient": (bank, ("block/image_poses.csv", "block/index.html")),
+    "masks": (bank, ("masks/masks.csv", "masks/overview.png")),
     "calibrate-lens": (boards, ("lens.yaml",)),
     "resect": (fixed_camera, ("poses.csv",)),
     "import-camera": (lens_of_colmap, ("camera.yaml",)),

@@ -186,8 +186,9 @@ PAGES = {
         "params": {
             "captions": lambda wildcards: FIGURES.captions(
                 "deformation",
-                of_files=not FILES[wildcards.campaign].epochs_with_trajectory(True),
-            )
+                of_files=not FILES[wildcards.campaign].has_boat_epoch(),
+            ),
+            "by_boat": of(CampaignFiles.has_boat_epoch),
         },
     },
 }

@@ -120,8 +120,9 @@ def _parameters() -> Any:
 def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
     """Decorator: draw a figure in the style of the project, and leave out what has nothing to show.
 
-    A panel without a value gives way to a sentence, a statistic of no value to a dash. Where nothing is left,
-    or the function fails on an input that holds no value, `CoverageError` is raised with the reason.
+    A panel without a value gives way to a sentence, a statistic of no value to a dash; a dollar sign in a
+    name or title begins no formula. Where nothing is left, or the function fails on an input that holds no
+    value, `CoverageError` is raised with the reason.
     """
 
     @wraps(draw)
@@ -135,6 +136,8 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
             warnings.filterwarnings("ignore", _OF_NOTHING)
             figure = drawn(draw, *args, **kwargs)
             _leave_out_empty_panels(figure)
+            if args or kwargs:  # formulas of our own stand in sketches without inputs alone
+                _take_no_text_for_a_formula(figure)
             return figure
 
     return inner
@@ -247,6 +250,17 @@ def _leave_out_empty_panels(figure: Figure) -> None:
     for text in words:
         if dashed(text.get_text()) != text.get_text():
             text.set_text(dashed(text.get_text()))
+
+
+def _take_no_text_for_a_formula(figure: Figure) -> None:
+    """Words are drawn as they are: titles and names of users may hold dollar signs."""
+    words = figure.findobj(Text)
+    for axis in (axis for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)):
+        if axis.get_scale() == "linear":  # names; powers of ten are formulas of matplotlib
+            words += axis.get_majorticklabels()
+    for text in words:
+        if "$" in text.get_text() and "mathdefault" not in text.get_text():
+            text.set_parse_math(False)
 
 
 def _pass_on_labels(ax: Axes, others: list[Axes]) -> None:

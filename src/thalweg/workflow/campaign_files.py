@@ -946,6 +946,10 @@ class CampaignFiles:
         epochs = zip(self.epoch_names(), self.campaign.epochs or [], strict=True)
         return [name for name, epoch in epochs if epoch.has_trajectory is wanted]
 
+    def has_boat_epoch(self) -> bool:
+        """True if an epoch has a boat's trajectory."""
+        return bool(self.epochs_with_trajectory(True))
+
     def _epoch(self, name: str) -> Epoch:
         """What the campaign file says of an epoch."""
         return (self.campaign.epochs or [])[self.epoch_names().index(name)]

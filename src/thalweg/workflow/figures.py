@@ -87,7 +87,9 @@ class Figure(BaseModel):
         """What it is drawn with beside its inputs by keyword: values, and functions of the wildcards."""
 
         def setting(key: str) -> Callable[[Any], Any]:
-            """Params function: a value of the campaign of the job."""
+            """Params function: a value of the campaign of the job, or what a method of it answers."""
+            if key.startswith("="):
+                return lambda wildcards: _ask(key, campaigns[wildcards.campaign])
             return lambda wildcards: campaigns[wildcards.campaign].section(*key.split("."))
 
         if self.kind == "study":
@@ -221,8 +223,9 @@ def _unknown(row: Figure, source: Path) -> list[Mistake]:
     """Functions and settings of a row that nothing defines."""
     here, found = (row.kind, row.name), list[Mistake]()
     asked: list[tuple[tuple[str, ...], str]] = [(("when",), text) for text in row.when]
-    for key, text in row.inputs.items():
-        asked += [(("inputs", key), text)] if isinstance(text, str) and text.startswith("=") else []
+    for place, named in (("inputs", row.inputs), ("settings", row.settings)):
+        for key, text in named.items():
+            asked += [((place, key), text)] if isinstance(text, str) and text.startswith("=") else []
     for where, text in asked:
         match = _CALL.fullmatch(text)
         if row.kind == "study" or match is None or not callable(getattr(CampaignFiles, match[1], None)):
@@ -230,7 +233,7 @@ def _unknown(row: Figure, source: Path) -> list[Mistake]:
             words = f"no method {text.lstrip('=')} of CampaignFiles"
             found.append(Mistake(path=(*here, *where), found=words, cure=cure))
     for key, value in row.settings.items():
-        if isinstance(value, str) and not _is_setting(value):
+        if isinstance(value, str) and not value.startswith("=") and not _is_setting(value):
             cure = "Write section.key as config/README.md has them"
             found.append(
                 Mistake(path=(*here, "settings", key), found=f"no setting {value} of a campaign", cure=cure)

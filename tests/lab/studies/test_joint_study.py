@@ -68,9 +68,9 @@ def test_the_picture(found: tuple[pd.DataFrame, pd.DataFrame]) -> None:
     assert set(table["survey"]) == set(SURVEYS)
     assert table.loc[0, "number"] == 2
     assert (table["n_off_banks"] <= table["n"]).all()
-    # the walls of the scaled sections are what the sigmas do not know
+    # errors grow with the slope (`per_slope`): the walls of the scaled sections make no sigma too small
     deep = table[table["from_m"] == 1.0].iloc[0]
-    assert deep["ratio_off_banks"] > deep["ratio"]
+    assert min(deep["ratio"], deep["ratio_off_banks"]) > 1.0
     figure = joint_river_figure(places, table)
     titles = [ax.get_title(loc="left") for ax in figure.axes]
     assert sum(bool(t) for t in titles) == 5

@@ -125,7 +125,7 @@ def cloud_page(
     """
     counts, raw, kept = facts["counts"], facts["all"], facts["without_outliers"]
     moved = facts.get("registration", {})
-    share = counts["compared"] / counts["points"]
+    share = counts["compared"] / max(counts["points"], 1)
     findings = [
         Finding("points compared", f"{count(counts['compared'])} of {count(counts['points'])} ({share:.0%})"),
         Finding(

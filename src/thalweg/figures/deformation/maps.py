@@ -1,7 +1,7 @@
-"""Maps of change on the bank: distance, state, and what was not seen.
+"""Maps of change on a bank or surface: distance, state, and what was not seen.
 
-Both views of the bank have s, the length along it, to the right as one looks from the river: from above, with
-the river below, and from the river, with the height upward.
+Both views of a bank have s, the length along it, to the right as one looks from the river: from above, with
+the river below, and from the river, with the height upward. Of files without a boat s is the longest extent.
 """
 
 from collections.abc import Mapping, Sequence
@@ -61,7 +61,7 @@ NOT_SEEN: Final = ("not seen", "not seen in first", "not seen in second")
 BARE: Final = ("erosion", "deposition", "no significant change")
 """States whose distances are those of the ground."""
 FACE_MM: Final = 34.0
-"""Height of a view from the river; heights are drawn larger than lengths."""
+"""Height of a view from the side; heights are drawn larger than lengths."""
 DRAWN_MM: Final = WIDTH_MM - 24.0
 """Width of a panel that takes the whole page."""
 SCALE_SHARE: Final = 99.0
@@ -69,8 +69,51 @@ SCALE_SHARE: Final = 99.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Scene:
+    """Words for what is compared: a bank that a boat saw, or any surface of files without a boat.
+
+    Attributes
+    ----------
+    along, away, across : labels of axes; across also tells the side in a profile.
+    view : of a view with the height upward.
+    thing : short name.
+    lines : names of `thalweg.deformation.core_points.LINES`.
+    """
+
+    along: str
+    away: str
+    across: str
+    view: str
+    thing: str
+    lines: Mapping[str, str]
+
+
+_BANK: Final = Scene(
+    along="along the bank, to the right as seen from the river / m",
+    away="away from\nthe river / m",
+    across="across the bank, the river to the left / m",
+    view="seen from the river, heights not to scale",
+    thing="the bank",
+    lines={"bank line": "bank line", "bank top": "bank top"},
+)
+_SURFACE: Final = Scene(
+    along="along the longest extent / m",
+    away="across / m",
+    across="across the longest extent / m",
+    view="seen from the side, heights not to scale",
+    thing="the surface",
+    lines={"bank line": "contour", "bank top": "upper edge"},
+)
+
+
+def scene(by_boat: bool) -> Scene:
+    """The words of a campaign; ``by_boat``: an epoch of it has the trajectory of a boat."""
+    return _BANK if by_boat else _SURFACE
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BankPair:
-    """Core points of a pair of epochs in the frame of the bank.
+    """Core points of a pair of epochs in the frame of the bank or surface.
 
     Attributes
     ----------
@@ -80,6 +123,7 @@ class BankPair:
     area_m2 : (k,) that each core point stands for.
     spacing_m : edge of the cells of the core points.
     along : (2,) unit vector east, north along the bank; into : (2,) the one away from the river.
+    scene : words for what is compared.
     """
 
     name: str
@@ -91,6 +135,7 @@ class BankPair:
     spacing_m: float
     along: ArrayF
     into: ArrayF
+    scene: Scene
 
     @property
     def words(self) -> str:
@@ -114,7 +159,9 @@ class BankPair:
         return delta @ self.along, delta @ self.into
 
 
-def read_pairs(changes: Sequence[Path], core_points: Path, spacing_m: float) -> list[BankPair]:
+def read_pairs(
+    changes: Sequence[Path], core_points: Path, spacing_m: float, *, by_boat: bool
+) -> list[BankPair]:
     """Tables ``changes_<pair>.parquet`` of all pairs with the core points that they share.
 
     Parameters
@@ -122,6 +169,7 @@ def read_pairs(changes: Sequence[Path], core_points: Path, spacing_m: float) -> 
     changes : one file a pair.
     core_points : table `thalweg.deformation.CORE_POINTS`.
     spacing_m : edge of the cells of the core points.
+    by_boat : an epoch has the trajectory of a boat, see `scene`.
 
     Raises
     ------
@@ -145,6 +193,7 @@ def read_pairs(changes: Sequence[Path], core_points: Path, spacing_m: float) -> 
             spacing_m=spacing_m,
             along=along,
             into=into,
+            scene=scene(by_boat),
         )
         for path in changes
     ]
@@ -160,19 +209,20 @@ def marker_pt(pair: BankPair, width_mm: float = DRAWN_MM) -> float:
     return float(max(pair.spacing_m / max(np.ptp(pair.s_m), 1e-6) * width_mm / 25.4 * 72.0, 1.2))
 
 
-def view_from_river(ax: Axes, pair: BankPair) -> None:
-    """Limits and labels of a view from the river."""
+def view_from_side(ax: Axes, pair: BankPair) -> None:
+    """Limits and labels of a view with the height upward."""
     ax.set_xlim(pair.s_m.min() - pair.spacing_m, pair.s_m.max() + pair.spacing_m)
     ax.set_ylim(pair.up_m.min() - 0.5 * pair.spacing_m, pair.up_m.max() + 0.5 * pair.spacing_m)
+    ax.set_xlabel(pair.scene.along)
     ax.set_ylabel("height / m")
 
 
 def _view_from_above(ax: Axes, pair: BankPair) -> None:
-    """Limits, labels and north of a plan whose river is at its lower edge."""
+    """Limits, labels and north of a plan; a river is at its lower edge."""
     ax.set_aspect("equal")
     ax.set_xlim(pair.s_m.min() - pair.spacing_m, pair.s_m.max() + pair.spacing_m)
     ax.set_ylim(pair.into_m.min() - pair.spacing_m, pair.into_m.max() + pair.spacing_m)
-    ax.set_ylabel("away from\nthe river / m")
+    ax.set_ylabel(pair.scene.away)
     north = np.array([pair.along[1], pair.into[1]])
     ax.annotate(
         "N",
@@ -197,23 +247,22 @@ def _plan_mm(pair: BankPair) -> float:
 def _two_views(
     pairs: Sequence[BankPair], title: str, extra_mm: float, *, twin: bool
 ) -> tuple[Figure, list[Axes]]:
-    """A figure with a plan and a view from the river for each pair; axes (2 pairs,)."""
+    """A figure with a plan and a view from the side for each pair; axes (2 pairs,)."""
     plans = [max(1.12 * _plan_mm(pair), 16.0) for pair in pairs]
     heights = [height for plan in plans for height in (plan, FACE_MM)]
     figure = new_figure(sum(heights) + len(pairs) * 24.0 + extra_mm, title, twin=twin)
     panels = figure.subplots(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
     for pair, plan, face in zip(pairs, panels[::2], panels[1::2], strict=True):
         _view_from_above(plan, pair)
-        view_from_river(face, pair)
+        view_from_side(face, pair)
         plan.tick_params(labelbottom=False)
-        face.set_xlabel("along the bank, to the right as seen from the river / m")
     figure.align_ylabels(panels)
     return figure, list(panels)
 
 
 @styled
 def change_map(pairs: Sequence[BankPair], *, title: str, twin: bool) -> Figure:
-    """Distance of each core point of bare ground, from above and from the river."""
+    """Distance of each core point of bare ground, from above and from the side."""
     inside = [np.abs(pair.table["distance_m"].to_numpy()[pair.bare]) for pair in pairs]
     limit = round_above(max(float(np.percentile(np.concatenate(inside), SCALE_SHARE)), 1e-3))
     norm = Normalize(-100 * limit, 100 * limit)
@@ -239,7 +288,7 @@ def change_map(pairs: Sequence[BankPair], *, title: str, twin: bool) -> Figure:
             f"{count(int(beyond.sum()))} beyond the scale"
         )
         panels[2 * i + 1].set_title(
-            f"seen from the river, heights not to scale; ×: plants, objects and places without distance, "
+            f"{pair.scene.view}; ×: plants, objects and places without distance, "
             f"n = {count(int((~pair.bare).sum()))}"
         )
     figure.colorbar(
@@ -250,16 +299,17 @@ def change_map(pairs: Sequence[BankPair], *, title: str, twin: bool) -> Figure:
         shrink=0.8,
         pad=0.02,
         extend="both",
-        label="distance / cm: negative away from the river (erosion), positive towards it (deposition)",
+        label="distance / cm: negative where ground was lost (erosion), positive where it came (deposition)",
     )
     return figure
 
 
 def draw_change_map(
-    *, changes: list[Path], core_points: Path, spacing_m: float, title: str, twin: bool
+    *, changes: list[Path], core_points: Path, spacing_m: float, by_boat: bool, title: str, twin: bool
 ) -> Figure:
-    """Compared core points -> distances from above and from the river."""
-    return change_map(read_pairs(changes, core_points, spacing_m), title=f"Change: {title}", twin=twin)
+    """Compared core points -> distances from above and from the side."""
+    pairs = read_pairs(changes, core_points, spacing_m, by_boat=by_boat)
+    return change_map(pairs, title=f"Change: {title}", twin=twin)
 
 
 def _with_styles(
@@ -295,7 +345,7 @@ def _legend_under(ax: Axes) -> None:
 
 @styled
 def significance_map(pairs: Sequence[BankPair], *, title: str, twin: bool) -> Figure:
-    """What is known of each core point, from above and from the river."""
+    """What is known of each core point, from above and from the side."""
     n = count(len(pairs[0].s_m))
     figure, panels = _two_views(
         pairs, f"{title}, n = {n} core\N{NO-BREAK SPACE}points", 26.0 * len(pairs), twin=twin
@@ -305,23 +355,22 @@ def significance_map(pairs: Sequence[BankPair], *, title: str, twin: bool) -> Fi
         for ax, y in ((panels[2 * i], pair.into_m), (panels[2 * i + 1], pair.up_m)):
             _with_styles(ax, pair, y, pair.state, looks)
         panels[2 * i].set_title(f"{pair.words} from above")
-        panels[2 * i + 1].set_title("seen from the river, heights not to scale")
+        panels[2 * i + 1].set_title(pair.scene.view)
         _legend_under(panels[2 * i + 1])
     return figure
 
 
 def draw_significance_map(
-    *, changes: list[Path], core_points: Path, spacing_m: float, title: str, twin: bool
+    *, changes: list[Path], core_points: Path, spacing_m: float, by_boat: bool, title: str, twin: bool
 ) -> Figure:
     """Compared core points -> what is known of each."""
-    return significance_map(
-        read_pairs(changes, core_points, spacing_m), title=f"What changed: {title}", twin=twin
-    )
+    pairs = read_pairs(changes, core_points, spacing_m, by_boat=by_boat)
+    return significance_map(pairs, title=f"What changed: {title}", twin=twin)
 
 
 @styled
 def not_seen(pairs: Sequence[BankPair], seen: Sequence[pd.DataFrame], *, title: str, twin: bool) -> Figure:
-    """Why places were not seen, in both epochs of each pair, from the river."""
+    """Why places were not seen, in both epochs of each pair, from the side."""
     rows = 2 * len(pairs)
     figure = new_figure(rows * (FACE_MM + 28.0) + 8.0, title, twin=twin)
     panels = figure.subplots(rows, 1, squeeze=False)[:, 0]
@@ -331,9 +380,8 @@ def not_seen(pairs: Sequence[BankPair], seen: Sequence[pd.DataFrame], *, title: 
             reason = visibility[f"reason_{k}"].to_numpy(dtype=object)
             reason = np.where(visibility[f"seen_{k}"].to_numpy(dtype=bool), "seen", reason)
             _with_styles(ax, pair, pair.up_m, reason, {"seen": ("0.85", "s"), **REASON_STYLE})
-            ax.set_title(f"epoch {pair.name.split('-')[k - 1]}, seen from the river, heights not to scale")
-            view_from_river(ax, pair)
-            ax.set_xlabel("along the bank, to the right as seen from the river / m")
+            ax.set_title(f"epoch {pair.name.split('-')[k - 1]}, {pair.scene.view}")
+            view_from_side(ax, pair)
             _legend_under(ax)
     figure.align_ylabels(panels)
     return figure
@@ -345,11 +393,12 @@ def draw_not_seen(
     visibility: list[Path],
     core_points: Path,
     spacing_m: float,
+    by_boat: bool,
     title: str,
     twin: bool,
 ) -> Figure:
     """Visibility of core points -> where and why each epoch saw none."""
-    pairs = read_pairs(changes, core_points, spacing_m)
+    pairs = read_pairs(changes, core_points, spacing_m, by_boat=by_boat)
     seen = [read_table(path, VISIBILITY)[0] for path in visibility]
     n = count(len(pairs[0].s_m))
     words = f"What each epoch did not see: {title}, n = {n} core\N{NO-BREAK SPACE}points"

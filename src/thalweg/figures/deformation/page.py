@@ -13,7 +13,7 @@ from thalweg.core import InputError, read_table, utc_text_from_gps
 from thalweg.deformation import CHANGES, CORE_POINTS, STATES, VISIBILITY
 from thalweg.figures import Finding, Page, count
 from thalweg.figures.accuracy import centimetres
-from thalweg.figures.deformation.maps import NOT_SEEN, signed
+from thalweg.figures.deformation.maps import NOT_SEEN, scene, signed
 
 GROUPS_IN_WORDS: Final = {
     "position": "positions, slow part",
@@ -69,7 +69,7 @@ TRUTH_IN_WORDS: Final = {
     "height_normalised_square_unchanged": "heights of unchanged ground: mean of squared error over variance",
     "height_normalised_square_changed": "heights of changed ground: mean of squared error over variance",
     "plants_called_change": "share of plants that were called changes",
-    "things_called_change": "share of things on the bank that were called changes",
+    "things_called_change": "share of things that were called changes",
 }
 VOLUMES: Final = (
     ("volume_m3", "volume", "m³"),
@@ -406,7 +406,7 @@ def limits(pairs: Sequence[PairFacts]) -> str:
         else "Stable ground was drawn by hand; whether it was stable, only an area that moved against the "
         "others would show."
         if drawn
-        else "No stable areas were drawn: what most of the bank agrees on is taken as unmoved. A bank that "
+        else "No stable areas were drawn: what most of the ground agrees on is taken as unmoved. Ground that "
         "moved as a whole, or by less than its points scatter, looks stable, and its motion is taken off as "
         "a registration. Draw deformation.stable where ground is known."
     )
@@ -420,7 +420,7 @@ def limits(pairs: Sequence[PairFacts]) -> str:
         f"{stable}\n\n"
         f"{elsewhere if files else ''}"
         "A distance is measured along the normal of the first surface (of the last, where the first has "
-        "none). A bank that moved within its own plane did not move by this measure.\n\n"
+        "none). Ground that moved within its own plane did not move by this measure.\n\n"
         "Volumes of erosion and deposition sum what passed a threshold. Small changes below the level of "
         "detection are missing in them, and errors that helped a place over it are in them; the column "
         "'bias' estimates how much both do, and it is not taken off. The net volume has no threshold. No "
@@ -445,6 +445,7 @@ def change_page(
     series: tuple[Mapping[str, Any], pd.DataFrame] | None = None,
     truth: Mapping[str, pd.DataFrame] | None = None,
     polygons: Mapping[str, pd.DataFrame] | None = None,
+    by_boat: bool = True,
     title: str = "Change between epochs",
     twin: bool = False,
 ) -> Page:
@@ -459,6 +460,7 @@ def change_page(
     series : of more than two epochs, ``jumps.json`` and ``retreat_rates.csv``.
     truth : for a twin, ``measure, value, n`` of the comparison with the true change by pair.
     polygons : for a twin, measured and true volumes of each change by pair.
+    by_boat : an epoch has the trajectory of a boat.
     title : heading.
     twin : true if the digital twin made the data.
 
@@ -473,7 +475,7 @@ def change_page(
     if twin:
         page.text(
             "The digital twin made these data: the surveys and the change between them are simulated. The "
-            "figures speak of the software and of the models of the instruments, not of a real river."
+            "figures speak of the software and of the models of the instruments, not of real ground."
         )
     page.section("In words")
     for pair in pairs:
@@ -485,7 +487,7 @@ def change_page(
     for picture in pictures:
         page.figure(picture, (captions or {}).get(picture.stem, picture.stem.replace("_", " ")))
     if series is not None:
-        _series(page, *series)
+        _series(page, *series, by_boat=by_boat)
     _differences(page, pairs)
     _registration(page, pairs)
     _unseen(page, pairs)
@@ -512,6 +514,7 @@ def write_change_page(
     polygons: list[Path],
     pictures: list[Path],
     captions: dict[str, str],
+    by_boat: bool,
     title: str,
     twin: bool,
     page: Path,
@@ -527,7 +530,8 @@ def write_change_page(
         series=(json.loads(series[0].read_text()), pd.read_csv(series[1])) if series else None,
         truth={path.stem.rpartition("_")[2]: pd.read_csv(path) for path in truth},
         polygons={path.stem.rpartition("_")[2]: pd.read_csv(path) for path in polygons},
-        title=f"Change of the bank: {title}",
+        title=f"Change of {scene(by_boat).thing}: {title}",
+        by_boat=by_boat,
         twin=twin,
     ).write(page)
 
@@ -550,7 +554,7 @@ def _volumes(page: Page, pairs: Sequence[PairFacts]) -> None:
     page.section("Volumes and patches").text(
         "Volumes are negative where ground was lost and positive where it came. Their standard deviations "
         "come from the errors that neighbouring core points share: errors of poses, mounts and registration "
-        "do not average out over a bank as noise does."
+        "do not average out over a surface as noise does."
     )
     table, units = _of_pairs([(pair, pair.volumes) for pair in pairs], VOLUMES, "what")
     caption = "Volumes; bias: what the threshold of significance does to a sum; not seen: area in no volume"
@@ -567,7 +571,7 @@ def _differences(page: Page, pairs: Sequence[PairFacts]) -> None:
         "Heights of both epochs in cells of the map and their difference (dod_<pair>.tif: difference and "
         "standard deviation). Of clouds it is the mean height about the middle of each cell, registered as "
         "the distances are; of two surface models the difference of the rasters, without the height that was "
-        "taken off. On a steep bank the distances along normals say more."
+        "taken off. On steep ground the distances along normals say more."
     )
     table, units = _of_pairs([(pair, pair.difference) for pair in pairs], DIFFERENCES, "part")
     page.table(table, "Volumes of the difference of heights", units, digits=3)
@@ -578,7 +582,7 @@ def _states(page: Page, pairs: Sequence[PairFacts]) -> None:
         {CONTROL_IN_WORDS[p.control["control"]].format(percent=100 * p.control["level"]) for p in pairs}
     )
     page.section("What is known of the core points").text(
-        f"Significant means: {'; '.join(how)}. Positive distances lead towards the river."
+        f"Significant means: {'; '.join(how)}. Positive distances lead out of the ground."
     )
     rows = []
     for pair in pairs:
@@ -600,16 +604,16 @@ def _states(page: Page, pairs: Sequence[PairFacts]) -> None:
     page.table(pd.DataFrame(rows), "Core points by state", units, digits=3)
 
 
-def _series(page: Page, facts: Mapping[str, Any], rates: pd.DataFrame) -> None:
+def _series(page: Page, facts: Mapping[str, Any], rates: pd.DataFrame, *, by_boat: bool) -> None:
     """Epochs that jump and return, closure, and rates of retreat."""
     epochs, closed = facts["epochs"], facts["closure"]
     flagged = [f"epoch {each['epoch'] + 1} ({each['name']})" for each in epochs if each["flagged"]]
     page.section("More than two epochs").text(
         (
-            f"Look at {' and '.join(flagged)}: most of the bank goes one way and comes back: an error of the "
-            "survey rather than of the ground. Nothing was corrected."
+            f"Look at {' and '.join(flagged)}: most of the ground goes one way and comes back: an error of "
+            "the survey rather than of the ground. Nothing was corrected."
             if flagged
-            else "No epoch jumps and returns over most of the bank."
+            else "No epoch jumps and returns over most of the ground."
         )
         + (
             " Nothing is taken off any epoch, as no stable ground is drawn. Were each pair"
@@ -660,8 +664,10 @@ def _series(page: Page, facts: Mapping[str, Any], rates: pd.DataFrame) -> None:
         names = {"s_from_m": "from", "s_to_m": "to", "cores": "core points", "n_epochs": "epochs",
                  "lrr_m_a": "rate", "sigma_lrr_m_a": "sigma"}  # fmt: skip
         units = {"from": "m", "to": "m", "rate": "m/a", "sigma": "m/a"}
-        caption = "Rates of bank line and bank top by regression over all epochs; negative: retreat"
-        page.table(rates[columns].rename(columns=names), caption, units, digits=3)
+        words = scene(by_boat).lines
+        shown = rates[columns].rename(columns=names).assign(line=rates["line"].map(words))
+        caption = f"Rates of {' and '.join(words.values())} by regression over all epochs; negative: retreat"
+        page.table(shown, caption, units, digits=3)
 
 
 def _registration(page: Page, pairs: Sequence[PairFacts]) -> None:
@@ -788,7 +794,7 @@ def _truth(page: Page, truth: Mapping[str, pd.DataFrame], polygons: Mapping[str,
     page.section("Against the truth of the digital twin").text(
         "The twin knows the true surface of each epoch, which no processing saw. Bare ground counts: "
         "measured places without plants and things. Consistent sigmas leave squared errors over "
-        "variances at one on the mean of many pairs; one pair, whose errors the whole bank shares, "
+        "variances at one on the mean of many pairs; one pair, whose errors the whole surface shares, "
         "may lie well off it."
     )
     for name, table in truth.items():

@@ -31,7 +31,7 @@ from thalweg.figures import (
     robust_limits,
     styled,
 )
-from thalweg.figures.deformation.maps import BankPair, marker_pt, read_pairs, signed, view_from_river
+from thalweg.figures.deformation.maps import BankPair, marker_pt, read_pairs, scene, signed, view_from_side
 
 WIDE: Final = float(norm.isf(0.025))
 """Standard deviations of a 95 % band to either side."""
@@ -91,7 +91,7 @@ def read_stable(
 
 @styled
 def level_of_detection(pairs: Sequence[BankPair], *, title: str, twin: bool) -> Figure:
-    """Level of detection over the bank, and how it is made up."""
+    """Level of detection at each core point, and how it is made up."""
     every = np.concatenate([100 * pair.table["lod95_m"].to_numpy() for pair in pairs])
     scale = Normalize(*robust_limits(every))
     n = count(int(np.isfinite(every).sum()))
@@ -113,9 +113,8 @@ def level_of_detection(pairs: Sequence[BankPair], *, title: str, twin: bool) -> 
             rasterized=True,
             gid="lod",
         )
-        view_from_river(face, pair)
-        face.set_xlabel("along the bank, to the right as seen from the river / m")
-        face.set_title(f"{pair.words}, seen from the river, heights not to scale")
+        view_from_side(face, pair)
+        face.set_title(f"{pair.words}, {pair.scene.view}")
         bar = ScalarMappable(scale, SIGMA_MAP)
         figure.colorbar(bar, ax=face, extend="both", pad=0.01, label="level of detection / cm")
         _lod_shares(shares, pair)
@@ -156,10 +155,10 @@ def _lod_shares(ax: Axes, pair: BankPair) -> None:
 
 
 def draw_level_of_detection(
-    *, changes: list[Path], core_points: Path, spacing_m: float, title: str, twin: bool
+    *, changes: list[Path], core_points: Path, spacing_m: float, by_boat: bool, title: str, twin: bool
 ) -> Figure:
     """Compared core points -> the smallest change that counts, place by place."""
-    pairs = read_pairs(changes, core_points, spacing_m)
+    pairs = read_pairs(changes, core_points, spacing_m, by_boat=by_boat)
     return level_of_detection(pairs, title=f"Level of detection: {title}", twin=twin)
 
 
@@ -218,7 +217,7 @@ def _along(ax: Axes, pair: BankPair, stable: ArrayB) -> None:
     table = pd.DataFrame({"d": d, "sigma": sigma, "s": s}).groupby(np.floor(s / step))
     means = table.agg(d=("d", "median"), sigma=("sigma", "median"), s=("s", "mean"))
     ax.plot(s, d, ".", ms=1.5, color="0.75", rasterized=True, label="core points")
-    ax.plot(means["s"], means["d"], color=BLUE, marker="o", ms=2.5, label=f"median of {step:.2g} m of bank")
+    ax.plot(means["s"], means["d"], color=BLUE, marker="o", ms=2.5, label=f"median of {step:.2g} m")
     band = WIDE * means["sigma"]
     label = "95 % of single distances without change"
     ax.fill_between(means["s"], -band, band, color=ORANGE, alpha=0.35, lw=0, label=label, gid="band")
@@ -226,7 +225,7 @@ def _along(ax: Axes, pair: BankPair, stable: ArrayB) -> None:
     limit = max(1.6 * float(band.max()), 1.2 * float(means["d"].abs().max()))
     ax.set_ylim(-limit, 1.5 * limit)
     ax.set_xlim(pair.s_m.min(), pair.s_m.max())
-    ax.set_xlabel("along the bank, to the right as seen from the river / m")
+    ax.set_xlabel(pair.scene.along)
     ax.set_ylabel("distance / cm")
     ax.legend(loc="upper center", ncols=3)
 
@@ -238,11 +237,12 @@ def draw_stable_ground(
     weights: list[Path],
     core_points: Path,
     spacing_m: float,
+    by_boat: bool,
     title: str,
     twin: bool,
 ) -> Figure:
     """Distances where nothing moved -> their histogram over sigma, and along the bank."""
-    pairs = read_pairs(changes, core_points, spacing_m)
+    pairs = read_pairs(changes, core_points, spacing_m, by_boat=by_boat)
     stable = read_stable(pairs, registrations, weights)
     return stable_ground(pairs, stable, title=f"Stable ground: {title}", twin=twin)
 
@@ -324,11 +324,12 @@ def draw_error_variogram(
     weights: list[Path],
     core_points: Path,
     spacing_m: float,
+    by_boat: bool,
     title: str,
     twin: bool,
 ) -> Figure:
     """Distances of stable ground and drawn errors -> their variograms."""
-    pairs = read_pairs(changes, core_points, spacing_m)
+    pairs = read_pairs(changes, core_points, spacing_m, by_boat=by_boat)
     stable = read_stable(pairs, registrations, weights)
     drawn = [read_table(path, DRAWS)[0].drop(columns="core").to_numpy() for path in draws]
     return error_variogram(pairs, stable, drawn, title=f"Variogram of stable ground: {title}", twin=twin)
@@ -338,8 +339,10 @@ def draw_error_variogram(
 
 
 @styled
-def volume_along(tables: Sequence[tuple[str, pd.DataFrame]], *, title: str, twin: bool) -> Figure:
-    """Eroded, deposited and net volume of each stretch of bank, and the area that was not seen."""
+def volume_along(
+    tables: Sequence[tuple[str, pd.DataFrame]], *, by_boat: bool, title: str, twin: bool
+) -> Figure:
+    """Eroded, deposited and net volume of each stretch, and the area that was not seen."""
     figure = new_figure(98.0 * len(tables) + 4.0, title, twin=twin)
     heights = [3.0, 1.0] * len(tables)
     panels = figure.subplots(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
@@ -388,21 +391,25 @@ def volume_along(tables: Sequence[tuple[str, pd.DataFrame]], *, title: str, twin
             gid="not-seen",
         )
         unseen.set_ylabel("not seen / m²")
-        unseen.set_xlabel("along the bank, to the right as seen from the river / m")
+        unseen.set_xlabel(scene(by_boat).along)
         unseen.sharex(volumes)
     figure.align_ylabels(panels)
     return figure
 
 
-def draw_volume_along(*, along: list[Path], title: str, twin: bool) -> Figure:
-    """Volumes of stretches of bank -> bars along it."""
+def draw_volume_along(*, along: list[Path], by_boat: bool, title: str, twin: bool) -> Figure:
+    """Volumes of stretches -> bars along the bank or surface."""
     tables = [(path.stem.rpartition("_")[2], pd.read_csv(path)) for path in along]
-    return volume_along(tables, title=f"Volume of change along the bank: {title}", twin=twin)
+    words = f"Volume of change along {scene(by_boat).thing}: {title}"
+    return volume_along(tables, by_boat=by_boat, title=words, twin=twin)
 
 
 @styled
-def retreat_along(tables: Sequence[tuple[str, pd.DataFrame]], *, title: str, twin: bool) -> Figure:
-    """How far bank line and bank top moved in each stretch of bank."""
+def retreat_along(
+    tables: Sequence[tuple[str, pd.DataFrame]], *, by_boat: bool, title: str, twin: bool
+) -> Figure:
+    """How far bank line and bank top moved in each stretch."""
+    words = scene(by_boat)
     figure = new_figure(66.0 * len(tables) + 4.0, title, twin=twin)
     panels = figure.subplots(len(tables), 1, squeeze=False)[:, 0]
     for ax, (name, table) in zip(panels, tables, strict=True):
@@ -412,7 +419,7 @@ def retreat_along(tables: Sequence[tuple[str, pd.DataFrame]], *, title: str, twi
         ):
             rows = table[table["line"] == line]
             width = rows["s_to_m"] - rows["s_from_m"]
-            label = f"{line}, n = {len(rows)} stretches"
+            label = f"{words.lines[line]}, n = {len(rows)} stretches"
             if line == "bank line" and len(rows):
                 label += f", at a height of {signed(rows['height_m'].iloc[0], 2)} m"
             ax.errorbar(
@@ -428,18 +435,19 @@ def retreat_along(tables: Sequence[tuple[str, pd.DataFrame]], *, title: str, twi
             )
         ax.axhline(0.0, color="black", lw=0.6)
         ax.set_title(f"epochs {name.replace('-', ' to ')}, bars: 95 %")
-        ax.set_ylabel("movement across the bank / cm\n(negative: retreat)")
+        ax.set_ylabel(f"movement across {words.thing} / cm\n(negative: retreat)")
         low, high = ax.get_ylim()
         ax.set_ylim(low, high + 0.2 * (high - low))
         ax.legend(loc="upper center", ncols=2)
-        ax.set_xlabel("along the bank, to the right as seen from the river / m")
+        ax.set_xlabel(words.along)
     return figure
 
 
-def draw_retreat_along(*, retreat: list[Path], title: str, twin: bool) -> Figure:
-    """Movement of both lines of a bank in stretches -> along the bank."""
+def draw_retreat_along(*, retreat: list[Path], by_boat: bool, title: str, twin: bool) -> Figure:
+    """Movement of both lines in stretches -> along the bank or surface."""
     tables = [(path.stem.rpartition("_")[2], pd.read_csv(path)) for path in retreat]
-    return retreat_along(tables, title=f"Movement of the bank: {title}", twin=twin)
+    words = f"Movement of {scene(by_boat).thing}: {title}"
+    return retreat_along(tables, by_boat=by_boat, title=words, twin=twin)
 
 
 # ---------------------------------------------------------------- more than two epochs

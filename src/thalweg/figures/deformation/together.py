@@ -1,4 +1,4 @@
-"""Two epochs of a bank together: how each was surveyed, both clouds, and their point to point distances."""
+"""Two epochs together: how each was surveyed, both clouds, and their point to point distances."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,7 +26,7 @@ def epochs_together(clouds: Sequence[CloudOfEpoch], pair: BankPair, *, title: st
     Parameters
     ----------
     clouds : all epochs, in the order of time.
-    pair : any pair of them, for the axes along and across the bank.
+    pair : any pair of them, for the axes along and across, and their words.
     """
     first, last = clouds[0], clouds[-1]
     shown = [_thinned(each.xyz_m) for each in (first, last)]
@@ -53,8 +53,7 @@ def epochs_together(clouds: Sequence[CloudOfEpoch], pair: BankPair, *, title: st
             s, xyz[:, 2], c="0.4" if distance is None else distance, s=0.6, cmap=RANGE_MAP if limit else None,
             vmin=0.0 if limit else None, vmax=limit or None, lw=0, rasterized=True, gid=f"cloud {letter}",
         )  # fmt: skip
-        side = "the side" if distance is None else "the river"
-        ax.set_title(f"{letter}) epoch {each.number}, {each.name}, from {side}")
+        ax.set_title(f"{letter}) epoch {each.number}, {each.name}, {pair.scene.view}")
         ax.set_ylabel("height / m")
         if distance is not None:
             _bar(figure, ax, drawn, "from the boat / m")
@@ -81,10 +80,10 @@ def epochs_together(clouds: Sequence[CloudOfEpoch], pair: BankPair, *, title: st
     )
     _bar(figure, ax, drawn, "distance / m", extend="max")
     for ax in panels[2:]:
-        ax.set_ylabel("from the\nriver / m" if limit else "across / m")
+        ax.set_ylabel(pair.scene.away)
     for ax in panels:
         ax.margins(x=0.01)
-    panels[3].set_xlabel("along the bank / m" if limit else "along / m")
+    panels[3].set_xlabel(pair.scene.along)
     legend_below(figure, panels[2])
     return figure
 
@@ -105,10 +104,11 @@ def draw_epochs_together(
     changes: list[Path],
     core_points: Path,
     spacing_m: float,
+    by_boat: bool,
     title: str,
     twin: bool,
 ) -> Figure:
     """Prepared epochs -> first and last of them together (T Fig. 4.2)."""
-    pair = read_pairs(changes[:1], core_points, spacing_m)[0]
+    pair = read_pairs(changes[:1], core_points, spacing_m, by_boat=by_boat)[0]
     clouds = read_clouds(points, errors)
     return epochs_together(clouds, pair, title=f"Two epochs and their distances: {title}", twin=twin)

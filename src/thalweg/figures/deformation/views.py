@@ -1,4 +1,4 @@
-"""Clouds of epochs as they are: from above, and in profiles across the bank."""
+"""Clouds of epochs as they are: from above, and in profiles."""
 
 import json
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ from thalweg.figures import (
     robust_limits,
     styled,
 )
-from thalweg.figures.deformation.maps import BankPair, read_pairs, signed
+from thalweg.figures.deformation.maps import BankPair, read_pairs, scene, signed
 
 _LEAST_MM: Final = 30.0
 """Least height of a plan: its title has three lines."""
@@ -196,7 +196,7 @@ def without_motion(xyz_m: ArrayF, parameters: dict[str, float], middle_m: ArrayF
 
 @styled
 def profiles(cuts: Sequence[tuple[BankPair, Place, ArrayF, ArrayF]], *, title: str, twin: bool) -> Figure:
-    """Points of both epochs within slabs across the bank.
+    """Points of both epochs within slabs across the bank or surface.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def profiles(cuts: Sequence[tuple[BankPair, Place, ArrayF, ArrayF]], *, title: s
     panels = figure.subplots(len(cuts), 1, squeeze=False)[:, 0]
     for ax, cut in zip(panels, cuts, strict=True):
         _profile(ax, *cut)
-    panels[-1].set_xlabel("across the bank, the river to the left / m")
+    panels[-1].set_xlabel(cuts[0][0].scene.across)
     legend_below(figure, panels[0])
     return figure
 
@@ -268,7 +268,7 @@ def _profile(ax: Axes, pair: BankPair, place: Place, first_m: ArrayF, second_m: 
     sigma = 100 * pair.table["sigma_m"].iloc[core]
     ax.set_title(
         f"{pair.words}, {place.words}: {signed(100 * distance[core], 0)} ± {sigma:.0f} cm (1 sigma)\n"
-        f"at {signed(s, 1)} m along the bank, slab of {2 * pair.spacing_m:.2g} m, "
+        f"at {signed(s, 1)} m along {pair.scene.thing}, slab of {2 * pair.spacing_m:.2g} m, "
         f"n = {count(n[0])} and {count(n[1])} points"
     )
 
@@ -289,6 +289,7 @@ def draw_change_profiles(
     registrations: list[Path],
     core_points: Path,
     spacing_m: float,
+    by_boat: bool,
     title: str,
     twin: bool,
 ) -> Figure:
@@ -296,11 +297,11 @@ def draw_change_profiles(
     clouds = read_clouds(points, errors)
     cuts = []
     for pair, patch, moved in zip(
-        read_pairs(changes, core_points, spacing_m), patches, registrations, strict=True
+        read_pairs(changes, core_points, spacing_m, by_boat=by_boat), patches, registrations, strict=True
     ):
         first, second = (clouds[int(i) - 1] for i in pair.name.split("-"))
         motion = json.loads(moved.read_text()).get("parameters")
         middle = pair.table[["east_m", "north_m", "up_m"]].to_numpy().mean(axis=0)
         after = second.xyz_m if motion is None else without_motion(second.xyz_m, motion, middle)
         cuts += [(pair, place, first.xyz_m, after) for place in places_of(pair, pd.read_csv(patch))]
-    return profiles(cuts, title=f"Profiles across the bank: {title}", twin=twin)
+    return profiles(cuts, title=f"Profiles across {scene(by_boat).thing}: {title}", twin=twin)

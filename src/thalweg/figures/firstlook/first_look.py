@@ -385,7 +385,8 @@ def recordings_table(reports: list[IntegrityReport], titles: list[str]) -> pd.Da
                 "gaps": len(report.gaps),
             }
         )
-    return pd.DataFrame(rows)
+    names = ["recording", "format", "model", "time", "duration_s", "counts", "losses", "gaps"]
+    return pd.DataFrame(rows, columns=names)
 
 
 def recordings_page(reports: list[IntegrityReport], titles: list[str], pictures: list[list[Path]]) -> Page:
@@ -405,7 +406,7 @@ def recordings_page(reports: list[IntegrityReport], titles: list[str], pictures:
     largest = [max(r.counts.items(), key=lambda item: item[1], default=("none", 0)) for r in reports]
     overview["counts"] = [f"{n:,} {what}" for what, n in largest]
     for name in ("counts", "losses"):
-        overview[name] = overview[name].str.replace("_", " ")
+        overview[name] = [words.replace("_", " ") for words in overview[name]]
     page.section("All recordings").table(
         overview, "What was recorded, and how whole it is", units={"duration_s": "s"}
     )

@@ -5,8 +5,8 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core import LocalFrame, ThalwegError, Trajectory
-from thalweg.figures import Finding, Page, empty_figure
+from thalweg.core import CoverageError, LocalFrame, ThalwegError, Trajectory
+from thalweg.figures import Finding, Page, empty_figure, plural
 from thalweg.figures.survey.maps import survey_map, trajectory_sheet
 from thalweg.ingest.ppk import REFUSALS, PpkSolution
 from thalweg.navigation.ins_gnss import build_trajectory, states_along_course
@@ -69,6 +69,8 @@ def gnss_page(solution: PpkSolution, *, title: str) -> Page:
 def _track(table: pd.DataFrame) -> Trajectory:
     """The antenna's track as a trajectory in a frame of its own."""
     placed = table.dropna(subset=["lat_deg", "lon_deg", "h_ell_m"])
+    if len(placed) < 2:
+        raise CoverageError(f"{plural(len(placed), 'position')}: no track", expected="two at least")
     lat_deg, lon_deg, h_ell_m = (float(placed[name].median()) for name in ("lat_deg", "lon_deg", "h_ell_m"))
     frame = LocalFrame(lat_deg=lat_deg, lon_deg=lon_deg, h_ell_m=h_ell_m)
     step_s = float(np.median(np.diff(placed["t_gps_s"])))

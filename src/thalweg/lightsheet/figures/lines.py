@@ -441,7 +441,7 @@ def line_on_markers(
     middle.set(xlabel=column)
     middle.set_title("b: detail")
     _brightness(right, table, row)
-    figure.legend(*left.get_legend_handles_labels(), loc="outside lower left", ncols=len(FLAGS))
+    figure.legend(*left.get_legend_handles_labels(), loc="outside lower left", ncols=3)
     return figure
 
 
