@@ -128,9 +128,16 @@ def cases(name: str, example: Mapping[str, Any]) -> Iterator[tuple[str, Callable
 # ---------------------------------------------------------------- what must not be seen
 
 
-def faults(figure: Figure, *, laid_out: bool = True) -> list[str]:
-    """Axes and scales of colours without data, words of no number and, of a layout, words over words."""
-    found = _words_over_words(figure) if laid_out else []
+def faults(figure: Figure, laid_out: set[Any] | None = None) -> list[str]:
+    """Axes and scales of colours without data, words of no number and, of a layout, words over words.
+
+    ``laid_out`` holds outlines of figures that were laid out: one with the same words of the same places and
+    sizes is not laid out again. Without it none is.
+    """
+    found = []
+    if laid_out is not None and (outline := _outline(figure)) not in laid_out:
+        laid_out.add(outline)
+        found = _words_over_words(figure)
     scales = {ax for ax in figure.axes if hasattr(ax, "_colorbar")}
     for ax in figure.axes:
         name = ax.get_title(loc="left") or ax.get_title() or ax.get_ylabel() or ax.get_xlabel()
@@ -144,6 +151,17 @@ def faults(figure: Figure, *, laid_out: bool = True) -> list[str]:
     words = {text.get_text(): text for text in figure.findobj(lambda a: hasattr(a, "get_text"))}
     found += [f"words: {words_!r}" for words_ in words if re.search(r"\b(nan|inf|NaN|None|NaT)\b", words_)]
     return found
+
+
+def _outline(figure: Figure) -> Any:
+    """What a layout is made from: sizes, panels and words, whose digits count as one."""
+    panels = tuple((ax.get_visible(), ax.axison, ax.get_position().bounds) for ax in figure.axes)
+    words = tuple(re.sub(r"\d", "0", text.get_text()) for text in _headings(figure))
+    legends = [*figure.legends, *filter(None, (ax.get_legend() for ax in figure.axes))]
+    lengths = tuple(
+        max((len(text.get_text()) for text in legend.get_texts()), default=0) for legend in legends
+    )
+    return tuple(figure.get_size_inches()), panels, words, lengths
 
 
 def _words_over_words(figure: Figure) -> list[str]:

@@ -22,6 +22,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import StepPatch
 from matplotlib.patheffects import withStroke
 from matplotlib.text import Text
+from matplotlib.ticker import LogFormatter, ScalarFormatter
 from numpy.typing import ArrayLike
 from PIL import Image, UnidentifiedImageError
 
@@ -241,26 +242,30 @@ def _leave_out_empty_panels(figure: Figure) -> None:
     for line in (line for ax in figure.axes for line in ax.lines):
         if line.get_marker() in (None, "None", "", " ") and _finite_points(line.get_xydata()) == 1:
             line.set_marker(".")  # a line of one point is not seen
+    for text in _words_of(figure):
+        if dashed(text.get_text()) != text.get_text():
+            text.set_text(dashed(text.get_text()))
+
+
+def _words_of(figure: Figure) -> list[Text]:
+    """Titles, labels, legends and notes; no labels of ticks, which are made when they are asked for."""
     words = [each for each in figure.get_children() if isinstance(each, Text)]
     for ax in figure.axes:
         words += [each for each in ax.get_children() if isinstance(each, Text)]
         words += [ax.xaxis.label, ax.yaxis.label]
     for legend in filter(None, (*figure.legends, *(ax.get_legend() for ax in figure.axes))):
-        words += legend.get_texts()
-    for text in words:
-        if dashed(text.get_text()) != text.get_text():
-            text.set_text(dashed(text.get_text()))
+        words += [*legend.get_texts(), legend.get_title()]
+    return words
 
 
 def _take_no_text_for_a_formula(figure: Figure) -> None:
     """Words are drawn as they are: titles and names of users may hold dollar signs."""
-    words = figure.findobj(Text)
+    words = _words_of(figure)
     for axis in (axis for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)):
-        if axis.get_scale() == "linear":  # names; powers of ten are formulas of matplotlib
+        if not isinstance(axis.get_major_formatter(), ScalarFormatter | LogFormatter):  # names, no numbers
             words += axis.get_majorticklabels()
     for text in words:
-        if "$" in text.get_text() and "mathdefault" not in text.get_text():
-            text.set_parse_math(False)
+        text.set_parse_math(False)
 
 
 def _pass_on_labels(ax: Axes, others: list[Axes]) -> None:
