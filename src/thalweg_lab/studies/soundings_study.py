@@ -1,7 +1,8 @@
-"""Real soundings of others that disagree: left-out days, and errors by slope of the bed.
+"""Soundings that disagree: left-out days, errors by slope of the bed, and the mean of days of a made-up lake.
 
     python -m thalweg_lab.studies.soundings_study days FOLDER_OF_SUM_FILES EVERY
     python -m thalweg_lab.studies.soundings_study slopes FOLDER_OF_RECORDINGS
+    python -m thalweg_lab.studies.soundings_study mean FIRST_SEED SEEDS
 
 Days: ``.sum`` files of a RiverSurveyor M9 (``github.com/duckmanager/Bathymetric-map-Lake-Caputh``,
 ``data/sonar_data``), every so many soundings. Each prints rows of a table.
@@ -18,11 +19,16 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from thalweg.bathymetry import BedOfTable, TableOfSoundings, bed_of_table, read_soundings, water_of
+from thalweg.bathymetry import BedOfTable, TableOfSoundings, agreement, bed_of_table, read_soundings, water_of
 from thalweg.core import ArrayB
 from thalweg.settings.sections import Bathymetry
 
 _SIGMA_M: Final = 0.05
+_LAKE_M: Final = 55.0
+"""Radius of the made-up lake; noise of its soundings:"""
+_NOISE_M: Final = 0.03
+_SCATTER_M: Final = ((0.3, 0.0), (0.0, 0.15), (0.2, 0.1))
+"""Of days and of runs."""
 _TABLES: Final = (
     ("soundings_uprm", "today/soundings_uprm/Feb-15-2023.csv", ()),
     ("csb_lon_lat_depth", "today/csb_lon_lat_depth/ofm_singlefile.xyz", ()),
@@ -83,6 +89,34 @@ def slopes(folder: Path) -> None:
             command = [sys.executable, "-m", "thalweg", "bed", str(folder / path), *options]
             subprocess.run([*command, "--out", scratch], check=True, stdout=subprocess.DEVNULL)
             _print_classes(name, json.loads((Path(scratch) / "validation.json").read_text())["classes"])
+
+
+def mean(first: int, seeds: int) -> None:
+    """How often the mean of three days of three runs is within its sigma; the truth is known."""
+    x, y = (np.arange(-_LAKE_M, _LAKE_M, step) for step in (24.0, 12.0))
+    along = np.arange(-_LAKE_M, _LAKE_M, 3.0)
+    legs = [np.column_stack([along, np.full(len(along), at)]) for at in y]
+    legs += [np.column_stack([np.full(len(along), at), along]) for at in x]
+    lines = [leg[np.hypot(*leg.T) < _LAKE_M] for leg in legs]
+    lines = [leg for leg in lines if len(leg) > 3]
+    across = sum(np.ptp(leg[:, 1]) == 0 for leg in lines)
+    part = np.array_split(np.arange(across), 6) + np.array_split(np.arange(across, len(lines)), 3)
+    run_of = np.repeat(np.arange(9), [len(each) for each in part])
+    number = np.repeat(np.arange(len(lines)), [len(each) for each in lines])
+    places, run = np.concatenate(lines), run_of[number]
+    depth = 5.0 - 4.0 * np.sum(places**2, axis=1) / _LAKE_M**2 + np.sin(places[:, 0] / 14.0)
+    for of_days, of_runs in _SCATTER_M:
+        inside = 0
+        for seed in range(first, first + seeds):
+            rng = np.random.default_rng(seed)
+            step = np.repeat(rng.normal(0.0, of_days, 3), 3) + rng.normal(0.0, of_runs, 9)
+            height = step[run] - depth + _NOISE_M * rng.standard_normal(len(places))
+            found = agreement(places, height, np.full(len(places), _NOISE_M), number, run, run // 3)
+            inside += abs(np.mean(found.shift_m - step)) < np.mean(found.sigma_common_m)
+        print(
+            f"days {of_days} m, runs {of_runs} m: within one sigma {inside / seeds:.2f} of {seeds}",
+            flush=True,
+        )
 
 
 def _print_classes(name: str, classes: dict[str, dict[str, float]]) -> None:
@@ -155,5 +189,7 @@ if __name__ == "__main__":
             days(Path(folder), int(every))
         case ["slopes", folder]:
             slopes(Path(folder))
+        case ["mean", first, seeds]:
+            mean(int(first), int(seeds))
         case _:
             sys.exit(__doc__)
