@@ -1,4 +1,4 @@
-"""What the page of the riverbed says of the light sheet, of runs that disagree, and of depth against width."""
+"""What the page of the riverbed says: the light sheet, runs that disagree, depth against width."""
 
 from thalweg.figures.bathymetry.page import _crossings, _depth_and_width, _light_sheet
 
