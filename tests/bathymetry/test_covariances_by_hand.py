@@ -150,7 +150,7 @@ def apart(n: int, slow_m: float, white_m: float, rng: np.random.Generator) -> Cr
         a_s=a, b_s=a + 5e3, east_m=np.zeros(n), north_m=np.zeros(n),
         difference_m=sigma * np.sqrt(2) * rng.standard_normal(n) / np.sqrt(2),
         white_m2=np.full(n, white_m**2), slow_a_m=np.full(n, slow_m), slow_b_m=np.full(n, slow_m),
-        day_a=np.zeros(n, dtype=np.int64), day_b=np.zeros(n, dtype=np.int64),
+        at_a=np.zeros(n, dtype=np.int64), at_b=np.zeros(n, dtype=np.int64),
     )  # fmt: skip
 
 
@@ -180,7 +180,7 @@ def test_slow_errors_grow_by_the_factor_and_variances_by_its_square() -> None:
     legs = [np.column_stack([k, np.full(10, y)]) for y in (1.5, 3.5, 5.5, 7.5)]
     legs += [np.column_stack([np.full(10, x), k]) for x in (1.5, 3.5, 5.5, 7.5)]
     places, line = np.concatenate(legs), np.repeat(np.arange(8), 10)
-    t = 1e3 * line + np.tile(k, 8)
+    t = 55.0 * line + np.tile(k, 8)  # no pause of a minute, which would make each line a run
     table = pd.DataFrame(
         {
             "t_gps_s": t, "t_even_s": t, "east_m": places[:, 0], "north_m": places[:, 1],
@@ -189,7 +189,7 @@ def test_slow_errors_grow_by_the_factor_and_variances_by_its_square() -> None:
             "cov_uu_m2": 0.02**2 + 0.1**2 + 0.03**2, "line": line, "used": True,
         }
     )  # fmt: skip
-    out, time_s, facts = estimate_slow_errors(table, 50.0)
+    out, time_s, facts = estimate_slow_errors(table, 5.0)
     assert (facts["n"], facts["estimated"], facts["left_out"]) == (16, True, 0)
     factor = facts["slow_factor_predictive"]
     assert factor == pytest.approx(facts["slow_factor"] * np.exp(facts["slow_factor_sigma_log"] ** 2))
@@ -197,7 +197,7 @@ def test_slow_errors_grow_by_the_factor_and_variances_by_its_square() -> None:
     assert out["sigma_slow_m"].to_numpy() == pytest.approx(0.1 * factor)
     assert out["cov_uu_m2"].to_numpy() == pytest.approx(0.02**2 + (0.1 * factor) ** 2 + 0.03**2)
     found = find_crossings(table)
-    stated = found.white_m2 + np.diag(found.slow_covariance_m2(50.0))
+    stated = found.white_m2 + np.diag(found.slow_covariance_m2(5.0))
     assert facts["normalised_square"] == pytest.approx(np.mean(found.difference_m**2 / stated))
     after = found.white_m2 + factor**2 * np.diag(found.slow_covariance_m2(time_s))
     assert facts["normalised_square_after"] == pytest.approx(np.mean(found.difference_m**2 / after))

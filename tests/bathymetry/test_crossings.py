@@ -18,7 +18,8 @@ def survey(
     white_m: float = 0.01,
     stated_m: float = 0.03,
     legs: int = 8,
-    second_day_m: float | None = None,
+    later_m: float | None = None,
+    pause_s: float = 86_400.0,
 ) -> pd.DataFrame:
     """A zigzag down a channel of 20 m and lines along it on the way back, over a bed that slopes."""
     rng = np.random.default_rng(seed)
@@ -38,15 +39,16 @@ def survey(
         slow[k] = keep * slow[k - 1] + slow_m * np.sqrt(1 - keep**2) * rng.standard_normal()
     up = -2.0 + 0.01 * n**2 - 0.002 * s + slow + white_m * rng.standard_normal(len(t))
     t_gps = 1e9 + t
-    if second_day_m is not None:
+    if later_m is not None:
         later = line >= legs
-        t_gps, up = t_gps + 86_400.0 * later, up + second_day_m * later
+        t_gps, up = t_gps + pause_s * later, up + later_m * later
     return pd.DataFrame(
         {
             "t_gps_s": t_gps,
             "east_m": s,
             "north_m": n,
             "up_m": up,
+            "transducer_up_m": up + 2.0,
             "sigma_white_m": white_m,
             "sigma_slow_m": stated_m,
             "sigma_common_m": 0.02,
@@ -126,13 +128,45 @@ def test_gross_errors_are_left_out_and_counted() -> None:
     assert facts["slow_factor"] < 2.0
 
 
-@pytest.mark.parametrize("offset_m", [0.0, 0.3])
-def test_days_that_disagree_are_said_and_covered(offset_m: float) -> None:
-    table = survey(5, second_day_m=offset_m)
-    found, _, facts = estimate_slow_errors(table, 10.0)
-    (day,) = facts["days"]
-    assert day["disagrees"] is (offset_m > 0)
-    assert abs(day["offset_m"] - offset_m) < 3 * day["sigma_m"]
-    assert day["sigma_m"] < 0.02
-    common = float(found["sigma_common_m"].iloc[0])
-    assert common == pytest.approx(np.hypot(0.02, abs(day["offset_m"]) / 2 if offset_m else 0.0))
+@pytest.mark.parametrize(("pause_s", "part"), [(86_400.0, "days"), (1_200.0, "runs")])
+def test_days_and_runs_that_disagree_are_named_adjusted_and_in_the_sigmas(pause_s: float, part: str) -> None:
+    table = survey(5, later_m=0.3, pause_s=pause_s)
+    found, time_s, facts = estimate_slow_errors(table, 10.0)
+    (pair,) = facts["agreement"][f"pairs of {part}"]
+    assert pair["contradicts"]
+    assert pair["n"] == 24
+    assert abs(pair["difference_m"] - 0.3) < 3 * pair["sigma_m"]
+    assert 0.005 < pair["sigma_m"] < 0.025  # 24 differences of slow errors that last for a few of them
+    assert any("above" in note and pair["a"] in note and pair["b"] in note for note in facts["notes"])
+    later = table["line"] >= 8
+    step = (found["up_m"] - table["up_m"]).to_numpy()
+    assert np.unique(step[later]) == pytest.approx([-0.15], abs=0.02)
+    assert np.unique(step[~later]) == pytest.approx([0.15], abs=0.02)
+    np.testing.assert_allclose(found["transducer_up_m"] - table["transducer_up_m"], step)
+    # half the difference, of one degree of freedom: Student's 84 % is 1.84
+    extra = (found["sigma_common_m"] ** 2 - table["sigma_common_m"] ** 2).to_numpy()
+    assert np.sqrt(extra) == pytest.approx(1.84 * 0.15, rel=0.2)
+    np.testing.assert_allclose(found["cov_uu_m2"] - table["cov_uu_m2"], extra)
+    # no line crosses one of its own run: what is stated of the slow errors stays
+    assert not facts["estimated"]
+    assert (found["sigma_slow_m"] == 0.03).all()
+    assert time_s == 10.0
+
+
+@pytest.mark.parametrize(("stated_m", "stated_s"), [(0.03, 10.0), (0.015, 10.0), (0.03, 2.0)])
+def test_runs_that_agree_keep_their_heights_and_the_slow_errors_of_all_crossings(
+    stated_m: float, stated_s: float
+) -> None:
+    """Slow errors that are larger or last longer than stated are no steps."""
+    kept = 0
+    for seed in range(40, 52):
+        table = survey(seed, stated_m=stated_m, later_m=0.0, pause_s=1_200.0)
+        found, _, facts = estimate_slow_errors(table, stated_s)
+        if "steps" in facts["agreement"]:
+            continue
+        kept += 1
+        pd.testing.assert_series_equal(found["up_m"], table["up_m"])
+        pd.testing.assert_series_equal(found["sigma_common_m"], table["sigma_common_m"])
+        assert facts["estimated"]
+        assert facts["n"] == 24
+    assert kept >= 11

@@ -6,13 +6,15 @@ import pytest
 
 from thalweg.bathymetry import find_crossings
 from thalweg.bathymetry.crossings import (
+    DAY_GAP_S,
     TIME_SPREAD,
     Crossings,
     _curvature,
-    _days,
     _intersections,
     _relief_m2,
     estimate_slow_errors,
+    runs_by_pauses,
+    since_pauses,
 )
 from thalweg.core import NMAD
 
@@ -50,7 +52,7 @@ def test_a_crossing_by_hand() -> None:
     second = 0.5**2 * 0.09 + 0.5**2 * 0.01 + 0.1**2 * 0.2**2
     assert found.white_m2[0] == pytest.approx(first + second)  # the noise explains all relief
     assert (found.slow_a_m[0], found.slow_b_m[0]) == pytest.approx((0.03, 0.06))
-    assert (found.day_a[0], found.day_b[0]) == (0, 0)
+    assert (found.at_a[0], found.at_b[0]) == (1, 3)
 
 
 def test_pings_that_are_not_of_one_line_or_far_apart_are_no_segment() -> None:
@@ -69,11 +71,13 @@ def test_lines_that_do_not_meet_cross_nowhere() -> None:
     assert len(find_crossings(beside)) == 0
 
 
-def test_four_hours_make_another_day() -> None:
-    later = soundings(t_gps_s=np.array([0.0, 1.0, 2.0, 14_500.0, 14_501.0, 14_502.0]))
-    found = find_crossings(later)
-    assert (found.day_a[0], found.day_b[0]) == (0, 1)
-    assert find_crossings(soundings(t_gps_s=[0.0, 1.0, 2.0, 14_300.0, 14_301.0, 14_302.0])).day_b[0] == 0
+def test_four_hours_make_another_day_and_a_minute_another_run() -> None:
+    t = np.array([0.0, 1.0, 2.0, 14_500.0, 14_501.0, np.nan])
+    np.testing.assert_array_equal(since_pauses(t, DAY_GAP_S), [0, 0, 0, 1, 1, np.nan])
+    assert since_pauses(np.array([0.0, 14_300.0]), DAY_GAP_S).tolist() == [0, 0]
+    assert runs_by_pauses(np.array([0.0, 1.0, 2.0, 62.0, 63.0, 124.0])).tolist() == [0, 0, 0, 0, 0, 1]
+    # pings every ten seconds: twenty of them
+    assert runs_by_pauses(np.array([0.0, 10.0, 20.0, 30.0, 229.0, 430.0])).tolist() == [0] * 5 + [1]
 
 
 def test_segments_meet_from_their_start_to_before_their_end() -> None:
@@ -109,8 +113,8 @@ def crossings(k: int = 2, **changes: object) -> Crossings:
         "white_m2": np.array([0.01, 0.01]),
         "slow_a_m": np.array([0.1, 0.2]),
         "slow_b_m": np.array([0.3, 0.4]),
-        "day_a": np.zeros(2, dtype=np.int64),
-        "day_b": np.ones(2, dtype=np.int64),
+        "at_a": np.zeros(2, dtype=np.int64),
+        "at_b": np.ones(2, dtype=np.int64),
     }
     return Crossings(**given | changes)
 
@@ -125,32 +129,23 @@ def test_the_covariance_of_differences_by_hand() -> None:
     assert found[1, 0] == pytest.approx(across)
 
 
-def test_the_offset_of_a_day_by_hand() -> None:
-    """Two differences of 0.5 m, each of variance 0.02, of errors too short to share anything."""
-    tenth = np.full(2, np.sqrt(0.005))
-    days, shared = _days(crossings(slow_a_m=tenth, slow_b_m=tenth), 1e-3)
-    assert days[0]["day"] == 1
-    assert days[0]["offset_m"] == pytest.approx(0.5)
-    assert days[0]["sigma_m"] == pytest.approx(0.1)
-    assert days[0]["disagrees"] is True
-    assert shared == pytest.approx(0.25)  # standard deviation of 0 and 0.5
-    days, shared = _days(crossings(difference_m=np.full(2, 0.2)), 1e-3)
-    assert days[0]["disagrees"] is False
-    assert shared == 0.0
-    assert _days(crossings(day_b=np.zeros(2, dtype=np.int64)), 1.0) is None
-
-
 def test_days_that_disagree_enlarge_the_common_sigma() -> None:
     later = soundings(t_gps_s=np.array([0.0, 1.0, 2.0, 14_500.0, 14_501.0, 14_502.0]))
     later.loc[3:, "up_m"] += 2.9
+    later["transducer_up_m"] = 0.0
     out, time_s, facts = estimate_slow_errors(later, 10.0)
     assert facts["rms_m"] == pytest.approx(3.0)
     found = find_crossings(later)
     stated = found.white_m2[0] + 0.03**2 + 0.06**2
     assert facts["predicted_m"] == pytest.approx(np.sqrt(stated))
     assert facts["normalised_square"] == pytest.approx(9.0 / stated)
-    assert out["sigma_common_m"].to_numpy() == pytest.approx(np.hypot(0.02, 1.5))
-    assert out["cov_uu_m2"].to_numpy() == pytest.approx(0.01 + 1.5**2)
+    # half the difference, of one degree of freedom: 84 % of Student's distribution
+    more = out["sigma_common_m"].to_numpy() ** 2 - 0.02**2
+    assert np.sqrt(more) == pytest.approx(1.837 * 1.5, rel=0.02)
+    assert out["cov_uu_m2"].to_numpy() == pytest.approx(0.01 + more)
+    assert out["up_m"].to_numpy() - later["up_m"].to_numpy() == pytest.approx(
+        [1.5] * 3 + [-1.5] * 3, rel=0.02
+    )
     assert (time_s, facts["n"], facts["estimated"]) == (10.0, 1, False)
 
 

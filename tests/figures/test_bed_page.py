@@ -1,6 +1,6 @@
-"""What the page of the riverbed says of the light sheet, and of depth against width."""
+"""What the page of the riverbed says: the light sheet, runs that disagree, depth against width."""
 
-from thalweg.figures.bathymetry.page import _depth_and_width, _light_sheet
+from thalweg.figures.bathymetry.page import _crossings, _depth_and_width, _light_sheet
 
 SHEET = {
     "light sheet": 49,
@@ -27,3 +27,13 @@ def test_depth_against_width_in_words() -> None:
     assert "1.32 ± 0.03 times as deep" in at_weir
     assert _depth_and_width({"not_told": "6 sections."}) == " Depth against width: 6 sections."
     assert _depth_and_width({}) == ""
+
+
+def test_runs_that_disagree_are_named() -> None:
+    few = {"n": 24, "rms_m": 0.31, "predicted_m": 0.05, "normalised_square": 38.0, "estimated": False}
+    assert _crossings(few).endswith(
+        "They are too few to tell how large the slow errors are: what is stated counts."
+    )
+    out = _crossings(few | {"agreement": {"steps": []}, "notes": ["the run of 12:23 lies 0.300 m above b"]})
+    assert "Those within one run are too few" in out
+    assert out.endswith(" The run of 12:23 lies 0.300 m above b.")

@@ -105,6 +105,7 @@ rule validate_bed:
     """Cross-validation of the bed by lines and stretches left out, beside other interpolators."""
     input:
         used="results/{campaign}/bathymetry/observations.parquet",
+        soundings="results/{campaign}/bathymetry/soundings.json",
         variogram="results/{campaign}/bathymetry/variogram.json",
         line="results/{campaign}/bathymetry/centre_line.csv",
         banks="results/{campaign}/bathymetry/banks.csv",

@@ -15,6 +15,7 @@ from thalweg.workflow import run_job
 def main(
     *,
     used: Path,
+    soundings: Path,
     variogram: Path,
     line: Path,
     banks: Path,
@@ -33,6 +34,8 @@ def main(
         Banks.read(banks, FlowLine.read(line)).half_widths_m,
         bathymetry,
     )
+    if agreed := json.loads(soundings.read_text())["crossings"].get("agreement"):
+        facts["agreement"] = agreed
     if reference or surveyed:
         crs = CRS.from_user_input(campaign["crs"])
         facts["reference"] = against_reference(bed, reference + surveyed, crs, bathymetry)

@@ -13,7 +13,7 @@ The factor that enters predicted sigmas is the root of its expected square, as f
 (`thalweg.navigation.ins_gnss.Estimate`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -24,7 +24,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from scipy.stats import t as student
 
-from thalweg.core import NMAD, ArrayF, ArrayI
+from thalweg.core import NMAD, ArrayF, ArrayI, utc_text_from_gps
 from thalweg.navigation.ins_gnss import Estimate
 
 SPREAD: Final = 2.0
@@ -37,6 +37,11 @@ _OUTLIER: Final = 4.0
 """Crossings whose difference is so many sigmas of its own are left out of the estimate, and counted."""
 DAY_GAP_S: Final = 4 * 3600.0
 """A pause of this length begins another day of the survey."""
+_PAUSE_S: Final = 60.0
+_PAUSE: Final = 20.0
+"""A pause so long, and so many times the usual interval, begins another run."""
+_NAMED: Final = 6
+"""So many pairs of days, runs or lines that contradict each other are named."""
 _MOST: Final = 800
 """Crossings that are adjusted together: evenly chosen ones of more."""
 _TELLING: Final = 240
@@ -50,8 +55,6 @@ _ONE_SIGMA: Final = 0.841345
 _FEWEST_OF_PAIR: Final = 3
 _HOLE: Final = 8.0
 """A step so many times the usual one is a hole in a line."""
-_SIGNIFICANT: Final = 3.0
-"""Days whose mean differs by so many sigmas disagree."""
 _GAIN: Final = 10.0
 """Twice the logarithm of the probability that steps must add: by chance they do once in a hundred."""
 _NOTHING: Final = 0.005
@@ -73,7 +76,7 @@ class Crossings:
     difference_m : height at ``b_s`` less height at ``a_s``.
     white_m2 : variance of the difference by what is new in each ping, relief between pings and slopes.
     slow_a_m, slow_b_m : stated slow sigmas of both heights.
-    day_a, day_b : days of the survey, from 0.
+    at_a, at_b : rows of the table of soundings before it.
     """
 
     a_s: ArrayF
@@ -84,8 +87,8 @@ class Crossings:
     white_m2: ArrayF
     slow_a_m: ArrayF
     slow_b_m: ArrayF
-    day_a: ArrayI
-    day_b: ArrayI
+    at_a: ArrayI
+    at_b: ArrayI
 
     def __len__(self) -> int:
         return len(self.a_s)
@@ -105,15 +108,35 @@ class Crossings:
             )
         )
 
+    def covariance_m2(self, time_s: float) -> ArrayF:
+        """Covariance (k, k) of the differences, slow errors and all others."""
+        return np.diag(self.white_m2) + self.slow_covariance_m2(time_s)
+
+
+def since_pauses(t_s: ArrayF, pause_s: float) -> ArrayF:
+    """Number of pauses (n,) before times: a day ends with a pause of hours, wherever midnight of UTC is."""
+    out = np.full(len(t_s), np.nan)
+    order = np.argsort(t_s, kind="stable")[: int(np.isfinite(t_s).sum())]
+    out[order] = np.cumsum(np.diff(t_s[order], prepend=t_s[order][:1]) > pause_s)
+    return out
+
+
+def runs_by_pauses(t_s: ArrayF) -> ArrayI:
+    """Number of the run (n,), from 0: a pause of a minute, and of many usual intervals, ends one."""
+    usual = float(np.median(np.diff(np.sort(t_s)))) if len(t_s) > 1 else 0.0
+    return since_pauses(t_s, max(_PAUSE_S, _PAUSE * usual)).astype(np.int64)
+
 
 def find_crossings(soundings: pd.DataFrame) -> Crossings:
     """All crossings of lines of soundings, also of one line with itself.
 
     Parameters
     ----------
-    soundings : table kind ``soundings``; a column ``day`` numbers the days, else a pause of hours ends one.
+    soundings : table kind ``soundings``.
     """
-    used = soundings[soundings["used"] & (soundings["line"] >= 0)].sort_values("t_gps_s", kind="stable")
+    at = np.flatnonzero(soundings["used"] & (soundings["line"] >= 0))
+    at = at[np.argsort(soundings["t_gps_s"].to_numpy(np.float64)[at], kind="stable")]
+    used = soundings.iloc[at]
     t, even = (used[name].to_numpy(np.float64) for name in ("t_gps_s", "t_even_s"))
     place = used[["east_m", "north_m"]].to_numpy(np.float64)
     h = used["up_m"].to_numpy(np.float64)
@@ -121,9 +144,6 @@ def find_crossings(soundings: pd.DataFrame) -> Crossings:
     white = used["sigma_white_m"].to_numpy(np.float64) ** 2
     slow = used["sigma_slow_m"].to_numpy(np.float64)
     across = used["sigma_horizontal_m"].to_numpy(np.float64) ** 2
-    day = (
-        used["day"].to_numpy(np.int64) if "day" in used else np.cumsum(np.diff(t, prepend=t[:1]) > DAY_GAP_S)
-    )
     step_s = np.diff(t)
     usual = float(np.median(step_s)) if len(step_s) else 0.0
     first = np.flatnonzero((line[1:] == line[:-1]) & (step_s > 0) & (step_s < 3 * usual))
@@ -155,8 +175,8 @@ def find_crossings(soundings: pd.DataFrame) -> Crossings:
         white_m2=var_a + var_b,
         slow_a_m=slow_a,
         slow_b_m=slow_b,
-        day_a=day[i],
-        day_b=day[j],
+        at_a=at[i],
+        at_b=at[j],
     )
 
 
@@ -195,7 +215,10 @@ def _relief_m2(h: ArrayF, white_m2: ArrayF, line: ArrayI) -> float:
 def estimate_slow_errors(
     soundings: pd.DataFrame, time_s: float
 ) -> tuple[pd.DataFrame, float, dict[str, Any]]:
-    """Slow errors as large and as long as crossings say; of days that disagree, common errors that cover it.
+    """Slow errors as large and as long as crossings say; steps of days and runs beyond them adjusted.
+
+    Runs that disagree by more than slow errors explain are brought to their mean (`agreement`). What is left
+    of the steps is part of the common error; the slow errors are then those that crossings within runs tell.
 
     Parameters
     ----------
@@ -204,9 +227,11 @@ def estimate_slow_errors(
 
     Returns
     -------
-    soundings : with other ``sigma_slow_m``, ``sigma_common_m``, and covariances enlarged as much in height.
+    soundings : with other ``up_m``, ``sigma_slow_m``, ``sigma_common_m``, and covariances enlarged as much in
+        height.
     time_s : the estimated correlation time.
-    facts : crossings found and left out, their differences before and after, the estimates, days.
+    facts : crossings found and left out, their differences before and after, the estimates, ``agreement`` of
+        days and runs where several cross, and ``notes`` of it.
     """
     everything = find_crossings(soundings)
     crossings = everything
@@ -215,37 +240,53 @@ def estimate_slow_errors(
     facts: dict[str, Any] = {"n": len(everything), "left_out": 0, "estimated": False}
     if not len(crossings):
         return soundings, time_s, facts
-    stated = crossings.white_m2 + np.diag(crossings.slow_covariance_m2(time_s))
+    stated = np.diag(crossings.covariance_m2(time_s))
     facts["rms_m"] = float(np.sqrt(np.mean(crossings.difference_m**2)))
     facts["predicted_m"] = float(np.sqrt(np.mean(stated)))
     facts["normalised_square"] = float(np.mean(crossings.difference_m**2 / stated))
     out = soundings.copy()
-    offsets = _days(crossings, time_s)
-    if offsets is not None:
-        facts["days"], shared_m = offsets
-        out["sigma_common_m"] = np.hypot(out["sigma_common_m"], shared_m)
-        out["cov_uu_m2"] += shared_m**2
-    if len(crossings) < FEWEST:
+    t = out["t_gps_s"].to_numpy(np.float64)
+    day, run = since_pauses(t, DAY_GAP_S).astype(np.int64), runs_by_pauses(t)
+    same_day, same_run = (crossings.part(of[crossings.at_a] == of[crossings.at_b]) for of in (day, run))
+    telling = same_day
+    if len(same_run) < len(crossings):
+        factor, lasts_s = 1.0, time_s
+        if len(same_run) >= FEWEST:
+            of_runs, lasting, _ = _estimated(same_run, time_s)
+            factor, lasts_s = of_runs.predictive, lasting.value
+        slow = {name: factor * getattr(crossings, name) for name in ("slow_a_m", "slow_b_m")}
+        steps = _steps(replace(crossings, **slow), {"day": day, "run": run}, lasts_s)
+        begins = [pd.Series(t).groupby(of).min().map(utc_text_from_gps) for of in (day, run)]
+        names = {
+            "day": tuple(text[:10] for text in begins[0]),
+            "run": tuple(f"the run of {text[:16].replace('T', ' ')}" for text in begins[1]),
+        }
+        facts["agreement"], facts["notes"] = steps.told(names)
+        left = np.hypot(steps.sigma_m, steps.sigma_common_m)[run]
+        if left.any():
+            telling = same_run
+            for name in ("up_m", "transducer_up_m"):
+                out[name] -= steps.shift_m[run]
+            out["sigma_common_m"] = np.hypot(out["sigma_common_m"], left)
+            out["cov_uu_m2"] += left**2
+    if len(telling) < FEWEST:
         return out, time_s, facts
-    same_day = crossings.part(crossings.day_a == crossings.day_b) if offsets is not None else crossings
-    if len(same_day) < FEWEST:
-        return out, time_s, facts
-    factor, time, kept = _estimated(same_day, time_s)
-    variance = same_day.white_m2 + factor.predictive**2 * np.diag(same_day.slow_covariance_m2(time.value))
-    inside = same_day.difference_m[kept] ** 2 / variance[kept]
+    estimate, time, kept = _estimated(telling, time_s)
+    variance = telling.white_m2 + estimate.predictive**2 * np.diag(telling.slow_covariance_m2(time.value))
+    inside = telling.difference_m[kept] ** 2 / variance[kept]
     facts |= {
         "estimated": True,
         "left_out": int((~kept).sum()),
-        "slow_factor": factor.value,
-        "slow_factor_sigma_log": factor.sigma_log,
-        "slow_factor_predictive": factor.predictive,
+        "slow_factor": estimate.value,
+        "slow_factor_sigma_log": estimate.sigma_log,
+        "slow_factor_predictive": estimate.predictive,
         "time_s": time.value,
         "time_sigma_log": time.sigma_log,
         "normalised_square_after": float(np.mean(inside)),
     }
     before = out["sigma_slow_m"].to_numpy(np.float64)
-    out["sigma_slow_m"] = before * factor.predictive
-    out["cov_uu_m2"] += before**2 * (factor.predictive**2 - 1)
+    out["sigma_slow_m"] = before * estimate.predictive
+    out["cov_uu_m2"] += before**2 * (estimate.predictive**2 - 1)
     return out, time.value, facts
 
 
@@ -298,45 +339,12 @@ def _curvature(cost: Any, x: ArrayF, step: float = 0.05) -> ArrayF:
     return np.asarray(vectors * np.maximum(values, 2 / np.log(TIME_SPREAD) ** 2) @ vectors.T)
 
 
-def _days(crossings: Crossings, time_s: float) -> tuple[list[dict[str, Any]], float] | None:
-    """Height of each day against the first, and the error that all days share to cover disagreement.
-
-    None if there is one day, or if the days do not cross.
-    """
-    between = crossings.part(crossings.day_a != crossings.day_b)
-    days = np.unique(np.concatenate([between.day_a, between.day_b]))
-    if len(days) < 2:
-        return None
-    column = {day: k for k, day in enumerate(days.tolist())}
-    design = np.zeros((len(between), len(days)))
-    rows = np.arange(len(between))
-    design[rows, [column[d] for d in between.day_b.tolist()]] += 1.0
-    design[rows, [column[d] for d in between.day_a.tolist()]] -= 1.0
-    cov = np.diag(between.white_m2) + between.slow_covariance_m2(time_s)
-    weighted = cho_solve(cho_factor(cov, lower=True), design[:, 1:])
-    inverse = np.linalg.pinv(design[:, 1:].T @ weighted)
-    offset = inverse @ (weighted.T @ between.difference_m)
-    sigma = np.sqrt(np.diag(inverse))
-    table = [
-        {
-            "day": int(day),
-            "offset_m": float(o),
-            "sigma_m": float(s),
-            "disagrees": bool(abs(o) > _SIGNIFICANT * s),
-        }
-        for day, o, s in zip(days[1:].tolist(), offset, sigma, strict=True)
-    ]
-    if not any(each["disagrees"] for each in table):
-        return table, 0.0
-    return table, float(np.std(np.concatenate([[0.0], offset])))
-
-
-# ---------------------------------------------------------------- tables without poses
+# ---------------------------------------------------------------- steps of days, runs and lines
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Agreement:
-    """How runs, or days, of a table of soundings agree where their lines cross.
+    """How runs, or days, of soundings agree where their lines cross.
 
     Parameters
     ----------
@@ -358,6 +366,65 @@ class Agreement:
     sigma_line_m: float
     sigma_run_m: float
     sigma_day_m: float
+
+    def told(self, names: dict[str, tuple[str, ...]]) -> tuple[dict[str, Any], list[str]]:
+        """Facts for a report and notes, of the names of days, runs and, of a single run, lines."""
+        many = len(names["run"]) > 1
+        notes = []
+        if many:
+            of_days = f" on {len(names['day'])} days" if len(names["day"]) > 1 else ""
+            notes.append(f"{len(names['run'])} runs{of_days}, compared where they cross")
+        facts: dict[str, Any] = {}
+        told, others = [], 0
+        same = names["run"] == names["day"]
+        for kind, skip in (("day", len(names["day"]) < 2), ("run", not many or same), ("line", many)):
+            if skip:
+                continue
+            of = self.pairs[kind]
+            of = of.assign(a=[names[kind][k] for k in of["a"]], b=[names[kind][k] for k in of["b"]])
+            facts[f"pairs of {kind}s"] = (of if kind != "line" else of[of["contradicts"]]).to_dict("records")
+            apart = of[of["contradicts"]].to_dict("records")
+            told += apart[:_NAMED]
+            others += len(apart[_NAMED:])
+        notes += [
+            f"{of['b']} lies {abs(of['difference_m']):.3f} m "
+            f"{'above' if of['difference_m'] > 0 else 'below'} {of['a']} "
+            f"(median of {of['n']} crossings, sigma {of['sigma_m']:.3f} m)"
+            for of in told
+        ]
+        if others:
+            notes.append(f"{others} more such pairs: validation.json")
+        tied = set(self.pairs["run"]["a"]) | set(self.pairs["run"]["b"])
+        alone = [name for k, name in enumerate(names["run"]) if k not in tied]
+        if many and alone:
+            more = f" and {len(alone) - _NAMED} more" if len(alone) > _NAMED else ""
+            notes.append(
+                f"{', '.join(alone[:_NAMED])}{more} "
+                f"cross{'es' if len(alone) == 1 else ''} no other: nothing tells the level"
+            )
+        scatter = {k: v for k in names if (v := float(getattr(self, f"sigma_{k}_m"))) > 0}
+        for kind, sigma in scatter.items():
+            facts[f"sigma_{kind}_m"] = sigma
+        if {"day", "run"} & {*scatter}:
+            rows = zip(names["run"], self.shift_m, self.sigma_m, self.sigma_common_m, strict=True)
+            facts["steps"] = [
+                {"run": name, "step_m": float(u), "sigma_m": float(own), "sigma_common_m": float(common)}
+                for name, u, own, common in rows
+            ]
+            kinds = " and ".join(f"{k}s by {scatter[k]:.3f} m" for k in ("day", "run") if k in scatter)
+            most = max(facts["steps"], key=lambda of: abs(of["step_m"]))
+            notes.append(
+                f"steps brought to their mean: they scatter, {kinds} (one sigma); the largest, "
+                f"{most['run']}, is {most['step_m']:+.3f} m with a sigma of {most['sigma_m']:.3f} m; "
+                f"the mean may be wrong by {np.median(self.sigma_common_m):.3f} m "
+                "(one sigma, sigma_common_m of the bed)"
+            )
+        if "line" in scatter:
+            notes.append(
+                f"lines differ by {np.sqrt(2) * scatter['line']:.3f} m where they cross (one sigma of the "
+                "difference), beside noise and steps: an error of each whole line, in the sigmas"
+            )
+        return facts, notes
 
 
 def agreement(
@@ -397,17 +464,21 @@ def agreement(
                 "up_m": height_m,
                 "sigma_white_m": sigma_m,
                 "line": piece,
-                "day": day,
                 "used": True,
                 "sigma_slow_m": 0.0,
                 "sigma_horizontal_m": 0.0,
             }
         )
     )
-    a, b = (np.floor(t).astype(np.int64) for t in (found.a_s, found.b_s))
-    d, white = found.difference_m, found.white_m2
-    ends = {"day": (day[a], day[b]), "run": (run[a], run[b]), "line": (piece[a], piece[b])}
-    variance, kept = _variances_of_steps(d, white, ends)
+    steps = _steps(found, {"day": day, "run": run, "line": piece}, time_s=1.0)
+    return replace(steps, pairs=steps.pairs | {"line": _pairs(found, line, time_s=1.0)})
+
+
+def _steps(found: Crossings, parts: dict[str, ArrayI], time_s: float) -> Agreement:
+    """Agreement of parts, numbers (n,) of rows, beside slow errors as stated that last ``time_s``."""
+    d, day, run = found.difference_m, parts["day"], parts["run"]
+    ends = {name: (of[found.at_a], of[found.at_b]) for name, of in parts.items()}
+    variance, kept = _variances_of_steps(found, ends, time_s)
     of_day = np.zeros(int(run.max()) + 1, dtype=np.int64)
     of_day[run] = day
     prior = variance["day"] * (of_day[:, None] == of_day) + variance["run"] * np.eye(len(of_day))
@@ -415,8 +486,9 @@ def agreement(
     design[np.arange(len(kept)), ends["run"][1][kept]] += 1.0
     design[np.arange(len(kept)), ends["run"][0][kept]] -= 1.0
     gain = prior @ design.T
-    cov_d = np.diag(white[kept] + variance["noise"]) + variance["line"] * _shared(ends["line"], kept)
-    cov_d += gain.T @ design.T
+    cov_d = found.part(kept).covariance_m2(time_s) + variance["noise"] * np.eye(len(kept)) + gain.T @ design.T
+    if "line" in ends:
+        cov_d += variance["line"] * _shared(ends["line"], kept)
     weights = np.linalg.solve(cov_d, gain.T).T
     cov = prior - weights @ gain.T
     tied = connected_components(design.T @ design, directed=False)[1]
@@ -426,11 +498,11 @@ def agreement(
     part = of_day if variance["day"] > 0 else np.arange(len(of_day))
     free = max(len(np.unique(part)) - len(np.unique(tied)), 1)
     return Agreement(
-        pairs={k: _pairs(d, white, of[a], of[b]) for k, of in (("day", day), ("run", run), ("line", line))},
+        pairs={name: _pairs(found, of, time_s) for name, of in parts.items()},
         shift_m=weights @ d[kept],
         sigma_m=np.sqrt(np.maximum(np.diag(cov) - common, 0.0)),
         sigma_common_m=np.sqrt(np.maximum(common, 0.0)) * float(student.ppf(_ONE_SIGMA, free)),
-        **{f"sigma_{name}_m": float(np.sqrt(variance[name])) for name in ends},
+        **{f"sigma_{name}_m": float(np.sqrt(variance.get(name, 0.0))) for name in ("day", "run", "line")},
     )
 
 
@@ -445,8 +517,11 @@ def _shared(ends: _Ends, kept: ArrayI) -> ArrayF:
     return 1.0 * same[0] + same[1] - same[2] - same[3]
 
 
-def _variances_of_steps(d: ArrayF, white: ArrayF, ends: dict[str, _Ends]) -> tuple[dict[str, float], ArrayI]:
+def _variances_of_steps(
+    found: Crossings, ends: dict[str, _Ends], time_s: float
+) -> tuple[dict[str, float], ArrayI]:
     """Variances of steps by kind, and of noise that is not stated, and the crossings that are no outliers."""
+    d = found.difference_m
     variance = dict.fromkeys((*ends, "noise"), 0.0)
     kept = np.arange(len(d))
     for _ in range(_TRIES):
@@ -460,18 +535,20 @@ def _variances_of_steps(d: ArrayF, white: ArrayF, ends: dict[str, _Ends]) -> tup
             if new.any() and not any(np.array_equal(new, old) for old in shared.values()):
                 shared[name] = new
         usual = max(float(np.mean(d[some] ** 2)) / 2, 1e-12)
-        noise, alone = _most_probable(d[some], white[some], {}, usual)
-        steps, together = _most_probable(d[some], white[some], shared, usual)
+        own = found.part(some).covariance_m2(time_s)
+        noise, alone = _most_probable(d[some], own, {}, usual)
+        steps, together = _most_probable(d[some], own, shared, usual)
         if "line" in shared:
             less = {name: m for name, m in shared.items() if name != "line"}
-            fewer, without = _most_probable(d[some], white[some], less, usual) if less else (noise, alone)
+            fewer, without = _most_probable(d[some], own, less, usual) if less else (noise, alone)
             if without - together < _GAIN_OF_LINES:
                 steps, together = fewer, without
         variance = dict.fromkeys(variance, 0.0) | (steps if alone - together > _GAIN else noise)
         # the smallest of a few variances is never found to be nothing
         least = _NOTHING * sum(variance[name] for name in ends)
         variance |= {name: 0.0 for name in ends if variance[name] < least}
-        rest = white + variance["noise"] + 2 * sum(variance[name] for name in ends)
+        rest = found.white_m2 + found.slow_a_m**2 + found.slow_b_m**2 + variance["noise"]
+        rest += 2 * sum(variance[name] for name in ends)
         good = np.flatnonzero(d**2 < _OUTLIER**2 * rest)
         if np.array_equal(good, kept):
             break
@@ -480,19 +557,23 @@ def _variances_of_steps(d: ArrayF, white: ArrayF, ends: dict[str, _Ends]) -> tup
 
 
 def _most_probable(
-    d: ArrayF, white: ArrayF, shared: dict[str, ArrayF], usual: float
+    d: ArrayF, own: ArrayF, shared: dict[str, ArrayF], usual: float
 ) -> tuple[dict[str, float], float]:
-    """Variances of shared steps and of noise, and twice the negative logarithm of the probability."""
+    """Variances of shared steps and of noise, and twice the negative logarithm of the probability.
+
+    Differences (k,) have the covariance ``own`` (k, k) without them.
+    """
     names = (*shared, "noise")
     # of few crossings the noise is as stated: nothing tells it from steps
     few = len(d) < FEWEST
-    middle = np.log([usual] * len(shared) + [_NOTHING * float(white.mean()) if few else usual])
+    middle = np.log([usual] * len(shared) + [_NOTHING * float(np.diag(own).mean()) if few else usual])
     spread = np.array([_STEP_SPREAD] * len(shared) + [_NOTHING if few else _STEP_SPREAD])
 
     def cost(x: ArrayF) -> float:
         """Of logarithms of the variances."""
         v = np.exp(np.clip(x, -40.0, 20.0))
-        cov = np.diag(white + v[-1]) + sum((k * m for k, m in zip(v, shared.values(), strict=False)), 0.0)
+        cov = own + v[-1] * np.eye(len(d))
+        cov += sum((k * m for k, m in zip(v, shared.values(), strict=False)), 0.0)
         lower = cho_factor(cov, lower=True)
         fit = d @ cho_solve(lower, d)
         return float(fit + 2 * np.log(np.diag(lower[0])).sum() + np.sum(((x - middle) / spread) ** 2))
@@ -504,11 +585,16 @@ def _most_probable(
     return dict(zip(names, np.exp(found.x).tolist(), strict=True)), float(found.fun)
 
 
-def _pairs(d: ArrayF, white: ArrayF, a: ArrayI, b: ArrayI) -> pd.DataFrame:
-    """Median differences of pairs of parts, and whether they contradict each other."""
-    between = pd.DataFrame(
-        {"a": np.minimum(a, b), "b": np.maximum(a, b), "d": d * np.where(a <= b, 1.0, -1.0), "v": white}
-    )
+def _pairs(found: Crossings, part: ArrayI, time_s: float) -> pd.DataFrame:
+    """Median differences of pairs of parts, numbers (n,) of rows, and whether they contradict each other."""
+    a, b = part[found.at_a], part[found.at_b]
+    sign = np.where(a <= b, 1.0, -1.0)
+    between = pd.DataFrame({"a": np.minimum(a, b), "b": np.maximum(a, b), "d": found.difference_m * sign})
+    between["v"] = found.white_m2
+    if found.slow_a_m.any() or found.slow_b_m.any():
+        pair = between.groupby(["a", "b"]).ngroup().to_numpy()
+        together = found.slow_covariance_m2(time_s) * (pair[:, None] == pair)
+        between["v"] += sign * (together @ sign)
     between = between[between["a"] != between["b"]]
     groups = between.groupby(["a", "b"])
     rest = between["d"] - groups["d"].transform("median")

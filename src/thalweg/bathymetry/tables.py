@@ -24,7 +24,7 @@ from scipy.spatial.distance import cdist
 
 from thalweg.bathymetry.banks import SIDES, Banks, beyond, on_their_sides, resampled, side_of
 from thalweg.bathymetry.bed import BANDS, OBSERVATIONS, Bed, cells_of_river, gridded, observations_of
-from thalweg.bathymetry.crossings import DAY_GAP_S, agreement
+from thalweg.bathymetry.crossings import DAY_GAP_S, agreement, runs_by_pauses, since_pauses
 from thalweg.bathymetry.flow import FlowLine
 from thalweg.bathymetry.lake import (
     Levels,
@@ -82,11 +82,6 @@ _REACHED: Final = 0.9
 _COURSE: Final = 0.2
 """Lines across a river, or beside each other, leave half of the soundings on more than this share of it."""
 _PLACES: Final = 2000
-_NAMED: Final = 6
-"""So many pairs of days, runs or lines that contradict each other are named."""
-_PAUSE_S: Final = 60.0
-_PAUSE: Final = 20.0
-"""A pause so long, and so many times the usual interval, begins another run."""
 _APART: Final = 30.0
 """In correlation times: errors so far apart are independent."""
 _LINE_STRING: Final = 1
@@ -345,7 +340,7 @@ def read_soundings(
             "line": line,
             "name": named,
             "t": t_s[known],
-            "day": _since_pauses(t_s[known], DAY_GAP_S),
+            "day": since_pauses(t_s[known], DAY_GAP_S),
         }
     )
     groups = of.groupby(["x", "y", "day"], sort=False, dropna=False)
@@ -405,14 +400,6 @@ def read_soundings(
     )
 
 
-def _since_pauses(t_s: ArrayF, pause_s: float) -> ArrayF:
-    """Number of pauses (n,) before times: a day ends with a pause of hours, wherever midnight of UTC is."""
-    out = np.full(len(t_s), np.nan)
-    order = np.argsort(t_s, kind="stable")[: int(np.isfinite(t_s).sum())]
-    out[order] = np.cumsum(np.diff(t_s[order], prepend=t_s[order][:1]) > pause_s)
-    return out
-
-
 def _runs(
     of: pd.DataFrame, names: list[str] | None, days: tuple[str, ...]
 ) -> tuple[ArrayI | None, tuple[str, ...]]:
@@ -425,8 +412,7 @@ def _runs(
         texts = [f"{names[k]} of {days[int(d)]}" if len(days) > 1 else names[k] for d, k in first]
         return number.astype(np.int64), tuple(texts)
     t = of["t"].to_numpy(np.float64)
-    usual = float(np.median(np.diff(np.sort(t))))
-    number = _since_pauses(t, max(_PAUSE_S, _PAUSE * usual)).astype(np.int64)
+    number = runs_by_pauses(t)
     begins = pd.Series(t).groupby(number).min()
     return number, tuple(f"the run of {utc_text_from_unix(float(b))[:16].replace('T', ' ')}" for b in begins)
 
@@ -1206,58 +1192,7 @@ def _agreed(soundings: TableOfSoundings) -> tuple[TableOfSoundings, pd.DataFrame
         "line": tuple(f"line {k}" for k in range(int(line.max()) + 1)),
     }
     found = agreement(soundings.places_m, soundings.height_m, soundings.sigma_m, line, run, day)
-    many = len(names["run"]) > 1
-    notes = []
-    if many:
-        of_days = f" on {len(soundings.days)} days" if len(soundings.days) > 1 else ""
-        notes.append(f"{len(names['run'])} runs{of_days}, compared where they cross")
-    facts: dict[str, Any] = {}
-    told, more = [], 0
-    same = soundings.runs in ((), soundings.days)
-    for kind, skip in (("day", len(soundings.days) < 2), ("run", not many or same), ("line", many)):
-        if skip:
-            continue
-        of = found.pairs[kind]
-        of = of.assign(a=[names[kind][k] for k in of["a"]], b=[names[kind][k] for k in of["b"]])
-        facts[f"pairs of {kind}s"] = (of if kind != "line" else of[of["contradicts"]]).to_dict("records")
-        apart = of[of["contradicts"]].to_dict("records")
-        told += apart[:_NAMED]
-        more += len(apart[_NAMED:])
-    notes += [
-        f"{of['b']} lies {abs(of['difference_m']):.3f} m {'above' if of['difference_m'] > 0 else 'below'} "
-        f"{of['a']} (median of {of['n']} crossings, sigma {of['sigma_m']:.3f} m)"
-        for of in told
-    ]
-    if more:
-        notes.append(f"{more} more such pairs: validation.json")
-    tied = set(found.pairs["run"]["a"]) | set(found.pairs["run"]["b"])
-    alone = [name for k, name in enumerate(names["run"]) if k not in tied]
-    if many and alone:
-        notes.append(
-            f"{', '.join(alone[:_NAMED])}{f' and {len(alone) - _NAMED} more' if len(alone) > _NAMED else ''} "
-            f"cross{'es' if len(alone) == 1 else ''} no other: nothing tells the level"
-        )
-    scatter = {k: v for k in names if (v := float(getattr(found, f"sigma_{k}_m"))) > 0}
-    for kind, sigma in scatter.items():
-        facts[f"sigma_{kind}_m"] = sigma
-    if {"day", "run"} & {*scatter}:
-        rows = zip(names["run"], found.shift_m, found.sigma_m, found.sigma_common_m, strict=True)
-        facts["steps"] = [
-            {"run": name, "step_m": float(u), "sigma_m": float(own), "sigma_common_m": float(common)}
-            for name, u, own, common in rows
-        ]
-        kinds = " and ".join(f"{k}s by {scatter[k]:.3f} m" for k in ("day", "run") if k in scatter)
-        largest = max(facts["steps"], key=lambda of: abs(of["step_m"]))
-        notes.append(
-            f"steps brought to their mean: they scatter, {kinds} (one sigma); the largest, {largest['run']}, "
-            f"is {largest['step_m']:+.3f} m with a sigma of {largest['sigma_m']:.3f} m; the mean may be "
-            f"wrong by {np.median(found.sigma_common_m):.3f} m (one sigma, sigma_common_m of the bed)"
-        )
-    if "line" in scatter:
-        notes.append(
-            f"lines differ by {np.sqrt(2) * scatter['line']:.3f} m where they cross (one sigma of the "
-            "difference), beside noise and steps: an error of each whole line, in the sigmas"
-        )
+    facts, notes = found.told(names)
     # an error of a run and one of each of its lines: neighbouring lines share what is the run's
     pieces = pd.MultiIndex.from_arrays([run, line])
     number, first = pd.factorize(pieces, sort=True)

@@ -274,10 +274,7 @@ def _crossings(found: Mapping[str, Any]) -> str:
             "were left out as gross errors."
         )
     else:
-        words += " They are too few to tell how large the slow errors are: what is stated counts."
-    for day in found.get("days", []):
-        words += (
-            f" Day {day['day'] + 1} lies {100 * day['offset_m']:+.1f} ± {100 * day['sigma_m']:.1f} cm "
-            f"against the first{', too much: the common error was enlarged' if day['disagrees'] else ''}."
-        )
+        which = "Those within one run" if "steps" in found.get("agreement", {}) else "They"
+        words += f" {which} are too few to tell how large the slow errors are: what is stated counts."
+    words += "".join(f" {note[0].upper()}{note[1:]}." for note in found.get("notes", []))
     return words
