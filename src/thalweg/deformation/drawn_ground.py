@@ -361,6 +361,7 @@ def _alike_over_m(rest_m: ArrayF, plan_m: ArrayF, area: ArrayI) -> float:
     least, most = float(lag.min()) / 3.0, float(lag.max())
 
     def excess(length: float) -> float:
+        """Mean correlation at that length beyond the one that is wanted."""
         return float(np.exp(-lag / length).mean()) - wanted
 
     if excess(least) >= 0 or excess(most) <= 0:

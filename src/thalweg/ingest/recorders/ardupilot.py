@@ -156,6 +156,7 @@ def _states(
     t_s = attitude["t_s"].to_numpy(np.float64)
 
     def at(name: str) -> ArrayF:
+        """A quantity of the positions (n,) at the times of the attitudes."""
         known = place[place[name].notna()] if name in place else place.iloc[:0]
         if known.empty:
             return np.full(len(t_s), np.nan)
@@ -269,7 +270,7 @@ def _of_dataflash(
     named = {"Lat": "lat_deg", "Lng": "lon_deg", "Alt": "alt_m"}
     place = log.get("POS", log.get("AHR2", _NONE)).rename(columns=named)
     if len(place):  # without a fix both are 0
-        place = place[(place["lat_deg"] != 0.0) | (place["lon_deg"] != 0.0)]
+        place = place[_on_earth(place)]
     speed = _main(log.get("XKF1", log.get("NKF1", _NONE)), "C", core)
     speed = speed.rename(columns={"VN": "v_north_mps", "VE": "v_east_mps", "VD": "v_down_mps"})
     sigmas = _filter_sigmas(log, core)
@@ -448,7 +449,7 @@ def _of_telemetry(
     place = pd.DataFrame({"t_s": whole.get("t_s", _EMPTY)})
     for ours, (theirs, scale) in zip(names, scales.items(), strict=True):
         place[ours] = whole.get(theirs, _EMPTY) * scale
-    place = place[(place["lat_deg"] != 0.0) | (place["lon_deg"] != 0.0)]
+    place = place[_on_earth(place)]
     sigmas = fixes[["t_s", "sigma_east_m", "sigma_north_m", "sigma_up_m"]]
     pings = (
         log.get("WATER_DEPTH", _NONE).rename(columns={"distance": "depth_m"}).assign(sentence="WATER_DEPTH")
@@ -505,11 +506,17 @@ def _joined(left: pd.DataFrame, *others: pd.DataFrame) -> pd.DataFrame:
     return found
 
 
+def _on_earth(table: pd.DataFrame) -> "pd.Series[bool]":
+    """Rows with a place: both are 0 without a fix, and damage gives any number."""
+    lat, lon = table["lat_deg"].astype(float), table["lon_deg"].astype(float)
+    return (lat.abs() <= 90.0) & (lon.abs() <= 180.0) & ((lat != 0.0) | (lon != 0.0))
+
+
 def _fixes(rows: pd.DataFrame, columns: Mapping[str, Any]) -> pd.DataFrame:
     """Fixes as ``gnss_position`` and what else is known of them; those without a fix are left out."""
     names = ("t_s", "alt_m", "horizontal_m", "status", *(field.name for field in GNSS_POSITION))
     table = pd.DataFrame(dict.fromkeys(names, np.nan) | dict(columns), index=rows.index)
-    table = table[table["status"] >= 2]
+    table = table[(table["status"] >= 2) & _on_earth(table)]
     # accuracies of receivers are radial: each axis has its share of the square
     radial = table["horizontal_m"].where(table["horizontal_m"] > 0) / np.sqrt(2.0)
     table = table.assign(sigma_east_m=radial, sigma_north_m=radial, fix=table["status"].map(_FIX))

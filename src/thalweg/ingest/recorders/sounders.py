@@ -86,7 +86,7 @@ def read_lowrance(files: Sequence[Path], options: TrackOptions) -> PositionLog:
         "lat_deg": np.rad2deg(2 * np.arctan(np.exp(own["y"] / _MERCATOR_RADIUS_M)) - math.pi / 2),
         "lon_deg": np.rad2deg(own["x"] / _MERCATOR_RADIUS_M),
     }
-    known = (own["x"] != 0) | (own["y"] != 0)
+    known = ((own["x"] != 0) | (own["y"] != 0)) & (place["lon_deg"].abs() <= 180.0)
     return _log(report, _gps(unix_s), place, known, own["depth_m"], "Lowrance")
 
 
@@ -118,6 +118,7 @@ def _frames(path: Path, report: IntegrityReport) -> pd.DataFrame:
     heads = np.frombuffer(data, np.uint8)[np.array(starts, np.int64)[:, None] + np.arange(at["bytes"])]
 
     def field(name: str, kind: str) -> Any:
+        """A field of all heads (n,)."""
         width = np.dtype(kind).itemsize
         return np.ascontiguousarray(heads[:, at[name] : at[name] + width]).view(kind)[:, 0]
 
@@ -236,6 +237,7 @@ def _ensemble(blocks: dict[int, list[bytes]]) -> dict[str, float]:
     """What one ensemble says, NaN where it does not."""
 
     def number(block: int, at: int, kind: str) -> float:
+        """The last one of a block's numbers at an offset, NaN where it has none."""
         whole = [each for each in blocks.get(block, ()) if len(each) >= at + np.dtype(kind).itemsize]
         return float(np.frombuffer(whole[-1], kind, 1, at)[0]) if whole else math.nan
 
