@@ -17,7 +17,7 @@ import os
 import re
 import struct
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -226,7 +226,8 @@ def _dataflash(path: Path, report: IntegrityReport) -> Messages:
         covered += at.size * form.len
         if at.size:
             numbers[name] = int(at.size)
-        if at.size and name in _DATAFLASH and len(form.columns) == len(form.msg_mults):
+        whole = struct.calcsize(form.msg_struct) == form.len - 3 and len(form.columns) == len(form.msg_mults)
+        if at.size and name in _DATAFLASH and form.columns and whole:
             data = np.frombuffer(log.data_map, np.uint8)
             rows = data[at[:, None] + np.arange(3, form.len)].tobytes()
             plain = re.sub(r"(\d+)s", r"\1s", form.msg_struct)
@@ -286,10 +287,7 @@ def _of_dataflash(
         pings = down.rename(columns={"Dist": "depth_m"}).assign(sentence="RFND")
         if "Stat" in pings:  # 4: a good distance
             pings["depth_m"] = pings["depth_m"].where(pings["Stat"] == 4, 0.0)
-    words = [
-        each.decode("latin-1") if isinstance(each, bytes) else str(each)
-        for each in log.get("MSG", _NONE).get("Message", ())
-    ]
+    words = _texts(log.get("MSG", _NONE).get("Message", ()))
     report.model = next((w.strip("\0") for w in words if w.startswith("Ardu") or "Rover" in w), "")
     if "CAM" in log:
         report.count("camera_triggers", len(log["CAM"]))
@@ -316,7 +314,12 @@ def _dataflash_fixes(log: Messages, report: IntegrityReport) -> tuple[pd.DataFra
     offset_s = np.nan
     if len(timed):
         params = log.get("PARM", pd.DataFrame({"Name": [], "Value": []}))
-        delay = params.loc[params["Name"].astype(str).str.contains("GPS1?_DELAY_MS"), "Value"]
+        delay = params.loc[
+            pd.Series(_texts(params["Name"]), index=params.index, dtype=object)
+            .str.contains("GPS1?_DELAY_MS")
+            .astype(bool),
+            "Value",
+        ]
         lag_s = float(delay.iloc[0]) * 1e-3 if len(delay) and delay.iloc[0] > 0 else USUAL_LAG_S
         lead_s = (t_gps_s - gps["t_s"]).dropna()
         # of the fix that was on its way the shortest; a receiver that corrects its leap seconds jumps
@@ -504,6 +507,11 @@ def _joined(left: pd.DataFrame, *others: pd.DataFrame) -> pd.DataFrame:
             new = [name for name in other if name == "t_s" or name not in found]
             found = pd.merge_asof(found, other[new].sort_values("t_s"), on="t_s", direction="nearest")
     return found
+
+
+def _texts(values: Iterable[Any]) -> list[str]:
+    """Texts of messages, which may be bytes of any kind in a damaged log."""
+    return [each.decode("latin-1") if isinstance(each, bytes) else str(each) for each in values]
 
 
 def _on_earth(table: pd.DataFrame) -> "pd.Series[bool]":
