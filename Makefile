@@ -19,8 +19,10 @@ demo: env ## raw logs of the digital twin -> riverbank; SIZE=tiny|demo|full|muld
 	@$(PY) -m thalweg summary results/$(SIZE)
 
 open: ## front page of the campaign SIZE in a browser
-	@echo $(CURDIR)/results/$(SIZE)/index.html
-	@$(PY) -m webbrowser -t file://$(CURDIR)/results/$(SIZE)/index.html >/dev/null
+	@page="$(CURDIR)/results/$(SIZE)/index.html"; \
+	if [ ! -e "$$page" ]; then echo "There is no $$page yet: make demo SIZE=$(SIZE)" >&2; exit 1; fi; \
+	echo "Opening $$page"; \
+	$(PY) -c 'import pathlib, sys, webbrowser; webbrowser.open(pathlib.Path(sys.argv[1]).as_uri())' "$$page" >/dev/null
 
 report: env ## one self-contained page of the campaign SIZE
 	@$(SNAKEMAKE) --config campaign=$(SIZE) --report results/$(SIZE)/report.html

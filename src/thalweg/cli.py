@@ -20,6 +20,7 @@ from thalweg.cli_bathymetry import add_bathymetry_commands
 from thalweg.cli_calibration import add_calibration_commands, describe_marked
 from thalweg.cli_deformation import add_deformation_commands, summarise_changes
 from thalweg.cli_images import add_image_commands
+from thalweg.cli_parser import Commands, refuse_overwriting
 from thalweg.cli_results import add_cluster_commands, add_result_commands
 from thalweg.cli_survey import add_survey_commands
 from thalweg.core import ConfigError, InputError, ThalwegError, file_trouble, in_options, to_terminal
@@ -51,6 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         to_terminal()
     try:
         _refuse_no_files(options)
+        refuse_overwriting(options)
         code = command(options)
         sys.stdout.flush()
     except ThalwegError as error:
@@ -93,7 +95,7 @@ def _parser() -> argparse.ArgumentParser:
         "processed by `snakemake`; these commands prepare them, or process single files without a campaign.",
     )
     parser.add_argument("--version", action="version", version=f"thalweg {thalweg.__version__}")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    commands = Commands(parser)
 
     new = commands.add_parser("new-campaign", help="write a commented campaign file")
     new.add_argument("id", help="short name: small letters, digits, underscores")

@@ -3,10 +3,11 @@
 import argparse
 from pathlib import Path
 
+from thalweg.cli_parser import Commands
 from thalweg.cli_remedies import OF_A_FILE, OF_A_RECORDING, of_a_campaign
 
 
-def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+def add_bathymetry_commands(commands: Commands) -> None:
     """Add ``bed``, ``flow``, ``plan-survey`` and ``refract``."""
     bed = commands.add_parser(
         "bed",

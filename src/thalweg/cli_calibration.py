@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from thalweg.cli_parser import Commands, refuse_overwriting
 from thalweg.cli_remedies import of_a_campaign
 from thalweg.core import InputError
 
@@ -24,7 +25,7 @@ _ENDINGS: Final = {"colmap": (".txt",), "opencv": (".yaml", ".yml", ".json")}
 """Format of a camera file -> endings of its name by which it is known again."""
 
 
-def add_calibration_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+def add_calibration_commands(commands: Commands) -> None:
     """Add ``import-calibration``, ``import-camera``, ``export-camera`` and ``print-markers``."""
     _add_imports(commands)
     out = commands.add_parser(
@@ -34,13 +35,12 @@ def add_calibration_commands(commands: "argparse._SubParsersAction[argparse.Argu
     out.add_argument("out", type=Path, metavar="OUT", help="file to write: .txt (COLMAP); .yaml, .json")
     out.add_argument("--to", choices=sorted(_ENDINGS), required=True, help="format of OUT")
     out.add_argument("--block", metavar="NAME", help="name of the camera, if the file holds several")
-    out.add_argument("--force", action="store_true", help="overwrite OUT")
     out.set_defaults(command=_export_camera)
 
     sheets = commands.add_parser(
         "print-markers", help="coded markers of a calibration field, to print at true scale"
     )
-    sheets.add_argument("out", type=Path, metavar="OUT", help="file .pdf, or a folder for images")
+    sheets.add_argument("sheets", type=Path, metavar="OUT", help="file .pdf, or a folder for images")
     sheets.add_argument(
         "--ids", default="0-99", metavar="FROM-TO", help="numbers of markers (default: %(default)s)"
     )
@@ -54,7 +54,7 @@ def add_calibration_commands(commands: "argparse._SubParsersAction[argparse.Argu
     sheets.set_defaults(command=_print_markers)
 
 
-def _add_imports(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+def _add_imports(commands: Commands) -> None:
     other = commands.add_parser(
         "import-calibration", help="calibration of another program (Kalibr, 4x4 matrix) -> calibration file"
     )
@@ -167,7 +167,6 @@ def _add_imports(commands: "argparse._SubParsersAction[argparse.ArgumentParser]"
     resect.add_argument(
         "-o", "--out", type=Path, required=True, metavar="CSV", help="table of poses and residuals to write"
     )
-    resect.add_argument("--force", action="store_true", help="overwrite files that exist")
     resect.set_defaults(
         command=_resect,
         settings={
@@ -240,7 +239,7 @@ def _print_markers(options: argparse.Namespace) -> int:
         )
     module_m = 12e-3 if options.module_mm is None else options.module_mm / 1000.0
     layout = read_field(options.field).layout if options.field else MarkerLayout(module_m=module_m)
-    written = write_sheets(options.out, range(first, last + 1), layout, overwrite=options.force)
+    written = write_sheets(options.sheets, range(first, last + 1), layout, overwrite=options.force)
     print(f"Wrote {', '.join(str(path) for path in written[:3])}{' …' if len(written) > 3 else ''}")
     print("Print without scaling; the control line of each sheet is 100 mm long.")
     return 0
@@ -251,7 +250,6 @@ def _import_calibration(options: argparse.Namespace) -> int:
     from thalweg.ingest.registry import KINDS, recognise
 
     kind, sigmas = recognise(options.file), dict(options.sigma)
-    _not_there(options.out)
     if kind == "kalibr":
         found = import_kalibr(options.file, sigmas)
     elif kind == "matrix":
@@ -289,8 +287,7 @@ def _resect(options: argparse.Namespace) -> int:
     page, title = options.out.with_suffix(".html"), f"Pictures of a fixed camera: {options.out.stem}"
     lens = options.out.with_name(f"{options.out.stem}_camera.yaml")
     written = [options.out, beside, page, lens]
-    if not options.force:
-        _not_there(*written, cure="Choose another name, or overwrite with --force")
+    refuse_overwriting(options, written)
     poses, residuals, facts, camera = resect_pictures(
         options.marks,
         options.points,
@@ -346,7 +343,6 @@ def _calibrate_lens(options: argparse.Namespace) -> int:
     from thalweg.calibration import calibrate_lens, corners_of_pictures, lens_calibration_file, read_corners
     from thalweg.core.calibration import write_calibration
 
-    _not_there(options.out)
     if not options.name.isidentifier():
         raise InputError(f"a camera named {options.name!r}", expected="a name such as camera or front")
     if options.board:
@@ -383,7 +379,6 @@ def _import_camera(options: argparse.Namespace) -> int:
     from thalweg.ingest.registry import KINDS, recognise
 
     kind = recognise(options.file)
-    _not_there(options.out)
     if kind not in (*_ENDINGS, "metashape_lens"):
         raise InputError(
             f"this is a {KINDS[kind]}",
@@ -420,8 +415,6 @@ def _export_camera(options: argparse.Namespace) -> int:
             expected=f"one that ends in {' or '.join(_ENDINGS[options.to])}",
             cure="Camera files are known again by their endings",
         )
-    if not options.force:
-        _not_there(options.out, cure="Choose another name, or overwrite with --force")
     calibration = read_calibration(options.file)
     known = [b.name.removesuffix(SUFFIX) for b in calibration.blocks if b.name.endswith(SUFFIX)]
     block = options.block or (known[0] if len(known) == 1 else "")
@@ -439,12 +432,6 @@ def _export_camera(options: argparse.Namespace) -> int:
         write_opencv(options.out, camera)
     print(f"Wrote {options.out}: camera {block}, without the sigmas and correlations of {options.file}.")
     return 0
-
-
-def _not_there(*paths: Path, cure: str = "Choose another name") -> None:
-    for path in paths:
-        if path.exists():
-            raise InputError("the file exists already", where=path, cure=cure)
 
 
 def _sigma(text: str) -> tuple[str, float]:

@@ -3,10 +3,11 @@
 import argparse
 from pathlib import Path
 
+from thalweg.cli_parser import Commands
 from thalweg.cli_remedies import OF_A_FILE, of_a_campaign
 
 
-def add_deformation_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+def add_deformation_commands(commands: Commands) -> None:
     """Add ``compare-clouds`` and ``compare``."""
     compare = commands.add_parser(
         "compare-clouds",

@@ -6,12 +6,13 @@ import sys
 from pathlib import Path
 from typing import Final
 
+from thalweg.cli_parser import Commands
 from thalweg.cli_remedies import of_a_campaign
 
 _MASKED: Final = ("water", "sky", "hull", "moved")
 
 
-def add_image_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+def add_image_commands(commands: Commands) -> None:
     """Add ``orient``, ``masks`` and ``frames``."""
     frames = commands.add_parser("frames", help="video -> photographs with a table of their times")
     frames.add_argument("video", type=Path, metavar="VIDEO", help="MP4, MOV")

@@ -6,9 +6,10 @@ import sys
 from pathlib import Path
 
 # ---------------------------------------------------------------- jobs on SLURM
+from thalweg.cli_parser import Commands
 
 
-def add_cluster_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+def add_cluster_commands(commands: Commands) -> None:
     """Add ``cluster status``, ``clean`` and ``check``."""
     cluster = commands.add_parser("cluster", help="jobs of a run on SLURM: status, clean, check")
     what = cluster.add_subparsers(required=True, metavar="WHAT")
@@ -62,7 +63,7 @@ def _check(options: argparse.Namespace) -> int:
 # ---------------------------------------------------------------- folders of results
 
 
-def add_result_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+def add_result_commands(commands: Commands) -> None:
     """Add ``catalogue``, ``costs`` and ``verify``."""
     catalogue = commands.add_parser(
         "catalogue",

@@ -4,10 +4,11 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from thalweg.cli_parser import Commands
 from thalweg.cli_remedies import OF_A_FILE, of_a_campaign
 
 
-def add_survey_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+def add_survey_commands(commands: Commands) -> None:
     """Add ``ppk``, ``georeference`` and ``view``."""
     ppk = commands.add_parser(
         "ppk", help="raw GNSS of rover and base -> track with tested standard deviations, page, KML"

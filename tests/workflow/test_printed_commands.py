@@ -1,4 +1,4 @@
-"""Every command of the README's table, as printed, in a folder with files of the printed names.
+"""Every command of the page of single commands, as printed, in a folder with files of the printed names.
 
 The five commands of a survey, and those of the tutorial: `test_subsets`.
 """
@@ -24,7 +24,7 @@ from thalweg_lab.instruments import simulate_raw_gnss
 pytestmark = [pytest.mark.workflow, pytest.mark.real]
 
 REPOSITORY = Path(__file__).parents[2]
-TABLE = (REPOSITORY / "README.md").read_text().split("## Single commands")[1].split("\n## ")[0]
+TABLE = (REPOSITORY / "docs/commands.md").read_text()
 PRINTED = {line.split()[1]: line for line in commands(TABLE)}
 ORIGIN = {"lat_deg": 51.05, "lon_deg": 13.25, "h_ell_m": 300.0}
 """Of the tiny campaign."""

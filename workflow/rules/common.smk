@@ -8,6 +8,7 @@ from snakemake.exceptions import WorkflowError
 from snakemake.logging import DefaultFilter, get_event, logger as snakemake_logger
 from snakemake_interface_logger_plugins.common import LogEvent
 
+from thalweg.core import did_you_mean
 from thalweg.settings import load_campaigns, with_calibrations
 from thalweg.workflow import (
     CampaignFiles,
@@ -38,7 +39,23 @@ def hear_errors():
     DefaultFilter.filter = filter
 
 
+def refuse_unknown_config(names):
+    """`--config campain=x` would otherwise build the campaign of config.yaml in silence."""
+    known = (
+        "campaign",
+        "limit",
+        "captions",
+    )  # captions: set below, and handed to the jobs
+    for name in names:
+        if name not in known:
+            raise WorkflowError(
+                f"--config {name}=...: there is no such option; expected campaign=... or limit=runtime. "
+                + did_you_mean(name, known[:2])
+            )
+
+
 hear_errors()
+refuse_unknown_config(config)
 # Snakemake's words on a failure would be the last ones.
 FAILURES = tell_failures_last(snakemake_logger) if workflow.is_main_process else None
 
