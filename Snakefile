@@ -176,12 +176,12 @@ onstart:
 
 onsuccess:
     for driver in DRIVERS:
-        driver.give_up()
+        driver.close()
 
 
 onerror:
     for driver in DRIVERS:
-        driver.give_up()
+        driver.close()
     # of what was asked for, not of all that a campaign could have
     undone = [job.wildcards.get("campaign") for job in workflow.dag.needrun_jobs()]
     for name in CHOSEN if len(CHOSEN) > 1 else []:

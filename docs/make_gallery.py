@@ -19,8 +19,8 @@ from thalweg.workflow import read_figures  # noqa: E402
 THUMBNAIL_PX = 480
 HEAD = """# Gallery
 
-Every figure of the workflow that the examples have, in small, with the command that draws it in full size. All
-show the digital twin. Made by `docs/make_gallery.py`; [all files of a campaign](outputs.md).
+Every figure of the workflow that the examples have, in small, with the command that draws it.
+All show the digital twin. Made by `docs/make_gallery.py`; [all files of a campaign](outputs.md).
 """
 
 

@@ -5,7 +5,6 @@ import os
 import re
 import subprocess
 import sys
-import threading
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -17,7 +16,6 @@ import thalweg
 from thalweg.cli import main
 from thalweg.core import InputError
 from thalweg.workflow import cluster, other_versions
-from thalweg.workflow.claim import Claim, claim_name
 
 Command = Callable[[str, str], None]
 
@@ -181,7 +179,7 @@ def test_each_bad_state_says_found_expected_where_and_cure(
     with pytest.raises(InputError) as error:
         cluster.start_driver(tmp_path) if driver else asks()
     if driver is not None:
-        driver.give_up()
+        driver.close()
     told = error.value
     assert all([told.found, told.expected, told.where, told.cure]), told
     assert all(str(part) in str(told) for part in (told.found, told.expected, told.where, told.cure))
@@ -234,37 +232,9 @@ def test_jobs_of_a_living_driver_are_left_alone(command: Command, tmp_path: Path
         with pytest.raises(InputError, match=r"another driver works in this folder: .*one Snakemake"):
             cluster.start_driver(tmp_path)
     finally:
-        driver.give_up()
+        driver.close()
     assert cluster.living_driver(tmp_path) is None
-    cluster.start_driver(tmp_path).give_up()
-
-
-def test_the_files_of_a_living_job_stay(command: Command, tmp_path: Path) -> None:
-    """One that runs on this computer without SLURM."""
-    command("squeue", "true")
-    claim = Claim(tmp_path / "results/.part-0b", "several")
-    claim.take()
-    try:
-        cluster.cancel_jobs(tmp_path)
-        assert claim.file.exists()
-    finally:
-        claim.give_up()
-
-
-def test_a_claim_is_renewed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("thalweg.workflow.claim.RENEWED_EVERY_S", 0.02)
-    claim = Claim(tmp_path / ".part-0c", "several")
-    claim.take()
-    os.utime(claim.file, (0, 0))
-    renewed = threading.Event()
-    for _ in range(100):
-        if claim.file.stat().st_mtime > 1e9:
-            renewed.set()
-            break
-        threading.Event().wait(0.02)
-    claim.give_up()
-    assert renewed.is_set()
-    assert claim.file.name.split("-")[:3] == claim_name(os.getpid()).split("-")[:3]
+    cluster.start_driver(tmp_path).close()
 
 
 def test_both_profiles_ask_for_the_same(repository: Path) -> None:

@@ -303,7 +303,7 @@ def test_a_campaign_that_fails_does_not_stop_the_others(empty_house) -> None:
     try:
         refused = empty_house.snakemake(*quietly, check=False)
     finally:
-        driver.give_up()
+        driver.close()
     assert re.search("another driver works in this folder: .*; expected one Snakemake", refused.stderr), (
         refused
     )

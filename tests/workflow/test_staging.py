@@ -1,6 +1,5 @@
 """Outputs are whole under their final names, or not there, whatever happens to their job."""
 
-import inspect
 import json
 import multiprocessing
 import os
@@ -8,10 +7,8 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +16,7 @@ import pytest
 from snakemake.iocontainers import InputFiles, Log, OutputFiles, Params
 
 from thalweg.core import InputError
-from thalweg.workflow import claim, provenance, run_job
-from thalweg.workflow.claim import Owner, claim_name
+from thalweg.workflow import provenance, run_job
 from thalweg.workflow.staging import SCRATCH, Staging
 
 FINAL = ("table.csv", "deep/cloud.laz", "pictures")
@@ -280,109 +276,14 @@ def test_results_that_can_only_be_read_are_named(small_disk: Path) -> None:
     assert found(small_disk) == whole("old")
 
 
-# ---------------------------------------------------------------- two jobs with the same outputs
-
-
-@pytest.fixture
-def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("thalweg.workflow.staging._LOOKED_EVERY_S", 0.02)
-
-
-def claimed(folder: Path, name: str) -> Path:
-    """The file by which another process has claimed the outputs of the job."""
-    staging = Staging([Path(p) for p in Job(folder).output], "several")
-    place = folder / "results" / staging.name
-    place.mkdir(parents=True)
-    (place / "table.csv").write_text("half")
-    (place / name).write_text(json.dumps(asdict(replace(Owner.here("several"), host="node7", job="4711"))))
-    return place / name
-
-
-@pytest.mark.usefixtures("_impatient")
-@pytest.mark.parametrize(("version", "runs"), [("new", 0), ("other", 1)])
-def test_a_job_gives_way_to_a_twin_that_runs(
-    tmp_path: Path, version: str, runs: int, caplog: pytest.LogCaptureFixture
-) -> None:
-    """It keeps what the twin made, unless that was of other settings."""
-    twin = subprocess.Popen(["sleep", "60"])
-    run_job(several, Job(tmp_path, version))  # what the twin has just finished, but for its claim
-    claimed(tmp_path, claim_name(twin.pid))
-    done, calls, job = threading.Event(), [], Job(tmp_path)
-
-    def counted(**arguments: Any) -> None:
-        calls.append(1)
-        several(**arguments)
-
-    counted.__signature__ = inspect.signature(several)  # type: ignore[attr-defined]
-    counted.__annotations__ = several.__annotations__
-
-    def run() -> None:
-        run_job(counted, job)
-        done.set()
-
-    waits = threading.Thread(target=run)
-    waits.start()
-    try:
-        assert not done.wait(0.3)
-    finally:
-        twin.kill()
-        twin.wait()
-    waits.join(20)
-    assert done.is_set()
-    assert len(calls) == runs
+def test_what_a_dead_job_left_goes(tmp_path: Path) -> None:
+    left = tmp_path / "results" / Staging([Path(p) for p in Job(tmp_path).output], "several").name
+    left.mkdir(parents=True)
+    (left / "table.csv").write_text("half")
+    (left / "other.csv").write_text("half")
+    run_job(several, Job(tmp_path))
     assert found(tmp_path) == whole("new")
-    assert "job 4711 of the cluster" in caplog.text
-
-
-@pytest.mark.usefixtures("_impatient")
-@pytest.mark.parametrize(
-    ("elsewhere", "age_s", "waits"),
-    [(False, 0, False), (True, 10, True), (True, 500, False)],
-    ids=["process of this computer that is dead", "living on another", "left behind by another"],
-)
-def test_a_claim_of_the_dead_is_taken_over(
-    tmp_path: Path, elsewhere: bool, age_s: float, waits: bool
-) -> None:
-    place, started = ("0123456789ab", "77") if elsewhere else (claim_name(1).split("-")[1], "1")
-    file = claimed(tmp_path, f"claim-{place}-1-{started}-00000000")  # not started then, if of this computer
-    os.utime(file, (time.time() - age_s,) * 2)
-    assert (claim.owner_of(file) is not None) == waits
-    if not waits:
-        run_job(several, Job(tmp_path))
-        assert found(tmp_path) == whole("new")
-        assert left_over(tmp_path) == []
-
-
-def test_of_many_jobs_that_start_at_once_one_writes(tmp_path: Path) -> None:
-    """Each claims; all but one find it taken, also where a dead claim has to be removed first."""
-    claimed(tmp_path, f"claim-{claim_name(1).split('-')[1]}-1-1-00000000")
-    outputs = [Path(p) for p in Job(tmp_path).output]
-    stagings = [Staging(outputs, "several") for _ in range(12)]
-    answers: list[Any] = []
-    threads = [threading.Thread(target=lambda s=s: answers.append(s.begin())) for s in stagings]
-    for each in threads:
-        each.start()
-    for each in threads:
-        each.join()
-    assert sum(answer is None for answer in answers) == 1
-    assert len(answers) == 12
-    for each in stagings:
-        each.end()
     assert left_over(tmp_path) == []
-
-
-def test_a_job_that_was_overtaken_keeps_its_hands_off(tmp_path: Path) -> None:
-    """Its computer did not answer for minutes, and another one wrote the outputs meanwhile."""
-
-    def frozen(*, number: Path, table: Path, cloud: Path, pictures: Path, version: str, folder: str) -> None:
-        several(number=number, table=table, cloud=cloud, pictures=pictures, version=version, folder=folder)
-        (file,) = table.parent.glob("claim-*")
-        file.rename(table.parent / "claim-0123456789ab-1-77-00000000")
-
-    with pytest.raises(InputError, match="writes the same outputs by now"):
-        run_job(frozen, Job(tmp_path))
-    assert found(tmp_path) == {}
-    assert len(list((tmp_path / "results").glob(".part-*/claim-*"))) == 1
 
 
 # ---------------------------------------------------------------- what folders of results share

@@ -3,20 +3,21 @@
 import logging
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from thalweg.core import ThalwegError
 from thalweg.figures import drawn, empty_figure, save
 from thalweg.workflow import job_arguments, run_job
 
 
-def main(*, figure_png: Path, draw: str, shows: str, dpi: int) -> None:
+def main(*, figure_png: Path, draw: str, shows: str, dpi: int, job: Any) -> None:
     """The keywords of the drawing function come from the job as those of an entry script do.
 
     A picture that has nothing to show says why, and stops no survey.
     """
     module, name = draw.split(":")
     function = getattr(import_module(module), name)
-    arguments = job_arguments(function, snakemake)
+    arguments = job_arguments(function, job)
     try:
         figure, reason = drawn(function, **arguments), None
     except ThalwegError as error:

@@ -4,22 +4,23 @@ Snakemake gives each job of a run the folder of the run as its working folder an
 comment; by both they are found again, also when the driver that sent them is dead.
 """
 
+import fcntl
 import getpass
 import os
 import re
 import shutil
+import socket
 import subprocess
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, TextIO
 
 from thalweg.core import UNFINISHED, InputError
-from thalweg.workflow.claim import Claim, Owner, claim_of, owner_of
 
-DRIVER: Final = Path(".snakemake") / f"{UNFINISHED}driver"
-"""What the driver of a run claims below its folder as long as it lives."""
+DRIVER: Final = Path(".snakemake/driver")
+"""File that the driver of a run holds locked as long as it lives; it says who that is."""
 CLOCKS_APART_S: Final = 2.0
 """Snakemake compares times of files that different nodes wrote; a job is seldom shorter."""
 _FORMAT: Final = "%i|%T|%j|%N|%M|%r|%k|%Z"
@@ -39,34 +40,49 @@ class ClusterJob:
     rule: str
 
 
-def driver_claim(folder: Path) -> Claim:
-    """The claim of a driver on a folder of results."""
-    return Claim(folder / DRIVER, "driver")
+def start_driver(folder: Path) -> TextIO:
+    """Lock a folder for this driver, or refuse a second one.
 
-
-def start_driver(folder: Path) -> Claim:
-    """Claim a folder for this driver, or refuse a second one.
+    Returns
+    -------
+    TextIO
+        The lock: it ends when this is closed, or with the process.
 
     Raises
     ------
     InputError : another driver lives, here or on another computer.
     """
-    claim = driver_claim(folder)
-    if (owner := claim.take()) is not None:
+    path = folder / DRIVER
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lock = path.open("a+", encoding="utf-8")
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        lock.close()
         raise InputError(
-            f"another driver works in this folder: {owner}",
+            f"another driver works in this folder: {path.read_text(encoding='utf-8')}",
             expected="one Snakemake in a folder of results",
             where=folder.absolute(),
-            cure="Let it finish, or end it with Ctrl-C there. If its computer was switched off, it counts as"
-            " gone after two minutes; `thalweg cluster status` tells",
-        )
-    return claim
+            cure="Let it finish, or end it with Ctrl-C there; `thalweg cluster status` tells",
+        ) from None
+    lock.truncate(0)
+    lock.write(
+        f"process {os.getpid()} on {socket.gethostname()}, since {time.strftime('%FT%TZ', time.gmtime())}"
+    )
+    lock.flush()
+    return lock
 
 
-def living_driver(folder: Path) -> Owner | None:
-    """The driver that works in a folder; None if there is none."""
-    claimed = claim_of(folder / DRIVER)
-    return owner_of(claimed) if claimed else None
+def living_driver(folder: Path) -> str | None:
+    """The driver that works in a folder, in words; None if there is none."""
+    path = folder / DRIVER
+    if path.is_file():
+        with path.open(encoding="utf-8") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return file.read()
+    return None
 
 
 def jobs_of(folder: Path) -> list[ClusterJob]:
@@ -118,9 +134,7 @@ def cancel_jobs(folder: Path) -> list[ClusterJob]:
             )
         time.sleep(1)
     for part in unfinished(folder):
-        claimed = claim_of(part)
-        if claimed is None or owner_of(claimed) is None:
-            shutil.rmtree(part, ignore_errors=True)
+        shutil.rmtree(part, ignore_errors=True)
     return jobs
 
 

@@ -22,7 +22,6 @@ from thalweg.workflow.provenance import (
     META,
     bring_provenance,
     cache_entry,
-    is_made_of,
     origin,
     put_into_cache,
     refuse_damage,
@@ -44,14 +43,12 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
     """Map a Snakemake job onto the keywords of ``main`` and run it.
 
     Each keyword of ``main`` is looked up by name among the job's outputs, inputs and params (in that order),
-    then ``threads``; files become `Path` (or ``list[Path]`` where the annotation says so), and plain
-    values the section of settings, the dataclass or the path that the annotation names. The helper sets up
+    then ``threads`` and ``job``; files become `Path` (or ``list[Path]`` where the annotation says so), and
+    plain values the section of settings, the dataclass or the path that the annotation names. It sets up
     the log file and an excepthook that writes the traceback there, limits threads, and on success writes
     ``<output>.meta.json``. ``main`` writes into a folder beside the outputs; they get their names when all
-    are whole (`staging`). Where another living process writes the same outputs the job waits for it, and
-    keeps what it made if that is of the same inputs, parameters and code. Of some rules results come from
-    a cache (`provenance.cache_entry`); a job whose files lie in node-local scratch works there
-    (`staging.work_in_scratch`).
+    are whole (`staging`). Of some rules results come from a cache (`provenance.cache_entry`); a job whose
+    files lie in node-local scratch works there (`staging.work_in_scratch`).
 
     Raises
     ------
@@ -59,7 +56,7 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
         digital twin without being one that may; an input is not what was written, or changed meanwhile; the
         disk is full or read-only.
     """
-    results = work_in_scratch(snakemake)
+    snakemake, results = work_in_scratch(snakemake)
     _start_log(Path(snakemake.log[0]) if snakemake.log else None)
     _limit_threads(snakemake.threads)
     rule, outputs, inputs = (
@@ -72,15 +69,9 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
     # Nothing in the library draws from these global generators; seeding them covers third-party code.
     random.seed(int(params.get("seed", params.get("campaign", {}).get("seed", 0))))
     log.info("rule %s starts with %d threads", rule, snakemake.threads)
-    with (
-        truth_closed(rule, [snakemake.input, snakemake.output, params]),
-        staged(outputs, rule) as (staging, waited),
-    ):
+    with truth_closed(rule, [snakemake.input, snakemake.output, params]), staged(outputs, rule) as staging:
         before = state_of(inputs)
         made_of = origin(rule=rule, inputs=inputs, params=params, code=code)
-        if waited is not None and outputs and all(is_made_of(output, made_of) for output in outputs):
-            log.warning("the outputs of %s are those of this job", waited)
-            return
         refuse_damage(made_of["inputs"], rule)
         entry = cache_entry(made_of, outputs, snakemake.threads)
         if entry is not None and take_from_cache(entry, staging.places(), made_of):
@@ -89,8 +80,7 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
             bring_provenance(outputs, results)
             return
         start, cpu_start_s, memory_start_mb = time.perf_counter(), _cpu_s(), memory_now_mb()
-        with staging.in_place_of_outputs(snakemake):
-            main(**job_arguments(main, snakemake))
+        main(**job_arguments(main, staging.job(snakemake)))
         wall_s, cpu_s = time.perf_counter() - start, _cpu_s() - cpu_start_s
         if absent := staging.absent():
             raise InputError(f"outputs were not written: {absent}", where=f"rule {rule}")
@@ -126,6 +116,8 @@ def job_arguments(main: Callable[..., None], snakemake: Any) -> dict[str, Any]:
         else:
             if name == "threads":
                 arguments[name] = snakemake.threads
+            elif name == "job":
+                arguments[name] = snakemake
             elif parameter.default is inspect.Parameter.empty:
                 raise InputError(
                     f"the script asks for '{name}', which the rule does not give",

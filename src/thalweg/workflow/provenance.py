@@ -127,16 +127,6 @@ def refuse_damage(inputs: Mapping[str, str], rule: str) -> None:
         )
 
 
-def is_made_of(output: Path, wanted: Mapping[str, Any]) -> bool:
-    """Whether an output is whole and was made of just this `origin`."""
-    try:
-        record = json.loads(meta_file(output).read_text(encoding="utf-8"))
-        same = {key: record.get(key) for key in wanted} == json.loads(json.dumps(wanted, default=str))
-        return same and record["sha256"] == sha256_of(output)
-    except (OSError, ValueError, AttributeError, KeyError):
-        return False
-
-
 def other_versions(outputs: Iterable[Path]) -> dict[str, int]:
     """Versions of Thalweg, but this one, that made results which are there; how many each."""
     found: dict[str, int] = {}

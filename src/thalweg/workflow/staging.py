@@ -11,21 +11,19 @@ import hashlib
 import logging
 import os
 import shutil
-import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Final
 
 from thalweg.core import UNFINISHED, InputError, ThalwegError
-from thalweg.workflow.claim import CLAIM, Claim, Owner
 
 log = logging.getLogger("thalweg")
 
 FULL_BELOW_BYTES: Final = 1 << 20
 """With less free than this any failure to write is told as a full disk: libraries say it in many ways."""
-_LOOKED_EVERY_S: Final = 1.0
 _SYNCED_AT_ONCE: Final = 16
 """Files brought to the disk together share one entry in the journal of the file system: ten times as fast."""
 _DISK: Final = {
@@ -55,7 +53,6 @@ class Staging:
         key = hashlib.sha256("\n".join(str(each) for each in self.outputs).encode()).hexdigest()[:12]
         self.name = f"{UNFINISHED}{key}"
         self._folders = _tops(self.outputs)
-        self._claim = Claim(self._folders[0] / self.name, rule) if self.outputs else None
 
     def path(self, text: str) -> str:
         """Where an output, or a folder that holds some, is until the job is done; other texts as they are."""
@@ -66,31 +63,15 @@ class Staging:
                     return str(top / self.name / path.relative_to(top))
         return text
 
-    def begin(self) -> Owner | None:
-        """Claim the outputs and make the folders, or say which living process has them."""
-        if self._claim is None:
-            return None
-        owner = self._claim.take()
-        if owner is None:
-            for each in self._folders[1:]:  # a dead process may have left them
-                shutil.rmtree(each / self.name, ignore_errors=True)
-            for lies in self.places().values():
-                lies.parent.mkdir(parents=True, exist_ok=True)
-        return owner
+    def begin(self) -> None:
+        """Make the folders, without what an earlier job left in them."""
+        self.end()
+        for lies in self.places().values():
+            lies.parent.mkdir(parents=True, exist_ok=True)
 
-    @contextmanager
-    def in_place_of_outputs(self, job: Any) -> Iterator[None]:
-        """Within the block a job of Snakemake names the places where its outputs are until they are whole."""
-        # Snakemake answers with a copy of its store each time that params are asked for.
-        params = getattr(job, "_params_store", job.params)
-        before = [(part, list(part)) for part in (job.output, params)]
-        try:
-            for part, values in before:
-                _put(part, [self.path(str(each)) if isinstance(each, str) else each for each in values])
-            yield
-        finally:
-            for part, values in before:
-                _put(part, values)
+    def job(self, job: Any) -> Any:
+        """A job of Snakemake with the places where its outputs are until they are whole."""
+        return mapped(job, self.path, ("output", "params"))
 
     def places(self) -> dict[Path, Path]:
         """Final names of the outputs, and where they lie now."""
@@ -113,8 +94,6 @@ class Staging:
             for ending in (*beside, "")
         ]
         _sync([staged for staged, _ in pairs])
-        if self._claim is not None:
-            self._claim.check()
         for k, (staged, output) in enumerate(pairs):
             output.parent.mkdir(parents=True, exist_ok=True)
             if os.path.lexists(output):
@@ -132,20 +111,18 @@ class Staging:
             path.relative_to(top / self.name).as_posix()
             for top in self._folders
             for path in sorted((top / self.name).rglob("*"))
-            if path.is_file() and not path.name.startswith(CLAIM) and old not in path.as_posix()
+            if path.is_file() and old not in path.as_posix()
         ]
 
     def end(self) -> None:
-        """Remove what is left of the folders, and give the outputs up to others."""
-        for each in self._folders[1:]:
+        """Remove what is left of the folders."""
+        for each in self._folders:
             shutil.rmtree(each / self.name, ignore_errors=True)
-        if self._claim is not None:
-            self._claim.give_up()
 
 
 @contextmanager
-def staged(outputs: Iterable[Path], rule: str) -> Iterator[tuple[Staging, Owner | None]]:
-    """Claim outputs for the block, wait for a living process that has them, and clean up afterwards.
+def staged(outputs: Iterable[Path], rule: str) -> Iterator[Staging]:
+    """Folders for the outputs of a job within the block, and clean up afterwards.
 
     Parameters
     ----------
@@ -154,23 +131,19 @@ def staged(outputs: Iterable[Path], rule: str) -> Iterator[tuple[Staging, Owner 
 
     Yields
     ------
-    Staging, Owner or None
-        The staging, begun; and the process that was waited for, if there was one.
+    Staging
+        Begun.
 
     Raises
     ------
     InputError : the disk is full, can only be read, or is lost; with its free space and a cure.
     """
-    staging, waited = Staging(outputs, rule), None
+    staging = Staging(outputs, rule)
     with disk_in_words(staging.outputs, rule):
-        while (owner := staging.begin()) is not None:
-            if waited is None:
-                log.warning("the same outputs are being written by %s; this job waits until it ends", owner)
-            waited = owner
-            time.sleep(_LOOKED_EVERY_S)
+        staging.begin()
         try:
             with disk_in_words(staging.outputs, rule):  # before there is room again
-                yield staging, waited
+                yield staging
         finally:
             staging.end()
 
@@ -210,34 +183,50 @@ def use_scratch(folder: Path) -> None:
     os.environ[SCRATCH] = str(folder.absolute())
 
 
-def work_in_scratch(job: Any) -> Path | None:
+def work_in_scratch(job: Any) -> tuple[Any, Path | None]:
     """Go to the folder of node-local copies, where files have the names that they have in the run's.
 
     So parameters and reports that name files are the same.
 
     Parameters
     ----------
-    job : of Snakemake; names of its files are changed in place.
+    job : of Snakemake.
 
     Returns
     -------
+    job
+        With names relative to that folder.
     Path or None
         The folder of the run, to which results come later; None where jobs work in it.
     """
     scratch, results = Path(os.environ.get(SCRATCH, "")).absolute(), Path.cwd()
     if not os.environ.get(SCRATCH) or not any(Path(each).is_relative_to(scratch) for each in job.output):
-        return None
-    for part in (job.input, job.output, job.log):
-        paths = [Path(each).absolute() for each in part]
-        _put(part, [str(p.relative_to(scratch) if p.is_relative_to(scratch) else p) for p in paths])
+        return job, None
+
+    def below(name: str) -> str:
+        """Its name below the scratch folder, where it lies there."""
+        path = Path(name).absolute()
+        return str(path.relative_to(scratch) if path.is_relative_to(scratch) else path)
+
     os.chdir(scratch)
-    return results
+    return mapped(job, below, ("input", "output", "log")), results
 
 
-def _put(part: Any, values: list[Any]) -> None:
-    """Put other values into outputs or params of a job, with the names that they have."""
-    part[:] = values
-    part._take_names(list(part._get_names()))
+def mapped(job: Any, rename: Callable[[str], str], parts: Sequence[str]) -> Any:
+    """A job of Snakemake whose texts in these parts are renamed; they keep the names that rules give them."""
+    found = SimpleNamespace(
+        **{name: getattr(job, name) for name in ("rule", "threads", "input", "output", "params", "log")},
+        resources=getattr(job, "resources", None),
+    )
+
+    def renamed(value: Any) -> Any:
+        """A text by its new name; other values as they are."""
+        return rename(value) if isinstance(value, str) else value
+
+    for name in parts:
+        part = getattr(job, name)
+        setattr(found, name, type(part)(toclone=part, custom_map=renamed))
+    return found
 
 
 def state_of(paths: Iterable[Path]) -> dict[str, tuple[int, int]]:
