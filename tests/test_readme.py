@@ -99,6 +99,21 @@ def test_the_commands_exist(repository: Path, capsys: pytest.CaptureFixture[str]
     assert {name for name in names if not seen[name]} <= beside
 
 
+def test_messages_of_the_questions_are_printed(repository: Path) -> None:
+    quoted = re.findall(r"(?m)^> (.+)$", (repository / "docs/faq.md").read_text())
+    folders = ("src/thalweg", "workflow")
+    text = " ".join(
+        path.read_text(encoding="utf-8")
+        for folder in folders
+        for path in (repository / folder).rglob("*")
+        if path.suffix in {".py", ".smk"}
+    )
+    joined = re.sub(r'"\s+f?"', "", text)
+    of_snakemake = {"Config entries have to be defined as name=value pairs", "Directory cannot be locked"}
+    assert len(quoted) > 8
+    assert [words for words in quoted if words not in joined] == sorted(of_snakemake)
+
+
 def test_help_and_the_page_of_single_commands_show_the_same_calls(repository: Path) -> None:
     printed = re.findall(r"`thalweg ([a-z-]+) ([^`]*)`", (repository / "docs/commands.md").read_text())
     assert len(printed) > 15
