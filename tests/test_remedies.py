@@ -40,8 +40,8 @@ BY_NAME_ALONE = {"import-calibration", "import-camera"}
 
 CALLING_OTHERS = {"thalweg.workflow.cluster", "thalweg.workflow.provenance"}
 """Modules that run SLURM and Git."""
-NO_SETTINGS = {"lidar.x_m"}
-"""A quantity of a calibration file."""
+NO_SETTINGS = {"lidar.x_m", "ins.anpp", "lidar.pcap"}
+"""A quantity of a calibration file, and files of the examples of commands."""
 
 Place = tuple[str, str]
 """Module, and the name of a function, ``Class.method``, class or constant in it."""

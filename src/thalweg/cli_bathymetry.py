@@ -123,6 +123,7 @@ def add_bathymetry_commands(commands: Commands) -> None:
     )
     bed.set_defaults(
         command=_bed,
+        writes="bed.tif",
         settings={
             "campaign.crs": "--crs",
             "campaign.origin": "the origin",
@@ -225,6 +226,7 @@ def add_bathymetry_commands(commands: Commands) -> None:
     plan.add_argument("--battery", type=_positive, metavar="WH", help="energy of one battery")
     plan.set_defaults(
         command=_plan,
+        writes="plan.json",
         settings=OF_A_FILE
         | {
             "campaign.crs": "--crs",

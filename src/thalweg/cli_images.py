@@ -24,7 +24,7 @@ def add_image_commands(commands: Commands) -> None:
     )
     frames.add_argument("--sigma-begin", type=float, metavar="S", help="its standard deviation")
     frames.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the frames")
-    frames.set_defaults(command=_frames)
+    frames.set_defaults(command=_frames, writes="times.csv")
     masks = commands.add_parser(
         "masks",
         help="photographs of a series -> masks of water, sky, own boat, what moved; a sheet to look at",
@@ -41,7 +41,9 @@ def add_image_commands(commands: Commands) -> None:
     )
     masks.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the masks")
     masks.set_defaults(
-        command=_masks, settings=of_a_campaign(["logs.time_lapse.images", "logs.time_lapse.interiors"])
+        command=_masks,
+        writes="masks.csv",
+        settings=of_a_campaign(["logs.time_lapse.images", "logs.time_lapse.interiors"]),
     )
     orient = commands.add_parser(
         "orient",
@@ -116,6 +118,7 @@ def add_image_commands(commands: Commands) -> None:
     orient.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the results")
     orient.set_defaults(
         command=_orient,
+        writes="index.html",
         settings={
             "campaign.crs": "--crs",
             "campaign.origin": "the origin",

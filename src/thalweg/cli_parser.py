@@ -94,16 +94,16 @@ def refuse_overwriting(options: argparse.Namespace, more: Sequence[Path] = ()) -
 
     Parameters
     ----------
-    options : of a command.
+    options : of a command; where ``out`` is a folder, ``writes`` names a file that the command writes there.
     more : files that it writes beside ``out``.
 
     Raises
     ------
-    InputError : ``out`` or one of the others is a file, or a folder that is not empty, and ``--force`` is not
-        given.
+    InputError : one of these files exists, and ``--force`` is not given.
     """
     out = getattr(options, "out", None)
-    for path in (out, *more) if isinstance(out, Path) and not options.force else ():
-        if path.is_file() or (path.is_dir() and any(path.iterdir())):
-            found = "the file exists already" if path.is_file() else "the folder holds files already"
-            raise InputError(found, where=path, cure="Choose another name, or overwrite with --force")
+    for path in (out / getattr(options, "writes", ""), *more) if out and not options.force else ():
+        if path.is_file():
+            raise InputError(
+                "the file exists already", where=path, cure="Choose another name, or overwrite with --force"
+            )

@@ -71,6 +71,7 @@ def add_survey_commands(commands: Commands) -> None:
     ppk.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the results")
     ppk.set_defaults(
         command=_ppk,
+        writes="index.html",
         settings={
             "ppk.trusted_baseline_km": "--trusted-baseline",
             **of_a_campaign(
@@ -242,7 +243,7 @@ def add_survey_commands(commands: Commands) -> None:
     view.add_argument(
         "-o", "--out", type=Path, required=True, metavar="FOLDER", help="for the page and what belongs to it"
     )
-    view.set_defaults(command=_view, settings=OF_A_FILE)
+    view.set_defaults(command=_view, writes="index.html", settings=OF_A_FILE)
 
 
 def _ppk(options: argparse.Namespace) -> int:

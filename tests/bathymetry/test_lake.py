@@ -462,7 +462,7 @@ def test_the_command_maps_a_lake(
     table = pd.DataFrame(of.places_m, columns=["x", "y"]).assign(depth=-of.height_m)
     table.to_csv(tmp_path / "t.csv", index=False)
     words = ["bed", str(tmp_path / "t.csv"), "--crs", "EPSG:32633", "--depth", "depth", "--cell", "6"]
-    words += ["--model", "matern32", "--drift", "none", "--out", str(tmp_path / "o")]
+    words += ["--model", "matern32", "--drift", "none", "--force", "--out", str(tmp_path / "o")]
     (tmp_path / "o").mkdir()
     (tmp_path / "o/centre_line.csv").write_text("of a former run\n")
     assert main(words) == 0

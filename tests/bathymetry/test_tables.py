@@ -352,7 +352,7 @@ def few_cells(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("pattern", ["zigzag", "sections", "along"])
 def test_a_plan_reaches_the_wanted_sigma(pattern: str, river: Path, tmp_path: Path) -> None:
     words = ["plan-survey", str(river / "sides.geojson"), "--crs", CRS, "--pattern", pattern]
-    words += ["--speed", "1", "--out", str(tmp_path), "--margin", "1"]
+    words += ["--speed", "1", "--out", str(tmp_path), "--margin", "1", "--force"]
     assert main([*words, "--sigma", "0.12"]) == 0
     plan = json.loads((tmp_path / "plan.json").read_text())
     assert plan["sigma_95_m"] <= 0.12

@@ -320,7 +320,7 @@ def test_distances_to_nearest_points_and_to_their_plane(
     assert main(words) == 0
     assert "note: Points of the first cloud lie 0.2" in capsys.readouterr().out
     assert len(read_table(out, CLOUD_TO_CLOUD)[0]) == 200
-    assert main([*words, "--sigma-a", "0.01"]) == 2
+    assert main([*words, "--force", "--sigma-a", "0.01"]) == 2
     assert "Use --method m3c2" in capsys.readouterr().err
 
 

@@ -74,7 +74,7 @@ def test_a_cloud_is_meshed_and_its_front_is_where_it_was_seen_from(tmp_path: Pat
     east, north, up = MAP_M + np.array([4, -30, 2])
     for place, sign in ((f"{east},{north},{up}", 1), (f"{east},{north + 60},{up}", -1)):
         words = ["compare", str(cloud), str(reference), "--seen-from", place, "--cell", "0.1"]
-        assert main([*words, "-o", str(tmp_path / "d.laz")]) == 0
+        assert main([*words, "--force", "-o", str(tmp_path / "d.laz")]) == 0
         facts = json.loads((tmp_path / "d.json").read_text())
         one = facts["without_outliers"]
         # 4,000 points of 1 cm about a mesh of 3 mm: the mean is known to 0.2 mm and the mesh's own bias

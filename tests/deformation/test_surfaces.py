@@ -290,7 +290,7 @@ def test_the_command_writes_bands_and_volumes(tmp_path: Path, capsys: pytest.Cap
     table, _ = read_table(tmp_path / "changes.parquet", VOLUMES)
     assert table["sigma_m3"].to_numpy() == pytest.approx(found.volumes["sigma_m3"].to_numpy(), nan_ok=True)
     capsys.readouterr()
-    assert main([*words[:2], str(tmp_path / "b.laz"), "-o", str(out)]) == 2
+    assert main([*words[:2], str(tmp_path / "b.laz"), "-o", str(out), "--force"]) == 2
     assert "two clouds or two surface models" in capsys.readouterr().err
     with pytest.raises(InputError, match="suffix"):
         write_difference(tmp_path / "changes.laz", found)

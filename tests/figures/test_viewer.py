@@ -299,7 +299,7 @@ def test_extra_dimensions_become_colours(
     view = read_view(tmp_path / "a.laz")
     assert list(view.extras) == ["distance_m", "more_0", "more_1"]
     assert [unit for _, unit in view.extras.values()] == ["m", "", ""]
-    out = ["-o", str(tmp_path / "v")]
+    out = ["-o", str(tmp_path / "v"), "--force"]
     assert main(["view", str(tmp_path / "a.laz"), "--quantity", "distance_m", *out]) == 0
     facts = decoded(tmp_path / "v", "")[1]
     assert facts["extras"] == ["distance_m"]

@@ -127,12 +127,12 @@ def test_points_a_metre_apart_need_no_option(tmp_path: Path, capsys: pytest.Capt
     assert "longest edge 7.07 m" in printed
     facts = json.loads(out.with_suffix(".json").read_text())
     assert facts["all"]["bias_m"] == pytest.approx(0.195, abs=0.001)
-    assert main(["compare", str(second), str(first), "-o", str(out), "--longest-edge", "0.9"]) == 2
+    assert main(["compare", str(second), str(first), "-o", str(out), "--force", "--longest-edge", "0.9"]) == 2
     told = capsys.readouterr().err
     assert "Raise --longest-edge above the spacing" in told
     assert "reference." not in told
 
-    clouds = ["compare-clouds", str(first), str(second), "-o", str(out)]
+    clouds = ["compare-clouds", str(first), str(second), "--force", "-o", str(out)]
     assert main(clouds) == 0
     assert "1 m apart" in capsys.readouterr().out
     for words, cure in (
