@@ -251,6 +251,7 @@ COMMANDS = (
     "cli_check",
     "cli_deformation",
     "cli_images",
+    "cli_parser",
     "cli_results",
     "cli_survey",
 )
@@ -438,6 +439,7 @@ UNREACHED = {
     "cli_deformation.py": "the command line",
     "cli_images.py": "the command line",
     "cli_remedies.py": "the command line",
+    "cli_parser.py": "the command line",
     "cli_results.py": "the command line",
     "cli_survey.py": "the command line",
     **dict.fromkeys(
