@@ -11,6 +11,7 @@ page, so that a row that is not run again keeps what it had.
 import argparse
 import csv
 import json
+import os
 import re
 import subprocess
 import sys
@@ -57,19 +58,23 @@ def outcomes(report: ElementTree.ElementTree, date: str, commit: str) -> Record:
     for case in report.iter("testcase"):
         name = f"{case.get('file')}::{case.get('name')}"
         trouble = next((each for each in case if each.tag in ("failure", "error", "skipped")), None)
-        why = "" if trouble is None else trouble.get("message", "").splitlines()[0]
+        numbers = {p.get("name"): float(f"{float(p.get('value')):.9g}") for p in case.iter("property")}
         found[name] = {
             "test": name,
             "outcome": "passed" if trouble is None else "skipped" if trouble.tag == "skipped" else "failed",
-            "why": why,
+            "why": "" if trouble is None else without_places(trouble.get("message", "")),
             "seconds": f"{float(case.get('time', 0)):.1f}",
             "date": date,
             "commit": commit,
-            "numbers": json.dumps(
-                {p.get("name"): float(p.get("value", "nan")) for p in case.iter("property")}
-            ),
+            "numbers": json.dumps(numbers),
         }
     return found
+
+
+def without_places(message: str) -> str:
+    """The first line of what a test says, its paths from the recordings on: no machine is named."""
+    text = message.splitlines()[0].replace(f"{os.environ.get('THALWEG_DATA', '')}/", "")
+    return re.sub(r"(?<![\w.])/(?:[\w.+-]+/)+", "", text)
 
 
 def of_row(row: Mapping[str, Any], record: Record) -> list[dict[str, str]]:
@@ -77,9 +82,8 @@ def of_row(row: Mapping[str, Any], record: Record) -> list[dict[str, str]]:
     missing = {"outcome": "skipped", "why": "not run yet", "numbers": "{}"}
     every = []
     for test in row["tests"]:
-        every += [each for name, each in record.items() if name == test or name.startswith(f"{test}[")] or [
-            missing
-        ]
+        own = [each for name, each in record.items() if test in (name, name.split("[")[0])]
+        every += own or [missing]
     return every
 
 
@@ -91,11 +95,7 @@ def found_of(row: Mapping[str, Any], record: Record) -> str:
             return f"**{words}**: {bad['why']}" if bad["why"] != "not run yet" else "**not run yet**"
     numbers = {k: v for each in every for k, v in json.loads(each["numbers"]).items()}
     numbers = {k: int(v) if v == int(v) else v for k, v in numbers.items()}
-    return (
-        re.sub(r"(?<!\w)-(?=\d)", "−", row["found"].format(**numbers))
-        if "{" in row["found"]
-        else row["found"]
-    )
+    return re.sub(r"(?<!\w)-(?=\d)", "−", row["found"].format(**numbers))
 
 
 def page(plan: Mapping[str, Any], record: Record) -> str:
@@ -105,13 +105,12 @@ def page(plan: Mapping[str, Any], record: Record) -> str:
     ran = [each for row in rows for each in of_row(row, record) if "date" in each]
     dates, commits = (sorted({each[key] for each in ran}) for key in ("date", "commit"))
     state = f"{good} of {len(rows)} rows hold, {len(ran)} tests"
-    when = (
-        f" ({' to '.join(dict.fromkeys((dates[0], dates[-1])))}, commit {', '.join(commits)})" if ran else ""
-    )
+    if ran:
+        state += f" ({' to '.join(dict.fromkeys((dates[0], dates[-1])))}, commit {', '.join(commits)})"
     parts = [
         "# What was checked on real recordings\n",
         plan["head"],
-        f"Written by `make real`: {state}{when}. One row: `make real ONLY=river`.\n",
+        f"Written by `make real`: {state}. One row: `make real ONLY=river`.\n",
     ]
     for section in plan["sections"]:
         heads = [*section["columns"], "found", "test"]
@@ -140,9 +139,7 @@ def read_record(path: Path) -> Record:
 
 def main() -> None:
     """Run, record, write."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description="Run rows of docs/validation/real.yaml; write real.md.")
     parser.add_argument("--only", default="", help="rows in whose words or tests this occurs")
     parser.add_argument("--page", action="store_true", help="run nothing")
     parser.add_argument("--workers", type=int, default=1, help="tests at the same time")
@@ -155,9 +152,7 @@ def main() -> None:
             raise SystemExit(f"no row of docs/validation/real.yaml holds {options.only!r}")
         record |= run_tests(tests, options.workers)
     wanted = {test for row in rows_of(plan) for test in row["tests"]}
-    kept = sorted(
-        (r for name, r in record.items() if {name, name.split("[")[0]} & wanted), key=lambda r: r["test"]
-    )
+    kept = [record[name] for name in sorted(record) if {name, name.split("[")[0]} & wanted]
     with (FOLDER / "real.csv").open("w", newline="", encoding="utf-8") as stream:
         table = csv.DictWriter(stream, COLUMNS, lineterminator="\n")
         table.writeheader()

@@ -212,7 +212,8 @@ def real_recordings_skipped(skipped: Iterable[Any]) -> str:
     """
     without = [report for report in skipped if "THALWEG_DATA" in str(report.longrepr)]
     return (
-        f"{len(without)} tests on real recordings skipped: set THALWEG_DATA to a folder that `thalweg fetch --all` fills"
+        f"{len(without)} tests on real recordings skipped: set THALWEG_DATA to a folder that "
+        "`thalweg fetch --all` fills"
         if without
         else ""
     )
