@@ -1,12 +1,14 @@
 """Public recordings: downloaded whole or not at all, checked, taken from a mirror; what fails is said."""
 
 import errno
+import gc
 import hashlib
 import io
 import re
 import shutil
 import tarfile
 import threading
+import warnings
 import zipfile
 from collections import namedtuple
 from collections.abc import Iterator
@@ -58,6 +60,9 @@ def origin(tmp_path: Path) -> Iterator[tuple[str, Path, list[str]]]:
     yield f"http://127.0.0.1:{server.server_port}/", folder, asked
     server.shutdown()
     server.server_close()
+    with warnings.catch_warnings():  # pooch leaves the connection of a download that failed to the collector
+        warnings.simplefilter("ignore", ResourceWarning)
+        gc.collect()
 
 
 def registered(tmp_path: Path, base: str, files: dict[str, str], **more: object) -> PublicRecording:
