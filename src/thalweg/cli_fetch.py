@@ -4,8 +4,10 @@ import argparse
 import os
 from pathlib import Path
 
+from thalweg.cli_parser import Commands
 
-def add_fetch_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+
+def add_fetch_command(commands: Commands) -> None:
     """Add ``fetch``."""
     fetch = commands.add_parser(
         "fetch", help="public recordings of other people, from their origins; without names: what there is"
