@@ -48,12 +48,12 @@ def test_it_links_pages_pictures_and_products(results: Path) -> None:
     assert '<a href="lidar/points.laz">cloud</a>' in text
     assert "riverbed" in text
     assert "logs.depth" in text
-    assert 'src="figures/map.png"' in text
+    assert 'href="figures/map.png"' in text
     assert "Plan view." in text
     assert "Digital twin" in text
     assert "Survey &lt;1&gt;" in text
     # an empty picture is named with its reason and not shown
-    assert 'src="figures/sections.png"' not in text
+    assert "figures/sections.png" not in text
     assert "no point lies 2 to 25 m beside the track" in text
 
 

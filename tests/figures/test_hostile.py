@@ -33,10 +33,12 @@ def every_method(text: str, folder: Path) -> Page:
     """Each way to bring a text onto a page."""
     Image.new("RGB", (2, 2)).save(folder / "p.png")
     table = pd.DataFrame({text: [text, text], f"{text}2": [1.0, 2.0]})
-    page = Page(text, text, [Finding(text, text, text)])
+    page = Page(text, text, [Finding(text, text, text, text)])
     page.section(text).text(f"{text}\n\n{text}").lines([text]).figure(folder / "p.png", text)
     page.section(text).figures({text: folder / "p.png"}, {text: text}).links({text: (text, text)})
-    return page.thumbnails({text: text}).table(table, text, {text: text})
+    with page.fold(text):
+        page.thumbnails({text: (folder / "p.png", text)}).table(table, text, {text: text})
+    return page
 
 
 def photographs(text: str, folder: Path) -> Page:
@@ -160,7 +162,7 @@ def test_a_hostile_text_gives_the_elements_of_a_harmless_one(
         assert "window.ran=2" in hostile[name].read_text(), name  # it is there, as text
         assert found.found == harmless.found, name
         for address in found.addresses:
-            assert re.match(r"#|data:image/png;base64,|[^:]*$", address), (name, address)
+            assert re.match(r"#|data:image/(png|webp);base64,|[^:]*$", address), (name, address)
         assert len(found.scripts) == len(harmless.scripts), name
         for script in found.scripts:
             (data,) = re.findall(r"(?m)^const DATA = .*;$", script)

@@ -69,7 +69,7 @@ def front_page(
     reasons = {path: note_of(path) for path in pictures if path.suffix == ".png"}
     page.section("Pictures")
     page.thumbnails(
-        {at(path): captions.get(path.stem, path.stem) for path, reason in reasons.items() if reason is None}
+        {at(path): (path, captions.get(path.stem, path.stem)) for path, why in reasons.items() if why is None}
     )
     empty = [(captions.get(p.stem, p.stem), why) for p, why in reasons.items() if why is not None]
     if empty:
