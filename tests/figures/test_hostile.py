@@ -13,7 +13,7 @@ from pyproj import CRS
 
 from tests.figures.browser import Browser
 from thalweg.core import Frame
-from thalweg.figures import Finding, Page, costs_page, front_page
+from thalweg.figures import Finding, Page, costs_page, write_front_page
 from thalweg.figures.catalogue import CATALOGUE, CONTROL, Entry, catalogue_page
 from thalweg.figures.firstlook import recordings_page
 from thalweg.figures.images import orientation_page
@@ -102,15 +102,17 @@ def made_of(text: str, folder: Path) -> dict[str, Path]:
         found[name] = folder / f"{name}.html"
         make(text, folder).write(found[name])
     found["front"] = folder / "front/index.html"
-    products = [
-        {"name": text, "file": "a.laz", "made": True, "needs": text},
-        {"name": text, "file": "", "made": False, "needs": text},
-    ]
-    summary = pd.DataFrame({"quantity": [text], "value": [1.0], "unit": [text]})
-    front_page(
-        found["front"], title=text, twin=True, products=products, pages=list(found.values())[:2],
-        pictures=[folder / "p.png"], captions={"p": text}, summary=summary,
-    ).write(found["front"])  # fmt: skip
+    (folder / "front").mkdir()
+    table = pd.DataFrame({"quantity": [text], "value": [1.0], "unit": [text]})
+    table.to_csv(folder / "front/summary.csv", index=False)
+    report = IntegrityReport(stream=text, format=text, files=[text], model=text)
+    report.lose(text, 1)
+    report.write(folder / "front/lidar.integrity.json")
+    results = [*list(found.values())[:2], folder / "front/summary.csv", folder / "front/lidar.integrity.json"]
+    write_front_page(
+        page=found["front"], title=text, twin=True, crs=text, results=results, lacking=[(text, text)],
+        pictures=[folder / "p.png"], figures={"p": (text, text)},
+    )  # fmt: skip
     points = np.random.default_rng(1).uniform(0, 9, (3000, 3))
     view = View(
         xyz_m=points, frame=local_crs_called(text), n_total=3000, image=np.zeros(3000, int),

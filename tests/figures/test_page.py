@@ -141,7 +141,7 @@ def test_cards_link_their_evidence_and_carry_the_tone_of_their_verdict() -> None
     assert (
         '<tr class="good"><td>RMSE</td><td><a href="accuracy/index.html">4.0 cm</a></td><td>consist' in html
     )
-    assert "<tr><td>n</td><td>7</td><td></td></tr>" in html
+    assert '<tr class=""><td>n</td><td>7</td><td></td></tr>' in html
 
 
 def test_a_fold_holds_what_was_added_within() -> None:

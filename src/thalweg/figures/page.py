@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from html import escape as escaped
+from html import escape as escaped, unescape
 from pathlib import Path
 from typing import Any, Final, Self
 from urllib.parse import quote
@@ -21,7 +21,6 @@ from thalweg.figures.style import dashed, save
 
 PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 THUMBNAIL_PX: Final = 400
-WEBP_QUALITY: Final = 70
 
 STYLE: Final = Path(__file__).with_name("page.css").read_text(encoding="utf-8")
 
@@ -62,11 +61,15 @@ class Finding:
 
 TONES: Final = {
     "consistent": "good",
+    "no gap": "good",
     "too optimistic": "bad",
     "too pessimistic": "unsure",
     "cannot tell": "unsure",
+    "to judge": "unsure",
 }
-"""Class of colours of each verdict; the verdict itself is the word beside the colour."""
+"""Colours of verdicts by their last words; the verdict itself is beside the colour."""
+_LONG_VALUE: Final = 20
+"""A longer value of a finding is written in smaller letters."""
 
 
 class Page:
@@ -89,17 +92,21 @@ class Page:
         self.title = title
         self._lead = (f"<p>{escape(lead)}</p>\n" if lead else "") + findings_html(findings)
         self._body: list[str] = []
-        self._sections: list[tuple[str, str]] = []
+        self._contents: list[tuple[str, str]] = []
 
     def section(self, name: str) -> Self:
         """Begin a section; it gets a line in the list of contents."""
         stem = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") or "section"
-        used = {anchor for anchor, _ in self._sections}
+        used = {address for address, _ in self._contents}
         anchor, number = stem, 2
-        while anchor in used:
+        while f"#{anchor}" in used:
             anchor, number = f"{stem}-{number}", number + 1
-        self._sections.append((anchor, name))
         self._body.append(f'<h2 id="{anchor}">{escape(name)}</h2>')
+        return self.entry(f"#{anchor}", name)
+
+    def entry(self, address: str, words: str) -> Self:
+        """Add a line to the list of contents: an anchor of the page, or another page."""
+        self._contents.append((address, words))
         return self
 
     def text(self, words: str) -> Self:
@@ -165,7 +172,7 @@ class Page:
     def thumbnails(self, pictures: Mapping[str, tuple[Path, str]]) -> Self:
         """Add small copies of pictures that open the large ones: relative address -> file, words below it."""
         items = "".join(
-            f'<a href="{quote(href)}"><img alt="" src="{small_picture(file, THUMBNAIL_PX)}">'
+            f'<a href="{quote(href)}"><img alt="" src="{small_picture(file, THUMBNAIL_PX, 50)}">'
             f"<span>{escape(words)}</span></a>\n"
             for href, (file, words) in pictures.items()
         )
@@ -222,9 +229,10 @@ class Page:
         home : relative address of the front page that it leads back to, if there is one.
         """
         contents = "".join(
-            f'<li><a href="#{anchor}">{escape(name)}</a></li>' for anchor, name in self._sections
+            f'<li><a href="{quote(address, safe="/#")}">{escape(words)}</a></li>'
+            for address, words in self._contents
         )
-        nav = f"<nav><ul>{contents}</ul></nav>\n" if len(self._sections) > 1 else ""
+        nav = f"<nav><ul>{contents}</ul></nav>\n" if len(self._contents) > 1 else ""
         body, back = "\n".join(self._body), BACK.format(quote(home)) if home else ""
         words = re.sub(r"<[^>]*>", " ", self._lead + body)
         body += "".join(
@@ -268,20 +276,38 @@ def findings_html(findings: Sequence[Finding]) -> str:
     """The few numbers at the head of a page as cards, each with its verdict."""
     rows = ""
     for f in findings:
-        value = f'<a href="{quote(f.href)}">{escape(f.value)}</a>' if f.href else escape(f.value)
-        tone = f' class="{TONES[f.verdict]}"' if f.verdict in TONES else ""
-        rows += f"<tr{tone}><td>{escape(f.quantity)}</td><td>{value}</td><td>{escape(f.verdict)}</td></tr>\n"
+        value = f'<a href="{quote(f.href, safe="/#")}">{escape(f.value)}</a>' if f.href else escape(f.value)
+        looks = [tone for words, tone in TONES.items() if f.verdict.endswith(words)]
+        looks += ["long"] * (len(f.value) > _LONG_VALUE)
+        cells = "".join(f"<td>{each}</td>" for each in (escape(f.quantity), value, escape(f.verdict)))
+        rows += f'<tr class="{" ".join(looks)}">{cells}</tr>\n'
     head = "<tr><th>quantity</th><th>value</th><th>verdict</th></tr>"
     return f'<table class="findings">{head}\n{rows}</table>\n' if rows else ""
 
 
-def small_picture(file: Path, width_px: int) -> str:
-    """A picture reduced to that width as an address that holds it."""
+_FINDING: Final = re.compile(r"<tr[^>]*>" + "<td>(?:<a[^>]*>)?(.*?)(?:</a>)?</td>" * 3 + "</tr>")
+
+
+def findings_of(page: str) -> list[Finding]:
+    """The findings at the head of a page that was written, without their addresses.
+
+    Examples
+    --------
+    >>> findings_of(Page("Bed", "", [Finding("RMSE & n", "5 cm, 4", "consistent")]).html())
+    [Finding(quantity='RMSE & n', value='5 cm, 4', verdict='consistent', href='')]
+    """
+    _, _, rest = page.partition('<table class="findings">')
+    found = _FINDING.findall(rest.partition("</table>")[0])
+    return [Finding(*map(unescape, cells)) for cells in found]
+
+
+def small_picture(file: Path, width_px: int, quality: int) -> str:
+    """A picture reduced to that width as an address that holds it, as WebP of that quality, 0 to 100."""
     memory = io.BytesIO()
     with Image.open(file) as picture:
         small = picture.convert("RGB")
         small.thumbnail((width_px, 2 * width_px), Image.Resampling.LANCZOS)
-        small.save(memory, "WEBP", quality=WEBP_QUALITY, method=6)
+        small.save(memory, "WEBP", quality=quality, method=6)
     return data_address(memory.getvalue(), "webp")
 
 

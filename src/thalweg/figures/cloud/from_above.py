@@ -81,7 +81,7 @@ def draw_from_above(
         picture = _laid_on(picture, land, LAND, limits, land.radius_px(), shading=1.0)
         bars.append((LAND, limits, "height above the water / m" if level else "height / m"))
     figure = new_figure(WIDTH_MM * _SHAPE + (14.0 if bars else 2.0), "", twin=twin)
-    rows = [["map"] * max(len(bars), 1)] + ([[name for _, _, name in bars]] if bars else [])
+    rows: Any = [["map"] * max(len(bars), 1)] + ([[name for _, _, name in bars]] if bars else [])
     axes = figure.subplot_mosaic(rows, height_ratios=[45, 1][: len(rows)])
     ax = axes["map"]
     right, bottom = np.array([view.width_px, -view.height_px]) * view.pixel_m + [view.left_m, view.top_m]
