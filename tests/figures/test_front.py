@@ -2,6 +2,7 @@
 
 import base64
 import json
+import os
 import re
 import runpy
 import sys
@@ -189,14 +190,14 @@ def test_a_survey_at_a_glance(tmp_path: Path) -> None:
     text = words(front(tmp_path, "boat", twin=True, lacking=[("strip of the bed", "logs.light_sheet")]))
     for told in (
         "Survey &lt;1&gt; Digital twin: simulated instruments wrote these logs · 2017-05-12, 18:44:55 to",
-        "51.0500° N, 13.2500° E · map EPSG:25833",
+        "51.0500°N, 13.2500°E · map EPSG:25833",
         # the best trajectory has a gap of 20 poses: from the last one before it to the first one after it
-        "position of the boat, median σ in space, all sensors 3.5 cm 1 gap, 2.1 s",
+        "position of the boat, median 3D σ, all sensors 3.5 cm 1 gap, 2.1 s",
         "cloud to reference, RMSE, all sensors 5.0 cm 5.0 cm predicted: consistent",
         "cloud to reference, RMSE, INS and GNSS 5.0 cm 2.5 cm predicted: too optimistic",
         "riverbed, RMSE of 4 left-out lines 5.2 cm too few lines to judge",
-        "points in the cloud 600 60 % of those decoded",
-        "soundings that count 291 of 300 pings",
+        "points in the cloud 600 60 % of those decoded pass the filters",
+        "soundings used 291 of 300 pings",
         "records lost or damaged 3 1 of 3 recordings complete",
         # a fiftieth and a fifth of the time are missing
         "Lidar VLP-16 ▲ 1 gap, 2.0 s",
@@ -220,7 +221,7 @@ def test_a_survey_at_a_glance(tmp_path: Path) -> None:
 
 
 def test_each_kind_shows_the_numbers_of_its_page(tmp_path: Path) -> None:
-    assert "soundings that count 291 of 300 pings" in words(front(tmp_path, "soundings"))
+    assert "soundings used 291 of 300 pings" in words(front(tmp_path, "soundings"))
     text = words(front(tmp_path, "change"))
     assert text.count("volume of erosion −12.6 ± 0.6 m³ not zero, at 95 %") == 7  # of nine
     assert "Open: Point cloud" in text
@@ -285,6 +286,14 @@ def test_a_page_of_others_is_refused(tmp_path: Path) -> None:
         )  # fmt: skip
 
 
+def find_axe(repository: Path) -> str:
+    """The program of axe-core; the test is skipped where it is not."""
+    path = Path(os.environ.get("THALWEG_AXE", repository / "node_modules/axe-core/axe.min.js"))
+    if not path.is_file():
+        pytest.skip("no axe-core: `npm install axe-core`, or THALWEG_AXE=.../axe.min.js")
+    return path.read_text(encoding="utf-8")
+
+
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     with Browser(tmp_path_factory.mktemp("profile"), (1280, 800)) as opened:
@@ -330,3 +339,15 @@ def test_it_is_read_at_once_on_a_telephone_by_keyboard_and_on_paper(tmp_path: Pa
         assert [round(float(side)) for side in box.groups()] == pytest.approx([595, 842], abs=1)
         assert page.errors == []
         assert {url.partition(":")[0] for url in page.requests} <= {"file", "data"}
+
+
+def test_axe_finds_no_barrier(tmp_path: Path, repository: Path, browser: Browser) -> None:
+    axe, path = find_axe(repository), front(tmp_path, "boat", twin=True, lacking=[("a", "b")])
+    with browser.empty_page() as page:
+        for name in ("index.html", "accuracy/index.html"):
+            page.open(path.parent / name)
+            page.wait(f"document.readyState === 'complete' && location.href.endsWith('boat/{name}')")
+            page.run("document.querySelectorAll('details').forEach((each) => { each.open = true; })")
+            page.run(f"{axe};0")
+            script = "axe.run().then((found) => found.violations.map((v) => `${v.id}: ${v.nodes[0].html}`))"
+            assert page.run(script) == [], name

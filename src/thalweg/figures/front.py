@@ -168,7 +168,7 @@ def _facts(track: Trajectory | None, crs: str) -> Iterator[str]:
         steps = np.diff(track.position_wcs_m[track.valid, :2], axis=0)
         yield f"track of {np.hypot(*steps.T).sum():.0f} m"
         lat, lon = track.frame.lat_deg, track.frame.lon_deg
-        yield f"{abs(lat):.4f}° {'N' if lat >= 0 else 'S'}, {abs(lon):.4f}° {'E' if lon >= 0 else 'W'}"
+        yield f"{abs(lat):.4f}°{'N' if lat >= 0 else 'S'}, {abs(lon):.4f}°{'E' if lon >= 0 else 'W'}"
     if crs != "local":
         yield f"map {crs}"
 
@@ -180,9 +180,7 @@ def _of_survey(files: Mapping[str, Path], track: Trajectory, chain: str) -> Iter
     missing = f"{plural(len(gaps), 'gap')}, {sum(length for _, length in gaps):.1f} s" if gaps else "no gap"
     compared = "accuracy/trajectories.html" if "accuracy/trajectories.html" in files else ""
     words = CHAINS[chain]
-    yield Finding(
-        f"position of the boat, median σ in space, {words}", centimetres(sigma_m), missing, compared
-    )
+    yield Finding(f"position of the boat, median 3D σ, {words}", centimetres(sigma_m), missing, compared)
     for name, of in CHAINS.items():
         folder = "by_fused/" if name == "trajectory_fused" else ""
         if statistics := files.get(f"accuracy/{folder}statistics.csv"):
@@ -201,13 +199,13 @@ def _of_survey(files: Mapping[str, Path], track: Trajectory, chain: str) -> Iter
         yield Finding(quantity, centimetres(bed["rmse_m"]), words, "bathymetry/index.html")
     if counts := files.get("lidar/counts.csv"):
         kept = pd.read_csv(counts).set_index("reason").T["kept"]
-        share = f"{100 * kept['share']:.0f} % of those decoded"
+        share = f"{100 * kept['share']:.0f} % of those decoded pass the filters"
         yield Finding("points in the cloud", count(kept["n"]), share, "viewer/index.html")
     if soundings := files.get("bathymetry/soundings.json"):
         pings = read_json(soundings)
         used = f"of {count(pings['pings'])} pings"
         bed_page = "bathymetry/index.html" if validation else "figures/soundings.png"
-        yield Finding("soundings that count", count(pings["by_reason"][""]), used, bed_page)
+        yield Finding("soundings used", count(pings["by_reason"][""]), used, bed_page)
     reports = [IntegrityReport.read(path) for name, path in files.items() if name.endswith(".integrity.json")]
     lost = sum(sum(report.losses.values()) for report in reports)
     clean = f"{sum(report.clean for report in reports)} of {len(reports)} recordings complete"

@@ -201,8 +201,10 @@ class Page:
         if frame.empty:
             return self.text(f"{caption.rstrip('.')}: none.")
         numeric = {name: pd.api.types.is_numeric_dtype(frame[name]) for name in frame.columns}
+        tags = {name: "th" if name else "td" for name in frame.columns}
         head = "".join(
-            f"<th{_class(numeric[name])}>{escape(str(name))}{_unit((units or {}).get(str(name), ''))}</th>"
+            f"<{tags[name]}{_class(numeric[name])}>{escape(str(name))}"
+            f"{_unit((units or {}).get(str(name), ''))}</{tags[name]}>"
             for name in frame.columns
         )
         rows = "".join(
@@ -243,8 +245,8 @@ class Page:
         return (
             '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-            f"<title>{escape(self.title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n{back}"
-            f"<h1>{escape(self.title)}</h1>\n{self._lead}{nav}{body}\n</body>\n</html>\n"
+            f"<title>{escape(self.title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n{back}"
+            f"<h1>{escape(self.title)}</h1>\n{self._lead}{nav}{body}\n</main>\n</body>\n</html>\n"
         )
 
     def write(self, path: Path) -> None:
