@@ -604,6 +604,11 @@ def test_it_begins_with_the_colour_that_most_points_have(
 ) -> None:
     xyz = hills()[::40]
     place = np.arange(len(xyz)) / len(xyz)
+    # ten times as many points in one place, all of them known, tell no more of the cloud
+    xyz, place = (
+        np.vstack([xyz, np.tile(xyz[:1], (10 * len(xyz), 1))]),
+        np.append(place, np.zeros(10 * len(xyz))),
+    )
     view = View(
         xyz_m=xyz, frame=FRAME, n_total=len(xyz),
         rgb=None if share is None else np.full((len(xyz), 3), 90, np.uint8),

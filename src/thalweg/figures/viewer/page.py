@@ -355,7 +355,7 @@ def write_viewer(
     n_shown = sum(len(node.rows) for node in tree)
     shown = np.concatenate([node.rows for node in tree])
     columns, facts = _columns(view, shown)
-    facts |= {"colour": _first_colour(view, shown, first_alone), "grid": _grid(view, crs)}
+    facts |= {"colour": _first_colour(view, tree[0].rows, first_alone), "grid": _grid(view, crs)}
     if view.image is not None and photographs and len(photographs) <= _MOST_PHOTOGRAPHS:
         place = pd.Series(np.arange(1, len(photographs) + 1), index=list(photographs))
         columns["image"] = place.reindex(view.image, fill_value=0).to_numpy().astype("<u2")[:, None]
@@ -515,12 +515,12 @@ def _first_look(xyz_m: ArrayF) -> dict[str, Any]:
     return {"middle": ((low + high) / 2).tolist(), "extent": float((high - low).max()), "heights": heights}
 
 
-def _first_colour(view: View, shown: AnyArray, first_alone: bool) -> str:
-    """What tells most of the points that are shown first: photographs, distances, else heights."""
-    first = (
-        (view.extras["cloud"][0][shown] == 1) if view.clouds and first_alone else np.ones(len(shown), bool)
-    )
-    rows = shown[first]
+def _first_colour(view: View, even: AnyArray, first_alone: bool) -> str:
+    """What tells most of the cloud that is shown first: photographs, distances, else heights.
+
+    ``even``: points evenly in space, as the eye weighs them; near the boat there are many more.
+    """
+    rows = even[view.extras["cloud"][0][even] == 1] if view.clouds and first_alone else even
     distances = {
         name: np.isfinite(v[rows]) for name, (v, _) in view.extras.items() if name.startswith("dist")
     }
