@@ -62,6 +62,8 @@ class Finding:
 TONES: Final = {
     "consistent": "good",
     "no gap": "good",
+    "nothing lost or damaged": "good",
+    "something is missing": "unsure",
     "too optimistic": "bad",
     "too pessimistic": "unsure",
     "cannot tell": "unsure",

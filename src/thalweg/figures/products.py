@@ -14,7 +14,7 @@ MAP_FILES: Final[Sequence[Product]] = (
     ("fusion/dtm.tif", "Terrain model of bed and banks", "QGIS, ArcGIS, hydraulic models"),
     ("bathymetry/bed.tif", "Riverbed with standard deviations", "QGIS, ArcGIS"),
     ("bathymetry/soundings.csv", "Georeferenced soundings", "QGIS, spreadsheets"),
-    ("map.gpkg", "Track, soundings, banks, sections", "QGIS, ArcGIS"),
+    ("map.gpkg", "Track, soundings, river", "QGIS, ArcGIS"),
     ("orientation/track.geojson", "Track", "QGIS, web maps"),
     ("orientation/track.kml", "Track", "Google Earth"),
     ("fusion/exports", "Meshes and cross sections", "HEC-RAS, TELEMAC, SMS, EPA SWMM"),
