@@ -347,6 +347,29 @@ def test_it_is_read_at_once_on_a_telephone_by_keyboard_and_on_paper(tmp_path: Pa
         assert {url.partition(":")[0] for url in page.requests} <= {"file", "data"}
 
 
+def test_a_wide_table_scrolls_on_a_screen_and_fits_on_paper(tmp_path: Path, browser: Browser) -> None:
+    table = pd.DataFrame([{f"a long name {k}": 1234.5678 for k in range(20)}])
+    page_of = Page("Wide").section("One").table(table, "Many columns", {"a long name 3": "mm"})
+    page_of.lines(["correlation " * 30]).write(tmp_path / "wide.html")
+    wide = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
+    with browser.empty_page() as page:
+        page.open(tmp_path / "wide.html")
+        page.wait("document.readyState === 'complete' && document.querySelectorAll('table').length")
+        for width, media in ((390, "screen"), (680, "print")):
+            page.call("Emulation.setEmulatedMedia", media=media)
+            page.call(
+                "Emulation.setDeviceMetricsOverride",
+                width=width,
+                height=900,
+                deviceScaleFactor=0.5,
+                mobile=False,
+            )
+            assert page.run(wide) <= 0, media
+        parts = "[...document.querySelectorAll('td, pre')].map((each) => each.getBoundingClientRect().right)"
+        assert max(page.run(parts)) <= 680
+        page.call("Emulation.setEmulatedMedia", media="")
+
+
 def test_axe_finds_no_barrier(tmp_path: Path, repository: Path, browser: Browser) -> None:
     axe, path = find_axe(repository), front(tmp_path, "boat", twin=True, lacking=[("a", "b")])
     with browser.empty_page() as page:
