@@ -1263,7 +1263,8 @@ class CampaignFiles:
         reports += self._where(self.has_panoramas(), "ingest/rig.integrity.json")
         fused = self.of_compared_chains("statistics.csv")[2:] if self.has_time_lapse() else []
         facts = [*self.counts_of_points(), *self.sounding_facts()] if self._is_survey() else []
-        return list(dict.fromkeys([*self._made(), *reports, *fused, *facts]))
+        others = [path for path in self.final_outputs() if path != self._result("index.html")]
+        return list(dict.fromkeys([*others, *reports, *fused, *facts]))
 
     def final_outputs(self) -> list[str]:
         """The tables and pages that `all` builds; pictures stand in `thalweg.workflow.figures`."""
