@@ -95,6 +95,9 @@ EXAMPLES: Final = {
     "figures/test_footprints.py": {
         "figures.cloud.footprints:footprints": "test_figure_draws_every_footprint_to_scale"
     },
+    "figures/test_from_above.py": {
+        "figures.cloud.from_above:from_above": "test_bed_and_bank_have_the_colours_of_their_bars"
+    },
     "figures/test_frames_by_image.py": {
         "figures.cloud.frames_by_image:frames_by_image": "test_the_figure_says_how_many"
     },

@@ -10,8 +10,8 @@ from .catalogue import (
     read_entry as read_entry,
     write_catalogue as write_catalogue,
 )
-from .front import front_page as front_page
-from .page import Finding as Finding, Page as Page
+from .front import write_front_page as write_front_page
+from .page import BACK as BACK, Finding as Finding, Page as Page, front_page_of as front_page_of
 from .style import (
     BLUE as BLUE,
     DEPTH_MAP as DEPTH_MAP,
