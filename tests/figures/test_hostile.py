@@ -13,7 +13,7 @@ from pyproj import CRS
 
 from tests.figures.browser import Browser
 from thalweg.core import Frame
-from thalweg.figures import Finding, Page, costs_page, front_page
+from thalweg.figures import Finding, Page, costs_page, write_front_page
 from thalweg.figures.catalogue import CATALOGUE, CONTROL, Entry, catalogue_page
 from thalweg.figures.firstlook import recordings_page
 from thalweg.figures.images import orientation_page
@@ -33,10 +33,12 @@ def every_method(text: str, folder: Path) -> Page:
     """Each way to bring a text onto a page."""
     Image.new("RGB", (2, 2)).save(folder / "p.png")
     table = pd.DataFrame({text: [text, text], f"{text}2": [1.0, 2.0]})
-    page = Page(text, text, [Finding(text, text, text)])
+    page = Page(text, text, [Finding(text, text, text, text)])
     page.section(text).text(f"{text}\n\n{text}").lines([text]).figure(folder / "p.png", text)
     page.section(text).figures({text: folder / "p.png"}, {text: text}).links({text: (text, text)})
-    return page.thumbnails({text: text}).table(table, text, {text: text})
+    with page.fold(text):
+        page.thumbnails({text: (folder / "p.png", text)}).table(table, text, {text: text})
+    return page
 
 
 def photographs(text: str, folder: Path) -> Page:
@@ -100,15 +102,17 @@ def made_of(text: str, folder: Path) -> dict[str, Path]:
         found[name] = folder / f"{name}.html"
         make(text, folder).write(found[name])
     found["front"] = folder / "front/index.html"
-    products = [
-        {"name": text, "file": "a.laz", "made": True, "needs": text},
-        {"name": text, "file": "", "made": False, "needs": text},
-    ]
-    summary = pd.DataFrame({"quantity": [text], "value": [1.0], "unit": [text]})
-    front_page(
-        found["front"], title=text, twin=True, products=products, pages=list(found.values())[:2],
-        pictures=[folder / "p.png"], captions={"p": text}, summary=summary,
-    ).write(found["front"])  # fmt: skip
+    (folder / "front").mkdir()
+    table = pd.DataFrame({"quantity": [text], "value": [1.0], "unit": [text]})
+    table.to_csv(folder / "front/summary.csv", index=False)
+    report = IntegrityReport(stream=text, format=text, files=[text], model=text)
+    report.lose(text, 1)
+    report.write(folder / "front/lidar.integrity.json")
+    results = [*list(found.values())[:2], folder / "front/summary.csv", folder / "front/lidar.integrity.json"]
+    write_front_page(
+        page=found["front"], title=text, twin=True, crs=text, results=results, lacking=[(text, text)],
+        pictures=[folder / "p.png"], figures={"p": (text, text)},
+    )  # fmt: skip
     points = np.random.default_rng(1).uniform(0, 9, (3000, 3))
     view = View(
         xyz_m=points, frame=local_crs_called(text), n_total=3000, image=np.zeros(3000, int),
@@ -160,7 +164,7 @@ def test_a_hostile_text_gives_the_elements_of_a_harmless_one(
         assert "window.ran=2" in hostile[name].read_text(), name  # it is there, as text
         assert found.found == harmless.found, name
         for address in found.addresses:
-            assert re.match(r"#|data:image/png;base64,|[^:]*$", address), (name, address)
+            assert re.match(r"#|data:image/(png|webp);base64,|[^:]*$", address), (name, address)
         assert len(found.scripts) == len(harmless.scripts), name
         for script in found.scripts:
             (data,) = re.findall(r"(?m)^const DATA = .*;$", script)

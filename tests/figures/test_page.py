@@ -1,15 +1,18 @@
 """The page: valid, self-contained, escaped, the same bytes twice."""
 
 import base64
+import re
 from html.parser import HTMLParser
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from PIL import Image
 
 from thalweg.core import InputError
-from thalweg.figures import Page, save
+from thalweg.figures import Finding, Page, save
 from thalweg.figures.page import SOURCES
 from thalweg.figures.survey.maps import survey_map
 
@@ -129,6 +132,45 @@ def test_bad_parts_are_refused(tmp_path, table):
         Page("x").figure(text, "c")
     with pytest.raises(InputError, match=r"units for columns \['speed'\]"):
         Page("x").table(table, "c", {"speed": "m/s"})
+
+
+def test_cards_link_their_evidence_and_carry_the_tone_of_their_verdict() -> None:
+    found = [Finding("RMSE", "4.0 cm", "consistent", "accuracy/index.html"), Finding("n", "7")]
+    html = Page("x", "", found).html()
+    check(html)
+    assert (
+        '<tr class="good"><td>RMSE</td><td><a href="accuracy/index.html">4.0 cm</a></td><td>consist' in html
+    )
+    assert '<tr class=""><td>n</td><td>7</td><td></td></tr>' in html
+
+
+def test_a_fold_holds_what_was_added_within() -> None:
+    page = Page("x")
+    with page.fold("All <numbers>"):
+        page.text("within")
+    inside = re.search(r"<details>(.*?)</details>", page.text("after").html(), re.DOTALL)[1]
+    assert "<summary>All &lt;numbers&gt;</summary>" in inside
+    assert "within" in inside
+    assert "after" not in inside
+
+
+def test_thumbnails_are_small_copies_that_open_the_large_picture(tmp_path: Path) -> None:
+    Image.effect_noise((1400, 700), 60).save(tmp_path / "large.png")
+    found = check(Page("x").thumbnails({"figures/large.png": (tmp_path / "large.png", "Map")}).html())
+    assert found.links == ["figures/large.png"]
+    code = base64.b64decode(found.images[0].partition("base64,")[2])
+    with Image.open(BytesIO(code)) as small:
+        assert small.size == (400, 200)
+    assert len(code) < 60_000  # noise is the worst of pictures
+
+
+def test_pages_among_results_lead_back_to_the_front_page(tmp_path: Path) -> None:
+    for name, back in (("a/index.html", None), ("a/b/page.html", "../"), ("a/b/c/page.html", "../../")):
+        Page("x").write(tmp_path / "results" / name)
+        links = check((tmp_path / "results" / name).read_text()).links
+        assert links == ([] if back is None else [f"{back}index.html"])
+    Page("x").write(tmp_path / "elsewhere/page.html")
+    assert check((tmp_path / "elsewhere/page.html").read_text()).links == []
 
 
 def test_empty_table_and_section_without_letters():

@@ -133,10 +133,10 @@ def _fixed(_: Path) -> dict[str, Any]:
 def _front(folder: Path) -> dict[str, Any]:
     summary = pd.DataFrame({"quantity": ["a", "b"], "value": [1.0, 2.0], "unit": ["m", "1"]})
     (folder / "a.html").write_text("<h1>A</h1>\n<p>Words.</p>")
-    made = [{"name": "a", "file": folder / "a.laz", "made": each, "needs": "b"} for each in (True, False)]
+    summary.to_csv(folder / "summary.csv", index=False)
     return {
-        "target": folder / "index.html", "title": "a", "twin": True, "products": made, "pictures": [],
-        "pages": [folder / "a.html"], "captions": {}, "summary": summary,
+        "page": folder / "index.html", "title": "a", "twin": True, "crs": "b", "lacking": [("a", "b")],
+        "results": [folder / "a.html", folder / "summary.csv"], "pictures": [], "figures": {"a": ("b", "c")},
     }  # fmt: skip
 
 
@@ -181,7 +181,7 @@ OWN: Final[Mapping[str, Callable[[Path], dict[str, Any]]]] = {
     "figures.catalogue:catalogue_page": _catalogue,
     "figures.catalogue:costs_page": _costs,
     "figures.firstlook.first_look:recordings_page": _recordings,
-    "figures.front:front_page": _front,
+    "figures.front:write_front_page": _front,
     "figures.images.fixed_camera:fixed_camera_page": _fixed,
     "figures.images.photographs:finished_page": _finished,
     "figures.images.photographs:orientation_page": _orientation,
@@ -249,7 +249,9 @@ def test_a_page_says_what_there_is_none_of(
         try:
             arguments = make()
             page, wrong = warned(lambda arguments=arguments: build(**arguments))
-            html = page.html() if page is not None else arguments["path"].read_text()
+            html = (
+                page.html() if page is not None else (arguments.get("path") or arguments["page"]).read_text()
+            )
             wrong += faults_of_page(html)
         except NoSuchStateError:
             continue

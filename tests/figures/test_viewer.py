@@ -589,6 +589,93 @@ def test_a_point_leads_to_its_photograph_and_panorama(walk: Path, browser: Brows
         assert page.errors == []
 
 
+@pytest.mark.parametrize(
+    ("share", "extras", "colour"),
+    [
+        (0.6, {}, "rgb"),
+        (0.4, {}, "height"),
+        (0.4, {"distance_m": 0.7}, "distance_m"),
+        (0.4, {"distance_m": 0.1, "more": 1.0}, "height"),
+        (None, {}, "height"),
+    ],
+)
+def test_it_begins_with_the_colour_that_most_points_have(
+    tmp_path: Path, share: float | None, extras: dict[str, float], colour: str
+) -> None:
+    xyz = hills()[::40]
+    place = np.arange(len(xyz)) / len(xyz)
+    # ten times as many points in one place, all of them known, tell no more of the cloud
+    xyz, place = (
+        np.vstack([xyz, np.tile(xyz[:1], (10 * len(xyz), 1))]),
+        np.append(place, np.zeros(10 * len(xyz))),
+    )
+    view = View(
+        xyz_m=xyz, frame=FRAME, n_total=len(xyz),
+        rgb=None if share is None else np.full((len(xyz), 3), 90, np.uint8),
+        coloured=None if share is None else place < share,
+        extras={name: (np.where(place < known, place, np.nan), "m") for name, known in extras.items()},
+    )  # fmt: skip
+    write_viewer(view, tmp_path, title="x")
+    assert decoded(tmp_path, "")[1]["colour"] == colour
+
+
+def test_a_click_gives_the_map_grid_and_further_ones_an_area(browser: Browser, tmp_path: Path) -> None:
+    xyz = hills()[::4]
+    folder = tmp_path / "results/a/viewer"
+    write_viewer(View(xyz_m=xyz, frame=FRAME, n_total=len(xyz)), folder, title="x", crs="EPSG:25833")
+    with browser.empty_page() as page:
+        page.open(folder / "index.html", "#at=0,0,0&look=0,90,150&colour=height")
+        page.wait("typeof settled !== 'undefined' && settled")
+        for place in ([0.0, 0.0, 0.0], [-79.0, 60.0, 5.0], [80.0, -80.0, -7.0]):
+            expected = FRAME.to_map(np.array(place), CRS.from_epsg(25833))
+            assert page.run(f"onGrid({place})") == pytest.approx(expected.tolist(), abs=1e-4)
+        page.click(450, 300)
+        words = page.run("$('found').textContent")
+        assert re.search(
+            r"ETRS89 / UTM zone 33N \(EPSG:25833\):\n  easting 377\d{3}\.\d{3} m\n  northing", words
+        )
+        for x, y in ((500, 300), (500, 350)):
+            for kind in ("mousePressed", "mouseReleased"):
+                page.call(
+                    "Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1, modifiers=8
+                )
+        a, b, c = np.array(page.run("picked.map((point) => point.place)"))[:, :2]
+        area = abs(np.linalg.det([b - a, c - a])) / 2
+        words = page.run("$('found').textContent")
+        assert float(re.search(r"level area ([\d.]+) m²", words)[1]) == pytest.approx(area, abs=0.006)
+        # a square of 10 m whose corners are known to 10 cm: by the law of errors sqrt(2) m²
+        page.run(
+            "picked = [[0, 0], [10, 0], [10, 10], [0, 10]].map(([x, y]) => "
+            "({ place: [x, y, 3], sigma: [0.1, 0.1, 0.5] })); report()"
+        )
+        assert "length of the line 30.000 m\nlevel area 100.00 m² ± 1.41 m²" in page.run(
+            "$('found').textContent"
+        )
+        page.click(450, 300)
+        assert page.run("picked.length") == 1
+        assert (
+            page.run("document.querySelector('.back a').href") == (tmp_path / "results/a/index.html").as_uri()
+        )
+        assert page.errors == []
+
+
+def test_the_panel_folds_on_a_telephone(browser: Browser, tmp_path: Path) -> None:
+    xyz = hills()[::40]
+    write_viewer(View(xyz_m=xyz, frame=FRAME, n_total=len(xyz)), tmp_path, title="Hills")
+    with browser.empty_page() as page:
+        page.call(
+            "Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=0.5, mobile=True
+        )
+        page.open(tmp_path / "index.html")
+        page.wait("typeof settled !== 'undefined' && settled")
+        height = "document.querySelector('aside').getBoundingClientRect().height"
+        assert page.run(height) < 844 / 8
+        page.run("$('panel').open = true")
+        assert 844 / 4 < page.run(height) <= 0.6 * 844 + 1
+        assert page.run("document.documentElement.scrollWidth") == 390
+        assert page.errors == []
+
+
 def test_what_is_clipped_is_not_drawn_and_not_found(browser: Browser, tmp_path: Path) -> None:
     xyz = hills().reshape(641, 641, 3)[::2, ::2].reshape(-1, 3)
     write_viewer(View(xyz_m=xyz, frame=FRAME, n_total=len(xyz)), tmp_path / "v", title="x")

@@ -197,6 +197,10 @@ def test_the_cloud_agrees_with_the_reference_as_its_sigmas_say(tiny_house) -> No
     page = (base / "index.html").read_text()
     assert "digital twin" in page
     assert page.count("data:image/png") == 5
+    assert 'href="../index.html"' in page
+    front = (base.parent / "index.html").read_text()
+    assert len(front) < 1_500_000  # it loads nothing but itself
+    assert [link for link in re.findall(r'href="([^"#]+)', front) if not (base.parent / link).exists()] == []
 
 
 def test_the_processing_needs_no_truth(tiny_house) -> None:
@@ -587,8 +591,7 @@ def test_an_sbet_and_photographs_give_the_chains_of_camera_and_all_sensors(tiny_
     # `prior_study`, of six voyages of two minutes.
     low, high = band(3 * 2)
     assert low < np.mean(off**2) < high
-    text = (results / "index.html").read_text()
-    assert "trajectories by camera and by all sensors" in text
+    assert 'href="orientation/trajectory_fused.parquet"' in (results / "index.html").read_text()
 
 
 def test_raw_observations_of_the_twin_are_solved(tiny_house) -> None:

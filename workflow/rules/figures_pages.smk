@@ -2,17 +2,17 @@
 
 PAGES = {
     "front_page": {
-        "shows": "What a campaign gave, on the page that a person opens first: every page and picture, and what lacks.",
+        "shows": "A campaign at a glance, on the page that a person opens first: how good it is, every page, file and picture.",
         "calls": "thalweg.figures.front:write_front_page",
         "page": f"{RESULTS}/index.html",
         "inputs": {
-            "pages": of(CampaignFiles.pages),
-            "summary": of(CampaignFiles.summary),
+            "results": of(CampaignFiles.shown_in_front),
             "pictures": lambda wildcards: FIGURES.files(FILES[wildcards.campaign]),
         },
         "params": {
-            "products": of(CampaignFiles.plain_products),
-            "captions": {row.name: row.shows for row in FIGURES.rows},
+            "lacking": of(CampaignFiles.lacking),
+            "figures": {row.name: (row.category, row.shows) for row in FIGURES.rows},
+            "crs": section("campaign", "crs"),
         },
     },
     "accuracy_page": {

@@ -255,5 +255,6 @@ rule viewer_page:
         title=section("campaign", "title"),
         names=of(CampaignFiles.page_names),
         twin=of(CampaignFiles.is_twin),
+        crs=section("campaign", "crs"),
     script:
         "../scripts/call.py"

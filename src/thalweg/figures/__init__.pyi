@@ -10,7 +10,7 @@ from .catalogue import (
     read_entry as read_entry,
     write_catalogue as write_catalogue,
 )
-from .front import front_page as front_page
+from .front import write_front_page as write_front_page
 from .page import Finding as Finding, Page as Page
 from .style import (
     BLUE as BLUE,

@@ -37,6 +37,7 @@ from thalweg.core import (
 )
 from thalweg.core.calibration import read_calibration
 from thalweg.figures.page import Page
+from thalweg.figures.products import MAP_FILES, OWN_FILES, products_of
 from thalweg.figures.style import BLUE, GREY, VERMILION, new_figure, styled
 
 # ---------------------------------------------------------------- costs of jobs
@@ -93,17 +94,16 @@ def costs_page(jobs: pd.DataFrame, rules: pd.DataFrame) -> Page:
 
 LIMIT: Final = 3.0
 """Control limits in standard deviations (Shewhart 1931): one false alarm in 370 values."""
-PRODUCTS: Final = {
-    "lidar/points.laz": ("Cloud by INS and GNSS", "application/vnd.laszip"),
-    "lidar/by_camera/points.laz": ("Cloud by the camera", "application/vnd.laszip"),
-    "lidar/by_fused/points.laz": ("Cloud by all sensors", "application/vnd.laszip"),
-    "lidar/coloured.laz": ("Coloured cloud", "application/vnd.laszip"),
-    "fusion/dtm.tif": ("Terrain model", "image/tiff; application=geotiff; profile=cloud-optimized"),
-    "bathymetry/bed.tif": ("Riverbed", "image/tiff; application=geotiff; profile=cloud-optimized"),
-    "orientation/trajectory.parquet": ("Trajectory", "application/vnd.apache.parquet"),
-    "calibration/boat.yaml": ("Calibration of the boat", "application/yaml"),
-    "summary.csv": ("Figures of the survey", "text/csv"),
+MEDIA: Final = {
+    ".laz": "application/vnd.laszip",
+    ".tif": "image/tiff; application=geotiff; profile=cloud-optimized",
+    ".gpkg": "application/geopackage+sqlite3",
+    ".parquet": "application/vnd.apache.parquet",
+    ".yaml": "application/yaml",
+    ".csv": "text/csv",
+    ".pdf": "application/pdf",
 }
+"""Media types of the files that are assets of an item; other files are none."""
 PAGES: Final = {
     "index.html": "front page",
     "viewer/index.html": "viewer",
@@ -290,10 +290,10 @@ def _provenance(
         if output.is_file():
             files, size = files + 1, size + output.stat().st_size
     versions: set[str] = set()
-    for name, (words, kind) in PRODUCTS.items():
-        output = folder / name
-        if not output.is_file():
+    for output, words, _ in products_of(folder, (*MAP_FILES, *OWN_FILES)):
+        if output.suffix not in MEDIA:
             continue
+        name = output.relative_to(folder).as_posix()
         try:
             meta = json.loads(output.with_name(f"{output.name}.meta.json").read_text(encoding="utf-8"))
             versions.add(str(meta["thalweg"]))
@@ -306,7 +306,7 @@ def _provenance(
         assets[name] = {
             "href": f"../{folder.name}/{name}",
             "title": words,
-            "type": kind,
+            "type": MEDIA[output.suffix],
             "roles": ["data"],
             "file:size": output.stat().st_size,
             **checksum,

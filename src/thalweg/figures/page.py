@@ -4,44 +4,25 @@ import base64
 import io
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from html import escape as escaped
+from html import escape as escaped, unescape
 from pathlib import Path
 from typing import Any, Final, Self
 from urllib.parse import quote
 
 import pandas as pd
 from matplotlib.figure import Figure
+from PIL import Image
 
-from thalweg.core import InputError
+from thalweg.core import InputError, final_path
 from thalweg.figures.style import dashed, save
 
 PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
+THUMBNAIL_PX: Final = 400
 
-STYLE: Final = """
-:root { color-scheme: light; }
-body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff; max-width: 62rem;
-  margin: 2rem auto; padding: 0 1rem; }
-h1 { font-size: 1.7rem; line-height: 1.2; }
-h2 { font-size: 1.25rem; margin-top: 2.5rem; border-top: 1px solid #ccc; padding-top: 1rem; }
-nav ul { columns: 2; padding-left: 1.2rem; }
-a { color: #0072b2; }
-figure { margin: 1.2rem 0; }
-figure img { max-width: 100%; height: auto; border: 1px solid #ddd; }
-figcaption, caption { font-size: .9rem; color: #444; text-align: left; margin: .3rem 0; }
-.scroll { overflow-x: auto; }
-table { border-collapse: collapse; font-size: .88rem; font-variant-numeric: tabular-nums; }
-th, td { padding: .2rem .7rem; border-bottom: 1px solid #ddd; text-align: left; vertical-align: top; }
-th { border-bottom: 2px solid #888; }
-th .unit { font-weight: normal; color: #555; }
-td.number, th.number { text-align: right; white-space: nowrap; }
-pre { background: #f5f5f5; padding: .7rem; overflow-x: auto; font-size: .82rem; line-height: 1.35; }
-.thumbnails { display: grid; grid-template-columns: repeat(auto-fill, minmax(14rem, 1fr)); gap: 1rem; }
-.thumbnails a { text-decoration: none; color: #1a1a1a; font-size: .85rem; line-height: 1.3; }
-.thumbnails img { width: 100%; height: 10rem; object-fit: contain; border: 1px solid #ddd; display: block; }
-@media print { h2 { break-after: avoid; } figure, table { break-inside: avoid; } }
-"""
+STYLE: Final = Path(__file__).with_name("page.css").read_text(encoding="utf-8")
 
 
 SOURCES: Final = {
@@ -69,11 +50,26 @@ class Finding:
     value : with unit and number of values, as people write it.
     verdict : one of `VERDICTS` where a standard deviation is judged, else what follows from the number, or
         nothing.
+    href : relative address of what it rests on, if that is another page.
     """
 
     quantity: str
     value: str
     verdict: str = ""
+    href: str = ""
+
+
+TONES: Final = {
+    "consistent": "good",
+    "no gap": "good",
+    "too optimistic": "bad",
+    "too pessimistic": "unsure",
+    "cannot tell": "unsure",
+    "to judge": "unsure",
+}
+"""Colours of verdicts by their last words; the verdict itself is beside the colour."""
+_LONG_VALUE: Final = 20
+"""A longer value of a finding is written in smaller letters."""
 
 
 class Page:
@@ -94,26 +90,23 @@ class Page:
 
     def __init__(self, title: str, lead: str = "", findings: Sequence[Finding] = ()) -> None:
         self.title = title
-        self._lead = f"<p>{escape(lead)}</p>\n" if lead else ""
-        if findings:
-            rows = "".join(
-                f"<tr><td>{escape(f.quantity)}</td><td>{escape(f.value)}</td><td>{escape(f.verdict)}</td></tr>\n"
-                for f in findings
-            )
-            head = "<tr><th>quantity</th><th>value</th><th>verdict</th></tr>"
-            self._lead += f'<div class="scroll"><table>{head}\n{rows}</table></div>\n'
+        self._lead = (f"<p>{escape(lead)}</p>\n" if lead else "") + findings_html(findings)
         self._body: list[str] = []
-        self._sections: list[tuple[str, str]] = []
+        self._contents: list[tuple[str, str]] = []
 
     def section(self, name: str) -> Self:
         """Begin a section; it gets a line in the list of contents."""
         stem = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") or "section"
-        used = {anchor for anchor, _ in self._sections}
+        used = {address for address, _ in self._contents}
         anchor, number = stem, 2
-        while anchor in used:
+        while f"#{anchor}" in used:
             anchor, number = f"{stem}-{number}", number + 1
-        self._sections.append((anchor, name))
         self._body.append(f'<h2 id="{anchor}">{escape(name)}</h2>')
+        return self.entry(f"#{anchor}", name)
+
+    def entry(self, address: str, words: str) -> Self:
+        """Add a line to the list of contents: an anchor of the page, or another page."""
+        self._contents.append((address, words))
         return self
 
     def text(self, words: str) -> Self:
@@ -122,9 +115,30 @@ class Page:
         self._body += [f"<p>{escape(part)}</p>" for part in parts]
         return self
 
+    def raw(self, part: str) -> Self:
+        """Add HTML that the caller has escaped."""
+        self._body.append(part)
+        return self
+
+    @contextmanager
+    def fold(self, title: str) -> Iterator[Self]:
+        """What is added within stands folded below a line to click; on paper it is open.
+
+        Examples
+        --------
+        >>> page = Page("Accuracy").text("RMSE 4 cm.")
+        >>> with page.fold("All numbers"):
+        ...     _ = page.text("n = 7")
+        >>> "<details><summary>All numbers</summary>" in page.html()
+        True
+        """
+        self._body.append(f"<details><summary>{escape(title)}</summary>")
+        yield self
+        self._body.append("</details>")
+
     def lines(self, lines: list[str]) -> Self:
         """Add lines of fixed width, such as those of `IntegrityReport.lines`."""
-        self._body.append(f"<pre>{escape(chr(10).join(lines))}</pre>")
+        self._body.append(f'<pre tabindex="0">{escape(chr(10).join(lines))}</pre>')
         return self
 
     def figure(self, picture: Figure | Path, caption: str, *, dpi: int = 130) -> Self:
@@ -134,10 +148,8 @@ class Page:
         ------
         InputError : the file is missing or no PNG.
         """
-        data = _png(picture, dpi)
-        code = base64.b64encode(data).decode()
         self._body.append(
-            f'<figure><img alt="{escape(caption)}" src="data:image/png;base64,{code}">'
+            f'<figure><img alt="{escape(caption)}" src="{data_address(_png(picture, dpi), "png")}">'
             f"<figcaption>{escape(caption)}</figcaption></figure>"
         )
         return self
@@ -157,12 +169,12 @@ class Page:
         self._body.append(f"<ul>\n{items}</ul>")
         return self
 
-    def thumbnails(self, pictures: Mapping[str, str]) -> Self:
-        """Add small pictures that open the large ones: relative address -> words below it."""
+    def thumbnails(self, pictures: Mapping[str, tuple[Path, str]]) -> Self:
+        """Add small copies of pictures that open the large ones: relative address -> file, words below it."""
         items = "".join(
-            f'<a href="{quote(href)}"><img loading="lazy" alt="{escape(words)}" src="{quote(href)}">'
+            f'<a href="{quote(href)}"><img alt="" src="{small_picture(file, THUMBNAIL_PX, 50)}">'
             f"<span>{escape(words)}</span></a>\n"
-            for href, words in pictures.items()
+            for href, (file, words) in pictures.items()
         )
         self._body.append(f'<div class="thumbnails">\n{items}</div>')
         return self
@@ -189,8 +201,10 @@ class Page:
         if frame.empty:
             return self.text(f"{caption.rstrip('.')}: none.")
         numeric = {name: pd.api.types.is_numeric_dtype(frame[name]) for name in frame.columns}
+        tags = {name: "th" if name else "td" for name in frame.columns}
         head = "".join(
-            f"<th{_class(numeric[name])}>{escape(str(name))}{_unit((units or {}).get(str(name), ''))}</th>"
+            f"<{tags[name]}{_class(numeric[name])}>{escape(str(name))}"
+            f"{_unit((units or {}).get(str(name), ''))}</{tags[name]}>"
             for name in frame.columns
         )
         rows = "".join(
@@ -203,18 +217,25 @@ class Page:
             for row in frame.itertuples(index=False, name=None)
         )
         self._body.append(
-            f'<div class="scroll"><table><caption>{escape(caption)}</caption>\n'
+            f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(caption)}">'
+            f"<table><caption>{escape(caption)}</caption>\n"
             f"<thead><tr>{head}</tr></thead>\n<tbody>\n{rows}</tbody></table></div>"
         )
         return self
 
-    def html(self) -> str:
-        """The page as text."""
+    def html(self, home: str = "") -> str:
+        """The page as text.
+
+        Parameters
+        ----------
+        home : relative address of the front page that it leads back to, if there is one.
+        """
         contents = "".join(
-            f'<li><a href="#{anchor}">{escape(name)}</a></li>' for anchor, name in self._sections
+            f'<li><a href="{quote(address, safe="/#")}">{escape(words)}</a></li>'
+            for address, words in self._contents
         )
-        nav = f"<nav><ul>{contents}</ul></nav>\n" if len(self._sections) > 1 else ""
-        body = "\n".join(self._body)
+        nav = f"<nav><ul>{contents}</ul></nav>\n" if len(self._contents) > 1 else ""
+        body, back = "\n".join(self._body), BACK.format(quote(home)) if home else ""
         words = re.sub(r"<[^>]*>", " ", self._lead + body)
         body += "".join(
             f"\n<p><small>{name}: {escape(source)}</small></p>"
@@ -224,14 +245,77 @@ class Page:
         return (
             '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-            f"<title>{escape(self.title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
-            f"<h1>{escape(self.title)}</h1>\n{self._lead}{nav}{body}\n</body>\n</html>\n"
+            f"<title>{escape(self.title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n{back}"
+            f"<h1>{escape(self.title)}</h1>\n{self._lead}{nav}{body}\n</main>\n</body>\n</html>\n"
         )
 
     def write(self, path: Path) -> None:
         """Write the page; the same content gives the same bytes."""
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(self.html(), encoding="utf-8")
+        path.write_text(self.html(front_page_of(path)), encoding="utf-8")
+
+
+BACK: Final = '<p class="back"><a href="{}">← Front page of the survey</a></p>\n'
+"""Link of every page of a campaign to its front page."""
+
+
+def front_page_of(page: Path) -> str:
+    """Relative address of the front page of the campaign among whose results a page will stand; "": none.
+
+    Examples
+    --------
+    >>> front_page_of(Path("results/tiny/accuracy/index.html"))
+    '../index.html'
+    >>> front_page_of(Path("results/tiny/index.html"))
+    ''
+    """
+    folder = final_path(page).parent
+    depth = next((k for k, parent in enumerate(folder.parents) if parent.name == "results"), 0)
+    return f"{'../' * depth}index.html" if depth else ""
+
+
+def findings_html(findings: Sequence[Finding]) -> str:
+    """The few numbers at the head of a page as cards, each with its verdict."""
+    rows = ""
+    for f in findings:
+        value = f'<a href="{quote(f.href, safe="/#")}">{escape(f.value)}</a>' if f.href else escape(f.value)
+        looks = [tone for words, tone in TONES.items() if f.verdict.endswith(words)]
+        looks += ["long"] * (len(f.value) > _LONG_VALUE)
+        cells = "".join(f"<td>{each}</td>" for each in (escape(f.quantity), value, escape(f.verdict)))
+        rows += f'<tr class="{" ".join(looks)}">{cells}</tr>\n'
+    head = "<tr><th>quantity</th><th>value</th><th>verdict</th></tr>"
+    return f'<table class="findings">{head}\n{rows}</table>\n' if rows else ""
+
+
+_FINDING: Final = re.compile(r"<tr[^>]*>" + "<td>(?:<a[^>]*>)?(.*?)(?:</a>)?</td>" * 3 + "</tr>")
+
+
+def findings_of(page: str) -> list[Finding]:
+    """The findings at the head of a page that was written, without their addresses.
+
+    Examples
+    --------
+    >>> findings_of(Page("Bed", "", [Finding("RMSE & n", "5 cm, 4", "consistent")]).html())
+    [Finding(quantity='RMSE & n', value='5 cm, 4', verdict='consistent', href='')]
+    """
+    _, _, rest = page.partition('<table class="findings">')
+    found = _FINDING.findall(rest.partition("</table>")[0])
+    return [Finding(*map(unescape, cells)) for cells in found]
+
+
+def small_picture(file: Path, width_px: int, quality: int) -> str:
+    """A picture reduced to that width as an address that holds it, as WebP of that quality, 0 to 100."""
+    memory = io.BytesIO()
+    with Image.open(file) as picture:
+        small = picture.convert("RGB")
+        small.thumbnail((width_px, 2 * width_px), Image.Resampling.LANCZOS)
+        small.save(memory, "WEBP", quality=quality, method=6)
+    return data_address(memory.getvalue(), "webp")
+
+
+def data_address(picture: bytes, kind: str) -> str:
+    """An address that holds a picture itself."""
+    return f"data:image/{kind};base64,{base64.b64encode(picture).decode()}"
 
 
 def escape(words: str) -> str:

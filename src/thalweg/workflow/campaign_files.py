@@ -6,7 +6,7 @@ run, as Snakemake wants them; a list is empty where a campaign does not have wha
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -1253,17 +1253,17 @@ class CampaignFiles:
             Product(name, self._result(file), made, needs) for name, file, made, needs in rows.get(kind, ())
         ]
 
-    def plain_products(self) -> list[dict[str, Any]]:
-        """The same as plain values."""
-        return [asdict(product) for product in self.products()]
+    def lacking(self) -> list[tuple[str, str]]:
+        """What more logs would add, and which."""
+        return [(product.name, product.needs) for product in self.products() if not product.made]
 
-    def pages(self) -> list[str]:
-        """The pages that `all` builds, but the front page, and the layers for a GIS that it links."""
-        return [path for path in self._made() if path.endswith((".html", ".gpkg"))]
-
-    def summary(self) -> list[str]:
-        """The table of the most important figures of a survey."""
-        return self._where(self._is_survey(), "summary.csv")
+    def shown_in_front(self) -> list[str]:
+        """What the front page links or quotes: all that `all` builds, and what tells how good it is."""
+        reports = [path for path in self.target("ingest") if path.endswith(".integrity.json")]
+        reports += self._where(self.has_panoramas(), "ingest/rig.integrity.json")
+        fused = self.of_compared_chains("statistics.csv")[2:] if self.has_time_lapse() else []
+        facts = [*self.counts_of_points(), *self.sounding_facts()] if self._is_survey() else []
+        return list(dict.fromkeys([*self._made(), *reports, *fused, *facts]))
 
     def final_outputs(self) -> list[str]:
         """The tables and pages that `all` builds; pictures stand in `thalweg.workflow.figures`."""

@@ -207,7 +207,7 @@ def draw_bed_map(
     """Depth of the bed and its standard deviation from above, with soundings and clouds (P1 Fig. 6)."""
     frame, onto = LocalFrame(**origin), CRS.from_user_input(crs)
     grid, bands, _ = read_raster(bed)
-    depth, sigma = _depth_of(grid, bands, frame, FlowLine.read(line), level)
+    depth, sigma = depth_of(grid, bands, frame, FlowLine.read(line), level)
     table = read_table(soundings, SOUNDINGS)[0]
     track = frame.to_map(table.loc[table["used"], ["east_m", "north_m", "up_m"]].to_numpy(), onto)[:, :2]
     shores = pd.read_csv(banks)
@@ -327,7 +327,7 @@ def _few() -> Any:
     return MaxNLocator(5)
 
 
-def _depth_of(
+def depth_of(
     grid: Grid, bands: Mapping[str, ArrayF], frame: LocalFrame, line: FlowLine, level: Path
 ) -> tuple[ArrayF, ArrayF]:
     """Depth below the water and its whole standard deviation (rows, columns)."""
@@ -447,7 +447,7 @@ def draw_bed_sections(
     centre = FlowLine.read(line)
     shores = Banks.read(banks, centre)
     data = read_table(observations, OBSERVATIONS)[0]
-    depth, sigma = _depth_of(grid, bands, frame, centre, level)
+    depth, sigma = depth_of(grid, bands, frame, centre, level)
     water = WaterLevel.of_report(json.loads(level.read_text()))
     low, high = np.percentile(data["s_m"], [4, 96])
     stations = np.linspace(low, high, _SECTIONS)

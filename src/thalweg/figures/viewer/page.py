@@ -55,6 +55,7 @@ from thalweg.figures import (
     TWIN_MARK,
     robust_limits,
 )
+from thalweg.figures.page import BACK, front_page_of
 from thalweg.images.model import named_once
 from thalweg.ingest.clouds import read_cloud
 from thalweg.lidar import COLOUR_DIMENSIONS, CORRELATIONS, SIGMAS, UNSEEN_GREY
@@ -88,6 +89,8 @@ RAMPS: Final[Mapping[str, Colormap]] = {
 DIFFERENCES: Final[Colormap] = ListedColormap(0.85 * cm.vik(np.linspace(0, 1, 256)), "thalweg_differences")
 """Darker than it is: white would vanish on a light ground."""
 MOST_EXTRAS: Final = 3
+_MOST: Final = 0.5
+"""A colour that so many points have is the first one that the page shows."""
 _FIRST: Final = ("distance", "lod95", "sigma")
 """Begins of the names of extra dimensions that come before others."""
 UNITS: Final = {"height": "m", "intensity": "", "sigma": "m", "time": "s", "range": "m"}
@@ -314,6 +317,7 @@ def write_viewer(
     photographs: Mapping[int, Sequence[str]] | None = None,
     panoramas: Sequence[Mapping[str, Any]] = (),
     first_alone: bool = False,
+    crs: str = "local",
 ) -> int:
     """Write ``index.html`` and the folder ``nodes`` beside it.
 
@@ -328,6 +332,7 @@ def write_viewer(
     photographs : name, address and, if there is one, address of the panorama, by number of ``view.image``.
     panoramas : of a walk; their pictures are in the folder ``views``.
     first_alone : of several clouds the page shows the first one until others are asked for.
+    crs : map grid in which the page gives coordinates of a cloud in a local frame, too; ``local``: none.
 
     Returns
     -------
@@ -350,6 +355,7 @@ def write_viewer(
     n_shown = sum(len(node.rows) for node in tree)
     shown = np.concatenate([node.rows for node in tree])
     columns, facts = _columns(view, shown)
+    facts |= {"colour": _first_colour(view, tree[0].rows, first_alone), "grid": _grid(view, crs)}
     if view.image is not None and photographs and len(photographs) <= _MOST_PHOTOGRAPHS:
         place = pd.Series(np.arange(1, len(photographs) + 1), index=list(photographs))
         columns["image"] = place.reindex(view.image, fill_value=0).to_numpy().astype("<u2")[:, None]
@@ -383,6 +389,7 @@ def write_viewer(
         "title": escape(title),
         "lead": escape(lead),
         "mark": f'<span class="mark">{TWIN_MARK}</span>' if twin else "",
+        "back": BACK.format(quote(home)) if (home := front_page_of(folder / "index.html")) else "",
         "style": _text("viewer.css"),
         "program": _text("viewer.js"),
         # no text of the data can end the script that holds it, or begin a comment in it
@@ -406,6 +413,7 @@ def write_survey_viewer(
     nodes: Path,
     title: str,
     twin: bool,
+    crs: str = "local",
     names: Sequence[str] = (),
     pictures: Path | None = None,
     views: Path | None = None,
@@ -424,6 +432,7 @@ def write_survey_viewer(
     pictures, views : folder of the panoramas, and one for their scripts: the page becomes a walk.
     title : of the campaign.
     twin : whether a digital twin made the data.
+    crs : map grid of the campaign, or ``local``.
     """
     assert nodes == page.parent / "nodes", "the page looks for its nodes beside it"
     rows = read_table(table[0], PANORAMAS)[0] if table else pd.DataFrame(columns=PANORAMAS.names)
@@ -446,6 +455,7 @@ def write_survey_viewer(
         photographs=_photographs(pd.read_csv(gains[0]), images, rig_images, rows, page) if gains else None,
         panoramas=[] if pictures is None or views is None else _walk(rows, pictures, views),
         first_alone=True,
+        crs=crs,
     )
 
 
@@ -503,6 +513,43 @@ def _first_look(xyz_m: ArrayF) -> dict[str, Any]:
     low, high = np.transpose([robust_limits(xyz_m[:, axis]) for axis in range(3)])
     heights = [float(xyz_m[:, 2].min()), float(xyz_m[:, 2].max()) + 0.01]
     return {"middle": ((low + high) / 2).tolist(), "extent": float((high - low).max()), "heights": heights}
+
+
+def _first_colour(view: View, even: AnyArray, first_alone: bool) -> str:
+    """What tells most of the cloud that is shown first: photographs, distances, else heights.
+
+    ``even``: points evenly in space, as the eye weighs them; near the boat there are many more.
+    """
+    rows = even[view.extras["cloud"][0][even] == 1] if view.clouds and first_alone else even
+    distances = {
+        name: np.isfinite(v[rows]) for name, (v, _) in view.extras.items() if name.startswith("dist")
+    }
+    known = {"rgb": np.zeros(1)} if view.rgb is None else {"rgb": np.ones(1)}
+    if view.rgb is not None and view.coloured is not None:
+        known["rgb"] = view.coloured[rows]
+    return next((name for name, told in (known | distances).items() if np.mean(told) >= _MOST), "height")
+
+
+def _grid(view: View, crs: str) -> dict[str, Any] | None:
+    """Name of the map grid, and polynomials of the second degree from the local frame to it."""
+    if not isinstance(view.frame, LocalFrame) or crs == "local":
+        return None
+    onto = CRS.from_user_input(crs)
+    low, high = view.xyz_m.min(axis=0), view.xyz_m.max(axis=0) + 0.01
+    steps = np.stack(np.meshgrid(*[np.linspace(-1, 1, 4)] * 3), axis=-1).reshape(-1, 3)
+    middle, half = (low + high) / 2, (high - low) / 2
+    places = view.frame.to_map(middle + half * steps, onto)
+    about = places.mean(axis=0)
+    one, (x, y, z) = np.ones(len(steps)), steps.T
+    terms = np.stack([one, x, y, z, x * x, x * y, x * z, y * y, y * z, z * z], axis=1)
+    found = np.linalg.lstsq(terms, places - about, rcond=None)[0]
+    return {
+        "name": f"{onto.name} ({crs})" if onto.name != crs else crs,
+        "middle": middle.tolist(),
+        "half": half.tolist(),
+        "about": about.tolist(),
+        "terms": found.T.tolist(),
+    }
 
 
 def _text(name: str) -> str:

@@ -252,7 +252,7 @@ function start() {
 
 const START = { turn: 30, tilt: 35, far: 1.2 * Math.max(DATA.extent, 0.1) };
 const camera = { at: [...DATA.middle], open: 75, ...START };  // looks to `turn` from north, from `tilt` above the horizon
-let colour = columns.rgb ? "rgb" : DATA.extras.find((name) => name.startsWith("distance")) || "height";
+let colour = DATA.colour;
 const LAST_CLOUD = Math.max(DATA.clouds.length, 2) - 1, EACH_CLOUD = 2 ** DATA.clouds.length - 1;
 let clouds = DATA.shown;  // bits: which of several clouds are drawn
 const places = DATA.panoramas.map((place) => ({ ...place, state: "absent" }));
@@ -557,6 +557,11 @@ function facts({ node, k }) {
     photograph: node.image && node.image[k] ? DATA.photographs[node.image[k] - 1] : null,
     unix: node.time ? DATA.unix + between("time", node.time[k] / 65535) : null };
 }
+function onGrid(place) {
+  const { middle, half, about, terms } = DATA.grid, [x, y, z] = minus(place, middle).map((d, i) => d / half[i]);
+  const powers = [1, x, y, z, x * x, x * y, x * z, y * y, y * z, z * z];
+  return terms.map((row, i) => about[i] + row.reduce((sum, factor, k) => sum + factor * powers[k], 0));
+}
 const withSigma = (value, sigma) => `${value.toFixed(3)} m${isFinite(sigma) ? ` ± ${sigma.toFixed(3)} m` : ""}`;
 
 function report() {
@@ -564,6 +569,10 @@ function report() {
   if (picked.length === 1) {
     const [point] = picked;
     names.forEach((name, k) => lines.push(`${name} ${withSigma(point.place[k], point.sigma[k])}`));
+    if (DATA.grid) {
+      const [east, north, height] = onGrid(point.place).map((x) => x.toFixed(3));
+      lines.push(`${DATA.grid.name}:`, `  easting ${east} m`, `  northing ${north} m`, `  ellipsoidal height ${height} m`);
+    }
     if (point.range !== null) lines.push(`range ${point.range.toFixed(1)} m`);
     if (point.intensity !== null) lines.push(`intensity ${Math.round(point.intensity)}`);
     if (point.unix !== null) lines.push(`time ${new Date(1000 * point.unix).toISOString().slice(0, 21).replace("T", " ")} UTC`);
@@ -580,8 +589,20 @@ function report() {
     lines.push(`distance ${along([0, 1, 2])}`, `level distance ${along([0, 1])}`,
       `height difference ${withSigma(d[2], s[2])}`);
   }
+  if (picked.length > 2) {  // a line, and the level area within it when it is closed
+    const places = picked.map(({ place }) => minus(place, picked[0].place)), n = places.length;
+    let length = 0, area = 0, variance = 0;
+    places.forEach(([x, y], k) => {
+      const [after, before] = [places[(k + 1) % n], places[(k + n - 1) % n]], { sigma } = picked[k];
+      if (k) length += Math.hypot(...minus(places[k], before));
+      area += (x * after[1] - after[0] * y) / 2;
+      variance += ((after[1] - before[1]) * sigma[0]) ** 2 / 4 + ((after[0] - before[0]) * sigma[1]) ** 2 / 4;
+    });
+    const within = isFinite(variance) ? ` ± ${Math.sqrt(variance).toFixed(2)} m²` : "";
+    lines.push(`${n} points`, `length of the line ${length.toFixed(3)} m`, `level area ${Math.abs(area).toFixed(2)} m²${within}`);
+  }
   if (picked.length && isFinite(picked[0].sigma[0]))
-    lines.push(`± one standard deviation${picked.length > 1 ? ", errors of both as independent" : ""}`);
+    lines.push(`± one standard deviation${picked.length > 1 ? ", errors of all points as independent" : ""}`);
   $("found").textContent = lines.join("\n");
   if (picked.length !== 1) return;
   const link = (words, href) => {
@@ -607,8 +628,11 @@ function drawMarks(view) {
   pen.strokeStyle = pen.fillStyle = dark() ? "#fff" : "#000";
   pen.lineWidth = 1.5;
   pen.font = "13px system-ui, sans-serif";
-  if (places.length === 2 && places[0] && places[1]) {
-    pen.beginPath(); pen.moveTo(...places[0]); pen.lineTo(...places[1]); pen.stroke();
+  if (places.length > 1 && places.every((place) => place)) {
+    pen.beginPath();
+    for (const place of places) pen.lineTo(...place);
+    if (places.length > 2) pen.closePath();
+    pen.stroke();
   }
   places.forEach((place, k) => {
     if (!place) return;
@@ -776,7 +800,7 @@ function listen() {
     fingers.delete(event.pointerId);
     if (travelled >= 4 || event.button || fingers.size) return;
     const point = pointAt(event.clientX, event.clientY);
-    if (point) picked = [...picked.slice(picked.length === 2 ? 2 : 0), facts(point)];
+    if (point) picked = [...(picked.length < 2 || event.shiftKey ? picked : []), facts(point)];
     report();
     redraw();
   });
@@ -847,6 +871,7 @@ else {
   start();
   readHash();
   listen();
+  $("panel").open = innerWidth > 600;
   setTheme(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
   setColour(colour);
 }

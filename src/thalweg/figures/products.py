@@ -1,0 +1,65 @@
+"""Files of a campaign that people take away: what each is, and what opens it."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+Product = tuple[str, str, str]
+MAP_FILES: Final[Sequence[Product]] = (
+    ("report.pdf", "Report of survey", "to print and hand in"),
+    ("survey.qgz", "QGIS project", "QGIS: everything on one map"),
+    ("survey.gpkg", "Layers of that project", "QGIS, ArcGIS"),
+    ("lidar/points_map.laz", "Point cloud, INS and GNSS", "CloudCompare, QGIS, CAD"),
+    ("lidar/points_map.copc.laz", "The same cloud, streamable (COPC)", "QGIS, PDAL, Potree"),
+    ("fusion/dtm.tif", "Terrain model of bed and banks", "QGIS, ArcGIS, hydraulic models"),
+    ("bathymetry/bed.tif", "Riverbed with standard deviations", "QGIS, ArcGIS"),
+    ("bathymetry/soundings.csv", "Georeferenced soundings", "QGIS, spreadsheets"),
+    ("map.gpkg", "Track, soundings, banks, sections", "QGIS, ArcGIS"),
+    ("orientation/track.geojson", "Track", "QGIS, web maps"),
+    ("orientation/track.kml", "Track", "Google Earth"),
+    ("fusion/exports", "Meshes and cross sections", "HEC-RAS, TELEMAC, SMS, EPA SWMM"),
+    ("deformation/map.gpkg", "Changes, patches, volumes", "QGIS, ArcGIS"),
+    ("deformation/dod_*.tif", "Difference of heights", "QGIS, ArcGIS"),
+)
+OWN_FILES: Final[Sequence[Product]] = (
+    ("summary.csv", "All numbers of the survey", "spreadsheets"),
+    ("lidar/coloured.laz", "Coloured point cloud", "CloudCompare"),
+    ("lidar/points.laz", "Point cloud, INS and GNSS", "CloudCompare"),
+    ("lidar/by_camera/points.laz", "Point cloud, camera trajectory", "CloudCompare"),
+    ("lidar/by_fused/points.laz", "Point cloud, fused trajectory", "CloudCompare"),
+    ("fusion/model.laz", "Bed, banks and surroundings as points", "CloudCompare"),
+    ("surface/reference_mesh.ply", "Mesh of the reference", "CloudCompare, MeshLab"),
+    ("orientation/trajectory.parquet", "Trajectory, INS and GNSS", "Python, R"),
+    ("orientation/trajectory_camera.parquet", "Trajectory, camera", "Python, R"),
+    ("orientation/trajectory_fused.parquet", "Trajectory, fused", "Python, R"),
+    ("panorama/panoramas.parquet", "Poses of the panoramas", "Python, R"),
+    ("triangulation/strip/points.parquet", "Bed by the light sheet", "Python, R"),
+    ("triangulation/sensor.yaml", "Calibrated light-sheet sensor", "light_sheet.sensor of a survey"),
+    ("triangulation/budget.csv", "Error budget of the light sheet", "spreadsheets"),
+    ("triangulation/panels.csv", "Panels in known depths", "spreadsheets"),
+    ("calibration/boat.yaml", "Calibration of the boat", "mounts.calibration of a survey"),
+    ("calibration/camera_lidar.yaml", "Camera and lidar, calibrated", "Python, R"),
+    ("calibration/board_camera_lidar.yaml", "Camera and lidar, by a board", "Python, R"),
+    ("calibration/rig.yaml", "Calibration of the panorama camera", "logs.rig of a survey"),
+    ("calibration/camera.yaml", "Interior orientation of the camera", "logs.interior of a survey"),
+    ("calibration/echo_sounder.yaml", "Place of the echo sounder", "mounts.echo_sounder of a survey"),
+    ("photographs/image_poses.csv", "Poses of the photographs", "spreadsheets, Metashape"),
+    ("photographs/finished.csv", "Poses of the photographs", "spreadsheets"),
+    ("photographs/points.laz", "Tie points", "CloudCompare"),
+    ("photographs/camera.yaml", "Interior orientation", "logs.interior of a survey"),
+    ("photographs/control_points.csv", "Control and check points", "spreadsheets"),
+    ("photographs/finished_points.csv", "Control and check points", "spreadsheets"),
+    ("orientation/fixed_camera.csv", "Pose of the camera in each picture", "spreadsheets"),
+    ("accuracy/cloud_to_surface.laz", "Distances from the reference as a cloud", "CloudCompare"),
+    ("deformation/changes_*.laz", "Changes as a cloud", "CloudCompare"),
+    ("deformation/volumes_*.csv", "Volumes of erosion and deposition", "spreadsheets"),
+    ("deformation/retreat_*.csv", "Retreat of the bank", "spreadsheets"),
+    ("deformation/series.parquet", "Changes over time", "Python, R"),
+)
+"""Files on the map of the campaign, and those in its local frame or without one: name or pattern below the
+folder of results, what it is, what opens it."""
+
+
+def products_of(folder: Path, known: Sequence[Product]) -> list[tuple[Path, str, str]]:
+    """Those of the known files that are there: path, what it is, what opens it."""
+    return [(path, words, use) for name, words, use in known for path in sorted(folder.glob(name))]
