@@ -50,7 +50,7 @@ SHOWN = 25
 def costs_figure(rules: pd.DataFrame) -> Figure:
     """Time of the processor of the most expensive rules, and their memory beside what was asked for."""
     top = rules.head(SHOWN).iloc[::-1]
-    title = f"What jobs took, n = {int(rules['jobs'].sum())} jobs of {len(rules)} rules"
+    title = f"Cost of jobs, n = {int(rules['jobs'].sum())} jobs of {len(rules)} rules"
     figure = new_figure(35 + 5 * len(top), title, twin=False)
     left, right = figure.subplots(1, 2, sharey=True)
     names = [f"{r['rule']} ({r['jobs']})" for r in top.to_dict("records")]
@@ -72,7 +72,7 @@ def costs_page(jobs: pd.DataFrame, rules: pd.DataFrame) -> Page:
         f"{len(jobs)} jobs of {jobs['campaign'].nunique()} campaigns, "
         f"{jobs['cpu_s'].sum() / 60:.1f} minutes of the processor."
     )
-    page = Page("What jobs took", lead)
+    page = Page("Cost of jobs", lead)
     page.section("Requests")
     told = [f"{r['rule']}: {r['remark']}" for r in rules[rules["remark"] != ""].to_dict("records")]
     page.lines(told or ["No job took more than it had asked for, and none less than a quarter of it."])
@@ -148,9 +148,7 @@ CONTROL: Final = table_kind(
     [
         column("campaign", pa.string(), "1", "id of the campaign"),
         column("start_utc", pa.string(), "1", "its first pose, UTC"),
-        column(
-            "quantity", pa.string(), "1", "what was found: place (m) or rotation of a mount, clock, or sigma0"
-        ),
+        column("quantity", pa.string(), "1", "result: position (m) or rotation of a mount, clock, or sigma0"),
         column("unit", pa.string(), "1", "unit of value, sigma and mean"),
         column("twin", pa.bool_(), "1", "campaigns of a digital twin are compared among themselves"),
         column("value", pa.float64(), "as stated", "what this campaign found"),

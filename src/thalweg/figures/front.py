@@ -139,7 +139,7 @@ def write_front_page(
         "Figures without data": pd.DataFrame(
             [(drawn[path][1], why) for path, why in reasons.items()], columns=["figure", "reason"]
         ),
-        "What more logs would add": pd.DataFrame(list(lacking), columns=["result", "needs"]),
+        "Products of further logs": pd.DataFrame(list(lacking), columns=["result", "needs"]),
     }
     for words, table in tables.items():
         if not table.empty:

@@ -72,6 +72,15 @@ _LONG_VALUE: Final = 20
 """A longer value of a finding is written in smaller letters."""
 
 
+JUDGED: Final = {
+    "consistent": "the predicted standard deviations agree with the errors",
+    "too optimistic": "the predicted standard deviations are too small",
+    "too pessimistic": "the predicted standard deviations are too large",
+    "cannot tell": "too few data to judge the predicted standard deviations",
+}
+"""Verdicts of `thalweg.accuracy` in a sentence, after what they rest on and a colon."""
+
+
 class Page:
     """A self-contained HTML page, built from top to bottom; each method returns the page.
 

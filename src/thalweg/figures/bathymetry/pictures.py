@@ -59,9 +59,9 @@ REASON_STYLE: Final[dict[str, tuple[str, str]]] = {
 }
 """Colour and marker of soundings that do not count; those without depth or time cannot be drawn."""
 _PARTS: Final = (
-    ("sigma_white_m", "white: new in each sounding", BLUE, "-"),
-    ("sigma_slow_m", "slow: lasts as poses do", ORANGE, "--"),
-    ("sigma_common_m", "common: all soundings share it", GREEN, "-."),
+    ("sigma_white_m", "random", BLUE, "-"),
+    ("sigma_slow_m", "time-correlated (trajectory)", ORANGE, "--"),
+    ("sigma_common_m", "systematic", GREEN, "-."),
 )
 _KINDS: Final = {"exponential": "exponential", "matern32": "Matérn 3/2", "spherical": "spherical"}
 _SECTIONS: Final = 6

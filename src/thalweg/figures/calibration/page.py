@@ -212,7 +212,7 @@ def calibration_page(
         page.figure(picture, (captions or {}).get(picture.stem, picture.stem.replace("_", " ")))
     remarks = [line for name in ("field", "camera") for line in left_out(facts.get(name, {}))]
     if tables or remarks:
-        page.section("What was used, and what was not")
+        page.section("Observations used and left out")
     if remarks:
         page.text("\n\n".join(remarks))
     for caption, table in tables:
@@ -333,8 +333,16 @@ def head(
     if not findings:
         return "No block has sigmas of its own.", []
     judged = [f.verdict for f in findings.values() if f.verdict]
-    counts = ", ".join(f"{word} ({judged.count(word)} of {len(findings)})" for word in dict.fromkeys(judged))
-    sentence = f"Residuals of the adjustments say of the standard deviations: {counts or 'cannot tell'}."
+    words = {
+        "consistent": "agree with the residuals",
+        "too optimistic": "are too small",
+        "too pessimistic": "are too large",
+        "cannot tell": "rest on too few data to judge",
+    }
+    counts = ", ".join(
+        f"{judged.count(word)} of {len(findings)} {words[word]}" for word in dict.fromkeys(judged)
+    )
+    sentence = f"Predicted standard deviations: {counts or 'too few data to judge'}."
     return sentence, list(findings.values())
 
 

@@ -408,7 +408,7 @@ def recordings_page(reports: list[IntegrityReport], titles: list[str], pictures:
     for name in ("counts", "losses"):
         overview[name] = [words.replace("_", " ") for words in overview[name]]
     page.section("All recordings").table(
-        overview, "What was recorded, and how whole it is", units={"duration_s": "s"}
+        overview, "Recordings and their integrity", units={"duration_s": "s"}
     )
     for report, title, looks in zip(reports, titles, pictures, strict=True):
         page.section(title).lines(report.lines())

@@ -11,7 +11,7 @@ import pandas as pd
 
 from thalweg.accuracy import verdict_of
 from thalweg.core import InputError
-from thalweg.figures import Finding, Page, count, plural
+from thalweg.figures import JUDGED, Finding, Page, count, plural
 from thalweg.figures.calibration import TWIN_NOTE, short, with_units
 from thalweg.ingest.registry import with_sigma
 from thalweg.lightsheet.budget import TOTAL, TOTAL_CORRELATED, budget_table
@@ -231,7 +231,7 @@ def strip_page(
     merged, times = counts["merged"], counts.get("times", {})
     words = (
         f"{plural(int(merged['images']), 'image')} of the bed by the light-sheet sensor under the boat, with "
-        f"{count(int(merged['points']))} points in the world (bed.laz)."
+        f"{count(int(merged['points']))} georeferenced points (bed.laz)."
     )
     page = Page(title, words)
     if twin:
@@ -404,7 +404,7 @@ def _head(
             told,
         )
     )
-    return f"Panels in known depths say of the sigmas of the depths: {told}.", findings
+    return f"Depth check on panels: {JUDGED[told]}.", findings
 
 
 def _calibrated(page: Page, calibration: Mapping[str, Any], camera: Mapping[str, Any] | None) -> None:
