@@ -42,6 +42,7 @@ from .style import (
     new_figure as new_figure,
     north_arrow as north_arrow,
     note_of as note_of,
+    number as number,
     plan_height_mm as plan_height_mm,
     plural as plural,
     read_picture as read_picture,

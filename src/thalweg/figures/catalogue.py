@@ -55,7 +55,7 @@ def costs_figure(rules: pd.DataFrame) -> Figure:
     left, right = figure.subplots(1, 2, sharey=True)
     names = [f"{r['rule']} ({r['jobs']})" for r in top.to_dict("records")]
     left.barh(names, top["cpu_s"], color=BLUE, height=0.6)
-    left.set_xlabel("time of the processor [s]")
+    left.set_xlabel("time of the processor / s")
     left.tick_params(axis="y", labelsize=7)
     over = top["memory_mb"] > top["asked_mb"]
     right.barh(names, top["asked_mb"], color=GREY, alpha=0.35, height=0.8, label="asked for")
@@ -72,7 +72,7 @@ def costs_page(jobs: pd.DataFrame, rules: pd.DataFrame) -> Page:
         f"{len(jobs)} jobs of {jobs['campaign'].nunique()} campaigns, "
         f"{jobs['cpu_s'].sum() / 60:.1f} minutes of the processor."
     )
-    page = Page("Cost of jobs", lead)
+    page = Page("Cost of jobs", lead, folded=False)
     page.section("Requests")
     told = [f"{r['rule']}: {r['remark']}" for r in rules[rules["remark"] != ""].to_dict("records")]
     page.lines(told or ["No job took more than it had asked for, and none less than a quarter of it."])
@@ -576,7 +576,7 @@ def catalogue_page(entries: Sequence[Entry], rows: pd.DataFrame, control: pd.Dat
     """The page of the catalogue."""
     twins = int(rows["twin"].sum())
     lead = f"{len(rows)} campaigns" + (f", {twins} of a digital twin." if twins else ".")
-    page = Page("Catalogue of campaigns", lead)
+    page = Page("Catalogue of campaigns", lead, folded=False)
     outside = control[control["outside"]]
     page.section("Remarks")
     remarks = [f"{e.row['campaign']}: {e.row['remarks']}" for e in entries if e.row["remarks"]]

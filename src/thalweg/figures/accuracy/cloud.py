@@ -143,7 +143,7 @@ def cloud_page(
     if moved.get("done"):
         after = moved["without_outliers"]
         findings.append(Finding("RMSE after registration", centimetres(after["rmse_m"])))
-    findings.append(Finding("standard deviations of the cloud", "the file states none", "cannot tell"))
+    findings.append(Finding("standard deviations of the cloud", "the file states none", "too few data"))
     lead = f"The cloud lies {centimetres(raw['rmse_m'])} (RMSE) from its reference"
     if counts["outliers"]:
         lead += f", {centimetres(kept['rmse_m'])} without {count(counts['outliers'])} outliers"

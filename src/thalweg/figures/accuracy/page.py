@@ -459,18 +459,9 @@ def pivot(
                 value = known[quantity] * factor
                 row[heading] = int(value) if quantity == "n" and np.isfinite(value) else float(value)
         rows.append(row)
-    out = short(pd.DataFrame(rows))
+    out = pd.DataFrame(rows)
     units = {heading: unit for _, heading, unit, _ in columns if unit != "1" and heading in out.columns}
     return out, units
-
-
-def short(frame: pd.DataFrame, digits: int = 3) -> pd.DataFrame:
-    """Fractions of a table rounded to some significant digits; 1500 stays 1500."""
-    columns = {
-        name: column.map(lambda x: float(f"{x:.{digits}g}")) if column.dtype.kind == "f" else column
-        for name, column in frame.items()
-    }
-    return pd.DataFrame(columns)
 
 
 def _statistics(page: Page, facts: Mapping[str, Any], statistics: pd.DataFrame, words: str) -> None:
@@ -491,7 +482,7 @@ def _statistics(page: Page, facts: Mapping[str, Any], statistics: pd.DataFrame, 
         | {name: factor * value_of(statistics, quantity, name) for name in (ALL, WITHOUT_OUTLIERS)}
         for quantity, words, unit, factor in PARTS
     ]
-    page.table(short(pd.DataFrame(rows)), "Mean, robust ratio, and squared errors over variances")
+    page.table(pd.DataFrame(rows), "Mean, robust ratio, and squared errors over variances")
     page.table(
         *_with_caption(statistics, by, SHAPE, "Shape; a normal has 68.3, 95.4, 99.7 % and zero"), digits=3
     )
@@ -534,7 +525,7 @@ def _ranges(page: Page, by_range: pd.DataFrame) -> None:
     caption = (
         "RMSE in classes of 1 m (D − 0.5 < d ≤ D + 0.5), as measured, without outliers; columns as above"
     )
-    page.table(short(out), caption, units)
+    page.table(out, caption, units)
 
 
 def _places(page: Page, facts: Mapping[str, Any]) -> None:
@@ -566,7 +557,7 @@ def _registration(page: Page, registration: Mapping[str, Any]) -> None:
         for axis in values
     ]
     caption = "Motion of the cloud onto the reference, about the middle of its points"
-    page.table(short(pd.DataFrame(rows)), caption)
+    page.table(pd.DataFrame(rows), caption)
     changes = []
     for points, change in registration["change"].items():
         row: dict[str, Any] = {"points": points}
@@ -575,7 +566,7 @@ def _registration(page: Page, registration: Mapping[str, Any]) -> None:
         changes.append(row | {"share of the mean removed": 100.0 * change["share_of_bias_removed"]})
     frame = pd.DataFrame(changes)
     units = {name: "%" if name.startswith("share") else "mm" for name in frame.columns[1:]}
-    page.table(short(frame), "Effect", units)
+    page.table(frame, "Effect", units)
 
 
 def _error_model(page: Page, model: Mapping[str, Any]) -> None:
@@ -600,7 +591,7 @@ def _error_model(page: Page, model: Mapping[str, Any]) -> None:
         }
         for name, e in model["estimates"].items()
     ]
-    page.table(short(pd.DataFrame(rows)), "Factors on stated sigmas, and correlation times in seconds")
+    page.table(pd.DataFrame(rows), "Factors on stated sigmas, and correlation times in seconds")
     for note in model["notes"]:
         page.text(str(note))
 
@@ -625,7 +616,7 @@ def _compared(page: Page, facts: Mapping[str, Any], mesh_facts: Mapping[str, Any
             for name, n in counts.items()
         ]
         if rows:
-            page.table(short(pd.DataFrame(rows)), caption, {"share": "%"})
+            page.table(pd.DataFrame(rows), caption, {"share": "%"})
     rows = [
         {
             "what": words,

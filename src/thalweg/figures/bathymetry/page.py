@@ -71,7 +71,7 @@ def bed_page(
     if twin:
         page.text("The digital twin made these data: a simulated river, simulated instruments.")
     page.section("Figures")
-    for picture in pictures:
+    for picture in sorted(pictures, key=lambda each: each.stem != "bed_map"):
         page.figure(picture, captions.get(picture.stem, picture.stem.replace("_", " ")))
     page.section("Soundings")
     rows = [
@@ -178,7 +178,7 @@ def _beside(measured: Mapping[str, Any]) -> pd.DataFrame:
             (name, of["n"], of["rmse_m"], of["bias_m"], of["normalised_square"], 100 * of["outside_95"])
             for name, of in rows.items()
         ],
-        columns=["cells", "n", "RMSE [m]", "mean [m]", "squared error over variance", "outside 95 % [%]"],
+        columns=["cells", "n", "RMSE / m", "mean / m", "squared error over variance", "outside 95 % / %"],
     )
 
 
@@ -269,7 +269,7 @@ def _crossings(found: Mapping[str, Any]) -> str:
     )
     if found["estimated"]:
         words += (
-            f" Time-correlated errors are {found['slow_factor']:.2f} times as large as stated (uncertain by a "
+            f" Time-correlated errors are {found['slow_factor']:.2f} times the stated ones (uncertain by a "
             f"factor of {np.exp(found['slow_factor_sigma_log']):.2f}), with a correlation time of "
             f"{found['time_s']:.1f} s; with these the mean is {found['normalised_square_after']:.2f}. "
             f"{count(found['left_out'])} crossings "

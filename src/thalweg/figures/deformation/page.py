@@ -606,8 +606,8 @@ def _series(page: Page, facts: Mapping[str, Any], rates: pd.DataFrame, *, by_boa
     flagged = [f"epoch {each['epoch'] + 1} ({each['name']})" for each in epochs if each["flagged"]]
     page.section("More than two epochs").text(
         (
-            f"Check {' and '.join(flagged)}: most of the ground moves and returns, which suggests an error of "
-            "the survey. Nothing was corrected."
+            f"Check {' and '.join(flagged)}: most of the ground moves and returns, which suggests a "
+            "survey error. Nothing was corrected."
             if flagged
             else "No epoch jumps and returns over most of the ground."
         )
@@ -731,8 +731,8 @@ def _by_area(page: Page, pair: PairFacts) -> None:
 def _unseen(page: Page, pairs: Sequence[PairFacts]) -> None:
     page.section("No data").text(
         "A core point without data in an epoch is not necessarily eroded: it may have been under water, "
-        "occluded or out of reach. Only beams that passed through and hit something behind (free space) prove "
-        "that the surface is gone."
+        "occluded or out of reach. Only beams that passed through and hit something behind (free space) "
+        "prove that the surface is gone."
     )
     rows = []
     for pair in pairs:

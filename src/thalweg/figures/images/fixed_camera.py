@@ -96,7 +96,7 @@ def fixed_camera_page(
         """Three coordinates of the facts, to the millimetre."""
         return " / ".join(f"{v:.3f}" for v in facts[name].values())
 
-    still = "cannot tell"
+    still = "too few data"
     if facts["normalised"] is not None:
         told = verdict_of(facts["normalised"], facts["degrees"])
         still = {

@@ -714,7 +714,7 @@ def orientation_page(
         findings.append(_check_finding(check, f"; effective n = {check['independent']:.0f}"))
         lead = f"Check points: {JUDGED[findings[-1].verdict]}."
     else:
-        findings.append(Finding("check points", "none", "cannot tell"))
+        findings.append(Finding("check points", "none", "too few data"))
         lead = "No check point judges the standard deviations; give some of the points the role check."
     if "model_frame" in facts:
         lead = f"{facts['notes'][0]}."

@@ -28,7 +28,7 @@ from thalweg.accuracy import (
     value,
 )
 from thalweg.core import Trajectory, root_mean_square, utc_text_from_gps
-from thalweg.figures import Finding, Page, count, plural
+from thalweg.figures import Finding, Page, count, number, plural
 from thalweg.figures.accuracy import centimetres
 from thalweg.figures.solutions.comparison import IN_WORDS
 
@@ -208,34 +208,25 @@ def numbers(rows: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
     out = []
     for row in rows.to_dict("records"):
         factor, unit = SHOWN.get(str(row["unit"]), (1.0, str(row["unit"])))
-        cells = {heading: cell(factor * float(row[name])) for name, heading in columns.items()}
+        cells = {heading: number(factor * float(row[name])) for name, heading in columns.items()}
         out.append({"quantity": row["words"], "unit": unit} | cells)
     return pd.DataFrame(out)
-
-
-def cell(number: float) -> str:
-    """Three significant digits; whole numbers above a thousand with all of theirs."""
-    if not np.isfinite(number):
-        return "–"
-    text = count(round(number)) if abs(number) >= 1000 else f"{number:.3g}"
-    return text.replace("-", "\N{MINUS SIGN}")
 
 
 def limits(table: pd.DataFrame) -> str:
     """What the page does not prove."""
     n = [value(table, WITHOUT_OUTLIERS, "independent_values", name) for name in chains_of(table)]
     words = [
-        "All clouds come from one drive and one lidar: its noise, the plants on the bank and the errors of "
-        "the reference are in all of them alike."
+        "All clouds come from one survey and one lidar: noise, plants and errors of the reference are common."
     ]
     if np.isfinite(n).any():
         words.append(
-            f"Each RMSE has an effective n of {np.nanmin(n):.0f} to {np.nanmax(n):.0f} (accuracy.correlation_s); another "
-            "survey would give other numbers."
+            f"Each RMSE has an effective n of {np.nanmin(n):.0f} to {np.nanmax(n):.0f} "
+            "(accuracy.correlation_s); another survey would give other numbers."
         )
     words.append(
-        "The trajectory by the camera leans on the INS between images, and the outlier rule judges each "
-        "cloud by its own sigmas: consistent standard deviations take out plants, too large ones keep them."
+        "Between images the camera trajectory is bridged by the INS. Outliers are judged by the sigmas of "
+        "each cloud: right ones remove plants, too large ones keep them."
     )
     return " ".join(words)
 
@@ -252,8 +243,8 @@ def _ranges(page: Page, by_range: pd.DataFrame, facts: Mapping[str, Any]) -> Non
             enough = row[f"{name}_n"] >= LEAST
             line |= {
                 f"n, {IN_WORDS[name]}": count(int(row[f"{name}_n"])),
-                f"{IN_WORDS[name]}": cell(1e3 * row[f"{name}_rmse_observed_m"] if enough else np.nan),
-                f"{IN_WORDS[name]}, predicted": cell(1e3 * row[f"{name}_rmse_predicted_m"]),
+                f"{IN_WORDS[name]}": number(1e3 * row[f"{name}_rmse_observed_m"] if enough else np.nan),
+                f"{IN_WORDS[name]}, predicted": number(1e3 * row[f"{name}_rmse_predicted_m"]),
             }
         best = row["best_observed"]
         line["smallest"] = IN_WORDS.get(best, "–") + (" (certain)" if row["decided"] is True else "")

@@ -12,7 +12,7 @@ import pandas as pd
 from thalweg.accuracy import verdict_of
 from thalweg.core import InputError
 from thalweg.figures import JUDGED, Finding, Page, count, plural
-from thalweg.figures.calibration import TWIN_NOTE, short, with_units
+from thalweg.figures.calibration import TWIN_NOTE, with_units
 from thalweg.ingest.registry import with_sigma
 from thalweg.lightsheet.budget import TOTAL, TOTAL_CORRELATED, budget_table
 from thalweg.lightsheet.lines import LineFlag
@@ -283,8 +283,8 @@ def _words(stem: str) -> str:
 
 
 def _units(page: Page, table: pd.DataFrame, caption: str, *, digits: int = 4) -> None:
-    shown, units = with_units(short(table, digits))
-    page.table(shown, caption, units)
+    shown, units = with_units(table)
+    page.table(shown, caption, units, digits=digits)
 
 
 # ---------------------------------------------------------------- page
@@ -346,7 +346,7 @@ def light_sheet_page(
         page.section("Against the truth of the digital twin").text(TRUTH_NOTE)
         shown = truth.rename(columns={"estimated_minus_true": "calibrated minus true"})
         page.table(
-            short(shown.assign(what=shown["what"].str.replace("_", " ")), 3),
+            shown.assign(what=shown["what"].str.replace("_", " ")),
             "Errors of the calibration (light_sheet_truth.csv)",
         )
     if panels is not None and len(panels):
@@ -626,7 +626,7 @@ def lens_section(page: Page, report: Mapping[str, Any]) -> Page:
         ("scale_bars", "Scale bars of the marker field"),
     ):
         shown, units = with_units(
-            short(pd.DataFrame(report[rows]).rename(columns={"largest": "largest over its sigma"}))
+            pd.DataFrame(report[rows]).rename(columns={"largest": "largest over its sigma"})
         )
         page.table(shown, caption, units)
     return page
