@@ -10,7 +10,7 @@ import pytest
 from tests.accuracy.chain_samples import T0, three_chains, trajectory
 from thalweg.accuracy import Chain, chains_by_range as by_range_of, chains_table, outage_table, range_facts
 from thalweg.core import GeometryError, InputError
-from thalweg.figures import save
+from thalweg.figures import number, save
 from thalweg.figures.accuracy import centimetres
 from thalweg.figures.solutions import Costs, computing_seconds, trajectory_comparison_page
 from thalweg.figures.solutions.comparison import (
@@ -22,7 +22,6 @@ from thalweg.figures.solutions.comparison import (
 )
 from thalweg.figures.solutions.page import (
     TWIN_NOTE,
-    cell,
     for_and_against,
     lead,
     percent,
@@ -289,7 +288,7 @@ def test_small_words():
     ]
     assert [time_words(s) for s in (0.0123, 85.4, 300.0, 9000.0)] == ["0.012 s", "85 s", "5 min", "2.5 h"]
     assert runs_words([[k, k] for k in range(0, 12, 2)]).endswith("6 m and 2 more runs)")
-    assert [cell(x) for x in (-1.234, 1234.4, np.nan)] == [
+    assert [number(x) for x in (-1.234, 1234.4, np.nan)] == [
         "\N{MINUS SIGN}1.23",
         "1\N{NO-BREAK SPACE}234",
         "–",

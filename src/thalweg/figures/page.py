@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from html import escape as escaped, unescape
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, Self
 from urllib.parse import quote
@@ -270,7 +271,7 @@ class Page:
             body.remove(each)
         begins = [k for k, each in enumerate(body) if each.startswith("<h2 ")]
         parts = [*body[: begins[0] if begins else len(body)], *filter(None, shown)]
-        for k, end in zip(begins, [*begins[1:], len(body)], strict=True):
+        for k, end in pairwise([*begins, len(body)]):
             if end > k + 1:
                 # browsers open what is folded where an address leads into it
                 heading, anchor = re.sub("<[^>]*>", "", body[k]), body[k].split('"')[1]
