@@ -281,7 +281,7 @@ def test_the_explanation_and_the_limits_use_the_numbers(found):
     text = limits(found["facts"], found["statistics"], found["mesh_facts"])
     text = text.replace("\N{NO-BREAK SPACE}", " ")
     n = value_of(found["statistics"], "independent_values")
-    assert f"worth {n:.0f} independent values" in text
+    assert f"number of independent values is {n:.0f}" in text
     assert "outside \N{MINUS SIGN}4.4 to +5.6 of its own sigmas" in text
     assert "median edge 8.5 cm" in text
     assert "left out: their distance" in text
