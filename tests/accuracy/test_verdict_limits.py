@@ -14,9 +14,9 @@ from thalweg.accuracy.statistics import consistency_in_words, ratio_band, verdic
         (0.62, 40, "consistent"),
         (1.48, 40, "consistent"),
         (1.49, 40, "too optimistic"),
-        (1.0, 5, "cannot tell"),  # 0.831 and 12.833: a band of a factor of 3.93 in sigma
-        (np.nan, 40, "cannot tell"),
-        (1.0, 0.9, "cannot tell"),
+        (1.0, 5, "too few data"),  # 0.831 and 12.833: a band of a factor of 3.93 in sigma
+        (np.nan, 40, "too few data"),
+        (1.0, 0.9, "too few data"),
     ],
 )
 def test_verdicts_of_squares(normalised: float, n: float, verdict: str) -> None:
@@ -40,7 +40,7 @@ def test_verdicts_of_ratios(ratio: float, verdict: str) -> None:
 
 def test_a_band_as_wide_as_a_factor_of_three_tells_nothing() -> None:
     assert verdict_of_ratio(1.0, 0.6, 1.79) == "consistent"
-    assert verdict_of_ratio(1.0, 0.6, 1.81) == "cannot tell"
+    assert verdict_of_ratio(1.0, 0.6, 1.81) == "too few data"
 
 
 def test_the_band_of_ratios_is_one_over_the_roots_of_that_of_squares() -> None:

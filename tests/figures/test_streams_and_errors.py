@@ -214,11 +214,11 @@ def test_the_lag_says_what_it_cannot_tell(reports, tmp_path):
     assert lags["positions"] == StreamLag(against="ins", lag_s=-0.037, sigma_s=0.115, significant=False)
     assert {stream: lag_words(lag) for stream, lag in lags.items()} == {
         "ins": "LATE against positions by 250 ms ± 4 ms",
-        "positions": "lag against ins -37 ms ± 115 ms: cannot tell below 0.35 s",
+        "positions": "lag against ins -37 ms ± 115 ms: not determined below 0.35 s",
         "depth": "lag against ins cannot be determined",
     }
     lines = [t.get_text() for t in by_gid(streams_in_time(reports, lags=lags), "clock-line")]
-    assert sum("cannot tell below 0.35 s" in line for line in lines) == 1
+    assert sum("not determined below 0.35 s" in line for line in lines) == 1
     (tmp_path / "other.csv").write_text("stream\nins\n")
     with pytest.raises(InputError, match="columns missing"):
         read_lags(tmp_path / "other.csv")

@@ -264,16 +264,14 @@ def parts_in_words(value: Mapping[str, float]) -> str:
     low, high = value["middle_low95"], value["middle_high95"]
     agrees = low <= middle <= high
     words = (
-        f"the mean is {1000 * mean:+.0f} mm, {'beyond' if abs(mean) > CERTAIN * sigma else 'within'} twice "
-        f"the {1000 * sigma:.0f} mm that the sigmas predict for it; for the middle of the distances (median "
-        f"and NMAD of distance over sigma) predicted over observed is {middle:.2f}, "
-        f"{'inside' if agrees else 'outside'} {low:.2f} to {high:.2f}"
+        f"the mean offset, {1000 * mean:+.0f} mm, is {'beyond' if abs(mean) > CERTAIN * sigma else 'within'} "
+        f"2 sigma (sigma = {1000 * sigma:.0f} mm); the robust ratio of predicted to observed, {middle:.2f}, "
+        f"is {'inside' if agrees else 'outside'} its 95 % acceptance band ({low:.2f} to {high:.2f})"
     ).replace("-", "\N{MINUS SIGN}")
     if value["ratio"] < value["ratio_low95"] and agrees:
         words += (
-            f". The middle agrees as far as its band can tell; the tails bring the ratio from {middle:.2f} "
-            f"to {value['ratio']:.2f}: points that are wrong, or that lie on plants and other things that "
-            "the reference does not have; distances do not tell which"
+            f". The tails bring the ratio from {middle:.2f} to {value['ratio']:.2f}: wrong points, or plants "
+            "and objects that the reference does not have"
         )
     return words
 
@@ -287,15 +285,12 @@ def classes_in_words(classes: pd.DataFrame) -> str:
     words = f"{len(outside)} of {len(classes)} range classes are outside their band" + (
         f" ({far} m)" if far else ""
     )
-    words += f"; consistent sigmas leave at most about {0.05 * len(classes):.1f} there by chance"
+    words += f"; about {0.05 * len(classes):.1f} are expected there by chance"
     if len(outside):
-        words += ", but neighbouring classes share poses and leave together"
+        words += " (neighbouring classes share poses)"
     if wide:
         some = "all" if wide == len(inside) else f"{wide}"
-        words += (
-            f". Of the {len(inside)} inside, {some} have a band wider than a factor of {WIDE_BAND:g} and "
-        )
-        words += "say little"
+        words += f". Of the {len(inside)} inside, {some} have a band wider than a factor of {WIDE_BAND:g}"
     return words
 
 

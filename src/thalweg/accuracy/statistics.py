@@ -148,7 +148,7 @@ def ratio_band(n_independent: float, level: float = 0.95) -> tuple[float, float]
     return high**-0.5, low**-0.5
 
 
-VERDICTS: Final = ("consistent", "too optimistic", "too pessimistic", "cannot tell")
+VERDICTS: Final = ("consistent", "too optimistic", "too pessimistic", "too few data")
 """What can be said of standard deviations; they are too optimistic where errors are larger."""
 _WIDEST_BAND: Final = 3.0
 """Where the band of the ratio spans more than this factor in sigma, a ratio inside it says nothing."""
@@ -170,10 +170,10 @@ def verdict_of(normalised: float, n_independent: float) -> str:
     Examples
     --------
     >>> verdict_of(1.1, 40), verdict_of(2.5, 40), verdict_of(0.3, 40), verdict_of(1.0, 3)
-    ('consistent', 'too optimistic', 'too pessimistic', 'cannot tell')
+    ('consistent', 'too optimistic', 'too pessimistic', 'too few data')
     """
     if not (np.isfinite(normalised) and n_independent >= 1):
-        return "cannot tell"
+        return "too few data"
     low, high = chi_square_band(n_independent)
     return verdict_of_ratio(normalised**-0.5, high**-0.5, low**-0.5)
 
@@ -184,15 +184,15 @@ def verdict_of_ratio(ratio: float, low: float, high: float) -> str:
     Examples
     --------
     >>> verdict_of_ratio(1.02, 0.9, 1.1), verdict_of_ratio(0.6, 0.9, 1.1), verdict_of_ratio(1.0, 0.4, 2.0)
-    ('consistent', 'too optimistic', 'cannot tell')
+    ('consistent', 'too optimistic', 'too few data')
     """
     if not np.isfinite([ratio, low, high]).all():
-        return "cannot tell"
+        return "too few data"
     if ratio < low:
         return "too optimistic"
     if ratio > high:
         return "too pessimistic"
-    return "consistent" if high / low <= _WIDEST_BAND else "cannot tell"
+    return "consistent" if high / low <= _WIDEST_BAND else "too few data"
 
 
 def consistency_in_words(ratio: float, low: float, high: float) -> str:

@@ -11,7 +11,13 @@ from .catalogue import (
     write_catalogue as write_catalogue,
 )
 from .front import write_front_page as write_front_page
-from .page import BACK as BACK, Finding as Finding, Page as Page, front_page_of as front_page_of
+from .page import (
+    BACK as BACK,
+    JUDGED as JUDGED,
+    Finding as Finding,
+    Page as Page,
+    front_page_of as front_page_of,
+)
 from .style import (
     BLUE as BLUE,
     DEPTH_MAP as DEPTH_MAP,
@@ -42,6 +48,7 @@ from .style import (
     new_figure as new_figure,
     north_arrow as north_arrow,
     note_of as note_of,
+    number as number,
     plan_height_mm as plan_height_mm,
     plural as plural,
     read_picture as read_picture,

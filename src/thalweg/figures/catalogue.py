@@ -50,12 +50,12 @@ SHOWN = 25
 def costs_figure(rules: pd.DataFrame) -> Figure:
     """Time of the processor of the most expensive rules, and their memory beside what was asked for."""
     top = rules.head(SHOWN).iloc[::-1]
-    title = f"What jobs took, n = {int(rules['jobs'].sum())} jobs of {len(rules)} rules"
+    title = f"Cost of jobs, n = {int(rules['jobs'].sum())} jobs of {len(rules)} rules"
     figure = new_figure(35 + 5 * len(top), title, twin=False)
     left, right = figure.subplots(1, 2, sharey=True)
     names = [f"{r['rule']} ({r['jobs']})" for r in top.to_dict("records")]
     left.barh(names, top["cpu_s"], color=BLUE, height=0.6)
-    left.set_xlabel("time of the processor [s]")
+    left.set_xlabel("time of the processor / s")
     left.tick_params(axis="y", labelsize=7)
     over = top["memory_mb"] > top["asked_mb"]
     right.barh(names, top["asked_mb"], color=GREY, alpha=0.35, height=0.8, label="asked for")
@@ -72,7 +72,7 @@ def costs_page(jobs: pd.DataFrame, rules: pd.DataFrame) -> Page:
         f"{len(jobs)} jobs of {jobs['campaign'].nunique()} campaigns, "
         f"{jobs['cpu_s'].sum() / 60:.1f} minutes of the processor."
     )
-    page = Page("What jobs took", lead)
+    page = Page("Cost of jobs", lead, folded=False)
     page.section("Requests")
     told = [f"{r['rule']}: {r['remark']}" for r in rules[rules["remark"] != ""].to_dict("records")]
     page.lines(told or ["No job took more than it had asked for, and none less than a quarter of it."])
@@ -148,9 +148,7 @@ CONTROL: Final = table_kind(
     [
         column("campaign", pa.string(), "1", "id of the campaign"),
         column("start_utc", pa.string(), "1", "its first pose, UTC"),
-        column(
-            "quantity", pa.string(), "1", "what was found: place (m) or rotation of a mount, clock, or sigma0"
-        ),
+        column("quantity", pa.string(), "1", "result: position (m) or rotation of a mount, clock, or sigma0"),
         column("unit", pa.string(), "1", "unit of value, sigma and mean"),
         column("twin", pa.bool_(), "1", "campaigns of a digital twin are compared among themselves"),
         column("value", pa.float64(), "as stated", "what this campaign found"),
@@ -578,7 +576,7 @@ def catalogue_page(entries: Sequence[Entry], rows: pd.DataFrame, control: pd.Dat
     """The page of the catalogue."""
     twins = int(rows["twin"].sum())
     lead = f"{len(rows)} campaigns" + (f", {twins} of a digital twin." if twins else ".")
-    page = Page("Catalogue of campaigns", lead)
+    page = Page("Catalogue of campaigns", lead, folded=False)
     outside = control[control["outside"]]
     page.section("Remarks")
     remarks = [f"{e.row['campaign']}: {e.row['remarks']}" for e in entries if e.row["remarks"]]

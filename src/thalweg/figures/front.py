@@ -104,7 +104,7 @@ def write_front_page(
     chain = next((name for name in CHAINS if f"orientation/{name}.parquet" in files), "")
     track = Trajectory.read(files[f"orientation/{chain}.parquet"]) if chain else None
     mark = ["Digital twin: simulated instruments wrote these logs"] if twin else []
-    front = Page(title, " · ".join([*mark, *_facts(track, crs)]))
+    front = Page(title, " · ".join([*mark, *_facts(track, crs)]), folded=False)
     for address, (name, _, _) in heads.items():
         front.entry(address, name)
     found = [] if track is None else list(_of_survey(files, track, chain))
@@ -139,7 +139,7 @@ def write_front_page(
         "Figures without data": pd.DataFrame(
             [(drawn[path][1], why) for path, why in reasons.items()], columns=["figure", "reason"]
         ),
-        "What more logs would add": pd.DataFrame(list(lacking), columns=["result", "needs"]),
+        "Products of further logs": pd.DataFrame(list(lacking), columns=["result", "needs"]),
     }
     for words, table in tables.items():
         if not table.empty:
@@ -196,7 +196,7 @@ def _of_survey(files: Mapping[str, Path], track: Trajectory, chain: str) -> Iter
     if validation := files.get("bathymetry/validation.json"):
         bed = read_json(validation)
         told = verdict_of(bed["normalised_square"], bed["lines"])
-        words = "too few lines to judge" if told == "cannot tell" else f"standard deviations: {told}"
+        words = "too few lines to judge" if told == "too few data" else f"standard deviations: {told}"
         quantity = f"riverbed, RMSE of {bed['lines']} left-out lines"
         yield Finding(quantity, centimetres(bed["rmse_m"]), words, "bathymetry/index.html")
     if counts := files.get("lidar/counts.csv"):

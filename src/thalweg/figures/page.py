@@ -2,12 +2,12 @@
 
 import base64
 import io
-import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from html import escape as escaped, unescape
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, Self
 from urllib.parse import quote
@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from thalweg.core import InputError, final_path
-from thalweg.figures.style import dashed, save
+from thalweg.figures.style import count, dashed, number, save
 
 PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 THUMBNAIL_PX: Final = 400
@@ -66,12 +66,21 @@ TONES: Final = {
     "something is missing": "unsure",
     "too optimistic": "bad",
     "too pessimistic": "unsure",
-    "cannot tell": "unsure",
+    "too few data": "unsure",
     "to judge": "unsure",
 }
 """Colours of verdicts by their last words; the verdict itself is beside the colour."""
 _LONG_VALUE: Final = 20
 """A longer value of a finding is written in smaller letters."""
+
+
+JUDGED: Final = {
+    "consistent": "the predicted standard deviations agree with the errors",
+    "too optimistic": "the predicted standard deviations are too small",
+    "too pessimistic": "the predicted standard deviations are too large",
+    "too few data": "too few data to judge the predicted standard deviations",
+}
+"""Verdicts of `thalweg.accuracy` in a sentence, after what they rest on and a colon."""
 
 
 class Page:
@@ -82,6 +91,8 @@ class Page:
     title : heading and name of the page.
     lead : first paragraph, above the list of contents: one sentence.
     findings : the numbers that matter most, five or so, each with its verdict, below the lead.
+    folded : below the lead stand the first figure and the first table, and each section is folded; else all
+        is open, in the order in which it was added, with a list of contents.
 
     Examples
     --------
@@ -90,8 +101,10 @@ class Page:
     True
     """
 
-    def __init__(self, title: str, lead: str = "", findings: Sequence[Finding] = ()) -> None:
-        self.title = title
+    def __init__(
+        self, title: str, lead: str = "", findings: Sequence[Finding] = (), *, folded: bool = True
+    ) -> None:
+        self.title, self._folded = title, folded
         self._lead = (f"<p>{escape(lead)}</p>\n" if lead else "") + findings_html(findings)
         self._body: list[str] = []
         self._contents: list[tuple[str, str]] = []
@@ -182,7 +195,7 @@ class Page:
         return self
 
     def table(
-        self, frame: pd.DataFrame, caption: str, units: Mapping[str, str] | None = None, *, digits: int = 6
+        self, frame: pd.DataFrame, caption: str, units: Mapping[str, str] | None = None, *, digits: int = 4
     ) -> Self:
         """Add a table; one without a row is a sentence.
 
@@ -232,12 +245,13 @@ class Page:
         ----------
         home : relative address of the front page that it leads back to, if there is one.
         """
+        listed = [each for each in self._contents if not self._folded or not each[0].startswith("#")]
         contents = "".join(
-            f'<li><a href="{quote(address, safe="/#")}">{escape(words)}</a></li>'
-            for address, words in self._contents
+            f'<li><a href="{quote(address, safe="/#")}">{escape(words)}</a></li>' for address, words in listed
         )
-        nav = f"<nav><ul>{contents}</ul></nav>\n" if len(self._contents) > 1 else ""
-        body, back = "\n".join(self._body), BACK.format(quote(home)) if home else ""
+        nav = f"<nav><ul>{contents}</ul></nav>\n" if len(listed) > 1 - self._folded else ""
+        body = "\n".join(self._folds() if self._folded else self._body)
+        back = BACK.format(quote(home)) if home else ""
         words = re.sub(r"<[^>]*>", " ", self._lead + body)
         body += "".join(
             f"\n<p><small>{name}: {escape(source)}</small></p>"
@@ -251,12 +265,29 @@ class Page:
             f"<h1>{escape(self.title)}</h1>\n{self._lead}{nav}{body}\n</main>\n</body>\n</html>\n"
         )
 
+    def _folds(self) -> list[str]:
+        """The first figure and the first table, and each section below a line to click."""
+        body = list(self._body)
+        shown = [next((each for each in body if each.startswith(tag)), "") for tag in (_FIGURE, _TABLE)]
+        for each in filter(None, shown):
+            body.remove(each)
+        begins = [k for k, each in enumerate(body) if each.startswith("<h2 ")]
+        parts = [*body[: begins[0] if begins else len(body)], *filter(None, shown)]
+        for k, end in pairwise([*begins, len(body)]):
+            if end > k + 1:
+                # browsers open what is folded where an address leads into it
+                heading, anchor = re.sub("<[^>]*>", "", body[k]), body[k].split('"')[1]
+                within = "\n".join([f'<span id="{anchor}"></span>', *body[k + 1 : end]])
+                parts.append(f"<details><summary><h2>{heading}</h2></summary>{within}</details>")
+        return parts
+
     def write(self, path: Path) -> None:
         """Write the page; the same content gives the same bytes."""
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(self.html(front_page_of(path)), encoding="utf-8")
 
 
+_FIGURE, _TABLE = "<figure>", '<div class="scroll"'
 BACK: Final = '<p class="back"><a href="{}">← Front page of the survey</a></p>\n'
 """Link of every page of a campaign to its front page."""
 
@@ -353,7 +384,7 @@ def _cell(value: Any, digits: int) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, int):
-        return f"{value:,}".replace(",", "\N{NO-BREAK SPACE}")
+        return count(value)
     if isinstance(value, float):
-        return f"{value:.{digits}g}" if math.isfinite(value) else "–"
+        return number(value, digits)
     return str(value)

@@ -437,6 +437,26 @@ def note_of(path: Path) -> str | None:
         return picture.info.get("Comment")
 
 
+NOTHING: Final = 1e-12
+"""A number of a page below it is the rest of a computation."""
+
+
+def number(value: float, digits: int = 3) -> str:
+    """A number with so many significant digits; whole above a thousand, with thousands apart; nan: a dash.
+
+    Examples
+    --------
+    >>> number(0.012345), number(-84.5361, 4), number(1234567.8).split(), number(-5.68e-14), number(np.nan)
+    ('0.0123', '−84.54', ['1', '234', '568'], '0', '–')
+    """
+    if not np.isfinite(value):
+        return "–"
+    if abs(value) < NOTHING:
+        return "0"
+    text = f"{round(value):,}" if abs(value) >= 1000 else f"{value:.{digits}g}"
+    return text.replace(",", "\N{NO-BREAK SPACE}").replace("-", "\N{MINUS SIGN}")
+
+
 def count(n: float) -> str:
     """A number of things with thousands apart: ``12 345``; nan: a dash.
 

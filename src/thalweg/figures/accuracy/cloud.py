@@ -143,7 +143,7 @@ def cloud_page(
     if moved.get("done"):
         after = moved["without_outliers"]
         findings.append(Finding("RMSE after registration", centimetres(after["rmse_m"])))
-    findings.append(Finding("standard deviations of the cloud", "the file states none", "cannot tell"))
+    findings.append(Finding("standard deviations of the cloud", "the file states none", "too few data"))
     lead = f"The cloud lies {centimetres(raw['rmse_m'])} (RMSE) from its reference"
     if counts["outliers"]:
         lead += f", {centimetres(kept['rmse_m'])} without {count(counts['outliers'])} outliers"
@@ -161,7 +161,7 @@ def cloud_page(
     )
     page.table(
         pd.DataFrame(counts.items(), columns=["points", "number"]).replace("_", " ", regex=True),
-        "What became of the points.",
+        "Points by class.",
     )
     if moved:
         page.section("Registration")
@@ -176,10 +176,10 @@ def _offset(moved: Mapping[str, Any]) -> str:
         return f"no registration: {moved['reason']}" if moved else ""
     size = centimetres(float(np.linalg.norm(list(moved["shift_m"].values()))))
     if moved["f"] is None:
-        return f"a motion of {size} fits it better; too few places tell whether that is chance"
+        return f"a motion of {size} fits it better; too few locations to test it"
     if moved["f"] > moved["f_exceeded_in_5_percent"]:
-        return f"it lies off by {size}, more than its places explain"
-    return f"it lies off by {size}, which its places explain"
+        return f"it lies off by {size}, more than its location explains"
+    return f"it lies off by {size}, explained by its location"
 
 
 def _motion(page: Page, moved: Mapping[str, Any]) -> None:

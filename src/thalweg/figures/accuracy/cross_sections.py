@@ -227,7 +227,7 @@ def cross_sections(
         shrink=0.8,
         pad=0.02,
         extend="both" if (known > reach).any() else "neither",
-        label="place of the boat along the bank when it measured the point, from the section / m",
+        label="distance of the boat along the bank from the section / m",
     )
     figure.align_ylabels(list(panels[:, 0]))
     _legend(figure, panels[0][0], water=water_line_ics_m is not None)

@@ -127,7 +127,7 @@ def verdict(facts: Mapping[str, Any], statistics: pd.DataFrame) -> list[str]:
         f"reference.",
         f"Its own sigmas predict {centimetres(value_of(statistics, 'predicted_rmse'))}; "
         f"{sentence_of(facts.get('verdicts', []), 'sigmas')}.",
-        f"Seen by parts, {sentence_of(facts.get('verdicts', []), 'parts')}.",
+        f"Mean and tails: {sentence_of(facts.get('verdicts', []), 'parts')}.",
     ]
     if out > 0:
         front, behind = (value_of(statistics, f"outliers_{side}") for side in ("in_front", "behind"))
@@ -154,18 +154,16 @@ def explanation(statistics: pd.DataFrame) -> str:
         centimetres(value_of(statistics, name)) for name in ("predicted_rmse_3d", "predicted_rmse", "rmse")
     )
     return (
-        "A comparison with a surface sees only that part of a point's error that points along the "
-        "surface's normal. A point that is shifted within a plane bank still lies on the bank. Where "
-        "errors are the same in all directions this part is the 3D error divided by the square root of "
-        "three, 58 % of it.\n\n"
-        f"Here the sigmas of the points predict {full} for all three components together, and {normal} for "
-        f"the component along the normal with the reference's own sigma. Only the latter can be held against "
-        f"the {observed} that were observed. An observed RMSE below the 3D prediction is therefore no sign "
-        "that points are better than predicted.\n\n"
-        "Besides, each distance goes to the nearest place of the surface. On rough ground a point that is "
-        "off lies near another place than the one it belongs to, and its distance is smaller than its "
-        "error. Sardemann et al. (2023, section 7) suspected that when they observed 14 cm where 13 to 25 "
-        "cm were predicted for 25 to 50 m; what they predicted was the 3D error."
+        "A cloud-to-surface distance measures only the error along the normal of the surface. A point that "
+        "is shifted within a plane bank still lies on the bank. Where errors are isotropic, the normal "
+        "component is 58 % of the 3D error (1/√3).\n\n"
+        f"Here the predicted 3D error is {full}, and the predicted error along the normal, reference "
+        f"included, is {normal}. Only the latter is comparable with the observed RMSE of {observed}. An RMSE "
+        "below the 3D prediction does not mean that points are better than predicted.\n\n"
+        "Each distance is taken to the nearest point of the surface. On rough ground this is often not the "
+        "point that was measured, and the distance is smaller than the error. Sardemann et al. (2023, "
+        "section 7) suspected this when they observed 14 cm at 25 to 50 m: they had predicted a 3D error of "
+        "13 to 25 cm."
     )
 
 
@@ -175,18 +173,18 @@ def limits(
     """What the page does not prove."""
     independent = value_of(statistics, "independent_values")
     return (
-        "Points of one moment share the errors of one pose. For the errors that change over "
-        f"{facts.get('correlation_s', float('nan')):g} s (accuracy.correlation_s) the "
-        f"compared points are worth {independent:.0f} independent values; the bands follow from that. "
-        f"{_observed_correlation(facts, statistics)} Errors that stay the same for a whole survey, such as "
-        "those of the mount or of the base station, are one value, and no band covers them.\n\n"
-        f"The reference has errors of its own; {centimetres(facts.get('reference_sigma_m', float('nan')))} "
-        "are taken for its position as a whole, and the noise of its vertices from its own points. "
+        "Points measured at the same time share the error of one pose. With a correlation time of "
+        f"{facts.get('correlation_s', float('nan')):g} s (accuracy.correlation_s) the effective number of "
+        f"independent values is {independent:.0f}; the acceptance bands follow from it. "
+        f"{_observed_correlation(facts, statistics)} Systematic errors of the whole survey, such as those of "
+        "the mount or of the base station, are outside the bands.\n\n"
+        f"The reference has a position sigma of {centimetres(facts.get('reference_sigma_m', float('nan')))} "
+        "as a whole; the noise of its vertices is taken from its own points. "
         f"{_representativity(mesh_facts or {})}\n\n"
         f"{_outlier_rule(facts)}\n\n"
         "Only the area that the reference covers was compared. Points nearest to the border of the reference "
-        f"are {'left out' if facts.get('border') == 'exclude' else 'kept'}: their distance says where the "
-        "reference ends, not how good the point is."
+        f"are {'left out' if facts.get('border') == 'exclude' else 'kept'}: their distance depends "
+        "on the extent of the reference."
     )
 
 
@@ -211,9 +209,8 @@ def _representativity(mesh_facts: Mapping[str, Any]) -> str:
     edge = mesh_facts.get("median_edge_m")
     size = f" (median edge {centimetres(edge)})" if edge else ""
     return (
-        f"A beam meets a spot of several centimetres and more at long range, the triangles{size} are another "
-        "piece of the same ground. On rough ground, grass and stones both differ without either being wrong; "
-        "no sigma here holds that difference."
+        f"The footprint of the beam and the triangles{size} of the mesh sample different areas. On rough "
+        "ground they differ although neither is wrong. No sigma here includes that difference."
     )
 
 
@@ -223,10 +220,9 @@ def _outlier_rule(facts: Mapping[str, Any]) -> str:
         return "No outlier rule was applied."
     low, high = (f"{limit:+.1f}".replace("-", "\N{MINUS SIGN}") for limit in rule)
     return (
-        f"Outliers are points whose distance is outside {low} to {high} of its own sigmas, "
-        f"{facts.get('outlier_nmads', 0):g} NMAD from the median. Sigmas grow with the range, and the limits "
-        "with them. The rule cannot tell a bad point from a good point on a bush; all numbers are therefore "
-        "given with and without it."
+        f"Outliers are points whose distance over sigma is outside {low} to {high}, "
+        f"{facts.get('outlier_nmads', 0):g} NMAD from the median. The rule cannot distinguish a wrong point "
+        "from a good point on a bush. All numbers are therefore given with and without outliers."
     )
 
 
@@ -294,15 +290,15 @@ CONSISTENCY: Final = (
 )
 PARTS: Final = (
     ("bias", "mean", "mm", 1e3),
-    ("sigma_of_bias", "what the sigmas predict for the mean (1 sigma)", "mm", 1e3),
+    ("sigma_of_bias", "predicted for the mean (1 sigma)", "mm", 1e3),
     ("normalised_median", "median of distance over sigma", "1", 1.0),
     ("normalised_nmad", "NMAD of distance over sigma", "1", 1.0),
-    ("ratio_of_middle", "ratio of the middle: from these two, whatever the tails do", "1", 1.0),
-    ("middle_low95", "consistent sigmas leave it above", "1", 1.0),
-    ("middle_high95", "and below", "1", 1.0),
+    ("ratio_of_middle", "robust ratio (median and NMAD)", "1", 1.0),
+    ("middle_low95", "95 % acceptance band, lower limit", "1", 1.0),
+    ("middle_high95", "95 % acceptance band, upper limit", "1", 1.0),
     ("normalised_squared_error", "mean of squared distance over variance", "1", 1.0),
-    ("consistent_low95", "consistent sigmas leave it above", "1", 1.0),
-    ("consistent_high95", "and below", "1", 1.0),
+    ("consistent_low95", "95 % acceptance band, lower limit", "1", 1.0),
+    ("consistent_high95", "95 % acceptance band, upper limit", "1", 1.0),
     ("observed_correlation", "distances are correlated over (lag of 1/e)", "s", 1.0),
 )
 SHAPE: Final = (
@@ -327,7 +323,7 @@ ERRORS_IN_WORDS: Final = {
     "position_time_s": "positions: correlation time, s",
     "attitude_time_s": "attitude: correlation time, s",
     "component": "lidar, range and directions: factor",
-    "footprint": "lidar, place in the footprint: factor",
+    "footprint": "lidar, position in the footprint: factor",
 }
 
 TRUTH_PICTURES: Final = ("error_versus_range",)
@@ -390,7 +386,7 @@ def accuracy_page(
     of_truth = [path for path in pictures if path.stem in TRUTH_PICTURES and truth is not None]
     _pictures(page, [path for path in pictures if path not in of_truth], captions or {})
     _ranges(page, by_range)
-    page.section("Why distances are smaller than the 3D error").text(explanation(statistics))
+    page.section("Distances and 3D errors").text(explanation(statistics))
     _places(page, facts)
     _registration(page, registration)
     if error_model is not None:
@@ -463,33 +459,22 @@ def pivot(
                 value = known[quantity] * factor
                 row[heading] = int(value) if quantity == "n" and np.isfinite(value) else float(value)
         rows.append(row)
-    out = short(pd.DataFrame(rows))
+    out = pd.DataFrame(rows)
     units = {heading: unit for _, heading, unit, _ in columns if unit != "1" and heading in out.columns}
     return out, units
-
-
-def short(frame: pd.DataFrame, digits: int = 3) -> pd.DataFrame:
-    """Fractions of a table rounded to some significant digits; 1500 stays 1500."""
-    columns = {
-        name: column.map(lambda x: float(f"{x:.{digits}g}")) if column.dtype.kind == "f" else column
-        for name, column in frame.items()
-    }
-    return pd.DataFrame(columns)
 
 
 def _statistics(page: Page, facts: Mapping[str, Any], statistics: pd.DataFrame, words: str) -> None:
     by = ("registration", "points")
     page.section("Statistics").text(words).text(
         "Distances are positive in front of the reference, toward river and air, and negative behind it. "
-        "Mean and std are those of the normal distribution of largest likelihood, median and NMAD those of "
-        "the robust one."
+        "Mean and std are those of a maximum-likelihood normal fit, median and NMAD those of a robust one."
     )
     page.table(*_with_caption(statistics, by, DISTANCES, "Distances of the cloud to the reference"))
     tested = statistics[statistics["registration"] == AS_MEASURED]
     caption = (
-        "RMSE observed and predicted: of the component along the normal and the reference, and of all three "
-        "components (3D); ratio of predicted to observed, its band for consistent sigmas, and how "
-        "many independent values the band rests on. A fitted cloud cannot test its sigmas"
+        "RMSE observed and predicted: along the normal, and of all three components (3D); ratio of predicted "
+        "to observed, its 95 % acceptance band, effective n. A registered cloud cannot test its sigmas"
     )
     page.table(*_with_caption(tested, ("points",), CONSISTENCY, caption))
     rows = [
@@ -497,14 +482,14 @@ def _statistics(page: Page, facts: Mapping[str, Any], statistics: pd.DataFrame, 
         | {name: factor * value_of(statistics, quantity, name) for name in (ALL, WITHOUT_OUTLIERS)}
         for quantity, words, unit, factor in PARTS
     ]
-    page.table(short(pd.DataFrame(rows)), "By parts: mean, middle, and everything over its own sigma")
+    page.table(pd.DataFrame(rows), "Mean, robust ratio, and squared errors over variances")
     page.table(
         *_with_caption(statistics, by, SHAPE, "Shape; a normal has 68.3, 95.4, 99.7 % and zero"), digits=3
     )
     sentences = pd.DataFrame(facts.get("verdicts", []))
     if len(sentences):
         sentences = sentences.drop(columns=["classes", "parts"], errors="ignore")
-        page.table(sentences.rename(columns={"normal": "normal distribution"}), "In words")
+        page.table(sentences.rename(columns={"normal": "normal distribution"}), "Interpretation")
 
 
 def _with_caption(
@@ -535,24 +520,23 @@ def _ranges(page: Page, by_range: pd.DataFrame) -> None:
             units[heading] = unit
     out["inside"] = out["inside"].astype(bool)
     page.section("By range").text(
-        f"{classes_in_words(rows)}. A band holds the ratio of consistent sigmas with 95 % or more."
+        f"{classes_in_words(rows)}. If the sigmas are right, the acceptance band holds 95 % of ratios."
     )
     caption = (
         "RMSE in classes of 1 m (D − 0.5 < d ≤ D + 0.5), as measured, without outliers; columns as above"
     )
-    page.table(short(out), caption, units)
+    page.table(out, caption, units)
 
 
 def _places(page: Page, facts: Mapping[str, Any]) -> None:
-    page.section("By place").text(
-        "Sardemann et al. (2023) state for their bank that there is no local dependency of the accuracy. "
-        "Here that is tested: the bank is cut into cells, and Moran's I asks whether the mean distances of "
-        "neighbouring cells are alike. A place is measured from few poses, so a dependency on the place "
-        "may be one on the moment at which it was measured."
+    page.section("Spatial dependency").text(
+        "Sardemann et al. (2023) found no local dependency of the accuracy on their bank. The test here is "
+        "Moran's I of the mean distances of neighbouring cells. A cell is measured from few poses, so that a "
+        "dependency on location may be one on time."
     )
     sentences = pd.DataFrame(facts.get("local_dependency", []))
     if len(sentences):
-        page.table(sentences.rename(columns={"words": "verdict"}), "Does the accuracy depend on the place?")
+        page.table(sentences.rename(columns={"words": "verdict"}), "Dependency of the accuracy on location")
 
 
 def _registration(page: Page, registration: Mapping[str, Any]) -> None:
@@ -573,7 +557,7 @@ def _registration(page: Page, registration: Mapping[str, Any]) -> None:
         for axis in values
     ]
     caption = "Motion of the cloud onto the reference, about the middle of its points"
-    page.table(short(pd.DataFrame(rows)), caption)
+    page.table(pd.DataFrame(rows), caption)
     changes = []
     for points, change in registration["change"].items():
         row: dict[str, Any] = {"points": points}
@@ -582,17 +566,17 @@ def _registration(page: Page, registration: Mapping[str, Any]) -> None:
         changes.append(row | {"share of the mean removed": 100.0 * change["share_of_bias_removed"]})
     frame = pd.DataFrame(changes)
     units = {name: "%" if name.startswith("share") else "mm" for name in frame.columns[1:]}
-    page.table(short(frame), "What it changes", units)
+    page.table(frame, "Effect", units)
 
 
 def _error_model(page: Page, model: Mapping[str, Any]) -> None:
     a, b = model["heading_deviation_deg"]
-    page.section("How the poses err").text(
-        "The sigmas of the poses are those that the logs state, times factors that the survey itself shows: "
-        "where the lidar saw a plane spot again, its points lie apart by what the poses erred differently. "
-        f"{count(model['planes'])} planes in {model['windows']} spans of the survey were used. What they do "
-        "not tell stays at its prior, and the width of that enlarges the sigmas. An error that never changes "
-        "moves all surfaces alike: no survey shows it to itself. The heading errs by "
+    page.section("Pose errors").text(
+        "Pose sigmas are those stated in the logs, times factors estimated from the survey. Planes that the "
+        "lidar measured twice lie apart by the difference of two pose errors. "
+        f"{count(model['planes'])} planes in {model['windows']} time windows were used. Parameters that they "
+        "do not determine stay at their priors, whose width enlarges the sigmas. A constant error moves all "
+        "surfaces alike and remains undetected. The heading error is "
         f"{a:+.2f} sin h {b:+.2f} cos h degrees with the heading h: "
         + ("corrected." if model["heading_corrected"] else "not significant, not corrected.")
     )
@@ -607,20 +591,19 @@ def _error_model(page: Page, model: Mapping[str, Any]) -> None:
         }
         for name, e in model["estimates"].items()
     ]
-    page.table(short(pd.DataFrame(rows)), "Factors on stated sigmas, and correlation times in seconds")
+    page.table(pd.DataFrame(rows), "Factors on stated sigmas, and correlation times in seconds")
     for note in model["notes"]:
         page.text(str(note))
 
 
 def _compared(page: Page, facts: Mapping[str, Any], mesh_facts: Mapping[str, Any]) -> None:
-    page.section("What was compared").text(
+    page.section("Data").text(
         f"Area of interest: {facts.get('area', 'not stated')}. Each point is compared with the nearest "
-        "place of the reference surface; the sign is that of the side of the surface on which the point "
-        "lies."
+        "point of the reference surface; distances in front of it are positive."
     ).text(covered(facts))
     for caption, counts, words, whole in (
-        ("What became of the points of the cloud", facts.get("counts", {}), POINTS_IN_WORDS, "points"),
-        ("What became of the reference", mesh_facts.get("counts", {}), REFERENCE_IN_WORDS, "read"),
+        ("Points of the cloud by class", facts.get("counts", {}), POINTS_IN_WORDS, "points"),
+        ("Points of the reference by class", mesh_facts.get("counts", {}), REFERENCE_IN_WORDS, "read"),
     ):
         rows = [
             {
@@ -633,7 +616,7 @@ def _compared(page: Page, facts: Mapping[str, Any], mesh_facts: Mapping[str, Any
             for name, n in counts.items()
         ]
         if rows:
-            page.table(short(pd.DataFrame(rows)), caption, {"share": "%"})
+            page.table(pd.DataFrame(rows), caption, {"share": "%"})
     rows = [
         {
             "what": words,

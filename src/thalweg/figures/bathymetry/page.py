@@ -10,7 +10,7 @@ import pandas as pd
 
 from thalweg.accuracy import verdict_of
 from thalweg.bathymetry import REASONS
-from thalweg.figures import Finding, Page, count
+from thalweg.figures import JUDGED, Finding, Page, count, plural
 
 
 def bed_page(
@@ -61,30 +61,31 @@ def bed_page(
             f"{validation['normalised_square']:.2f}",
             told,
         ),
-        Finding("outside their interval of 95 %", f"{100 * validation['outside_95']:.1f} %"),
+        Finding("outside the 95 % interval", f"{100 * validation['outside_95']:.1f} %"),
     ]
     page = Page(
-        title, f"Left-out lines of soundings say of the standard deviations of the bed: {told}.", findings
+        title,
+        f"Cross-validation with {plural(validation['lines'], 'left-out line')}: {JUDGED[told]}.",
+        findings,
     )
     if twin:
         page.text("The digital twin made these data: a simulated river, simulated instruments.")
     page.section("Figures")
-    for picture in pictures:
+    for picture in sorted(pictures, key=lambda each: each.stem != "bed_map"):
         page.figure(picture, captions.get(picture.stem, picture.stem.replace("_", " ")))
     page.section("Soundings")
     rows = [
         (REASONS[name], n, 100 * n / max(facts["pings"], 1)) for name, n in facts["by_reason"].items() if n
     ]
-    page.table(
-        pd.DataFrame(rows, columns=["pings", "n", "share"]), "What became of the pings.", {"share": "%"}
-    )
+    page.table(pd.DataFrame(rows, columns=["pings", "n", "share"]), "Pings by class.", {"share": "%"})
     temperature = facts["water_temperature_c"]
     page.text(
         f"{facts['lines']} lines. Depths are multiplied by {facts['sound_factor']:.5f} ± "
         f"{facts['sigma_sound_factor']:.5f} for the speed of sound"
         + (f" (water of {temperature:.1f} °C)" if temperature is not None else "")
-        + f". The place of the transducer is that of the {facts['place_from']}; its stamps are corrected by "
-        f"{facts['lag_s']:+.3f} s. Errors of positions last {facts['position_time_s']:.1f} s."
+        + f". The lever arm of the transducer is that of the {facts['place_from']}; its time stamps are "
+        f"corrected by {facts['lag_s']:+.3f} s. The correlation time of position errors is "
+        f"{facts['position_time_s']:.1f} s."
     )
     page.text(_crossings(facts["crossings"]))
     page.table(
@@ -131,17 +132,17 @@ def bed_page(
     page.table(methods, "Cross-validation: lines left out, predicted by several methods.", digits=3)
     for name, each in validation.get("reference", {}).items():
         words = (
-            f"Bed less {name}, which is none of its data. The standard deviation is that of the bed with its "
+            f"Bed less {name}, which was not used for it. The standard deviation is that of the bed with its "
             "common part, and of the reference (its own column, else bathymetry.table)."
         )
         page.section(f"Against {name}").table(_beside(each), words, digits=3)
     if truth is not None:
         page.section("Against the truth of the twin").table(truth, "Errors against the true bed.", digits=3)
     page.section("Limits").text(
-        "A sounding is the nearest return of its cone: stones narrower than the beam hide the bed about "
-        "them. Between lines the bed is predicted by its covariance; what no line crossed, a groyne or a "
-        "wreck, is not in it. One covariance holds for the whole channel, and margins differ from it by one "
-        "factor. Bank lines are as good as the ground that the lidar saw beside the water."
+        "A sounding is the nearest return within its beam, so that a stone hides the bed around it. Between "
+        "lines the bed is interpolated: a groyne or a wreck that no line crossed is missing. One covariance "
+        "function holds for the whole channel, with one factor for the margins. Bank lines are as accurate "
+        "as the ground that the lidar measured beside the water."
     )
     return page
 
@@ -155,7 +156,7 @@ def _depth_and_width(found: Mapping[str, Any]) -> str:
     said = (
         "it is deeper where it is narrower"
         if found["deeper_where_narrower"]
-        else "whether it is deeper where it is narrower is not told"
+        else "a relation of depth and width is not significant"
     )
     return (
         f" The mean depth of {found['sections']} sections goes with the width to the power of "
@@ -177,7 +178,7 @@ def _beside(measured: Mapping[str, Any]) -> pd.DataFrame:
             (name, of["n"], of["rmse_m"], of["bias_m"], of["normalised_square"], 100 * of["outside_95"])
             for name, of in rows.items()
         ],
-        columns=["cells", "n", "RMSE [m]", "mean [m]", "squared error over variance", "outside 95 % [%]"],
+        columns=["cells", "n", "RMSE / m", "mean / m", "squared error over variance", "outside 95 % / %"],
     )
 
 
@@ -259,22 +260,23 @@ _SHARES = {"share_tvu": "vertical", "share_thu": "horizontal", "share": "both"}
 def _crossings(found: Mapping[str, Any]) -> str:
     """What the crossings of lines say, in words."""
     if not found["n"]:
-        return "No line crosses another, so that nothing checks how large the slow errors are."
+        return "No lines cross, so that the time-correlated errors are not checked."
     words = (
-        f"Lines cross at {count(found['n'])} places. There the heights differ by "
-        f"{100 * found['rms_m']:.1f} cm (root mean square) where {100 * found['predicted_m']:.1f} cm were "
-        "predicted; the mean of squared differences over predicted variances is "
+        f"Lines cross {count(found['n'])} times, with height differences of "
+        f"{100 * found['rms_m']:.1f} cm RMS, predicted {100 * found['predicted_m']:.1f} cm; the mean "
+        " of squared differences over predicted variances is "
         f"{found['normalised_square']:.2f}."
     )
     if found["estimated"]:
         words += (
-            f" So the slow errors are {found['slow_factor']:.2f} times as large as stated (uncertain by a "
-            f"factor of {np.exp(found['slow_factor_sigma_log']):.2f}) and last {found['time_s']:.1f} s; with "
-            f"that the mean is {found['normalised_square_after']:.2f}. {count(found['left_out'])} crossings "
+            f" Time-correlated errors are {found['slow_factor']:.2f} times the stated ones (uncertain by a "
+            f"factor of {np.exp(found['slow_factor_sigma_log']):.2f}), with a correlation time of "
+            f"{found['time_s']:.1f} s; with these the mean is {found['normalised_square_after']:.2f}. "
+            f"{count(found['left_out'])} crossings "
             "were left out as gross errors."
         )
     else:
         which = "Those within one run" if "steps" in found.get("agreement", {}) else "They"
-        words += f" {which} are too few to tell how large the slow errors are: what is stated counts."
+        words += f" {which} are too few to estimate the time-correlated errors: the stated ones are used."
     words += "".join(f" {note[0].upper()}{note[1:]}." for note in found.get("notes", []))
     return words

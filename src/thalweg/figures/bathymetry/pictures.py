@@ -59,9 +59,9 @@ REASON_STYLE: Final[dict[str, tuple[str, str]]] = {
 }
 """Colour and marker of soundings that do not count; those without depth or time cannot be drawn."""
 _PARTS: Final = (
-    ("sigma_white_m", "white: new in each sounding", BLUE, "-"),
-    ("sigma_slow_m", "slow: lasts as poses do", ORANGE, "--"),
-    ("sigma_common_m", "common: all soundings share it", GREEN, "-."),
+    ("sigma_white_m", "random", BLUE, "-"),
+    ("sigma_slow_m", "time-correlated (trajectory)", ORANGE, "--"),
+    ("sigma_common_m", "systematic", GREEN, "-."),
 )
 _KINDS: Final = {"exponential": "exponential", "matern32": "Matérn 3/2", "spherical": "spherical"}
 _SECTIONS: Final = 6
@@ -94,7 +94,7 @@ def draw_soundings(*, soundings: Path, title: str, twin: bool) -> Figure:
             label = f"{reason}: {REASONS[reason]}, n = {count(int(of.sum()))}"
             top.plot(t[of], timed["range_m"][of], ls="none", marker=marker, ms=4.5, color=colour, label=label)
     undrawn = table["reason"].isin(["no time", "no bottom"]).sum()
-    top.set_ylabel("range below\ntransducer [m]")
+    top.set_ylabel("range below\ntransducer / m")
     low, high = robust_limits(timed["range_m"], 0.0, 99.5)
     top.set_ylim(high + 0.25 * (high - low), max(low - 0.1 * (high - low), 0.0))
     edges = np.flatnonzero(np.diff(timed["line"].to_numpy()) != 0)
@@ -103,7 +103,7 @@ def draw_soundings(*, soundings: Path, title: str, twin: bool) -> Figure:
     for name, label, colour, style in _PARTS:
         below.plot(t[used], 100 * timed[name][used], color=colour, ls=style, lw=1.0, label=label)
     below.set_ylim(0.0)
-    below.set(xlabel="time since the first sounding [s]", ylabel="sigma of the\nheight [cm]")
+    below.set(xlabel="time since the first sounding / s", ylabel="sigma of the\nheight / cm")
     if undrawn:
         top.annotate(
             f"{count(int(undrawn))} without bottom or time are not drawn",
@@ -150,8 +150,8 @@ def draw_sounding_lines(*, soundings: Path, title: str, twin: bool) -> Figure:
         ax.set_title(words, fontsize="small", loc="left")
     for ax in axes[len(lines) :]:
         ax.set_axis_off()
-    figure.supxlabel("along the track [m]", fontsize="medium")
-    figure.supylabel("range below the transducer [m]", fontsize="medium")
+    figure.supxlabel("along the track / m", fontsize="medium")
+    figure.supylabel("range below the transducer / m", fontsize="medium")
     _one_legend(figure, axes)
     return figure
 
@@ -185,7 +185,7 @@ def draw_sounding_errors(*, soundings: Path, title: str, twin: bool) -> Figure:
     horizontal = [100 * np.median(table["sigma_horizontal_m"].to_numpy()[number == k]) for k in taken]
     ax.plot(middle, horizontal, color=PURPLE, ls=":", label="horizontal, each coordinate")
     ax.set_ylim(0.0)
-    ax.set(xlabel="depth below the water [m]", ylabel="standard deviation [cm],\nmedian of a class")
+    ax.set(xlabel="depth below the water / m", ylabel="standard deviation / cm,\nmedian of a class")
     legend_below(figure, ax)
     return figure
 
@@ -215,7 +215,7 @@ def draw_bed_map(
     words = f"Riverbed: {title}, n = {count(known)} cells of {grid.cell_m:g} m"
     low, high = robust_limits(depth, 0.5, 99.5)
     look = {"cmap": DEPTH_MAP, "vmin": max(low, 0.0), "vmax": high}
-    figure, axes = _value_and_sigma(grid, depth, look, "depth below the water [m]", sigma, words, twin=twin)
+    figure, axes = _value_and_sigma(grid, depth, look, "depth below the water / m", sigma, words, twin=twin)
     clouds = joined_parts(model)
     for source, colour in ((Source.SURROUNDINGS, "0.75"), (Source.LIDAR, SKY)):
         if source in clouds:
@@ -264,7 +264,7 @@ def bed_picture(
     look = {"cmap": DEPTH_MAP.reversed(), "vmin": low, "vmax": high}
     sigma = np.hypot(bands["sigma_m"], np.nan_to_num(bands["sigma_common_m"]))
     above = " above the water" if "water surface" in tags.get("heights", "") else ""
-    figure, axes = _value_and_sigma(grid, height, look, f"height{above} [m]", sigma, words, twin=twin)
+    figure, axes = _value_and_sigma(grid, height, look, f"height{above} / m", sigma, words, twin=twin)
     looks = (("bank", "x", 3.0, VERMILION, "banks"), ("sounding", ".", 1.2, "black", "soundings"))
     for ax in axes:
         if line is not None:
@@ -300,7 +300,7 @@ def _value_and_sigma(
     axes = figure.subplots(2, 1, sharex=True) if wide else figure.subplots(1, 2, sharey=True)
     of_sigma = {"cmap": SIGMA_MAP, "norm": LogNorm(*robust_limits(100 * sigma, 0.5, 99.5))}
     for ax, values, how, words in zip(
-        axes, (value, 100 * sigma), (look, of_sigma), (label, "sigma [cm]"), strict=True
+        axes, (value, 100 * sigma), (look, of_sigma), (label, "sigma / cm"), strict=True
     ):
         drawn = ax.imshow(values, extent=extent, interpolation="nearest", zorder=1, **how)
         bar = figure.colorbar(drawn, ax=ax, shrink=0.85, pad=0.01)
@@ -315,9 +315,9 @@ def _value_and_sigma(
         ax.xaxis.set_major_locator(_few())
         ax.yaxis.set_major_locator(_few())
         scale_bar(ax, span_m=float(box[1, 0] - box[0, 0]))
-    axes[-1 if wide else 0].set_xlabel(f"east [m]{', ' if wide else chr(10)}{grid.crs.name}")
+    axes[-1 if wide else 0].set_xlabel(f"east / m{', ' if wide else chr(10)}{grid.crs.name}")
     for ax in axes if wide else axes[:1]:
-        ax.set_ylabel("north [m]")
+        ax.set_ylabel("north / m")
     return figure, list(axes)
 
 
@@ -384,12 +384,12 @@ def draw_variogram(*, observations: Path, variogram: Path, title: str, twin: boo
         both = np.concatenate([found.semivariance_m2[use], found.expected_m2[use], [0.0]])
         ax.set_ylim(0.0, 1.7 * max(float(both.max()), 1e-6))
         ax.set_xlabel(
-            f"distance {'along' if along else 'across'} the river [m]\n"
+            f"distance {'along' if along else 'across'} the river / m\n"
             f"pairs within {tolerance:.1f} m {'across' if along else 'along'} it"
         )
         ax.set_xlim(0.0)
         ax.legend(loc="upper left")
-    axes[0].set_ylabel("semivariance [m²]")
+    axes[0].set_ylabel("semivariance / m²")
     return figure
 
 
@@ -414,7 +414,7 @@ def draw_left_out(*, predicted: Path, title: str, twin: bool) -> Figure:
     ends = robust_limits(np.concatenate([lines["up_m"], lines["predicted_m"]]), 0.0, 100.0)
     left.plot(ends, ends, color="black", lw=0.8)
     left.set_aspect("equal")
-    left.set(xlabel="measured height [m]", ylabel="predicted height [m]")
+    left.set(xlabel="measured height / m", ylabel="predicted height / m")
     left.legend(loc="best")
     z = ((lines["up_m"] - lines["predicted_m"]) / lines["sigma_m"]).to_numpy()
     x = np.linspace(-5, 5, 41)
@@ -484,9 +484,9 @@ def draw_bed_sections(
         )
     axes[0, 0].invert_yaxis()
     for ax in axes[-1]:
-        ax.set_xlabel("across the river, left positive [m]")
+        ax.set_xlabel("across the river, left positive / m")
     for ax in axes[:, 0]:
-        ax.set_ylabel("depth [m]")
+        ax.set_ylabel("depth / m")
     _one_legend(figure, axes)
     return figure
 
@@ -512,8 +512,8 @@ def draw_bed_patterns(*, table: Path) -> Figure:
             leg, 100 * of["rmse_distance_m"], color=colour, marker=marker, mfc="white", ls=":", lw=1.0,
             label=f"{name}, elliptical inverse distance",
         )  # fmt: skip
-    ax.set(xscale="log", yscale="log", ylabel="root mean square error [cm]")
-    ax.set_xlabel("length of river per leg, or spacing of the sections [m]")
+    ax.set(xscale="log", yscale="log", ylabel="root mean square error / cm")
+    ax.set_xlabel("length of river per leg, or spacing of the sections / m")
     legs = sorted(rows["leg_m"].unique())
     ax.set_xticks(legs, [f"{leg:g}" for leg in legs])
     ax.minorticks_off()

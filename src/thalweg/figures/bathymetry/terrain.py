@@ -74,7 +74,7 @@ def draw_terrain_model(*, dtm: Path, title: str, twin: bool) -> Figure:
     shown = axes[0].imshow(
         model.height_m[part], extent=extent, cmap=HEIGHT_MAP, vmin=low, vmax=high, interpolation="nearest"
     )
-    figure.colorbar(shown, ax=axes[0], shrink=0.9, pad=0.01).set_label(f"height, {heights} [m]")
+    figure.colorbar(shown, ax=axes[0], shrink=0.9, pad=0.01).set_label(f"height, {heights} / m")
     there = [s for s in _COLOURS if (model.source[part] == int(s)).any()]
     number = np.full(model.source.shape, np.nan)
     for k, s in enumerate(there):
@@ -97,7 +97,7 @@ def draw_terrain_model(*, dtm: Path, title: str, twin: bool) -> Figure:
         interpolation="nearest",
     )
     bar = figure.colorbar(shown, ax=axes[2], shrink=0.9, pad=0.01)
-    bar.set_label("sigma [cm]")
+    bar.set_label("sigma / cm")
     bar.ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     bar.ax.yaxis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "25" else "")
     for ax in axes:
@@ -107,8 +107,8 @@ def draw_terrain_model(*, dtm: Path, title: str, twin: bool) -> Figure:
         ax.yaxis.set_major_locator(MaxNLocator(5))
     scale_bar(axes[0], span_m=float(extent[1] - extent[0]))
     for ax in axes if wide else axes[:1]:
-        ax.set_ylabel("north [m]")
-    axes[-1 if wide else 1].set_xlabel(f"east [m], {model.crs.name}")
+        ax.set_ylabel("north / m")
+    axes[-1 if wide else 1].set_xlabel(f"east / m, {model.crs.name}")
     figure.legend(
         handles=[Patch(color=_COLOURS[s], label=SOURCE_WORDS[s]) for s in there],
         loc="outside lower left",
@@ -131,8 +131,8 @@ def draw_long_profile(*, profile: Path, title: str, twin: bool) -> Figure:
     ax.plot(s, z, color=BLUE, marker="o", ms=3, label="thalweg")
     ax.plot(s, table["mean_bed_m"], color=ORANGE, ls="--", label="mean bed of the section")
     ax.plot(s, table["level_m"], color=VERMILION, lw=1.0, label="water")
-    ax.set_xlabel("distance along the centre line, downstream [m]")
-    ax.set_ylabel("height [m]")
+    ax.set_xlabel("distance along the centre line, downstream / m")
+    ax.set_ylabel("height / m")
     ax.ticklabel_format(useOffset=False, style="plain")
     figure.legend(loc="outside lower left", ncols=4)
     return figure

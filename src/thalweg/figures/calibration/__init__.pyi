@@ -1,8 +1,3 @@
 from .field import Oblique as Oblique
-from .page import (
-    TWIN_NOTE as TWIN_NOTE,
-    calibration_page as calibration_page,
-    short as short,
-    with_units as with_units,
-)
+from .page import TWIN_NOTE as TWIN_NOTE, calibration_page as calibration_page, with_units as with_units
 from .tables import checked as checked, filled as filled, read_figure_table as read_figure_table

@@ -212,7 +212,7 @@ def calibration_page(
         page.figure(picture, (captions or {}).get(picture.stem, picture.stem.replace("_", " ")))
     remarks = [line for name in ("field", "camera") for line in left_out(facts.get(name, {}))]
     if tables or remarks:
-        page.section("What was used, and what was not")
+        page.section("Observations used and left out")
     if remarks:
         page.text("\n\n".join(remarks))
     for caption, table in tables:
@@ -261,7 +261,7 @@ def _table(page: Page, caption: str, table: pd.DataFrame) -> None:
         table = counts.sort_values("rows", ascending=False, kind="stable")
     elif len(table) > MOST_ROWS:
         caption = f"{caption}: first {MOST_ROWS} of {count(len(table))} rows, all of them in the file"
-    shown, units = with_units(short(table.head(MOST_ROWS)))
+    shown, units = with_units(table.head(MOST_ROWS))
     if "reason" in shown:
         shown = shown.assign(reason=shown["reason"].fillna("").astype(str).map(_first_clause))
     page.table(shown, caption, units)
@@ -301,7 +301,7 @@ def _clock(page: Page, facts: Mapping[str, Mapping[str, Any]]) -> None:
         page.text(clock_words(clock) + "\n\n" + PUBLISHED["camera_clock"])
         variants = clock_variants(clock)
         if len(variants):
-            shown, units = with_units(short(variants, 5))
+            shown, units = with_units(variants)
             page.table(shown, "The same run under different assumptions", units)
     if stability:
         page.text(stability_words(stability))
@@ -333,8 +333,16 @@ def head(
     if not findings:
         return "No block has sigmas of its own.", []
     judged = [f.verdict for f in findings.values() if f.verdict]
-    counts = ", ".join(f"{word} ({judged.count(word)} of {len(findings)})" for word in dict.fromkeys(judged))
-    sentence = f"Residuals of the adjustments say of the standard deviations: {counts or 'cannot tell'}."
+    words = {
+        "consistent": "agree with the residuals",
+        "too optimistic": "are too small",
+        "too pessimistic": "are too large",
+        "too few data": "rest on too few data to judge",
+    }
+    counts = ", ".join(
+        f"{judged.count(word)} of {len(findings)} {words[word]}" for word in dict.fromkeys(judged)
+    )
+    sentence = f"Predicted standard deviations: {counts or 'too few data to judge'}."
     return sentence, list(findings.values())
 
 
@@ -409,16 +417,6 @@ def block_table(calibration: Calibration, block: Block) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def short(frame: pd.DataFrame, digits: int = 4) -> pd.DataFrame:
-    """Fractions rounded to significant digits; whole numbers stay."""
-    return pd.DataFrame(
-        {
-            name: column.map(lambda x: float(f"{x:.{digits}g}")) if column.dtype.kind == "f" else column
-            for name, column in frame.items()
-        }
-    )
-
-
 def _truth(page: Page, truth: pd.DataFrame) -> None:
     page.section("Against the truth of the digital twin").text(
         "Each error is the calibrated value minus the true one, for rotations a small rotation vector about "
@@ -433,4 +431,4 @@ def _truth(page: Page, truth: pd.DataFrame) -> None:
     out["quantity"] = out["quantity"].str.replace(r"_(?:m|deg|s|ppm)$", "", regex=True).str.replace("_", " ")
     out["block"] = out["block"].str.replace("_", " ")
     out = out.rename(columns={"estimated_minus_true": "calibrated minus true"})
-    page.table(short(out, 3), "Errors of the calibration (calibration_truth.csv)")
+    page.table(out, "Errors of the calibration (calibration_truth.csv)")

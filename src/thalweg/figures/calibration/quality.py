@@ -124,7 +124,7 @@ def draw_correlations(*, calibration: Path, twin: bool) -> Figure:
 
 @styled
 def calibration_design(
-    study: pd.DataFrame, *, title: str = "What more cones and positions bring", twin: bool = False
+    study: pd.DataFrame, *, title: str = "Gain from more cones and positions", twin: bool = False
 ) -> Figure:
     """Sigmas of rotation and lever arm over the number of cones, one line for each number of positions.
 

@@ -127,7 +127,9 @@ def read_image_marks(residuals: Path, measured: Path) -> pd.DataFrame:
     lost = int(table["x_px"].isna().sum())
     if lost:
         raise InputError(
-            f"{lost} residuals of marks without a place", expected=f"the marks of {measured}", where=residuals
+            f"{lost} residuals of marks without coordinates",
+            expected=f"the marks of {measured}",
+            where=residuals,
         )
     table = table.rename(columns={"vx_px": "residual_x_px", "vy_px": "residual_y_px"})
     mark = table["marker"].astype(str) + "/" + table["corner"].astype(str)

@@ -135,8 +135,8 @@ def colour_check(check: pd.DataFrame, curves: pd.DataFrame, *, title: str, twin:
             ax.axvspan(
                 row["optimum"] - 2 * row["sigma"], row["optimum"] + 2 * row["sigma"], color=BLUE, alpha=0.2
             )
-            told = f"{row['optimum']:+.3f} (sigma {row['sigma']:.3f}): {told}"
+            told = f"shift {row['optimum']:+.3f} ± {row['sigma']:.3f}: {told}"
         ax.set_title(told, fontsize=9)
         ax.set_xlabel(words[str(row["quantity"])])
-    figure.supylabel("dependence / 0.001 nats a pair", fontsize=9)
+    figure.supylabel("mutual information / millinat", fontsize=9)
     return figure

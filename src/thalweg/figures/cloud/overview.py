@@ -722,7 +722,7 @@ def scene_view(bank: View, detail: View, *, title: str = "View from the boat", t
     figure = new_figure(WIDTH_MM * sum(shares) + 26.0, head, twin=twin)
     axes = figure.subplots(2, 1, gridspec_kw={"height_ratios": shares})
     _show_view(axes[0], bank, "a  Right bank from mid-river")
-    _show_view(axes[1], detail, "b  Water line from the boat's nearest place")
+    _show_view(axes[1], detail, "b  Water line from the nearest position of the boat")
     return figure
 
 

@@ -201,7 +201,7 @@ def read_pairs(
 
 def signed(value: float, digits: int) -> str:
     """A number with its sign, and a true minus."""
-    return f"{value:+.{digits}f}".replace("-", "\N{MINUS SIGN}")
+    return f"{round(value, digits) + 0.0:+.{digits}f}".replace("-", "\N{MINUS SIGN}")
 
 
 def marker_pt(pair: BankPair, width_mm: float = DRAWN_MM) -> float:
@@ -365,7 +365,7 @@ def draw_significance_map(
 ) -> Figure:
     """Compared core points -> what is known of each."""
     pairs = read_pairs(changes, core_points, spacing_m, by_boat=by_boat)
-    return significance_map(pairs, title=f"What changed: {title}", twin=twin)
+    return significance_map(pairs, title=f"Change: {title}", twin=twin)
 
 
 @styled
@@ -401,5 +401,5 @@ def draw_not_seen(
     pairs = read_pairs(changes, core_points, spacing_m, by_boat=by_boat)
     seen = [read_table(path, VISIBILITY)[0] for path in visibility]
     n = count(len(pairs[0].s_m))
-    words = f"What each epoch did not see: {title}, n = {n} core\N{NO-BREAK SPACE}points"
+    words = f"Visibility of each epoch: {title}, n = {n} core\N{NO-BREAK SPACE}points"
     return not_seen(pairs, seen, title=words, twin=twin)

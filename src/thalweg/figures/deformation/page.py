@@ -16,13 +16,13 @@ from thalweg.figures.accuracy import centimetres
 from thalweg.figures.deformation.maps import NOT_SEEN, scene, signed
 
 GROUPS_IN_WORDS: Final = {
-    "position": "positions, slow part",
-    "position, white": "positions, new in each solution",
+    "position": "positions, time-correlated",
+    "position, white": "positions, random",
     "attitude": "attitude",
-    "mount, shift": "place of the scanner on the boat",
-    "mount, rotation": "direction of the scanner on the boat",
+    "mount, shift": "lever arm of the scanner",
+    "mount, rotation": "mounting angles of the scanner",
     "stated": "stated of the files",
-    "stated, common to all": "stated of the files, the same everywhere",
+    "stated, common to all": "stated of the files, systematic",
     "not stated": "not stated",
     "smoothed trajectory": "poses of the smoothed trajectory",
     "images": "poses of the photographs",
@@ -57,19 +57,19 @@ TRUTH_IN_WORDS: Final = {
     "normalised_square_changed": "changed ground: mean of squared error over variance",
     "sensitivity_0.1_m": "share of changes of 10 cm and more that were called changes",
     "specificity": "share of unchanged ground that was called unchanged",
-    "false_discovery": "share of called changes that are none",
+    "false_discovery": "false discovery rate",
     "net_volume_error_m3": "net volume: error, m³",
     "net_volume_error_over_sigma": "net volume: error over sigma",
     "largest_retreat_true_m": "largest retreat: true, m",
     "largest_retreat_measured_m": "largest retreat: measured, m",
-    "unseen_called_change": "places not seen that were called changes",
+    "unseen_called_change": "areas without data reported as change",
     "unseen_called_change_wrongly": "of these wrongly",
     "true_changes_seen": "true changes of 10 cm and more: share of their area that was measured",
     "true_changes_called": "of this the share that was called so, with the right sign",
     "height_normalised_square_unchanged": "heights of unchanged ground: mean of squared error over variance",
     "height_normalised_square_changed": "heights of changed ground: mean of squared error over variance",
-    "plants_called_change": "share of plants that were called changes",
-    "things_called_change": "share of things that were called changes",
+    "plants_called_change": "share of plants reported as change",
+    "things_called_change": "share of objects reported as change",
 }
 VOLUMES: Final = (
     ("volume_m3", "volume", "m³"),
@@ -221,8 +221,8 @@ def contradiction(pair: PairFacts) -> str:
     how = "have opposite signs" if one * two < 0 else "contradict each other"
     return (
         f"Warning: the net volume along normals is {cubic_metres(normal)}, that of heights "
-        f"{cubic_metres(vertical)}; they {how}. Believe neither before it is known which places one has and "
-        "the other lacks (vegetation_roughness_m, reach_m, water and masks)."
+        f"{cubic_metres(vertical)}; they {how}. Trust neither before the areas that only one of them covers "
+        "are known (vegetation_roughness_m, reach_m, water and masks)."
     )
 
 
@@ -234,10 +234,10 @@ def both_volumes(pair: PairFacts) -> str:
     theirs = float((pair.changes.loc[things, "distance_m"] * area).sum())
     return (
         f"Net along normals {cubic_metres(normal)} on {normal['area_m2']:,.0f} m² of surface, by heights "
-        f"{cubic_metres(vertical)} on {vertical['area_m2']:,.0f} m² of the map. They differ by their places: "
-        f"along normals core points count that both epochs saw within reach, without {area.sum():,.0f} m² of "
-        f"plants, things and rough relief, on which {signed(theirs, 1)} m³ were measured; by heights every "
-        "cell of the map in which both have a height."
+        f"{cubic_metres(vertical)} on {vertical['area_m2']:,.0f} m² of the map. They cover "
+        f"different areas: along normals the core points measured in both epochs, without {area.sum():,.0f} "
+        f"m² of plants, objects and rough relief ({signed(theirs, 1)} m³); by heights every cell with a "
+        "height in both epochs."
     )
 
 
@@ -274,11 +274,8 @@ def head(pairs: Sequence[PairFacts]) -> tuple[str, list[Finding]]:
             "net volume by heights", cubic_metres(pair.heights), told(pair.heights, known=pair.sigma_known)
         ),
         Finding("taken off in height as a motion of the second epoch", *taken_off(pair.registration)),
-        Finding(
-            "change that stands out at half of the core points, 95 %",
-            centimetres(float(pair.changes["lod95_m"].median())),
-        ),
-        Finding("not seen in an epoch, in no volume", f"{pair.unseen_m2:.1f} of {total:.0f} m²"),
+        Finding("median level of detection (95 %)", centimetres(float(pair.changes["lod95_m"].median()))),
+        Finding("no data in one epoch (excluded from volumes)", f"{pair.unseen_m2:.1f} of {total:.0f} m²"),
     ]
     lead = (
         f"the net volume is {verdicts['net']}." if pair.sigma_known else f"{verdicts['net']} of both epochs."
@@ -286,8 +283,8 @@ def head(pairs: Sequence[PairFacts]) -> tuple[str, list[Finding]]:
     if "would_be" in pair.registration:
         value = signed(100 * pair.registration["would_be"]["up_m"], 1)
         lead += (
-            " No stable ground is drawn, and nothing is taken off: the epochs may lie off each other as a "
-            f"whole; most of the surface agrees on {value} cm."
+            " No stable ground is drawn, so the epochs were not registered: a common offset may remain. Most "
+            f"of the surface agrees on {value} cm."
         )
     warnings = [words for each in pairs if (words := contradiction(each))]
     return " ".join([f"{pair.words}: {lead}", both_volumes(pair), *warnings]), findings
@@ -318,12 +315,12 @@ def verdict(pair: PairFacts) -> str:
         f"places that did not, {cubic_metres(net)}, {zero}",
         both_volumes(pair),
         contradiction(pair),
-        f"At half of the {count(n)} measured core points a change of {centimetres(median)} stands out "
-        "from the errors at 95 %.",
+        f"The median level of detection (95 %) of the {count(n)} measured core points is "
+        f"{centimetres(median)}.",
         largest_patches(pair.patches),
         _motion(pair.registration),
-        f"{pair.unseen_m2:.1f} m² ({100 * pair.unseen_m2 / total:.1f} % of {total:.0f} m²) were not seen in "
-        "one epoch or both: they are in no volume.",
+        f"{pair.unseen_m2:.1f} m² ({100 * pair.unseen_m2 / total:.1f} % of {total:.0f} m²) have no data in "
+        "one epoch or both and are excluded from volumes.",
     ]
     return " ".join(filter(None, words))
 
@@ -349,8 +346,8 @@ def _motion(registration: Mapping[str, Any]) -> str:
         would = registration["would_be"]
         words = ", ".join(f"{a} {signed(100 * would[f'{a}_m'], 1)} cm" for a in _ENU)
         return (
-            "Nothing was taken off, as no stable ground is drawn: most of the surface agrees on a motion of "
-            f"the second epoch of {words}, which may be change. The epochs may differ by it."
+            "The epochs were not registered, as no stable ground is drawn. Most of the surface agrees on a "
+            f"motion of the second epoch of {words}, which may be change or an offset."
         )
     if "parameters" not in registration:
         return "The epochs were not registered on each other."
@@ -364,12 +361,12 @@ def _motion(registration: Mapping[str, Any]) -> str:
         f"On stable ground the second epoch lies off the first by {shift}: "
         f"{'more than' if registration['needed'] else 'no more than'} the errors of both surveys explain "
         f"(p = {registration['p_value']:.2g}), so that a registration was "
-        f"{'needed' if registration['needed'] else 'not needed'}; the motion is taken off "
+        f"{'needed' if registration['needed'] else 'not needed'}; the motion is corrected "
         f"{'' if registration['needed'] else 'all the same '}and its uncertainty is in the sigmas."
     )
     hidden = [direction(each) for each in registration["not_shown"]]
     return words + (
-        f" Stable ground does not show {' and '.join(hidden)}: nothing is taken off." if hidden else ""
+        f" Stable ground does not show {' and '.join(hidden)}, which stays uncorrected." if hidden else ""
     )
 
 
@@ -400,32 +397,31 @@ def limits(pairs: Sequence[PairFacts]) -> str:
     drawn = any(pair.registration.get("areas") == "drawn" for pair in pairs)
     nothing = any("would_be" in pair.registration for pair in pairs)
     stable = (
-        "No stable ground was drawn, and epochs without a trajectory are registered on nothing else: they "
-        "may lie off each other as a whole. The intervals hold that as far as it is stated or can be guessed."
+        "No stable ground was drawn, so that a common offset of the epochs may remain. The intervals include "
+        "it as far as it is stated or can be estimated."
         if nothing
         else "Stable ground was drawn by hand; whether it was stable, only an area that moved against the "
         "others would show."
         if drawn
-        else "No stable areas were drawn: what most of the ground agrees on is taken as unmoved. Ground that "
-        "moved as a whole, or by less than its points scatter, looks stable, and its motion is taken off as "
-        "a registration. Draw deformation.stable where ground is known."
+        else "No stable areas were drawn: the motion that most of the ground agrees on is taken as an error "
+        "of registration. Ground that moved as a whole looks stable. Draw deformation.stable where stable "
+        "ground is known."
     )
     files = any((pair.visibility[f"reason_{i}"] == "no trajectory").any() for pair in pairs for i in (1, 2))
     elsewhere = (
-        "Clouds and surface models from elsewhere have no trajectory: where they have no points, nobody "
-        "knows whether there was nothing or whether nobody looked. Their errors are as stated, "
-        "alike over one length everywhere.\n\n"
+        "External clouds and surface models have no trajectory: an area without points was either empty or "
+        "not observed. Their errors are as stated, with one correlation length.\n\n"
     )
     return (
         f"{stable}\n\n"
         f"{elsewhere if files else ''}"
         "A distance is measured along the normal of the first surface (of the last, where the first has "
-        "none). Ground that moved within its own plane did not move by this measure.\n\n"
-        "Volumes of erosion and deposition sum what passed a threshold. Small changes below the level of "
-        "detection are missing in them, and errors that helped a place over it are in them; the column "
-        "'bias' estimates how much both do, and it is not taken off. The net volume has no threshold. No "
-        "volume holds places that an epoch did not see, plants and objects. An erosion that is known only "
-        "because beams passed through the place has an area and no volume.\n\n"
+        "none). Motion within the surface remains undetected.\n\n"
+        "Volumes of erosion and deposition sum significant changes only. Changes below the level of "
+        "detection are missing in them, and errors above it are included; the column 'bias' estimates the "
+        "effect of both, without correction. The net volume has no threshold. Areas without data, plants and "
+        "objects are in no volume. An erosion proved only by beams that passed through (free space) has an "
+        "area and no volume.\n\n"
         "The errors of the poses are a model: processes with estimated sizes and correlation times. Errors "
         "that follow the surface (angle of incidence, wet ground, grass) are known only as far as points "
         "scatter within a cylinder. Significance speaks of each core point; neighbours share their errors, "
@@ -477,7 +473,7 @@ def change_page(
             "The digital twin made these data: the surveys and the change between them are simulated. The "
             "figures speak of the software and of the models of the instruments, not of real ground."
         )
-    page.section("In words")
+    page.section("Interpretation")
     for pair in pairs:
         page.text(verdict(pair))
     _volumes(page, pairs)
@@ -552,17 +548,17 @@ def _of_pairs(
 
 def _volumes(page: Page, pairs: Sequence[PairFacts]) -> None:
     page.section("Volumes and patches").text(
-        "Volumes are negative where ground was lost and positive where it came. Their standard deviations "
+        "Negative: erosion. Positive: deposition. Their standard deviations "
         "come from the errors that neighbouring core points share: errors of poses, mounts and registration "
         "do not average out over a surface as noise does."
     )
     table, units = _of_pairs([(pair, pair.volumes) for pair in pairs], VOLUMES, "what")
-    caption = "Volumes; bias: what the threshold of significance does to a sum; not seen: area in no volume"
+    caption = "Volumes; bias: effect of the threshold of significance; not seen: area without data"
     page.table(table, caption, units, digits=3)
     table, units = _of_pairs([(pair, pair.patches.head(MOST_PATCHES)) for pair in pairs], PATCHES, "what")
     n = sum(len(pair.patches) for pair in pairs)
     if n:
-        caption = f"Connected patches, the largest first: {len(table)} of {n}; places in the local frame"
+        caption = f"Connected patches, the largest first: {len(table)} of {n}; coordinates in the local frame"
         page.table(table, caption, units, digits=3)
 
 
@@ -581,7 +577,7 @@ def _states(page: Page, pairs: Sequence[PairFacts]) -> None:
     how = sorted(
         {CONTROL_IN_WORDS[p.control["control"]].format(percent=100 * p.control["level"]) for p in pairs}
     )
-    page.section("What is known of the core points").text(
+    page.section("Core points by class").text(
         f"Significant means: {'; '.join(how)}. Positive distances lead out of the ground."
     )
     rows = []
@@ -610,13 +606,13 @@ def _series(page: Page, facts: Mapping[str, Any], rates: pd.DataFrame, *, by_boa
     flagged = [f"epoch {each['epoch'] + 1} ({each['name']})" for each in epochs if each["flagged"]]
     page.section("More than two epochs").text(
         (
-            f"Look at {' and '.join(flagged)}: most of the ground goes one way and comes back: an error of "
-            "the survey rather than of the ground. Nothing was corrected."
+            f"Check {' and '.join(flagged)}: most of the ground moves and returns, which suggests a "
+            "survey error. Nothing was corrected."
             if flagged
             else "No epoch jumps and returns over most of the ground."
         )
         + (
-            " Nothing is taken off any epoch, as no stable ground is drawn. Were each pair"
+            " No epoch was registered, as no stable ground is drawn. Were each pair"
             if "would_be" in facts["network"]
             else " All epochs are registered to each other in one adjustment, in which changes close. Were "
             "each pair"
@@ -672,9 +668,9 @@ def _series(page: Page, facts: Mapping[str, Any], rates: pd.DataFrame, *, by_boa
 
 def _registration(page: Page, pairs: Sequence[PairFacts]) -> None:
     page.section("Registration").text(
-        "A small motion between the epochs is estimated from stable ground and taken off. Its covariance "
-        "follows from the errors of both surveys; whether the motion is more than these explain is a test of "
-        "all of its components together. A direction that stable ground does not show stays at nothing."
+        "A motion between the epochs is estimated from stable ground and corrected. Its covariance follows "
+        "from the errors of both surveys; all of its components are tested together. Components that stable "
+        "ground does not determine stay zero."
     )
     rows, tests = [], []
     for pair in pairs:
@@ -733,10 +729,10 @@ def _by_area(page: Page, pair: PairFacts) -> None:
 
 
 def _unseen(page: Page, pairs: Sequence[PairFacts]) -> None:
-    page.section("What was not seen").text(
-        "A core point without points of an epoch is not eroded: water may have stood over it, something "
-        "stood before it, no beam went there. Only beams that passed through the place and hit something "
-        "behind it (free space) prove that there was nothing."
+    page.section("No data").text(
+        "A core point without data in an epoch is not necessarily eroded: it may have been under water, "
+        "occluded or out of reach. Only beams that passed through and hit something behind (free space) "
+        "prove that the surface is gone."
     )
     rows = []
     for pair in pairs:
@@ -792,10 +788,9 @@ def _epochs(page: Page, epochs: Sequence[Mapping[str, Any]]) -> None:
 
 def _truth(page: Page, truth: Mapping[str, pd.DataFrame], polygons: Mapping[str, pd.DataFrame]) -> None:
     page.section("Against the truth of the digital twin").text(
-        "The twin knows the true surface of each epoch, which no processing saw. Bare ground counts: "
-        "measured places without plants and things. Consistent sigmas leave squared errors over "
-        "variances at one on the mean of many pairs; one pair, whose errors the whole surface shares, "
-        "may lie well off it."
+        "The twin knows the true surface of each epoch; no processing step can read it. Only bare ground is "
+        "compared, without plants and objects. If sigmas are right, the mean of squared errors over "
+        "variances is one over many pairs. One pair may differ, as its errors are common to the surface."
     )
     for name, table in truth.items():
         words = table["measure"].map(lambda each: TRUTH_IN_WORDS.get(each, each.replace("_", " ")))

@@ -96,7 +96,7 @@ def fixed_camera_page(
         """Three coordinates of the facts, to the millimetre."""
         return " / ".join(f"{v:.3f}" for v in facts[name].values())
 
-    still = "cannot tell"
+    still = "too few data"
     if facts["normalised"] is not None:
         told = verdict_of(facts["normalised"], facts["degrees"])
         still = {
@@ -114,7 +114,7 @@ def fixed_camera_page(
             f"{facts['with_pose']} of {facts['pictures']}",
             f"{missing} refused" if missing else "",
         ),
-        Finding("place, mean, x / y / z", f"{metres('place_m')} m"),
+        Finding("position, mean, x / y / z", f"{metres('place_m')} m"),
         Finding("its standard deviation, one picture", f"{metres('sigma_m')} m"),
         Finding("spread from picture to picture", spread, still),
         Finding("rms of the marks", f"{facts['rms_px']:.2f} px"),

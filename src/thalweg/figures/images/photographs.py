@@ -29,6 +29,7 @@ from thalweg.figures import (
     GREEN,
     GREY,
     HALO,
+    JUDGED,
     ORANGE,
     PURPLE,
     RED,
@@ -212,7 +213,7 @@ def _draw_images(figure: Figure, ax: Axes, poses: ImagePoses, trajectory: Trajec
         label="image, with its view",
     )
     bar = figure.colorbar(
-        dots, ax=ax, shrink=0.9, aspect=25, pad=0.01, extend="max", label="sigma of an image's place, 3D / mm"
+        dots, ax=ax, shrink=0.9, aspect=25, pad=0.01, extend="max", label="3D position sigma of an image / mm"
     )
     plain_numbers(bar.ax.yaxis, norm)
 
@@ -649,9 +650,9 @@ def _three(values: Mapping[str, float]) -> str:
 def _sigma_finding(facts: Mapping[str, Any], stated: str = "") -> Finding:
     if "model_frame" in facts:
         sigma = " / ".join(f"{v:.2g}" for v in facts["sigma_position_model"].values())
-        return Finding("standard deviation of their places, x / y / z, median", f"{sigma} units of the model")
+        return Finding("position sigma, x / y / z, median", f"{sigma} units of the model")
     sigma = _three(facts["sigma_position_mm"])
-    return Finding("standard deviation of their places, x / y / z, median", f"{sigma} mm", stated)
+    return Finding("position sigma, x / y / z, median", f"{sigma} mm", stated)
 
 
 def _check_finding(check: Mapping[str, Any], worth: str = "") -> Finding:
@@ -710,10 +711,10 @@ def orientation_page(
         ),
     ]
     if check:
-        findings.append(_check_finding(check, f"; worth {check['independent']:.0f} independent values"))
-        lead = f"Check points say of the standard deviations: {findings[-1].verdict}."
+        findings.append(_check_finding(check, f"; effective n = {check['independent']:.0f}"))
+        lead = f"Check points: {JUDGED[findings[-1].verdict]}."
     else:
-        findings.append(Finding("check points", "none", "cannot tell"))
+        findings.append(Finding("check points", "none", "too few data"))
         lead = "No check point judges the standard deviations; give some of the points the role check."
     if "model_frame" in facts:
         lead = f"{facts['notes'][0]}."
@@ -772,7 +773,7 @@ def finished_page(
     lead = "No check point judges the poses; give control points and their marks."
     if check:
         findings.append(_check_finding(check))
-        lead = f"Surveyed points say of the standard deviations: {findings[-1].verdict}."
+        lead = f"Surveyed points: {JUDGED[findings[-1].verdict]}."
     page = Page(title, lead, findings).section("Places")
     page.figures(pictures, captions)
     if len(control):

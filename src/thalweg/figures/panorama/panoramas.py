@@ -36,7 +36,7 @@ def panorama_picture(picture: ArrayU8, row: pd.Series, *, title: str, twin: bool
     twin : true if the digital twin made the data.
     """
     words = (
-        f"{title}, {row['width_px']} px, sewn by {row['mode']}, centre known to "
+        f"{title}, {row['width_px']} px, stitched by {row['mode']}, centre ± "
         f"{100 * float(np.hypot(row['sigma_east_m'], row['sigma_north_m'])):.1f} cm"
     )
     figure = new_figure(100.0, words, twin=twin)
@@ -58,7 +58,7 @@ def draw_panorama_seam(*, calibration: Path, table: Path, radius_m: float, title
         float(np.linalg.norm(pose.shift_m)),
         read_table(table, PANORAMAS)[0],
         radius_m,
-        title=f"Both lenses at the seam: {title}",
+        title=f"Parallax at the stitching line: {title}",
         twin=twin,
     )
 
@@ -108,7 +108,7 @@ def seam_cost(base_m: float, rows: pd.DataFrame, radius_m: float, *, title: str,
     ax.set_xscale("log")
     ax.set_yscale("log")
     ax.set_ylim(0.01, 1.2 * px / range_m[0])
-    ax.set_xlabel("range of a thing beside the rig / m")
-    ax.set_ylabel("shift at the seam / px")
+    ax.set_xlabel("object distance / m")
+    ax.set_ylabel("shift at the stitching line / px")
     ax.legend(loc="lower left", fontsize=8)
     return figure

@@ -264,7 +264,7 @@ def seam_views(found: Mapping[str, tuple[ArrayU8, float]], *, title: str, twin: 
             rows = slice(round((90 - _HALF_DEG) * px), round((90 + _HALF_DEG) * px))
             box = (side - _HALF_DEG, side + _HALF_DEG, -_HALF_DEG, _HALF_DEG)
             ax.imshow(picture[rows, columns], extent=box, interpolation="nearest")
-            ax.set_title(f"{words}: seam rms {rms_px:.2f} px", fontsize=9)
+            ax.set_title(f"{words}: rms at the stitching line {rms_px:.2f} px", fontsize=9)
         row[0].set_ylabel("up / degrees")
     for ax in axes[-1]:
         ax.set_xlabel("from the view of the front lens / degrees")

@@ -462,9 +462,9 @@ def pose_sigmas(
             t, line = _broken(trajectories[name], values[k])
             ax.plot(_dates(t), line, color=colour, lw=1.1, label=IN_WORDS[name], gid=f"sigma-{k}-{name}")
             shown[k].append(line)
-    labels = ("place, 3D / mm", "roll and pitch / °", "heading / °")
+    labels = ("3D position / mm", "roll and pitch / °", "heading / °")
     titles = (
-        "a: sigma of the place, √(σE² + σN² + σU²)",
+        "a: position sigma, √(σE² + σN² + σU²)",
         "b: sigma of roll and pitch, √((σr² + σp²) / 2)",
         "c: sigma of the heading",
     )
@@ -568,7 +568,7 @@ def draw_pose_sigmas(*, trajectories: list[Path], title: str, twin: bool) -> Fig
 
 @styled
 def outage_study(
-    table: pd.DataFrame, *, title: str = "Error of the place while GNSS is gone", twin: bool = True
+    table: pd.DataFrame, *, title: str = "Position error without GNSS", twin: bool = True
 ) -> Figure:
     """Rms of the error during outages by their length, and the normalised error below.
 

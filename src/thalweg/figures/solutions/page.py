@@ -28,7 +28,7 @@ from thalweg.accuracy import (
     value,
 )
 from thalweg.core import Trajectory, root_mean_square, utc_text_from_gps
-from thalweg.figures import Finding, Page, count, plural
+from thalweg.figures import Finding, Page, count, number, plural
 from thalweg.figures.accuracy import centimetres
 from thalweg.figures.solutions.comparison import IN_WORDS
 
@@ -132,7 +132,7 @@ def trajectory_comparison_page(
     if costs.outages is not None:
         page.section("Without GNSS, without images").text(outage_words(costs.outages))
         if len(costs.outages):
-            caption = "Sigma of the place in the longest gaps, root mean square and greatest"
+            caption = "Position sigma in the longest gaps, root mean square and greatest"
             page.table(outage_rows(costs.outages), caption, {"begin": "UTC", "length": "s"})
     if len(by_range):
         _ranges(page, by_range, facts)
@@ -208,35 +208,25 @@ def numbers(rows: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
     out = []
     for row in rows.to_dict("records"):
         factor, unit = SHOWN.get(str(row["unit"]), (1.0, str(row["unit"])))
-        cells = {heading: cell(factor * float(row[name])) for name, heading in columns.items()}
+        cells = {heading: number(factor * float(row[name])) for name, heading in columns.items()}
         out.append({"quantity": row["words"], "unit": unit} | cells)
     return pd.DataFrame(out)
-
-
-def cell(number: float) -> str:
-    """Three significant digits; whole numbers above a thousand with all of theirs."""
-    if not np.isfinite(number):
-        return "–"
-    text = count(round(number)) if abs(number) >= 1000 else f"{number:.3g}"
-    return text.replace("-", "\N{MINUS SIGN}")
 
 
 def limits(table: pd.DataFrame) -> str:
     """What the page does not prove."""
     n = [value(table, WITHOUT_OUTLIERS, "independent_values", name) for name in chains_of(table)]
     words = [
-        "All clouds come from one drive and one lidar: its noise, the plants on the bank and the errors of "
-        "the reference are in all of them alike."
+        "All clouds come from one survey and one lidar: noise, plants and errors of the reference are common."
     ]
     if np.isfinite(n).any():
         words.append(
-            f"Their RMSE rest on {np.nanmin(n):.0f} to {np.nanmax(n):.0f} independent values each, under the "
-            "correlation time of accuracy.correlation_s for every trajectory; another survey would "
-            "give other numbers."
+            f"Each RMSE has an effective n of {np.nanmin(n):.0f} to {np.nanmax(n):.0f} "
+            "(accuracy.correlation_s); another survey would give other numbers."
         )
     words.append(
-        "The trajectory by the camera leans on the INS between images, and the outlier rule judges each "
-        "cloud by its own sigmas: consistent standard deviations take out plants, too large ones keep them."
+        "Between images the camera trajectory is bridged by the INS. Outliers are judged by the sigmas of "
+        "each cloud: right ones remove plants, too large ones keep them."
     )
     return " ".join(words)
 
@@ -253,8 +243,8 @@ def _ranges(page: Page, by_range: pd.DataFrame, facts: Mapping[str, Any]) -> Non
             enough = row[f"{name}_n"] >= LEAST
             line |= {
                 f"n, {IN_WORDS[name]}": count(int(row[f"{name}_n"])),
-                f"{IN_WORDS[name]}": cell(1e3 * row[f"{name}_rmse_observed_m"] if enough else np.nan),
-                f"{IN_WORDS[name]}, predicted": cell(1e3 * row[f"{name}_rmse_predicted_m"]),
+                f"{IN_WORDS[name]}": number(1e3 * row[f"{name}_rmse_observed_m"] if enough else np.nan),
+                f"{IN_WORDS[name]}, predicted": number(1e3 * row[f"{name}_rmse_predicted_m"]),
             }
         best = row["best_observed"]
         line["smallest"] = IN_WORDS.get(best, "–") + (" (certain)" if row["decided"] is True else "")
@@ -301,7 +291,9 @@ def head(table: pd.DataFrame) -> tuple[str, list[Finding]]:
         )
     if len(ranked) < 2:
         return "No reference surface judges the trajectories.", findings
-    return (f"The smallest RMSE is that of {BY_NAME[ranked[0]]}: {certainty(table, *ranked[:2])}.", findings)
+    best = value(table, WITHOUT_OUTLIERS, "rmse", ranked[0])
+    first = f"The smallest RMSE is that of {BY_NAME[ranked[0]]} ({centimetres(best)})"
+    return f"{first}; {certainty(table, *ranked[:2])}.", findings
 
 
 def lead(table: pd.DataFrame) -> str:
@@ -339,13 +331,13 @@ def certainty(table: pd.DataFrame, first: str, second: str) -> str:
     )
     ratio = value(table, WITHOUT_OUTLIERS, "rmse", second) / value(table, WITHOUT_OUTLIERS, "rmse", first)
     if not np.isfinite([n_first, n_second, ratio]).all():
-        return "how certain that is was not computed"
+        return f"its difference from {BY_NAME[second]} was not tested"
     limit = CERTAIN * float(np.sqrt(1 / (2 * n_first) + 1 / (2 * n_second)))
-    rests = f"they rest on {n_first:.0f} and {n_second:.0f} independent values"
-    if np.log(ratio) > limit:
-        return f"a certain difference, although {rests}"
-    chance = f"which differ by up to {100 * (np.exp(limit) - 1):.0f} % by chance"
-    return f"no certain difference, as {rests}, {chance}"
+    certain = "" if np.log(ratio) > limit else "not "
+    return (
+        f"its difference from {BY_NAME[second]} is {certain}significant (effective n = {n_first:.0f} and "
+        f"{n_second:.0f}; up to {100 * (np.exp(limit) - 1):.0f} % by chance)"
+    )
 
 
 def range_words(facts: Mapping[str, Any]) -> str:
@@ -505,7 +497,7 @@ def _outages(costs: Costs, name: str, *, good: bool) -> list[str]:
     where = f"{plural(len(rows), 'gap')} without GNSS, longest {rows['length_s'].max():.1f} s"
     if good and through.all():
         sigma = root_mean_square(rows[f"{name}_sigma_m"])
-        return [f"poses all through {where}, sigma of the place {centimetres(sigma)}"]
+        return [f"poses all through {where}, position sigma {centimetres(sigma)}"]
     if not good and not through.all():
         return [f"lacks poses in {count(int((~through).sum()))} of {where}"]
     return []
@@ -598,7 +590,7 @@ def side_by_side(table: pd.DataFrame, costs: Costs) -> pd.DataFrame:
         rows.append(row("images", {n: "none" if n == "ins" else count(costs.images) for n in names}))
     without = _without_gnss(costs)
     if without is not None:
-        words = f"sigma of the place without GNSS ({plural(len(without), 'gap')})"
+        words = f"position sigma without GNSS ({plural(len(without), 'gap')})"
         rows.append(row(words, {n: _sigma_cell(without, n) for n in names}))
     if costs.seconds:
         cells = {n: time_words(s) for n, s in costs.seconds.items()}

@@ -171,7 +171,7 @@ def lag_words(lag: StreamLag) -> str:
     Examples
     --------
     >>> lag_words(StreamLag(against="ins", lag_s=-0.037, sigma_s=0.115, significant=False))
-    'lag against ins -37 ms ± 115 ms: cannot tell below 0.35 s'
+    'lag against ins -37 ms ± 115 ms: not determined below 0.35 s'
     >>> lag_words(StreamLag(against="ins", lag_s=0.25, sigma_s=0.004, significant=True))
     'LATE against ins by 250 ms ± 4 ms'
     """
@@ -183,7 +183,7 @@ def lag_words(lag: StreamLag) -> str:
         return f"{'LATE' if lag.lag_s > 0 else 'EARLY'} against {lag.against} by {size} ± {sigma}"
     sign = "-" if lag.lag_s < 0 else "+"
     least = f"{SIGMAS * lag.sigma_s:.2g} s"
-    return f"lag against {lag.against} {sign}{size} ± {sigma}: cannot tell below {least}"
+    return f"lag against {lag.against} {sign}{size} ± {sigma}: not determined below {least}"
 
 
 def detail_words(report: IntegrityReport) -> list[str]:

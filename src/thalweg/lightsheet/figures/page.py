@@ -11,8 +11,8 @@ import pandas as pd
 
 from thalweg.accuracy import verdict_of
 from thalweg.core import InputError
-from thalweg.figures import Finding, Page, count, plural
-from thalweg.figures.calibration import TWIN_NOTE, short, with_units
+from thalweg.figures import JUDGED, Finding, Page, count, plural
+from thalweg.figures.calibration import TWIN_NOTE, with_units
 from thalweg.ingest.registry import with_sigma
 from thalweg.lightsheet.budget import TOTAL, TOTAL_CORRELATED, budget_table
 from thalweg.lightsheet.lines import LineFlag
@@ -231,7 +231,7 @@ def strip_page(
     merged, times = counts["merged"], counts.get("times", {})
     words = (
         f"{plural(int(merged['images']), 'image')} of the bed by the light-sheet sensor under the boat, with "
-        f"{count(int(merged['points']))} points in the world (bed.laz)."
+        f"{count(int(merged['points']))} georeferenced points (bed.laz)."
     )
     page = Page(title, words)
     if twin:
@@ -283,8 +283,8 @@ def _words(stem: str) -> str:
 
 
 def _units(page: Page, table: pd.DataFrame, caption: str, *, digits: int = 4) -> None:
-    shown, units = with_units(short(table, digits))
-    page.table(shown, caption, units)
+    shown, units = with_units(table)
+    page.table(shown, caption, units, digits=digits)
 
 
 # ---------------------------------------------------------------- page
@@ -346,7 +346,7 @@ def light_sheet_page(
         page.section("Against the truth of the digital twin").text(TRUTH_NOTE)
         shown = truth.rename(columns={"estimated_minus_true": "calibrated minus true"})
         page.table(
-            short(shown.assign(what=shown["what"].str.replace("_", " ")), 3),
+            shown.assign(what=shown["what"].str.replace("_", " ")),
             "Errors of the calibration (light_sheet_truth.csv)",
         )
     if panels is not None and len(panels):
@@ -404,7 +404,7 @@ def _head(
             told,
         )
     )
-    return f"Panels in known depths say of the sigmas of the depths: {told}.", findings
+    return f"Depth check on panels: {JUDGED[told]}.", findings
 
 
 def _calibrated(page: Page, calibration: Mapping[str, Any], camera: Mapping[str, Any] | None) -> None:
@@ -626,7 +626,7 @@ def lens_section(page: Page, report: Mapping[str, Any]) -> Page:
         ("scale_bars", "Scale bars of the marker field"),
     ):
         shown, units = with_units(
-            short(pd.DataFrame(report[rows]).rename(columns={"largest": "largest over its sigma"}))
+            pd.DataFrame(report[rows]).rename(columns={"largest": "largest over its sigma"})
         )
         page.table(shown, caption, units)
     return page

@@ -336,7 +336,7 @@ def _line(ax: Axes, points_mm: ArrayF, letter: str) -> None:
     bends = int(np.sum(np.diff(np.sign(_curvature(along, off))) != 0))
     shape = "bent to both sides" if bends else "bent to one side"
     ax.set_title(f"{letter}: its line on the plane, {shape}")
-    ax.set(xlabel="place along the straight line / mm", ylabel="distance from it / mm", ylim=(-6.0, 8.5))
+    ax.set(xlabel="position along the straight line / mm", ylabel="distance from it / mm", ylim=(-6.0, 8.5))
     ax.grid()
     ax.legend(loc="upper center", ncols=2)
 
