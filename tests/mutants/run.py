@@ -7,8 +7,8 @@ package's folder that import it, else any that import it, else those of the modu
 what functions of the module return; a mistake that changes only such numbers is told apart: they say that
 something has changed, not which is right. `mutations` finds all mistakes; some are drawn, evenly over
 functions and kinds of mistake, **anew each time**: tests written for the survivors of one draw tell nothing
-by that draw. ``--seed`` repeats one. Nothing is taken out by hand: what no test can see is told by the rules of
-`mutations`, and what these miss counts as a survivor.
+by that draw. ``--seed`` repeats one. Nothing is taken out by hand: what no test can see is told by the rules
+of `mutations`, and what these miss counts as a survivor.
 
 One process loads the libraries (seconds) and no module of Thalweg; for each mistake it forks a child, which
 imports the changed module instead of that on disk and runs the tests until one fails. A mistake is found if a
