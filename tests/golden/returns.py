@@ -12,7 +12,7 @@ field and another name are no difference.
 
 ``store`` keeps the rows of tests that do not run. ``prune`` takes out what differs between two runs: after
 ``store`` of new tests run it once with other arithmetic (``OPENBLAS_CORETYPE=Nehalem
-NPY_DISABLE_CPU_FEATURES="AVX2 FMA3"``), so that only what another computer gives as well stays. ``note``
+NPY_DISABLE_CPU_FEATURES="X86_V3 X86_V4"``), so that only what another computer gives as well stays. ``note``
 fails no test and ends with another exit code (`tests/mutants/run.py`).
 """
 
@@ -69,10 +69,10 @@ def summary(value: Any) -> str:
     root mean square. The weights differ from place to place, so that another order is another mean.
     """
     found = defaultdict[str, list[np.ndarray]](list)
-    for name, array in _numbers(value, "", 0):
-        found[re.sub(r"[;=~[\]]", "_", name)].append(array.ravel()[:: 1 + array.size // 20_000])
     parts = []
     with np.errstate(all="ignore"):
+        for name, array in _numbers(value, "", 0):
+            found[re.sub(r"[;=~[\]]", "_", name)].append(array.ravel()[:: 1 + array.size // 20_000])
         for name, arrays in list(found.items())[:FIELDS]:
             all_ = np.concatenate(arrays)
             weight = 1.0 + np.arange(len(all_)) * 0.6180339887 % 1.0
@@ -369,14 +369,12 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     if MODE == "store":
         _choose()
     if MODE in {"store", "prune"}:
-        for name, tests in everything().items():
-            _write(STORE / f"{name}.txt", tests)
+        for file in {file_of(item.nodeid) for item in session.items}:
+            _write(file, stored(file))
 
 
 def _choose() -> None:
     """New numbers for stored rows; rows for functions that have fewer than they may have."""
-    for test in _NEW:
-        file_of(test).touch()
     have = defaultdict[str, set[str]](set)
     for tests in everything().values():
         for test, functions in tests.items():
@@ -413,4 +411,5 @@ def _write(file: Path, tests: Stored) -> None:
         lines += [test] * bool(kept)
         for name, returned in kept.items():
             lines += [f"  {name}", *(f"    {text}" for text in returned)]
-    file.write_text("\n".join([*lines, ""]))
+    if lines or file.is_file():
+        file.write_text("\n".join([*lines, ""]))
