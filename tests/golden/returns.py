@@ -21,6 +21,7 @@ import importlib
 import inspect
 import os
 import re
+import threading
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
@@ -226,13 +227,15 @@ def watched(names: list[str]) -> Iterator[dict[str, list[str]]]:
         function.__defaults__ = function.__kwdefaults__ = None
         function.__code__ = stub.__code__
         function.__dict__["__wrapped__"] = own
-    process = os.getpid()
+    process, main, aside = os.getpid(), threading.main_thread(), set[str]()
 
     def hear(number: int, args: Any, named: Any) -> Any:
         name, _, own = was[number]
         value = own(*args, **named)
         calls = heard.setdefault(name, [])
-        if len(calls) < CALLS and os.getpid() == process:
+        if threading.current_thread() is not main:
+            aside.add(name)
+        elif len(calls) < CALLS and os.getpid() == process:
             calls.append("")  # what a property of the value calls is not heard
             calls[-1] = summary(value)
         return value
@@ -242,6 +245,8 @@ def watched(names: list[str]) -> Iterator[dict[str, list[str]]]:
         yield heard
     finally:
         _HEARD = before
+        for name in aside:  # threads take turns as they like: no call is the first
+            heard.pop(name, None)
         for _, function, own in was:
             function.__code__ = own.__code__
             function.__defaults__, function.__kwdefaults__ = own.__defaults__, own.__kwdefaults__

@@ -1,6 +1,7 @@
 """Stored returns: what is told apart, and what a test hears of a change."""
 
 import inspect
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,6 +62,16 @@ def test_a_watched_function_does_what_it_did() -> None:
     assert not hasattr(rigid.exp_rotation, "__wrapped__")
     rigid.exp_rotation(np.zeros(3))
     assert len(heard[name]) == returns.CALLS
+
+
+def test_calls_that_threads_make_in_any_order_are_not_compared() -> None:
+    name = f"{rigid.__name__}:exp_rotation"
+    with returns.watched([name]) as heard:
+        rigid.exp_rotation(np.zeros(3))
+        with ThreadPoolExecutor(1) as pool:
+            pool.submit(rigid.exp_rotation, np.zeros(3)).result()
+        assert list(heard) == [name]
+    assert heard == {}
 
 
 def test_a_test_fails_with_what_differs_and_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
