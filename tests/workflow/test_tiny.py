@@ -206,7 +206,7 @@ def test_the_processing_needs_no_truth(tiny_house) -> None:
     of = ("with_truth", "chains_with_truth", "riverbed_with_truth", "dtm_with_truth", "rig_with_truth")
     assert judges == {f"compare_{name}" for name in of}
     shown = {rule for rule in after if rule.startswith("plot_") or rule.endswith("_page")}
-    assert after - judges - shown == {"summarise", "export_layers"}
+    assert after - judges - shown == {"summarise", "export_layers", "gis_project"}
 
 
 def test_the_bed_is_as_good_as_its_sigmas_say(tiny_house) -> None:
@@ -372,6 +372,7 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
         "build_dtm",
         "measure_river",
         "export_layers",
+        "gis_project",
         "compare_riverbed_with_truth",
         "compare_dtm_with_truth",
         "bathymetry_page",

@@ -30,6 +30,7 @@ _WORDS_OF_CHAIN: Final = {"ins": "by INS", "camera": "by camera", "fused": "by a
 AUTO_WINDOW_S: Final = 1800.0
 """Windows of a log on a cluster: an hour of a VLP-16 is a few minutes' work, and each job takes seconds to
 start."""
+_FOR_GIS: Final = ("survey.gpkg", "survey.qgz")
 _SERIES: Final = {"calibration": "grid_images", "panels": "panel_images", "strip": "strip_images"}
 """Streams of the series of images of the light-sheet sensor that are no scans."""
 
@@ -923,9 +924,24 @@ class CampaignFiles:
         return [*made, *self.bed_truth(), *self._where(self.has_bed(), "fusion/dtm.tif", "fusion/river.json")]
 
     def mapped(self, name: str) -> list[str]:
-        """What ``map.gpkg`` of a survey draws beside its track: soundings, or what shows the river."""
-        made = self.has_soundings() if name == "bathymetry/soundings.csv" else self.has_bed()
+        """What ``survey.gpkg`` draws beside the track: soundings, or what shows the river."""
+        made = self.has_soundings() if name.startswith("bathymetry/soundings.") else self.has_bed()
         return self._where(made, name)
+
+    def patches(self) -> list[str]:
+        """Patches of change, of each pair of epochs."""
+        return self.of_pairs("patches_{}.csv") if self.campaign.is_change else []
+
+    def map_rasters(self) -> list[str]:
+        """Grids of the project for QGIS, the uppermost first."""
+        if self.campaign.is_change:
+            return self.of_pairs("dod_{}.tif")
+        return self._where(self.has_bed(), "bathymetry/bed.tif", "fusion/dtm.tif")
+
+    def map_clouds(self) -> list[str]:
+        """The cloud of the project for QGIS."""
+        exported = self._is_survey() and self.has_lidar() and self.campaign.georeferencing.export_map
+        return self._where(exported, "lidar/points_map.copc.laz")
 
     # ------------------------------------------------------------ change between epochs
 
@@ -1086,7 +1102,7 @@ class CampaignFiles:
             *self.of_pairs("volumes_along_{}.csv"),
             *self.of_pairs("retreat_{}.csv"),
             *self.of_pairs("dod_{}.tif"),
-            self._result("deformation/map.gpkg"),
+            *self._where(True, *_FOR_GIS),
             *self._where(self.has_many_epochs(), "deformation/series.parquet"),
             *self.change_truth(),
             self._result("deformation/index.html"),
@@ -1122,11 +1138,10 @@ class CampaignFiles:
                 return self._where(True, "accuracy/cloud_to_surface.laz", "accuracy/cloud.html")
         lidar = self.has_lidar()
         tables = ("orientation/trajectory.parquet", "timing/streams.csv", "timing/time_report.csv")
-        outputs = [*self._where(True, *tables, "summary.csv", "map.gpkg"), *self._map_of_track()]
+        outputs = [*self._where(True, *tables, "summary.csv", *_FOR_GIS), *self._map_of_track()]
         outputs += self.ins_points()
         outputs += [*self.echo_outputs(), *self._strip_outputs(), *self._bed_outputs()]
-        exported = lidar and self.campaign.georeferencing.export_map
-        outputs += self._where(exported, "lidar/points_map.laz", "lidar/points_map.copc.laz")
+        outputs += self._where(self.map_clouds(), "lidar/points_map.laz", "lidar/points_map.copc.laz")
         if self.has_time_lapse():
             outputs.append(self.trajectory("fused"))
         if self.has_time_lapse() and lidar:
@@ -1151,7 +1166,8 @@ class CampaignFiles:
             return alone
         rows = (
             ("trajectory of the boat", self.trajectory("ins"), True, ""),
-            ("track, soundings, river for a GIS", self._result("map.gpkg"), True, ""),
+            ("project for QGIS", self._result("survey.qgz"), True, ""),
+            ("track, soundings, river for a GIS", self._result("survey.gpkg"), True, ""),
             (
                 "soundings in the world",
                 self._result("bathymetry/soundings.csv"),
@@ -1259,7 +1275,7 @@ class CampaignFiles:
 
     def pages(self) -> list[str]:
         """The pages that `all` builds, but the front page, and the layers for a GIS that it links."""
-        return [path for path in self._made() if path.endswith((".html", ".gpkg"))]
+        return [path for path in self._made() if path.endswith((".html", ".gpkg", ".qgz"))]
 
     def summary(self) -> list[str]:
         """The table of the most important figures of a survey."""
