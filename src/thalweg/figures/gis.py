@@ -195,7 +195,7 @@ class _Project:
             self.tree, "layer-tree-layer", id=identity, name=title, providerKey=provider, source=source,
             checked="Qt::Checked" if shown else "Qt::Unchecked", expanded="1" if shown else "0",
         )  # fmt: skip
-        layer = SubElement(self.layers, "maplayer", type=kind, **more)
+        layer = SubElement(self.layers, "maplayer", {"type": kind} | more)
         _text(layer, "id", identity)
         _text(layer, "datasource", source)
         _text(layer, "layername", title)
@@ -233,7 +233,7 @@ def _rgb(colour: Any) -> str:
 
 
 def _renderer(layer: Element, kind: str, **attributes: str) -> Element:
-    return SubElement(layer, "renderer-v2", type=kind, **attributes)
+    return SubElement(layer, "renderer-v2", {"type": kind} | attributes)
 
 
 def _symbol(symbols: Element, kind: str, name: int, look: dict[str, str]) -> None:

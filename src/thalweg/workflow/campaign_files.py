@@ -31,6 +31,23 @@ AUTO_WINDOW_S: Final = 1800.0
 """Windows of a log on a cluster: an hour of a VLP-16 is a few minutes' work, and each job takes seconds to
 start."""
 _FOR_GIS: Final = ("survey.gpkg", "survey.qgz")
+_DELIVERED: Final = {
+    "survey.qgz": "project for QGIS",
+    "survey.gpkg": "track, soundings, river, or patches of change: layers for a GIS",
+    "lidar/points_map.copc.laz": "point cloud in the map grid, COPC",
+    "lidar/points_map.laz": "point cloud in the map grid, LAZ",
+    "lidar/points.laz": "point cloud in the local frame, with standard deviations",
+    "lidar/coloured.laz": "point cloud in the colours of photographs, local frame",
+    "bathymetry/soundings.csv": "soundings in the map grid with uncertainties and order of IHO S-44",
+    "bathymetry/bed.tif": "grid of the riverbed: height and standard deviation",
+    "fusion/dtm.tif": "terrain model of bed and banks: height, standard deviation, source",
+    "triangulation/strip/bed.laz": "strip of the bed by the light sheet",
+    "orientation/trajectory.parquet": "trajectory by INS and GNSS with covariances, local frame",
+    "orientation/trajectory_fused.parquet": "trajectory by all sensors with covariances, local frame",
+    "orientation/track.geojson": "track by GNSS",
+    "summary.csv": "the most important figures",
+}
+"""Files to hand over with the report, and what they are."""
 _SERIES: Final = {"calibration": "grid_images", "panels": "panel_images", "strip": "strip_images"}
 """Streams of the series of images of the light-sheet sensor that are no scans."""
 
@@ -1159,6 +1176,47 @@ class CampaignFiles:
             outputs += [self._result(f"accuracy/{name}") for name in compared]
         return outputs
 
+    def has_report(self) -> bool:
+        """True if there is a report to hand in: of a survey, or of change."""
+        return self._is_survey() or self.campaign.is_change
+
+    def delivered(self) -> dict[str, str]:
+        """Files to hand over with the report, and what they are, in the order of the report."""
+        made = set(self._made())
+        words = {self._result(name): what for name, what in _DELIVERED.items()}
+        if self.campaign.is_change:
+            words |= dict.fromkeys(
+                self.of_pairs("dod_{}.tif"), "change of height and standard deviation, grid"
+            )
+            words |= dict.fromkeys(self.of_pairs("changes_{}.laz"), "change at each place, local frame")
+        return {path: what for path, what in words.items() if path in made}
+
+    def report_tables(self) -> list[str]:
+        """Tables that the report of survey, or of change, takes its numbers from."""
+        if self.campaign.is_change:
+            tables = ("volumes_{}.csv", "patches_{}.csv", "registration_{}.json")
+            return [file for name in tables for file in self.of_pairs(name)]
+        bed = ("bathymetry/variogram.json", "bathymetry/water_level.json", "bathymetry/banks.csv")
+        return [
+            *self._where(True, "timing/streams.csv", "timing/time_report.csv", "orientation/trajectory.json"),
+            self.mounts_of_chain(""),
+            *self.reports(),
+            *self.counts_of_points(),
+            *self.sounding_facts(),
+            *self._where(self.has_soundings(), "bathymetry/soundings.csv"),
+            *self._where(self.echo_outputs(), "calibration/echo_sounder.json"),
+            *self._where(self.has_bed(), *bed, "fusion/river.json", "fusion/dtm.json"),
+            *self.bed_validation(),
+            *self.adjustment_facts(),
+            *self.reference_statistics(),
+            *self.bed_truth(),
+        ]
+
+    def report_settings(self) -> dict[str, Any]:
+        """What the report says of settings."""
+        sections = ("campaign", "orientation", "echo_sounder", "filters")
+        return {key: self.plain[key] for key in sections} | {"epochs": self.epoch_names()}
+
     def products(self) -> list[Product]:
         """What a campaign gives from its logs, and what one more log would add."""
         alone = self._products_alone()
@@ -1166,6 +1224,7 @@ class CampaignFiles:
             return alone
         rows = (
             ("trajectory of the boat", self.trajectory("ins"), True, ""),
+            ("report of survey, PDF", self._result("report.pdf"), True, ""),
             ("project for QGIS", self._result("survey.qgz"), True, ""),
             ("track, soundings, river for a GIS", self._result("survey.gpkg"), True, ""),
             (
@@ -1283,7 +1342,7 @@ class CampaignFiles:
 
     def final_outputs(self) -> list[str]:
         """The tables and pages that `all` builds; pictures stand in `thalweg.workflow.figures`."""
-        return [*self._made(), self._result("index.html")]
+        return [*self._made(), *self._where(self.has_report(), "report.pdf"), self._result("index.html")]
 
     def target(self, name: str) -> list[str]:
         """What the target ``ingest``, ``lidar``, ``images`` or ``accuracy`` builds."""
