@@ -29,7 +29,8 @@ STREAM = {
 }  # fmt: skip
 SURVEY = (
     "Summary", "Area and dates", "Instruments and records", "Offsets and calibration",
-    "Geodesy and vertical reference", "Processing", "Uncertainty", "Order of the soundings (IHO S-44)", "Coverage",
+    "Geodesy and vertical reference", "Processing", "Uncertainty", "Order of the soundings (IHO S-44)",
+    "Coverage",
 )  # fmt: skip
 
 
@@ -86,12 +87,13 @@ def of_soundings(*, square=1.0, lines=40, light_sheet=0, sigma=0.03):
     used = pd.DataFrame({"used": np.full(n, True), "depth_m": 2.0, "sigma_horizontal_m": 0.05})
     used[["sigma_white_m", "sigma_slow_m", "sigma_common_m"]] = sigma, 0.0, 0.0
     facts = {
-        "by_reason": {name: 0 for name in REASONS} | {"": n, "weeds": 5}, "pings": n + 5, "lines": lines,
+        "by_reason": dict.fromkeys(REASONS, 0) | {"": n, "weeds": 5}, "pings": n + 5, "lines": lines,
         "sound_factor": 1.0, "sigma_sound_factor": 0.001, "water_temperature_c": None, "place_from": "ruler",
         "lag_s": 0.1, "crossings": {"n": 0}, "orders": s44_orders(used).to_dict("records"),
     }  # fmt: skip
     validation = {
-        "rmse_m": 0.05, "bias_m": 0.01, "normalised_square": square, "outside_95": 0.05, "lines": lines, "n": n,
+        "rmse_m": 0.05, "bias_m": 0.01, "normalised_square": square, "outside_95": 0.05, "lines": lines,
+        "n": n,
     }  # fmt: skip
     bed = {"area_m2": 900.0, "median sigma_m": 0.04, "light sheet left out": light_sheet}
     bed["light sheet above the soundings_m"] = 1.2
@@ -144,7 +146,7 @@ def test_a_survey_has_the_sections_of_a_report_in_their_order(written) -> None:
 
 
 def test_the_order_needs_more_than_small_sigmas(written) -> None:
-    """Soundings along lines search no bed; sigmas that are too small, or another sensor that disagrees, forbid any."""
+    """Lines of soundings search no bed; too small sigmas, or a sensor that disagrees, forbid any order."""
     ways = {
         "Order 1b, by predicted uncertainties": of_soundings(),
         "Order 2, by predicted uncertainties": of_soundings(sigma=0.4),

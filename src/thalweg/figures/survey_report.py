@@ -176,8 +176,8 @@ def write_survey_report(
     made = int(epoch) if epoch else int(end_s)
     # fonts of the system would make the pages of each machine different ones
     typst.compile(
-        Path(__file__).with_suffix(".typ"), output=report, root=Path("/"), ignore_system_fonts=True, timestamp=made,
-        format="pdf", sys_inputs={"report": json.dumps(document)},
+        Path(__file__).with_suffix(".typ"), output=report, format="pdf", root=Path("/"), timestamp=made,
+        ignore_system_fonts=True, sys_inputs={"report": json.dumps(document)},
     )  # fmt: skip
 
 
@@ -254,8 +254,7 @@ def _order(page: _Report) -> tuple[str, str] | None:
     if bed is not None and verdict_of(bed["normalised_square"], bed["lines"]) == "too optimistic":
         return "no order claimed", (
             "Left-out lines show errors larger than the predicted standard deviations, on which an order "
-            "would "
-            "rest."
+            "would rest."
         )
     model = page.json("bathymetry/variogram.json")
     if model is not None and model["facts"].get("light sheet left out"):
@@ -267,8 +266,7 @@ def _order(page: _Report) -> tuple[str, str] | None:
     return f"Order {claimed}, by predicted uncertainties", (
         f"At least 95 % of the soundings keep the limits of uncertainty of {_ORDER_NAMES[met]}. An order "
         "also asks for a search of the bed: soundings along lines leave the bed between them unsearched, "
-        "so that "
-        f"no order stricter than 1b can be claimed. What the survey supports is Order {claimed}."
+        f"so that no order stricter than 1b can be claimed. What the survey supports is Order {claimed}."
     )
 
 
@@ -343,7 +341,8 @@ def _offsets(page: _Report, settings: Mapping[str, Any]) -> None:
     mounts = (page.json("calibration/mounts.json") or {"mounts": {}})["mounts"]
     page.text(
         "Offsets are given in the body frame of the INS: x forward, y to starboard, z down, from its "
-        "reference point. Angles turn a sensor's frame into it, about x, then y, then z (omega, phi, kappa)."
+        "reference point. Angles turn a sensor's frame into it, about x, then y, then z (omega, phi, "
+        "kappa)."
     )
     levers = [
         (name.replace("_", " "), *_with_sigma(of["lever_ics_m"], of["sigma_lever_m"]), of["source"])
@@ -365,13 +364,12 @@ def _offsets(page: _Report, settings: Mapping[str, Any]) -> None:
     echo, water = settings["echo_sounder"], facts["water_temperature_c"]
     page.text(
         f"Echo sounder: beam of {echo['beam_deg']:g}°, noise of a depth {_cm(echo['sigma_depth_m'])}, dead "
-        "zone "
-        f"{echo['dead_zone_m']:g} m. Depths are multiplied by {facts['sound_factor']:.5f} ± "
+        f"zone {echo['dead_zone_m']:g} m. Depths are multiplied by {facts['sound_factor']:.5f} ± "
         f"{facts['sigma_sound_factor']:.5f} for the speed of sound"
         + (f" (water of {water:.1f} °C)." if water is not None else " (its temperature was not recorded)."),
         f"The position of the transducer is that of the {facts['place_from']}; its stamps are corrected by "
-        f"{facts['lag_s']:+.3f} s. The water line lies {settings['filters']['water_line_ics_m']:.3f} m below "
-        "the reference point at rest.",
+        f"{facts['lag_s']:+.3f} s. The water line lies {settings['filters']['water_line_ics_m']:.3f} m "
+        "below the reference point at rest.",
     )
     calibration = page.json("calibration/echo_sounder.json")
     if calibration is not None and calibration.get("refused"):
@@ -405,10 +403,9 @@ def _geodesy(page: _Report, path: Trajectory, crs: CRS, settings: Mapping[str, A
         height_m = float(frame.to_map(up_m, crs)[0, 2])
         page.text(
             f"Water level during the survey: {height_m:.3f} ± {level['sigma_m']:.3f} m (ellipsoidal height "
-            "at the "
-            f"middle of the track), fall {_n(level['fall_m_per_km'], 2)} m/km, rise "
-            f"{_n(level['rise_m_per_h'], 3)} m/h. Soundings are heights by GNSS and INS, not depths "
-            "below a gauge.",
+            f"at the middle of the track), fall {_n(level['fall_m_per_km'], 2)} m/km, rise "
+            f"{_n(level['rise_m_per_h'], 3)} m/h. Soundings are heights by GNSS and INS, not depths below "
+            "a gauge.",
             *(f"{note[0].upper()}{note[1:]}." for note in level["notes"]),
         )
     else:
@@ -423,8 +420,9 @@ def _processing(page: _Report, path: Trajectory) -> None:
         first = made[0]
         libraries = ", ".join(f"{name} {first['libraries'][name]}" for name in ("python", "numpy", "pyproj"))
         page.text(
-            f"Processed by Thalweg {first['thalweg']}, revision {str(first['commit'])[:12]}, with {libraries}. "
-            "Each file has its parameters and the checksums of its inputs beside it (.meta.json)."
+            f"Processed by Thalweg {first['thalweg']}, revision {str(first['commit'])[:12]}, with "
+            f"{libraries}. Each file has its parameters and the checksums of its inputs beside it "
+            "(.meta.json)."
         )
         steps = sorted({(each["rule"].replace("_", " "), each["code"]) for each in made})
         half = -(-len(steps) // 2)
@@ -450,8 +448,9 @@ def _processing(page: _Report, path: Trajectory) -> None:
     images = page.json("orientation/adjustment.json")
     if images is not None:
         page.text(
-            f"Photographs: {count(images['images'])} oriented with {count(images['tie_points'])} tie points, "
-            f"sigma naught {images['sigma0']:.2f}, {count(images['control_points'])} control points."
+            f"Photographs: {count(images['images'])} oriented with {count(images['tie_points'])} tie "
+            f"points, sigma naught {images['sigma0']:.2f}, {count(images['control_points'])} control "
+            "points."
         )
 
 
@@ -459,9 +458,8 @@ def _uncertainty(page: _Report, path: Trajectory) -> None:
     page.section("Uncertainty")
     page.text(
         "Every point, sounding and cell carries a standard deviation, propagated from positions, "
-        "attitudes, offsets, "
-        "clocks and ranges with their correlations. The following tests compare them with errors that were "
-        "observed."
+        "attitudes, offsets, clocks and ranges with their correlations. The following tests compare them "
+        "with errors that were observed."
     )
     attitude = np.rad2deg(np.median(path.sigma_roll_pitch_heading_rad()[path.valid], axis=0))
     position = 1000 * np.median(path.sigma_position_m[path.valid], axis=0)
@@ -490,8 +488,7 @@ def _uncertainty(page: _Report, path: Trajectory) -> None:
         found = (page.json("bathymetry/soundings.json") or {})["crossings"]
         page.text(
             f"Lines cross at {count(found['n'])} places, where heights differ by {_cm(found['rms_m'])} "
-            "(root mean "
-            f"square); {_cm(found['predicted_m'])} were predicted."
+            f"(root mean square); {_cm(found['predicted_m'])} were predicted."
             if found["n"]
             else "No line crosses another: slow errors were not checked by crossings."
         )
@@ -499,13 +496,10 @@ def _uncertainty(page: _Report, path: Trajectory) -> None:
     if left is not None:
         page.text(
             f"Left-out lines: each of {left['lines']} lines was predicted from the others. The differences "
-            "have an "
-            f"RMSE of {_cm(left['rmse_m'])} and a mean of {_cm(left['bias_m'], '+')}; their squares "
-            "are "
-            f"{left['normalised_square']:.2f} times the predicted variances, and "
-            f"{100 * left['outside_95']:.1f} % lie "
-            "outside their interval of 95 %. The predicted standard deviations of the bed "
-            f"{_VERDICTS[verdict_of(left['normalised_square'], left['lines'])]}."
+            f"have an RMSE of {_cm(left['rmse_m'])} and a mean of {_cm(left['bias_m'], '+')}; their "
+            f"squares are {left['normalised_square']:.2f} times the predicted variances, and "
+            f"{100 * left['outside_95']:.1f} % lie outside their interval of 95 %. The predicted standard "
+            f"deviations of the bed {_VERDICTS[verdict_of(left['normalised_square'], left['lines'])]}."
         )
         rows = [
             (name, count(of["n"]), _cm(of["rmse_m"]), f"{of['normalised_square']:.2f}")
@@ -520,10 +514,9 @@ def _uncertainty(page: _Report, path: Trajectory) -> None:
         verdict = verdict_of_ratio(*(distances[name] for name in ("ratio", "ratio_low95", "ratio_high95")))
         page.text(
             f"Against a reference, {count(distances['n'])} points without outliers "
-            f"({count(distances['outliers'])} "
-            f"outliers): mean distance {_cm(distances['bias'], '+')}, RMSE {_cm(distances['rmse'])}, "
-            "predicted "
-            f"{_cm(distances['predicted_rmse'])}. The predicted standard deviations {_VERDICTS[verdict]}."
+            f"({count(distances['outliers'])} outliers): mean distance {_cm(distances['bias'], '+')}, RMSE "
+            f"{_cm(distances['rmse'])}, predicted {_cm(distances['predicted_rmse'])}. The predicted "
+            f"standard deviations {_VERDICTS[verdict]}."
         )
         page.figures("distance_map", "error_versus_range")
     truth = page.csv("accuracy/truth_riverbed.csv")
@@ -550,8 +543,7 @@ def _orders(page: _Report, order: tuple[str, str] | None) -> None:
     page.table(
         ("order", "TVU [m]", "THU [m]", "vertical [%]", "horizontal [%]", "both [%]"), rows,
         f"Limits at the median depth of {depth_m:.2f} m and 95 % confidence, and share of the used "
-        "soundings that "
-        "keep those of their own depth (edition 6.1).",
+        "soundings that keep those of their own depth (edition 6.1).",
     )  # fmt: skip
     page.text(order[1])
 
@@ -566,9 +558,8 @@ def _coverage(page: _Report) -> None:
         water = river["water"]
         page.text(
             f"The bed covers {bed['facts']['area_m2']:,.0f} m². Of {water['inside_m2']:,.0f} m² inside the "
-            "water line "
-            f"{water['without_height_m2']:,.1f} m² have no height. Between lines the bed is predicted, not "
-            "observed."
+            f"water line {water['without_height_m2']:,.1f} m² have no height. Between lines the bed is "
+            "predicted, not observed."
         )
     if model is not None:
         rows = [
@@ -684,15 +675,13 @@ def _limits(page: _Report, *, twin: bool) -> None:
             "A sounding is the nearest return of its cone: stones narrower than the beam hide the bed "
             "about them.",
             "Between lines the bed is predicted by its covariance; what no line crossed, a groyne or a "
-            "wreck, is not in "
-            "it.",
+            "wreck, is not in it.",
         ]
     if bed is not None and bed["facts"].get("light sheet left out"):
         above_m = bed["facts"]["light sheet above the soundings_m"]
         items.append(
             f"The light sheet lies {_cm(above_m, '+')} from the bed of the soundings, more than both "
-            "standard "
-            "deviations explain: one of both is wrong. It has no part in the bed."
+            "standard deviations explain: one of both is wrong. It has no part in the bed."
         )
     if page.csv("lidar/counts.csv") is not None:
         items.append(
