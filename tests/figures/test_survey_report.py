@@ -191,8 +191,8 @@ def test_a_change_reports_its_volumes(written) -> None:
     assert document["genre"] == "Report of change"
     assert dict(document["facts"])["Epochs"] == "spring, autumn"
     volume, patch = (part["rows"][0] for part in section(document, "Change"))
-    assert volume[:3] == ["erosion", "-12.60 ± 0.64", "-13.90 to -11.30"]
-    assert patch == ["erosion", "29.7", "-5.00", "-16.8 cm"]
+    assert volume[:3] == ["erosion", "−12.60 ± 0.64", "−13.90 to −11.30"]
+    assert patch == ["erosion", "29.7", "−5.00", "−16.8 cm"]
 
 
 def test_a_title_is_no_markup_and_the_same_results_give_the_same_bytes(written, monkeypatch) -> None:

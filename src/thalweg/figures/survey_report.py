@@ -24,7 +24,7 @@ from pyproj import CRS
 from thalweg import __version__
 from thalweg.accuracy import number_text, verdict_of, verdict_of_ratio
 from thalweg.bathymetry import REASONS, S44
-from thalweg.core import LocalFrame, Trajectory, final_path, read_json, unix_from_gps, utc_text_from_gps
+from thalweg.core import Trajectory, final_path, read_json, unix_from_gps, utc_text_from_gps
 from thalweg.figures.style import TWIN_MARK, count, note_of, plural
 
 _TYPE_AREA_MM: Final = (165.0, 150.0)
@@ -219,7 +219,7 @@ def _survey(
     _uncertainty(page, path)
     _orders(page, order)
     _coverage(page)
-    _results(page, path.frame, crs)
+    _results(page)
     return facts, float(unix_from_gps(times[-1]))
 
 
@@ -368,8 +368,8 @@ def _offsets(page: _Report, settings: Mapping[str, Any]) -> None:
         f"{facts['sigma_sound_factor']:.5f} for the speed of sound"
         + (f" (water of {water:.1f} °C)." if water is not None else " (its temperature was not recorded)."),
         f"The position of the transducer is that of the {facts['place_from']}; its stamps are corrected by "
-        f"{facts['lag_s']:+.3f} s. The water line lies {settings['filters']['water_line_ics_m']:.3f} m "
-        "below the reference point at rest.",
+        f"{_n(facts['lag_s'], 3, '+')} s. The water line lies "
+        f"{settings['filters']['water_line_ics_m']:.3f} m below the reference point at rest.",
     )
     calibration = page.json("calibration/echo_sounder.json")
     if calibration is not None and calibration.get("refused"):
@@ -393,7 +393,10 @@ def _geodesy(page: _Report, path: Trajectory, crs: CRS, settings: Mapping[str, A
             f"{frame.lat_deg:.6f}°, {frame.lon_deg:.6f}°, {frame.h_ell_m:.3f} m (ellipsoid)",
         ),
         ("Heights", _heights(page)),
-        ("Source of positions", f"{source} (orientation.position_source)"),
+        (
+            "Positions",
+            f"{source}, read as {(page.json('ingest/positions.integrity.json') or {}).get('format', '–')}",
+        ),
         ("Fixes", ", ".join(f"{name} {count(n)}" for name, n in track["fixes"].items()) or "not recorded"),
     ]
     page.table(("item", "value"), rows, "Reference systems.", words=2)
@@ -572,16 +575,18 @@ def _coverage(page: _Report) -> None:
     if banks is not None:
         seen = banks.groupby("side")["seen"].agg(["sum", "size"])
         page.text(
-            "Places of the bank lines that the lidar saw: "
+            "Places of the bank lines that were seen: "
             + ", ".join(f"{side} bank {n['sum']} of {n['size']}" for side, n in seen.iterrows())
             + "."
         )
+    if facts is None and model is None:
+        page.text("No bed was surveyed: what the lidar saw of the banks stands in the survey map.")
     page.figures("sounding_lines")
 
 
-def _results(page: _Report, frame: LocalFrame, crs: CRS) -> None:
+def _results(page: _Report) -> None:
     river = page.json("fusion/river.json")
-    names = ("bed_map", "bed_sections", "terrain_model", "long_profile", "cloud_detail", "cloud_by_sigma")
+    names = ("bed_map", "bed_sections", "long_profile", "terrain_model", "cloud_detail", "cloud_by_sigma")
     if river is None and not set(names) & set(page.pictures):
         return
     page.section("Results")
@@ -707,7 +712,7 @@ def _reference(page: _Report) -> "pd.Series[float] | None":
 
 def _n(value: float, digits: int, sign: str = "") -> str:
     """A number with thousands apart, without the sign of a zero; nan: a dash."""
-    return "–" if pd.isna(value) else f"{round(value, digits) + 0.0:{sign},.{digits}f}"
+    return "–" if pd.isna(value) else f"{round(value, digits) + 0.0:{sign},.{digits}f}".replace("-", "−")
 
 
 def _cm(metres: float, sign: str = "") -> str:
@@ -715,4 +720,4 @@ def _cm(metres: float, sign: str = "") -> str:
 
 
 def _with_sigma(values: Sequence[float], sigmas: Sequence[float]) -> list[str]:
-    return [f"{_n(value, 3)} ± {_n(sigma, 4)}" for value, sigma in zip(values, sigmas, strict=True)]
+    return [f"{_n(value, 4)} ± {sigma:.1g}" for value, sigma in zip(values, sigmas, strict=True)]
