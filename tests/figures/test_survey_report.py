@@ -155,7 +155,10 @@ def test_the_order_needs_more_than_small_sigmas(written) -> None:
         assert dict(written(tables)[1]["facts"])["IHO S-44"] == order
     for tables in (of_soundings(square=9.0), of_soundings(light_sheet=7), of_soundings(sigma=2.0)):
         assert dict(written(tables)[1]["facts"])["IHO S-44"] == "no order claimed"
+    few = written(of_soundings(lines=4))[1]
+    assert "Too few lines test" in words(few, "Order of the soundings (IHO S-44)")
     _, document = written(of_soundings())
+    assert "Too few lines test" not in words(document, "Order of the soundings (IHO S-44)")
     [table] = [
         part for part in section(document, "Order of the soundings (IHO S-44)") if part["kind"] == "table"
     ]

@@ -251,7 +251,8 @@ def _order(page: _Report) -> tuple[str, str] | None:
     met = next((row["order"] for row in facts["orders"] if row["share"] >= _SHARE_OF_ORDER), None)
     if met is None:
         return "no order claimed", "Fewer than 95 % of the soundings keep the limits of any order."
-    if bed is not None and verdict_of(bed["normalised_square"], bed["lines"]) == "too optimistic":
+    verdict = "cannot tell" if bed is None else verdict_of(bed["normalised_square"], bed["lines"])
+    if verdict == "too optimistic":
         return "no order claimed", (
             "Left-out lines show errors larger than the predicted standard deviations, on which an order "
             "would rest."
@@ -267,6 +268,7 @@ def _order(page: _Report) -> tuple[str, str] | None:
         f"At least 95 % of the soundings keep the limits of uncertainty of {_ORDER_NAMES[met]}. An order "
         "also asks for a search of the bed: soundings along lines leave the bed between them unsearched, "
         f"so that no order stricter than 1b can be claimed. What the survey supports is Order {claimed}."
+        + (" Too few lines test the predicted uncertainties." if verdict == "cannot tell" else "")
     )
 
 
@@ -512,7 +514,7 @@ def _uncertainty(page: _Report, path: Trajectory) -> None:
         page.figures("bed_left_out")
     distances = _reference(page)
     if distances is None:
-        page.text("No independent reference was given: the cloud was not compared with one.")
+        page.text("No independent reference was compared.")
     else:
         verdict = verdict_of_ratio(*(distances[name] for name in ("ratio", "ratio_low95", "ratio_high95")))
         page.text(
