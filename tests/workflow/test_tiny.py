@@ -573,6 +573,8 @@ def test_an_sbet_and_photographs_give_the_chains_of_camera_and_all_sensors(tiny_
     ).products()
     assert {row.name for row in products if row.made} == {
         "trajectory of the boat",
+        "report of survey, PDF",
+        "project for QGIS",
         "track, soundings, river for a GIS",
         "trajectories by camera and by all sensors",
     }

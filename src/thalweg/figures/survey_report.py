@@ -41,6 +41,8 @@ _ORDER_NAMES: Final = {
 _SHARE_OF_ORDER: Final = 0.95
 _PATCHES: Final = 12
 """So many patches of change stand in a table."""
+_OF_TRUTH: Final = 10
+"""Rows for all soundings and the whole bed, which come first."""
 _DETAILS: Final = (
     "serial number", "firmware", "hardware", "product", "return_mode", "DPT offsets", "size", "fixes",
 )  # fmt: skip
@@ -148,7 +150,7 @@ def write_survey_report(
     tables : JSON and CSV files of the campaign, as far as there are, below the folder of `report`.
     trajectory : that of the boat, or none.
     pictures, captions : PNG files, and by stem what stands below them.
-    products, words : files to hand over, and by path what they are.
+    products, words : files to hand over, and in their order by name what they are.
     settings : sections ``campaign``, ``orientation``, ``echo_sounder``, ``filters`` as plain values, and
         names of ``epochs``.
     title : of the campaign.
@@ -162,7 +164,7 @@ def write_survey_report(
     crs = CRS.from_user_input(settings["campaign"]["crs"])
     path = Trajectory.read(trajectory[0]) if trajectory else None
     facts, end_s = _survey(page, path, crs, settings) if path is not None else _change(page, crs, settings)
-    _products(page, products, words)
+    _products(page, folder, dict(zip(products, words.values(), strict=True)))
     _limits(page, twin=twin)
     cover = next((name for name in _COVERS if name in page.pictures), None)
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
@@ -469,12 +471,10 @@ def _uncertainty(page: _Report, path: Trajectory) -> None:
     attitude = np.rad2deg(np.median(path.sigma_roll_pitch_heading_rad()[path.valid], axis=0))
     position = 1000 * np.median(path.sigma_position_m[path.valid], axis=0)
     poses = [
-        (words, f"{value:.{digits}f}")
-        for names, values, digits in (
-            (("position east [mm]", "position north [mm]", "position up [mm]"), position, 1),
-            (("roll [°]", "pitch [°]", "heading [°]"), attitude, 3),
-        )
-        for words, value in zip(names, values, strict=True)
+        (f"position {name} [mm]", _n(v, 1)) for name, v in zip(("east", "north", "up"), position, strict=True)
+    ]
+    poses += [
+        (f"{name} [°]", _n(v, 3)) for name, v in zip(("roll", "pitch", "heading"), attitude, strict=True)
     ]
     page.table(("pose of the boat", "sigma"), poses, "Standard deviations of the trajectory, medians.")
     page.figures("pose_sigmas")
@@ -524,12 +524,9 @@ def _uncertainty(page: _Report, path: Trajectory) -> None:
             f"standard deviations {_VERDICTS[verdict]}."
         )
         page.figures("distance_map", "error_versus_range")
-    truth = page.csv("accuracy/truth_riverbed.csv")
-    if truth is not None:
-        rows = [
-            (r["measure"], number_text(r["value"]), count(r["n"])) for r in truth.head(10).to_dict("records")
-        ]
-        page.table(("measure", "value", "n"), rows, "Digital twin: errors against the true bed.")
+    truth = page.records("accuracy/truth_riverbed.csv")[:_OF_TRUTH]
+    rows = [(r["measure"], number_text(r["value"]), count(r["n"])) for r in truth]
+    page.table(("measure", "value", "n"), rows, "Digital twin: errors against the true bed.")
 
 
 def _orders(page: _Report, order: tuple[str, str] | None) -> None:
@@ -651,18 +648,18 @@ def _change(page: _Report, crs: CRS, settings: Mapping[str, Any]) -> tuple[list[
 # ---------------------------------------------------------------- products, limits, numbers
 
 
-def _products(page: _Report, products: Sequence[Path], words: Mapping[str, str]) -> None:
+def _products(page: _Report, folder: Path, products: Mapping[Path, str]) -> None:
     page.section("Products")
     page.text("Files of this report, with checksums. Heights in clouds, layers and bed are ellipsoidal.")
     files = []
-    for path in products:
+    for path, words in products.items():
         meta = Path(f"{path}.meta.json")
         checksum = (
             read_json(meta)["sha256"] if meta.is_file() else hashlib.sha256(path.read_bytes()).hexdigest()
         )
         size = path.stat().st_size
         files.append({
-            "name": "/".join(path.parts[2:]) or path.name, "words": words.get(path.as_posix(), ""),
+            "name": Path(relpath(path, folder)).as_posix(), "words": words,
             "sha256": checksum, "size": f"{size / 1e6:,.1f} MB" if size >= 1e6 else f"{size / 1e3:,.1f} kB",
         })  # fmt: skip
     page.add("files", files=files)
