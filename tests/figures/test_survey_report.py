@@ -22,6 +22,7 @@ SETTINGS = {
     "echo_sounder": {"beam_deg": 5.0, "sigma_depth_m": 0.02, "dead_zone_m": 0.2},
     "filters": {"water_line_ics_m": 0.2},
     "epochs": ["spring", "autumn"],
+    "sensors": ["echo_sounder"],
 }
 STREAM = {
     "stream": "depth", "model": "", "format": "NMEA 0183", "rate_hz": 10.0, "duration_s": 40.0, "n_gaps": 0,
@@ -97,8 +98,10 @@ def of_soundings(*, square=1.0, lines=40, light_sheet=0, sigma=0.03):
     }  # fmt: skip
     bed = {"area_m2": 900.0, "median sigma_m": 0.04, "light sheet left out": light_sheet}
     bed["light sheet above the soundings_m"] = 1.2
+    lever = {"lever_ics_m": [0.2, 0.0, -1.5], "sigma_lever_m": [0.005, 0.005, 0.01], "source": "campaign"}
     return {
         "timing/streams.csv": pd.DataFrame([STREAM]),
+        "calibration/mounts.json": {"mounts": {"lidar": {}, "echo_sounder": lever}},
         "bathymetry/soundings.json": facts,
         "bathymetry/soundings.csv": pd.DataFrame(
             {
@@ -133,6 +136,11 @@ def test_a_survey_has_the_sections_of_a_report_in_their_order(written) -> None:
     assert pings == [["used", "100", "95.24"], [REASONS["weeds"], "5", "4.76"]]
     assert "3 records, 7 bytes" in words(document, "Instruments and records")
     assert document["mark"] == "digital twin"
+    # the lidar was not on board
+    [levers] = [
+        part["rows"] for part in section(document, "Offsets and calibration") if part["kind"] == "table"
+    ]
+    assert levers == [["echo sounder", "0.2000 ± 0.005", "0.0000 ± 0.005", "−1.5000 ± 0.01", "campaign"]]
     facts = dict(document["facts"])
     # 40 s from the example of core.timescales
     assert facts["Survey"] == "2017-05-12, 18:44:55 to 18:45:35 UTC"

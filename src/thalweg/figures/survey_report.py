@@ -151,8 +151,8 @@ def write_survey_report(
     trajectory : that of the boat, or none.
     pictures, captions : PNG files, and by stem what stands below them.
     products, words : files to hand over, and in their order by name what they are.
-    settings : sections ``campaign``, ``orientation``, ``echo_sounder``, ``filters`` as plain values, and
-        names of ``epochs``.
+    settings : sections ``campaign``, ``orientation``, ``echo_sounder``, ``filters`` as plain values,
+        names of the ``sensors`` on board and of ``epochs``.
     title : of the campaign.
     twin : whether a digital twin wrote the logs.
     report : file to write.
@@ -277,11 +277,10 @@ def _order(page: _Report) -> tuple[str, str] | None:
 def _summary(page: _Report, path: Trajectory, order: tuple[str, str] | None) -> None:
     """What the survey gave and how good it is, in one table."""
     page.section("Summary")
-    sigma = 1000 * np.median(path.sigma_position_m[path.valid], axis=0)
-    east, north, up = (f"{value:.1f}" for value in sigma)
+    sigma_m = np.median(path.sigma_position_m[path.valid], axis=0)
     rows = [
         ("Processing", "poses of the boat", f"{count(path.valid.sum())} of {count(len(path.valid))}"),
-        ("Uncertainty", "sigma of a position, east, north, up", f"{east}, {north}, {up} mm"),
+        ("Uncertainty", "sigma of a position, east, north, up", ", ".join(map(_length, sigma_m))),
     ]
     if (cloud := page.csv("lidar/counts.csv")) is not None:
         kept = cloud.loc[cloud["reason"] == "kept", "n"].sum()
@@ -342,7 +341,9 @@ def _instruments(page: _Report, found: list[list[str]]) -> None:
 
 def _offsets(page: _Report, settings: Mapping[str, Any]) -> None:
     page.section("Offsets and calibration")
-    mounts = (page.json("calibration/mounts.json") or {"mounts": {}})["mounts"]
+    # a file of mounts holds presumptions on sensors that the boat did not carry
+    found = (page.json("calibration/mounts.json") or {"mounts": {}})["mounts"]
+    mounts = {name: of for name, of in found.items() if name in settings["sensors"]}
     page.text(
         "Offsets are given in the body frame of the INS: x forward, y to starboard, z down, from its "
         "reference point. Angles turn a sensor's frame into it, about x, then y, then z (omega, phi, "
@@ -413,7 +414,7 @@ def _geodesy(page: _Report, path: Trajectory, crs: CRS, settings: Mapping[str, A
             f"at the middle of the track), fall {_n(level['fall_m_per_km'], 2)} m/km, rise "
             f"{_n(level['rise_m_per_h'], 3)} m/h. Soundings are heights by GNSS and INS, not depths below "
             "a gauge.",
-            *(f"{note[0].upper()}{note[1:]}." for note in level["notes"]),
+            *map(_sentence, level["notes"]),
         )
     else:
         page.text("No water level was derived.")
@@ -427,7 +428,8 @@ def _processing(page: _Report, path: Trajectory) -> None:
         first = made[0]
         libraries = ", ".join(f"{name} {first['libraries'][name]}" for name in ("python", "numpy", "pyproj"))
         page.text(
-            f"Processed by Thalweg {first['thalweg']}, revision {str(first['commit'])[:12]}, with "
+            f"Processed by Thalweg {first['thalweg']}, revision "
+            f"{str(first['commit'] or 'unknown')[:12]}, with "
             f"{libraries}. Each file has its parameters and the checksums of its inputs beside it "
             "(.meta.json)."
         )
@@ -440,7 +442,10 @@ def _processing(page: _Report, path: Trajectory) -> None:
     if track is not None:
         used = f"{count(track['n_positions_used'])} of {count(track['n_positions'])} positions used"
         poses = f"{count(path.valid.sum())} of {count(len(path.valid))} poses valid"
-        page.text(f"Trajectory: {used}, {poses}, {plural(len(track['gaps']), 'gap')}.", *track["notes"])
+        page.text(
+            f"Trajectory: {used}, {poses}, {plural(len(track['gaps']), 'gap')}.",
+            *map(_sentence, track["notes"]),
+        )
     page.figures("trajectory")
     cloud = page.records("lidar/counts.csv")
     if not cloud:
@@ -469,13 +474,11 @@ def _uncertainty(page: _Report, path: Trajectory) -> None:
         "with errors that were observed."
     )
     attitude = np.rad2deg(np.median(path.sigma_roll_pitch_heading_rad()[path.valid], axis=0))
-    position = 1000 * np.median(path.sigma_position_m[path.valid], axis=0)
+    position_m = np.median(path.sigma_position_m[path.valid], axis=0)
     poses = [
-        (f"position {name} [mm]", _n(v, 1)) for name, v in zip(("east", "north", "up"), position, strict=True)
+        (f"position {name}", _length(v)) for name, v in zip(("east", "north", "up"), position_m, strict=True)
     ]
-    poses += [
-        (f"{name} [°]", _n(v, 3)) for name, v in zip(("roll", "pitch", "heading"), attitude, strict=True)
-    ]
+    poses += [(name, f"{_n(v, 3)}°") for name, v in zip(("roll", "pitch", "heading"), attitude, strict=True)]
     page.table(("pose of the boat", "sigma"), poses, "Standard deviations of the trajectory, medians.")
     page.figures("pose_sigmas")
     soundings = page.csv("bathymetry/soundings.csv")
@@ -554,7 +557,7 @@ def _coverage(page: _Report) -> None:
     page.section("Coverage")
     facts, bed = page.json("bathymetry/soundings.json"), page.json("bathymetry/variogram.json")
     if facts is not None:
-        page.text(f"{count(facts['by_reason'][''])} soundings in {facts['lines']} lines.")
+        page.text(f"{count(facts['by_reason'][''])} soundings in {plural(facts['lines'], 'line')}.")
     river, model = page.json("fusion/river.json"), page.json("fusion/dtm.json")
     if bed is not None and river is not None:
         water = river["water"]
@@ -675,12 +678,15 @@ def _limits(page: _Report, *, twin: bool) -> None:
         )
     facts, bed = page.json("bathymetry/soundings.json"), page.json("bathymetry/variogram.json")
     if facts is not None:
-        items += [
+        items.append(
             "A sounding is the nearest return of its cone: stones narrower than the beam hide the bed "
-            "about them.",
+            "about them."
+        )
+    if bed is not None:
+        items.append(
             "Between lines the bed is predicted by its covariance; what no line crossed, a groyne or a "
-            "wreck, is not in it.",
-        ]
+            "wreck, is not in it."
+        )
     if bed is not None and bed["facts"].get("light sheet left out"):
         above_m = bed["facts"]["light sheet above the soundings_m"]
         items.append(
@@ -712,6 +718,14 @@ def _reference(page: _Report) -> "pd.Series[float] | None":
 def _n(value: float, digits: int, sign: str = "") -> str:
     """A number with thousands apart, without the sign of a zero; nan: a dash."""
     return "–" if pd.isna(value) else f"{round(value, digits) + 0.0:{sign},.{digits}f}".replace("-", "−")
+
+
+def _sentence(note: str) -> str:
+    return f"{note[0].upper()}{note[1:].rstrip('.')}."
+
+
+def _length(metres: float) -> str:
+    return f"{_n(1000 * metres, 1)} mm" if metres < 1 else f"{_n(metres, 2)} m"
 
 
 def _cm(metres: float, sign: str = "") -> str:

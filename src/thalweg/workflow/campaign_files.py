@@ -1215,7 +1215,14 @@ class CampaignFiles:
     def report_settings(self) -> dict[str, Any]:
         """What the report says of settings."""
         sections = ("campaign", "orientation", "echo_sounder", "filters")
-        return {key: self.plain[key] for key in sections} | {"epochs": self.epoch_names()}
+        carried = {
+            "lidar": self.has_lidar(),
+            "camera": self.has_time_lapse() or self.has_panoramas(),
+            "antenna": self.position_source() not in ("ins", "sbet"),
+            "echo_sounder": self.has_soundings(),
+        }
+        found = {key: self.plain[key] for key in sections} | {"epochs": self.epoch_names()}
+        return found | {"sensors": [name for name, there in carried.items() if there]}
 
     def products(self) -> list[Product]:
         """What a campaign gives from its logs, and what one more log would add."""
