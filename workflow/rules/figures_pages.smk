@@ -241,7 +241,7 @@ rule survey_report:
         mem_mb=memory(1500),
         runtime=minutes(10),
     params:
-        **calls("thalweg.figures.survey_report:write_survey_report"),
+        **calls("thalweg.figures.survey_report.report:write_survey_report"),
         words=of(CampaignFiles.delivered),
         captions={row.name: row.caption for row in FIGURES.rows},
         settings=of(CampaignFiles.report_settings),

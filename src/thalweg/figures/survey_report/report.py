@@ -1,7 +1,7 @@
 """Report of a survey, or of a change between epochs, as PDF in the order that hydrographers use.
 
 Numbers come from the tables and JSON files of the campaign, words from here, looks from
-``survey_report.typ``. All text goes to Typst as JSON, never as markup. Source of the limits of soundings:
+``report.typ``. All text goes to Typst as JSON, never as markup. Source of the limits of soundings:
 IHO S-44, edition 6.1, table 1.
 """
 
