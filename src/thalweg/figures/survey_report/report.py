@@ -25,7 +25,7 @@ from thalweg import __version__
 from thalweg.accuracy import number_text, verdict_of, verdict_of_ratio
 from thalweg.bathymetry import REASONS, S44
 from thalweg.core import Trajectory, final_path, read_json, unix_from_gps, utc_text_from_gps
-from thalweg.figures.style import TWIN_MARK, count, note_of, plural
+from thalweg.figures import TWIN_MARK, count, note_of, plural
 
 _TYPE_AREA_MM: Final = (165.0, 150.0)
 """Width of the text, and the height that a picture may take of it."""
