@@ -1341,7 +1341,7 @@ class CampaignFiles:
 
     def pages(self) -> list[str]:
         """The pages that `all` builds, but the front page, and the layers for a GIS that it links."""
-        return [path for path in self._made() if path.endswith((".html", ".gpkg", ".qgz"))]
+        return [path for path in self._made() if path.endswith((".html", ".gpkg"))]
 
     def summary(self) -> list[str]:
         """The table of the most important figures of a survey."""
