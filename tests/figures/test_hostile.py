@@ -17,6 +17,7 @@ from thalweg.figures import Finding, Page, costs_page, write_front_page
 from thalweg.figures.catalogue import CATALOGUE, CONTROL, Entry, catalogue_page
 from thalweg.figures.images import orientation_page
 from thalweg.figures.viewer import View, write_viewer
+from thalweg.ingest import IntegrityReport
 
 HOSTILE = (
     "{{data}}\"' onload='window.ran=1' <script>window.ran=2</script><!--<script>"

@@ -98,6 +98,8 @@ def test_the_front_page_links_all(yacht) -> None:
         assert f'href="figures/{name}.png"' in text
         assert (folder / "figures" / f"{name}.png").is_file()
     assert 'href="bathymetry/soundings.csv"' in text
+    assert (folder / "report.pdf").read_bytes().startswith(b"%PDF")
+    assert (folder / "survey.qgz").is_file()
     assert "digital twin" not in text
     assert "point cloud of the banks" in text
     assert not (folder / "lidar").exists()

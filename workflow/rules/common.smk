@@ -171,6 +171,17 @@ def part_of_campaigns(name):
     return files
 
 
+def reported(wildcards):
+    """Input function: tables of the report, with a word of help where there is none to hand in."""
+    files = FILES[wildcards.campaign]
+    if not files.has_report():
+        raise WorkflowError(
+            f"{files.name}: no report.pdf of a campaign of the kind `{files.campaign.kind}`; there is one of a survey "
+            f"by boat and of a change between epochs. Its page: results/{files.name}/index.html."
+        )
+    return files.report_tables()
+
+
 def of_page(page):
     """Input function: the pictures of a page."""
     return lambda wildcards: FIGURES.files(FILES[wildcards.campaign], page)
