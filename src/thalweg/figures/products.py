@@ -14,11 +14,9 @@ MAP_FILES: Final[Sequence[Product]] = (
     ("fusion/dtm.tif", "Terrain model of bed and banks", "QGIS, ArcGIS, hydraulic models"),
     ("bathymetry/bed.tif", "Riverbed with standard deviations", "QGIS, ArcGIS"),
     ("bathymetry/soundings.csv", "Georeferenced soundings", "QGIS, spreadsheets"),
-    ("map.gpkg", "Track, soundings, river", "QGIS, ArcGIS"),
     ("orientation/track.geojson", "Track", "QGIS, web maps"),
     ("orientation/track.kml", "Track", "Google Earth"),
     ("fusion/exports", "Meshes and cross sections", "HEC-RAS, TELEMAC, SMS, EPA SWMM"),
-    ("deformation/map.gpkg", "Changes, patches, volumes", "QGIS, ArcGIS"),
     ("deformation/dod_*.tif", "Difference of heights", "QGIS, ArcGIS"),
 )
 OWN_FILES: Final[Sequence[Product]] = (

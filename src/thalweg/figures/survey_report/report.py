@@ -53,7 +53,7 @@ _VERDICTS: Final = {
     "consistent": "agree with what was observed",
     "too optimistic": "are too small for what was observed",
     "too pessimistic": "are too large for what was observed",
-    "cannot tell": "could be tested by too few independent values to tell",
+    "too few data": "could be tested by too few independent values to tell",
 }
 """What standard deviations do, by the words of `thalweg.accuracy.verdict_of`."""
 
@@ -253,7 +253,7 @@ def _order(page: _Report) -> tuple[str, str] | None:
     met = next((row["order"] for row in facts["orders"] if row["share"] >= _SHARE_OF_ORDER), None)
     if met is None:
         return "no order claimed", "Fewer than 95 % of the soundings keep the limits of any order."
-    verdict = "cannot tell" if bed is None else verdict_of(bed["normalised_square"], bed["lines"])
+    verdict = "too few data" if bed is None else verdict_of(bed["normalised_square"], bed["lines"])
     if verdict == "too optimistic":
         return "no order claimed", (
             "Left-out lines show errors larger than the predicted standard deviations, on which an order "
@@ -270,7 +270,7 @@ def _order(page: _Report) -> tuple[str, str] | None:
         f"At least 95 % of the soundings keep the limits of uncertainty of {_ORDER_NAMES[met]}. An order "
         "also asks for a search of the bed: soundings along lines leave the bed between them unsearched, "
         f"so that no order stricter than 1b can be claimed. What the survey supports is Order {claimed}."
-        + (" Too few lines test the predicted uncertainties." if verdict == "cannot tell" else "")
+        + (" Too few lines test the predicted uncertainties." if verdict == "too few data" else "")
     )
 
 
