@@ -50,6 +50,15 @@ def test_nothing_stated_changes_nothing(data_dir) -> None:
     assert with_stated_clock(reader, scan, LidarClockStated()) == (scan.clock, scan.report)
 
 
+def test_a_source_of_time_that_is_not_needed_is_named(data_dir) -> None:
+    log = next((data_dir / "vlp16_mrpt_gps").glob("*.pcap"))
+    reader = lidar_reader([log], LidarOptions())
+    scan = reader.scan()
+    clock, report = with_stated_clock(reader, scan, LidarClockStated(source="motion"))
+    assert clock == scan.clock
+    assert "lidar.clock.source: motion is not used: the log has a time of its own" in report.notes
+
+
 def test_a_time_without_zone_is_refused() -> None:
     with pytest.raises(ValueError, match="names no zone"):
         LidarClockStated(first_packet_utc="2026-05-12T12:00:00")

@@ -168,6 +168,8 @@ def with_stated_clock(
     first = None if unix_s is None else float(gps_from_unix(unix_s))
     if stated.source != "stated" and not report.synchronised:
         return _estimated(reader, scan, stated, first, voyage)
+    if stated.source != "stated":
+        report.note(f"lidar.clock.source: {stated.source} is not used: the log has a time of its own")
     if first is None and offset_s == 0:
         return scan.clock, report
     if first is None and not report.synchronised:
