@@ -22,6 +22,7 @@ from thalweg.cli import main
 from thalweg.core import CoverageError, InputError, LazWriter, LocalFrame, frame_of, write_table
 from thalweg.core.geometry import CELLS_BITS, LEAF_POINTS, build_octree
 from thalweg.figures.viewer import View, read_view, read_views, write_survey_viewer, write_viewer
+from thalweg.figures.viewer.page import grid_of
 from thalweg.lidar import COLOUR_DIMENSIONS
 from thalweg.panorama import PANORAMAS
 
@@ -622,7 +623,8 @@ def test_it_begins_with_the_colour_that_most_points_have(
 def test_a_click_gives_the_map_grid_and_further_ones_an_area(browser: Browser, tmp_path: Path) -> None:
     xyz = hills()[::4]
     folder = tmp_path / "results/a/viewer"
-    write_viewer(View(xyz_m=xyz, frame=FRAME, n_total=len(xyz)), folder, title="x", crs="EPSG:25833")
+    view = View(xyz_m=xyz, frame=FRAME, n_total=len(xyz))
+    write_viewer(view, folder, title="x", grid=grid_of(view, "EPSG:25833"))
     with browser.empty_page() as page:
         page.open(folder / "index.html", "#at=0,0,0&look=0,90,150&colour=height")
         page.wait("typeof settled !== 'undefined' && settled")

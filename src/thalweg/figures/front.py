@@ -165,7 +165,9 @@ def _facts(track: Trajectory | None, crs: str) -> Iterator[str]:
     if track is not None:
         first, last = (utc_text_from_gps(t, 0) for t in track.span())
         yield f"{first[:10]}, {first[11:19]} to {last[11:19]} UTC"
-        steps = np.diff(track.position_wcs_m[track.valid, :2], axis=0)
+        # by seconds: the noise of each pose is no way travelled
+        _, by_second = np.unique(track.t_gps_s[track.valid].astype(np.int64), return_index=True)
+        steps = np.diff(track.position_wcs_m[track.valid, :2][by_second], axis=0)
         yield f"track of {np.hypot(*steps.T).sum():.0f} m"
         lat, lon = track.frame.lat_deg, track.frame.lon_deg
         yield f"{abs(lat):.4f}°{'N' if lat >= 0 else 'S'}, {abs(lon):.4f}°{'E' if lon >= 0 else 'W'}"

@@ -1342,7 +1342,8 @@ class CampaignFiles:
     def shown_in_front(self) -> list[str]:
         """What the front page links or quotes: all that `all` builds, and what tells how good it is."""
         reports = [path for path in self.target("ingest") if path.endswith(".integrity.json")]
-        reports += self._where(self.has_panoramas(), "ingest/rig.integrity.json")
+        beside = self.has_panoramas() and not self.is_by_rig()
+        reports += self._where(beside, "ingest/rig.integrity.json")
         fused = self.of_compared_chains("statistics.csv")[2:] if self.has_time_lapse() else []
         facts = [*self.counts_of_points(), *self.sounding_facts()] if self._is_survey() else []
         others = [path for path in self.final_outputs() if path != self._result("index.html")]

@@ -318,7 +318,7 @@ def write_viewer(
     photographs: Mapping[int, Sequence[str]] | None = None,
     panoramas: Sequence[Mapping[str, Any]] = (),
     first_alone: bool = False,
-    crs: str = "local",
+    grid: Mapping[str, Any] | None = None,
 ) -> int:
     """Write ``index.html`` and the folder ``nodes`` beside it.
 
@@ -333,7 +333,7 @@ def write_viewer(
     photographs : name, address and, if there is one, address of the panorama, by number of ``view.image``.
     panoramas : of a walk; their pictures are in the folder ``views``.
     first_alone : of several clouds the page shows the first one until others are asked for.
-    crs : map grid in which the page gives coordinates of a cloud in a local frame, too; ``local``: none.
+    grid : map grid in which the page gives coordinates, too, as `grid_of` makes it.
 
     Returns
     -------
@@ -356,7 +356,7 @@ def write_viewer(
     n_shown = sum(len(node.rows) for node in tree)
     shown = np.concatenate([node.rows for node in tree])
     columns, facts = _columns(view, shown)
-    facts |= {"colour": _first_colour(view, tree[0].rows, first_alone), "grid": _grid(view, crs)}
+    facts |= {"colour": _first_colour(view, tree[0].rows, first_alone), "grid": grid}
     if view.image is not None and photographs and len(photographs) <= _MOST_PHOTOGRAPHS:
         place = pd.Series(np.arange(1, len(photographs) + 1), index=list(photographs))
         columns["image"] = place.reindex(view.image, fill_value=0).to_numpy().astype("<u2")[:, None]
@@ -456,7 +456,7 @@ def write_survey_viewer(
         photographs=_photographs(pd.read_csv(gains[0]), images, rig_images, rows, page) if gains else None,
         panoramas=[] if pictures is None or views is None else _walk(rows, pictures, views),
         first_alone=True,
-        crs=crs,
+        grid=grid_of(view, crs),
     )
 
 
@@ -531,8 +531,11 @@ def _first_colour(view: View, even: AnyArray, first_alone: bool) -> str:
     return next((name for name, told in (known | distances).items() if np.mean(told) >= _MOST), "height")
 
 
-def _grid(view: View, crs: str) -> dict[str, Any] | None:
-    """Name of the map grid, and polynomials of the second degree from the local frame to it."""
+def grid_of(view: View, crs: str) -> dict[str, Any] | None:
+    """A map grid and polynomials of the second degree to it from the local frame of a cloud.
+
+    None for ``local``, and for a cloud that lies on a map already.
+    """
     if not isinstance(view.frame, LocalFrame) or crs == "local":
         return None
     onto = CRS.from_user_input(crs)
