@@ -16,6 +16,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from matplotlib.figure import Figure
 
+from tests.sentences import of_html, too_long
+
 STATES: Final = ("empty", "one", "equal", "nan")
 """No value, one, several of the same, several that are no number."""
 _FEW: Final = 4
@@ -247,7 +249,7 @@ def warned(call: Callable[[], Any]) -> tuple[Any, list[str]]:
 
 
 def faults_of_page(html: str) -> list[str]:
-    """Words of no number, and tables without a row."""
+    """Words of no number, tables without a row, and sentences that are long."""
     words = re.sub(r"<style>.*?</style>|<[^>]*>", " ", html, flags=re.DOTALL)
     found = [f"words: {each!r}" for each in re.findall(r".{0,40}\b(?:nan|NaN|NaT|inf|None)\b.{0,20}", words)]
-    return found + (["a table without a row"] if re.search(r"<tbody>\s*</tbody>", html) else [])
+    return found + ["a table without a row"] * bool(re.search(r"<tbody>\s*</tbody>", html)) + too_long(of_html(html))

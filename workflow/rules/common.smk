@@ -2,6 +2,7 @@
 
 import logging
 import os
+from itertools import product
 
 import yaml
 from snakemake.exceptions import WorkflowError
@@ -19,6 +20,7 @@ from thalweg.workflow import (
     fork_scripts,
     other_versions,
     pattern_of_epochs,
+    as_format,
     read_figures,
     refuse_shell,
     start_driver,

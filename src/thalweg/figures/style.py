@@ -380,7 +380,9 @@ def new_figure(height_mm: float, title: str, *, twin: bool) -> Figure:
     return figure
 
 
-def save(figure: Figure, path: Path | BytesIO, *, dpi: int = 200, note: str | None = None) -> None:
+def save(
+    figure: Figure, path: Path | BytesIO, *, dpi: int = 200, note: str | None = None, title: bool = True
+) -> None:
     """Write a figure as PNG, PDF or SVG; the same figure gives the same bytes.
 
     Parameters
@@ -389,6 +391,7 @@ def save(figure: Figure, path: Path | BytesIO, *, dpi: int = 200, note: str | No
     path : target, its suffix says the format; or a buffer, which gets a PNG.
     dpi : dots per inch of PNG and of pictures inside PDF and SVG.
     note : a comment inside a PNG, which `note_of` reads.
+    title : false to take the title off, as for a paper whose caption tells it; panels fill its room.
 
     Raises
     ------
@@ -409,6 +412,8 @@ def save(figure: Figure, path: Path | BytesIO, *, dpi: int = 200, note: str | No
         metadata["Comment"] = note
     if isinstance(path, Path):
         path.parent.mkdir(parents=True, exist_ok=True)
+    if not title:
+        figure.suptitle("")
     with mpl.rc_context(_parameters()):
         figure.savefig(path, dpi=dpi, format=kind, metadata=metadata)
 
