@@ -15,7 +15,7 @@ _ABBREVIATIONS = r"\b(?:e\.g|i\.e|Fig|Eq|Sect|No|al|cf|vs|ca|approx|p)\."
 
 def of_html(page: str) -> list[str]:
     """Sentences of paragraphs and of words below pictures and above tables."""
-    found = re.findall(r"<(p|figcaption|caption|li)\b[^>]*>(.*?)</\1>", page, re.S)
+    found = re.findall(r"<(p|figcaption|caption)\b[^>]*>(.*?)</\1>", page, re.S)
     return [each for _, part in found for each in _split(unescape(re.sub(r"<[^>]*>", " ", part)))]
 
 
@@ -30,7 +30,7 @@ def of_markdown(text: str) -> list[str]:
 
 def _split(text: str) -> list[str]:
     text = re.sub(_ABBREVIATIONS, lambda m: m[0][:-1], " ".join(text.split()))
-    return [each for each in re.split(r"(?<=[.?!])\s+(?=[A-Z(\d])", text) if length(each) > 2]
+    return [each for each in re.split(r"(?<=[.?!])\s+(?=[A-Z(\d]|[a-h]: )", text) if length(each) > 2]
 
 
 def length(sentence: str) -> int:

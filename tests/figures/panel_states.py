@@ -252,4 +252,8 @@ def faults_of_page(html: str) -> list[str]:
     """Words of no number, tables without a row, and sentences that are long."""
     words = re.sub(r"<style>.*?</style>|<[^>]*>", " ", html, flags=re.DOTALL)
     found = [f"words: {each!r}" for each in re.findall(r".{0,40}\b(?:nan|NaN|NaT|inf|None)\b.{0,20}", words)]
-    return found + ["a table without a row"] * bool(re.search(r"<tbody>\s*</tbody>", html)) + too_long(of_html(html))
+    return (
+        found
+        + ["a table without a row"] * bool(re.search(r"<tbody>\s*</tbody>", html))
+        + too_long(of_html(html))
+    )

@@ -38,7 +38,7 @@ class Reader(HTMLParser):
             self.tables[-1].append([])
         if tag in {"td", "th"}:
             self.tables[-1][-1].append("")
-        if tag == "h2":
+        if tag == "summary":
             self.headings.append("")
         self.sources += [found["src"]] if "src" in found else []
         self.links += [found["href"]] if "href" in found else []
@@ -51,7 +51,7 @@ class Reader(HTMLParser):
         self.text += data
         if {"td", "th"} & set(self.open):
             self.tables[-1][-1][-1] += data
-        if self.open and self.open[-1] == "h2":
+        if self.open and self.open[-1] == "summary":
             self.headings[-1] += data
 
 
@@ -142,7 +142,7 @@ def test_the_verdict_comes_first_and_is_that_of_the_tables(found, made):
     assert sentences[1].startswith(
         "Its own sigmas predict 5.0 cm; distances are 1.2 times as large as predicted"
     )
-    assert f"Seen by parts, the mean is {1000 * kept.mean():+.0f} mm, beyond twice" in sentences[2]
+    assert f"Mean and tails: the mean offset, {1000 * kept.mean():+.0f} mm, is beyond 2 sigma" in sentences[2]
     assert "Of the outliers 100 % lie in front of the reference and 0 % behind it" in sentences[3]
     ratio = value_of(found["statistics"], "ratio", "all")
     assert f"predicted over observed {ratio:.2f}" in sentences[3]
@@ -157,8 +157,10 @@ def test_the_verdict_comes_first_and_is_that_of_the_tables(found, made):
     # distances are 1.2 times as large as predicted, beyond the band
     assert first["predicted by their standard deviations"][1] == "too optimistic"
     assert first["mean distance"][1] == "beyond twice its standard deviation"
-    assert html.index("its standard deviations: too optimistic.") < html.index("<table") < html.index("<h2")
-    assert html.index('<h2 id="statistics">') < html.index("Without the")
+    assert (
+        html.index("its standard deviations: too optimistic.") < html.index("<table") < html.index("<summary")
+    )
+    assert html.index('<span id="statistics">') < html.index("Without the")
 
 
 def test_behind_the_reference_is_said(found):
@@ -186,13 +188,12 @@ def test_the_page_is_whole_and_needs_nothing_from_elsewhere(found, made, tmp_pat
         assert words in read.text
     assert "not of a real boat" in read.text
     assert read.headings == [
-        "Statistics",
-        "Figures",
+        "Statistics",  # the only figure is above them
         "By range",
-        "Why distances are smaller than the 3D error",
-        "By place",
+        "Distances and 3D errors",
+        "Spatial dependency",
         "Registration",
-        "What was compared",
+        "Data",
         "Limits",
     ]
     assert page.html() == page.html()
@@ -225,10 +226,10 @@ def test_both_registrations_and_both_point_sets_stand_below_each_other(found, ma
 def test_everything_left_out_is_counted(found):
     read = Reader(accuracy_page(**found).html())
     rows = {row[0]: row[1:] for table in read.tables for row in table[1:]}
-    assert rows["outside the area of interest"] == ["9\N{NO-BREAK SPACE}000", "30"]
+    assert rows["outside the area of interest"] == ["9\N{NO-BREAK SPACE}000", "30.0"]
     assert rows["a new count"][0] == "7"  # unknown ones are shown too
-    assert rows["points of the reference"] == ["4\N{NO-BREAK SPACE}000", "100"]
-    assert rows["inside it"] == ["1\N{NO-BREAK SPACE}000", "25"]
+    assert rows["points of the reference"] == ["4\N{NO-BREAK SPACE}000", "100.0"]
+    assert rows["inside it"] == ["1\N{NO-BREAK SPACE}000", "25.0"]
     assert rows["off the local surface"] == ["4", "0.1"]
     assert rows["spikes of single points"][0] == "2"
     assert rows["of the compared: outliers"] == ["300", "1.5"]  # not of the whole cloud
@@ -243,7 +244,7 @@ def test_the_range_table_holds_every_class(found):
     assert [row[-1] for row in table[1:]] == ["yes" if inside else "no" for inside in kept["inside"]]
     outside = int((~kept["inside"].astype(bool)).sum())
     assert f"{outside} of {len(kept)} range classes are outside their band" in read.text
-    assert "at most about 1.3 there by chance" in read.text
+    assert "about 1.3 are expected there by chance" in read.text
 
 
 def test_without_registration_it_says_why(found):
@@ -270,21 +271,21 @@ def test_the_truth_has_a_section_of_its_own(found, made, tmp_path):
     read = Reader(html)
     assert "Against the truth of the digital twin" in read.headings
     assert "Figures" not in read.headings
-    assert html.index("against-the-truth") < html.index("<img")
+    assert html.index("<img") < html.index("against-the-truth"), "the only one shows the verdict"
     (table,) = [t for t in read.tables if t[0][0] == "points" and "RMSE / mm" in t[0]]
-    assert table[1:] == [["all", "100", "1500"], ["bare ground", "40", "90"]]
+    assert table[1:] == [["all", "100", "1\N{NO-BREAK SPACE}500"], ["bare ground", "40", "90"]]
     assert "digital twin" not in accuracy_page(**found, pictures=[picture], twin=False).html()
 
 
 def test_the_explanation_and_the_limits_use_the_numbers(found):
     text = explanation(found["statistics"]).replace("\N{NO-BREAK SPACE}", " ")
-    assert "predict 8.5 cm for all three components together, and 5.0 cm" in text
-    assert "58 % of it" in text  # 1 / sqrt(3)
+    assert "predicted 3D error is 8.5 cm, and the predicted error along the normal, reference" in text
+    assert "58 % of the 3D error" in text  # 1 / sqrt(3)
     text = limits(found["facts"], found["statistics"], found["mesh_facts"])
     text = text.replace("\N{NO-BREAK SPACE}", " ")
     n = value_of(found["statistics"], "independent_values")
-    assert f"worth {n:.0f} independent values" in text
-    assert "outside \N{MINUS SIGN}4.4 to +5.6 of its own sigmas" in text
+    assert f"effective number of independent values is {n:.0f};" in text
+    assert "over sigma is outside \N{MINUS SIGN}4.4 to +5.6," in text
     assert "median edge 8.5 cm" in text
     assert "left out: their distance" in text
     assert "kept: their distance" in limits(found["facts"] | {"border": "keep"}, found["statistics"])

@@ -106,7 +106,7 @@ def test_the_page_counts_what_was_left_out(tmp_path) -> None:
     for words in (
         "<h1>Strip: Demo</h1>",
         "24 images of the bed",
-        "24 344 points in the world",
+        "24 344 georeferenced points",
         "digital twin made",
         "images: no line",
         "line points: no sheet",

@@ -43,10 +43,8 @@ def boat():
 def test_the_head_has_the_sigmas_and_what_residuals_say_of_them(boat, sigma0, verdict):
     told = replace(boat, source=replace(boat.source, sigma0=sigma0))
     sentence, findings = head([told, boat] if sigma0 == 1.4 else [told])
-    assert sentence == (
-        f"Residuals of the adjustments say of the standard deviations: "
-        f"{f'{verdict} (2 of 2)' if verdict else 'cannot tell'}."
-    )
+    said = {"consistent": "2 of 2 agree with the residuals", "": "too few data to judge"}
+    assert sentence == f"Predicted standard deviations: {said.get(verdict, '2 of 2 are too small')}."
     assert findings == [
         Finding(
             "camera lidar",
@@ -164,7 +162,7 @@ def test_the_page_says_how_the_clock_runs(boat):
     assert "off by 22.9 ms (standard deviation, sigma 1.4 ms)" in words
     assert "148 images and on positions and attitude" in words
     # the drift of the published variant is held: no numbers
-    assert "p2 -2.35 13.9 – – 0 4.8 148" in words
+    assert "p2 −2.350 13.90 – –" in words
 
 
 def test_long_tables_are_cut_and_reasons_counted(boat):

@@ -495,11 +495,11 @@ def test_without_a_patch_there_is_no_profile(bank, look, tmp_path):
 def test_the_verdict_states_volumes_registration_and_what_was_not_seen(facts):
     words = verdict(facts)
     assert "−4.00 ± 0.25 m³ by erosion on 12.5 m²" in words
-    assert "net, with the places that did not, −1.40 ± 0.90 m³, which is no different from zero" in words
+    assert "net, with insignificant changes, −1.40 ± 0.90 m³, which is no different from zero" in words
     assert "patch of erosion has 12.5 m², −3.8 m³" in words
     assert "up +5.0 ± 1.0 cm: more than the errors of both surveys explain" in words
     assert "does not show a shift along 90° (azimuth)" in words
-    assert "20.5 m² (14.3 % of 144 m²) were not seen" in words
+    assert "20.5 m² (14.3 % of 144 m²) have no data" in words
 
 
 def test_a_net_volume_beyond_its_band_is_called_different_from_zero(facts):
@@ -524,7 +524,7 @@ def test_the_lead_gives_both_volumes_what_was_taken_off_and_why_they_differ(fact
     lead, findings = head([facts])
     assert lead.startswith(
         "Epochs 1 to 2: the net volume is no different from zero. Net along normals −1.40 ± 0.90 m³ on "
-        "120 m² of surface, by heights −1.70 ± 0.80 m³ on 118 m² of the map. They differ by their places"
+        "120 m² of surface, by heights −1.70 ± 0.80 m³ on 118 m² of the map. They cover different areas"
     )
     assert "Warning" not in lead
     rows = {each.quantity: (each.value, each.verdict) for each in findings}
@@ -565,15 +565,15 @@ def test_without_a_sigma_and_drawn_ground_there_is_no_verdict(bank, facts):
     )  # fmt: skip
     lead, findings = head([silent])
     assert "no verdict: no sigma_m is stated or estimated of both epochs" in lead
-    assert "the epochs may lie off each other as a whole; most of the surface agrees on −20.4 cm" in lead
+    assert "a common offset may remain. Most of the surface agrees on −20.4 cm" in lead
     assert not [each for each in findings if "not zero" in each.verdict or "no different" in each.verdict]
     assert findings[4].value == "nothing"
     assert "most of the surface agrees on −20.4 cm" in findings[4].verdict
     words = verdict(silent)
     assert "on which there is no verdict" in words
     assert "different from zero" not in words
-    assert "The epochs may differ by it" in words
-    assert "they may lie off each other as a whole" in limits([silent])
+    assert "which may be change or an offset" in words
+    assert "a common offset of the epochs may remain" in limits([silent])
     html = change_page([json.loads(bank.errors[0].read_text())], [silent]).html()
     assert "not registered (no stable ground is drawn" in html
 
@@ -626,8 +626,8 @@ def test_the_page_holds_all_tables_and_pictures(bank, facts, look, tmp_path):
     ).html()
     for words in (
         "Bars of volume.",
-        "positions, slow part",
-        "direction of the scanner on the boat",
+        "positions, time-correlated",
+        "mounting angles of the scanner",
         "share of unchanged ground that was called unchanged",
         "new one",
         "<td>patch -0.10</td>",
@@ -701,7 +701,7 @@ def test_a_page_of_many_epochs_names_those_that_jump(bank):
     line = {"line": "bank line", "height_m": 0.5, "s_from_m": 0.0, "s_to_m": 5.0, "cores": 4, "n_epochs": 3}
     rates = pd.DataFrame([line | {"lrr_m_a": -0.31, "sigma_lrr_m_a": 0.02}])
     text = change_page(errors, facts, series=(jumps, rates)).html()
-    assert "Look at epoch 2 (autumn)" in text
+    assert "Check epoch 2 (autumn)" in text
     assert "by 1.3 cm (root mean square of n = 190" in text
     assert "+20.0 ± 3.0" in text
     assert "poses of the photographs, shift" in text
@@ -714,7 +714,9 @@ def test_a_page_of_many_epochs_names_those_that_jump(bank):
 def test_the_limits_of_epochs_of_files_stand_on_the_page(facts):
     assert "have no trajectory" not in limits([facts])
     unseen = facts.visibility.assign(seen_2=False, reason_2="no trajectory")
-    assert "nobody knows whether there was nothing" in limits([replace(facts, visibility=unseen)])
+    assert "an area without points was either empty or not observed" in limits(
+        [replace(facts, visibility=unseen)]
+    )
 
 
 def test_pictures_and_page_of_files_speak_of_no_boat_river_or_bank(bank, look, tmp_path):

@@ -149,7 +149,7 @@ def test_the_page_says_what_was_found_and_what_was_left_out(tmp_path) -> None:
         "<td>residuals of pairs of ends over their sigmas</td><td>1.90</td><td>too optimistic</td>",
         "<td>predicted sigma of depths of 50 to 200 mm</td><td>0.050 to 0.200 mm</td>",
         "means off by at most 0.052 mm, standard deviations at most 0.110 mm</td><td>too few data</td>",
-        "Panels in known depths say of the sigmas of the depths: cannot tell.",
+        "Depth check on panels: too few data to judge the predicted standard deviations.",
         "digital twin made these recordings",
         "within 0.012 mm of one plane",
         "Warning: the window may be tilted.",

@@ -207,11 +207,11 @@ def test_the_lead_says_who_is_best_and_how_certain(chains):
         assert f"{100 * rmse[name]:.1f} cm by" in words
     less = 100 * (1 - rmse["fused"] / min(rmse["ins"], rmse["camera"]))
     assert f"The smallest is that of the fused trajectory, {less:.0f} % below" in words
-    assert "a certain difference" in words
+    assert "its difference from the INS is significant (effective n =" in words
     # the same with few independent values
     of_n = table["quantity"] == "independent_values"
     table.loc[of_n, ["ins", "camera", "fused"]] = 3.0
-    assert "no certain difference" in lead(table)
+    assert "is not significant (effective n = 3 and 3;" in lead(table)
 
 
 def test_the_words_on_ranges_hold_theory_against_result(chains, ranges):
@@ -241,7 +241,7 @@ def test_for_and_against_by_numbers(chains, gaps, control):
     assert "smallest RMSE" in rows.loc["fused", "for"]
     assert "no control point on the bank; no image" in rows.loc["INS", "for"]
     assert "lacks poses in 1 of 1 gap without GNSS, longest 2.0 s" in rows.loc["INS", "against"]
-    assert "poses all through 1 gap without GNSS, longest 2.0 s, sigma" in rows.loc["fused", "for"]
+    assert "poses all through 1 gap without GNSS, longest 2.0 s, position sigma" in rows.loc["fused", "for"]
     for words in (
         "no pose for 90 % of the points",
         "up to 0.9 s without a pose",
@@ -269,7 +269,7 @@ def test_the_decisive_numbers(chains, gaps, control):
     assert rows.loc["points in the cloud"].tolist() == ["60 000", "6 000", "66 000"]
     assert rows.loc["control points"].tolist() == ["none", "2, and 1 that check", "2, and 1 that check"]
     assert rows.loc["poses where the INS has none", "INS"] == "–"
-    without = rows.loc["sigma of the place without GNSS (1 gap)"]
+    without = rows.loc["position sigma without GNSS (1 gap)"]
     assert without["INS"] == "no pose"
     # 3D: root of three times the sigma of a coordinate
     assert without["fused"] == centimetres(3**0.5 * 0.02).replace("\N{NO-BREAK SPACE}", " ")

@@ -446,8 +446,10 @@ NOTHING: Final = 1e-12
 """A number of a page below it is the rest of a computation."""
 
 
-def number(value: float, digits: int = 3) -> str:
+def number(value: float, digits: int = 3, decimals: int | None = None) -> str:
     """A number with so many significant digits; whole above a thousand, with thousands apart; nan: a dash.
+
+    Where ``decimals`` are given they count instead of ``digits``.
 
     Examples
     --------
@@ -458,7 +460,8 @@ def number(value: float, digits: int = 3) -> str:
         return "–"
     if abs(value) < NOTHING:
         return "0"
-    text = f"{round(value):,}" if abs(value) >= 1000 else f"{value:.{digits}g}"
+    form = ",.0f" if abs(value) >= 1000 else f".{digits}g" if decimals is None else f".{decimals}f"
+    text = f"{value:{form}}"
     return text.replace(",", "\N{NO-BREAK SPACE}").replace("-", "\N{MINUS SIGN}")
 
 

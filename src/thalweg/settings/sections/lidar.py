@@ -303,7 +303,9 @@ class Figures(Section):
     formats: list[Literal["png", "pdf", "svg"]] = Field(
         default=["png"], description="Files of each picture; the PNG, which pages show, is always made"
     )
-    titles: bool = Field(default=True, description="Titles on pictures; false for papers, which have captions")
+    titles: bool = Field(
+        default=True, description="Titles on pictures; false for papers, which have captions"
+    )
     max_points: int = Field(
         default=2_000_000, ge=1_000, le=100_000_000, description="Points drawn at most in a scatter plot"
     )
