@@ -22,7 +22,7 @@ def of_html(page: str) -> list[str]:
 def of_markdown(text: str) -> list[str]:
     """Sentences of paragraphs and of entries of lists."""
     text = re.sub(r"^---\n.*?\n---\n", "", re.sub(_CODE, " ", text, flags=re.S), flags=re.S)
-    lines = [line for line in text.splitlines() if not re.match(r"\s*(?:\||#|!\[|>|[:=+-]{3})", line)]
+    lines = [line for line in text.splitlines() if not re.match(r"    |\s*(?:\||#|!\[|>|[:=+-]{3})", line)]
     parts = re.split(r"\n\s*\n|\n(?=\s*(?:[-*+]|\d+\.) )", "\n".join(lines))
     plain = (re.sub(r"\]\([^)]*\)|`[^`]*`", lambda m: " code " if m[0][0] == "`" else "", p) for p in parts)
     return [each for part in plain for each in _split(part)]
