@@ -71,7 +71,7 @@ def test_a_panorama_shows_where_north_is() -> None:
     ax = figure.axes[0]
     at = dict(zip([t.get_text() for t in ax.get_xticklabels()], ax.get_xticks(), strict=True))
     assert (at["E"], at["S"], at["N"]) == (0, 90, -90)
-    assert "centre known to 5.0 cm" in words(figure)
+    assert "centre ± 5.0 cm" in words(figure)
 
 
 def test_the_cost_of_the_base_is_that_of_the_range() -> None:
@@ -127,7 +127,7 @@ def test_both_sides_of_the_seam_are_cut_out_where_they_are() -> None:
         shown = np.flatnonzero(image.get_array()[0, :, channel] > 0)
         middle = left + (shown.mean() + 0.5) / image.get_array().shape[1] * (right - left)
         assert middle == pytest.approx(side)
-    assert "all far: seam rms 1.23 px" in words(figure)
+    assert "all far: rms at the stitching line 1.23 px" in words(figure)
 
 
 def test_the_check_of_clock_and_mount_shows_its_optimum() -> None:
@@ -147,7 +147,7 @@ def test_the_check_of_clock_and_mount_shows_its_optimum() -> None:
     )
     figure = colour_check(check, curves, title="Check", twin=True)
     told = words(figure)
-    assert "+0.300 (sigma 0.020): shifted" in told
+    assert "shift +0.300 ± 0.020: shifted" in told
     assert "n = 12 photographs" in told
     line = figure.axes[0].lines[1].get_xydata()
     assert line[line[:, 1].argmax(), 0] == pytest.approx(0.3)

@@ -339,6 +339,10 @@ def light_sheet_page(
     page = Page(title, *_head(calibration, budget, panels))
     if twin:
         page.text(TWIN_NOTE)
+    if panels is not None and len(panels):
+        page.section("Panel in known depths").text(PANEL_NOTE)
+        _units(page, panels, "Measured minus reference depth, beside published values (panels.csv)")
+    page.pictures(pictures, captions, "panel_distances")
     _calibrated(page, calibration, camera)
     if lens:
         lens_section(page, lens)
@@ -349,9 +353,6 @@ def light_sheet_page(
             shown.assign(what=shown["what"].str.replace("_", " ")),
             "Errors of the calibration (light_sheet_truth.csv)",
         )
-    if panels is not None and len(panels):
-        page.section("Panel in known depths").text(PANEL_NOTE)
-        _units(page, panels, "Measured minus reference depth, beside published values (panels.csv)")
     for scan in scans:
         scan_section(page, scan)
     _budget(page, budget, published, contradictions, correlations)
@@ -362,7 +363,6 @@ def light_sheet_page(
         "Errors in depth of each model (models.csv)",
     )
     _rejected(page, calibration, counts or {}, points or {}, panels)
-    page.pictures(pictures, captions)
     return page
 
 
