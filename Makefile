@@ -5,7 +5,7 @@ CORES ?= $(shell nproc 2>/dev/null || sysctl -n hw.ncpu 2>/dev/null || echo 2)
 PY := .venv/bin/python
 SNAKEMAKE := .venv/bin/snakemake --cores $(CORES)
 
-.PHONY: help env demo open docs study record timings report real-logs test check check-types check-rest test-slow test-cluster fuzz mutants golden benchmark lock clean
+.PHONY: help env demo open pdf docs study record timings report real test check check-types check-rest test-slow test-cluster fuzz mutants golden benchmark lock clean
 
 help: ## list the commands
 	@awk -F':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -27,6 +27,10 @@ open: ## front page of the campaign SIZE in a browser
 report: env ## one self-contained page of the campaign SIZE
 	@$(SNAKEMAKE) --config campaign=$(SIZE) --report results/$(SIZE)/report.html
 
+pdf: env ## report of survey to hand in, of the campaign SIZE -> results/SIZE/report.pdf
+	@$(SNAKEMAKE) --config campaign=$(SIZE) -- results/$(SIZE)/report.pdf
+	@echo $(CURDIR)/results/$(SIZE)/report.pdf
+
 docs: .venv/.docs ## site of the documentation -> results/site; nothing is fetched while it is built
 	@NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --quiet
 	@echo "Open results/site/index.html; with search: $(PY) -m http.server -d results/site"
@@ -47,8 +51,8 @@ timings: env ## time and memory of a campaign in an empty folder -> docs/validat
 	@$(PY) docs/make_timings.py $(SIZE) --cores $(CORES)
 	@$(PY) docs/make_pages.py
 
-real-logs: env ## page of other people's recordings (THALWEG_DATA)
-	@$(SNAKEMAKE) real_logs
+real: env ## every row of docs/validation/real.md on recordings of others (THALWEG_DATA); ONLY=word: rows with it
+	@$(PY) docs/make_real.py --only "$(ONLY)" --workers $(CORES)
 
 test: env ## static checks and the test suite, beside each other
 	@$(MAKE) --no-print-directory check & \

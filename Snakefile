@@ -4,7 +4,6 @@ snakemake                              the campaign of config/config.yaml
 snakemake --config campaign=tiny       another one; a list or a path works as well
 snakemake lidar                        a part of it: ingest, lidar, images, accuracy, deformation, figures
 snakemake -n --quiet host              what would run, with all files
-snakemake real_logs                    page of other people's recordings
 snakemake reproduce                    every published number with a verdict: results/reproduction/ledger.html
 """
 
@@ -53,7 +52,6 @@ include: "workflow/rules/accuracy_truth.smk"
 include: "workflow/rules/deformation.smk"
 include: "workflow/rules/figures.smk"
 include: "workflow/rules/figures_pages.smk"
-include: "workflow/rules/real_logs.smk"
 include: "workflow/rules/reproduction.smk"
 include: "workflow/rules/studies.smk"
 
@@ -83,7 +81,6 @@ localrules:
     accuracy,
     deformation,
     figures,
-    real_logs,
     reproduce,
 
 
@@ -130,12 +127,6 @@ rule figures:
     """Every picture of the chosen campaigns."""
     input:
         [FIGURES.files_to_keep(files) for files in BUILT],
-
-
-rule real_logs:
-    """Tables and pictures of the real recordings in THALWEG_DATA."""
-    input:
-        "results/real_logs/index.html",
 
 
 rule reproduce:

@@ -26,7 +26,6 @@ ROOMS = {
     "accuracy": "Observed and predicted errors",
     "deformation": "Change between epochs",
     "figures": "Figures and pages",
-    "real_logs": "Public recordings",
     "reproduction": "Published tables",
     "studies": "Studies over many surveys of the twin",
 }

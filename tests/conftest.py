@@ -20,6 +20,8 @@ import numpy as np
 import pytest
 from _pytest.assertion import rewrite
 
+from tests.golden.returns import pytest_runtest_call, pytest_sessionfinish  # noqa: F401 - hooks
+
 # Workers, campaigns and commands import the same files: each is compiled once.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
@@ -42,13 +44,25 @@ def repository() -> Path:
     return REPOSITORY
 
 
+class RealFolder(type(Path())):  # type: ignore[misc]
+    """Folder of the real recordings, and paths below it: one that is not there skips its test."""
+
+    def __truediv__(self, name: Any) -> "RealFolder":
+        path: RealFolder = super().__truediv__(name)
+        if not path.exists():
+            pytest.skip(f"{path} is not there: fill the folder THALWEG_DATA by `thalweg fetch`")
+        return path
+
+
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
     """Folder of the real recordings, from THALWEG_DATA or beside the repository; skips where absent."""
     folder = Path(os.environ.get("THALWEG_DATA", REPOSITORY.parent / "shared" / "data"))
-    if not (folder / "README.md").is_file():
-        pytest.skip(f"no real recordings at {folder}: set THALWEG_DATA to their folder")
-    return folder
+    if not folder.is_dir():
+        pytest.skip(
+            f"no real recordings at {folder}: set THALWEG_DATA to a folder that `thalweg fetch` fills"
+        )
+    return RealFolder(folder)
 
 
 @pytest.fixture(scope="session")
@@ -200,7 +214,8 @@ def real_recordings_skipped(skipped: Iterable[Any]) -> str:
     """
     without = [report for report in skipped if "THALWEG_DATA" in str(report.longrepr)]
     return (
-        f"{len(without)} tests on real recordings skipped: set THALWEG_DATA to their folder"
+        f"{len(without)} tests on real recordings skipped: set THALWEG_DATA to a folder that "
+        "`thalweg fetch --all` fills"
         if without
         else ""
     )

@@ -250,6 +250,7 @@ COMMANDS = (
     "cli_calibration",
     "cli_check",
     "cli_deformation",
+    "cli_fetch",
     "cli_images",
     "cli_parser",
     "cli_results",

@@ -19,6 +19,7 @@ import thalweg
 from thalweg.cli_bathymetry import add_bathymetry_commands
 from thalweg.cli_calibration import add_calibration_commands, describe_marked
 from thalweg.cli_deformation import add_deformation_commands, summarise_changes
+from thalweg.cli_fetch import add_fetch_command
 from thalweg.cli_images import add_image_commands
 from thalweg.cli_parser import Commands, refuse_overwriting
 from thalweg.cli_results import add_cluster_commands, add_result_commands
@@ -138,6 +139,7 @@ def _parser() -> argparse.ArgumentParser:
     describe.add_argument("--json", action="store_true", help="print JSON")
     describe.set_defaults(command=_describe)
 
+    add_fetch_command(commands)
     add_calibration_commands(commands)
     add_deformation_commands(commands)
     add_bathymetry_commands(commands)

@@ -28,6 +28,7 @@ EXAMPLES: Final = {
     "resect": "marks.csv --points points.csv --camera lens.yaml --sigma-px 0.5 -o poses.csv",
     "compare-clouds": "2019.laz 2021.laz --sigma-a 0.03 --sigma-b 0.03 -o changes.laz",
     "compare": "boat.laz tls.laz --seen-from 412004,5650970,152 -o distances.laz",
+    "fetch": "river_bottom_interpolator",
     "frames": "video.mp4 --every 0.5 --out frames",
     "masks": "photos --out masks",
     "orient": "photos --points points.csv --marks marks.csv --crs EPSG:25833 --out block",

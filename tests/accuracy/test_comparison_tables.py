@@ -165,7 +165,7 @@ def test_numbers_with_and_without_the_outlier_rule(rng: np.random.Generator) -> 
     assert [entry["points"] for entry in words] == [ALL, WITHOUT_OUTLIERS]
     assert "more in the middle and far out" in words[0]["normal"]
     assert "31 of 31 range classes are outside their band (10 to 40 m)" in words[0]["classes"]
-    assert "at most about 1.6 there by chance, but neighbouring classes share poses" in words[0]["classes"]
+    assert "about 1.6 are expected there by chance (neighbouring classes share poses)" in words[0]["classes"]
     assert "the tails bring the ratio from" in words[0]["parts"]
     assert "distances do not tell which" in words[0]["parts"]
     (fitted, _) = verdicts(statistics_table(table, SETTINGS, REGISTERED), both)

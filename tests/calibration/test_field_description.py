@@ -26,7 +26,8 @@ def test_a_good_description(tmp_path: Path) -> None:
     path = tmp_path / "field.yaml"
     path.write_text(GOOD)
     field = read_field(path)
-    assert field.layout.module_of(60) == 0.016
+    # both ends of the range have the other size, their neighbours have not
+    assert [field.layout.module_of(i) for i in (59, 60, 80, 99, 100)] == [0.012, 0.016, 0.016, 0.016, 0.012]
     assert [c.markers for c in field.cones] == [tuple(range(8)), tuple(range(8, 16))]
     assert np.degrees(field.cones[0].half_angle_rad) == pytest.approx(25.0)
     assert (field.scale_bars[0].start, field.scale_bars[0].length_m) == ("80/0", 1.50012)

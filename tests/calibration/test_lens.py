@@ -1,6 +1,7 @@
 """Calibration of a lens from a checkerboard: on simulated boards, and on a real fisheye beyond 90 degrees."""
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -145,7 +146,7 @@ def test_gross_errors_are_named_and_do_no_harm() -> None:
 
 
 def test_a_real_lens_of_190_degrees(
-    data_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    data_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], record_property: Any
 ) -> None:
     """Ricoh Theta S, front: 23 pictures, three corners of one are false by 5, 6 and 15 px."""
     corners = data_dir / "ricoh_theta_s" / "corners.csv"
@@ -156,6 +157,9 @@ def test_a_real_lens_of_190_degrees(
         assert f"rejected: front0021.png column {column} row 0: {size} px" in out
     file = read_calibration(tmp_path / "lens.yaml")
     camera, facts = camera_of(file), file.find("camera_interior").facts
+    record_property("rms_px", facts["rms_px"])
+    for k, name in enumerate(("fx", "fy", "cx", "cy")):
+        record_property(f"{name}_px", camera.parameters[k] - (0.5 if k > 1 else 0.0))
     assert facts["rms_px"] < 0.15
     assert len(facts["rejected"]) < 0.03 * 920
     assert camera.parameters[:2] == pytest.approx([191.7, 190.2], abs=0.6)
@@ -240,7 +244,7 @@ def test_the_pose_of_a_board_from_rays_without_errors() -> None:
 
 
 @pytest.mark.real
-def test_a_lens_from_photographs_of_a_board(data_dir: Path, tmp_path: Path, capsys) -> None:
+def test_a_lens_from_photographs_of_a_board(data_dir: Path, tmp_path: Path, capsys, record_property) -> None:
     """ACFR: ten pictures of a board of 7 x 5 corners by a fisheye, beside another program's lens of it.
 
     With that lens the corners of these pictures leave 0.119 px.
@@ -260,6 +264,10 @@ def test_a_lens_from_photographs_of_a_board(data_dir: Path, tmp_path: Path, caps
     assert (off < 2.5 * sigma[:4]).all()
     # geometric mean over the parameters, of variances by the jackknife over those by the noise
     facts = read_calibration(out).find("camera_interior").facts
+    for k, name in enumerate(("fx", "fy")):
+        record_property(f"{name}_px", found.parameters[k])
+        record_property(f"sigma_{name}_px", sigma[k])
+    record_property("rms_px", facts["rms_px"])
     assert facts["picture_factor"] == pytest.approx(17.7, abs=1.0)
     assert found.size_px == (1920, 1208)
     bare = tmp_path / "bare.png"

@@ -388,6 +388,18 @@ def test_the_band_of_the_global_test_is_that_of_the_table() -> None:
     assert (test.low**2, test.high**2) == pytest.approx((0.2156, 2.5188), abs=1e-4)
 
 
+def test_an_adjustment_hands_the_root_of_its_sigma0_squared_to_the_global_test() -> None:
+    """Residuals 1, -1, 1, -1 with sigmas of 0.5: squares 4 * 4 over three degrees of freedom."""
+    values = np.array([1.0, -1.0, 1.0, -1.0])
+    fours = Observations(
+        "values",
+        lambda x: Linear(residual=x[0] - values, jacobian=np.ones((4, 1)), cov=np.full((4, 1, 1), 0.25)),
+    )
+    found = adjust([fours], np.zeros(1), ["x"])
+    assert found.sigma0_squared == pytest.approx(16 / 3)
+    assert found.global_test().sigma0 == pytest.approx(4 / np.sqrt(3))
+
+
 def test_the_global_test_scales_what_is_too_small_and_warns_on_both_sides() -> None:
     """Ten degrees of freedom: 0.3247 and 2.0483 of the square, by table."""
     too_small, right, too_large = (global_test(sigma0, 10) for sigma0 in (1.5, 1.4, 0.5))

@@ -22,7 +22,7 @@ def test_a_light_sheet_that_is_left_out_says_why() -> None:
 def test_depth_against_width_in_words() -> None:
     found = {"sections": 18, "exponent": -0.83, "sigma_exponent": 0.2, "deeper_where_narrower": True}
     assert "power of -0.83 ± 0.20: it is deeper where it is narrower." in _depth_and_width(found)
-    assert "not significant" in _depth_and_width(found | {"deeper_where_narrower": False})
+    assert "is not significant" in _depth_and_width(found | {"deeper_where_narrower": False})
     at_weir = _depth_and_width(found | {"ratio_at_weir": 1.32, "sigma_ratio_at_weir": 0.03})
     assert "1.32 ± 0.03 times as deep" in at_weir
     assert _depth_and_width({"not_told": "6 sections."}) == " Depth against width: 6 sections."

@@ -186,7 +186,7 @@ def test_marks_of_an_adjustment_get_their_places(tmp_path):
     assert list(marks["x_px"]) == [10.0, 20.0]
     assert list(marks["residual_y_px"]) == [0.0, 0.3]
     places.iloc[:1].to_parquet(measured)
-    with pytest.raises(InputError, match="1 residuals of marks without a place"):
+    with pytest.raises(InputError, match="1 residuals of marks without coordinates"):
         read_image_marks(residuals, measured)
 
 

@@ -38,13 +38,17 @@ def boat():
 
 
 @pytest.mark.parametrize(
-    ("sigma0", "verdict"), [(1.013, "consistent"), (1.4, "too optimistic"), (np.nan, "")]
+    ("sigma0", "verdict", "words"),
+    [
+        (1.013, "consistent", "2 of 2 agree with the residuals"),
+        (1.4, "too optimistic", "2 of 2 are too small"),
+        (np.nan, "", "too few data to judge"),
+    ],
 )
-def test_the_head_has_the_sigmas_and_what_residuals_say_of_them(boat, sigma0, verdict):
+def test_the_head_has_the_sigmas_and_what_residuals_say_of_them(boat, sigma0, verdict, words):
     told = replace(boat, source=replace(boat.source, sigma0=sigma0))
     sentence, findings = head([told, boat] if sigma0 == 1.4 else [told])
-    said = {"consistent": "2 of 2 agree with the residuals", "": "too few data to judge"}
-    assert sentence == f"Predicted standard deviations: {said.get(verdict, '2 of 2 are too small')}."
+    assert sentence == f"Predicted standard deviations: {words}."
     assert findings == [
         Finding(
             "camera lidar",

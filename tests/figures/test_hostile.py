@@ -15,7 +15,6 @@ from tests.figures.browser import Browser
 from thalweg.core import Frame
 from thalweg.figures import Finding, Page, costs_page, write_front_page
 from thalweg.figures.catalogue import CATALOGUE, CONTROL, Entry, catalogue_page
-from thalweg.figures.firstlook import recordings_page
 from thalweg.figures.images import orientation_page
 from thalweg.figures.viewer import View, write_viewer
 from thalweg.ingest import IntegrityReport
@@ -58,15 +57,6 @@ def photographs(text: str, folder: Path) -> Page:
     return orientation_page(facts, images, control, {}, captions={}, title=text)
 
 
-def recordings(text: str, folder: Path) -> Page:
-    """What a log says of itself: file, sensor, format, details, notes."""
-    report = IntegrityReport(stream=text, format=text, files=[text], model=text, notes=[text])
-    report.count(text, 3)
-    report.lose(text, 1)
-    report.details |= {text: text}
-    return recordings_page([report], [text], [[]])
-
-
 def costs(text: str, folder: Path) -> Page:
     """Names of rules and campaigns."""
     names = ("jobs", "wall_s", "cpu_s", "longest_s", "memory_mb", "asked_mb", "input_mb", "output_mb")
@@ -85,7 +75,7 @@ def catalogue(text: str, folder: Path) -> Page:
 
 
 PAGES: dict[str, Callable[[str, Path], Page]] = {
-    each.__name__: each for each in (every_method, photographs, recordings, costs, catalogue)
+    each.__name__: each for each in (every_method, photographs, costs, catalogue)
 }
 
 

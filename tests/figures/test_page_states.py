@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.figures.conftest import T0_GPS_S, make_trajectory, table_of
+from tests.figures.conftest import make_trajectory, table_of
 from tests.figures.panel_states import (
     STATES,
     NoSuchStateError,
@@ -167,20 +167,11 @@ def _ledger(folder: Path) -> dict[str, Any]:
     return {"ledger": pd.read_csv(folder / "ledger.csv"), "headlines": headlines, "path": folder / "l.html"}
 
 
-def _recordings(_: Path) -> dict[str, Any]:
-    report = IntegrityReport(stream="lidar", format="pcap", files=["a"], model="b", notes=["told"])
-    report.count("points", 3)
-    report.lose("points", 1)
-    report.synchronised, report.t_first_s, report.t_last_s = True, T0_GPS_S, T0_GPS_S + 9.0
-    return {"reports": [report], "titles": ["a"], "pictures": [[]]}
-
-
 OWN: Final[Mapping[str, Callable[[Path], dict[str, Any]]]] = {
     "figures.accuracy.cloud:cloud_page": _cloud,
     "figures.bathymetry.page:bed_page": _bed,
     "figures.catalogue:catalogue_page": _catalogue,
     "figures.catalogue:costs_page": _costs,
-    "figures.firstlook.first_look:recordings_page": _recordings,
     "figures.front:write_front_page": _front,
     "figures.images.fixed_camera:fixed_camera_page": _fixed,
     "figures.images.photographs:finished_page": _finished,

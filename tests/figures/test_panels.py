@@ -93,16 +93,11 @@ EXAMPLES: Final = {
         "figures.accuracy.distances:distance_by_range": "test_the_curves_are_those_of_the_table",
         "figures.accuracy.distances:distance_histogram": "test_every_point_is_a_bar_or_counted_beyond",
     },
-    "figures/test_first_looks.py": {
-        "figures.firstlook.first_look:attitude_first_look": "test_attitude_lines_break_at_holes_and_wraps",
-        "figures.firstlook.first_look:depth_first_look": (
-            "test_depth_axis_points_down_and_sentences_are_apart"
-        ),
-        "figures.firstlook.first_look:lidar_first_look": "test_lidar_draws_all_finite_points",
-        "figures.firstlook.first_look:track_first_look": "test_track_is_relative_to_the_median",
-    },
     "figures/test_footprints.py": {
         "figures.cloud.footprints:footprints": "test_figure_draws_every_footprint_to_scale"
+    },
+    "figures/test_from_above.py": {
+        "figures.cloud.from_above:from_above": "test_bed_and_bank_have_the_colours_of_their_bars"
     },
     "figures/test_frames_by_image.py": {
         "figures.cloud.frames_by_image:frames_by_image": "test_the_figure_says_how_many"

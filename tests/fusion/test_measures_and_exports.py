@@ -10,10 +10,10 @@ import rasterio
 from scipy.spatial.distance import cdist
 
 from tests.fusion.conftest import DEPTH_M, FRAME, GRID, HALF_WIDTH_M, LEVEL_UP_M, bed_up_m
-from thalweg.bathymetry import FlowLine
+from thalweg.bathymetry import REASONS, FlowLine
 from thalweg.core import CoverageError, Trajectory
 from thalweg.core.values import describe_layers, read_vectors
-from thalweg.fusion import Dtm, River, map_of_changes, map_of_survey
+from thalweg.fusion import Dtm, River, map_of_campaign
 from thalweg.fusion.exports import contour_lines, write_bag, write_csv, write_hecras, write_swmm
 from thalweg.fusion.measures import (
     correlated_sigma,
@@ -29,6 +29,8 @@ from thalweg.settings.twin import TwinConfig
 from thalweg_lab.reach import River as TrueRiver
 
 SETTINGS = Fusion(contour_m=0.5)
+ORIGIN = {"lat_deg": FRAME.lat_deg, "lon_deg": FRAME.lon_deg, "h_ell_m": FRAME.h_ell_m}
+MAP = {"origin": ORIGIN, "crs": "EPSG:25833"}
 
 
 @pytest.fixture
@@ -255,14 +257,24 @@ def test_a_survey_is_one_file_for_a_gis(model, arc, banks, tmp_path):
     banks.to_csv(tmp_path / "banks.csv", index=False)
     s = np.linspace(0, arc.length_m, 60)
     FlowLine.through(arc.to_map(s, np.zeros(60))).write(tmp_path / "line.csv")
-    names = ("s.csv", "dtm.tif", "banks.csv", "line.csv")
+    pings = pd.DataFrame(place, columns=["east_m", "north_m", "up_m"]).assign(
+        depth_m=1.0, t_gps_s=3.0e8, line=0
+    )
+    pings.loc[0, ["east_m", "north_m", "up_m"]] = np.nan  # no pose, no place
+    reasons = ["no pose", "weeds", *[""] * (n - 2)]
+    pings.assign(reason=reasons, used=[not why for why in reasons]).to_parquet(tmp_path / "p.parquet")
+    names = ("s.csv", "p.parquet", "dtm.tif", "banks.csv", "line.csv")
     for out in ("a.gpkg", "b.gpkg"):
         given = [[tmp_path / name] for name in names]
-        map_of_survey(tmp_path / out, tmp_path / "t.parquet", *given, "EPSG:25833", SETTINGS)
+        map_of_campaign(tmp_path / out, [tmp_path / "t.parquet"], *given, [], MAP, SETTINGS)
         time.sleep(1.1)
     assert (tmp_path / "a.gpkg").read_bytes() == (tmp_path / "b.gpkg").read_bytes()
     found = {of["name"]: of["n"] for of in describe_layers(tmp_path / "a.gpkg")}
-    assert set(found) == {"track", "soundings", "banks", "centre_line", "contours", "sections", "thalweg"}
+    of_river = {"banks", "centre_line", "contours", "sections", "thalweg"}
+    assert set(found) == of_river | {"track", "soundings", "soundings_left_out"}
+    table, at = read_vectors(f"{tmp_path}/a.gpkg?layer=soundings_left_out").points()
+    assert table["reason"].tolist() == [REASONS["weeds"]]
+    assert at == pytest.approx(on_map[1:2], abs=1e-6)
     assert (found["track"], found["soundings"], found["banks"]) == (2, n, 2)
     track = read_vectors(f"{tmp_path}/a.gpkg?layer=track")
     assert track.crs == GRID
@@ -272,7 +284,7 @@ def test_a_survey_is_one_file_for_a_gis(model, arc, banks, tmp_path):
     for line, of in read_vectors(f"{tmp_path}/a.gpkg?layer=contours").lines():
         assert np.nanmedian(np.abs(model.at(line)[0] - of["height_m"])) < 0.02
     # alone, a trajectory is a map too
-    map_of_survey(tmp_path / "c.gpkg", tmp_path / "t.parquet", [], [], [], [], "EPSG:25833", SETTINGS)
+    map_of_campaign(tmp_path / "c.gpkg", [tmp_path / "t.parquet"], [], [], [], [], [], [], MAP, SETTINGS)
     assert [of["name"] for of in describe_layers(tmp_path / "c.gpkg")] == ["track"]
 
 
@@ -281,14 +293,13 @@ def test_patches_of_change_are_points(tmp_path):
     table = pd.DataFrame(place, columns=["east_m", "north_m", "up_m"]).assign(what="erosion", volume_m3=-3.5)
     table.to_csv(tmp_path / "patches_a_b.csv", index=False)
     table[:0].to_csv(tmp_path / "patches_b_c.csv", index=False)
-    origin = {"lat_deg": FRAME.lat_deg, "lon_deg": FRAME.lon_deg, "h_ell_m": FRAME.h_ell_m}
     files = [tmp_path / f"patches_{pair}.csv" for pair in ("a_b", "b_c")]
-    map_of_changes(tmp_path / "map.gpkg", files, {"origin": origin, "crs": "EPSG:25833"})
+    map_of_campaign(tmp_path / "map.gpkg", [], [], [], [], [], [], files, MAP, SETTINGS)
     found, at = read_vectors(f"{tmp_path}/map.gpkg?layer=changes_a_b").points()
     assert found.to_dict("records") == [{"what": "erosion", "volume_m3": -3.5}]
     assert at == pytest.approx(FRAME.to_map(place, GRID), abs=1e-6)
     # nothing has changed: a file without a row all the same
-    map_of_changes(tmp_path / "none.gpkg", files[1:], {"origin": origin, "crs": "EPSG:25833"})
+    map_of_campaign(tmp_path / "none.gpkg", [], [], [], [], [], [], files[1:], MAP, SETTINGS)
     assert [(of["name"], of["n"]) for of in describe_layers(tmp_path / "none.gpkg")] == [("changes_b_c", 0)]
 
 

@@ -1,6 +1,7 @@
 """Blocks of other people with published adjustments: both by DBAT (Boerlin and Grussenmeyer 2013)."""
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -86,9 +87,10 @@ def strasbourg(folder: Path) -> Problem:
     )
 
 
-def test_strasbourg_with_control_and_check_points(data_dir: Path) -> None:
+def test_strasbourg_with_control_and_check_points(data_dir: Path, record_property: Any) -> None:
     problem = strasbourg(data_dir / "dbat_sxb/script/sxb")
     found = adjust_block(problem, AS_STATED)
+    record_property("sigma0", found.sigma0)
     # published: sigma0 1.1786, 0.589299 px; redundancy 1261; reproduced by others to 1.178598
     assert found.sigma0 == pytest.approx(1.178598, abs=1e-6)
     assert (found.redundancy, found.n_observations, found.n_unknowns) == (1261, 2434, 1173)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -85,7 +86,7 @@ def test_the_adjustment_does_it(adjusted: AdjustedBlock) -> None:
 
 
 @pytest.mark.real
-def test_a_real_block_errs_in_its_lens_by_twice_its_variance(data_dir: Path) -> None:
+def test_a_real_block_errs_in_its_lens_by_twice_its_variance(data_dir: Path, record_property: Any) -> None:
     """Five aerial images of Strasbourg: the camera, sought freely, against its calibration.
 
     Camera constant, principal point and distortion, 7 numbers: their mean square is 1 in a band of 0.24 to
@@ -115,5 +116,6 @@ def test_a_real_block_errs_in_its_lens_by_twice_its_variance(data_dir: Path) -> 
         )
         s = np.sqrt(np.diag(C))
         square[factor] = float((off / s) @ np.linalg.solve(C / np.outer(s, s), off / s) / len(off))
+        record_property(f"nees_{factor:.0f}", square[factor])
     assert square[1.0] == pytest.approx(2.37, abs=0.05)
     assert square[2.0] == pytest.approx(1.19, abs=0.03)

@@ -6,13 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 from thalweg.cli import main
 from thalweg.core import InputError, UnsupportedError
-from thalweg.figures import save
-from thalweg.figures.firstlook import first_looks_of, recordings_page, recordings_table
-from thalweg.ingest.registry import describe, load_recording, recognise
+from thalweg.ingest.registry import describe, recognise
 
 REAL = [
     ("vlp16_mrpt_gps/sample_velodyne_vlp16_gps.pcap", "capture", "VLP-16", "points", 73_486, True),
@@ -127,36 +124,6 @@ def test_random_bytes_are_never_taken_for_a_log(rng: np.random.Generator, tmp_pa
         path.write_bytes(rng.integers(0, 256, 65_536, dtype=np.uint8).tobytes())
         with pytest.raises(InputError, match="of no known kind"):
             recognise(path)
-
-
-@pytest.mark.real
-def test_the_page_shows_every_recording(data_dir: Path, repository: Path, tmp_path: Path) -> None:
-    entries = yaml.safe_load((repository / "resources/real_recordings.yaml").read_text())
-    chosen = [e for e in entries if e["id"] in ("anpp_sdk_log", "nmea_sounder")]
-    reports, pictures = [], []
-    for entry in chosen:
-        recording = load_recording([data_dir / name for name in entry["files"]])
-        reports.append(recording.report)
-        pictures.append([])
-        for name, figure in first_looks_of(recording, title=entry["title"]).items():
-            pictures[-1].append(tmp_path / f"{entry['id']}_{name}.png")
-            save(figure, pictures[-1][-1], dpi=50)
-    titles = [e["title"] for e in chosen]
-    table = recordings_table(reports, titles)
-    assert table["time"].tolist() == ["unsynchronised", "unsynchronised"]
-    html = recordings_page(reports, titles, pictures).html()
-    assert html.count("data:image/png;base64,") == 4  # a depth and attitudes; depths and track
-    assert all(title in html for title in titles)
-    assert "http" not in html.replace("http-equiv", "")
-
-
-@pytest.mark.real
-def test_every_listed_recording_exists(data_dir: Path, repository: Path) -> None:
-    entries = yaml.safe_load((repository / "resources/real_recordings.yaml").read_text())
-    assert len({e["id"] for e in entries}) == len(entries) >= 15
-    for entry in entries:
-        for name in [*entry["files"], *entry.get("base", []), *entry.get("nav", [])]:
-            assert (data_dir / name).is_file(), name
 
 
 def test_an_sbet_without_week_is_described_but_not_placed(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from thalweg.core import LocalFrame, gps_from_unix
 from thalweg.ingest import (
     IntegrityReport,
     StreamTiming,
+    doubtful_date,
     fit_clock,
     gps_from_scale,
     possible_unix,
@@ -203,6 +204,15 @@ def test_scale_of_bare_numbers_by_their_size(first: float, scales: tuple[str, ..
     if len(scales) == 1 and scales != ("week_s",) and first != 5e7:
         told = gps_from_scale(t[:1], scales[0])
         assert told[0] == pytest.approx(2318 * 604_800 + 295_218 - 1e9, abs=1e-6)
+
+
+def test_the_first_of_all_times_tells_a_doubtful_date() -> None:
+    """1985-03-13 and 2024-06-12 are 2048 weeks apart."""
+    old, now = gps_from_unix(np.array([479_520_000.0, 1_718_150_400.0]))
+    assert doubtful_date([now, old]).startswith(
+        "The first time is 1985-03-13. A week counter that rolled over?"
+    )
+    assert doubtful_date([now, now + 1.0]) == ""
 
 
 def test_times_against_the_scale_that_their_file_states() -> None:

@@ -77,6 +77,8 @@ SYMMETRIC: Final = {
     "logical_and",
     "array_equal",
     "allclose",
+    "isclose",
+    "corrcoef",
     "print",
     "setattr",
     "column",

@@ -86,7 +86,7 @@ TABLE: list[tuple[dict[str, Any], str, tuple[str, ...]]] = [
     ({"campaign.id": "Mulde 2021"}, "campaign.id", ("small letters", "mulde_2021.yaml")),
     ({"campaign.id": "2021"}, "campaign.id", ("beginning with a letter", "c2021")),
     ({"campaign.id": "other"}, "campaign.id", ("in a file named good.yaml", "rename the file to other.yaml")),
-    ({"campaign.id": "real_logs"}, "campaign.id", ("names another target", "Choose another id")),
+    ({"campaign.id": "reproduction"}, "campaign.id", ("names another target", "Choose another id")),
     # place
     ({"campaign.crs": "EPSG:99999"}, "campaign.crs", ("unknown to PROJ", "EPSG:32633")),
     ({"campaign.crs": "UTM 33"}, "campaign.crs", ("is no CRS", "EPSG:32633, UTM at the origin")),

@@ -196,8 +196,20 @@ def test_the_longest_list_of_outputs_is_the_demo(shipped) -> None:
     for name in (
         "lidar/points.laz", "summary.csv", "accuracy/index.html",
         "accuracy/trajectories.html", "lidar/by_fused/points.laz", "triangulation/strip/bed.laz",
+        "report.pdf", "survey.qgz", "survey.gpkg",
     ):  # fmt: skip
         assert f"results/demo/{name}" in outputs
+
+
+def test_what_is_handed_over_is_made(shipped) -> None:
+    """Files of the report and of the project for QGIS are outputs; some campaigns have no report."""
+    for name in ("demo", "tiny_change"):
+        files = shipped[name]
+        assert {*files.delivered(), *files.map_rasters(), *files.map_clouds()} <= set(files.final_outputs())
+        assert len(files.delivered()) >= 4
+    assert "results/tiny_change/deformation/dod_1-2.tif" in shipped["tiny_change"].map_rasters()
+    assert not shipped["field_small"].has_report()
+    assert "results/field_small/report.pdf" not in shipped["field_small"].final_outputs()
 
 
 def test_a_survey_without_reference_and_images_has_no_pages_of_them() -> None:

@@ -100,7 +100,7 @@ def test_no_processing_rule_reads_the_truth(of_campaigns, campaign: str) -> None
         consumers |= {j.rule for j in found if any(table in name for name in j.inputs)} - {"all"}
     assert consumers
     shown = {"summarise", "accuracy_page", "calibration_page", "light_sheet_page"}
-    shown |= {"deformation_page", "bathymetry_page"}
+    shown |= {"deformation_page", "bathymetry_page", "survey_report"}
     assert all(rule in shown or rule.startswith("plot_") for rule in consumers)
     # the truth is written by the simulation alone, into its own folder
     for job in found:

@@ -61,11 +61,14 @@ def test_the_front_page_links_what_was_made(examples, name: str) -> None:
     assert len(text) < 1_500_000
 
 
-def test_photographs_by_control_points(examples) -> None:
+def test_photographs_by_control_points(examples, record_property) -> None:
     folder = examples.root / "results/photographs/photographs"
     facts = json.loads((folder / "orientation.json").read_text())
     assert facts["images"] == 5
     assert facts["check_points"]["points"] == 2
+    control = pd.read_csv(folder / "control_points.csv").query("role == 'check'")
+    for axis in ("east", "north", "up"):
+        record_property(f"{axis}_mm", np.sqrt(np.square(control[f"without_{axis}_mm"]).mean()))
     cloud = laspy.read(folder / "points.laz")
     assert len(cloud.points) == len(pd.read_csv(folder / "points.csv")) > 1500
     assert 125 < np.median(cloud.z) < 175  # streets and roofs of Strasbourg
@@ -89,12 +92,14 @@ def test_photographs_by_positions_lie_where_dbat_has_them(examples) -> None:
     assert facts["antenna_positions"] == {"source": "positions of the camera", "used": 5, "given": 5}
 
 
-def test_finished_orientations_are_judged_by_surveyed_points(examples) -> None:
+def test_finished_orientations_are_judged_by_surveyed_points(examples, record_property) -> None:
     """DBAT's own report: check points B4.6 and B3.11 differ by 0.136, 0.209, 0.339 m (root mean square)."""
     folder = examples.root / "results/finished_photographs/photographs"
     points = pd.read_csv(folder / "finished_points.csv").set_index("point")
     two = points.loc[["B4.6", "B3.11"], [f"without_{a}_mm" for a in ("east", "north", "up")]]
     rms = np.sqrt(np.square(two).mean()).to_numpy()
+    for axis, value in zip(("east", "north", "up"), rms, strict=True):
+        record_property(f"{axis}_mm", value)
     # points intersected from its poses alone; in DBAT's adjustment their marks took part: measured 9, 5, 25 %
     np.testing.assert_allclose(rms, [136, 209, 339], rtol=0.35)
     assert (points["images"] >= 1).all()
@@ -105,10 +110,12 @@ def test_finished_orientations_are_judged_by_surveyed_points(examples) -> None:
     np.testing.assert_allclose(poses["sigma_x_m"], given["sigma_x"], rtol=1e-6)
 
 
-def test_a_fixed_camera_has_the_published_place(examples) -> None:
+def test_a_fixed_camera_has_the_published_place(examples, record_property) -> None:
     """ICEpy4D: 151.65, 99.26, 91.48 m, 0.64 px; three pictures with three marks are refused."""
     poses = pd.read_csv(examples.root / "results/fixed_camera/orientation/fixed_camera.csv")
     row = poses.iloc[0]
+    for name in ("rms_px", "x_m", "y_m", "z_m"):
+        record_property(name, row[name])
     assert (row.x_m, row.y_m, row.z_m) == pytest.approx((151.65, 99.26, 91.48), abs=0.005)
     assert row.rms_px == pytest.approx(0.64, abs=0.006)
     assert poses["refused"].notna().tolist() == [False, True, True, True]
@@ -116,11 +123,14 @@ def test_a_fixed_camera_has_the_published_place(examples) -> None:
     assert "pictures with a pose</td><td>1 of 4</td><td>3 refused" in page
 
 
-def test_two_planes_are_ten_centimetres_apart(examples) -> None:
+def test_two_planes_are_ten_centimetres_apart(examples, record_property) -> None:
     """py4dgeo's M3C2 at nine core points: mean -0.100323 m; here cloud to mesh at 400 points."""
     facts = json.loads((examples.root / "results/cloud/accuracy/cloud.json").read_text())
     assert facts["without_outliers"]["bias_m"] == pytest.approx(-0.1003, abs=0.0006)
     moved = facts["registration"]
+    record_property("bias_m", facts["without_outliers"]["bias_m"])
+    record_property("up_m", moved["shift_m"]["up"])
+    record_property("sigma_up_mm", 1e3 * moved["sigma_shift_m"]["up"])
     assert moved["shift_m"]["up"] == pytest.approx(0.1003, abs=0.0006)
     # white noise of 4.3 mm over 400 points: 0.22 mm
     assert 0.12e-3 < moved["sigma_shift_m"]["up"] < 0.4e-3

@@ -73,12 +73,13 @@ def test_check_config_says_what_the_logs_give(yacht, capsys) -> None:
     assert "point cloud of the banks (logs.lidar" in adds
 
 
-def test_soundings_in_the_world(yacht) -> None:
+def test_soundings_in_the_world(yacht, record_property) -> None:
     folder = yacht.root / "results" / "mulde_2026" / "bathymetry"
     facts = json.loads((folder / "soundings.json").read_text())
     assert facts["pings"] == 149  # DPT sentences of the log
     table = pd.read_csv(folder / "soundings.csv")
     # four come after the last position, one before the first time
+    record_property("in_the_world", len(table))
     assert len(table) == facts["by_reason"][""] == 144
     assert sum(facts["by_reason"].values()) == 149
     # a DPT of 5.2 to 6.7 m below a transducer that is level with the antenna's stated lever arm
@@ -97,12 +98,14 @@ def test_the_front_page_links_all(yacht) -> None:
         assert f'href="figures/{name}.png"' in text
         assert (folder / "figures" / f"{name}.png").is_file()
     assert 'href="bathymetry/soundings.csv"' in text
+    assert (folder / "report.pdf").read_bytes().startswith(b"%PDF")
+    assert (folder / "survey.qgz").is_file()
     assert "digital twin" not in text
     assert "point cloud of the banks" in text
     assert not (folder / "lidar").exists()
 
 
-def test_a_log_without_dates_and_heights(yacht, data_dir, capsys) -> None:
+def test_a_log_without_dates_and_heights(yacht, data_dir, capsys, record_property) -> None:
     """Four hours of a yacht, places by GLL alone: what is missing is said before the first job."""
     logs, campaigns = str(data_dir / "nmea_plaka_yacht"), yacht.root / "config" / "campaigns"
     assert main(["new-campaign", "plaka", "--from-logs", logs, "--folder", str(campaigns)]) == 0
@@ -121,6 +124,7 @@ def test_a_log_without_dates_and_heights(yacht, data_dir, capsys) -> None:
     yacht.snakemake("results/plaka/bathymetry/soundings.json", "--config", "campaign=plaka")
     facts = json.loads((yacht.root / "results/plaka/bathymetry/soundings.json").read_text())
     assert facts["pings"] == 7250  # DBT sentences, PROVENANCE.md
+    record_property("in_the_world", facts["by_reason"][""])
     assert facts["by_reason"][""] == pytest.approx(6891, abs=70)
     assert sum(facts["by_reason"].values()) == 7250
 

@@ -100,7 +100,7 @@ def counted(text: str) -> set[str]:
         assert "Nothing to be done" in text
         return set()
     rules = {line.split()[0] for line in table.group(1).splitlines() if line.strip()} - {"all"}
-    return rules - {"front_page"} or rules
+    return rules - {"front_page", "survey_report"} or rules
 
 
 def edited(house, module: str, addition: str):
@@ -210,7 +210,7 @@ def test_the_processing_needs_no_truth(tiny_house) -> None:
     of = ("with_truth", "chains_with_truth", "riverbed_with_truth", "dtm_with_truth", "rig_with_truth")
     assert judges == {f"compare_{name}" for name in of}
     shown = {rule for rule in after if rule.startswith("plot_") or rule.endswith("_page")}
-    assert after - judges - shown == {"summarise", "export_layers"}
+    assert after - judges - shown == {"summarise", "export_layers", "gis_project"}
 
 
 def test_the_bed_is_as_good_as_its_sigmas_say(tiny_house) -> None:
@@ -324,6 +324,7 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
     undo = edited(tiny_house, "figures/style.py", "\n_edited = 1\n")
     assert planned(tiny_house) == pictures | {
         "accuracy_page",
+        "gis_project",
         "trajectory_comparison_page",
         "bathymetry_page",
         "viewer_page",
@@ -376,6 +377,7 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
         "build_dtm",
         "measure_river",
         "export_layers",
+        "gis_project",
         "compare_riverbed_with_truth",
         "compare_dtm_with_truth",
         "bathymetry_page",
@@ -575,6 +577,8 @@ def test_an_sbet_and_photographs_give_the_chains_of_camera_and_all_sensors(tiny_
     ).products()
     assert {row.name for row in products if row.made} == {
         "trajectory of the boat",
+        "report of survey, PDF",
+        "project for QGIS",
         "track, soundings, river for a GIS",
         "trajectories by camera and by all sensors",
     }

@@ -1,10 +1,8 @@
 """What all rules share: the validated campaigns, and thin adapters from wildcards to `thalweg.workflow`."""
 
 import logging
-import os
 from itertools import product
 
-import yaml
 from snakemake.exceptions import WorkflowError
 from snakemake.logging import DefaultFilter, get_event, logger as snakemake_logger
 from snakemake_interface_logger_plugins.common import LogEvent
@@ -115,10 +113,6 @@ FIGURES = read_figures(ROOT / "workflow" / "figures.yaml")
 # workflow/report/figure.rst finds the words for a picture here; as params they would draw it again when they change.
 config["captions"] = {row.rule: row.caption for row in FIGURES.rows}
 
-with open(ROOT / "resources" / "real_recordings.yaml") as stream:
-    RECORDINGS = {entry["id"]: entry for entry in yaml.safe_load(stream)}
-REAL_DATA = Path(os.environ.get("THALWEG_DATA", ROOT.parent / "shared" / "data"))
-
 RESULTS = "results/{campaign}"
 
 URGENT = 10
@@ -129,7 +123,6 @@ wildcard_constraints:
     campaign="|".join(CAMPAIGNS),
     by="(by_(camera|fused)/)?",
     part="[0-9]+",
-    recording="|".join(RECORDINGS),
     scan="|".join(sorted({s for f in FILES.values() for s in f.scan_names()})) or "none",
 
 
@@ -180,20 +173,17 @@ def part_of_campaigns(name):
     return files
 
 
+def reported(wildcards):
+    """Input function: tables of the report, with a word of help where there is none to hand in."""
+    files = FILES[wildcards.campaign]
+    if not files.has_report():
+        raise WorkflowError(
+            f"{files.name}: no report.pdf of a campaign of the kind `{files.campaign.kind}`; there is one of a survey "
+            f"by boat and of a change between epochs. Its page: results/{files.name}/index.html."
+        )
+    return files.report_tables()
+
+
 def of_page(page):
     """Input function: the pictures of a page."""
     return lambda wildcards: FIGURES.files(FILES[wildcards.campaign], page)
-
-
-def recording_files(key):
-    """Input function: files of one real recording, with a word of help where the folder is absent."""
-
-    def files(wildcards):
-        names = RECORDINGS[wildcards.recording].get(key, [])
-        if names and not REAL_DATA.is_dir():
-            raise WorkflowError(
-                f"The real recordings are not at {REAL_DATA}. Set THALWEG_DATA to their folder."
-            )
-        return [str(REAL_DATA / name) for name in names]
-
-    return files

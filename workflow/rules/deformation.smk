@@ -161,29 +161,6 @@ rule compare_epochs:
         "../scripts/compare_epochs.py"
 
 
-rule export_patches:
-    """Patches of significant change as layers of one GeoPackage."""
-    input:
-        patches=of(CampaignFiles.of_pairs, "patches_{}.csv"),
-    output:
-        out="results/{campaign}/deformation/map.gpkg",
-    log:
-        "logs/{campaign}/deformation/export_patches.log",
-    benchmark:
-        "benchmarks/{campaign}/deformation/export_patches.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
-    resources:
-        mem_mb=memory(1500),
-        runtime=minutes(10),
-    params:
-        **calls("thalweg.fusion.maps:map_of_changes"),
-        campaign=identity("origin", "crs"),
-    script:
-        "../scripts/call.py"
-
-
 rule difference_of_surfaces:
     """Difference of the heights of two epochs on a grid of the map, with sigmas, and volumes."""
     input:

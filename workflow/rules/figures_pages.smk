@@ -219,3 +219,33 @@ for name, entry in PAGES.items():
             title=section("campaign", "title"),
         script:
             "../scripts/call.py"
+
+
+rule survey_report:
+    """Report of survey, or of change, to hand in: PDF of all chosen results with checksums of the products."""
+    input:
+        tables=reported,
+        trajectory=of(CampaignFiles.page_path),
+        products=lambda wildcards: list(FILES[wildcards.campaign].delivered()),
+        pictures=lambda wildcards: FIGURES.files(FILES[wildcards.campaign]),
+    output:
+        report=f"{RESULTS}/report.pdf",
+    log:
+        "logs/{campaign}/figures/survey_report.log",
+    benchmark:
+        "benchmarks/{campaign}/figures/survey_report.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        **calls("thalweg.figures.survey_report.report:write_survey_report"),
+        words=of(CampaignFiles.delivered),
+        captions={row.name: row.caption for row in FIGURES.rows},
+        settings=of(CampaignFiles.report_settings),
+        title=section("campaign", "title"),
+        twin=of(CampaignFiles.is_twin),
+    script:
+        "../scripts/call.py"

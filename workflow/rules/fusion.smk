@@ -67,15 +67,17 @@ rule measure_river:
 
 
 rule export_layers:
-    """Track, soundings, banks, contours and sections as layers of one GeoPackage."""
+    """Track, soundings, banks, contours and sections, or patches of change, as layers of one GeoPackage."""
     input:
-        trajectory=of(CampaignFiles.best_trajectory),
+        trajectory=of(CampaignFiles.page_path),
         soundings=of(CampaignFiles.mapped, "bathymetry/soundings.csv"),
+        pings=of(CampaignFiles.mapped, "bathymetry/soundings.parquet"),
         dtm=of(CampaignFiles.mapped, "fusion/dtm.tif"),
         banks=of(CampaignFiles.mapped, "bathymetry/banks.csv"),
         line=of(CampaignFiles.mapped, "bathymetry/centre_line.csv"),
+        patches=of(CampaignFiles.patches),
     output:
-        out="results/{campaign}/map.gpkg",
+        out="results/{campaign}/survey.gpkg",
     log:
         "logs/{campaign}/fusion/export_layers.log",
     benchmark:
@@ -87,8 +89,34 @@ rule export_layers:
         mem_mb=memory(2000, 15),
         runtime=minutes(10, 30),
     params:
-        **calls("thalweg.fusion.maps:map_of_survey"),
-        crs=section("campaign", "crs"),
+        **calls("thalweg.fusion.maps:map_of_campaign"),
+        campaign=identity("origin", "crs"),
         fusion=section("fusion"),
+    script:
+        "../scripts/call.py"
+
+
+rule gis_project:
+    """Layers, models and cloud of a campaign as a project for QGIS, drawn as in the figures."""
+    input:
+        layers="results/{campaign}/survey.gpkg",
+        rasters=of(CampaignFiles.map_rasters),
+        clouds=of(CampaignFiles.map_clouds),
+    output:
+        out="results/{campaign}/survey.qgz",
+    log:
+        "logs/{campaign}/fusion/gis_project.log",
+    benchmark:
+        "benchmarks/{campaign}/fusion/gis_project.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        **calls("thalweg.figures.gis:write_gis_project"),
+        title=section("campaign", "title"),
+        crs=section("campaign", "crs"),
     script:
         "../scripts/call.py"

@@ -82,7 +82,7 @@ class ThalwegError(Exception):
             text += f"; expected {expected}"
         text += "."
         if cure:
-            text += f" {cure.rstrip('.')}."
+            text += f" {cure}" if cure.endswith("?") else f" {cure.rstrip('.')}."
         super().__init__(text)
 
 

@@ -11,7 +11,13 @@ from .catalogue import (
     write_catalogue as write_catalogue,
 )
 from .front import write_front_page as write_front_page
-from .page import JUDGED as JUDGED, Finding as Finding, Page as Page
+from .page import (
+    BACK as BACK,
+    JUDGED as JUDGED,
+    Finding as Finding,
+    Page as Page,
+    front_page_of as front_page_of,
+)
 from .style import (
     BLUE as BLUE,
     DEPTH_MAP as DEPTH_MAP,

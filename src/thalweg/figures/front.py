@@ -179,8 +179,10 @@ def _of_survey(files: Mapping[str, Path], track: Trajectory, chain: str) -> Iter
     gaps = track_gaps(track)
     missing = f"{plural(len(gaps), 'gap')}, {sum(length for _, length in gaps):.1f} s" if gaps else "no gap"
     compared = "accuracy/trajectories.html" if "accuracy/trajectories.html" in files else ""
-    words = CHAINS[chain]
-    yield Finding(f"position of the boat, median 3D σ, {words}", centimetres(sigma_m), missing, compared)
+    words = "GNSS" if chain == "trajectory" and "ingest/ins.integrity.json" not in files else CHAINS[chain]
+    sigma = centimetres(sigma_m) if sigma_m < 1 else f"{sigma_m:.1f} m"
+    evidence = compared or "figures/trajectory.png"
+    yield Finding(f"position of the boat, median 3D σ, {words}", sigma, missing, evidence)
     for name, of in CHAINS.items():
         folder = "by_fused/" if name == "trajectory_fused" else ""
         if statistics := files.get(f"accuracy/{folder}statistics.csv"):
@@ -198,18 +200,19 @@ def _of_survey(files: Mapping[str, Path], track: Trajectory, chain: str) -> Iter
         quantity = f"riverbed, RMSE of {bed['lines']} left-out lines"
         yield Finding(quantity, centimetres(bed["rmse_m"]), words, "bathymetry/index.html")
     if counts := files.get("lidar/counts.csv"):
-        kept = pd.read_csv(counts).set_index("reason").T["kept"]
-        share = f"{100 * kept['share']:.0f} % of those decoded pass the filters"
-        yield Finding("points in the cloud", count(kept["n"]), share, "viewer/index.html")
+        n = pd.read_csv(counts).set_index("reason")["n"]
+        yield Finding(
+            "points in the cloud", count(n["kept"]), f"of {count(n.sum())} decoded", "viewer/index.html"
+        )
     if soundings := files.get("bathymetry/soundings.json"):
         pings = read_json(soundings)
         used = f"of {count(pings['pings'])} pings"
         bed_page = "bathymetry/index.html" if validation else "figures/soundings.png"
         yield Finding("soundings used", count(pings["by_reason"][""]), used, bed_page)
     reports = [IntegrityReport.read(path) for name, path in files.items() if name.endswith(".integrity.json")]
-    lost = sum(sum(report.losses.values()) for report in reports)
-    clean = f"{sum(report.clean for report in reports)} of {len(reports)} recordings complete"
-    yield Finding("records lost or damaged", count(lost) if lost else "none", clean, "#recordings")
+    clean = sum(report.clean for report in reports)
+    words = "nothing lost or damaged" if clean == len(reports) else "of the others something is missing"
+    yield Finding("complete recordings", f"{clean} of {len(reports)}", words, "#recordings")
 
 
 def _stream(path: Path) -> str:

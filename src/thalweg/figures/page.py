@@ -63,6 +63,8 @@ class Finding:
 TONES: Final = {
     "consistent": "good",
     "no gap": "good",
+    "nothing lost or damaged": "good",
+    "something is missing": "unsure",
     "too optimistic": "bad",
     "too pessimistic": "unsure",
     "too few data": "unsure",
@@ -286,10 +288,8 @@ class Page:
             if end > k + 1:
                 # browsers open what is folded where an address leads into it
                 heading, anchor = re.sub("<[^>]*>", "", body[k]), body[k].split('"')[1]
-                within = "\n".join(body[k + 1 : end])
-                parts.append(
-                    f'<details><summary>{heading}</summary><span id="{anchor}"></span>{within}</details>'
-                )
+                within = "\n".join([f'<span id="{anchor}"></span>', *body[k + 1 : end]])
+                parts.append(f"<details><summary><h2>{heading}</h2></summary>{within}</details>")
         return parts
 
     def write(self, path: Path) -> None:

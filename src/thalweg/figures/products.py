@@ -8,17 +8,15 @@ Product = tuple[str, str, str]
 MAP_FILES: Final[Sequence[Product]] = (
     ("report.pdf", "Report of survey", "to print and hand in"),
     ("survey.qgz", "QGIS project", "QGIS: everything on one map"),
-    ("survey.gpkg", "Layers of that project", "QGIS, ArcGIS"),
+    ("survey.gpkg", "Its layers: track, soundings, river, changes", "QGIS, ArcGIS"),
     ("lidar/points_map.laz", "Point cloud, INS and GNSS", "CloudCompare, QGIS, CAD"),
     ("lidar/points_map.copc.laz", "The same cloud, streamable (COPC)", "QGIS, PDAL, Potree"),
     ("fusion/dtm.tif", "Terrain model of bed and banks", "QGIS, ArcGIS, hydraulic models"),
     ("bathymetry/bed.tif", "Riverbed with standard deviations", "QGIS, ArcGIS"),
     ("bathymetry/soundings.csv", "Georeferenced soundings", "QGIS, spreadsheets"),
-    ("map.gpkg", "Track, soundings, banks, sections", "QGIS, ArcGIS"),
     ("orientation/track.geojson", "Track", "QGIS, web maps"),
     ("orientation/track.kml", "Track", "Google Earth"),
     ("fusion/exports", "Meshes and cross sections", "HEC-RAS, TELEMAC, SMS, EPA SWMM"),
-    ("deformation/map.gpkg", "Changes, patches, volumes", "QGIS, ArcGIS"),
     ("deformation/dod_*.tif", "Difference of heights", "QGIS, ArcGIS"),
 )
 OWN_FILES: Final[Sequence[Product]] = (

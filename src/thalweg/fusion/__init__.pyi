@@ -33,12 +33,7 @@ from .exports import (
     write_ugrid as write_ugrid,
 )
 from .ground import Ground as Ground, filter_ground as filter_ground
-from .maps import (
-    map_of_bed as map_of_bed,
-    map_of_changes as map_of_changes,
-    map_of_survey as map_of_survey,
-    write_layers as write_layers,
-)
+from .maps import map_of_bed as map_of_bed, map_of_campaign as map_of_campaign, write_layers as write_layers
 from .measures import (
     WIDE as WIDE,
     Section as Section,

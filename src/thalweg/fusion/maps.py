@@ -9,8 +9,8 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from pyproj import CRS
 
-from thalweg.bathymetry import SIDES, BedOfTable, FlowLine, TableOfSoundings
-from thalweg.core import ArrayF, CoverageError, LocalFrame, Trajectory, utc_text_from_gps
+from thalweg.bathymetry import REASONS, SIDES, BedOfTable, FlowLine, TableOfSoundings
+from thalweg.core import ArrayF, CoverageError, LocalFrame, Trajectory, read_parquet, utc_text_from_gps
 from thalweg.fusion.dtm import Dtm
 from thalweg.fusion.exports import contour_lines
 from thalweg.fusion.measures import cut_sections
@@ -37,59 +37,67 @@ def write_layers(path: Path, layers: Mapping[str, "GeoDataFrame"]) -> None:
     pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": "2000-01-01T00:00:00Z"})
     try:
         for name, table in layers.items():
-            pyogrio.write_dataframe(table, path, layer=name, driver="GPKG")
+            # in a version that long-term releases of QGIS read without a warning
+            pyogrio.write_dataframe(
+                table, path, layer=name, driver="GPKG", dataset_options={"VERSION": "1.2"}
+            )
     finally:
         pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": None})
 
 
-def map_of_survey(
+def map_of_campaign(
     out: Path,
-    trajectory: Path,
+    trajectory: list[Path],
     soundings: list[Path],
+    pings: list[Path],
     dtm: list[Path],
     banks: list[Path],
     line: list[Path],
-    crs: str,
+    patches: list[Path],
+    campaign: dict[str, Any],
     fusion: Fusion,
 ) -> None:
-    """Track, soundings, banks, centre line, contours and sections of a survey as layers of a GeoPackage.
+    """Results of a survey, or of a comparison of epochs, as layers of a GeoPackage.
 
     Parameters
     ----------
     out : file to write.
-    trajectory, soundings, dtm, banks, line : results, as far as there are.
-    crs : of the map.
-    fusion : interval of contours, distance of sections.
-    """
-    system = CRS.from_user_input(crs)
-    path = Trajectory.read(trajectory)
-    layers = {"track": _track(path, system)}
-    if soundings:
-        table = pd.read_csv(soundings[0])
-        layers["soundings"] = _points(table, ["east", "north", "height"], system)
-    if dtm:
-        layers |= _river(Dtm.read(dtm[0]), banks[0], line[0], path.frame, system, fusion)
-    write_layers(out, layers)
-
-
-def map_of_changes(out: Path, patches: list[Path], campaign: dict[str, Any]) -> None:
-    """Patches of significant change as points at their middles, a layer for each pair of epochs.
-
-    Parameters
-    ----------
-    out : file to write.
-    patches : ``patches_<pair>.csv``.
+    trajectory, soundings, pings, dtm, banks, line : results of a survey, as far as there are: ``pings`` is
+        ``soundings.parquet``, whose left-out soundings are a layer with their reasons.
+    patches : ``patches_<pair>.csv`` of a comparison, a layer of points for each pair of epochs.
     campaign : origin and crs.
+    fusion : interval of contours, distance of sections.
     """
     frame, crs = LocalFrame(**campaign["origin"]), CRS.from_user_input(campaign["crs"])
     layers = {}
+    for path in trajectory:
+        layers["track"] = _track(Trajectory.read(path), crs)
+    for path in soundings:
+        layers["soundings"] = _points(pd.read_csv(path), ["east", "north", "height"], crs)
+    for path in pings:
+        layers["soundings_left_out"] = _left_out(read_parquet(path), frame, crs)
+    if dtm:
+        layers |= _river(Dtm.read(dtm[0]), banks[0], line[0], frame, crs, fusion)
     for path in patches:
         table = pd.read_csv(path)
-        columns = ["east_m", "north_m", "up_m"]
-        if len(table):
-            table[columns] = frame.to_map(table[columns].to_numpy(np.float64), crs)
-        layers[path.stem.replace("patches", "changes")] = _points(table, columns, crs)
+        layers[path.stem.replace("patches", "changes")] = _local_points(table, frame, crs)
     write_layers(out, layers)
+
+
+def _local_points(table: pd.DataFrame, frame: LocalFrame, crs: CRS) -> "GeoDataFrame":
+    """Points of a table with places in the local frame."""
+    columns = ["east_m", "north_m", "up_m"]
+    if len(table):
+        table = table.copy()
+        table[columns] = frame.to_map(table[columns].to_numpy(np.float64), crs)
+    return _points(table, columns, crs)
+
+
+def _left_out(table: pd.DataFrame, frame: LocalFrame, crs: CRS) -> "GeoDataFrame":
+    """Soundings that do not count, as far as they have a place, with the reason in words."""
+    away = table[~table["used"] & table["up_m"].notna()]
+    columns = ["east_m", "north_m", "up_m", "depth_m", "t_gps_s", "line"]
+    return _local_points(away[columns].assign(reason=away["reason"].map(REASONS)), frame, crs)
 
 
 def map_of_bed(out: Path, found: BedOfTable, soundings: TableOfSoundings) -> None:

@@ -23,6 +23,13 @@ from .readers import (
     empty_points as empty_points,
     read_head as read_head,
 )
+from .recordings import (
+    PublicFile as PublicFile,
+    PublicRecording as PublicRecording,
+    fetch_recording as fetch_recording,
+    public_recordings as public_recordings,
+    recording_named as recording_named,
+)
 from .schemas import (
     DEPTH as DEPTH,
     GNSS_POSITION as GNSS_POSITION,

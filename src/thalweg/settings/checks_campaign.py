@@ -622,7 +622,7 @@ def check_scans(logs: Logs, files: Mapping[str, tuple[str, ...]]) -> Iterator[Mi
 # ---------------------------------------------------------------- campaign
 
 
-RESERVED_IDS = frozenset({"real_logs"})
+RESERVED_IDS = frozenset({"reproduction", "site"})
 """Names that other targets use below ``results``."""
 
 MAX_LEVER_M = 10.0

@@ -30,6 +30,24 @@ _WORDS_OF_CHAIN: Final = {"ins": "by INS", "camera": "by camera", "fused": "by a
 AUTO_WINDOW_S: Final = 1800.0
 """Windows of a log on a cluster: an hour of a VLP-16 is a few minutes' work, and each job takes seconds to
 start."""
+_FOR_GIS: Final = ("survey.gpkg", "survey.qgz")
+_DELIVERED: Final = {
+    "survey.qgz": "project for QGIS",
+    "survey.gpkg": "track, soundings, river, or patches of change: layers for a GIS",
+    "lidar/points_map.copc.laz": "point cloud in the map grid, COPC",
+    "lidar/points_map.laz": "point cloud in the map grid, LAZ",
+    "lidar/points.laz": "point cloud in the local frame, with standard deviations",
+    "lidar/coloured.laz": "point cloud in the colours of photographs, local frame",
+    "bathymetry/soundings.csv": "soundings in the map grid with uncertainties and order of IHO S-44",
+    "bathymetry/bed.tif": "grid of the riverbed: height and standard deviation",
+    "fusion/dtm.tif": "terrain model of bed and banks: height, standard deviation, source",
+    "triangulation/strip/bed.laz": "strip of the bed by the light sheet",
+    "orientation/trajectory.parquet": "trajectory by INS and GNSS with covariances, local frame",
+    "orientation/trajectory_fused.parquet": "trajectory by all sensors with covariances, local frame",
+    "orientation/track.geojson": "track by GNSS",
+    "summary.csv": "the most important figures",
+}
+"""Files to hand over with the report, and what they are."""
 _SERIES: Final = {"calibration": "grid_images", "panels": "panel_images", "strip": "strip_images"}
 """Streams of the series of images of the light-sheet sensor that are no scans."""
 
@@ -923,9 +941,24 @@ class CampaignFiles:
         return [*made, *self.bed_truth(), *self._where(self.has_bed(), "fusion/dtm.tif", "fusion/river.json")]
 
     def mapped(self, name: str) -> list[str]:
-        """What ``map.gpkg`` of a survey draws beside its track: soundings, or what shows the river."""
-        made = self.has_soundings() if name == "bathymetry/soundings.csv" else self.has_bed()
+        """What ``survey.gpkg`` draws beside the track: soundings, or what shows the river."""
+        made = self.has_soundings() if name.startswith("bathymetry/soundings.") else self.has_bed()
         return self._where(made, name)
+
+    def patches(self) -> list[str]:
+        """Patches of change, of each pair of epochs."""
+        return self.of_pairs("patches_{}.csv") if self.campaign.is_change else []
+
+    def map_rasters(self) -> list[str]:
+        """Grids of the project for QGIS, the uppermost first."""
+        if self.campaign.is_change:
+            return self.of_pairs("dod_{}.tif")
+        return self._where(self.has_bed(), "bathymetry/bed.tif", "fusion/dtm.tif")
+
+    def map_clouds(self) -> list[str]:
+        """The cloud of the project for QGIS."""
+        exported = self._is_survey() and self.has_lidar() and self.campaign.georeferencing.export_map
+        return self._where(exported, "lidar/points_map.copc.laz")
 
     # ------------------------------------------------------------ change between epochs
 
@@ -1086,7 +1119,7 @@ class CampaignFiles:
             *self.of_pairs("volumes_along_{}.csv"),
             *self.of_pairs("retreat_{}.csv"),
             *self.of_pairs("dod_{}.tif"),
-            self._result("deformation/map.gpkg"),
+            *self._where(True, *_FOR_GIS),
             *self._where(self.has_many_epochs(), "deformation/series.parquet"),
             *self.change_truth(),
             self._result("deformation/index.html"),
@@ -1122,11 +1155,10 @@ class CampaignFiles:
                 return self._where(True, "accuracy/cloud_to_surface.laz", "accuracy/cloud.html")
         lidar = self.has_lidar()
         tables = ("orientation/trajectory.parquet", "timing/streams.csv", "timing/time_report.csv")
-        outputs = [*self._where(True, *tables, "summary.csv", "map.gpkg"), *self._map_of_track()]
+        outputs = [*self._where(True, *tables, "summary.csv", *_FOR_GIS), *self._map_of_track()]
         outputs += self.ins_points()
         outputs += [*self.echo_outputs(), *self._strip_outputs(), *self._bed_outputs()]
-        exported = lidar and self.campaign.georeferencing.export_map
-        outputs += self._where(exported, "lidar/points_map.laz", "lidar/points_map.copc.laz")
+        outputs += self._where(self.map_clouds(), "lidar/points_map.laz", "lidar/points_map.copc.laz")
         if self.has_time_lapse():
             outputs.append(self.trajectory("fused"))
         if self.has_time_lapse() and lidar:
@@ -1144,6 +1176,54 @@ class CampaignFiles:
             outputs += [self._result(f"accuracy/{name}") for name in compared]
         return outputs
 
+    def has_report(self) -> bool:
+        """True if there is a report to hand in: of a survey, or of change."""
+        return self._is_survey() or self.campaign.is_change
+
+    def delivered(self) -> dict[str, str]:
+        """Files to hand over with the report, and what they are, in the order of the report."""
+        made = set(self._made())
+        words = {self._result(name): what for name, what in _DELIVERED.items()}
+        if self.campaign.is_change:
+            words |= dict.fromkeys(
+                self.of_pairs("dod_{}.tif"), "change of height and standard deviation, grid"
+            )
+            words |= dict.fromkeys(self.of_pairs("changes_{}.laz"), "change at each place, local frame")
+        return {path: what for path, what in words.items() if path in made}
+
+    def report_tables(self) -> list[str]:
+        """Tables that the report of survey, or of change, takes its numbers from."""
+        if self.campaign.is_change:
+            tables = ("volumes_{}.csv", "patches_{}.csv", "registration_{}.json")
+            return [file for name in tables for file in self.of_pairs(name)]
+        bed = ("bathymetry/variogram.json", "bathymetry/water_level.json", "bathymetry/banks.csv")
+        return [
+            *self._where(True, "timing/streams.csv", "timing/time_report.csv", "orientation/trajectory.json"),
+            self.mounts_of_chain(""),
+            *self.reports(),
+            *self.counts_of_points(),
+            *self.sounding_facts(),
+            *self._where(self.has_soundings(), "bathymetry/soundings.csv"),
+            *self._where(self.echo_outputs(), "calibration/echo_sounder.json"),
+            *self._where(self.has_bed(), *bed, "fusion/river.json", "fusion/dtm.json"),
+            *self.bed_validation(),
+            *self.adjustment_facts(),
+            *self.reference_statistics(),
+            *self.bed_truth(),
+        ]
+
+    def report_settings(self) -> dict[str, Any]:
+        """What the report says of settings."""
+        sections = ("campaign", "orientation", "echo_sounder", "filters")
+        carried = {
+            "lidar": self.has_lidar(),
+            "camera": self.has_time_lapse() or self.has_panoramas(),
+            "antenna": self.position_source() not in ("ins", "sbet"),
+            "echo_sounder": self.has_soundings(),
+        }
+        found = {key: self.plain[key] for key in sections} | {"epochs": self.epoch_names()}
+        return found | {"sensors": [name for name, there in carried.items() if there]}
+
     def products(self) -> list[Product]:
         """What a campaign gives from its logs, and what one more log would add."""
         alone = self._products_alone()
@@ -1151,7 +1231,9 @@ class CampaignFiles:
             return alone
         rows = (
             ("trajectory of the boat", self.trajectory("ins"), True, ""),
-            ("track, soundings, river for a GIS", self._result("map.gpkg"), True, ""),
+            ("report of survey, PDF", self._result("report.pdf"), True, ""),
+            ("project for QGIS", self._result("survey.qgz"), True, ""),
+            ("track, soundings, river for a GIS", self._result("survey.gpkg"), True, ""),
             (
                 "soundings in the world",
                 self._result("bathymetry/soundings.csv"),
@@ -1263,11 +1345,12 @@ class CampaignFiles:
         reports += self._where(self.has_panoramas(), "ingest/rig.integrity.json")
         fused = self.of_compared_chains("statistics.csv")[2:] if self.has_time_lapse() else []
         facts = [*self.counts_of_points(), *self.sounding_facts()] if self._is_survey() else []
-        return list(dict.fromkeys([*self._made(), *reports, *fused, *facts]))
+        others = [path for path in self.final_outputs() if path != self._result("index.html")]
+        return list(dict.fromkeys([*others, *reports, *fused, *facts]))
 
     def final_outputs(self) -> list[str]:
         """The tables and pages that `all` builds; pictures stand in `thalweg.workflow.figures`."""
-        return [*self._made(), self._result("index.html")]
+        return [*self._made(), *self._where(self.has_report(), "report.pdf"), self._result("index.html")]
 
     def target(self, name: str) -> list[str]:
         """What the target ``ingest``, ``lidar``, ``images`` or ``accuracy`` builds."""

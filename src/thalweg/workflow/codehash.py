@@ -29,7 +29,7 @@ SOURCE = Path(__file__).resolve().parents[2]
 """Folder of the packages: library and laboratory."""
 SCRIPTS = SOURCE.parent / "workflow" / "scripts"
 
-DATA_SUFFIXES = {".mplstyle", ".csv", ".yaml", ".json", ".html", ".css", ".js"}
+DATA_SUFFIXES = {".mplstyle", ".typ", ".csv", ".yaml", ".json", ".html", ".css", ".js"}
 """Files inside a package that count as code."""
 
 _DIGITS = 12

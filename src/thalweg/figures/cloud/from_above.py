@@ -40,7 +40,6 @@ _LEAST_MARGIN_M: Final = 8.0
 """Around track and bed, in shares of their extent, and at least."""
 
 
-@styled
 def draw_from_above(
     *,
     trajectory: Path,
@@ -52,51 +51,70 @@ def draw_from_above(
     crs: str,
     twin: bool,
 ) -> Figure:
-    """Cloud by height above the water, bed or soundings by depth, track, scale and north, from above.
+    """Trajectory, cloud, bed with its line and water level, soundings on the map -> the survey from above."""
+    path = Trajectory.read(trajectory)
+    wet, depth_m, cell_m = _water(path, bed, line, level, soundings, crs)
+    view = view_of(np.vstack([path.position_wcs_m[path.valid], wet]))
+    land = None
+    water_up_m = json.loads(level[0].read_text())["level_m"] if level else 0.0
+    if points:
+        land = Splat(view)
+        for chunk in iter_laz(points[0], 1_000_000):
+            land.add(chunk["xyz_m"], chunk["xyz_m"][:, 2] - water_up_m)
+    above = "height above the water / m" if level else "height / m"
+    return from_above(path, view, land, wet, depth_m, cell_m=cell_m, above=above, twin=twin)
+
+
+@styled
+def from_above(
+    path: Trajectory,
+    view: ObliqueView,
+    land: Splat[ObliqueView] | None,
+    wet_m: ArrayF,
+    depth_m: ArrayF,
+    *,
+    cell_m: float = 0.0,
+    above: str = "height / m",
+    twin: bool = False,
+) -> Figure:
+    """Cloud by height, bed or soundings by depth, track, scale and north.
 
     Parameters
     ----------
-    trajectory : of the boat.
-    points, bed, line, level : cloud; raster of the bed, centre line and water level; none or one each.
-    soundings : table of soundings on the map, drawn where there is no bed.
-    crs : of that map.
+    path : of the boat.
+    view : as `view_of` makes it.
+    land : the cloud with its heights; None: there is none.
+    wet_m, depth_m : (n, 3) places in the local frame, (n,) their depths.
+    cell_m : size of a cell of the bed; 0: the places are soundings, which lie on the track.
+    above : what the heights are.
     twin : whether a digital twin made the data.
     """
-    path = Trajectory.read(trajectory)
-    track = path.position_wcs_m[path.valid]
-    wet, depth_m, cell_m = _water(path, bed, line, level, soundings, crs)
-    view = _view(np.vstack([track, wet]))
-    water_up_m = json.loads(level[0].read_text())["level_m"] if level else 0.0
     picture = np.full((view.height_px, view.width_px, 3), 255, np.uint8)
     bars: list[tuple[ListedColormap, tuple[float, float], str]] = []
-    if len(wet):
-        limits = (0.0, robust_limits(depth_m, 0.5, 99.5)[1])
-        radius = int(np.ceil(0.5 * cell_m / view.pixel_m)) if bed else _DOT_PX
-        picture = _laid_on(picture, _splat(view, [wet], [depth_m]), WATER, limits, radius, shading=0.0)
+    if len(wet_m):
+        water, limits = Splat(view), (0.0, robust_limits(depth_m, 0.5, 99.5)[1])
+        water.add(wet_m, depth_m)
+        radius = int(np.ceil(0.5 * cell_m / view.pixel_m)) if cell_m else _DOT_PX
+        picture = _laid_on(picture, water, WATER, limits, radius, shading=0.0)
         bars.append((WATER, limits, "water depth / m"))
-    if points:
-        chunks = [chunk["xyz_m"] for chunk in iter_laz(points[0], 1_000_000)]
-        land = _splat(view, chunks, [chunk[:, 2] - water_up_m for chunk in chunks])
+    if land is not None:
         limits = (0.0, robust_limits(land.buffers()[1], 1, 97)[1])
         picture = _laid_on(picture, land, LAND, limits, land.radius_px(), shading=1.0)
-        bars.append((LAND, limits, "height above the water / m" if level else "height / m"))
+        bars.append((LAND, limits, above))
     figure = new_figure(WIDTH_MM * _SHAPE + (14.0 if bars else 2.0), "", twin=twin)
     rows: Any = [["map"] * max(len(bars), 1)] + ([[name for _, _, name in bars]] if bars else [])
     axes = figure.subplot_mosaic(rows, height_ratios=[45, 1][: len(rows)])
     ax = axes["map"]
     right, bottom = np.array([view.width_px, -view.height_px]) * view.pixel_m + [view.left_m, view.top_m]
     ax.imshow(picture, extent=(view.left_m, right, bottom, view.top_m), interpolation="antialiased")
-    # soundings lie on the track
-    look: dict[str, Any] = (
-        {"color": "black", "lw": 0.5} if len(wet) and not bed else {"lw": 1.5, "path_effects": HALO}
-    )
-    # it is broken where no pose is
+    look: dict[str, Any] = {"lw": 1.5, "path_effects": HALO} if cell_m or not len(wet_m) else {"lw": 0.5}
+    # a line is broken where no pose is
     east_north = np.where(path.valid[:, None], path.position_wcs_m[:, :2], np.nan)
-    ax.plot(*east_north.T, **{"color": VERMILION, "label": "track of the boat"} | look)
+    ax.plot(*east_north.T, color=VERMILION, label="track of the boat", gid="track", **look)
     draw_ends(ax, path)
     ax.legend(loc="upper left", ncols=3, fontsize=7, edgecolor="none", borderaxespad=0.2)
     ax.set(xlim=(view.left_m, right), ylim=(bottom, view.top_m))
-    marks_in_free_corners(ax, np.vstack([track, wet])[:, :2])
+    marks_in_free_corners(ax, np.vstack([path.position_wcs_m[path.valid], wet_m])[:, :2])
     ax.set_axis_off()
     for colours, limits, name in bars:
         scale = ScalarMappable(Normalize(*limits), colours)
@@ -109,7 +127,7 @@ def draw_from_above(
 def _water(
     path: Trajectory, bed: list[Path], line: list[Path], level: list[Path], soundings: list[Path], crs: str
 ) -> tuple[ArrayF, ArrayF, float]:
-    """Places (n, 3) in the local frame with their depths (n,), and how far one of them reaches, metres."""
+    """Places (n, 3) in the local frame with their depths (n,), and the size of a cell of a bed, else 0."""
     if bed:
         grid, bands, _ = read_raster(bed[0])
         depth = depth_of(grid, bands, path.frame, FlowLine.read(line[0]), level[0])[0].ravel()
@@ -124,7 +142,7 @@ def _water(
     return np.empty((0, 3)), np.empty(0), 0.0
 
 
-def _view(shown: ArrayF) -> ObliqueView:
+def view_of(shown: ArrayF) -> ObliqueView:
     """A view from above, north up, that holds these places with a margin."""
     low, high = shown[:, :2].min(axis=0), shown[:, :2].max(axis=0)
     span = high - low + 2 * max(_MARGIN * float((high - low).max()), _LEAST_MARGIN_M)
@@ -139,13 +157,6 @@ def _view(shown: ArrayF) -> ObliqueView:
         width_px=_WIDTH_PX,
         height_px=int(_WIDTH_PX * _SHAPE),
     )
-
-
-def _splat(view: ObliqueView, places: list[ArrayF], values: list[ArrayF]) -> Splat[ObliqueView]:
-    splat = Splat(view)
-    for xyz, value in zip(places, values, strict=True):
-        splat.add(xyz, value)
-    return splat
 
 
 def _laid_on(

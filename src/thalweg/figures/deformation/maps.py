@@ -201,7 +201,7 @@ def read_pairs(
 
 def signed(value: float, digits: int) -> str:
     """A number with its sign, and a true minus."""
-    return f"{value:+.{digits}f}".replace("-", "\N{MINUS SIGN}")
+    return f"{round(value, digits) + 0.0:+.{digits}f}".replace("-", "\N{MINUS SIGN}")
 
 
 def marker_pt(pair: BankPair, width_mm: float = DRAWN_MM) -> float:

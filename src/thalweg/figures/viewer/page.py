@@ -47,15 +47,16 @@ from thalweg.core import (
 from thalweg.core.geometry import Node, build_octree
 from thalweg.deformation.foreign import TEXT, read_points
 from thalweg.figures import (
+    BACK,
     HEIGHT_MAP,
     RANGE_MAP,
     REFLECTANCE_MAP,
     SIGMA_MAP,
     TIME_MAP,
     TWIN_MARK,
+    front_page_of,
     robust_limits,
 )
-from thalweg.figures.page import BACK, front_page_of
 from thalweg.images.model import named_once
 from thalweg.ingest.clouds import read_cloud
 from thalweg.lidar import COLOUR_DIMENSIONS, CORRELATIONS, SIGMAS, UNSEEN_GREY

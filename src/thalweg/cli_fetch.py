@@ -1,0 +1,43 @@
+"""The command ``thalweg fetch``: public recordings of other people."""
+
+import argparse
+import os
+from pathlib import Path
+
+from thalweg.cli_parser import Commands
+
+
+def add_fetch_command(commands: Commands) -> None:
+    """Add ``fetch``."""
+    fetch = commands.add_parser(
+        "fetch", help="public recordings of other people, from their origins; without names: what there is"
+    )
+    fetch.add_argument("names", nargs="*", metavar="NAME", help="recording, as the list names it")
+    fetch.add_argument("--all", action="store_true", help="every recording of the list")
+    fetch.add_argument(
+        "--to",
+        type=Path,
+        default=Path(),
+        metavar="FOLDER",
+        help="where to write: a folder for each recording (default: here)",
+    )
+    fetch.set_defaults(command=_fetch)
+
+
+def _fetch(options: argparse.Namespace) -> int:
+    from thalweg.ingest import fetch_recording, public_recordings, recording_named
+
+    known = public_recordings()
+    chosen = [*known.values()] if options.all else [recording_named(each, known) for each in options.names]
+    if not chosen:
+        for each in known.values():
+            print(f"{each.name:33s} {each.size_bytes / 1e3:7,.0f} kB  {each.what} ({each.licence})")
+        print("Fetch one with `thalweg fetch NAME`, all of them with `thalweg fetch --all --to FOLDER`.")
+    mirror = Path(text) if (text := os.environ.get("THALWEG_DATA")) else None
+    for each in chosen:
+        folder = fetch_recording(each, options.to, mirror)
+        print(f"{folder}: {len(each.files)} files, {each.size_bytes / 1e3:,.0f} kB: {each.what}")
+        print(f"    by {each.credit}; licence {each.licence}; {each.page}")
+        if each.elsewhere:
+            print(f"    not among them: {each.elsewhere}")
+    return 0
