@@ -89,7 +89,7 @@ rule all:
     default_target: True
     input:
         [files.final_outputs() for files in BUILT],
-        [FIGURES.files(files) for files in BUILT],
+        [FIGURES.files_to_keep(files) for files in BUILT],
         [laboratory.ledger_outputs(files) for files in BUILT],
 
 
@@ -126,7 +126,7 @@ rule deformation:
 rule figures:
     """Every picture of the chosen campaigns."""
     input:
-        [FIGURES.files(files) for files in BUILT],
+        [FIGURES.files_to_keep(files) for files in BUILT],
 
 
 rule reproduce:

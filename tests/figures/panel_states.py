@@ -6,7 +6,7 @@ import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any, Final, get_args
 
@@ -15,6 +15,8 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 from matplotlib.figure import Figure
+
+from tests.sentences import of_html, too_long
 
 STATES: Final = ("empty", "one", "equal", "nan")
 """No value, one, several of the same, several that are no number."""
@@ -171,12 +173,24 @@ def _words_over_words(figure: Figure) -> list[str]:
     found = [f"warning: {each.message}" for each in caught]
     renderer = figure._get_renderer()
     boxes = [(text, text.get_window_extent(renderer)) for text in _headings(figure)]
-    for (a, of_a), (b, of_b) in combinations(boxes, 2):
+    marks = [(text, text.get_window_extent(renderer)) for text in _ticks_and_legends(figure)]
+    for (a, of_a), (b, of_b) in [*combinations(boxes, 2), *product(boxes, marks)]:
         wide = min(of_a.x1, of_b.x1) - max(of_a.x0, of_b.x0)
         tall = min(of_a.y1, of_b.y1) - max(of_a.y0, of_b.y0)
         if wide > 1.5 and tall > 1.5:
-            found.append(f"words over words: {a.get_text()!r}, {b.get_text()!r}")
+            found.append(f"words over words: {a.get_text()!r}, {getattr(b, 'get_text', b.__repr__)()!r}")
     return found
+
+
+def _ticks_and_legends(figure: Figure) -> list[Any]:
+    """Labels of ticks that are seen, and legends outside the panels."""
+    found: list[Any] = list(figure.legends)
+    for ax in (ax for ax in figure.axes if ax.get_visible() and ax.axison):
+        for axis, limits in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim())):
+            low, high = sorted(limits)
+            ticks = [each for each in axis.get_major_ticks() if low <= each.get_loc() <= high]
+            found += [label for each in ticks for label in (each.label1, each.label2)]
+    return [each for each in found if each.get_visible() and getattr(each, "get_text", lambda: "legend")()]
 
 
 def has_data(ax: Any) -> bool:
@@ -247,7 +261,11 @@ def warned(call: Callable[[], Any]) -> tuple[Any, list[str]]:
 
 
 def faults_of_page(html: str) -> list[str]:
-    """Words of no number, and tables without a row."""
+    """Words of no number, tables without a row, and sentences that are long."""
     words = re.sub(r"<style>.*?</style>|<[^>]*>", " ", html, flags=re.DOTALL)
     found = [f"words: {each!r}" for each in re.findall(r".{0,40}\b(?:nan|NaN|NaT|inf|None)\b.{0,20}", words)]
-    return found + (["a table without a row"] if re.search(r"<tbody>\s*</tbody>", html) else [])
+    return (
+        found
+        + ["a table without a row"] * bool(re.search(r"<tbody>\s*</tbody>", html))
+        + too_long(of_html(html))
+    )

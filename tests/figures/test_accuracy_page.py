@@ -224,10 +224,10 @@ def test_both_registrations_and_both_point_sets_stand_below_each_other(found, ma
 def test_everything_left_out_is_counted(found):
     read = Reader(accuracy_page(**found).html())
     rows = {row[0]: row[1:] for table in read.tables for row in table[1:]}
-    assert rows["outside the area of interest"] == ["9\N{NO-BREAK SPACE}000", "30"]
+    assert rows["outside the area of interest"] == ["9\N{NO-BREAK SPACE}000", "30.0"]
     assert rows["a new count"][0] == "7"  # unknown ones are shown too
-    assert rows["points of the reference"] == ["4\N{NO-BREAK SPACE}000", "100"]
-    assert rows["inside it"] == ["1\N{NO-BREAK SPACE}000", "25"]
+    assert rows["points of the reference"] == ["4\N{NO-BREAK SPACE}000", "100.0"]
+    assert rows["inside it"] == ["1\N{NO-BREAK SPACE}000", "25.0"]
     assert rows["off the local surface"] == ["4", "0.1"]
     assert rows["spikes of single points"][0] == "2"
     assert rows["of the compared: outliers"] == ["300", "1.5"]  # not of the whole cloud

@@ -495,7 +495,7 @@ def test_without_a_patch_there_is_no_profile(bank, look, tmp_path):
 def test_the_verdict_states_volumes_registration_and_what_was_not_seen(facts):
     words = verdict(facts)
     assert "−4.00 ± 0.25 m³ by erosion on 12.5 m²" in words
-    assert "net, with the places that did not, −1.40 ± 0.90 m³, which is no different from zero" in words
+    assert "net, with insignificant changes, −1.40 ± 0.90 m³, which is no different from zero" in words
     assert "patch of erosion has 12.5 m², −3.8 m³" in words
     assert "up +5.0 ± 1.0 cm: more than the errors of both surveys explain" in words
     assert "does not show a shift along 90° (azimuth)" in words

@@ -279,7 +279,8 @@ def test_a_picture_with_nothing_to_show_stops_no_survey(
     monkeypatch.setitem(sys.modules, "drawing_of_nothing", drawing)
     main = runpy.run_path(str(repository / "workflow/scripts/plot.py"))["main"]
     job = SimpleNamespace(output={}, input={}, params={}, threads=1, rule="draw_bank")
-    main(figure_png=tmp_path / "bank.png", draw="drawing_of_nothing:draw", shows="Bank", dpi=50, job=job)
+    drawn = {"draw": "drawing_of_nothing:draw", "shows": "Bank", "dpi": 50, "titles": False}
+    main(figure_file=tmp_path / "bank.png", **drawn, job=job)
     assert "no point lies on the bank" in (note_of(tmp_path / "bank.png") or "")
 
 

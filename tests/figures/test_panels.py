@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 from PIL import Image
 
 from tests.figures.conftest import make_comparison
@@ -351,6 +352,20 @@ def examples(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Mapping[s
         plugins=[Catcher()],
     )  # fmt: skip
     return found | {name: found[other] for name, other in ALIKE.items()}
+
+
+def test_words_over_ticks_and_legends_are_seen() -> None:
+    figure = Figure(figsize=(4, 3))
+    ax = figure.add_axes((0.2, 0.2, 0.7, 0.6))
+    ax.plot([0.0, 1.0], label="a line")
+    assert faults(figure, set()) == []
+    ax.yaxis.set_label_coords(-0.05, 0.5)
+    ax.set_ylabel("over the numbers")
+    figure.legend(loc="upper left")
+    figure.suptitle("Over the legend", x=0.02, y=0.97, ha="left")
+    found = " ".join(faults(figure, set()))
+    assert "'over the numbers', '0.4'" in found
+    assert "'Over the legend', '<matplotlib.legend.Legend" in found
 
 
 def test_every_figure_function_is_called_here() -> None:

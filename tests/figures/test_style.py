@@ -23,6 +23,16 @@ def test_same_figure_gives_same_bytes(tmp_path, trajectory, positions, kind):
     assert (tmp_path / f"one.{kind}").read_bytes() == (tmp_path / f"two.{kind}").read_bytes()
 
 
+def test_a_picture_for_a_paper_has_no_title(tmp_path, trajectory):
+    figure = survey_map(trajectory, twin=True)
+    style.save(figure, tmp_path / "titled.svg")
+    height = figure.axes[0].get_position().y1
+    style.save(figure, tmp_path / "plain.svg", title=False)
+    assert figure.get_suptitle() == ""
+    assert figure.axes[0].get_position().y1 > height, "the panel fills its room"
+    assert style.TWIN_MARK in texts(figure)
+
+
 def test_the_users_settings_have_no_say(tmp_path, trajectory):
     style.save(survey_map(trajectory), tmp_path / "plain.png", dpi=80)
     with mpl.rc_context({"font.size": 20, "axes.facecolor": "red", "savefig.bbox": "tight"}):

@@ -113,6 +113,7 @@ def test_a_row_gives_its_rule_what_it_needs(read: Callable[[str], Figures]) -> N
     assert {k: v(of_boat) for k, v in params.items() if callable(v)} == {
         "title": "t",
         "dpi": 200,
+        "titles": True,
         "twin": False,
     }
     assert params["factor"] == 2.5
@@ -131,7 +132,16 @@ def test_a_row_gives_its_rule_what_it_needs(read: Callable[[str], Figures]) -> N
     # what is shipped stands in the repository, wherever the results are
     assert Path(second).is_absolute()
     assert Path(second).parts[-2:] == ("resources", "two.csv")
-    assert study.params({}) == {"dpi": 200}
+    assert study.params({}) == {"dpi": 200, "titles": True}
+
+
+def test_pictures_are_kept_in_the_formats_that_are_asked_for(read: Callable[[str], Figures]) -> None:
+    boat = campaign(logs={"lidar": ["a.pcap"], "reference": ["a.laz"]}, figures={"formats": ["pdf", "svg"]})
+    kept = ["results/boat/figures/map.png", "results/boat/figures/map.pdf", "results/boat/figures/map.svg"]
+    assert read(GOOD).files_to_keep(boat) == kept
+    assert read(GOOD).files_to_keep(REFERENCED) == kept[:1] == read(GOOD).files(boat)
+    photographs = [name for name in read(GOOD).files_to_keep(BASIN) if "photo" in name]
+    assert all(name.endswith(".png") for name in photographs), "another rule makes them"
 
 
 def test_campaigns_and_pages_ask_for_the_pictures_that_apply(read: Callable[[str], Figures]) -> None:

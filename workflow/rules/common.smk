@@ -1,6 +1,7 @@
 """What all rules share: the validated campaigns, and thin adapters from wildcards to `thalweg.workflow`."""
 
 import logging
+from itertools import product
 
 from snakemake.exceptions import WorkflowError
 from snakemake.logging import DefaultFilter, get_event, logger as snakemake_logger
@@ -17,6 +18,7 @@ from thalweg.workflow import (
     fork_scripts,
     other_versions,
     pattern_of_epochs,
+    as_format,
     read_figures,
     refuse_shell,
     start_driver,

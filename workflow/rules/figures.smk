@@ -1,20 +1,24 @@
-"""Pictures for people, all from result tables: a rule for each row of workflow/figures.yaml."""
+"""Pictures for people, all from result tables: a rule for each row of workflow/figures.yaml and format."""
 
-for row in FIGURES.drawn():
+VECTORS = {s for f in BUILT for s in f.section("figures", "formats")} - {"png"}
+
+for row, suffix in product(FIGURES.drawn(), ["png", *sorted(VECTORS)]):
 
     rule:
         name:
-            row.rule
+            row.rule + f"_{suffix}" * (suffix != "png")
         input:
             **row.input_files(FILES),
         output:
-            figure_png=report(
-                row.path, caption="../report/figure.rst", category=row.category
+            figure_file=(
+                report(row.path, caption="../report/figure.rst", category=row.category)
+                if suffix == "png"
+                else as_format(row.path, suffix)
             ),
         log:
-            row.protocol("logs", "log"),
+            row.protocol("logs", f"{suffix}.log".removeprefix("png.")),
         benchmark:
-            row.protocol("benchmarks", "jsonl")
+            row.protocol("benchmarks", f"{suffix}.jsonl".removeprefix("png."))
         conda:
             "../../envs/thalweg.yaml"
         threads: 1

@@ -10,7 +10,7 @@ from thalweg.figures import drawn, empty_figure, save
 from thalweg.workflow import job_arguments, run_job
 
 
-def main(*, figure_png: Path, draw: str, shows: str, dpi: int, job: Any) -> None:
+def main(*, figure_file: Path, draw: str, shows: str, dpi: int, titles: bool, job: Any) -> None:
     """The keywords of the drawing function come from the job as those of an entry script do.
 
     A picture that has nothing to show says why, and stops no survey.
@@ -24,7 +24,7 @@ def main(*, figure_png: Path, draw: str, shows: str, dpi: int, job: Any) -> None
         logging.getLogger("thalweg").warning("nothing to show: %s", error)
         reason = " ".join(str(error).split())
         figure = empty_figure(shows, reason, twin=bool(arguments.get("twin")))
-    save(figure, figure_png, dpi=dpi, note=reason)
+    save(figure, figure_file, dpi=dpi, note=reason, title=titles or reason is not None)
 
 
 if "snakemake" in globals():

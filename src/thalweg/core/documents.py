@@ -262,9 +262,36 @@ def one_of(choice: Sequence[str]) -> AfterValidator:
     return AfterValidator(check)
 
 
+_MEANT: Final = {
+    ("gps", "rtk", "receiver"): ("gnss", "positions", "antenna"),
+    ("gnss",): ("positions", "antenna"),
+    ("imu", "ahrs", "gyro"): ("ins",),
+    ("sonar", "sounder", "echosounder", "multibeam"): ("echo_sounder", "depth"),
+    ("scanner", "laser", "laserscanner", "pcap", "velodyne"): ("lidar",),
+    ("photos", "photographs", "pictures", "camera", "cameras"): ("images", "time_lapse", "camera"),
+    ("trajectory", "ppk", "pospac"): ("sbet",),
+    ("epsg", "projection", "coordinates", "utm"): ("crs",),
+    ("lever_arms", "offsets", "boresight"): ("mounts",),
+    ("name",): ("id",),
+}
+"""Names that people use, and those here that may mean the same, the likelier first."""
+
+
 def did_you_mean(name: str, names: Iterable[str]) -> str:
-    """Cure for a name that is not known: the most similar one; empty if none is."""
-    found = difflib.get_close_matches(str(name), list(names), 1)
+    """Cure for a name that is not known: one of the same meaning, else the most similar; empty if none is.
+
+    Examples
+    --------
+    >>> (
+    ...     did_you_mean("gps", ["ins", "gnss"]),
+    ...     did_you_mean("lidra", ["lidar", "ins"]),
+    ...     did_you_mean("x", ["a"]),
+    ... )
+    ('Did you mean gnss?', 'Did you mean lidar?', '')
+    """
+    known, word = list(names), str(name).lower()
+    meant = [each for words, same in _MEANT.items() if word in words for each in same if each in known]
+    found = meant or difflib.get_close_matches(str(name), known, 1)
     return f"Did you mean {found[0]}?" if found else ""
 
 
@@ -330,7 +357,8 @@ def _mistakes(detail: ErrorDetails, model: type[Part], document: Document) -> li
     # a key that is refused is called [key] below its value's place
     path: tuple[Key, ...] = tuple(key for key in detail["loc"] if key != "[key]")
     kind, value, context = detail["type"], detail["input"], detail.get("ctx", {})
-    found, cure = f"found {value!r}", ""
+    found = f"found keys {', '.join(map(str, value))}" if isinstance(value, Mapping) else f"found {value!r}"
+    cure = ""
     described = _described(model, path)
     if kind in ("wrong", "several"):
         return [

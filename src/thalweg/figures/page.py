@@ -2,6 +2,7 @@
 
 import base64
 import io
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -17,7 +18,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from thalweg.core import InputError, final_path
-from thalweg.figures.style import count, dashed, number, save
+from thalweg.figures.style import NOTHING, count, dashed, number, save
 
 PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 THUMBNAIL_PX: Final = 400
@@ -175,6 +176,14 @@ class Page:
             self.figure(picture, captions[name])
         return self
 
+    def pictures(self, files: Sequence[Path], captions: Mapping[str, str] | None, first: str = "") -> Self:
+        """Add a section of PNG files with their captions by stem; the one named ``first`` stands first."""
+        if files:
+            self.section("Figures")
+        for file in sorted(files, key=lambda each: each.stem != first):
+            self.figure(file, (captions or {}).get(file.stem, file.stem.replace("_", " ")))
+        return self
+
     def links(self, targets: Mapping[str, tuple[str, str]]) -> Self:
         """Add a list of links: relative address -> (words of the link, sentence beside it)."""
         items = "".join(
@@ -204,7 +213,8 @@ class Page:
         frame : its columns become the columns; the index is not shown.
         caption : stands above the table.
         units : column -> unit, shown in its head.
-        digits : significant digits of numbers with a fraction.
+        digits : significant digits of numbers with a fraction: of the largest in a column with a unit, whose
+            numbers have equal decimals; elsewhere of each.
 
         Raises
         ------
@@ -222,10 +232,11 @@ class Page:
             f"{_unit((units or {}).get(str(name), ''))}</{tags[name]}>"
             for name in frame.columns
         )
+        decimals = {name: _decimals(frame[name], digits) for name in units or {} if numeric[name]}
         rows = "".join(
             "<tr>"
             + "".join(
-                f"<td{_class(numeric[name])}>{escape(_cell(value, digits))}</td>"
+                f"<td{_class(numeric[name])}>{escape(_cell(value, digits, decimals.get(str(name))))}</td>"
                 for name, value in zip(frame.columns, row, strict=True)
             )
             + "</tr>\n"
@@ -377,7 +388,14 @@ def _unit(unit: str) -> str:
     return f' <span class="unit">/ {escape(unit)}</span>' if unit else ""
 
 
-def _cell(value: Any, digits: int) -> str:
+def _decimals(column: pd.Series, digits: int) -> int | None:
+    """Decimals that give the largest number of a column so many significant digits; None: there is none."""
+    sizes = column.abs().astype(float)
+    largest = sizes[sizes < math.inf].max()
+    return max(digits - 1 - math.floor(math.log10(largest)), 0) if largest > NOTHING else None
+
+
+def _cell(value: Any, digits: int, decimals: int | None) -> str:
     """A value as people write it: no ``nan``, thousands apart, as many digits as asked for."""
     if value is None or value is pd.NaT or value is pd.NA:
         return "–"
@@ -386,5 +404,5 @@ def _cell(value: Any, digits: int) -> str:
     if isinstance(value, int):
         return count(value)
     if isinstance(value, float):
-        return number(value, digits)
+        return number(value, digits, decimals)
     return str(value)

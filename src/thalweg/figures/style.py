@@ -380,7 +380,9 @@ def new_figure(height_mm: float, title: str, *, twin: bool) -> Figure:
     return figure
 
 
-def save(figure: Figure, path: Path | BytesIO, *, dpi: int = 200, note: str | None = None) -> None:
+def save(
+    figure: Figure, path: Path | BytesIO, *, dpi: int = 200, note: str | None = None, title: bool = True
+) -> None:
     """Write a figure as PNG, PDF or SVG; the same figure gives the same bytes.
 
     Parameters
@@ -389,6 +391,7 @@ def save(figure: Figure, path: Path | BytesIO, *, dpi: int = 200, note: str | No
     path : target, its suffix says the format; or a buffer, which gets a PNG.
     dpi : dots per inch of PNG and of pictures inside PDF and SVG.
     note : a comment inside a PNG, which `note_of` reads.
+    title : false to take the title off, as for a paper whose caption tells it; panels fill its room.
 
     Raises
     ------
@@ -409,6 +412,8 @@ def save(figure: Figure, path: Path | BytesIO, *, dpi: int = 200, note: str | No
         metadata["Comment"] = note
     if isinstance(path, Path):
         path.parent.mkdir(parents=True, exist_ok=True)
+    if not title:
+        figure.suptitle("")
     with mpl.rc_context(_parameters()):
         figure.savefig(path, dpi=dpi, format=kind, metadata=metadata)
 
@@ -441,8 +446,10 @@ NOTHING: Final = 1e-12
 """A number of a page below it is the rest of a computation."""
 
 
-def number(value: float, digits: int = 3) -> str:
+def number(value: float, digits: int = 3, decimals: int | None = None) -> str:
     """A number with so many significant digits; whole above a thousand, with thousands apart; nan: a dash.
+
+    Where ``decimals`` are given they count instead of ``digits``.
 
     Examples
     --------
@@ -453,7 +460,8 @@ def number(value: float, digits: int = 3) -> str:
         return "–"
     if abs(value) < NOTHING:
         return "0"
-    text = f"{round(value):,}" if abs(value) >= 1000 else f"{value:.{digits}g}"
+    form = ",.0f" if abs(value) >= 1000 else f".{digits}g" if decimals is None else f".{decimals}f"
+    text = f"{value:{form}}"
     return text.replace(",", "\N{NO-BREAK SPACE}").replace("-", "\N{MINUS SIGN}")
 
 

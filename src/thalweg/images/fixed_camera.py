@@ -72,7 +72,9 @@ def resect_pictures(
     frame = frame_about(control_points, crs=crs)
     grid = None if crs == LOCAL else crs_of(crs, control_points[0])
     if grid is not None and not grid.is_projected:
-        raise InputError(f"the CRS {crs}", expected=f"a projected one, or {LOCAL}", cure="Give a map grid")
+        raise InputError(
+            f"the CRS '{grid.name}'", expected=f"a projected one, or {LOCAL}", cure="Give a map grid"
+        )
     points = read_all_control_points(
         control_points, frame, crs=crs, sigma_m=section.sigma_m, height_offset_m=section.height_offset_m
     )

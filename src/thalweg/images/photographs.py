@@ -224,9 +224,9 @@ def what_is_given(
     if placed and crs is None:
         raise InputError("coordinates without a CRS", expected=f"a map grid, or {LOCAL}", where=placed[0])
     frame = frame_about(placed, crs=crs)
-    if crs not in (None, LOCAL) and placed and not crs_of(crs, placed[0]).is_projected:
+    if crs not in (None, LOCAL) and placed and not (stated := crs_of(crs, placed[0])).is_projected:
         raise InputError(
-            f"the CRS {crs}",
+            f"the CRS '{stated.name}'",
             expected=f"a projected one, or {LOCAL}",
             cure="Give the map grid in which results are wanted, such as EPSG:25833",
         )
@@ -335,7 +335,7 @@ def orient_photographs(
     own_frame = rig is None and not control_points and positions is None
     if own_frame and crs not in (None, LOCAL):
         raise InputError(
-            f"the CRS {crs}, and nothing that has coordinates in it",
+            "a CRS, and nothing that has coordinates in it",
             expected="control points with marks, or positions of the camera",
             cure="Give these, or no CRS: the photographs are then oriented in a frame of their own",
         )

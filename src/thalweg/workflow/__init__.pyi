@@ -20,7 +20,7 @@ from .costs import (
     read_costs as read_costs,
 )
 from .failures import tell_failures_last as tell_failures_last
-from .figures import read_figures as read_figures
+from .figures import as_format as as_format, read_figures as read_figures
 from .forked import fork_scripts as fork_scripts
 from .job import job_arguments as job_arguments, run_job as run_job
 from .provenance import other_versions as other_versions, verify as verify

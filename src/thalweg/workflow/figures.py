@@ -93,8 +93,8 @@ class Figure(BaseModel):
             return lambda wildcards: campaigns[wildcards.campaign].section(*key.split("."))
 
         if self.kind == "study":
-            return {"dpi": 200, **self.settings}
-        keys = {"title": "campaign.title", "dpi": "figures.dpi", **self.settings}
+            return {"dpi": 200, "titles": True, **self.settings}
+        keys = {"title": "campaign.title", "dpi": "figures.dpi", "titles": "figures.titles", **self.settings}
         found = {name: setting(key) if isinstance(key, str) else key for name, key in keys.items()}
         found["twin"] = lambda wildcards: campaigns[wildcards.campaign].is_twin()
         return found | ({"scan": lambda wildcards: wildcards.scan} if self.kind == "scan" else {})
@@ -103,6 +103,17 @@ class Figure(BaseModel):
         if path.startswith("resources/"):
             return str(SOURCE.parent / path)
         return f"results/{self.owner}/{path}"
+
+
+def as_format(path: str, suffix: str) -> str:
+    """The file of a picture in another format.
+
+    Examples
+    --------
+    >>> as_format("results/{campaign}/figures/map.png", "pdf")
+    'results/{campaign}/figures/map.pdf'
+    """
+    return f"{path.removesuffix('.png')}.{suffix}"
 
 
 def _ask(text: str, campaign: CampaignFiles, *scan: str) -> Any:
@@ -128,18 +139,27 @@ class Figures:
         """Those that have a rule of their own."""
         return [row for row in self.rows if row.draw is not None]
 
-    def files(self, campaign: CampaignFiles, page: str | None = None) -> list[str]:
+    def files(
+        self, campaign: CampaignFiles, page: str | None = None, formats: Sequence[str] = ("png",)
+    ) -> list[str]:
         """Pictures of a campaign, and then those of each scan; of one page, if it is named."""
         kind, rows = _kind(campaign), [row for row in self.rows if page in (None, row.page)]
-        found = [(row, list[str]()) for row in rows if kind in (row.kind, *row.also)]
+        found = [(row, "") for row in rows if kind in (row.kind, *row.also)]
         if kind == "basin":
             scans = campaign.scan_names()
-            found += [(row, [scan]) for scan in scans for row in rows if row.kind == "scan"]
+            found += [(row, scan) for scan in scans for row in rows if row.kind == "scan"]
         return [
-            row.path.format(campaign=campaign.name, scan="".join(scan))
+            as_format(row.path, each).format(campaign=campaign.name, scan=scan)
             for row, scan in found
-            if all(_ask(condition, campaign, *scan) for condition in row.when)
+            if all(_ask(condition, campaign, *filter(None, [scan])) for condition in row.when)
+            for each in formats
+            if each == "png" or row.draw is not None
         ]
+
+    def files_to_keep(self, campaign: CampaignFiles) -> list[str]:
+        """Pictures of a campaign in the formats of its setting figures.formats."""
+        chosen = campaign.section("figures", "formats")
+        return self.files(campaign, formats=list(dict.fromkeys(["png", *chosen])))
 
     def captions(self, *pages: str, of_files: bool = False) -> dict[str, str]:
         """Captions of the pictures of pages by name; ``of_files``: no boat surveyed what they show."""

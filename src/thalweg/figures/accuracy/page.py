@@ -384,7 +384,7 @@ def accuracy_page(
         )
     _statistics(page, facts, statistics, " ".join(sentences))
     of_truth = [path for path in pictures if path.stem in TRUTH_PICTURES and truth is not None]
-    _pictures(page, [path for path in pictures if path not in of_truth], captions or {})
+    page.pictures([path for path in pictures if path not in of_truth], captions)
     _ranges(page, by_range)
     page.section("Distances and 3D errors").text(explanation(statistics))
     _places(page, facts)
@@ -395,7 +395,7 @@ def accuracy_page(
     if truth is not None and len(truth):
         _truth(page, truth)
         for picture in of_truth:
-            page.figure(picture, _caption(picture, captions or {}))
+            page.figure(picture, (captions or {}).get(picture.stem, picture.stem.replace("_", " ")))
     page.section("Limits").text(limits(facts, statistics, mesh_facts))
     return page
 
@@ -499,17 +499,6 @@ def _with_caption(
     return frame, caption, units
 
 
-def _pictures(page: Page, pictures: Sequence[Path], captions: Mapping[str, str]) -> None:
-    if pictures:
-        page.section("Figures")
-    for picture in pictures:
-        page.figure(picture, _caption(picture, captions))
-
-
-def _caption(picture: Path, captions: Mapping[str, str]) -> str:
-    return captions.get(picture.stem, picture.stem.replace("_", " "))
-
-
 def _ranges(page: Page, by_range: pd.DataFrame) -> None:
     chosen = (by_range["registration"] == AS_MEASURED) & (by_range["points"] == WITHOUT_OUTLIERS)
     rows = by_range[chosen]
@@ -607,7 +596,7 @@ def _compared(page: Page, facts: Mapping[str, Any], mesh_facts: Mapping[str, Any
     ):
         rows = [
             {
-                "what": words.get(name, name.replace("_", " ")),
+                "class": words.get(name, name.replace("_", " ")),
                 "n": int(n),
                 "share": float("nan")
                 if name.endswith("_faces")
@@ -619,7 +608,7 @@ def _compared(page: Page, facts: Mapping[str, Any], mesh_facts: Mapping[str, Any
             page.table(pd.DataFrame(rows), caption, {"share": "%"})
     rows = [
         {
-            "what": words,
+            "quantity": words,
             "value": f"{mesh_facts[name]:.4g}" if unit != "1" else count(int(mesh_facts[name])),
             "unit": "" if unit == "1" else unit,
         }
@@ -629,7 +618,7 @@ def _compared(page: Page, facts: Mapping[str, Any], mesh_facts: Mapping[str, Any
     if rows:
         page.table(pd.DataFrame(rows), f"The reference surface (method {mesh_facts.get('method', '?')})")
     lost = [
-        {"what": name.replace("_", " "), "n": int(n)}
+        {"class": name.replace("_", " "), "n": int(n)}
         for name, n in mesh_facts.get("ingest_losses", {}).items()
         if n
     ]

@@ -70,9 +70,9 @@ def bed_page(
     )
     if twin:
         page.text("The digital twin made these data: a simulated river, simulated instruments.")
-    page.section("Figures")
-    for picture in sorted(pictures, key=lambda each: each.stem != "bed_map"):
-        page.figure(picture, captions.get(picture.stem, picture.stem.replace("_", " ")))
+    page.pictures(pictures, captions, "bed_map")
+    page.section("Cross-validation")
+    page.table(methods, "Cross-validation: lines left out, predicted by several methods.", digits=3)
     page.section("Soundings")
     rows = [
         (REASONS[name], n, 100 * n / max(facts["pings"], 1)) for name, n in facts["by_reason"].items() if n
@@ -128,8 +128,6 @@ def bed_page(
         "Drifts and models by their cross-validation with left-out lines; smaller is better.",
         digits=3,
     )
-    page.section("Cross-validation")
-    page.table(methods, "Cross-validation: lines left out, predicted by several methods.", digits=3)
     for name, each in validation.get("reference", {}).items():
         words = (
             f"Bed less {name}, which was not used for it. The standard deviation is that of the bed with its "
@@ -264,7 +262,7 @@ def _crossings(found: Mapping[str, Any]) -> str:
     words = (
         f"Lines cross {count(found['n'])} times, with height differences of "
         f"{100 * found['rms_m']:.1f} cm RMS, predicted {100 * found['predicted_m']:.1f} cm; the mean "
-        " of squared differences over predicted variances is "
+        "of squared differences over predicted variances is "
         f"{found['normalised_square']:.2f}."
     )
     if found["estimated"]:

@@ -206,10 +206,7 @@ def calibration_page(
         )
     if truth is not None and len(truth):
         _truth(page, truth)
-    if pictures:
-        page.section("Figures")
-    for picture in pictures:
-        page.figure(picture, (captions or {}).get(picture.stem, picture.stem.replace("_", " ")))
+    page.pictures(pictures, captions)
     remarks = [line for name in ("field", "camera") for line in left_out(facts.get(name, {}))]
     if tables or remarks:
         page.section("Observations used and left out")

@@ -78,7 +78,7 @@ VOLUMES: Final = (
     ("high_m3", "to", "m³"),
     ("bias_m3", "bias", "m³"),
     ("area_m2", "area", "m²"),
-    ("not_seen_m2", "not seen", "m²"),
+    ("not_seen_m2", "no data", "m²"),
 )
 PATCHES: Final = (
     ("area_m2", "area", "m²"),
@@ -311,8 +311,8 @@ def verdict(pair: PairFacts) -> str:
     words = [
         f"{pair.words}: {cubic_metres(erosion)} by erosion on {erosion['area_m2']:.1f} m² and "
         f"{cubic_metres(deposition)} by deposition on {deposition['area_m2']:.1f} m² of bare ground that "
-        f"{'changed significantly' if pair.sigma_known else 'stands out from roughness'}; net, with the "
-        f"places that did not, {cubic_metres(net)}, {zero}",
+        f"{'changed significantly' if pair.sigma_known else 'exceeds the roughness'}; net, with "
+        f"insignificant changes, {cubic_metres(net)}, {zero}",
         both_volumes(pair),
         contradiction(pair),
         f"The median level of detection (95 %) of the {count(n)} measured core points is "
@@ -478,10 +478,7 @@ def change_page(
         page.text(verdict(pair))
     _volumes(page, pairs)
     _states(page, pairs)
-    if pictures:
-        page.section("Figures")
-    for picture in pictures:
-        page.figure(picture, (captions or {}).get(picture.stem, picture.stem.replace("_", " ")))
+    page.pictures(pictures, captions, "significance_map")
     if series is not None:
         _series(page, *series, by_boat=by_boat)
     _differences(page, pairs)
@@ -543,7 +540,7 @@ def _of_pairs(
     out = pd.concat(rows, ignore_index=True) if rows else pd.DataFrame(columns=["epochs", first])
     out = out[["epochs", *(name for name in out.columns if name != "epochs")]]
     units = {heading: unit for _, heading, unit in columns}
-    return out.rename(columns={name: heading for name, heading, _ in columns}), units
+    return out.rename(columns={"what": "class"} | {name: heading for name, heading, _ in columns}), units
 
 
 def _volumes(page: Page, pairs: Sequence[PairFacts]) -> None:
@@ -553,7 +550,7 @@ def _volumes(page: Page, pairs: Sequence[PairFacts]) -> None:
         "do not average out over a surface as noise does."
     )
     table, units = _of_pairs([(pair, pair.volumes) for pair in pairs], VOLUMES, "what")
-    caption = "Volumes; bias: effect of the threshold of significance; not seen: area without data"
+    caption = "Volumes; bias: effect of the threshold of significance; no data: area in no volume"
     page.table(table, caption, units, digits=3)
     table, units = _of_pairs([(pair, pair.patches.head(MOST_PATCHES)) for pair in pairs], PATCHES, "what")
     n = sum(len(pair.patches) for pair in pairs)
@@ -654,7 +651,7 @@ def _series(page: Page, facts: Mapping[str, Any], rates: pd.DataFrame, *, by_boa
         }
     )
     units = {"median from the one before": "cm", "median to the next": "cm", "go and come back": "%"}
-    page.table(shown, "Does an epoch jump? Before any registration", units, digits=2)
+    page.table(shown, "Test of each epoch for a jump, before any registration", units, digits=2)
     if len(rates):
         columns = ["line", "s_from_m", "s_to_m", "cores", "n_epochs", "lrr_m_a", "sigma_lrr_m_a"]
         names = {"s_from_m": "from", "s_to_m": "to", "cores": "core points", "n_epochs": "epochs",
@@ -712,7 +709,7 @@ def _registration(page: Page, pairs: Sequence[PairFacts]) -> None:
         )
     if rows:
         page.table(pd.DataFrame(rows), "Motion of the second epoch against the first", digits=3)
-        page.table(pd.DataFrame(tests), "Was a registration needed?", digits=3)
+        page.table(pd.DataFrame(tests), "Significance of the registration", digits=3)
 
 
 def _by_area(page: Page, pair: PairFacts) -> None:
@@ -741,7 +738,7 @@ def _unseen(page: Page, pairs: Sequence[PairFacts]) -> None:
             reasons = pair.visibility.loc[unseen, f"reason_{i}"]
             for reason, n in reasons.value_counts().items():
                 area = float(pair.area_m2[reasons.index[reasons == reason]].sum())
-                names = {"epochs": pair.name.replace("-", " to "), "not seen in epoch": epoch}
+                names = {"epochs": pair.name.replace("-", " to "), "no data in epoch": epoch}
                 rows.append({**names, "reason": str(reason), "n": int(n), "area": area})
     if rows:
         page.table(pd.DataFrame(rows), "Core points that an epoch did not see", {"area": "m²"}, digits=3)
@@ -750,8 +747,8 @@ def _unseen(page: Page, pairs: Sequence[PairFacts]) -> None:
 def _epochs(page: Page, epochs: Sequence[Mapping[str, Any]]) -> None:
     page.section("Epochs and their errors").text(
         "Errors that points share, by group: root mean squares over the survey, and how long, or how far, "
-        "they last. Those of poses are shared by the points of a moment; those of clouds and surface models "
-        "from elsewhere are what the campaign file states."
+        "they are correlated. Pose errors are shared by points of the same time; those of external clouds "
+        "and surface models are as stated in the campaign file."
     )
     about = [
         {
@@ -777,7 +774,7 @@ def _epochs(page: Page, epochs: Sequence[Mapping[str, Any]]) -> None:
                     {
                         "epoch": i,
                         "error": GROUPS_IN_WORDS.get(group["name"], group["name"]) + kind,
-                        "lasts": group["lasts"],
+                        "correlation": group["lasts"],
                         **dict(zip(_ENU, sizes.tolist(), strict=True)),
                         "unit": "°" if turn else "cm",
                     }

@@ -310,7 +310,7 @@ def error_variogram(
     low, high = ax.get_ylim()
     ax.set_ylim(low, 3.0 * high)
     ax.grid(visible=True)
-    ax.set_xlabel("how far core points lie apart / m")
+    ax.set_xlabel("distance between core points / m")
     ax.set_ylabel("half mean squared difference of\ndistance over standard deviation")
     ax.legend(loc="upper left", ncols=2)
     return figure
@@ -390,7 +390,7 @@ def volume_along(
             color=GREY,
             gid="not-seen",
         )
-        unseen.set_ylabel("not seen / m²")
+        unseen.set_ylabel("no data / m²")
         unseen.set_xlabel(scene(by_boat).along)
         unseen.sharex(volumes)
     figure.align_ylabels(panels)

@@ -720,7 +720,7 @@ def orientation_page(
         lead = f"{facts['notes'][0]}."
     page = Page(title, lead, findings)
     if pictures:
-        page.section("Places").figures(pictures, captions)
+        page.section("Positions").figures(pictures, captions)
     if len(control):
         _add_points(
             page.section("Control and check points"),
@@ -774,7 +774,7 @@ def finished_page(
     if check:
         findings.append(_check_finding(check))
         lead = f"Surveyed points: {JUDGED[findings[-1].verdict]}."
-    page = Page(title, lead, findings).section("Places")
+    page = Page(title, lead, findings).section("Positions")
     page.figures(pictures, captions)
     if len(control):
         _add_points(

@@ -124,11 +124,8 @@ def trajectory_comparison_page(
     page.section("Side by side").text(lead(table))
     page.table(side_by_side(table, costs), "The decisive numbers")
     page.section("For and against")
-    page.table(for_and_against(table, costs), "What the numbers say for and against each trajectory")
-    if pictures:
-        page.section("Figures")
-    for picture in pictures:
-        page.figure(picture, (captions or {}).get(picture.stem, picture.stem.replace("_", " ")))
+    page.table(for_and_against(table, costs), "Arguments for and against each trajectory")
+    page.pictures(pictures, captions)
     if costs.outages is not None:
         page.section("Without GNSS, without images").text(outage_words(costs.outages))
         if len(costs.outages):
@@ -292,7 +289,8 @@ def head(table: pd.DataFrame) -> tuple[str, list[Finding]]:
     if len(ranked) < 2:
         return "No reference surface judges the trajectories.", findings
     best = value(table, WITHOUT_OUTLIERS, "rmse", ranked[0])
-    first = f"The smallest RMSE is that of {BY_NAME[ranked[0]]} ({centimetres(best)})"
+    name = BY_NAME[ranked[0]]
+    first = f"{name[0].upper()}{name[1:]} has the smallest RMSE ({centimetres(best)})"
     return f"{first}; {certainty(table, *ranked[:2])}.", findings
 
 

@@ -129,9 +129,10 @@ def with_sigma(value: float, sigma: float | None) -> str:
 
     Examples
     --------
-    >>> with_sigma(-0.250312, 0.00041), with_sigma(12.0, 0.0), with_sigma(3.25, None)
-    ('-0.25031 ± 0.00041', '12 (fixed)', '3.25')
+    >>> with_sigma(-0.250312, 0.00041), with_sigma(2.3e-13, 0.0), with_sigma(3.25, None)
+    ('-0.25031 ± 0.00041', '0 (fixed)', '3.25')
     """
+    value = round(value, 12)  # what computing leaves of nothing
     if sigma is None:
         return f"{value:.9g}"
     if sigma == 0:

@@ -31,7 +31,7 @@ SCAN_NOTE: Final = (
     "P4 Tables 2 and 3, three standard deviations of all points; the robust one takes median and NMAD."
 )
 STRIP_NOTE: Final = (
-    "Each line gets its place from the boat's trajectory at the time of its pulse, and from the mount of the "
+    "Each line is georeferenced with the boat's trajectory at the time of its pulse and the mount of the "
     "sensor. Sigmas of heights hold the errors of both; those within a line are of its measurement alone."
 )
 STRIP_TRAJECTORY: Final = {
@@ -58,8 +58,8 @@ SHEET_NOTE: Final = (
 TRUTH_NOTE: Final = (
     "Each error is the calibrated value minus the true one; normalised errors are errors over their sigmas. "
     "The rows of depths compare both sensors over the image: root mean square of the difference, beside "
-    "that of the predicted sigma; the image of a ray does so for the lens alone. Heading and place along the "
-    "window come from the design and are aligned."
+    "that of the predicted sigma; the image of a ray does so for the lens alone. Heading and position along "
+    "the window come from the design and are aligned."
 )
 PANEL_NOTE: Final = (
     "Distances are measured minus reference depth. P3 3.1.2 states one mean and one standard deviation for "
@@ -242,7 +242,7 @@ def strip_page(
         ("images without a pulse", len(times.get("images_without_pulse", ()))),
         ("pulses without an image", len(times.get("pulses_without_image_s", ()))),
     ]
-    page.section("What was left out")
+    page.section("Rejected observations")
     page.table(pd.DataFrame(rows, columns=["left out", "number"]), "Images, pulses and points (counts.json)")
     page.section("Figures")
     for picture, caption in pictures:
@@ -339,6 +339,10 @@ def light_sheet_page(
     page = Page(title, *_head(calibration, budget, panels))
     if twin:
         page.text(TWIN_NOTE)
+    if panels is not None and len(panels):
+        page.section("Panel in known depths").text(PANEL_NOTE)
+        _units(page, panels, "Measured minus reference depth, beside published values (panels.csv)")
+    page.pictures(pictures, captions, "panel_distances")
     _calibrated(page, calibration, camera)
     if lens:
         lens_section(page, lens)
@@ -349,9 +353,6 @@ def light_sheet_page(
             shown.assign(what=shown["what"].str.replace("_", " ")),
             "Errors of the calibration (light_sheet_truth.csv)",
         )
-    if panels is not None and len(panels):
-        page.section("Panel in known depths").text(PANEL_NOTE)
-        _units(page, panels, "Measured minus reference depth, beside published values (panels.csv)")
     for scan in scans:
         scan_section(page, scan)
     _budget(page, budget, published, contradictions, correlations)
@@ -362,10 +363,6 @@ def light_sheet_page(
         "Errors in depth of each model (models.csv)",
     )
     _rejected(page, calibration, counts or {}, points or {}, panels)
-    if pictures:
-        page.section("Figures")
-    for picture in pictures:
-        page.figure(picture, (captions or {}).get(picture.stem, picture.stem.replace("_", " ")))
     return page
 
 
@@ -408,7 +405,7 @@ def _head(
 
 
 def _calibrated(page: Page, calibration: Mapping[str, Any], camera: Mapping[str, Any] | None) -> None:
-    page.section("What was calibrated").text(SHEET_NOTE)
+    page.section("Calibrated parameters").text(SHEET_NOTE)
     if camera:
         rows = [
             {"name": f"camera_{name}", "treated": "resection over the window", **found}
@@ -427,7 +424,7 @@ def _calibrated(page: Page, calibration: Mapping[str, Any], camera: Mapping[str,
         _units(page, levels, "Levels of the calibration object, with the residuals of the line on them")
     for warning in calibration["warnings"]:
         page.text(f"Warning: {warning}.")
-    page.section("Correlations worth naming")
+    page.section("Strong correlations")
     strong = calibration["correlations"]
     if strong:
         shown = [f"{rho:+.3f}  {_name(a)}, {_name(b)}" for a, b, rho in strong[:STRONG_SHOWN]]
@@ -511,7 +508,7 @@ def _budget(
     _units(page, published, "Published maxima and minima beside those of the geometry (budget_published.csv)")
     page.text("Inequalities that published figures would have to obey, whatever the geometry:")
     page.lines([inequality(row) for row in contradictions.to_dict("records")])
-    page.section("What correlations change").text(CORRELATION_NOTE)
+    page.section("Effect of correlations").text(CORRELATION_NOTE)
     _units(
         page,
         correlations,
@@ -555,7 +552,7 @@ def _rejected(
     points: Mapping[str, pd.DataFrame],
     panels: pd.DataFrame | None,
 ) -> None:
-    page.section("What was left out")
+    page.section("Rejected observations")
     rows = [
         ("calibration", "line points rejected by the adjustment", calibration["line_points"]["rejected"]),
         ("calibration", "pairs rejected by the adjustment", calibration["pairs"]["rejected"]),

@@ -300,6 +300,12 @@ class Figures(Section):
     """Pictures."""
 
     dpi: int = Field(default=200, ge=50, le=1200, description="Resolution, dots per inch")
+    formats: list[Literal["png", "pdf", "svg"]] = Field(
+        default=["png"], description="Files of each picture; the PNG, which pages show, is always made"
+    )
+    titles: bool = Field(
+        default=True, description="Titles on pictures; false for papers, which have captions"
+    )
     max_points: int = Field(
         default=2_000_000, ge=1_000, le=100_000_000, description="Points drawn at most in a scatter plot"
     )
