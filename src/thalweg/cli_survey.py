@@ -210,7 +210,6 @@ def add_survey_commands(commands: "argparse._SubParsersAction[argparse.ArgumentP
                     "filters.water_line_ics_m",
                     "lidar.data_port",
                     "lidar.returns",
-                    "lidar.topic",
                 ]
             ),
         },

@@ -57,6 +57,7 @@ def campaign_text(
     spacing_m: float | None = None,
     schema: str = "../schema.json",
     remarks: Sequence[str] = (),
+    topics: Mapping[str, Sequence[str]] | None = None,
 ) -> str:
     """Text of a new campaign file.
 
@@ -69,6 +70,7 @@ def campaign_text(
     spacing_m : distance of the points of a reference cloud from each other; None: as dense as usual.
     schema : path of the JSON schema from ``folder``, for editors.
     remarks : sentences on what was chosen among the logs, written below them.
+    topics : of streams whose files are containers with several: those that are meant.
     """
     lat, lon, h = origin or (51.05, 13.25, 300.0)
     mark = "" if origin else "  # CHANGE: a point near the survey"
@@ -77,11 +79,15 @@ def campaign_text(
     listed = {k: list(v) for k, v in PLACEHOLDERS.items()}
     if files is not None:
         listed = {k: _listed(v, folder) for k, v in files.items()}
+    for stream, meant in (topics or {}).items():
+        listed[stream] = [f"{text}#{topic}" for text in listed[stream] for topic in meant]
     alone = _alone(listed, spacing_m) if files is not None else []
     if alone:
         return "\n".join([*_head(name, schema), *alone]) + "\n"
     source, gnss = _source(listed)
     fixes = "auto" if source == "ppk" else "[fixed]"
+    if source == "pos" and not all(text.endswith(".pos") for text in listed.get("pos", [])):
+        fixes = "[single, sbas, dgnss, float, fixed]"  # a receiver's own, in real time
     levers = "  # CHANGE: metres forward, right, down of the INS"
     if not (listed.get("ins") or listed.get("sbet")):
         levers = "  # CHANGE: metres forward, right, down of any fixed point of the boat"
@@ -406,7 +412,7 @@ def _list(key: str, paths: Sequence[str], meaning: str) -> list[str]:
 
 
 def _quoted(text: str) -> str:
-    plain = all(c.isalnum() or c in "/._-~+" for c in text) and text[0] not in "-~"
+    plain = all(c.isalnum() or c in "/._-~+#" for c in text) and text[0] not in "-~"
     return text if plain else '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 

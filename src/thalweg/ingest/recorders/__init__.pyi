@@ -7,12 +7,12 @@ from .ardupilot import (
 from .ros import (
     BagLidar as BagLidar,
     describe_bag as describe_bag,
-    has_velodyne_packets as has_velodyne_packets,
     is_bag as is_bag,
+    mounts_of_bag as mounts_of_bag,
+    packets_of_bag as packets_of_bag,
     read_bag_poses as read_bag_poses,
     read_bag_positions as read_bag_positions,
     streams_of_bag as streams_of_bag,
-    velodyne_capture as velodyne_capture,
 )
 from .sounders import (
     is_lowrance as is_lowrance,

@@ -205,18 +205,26 @@ def _dataflash(path: Path, report: IntegrityReport) -> Messages:
     DFReader = _pymavlink("DFReader")
     with path.open("rb") as stream:
         text = stream.read(3) == b"FMT"
-    try:
-        with _silent():  # it prints a line for each byte between messages, which are counted here
-            log = DFReader.DFReader_text(str(path)) if text else DFReader.DFReader_binary(str(path))
-    except Exception as error:  # it raises no narrower one
-        raise InputError(
-            f"damaged formats of messages ({error})",
-            expected="a whole dataflash log",
-            where=path,
-            cure="Download it from the autopilot again",
-        ) from error
-    if text:
-        return _recv(log, _DATAFLASH, report)
+    kind = DFReader.DFReader_text if text else DFReader.DFReader_binary
+    log = kind.__new__(kind)
+    with contextlib.ExitStack() as at_the_end:
+        # it leaves its file open where its constructor raises
+        at_the_end.callback(lambda: log.filehandle.close())
+        try:
+            with _silent():  # it prints a line for each byte between messages, which are counted here
+                kind.__init__(log, str(path))
+        except Exception as error:  # it raises no narrower one
+            raise InputError(
+                f"damaged formats of messages ({error})",
+                expected="a whole dataflash log",
+                where=path,
+                cure="Download it from the autopilot again",
+            ) from error
+        return _recv(log, _DATAFLASH, report) if text else _columns(log, report)
+
+
+def _columns(log: Any, report: IntegrityReport) -> Messages:
+    """Messages of a binary log, whole columns at once."""
     found, numbers = {}, {}
     covered = 0
     for name, kind in sorted(log.name_to_id.items()):
@@ -234,7 +242,6 @@ def _dataflash(path: Path, report: IntegrityReport) -> Messages:
             table = pd.DataFrame(list(struct.iter_unpack(plain, rows)), columns=form.columns)
             scales = dict(zip(form.columns, form.msg_mults, strict=True))
             found[name] = table.assign(**{key: table[key] * by for key, by in scales.items() if by})
-    log.filehandle.close()
     report.details["messages"] = numbers
     if lost := log.data_len - covered:
         report.lose("bytes_outside_messages", lost)

@@ -65,19 +65,20 @@ def read_receiver(files: list[Path]) -> tuple[pd.DataFrame, IntegrityReport]:
     return GNSS_POSITION.empty_table().to_pandas(), report
 
 
-def read_depths(files: list[Path], date: dt.date | None = None) -> PositionLog:
+def read_depths(files: list[Path], date: dt.date | None = None, topics: Sequence[str] = ()) -> PositionLog:
     """Soundings of any recording that may hold some: NMEA, extensions of a GPX track, logs of an autopilot.
 
     Parameters
     ----------
     files : parts of one recording in the order of time.
     date : UTC date of the first sentence of NMEA without dates.
+    topics : of a bag with several.
 
     Raises
     ------
     InputError : the files hold no depths.
     """
-    log = _of_soundings(files[0])(files, TrackOptions(date=date))
+    log = _of_soundings(files[0])(files, TrackOptions(date=date, topics=topics))
     if log.depths is None or log.depths.empty:
         raise InputError(
             "no depths in this recording",
@@ -152,6 +153,7 @@ def read_positions(
     *,
     states: Path | None,
     date: dt.date | None = None,
+    topics: Sequence[str] = (),
     base: list[Path],
     nav: list[Path],
     ppk: dict[str, Any],
@@ -161,10 +163,12 @@ def read_positions(
 
     Parameters
     ----------
-    source : ``pos``, ``sbp``, ``nmea``, ``gpx``, ``ppk``, ``sbet`` or ``ins``.
+    source : ``pos`` (any format of finished positions, by its content), ``sbp``, ``nmea``, ``gpx``, ``ppk``,
+        ``sbet`` or ``ins``.
     logs : the source's own files: .pos, SBP, or the rover's raw GNSS.
     states : table of INS states, for the sources ``sbet`` and ``ins``.
     date : UTC date of the first sentence of NMEA without dates.
+    topics : of a bag with several.
     base, nav : the base's raw GNSS and navigation files, for ``ppk``.
     ppk : options of the engine, as in the section ``ppk`` of a campaign file.
     base_position : one of the keys ``base_ecef_m``, ``base_llh`` and ``base_from``.
@@ -173,9 +177,12 @@ def read_positions(
     ------
     InputError : the source is unknown, or its files cannot be used.
     """
-    reader = next((row.positions for row in POSITIONS if row.kind == source), None)
-    if reader is not None:
-        log = reader(logs, TrackOptions(date=date))
+    known = next((row for row in POSITIONS if row.kind == source and row.positions), None)
+    if source == "pos" and logs:  # a receiver's own log or a bag may stand there too
+        others = [row for row in POSITIONS if "pos" in row.streams and row.kind not in ("nmea", "gpx")]
+        known = find_format(others, logs[0]) or known
+    if known is not None and known.positions is not None:
+        log = known.positions(logs, TrackOptions(date=date, topics=topics))
         assert log.positions is not None
         positions, report = log.positions, log.report
     elif source == "ppk":
@@ -312,6 +319,13 @@ def _describe(kind: str, files: list[Path], options: dict[str, Any], points: boo
     return Recording(kind=kind, report=log.report, tables=held)
 
 
+def _streams_of_ubx(path: Path) -> dict[str, Sequence[tuple[str, ...]]]:
+    """A log of raw observations alone is for PPK; depths are those of NMEA between."""
+    log = read_ubx([path], TrackOptions())
+    own = "pos" if log.report.counts.get("positions") else "rover"
+    return dict.fromkeys((own, "depth") if log.depths is not None and len(log.depths) else (own,), ())
+
+
 def _describe_rinex(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
     return Recording(kind=kind, report=describe_rinex(files[0]))
 
@@ -343,6 +357,7 @@ POSITIONS: Final = (
         kind="ubx",
         words="u-blox UBX log",
         streams=("pos", "rover", "base", "depth"),
+        holds=_streams_of_ubx,
         matches=ubx_share,
         positions=read_ubx,
         describe=_describe,
