@@ -29,8 +29,8 @@ _BESIDE_IMAGES: Final = (
 """Stream, key of ``logs.time_lapse``, meaning."""
 _ORDINARY_GNSS: Final = [
     "  accept_fixes: [single, sbas, dgnss, float, fixed]",
-    "  sigma_position_m: [2.0, 2.0, 4.0]  # CHANGE: east, north, up, where the sentences state none (GST)",
-    "  # antenna_h_ell_m: 0.0  # ellipsoidal height of the antenna, where the sentences have none (GLL, RMC)",
+    "  sigma_position_m: [2.0, 2.0, 4.0]  # CHANGE: east, north, up, where the log states none (NMEA: GST)",
+    "  # antenna_h_ell_m: 0.0  # ellipsoidal height of the antenna, where the log has none",
     "  max_gap_s: 5.0  # longest hole between positions that is interpolated",
 ]
 """Lines of ``orientation`` for a receiver that writes NMEA or GPX."""
@@ -86,8 +86,7 @@ def campaign_text(
         return "\n".join([*_head(name, schema), *alone]) + "\n"
     source, gnss = _source(listed)
     fixes = "auto" if source == "ppk" else "[fixed]"
-    if source == "pos" and not all(text.endswith(".pos") for text in listed.get("pos", [])):
-        fixes = "[single, sbas, dgnss, float, fixed]"  # a receiver's own, in real time
+    in_real_time = source == "pos" and not all(text.endswith(".pos") for text in listed.get("pos", []))
     levers = "  # CHANGE: metres forward, right, down of the INS"
     if not (listed.get("ins") or listed.get("sbet")):
         levers = "  # CHANGE: metres forward, right, down of any fixed point of the boat"
@@ -122,7 +121,7 @@ def campaign_text(
         "",
         "orientation:",
         f"  position_source: {source}  # pos, sbp, ppk, nmea, gpx, sbet or ins",
-        *(_ORDINARY_GNSS if source in ("nmea", "gpx") else [f"  accept_fixes: {fixes}"]),
+        *(_ORDINARY_GNSS if source in ("nmea", "gpx") or in_real_time else [f"  accept_fixes: {fixes}"]),
         *_without_control(listed, source),
         *(_SIGMAS_OF_SBET if source == "sbet" and not listed.get("smrmsg") else []),
         *(["", _ON_LAND] if listed.get("lidar") else []),

@@ -4,6 +4,12 @@ from .ardupilot import (
     is_telemetry as is_telemetry,
     read_ardupilot as read_ardupilot,
 )
+from .loggers import (
+    is_depth_table as is_depth_table,
+    is_track_table as is_track_table,
+    read_depth_table as read_depth_table,
+    read_track_table as read_track_table,
+)
 from .ros import (
     BagLidar as BagLidar,
     describe_bag as describe_bag,
@@ -15,8 +21,10 @@ from .ros import (
     streams_of_bag as streams_of_bag,
 )
 from .sounders import (
+    is_deeper as is_deeper,
     is_lowrance as is_lowrance,
     is_pd0 as is_pd0,
+    read_deeper as read_deeper,
     read_lowrance as read_lowrance,
     read_pd0 as read_pd0,
 )

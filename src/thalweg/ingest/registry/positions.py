@@ -3,6 +3,7 @@
 import datetime as dt
 import re
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,7 +21,20 @@ from thalweg.ingest import (
 )
 from thalweg.ingest.nmea import read_nmea
 from thalweg.ingest.ppk import PpkOptions, describe_rinex, replace_covariances, run_ppk
-from thalweg.ingest.recorders import is_lowrance, is_pd0, read_lowrance, read_pd0, read_ubx, ubx_share
+from thalweg.ingest.recorders import (
+    is_deeper,
+    is_depth_table,
+    is_lowrance,
+    is_pd0,
+    is_track_table,
+    read_deeper,
+    read_depth_table,
+    read_lowrance,
+    read_pd0,
+    read_track_table,
+    read_ubx,
+    ubx_share,
+)
 from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share
 from thalweg.ingest.registry.lidar import BAG
 from thalweg.ingest.registry.poses import POSES
@@ -31,6 +45,9 @@ _POS_LINE = re.compile(
     rb"(?m)^\s*(\d{4}/\d\d/\d\d[ ,;\t]+\d\d:\d\d:\d\d(\.\d+)?|\d{4}[ ,;\t]+\d{1,6}\.\d+)"
     rb"([ ,;\t]+[-\d.:]+){6,}"
 )
+
+SOURCES_OF_THEIR_OWN: Final = frozenset({"nmea", "gpx"})
+"""Kinds of finished positions that are a ``position_source`` themselves; the others are ``pos``."""
 
 MOST_STEP_S: Final = 2.0
 """Positions this far apart in time, or three usual steps, have soundings between them."""
@@ -179,7 +196,7 @@ def read_positions(
     """
     known = next((row for row in POSITIONS if row.kind == source and row.positions), None)
     if source == "pos" and logs:  # a receiver's own log or a bag may stand there too
-        others = [row for row in POSITIONS if "pos" in row.streams and row.kind not in ("nmea", "gpx")]
+        others = [row for row in POSITIONS if "pos" in row.streams and row.kind not in SOURCES_OF_THEIR_OWN]
         known = find_format(others, logs[0]) or known
     if known is not None and known.positions is not None:
         log = known.positions(logs, TrackOptions(date=date, topics=topics))
@@ -319,6 +336,12 @@ def _describe(kind: str, files: list[Path], options: dict[str, Any], points: boo
     return Recording(kind=kind, report=log.report, tables=held)
 
 
+def _streams_of_sounder(reader: PositionReader, path: Path) -> dict[str, Sequence[tuple[str, ...]]]:
+    """Its own places make a track where they have times."""
+    log = reader([path], TrackOptions())
+    return dict.fromkeys(("depth", "pos") if log.report.synchronised else ("depth",), ())
+
+
 def _streams_of_ubx(path: Path) -> dict[str, Sequence[tuple[str, ...]]]:
     """A log of raw observations alone is for PPK; depths are those of NMEA between."""
     log = read_ubx([path], TrackOptions())
@@ -364,11 +387,27 @@ POSITIONS: Final = (
     ),
     *(
         Format(
-            kind=kind, words=words, streams=("depth",), matches=matches, positions=reader, describe=_describe
+            kind=kind,
+            words=words,
+            streams=("depth", "pos"),
+            holds=partial(_streams_of_sounder, reader),
+            matches=matches,
+            positions=reader,
+            describe=_describe,
         )
         for kind, words, matches, reader in (
             ("lowrance", "Lowrance SL2 or SL3 log", is_lowrance, read_lowrance),
             ("pd0", "TRDI ADCP log (PD0)", is_pd0, read_pd0),
+            ("deeper", "Deeper export", is_deeper, read_deeper),
+        )
+    ),
+    *(
+        Format(
+            kind=kind, words=words, streams=(stream,), matches=matches, positions=reader, describe=_describe
+        )
+        for kind, words, stream, matches, reader in (
+            ("track_table", "table of positions with times", "pos", is_track_table, read_track_table),
+            ("depth_table", "table of depths with times", "depth", is_depth_table, read_depth_table),
         )
     ),
     Format(
