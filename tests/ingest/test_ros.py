@@ -28,7 +28,8 @@ from thalweg.settings import load_campaign
 from thalweg.workflow import CampaignFiles
 
 UNIX_S = 1_700_000_000
-KIND = {"f4": 7, "f8": 8, "u4": 6, "u2": 4, "u1": 2}
+FORMAT = {7: "f4", 8: "f8", 6: "u4", 4: "u2", 2: "u1"}
+KIND = {name: number for number, name in FORMAT.items()}
 
 
 class Bag:

@@ -394,7 +394,7 @@ def _telemetry(path: Path, report: IntegrityReport) -> Messages:
 
 
 def _recv(log: Any, wanted: Sequence[str], report: IntegrityReport) -> Messages:
-    rows: dict[str, list[dict[str, Any]]] = {}
+    rows: dict[tuple[str, ...], list[list[Any]]] = {}
     numbers: Counter[str] = Counter()
     while (message := log.recv_msg()) is not None:
         name = message.get_type()
@@ -404,9 +404,14 @@ def _recv(log: Any, wanted: Sequence[str], report: IntegrityReport) -> Messages:
         numbers[name] += 1
         from_autopilot = not hasattr(message, "get_srcComponent") or message.get_srcComponent() == _AUTOPILOT
         if name in wanted and from_autopilot:
-            rows.setdefault(name, []).append(message.to_dict() | {"t_host_s": message._timestamp})
+            fields = message.get_fieldnames()
+            values = [getattr(message, field) for field in fields]
+            rows.setdefault((name, *fields), []).append([*values, message._timestamp])
     report.details["messages"] = dict(sorted(numbers.items()))
-    return {name: _stamped(pd.DataFrame(part)) for name, part in rows.items()}
+    return {
+        name: _stamped(pd.DataFrame(part, columns=[*fields, "t_host_s"]))
+        for (name, *fields), part in rows.items()
+    }
 
 
 def _of_telemetry(
