@@ -295,13 +295,15 @@ class PositionLog:
     """``positions`` of table kind ``gnss_position``, ``depths`` of kind ``depth`` if the log holds any.
 
     ``soundings`` are depths of a log that tells the place of each: columns ``latitude``, ``longitude``,
-    ``depth_m`` and, where it is known, ``time``.
+    ``depth_m`` and, where it is known, ``time``. ``triggers_gps_s`` (n,) are when a camera was triggered, NaN
+    where the log has no GPS time.
     """
 
     report: IntegrityReport
     positions: pd.DataFrame | None = None
     depths: pd.DataFrame | None = None
     soundings: pd.DataFrame | None = None
+    triggers_gps_s: ArrayF | None = None
 
 
 @dataclass(slots=True, kw_only=True)

@@ -31,8 +31,9 @@ FOLDERS: Final = PHOTOGRAPHS | {"masks", "finished_orientations"}
 IMAGE_ENDINGS: Final = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 """As `thalweg.ingest.photos.files` knows photographs, which is not imported for a quick check."""
 
-_ONE_RECORDER: Final = frozenset({"lidar", "ins", "positions", "depth"})
-"""Streams that one file may hold together: a bag of ROS, the log of an autopilot, NMEA."""
+_ONE_RECORDER: Final = frozenset({"lidar", "ins", "positions", "depth", "times"})
+"""Streams that one file may hold together: a bag of ROS, the log of an autopilot, NMEA; ``times`` are those
+of camera triggers."""
 _MANY_PARTS: Final = {"control_points", "marks", "orientations"}
 """Keys that may name one file: OpenDroneMap and Metashape write points, marks and poses together."""
 
@@ -227,7 +228,8 @@ def _check_twice(
         return
     if other[:3] == where[:3] == ("logs", "time_lapse", "interiors"):
         return
-    if other[0] == where[0] == "logs" and other[1] != where[1] and {other[1], where[1]} <= _ONE_RECORDER:
+    one, two = (keys[2] if keys[1:3] == ("time_lapse", "times") else keys[1] for keys in (other, where))
+    if other[0] == where[0] == "logs" and one != two and {one, two} <= _ONE_RECORDER:
         return
     if other[:3] == where[:3] == ("logs", "light_sheet", "scans") and {other[4], where[4]} <= SHARED_PARTS:
         return

@@ -101,17 +101,31 @@ def read_ardupilot(files: Sequence[Path], options: TrackOptions) -> PoseLog:
         stream="ins", format="", files=[str(path) for path in files], time_scale="device"
     )
     logs = [_read(path, report) for path in files]
-    states, positions, depths = (pd.concat(parts, ignore_index=True) for parts in zip(*logs, strict=True))
+    *tables, triggers = zip(*logs, strict=True)
+    states, positions, depths = (pd.concat(parts, ignore_index=True) for parts in tables)
     report.synchronised = bool(states["t_gps_s"].notna().any())
     if report.synchronised:
         report.time_scale = "gps"
     report.take_times(states["t_gps_s" if report.synchronised else "t_device_s"], "states")
     for name, table in (("states", states), ("positions", positions), ("depths", depths)):
         report.count(name, len(table))
-    return PoseLog(states=states, positions=positions, depths=depths if len(depths) else None, report=report)
+    triggers_gps_s = np.concatenate(triggers)
+    if n := len(triggers_gps_s):
+        report.count("camera_triggers", n)
+        report.note(
+            f"{n:,} camera triggers: named in logs.time_lapse.times, the log gives as many photographs their "
+            "times."
+        )
+    return PoseLog(
+        states=states,
+        positions=positions,
+        depths=depths if len(depths) else None,
+        report=report,
+        triggers_gps_s=triggers_gps_s,
+    )
 
 
-def _read(path: Path, report: IntegrityReport) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
+def _read(path: Path, report: IntegrityReport) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame, ArrayF]:
     with path.open("rb") as stream:
         dataflash = is_dataflash(stream.read(64), 0)
     report.bytes_read += path.stat().st_size
@@ -146,7 +160,11 @@ def _read(path: Path, report: IntegrityReport) -> tuple[pd.DataFrame, pd.DataFra
             "Heights are above mean sea level, no undulation of the geoid is stated: no ellipsoidal height."
         )
     depths = frame_of(DEPTH, {**depths, "t_gps_s": depths["t_s"] + gps_minus_boot_s}, unknown=np.nan)
-    return states, frame_of(GNSS_POSITION, dict(fixes), unknown=np.nan), depths
+    pictures = messages.get("CAM", messages.get("CAMERA_FEEDBACK", _NONE))["t_s"].to_numpy(np.float64)
+    triggers = pictures + gps_minus_boot_s
+    dated = pictures > 1e9  # feedback of telemetry is in Unix time, where the autopilot knew it
+    triggers[dated] = gps_from_unix(pictures[dated])
+    return states, frame_of(GNSS_POSITION, dict(fixes), unknown=np.nan), depths, triggers
 
 
 def _states(
@@ -296,8 +314,6 @@ def _of_dataflash(
             pings["depth_m"] = pings["depth_m"].where(pings["Stat"] == 4, 0.0)
     words = _texts(log.get("MSG", _NONE).get("Message", ()))
     report.model = next((w.strip("\0") for w in words if w.startswith("Ardu") or "Rover" in w), "")
-    if "CAM" in log:
-        report.count("camera_triggers", len(log["CAM"]))
     return attitude, place, fixes, _depths(pings), offset_s
 
 
@@ -476,8 +492,6 @@ def _of_telemetry(
         pings["depth_m"] = pings["current_distance"] * 1e-2
     words = log.get("STATUSTEXT", _NONE).get("text", ())
     report.model = next((str(w) for w in words if str(w).startswith("Ardu")), "")
-    if "CAMERA_FEEDBACK" in log:
-        report.count("camera_triggers", len(log["CAMERA_FEEDBACK"]))
     return attitude, _joined(place, sigmas), fixes, _depths(pings), offset_s
 
 

@@ -239,8 +239,8 @@ def _chosen(path: Path, stream: str, topics: Sequence[str]) -> tuple[str, ...]:
     own = {name for name in topics if any(name in each for equals in ranks for each in equals)}
     among = [each for equals in ranks for each in equals if own <= set(each)] if own else (ranks or [[]])[0]
     # topics of a track stand for positions, attitudes and depths together
-    near = [offers[s] for s in (("lidar",) if stream == "lidar" else ("ins", "pos", "depth")) if s in offers]
-    known = {name for of in near for equals in of for each in equals for name in each}
+    near: tuple[str, ...] = ("lidar",) if stream == "lidar" else ("ins", "pos", "depth")
+    known = {n for s in near for equals in offers.get(s, []) for each in equals for n in each}
     strange = [name for name in topics if name not in known]
     if len(among) == 1 and not strange:
         return among[0]
@@ -304,7 +304,9 @@ def mounts_of_bag(path: Path) -> dict[str, str]:
     held = _held(path)
     tree: dict[str, tuple[str, ArrayF]] = {}
     for name, (kind, _) in held.items():
-        for _, _, message in _messages(path, name) if kind == _MOUNTING and "static" in name else ():
+        if kind != _MOUNTING or "static" not in name:
+            continue
+        for _, _, message in _messages(path, name):
             for each in message.transforms:
                 q, shift = each.transform.rotation, each.transform.translation
                 step = np.eye(4)
@@ -344,8 +346,10 @@ def mounts_of_bag(path: Path) -> dict[str, str]:
 
 def _frame_of(path: Path, topic: str) -> str:
     """Frame of the body or sensor that the first message of a topic names."""
-    message = next((message for _, _, message in _messages(path, topic)), None)
-    return str(getattr(message, "child_frame_id", "") or getattr(message, "header", message).frame_id)
+    message: Any = next((message for _, _, message in _messages(path, topic)), None)
+    if child := getattr(message, "child_frame_id", ""):
+        return str(child)
+    return str(message.header.frame_id) if hasattr(message, "header") else ""
 
 
 # ---------------------------------------------------------------- lidar
@@ -363,7 +367,8 @@ class BagLidar:
 
     def _clouds(self, report: IntegrityReport | None = None) -> Iterator[tuple[float, float, Any]]:
         for path in self.files:
-            yield from _messages(path, *_chosen(path, "lidar", self.options.topics), report)
+            (topic,) = _chosen(path, "lidar", self.options.topics)
+            yield from _messages(path, topic, report)
 
     def scan(self) -> LidarScan:
         """Read the recording once.
@@ -630,7 +635,7 @@ def read_bag_positions(files: Sequence[Path], options: TrackOptions) -> Position
 
 
 def _all_fixes(files: Sequence[Path], options: TrackOptions, report: IntegrityReport) -> pd.DataFrame:
-    chosen = [(path, *_chosen(path, "pos", options.topics)) for path in files]
+    chosen = [(path, topic) for path in files for topic in _chosen(path, "pos", options.topics)]
     return pd.concat([_fixes(path, topic, report) for path, topic in chosen], ignore_index=True)
 
 
@@ -652,7 +657,7 @@ def _fixes(path: Path, topic: str, report: IntegrityReport) -> pd.DataFrame:
     report.note("Heights of NavSatFix are above the ellipsoid, if its driver keeps to the definition.")
     table = pd.DataFrame(
         {
-            "t_gps_s": gps_from_unix(np.maximum(t_unix_s, 0.0)),
+            "t_gps_s": gps_from_unix(t_unix_s),
             "lat_deg": lat,
             "lon_deg": lon,
             "h_ell_m": height,
@@ -698,9 +703,9 @@ def read_bag_poses(files: Sequence[Path], options: TrackOptions) -> PoseLog:
     report = IntegrityReport(
         stream="ins", format="ROS Imu and NavSatFix", files=[str(path) for path in files], time_scale="host"
     )
-    parts = [(path, *topics) for path, topics in zip(files, chosen, strict=True)]
-    positions = pd.concat([_fixes(path, fix, report) for path, _, fix in parts], ignore_index=True)
-    states = pd.concat([_attitudes(path, imu, report) for path, imu, _ in parts], ignore_index=True)
+    parts = list(zip(files, chosen, strict=True))
+    positions = pd.concat([_fixes(path, fix, report) for path, (_, fix) in parts], ignore_index=True)
+    states = pd.concat([_attitudes(path, imu, report) for path, (imu, _) in parts], ignore_index=True)
     depths = pd.concat([_depths(path, options, report) for path in files], ignore_index=True)
     t, at = states["t_gps_s"].to_numpy(), positions.drop_duplicates("t_gps_s").sort_values("t_gps_s")
     for name in ("lat_deg", "lon_deg", "h_ell_m", "sigma_east_m", "sigma_north_m", "sigma_up_m"):

@@ -173,7 +173,7 @@ class TimeLapseLogs(Section):
     times: Files = Field(
         default=(),
         description="Table of image times, if neither names nor EXIF have them (CSV: file, and one of "
-        "time_utc in ISO 8601, unix_s, t_gps_s)",
+        "time_utc in ISO 8601, unix_s, t_gps_s), or the log of an autopilot that triggered each of them",
     )
     control_points: Files = Field(
         default=(),
