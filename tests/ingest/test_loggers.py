@@ -9,7 +9,15 @@ from tests.conftest import check_whole
 from thalweg.core import InputError, ThalwegError, gps_from_unix
 from thalweg.ingest import TrackOptions
 from thalweg.ingest.recorders import read_deeper, read_track_table
-from thalweg.ingest.registry import also_streams, describe, read_depths, read_positions, recognise, stream_of
+from thalweg.ingest.registry import (
+    also_streams,
+    describe,
+    read_depths,
+    read_positions,
+    recognise,
+    soundings_table,
+    stream_of,
+)
 
 UNIX_MS = 1_722_032_248_825
 POSITIONS = {"states": None, "base": [], "nav": [], "ppk": {}, "base_position": {}}
@@ -125,4 +133,6 @@ def test_real_loggers(data_dir: Path) -> None:
     assert (len(depth), depth.min(), depth.max(), depth.median()) == (3594, 2.1, 4.9, 4.6)
     for name, kind in (("test.DAT", "humminbird"), ("B000.SON", "humminbird"), ("B000.IDX", "humminbird")):
         assert recognise(today / "humminbird_998" / name) == kind
+    with pytest.raises(InputError, match="a recording of a Humminbird.*by PINGMapper or SonarTRX"):
+        soundings_table(today / "humminbird_998/B000.SON")
     assert "gopro2gpx" in str(describe(today / "gopro_max_gpmf/max-heromode.mp4").details["use"])

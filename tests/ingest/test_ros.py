@@ -1,11 +1,13 @@
 """Bags of ROS: written here by rosbags, and real ones beside its counts."""
 
+import io
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from PIL import Image
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -14,7 +16,8 @@ from scipy.spatial.transform import Rotation
 from thalweg.cli import main
 from thalweg.core import InputError, LocalFrame, gps_from_unix, rotation_opk
 from thalweg.ingest import LidarOptions, TrackOptions
-from thalweg.ingest.recorders import mounts_of_bag, read_bag_positions, streams_of_bag
+from thalweg.ingest.photos import read_image_stamps
+from thalweg.ingest.recorders import mounts_of_bag, read_bag_positions, streams_of_bag, write_bag_images
 from thalweg.ingest.registry import (
     describe,
     lidar_reader,
@@ -396,6 +399,44 @@ def test_a_new_campaign_names_the_topics(tmp_path: Path, capsys: pytest.CaptureF
     twice = lines.replace("#/front]", "#/front, ../survey.bag#/rear]")
     (folder / "river.yaml").write_text(twice, encoding="utf-8")
     assert load_campaign(folder / "river.yaml").topics("lidar") == ["/front", "/rear"]
+
+
+def test_images_of_a_bag_are_photographs_with_times(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A red pixel of a raw image in blue, green, red stays red; a JPEG stays what it was, byte for byte."""
+    path, out = tmp_path / "boat.bag", tmp_path / "photos"
+    bag = Bag(path)
+    jpeg = io.BytesIO()
+    Image.new("RGB", (4, 2), (0, 255, 0)).save(jpeg, "JPEG")
+    whole = {"format": "jpeg", "data": np.frombuffer(jpeg.getvalue(), np.uint8)}
+    for k in range(4):
+        header = bag.header(UNIX_S + 0.25 * k)
+        message = bag.of("sensor_msgs/msg/CompressedImage", header=header, **whole)
+        bag.say("/left", "sensor_msgs/msg/CompressedImage", message, UNIX_S + k)
+    raw = np.zeros((2, 3 * 3 + 1), np.uint8)  # a byte of padding behind each row
+    raw[0, 2] = 255
+    fields = {"height": 2, "width": 3, "encoding": "bgr8", "is_bigendian": 0, "step": 10, "data": raw.ravel()}
+    message = bag.of("sensor_msgs/msg/Image", header=bag.header(UNIX_S), **fields)
+    bag.say("/right", "sensor_msgs/msg/Image", message, UNIX_S)
+    bag.writer.close()
+    with pytest.raises(InputError, match=r"2 topics of images; it holds /left, /right.*--topic"):
+        write_bag_images(path, out)
+    command = ["frames", str(path), "--topic", "/left", "--every", "0.5", "--out", str(out)]
+    assert main(command) == 0
+    assert "2 images with the stamps of their headers" in capsys.readouterr().out
+    stamps = read_image_stamps(out, times=out / "times.csv").table
+    assert stamps["file"].tolist() == ["boat_000000.jpg", "boat_000002.jpg"]
+    expected = gps_from_unix(np.array([UNIX_S, UNIX_S + 0.5]))
+    assert stamps["t_device_s"].to_numpy() == pytest.approx(expected, abs=1e-5)
+    assert (out / "boat_000002.jpg").read_bytes() == jpeg.getvalue()
+    write_bag_images(path, tmp_path / "raw", "/right")
+    with Image.open(tmp_path / "raw/boat_000000.png") as picture:
+        assert [picture.size, picture.getpixel((0, 0)), picture.getpixel((1, 0))] == [
+            (3, 2),
+            (255, 0, 0),
+            (0, 0, 0),
+        ]
 
 
 def test_an_imu_without_orientation_is_no_pose(tmp_path: Path) -> None:

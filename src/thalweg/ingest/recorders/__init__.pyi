@@ -19,6 +19,7 @@ from .ros import (
     read_bag_poses as read_bag_poses,
     read_bag_positions as read_bag_positions,
     streams_of_bag as streams_of_bag,
+    write_bag_images as write_bag_images,
 )
 from .sounders import (
     is_deeper as is_deeper,

@@ -14,6 +14,7 @@ for the names of fields.
 """
 
 import atexit
+import math
 import re
 import struct
 import tempfile
@@ -38,6 +39,7 @@ from thalweg.core import (
     gps_from_unix,
     opk_of,
     roll_pitch_heading,
+    utc_text_from_unix,
 )
 from thalweg.ingest import (
     DEPTH,
@@ -71,6 +73,11 @@ _POSES: Final = (
     "geometry_msgs/msg/PoseWithCovarianceStamped",
     "geometry_msgs/msg/PoseStamped",
 )
+_IMAGES: Final = ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image")
+_CHANNELS: Final = {"mono8": ("L", 1), "8UC1": ("L", 1), "rgb8": ("RGB", 1), "bgr8": ("RGB", -1)}
+"""Encodings of whole pictures: mode of Pillow, order of the channels; others are patterns of a chip."""
+_ENDINGS: Final = {b"\xff\xd8": ".jpg", b"\x89P": ".png"}
+"""By the first bytes of a compressed image."""
 _OUSTER: Final = ("ouster_ros/msg/PacketMsg", "ouster_sensor_msgs/msg/PacketMsg")
 _TEXT: Final = "std_msgs/msg/String"
 _MOUNTING: Final = "tf2_msgs/msg/TFMessage"
@@ -206,7 +213,7 @@ def _offers(held: Mapping[str, tuple[str, int]]) -> dict[str, list[list[tuple[st
         return sorted(found, key=lambda name: (-held[name][1], name))
 
     lidar = [of(*_CLOUDS), of(_VELODYNE), [name for name in of(*_OUSTER) if "imu" not in name]]
-    offers = {
+    offers: dict[str, list[list[tuple[str, ...]]]] = {
         "lidar": [[(name,) for name in equals] for equals in lidar],
         "ins": [[(imu, fix) for imu in of(_IMU) for fix in of(_FIXES)], [(name,) for name in of(*_POSES)]],
         "pos": [[(name,) for name in of(_FIXES)]],
@@ -803,3 +810,79 @@ def _attitudes(path: Path, topic: str, report: IntegrityReport) -> pd.DataFrame:
         },
         unknown=np.nan,
     )
+
+
+# ---------------------------------------------------------------- images
+
+
+def write_bag_images(path: Path, folder: Path, topic: str = "", every_s: float = 0.0) -> pd.DataFrame:
+    """Write the images of a bag as files, and ``times.csv`` with the stamps of their headers beside them.
+
+    Compressed images are written as they are, others as PNG.
+
+    Parameters
+    ----------
+    path : the bag.
+    folder : made if it is not there.
+    topic : of several cameras.
+    every_s : time between images that are written; 0: all.
+
+    Returns
+    -------
+    Columns ``file`` and ``time_utc``.
+
+    Raises
+    ------
+    InputError : no images, several cameras and none is named, or a pattern of colours on a chip.
+    """
+    cameras = {name: n for name, (kind, n) in _held(path).items() if kind in _IMAGES and n}
+    named = [name for name in cameras if topic in ("", name)]
+    if len(named) != 1:
+        raise InputError(
+            f"{len(named) or 'no'} topics of images{f' named {topic}' if topic else ''}; "
+            f"it holds {', '.join(cameras) or 'none'}",
+            expected="images of one camera",
+            where=path,
+            cure="Name it by --topic" if cameras else "Record the topic of the camera",
+        )
+    folder.mkdir(parents=True, exist_ok=True)
+    rows, due_s = [], -math.inf
+    for number, (stamp_s, _, message) in enumerate(_messages(path, named[0])):
+        if stamp_s + 1e-9 < due_s:
+            continue
+        due_s = stamp_s + every_s
+        data = np.asarray(message.data, np.uint8)
+        ending = _ENDINGS.get(data[:2].tobytes()) if hasattr(message, "format") else ".png"
+        name = f"{path.stem}_{number:06d}{ending}"
+        if ending is None:
+            raise InputError(
+                f"compressed images of the format {message.format}",
+                expected="JPEG or PNG",
+                where=path,
+                cure="Record the topic of the camera's images, no depths",
+            )
+        if hasattr(message, "format"):
+            (folder / name).write_bytes(data.tobytes())
+        else:
+            _picture(message, data, path).save(folder / name)
+        rows.append((name, utc_text_from_unix(stamp_s)))
+    table = pd.DataFrame(rows, columns=["file", "time_utc"])
+    table.to_csv(folder / "times.csv", index=False)
+    return table
+
+
+def _picture(message: Any, data: AnyArray, path: Path) -> Any:
+    from PIL import Image
+
+    if message.encoding not in _CHANNELS:
+        raise InputError(
+            f"images of the encoding {message.encoding}",
+            expected=", ".join(_CHANNELS),
+            where=path,
+            cure="Convert them by image_proc, and record its topic",
+        )
+    mode, order = _CHANNELS[message.encoding]
+    rows = data[: message.height * message.step].reshape(message.height, message.step)
+    channels = len(Image.new(mode, (1, 1)).getbands())
+    pixels = rows[:, : message.width * channels].reshape(message.height, message.width, channels)
+    return Image.fromarray(np.ascontiguousarray(pixels[:, :, 0] if channels == 1 else pixels[:, :, ::order]))

@@ -233,6 +233,9 @@ def _other(
     )
 
 
+TO_CONVERT: Final = frozenset({"humminbird", "gopro", "video", "tcx", "fit"})
+"""Recordings that are read after another program has converted them, as their ``use`` says."""
+
 OTHERS: Final = (
     _other(
         "geotiff", "raster of heights (GeoTIFF)", "`thalweg compare-clouds` takes surface models", _is_geotiff

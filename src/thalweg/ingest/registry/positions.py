@@ -37,6 +37,7 @@ from thalweg.ingest.recorders import (
 )
 from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share
 from thalweg.ingest.registry.lidar import BAG
+from thalweg.ingest.registry.others import OTHERS, TO_CONVERT
 from thalweg.ingest.registry.poses import POSES
 from thalweg.ingest.tracks import event_marks, read_gpx, read_pos
 
@@ -123,6 +124,14 @@ def soundings_table(path: Path) -> tuple[pd.DataFrame, list[str]] | None:
     InputError : the recording has no depths, no positions, or no time in common.
     """
     if find_format(_WITH_DEPTHS, path) is None:
+        other = find_format([row for row in OTHERS if row.kind in TO_CONVERT], path)
+        if other is not None:
+            raise InputError(
+                f"a {other.words}",
+                expected="soundings",
+                where=path,
+                cure=other.use[:1].upper() + other.use[1:],
+            )
         return None
     log = read_depths([path])
     assert log.depths is not None
