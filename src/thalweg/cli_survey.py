@@ -210,6 +210,8 @@ def add_survey_commands(commands: "argparse._SubParsersAction[argparse.ArgumentP
                     "filters.water_line_ics_m",
                     "lidar.data_port",
                     "lidar.returns",
+                    "logs.positions",
+                    "logs.time_lapse.times",
                 ]
             ),
         },

@@ -133,6 +133,6 @@ def test_real_loggers(data_dir: Path) -> None:
     assert (len(depth), depth.min(), depth.max(), depth.median()) == (3594, 2.1, 4.9, 4.6)
     for name, kind in (("test.DAT", "humminbird"), ("B000.SON", "humminbird"), ("B000.IDX", "humminbird")):
         assert recognise(today / "humminbird_998" / name) == kind
-    with pytest.raises(InputError, match="a recording of a Humminbird.*by PINGMapper or SonarTRX"):
+    with pytest.raises(InputError, match=r"a recording of a Humminbird.*by PINGMapper or SonarTRX"):
         soundings_table(today / "humminbird_998/B000.SON")
     assert "gopro2gpx" in str(describe(today / "gopro_max_gpmf/max-heromode.mp4").details["use"])

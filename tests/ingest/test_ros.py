@@ -326,16 +326,20 @@ def test_topics_that_are_named_are_taken(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"4 topics of poses .*logs\.ins: \[boat\.bag#/imu/a\]"):
         read_poses([path], "ins")
     topics = ("/imu/b", "/gnss/b", "/echo/b")
+    log = read_poses([path], "ins", TrackOptions(topics=topics[:2]))
+    assert log.depths is None
+    assert any("2 topics of depths (Range): none is read beside. Name" in note for note in log.report.notes)
     log = read_poses([path], "ins", TrackOptions(topics=topics))
+    assert set(log.depths["depth_m"]) == {4.0}  # type: ignore[index]
     assert np.rad2deg(log.states["roll_rad"].median()) == pytest.approx(10.0)
     assert log.states["lat_deg"].iloc[0] == pytest.approx(51.001)
     with pytest.raises(InputError, match=r"2 topics of depths .*logs\.depth: \[boat\.bag#/echo/a\]"):
         read_depths([path], topics=["/gnss/a"])
-    depths = read_depths([path], topics=["/echo/b", "/gnss/a"]).depths
+    depths = read_depths([path], topics=["/echo/b"]).depths
     assert depths is not None
     assert set(depths["depth_m"]) == {4.0}
     positions, _ = read_positions(
-        "pos", [path], states=None, base=[], nav=[], ppk={}, base_position={}, topics=["/gnss/b", "/echo/a"]
+        "pos", [path], states=None, base=[], nav=[], ppk={}, base_position={}, topics=["/gnss/b"]
     )
     assert positions["lat_deg"].iloc[0] == pytest.approx(51.001)
 
@@ -345,7 +349,7 @@ def test_depths_without_positions_are_read(tmp_path: Path) -> None:
     bag.depth("/echo", UNIX_S, 3.0)
     bag.writer.close()
     log = read_depths([tmp_path / "sounder.bag"])
-    assert (len(log.depths), len(log.positions), log.report.synchronised) == (1, 0, True)  # type: ignore[arg-type]
+    assert (len(log.depths), log.positions, log.report.synchronised) == (1, None, True)  # type: ignore[arg-type]
 
 
 def test_mounting_of_tf_static(tmp_path: Path) -> None:

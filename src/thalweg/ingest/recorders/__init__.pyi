@@ -16,6 +16,7 @@ from .ros import (
     is_bag as is_bag,
     mounts_of_bag as mounts_of_bag,
     packets_of_bag as packets_of_bag,
+    read_bag_depths as read_bag_depths,
     read_bag_poses as read_bag_poses,
     read_bag_positions as read_bag_positions,
     streams_of_bag as streams_of_bag,

@@ -18,7 +18,7 @@ import math
 import re
 import struct
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -622,28 +622,62 @@ def _ouster_metadata(path: Path) -> str:
 
 
 def read_bag_positions(files: Sequence[Path], options: TrackOptions) -> PositionLog:
-    """Positions of NavSatFix, and depths of a Range that looks down; either may lack.
+    """Positions of NavSatFix, and depths of a Range that looks down, where one topic gives them.
 
     Raises
     ------
-    InputError : neither, or several topics of one and none is named.
+    InputError : no topic of positions, or several and none is named.
     """
     report = IntegrityReport(
         stream="gnss", format="ROS NavSatFix", files=[str(path) for path in files], time_scale="host"
     )
-    without = all("depth" in (held := _offers(_held(path))) and "pos" not in held for path in files)
-    positions = GNSS_POSITION.empty_table().to_pandas() if without else _all_fixes(files, options, report)
-    depths = pd.concat([_depths(path, options, report) for path in files], ignore_index=True)
-    times = depths["t_gps_s"] if without else positions["t_gps_s"]
-    report.synchronised = len(times) > 0
-    report.take_times(times, "depths" if without else "positions")
-    report.count("positions", len(positions))
-    return PositionLog(positions=positions, depths=depths if len(depths) else None, report=report)
-
-
-def _all_fixes(files: Sequence[Path], options: TrackOptions, report: IntegrityReport) -> pd.DataFrame:
     chosen = [(path, topic) for path in files for topic in _chosen(path, "pos", options.topics)]
-    return pd.concat([_fixes(path, topic, report) for path, topic in chosen], ignore_index=True)
+    positions = pd.concat([_fixes(path, topic, report) for path, topic in chosen], ignore_index=True)
+    depths = _beside("depth", _depths, files, options, report)
+    report.synchronised = len(positions) > 0
+    report.take_times(positions["t_gps_s"], "positions")
+    report.count("positions", len(positions))
+    return PositionLog(positions=positions, depths=depths, report=report)
+
+
+def read_bag_depths(files: Sequence[Path], options: TrackOptions) -> PositionLog:
+    """Depths of a Range that looks down, and positions of NavSatFix, where one topic gives them.
+
+    Raises
+    ------
+    InputError : no topic of depths, or several and none is named.
+    """
+    report = IntegrityReport(
+        stream="depth", format="ROS Range", files=[str(path) for path in files], time_scale="host"
+    )
+    chosen = [(path, topic) for path in files for topic in _chosen(path, "depth", options.topics)]
+    depths = pd.concat([_depths(path, topic, report) for path, topic in chosen], ignore_index=True)
+    report.synchronised = len(depths) > 0
+    report.take_times(depths["t_gps_s"], "depths")
+    report.count("depths", len(depths))
+    return PositionLog(positions=_beside("pos", _fixes, files, options, report), depths=depths, report=report)
+
+
+def _beside(
+    stream: str,
+    read: Callable[[Path, str, IntegrityReport], pd.DataFrame],
+    files: Sequence[Path],
+    options: TrackOptions,
+    report: IntegrityReport,
+) -> pd.DataFrame | None:
+    """What a bag holds beside the stream that is read; of several topics none, which a note tells."""
+    parts = []
+    for path in files:
+        if stream not in _offers(_held(path)):
+            continue
+        try:
+            (topic,) = _chosen(path, stream, options.topics)
+        except InputError as error:
+            report.note(f"{error.found.split(';')[0]}: none is read beside. {error.cure}.")
+            return None
+        parts.append(read(path, topic, report))
+    found = pd.concat(parts, ignore_index=True) if parts else None
+    return None if found is None or found.empty else found
 
 
 def _fixes(path: Path, topic: str, report: IntegrityReport) -> pd.DataFrame:
@@ -679,10 +713,7 @@ def _fixes(path: Path, topic: str, report: IntegrityReport) -> pd.DataFrame:
     return frame_of(GNSS_POSITION, dict(table[placed].reset_index(drop=True)), unknown=np.nan)
 
 
-def _depths(path: Path, options: TrackOptions, report: IntegrityReport) -> pd.DataFrame:
-    if "depth" not in _offers(_held(path)):
-        return DEPTH.empty_table().to_pandas()
-    (topic,) = _chosen(path, "depth", options.topics)
+def _depths(path: Path, topic: str, report: IntegrityReport) -> pd.DataFrame:
     rows = [
         (stamp_s, each.range if each.min_range <= each.range <= each.max_range else 0.0)
         for stamp_s, _, each in _messages(path, topic, report)
@@ -713,7 +744,7 @@ def read_bag_poses(files: Sequence[Path], options: TrackOptions) -> PoseLog:
     parts = list(zip(files, chosen, strict=True))
     positions = pd.concat([_fixes(path, fix, report) for path, (_, fix) in parts], ignore_index=True)
     states = pd.concat([_attitudes(path, imu, report) for path, (imu, _) in parts], ignore_index=True)
-    depths = pd.concat([_depths(path, options, report) for path in files], ignore_index=True)
+    depths = _beside("depth", _depths, files, options, report)
     t, at = states["t_gps_s"].to_numpy(), positions.drop_duplicates("t_gps_s").sort_values("t_gps_s")
     for name in ("lat_deg", "lon_deg", "h_ell_m", "sigma_east_m", "sigma_north_m", "sigma_up_m"):
         states[name] = np.interp(t, at["t_gps_s"], at[name], left=np.nan, right=np.nan)
@@ -723,7 +754,7 @@ def read_bag_poses(files: Sequence[Path], options: TrackOptions) -> PoseLog:
     report.count("states", len(states))
     report.count("positions", len(positions))
     report.note("Positions are those of the receiver's antenna, between its fixes.")
-    return PoseLog(states=states, positions=positions, depths=depths if len(depths) else None, report=report)
+    return PoseLog(states=states, positions=positions, depths=depths, report=report)
 
 
 def _poses(parts: Sequence[tuple[Path, str]], options: TrackOptions) -> PoseLog:

@@ -58,6 +58,7 @@ class Format:
     matches : head of a file (`HEAD_BYTES`) and size of the file -> how sure its content is of this format,
         0 to `SURE`; asked where no ``magic`` is given, or behind it.
     lidar, poses, positions, cloud : its reader, by what it yields.
+    depths : its reader of depths, where that of positions or poses needs more than these.
     describe : kind, files, options and whether points are wanted -> `Recording`.
     """
 
@@ -72,6 +73,7 @@ class Format:
     lidar: Callable[[Sequence[Path], LidarOptions], LidarReader] | None = None
     poses: PoseReader | None = None
     positions: PositionReader | None = None
+    depths: PositionReader | None = None
     cloud: CloudReader | None = None
 
     def sureness(self, head: bytes, size: int) -> float:

@@ -14,13 +14,14 @@ from thalweg.ingest.ppk import PpkOptions, run_ppk
 from thalweg.ingest.registry.base import Format, Recording, find_format, read_head
 from thalweg.ingest.registry.calibrations import CALIBRATIONS
 from thalweg.ingest.registry.clouds import CLOUDS
+from thalweg.ingest.registry.converted import CONVERTED
 from thalweg.ingest.registry.images import IMAGES
 from thalweg.ingest.registry.lidar import LIDARS
 from thalweg.ingest.registry.others import OTHERS
 from thalweg.ingest.registry.poses import POSES
 from thalweg.ingest.registry.positions import POSITIONS, read_depths
 
-FORMATS: Final = (*LIDARS, *CLOUDS, *POSES, *POSITIONS, *CALIBRATIONS, *OTHERS, *IMAGES)
+FORMATS: Final = (*LIDARS, *CLOUDS, *POSES, *POSITIONS, *CALIBRATIONS, *CONVERTED, *OTHERS, *IMAGES)
 """In the order in which a file is tried against them."""
 
 FORMAT_OF_KIND: Final[Mapping[str, Format]] = {each.kind: each for each in FORMATS}

@@ -12,7 +12,6 @@ from thalweg.ingest import (
     LidarOptions,
     LidarReader,
     LidarScan,
-    LogWindow,
     OusterReader,
     PointBlock,
     TrackOptions,
@@ -26,6 +25,7 @@ from thalweg.ingest.recorders import (
     is_bag,
     mounts_of_bag as mounts_of_bag,
     packets_of_bag,
+    read_bag_depths,
     read_bag_poses,
     read_bag_positions,
     streams_of_bag,
@@ -97,11 +97,9 @@ class _OfPackets:
         """As of every lidar."""
         return self.reader.length_s()
 
-    def points(
-        self, clock: LidarClock | None = None, *, max_points: int = 1_000_000, window: LogWindow | None = None
-    ) -> Iterator[PointBlock]:
+    def points(self, clock: LidarClock | None = None, **how: Any) -> Iterator[PointBlock]:
         """As of every lidar."""
-        return self.reader.points(clock, max_points=max_points, window=window)
+        return self.reader.points(clock, **how)
 
 
 def _describe_bag(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
@@ -110,7 +108,11 @@ def _describe_bag(kind: str, files: list[Path], options: dict[str, Any], points:
     if points and len(streams.get("lidar", [])) == 1:
         recording = replace(_describe(kind, files, options, points), report=recording.report)
     on_earth = [(imu, fix) for imu, *fixes in streams.get("ins", []) for fix in fixes]
-    for choices, reader in ((on_earth, read_bag_poses), (streams.get("pos", []), read_bag_positions)):
+    for choices, reader in (
+        (streams.get("depth", []), read_bag_depths),
+        (streams.get("pos", []), read_bag_positions),
+        (on_earth, read_bag_poses),
+    ):
         if len(choices) == 1:  # of several the reader would ask which
             log = reader(files, TrackOptions())
             tables = {
@@ -153,6 +155,7 @@ BAG: Final = Format(
     lidar=_bag,
     poses=read_bag_poses,
     positions=read_bag_positions,
+    depths=read_bag_depths,
     describe=_describe_bag,
 )
 """A bag is a row of lidars, of poses and of positions."""

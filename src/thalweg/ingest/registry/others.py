@@ -127,17 +127,6 @@ def _is_drawn(kind: str) -> Callable[[bytes, int], bool]:
     return matches
 
 
-def _is_humminbird(head: bytes, size: int) -> bool:
-    """Records of a channel (SON), places of these in it and their times (IDX), or the head of all (DAT)."""
-    if head.startswith(b"\xc0\xde\xab\x21"):
-        return True
-    if size == 64 and head[:2] in (b"\xc1\0", b"\xc3\0") and b".SON" in head:
-        return True
-    pairs = np.frombuffer(head[: len(head) // 8 * 8], ">u4").reshape(-1, 2).astype(np.int64)
-    grow = len(pairs) > 3 and size % 8 == 0 and pairs[0, 1] == 0 and bool((np.diff(pairs[:, 1]) > 64).all())
-    return grow and bool((np.diff(pairs[:, 0]) >= 0).all())
-
-
 def _is_part_of_shapefile(head: bytes, size: int) -> bool:
     """Its index, its coordinate system (ESRI WKT), its encoding, or its table (dBASE III)."""
     if head.startswith(b"\0\0\x27\x0a") or re.match(rb"(PROJ|GEOG|COMPD|LOCAL)(CS|_CS)\[", head):
@@ -233,9 +222,6 @@ def _other(
     )
 
 
-TO_CONVERT: Final = frozenset({"humminbird", "gopro", "video", "tcx", "fit"})
-"""Recordings that are read after another program has converted them, as their ``use`` says."""
-
 OTHERS: Final = (
     _other(
         "geotiff", "raster of heights (GeoTIFF)", "`thalweg compare-clouds` takes surface models", _is_geotiff
@@ -317,38 +303,7 @@ OTHERS: Final = (
         _is_part_of_shapefile,
     ),
     _other(
-        "tcx",
-        "workout (TCX)",
-        "convert it to GPX: logs.positions, logs.depth",
-        _has(b"<TrainingCenterDatabase"),
-    ),
-    _other(
-        "fit",
-        "recording of a watch or sounder (FIT)",
-        "convert it to GPX with the depths: logs.positions, logs.depth",
-        lambda head, size: head[8:12] == b".FIT",
-    ),
-    _other(
         "pcd", "PCD cloud", "logs.calibration.board_scans", None, (b"# .PCD", b"VERSION .7", b"VERSION 0.7")
     ),
     _other("sqlite", "SQLite database", "of COLMAP: export its model", None, (b"SQLite format 3\x00",)),
-    _other(
-        "humminbird",
-        "recording of a Humminbird (DAT, SON, IDX)",
-        "not read: export it with its places as CSV, by PINGMapper or SonarTRX, for `thalweg bed`",
-        _is_humminbird,
-    ),
-    _other(
-        "gopro",
-        "video of a GoPro (MP4 with GPMF)",
-        "`thalweg frames` makes photographs of it; its GPS and IMU are not read: export GPX (gopro2gpx, "
-        "exiftool -ee -p gpx.fmt) for logs.positions",
-        lambda head, size: head[4:8] == b"ftyp" and b"GoPro" in head[:4096],
-    ),
-    _other(
-        "video",
-        "video (MP4, MOV)",
-        "`thalweg frames` makes photographs of it with a table of their times",
-        lambda head, size: head[4:8] == b"ftyp",
-    ),
 )

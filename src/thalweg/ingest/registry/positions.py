@@ -36,8 +36,8 @@ from thalweg.ingest.recorders import (
     ubx_share,
 )
 from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share
+from thalweg.ingest.registry.converted import CONVERTED
 from thalweg.ingest.registry.lidar import BAG
-from thalweg.ingest.registry.others import OTHERS, TO_CONVERT
 from thalweg.ingest.registry.poses import POSES
 from thalweg.ingest.tracks import event_marks, read_gpx, read_pos
 
@@ -124,7 +124,7 @@ def soundings_table(path: Path) -> tuple[pd.DataFrame, list[str]] | None:
     InputError : the recording has no depths, no positions, or no time in common.
     """
     if find_format(_WITH_DEPTHS, path) is None:
-        other = find_format([row for row in OTHERS if row.kind in TO_CONVERT], path)
+        other = find_format(CONVERTED, path)
         if other is not None:
             raise InputError(
                 f"a {other.words}",
@@ -299,7 +299,7 @@ def _same_time(one: pd.DataFrame, other: pd.DataFrame) -> bool:
 
 def _of_soundings(path: Path) -> PositionReader:
     known = find_format(_WITH_DEPTHS, path)
-    reader = None if known is None else known.positions or known.poses
+    reader = None if known is None else known.depths or known.positions or known.poses
     if reader is None:
         raise InputError(
             "a recording of no kind that holds depths",
