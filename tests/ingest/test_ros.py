@@ -13,8 +13,9 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
+from tests.conftest import check_whole
 from thalweg.cli import main
-from thalweg.core import InputError, LocalFrame, gps_from_unix, rotation_opk
+from thalweg.core import InputError, LocalFrame, ThalwegError, gps_from_unix, rotation_opk
 from thalweg.ingest import LidarOptions, TrackOptions
 from thalweg.ingest.photos import read_image_stamps
 from thalweg.ingest.recorders import mounts_of_bag, read_bag_positions, streams_of_bag, write_bag_images
@@ -450,6 +451,25 @@ def test_an_imu_without_orientation_is_no_pose(tmp_path: Path) -> None:
     bag.writer.close()
     with pytest.raises(InputError, match="gives no orientation"):
         read_poses([tmp_path / "boat.bag"], "ins")
+
+
+def test_damaged_bags_are_read_or_refused(tmp_path: Path, fuzz: Any) -> None:
+    bag = Bag(tmp_path / "whole.bag")
+    for k in range(20):
+        bag.fix(UNIX_S + k, k)
+    bag.writer.close()
+    path = tmp_path / "fuzz.bag"
+    for data in fuzz.inputs((tmp_path / "whole.bag").read_bytes()):
+        path.write_bytes(data)
+        try:
+            log = read_bag_positions([path], TrackOptions())
+        except ThalwegError as error:
+            check_whole(error)
+            continue
+        fuzz.was_read(reported=any(log.report.losses.values()))
+        assert log.positions is not None
+        assert len(log.positions) <= 20
+    fuzz.check(read=0.01, troubled=0.8)  # an index that is damaged is mended by the tools of ROS
 
 
 def test_a_cut_bag_is_refused_with_its_cure(tmp_path: Path) -> None:

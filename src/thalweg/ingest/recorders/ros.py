@@ -76,6 +76,7 @@ _POSES: Final = (
 _IMAGES: Final = ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image")
 _CHANNELS: Final = {"mono8": ("L", 1), "8UC1": ("L", 1), "rgb8": ("RGB", 1), "bgr8": ("RGB", -1)}
 """Encodings of whole pictures: mode of Pillow, order of the channels; others are patterns of a chip."""
+_MEND: Final = "Mend it: rosbag reindex (ROS 1), ros2 bag reindex (ROS 2), mcap recover"
 _ENDINGS: Final = {b"\xff\xd8": ".jpg", b"\x89P": ".png"}
 """By the first bytes of a compressed image."""
 _OUSTER: Final = ("ouster_ros/msg/PacketMsg", "ouster_sensor_msgs/msg/PacketMsg")
@@ -139,7 +140,7 @@ def _types() -> Any:
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     try:
-        from rosbags.highlevel import AnyReader, AnyReaderError
+        from rosbags.highlevel import AnyReader
     except ImportError as error:
         raise UnsupportedError(
             "a bag of ROS, and rosbags is not installed",
@@ -150,12 +151,12 @@ def _opened(path: Path) -> Iterator[Any]:
     try:
         reader = AnyReader([path], default_typestore=_types())
         reader.open()
-    except (AnyReaderError, OSError, ValueError, KeyError) as error:
+    except Exception as error:  # of damaged bags it raises whatever its bytes lead to
         raise InputError(
-            f"the bag cannot be opened ({error})",
+            f"the bag cannot be opened ({error or type(error).__name__})",
             expected="a whole bag",
             where=path,
-            cure="Mend it: rosbag reindex (ROS 1), ros2 bag reindex (ROS 2), mcap recover"
+            cure=_MEND
             if path.suffix in (".bag", ".db3", ".mcap")
             else "Give it the ending of its kind: .bag, .db3 or .mcap",
         ) from error
@@ -188,7 +189,19 @@ def _messages(
     A message without header has the time of its recording twice.
     """
     with _opened(path) as bag:
-        for connection, t_ns, raw in bag.messages([each for each in bag.connections if each.topic == topic]):
+        stored = bag.messages([each for each in bag.connections if each.topic == topic])
+        while True:
+            try:
+                connection, t_ns, raw = next(stored)
+            except StopIteration:
+                return
+            except Exception as error:  # as for the opening
+                raise InputError(
+                    f"the bag is damaged ({error or type(error).__name__})",
+                    expected="a whole bag",
+                    where=path,
+                    cure=_MEND,
+                ) from error
             try:
                 message = bag.deserialize(raw, connection.msgtype)
             except (AssertionError, IndexError, KeyError, TypeError, ValueError, UnicodeDecodeError):
