@@ -189,7 +189,7 @@ def _new_campaign(options: argparse.Namespace) -> int:
     if options.epochs:
         text = _epochs_text(name, options, schema)
     else:
-        files, remarks = _sort_logs(options.from_logs) if options.from_logs else (None, [])
+        files, remarks, topics = _sort_logs(options.from_logs) if options.from_logs else (None, [], {})
         text = campaign_text(
             name,
             folder=folder,
@@ -197,6 +197,7 @@ def _new_campaign(options: argparse.Namespace) -> int:
             origin=tuple(options.origin) if options.origin else _place(files or {}),
             spacing_m=_spacing_m(files or {}),
             remarks=remarks,
+            topics=topics,
             schema=schema,
         )
     folder.mkdir(parents=True, exist_ok=True)
@@ -238,16 +239,19 @@ _FILES_NAMED = 5
 """Of one kind in one folder; more are counted."""
 
 
-def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], list[str]]:
-    """Files of a folder by stream, recognised by their content, and what was chosen among tracks."""
+def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], list[str], dict[str, tuple[str, ...]]]:
+    """Files of a folder by stream, recognised by their content, what was chosen, and topics of containers."""
     from thalweg.ingest.registry import (
         ALSO_MARKS,
         KINDS,
         LOOSE_KINDS,
         also_streams,
         choose_tracks,
+        mounts_of_bag,
         recognise,
         stream_of,
+        topics_to_choose,
+        what_it_is_for,
     )
     from thalweg.settings import natural_order
 
@@ -259,6 +263,8 @@ def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], list[str]]:
     loose: list[tuple[str, str, Path]] = []
     known: list[tuple[str, str, Path]] = []
     beside: dict[str, list[Path]] = {}
+    choices: dict[str, list[tuple[str, ...]]] = {}
+    remarks: list[str] = []
     for path in sorted((p for p in folder.rglob("*") if p.is_file()), key=natural_order):
         try:
             kind = recognise(path)
@@ -270,7 +276,7 @@ def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], list[str]]:
         if kind in LOOSE_KINDS:
             loose.append((LOOSE_KINDS[kind], kind, path))
         elif stream is None:
-            left_out.setdefault(f"{KINDS[kind]}: no stream of a survey", []).append(path)
+            left_out.setdefault(f"{KINDS[kind]}: {what_it_is_for(kind, path)}", []).append(path)
         elif kind == "photograph":
             pictures[stream, path.parent] += 1
         else:
@@ -278,6 +284,12 @@ def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], list[str]]:
             streams.setdefault(stream, []).append(path)
             for other in also_streams(kind, path):
                 beside.setdefault(other, []).append(path)
+            choices |= topics_to_choose(kind, path)
+            if kind == "rosbag":
+                remarks += [
+                    f"{name} as {path.name} states it (tf_static): {place}; CHANGE: enter it below mounts"
+                    for name, place in mounts_of_bag(path).items()
+                ]
             if kind in ALSO_MARKS:
                 streams.setdefault("image_marks", []).append(path)
     for (stream, parent), n in pictures.items():
@@ -308,7 +320,7 @@ def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], list[str]]:
         elif first:
             print(f"{stream:10s} {path.parent} ({n} files, {kind})")
     streams = _of_receivers(_of_one_kind(streams))
-    remarks, others = [], dict[str, list[Path]]()
+    others: dict[str, list[Path]] = {}
     if "pos" in streams:
         kept, second = choose_tracks(streams.pop("pos"))
         if kept:
@@ -325,6 +337,11 @@ def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], list[str]]:
         named = ", ".join(str(path.relative_to(folder)) for path in paths[:3])
         more = f" and {len(paths) - 3} more" if len(paths) > 3 else ""
         print(f"left out, {why}: {named}{more}", file=sys.stderr)
+    topics = {stream: equals[0] for stream, equals in choices.items() if stream in streams}
+    for stream, meant in topics.items():
+        also = " or ".join(" with ".join(each) for each in choices[stream][1:])
+        remarks.append(f"{stream} from {' with '.join(meant)}; CHANGE: or name {also}")
+        print(f"{remarks[-1].replace('CHANGE: ', '')}", file=sys.stderr)
     if left_out:
         print("What a single file is, says `thalweg describe FILE`", file=sys.stderr)
     if not streams:
@@ -334,7 +351,7 @@ def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], list[str]]:
             expected="Velodyne, ANPP, SBP, RINEX, NMEA, .pos, SBET, point clouds or photographs",
             cure="Look at single files with `thalweg describe FILE`",
         )
-    return streams, remarks
+    return streams, remarks, topics
 
 
 def _chosen_source(streams: dict[str, list[Path]]) -> str:
@@ -534,7 +551,7 @@ def _places(campaign: "Campaign") -> str:
 
 def _check_contents(campaign: "Campaign") -> None:
     """Are the logs what the campaign file takes them for? All misplaced files are named at once."""
-    from thalweg.ingest.registry import KINDS, KINDS_OF_STREAM, recognise
+    from thalweg.ingest.registry import KINDS, KINDS_OF_STREAM, SOURCES_OF_THEIR_OWN, recognise
     from thalweg.settings.sections import STREAM_KEYS
 
     wrong = []
@@ -549,8 +566,9 @@ def _check_contents(campaign: "Campaign") -> None:
                 continue
             fitting = KINDS_OF_STREAM["cloud" if campaign.kind == "cloud" else stream]
             source = campaign.orientation.position_source
-            if stream == "pos" and source in fitting:  # .pos or NMEA, as the campaign says
-                fitting = (source,)
+            if stream == "pos":
+                own = SOURCES_OF_THEIR_OWN & {source}
+                fitting = tuple(own or (each for each in fitting if each not in SOURCES_OF_THEIR_OWN))
             if fitting and kind not in fitting:
                 expected = " or ".join(KINDS[name] for name in fitting)
                 wrong.append(f"  logs.{'.'.join(keys)}: {path} holds a {KINDS[kind]}; expected: {expected}.")

@@ -153,7 +153,15 @@ class FirstJobs:
 
         source, none = self._files.position_source(), list[Path]()
         table, report = read_positions(
-            source, paths, states=None, date=self._date(), base=none, nav=none, ppk={}, base_position={}
+            source,
+            paths,
+            states=None,
+            date=self._date(),
+            topics=self._files.topics("pos"),
+            base=none,
+            nav=none,
+            ppk={},
+            base_position={},
         )
         self._as_stream("positions", report)
         stated = with_stated(table, **self._files.stated_positions())
@@ -177,7 +185,7 @@ class FirstJobs:
     def _depth(self, paths: list[Path]) -> None:
         from thalweg.ingest.registry import read_depths
 
-        self._as_stream("depth", read_depths(paths, self._date()).report)
+        self._as_stream("depth", read_depths(paths, self._date(), self._files.topics("depth")).report)
 
     def _date(self) -> dt.date | None:
         date = self._files.log_option("depth_date")

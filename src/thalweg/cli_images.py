@@ -14,8 +14,11 @@ _MASKED: Final = ("water", "sky", "hull", "moved")
 
 def add_image_commands(commands: Commands) -> None:
     """Add ``orient``, ``masks`` and ``frames``."""
-    frames = commands.add_parser("frames", help="video -> photographs with a table of their times")
-    frames.add_argument("video", type=Path, metavar="VIDEO", help="MP4, MOV")
+    frames = commands.add_parser(
+        "frames", help="video, or bag of ROS -> photographs with a table of their times"
+    )
+    frames.add_argument("video", type=Path, metavar="VIDEO", help="MP4, MOV; bag")
+    frames.add_argument("--topic", default="", metavar="TOPIC", help="of several cameras of a bag")
     frames.add_argument(
         "--every", type=float, default=0.0, metavar="S", help="time between frames (default: all frames)"
     )
@@ -233,8 +236,15 @@ def _frames(options: argparse.Namespace) -> int:
     from datetime import datetime
 
     from thalweg.core import ConfigError
+    from thalweg.ingest import read_head
     from thalweg.ingest.photos import write_frames
+    from thalweg.ingest.recorders import is_bag, write_bag_images
 
+    if is_bag(read_head(options.video), 0):
+        table = write_bag_images(options.video, options.out, options.topic, options.every)
+        print(f"{len(table)} images with the stamps of their headers, taken as UTC. In a campaign file:")
+        print(f"  logs: {{time_lapse: {{images: [{options.out}], times: [{options.out / 'times.csv'}]}}}}")
+        return 0
     try:
         begin = None if options.begin is None else datetime.fromisoformat(options.begin)
     except ValueError as error:

@@ -23,7 +23,8 @@ def of_a_campaign(settings: Iterable[str]) -> dict[str, str]:
 OF_A_RECORDING: Final = of_a_campaign(
     (
         *("logs.depth_date", "logs.depth", "logs.lidar", "logs.gps_week", "logs.smrmsg"),
-        *("lidar.returns", "lidar.topic", "lidar.model", "lidar.data_port", "lidar.clock.offset_s"),
+        *("logs.ins", "logs.positions", "logs.time_lapse.times"),
+        *("lidar.returns", "lidar.model", "lidar.data_port", "lidar.clock.offset_s"),
         *("georeferencing.min_range_m", "georeferencing.max_range_m"),
         *("ins.body_axes", "ins.time_scale", "orientation.sigma_position_m"),
     )

@@ -212,7 +212,8 @@ def add_survey_commands(commands: Commands) -> None:
                     "filters.water_line_ics_m",
                     "lidar.data_port",
                     "lidar.returns",
-                    "lidar.topic",
+                    "logs.positions",
+                    "logs.time_lapse.times",
                 ]
             ),
         },

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from tests.conftest import check_whole
@@ -13,6 +14,7 @@ from thalweg.bathymetry import read_soundings
 from thalweg.cli import main
 from thalweg.core import InputError, ThalwegError, gps_from_unix, gps_from_week
 from thalweg.ingest import TrackOptions
+from thalweg.ingest.photos import read_image_stamps
 from thalweg.ingest.recorders import USUAL_LAG_S, read_ardupilot
 from thalweg.ingest.registry import describe, read_depths, recognise, stream_of
 
@@ -41,6 +43,7 @@ MESSAGES = {
     "RFND": (137, "QBfBB", "TimeUS,Instance,Dist,Stat,Orient"),
     "PARM": (138, "QNf", "TimeUS,Name,Value"),
     "MSG": (139, "QZ", "TimeUS,Message"),
+    "CAM": (140, "QBH", "TimeUS,I,Img"),
 }
 WEEK, LAG_S = 2300, 0.2
 
@@ -130,6 +133,26 @@ def test_a_boat_has_attitude_place_depth_and_their_sigmas_on_gps_time(boat: Path
     assert (fix.fix, fix.n_sats, fix.h_ell_m) == ("fixed", 20, pytest.approx(146.5))
     assert fix.sigma_east_m == pytest.approx(0.02 / np.sqrt(2))
     assert fix.sigma_up_m == pytest.approx(0.03)
+
+
+def test_camera_triggers_are_times_of_photographs(boat: Path, tmp_path: Path) -> None:
+    """Three shots 2.5 s apart from second 60 of the boot; photographs go by their numbers."""
+    boat.write_bytes(
+        boat.read_bytes() + b"".join(packed("CAM", 60_000_000 + 2_500_000 * k, 0, k) for k in range(3))
+    )
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    for name in ("DSC_9.jpg", "DSC_10.jpg", "DSC_11.jpg"):
+        Image.new("RGB", (8, 8)).save(photos / name)
+    found = read_image_stamps(photos, times=boat)
+    assert found.table["file"].tolist() == ["DSC_9.jpg", "DSC_10.jpg", "DSC_11.jpg"]
+    first = float(gps_from_week(WEEK, 100_010.0)) - LAG_S + USUAL_LAG_S
+    assert found.table["t_device_s"].to_numpy() == pytest.approx(first + 2.5 * np.arange(3), abs=1e-4)
+    assert any("arrive 0.12 s late (presumed)" in note for note in found.report.notes)
+    assert any("3 camera triggers: named in logs.time_lapse.times" in n for n in describe(boat).notes)
+    (photos / "DSC_12.jpg").write_bytes((photos / "DSC_9.jpg").read_bytes())
+    with pytest.raises(InputError, match="3 camera triggers beside 4 photographs"):
+        read_image_stamps(photos, times=boat)
 
 
 def test_a_stated_lag_counts(tmp_path: Path) -> None:

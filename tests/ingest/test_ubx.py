@@ -15,7 +15,7 @@ from thalweg.ingest import TrackOptions
 from thalweg.ingest.ppk import describe_rinex
 from thalweg.ingest.ppk.solution import prepare_inputs
 from thalweg.ingest.recorders import read_ubx
-from thalweg.ingest.registry import describe, recognise, stream_of
+from thalweg.ingest.registry import describe, read_poses, read_positions, recognise, stream_of
 
 WEEK, FIRST_S = 2300, 100_000.0
 UTC = dt.datetime(1980, 1, 6) + dt.timedelta(weeks=WEEK, seconds=FIRST_S - 18.0)
@@ -163,3 +163,13 @@ def test_damaged_logs_are_read_or_refused(tmp_path: Path, fuzz: Any) -> None:
         # what has a right check sum is as it was written
         assert log.positions["lat_deg"].between(50.9999, 51.0001).all()
     fuzz.check(read=0.9, troubled=0.2)
+
+
+def test_a_receiver_is_no_ins(tmp_path: Path) -> None:
+    """Headings of two antennas lack roll and pitch: refused with the reason; the log is one of positions."""
+    path = tmp_path / "boat.ubx"
+    path.write_bytes(b"".join(pvt(k) for k in range(30)))
+    with pytest.raises(InputError, match=r"knows no roll and pitch, even if two antennas .* logs\.positions"):
+        read_poses([path], "ins")
+    table, _ = read_positions("pos", [path], states=None, base=[], nav=[], ppk={}, base_position={})
+    assert len(table) == 30

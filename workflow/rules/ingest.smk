@@ -104,6 +104,7 @@ rule read_positions:
         code=code_version("read_positions"),
         source=of(CampaignFiles.position_source),
         date=of(CampaignFiles.log_option, "depth_date"),
+        topics=of(CampaignFiles.topics, "pos"),
         ppk=section("ppk"),
         base_position=of(CampaignFiles.base_position),
     script:
@@ -154,6 +155,7 @@ rule read_depth:
     params:
         code=code_version("read_depth"),
         date=of(CampaignFiles.log_option, "depth_date"),
+        topics=of(CampaignFiles.topics, "depth"),
     script:
         "../scripts/read_depth.py"
 

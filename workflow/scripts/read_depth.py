@@ -9,8 +9,8 @@ from thalweg.ingest.registry import read_depths
 from thalweg.workflow import run_job
 
 
-def main(*, depth: list[Path], depths: Path, integrity: Path, date: str | None) -> None:
-    log = read_depths(depth, dt.date.fromisoformat(date) if date else None)
+def main(*, depth: list[Path], depths: Path, integrity: Path, date: str | None, topics: list[str]) -> None:
+    log = read_depths(depth, dt.date.fromisoformat(date) if date else None, topics)
     write_table(depths, log.depths, DEPTH)
     log.report.stream = "depth"
     log.report.write(integrity)

@@ -20,6 +20,7 @@ def main(
     integrity: Path,
     source: str,
     date: str | None,
+    topics: list[str],
     ppk: dict[str, Any],
     base_position: dict[str, Any],
 ) -> None:
@@ -28,6 +29,7 @@ def main(
         logs,
         states=states[0] if states else None,
         date=dt.date.fromisoformat(date) if date else None,
+        topics=topics,
         base=base,
         nav=nav,
         ppk=ppk,

@@ -154,7 +154,7 @@ class LidarOptions:
     returns : ``"all"``; in dual mode also ``"strongest"`` or ``"last"`` (the farthest) return of each
         shot. A single-return recording has one return a shot, which is kept in any case.
     data_port, position_port : UDP ports of a Velodyne; an Ouster names its own.
-    topic : of the clouds in a bag of ROS, where it holds several.
+    topics : of the clouds in a bag of ROS that holds several.
 
     Raises
     ------
@@ -168,7 +168,7 @@ class LidarOptions:
     returns: Literal["all", "strongest", "last"] = "all"
     data_port: int = Lidar().data_port
     position_port: int = Lidar().position_port
-    topic: str = ""
+    topics: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         if self.returns not in RETURN_CHOICES:
@@ -274,6 +274,7 @@ class TrackOptions:
         are stated later.
     times : stamps beside a KITTI table.
     upside_down : the body is upside down, and it is meant.
+    topics : those of a container, such as a bag of ROS, that are meant; none: whatever fits.
     """
 
     gps_week: int | None = None
@@ -286,6 +287,7 @@ class TrackOptions:
     sigma_attitude_deg: float | None = None
     times: Path | None = None
     upside_down: bool = False
+    topics: Sequence[str] = ()
 
 
 @dataclass(slots=True, kw_only=True)
@@ -293,13 +295,15 @@ class PositionLog:
     """``positions`` of table kind ``gnss_position``, ``depths`` of kind ``depth`` if the log holds any.
 
     ``soundings`` are depths of a log that tells the place of each: columns ``latitude``, ``longitude``,
-    ``depth_m`` and, where it is known, ``time``.
+    ``depth_m`` and, where it is known, ``time``. ``triggers_gps_s`` (n,) are when a camera was triggered, NaN
+    where the log has no GPS time.
     """
 
     report: IntegrityReport
     positions: pd.DataFrame | None = None
     depths: pd.DataFrame | None = None
     soundings: pd.DataFrame | None = None
+    triggers_gps_s: ArrayF | None = None
 
 
 @dataclass(slots=True, kw_only=True)

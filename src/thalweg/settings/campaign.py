@@ -206,8 +206,14 @@ class Campaign(Section):
         key = "rover" if stream == "sbp" else stream
         if key not in (self.logs.streams() if self.logs else STREAM_KEYS):
             raise KeyError(stream)
-        paths = [Path(p) for p in self.logs.files(key)] if self.logs else []
+        named = self.logs.named(key) if self.logs else []
+        paths = list(dict.fromkeys(Path(path) for path, _ in named))
         return [p for p in paths if not is_rinex_name(p)] if stream == "sbp" else paths
+
+    def topics(self, stream: str) -> list[str]:
+        """Topics of its containers that a stream of a real survey names; none: whatever fits."""
+        named = self.logs.named(stream) if self.logs else []
+        return list(dict.fromkeys(topic for _, topic in named if topic))
 
     def plain(self) -> dict[str, Any]:
         """All settings as plain dicts, lists, text and numbers, as Snakemake compares them."""

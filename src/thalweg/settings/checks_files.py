@@ -31,8 +31,9 @@ FOLDERS: Final = PHOTOGRAPHS | {"masks", "finished_orientations"}
 IMAGE_ENDINGS: Final = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 """As `thalweg.ingest.photos.files` knows photographs, which is not imported for a quick check."""
 
-_ONE_RECORDER: Final = frozenset({"lidar", "ins", "positions", "depth"})
-"""Streams that one file may hold together: a bag of ROS, the log of an autopilot, NMEA."""
+_ONE_RECORDER: Final = frozenset({"lidar", "ins", "positions", "depth", "times"})
+"""Streams that one file may hold together: a bag of ROS, the log of an autopilot, NMEA; ``times`` are those
+of camera triggers."""
 _MANY_PARTS: Final = {"control_points", "marks", "orientations"}
 """Keys that may name one file: OpenDroneMap and Metashape write points, marks and poses together."""
 
@@ -52,11 +53,11 @@ def check_files(logs: Logs, folder: Path) -> tuple[list[Mistake], dict[str, tupl
     """
     mistakes: list[Mistake] = []
     files: dict[str, tuple[str, ...]] = {}
-    first_use: dict[Path, tuple[tuple[Key, ...], str]] = {}
+    first_use: dict[tuple[Path, str], tuple[tuple[Key, ...], str]] = {}
     searched: dict[Path, tuple[Key, ...]] = {}
     for stream, keys in logs.streams().items():
         paths: list[str] = []
-        for i, text in enumerate(logs.files(stream)):
+        for i, (text, topic) in enumerate(logs.named(stream)):
             where: tuple[Key, ...] = ("logs", *keys, i)
             if (wrong_name := no_path(where, text, folder)) is not None:
                 mistakes.append(wrong_name)
@@ -79,8 +80,8 @@ def check_files(logs: Logs, folder: Path) -> tuple[list[Mistake], dict[str, tupl
                     if wrong:
                         paths.append(str(path))
                         continue
-                mistakes += _check_twice(where, path, first_use)
-                paths.append(str(path))
+                mistakes += _check_twice(where, path, topic, first_use)
+                paths.append(f"{path}#{topic}" if topic else str(path))
         files[stream] = tuple(paths)
     return [*mistakes, *_check_nested(first_use, searched)], files
 
@@ -194,10 +195,10 @@ def _has_photographs(folder: Path) -> bool:
 
 
 def _check_nested(
-    first_use: Mapping[Path, tuple[tuple[Key, ...], str]], folders: Mapping[Path, tuple[Key, ...]]
+    first_use: Mapping[tuple[Path, str], tuple[tuple[Key, ...], str]], folders: Mapping[Path, tuple[Key, ...]]
 ) -> Iterator[Mistake]:
     """Folders of photographs are searched with those below them, where nothing else may lie but masks."""
-    for path, (where, name) in first_use.items():
+    for (path, _), (where, name) in first_use.items():
         over = next((folder for folder in path.parents if folder in folders), None)
         if over is None or "mask" in str(path.relative_to(over)).lower():
             continue
@@ -213,9 +214,12 @@ def _check_nested(
 
 
 def _check_twice(
-    where: tuple[Key, ...], path: Path, first_use: dict[Path, tuple[tuple[Key, ...], str]]
+    where: tuple[Key, ...],
+    path: Path,
+    topic: str,
+    first_use: dict[tuple[Path, str], tuple[tuple[Key, ...], str]],
 ) -> Iterator[Mistake]:
-    real = path.resolve()
+    real = path.resolve(), topic
     if real not in first_use:
         first_use[real] = (where, path.name)
         return
@@ -224,7 +228,8 @@ def _check_twice(
         return
     if other[:3] == where[:3] == ("logs", "time_lapse", "interiors"):
         return
-    if other[0] == where[0] == "logs" and other[1] != where[1] and {other[1], where[1]} <= _ONE_RECORDER:
+    one, two = (keys[2] if keys[1:3] == ("time_lapse", "times") else keys[1] for keys in (other, where))
+    if other[0] == where[0] == "logs" and one != two and {one, two} <= _ONE_RECORDER:
         return
     if other[:3] == where[:3] == ("logs", "light_sheet", "scans") and {other[4], where[4]} <= SHARED_PARTS:
         return

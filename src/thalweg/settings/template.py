@@ -29,8 +29,8 @@ _BESIDE_IMAGES: Final = (
 """Stream, key of ``logs.time_lapse``, meaning."""
 _ORDINARY_GNSS: Final = [
     "  accept_fixes: [single, sbas, dgnss, float, fixed]",
-    "  sigma_position_m: [2.0, 2.0, 4.0]  # CHANGE: east, north, up, where the sentences state none (GST)",
-    "  # antenna_h_ell_m: 0.0  # ellipsoidal height of the antenna, where the sentences have none (GLL, RMC)",
+    "  sigma_position_m: [2.0, 2.0, 4.0]  # CHANGE: east, north, up, where the log states none (NMEA: GST)",
+    "  # antenna_h_ell_m: 0.0  # ellipsoidal height of the antenna, where the log has none",
     "  max_gap_s: 5.0  # longest hole between positions that is interpolated",
 ]
 """Lines of ``orientation`` for a receiver that writes NMEA or GPX."""
@@ -57,6 +57,7 @@ def campaign_text(
     spacing_m: float | None = None,
     schema: str = "../schema.json",
     remarks: Sequence[str] = (),
+    topics: Mapping[str, Sequence[str]] | None = None,
 ) -> str:
     """Text of a new campaign file.
 
@@ -69,6 +70,7 @@ def campaign_text(
     spacing_m : distance of the points of a reference cloud from each other; None: as dense as usual.
     schema : path of the JSON schema from ``folder``, for editors.
     remarks : sentences on what was chosen among the logs, written below them.
+    topics : of streams whose files are containers with several: those that are meant.
     """
     lat, lon, h = origin or (51.05, 13.25, 300.0)
     mark = "" if origin else "  # CHANGE: a point near the survey"
@@ -77,11 +79,14 @@ def campaign_text(
     listed = {k: list(v) for k, v in PLACEHOLDERS.items()}
     if files is not None:
         listed = {k: _listed(v, folder) for k, v in files.items()}
+    for stream, meant in (topics or {}).items():
+        listed[stream] = [f"{text}#{topic}" for text in listed[stream] for topic in meant]
     alone = _alone(listed, spacing_m) if files is not None else []
     if alone:
         return "\n".join([*_head(name, schema), *alone]) + "\n"
     source, gnss = _source(listed)
     fixes = "auto" if source == "ppk" else "[fixed]"
+    in_real_time = source == "pos" and not all(text.endswith(".pos") for text in listed.get("pos", []))
     levers = "  # CHANGE: metres forward, right, down of the INS"
     if not (listed.get("ins") or listed.get("sbet")):
         levers = "  # CHANGE: metres forward, right, down of any fixed point of the boat"
@@ -116,7 +121,7 @@ def campaign_text(
         "",
         "orientation:",
         f"  position_source: {source}  # pos, sbp, ppk, nmea, gpx, sbet or ins",
-        *(_ORDINARY_GNSS if source in ("nmea", "gpx") else [f"  accept_fixes: {fixes}"]),
+        *(_ORDINARY_GNSS if source in ("nmea", "gpx") or in_real_time else [f"  accept_fixes: {fixes}"]),
         *_without_control(listed, source),
         *(_SIGMAS_OF_SBET if source == "sbet" and not listed.get("smrmsg") else []),
         *(["", _ON_LAND] if listed.get("lidar") else []),
@@ -406,7 +411,7 @@ def _list(key: str, paths: Sequence[str], meaning: str) -> list[str]:
 
 
 def _quoted(text: str) -> str:
-    plain = all(c.isalnum() or c in "/._-~+" for c in text) and text[0] not in "-~"
+    plain = all(c.isalnum() or c in "/._-~+#" for c in text) and text[0] not in "-~"
     return text if plain else '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 

@@ -148,7 +148,12 @@ class CampaignFiles:
 
     def lidar_options(self) -> dict[str, Any]:
         """How the lidar is decoded; its stated time is known to the job that makes its clock."""
-        return {key: value for key, value in self.plain["lidar"].items() if key != "clock"}
+        own = {key: value for key, value in self.plain["lidar"].items() if key != "clock"}
+        return own | {"topics": self.topics("lidar")}
+
+    def topics(self, stream: str) -> list[str]:
+        """Topics of bags that the campaign names for a stream."""
+        return self.campaign.topics(stream)
 
     def georeferencing(self) -> dict[str, Any]:
         """The section `georeferencing` without the wish for a map.
@@ -175,7 +180,7 @@ class CampaignFiles:
     def track_options(self) -> dict[str, Any]:
         """What files of poses do not state."""
         stated = {key: self.plain["ins"][key] for key in ("body_axes", "time_scale", "upside_down")}
-        return {"gps_week": self.log_option("gps_week"), **stated}
+        return {"gps_week": self.log_option("gps_week"), "topics": self.topics("ins"), **stated}
 
     def base_position(self) -> dict[str, Any]:
         """How the campaign file states the position of the base; a twin's base does in its own file."""

@@ -31,9 +31,11 @@ from thalweg.core import (
 )
 from thalweg.ingest import (
     IntegrityReport,
+    TrackOptions,
     explain_shift,
     find_gaps,
     possible_unix,
+    read_head as read_raw_head,
     read_text_table,
     tell_time_scale,
     time_scale_words,
@@ -267,7 +269,8 @@ def read_image_stamps(
         names and EXIF resolves time finer, and the other one for images that have no such time, if both
         agree.
     pattern : how times stand in the names, see `image_names.compile_pattern`; None: the usual ones.
-    times : CSV table of times, see `image_table.read_time_table`.
+    times : CSV table of times, see `image_table.read_time_table`; or the log of an autopilot with as many
+        camera triggers as there are images, which are then in its order by their names.
     folders : names hold the folders below the common one, as of `image_files.named_images`; false: the names
         of the files alone, each once.
     utc_offset : camera's clock minus UTC such as ``+02:00``, for stamps that do not state it; None: UTC.
@@ -291,7 +294,10 @@ def read_image_stamps(
         report.count("other_files", len(others.others))
         report.note(others.others_in_words())
     heads = _heads(named, report)
-    listed = {} if times is None else _by_image(read_time_table(times), names, times)
+    listed = {}
+    if times is not None:
+        triggered = _triggers(times, names, report)
+        listed = _by_image(read_time_table(times), names, times) if triggered is None else triggered
     if source == "table" and times is None:
         raise InputError("times shall come from a table, but none is given", expected="a CSV file")
     stamps: dict[str, list[CivilStamp | None]] = {
@@ -337,6 +343,37 @@ def read_image_stamps(
             cure="Give the pattern of the names or a CSV table with the columns file and time_utc",
         )
     return ImageStamps(table=table.sort_values("t_device_s", kind="stable", ignore_index=True), report=report)
+
+
+def _triggers(path: Path, names: Sequence[str], report: IntegrityReport) -> dict[str, CivilStamp] | None:
+    """Times at which an autopilot triggered the images, in the order of their names; None for other files."""
+    from thalweg.ingest.recorders import is_dataflash, is_telemetry, read_ardupilot
+
+    head, size = read_raw_head(path), path.stat().st_size
+    if not (is_dataflash(head, size) or is_telemetry(head, size)):
+        return None
+    log = read_ardupilot([path], TrackOptions())
+    found = np.empty(0) if log.triggers_gps_s is None else log.triggers_gps_s
+    if len(found) != len(names) or np.isnan(found).any():
+        raise InputError(
+            f"{len(found):,} camera triggers{' without GPS time' if np.isnan(found).any() else ''} beside "
+            f"{len(names):,} photographs",
+            expected="a trigger with GPS time for each photograph",
+            where=path,
+            cure="Take out photographs that the autopilot did not trigger, or write a table (file, t_gps_s)",
+        )
+    for note in log.report.notes:
+        if "clock is on GPS time" in note:
+            report.note(note)
+    report.note("Photographs and triggers of the autopilot are as many: paired in the order of names.")
+    unix_s = unix_from_gps(np.sort(found))
+    whole = np.floor(unix_s).astype(np.int64)
+    return {
+        name: CivilStamp(
+            second_s=int(second), fraction_s=float(t - second), resolution_s=1e-3, utc_offset_s=0.0
+        )
+        for name, t, second in zip(sorted(names, key=natural_key), unix_s, whole, strict=True)
+    }
 
 
 def _by_image(listed: dict[str, CivilStamp], names: Sequence[str], where: Path) -> dict[str, CivilStamp]:

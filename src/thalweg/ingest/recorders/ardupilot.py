@@ -101,17 +101,31 @@ def read_ardupilot(files: Sequence[Path], options: TrackOptions) -> PoseLog:
         stream="ins", format="", files=[str(path) for path in files], time_scale="device"
     )
     logs = [_read(path, report) for path in files]
-    states, positions, depths = (pd.concat(parts, ignore_index=True) for parts in zip(*logs, strict=True))
+    *tables, triggers = zip(*logs, strict=True)
+    states, positions, depths = (pd.concat(parts, ignore_index=True) for parts in tables)
     report.synchronised = bool(states["t_gps_s"].notna().any())
     if report.synchronised:
         report.time_scale = "gps"
     report.take_times(states["t_gps_s" if report.synchronised else "t_device_s"], "states")
     for name, table in (("states", states), ("positions", positions), ("depths", depths)):
         report.count(name, len(table))
-    return PoseLog(states=states, positions=positions, depths=depths if len(depths) else None, report=report)
+    triggers_gps_s = np.concatenate(triggers)
+    if n := len(triggers_gps_s):
+        report.count("camera_triggers", n)
+        report.note(
+            f"{n:,} camera triggers: named in logs.time_lapse.times, the log gives as many photographs their "
+            "times."
+        )
+    return PoseLog(
+        states=states,
+        positions=positions,
+        depths=depths if len(depths) else None,
+        report=report,
+        triggers_gps_s=triggers_gps_s,
+    )
 
 
-def _read(path: Path, report: IntegrityReport) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
+def _read(path: Path, report: IntegrityReport) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame, ArrayF]:
     with path.open("rb") as stream:
         dataflash = is_dataflash(stream.read(64), 0)
     report.bytes_read += path.stat().st_size
@@ -146,7 +160,11 @@ def _read(path: Path, report: IntegrityReport) -> tuple[pd.DataFrame, pd.DataFra
             "Heights are above mean sea level, no undulation of the geoid is stated: no ellipsoidal height."
         )
     depths = frame_of(DEPTH, {**depths, "t_gps_s": depths["t_s"] + gps_minus_boot_s}, unknown=np.nan)
-    return states, frame_of(GNSS_POSITION, dict(fixes), unknown=np.nan), depths
+    pictures = messages.get("CAM", messages.get("CAMERA_FEEDBACK", _NONE))["t_s"].to_numpy(np.float64)
+    triggers = pictures + gps_minus_boot_s
+    dated = pictures > 1e9  # feedback of telemetry is in Unix time, where the autopilot knew it
+    triggers[dated] = gps_from_unix(pictures[dated])
+    return states, frame_of(GNSS_POSITION, dict(fixes), unknown=np.nan), depths, triggers
 
 
 def _states(
@@ -205,18 +223,26 @@ def _dataflash(path: Path, report: IntegrityReport) -> Messages:
     DFReader = _pymavlink("DFReader")
     with path.open("rb") as stream:
         text = stream.read(3) == b"FMT"
-    try:
-        with _silent():  # it prints a line for each byte between messages, which are counted here
-            log = DFReader.DFReader_text(str(path)) if text else DFReader.DFReader_binary(str(path))
-    except Exception as error:  # it raises no narrower one
-        raise InputError(
-            f"damaged formats of messages ({error})",
-            expected="a whole dataflash log",
-            where=path,
-            cure="Download it from the autopilot again",
-        ) from error
-    if text:
-        return _recv(log, _DATAFLASH, report)
+    kind = DFReader.DFReader_text if text else DFReader.DFReader_binary
+    log = kind.__new__(kind)
+    with contextlib.ExitStack() as at_the_end:
+        # it leaves its file open where its constructor raises
+        at_the_end.callback(lambda: log.filehandle.close())
+        try:
+            with _silent():  # it prints a line for each byte between messages, which are counted here
+                kind.__init__(log, str(path))
+        except Exception as error:  # it raises no narrower one
+            raise InputError(
+                f"damaged formats of messages ({error})",
+                expected="a whole dataflash log",
+                where=path,
+                cure="Download it from the autopilot again",
+            ) from error
+        return _recv(log, _DATAFLASH, report) if text else _columns(log, report)
+
+
+def _columns(log: Any, report: IntegrityReport) -> Messages:
+    """Messages of a binary log, whole columns at once."""
     found, numbers = {}, {}
     covered = 0
     for name, kind in sorted(log.name_to_id.items()):
@@ -234,7 +260,6 @@ def _dataflash(path: Path, report: IntegrityReport) -> Messages:
             table = pd.DataFrame(list(struct.iter_unpack(plain, rows)), columns=form.columns)
             scales = dict(zip(form.columns, form.msg_mults, strict=True))
             found[name] = table.assign(**{key: table[key] * by for key, by in scales.items() if by})
-    log.filehandle.close()
     report.details["messages"] = numbers
     if lost := log.data_len - covered:
         report.lose("bytes_outside_messages", lost)
@@ -289,8 +314,6 @@ def _of_dataflash(
             pings["depth_m"] = pings["depth_m"].where(pings["Stat"] == 4, 0.0)
     words = _texts(log.get("MSG", _NONE).get("Message", ()))
     report.model = next((w.strip("\0") for w in words if w.startswith("Ardu") or "Rover" in w), "")
-    if "CAM" in log:
-        report.count("camera_triggers", len(log["CAM"]))
     return attitude, place, fixes, _depths(pings), offset_s
 
 
@@ -387,7 +410,7 @@ def _telemetry(path: Path, report: IntegrityReport) -> Messages:
 
 
 def _recv(log: Any, wanted: Sequence[str], report: IntegrityReport) -> Messages:
-    rows: dict[str, list[dict[str, Any]]] = {}
+    rows: dict[tuple[str, ...], list[list[Any]]] = {}
     numbers: Counter[str] = Counter()
     while (message := log.recv_msg()) is not None:
         name = message.get_type()
@@ -397,9 +420,14 @@ def _recv(log: Any, wanted: Sequence[str], report: IntegrityReport) -> Messages:
         numbers[name] += 1
         from_autopilot = not hasattr(message, "get_srcComponent") or message.get_srcComponent() == _AUTOPILOT
         if name in wanted and from_autopilot:
-            rows.setdefault(name, []).append(message.to_dict() | {"t_host_s": message._timestamp})
+            fields = message.get_fieldnames()
+            values = [getattr(message, field) for field in fields]
+            rows.setdefault((name, *fields), []).append([*values, message._timestamp])
     report.details["messages"] = dict(sorted(numbers.items()))
-    return {name: _stamped(pd.DataFrame(part)) for name, part in rows.items()}
+    return {
+        name: _stamped(pd.DataFrame(part, columns=[*fields, "t_host_s"]))
+        for (name, *fields), part in rows.items()
+    }
 
 
 def _of_telemetry(
@@ -464,8 +492,6 @@ def _of_telemetry(
         pings["depth_m"] = pings["current_distance"] * 1e-2
     words = log.get("STATUSTEXT", _NONE).get("text", ())
     report.model = next((str(w) for w in words if str(w).startswith("Ardu")), "")
-    if "CAMERA_FEEDBACK" in log:
-        report.count("camera_triggers", len(log["CAMERA_FEEDBACK"]))
     return attitude, _joined(place, sigmas), fixes, _depths(pings), offset_s
 
 

@@ -1,24 +1,26 @@
 """Bags of ROS 1 (``.bag``) and ROS 2 (``.db3``, ``.mcap``), read by ``rosbags`` (extra ``ros``).
 
 One file holds many topics; each stream of a survey takes those of its type: clouds of a lidar (PointCloud2,
-Livox CustomMsg, Velodyne packets), poses (Imu beside NavSatFix), positions (NavSatFix), depths (Range). Where
-several topics could be meant, the choice is asked for.
+Livox CustomMsg, else packets of a Velodyne or an Ouster), poses (Imu beside NavSatFix, else Odometry,
+PoseStamped, PoseWithCovarianceStamped), positions (NavSatFix), depths (Range). Where several topics could be
+meant, the choice is asked for: ``file.bag#/topic``.
 
 Stamps are those of the headers, Unix time of the computer or of a sensor that it disciplines, taken as UTC;
 where the recorder's clock says otherwise (a replay), a note tells. Bodies and clouds have axes forward, left,
-up (REP 103), scs has right, forward, up. An Imu's attitude is against east, north, up (REP 145).
+up (REP 103), scs has right, forward, up. An Imu's attitude is against east, north, up (REP 145). The fixed
+frame of Odometry and poses is taken for the local frame at the campaign's origin (REP 105: x east, y north).
 Source: ROS message definitions sensor_msgs; drivers of Velodyne, Ouster, Hesai, Livox, RoboSense and Luminar
 for the names of fields.
 """
 
 import atexit
 import math
+import re
 import struct
 import tempfile
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
@@ -27,7 +29,18 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from thalweg.core import ArrayF, InputError, UnsupportedError, frame_of, gps_from_unix, roll_pitch_heading
+from thalweg.core import (
+    AnyArray,
+    ArrayB,
+    ArrayF,
+    InputError,
+    UnsupportedError,
+    frame_of,
+    gps_from_unix,
+    opk_of,
+    roll_pitch_heading,
+    utc_text_from_unix,
+)
 from thalweg.ingest import (
     DEPTH,
     GNSS_POSITION,
@@ -42,7 +55,9 @@ from thalweg.ingest import (
     PoseLog,
     PositionLog,
     TrackOptions,
+    is_ouster_metadata,
 )
+from thalweg.ingest.tracks import TextPoses, states_of_poses
 
 _CLOUDS: Final = (
     "sensor_msgs/msg/PointCloud2",
@@ -53,12 +68,22 @@ _VELODYNE: Final = "velodyne_msgs/msg/VelodyneScan"
 _FIXES: Final = "sensor_msgs/msg/NavSatFix"
 _IMU: Final = "sensor_msgs/msg/Imu"
 _RANGE: Final = "sensor_msgs/msg/Range"
-_PACKETS: Final = {
-    "pandar_msgs/msg/PandarScan": "Packets of a Hesai are not read: play them to PointCloud2 by its driver",
-    **dict.fromkeys(
-        ("ouster_ros/msg/PacketMsg", "ouster_sensor_msgs/msg/PacketMsg"),
-        "Packets of an Ouster are not read: make a pcap of them with the maker's ouster-cli",
-    ),
+_POSES: Final = (
+    "nav_msgs/msg/Odometry",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/PoseStamped",
+)
+_IMAGES: Final = ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image")
+_CHANNELS: Final = {"mono8": ("L", 1), "8UC1": ("L", 1), "rgb8": ("RGB", 1), "bgr8": ("RGB", -1)}
+"""Encodings of whole pictures: mode of Pillow, order of the channels; others are patterns of a chip."""
+_MEND: Final = "Mend it: rosbag reindex (ROS 1), ros2 bag reindex (ROS 2), mcap recover"
+_ENDINGS: Final = {b"\xff\xd8": ".jpg", b"\x89P": ".png"}
+"""By the first bytes of a compressed image."""
+_OUSTER: Final = ("ouster_ros/msg/PacketMsg", "ouster_sensor_msgs/msg/PacketMsg")
+_TEXT: Final = "std_msgs/msg/String"
+_MOUNTING: Final = "tf2_msgs/msg/TFMessage"
+_NOT_READ: Final = {
+    "pandar_msgs/msg/PandarScan": "Packets of a Hesai are not read: play them to PointCloud2 by its driver"
 }
 """Raw packets of drivers, and what to do with them."""
 _VELODYNE_PACKET: Final = "builtin_interfaces/Time stamp\nuint8[1206] data\n"
@@ -76,6 +101,14 @@ _LIVOX_POINT: Final = (
 _TYPES: Final = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """Numbers of types in PointField."""
 _FIX_STATUS: Final = {-1: "none", 0: "single", 1: "sbas", 2: "dgnss"}
+_TO_FORWARD_LEFT_UP: Final = {
+    "lidar": np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+    "antenna": np.eye(3),
+    "echo_sounder": np.eye(3),
+}
+"""Axes of a sensor here (scs: right, forward, up) into those of ROS; of a mere point none count."""
+_BODY: Final = np.diag([1.0, -1.0, -1.0])
+"""Body of ROS (forward, left, up) into ics (forward, right, down), and back."""
 _ADDRESSES: Final = b"\xc0\xa8\x01\xc9" + b"\xff" * 4
 _ABSOLUTE_NS: Final = 1e15
 _REPLAYED_S: Final = 5.0
@@ -87,14 +120,27 @@ def is_bag(head: bytes, size: int) -> bool:
     return sqlite or head.startswith((b"#ROSBAG V2.0", b"\x89MCAP0\r\n"))
 
 
-_Stamped = tuple[float, float, Any]
+@lru_cache(maxsize=1)
+def _types() -> Any:
+    """Definitions of messages, for bags that hold none (ROS 2 before Iron)."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    store.register(get_types_from_msg(_VELODYNE_PACKET, "velodyne_msgs/msg/VelodynePacket"))
+    store.register(get_types_from_msg(_VELODYNE_SCAN, _VELODYNE))
+    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", _MOUNTING))
+    for kind in _OUSTER:
+        store.register(get_types_from_msg("uint8[] buf\n", kind))
+    for package in ("livox_ros_driver", "livox_ros_driver2"):
+        store.register(get_types_from_msg(_LIVOX_POINT, f"{package}/msg/CustomPoint"))
+        store.register(get_types_from_msg(_LIVOX.format(package=package), f"{package}/msg/CustomMsg"))
+    return store
 
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     try:
-        from rosbags.highlevel import AnyReader, AnyReaderError
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+        from rosbags.highlevel import AnyReader
     except ImportError as error:
         raise UnsupportedError(
             "a bag of ROS, and rosbags is not installed",
@@ -102,21 +148,15 @@ def _opened(path: Path) -> Iterator[Any]:
             where=path,
             cure="Install it: pip install 'thalweg[ros]'",
         ) from error
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    store.register(get_types_from_msg(_VELODYNE_PACKET, "velodyne_msgs/msg/VelodynePacket"))
-    store.register(get_types_from_msg(_VELODYNE_SCAN, _VELODYNE))
-    for package in ("livox_ros_driver", "livox_ros_driver2"):
-        store.register(get_types_from_msg(_LIVOX_POINT, f"{package}/msg/CustomPoint"))
-        store.register(get_types_from_msg(_LIVOX.format(package=package), f"{package}/msg/CustomMsg"))
     try:
-        reader = AnyReader([path], default_typestore=store)
+        reader = AnyReader([path], default_typestore=_types())
         reader.open()
-    except (AnyReaderError, OSError, ValueError, KeyError) as error:
+    except Exception as error:  # of damaged bags it raises whatever its bytes lead to
         raise InputError(
-            f"the bag cannot be opened ({error})",
+            f"the bag cannot be opened ({error or type(error).__name__})",
             expected="a whole bag",
             where=path,
-            cure="Mend it: rosbag reindex (ROS 1), ros2 bag reindex (ROS 2), mcap recover"
+            cure=_MEND
             if path.suffix in (".bag", ".db3", ".mcap")
             else "Give it the ending of its kind: .bag, .db3 or .mcap",
         ) from error
@@ -126,45 +166,122 @@ def _opened(path: Path) -> Iterator[Any]:
         reader.close()
 
 
-def _topics(path: Path, *types: str, topic: str = "") -> list[str]:
+def _held(path: Path) -> dict[str, tuple[str, int]]:
+    """Type and number of messages of each topic of a bag."""
+    about = path.stat()
+    return _held_of(path, about.st_size, about.st_mtime_ns)
+
+
+@lru_cache(maxsize=8)
+def _held_of(path: Path, size: int, mtime_ns: int) -> dict[str, tuple[str, int]]:
     with _opened(path) as bag:
-        found = sorted({each.topic for each in bag.connections if each.msgtype in types and each.msgcount})
-    return [name for name in found if not topic or name == topic]
+        found: dict[str, tuple[str, int]] = {}
+        for each in bag.connections:
+            found[each.topic] = each.msgtype, found.get(each.topic, ("", 0))[1] + each.msgcount
+    return found
 
 
 def _messages(
     path: Path, topic: str, report: IntegrityReport | None = None
 ) -> Iterator[tuple[float, float, Any]]:
-    """Header stamp and time of recording, Unix seconds, and the message, of one topic."""
+    """Header stamp and time of recording, Unix seconds, and the message, of one topic.
+
+    A message without header has the time of its recording twice.
+    """
     with _opened(path) as bag:
-        for connection, t_ns, raw in bag.messages([each for each in bag.connections if each.topic == topic]):
+        stored = bag.messages([each for each in bag.connections if each.topic == topic])
+        while True:
+            try:
+                connection, t_ns, raw = next(stored)
+            except StopIteration:
+                return
+            except Exception as error:  # as for the opening
+                raise InputError(
+                    f"the bag is damaged ({error or type(error).__name__})",
+                    expected="a whole bag",
+                    where=path,
+                    cure=_MEND,
+                ) from error
             try:
                 message = bag.deserialize(raw, connection.msgtype)
             except (AssertionError, IndexError, KeyError, TypeError, ValueError, UnicodeDecodeError):
                 if report is not None:
                     report.lose("damaged_messages", 1)
                 continue
-            stamp = message.header.stamp
-            yield stamp.sec + stamp.nanosec * 1e-9, t_ns * 1e-9, message
+            recorded_s = stamp_s = t_ns * 1e-9
+            if (header := getattr(message, "header", None)) is not None:
+                stamp_s = header.stamp.sec + header.stamp.nanosec * 1e-9
+            yield stamp_s, recorded_s, message
 
 
-def _one(path: Path, words: str, *types: str, topic: str = "", setting: str = "") -> str:
-    found = _topics(path, *types, topic=topic)
-    if len(found) == 1:
-        return found[0]
-    with _opened(path) as bag:
-        held = {each.topic: each.msgtype for each in bag.connections}
-    packets = next((words for kind, words in _PACKETS.items() if kind in held.values()), "")
-    listed = ", ".join(f"{name} ({kind.rsplit('/', 1)[-1]})" for name, kind in sorted(held.items()))
+# ---------------------------------------------------------------- which topic gives which stream
+
+
+def _offers(held: Mapping[str, tuple[str, int]]) -> dict[str, list[list[tuple[str, ...]]]]:
+    """Streams of ``logs``; for each, in the order of worth, lists of equals: topics that together give it."""
+
+    def of(*kinds: str) -> list[str]:
+        """Topics of these types that hold messages, the fullest first."""
+        found = [name for name, (kind, n) in held.items() if kind in kinds and n]
+        return sorted(found, key=lambda name: (-held[name][1], name))
+
+    lidar = [of(*_CLOUDS), of(_VELODYNE), [name for name in of(*_OUSTER) if "imu" not in name]]
+    offers: dict[str, list[list[tuple[str, ...]]]] = {
+        "lidar": [[(name,) for name in equals] for equals in lidar],
+        "ins": [[(imu, fix) for imu in of(_IMU) for fix in of(_FIXES)], [(name,) for name in of(*_POSES)]],
+        "pos": [[(name,) for name in of(_FIXES)]],
+        "depth": [[(name,) for name in of(_RANGE) if _looks_down(name)]],
+    }
+    return {stream: kept for stream, ranks in offers.items() if (kept := [each for each in ranks if each])}
+
+
+def streams_of_bag(path: Path) -> dict[str, list[tuple[str, ...]]]:
+    """Streams of ``logs`` that a bag gives, each with the topics that it may be read from.
+
+    The first are those that are meant where none is named; positions stand beside no attitudes.
+    """
+    offers = {stream: ranks[0] for stream, ranks in _offers(_held(path)).items()}
+    if "ins" in offers and len(offers["ins"][0]) > 1:
+        del offers["pos"]
+    return offers
+
+
+def _chosen(path: Path, stream: str, topics: Sequence[str]) -> tuple[str, ...]:
+    """Topics that a stream is read from: those that are named, else the only ones.
+
+    Raises
+    ------
+    InputError : none, several, or a named one that the bag does not hold.
+    """
+    held = _held(path)
+    offers = _offers(held)
+    ranks = offers.get(stream, [])
+    own = {name for name in topics if any(name in each for equals in ranks for each in equals)}
+    among = [each for equals in ranks for each in equals if own <= set(each)] if own else (ranks or [[]])[0]
+    # topics of a track stand for positions, attitudes and depths together
+    near: tuple[str, ...] = ("lidar",) if stream == "lidar" else ("ins", "pos", "depth")
+    known = {n for s in near for equals in offers.get(s, []) for each in equals for n in each}
+    strange = [name for name in topics if name not in known]
+    if len(among) == 1 and not strange:
+        return among[0]
+    listed = ", ".join(f"{name} ({kind.rsplit('/', 1)[-1]})" for name, (kind, _) in sorted(held.items()))
+    unread = next((words for kind, words in _NOT_READ.items() if kind in dict(held.values())), "")
+    words = {
+        "lidar": "clouds",
+        "ins": "poses (Imu with NavSatFix, Odometry)",
+        "pos": "positions (NavSatFix)",
+        "depth": "depths (Range)",
+    }[stream]
+    key = {"pos": "positions"}.get(stream, stream)
     raise InputError(
-        f"{len(found) or 'no'} topics of {words}"
-        + (f" named {topic}" if topic else "")
-        + f"; it holds {listed}",
+        f"no topic {strange[0]} of {words}; it holds {listed}"
+        if strange
+        else f"{len(among) or 'no'} topics of {words}; it holds {listed}",
         expected=f"one topic of {words}",
         where=path,
-        cure=f"Name the one that is meant in {setting}"
-        if len(found) > 1 and setting
-        else packets or "Record the topic, or take another bag",
+        cure=f"Name the one that is meant behind the file: logs.{key}: [{path.name}#{among[0][0]}]"
+        if among
+        else unread or "Record the topic, or take another bag",
     )
 
 
@@ -173,43 +290,86 @@ def describe_bag(path: Path) -> IntegrityReport:
     report = IntegrityReport(
         stream="bag", format="ROS bag", files=[str(path)], bytes_read=path.stat().st_size, time_scale="host"
     )
+    held = _held(path)
     with _opened(path) as bag:
-        numbers: Counter[str] = Counter()
-        for each in bag.connections:
-            numbers[f"{each.topic} ({each.msgtype.replace('/msg/', '/')})"] += each.msgcount
         report.t_first_s, report.t_last_s = (
             float(gps_from_unix(t * 1e-9)) for t in (bag.start_time, bag.end_time)
         )
-        kinds = {each.msgtype for each in bag.connections}
     report.synchronised = True
-    report.details["topics"] = dict(sorted(numbers.items()))
-    report.count("messages", sum(numbers.values()))
-    for kind, words in _PACKETS.items():
-        if kind in kinds:
+    report.details["topics"] = {
+        f"{name} ({kind.replace('/msg/', '/')})": n for name, (kind, n) in sorted(held.items())
+    }
+    report.count("messages", sum(n for _, n in held.values()))
+    for kind, words in _NOT_READ.items():
+        if kind in dict(held.values()):
             report.note(f"{words}.")
     streams = streams_of_bag(path)
-    report.note(f"It gives {', '.join(streams)}." if streams else "It holds nothing that Thalweg reads.")
+    for stream, choices in streams.items():
+        report.details[f"gives {stream}"] = " or ".join(" with ".join(each) for each in choices)
+    report.details |= {f"mounting of {name}": words for name, words in mounts_of_bag(path).items()}
+    if not streams:
+        report.note("It holds nothing that Thalweg reads.")
     return report
-
-
-def streams_of_bag(path: Path) -> list[str]:
-    """Streams of ``logs`` that a bag gives."""
-    has = {
-        "lidar": _topics(path, *_CLOUDS, _VELODYNE),
-        "ins": _topics(path, _FIXES) and _topics(path, _IMU),
-        "pos": _topics(path, _FIXES),
-        "depth": [name for name in _topics(path, _RANGE) if _looks_down(name)],
-    }
-    return [name for name, topics in has.items() if topics and not (name == "pos" and has["ins"])]
-
-
-def has_velodyne_packets(path: Path) -> bool:
-    """Whether a bag holds packets of a Velodyne and no cloud."""
-    return bool(_topics(path, _VELODYNE)) and not _topics(path, *_CLOUDS)
 
 
 def _looks_down(topic: str) -> bool:
     return any(word in topic.lower() for word in ("depth", "echo", "sonar", "altimeter", "ping", "sounder"))
+
+
+def mounts_of_bag(path: Path) -> dict[str, str]:
+    """Places of sensors on the body as ``/tf_static`` states them, in the words of ``mounts``.
+
+    Of each sensor the frame of its first message counts, of the body that of the attitudes.
+    """
+    held = _held(path)
+    tree: dict[str, tuple[str, ArrayF]] = {}
+    for name, (kind, _) in held.items():
+        if kind != _MOUNTING or "static" not in name:
+            continue
+        for _, _, message in _messages(path, name):
+            for each in message.transforms:
+                q, shift = each.transform.rotation, each.transform.translation
+                step = np.eye(4)
+                step[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+                step[:3, 3] = shift.x, shift.y, shift.z
+                tree[each.child_frame_id] = each.header.frame_id, step
+
+    def from_root(frame: str) -> tuple[str, ArrayF]:
+        """Root of the tree that a frame hangs in, and the frame's place in it."""
+        place = np.eye(4)
+        for _ in tree:
+            if frame in tree:
+                frame, step = tree[frame]
+                place = step @ place
+        return frame, place
+
+    offers = {stream: ranks[0][0] for stream, ranks in _offers(held).items()} if tree else {}
+    topics = {"lidar": "lidar", "antenna": "pos", "echo_sounder": "depth"}
+    frames = {
+        sensor: _frame_of(path, offers[stream][-1]) for sensor, stream in topics.items() if stream in offers
+    }
+    body = _frame_of(path, offers["ins"][0]) if "ins" in offers else ""
+    found = {}
+    for sensor, frame in frames.items():
+        (root, T_root_body), (other, T_root_sensor) = from_root(body), from_root(frame)
+        if root != other or frame not in tree:
+            continue
+        T = np.linalg.inv(T_root_body) @ T_root_sensor
+        lever = ", ".join(f"{x:.3f}" for x in _BODY @ T[:3, 3])
+        found[sensor] = f"lever_ics_m: [{lever}]"
+        if sensor == "lidar":
+            turn = np.rad2deg(opk_of(_BODY @ T[:3, :3] @ _TO_FORWARD_LEFT_UP[sensor]))
+            angles = zip(("omega", "phi", "kappa"), turn, strict=True)
+            found[sensor] += "".join(f", {name}_deg: {x:.2f}" for name, x in angles)
+    return found
+
+
+def _frame_of(path: Path, topic: str) -> str:
+    """Frame of the body or sensor that the first message of a topic names."""
+    message: Any = next((message for _, _, message in _messages(path, topic)), None)
+    if child := getattr(message, "child_frame_id", ""):
+        return str(child)
+    return str(message.header.frame_id) if hasattr(message, "header") else ""
 
 
 # ---------------------------------------------------------------- lidar
@@ -219,7 +379,7 @@ def _looks_down(topic: str) -> bool:
 class BagLidar:
     """Clouds of a lidar in bags: a `thalweg.ingest.readers.LidarReader`.
 
-    ``files`` are bags in the order of time; of ``options`` ranges count, and the topic of several.
+    ``files`` are bags in the order of time; of ``options`` ranges count, and the topics of several.
     """
 
     files: Sequence[Path]
@@ -227,7 +387,7 @@ class BagLidar:
 
     def _clouds(self, report: IntegrityReport | None = None) -> Iterator[tuple[float, float, Any]]:
         for path in self.files:
-            topic = _one(path, "clouds", *_CLOUDS, topic=self.options.topic, setting="lidar.topic")
+            (topic,) = _chosen(path, "lidar", self.options.topics)
             yield from _messages(path, topic, report)
 
     def scan(self) -> LidarScan:
@@ -251,10 +411,9 @@ class BagLidar:
         n_points, empty, timed = 0, 0, True
         for stamp_s, recorded_s, message in self._clouds(report):
             points = _points_of(message, stamp_s)
-            block = _block(points, self.options, len(stamps))
             stamps.append(stamp_s)
             lags.append(recorded_s - stamp_s)
-            n_points += block.n
+            n_points += int(np.count_nonzero(_within(points["range"], self.options)))
             empty += int((points["range"] == 0).sum())
             timed &= points["timed"]
             report.model = str(message.header.frame_id)
@@ -333,8 +492,11 @@ def _points_of(message: Any, stamp_s: float) -> dict[str, Any]:
             expected="x, y and z",
             cure="Record the cloud with coordinates, or convert its packets with the driver",
         )
-    xyz = np.stack([table[axis].astype(np.float64) for axis in "xyz"], axis=1)
-    xyz[~np.isfinite(xyz).all(axis=1)] = 0.0
+    xyz = np.stack([table[axis] for axis in "xyz"], axis=1)
+    squares = np.einsum("ij,ij->i", xyz, xyz)
+    if not np.isfinite(squares).all():
+        xyz[~np.isfinite(squares)] = 0.0
+        squares = np.einsum("ij,ij->i", xyz, xyz)
     t_s = np.full(len(xyz), stamp_s)
     if timed_as and timed_as[0] == "time_sec":
         t_s = table["time_sec"] + table["time_nsec"] * 1e-9
@@ -350,8 +512,8 @@ def _points_of(message: Any, stamp_s: float) -> dict[str, Any]:
         "xyz": xyz,
         "t_s": t_s,
         "ring": ring,
-        "bright": np.nan_to_num(bright.astype(np.float64)),
-        "range": np.linalg.norm(xyz, axis=1),
+        "bright": bright,
+        "range": np.sqrt(squares),
         "timed": timed_as is not None,
     }
 
@@ -367,11 +529,17 @@ def _time_field(dtype: np.dtype[Any]) -> tuple[str, float] | None:
     return None
 
 
+def _within(range_m: AnyArray, options: LidarOptions) -> ArrayB:
+    """Which returns (n,) count."""
+    near = max(options.min_range_m, np.finfo(np.float32).tiny)
+    return (range_m >= near) & (range_m <= options.max_range_m)
+
+
 def _block(
     points: dict[str, Any], options: LidarOptions, packet: int, clock: LidarClock | None = None
 ) -> PointBlock:
     far = points["range"]
-    keep = (far > 0) & (far >= options.min_range_m) & (far <= options.max_range_m)
+    keep = _within(far, options)
     x, y, z = points["xyz"][keep].T
     t_s = points["t_s"][keep]
     n = int(keep.sum())
@@ -385,7 +553,7 @@ def _block(
         azimuth_rad=np.mod(np.arctan2(-y, x), 2 * np.pi).astype(np.float32),
         ring=points["ring"][keep].astype(np.uint8),
         laser=points["ring"][keep].astype(np.uint8),
-        intensity=np.clip(points["bright"][keep], 0, 255).astype(np.uint8),
+        intensity=np.clip(np.nan_to_num(points["bright"][keep]), 0, 255).astype(np.uint8),
         return_number=ones,
         n_returns=ones,
         packet=where,
@@ -406,115 +574,190 @@ def _say_stamps(report: IntegrityReport, lag_s: ArrayF) -> None:
         )
 
 
-@lru_cache(maxsize=8)
-def velodyne_capture(path: Path) -> Path:
-    """Velodyne packets of a bag as a network capture with their stamps, for the reader of Velodyne's packets.
+def packets_of_bag(path: Path, topics: Sequence[str]) -> tuple[str, list[Path]]:
+    """Maker and capture of the lidar's packets in a bag, for the reader of such packets; none of clouds.
 
-    It lies in a temporary folder as long as this process runs.
+    Captures lie in a temporary folder as long as this process runs; beside one of an Ouster its metadata.
 
     Raises
     ------
-    InputError : no topic of packets, or several.
+    InputError : no topic of a lidar, several, or packets of an Ouster without its metadata.
     """
-    topic = _one(path, "Velodyne packets", _VELODYNE)
+    (topic,) = _chosen(path, "lidar", topics)
+    kind = _held(path)[topic][0]
+    if kind in _CLOUDS:
+        return "", []
+    return ("velodyne" if kind == _VELODYNE else "ouster"), list(_captured(path, topic, kind))
+
+
+@lru_cache(maxsize=8)
+def _captured(path: Path, topic: str, kind: str) -> tuple[Path, ...]:
     folder = tempfile.TemporaryDirectory(prefix="thalweg-bag-")
     atexit.register(folder.cleanup)
     target = Path(folder.name) / f"{path.stem}.pcap"
+    port, metadata = 2368, []
+    if kind in _OUSTER:
+        text = _ouster_metadata(path)
+        metadata = [target.with_suffix(".json")]
+        metadata[0].write_text(text, encoding="utf-8")
+        port = int((re.findall(r'"udp_port_lidar":\s*(\d+)', text) or [7502])[0])
     with target.open("wb") as out:
         out.write(struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65_535, 1))
-        for _, _, message in _messages(path, topic):
-            for packet in message.packets:
-                data = bytes(packet.data)
+        for _, t_s, message in _messages(path, topic):
+            for data, stamp_s in (
+                [(bytes(message.buf), t_s)]
+                if kind in _OUSTER
+                else [(bytes(p.data), p.stamp.sec + p.stamp.nanosec * 1e-9) for p in message.packets]
+            ):
                 ip = struct.pack(">BBHHHBBH", 0x45, 0, 28 + len(data), 0, 0, 64, 17, 0) + _ADDRESSES
-                frame = bytes(12) + b"\x08\0" + ip + struct.pack(">HHHH", 2368, 2368, 8 + len(data), 0) + data
-                stamp = (packet.stamp.sec, packet.stamp.nanosec // 1000)
+                udp = struct.pack(">HHHH", port, port, 8 + len(data), 0) + data
+                frame = bytes(12) + b"\x08\0" + ip + udp
+                stamp = divmod(round(stamp_s * 1e6), 1_000_000)
                 out.write(struct.pack("<IIII", *stamp, len(frame), len(frame)) + frame)
-    return target
+    return (*metadata, target)
+
+
+def _ouster_metadata(path: Path) -> str:
+    """Metadata of an Ouster out of the topic of text that its driver writes them to."""
+    for name, (kind, _) in _held(path).items():
+        for _, _, message in _messages(path, name) if kind == _TEXT else ():
+            if is_ouster_metadata(message.data.encode(), 0):
+                return str(message.data)
+    raise InputError(
+        "packets of an Ouster without its metadata",
+        expected="a topic of std_msgs/String with the metadata, as the driver writes it",
+        where=path,
+        cure="Record the driver's topic metadata too, or the cloud (PointCloud2)",
+    )
 
 
 # ---------------------------------------------------------------- positions, poses, depths
 
 
 def read_bag_positions(files: Sequence[Path], options: TrackOptions) -> PositionLog:
-    """Positions of NavSatFix, and depths of a Range that looks down.
+    """Positions of NavSatFix, and depths of a Range that looks down, where one topic gives them.
 
     Raises
     ------
-    InputError : no topic of positions, or several.
+    InputError : no topic of positions, or several and none is named.
     """
     report = IntegrityReport(
         stream="gnss", format="ROS NavSatFix", files=[str(path) for path in files], time_scale="host"
     )
-    positions = pd.concat([_fixes(path, report) for path in files], ignore_index=True)
-    depths = pd.concat([_depths(path, report) for path in files], ignore_index=True)
+    chosen = [(path, topic) for path in files for topic in _chosen(path, "pos", options.topics)]
+    positions = pd.concat([_fixes(path, topic, report) for path, topic in chosen], ignore_index=True)
+    depths = _beside("depth", _depths, files, options, report)
     report.synchronised = len(positions) > 0
     report.take_times(positions["t_gps_s"], "positions")
     report.count("positions", len(positions))
-    return PositionLog(positions=positions, depths=depths if len(depths) else None, report=report)
+    return PositionLog(positions=positions, depths=depths, report=report)
 
 
-def _fixes(path: Path, report: IntegrityReport) -> pd.DataFrame:
-    topic = _one(path, "NavSatFix", _FIXES)
-    rows, lags = [], []
-    for stamp_s, recorded_s, fix in _messages(path, topic, report):
-        status = int(fix.status.status)
-        if status < 0 or not np.isfinite([fix.latitude, fix.longitude]).all():
-            report.count("positions_without_fix")
-            continue
-        lags.append(recorded_s - stamp_s)
-        cov = np.asarray(fix.position_covariance, np.float64).reshape(3, 3)
-        known = int(fix.position_covariance_type) > 0
-        sigma = np.sqrt(np.maximum(np.diag(cov), 0.0)) if known else np.full(3, math.nan)
-        full = int(fix.position_covariance_type) == 3
-        rows.append(
-            {
-                "t_gps_s": float(gps_from_unix(stamp_s)),
-                "lat_deg": float(fix.latitude),
-                "lon_deg": float(fix.longitude),
-                "h_ell_m": float(fix.altitude),
-                "fix": _FIX_STATUS.get(status, "single"),
-                "n_sats": -1,
-                "sigma_east_m": sigma[0],
-                "sigma_north_m": sigma[1],
-                "sigma_up_m": sigma[2],
-                "cov_en_m2": cov[0, 1] if full else math.nan,
-                "cov_eu_m2": cov[0, 2] if full else math.nan,
-                "cov_nu_m2": cov[1, 2] if full else math.nan,
-            }
-        )
-    _say_stamps(report, np.array(lags))
-    report.note("Heights of NavSatFix are above the ellipsoid, if its driver keeps to the definition.")
-    return frame_of(GNSS_POSITION, dict(pd.DataFrame(rows, columns=GNSS_POSITION.names)), unknown=np.nan)
-
-
-def _depths(path: Path, report: IntegrityReport) -> pd.DataFrame:
-    rows = []
-    topics = [name for name in _topics(path, _RANGE) if _looks_down(name)]
-    for topic in topics[:1]:
-        for k, (stamp_s, _, message) in enumerate(_messages(path, topic, report), start=1):
-            seen = message.min_range <= message.range <= message.max_range
-            depth = float(message.range) if seen else 0.0
-            rows.append(
-                {"t_gps_s": float(gps_from_unix(stamp_s)), "depth_m": depth, "sentence": topic, "line": k}
-            )
-    for other in topics[1:]:
-        report.note(f"Depths are those of {topics[0]}; {other} is left out.")
-    return frame_of(DEPTH, dict(pd.DataFrame(rows, columns=DEPTH.names)), unknown=np.nan)
-
-
-def read_bag_poses(files: Sequence[Path], options: TrackOptions) -> PoseLog:
-    """Attitudes of an Imu with the positions of NavSatFix beside it.
+def read_bag_depths(files: Sequence[Path], options: TrackOptions) -> PositionLog:
+    """Depths of a Range that looks down, and positions of NavSatFix, where one topic gives them.
 
     Raises
     ------
-    InputError : no or several topics of either, or an Imu that gives no orientation.
+    InputError : no topic of depths, or several and none is named.
     """
+    report = IntegrityReport(
+        stream="depth", format="ROS Range", files=[str(path) for path in files], time_scale="host"
+    )
+    chosen = [(path, topic) for path in files for topic in _chosen(path, "depth", options.topics)]
+    depths = pd.concat([_depths(path, topic, report) for path, topic in chosen], ignore_index=True)
+    report.synchronised = len(depths) > 0
+    report.take_times(depths["t_gps_s"], "depths")
+    report.count("depths", len(depths))
+    return PositionLog(positions=_beside("pos", _fixes, files, options, report), depths=depths, report=report)
+
+
+def _beside(
+    stream: str,
+    read: Callable[[Path, str, IntegrityReport], pd.DataFrame],
+    files: Sequence[Path],
+    options: TrackOptions,
+    report: IntegrityReport,
+) -> pd.DataFrame | None:
+    """What a bag holds beside the stream that is read; of several topics none, which a note tells."""
+    parts = []
+    for path in files:
+        if stream not in _offers(_held(path)):
+            continue
+        try:
+            (topic,) = _chosen(path, stream, options.topics)
+        except InputError as error:
+            report.note(f"{error.found.split(';')[0]}: none is read beside. {error.cure}.")
+            return None
+        parts.append(read(path, topic, report))
+    found = pd.concat(parts, ignore_index=True) if parts else None
+    return None if found is None or found.empty else found
+
+
+def _fixes(path: Path, topic: str, report: IntegrityReport) -> pd.DataFrame:
+    rows: list[tuple[float, ...]] = []
+    covs: list[bytes] = []
+    for stamp_s, recorded_s, fix in _messages(path, topic, report):
+        status, kind = fix.status.status, fix.position_covariance_type
+        rows.append((stamp_s, recorded_s, status, fix.latitude, fix.longitude, fix.altitude, kind))
+        covs.append(fix.position_covariance.tobytes())  # much faster than one array for each
+    t_unix_s, t_recorded_s, status, lat, lon, height, kind = np.array(rows, np.float64).reshape(-1, 7).T
+    cov = np.frombuffer(b"".join(covs)).reshape(-1, 9).T
+    placed = (status >= 0) & np.isfinite(lat) & np.isfinite(lon)
+    if lost := int((~placed).sum()):
+        report.count("positions_without_fix", lost)
+    known, full = kind > 0, kind == 3
+    sigmas = [np.where(known, np.sqrt(np.maximum(cov[k], 0.0)), np.nan) for k in (0, 4, 8)]
+    _say_stamps(report, (t_recorded_s - t_unix_s)[placed])
+    report.note("Heights of NavSatFix are above the ellipsoid, if its driver keeps to the definition.")
+    table = pd.DataFrame(
+        {
+            "t_gps_s": gps_from_unix(t_unix_s),
+            "lat_deg": lat,
+            "lon_deg": lon,
+            "h_ell_m": height,
+            "fix": pd.Series(status).map(_FIX_STATUS).fillna("single"),
+            "n_sats": -1,
+            **dict(zip(("sigma_east_m", "sigma_north_m", "sigma_up_m"), sigmas, strict=True)),
+            "cov_en_m2": np.where(full, cov[1], np.nan),
+            "cov_eu_m2": np.where(full, cov[2], np.nan),
+            "cov_nu_m2": np.where(full, cov[5], np.nan),
+        }
+    )
+    return frame_of(GNSS_POSITION, dict(table[placed].reset_index(drop=True)), unknown=np.nan)
+
+
+def _depths(path: Path, topic: str, report: IntegrityReport) -> pd.DataFrame:
+    rows = [
+        (stamp_s, each.range if each.min_range <= each.range <= each.max_range else 0.0)
+        for stamp_s, _, each in _messages(path, topic, report)
+    ]
+    stamp_s, depth = np.array(rows, np.float64).reshape(-1, 2).T
+    found = {"t_gps_s": gps_from_unix(stamp_s), "depth_m": depth, "sentence": topic}
+    return frame_of(DEPTH, {**found, "line": np.arange(1, len(depth) + 1)}, unknown=np.nan)
+
+
+def read_bag_poses(files: Sequence[Path], options: TrackOptions) -> PoseLog:
+    """Attitudes of an Imu with the positions of NavSatFix beside it, or poses of Odometry.
+
+    Parameters
+    ----------
+    files : bags in the order of time.
+    options : ``topics`` of several; for Odometry and poses ``frame`` and, against REP 103, ``body_axes``.
+
+    Raises
+    ------
+    InputError : no or several topics, or an Imu that gives no orientation.
+    """
+    chosen = [_chosen(path, "ins", options.topics) for path in files]
+    if all(len(topics) == 1 for topics in chosen):
+        return _poses([(path, topic) for path, (topic,) in zip(files, chosen, strict=True)], options)
     report = IntegrityReport(
         stream="ins", format="ROS Imu and NavSatFix", files=[str(path) for path in files], time_scale="host"
     )
-    positions = pd.concat([_fixes(path, report) for path in files], ignore_index=True)
-    depths = pd.concat([_depths(path, report) for path in files], ignore_index=True)
-    states = pd.concat([_attitudes(path, report) for path in files], ignore_index=True)
+    parts = list(zip(files, chosen, strict=True))
+    positions = pd.concat([_fixes(path, fix, report) for path, (_, fix) in parts], ignore_index=True)
+    states = pd.concat([_attitudes(path, imu, report) for path, (imu, _) in parts], ignore_index=True)
+    depths = _beside("depth", _depths, files, options, report)
     t, at = states["t_gps_s"].to_numpy(), positions.drop_duplicates("t_gps_s").sort_values("t_gps_s")
     for name in ("lat_deg", "lon_deg", "h_ell_m", "sigma_east_m", "sigma_north_m", "sigma_up_m"):
         states[name] = np.interp(t, at["t_gps_s"], at[name], left=np.nan, right=np.nan)
@@ -524,11 +767,55 @@ def read_bag_poses(files: Sequence[Path], options: TrackOptions) -> PoseLog:
     report.count("states", len(states))
     report.count("positions", len(positions))
     report.note("Positions are those of the receiver's antenna, between its fixes.")
-    return PoseLog(states=states, positions=positions, depths=depths if len(depths) else None, report=report)
+    return PoseLog(states=states, positions=positions, depths=depths, report=report)
 
 
-def _attitudes(path: Path, report: IntegrityReport) -> pd.DataFrame:
-    topic = _one(path, "Imu", _IMU)
+def _poses(parts: Sequence[tuple[Path, str]], options: TrackOptions) -> PoseLog:
+    """Poses of messages that hold position and orientation together, in the frame that options state."""
+    report = IntegrityReport(stream="ins", format="ROS poses", files=[str(path) for path, _ in parts])
+    stamps, places, quaternions, covariances, lags = [], [], [], [], []
+    frames: dict[str, None] = {}
+    for path, topic in parts:
+        for stamp_s, recorded_s, message in _messages(path, topic, report):
+            covered = message.pose if hasattr(message.pose, "pose") else None
+            pose = message.pose if covered is None else covered.pose
+            p, q = pose.position, pose.orientation
+            if not abs(q.x**2 + q.y**2 + q.z**2 + q.w**2 - 1.0) < 0.01:
+                report.count("messages_without_orientation")
+                continue
+            stamps.append(stamp_s)
+            lags.append(recorded_s - stamp_s)
+            places.append([p.x, p.y, p.z])
+            quaternions.append([q.x, q.y, q.z, q.w])
+            covariances.append(np.zeros(36) if covered is None else covered.covariance)
+            frames[str(message.header.frame_id)] = None
+    if not stamps:
+        raise InputError("no pose", expected="poses with an orientation", where=report.files[0])
+    R = Rotation.from_quat(np.array(quaternions)).as_matrix()
+    table = TextPoses(
+        t_s=np.array(stamps), position_m=np.array(places), R_world_body=R, velocity_mps=None, report=report
+    )
+    axes, scale = options.body_axes or "forward-left-up", options.time_scale or "utc"
+    log = states_of_poses(table, replace(options, body_axes=axes, time_scale=scale))
+    cov = np.array(covariances, np.float64).reshape(-1, 6, 6)
+    cov[~(np.diagonal(cov, axis1=1, axis2=2) > 0).all(axis=1)] = np.nan  # zeros stand for unknown
+    turned = np.diagonal(np.swapaxes(R, 1, 2) @ cov[:, 3:, 3:] @ R, axis1=1, axis2=2)
+    variances = {
+        **{f"sigma_{axis}_m": cov[:, k, k] for k, axis in enumerate(("east", "north", "up"))},
+        **{f"sigma_{angle}_rad": turned[:, k] for k, angle in enumerate(("roll", "pitch"))},
+        "sigma_heading_rad": cov[:, 5, 5],
+    }
+    for name, variance in variances.items():
+        log.states[name] = np.where(np.isnan(variance), log.states[name], np.sqrt(np.abs(variance)))
+    _say_stamps(report, np.array(lags))
+    report.note(
+        f"The frame {', '.join(frames)} of the poses is taken for the local frame at campaign.origin: "
+        "x east, y north, z up. Odometry without GNSS has an origin and a direction of its own."
+    )
+    return log
+
+
+def _attitudes(path: Path, topic: str, report: IntegrityReport) -> pd.DataFrame:
     stamps, quaternions, variances, rates = [], [], [], []
     for stamp_s, _, message in _messages(path, topic, report):
         q = message.orientation
@@ -567,3 +854,79 @@ def _attitudes(path: Path, report: IntegrityReport) -> pd.DataFrame:
         },
         unknown=np.nan,
     )
+
+
+# ---------------------------------------------------------------- images
+
+
+def write_bag_images(path: Path, folder: Path, topic: str = "", every_s: float = 0.0) -> pd.DataFrame:
+    """Write the images of a bag as files, and ``times.csv`` with the stamps of their headers beside them.
+
+    Compressed images are written as they are, others as PNG.
+
+    Parameters
+    ----------
+    path : the bag.
+    folder : made if it is not there.
+    topic : of several cameras.
+    every_s : time between images that are written; 0: all.
+
+    Returns
+    -------
+    Columns ``file`` and ``time_utc``.
+
+    Raises
+    ------
+    InputError : no images, several cameras and none is named, or a pattern of colours on a chip.
+    """
+    cameras = {name: n for name, (kind, n) in _held(path).items() if kind in _IMAGES and n}
+    named = [name for name in cameras if topic in ("", name)]
+    if len(named) != 1:
+        raise InputError(
+            f"{len(named) or 'no'} topics of images{f' named {topic}' if topic else ''}; "
+            f"it holds {', '.join(cameras) or 'none'}",
+            expected="images of one camera",
+            where=path,
+            cure="Name it by --topic" if cameras else "Record the topic of the camera",
+        )
+    folder.mkdir(parents=True, exist_ok=True)
+    rows, due_s = [], -math.inf
+    for number, (stamp_s, _, message) in enumerate(_messages(path, named[0])):
+        if stamp_s + 1e-9 < due_s:
+            continue
+        due_s = stamp_s + every_s
+        data = np.asarray(message.data, np.uint8)
+        ending = _ENDINGS.get(data[:2].tobytes()) if hasattr(message, "format") else ".png"
+        name = f"{path.stem}_{number:06d}{ending}"
+        if ending is None:
+            raise InputError(
+                f"compressed images of the format {message.format}",
+                expected="JPEG or PNG",
+                where=path,
+                cure="Record the topic of the camera's images, no depths",
+            )
+        if hasattr(message, "format"):
+            (folder / name).write_bytes(data.tobytes())
+        else:
+            _picture(message, data, path).save(folder / name)
+        rows.append((name, utc_text_from_unix(stamp_s)))
+    table = pd.DataFrame(rows, columns=["file", "time_utc"])
+    table.to_csv(folder / "times.csv", index=False)
+    return table
+
+
+def _picture(message: Any, data: AnyArray, path: Path) -> Any:
+    from PIL import Image
+
+    if message.encoding not in _CHANNELS:
+        raise InputError(
+            f"images of the encoding {message.encoding}",
+            expected=", ".join(_CHANNELS),
+            where=path,
+            cure="Convert them by image_proc, and record its topic",
+        )
+    mode, order = _CHANNELS[message.encoding]
+    rows = data[: message.height * message.step].reshape(message.height, message.step)
+    channels = len(Image.new(mode, (1, 1)).getbands())
+    pixels = rows[:, : message.width * channels].reshape(message.height, message.width, channels)
+    return Image.fromarray(np.ascontiguousarray(pixels[:, :, 0] if channels == 1 else pixels[:, :, ::order]))

@@ -1,8 +1,10 @@
-"""Echo sounders that log their own positions: Lowrance SL2 and SL3, Teledyne RDI ADCPs (PD0).
+"""Echo sounders that log their own positions: Lowrance SL2 and SL3, Deeper, Teledyne RDI ADCPs (PD0).
 
 **Lowrance** logs a frame for each ping and channel: depth in feet below the transducer, place in whole metres
 of a spherical Mercator map, milliseconds since it was switched on, and the time of that only where the unit
 knew it. One channel is taken: the same ping stands in all.
+
+**Deeper** exports rows of latitude, longitude, depth, temperature and milliseconds since 1970, without names.
 
 **PD0** holds an ensemble for each ping: a vertical beam where the instrument has one (RiverPro, RioPro,
 Sentinel V), four slanted beams of the bottom track, whose ranges are vertical distances from the transducer,
@@ -13,6 +15,7 @@ Source: Teledyne RD Instruments, WorkHorse Commands and Output Data Format (2014
 """
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -135,6 +138,58 @@ def _frames(path: Path, report: IntegrityReport) -> pd.DataFrame:
             "unix_s": float(first[0]) + ms * 1e-3 if known else np.nan,
         }
     )
+
+
+# ---------------------------------------------------------------- Deeper
+
+
+_NUMBER: Final = rb"-?\d+(?:\.\d+)?"
+_DEEPER: Final = re.compile(
+    rb"-?\d{1,2}\.\d+,-?\d{1,3}\.\d+," + _NUMBER + rb"," + _NUMBER + rb",[12]\d{12}\r?"
+)
+
+
+def is_deeper(head: bytes, size: int) -> bool:
+    """True if the first lines are the five numbers of Deeper's export."""
+    lines = head.split(b"\n", 10)[: 10 if head.count(b"\n") >= 10 else None]
+    return len(lines) > 1 and all(_DEEPER.fullmatch(line) for line in lines[:-1])
+
+
+def read_deeper(files: Sequence[Path], options: TrackOptions) -> PositionLog:
+    """Soundings of exports of Deeper with their places.
+
+    Parameters
+    ----------
+    files : exports in the order of time.
+    options : not needed.
+
+    Raises
+    ------
+    InputError : no row of five numbers.
+    """
+    report = _report("Deeper export", files)
+    parts = []
+    for path in files:
+        report.bytes_read += path.stat().st_size
+        rows = [line for line in path.read_bytes().splitlines() if line.strip()]
+        whole = [line for line in rows if _DEEPER.fullmatch(line)]
+        if lost := len(rows) - len(whole):
+            report.lose("bad_lines", lost)
+        parts.append(np.array([line.split(b",") for line in whole], np.float64).reshape(-1, 5))
+    lat, lon, depth, _, ms = np.concatenate(parts).T
+    if not len(lat):
+        raise InputError(
+            "no row of five numbers",
+            expected="latitude, longitude, depth, temperature, milliseconds since 1970",
+            where=files[0],
+            cure="Export it again",
+        )
+    report.count("pings", len(lat))
+    report.note("Depths are below the transducer; temperatures are not read.")
+    place = {"lat_deg": lat, "lon_deg": lon}
+    depth = np.where(depth < _DEEPEST_FT * FOOT_M, depth, 0.0)
+    on_earth = (np.abs(lat) <= 90.0) & (np.abs(lon) <= 180.0)
+    return _log(report, gps_from_unix(ms * 1e-3), place, on_earth, depth, "Deeper")
 
 
 # ---------------------------------------------------------------- PD0

@@ -15,10 +15,13 @@ from .formats import (
     load_recording as load_recording,
     recognise as recognise,
     stream_of as stream_of,
+    topics_to_choose as topics_to_choose,
+    what_it_is_for as what_it_is_for,
 )
-from .lidar import lidar_reader as lidar_reader
+from .lidar import lidar_reader as lidar_reader, mounts_of_bag as mounts_of_bag
 from .poses import read_poses as read_poses
 from .positions import (
+    SOURCES_OF_THEIR_OWN as SOURCES_OF_THEIR_OWN,
     choose_tracks as choose_tracks,
     read_depths as read_depths,
     read_positions as read_positions,

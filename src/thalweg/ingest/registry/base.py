@@ -1,6 +1,6 @@
 """A row of the registry: one format, how it is told from others, and who reads it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -51,11 +51,14 @@ class Format:
     words : its name for people.
     streams : where files of it stand in ``logs`` (names of `thalweg.settings.sections.logs.STREAM_KEYS`);
         the first one is where `thalweg new-campaign` puts them.
+    holds : of a container, a file of many streams: those that this one holds, its own first, and for each the
+        topics that it may be read from, several together or one of several; none where nothing is to name.
     use : what a file of no stream is good for.
     magic : first bytes, any of them.
     matches : head of a file (`HEAD_BYTES`) and size of the file -> how sure its content is of this format,
         0 to `SURE`; asked where no ``magic`` is given, or behind it.
     lidar, poses, positions, cloud : its reader, by what it yields.
+    depths : its reader of depths, where that of positions or poses needs more than these.
     describe : kind, files, options and whether points are wanted -> `Recording`.
     """
 
@@ -63,12 +66,14 @@ class Format:
     words: str
     describe: Callable[[str, list[Path], dict[str, Any], bool], Recording]
     streams: tuple[str, ...] = ()
+    holds: Callable[[Path], Mapping[str, Sequence[tuple[str, ...]]]] | None = None
     use: str = ""
     magic: tuple[bytes, ...] = ()
     matches: Callable[[bytes, int], float] | None = None
     lidar: Callable[[Sequence[Path], LidarOptions], LidarReader] | None = None
     poses: PoseReader | None = None
     positions: PositionReader | None = None
+    depths: PositionReader | None = None
     cloud: CloudReader | None = None
 
     def sureness(self, head: bytes, size: int) -> float:

@@ -4,24 +4,24 @@ Names and endings of files are not trusted. A new format is a row in the family 
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 from thalweg.core import InputError, ThalwegError
 from thalweg.ingest import IntegrityReport
 from thalweg.ingest.ppk import PpkOptions, run_ppk
-from thalweg.ingest.recorders import streams_of_bag
 from thalweg.ingest.registry.base import Format, Recording, find_format, read_head
 from thalweg.ingest.registry.calibrations import CALIBRATIONS
 from thalweg.ingest.registry.clouds import CLOUDS
+from thalweg.ingest.registry.converted import CONVERTED
 from thalweg.ingest.registry.images import IMAGES
 from thalweg.ingest.registry.lidar import LIDARS
 from thalweg.ingest.registry.others import OTHERS
 from thalweg.ingest.registry.poses import POSES
 from thalweg.ingest.registry.positions import POSITIONS, read_depths
 
-FORMATS: Final = (*LIDARS, *CLOUDS, *POSES, *POSITIONS, *CALIBRATIONS, *OTHERS, *IMAGES)
+FORMATS: Final = (*LIDARS, *CLOUDS, *POSES, *POSITIONS, *CALIBRATIONS, *CONVERTED, *OTHERS, *IMAGES)
 """In the order in which a file is tried against them."""
 
 FORMAT_OF_KIND: Final[Mapping[str, Format]] = {each.kind: each for each in FORMATS}
@@ -118,11 +118,7 @@ def stream_of(kind: str, path: Path) -> str | None:
     """
     if kind == "rinex" and _rinex_type(path) in {"N", "G", "H"}:
         return "nav"
-    stream = next(iter(FORMAT_OF_KIND[kind].streams), None)
-    if kind == "ubx" and not describe(path).counts.get("positions"):
-        stream = "rover"
-    if kind == "rosbag":
-        stream = next(iter(streams_of_bag(path)), None)
+    stream = next(iter(_held(kind, path)), None)
     if stream == "time_lapse" and "mask" in path.parent.name.lower():
         return "masks"
     if stream == "rover" and any(mark in path.name.lower() for mark in ("base", "ref")):
@@ -132,14 +128,32 @@ def stream_of(kind: str, path: Path) -> str | None:
 
 def also_streams(kind: str, path: Path) -> list[str]:
     """Further streams of ``logs`` that one file of a recognised kind gives, beside that of `stream_of`."""
-    if kind == "rosbag":
-        return streams_of_bag(path)[1:]
-    if "depth" not in FORMAT_OF_KIND[kind].streams[1:]:
+    row = FORMAT_OF_KIND[kind]
+    if row.holds is not None:
+        return list(row.holds(path))[1:]
+    if "depth" not in row.streams[1:]:
         return []
     try:
         return ["depth"] if read_depths([path]).depths is not None else []
     except ThalwegError:
         return []
+
+
+def what_it_is_for(kind: str, path: Path) -> str:
+    """What to do with a file that no stream takes, in words."""
+    if kind == "rosbag":
+        return "; ".join(describe(path).notes)
+    return FORMAT_OF_KIND[kind].use or "no stream of a survey"
+
+
+def topics_to_choose(kind: str, path: Path) -> dict[str, list[tuple[str, ...]]]:
+    """Streams of a container that several topics could give, with these, the likeliest first."""
+    return {stream: list(topics) for stream, topics in _held(kind, path).items() if len(topics) > 1}
+
+
+def _held(kind: str, path: Path) -> Mapping[str, Sequence[tuple[str, ...]]]:
+    row = FORMAT_OF_KIND[kind]
+    return dict.fromkeys(row.streams[:1], ()) if row.holds is None else row.holds(path)
 
 
 def _rinex_type(path: Path) -> str:

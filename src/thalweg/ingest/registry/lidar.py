@@ -1,16 +1,19 @@
 """Formats of lidars, and the reader of a recording."""
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from thalweg.ingest import (
+    LidarClock,
     LidarOptions,
     LidarReader,
+    LidarScan,
     OusterReader,
+    PointBlock,
     TrackOptions,
     describe_metadata,
     is_ouster_capture,
@@ -19,12 +22,13 @@ from thalweg.ingest import (
 from thalweg.ingest.recorders import (
     BagLidar,
     describe_bag,
-    has_velodyne_packets,
     is_bag,
+    mounts_of_bag as mounts_of_bag,
+    packets_of_bag,
+    read_bag_depths,
     read_bag_poses,
     read_bag_positions,
     streams_of_bag,
-    velodyne_capture,
 )
 from thalweg.ingest.registry.base import Format, Recording, find_format
 
@@ -65,18 +69,51 @@ def _ouster(files: Sequence[Path], options: LidarOptions) -> LidarReader:
 
 
 def _bag(files: Sequence[Path], options: LidarOptions) -> LidarReader:
-    if all(has_velodyne_packets(path) for path in files):
-        return _velodyne([velodyne_capture(path) for path in files], options)
-    return BagLidar(files=files, options=options)
+    maker, captures = "", list[Path]()
+    for path in files:
+        maker, found = packets_of_bag(path, options.topics)
+        captures += [each for each in found if each.suffix != ".json" or not captures]
+    if not maker:
+        return BagLidar(files=files, options=options)
+    return _OfPackets(files=files, reader=(_ouster if maker == "ouster" else _velodyne)(captures, options))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _OfPackets:
+    """Packets of a bag in the words of their own reader, but for the names of files."""
+
+    files: Sequence[Path]
+    reader: LidarReader
+
+    def scan(self) -> LidarScan:
+        """As of every lidar."""
+        scan = self.reader.scan()
+        scan.report.files = [str(path) for path in self.files]
+        scan.report.bytes_read = sum(path.stat().st_size for path in self.files)
+        scan.report.format += ", in a bag of ROS"
+        return scan
+
+    def length_s(self) -> float:
+        """As of every lidar."""
+        return self.reader.length_s()
+
+    def points(self, clock: LidarClock | None = None, **how: Any) -> Iterator[PointBlock]:
+        """As of every lidar."""
+        return self.reader.points(clock, **how)
 
 
 def _describe_bag(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
     recording = Recording(kind=kind, report=describe_bag(files[0]))
     streams = streams_of_bag(files[0])
-    if points and "lidar" in streams:
+    if points and len(streams.get("lidar", [])) == 1:
         recording = replace(_describe(kind, files, options, points), report=recording.report)
-    for stream, reader in (("ins", read_bag_poses), ("pos", read_bag_positions)):
-        if stream in streams:
+    on_earth = [(imu, fix) for imu, *fixes in streams.get("ins", []) for fix in fixes]
+    for choices, reader in (
+        (streams.get("depth", []), read_bag_depths),
+        (streams.get("pos", []), read_bag_positions),
+        (on_earth, read_bag_poses),
+    ):
+        if len(choices) == 1:  # of several the reader would ask which
             log = reader(files, TrackOptions())
             tables = {
                 "positions": log.positions,
@@ -113,10 +150,12 @@ BAG: Final = Format(
     kind="rosbag",
     words="bag of ROS (bag, db3, mcap)",
     streams=("lidar", "ins", "pos", "depth"),
+    holds=streams_of_bag,
     matches=is_bag,
     lidar=_bag,
     poses=read_bag_poses,
     positions=read_bag_positions,
+    depths=read_bag_depths,
     describe=_describe_bag,
 )
 """A bag is a row of lidars, of poses and of positions."""

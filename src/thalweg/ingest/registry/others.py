@@ -303,25 +303,7 @@ OTHERS: Final = (
         _is_part_of_shapefile,
     ),
     _other(
-        "tcx",
-        "workout (TCX)",
-        "convert it to GPX: logs.positions, logs.depth",
-        _has(b"<TrainingCenterDatabase"),
-    ),
-    _other(
-        "fit",
-        "recording of a watch or sounder (FIT)",
-        "convert it to GPX with the depths: logs.positions, logs.depth",
-        lambda head, size: head[8:12] == b".FIT",
-    ),
-    _other(
         "pcd", "PCD cloud", "logs.calibration.board_scans", None, (b"# .PCD", b"VERSION .7", b"VERSION 0.7")
     ),
     _other("sqlite", "SQLite database", "of COLMAP: export its model", None, (b"SQLite format 3\x00",)),
-    _other(
-        "video",
-        "video (MP4, MOV)",
-        "`thalweg frames` makes photographs of it with a table of their times",
-        lambda head, size: head[4:8] == b"ftyp",
-    ),
 )

@@ -12,8 +12,8 @@ import numpy as np
 from thalweg.core import WEEK_S, ArrayF, InputError, gps_from_week
 from thalweg.ingest import PoseLog, PoseReader, TrackOptions, doubtful_date
 from thalweg.ingest.anpp import find_packets, read_anpp
-from thalweg.ingest.recorders import is_dataflash, is_telemetry, read_ardupilot
-from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share
+from thalweg.ingest.recorders import is_dataflash, is_telemetry, read_ardupilot, ubx_share
+from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share, read_head
 from thalweg.ingest.registry.calibrations import CalibrationReport
 from thalweg.ingest.registry.lidar import BAG
 from thalweg.ingest.tracks import (
@@ -54,12 +54,16 @@ def read_poses(files: Sequence[Path], source: str | None, options: TrackOptions 
     known = rows[-1]
     if len(rows) > 1:
         found = find_format(rows, files[0])
-        if found is None and source is None:
+        if found is None and source != "sbet":
+            of_receiver = ubx_share(read_head(files[0]), files[0].stat().st_size) > 0
             raise InputError(
                 "no trajectory with attitudes is recognised",
                 expected=", ".join(row.words for row in rows),
                 where=files[0],
-                cure="Look at it with `thalweg describe`",
+                cure="A receiver knows no roll and pitch, even if two antennas tell its heading: record an "
+                "INS or an autopilot beside it, and name this log in logs.positions"
+                if of_receiver
+                else "Look at it with `thalweg describe`",
             )
         known = found or known
     assert known.poses is not None

@@ -3,6 +3,7 @@
 import datetime as dt
 import re
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,8 +21,22 @@ from thalweg.ingest import (
 )
 from thalweg.ingest.nmea import read_nmea
 from thalweg.ingest.ppk import PpkOptions, describe_rinex, replace_covariances, run_ppk
-from thalweg.ingest.recorders import is_lowrance, is_pd0, read_lowrance, read_pd0, read_ubx, ubx_share
+from thalweg.ingest.recorders import (
+    is_deeper,
+    is_depth_table,
+    is_lowrance,
+    is_pd0,
+    is_track_table,
+    read_deeper,
+    read_depth_table,
+    read_lowrance,
+    read_pd0,
+    read_track_table,
+    read_ubx,
+    ubx_share,
+)
 from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share
+from thalweg.ingest.registry.converted import CONVERTED
 from thalweg.ingest.registry.lidar import BAG
 from thalweg.ingest.registry.poses import POSES
 from thalweg.ingest.tracks import event_marks, read_gpx, read_pos
@@ -31,6 +46,9 @@ _POS_LINE = re.compile(
     rb"(?m)^\s*(\d{4}/\d\d/\d\d[ ,;\t]+\d\d:\d\d:\d\d(\.\d+)?|\d{4}[ ,;\t]+\d{1,6}\.\d+)"
     rb"([ ,;\t]+[-\d.:]+){6,}"
 )
+
+SOURCES_OF_THEIR_OWN: Final = frozenset({"nmea", "gpx"})
+"""Kinds of finished positions that are a ``position_source`` themselves; the others are ``pos``."""
 
 MOST_STEP_S: Final = 2.0
 """Positions this far apart in time, or three usual steps, have soundings between them."""
@@ -65,19 +83,20 @@ def read_receiver(files: list[Path]) -> tuple[pd.DataFrame, IntegrityReport]:
     return GNSS_POSITION.empty_table().to_pandas(), report
 
 
-def read_depths(files: list[Path], date: dt.date | None = None) -> PositionLog:
+def read_depths(files: list[Path], date: dt.date | None = None, topics: Sequence[str] = ()) -> PositionLog:
     """Soundings of any recording that may hold some: NMEA, extensions of a GPX track, logs of an autopilot.
 
     Parameters
     ----------
     files : parts of one recording in the order of time.
     date : UTC date of the first sentence of NMEA without dates.
+    topics : of a bag with several.
 
     Raises
     ------
     InputError : the files hold no depths.
     """
-    log = _of_soundings(files[0])(files, TrackOptions(date=date))
+    log = _of_soundings(files[0])(files, TrackOptions(date=date, topics=topics))
     if log.depths is None or log.depths.empty:
         raise InputError(
             "no depths in this recording",
@@ -105,6 +124,14 @@ def soundings_table(path: Path) -> tuple[pd.DataFrame, list[str]] | None:
     InputError : the recording has no depths, no positions, or no time in common.
     """
     if find_format(_WITH_DEPTHS, path) is None:
+        other = find_format(CONVERTED, path)
+        if other is not None:
+            raise InputError(
+                f"a {other.words}",
+                expected="soundings",
+                where=path,
+                cure=other.use[:1].upper() + other.use[1:],
+            )
         return None
     log = read_depths([path])
     assert log.depths is not None
@@ -152,6 +179,7 @@ def read_positions(
     *,
     states: Path | None,
     date: dt.date | None = None,
+    topics: Sequence[str] = (),
     base: list[Path],
     nav: list[Path],
     ppk: dict[str, Any],
@@ -161,10 +189,12 @@ def read_positions(
 
     Parameters
     ----------
-    source : ``pos``, ``sbp``, ``nmea``, ``gpx``, ``ppk``, ``sbet`` or ``ins``.
+    source : ``pos`` (any format of finished positions, by its content), ``sbp``, ``nmea``, ``gpx``, ``ppk``,
+        ``sbet`` or ``ins``.
     logs : the source's own files: .pos, SBP, or the rover's raw GNSS.
     states : table of INS states, for the sources ``sbet`` and ``ins``.
     date : UTC date of the first sentence of NMEA without dates.
+    topics : of a bag with several.
     base, nav : the base's raw GNSS and navigation files, for ``ppk``.
     ppk : options of the engine, as in the section ``ppk`` of a campaign file.
     base_position : one of the keys ``base_ecef_m``, ``base_llh`` and ``base_from``.
@@ -173,9 +203,12 @@ def read_positions(
     ------
     InputError : the source is unknown, or its files cannot be used.
     """
-    reader = next((row.positions for row in POSITIONS if row.kind == source), None)
-    if reader is not None:
-        log = reader(logs, TrackOptions(date=date))
+    known = next((row for row in POSITIONS if row.kind == source and row.positions), None)
+    if source == "pos" and logs:  # a receiver's own log or a bag may stand there too
+        others = [row for row in POSITIONS if "pos" in row.streams and row.kind not in SOURCES_OF_THEIR_OWN]
+        known = find_format(others, logs[0]) or known
+    if known is not None and known.positions is not None:
+        log = known.positions(logs, TrackOptions(date=date, topics=topics))
         assert log.positions is not None
         positions, report = log.positions, log.report
     elif source == "ppk":
@@ -266,7 +299,7 @@ def _same_time(one: pd.DataFrame, other: pd.DataFrame) -> bool:
 
 def _of_soundings(path: Path) -> PositionReader:
     known = find_format(_WITH_DEPTHS, path)
-    reader = None if known is None else known.positions or known.poses
+    reader = None if known is None else known.depths or known.positions or known.poses
     if reader is None:
         raise InputError(
             "a recording of no kind that holds depths",
@@ -312,6 +345,19 @@ def _describe(kind: str, files: list[Path], options: dict[str, Any], points: boo
     return Recording(kind=kind, report=log.report, tables=held)
 
 
+def _streams_of_sounder(reader: PositionReader, path: Path) -> dict[str, Sequence[tuple[str, ...]]]:
+    """Its own places make a track where they have times."""
+    log = reader([path], TrackOptions())
+    return dict.fromkeys(("depth", "pos") if log.report.synchronised else ("depth",), ())
+
+
+def _streams_of_ubx(path: Path) -> dict[str, Sequence[tuple[str, ...]]]:
+    """A log of raw observations alone is for PPK; depths are those of NMEA between."""
+    log = read_ubx([path], TrackOptions())
+    own = "pos" if log.report.counts.get("positions") else "rover"
+    return dict.fromkeys((own, "depth") if log.depths is not None and len(log.depths) else (own,), ())
+
+
 def _describe_rinex(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
     return Recording(kind=kind, report=describe_rinex(files[0]))
 
@@ -343,17 +389,34 @@ POSITIONS: Final = (
         kind="ubx",
         words="u-blox UBX log",
         streams=("pos", "rover", "base", "depth"),
+        holds=_streams_of_ubx,
         matches=ubx_share,
         positions=read_ubx,
         describe=_describe,
     ),
     *(
         Format(
-            kind=kind, words=words, streams=("depth",), matches=matches, positions=reader, describe=_describe
+            kind=kind,
+            words=words,
+            streams=("depth", "pos"),
+            holds=partial(_streams_of_sounder, reader),
+            matches=matches,
+            positions=reader,
+            describe=_describe,
         )
         for kind, words, matches, reader in (
             ("lowrance", "Lowrance SL2 or SL3 log", is_lowrance, read_lowrance),
             ("pd0", "TRDI ADCP log (PD0)", is_pd0, read_pd0),
+            ("deeper", "Deeper export", is_deeper, read_deeper),
+        )
+    ),
+    *(
+        Format(
+            kind=kind, words=words, streams=(stream,), matches=matches, positions=reader, describe=_describe
+        )
+        for kind, words, stream, matches, reader in (
+            ("track_table", "table of positions with times", "pos", is_track_table, read_track_table),
+            ("depth_table", "table of depths with times", "depth", is_depth_table, read_depth_table),
         )
     ),
     Format(

@@ -87,7 +87,6 @@ class Lidar(Section):
     )
     data_port: Port = Field(default=2368, description="UDP port of the data packets")
     position_port: Port = Field(default=8308, description="UDP port of the position packets")
-    topic: str = Field(default="", description="Topic of the clouds in a bag of ROS that holds several")
     clock: LidarClockStated = Field(default=LidarClockStated(), description="Time that a person states")
 
 

@@ -1,7 +1,8 @@
 """Section ``logs``: the files that the instruments wrote."""
 
+import re
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field
 
@@ -172,7 +173,7 @@ class TimeLapseLogs(Section):
     times: Files = Field(
         default=(),
         description="Table of image times, if neither names nor EXIF have them (CSV: file, and one of "
-        "time_utc in ISO 8601, unix_s, t_gps_s)",
+        "time_utc in ISO 8601, unix_s, t_gps_s), or the log of an autopilot that triggered each of them",
     )
     control_points: Files = Field(
         default=(),
@@ -311,8 +312,17 @@ class LightSheetLogs(Section):
         )
 
 
+_TOPIC: Final = re.compile(r"#((?:/\w+)+)$")
+"""A topic behind a file: names of ROS have no dots, so that a folder called ``C#`` is none."""
+_OF_CONTAINERS: Final = frozenset({"lidar", "ins", "pos", "depth"})
+"""Streams that a topic of a container may give."""
+
+
 class Logs(Section):
-    """Files of each stream, in order of time. Relative to this file or absolute; ``~`` and globs work."""
+    """Files of each stream, in order of time. Relative to this file or absolute; ``~`` and globs work.
+
+    Of a bag with several topics of one kind ``file.bag#/topic`` is the one that is meant.
+    """
 
     lidar: Files = Field(default=(), description="Velodyne captures: pcap, pcapng or bare payloads")
     ins: Files = Field(
@@ -405,11 +415,25 @@ class Logs(Section):
         return "photographs" if self.time_lapse.images and not any(moved) and not apart else "boat"
 
     def files(self, stream: str) -> tuple[str, ...]:
-        """Paths of one stream, named as in `STREAM_KEYS`."""
+        """Paths of one stream, named as in `STREAM_KEYS`, with their topics."""
         value: object = self
         for key in self.streams()[stream]:
             value = value[key] if isinstance(value, dict) else getattr(value, key)
         return value if isinstance(value, tuple) else ()
+
+    def named(self, stream: str) -> list[tuple[str, str]]:
+        """Path and topic of each entry of a stream; the topic is empty where the whole file is meant.
+
+        Examples
+        --------
+        >>> Logs(lidar=("day1.bag#/os/points", "C#/day2.bag")).named("lidar")
+        [('day1.bag', '/os/points'), ('C#/day2.bag', '')]
+        """
+        topics = [_TOPIC.search(text) if stream in _OF_CONTAINERS else None for text in self.files(stream)]
+        return [
+            (text[: topic.start()], topic[1]) if topic else (text, "")
+            for text, topic in zip(self.files(stream), topics, strict=True)
+        ]
 
     def streams(self) -> dict[str, tuple[str, ...]]:
         """Stream name -> keys below ``logs``: `STREAM_KEYS`, folders' interiors, the parts of all scans."""

@@ -1,0 +1,68 @@
+"""Recordings that are read after another program has converted them: known by name, with what to do."""
+
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from thalweg.ingest.registry.base import Format, Recording
+from thalweg.ingest.registry.calibrations import CalibrationReport, is_text
+
+
+def _is_humminbird(head: bytes, size: int) -> bool:
+    """Records of a channel (SON), places of these in it and their times (IDX), or the head of all (DAT)."""
+    if head.startswith(b"\xc0\xde\xab\x21"):
+        return True
+    if size == 64 and head[:2] in (b"\xc1\0", b"\xc3\0") and b".SON" in head:
+        return True
+    pairs = np.frombuffer(head[: len(head) // 8 * 8], ">u4").reshape(-1, 2).astype(np.int64)
+    grow = len(pairs) > 3 and size % 8 == 0 and pairs[0, 1] == 0 and bool((np.diff(pairs[:, 1]) > 64).all())
+    return grow and bool((np.diff(pairs[:, 0]) >= 0).all())
+
+
+def _describe(
+    words: str, use: str, kind: str, files: list[Path], options: dict[str, Any], points: bool
+) -> Recording:
+    size = files[0].stat().st_size
+    report = CalibrationReport(stream="other", format=words, files=[str(files[0])], bytes_read=size)
+    report.details["use"] = use
+    return Recording(kind=kind, report=report)
+
+
+CONVERTED: Final = tuple(
+    Format(kind=kind, words=words, use=use, matches=matches, describe=partial(_describe, words, use))
+    for kind, words, use, matches in (
+        (
+            "tcx",
+            "workout (TCX)",
+            "convert it to GPX: logs.positions, logs.depth",
+            lambda head, size: is_text(head) and b"<TrainingCenterDatabase" in head,
+        ),
+        (
+            "fit",
+            "recording of a watch or sounder (FIT)",
+            "convert it to GPX with the depths: logs.positions, logs.depth",
+            lambda head, size: head[8:12] == b".FIT",
+        ),
+        (
+            "humminbird",
+            "recording of a Humminbird (DAT, SON, IDX)",
+            "not read: export it with its places as CSV, by PINGMapper or SonarTRX, for `thalweg bed`",
+            _is_humminbird,
+        ),
+        (
+            "gopro",
+            "video of a GoPro (MP4 with GPMF)",
+            "`thalweg frames` makes photographs of it; its GPS and IMU are not read: export GPX (gopro2gpx, "
+            "exiftool -ee -p gpx.fmt) for logs.positions",
+            lambda head, size: head[4:8] == b"ftyp" and b"GoPro" in head[:4096],
+        ),
+        (
+            "video",
+            "video (MP4, MOV)",
+            "`thalweg frames` makes photographs of it with a table of their times",
+            lambda head, size: head[4:8] == b"ftyp",
+        ),
+    )
+)
