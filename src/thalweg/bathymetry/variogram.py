@@ -588,11 +588,11 @@ def _score(
 def _by_slope(
     model: BedModel, data: Observations, test: list[ArrayI], settings: Bathymetry
 ) -> tuple[float, float]:
-    """Level of the errors of left-out lines and their growth with the slope: most probable, with what is usual.
+    """Level of the errors of left-out lines and growth with the slope: most probable, with what is usual.
 
     One covariance for all of a bed knows neither that a steep part is rougher than a level one, nor that
-    places that are a little wrong make heights wrong there. It has been fitted to steep and level parts alike:
-    growth alone would count the steep ones twice.
+    places that are a little wrong make heights wrong there. It has been fitted to steep and level parts
+    alike: growth alone would count the steep ones twice.
     """
     square, slope = [], []
     for of in test:
