@@ -1,5 +1,8 @@
 """Kriging of a few soundings, whose answers can be worked out on paper."""
 
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
 
@@ -11,7 +14,9 @@ from thalweg.bathymetry.kriging import (
     krige_by_pykrige,
     krige_dense,
 )
+from thalweg.bathymetry.variogram import BedModel, _by_slope
 from thalweg.core import GeometryError
+from thalweg.settings.sections import Bathymetry
 
 MODEL = {"kind": "exponential", "sill_m2": 1.0, "range_s_m": 30.0, "range_n_m": 15.0}
 
@@ -143,3 +148,26 @@ def test_models_without_a_meaning_are_refused() -> None:
             CovarianceModel(**MODEL | change)
     with pytest.raises(GeometryError, match=r"sigma_white_m: 0 of 3 values .* shape \(3,\)"):
         observed([[0.0, 0.0], [1.0, 0.0]], [1.0, 2.0], sigma_white_m=np.full(3, 0.1))
+
+
+@pytest.mark.parametrize(("level", "per_slope"), [(0.5, 1.5), (1.6, 0.4)])
+def test_level_and_growth_of_errors_are_those_of_left_out_lines(level: float, per_slope: float) -> None:
+    """1,500 lines of two soundings, variances ``level (1 + (per_slope slope)^2)`` times those foretold.
+
+    A line counts as one value: the logarithm of a variance has a sigma of sqrt(2 / 1500) = 0.04 where the
+    growth is known, and what is usual draws by a hundredth.
+    """
+    rng = np.random.default_rng(31)
+    slope = rng.uniform(0.0, 2.0, 3000)
+    data = observed(
+        np.column_stack([np.zeros(3000), slope]).tolist(),
+        (np.sqrt(level * (1 + (per_slope * slope) ** 2)) * rng.standard_normal(3000)).tolist(),
+        line=np.repeat(np.arange(1500), 2),
+    )
+    model = SimpleNamespace(
+        fitted_to=lambda _: model,
+        predict_slope=lambda _, places, **__: (0.0, np.sqrt(0.75), places[:, 1]),
+        own_variance=lambda _: 0.25,
+    )
+    found = _by_slope(cast(BedModel, model), data, np.split(np.arange(3000), 1500), Bathymetry())
+    assert found == pytest.approx((level, per_slope), rel=0.15)

@@ -1,6 +1,7 @@
 """The generated files are those of the models, and agree with the campaigns that are shipped."""
 
 import dataclasses
+import re
 
 import jsonschema
 import pytest
@@ -86,3 +87,18 @@ def test_ppk_section_mirrors_the_options_of_the_engine():
     options = pytest.importorskip("thalweg.ingest.ppk.options").PpkOptions
     defaults = {f.name: f.default for f in dataclasses.fields(options) if not f.name.startswith("base_")}
     assert {name: getattr(Ppk(), name) for name in Ppk.model_fields} == defaults
+
+
+_ERRORS = re.compile(
+    r"ins\.sigma_(roll|pitch|heading)_deg|orientation\.error_model\.(.*_time_s|white_share)"
+    r"|lidar_accuracy\.(sigma_component_m|sigma_weak_m|divergence_mrad)"
+    r"|fused\.(sigma_velocity_mps|(velocity|attitude|gnss)_time_s|gnss_white_share|sigma_jitter_s)"
+)
+
+
+def test_a_default_of_an_error_names_its_source_or_says_that_there_is_none() -> None:
+    paths = [path for path in all_paths() if _ERRORS.fullmatch(".".join(path))]
+    assert len(paths) == 15
+    for path in paths:
+        words = node_at(path)["description"]
+        assert re.search(r"data sheet|VLP-16|T 2\.2\.1|P2 \d", words), path

@@ -19,7 +19,6 @@ one relief for all, beds of the twin between 0.6 and 0.9 of the half width erred
 variogram by Cressie and Hawkins (1980) is made for the picture alone.
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import cache
@@ -28,7 +27,7 @@ from typing import Any, Final, NamedTuple, Self
 import numpy as np
 import shapely
 from numpy.typing import ArrayLike
-from scipy.optimize import minimize, minimize_scalar
+from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
 from thalweg.bathymetry.kriging import (
@@ -95,10 +94,10 @@ _FACTORS: Final = (2.5, 2.5, 3.0, 10.0, 2.0)
 """One standard deviation of the logarithm of each."""
 
 
-_USUAL_PER_SLOPE: Final = 2.0
-_PER_SLOPE_FACTOR: Final = 3.0
-_PER_SLOPES: Final = (0.01, 50.0)
-"""Growth of errors with the slope: doubled variance at a slope of 0.5, to within a factor, and bounds."""
+_USUAL_BY_SLOPE: Final = (1.0, 2.0)
+_BY_SLOPE_FACTORS: Final = (2.0, 3.0)
+"""Level of the variance of errors over that of kriging, and its growth with the slope (doubled at a slope of
+0.5), each to within a factor."""
 _LEAST_LEFT: Final = 4
 
 
@@ -273,7 +272,7 @@ class BedModel:
     compared : score by drift and model.
     reason : in a sentence.
     of_line : at most so many soundings of one line make a cell; 0: any.
-    per_slope : variances of errors are 1 + (per_slope slope)^2 times those of kriging.
+    level, per_slope : variances of errors are level (1 + (per_slope slope)^2) times those of kriging.
     """
 
     drift: Drift
@@ -283,6 +282,7 @@ class BedModel:
     compared: dict[str, float]
     reason: str
     of_line: int = 0
+    level: float = 1.0
     per_slope: float = 0.0
 
     def fitted_to(self, data: Observations) -> Self:
@@ -321,7 +321,7 @@ class BedModel:
 
     def steepened(self, sigma_m: ArrayF, slope: ArrayF) -> ArrayF:
         """Standard deviations (m,) where the bed has slopes (m,), of those of kriging."""
-        return sigma_m * np.sqrt(1 + (self.per_slope * slope) ** 2)
+        return sigma_m * np.sqrt(self.level * (1 + (self.per_slope * slope) ** 2))
 
     def predict_slope(
         self, data: Observations, places_m: ArrayF, *, neighbours: int, step_m: float
@@ -445,7 +445,8 @@ def choose_model(
     of_margins = f", relief of the margins {best.margin:.2f} times the channel's" if margin is None else ""
     if four_lines < any_line:
         best = replace(best, of_line=quarter)
-    best = replace(best, per_slope=_per_slope(best, data, test, settings))
+    level, per_slope = _by_slope(best, data, test, settings)
+    best = replace(best, level=level, per_slope=per_slope)
     second = sorted(compared.values())[1] if len(compared) > 1 else np.nan
     reason = (
         f"drift {best.drift.kind}, model {best.covariance.kind}"
@@ -584,11 +585,14 @@ def _score(
     return total / n if np.isfinite(total) else 1e6
 
 
-def _per_slope(model: BedModel, data: Observations, test: list[ArrayI], settings: Bathymetry) -> float:
-    """How errors of left-out lines grow with the slope of the bed: most probable, with what is usual.
+def _by_slope(
+    model: BedModel, data: Observations, test: list[ArrayI], settings: Bathymetry
+) -> tuple[float, float]:
+    """Level of the errors of left-out lines and growth with the slope: most probable, with what is usual.
 
     One covariance for all of a bed knows neither that a steep part is rougher than a level one, nor that
-    places that are a little wrong make heights wrong there.
+    places that are a little wrong make heights wrong there. It has been fitted to steep and level parts
+    alike: growth alone would count the steep ones twice.
     """
     square, slope = [], []
     for of in test:
@@ -601,23 +605,19 @@ def _per_slope(model: BedModel, data: Observations, test: list[ArrayI], settings
             square.append((there.height_m - height) ** 2 / (sigma**2 + model.own_variance(there)))
             slope.append(steep)
     if not square:
-        return 0.0
+        return 1.0, 0.0
     z2, s2 = np.concatenate(square), np.concatenate(slope) ** 2
     known = np.isfinite(z2) & np.isfinite(s2)
+    usual, spread = np.log(_USUAL_BY_SLOPE), np.log(_BY_SLOPE_FACTORS)
 
-    def cost(x: float) -> float:
+    def cost(x: ArrayF) -> float:
         """Mean negative log density, and what is usual."""
-        factor = 1 + np.exp(2 * x) * s2[known]
-        unusual = ((x - np.log(_USUAL_PER_SLOPE)) / np.log(_PER_SLOPE_FACTOR)) ** 2 / (2 * len(square))
+        factor = np.exp(x[0]) * (1 + np.exp(2 * x[1]) * s2[known])
+        unusual = np.sum(((x - usual) / spread) ** 2) / (2 * len(square))
         return float(np.mean(np.log(factor) + z2[known] / factor) / 2 + unusual)
 
-    return float(
-        np.exp(
-            minimize_scalar(
-                cost, bounds=(math.log(_PER_SLOPES[0]), math.log(_PER_SLOPES[1])), method="bounded"
-            ).x
-        )
-    )
+    level, per_slope = np.exp(minimize(cost, usual, method="Nelder-Mead").x).tolist()
+    return level, per_slope
 
 
 def _parameters(model: BedModel, half_m: float, rest: Observations) -> ArrayF:

@@ -84,6 +84,10 @@ of the surfaces' roughness, which nobody knows (digital twin: 0.89 for a true fa
 LEAST_FREEDOM: Final = 10
 """Planes with fewer degrees of freedom tell nothing of the noise."""
 
+FIRST_STEPS: Final = 15
+"""Steps of a first search. Its errors are taken off the points before planes are made of them again: borders
+of cells cut off what errs most, and what lies apart by decimetres at 40 m bends the plane."""
+
 WINDOW_S: Final = 20.0
 MOST_WINDOWS: Final = 5
 LEAST_PLANES: Final = 30
@@ -166,22 +170,33 @@ def estimate_pose_errors(
     -------
     Estimates with their posterior sigmas; where no window has enough planes, the prior and its width.
     """
-    equations = [
-        window
-        for sample, (start_s, length_s) in zip(points, windows, strict=True)
-        if (
-            window := _window(
-                sample, trajectory, mount, lever_ics_antenna_m, beam, start_s, length_s, epoch_s
-            )
-        )
-    ]
-    if not equations:
-        return ErrorModel.of_prior(
-            prior, note=f"no span of the survey has {LEAST_PLANES} plane spots that were seen again"
-        )
     sigma_mount = np.sqrt(np.maximum(np.diag(mount.cov)[np.r_[TURN, SHIFT]], 1e-14))
-    likelihood = _Likelihood(equations, prior, sigma_mount, epoch_s=max(epoch_s, SHORTEST_EPOCH_S))
-    found = minimize(likelihood, np.zeros(len(NAMES)), jac=True, method="L-BFGS-B", options={"maxiter": 40})
+    places, z = [sample.xyz_wcs_m for sample in points], np.zeros(len(NAMES))
+    for last in (False, True):
+        built = [
+            _window(sample, xyz, trajectory, mount, lever_ics_antenna_m, beam, start_s, length_s, epoch_s)
+            for sample, xyz, (start_s, length_s) in zip(points, places, windows, strict=True)
+        ]
+        equations = [window for window in built if window]
+        if not equations:
+            return ErrorModel.of_prior(
+                prior, note=f"no span of the survey has {LEAST_PLANES} plane spots that were seen again"
+            )
+        likelihood = _Likelihood(equations, prior, sigma_mount, epoch_s=max(epoch_s, SHORTEST_EPOCH_S))
+        found = minimize(
+            likelihood, z, jac=True, method="L-BFGS-B", options={"maxiter": 40 if last else FIRST_STEPS}
+        )
+        z = found.x
+        if not last:
+            places = [
+                sample.xyz_wcs_m
+                - likelihood.displacements_m(
+                    z, window, sample, start_s, trajectory, mount, lever_ics_antenna_m
+                )
+                if window
+                else sample.xyz_wcs_m
+                for sample, window, (start_s, _) in zip(points, built, windows, strict=True)
+            ]
     second = np.empty((len(NAMES), len(NAMES)))
     for i, step in enumerate(_STEP * np.eye(len(NAMES))):
         second[i] = (likelihood(found.x + step)[1] - likelihood(found.x - step)[1]) / (2 * _STEP)
@@ -320,25 +335,13 @@ def sums(values: ArrayF, owner: ArrayI, n: int) -> ArrayF:
     return np.stack([np.bincount(owner, column, n) for column in values.T], axis=1)
 
 
-def _window(
-    sample: LogSample,
-    trajectory: Trajectory,
-    mount: Rigid,
-    lever_ics_antenna_m: ArrayF,
-    beam: LidarAccuracy,
-    start_s: float,
-    length_s: float,
-    epoch_s: float,
-) -> _Window | None:
-    """Normal equations of the errors at the knots of a window; None if there are too few planes."""
-    if len(sample.t_gps_s) < LEAST_POINTS * LEAST_PLANES:
-        return None
-    planes = planes_seen_again(sample.xyz_wcs_m, sample.t_gps_s)
-    if planes.n < LEAST_PLANES:
-        return None
-    x, t = sample.xyz_wcs_m[planes.order], sample.t_gps_s[planes.order]
-    local = np.einsum("ni,nij->nj", x - planes.centre_m[planes.owner], planes.axes[planes.owner])
-    normal = planes.axes[planes.owner, :, 0]
+def _rows(
+    normal: ArrayF, x: ArrayF, t: ArrayF, trajectory: Trajectory, mount: Rigid, lever_ics_antenna_m: ArrayF
+) -> tuple[ArrayF, ArrayF, ArrayF]:
+    """How points (n, 3) move along normals (n, 3): by pose errors (n, 6) and what does not change (n, 8).
+
+    Third the places (n, 3) of the scanner.
+    """
     nodes = trajectory.t_gps_s
     R = Slerp(nodes, Rotation.from_quat(trajectory.quaternion_wcs_ics))(np.clip(t, nodes[0], nodes[-1]))
     R_wcs_ics = R.as_matrix()
@@ -349,13 +352,41 @@ def _window(
     forward = R_wcs_ics[:, :2, 0]
     sin_cos = forward / np.linalg.norm(forward, axis=1, keepdims=True)  # heading: from north over east
     border = np.concatenate([np.cross(arm_ics, normal_ics), normal_ics, pose[:, 5:6] * sin_cos], axis=1)
+    return pose, border, boat + R_wcs_ics @ mount.shift_m
+
+
+def _window(
+    sample: LogSample,
+    places_m: ArrayF,
+    trajectory: Trajectory,
+    mount: Rigid,
+    lever_ics_antenna_m: ArrayF,
+    beam: LidarAccuracy,
+    start_s: float,
+    length_s: float,
+    epoch_s: float,
+) -> _Window | None:
+    """Normal equations of the errors at the knots of a window; None if there are too few planes.
+
+    ``places_m`` (n, 3) is where the points are as far as that is known: planes are made of them.
+    """
+    if len(sample.t_gps_s) < LEAST_POINTS * LEAST_PLANES:
+        return None
+    planes = planes_seen_again(places_m, sample.t_gps_s)
+    if planes.n < LEAST_PLANES:
+        return None
+    x, t = sample.xyz_wcs_m[planes.order], sample.t_gps_s[planes.order]
+    axes, normal = planes.axes[planes.owner], planes.axes[planes.owner, :, 0]
+    local = np.einsum("ni,nij->nj", places_m[planes.order] - planes.centre_m[planes.owner], axes)
+    along = np.einsum("ni,ni->n", x - planes.centre_m[planes.owner], normal)
+    pose, border, scanner = _rows(normal, x, t, trajectory, mount, lever_ics_antenna_m)
 
     epoch = max(epoch_s, SHORTEST_EPOCH_S)
     since = t - start_s
     scatter, freedom = _scatter(local[:, 0], planes.owner, since, planes.n)
     joined, owner = _joined(planes.owner, since, epoch, length_s)
     n = np.bincount(joined).astype(np.float64)
-    mean = sums(np.column_stack([local, since, pose, border]), joined, len(n)) / n[:, None]
+    mean = sums(np.column_stack([along, local[:, 1:], since, pose, border]), joined, len(n)) / n[:, None]
     enough = (freedom >= 8) & (np.bincount(owner, minlength=planes.n) >= 5)
     keep = enough[owner]
     owner, mean, n = owner[keep], mean[keep], n[keep]
@@ -372,7 +403,7 @@ def _window(
         ]
     ).tocsr()
     N, h = _without_planes(sp.diags(weight) @ design, weight * mean[:, 0], owner, mean[:, 1:3], weight)
-    noise = _noise(x, boat + np.einsum("nij,j->ni", R_wcs_ics, mount.shift_m), normal, sample, planes, beam)
+    noise = _noise(x, scanner, normal, sample, planes, beam)
     return _Window(
         N=N,
         h=h,
@@ -545,6 +576,35 @@ class _Likelihood:
             for i, part in enumerate(parts):
                 gradient[i] += self.spread[i] * part(S, x)
         return value, gradient
+
+    def displacements_m(
+        self,
+        z: ArrayF,
+        window: _Window,
+        sample: LogSample,
+        start_s: float,
+        trajectory: Trajectory,
+        mount: Rigid,
+        lever_ics_antenna_m: ArrayF,
+    ) -> ArrayF:
+        """How far the most probable errors have moved the points (n, 3) of a window."""
+        error = np.linalg.solve(window.N + self._prior(window, z)[0], window.h)
+        slow, fast, fixed = np.split(error, [6 * window.n_slow, len(error) - _BORDER])
+        since, epoch = sample.t_gps_s - start_s, max(self.epoch_s, SHORTEST_EPOCH_S)
+
+        def at(step_s: float, knots: ArrayF) -> ArrayF:
+            """Errors (n, k) at the points' times."""
+            times = step_s * np.arange(len(knots))
+            return np.stack([np.interp(since, times, column) for column in knots.T], axis=1)
+
+        slow, moved = at(SLOW_S, slow.reshape(-1, 6)), at(epoch, fast.reshape(-1, 3))
+        for axis in range(3):
+            normal = np.broadcast_to(np.eye(3)[axis], moved.shape)
+            pose, border, _ = _rows(
+                normal, sample.xyz_wcs_m, sample.t_gps_s, trajectory, mount, lever_ics_antenna_m
+            )
+            moved[:, axis] += np.sum(pose * slow, axis=1) + border @ fixed
+        return moved
 
     def deviation(self, z: ArrayF) -> tuple[ArrayF, ArrayF]:
         """Sine and cosine of the heading's deviation (2,), radians, and their covariance; windows joined."""

@@ -62,20 +62,24 @@ class RunErrors(Section):
     """
 
     sigma_position_m: Sigma3 = Field(
-        default=(0.02, 0.02, 0.03), description="Error of the positions east, north, up, metres (T 2.2.1)"
+        default=(0.02, 0.02, 0.03),
+        description="Error of the positions east, north, up, metres (PPK, T 2.2.1)",
     )
     sigma_attitude_deg: Sigma3 = Field(
-        default=(0.1, 0.1, 0.2), description="Error of roll, pitch, heading, degrees (T 2.2.1)"
+        default=(0.1, 0.1, 0.2),
+        description="Error of roll, pitch, heading, degrees (Advanced Navigation Spatial, T 2.2.1)",
     )
     position_time_s: Positive = Field(
-        default=10.0, description="Correlation time of the position errors, seconds"
+        default=10.0,
+        description="Correlation time of the position errors, seconds; presumed, no data sheet has it",
     )
     attitude_time_s: Positive = Field(
-        default=20.0, description="Correlation time of the attitude errors, seconds"
+        default=20.0,
+        description="Correlation time of the attitude errors, seconds; presumed, no data sheet has it",
     )
     white_share: Annotated[float, Field(ge=0, lt=1)] = Field(
         default=0.25,
-        description="Share of the position's variance that is new in each epoch; 0: none, which is kept",
+        description="Share of the position's variance that is new in each epoch; presumed; 0: none, kept",
     )
     knot_s: Positive = Field(default=1.0, description="Interval of the knots of the slow errors, seconds")
 

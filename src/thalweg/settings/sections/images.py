@@ -356,30 +356,36 @@ class CameraCloud(Section):
         "INS and positions goes",
     )
     sigma_velocity_mps: Positive = Field(
-        default=0.05, le=10, description="Error of the INS's velocity in each component, m/s (data sheet)"
+        default=0.05,
+        le=10,
+        description="Error of the INS's velocity in each component, m/s "
+        "(Advanced Navigation Spatial, data sheet)",
     )
     velocity_time_s: Positive | Literal["auto"] = Field(
         default="auto",
-        description="Correlation time of the velocity's error, seconds; `auto`: about 10 s is presumed",
+        description="Correlation time of the velocity's error, seconds; `auto`: about 10 s is presumed, "
+        "no data sheet has it",
     )
     attitude_time_s: Positive | Literal["auto"] = Field(
         default="auto",
-        description="Correlation time of the INS's attitude errors, seconds; `auto`: about 20 s is presumed",
+        description="Correlation time of the INS's attitude errors, seconds; `auto`: about 20 s is presumed, "
+        "no data sheet has it",
     )
     position_time_s: Positive | Literal["auto"] = Field(
         default="auto",
         description="Correlation time of the positions' errors, seconds; for `trajectory`; `auto`: about "
-        "10 s is presumed",
+        "10 s is presumed, no data sheet has it",
     )
     position_white_share: Annotated[float, Field(ge=0, le=1)] | Literal["auto"] = Field(
         default="auto",
         description="Share of the positions' variance that is new in each epoch; for `trajectory`; `auto`: "
-        "about 0.25 is presumed",
+        "about 0.25 is presumed, no data sheet has it",
     )
     sigma_time_s: NonNegative = Field(
         default=0.023,
         le=1,
-        description="Standard deviation of an image's time where the table states none, seconds (P2 6.1.2)",
+        description="Standard deviation of an image's time where the table states none, seconds (one camera, "
+        "P2 6.1.2)",
     )
     estimate_errors: bool = Field(
         default=True,
@@ -481,7 +487,9 @@ class StatedClock(Section):
         default=1.0, le=86_400, description="Standard deviation of that offset, seconds"
     )
     jitter_s: NonNegative = Field(
-        default=0.023, le=1, description="Scatter of the images about their stamps, seconds (P2 6.1.2)"
+        default=0.023,
+        le=1,
+        description="Scatter of the images about their stamps, seconds (one camera, P2 6.1.2)",
     )
 
 

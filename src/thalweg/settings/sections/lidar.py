@@ -102,10 +102,13 @@ class LidarAccuracy(Section):
         default=0.0173,
         le=1,
         description="Standard deviation along the beam and in both directions across it, metres "
-        "(3 cm / sqrt 3, P2 eq. 7)",
+        "(Velodyne VLP-16: 3 cm in space, P1 and P2 eq. 7, over sqrt 3); to within a factor of 1.5",
     )
     divergence_mrad: NonNegative = Field(
-        default=3.0, le=50, description="Full divergence of the beam, milliradians (P2 section 7)"
+        default=3.0,
+        le=50,
+        description="Full divergence of the beam, milliradians (Velodyne VLP-16, P2 section 7); to within a "
+        "factor of 1.5",
     )
     footprint_share: NonNegative = Field(
         default=0.177,
@@ -118,7 +121,7 @@ class LidarAccuracy(Section):
         default=0.03,
         le=10,
         description="Further range noise of the echo of a 10 % target at 100 m, metres; goes with the square "
-        "of the range over the reflectivity",
+        "of the range over the reflectivity; presumed, no data sheet has it",
     )
     sigma_time_s: NonNegative = Field(
         default=1e-6, le=1, description="Standard deviation of the scanner's stamps, seconds (PPS, T 3.1.2)"

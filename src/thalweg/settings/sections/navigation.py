@@ -18,10 +18,17 @@ PositionSource = Literal["pos", "sbp", "ppk", "nmea", "gpx", "sbet", "ins"]
 class Ins(Section):
     """Accuracy of the INS, where its log states none, and what a table of poses does not state."""
 
-    sigma_roll_deg: SigmaAttitude = Field(default=0.1, description="Standard deviation of roll, degrees")
-    sigma_pitch_deg: SigmaAttitude = Field(default=0.1, description="Standard deviation of pitch, degrees")
+    sigma_roll_deg: SigmaAttitude = Field(
+        default=0.1,
+        description="Standard deviation of roll, degrees (Advanced Navigation Spatial, T 2.2.1); to within "
+        "`orientation.error_model.spread`, as those below",
+    )
+    sigma_pitch_deg: SigmaAttitude = Field(
+        default=0.1, description="Standard deviation of pitch, degrees (Advanced Navigation Spatial, T 2.2.1)"
+    )
     sigma_heading_deg: SigmaAttitude = Field(
-        default=0.2, description="Standard deviation of heading, degrees"
+        default=0.2,
+        description="Standard deviation of heading, degrees (Advanced Navigation Spatial, T 2.2.1)",
     )
     sigma_position_m: Sigma3 | None = Field(
         default=None,
@@ -116,7 +123,8 @@ class ErrorModel(Section):
     )
     white_share: Annotated[float, Field(ge=0.01, le=0.99)] = Field(
         default=0.25,
-        description="Share of the positions' variance that is new in each epoch; presumed, as wide as sizes",
+        description="Share of the positions' variance that is new in each epoch; presumed, no data sheet has "
+        "it; as wide as sizes",
     )
 
 
@@ -198,11 +206,15 @@ class Fused(Section):
         default=True, description="The velocity of the INS carries the position between the observations"
     )
     sigma_velocity_mps: Positive = Field(
-        default=0.05, le=10, description="Error of the INS's velocity in each component, m/s (data sheet)"
+        default=0.05,
+        le=10,
+        description="Error of the INS's velocity in each component, m/s "
+        "(Advanced Navigation Spatial, data sheet)",
     )
     velocity_time_s: Positive | Literal["auto"] = Field(
         default="auto",
-        description="Correlation time of the velocity's error, seconds; `auto`: about 10 s is presumed",
+        description="Correlation time of the velocity's error, seconds; `auto`: about 10 s is presumed, "
+        "no data sheet has it",
     )
     sigma_acceleration: Positive = Field(
         default=0.2,
@@ -211,7 +223,8 @@ class Fused(Section):
     )
     attitude_time_s: Positive | Literal["auto"] = Field(
         default="auto",
-        description="Correlation time of the INS's attitude errors, seconds; `auto`: about 20 s is presumed",
+        description="Correlation time of the INS's attitude errors, seconds; `auto`: about 20 s is presumed, "
+        "no data sheet has it",
     )
     heading_disturbance_deg: NonNegative = Field(
         default=0.3,
@@ -221,12 +234,13 @@ class Fused(Section):
     disturbance_time_s: Positive = Field(default=60.0, description="Correlation time of that error, seconds")
     gnss_time_s: Positive | Literal["auto"] = Field(
         default="auto",
-        description="Correlation time of the positions' slow errors, seconds; `auto`: about 10 s is presumed",
+        description="Correlation time of the positions' slow errors, seconds; `auto`: about 10 s is "
+        "presumed, no data sheet has it",
     )
     gnss_white_share: Annotated[float, Field(ge=0.01, lt=1)] | Literal["auto"] = Field(
         default="auto",
         description="Share of the positions' variance that is new in each epoch; `auto`: about 0.25 is "
-        "presumed",
+        "presumed, no data sheet has it",
     )
     sigma_clock_offset_s: NonNegative = Field(
         default=0.02,
@@ -239,8 +253,8 @@ class Fused(Section):
     sigma_jitter_s: NonNegative = Field(
         default=0.016,
         le=1,
-        description="Scatter of the images' times where their table states none, seconds (P2: 0.023 s of "
-        "intervals)",
+        description="Scatter of the images' times where their table states none, seconds (one camera, P2 "
+        "6.1.2: 0.023 s of intervals, which are differences of two)",
     )
     estimate_errors: bool = Field(
         default=True,
