@@ -15,7 +15,7 @@ import pytest
 import yaml
 
 from thalweg.cli import _parser
-from thalweg.cli_parser import EXAMPLES
+from thalweg.commands import EXAMPLES
 from thalweg.core import InputError
 from thalweg.settings.load import load_campaign
 

@@ -16,14 +16,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import thalweg
-from thalweg.cli_bathymetry import add_bathymetry_commands
-from thalweg.cli_calibration import add_calibration_commands, describe_marked
-from thalweg.cli_deformation import add_deformation_commands, summarise_changes
-from thalweg.cli_fetch import add_fetch_command
-from thalweg.cli_images import add_image_commands
-from thalweg.cli_parser import Commands, refuse_overwriting
-from thalweg.cli_results import add_cluster_commands, add_result_commands
-from thalweg.cli_survey import add_survey_commands
+from thalweg.commands import (
+    Commands,
+    add_bathymetry_commands,
+    add_calibration_commands,
+    add_cluster_commands,
+    add_deformation_commands,
+    add_fetch_command,
+    add_image_commands,
+    add_result_commands,
+    add_survey_commands,
+    describe_marked,
+    refuse_overwriting,
+    summarise_changes,
+)
 from thalweg.core import ConfigError, InputError, ThalwegError, file_trouble, in_options, to_terminal
 
 if TYPE_CHECKING:
@@ -488,7 +494,7 @@ def _place(files: dict[str, list[Path]]) -> tuple[float, float, float] | None:
 
 
 def _check_config(options: argparse.Namespace) -> int:
-    from thalweg.cli_check import FirstJobs
+    from thalweg.commands import FirstJobs
     from thalweg.settings import load_campaigns
     from thalweg.settings.sections import STREAM_KEYS
     from thalweg.workflow import CampaignFiles

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 # ---------------------------------------------------------------- jobs on SLURM
-from thalweg.cli_parser import Commands
+from thalweg.commands.parser import Commands
 
 
 def add_cluster_commands(commands: Commands) -> None:

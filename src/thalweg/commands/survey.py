@@ -4,8 +4,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from thalweg.cli_parser import Commands
-from thalweg.cli_remedies import OF_A_FILE, of_a_campaign
+from thalweg.commands.parser import Commands
+from thalweg.commands.remedies import OF_A_FILE, of_a_campaign
 
 
 def add_survey_commands(commands: Commands) -> None:

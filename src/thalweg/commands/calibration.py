@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from thalweg.cli_parser import Commands, refuse_overwriting
-from thalweg.cli_remedies import of_a_campaign
+from thalweg.commands.parser import Commands, refuse_overwriting
+from thalweg.commands.remedies import of_a_campaign
 from thalweg.core import InputError
 
 if TYPE_CHECKING:

@@ -6,8 +6,8 @@ import sys
 from pathlib import Path
 from typing import Final
 
-from thalweg.cli_parser import Commands
-from thalweg.cli_remedies import of_a_campaign
+from thalweg.commands.parser import Commands
+from thalweg.commands.remedies import of_a_campaign
 
 _MASKED: Final = ("water", "sky", "hull", "moved")
 

@@ -4,7 +4,7 @@ import argparse
 import os
 from pathlib import Path
 
-from thalweg.cli_parser import Commands
+from thalweg.commands.parser import Commands
 
 
 def add_fetch_command(commands: Commands) -> None:
