@@ -590,14 +590,14 @@ class _Likelihood:
         """How far the most probable errors have moved the points (n, 3) of a window."""
         error = np.linalg.solve(window.N + self._prior(window, z)[0], window.h)
         slow, fast, fixed = np.split(error, [6 * window.n_slow, len(error) - _BORDER])
-        since, epoch = sample.t_gps_s - start_s, max(self.epoch_s, SHORTEST_EPOCH_S)
+        since = sample.t_gps_s - start_s
 
         def at(step_s: float, knots: ArrayF) -> ArrayF:
             """Errors (n, k) at the points' times."""
             times = step_s * np.arange(len(knots))
             return np.stack([np.interp(since, times, column) for column in knots.T], axis=1)
 
-        slow, moved = at(SLOW_S, slow.reshape(-1, 6)), at(epoch, fast.reshape(-1, 3))
+        slow, moved = at(SLOW_S, slow.reshape(-1, 6)), at(self.epoch_s, fast.reshape(-1, 3))
         for axis in range(3):
             normal = np.broadcast_to(np.eye(3)[axis], moved.shape)
             pose, border, _ = _rows(
