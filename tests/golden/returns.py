@@ -144,7 +144,7 @@ def compared(stored: str, now: str) -> list[tuple[str, str]]:
         there, found = today.get(name, ("none", numbers))
         size = max(map(abs, (*numbers, *found)))
         if there != count or np.abs(np.subtract(numbers, found)).max() > ABSOLUTE + RELATIVE * size:
-            out.append((part, f"{name}[{there}]={'~'.join(f'{x:.6g}' for x in found)}"))
+            out.append((part, f"{name}[{there}]={'~'.join(f'{x:.6g}' for x in found)}".replace("[]", "")))
     return out
 
 

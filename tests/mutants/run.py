@@ -12,7 +12,7 @@ of `mutations`, and what these miss counts as a survivor.
 
 One process loads the libraries (seconds) and no module of Thalweg; for each mistake it forks a child, which
 imports the changed module instead of that on disk and runs the tests until one fails. A mistake is found if a
-test fails, raises, runs out of CPU time or crashes, and its file passes on the right code. No file of the
+test fails, raises, runs out of CPU time or crashes, and the test passes on the right code. No file of the
 source tree is touched.
 
 Own code, because the two known tools do not reach compiled functions: mutmut 3 puts all mistakes into one
@@ -139,9 +139,9 @@ class Run:
 
     @property
     def accused(self) -> dict[tuple[str, str], str]:
-        """The test file that failed, or all after a crash; by what tells runs of the right code apart."""
+        """The test that failed, or all files after a crash; by what tells runs of the right code apart."""
         text = self.log.read_text(errors="replace")
-        failed = re.search(r"^(?:FAILED|ERROR) tests/(.+?)(?:::| |$)|^RETURNS tests/(.+)$", text, re.M)
+        failed = re.search(r"^(?:FAILED|ERROR) tests/(.+?)(?: - |$)|^RETURNS tests/(.+)$", text, re.M)
         tests = (failed.group(1) or failed.group(2),) if failed else self.target.tests
         return {(self.target.module if self.target.compiled else "", test): test for test in tests}
 
