@@ -391,8 +391,14 @@ def _unit(unit: str) -> str:
 def _decimals(column: pd.Series, digits: int) -> int | None:
     """Decimals that give the largest number of a column so many significant digits; None: there is none."""
     sizes = column.abs().astype(float)
-    largest = sizes[sizes < math.inf].max()
-    return max(digits - 1 - math.floor(math.log10(largest)), 0) if largest > NOTHING else None
+    sizes = sizes[sizes < math.inf]
+    largest = sizes.max()
+    if not largest > NOTHING:
+        return None
+    decimals = max(digits - 1 - math.floor(math.log10(largest)), 0)
+    while decimals and (sizes.round(decimals) == sizes.round(decimals - 1)).all():
+        decimals -= 1  # a nought that ends all of them
+    return decimals
 
 
 def _cell(value: Any, digits: int, decimals: int | None) -> str:
