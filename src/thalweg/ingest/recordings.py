@@ -159,7 +159,12 @@ def fetch_recording(recording: PublicRecording, folder: Path, mirror: Path | Non
 
 def _copying(source: Path) -> Callable[[str, str, object], None]:
     """A downloader of pooch that takes a file from a mirror."""
-    return lambda address, part, origin: shutil.copyfile(source, part) and None
+
+    def download(address: str, part: str, origin: object) -> None:
+        """Copy where pooch would download."""
+        shutil.copyfile(source, part)
+
+    return download
 
 
 def _check_room(needed_bytes: int, target: Path) -> None:
