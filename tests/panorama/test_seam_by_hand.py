@@ -28,7 +28,7 @@ def test_the_seam_runs_straight_from_place_to_place() -> None:
     grid = np.full((height + 2, width + 2, 2), 2.0, dtype=np.float32)
     picture = np.empty((height, width, 3), dtype=np.uint8)
     front, back = (np.zeros((height, width), dtype=bool) for _ in range(2))
-    _render.py_func(
+    getattr(_render, "py_func", _render)(
         views, (no_mask, no_mask), (grid, grid), np.zeros((height + 2, width + 2, 3), dtype=np.float32),
         np.ones((2, 3), dtype=np.float32), seam, R, 1, picture, front, back,
     )  # fmt: skip
