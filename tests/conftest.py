@@ -20,8 +20,6 @@ import numpy as np
 import pytest
 from _pytest.assertion import rewrite
 
-from tests.golden.returns import pytest_runtest_call, pytest_sessionfinish  # noqa: F401 - hooks
-
 # Workers, campaigns and commands import the same files: each is compiled once.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False

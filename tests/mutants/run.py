@@ -3,16 +3,14 @@
 Every module whose numbers reach a user gets mistakes: all of the library but what draws, reads settings, runs
 jobs or registers readers, and the laboratory's comparisons with the truth. Its test files are those of its
 package's folder that import it, else any that import it, else those of the modules that import it;
-`targets.yaml` names the few more. To these come single tests for which `tests/golden/returns.py` has stored
-what functions of the module return; a mistake that changes only such numbers is told apart: they say that
-something has changed, not which is right. `mutations` finds all mistakes; some are drawn, evenly over
-functions and kinds of mistake, **anew each time**: tests written for the survivors of one draw tell nothing
-by that draw. ``--seed`` repeats one. Nothing is taken out by hand: what no test can see is told by the rules
-of `mutations`, and what these miss counts as a survivor.
+`targets.yaml` names the few more. `mutations` finds all mistakes; some are drawn, evenly over functions and
+kinds of mistake, **anew each time**: tests written for the survivors of one draw tell nothing by that draw.
+``--seed`` repeats one. Nothing is taken out by hand: what no test can see is told by the rules of
+`mutations`, and what these miss counts as a survivor.
 
 One process loads the libraries (seconds) and no module of Thalweg; for each mistake it forks a child, which
 imports the changed module instead of that on disk and runs the tests until one fails. A mistake is found if a
-test fails, raises, runs out of CPU time or crashes, and the test passes on the right code. No file of the
+test fails, raises, runs out of CPU time or crashes, and passes on the right code. No file of the
 source tree is touched.
 
 Own code, because the two known tools do not reach compiled functions: mutmut 3 puts all mistakes into one
@@ -58,6 +56,11 @@ import mutations  # noqa: E402
 
 REPOSITORY: Final = HERE.parents[1]
 SOURCE: Final = REPOSITORY / "src"
+COUNTED: Final = re.compile(
+    r"thalweg/(?!settings/|workflow/|figures/|commands/|cli|__main__)(?!.*/(?:figures|registry|settings)(?:/|$))"
+    r"|thalweg_lab/truth/"
+)
+"""Modules whose numbers reach a user."""
 SILENT: Final = {"benchmarks", "workflow", "figures", "settings", "mutants", "test_house.py", "test_cli.py"}
 """Folders and files of tests that answer for no number."""
 REPORT: Final = REPOSITORY / "docs/validation/mutants.md"
@@ -65,8 +68,6 @@ COUNT: Final = 500
 MOST_SURVIVORS: Final = 0.08
 COMPILED_SHARE: Final = 1 / 3
 """Functions of modules that numba compiles get so much of their share: uncompiled they take longer."""
-DIFFERS: Final = 60
-"""Exit code of tests that pass while functions return other numbers than the stored ones."""
 LIMIT_S: Final = 150.0
 """CPU time of a child; the right code takes a third of it where numba's functions run uncompiled."""
 MEMORY_BYTES: Final = 8 * 2**30
@@ -101,8 +102,6 @@ class Target:
 
     module: str
     tests: tuple[str, ...]
-    stored: tuple[str, ...] = ()
-    """Single tests, in other files, for which returns of the module's functions are stored."""
 
     @property
     def name(self) -> str:
@@ -141,8 +140,8 @@ class Run:
     def accused(self) -> dict[tuple[str, str], str]:
         """The test that failed, or all files after a crash; by what tells runs of the right code apart."""
         text = self.log.read_text(errors="replace")
-        failed = re.search(r"^(?:FAILED|ERROR) tests/(.+?)(?: - |$)|^RETURNS tests/(.+)$", text, re.M)
-        tests = (failed.group(1) or failed.group(2),) if failed else self.target.tests
+        failed = re.search(r"^(?:FAILED|ERROR) tests/(.+?)(?: - |$)", text, re.M)
+        tests = (failed.group(1),) if failed else self.target.tests
         return {(self.target.module if self.target.compiled else "", test): test for test in tests}
 
     @property
@@ -199,7 +198,7 @@ def run_child(run: Run) -> None:
         numba.config.DISABLE_JIT = True
         options += ["-W", "ignore::RuntimeWarning"]  # error_model "numpy" divides by zero without a word
     with tempfile.TemporaryDirectory(prefix="mutant_") as folder:
-        files = [f"tests/{name}" for name in (*run.target.tests, *run.target.stored)]
+        files = [f"tests/{name}" for name in run.target.tests]
         code = pytest.main([*options, f"--basetemp={folder}/t", *files])
     sys.stdout.flush()
     os._exit(int(code))
@@ -210,10 +209,8 @@ def run_child(run: Run) -> None:
 
 def targets() -> list[Target]:
     """Every module whose numbers reach a user, with the test files that answer for it."""
-    from tests.golden import returns
     from thalweg.workflow.codehash import imported_modules
 
-    watched = returns.tests_by_module()
     more = yaml.safe_load((HERE / "targets.yaml").read_text())
     folder = REPOSITORY / "tests"
     of_test = {
@@ -221,13 +218,12 @@ def targets() -> list[Target]:
         for path in sorted(folder.rglob("test_*.py"))
         if not SILENT & set(path.relative_to(folder).parts)
     }
-    counted = {*returns.modules()}
     modules = [p for p in sorted(SOURCE.rglob("*.py")) if p.name != "__init__.py"]
     above = {p: {user for user in modules if p in imported_modules(user, SOURCE)} for p in modules}
     found = []
     for path in modules:
         name = path.relative_to(SOURCE).with_suffix("").as_posix()
-        if name not in counted:
+        if not COUNTED.match(name):
             continue
         users, answer = {path}, list[str]()
         while users and not answer:
@@ -235,9 +231,7 @@ def targets() -> list[Target]:
             users = {user for each in users for user in above[each]} - users
         own = [test for test in answer if test.split("/")[0] == name.split("/")[1]]
         tests = sorted(dict.fromkeys([*(own or answer), *more.get(name, [])]), key=lambda t: len(of_test[t]))
-        single = [t for t in sorted(watched[name.replace("/", ".")]) if t.split("::")[0] not in tests]
-        single += [f"golden/test_constants.py::test_no_number_changes_unseen[{name.split('/')[1]}]"]
-        found.append(Target(name, tuple(tests), tuple(single)))  # the narrowest first: it fails soonest
+        found.append(Target(name, tuple(tests)))  # the narrowest first: it fails soonest
     return found
 
 
@@ -305,8 +299,7 @@ def run_all(runs: Sequence[Run], workers: int, until_s: float = float("inf")) ->
             run.verdict = "timeout" if run.cpu_s > LIMIT_S else "crash"
         else:
             code = os.WEXITSTATUS(status)
-            words = {0: "survived", 5: "survived", 1: "failed", 2: "failed", DIFFERS: "stored"}
-            run.verdict = words.get(code, "crash")
+            run.verdict = "survived" if code in (0, 5) else "failed" if code in (1, 2) else "crash"
         line = 0 if run.site is None else run.site.line
         print(f"{run.verdict:9} {run.cpu_s:6.1f} s  {run.target.module}:{line}  {run.words}", flush=True)
 
@@ -319,7 +312,6 @@ def report(runs: Sequence[Run], seed: int, cpu_s: float, wall_s: float, left: in
     left : mistakes, drawn anywhere, that were not run because time was up.
     """
     lost = [run for run in runs if run.verdict == "survived"]
-    only = sum(run.verdict == "stored" for run in runs)
     from scipy.stats import binomtest  # loads numpy, which reads how many threads it may have
 
     low, high = binomtest(len(lost), len(runs)).proportion_ci(method="wilson")
@@ -341,21 +333,14 @@ def report(runs: Sequence[Run], seed: int, cpu_s: float, wall_s: float, left: in
         f"- **{len(runs) - len(lost)} of {len(runs)} mistakes found, {len(lost)} survive "
         f"({100 * len(lost) / len(runs):.1f} %)**, of all mistakes {100 * low:.0f} to {100 * high:.0f} % "
         f"(95 %); at most {100 * MOST_SURVIVORS:.0f} % may",
-        f"- **{len(runs) - len(lost) - only} of them by tests that know the right value, {only} only by",
-        "  numbers that were stored**: a function returned something else before, or a constant was another",
-        "  (`tests/golden/returns.py`). That guards against a change that nobody meant, not against what was",
-        "  wrong when it was stored",
         "",
-        "| module | test files | mistakes | found | by stored numbers alone | survive |",
-        "| --- | --- | --- | --- | --- | --- |",
+        "| module | test files | mistakes | found | survive |",
+        "| --- | --- | --- | --- | --- |",
     ]
     for target in dict.fromkeys(run.target for run in runs):
         own = [run for run in runs if run.target == target]
         alive = sum(run.verdict == "survived" for run in own)
-        known = sum(run.verdict == "stored" for run in own)
-        lines.append(
-            f"| {target.module} | {len(target.tests)} | {len(own)} | {len(own) - alive} | {known} | {alive} |"
-        )
+        lines.append(f"| {target.module} | {len(target.tests)} | {len(own)} | {len(own) - alive} | {alive} |")
     lines += ["", "## Survivors", "", "| module, function | line | mistake |", "| --- | --- | --- |"]
     for run in lost:
         assert run.site is not None
@@ -378,8 +363,7 @@ def main() -> int:
     seed = secrets.randbelow(10**9) if options.seed is None else options.seed
     print(f"seed {seed}", flush=True)
     os.chdir(REPOSITORY)
-    sys.path.insert(0, str(REPOSITORY))
-    os.environ.update(THALWEG_FUZZ="2", THALWEG_RETURNS="note")
+    os.environ["THALWEG_FUZZ"] = "2"
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ[name] = "1"  # read when the libraries load
     for name in LIBRARIES:

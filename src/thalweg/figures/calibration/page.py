@@ -330,14 +330,14 @@ def head(
     if not findings:
         return "No block has sigmas of its own.", []
     judged = [f.verdict for f in findings.values() if f.verdict]
-    words = {
+    sigmas = {
         "consistent": "agree with the residuals",
         "too optimistic": "are too small",
         "too pessimistic": "are too large",
         "too few data": "rest on too few data to judge",
     }
     counts = ", ".join(
-        f"{judged.count(word)} of {len(findings)} {words[word]}" for word in dict.fromkeys(judged)
+        f"{judged.count(word)} of {len(findings)} {sigmas[word]}" for word in dict.fromkeys(judged)
     )
     sentence = f"Predicted standard deviations: {counts or 'too few data to judge'}."
     return sentence, list(findings.values())
