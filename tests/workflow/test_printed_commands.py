@@ -4,6 +4,7 @@ The five commands of a survey, and those of the tutorial: `test_subsets`.
 """
 
 import json
+import re
 import runpy
 import shutil
 from collections.abc import Callable
@@ -194,3 +195,20 @@ def test_a_command_does_what_is_printed(
     assert main(as_a_shell_splits(PRINTED[command], tmp_path)[1:]) == 0, capsys.readouterr().err
     assert capsys.readouterr().out.strip()
     assert [name for name in files if not (tmp_path / name).stat().st_size] == []
+
+
+def test_the_tutorial_on_real_recordings_is_walked(
+    data_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its commands in an empty folder, from the mirror, give the figures of the page; the longer river by hand."""
+    page = (REPOSITORY / "docs/tutorial_real.md").read_text()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("THALWEG_DATA", str(data_dir))
+    walked = [line for line in commands(page) if "/CDD/" not in line]
+    for line in walked:
+        assert main(line.split()[1:]) == 0, line
+    assert [line.split()[1] for line in walked] == ["fetch", "describe", "bed", "compare-clouds"]
+    said = capsys.readouterr().out
+    for block in re.findall(r"```text\n(.*?)```", page, re.S):
+        for line in block.splitlines():
+            assert line in said
