@@ -52,6 +52,12 @@ class RealFolder(type(Path())):  # type: ignore[misc]
         return path
 
 
+@pytest.fixture
+def record_property(record_property: Callable[[str, Any], None]) -> Callable[[str, Any], None]:
+    """That of pytest, for numbers of numpy too, which workers cannot hand over."""
+    return lambda name, value: record_property(name, value.item() if isinstance(value, np.generic) else value)
+
+
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
     """Folder of the real recordings, from THALWEG_DATA or beside the repository; skips where absent."""

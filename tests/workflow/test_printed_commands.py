@@ -159,6 +159,7 @@ def nothing(folder: Path, tiny: Path, data: Path) -> None:
 
 MADE_FOR: dict[str, tuple[Callable[[Path, Path, Path], None], tuple[str, ...]]] = {
     "describe": (recordings, ()),
+    "fetch": (nothing, ("river_bottom_interpolator/LICENSE.md",)),
     "ppk": (raw_gnss, ("track/positions.csv", "track/index.html")),
     "georeference": (lidar_and_states, ("cloud.laz", "cloud_map.laz", "cloud.json")),
     "compare": (clouds, ("distances.laz",)),
@@ -192,6 +193,7 @@ def test_a_command_does_what_is_printed(
     make, files = MADE_FOR[command]
     make(tmp_path, tiny_house.root / "results/tiny", data_dir)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("THALWEG_DATA", str(data_dir))
     assert main(as_a_shell_splits(PRINTED[command], tmp_path)[1:]) == 0, capsys.readouterr().err
     assert capsys.readouterr().out.strip()
     assert [name for name in files if not (tmp_path / name).stat().st_size] == []
@@ -200,7 +202,7 @@ def test_a_command_does_what_is_printed(
 def test_the_tutorial_on_real_recordings_is_walked(
     data_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Its commands, from the mirror into an empty folder, give the figures of the page; the longer river by hand."""
+    """Its commands in an empty folder give the figures of the page; the longer river: by hand."""
     page = (REPOSITORY / "docs/tutorial_real.md").read_text()
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("THALWEG_DATA", str(data_dir))
