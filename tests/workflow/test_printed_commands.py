@@ -200,7 +200,7 @@ def test_a_command_does_what_is_printed(
 def test_the_tutorial_on_real_recordings_is_walked(
     data_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Its commands in an empty folder, from the mirror, give the figures of the page; the longer river by hand."""
+    """Its commands, from the mirror into an empty folder, give the figures of the page; the longer river by hand."""
     page = (REPOSITORY / "docs/tutorial_real.md").read_text()
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("THALWEG_DATA", str(data_dir))
