@@ -20,7 +20,8 @@ THUMBNAIL_PX = 480
 HEAD = """# Gallery
 
 Every figure of the workflow that the examples have, in small, with the command that draws it.
-All show the digital twin. Made by `docs/make_gallery.py`; [all files of a campaign](outputs.md), [papers](bibliography.md).
+All show the digital twin. Made by `docs/make_gallery.py`; see [all files of a campaign](outputs.md) and
+[papers](bibliography.md).
 """
 
 
