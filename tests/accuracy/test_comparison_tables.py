@@ -189,9 +189,9 @@ def test_a_mean_beyond_its_sigma_is_named(rng: np.random.Generator) -> None:
     table = survey(rng)
     found = values(table)
     parts = parts_in_words(found | {"bias": 2.1 * found["sigma_of_bias"]})
-    assert "the mean is +" in parts
-    assert "beyond twice" in parts
-    assert "within twice" in parts_in_words(found | {"bias": -1.9 * found["sigma_of_bias"]})
+    assert "the mean offset, +" in parts
+    assert "beyond 2 sigma" in parts
+    assert "within 2 sigma" in parts_in_words(found | {"bias": -1.9 * found["sigma_of_bias"]})
 
 
 def test_points_that_are_not_used_count_nowhere(rng: np.random.Generator) -> None:

@@ -119,7 +119,7 @@ def test_two_photographs_of_nothing_common_are_refused(tmp_path: Path, rng: np.r
 def test_a_crs_needs_coordinates_and_they_need_one(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(InputError, match="EPSG:25833, and nothing that has coordinates"):
+    with pytest.raises(InputError, match="UTM zone 33N, and nothing that has coordinates"):
         orient_photographs({}, crs="EPSG:25833")
     for given, told in (
         (["--positions", "positions.csv"], "coordinates without a CRS"),

@@ -310,6 +310,7 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
     of_clouds = {
         "plot_survey_map",
         "plot_trajectory",
+        "plot_from_above",
         "plot_cloud_overview",
         "plot_cloud_detail",
         "plot_cloud_by_sigma",

@@ -335,7 +335,7 @@ def orient_photographs(
     own_frame = rig is None and not control_points and positions is None
     if own_frame and crs not in (None, LOCAL):
         raise InputError(
-            "a CRS, and nothing that has coordinates in it",
+            f"the CRS {CRS.from_user_input(crs).name}, and nothing that has coordinates in it",
             expected="control points with marks, or positions of the camera",
             cure="Give these, or no CRS: the photographs are then oriented in a frame of their own",
         )

@@ -34,6 +34,8 @@ IMAGE_ENDINGS: Final = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 _ONE_RECORDER: Final = frozenset({"lidar", "ins", "positions", "depth", "times"})
 """Streams that one file may hold together: a bag of ROS, the log of an autopilot, NMEA; ``times`` are those
 of camera triggers."""
+_TRIGGERS: Final = {".bin", ".log", ".tlog"}
+"""Endings of the logs of an autopilot, which hold triggers of a camera beside positions."""
 _MANY_PARTS: Final = {"control_points", "marks", "orientations"}
 """Keys that may name one file: OpenDroneMap and Metashape write points, marks and poses together."""
 
@@ -229,7 +231,8 @@ def _check_twice(
     if other[:3] == where[:3] == ("logs", "time_lapse", "interiors"):
         return
     one, two = (keys[2] if keys[1:3] == ("time_lapse", "times") else keys[1] for keys in (other, where))
-    if other[0] == where[0] == "logs" and one != two and {one, two} <= _ONE_RECORDER:
+    shared = {one, two} <= _ONE_RECORDER and ("times" not in (one, two) or path.suffix.lower() in _TRIGGERS)
+    if other[0] == where[0] == "logs" and one != two and shared:
         return
     if other[:3] == where[:3] == ("logs", "light_sheet", "scans") and {other[4], where[4]} <= SHARED_PARTS:
         return

@@ -76,6 +76,7 @@ def write_ledger(ledger: pd.DataFrame, headlines: pd.DataFrame, path: Path) -> N
         (f"Not run here: {missing}. " if missing else "")
         + f"Of the published numbers {sentence(table)}. Numbers of the digital twin speak of the software, "
         "not of a boat. T and P1 to P4 are the thesis and its papers.",
+        folded=False,
     )
     page.section("Headlines").table(headlines, "Main results of the thesis and its papers")
     page.section("Counts")
