@@ -27,7 +27,7 @@ from thalweg.deformation import (
 from thalweg.deformation.foreign import ForeignEpoch, difference_of_models, notes_of_pair, with_drawn_areas
 from thalweg.settings.sections import Deformation, Epoch as Statement
 from thalweg.surface import Area
-from thalweg_lab.studies.ground_study import all_pairs
+from thalweg_lab.studies.by_hand import all_pairs
 
 EAST, NORTH = round(ORIGIN[0]), round(ORIGIN[1]) + 40
 """Corner of the rasters in the north-west; they reach 80 m to the east and 40 m to the south."""

@@ -1,9 +1,9 @@
 """Interior orientations without sigmas, and lenses from boards: made-up cases by seeds, and real recordings.
 
-    python -m thalweg_lab.studies.interior_study resections FIRST_SEED SEEDS
-    python -m thalweg_lab.studies.interior_study boards FIRST_SEED SEEDS
-    python -m thalweg_lab.studies.interior_study pictures FOLDER_OF_RECORDINGS
-    python -m thalweg_lab.studies.interior_study halves FOLDER_OF_RECORDINGS SPLITS
+    python -m thalweg_lab.studies.by_hand.interior resections FIRST_SEED SEEDS
+    python -m thalweg_lab.studies.by_hand.interior boards FIRST_SEED SEEDS
+    python -m thalweg_lab.studies.by_hand.interior pictures FOLDER_OF_RECORDINGS
+    python -m thalweg_lab.studies.by_hand.interior halves FOLDER_OF_RECORDINGS SPLITS
 
 Each prints rows of a table.
 """

@@ -1,6 +1,6 @@
 """Laser lines on a checkerboard in a room: an arc, specks, a wall and a table beside it, boards cut off.
 
-``python -m thalweg_lab.studies.laser_room_study FIRST_SEED NUMBER`` prints for each kind of picture which
+``python -m thalweg_lab.studies.by_hand.laser_room FIRST_SEED NUMBER`` prints for each kind of picture which
 share of the places lies off the laser's light, which share of those without the flag of a piece apart does,
 normalised squared errors on the board (1 if sigmas are right; mean, least, largest), and pictures refused.
 """

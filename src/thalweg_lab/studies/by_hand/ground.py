@@ -1,6 +1,6 @@
 """All pairs of the surface models of a campaign, with stable ground drawn and without: does the rule hold?
 
-    python -m thalweg_lab.studies.ground_study CAMPAIGN.yaml
+    python -m thalweg_lab.studies.by_hand.ground CAMPAIGN.yaml
 
 The campaign names its stable ground (``deformation.stable``). Each pair is compared as a campaign of two is,
 once with that ground and once without. What is taken off is held against the median of the differences of

@@ -1,8 +1,8 @@
 """Soundings that disagree: left-out days, errors by slope of the bed, and the mean of days of a made-up lake.
 
-    python -m thalweg_lab.studies.soundings_study days FOLDER_OF_SUM_FILES EVERY
-    python -m thalweg_lab.studies.soundings_study slopes FOLDER_OF_RECORDINGS
-    python -m thalweg_lab.studies.soundings_study mean FIRST_SEED SEEDS
+    python -m thalweg_lab.studies.by_hand.soundings days FOLDER_OF_SUM_FILES EVERY
+    python -m thalweg_lab.studies.by_hand.soundings slopes FOLDER_OF_RECORDINGS
+    python -m thalweg_lab.studies.by_hand.soundings mean FIRST_SEED SEEDS
 
 Days: ``.sum`` files of a RiverSurveyor M9 (``github.com/duckmanager/Bathymetric-map-Lake-Caputh``,
 ``data/sonar_data``), every so many soundings. Each prints rows of a table.

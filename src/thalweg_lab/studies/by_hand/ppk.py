@@ -1,6 +1,6 @@
 """Errors of PPK positions over their standard deviations: short baselines, good and bad receivers.
 
-``python -m thalweg_lab.studies.ppk_study FIRST_SEED NUMBER`` prints a line for each baseline and receiver:
+``python -m thalweg_lab.studies.by_hand.ppk FIRST_SEED NUMBER`` prints a line for each baseline and receiver:
 mean of the normalised squared errors (1 if sigmas are right) of fixed and of float positions of runs of five
 minutes. Fixed positions whose integers are wrong, `_WRONG_M` off, are counted beside.
 """

@@ -1,0 +1,1 @@
+from .ground import all_pairs as all_pairs
