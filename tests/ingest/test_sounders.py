@@ -6,12 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
+from scipy.io import savemat
 
 from tests.conftest import check_whole
 from thalweg.core import InputError, ThalwegError, gps_from_unix
 from thalweg.ingest import TrackOptions
-from thalweg.ingest.recorders import read_lowrance, read_pd0
+from thalweg.ingest.recorders import read_lowrance, read_pd0, read_sontek
 from thalweg.ingest.registry import describe, read_depths, recognise, soundings_table, stream_of
 
 RADIUS_M = 6_356_752.3142
@@ -158,6 +160,107 @@ def test_an_adcp_without_fixes_is_refused(tmp_path: Path) -> None:
     path.write_bytes(ensemble(0, vertical_m=4.0, beams_m=4.0, heading_deg=0.0, quality=0))
     with pytest.raises(InputError, match="1 ensembles without a position"):
         describe(path)
+
+
+def sontek_export(path: Path, *, unit: str = "m", vertical: float = 3.0, **changed: Any) -> Path:
+    """Four rows at 1 s, the second without a fix, the third without a bottom; the clock shows local time."""
+    scale = {"m": 1.0, "ft": 1 / 0.3048}.get(unit, 1.0)
+    depth = np.array([vertical, vertical, 0.0, vertical + 1.0 if vertical else 0.0])
+    utc = np.array([235_958.9, 235_959.9, 0.9, 1.9])
+    held: dict[str, Any] = {
+        "Setup": {"sensorDepth": 0.25 * scale, "Units": {"sensorDepth": unit}},
+        "System": {"Time": 790_387_200.0 + 3_606.0 + np.arange(4.0)},  # 2025-01-17 01:00:06 local: UTC + 1 h
+        "GPS": {
+            "Utc": utc,
+            "Latitude": np.array([51.0, 0.0, 51.00002, 51.00003]),
+            "Longitude": np.array([13.0, 0.0, 13.0, 13.0]),
+            "GPS_Quality": np.array([2.0, 0.0, 4.0, 5.0]),
+            "Satellites": np.array([7.0, 0.0, 9.0, 8.0]),
+        },
+        "BottomTrack": {
+            "VB_Depth": depth * scale,
+            "BT_Depth": np.array([2.9, 2.9, 2.9, 3.9]) * scale,
+            "Units": {"VB_Depth": unit, "BT_Depth": unit},
+        },
+    }
+    for name, value in changed.items():
+        struct_name, field = name.split("__")
+        if value is None:
+            held[struct_name].pop(field)
+        else:
+            held[struct_name][field] = value
+    savemat(path, held)
+    return path
+
+
+@pytest.mark.parametrize("unit", ["m", "ft"])
+def test_sontek_depths_are_below_the_water_with_the_day_of_gnss(tmp_path: Path, unit: str) -> None:
+    path = sontek_export(tmp_path / "transect.mat", unit=unit)
+    assert recognise(path) == "sontek"
+    log = read_sontek([path], TrackOptions())
+    assert log.positions is not None
+    assert log.depths is not None
+    assert log.soundings is not None
+    assert log.soundings["depth_m"].tolist() == pytest.approx([3.0, 4.0])
+    assert log.soundings["latitude"].tolist() == pytest.approx([51.0, 51.00003])
+    assert log.soundings["time"].tolist()[0] == "2025-01-16T23:59:58.900Z"
+    # a mount is measured to the transducer: its draught is taken off the stream of a campaign
+    assert log.depths["depth_m"].tolist() == pytest.approx([2.75, 2.75, 0.0, 3.75])
+    assert log.positions["fix"].tolist() == ["dgnss", "fixed", "float"]
+    assert log.positions["n_sats"].tolist() == [7, 9, 8]
+    assert log.report.counts["pings_without_place"] == 1
+    assert log.report.counts["pings_without_bottom"] == 1
+    notes = " ".join(log.report.notes)
+    assert "3,607.10 s ahead of GNSS: it may show local time" in notes
+    assert "-0.10 m from it (median of 3)" in notes
+    assert "the draught of 0.25 m" in notes
+
+
+def test_sontek_without_a_vertical_beam_takes_the_slanted_ones(tmp_path: Path) -> None:
+    log = read_sontek([sontek_export(tmp_path / "transect.mat", vertical=0.0)], TrackOptions())
+    assert log.soundings is not None
+    assert log.soundings["depth_m"].tolist() == pytest.approx([2.9, 2.9, 3.9])
+    assert any("No vertical beam" in note for note in log.report.notes)
+
+
+def test_clocks_of_two_transects_may_be_off_otherwise(tmp_path: Path) -> None:
+    """The second export's clock is 40 s further off: each has its own offset to GNSS."""
+    first = sontek_export(tmp_path / "1.mat")
+    later = 790_387_200.0 + 3_646.0 + np.arange(4.0)
+    log = read_sontek([first, sontek_export(tmp_path / "2.mat", System__Time=later)], TrackOptions())
+    assert log.depths is not None
+    t_s = log.depths["t_gps_s"].to_numpy()
+    assert t_s[4:] == pytest.approx(t_s[:4], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("changed", "found"),
+    [
+        ({"unit": "fathom"}, "the unit 'fathom'"),
+        ({"BottomTrack__VB_Depth": None}, "without BottomTrack.VB_Depth"),
+        ({"GPS__GPS_Quality": np.zeros(4)}, "4 rows without a position"),
+    ],
+)
+def test_other_matlab_files_are_refused(tmp_path: Path, changed: dict[str, Any], found: str) -> None:
+    with pytest.raises(InputError, match=found):
+        describe(sontek_export(tmp_path / "transect.mat", **changed))
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(("name", "n"), [("20250117160335", 361), ("20250130113805", 184)])
+def test_a_real_sontek_is_as_the_makers_table(data_dir: Path, name: str, n: int) -> None:
+    """RiverSurveyor Live wrote both: its table has hundredths of a metre and of a second of arc."""
+    folder = data_dir / "today/sontek_m9_caputh"
+    log = read_sontek([folder / f"{name}.mat"], TrackOptions())
+    found = soundings_table(folder / f"{name}.mat")
+    assert found is not None
+    table = found[0]
+    assert len(table) == n
+    theirs = pd.read_csv(folder / f"{name}.sum", encoding="cp1252").loc[table.index]
+    degrees = theirs["Latitude (deg)"].str.extractall(r"([\d.]+)")[0].astype(float).unstack().to_numpy()
+    assert table["depth_m"].to_numpy() == pytest.approx(theirs["VB Depth (m)"], abs=0.00501)
+    assert table["latitude"].to_numpy() == pytest.approx(degrees @ [1, 1 / 60, 1 / 3600], abs=0.00501 / 3600)
+    assert any("ahead of GNSS: it may show local time" in note for note in log.report.notes)
 
 
 @pytest.mark.real

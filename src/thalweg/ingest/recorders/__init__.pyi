@@ -25,10 +25,12 @@ from .ros import (
 from .sounders import (
     is_deeper as is_deeper,
     is_lowrance as is_lowrance,
+    is_matlab as is_matlab,
     is_pd0 as is_pd0,
     read_deeper as read_deeper,
     read_lowrance as read_lowrance,
     read_pd0 as read_pd0,
+    read_sontek as read_sontek,
 )
 from .ubx import (
     RAW_OBSERVATIONS as RAW_OBSERVATIONS,

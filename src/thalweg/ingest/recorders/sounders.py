@@ -1,4 +1,4 @@
-"""Echo sounders that log their own positions: Lowrance SL2 and SL3, Deeper, Teledyne RDI ADCPs (PD0).
+"""Echo sounders that log their own positions: Lowrance SL2 and SL3, Deeper, ADCPs of Teledyne RDI and SonTek.
 
 **Lowrance** logs a frame for each ping and channel: depth in feet below the transducer, place in whole metres
 of a spherical Mercator map, milliseconds since it was switched on, and the time of that only where the unit
@@ -12,10 +12,16 @@ and sentences of GNSS and of an echo sounder, rewritten by WinRiver. GGA tells t
 nearest to the instrument's clock, which may be local time. The vertical beam is taken, else each slanted beam
 at the place where it hits.
 Source: Teledyne RD Instruments, WorkHorse Commands and Output Data Format (2014); WinRiver II User's Guide.
+
+**SonTek** M9 and S5: RiverSurveyor Live exports MATLAB files, a row a second. Depths contain the draught that
+was typed in, the clock shows local time of the computer, GNSS the time of day in UTC; units are stated and may
+be feet. The vertical beam is taken, else the mean of the slanted ones.
+Source: RiverSurveyor Live User's Manual; the USGS program QRev takes the depths the same way.
 """
 
 import math
 import re
+import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -352,6 +358,8 @@ def _gga(data: bytes) -> dict[str, float]:
 def _on_gnss_time(table: pd.DataFrame, report: IntegrityReport) -> ArrayF:
     """UTC (n,) of ensembles: GNSS's time of day on the day that the instrument's clock is nearest to."""
     clock, day_s = table["rtc_unix_s"].to_numpy(), table["day_s"].to_numpy()
+    if np.isnan(day_s).all():
+        return day_s
     ahead = np.mod(day_s - clock + 43_200.0, 86_400.0) - 43_200.0
     offset = np.nanmedian(ahead)
     report.note(
@@ -386,6 +394,132 @@ def _slanted(table: pd.DataFrame, beams_m: ArrayF, t_unix_s: ArrayF) -> pd.DataF
             "time": np.array([utc_text_from_unix(t) for t in t_unix_s], dtype=object)[np.nonzero(seen)[0]],
         }
     )
+
+
+# ---------------------------------------------------------------- SonTek
+
+
+_SONTEK: Final = ("Setup", "System", "GPS", "BottomTrack")
+_METRES: Final = {"m": 1.0, "ft": FOOT_M}
+_YEAR_2000_UNIX_S: Final = 946_684_800.0
+
+
+def is_matlab(head: bytes, size: int) -> bool:
+    """True for a MATLAB file: RiverSurveyor Live exports the only ones that are read."""
+    return head.startswith(b"MATLAB 5.0 MAT-file")
+
+
+def read_sontek(files: Sequence[Path], options: TrackOptions) -> PositionLog:
+    """Soundings of a SonTek ADCP with their places, from MATLAB exports of RiverSurveyor Live.
+
+    Parameters
+    ----------
+    files : exports, a transect each, in the order of time.
+    options : not needed.
+
+    Raises
+    ------
+    InputError : another program's MATLAB file, unknown units, or no row with a position.
+    """
+    report = _report("SonTek RiverSurveyor export (MATLAB)", files)
+    transects = [_transect(path, report) for path in files]
+    table = pd.concat(transects, ignore_index=True)
+    if table["lat_deg"].isna().all():
+        raise InputError(
+            f"{len(table):,} rows without a position",
+            expected="a GNSS receiver, recorded by RiverSurveyor Live",
+            where=files[0],
+            cure="Record with the receiver connected, or give a table of soundings with places",
+        )
+    report.count("rows", len(table))
+    t_unix_s = np.concatenate([_on_gnss_time(transect, report) for transect in transects])
+    vertical, slanted, draught_m = (
+        table[name].to_numpy() for name in ("vertical_m", "slanted_m", "draught_m")
+    )
+    seen = (vertical > 0).any()
+    if seen:
+        both = (vertical > 0) & (slanted > 0)
+        beside = f"; the mean of the slanted ones is {np.median((slanted - vertical)[both]):+.2f} m from it"
+        report.note(
+            f"Depths of the vertical beam{f'{beside} (median of {both.sum():,})' if both.any() else ''}."
+        )
+    else:
+        report.note("No vertical beam: the mean of the slanted ones, at the place of the instrument.")
+    water_m = vertical if seen else slanted
+    report.note(
+        f"Soundings are below the water: the file contains the draught of {np.median(draught_m):.2f} m. "
+        "As depths of a campaign they are below the transducer, the draught taken off."
+    )
+    place = {name: table[name] for name in ("lat_deg", "lon_deg")}
+    words = f"SonTek {'vertical beam' if seen else 'slanted beams'}"
+    below_m = np.where(water_m > 0, np.maximum(water_m - draught_m, 0.0), 0.0)
+    log = _log(report, _gps(t_unix_s), place, table["lat_deg"].notna(), below_m, words)
+    assert log.soundings is not None
+    log.soundings["depth_m"] += draught_m[log.soundings.index]
+    return _with_fixes(log, table)
+
+
+def _transect(path: Path, report: IntegrityReport) -> pd.DataFrame:
+    """Rows of one export; NaN stands for no fix, 0 for no bottom."""
+    from scipy.io import loadmat
+
+    report.bytes_read += path.stat().st_size
+    try:
+        held = loadmat(path, variable_names=_SONTEK, squeeze_me=True, struct_as_record=False)
+    except (ValueError, TypeError, OSError, MemoryError, zlib.error, KeyError, IndexError) as error:
+        raise InputError(
+            f"a damaged MATLAB file: {error}",
+            expected="an export of RiverSurveyor Live",
+            where=path,
+            cure="Export it again",
+        ) from None
+
+    def field(struct: str, name: str) -> Any:
+        """A field's values, None where the file has none."""
+        return getattr(held.get(struct), name, None)
+
+    def metres(struct: str, name: str) -> float:
+        """Metres of the unit that the file states for a field."""
+        unit = str(getattr(field(struct, "Units"), name, "")).strip()
+        if unit not in _METRES:
+            raise InputError(
+                f"the unit '{unit}' of {struct}.{name}",
+                expected=" or ".join(_METRES),
+                where=path,
+                cure="Export it again in SI or English units",
+            )
+        return _METRES[unit]
+
+    wanted = {
+        "rtc_unix_s": ("System", "Time"),
+        "vertical_m": ("BottomTrack", "VB_Depth"),
+        "slanted_m": ("BottomTrack", "BT_Depth"),
+        "utc": ("GPS", "Utc"),
+        "lat_deg": ("GPS", "Latitude"),
+        "lon_deg": ("GPS", "Longitude"),
+        "quality": ("GPS", "GPS_Quality"),
+        "n_sats": ("GPS", "Satellites"),
+    }
+    columns = {name: field(*place) for name, place in wanted.items()}
+    draught = field("Setup", "sensorDepth")
+    if missing := [".".join(wanted[name]) for name, values in columns.items() if values is None]:
+        raise InputError(
+            f"a MATLAB file without {', '.join(missing)}",
+            expected="an export of RiverSurveyor Live",
+            where=path,
+            cure="Export the measurement as MATLAB from RiverSurveyor Live, or its table as ASCII (.sum)",
+        )
+    table = pd.DataFrame({name: np.atleast_1d(np.asarray(v, np.float64)) for name, v in columns.items()})
+    table["rtc_unix_s"] += _YEAR_2000_UNIX_S
+    for name in ("vertical_m", "slanted_m"):
+        table[name] = np.nan_to_num(table[name]) * metres(*wanted[name])
+    table["draught_m"] = 0.0 if draught is None else float(draught) * metres("Setup", "sensorDepth")
+    clock = table.pop("utc")
+    table["day_s"] = clock // 10_000 * 3600 + clock // 100 % 100 * 60 + clock % 100
+    fixed = (table["quality"] > 0) & (table["lat_deg"].abs() <= 90) & (table["lon_deg"].abs() <= 180)
+    fixed &= (table["lat_deg"] != 0) | (table["lon_deg"] != 0)
+    table.loc[~fixed, ["lat_deg", "lon_deg", "day_s"]] = np.nan
+    return table
 
 
 # ---------------------------------------------------------------- in common

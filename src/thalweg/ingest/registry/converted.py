@@ -52,6 +52,12 @@ CONVERTED: Final = tuple(
             _is_humminbird,
         ),
         (
+            "riversurveyor",
+            "raw recording of a SonTek ADCP (RIV, RIVR)",
+            "not read: export it from RiverSurveyor Live as MATLAB, or as ASCII for `thalweg bed`",
+            lambda head, size: head.startswith(b"YDFF") and b"Sontek" in head[:16],
+        ),
+        (
             "gopro",
             "video of a GoPro (MP4 with GPMF)",
             "`thalweg frames` makes photographs of it; its GPS and IMU are not read: export GPX (gopro2gpx, "

@@ -25,12 +25,14 @@ from thalweg.ingest.recorders import (
     is_deeper,
     is_depth_table,
     is_lowrance,
+    is_matlab,
     is_pd0,
     is_track_table,
     read_deeper,
     read_depth_table,
     read_lowrance,
     read_pd0,
+    read_sontek,
     read_track_table,
     read_ubx,
     ubx_share,
@@ -407,6 +409,7 @@ POSITIONS: Final = (
         for kind, words, matches, reader in (
             ("lowrance", "Lowrance SL2 or SL3 log", is_lowrance, read_lowrance),
             ("pd0", "TRDI ADCP log (PD0)", is_pd0, read_pd0),
+            ("sontek", "SonTek RiverSurveyor export (MATLAB)", is_matlab, read_sontek),
             ("deeper", "Deeper export", is_deeper, read_deeper),
         )
     ),
