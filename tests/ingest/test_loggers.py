@@ -135,4 +135,3 @@ def test_real_loggers(data_dir: Path) -> None:
         assert recognise(today / "humminbird_998" / name) == kind
     with pytest.raises(InputError, match=r"a recording of a Humminbird.*by PINGMapper or SonarTRX"):
         soundings_table(today / "humminbird_998/B000.SON")
-    assert "gopro2gpx" in str(describe(today / "gopro_max_gpmf/max-heromode.mp4").details["use"])

@@ -10,6 +10,8 @@ from thalweg.commands.parser import Commands
 from thalweg.commands.remedies import of_a_campaign
 
 _MASKED: Final = ("water", "sky", "hull", "moved")
+_SIGMA_GPS_BEGIN_S: Final = 0.5
+"""Presumed: positions of a GoPro come some tenths of a second late, by how much no document states."""
 
 
 def add_image_commands(commands: Commands) -> None:
@@ -238,9 +240,10 @@ def _frames(options: argparse.Namespace) -> int:
     from thalweg.core import ConfigError
     from thalweg.ingest import read_head
     from thalweg.ingest.photos import write_frames
-    from thalweg.ingest.recorders import is_bag, write_bag_images
+    from thalweg.ingest.recorders import begin_by_gps, is_bag, is_gopro, write_bag_images
 
-    if is_bag(read_head(options.video), 0):
+    head = read_head(options.video)
+    if is_bag(head, 0):
         table = write_bag_images(options.video, options.out, options.topic, options.every)
         print(f"{len(table)} images with the stamps of their headers, taken as UTC. In a campaign file:")
         print(f"  logs: {{time_lapse: {{images: [{options.out}], times: [{options.out / 'times.csv'}]}}}}")
@@ -253,8 +256,16 @@ def _frames(options: argparse.Namespace) -> int:
             expected="a time such as 2026-05-12T09:30:00.25Z",
             where="thalweg frames",
         ) from error
+    sigma_s = options.sigma_begin
+    if begin is None and is_gopro(head, 0) and (begin := begin_by_gps(options.video)):
+        sigma_s = _SIGMA_GPS_BEGIN_S if sigma_s is None else sigma_s
+        print(
+            f"note: Begin {begin:%Y-%m-%dT%H:%M:%S.%f}Z by the camera's GPS: its container holds local time. "
+            f"Standard deviation {sigma_s:.3g} s"
+            + (", presumed: the receiver's delay is not documented" if options.sigma_begin is None else "")
+        )
     found = write_frames(
-        options.video, options.out, every_s=options.every, begin=begin, sigma_begin_s=options.sigma_begin
+        options.video, options.out, every_s=options.every, begin=begin, sigma_begin_s=sigma_s
     )
     for note in found.notes:
         print(f"note: {note}")

@@ -4,6 +4,7 @@ from .ardupilot import (
     is_telemetry as is_telemetry,
     read_ardupilot as read_ardupilot,
 )
+from .gopro import begin_by_gps as begin_by_gps, is_gopro as is_gopro, read_gopro as read_gopro
 from .loggers import (
     is_depth_table as is_depth_table,
     is_track_table as is_track_table,

@@ -13,9 +13,9 @@ nearest to the instrument's clock, which may be local time. The vertical beam is
 at the place where it hits.
 Source: Teledyne RD Instruments, WorkHorse Commands and Output Data Format (2014); WinRiver II User's Guide.
 
-**SonTek** M9 and S5: RiverSurveyor Live exports MATLAB files, a row a second. Depths contain the draught that
-was typed in, the clock shows local time of the computer, GNSS the time of day in UTC; units are stated and may
-be feet. The vertical beam is taken, else the mean of the slanted ones.
+**SonTek** M9 and S5: RiverSurveyor Live exports MATLAB files, a row a second. Depths contain the draught
+that was typed in, the clock shows local time of the computer, GNSS the time of day in UTC; units are stated
+and may be feet. The vertical beam is taken, else the mean of the slanted ones.
 Source: RiverSurveyor Live User's Manual; the USGS program QRev takes the depths the same way.
 """
 

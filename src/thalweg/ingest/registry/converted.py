@@ -58,13 +58,6 @@ CONVERTED: Final = tuple(
             lambda head, size: head.startswith(b"YDFF") and b"Sontek" in head[:16],
         ),
         (
-            "gopro",
-            "video of a GoPro (MP4 with GPMF)",
-            "`thalweg frames` makes photographs of it; its GPS and IMU are not read: export GPX (gopro2gpx, "
-            "exiftool -ee -p gpx.fmt) for logs.positions",
-            lambda head, size: head[4:8] == b"ftyp" and b"GoPro" in head[:4096],
-        ),
-        (
             "video",
             "video (MP4, MOV)",
             "`thalweg frames` makes photographs of it with a table of their times",

@@ -24,12 +24,14 @@ from thalweg.ingest.ppk import PpkOptions, describe_rinex, replace_covariances, 
 from thalweg.ingest.recorders import (
     is_deeper,
     is_depth_table,
+    is_gopro,
     is_lowrance,
     is_matlab,
     is_pd0,
     is_track_table,
     read_deeper,
     read_depth_table,
+    read_gopro,
     read_lowrance,
     read_pd0,
     read_sontek,
@@ -418,6 +420,7 @@ POSITIONS: Final = (
             kind=kind, words=words, streams=(stream,), matches=matches, positions=reader, describe=_describe
         )
         for kind, words, stream, matches, reader in (
+            ("gopro", "GoPro video (GPMF)", "pos", is_gopro, read_gopro),
             ("track_table", "table of positions with times", "pos", is_track_table, read_track_table),
             ("depth_table", "table of depths with times", "depth", is_depth_table, read_depth_table),
         )
