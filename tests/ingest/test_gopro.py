@@ -144,8 +144,8 @@ def test_a_video_without_a_fix_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.real
 def test_a_real_track_is_as_exiftool_reads_it(data_dir: Path) -> None:
-    """exiftool -ee: 191 positions, stamps 23:45:16.470 to 25.435 of payloads 2 to 11, 0.990 s apart; the first
-    says 23:45:14.000, and lies on no line with them.
+    """exiftool -ee: 191 positions, stamps 23:45:16.470 to 25.435 of payloads 2 to 11, 0.990 s apart; the
+    first says 23:45:14.000, and lies on no line with them.
     """
     log = read_gopro([data_dir / "today/gopro_max_gpmf/max-heromode.mp4"], TrackOptions())
     assert log.positions is not None

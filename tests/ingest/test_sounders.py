@@ -263,6 +263,15 @@ def test_a_real_sontek_is_as_the_makers_table(data_dir: Path, name: str, n: int)
     assert any("ahead of GNSS: it may show local time" in note for note in log.report.notes)
 
 
+def test_raw_data_of_hypack_and_riversurveyor_say_what_to_do(tmp_path: Path) -> None:
+    hypack, sontek = tmp_path / "001_1420.RAW", tmp_path / "20250117160238.riv"
+    hypack.write_text("FTP NEW 2\nVER 9.0\nTND 14:20:33 11/19/2009 0\nEOH\nEC1 1 51633.120 3.45\n")
+    sontek.write_bytes(b"YDFF\x03\0Sontek\0\0" + bytes(500))
+    for path, cure in ((hypack, "XYZ from Hypack"), (sontek, "RiverSurveyor Live as MATLAB")):
+        with pytest.raises(InputError, match=cure):
+            soundings_table(path)
+
+
 @pytest.mark.real
 def test_a_real_lowrance_is_as_sonarlight_reads_it(data_dir: Path) -> None:
     path = data_dir / "today/lowrance_sl2/input.sl2"

@@ -68,10 +68,10 @@ def position_packet(toh_us, pps, sentence=b""):
     return bytes(p)
 
 
-def udp(payload, port, *, sender=(192, 168, 1, 201), options=b"", fragment=0, proto=17):
+def udp(payload, port, *, sender=(192, 168, 1, 201), options=b"", fragment=0, proto=17, source=443):
     """IPv4 packet."""
     payload = bytes(payload)
-    u = struct.pack(">HHHH", 443, port, 8 + len(payload), 0) + payload
+    u = struct.pack(">HHHH", source, port, 8 + len(payload), 0) + payload
     head = struct.pack(
         ">BBHHHBBH4s4s",
         0x45 + len(options) // 4,

@@ -254,6 +254,22 @@ def test_two_lidars_in_one_capture_are_refused(tmp_path):
         scan_lidar([tmp_path / "a"])
 
 
+@pytest.mark.parametrize(
+    ("maker", "head", "source", "port"),
+    [
+        ("Hesai", b"\xee\xff\x06\x01", 10000, 2368),
+        ("Livox", b"\0\x64\x05\0", 56300, 56301),
+        ("RoboSense", b"\x55\xaa\x05\x0a", 6699, 6699),
+    ],
+)
+def test_another_makers_capture_is_named(tmp_path, maker, head, source, port):
+    payload = head + bytes(1076)
+    frames = [log.ethernet(log.udp(payload, port, source=source)) for _ in range(10)]
+    (tmp_path / "a").write_bytes(log.pcap(frames))
+    with pytest.raises(UnsupportedError, match=rf"packets of a {maker}; expected .*{maker}'s driver for ROS"):
+        scan_lidar([tmp_path / "a"])
+
+
 def test_file_without_packets(tmp_path):
     (tmp_path / "a").write_bytes(log.pcap([]))
     with pytest.raises(InputError, match=r"no lidar packets \(the file holds: nothing\); expected 1206-byte"):

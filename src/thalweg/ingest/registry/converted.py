@@ -52,6 +52,12 @@ CONVERTED: Final = tuple(
             _is_humminbird,
         ),
         (
+            "hypack",
+            "raw data of Hypack (RAW, HSX)",
+            "not read: export soundings with places as XYZ from Hypack, for `thalweg bed`",
+            lambda head, size: head.startswith((b"FTP NEW", b"FTP HYP")) and b"\nTND " in head,
+        ),
+        (
             "riversurveyor",
             "raw recording of a SonTek ADCP (RIV, RIVR)",
             "not read: export it from RiverSurveyor Live as MATLAB, or as ASCII for `thalweg bed`",

@@ -5,6 +5,7 @@ manual: x right, y forward (azimuth 0), z up along the axis of rotation.
 """
 
 import math
+import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -358,6 +359,26 @@ def _add(counter: Counter[int], values: "np.typing.NDArray[np.integer]") -> None
         counter[int(value)] += int(n)
 
 
+_OTHER_MAKERS: Final = {  # what the first bytes of their payloads, or their two UDP ports, are
+    "Hesai": rb"\xee\xff[\x01-\x06][\x00-\x0f]",
+    "Livox": rb"\xdb[\xec-\xf1]\xdb[\xec-\xf1]",
+    "RoboSense": rb"\x55\xaa\x05[\x0a\x5a]",
+}
+_LEAST_OF_A_MAKER: Final = 5
+
+
+def _other_maker(where: str) -> str:
+    """Maker of the lidar whose packets a capture holds instead, empty if none that is known."""
+    path = Path(where)
+    if not path.is_file():
+        return ""
+    with path.open("rb") as stream:
+        head = stream.read(1 << 18)
+    return next(
+        (m for m, mark in _OTHER_MAKERS.items() if len(re.findall(mark, head)) >= _LEAST_OF_A_MAKER), ""
+    )
+
+
 def no_packets(tally: CaptureTally, port: int, where: str, found: Findings | None = None) -> InputError:
     """The error for a recording without a usable data packet."""
     if found is not None:
@@ -382,6 +403,14 @@ def no_packets(tally: CaptureTally, port: int, where: str, found: Findings | Non
     if tally.foreign_ports:
         other, n = tally.foreign_ports.most_common(1)[0]
         cure = f"{n} payloads of the right size went to port {other}: set lidar.data_port to it"
+    if maker := _other_maker(where):
+        return UnsupportedError(
+            f"packets of a {maker}",
+            expected="packets of a Velodyne, or of an Ouster with the extra `ouster`",
+            where=where,
+            cure=f"Play the capture through {maker}'s driver for ROS and record its PointCloud2 with a time "
+            "for each point: bags are read with the extra `ros`",
+        )
     return InputError(
         f"no lidar packets (the file holds: {text})",
         expected=f"1206-byte payloads on UDP port {port}",
