@@ -477,7 +477,7 @@ def _place(files: dict[str, list[Path]]) -> tuple[float, float, float] | None:
     for stream in ("pos", "sbet", "ins", "rover", "depth"):
         for path in files.get(stream, []):
             try:
-                recording = load_recording([path], points=False)
+                recording = load_recording([path])
             except ThalwegError:  # such as an SBET, whose week is not known yet
                 continue
             tables, header = recording.tables, recording.report.details.get("approx_ecef_m")

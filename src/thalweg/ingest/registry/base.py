@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import pandas as pd
 
-from thalweg.core import AnyArray, ArrayF32
+from thalweg.core import AnyArray
 from thalweg.ingest import (
     HEAD_BYTES as HEAD_BYTES,
     CloudReader,
@@ -25,20 +25,13 @@ SURE: Final = 1.0
 
 @dataclass(slots=True, kw_only=True)
 class Recording:
-    """What a log holds, as far as a first look needs it.
-
-    ``tables`` has any of ``positions`` (kind ``gnss_position``), ``states`` (``ins_state``) and ``depths``
-    (``depth``); ``points_scs_m`` (n, 3) with ``intensity`` and ``ring`` are a lidar's, ``cloud_m`` (n, 3)
-    is a finished point cloud's.
+    """What a log holds: its report, and in ``tables`` any of ``positions`` (kind ``gnss_position``), ``states``
+    (``ins_state``) and ``depths`` (``depth``).
     """
 
     kind: str
     report: IntegrityReport
     tables: dict[str, pd.DataFrame] = field(default_factory=dict)
-    points_scs_m: ArrayF32 | None = None
-    intensity: AnyArray | None = None
-    ring: AnyArray | None = None
-    cloud_m: AnyArray | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,12 +52,12 @@ class Format:
         0 to `SURE`; asked where no ``magic`` is given, or behind it.
     lidar, poses, positions, cloud : its reader, by what it yields.
     depths : its reader of depths, where that of positions or poses needs more than these.
-    describe : kind, files, options and whether points are wanted -> `Recording`.
+    describe : kind, files and options -> `Recording`.
     """
 
     kind: str
     words: str
-    describe: Callable[[str, list[Path], dict[str, Any], bool], Recording]
+    describe: Callable[[str, list[Path], dict[str, Any]], Recording]
     streams: tuple[str, ...] = ()
     holds: Callable[[Path], Mapping[str, Sequence[tuple[str, ...]]]] | None = None
     use: str = ""

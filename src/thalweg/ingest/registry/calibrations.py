@@ -229,7 +229,7 @@ def _matches(pattern: re.Pattern[bytes], head: bytes, size: int) -> bool:
     return is_text(head) and pattern.search(head) is not None
 
 
-def _describe(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
+def _describe(kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
     return Recording(kind=kind, report=describe_calibration(kind, files[0]))
 
 

@@ -13,11 +13,8 @@ def _cloud(path: Path) -> Cloud:
     return read_cloud(path)
 
 
-def _describe(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
-    cloud = _cloud(files[0])
-    return Recording(
-        kind=kind, report=cloud.report, cloud_m=cloud.points if points else None, intensity=cloud.intensity
-    )
+def _describe(kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
+    return Recording(kind=kind, report=_cloud(files[0]).report)
 
 
 CLOUDS: Final = tuple(

@@ -21,9 +21,7 @@ def _is_humminbird(head: bytes, size: int) -> bool:
     return grow and bool((np.diff(pairs[:, 0]) >= 0).all())
 
 
-def _describe(
-    words: str, use: str, kind: str, files: list[Path], options: dict[str, Any], points: bool
-) -> Recording:
+def _describe(words: str, use: str, kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
     size = files[0].stat().st_size
     report = CalibrationReport(stream="other", format=words, files=[str(files[0])], bytes_read=size)
     report.details["use"] = use

@@ -10,7 +10,6 @@ from typing import Any, Final
 
 from thalweg.core import InputError, ThalwegError
 from thalweg.ingest import IntegrityReport
-from thalweg.ingest.ppk import PpkOptions, run_ppk
 from thalweg.ingest.registry.base import Format, Recording, find_format, read_head
 from thalweg.ingest.registry.calibrations import CALIBRATIONS
 from thalweg.ingest.registry.clouds import CLOUDS
@@ -174,35 +173,20 @@ def describe(path: Path, options: Mapping[str, Any] | None = None) -> IntegrityR
     ------
     InputError : the file is missing, empty, of no known kind, or damaged beyond reading.
     """
-    return load_recording([path], options=options, points=False).report
+    return load_recording([path], options).report
 
 
-def load_recording(
-    files: list[Path],
-    *,
-    reader: str = "auto",
-    base: list[Path] | None = None,
-    nav: list[Path] | None = None,
-    options: Mapping[str, Any] | None = None,
-    points: bool = True,
-) -> Recording:
+def load_recording(files: list[Path], options: Mapping[str, Any] | None = None) -> Recording:
     """Read a log of any kind.
 
     Parameters
     ----------
     files : parts of one recording in order of time.
-    reader : ``"auto"`` tells the kind from the content; ``"ppk"`` solves raw GNSS.
-    base, nav : for ``ppk``.
-    options : keywords of the reader: of `LidarOptions`, of `TrackOptions`, or options of PPK.
-    points : also read the points of a lidar; False scans them only.
+    options : keywords of the reader: of `LidarOptions` or of `TrackOptions`.
 
     Raises
     ------
     InputError : see `describe`.
     """
-    options = dict(options or {})
-    if reader == "ppk":
-        solution = run_ppk(files, base or None, nav or [], PpkOptions.from_sections({}, options))
-        return Recording(kind="ppk", report=solution.report, tables={"positions": solution.positions})
     known = FORMAT_OF_KIND[recognise(files[0])]
-    return known.describe(known.kind, files, options, points)
+    return known.describe(known.kind, files, dict(options or {}))

@@ -152,11 +152,11 @@ def _image_kind(head: bytes) -> str | None:
     return None
 
 
-def _describe(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
+def _describe(kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
     return Recording(kind=kind, report=describe_images(kind, files[0]))
 
 
-def _describe_poses(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
+def _describe_poses(kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
     import pyarrow.parquet as pq
 
     report = CalibrationReport(stream="images", format=_POSES, files=[str(files[0])])

@@ -1,11 +1,9 @@
 """Formats of lidars, and the reader of a recording."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
-
-import numpy as np
 
 from thalweg.ingest import (
     LidarClock,
@@ -102,11 +100,9 @@ class _OfPackets:
         return self.reader.points(clock, **how)
 
 
-def _describe_bag(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
+def _describe_bag(kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
     recording = Recording(kind=kind, report=describe_bag(files[0]))
     streams = streams_of_bag(files[0])
-    if points and len(streams.get("lidar", [])) == 1:
-        recording = replace(_describe(kind, files, options, points), report=recording.report)
     on_earth = [(imu, fix) for imu, *fixes in streams.get("ins", []) for fix in fixes]
     for choices, reader in (
         (streams.get("depth", []), read_bag_depths),
@@ -124,21 +120,12 @@ def _describe_bag(kind: str, files: list[Path], options: dict[str, Any], points:
     return recording
 
 
-def _describe_metadata(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
+def _describe_metadata(kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
     return Recording(kind=kind, report=describe_metadata(files[0]))
 
 
-def _describe(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
-    reader = lidar_reader(files, LidarOptions(**options))
-    scan = reader.scan()
-    recording = Recording(kind=kind, report=scan.report)
-    if points:
-        blocks = list(reader.points(scan.clock))
-        if blocks:
-            recording.points_scs_m = np.concatenate([b.xyz_scs_m for b in blocks])
-            recording.intensity = np.concatenate([b.intensity for b in blocks])
-            recording.ring = np.concatenate([b.ring for b in blocks])
-    return recording
+def _describe(kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
+    return Recording(kind=kind, report=lidar_reader(files, LidarOptions(**options)).scan().report)
 
 
 def _is_payloads(head: bytes, size: int) -> bool:

@@ -145,9 +145,7 @@ _DRAWN: Final = (
 )
 
 
-def _describe(
-    words: str, use: str, kind: str, files: list[Path], options: dict[str, Any], points: bool
-) -> Recording:
+def _describe(words: str, use: str, kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
     report = CalibrationReport(stream="other", format=words, files=[str(files[0])])
     report.bytes_read = files[0].stat().st_size
     if kind == "geotiff":

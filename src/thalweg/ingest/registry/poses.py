@@ -108,7 +108,7 @@ def _poses(kind: str, files: Sequence[Path], options: TrackOptions) -> PoseLog:
     return states_of_poses(read_text_poses(kind, files, options.times), options)
 
 
-def _describe_poses(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
+def _describe_poses(kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
     """As it stands, or on Earth if the options say where."""
     if options.keys() - {"times"}:
         log = _poses(kind, files, TrackOptions(**options))
@@ -122,7 +122,7 @@ def _describe_poses(kind: str, files: list[Path], options: dict[str, Any], point
 
 
 def _describe_weekless(
-    reader: PoseReader, lacking: str, kind: str, files: list[Path], options: dict[str, Any], points: bool
+    reader: PoseReader, lacking: str, kind: str, files: list[Path], options: dict[str, Any]
 ) -> Recording:
     log = reader(files, TrackOptions(**({"gps_week": _NO_WEEK} | options)))
     _take_week_off(log, lacking)
@@ -175,9 +175,7 @@ def _is_unit(values: Sequence[float]) -> bool:
     return abs(sum(v * v for v in values) - 1.0) < 1e-2
 
 
-def _describe_states(
-    reader: PoseReader, kind: str, files: list[Path], options: dict[str, Any], points: bool
-) -> Recording:
+def _describe_states(reader: PoseReader, kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
     log = reader(files, TrackOptions(**options))
     tables = {"states": log.states, "positions": log.positions, "depths": log.depths}
     held = {name: table for name, table in tables.items() if table is not None and len(table)}
@@ -226,7 +224,7 @@ def _is_smrmsg(head: bytes, size: int) -> float:
     return 0.0
 
 
-def _describe_smrmsg(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
+def _describe_smrmsg(kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
     size = files[0].stat().st_size
     details = {"records": f"{size // _SMRMSG_RECORD:,}", "use": "logs.smrmsg, beside its SBET"}
     report = CalibrationReport(

@@ -340,7 +340,7 @@ def _nmea(files: Sequence[Path], options: TrackOptions) -> PositionLog:
     return PositionLog(positions=log.positions, depths=log.depths, report=log.report)
 
 
-def _describe(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
+def _describe(kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
     reader = next(row.positions for row in POSITIONS if row.kind == kind)
     assert reader is not None
     log = reader(files, TrackOptions(**options))
@@ -362,7 +362,7 @@ def _streams_of_ubx(path: Path) -> dict[str, Sequence[tuple[str, ...]]]:
     return dict.fromkeys((own, "depth") if log.depths is not None and len(log.depths) else (own,), ())
 
 
-def _describe_rinex(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
+def _describe_rinex(kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
     return Recording(kind=kind, report=describe_rinex(files[0]))
 
 
