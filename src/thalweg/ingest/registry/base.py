@@ -25,8 +25,8 @@ SURE: Final = 1.0
 
 @dataclass(slots=True, kw_only=True)
 class Recording:
-    """What a log holds: its report, and in ``tables`` any of ``positions`` (kind ``gnss_position``), ``states``
-    (``ins_state``) and ``depths`` (``depth``).
+    """What a log holds: its report, and in ``tables`` any of ``positions`` (kind ``gnss_position``),
+    ``states`` (``ins_state``) and ``depths`` (``depth``).
     """
 
     kind: str
