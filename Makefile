@@ -78,6 +78,9 @@ test-slow: env ## long studies
 test-cluster: env ## a campaign on a SLURM of its own, with forced faults (Debian: slurm-wlm, munge)
 	@$(PY) tests/cluster/run --cpus $(CORES)
 
+size: env ## tokens of code by package, beside those that docs/architecture.md states
+	@$(PY) docs/make_size.py
+
 fuzz: env ## readers of recordings and documents on 10,000 mutated inputs, example tables in other forms; SEED=number: other draws
 	@THALWEG_FUZZ=10000 THALWEG_FUZZ_SEED=$(or $(SEED),0) $(PY) -m pytest -n $(CORES) -k fuzz tests/ingest tests/core
 

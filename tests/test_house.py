@@ -833,3 +833,23 @@ def test_a_run_without_real_recordings_says_so_at_its_end() -> None:
     ]
     assert real_recordings_skipped(reports).startswith("2 tests on real recordings skipped: set THALWEG_DATA")
     assert real_recordings_skipped(reports[1:2]) == ""
+
+
+# ---------------------------------------------------------------- size
+
+
+def test_no_package_grows_beyond_what_the_page_of_the_architecture_states(repository: Path) -> None:
+    size = runpy.run_path(str(repository / "docs/make_size.py"))
+    stated, now = size["stated"](), size["measured"]()
+    grown = {name: n for name, n in now.items() if n > size["SLACK"] * stated.get(name, 0)}
+    assert grown == {}, "state them: .venv/bin/python docs/make_size.py --write"
+    assert set(stated) == set(now)
+
+
+def test_size_weighs_code_and_neither_words_about_it_nor_its_layout(repository: Path) -> None:
+    tokens_of = runpy.run_path(str(repository / "docs/make_size.py"))["tokens_of"]
+    plain = b"def f(a):\n    return a + 1\n"
+    long = b'"""Words."""\n\n# more words\ndef f(\n    a,\n):\n    """Words of f."""\n    return (\n        a + 1\n    )\n'
+    assert tokens_of(plain) == 10
+    assert tokens_of(long) == 13  # a comma and two parentheses
+    assert tokens_of(b'x = "a string that is no docstring"\n') == 3

@@ -1,0 +1,71 @@
+"""How much code there is to read, by package: ``make size``; ``--write`` renews the table in docs/architecture.md.
+
+Counted are tokens of Python (names, numbers, operators, strings), so that neither line breaks nor comments nor
+docstrings weigh. A test refuses a package that has grown by more than a tenth beyond its row there: who adds
+much says so in the same commit.
+"""
+
+import io
+import re
+import sys
+import tokenize
+from collections import Counter
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs/architecture.md"
+SLACK = 1.1
+_SILENT = {"COMMENT", "NL", "NEWLINE", "INDENT", "DEDENT", "ENCODING", "ENDMARKER"}
+_ROW = re.compile(r"^\| `([\w/.]+)` \| ([\d,]+) \|$", re.M)
+
+
+def tokens_of(source: bytes) -> int:
+    """Tokens without comments, docstrings and what only lays out."""
+    n, at_start = 0, True
+    for token in tokenize.tokenize(io.BytesIO(source).readline):
+        if tokenize.tok_name[token.type] in _SILENT:
+            at_start |= token.type != tokenize.COMMENT
+            continue
+        n += not (token.type == tokenize.STRING and at_start)
+        at_start = False
+    return n
+
+
+def measured() -> Counter[str]:
+    """Tokens by package of the library and the laboratory, by folder elsewhere."""
+    found = Counter[str]()
+    for top in ("src/thalweg", "src/thalweg_lab", "workflow", "tests"):
+        for path in sorted((ROOT / top).rglob("*")):
+            if path.suffix in (".py", ".smk"):
+                parts = path.relative_to(ROOT).parts[:-1]
+                n = tokens_of(path.read_bytes())
+                found[top] += n
+                if top == "src/thalweg" and len(parts) > 2:
+                    found["/".join(parts[:3])] += n
+    return found
+
+
+def stated() -> dict[str, int]:
+    """Tokens by package as docs/architecture.md has them."""
+    return {name: int(number.replace(",", "")) for name, number in _ROW.findall(PAGE.read_text())}
+
+
+def main() -> None:
+    """Print both; with ``--write`` write the table anew."""
+    now, then = measured(), stated()
+    print(f"{'tokens':>10} {'stated':>10}  where")
+    for name, n in now.most_common():
+        print(f"{n:>10,} {then.get(name, 0):>10,}  {name}")
+    if "--write" in sys.argv:
+        rows = "\n".join(f"| `{name}` | {n:,} |" for name, n in now.most_common())
+        text = re.sub(
+            r"(<!-- size -->\n).*?(<!-- /size -->)",
+            rf"\g<1>| package | tokens |\n| --- | ---: |\n{rows}\n\2",
+            PAGE.read_text(),
+            flags=re.S,
+        )
+        PAGE.write_text(text)
+
+
+if __name__ == "__main__":
+    main()
