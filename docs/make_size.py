@@ -1,8 +1,8 @@
 """How much code there is to read, by package: ``make size``; ``--write`` renews docs/architecture.md.
 
 Counted are tokens of Python (names, numbers, operators, strings), so that neither line breaks nor comments
-nor docstrings weigh. A test refuses a package that has grown by more than a tenth beyond its row there: who adds
-much says so in the same commit.
+nor docstrings weigh. A test refuses a package that has grown by more than a tenth beyond its row there: who
+adds much says so in the same commit.
 """
 
 import io
