@@ -164,11 +164,11 @@ except ThalwegError as error:
         ("", ["open3d True"]),
         (
             "sys.modules['libusb_package'] = None",
-            ["Open3D cannot be loaded", "libusb-package", "Install the locked environment again"],
+            ["needs the package libusb_package", "the extra 'mesh' of thalweg", "thalweg[mesh]"],
         ),
         (
             "import libusb_package; libusb_package.get_library_path = lambda: 'damaged.so'",
-            ["Open3D cannot be loaded", "damaged.so", "Install the locked environment again"],
+            ["Open3D cannot be loaded", "damaged.so", "on Debian the packages libgl1 and libgomp1"],
         ),
     ],
     ids=["the wheel's libusb", "no wheel", "a damaged wheel"],
