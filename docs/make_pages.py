@@ -171,9 +171,9 @@ LICENCES = {"sbp": "MIT (by its repository)", "pyrtklib5": "MIT (by its file LIC
 
 
 def dependencies(root: Path = ROOT) -> list[tuple[str, str, str]]:
-    """What the library needs: name, why (the remark in pyproject.toml), and the licence that it states."""
+    """What the library and its large extras need: name, why (the remark in pyproject.toml), stated licence."""
     text = (root / "pyproject.toml").read_text(encoding="utf-8")
-    text = text.split("\ndependencies = [")[1].split("\n]")[0]
+    text = text.split("\ndependencies = [")[1].split("\nall = [")[0]
     found = []
     for words, why in re.findall(r'(?m)^ +"([^"]+)", *# (.+)$', text):
         requirement = Requirement(words)

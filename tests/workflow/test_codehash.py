@@ -160,10 +160,7 @@ def test_a_cache_that_cannot_be_written_does_no_harm(house: Path, monkeypatch: p
             'N: Final = 3\n"""What N is."""\n',
             False,  # an import is a statement that runs
         ),
-        (
-            'def _f(x: int) -> int:\n    """Words."""\n    y: int = 1\n    return y\n\nN: int = 3\n"""N."""\n',
-            True,
-        ),
+        ('def _f(x: int) -> int:\n    """F."""\n    y: int = 1\n    return y\n\nN: int = 3\n"N."\n', True),
         ("def _f(x: int) -> int:\n    y: int = 2\n    return y\n\nN: int = 3\n", False),
     ],
 )

@@ -10,7 +10,13 @@ from typing import Final
 from thalweg.commands.parser import Commands
 from thalweg.core import ROOT, InputError
 
-LAID: Final = ("config/*.json", "config/README.md", "config/campaigns/*.yaml", "profiles/*/*.yaml")
+LAID: Final = (
+    "config/config.yaml",
+    "config/schema.json",
+    "config/README.md",
+    "config/campaigns/*.yaml",
+    "profiles/*/*.yaml",
+)
 """What a folder of one's own begins with: settings with their explanation, example campaigns, profiles."""
 
 
@@ -62,7 +68,7 @@ def _run(options: argparse.Namespace) -> int:
     # behind targets, and with the settings that are given: Snakemake takes the last --config alone
     at = words.index("--config") + 1 if "--config" in words else len(words)
     words[at:at] = [*([] if "--config" in words else ["--config"]), f"campaign={options.campaign}"]
-    if "--logger" not in words:
+    if not {"--logger", "-n", "--dry-run"} & {*words}:
         words = ["--logger", "thalweg", *words]
     progress = os.pathsep.join(filter(None, [str(ROOT / "workflow/progress"), os.environ.get("PYTHONPATH")]))
     command = [sys.executable, "-m", "snakemake", "--snakefile", str(ROOT / "Snakefile"), *words]

@@ -3,9 +3,9 @@
 Snakemake sees edits of an entry script but not of packages that the script imports. Each rule therefore
 carries ``params: code=code_version("<script>")``. The hash runs over the syntax trees, without docstrings
 and types that only readers need, of the modules that the script imports directly or through others; a comment
-costs no rerun, an edit of a module reruns exactly the rules that use it, and no list of packages has to be kept by hand. A name that is
-imported from the front door of a package (``__init__.pyi``) counts as its module; an edit beside it costs
-nothing.
+costs no rerun, an edit of a module reruns exactly the rules that use it, and no list of packages has to be
+kept by hand. A name that is imported from the front door of a package (``__init__.pyi``) counts as its
+module; an edit beside it costs nothing.
 
 What a file imports and the hash of its tree depend on its bytes alone. Both are kept in the user's cache by
 the hash of these bytes, because parsing some hundred modules takes seconds at each start of Snakemake.
