@@ -240,7 +240,7 @@ def measured(names: Iterable[str], runs: Mapping[str, Any]) -> str:
     """Of which code records are: ``change_study`` b92e6dd (2026-11-25), and so on."""
     there = [(name, runs[name]) for name in names if not isinstance(runs[name]["commit"], Pending)]
     return ", ".join(
-        f"`{name}` {'/'.join(each[:7] for each in run['commit'].split(', '))} ({run['date']})"
+        f"`{name}` {'/'.join(dict.fromkeys(each[:7] for each in run['commit'].split(', ')))} ({run['date']})"
         for name, run in there
     )
 

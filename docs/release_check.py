@@ -6,8 +6,8 @@
 
 Short records come first, the ledger, which reads the others, last. A record whose code has not changed since
 is left as it is. One that fails is told, and the next one begins. The table at the end
-(docs/validation/release.md) has a line for each record: commit, minutes of the processor, verdicts of its tables
-(rows that reach their goal or lie inside their band), and how many printed numbers are others than before.
+(docs/validation/release.md) has a line for each record: commit, minutes of the processor, verdicts (rows that
+reach their goal or lie inside their band), and how many printed numbers are others than before.
 """
 
 import argparse

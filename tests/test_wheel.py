@@ -62,7 +62,7 @@ def run(python: Path, *words: str, folder: Path) -> subprocess.CompletedProcess[
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     command = [str(python), "-m", "thalweg", *words] if words[0] != "-c" else [str(python), *words]
     return subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, check=False, timeout=600
+        command, cwd=folder, env=environment, capture_output=True, text=True, check=False, timeout=1800
     )  # fmt: skip
 
 
