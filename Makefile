@@ -5,7 +5,7 @@ CORES ?= $(shell nproc 2>/dev/null || sysctl -n hw.ncpu 2>/dev/null || echo 2)
 PY := .venv/bin/python
 SNAKEMAKE := .venv/bin/snakemake --cores $(CORES)
 
-.PHONY: help env demo open pdf docs study record timings report real test check check-types check-rest test-slow test-cluster fuzz mutants golden benchmark lock clean
+.PHONY: help env demo open pdf docs study record timings report real test check check-types check-rest test-slow test-cluster fuzz mutants golden benchmark dist release-check lock clean
 
 help: ## list the commands
 	@awk -F':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -95,6 +95,12 @@ golden: env ## results of small campaigns beside those of another checkout, made
 
 benchmark: env ## speed against named peers
 	@$(PY) -m pytest tests/benchmarks -m slow -s
+
+dist: env ## sdist and wheel -> dist/, the same bytes twice, tried in empty environments
+	@envs/make-dist.sh
+
+release-check: env ## every record of docs/validation made again, with a table at the end; WITH="--profile profiles/slurm"
+	@$(PY) docs/release_check.py --cores $(CORES) $(WITH)
 
 lock: ## renew the lock file (needs uv)
 	@envs/lock.sh

@@ -18,11 +18,15 @@ from pathlib import Path
 # Snakemake and the libraries stay: the search for garbage leaves them out, which is a quarter of a start.
 gc.freeze()
 gc.set_threshold(10_000, 10, 10)
+# Of this file, also where another Snakefile takes it as a module.
+HERE = Path(workflow.current_basedir.get_path_or_uri(secret_free=False))
 # Makes the library importable here, in `script:` jobs and in every cluster job, installed or not.
-sys.path.insert(0, str(Path(workflow.basedir) / "src"))
+sys.path.insert(0, str(HERE / "src"))
+# A folder of one's own has its own.
+SETTINGS = Path("config") / "config.yaml"
 
 
-configfile: Path(workflow.basedir) / "config" / "config.yaml"
+configfile: SETTINGS if SETTINGS.is_file() else HERE / SETTINGS
 
 
 report: "workflow/report/workflow.rst"

@@ -18,12 +18,13 @@ import math
 import re
 import runpy
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 from jinja2 import Environment, StrictUndefined
+from jinja2.meta import find_undeclared_variables
 from packaging.requirements import Requirement
 
 from thalweg.workflow.codehash import imported_modules
@@ -171,9 +172,9 @@ LICENCES = {"sbp": "MIT (by its repository)", "pyrtklib5": "MIT (by its file LIC
 
 
 def dependencies(root: Path = ROOT) -> list[tuple[str, str, str]]:
-    """What the library needs: name, why (the remark in pyproject.toml), and the licence that it states."""
+    """What library and large extras need: name, why (the remark in pyproject.toml), stated licence."""
     text = (root / "pyproject.toml").read_text(encoding="utf-8")
-    text = text.split("\ndependencies = [")[1].split("\n]")[0]
+    text = text.split("\ndependencies = [")[1].split("\nall = [")[0]
     found = []
     for words, why in re.findall(r'(?m)^ +"([^"]+)", *# (.+)$', text):
         requirement = Requirement(words)
@@ -207,18 +208,41 @@ def pages(root: Path = ROOT) -> tuple[dict[Path, str], int]:
     timings = folder / "timings.csv"
     known["timings"] = Table(timings, ["campaign"]) if timings.exists() else Pending()
     known |= {"packages": packages, "package_graph": package_graph, "dependencies": dependencies}
-    environment = Environment(
-        undefined=StrictUndefined, keep_trailing_newline=True, trim_blocks=True, autoescape=False
-    )
-    environment.filters |= {"d": decimals, "judged": judged, "largest": largest}
-    out, waiting = {}, 0
+    out, waiting, jinja = {}, 0, environment()
     for template in sorted((root / "docs/pages").glob("*.md")):
         target = root / template.name if template.name == "README.md" else root / "docs" / template.name
-        text = environment.from_string(template.read_text(encoding="utf-8"))
-        filled = text.render(known | {"run": runs})
+        text = template.read_text(encoding="utf-8")
+        told = {"measured": measured(quoted(text, jinja, root), runs)}
+        filled = jinja.from_string(text).render(known | {"run": runs} | told)
         out[target] = recorded(filled)
         waiting += filled.count(str(Pending()))
     return out, waiting
+
+
+def environment() -> Environment:
+    """Jinja with the filters of these pages."""
+    made = Environment(
+        undefined=StrictUndefined, keep_trailing_newline=True, trim_blocks=True, autoescape=False
+    )
+    made.filters |= {"d": decimals, "judged": judged, "largest": largest}
+    return made
+
+
+def quoted(text: str, jinja: Environment, root: Path = ROOT) -> list[str]:
+    """Records that a template takes numbers from."""
+    names = find_undeclared_variables(jinja.parse(text))
+    of_runs = set(re.findall(r"\brun\.(\w+)", text))
+    known = _validation["studies"](root)
+    return [name for name, entry in known.items() if name in of_runs or names & set(entry["tables"])]
+
+
+def measured(names: Iterable[str], runs: Mapping[str, Any]) -> str:
+    """Of which code records are: ``change_study`` b92e6dd (2026-11-25), and so on."""
+    there = [(name, runs[name]) for name in names if not isinstance(runs[name]["commit"], Pending)]
+    return ", ".join(
+        f"`{name}` {'/'.join(dict.fromkeys(each[:7] for each in run['commit'].split(', ')))} ({run['date']})"
+        for name, run in there
+    )
 
 
 def recorded(text: str) -> str:

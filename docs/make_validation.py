@@ -10,8 +10,11 @@ jobs wrote beside their results (``<output>.meta.json``): nothing is typed.
 import argparse
 import json
 import shutil
+import subprocess
 import sys
+import tempfile
 from collections.abc import Iterable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +30,7 @@ from thalweg.workflow import code_version  # noqa: E402
 
 NOT_SIZES = {"code", "campaign"}
 """Parameters of rules that say nothing of a study's size."""
+_scratch = tempfile.TemporaryDirectory(prefix="thalweg-code-")
 
 
 def studies(root: Path = ROOT) -> dict[str, dict[str, Any]]:
@@ -194,8 +198,46 @@ def now(rule: str, name: str, entry: Mapping[str, Any], root: Path) -> str | Non
     scripts = root / "workflow/scripts"
     if "study" in entry and rule in (name, "rows_of_study"):
         script = "rows_of_study" if rule == "rows_of_study" else "results_of_study"
-        return code_version(script, entry["study"], scripts=scripts)
-    return code_version(rule, scripts=scripts) if (scripts / f"{rule}.py").exists() else None
+        return code_version(script, entry["study"], scripts=scripts, source=root / "src")
+    return (
+        code_version(rule, scripts=scripts, source=root / "src")
+        if (scripts / f"{rule}.py").exists()
+        else None
+    )
+
+
+@cache
+def tree_at(commit: str, root: Path) -> Path | None:
+    """Code of a commit in a temporary folder; None if the history here does not hold it."""
+    place = Path(_scratch.name) / commit
+    place.mkdir()
+    archive = ["git", "-C", str(root), "archive", commit, "src", "workflow/scripts"]
+    made = subprocess.run(archive, capture_output=True, check=False)
+    if made.returncode:
+        return None
+    subprocess.run(["tar", "-x", "-C", str(place)], input=made.stdout, check=True)
+    return place
+
+
+def changed_rules(name: str, entry: Mapping[str, Any], root: Path = ROOT) -> list[str]:
+    """Rules of a record whose code is another one today.
+
+    Code is measured as it is today at the commit of the record too, so that another measure
+    (`thalweg.workflow.code_version`) makes no record old. What was made with changes that were not
+    committed (a commit with ``+``), or is not in the history here, is judged by the version that it wrote.
+    """
+    head = front_matter(root / f"docs/validation/{name}.md")
+    today = {rule: now(rule, name, entry, root) for rule in head["code"]}
+    older = [rule for rule, code in head["code"].items() if today[rule] not in (code, None)]
+    trees = [None if "+" in each else tree_at(each, root) for each in head["commit"].split(", ")]
+
+    def same(rule: str) -> bool:
+        try:
+            return all(tree is not None and now(rule, name, entry, tree) == today[rule] for tree in trees)
+        except InputError:  # a module that had another name
+            return False
+
+    return [rule for rule in older if not same(rule)]
 
 
 def state(root: Path = ROOT) -> list[str]:
@@ -206,9 +248,7 @@ def state(root: Path = ROOT) -> list[str]:
         if not path.exists():
             lines.append(f"{name}: not recorded yet")
             continue
-        head = front_matter(path)
-        today = {rule: now(rule, name, entry, root) for rule in head["code"]}
-        older = [rule for rule, code in head["code"].items() if today[rule] not in (code, None)]
+        head, older = front_matter(path), changed_rules(name, entry, root)
         lines.append(
             f"{name}: {head['date']}, {head['commit'][:7]}, "
             + (f"code of {', '.join(older)} changed since" if older else "code as now")

@@ -4,8 +4,7 @@
 # Needs uv on the PATH. The locks name no registry host.
 set -euo pipefail
 cd "$(dirname "$0")/.."
-uv pip compile pyproject.toml --extra dev --extra hpc \
-    --extra ardupilot --extra gopro --extra ros --extra ubx --universal --python-version 3.11 \
+uv pip compile pyproject.toml --extra all --extra dev --extra hpc --universal --python-version 3.11 \
     --generate-hashes --no-emit-index-url --no-header --output-file envs/requirements.lock "$@"
 uv pip compile --group docs --constraints envs/requirements.lock --universal --python-version 3.11 \
     --generate-hashes --no-emit-index-url --no-header --output-file envs/docs.lock "$@"

@@ -1,5 +1,6 @@
 """Images, continuous integration, citation and catalogue name what there is."""
 
+import json
 import os
 import re
 import shutil
@@ -74,11 +75,23 @@ def test_continuous_integration_runs_the_own_command(repository: Path) -> None:
 
 def test_citation_is_of_this_version(repository: Path) -> None:
     citation = yaml.safe_load((repository / "CITATION.cff").read_text())
+    for name in ("codemeta.json", ".zenodo.json"):
+        other = json.loads((repository / name).read_text())
+        assert (other["version"], other["license"].split("/")[-1]) == (
+            citation["version"],
+            citation["license"],
+        )
     assert citation["version"] == thalweg.__version__
     assert (
         citation["license"]
         == tomllib.loads((repository / "pyproject.toml").read_text())["project"]["license"]
     )
+
+
+def test_a_version_of_the_changelog_is_short(repository: Path) -> None:
+    _, *versions = re.split(r"(?m)^## ", (repository / "CHANGELOG.md").read_text(encoding="utf-8"))
+    assert versions[0].startswith(f"[{thalweg.__version__}]")
+    assert {each.split()[0]: n for each in versions if (n := len(each.split())) > 600} == {}
 
 
 def test_the_catalogue_names_a_campaign_that_is_there(repository: Path) -> None:

@@ -6,11 +6,13 @@ import json
 import re
 import runpy
 import shlex
+import subprocess
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 import yaml
 
@@ -18,6 +20,7 @@ from thalweg.cli import _parser
 from thalweg.commands import EXAMPLES
 from thalweg.core import InputError
 from thalweg.settings.load import load_campaign
+from thalweg.workflow import codehash
 
 
 def test_the_graph_names_the_packages_that_data_pass(repository: Path) -> None:
@@ -267,6 +270,63 @@ def test_pages_hold_the_recorded_numbers(repository: Path) -> None:
     assert repository / "README.md" in made
     for path, text in made.items():
         assert path.read_text() == text, f"{path.name}: run .venv/bin/python docs/make_pages.py"
+
+
+def test_pages_say_of_which_code_their_numbers_are(repository: Path) -> None:
+    """A record is of the code of its day: a page that quotes one names commit and date."""
+    pages = runpy.run_path(str(repository / "docs/make_pages.py"))
+    of, environment = validation(repository), pages["environment"]()
+    named = 0
+    for path, text in pages["pages"](repository)[0].items():
+        template = (repository / "docs/pages" / path.name).read_text()
+        for name in pages["quoted"](template, environment, repository):
+            head = of["front_matter"](repository / f"docs/validation/{name}.md")
+            assert f"`{name}` {head['commit'][:7]}" in text, (
+                f"{path.name} quotes {name}: write {{{{ measured }}}}"
+            )
+            named += head["date"] in text
+    assert named > 20
+
+
+def test_a_record_is_older_when_its_code_is_another(repository: Path, small: Path) -> None:
+    """Judged by the code at the commit of the record, not by the measure of code of that day."""
+    of = validation(repository)
+    git = ["git", "-C", str(small), "-c", "user.name=a", "-c", "user.email=a@b.c"]
+    for folder in ("src", "workflow/scripts"):
+        (small / folder).mkdir(parents=True)
+    script = small / "workflow/scripts/wave_study.py"
+    (small / "src/waves.py").write_text("HIGH = 1\n")
+    script.write_text("import waves\n")
+    for words in (["init", "-q"], ["add", "."], ["commit", "-qm", "waves"]):
+        subprocess.run([*git, *words], check=True)
+    commit = subprocess.run([*git, "rev-parse", "HEAD"], check=True, capture_output=True, text=True)
+    record = small / "results/waves.csv.meta.json"
+    record.write_text(record.read_text().replace("abc", commit.stdout.strip()))
+    (entry,) = of["studies"](small).values()
+    of["record"]("wave_study", entry, small, small / "docs/validation")
+    assert of["changed_rules"]("wave_study", entry, small) == []  # "123" is of another measure
+    (small / "src/high.py").write_text("HIGH = 2\n")
+    script.write_text("import high\n")
+    for kept in vars(codehash).values():  # files as they were
+        if hasattr(kept, "cache_clear"):
+            kept.cache_clear()
+    assert of["changed_rules"]("wave_study", entry, small) == ["wave_study"]
+
+
+def test_the_table_of_a_release(repository: Path) -> None:
+    of = runpy.run_path(str(repository / "docs/release_check.py"))
+    studies = validation(repository)["studies"](repository)
+    names = of["order"](studies)
+    assert sorted(names) == sorted(studies)
+    assert names[-1] == "ledger"
+    assert names.index("ins_lidar_study") < names.index("full")
+    assert of["words"]("offset_study", studies["offset_study"]) == ["offset_study"]
+    assert of["words"]("field", studies["field"]) == ["all", "--config", "campaign=[field]"]
+    before = {"waves": pd.DataFrame({"of": ["a", "b"], "ratio": [1.00004, 2.0], "met": [True, True]})}
+    after = {"waves": pd.DataFrame({"of": ["a", "b"], "ratio": [1.00001, 2.1], "met": [True, False]})}
+    assert of["verdict"](after) == "1 of 2"
+    assert of["changed_digits"](before, after) == "2 of 6"  # 2.1 and False; five digits nobody prints
+    assert of["changed_digits"]({}, after) == "waves.csv has other rows or columns"
 
 
 @pytest.fixture

@@ -25,6 +25,7 @@ from thalweg.commands import (
     add_fetch_command,
     add_image_commands,
     add_result_commands,
+    add_run_commands,
     add_survey_commands,
     describe_marked,
     refuse_overwriting,
@@ -145,6 +146,7 @@ def _parser() -> argparse.ArgumentParser:
     describe.add_argument("--json", action="store_true", help="print JSON")
     describe.set_defaults(command=_describe)
 
+    add_run_commands(commands)
     add_fetch_command(commands)
     add_calibration_commands(commands)
     add_deformation_commands(commands)

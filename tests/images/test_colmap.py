@@ -25,5 +25,5 @@ def test_its_log_is_quiet(capfd: pytest.CaptureFixture[str]) -> None:
 
 def test_a_missing_module_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pycolmap", None)
-    with pytest.raises(InputError, match=r"COLMAP cannot be loaded.*Install the locked environment"):
+    with pytest.raises(InputError, match=r"needs the package pycolmap.*thalweg\[images\]"):
         colmap()

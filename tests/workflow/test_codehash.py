@@ -148,3 +148,50 @@ def test_a_cache_that_cannot_be_written_does_no_harm(house: Path, monkeypatch: p
     monkeypatch.setenv("XDG_CACHE_HOME", str(house / "file"))
     assert versions(house)
     codehash._keep()
+
+
+@pytest.mark.parametrize(
+    ("text", "same"),
+    [
+        ("def _f(x):\n    y = 1\n    return y\n\nN = 3\n", True),  # no words, no types
+        (
+            "from typing import TYPE_CHECKING\n\nif TYPE_CHECKING:\n    from pkg.figures.c import x\n\n"
+            'def _f(x: int) -> int:\n    """Words."""\n    y: int = 1\n    return y\n\n'
+            'N: Final = 3\n"""What N is."""\n',
+            False,  # an import is a statement that runs
+        ),
+        ('def _f(x: int) -> int:\n    """F."""\n    y: int = 1\n    return y\n\nN: int = 3\n"N."\n', True),
+        ("def _f(x: int) -> int:\n    y: int = 2\n    return y\n\nN: int = 3\n", False),
+    ],
+)
+def test_words_and_types_do_not_run(house: Path, text: str, same: bool) -> None:
+    module = house / "pkg/figures/c.py"
+    module.write_text("def _f(x: str) -> str:\n    y = 1\n    return y\n\nN = 3\n")
+    before = versions(house)["picture"]
+    module.write_text(text)
+    assert (versions(house)["picture"] == before) is same
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("class A:\n    x: int = 1\n", "class A:\n    x: float = 1\n"),
+        ("def read(path: str): ...\n", "def read(path: Path): ...\n"),
+    ],
+    ids=["a field of a document", "a parameter of a job"],
+)
+def test_types_that_convert_values_count(house: Path, before: str, after: str) -> None:
+    module = house / "pkg/figures/c.py"
+    module.write_text(before)
+    old = versions(house)["picture"]
+    module.write_text(after)
+    assert versions(house)["picture"] != old
+
+
+def test_imports_for_types_reach_nothing(house: Path) -> None:
+    head = "from typing import TYPE_CHECKING\n\n"
+    module = house / "pkg/figures/c.py"
+    module.write_text(head)
+    before = versions(house)["picture"]
+    module.write_text(head + "if TYPE_CHECKING:\n    from pkg.core.a import f\n")
+    assert versions(house)["picture"] == before

@@ -7,7 +7,7 @@ from snakemake.exceptions import WorkflowError
 from snakemake.logging import DefaultFilter, get_event, logger as snakemake_logger
 from snakemake_interface_logger_plugins.common import LogEvent
 
-from thalweg.core import did_you_mean
+from thalweg.core import ROOT, did_you_mean
 from thalweg.settings import load_campaigns, with_calibrations
 from thalweg.workflow import (
     CampaignFiles,
@@ -86,7 +86,6 @@ def log_length_s(files, options):
     return reader.length_s()
 
 
-ROOT = Path(workflow.basedir)
 # A folder of one's own, apart from the checkout, has its own campaigns.
 NAMED = Path("config/campaigns").resolve()
 NAMED = NAMED if NAMED.is_dir() else ROOT / "config" / "campaigns"

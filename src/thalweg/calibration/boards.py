@@ -18,7 +18,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
@@ -44,6 +43,7 @@ from thalweg.core import (
     decode_picture,
     exp_rotation,
     njit,
+    optional,
     plane_rates,
     root_mean_square,
 )
@@ -53,6 +53,8 @@ from thalweg.ingest import LidarOptions
 from thalweg.ingest.clouds import read_cloud
 from thalweg.ingest.registry import lidar_reader
 from thalweg.settings.sections import Board, LidarAccuracy
+
+cv2 = optional("cv2")
 
 _SLACK_M: Final = (0.06, 0.03, 0.0, 0.0, 0.0, 0.0, 0.0)
 """What points and edges may be off besides their sigmas, round by round; edges wait for the second one."""
@@ -82,8 +84,7 @@ COLUMNS: Final = tuple(
 """Of a table of measured boards: middle and normal, by the camera in ccs and by the lidar in scs."""
 
 _TRIES: Final = (
-    (0.5, 0), (1.0, cv2.CALIB_CB_NORMALIZE_IMAGE), (0.7, 0), (0.35, cv2.CALIB_CB_NORMALIZE_IMAGE),
-    (0.5, cv2.CALIB_CB_EXHAUSTIVE),
+    (0.5, ""), (1.0, "NORMALIZE_IMAGE"), (0.7, ""), (0.35, "NORMALIZE_IMAGE"), (0.5, "EXHAUSTIVE"),
 )  # fmt: skip
 """Size of the picture and flags of the detector, in the order in which they are tried.
 
@@ -931,13 +932,14 @@ def find_corners(picture: AnyArray, board: Checkerboard, *, where: str = "") -> 
     GeometryError : no such checkerboard in the picture.
     """
     pattern = (board.columns, board.rows)
-    for size, flags in _TRIES:
+    for size, flag in _TRIES:
         small = (
             picture
             if size == 1.0
             else cv2.resize(picture, None, fx=size, fy=size, interpolation=cv2.INTER_AREA)
         )
-        found, corners = cv2.findChessboardCornersSB(small, pattern, flags=flags | cv2.CALIB_CB_ACCURACY)
+        flags = cv2.CALIB_CB_ACCURACY | (getattr(cv2, f"CALIB_CB_{flag}") if flag else 0)
+        found, corners = cv2.findChessboardCornersSB(small, pattern, flags=flags)
         if found:
             # Pixels of the small picture, counted from its corner, and back to centres of the full one.
             xy = (corners.reshape(-1, 2) + _HALF_PX) / size - _HALF_PX

@@ -12,11 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import cv2
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from thalweg.core import ArrayF, ArrayU8, GeometryError, InputError
+from thalweg.core import ArrayF, ArrayU8, GeometryError, InputError, optional
+
+cv2 = optional("cv2")
 
 SHEET_MODULES: Final = 10
 """Side of the sheet without its margin."""
@@ -29,6 +30,8 @@ SADDLE_SQUARE_MODULES: Final = 8
 TAG_CORNERS_MODULES: Final[ArrayF] = np.array([[2.0, 2.0], [8.0, 2.0], [8.0, 8.0], [2.0, 8.0]])
 _PICTURES: Final = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".svg"}
 """Endings of a picture's name, which is no name for a folder of pictures."""
+DICTIONARIES: Final = ("DICT_4X4_50", "DICT_4X4_100", "DICT_4X4_250", "DICT_4X4_1000")
+"""All of ArUco that have 4x4 cells."""
 DOTS_PER_MM: Final = 20
 """Of a printed page; 0.6, 0.8, 1 mm ... are whole numbers of dots, so no module is a dot too wide."""
 PAGE_MM: Final = (210, 297)
@@ -56,11 +59,9 @@ class MarkerLayout:
     sizes: tuple[tuple[int, int, float], ...] = ()
 
     def __post_init__(self) -> None:
-        number = getattr(cv2.aruco, self.dictionary, None) if self.dictionary.startswith("DICT_") else None
-        if number is None or cv2.aruco.getPredefinedDictionary(number).markerSize != 4:
+        if self.dictionary not in DICTIONARIES:
             raise InputError(
-                f"unknown dictionary '{self.dictionary}'",
-                expected="DICT_4X4_50, DICT_4X4_100, DICT_4X4_250 or DICT_4X4_1000",
+                f"unknown dictionary '{self.dictionary}'", expected=f"one of {', '.join(DICTIONARIES)}"
             )
         for module in (self.module_m, *(size[2] for size in self.sizes)):
             if not 0.0 < module < 1.0:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
 import numpy as np
 import pandas as pd
 import pyarrow as pa
@@ -31,9 +30,12 @@ from thalweg.core import (
     InputError,
     column,
     decode_picture,
+    optional,
     steps,
     table_kind,
 )
+
+cv2 = optional("cv2")
 
 MARKS: Final = table_kind(
     "marks",

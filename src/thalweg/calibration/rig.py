@@ -23,7 +23,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
 import numpy as np
 import pandas as pd
 
@@ -48,9 +47,12 @@ from thalweg.core import (
     Observations,
     Rigid,
     adjust,
+    optional,
 )
 from thalweg.core.calibration import Calibration, Source, pose_block, read_calibration
 from thalweg.settings.sections import Rig as RigSettings, RigLens
+
+cv2 = optional("cv2")
 
 # ---------------------------------------------------------------- marks on the plane across their ray
 

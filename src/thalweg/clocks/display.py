@@ -14,12 +14,24 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final, Self
 
-import cv2
 import numpy as np
 import pandas as pd
 from PIL import Image, ImageDraw, ImageFont
 
-from thalweg.core import NMAD, AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8, InputError, decode_picture
+from thalweg.core import (
+    NMAD,
+    AnyArray,
+    ArrayB,
+    ArrayF,
+    ArrayF32,
+    ArrayI,
+    ArrayU8,
+    InputError,
+    decode_picture,
+    optional,
+)
+
+cv2 = optional("cv2")
 
 _SAMPLE: Final = 40
 _TRAINING: Final = 200
@@ -100,7 +112,7 @@ _SLANTS: Final = (0.0, 0.06, 0.12, 0.18)
 _BARS: Final = (0.1, 0.15, 0.2)
 _BOLD: Final = (0, 9, 17)
 """Pixels by which strokes of the sans are made wider."""
-_HERSHEY: Final = {"simplex": cv2.FONT_HERSHEY_SIMPLEX, "complex": cv2.FONT_HERSHEY_COMPLEX}
+_HERSHEY: Final = ("simplex", "complex")
 _PENS: Final = (12, 22)
 """Widths of the pen for stroke fonts, pixels."""
 _LIT: Final = {
@@ -914,7 +926,8 @@ def _drawings() -> dict[str, list[ArrayU8]]:
     looks: dict[str, list[ArrayU8]] = {}
     for more in _BOLD:
         looks[f"sans +{more}"] = [_font_digit(d, more) for d in range(10)]
-    for name, face in _HERSHEY.items():
+    for name in _HERSHEY:
+        face = getattr(cv2, f"FONT_HERSHEY_{name.upper()}")
         for pen in _PENS:
             looks[f"stroke {name} {pen}"] = [_stroke_digit(d, face, pen) for d in range(10)]
     for slant in _SLANTS:

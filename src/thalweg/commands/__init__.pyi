@@ -12,4 +12,5 @@ from .fetch import add_fetch_command as add_fetch_command
 from .images import add_image_commands as add_image_commands
 from .parser import EXAMPLES as EXAMPLES, Commands as Commands, refuse_overwriting as refuse_overwriting
 from .results import add_cluster_commands as add_cluster_commands, add_result_commands as add_result_commands
+from .run import add_run_commands as add_run_commands
 from .survey import add_survey_commands as add_survey_commands

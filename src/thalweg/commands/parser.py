@@ -10,6 +10,9 @@ from thalweg.core import InputError
 EXAMPLES: Final = {
     "new-campaign": "mulde_2026 --from-logs ~/surveys/mulde",
     "check-config": "config/campaigns/mulde_2026.yaml",
+    "init": "surveys",
+    "run": "tiny --cores 2",
+    "workflow-path": "",
     "describe": "my.pcap rover.sbp ins.anpp",
     "summary": "results/mulde_2026",
     "budget": "resources/budgets/p2_table1.yaml",

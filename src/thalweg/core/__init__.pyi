@@ -83,6 +83,13 @@ from .frames import (
     rotation_y as rotation_y,
     rotation_z as rotation_z,
 )
+from .installed import (
+    EXTRAS as EXTRAS,
+    PACKAGES as PACKAGES,
+    ROOT as ROOT,
+    missing_package as missing_package,
+    optional as optional,
+)
 from .kernels import (
     get_num_threads as get_num_threads,
     njit as njit,

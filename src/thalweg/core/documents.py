@@ -18,9 +18,12 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from thalweg.core.errors import ConfigError, InputError
+from thalweg.core.installed import optional
 
 if TYPE_CHECKING:
     from thalweg.core.types import AnyArray, ArrayU8
+
+cv2 = optional("cv2")
 
 # ---------------------------------------------------------------- files being written, files of others
 
@@ -120,7 +123,6 @@ def decode_picture(data: "ArrayU8", flags: int) -> "AnyArray | None":
 
     Neither is one whose head promises more than 2 ** 30 pixels: some kilobytes can stand for them.
     """
-    import cv2
     import numpy as np
 
     try:

@@ -25,6 +25,7 @@ from numba import get_num_threads, njit, prange, set_num_threads
 from numba.core.caching import InTreeCacheLocator
 
 from thalweg.core.errors import others_may_write
+from thalweg.core.installed import PACKAGES
 
 __all__ = ["KernelCache", "get_num_threads", "njit", "prange", "set_num_threads", "stamp"]
 
@@ -39,7 +40,6 @@ numba.config.CACHE_LOCATOR_CLASSES = (
 )
 
 log = logging.getLogger(__name__)
-PACKAGES: Final = {"thalweg", "thalweg_lab"}
 _KEPT_DAYS: Final = 30.0
 """Folders that no process has used for so long are removed."""
 _folders: Final[dict[str, str]] = {}

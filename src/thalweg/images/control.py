@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Final
 from xml.etree import ElementTree
 
-import cv2
 import numpy as np
 import pandas as pd
 from pyproj import CRS
@@ -32,6 +31,7 @@ from thalweg.core import (
     InputError,
     LocalFrame,
     ellipsoid_of,
+    optional,
     parse_xml,
 )
 from thalweg.core.values import FORMS, HUGE, is_nothing, is_vector_file, near_world, world_of
@@ -46,6 +46,8 @@ from thalweg.images.model import (
 )
 from thalweg.ingest import NAMES as WORDS, Table, read_places, read_text, read_text_table
 from thalweg.settings.sections import LOCAL, ControlSettings
+
+cv2 = optional("cv2")
 
 _ROLES: Final = {
     "": False, "control": False, "control point": False, "gcp": False, "ground control point": False,

@@ -11,14 +11,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
-import cv2
 import numpy as np
 from scipy import ndimage
 
 from thalweg.calibration import LENSES, Rig
-from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayU8, njit
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayU8, njit, optional
 from thalweg.lidar import GAMMA, exposure_gains
 from thalweg.panorama.sphere import sphere_rays
+
+cv2 = optional("cv2")
 
 _AROUND: Final = 720
 """Places around the axis at which the seam is looked for: half a degree."""

@@ -1,11 +1,11 @@
 """The version of the code behind a rule: a hash of every module that its entry script reaches.
 
 Snakemake sees edits of an entry script but not of packages that the script imports. Each rule therefore
-carries ``params: code=code_version("<script>")``. The hash runs over the syntax trees, without docstrings,
-of the modules that the script imports directly or through others; a comment costs no rerun, an edit of a
-module reruns exactly the rules that use it, and no list of packages has to be kept by hand. A name that is
-imported from the front door of a package (``__init__.pyi``) counts as its module; an edit beside it costs
-nothing.
+carries ``params: code=code_version("<script>")``. The hash runs over the syntax trees, without docstrings
+and types that only readers need, of the modules that the script imports directly or through others; a comment
+costs no rerun, an edit of a module reruns exactly the rules that use it, and no list of packages has to be
+kept by hand. A name that is imported from the front door of a package (``__init__.pyi``) counts as its
+module; an edit beside it costs nothing.
 
 What a file imports and the hash of its tree depend on its bytes alone. Both are kept in the user's cache by
 the hash of these bytes, because parsing some hundred modules takes seconds at each start of Snakemake.
@@ -23,11 +23,11 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from thalweg.core import InputError
+from thalweg.core import PACKAGES, ROOT, InputError
 
 SOURCE = Path(__file__).resolve().parents[2]
 """Folder of the packages: library and laboratory."""
-SCRIPTS = SOURCE.parent / "workflow" / "scripts"
+SCRIPTS = ROOT / "workflow" / "scripts"
 
 DATA_SUFFIXES = {".mplstyle", ".typ", ".csv", ".yaml", ".json", ".html", ".css", ".js"}
 """Files inside a package that count as code."""
@@ -125,6 +125,8 @@ def _files_of(name: str, source: Path) -> frozenset[Path]:
 @cache
 def _way(name: str, source: Path) -> tuple[Path, frozenset[Path]]:
     """Folder that a dotted name would be, and the files on the way to it."""
+    if source == SOURCE and name.partition(".")[0] not in PACKAGES:  # beside it where a wheel is installed
+        return source / "none", frozenset()
     above, _, part = name.rpartition(".")
     base, found = _way(above, source) if above else (source, frozenset())
     base = base / part
@@ -174,11 +176,51 @@ def _facts(path: Path) -> _Facts:
     return kept
 
 
+class _Runs(ast.NodeTransformer):
+    """Leaves of a tree what runs: no docstrings, none of names either, and no types that only readers need.
+
+    Fields of classes keep their types, and so do parameters of public functions: documents and jobs are
+    read by them.
+    """
+
+    _in_class = False
+
+    def visit_Expr(self, node: ast.Expr) -> ast.AST | None:
+        return None if isinstance(node.value, ast.Constant) else self.generic_visit(node)
+
+    def visit_If(self, node: ast.If) -> ast.AST | None:
+        types_only = isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+        return None if types_only else self.generic_visit(node)
+
+    def visit_ClassDef(self, node: ast.ClassDef) -> ast.AST:
+        around, self._in_class = self._in_class, True
+        self.generic_visit(node)
+        self._in_class = around
+        return node
+
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
+        node.returns = None
+        if self._in_class or node.name.startswith("_"):
+            for each in ast.walk(node.args):
+                if isinstance(each, ast.arg):
+                    each.annotation = None
+        around, self._in_class = self._in_class, False
+        self.generic_visit(node)
+        self._in_class = around
+        return node
+
+    def visit_AnnAssign(self, node: ast.AnnAssign) -> ast.AST | None:
+        if self._in_class:
+            return node
+        return None if node.value is None else ast.Assign([node.target], node.value)
+
+
 def _parsed(path: Path, data: bytes) -> _Facts:
     try:
         tree = ast.parse(data)
     except (SyntaxError, ValueError) as error:
         raise InputError(f"not valid Python: {error}", where=path) from error
+    tree = _Runs().visit(tree)
     names: set[str] = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -186,11 +228,6 @@ def _parsed(path: Path, data: bytes) -> _Facts:
         elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
             names.add(node.module)
             names.update(f"{node.module}.{alias.name}" for alias in node.names)
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            body = node.body
-            if body and isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant):
-                node.body = body[1:]
     return _Facts(tuple(sorted(names)), hashlib.sha256(ast.dump(tree).encode()).hexdigest())
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from thalweg.core import ConfigError, Document, Mistake, read_yaml
+from thalweg.core import ROOT, ConfigError, Document, Mistake, read_yaml
 from thalweg.settings import Campaign
 from thalweg.workflow.campaign_files import CampaignFiles
 from thalweg.workflow.codehash import SOURCE
@@ -101,7 +101,7 @@ class Figure(BaseModel):
 
     def _below(self, path: str) -> str:
         if path.startswith("resources/"):
-            return str(SOURCE.parent / path)
+            return str(ROOT / path)
         return f"results/{self.owner}/{path}"
 
 

@@ -44,7 +44,8 @@ LIBRARIES: Final = (
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # read when numpy and scipy load; as `run_job` sets it
 for _name in LIBRARIES:
-    import_module(_name)
+    with contextlib.suppress(ModuleNotFoundError):  # of an extra: said by the job that needs it
+        import_module(_name)
 # What numba would import when a job calls its first kernel.
 import_module("numba.core.registry").cpu_target.target_context.refresh()
 with contextlib.suppress(import_module("thalweg.core").ThalwegError):  # said by the job that needs it

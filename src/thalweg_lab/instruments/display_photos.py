@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Self
 
-import cv2
 import numpy as np
 import pandas as pd
 import pyarrow as pa
@@ -27,6 +26,7 @@ from thalweg.core import (
     ArrayU8,
     column,
     frame_of,
+    optional,
     table_kind,
     write_table,
 )
@@ -34,6 +34,8 @@ from thalweg.settings.twin import TwinCamera, TwinConfig, TwinDisplay
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.voyage import start_gps_s
 from thalweg_lab.writers import PhotoFacts, jpeg_bytes, start_us
+
+cv2 = optional("cv2")
 
 # ---------------------------------------------------------------- how a clock on a display looks in a
 # photograph: digits, perspective, reflex of the sun, blur, noise

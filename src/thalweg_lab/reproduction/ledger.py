@@ -20,7 +20,7 @@ import pandas as pd
 import yaml
 
 from thalweg.budgets import read_budget, rmse_mm
-from thalweg.core import ArrayF, InputError, read_parquet
+from thalweg.core import ROOT, ArrayF, InputError, read_parquet
 from thalweg.core.geometry import read_mesh
 from thalweg.lightsheet.budget import budget, budget as budget_correlations, checks as budget_checks
 from thalweg.lightsheet.calibration import PAPER_3, SINGULAR, paper_3_sigmas, paper_3_table
@@ -120,7 +120,7 @@ COLUMNS: Final = (
     "note",
     "file",
 )
-BUDGETS: Final = Path(__file__).parents[3] / "resources" / "budgets"
+BUDGETS: Final = ROOT / "resources" / "budgets"
 HALVING_STEP_PX: Final = 16
 """Every so many-th pixel is intersected by the halving of the papers."""
 OFF_MM: Final = 1e-3

@@ -15,7 +15,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final, Literal
 
-import cv2
 import numpy as np
 import pandas as pd
 import pyarrow as pa
@@ -29,6 +28,7 @@ from thalweg.core import (
     LocalFrame,
     column,
     frame_of,
+    optional,
     table_kind,
     unix_from_gps,
     write_table,
@@ -45,6 +45,8 @@ from thalweg_lab.tank.objects import GridPattern
 from thalweg_lab.tank.plan import Plan, describe
 from thalweg_lab.tank.render import Darkroom, render_sheet_image
 from thalweg_lab.tank.surfaces import Posed, Surface
+
+cv2 = optional("cv2")
 
 CALLIPER_MM: Final = 0.05
 """Standard deviation of the depth of a level (P3 3.1.1)."""

@@ -8,10 +8,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Self
 
-import cv2
 import numpy as np
 
-from thalweg.core import ArrayB, ArrayF, ArrayF32, ArrayI, Camera, ConfigError, Rigid
+from thalweg.core import ArrayB, ArrayF, ArrayF32, ArrayI, Camera, ConfigError, Rigid, optional
 from thalweg.core.geometry import RayCaster
 from thalweg.settings.twin import TwinTimeLapse
 from thalweg_lab.random_numbers import generator
@@ -20,6 +19,8 @@ from thalweg_lab.river import BOX_FACES, boxes, tube_faces, tubes
 from thalweg_lab.river_images import Sun
 from thalweg_lab.yard import boat_mesh, sensor_mesh
 from thalweg_lab.yard_images import LensRays
+
+cv2 = optional("cv2")
 
 RIM: Final = 0.06
 """Width of the white rim as a share of the board's side."""

@@ -4,17 +4,27 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
 import numpy as np
 import pandas as pd
 from scipy import ndimage
 
 from thalweg.calibration import LENSES, read_rig
-from thalweg.core import ArrayF, InputError, Rigid, decode_picture, iter_laz, read_marked, read_table
+from thalweg.core import (
+    ArrayF,
+    InputError,
+    Rigid,
+    decode_picture,
+    iter_laz,
+    optional,
+    read_marked,
+    read_table,
+)
 from thalweg.images.model import ImagePoses
 from thalweg.lidar import GAMMA
 from thalweg.panorama import PANORAMAS, pixels_of, sphere_rays
 from thalweg.settings.sections import Rig as RigSettings
+
+cv2 = optional("cv2")
 
 TRUTH: Final[Mapping[str, Any]] = {
     "kind": "thalweg twin dual fisheye",

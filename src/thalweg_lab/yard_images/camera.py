@@ -4,12 +4,13 @@ from copy import copy
 from functools import cached_property
 from typing import Final
 
-import cv2
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from thalweg.core import ArrayF, ArrayF32, ArrayU8, Camera
+from thalweg.core import ArrayF, ArrayF32, ArrayU8, Camera, optional
 from thalweg.settings.twin import TwinLens
+
+cv2 = optional("cv2")
 
 _NODE_PX: Final = 8
 

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from thalweg.core import ArrayB, ArrayF, ArrayF32, ArrayI, GeometryError, ThalwegError
+from thalweg.core import ArrayB, ArrayF, ArrayF32, ArrayI, GeometryError, ThalwegError, missing_package
 
 MAX_EXTENT_M: Final = 20_000.0
 """Meshes wider than this are refused: a float32 step is 1 mm there."""
@@ -63,11 +63,13 @@ def _open3d() -> Any:
             # Open3D links against libusb for depth cameras; without it the import fails.
             ctypes.CDLL(str(libusb_package.get_library_path()), ctypes.RTLD_GLOBAL)
         import open3d
+    except ModuleNotFoundError as error:
+        raise missing_package(error, "casting rays on a mesh") from error
     except (ImportError, OSError) as error:
         raise ThalwegError(
             f"Open3D cannot be loaded: {error}",
-            expected="the packages open3d (open3d-cpu on Linux) and libusb-package",
-            cure="Install the locked environment again; on Debian also the packages libgl1 and libgomp1",
+            expected="its libraries of the system",
+            cure="Install them: on Debian the packages libgl1 and libgomp1",
         ) from error
     return open3d
 

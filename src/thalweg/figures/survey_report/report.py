@@ -24,8 +24,10 @@ from pyproj import CRS
 from thalweg import __version__
 from thalweg.accuracy import number_text, verdict_of, verdict_of_ratio
 from thalweg.bathymetry import REASONS, S44
-from thalweg.core import Trajectory, final_path, read_json, unix_from_gps, utc_text_from_gps
+from thalweg.core import Trajectory, final_path, optional, read_json, unix_from_gps, utc_text_from_gps
 from thalweg.figures import TWIN_MARK, count, note_of, plural
+
+typst = optional("typst")
 
 _TYPE_AREA_MM: Final = (165.0, 150.0)
 """Width of the text, and the height that a picture may take of it."""
@@ -157,8 +159,6 @@ def write_survey_report(
     twin : whether a digital twin wrote the logs.
     report : file to write.
     """
-    import typst
-
     folder = final_path(report).parent
     page = _Report(folder, tables, pictures, captions)
     crs = CRS.from_user_input(settings["campaign"]["crs"])

@@ -8,7 +8,6 @@ from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import Any, Final, Self
 
-import cv2
 import numpy as np
 import pandas as pd
 
@@ -24,6 +23,7 @@ from thalweg.core import (
     Rigid,
     ThalwegError,
     decode_picture,
+    optional,
     read_table,
     root_mean_square,
 )
@@ -62,6 +62,8 @@ from thalweg.images.model import (
 from thalweg.ingest import GNSS_POSITION
 from thalweg.ingest.photos import by_any_name, named_images
 from thalweg.settings.sections import BlockAdjustment, ControlSettings
+
+cv2 = optional("cv2")
 
 _NAMED: Final = 5
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
 import numpy as np
 import pandas as pd
 from PIL import Image
@@ -29,6 +28,7 @@ from thalweg.core import (
     InputError,
     decode_picture,
     njit,
+    optional,
 )
 from thalweg.images.masks.learning import (
     HULL,
@@ -53,6 +53,8 @@ from thalweg.images.masks.learning import (
 from thalweg.images.model import ImagePoses, cameras_of, check_flat_masks, find_mask, named_once
 from thalweg.ingest.photos import Images
 from thalweg.settings.sections import MaskSettings
+
+cv2 = optional("cv2")
 
 # ---------------------------------------------------------------- sky or land, pixel by pixel: what shows
 # between leaves is sky, the leaves are land

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Self
 
-import cv2
 import numpy as np
 from scipy.optimize import minimize
 
@@ -26,7 +25,10 @@ from thalweg.core import (
     InputError,
     decode_picture,
     njit,
+    optional,
 )
+
+cv2 = optional("cv2")
 
 SAMPLES: Final = 2000
 """Pixels of each part a model learns from."""

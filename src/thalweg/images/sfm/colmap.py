@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from thalweg.core import COLMAP_MODELS, PARAMETERS, ArrayF, Camera, InputError
+from thalweg.core import COLMAP_MODELS, PARAMETERS, ArrayF, Camera, InputError, missing_package
 
 SEED: Final = 0
 """Of all random choices inside COLMAP: samples of RANSAC, starts of the global mapper."""
@@ -34,16 +34,12 @@ def colmap() -> Any:
 
     Raises
     ------
-    InputError : the module cannot be loaded.
+    UnsupportedError : the module is not installed, or cannot be loaded.
     """
     try:
         import pycolmap
     except ImportError as error:
-        raise InputError(
-            f"COLMAP cannot be loaded ({error})",
-            expected="the package pycolmap",
-            cure="Install the locked environment again",
-        ) from error
+        raise missing_package(error, "structure from motion") from error
     pycolmap.logging.minloglevel = int(pycolmap.logging.Level.FATAL)
     pycolmap.set_random_seed(SEED)
     return pycolmap

@@ -23,7 +23,6 @@ from typing import Any, Final
 
 import lazrs
 import numpy as np
-import pye57
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 from scipy.spatial.transform import Rotation
@@ -44,6 +43,7 @@ from thalweg.core import (
     laz_layout,
     library_errors,
     local_crs,
+    optional,
     require_file,
     whole_chunks,
 )
@@ -57,6 +57,8 @@ from thalweg.ingest import (
     time_contradiction,
     time_scale_words,
 )
+
+pye57 = optional("pye57")
 
 # ---------------------------------------------------------------- what the cloud readers hand over
 

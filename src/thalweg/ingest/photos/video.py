@@ -14,11 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import cv2
 import numpy as np
 import pandas as pd
 
-from thalweg.core import AnyArray, ArrayF, InputError
+from thalweg.core import AnyArray, ArrayF, InputError, optional
+
+cv2 = optional("cv2")
 
 _EPOCH: Final = dt.datetime(1904, 1, 1, tzinfo=dt.UTC)
 _WHOLE_SECOND_S: Final = 1.0 / math.sqrt(12.0)

@@ -28,6 +28,7 @@ from thalweg.core import (
     InputError,
     ecef_of,
     geodetic_of,
+    missing_package,
     read_json,
     require_file,
     rotation_ecef_enu,
@@ -92,14 +93,11 @@ def run_worker(
 
     Raises
     ------
+    UnsupportedError : pyrtklib5 is not installed.
     InputError : the child crashed, failed or ran too long; the text holds what it printed.
     """
     if not engine_version():
-        raise InputError(
-            "the library pyrtklib5 is not installed",
-            expected="pyrtklib5 (wheels for Python 3.10 to 3.13)",
-            cure="Install it: pip install pyrtklib5",
-        )
+        raise missing_package(ModuleNotFoundError(name="pyrtklib5"), "post-processed GNSS")
     job, answer, log = folder / "job.json", folder / "answer.json", folder / "engine.log"
     job.write_text(json.dumps({"tasks": list(tasks)}))
     answer.unlink(missing_ok=True)

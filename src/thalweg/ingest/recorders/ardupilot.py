@@ -24,15 +24,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core import (
-    AnyArray,
-    ArrayF,
-    InputError,
-    UnsupportedError,
-    frame_of,
-    gps_from_unix,
-    gps_from_week,
-)
+from thalweg.core import AnyArray, ArrayF, InputError, frame_of, gps_from_unix, gps_from_week, missing_package
 from thalweg.ingest import (
     DEPTH,
     GNSS_POSITION,
@@ -508,11 +500,7 @@ def _pymavlink(module: str) -> Any:
     try:
         return importlib.import_module(f"pymavlink.{module}")
     except ImportError as error:
-        raise UnsupportedError(
-            "a log of an ArduPilot autopilot, and pymavlink is not installed",
-            expected="the library pymavlink",
-            cure="Install it: pip install 'thalweg[ardupilot]'",
-        ) from error
+        raise missing_package(error, "a log of an ArduPilot autopilot") from error
 
 
 def _stamped(table: pd.DataFrame) -> pd.DataFrame:

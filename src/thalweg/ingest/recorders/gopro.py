@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import theilslopes
 
-from thalweg.core import ArrayF, InputError, ThalwegError, UnsupportedError, frame_of, gps_from_unix
+from thalweg.core import ArrayF, InputError, ThalwegError, frame_of, gps_from_unix, missing_package
 from thalweg.ingest import GNSS_POSITION, IntegrityReport, PositionLog, TrackOptions
 
 # keys that the library hands over as the numbers of their four letters
@@ -86,12 +86,7 @@ def _payloads(path: Path, report: IntegrityReport) -> Iterator[ArrayF]:
     try:
         import telemetry_parser
     except ImportError as error:
-        raise UnsupportedError(
-            "a track in a GoPro video, and telemetry-parser is not installed",
-            expected="the library telemetry-parser",
-            where=path,
-            cure="Install it: pip install 'thalweg[gopro]'",
-        ) from error
+        raise missing_package(error, "the track of a GoPro video", path) from error
     report.bytes_read += path.stat().st_size
     try:
         telemetry = telemetry_parser.Parser(str(path)).telemetry()

@@ -34,9 +34,9 @@ from thalweg.core import (
     ArrayB,
     ArrayF,
     InputError,
-    UnsupportedError,
     frame_of,
     gps_from_unix,
+    missing_package,
     opk_of,
     roll_pitch_heading,
     utc_text_from_unix,
@@ -142,12 +142,7 @@ def _opened(path: Path) -> Iterator[Any]:
     try:
         from rosbags.highlevel import AnyReader
     except ImportError as error:
-        raise UnsupportedError(
-            "a bag of ROS, and rosbags is not installed",
-            expected="the library rosbags",
-            where=path,
-            cure="Install it: pip install 'thalweg[ros]'",
-        ) from error
+        raise missing_package(error, "a bag of ROS", path) from error
     try:
         reader = AnyReader([path], default_typestore=_types())
         reader.open()

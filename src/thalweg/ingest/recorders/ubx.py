@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core import WEEK_S, AnyArray, UnsupportedError, frame_of, gps_from_unix, gps_from_week
+from thalweg.core import WEEK_S, AnyArray, frame_of, gps_from_unix, gps_from_week, missing_package
 from thalweg.ingest import GNSS_POSITION, IntegrityReport, PositionLog, TrackOptions
 from thalweg.ingest.nmea import read_nmea
 
@@ -65,12 +65,7 @@ def ubx_frames(path: Path, report: IntegrityReport | None = None) -> Iterator[tu
     try:
         from pyubx2 import ERR_IGNORE, UBX_MSGIDS, UBXReader
     except ImportError as error:
-        raise UnsupportedError(
-            "a UBX log, and pyubx2 is not installed",
-            expected="the library pyubx2",
-            where=path,
-            cure="Install it: pip install 'thalweg[ubx]'",
-        ) from error
+        raise missing_package(error, "a UBX log", path) from error
     covered: Counter[str] = Counter()
     with path.open("rb") as stream:
         for raw, _ in UBXReader(stream, quitonerror=ERR_IGNORE, parsing=False):

@@ -12,11 +12,23 @@ patches.
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
-import cv2
 import numpy as np
 
-from thalweg.core import NMAD, AnyArray, ArrayB, ArrayF, ArrayF32, ArrayU8, GeometryError, InputError, njit
+from thalweg.core import (
+    NMAD,
+    AnyArray,
+    ArrayB,
+    ArrayF,
+    ArrayF32,
+    ArrayU8,
+    GeometryError,
+    InputError,
+    njit,
+    optional,
+)
 from thalweg.lightsheet.lines.settings import LineSettings
+
+cv2 = optional("cv2")
 
 MEASURED: Final = 1
 """Bit of a pixel whose own green light was measured, not interpolated."""

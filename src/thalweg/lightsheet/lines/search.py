@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
 
-import cv2
 import numpy as np
 
-from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, InputError, njit
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, InputError, njit, optional
 from thalweg.lightsheet.lines.image import SATURATED, GreenImage
 from thalweg.lightsheet.lines.settings import LineSettings
+
+cv2 = optional("cv2")
 
 # ---------------------------------------------------------------- which pieces of line are no laser: bright
 # strips of a pattern in daylight are bright in red and blue, too

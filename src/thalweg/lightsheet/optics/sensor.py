@@ -35,6 +35,7 @@ from numpy.typing import ArrayLike
 
 from thalweg.core import (
     PARAMETERS as INTERIOR,
+    ROOT,
     ArrayF,
     Camera,
     GeometryError,
@@ -78,7 +79,7 @@ WINDOW: Final = slice(21, 26)
 FLIP: Final = np.diag([1.0, -1.0, -1.0])
 """From ccs to the papers' image frame, and back."""
 
-RESOURCES: Final = Path(__file__).parents[4] / "resources" / "light_sheet"
+RESOURCES: Final = ROOT / "resources" / "light_sheet"
 
 CAMERA_BLOCK: Final = "sheet_camera"
 LENS_BLOCK: Final = "sheet_camera_interior"

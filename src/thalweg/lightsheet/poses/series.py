@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-import cv2
 import numpy as np
 import pandas as pd
 import pyarrow as pa
@@ -22,6 +21,7 @@ from thalweg.core import (
     column,
     decode_picture,
     frame_of,
+    optional,
     table_kind,
 )
 from thalweg.lightsheet.calibration import GridObject
@@ -34,6 +34,8 @@ from thalweg.lightsheet.lines import (
     without_shift,
 )
 from thalweg.lightsheet.optics import Sensor, Status, sheet_derivatives
+
+cv2 = optional("cv2")
 
 log = logging.getLogger("thalweg")
 

@@ -13,27 +13,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import cv2
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import QhullError, cKDTree
 
-from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, ArrayU8, GeometryError, InputError
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, ArrayU8, GeometryError, InputError, optional
 from thalweg.core.geometry import RayCaster
 from thalweg.lightsheet.optics import Sensor, directions_to_points, project, refract_to_water
 from thalweg.lightsheet.poses import M_PER_MM
 from thalweg.lightsheet.scanning.profile import ScanCloud
 
+cv2 = optional("cv2")
+
 LINE_MARGIN_PX: Final = 20.0
 _LIFT_MM: Final = 0.3
 """A ray of sight starts so far above its cell: float32 and the cell's own triangles."""
 _MOST_CELLS: Final = 50_000_000
-_MOSAICS: Final = {
-    "rggb": cv2.COLOR_BayerRGGB2RGB,
-    "bggr": cv2.COLOR_BayerBGGR2RGB,
-    "grbg": cv2.COLOR_BayerGRBG2RGB,
-    "gbrg": cv2.COLOR_BayerGBRG2RGB,
-}
+_MOSAICS: Final = ("rggb", "bggr", "grbg", "gbrg")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -158,7 +154,7 @@ def colours(image: AnyArray, layout: str = "rggb") -> ArrayF:
         )
     if layout == "mono":
         return np.repeat(image[:, :, None].astype(np.float64), 3, axis=2)
-    return np.asarray(cv2.cvtColor(image, _MOSAICS[layout]), dtype=np.float64)
+    return np.asarray(cv2.cvtColor(image, getattr(cv2, f"COLOR_Bayer{layout.upper()}2RGB")), dtype=np.float64)
 
 
 def orthophoto(

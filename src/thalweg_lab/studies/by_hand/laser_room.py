@@ -8,11 +8,12 @@ normalised squared errors on the board (1 if sigmas are right; mean, least, larg
 import sys
 from typing import Final
 
-import cv2
 import numpy as np
 
-from thalweg.core import AnyArray, ArrayB, ArrayF, ThalwegError
+from thalweg.core import AnyArray, ArrayB, ArrayF, ThalwegError, optional
 from thalweg.lightsheet.lines import LineFlag, LineSettings, detect_lines
+
+cv2 = optional("cv2")
 
 COLOURS: Final = {"red": (1.0, 0.12, 0.04), "green": (0.10, 1.0, 0.20)}
 INNER: Final = (11, 7)

@@ -1,0 +1,138 @@
+"""Make every record of docs/validation again with the code that is here, and say what changed.
+
+.venv/bin/python docs/release_check.py --cores 2                 # all; again: goes on where it stopped
+.venv/bin/python docs/release_check.py --only ins_lidar_study    # one
+.venv/bin/python docs/release_check.py --profile profiles/slurm  # further words are Snakemake's
+
+Short records come first, the ledger, which reads the others, last. A record whose code has not changed since
+is left as it is. One that fails is told, and the next one begins. The table at the end
+(docs/validation/release.md) has a line for each record: commit, minutes of the processor, verdicts (rows that
+reach their goal or lie inside their band), and how many printed numbers are others than before.
+"""
+
+import argparse
+import datetime
+import runpy
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import pandas as pd
+
+ROOT = Path(__file__).parents[1]
+validation = runpy.run_path(str(ROOT / "docs/make_validation.py"))
+
+OTHERS: Final = {
+    "timings": ["docs/make_timings.py", "tiny"],
+    "real": ["docs/make_real.py"],
+    "mutants": ["tests/mutants/run.py"],
+    "benchmarks": ["-m", "pytest", "tests/benchmarks", "-m", "slow"],
+}
+"""Records that no file of config/studies describes: words for Python."""
+VERDICTS: Final = ("met", "consistent", "inside", "right")
+"""Columns of tables that say whether a row reaches its goal, or lies inside its band."""
+
+
+def order(studies: Mapping[str, Mapping[str, Any]], root: Path = ROOT) -> list[str]:
+    """Names of records, the shortest first; the ledger last, as it reads the others."""
+
+    def minutes(name: str) -> float:
+        page = root / f"docs/validation/{name}.md"
+        taken = validation["front_matter"](page)["cpu_min"] if page.exists() else None
+        return float(taken) if isinstance(taken, int | float) else 0.0
+
+    return sorted(studies, key=lambda name: (name == "ledger", minutes(name), name))
+
+
+def words(name: str, entry: Mapping[str, Any]) -> list[str]:
+    """Targets and settings of Snakemake that make a record's results."""
+    if "campaign" not in entry:
+        return [name]
+    targets = ["all", "reproduce"] if name == "ledger" else ["all"]
+    return [*targets, "--config", f"campaign=[{','.join(entry['campaign'])}]"]
+
+
+def verdict(tables: Mapping[str, pd.DataFrame]) -> str:
+    """How many rows with a verdict hold, over all tables; empty if none has one."""
+    found = [table[c].astype(bool) for table in tables.values() for c in VERDICTS if c in table]
+    return f"{sum(int(each.sum()) for each in found)} of {sum(map(len, found))}" if found else ""
+
+
+def changed_digits(before: Mapping[str, pd.DataFrame], after: Mapping[str, pd.DataFrame]) -> str:
+    """How many printed numbers are others, or that a table has other rows."""
+    changed, n = 0, 0
+    for name, table in after.items():
+        old = before.get(name)
+        if old is None or old.shape != table.shape or list(old) != list(table):
+            return f"{name}.csv has other rows or columns"
+        texts = [
+            frame.map(lambda v: f"{v:.4g}" if isinstance(v, float) else str(v)) for frame in (old, table)
+        ]
+        changed += int((texts[0] != texts[1]).to_numpy().sum())
+        n += table.size
+    return f"{changed} of {n}"
+
+
+def tables(name: str, entry: Mapping[str, Any], root: Path = ROOT) -> dict[str, pd.DataFrame]:
+    """Recorded tables, as far as they are there."""
+    paths = [root / f"docs/validation/{table}.csv" for table in entry["tables"]]
+    return {path.stem: pd.read_csv(path) for path in paths if path.is_file()}
+
+
+def check(name: str, entry: Mapping[str, Any], snakemake: Sequence[str], root: Path = ROOT) -> dict[str, Any]:
+    """Make one record again if its code has changed: its line of the table."""
+    page = root / f"docs/validation/{name}.md"
+    before, state = tables(name, entry, root), "made again"
+    if page.exists() and not validation["changed_rules"](name, entry, root):
+        state = "as recorded"
+    else:
+        command = [sys.executable, "-m", "snakemake", *words(name, entry), *snakemake]
+        if code := subprocess.run(command, cwd=root, check=False).returncode:
+            return {"record": name, "state": f"failed ({code})"}
+        try:
+            validation["record"](name, entry, root, root / "docs/validation")
+        except (OSError, validation["InputError"]) as error:
+            return {"record": name, "state": f"not recorded: {error}"}
+    head, after = validation["front_matter"](page), tables(name, entry, root)
+    return {
+        "record": name,
+        "state": state,
+        "commit": ", ".join(each[:7] for each in head["commit"].split(", ")),
+        "cpu_min": head["cpu_min"],
+        "verdict": verdict(after),
+        "changed": changed_digits(before, after) if state == "made again" else "",
+    }
+
+
+def main() -> int:
+    """0 if every record is of the code that is here."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="these records")
+    asked, snakemake = parser.parse_known_args()
+    studies = validation["studies"]()
+    if unknown := set(asked.only or ()) - {*studies, *OTHERS}:
+        sys.exit(f"no record {', '.join(unknown)}: there are {', '.join([*studies, *OTHERS])}")
+    if not {"--cores", "-c", "--jobs", "-j", "--profile"} & {each.partition("=")[0] for each in snakemake}:
+        snakemake += ["--cores", "all"]
+    rows = []
+    for name in [each for each in [*order(studies), *OTHERS] if not asked.only or each in asked.only]:
+        print(f"== {name}", flush=True)
+        if name in studies:
+            rows.append(check(name, studies[name], snakemake))
+        else:
+            code = subprocess.run([sys.executable, *OTHERS[name]], cwd=ROOT, check=False).returncode
+            rows.append({"record": name, "state": f"failed ({code})" if code else "made again"})
+    table = pd.DataFrame(rows)
+    text = validation["markdown"](table)
+    print(text)
+    if not asked.only:
+        today = datetime.datetime.now(datetime.UTC).date()
+        head = f"# Release check\n\nWritten by `make release-check` on {today}.\n\n"
+        (ROOT / "docs/validation/release.md").write_text(f"{head}{text}\n", encoding="utf-8")
+    return int(not table["state"].isin(["made again", "as recorded"]).all())
+
+
+if __name__ == "__main__":
+    sys.exit(main())
