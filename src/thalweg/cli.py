@@ -30,6 +30,7 @@ from thalweg.commands import (
     refuse_overwriting,
     summarise_changes,
 )
+from thalweg.commands.options import GEODETIC, lengths
 from thalweg.core import ConfigError, InputError, ThalwegError, file_trouble, in_options, to_terminal
 
 if TYPE_CHECKING:
@@ -104,77 +105,72 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"thalweg {thalweg.__version__}")
     commands = Commands(parser)
 
-    new = commands.add_parser("new-campaign", help="write a commented campaign file")
-    new.add_argument("id", help="short name: small letters, digits, underscores")
-    new.add_argument(
-        "--from-logs",
-        type=Path,
-        metavar="FOLDER",
-        help="enter the logs of this folder, recognised by their content",
+    commands.add(
+        "new-campaign",
+        "write a commented campaign file",
+        _new_campaign,
+        ("id", str, None, "short name: small letters, digits, underscores"),
+        ("--from-logs", Path, "FOLDER", "enter the logs of this folder, recognised by their content"),
+        ("--origin", [float], GEODETIC, "point near the survey: origin of the local frame"),
+        ("--folder", Path, None, "where to write (default: %(default)s)", CAMPAIGNS),
+        (
+            "--epochs",
+            [str],
+            "ID|FILE[@DATE]",
+            "compare these epochs, two or more in the order of time: campaigns of the folder, or clouds and "
+            "surface models (.tif) with the day of the survey, such as bank.laz@2019-03-13",
+        ),
     )
-    new.add_argument(
-        "--origin",
-        type=float,
-        nargs=3,
-        metavar=("LAT_DEG", "LON_DEG", "H_ELL_M"),
-        help="point near the survey: origin of the local frame",
+    commands.add(
+        "check-config",
+        "check campaign files; report all mistakes at once",
+        _check_config,
+        ("files", [str], "FILE", "campaign file, or id of one"),
     )
-    new.add_argument("--folder", type=Path, default=CAMPAIGNS, help="where to write (default: %(default)s)")
-    new.add_argument(
-        "--epochs",
-        nargs="+",
-        metavar="ID|FILE[@DATE]",
-        help="compare these epochs, two or more in the order of time: campaigns of the folder, or clouds and "
-        "surface models (.tif) with the day of the survey, such as bank.laz@2019-03-13",
-    )
-    new.set_defaults(command=_new_campaign)
-
-    check = commands.add_parser("check-config", help="check campaign files; report all mistakes at once")
-    check.add_argument("files", nargs="+", metavar="FILE", help="campaign file, or id of one")
-    check.set_defaults(command=_check_config)
-
-    describe = commands.add_parser(
+    commands.add(
         "describe",
-        help="content of a raw log (counts, gaps, losses, clock), of a calibration file, or of the files "
+        "content of a raw log (counts, gaps, losses, clock), of a calibration file, or of the files "
         "that belong to it: description of the field, clock of the camera, mounting",
+        _describe,
+        ("files", [Path], "FILE", "raw logs, clouds, calibration files"),
+        ("--model", str, None, "lidar model, if the packets state a wrong one"),
+        ("--json", bool, None, "print JSON"),
     )
-    describe.add_argument(
-        "files", nargs="+", type=Path, metavar="FILE", help="raw logs, clouds, calibration files"
-    )
-    describe.add_argument("--model", help="lidar model, if the packets state a wrong one")
-    describe.add_argument("--json", action="store_true", help="print JSON")
-    describe.set_defaults(command=_describe)
-
     add_fetch_command(commands)
     add_calibration_commands(commands)
     add_deformation_commands(commands)
     add_bathymetry_commands(commands)
     add_survey_commands(commands)
     add_image_commands(commands)
-
-    summary = commands.add_parser("summary", help="print the summary of a processed campaign")
-    summary.add_argument("folder", type=Path, metavar="FOLDER", help="results/<campaign>")
-    summary.set_defaults(command=_summary)
-
-    budget = commands.add_parser(
-        "budget", help="error budget of a chain of frames: effect of each input on a point"
+    commands.add(
+        "summary",
+        "print the summary of a processed campaign",
+        _summary,
+        ("folder", Path, "FOLDER", "results/<campaign>"),
     )
-    budget.add_argument("file", type=Path, metavar="FILE", help="budget file; docs/budgets.md describes it")
-    budget.add_argument(
-        "--distances", type=_distances, metavar="M,M,...", help="other distances than the file's, in metres"
+    commands.add(
+        "budget",
+        "error budget of a chain of frames: effect of each input on a point",
+        _budget,
+        ("file", Path, "FILE", "budget file; docs/budgets.md describes it"),
+        (
+            "--distances",
+            lengths("distances in metres such as 5,10,25,50"),
+            "M,M,...",
+            "other distances than the file's, in metres",
+        ),
+        ("--published", Path, "CSV", "published values, to compare with"),
+        ("--csv", Path, "OUT", "write all influences to a CSV file"),
     )
-    budget.add_argument("--published", type=Path, metavar="CSV", help="published values, to compare with")
-    budget.add_argument("--csv", type=Path, metavar="OUT", help="write all influences to a CSV file")
-    budget.set_defaults(command=_budget)
-
     add_result_commands(commands)
     add_cluster_commands(commands)
-    schema = commands.add_parser("schema", help="JSON schema of campaign files")
-    schema.add_argument("--write", action="store_true", help="write the generated files of the config folder")
-    schema.add_argument(
-        "--folder", type=Path, default=CAMPAIGNS.parent, help="config folder (default: %(default)s)"
+    commands.add(
+        "schema",
+        "JSON schema of campaign files",
+        _schema,
+        ("--write", bool, None, "write the generated files of the config folder"),
+        ("--folder", Path, None, "config folder (default: %(default)s)", CAMPAIGNS.parent),
     )
-    schema.set_defaults(command=_schema)
     return parser
 
 
@@ -688,16 +684,6 @@ def _summary(options: argparse.Namespace) -> int:
     worth = [options.folder / name for name in WORTH_OPENING]
     print("\n".join(f"  {p}" for p in [p for p in worth if p.is_file()][:5]))
     return 0
-
-
-def _distances(text: str) -> tuple[float, ...]:
-    try:
-        values = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        values = ()
-    if not values or not all(0 < value < float("inf") for value in values):
-        raise argparse.ArgumentTypeError(f"{text!r}; expected distances in metres such as 5,10,25,50")
-    return values
 
 
 def _budget(options: argparse.Namespace) -> int:

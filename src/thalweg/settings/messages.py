@@ -6,7 +6,7 @@ import math
 import os
 import re
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from itertools import islice
 from pathlib import Path
@@ -36,6 +36,37 @@ class CampaignError(ConfigError):
         super().__init__(f"{head}:\n{lines}")
         # The base class ends its text with a stop; here each line has one.
         self.args = (self.found,)
+
+
+# ---------------------------------------------------------------- mistakes as rows
+
+
+def mistake(where: str | tuple[Key, ...], found: str, expected: str = "", cure: str = "") -> Mistake:
+    """A mistake at a path: its keys, or these with dots between them."""
+    path = tuple(where.split(".")) if isinstance(where, str) else where
+    return Mistake(path=path, found=found, expected=expected, cure=cure)
+
+
+def lacking(where: str, given: Any, needed: Mapping[str, str], more: str = "") -> Iterator[Mistake]:
+    """Keys below a place that are needed and not given.
+
+    Parameters
+    ----------
+    where : the place, with dots between its keys.
+    given : the section.
+    needed : what each key holds.
+    more : where to read on, behind the cure.
+    """
+    for key, what in needed.items():
+        if not getattr(given, key):
+            yield mistake(f"{where}.{key}", "missing", what, f"Add the line `{key}: [...]`{more}")
+
+
+def single(where: str, counts: Mapping[str, int], expected: str, cure: str) -> Iterator[Mistake]:
+    """Keys below a place that name several files where one is expected."""
+    for key, count in counts.items():
+        if count > 1:
+            yield mistake(f"{where}.{key}", f"{count} files", expected, cure)
 
 
 # ---------------------------------------------------------------- paths of raw logs
