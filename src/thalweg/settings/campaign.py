@@ -1,7 +1,9 @@
 """The whole campaign file as one model."""
 
+from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from types import ModuleType
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from pydantic import ConfigDict, Field
 
@@ -36,7 +38,27 @@ from thalweg.settings.sections import (
     Section,
     is_rinex_name,
 )
-from thalweg.settings.twin import TwinConfig
+
+# ---------------------------------------------------------------- section ``twin``
+
+
+def _laboratory() -> ModuleType | None:
+    try:
+        return import_module("thalweg_lab.settings")
+    except ModuleNotFoundError as error:
+        if error.name not in ("thalweg_lab", "thalweg_lab.settings"):
+            raise
+        return None
+
+
+LABORATORY: Final = _laboratory()
+"""What the laboratory adds to campaign files: the section ``twin`` (`TwinConfig`) and the checks of it
+(`twin_mistakes`). The library never needs it, and without it a campaign with a twin is refused."""
+
+if TYPE_CHECKING:
+    Twin = Any
+else:
+    Twin = None if LABORATORY is None else LABORATORY.TwinConfig | None
 
 # ---------------------------------------------------------------- section ``campaign``
 
@@ -105,7 +127,7 @@ class Campaign(Section):
     )
 
     campaign: Identity = Field(description="Name, map and world frame")
-    twin: TwinConfig | None = Field(
+    twin: Twin = Field(
         default=None,
         description="The digital twin writes the logs; exactly one of `twin`, `logs` and `epochs`",
     )

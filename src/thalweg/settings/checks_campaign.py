@@ -9,12 +9,11 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
 from thalweg.core import Key, Mistake
-from thalweg.settings.campaign import ID_PATTERN
+from thalweg.settings.campaign import ID_PATTERN, LABORATORY
 from thalweg.settings.checks_epochs import check_epochs
 from thalweg.settings.checks_files import IMAGE_ENDINGS, check_files, no_path
 from thalweg.settings.checks_place import (
@@ -24,7 +23,16 @@ from thalweg.settings.checks_place import (
     geodetic_place,
     parse_crs,
 )
-from thalweg.settings.messages import anchor, lacking, missing_cure, mistake, radians_cure, show, single
+from thalweg.settings.messages import (
+    anchor,
+    lacking,
+    missing_cure,
+    mistake,
+    radians_cure,
+    show,
+    single,
+    value_at,
+)
 from thalweg.settings.sections import (
     LOCAL,
     SCAN_PARTS,
@@ -73,6 +81,8 @@ _ONE_FILE: Final = (
     "grid",
     "panels",
 )
+_SHEET: Final = "logs.light_sheet"
+_DOCS: Final = "; docs/light_sheet.md says what each file holds"
 _SHEET: Final = "logs.light_sheet"
 _DOCS: Final = "; docs/light_sheet.md says what each file holds"
 _LEVELS: Final = 2
@@ -129,37 +139,6 @@ def check_sheet_logs(logs: Logs, files: Mapping[str, tuple[str, ...]]) -> Iterat
                 "one of both in a campaign: the boat's logs would not be used",
                 "Make a campaign of its own for them",
             )
-
-
-def check_sheet_twin(twin: Any, light_sheet: Any) -> Iterator[Mistake]:
-    """Mistakes in the twin's grid object.
-
-    Parameters
-    ----------
-    twin, light_sheet : the sections of these names as written.
-    """
-    depths = _below(twin, "light_sheet", "levels_mm")
-    count = _LEVELS
-    where: tuple[Key, ...] = ("twin", "light_sheet", "levels_mm")
-    if isinstance(depths, list) and all(isinstance(d, int | float) for d in depths):
-        count = len(depths)
-        if any(low >= high for low, high in pairwise(depths)):
-            yield mistake(
-                where,
-                f"found {depths}",
-                "depths that grow from level to level",
-                f"Write {sorted(set(depths))}",
-            )
-    levels = _below(light_sheet, "calibration", "levels")
-    levels = _LEVELS if levels is None else levels
-    is_basin = _below(twin, "light_sheet") is not None or str(_below(twin, "size")).startswith("basin")
-    if is_basin and isinstance(levels, int) and levels != count:
-        yield mistake(
-            ("light_sheet", "calibration", "levels") if _below(light_sheet, "calibration") else where,
-            f"light_sheet.calibration.levels is {levels}, the twin's object has {count}",
-            "the same number of levels",
-            f"Write light_sheet.calibration.levels: {count}",
-        )
 
 
 def _images(paths: tuple[str, ...]) -> int:
@@ -405,7 +384,7 @@ def check_rig(
             "its description, its pictures and its surveyed marks",
             f"State {missing}, or leave the field out and name logs.rig.calibration",
         )
-    if _below(images, "source") == "rig" and not given.get("images") and not _below(twin, "dual_fisheye"):
+    if value_at(images, "source") == "rig" and not given.get("images") and not value_at(twin, "dual_fisheye"):
         yield mistake(
             "images.source",
             "rig, and no files of a rig",
@@ -414,7 +393,7 @@ def check_rig(
         )
     if not given.get("images"):
         return
-    chosen = _below(mounts, "calibration")
+    chosen = value_at(mounts, "calibration")
     # whether a campaign of that name calibrates a rig is seen where all campaigns are
     elsewhere = isinstance(chosen, str) and not is_calibration_path(chosen)
     if not field and not given.get("calibration") and not elsewhere:
@@ -424,13 +403,13 @@ def check_rig(
             "logs.rig.calibration, a field of marks around the rig, or mounts.calibration with one",
             "State logs.rig.field, field_images and field_points, or logs.rig.calibration",
         )
-    if not _below(rig, "mount"):
+    if not value_at(rig, "mount"):
         yield mistake(
             "rig",
             "files of a rig, but no place of it on the boat",
             cure="State rig.mount: the front lens in the body frame of the INS",
         )
-    if not lidar and (_below(panorama, "mode") or "depth") == "depth":
+    if not lidar and (value_at(panorama, "mode") or "depth") == "depth":
         yield mistake(
             "panorama.mode",
             "depth, and no lidar whose cloud says how far things are",
@@ -454,8 +433,8 @@ def check_images(
     mounts, images, twin, orientation : the sections of these names as written.
     """
     given = logs if isinstance(logs, Mapping) else {}
-    by_rig = _below(images, "source") == "rig"
-    taken = by_rig or bool(given.get("images")) or bool(_below(twin, "time_lapse"))
+    by_rig = value_at(images, "source") == "rig"
+    taken = by_rig or bool(given.get("images")) or bool(value_at(twin, "time_lapse"))
     if not taken:
         for key in _BESIDE:
             if given.get(key):
@@ -473,8 +452,8 @@ def check_images(
             cure="State mounts.camera, or name the calibration that found it as mounts.calibration",
         )
     adjusted = (by_rig and not twin) or (bool(given.get("images")) and not given.get("orientations"))
-    antenna = _below(images, "adjustment", "antenna", "use") is True
-    source = _below(orientation, "position_source")
+    antenna = value_at(images, "adjustment", "antenna", "use") is True
+    source = value_at(orientation, "position_source")
     if adjusted and not given.get("control_points") and not antenna:
         place = (
             "; positions that are part of the INS's solution cannot take their place"
@@ -504,13 +483,6 @@ def check_images(
                 "one interior orientation for the camera of a folder",
                 "Name one file; a second camera has a folder of its own",
             )
-
-
-def _below(section: Any, *keys: str) -> Any:
-    """A value below a section as written, None if absent."""
-    for key in keys:
-        section = section.get(key) if isinstance(section, Mapping) else None
-    return section
 
 
 # ---------------------------------------------------------------- is each scan of the light-sheet sensor
@@ -547,7 +519,7 @@ def check_scans(logs: Logs, files: Mapping[str, tuple[str, ...]]) -> Iterator[Mi
         for one, other in (("reference", "pairs"), ("pairs", "reference")):
             if getattr(scan, one) and not getattr(scan, other):
                 yield mistake(
-                    (*where, other),
+                    f"{where}.{other}",
                     "missing",
                     f"both reference and pairs, beside {one}",
                     "Pick three or more places that scan and mesh both show",
@@ -584,10 +556,7 @@ class Parts:
 
     def raw(self, *keys: str) -> Any:
         """Value as written in the file, None if absent."""
-        value: Any = self.data
-        for key in keys:
-            value = value.get(key) if isinstance(value, dict) else None
-        return value
+        return value_at(self.data, *keys)
 
     @property
     def boat(self) -> bool:
@@ -642,9 +611,8 @@ def domain_mistakes(parts: Parts) -> tuple[list[Mistake], dict[str, tuple[str, .
         mistakes += check_base(parts.logs.gnss, parts.raw("campaign", "origin"))
         mistakes += check_sheet_logs(parts.logs, files)
         mistakes += check_scans(parts.logs, files)
-    elif parts.raw("twin") is not None:
-        mistakes += _check_twin_source(parts)
-        mistakes += check_sheet_twin(parts.raw("twin"), parts.raw("light_sheet"))
+    elif LABORATORY is not None and parts.raw("twin") is not None:
+        mistakes += LABORATORY.twin_mistakes(parts.data, parts.orientation)
     return mistakes, files
 
 
@@ -919,17 +887,6 @@ def _check_bed(parts: Parts) -> Iterator[Mistake]:
             "the height system that it belongs to, and how good it is",
             "Write fusion.vertical: {name: …, sigma_separation_m: …}, without separation_m",
         )
-    twin = parts.raw("twin") or {}
-    on_land = isinstance(twin, dict) and (
-        isinstance(twin.get("field"), dict) or str(twin.get("size")).startswith("field")
-    )
-    if on_land and parts.raw("twin", "echo", "bed_survey"):
-        yield mistake(
-            "twin.echo.bed_survey",
-            "a calibration field on land has no river bed",
-            "bed_survey in a survey campaign",
-            "Remove the line, or move it to a campaign on the river",
-        )
 
 
 def _check_source(parts: Parts, logs: Logs) -> Iterator[Mistake]:
@@ -996,28 +953,6 @@ def _check_source(parts: Parts, logs: Logs) -> Iterator[Mistake]:
 
 def _given(logs: Logs, keys: tuple[str, ...]) -> bool:
     return all((logs.gnss.rover if key == "gnss.rover" else getattr(logs, key)) for key in keys)
-
-
-def _check_twin_source(parts: Parts) -> Iterator[Mistake]:
-    if parts.orientation is not None and parts.orientation.position_source in {"sbet", "nmea", "gpx"}:
-        yield mistake(
-            "orientation.position_source",
-            f"found {parts.orientation.position_source!r}, but the twin does not write such logs",
-            "pos, sbp, ppk or ins",
-            "Write position_source: pos",
-        )
-    mode = parts.raw("twin", "gnss", "mode")
-    if mode is None and parts.raw("twin", "size") == "reach":
-        mode = "single_frequency"
-    source = parts.orientation
-    single = mode == "single_frequency" and source is not None and source.position_source != "ins"
-    if source is not None and single and "single" not in source.accept_fixes:
-        yield mistake(
-            "orientation.accept_fixes",
-            f"found {list(source.accept_fixes)}, but twin.gnss.mode is single_frequency",
-            "single among them: such a receiver never has a fixed solution",
-            "Write accept_fixes: [single], or position_source: ins",
-        )
 
 
 def _check_logs(logs: Logs) -> Iterator[Mistake]:

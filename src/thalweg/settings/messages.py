@@ -41,6 +41,13 @@ class CampaignError(ConfigError):
 # ---------------------------------------------------------------- mistakes as rows
 
 
+def value_at(section: Any, *keys: str) -> Any:
+    """A value below a section as written in the file, None if absent."""
+    for key in keys:
+        section = section.get(key) if isinstance(section, Mapping) else None
+    return section
+
+
 def mistake(where: str | tuple[Key, ...], found: str, expected: str = "", cure: str = "") -> Mistake:
     """A mistake at a path: its keys, or these with dots between them."""
     path = tuple(where.split(".")) if isinstance(where, str) else where
@@ -462,6 +469,10 @@ def mistake_of(error: ErrorDetails) -> Mistake:
         found = "the section is empty" if value is None else found
         keys = ", ".join(keys_at(path)[:5])
         cure = f"Write keys below it, indented by two spaces ({keys} …), or remove the line"
+    elif kind == "none_required":
+        found = "a digital twin, but the laboratory that simulates it (package thalweg_lab) is not installed"
+        expected = "logs of a survey, or epochs to compare"
+        cure = "Install the wheel with the laboratory, or process this campaign in the repository"
     elif kind.startswith("string"):
         expected, cure = _text(path, kind, value, expected)
     else:

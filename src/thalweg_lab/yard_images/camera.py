@@ -9,7 +9,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from thalweg.core import ArrayF, ArrayF32, ArrayU8, Camera
-from thalweg.settings.twin import TwinLens
+from thalweg_lab.settings import TwinLens
 
 _NODE_PX: Final = 8
 

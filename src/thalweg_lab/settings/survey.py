@@ -32,7 +32,7 @@ from thalweg.settings.sections import (
     Sigma3,
     Vector3,
 )
-from thalweg.settings.twin.yard import TwinField, TwinLightSheet, TwinSheetStrip
+from thalweg_lab.settings.yard import TwinField, TwinLightSheet, TwinSheetStrip
 
 # ---------------------------------------------------------------- river, banks and boat
 
