@@ -71,11 +71,19 @@ ID_PATTERN = "^[a-z][a-z0-9_]*$"
 class Origin(Section):
     """Origin of the local east-north-up frame wcs, geodetic."""
 
-    lat_deg: Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)] = Field(
-        description="Latitude of the origin of the local frame, degrees, north positive", examples=[51.05]
+    lat_deg: float = Field(
+        ge=-90,
+        le=90,
+        allow_inf_nan=False,
+        description="Latitude of the origin of the local frame, degrees, north positive",
+        examples=[51.05],
     )
-    lon_deg: Annotated[float, Field(ge=-180, le=180, allow_inf_nan=False)] = Field(
-        description="Longitude of the origin, degrees, east positive", examples=[13.25]
+    lon_deg: float = Field(
+        ge=-180,
+        le=180,
+        allow_inf_nan=False,
+        description="Longitude of the origin, degrees, east positive",
+        examples=[13.25],
     )
     h_ell_m: Finite = Field(
         ge=-500,
