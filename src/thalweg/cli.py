@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 import thalweg
 from thalweg.commands import (
+    GEODETIC,
     Commands,
     add_bathymetry_commands,
     add_calibration_commands,
@@ -27,10 +28,10 @@ from thalweg.commands import (
     add_result_commands,
     add_survey_commands,
     describe_marked,
+    lengths,
     refuse_overwriting,
     summarise_changes,
 )
-from thalweg.commands.options import GEODETIC, lengths
 from thalweg.core import ConfigError, InputError, ThalwegError, file_trouble, in_options, to_terminal
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""The library without its laboratory: surveys load, twins are refused with a sentence that says what is missing."""
+"""The library without its laboratory: surveys load, twins are refused with what is missing."""
 
 import subprocess
 import sys

@@ -10,6 +10,7 @@ from .deformation import (
 )
 from .fetch import add_fetch_command as add_fetch_command
 from .images import add_image_commands as add_image_commands
+from .options import GEODETIC as GEODETIC, lengths as lengths
 from .parser import EXAMPLES as EXAMPLES, Commands as Commands, refuse_overwriting as refuse_overwriting
 from .results import add_cluster_commands as add_cluster_commands, add_result_commands as add_result_commands
 from .survey import add_survey_commands as add_survey_commands

@@ -156,16 +156,6 @@ class Visibility(Section):
         allow_inf_nan=False,
         description="Beams that graze the surface more than this give no echo, degrees",
     )
-    water_margin_m: NonNegative = Field(
-        default=0.1, le=5, description="Places lower than this above the water of the epoch are water, metres"
-    )
-    voxel_m: float = Field(
-        default=0.25,
-        ge=0.05,
-        le=5,
-        allow_inf_nan=False,
-        description="Cells in which beams look for what is in their way, metres",
-    )
 
 
 class Classes(Section):

@@ -34,12 +34,6 @@ class FeatureSettings(Section):
         le=100_000,
         description="Features kept of an image at most, those of the largest scale",
     )
-    peak_threshold: float = Field(
-        default=0.0067,
-        gt=0,
-        le=0.1,
-        description="Least contrast of a feature, share of the full range; lower: more, weaker",
-    )
     double_size: bool = Field(
         default=True,
         description="Look for features in the image at twice its size, too: more small features, four times "
@@ -69,11 +63,8 @@ class MappingSettings(Section):
     pairs: Literal["auto", "sequential", "spatial", "exhaustive"] = Field(
         default="auto",
         description="Images that are compared: `sequential`: neighbours in time; `spatial`: neighbours in "
-        "time and by approximate position; `exhaustive`: all with all; `auto`: exhaustive up to "
-        "`exhaustive_up_to` images, else sequential, and spatial where positions are given",
-    )
-    exhaustive_up_to: int = Field(
-        default=30, ge=2, le=2000, description="Number of images up to which `auto` compares all with all"
+        "time and by approximate position; `exhaustive`: all with all; `auto`: exhaustive up to 30 "
+        "images, else sequential, and spatial where positions are given",
     )
     overlap: int = Field(
         default=10, ge=1, le=200, description="Following images that an image is compared with"
@@ -97,12 +88,6 @@ class MappingSettings(Section):
     min_inliers: int = Field(
         default=15, ge=8, le=1000, description="Common points that a pair of images must have"
     )
-    max_ratio: float = Field(
-        default=0.8,
-        gt=0,
-        lt=1,
-        description="Distance of the best over the second best match above which a match is ambiguous",
-    )
     method: Literal["incremental", "global"] = Field(
         default="incremental",
         description="`incremental`: image by image; `global`: all at once, faster for large blocks, less "
@@ -118,9 +103,6 @@ class MappingSettings(Section):
         default="auto",
         description="Model of the lens, in COLMAP's names; `auto`: that of the given camera, SIMPLE_RADIAL "
         "without one",
-    )
-    smallest_piece: int = Field(
-        default=3, ge=2, le=100, description="Images that a separate piece of the block must have to be kept"
     )
     max_error_px: Positive = Field(
         default=2.0,
@@ -143,10 +125,6 @@ class MappingSettings(Section):
 # ---------------------------------------------------------------- masks
 
 
-Margin = Annotated[float, Field(ge=0, le=0.2, allow_inf_nan=False)]
-"""A strip, as a share of an image's height."""
-
-
 class MaskSettings(Section):
     """Masks of water, sky and own boat; their colours and textures are learned from each series itself."""
 
@@ -159,19 +137,6 @@ class MaskSettings(Section):
         ge=160,
         le=4000,
         description="Longest side of the reduced images that are analysed, pixels; time grows as its square",
-    )
-    sample_images: int = Field(
-        default=40,
-        ge=1,
-        le=1000,
-        description="Images, evenly over the series, from which colours, textures and own boat are learned",
-    )
-    margin_share: Margin = Field(
-        default=0.006,
-        description="Strip of the bank above the water line that is masked too, share of the image's height",
-    )
-    hull_margin_share: Margin = Field(
-        default=0.006, description="Strip around the own boat that is masked too, share of the image's height"
     )
     pose_sigma_deg: SigmaAngle = Field(
         default=3.0,
