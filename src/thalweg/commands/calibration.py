@@ -12,6 +12,7 @@ from thalweg.commands.remedies import of_a_campaign
 from thalweg.core import InputError
 
 if TYPE_CHECKING:
+    from thalweg.core.calibration import Calibration
     from thalweg.ingest import IntegrityReport
 
 _HEAD_BYTES: Final = 4096
@@ -198,8 +199,16 @@ def _print_markers(options: argparse.Namespace) -> int:
     return 0
 
 
+def _write(out: Path, calibration: "Calibration") -> int:
+    from thalweg.core.calibration import write_calibration
+
+    write_calibration(out, calibration)
+    print(f"Wrote {out}. Look at it with: thalweg describe {out}")
+    return 0
+
+
 def _import_calibration(options: argparse.Namespace) -> int:
-    from thalweg.core.calibration import import_kalibr, import_matrix, write_calibration
+    from thalweg.core.calibration import import_kalibr, import_matrix
     from thalweg.ingest.registry import KINDS, recognise
 
     kind, sigmas = recognise(options.file), dict(options.sigma)
@@ -216,9 +225,7 @@ def _import_calibration(options: argparse.Namespace) -> int:
             expected=f"{KINDS['kalibr']} or {KINDS['matrix']}",
             cure="Use `thalweg import-camera`" if kind in _ENDINGS else "",
         )
-    write_calibration(options.out, found)
-    print(f"Wrote {options.out}. Look at it with: thalweg describe {options.out}")
-    return 0
+    return _write(options.out, found)
 
 
 def _resect(options: argparse.Namespace) -> int:
@@ -286,7 +293,6 @@ def _resect(options: argparse.Namespace) -> int:
 
 def _calibrate_lens(options: argparse.Namespace) -> int:
     from thalweg.calibration import calibrate_lens, corners_of_pictures, lens_calibration_file, read_corners
-    from thalweg.core.calibration import write_calibration
 
     if not options.name.isidentifier():
         raise InputError(f"a camera named {options.name!r}", expected="a name such as camera or front")
@@ -302,7 +308,6 @@ def _calibrate_lens(options: argparse.Namespace) -> int:
         corners, size, missed = read_corners(options.corners[0]), options.size, {}
         run = options.corners[0].name
     found = calibrate_lens(corners, size, spacing_m=options.spacing_m, model=options.model, name=options.name)
-    write_calibration(options.out, lens_calibration_file(found, run=run))
     sigmas = found.camera.cov.diagonal() ** 0.5
     for name, value, sigma in zip(found.camera.parameter_names, found.camera.parameters, sigmas, strict=True):
         print(f"{name:>4} {value:12.6g} +- {sigma:.2g}")
@@ -315,12 +320,11 @@ def _calibrate_lens(options: argparse.Namespace) -> int:
         print(f"left out: {picture}: {why}")
     for corner in found.rejected:
         print(f"rejected: {corner}")
-    print(f"Wrote {options.out}. Look at it with: thalweg describe {options.out}")
-    return 0
+    return _write(options.out, lens_calibration_file(found, run=run))
 
 
 def _import_camera(options: argparse.Namespace) -> int:
-    from thalweg.core.calibration import import_camera, write_calibration
+    from thalweg.core.calibration import import_camera
     from thalweg.ingest.registry import KINDS, recognise
 
     kind = recognise(options.file)
@@ -342,11 +346,9 @@ def _import_camera(options: argparse.Namespace) -> int:
         name=options.block,
         size_px=tuple(options.size_px) if options.size_px else None,
     )
-    write_calibration(options.out, found)
     if held := found.blocks[0].facts.get("held"):
         print(f"held at their values, sigma zero: {', '.join(held)}; not so? --sigma {held[0]}=...")
-    print(f"Wrote {options.out}. Look at it with: thalweg describe {options.out}")
-    return 0
+    return _write(options.out, found)
 
 
 def _export_camera(options: argparse.Namespace) -> int:

@@ -83,10 +83,6 @@ _ONE_FILE: Final = (
 )
 _SHEET: Final = "logs.light_sheet"
 _DOCS: Final = "; docs/light_sheet.md says what each file holds"
-_SHEET: Final = "logs.light_sheet"
-_DOCS: Final = "; docs/light_sheet.md says what each file holds"
-_LEVELS: Final = 2
-"""Default of ``light_sheet.calibration.levels`` and number of levels of the twin's object."""
 
 
 def check_sheet_logs(logs: Logs, files: Mapping[str, tuple[str, ...]]) -> Iterator[Mistake]:
@@ -695,9 +691,12 @@ def _check_alone(logs: Logs) -> Iterator[Mistake]:
     if logs.kind == "fixed_camera":
         needed = {"marks": "where control points are in the pictures", "control_points": "surveyed points"}
         yield from lacking("logs.fixed_camera", logs.fixed_camera, needed)
-        count = {"interior": len(logs.fixed_camera.interior)}
-        expected = "one file; a second camera is another campaign"
-        yield from single("logs.fixed_camera", count, expected, "Name one")
+        yield from single(
+            "logs.fixed_camera",
+            {"interior": len(logs.fixed_camera.interior)},
+            "one file; a second camera is another campaign",
+            "Name one",
+        )
     elif logs.kind == "cloud":
         for name in ("cloud", "reference"):
             count = len(getattr(logs, name))

@@ -333,51 +333,43 @@ def named_epochs(campaign: Campaign, folder: Path) -> tuple[list[Campaign], list
                 *wrong,
             ]
             continue
-        if epoch.chain != "ins" and not (
-            survey.twin.time_lapse if survey.twin else survey.log_files("time_lapse")
-        ):
-            mistakes.append(
-                mistake(
-                    ("epochs", i, "chain"),
-                    f"chain {epoch.chain!r}, but {epoch.campaign!r} has no time-lapse images",
-                    "chain: ins",
-                    "Write chain: ins, or add the images to that campaign",
-                )
-            )
-            continue
-        depths = survey.twin is not None or bool(survey.log_files("depth"))
-        if epoch.surface == "bed" and not depths:
-            mistakes.append(
-                mistake(
-                    ("epochs", i, "surface"),
-                    f"surface 'bed', but {epoch.campaign!r} has no soundings",
-                    "surface: bank",
-                    "Remove the line, or add the log of the echo sounder to that campaign",
-                )
-            )
-            continue
-        if epoch.surface == "bed" and epoch.correlation_m is None:
-            mistakes.append(
-                mistake(
-                    ("epochs", i, "surface"),
-                    "surface 'bed' without correlation_m",
-                    "the distance at which the correlation of errors of the bed is 1/e",
-                    "Write correlation_m, about half the distance of the lines of soundings",
-                )
-            )
-            continue
         if survey.twin is not None:
             starts[epoch.campaign] = dt.datetime.fromisoformat(survey.twin.start_utc)
-        if survey.campaign.crs != campaign.campaign.crs:
-            mistakes.append(
-                mistake(
-                    ("epochs", i, "campaign"),
-                    f"{epoch.campaign!r} is in {survey.campaign.crs}, this campaign in "
-                    f"{campaign.campaign.crs}",
-                    "one coordinate system for all epochs, with ellipsoidal heights",
-                    "Write the same campaign.crs in all of them",
-                )
-            )
+        images = survey.twin.time_lapse if survey.twin else survey.log_files("time_lapse")
+        bed, depths = epoch.surface == "bed", survey.twin or survey.log_files("depth")
+        rows = (
+            (
+                epoch.chain != "ins" and not images,
+                "chain",
+                f"chain {epoch.chain!r}, but {epoch.campaign!r} has no time-lapse images",
+                "chain: ins",
+                "Write chain: ins, or add the images to that campaign",
+            ),
+            (
+                bed and not depths,
+                "surface",
+                f"surface 'bed', but {epoch.campaign!r} has no soundings",
+                "surface: bank",
+                "Remove the line, or add the log of the echo sounder to that campaign",
+            ),
+            (
+                bed and epoch.correlation_m is None,
+                "surface",
+                "surface 'bed' without correlation_m",
+                "the distance at which the correlation of errors of the bed is 1/e",
+                "Write correlation_m, about half the distance of the lines of soundings",
+            ),
+            (
+                survey.campaign.crs != campaign.campaign.crs,
+                "campaign",
+                f"{epoch.campaign!r} is in {survey.campaign.crs}, this campaign in {campaign.campaign.crs}",
+                "one coordinate system for all epochs, with ellipsoidal heights",
+                "Write the same campaign.crs in all of them",
+            ),
+        )
+        refused = [mistake(("epochs", i, key), *words) for is_so, key, *words in rows if is_so][:1]
+        if refused:
+            mistakes += refused
             continue
         before, wrong = named_calibration(survey.mounts.calibration, folder, (survey.id,))
         mistakes += [_placed(m, path) for m in wrong]

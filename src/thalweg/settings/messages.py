@@ -7,14 +7,13 @@ import os
 import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import cache
 from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
 from pydantic_core import ErrorDetails
 
-from thalweg.core import ConfigError, Key, Mistake
+from thalweg.core import ConfigError, Key, Mistake, Node, Schema, number_in_words
 from thalweg.settings.campaign import Campaign
 
 # ---------------------------------------------------------------- the error that lists all
@@ -174,8 +173,6 @@ def _some_names(folder: Path) -> str:
 # ---------------------------------------------------------------- look-ups in the JSON schema
 
 
-Node = dict[str, Any]
-
 _UNITS = {
     "m": "metres",
     "mm": "millimetres",
@@ -196,51 +193,15 @@ _UNITS = {
 }
 
 
-@cache
+_SCHEMA: Final = Schema(Campaign)
+resolve: Final = _SCHEMA.resolve
+node_at: Final = _SCHEMA.at
+keys_at: Final = _SCHEMA.keys
+
+
 def schema() -> Node:
     """JSON schema of the campaign file."""
-    return Campaign.model_json_schema()
-
-
-def resolve(node: Node) -> Node:
-    """A schema node with its reference followed, and the non-null part of an optional value."""
-    for _ in range(8):
-        if "$ref" in node:
-            rest = {k: v for k, v in node.items() if k != "$ref"}
-            node = {**schema()["$defs"][node["$ref"].rsplit("/", 1)[1]], **rest}
-            continue
-        options = node.get("anyOf") or node.get("allOf") or []
-        real = [o for o in options if o.get("type") != "null" and "required" not in o]
-        if "properties" in node or not real:
-            return node
-        node = {**{k: v for k, v in node.items() if k not in {"anyOf", "allOf"}}, **real[0]}
-    return node
-
-
-def node_at(path: tuple[Key, ...]) -> Node:
-    """Schema of a path; empty if the path is not part of it."""
-    node = resolve(schema())
-    for key in path:
-        if isinstance(key, int):
-            items = node.get("prefixItems", [])
-            child = items[key] if key < len(items) else node.get("items", {})
-        else:
-            child = node.get("properties", {}).get(key) or _of_any_name(node, key)
-        node = resolve(child) if isinstance(child, dict) else {}
-    return node
-
-
-def _of_any_name(node: Node, key: str) -> Any:
-    """Schema of what stands below a name that the user chooses, such as that of a scan; empty if none may."""
-    for pattern, child in node.get("patternProperties", {}).items():
-        if re.search(pattern, key):
-            return child
-    return node.get("additionalProperties") or {}
-
-
-def keys_at(path: tuple[Key, ...]) -> list[str]:
-    """Keys that are allowed below a path."""
-    return list(node_at(path).get("properties", {}))
+    return _SCHEMA.whole
 
 
 def all_paths(path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
@@ -275,16 +236,7 @@ def describe_expected(path: tuple[Key, ...]) -> str:
         return "one of " + ", ".join(str(v) for v in node.get("enum", [node.get("const")]))
     kind = node.get("type", "")
     if kind in {"number", "integer"}:
-        text = "a whole number" if kind == "integer" else "a number"
-        low, high = node.get("minimum"), node.get("maximum")
-        above, below = node.get("exclusiveMinimum"), node.get("exclusiveMaximum")
-        if low is not None and high is not None:
-            text += f" from {_number(low)} to {_number(high)}"
-        else:
-            text += f" of at least {_number(low)}" if low is not None else ""
-            text += f" above {_number(above)}" if above is not None else ""
-            text += f" up to {_number(high)}" if high is not None else ""
-            text += f" below {_number(below)}" if below is not None else ""
+        text = number_in_words(node)
         unit = unit_at(path)
         return f"{text} ({unit})" if unit else text
     if kind == "array":
@@ -299,10 +251,6 @@ def describe_expected(path: tuple[Key, ...]) -> str:
             return "a list of " + ", ".join(str(v) for v in items["enum"])
         return "a list"
     return {"boolean": "true or false", "string": "text", "object": "a section with keys"}.get(kind, "")
-
-
-def _number(value: float) -> str:
-    return str(value) if isinstance(value, int) or not float(value).is_integer() else str(int(value))
 
 
 # ---------------------------------------------------------------- cures for values
