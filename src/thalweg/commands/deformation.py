@@ -357,37 +357,3 @@ def _compare_with_surface(options: argparse.Namespace) -> int:
     say_notes(options, notes)
     print(f"Wrote {options.out}, {beside}, {page}")
     return 0
-
-
-def summarise_changes(folder: Path) -> int:
-    """Print what changed between the epochs of a campaign, and where its files are."""
-    import pandas as pd
-
-    from thalweg.core import read_json, read_parquet
-
-    found = folder / "deformation"
-    print(f"\nSummary of campaign {folder.name}")
-    for path in sorted(found.glob("volumes_[0-9]*.csv")):
-        pair = path.stem.removeprefix("volumes_")
-        facts = read_json(found / f"registration_{pair}.json")
-        print(f"\nEpochs {pair}")
-        for row in pd.read_csv(path).itertuples():
-            volume = f"{row.volume_m3:+9.2f} m3, sigma {row.sigma_m3:.2f} m3"
-            print(f"  {row.what:<11}{volume}, on {row.area_m2:,.0f} m2")
-        states = read_parquet(found / f"changes_{pair}.parquet")["state"].value_counts()
-        print("  core points: " + ", ".join(f"{n:,} {state}" for state, n in states.items()))
-        for note in read_json(found / f"changes_{pair}.json").get("notes", ()):
-            print(f"  note: {note}")
-        heights = pd.read_csv(found / f"dod_{pair}.csv").set_index("part").loc["net"]
-        print(f"  net by heights {heights.volume_m3:+9.2f} m3, sigma {heights.sigma_m3:.2f} m3")
-        if facts["model"] != "none":
-            moved = ", ".join(f"{facts['parameters'][f'{a}_m']:+.3f}" for a in ("east", "north", "up"))
-            print(
-                f"  registration east, north, up: {moved} m, {'' if facts['needed'] else 'not '}significant"
-            )
-    for title, pattern in (("Pictures", "figures/*.png"), ("Tables and clouds", "deformation/*.[cpl]*")):
-        print(f"\n{title}:")
-        paths = [p for p in sorted(folder.glob(pattern)) if not p.name.endswith(".meta.json")]
-        print("\n".join(f"  {p}" for p in paths) or "  none")
-    print(f"\nPage:\n  {found / 'index.html'}")
-    return 0

@@ -57,6 +57,7 @@ size: Final = checked(
     lambda values: len(values) == 2 and all(values),
 )
 
+CAMPAIGNS: Final = Path("config") / "campaigns"
 GEODETIC: Final = ("LAT_DEG", "LON_DEG", "H_ELL_M")
 XYZ: Final = ("X_M", "Y_M", "Z_M")
 LENSES: Final = ("perspective", "fisheye")

@@ -14,6 +14,7 @@ from typing import Any, Final, NamedTuple
 from thalweg.core import InputError, in_options
 
 Row = tuple[Any, ...]
+EXIT_MISTAKE: Final = 2
 REQUIRED: Final = object()
 """In place of a default."""
 

@@ -1,4 +1,4 @@
-"""The commands ``catalogue``, ``costs``, ``verify`` for folders of results; ``cluster`` for jobs on SLURM."""
+"""The commands ``summary``, ``catalogue``, ``costs``, ``verify`` for results; ``cluster`` for jobs on SLURM."""
 
 import argparse
 import re
@@ -200,3 +200,89 @@ def _verify(options: argparse.Namespace) -> int:
         print("Made again, in the folder of the run, by:")
         print("\n".join(f"  {command}" for command in found.commands()))
     return int(bool(found.wrong))
+
+
+def add_summary_command(commands: Commands) -> None:
+    """Add ``summary``."""
+    commands.add(
+        "summary",
+        "print the summary of a processed campaign",
+        _summary,
+        ("folder", Path, "FOLDER", "results/<campaign>"),
+    )
+
+
+WORTH_OPENING = (
+    "index.html",
+    "accuracy/index.html",
+    "figures/cloud_overview.png",
+    "figures/scene_view.png",
+    "bathymetry/index.html",
+    "calibration/index.html",
+    "triangulation/index.html",
+    "lidar/by_fused/points.laz",
+    "lidar/points.laz",
+    "figures/survey_map.png",
+    "summary.csv",
+)
+"""Files of a campaign below its folder, the best first; a run ends with the first five that exist."""
+
+
+def _summary(options: argparse.Namespace) -> int:
+    path = options.folder / "summary.csv"
+    if not path.is_file() and any((options.folder / "deformation").glob("volumes_*.csv")):
+        return _summarise_changes(options.folder)
+    if not path.is_file():
+        raise InputError(
+            "no such file",
+            where=path,
+            expected="results of a processed campaign",
+            cure=f"Run: snakemake --cores all --config campaign={options.folder.name}",
+        )
+    import pandas as pd
+
+    from thalweg.accuracy import summary_lines
+
+    print(f"\nSummary of campaign {options.folder.name}")
+    print("\n".join(summary_lines(pd.read_csv(path))))
+    files = [p for p in options.folder.rglob("*") if p.is_file() and "simulation" not in p.parts]
+    kinds = {"pictures": {".png", ".pdf"}, "clouds": {".laz"}, "tables": {".csv", ".parquet"}}
+    counts = (f"{sum(p.suffix in ends for p in files)} {kind}" for kind, ends in kinds.items())
+    print(f"\n{', '.join(counts)} in {options.folder}. Worth opening first:")
+    worth = [options.folder / name for name in WORTH_OPENING]
+    print("\n".join(f"  {p}" for p in [p for p in worth if p.is_file()][:5]))
+    return 0
+
+
+def _summarise_changes(folder: Path) -> int:
+    """Print what changed between the epochs of a campaign, and where its files are."""
+    import pandas as pd
+
+    from thalweg.core import read_json, read_parquet
+
+    found = folder / "deformation"
+    print(f"\nSummary of campaign {folder.name}")
+    for path in sorted(found.glob("volumes_[0-9]*.csv")):
+        pair = path.stem.removeprefix("volumes_")
+        facts = read_json(found / f"registration_{pair}.json")
+        print(f"\nEpochs {pair}")
+        for row in pd.read_csv(path).itertuples():
+            volume = f"{row.volume_m3:+9.2f} m3, sigma {row.sigma_m3:.2f} m3"
+            print(f"  {row.what:<11}{volume}, on {row.area_m2:,.0f} m2")
+        states = read_parquet(found / f"changes_{pair}.parquet")["state"].value_counts()
+        print("  core points: " + ", ".join(f"{n:,} {state}" for state, n in states.items()))
+        for note in read_json(found / f"changes_{pair}.json").get("notes", ()):
+            print(f"  note: {note}")
+        heights = pd.read_csv(found / f"dod_{pair}.csv").set_index("part").loc["net"]
+        print(f"  net by heights {heights.volume_m3:+9.2f} m3, sigma {heights.sigma_m3:.2f} m3")
+        if facts["model"] != "none":
+            moved = ", ".join(f"{facts['parameters'][f'{a}_m']:+.3f}" for a in ("east", "north", "up"))
+            print(
+                f"  registration east, north, up: {moved} m, {'' if facts['needed'] else 'not '}significant"
+            )
+    for title, pattern in (("Pictures", "figures/*.png"), ("Tables and clouds", "deformation/*.[cpl]*")):
+        print(f"\n{title}:")
+        paths = [p for p in sorted(folder.glob(pattern)) if not p.name.endswith(".meta.json")]
+        print("\n".join(f"  {p}" for p in paths) or "  none")
+    print(f"\nPage:\n  {found / 'index.html'}")
+    return 0
