@@ -5,7 +5,7 @@ from pathlib import Path
 
 from thalweg.commands.options import CENTRE_LINE, LINE, folder, positive
 from thalweg.commands.parser import REQUIRED, Commands, OneOf, Repeated, say_notes
-from thalweg.commands.remedies import OF_A_FILE, OF_A_RECORDING, of_a_campaign
+from thalweg.commands.remedies import OF_A_FILE, OF_A_RECORDING, OF_POINTS, of_a_campaign
 
 
 def add_bathymetry_commands(commands: Commands) -> None:
@@ -109,8 +109,7 @@ def add_bathymetry_commands(commands: Commands) -> None:
         ),
         writes="bed.tif",
         settings={
-            "campaign.crs": "--crs",
-            "campaign.origin": "the origin",
+            **OF_POINTS,
             "bathymetry.reach": "--reach",
             "bathymetry.cell_m": "--cell",
             "bathymetry.line_turn_deg": "--line",
@@ -171,12 +170,7 @@ def add_bathymetry_commands(commands: Commands) -> None:
         ("--battery", positive, "WH", "energy of one battery"),
         writes="plan.json",
         settings=OF_A_FILE
-        | {
-            "campaign.crs": "--crs",
-            "campaign.origin": "the origin",
-            "accuracy.area.polygon": "the outline",
-            "accuracy.area": "the outline",
-        },
+        | {**OF_POINTS, "accuracy.area.polygon": "the outline", "accuracy.area": "the outline"},
     )
     commands.add(
         "refract",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from thalweg.commands.options import INTERIORS, LENSES, size
 from thalweg.commands.parser import REQUIRED, Commands, Repeated, Row, refuse_overwriting, say_notes
-from thalweg.commands.remedies import of_a_campaign
+from thalweg.commands.remedies import OF_CONTROL, of_a_campaign
 from thalweg.core import InputError
 
 if TYPE_CHECKING:
@@ -105,12 +105,8 @@ def add_calibration_commands(commands: Commands) -> None:
         ),
         ("-o --out", Path, "CSV", "table of poses and residuals to write", REQUIRED),
         settings={
-            "campaign.crs": "--crs",
-            "campaign.origin": "the origin",
-            "images.control.crs": "--crs",
+            **OF_CONTROL,
             "images.fixed_camera.largest_sigma_m": "--largest-sigma",
-            ", or state their order: --columns x,y,z": "",
-            ", or state all with --columns": "",
             " (in a campaign images.fixed_camera.size_px)": "",
             **of_a_campaign(["images.adjustment.antenna.use"]),
         },

@@ -8,7 +8,7 @@ from typing import Final
 
 from thalweg.commands.options import FOLDER, INTERIORS, PHOTOGRAPHS, XYZ
 from thalweg.commands.parser import REQUIRED, Commands, say_notes
-from thalweg.commands.remedies import of_a_campaign
+from thalweg.commands.remedies import OF_CONTROL, of_a_campaign
 
 _MASKED: Final = ("water", "sky", "hull", "moved")
 
@@ -103,17 +103,13 @@ def add_image_commands(commands: Commands) -> None:
         "frame of its own, without scale.",
         writes="index.html",
         settings={
-            "campaign.crs": "--crs",
-            "campaign.origin": "the origin",
-            "images.control.crs": "--crs",
+            **OF_CONTROL,
             "images.adjustment.interior": "--interior",
             "images.mapping.interior": "--interior",
             "logs.time_lapse.images": "the photographs",
             "logs.time_lapse.interior": "--camera",
             "logs.time_lapse.interiors": "--camera",
             "mounts.calibration": "--camera",
-            ", or state their order: --columns x,y,z": "",
-            ", or state all with --columns": "",
             **of_a_campaign(
                 [
                     "images.adjustment.antenna.use",

@@ -15,6 +15,7 @@ from thalweg.core import InputError, in_options
 
 Row = tuple[Any, ...]
 EXIT_MISTAKE: Final = 2
+"""Of a process whose user, or whose file, made a mistake."""
 REQUIRED: Final = object()
 """In place of a default."""
 

@@ -1,4 +1,4 @@
-"""The commands ``summary``, ``catalogue``, ``costs``, ``verify`` for results; ``cluster`` for jobs on SLURM."""
+"""The commands ``summary``, ``catalogue``, ``costs``, ``verify`` for results; ``cluster`` for SLURM."""
 
 import argparse
 import re
