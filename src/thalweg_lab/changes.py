@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from thalweg.core import AnyArray, ArrayB, ArrayF
-from thalweg.settings.twin import Change, TwinScene
+from thalweg_lab.settings import Change, TwinScene
 
 _PLACES: Final[dict[Change, tuple[float, float, float]]] = {
     # Share of the length, greatest half length in metres, and the same as a share of the length.

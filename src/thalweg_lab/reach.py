@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from thalweg.core import AnyArray, ArrayB, ArrayF, ConfigError, njit, prange
-from thalweg.settings.twin import Change, TwinScene
 from thalweg_lab.changes import (
     Stretch,
     cut_of_niche,
@@ -28,6 +27,7 @@ from thalweg_lab.changes import (
     stretch,
 )
 from thalweg_lab.random_numbers import generator
+from thalweg_lab.settings import Change, TwinScene
 
 _LINE_STEP_M: Final = 0.5
 _BAR_TOP_M: Final = 0.25

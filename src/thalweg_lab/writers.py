@@ -37,7 +37,7 @@ from thalweg.core import (
     frame_wkt,
     unix_from_gps,
 )
-from thalweg.settings.twin import TwinConfig
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import LEAD_S, start_gps_s, start_unix
 
 DATA_PAYLOAD: Final = 1206

@@ -24,7 +24,6 @@ from thalweg.core import (
     table_kind,
     write_table,
 )
-from thalweg.settings.twin import TwinCamera, TwinConfig, TwinField
 from thalweg_lab.instruments import (
     FIRING_S,
     LASER_S,
@@ -37,6 +36,7 @@ from thalweg_lab.instruments import (
     simulate_lidar,
 )
 from thalweg_lab.random_numbers import generator
+from thalweg_lab.settings import TwinCamera, TwinConfig, TwinField
 from thalweg_lab.voyage import standing, start_gps_s, static_seed
 from thalweg_lab.writers import start_us
 from thalweg_lab.yard import (

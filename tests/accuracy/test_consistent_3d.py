@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from tests.accuracy.conftest import TWICE
-from thalweg.settings.twin import TwinConfig
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.studies.survey import BARE
 from thalweg_lab.studies.trials import MISTAKES, NONE, Trial, Verdict, trial, verdict
 

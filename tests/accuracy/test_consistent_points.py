@@ -13,7 +13,7 @@ import pytest
 
 from tests.accuracy.conftest import CORRELATION_S, TWIN
 from thalweg.accuracy import chi_square_band, independent_squares
-from thalweg.settings.twin import TwinConfig
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.studies.survey import BARE
 from thalweg_lab.truth import PointErrors
 

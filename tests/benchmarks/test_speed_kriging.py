@@ -96,7 +96,7 @@ from thalweg.bathymetry import SOUNDINGS, FlowLine, WaterLevel, flow_of_survey, 
 from thalweg.core import LocalFrame, frame_of, write_raster
 from thalweg.fusion import Cloud, River, Source, build_dtm
 from thalweg.settings.sections import Bathymetry, EchoSounder, Fusion
-from thalweg.settings.twin import TwinConfig
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.reach import River as TrueRiver
 of = TrueRiver(TwinConfig(size="reach").scene, 5)
 rng, n, zero = np.random.default_rng(1), PINGS, of.config.water_level_m

@@ -23,9 +23,9 @@ from thalweg.core import CoverageError, InputError, Rigid
 from thalweg.core.calibration import Source, read_calibration, write_calibration
 from thalweg.core.calibration.imports import fisheye_of_sphere
 from thalweg.settings.sections import Rig as RigSettings, RigLens
-from thalweg.settings.twin import TwinDualFisheye
 from thalweg_lab.dual_fisheye import room_marks, room_points, true_rig
 from thalweg_lab.dual_fisheye.room import LAYOUT, room_photographer, room_poses
+from thalweg_lab.settings import TwinDualFisheye
 from thalweg_lab.studies.sensors.colours import ATTITUDES_DEG, colour_table
 from thalweg_lab.studies.sensors.rig import block_errors, errors_of, rig_table
 

@@ -14,8 +14,8 @@ from scipy.stats import chi2
 from thalweg.clocks import clock_stability, read_display
 from thalweg.clocks.display import out_of_sequence, seconds_of
 from thalweg.core import ClockError, InputError
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import simulate_display
+from thalweg_lab.settings import TwinConfig
 
 STEP_S = 0.01
 

@@ -25,8 +25,8 @@ from thalweg.fusion.measures import (
     volume_below,
 )
 from thalweg.settings.sections import Fusion
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.reach import River as TrueRiver
+from thalweg_lab.settings import TwinConfig
 
 SETTINGS = Fusion(contour_m=0.5)
 ORIGIN = {"lat_deg": FRAME.lat_deg, "lon_deg": FRAME.lon_deg, "h_ell_m": FRAME.h_ell_m}

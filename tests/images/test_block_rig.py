@@ -16,8 +16,8 @@ from thalweg.images.bundle.checks import interior_notes
 from thalweg.images.bundle.normals import Correlation, linearised, reduced_system, tracks_of, views
 from thalweg.images.bundle.problem import Antenna, Layout, Problem, moved, start_state
 from thalweg.settings.sections import BlockAdjustment, Rig as RigSettings
-from thalweg.settings.twin import TwinDualFisheye
 from thalweg_lab.dual_fisheye import TrueRig, true_rig
+from thalweg_lab.settings import TwinDualFisheye
 from thalweg_lab.studies.sensors.rig import (
     EXPOSURES,
     lenses_of,

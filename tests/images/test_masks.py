@@ -15,8 +15,8 @@ from thalweg.images.masks import make_masks
 from thalweg.images.masks.images import COLUMNS
 from thalweg.images.model import ImagePoses
 from thalweg.settings.sections import MaskSettings
-from thalweg.settings.twin import TwinConfig, TwinTimeLapse
 from thalweg_lab.river import build_scene
+from thalweg_lab.settings import TwinConfig, TwinTimeLapse
 from thalweg_lab.time_lapse.record import TimeLapse
 from thalweg_lab.time_lapse.renderer import Renderer
 from thalweg_lab.yard_images import turned

@@ -29,8 +29,8 @@ from thalweg.settings.sections import (
     MappingSettings,
     Rig as RigSettings,
 )
-from thalweg.settings.twin import TwinDualFisheye
 from thalweg_lab.dual_fisheye import TrueRig, true_rig
+from thalweg_lab.settings import TwinDualFisheye
 
 HALF_M = 4.0
 N = 8

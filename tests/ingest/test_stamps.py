@@ -17,8 +17,8 @@ from thalweg.ingest import (
 from thalweg.ingest.anpp import read_anpp
 from thalweg.ingest.nmea import read_nmea
 from thalweg.ingest.tracks import read_pos
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import simulate_ins
+from thalweg_lab.settings import TwinConfig
 
 T0 = 3.0e8
 

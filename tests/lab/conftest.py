@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from thalweg.core import LocalFrame, rotation_opk
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import simulate_echo, simulate_gnss, simulate_ins, simulate_lidar, simulate_tls
 from thalweg_lab.river import Scene, simulate_scene
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import Voyage, simulate_voyage
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)

@@ -9,9 +9,9 @@ import pytest
 from PIL import Image
 
 from thalweg.core import ADJUSTED_OFFSET_S, unix_from_gps
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import simulate_display
 from thalweg_lab.instruments.display_photos import DisplayLook, Light, clock_text, exposures, shown_in
+from thalweg_lab.settings import TwinConfig
 
 SEED = 7
 

@@ -9,9 +9,9 @@ from scipy.stats import chi2
 from thalweg.calibration import LENSES, calibrate_rig
 from thalweg.core import Rigid, exp_rotation
 from thalweg.settings.sections import Rig as RigSettings, RigLens
-from thalweg.settings.twin import TwinDualFisheye
 from thalweg_lab.dual_fisheye import room_marks, room_points, true_rig
 from thalweg_lab.dual_fisheye.record import exposed_by_parts
+from thalweg_lab.settings import TwinDualFisheye
 
 RATE = np.array([0.0, 0.0, np.deg2rad(10.0)])
 SPEED = np.array([1.5, 0.0, 0.0])

@@ -12,10 +12,10 @@ from tests.lab.conftest import ECHO_M, FRAME, SEED, short
 from thalweg.core import ConfigError, read_table
 from thalweg.ingest.nmea import read_nmea
 from thalweg.ingest.nmea.reader import NmeaLog
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import TRUE_SOUNDINGS, simulate_echo
 from thalweg_lab.reach import River
 from thalweg_lab.river import Material, Scene
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import Voyage
 
 LEVEL = ([-200, -200, -2.5], [200, -200, -2.5], [200, 200, -2.5], [-200, 200, -2.5])

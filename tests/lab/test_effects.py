@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.settings.twin import TwinConfig, TwinEffects
 from thalweg_lab.instruments import inside
 from thalweg_lab.instruments.effects import damage_file, lost_packets
+from thalweg_lab.settings import TwinConfig, TwinEffects
 
 
 def test_damage_is_where_the_report_says(tmp_path: Path) -> None:

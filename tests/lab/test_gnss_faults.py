@@ -15,7 +15,6 @@ from tests.lab import sheets
 from thalweg.core import ArrayF, ConfigError, LocalFrame
 from thalweg.ingest.sbp import find_messages, read_sbp
 from thalweg.ingest.tracks import read_pos
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import (
     Solution,
     antenna_errors_m,
@@ -24,6 +23,7 @@ from thalweg_lab.instruments import (
     stated_sigmas_m,
 )
 from thalweg_lab.river import Material, Scene
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import Voyage, epochs
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)

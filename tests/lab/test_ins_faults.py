@@ -13,7 +13,6 @@ from tests.bands import band
 from thalweg.core import R_ENU_NED, LocalFrame, rotation_enu_body
 from thalweg.ingest.anpp import find_packets, read_anpp
 from thalweg.ingest.anpp.reader import AnppLog
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import attitude_errors_rad, boat_field_mg, simulate_ins
 from thalweg_lab.instruments.ins import (
     EARTH_NED_MG,
@@ -23,6 +22,7 @@ from thalweg_lab.instruments.ins import (
     standing_drift_rad,
 )
 from thalweg_lab.random_numbers import gauss_markov, generator
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import Voyage, epochs
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)

@@ -15,10 +15,10 @@ import velodyne_decoder
 
 from tests.lab.conftest import SEED
 from thalweg.core import gps_from_unix, read_table
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import LIDAR_SHOTS
 from thalweg_lab.instruments.lidar import beams
 from thalweg_lab.river import Material, Scene
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import Voyage
 
 Recorder = Callable[..., tuple[Path, dict[str, Any], TwinConfig]]

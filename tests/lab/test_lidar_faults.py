@@ -12,9 +12,9 @@ import pytest
 
 from tests.lab.conftest import Twin, record_lidar, short
 from thalweg.core import read_table
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import LIDAR_SHOTS, EchoKind
 from thalweg_lab.river import Material, Scene
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import Voyage, start_gps_s
 
 Recorder = Callable[..., tuple[Path, dict[str, Any], TwinConfig]]

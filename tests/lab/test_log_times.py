@@ -15,10 +15,10 @@ from thalweg.ingest.nmea import read_nmea
 from thalweg.ingest.sbp import read_sbp
 from thalweg.ingest.tracks import read_pos
 from thalweg.ingest.velodyne.reader import iter_points, scan_lidar
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import simulate_echo, simulate_gnss, simulate_ins
 from thalweg_lab.instruments.lidar import LidarClock
 from thalweg_lab.river import Material, Scene
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import Voyage, epochs
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)

@@ -21,7 +21,6 @@ from sbp.client import Framer
 from sbp.client.drivers.file_driver import FileDriver
 
 from thalweg.core import ConfigError, LocalFrame, gps_from_unix, gps_from_week, roll_pitch_heading
-from thalweg.settings.twin import TwinConfig
 from thalweg.workflow.codehash import imported_modules, reached_modules
 from thalweg_lab import writers
 from thalweg_lab.instruments import (
@@ -37,6 +36,7 @@ from thalweg_lab.instruments import (
 from thalweg_lab.instruments.bed import true_depth_m
 from thalweg_lab.reach import River
 from thalweg_lab.river import Material, Scene
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import Voyage, epochs
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import Solution, antenna_errors_m, attitude_errors_rad, stated_sigmas_m
 from thalweg_lab.instruments.ins import velocity_errors_mps
 from thalweg_lab.instruments.misstated import QUANTITIES, as_it_errs, factors
+from thalweg_lab.settings import TwinConfig
 
 KNOWN = TwinConfig.of_size("tiny")
 OTHER = TwinConfig.of_size("tiny", effects={"misstated": True})

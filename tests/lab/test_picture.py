@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from thalweg.core import Camera, GeometryError, LocalFrame, Rigid
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.river import (
     Material,
     Scene,
@@ -24,6 +23,7 @@ from thalweg_lab.river import (
 )
 from thalweg_lab.river_images import Sun, sky
 from thalweg_lab.river_images.daylight import clear_sky
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.time_lapse import simulate_view
 from thalweg_lab.time_lapse.renderer import Renderer, World
 from thalweg_lab.voyage import Voyage, start_unix

@@ -10,7 +10,6 @@ import pandas as pd
 import pytest
 
 from thalweg.core import ArrayB, ArrayF, ArrayI, ConfigError, InputError
-from thalweg.settings.twin import Change, TwinConfig
 from thalweg_lab.changes import DISPLACEMENTS_M, patches, stretch
 from thalweg_lab.instruments.bed import true_depth_m
 from thalweg_lab.reach import River
@@ -26,6 +25,7 @@ from thalweg_lab.river import (
 )
 from thalweg_lab.river.land import add_boulders, add_cobbles
 from thalweg_lab.river.mesh import VEGETATION
+from thalweg_lab.settings import Change, TwinConfig
 from thalweg_lab.voyage import Voyage, epochs
 
 CONFIG = TwinConfig.of_size("tiny")

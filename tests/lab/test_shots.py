@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from thalweg.core import read_table
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import LIDAR_SHOTS
 from thalweg_lab.instruments.footprint import MANY_SHOTS, drawn_packets
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import start_gps_s
 
 Recorder = Callable[..., tuple[Path, dict[str, Any], TwinConfig]]

@@ -5,7 +5,6 @@ import pytest
 
 from tests.lab import sheets
 from thalweg.core import ArrayF, LocalFrame
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import Solution
 from thalweg_lab.instruments.gnss import (
     Constellation,
@@ -17,6 +16,7 @@ from thalweg_lab.instruments.gnss import (
     spans,
 )
 from thalweg_lab.river import Material
+from thalweg_lab.settings import TwinConfig
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 SEED = 5

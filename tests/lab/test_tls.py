@@ -10,11 +10,11 @@ import pytest
 
 from thalweg.core import ArrayF, ArrayI, LocalFrame, laz_header
 from thalweg.core.geometry import RayCaster
-from thalweg.settings.twin import TwinConfig, TwinTls
 from thalweg_lab.instruments import simulate_tls
 from thalweg_lab.instruments.tls import Scan, Station, scan, station_positions
 from thalweg_lab.reach import River
 from thalweg_lab.river import REFLECTANCE, REFLECTANCE_1550, Material, Scene, outlook
+from thalweg_lab.settings import TwinConfig, TwinTls
 
 SEED = 5
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)

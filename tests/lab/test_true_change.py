@@ -9,10 +9,10 @@ from pyproj import CRS
 
 from thalweg.core import ArrayF, ArrayI, ConfigError, Dsm, GeometryError, InputError, LocalFrame
 from thalweg.deformation.foreign import SurfaceDifference
-from thalweg.settings.twin import TwinConfig
 from thalweg.surface import Area
 from thalweg_lab.changes import Patch
 from thalweg_lab.river import BOX_FACES, Material, MeshParts, Scene, boxes
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.truth import (
     change_outlines,
     judge_differences,

@@ -5,9 +5,9 @@ import json
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from thalweg.settings.twin import TwinConfig
-from thalweg.settings.twin.survey import SIZES
 from thalweg_lab.instruments.lidar import HOUR_US
+from thalweg_lab.settings import TwinConfig
+from thalweg_lab.settings.survey import SIZES
 from thalweg_lab.voyage import start_unix
 
 

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from thalweg.core import ConfigError, CoverageError, LocalFrame
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.random_numbers import gauss_markov, generator
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import Voyage, epochs, true_trajectory
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)

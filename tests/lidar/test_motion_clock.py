@@ -17,9 +17,9 @@ from thalweg.lidar import clock as motion, clock_from_motion, clock_from_sentenc
 from thalweg.lidar.clock import LidarOffset, attitude_share_s
 from thalweg.navigation.ins_gnss import build_trajectory
 from thalweg.settings.sections import Filters, LidarAccuracy, LidarClockStated
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import simulate_gnss, simulate_ins, simulate_lidar
 from thalweg_lab.river import simulate_scene
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import start_gps_s
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)

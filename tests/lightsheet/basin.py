@@ -13,7 +13,7 @@ from thalweg.calibration import read_camera
 from thalweg.core import Camera, LocalFrame
 from thalweg.lightsheet.optics import Sensor, read_sensor
 from thalweg.settings.sections import LightSheet
-from thalweg.settings.twin import TwinConfig
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.tank import record_camera_field, record_camera_station, record_series
 
 SCRIPTS = Path(__file__).parents[2] / "workflow" / "scripts"

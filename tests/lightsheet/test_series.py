@@ -21,8 +21,8 @@ from thalweg.lightsheet.poses import (
     require_one_image,
 )
 from thalweg.lightsheet.poses.series import SHEET_POINTS, image_covariance, points_on_sheet
-from thalweg.settings.twin import SheetImage
 from thalweg_lab.random_numbers import generator
+from thalweg_lab.settings import SheetImage
 from thalweg_lab.tank import render_sheet_image, scan_plan, sized, stepped_object
 
 SIZE = (512, 512)

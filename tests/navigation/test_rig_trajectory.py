@@ -19,8 +19,8 @@ from thalweg.navigation.camera import CloudSettings, antenna_in_camera, camera_t
 from thalweg.navigation.camera.image_times import TimedImages
 from thalweg.navigation.fusion import FusionSettings
 from thalweg.settings.sections import BlockAdjustment, ControlSettings, Rig as RigSettings
-from thalweg.settings.twin import TwinDualFisheye
 from thalweg_lab.dual_fisheye import true_rig
+from thalweg_lab.settings import TwinDualFisheye
 from thalweg_lab.studies.outage import (
     CAMERA,
     FRAME,

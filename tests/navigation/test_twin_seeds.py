@@ -10,8 +10,8 @@ from thalweg.core import LocalFrame
 from thalweg.ingest.anpp import read_anpp
 from thalweg.ingest.tracks import read_pos
 from thalweg.navigation.ins_gnss import build_trajectory
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import simulate_gnss, simulate_ins
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import Voyage, true_trajectory
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)

@@ -8,9 +8,9 @@ import pytest
 import yaml
 
 from thalweg.core import ConfigError
-from thalweg.settings.checks_campaign import check_sheet_twin
 from thalweg.settings.load import load_campaign
 from thalweg.settings.sections import LightSheetLogs
+from thalweg_lab.settings import check_sheet_twin
 
 FILES: dict[str, list[str]] = {
     "sensor": ["sensor.yaml"],

@@ -11,12 +11,12 @@ from thalweg.core import CoverageError, GeometryError, InputError, LocalFrame
 from thalweg.core.geometry import RayCaster, TriangleMesh
 from thalweg.core.las import read_laz
 from thalweg.settings.sections import ReferenceSettings
-from thalweg.settings.twin import TwinConfig
 from thalweg.surface import Area, area_margin_m, mesh_reference, read_reference
 from thalweg.surface.reference import near_area
 from thalweg_lab.instruments import simulate_tls
 from thalweg_lab.river import BARE_GROUND, Material, Scene, build_scene
 from thalweg_lab.river.mesh import VEGETATION
+from thalweg_lab.settings import TwinConfig
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 TRACK = np.column_stack([np.linspace(-40, 40, 200), np.full(200, 15.0), np.zeros(200)])

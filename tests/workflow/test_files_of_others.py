@@ -22,8 +22,8 @@ from thalweg.core import LocalFrame, read_raster, read_table, write_raster
 from thalweg.figures import SKY
 from thalweg.figures.bathymetry.pictures import draw_bed_map
 from thalweg.fusion import SOURCE_WORDS, Source, joined_parts
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import simulate_uav
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.truth import true_bed_m
 
 pytestmark = pytest.mark.workflow

@@ -19,8 +19,8 @@ from pyproj import CRS
 from tests.test_readme import as_a_shell_splits, commands
 from thalweg.cli import main
 from thalweg.core import LocalFrame
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import simulate_raw_gnss
+from thalweg_lab.settings import TwinConfig
 
 pytestmark = [pytest.mark.workflow, pytest.mark.real]
 

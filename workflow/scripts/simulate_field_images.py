@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.settings.twin import TwinConfig
 from thalweg.workflow import run_job
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import read_true_mounts
 from thalweg_lab.yard_images import simulate_field_images
 

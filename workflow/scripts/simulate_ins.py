@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import Any
 
 from thalweg.core import LocalFrame
-from thalweg.settings.twin import TwinConfig
 from thalweg.workflow import run_job
 from thalweg_lab.instruments import simulate_ins
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import read_true_mounts
 
 

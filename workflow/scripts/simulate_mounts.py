@@ -4,8 +4,8 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from thalweg.settings.twin import TwinConfig
 from thalweg.workflow import run_job
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import true_mounts, write_true_mounts
 
 

@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import Any
 
 from thalweg.core import LocalFrame, Rigid
-from thalweg.settings.twin import TwinConfig
 from thalweg.workflow import run_job
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import read_true_mounts
 from thalweg_lab.yard_records import simulate_positions
 

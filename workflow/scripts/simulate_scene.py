@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.settings.twin import TwinConfig
 from thalweg.workflow import run_job
 from thalweg_lab.river import simulate_scene
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.yard_records import simulate_field_scene
 
 

@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import Any
 
 from thalweg.core import LocalFrame
-from thalweg.settings.twin import TwinConfig, TwinSheetStrip
 from thalweg.workflow import run_job
+from thalweg_lab.settings import TwinConfig, TwinSheetStrip
 from thalweg_lab.tank import Basin, record_strip
 
 

@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import Any
 
 from thalweg.core import LocalFrame
-from thalweg.settings.twin import TwinConfig, TwinTimeLapse
 from thalweg.workflow import run_job
+from thalweg_lab.settings import TwinConfig, TwinTimeLapse
 from thalweg_lab.time_lapse import simulate_time_lapse
 from thalweg_lab.voyage import read_true_mounts
 

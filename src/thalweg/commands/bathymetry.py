@@ -3,130 +3,113 @@
 import argparse
 from pathlib import Path
 
-from thalweg.commands.parser import Commands
-from thalweg.commands.remedies import OF_A_FILE, OF_A_RECORDING, of_a_campaign
+from thalweg.commands.options import CENTRE_LINE, LINE, folder, positive
+from thalweg.commands.parser import REQUIRED, Commands, OneOf, Repeated, say_notes
+from thalweg.commands.remedies import OF_A_FILE, OF_A_RECORDING, OF_POINTS, of_a_campaign
 
 
 def add_bathymetry_commands(commands: Commands) -> None:
     """Add ``bed``, ``flow``, ``plan-survey`` and ``refract``."""
-    bed = commands.add_parser(
+    commands.add(
         "bed",
-        help="bed of a river or a lake with standard deviations from a table of soundings, kriged in flow or "
+        "bed of a river or a lake with standard deviations from a table of soundings, kriged in flow or "
         "map coordinates",
-    )
-    bed.add_argument(
-        "table",
-        type=Path,
-        metavar="TABLE",
-        help="soundings: any text with columns, in degrees or in metres, or points of a GIS",
-    )
-    bed.add_argument(
-        "--crs",
-        metavar="EPSG:...",
-        help="coordinate system of the map, projected; a table in degrees needs none (its zone of UTM)",
-    )
-    value = bed.add_mutually_exclusive_group()
-    value.add_argument("--height", metavar="COLUMN", help="column with heights of the bed (default: by name)")
-    value.add_argument("--depth", metavar="COLUMN", help="column with depths below the water, likewise")
-    bed.add_argument(
-        "--columns",
-        type=lambda text: text.split(","),
-        metavar="NAMES",
-        help="names of the columns in their order, where the table has none: lat,lon,depth_ft,-,time",
-    )
-    bed.add_argument(
-        "--missing",
-        type=float,
-        action="append",
-        default=[],
-        metavar="VALUE",
-        help="value that stands for none, beside the usual ones such as -9999 and, of a depth, 0",
-    )
-    bed.add_argument(
-        "--valid",
-        type=float,
-        action="append",
-        default=[],
-        metavar="VALUE",
-        help="value that is meant although it usually stands for none, such as 0",
-    )
-    bed.add_argument("--level", type=float, metavar="M", help="height of the water level; 0 with --depth")
-    bed.add_argument(
-        "--levels",
-        type=Path,
-        metavar="CSV",
-        help="with --depth: levels of the water by day or time, columns date (UTC) and level",
-    )
-    bed.add_argument(
-        "--coordinates",
-        choices=("auto", "flow", "map"),
-        default="auto",
-        help="along and across the flow, or east and north; auto: east and north where nothing shows a river",
-    )
-    bed.add_argument(
-        "--line", metavar="COLUMN", help="column with the name of the survey line (default: detected)"
-    )
-    bed.add_argument(
-        "--banks",
-        type=Path,
-        metavar="FILE",
-        help="both bank lines, or the water surface as a polygon (GeoJSON, Shapefile, GeoPackage, KML, GML, "
-        "DXF; FILE?layer=NAME of several); with heights or --level also data",
-    )
-    bed.add_argument(
-        "--centre-line",
-        type=Path,
-        metavar="FILE",
-        help="one line of a GIS, or CSV with east, north, in downstream order (default: from banks or "
-        "soundings)",
-    )
-    bed.add_argument("--islands", type=Path, metavar="FILE", help="polygons of islands, which are no bed")
-    bed.add_argument(
-        "--cell", type=_positive, metavar="M", help="cell size of the grid (default: by the soundings)"
-    )
-    bed.add_argument(
-        "--out",
-        type=Path,
-        default=Path("bed"),
-        metavar="FOLDER",
-        help="folder of the results (default: %(default)s)",
-    )
-    bed.add_argument(
-        "--sigma",
-        type=_positive,
-        default=0.02,
-        metavar="M",
-        help="standard deviation of a sounding, if the table has no column sigma (default: %(default)s)",
-    )
-    bed.add_argument(
-        "--model",
-        choices=("auto", "exponential", "matern32", "spherical"),
-        default="auto",
-        help="covariance function; auto: best in cross-validation of lines",
-    )
-    bed.add_argument(
-        "--drift",
-        choices=("auto", "none", "section", "section_width", "fall"),
-        default="auto",
-        help="trend that is removed before kriging: none, mean cross-section, that and a depth that grows "
-        "where the river is narrower, slope along the river",
-    )
-    bed.add_argument(
-        "--neighbours", type=int, default=48, metavar="N", help="data used for a cell (default: %(default)s)"
-    )
-    bed.add_argument(
-        "--reach",
-        type=_positive,
-        default=2.0,
-        metavar="RANGES",
-        help="leave cells empty beyond this multiple of the range from data (default: %(default)s)",
-    )
-    bed.set_defaults(
-        command=_bed,
+        _bed,
+        (
+            "table",
+            Path,
+            "TABLE",
+            "soundings: any text with columns, in degrees or in metres, or points of a GIS",
+        ),
+        (
+            "--crs",
+            str,
+            "EPSG:...",
+            "coordinate system of the map, projected; a table in degrees needs none (its zone of UTM)",
+        ),
+        OneOf(
+            [
+                ("--height", str, "COLUMN", "column with heights of the bed (default: by name)"),
+                ("--depth", str, "COLUMN", "column with depths below the water, likewise"),
+            ]
+        ),
+        (
+            "--columns",
+            lambda text: text.split(","),
+            "NAMES",
+            "names of the columns in their order, where the table has none: lat,lon,depth_ft,-,time",
+        ),
+        (
+            "--missing",
+            Repeated(float),
+            "VALUE",
+            "value that stands for none, beside the usual ones such as -9999 and, of a depth, 0",
+        ),
+        (
+            "--valid",
+            Repeated(float),
+            "VALUE",
+            "value that is meant although it usually stands for none, such as 0",
+        ),
+        ("--level", float, "M", "height of the water level; 0 with --depth"),
+        (
+            "--levels",
+            Path,
+            "CSV",
+            "with --depth: levels of the water by day or time, columns date (UTC) and level",
+        ),
+        (
+            "--coordinates",
+            ("auto", "flow", "map"),
+            None,
+            "along and across the flow, or east and north; auto: east and north where nothing shows a river",
+            "auto",
+        ),
+        ("--line", str, "COLUMN", "column with the name of the survey line (default: detected)"),
+        (
+            "--banks",
+            Path,
+            "FILE",
+            "both bank lines, or the water surface as a polygon (GeoJSON, Shapefile, GeoPackage, KML, GML, "
+            "DXF; FILE?layer=NAME of several); with heights or --level also data",
+        ),
+        CENTRE_LINE,
+        ("--islands", Path, "FILE", "polygons of islands, which are no bed"),
+        ("--cell", positive, "M", "cell size of the grid (default: by the soundings)"),
+        folder("bed"),
+        (
+            "--sigma",
+            positive,
+            "M",
+            "standard deviation of a sounding, if the table has no column sigma (default: %(default)s)",
+            0.02,
+        ),
+        (
+            "--model",
+            ("auto", "exponential", "matern32", "spherical"),
+            None,
+            "covariance function; auto: best in cross-validation of lines",
+            "auto",
+        ),
+        (
+            "--drift",
+            ("auto", "none", "section", "section_width", "fall"),
+            None,
+            "trend that is removed before kriging: none, mean cross-section, that and a depth that grows "
+            "where the river is narrower, slope along the river",
+            "auto",
+        ),
+        ("--neighbours", int, "N", "data used for a cell (default: %(default)s)", 48),
+        (
+            "--reach",
+            positive,
+            "RANGES",
+            "leave cells empty beyond this multiple of the range from data (default: %(default)s)",
+            2.0,
+        ),
         writes="bed.tif",
         settings={
-            "campaign.crs": "--crs",
-            "campaign.origin": "the origin",
+            **OF_POINTS,
             "bathymetry.reach": "--reach",
             "bathymetry.cell_m": "--cell",
             "bathymetry.line_turn_deg": "--line",
@@ -136,150 +119,86 @@ def add_bathymetry_commands(commands: Commands) -> None:
             **of_a_campaign(["bathymetry.engine"]),
         },
     )
-
-    flow = commands.add_parser("flow", help="flow coordinates of points: along and across a centre line")
-    flow.add_argument("points", type=Path, metavar="POINTS", help="CSV with east, north (or x, y)")
-    flow.add_argument(
-        "--centre-line",
-        type=Path,
-        required=True,
-        metavar="FILE",
-        help="one line of a GIS, or CSV with east, north, in downstream order",
+    commands.add(
+        "flow",
+        "flow coordinates of points: along and across a centre line",
+        _flow,
+        ("points", Path, "POINTS", "CSV with east, north (or x, y)"),
+        ("--centre-line", Path, "FILE", LINE, REQUIRED),
+        ("--out", Path, "CSV", "table to write, with s_m, n_m, fold", REQUIRED),
+        settings=OF_A_FILE | {"campaign.origin": "the origin"},
     )
-    flow.add_argument(
-        "--out", type=Path, required=True, metavar="CSV", help="table to write, with s_m, n_m, fold"
-    )
-    flow.set_defaults(command=_flow, settings=OF_A_FILE | {"campaign.origin": "the origin"})
-
-    plan = commands.add_parser(
-        "plan-survey", help="survey lines between two banks, and the accuracy of the bed to expect"
-    )
-    plan.add_argument(
-        "banks",
-        type=Path,
-        metavar="BANKS",
-        help="bank lines, or the water surface as a polygon: GeoJSON, Shapefile, GeoPackage, KML, GML, DXF",
-    )
-    plan.add_argument(
-        "--crs", required=True, metavar="EPSG:...", help="coordinate system of the banks, projected, metres"
-    )
-    plan.add_argument(
-        "--pattern", choices=("zigzag", "sections", "along"), required=True, help="pattern of the lines"
-    )
-    plan.add_argument("--speed", type=_positive, required=True, metavar="M/S", help="speed of the boat")
-    plan.add_argument(
-        "--sigma",
-        type=_positive,
-        required=True,
-        metavar="M",
-        help="standard deviation wanted for 95 %% of the bed",
-    )
-    plan.add_argument(
-        "--out",
-        type=Path,
-        default=Path("plan"),
-        metavar="FOLDER",
-        help="folder of the results (default: %(default)s)",
-    )
-    plan.add_argument(
-        "--leg",
-        type=_positive,
-        metavar="M",
-        help="distance of neighbouring lines (default: the largest that reaches --sigma)",
-    )
-    plan.add_argument(
-        "--margin",
-        type=_positive,
-        default=2.0,
-        metavar="M",
-        help="distance from the banks (default: %(default)s)",
-    )
-    plan.add_argument(
-        "--centre-line",
-        type=Path,
-        metavar="FILE",
-        help="one line of a GIS, or CSV with east, north, in downstream order (default: from banks or "
-        "soundings)",
-    )
-    plan.add_argument(
-        "--variogram",
-        type=Path,
-        metavar="JSON",
-        help="covariance function of the bed: variogram.json of `thalweg bed` or of a campaign",
-    )
-    plan.add_argument(
-        "--relief",
-        type=_positive,
-        default=0.3,
-        metavar="M",
-        help="without --variogram: standard deviation of the bed about its mean, with ranges of half the "
-        "width across the river and twice the width along it (default: %(default)s)",
-    )
-    plan.add_argument(
-        "--sigma-sounding",
-        type=_positive,
-        default=0.05,
-        metavar="M",
-        help="standard deviation of a sounding (default: %(default)s)",
-    )
-    plan.add_argument("--power", type=_positive, metavar="W", help="power of the boat at this speed")
-    plan.add_argument("--battery", type=_positive, metavar="WH", help="energy of one battery")
-    plan.set_defaults(
-        command=_plan,
+    commands.add(
+        "plan-survey",
+        "survey lines between two banks, and the accuracy of the bed to expect",
+        _plan,
+        (
+            "banks",
+            Path,
+            "BANKS",
+            "bank lines, or the water surface as a polygon: GeoJSON, Shapefile, GeoPackage, KML, GML, DXF",
+        ),
+        ("--crs", str, "EPSG:...", "coordinate system of the banks, projected, metres", REQUIRED),
+        ("--pattern", ("zigzag", "sections", "along"), None, "pattern of the lines", REQUIRED),
+        ("--speed", positive, "M/S", "speed of the boat", REQUIRED),
+        ("--sigma", positive, "M", "standard deviation wanted for 95 %% of the bed", REQUIRED),
+        folder("plan"),
+        (
+            "--leg",
+            positive,
+            "M",
+            "distance of neighbouring lines (default: the largest that reaches --sigma)",
+        ),
+        ("--margin", positive, "M", "distance from the banks (default: %(default)s)", 2.0),
+        CENTRE_LINE,
+        (
+            "--variogram",
+            Path,
+            "JSON",
+            "covariance function of the bed: variogram.json of `thalweg bed` or of a campaign",
+        ),
+        (
+            "--relief",
+            positive,
+            "M",
+            "without --variogram: standard deviation of the bed about its mean, with ranges of half the "
+            "width across the river and twice the width along it (default: %(default)s)",
+            0.3,
+        ),
+        ("--sigma-sounding", positive, "M", "standard deviation of a sounding (default: %(default)s)", 0.05),
+        ("--power", positive, "W", "power of the boat at this speed"),
+        ("--battery", positive, "WH", "energy of one battery"),
         writes="plan.json",
         settings=OF_A_FILE
-        | {
-            "campaign.crs": "--crs",
-            "campaign.origin": "the origin",
-            "accuracy.area.polygon": "the outline",
-            "accuracy.area": "the outline",
-        },
+        | {**OF_POINTS, "accuracy.area.polygon": "the outline", "accuracy.area": "the outline"},
     )
-
-    refract = commands.add_parser(
+    commands.add(
         "refract",
-        help="photogrammetric points of a bed seen through water -> heights corrected for refraction",
+        "photogrammetric points of a bed seen through water -> heights corrected for refraction",
+        _refract,
+        ("points", Path, "CSV", "columns x, y, z, or east, north, height"),
+        ("--cameras", Path, "CSV", "projection centres: columns x, y, z, in the same frame", REQUIRED),
+        OneOf(
+            [
+                ("--level", float, "M", "height of the water surface"),
+                ("--water", str, "COLUMN", "column with the height of the water surface above each point"),
+            ],
+            required=True,
+        ),
+        ("--height", str, "COLUMN", "column with heights, if it is not z or height"),
+        ("--index", float, None, "refractive index (default: %(default)s)", 1.333),
+        ("--sigma-point", float, "M", "standard deviation of an apparent height", 0.0),
+        ("--sigma-water", float, "M", "standard deviation of the water level", 0.0),
+        (
+            "--max-off-nadir",
+            float,
+            "DEG",
+            "largest angle of a ray off the vertical (default: %(default)s)",
+            35.0,
+        ),
+        ("-o --out", Path, "CSV", "table to write", REQUIRED),
+        settings=OF_A_FILE,
     )
-    refract.add_argument("points", type=Path, metavar="CSV", help="columns x, y, z, or east, north, height")
-    refract.add_argument(
-        "--cameras",
-        type=Path,
-        required=True,
-        metavar="CSV",
-        help="projection centres: columns x, y, z, in the same frame",
-    )
-    level = refract.add_mutually_exclusive_group(required=True)
-    level.add_argument("--level", type=float, metavar="M", help="height of the water surface")
-    level.add_argument(
-        "--water", metavar="COLUMN", help="column with the height of the water surface above each point"
-    )
-    refract.add_argument("--height", metavar="COLUMN", help="column with heights, if it is not z or height")
-    refract.add_argument("--index", type=float, default=1.333, help="refractive index (default: %(default)s)")
-    refract.add_argument(
-        "--sigma-point", type=float, default=0.0, metavar="M", help="standard deviation of an apparent height"
-    )
-    refract.add_argument(
-        "--sigma-water", type=float, default=0.0, metavar="M", help="standard deviation of the water level"
-    )
-    refract.add_argument(
-        "--max-off-nadir",
-        type=float,
-        default=35.0,
-        metavar="DEG",
-        help="largest angle of a ray off the vertical (default: %(default)s)",
-    )
-    refract.add_argument("-o", "--out", type=Path, required=True, metavar="CSV", help="table to write")
-    refract.set_defaults(command=_refract, settings=OF_A_FILE)
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text!r}; expected a number above zero")
-    return value
 
 
 def _refract(options: argparse.Namespace) -> int:
@@ -508,8 +427,7 @@ def _plan(options: argparse.Namespace) -> int:
         f"  95 % of the bed known to {plan.sigma_95_m:.3f} m, half of it to {facts['median_sigma_m']:.3f} m"
     )
     print(f"  covariance {source}")
-    for note in notes:
-        print(f"note: {note}")
+    say_notes(options, notes)
     if plan.sigma_95_m > options.sigma:
         print(f"note: {options.sigma:g} m was wanted; leave out --leg for legs that reach it")
     print(f"Wrote {options.out}/waypoints.gpx, waypoints.geojson, sigma.tif, plan.json")

@@ -2,24 +2,17 @@
 
 import argparse
 import re
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
-from thalweg.commands.parser import Commands, refuse_overwriting
-from thalweg.commands.remedies import of_a_campaign
+from thalweg.commands.options import INTERIORS, LENSES, size
+from thalweg.commands.parser import REQUIRED, Commands, Repeated, Row, refuse_overwriting, say_notes
+from thalweg.commands.remedies import OF_CONTROL, of_a_campaign
 from thalweg.core import InputError
 
 if TYPE_CHECKING:
-    from thalweg.ingest import IntegrityReport
+    from thalweg.core.calibration import Calibration
 
-_HEAD_BYTES: Final = 4096
-_MARKS: Final = (
-    ("field", re.compile(rb"(?m)^thalweg_field[ \t]*:")),
-    ("clock", re.compile(rb"(?m)^thalweg_clock[ \t]*:")),
-    ("mounts", re.compile(rb"\A\s*\{\s*\"kind\"\s*:\s*\"thalweg mounts\"")),
-)
-"""Files of a calibration campaign that no room above `calibration` can read: how their content begins."""
 
 _ENDINGS: Final = {"colmap": (".txt",), "opencv": (".yaml", ".yml", ".json")}
 """Format of a camera file -> endings of its name by which it is known again."""
@@ -27,196 +20,144 @@ _ENDINGS: Final = {"colmap": (".txt",), "opencv": (".yaml", ".yml", ".json")}
 
 def add_calibration_commands(commands: Commands) -> None:
     """Add ``import-calibration``, ``import-camera``, ``export-camera`` and ``print-markers``."""
-    _add_imports(commands)
-    out = commands.add_parser(
-        "export-camera", help="camera of a calibration file -> file of COLMAP or OpenCV, without sigmas"
+    commands.add(
+        "import-calibration",
+        "calibration of another program (Kalibr, 4x4 matrix) -> calibration file",
+        _import_calibration,
+        ("file", Path, "FILE", "Kalibr camchain, or text file with a 4x4 matrix"),
+        *_imported("angle_deg, lever_m, focal_px, centre_px, distortion, time_s"),
+        ("--block", str, None, "of a matrix: name of the sensor (default: %(default)s)", "lidar"),
+        ("--target", str, None, "of a matrix: target frame, such as ics", ""),
+        ("--source", str, None, "of a matrix: source frame, such as scs", ""),
     )
-    out.add_argument("file", type=Path, metavar="CALIBRATION_FILE", help="such as camera.yaml")
-    out.add_argument("out", type=Path, metavar="OUT", help="file to write: .txt (COLMAP); .yaml, .json")
-    out.add_argument("--to", choices=sorted(_ENDINGS), required=True, help="format of OUT")
-    out.add_argument("--block", metavar="NAME", help="name of the camera, if the file holds several")
-    out.set_defaults(command=_export_camera)
-
-    sheets = commands.add_parser(
-        "print-markers", help="coded markers of a calibration field, to print at true scale"
+    commands.add(
+        "calibrate-lens",
+        "a checkerboard in several photographs -> interior orientation with covariance",
+        _calibrate_lens,
+        (
+            "corners",
+            [Path],
+            "FILE",
+            "photographs, with --board; or a table of image, column, row, x_px, y_px, with --size",
+        ),
+        ("--board", size, "CxR", "inner corners of the board, such as 7x5"),
+        ("--size", size, "WxH", "image size of a table, pixels"),
+        ("--spacing-m", float, "M", "distance of neighbouring corners", REQUIRED),
+        ("--model", LENSES, None, "projection model of the lens", REQUIRED),
+        ("--name", str, None, "name of the camera (default: %(default)s)", "camera"),
+        ("-o --out", Path, "YAML", "calibration file to write", REQUIRED),
     )
-    sheets.add_argument("sheets", type=Path, metavar="OUT", help="file .pdf, or a folder for images")
-    sheets.add_argument(
-        "--ids", default="0-99", metavar="FROM-TO", help="numbers of markers (default: %(default)s)"
-    )
-    sheets.add_argument(
-        "--field", type=Path, metavar="YAML", help="field description; gives dictionary and sizes"
-    )
-    sheets.add_argument(
-        "--module-mm", type=float, help="side of a module, 2 to 18 millimetres (default: 12), without --field"
-    )
-    sheets.add_argument("--force", action="store_true", help="overwrite files that exist")
-    sheets.set_defaults(command=_print_markers)
-
-
-def _add_imports(commands: Commands) -> None:
-    other = commands.add_parser(
-        "import-calibration", help="calibration of another program (Kalibr, 4x4 matrix) -> calibration file"
-    )
-    other.add_argument(
-        "file", type=Path, metavar="FILE", help="Kalibr camchain, or text file with a 4x4 matrix"
-    )
-    _add_sigmas(other, "angle_deg, lever_m, focal_px, centre_px, distortion, time_s")
-    other.add_argument(
-        "--block", default="lidar", help="of a matrix: name of the sensor (default: %(default)s)"
-    )
-    other.add_argument("--target", default="", help="of a matrix: target frame, such as ics")
-    other.add_argument("--source", default="", help="of a matrix: source frame, such as scs")
-    other.set_defaults(command=_import_calibration)
-
-    lens = commands.add_parser(
-        "calibrate-lens", help="a checkerboard in several photographs -> interior orientation with covariance"
-    )
-    lens.add_argument(
-        "corners",
-        type=Path,
-        nargs="+",
-        metavar="FILE",
-        help="photographs, with --board; or a table of image, column, row, x_px, y_px, with --size",
-    )
-    lens.add_argument("--board", type=_size, metavar="CxR", help="inner corners of the board, such as 7x5")
-    lens.add_argument("--size", type=_size, metavar="WxH", help="image size of a table, pixels")
-    lens.add_argument(
-        "--spacing-m", type=float, required=True, metavar="M", help="distance of neighbouring corners"
-    )
-    lens.add_argument(
-        "--model", choices=["perspective", "fisheye"], required=True, help="projection model of the lens"
-    )
-    lens.add_argument("--name", default="camera", help="name of the camera (default: %(default)s)")
-    lens.add_argument(
-        "-o", "--out", type=Path, required=True, metavar="YAML", help="calibration file to write"
-    )
-    lens.set_defaults(command=_calibrate_lens)
-
-    resect = commands.add_parser(
-        "resect", help="resection: image points of control points -> pose of each image with covariance"
-    )
-    resect.add_argument(
-        "marks",
-        type=Path,
-        nargs="+",
-        metavar="CSV",
-        help="image, point, x_px, y_px; or a table for each picture, called like it: label, x, y",
-    )
-    resect.add_argument(
-        "--points",
-        type=Path,
-        nargs="+",
-        required=True,
-        metavar="FILE",
-        help="id, x, y, z (and sigmas, role) as CSV; XML of Metashape; metres",
-    )
-    resect.add_argument(
-        "--crs",
-        default="local",
-        metavar="CRS",
-        help="map grid of the points, as EPSG:25833 (default: %(default)s)",
-    )
-    resect.add_argument(
-        "--camera", type=Path, metavar="FILE", help="calibration, COLMAP or OpenCV file; else --free"
-    )
-    resect.add_argument(
-        "--interior",
-        choices=("auto", "free", "weighted", "fixed"),
-        default="auto",
-        help="interior orientation of --camera; auto: weighted by its covariance if it has one that the "
-        "marks do not contradict, else a guess (focal length 2 %%, ...) that is estimated with the poses",
-    )
-    resect.add_argument(
-        "--free",
-        type=lambda text: tuple(word.strip() for word in text.split(",") if word.strip()),
-        default=(),
-        metavar="WORDS",
-        help="what to estimate of the lens that all pictures share: focal; focal,k1; focal,centre,k1,k2",
-    )
-    resect.add_argument(
-        "--size", type=_size, metavar="WxH", help="with --free, without --camera: image size, pixels"
-    )
-    resect.add_argument(
-        "--photograph",
-        type=Path,
-        metavar="FILE",
-        help="instead of --size, or beside it for EXIF: a picture (default: looked for beside the marks)",
-    )
-    resect.add_argument(
-        "--sigma-px",
-        type=float,
-        default=1.0,
-        metavar="PX",
-        help="standard deviation of an image coordinate (default: %(default)s)",
-    )
-    resect.add_argument(
-        "--sigma-point",
-        type=float,
-        default=0.01,
-        metavar="M",
-        help="standard deviation of a control point coordinate (default: %(default)s)",
-    )
-    resect.add_argument(
-        "--largest-sigma",
-        type=float,
-        default=5.0,
-        metavar="M",
-        help="refuse projection centres with a larger standard deviation (default: %(default)s)",
-    )
-    resect.add_argument(
-        "-o", "--out", type=Path, required=True, metavar="CSV", help="table of poses and residuals to write"
-    )
-    resect.set_defaults(
-        command=_resect,
+    commands.add(
+        "resect",
+        "resection: image points of control points -> pose of each image with covariance",
+        _resect,
+        (
+            "marks",
+            [Path],
+            "CSV",
+            "image, point, x_px, y_px; or a table for each picture, called like it: label, x, y",
+        ),
+        (
+            "--points",
+            [Path],
+            "FILE",
+            "id, x, y, z (and sigmas, role) as CSV; XML of Metashape; metres",
+            REQUIRED,
+        ),
+        ("--crs", str, "CRS", "map grid of the points, as EPSG:25833 (default: %(default)s)", "local"),
+        ("--camera", Path, "FILE", "calibration, COLMAP or OpenCV file; else --free"),
+        (
+            "--interior",
+            INTERIORS,
+            None,
+            "interior orientation of --camera; auto: weighted by its covariance if it has one that the "
+            "marks do not contradict, else a guess (focal length 2 %%, ...) that is estimated with the poses",
+            "auto",
+        ),
+        (
+            "--free",
+            _words,
+            "WORDS",
+            "what to estimate of the lens that all pictures share: focal; focal,k1; focal,centre,k1,k2",
+            (),
+        ),
+        ("--size", size, "WxH", "with --free, without --camera: image size, pixels"),
+        (
+            "--photograph",
+            Path,
+            "FILE",
+            "instead of --size, or beside it for EXIF: a picture (default: looked for beside the marks)",
+        ),
+        ("--sigma-px", float, "PX", "standard deviation of an image coordinate (default: %(default)s)", 1.0),
+        (
+            "--sigma-point",
+            float,
+            "M",
+            "standard deviation of a control point coordinate (default: %(default)s)",
+            0.01,
+        ),
+        (
+            "--largest-sigma",
+            float,
+            "M",
+            "refuse projection centres with a larger standard deviation (default: %(default)s)",
+            5.0,
+        ),
+        ("-o --out", Path, "CSV", "table of poses and residuals to write", REQUIRED),
         settings={
-            "campaign.crs": "--crs",
-            "campaign.origin": "the origin",
-            "images.control.crs": "--crs",
+            **OF_CONTROL,
             "images.fixed_camera.largest_sigma_m": "--largest-sigma",
-            ", or state their order: --columns x,y,z": "",
-            ", or state all with --columns": "",
             " (in a campaign images.fixed_camera.size_px)": "",
             **of_a_campaign(["images.adjustment.antenna.use"]),
         },
     )
+    commands.add(
+        "import-camera",
+        "camera file of COLMAP, OpenCV, ROS or Metashape -> calibration file",
+        _import_camera,
+        ("file", Path, "FILE", "cameras.txt, YAML or JSON with a matrix, XML of Metashape"),
+        *_imported("focal_px, centre_px, distortion, or a coefficient: k2"),
+        ("--camera", int, "NUMBER", "number of the camera, if the file holds several"),
+        ("--model", LENSES, None, "if a file of OpenCV does not state it"),
+        ("--size-px", [int], ("WIDTH", "HEIGHT"), "if a file of OpenCV does not state it"),
+        ("--block", str, "NAME", "name of the camera (default: %(default)s)", "camera"),
+    )
+    commands.add(
+        "export-camera",
+        "camera of a calibration file -> file of COLMAP or OpenCV, without sigmas",
+        _export_camera,
+        ("file", Path, "CALIBRATION_FILE", "such as camera.yaml"),
+        ("out", Path, "OUT", "file to write: .txt (COLMAP); .yaml, .json"),
+        ("--to", tuple(sorted(_ENDINGS)), None, "format of OUT", REQUIRED),
+        ("--block", str, "NAME", "name of the camera, if the file holds several"),
+    )
+    commands.add(
+        "print-markers",
+        "coded markers of a calibration field, to print at true scale",
+        _print_markers,
+        ("sheets", Path, "OUT", "file .pdf, or a folder for images"),
+        ("--ids", str, "FROM-TO", "numbers of markers (default: %(default)s)", "0-99"),
+        ("--field", Path, "YAML", "field description; gives dictionary and sizes"),
+        ("--module-mm", float, None, "side of a module, 2 to 18 millimetres (default: 12), without --field"),
+        ("--force", bool, None, "overwrite files that exist"),
+    )
 
-    camera = commands.add_parser(
-        "import-camera", help="camera file of COLMAP, OpenCV, ROS or Metashape -> calibration file"
+
+def _imported(sigmas: str) -> tuple[Row, ...]:
+    """Rows of commands that take a calibration of another program, which may state no standard deviations."""
+    return (
+        ("out", Path, "OUT", "calibration file to write, .yaml"),
+        (
+            "--sigma",
+            Repeated(_sigma),
+            "NAME=VALUE",
+            f"a standard deviation that the file does not state: {sigmas}",
+        ),
     )
-    camera.add_argument(
-        "file", type=Path, metavar="FILE", help="cameras.txt, YAML or JSON with a matrix, XML of Metashape"
-    )
-    _add_sigmas(camera, "focal_px, centre_px, distortion, or a coefficient: k2")
-    camera.add_argument(
-        "--camera", type=int, metavar="NUMBER", help="number of the camera, if the file holds several"
-    )
-    camera.add_argument(
-        "--model", choices=["perspective", "fisheye"], help="if a file of OpenCV does not state it"
-    )
-    camera.add_argument(
-        "--size-px",
-        type=int,
-        nargs=2,
-        metavar=("WIDTH", "HEIGHT"),
-        help="if a file of OpenCV does not state it",
-    )
-    camera.add_argument(
-        "--block", default="camera", metavar="NAME", help="name of the camera (default: %(default)s)"
-    )
-    camera.set_defaults(command=_import_camera)
 
 
-def _add_sigmas(parser: argparse.ArgumentParser, names: str) -> None:
-    parser.add_argument("out", type=Path, metavar="OUT", help="calibration file to write, .yaml")
-    parser.add_argument(
-        "--sigma",
-        action="append",
-        default=[],
-        type=_sigma,
-        metavar="NAME=VALUE",
-        help=f"a standard deviation that the file does not state: {names}",
-    )
+def _words(text: str) -> tuple[str, ...]:
+    return tuple(word.strip() for word in text.split(",") if word.strip())
 
 
 def _print_markers(options: argparse.Namespace) -> int:
@@ -245,8 +186,16 @@ def _print_markers(options: argparse.Namespace) -> int:
     return 0
 
 
+def _write(out: Path, calibration: "Calibration") -> int:
+    from thalweg.core.calibration import write_calibration
+
+    write_calibration(out, calibration)
+    print(f"Wrote {out}. Look at it with: thalweg describe {out}")
+    return 0
+
+
 def _import_calibration(options: argparse.Namespace) -> int:
-    from thalweg.core.calibration import import_kalibr, import_matrix, write_calibration
+    from thalweg.core.calibration import import_kalibr, import_matrix
     from thalweg.ingest.registry import KINDS, recognise
 
     kind, sigmas = recognise(options.file), dict(options.sigma)
@@ -263,16 +212,7 @@ def _import_calibration(options: argparse.Namespace) -> int:
             expected=f"{KINDS['kalibr']} or {KINDS['matrix']}",
             cure="Use `thalweg import-camera`" if kind in _ENDINGS else "",
         )
-    write_calibration(options.out, found)
-    print(f"Wrote {options.out}. Look at it with: thalweg describe {options.out}")
-    return 0
-
-
-def _size(text: str) -> tuple[int, int]:
-    width, _, height = text.lower().partition("x")
-    if not (width.isdigit() and height.isdigit() and int(width) and int(height)):
-        raise argparse.ArgumentTypeError(f"{text!r}; expected width x height such as 640x480")
-    return int(width), int(height)
+    return _write(options.out, found)
 
 
 def _resect(options: argparse.Namespace) -> int:
@@ -332,8 +272,7 @@ def _resect(options: argparse.Namespace) -> int:
         write_calibration(lens, interior_calibration(camera, source))
     else:
         written.remove(lens)
-    for note in facts["notes"]:
-        print(f"note: {note}")
+    say_notes(options, facts["notes"])
     print(f"{facts['with_pose']} of {facts['pictures']} pictures have a pose")
     print(f"Wrote {', '.join(str(path) for path in written)}")
     return 0
@@ -341,7 +280,6 @@ def _resect(options: argparse.Namespace) -> int:
 
 def _calibrate_lens(options: argparse.Namespace) -> int:
     from thalweg.calibration import calibrate_lens, corners_of_pictures, lens_calibration_file, read_corners
-    from thalweg.core.calibration import write_calibration
 
     if not options.name.isidentifier():
         raise InputError(f"a camera named {options.name!r}", expected="a name such as camera or front")
@@ -357,7 +295,6 @@ def _calibrate_lens(options: argparse.Namespace) -> int:
         corners, size, missed = read_corners(options.corners[0]), options.size, {}
         run = options.corners[0].name
     found = calibrate_lens(corners, size, spacing_m=options.spacing_m, model=options.model, name=options.name)
-    write_calibration(options.out, lens_calibration_file(found, run=run))
     sigmas = found.camera.cov.diagonal() ** 0.5
     for name, value, sigma in zip(found.camera.parameter_names, found.camera.parameters, sigmas, strict=True):
         print(f"{name:>4} {value:12.6g} +- {sigma:.2g}")
@@ -370,12 +307,11 @@ def _calibrate_lens(options: argparse.Namespace) -> int:
         print(f"left out: {picture}: {why}")
     for corner in found.rejected:
         print(f"rejected: {corner}")
-    print(f"Wrote {options.out}. Look at it with: thalweg describe {options.out}")
-    return 0
+    return _write(options.out, lens_calibration_file(found, run=run))
 
 
 def _import_camera(options: argparse.Namespace) -> int:
-    from thalweg.core.calibration import import_camera, write_calibration
+    from thalweg.core.calibration import import_camera
     from thalweg.ingest.registry import KINDS, recognise
 
     kind = recognise(options.file)
@@ -397,11 +333,9 @@ def _import_camera(options: argparse.Namespace) -> int:
         name=options.block,
         size_px=tuple(options.size_px) if options.size_px else None,
     )
-    write_calibration(options.out, found)
     if held := found.blocks[0].facts.get("held"):
         print(f"held at their values, sigma zero: {', '.join(held)}; not so? --sigma {held[0]}=...")
-    print(f"Wrote {options.out}. Look at it with: thalweg describe {options.out}")
-    return 0
+    return _write(options.out, found)
 
 
 def _export_camera(options: argparse.Namespace) -> int:
@@ -447,135 +381,3 @@ def _sigma(text: str) -> tuple[str, float]:
             f"{text!r}; expected one of {', '.join(SIGMAS)} with a value: lever_m=0.002"
         )
     return name, number
-
-
-def describe_marked(path: Path) -> "IntegrityReport | None":
-    """Report on a file that a calibration campaign reads or writes; None if it is none of these.
-
-    Parameters
-    ----------
-    path : the description of a field, the clock of a camera, or the mounts of a campaign.
-
-    Raises
-    ------
-    ConfigError, InputError : it is one, and wrong; see the readers.
-    """
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(_HEAD_BYTES)
-    except OSError:
-        return None  # the reader of logs has words for it
-    kind = next((name for name, mark in _MARKS if mark.search(head)), None)
-    if kind is None:
-        return None
-    from thalweg.ingest.registry import CalibrationReport
-
-    formats = {
-        "field": "description of a calibration field",
-        "clock": "clock against GPS time",
-        "mounts": "places of the sensors in ics (x forward, y right, z down)",
-    }
-    report = CalibrationReport(stream=kind, format=formats[kind], files=[str(path)])
-    report.bytes_read = path.stat().st_size
-    match kind:
-        case "field":
-            _describe_field(path, report)
-        case "clock":
-            _describe_clock(path, report)
-        case _:
-            from thalweg.calibration import read_mounts
-
-            for sensor, mount in read_mounts(path).items():
-                report.count("sensors")
-                report.details[sensor] = _mount_lines(mount, path)
-    return report
-
-
-def _describe_field(path: Path, report: "IntegrityReport") -> None:
-    from thalweg.calibration.field import read_field
-    from thalweg.ingest.registry import with_sigma
-
-    field = read_field(path)
-    layout, antenna = field.layout, field.antenna
-    sizes = [f"{first} to {last}: {m * 1e3:g} mm" for first, last, m in layout.sizes]
-    report.details["markers"] = [f"{layout.dictionary}, modules of {layout.module_m * 1e3:g} mm", *sizes]
-    report.details["cones"] = [
-        f"{len(field.cones)}; their form is nominal",
-        *(
-            f"{c.name:5s} markers {_ids(c.markers)}, half angle {c.half_angle_rad * _DEG:.6g} deg, "
-            f"length {c.length_m:g} m"
-            for c in field.cones
-        ),
-    ]
-    report.details["scale bars"] = [
-        str(len(field.scale_bars)),
-        *(
-            f"{b.name:5s} {b.start} to {b.end}  {with_sigma(b.length_m, b.sigma_m)} m"
-            for b in field.scale_bars
-        ),
-    ]
-    report.details["targets"] = [
-        str(len(field.targets)),
-        *(
-            f"{t.name:5s} marker {t.marker}  {t.lat_deg:.9f} deg, {t.lon_deg:.9f} deg, {t.h_ell_m:.4f} m, "
-            f"sigma {', '.join(f'{s:g}' for s in t.sigma_m)} m east, north, up"
-            for t in field.targets
-        ),
-    ]
-    report.details["antenna"] = (
-        "no marker on it"
-        if antenna is None
-        else f"marker {antenna.marker}, phase centre {with_sigma(antenna.offset_m, antenna.sigma_m)} m "
-        "out of the print"
-    )
-    for name in ("cones", "scale_bars", "targets"):
-        report.count(name, len(getattr(field, name)))
-
-
-_DEG: Final = 57.29577951308232
-
-
-def _ids(markers: tuple[int, ...]) -> str:
-    whole = tuple(range(min(markers), max(markers) + 1)) if markers else ()
-    return f"{whole[0]} to {whole[-1]}" if markers == whole else ", ".join(map(str, markers))
-
-
-def _describe_clock(path: Path, report: "IntegrityReport") -> None:
-    from thalweg.clocks import ClockModel
-
-    for line in ClockModel.read(path).lines():
-        key, _, words = line.partition(" ")
-        if key == "note":
-            report.note(words.strip())
-        else:
-            report.details["source" if key == "clock" else key] = words.strip()
-
-
-def _mount_lines(mount: Mapping[str, Any], path: Path) -> list[str]:
-    """Value, sigma and unit of each quantity of a mount."""
-    from thalweg.core.calibration import ANGLES, LEVER
-    from thalweg.ingest.registry import with_sigma
-
-    try:
-        angles = [
-            (name, float(mount[name]), float(mount[f"sigma_{name}"])) for name in ANGLES if name in mount
-        ]
-        values, sigmas = (map(float, mount[key]) for key in ("lever_ics_m", "sigma_lever_m"))
-        lever = [
-            f"{name:12s} {with_sigma(value, sigma)} m"
-            for name, value, sigma in zip(LEVER, values, sigmas, strict=True)
-        ]
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            f"no mount ({error!r})", where=path, expected="lever_ics_m, and angles, each with its sigma"
-        ) from error
-    about_axes = mount.get("sigma_axes") == "ics"
-    lines = [
-        f"{name:12s} {with_sigma(value, None if about_axes else sigma)} deg" for name, value, sigma in angles
-    ]
-    if angles and about_axes:
-        lines.append(f"turned by    ± {', '.join(f'{s:.2g}' for _, _, s in angles)} deg about x, y, z of ics")
-    rows = mount.get("correlation") or ()
-    joint = any(rho != 0.0 for i, row in enumerate(rows) for j, rho in enumerate(row) if i != j)
-    known = ", with correlations" if joint else ""
-    return [f"from {mount.get('source', 'an unknown source')}{known}", *lines, *lever]

@@ -1,19 +1,26 @@
-"""What ``thalweg check-config`` finds out by opening logs: refusals of the first jobs, before they run.
+"""The command ``thalweg check-config``, which also opens logs: refusals of the first jobs, before they run.
 
 The functions are those that the jobs call, so that both never disagree. Raw GNSS is not processed for that,
 and logs of more than `LARGEST_BYTES` are not opened.
 """
 
+import argparse
 import datetime as dt
+import sys
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
+
+from thalweg.commands.options import CAMPAIGNS
+from thalweg.commands.parser import Commands
+from thalweg.core import ConfigError, InputError, ThalwegError
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from thalweg.core import ThalwegError
     from thalweg.ingest import IntegrityReport
+    from thalweg.settings import Campaign
     from thalweg.workflow import CampaignFiles
 
 LARGEST_BYTES: Final = 300_000_000
@@ -99,8 +106,6 @@ class FirstJobs:
         return None
 
     def _tried(self, step: "Callable[[], Any]") -> Any:
-        from thalweg.core import ThalwegError
-
         try:
             return step()
         except ThalwegError as error:
@@ -205,3 +210,136 @@ class FirstJobs:
             sigma_attitude_rad=np.deg2rad([ins[f"sigma_{a}_deg"] for a in ("roll", "pitch", "heading")]),
             sigma_position_m=ins["sigma_position_m"],
         )
+
+
+def add_check_command(commands: Commands) -> None:
+    """Add ``check-config``."""
+    commands.add(
+        "check-config",
+        "check campaign files; report all mistakes at once",
+        _check_config,
+        ("files", [str], "FILE", "campaign file, or id of one"),
+    )
+
+
+def _check_config(options: argparse.Namespace) -> int:
+    from thalweg.settings import load_campaigns
+    from thalweg.settings.sections import STREAM_KEYS
+    from thalweg.workflow import CampaignFiles
+
+    for name, campaign in load_campaigns(options.files, CAMPAIGNS).items():
+        for path in [path for stream in STREAM_KEYS for path in campaign.log_files(stream)]:
+            if path.is_symlink() and not path.resolve().is_relative_to(path.parent.resolve()):
+                print(f"note: {path} is a link out of its folder, to {path.resolve()}", file=sys.stderr)
+        _check_contents(campaign)
+        _check_epochs(campaign)
+        files = CampaignFiles(name=name, campaigns={name: campaign})
+        jobs = FirstJobs(files) if campaign.logs else None
+        if jobs and jobs.errors:
+            raise ConfigError(
+                "what the first jobs would refuse:\n"
+                + "\n".join(f"  {each}" for each in jobs.errors).rstrip("."),
+                where=name,
+            )
+        counts = {stream: len(campaign.log_files(stream)) for stream in STREAM_KEYS}
+        named = ", ".join(f"{n} {stream}" for stream, n in counts.items() if n)
+        source = f"files: {named}" if campaign.logs else "digital twin"
+        identity = campaign.campaign
+        if campaign.is_change:
+            epochs = ", ".join(campaign.epoch_names)
+            print(f"{name}: ok. {identity.title}; {identity.crs}; epochs {epochs}")
+            continue
+        if campaign.logs and campaign.logs.kind != "boat":
+            print(f"{name}: ok. {identity.title}; {identity.crs}; {source}")
+        else:
+            print(
+                f"{name}: ok. {identity.title}; {identity.crs}; "
+                f"positions from {campaign.orientation.position_source}; {source}"
+            )
+            print(f"  places of the sensors: {_places(campaign)}")
+        if jobs and jobs.skipped:
+            print(f"  not checked: {', '.join(jobs.skipped)}")
+        for note in jobs.notes if jobs else ():
+            print(f"note: {note}", file=sys.stderr)
+        products = files.products() if campaign.logs else []
+        for made, words in ((True, "gives"), (False, "more logs would add")):
+            listed = [f"{p.name}{'' if made else f' ({p.needs})'}" for p in products if p.made is made]
+            if listed:
+                print(f"  {words}: {', '.join(listed)}")
+    return 0
+
+
+def _places(campaign: "Campaign") -> str:
+    """Where the place of each sensor comes from, in words."""
+    from thalweg.settings import mount_sources
+
+    by_source: dict[str, list[str]] = {}
+    for sensor, source in mount_sources(campaign).items():
+        by_source.setdefault(source, []).append(sensor)
+    parts = [
+        f"{', '.join(sensors)} {f'from {source}' if source else 'not stated, values by default'}"
+        for source, sensors in by_source.items()
+    ]
+    return "; ".join(parts)
+
+
+def _check_contents(campaign: "Campaign") -> None:
+    """Are the logs what the campaign file takes them for? All misplaced files are named at once."""
+    from thalweg.ingest.registry import KINDS, KINDS_OF_STREAM, SOURCES_OF_THEIR_OWN, recognise
+    from thalweg.settings.sections import STREAM_KEYS
+
+    wrong = []
+    for stream, keys in STREAM_KEYS.items():
+        # tables that people write, and pictures, have no mark of their own
+        for path in campaign.log_files(stream) if stream in KINDS_OF_STREAM else []:
+            try:
+                kind = recognise(path)
+            except InputError as error:
+                if KINDS_OF_STREAM[stream]:  # else a kind that has no mark of its own
+                    wrong.append(f"  logs.{'.'.join(keys)}: {error}")
+                continue
+            fitting = KINDS_OF_STREAM["cloud" if campaign.kind == "cloud" else stream]
+            source = campaign.orientation.position_source
+            if stream == "pos":
+                own = SOURCES_OF_THEIR_OWN & {source}
+                fitting = tuple(own or (each for each in fitting if each not in SOURCES_OF_THEIR_OWN))
+            if fitting and kind not in fitting:
+                expected = " or ".join(KINDS[name] for name in fitting)
+                wrong.append(f"  logs.{'.'.join(keys)}: {path} holds a {KINDS[kind]}; expected: {expected}.")
+    if wrong:
+        raise ConfigError(
+            "files that are not what they are named for:\n" + "\n".join(wrong),
+            where=campaign.id,
+            cure="Name each file under its own key; `thalweg describe FILE` says what a file is",
+        )
+
+
+def _check_epochs(campaign: "Campaign") -> None:
+    """Do files of epochs hold what the campaign file says? All mistakes are named at once."""
+    if not any(epoch.of_files for epoch in campaign.epochs or []):
+        return
+    from thalweg.core import LocalFrame
+    from thalweg.deformation.foreign import check_epoch_files, dsm_of, onto_grid, with_drawn_areas
+
+    wrong = []
+    assert campaign.campaign.origin is not None  # epochs have one
+    frame = LocalFrame(**campaign.campaign.origin.model_dump())
+    for number, epoch in enumerate(campaign.epochs or []):
+        try:
+            check_epoch_files(epoch, frame, campaign.campaign.crs)
+        except ThalwegError as error:
+            wrong.append(f"  epochs[{number}]: {error}")
+    try:
+        with_drawn_areas(campaign.deformation, frame, campaign.campaign.crs)
+    except ThalwegError as error:
+        wrong.append(f"  deformation.stable: {error}")
+    for number, (before, after) in enumerate(pairwise(campaign.epochs or [])):
+        if wrong or before.dsm is None or after.dsm is None:
+            continue
+        try:
+            onto_grid(dsm_of(after), dsm_of(before), campaign.deformation.resample)
+        except ThalwegError as error:
+            wrong.append(f"  epochs[{number + 1}]: {error}")
+    if wrong:
+        told = "\n".join(wrong).rstrip(".")
+        raise ConfigError(f"files of epochs that cannot be used:\n{told}", where=campaign.id)

@@ -3,129 +3,120 @@
 import argparse
 from pathlib import Path
 
-from thalweg.commands.parser import Commands
+from thalweg.commands.options import CLOUDS, above_zero, count, direction, length, lengths, nodata, place
+from thalweg.commands.parser import REQUIRED, Commands, Part, Repeated, say_notes
 from thalweg.commands.remedies import OF_A_FILE, of_a_campaign
 
 
 def add_deformation_commands(commands: Commands) -> None:
     """Add ``compare-clouds`` and ``compare``."""
-    compare = commands.add_parser(
+    commands.add(
         "compare-clouds",
-        help="distances between two clouds along normals (M3C2) with limits and significance, or "
+        "distances between two clouds along normals (M3C2) with limits and significance, or "
         "differences and volumes of two surface models",
-    )
-    compare.add_argument(
-        "before", type=Path, metavar="BEFORE", help="first epoch: LAS, LAZ, PLY, E57, x y z text; GeoTIFF"
-    )
-    compare.add_argument(
-        "after", type=Path, metavar="AFTER", help="second epoch, in the same coordinate system"
-    )
-    compare.add_argument(
-        "-o",
-        "--out",
-        type=Path,
-        required=True,
-        metavar="FILE",
-        help=".csv, .parquet, .laz; of two GeoTIFF .tif",
-    )
-    for name, which in (("a", "first"), ("b", "second")):
-        compare.add_argument(
-            f"--sigma-{name}",
-            type=_length,
-            metavar="M",
-            help=f"standard deviation of the {which} cloud that neighbouring points share",
-        )
-    compare.add_argument(
-        "--sigma-registration",
-        type=_length,
-        default=0.0,
-        metavar="M",
-        help="standard deviation of the registration of the two clouds (default: %(default)s)",
-    )
-    compare.add_argument(
-        "--core-every",
-        type=_count,
-        metavar="N",
-        help="every N-th point of BEFORE is a core point (default: as many as a cylinder holds); with c2c "
-        "every N-th of AFTER is compared (default: all)",
-    )
-    compare.add_argument(
-        "--scales",
-        type=_lengths,
-        metavar="M,M,...",
-        help="radii for normals, of which the most planar is used (default: 1, 2, 4 cylinders, or 10, 20, 40 "
-        "times the scatter of the points)",
-    )
-    compare.add_argument(
-        "--cylinder",
-        type=_above_zero,
-        metavar="M",
-        help="radius of the cylinders (default: 3 times the spacing of the sparser cloud)",
-    )
-    compare.add_argument(
-        "--reach",
-        type=_above_zero,
-        metavar="M",
-        help="half length of the cylinders along the normal (default: 30 times their radius)",
-    )
-    compare.add_argument(
-        "--least-points",
-        type=int,
-        default=5,
-        metavar="N",
-        help="fewest points in a cylinder (default: %(default)s)",
-    )
-    compare.add_argument(
-        "--towards",
-        type=_direction,
-        default=(0.0, 0.0, 1.0),
-        metavar="E,N,U",
-        help="direction to which normals point, and in which a distance is positive (default: 0,0,1)",
-    )
-    compare.add_argument(
-        "--control",
-        choices=("fdr", "none"),
-        default="fdr",
-        help="5 %% are the false discovery rate (fdr), or the level of each test (default: %(default)s)",
-    )
-    compare.add_argument(
-        "--method",
-        choices=("m3c2", "c2c"),
-        default="m3c2",
-        help="m3c2: along normals at core points of the first cloud, with limits; c2c: of each point of the "
-        "second to the nearest one of the first, and to the plane of the nearest ones (default: %(default)s)",
-    )
-    compare.add_argument(
-        "--correlation-m",
-        "--correlation",
-        dest="correlation",
-        type=_length,
-        default=0.0,
-        metavar="M",
-        help="length at which the correlation of shared errors is 1/e: sigmas of volumes of surface models, "
-        "and of the mean distance of clouds (default: %(default)s)",
-    )
-    rasters = compare.add_argument_group("surface models (two GeoTIFF)")
-    rasters.add_argument(
-        "--nodata",
-        type=_nodata,
-        metavar="VALUE",
-        help="value of missing heights, in addition to the declared one; none: there is no other",
-    )
-    rasters.add_argument(
-        "--resample",
-        choices=("nearest", "bilinear"),
-        help="resample AFTER to the grid of BEFORE, if they differ",
-    )
-    rasters.add_argument(
-        "--leave-out",
-        action="append",
-        default=[],
-        metavar="FILE[?COLUMN=VALUE,...]",
-        help="polygons (GeoPackage, Shapefile, GeoJSON, KML) to exclude, such as water; may be repeated",
-    )
-    compare.set_defaults(
-        command=_compare,
+        _compare,
+        ("before", Path, "BEFORE", "first epoch: LAS, LAZ, PLY, E57, x y z text; GeoTIFF"),
+        ("after", Path, "AFTER", "second epoch, in the same coordinate system"),
+        ("-o --out", Path, "FILE", ".csv, .parquet, .laz; of two GeoTIFF .tif", REQUIRED),
+        *(
+            (
+                f"--sigma-{name}",
+                length,
+                "M",
+                f"standard deviation of the {which} cloud that neighbouring points share",
+            )
+            for name, which in (("a", "first"), ("b", "second"))
+        ),
+        (
+            "--sigma-registration",
+            length,
+            "M",
+            "standard deviation of the registration of the two clouds (default: %(default)s)",
+            0.0,
+        ),
+        (
+            "--core-every",
+            count,
+            "N",
+            "every N-th point of BEFORE is a core point (default: as many as a cylinder holds); with c2c "
+            "every N-th of AFTER is compared (default: all)",
+        ),
+        (
+            "--scales",
+            lengths("lengths in metres above zero"),
+            "M,M,...",
+            "radii for normals, of which the most planar is used (default: 1, 2, 4 cylinders, or 10, 20, 40 "
+            "times the scatter of the points)",
+        ),
+        (
+            "--cylinder",
+            above_zero,
+            "M",
+            "radius of the cylinders (default: 3 times the spacing of the sparser cloud)",
+        ),
+        (
+            "--reach",
+            above_zero,
+            "M",
+            "half length of the cylinders along the normal (default: 30 times their radius)",
+        ),
+        ("--least-points", int, "N", "fewest points in a cylinder (default: %(default)s)", 5),
+        (
+            "--towards",
+            direction,
+            "E,N,U",
+            "direction to which normals point, and in which a distance is positive (default: 0,0,1)",
+            (0.0, 0.0, 1.0),
+        ),
+        (
+            "--control",
+            ("fdr", "none"),
+            None,
+            "5 %% are the false discovery rate (fdr), or the level of each test (default: %(default)s)",
+            "fdr",
+        ),
+        (
+            "--method",
+            ("m3c2", "c2c"),
+            None,
+            "m3c2: along normals at core points of the first cloud, with limits; c2c: of each point of the "
+            "second to the nearest one of the first, and to the plane of the nearest ones "
+            "(default: %(default)s)",
+            "m3c2",
+        ),
+        (
+            "--correlation-m --correlation",
+            length,
+            "M",
+            "length at which the correlation of shared errors is 1/e: sigmas of volumes of surface models, "
+            "and of the mean distance of clouds (default: %(default)s)",
+            0.0,
+            {"dest": "correlation"},
+        ),
+        Part(
+            "surface models (two GeoTIFF)",
+            [
+                (
+                    "--nodata",
+                    nodata,
+                    "VALUE",
+                    "value of missing heights, in addition to the declared one; none: there is no other",
+                ),
+                (
+                    "--resample",
+                    ("nearest", "bilinear"),
+                    None,
+                    "resample AFTER to the grid of BEFORE, if they differ",
+                ),
+                (
+                    "--leave-out",
+                    Repeated(str),
+                    "FILE[?COLUMN=VALUE,...]",
+                    "polygons (GeoPackage, Shapefile, GeoJSON, KML) to exclude, such as water; "
+                    "may be repeated",
+                ),
+            ],
+        ),
         settings={
             "deformation.scales_m": "--scales",
             "deformation.cylinder_radius_m": "--cylinder",
@@ -139,67 +130,52 @@ def add_deformation_commands(commands: Commands) -> None:
             **OF_A_FILE,
         },
     )
-
-    surface = commands.add_parser(
-        "compare", help="signed distances of a cloud from a reference mesh or cloud, with statistics"
-    )
-    surface.add_argument("cloud", type=Path, metavar="CLOUD", help="LAS, LAZ, PLY, E57, x y z text")
-    surface.add_argument(
-        "reference", type=Path, metavar="REFERENCE", help="mesh (PLY), or a cloud, which is meshed"
-    )
-    surface.add_argument(
-        "-o",
-        "--out",
-        type=Path,
-        required=True,
-        metavar="FILE",
-        help=".csv, .parquet, .laz; .json and .html beside it",
-    )
-    surface.add_argument(
-        "--seen-from",
-        type=_place,
-        metavar="E,N,U",
-        help="point in front of the reference; distances towards it are positive (default: from above)",
-    )
-    surface.add_argument(
-        "--max-distance",
-        type=_above_zero,
-        metavar="M",
-        help="largest distance that is compared (default: 100 times the usual side of the triangles, "
-        "or a tenth of the extent of the reference)",
-    )
-    surface.add_argument(
-        "--sigma-reference",
-        type=_length,
-        metavar="M",
-        help="standard deviation of the reference that its points share (default: 0)",
-    )
-    surface.add_argument(
-        "--method", choices=("delaunay", "poisson"), default="delaunay", help="meshing method"
-    )
-    surface.add_argument(
-        "--cell",
-        type=_above_zero,
-        metavar="M",
-        help="cell in which points of a reference cloud become one (default: by their spacing and scatter)",
-    )
-    surface.add_argument(
-        "--longest-edge",
-        type=_above_zero,
-        metavar="M",
-        help="triangles with longer edges become holes (default: 5 times their usual longest edge)",
-    )
-    surface.add_argument(
-        "--clearance",
-        type=_length,
-        metavar="M",
-        help="reference points farther in front of the ground are plants (default: all points are ground)",
-    )
-    surface.add_argument(
-        "--registration", action="store_true", help="also fit the cloud to the reference by a rigid motion"
-    )
-    surface.set_defaults(
-        command=_compare_with_surface,
+    commands.add(
+        "compare",
+        "signed distances of a cloud from a reference mesh or cloud, with statistics",
+        _compare_with_surface,
+        ("cloud", Path, "CLOUD", CLOUDS),
+        ("reference", Path, "REFERENCE", "mesh (PLY), or a cloud, which is meshed"),
+        ("-o --out", Path, "FILE", ".csv, .parquet, .laz; .json and .html beside it", REQUIRED),
+        (
+            "--seen-from",
+            place,
+            "E,N,U",
+            "point in front of the reference; distances towards it are positive (default: from above)",
+        ),
+        (
+            "--max-distance",
+            above_zero,
+            "M",
+            "largest distance that is compared (default: 100 times the usual side of the triangles, "
+            "or a tenth of the extent of the reference)",
+        ),
+        (
+            "--sigma-reference",
+            length,
+            "M",
+            "standard deviation of the reference that its points share (default: 0)",
+        ),
+        ("--method", ("delaunay", "poisson"), None, "meshing method", "delaunay"),
+        (
+            "--cell",
+            above_zero,
+            "M",
+            "cell in which points of a reference cloud become one (default: by their spacing and scatter)",
+        ),
+        (
+            "--longest-edge",
+            above_zero,
+            "M",
+            "triangles with longer edges become holes (default: 5 times their usual longest edge)",
+        ),
+        (
+            "--clearance",
+            length,
+            "M",
+            "reference points farther in front of the ground are plants (default: all points are ground)",
+        ),
+        ("--registration", bool, None, "also fit the cloud to the reference by a rigid motion"),
         settings={
             "reference.cell_m": "--cell",
             "reference.longest_edge_m": "--longest-edge",
@@ -213,67 +189,6 @@ def add_deformation_commands(commands: Commands) -> None:
             **OF_A_FILE,
         },
     )
-
-
-def _numbers(text: str) -> tuple[float, ...]:
-    try:
-        return tuple(float(part) for part in text.split(","))
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r}; expected numbers such as 0.5,1,2") from None
-
-
-def _lengths(text: str) -> tuple[float, ...]:
-    values = _numbers(text)
-    if not all(0 < value < float("inf") for value in values):
-        raise argparse.ArgumentTypeError(f"{text!r}; expected lengths in metres above zero")
-    return values
-
-
-def _count(text: str) -> int:
-    try:
-        value = int(text)
-    except ValueError:
-        value = 0
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{text!r}; expected a whole number, 1 or more")
-    return value
-
-
-def _nodata(text: str) -> float:
-    if text.lower() == "none":
-        return float("nan")
-    try:
-        return float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r}; expected a number or none") from None
-
-
-def _length(text: str) -> float:
-    values = _numbers(text)
-    if len(values) != 1 or not 0 <= values[0] < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text!r}; expected one length in metres")
-    return values[0]
-
-
-def _above_zero(text: str) -> float:
-    value = _length(text)
-    if not value:
-        raise argparse.ArgumentTypeError(f"{text!r}; expected a length above zero")
-    return value
-
-
-def _place(text: str) -> tuple[float, float, float]:
-    values = _numbers(text)
-    if len(values) != 3:
-        raise argparse.ArgumentTypeError(f"{text!r}; expected a place such as 412000,5651000,150")
-    return (values[0], values[1], values[2])
-
-
-def _direction(text: str) -> tuple[float, float, float]:
-    values = _numbers(text)
-    if len(values) != 3 or not 0 < sum(value**2 for value in values) < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text!r}; expected a direction such as 0,0,1")
-    return (values[0], values[1], values[2])
 
 
 def _compare(options: argparse.Namespace) -> int:
@@ -314,8 +229,7 @@ def _compare_nearest(options: argparse.Namespace) -> int:
         f"largest {nearest.max():.4g} m"
     )
     print(f"  to the plane of the nearest: mean {plane.mean():+.4g} m, median {plane.median():+.4g} m")
-    for note in notes:
-        print(f"note: {note}")
+    say_notes(options, notes)
     print(f"Wrote {options.out}")
     return 0
 
@@ -353,8 +267,7 @@ def _compare_surfaces(options: argparse.Namespace) -> int:
         if row["sigma_m3"] == row["sigma_m3"]:
             text += f" (sigma {row['sigma_m3']:,.1f}; 95 % {row['low_m3']:+,.1f} to {row['high_m3']:+,.1f})"
         print(text)
-    for note in found.notes:
-        print(f"note: {note}")
+    say_notes(options, found.notes)
     print(f"Wrote {options.out}")
     return 0
 
@@ -387,8 +300,7 @@ def _compare_clouds(options: argparse.Namespace) -> int:
     print(f"  level of detection (95 %), median: {np.nanmedian(table['lod95_m']):.4g} m")
     for state, n in table["state"].value_counts().items():
         print(f"  {state}: {n:,}")
-    for note in notes:
-        print(f"note: {note}")
+    say_notes(options, notes)
     print(f"Wrote {options.out}")
     return 0
 
@@ -415,8 +327,11 @@ def _compare_with_surface(options: argparse.Namespace) -> int:
         registration=options.registration,
     )
     write_changes(options.out, table, frame, DISTANCES)
-    notes = [in_options(note, options.settings) for note in notes]
-    facts |= {"cloud": str(options.cloud), "reference": str(options.reference), "notes": notes}
+    facts |= {
+        "cloud": str(options.cloud),
+        "reference": str(options.reference),
+        "notes": [in_options(note, options.settings) for note in notes],
+    }
     beside = options.out.with_suffix(".json")
     beside.write_text(json.dumps(facts, indent=2) + "\n", encoding="utf-8")
     for words, n in facts["counts"].items():
@@ -439,40 +354,6 @@ def _compare_with_surface(options: argparse.Namespace) -> int:
     pictures = {"distances_in_plan": distances_in_plan(table, title=title)}
     pictures["distance_histogram"] = distance_histogram(table, title=title)
     cloud_page(facts, pictures, captions=CAPTIONS, title=f"Accuracy: {title}").write(page)
-    print("\n".join(f"note: {note}" for note in notes))
+    say_notes(options, notes)
     print(f"Wrote {options.out}, {beside}, {page}")
-    return 0
-
-
-def summarise_changes(folder: Path) -> int:
-    """Print what changed between the epochs of a campaign, and where its files are."""
-    import pandas as pd
-
-    from thalweg.core import read_json, read_parquet
-
-    found = folder / "deformation"
-    print(f"\nSummary of campaign {folder.name}")
-    for path in sorted(found.glob("volumes_[0-9]*.csv")):
-        pair = path.stem.removeprefix("volumes_")
-        facts = read_json(found / f"registration_{pair}.json")
-        print(f"\nEpochs {pair}")
-        for row in pd.read_csv(path).itertuples():
-            volume = f"{row.volume_m3:+9.2f} m3, sigma {row.sigma_m3:.2f} m3"
-            print(f"  {row.what:<11}{volume}, on {row.area_m2:,.0f} m2")
-        states = read_parquet(found / f"changes_{pair}.parquet")["state"].value_counts()
-        print("  core points: " + ", ".join(f"{n:,} {state}" for state, n in states.items()))
-        for note in read_json(found / f"changes_{pair}.json").get("notes", ()):
-            print(f"  note: {note}")
-        heights = pd.read_csv(found / f"dod_{pair}.csv").set_index("part").loc["net"]
-        print(f"  net by heights {heights.volume_m3:+9.2f} m3, sigma {heights.sigma_m3:.2f} m3")
-        if facts["model"] != "none":
-            moved = ", ".join(f"{facts['parameters'][f'{a}_m']:+.3f}" for a in ("east", "north", "up"))
-            print(
-                f"  registration east, north, up: {moved} m, {'' if facts['needed'] else 'not '}significant"
-            )
-    for title, pattern in (("Pictures", "figures/*.png"), ("Tables and clouds", "deformation/*.[cpl]*")):
-        print(f"\n{title}:")
-        paths = [p for p in sorted(folder.glob(pattern)) if not p.name.endswith(".meta.json")]
-        print("\n".join(f"  {p}" for p in paths) or "  none")
-    print(f"\nPage:\n  {found / 'index.html'}")
     return 0

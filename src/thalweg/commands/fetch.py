@@ -9,19 +9,14 @@ from thalweg.commands.parser import Commands
 
 def add_fetch_command(commands: Commands) -> None:
     """Add ``fetch``."""
-    fetch = commands.add_parser(
-        "fetch", help="public recordings of other people, from their origins; without names: what there is"
+    commands.add(
+        "fetch",
+        "public recordings of other people, from their origins; without names: what there is",
+        _fetch,
+        ("names", str, "NAME", "recording, as the list names it", None, {"nargs": "*"}),
+        ("--all", bool, None, "every recording of the list"),
+        ("--to", Path, "FOLDER", "where to write: a folder for each recording (default: here)", Path()),
     )
-    fetch.add_argument("names", nargs="*", metavar="NAME", help="recording, as the list names it")
-    fetch.add_argument("--all", action="store_true", help="every recording of the list")
-    fetch.add_argument(
-        "--to",
-        type=Path,
-        default=Path(),
-        metavar="FOLDER",
-        help="where to write: a folder for each recording (default: here)",
-    )
-    fetch.set_defaults(command=_fetch)
 
 
 def _fetch(options: argparse.Namespace) -> int:

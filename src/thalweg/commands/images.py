@@ -6,8 +6,9 @@ import sys
 from pathlib import Path
 from typing import Final
 
-from thalweg.commands.parser import Commands
-from thalweg.commands.remedies import of_a_campaign
+from thalweg.commands.options import FOLDER, INTERIORS, PHOTOGRAPHS, XYZ
+from thalweg.commands.parser import REQUIRED, Commands, say_notes
+from thalweg.commands.remedies import OF_CONTROL, of_a_campaign
 
 _MASKED: Final = ("water", "sky", "hull", "moved")
 _SIGMA_GPS_BEGIN_S: Final = 0.5
@@ -16,126 +17,101 @@ _SIGMA_GPS_BEGIN_S: Final = 0.5
 
 def add_image_commands(commands: Commands) -> None:
     """Add ``orient``, ``masks`` and ``frames``."""
-    frames = commands.add_parser(
-        "frames", help="video, or bag of ROS -> photographs with a table of their times"
+    commands.add(
+        "frames",
+        "video, or bag of ROS -> photographs with a table of their times",
+        _frames,
+        ("video", Path, "VIDEO", "MP4, MOV; bag"),
+        ("--topic", str, "TOPIC", "of several cameras of a bag", ""),
+        ("--every", float, "S", "time between frames (default: all frames)", 0.0),
+        ("--begin", str, "UTC", "time of the first frame, ISO 8601 (default: as the container says)"),
+        ("--sigma-begin", float, "S", "its standard deviation"),
+        ("--out", Path, "FOLDER", "folder of the frames", REQUIRED),
+        writes="times.csv",
     )
-    frames.add_argument("video", type=Path, metavar="VIDEO", help="MP4, MOV; bag")
-    frames.add_argument("--topic", default="", metavar="TOPIC", help="of several cameras of a bag")
-    frames.add_argument(
-        "--every", type=float, default=0.0, metavar="S", help="time between frames (default: all frames)"
-    )
-    frames.add_argument(
-        "--begin", metavar="UTC", help="time of the first frame, ISO 8601 (default: as the container says)"
-    )
-    frames.add_argument("--sigma-begin", type=float, metavar="S", help="its standard deviation")
-    frames.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the frames")
-    frames.set_defaults(command=_frames, writes="times.csv")
-    masks = commands.add_parser(
+    commands.add(
         "masks",
-        help="photographs of a series -> masks of water, sky, own boat, what moved; a sheet to look at",
+        "photographs of a series -> masks of water, sky, own boat, what moved; a sheet to look at",
+        _masks,
+        PHOTOGRAPHS,
+        (
+            "--least-mirror",
+            float,
+            "R",
+            "correlation with its reflection from which on the foreground is water; -1: always",
+        ),
+        ("--out", Path, "FOLDER", "folder of the masks", REQUIRED),
         description="A part is masked only where the photographs show that it is one: water by reflections, "
         "sky by its smoothness and light, the own boat by keeping its place in eight photographs or more; "
         "of a camera that stayed what moved. What cannot be told is left usable and said.",
-    )
-    masks.add_argument("photographs", type=Path, nargs="+", metavar="PHOTO", help="folders or files")
-    masks.add_argument(
-        "--least-mirror",
-        type=float,
-        metavar="R",
-        help="correlation with its reflection from which on the foreground is water; -1: always",
-    )
-    masks.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the masks")
-    masks.set_defaults(
-        command=_masks,
         writes="masks.csv",
         settings=of_a_campaign(["logs.time_lapse.images", "logs.time_lapse.interiors"]),
     )
-    orient = commands.add_parser(
+    commands.add(
         "orient",
-        help="photographs and control points or positions -> poses with sigmas, lens, tie points, page",
+        "photographs and control points or positions -> poses with sigmas, lens, tie points, page",
+        _orient,
+        PHOTOGRAPHS,
+        (
+            "--points",
+            [Path],
+            "FILE",
+            "id, x, y, z (and sigmas, role) as CSV; XML of Metashape; gcp_list.txt",
+            [],
+        ),
+        (
+            "--marks",
+            Path,
+            "FILE",
+            "image, point, x_px, y_px from the upper left corner as CSV; XML of Metashape; gcp_list.txt; "
+            "without --points of tie points",
+        ),
+        (
+            "--positions",
+            Path,
+            "FILE",
+            "image, x, y, z and accuracy of the projection centres, beside control points or instead",
+        ),
+        ("--crs", str, "CRS", "map grid of points and positions, as EPSG:25833; or local"),
+        ("--camera", Path, "FILE", "calibration, COLMAP or OpenCV file (default: estimated)"),
+        (
+            "--interior",
+            INTERIORS,
+            None,
+            "interior orientation; auto: weighted by its covariance if it has one, else estimated",
+            "auto",
+        ),
+        ("--masks", Path, "FOLDER", "masks, black where no image point may lie"),
+        (
+            "--sigma-points",
+            [float],
+            XYZ,
+            "standard deviations of control points that state none (default: 0.010 0.010 0.015)",
+            (0.010, 0.010, 0.015),
+        ),
+        (
+            "--sigma-px",
+            float,
+            "PX",
+            "standard deviation of image points that state none (default: %(default)s)",
+            0.5,
+        ),
+        ("--max-size", int, "PX", "longest side to which images are reduced (default: %(default)s)", 2000),
+        ("--threads", int, "N", "threads (default: all cores)", os.cpu_count() or 1),
+        FOLDER,
         description="Structure from motion and one adjustment with control points or positions of the camera "
         "inside. At least three control points, each measured in two photographs, or three positions off a "
         "line; points of role 'check' judge the result. Without either the photographs become a model in a "
         "frame of its own, without scale.",
-    )
-    orient.add_argument("photographs", type=Path, nargs="+", metavar="PHOTO", help="folders or files")
-    orient.add_argument(
-        "--points",
-        type=Path,
-        nargs="+",
-        default=[],
-        metavar="FILE",
-        help="id, x, y, z (and sigmas, role) as CSV; XML of Metashape; gcp_list.txt",
-    )
-    orient.add_argument(
-        "--marks",
-        type=Path,
-        metavar="FILE",
-        help="image, point, x_px, y_px from the upper left corner as CSV; XML of Metashape; gcp_list.txt; "
-        "without --points of tie points",
-    )
-    orient.add_argument(
-        "--positions",
-        type=Path,
-        metavar="FILE",
-        help="image, x, y, z and accuracy of the projection centres, beside control points or instead",
-    )
-    orient.add_argument(
-        "--crs", metavar="CRS", help="map grid of points and positions, as EPSG:25833; or local"
-    )
-    orient.add_argument(
-        "--camera", type=Path, metavar="FILE", help="calibration, COLMAP or OpenCV file (default: estimated)"
-    )
-    orient.add_argument(
-        "--interior",
-        choices=("auto", "free", "weighted", "fixed"),
-        default="auto",
-        help="interior orientation; auto: weighted by its covariance if it has one, else estimated",
-    )
-    orient.add_argument(
-        "--masks", type=Path, metavar="FOLDER", help="masks, black where no image point may lie"
-    )
-    orient.add_argument(
-        "--sigma-points",
-        type=float,
-        nargs=3,
-        default=(0.010, 0.010, 0.015),
-        metavar=("X_M", "Y_M", "Z_M"),
-        help="standard deviations of control points that state none (default: 0.010 0.010 0.015)",
-    )
-    orient.add_argument(
-        "--sigma-px",
-        type=float,
-        default=0.5,
-        metavar="PX",
-        help="standard deviation of image points that state none (default: %(default)s)",
-    )
-    orient.add_argument(
-        "--max-size",
-        type=int,
-        default=2000,
-        metavar="PX",
-        help="longest side to which images are reduced (default: %(default)s)",
-    )
-    orient.add_argument(
-        "--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="threads (default: all cores)"
-    )
-    orient.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the results")
-    orient.set_defaults(
-        command=_orient,
         writes="index.html",
         settings={
-            "campaign.crs": "--crs",
-            "campaign.origin": "the origin",
-            "images.control.crs": "--crs",
+            **OF_CONTROL,
             "images.adjustment.interior": "--interior",
             "images.mapping.interior": "--interior",
             "logs.time_lapse.images": "the photographs",
             "logs.time_lapse.interior": "--camera",
             "logs.time_lapse.interiors": "--camera",
             "mounts.calibration": "--camera",
-            ", or state their order: --columns x,y,z": "",
-            ", or state all with --columns": "",
             **of_a_campaign(
                 [
                     "images.adjustment.antenna.use",
@@ -228,8 +204,7 @@ def _masks(options: argparse.Namespace) -> int:
         shares = [f"{part} {100 * row[f'{part}_share']:.1f} %" for part in ("usable", *_MASKED)]
         untold = f"cannot tell: {row['cannot_tell']}" if row["cannot_tell"] else ""
         print(f"{row['image']}: {'; '.join(filter(None, (', '.join(shares), untold, row['note'])))}")
-    for note in found.attrs["notes"]:
-        print(f"note: {note}")
+    say_notes(options, found.attrs["notes"])
     print(f"Wrote {len(found)} masks, masks.csv and overview.png in {options.out}")
     return 0
 
@@ -267,8 +242,7 @@ def _frames(options: argparse.Namespace) -> int:
     found = write_frames(
         options.video, options.out, every_s=options.every, begin=begin, sigma_begin_s=sigma_s
     )
-    for note in found.notes:
-        print(f"note: {note}")
+    say_notes(options, found.notes)
     print(f"{len(found.table)} frames, {found.table['since_begin_s'].iloc[-1]:.3f} s. In a campaign file:")
     print(f"  logs: {{time_lapse: {{images: [{options.out}], times: [{options.out / 'times.csv'}]}}}}")
     clock = f"sigma_offset_s: {found.sigma_offset_s:.3g}, jitter_s: {found.jitter_s:.2g}"

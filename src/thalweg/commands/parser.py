@@ -1,11 +1,73 @@
-"""How every command looks: a description and an example in its help, and ``--force`` before it overwrites."""
+"""How every command looks: options as rows, an example in its help, and ``--force`` before it overwrites.
+
+A row is names, kind, placeholder, help, and the default if there is one (`REQUIRED`: there is none, and the
+option must be given). The kind is what makes a value of the text (`Path`, `float`, a function), a tuple of
+choices, ``bool`` for a switch, ``[kind]`` for one value or more (as many as the placeholder has names), or
+`Repeated`. A last entry holds further words of `argparse`.
+"""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
-from thalweg.core import InputError
+from thalweg.core import InputError, in_options
+
+Row = tuple[Any, ...]
+EXIT_MISTAKE: Final = 2
+"""Of a process whose user, or whose file, made a mistake."""
+REQUIRED: Final = object()
+"""In place of a default."""
+
+
+class Repeated(NamedTuple):
+    """The kind of an option that may stand several times."""
+
+    kind: Callable[[str], Any] = str
+
+
+class OneOf(NamedTuple):
+    """Options of which one is given at most, or just one if `required`."""
+
+    rows: Iterable[Row]
+    required: bool = False
+
+
+class Part(NamedTuple):
+    """Options below a title of their own in the help."""
+
+    title: str
+    rows: Iterable[Row]
+
+
+def add_options(to: Any, rows: Iterable[Row | OneOf | Part]) -> None:
+    """Add options to a parser or to a group of one; see the head of this module for rows."""
+    for row in rows:
+        if isinstance(row, OneOf):
+            add_options(to.add_mutually_exclusive_group(required=row.required), row.rows)
+        elif isinstance(row, Part):
+            add_options(to.add_argument_group(row.title), row.rows)
+        else:
+            _add(to, *row)
+
+
+def _add(
+    to: Any, names: str, kind: Any, place: Any, words: str, default: Any = None, more: Any = None
+) -> None:
+    how: dict[str, Any] = {"help": words}
+    if kind is bool:
+        to.add_argument(names, action="store_true", **how)
+        return
+    if isinstance(kind, Repeated):
+        how |= {"action": "append"}
+        kind, default = kind.kind, []
+    if isinstance(kind, list):
+        how["nargs"] = len(place) if isinstance(place, tuple) else "+"
+        kind = kind[0]
+    how |= {"choices": kind} if isinstance(kind, tuple) else {"type": kind}
+    how |= {"required": True} if default is REQUIRED else {} if default is None else {"default": default}
+    to.add_argument(*names.split(), metavar=place, **how, **(more or {}))
+
 
 EXAMPLES: Final = {
     "new-campaign": "mulde_2026 --from-logs ~/surveys/mulde",
@@ -71,6 +133,28 @@ class Commands:
     def __init__(self, parser: argparse.ArgumentParser) -> None:
         self.by_name = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=Parser)
 
+    def add(
+        self,
+        name: str,
+        words: str,
+        run: Callable[[argparse.Namespace], int],
+        *rows: Row | OneOf | Part,
+        description: str = "",
+        **defaults: Any,
+    ) -> None:
+        """Add a command and its options.
+
+        Parameters
+        ----------
+        name, words, description : see `add_parser`.
+        run : what it does; its exit status.
+        rows : its options.
+        defaults : ``writes`` (see `refuse_overwriting`); ``settings``: what stands for settings in messages.
+        """
+        parser = self.add_parser(name, help=words, description=description)
+        add_options(parser, rows)
+        parser.set_defaults(command=run, **defaults)
+
     def add_parser(self, name: str, *, help: str, description: str = "") -> argparse.ArgumentParser:
         """A new command.
 
@@ -111,3 +195,9 @@ def refuse_overwriting(options: argparse.Namespace, more: Sequence[Path] = ()) -
             raise InputError(
                 "the file exists already", where=path, cure="Choose another name, or overwrite with --force"
             )
+
+
+def say_notes(options: argparse.Namespace, notes: Iterable[str]) -> None:
+    """Print what a command noticed, in the words of its options."""
+    for note in notes:
+        print(f"note: {in_options(note, getattr(options, 'settings', {}))}")

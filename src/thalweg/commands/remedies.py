@@ -3,16 +3,21 @@
 from collections.abc import Iterable
 from typing import Final
 
+_NO_COLUMNS: Final = {", or state their order: --columns x,y,z": "", ", or state all with --columns": ""}
 OF_A_FILE: Final = {
     "campaign.crs": "the coordinate system in the file",
-    ", or state their order: --columns x,y,z": "",
-    ", or state all with --columns": "",
+    **_NO_COLUMNS,
     "State --nodata 0 where they are no heights, or --nodata none where they are (in a campaign: nodata)": (
         "Declare the value of missing heights in the file"
     ),
     "(--nodata; in a campaign nodata)": "in the file",
 }
 """Of commands that take from files what others state by options."""
+
+OF_POINTS: Final = {"campaign.crs": "--crs", "campaign.origin": "the origin"}
+"""Of commands that state the map grid of points."""
+OF_CONTROL: Final = {**OF_POINTS, "images.control.crs": "--crs", **_NO_COLUMNS}
+"""Of commands that take control points in a table."""
 
 
 def of_a_campaign(settings: Iterable[str]) -> dict[str, str]:

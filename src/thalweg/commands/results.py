@@ -1,30 +1,37 @@
-"""The commands ``catalogue``, ``costs``, ``verify`` for folders of results; ``cluster`` for jobs on SLURM."""
+"""The commands ``summary``, ``catalogue``, ``costs``, ``verify`` for results; ``cluster`` for SLURM."""
 
 import argparse
 import re
 import sys
 from pathlib import Path
+from typing import Final
+
+from thalweg.commands.parser import Commands, add_options
+from thalweg.core import InputError
 
 # ---------------------------------------------------------------- jobs on SLURM
-from thalweg.commands.parser import Commands
 
 
 def add_cluster_commands(commands: Commands) -> None:
     """Add ``cluster status``, ``clean`` and ``check``."""
     cluster = commands.add_parser("cluster", help="jobs of a run on SLURM: status, clean, check")
     what = cluster.add_subparsers(required=True, metavar="WHAT")
-    for name, command, words in (
-        ("status", _status, "driver and jobs of the run of a folder"),
-        ("clean", _clean, "cancel jobs whose driver is dead, and remove what they left half-done"),
-        ("check", _check, "before a first run: partition, shared folder, clocks and code of the nodes"),
+    folder = ("--folder", Path, None, "where Snakemake runs (default: here)", Path())
+    partition = ("--partition", str, None, "default: that of the cluster")
+    for name, run, words, *rows in (
+        ("status", _status, "driver and jobs of the run of a folder", folder),
+        ("clean", _clean, "cancel jobs whose driver is dead, and remove what they left half-done", folder),
+        (
+            "check",
+            _check,
+            "before a first run: partition, shared folder, clocks and code of the nodes",
+            folder,
+            partition,
+        ),
     ):
         parser = what.add_parser(name, help=words)
-        parser.add_argument(
-            "--folder", type=Path, default=Path(), help="where Snakemake runs (default: here)"
-        )
-        if name == "check":
-            parser.add_argument("--partition", help="default: that of the cluster")
-        parser.set_defaults(command=command)
+        add_options(parser, rows)
+        parser.set_defaults(command=run)
 
 
 def _status(options: argparse.Namespace) -> int:
@@ -63,49 +70,46 @@ def _check(options: argparse.Namespace) -> int:
 # ---------------------------------------------------------------- folders of results
 
 
+_RESULTS: Final = ("results", Path, None, "folder (default: %(default)s)", Path("results"), {"nargs": "?"})
+
+
 def add_result_commands(commands: Commands) -> None:
     """Add ``catalogue``, ``costs`` and ``verify``."""
-    catalogue = commands.add_parser(
+    commands.add(
         "catalogue",
-        help="all campaigns of a folder of results: page, table, STAC items, calibration over the season; "
+        "all campaigns of a folder of results: page, table, STAC items, calibration over the season; "
         "or those of a place and a time",
+        _catalogue,
+        _RESULTS,
+        (
+            "--box",
+            [float],
+            ("WEST", "SOUTH", "EAST", "NORTH"),
+            "list campaigns whose track touches this box, degrees",
+        ),
+        ("--since", _date, "DATE", "list those that end later"),
+        ("--until", _date, "DATE", "list those that begin earlier"),
     )
-    catalogue.add_argument(
-        "results", type=Path, nargs="?", default=Path("results"), help="folder (default: %(default)s)"
+    commands.add(
+        "costs",
+        "what the jobs of a folder of results took and had asked for; requests for the next run",
+        _costs,
+        _RESULTS,
+        (
+            "--write",
+            Path,
+            "FILE",
+            "write requests that follow from it (default: %(const)s)",
+            None,
+            {"nargs": "?", "const": Path("config") / "resources.yaml"},
+        ),
     )
-    catalogue.add_argument(
-        "--box",
-        type=float,
-        nargs=4,
-        metavar=("WEST", "SOUTH", "EAST", "NORTH"),
-        help="list campaigns whose track touches this box, degrees",
-    )
-    catalogue.add_argument("--since", type=_date, metavar="DATE", help="list those that end later")
-    catalogue.add_argument("--until", type=_date, metavar="DATE", help="list those that begin earlier")
-    catalogue.set_defaults(command=_catalogue)
-    costs = commands.add_parser(
-        "costs", help="what the jobs of a folder of results took and had asked for; requests for the next run"
-    )
-    costs.add_argument(
-        "results", type=Path, nargs="?", default=Path("results"), help="folder (default: %(default)s)"
-    )
-    costs.add_argument(
-        "--write",
-        type=Path,
-        nargs="?",
-        const=Path("config") / "resources.yaml",
-        metavar="FILE",
-        help="write requests that follow from it (default: %(const)s)",
-    )
-    costs.set_defaults(command=_costs)
-    verify = commands.add_parser(
+    commands.add(
         "verify",
-        help="are the files of a folder of results what was written? What is not, and how to make it again",
+        "are the files of a folder of results what was written? What is not, and how to make it again",
+        _verify,
+        _RESULTS,
     )
-    verify.add_argument(
-        "results", type=Path, nargs="?", default=Path("results"), help="folder (default: %(default)s)"
-    )
-    verify.set_defaults(command=_verify)
 
 
 def _date(text: str) -> str:
@@ -114,12 +118,15 @@ def _date(text: str) -> str:
     return text
 
 
+def _refuse_no_folder(results: Path) -> None:
+    if not results.is_dir():
+        raise InputError("no such folder", expected="a folder of results", where=results)
+
+
 def _catalogue(options: argparse.Namespace) -> int:
-    from thalweg.core import InputError
     from thalweg.figures import chosen, read_entries, write_catalogue
 
-    if not options.results.is_dir():
-        raise InputError("no such folder", expected="a folder of results", where=options.results)
+    _refuse_no_folder(options.results)
     entries = read_entries(options.results)
     if not entries:
         raise InputError(
@@ -147,12 +154,10 @@ def _catalogue(options: argparse.Namespace) -> int:
 def _costs(options: argparse.Namespace) -> int:
     import yaml
 
-    from thalweg.core import InputError
     from thalweg.figures import costs_page
     from thalweg.workflow import fitted, per_rule, read_costs
 
-    if not options.results.is_dir():
-        raise InputError("no such folder", expected="a folder of results", where=options.results)
+    _refuse_no_folder(options.results)
     jobs = read_costs(options.results)
     rules = per_rule(jobs)
     out = options.results / "costs"
@@ -181,11 +186,9 @@ _NAMED = 5
 
 
 def _verify(options: argparse.Namespace) -> int:
-    from thalweg.core import InputError
     from thalweg.workflow import verify
 
-    if not options.results.is_dir():
-        raise InputError("no such folder", expected="a folder of results", where=options.results)
+    _refuse_no_folder(options.results)
     found = verify(options.results)
     for name, words in found.wrong.items():
         print(f"{name} {words}")
@@ -197,3 +200,89 @@ def _verify(options: argparse.Namespace) -> int:
         print("Made again, in the folder of the run, by:")
         print("\n".join(f"  {command}" for command in found.commands()))
     return int(bool(found.wrong))
+
+
+def add_summary_command(commands: Commands) -> None:
+    """Add ``summary``."""
+    commands.add(
+        "summary",
+        "print the summary of a processed campaign",
+        _summary,
+        ("folder", Path, "FOLDER", "results/<campaign>"),
+    )
+
+
+WORTH_OPENING = (
+    "index.html",
+    "accuracy/index.html",
+    "figures/cloud_overview.png",
+    "figures/scene_view.png",
+    "bathymetry/index.html",
+    "calibration/index.html",
+    "triangulation/index.html",
+    "lidar/by_fused/points.laz",
+    "lidar/points.laz",
+    "figures/survey_map.png",
+    "summary.csv",
+)
+"""Files of a campaign below its folder, the best first; a run ends with the first five that exist."""
+
+
+def _summary(options: argparse.Namespace) -> int:
+    path = options.folder / "summary.csv"
+    if not path.is_file() and any((options.folder / "deformation").glob("volumes_*.csv")):
+        return _summarise_changes(options.folder)
+    if not path.is_file():
+        raise InputError(
+            "no such file",
+            where=path,
+            expected="results of a processed campaign",
+            cure=f"Run: snakemake --cores all --config campaign={options.folder.name}",
+        )
+    import pandas as pd
+
+    from thalweg.accuracy import summary_lines
+
+    print(f"\nSummary of campaign {options.folder.name}")
+    print("\n".join(summary_lines(pd.read_csv(path))))
+    files = [p for p in options.folder.rglob("*") if p.is_file() and "simulation" not in p.parts]
+    kinds = {"pictures": {".png", ".pdf"}, "clouds": {".laz"}, "tables": {".csv", ".parquet"}}
+    counts = (f"{sum(p.suffix in ends for p in files)} {kind}" for kind, ends in kinds.items())
+    print(f"\n{', '.join(counts)} in {options.folder}. Worth opening first:")
+    worth = [options.folder / name for name in WORTH_OPENING]
+    print("\n".join(f"  {p}" for p in [p for p in worth if p.is_file()][:5]))
+    return 0
+
+
+def _summarise_changes(folder: Path) -> int:
+    """Print what changed between the epochs of a campaign, and where its files are."""
+    import pandas as pd
+
+    from thalweg.core import read_json, read_parquet
+
+    found = folder / "deformation"
+    print(f"\nSummary of campaign {folder.name}")
+    for path in sorted(found.glob("volumes_[0-9]*.csv")):
+        pair = path.stem.removeprefix("volumes_")
+        facts = read_json(found / f"registration_{pair}.json")
+        print(f"\nEpochs {pair}")
+        for row in pd.read_csv(path).itertuples():
+            volume = f"{row.volume_m3:+9.2f} m3, sigma {row.sigma_m3:.2f} m3"
+            print(f"  {row.what:<11}{volume}, on {row.area_m2:,.0f} m2")
+        states = read_parquet(found / f"changes_{pair}.parquet")["state"].value_counts()
+        print("  core points: " + ", ".join(f"{n:,} {state}" for state, n in states.items()))
+        for note in read_json(found / f"changes_{pair}.json").get("notes", ()):
+            print(f"  note: {note}")
+        heights = pd.read_csv(found / f"dod_{pair}.csv").set_index("part").loc["net"]
+        print(f"  net by heights {heights.volume_m3:+9.2f} m3, sigma {heights.sigma_m3:.2f} m3")
+        if facts["model"] != "none":
+            moved = ", ".join(f"{facts['parameters'][f'{a}_m']:+.3f}" for a in ("east", "north", "up"))
+            print(
+                f"  registration east, north, up: {moved} m, {'' if facts['needed'] else 'not '}significant"
+            )
+    for title, pattern in (("Pictures", "figures/*.png"), ("Tables and clouds", "deformation/*.[cpl]*")):
+        print(f"\n{title}:")
+        paths = [p for p in sorted(folder.glob(pattern)) if not p.name.endswith(".meta.json")]
+        print("\n".join(f"  {p}" for p in paths) or "  none")
+    print(f"\nPage:\n  {found / 'index.html'}")
+    return 0

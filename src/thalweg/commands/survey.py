@@ -4,73 +4,62 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from thalweg.commands.parser import Commands
+from thalweg.commands.options import FOLDER, GEODETIC, XYZ
+from thalweg.commands.parser import REQUIRED, Commands, OneOf, Repeated, say_notes
 from thalweg.commands.remedies import OF_A_FILE, of_a_campaign
 
 
 def add_survey_commands(commands: Commands) -> None:
     """Add ``ppk``, ``georeference`` and ``view``."""
-    ppk = commands.add_parser(
-        "ppk", help="raw GNSS of rover and base -> track with tested standard deviations, page, KML"
-    )
-    ppk.add_argument("rover", type=Path, nargs="+", metavar="ROVER", help="SBP or RINEX observations")
-    ppk.add_argument(
-        "--base",
-        type=Path,
-        nargs="+",
-        metavar="FILE",
-        help="observations of the base; not needed if the SBP log of the rover holds the corrections",
-    )
-    ppk.add_argument("--nav", type=Path, nargs="+", default=[], metavar="FILE", help="RINEX navigation")
-    place = ppk.add_mutually_exclusive_group(required=True)
-    place.add_argument(
-        "--base-position",
-        type=float,
-        nargs=3,
-        metavar=("LAT_DEG", "LON_DEG", "H_ELL_M"),
-        help="position of the base antenna, ellipsoidal height",
-    )
-    place.add_argument(
-        "--base-ecef", type=float, nargs=3, metavar=("X_M", "Y_M", "Z_M"), help="the same, geocentric"
-    )
-    place.add_argument(
-        "--base-from",
-        choices=("sbp", "rinex_header"),
-        help="position of the base as the log states it; a RINEX header may be metres off",
-    )
-    ppk.add_argument(
-        "--systems",
-        nargs="+",
-        default="auto",
-        metavar="SYSTEM",
-        help="satellite systems: GPS GLO GAL QZS BDS SBS (default: of GPS, GAL, QZS those of both logs)",
-    )
-    ppk.add_argument(
-        "--frequencies", default="l1+l2", help="carriers: l1, l1+l2, l1+l2+l5 (default: %(default)s)"
-    )
-    ppk.add_argument(
-        "--elevation-mask",
-        type=float,
-        default=15.0,
-        metavar="DEG",
-        help="lowest elevation of a satellite (default: %(default)s)",
-    )
-    ppk.add_argument(
-        "--direction",
-        choices=("forward", "backward", "combined"),
-        default="forward",
-        help="direction of the filter (default: %(default)s)",
-    )
-    ppk.add_argument(
-        "--trusted-baseline",
-        type=float,
-        default=20.0,
-        metavar="KM",
-        help="ambiguity fixes over a longer baseline count as float (default: %(default)s)",
-    )
-    ppk.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the results")
-    ppk.set_defaults(
-        command=_ppk,
+    commands.add(
+        "ppk",
+        "raw GNSS of rover and base -> track with tested standard deviations, page, KML",
+        _ppk,
+        ("rover", [Path], "ROVER", "SBP or RINEX observations"),
+        (
+            "--base",
+            [Path],
+            "FILE",
+            "observations of the base; not needed if the SBP log of the rover holds the corrections",
+        ),
+        ("--nav", [Path], "FILE", "RINEX navigation", []),
+        OneOf(
+            [
+                ("--base-position", [float], GEODETIC, "position of the base antenna, ellipsoidal height"),
+                ("--base-ecef", [float], XYZ, "the same, geocentric"),
+                (
+                    "--base-from",
+                    ("sbp", "rinex_header"),
+                    None,
+                    "position of the base as the log states it; a RINEX header may be metres off",
+                ),
+            ],
+            required=True,
+        ),
+        (
+            "--systems",
+            [str],
+            "SYSTEM",
+            "satellite systems: GPS GLO GAL QZS BDS SBS (default: of GPS, GAL, QZS those of both logs)",
+            "auto",
+        ),
+        ("--frequencies", str, None, "carriers: l1, l1+l2, l1+l2+l5 (default: %(default)s)", "l1+l2"),
+        ("--elevation-mask", float, "DEG", "lowest elevation of a satellite (default: %(default)s)", 15.0),
+        (
+            "--direction",
+            ("forward", "backward", "combined"),
+            None,
+            "direction of the filter (default: %(default)s)",
+            "forward",
+        ),
+        (
+            "--trusted-baseline",
+            float,
+            "KM",
+            "ambiguity fixes over a longer baseline count as float (default: %(default)s)",
+            20.0,
+        ),
+        FOLDER,
         writes="index.html",
         settings={
             "ppk.trusted_baseline_km": "--trusted-baseline",
@@ -87,108 +76,72 @@ def add_survey_commands(commands: Commands) -> None:
             ),
         },
     )
-
-    cloud = commands.add_parser(
-        "georeference", help="lidar capture and trajectory -> cloud with a standard deviation for each point"
-    )
-    cloud.add_argument("lidar", type=Path, nargs="+", metavar="LIDAR", help="capture; parts in order of time")
-    cloud.add_argument(
-        "--trajectory",
-        type=Path,
-        nargs="+",
-        required=True,
-        metavar="FILE",
-        help="poses: SBET, ANPP, Inertial Explorer, TUM, EuRoC, KITTI, trajectory.parquet of Thalweg",
-    )
-    cloud.add_argument("--gps-week", type=int, metavar="WEEK", help="GPS week of the first record of an SBET")
-    cloud.add_argument(
-        "--smrmsg", type=Path, nargs="+", default=[], metavar="FILE", help="accuracies of an SBET"
-    )
-    cloud.add_argument(
-        "--origin",
-        type=float,
-        nargs=3,
-        metavar=("LAT_DEG", "LON_DEG", "H_ELL_M"),
-        help="origin of the local frame, or of the frame of a table of poses (default: middle of the track)",
-    )
-    cloud.add_argument(
-        "--body-axes",
-        choices=("forward-right-down", "forward-left-up", "right-down-forward"),
-        help="body axes x-y-z in a table of poses",
-    )
-    cloud.add_argument("--time-scale", choices=("utc", "gps"), help="time scale of a table of poses")
-    cloud.add_argument(
-        "--upside-down", action="store_true", help="the sensor of the attitudes is mounted upside down"
-    )
-    cloud.add_argument(
-        "--sigma-position",
-        type=float,
-        metavar="M",
-        help="standard deviation of each axis, if the trajectory states none",
-    )
-    cloud.add_argument(
-        "--sigma-attitude",
-        type=float,
-        metavar="DEG",
-        help="standard deviation of each angle, if the trajectory states none",
-    )
-    mount = cloud.add_mutually_exclusive_group(required=True)
-    mount.add_argument(
-        "--mount", type=Path, metavar="FILE", help="calibration file with the mounting of the lidar"
-    )
-    mount.add_argument(
-        "--lever",
-        type=float,
-        nargs=3,
-        metavar=("X_M", "Y_M", "Z_M"),
-        help="lever arm of the lidar: forward, right, down in the body frame",
-    )
-    cloud.add_argument(
-        "--angles",
-        type=float,
-        nargs=3,
-        default=(0.0, -90.0, 0.0),
-        metavar=("OMEGA_DEG", "PHI_DEG", "KAPPA_DEG"),
-        help="boresight of the lidar in the body frame (default: 0 -90 0, spin axis backwards)",
-    )
-    cloud.add_argument(
-        "--sigma-lever",
-        type=float,
-        default=0.01,
-        metavar="M",
-        help="standard deviation of the lever arm, each axis (default: %(default)s)",
-    )
-    cloud.add_argument(
-        "--sigma-angles",
-        type=float,
-        default=0.2,
-        metavar="DEG",
-        help="standard deviation of the boresight, each angle (default: %(default)s)",
-    )
-    cloud.add_argument(
-        "--first-packet", metavar="UTC", help="time of the first packet of a lidar without GPS, ISO 8601"
-    )
-    cloud.add_argument(
-        "--time-offset", type=float, default=0.0, metavar="S", help="added to the times of the lidar"
-    )
-    cloud.add_argument("--model", default="auto", help="lidar model, if its packets state a wrong one")
-    cloud.add_argument(
-        "--max-gap",
-        type=float,
-        default=0.5,
-        metavar="S",
-        help="longest gap of the trajectory that is interpolated",
-    )
-    cloud.add_argument(
-        "--min-range", type=float, default=1.0, metavar="M", help="shortest range (default: %(default)s)"
-    )
-    cloud.add_argument(
-        "--max-range", type=float, default=100.0, metavar="M", help="longest range (default: %(default)s)"
-    )
-    cloud.add_argument("--crs", metavar="EPSG:...", help="also write the cloud in this map grid")
-    cloud.add_argument("--out", type=Path, required=True, metavar="LAZ", help="cloud to write")
-    cloud.set_defaults(
-        command=_georeference,
+    commands.add(
+        "georeference",
+        "lidar capture and trajectory -> cloud with a standard deviation for each point",
+        _georeference,
+        ("lidar", [Path], "LIDAR", "capture; parts in order of time"),
+        (
+            "--trajectory",
+            [Path],
+            "FILE",
+            "poses: SBET, ANPP, Inertial Explorer, TUM, EuRoC, KITTI, trajectory.parquet of Thalweg",
+            REQUIRED,
+        ),
+        ("--gps-week", int, "WEEK", "GPS week of the first record of an SBET"),
+        ("--smrmsg", [Path], "FILE", "accuracies of an SBET", []),
+        (
+            "--origin",
+            [float],
+            GEODETIC,
+            "origin of the local frame, or of the frame of a table of poses (default: middle of the track)",
+        ),
+        (
+            "--body-axes",
+            ("forward-right-down", "forward-left-up", "right-down-forward"),
+            None,
+            "body axes x-y-z in a table of poses",
+        ),
+        ("--time-scale", ("utc", "gps"), None, "time scale of a table of poses"),
+        ("--upside-down", bool, None, "the sensor of the attitudes is mounted upside down"),
+        ("--sigma-position", float, "M", "standard deviation of each axis, if the trajectory states none"),
+        ("--sigma-attitude", float, "DEG", "standard deviation of each angle, if the trajectory states none"),
+        OneOf(
+            [
+                ("--mount", Path, "FILE", "calibration file with the mounting of the lidar"),
+                ("--lever", [float], XYZ, "lever arm of the lidar: forward, right, down in the body frame"),
+            ],
+            required=True,
+        ),
+        (
+            "--angles",
+            [float],
+            ("OMEGA_DEG", "PHI_DEG", "KAPPA_DEG"),
+            "boresight of the lidar in the body frame (default: 0 -90 0, spin axis backwards)",
+            (0.0, -90.0, 0.0),
+        ),
+        (
+            "--sigma-lever",
+            float,
+            "M",
+            "standard deviation of the lever arm, each axis (default: %(default)s)",
+            0.01,
+        ),
+        (
+            "--sigma-angles",
+            float,
+            "DEG",
+            "standard deviation of the boresight, each angle (default: %(default)s)",
+            0.2,
+        ),
+        ("--first-packet", str, "UTC", "time of the first packet of a lidar without GPS, ISO 8601"),
+        ("--time-offset", float, "S", "added to the times of the lidar", 0.0),
+        ("--model", str, None, "lidar model, if its packets state a wrong one", "auto"),
+        ("--max-gap", float, "S", "longest gap of the trajectory that is interpolated", 0.5),
+        ("--min-range", float, "M", "shortest range (default: %(default)s)", 1.0),
+        ("--max-range", float, "M", "longest range (default: %(default)s)", 100.0),
+        ("--crs", str, "EPSG:...", "also write the cloud in this map grid"),
+        ("--out", Path, "LAZ", "cloud to write", REQUIRED),
         settings={
             "campaign.crs": "--crs",
             "campaign.origin": "--origin",
@@ -218,37 +171,32 @@ def add_survey_commands(commands: Commands) -> None:
             ),
         },
     )
-
-    view = commands.add_parser(
+    commands.add(
         "view",
-        help="any cloud -> a page that opens from disk: turn it, colour it, measure points and distances",
+        "any cloud -> a page that opens from disk: turn it, colour it, measure points and distances",
+        _view,
+        (
+            "cloud",
+            [Path],
+            "CLOUD",
+            "LAS, LAZ, PLY, E57, x y z text; several, such as those by INS, camera and all sensors, are "
+            "told apart by colour",
+        ),
+        ("--title", str, None, "heading of the page (default: name of the file)"),
+        ("--points", int, "N", "shown at most, thinned evenly (default: 1500000)"),
+        (
+            "--quantity",
+            Repeated(str),
+            "NAME",
+            "extra dimension of a LAS or LAZ file to colour by, up to three (default: the first ones)",
+        ),
+        ("-o --out", Path, "FOLDER", "for the page and what belongs to it", REQUIRED),
+        writes="index.html",
+        settings=OF_A_FILE,
     )
-    view.add_argument(
-        "cloud",
-        type=Path,
-        nargs="+",
-        metavar="CLOUD",
-        help="LAS, LAZ, PLY, E57, x y z text; several, such as those by INS, camera and all sensors, are "
-        "told apart by colour",
-    )
-    view.add_argument("--title", help="heading of the page (default: name of the file)")
-    view.add_argument(
-        "--points", type=int, metavar="N", help="shown at most, thinned evenly (default: 1500000)"
-    )
-    view.add_argument(
-        "--quantity",
-        action="append",
-        metavar="NAME",
-        help="extra dimension of a LAS or LAZ file to colour by, up to three (default: the first ones)",
-    )
-    view.add_argument(
-        "-o", "--out", type=Path, required=True, metavar="FOLDER", help="for the page and what belongs to it"
-    )
-    view.set_defaults(command=_view, writes="index.html", settings=OF_A_FILE)
 
 
 def _ppk(options: argparse.Namespace) -> int:
-    from thalweg.core import in_options
     from thalweg.figures.survey import gnss_page
     from thalweg.ingest.ppk import PpkOptions, run_ppk, write_solution
 
@@ -276,7 +224,7 @@ def _ppk(options: argparse.Namespace) -> int:
         f"{facts['n_none']:,} without a position; {refused:,} fixes refused; baseline "
         f"{facts['baseline_m'] / 1000:.2f} km"
     )
-    print("\n".join(f"note: {in_options(note, options.settings)}" for note in solution.report.notes))
+    say_notes(options, solution.report.notes)
     print(f"Wrote {', '.join(file.name for file in [*files, page])} to {options.out}")
     return 0
 
@@ -286,7 +234,7 @@ def _georeference(options: argparse.Namespace) -> int:
     from datetime import datetime
 
     from thalweg.calibration import resolve_mounts
-    from thalweg.core import InputError, Rigid, gps_from_unix, in_options
+    from thalweg.core import InputError, Rigid, gps_from_unix
     from thalweg.core.calibration import read_calibration
     from thalweg.ingest import LidarOptions
     from thalweg.ingest.registry import lidar_reader
@@ -354,7 +302,7 @@ def _georeference(options: argparse.Namespace) -> int:
     for row in table.to_dict("records"):
         if row["n"]:
             print(f"{row['n']:>12,} {row['words']}")
-    print("\n".join(f"note: {in_options(note, options.settings)}" for note in notes))
+    say_notes(options, notes)
     print(f"Wrote {', '.join(str(path) for path in [*written, facts])}")
     return 0
 
@@ -419,7 +367,7 @@ def _view(options: argparse.Namespace) -> int:
     first, *others = options.cloud
     if others and options.quantity:
         raise ConfigError("--quantity with several clouds", expected="one cloud", where="thalweg view")
-    view = read_views(options.cloud, most) if others else read_view(first, most, options.quantity)
+    view = read_views(options.cloud, most) if others else read_view(first, most, options.quantity or None)
     title = options.title or ", ".join(path.name for path in options.cloud)
     n = write_viewer(view, options.out, title=title, most_points=most)
     lacking = [

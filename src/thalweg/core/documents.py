@@ -9,8 +9,9 @@ import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar, get_args
 from xml.etree import ElementTree
 
 import yaml
@@ -157,6 +158,8 @@ MAX_VALUES = 100_000
 _TAG = "tag:yaml.org,2002:"
 Key = str | int
 """A key of a mapping, or an index into a list."""
+Node = dict[str, Any]
+"""A part of a JSON schema."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -343,8 +346,9 @@ def validated(
             if not mistakes:
                 return found, []
         except ValidationError as error:
+            schema = Schema(model)
             for detail in error.errors(include_url=False):
-                mistakes += _mistakes(detail, model, document)
+                mistakes += _mistakes(detail, schema, document)
     elif not mistakes:
         mark, field = next(iter(model.model_fields.items()))
         versions = get_args(field.annotation)
@@ -354,21 +358,90 @@ def validated(
     return None, sorted(mistakes, key=lambda mistake: mistake.line)
 
 
-def _mistakes(detail: ErrorDetails, model: type[Part], document: Document) -> list[Mistake]:
+class Schema:
+    """What may stand where in the documents of a model: look-ups in its JSON schema.
+
+    Parameters
+    ----------
+    model : of whole documents.
+    """
+
+    def __init__(self, model: type[BaseModel]) -> None:
+        self._model = model
+
+    @cached_property
+    def whole(self) -> Node:
+        """The JSON schema."""
+        return self._model.model_json_schema()
+
+    def resolve(self, node: Node) -> Node:
+        """A node with its reference followed, and the non-null part of an optional value."""
+        for _ in range(8):
+            if "$ref" in node:
+                rest = {k: v for k, v in node.items() if k != "$ref"}
+                node = {**self.whole["$defs"][node["$ref"].rsplit("/", 1)[1]], **rest}
+                continue
+            options = node.get("anyOf") or node.get("allOf") or []
+            real = [o for o in options if o.get("type") != "null" and "required" not in o]
+            if "properties" in node or not real:
+                return node
+            node = {**{k: v for k, v in node.items() if k not in {"anyOf", "allOf"}}, **real[0]}
+        return node
+
+    def at(self, path: tuple[Key, ...]) -> Node:
+        """Node of a path; empty if the path is not part of the schema."""
+        node = self.resolve(self.whole)
+        for key in path:
+            if isinstance(key, int):
+                items = node.get("prefixItems", [])
+                child = items[key] if key < len(items) else node.get("items", {})
+            else:
+                # what stands below a name that the user chooses, such as that of a scan, if any may
+                free = (
+                    v for pattern, v in node.get("patternProperties", {}).items() if re.search(pattern, key)
+                )
+                other = next(free, node.get("additionalProperties"))
+                child = node.get("properties", {}).get(key) or other
+            node = self.resolve(child) if isinstance(child, dict) else {}
+        return node
+
+    def keys(self, path: tuple[Key, ...]) -> list[str]:
+        """Keys that are allowed below a path."""
+        return list(self.at(path).get("properties", {}))
+
+
+def number_in_words(node: Node) -> str:
+    """A number and its limits, as the schema states them."""
+    text = "a whole number" if node.get("type") == "integer" else "a number"
+    low, high = node.get("minimum"), node.get("maximum")
+    above, below = node.get("exclusiveMinimum"), node.get("exclusiveMaximum")
+    if low is not None and high is not None:
+        return f"{text} from {_plain(low)} to {_plain(high)}"
+    text += f" of at least {_plain(low)}" if low is not None else ""
+    text += f" above {_plain(above)}" if above is not None else ""
+    text += f" up to {_plain(high)}" if high is not None else ""
+    return text + (f" below {_plain(below)}" if below is not None else "")
+
+
+def _plain(value: float) -> str:
+    return str(value) if isinstance(value, int) or not float(value).is_integer() else str(int(value))
+
+
+def _mistakes(detail: ErrorDetails, schema: Schema, document: Document) -> list[Mistake]:
     """One finding of pydantic."""
     # a key that is refused is called [key] below its value's place
     path: tuple[Key, ...] = tuple(key for key in detail["loc"] if key != "[key]")
     kind, value, context = detail["type"], detail["input"], detail.get("ctx", {})
     found = f"found keys {', '.join(map(str, value))}" if isinstance(value, Mapping) else f"found {value!r}"
     cure = ""
-    described = _described(model, path)
+    described = _described(schema, path)
     if kind in ("wrong", "several"):
         return [
             document.mistake((*path, *one["at"]), one["found"], one["expected"], one["cure"])
             for one in context.get("all", [context])
         ]
     if kind == "extra_forbidden":
-        keys = _keys(model, path[:-1])
+        keys = schema.keys(path[:-1])
         found, expected, cure = "unknown key", f"one of {', '.join(keys)}", did_you_mean(str(path[-1]), keys)
     elif kind == "missing":
         found, expected = f"{path[-1]} is missing", described or f"the key {path[-1]}"
@@ -382,50 +455,18 @@ def _mistakes(detail: ErrorDetails, model: type[Part], document: Document) -> li
     return [document.mistake(path, found, expected, cure)]
 
 
-def _field_at(model: Any, path: tuple[Key, ...]) -> tuple[Any, type[Part] | None]:
-    """The field of a path and, if it is a part or a list of parts, the model of these."""
-    field, part, named = None, model, False
-    for key in path:
-        if isinstance(key, int):
-            continue
-        if named:  # a name that the file gives
-            named = False
-            continue
-        if part is None:
-            break
-        fields = {f.alias or name: f for name, f in part.model_fields.items()}
-        field = fields.get(key)
-        part = next(_parts(field.annotation), None) if field is not None else None
-        kinds = [] if field is None else [field.annotation, *get_args(field.annotation)]
-        named = any(get_origin(kind) is dict for kind in kinds)
-    return field, part
-
-
-def _parts(annotation: Any) -> Any:
-    if isinstance(annotation, type) and issubclass(annotation, Part):
-        yield annotation
-    for inside in get_args(annotation):
-        yield from _parts(inside)
-
-
-def _keys(model: type[Part], path: tuple[Key, ...]) -> list[str]:
-    part = _field_at(model, path)[1]
-    return [f.alias or name for name, f in part.model_fields.items()] if part else []
-
-
-def _described(model: type[Part], path: tuple[Key, ...]) -> str:
+def _described(schema: Schema, path: tuple[Key, ...]) -> str:
     """What a field's description says, else its limits; empty for others."""
-    field = _field_at(model, path)[0]
-    if field is None:
-        return ""
-    if field.description:
-        return str(field.description)
-    limits = {type(m).__name__: m for m in field.metadata}
-    low, high = limits.get("Ge"), limits.get("Le")
-    if low is None:
-        return ""
-    return f"a number of at least {low.ge:g}" if high is None else f"a number from {low.ge:g} to {high.le:g}"
+    while path and path[-1] not in schema.keys(path[:-1]):  # an entry of a list, or below a name of the file
+        path = path[:-1]
+    field = schema.at(path[:-1])["properties"][path[-1]] if path else {}
+    if "description" in field:
+        return str(field["description"])
+    node = schema.resolve(field)
+    return number_in_words(node) if _LIMITS & node.keys() else ""
 
+
+_LIMITS: Final = {"minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum"}
 
 # ---------------------------------------------------------------- lines of the values
 #

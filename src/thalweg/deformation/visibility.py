@@ -42,6 +42,10 @@ VISIBILITY = table_kind(
 )
 """One row a core point."""
 
+_WATER_MARGIN_M = 0.1
+"""Places lower than this above the water of the epoch are water."""
+_VOXEL_M = 0.25
+"""Cells in which beams look for what is in their way."""
 _LOOKS = 12
 """Places of the boat from which a core point is looked at."""
 _LEAST_BEAMS = 3
@@ -86,7 +90,7 @@ def _reasons(cores_m: ArrayF, normals: ArrayF, epoch: Epoch, settings: Deformati
     """Why an epoch might not have seen core points (k,), the strongest reason first."""
     limits = settings.visibility
     near, place = cKDTree(epoch.scanner_m).query(cores_m)
-    water = epoch.water_m[place] + limits.water_margin_m
+    water = epoch.water_m[place] + _WATER_MARGIN_M
     looks = min(_LOOKS, len(epoch.scanner_m))
     within = np.asarray(near <= limits.max_range_m)
     every = epoch.scanner_m[:: max(1, len(epoch.scanner_m) // 2000)]
@@ -95,7 +99,7 @@ def _reasons(cores_m: ArrayF, normals: ArrayF, epoch: Epoch, settings: Deformati
     length = np.linalg.norm(sight, axis=2)
     cosine = np.einsum("klx,kx->kl", sight, normals) / length
     steep = cosine.max(axis=1) < np.cos(np.deg2rad(limits.max_incidence_deg))
-    blocked = _blocked(cores_m, every, nearest, epoch, limits.voxel_m)
+    blocked = _blocked(cores_m, every, nearest, epoch, _VOXEL_M)
     kinds = [cores_m[:, 2] < water, np.asarray(~within), np.asarray(steep), blocked]
     return np.select(kinds, [np.array(reason) for reason in REASONS[1:5]], default="not swept")
 

@@ -6,7 +6,7 @@ from .load import (
     load_campaigns as load_campaigns,
     with_calibrations as with_calibrations,
 )
-from .messages import natural_order as natural_order
+from .messages import mistake as mistake, natural_order as natural_order, value_at as value_at
 from .template import (
     campaign_text as campaign_text,
     epochs_text as epochs_text,

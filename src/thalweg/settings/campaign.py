@@ -1,7 +1,9 @@
 """The whole campaign file as one model."""
 
+from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from types import ModuleType
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from pydantic import ConfigDict, Field
 
@@ -36,7 +38,27 @@ from thalweg.settings.sections import (
     Section,
     is_rinex_name,
 )
-from thalweg.settings.twin import TwinConfig
+
+# ---------------------------------------------------------------- section ``twin``
+
+
+def _laboratory() -> ModuleType | None:
+    try:
+        return import_module("thalweg_lab.settings")
+    except ModuleNotFoundError as error:
+        if error.name not in ("thalweg_lab", "thalweg_lab.settings"):
+            raise
+        return None
+
+
+LABORATORY: Final = _laboratory()
+"""What the laboratory adds to campaign files: the section ``twin`` (`TwinConfig`) and the checks of it
+(`twin_mistakes`). The library never needs it, and without it a campaign with a twin is refused."""
+
+if TYPE_CHECKING:
+    Twin = Any
+else:
+    Twin = None if LABORATORY is None else LABORATORY.TwinConfig | None
 
 # ---------------------------------------------------------------- section ``campaign``
 
@@ -49,11 +71,19 @@ ID_PATTERN = "^[a-z][a-z0-9_]*$"
 class Origin(Section):
     """Origin of the local east-north-up frame wcs, geodetic."""
 
-    lat_deg: Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)] = Field(
-        description="Latitude of the origin of the local frame, degrees, north positive", examples=[51.05]
+    lat_deg: float = Field(
+        ge=-90,
+        le=90,
+        allow_inf_nan=False,
+        description="Latitude of the origin of the local frame, degrees, north positive",
+        examples=[51.05],
     )
-    lon_deg: Annotated[float, Field(ge=-180, le=180, allow_inf_nan=False)] = Field(
-        description="Longitude of the origin, degrees, east positive", examples=[13.25]
+    lon_deg: float = Field(
+        ge=-180,
+        le=180,
+        allow_inf_nan=False,
+        description="Longitude of the origin, degrees, east positive",
+        examples=[13.25],
     )
     h_ell_m: Finite = Field(
         ge=-500,
@@ -105,7 +135,7 @@ class Campaign(Section):
     )
 
     campaign: Identity = Field(description="Name, map and world frame")
-    twin: TwinConfig | None = Field(
+    twin: Twin = Field(
         default=None,
         description="The digital twin writes the logs; exactly one of `twin`, `logs` and `epochs`",
     )

@@ -3,17 +3,17 @@
 Also here: do the recordings of the light-sheet sensor belong together, and does the twin's object make sense?
 """
 
+import contextlib
 import datetime as dt
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
 from thalweg.core import Key, Mistake
-from thalweg.settings.campaign import ID_PATTERN
+from thalweg.settings.campaign import ID_PATTERN, LABORATORY
 from thalweg.settings.checks_epochs import check_epochs
 from thalweg.settings.checks_files import IMAGE_ENDINGS, check_files, no_path
 from thalweg.settings.checks_place import (
@@ -23,7 +23,16 @@ from thalweg.settings.checks_place import (
     geodetic_place,
     parse_crs,
 )
-from thalweg.settings.messages import anchor, missing_cure, radians_cure, show
+from thalweg.settings.messages import (
+    anchor,
+    lacking,
+    missing_cure,
+    mistake,
+    radians_cure,
+    show,
+    single,
+    value_at,
+)
 from thalweg.settings.sections import (
     LOCAL,
     SCAN_PARTS,
@@ -34,7 +43,6 @@ from thalweg.settings.sections import (
     CalibrationLogs,
     Georeferencing,
     Lidar,
-    LightSheetLogs,
     Logs,
     Mounts,
     Orientation,
@@ -56,10 +64,14 @@ NEEDED: Final[Mapping[str, str]] = {
 """Keys of ``logs.light_sheet`` without which nothing can be calibrated."""
 
 _PANEL: Final = "images of the panel and its depth in each"
-_TOGETHER: Final[Mapping[str, tuple[str, str]]] = {
-    "panel_images": ("panels", _PANEL),
-    "panels": ("panel_images", _PANEL),
-}
+_OF_FIELD: Final = "markers and scale bars of the field"
+_TOGETHER: Final = (
+    ("panel_images", "panels", _PANEL),
+    ("panels", "panel_images", _PANEL),
+    ("camera_field_images", "camera_field", _OF_FIELD),
+    ("camera_field_marks", "camera_field", _OF_FIELD),
+)
+"""Key, the key that it needs, and what that holds."""
 _ONE_FILE: Final = (
     "sensor",
     "camera_field",
@@ -69,8 +81,8 @@ _ONE_FILE: Final = (
     "grid",
     "panels",
 )
-_LEVELS: Final = 2
-"""Default of ``light_sheet.calibration.levels`` and number of levels of the twin's object."""
+_SHEET: Final = "logs.light_sheet"
+_DOCS: Final = "; docs/light_sheet.md says what each file holds"
 
 
 def check_sheet_logs(logs: Logs, files: Mapping[str, tuple[str, ...]]) -> Iterator[Mistake]:
@@ -84,121 +96,61 @@ def check_sheet_logs(logs: Logs, files: Mapping[str, tuple[str, ...]]) -> Iterat
     sheet = logs.light_sheet
     if not sheet.given:
         return
-    for name, what in NEEDED.items():
-        if not getattr(sheet, name):
-            yield _missing(name, f"{what}, beside logs.light_sheet.{sheet.given[0]}")
-    for name, (other, what) in _TOGETHER.items():
-        if getattr(sheet, name) and not getattr(sheet, other):
-            yield _missing(other, f"{what}, beside logs.light_sheet.{name}")
-    yield from _check_field(sheet)
+    beside = f", beside {_SHEET}."
+    yield from lacking(_SHEET, sheet, {k: f"{v}{beside}{sheet.given[0]}" for k, v in NEEDED.items()}, _DOCS)
+    seen = [name for name in ("camera_field_images", "camera_field_marks") if getattr(sheet, name)]
+    for key, other, what in _TOGETHER:
+        if getattr(sheet, key) and key not in seen[1:]:
+            yield from lacking(_SHEET, sheet, {other: f"{what}{beside}{key}"}, _DOCS)
+    if sheet.camera_field and not seen:
+        what = f"pictures of the field, or camera_field_marks{beside}camera_field"
+        yield from lacking(_SHEET, sheet, {"camera_field_images": what}, _DOCS)
+    if len(seen) == 2:
+        yield mistake(
+            f"{_SHEET}.camera_field_marks",
+            "marks beside the pictures that they were measured in",
+            "camera_field_images or camera_field_marks",
+            "Leave one of both out",
+        )
     streams = {keys[1]: stream for stream, keys in STREAM_KEYS.items() if keys[0] == "light_sheet"}
-    for name in _ONE_FILE:
-        count = len(files.get(streams[name], ()))
-        if count > 1:
-            yield Mistake(
-                path=("logs", "light_sheet", name),
-                found=f"{count} files",
-                expected="one file",
-                cure="Name the one that belongs to these recordings; another day is another campaign",
-            )
+    yield from single(
+        _SHEET,
+        {name: len(files.get(streams[name], ())) for name in _ONE_FILE},
+        "one file",
+        "Name the one that belongs to these recordings; another day is another campaign",
+    )
     images = _images(files.get(streams["grid_images"], ()))
     if images > 1:
-        yield Mistake(
-            path=("logs", "light_sheet", "grid_images"),
-            found=f"{images} images",
-            expected="one image of the laser on the grid object, to which the depths in grid belong",
-            cure="Name one image; the others may serve in campaigns of their own, as a check",
+        yield mistake(
+            "logs.light_sheet.grid_images",
+            f"{images} images",
+            "one image of the laser on the grid object, to which the depths in grid belong",
+            "Name one image; the others may serve in campaigns of their own, as a check",
         )
     for stream, keys in STREAM_KEYS.items():
         if keys[0] != "light_sheet" and logs.files(stream):
-            yield Mistake(
-                path=("logs", *keys),
-                found="recordings of a boat beside those of the light-sheet sensor in a basin",
-                expected="one of both in a campaign: the boat's logs would not be used",
-                cure="Make a campaign of its own for them",
+            yield mistake(
+                ("logs", *keys),
+                "recordings of a boat beside those of the light-sheet sensor in a basin",
+                "one of both in a campaign: the boat's logs would not be used",
+                "Make a campaign of its own for them",
             )
-
-
-def check_sheet_twin(twin: Any, light_sheet: Any) -> Iterator[Mistake]:
-    """Mistakes in the twin's grid object.
-
-    Parameters
-    ----------
-    twin, light_sheet : the sections of these names as written.
-    """
-    depths = _below(twin, "light_sheet", "levels_mm")
-    count = _LEVELS
-    where: tuple[Key, ...] = ("twin", "light_sheet", "levels_mm")
-    if isinstance(depths, list) and all(isinstance(d, int | float) for d in depths):
-        count = len(depths)
-        if any(low >= high for low, high in pairwise(depths)):
-            yield Mistake(
-                path=where,
-                found=f"found {depths}",
-                expected="depths that grow from level to level",
-                cure=f"Write {sorted(set(depths))}",
-            )
-    levels = _below(light_sheet, "calibration", "levels")
-    levels = _LEVELS if levels is None else levels
-    is_basin = _below(twin, "light_sheet") is not None or str(_below(twin, "size")).startswith("basin")
-    if is_basin and isinstance(levels, int) and levels != count:
-        yield Mistake(
-            path=("light_sheet", "calibration", "levels") if _below(light_sheet, "calibration") else where,
-            found=f"light_sheet.calibration.levels is {levels}, the twin's object has {count}",
-            expected="the same number of levels",
-            cure=f"Write light_sheet.calibration.levels: {count}",
-        )
-
-
-def _check_field(sheet: LightSheetLogs) -> Iterator[Mistake]:
-    """A marker field has a description, and pictures or marks."""
-    seen = [name for name in ("camera_field_images", "camera_field_marks") if getattr(sheet, name)]
-    if seen and not sheet.camera_field:
-        what = "markers and scale bars of the field"
-        yield _missing("camera_field", f"{what}, beside logs.light_sheet.{seen[0]}")
-    if sheet.camera_field and not seen:
-        what = "pictures of the field, or camera_field_marks"
-        yield _missing("camera_field_images", f"{what}, beside logs.light_sheet.camera_field")
-    if len(seen) == 2:
-        yield Mistake(
-            path=("logs", "light_sheet", "camera_field_marks"),
-            found="marks beside the pictures that they were measured in",
-            expected="camera_field_images or camera_field_marks",
-            cure="Leave one of both out",
-        )
-
-
-def _missing(name: str, expected: str) -> Mistake:
-    return Mistake(
-        path=("logs", "light_sheet", name),
-        found="missing",
-        expected=expected,
-        cure=f"Add the line `{name}: [...]`; docs/light_sheet.md says what each file holds",
-    )
 
 
 def _images(paths: tuple[str, ...]) -> int:
     """Images among files and in folders; a folder that cannot be read is another check's."""
     count = 0
-    for text in paths:
-        path = Path(text)
-        if not path.is_dir():
-            count += 1
-            continue
-        try:
-            count += sum(entry.suffix.lower() in IMAGE_ENDINGS for entry in path.iterdir())
-        except OSError:
-            continue
+    for path in map(Path, paths):
+        with contextlib.suppress(OSError):
+            inside = path.iterdir() if path.is_dir() else None
+            count += 1 if inside is None else sum(p.suffix.lower() in IMAGE_ENDINGS for p in inside)
     return count
 
 
-# ---------------------------------------------------------------- do the recordings of a calibration field
-# belong together, and is the camera's file there?
+# ---------------------------------------------------------------- recordings of a calibration field
 
-
-# ---------------------------------------------------------------- the campaign
-
-_calibration_NEEDED = {"reference_images": "images of the field by a hand-held camera"}
+_CALIBRATION: Final = "logs.calibration"
+_BY_HAND = {"reference_images": "images of the field by a hand-held camera"}
 _STATIC = {
     "position_images": "an image of the boat's camera at each static position",
     "position_scans": "a lidar capture of each static position",
@@ -214,40 +166,49 @@ def check_calibration_logs(
     ``jitter_s`` is ``calibration.clock.jitter_s`` as written, None if absent. ``has_run``: whether lidar and
     INS were recorded on the moving boat; their mount then needs no camera and no static positions.
     """
-    given = {name: getattr(logs, name) for name in type(logs).model_fields}
+    given = {name for name in type(logs).model_fields if getattr(logs, name)}
     if logs.field:
-        static = not has_run or any(given[name] for name in _STATIC)
-        for name, what in (_calibration_NEEDED | _STATIC if static else _calibration_NEEDED).items():
-            if not given[name]:
-                yield Mistake(
-                    path=("logs", "calibration", name),
-                    found="missing",
-                    expected=f"{what}, beside logs.calibration.field",
-                    cure=f"Add the line `{name}: [...]`",
-                )
-    elif any(given[name] for name in (*_calibration_NEEDED, *_STATIC, "run_images")):
-        yield Mistake(
-            path=("logs", "calibration", "field"),
-            found="missing",
-            expected="the description of the field: cones, markers, scale bars, targets",
-            cure="Write it as docs/calibration.md shows",
+        static = not has_run or not given.isdisjoint(_STATIC)
+        needed = (_BY_HAND | _STATIC if static else _BY_HAND).items()
+        yield from lacking(_CALIBRATION, logs, {k: f"{v}, beside logs.calibration.field" for k, v in needed})
+    elif not given.isdisjoint((*_BY_HAND, *_STATIC, "run_images")):
+        yield mistake(
+            "logs.calibration.field",
+            "missing",
+            "the description of the field: cones, markers, scale bars, targets",
+            "Write it as docs/calibration.md shows",
         )
-    if len(logs.field) > 1:
-        yield Mistake(
-            path=("logs", "calibration", "field"),
-            found=f"{len(logs.field)} files",
-            expected="one description",
-            cure="Put all cones and targets into one file",
-        )
+    yield from single(
+        _CALIBRATION, {"field": len(logs.field)}, "one description", "Put all cones and targets into one file"
+    )
     if logs.board_images and not (logs.board_scans and logs.board_camera):
-        lacking = "board_camera" if logs.board_scans else "board_scans"
-        yield Mistake(
-            path=("logs", "calibration", lacking),
-            found="missing",
-            expected="images, scans and the interior orientation of the camera",
-            cure=f"Add the line `{lacking}: [...]`",
+        key = "board_camera" if logs.board_scans else "board_scans"
+        what = "images, scans and the interior orientation of the camera"
+        yield from lacking(_CALIBRATION, logs, {key: what})
+    for name, what in _CLOCKS.items():
+        if name in given and not logs.run_images:
+            yield mistake(
+                "logs.calibration.run_images",
+                "missing",
+                f"the images whose times {name} tells; without images it would not be used",
+                f"Add the line `run_images: [...]`, or remove {name}",
+            )
+        count = {name: len(getattr(logs, name))}
+        yield from single(_CALIBRATION, count, f"one table of {what}", "Put all rows into one file")
+    if logs.clock_ties and logs.trigger_pulses:
+        yield mistake(
+            "logs.calibration.clock_ties",
+            "both clock_ties and trigger_pulses are given",
+            "one of them: pulses say when each image was taken, ties how the camera's clock runs",
+            "Remove clock_ties if the camera was triggered, else trigger_pulses",
         )
-    yield from _check_clock(logs, jitter_s)
+    if logs.clock_ties and not logs.display and jitter_s is None:
+        yield mistake(
+            "calibration.clock.jitter_s",
+            "missing",
+            "the jitter of the camera's stamps, seconds: ties do not tell it",
+            "State calibration.clock.jitter_s, or give logs.calibration.display",
+        )
 
 
 def check_interior(chosen: Any, folder: Path) -> Iterator[Mistake]:
@@ -266,45 +227,11 @@ def check_interior(chosen: Any, folder: Path) -> Iterator[Mistake]:
         return
     path = anchor(chosen, folder)
     if not path.is_file():
-        yield Mistake(
-            path=where,
-            found=f"{chosen}: {'this is a folder' if path.is_dir() else 'no such file'}",
-            expected=f"an interior orientation at {path}",
-            cure="Name the file in it" if path.is_dir() else missing_cure(path),
-        )
-
-
-def _check_clock(logs: CalibrationLogs, jitter_s: object) -> Iterator[Mistake]:
-    """One source of the camera's clock, in one file, that says all that is needed."""
-    for name, what in _CLOCKS.items():
-        count = len(getattr(logs, name))
-        if count and not logs.run_images:
-            yield Mistake(
-                path=("logs", "calibration", "run_images"),
-                found="missing",
-                expected=f"the images whose times {name} tells; without images it would not be used",
-                cure=f"Add the line `run_images: [...]`, or remove {name}",
-            )
-        if count > 1:
-            yield Mistake(
-                path=("logs", "calibration", name),
-                found=f"{count} files",
-                expected=f"one table of {what}",
-                cure="Put all rows into one file",
-            )
-    if logs.clock_ties and logs.trigger_pulses:
-        yield Mistake(
-            path=("logs", "calibration", "clock_ties"),
-            found="both clock_ties and trigger_pulses are given",
-            expected="one of them: pulses say when each image was taken, ties how the camera's clock runs",
-            cure="Remove clock_ties if the camera was triggered, else trigger_pulses",
-        )
-    if logs.clock_ties and not logs.display and jitter_s is None:
-        yield Mistake(
-            path=("calibration", "clock", "jitter_s"),
-            found="missing",
-            expected="the jitter of the camera's stamps, seconds: ties do not tell it",
-            cure="State calibration.clock.jitter_s, or give logs.calibration.display",
+        yield mistake(
+            where,
+            f"{chosen}: {'this is a folder' if path.is_dir() else 'no such file'}",
+            f"an interior orientation at {path}",
+            "Name the file in it" if path.is_dir() else missing_cure(path),
         )
 
 
@@ -336,19 +263,19 @@ def check_accuracy_area(section: Accuracy, crs: Any, origin: Any) -> Iterator[Mi
 
     crossing = first_crossing(area.polygon)
     if crossing is not None:
-        yield Mistake(
-            path=_PATH,
-            found=crossing_in_words(area.polygon, crossing),
-            expected="a polygon whose edges do not cross",
-            cure="Give the corners in their order along the outline",
+        yield mistake(
+            _PATH,
+            crossing_in_words(area.polygon, crossing),
+            "a polygon whose edges do not cross",
+            "Give the corners in their order along the outline",
         )
         return
     if polygon_area_m2(area.polygon) < LEAST_AREA_M2:
-        yield Mistake(
-            path=_PATH,
-            found="the corners enclose no area",
-            expected="at least three corners that are not on one line, in order around the area",
-            cure="Copy the corners from a map program in the order in which they were drawn",
+        yield mistake(
+            _PATH,
+            "the corners enclose no area",
+            "at least three corners that are not on one line, in order around the area",
+            "Copy the corners from a map program in the order in which they were drawn",
         )
         return
     if area.frame == "local":
@@ -368,11 +295,11 @@ def _check_heights(area: Area, origin: Any) -> Iterator[Mistake]:
         height = getattr(area, key)
         if height is None or abs(height - frames[other][0]) > NEAR_M:
             continue
-        yield Mistake(
-            path=("accuracy", "area", key),
-            found=f"found {height:g}, with frame: {area.frame} and an origin at {origin_m:g} m",
-            expected=f"a height {frames[area.frame][1]}, metres, near {frames[area.frame][0]:g}",
-            cure=f"Heights {frames[other][1]}? Then write frame: {other}"
+        yield mistake(
+            ("accuracy", "area", key),
+            f"found {height:g}, with frame: {area.frame} and an origin at {origin_m:g} m",
+            f"a height {frames[area.frame][1]}, metres, near {frames[area.frame][0]:g}",
+            f"Heights {frames[other][1]}? Then write frame: {other}"
             if area.polygon is None
             else f"Write it in the frame of the polygon, {area.frame}",
         )
@@ -382,11 +309,11 @@ def _check_local(polygon: Sequence[tuple[float, float]]) -> Iterator[Mistake]:
     for number, corner in enumerate(polygon):
         far_km = math.hypot(*corner) / 1000
         if far_km > MAX_AREA_KM:
-            yield Mistake(
-                path=(*_PATH, number),
-                found=f"a corner {far_km:,.0f} km from campaign.origin",
-                expected=f"east and north from campaign.origin in metres, within {MAX_AREA_KM:g} km",
-                cure="Map coordinates? Then write frame: map",
+            yield mistake(
+                (*_PATH, number),
+                f"a corner {far_km:,.0f} km from campaign.origin",
+                f"east and north from campaign.origin in metres, within {MAX_AREA_KM:g} km",
+                "Map coordinates? Then write frame: map",
             )
             return
 
@@ -406,12 +333,11 @@ def _check_map(polygon: Sequence[tuple[float, float]], crs: Any, origin: Any) ->
             swapped_km = math.dist(corner[::-1], (east, north)) / 1000
             local = math.hypot(*corner) / 1000 < MAX_AREA_KM
             path: tuple[Key, ...] = (*_PATH, number)
-            yield Mistake(
-                path=path,
-                found=f"a corner {far_km:,.0f} km from campaign.origin",
-                expected=f"east and north in {crs.strip()}, within {MAX_AREA_KM:g} km of "
-                f"{east:.0f}, {north:.0f}",
-                cure="Local coordinates? Then write frame: local"
+            yield mistake(
+                path,
+                f"a corner {far_km:,.0f} km from campaign.origin",
+                f"east and north in {crs.strip()}, within {MAX_AREA_KM:g} km of {east:.0f}, {north:.0f}",
+                "Local coordinates? Then write frame: local"
                 if local
                 else "East comes first: swap the two numbers of each corner"
                 if swapped_km < MAX_AREA_KM
@@ -448,43 +374,43 @@ def check_rig(
     field = [key for key in _FIELD if given.get(key)]
     if field and len(field) < len(_FIELD):
         missing = " and ".join(f"logs.rig.{key}" for key in _FIELD if key not in field)
-        yield Mistake(
-            path=("logs", "rig", field[0]),
-            found=f"a field of the rig without {missing}",
-            expected="its description, its pictures and its surveyed marks",
-            cure=f"State {missing}, or leave the field out and name logs.rig.calibration",
+        yield mistake(
+            ("logs", "rig", field[0]),
+            f"a field of the rig without {missing}",
+            "its description, its pictures and its surveyed marks",
+            f"State {missing}, or leave the field out and name logs.rig.calibration",
         )
-    if _below(images, "source") == "rig" and not given.get("images") and not _below(twin, "dual_fisheye"):
-        yield Mistake(
-            path=("images", "source"),
-            found="rig, and no files of a rig",
-            expected="files of a camera with two lenses and its calibration",
-            cure="State logs.rig.images and what calibrates it, or write source: camera",
+    if value_at(images, "source") == "rig" and not given.get("images") and not value_at(twin, "dual_fisheye"):
+        yield mistake(
+            "images.source",
+            "rig, and no files of a rig",
+            "files of a camera with two lenses and its calibration",
+            "State logs.rig.images and what calibrates it, or write source: camera",
         )
     if not given.get("images"):
         return
-    chosen = _below(mounts, "calibration")
+    chosen = value_at(mounts, "calibration")
     # whether a campaign of that name calibrates a rig is seen where all campaigns are
     elsewhere = isinstance(chosen, str) and not is_calibration_path(chosen)
     if not field and not given.get("calibration") and not elsewhere:
-        yield Mistake(
-            path=("logs", "rig", "images"),
-            found="files of a rig, and nothing that calibrates it",
-            expected="logs.rig.calibration, a field of marks around the rig, or mounts.calibration with one",
-            cure="State logs.rig.field, field_images and field_points, or logs.rig.calibration",
+        yield mistake(
+            "logs.rig.images",
+            "files of a rig, and nothing that calibrates it",
+            "logs.rig.calibration, a field of marks around the rig, or mounts.calibration with one",
+            "State logs.rig.field, field_images and field_points, or logs.rig.calibration",
         )
-    if not _below(rig, "mount"):
-        yield Mistake(
-            path=("rig",),
-            found="files of a rig, but no place of it on the boat",
+    if not value_at(rig, "mount"):
+        yield mistake(
+            "rig",
+            "files of a rig, but no place of it on the boat",
             cure="State rig.mount: the front lens in the body frame of the INS",
         )
-    if not lidar and (_below(panorama, "mode") or "depth") == "depth":
-        yield Mistake(
-            path=("panorama", "mode"),
-            found="depth, and no lidar whose cloud says how far things are",
-            expected="sphere or none without a lidar",
-            cure="Set panorama.mode: sphere and panorama.radius_m, or state logs.lidar",
+    if not lidar and (value_at(panorama, "mode") or "depth") == "depth":
+        yield mistake(
+            "panorama.mode",
+            "depth, and no lidar whose cloud says how far things are",
+            "sphere or none without a lidar",
+            "Set panorama.mode: sphere and panorama.radius_m, or state logs.lidar",
         )
 
 
@@ -503,63 +429,56 @@ def check_images(
     mounts, images, twin, orientation : the sections of these names as written.
     """
     given = logs if isinstance(logs, Mapping) else {}
-    by_rig = _below(images, "source") == "rig"
-    taken = by_rig or bool(given.get("images")) or bool(_below(twin, "time_lapse"))
+    by_rig = value_at(images, "source") == "rig"
+    taken = by_rig or bool(given.get("images")) or bool(value_at(twin, "time_lapse"))
     if not taken:
         for key in _BESIDE:
             if given.get(key):
-                yield Mistake(
-                    path=("logs", "time_lapse", key),
-                    found="files that belong to images, but there are none",
+                yield mistake(
+                    ("logs", "time_lapse", key),
+                    "files that belong to images, but there are none",
                     cure="State logs.time_lapse.images, or leave this out",
                 )
         return
     placed = isinstance(mounts, Mapping) and ("camera" in mounts or "calibration" in mounts)
     if not placed and not by_rig:
-        yield Mistake(
-            path=("mounts",),
-            found="images of the bank, but no place of the camera on the boat",
+        yield mistake(
+            "mounts",
+            "images of the bank, but no place of the camera on the boat",
             cure="State mounts.camera, or name the calibration that found it as mounts.calibration",
         )
     adjusted = (by_rig and not twin) or (bool(given.get("images")) and not given.get("orientations"))
-    antenna = _below(images, "adjustment", "antenna", "use") is True
-    source = _below(orientation, "position_source")
+    antenna = value_at(images, "adjustment", "antenna", "use") is True
+    source = value_at(orientation, "position_source")
     if adjusted and not given.get("control_points") and not antenna:
         place = (
             "; positions that are part of the INS's solution cannot take their place"
             if source in _SOLVED
             else ", or let the antenna's positions take their place: images.adjustment.antenna.use: true"
         )
-        yield Mistake(
-            path=("logs", "time_lapse"),
-            found="images without control points",
+        yield mistake(
+            "logs.time_lapse",
+            "images without control points",
             cure=f"State logs.time_lapse.control_points, or orientations of another program{place}",
         )
     if antenna and source in _SOLVED and not given.get("orientations"):
-        yield Mistake(
-            path=("images", "adjustment", "antenna", "use"),
-            found=f"true, with positions of {_SOLVED[source]} (orientation.position_source: {source})",
-            expected="positions of a GNSS antenna: pos, sbp or ppk",
-            cure="Such positions are those of the body's origin and not of the antenna, and the trajectory "
+        yield mistake(
+            "images.adjustment.antenna.use",
+            f"true, with positions of {_SOLVED[source]} (orientation.position_source: {source})",
+            "positions of a GNSS antenna: pos, sbp or ppk",
+            "Such positions are those of the body's origin and not of the antenna, and the trajectory "
             "that the images are joined with has their GNSS inside: it would count twice. Write use: false "
             "and give control points, or name GNSS positions of the antenna and their position_source",
         )
     interiors = given.get("interiors")
     for folder, files in interiors.items() if isinstance(interiors, Mapping) else ():
         if isinstance(files, list) and len(files) != 1:
-            yield Mistake(
-                path=("logs", "time_lapse", "interiors", folder),
-                found=f"{len(files)} files",
-                expected="one interior orientation for the camera of a folder",
-                cure="Name one file; a second camera has a folder of its own",
+            yield mistake(
+                ("logs", "time_lapse", "interiors", folder),
+                f"{len(files)} files",
+                "one interior orientation for the camera of a folder",
+                "Name one file; a second camera has a folder of its own",
             )
-
-
-def _below(section: Any, *keys: str) -> Any:
-    """A value below a section as written, None if absent."""
-    for key in keys:
-        section = section.get(key) if isinstance(section, Mapping) else None
-    return section
 
 
 # ---------------------------------------------------------------- is each scan of the light-sheet sensor
@@ -583,40 +502,27 @@ def check_scans(logs: Logs, files: Mapping[str, tuple[str, ...]]) -> Iterator[Mi
     files : absolute paths by stream, patterns expanded; see `thalweg.settings.checks_files.check_files`.
     """
     for name, scan in logs.light_sheet.scans.items():
-        where = ("logs", "light_sheet", "scans", name)
+        where = f"{_SHEET}.scans.{name}"
         if name in SERIES or name in STREAM_KEYS:
-            yield Mistake(
-                path=where,
-                found=f"a scan called {name}",
-                expected="a name that no other series of images has",
-                cure="Call the scan by its object",
+            yield mistake(
+                where,
+                f"a scan called {name}",
+                "a name that no other series of images has",
+                "Call the scan by its object",
             )
             continue
-        for part, what in _NEEDED.items():
-            if not getattr(scan, part):
-                yield Mistake(
-                    path=(*where, part),
-                    found="missing",
-                    expected=what,
-                    cure=f"Add the line `{part}: [...]`; docs/light_sheet.md says what each file holds",
-                )
+        yield from lacking(where, scan, _NEEDED, _DOCS)
         for one, other in (("reference", "pairs"), ("pairs", "reference")):
             if getattr(scan, one) and not getattr(scan, other):
-                yield Mistake(
-                    path=(*where, other),
-                    found="missing",
-                    expected=f"both reference and pairs, beside {one}",
-                    cure="Pick three or more places that scan and mesh both show",
+                yield mistake(
+                    f"{where}.{other}",
+                    "missing",
+                    f"both reference and pairs, beside {one}",
+                    "Pick three or more places that scan and mesh both show",
                 )
-        for part in SCAN_PARTS[1:]:
-            count = len(files.get(scan_stream(name, part), ()))
-            if count > 1:
-                yield Mistake(
-                    path=(*where, part),
-                    found=f"{count} files",
-                    expected="one file",
-                    cure="Name the one of this scan; another scan gets a name of its own",
-                )
+        counts = {part: len(files.get(scan_stream(name, part), ())) for part in SCAN_PARTS[1:]}
+        cure = "Name the one of this scan; another scan gets a name of its own"
+        yield from single(where, counts, "one file", cure)
 
 
 # ---------------------------------------------------------------- campaign
@@ -646,10 +552,7 @@ class Parts:
 
     def raw(self, *keys: str) -> Any:
         """Value as written in the file, None if absent."""
-        value: Any = self.data
-        for key in keys:
-            value = value.get(key) if isinstance(value, dict) else None
-        return value
+        return value_at(self.data, *keys)
 
     @property
     def boat(self) -> bool:
@@ -704,9 +607,8 @@ def domain_mistakes(parts: Parts) -> tuple[list[Mistake], dict[str, tuple[str, .
         mistakes += check_base(parts.logs.gnss, parts.raw("campaign", "origin"))
         mistakes += check_sheet_logs(parts.logs, files)
         mistakes += check_scans(parts.logs, files)
-    elif parts.raw("twin") is not None:
-        mistakes += _check_twin_source(parts)
-        mistakes += check_sheet_twin(parts.raw("twin"), parts.raw("light_sheet"))
+    elif LABORATORY is not None and parts.raw("twin") is not None:
+        mistakes += LABORATORY.twin_mistakes(parts.data, parts.orientation)
     return mistakes, files
 
 
@@ -717,11 +619,11 @@ def _check_frame(parts: Parts) -> Iterator[Mistake]:
         return
     yield from check_crs(crs, origin)
     if parts.boat and origin is None:
-        yield Mistake(
-            path=("campaign", "origin"),
-            found="missing",
-            expected="latitude, longitude and ellipsoidal height of a point near the survey",
-            cure="Add the line `origin: {lat_deg: …, lon_deg: …, h_ell_m: …}`",
+        yield mistake(
+            "campaign.origin",
+            "missing",
+            "latitude, longitude and ellipsoidal height of a point near the survey",
+            "Add the line `origin: {lat_deg: …, lon_deg: …, h_ell_m: …}`",
         )
 
 
@@ -732,53 +634,53 @@ def _check_photographs(parts: Parts) -> Iterator[Mistake]:
     if logs is None or logs.kind != "photographs":
         yield from check_images(parts.raw("logs", "time_lapse"), parts.raw("mounts"), *sections)
         if logs is not None and logs.time_lapse.positions:
-            yield Mistake(
-                path=("logs", "time_lapse", "positions"),
-                found="positions of the camera beside other logs",
-                expected="photographs without a boat, whose trajectory would say the same",
-                cure="Remove the line, or the other logs",
+            yield mistake(
+                "logs.time_lapse.positions",
+                "positions of the camera beside other logs",
+                "photographs without a boat, whose trajectory would say the same",
+                "Remove the line, or the other logs",
             )
         return
     given = logs.time_lapse
     if given.control_points and not given.marks:
-        yield Mistake(
-            path=("logs", "time_lapse", "marks"),
-            found="missing",
-            expected="where the control points are in the photographs: without a boat nothing tells roughly",
-            cure="Add the line `marks: [...]` (CSV: image, point, x_px, y_px)",
+        yield mistake(
+            "logs.time_lapse.marks",
+            "missing",
+            "where the control points are in the photographs: without a boat nothing tells roughly",
+            "Add the line `marks: [...]` (CSV: image, point, x_px, y_px)",
         )
     if not (given.control_points or given.positions or given.orientations):
-        yield Mistake(
-            path=("logs", "time_lapse"),
-            found="photographs alone",
-            expected="control_points with marks, positions of the camera, or finished orientations",
-            cure="Add what is known of them, or the logs of the boat: lidar, ins, positions, depth",
+        yield mistake(
+            "logs.time_lapse",
+            "photographs alone",
+            "control_points with marks, positions of the camera, or finished orientations",
+            "Add what is known of them, or the logs of the boat: lidar, ins, positions, depth",
         )
     if (
         given.orientations
         and not given.control_points
         and not (parts.raw("campaign", "origin") or parts.raw("campaign", "crs") == LOCAL)
     ):
-        yield Mistake(
-            path=("campaign", "origin"),
-            found="missing",
-            expected="a place on the earth for orientations in a map grid",
-            cure="Write origin: {lat_deg: …, lon_deg: …, h_ell_m: …}, or crs: local",
+        yield mistake(
+            "campaign.origin",
+            "missing",
+            "a place on the earth for orientations in a map grid",
+            "Write origin: {lat_deg: …, lon_deg: …, h_ell_m: …}, or crs: local",
         )
     if given.orientations and given.positions:
-        yield Mistake(
-            path=("logs", "time_lapse", "positions"),
-            found="positions of the camera beside finished orientations, which hold them",
-            expected="one of both",
-            cure="Remove the line, or remove orientations: the photographs are then oriented here",
+        yield mistake(
+            "logs.time_lapse.positions",
+            "positions of the camera beside finished orientations, which hold them",
+            "one of both",
+            "Remove the line, or remove orientations: the photographs are then oriented here",
         )
     for name in ("positions", "interior", "marks"):
         if len(getattr(given, name)) > 1:
-            yield Mistake(
-                path=("logs", "time_lapse", name),
-                found=f"{len(getattr(given, name))} files",
-                expected="one",
-                cure="Put all rows into one file"
+            yield mistake(
+                ("logs", "time_lapse", name),
+                f"{len(getattr(given, name))} files",
+                "one",
+                "Put all rows into one file"
                 if name != "interior"
                 else "Photographs of several cameras: one campaign each",
             )
@@ -788,30 +690,22 @@ def _check_alone(logs: Logs) -> Iterator[Mistake]:
     """What a camera that stays and a finished cloud need."""
     if logs.kind == "fixed_camera":
         needed = {"marks": "where control points are in the pictures", "control_points": "surveyed points"}
-        for name, what in needed.items():
-            if not getattr(logs.fixed_camera, name):
-                yield Mistake(
-                    path=("logs", "fixed_camera", name),
-                    found="missing",
-                    expected=what,
-                    cure=f"Add the line `{name}: [...]`",
-                )
-        if (count := len(logs.fixed_camera.interior)) > 1:
-            yield Mistake(
-                path=("logs", "fixed_camera", "interior"),
-                found=f"{count} files",
-                expected="one file; a second camera is another campaign",
-                cure="Name one",
-            )
+        yield from lacking("logs.fixed_camera", logs.fixed_camera, needed)
+        yield from single(
+            "logs.fixed_camera",
+            {"interior": len(logs.fixed_camera.interior)},
+            "one file; a second camera is another campaign",
+            "Name one",
+        )
     elif logs.kind == "cloud":
         for name in ("cloud", "reference"):
             count = len(getattr(logs, name))
             if count != 1:
-                yield Mistake(
-                    path=("logs", name),
-                    found="missing" if not count else f"{count} files",
-                    expected="one file: a finished cloud is compared with one reference",
-                    cure=f"Add the line `{name}: [...]`"
+                yield mistake(
+                    ("logs", name),
+                    "missing" if not count else f"{count} files",
+                    "one file: a finished cloud is compared with one reference",
+                    f"Add the line `{name}: [...]`"
                     if not count
                     else "Name one; merge the others first. Surveys of several dates: "
                     "thalweg new-campaign NAME --epochs FILE@DATE FILE@DATE",
@@ -822,11 +716,11 @@ def _check_alone(logs: Logs) -> Iterator[Mistake]:
             keys for stream, keys in logs.streams().items() if logs.files(stream) and keys[0] not in kept
         ]
         for keys in given:
-            yield Mistake(
-                path=("logs", *keys),
-                found=f"logs beside logs.{logs.kind}, which would not be used",
-                expected=f"{' and '.join(sorted(kept))} alone",
-                cure="Put them into a campaign of their own",
+            yield mistake(
+                ("logs", *keys),
+                f"logs beside logs.{logs.kind}, which would not be used",
+                f"{' and '.join(sorted(kept))} alone",
+                "Put them into a campaign of their own",
             )
 
 
@@ -836,18 +730,18 @@ def _check_id(parts: Parts) -> Iterator[Mistake]:
         return
     path: tuple[Key, ...] = ("campaign", "id")
     if name in RESERVED_IDS:
-        yield Mistake(
-            path=path,
-            found=f"found {name!r}, which names another target",
-            expected="an id of your own",
-            cure="Choose another id, and rename the file with it",
+        yield mistake(
+            path,
+            f"found {name!r}, which names another target",
+            "an id of your own",
+            "Choose another id, and rename the file with it",
         )
     if name != parts.path.stem and re.fullmatch(ID_PATTERN, name):
-        yield Mistake(
-            path=path,
-            found=f"found {name!r} in a file named {parts.path.name}",
-            expected=f"the name of the file, {parts.path.stem!r}",
-            cure=f"Write id: {parts.path.stem}, or rename the file to {name}.yaml",
+        yield mistake(
+            path,
+            f"found {name!r} in a file named {parts.path.name}",
+            f"the name of the file, {parts.path.stem!r}",
+            f"Write id: {parts.path.stem}, or rename the file to {name}.yaml",
         )
 
 
@@ -855,20 +749,20 @@ def _check_input(parts: Parts) -> Iterator[Mistake]:
     given = [name for name in ("twin", "logs", "epochs") if parts.raw(name) is not None]
     expected = "exactly one: logs of a survey, the digital twin that writes them, or epochs to compare"
     if len(given) > 1:
-        yield Mistake(
-            path=(given[0],),
-            found=f"{'all of ' if len(given) > 2 else 'both '}{' and '.join(given)} are given",
-            expected=expected,
-            cure="Remove the section twin for a real survey, or the section logs for a simulation; epochs "
+        yield mistake(
+            (given[0],),
+            f"{'all of ' if len(given) > 2 else 'both '}{' and '.join(given)} are given",
+            expected,
+            "Remove the section twin for a real survey, or the section logs for a simulation; epochs "
             "name campaigns that have their own",
         )
     if not given:
         empty = [name for name in ("twin", "logs", "epochs") if name in parts.data]
-        yield Mistake(
-            path=(empty[0],) if empty else (),
-            found=f"the section {empty[0]} is empty" if empty else "neither logs nor twin is given",
-            expected=expected,
-            cure="Add a section `logs:` with the files of your survey, or `twin: {size: tiny}`",
+        yield mistake(
+            (empty[0],) if empty else (),
+            f"the section {empty[0]} is empty" if empty else "neither logs nor twin is given",
+            expected,
+            "Add a section `logs:` with the files of your survey, or `twin: {size: tiny}`",
         )
 
 
@@ -876,22 +770,22 @@ def _check_ranges(parts: Parts) -> Iterator[Mistake]:
     section = parts.georeferencing
     if section is not None and section.min_range_m >= section.max_range_m:
         key = "min_range_m" if parts.raw("georeferencing", "min_range_m") is not None else "max_range_m"
-        yield Mistake(
-            path=("georeferencing", key),
-            found=f"min_range_m = {section.min_range_m:g} and max_range_m = {section.max_range_m:g}",
-            expected="a minimum below the maximum",
-            cure="Swap the two numbers, or widen the range",
+        yield mistake(
+            ("georeferencing", key),
+            f"min_range_m = {section.min_range_m:g} and max_range_m = {section.max_range_m:g}",
+            "a minimum below the maximum",
+            "Swap the two numbers, or widen the range",
         )
 
 
 def _check_ports(parts: Parts) -> Iterator[Mistake]:
     lidar = parts.lidar
     if lidar and lidar.data_port == lidar.position_port:
-        yield Mistake(
-            path=("lidar", "position_port" if parts.raw("lidar", "position_port") else "data_port"),
-            found=f"data_port and position_port are both {lidar.data_port}",
-            expected="two different UDP ports",
-            cure="A Velodyne sends data to 2368 and positions to 8308",
+        yield mistake(
+            ("lidar", "position_port" if parts.raw("lidar", "position_port") else "data_port"),
+            f"data_port and position_port are both {lidar.data_port}",
+            "two different UDP ports",
+            "A Velodyne sends data to 2368 and positions to 8308",
         )
 
 
@@ -904,11 +798,11 @@ def _check_stated_clock(parts: Parts) -> Iterator[Mistake]:
         and parts.raw("lidar", "clock", "source") in (None, "stated")
         and (parts.raw("lidar_accuracy", "sigma_time_s") is None)
     ):
-        yield Mistake(
-            path=("lidar", "clock", given[0]),
-            found="a stated time, without saying how well it is known",
-            expected="lidar_accuracy.sigma_time_s, seconds",
-            cure="Write lidar_accuracy: {sigma_time_s: 0.1}, if it is good to a tenth of a second",
+        yield mistake(
+            ("lidar", "clock", given[0]),
+            "a stated time, without saying how well it is known",
+            "lidar_accuracy.sigma_time_s, seconds",
+            "Write lidar_accuracy: {sigma_time_s: 0.1}, if it is good to a tenth of a second",
         )
 
 
@@ -924,20 +818,17 @@ def _check_mounts(parts: Parts) -> Iterator[Mistake]:
                 # Nobody mounts a sensor 35 mm away by the decimetre: below a metre centimetres are as likely.
                 small = key == "lever_ics_m" and max(abs(v) for v in values) < 100
                 both = f"centimetres: write [{as_cm}]; or millimetres: [{as_mm}]"
-                yield Mistake(
-                    path=("mounts", name, key),
-                    found=f"found {show(list(values))}",
-                    expected=f"components below {limit:g} m",
-                    cure="This looks like " + (both if small else f"millimetres: write [{as_mm}]"),
+                yield mistake(
+                    ("mounts", name, key),
+                    f"found {show(list(values))}",
+                    f"components below {limit:g} m",
+                    "This looks like " + (both if small else f"millimetres: write [{as_mm}]"),
                 )
         if isinstance(mount, OrientedMount):
             for key in ("omega_deg", "phi_deg", "kappa_deg"):
                 if cure := radians_cure(key, getattr(mount, key)):
-                    yield Mistake(
-                        path=("mounts", name, key),
-                        found=f"found {getattr(mount, key)!r}",
-                        expected="an angle in degrees",
-                        cure=cure,
+                    yield mistake(
+                        ("mounts", name, key), f"found {getattr(mount, key)!r}", "an angle in degrees", cure
                     )
 
 
@@ -946,9 +837,7 @@ def _check_lists(parts: Parts) -> Iterator[Mistake]:
         values = parts.raw(*keys)
         for i, value in enumerate(values if isinstance(values, list) else []):
             if value in values[:i]:
-                yield Mistake(
-                    path=(*keys, i), found=f"{value} stands twice", expected="each once", cure="Remove one"
-                )
+                yield mistake((*keys, i), f"{value} stands twice", "each once", "Remove one")
 
 
 _NEEDS: dict[str, tuple[str, ...]] = {
@@ -972,42 +861,30 @@ _WHAT = {
 
 def _check_ppk(parts: Parts) -> Iterator[Mistake]:
     if parts.raw("ppk", "iono") == "dual-freq" and parts.raw("ppk", "frequencies") == "l1":
-        yield Mistake(
-            path=("ppk", "iono"),
-            found="found 'dual-freq' with frequencies: l1",
-            expected="two frequencies for this model",
-            cure="Write frequencies: l1+l2, or iono: brdc",
+        yield mistake(
+            "ppk.iono",
+            "found 'dual-freq' with frequencies: l1",
+            "two frequencies for this model",
+            "Write frequencies: l1+l2, or iono: brdc",
         )
 
 
 def _check_bed(parts: Parts) -> Iterator[Mistake]:
     if parts.raw("logs", "bed") and not parts.raw("logs", "depth"):
-        yield Mistake(
-            path=("logs", "bed"),
-            found="a surveyed bed without soundings",
-            expected="the log of the echo sounder, whose place it is for",
-            cure="Add the line `depth: …`, or remove `bed`",
+        yield mistake(
+            "logs.bed",
+            "a surveyed bed without soundings",
+            "the log of the echo sounder, whose place it is for",
+            "Add the line `depth: …`, or remove `bed`",
         )
     stated = parts.raw("fusion", "vertical") or {}
     sigma = isinstance(stated, dict) and stated.get("name") and stated.get("sigma_separation_m")
     if parts.raw("logs", "geoid") and (not sigma or stated.get("separation_m")):
-        yield Mistake(
-            path=("logs", "geoid"),
-            found="a grid of a geoid"
-            + (" beside a single separation" if sigma else " without name and sigma"),
-            expected="the height system that it belongs to, and how good it is",
-            cure="Write fusion.vertical: {name: …, sigma_separation_m: …}, without separation_m",
-        )
-    twin = parts.raw("twin") or {}
-    on_land = isinstance(twin, dict) and (
-        isinstance(twin.get("field"), dict) or str(twin.get("size")).startswith("field")
-    )
-    if on_land and parts.raw("twin", "echo", "bed_survey"):
-        yield Mistake(
-            path=("twin", "echo", "bed_survey"),
-            found="a calibration field on land has no river bed",
-            expected="bed_survey in a survey campaign",
-            cure="Remove the line, or move it to a campaign on the river",
+        yield mistake(
+            "logs.geoid",
+            "a grid of a geoid" + (" beside a single separation" if sigma else " without name and sigma"),
+            "the height system that it belongs to, and how good it is",
+            "Write fusion.vertical: {name: …, sigma_separation_m: …}, without separation_m",
         )
 
 
@@ -1031,31 +908,31 @@ def _check_source(parts: Parts, logs: Logs) -> Iterator[Mistake]:
             hint = f", or choose position_source: {others[0]}" if others and need != "ins" else ""
             if need == "ins" and source != "ins":
                 hint = ", or name an SBET (`sbet: …` with position_source: sbet), which has both"
-            yield Mistake(
-                path=("logs", *need.split(".")),
-                found="missing",
-                expected=f"{_WHAT[need]}, "
+            yield mistake(
+                ("logs", *need.split(".")),
+                "missing",
+                f"{_WHAT[need]}, "
                 + (
                     "needed with a lidar or photographs"
                     if need == "ins" and source != "ins"
                     else f"needed for orientation.position_source: {source}"
                 ),
-                cure=f"Add the line `{need.split('.')[-1]}: …`{hint}",
+                f"Add the line `{need.split('.')[-1]}: …`{hint}",
             )
     rover = logs.gnss.rover
     if source == "sbp" and rover and all(is_rinex_name(Path(name)) for name in rover):
-        yield Mistake(
-            path=("logs", "gnss", "rover"),
-            found="RINEX files only, which hold observations and no positions",
-            expected="SBP logs, needed for orientation.position_source: sbp",
-            cure="Name the SBP log, or choose position_source: ppk",
+        yield mistake(
+            "logs.gnss.rover",
+            "RINEX files only, which hold observations and no positions",
+            "SBP logs, needed for orientation.position_source: sbp",
+            "Name the SBP log, or choose position_source: ppk",
         )
     if source == "ppk" and not any(parts.raw("logs", "gnss", key) for key in _BASE_KEYS):
-        yield Mistake(
-            path=("logs", "gnss"),
-            found="the position of the base antenna is missing",
-            expected=f"one of {', '.join(_BASE_KEYS)}, needed for orientation.position_source: ppk",
-            cure="Add `base_from: sbp` if the log carries it, else its coordinates, for instance "
+        yield mistake(
+            "logs.gnss",
+            "the position of the base antenna is missing",
+            f"one of {', '.join(_BASE_KEYS)}, needed for orientation.position_source: ppk",
+            "Add `base_from: sbp` if the log carries it, else its coordinates, for instance "
             "base_llh: {lat_deg: …, lon_deg: …, h_ell_m: …}",
         )
     if parts.mounts is None or parts.mounts.calibration is not None:
@@ -1065,11 +942,11 @@ def _check_source(parts: Parts, logs: Logs) -> Iterator[Mistake]:
     sensors = [sensor for sensor, is_there in recorded.items() if is_there]
     for sensor in sensors:
         if parts.raw("mounts", sensor, "lever_ics_m") is None:
-            yield Mistake(
-                path=("mounts", sensor, "lever_ics_m"),
-                found="missing",
-                expected=f"the place of the {sensor} in the body frame, metres forward, right, down",
-                cure="Measure it and write lever_ics_m: [x, y, z]; zeros only if it sits at the INS itself",
+            yield mistake(
+                ("mounts", sensor, "lever_ics_m"),
+                "missing",
+                f"the place of the {sensor} in the body frame, metres forward, right, down",
+                "Measure it and write lever_ics_m: [x, y, z]; zeros only if it sits at the INS itself",
             )
 
 
@@ -1077,36 +954,14 @@ def _given(logs: Logs, keys: tuple[str, ...]) -> bool:
     return all((logs.gnss.rover if key == "gnss.rover" else getattr(logs, key)) for key in keys)
 
 
-def _check_twin_source(parts: Parts) -> Iterator[Mistake]:
-    if parts.orientation is not None and parts.orientation.position_source in {"sbet", "nmea", "gpx"}:
-        yield Mistake(
-            path=("orientation", "position_source"),
-            found=f"found {parts.orientation.position_source!r}, but the twin does not write such logs",
-            expected="pos, sbp, ppk or ins",
-            cure="Write position_source: pos",
-        )
-    mode = parts.raw("twin", "gnss", "mode")
-    if mode is None and parts.raw("twin", "size") == "reach":
-        mode = "single_frequency"
-    source = parts.orientation
-    single = mode == "single_frequency" and source is not None and source.position_source != "ins"
-    if source is not None and single and "single" not in source.accept_fixes:
-        yield Mistake(
-            path=("orientation", "accept_fixes"),
-            found=f"found {list(source.accept_fixes)}, but twin.gnss.mode is single_frequency",
-            expected="single among them: such a receiver never has a fixed solution",
-            cure="Write accept_fixes: [single], or position_source: ins",
-        )
-
-
 def _check_logs(logs: Logs) -> Iterator[Mistake]:
     if logs.depth_date is not None:
         try:
             dt.date.fromisoformat(logs.depth_date)
         except ValueError:
-            yield Mistake(
-                path=("logs", "depth_date"),
-                found=f"found {logs.depth_date!r}, no day of the calendar",
-                expected="a date YYYY-MM-DD",
-                cure="Write the UTC date of the first sounding, like 2021-05-12",
+            yield mistake(
+                "logs.depth_date",
+                f"found {logs.depth_date!r}, no day of the calendar",
+                "a date YYYY-MM-DD",
+                "Write the UTC date of the first sounding, like 2021-05-12",
             )

@@ -8,7 +8,7 @@ from typing import Any, Final
 from thalweg.core import Key, Mistake
 from thalweg.settings.checks_files import check_file, no_match, no_path
 from thalweg.settings.checks_place import check_crs, parse_crs
-from thalweg.settings.messages import expand
+from thalweg.settings.messages import expand, mistake
 from thalweg.settings.sections import CLOUD_ENDINGS, DSM_ENDINGS, TEXT_ENDINGS, Epoch
 
 _SOURCES: Final = ("campaign", "clouds", "dsm")
@@ -36,34 +36,32 @@ def check_epochs(
         where: tuple[Key, ...] = ("epochs", i)
         given = [key for key in _SOURCES if each.get(key)]
         if len(given) != 1:
-            yield Mistake(
-                path=where,
-                found=" and ".join(given) + " in one epoch"
-                if given
-                else "neither campaign nor clouds nor dsm",
-                expected="exactly one of them",
-                cure="Name a campaign of this folder, or files of a cloud (clouds) or a surface model (dsm)",
+            yield mistake(
+                where,
+                " and ".join(given) + " in one epoch" if given else "neither campaign nor clouds nor dsm",
+                "exactly one of them",
+                "Name a campaign of this folder, or files of a cloud (clouds) or a surface model (dsm)",
             )
             continue
         yield from _check_keys(each, given[0], where)
         if given[0] == "campaign":
             name = each["campaign"]
             if name in named or name == identity.get("id"):
-                yield Mistake(
-                    path=(*where, "campaign"),
-                    found=f"{name!r} " + ("a second time" if name in named else "is this campaign itself"),
-                    expected="each survey once, in the order of time",
-                    cure="Name the campaign of another survey",
+                yield mistake(
+                    (*where, "campaign"),
+                    f"{name!r} " + ("a second time" if name in named else "is this campaign itself"),
+                    "each survey once, in the order of time",
+                    "Name the campaign of another survey",
                 )
             named.append(name)
             continue
         name = each.get("name") or Epoch().called(i)
         if name in named or name in others:
-            yield Mistake(
-                path=(*where, "name") if "name" in each else where,
-                found=f"the name {name!r} " + ("a second time" if name in named else "is that of a campaign"),
-                expected="a name of its own for each epoch",
-                cure="Write another name",
+            yield mistake(
+                (*where, "name") if "name" in each else where,
+                f"the name {name!r} " + ("a second time" if name in named else "is that of a campaign"),
+                "a name of its own for each epoch",
+                "Write another name",
             )
         named.append(name)
         yield from _check_statements(each, given[0], where)
@@ -77,11 +75,11 @@ def _check_stable(stable: object, folder: Path) -> Iterator[Mistake]:
     """A file of stable ground is there."""
     where: tuple[Key, ...] = ("deformation", "stable")
     if stable == "CHANGE":
-        yield Mistake(
-            path=where,
-            found="not filled in yet",
-            expected="ground that did not move between the epochs: a file of polygons, lines or points",
-            cure="Draw roads, roofs, rock in a GIS, in three and more areas that lie apart, and name the "
+        yield mistake(
+            where,
+            "not filled in yet",
+            "ground that did not move between the epochs: a file of polygons, lines or points",
+            "Draw roads, roofs, rock in a GIS, in three and more areas that lie apart, and name the "
             "file; null where there is none: nothing is taken off then",
         )
     elif isinstance(stable, str):
@@ -99,38 +97,38 @@ def _check_keys(each: Mapping[str, Any], source: str, where: tuple[Key, ...]) ->
     keys = [*_OF_FILES, *([] if each.get("surface") == "bed" else ["correlation_m"])]
     for key in keys if of_campaign else _OF_CAMPAIGNS:
         if key in each:
-            yield Mistake(
-                path=(*where, key),
-                found=f"{key} beside {source}",
-                expected="keys of campaigns (chain, surface) or of files (date_utc, crs, sigma_m, ...)",
-                cure="Remove it: the survey's own campaign states that" if of_campaign else "Remove it",
+            yield mistake(
+                (*where, key),
+                f"{key} beside {source}",
+                "keys of campaigns (chain, surface) or of files (date_utc, crs, sigma_m, ...)",
+                "Remove it: the survey's own campaign states that" if of_campaign else "Remove it",
             )
 
 
 def _check_statements(each: Mapping[str, Any], source: str, where: tuple[Key, ...]) -> Iterator[Mistake]:
     """A date, and both or neither of sigma and correlation length."""
     if each.get("date_utc") is None:
-        yield Mistake(
-            path=where,
-            found="files without a date",
-            expected="date_utc: the day of the survey, such as 2019-03-13, or its UTC time",
-            cure="Write date_utc; rates of change and the order of epochs rest on it",
+        yield mistake(
+            where,
+            "files without a date",
+            "date_utc: the day of the survey, such as 2019-03-13, or its UTC time",
+            "Write date_utc; rates of change and the order of epochs rest on it",
         )
     sigma, correlation = each.get("sigma_m"), each.get("correlation_m")
     if sigma is not None and correlation is None:
-        yield Mistake(
-            path=(*where, "sigma_m"),
-            found="sigma_m without correlation_m",
-            expected="the distance at which the correlation of these errors is 1/e",
-            cure="Write correlation_m: 0 for independent points, tens of metres for image blocks, the length "
+        yield mistake(
+            (*where, "sigma_m"),
+            "sigma_m without correlation_m",
+            "the distance at which the correlation of these errors is 1/e",
+            "Write correlation_m: 0 for independent points, tens of metres for image blocks, the length "
             "of a strip for scanners that move",
         )
     if sigma is None and correlation is not None and source == "clouds":
-        yield Mistake(
-            path=(*where, "correlation_m"),
-            found="correlation_m without sigma_m",
-            expected="both, or neither",
-            cure="Write sigma_m, the standard deviation that neighbouring points share",
+        yield mistake(
+            (*where, "correlation_m"),
+            "correlation_m without sigma_m",
+            "both, or neither",
+            "Write sigma_m, the standard deviation that neighbouring points share",
         )
 
 
@@ -165,20 +163,20 @@ def _check_files(
             if wrong:
                 continue
             if path.suffix.lower() not in endings:
-                yield Mistake(
-                    path=place,
-                    found=f"{path.name}: files that end in {path.suffix or 'nothing'} are not read here",
-                    expected=", ".join(endings),
-                    cure="Export it as one of these; surface models stand under dsm, points under clouds",
+                yield mistake(
+                    place,
+                    f"{path.name}: files that end in {path.suffix or 'nothing'} are not read here",
+                    ", ".join(endings),
+                    "Export it as one of these; surface models stand under dsm, points under clouds",
                 )
             elif endings != VECTOR_ENDINGS:
                 first = before.setdefault(path.resolve(), int(str(where[1])))
                 if first != where[1]:
-                    yield Mistake(
-                        path=place,
-                        found=f"{path.name} is already the surface of epoch {first + 1}",
-                        expected="files of its own for each epoch",
-                        cure="Name the files of the other survey",
+                    yield mistake(
+                        place,
+                        f"{path.name} is already the surface of epoch {first + 1}",
+                        "files of its own for each epoch",
+                        "Name the files of the other survey",
                     )
 
 
@@ -196,11 +194,11 @@ def _check_heights(entries: Sequence[Mapping[str, Any]]) -> Iterator[Mistake]:
             heights = crs.sub_crs_list[1].name
         words = f"epoch {i + 1} ({each.get('campaign') or stated})"
         if first is not None and heights != first[1]:
-            yield Mistake(
-                path=("epochs", i, "campaign" if each.get("campaign") else "crs"),
-                found=f"{words} has heights '{heights}', {first[0]} '{first[1]}'",
-                expected="one system of heights for all epochs",
-                cure="Transform the heights of the files, to ellipsoidal ones where a campaign is among the "
+            yield mistake(
+                ("epochs", i, "campaign" if each.get("campaign") else "crs"),
+                f"{words} has heights '{heights}', {first[0]} '{first[1]}'",
+                "one system of heights for all epochs",
+                "Transform the heights of the files, to ellipsoidal ones where a campaign is among the "
                 "epochs",
             )
         first = first or (words, heights)
@@ -221,12 +219,12 @@ def check_dates(epochs: Sequence[Epoch], starts: Mapping[str, dt.datetime]) -> I
             continue
         if before is not None and moment <= before[1]:
             same = moment == before[1]
-            yield Mistake(
-                path=("epochs", i, "date_utc" if epoch.of_files else "campaign"),
-                found=f"{moment:%Y-%m-%d %H:%M} UTC, "
+            yield mistake(
+                ("epochs", i, "date_utc" if epoch.of_files else "campaign"),
+                f"{moment:%Y-%m-%d %H:%M} UTC, "
                 + (f"the time of epoch {before[0] + 1} too" if same else f"before epoch {before[0] + 1}"),
-                expected="epochs in the order of time",
-                cure="Correct one of the dates; two surveys of a day need their times, and one is one epoch"
+                "epochs in the order of time",
+                "Correct one of the dates; two surveys of a day need their times, and one is one epoch"
                 if same
                 else "Change the order of the epochs, or correct the date",
             )

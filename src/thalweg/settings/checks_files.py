@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final
 
 from thalweg.core import Key, Mistake
-from thalweg.settings.messages import anchor, expand, is_pattern, missing_cure
+from thalweg.settings.messages import anchor, expand, is_pattern, missing_cure, mistake
 from thalweg.settings.sections import SHARED_PARTS, Logs
 
 PHOTOGRAPHS: Final = frozenset(
@@ -92,14 +92,14 @@ def no_path(where: tuple[Key, ...], text: str, folder: Path) -> Mistake | None:
     """The mistake of a path below a folder that no file can have, or in which Snakemake reads wildcards."""
     if "\0" in text:
         cure = "Remove the character \\0 from the path"
-        return Mistake(path=where, found=f"found {text!r}", expected="a path", cure=cure)
+        return mistake(where, f"found {text!r}", "a path", cure)
     path = str(anchor(text, folder))
     if found := sorted(set("<>{}") & set(path)):
-        return Mistake(
-            path=where,
-            found=f"the path {path} holds {' '.join(found)}",
-            expected="names without < > { }, which Snakemake reads as wildcards",
-            cure="Rename the file or folder",
+        return mistake(
+            where,
+            f"the path {path} holds {' '.join(found)}",
+            "names without < > { }, which Snakemake reads as wildcards",
+            "Rename the file or folder",
         )
     return None
 
@@ -110,11 +110,8 @@ def no_match(where: tuple[Key, ...], text: str, folder: Path) -> Mistake:
     fixed = path.parent
     while is_pattern(str(fixed)):
         fixed = fixed.parent
-    return Mistake(
-        path=where,
-        found=f"{text}: the pattern matches no file",
-        expected="at least one file",
-        cure=missing_cure(fixed / path.name),
+    return mistake(
+        where, f"{text}: the pattern matches no file", "at least one file", missing_cure(fixed / path.name)
     )
 
 
@@ -122,49 +119,44 @@ def check_file(where: tuple[Key, ...], text: str, path: Path) -> Iterator[Mistak
     """A path, written as ``text``, is a file that can be read and holds something."""
     try:
         if path.is_dir():
-            yield Mistake(
-                path=where,
-                found=f"{text}: this is a folder",
-                expected="a file",
-                cure=f"Name the files in it, for instance with a pattern: {text.rstrip('/')}/*",
+            yield mistake(
+                where,
+                f"{text}: this is a folder",
+                "a file",
+                f"Name the files in it, for instance with a pattern: {text.rstrip('/')}/*",
             )
         elif path.is_symlink() and not path.exists():
-            yield Mistake(
-                path=where,
-                found=f"{text}: a link that leads to no file",
-                expected=f"a log at {path}",
-                cure="Link it to the log, or copy the log there",
+            yield mistake(
+                where,
+                f"{text}: a link that leads to no file",
+                f"a log at {path}",
+                "Link it to the log, or copy the log there",
             )
         elif not path.exists():
-            yield Mistake(
-                path=where,
-                found=f"{text}: no such file",
-                expected=f"a log at {path}",
-                cure=missing_cure(path),
-            )
+            yield mistake(where, f"{text}: no such file", f"a log at {path}", missing_cure(path))
         elif not path.is_file():
-            yield Mistake(
-                path=where,
-                found=f"{text}: this is a pipe or a device",
-                expected="a file",
-                cure="Write what it gives into a file, and name that",
+            yield mistake(
+                where,
+                f"{text}: this is a pipe or a device",
+                "a file",
+                "Write what it gives into a file, and name that",
             )
         elif path.stat().st_size == 0:
-            yield Mistake(
-                path=where,
-                found=f"{text}: the file is empty ({path})",
-                expected="a log with content",
-                cure="Copy the log again, or remove the file from the list",
+            yield mistake(
+                where,
+                f"{text}: the file is empty ({path})",
+                "a log with content",
+                "Copy the log again, or remove the file from the list",
             )
         else:
             with path.open("rb"):
                 pass
     except OSError as error:
-        yield Mistake(
-            path=where,
-            found=f"{text}: {error.strerror or error} ({path})",
-            expected="a readable file",
-            cure="Check the permissions of the file and of its folder",
+        yield mistake(
+            where,
+            f"{text}: {error.strerror or error} ({path})",
+            "a readable file",
+            "Check the permissions of the file and of its folder",
         )
 
 
@@ -173,20 +165,20 @@ def _check_folder(where: tuple[Key, ...], text: str, folder: Path, *, photograph
     try:
         names = sorted(entry.name for entry in folder.iterdir())
     except OSError as error:
-        yield Mistake(
-            path=where,
-            found=f"{text}: {error.strerror or error} ({folder})",
-            expected="a readable folder",
-            cure="Check the permissions of the folder",
+        yield mistake(
+            where,
+            f"{text}: {error.strerror or error} ({folder})",
+            "a readable folder",
+            "Check the permissions of the folder",
         )
         return
     if not (_has_photographs(folder) if photographs else names):
         what = "no photograph" if photographs else "nothing"
-        yield Mistake(
-            path=where,
-            found=f"{text}: there is {what} in this folder ({folder})",
-            expected=f"files that end in {', '.join(IMAGE_ENDINGS)}" if photographs else "files",
-            cure="Name the folder that holds them, or one above it",
+        yield mistake(
+            where,
+            f"{text}: there is {what} in this folder ({folder})",
+            f"files that end in {', '.join(IMAGE_ENDINGS)}" if photographs else "files",
+            "Name the folder that holds them, or one above it",
         )
 
 
@@ -206,12 +198,12 @@ def _check_nested(
             continue
         if not (path.suffix.lower() in IMAGE_ENDINGS or (path.is_dir() and _has_photographs(path))):
             continue
-        before = Mistake(path=folders[over], found="").dotted
-        yield Mistake(
-            path=where,
-            found=f"{name} lies below {over.name} of {before}, whose photographs are searched there too",
-            expected="folders beside each other",
-            cure=f"Name the folders in {over.name} that belong to {before}, or move one of the two",
+        before = mistake(folders[over], "").dotted
+        yield mistake(
+            where,
+            f"{name} lies below {over.name} of {before}, whose photographs are searched there too",
+            "folders beside each other",
+            f"Name the folders in {over.name} that belong to {before}, or move one of the two",
         )
 
 
@@ -236,7 +228,7 @@ def _check_twice(
         return
     if other[:3] == where[:3] == ("logs", "light_sheet", "scans") and {other[4], where[4]} <= SHARED_PARTS:
         return
-    before = Mistake(path=other, found="").dotted
+    before = mistake(other, "").dotted
     same_stream = other[:-1] == where[:-1]
     if {other[2:3], where[2:3]} <= {("rover",), ("base",), ("nav",)} and not same_stream:
         key = str(where[2])
@@ -248,6 +240,4 @@ def _check_twice(
         cure = "Remove one of them: each record would be read twice"
     else:
         cure = "One file is one stream: remove it where it does not belong"
-    yield Mistake(
-        path=where, found=f"{path.name} is already named at {before}", expected="each file once", cure=cure
-    )
+    yield mistake(where, f"{path.name} is already named at {before}", "each file once", cure)

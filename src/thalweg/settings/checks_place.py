@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from thalweg.core import Key, Mistake, ThalwegError, read_yaml
 from thalweg.settings.checks_files import no_path
-from thalweg.settings.messages import anchor, missing_cure
+from thalweg.settings.messages import anchor, missing_cure, mistake
 from thalweg.settings.sections import GnssLogs, is_calibration_path
 
 if TYPE_CHECKING:
@@ -57,28 +57,28 @@ def check_crs(text: Any, origin: Any, path: tuple[Key, ...] = _CRS_PATH) -> Iter
     proposal = f"Write for instance {utm_code(*place[:2])}, UTM at the origin" if place else ""
     if isinstance(crs, str):
         reason = "is unknown to PROJ" if "not found" in crs else "is no CRS"
-        yield Mistake(
-            path=path,
-            found=f"{text!r} {reason}",
-            expected="an EPSG code like EPSG:25833, or a definition that PROJ understands",
-            cure=proposal or "Look the code up at epsg.org",
+        yield mistake(
+            path,
+            f"{text!r} {reason}",
+            "an EPSG code like EPSG:25833, or a definition that PROJ understands",
+            proposal or "Look the code up at epsg.org",
         )
         return
     if not crs.is_projected:
-        yield Mistake(
-            path=path,
-            found=f"{text!r} is not projected ({crs.name})",
-            expected="a map projection in metres",
-            cure=proposal or "Write the national grid of the survey area, like EPSG:25833",
+        yield mistake(
+            path,
+            f"{text!r} is not projected ({crs.name})",
+            "a map projection in metres",
+            proposal or "Write the national grid of the survey area, like EPSG:25833",
         )
         return
     units = {axis.unit_name for axis in crs.axis_info if abs(axis.unit_conversion_factor - 1) > 1e-9}
     if units:
-        yield Mistake(
-            path=path,
-            found=f"{text!r} is in {', '.join(sorted(units))} ({crs.name})",
-            expected="a map projection in metres",
-            cure=proposal or "Write the metric variant of this grid",
+        yield mistake(
+            path,
+            f"{text!r} is in {', '.join(sorted(units))} ({crs.name})",
+            "a map projection in metres",
+            proposal or "Write the metric variant of this grid",
         )
     if place:
         outside = list(_check_area(text, crs, place, path))
@@ -95,7 +95,7 @@ def _check_export(crs: "CRS", place: tuple[float, float, float], path: tuple[Key
         LocalFrame(lat_deg=place[0], lon_deg=place[1], h_ell_m=place[2]).to_map([[0.0, 0.0, 0.0]], crs)
     except GeometryError as error:
         cure = f"Write for instance {utm_code(*place[:2])}, UTM at the origin"
-        yield Mistake(path=path, found=error.found, expected=error.expected, cure=cure)
+        yield mistake(path, error.found, error.expected, cure)
 
 
 def _check_area(
@@ -116,11 +116,11 @@ def _check_area(
         cure = f"East is positive: is lon_deg: {-lon:g} meant?"
     else:
         cure = f"Correct campaign.origin, or take a CRS of that place, for instance {utm_code(lat, lon)}"
-    yield Mistake(
-        path=("campaign", "origin") if path == _CRS_PATH else path,
-        found=f"lat_deg {lat:g}, lon_deg {lon:g} lies outside the area of use of {text}",
-        expected=f"lat {area.south:g} .. {area.north:g}, lon {area.west:g} .. {area.east:g} ({crs.name})",
-        cure=cure,
+    yield mistake(
+        ("campaign", "origin") if path == _CRS_PATH else path,
+        f"lat_deg {lat:g}, lon_deg {lon:g} lies outside the area of use of {text}",
+        f"lat {area.south:g} .. {area.north:g}, lon {area.west:g} .. {area.east:g} ({crs.name})",
+        cure,
     )
 
 
@@ -129,11 +129,11 @@ def check_base(gnss: GnssLogs, origin: Any) -> Iterator[Mistake]:
     given = [key for key in ("base_ecef_m", "base_llh", "base_from") if getattr(gnss, key) is not None]
     path = ("logs", "gnss")
     if len(given) > 1:
-        yield Mistake(
-            path=(*path, given[1]),
-            found=f"the base antenna is given by {' and '.join(given)}",
-            expected="exactly one of base_ecef_m, base_llh, base_from",
-            cure=f"Keep {given[0]} and remove the rest",
+        yield mistake(
+            (*path, given[1]),
+            f"the base antenna is given by {' and '.join(given)}",
+            "exactly one of base_ecef_m, base_llh, base_from",
+            f"Keep {given[0]} and remove the rest",
         )
     base: tuple[float, float, float] | None = None
     key = "base_ecef_m"
@@ -141,11 +141,11 @@ def check_base(gnss: GnssLogs, origin: Any) -> Iterator[Mistake]:
         base = gnss.base_ecef_m
         radius = math.hypot(*base)
         if not 6.3e6 < radius < 6.4e6:
-            yield Mistake(
-                path=(*path, key),
-                found=f"a point {radius / 1000:g} km from the centre of the earth",
-                expected="about 6370 km: earth-centred x, y, z in metres",
-                cure="This looks like kilometres: multiply by 1000"
+            yield mistake(
+                (*path, key),
+                f"a point {radius / 1000:g} km from the centre of the earth",
+                "about 6370 km: earth-centred x, y, z in metres",
+                "This looks like kilometres: multiply by 1000"
                 if 6300 < radius < 6400
                 else "Map or geodetic coordinates? Write those in base_llh, or convert to earth-centred ones",
             )
@@ -159,11 +159,11 @@ def check_base(gnss: GnssLogs, origin: Any) -> Iterator[Mistake]:
         return
     distance_km = math.dist(base, _ecef(*place)) / 1000
     if distance_km > MAX_BASELINE_KM:
-        yield Mistake(
-            path=(*path, key),
-            found=f"the base is {distance_km:.0f} km from campaign.origin",
-            expected=f"a base within {MAX_BASELINE_KM:g} km",
-            cure="Check sign and order of the coordinates, and campaign.origin",
+        yield mistake(
+            (*path, key),
+            f"the base is {distance_km:.0f} km from campaign.origin",
+            f"a base within {MAX_BASELINE_KM:g} km",
+            "Check sign and order of the coordinates, and campaign.origin",
         )
 
 
@@ -242,11 +242,11 @@ def check_mounts_calibration(mounts: Any, campaign_id: Any, folder: Path) -> Ite
     if not is_calibration_path(chosen):
         yield from _given_twice(mounts, SENSORS, chosen)
         if chosen == campaign_id:
-            yield Mistake(
-                path=SETTING,
-                found="the campaign names itself",
-                expected="another campaign, or a calibration file",
-                cure="Remove the line: a calibration campaign starts from the values of its section mounts",
+            yield mistake(
+                SETTING,
+                "the campaign names itself",
+                "another campaign, or a calibration file",
+                "Remove the line: a calibration campaign starts from the values of its section mounts",
             )
         return
     if (wrong := no_path(SETTING, chosen, folder)) is not None:
@@ -264,11 +264,11 @@ def check_mounts_calibration(mounts: Any, campaign_id: Any, folder: Path) -> Ite
 def _given_twice(mounts: Mapping[str, Any], sensors: Iterable[str], chosen: str) -> Iterator[Mistake]:
     for name in sensors:
         if mounts.get(name) is not None:
-            yield Mistake(
-                path=("mounts", name),
-                found=f"both mounts.calibration ({chosen}) and mounts.{name} are given",
-                expected="one of them",
-                cure=f"Remove mounts.{name}: the calibration holds it; or remove mounts.calibration",
+            yield mistake(
+                ("mounts", name),
+                f"both mounts.calibration ({chosen}) and mounts.{name} are given",
+                "one of them",
+                f"Remove mounts.{name}: the calibration holds it; or remove mounts.calibration",
             )
 
 
@@ -278,19 +278,19 @@ def _file(chosen: str, path: Path) -> "Calibration | Mistake":
 
     if not path.is_file():
         folder = path.is_dir()
-        return Mistake(
-            path=SETTING,
-            found=f"{chosen}: {'this is a folder' if folder else 'no such file'}",
-            expected=f"a calibration file at {path}",
-            cure="Name the file in it, boat.yaml" if folder else missing_cure(path),
+        return mistake(
+            SETTING,
+            f"{chosen}: {'this is a folder' if folder else 'no such file'}",
+            f"a calibration file at {path}",
+            "Name the file in it, boat.yaml" if folder else missing_cure(path),
         )
     document = read_yaml(path)
     if not document.mistakes and not (isinstance(document.data, dict) and MARK in document.data):
-        return Mistake(
-            path=SETTING,
-            found=f"{chosen} is no calibration file",
-            expected=f"a file that begins with {MARK}: 1, or the id of a calibration campaign",
-            cure=_other_file(document.data, path),
+        return mistake(
+            SETTING,
+            f"{chosen} is no calibration file",
+            f"a file that begins with {MARK}: 1, or the id of a calibration campaign",
+            _other_file(document.data, path),
         )
     try:
         calibration, mistakes = check_calibration(path)
@@ -300,11 +300,11 @@ def _file(chosen: str, path: Path) -> "Calibration | Mistake":
         return calibration
     n, told = len(mistakes), " ".join(str(mistake) for mistake in mistakes[:_MOST_LISTED])
     more = f" And {n - _MOST_LISTED} more" if n > _MOST_LISTED else ""
-    return Mistake(
-        path=SETTING,
-        found=f"{chosen} holds {n} mistake{'s' if n > 1 else ''}: {told}{more}".rstrip("."),
-        expected="a calibration file without mistakes",
-        cure=f"Correct {path}, and look at it with `thalweg describe`",
+    return mistake(
+        SETTING,
+        f"{chosen} holds {n} mistake{'s' if n > 1 else ''}: {told}{more}".rstrip("."),
+        "a calibration file without mistakes",
+        f"Correct {path}, and look at it with `thalweg describe`",
     )
 
 
@@ -325,26 +325,24 @@ def _check_places(calibration: "Calibration", mounts: Mapping[str, Any], chosen:
     try:
         found = calibration.to_mounts()
     except ThalwegError as error:
-        yield Mistake(
-            path=SETTING, found=f"{chosen}: {error.found}", expected=error.expected, cure=error.cure
-        )
+        yield mistake(SETTING, f"{chosen}: {error.found}", error.expected, error.cure)
         return
     blocks = ", ".join(block.name for block in calibration.blocks)
     if not found:
-        yield Mistake(
-            path=SETTING,
-            found=f"{chosen} holds the blocks {blocks}, and none of them is a place on the boat",
-            expected=f"at least one of {', '.join(SENSORS)}",
-            cure="Name the calibration of the boat, boat.yaml",
+        yield mistake(
+            SETTING,
+            f"{chosen} holds the blocks {blocks}, and none of them is a place on the boat",
+            f"at least one of {', '.join(SENSORS)}",
+            "Name the calibration of the boat, boat.yaml",
         )
         return
     for name in _NEEDED:
         if name not in found and not _stated(mounts.get(name)):
-            yield Mistake(
-                path=SETTING,
-                found=f"{chosen} holds the blocks {blocks}, and the campaign states no place of the {name}",
-                expected=f"the place of the {name} in the calibration, or mounts.{name}.lever_ics_m",
-                cure="Name the calibration of the boat, boat.yaml, or add the section "
+            yield mistake(
+                SETTING,
+                f"{chosen} holds the blocks {blocks}, and the campaign states no place of the {name}",
+                f"the place of the {name} in the calibration, or mounts.{name}.lever_ics_m",
+                "Name the calibration of the boat, boat.yaml, or add the section "
                 f"`{name}: {{lever_ics_m: [x, y, z]}}`",
             )
 

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from thalweg.core import InputError, Key, Mistake
 from thalweg.settings.checks_place import geodetic_place, parse_crs
-from thalweg.settings.messages import anchor
+from thalweg.settings.messages import anchor, mistake
 
 _ONE_AREA: Final = (("accuracy", "area", "polygon"), ("deformation", "area", "polygon"))
 _AREAS: Final = (("fusion", "fit", "stable"), ("bathymetry", "islands"))
@@ -41,7 +41,7 @@ def with_drawn(data: dict[str, Any], folder: Path) -> tuple[dict[str, Any], list
         except InputError as error:
             del section[path[-1]]
             found = f"{text}: {error.found}"
-            mistakes.append(Mistake(path=path, found=found, expected=error.expected, cure=error.cure))
+            mistakes.append(mistake(path, found, error.expected, error.cure))
     return data, mistakes
 
 

@@ -7,7 +7,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.settings.messages import Node, describe_expected, node_at, resolve, schema
+from thalweg.core import Node
+from thalweg.settings.messages import describe_expected, node_at, resolve, schema
 
 BEGIN = "<!-- begin of the generated part: `thalweg schema --write` renews it -->"
 END = "<!-- end of the generated part -->"

@@ -16,7 +16,7 @@ from thalweg.settings.checks_campaign import Parts, domain_mistakes
 from thalweg.settings.checks_epochs import check_dates
 from thalweg.settings.checks_place import SETTING
 from thalweg.settings.drawn import with_drawn
-from thalweg.settings.messages import CampaignError, anchor, expand, mistake_of, nearest, show
+from thalweg.settings.messages import CampaignError, anchor, expand, mistake, mistake_of, nearest, show
 from thalweg.settings.sections import Epoch, Logs, is_calibration_path
 
 # ---------------------------------------------------------------- from the data of a campaign file to a
@@ -324,60 +324,52 @@ def named_epochs(campaign: Campaign, folder: Path) -> tuple[list[Campaign], list
             )
             cure = f"Correct {path}" if wrong else f"Did you mean {known}?" if known else "Name a survey"
             mistakes += [
-                Mistake(
-                    path=("epochs", i, "campaign"),
-                    found=words,
-                    expected="a campaign with twin or logs of a survey of the bank",
-                    cure=cure,
+                mistake(
+                    ("epochs", i, "campaign"),
+                    words,
+                    "a campaign with twin or logs of a survey of the bank",
+                    cure,
                 ),
                 *wrong,
             ]
             continue
-        if epoch.chain != "ins" and not (
-            survey.twin.time_lapse if survey.twin else survey.log_files("time_lapse")
-        ):
-            mistakes.append(
-                Mistake(
-                    path=("epochs", i, "chain"),
-                    found=f"chain {epoch.chain!r}, but {epoch.campaign!r} has no time-lapse images",
-                    expected="chain: ins",
-                    cure="Write chain: ins, or add the images to that campaign",
-                )
-            )
-            continue
-        depths = survey.twin is not None or bool(survey.log_files("depth"))
-        if epoch.surface == "bed" and not depths:
-            mistakes.append(
-                Mistake(
-                    path=("epochs", i, "surface"),
-                    found=f"surface 'bed', but {epoch.campaign!r} has no soundings",
-                    expected="surface: bank",
-                    cure="Remove the line, or add the log of the echo sounder to that campaign",
-                )
-            )
-            continue
-        if epoch.surface == "bed" and epoch.correlation_m is None:
-            mistakes.append(
-                Mistake(
-                    path=("epochs", i, "surface"),
-                    found="surface 'bed' without correlation_m",
-                    expected="the distance at which the correlation of errors of the bed is 1/e",
-                    cure="Write correlation_m, about half the distance of the lines of soundings",
-                )
-            )
-            continue
         if survey.twin is not None:
             starts[epoch.campaign] = dt.datetime.fromisoformat(survey.twin.start_utc)
-        if survey.campaign.crs != campaign.campaign.crs:
-            mistakes.append(
-                Mistake(
-                    path=("epochs", i, "campaign"),
-                    found=f"{epoch.campaign!r} is in {survey.campaign.crs}, this campaign in "
-                    f"{campaign.campaign.crs}",
-                    expected="one coordinate system for all epochs, with ellipsoidal heights",
-                    cure="Write the same campaign.crs in all of them",
-                )
-            )
+        images = survey.twin.time_lapse if survey.twin else survey.log_files("time_lapse")
+        bed, depths = epoch.surface == "bed", survey.twin or survey.log_files("depth")
+        rows = (
+            (
+                epoch.chain != "ins" and not images,
+                "chain",
+                f"chain {epoch.chain!r}, but {epoch.campaign!r} has no time-lapse images",
+                "chain: ins",
+                "Write chain: ins, or add the images to that campaign",
+            ),
+            (
+                bed and not depths,
+                "surface",
+                f"surface 'bed', but {epoch.campaign!r} has no soundings",
+                "surface: bank",
+                "Remove the line, or add the log of the echo sounder to that campaign",
+            ),
+            (
+                bed and epoch.correlation_m is None,
+                "surface",
+                "surface 'bed' without correlation_m",
+                "the distance at which the correlation of errors of the bed is 1/e",
+                "Write correlation_m, about half the distance of the lines of soundings",
+            ),
+            (
+                survey.campaign.crs != campaign.campaign.crs,
+                "campaign",
+                f"{epoch.campaign!r} is in {survey.campaign.crs}, this campaign in {campaign.campaign.crs}",
+                "one coordinate system for all epochs, with ellipsoidal heights",
+                "Write the same campaign.crs in all of them",
+            ),
+        )
+        refused = [mistake(("epochs", i, key), *words) for is_so, key, *words in rows if is_so][:1]
+        if refused:
+            mistakes += refused
             continue
         before, wrong = named_calibration(survey.mounts.calibration, folder, (survey.id,))
         mistakes += [_placed(m, path) for m in wrong]
@@ -406,11 +398,11 @@ def named_basin(chosen: str | None, folder: Path) -> tuple[list[Campaign], list[
     if campaign is not None and campaign.is_basin:
         return [campaign], []
     found = f"the campaign {chosen!r} has mistakes of its own" if wrong else f"no basin campaign {chosen!r}"
-    own = Mistake(
-        path=("light_sheet", "sensor"),
-        found=found,
-        expected="a campaign of the sensor in a basin",
-        cure=f"Correct {path}" if wrong else f"Name one of the campaigns in {folder}",
+    own = mistake(
+        "light_sheet.sensor",
+        found,
+        "a campaign of the sensor in a basin",
+        f"Correct {path}" if wrong else f"Name one of the campaigns in {folder}",
     )
     return [], [own, *wrong]
 
@@ -428,11 +420,11 @@ def _uncalibrated_rig(campaign: Campaign, calibrations: Sequence[Campaign]) -> I
     if campaign.is_calibration or not calibrations or own or not rig(campaign, "images"):
         return
     if not any(rig(one, "field", "calibration") for one in calibrations):
-        yield Mistake(
-            path=SETTING,
-            found=f"files of a rig, and the calibration {calibrations[-1].id} calibrates none",
-            expected="a field of marks around the rig in it, or a calibration of the rig",
-            cure="Record one there, or state logs.rig.calibration",
+        yield mistake(
+            SETTING,
+            f"files of a rig, and the calibration {calibrations[-1].id} calibrates none",
+            "a field of marks around the rig in it, or a calibration of the rig",
+            "Record one there, or state logs.rig.calibration",
         )
 
 
@@ -496,11 +488,11 @@ def _wrong_calibration(found: str, folder: Path, cure: str = "") -> Mistake:
         if (campaign := check_campaign(folder / f"{name}.yaml")[0]) is not None and campaign.is_calibration
     ]
     names = f" ({', '.join(known)})" if known else ""
-    return Mistake(
-        path=SETTING,
-        found=found,
-        expected=f"a calibration campaign{names}, or the path of a calibration file",
-        cure=cure or "Name a campaign with a calibration field, or the path of a calibration file",
+    return mistake(
+        SETTING,
+        found,
+        f"a calibration campaign{names}, or the path of a calibration file",
+        cure or "Name a campaign with a calibration field, or the path of a calibration file",
     )
 
 
@@ -516,11 +508,11 @@ def _matching(pattern: str, folder: Path) -> list[str] | list[Mistake]:
         if files:
             return files
     return [
-        Mistake(
-            path=("campaign",),
-            found=f"no campaign file matches {words!r}",
-            expected=f"files *.yaml here or in {folder}",
-            cure="Correct the pattern; the shell must not see it: --config 'campaign=survey_2026/*'",
+        mistake(
+            "campaign",
+            f"no campaign file matches {words!r}",
+            f"files *.yaml here or in {folder}",
+            "Correct the pattern; the shell must not see it: --config 'campaign=survey_2026/*'",
         )
     ]
 
@@ -541,11 +533,11 @@ def campaign_path(entry: object, folder: Path) -> Path | Mistake:
     cure = f"Did you mean {near}? " if near else ""
     if "," in text:
         cure = f'Choose several with a list: --config campaign="[{text}]". '
-    return Mistake(
-        path=("campaign",),
-        found=f"there is no campaign {text!r} in {folder}",
-        expected=f"one of {', '.join(known)}, or a path" if known else "a path to a campaign file",
-        cure=f"{cure}Make a new one with `thalweg new-campaign`",
+    return mistake(
+        "campaign",
+        f"there is no campaign {text!r} in {folder}",
+        f"one of {', '.join(known)}, or a path" if known else "a path to a campaign file",
+        f"{cure}Make a new one with `thalweg new-campaign`",
     )
 
 
@@ -561,21 +553,21 @@ def _inside(path: Path, folder: Path) -> Path:
 
 def _no_choice(choice: object, folder: Path) -> Mistake:
     known = ", ".join(campaign_ids(folder))
-    return Mistake(
-        path=("campaign",),
-        found=f"found {choice!r}",
-        expected="the id of a campaign, a path to its file, or a list of them",
-        cure=f"Write for instance campaign: demo in config/config.yaml. Known ids: {known or 'none'}",
+    return mistake(
+        "campaign",
+        f"found {choice!r}",
+        "the id of a campaign, a path to its file, or a list of them",
+        f"Write for instance campaign: demo in config/config.yaml. Known ids: {known or 'none'}",
     )
 
 
 def _twice(name: str, first: Path, second: Path) -> Mistake:
     same = first.resolve() == second.resolve()
-    return Mistake(
-        path=("campaign",),
-        found=f"campaign {name!r} is chosen twice"
+    return mistake(
+        "campaign",
+        f"campaign {name!r} is chosen twice"
         if same
         else f"two files have the id {name!r}: {first} and {second}",
-        expected="each id once",
-        cure="Remove one of them from the list" if same else "Rename one file and its campaign.id",
+        "each id once",
+        "Remove one of them from the list" if same else "Rename one file and its campaign.id",
     )

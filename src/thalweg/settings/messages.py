@@ -6,15 +6,14 @@ import math
 import os
 import re
 import sys
-from collections.abc import Iterable, Iterator, Sequence
-from functools import cache
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
 from pydantic_core import ErrorDetails
 
-from thalweg.core import ConfigError, Key, Mistake
+from thalweg.core import ConfigError, Key, Mistake, Node, Schema, number_in_words
 from thalweg.settings.campaign import Campaign
 
 # ---------------------------------------------------------------- the error that lists all
@@ -36,6 +35,44 @@ class CampaignError(ConfigError):
         super().__init__(f"{head}:\n{lines}")
         # The base class ends its text with a stop; here each line has one.
         self.args = (self.found,)
+
+
+# ---------------------------------------------------------------- mistakes as rows
+
+
+def value_at(section: Any, *keys: str) -> Any:
+    """A value below a section as written in the file, None if absent."""
+    for key in keys:
+        section = section.get(key) if isinstance(section, Mapping) else None
+    return section
+
+
+def mistake(where: str | tuple[Key, ...], found: str, expected: str = "", cure: str = "") -> Mistake:
+    """A mistake at a path: its keys, or these with dots between them."""
+    path = tuple(where.split(".")) if isinstance(where, str) else where
+    return Mistake(path=path, found=found, expected=expected, cure=cure)
+
+
+def lacking(where: str, given: Any, needed: Mapping[str, str], more: str = "") -> Iterator[Mistake]:
+    """Keys below a place that are needed and not given.
+
+    Parameters
+    ----------
+    where : the place, with dots between its keys.
+    given : the section.
+    needed : what each key holds.
+    more : where to read on, behind the cure.
+    """
+    for key, what in needed.items():
+        if not getattr(given, key):
+            yield mistake(f"{where}.{key}", "missing", what, f"Add the line `{key}: [...]`{more}")
+
+
+def single(where: str, counts: Mapping[str, int], expected: str, cure: str) -> Iterator[Mistake]:
+    """Keys below a place that name several files where one is expected."""
+    for key, count in counts.items():
+        if count > 1:
+            yield mistake(f"{where}.{key}", f"{count} files", expected, cure)
 
 
 # ---------------------------------------------------------------- paths of raw logs
@@ -136,8 +173,6 @@ def _some_names(folder: Path) -> str:
 # ---------------------------------------------------------------- look-ups in the JSON schema
 
 
-Node = dict[str, Any]
-
 _UNITS = {
     "m": "metres",
     "mm": "millimetres",
@@ -158,51 +193,15 @@ _UNITS = {
 }
 
 
-@cache
+_SCHEMA: Final = Schema(Campaign)
+resolve: Final = _SCHEMA.resolve
+node_at: Final = _SCHEMA.at
+keys_at: Final = _SCHEMA.keys
+
+
 def schema() -> Node:
     """JSON schema of the campaign file."""
-    return Campaign.model_json_schema()
-
-
-def resolve(node: Node) -> Node:
-    """A schema node with its reference followed, and the non-null part of an optional value."""
-    for _ in range(8):
-        if "$ref" in node:
-            rest = {k: v for k, v in node.items() if k != "$ref"}
-            node = {**schema()["$defs"][node["$ref"].rsplit("/", 1)[1]], **rest}
-            continue
-        options = node.get("anyOf") or node.get("allOf") or []
-        real = [o for o in options if o.get("type") != "null" and "required" not in o]
-        if "properties" in node or not real:
-            return node
-        node = {**{k: v for k, v in node.items() if k not in {"anyOf", "allOf"}}, **real[0]}
-    return node
-
-
-def node_at(path: tuple[Key, ...]) -> Node:
-    """Schema of a path; empty if the path is not part of it."""
-    node = resolve(schema())
-    for key in path:
-        if isinstance(key, int):
-            items = node.get("prefixItems", [])
-            child = items[key] if key < len(items) else node.get("items", {})
-        else:
-            child = node.get("properties", {}).get(key) or _of_any_name(node, key)
-        node = resolve(child) if isinstance(child, dict) else {}
-    return node
-
-
-def _of_any_name(node: Node, key: str) -> Any:
-    """Schema of what stands below a name that the user chooses, such as that of a scan; empty if none may."""
-    for pattern, child in node.get("patternProperties", {}).items():
-        if re.search(pattern, key):
-            return child
-    return node.get("additionalProperties") or {}
-
-
-def keys_at(path: tuple[Key, ...]) -> list[str]:
-    """Keys that are allowed below a path."""
-    return list(node_at(path).get("properties", {}))
+    return _SCHEMA.whole
 
 
 def all_paths(path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
@@ -237,16 +236,7 @@ def describe_expected(path: tuple[Key, ...]) -> str:
         return "one of " + ", ".join(str(v) for v in node.get("enum", [node.get("const")]))
     kind = node.get("type", "")
     if kind in {"number", "integer"}:
-        text = "a whole number" if kind == "integer" else "a number"
-        low, high = node.get("minimum"), node.get("maximum")
-        above, below = node.get("exclusiveMinimum"), node.get("exclusiveMaximum")
-        if low is not None and high is not None:
-            text += f" from {_number(low)} to {_number(high)}"
-        else:
-            text += f" of at least {_number(low)}" if low is not None else ""
-            text += f" above {_number(above)}" if above is not None else ""
-            text += f" up to {_number(high)}" if high is not None else ""
-            text += f" below {_number(below)}" if below is not None else ""
+        text = number_in_words(node)
         unit = unit_at(path)
         return f"{text} ({unit})" if unit else text
     if kind == "array":
@@ -261,10 +251,6 @@ def describe_expected(path: tuple[Key, ...]) -> str:
             return "a list of " + ", ".join(str(v) for v in items["enum"])
         return "a list"
     return {"boolean": "true or false", "string": "text", "object": "a section with keys"}.get(kind, "")
-
-
-def _number(value: float) -> str:
-    return str(value) if isinstance(value, int) or not float(value).is_integer() else str(int(value))
 
 
 # ---------------------------------------------------------------- cures for values
@@ -431,6 +417,10 @@ def mistake_of(error: ErrorDetails) -> Mistake:
         found = "the section is empty" if value is None else found
         keys = ", ".join(keys_at(path)[:5])
         cure = f"Write keys below it, indented by two spaces ({keys} …), or remove the line"
+    elif kind == "none_required":
+        found = "a digital twin, but the laboratory that simulates it (package thalweg_lab) is not installed"
+        expected = "logs of a survey, or epochs to compare"
+        cure = "Install the wheel with the laboratory, or process this campaign in the repository"
     elif kind.startswith("string"):
         expected, cure = _text(path, kind, value, expected)
     else:

@@ -7,8 +7,8 @@ from typing import Any, Final
 import numpy as np
 
 from thalweg.core import PARAMETERS, ArrayF, ArrayF32, ArrayU8, Camera, Rigid, exp_rotation
-from thalweg.settings.twin import TwinDualFisheye, TwinLens
 from thalweg_lab.random_numbers import generator
+from thalweg_lab.settings import TwinDualFisheye, TwinLens
 from thalweg_lab.yard_images import LensRays, exposed
 
 LENSES: Final = ("front", "back")

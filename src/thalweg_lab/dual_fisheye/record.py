@@ -9,11 +9,11 @@ import numpy as np
 from thalweg.core import ArrayF, ArrayF32, ArrayI, LocalFrame, Rigid, steps, write_marked
 from thalweg.images.model import ImagePoses
 from thalweg.settings.sections import Rig as RigSettings
-from thalweg.settings.twin import TwinConfig, TwinDualFisheye
 from thalweg_lab.dual_fisheye.device import LENSES, TrueRig, true_rig
 from thalweg_lab.dual_fisheye.room import LAYOUT, room_photographer, room_points, room_poses
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.river import Scene, Waves
+from thalweg_lab.settings import TwinConfig, TwinDualFisheye
 from thalweg_lab.time_lapse import OwnBoat, Renderer, World, metered_exposure, sun_of
 from thalweg_lab.voyage import Voyage, read_true_mounts, true_mounts
 from thalweg_lab.writers import PhotoFacts, start_us, write_jpeg

@@ -21,12 +21,12 @@ from thalweg.core import (
     table_kind,
     write_table,
 )
-from thalweg.settings.twin import TwinConfig, TwinEcho
 from thalweg_lab import writers
 from thalweg_lab.instruments.effects import damage_file
 from thalweg_lab.random_numbers import gauss_markov, generator
 from thalweg_lab.reach import River
 from thalweg_lab.river import Material, Scene
+from thalweg_lab.settings import TwinConfig, TwinEcho
 from thalweg_lab.voyage import Motion, Voyage, epochs, motion_of, write_effects
 from thalweg_lab.writers import unix_us
 

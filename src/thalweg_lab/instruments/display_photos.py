@@ -30,8 +30,8 @@ from thalweg.core import (
     table_kind,
     write_table,
 )
-from thalweg.settings.twin import TwinCamera, TwinConfig, TwinDisplay
 from thalweg_lab.random_numbers import generator
+from thalweg_lab.settings import TwinCamera, TwinConfig, TwinDisplay
 from thalweg_lab.voyage import start_gps_s
 from thalweg_lab.writers import PhotoFacts, jpeg_bytes, start_us
 

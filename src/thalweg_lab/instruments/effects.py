@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from thalweg.core import ArrayB, ArrayF, ArrayI
-from thalweg.settings.twin import Stream, TwinEffects
+from thalweg_lab.settings import Stream, TwinEffects
 
 _SPARED_BYTES = 64
 """Begin of a file that is never damaged: without its file header a capture is no capture."""

@@ -28,9 +28,9 @@ from scipy.special import ndtr
 
 from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, ArrayU8, column, njit, table_kind
 from thalweg.core.geometry import Hits, RayCaster
-from thalweg.settings.twin import TwinLidar, TwinTls
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.river import Material
+from thalweg_lab.settings import TwinLidar, TwinTls
 
 STEP_M: Final = 0.05
 """An echo is a mixed one if it lies farther than this off the plane that its brightest cell has met."""

@@ -25,12 +25,12 @@ from thalweg.core import (
     LocalFrame,
 )
 from thalweg.core.geometry import RayCaster
-from thalweg.settings.twin import TwinConfig, TwinGnss
 from thalweg_lab import writers
 from thalweg_lab.instruments.effects import damage_file, inside
 from thalweg_lab.instruments.misstated import as_it_errs, factors
 from thalweg_lab.random_numbers import gauss_markov, generator
 from thalweg_lab.river import Material, Scene
+from thalweg_lab.settings import TwinConfig, TwinGnss
 from thalweg_lab.voyage import Motion, epochs, motion_of, write_effects
 from thalweg_lab.writers import gps_us, moment, unix_us
 

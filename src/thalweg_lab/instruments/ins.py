@@ -13,13 +13,13 @@ from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
 from thalweg.core import R_ENU_NED, ArrayF, ConfigError, LocalFrame, roll_pitch_heading, root_mean_square
-from thalweg.settings.twin import TwinConfig, TwinIns
 from thalweg_lab import writers
 from thalweg_lab.instruments.bed import true_depth_m
 from thalweg_lab.instruments.effects import damage_file
 from thalweg_lab.instruments.misstated import as_it_errs, factors
 from thalweg_lab.random_numbers import gauss_markov, generator
 from thalweg_lab.river import Scene
+from thalweg_lab.settings import TwinConfig, TwinIns
 from thalweg_lab.voyage import LEAD_S, Motion, epochs, motion_of, write_effects
 from thalweg_lab.writers import moment, unix_us
 

@@ -8,7 +8,6 @@ from typing import Any, Final, Self
 import numpy as np
 
 from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, ArrayU8, LocalFrame, njit, rotation_enu_body
-from thalweg.settings.twin import TwinConfig, TwinLidar
 from thalweg_lab.instruments.effects import damage_file, packet_order
 from thalweg_lab.instruments.footprint import (
     PULSE_M,
@@ -30,6 +29,7 @@ from thalweg_lab.instruments.footprint import (
 from thalweg_lab.instruments.misstated import as_it_errs
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.river import HULL_MATERIAL, HULL_REFLECTANCE, REFLECTANCE, Hull, Material, Scene, Waves
+from thalweg_lab.settings import TwinConfig, TwinLidar
 from thalweg_lab.voyage import Motion, motion_of, write_effects
 from thalweg_lab.writers import (
     CaptureWriter,

@@ -8,8 +8,8 @@ presume, stays.
 
 from typing import Final
 
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.random_numbers import generator
+from thalweg_lab.settings import TwinConfig
 
 QUANTITIES: Final = {
     "level": ("ins", ("sigma_roll_deg", "sigma_pitch_deg")),

@@ -22,10 +22,10 @@ from typing import Any, Final
 import numpy as np
 
 from thalweg.core import ADJUSTED_OFFSET_S, WEEK_S, ArrayB, ArrayF, ArrayI, LocalFrame
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments.gnss import EARTH_RADPS, MU_M3PS2, STEP_S, SYSTEMS, Constellation, shaded
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.river import Scene
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import epochs, motion_of, read_true_mounts, write_effects
 from thalweg_lab.writers import gps_us, moment, sbp_observations
 

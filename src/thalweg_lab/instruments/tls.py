@@ -9,11 +9,11 @@ from pyproj import CRS
 
 from thalweg.core import AnyArray, ArrayF, ArrayI, LocalFrame
 from thalweg.core.geometry import RayCaster
-from thalweg.settings.twin import TwinConfig, TwinTls
 from thalweg_lab.instruments.footprint import Beam, EchoKind, ShotRandom, Surfaces, echoes_of, part_of, seen
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.reach import River
 from thalweg_lab.river import REFLECTANCE, REFLECTANCE_1550, Material, Scene, outlook
+from thalweg_lab.settings import TwinConfig, TwinTls
 from thalweg_lab.voyage import write_effects
 from thalweg_lab.writers import write_scan
 

@@ -7,10 +7,10 @@ import numpy as np
 from pyproj import CRS
 
 from thalweg.core import ConfigError, LocalFrame
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.reach import REACH_M, River
 from thalweg_lab.river import REFLECTANCE, Material, Scene
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import write_effects
 from thalweg_lab.writers import write_scan
 

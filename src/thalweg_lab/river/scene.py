@@ -10,7 +10,6 @@ import numpy as np
 
 from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8, InputError, njit
 from thalweg.core.geometry import RayCaster
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.reach import BALLAST_M, River, bridge_soffit_m, track_offset
 from thalweg_lab.river.land import (
@@ -38,6 +37,7 @@ from thalweg_lab.river.mesh import (
     tubes,
     turned,
 )
+from thalweg_lab.settings import TwinConfig
 
 FORMAT = 2
 """Version of the scene file."""

@@ -39,9 +39,9 @@ from thalweg.core import ArrayF, LocalFrame
 from thalweg.ingest.nmea import read_nmea
 from thalweg.navigation.ins_gnss import PoseCorrelation
 from thalweg.settings.sections import Bathymetry, EchoSounder
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.random_numbers import gauss_markov, generator
 from thalweg_lab.reach import River as Reach
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.studies.study import Result, Seed, Study, Tables
 from thalweg_lab.studies.survey import BARE, MOUNTS, Logs, Survey, process, record, survey_settings
 from thalweg_lab.truth import DISTANCES_M, ratio_of_surveys, true_bed_m

@@ -59,10 +59,10 @@ from thalweg.ingest.tracks import read_pos
 from thalweg.navigation.camera import CloudSettings, camera_trajectory, lidar_mount_by_camera
 from thalweg.navigation.fusion import FusionSettings, fuse_trajectory, with_own_jitter
 from thalweg.settings.sections import Accuracy, CameraCloud, Fused, ReferenceSettings
-from thalweg.settings.twin import TwinConfig
 from thalweg.surface import Area, Surface
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.reach import River
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.studies.study import Result, Seed, Study, Tables
 from thalweg_lab.studies.survey import Logs, ins_trajectory, orient, record, reference_mesh, survey_settings
 from thalweg_lab.truth import OWN_TIMES, carried_by_camera, chains_truth_table

@@ -41,9 +41,9 @@ from thalweg.settings.sections import (
     MappingSettings,
     MaskSettings,
 )
-from thalweg.settings.twin import TwinConfig, TwinTimeLapse
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.river import build_scene
+from thalweg_lab.settings import TwinConfig, TwinTimeLapse
 from thalweg_lab.studies.study import Result, Seed, Study, Tables
 from thalweg_lab.time_lapse import simulate_time_lapse
 

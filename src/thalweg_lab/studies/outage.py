@@ -26,7 +26,6 @@ from thalweg.core import (
 )
 from thalweg.images.model import ImagePoses
 from thalweg.navigation.fusion import Fused, FusionSettings, fuse_trajectory
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import (
     Solution,
     antenna_errors_m,
@@ -39,6 +38,7 @@ from thalweg_lab.instruments import (
     velocity_errors_mps,
 )
 from thalweg_lab.random_numbers import generator
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.studies.study import Result, Seed, Study, Tables
 from thalweg_lab.voyage import Motion, Voyage, epochs
 

@@ -32,9 +32,9 @@ from thalweg.navigation.camera import CloudSettings, camera_trajectory
 from thalweg.navigation.fusion import FusionSettings
 from thalweg.navigation.ins_gnss import ErrorModel, build_trajectory
 from thalweg.settings.sections import RunErrors
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import simulate_gnss, simulate_ins
 from thalweg_lab.random_numbers import drawn, generator
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.studies import cone_runs
 from thalweg_lab.studies.cone_runs import NEAR
 from thalweg_lab.studies.outage import (

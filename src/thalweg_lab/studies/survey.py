@@ -36,7 +36,6 @@ from thalweg.lidar import LogSettings, cloud_covariance, error_model_of_log, geo
 from thalweg.navigation.ins_gnss import ErrorModel, build_trajectory
 from thalweg.settings import Campaign
 from thalweg.settings.sections import Filters, LidarAccuracy, ReferenceSettings
-from thalweg.settings.twin import TwinConfig
 from thalweg.surface import mesh_reference
 from thalweg_lab.instruments import (
     LIDAR_SHOTS,
@@ -48,6 +47,7 @@ from thalweg_lab.instruments import (
     simulate_tls,
 )
 from thalweg_lab.river import BARE_GROUND, Scene, simulate_scene
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.truth import (
     PointErrors,
     PointErrors3d,

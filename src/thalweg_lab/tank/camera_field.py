@@ -15,8 +15,8 @@ import pandas as pd
 
 from thalweg.calibration import MarkerLayout
 from thalweg.core import ArrayB, ArrayF, Camera, Rigid, exp_rotation
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.random_numbers import generator
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.tank.objects import SIGMA_PX
 from thalweg_lab.tank.series import Basin, record_camera_station
 from thalweg_lab.yard import Plane, Sheet

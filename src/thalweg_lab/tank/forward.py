@@ -21,8 +21,8 @@ import numpy as np
 
 from thalweg.core import ArrayB, ArrayF, ConfigError, njit
 from thalweg.lightsheet.optics import LENS, Sensor, Window, air, trace, water
-from thalweg.settings.twin import SheetImage
 from thalweg_lab.random_numbers import generator
+from thalweg_lab.settings import SheetImage
 
 SIZES: Final = {"tiny": 512, "demo": 1024, "full": 2048}
 """Pixels a side of the images of a campaign."""

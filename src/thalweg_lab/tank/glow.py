@@ -17,7 +17,7 @@ import numpy as np
 
 from thalweg.core import ArrayB, ArrayF, ArrayF32, njit
 from thalweg.lightsheet.optics import LightSheet, Sensor
-from thalweg.settings.twin import Laser, SheetImage
+from thalweg_lab.settings import Laser, SheetImage
 from thalweg_lab.tank.forward import Seen, WaterBeams, beams_in_water, in_picture, see
 from thalweg_lab.tank.grating import Grating
 from thalweg_lab.tank.objects import panel

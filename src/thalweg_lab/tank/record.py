@@ -36,8 +36,8 @@ from thalweg.core import (
 from thalweg.core.calibration import Source
 from thalweg.core.geometry import TriangleMesh, write_mesh
 from thalweg.lightsheet.optics import Sensor, write_sensor
-from thalweg.settings.twin import SheetImage
 from thalweg_lab.random_numbers import generator
+from thalweg_lab.settings import SheetImage
 from thalweg_lab.tank.forward import in_picture
 from thalweg_lab.tank.glow import Fan, line_on
 from thalweg_lab.tank.motion import SIGMA_MARK_MM, SIGMA_PX, SensorPath, build_panel, observe, set_up

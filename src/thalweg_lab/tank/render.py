@@ -22,7 +22,7 @@ from scipy import fft
 
 from thalweg.core import AnyArray, ArrayF, ArrayF32, ArrayU8, GeometryError, optional
 from thalweg.lightsheet.optics import Sensor
-from thalweg.settings.twin import Chip, SheetImage
+from thalweg_lab.settings import Chip, SheetImage
 from thalweg_lab.tank.forward import beams_in_water, camera_rays, see
 from thalweg_lab.tank.glow import Fan, glow, light_to_dn, power, rays_of, splat
 from thalweg_lab.tank.surfaces import Posed

@@ -24,8 +24,8 @@ from thalweg.core import AnyArray, ArrayF, ArrayI, ConfigError, GeometryError, L
 from thalweg.core.calibration import Source
 from thalweg.core.geometry import TriangleMesh, write_mesh
 from thalweg.lightsheet.optics import CAMERA, LASER, LENS, WINDOW, Sensor, paper_4, write_sensor
-from thalweg.settings.twin import SheetImage, TwinConfig, TwinLightSheet, TwinSheetStrip
 from thalweg_lab.random_numbers import generator
+from thalweg_lab.settings import SheetImage, TwinConfig, TwinLightSheet, TwinSheetStrip
 from thalweg_lab.tank.forward import in_water_of, sized, true_sensor
 from thalweg_lab.tank.glow import on_sheet
 from thalweg_lab.tank.motion import Tripod, build_panel, set_up

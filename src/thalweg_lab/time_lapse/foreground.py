@@ -12,11 +12,11 @@ import numpy as np
 
 from thalweg.core import ArrayB, ArrayF, ArrayF32, ArrayI, Camera, ConfigError, Rigid, optional
 from thalweg.core.geometry import RayCaster
-from thalweg.settings.twin import TwinTimeLapse
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.reach import River
 from thalweg_lab.river import BOX_FACES, boxes, tube_faces, tubes
 from thalweg_lab.river_images import Sun
+from thalweg_lab.settings import TwinTimeLapse
 from thalweg_lab.yard import boat_mesh, sensor_mesh
 from thalweg_lab.yard_images import LensRays
 

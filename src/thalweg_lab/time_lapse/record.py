@@ -22,11 +22,11 @@ from thalweg.core import (
     steps,
 )
 from thalweg.images.model import ImagePoses
-from thalweg.settings.twin import TwinConfig, TwinLens, TwinTimeLapse
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.reach import River
 from thalweg_lab.river import Material, Scene, Waves, metered
 from thalweg_lab.river_images import Sun
+from thalweg_lab.settings import TwinConfig, TwinLens, TwinTimeLapse
 from thalweg_lab.time_lapse.foreground import OwnBoat, Targets, place_targets
 from thalweg_lab.time_lapse.renderer import Renderer, World
 from thalweg_lab.voyage import Voyage, start_unix

@@ -10,9 +10,9 @@ from typing import Any, Final
 import numpy as np
 
 from thalweg.core import ArrayF, LocalFrame, Rigid, utc_text_from_gps
-from thalweg.settings.twin import TwinConfig, TwinLens
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.river import Scene, Waves
+from thalweg_lab.settings import TwinConfig, TwinLens
 from thalweg_lab.time_lapse.record import metered_exposure, sun_of
 from thalweg_lab.time_lapse.renderer import Renderer, World
 from thalweg_lab.voyage import Voyage

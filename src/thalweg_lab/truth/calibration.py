@@ -43,7 +43,7 @@ from thalweg.lightsheet.optics import (
     read_sensor,
     sheet_derivatives,
 )
-from thalweg.settings.twin import TwinConfig
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import read_true_mounts, start_gps_s
 from thalweg_lab.yard_images import true_camera
 

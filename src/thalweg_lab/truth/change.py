@@ -31,7 +31,6 @@ from thalweg.core import (
 from thalweg.core.geometry import RayCaster, polygon_area_m2
 from thalweg.deformation.foreign import SurfaceDifference
 from thalweg.settings.sections import Deformation
-from thalweg.settings.twin import Change, TwinScene
 from thalweg.surface import Area
 from thalweg_lab.changes import (
     EDGE_M,
@@ -45,6 +44,7 @@ from thalweg_lab.changes import (
 )
 from thalweg_lab.reach import BAR_PLACE, River
 from thalweg_lab.river import BARE_GROUND, VEGETATION, Material, Scene
+from thalweg_lab.settings import Change, TwinScene
 
 _AXES: Final = ("east", "north", "up")
 CLASSES: Final = ("unchanged", "erosion", "deposition", "object", "vegetation", "water", "outside")

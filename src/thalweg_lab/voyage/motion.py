@@ -15,9 +15,9 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 from scipy.special import jn_zeros, jv
 
 from thalweg.core import ArrayF, ConfigError, CoverageError, Rigid, gps_from_unix, rotation_enu_body
-from thalweg.settings.twin import TwinBoat, TwinConfig, TwinFieldRun
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.reach import River
+from thalweg_lab.settings import TwinBoat, TwinConfig, TwinFieldRun
 from thalweg_lab.yard import field_of
 
 PAD_S: Final = 5.0

@@ -21,8 +21,8 @@ from thalweg.core import (
     rotation_vector,
     write_marked,
 )
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.random_numbers import generator
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage.motion import LEAD_S, Motion, motion_of
 
 TRUTH_RATE_HZ: Final = 200.0

@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from thalweg.calibration import MARGIN_MODULES, SADDLES_MODULES, SHEET_MODULES
 from thalweg.core import ArrayB, ArrayF, ArrayI, ConfigError, Rigid
-from thalweg.settings.twin import CONES, TwinConfig, TwinField
 from thalweg_lab.random_numbers import generator
+from thalweg_lab.settings import CONES, TwinConfig, TwinField
 
 When = Literal["reference", "boat"]
 """Reference images come first, then the boat; some effects change the field in between."""

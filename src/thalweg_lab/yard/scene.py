@@ -8,7 +8,6 @@ import numpy as np
 
 from thalweg.calibration import MarkerLayout
 from thalweg.core import AnyArray, ArrayF, ArrayI, Rigid
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.river import (
     BOX_FACES,
@@ -22,6 +21,7 @@ from thalweg_lab.river import (
     tube_faces,
     tubes,
 )
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.yard.layout import (
     THICK_M,
     Board,

@@ -5,8 +5,8 @@ from typing import Final
 import numpy as np
 
 from thalweg.core import ArrayF, GeometryError, Rigid
-from thalweg.settings.twin import TwinReference
 from thalweg_lab.random_numbers import generator
+from thalweg_lab.settings import TwinReference
 from thalweg_lab.yard.layout import Field
 
 # ---------------------------------------------------------------- A planned tour of the yard: views chosen so

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from thalweg.core import ArrayF, ArrayF32, ArrayU8, Camera, optional
-from thalweg.settings.twin import TwinLens
+from thalweg_lab.settings import TwinLens
 
 cv2 = optional("cv2")
 

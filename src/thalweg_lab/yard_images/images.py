@@ -25,10 +25,10 @@ from thalweg.core import (
     table_kind,
     write_table,
 )
-from thalweg.settings.twin import TwinConfig, TwinLens
 from thalweg_lab.instruments import Lasers
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.river_images import Sun
+from thalweg_lab.settings import TwinConfig, TwinLens
 from thalweg_lab.voyage import FieldRun, standing, start_gps_s
 from thalweg_lab.writers import PhotoFacts, start_us, write_jpeg
 from thalweg_lab.yard import (

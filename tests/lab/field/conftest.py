@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import LidarSensor
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import FieldRun
 from thalweg_lab.yard import Field, FieldScene, build_field, field_scene
 from thalweg_lab.yard_records import Scan, scan

@@ -7,7 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from thalweg.core import ConfigError, LocalFrame
-from thalweg.settings.twin import TwinConfig
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.yard import Field, build_field, people, recorded_scene
 from thalweg_lab.yard_records import description
 

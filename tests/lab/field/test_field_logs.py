@@ -9,8 +9,8 @@ from thalweg.core import LocalFrame, Trajectory, rotation_opk
 from thalweg.ingest.anpp import read_anpp
 from thalweg.ingest.tracks import read_pos
 from thalweg.ingest.velodyne.reader import iter_points
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import simulate_gnss, simulate_ins, simulate_lidar
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import FieldRun, simulate_voyage
 from thalweg_lab.yard_records import simulate_field_scene
 

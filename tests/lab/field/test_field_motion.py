@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from thalweg.core import CoverageError, gps_from_unix, rotation_enu_body
-from thalweg.settings.twin import TwinConfig
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import FieldRun, Voyage, motion_of, standing, static_seed
 from thalweg_lab.voyage.motion import eight, static_recording
 from thalweg_lab.yard import Field

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from thalweg.calibration.field import parse_field, read_field
 from thalweg.core import LocalFrame, read_table
-from thalweg.settings.twin import TwinConfig
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import standing
 from thalweg_lab.yard import Field, build_field
 from thalweg_lab.yard_records import FIELD_POSES, description, simulate_field

@@ -8,8 +8,8 @@ import pytest
 
 from thalweg.core import ConfigError, LocalFrame, rotation_opk
 from thalweg.ingest.velodyne.reader import iter_points
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import VLP_16, EchoKind, Lasers
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import FieldRun, standing
 from thalweg_lab.yard import build_field
 from thalweg_lab.yard_records import Scan, simulate_positions, static_scan

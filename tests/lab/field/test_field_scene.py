@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.river import Scene
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import standing
 from thalweg_lab.yard import Field, FieldScene
 from thalweg_lab.yard.layout import covers

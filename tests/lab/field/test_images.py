@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from thalweg.core import ConfigError, unix_from_gps
 from thalweg.settings.sections import Mounts
-from thalweg.settings.twin import TwinConfig
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import FieldRun, standing, true_mounts
 from thalweg_lab.yard import Field, build_field, field_scene, tour
 from thalweg_lab.yard_images import mount_of, simulate_field_images, true_camera

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from thalweg.core import ConfigError, Rigid, exp_rotation
-from thalweg.settings.twin import TwinConfig
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.yard import Field, build_field, layout
 from thalweg_lab.yard.layout import SIDES, antenna_sheet
 

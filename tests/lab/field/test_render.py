@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 from thalweg.calibration import SADDLES_MODULES, MarkerLayout, sheet_picture
 from thalweg.core import Camera, GeometryError, Rigid
-from thalweg.settings.twin import TwinConfig, TwinLens
+from thalweg_lab.settings import TwinConfig, TwinLens
 from thalweg_lab.yard import Field, FieldCone, Sheet, Yard, build_field, field_scene
 from thalweg_lab.yard.tour import looking
 from thalweg_lab.yard_images import LensRays, exposed, true_camera, turned

@@ -7,7 +7,7 @@ import pytest
 
 from thalweg.core import ArrayF
 from thalweg.lightsheet.optics import Sensor, paper_4
-from thalweg.settings.twin import SheetImage
+from thalweg_lab.settings import SheetImage
 from thalweg_lab.tank import sized
 
 SEED = 7

@@ -9,7 +9,7 @@ import pytest
 from thalweg.calibration.field import read_field
 from thalweg.core import Camera, Rigid
 from thalweg.lightsheet.optics import paper_4
-from thalweg.settings.twin import TwinConfig
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.tank import Basin, record_camera_field, record_camera_station
 from thalweg_lab.tank.camera_field import (
     MODULE_M,

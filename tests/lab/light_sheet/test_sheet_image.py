@@ -8,8 +8,8 @@ import pytest
 
 from tests.lab.light_sheet.conftest import SEED, Small, row_centres
 from thalweg.core import ArrayF
-from thalweg.settings.twin import SheetImage
 from thalweg_lab.random_numbers import generator
+from thalweg_lab.settings import SheetImage
 from thalweg_lab.tank import Posed, render_sheet_image
 from thalweg_lab.tank.forward import see
 from thalweg_lab.tank.glow import on_sheet

@@ -6,7 +6,7 @@ import pytest
 from tests.lab.light_sheet.conftest import SEED, Small
 from thalweg.core import ConfigError, GeometryError
 from thalweg.lightsheet.optics import paper_4
-from thalweg.settings.twin import SheetImage
+from thalweg_lab.settings import SheetImage
 from thalweg_lab.tank import (
     SIGMA_PX,
     Posed,

@@ -13,7 +13,7 @@ from thalweg.core import ConfigError, LocalFrame, read_table
 from thalweg.lightsheet.calibration import read_grid
 from thalweg.lightsheet.optics import LASER, LENS, PARAMETERS, air, intersect, paper_4, read_sensor, water
 from thalweg.lightsheet.poses.panels import read_panels
-from thalweg.settings.twin import TwinConfig
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.tank import WINDOW_MARKERS, Basin, record_camera_station, record_series
 from thalweg_lab.tank.record import LINE_TRUTH
 

@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.random_numbers import generator
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.studies.sensors import camera_lidar
 from thalweg_lab.studies.sensors.camera_lidar import (
     CASES,

@@ -8,7 +8,7 @@ import pytest
 
 from thalweg.accuracy import CHAINS, range_facts
 from thalweg.core import LocalFrame, Rigid, read_parquet, rotation_vector
-from thalweg.settings.twin import TwinConfig
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.studies import Batch, chain_study as study, chain_study as tables, run_seeds
 from thalweg_lab.studies.chain_study import ImageErrors, draw_images
 from thalweg_lab.studies.study import Study

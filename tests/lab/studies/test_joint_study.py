@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.figures import joint_river_figure
 from thalweg_lab.reach import River
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.studies import bed_study, joint_study
 from thalweg_lab.studies.joint_study import SURVEYS, by_depth, campaign_of, surveyed
 

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from thalweg.core import LocalFrame
-from thalweg.settings.twin import TwinConfig, TwinTimeLapse
 from thalweg_lab.river import Scene, build_scene
+from thalweg_lab.settings import TwinConfig, TwinTimeLapse
 from thalweg_lab.time_lapse.record import TimeLapse
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)

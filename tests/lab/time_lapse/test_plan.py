@@ -5,7 +5,7 @@ import pytest
 
 from tests.lab.time_lapse.conftest import CONFIG, MOUNTS, SEED, settings
 from thalweg.core import ConfigError, rotation_opk
-from thalweg.settings.twin import TwinLens
+from thalweg_lab.settings import TwinLens
 from thalweg_lab.time_lapse.record import plan_images, scaled_lens
 from thalweg_lab.voyage import Voyage
 from thalweg_lab.writers import start_us

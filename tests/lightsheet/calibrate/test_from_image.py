@@ -7,8 +7,8 @@ from thalweg.core import rotation_opk
 from thalweg.lightsheet.calibration import CalibrationSettings, calibrate_sheet, parse_grid
 from thalweg.lightsheet.lines import LineFlag, LineSettings, detect_lines
 from thalweg.lightsheet.optics import paper_4, sheet_in_water
-from thalweg.settings.twin import SheetImage
 from thalweg_lab.random_numbers import generator
+from thalweg_lab.settings import SheetImage
 from thalweg_lab.tank import Posed, render_sheet_image
 from thalweg_lab.tank.objects import GridPattern, grid_object
 from thalweg_lab.tank.record import grid_text

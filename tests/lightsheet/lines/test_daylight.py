@@ -18,8 +18,8 @@ from tests.lightsheet.laser_images import (
 from thalweg.core import AnyArray, ArrayF, GeometryError, InputError
 from thalweg.lightsheet.lines import LineFlag, LineSettings, detect_lines, green_image
 from thalweg.lightsheet.optics import paper_4
-from thalweg.settings.twin import SheetImage
 from thalweg_lab.random_numbers import generator
+from thalweg_lab.settings import SheetImage
 from thalweg_lab.tank import line_on, render_sheet_image, scan_plan, sized, wreck
 
 ROWS, WIDTH = 120, 160

@@ -10,8 +10,8 @@ from thalweg.lightsheet.optics import paper_4
 from thalweg.lightsheet.poses import SensorPoses
 from thalweg.lightsheet.scanning import ScanCloud, bimodality, filtered, fit_levels, merge, profile
 from thalweg.lightsheet.scanning.levels import STEP_HEIGHTS_MM, Levels
-from thalweg.settings.twin import SheetImage
 from thalweg_lab.random_numbers import generator
+from thalweg_lab.settings import SheetImage
 from thalweg_lab.tank import render_sheet_image, scan_plan, sized, stepped_object
 
 UP = np.array([0.0, 0.0, 1.0])

@@ -9,8 +9,8 @@ from thalweg.lightsheet.optics import paper_4
 from thalweg.lightsheet.poses import SensorPoses
 from thalweg.lightsheet.scanning import merge, orthophoto, profile
 from thalweg.lightsheet.scanning.ortho import colours, height_grid
-from thalweg.settings.twin import SheetImage
 from thalweg_lab.random_numbers import generator
+from thalweg_lab.settings import SheetImage
 from thalweg_lab.tank import render_sheet_image, sized
 from thalweg_lab.tank.plan import strip_plan
 

@@ -67,6 +67,10 @@ cv2 = optional("cv2")
 # ---------------------------------------------------------------- masks of a series
 
 _SAMPLES: Final = 4000
+_SAMPLE_IMAGES: Final = 40
+"""Images, evenly over a series, from which colours, textures and own boat are learned."""
+_MARGIN_SHARE: Final = 0.006
+"""Strip of the bank and around the own boat that is masked too, share of the image's height."""
 _ROUNDS: Final = 3
 _COLOURS: Final = (0, 1, 2)
 """Places of brightness, blue and red in `mask_features.FINE`."""
@@ -776,13 +780,13 @@ class SeriesModel:
             return np.where(enlarged(moved, (w, h)), MOVED, LAND).astype(np.uint8), notes, untold
         hull = np.zeros((h, w), dtype=np.bool_)
         if size_px == self.size_px:
-            hull = _wider(enlarged(self.hull, (w, h)), self.settings.hull_margin_share * h)
+            hull = _wider(enlarged(self.hull, (w, h)), _MARGIN_SHARE * h)
         elif self.hull.any():
             notes.append("another size than most images: the own boat is not masked")
         out = np.full((h, w), LAND, dtype=np.uint8)
         if self.scenery is not None:
             found = self._lines(image, name, hull)
-            below = np.arange(h)[:, None] >= found - self.settings.margin_share * h
+            below = np.arange(h)[:, None] >= found - _MARGIN_SHARE * h
             if self.water:
                 if not (found < h).any():
                     notes.append("no water line found")
@@ -830,7 +834,7 @@ def learn_series(
     InputError : no image can be read, or the camera has not their proportions.
     """
     rng = np.random.default_rng(seed)
-    chosen = np.unique(np.linspace(0, len(images) - 1, min(settings.sample_images, len(images))).astype(int))
+    chosen = np.unique(np.linspace(0, len(images) - 1, min(_SAMPLE_IMAGES, len(images))).astype(int))
     every = list(images.items())
     read = _readable([every[k] for k in chosen], settings) or _readable(every, settings)
     if not read:

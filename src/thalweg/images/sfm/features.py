@@ -40,6 +40,8 @@ WIDEST_DEG: Final = 85.0
 """Angle from the axis up to which structure from motion uses a fisheye: COLMAP has no rays from 90 on."""
 RIM_DEG: Final = 95.0
 """Angle up to which a block uses it."""
+_PEAK_THRESHOLD: Final = 0.0067
+"""Least contrast of a feature, share of the full range."""
 _WINDOW_PX: Final = 3.0
 """Distance of a feature near the rim from where a point of the block is expected."""
 _RATIO: Final = 0.8
@@ -405,7 +407,7 @@ def _run_sift(
     options.num_threads = max(1, min(threads, len(images)))
     options.max_image_size = settings.max_size_px
     options.sift.max_num_features = settings.max_features * budget
-    options.sift.peak_threshold = settings.peak_threshold
+    options.sift.peak_threshold = _PEAK_THRESHOLD
     options.sift.first_octave = -1 if settings.double_size else 0
     path = folder / f"{budget}.db"
     pc.extract_features(

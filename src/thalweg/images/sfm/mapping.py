@@ -27,6 +27,8 @@ _LEAST_IN_CLASS: Final = 50
 
 BLURRED: Final = 0.5
 """Sharpness of a blurred image, in units of the median of all images."""
+_SMALLEST_PIECE: Final = 3
+"""Images that a separate piece of the block must have to be kept."""
 _NAMED: Final = 3
 
 
@@ -99,14 +101,14 @@ def map_images(matches: Matches, *, settings: MappingSettings | None = None, thr
         wrong = {camera.name: words for camera in block.cameras if (words := impossible_lens(camera))}
         for name, words in wrong.items():
             notes.append(f"a piece of {len(block.images)} images is left out: lens of {name!r} {words}")
-        if not wrong and len(block.images) >= min(2, use.smallest_piece):
+        if not wrong and len(block.images) >= 2:
             good.append((block, facts))
     good.sort(key=lambda item: (-len(item[0].images), -len(item[0].points_block_m), item[0].images))
     main = set(good[0][0].images) if good else set()
     kept = [
         (block, facts)
         for i, (block, facts) in enumerate(good)
-        if i == 0 or (len(block.images) >= use.smallest_piece and not set(block.images) <= main)
+        if i == 0 or (len(block.images) >= _SMALLEST_PIECE and not set(block.images) <= main)
     ]
     return Mapped(
         pieces=tuple(block for block, _ in kept),
@@ -227,7 +229,7 @@ def _incremental(folder: Path, matches: Matches, use: MappingSettings, threads: 
     o.num_threads = threads
     o.extract_colors = False
     o.min_num_matches = use.min_inliers
-    o.min_model_size = use.smallest_piece
+    o.min_model_size = _SMALLEST_PIECE
     o.ba_refine_focal_length = o.ba_refine_extra_params = estimated
     o.ba_refine_principal_point = False
     # pairs of images have a base of their own only if two-view points count
@@ -254,7 +256,7 @@ def _global(folder: Path, matches: Matches, use: MappingSettings, threads: int) 
     o.random_seed = o.mapper.random_seed = SEED
     o.num_threads = o.mapper.num_threads = threads
     o.min_num_matches = use.min_inliers
-    o.min_model_size = use.smallest_piece
+    o.min_model_size = _SMALLEST_PIECE
     o.mapper.rotation_averaging.random_seed = o.mapper.global_positioning.random_seed = SEED
     o.mapper.retriangulation.random_seed = SEED
     o.mapper.global_positioning.use_gpu = o.mapper.bundle_adjustment.ceres.use_gpu = False

@@ -30,6 +30,8 @@ from thalweg.ingest.photos import Images, named_images, natural_key
 from thalweg.settings.sections import MappingSettings
 
 _FORMAT: Final = 1
+_EXHAUSTIVE_UP_TO: Final = 30
+"""Images that are all compared with each other."""
 GEOMETRY: Final = ("F", "E", "H", "pose")
 """Matrices of a pair of images, in this order."""
 
@@ -596,7 +598,7 @@ def image_pairs(
             cure="Choose sequential or exhaustive, or give the times of the images",
         )
     if kind == "auto":
-        kind = "exhaustive" if n <= settings.exhaustive_up_to else "spatial" if placed else "sequential"
+        kind = "exhaustive" if n <= _EXHAUSTIVE_UP_TO else "spatial" if placed else "sequential"
     if kind == "exhaustive":
         return _sorted(order, np.column_stack(np.triu_indices(n, 1))), kind
     steps = list(range(1, settings.overlap + 1))
@@ -805,7 +807,6 @@ def _run_matching(path: Path, listed: Path, settings: MappingSettings, scale: fl
     how = pc.FeatureMatchingOptions()
     how.use_gpu = False
     how.num_threads = max(1, threads)
-    how.sift.max_ratio = settings.max_ratio
     which = pc.ImportedPairingOptions()
     which.match_list_path = listed
     check = pc.TwoViewGeometryOptions()

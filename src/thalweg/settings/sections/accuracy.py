@@ -105,8 +105,12 @@ class Sections(Section):
         default=None,
         description="Places along the bank, metres from the middle of the area; overrides `count`",
     )
-    thickness_m: Annotated[float, Field(gt=0, le=10, allow_inf_nan=False)] = Field(
-        default=0.2, description="Thickness of the slab that is drawn, metres"
+    thickness_m: float = Field(
+        default=0.2,
+        gt=0,
+        le=10,
+        allow_inf_nan=False,
+        description="Thickness of the slab that is drawn, metres",
     )
 
 
@@ -128,8 +132,11 @@ class Accuracy(Section):
         le=100_000_000,
         description="Points compared at most: of more, a random sample, the same in each run",
     )
-    outlier_nmads: Annotated[float, Field(ge=1, le=100, allow_inf_nan=False)] = Field(
+    outlier_nmads: float = Field(
         default=5.0,
+        ge=1,
+        le=100,
+        allow_inf_nan=False,
         description="Outlier rule: points whose distance, divided by its own sigma, is farther from the "
         "median than this many NMAD. All statistics are given with and without the rule",
     )

@@ -11,8 +11,12 @@ from thalweg.settings.sections.base import Finite, NonNegative, Positive, Sectio
 class EchoSounder(Section):
     """The echo sounder and the water that its sound went through."""
 
-    beam_deg: Annotated[float, Field(ge=0, le=60, allow_inf_nan=False)] = Field(
-        default=5.0, description="Full opening angle of the beam (-3 dB), degrees; 0: a ray"
+    beam_deg: float = Field(
+        default=5.0,
+        ge=0,
+        le=60,
+        allow_inf_nan=False,
+        description="Full opening angle of the beam (-3 dB), degrees; 0: a ray",
     )
     tilt_deg: tuple[Finite, Finite] = Field(
         default=(0.0, 0.0),
@@ -38,8 +42,8 @@ class EchoSounder(Section):
     sigma_temperature_c: NonNegative = Field(
         default=1.0, le=20, description="Standard deviation of the temperature, degrees"
     )
-    salinity_g_kg: Annotated[float, Field(ge=0, le=42)] = Field(
-        default=0.0, description="Salinity of the water, grams a kilogram; 0: fresh water"
+    salinity_g_kg: float = Field(
+        default=0.0, ge=0, le=42, description="Salinity of the water, grams a kilogram; 0: fresh water"
     )
     sigma_sound_speed: NonNegative = Field(
         default=0.002, le=0.1, description="Error of the speed of sound that is left, relative"
@@ -54,7 +58,7 @@ class EchoSounder(Section):
 class SoundingTable(Section):
     """Tables of soundings and of points of a reference bed (`logs.soundings`, `logs.reference_bed`)."""
 
-    column: Annotated[str, Field(min_length=1)] = Field(default="z", description="Column of the values")
+    column: str = Field(default="z", min_length=1, description="Column of the values")
     depth: bool = Field(
         default=False,
         description="The values are depths below the water level of the survey; else ellipsoidal heights",
@@ -88,8 +92,8 @@ class Bathymetry(Section):
     max_turn_deg_per_s: Positive = Field(
         default=40.0, le=360, description="Faster turns cast the beam aside: left out, degrees a second"
     )
-    line_turn_deg: Annotated[float, Field(gt=0, lt=180)] = Field(
-        default=45.0, description="A change of course that ends a line of soundings, degrees"
+    line_turn_deg: float = Field(
+        default=45.0, gt=0, lt=180, description="A change of course that ends a line of soundings, degrees"
     )
     sigma_datum_m: NonNegative = Field(
         default=0.0, le=5, description="Common error of all heights that nothing else holds, metres"
@@ -99,8 +103,11 @@ class Bathymetry(Section):
         description="Correlation time of errors of the boat's height, seconds; null: as estimated from the "
         "survey",
     )
-    bank_station_m: Annotated[float, Field(ge=0.2, le=100)] = Field(
-        default=2.0, description="Distance of the places along the river at which banks are sought, metres"
+    bank_station_m: float = Field(
+        default=2.0,
+        ge=0.2,
+        le=100,
+        description="Distance of the places along the river at which banks are sought, metres",
     )
     bank_gap_m: NonNegative = Field(
         default=20.0, description="Banks that were not seen are bridged up to this length, metres"
@@ -113,9 +120,7 @@ class Bathymetry(Section):
         description="Polygons east, north that are no bed, local frame, metres, or a file of a GIS",
         json_schema_extra=or_file,
     )
-    cell_m: Annotated[float, Field(ge=0.05, le=100)] = Field(
-        default=0.5, description="Cell of the bed, metres"
-    )
+    cell_m: float = Field(default=0.5, ge=0.05, le=100, description="Cell of the bed, metres")
     model: Literal["auto", "exponential", "matern32", "spherical"] = Field(
         default="auto", description="Covariance of the bed; auto: the one that predicts left-out lines best"
     )
@@ -130,8 +135,10 @@ class Bathymetry(Section):
         "channel; null: as left-out lines tell",
     )
     table: SoundingTable = Field(default=SoundingTable(), description="Soundings of others as tables")
-    neighbours: Annotated[int, Field(ge=4, le=512)] = Field(
+    neighbours: int = Field(
         default=48,
+        ge=4,
+        le=512,
         description="Soundings that make the height of a cell; up to 512 data make each cell all together",
     )
     reach: Positive = Field(

@@ -46,8 +46,8 @@ class CameraLidarFit(Section):
     search_shift_m: NonNegative = Field(
         default=0.10, le=2, description="How far the nominal lever arm may be off (one sigma), metres"
     )
-    search_angle_deg: Annotated[float, Field(ge=0, le=45)] = Field(
-        default=3.0, description="How far the nominal angles may be off (one sigma), degrees"
+    search_angle_deg: float = Field(
+        default=3.0, ge=0, le=45, description="How far the nominal angles may be off (one sigma), degrees"
     )
     form_sigma_m: NonNegative = Field(
         default=0.0003, le=0.1, description="How far the cones are from perfect ones (one sigma), metres"
@@ -77,8 +77,10 @@ class RunErrors(Section):
         default=20.0,
         description="Correlation time of the attitude errors, seconds; presumed, no data sheet has it",
     )
-    white_share: Annotated[float, Field(ge=0, lt=1)] = Field(
+    white_share: float = Field(
         default=0.25,
+        ge=0,
+        lt=1,
         description="Share of the position's variance that is new in each epoch; presumed; 0: none, kept",
     )
     knot_s: Positive = Field(default=1.0, description="Interval of the knots of the slow errors, seconds")
@@ -96,14 +98,12 @@ class InsLidarFit(Section):
     search_lever_m: NonNegative = Field(
         default=0.6, le=3, description="How far the lever arm may be from zero, metres"
     )
-    search_angle_deg: Annotated[float, Field(ge=0, le=45)] = Field(
-        default=5.0, description="How far the angles may be from 0, -90, 0, degrees"
+    search_angle_deg: float = Field(
+        default=5.0, ge=0, le=45, description="How far the angles may be from 0, -90, 0, degrees"
     )
-    min_cones: Annotated[int, Field(ge=1, le=100)] = Field(
-        default=3, description="Cones that the run must see"
-    )
-    min_headings_deg: Annotated[float, Field(ge=0, le=360)] = Field(
-        default=90.0, description="Range of headings in which cones must be seen, degrees"
+    min_cones: int = Field(default=3, ge=1, le=100, description="Cones that the run must see")
+    min_headings_deg: float = Field(
+        default=90.0, ge=0, le=360, description="Range of headings in which cones must be seen, degrees"
     )
     sigma_time_s: Positive = Field(
         default=0.0005,
@@ -191,8 +191,10 @@ class CameraClock(Section):
 class DisplayTest(Section):
     """Photographs of a running clock (P2 6.1.2)."""
 
-    pattern: Annotated[str, Field(min_length=1)] = Field(
-        default="HH:MM:SS.ff", description="What the display shows: H, M, S and f are digits of the time"
+    pattern: str = Field(
+        default="HH:MM:SS.ff",
+        min_length=1,
+        description="What the display shows: H, M, S and f are digits of the time",
     )
     step_s: Positive = Field(default=0.01, le=1, description="Step of the display, seconds")
     nominal_s: Positive = Field(default=1.0, description="Nominal interval of the images, seconds")
@@ -201,12 +203,10 @@ class DisplayTest(Section):
 class Board(Section):
     """A checkerboard instead of cones."""
 
-    columns: Annotated[int, Field(ge=3, le=100)] = Field(
-        default=7, description="Inner corners along the longer side of the pattern"
+    columns: int = Field(
+        default=7, ge=3, le=100, description="Inner corners along the longer side of the pattern"
     )
-    rows: Annotated[int, Field(ge=3, le=100)] = Field(
-        default=5, description="Inner corners along its shorter side"
-    )
+    rows: int = Field(default=5, ge=3, le=100, description="Inner corners along its shorter side")
     square_m: Positive = Field(default=0.095, le=1, description="Side of a square, metres")
     width_m: Positive = Field(default=0.85, le=10, description="Side of the board along the columns, metres")
     height_m: Positive = Field(default=0.61, le=10, description="Side along the rows, metres")

@@ -122,8 +122,12 @@ class Epoch(Section):
 class EpochErrors(Section):
     """Errors that the points of an epoch share."""
 
-    moment_s: Annotated[float, Field(ge=0.02, le=2, allow_inf_nan=False)] = Field(
-        default=0.1, description="Points within this time share the error of one pose, seconds"
+    moment_s: float = Field(
+        default=0.1,
+        ge=0.02,
+        le=2,
+        allow_inf_nan=False,
+        description="Points within this time share the error of one pose, seconds",
     )
     position_time_s: Positive | None = Field(
         default=None,
@@ -145,14 +149,12 @@ class Visibility(Section):
     """Whether an epoch could have seen a place."""
 
     max_range_m: Positive = Field(default=60.0, le=300, description="Farther places are not seen, metres")
-    max_incidence_deg: Annotated[float, Field(gt=0, le=90, allow_inf_nan=False)] = Field(
-        default=82.0, description="Beams that graze the surface more than this give no echo, degrees"
-    )
-    water_margin_m: NonNegative = Field(
-        default=0.1, le=5, description="Places lower than this above the water of the epoch are water, metres"
-    )
-    voxel_m: Annotated[float, Field(ge=0.05, le=5, allow_inf_nan=False)] = Field(
-        default=0.25, description="Cells in which beams look for what is in their way, metres"
+    max_incidence_deg: float = Field(
+        default=82.0,
+        gt=0,
+        le=90,
+        allow_inf_nan=False,
+        description="Beams that graze the surface more than this give no echo, degrees",
     )
 
 
@@ -179,11 +181,17 @@ class Deformation(Section):
     """What changed between epochs (T 4.1)."""
 
     area: Area = Field(default=Area(), description="Part of the bank that is compared")
-    core_spacing_m: Annotated[float, Field(ge=0.05, le=20, allow_inf_nan=False)] = Field(
-        default=0.5, description="Core points: one a cell of this width on the surfaces, metres"
+    core_spacing_m: float = Field(
+        default=0.5,
+        ge=0.05,
+        le=20,
+        allow_inf_nan=False,
+        description="Core points: one a cell of this width on the surfaces, metres",
     )
-    scales_m: Annotated[list[Positive], Field(min_length=1, max_length=8)] = Field(
+    scales_m: list[Positive] = Field(
         default=[0.5, 1.0, 2.0],
+        min_length=1,
+        max_length=8,
         description="Radii at which normals are fitted, metres; the most planar counts",
     )
     cylinder_radius_m: Positive = Field(default=0.5, le=20, description="Radius of the cylinders, metres")
@@ -219,9 +227,7 @@ class Deformation(Section):
         le=10,
         description="A larger motion between epochs is a mistake, not a registration, metres",
     )
-    level: Annotated[float, Field(gt=0, lt=1, allow_inf_nan=False)] = Field(
-        default=0.05, description="Level of significance"
-    )
+    level: float = Field(default=0.05, gt=0, lt=1, allow_inf_nan=False, description="Level of significance")
     control: Literal["fdr", "family", "none"] = Field(
         default="fdr",
         description="What the level holds for: `fdr` the share of false ones among all changes, `family` the "

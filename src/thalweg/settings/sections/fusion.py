@@ -33,8 +33,8 @@ class CloudFit(Section):
         "null: all ground that both clouds have",
         json_schema_extra=or_file,
     )
-    cell_m: Annotated[float, Field(ge=0.1, le=20)] = Field(
-        default=0.5, description="Both clouds are compared in cells of this width, metres"
+    cell_m: float = Field(
+        default=0.5, ge=0.1, le=20, description="Both clouds are compared in cells of this width, metres"
     )
     sigma_m: Positive = Field(
         default=0.05, le=5, description="Standard deviation of a point where its file states none, metres"
@@ -89,28 +89,31 @@ class Vertical(Section):
 class MeshSettings(Section):
     """Triangles for hydraulic models."""
 
-    edge_m: Annotated[float, Field(ge=0.05, le=500)] = Field(
-        default=2.0, description="Length of the edges that is aimed at, metres"
+    edge_m: float = Field(
+        default=2.0, ge=0.05, le=500, description="Length of the edges that is aimed at, metres"
     )
-    least_angle_deg: Annotated[float, Field(ge=5, le=30)] = Field(
-        default=20.0, description="No triangle may have a smaller angle, degrees"
+    least_angle_deg: float = Field(
+        default=20.0, ge=5, le=30, description="No triangle may have a smaller angle, degrees"
     )
 
 
 class SectionSettings(Section):
     """Cross sections."""
 
-    spacing_m: Annotated[float, Field(ge=0.2, le=10_000)] = Field(
-        default=10.0, description="Distance of cross sections along the river, metres"
+    spacing_m: float = Field(
+        default=10.0, ge=0.2, le=10_000, description="Distance of cross sections along the river, metres"
     )
     overbank_m: NonNegative = Field(
         default=5.0, le=1000, description="Length of a section beyond either bank, metres"
     )
-    manning: Annotated[float, Field(ge=0.005, le=0.5)] = Field(
-        default=0.035, description="Manning's n that is written into exports; nothing is computed with it"
+    manning: float = Field(
+        default=0.035,
+        ge=0.005,
+        le=0.5,
+        description="Manning's n that is written into exports; nothing is computed with it",
     )
-    levels: Annotated[int, Field(ge=3, le=500)] = Field(
-        default=25, description="Levels of hydraulic tables and of the hypsometry"
+    levels: int = Field(
+        default=25, ge=3, le=500, description="Levels of hydraulic tables and of the hypsometry"
     )
 
 

@@ -21,28 +21,31 @@ Pixels = Annotated[int, Field(ge=0, le=100_000)]
 class FeatureSettings(Section):
     """Points that are found again in other images (SIFT)."""
 
-    max_size_px: Annotated[int, Field(ge=160, le=20_000)] = Field(
+    max_size_px: int = Field(
         default=3200,
+        ge=160,
+        le=20_000,
         description="Longest side in which features are looked for, pixels; larger images are scaled down. "
         "Time and memory grow with its square",
     )
-    max_features: Annotated[int, Field(ge=100, le=100_000)] = Field(
-        default=8192, description="Features kept of an image at most, those of the largest scale"
-    )
-    peak_threshold: Annotated[float, Field(gt=0, le=0.1)] = Field(
-        default=0.0067,
-        description="Least contrast of a feature, share of the full range; lower: more, weaker",
+    max_features: int = Field(
+        default=8192,
+        ge=100,
+        le=100_000,
+        description="Features kept of an image at most, those of the largest scale",
     )
     double_size: bool = Field(
         default=True,
         description="Look for features in the image at twice its size, too: more small features, four times "
         "the time and memory",
     )
-    min_features: Annotated[int, Field(ge=8, le=10_000)] = Field(
-        default=50, description="An image with fewer features takes no part"
+    min_features: int = Field(
+        default=50, ge=8, le=10_000, description="An image with fewer features takes no part"
     )
-    parts: Annotated[int, Field(ge=1, le=1000)] = Field(
+    parts: int = Field(
         default=1,
+        ge=1,
+        le=1000,
         description="Jobs among which the images are dealt out; the result is the same for any number",
     )
 
@@ -60,14 +63,11 @@ class MappingSettings(Section):
     pairs: Literal["auto", "sequential", "spatial", "exhaustive"] = Field(
         default="auto",
         description="Images that are compared: `sequential`: neighbours in time; `spatial`: neighbours in "
-        "time and by approximate position; `exhaustive`: all with all; `auto`: exhaustive up to "
-        "`exhaustive_up_to` images, else sequential, and spatial where positions are given",
+        "time and by approximate position; `exhaustive`: all with all; `auto`: exhaustive up to 30 "
+        "images, else sequential, and spatial where positions are given",
     )
-    exhaustive_up_to: Annotated[int, Field(ge=2, le=2000)] = Field(
-        default=30, description="Number of images up to which `auto` compares all with all"
-    )
-    overlap: Annotated[int, Field(ge=1, le=200)] = Field(
-        default=10, description="Following images that an image is compared with"
+    overlap: int = Field(
+        default=10, ge=1, le=200, description="Following images that an image is compared with"
     )
     quadratic: bool = Field(
         default=True,
@@ -76,19 +76,17 @@ class MappingSettings(Section):
     max_distance_m: Positive = Field(
         default=15.0, description="Approximate distance up to which images are neighbours in space, metres"
     )
-    max_neighbours: Annotated[int, Field(ge=1, le=500)] = Field(
-        default=20, description="Neighbours in space that an image is compared with at most"
+    max_neighbours: int = Field(
+        default=20, ge=1, le=500, description="Neighbours in space that an image is compared with at most"
     )
-    parts: Annotated[int, Field(ge=1, le=1000)] = Field(
+    parts: int = Field(
         default=1,
+        ge=1,
+        le=1000,
         description="Jobs among which the pairs are dealt out; the result is the same for any number",
     )
-    min_inliers: Annotated[int, Field(ge=8, le=1000)] = Field(
-        default=15, description="Common points that a pair of images must have"
-    )
-    max_ratio: Annotated[float, Field(gt=0, lt=1)] = Field(
-        default=0.8,
-        description="Distance of the best over the second best match above which a match is ambiguous",
+    min_inliers: int = Field(
+        default=15, ge=8, le=1000, description="Common points that a pair of images must have"
     )
     method: Literal["incremental", "global"] = Field(
         default="incremental",
@@ -106,15 +104,14 @@ class MappingSettings(Section):
         description="Model of the lens, in COLMAP's names; `auto`: that of the given camera, SIMPLE_RADIAL "
         "without one",
     )
-    smallest_piece: Annotated[int, Field(ge=2, le=100)] = Field(
-        default=3, description="Images that a separate piece of the block must have to be kept"
-    )
     max_error_px: Positive = Field(
         default=2.0,
         description="Residual above which a mark is dropped, pixels of the image as it was searched",
     )
-    sigma_px: Annotated[float, Field(gt=0, le=20)] = Field(
+    sigma_px: float = Field(
         default=0.4,
+        gt=0,
+        le=20,
         description="Standard deviation of a mark of a feature of middle scale, pixels of the image as it "
         "was searched; larger features have more, as their residuals show",
     )
@@ -128,10 +125,6 @@ class MappingSettings(Section):
 # ---------------------------------------------------------------- masks
 
 
-Margin = Annotated[float, Field(ge=0, le=0.2, allow_inf_nan=False)]
-"""A strip, as a share of an image's height."""
-
-
 class MaskSettings(Section):
     """Masks of water, sky and own boat; their colours and textures are learned from each series itself."""
 
@@ -139,28 +132,21 @@ class MaskSettings(Section):
         default=True,
         description="Find the masks of images for which none are supplied; false: such images are used whole",
     )
-    analysis_px: Annotated[int, Field(ge=160, le=4000)] = Field(
+    analysis_px: int = Field(
         default=640,
+        ge=160,
+        le=4000,
         description="Longest side of the reduced images that are analysed, pixels; time grows as its square",
-    )
-    sample_images: Annotated[int, Field(ge=1, le=1000)] = Field(
-        default=40,
-        description="Images, evenly over the series, from which colours, textures and own boat are learned",
-    )
-    margin_share: Margin = Field(
-        default=0.006,
-        description="Strip of the bank above the water line that is masked too, share of the image's height",
-    )
-    hull_margin_share: Margin = Field(
-        default=0.006, description="Strip around the own boat that is masked too, share of the image's height"
     )
     pose_sigma_deg: SigmaAngle = Field(
         default=3.0,
         gt=0,
         description="Least standard deviation of the approximate horizon, from trajectory and mount, degrees",
     )
-    least_mirror: Annotated[float, Field(ge=-1, le=1)] = Field(
+    least_mirror: float = Field(
         default=0.45,
+        ge=-1,
+        le=1,
         description="Correlation over the columns of an image, below its water line with above it, mean over "
         "the series, from which on the foreground is water; -1: always, for water that mirrors nothing",
     )
@@ -245,8 +231,8 @@ class BlockAdjustment(Section):
     least_angle_deg: NonNegative = Field(
         default=1.0, le=30, description="Points whose rays differ by less take no part, degrees"
     )
-    max_iterations: Annotated[int, Field(ge=5, le=500)] = Field(
-        default=50, description="Iterations after which the adjustment gives up"
+    max_iterations: int = Field(
+        default=50, ge=5, le=500, description="Iterations after which the adjustment gives up"
     )
     antenna: AntennaPositions = Field(
         default=AntennaPositions(), description="GNSS positions at the exposures as observations"
@@ -279,11 +265,9 @@ class ControlSettings(Section):
     detect: bool = Field(
         default=True, description="Find 2 by 2 checker boards in the images where no table of marks is given"
     )
-    board_m: Annotated[float, Field(ge=0.05, le=5)] = Field(
-        default=0.6, description="Side of a board, rim included, metres"
-    )
-    rim_share: Annotated[float, Field(ge=0, le=0.3)] = Field(
-        default=0.06, description="Width of the white rim as a share of the side"
+    board_m: float = Field(default=0.6, ge=0.05, le=5, description="Side of a board, rim included, metres")
+    rim_share: float = Field(
+        default=0.06, ge=0, le=0.3, description="Width of the white rim as a share of the side"
     )
     upper_left: Literal["black", "white", "either"] = Field(
         default="either", description="Colour of the upper left quarter of a board"
@@ -294,14 +278,14 @@ class ControlSettings(Section):
         description="How far the block may be off in the world before control points are measured (one "
         "sigma), metres; the window of the search is three times as large",
     )
-    least_board_px: Annotated[float, Field(ge=5, le=1000)] = Field(
-        default=8.0, description="Least height of a board that is measured, pixels"
+    least_board_px: float = Field(
+        default=8.0, ge=5, le=1000, description="Least height of a board that is measured, pixels"
     )
-    least_score: Annotated[float, Field(ge=0.3, lt=1)] = Field(
-        default=0.7, description="Least correlation of a picture with a checker"
+    least_score: float = Field(
+        default=0.7, ge=0.3, lt=1, description="Least correlation of a picture with a checker"
     )
-    least_images: Annotated[int, Field(ge=2, le=50)] = Field(
-        default=3, description="Images that must agree on where a board is"
+    least_images: int = Field(
+        default=3, ge=2, le=50, description="Images that must agree on where a board is"
     )
 
     @property
@@ -334,8 +318,10 @@ class CameraCloud(Section):
         description="Where the model of the clock is from: the calibration that `mounts.calibration` names, "
         "the survey's own images and positions, or `both`, weighted",
     )
-    images_together: Annotated[int, Field(ge=20, le=1000)] = Field(
+    images_together: int = Field(
         default=200,
+        ge=20,
+        le=1000,
         description="Images whose times are estimated in one step; time grows with the cube of it, memory "
         "with the square",
     )
@@ -344,8 +330,8 @@ class CameraCloud(Section):
         description="`half_rotation`: poses only within `half_rotation_s` of an image, one lidar frame an "
         "image (P2); `bridge`: everywhere between images that are at most `max_gap_s` apart",
     )
-    half_rotation_s: Annotated[float, Field(gt=0, le=1)] = Field(
-        default=0.05, description="Half a rotation of the lidar, seconds; 0.05 at 10 Hz"
+    half_rotation_s: float = Field(
+        default=0.05, gt=0, le=1, description="Half a rotation of the lidar, seconds; 0.05 at 10 Hz"
     )
     max_gap_s: Positive = Field(
         default=2.5, le=60, description="Images that are farther apart are not joined, seconds"
@@ -396,8 +382,10 @@ class CameraCloud(Section):
     fixed: tuple[FixedCarrier, ...] = Field(
         default=(), description="Settings of this section that are taken as stated all the same"
     )
-    outlier_probability: Annotated[float, Field(ge=0, lt=0.1)] = Field(
+    outlier_probability: float = Field(
         default=1e-6,
+        ge=0,
+        lt=0.1,
         description="Chance that a good image is left out because it contradicts its neighbours and the INS; "
         "0: none is",
     )
@@ -594,8 +582,11 @@ class Rig(Section):
     back: RigLens = Field(
         default=RigLens(box_px=(640, 0, 640, 640), turn_deg=180), description="The lens opposite"
     )
-    field_of_view_deg: Annotated[float, Field(gt=10, lt=300)] = Field(
-        default=202.0, description="Full angle of the image circles, or of wide enough a cone, degrees"
+    field_of_view_deg: float = Field(
+        default=202.0,
+        gt=10,
+        lt=300,
+        description="Full angle of the image circles, or of wide enough a cone, degrees",
     )
     mount: CameraMount = Field(
         default=CameraMount(), description="Front lens in the body frame of the INS, see `mounts.camera`"
@@ -616,14 +607,16 @@ class Panorama(Section):
     width_px: Annotated[int, Field(ge=64, le=32_768, multiple_of=2)] | None = Field(
         default=None, description="Width, pixels; null: as fine as the lenses in their middle"
     )
-    every: Annotated[int, Field(ge=1, le=10_000)] = Field(
-        default=1, description="A panorama of each so many exposures"
-    )
+    every: int = Field(default=1, ge=1, le=10_000, description="A panorama of each so many exposures")
     reach_m: Positive = Field(
         default=80.0, le=1000, description="Points of the cloud so near are ranges of a panorama, metres"
     )
-    cell_deg: Annotated[float, Field(ge=0.05, le=5, allow_inf_nan=False)] = Field(
-        default=0.5, description="Cells in which the nearest point is looked for, degrees"
+    cell_deg: float = Field(
+        default=0.5,
+        ge=0.05,
+        le=5,
+        allow_inf_nan=False,
+        description="Cells in which the nearest point is looked for, degrees",
     )
     gap_deg: NonNegative = Field(
         default=6.0, le=45, description="Gaps of the cloud so wide are filled from their border, degrees"
@@ -631,6 +624,4 @@ class Panorama(Section):
     boat: Literal["keep", "mask"] = Field(
         default="keep", description="What the masks of the lenses hide: kept in the picture, or grey"
     )
-    jpeg_quality: Annotated[int, Field(ge=1, le=100)] = Field(
-        default=92, description="Quality of the JPEG files, 1 to 100"
-    )
+    jpeg_quality: int = Field(default=92, ge=1, le=100, description="Quality of the JPEG files, 1 to 100")

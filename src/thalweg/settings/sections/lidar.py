@@ -205,8 +205,12 @@ class Filters(Section):
         default=True,
         description="Name points below the water mirror ghosts if their mirror image lies on the cloud",
     )
-    isolated_radius_m: Annotated[float, Field(ge=0.05, le=20, allow_inf_nan=False)] = Field(
-        default=0.5, description="Radius of the neighbourhood of a point, metres"
+    isolated_radius_m: float = Field(
+        default=0.5,
+        ge=0.05,
+        le=20,
+        allow_inf_nan=False,
+        description="Radius of the neighbourhood of a point, metres",
     )
     isolated_neighbours: int = Field(
         default=3,
@@ -247,8 +251,12 @@ class Georeferencing(Section):
     chunk_points: int = Field(
         default=1_000_000, ge=10_000, le=50_000_000, description="Points held in memory at a time"
     )
-    laz_scale_m: Annotated[float, Field(ge=1e-5, le=0.01, allow_inf_nan=False)] = Field(
-        default=0.001, description="Resolution of coordinates in LAZ files, metres"
+    laz_scale_m: float = Field(
+        default=0.001,
+        ge=1e-5,
+        le=0.01,
+        allow_inf_nan=False,
+        description="Resolution of coordinates in LAZ files, metres",
     )
     correlations: bool = Field(
         default=False,
@@ -285,8 +293,12 @@ class Colour(Section):
     even_exposures: bool = Field(
         default=True, description="Bring photographs to one exposure by the points that several of them show"
     )
-    cell_deg: Annotated[float, Field(ge=0.02, le=5, allow_inf_nan=False)] = Field(
-        default=0.3, description="Cells in which the nearest thing of a photograph is looked for, degrees"
+    cell_deg: float = Field(
+        default=0.3,
+        ge=0.02,
+        le=5,
+        allow_inf_nan=False,
+        description="Cells in which the nearest thing of a photograph is looked for, degrees",
     )
     step_m: NonNegative = Field(
         default=0.15,

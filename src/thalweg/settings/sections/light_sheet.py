@@ -121,14 +121,15 @@ class SheetLines(Section):
 class SheetPieces(Section):
     """The line on the grid object: short pieces, level beside level; see `thalweg.lightsheet.lines`."""
 
-    link_gap_rows: Annotated[int, Field(ge=0)] = Field(
-        default=0, description="Rows that a piece may miss; more joins pieces of neighbouring levels"
+    link_gap_rows: int = Field(
+        default=0, ge=0, description="Rows that a piece may miss; more joins pieces of neighbouring levels"
     )
-    least_rows: Annotated[int, Field(ge=1)] = Field(
-        default=5, description="Rows that a piece needs to be kept; a bar of the grid shows few"
+    least_rows: int = Field(
+        default=5, ge=1, description="Rows that a piece needs to be kept; a bar of the grid shows few"
     )
-    largest_rows: Annotated[int, Field(ge=1)] = Field(
+    largest_rows: int = Field(
         default=7,
+        ge=1,
         description="Largest height of the patch of `speckle_patch`, odd; below the height of a piece",
     )
 
@@ -136,8 +137,11 @@ class SheetPieces(Section):
 class SheetCalibration(Section):
     """Calibration of the light sheet from the grid object (P3 2.4, P4 4.3)."""
 
-    levels: Annotated[int, Field(ge=2, le=3)] = Field(
-        default=2, description="Levels of the grid object: so many pieces of line may lie side by side"
+    levels: int = Field(
+        default=2,
+        ge=2,
+        le=3,
+        description="Levels of the grid object: so many pieces of line may lie side by side",
     )
     pieces: SheetPieces = Field(
         default=SheetPieces(), description="How the line is measured in the images of the grid object"
@@ -169,14 +173,14 @@ class SheetWater(Section):
     sigma_temperature_c: NonNegative = Field(
         default=0.5, description="Standard deviation of the temperature, degrees Celsius"
     )
-    salinity_psu: Annotated[float, Field(ge=0, le=40)] = Field(
-        default=0.0, description="Salinity, parts per thousand: 0 in a river, 35 in the sea"
+    salinity_psu: float = Field(
+        default=0.0, ge=0, le=40, description="Salinity, parts per thousand: 0 in a river, 35 in the sea"
     )
     sigma_salinity_psu: NonNegative = Field(
         default=0.1, description="Standard deviation of the salinity, parts per thousand"
     )
-    wavelength_nm: Annotated[float, Field(ge=420, le=700)] = Field(
-        default=520.0, description="Wavelength of the laser in vacuum, nanometres"
+    wavelength_nm: float = Field(
+        default=520.0, ge=420, le=700, description="Wavelength of the laser in vacuum, nanometres"
     )
     sigma_wavelength_nm: NonNegative = Field(
         default=3.0, description="Standard deviation of the wavelength, nanometres; diodes differ by so much"

@@ -91,11 +91,11 @@ def interior_stream(folder: str) -> str:
 class BasePosition(Section):
     """Geodetic position of the base antenna."""
 
-    lat_deg: Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)] = Field(
-        description="Latitude of the base antenna, degrees"
+    lat_deg: float = Field(
+        ge=-90, le=90, allow_inf_nan=False, description="Latitude of the base antenna, degrees"
     )
-    lon_deg: Annotated[float, Field(ge=-180, le=180, allow_inf_nan=False)] = Field(
-        description="Longitude of the base antenna, degrees"
+    lon_deg: float = Field(
+        ge=-180, le=180, allow_inf_nan=False, description="Longitude of the base antenna, degrees"
     )
     h_ell_m: Finite = Field(ge=-500, le=9000, description="Ellipsoidal height of the base antenna, metres")
 

@@ -52,8 +52,8 @@ class Ins(Section):
 class Ppk(Section):
     """Post-processing of raw GNSS with RTKLIB; used if `orientation.position_source` is `ppk`."""
 
-    elevation_mask_deg: Annotated[float, Field(ge=0, le=60, allow_inf_nan=False)] = Field(
-        default=15.0, description="Satellites below are left out, degrees"
+    elevation_mask_deg: float = Field(
+        default=15.0, ge=0, le=60, allow_inf_nan=False, description="Satellites below are left out, degrees"
     )
     systems: Annotated[tuple[GnssSystem, ...], Field(min_length=1)] | Literal["auto"] = Field(
         default="auto",
@@ -73,8 +73,12 @@ class Ppk(Section):
     direction: Literal["forward", "backward", "combined"] = Field(
         default="forward", description="Direction of the filter through the log"
     )
-    ratio_threshold: Annotated[float, Field(ge=1, lt=1000, allow_inf_nan=False)] = Field(
-        default=3.0, description="Ratio test: second-best over best residual needed for a fix"
+    ratio_threshold: float = Field(
+        default=3.0,
+        ge=1,
+        lt=1000,
+        allow_inf_nan=False,
+        description="Ratio test: second-best over best residual needed for a fix",
     )
     iono: Literal["off", "brdc", "dual-freq", "est-stec"] = Field(
         default="brdc", description="Model of the ionosphere, in RTKLIB's words"
@@ -83,8 +87,12 @@ class Ppk(Section):
         default="saas", description="Model of the troposphere, in RTKLIB's words"
     )
     dynamics: bool = Field(default=False, description="Estimate velocity and acceleration in the filter")
-    max_age_s: Annotated[float, Field(gt=0, le=3600, allow_inf_nan=False)] = Field(
-        default=30.0, description="Older base observations are not used, seconds"
+    max_age_s: float = Field(
+        default=30.0,
+        gt=0,
+        le=3600,
+        allow_inf_nan=False,
+        description="Older base observations are not used, seconds",
     )
     trusted_baseline_km: Positive = Field(
         default=20.0,
@@ -105,11 +113,14 @@ class ErrorModel(Section):
         description="Sizes and correlation times of the errors are estimated from surfaces that the lidar "
         "saw again; what is stated is prior knowledge. `false`: it is taken as certain",
     )
-    spread: Annotated[float, Field(gt=1, le=10)] = Field(
-        default=2.0, description="Stated sigmas may be wrong by this factor (one sigma of its logarithm)"
+    spread: float = Field(
+        default=2.0,
+        gt=1,
+        le=10,
+        description="Stated sigmas may be wrong by this factor (one sigma of its logarithm)",
     )
-    time_spread: Annotated[float, Field(gt=1, le=20)] = Field(
-        default=3.0, description="The correlation times below may be wrong by this factor"
+    time_spread: float = Field(
+        default=3.0, gt=1, le=20, description="The correlation times below may be wrong by this factor"
     )
     position_time_s: Positive = Field(
         default=10.0,
@@ -121,8 +132,10 @@ class ErrorModel(Section):
         le=3600,
         description="Correlation time of the attitude errors, seconds; presumed, no data sheet has it",
     )
-    white_share: Annotated[float, Field(ge=0.01, le=0.99)] = Field(
+    white_share: float = Field(
         default=0.25,
+        ge=0.01,
+        le=0.99,
         description="Share of the positions' variance that is new in each epoch; presumed, no data sheet has "
         "it; as wide as sizes",
     )
@@ -265,20 +278,29 @@ class Fused(Section):
     fixed: tuple[FixedError, ...] = Field(
         default=(), description="Settings of this section that are taken as stated all the same"
     )
-    outlier_probability: Annotated[float, Field(gt=0, le=0.05)] = Field(
-        default=1e-4, description="An observation whose error is less probable than this is rejected"
+    outlier_probability: float = Field(
+        default=1e-4,
+        gt=0,
+        le=0.05,
+        description="An observation whose error is less probable than this is rejected",
     )
     node_s: Positive = Field(
         default=1.0, le=60, description="Greatest interval of the nodes between observations, seconds"
     )
-    max_iterations: Annotated[int, Field(ge=4, le=100)] = Field(
-        default=30, description="Greatest number of solutions until weights, sigmas and poses stand"
+    max_iterations: int = Field(
+        default=30,
+        ge=4,
+        le=100,
+        description="Greatest number of solutions until weights, sigmas and poses stand",
     )
     max_sigma_position_m: Positive = Field(
         default=0.15,
         le=100,
         description="The trajectory is valid where each coordinate is known this well, metres",
     )
-    max_sigma_attitude_deg: Annotated[float, Field(gt=0, le=45)] = Field(
-        default=2.0, description="The trajectory is valid where each angle is known this well, degrees"
+    max_sigma_attitude_deg: float = Field(
+        default=2.0,
+        gt=0,
+        le=45,
+        description="The trajectory is valid where each angle is known this well, degrees",
     )

@@ -30,8 +30,8 @@ from thalweg.calibration.camera_lidar import (
 from thalweg.calibration.field import FieldDescription, FieldPoints, measure_field, parse_field
 from thalweg.core import Camera, GeometryError, LocalFrame, Rigid, ThalwegError
 from thalweg.settings.sections import LidarAccuracy
-from thalweg.settings.twin import TwinConfig
 from thalweg_lab.random_numbers import generator
+from thalweg_lab.settings import TwinConfig
 from thalweg_lab.studies import Result, Seed, Study, Tables
 from thalweg_lab.voyage import FieldRun, standing, true_mounts
 from thalweg_lab.yard import Field, build_field, tour

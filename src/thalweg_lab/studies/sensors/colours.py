@@ -31,10 +31,10 @@ from thalweg.images.model import ImagePoses
 from thalweg.lidar import EXTRA_DIMENSIONS, Photographs, check_colours, colour_cloud
 from thalweg.panorama import rig_photographs, sphere_rays
 from thalweg.settings.sections import Colour, Rig as RigSettings
-from thalweg.settings.twin import TwinConfig, TwinDualFisheye
 from thalweg_lab.dual_fisheye import simulate_dual_fisheye, true_rig
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.river import Scene, simulate_scene
+from thalweg_lab.settings import TwinConfig, TwinDualFisheye
 from thalweg_lab.truth import judge_colours
 from thalweg_lab.voyage import write_true_mounts
 

@@ -46,8 +46,8 @@ from thalweg.lightsheet.multi_line import (
     nested_tests,
 )
 from thalweg.lightsheet.optics import Sensor, paper_4, read_sensor
-from thalweg.settings.twin import SheetImage, TwinConfig, TwinLightSheet
 from thalweg_lab.random_numbers import generator
+from thalweg_lab.settings import SheetImage, TwinConfig, TwinLightSheet
 from thalweg_lab.studies import Result, Seed, Study, Tables
 from thalweg_lab.tank import (
     WINDOW_MARKERS,

@@ -24,9 +24,9 @@ from thalweg.core import ArrayF, Camera, Rigid, exp_rotation, rotation_vector
 from thalweg.images.bundle import AdjustedBlock, Problem, adjust_block, pose_covariance, rig_frames
 from thalweg.images.model import ControlMarks, ControlPoints, ImageBlock
 from thalweg.settings.sections import BlockAdjustment, Rig as RigSettings
-from thalweg.settings.twin import TwinDualFisheye
 from thalweg_lab.dual_fisheye import TrueRig, room_marks, room_points, true_rig
 from thalweg_lab.random_numbers import generator
+from thalweg_lab.settings import TwinDualFisheye
 from thalweg_lab.studies import Result, Seed, Study, Tables
 from thalweg_lab.studies.sensors.colours import colour_errors, colour_table
 

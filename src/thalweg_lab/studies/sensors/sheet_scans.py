@@ -40,9 +40,9 @@ from thalweg.lightsheet.scanning import (
     mesh_distances,
     profile,
 )
-from thalweg.settings.twin import SheetImage
 from thalweg.surface import Surface
 from thalweg_lab.random_numbers import generator
+from thalweg_lab.settings import SheetImage
 from thalweg_lab.studies import Result, Seed, Study, Tables
 from thalweg_lab.tank import (
     SIGMA_MARK_MM,

@@ -1,3 +1,4 @@
+from .checks import check_sheet_twin as check_sheet_twin, twin_mistakes as twin_mistakes
 from .survey import (
     Change as Change,
     Stream as Stream,

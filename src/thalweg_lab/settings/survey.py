@@ -32,7 +32,7 @@ from thalweg.settings.sections import (
     Sigma3,
     Vector3,
 )
-from thalweg.settings.twin.yard import TwinField, TwinLightSheet, TwinSheetStrip
+from thalweg_lab.settings.yard import TwinField, TwinLightSheet, TwinSheetStrip
 
 # ---------------------------------------------------------------- river, banks and boat
 
@@ -57,78 +57,90 @@ one those of boulders, `bank_retreat`, both niches (an overhang, and what is lef
 class TwinScene(Section):
     """The river reach: railway embankment on the right, meadow on the left (P2: Freiberger Mulde)."""
 
-    length_m: Annotated[float, Field(ge=20, le=2000)] = Field(
-        default=250.0, description="Length of the modelled reach along the flow, metres"
+    length_m: float = Field(
+        default=250.0, ge=20, le=2000, description="Length of the modelled reach along the flow, metres"
     )
-    width_m: Annotated[float, Field(ge=6, le=200)] = Field(
-        default=40.0, description="Mean width of the water, metres"
-    )
-    depth_m: Annotated[float, Field(ge=0.5, le=20)] = Field(
-        default=2.2, description="Mean depth of the thalweg below the water level, metres"
+    width_m: float = Field(default=40.0, ge=6, le=200, description="Mean width of the water, metres")
+    depth_m: float = Field(
+        default=2.2, ge=0.5, le=20, description="Mean depth of the thalweg below the water level, metres"
     )
     water_level_m: Finite = Field(
         default=0.0,
         description="Height above the origin of the campaign, metres, of the water for which the ground is "
         "made; the ground moves with it",
     )
-    stage_m: Annotated[float, Field(ge=-2, le=0.8)] = Field(
+    stage_m: float = Field(
         default=0.0,
+        ge=-2,
+        le=0.8,
         description="Water level of the day above `water_level_m`, metres; water and boat move by it, the "
         "ground stays",
     )
     flow_deg: Angle = Field(
         default=0.0, description="Mean direction of the flow, degrees from east, counter-clockwise"
     )
-    meander_deg: Annotated[float, Field(ge=0, le=20)] = Field(
-        default=6.0, description="Greatest angle between flow and valley (sine-generated curve), degrees"
+    meander_deg: float = Field(
+        default=6.0,
+        ge=0,
+        le=20,
+        description="Greatest angle between flow and valley (sine-generated curve), degrees",
     )
-    meander_length_m: Annotated[float, Field(ge=50, le=5000)] = Field(
-        default=240.0, description="Wavelength of the meander along the flow, metres"
+    meander_length_m: float = Field(
+        default=240.0, ge=50, le=5000, description="Wavelength of the meander along the flow, metres"
     )
-    shelf_width_m: Annotated[float, Field(ge=0, le=20)] = Field(
+    shelf_width_m: float = Field(
         default=2.5,
+        ge=0,
+        le=20,
         description="Mean width of the shallow shelf along both shores, metres; wider on inner bends",
     )
-    shelf_depth_m: Annotated[float, Field(ge=0.02, le=2)] = Field(
-        default=0.3, description="Depth at the outer edge of the shelf, metres"
+    shelf_depth_m: float = Field(
+        default=0.3, ge=0.02, le=2, description="Depth at the outer edge of the shelf, metres"
     )
     sections: tuple[tuple[Share, ...], ...] = Field(
         default=(),
         description="Cross-sections in place of shelf, thalweg and pools, evenly spaced down the reach: "
         "depths at even steps from the right to the left shore, as shares of `depth_m`",
     )
-    embankment_height_m: Annotated[float, Field(ge=1, le=30)] = Field(
-        default=6.0, description="Height of the right bank above the water, metres"
+    embankment_height_m: float = Field(
+        default=6.0, ge=1, le=30, description="Height of the right bank above the water, metres"
     )
-    embankment_slope_deg: Annotated[float, Field(ge=10, le=60)] = Field(
-        default=33.0, description="Slope of the right bank, degrees"
+    embankment_slope_deg: float = Field(
+        default=33.0, ge=10, le=60, description="Slope of the right bank, degrees"
     )
     roughness_m: NonNegative = Field(
         default=0.06,
         le=1,
         description="Amplitude of the roughness of the banks, metres; half of it on the bed",
     )
-    grid_m: Annotated[float, Field(ge=0.02, le=2)] = Field(
+    grid_m: float = Field(
         default=0.05,
+        ge=0.02,
+        le=2,
         description="Grid step of the terrain within a metre of the shores, metres; coarser further away",
     )
     weir: bool = Field(default=False, description="Whether a weir closes the reach")
-    weir_place: Annotated[float, Field(ge=-1, le=1)] = Field(
-        default=0.92, description="Where the weir stands, as a share of the half length; 1: lower end"
+    weir_place: float = Field(
+        default=0.92,
+        ge=-1,
+        le=1,
+        description="Where the weir stands, as a share of the half length; 1: lower end",
     )
     weir_pool_m: NonNegative = Field(
         default=1.8, le=20, description="How much deeper the bed is before the weir, metres"
     )
     bridge: bool = Field(default=False, description="Whether a bridge crosses the river")
-    bridge_place: Annotated[float, Field(ge=-1, le=1)] = Field(
-        default=-0.35, description="Where the bridge stands, as a share of the half length"
+    bridge_place: float = Field(
+        default=-0.35, ge=-1, le=1, description="Where the bridge stands, as a share of the half length"
     )
     railway: bool = Field(default=True, description="Whether a track lies on the embankment")
-    water_fall_m_per_km: Annotated[float, Field(ge=0, le=20)] = Field(
-        default=0.0, description="Fall of water and ground along the reach, metres a kilometre"
+    water_fall_m_per_km: float = Field(
+        default=0.0, ge=0, le=20, description="Fall of water and ground along the reach, metres a kilometre"
     )
-    water_rise_m_per_h: Annotated[float, Field(ge=-2, le=2)] = Field(
+    water_rise_m_per_h: float = Field(
         default=0.0,
+        ge=-2,
+        le=2,
         description="Rise of the water while the boat sails, metres an hour, about its level half way; "
         "boat and depths follow, the water in the scene does not",
     )
@@ -156,18 +168,22 @@ class TwinScene(Section):
     reeds_per_m: NonNegative = Field(
         default=6.0, le=200, description="Stalks of reed in the margins per metre of reach"
     )
-    leaves_per_bush: Annotated[int, Field(ge=10, le=20000)] = Field(
-        default=600, description="Leaves of a bush of mean size; fewer leaves are larger ones"
+    leaves_per_bush: int = Field(
+        default=600,
+        ge=10,
+        le=20000,
+        description="Leaves of a bush of mean size; fewer leaves are larger ones",
     )
-    leaves_per_tree: Annotated[int, Field(ge=10, le=100000)] = Field(
-        default=5000, description="Leaves of a tree of mean size; fewer leaves are larger ones"
+    leaves_per_tree: int = Field(
+        default=5000,
+        ge=10,
+        le=100000,
+        description="Leaves of a tree of mean size; fewer leaves are larger ones",
     )
     posts_per_100m: NonNegative = Field(
         default=12.0, le=1000, description="Posts on both banks per 100 m of reach"
     )
-    buildings: Annotated[int, Field(ge=0, le=50)] = Field(
-        default=3, description="Buildings behind the left bank"
-    )
+    buildings: int = Field(default=3, ge=0, le=50, description="Buildings behind the left bank")
     seed: Annotated[int, Field(ge=0, lt=2**31)] | None = Field(
         default=None,
         description="Seed of the river, for a second epoch with errors of its own; without it the campaign's",
@@ -176,8 +192,10 @@ class TwinScene(Section):
         default=(),
         description="What this epoch has beside the plain river; all the rest is the same to the last bit",
     )
-    retreat_m: Annotated[float, Field(ge=0, le=15)] = Field(
+    retreat_m: float = Field(
         default=7.0,
+        ge=0,
+        le=15,
         description="Greatest retreat of the left bank by `undercut_bank` and of the right one by "
         "`bank_retreat`, metres (T 4.1: 7)",
     )
@@ -195,14 +213,15 @@ class TwinScene(Section):
 class TwinBoat(Section):
     """True motion: zigzag between the banks, and the swaying of a small boat."""
 
-    speed_mps: Annotated[float, Field(gt=0, le=10)] = Field(
-        default=0.4, description="Speed over ground, m/s (P2: 0.4)"
+    speed_mps: float = Field(default=0.4, gt=0, le=10, description="Speed over ground, m/s (P2: 0.4)")
+    turn_rate_degps: float = Field(
+        default=7.0,
+        gt=0,
+        le=60,
+        description="Greatest turn rate of the course, degrees/s (P2: 7); yawing comes on top",
     )
-    turn_rate_degps: Annotated[float, Field(gt=0, le=60)] = Field(
-        default=7.0, description="Greatest turn rate of the course, degrees/s (P2: 7); yawing comes on top"
-    )
-    zigzag_deg: Annotated[float, Field(ge=0, le=80)] = Field(
-        default=50.0, description="Angle between the legs of the zigzag and the flow, degrees"
+    zigzag_deg: float = Field(
+        default=50.0, ge=0, le=80, description="Angle between the legs of the zigzag and the flow, degrees"
     )
     pattern: Literal["zigzag", "sections", "along"] = Field(
         default="zigzag",
@@ -215,8 +234,10 @@ class TwinBoat(Section):
     bank_distance_m: Positive = Field(
         default=6.0, le=100, description="Distance from the shores at which the boat turns, metres"
     )
-    course_offset_m: Annotated[float, Field(ge=-50, le=50)] = Field(
+    course_offset_m: float = Field(
         default=0.0,
+        ge=-50,
+        le=50,
         description="The course lies so far left of the middle of the river, metres; its zigzag is narrower "
         "by as much on both sides",
     )
@@ -243,9 +264,7 @@ class TwinBoat(Section):
 class TwinIns(Section):
     """Advanced Navigation Spatial."""
 
-    rate_hz: Annotated[float, Field(ge=1, le=1000)] = Field(
-        default=50.0, description="Rate of the state packets, Hz"
-    )
+    rate_hz: float = Field(default=50.0, ge=1, le=1000, description="Rate of the state packets, Hz")
     sigma_roll_deg: NonNegative = Field(default=0.1, le=10, description="Error of roll, degrees (T 2.2.1)")
     sigma_pitch_deg: NonNegative = Field(default=0.1, le=10, description="Error of pitch, degrees (T 2.2.1)")
     sigma_heading_deg: NonNegative = Field(
@@ -315,7 +334,7 @@ class TwinGnss(Section):
         default="ppk",
         description="`ppk`: carrier phases and a base (P2, T); `single_frequency`: code only, no base (P1)",
     )
-    rate_hz: Annotated[float, Field(ge=0.1, le=50)] = Field(default=10.0, description="Rate of positions, Hz")
+    rate_hz: float = Field(default=10.0, ge=0.1, le=50, description="Rate of positions, Hz")
     base_km: Positive = Field(
         default=1.0,
         le=1000,
@@ -350,8 +369,8 @@ class TwinGnss(Section):
         description="Leaves dim satellites; banks, walls, trunks and bridges hide them. Solutions become "
         "float, single or none, errors and sigmas grow with the dilution of precision",
     )
-    mask_deg: Annotated[float, Field(ge=0, le=60)] = Field(
-        default=10.0, description="Elevation below which satellites are not used, degrees"
+    mask_deg: float = Field(
+        default=10.0, ge=0, le=60, description="Elevation below which satellites are not used, degrees"
     )
     refix_s: NonNegative = Field(
         default=10.0, le=600, description="Time to fix ambiguities again when the sky is free again, seconds"
@@ -374,12 +393,15 @@ class TwinGnss(Section):
 class TwinEcho(Section):
     """Single-beam echo sounder."""
 
-    rate_hz: Annotated[float, Field(gt=0, le=50)] = Field(default=10.0, description="Soundings per second")
+    rate_hz: float = Field(default=10.0, gt=0, le=50, description="Soundings per second")
     sigma_m: NonNegative = Field(default=0.02, le=1, description="Noise of the depth, metres")
     offset_m: Finite = Field(default=0.1, description="Offset in DPT: transducer to water line, metres")
     max_depth_m: Positive = Field(default=100.0, description="Range scale, metres")
-    beam_deg: Annotated[float, Field(ge=0, le=60)] = Field(
-        default=0.0, description="Full opening angle of the beam, first return in it; degrees; 0: a ray"
+    beam_deg: float = Field(
+        default=0.0,
+        ge=0,
+        le=60,
+        description="Full opening angle of the beam, first return in it; degrees; 0: a ray",
     )
     boulders: bool = Field(
         default=False,
@@ -389,12 +411,14 @@ class TwinEcho(Section):
         default=(0.0, 0.0),
         description="True direction of the beam against the body's down axis, forward and right, degrees",
     )
-    latency_s: Annotated[float, Field(ge=0, le=2)] = Field(
+    latency_s: float = Field(
         default=0.0,
+        ge=0,
+        le=2,
         description="How much later than its ping a depth is stamped, without the filters; seconds",
     )
-    water_temperature_c: Annotated[float, Field(ge=0, le=40)] = Field(
-        default=10.0, description="True temperature of the water, degrees Celsius"
+    water_temperature_c: float = Field(
+        default=10.0, ge=0, le=40, description="True temperature of the water, degrees Celsius"
     )
     assumed_sound_speed_mps: Annotated[float, Field(ge=1000, le=2000)] | None = Field(
         default=None,
@@ -420,11 +444,14 @@ class TwinEcho(Section):
     zeros: bool = Field(
         default=False, description="A ping without bottom is written as depth 0; false: nothing is written"
     )
-    median_pings: Annotated[int, Field(ge=1, le=21)] = Field(
-        default=1, description="The instrument's running median over its last pings; 1: none"
+    median_pings: int = Field(
+        default=1, ge=1, le=21, description="The instrument's running median over its last pings; 1: none"
     )
-    average_pings: Annotated[int, Field(ge=1, le=12)] = Field(
-        default=1, description="The instrument's running mean over its last pings, after the median; 1: none"
+    average_pings: int = Field(
+        default=1,
+        ge=1,
+        le=12,
+        description="The instrument's running mean over its last pings, after the median; 1: none",
     )
     temperature_sentences: bool = Field(
         default=False, description="Temperature of the water once a second (MTW)"
@@ -438,8 +465,8 @@ class TwinEcho(Section):
     bed_survey: bool = Field(
         default=False, description="Points of the bed are surveyed with an RTK pole in shallow water"
     )
-    sigma_bed_m: Annotated[float, Field(gt=0, le=1)] = Field(
-        default=0.02, description="Error of a surveyed point in each coordinate, metres"
+    sigma_bed_m: float = Field(
+        default=0.02, gt=0, le=1, description="Error of a surveyed point in each coordinate, metres"
     )
     sigma_bed_datum_m: NonNegative = Field(
         default=0.005, le=1, description="Common error of the heights of all surveyed points, metres"
@@ -449,11 +476,9 @@ class TwinEcho(Section):
 class TwinUav(Section):
     """Cloud of the surroundings from pictures of a drone."""
 
-    spacing_m: Annotated[float, Field(ge=0.05, le=5)] = Field(
-        default=0.25, description="Mean distance of its points, metres"
-    )
-    reach_m: Annotated[float, Field(gt=0, le=60)] = Field(
-        default=40.0, description="How far it reaches behind the mean shores, metres"
+    spacing_m: float = Field(default=0.25, ge=0.05, le=5, description="Mean distance of its points, metres")
+    reach_m: float = Field(
+        default=40.0, gt=0, le=60, description="How far it reaches behind the mean shores, metres"
     )
     sigma_m: NonNegative = Field(
         default=0.03, le=1, description="Noise of heights on firm ground, half of it in position, metres"
@@ -486,8 +511,10 @@ class EchoFaults(Section):
         default=True,
         description="Echoes that are too weak for their range are lost, those near the limit by chance",
     )
-    detection_width: Annotated[float, Field(ge=0, le=1)] = Field(
+    detection_width: float = Field(
         default=0.2,
+        ge=0,
+        le=1,
         description="Noise of the received signal at the limit of detection, as a share of the limit",
     )
     wet_band_m: NonNegative = Field(
@@ -499,9 +526,7 @@ class TwinLidar(EchoFaults):
     """Velodyne VLP-16."""
 
     returns: Literal["strongest", "last", "dual"] = Field(default="strongest", description="Return mode")
-    rotation_hz: Annotated[float, Field(ge=5, le=20)] = Field(
-        default=10.0, description="Revolutions per second"
-    )
+    rotation_hz: float = Field(default=10.0, ge=5, le=20, description="Revolutions per second")
     sigma_range_m: NonNegative = Field(
         default=0.0173, le=1, description="Noise of the range, metres (3 cm / sqrt 3, P2 eq. 7)"
     )
@@ -520,9 +545,7 @@ class TwinLidar(EchoFaults):
     speckle_cells: Cells = Field(
         default=3, description="Parts of the footprint that shine independently of each other (speckle)"
     )
-    max_range_m: Annotated[float, Field(gt=0, le=130)] = Field(
-        default=100.0, description="Longest range with a return, metres"
-    )
+    max_range_m: float = Field(default=100.0, gt=0, le=130, description="Longest range with a return, metres")
     dropouts: Share = Field(
         default=0.005, description="Share of all shots except those on water that are lost by chance"
     )
@@ -535,8 +558,11 @@ class TwinLidar(EchoFaults):
     mirror_ghosts: bool = Field(
         default=True, description="Water mirrors beams onto the bank, which then appears below the water"
     )
-    wave_slope: Annotated[float, Field(ge=0, le=0.3)] = Field(
-        default=0.03, description="Rms slope of the waves that mirror the beams; 0: a flat mirror"
+    wave_slope: float = Field(
+        default=0.03,
+        ge=0,
+        le=0.3,
+        description="Rms slope of the waves that mirror the beams; 0: a flat mirror",
     )
     own_hull: bool = Field(
         default=True, description="The boat is in the way of beams and returns some of them"
@@ -545,8 +571,8 @@ class TwinLidar(EchoFaults):
         default=True,
         description="Lasers leave at the heights of the manual's table; false: all at the centre",
     )
-    position_rate_hz: Annotated[float, Field(gt=0, le=1000)] = Field(
-        default=50.0, description="Rate of the position packets, Hz"
+    position_rate_hz: float = Field(
+        default=50.0, gt=0, le=1000, description="Rate of the position packets, Hz"
     )
     host_clock_offset_s: Finite = Field(
         default=0.4, description="Recording computer's clock minus UTC, seconds"
@@ -563,8 +589,8 @@ class TwinLidar(EchoFaults):
 class TwinTls(EchoFaults):
     """Terrestrial laser scans of the right bank from stations on the left bank: Riegl VZ-400i (P2 5.1)."""
 
-    spacing_m: Annotated[float, Field(ge=0.005, le=1)] = Field(
-        default=0.025, description="Point spacing on the right shore across the beam, metres"
+    spacing_m: float = Field(
+        default=0.025, ge=0.005, le=1, description="Point spacing on the right shore across the beam, metres"
     )
     sigma_50m_m: NonNegative = Field(
         default=0.003,
@@ -592,8 +618,8 @@ class TwinTls(EchoFaults):
     wavelength_nm: Literal[905, 1550] = Field(
         default=1550, description="Wavelength, nanometres: leaves and wet ground are darker at 1550"
     )
-    max_range_m: Annotated[float, Field(gt=0, le=1000)] = Field(
-        default=250.0, description="Longest range with a return, metres"
+    max_range_m: float = Field(
+        default=250.0, gt=0, le=1000, description="Longest range with a return, metres"
     )
     dropouts: Share = Field(default=0.0, description="Share of all other shots that are lost by chance")
     wet_reflectance: Share = Field(
@@ -644,16 +670,20 @@ class TwinLens(Section):
         description="True distortion, no unit: k1, k2, p1, p2, k3 of Brown in the order of OpenCV for "
         "`perspective`, k1, k2, k3, k4 of the equidistant model for `fisheye`",
     )
-    field_of_view_deg: Annotated[float, Field(gt=0, le=360)] = Field(
+    field_of_view_deg: float = Field(
         default=190.0,
+        gt=0,
+        le=360,
         description="Full angle of the image circle of a fisheye lens, degrees; other lenses have none",
     )
-    sharpness_px: Annotated[float, Field(ge=0, le=10)] = Field(
+    sharpness_px: float = Field(
         default=0.65,
+        ge=0,
+        le=10,
         description="Sigma of the Gaussian point spread function, pixels; 0: as sharp as the pixel",
     )
-    noise: Annotated[float, Field(ge=0, le=50)] = Field(
-        default=1.6, description="Sensor noise of a middle grey, steps of 8 bits; 0: none"
+    noise: float = Field(
+        default=1.6, ge=0, le=50, description="Sensor noise of a middle grey, steps of 8 bits; 0: none"
     )
     jpeg_quality: Quality = Field(default=92, description="Quality of the JPEG files, 1 to 100")
 
@@ -681,8 +711,11 @@ class TwinReference(TwinLens):
         default=(-0.081, 0.064, -0.0002, 0.0003, 0.0),
         description="True distortion, no unit, as of the boat's camera",
     )
-    n_images: Annotated[int, Field(ge=4, le=500)] = Field(
-        default=36, description="Images of the tour around the field; the two of the boat come on top"
+    n_images: int = Field(
+        default=36,
+        ge=4,
+        le=500,
+        description="Images of the tour around the field; the two of the boat come on top",
     )
     heights_m: tuple[Positive, Positive] = Field(
         default=(0.9, 2.1), description="Two heights of the camera above the ground, in turn, metres"
@@ -695,18 +728,17 @@ class TwinReference(TwinLens):
 class TwinDisplay(Section):
     """Photographs of a running clock: the test of the camera's clock (P2 6.1.2)."""
 
-    duration_s: Annotated[float, Field(ge=2, le=86_400)] = Field(
-        default=5400.0, description="Length of the test, seconds"
+    duration_s: float = Field(default=5400.0, ge=2, le=86_400, description="Length of the test, seconds")
+    interval_mean_s: float = Field(
+        default=0.999, ge=0.1, le=60, description="Mean time between two photographs, seconds"
     )
-    interval_mean_s: Annotated[float, Field(ge=0.1, le=60)] = Field(
-        default=0.999, description="Mean time between two photographs, seconds"
+    interval_std_s: float = Field(
+        default=0.023,
+        ge=0,
+        le=1,
+        description="Standard deviation of the time between two photographs, seconds",
     )
-    interval_std_s: Annotated[float, Field(ge=0, le=1)] = Field(
-        default=0.023, description="Standard deviation of the time between two photographs, seconds"
-    )
-    rate_hz: Annotated[float, Field(gt=0, le=1000)] = Field(
-        default=100.0, description="Rate at which the display counts, Hz"
-    )
+    rate_hz: float = Field(default=100.0, gt=0, le=1000, description="Rate at which the display counts, Hz")
     digits: Literal["segments", "font"] = Field(
         default="font",
         description="Look of the digits: seven segments that shine, or a font on a light window",
@@ -714,19 +746,19 @@ class TwinDisplay(Section):
     size_px: tuple[Side, Side] = Field(
         default=(320, 120), description="Width and height of a photograph, pixels"
     )
-    exposure_s: Annotated[float, Field(gt=0, le=0.1)] = Field(
+    exposure_s: float = Field(
         default=0.004,
+        gt=0,
+        le=0.1,
         description="Exposure: where the display changes in it, two numbers lie over each other; seconds",
     )
     glare: Share = Field(
         default=0.5, description="Strength of a reflex of the sun that wanders over the display; 0: none"
     )
-    blur_px: Annotated[float, Field(ge=0, le=10)] = Field(
-        default=0.9, description="Sigma of the blur of a good photograph, pixels"
+    blur_px: float = Field(
+        default=0.9, ge=0, le=10, description="Sigma of the blur of a good photograph, pixels"
     )
-    noise: Annotated[float, Field(ge=0, le=50)] = Field(
-        default=3.0, description="Image noise, steps of 8 bits"
-    )
+    noise: float = Field(default=3.0, ge=0, le=50, description="Image noise, steps of 8 bits")
     unreadable: Share = Field(
         default=0.02,
         description="Share of photographs spoiled by chance: shaken, out of focus, covered, burnt out",
@@ -737,22 +769,33 @@ class TwinDisplay(Section):
 class TwinCamera(TwinLens):
     """The boat's camera and its clock, the reflex camera and the display test."""
 
-    rate_hz: Annotated[float, Field(gt=0, le=60)] = Field(default=1.0, description="Images per second")
+    rate_hz: float = Field(default=1.0, gt=0, le=60, description="Images per second")
     clock_offset_s: Finite = Field(
         default=2.3471, description="Reading of the camera's clock minus UTC at the begin of the run, seconds"
     )
-    clock_drift_ppm: Annotated[float, Field(ge=-1000, le=1000)] = Field(
-        default=12.0, description="Rate of the camera's clock minus that of UTC, parts per million"
+    clock_drift_ppm: float = Field(
+        default=12.0,
+        ge=-1000,
+        le=1000,
+        description="Rate of the camera's clock minus that of UTC, parts per million",
     )
-    jitter_s: Annotated[float, Field(ge=0, le=1)] = Field(
+    jitter_s: float = Field(
         default=0.023,
+        ge=0,
+        le=1,
         description="Standard deviation of the true exposure about its stamp, seconds (P2 6.1.2)",
     )
-    interval_jitter_s: Annotated[float, Field(ge=0, le=1)] = Field(
-        default=0.004, description="Standard deviation of the stamps about even intervals, seconds"
+    interval_jitter_s: float = Field(
+        default=0.004,
+        ge=0,
+        le=1,
+        description="Standard deviation of the stamps about even intervals, seconds",
     )
-    exposure_s: Annotated[float, Field(ge=0, le=0.1)] = Field(
-        default=0.0008, description="Exposure: the moving boat smears its images by as much; seconds"
+    exposure_s: float = Field(
+        default=0.0008,
+        ge=0,
+        le=0.1,
+        description="Exposure: the moving boat smears its images by as much; seconds",
     )
     reference: TwinReference = Field(
         default=TwinReference(), description="Reflex camera for the reference of the calibration field"
@@ -791,8 +834,11 @@ class TimeLapseEffects(Section):
         default=0, description="Images that lie in the folder a second time, as copies of a file manager"
     )
     blurred: Images = Field(default=0, description="Images that are out of focus by several pixels")
-    swapped_points: Annotated[int, Field(ge=0, le=100)] = Field(
-        default=0, description="Pairs of control points whose names are swapped in the survey's table"
+    swapped_points: int = Field(
+        default=0,
+        ge=0,
+        le=100,
+        description="Pairs of control points whose names are swapped in the survey's table",
     )
 
 
@@ -803,37 +849,40 @@ class TwinTimeLapse(Section):
         default=(720, 540),
         description="Width and height of an image, pixels; the camera's lens with larger or smaller pixels",
     )
-    rate_hz: Annotated[float, Field(gt=0, le=60)] = Field(default=1.0, description="Images per second")
+    rate_hz: float = Field(default=1.0, gt=0, le=60, description="Images per second")
     share: Share = Field(
         default=1.0, description="Share of the voyage that images are taken of, from its begin"
     )
-    supersampling: Annotated[int, Field(ge=1, le=4)] = Field(
+    supersampling: int = Field(
         default=2,
+        ge=1,
+        le=4,
         description="Rays along each side of a pixel where something ends in it; 1: one ray a pixel, jagged",
     )
     side: Literal["seen", "left", "right"] = Field(
         default="seen",
         description="Bank of the control points, looking downstream; `seen`: the one that the camera sees",
     )
-    n_targets: Annotated[int, Field(ge=0, le=200)] = Field(
-        default=12, description="Targets on the bank; every third is a check point"
+    n_targets: int = Field(
+        default=12, ge=0, le=200, description="Targets on the bank; every third is a check point"
     )
-    target_size_m: Annotated[float, Field(ge=0.05, le=3)] = Field(
-        default=0.6, description="Side of a target, a square board with a 2 by 2 checker, metres"
+    target_size_m: float = Field(
+        default=0.6,
+        ge=0.05,
+        le=3,
+        description="Side of a target, a square board with a 2 by 2 checker, metres",
     )
     sigma_target_m: Sigma3 = Field(
         default=(0.005, 0.005, 0.008),
         description="Standard deviations of the survey of the targets (RTK): east, north, up, metres",
     )
-    least_images: Annotated[int, Field(ge=1, le=1000)] = Field(
-        default=3, description="Images that each target must be seen in, free and large enough"
+    least_images: int = Field(
+        default=3, ge=1, le=1000, description="Images that each target must be seen in, free and large enough"
     )
     least_target_px: Positive = Field(
         default=10.0, description="Least width of a target in an image that counts as seeing it, pixels"
     )
-    jpeg_quality: Annotated[int, Field(ge=1, le=100)] = Field(
-        default=93, description="Quality of the JPEG files, 1 to 100"
-    )
+    jpeg_quality: int = Field(default=93, ge=1, le=100, description="Quality of the JPEG files, 1 to 100")
     defocus_px: NonNegative = Field(
         default=5.0, le=50, description="Sigma of the blur of images that are out of focus, pixels"
     )
@@ -873,12 +922,12 @@ class TwinDualFisheye(Section):
         default=(-0.0286, 0.0232, -0.0095, 0.0006),
         description="k1, k2, k3, k4 of both lenses, of perspective ones k1, k2, p1, p2; no unit",
     )
-    field_of_view_deg: Annotated[float, Field(gt=10, lt=300)] = Field(
-        default=202.0, description="Full angle of the image circles, degrees"
+    field_of_view_deg: float = Field(
+        default=202.0, gt=10, lt=300, description="Full angle of the image circles, degrees"
     )
     base_m: Positive = Field(default=0.0194, le=1, description="Distance of the projection centres, metres")
-    axes_deg: Annotated[float, Field(ge=170, le=180)] = Field(
-        default=179.8, description="Angle between the views of both lenses, degrees"
+    axes_deg: float = Field(
+        default=179.8, ge=170, le=180, description="Angle between the views of both lenses, degrees"
     )
     back_turn_deg: Literal[0, 90, 180, 270] = Field(
         default=180, description="Clockwise turn that sets the back lens upright, degrees"
@@ -887,45 +936,50 @@ class TwinDualFisheye(Section):
         default=1.12, le=4, description="Light of the back lens over that of the front lens"
     )
     vignetting: Share = Field(default=0.25, description="Light that is missing at the rim of the circles")
-    sharpness_px: Annotated[float, Field(ge=0, le=10)] = Field(
-        default=0.6, description="Sigma of the Gaussian point spread function, pixels"
+    sharpness_px: float = Field(
+        default=0.6, ge=0, le=10, description="Sigma of the Gaussian point spread function, pixels"
     )
-    noise: Annotated[float, Field(ge=0, le=50)] = Field(
-        default=1.6, description="Sensor noise of a middle grey, steps of 8 bits; 0: none"
+    noise: float = Field(
+        default=1.6, ge=0, le=50, description="Sensor noise of a middle grey, steps of 8 bits; 0: none"
     )
     jpeg_quality: Quality = Field(default=93, description="Quality of the JPEG files, 1 to 100")
-    rolling_s: Annotated[float, Field(ge=0, le=0.2)] = Field(
+    rolling_s: float = Field(
         default=0.0,
+        ge=0,
+        le=0.2,
         description="Time from the first row of the sensors to the last, the exposure being in their middle; "
         "0.02 is usual, seconds",
     )
     glare: bool = Field(default=False, description="The sun's disc and its glow in sky and water")
-    rate_hz: Annotated[float, Field(gt=0, le=10)] = Field(default=1.0, description="Exposures per second")
-    images: Annotated[int, Field(ge=1, le=10_000)] = Field(
-        default=3, description="Exposures of the survey, the middle one at half time"
+    rate_hz: float = Field(default=1.0, gt=0, le=10, description="Exposures per second")
+    images: int = Field(
+        default=3, ge=1, le=10_000, description="Exposures of the survey, the middle one at half time"
     )
-    zone: Annotated[str, Field(pattern=r"^[+-]\d{2}:\d{2}$")] = Field(
-        default="+02:00", description="Zone of the local time in the names"
+    zone: str = Field(
+        default="+02:00", pattern=r"^[+-]\d{2}:\d{2}$", description="Zone of the local time in the names"
     )
     clock_offset_s: Finite = Field(
         default=-0.612, description="Reading of the clock minus UTC at the begin of the survey, seconds"
     )
-    clock_drift_ppm: Annotated[float, Field(ge=-1000, le=1000)] = Field(
-        default=-8.0, description="Rate of the clock minus that of UTC, parts per million"
+    clock_drift_ppm: float = Field(
+        default=-8.0, ge=-1000, le=1000, description="Rate of the clock minus that of UTC, parts per million"
     )
-    jitter_s: Annotated[float, Field(ge=0, le=1)] = Field(
-        default=0.01, description="Standard deviation of the true exposure about its stamp, seconds"
+    jitter_s: float = Field(
+        default=0.01,
+        ge=0,
+        le=1,
+        description="Standard deviation of the true exposure about its stamp, seconds",
     )
-    field_images: Annotated[int, Field(ge=3, le=200)] = Field(
-        default=12, description="Exposures amid the field of the calibration"
+    field_images: int = Field(
+        default=12, ge=3, le=200, description="Exposures amid the field of the calibration"
     )
     sigma_field_m: NonNegative = Field(
         default=0.0002,
         le=0.1,
         description="Standard deviation of each coordinate of the field's marks, metres",
     )
-    supersampling: Annotated[int, Field(ge=1, le=4)] = Field(
-        default=2, description="Rays along each side of a pixel where something ends in it"
+    supersampling: int = Field(
+        default=2, ge=1, le=4, description="Rays along each side of a pixel where something ends in it"
     )
     hull: bool = Field(default=True, description="The own boat in view")
     lenses_swapped: bool = Field(default=False, description="The back lens lies in the box of the front lens")
@@ -956,9 +1010,7 @@ class TwinEffects(Section):
     """Named defects of logs; all off unless switched on. Positions in the logs are drawn from the seed."""
 
     lost_packets: Share = Field(default=0.0, description="Share of lidar packets that are missing")
-    lost_burst: Annotated[int, Field(ge=1, le=10000)] = Field(
-        default=5, description="Lidar packets that are lost at a time"
-    )
+    lost_burst: int = Field(default=5, ge=1, le=10000, description="Lidar packets that are lost at a time")
     duplicate_packets: Count = Field(default=0, description="Lidar packets that are captured twice")
     swapped_packets: Count = Field(default=0, description="Pairs of lidar packets in wrong order")
     corrupt_bytes: Count = Field(default=0, description="Bytes replaced by chance in each damaged stream")
@@ -1117,8 +1169,11 @@ class TwinConfig(Section):
     start_utc: UtcText = Field(
         default="2021-05-12T08:31:07Z", description="Begin of the lidar log, UTC, as 2021-05-12T08:31:07Z"
     )
-    duration_s: Annotated[float, Field(ge=1, le=7200)] = Field(
-        default=180.0, description="Length of the lidar log, seconds; the others begin and end 2 s outside it"
+    duration_s: float = Field(
+        default=180.0,
+        ge=1,
+        le=7200,
+        description="Length of the lidar log, seconds; the others begin and end 2 s outside it",
     )
     scene: TwinScene = Field(default=TwinScene(), description="River reach")
     boat: TwinBoat = Field(default=TwinBoat(), description="True motion of the boat")

@@ -28,10 +28,8 @@ CONES = ("C1", "C2", "C3", "C4", "C5", "C6", "C7", "C8")
 class StaticPosition(Section):
     """Where the boat stands while image and lidar are recorded."""
 
-    east_m: Annotated[float, Field(ge=-2, le=2)] = Field(
-        default=0.0, description="East of the middle, metres"
-    )
-    north_m: Annotated[float, Field(ge=-2, le=2)] = Field(default=0.0, description="North of it, metres")
+    east_m: float = Field(default=0.0, ge=-2, le=2, description="East of the middle, metres")
+    north_m: float = Field(default=0.0, ge=-2, le=2, description="North of it, metres")
     heading_deg: Angle = Field(default=0.0, description="Heading, clockwise from north, degrees")
     roll_deg: Tilt = Field(default=0.0, description="Roll, right side down, degrees")
     pitch_deg: Tilt = Field(default=0.0, description="Pitch, nose up, degrees")
@@ -40,23 +38,34 @@ class StaticPosition(Section):
 class TwinFieldRun(Section):
     """The dynamic run: figures of eight in the middle of the yard that turn slowly about it."""
 
-    speed_mps: Annotated[float, Field(ge=0.2, le=3)] = Field(
+    speed_mps: float = Field(
         default=0.65,
+        ge=0.2,
+        le=3,
         description="Mean speed, m/s; it swings between 0.65 and 1.35 of that, and a little more",
     )
-    reach_m: Annotated[float, Field(ge=0.5, le=10)] = Field(
-        default=2.9, description="Greatest distance of the boat from the middle of the yard, metres"
+    reach_m: float = Field(
+        default=2.9,
+        ge=0.5,
+        le=10,
+        description="Greatest distance of the boat from the middle of the yard, metres",
     )
-    turn_of_eight_degpmin: Annotated[float, Field(ge=-360, le=360)] = Field(
-        default=80.0, description="Rate at which the figure of eight turns about its middle, degrees/min"
+    turn_of_eight_degpmin: float = Field(
+        default=80.0,
+        ge=-360,
+        le=360,
+        description="Rate at which the figure of eight turns about its middle, degrees/min",
     )
 
 
 class TwinFieldEffects(Section):
     """Faults of a calibration; all off unless switched on."""
 
-    passers_by: Annotated[int, Field(ge=0, le=20)] = Field(
-        default=0, description="People who stand near the cones in lidar recordings, other places each time"
+    passers_by: int = Field(
+        default=0,
+        ge=0,
+        le=20,
+        description="People who stand near the cones in lidar recordings, other places each time",
     )
     toppled_cone: str | None = Field(
         default=None, description="Name of a cone that was knocked over after the reference images"
@@ -66,8 +75,8 @@ class TwinFieldEffects(Section):
         default=None,
         description="Marker that was moved after the reference images; one that the boat can see",
     )
-    moved_by_m: Annotated[float, Field(ge=0, le=1)] = Field(
-        default=0.02, description="Distance by which it was moved along its board or cone, metres"
+    moved_by_m: float = Field(
+        default=0.02, ge=0, le=1, description="Distance by which it was moved along its board or cone, metres"
     )
     swapped_ids: tuple[tuple[Marker, Marker], ...] = Field(
         default=(), description="Pairs of markers glued in each other's place against the description"
@@ -77,8 +86,8 @@ class TwinFieldEffects(Section):
         default=None, description="Lying cone that stands outside the lidar's view in the static positions"
     )
     wrong_bar: str | None = Field(default=None, description="Scale bar whose certificate is wrong, S1 to S3")
-    wrong_bar_by_m: Annotated[float, Field(ge=-0.1, le=0.1)] = Field(
-        default=0.003, description="Error of that certificate, metres"
+    wrong_bar_by_m: float = Field(
+        default=0.003, ge=-0.1, le=0.1, description="Error of that certificate, metres"
     )
 
     @model_validator(mode="after")
@@ -97,34 +106,39 @@ class TwinFieldEffects(Section):
 class TwinField(Section):
     """The calibration field, its targets, and the boat's places in it."""
 
-    half_angle_deg: Annotated[float, Field(ge=10, le=45)] = Field(
-        default=25.0, description="Nominal angle between axis and surface of the cones, degrees"
+    half_angle_deg: float = Field(
+        default=25.0, ge=10, le=45, description="Nominal angle between axis and surface of the cones, degrees"
     )
-    sigma_half_angle_deg: Annotated[float, Field(ge=0, le=2)] = Field(
-        default=0.1, description="Scatter of the built half angles, degrees"
+    sigma_half_angle_deg: float = Field(
+        default=0.1, ge=0, le=2, description="Scatter of the built half angles, degrees"
     )
-    cone_length_m: Annotated[float, Field(ge=0.3, le=2)] = Field(
-        default=0.70, description="From the apex to the base along the axis, metres"
+    cone_length_m: float = Field(
+        default=0.70, ge=0.3, le=2, description="From the apex to the base along the axis, metres"
     )
-    cone_tip_m: Annotated[float, Field(ge=0.005, le=0.25)] = Field(
+    cone_tip_m: float = Field(
         default=0.05,
+        ge=0.005,
+        le=0.25,
         description="Where the blunt tip of the cones lies, from the apex along the axis, metres",
     )
-    module_m: Annotated[float, Field(ge=0.002, le=0.02)] = Field(
-        default=0.012, description="Side of a module of the markers on cones, metres"
+    module_m: float = Field(
+        default=0.012, ge=0.002, le=0.02, description="Side of a module of the markers on cones, metres"
     )
-    flat_module_m: Annotated[float, Field(ge=0.002, le=0.05)] = Field(
-        default=0.016, description="Side of a module of the other markers, metres"
+    flat_module_m: float = Field(
+        default=0.016, ge=0.002, le=0.05, description="Side of a module of the other markers, metres"
     )
-    n_boards: Annotated[int, Field(ge=0, le=40)] = Field(
-        default=36, description="Markers on boards on posts around the yard; targets and bars come on top"
+    n_boards: int = Field(
+        default=36,
+        ge=0,
+        le=40,
+        description="Markers on boards on posts around the yard; targets and bars come on top",
     )
-    n_ground: Annotated[int, Field(ge=0, le=12)] = Field(default=8, description="Markers on the ground")
-    fence_m: Annotated[float, Field(ge=9, le=40)] = Field(
-        default=12.0, description="Distance of the fence from the middle, metres"
+    n_ground: int = Field(default=8, ge=0, le=12, description="Markers on the ground")
+    fence_m: float = Field(
+        default=12.0, ge=9, le=40, description="Distance of the fence from the middle, metres"
     )
-    bar_length_m: Annotated[float, Field(ge=0.5, le=3)] = Field(
-        default=1.5, description="Nominal length of the three scale bars, metres"
+    bar_length_m: float = Field(
+        default=1.5, ge=0.5, le=3, description="Nominal length of the three scale bars, metres"
     )
     sigma_bar_m: NonNegative = Field(
         default=0.00003, le=0.01, description="Error of the certificates of the scale bars, metres"
@@ -134,22 +148,25 @@ class TwinField(Section):
         description="Reference images: `in turn` near a cone and across the yard, at two heights; `planned` "
         "35 views chosen so that nearly every marker stands in three images",
     )
-    n_targets: Annotated[int, Field(ge=0, le=6)] = Field(
-        default=6, description="Markers that were measured with RTK"
-    )
+    n_targets: int = Field(default=6, ge=0, le=6, description="Markers that were measured with RTK")
     sigma_target_m: Sigma3 = Field(
         default=(0.008, 0.008, 0.012), description="Error east, north, up of these measurements, metres"
     )
-    antenna_offset_m: Annotated[float, Field(ge=-0.5, le=0.5)] = Field(
+    antenna_offset_m: float = Field(
         default=-0.030,
+        ge=-0.5,
+        le=0.5,
         description="Phase centre above the antenna's marker along the normal of the print, metres; "
         "negative: the marker lies on top of the antenna",
     )
-    sigma_antenna_offset_m: Annotated[float, Field(ge=0, le=0.05)] = Field(
-        default=0.001, description="Error of the stated offset, metres"
+    sigma_antenna_offset_m: float = Field(
+        default=0.001, ge=0, le=0.05, description="Error of the stated offset, metres"
     )
-    ics_height_m: Annotated[float, Field(ge=0.2, le=2)] = Field(
-        default=0.6, description="Height of the ics origin above the ground on the trolley, metres"
+    ics_height_m: float = Field(
+        default=0.6,
+        ge=0.2,
+        le=2,
+        description="Height of the ics origin above the ground on the trolley, metres",
     )
     positions: tuple[StaticPosition, ...] = Field(
         default=(
@@ -174,17 +191,17 @@ class TwinField(Section):
 class TwinSheetStrip(Section):
     """Images of the sensor on the boat over a shallow piece of bed; the sensor is that of its calibration."""
 
-    lines: Annotated[int, Field(ge=3, le=400)] = Field(default=24, description="Images of the strip")
-    rate_hz: Annotated[float, Field(ge=1, le=100)] = Field(
-        default=50.0, description="Images a second; at 1.2 m/s, 50 of them are 24 mm apart"
+    lines: int = Field(default=24, ge=3, le=400, description="Images of the strip")
+    rate_hz: float = Field(
+        default=50.0, ge=1, le=100, description="Images a second; at 1.2 m/s, 50 of them are 24 mm apart"
     )
     begin_s: NonNegative | None = Field(
         default=None,
         description="First image after the start of the lidar log, seconds; null: where the boat is slow and "
         "goes straight",
     )
-    depth_m: Annotated[float, Field(ge=0.05, le=0.25)] = Field(
-        default=0.13, description="Mean depth of the bed below the window, metres"
+    depth_m: float = Field(
+        default=0.13, ge=0.05, le=0.25, description="Mean depth of the bed below the window, metres"
     )
     step_mm: Positive = Field(default=1.0, description="Width of the mesh of the true bed, mm")
 
@@ -204,8 +221,11 @@ class Laser(Section):
         "window; refraction makes a tilted sheet a few percent wider, mm",
     )
     waist_depth_mm: Positive = Field(default=125.0, description="Depth of the waist in mid-fan, mm")
-    wavelength_nm: Annotated[float, Field(gt=300, lt=1000)] = Field(
-        default=520.0, description="Wavelength in vacuum; with the waist it decides how the line widens, nm"
+    wavelength_nm: float = Field(
+        default=520.0,
+        gt=300,
+        lt=1000,
+        description="Wavelength in vacuum; with the waist it decides how the line widens, nm",
     )
     profile: Literal["powell", "gauss"] = Field(
         default="powell", description="Intensity along the line: even (Powell lens) or Gaussian"
@@ -290,14 +310,14 @@ class SheetImage(Section):
         "direction (subsurface lobe of P4 Fig. 16); it falls with the albedo; 0: none",
     )
     halo_mm: Positive = Field(default=0.5, description="Length to which that lobe falls to 1/e, mm")
-    ambient_stride: Annotated[int, Field(ge=0, le=16)] = Field(
+    ambient_stride: int = Field(
         default=0,
+        ge=0,
+        le=16,
         description="Daylight is computed for blocks of so many pixels a side; 0: 1, 2, 4 for 512, 1024, "
         "2048 pixels",
     )
-    offsets: Annotated[int, Field(ge=3, le=41)] = Field(
-        default=9, description="Rays across the sheet for each sub-beam"
-    )
+    offsets: int = Field(default=9, ge=3, le=41, description="Rays across the sheet for each sub-beam")
     beams_per_px: Positive = Field(
         default=2.5, description="Sub-beams of a fan of 90 degrees, by the larger side of the image in pixels"
     )
@@ -323,17 +343,28 @@ class TwinLightSheet(Section):
         description="Pixels a side of an image: 512, 1024 or 2048; the geometry of P4's sensor stays, and "
         "all that counts in pixels",
     )
-    temperature_c: Annotated[float, Field(ge=0, le=40)] = Field(
-        default=18.0, description="Temperature of the water, for its refractive index, degrees Celsius"
+    temperature_c: float = Field(
+        default=18.0,
+        ge=0,
+        le=40,
+        description="Temperature of the water, for its refractive index, degrees Celsius",
     )
-    levels_mm: Annotated[tuple[Positive, ...], Field(min_length=2, max_length=3)] = Field(
-        default=(60.0, 150.0), description="Depths of the calibration object's levels, mm (P4 4.3)"
+    levels_mm: tuple[Positive, ...] = Field(
+        default=(60.0, 150.0),
+        min_length=2,
+        max_length=3,
+        description="Depths of the calibration object's levels, mm (P4 4.3)",
     )
-    panels_mm: Annotated[tuple[Positive, ...], Field(min_length=1)] = Field(
-        default=(128.9, 122.7, 83.1, 72.7), description="Depths of the plane panel, mm (P3 3.1.2)"
+    panels_mm: tuple[Positive, ...] = Field(
+        default=(128.9, 122.7, 83.1, 72.7),
+        min_length=1,
+        description="Depths of the plane panel, mm (P3 3.1.2)",
     )
-    scan_lines: Annotated[int, Field(ge=0, le=400)] = Field(
-        default=40, description="Images of each scan, of the stepped object and of the wreck; 0: none"
+    scan_lines: int = Field(
+        default=40,
+        ge=0,
+        le=400,
+        description="Images of each scan, of the stepped object and of the wreck; 0: none",
     )
     scan_step_mm: Positive = Field(
         default=3.0, description="Mean step from line to line, mm (P4 7.3: 2 to 5)"
@@ -346,12 +377,14 @@ class TwinLightSheet(Section):
     reference_mm: Positive = Field(
         default=0.5, description="Longest edge in the reference meshes of scanned objects, mm (P4 7.1: 0.1)"
     )
-    lens_pictures: Annotated[int, Field(ge=0, le=200)] = Field(
+    lens_pictures: int = Field(
         default=24,
+        ge=0,
+        le=200,
         description="Pictures of a field of markers in air, for the interior orientation of the sensor's "
         "camera (P3 2.4); 0: none, the design holds it as given",
     )
-    lost_pulses: Annotated[int, Field(ge=0, le=50)] = Field(
-        default=0, description="Pulses of the trigger that were not recorded, in each series"
+    lost_pulses: int = Field(
+        default=0, ge=0, le=50, description="Pulses of the trigger that were not recorded, in each series"
     )
     image: SheetImage = Field(default_factory=SheetImage, description="Light, water, lens and chip")
