@@ -36,6 +36,7 @@ from .camera_files import (
     same_size as same_size,
     starting_camera_by as starting_camera_by,
 )
+from .collinearity import collinear as collinear
 from .cone_search import (
     AGAIN as AGAIN,
     WORDS as WORDS,
