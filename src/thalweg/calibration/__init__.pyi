@@ -41,9 +41,7 @@ from .cone_search import (
     AGAIN as AGAIN,
     WORDS as WORDS,
     ConeScan as ConeScan,
-    Found as Found,
     Position as Position,
-    SearchRange as SearchRange,
     Selection as Selection,
     SelectionLimits as SelectionLimits,
     Verdict as Verdict,
@@ -114,3 +112,4 @@ from .rig import (
     rig_of as rig_of,
     view_size_px as view_size_px,
 )
+from .target_search import Found as Found, SearchRange as SearchRange
