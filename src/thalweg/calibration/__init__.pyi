@@ -36,13 +36,12 @@ from .camera_files import (
     same_size as same_size,
     starting_camera_by as starting_camera_by,
 )
+from .collinearity import collinear as collinear
 from .cone_search import (
     AGAIN as AGAIN,
     WORDS as WORDS,
     ConeScan as ConeScan,
-    Found as Found,
     Position as Position,
-    SearchRange as SearchRange,
     Selection as Selection,
     SelectionLimits as SelectionLimits,
     Verdict as Verdict,
@@ -113,3 +112,4 @@ from .rig import (
     rig_of as rig_of,
     view_size_px as view_size_px,
 )
+from .target_search import Found as Found, SearchRange as SearchRange

@@ -23,13 +23,12 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from thalweg.calibration.camera_lidar import CAPTURES, ORIENTATION, by_transform
-from thalweg.calibration.cone_search import SearchRange, normal_set
+from thalweg.calibration.target_search import SearchRange, Targets, search_targets
 from thalweg.core import (
     Adjusted,
     AnyArray,
     ArrayB,
     ArrayF,
-    ArrayI,
     Camera,
     GeometryError,
     InputError,
@@ -42,7 +41,6 @@ from thalweg.core import (
     cross_matrix,
     decode_picture,
     exp_rotation,
-    njit,
     optional,
     plane_rates,
     root_mean_square,
@@ -59,11 +57,7 @@ cv2 = optional("cv2")
 _SLACK_M: Final = (0.06, 0.03, 0.0, 0.0, 0.0, 0.0, 0.0)
 """What points and edges may be off besides their sigmas, round by round; edges wait for the second one."""
 _STAYS: Final = 0.05
-_BEAMS: Final = 500
-"""Beams of each scan that judge an orientation."""
-_KEPT: Final = 30
 _WIDTHS_M: Final = (0.4, 0.2, 0.1, 0.06)
-_STEPS: Final = 6
 _ON_M: Final = 0.06
 _PAST_M: Final = 0.15
 """A beam is on the board within the first distance of its plane, and past it beyond the second."""
@@ -319,9 +313,17 @@ def calibrate_board(
     refuse_alike([p.view for p in poses], settings.least_angle_deg)
     start, score = nominal, float("nan")
     if settings.within is not None:
-        start, score = search_boards(
-            [p.view for p in poses], [p.points_scs_m for p in poses], nominal, settings.within
+        own = Rigid(R=np.eye(3), shift_m=np.zeros(3))
+        found = search_targets(
+            Targets.boards([p.view.T_ccs_board for p in poses], np.array([p.view.half_m for p in poses])),
+            [own] * len(poses),
+            [p.points_scs_m for p in poses],
+            nominal,
+            settings.within,
+            widths_m=_WIDTHS_M,
+            what="board",
         )
+        start, score = found.T_ccs_scs, found.score
     state = _State(T=start, views=tuple(p.view for p in poses))
     lidar, boards = 1.0, 1.0
     for slack in _SLACK_M:
@@ -568,12 +570,7 @@ def _table(
     return pd.DataFrame(lines)
 
 
-# ---------------------------------------------------------------- which points of a scan lie on a board:
-# found from a rough orientation, without cropping by hand
-#
-# As for cones (`thalweg.calibration.cone_search`), many orientations around the nominal one are judged by
-# beams that should meet the boards: on it, through it, or stopped before it. All pictures and scans count
-# together, so that a wall which looks like the board in one of them does not win.
+# ---------------------------------------------------------------- which points of a scan lie on a board
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -602,146 +599,6 @@ def meet_board(view: BoardView, origin_m: ArrayF, beam: ArrayF) -> BoardBeams:
         way = (view.normal @ (T.shift_m - origin_m)) / slope
         place = (origin_m + way[:, None] * beam - T.shift_m) @ T.R[:, :2]
     return BoardBeams(range_m=way, place_m=place, slope=slope)
-
-
-def search_boards(
-    views: Sequence[BoardView], scans: Sequence[ArrayF], nominal: Rigid, within: SearchRange
-) -> tuple[Rigid, float]:
-    """Orientation ``T_ccs_scs`` near the nominal one that puts boards onto scans, and its balance of beams.
-
-    Parameters
-    ----------
-    views : board in the camera frame at each pose.
-    scans : (n, 3) whole scan of each pose, in scs.
-    nominal : T_ccs_scs.
-    within : how far it may be off.
-
-    Raises
-    ------
-    GeometryError : no beam passes near a board.
-    """
-    tries = normal_set(within.tries) * np.repeat([within.shift_m, np.deg2rad(within.angle_deg)], 3)
-    near = [_near(v, s, nominal, within) for v, s in zip(views, scans, strict=True)]
-    if not any(len(n) for n in near):
-        raise GeometryError(
-            "no beam of the lidar passes near a board",
-            expected="boards in the view of the lidar",
-            cure="Check the nominal orientation between camera and lidar",
-        )
-    tries = np.vstack([np.zeros(6), tries])
-    turned = exp_rotation(tries[:, 3:]) @ nominal.R
-    origins = nominal.shift_m + tries[:, :3]
-    given = (_board_table(views), np.concatenate(near), np.cumsum([0, *map(len, near)]))
-    scores = [_score(*place, *given, 0.15)[0] for place in zip(turned, origins, strict=True)]
-    best = np.argsort(-np.array(scores), kind="stable")[:_KEPT]
-    sigmas = np.repeat([2 * within.shift_m, 2 * np.deg2rad(within.angle_deg)], 3)
-    refined = [_refined(nominal.moved(tries[i]), nominal, sigmas, *given) for i in best]
-    finals = [_score(T.R, T.shift_m, *given, 0.06) for T in refined]
-    winner = int(np.argmax([s for s, _ in finals]))
-    score, beams = finals[winner]
-    return refined[winner], score / max(beams, 1)
-
-
-def _near(view: BoardView, scan: ArrayF, nominal: Rigid, within: SearchRange) -> ArrayF:
-    T = view.T_ccs_board
-    beam = scan @ nominal.R.T
-    beam /= np.linalg.norm(beam, axis=1, keepdims=True)
-    arm = T.shift_m - nominal.shift_m
-    radius = float(np.hypot(*view.half_m)) + 2 * within.shift_m
-    radius += float(np.linalg.norm(arm)) * 2 * np.sqrt(3) * np.deg2rad(within.angle_deg)
-    along = beam @ arm
-    rows = np.flatnonzero((along > 0) & (arm @ arm - along**2 < radius**2))
-    if len(rows) > _BEAMS:
-        rows = rows[np.linspace(0, len(rows) - 1, _BEAMS).astype(np.int64)]
-    return np.asarray(scan[rows])
-
-
-def _board_table(views: Sequence[BoardView]) -> ArrayF:
-    """(b, 14): middle in ccs, its axes along the sides and its normal as rows, half the sides."""
-    poses = [view.T_ccs_board for view in views]
-    return np.array([[*T.shift_m, *T.R.T.ravel(), *v.half_m] for T, v in zip(poses, views, strict=True)])
-
-
-@njit(cache=True, error_model="numpy")
-def _score(R, origin, boards, points, ends, width_m):  # type: ignore[no-untyped-def]
-    """Beams on the boards less those that went through, and how many should meet them."""
-    score, beams = 0.0, 0
-    d, arm = np.empty(3), np.empty(3)
-    for v in range(len(boards)):
-        middle, u, w, n = boards[v, :3], boards[v, 3:6], boards[v, 6:9], boards[v, 9:12]
-        for j in range(3):
-            arm[j] = middle[j] - origin[j]
-        height = n[0] * arm[0] + n[1] * arm[1] + n[2] * arm[2]
-        for i in range(ends[v], ends[v + 1]):
-            p = points[i]
-            reach = np.sqrt(p[0] ** 2 + p[1] ** 2 + p[2] ** 2)
-            for j in range(3):
-                d[j] = (R[j, 0] * p[0] + R[j, 1] * p[1] + R[j, 2] * p[2]) / reach
-            slope = d[0] * n[0] + d[1] * n[1] + d[2] * n[2]
-            # a beam that meets the front, and in front of the scanner
-            if slope >= 0 or height >= 0:
-                continue
-            way = height / slope
-            across = along = 0.0
-            for j in range(3):
-                off = way * d[j] - arm[j]
-                across += off * u[j]
-                along += off * w[j]
-            if abs(across) < boards[v, 12] and abs(along) < boards[v, 13]:
-                beams += 1
-                if abs(reach - way) < width_m:
-                    score += 1.0
-                elif reach > way:
-                    score -= 1.0
-    return score, beams
-
-
-def _refined(T: Rigid, nominal: Rigid, sigmas: ArrayF, boards: ArrayF, points: ArrayF, ends: ArrayI) -> Rigid:
-    """Robust distances from the planes, of points inside the boards; the nominal orientation is observed."""
-    for width in _WIDTHS_M:
-        for _ in range(_STEPS):
-            N, n = _pulled(T.R, T.shift_m, boards, points, ends, width)
-            back = T.error_from(nominal)
-            dx: AnyArray = -np.linalg.solve(N + np.diag(1 / sigmas**2), n + back / sigmas**2)
-            T = Rigid(R=exp_rotation(dx[3:]) @ T.R, shift_m=T.shift_m + dx[:3])
-            if np.abs(dx).max() < 1e-4:
-                break
-    return T
-
-
-@njit(cache=True, error_model="numpy")
-def _pulled(R, origin, boards, points, ends, width):  # type: ignore[no-untyped-def]
-    """Normal equations (6, 6), (6,) of points inside the boards by the orientation, with Tukey's weights."""
-    N, n = np.zeros((6, 6)), np.zeros(6)
-    arm, J = np.empty(3), np.empty(6)
-    for v in range(len(boards)):
-        own, right, total = np.zeros((6, 6)), np.zeros(6), 0.0
-        J[:3] = boards[v, 9:12]
-        for i in range(ends[v], ends[v + 1]):
-            p = points[i]
-            across = along = r = 0.0
-            for j in range(3):
-                arm[j] = R[j, 0] * p[0] + R[j, 1] * p[1] + R[j, 2] * p[2]
-                off = arm[j] + origin[j] - boards[v, j]
-                across += off * boards[v, 3 + j]
-                along += off * boards[v, 6 + j]
-                r += off * boards[v, 9 + j]
-            if abs(across) >= boards[v, 12] or abs(along) >= boards[v, 13] or abs(r) >= width:
-                continue
-            weight = (1 - (r / width) ** 2) ** 2
-            J[3] = arm[1] * J[2] - arm[2] * J[1]
-            J[4] = arm[2] * J[0] - arm[0] * J[2]
-            J[5] = arm[0] * J[1] - arm[1] * J[0]
-            for j in range(6):
-                right[j] += weight * J[j] * r
-                for m in range(6):
-                    own[j, m] += weight * J[j] * J[m]
-            total += weight
-        # a third of the width as sigma of a point, and few points are independent of their neighbours
-        P = 1 / (width / 3) ** 2 * (30.0 / max(total, 30.0))
-        N += P * own
-        n += P * right
-    return N, n
 
 
 # ---------------------------------------------------------------- edges of a board in a scan: what tells

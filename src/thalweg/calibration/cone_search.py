@@ -1,15 +1,4 @@
-"""Cones in lidar scans: which points lie on which cone, and why a cone is not seen.
-
-The nominal mounts may be off by decimetres and several degrees, more than a cone is wide; ground, stands and
-people are near. So many orientations around the nominal one are tried, and each is judged by its beams:
-
-    +1   a beam that should meet a cone and does
-    -1   a beam that should meet a cone and was reflected behind it: it went through
-     0   a beam that was reflected before: something stood in front
-
-The second line is what keeps a cone from being found in the ground or in a passer-by. The best orientations
-are refined by robust point distances with a width that shrinks, and judged again.
-"""
+"""Cones in lidar scans: which points lie on which cone, and why a cone is not seen."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,23 +8,11 @@ from typing import Final, Self
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
-from scipy.special import ndtri
 
 from thalweg.calibration.cones import Cone, ConeBeams, beam_spread
-from thalweg.core import AnyArray, ArrayF, GeometryError, InputError, Rigid, exp_rotation, njit
+from thalweg.calibration.target_search import Found, SearchRange, Targets, balance, passing, search_targets
+from thalweg.core import AnyArray, ArrayF, InputError, Rigid
 from thalweg.settings.sections import CameraLidarFit, LidarAccuracy
-
-_BEAMS: Final = 2500
-"""Beams that judge an orientation, of all positions together."""
-_KEPT: Final = 24
-_FARTHEST: Final = 3.0
-"""Times the search range that a refined orientation may be off; tries end at two."""
-_WIDTHS_M: Final = (0.2, 0.1, 0.06)
-_STEPS: Final = 6
-_FINAL_M: Final = 0.06
-"""Distance from a cone within which a beam counts as one that met it, after the refinement."""
-_LEAST_BEAMS: Final = 25
 
 AGAIN: Final = "photograph the field and record the positions again, or leave the cone out"
 _GAP_DEG: Final = 5
@@ -118,31 +95,6 @@ class Position:
 # once, without cropping by hand
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SearchRange:
-    """How far the orientation may be from the nominal one: standard deviations for each axis.
-
-    Parameters
-    ----------
-    shift_m : of the lever arm.
-    angle_deg : of the rotation.
-    tries : number of orientations.
-    """
-
-    shift_m: float = CameraLidarFit().search_shift_m
-    angle_deg: float = CameraLidarFit().search_angle_deg
-    tries: int = 2000
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Found:
-    """Orientation found; ``score``: mean of its beams' judgements, ``beams``: how many should meet a cone."""
-
-    T_ccs_scs: Rigid
-    score: float
-    beams: int
-
-
 def search(
     cones: Sequence[Cone],
     lengths_m: Sequence[float],
@@ -150,49 +102,9 @@ def search(
     nominal: Rigid,
     within: SearchRange,
 ) -> Found:
-    """Orientation of the scanner near the nominal one that brings scans and cones together.
-
-    Parameters
-    ----------
-    cones, lengths_m : in pcs.
-    positions : with the camera's orientations.
-    nominal : T_ccs_scs from the mounts.
-    within : how far it may be off.
-
-    Raises
-    ------
-    GeometryError : no beam passes near a cone.
-    """
-    tables = _cone_table(cones, lengths_m)
-    reach = max(float(np.linalg.norm(c.apex_m - p.T_pcs_ccs.shift_m)) for c in cones for p in positions)
-    margin = 2 * within.shift_m + reach * 2 * np.deg2rad(within.angle_deg)
-    scans = [_near(cones, lengths_m, p, nominal, margin, _BEAMS // len(positions)) for p in positions]
-    if not any(len(points) for points in scans):
-        raise GeometryError(
-            "no beam of the lidar passes near a cone",
-            expected="cones in the view of the lidar",
-            cure="Check the mounts of camera and lidar, and the exterior orientations of the camera",
-        )
-    which = np.repeat(np.arange(len(scans)), [len(points) for points in scans])
-    points = np.concatenate(scans)
-    at = [p.T_pcs_ccs for p in positions]
-    # The same orientations for all inputs: a low-discrepancy set (Roberts 2018) turned into normal numbers.
-    tries = normal_set(within.tries)
-    tries *= np.repeat([within.shift_m, np.deg2rad(within.angle_deg)], 3)
-    tries = np.vstack([np.zeros(6), tries])
-    turned = Rotation.from_rotvec(tries[:, 3:]).as_matrix() @ nominal.R
-    R = np.stack([pose.R for pose in at]) @ turned[:, None]
-    origins = np.stack([pose.apply(nominal.shift_m + tries[:, :3]) for pose in at], axis=1)
-    scores = [_judge(*place, points, which, tables, 0.15)[0] for place in zip(R, origins, strict=True)]
-    best = np.argsort(-np.array(scores), kind="stable")[:_KEPT]
-    sigmas = np.repeat([2 * within.shift_m, 2 * np.deg2rad(within.angle_deg)], 3)
-    refined = [_refined(nominal.moved(tries[i]), nominal, sigmas, tables, at, points, which) for i in best]
-    # A refinement may run away to other things that look like cones.
-    refined = [c for c in refined if _distance(c, nominal, within) < _FARTHEST] or [nominal]
-    finals = [_score(c, at, points, which, tables, _FINAL_M) for c in refined]
-    winner = int(np.argmax([s for s, _ in finals]))
-    score, beams = finals[winner]
-    return Found(T_ccs_scs=refined[winner], score=score / max(beams, 1), beams=beams)
+    """Orientation ``T_ccs_scs`` near the nominal one by cones in pcs, see `search_targets`."""
+    at, scans = [p.T_pcs_ccs for p in positions], [p.points_scs_m for p in positions]
+    return search_targets(Targets.cones(cones, lengths_m), at, scans, nominal, within)
 
 
 def fit_of(
@@ -207,183 +119,7 @@ def fit_of(
     T_pcs_ccs : exterior orientation of the camera.
     position : whose points are taken.
     """
-    points = _near(cones, lengths_m, position.at(T_pcs_ccs), T_ccs_scs, 0.0, _BEAMS)
-    table, which = _cone_table(cones, lengths_m), np.zeros(len(points), dtype=np.int64)
-    score, beams = _score(T_ccs_scs, [T_pcs_ccs], points, which, table, _FINAL_M)
-    return score / beams if beams >= _LEAST_BEAMS else -1.0
-
-
-def _distance(T: Rigid, nominal: Rigid, within: SearchRange) -> float:
-    """Greatest component of a change in units of the search range."""
-    sigmas = np.repeat([within.shift_m, np.deg2rad(within.angle_deg)], 3)
-    return float(np.abs(T.error_from(nominal) / sigmas).max())
-
-
-def _near(
-    cones: Sequence[Cone],
-    lengths: Sequence[float],
-    position: Position,
-    nominal: Rigid,
-    margin: float,
-    most: int,
-) -> ArrayF:
-    """Points whose beams pass near a cone, thinned evenly in the order of recording."""
-    T = position.T_pcs_ccs @ nominal
-    points = position.points_scs_m
-    beam = points @ T.R.T / np.linalg.norm(points, axis=1, keepdims=True)
-    near = np.zeros(len(points), dtype=np.bool_)
-    for cone, length in zip(cones, lengths, strict=True):
-        near[passing(cone, length, T.shift_m, beam, margin)] = True
-    rows = np.flatnonzero(near)
-    if len(rows) > most:
-        rows = rows[np.linspace(0, len(rows) - 1, most).astype(np.int64)]
-    return np.asarray(points[rows])
-
-
-def _cone_table(cones: Sequence[Cone], lengths: Sequence[float]) -> ArrayF:
-    return np.array(
-        [
-            [*c.apex_m, *c.axis, np.cos(c.half_angle_rad) ** 2, length]
-            for c, length in zip(cones, lengths, strict=True)
-        ]
-    )
-
-
-def _score(
-    T: Rigid, at: Sequence[Rigid], points: ArrayF, which: AnyArray, table: ArrayF, width: float
-) -> tuple[float, int]:
-    R = np.stack([pose.R @ T.R for pose in at])
-    shift = np.stack([pose.R @ T.shift_m + pose.shift_m for pose in at])
-    score, beams = _judge(R, shift, points, which, table, width)
-    return float(score), int(beams)
-
-
-@njit(cache=True, error_model="numpy")
-def _judge(R, shift, points, which, table, width):  # type: ignore[no-untyped-def]
-    score, beams = 0.0, 0
-    d = np.empty(3)
-    # origins of each scan from each apex: vector, along the axis, and c of the quadratic equation
-    o = np.empty((len(shift), len(table), 5))
-    for s in range(len(shift)):
-        for k in range(len(table)):
-            o_u = o_o = 0.0
-            for j in range(3):
-                o[s, k, j] = shift[s, j] - table[k, j]
-                o_u += o[s, k, j] * table[k, 3 + j]
-                o_o += o[s, k, j] * o[s, k, j]
-            o[s, k, 3], o[s, k, 4] = o_u, o_u * o_u - table[k, 6] * o_o
-    for i in range(len(points)):
-        M, p = R[which[i]], points[i]
-        reach = np.sqrt(p[0] ** 2 + p[1] ** 2 + p[2] ** 2)
-        for j in range(3):
-            d[j] = (M[j, 0] * p[0] + M[j, 1] * p[1] + M[j, 2] * p[2]) / reach
-        first = np.inf
-        for k in range(len(table)):
-            cos2, at = table[k, 6], o[which[i], k]
-            o_u, c = at[3], at[4]
-            d_u = d[0] * table[k, 3] + d[1] * table[k, 4] + d[2] * table[k, 5]
-            d_o = d[0] * at[0] + d[1] * at[1] + d[2] * at[2]
-            a, b = d_u * d_u - cos2, d_u * o_u - cos2 * d_o
-            under = b * b - a * c
-            if c >= 0 or under < 0 or abs(a) < 1e-14:
-                continue
-            t = (-b + np.sqrt(under)) / a
-            z = o_u + t * d_u
-            if t > 0 and 0 < z <= table[k, 7] and t < first:
-                first = t
-        if first < np.inf:
-            beams += 1
-            off = reach - first
-            if abs(off) < width:
-                score += 1.0
-            elif off > 0:
-                score -= 1.0
-    return score, beams
-
-
-def _refined(
-    T: Rigid,
-    nominal: Rigid,
-    sigmas: ArrayF,
-    table: ArrayF,
-    at: Sequence[Rigid],
-    points: ArrayF,
-    which: AnyArray,
-) -> Rigid:
-    """Robust point distances; the nominal orientation is an observation, so that nothing is undetermined."""
-    R_pc = np.stack([pose.R for pose in at])
-    shift = np.stack([pose.shift_m for pose in at])
-    for width in _WIDTHS_M:
-        for _ in range(_STEPS):
-            N, n, weight = _pulled(T.R, T.shift_m, R_pc, shift, points, which, table, width)
-            # A third of the width as sigma of a point, few of which are independent of their neighbours.
-            P = 1 / (width / 3) ** 2 * (100.0 / max(weight, 100.0))
-            back = T.error_from(nominal)
-            dx = -np.linalg.solve(P * N + np.diag(1 / sigmas**2), P * n + back / sigmas**2)
-            T = Rigid(R=exp_rotation(dx[3:]) @ T.R, shift_m=T.shift_m + dx[:3])
-            if np.abs(dx).max() < 1e-4:
-                break
-    return T
-
-
-@njit(cache=True, error_model="numpy")
-def _pulled(turn, place, R, shift, points, which, table, width):  # type: ignore[no-untyped-def]
-    """Normal equations (6, 6) and (6,) of distances from the nearest cones by the scanner's orientation, with
-    Tukey's weights, and the sum of these; rates as of `plane_rates`.
-    """
-    N, n, total = np.zeros((6, 6)), np.zeros(6), 0.0
-    arm, x, d, normal, J = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(6)
-    cos, sin = np.sqrt(table[:, 6]), np.sqrt(1.0 - table[:, 6])
-    for i in range(len(points)):
-        M, p = R[which[i]], points[i]
-        for j in range(3):
-            arm[j] = turn[j, 0] * p[0] + turn[j, 1] * p[1] + turn[j, 2] * p[2]
-        for j in range(3):
-            x[j] = shift[which[i], j]
-            for m in range(3):
-                x[j] += M[j, m] * (arm[m] + place[m])
-        best = width
-        for k in range(len(table)):
-            z = rho = 0.0
-            for j in range(3):
-                d[j] = x[j] - table[k, j]
-                z += d[j] * table[k, 3 + j]
-            for j in range(3):
-                d[j] -= z * table[k, 3 + j]
-                rho += d[j] * d[j]
-            rho = np.sqrt(rho)
-            slant, distance = z * cos[k] + rho * sin[k], rho * cos[k] - z * sin[k]
-            if 0.0 < slant < table[k, 7] / cos[k] and abs(distance) < abs(best):
-                best = distance
-                for j in range(3):
-                    normal[j] = cos[k] * d[j] / max(rho, 1e-12) - sin[k] * table[k, 3 + j]
-        if abs(best) >= width:
-            continue
-        weight = (1 - (best / width) ** 2) ** 2
-        for j in range(3):
-            J[j] = M[0, j] * normal[0] + M[1, j] * normal[1] + M[2, j] * normal[2]
-        J[3] = arm[1] * J[2] - arm[2] * J[1]
-        J[4] = arm[2] * J[0] - arm[0] * J[2]
-        J[5] = arm[0] * J[1] - arm[1] * J[0]
-        for j in range(6):
-            n[j] += weight * J[j] * best
-            for m in range(j + 1):
-                N[j, m] += weight * J[j] * J[m]
-        total += weight
-    for j in range(6):
-        for m in range(j):
-            N[m, j] = N[j, m]
-    return N, n, total
-
-
-def normal_set(n: int) -> ArrayF:
-    """(n, 6) numbers that fill a normal distribution evenly, cut at two sigmas."""
-    ratio = 1.0
-    for _ in range(50):
-        ratio = (1 + ratio) ** (1 / 7)
-    steps = (1 / ratio) ** np.arange(1, 7)
-    uniform = np.mod(0.5 + np.outer(np.arange(1, n + 1), steps), 1.0)
-    return np.asarray(ndtri(0.0228 + uniform * (1 - 2 * 0.0228)))
+    return balance(Targets.cones(cones, lengths_m), T_pcs_ccs, position.points_scs_m, T_ccs_scs)
 
 
 # ---------------------------------------------------------------- points on cones, by where their beams
@@ -496,8 +232,9 @@ def select(
         excess_m=np.full(len(points), np.nan),
         variance_m2=np.full(len(points), np.nan),
     )
+    spheres = Targets.cones(cones, lengths_m)
     for k, (cone, length) in enumerate(zip(cones, lengths_m, strict=True)):
-        rows = passing(cone, length, origin, beam)
+        rows = passing(spheres.centre[k], spheres.radius_m[k], origin, beam)
         met = cone.meet(origin, beam[rows])
         slant = length / np.cos(cone.half_angle_rad)
         on = met.hit & (met.slant_m <= slant) & (np.nan_to_num(met.range_m, nan=np.inf) < nearest[rows])
@@ -530,15 +267,6 @@ def _beside(beam: ArrayF, range_m: ArrayF, margin_m: ArrayF, verdict: AnyArray) 
         return used[:0]
     apart, _ = cKDTree(beam[front]).query(beam[used])
     return used[apart * range_m[used] < margin_m[used]]
-
-
-def passing(cone: Cone, length_m: float, origin_m: ArrayF, beam: ArrayF, margin_m: float = 0.0) -> AnyArray:
-    """Rows of the beams (n, 3) that pass the sphere around a cone, a cheap first choice."""
-    rim = length_m * np.tan(cone.half_angle_rad)
-    radius = float(np.hypot(length_m / 2, rim)) + margin_m
-    arm = cone.apex_m + cone.axis * length_m / 2 - origin_m
-    along = beam @ arm
-    return np.flatnonzero((along > 0) & (arm @ arm - along**2 < radius**2))
 
 
 WORDS: Final[Mapping[Verdict, str]] = {

@@ -17,14 +17,15 @@ half, and ``N^-1`` times the geometric mean of the ratios of both variances, one
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 import pandas as pd
-from scipy.spatial.transform import Rotation
 
 from thalweg.calibration.boards import Checkerboard, find_corners, read_grey
 from thalweg.calibration.camera_files import interior_calibration, nominal_camera
+from thalweg.calibration.field import MARKS, Layout, Problem, State, marks_model, solve, start_state
+from thalweg.calibration.markers import Block
 from thalweg.core import (
     Adjusted,
     ArrayF,
@@ -33,10 +34,8 @@ from thalweg.core import (
     CoverageError,
     GeometryError,
     InputError,
-    Linear,
     Model,
-    Observations,
-    adjust,
+    Rigid,
     cross_matrix,
     root_mean_square,
 )
@@ -57,14 +56,6 @@ _HALF_VIEWS: Final = {"fisheye": (0.6, 2.3), "perspective": (0.1, 1.2)}
 _TRIED: Final = 30
 _ASIDE: Final = 0.05
 """Radians between a ray and its corner beyond which a start pose is none."""
-
-
-class _State(NamedTuple):
-    """Interior parameters (k,), rotations (b, 3, 3) and shifts (b, 3) of boards in the camera frame."""
-
-    parameters: ArrayF
-    R: ArrayF
-    t: ArrayF
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -225,20 +216,39 @@ def calibrate_lens(
         )
     rows = np.isin(image, kept)
     number = np.searchsorted(kept, image[rows])
-    start = _State(camera.parameters, R[kept], t[kept])
-    found = _adjusted(camera, start, xy[rows], board[rows], number, _START_PX)
-    scatter = _rms(found) * np.sqrt(found.used["corners"].sum() * 2 / found.redundancy)
-    found = _adjusted(camera, found.x, xy[rows], board[rows], number, scatter)
-    sigma = scatter * float(np.sqrt(found.sigma0_squared))
-    cov, factor = _by_pictures(camera, found, xy[rows], board[rows], number, sigma)
+    places, point = np.unique(corners.loc[rows, ["column", "row"]], axis=0, return_inverse=True)
+    block = Block(
+        images=tuple(images[kept].tolist()),
+        camera_of=(name,) * len(kept),
+        points=tuple((int(column), int(row)) for column, row in places),
+        image=number,
+        point=point.ravel(),
+        xy_px=xy[rows],
+        sigma_px=np.full(len(number), _START_PX),
+        rays=np.empty((0, 3)),
+    )
+    problem = Problem(
+        block,
+        np.zeros(len(kept), np.int64),
+        np.ones(len(number), np.bool_),
+        (camera.parameter_names,),
+        cov_known=np.zeros((len(places), 3, 3)),
+    )
+    X = np.column_stack([spacing_m * places, np.zeros(len(places))])
+    poses = {k: Rigid(R=R[i], shift_m=t[i]).inverse() for k, i in enumerate(kept)}
+    found, layout = _adjusted(problem, start_state(block.images, (camera,), poses, X))
+    scatter = _rms(found) * np.sqrt(found.used[MARKS].sum() * 2 / found.redundancy)
+    block = replace(block, sigma_px=np.full(len(number), scatter))
+    found, layout = _adjusted(replace(problem, block=block), found.x)
+    sigma, x = scatter * float(np.sqrt(found.sigma0_squared)), found.x
+    cov, factor = _by_pictures(replace(problem, used=found.used[MARKS]), layout, x, sigma)
     table = corners[rows].reset_index(drop=True)
-    v = found.residuals["corners"].reshape(-1, 2)
-    ccs = _in_camera(found.x, board[rows], number)
-    table["vx_px"], table["vy_px"] = v.T
+    ccs = np.einsum("nji,nj->ni", x.R[number], X[block.point] - x.C[number])
+    table["vx_px"], table["vy_px"] = -found.residuals[MARKS].reshape(-1, 2).T
     table["angle_deg"] = np.rad2deg(np.arctan2(np.hypot(ccs[:, 0], ccs[:, 1]), ccs[:, 2]))
-    table["used"] = found.used["corners"]
+    table["used"] = found.used[MARKS]
     return LensCalibration(
-        camera=Camera(model=model, size_px=size_px, parameters=found.x.parameters, cov=cov, name=name),
+        camera=replace(x.cameras[0], cov=cov, name=name),
         corners=table,
         sigma_px=sigma,
         picture_factor=factor,
@@ -277,80 +287,28 @@ def lens_calibration_file(found: LensCalibration, *, run: str) -> Calibration:
     return replace(file, blocks=(replace(file.blocks[0], facts=facts),))
 
 
-def _rms(found: Adjusted[_State]) -> float:
-    used = found.residuals["corners"].reshape(-1, 2)[found.used["corners"]]
-    return root_mean_square(used)
+def _rms(found: Adjusted[State]) -> float:
+    return root_mean_square(found.residuals[MARKS].reshape(-1, 2)[found.used[MARKS]])
 
 
-def _in_camera(x: _State, board: ArrayF, number: ArrayI) -> ArrayF:
-    plane = np.column_stack([board, np.zeros(len(board))])
-    return np.einsum("nij,nj->ni", x.R[number], plane) + x.t[number]
+def _adjusted(problem: Problem, start: State) -> tuple[Adjusted[State], Layout]:
+    cure = "Take pictures of the board from several sides, over the whole picture"
+    return solve(problem, start, robust_sigmas=_REJECT_SIGMAS, cure=cure)
 
 
-def _corner_equations(
-    camera: Camera, x: _State, xy: ArrayF, board: ArrayF, number: ArrayI, sigma_px: float
-) -> Linear:
-    """Corners less their images by the model, with derivatives."""
-    k, n = len(camera.parameters), len(xy)
-    at = k + 6 * number[:, None] + np.arange(6)
-    turned = _in_camera(x, board, number) - x.t[number]
-    seen, by_point, by_camera = camera.with_parameters(x.parameters).project_with_derivatives(
-        turned + x.t[number]
-    )
-    J = np.zeros((n, 2, k + 6 * len(x.t)))
-    J[:, :, :k] = -by_camera
-    by_pose = np.concatenate([by_point @ -cross_matrix(turned), by_point], axis=2)
-    np.put_along_axis(J, np.broadcast_to(at[:, None], (n, 2, 6)), -by_pose, axis=2)
-    return Linear(
-        residual=(xy - seen).ravel(),
-        jacobian=J.reshape(2 * n, -1),
-        cov=np.broadcast_to(sigma_px**2 * np.eye(2), (n, 2, 2)),
-    )
-
-
-def _adjusted(
-    camera: Camera, start: _State, xy: ArrayF, board: ArrayF, number: ArrayI, sigma_px: float
-) -> Adjusted[_State]:
-    k = len(camera.parameters)
-
-    def update(x: _State, dx: ArrayF) -> _State:
-        """Small changes put on the state: parameters, then rotation and shift of each board."""
-        pose = dx[k:].reshape(-1, 6)
-        turn = Rotation.from_rotvec(pose[:, :3]).as_matrix()
-        return _State(x.parameters + dx[:k], turn @ x.R, x.t + pose[:, 3:])
-
-    names: Sequence[str] = [
-        *camera.parameter_names,
-        *(f"{axis} of board {i}" for i in range(len(start.t)) for axis in ("rx", "ry", "rz", "x", "y", "z")),
-    ]
-    return adjust(
-        [Observations("corners", lambda x: _corner_equations(camera, x, xy, board, number, sigma_px))],
-        start,
-        names,
-        update=update,
-        loss="huber",
-        reject_sigmas=_REJECT_SIGMAS,
-        max_iterations=100,
-        cure="Take pictures of the board from several sides, over the whole picture",
-    )
-
-
-def _by_pictures(
-    camera: Camera, found: Adjusted[_State], xy: ArrayF, board: ArrayF, number: ArrayI, sigma_px: float
-) -> tuple[ArrayF, float]:
+def _by_pictures(problem: Problem, layout: Layout, x: State, sigma_px: float) -> tuple[ArrayF, float]:
     """Covariance (k, k) of the lens by what its pictures say of each other, and its factor over the noise.
 
     Parameters
     ----------
     sigma_px : noise of a coordinate of a corner.
     """
-    k, n = len(camera.parameters), len(found.x.t)
-    equations = _corner_equations(camera, found.x, xy, board, number, sigma_px)
-    used, of = np.repeat(found.used["corners"], 2), np.repeat(number, 2)
+    k, n = layout.poses, len(problem.block.images)
+    equations, of = marks_model(problem, layout, x), np.repeat(problem.block.image[problem.used], 2)
     normals, sums = np.empty((n, k, k)), np.empty((n, k))
     for p in range(n):
-        J, v = (part[used & (of == p)] / sigma_px for part in (equations.jacobian, equations.residual))
-        by_lens, by_pose = J[:, :k], J[:, k + 6 * p : k + 6 * p + 6]
+        J, v = equations.jacobian[of == p].toarray() / sigma_px, equations.residual[of == p] / sigma_px
+        by_lens, by_pose = J[:, :k], J[:, layout.pose(p)]
         free = by_lens - by_pose @ np.linalg.lstsq(by_pose, by_lens, rcond=None)[0]
         normals[p], sums[p] = free.T @ free, free.T @ v
     N = normals.sum(axis=0)

@@ -529,8 +529,7 @@ def _relative(network: FieldNetwork, common: Sequence[str]) -> tuple[ArrayF, Arr
         camera = network.cameras[name]
         number = [c.name for c in network.adjusted.x.cameras].index(camera.name)
         J = np.zeros((len(camera.parameters), u))
-        for parameter, column in network.layout.at_camera[number].items():
-            J[parameter, column] = 1.0
+        J[:, network.layout.lens[number]] = network.layout.change[number]
         values.append(camera.parameters)
         rows.append(J)
     relative = []

@@ -1,4 +1,5 @@
 from .bundle import (
+    MARKS as MARKS,
     Control as Control,
     Layout as Layout,
     Problem as Problem,
@@ -35,11 +36,11 @@ from .network import (
     start_network as start_network,
 )
 from .points import FieldPoints as FieldPoints, read_points as read_points, write_points as write_points
+from .rays import pose_from_rays as pose_from_rays
 from .resection import (
     LARGEST_SIGMA0 as LARGEST_SIGMA0,
     LEAST_MARKS as LEAST_MARKS,
     Resected as Resected,
-    pose_from_rays as pose_from_rays,
     resect as resect,
     resect_together as resect_together,
     start_misfit_px as start_misfit_px,

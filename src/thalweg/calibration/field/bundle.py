@@ -8,7 +8,7 @@ control points with their joint covariance.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
 
@@ -16,8 +16,8 @@ import numpy as np
 from scipy import linalg, sparse
 from scipy.stats import chi2
 
-from thalweg.calibration import Block, mark_name, parse_mark
-from thalweg.calibration.field.resection import pose_from_rays
+from thalweg.calibration import Block, collinear, mark_name, parse_mark
+from thalweg.calibration.field.rays import pose_from_rays
 from thalweg.core import (
     Adjusted,
     AnyArray,
@@ -66,6 +66,10 @@ _NEAR_RAD: Final = 0.005
 _AGAIN: Final = 3
 _GROSS: Final = 8.0
 """Standardised residual beyond which a mark does not take part at first."""
+_CURE: Final = (
+    "Take more pictures of the field: from all sides, at two heights, and some with the camera turned by 90 "
+    "degrees about its view"
+)
 
 
 # ---------------------------------------------------------------- adjustment
@@ -116,7 +120,7 @@ class Problem:
     """One bundle: marks of pictures and points that take part, and what fixes scale and datum.
 
     ``free`` names, for each camera, the parameters to estimate; others keep their values. With ``weighted`` a
-    camera's own covariance enters as an observation of its parameters.
+    camera's own covariance enters as an observation of those parameters of which it knows something.
     """
 
     block: Block
@@ -128,29 +132,36 @@ class Problem:
     bars: tuple[Bar, ...] = ()
     control: Control | None = None
     weighted: bool = False
+    tied: Mapping[str, ArrayF] = field(default_factory=dict)
+    """Unknowns in ``free`` that move several parameters of a lens: (k,) change of these by each."""
+    cov_known: ArrayF | None = None
+    """(p, 3, 3) covariances of points that are no unknowns: they count in those of the marks."""
 
 
 class Layout:
     """Places of the unknowns in the vector: cameras, pictures, points."""
 
     def __init__(self, problem: Problem, cameras: Sequence[Camera]) -> None:
+        self.change: list[ArrayF] = []
+        """For each camera (k, f) how its parameters follow its unknowns, which stand at ``lens``."""
+        self.lens: list[slice] = []
         self.at_camera: list[dict[int, int]] = []
+        """For each camera the unknown of each of its parameters that has one of its own."""
         names: list[str] = []
         for camera, free in zip(cameras, problem.free, strict=True):
-            places = [camera.parameter_names.index(name) for name in free]
-            self.at_camera.append({p: len(names) + k for k, p in enumerate(places)})
+            own = dict(zip(camera.parameter_names, np.eye(len(camera.parameters)), strict=True))
+            change = [problem.tied[name] if name in problem.tied else own[name] for name in free]
+            self.change.append(np.array(change).reshape(-1, len(camera.parameters)).T)
+            self.lens.append(slice(len(names), len(names) + len(free)))
+            order = {name: p for p, name in enumerate(camera.parameter_names)}
+            self.at_camera.append({order[n]: len(names) + k for k, n in enumerate(free) if n in order})
             names += [f"{camera.name} {name}" for name in free]
         self.poses = len(names)
-        names += [f"{image} {part}" for image in problem.block.images for part in POSE_NAMES]
+        names += [f"{image} {part}".strip() for image in problem.block.images for part in POSE_NAMES]
         self.points = len(names)
-        names += [f"{m}/{c} {axis}" for m, c in problem.block.points for axis in "xyz"]
+        if problem.cov_known is None:
+            names += [f"{m}/{c} {axis}" for m, c in problem.block.points for axis in "xyz"]
         self.names = tuple(names)
-
-    def camera_columns(self, k: int, n: int) -> tuple[ArrayI, ArrayF]:
-        """Column of each of n parameters of camera k, and 1 for estimated, 0 for fixed ones."""
-        at = self.at_camera[k]
-        columns = np.array([at.get(p, 0) for p in range(n)], np.int64)
-        return columns, np.array([float(p in at) for p in range(n)])
 
     def pose(self, image: int) -> slice:
         """Unknowns of a picture."""
@@ -161,8 +172,17 @@ class Layout:
         return slice(self.points + 3 * point, self.points + 3 * point + 3)
 
 
-def solve(problem: Problem, start: State, *, max_iterations: int = 60) -> tuple[Adjusted[State], Layout]:
-    """Adjust one bundle from approximate values among which `robust_start` has found the way.
+def solve(
+    problem: Problem, start: State, *, robust_sigmas: float | None = None, cure: str = _CURE
+) -> tuple[Adjusted[State], Layout]:
+    """Adjust one bundle.
+
+    Parameters
+    ----------
+    problem : the bundle.
+    start : approximate values, among which `robust_start` has found the way.
+    robust_sigmas : begin with Huber's weights, and leave out marks that are off by so many sigmas; None: no.
+    cure : what the user can do if unknowns are undetermined.
 
     Raises
     ------
@@ -180,10 +200,11 @@ def solve(problem: Problem, start: State, *, max_iterations: int = 60) -> tuple[
         start,
         layout.names,
         update=lambda x, dx: moved(x, dx, layout),
-        inner_constraints=inner if problem.control is None else None,
-        max_iterations=max_iterations,
-        cure="Take more pictures of the field: from all sides, at two heights, and some with the camera "
-        "turned by 90 degrees about its view",
+        loss=None if robust_sigmas is None else "huber",
+        reject_sigmas=robust_sigmas,
+        inner_constraints=inner if problem.control is None and problem.cov_known is None else None,
+        max_iterations=60 if robust_sigmas is None else 200,
+        cure=cure,
     )
     return adjusted, layout
 
@@ -272,10 +293,8 @@ def _groups(problem: Problem, layout: Layout, nominal: Sequence[Camera]) -> list
 def moved(x: State, dx: ArrayF, layout: Layout) -> State:
     """The state with a small change of the unknowns put on."""
     cameras = []
-    for camera, places in zip(x.cameras, layout.at_camera, strict=True):
-        p = camera.parameters.copy()
-        for parameter, column in places.items():
-            p[parameter] += dx[column]
+    for camera, change, lens in zip(x.cameras, layout.change, layout.lens, strict=True):
+        p = camera.parameters + change @ dx[lens]
         # a wild trial step may not turn a focal length round
         p[:2] = np.maximum(p[:2], 0.05 * camera.parameters[:2])
         cameras.append(camera.with_parameters(p))
@@ -284,7 +303,7 @@ def moved(x: State, dx: ArrayF, layout: Layout) -> State:
         tuple(cameras),
         exp_rotation(poses[:, 3:]) @ x.R,
         x.C + poses[:, :3],
-        x.X + dx[layout.points :].reshape(-1, 3),
+        x.X + dx[layout.points :].reshape(-1, 3) if layout.points < len(layout.names) else x.X,
     )
 
 
@@ -292,43 +311,34 @@ def marks_model(problem: Problem, layout: Layout, x: State, rows: ArrayB | None 
     """Residuals (computed minus observed) of marks: of those used, or of ``rows`` (m,)."""
     block = problem.block
     chosen = problem.used if rows is None else rows
-    return _projected(problem, layout, x, block.image[chosen], block.point[chosen], chosen)
-
-
-def _projected(
-    problem: Problem, layout: Layout, x: State, image: ArrayI, point: ArrayI, chosen: ArrayB
-) -> Linear:
-    block = problem.block
-    m = len(image)
-    xy_px, sigma_px = block.xy_px[chosen], block.sigma_px[chosen]
-    away = x.X[point] - x.C[image]
-    Rt = np.swapaxes(x.R, 1, 2)[image]
-    local = np.einsum("mij,mj->mi", Rt, away)
-    k = max(len(c.parameters) for c in x.cameras)
-    residual = np.empty((m, 2))
-    values = np.zeros((m, 2, k + 9))
-    columns = np.zeros((m, k + 9), np.int64)
-    by_point = np.empty((m, 2, 3))
-    for number, camera in enumerate(x.cameras):
-        rows = problem.camera[image] == number
-        xy, by_point[rows], by_parameters = camera.project_with_derivatives(local[rows])
-        residual[rows] = xy - xy_px[rows]
-        n = len(camera.parameters)
-        at, estimated = layout.camera_columns(number, n)
-        columns[rows, :n] = at
-        values[rows, :, :n] = by_parameters * estimated
-    by_pcs = by_point @ Rt
-    values[:, :, k : k + 3] = -by_pcs
-    values[:, :, k + 3 : k + 6] = by_pcs @ cross_matrix(away)
-    values[:, :, k + 6 :] = by_pcs
-    columns[:, k : k + 6] = layout.poses + 6 * image[:, None] + np.arange(6)
-    columns[:, k + 6 :] = layout.points + 3 * point[:, None] + np.arange(3)
+    image, point = block.image[chosen], block.point[chosen]
+    camera = problem.camera[image]
+    seen = collinear(x.cameras, camera, x.R[image], x.C[image], x.X[point])
+    residual = seen.xy_px - block.xy_px[chosen]
+    m, f = len(image), max(change.shape[1] for change in layout.change)
+    by_lens, columns = np.zeros((m, 2, f)), np.zeros((m, f), np.int64)
+    for number, change in enumerate(layout.change):
+        own, (k, n) = camera == number, change.shape
+        by_lens[own, :, :n] = seen.by_camera[own, :, :k] @ change
+        columns[own, :n] = layout.lens[number].start + np.arange(n)
+    parts = [by_lens, seen.by_pose]
+    at = [columns, layout.poses + 6 * image[:, None] + np.arange(6)]
+    if problem.cov_known is None:
+        parts.append(seen.by_point)
+        at.append(layout.points + 3 * point[:, None] + np.arange(3))
+    values, columns = np.concatenate(parts, axis=2), np.concatenate(at, axis=1)
     lost = ~np.isfinite(residual).all(axis=1) | ~np.isfinite(values).all(axis=(1, 2))
     residual[lost], values[lost] = _NO_IMAGE_PX, 0.0
+    n = values.shape[2]
     entries = values.reshape(2 * m, -1).ravel(), np.repeat(columns, 2, axis=0).ravel()
-    J = sparse.csr_array((*entries, np.arange(2 * m + 1) * (k + 9)), shape=(2 * m, len(layout.names)))
-    cov = np.square(sigma_px)[:, None, None] * np.eye(2)
-    return Linear(residual=residual.ravel(), jacobian=J, cov=cov)
+    J = sparse.csr_array((*entries, np.arange(2 * m + 1) * n), shape=(2 * m, len(layout.names)))
+    cov = np.square(block.sigma_px[chosen])[:, None, None] * np.eye(2)
+    if problem.cov_known is None:
+        return Linear(residual=residual.ravel(), jacobian=J, cov=cov)
+    seen.by_point[lost] = 0.0
+    cov = seen.by_point @ problem.cov_known[point] @ np.swapaxes(seen.by_point, 1, 2) + cov
+    # one picture alone has few unknowns, for which a plain matrix is faster
+    return Linear(residual=residual.ravel(), jacobian=J.toarray() if len(block.images) == 1 else J, cov=cov)
 
 
 def _bars(bars: tuple[Bar, ...], layout: Layout, x: State) -> Linear:
@@ -354,15 +364,18 @@ def _control(control: Control, layout: Layout, x: State) -> Linear:
 
 
 def _interior(problem: Problem, layout: Layout, nominal: Sequence[Camera], x: State) -> Linear:
-    rows = [(k, p, c) for k, at in enumerate(layout.at_camera) for p, c in at.items()]
-    J = np.zeros((len(rows), len(layout.names)))
-    J[np.arange(len(rows)), [c for _, _, c in rows]] = 1.0
-    residual = np.array([x.cameras[k].parameters[p] - nominal[k].parameters[p] for k, p, _ in rows])
-    cov = np.zeros((len(rows), len(rows)))
-    for a, (k, p, _) in enumerate(rows):
-        for b, (j, q, _) in enumerate(rows):
-            cov[a, b] = nominal[k].cov[p, q] if k == j else 0.0
-    return Linear(residual=residual, jacobian=J, cov=cov[None])
+    """The interior orientation of each camera as an observation, as far as it is known and sought."""
+    parts, rows, covs = [], [], []
+    for camera, known, change, lens in zip(x.cameras, nominal, layout.change, layout.lens, strict=True):
+        at = np.flatnonzero((np.diag(known.cov) > 0) & change.any(axis=1))
+        J = np.zeros((len(at), len(layout.names)))
+        J[:, lens] = change[at]
+        rows.append(J)
+        parts.append((camera.parameters - known.parameters)[at])
+        covs.append(known.cov[np.ix_(at, at)])
+    return Linear(
+        residual=np.concatenate(parts), jacobian=np.concatenate(rows), cov=linalg.block_diag(*covs)[None]
+    )
 
 
 def inner_constraints(points: ArrayF, layout: Layout, *, scale: bool) -> ArrayF:

@@ -11,7 +11,7 @@ import pandas as pd
 from scipy import sparse
 from scipy.stats import chi2
 
-from thalweg.calibration import Block, MarkerLayout, block_of, parse_mark, sheet_centres
+from thalweg.calibration import Block, MarkerLayout, block_of, collinear, parse_mark, sheet_centres
 from thalweg.calibration.field.bundle import (
     BARS,
     LEAST_RAYS,
@@ -29,7 +29,7 @@ from thalweg.calibration.field.bundle import (
     transformed,
 )
 from thalweg.calibration.field.description import FieldDescription
-from thalweg.calibration.field.resection import improved_pose, pose_from_rays
+from thalweg.calibration.field.rays import improved_pose, pose_from_rays
 from thalweg.core import (
     PARAMETERS,
     Adjusted,
@@ -326,11 +326,8 @@ def network_of(
     """Tables and covariances of an adjusted bundle."""
     block, x, cov = problem.block, adjusted.x, adjusted.cov
     cameras: dict[str, Camera] = {}
-    for camera, places in zip(x.cameras, layout.at_camera, strict=True):
-        own = np.zeros((len(camera.parameters),) * 2)
-        at = list(places)
-        own[np.ix_(at, at)] = cov[np.ix_(list(places.values()), list(places.values()))]
-        cameras[camera.name] = camera.with_parameters(camera.parameters, own)
+    for camera, change, at in zip(x.cameras, layout.change, layout.lens, strict=True):
+        cameras[camera.name] = camera.with_parameters(camera.parameters, change @ cov[at, at] @ change.T)
     poses = {
         image: Rigid(R=x.R[i], shift_m=x.C[i], cov=_symmetric(cov[layout.pose(i), layout.pose(i)]))
         for i, image in enumerate(block.images)
@@ -959,13 +956,8 @@ def _likeliest(
 
 def _by_interior(problem: Problem, x: State) -> ArrayF:
     """(m, 2, 3) derivatives of used marks by the relative camera constant and by the principal point."""
-    block, used = problem.block, problem.used
-    image, point = block.image[used], block.point[used]
-    local = np.einsum("mji,mj->mi", x.R[image], x.X[point] - x.C[image])
-    out = np.zeros((len(image), 2, 3))
-    for k, camera in enumerate(x.cameras):
-        rows = problem.camera[image] == k
-        _, _, by_parameters = camera.project_with_derivatives(local[rows])
-        out[rows, :, 0] = by_parameters[:, :, :2] @ camera.parameters[:2]
-        out[rows, :, 1:] = by_parameters[:, :, 2:4]
-    return out
+    image, point = problem.block.image[problem.used], problem.block.point[problem.used]
+    camera = problem.camera[image]
+    by_camera = collinear(x.cameras, camera, x.R[image], x.C[image], x.X[point]).by_camera
+    constants = np.array([lens.parameters[:2] for lens in x.cameras])[camera]
+    return np.concatenate([by_camera[:, :, :2] @ constants[:, :, None], by_camera[:, :, 2:4]], axis=2)

@@ -8,6 +8,7 @@ import numpy as np
 from scipy import optimize
 from scipy.special import gammaln
 
+from thalweg.calibration import collinear
 from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, cross_matrix, njit
 from thalweg.images.bundle.problem import Layout, Problem, State, interior_priors
 
@@ -195,35 +196,28 @@ class Marks:
 def linearised(problem: Problem, layout: Layout, x: State, image: ArrayI, X: ArrayF, xy_px: ArrayF) -> Marks:
     """Marks of points ``X`` (m, 3) in images, and their derivatives.
 
-    With ``d = X - C`` a small error turns ``R^T d`` into ``R^T (d - dx + d x dtheta + dX)``. An error of the
-    rig's pose turns the lens about the centre of the rig: there ``d = X - C_rig``. An error of the place of
-    the lens is one of its pose, turned by ``R_wcs_rig``.
+    See `thalweg.calibration.collinear`; an error of a rig's pose turns the lens about the centre of the rig,
+    and one of the place of the lens is one of its pose, turned by ``R_wcs_rig``.
     """
     m, q = len(image), layout.n_interior
-    d = X - x.C[image]
-    Rt = np.swapaxes(x.R, 1, 2)[image]
-    seen = np.einsum("mij,mj->mi", Rt, d)
-    xy, by_seen, by_rest = np.empty((m, 2)), np.empty((m, 2, 3)), np.zeros((m, 2, q))
     camera = problem.block.camera[image]
-    for k, (lens, at) in enumerate(zip(x.cameras, layout.interior, strict=True)):
-        rows: AnyArray = np.flatnonzero(camera == k) if len(x.cameras) > 1 else np.arange(m)
-        xy[rows], by_seen[rows], by_parameters = lens.project_with_derivatives(seen[rows])
-        for parameter in np.flatnonzero(at >= 0):
-            # tied parameters share a column
-            by_rest[rows, :, at[parameter] - layout.n_poses] += by_parameters[:, :, parameter]
-    by_point = by_seen @ Rt
+    R, C = x.R[image], x.C[image]
+    arm = None
     if x.T_rig_lens:
         R_lens, c_lens = x.lenses(camera)
-        R_rig = x.R[image] @ np.swapaxes(R_lens, 1, 2)
-        for k, at in enumerate(layout.places):
-            if at[0] < 0:
-                continue
-            rows = np.flatnonzero(camera == k)
-            moved, turned = -by_point[rows], by_point[rows] @ cross_matrix(d[rows])
-            by_place = np.concatenate([moved @ R_rig[rows], turned @ R_rig[rows]], axis=2)
-            by_rest[rows, :, at[0] - layout.n_poses : at[5] + 1 - layout.n_poses] = by_place
-        d = d + np.einsum("mij,mj->mi", R_rig, c_lens)
-    by_pose = np.concatenate([-by_point, by_point @ cross_matrix(d)], axis=2)
+        R_rig = R @ np.swapaxes(R_lens, 1, 2)
+        arm = X - C + np.einsum("mij,mj->mi", R_rig, c_lens)
+    xy, by_pose, by_point, by_camera = collinear(x.cameras, camera, R, C, X, arm)
+    by_rest = np.zeros((m, 2, q))
+    for k, (interior, place) in enumerate(zip(layout.interior, layout.places, strict=True)):
+        rows: AnyArray = np.flatnonzero(camera == k) if len(x.cameras) > 1 else np.arange(m)
+        for parameter in np.flatnonzero(interior >= 0):
+            # tied parameters share a column
+            by_rest[rows, :, interior[parameter] - layout.n_poses] += by_camera[rows, :, parameter]
+        if place[0] >= 0:
+            turned = by_point[rows] @ cross_matrix((X - C)[rows])
+            by_place = np.concatenate([-by_point[rows] @ R_rig[rows], turned @ R_rig[rows]], axis=2)
+            by_rest[rows, :, place[0] - layout.n_poses : place[5] + 1 - layout.n_poses] = by_place
     residual = xy_px - xy
     lost = ~np.isfinite(residual).all(axis=1)
     if lost.any():
@@ -373,14 +367,8 @@ def projected(problem: Problem, x: State, image: ArrayI, X: ArrayF) -> ArrayF:
 
 def derivatives_by_point(problem: Problem, x: State, image: ArrayI, X: ArrayF) -> ArrayF:
     """(m, 2, 3) derivatives of the pixels of points ``X`` (m, 3) in images; 0 where a camera sees nothing."""
-    Rt = np.swapaxes(x.R, 1, 2)[image]
-    seen = np.einsum("mij,mj->mi", Rt, X - x.C[image])
-    out = np.empty((len(image), 2, 3))
-    camera = problem.block.camera[image]
-    for k, lens in enumerate(x.cameras):
-        rows = np.flatnonzero(camera == k)
-        out[rows] = lens.project_with_derivatives(seen[rows])[1]
-    return np.asarray(np.nan_to_num(out) @ Rt)
+    seen = collinear(x.cameras, problem.block.camera[image], x.R[image], x.C[image], X)
+    return np.asarray(np.nan_to_num(seen.by_point))
 
 
 def _add_control(
