@@ -102,27 +102,6 @@ def test_each_point_stands_in_one_node_and_each_node_is_even(rng: np.random.Gene
     assert cKDTree(root).query(rng.uniform(-79, 79, (2000, 2)))[0].max() < 160 / 64 * 2
 
 
-def test_a_file_is_sorted_by_pieces(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Never more than a million of its points are asked for at once, and the tree is that of the array."""
-    xyz, asked = rng.normal(0, [5, 3, 1], (30_000, 3)), []
-
-    class File:
-        def __len__(self) -> int:
-            return len(xyz)
-
-        def __getitem__(self, rows: slice) -> np.ndarray:
-            asked.append(len(xyz[rows]))
-            return xyz[rows]
-
-    whole = build_octree(xyz)
-    monkeypatch.setattr("thalweg.core.geometry.octree._AT_ONCE", 4000)
-    for one, other in zip(whole, build_octree(File()), strict=True):
-        assert (one.key, one.size_m, one.spacing_m) == (other.key, other.size_m, other.spacing_m)
-        np.testing.assert_array_equal(one.rows, other.rows)
-    assert max(asked) == 4000
-    assert sum(asked) == 2 * len(xyz)
-
-
 def test_a_large_cloud_is_thinned_evenly_to_what_is_asked(rng: np.random.Generator) -> None:
     """Ten times as dense in one quarter: thinned, hardly denser than elsewhere."""
     sparse, dense = rng.uniform(-50, 50, (100_000, 3)), rng.uniform(0, 50, (250_000, 3))

@@ -35,7 +35,6 @@ from thalweg.lidar import (
     LogSettings,
     Occupancy,
     cloud as cloud_module,
-    export_copc,
     export_map,
     georeference_log,
     georeference_window,
@@ -66,60 +65,6 @@ def write_cloud(path: Path, n: int, frame=FRAME) -> np.ndarray:
             },
         )
     return xyz
-
-
-def test_copc_holds_each_record_and_is_found_by_place_and_level(tmp_path: Path) -> None:
-    """Read by laspy's reader of COPC, as one file of LAZ, and by hand from its list of nodes."""
-    rng = np.random.default_rng(7)
-    x, y = rng.uniform(-100, 100, (2, 60_000))
-    xyz = np.column_stack([x, y, 5 * np.sin(x / 20)]).round(3)
-    xyz[-9000:] = xyz[0]  # more than a leaf holds, at one place
-    n = len(xyz)
-    rgb = rng.integers(0, 65_536, (n, 3)).astype(np.uint16)
-    with LazWriter(tmp_path / "a.laz", CRS.from_epsg(25833), extra_dimensions=EXTRA_DIMENSIONS) as writer:
-        writer.append(
-            xyz, t_gps_s=3.0e8 + np.arange(n) * 1e-3, rgb=rgb, intensity=np.arange(n).astype(np.uint16),
-            extra={name: np.arange(n) % 200 for name in EXTRA_DIMENSIONS},
-        )  # fmt: skip
-    export_copc(tmp_path / "a.laz", tmp_path / "a.copc.laz")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.copc.laz", "a.laz"]
-    # any reader of LAZ: the same records, of which the time tells one from the other
-    (a, header), (b, other) = read_laz(tmp_path / "a.laz"), read_laz(tmp_path / "a.copc.laz")
-    assert (header.frame, header.extra_dimensions) == (other.frame, other.extra_dimensions)
-    order = np.argsort(b["t_gps_s"])
-    for name, values in a.items():
-        np.testing.assert_array_equal(b[name][order], values, err_msg=name)
-    with laspy.CopcReader.open(tmp_path / "a.copc.laz") as reader:
-        info = reader.copc_info
-        assert (info.gps_min, info.gps_max) == (a["t_gps_s"][0], a["t_gps_s"][-1])
-        assert len(reader.query()) == n
-        # its cube is the header's, by which others check places of nodes
-        np.testing.assert_allclose(info.center - info.halfsize, reader.header.mins, atol=1e-9)
-        assert 2 * info.halfsize == pytest.approx(np.ptp(xyz, axis=0).max(), abs=1e-9)
-        low, high = np.array([-31.0, 12.0, -9.0]), np.array([5.0, 44.0, 9.0])
-        found = reader.query(bounds=laspy.copc.Bounds(low, high))
-        inside = ((xyz >= low) & (xyz <= high)).all(axis=1)
-        np.testing.assert_array_equal(np.sort(found.gps_time), a["t_gps_s"][inside])
-        coarse = reader.query(resolution=info.spacing)
-        # the root: its cells are so wide, and a point lies in each that the surface meets
-        cells = {
-            tuple(cell)
-            for cell in (np.column_stack([coarse.x, coarse.y, coarse.z]) / info.spacing).astype(int)
-        }
-        assert 3000 < len(coarse) < 12_000
-        assert len(cells) > 0.5 * len(coarse)
-        middle = reader.query(resolution=info.spacing / 2)
-        assert len(coarse) < len(middle) < n
-    with LazWriter(tmp_path / "none.laz", FRAME) as writer:
-        pass
-    with pytest.raises(CoverageError, match="0 points"):
-        export_copc(tmp_path / "none.laz", tmp_path / "b.copc.laz")
-    old = laspy.LasData(laspy.LasHeader(version="1.2", point_format=1))
-    old.x = old.y = old.z = np.arange(3.0)
-    old.write(tmp_path / "old.las")
-    with pytest.raises(InputError, match="point format 1"):
-        export_copc(tmp_path / "old.las", tmp_path / "b.copc.laz")
-    assert not (tmp_path / "b.copc.laz").exists()
 
 
 def test_map_export_agrees_with_an_independent_transformation(tmp_path: Path) -> None:

@@ -105,10 +105,10 @@ rule export_copc:
         "../../envs/thalweg.yaml"
     threads: 2
     resources:
-        mem_mb=memory(1000, 8),
+        mem_mb=memory(1000),
         runtime=minutes(10, 60),
     params:
-        **calls("thalweg.lidar.cloud:export_copc"),
+        **calls("thalweg.lidar.copc:export_copc"),
     script:
         "../scripts/call.py"
 

@@ -140,6 +140,7 @@ rule extract_features:
         code=code_version("extract_features"),
         part=lambda wildcards: int(wildcards.part),
         options=section("images", "features"),
+        device=section("images", "device"),
     script:
         "../scripts/extract_features.py"
 
@@ -170,6 +171,7 @@ rule match_features:
         code=code_version("match_features"),
         part=lambda wildcards: int(wildcards.part),
         options=section("images", "mapping"),
+        device=section("images", "device"),
         folders=of(CampaignFiles.interior_folders),
     script:
         "../scripts/match_features.py"
@@ -229,6 +231,7 @@ rule map_images:
     params:
         code=code_version("map_images"),
         options=section("images", "mapping"),
+        device=section("images", "device"),
     script:
         "../scripts/map_images.py"
 

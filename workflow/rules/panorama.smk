@@ -61,6 +61,7 @@ rule orient_rig:
         **calls("thalweg.images.photographs:orient_rig_files"),
         campaign=identity("origin", "crs"),
         rig=of(CampaignFiles.rig_views),
+        device=section("images", "device"),
         features=section("images", "features"),
         mapping=section("images", "mapping"),
         adjustment=section("images", "adjustment"),

@@ -35,6 +35,7 @@ rule orient_photographs:
         **calls("thalweg.images.photographs:orient_files"),
         folder=f"{RESULTS}/photographs",
         campaign=identity("id", "crs"),
+        device=section("images", "device"),
         features=section("images", "features"),
         mapping=section("images", "mapping"),
         adjustment=section("images", "adjustment"),

@@ -18,9 +18,10 @@ def main(
     facts: Path,
     options: MappingSettings,
     threads: int,
+    device: str,
 ) -> None:
     found = Matches.read(matches)
-    mapped = map_images(found, settings=options, threads=threads)
+    mapped = map_images(found, settings=options, threads=threads, device=device)
     table = image_table(found, mapped)
     told = block_facts(found, mapped, table)
     for note in told["notes"]:

@@ -23,6 +23,7 @@ def main(
     options: MappingSettings,
     folders: list[str],
     threads: int,
+    device: str,
 ) -> None:
     inputs = MatchInputs(
         features=features,
@@ -36,7 +37,7 @@ def main(
     rows = part_of_pairs(plan, part, options.parts)
     log = logging.getLogger("thalweg")
     log.info("part %d of %d: %d of %d pairs", part + 1, options.parts, len(rows), len(plan.pairs))
-    found = compare_pairs(plan, descriptor, rows, settings=options, threads=threads)
+    found = compare_pairs(plan, descriptor, rows, settings=options, threads=threads, device=device)
     log.info("%d pairs have common points", np.count_nonzero(np.diff(found.pair_start)))
     found.write(pairs)
 

@@ -304,6 +304,7 @@ def orient_photographs(
     control: ControlSettings | None = None,
     rig: Rig | None = None,
     threads: int = 1,
+    device: str = "auto",
     progress: Callable[[str], None] | None = None,
 ) -> PhotographBlock:
     """Orient photographs by what is known of them, without a boat: surveyed points, positions of the camera.
@@ -324,6 +325,7 @@ def orient_photographs(
     rig : calibration of two lenses whose files the photographs are, in place of ``camera``; each file has
         one pose, that of the front lens, and ``marks`` name images ``front/NAME`` and ``back/NAME``.
     threads : of features and matches.
+    device : ``images.device``.
     progress : called with a line of text for each step.
 
     Raises
@@ -348,7 +350,7 @@ def orient_photographs(
     known = Known(cameras=() if camera is None else (read_camera(camera),))
     if rig is not None:
         known = Known(t_s={name: float(k) for k, name in enumerate(exposures)})
-    mapped = _mapped(files, known, masks, features, mapping, rig, threads, say)
+    mapped = _mapped(files, known, masks, features, mapping, rig, threads, device, say)
     blocks, marked = mapped.blocks, {}
     if marks is not None and rig is None and not control_points:
         both = [with_measured_points(b, marks, exposures, sigma_px=section.sigma_px) for b in blocks]
@@ -402,6 +404,7 @@ def _mapped(
     mapping: MappingSettings | None,
     rig: Rig | None,
     threads: int,
+    device: str,
     say: Callable[[str], None],
 ) -> _Mapped:
     """Features, pairs and structure from motion; with a rig of both views of each file."""
@@ -410,12 +413,12 @@ def _mapped(
         files = {f"{lens}/{name}": path for name, path in files.items() for lens in LENSES}
         times = {name: known.t_s.get(name.split("/", 1)[1], np.nan) for name in files}
         known = replace(known, of_folder=rig.cameras, t_s=times)
-    found = extract_features(files, masks=masks, settings=features, threads=threads, rig=rig)
+    found = extract_features(files, masks=masks, settings=features, threads=threads, rig=rig, device=device)
     say("pairs of photographs")
     inner = found if rig is None else found.chosen(found.within(rig, WIDEST_DEG))
-    matches = match_images(inner, files, known=known, section=mapping, threads=threads)
+    matches = match_images(inner, files, known=known, section=mapping, threads=threads, device=device)
     say("structure from motion")
-    mapped = map_images(matches, settings=mapping, threads=threads)
+    mapped = map_images(matches, settings=mapping, threads=threads, device=device)
     table = image_table(matches, mapped)
     why = {name: dict(zip(table["image"], table[name], strict=True)) for name in ("reason", "cause")}
     main_block(mapped, why["reason"], why["cause"])
@@ -447,6 +450,7 @@ def orient_rig_files(
     mapping: MappingSettings,
     adjustment: BlockAdjustment,
     control: ControlSettings,
+    device: str,
     threads: int,
 ) -> None:
     """The files of a rig on a boat -> a pose of its front lens for each, with covariances.
@@ -458,7 +462,7 @@ def orient_rig_files(
     predictions, trajectory, positions, mounts : of the boat, whose ``camera`` is the front lens.
     poses, control_report, images_report, facts : targets, as of the block of a camera.
     campaign : ``origin`` and ``crs``.
-    rig, features, mapping, adjustment, control : sections of the campaign file.
+    rig, features, mapping, adjustment, control, device : of the campaign file.
 
     Raises
     ------
@@ -473,7 +477,7 @@ def orient_rig_files(
     )
     for path in list(files.values())[:_TESTED]:
         read_views(path, rig)
-    mapped = _mapped(files, known, None, features, mapping, found, threads, log.info)
+    mapped = _mapped(files, known, None, features, mapping, found, threads, device, log.info)
     pieces = adjust_pieces(
         mapped.blocks,
         expected,
@@ -512,6 +516,7 @@ def orient_files(
     mapping: MappingSettings,
     adjustment: BlockAdjustment,
     control: ControlSettings,
+    device: str,
     threads: int,
 ) -> None:
     """The photographs of a campaign without a boat -> `FILES` in a folder.
@@ -520,7 +525,7 @@ def orient_files(
     ----------
     images, control_points, marks, positions, interior, masks : files of ``logs.time_lapse``.
     campaign : ``id`` and ``crs``.
-    features, mapping, adjustment, control : sections of ``images``.
+    features, mapping, adjustment, control, device : of ``images``.
     """
     block = orient_photographs(
         find_images(images).files,
@@ -535,6 +540,7 @@ def orient_files(
         adjustment=adjustment,
         control=control,
         threads=threads,
+        device=device,
         progress=log.info,
     )
     block.write(folder, name=campaign["id"])

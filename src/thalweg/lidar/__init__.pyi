@@ -12,7 +12,6 @@ from .cloud import (
     SIGMAS as SIGMAS,
     LogSettings as LogSettings,
     cloud_covariance as cloud_covariance,
-    export_copc as export_copc,
     export_map as export_map,
     georeference_log as georeference_log,
     georeference_window as georeference_window,
@@ -31,6 +30,7 @@ from .colour import (
     exposure_gains as exposure_gains,
 )
 from .colour_check import check_colours as check_colours
+from .copc import export_copc as export_copc
 from .filters import (
     MOST_COUNTED as MOST_COUNTED,
     REMOVED as REMOVED,

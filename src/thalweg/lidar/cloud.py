@@ -2,20 +2,14 @@
 
 import hashlib
 import logging
-import struct
 from collections.abc import Iterable, Mapping, Sequence
-from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any, BinaryIO, Final, Self
+from typing import Any, Final, Self
 
-import laspy
-import lazrs
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-from laspy.vlrs.vlrlist import VLRList
 from numpy.typing import ArrayLike
 from pyproj import CRS
 
@@ -37,12 +31,10 @@ from thalweg.core import (
     frame_of,
     iter_laz,
     laz_header,
-    library_errors,
     steps,
     table_kind,
     write_table,
 )
-from thalweg.core.geometry import CELLS_BITS, Node, build_octree
 from thalweg.ingest import LidarClock, LidarReader, LogWindow, PointBlock
 from thalweg.lidar.filters import (
     MOST_RADII,
@@ -75,11 +67,7 @@ CORRELATION_DIMENSIONS: Final[dict[str, ExtraDimension]] = dict.fromkeys(
 """Extra bytes of the full covariance, on request."""
 MANY_BELOW_WATER: Final = 0.25
 """Share of points below the water that waves and mirror images do not explain."""
-_COPC_FORMATS: Final = (6, 7, 8)
-_COPC_NODES: Final = 64
-"""Nodes that are compressed at once."""
 _CHUNK: Final = 1_000_000
-_EVLR_HEADER: Final = 60
 _LOG = logging.getLogger("thalweg")
 
 _WCS = ("east", "north", "up")
@@ -563,135 +551,6 @@ def export_map(points: Path, out: Path, crs: str, chunk_points: int = Georeferen
         for chunk in iter_laz(points, chunk_points):
             columns = columns_to_write(chunk, extra)
             writer.append(**columns | {"xyz_m": frame.to_map(chunk["xyz_m"], target)})
-
-
-def export_copc(points: Path, out: Path) -> None:
-    """Sort a cloud into an octree: a cloud-optimised point cloud, which any reader of LAZ reads, too.
-
-    COPC 1.0 (copc.io): a chunk of LAZ for each node, and a list of the nodes at the end, so that programs
-    read what they show from disk or over a network. Records are kept as they are, extra bytes and VLRs, too;
-    in a node they stand in the order of the file. It takes some 40 bytes a point in memory, and the size of
-    the uncompressed file on the disk of ``out``.
-
-    Parameters
-    ----------
-    points : LAS or LAZ of point format 6, 7 or 8, as Thalweg writes.
-    out : target, ``.copc.laz``.
-
-    Raises
-    ------
-    InputError : no such cloud, or damaged.
-    CoverageError : it has no points.
-    """
-    n_points = laz_header(points).n_points
-    with TemporaryDirectory(dir=out.parent) as folder, library_errors(points, "read its points"):
-        raw = Path(folder) / "records"
-        with laspy.open(points) as reader, raw.open("wb") as stream:
-            header = deepcopy(reader.header)
-            if header.point_format.id not in _COPC_FORMATS:
-                raise InputError(
-                    f"point format {header.point_format.id}",
-                    expected="6, 7 or 8, the formats of COPC",
-                    where=points,
-                    cure="Convert the file to LAS 1.4, such as by LazWriter or las2las",
-                )
-            read, span = 0, [np.inf, -np.inf]
-            for chunk in reader.chunk_iterator(_CHUNK):
-                stream.write(chunk.array.tobytes())
-                read += len(chunk)
-                t = chunk.array["gps_time"]
-                span = [min(span[0], float(t.min())), max(span[1], float(t.max()))]
-        if not read or read < n_points:
-            raise CoverageError(
-                f"{read:,} points", expected=f"{max(n_points, 1):,}, as its header says", where=points
-            )
-        records = _Records(raw, header)
-        nodes = build_octree(records)
-        laz = lazrs.LazVlr.new_for_compression(
-            header.point_format.id, header.point_format.num_extra_bytes, use_variable_size_chunks=True
-        )
-        partial = Path(folder) / out.name
-        with partial.open("w+b") as stream:
-            _write_copc_header(stream, header, laz, nodes[0], span, (0, 0))
-            start = stream.tell()
-            packer = lazrs.ParLasZipCompressor(stream, laz)
-            for k in range(0, len(nodes), _COPC_NODES):
-                packer.compress_chunks(records.bytes_of([n.rows for n in nodes[k : k + _COPC_NODES]]))
-            packer.done()
-            stream.seek(start)
-            sizes = [n_bytes for _, n_bytes in lazrs.read_chunk_table(stream, laz)]
-            end = stream.seek(0, 2)
-            # the first eight bytes say where the chunk table is
-            first = start + 8 + np.r_[0, np.cumsum(sizes)[:-1]]
-            entries = b"".join(
-                struct.pack("<4iQ2i", *_voxel(node.key), at, n_bytes, len(node.rows))
-                for node, at, n_bytes in zip(nodes, first.tolist(), sizes, strict=True)
-            )
-            stream.write(
-                struct.pack("<H16sHQ32s", 0, b"copc", 1000, len(entries), b"hierarchy of nodes") + entries
-            )
-            stream.seek(0)
-            page = (end + _EVLR_HEADER, len(entries))
-            _write_copc_header(stream, header, laz, nodes[0], span, page)
-            assert stream.tell() == start, "a header of the same size"
-        partial.replace(out)
-
-
-@dataclass(frozen=True, slots=True)
-class _Records:
-    """Uncompressed records of a cloud on the disk, and the places of their points.
-
-    The file is opened anew for each piece: pages that were read count as memory of the process until then.
-    """
-
-    raw: Path
-    header: Any
-
-    def _open(self) -> AnyArray:
-        return np.memmap(self.raw, dtype=self.header.point_format.dtype(), mode="r")
-
-    def __len__(self) -> int:
-        return self.raw.stat().st_size // int(self.header.point_format.size)
-
-    def __getitem__(self, rows: slice) -> ArrayF:
-        part = self._open()[rows]
-        steps = np.stack([part[axis] for axis in "XYZ"], axis=1)
-        return np.asarray(steps * self.header.scales + self.header.offsets)
-
-    def bytes_of(self, nodes: Iterable[ArrayI]) -> list[bytes]:
-        """The records of some nodes, each in the order of the file."""
-        records = self._open()
-        return [records[np.sort(rows)].tobytes() for rows in nodes]
-
-
-def _write_copc_header(
-    stream: BinaryIO, header: Any, laz: Any, root: Node, span: list[float], page: tuple[int, int]
-) -> None:
-    """Header and VLRs; page: where the list of the nodes begins, and how long it is."""
-    info = struct.pack(
-        "<5d2Q2d88x",
-        *(root.corner_m + root.size_m / 2),
-        root.size_m / 2,
-        root.size_m / 2**CELLS_BITS,
-        *page,
-        *span,
-    )
-    own = deepcopy(header)
-    kept = [vlr for vlr in header.vlrs if vlr.user_id not in ("copc", "laszip encoded")]
-    packing = laspy.VLR("laszip encoded", 22204, "lazrs variable chunks", laz.record_data())
-    own.vlrs = VLRList([laspy.VLR("copc", 1, "COPC info", info), *kept, packing])
-    own.extra_header_bytes = own.extra_vlr_bytes = b""
-    own.are_points_compressed = True
-    own.start_of_first_evlr, own.number_of_evlrs = (page[0] - _EVLR_HEADER, 1) if page[0] else (0, 0)
-    own.write_to(stream)
-
-
-def _voxel(key: str) -> tuple[int, int, int, int]:
-    """Level, x, y, z of a node by the digits of its key."""
-    x, y, z = (
-        sum((int(digit) >> axis & 1) << k for k, digit in enumerate(reversed(key))) for axis in range(3)
-    )
-    return len(key), x, y, z
 
 
 def sample_cloud(points: Path, max_points: int) -> dict[str, AnyArray]:

@@ -18,7 +18,13 @@ from .octree import (
     CELLS_BITS as CELLS_BITS,
     LEAF_POINTS as LEAF_POINTS,
     Node as Node,
+    Part as Part,
     build_octree as build_octree,
+    codes_of as codes_of,
+    cube_size_m as cube_size_m,
+    grow as grow,
+    node_key as node_key,
+    parts_of as parts_of,
 )
 from .point_fit import fit_points as fit_points, nearest_rotation as nearest_rotation
 from .raycast import MAX_EXTENT_M as MAX_EXTENT_M, Hits as Hits, RayCaster as RayCaster, _open3d as _open3d

@@ -4,10 +4,17 @@ A node is a cube and holds one point for each of its cells, 64 along an edge; th
 its eight children, whose cells are half as wide. Drawing a node and some of its descendants therefore adds
 points and repeats none. Points are sorted along a Z-order curve (Morton 1966), on which nodes and cells of
 every level are runs of neighbours, so that each level costs one pass.
+
+A cloud that memory does not hold is cut into parts along this curve (`parts_of`): the largest cubes of the
+tree with so many points at most. What a node takes in one of its cells depends on that cell alone, so that a
+part is sorted without the others. Cells that are larger than a part, of coarse nodes, take one point each:
+which one follows from counts. The tree is that of the whole cloud (`tests/lidar/test_copc.py`).
 """
 
+from bisect import bisect, insort
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Final, Protocol, TypeAlias
+from typing import Final, TypeAlias
 
 import numpy as np
 
@@ -21,18 +28,15 @@ _BITS: Final = 21
 """Bits of a coordinate in the code of a point: three of them fit 64."""
 
 
+_LAST: Final = _BITS - CELLS_BITS
+"""The finest level: its nodes take all that is left."""
 _AT_ONCE: Final = 1_000_000
-"""Points whose coordinates are in memory at a time."""
-
-
+"""Points whose codes are made at a time."""
+_LEAST_PART: Final = 50_000
+"""A cube with more points is no leaf: coarser nodes have taken 32^3 + 16^3 + ... = 37,449 of them at most."""
+_DEEPER: Final = 6
+"""Levels by which cubes that are too full are divided in one pass over the points."""
 Codes: TypeAlias = np.ndarray[tuple[int, ...], np.dtype[np.uint64]]
-
-
-class Places(Protocol):
-    """Points (n, 3), m, of which slices of rows are asked for: an array, or a file that is read by and by."""
-
-    def __len__(self) -> int: ...
-    def __getitem__(self, rows: slice, /) -> ArrayF: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,14 +58,14 @@ class Node:
     spacing_m: float
 
 
-def build_octree(xyz_m: Places, most_points: int | None = None) -> list[Node]:
+def build_octree(xyz_m: ArrayF, most_points: int | None = None) -> list[Node]:
     """Sort points into an octree, thinned evenly to so many at most, if a number is given.
 
     It takes some 40 bytes a point beside the points themselves.
 
     Parameters
     ----------
-    xyz_m : (n, 3) points, m; asked for twice, by slices.
+    xyz_m : (n, 3) points, m.
     most_points : of more points one in each of the finest cells that are few enough, and some more; of
         points at one place one. None: each point.
 
@@ -75,39 +79,159 @@ def build_octree(xyz_m: Places, most_points: int | None = None) -> list[Node]:
     """
     if not len(xyz_m):
         raise CoverageError("a cloud of no points", expected="points to show", cure="Look at its filters")
-    slices = [slice(k, k + _AT_ONCE) for k in range(0, len(xyz_m), _AT_ONCE)]
-    ends = np.array([[part.min(axis=0), part.max(axis=0)] for part in map(xyz_m.__getitem__, slices)])
-    low = ends[:, 0].min(axis=0)
-    size = float(max((ends[:, 1].max(axis=0) - low).max(), 0.01))
-    code = np.empty(len(xyz_m), dtype=np.uint64)
-    for piece in slices:
-        # the last point lies on the border of the last cell, and in it
-        cell = np.minimum((xyz_m[piece] - low) * (2**_BITS / size), 2**_BITS - 1)
-        code[piece] = _morton(cell.astype(np.uint64))
+    low = xyz_m.min(axis=0)
+    size = cube_size_m(low, xyz_m.max(axis=0))
+    pieces = range(0, len(xyz_m), _AT_ONCE)
+    code = np.concatenate([codes_of(xyz_m[k : k + _AT_ONCE], low, size) for k in pieces])
     order = np.argsort(code, kind="stable")
     code = code[order]
     if most_points is not None:
         kept = _thinned(code, most_points)
         code, order = code[kept], order[kept]
-    nodes: list[Node] = []
-    last = _BITS - CELLS_BITS
-    for level in range(last + 1):
-        if not len(code):
-            break
-        of_node = code >> np.uint64(3 * (_BITS - level))
-        first = np.flatnonzero(np.diff(of_node, prepend=of_node[0] + np.uint64(1)))
+    return [
+        _node(node_key(level, cube), low, size, order[places], occupied)
+        for level, cube, places, occupied in grow(code)
+    ]
+
+
+def cube_size_m(low_m: ArrayF, high_m: ArrayF) -> float:
+    """Edge of the root's cube, of which ``low_m`` is a corner."""
+    return float(max((high_m - low_m).max(), 0.01))
+
+
+def codes_of(xyz_m: ArrayF, low_m: ArrayF, size_m: float) -> Codes:
+    """Places (n,) of points (n, 3) on the curve that fills the root's cube."""
+    # the last point lies on the border of the last cell, and in it
+    cell = np.minimum((xyz_m - low_m) * (2**_BITS / size_m), 2**_BITS - 1)
+    return _morton(cell.astype(np.uint64))
+
+
+def node_key(level: int, cube: int) -> str:
+    """Key of a node by its place among all cubes of its level, in the order of the curve."""
+    return "".join(str(cube >> 3 * k & 7) for k in reversed(range(level)))
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A cube of the tree whose points are in memory together.
+
+    Parameters
+    ----------
+    level, cube : the node: of which level, and which in the order of the curve.
+    begin, n : points before it on the curve, and in it.
+    taken : of each coarse level the points, counted from the begin, that nodes take whose cells are larger
+        than this cube.
+    """
+
+    level: int
+    cube: int
+    begin: int
+    n: int
+    taken: dict[int, list[int]]
+
+    @property
+    def first_code(self) -> int:
+        """The first place of the cube on the curve."""
+        return self.cube << 3 * (_BITS - self.level)
+
+    def cube_at(self, level: int) -> int:
+        """Cube of another level that its first place lies in."""
+        return self.first_code >> 3 * (_BITS - level)
+
+
+def parts_of(pieces: Callable[[], Iterable[Codes]], most_points: int) -> list[Part]:
+    """Cut a cloud into the largest cubes of the tree with so many points at most, in the order of the curve.
+
+    Memory is that of a piece, and of the counts of some thousand cubes. Only where one node of the finest
+    level holds more points, a part does, too.
+
+    Parameters
+    ----------
+    pieces : codes of all points, piece by piece; asked for once for each six levels that are needed.
+    most_points : of a part, at least 50,000.
+    """
+    assert most_points >= _LEAST_PART, "whether a coarse node is a leaf would have to be counted"
+    found: list[tuple[int, int, int, int]] = []
+    level, full = 0, np.zeros(1, np.uint64)
+    while len(full):
+        finest = min(level + _DEEPER, _LAST)
+        cubes, count = np.empty(0, np.uint64), np.empty(0, np.int64)
+        for code in pieces():
+            inside = code[np.isin(code >> np.uint64(3 * (_BITS - level)), full)]
+            more, n_more = np.unique(inside >> np.uint64(3 * (_BITS - finest)), return_counts=True)
+            cubes, at = np.unique(np.concatenate([cubes, more]), return_inverse=True)
+            count = np.bincount(at, np.concatenate([count, n_more]), len(cubes)).astype(np.int64)
+        for depth in range(level, finest + 1):
+            at_depth, of_cube = np.unique(cubes >> np.uint64(3 * (finest - depth)), return_inverse=True)
+            n = np.bincount(of_cube, count, len(at_depth)).astype(np.int64)
+            fits = (n <= most_points) | (depth == _LAST)
+            for cube, n_points in zip(at_depth[fits].tolist(), n[fits].tolist(), strict=True):
+                found.append((cube << 3 * (_BITS - depth), depth, cube, n_points))
+            rest = ~fits[of_cube]
+            cubes, count = cubes[rest], count[rest]
+        level, full = finest, cubes
+    parts, begin = [], 0
+    for _, depth, cube, n_points in sorted(found):
+        parts.append(Part(depth, cube, begin, n_points, {}))
+        begin += n_points
+    _take_coarse(parts)
+    return parts
+
+
+def _take_coarse(parts: list[Part]) -> None:
+    """Find the middles of cells that hold whole parts, among what coarser nodes have left in them."""
+    taken: list[int] = []
+    begins = [part.begin for part in parts]
+    for level in range(max(part.level for part in parts) - CELLS_BITS):
+        cells: dict[int, list[Part]] = {}
+        for part in parts:
+            if part.level > level + CELLS_BITS:
+                cells.setdefault(part.cube_at(level + CELLS_BITS), []).append(part)
+        for inside in cells.values():
+            begin, end = inside[0].begin, inside[-1].begin + inside[-1].n
+            before = taken[bisect(taken, begin - 1) : bisect(taken, end - 1)]
+            middle = begin + (end - begin - len(before)) // 2
+            for place in before:
+                middle += place <= middle
+            insort(taken, middle)
+            of = parts[bisect(begins, middle) - 1]
+            of.taken.setdefault(level, []).append(middle - of.begin)
+
+
+def grow(code: Codes, part: Part | None = None) -> Iterator[tuple[int, int, ArrayI, int]]:
+    """Deal out points to the nodes of all levels.
+
+    Parameters
+    ----------
+    code : (n,) of the points, ascending.
+    part : of the cloud that these points are; None: the whole cloud.
+
+    Yields
+    ------
+    level, cube : a node, coarse ones first; those that hold more than the part have points of others, too.
+    places : its points, of these n.
+    occupied : number of its cells that hold points.
+    """
+    whole = 0 if part is None else part.level
+    left = np.arange(len(code))
+    for level in range(_LAST + 1):
+        if not len(left):
+            return
+        cube = code >> np.uint64(3 * (_BITS - level))
+        first = np.flatnonzero(np.diff(cube, prepend=cube[0] + np.uint64(1)))
         count = np.diff(first, append=len(code))
         own = np.zeros(len(code), dtype=np.bool_)
-        own[_middles(code >> np.uint64(3 * (_BITS - level - CELLS_BITS)))] = True
+        if part is not None and level + CELLS_BITS < whole:
+            own[np.searchsorted(left, part.taken.get(level, []))] = True
+        else:
+            own[_middles(code >> np.uint64(3 * (_BITS - level - CELLS_BITS)))] = True
         cells = np.add.reduceat(own, first, dtype=np.int64)
-        # what the finest cells do not tell apart stays together
-        own |= np.repeat((count <= LEAF_POINTS) | (level == last), count)
+        if level >= whole:
+            # what the finest cells do not tell apart stays together
+            own |= np.repeat((count <= LEAF_POINTS) | (level == _LAST), count)
         for start, n, occupied in zip(first, count, cells, strict=True):
-            key = "".join(str(int(of_node[start]) >> 3 * k & 7) for k in reversed(range(level)))
-            rows = order[start : start + n][own[start : start + n]]
-            nodes.append(_node(key, low, size, rows, int(occupied)))
-        code, order = code[~own], order[~own]
-    return nodes
+            yield level, int(cube[start]), left[start : start + n][own[start : start + n]], int(occupied)
+        code, left = code[~own], left[~own]
 
 
 def _node(key: str, low: ArrayF, size: float, rows: ArrayI, occupied: int) -> Node:

@@ -19,6 +19,8 @@ SEED: Final = 0
 
 FOCAL_FACTOR: Final = 1.2
 """Focal length of a camera of which nothing is known, in units of the longer side; as in COLMAP."""
+_CARDS: Final = (Path("/dev/nvidiactl"), Path("/dev/dxg"))
+"""What the driver of a graphics card shows: on Linux, and on Linux within Windows."""
 _GRID: Final = 25
 _DENOMINATOR: Final = ("k4", "k5", "k6")
 
@@ -43,6 +45,28 @@ def colmap() -> Any:
     pycolmap.logging.minloglevel = int(pycolmap.logging.Level.FATAL)
     pycolmap.set_random_seed(SEED)
     return pycolmap
+
+
+def uses_gpu(device: str) -> bool:
+    """Whether COLMAP works on a graphics card.
+
+    Parameters
+    ----------
+    device : ``images.device``; ``auto``: if pycolmap was built for CUDA and the system has a card.
+
+    Raises
+    ------
+    InputError : ``cuda``, and pycolmap was built without it.
+    """
+    built = bool(colmap().has_cuda)
+    if device == "cuda" and not built:
+        raise InputError(
+            "pycolmap without CUDA",
+            expected="pycolmap built for graphics cards, such as the package pycolmap-cuda12",
+            where="images.device",
+            cure="Install it, or set images.device to auto or cpu",
+        )
+    return device == "cuda" or (device == "auto" and built and any(path.exists() for path in _CARDS))
 
 
 # ---------------------------------------------------------------- interior orientations to COLMAP and back

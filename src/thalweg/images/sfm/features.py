@@ -31,7 +31,7 @@ from thalweg.images.model import (
     with_problem,
     without_doubles,
 )
-from thalweg.images.sfm.colmap import colmap
+from thalweg.images.sfm.colmap import colmap, uses_gpu
 from thalweg.ingest.photos import Images, natural_key
 from thalweg.settings.sections import FeatureSettings
 
@@ -137,6 +137,7 @@ def extract_features(
     settings: FeatureSettings | None = None,
     threads: int = 1,
     rig: Rig | None = None,
+    device: str = "auto",
 ) -> Features:
     """Find the features of images; images that cannot be used stay in the result with their problem.
 
@@ -151,12 +152,13 @@ def extract_features(
     threads : images that are worked on at the same time; each needs its own memory.
     rig : images are its views, named ``front/NAME`` and ``back/NAME``, of files with both; those of a fisheye
         are used to `RIM_DEG`.
+    device : ``images.device``.
 
     Raises
     ------
-    InputError : an image that stands twice, or a folder of masks that does not exist.
+    InputError : an image that stands twice, a folder of masks that does not exist, ``cuda`` without it.
     """
-    use = settings or FeatureSettings()
+    use, on_gpu = settings or FeatureSettings(), uses_gpu(device)
     ordered = list(named_once(images).items()) if images else []
     if masks is not None and not masks.is_dir():
         raise InputError("folder not found", expected="masks named <image>.png", where=masks)
@@ -165,7 +167,7 @@ def extract_features(
     places: list[NDArray[np.float32]] = []
     descriptors: list[NDArray[np.uint8]] = []
     for first in steps(range(0, len(ordered), _AT_ONCE), f"features, {_AT_ONCE} images at a time:"):
-        some = _extract_some(ordered[first : first + _AT_ONCE], masks, use, threads, views)
+        some = _extract_some(ordered[first : first + _AT_ONCE], masks, use, threads, views, on_gpu)
         for picture, place, descriptor in some:
             pictures.append(picture)
             places.append(place)
@@ -364,6 +366,7 @@ def _extract_some(
     settings: FeatureSettings,
     threads: int,
     views: Mapping[str, LensView],
+    on_gpu: bool,
 ) -> list[tuple[Picture, NDArray[np.float32], NDArray[np.uint8]]]:
     out = []
     with tempfile.TemporaryDirectory(prefix="thalweg-features-") as temporary:
@@ -385,7 +388,7 @@ def _extract_some(
                 budget = min(_MOST_BUDGET, round(1 / picture.usable_share))
                 by_budget.setdefault(budget, []).append(k)
         for budget, some in sorted(by_budget.items()):
-            _run_sift(folder, some, budget, settings, threads)
+            _run_sift(folder, some, budget, settings, threads, on_gpu)
         for k, picture in enumerate(pictures):
             place, descriptor = _read_sift(folder / f"{k}.npz", scale[k])
             free = at_pixels(usables[k], place[:, 0], place[:, 1], picture.size_px if len(place) else (1, 1))
@@ -398,12 +401,12 @@ def _extract_some(
 
 
 def _run_sift(
-    folder: Path, images: Sequence[int], budget: int, settings: FeatureSettings, threads: int
+    folder: Path, images: Sequence[int], budget: int, settings: FeatureSettings, threads: int, on_gpu: bool
 ) -> None:
     """Features of the pictures ``<k>.pgm`` into files ``<k>.npz``."""
     pc = colmap()
     options = pc.FeatureExtractionOptions()
-    options.use_gpu = False
+    options.use_gpu = on_gpu
     options.num_threads = max(1, min(threads, len(images)))
     options.max_image_size = settings.max_size_px
     options.sift.max_num_features = settings.max_features * budget
@@ -417,7 +420,7 @@ def _run_sift(
         pc.CameraMode.PER_IMAGE,
         pc.ImageReaderOptions(),
         options,
-        pc.Device.cpu,
+        pc.Device.cuda if on_gpu else pc.Device.cpu,
     )
     with pc.Database.open(path) as database:
         for image in database.read_all_images():

@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 
 from thalweg.core import NMAD, ArrayB, ArrayF, ArrayI, Camera, InputError
 from thalweg.images.model import ImageBlock
-from thalweg.images.sfm.colmap import SEED, colmap, from_colmap
+from thalweg.images.sfm.colmap import SEED, colmap, from_colmap, uses_gpu
 from thalweg.images.sfm.matching import Matches, fill_database
 from thalweg.settings.sections import MappingSettings
 
@@ -69,7 +69,9 @@ _WIDEST: Final = 1.0 / 3.0
 """Focal length over the longer side: a perspective lens of 112 degrees; wider ones are fisheyes."""
 
 
-def map_images(matches: Matches, *, settings: MappingSettings | None = None, threads: int = 1) -> Mapped:
+def map_images(
+    matches: Matches, *, settings: MappingSettings | None = None, threads: int = 1, device: str = "auto"
+) -> Mapped:
     """Put images together.
 
     With one thread, or with ``repeatable``, the same matches give the same block bit by bit. With several
@@ -81,20 +83,28 @@ def map_images(matches: Matches, *, settings: MappingSettings | None = None, thr
     matches : of all images.
     settings : see `MappingSettings`.
     threads : of the adjustments within the mapper, unless it is to be repeatable.
+    device : ``images.device``; the facts say which one it was.
 
     Returns
     -------
     mapped : without pieces if no two images could be oriented to each other.
+
+    Raises
+    ------
+    InputError : ``cuda`` without it.
     """
-    use = settings or MappingSettings()
+    use, on_gpu = settings or MappingSettings(), uses_gpu(device)
+    told = {"device": "cuda" if on_gpu else "cpu"}
     if not (matches.n_common > 0).any():
-        return Mapped(pieces=(), facts={"notes": [], "pieces": []})
+        return Mapped(pieces=(), facts={**told, "notes": [], "pieces": []})
     with tempfile.TemporaryDirectory(prefix="thalweg-block-") as temporary:
         folder = Path(temporary)
         notes = fill_database(folder / "block.db", matches)
+        if on_gpu:
+            notes.append(f"structure from motion on a graphics card (images.device: {device})")
         run = _incremental if use.method == "incremental" else _global
-        models = run(folder, matches, use, 1 if use.repeatable else max(1, threads))
-        models = [_refined(model, matches, use, notes) for model in models]
+        models = run(folder, matches, use, 1 if use.repeatable else max(1, threads), on_gpu)
+        models = [_refined(model, matches, use, notes, on_gpu) for model in models]
         found = [piece for model in models for piece in _pieces(model, matches, use, notes)]
     good = []
     for block, facts in found:
@@ -112,7 +122,7 @@ def map_images(matches: Matches, *, settings: MappingSettings | None = None, thr
     ]
     return Mapped(
         pieces=tuple(block for block, _ in kept),
-        facts={"notes": list(dict.fromkeys(notes)), "pieces": [facts for _, facts in kept]},
+        facts={**told, "notes": list(dict.fromkeys(notes)), "pieces": [facts for _, facts in kept]},
     )
 
 
@@ -163,7 +173,7 @@ def _estimates_guesses(matches: Matches, use: MappingSettings) -> bool:
     return use.interior != "fixed" and any(start.source != "given" for start in matches.starts)
 
 
-def _refined(model: Any, matches: Matches, use: MappingSettings, notes: list[str]) -> Any:
+def _refined(model: Any, matches: Matches, use: MappingSettings, notes: list[str], on_gpu: bool) -> Any:
     """A model whose given cameras were held, adjusted once more with their lenses free as far as it bears.
 
     The focal length from `_LEAST_FOR_FOCAL` images, distortion from `_LEAST_FOR_SHAPE`; a lens that becomes
@@ -178,7 +188,7 @@ def _refined(model: Any, matches: Matches, use: MappingSettings, notes: list[str
     o.print_summary = False
     o.refine_focal_length, o.refine_extra_params = True, n >= _LEAST_FOR_SHAPE
     o.refine_principal_point = False
-    o.ceres.use_gpu = False
+    o.ceres.use_gpu = on_gpu
     o.ceres.solver_options.num_threads = 1
     freed = pc.Reconstruction(model)
     pc.bundle_adjustment(freed, o)
@@ -220,7 +230,9 @@ def impossible_lens(camera: Camera) -> str:
     return ""
 
 
-def _incremental(folder: Path, matches: Matches, use: MappingSettings, threads: int) -> list[Any]:
+def _incremental(
+    folder: Path, matches: Matches, use: MappingSettings, threads: int, on_gpu: bool
+) -> list[Any]:
     pc = colmap()
     estimated = _estimates_guesses(matches, use)
     scale = matches.scale()
@@ -232,6 +244,7 @@ def _incremental(folder: Path, matches: Matches, use: MappingSettings, threads: 
     o.min_model_size = _SMALLEST_PIECE
     o.ba_refine_focal_length = o.ba_refine_extra_params = estimated
     o.ba_refine_principal_point = False
+    o.ba_use_gpu = on_gpu
     # pairs of images have a base of their own only if two-view points count
     o.triangulation.ignore_two_view_tracks = len(matches.order) > 2
     o.mapper.random_seed = o.triangulation.random_seed = SEED
@@ -250,7 +263,7 @@ def _incremental(folder: Path, matches: Matches, use: MappingSettings, threads: 
     return [made[key] for key in sorted(made)]
 
 
-def _global(folder: Path, matches: Matches, use: MappingSettings, threads: int) -> list[Any]:
+def _global(folder: Path, matches: Matches, use: MappingSettings, threads: int, on_gpu: bool) -> list[Any]:
     pc = colmap()
     o = pc.GlobalPipelineOptions()
     o.random_seed = o.mapper.random_seed = SEED
@@ -259,7 +272,7 @@ def _global(folder: Path, matches: Matches, use: MappingSettings, threads: int) 
     o.min_model_size = _SMALLEST_PIECE
     o.mapper.rotation_averaging.random_seed = o.mapper.global_positioning.random_seed = SEED
     o.mapper.retriangulation.random_seed = SEED
-    o.mapper.global_positioning.use_gpu = o.mapper.bundle_adjustment.ceres.use_gpu = False
+    o.mapper.global_positioning.use_gpu = o.mapper.bundle_adjustment.ceres.use_gpu = on_gpu
     adjustment = o.mapper.bundle_adjustment
     adjustment.refine_focal_length = adjustment.refine_extra_params = _estimates_guesses(matches, use)
     adjustment.refine_principal_point = False
@@ -581,6 +594,7 @@ def block_facts(matches: Matches, mapped: Mapped, table: pd.DataFrame) -> dict[s
             dict(zip(c.parameter_names, np.round(c.parameters, 6).tolist(), strict=True))
             for c in (mapped.pieces[0].cameras if mapped.pieces else ())
         ],
+        "device": mapped.facts.get("device", "cpu"),
         "pieces": pieces,
         "gaps": gaps,
         "notes": notes,

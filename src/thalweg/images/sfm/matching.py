@@ -24,6 +24,7 @@ from thalweg.images.sfm.colmap import (
     start_given,
     start_guessed,
     to_colmap,
+    uses_gpu,
 )
 from thalweg.images.sfm.features import Features, join_features, read_arrays
 from thalweg.ingest.photos import Images, named_images, natural_key
@@ -296,13 +297,14 @@ def match_images(
     known: Known | None = None,
     section: MappingSettings | None = None,
     threads: int = 1,
+    device: str = "auto",
 ) -> Matches:
     """Choose the pairs of images and find what they have in common, all in one part.
 
     Parameters
     ----------
     features, images, known, section : as of `plan_matches`.
-    threads : pairs that are worked on at the same time.
+    threads, device : as of `compare_pairs`.
 
     Raises
     ------
@@ -311,9 +313,10 @@ def match_images(
     plan = plan_matches(features, images, known=known, section=section)
     settings = section or MappingSettings()
     rows = np.arange(len(plan.pairs))
-    return joined_parts(
-        plan, [compare_pairs(plan, features.descriptor, rows, settings=settings, threads=threads)]
+    compared = compare_pairs(
+        plan, features.descriptor, rows, settings=settings, threads=threads, device=device
     )
+    return joined_parts(plan, [compared])
 
 
 def _of_block(files: Mapping[str, Path], pictures: Sequence[Picture]) -> dict[str, Path]:
@@ -748,6 +751,7 @@ def compare_pairs(
     *,
     settings: MappingSettings | None = None,
     threads: int = 1,
+    device: str = "auto",
 ) -> ComparedPairs:
     """Compare some of the pairs; the number of threads changes the time alone.
 
@@ -758,15 +762,20 @@ def compare_pairs(
     rows : of the pairs to compare.
     settings : see `MappingSettings`.
     threads : pairs that are worked on at the same time.
+    device : ``images.device``.
+
+    Raises
+    ------
+    InputError : ``cuda`` without it.
     """
-    pairs = plan.pairs[rows]
+    pairs, on_gpu = plan.pairs[rows], uses_gpu(device)
     with tempfile.TemporaryDirectory(prefix="thalweg-matches-") as temporary:
         path = Path(temporary) / "block.db"
         fill_database(path, plan, descriptor=descriptor, images=np.unique(pairs).tolist())
         listed = Path(temporary) / "pairs.txt"
         listed.write_text("".join(f"{a} {b}\n" for a, b in pairs))
         if len(pairs):
-            _run_matching(path, listed, settings or MappingSettings(), plan.scale(), threads)
+            _run_matching(path, listed, settings or MappingSettings(), plan.scale(), threads, on_gpu)
         return _collected(path, pairs)
 
 
@@ -802,10 +811,12 @@ def joined_parts(plan: Matches, parts: Sequence[ComparedPairs]) -> Matches:
     )
 
 
-def _run_matching(path: Path, listed: Path, settings: MappingSettings, scale: float, threads: int) -> None:
+def _run_matching(
+    path: Path, listed: Path, settings: MappingSettings, scale: float, threads: int, on_gpu: bool
+) -> None:
     pc = colmap()
     how = pc.FeatureMatchingOptions()
-    how.use_gpu = False
+    how.use_gpu = on_gpu
     how.num_threads = max(1, threads)
     which = pc.ImportedPairingOptions()
     which.match_list_path = listed
@@ -816,7 +827,7 @@ def _run_matching(path: Path, listed: Path, settings: MappingSettings, scale: fl
     # a second plane or a moving thing never makes a pair of images: what is not rigid is left out
     check.detect_watermark = False
     check.compute_relative_pose = True
-    pc.match_image_pairs(path, how, which, check, pc.Device.cpu)
+    pc.match_image_pairs(path, how, which, check, pc.Device.cuda if on_gpu else pc.Device.cpu)
 
 
 def _collected(path: Path, pairs: ArrayI) -> ComparedPairs:

@@ -14,6 +14,7 @@ from thalweg.settings.sections.mounts import CameraMount
 from thalweg.settings.sections.navigation import Fix
 
 Pixels = Annotated[int, Field(ge=0, le=100_000)]
+Device = Literal["auto", "cpu", "cuda"]
 
 # ---------------------------------------------------------------- structure from motion
 
@@ -514,6 +515,12 @@ class Images(Section):
         default="camera",
         description="Whose images orient the boat: of the camera (`logs.time_lapse`), or of the rig "
         "(`logs.rig`, with one pose for each file; place, stamps and clock are those of section `rig`)",
+    )
+    device: Device = Field(
+        default="auto",
+        description="What looks for features, compares pairs and adjusts: `cpu`; `cuda`: a graphics card, "
+        "for which pycolmap must have been built; `auto`: one where pycolmap can use it. A card finds other "
+        "features than the processor, so that the same images do not give the same block bit by bit",
     )
     times: ImageTimes = Field(default=ImageTimes(), description="Stamps of the images")
     clock: StatedClock = Field(
