@@ -129,6 +129,11 @@ def test_roots_of_mixed_units_have_their_covariance_and_keep_to_their_axes() -> 
     assert root @ np.swapaxes(root, 1, 2) == pytest.approx(cov, rel=1e-6, abs=1e-14)
     own = np.swapaxes(axes, 1, 2) @ root
     assert own == pytest.approx(np.broadcast_to(own[0], own.shape), rel=1e-6, abs=1e-10)
+    # the same errors in millimetres and milliradians have the same root in these
+    unit = np.array([1e3] * 6)
+    unit[3:] *= 17.0
+    finer = symmetric_roots(cov * np.outer(unit, unit), axes)
+    assert finer == pytest.approx(unit[:, None] * root, rel=1e-6, abs=1e-9)
 
 
 def test_chains_are_read_as_they_were_written(tmp_path: Path) -> None:
