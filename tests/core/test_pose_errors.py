@@ -207,3 +207,17 @@ def test_even_time_runs_by_the_rate_at_which_errors_are_forgotten(sigma_m: float
     assert first / second == pytest.approx(4.0, rel=0.1)
     assert time_s / (first / 30.0) == pytest.approx(3.0, rel=0.1)
     assert (even[0], even[-1]) == pytest.approx((0.0, 120.0))
+
+
+def test_errors_that_never_end_or_are_forgotten_at_once_have_the_limits_of_the_search() -> None:
+    """A thousandth of the survey and a thousand surveys, where the sum over it tells no time."""
+    t = np.arange(0.0, 100.5, 0.5)
+    root = np.tile(0.02 * np.eye(6), (len(t), 1, 1))
+    time_s = [
+        even_time(
+            [ErrorChain(name="all", t_gps_s=t, root=root, link=np.tile(k * np.eye(6), (len(t), 1, 1)))]
+        )[2]
+        for k in (0.0, 1.0)
+    ]
+    assert time_s[0] < 2.0
+    assert time_s[1] > 1e4
