@@ -221,3 +221,29 @@ def test_errors_that_never_end_or_are_forgotten_at_once_have_the_limits_of_the_s
     ]
     assert time_s[0] < 2.0
     assert time_s[1] > 1e4
+
+
+def test_chains_with_links_in_all_directions_by_hand() -> None:
+    """Two components that turn into each other: the later error is ``link`` times the earlier one."""
+    rng = np.random.default_rng(8)
+    root, link = rng.standard_normal((4, 6, 2)), 0.5 * rng.standard_normal((4, 2, 2))
+    t = np.array([0.0, 1.0, 2.0, 4.0])
+    chain = ErrorChain(name="both", t_gps_s=t, root=root, link=link)
+    mixed = root[2] @ link[2] @ root[1].T  # of node 2 with node 1
+    expected = 0.49 * root[1] @ root[1].T + 0.09 * root[2] @ root[2].T + 0.21 * (mixed + mixed.T)
+    assert chain.covariance_at(np.array([1.3]))[0] == pytest.approx(expected, rel=1e-12)
+    up = root[:, 2]
+    own, following = chain.heights_along(np.array([0.4, 0.6, 3.5]))  # the nodes 0, 1 and 3
+    assert own == pytest.approx([up[0] @ up[0], up[1] @ up[1], up[3] @ up[3]])
+    assert following == pytest.approx([up[1] @ link[1] @ up[0], up[3] @ link[3] @ link[2] @ up[1]])
+    full = np.zeros((4, 4))
+    for i in range(4):
+        kept = up[i]
+        for k in range(i, 4):
+            kept = link[k] @ kept if k > i else kept
+            full[i, k] = full[k, i] = up[k] @ kept
+    own, whole = chain.heights_over_time()
+    assert own == pytest.approx(np.diag(full))
+    assert whole == pytest.approx(full @ [0.5, 1.0, 1.5, 1.0])  # trapezia
+    with pytest.raises(GeometryError, match="times that go back"):
+        replace(chain, t_gps_s=t[[0, 2, 1, 3]])

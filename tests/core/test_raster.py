@@ -136,3 +136,38 @@ def test_a_bed_of_this_pipeline_is_read_with_its_sigmas_and_heights(tmp_path: Pa
     assert written(heights="ellipsoidal (GRS 80)").frame == UTM.to_3d() == written().frame
     with pytest.raises(UnsupportedError, match="heights 'Elbe'; expected a height system that PROJ knows"):
         written(heights="Elbe")
+
+
+@pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
+@pytest.mark.parametrize("east", [1, -1])
+@pytest.mark.parametrize("north", [1, -1])
+@pytest.mark.parametrize("code", [25833, 2263])
+def test_rows_and_columns_may_run_either_way(tmp_path: Path, east: int, north: int, code: int) -> None:
+    """Heights lie where they lie; a map in US survey feet comes into metres with its corners and cells."""
+    path = tmp_path / "a.tif"
+    heights = np.array([[11.5, 12.5, 13.5], [21.5, 22.5, 23.5]])[::north, ::east]
+    place = rasterio.Affine(
+        2.0 * east, 0.0, 400_000.0 if east > 0 else 400_006.0, 0.0, -3.0 * north,
+        900_000.0 if north > 0 else 899_994.0,
+    )  # fmt: skip
+    kind = {"driver": "GTiff", "height": 2, "width": 3, "count": 1, "dtype": "float32"}
+    with rasterio.open(path, "w", crs=CRS.from_epsg(code).to_wkt(), transform=place, **kind) as file:
+        file.write(np.ascontiguousarray(heights).astype(np.float32), 1)
+    found = read_dsm(path)
+    unit = 1.0 if code == 25833 else 1200 / 3937
+    np.testing.assert_allclose(found.corner_m, np.array([400_000.0, 900_000.0]) * unit, rtol=1e-12)
+    np.testing.assert_allclose(found.cell_m, np.array([2.0, 3.0]) * unit, rtol=1e-9)
+    np.testing.assert_array_equal(found.height_m, [[11.5, 12.5, 13.5], [21.5, 22.5, 23.5]])
+
+
+@pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
+def test_heights_have_the_scale_and_offset_that_the_file_states(tmp_path: Path) -> None:
+    path = tmp_path / "a.tif"
+    kind = {"driver": "GTiff", "height": 2, "width": 2, "count": 1, "dtype": "int16", "nodata": -32768}
+    place = rasterio.Affine(1.0, 0.0, 400_000.0, 0.0, -1.0, 5_600_000.0)
+    with rasterio.open(path, "w", crs=UTM, transform=place, **kind) as file:
+        file.write(np.array([[1000, 2000], [-32768, 1]], np.int16), 1)
+        file.scales, file.offsets, file.units = (0.01,), (150.0,), ("ft",)
+    found = read_dsm(path)
+    np.testing.assert_allclose(found.height_m, np.array([[160.0, 170.0], [np.nan, 150.01]]) * 0.3048)
+    assert any("times 0.01 plus 150" in note for note in found.notes)
