@@ -303,7 +303,7 @@ def _kinds(node: ast.AST) -> Iterator[str]:
     """What can be changed about a node itself."""
     match node:
         case ast.BinOp(left=left, op=ast.MatMult(), right=right):
-            if ast.dump(left) != ast.dump(right):
+            if ast.dump(left) != ast.dump(right) and not _quadratic(left, right):
                 yield "swapped product"
         case ast.BinOp(left=left, op=op, right=right) if type(op) in OPERATORS:
             if not any(
@@ -336,6 +336,16 @@ def _kinds(node: ast.AST) -> Iterator[str]:
                 yield "arguments"
         case _:
             return
+
+
+def _quadratic(left: ast.expr, right: ast.expr) -> bool:
+    """Whether a product is ``x M x`` or ``x solve(M, x)``: the number of two vectors in either order."""
+    match left, right:
+        case ast.BinOp(left=first, op=ast.MatMult()), _:
+            return ast.dump(first) == ast.dump(right)
+        case _, ast.Call(args=[_, last, *_]):
+            return _name(right.func) in {"solve", "cho_solve"} and ast.dump(last) == ast.dump(left)
+    return False
 
 
 def _text(node: ast.AST) -> bool:
