@@ -348,8 +348,7 @@ def test_describe_reads_camera_files(tmp_path, capsys):
 SPHERE = """\
 cam0:
   camera_model: {model}
-  distortion_model: none
-  distortion_coeffs: []
+  distortion_model: {kind}
   intrinsics: [{values}]
   resolution: [640, 640]
 """
@@ -367,8 +366,16 @@ cam0:
 def test_models_by_a_sphere_become_fisheyes(tmp_path, model, values):
     """Against the published formulae by points, not by angles."""
     path = tmp_path / "camchain.yaml"
-    path.write_text(SPHERE.format(model=model, values=values))
-    (found,) = read_kalibr(path)
+    for kind in (
+        "radtan\n  distortion_coeffs: [0, 0.1, 0, 0]",
+        "radtan\n  distortion_coeffs: [0.1, 0, 0, 0]",
+    ):
+        path.write_text(SPHERE.format(model=model, values=values, kind=kind))
+        with pytest.raises(UnsupportedError):
+            read_kalibr(path)
+    for kind in ("none", "radtan\n  distortion_coeffs: []", "radtan\n  distortion_coeffs: [0, 0, 0, 0]"):
+        path.write_text(SPHERE.format(model=model, values=values, kind=kind))
+        (found,) = read_kalibr(path)
     *shape, fu, fv, pu, pv = map(float, values.split(","))
     t, turn = np.deg2rad(np.linspace(0.5, 96.0, 400)), np.linspace(0, 20, 400)
     x, y, z = np.stack([np.sin(t) * np.cos(turn), np.sin(t) * np.sin(turn), np.cos(t)])
@@ -391,6 +398,6 @@ def test_models_by_a_sphere_become_fisheyes(tmp_path, model, values):
 
 def test_a_sphere_that_no_fisheye_follows_is_refused(tmp_path):
     path = tmp_path / "camchain.yaml"
-    path.write_text(SPHERE.format(model="omni", values="0.0, 50.0, 50.0, 319.5, 319.5"))
+    path.write_text(SPHERE.format(model="omni", values="0.0, 50.0, 50.0, 319.5, 319.5", kind="none"))
     with pytest.raises(UnsupportedError, match=r"camchain.yaml:2: cam0.*within 0\.02 px"):
         read_kalibr(path)

@@ -121,6 +121,10 @@ def test_inside() -> None:
         False,
         False,
     ]
+    edges = np.array(
+        [[9.9, 50.0], [10.0, 50.0], [4582.0, 3438.0], [4582.1, 50.0], [50.0, 3438.1], [50.0, 9.9]]
+    )
+    assert BROWN.inside(edges, 10.0).tolist() == [False, True, True, False, False, False]
 
 
 @pytest.mark.parametrize(

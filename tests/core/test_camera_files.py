@@ -11,6 +11,7 @@ from thalweg.core import (
     InputError,
     UnsupportedError,
     read_colmap,
+    read_metashape,
     read_opencv,
     write_colmap,
     write_opencv,
@@ -206,3 +207,79 @@ def test_files_of_a_camera_number_by_number(tmp_path: Path) -> None:
     p = dict(zip(camera.parameter_names, camera.parameters, strict=True))
     names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
     assert [float(v) for v in last[4:]] == [*(p[n] for n in names), 0.0, 0.0, 0.0]
+
+
+METASHAPE = """<?xml version="1.0" encoding="UTF-8"?>
+<calibration>
+  <projection>{kind}</projection>
+  <width>640</width> <height>480</height>
+  <f>500</f> <cx>3</cx> <cy>-2</cy> {more}
+  <k1>0.1</k1> <k2>0.2</k2> <k3>0.3</k3>
+</calibration>
+"""
+
+
+@pytest.mark.parametrize(
+    ("kind", "more", "model", "parameters"),
+    [
+        # its cx, cy count from the middle of the picture; its p1 and p2 are the other way round
+        (
+            "frame", "<b1>7</b1><p1>0.01</p1><p2>0.02</p2><k4>0</k4>", "perspective",
+            [507, 500, 323, 238, 0.1, 0.2, 0.02, 0.01, 0.3],
+        ),
+        ("frame", "", "perspective", [500, 500, 323, 238, 0.1, 0.2, 0, 0, 0.3]),
+        ("fisheye", "<k4>0.4</k4><b2>0</b2>", "fisheye", [500, 500, 323, 238, 0.1, 0.2, 0.3, 0.4]),
+    ],
+)  # fmt: skip
+def test_a_lens_of_metashape(
+    tmp_path: Path, kind: str, more: str, model: str, parameters: list[float]
+) -> None:
+    path = tmp_path / "lens.xml"
+    path.write_text(METASHAPE.format(kind=kind, more=more))
+    found = read_metashape(path)
+    assert (found.model, found.size_px, found.name) == (model, (640, 480), "camera")
+    assert found.parameters.tolist() == parameters
+    path.write_text(METASHAPE.format(kind=kind, more=more).replace("<projection>frame</projection>", ""))
+    assert read_metashape(path).model == model  # a frame where it says nothing
+
+
+@pytest.mark.parametrize(
+    ("kind", "more", "words"),
+    [
+        ("frame", "<b2>0.5</b2>", "perspective model has not: {'b2': 0.5}; expected them to be zero"),
+        ("frame", "<p3>0.5</p3><p4>-1</p4>", "{'p3': 0.5, 'p4': -1.0}"),
+        ("frame", "<k4>0.4</k4>", "{'k4': 0.4}"),
+        ("fisheye", "<p1>0.4</p1>", "fisheye model has not: {'p1': 0.4}"),
+        ("fisheye", "<p2>0.4</p2>", "{'p2': 0.4}"),
+        ("frame", "<b1>wide</b1>", "no lens"),
+    ],
+)
+def test_terms_of_metashape_that_are_not_known_are_refused(
+    tmp_path: Path, kind: str, more: str, words: str
+) -> None:
+    path = tmp_path / "lens.xml"
+    path.write_text(METASHAPE.format(kind=kind, more=more))
+    with pytest.raises(InputError) as caught:
+        read_metashape(path)
+    assert words in str(caught.value)
+
+
+def test_a_lens_in_one_line_of_numbers(tmp_path: Path) -> None:
+    path = tmp_path / "lens.txt"
+    path.write_text("640 480 500 0 320 0 501 240 0 0 1 0.1 0.2 0.01 0.02 0.3\n")
+    found = read_opencv(path)
+    assert found.size_px == (640, 480)
+    assert found.parameters.tolist() == [500, 501, 320.5, 240.5, 0.1, 0.2, 0.01, 0.02, 0.3]
+
+
+def test_files_that_are_no_text_or_lie_in_new_folders(tmp_path: Path) -> None:
+    (tmp_path / "bin.txt").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="no text file"):
+        read_colmap(tmp_path / "bin.txt")
+    (tmp_path / "cameras.txt").write_text("one PINHOLE 100 80 90 91 50 40\n")
+    with pytest.raises(InputError, match="no camera"):
+        read_colmap(tmp_path / "cameras.txt")
+    for _ in range(2):  # the folder is made, and may be there
+        write_colmap(tmp_path / "a/b/cameras.txt", {1: BROWN})
+        write_opencv(tmp_path / "c/d/camera.yaml", BROWN)
+    assert read_colmap(tmp_path / "a/b/cameras.txt")[1].name == "camera_1"

@@ -3,9 +3,10 @@
 import json
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
-from thalweg.core import InputError, read_marked, write_marked
+from thalweg.core import InputError, final_path, parse_xml, read_json, read_marked, read_parquet, write_marked
 
 
 def read(path: Path) -> dict[str, object]:
@@ -42,3 +43,25 @@ def test_anything_else_is_refused(tmp_path: Path, text: str | bytes | None, word
         read(path)
     assert str(caught.value).startswith(f"{path}: ")
     assert str(caught.value).endswith("Make it again.")
+
+
+def test_other_files_between_programs(tmp_path: Path) -> None:
+    """XML without document types, JSON with a mark of its encoding, Parquet; paths of files being written."""
+    assert parse_xml("<a><b x='1'/></a>", "a.xml")[0].get("x") == "1"
+    for text, words in (
+        ("<a>", "no XML"),
+        ("<!DOCTYPE a [<!ENTITY e 'x'>]><a>&e;</a>", r"it declares a document type \(a\)"),
+        (b"<?xml version='1.0' encoding='none-such'?><a/>", "no XML"),
+    ):
+        with pytest.raises(InputError, match=words):
+            parse_xml(text, "a.xml", "a track")
+    (tmp_path / "a.json").write_bytes(b'\xef\xbb\xbf{"x": ' + b"7" * 300 + b"}")
+    assert read_json(tmp_path / "a.json")["x"] == int("7" * 300)
+    (tmp_path / "a.json").write_bytes(b"7" * 301)
+    with pytest.raises(InputError, match="a number of 301 digits"):
+        read_json(tmp_path / "a.json")
+    pd.DataFrame({"x": [1.5, 2.5]}).to_parquet(tmp_path / "a.parquet")
+    assert read_parquet(tmp_path / "a.parquet")["x"].tolist() == [1.5, 2.5]
+    for _ in range(2):
+        write_marked(tmp_path / "deep/er/m.json", kind="places", version=2, content={"mounts": {}})
+    assert final_path(Path("results/.part-0a/x/.part-1/index.html")) == Path("results/x/index.html")

@@ -91,3 +91,11 @@ def test_a_mesh_without_faces_has_no_neighbours() -> None:
 def test_broken_meshes_are_refused(vertices: list[list[float]], faces: list[list[int]], answer: str) -> None:
     with pytest.raises(GeometryError, match=answer):
         mesh_of(vertices, faces)
+
+
+def test_areas_and_normals_far_from_the_origin() -> None:
+    corners = np.array([[7.0, 5.0, 3.0], [10.0, 5.0, 3.0], [7.0, 9.0, 3.0], [7.0, 5.0, 6.0]])
+    mesh = mesh_of(corners.tolist(), [[0, 1, 2], [0, 1, 3], [1, 2, 3]])
+    # the slanted face: half the cross product of (-3, 4, 0) and (-3, 0, 3)
+    np.testing.assert_allclose(mesh.areas_m2(), [6.0, 4.5, 0.5 * np.linalg.norm([12.0, 9.0, 12.0])])
+    np.testing.assert_allclose(mesh.face_normals()[:2], [[0, 0, 1], [0, -1, 0]], atol=1e-15)

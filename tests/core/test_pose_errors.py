@@ -129,6 +129,11 @@ def test_roots_of_mixed_units_have_their_covariance_and_keep_to_their_axes() -> 
     assert root @ np.swapaxes(root, 1, 2) == pytest.approx(cov, rel=1e-6, abs=1e-14)
     own = np.swapaxes(axes, 1, 2) @ root
     assert own == pytest.approx(np.broadcast_to(own[0], own.shape), rel=1e-6, abs=1e-10)
+    # the same errors in millimetres and milliradians have the same root in these
+    unit = np.array([1e3] * 6)
+    unit[3:] *= 17.0
+    finer = symmetric_roots(cov * np.outer(unit, unit), axes)
+    assert finer == pytest.approx(unit[:, None] * root, rel=1e-6, abs=1e-9)
 
 
 def test_chains_are_read_as_they_were_written(tmp_path: Path) -> None:
@@ -202,3 +207,43 @@ def test_even_time_runs_by_the_rate_at_which_errors_are_forgotten(sigma_m: float
     assert first / second == pytest.approx(4.0, rel=0.1)
     assert time_s / (first / 30.0) == pytest.approx(3.0, rel=0.1)
     assert (even[0], even[-1]) == pytest.approx((0.0, 120.0))
+
+
+def test_errors_that_never_end_or_are_forgotten_at_once_have_the_limits_of_the_search() -> None:
+    """A thousandth of the survey and a thousand surveys, where the sum over it tells no time."""
+    t = np.arange(0.0, 100.5, 0.5)
+    root = np.tile(0.02 * np.eye(6), (len(t), 1, 1))
+    time_s = [
+        even_time(
+            [ErrorChain(name="all", t_gps_s=t, root=root, link=np.tile(k * np.eye(6), (len(t), 1, 1)))]
+        )[2]
+        for k in (0.0, 1.0)
+    ]
+    assert time_s[0] < 2.0
+    assert time_s[1] > 1e4
+
+
+def test_chains_with_links_in_all_directions_by_hand() -> None:
+    """Two components that turn into each other: the later error is ``link`` times the earlier one."""
+    rng = np.random.default_rng(8)
+    root, link = rng.standard_normal((4, 6, 2)), 0.5 * rng.standard_normal((4, 2, 2))
+    t = np.array([0.0, 1.0, 2.0, 4.0])
+    chain = ErrorChain(name="both", t_gps_s=t, root=root, link=link)
+    mixed = root[2] @ link[2] @ root[1].T  # of node 2 with node 1
+    expected = 0.49 * root[1] @ root[1].T + 0.09 * root[2] @ root[2].T + 0.21 * (mixed + mixed.T)
+    assert chain.covariance_at(np.array([1.3]))[0] == pytest.approx(expected, rel=1e-12)
+    up = root[:, 2]
+    own, following = chain.heights_along(np.array([0.4, 0.6, 3.5]))  # the nodes 0, 1 and 3
+    assert own == pytest.approx([up[0] @ up[0], up[1] @ up[1], up[3] @ up[3]])
+    assert following == pytest.approx([up[1] @ link[1] @ up[0], up[3] @ link[3] @ link[2] @ up[1]])
+    full = np.zeros((4, 4))
+    for i in range(4):
+        kept = up[i]
+        for k in range(i, 4):
+            kept = link[k] @ kept if k > i else kept
+            full[i, k] = full[k, i] = up[k] @ kept
+    own, whole = chain.heights_over_time()
+    assert own == pytest.approx(np.diag(full))
+    assert whole == pytest.approx(full @ [0.5, 1.0, 1.5, 1.0])  # trapezia
+    with pytest.raises(GeometryError, match="times that go back"):
+        replace(chain, t_gps_s=t[[0, 2, 1, 3]])

@@ -1,5 +1,6 @@
 """Rasters: cells, names of bands, same bytes, refused files."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,16 @@ import pytest
 import rasterio
 from pyproj import CRS
 
-from thalweg.core import GeometryError, Grid, InputError, read_dsm, read_raster, write_raster
+from thalweg.core import (
+    Dsm,
+    GeometryError,
+    Grid,
+    InputError,
+    UnsupportedError,
+    read_dsm,
+    read_raster,
+    write_raster,
+)
 from thalweg.ingest.registry import recognise
 
 UTM = CRS("EPSG:25833")
@@ -65,3 +75,99 @@ def test_bad_rasters_are_named(tmp_path: Path) -> None:
         out.write(np.zeros((1, 2, 2), dtype=np.float32))
     with pytest.raises(InputError, match="CRS None"):
         read_raster(tmp_path / "bare.tif")
+
+
+# ---------------------------------------------------------------- rasters of heights
+
+
+def test_cells_of_a_raster_of_heights_by_hand() -> None:
+    """Two rows, three columns, 2 m wide and 3 m high; one cell without a height."""
+    dsm = Dsm(
+        height_m=np.array([[1.0, 2.0, 4.0], [3.0, np.nan, 8.0]]),
+        corner_m=np.array([100.0, 50.0]),
+        cell_m=np.array([2.0, 3.0]),
+        frame=UTM,
+        path=Path("a.tif"),
+    )
+    assert dsm.cell_area_m2 == 6.0
+    centres = [[101, 48.5], [103, 48.5], [105, 48.5], [101, 45.5], [103, 45.5], [105, 45.5]]
+    assert dsm.centres_m().tolist() == centres
+    assert dsm.points_m().tolist() == [
+        [101, 48.5, 1], [103, 48.5, 2], [105, 48.5, 4], [101, 45.5, 3], [105, 45.5, 8],
+    ]  # fmt: skip
+    mesh = dsm.mesh(0.02)
+    assert mesh.faces.tolist() == [[0, 3, 1]]  # the other three have the cell without a height
+    assert mesh.face_normals()[0][2] > 0
+    assert mesh.sigma_m.tolist() == [0.02] * 5
+    assert dsm.mesh().sigma_m.max() == 0.0
+    assert dsm.places(np.array([[101.0, 48.5], [105.0, 45.5], [102.0, 47.0]])).tolist() == [
+        [0, 0], [1, 2], [0.5, 0.5],
+    ]  # fmt: skip
+    within = np.array([[100.1, 47.1], [105.9, 44.1], [103.0, 46.9], [101.9, 49.9]])
+    np.testing.assert_array_equal(dsm.at(within), [1, 8, np.nan, 1])
+    beside = np.array([[99.9, 48.5], [106.1, 48.5], [101.0, 50.1], [101.0, 43.9]])
+    assert np.isnan(dsm.at(beside)).all()
+    places = np.array([[102.0, 48.5], [104.5, 48.5], [101.0, 47.75], [100.5, 48.5]])
+    assert np.isnan(dsm.at(places, "bilinear")).all()  # beside the cell without a height
+    whole = replace(dsm, height_m=np.array([[1.0, 2.0, 4.0], [3.0, 5.0, 8.0]]))
+    np.testing.assert_allclose(whole.at(places, "bilinear"), [1.5, 3.5, 1.5, np.nan])
+
+
+@pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
+def test_a_bed_of_this_pipeline_is_read_with_its_sigmas_and_heights(tmp_path: Path) -> None:
+    """Also its exact zeros, of which others have none; sigmas only where there is a height."""
+    grid = Grid(west_m=400_000.0, north_m=5_600_000.0, cell_m=0.5, rows=3, columns=5, crs=UTM)
+    height, sigma = np.zeros((3, 5)), np.arange(15.0).reshape(3, 5)
+    height[1, 2] = np.nan
+    path = tmp_path / "bed.tif"
+
+    def written(**tags: str) -> Dsm:
+        bands = {"height_m": height, "sigma_m": sigma, "sigma_common_m": 2 * sigma}
+        write_raster(path, grid, bands, tags=tags)
+        return read_dsm(path)
+
+    dsm = written(heights="EPSG:7837")
+    np.testing.assert_array_equal(dsm.height_m, height)
+    for found, factor in ((dsm.sigma_m, 1), (dsm.common_m, 2)):
+        np.testing.assert_array_equal(found, np.where(np.isfinite(height), factor * sigma, np.nan))
+    assert dsm.frame.name == "ETRS89 / UTM zone 33N + DHHN2016 height"
+    assert [part.to_epsg() for part in dsm.frame.sub_crs_list] == [25833, 7837]
+    assert (dsm.corner_m.tolist(), dsm.cell_m.tolist()) == ([400_000.0, 5_600_000.0], [0.5, 0.5])
+    assert written(heights="ellipsoidal (GRS 80)").frame == UTM.to_3d() == written().frame
+    with pytest.raises(UnsupportedError, match="heights 'Elbe'; expected a height system that PROJ knows"):
+        written(heights="Elbe")
+
+
+@pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
+@pytest.mark.parametrize("east", [1, -1])
+@pytest.mark.parametrize("north", [1, -1])
+@pytest.mark.parametrize("code", [25833, 2263])
+def test_rows_and_columns_may_run_either_way(tmp_path: Path, east: int, north: int, code: int) -> None:
+    """Heights lie where they lie; a map in US survey feet comes into metres with its corners and cells."""
+    path = tmp_path / "a.tif"
+    heights = np.array([[11.5, 12.5, 13.5], [21.5, 22.5, 23.5]])[::north, ::east]
+    place = rasterio.Affine(
+        2.0 * east, 0.0, 400_000.0 if east > 0 else 400_006.0, 0.0, -3.0 * north,
+        900_000.0 if north > 0 else 899_994.0,
+    )  # fmt: skip
+    kind = {"driver": "GTiff", "height": 2, "width": 3, "count": 1, "dtype": "float32"}
+    with rasterio.open(path, "w", crs=CRS.from_epsg(code).to_wkt(), transform=place, **kind) as file:
+        file.write(np.ascontiguousarray(heights).astype(np.float32), 1)
+    found = read_dsm(path)
+    unit = 1.0 if code == 25833 else 1200 / 3937
+    np.testing.assert_allclose(found.corner_m, np.array([400_000.0, 900_000.0]) * unit, rtol=1e-12)
+    np.testing.assert_allclose(found.cell_m, np.array([2.0, 3.0]) * unit, rtol=1e-9)
+    np.testing.assert_array_equal(found.height_m, [[11.5, 12.5, 13.5], [21.5, 22.5, 23.5]])
+
+
+@pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
+def test_heights_have_the_scale_and_offset_that_the_file_states(tmp_path: Path) -> None:
+    path = tmp_path / "a.tif"
+    kind = {"driver": "GTiff", "height": 2, "width": 2, "count": 1, "dtype": "int16", "nodata": -32768}
+    place = rasterio.Affine(1.0, 0.0, 400_000.0, 0.0, -1.0, 5_600_000.0)
+    with rasterio.open(path, "w", crs=UTM, transform=place, **kind) as file:
+        file.write(np.array([[1000, 2000], [-32768, 1]], np.int16), 1)
+        file.scales, file.offsets, file.units = (0.01,), (150.0,), ("ft",)
+    found = read_dsm(path)
+    np.testing.assert_allclose(found.height_m, np.array([[160.0, 170.0], [np.nan, 150.01]]) * 0.3048)
+    assert any("times 0.01 plus 150" in note for note in found.notes)

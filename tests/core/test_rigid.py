@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from thalweg.core import GeometryError, Rigid, opk_of, plane_rates, rotation_opk
+from thalweg.core import GeometryError, Rigid, exp_rotation, opk_of, plane_rates, rotation_opk
 
 TURN = rotation_opk(0.0, 0.0, np.pi / 2)
 """x of the source is y of the target, y is -x."""
@@ -158,3 +158,21 @@ def test_a_turn_about_north_lowers_what_lies_east() -> None:
     normals, arms = np.array([[0.0, 0, 1], [1, 0, 0]]), np.array([[1.0, 0, 0], [0, 2, 0]])
     expected = np.array([[0.0, 0, 1, 0, -1, 0], [1, 0, 0, 0, 0, -2]])
     assert plane_rates(normals, arms) == pytest.approx(expected)
+
+
+def test_the_covariance_of_a_product_is_that_of_two_independent_errors() -> None:
+    """All cross terms, by derivatives from small changes of both."""
+    rng = np.random.default_rng(5)
+
+    def pose() -> Rigid:
+        root = 0.01 * rng.standard_normal((6, 6))
+        return Rigid(R=exp_rotation(rng.normal(0, 1, 3)), shift_m=rng.normal(0, 3, 3), cov=root @ root.T)
+
+    one, two = pose(), pose()
+    both, step = one @ two, 1e-6
+    J = np.zeros((6, 12))
+    for k, e in enumerate(step * np.eye(6)):
+        J[:, k] = ((one.moved(e) @ two).error_from(both)) / step
+        J[:, 6 + k] = ((one @ two.moved(e)).error_from(both)) / step
+    expected = J[:, :6] @ one.cov @ J[:, :6].T + J[:, 6:] @ two.cov @ J[:, 6:].T
+    np.testing.assert_allclose(both.cov, expected, atol=1e-5 * np.abs(expected).max())

@@ -187,3 +187,28 @@ def test_sigmas_of_each_node_are_the_roots_of_its_variances() -> None:
     first, second = np.square([2.0, 3.0, 4.0, 0.1, 0.2, 0.3]), np.square([5.0, 6.0, 7.0, 0.4, 0.5, 0.6])
     trajectory = replace(trajectory, cov_pose_wcs=np.stack([np.diag(first), np.diag(second)]))
     np.testing.assert_allclose(trajectory.sigma_position_m, [[2.0, 3.0, 4.0], [5.0, 6.0, 7.0]])
+
+
+def test_between_an_invalid_node_and_a_valid_one_there_is_no_pose() -> None:
+    trajectory = turning(6)
+    valid = np.array([True, True, False, True, True, False])
+    t = trajectory.t_gps_s
+    trajectory = replace(trajectory, valid=valid)
+    step = t[1] - t[0]
+    at = np.array([t[0] - 0.4 * step, *(t[:-1] + 0.4 * step), t[-1] + 0.4 * step])
+    assert trajectory.at(at)[2].tolist() == [False, True, False, False, True, False, False]
+    assert trajectory.span() == (t[0], t[4])
+    last = replace(trajectory, valid=valid[::-1].copy())
+    assert last.span() == (t[1], t[5])
+    for k in (1, 3):  # one step back among many forwards
+        order = np.arange(6)
+        order[[k, k + 1]] = order[[k + 1, k]]
+        with pytest.raises(Exception, match=r"not increasing|increas"):
+            replace(trajectory, t_gps_s=t[order])
+
+
+def test_quaternions_of_either_sign_are_the_same_turn() -> None:
+    trajectory = turning(5)
+    flipped = trajectory.quaternion_wcs_ics * np.array([1, -1, 1, 1, -1])[:, None]
+    again = replace(trajectory, quaternion_wcs_ics=flipped)
+    np.testing.assert_allclose(again.quaternion_wcs_ics, trajectory.quaternion_wcs_ics)

@@ -1,8 +1,12 @@
 """Files that are not YAML, or YAML with traps."""
 
+from typing import Annotated, Literal
+
 import pytest
+from pydantic import Field, model_validator
 
 from thalweg.core import ConfigError, documents, parse_yaml, read_mapping, read_yaml
+from thalweg.core.documents import Mistake, Name, Part, Text, checked, one_of, refuse, validated, wrong
 from thalweg.settings.load import load_campaign
 from thalweg.settings.messages import CampaignError
 
@@ -173,3 +177,99 @@ def test_mistakes_are_told_in_the_words_of_pythons_parser(text: str) -> None:
     mistakes = parse_yaml(text).mistakes
     assert mistakes == documents._parsed(text, documents._Loader).mistakes
     assert mistakes
+
+
+# ---------------------------------------------------------------- documents as their models
+
+
+class Sensor(Part):
+    """An entry of the document below."""
+
+    kind: Annotated[str, one_of(("lidar", "camera"))]
+    offset_s: float = Field(default=0.0, ge=-5, le=5)
+    rate_hz: float = Field(default=1.0, ge=0)
+    rows: Literal[16, 32] = 16
+    title: Text = "none"
+
+
+class Boat(Part):
+    """A document as a user writes it."""
+
+    thalweg_boat: Literal[1]
+    name: Name
+    sensors: list[Sensor] = Field(min_length=1)
+    places: dict[str, Sensor] = Field(default_factory=dict)
+    alone: float = Field(default=0.0, description="a length in metres")
+
+    @model_validator(mode="after")
+    def _other_names(self) -> "Boat":
+        refuse(
+            [
+                wrong(f"two {s.kind}s", "one of each", "Leave one out", at=("sensors", k))
+                for k, s in enumerate(self.sensors)
+                if k and s.kind == self.sensors[0].kind
+            ]
+        )
+        return self
+
+
+BOAT = "thalweg_boat: 1\nname: Elbe\nsensors:\n  - kind: lidar\n    title: a\n      b\n"
+
+
+def test_a_document_becomes_its_model() -> None:
+    found = checked(
+        Boat, parse_yaml(BOAT + "alone: 2.5\nplaces:\n  bow: {kind: camera, rows: }\n"), what="boat"
+    )
+    assert (found.name, found.sensors[0].title, found.alone) == ("Elbe", "a b", 2.5)
+    assert (found.places["bow"].kind, found.places["bow"].rows) == ("camera", 16)
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "words"),
+    [
+        (BOAT + "alone: two\n", 7, "alone: found 'two'; expected a length in metres."),
+        (BOAT + "alone: .nan\n", 7, "alone: found nan; expected a length in metres."),
+        (BOAT + "length: 2\n", 7, "length: unknown key; expected one of thalweg_boat, name, sensors, places"),
+        (BOAT + "sensor: 2\n", 7, "alone. Did you mean sensors?"),
+        (BOAT + "    offset_s: 6\n", 7, "sensors[0].offset_s: found 6; expected a number from -5 to 5."),
+        (BOAT + "    offset_s: -6\n", 7, "sensors[0].offset_s: found -6; expected a number from -5 to 5."),
+        (BOAT + "    rate_hz: -1\n", 7, "sensors[0].rate_hz: found -1; expected a number of at least 0."),
+        (BOAT + "    rows: 17\n", 7, "sensors[0].rows: found 17; expected 16 or 32."),
+        (BOAT + "    title: 3\n", 7, ""),
+        (BOAT + "  - kind: sonar\n", 7, "sensors[1].kind: found 'sonar'; expected one of: lidar; camera."),
+        (BOAT + "  - kind: lidar\n", 7, "sensors[1]: two lidars; expected one of each. Leave one out."),
+        (BOAT + "places: [1]\n", 7, "places: found [1]; expected keys with values."),
+        (BOAT + "places:\n  bow: {kind: lidar, rows: x}\n", 8, "places.bow.rows: found 'x'; expected 16"),
+        (BOAT + "places:\n  bow:\n    kind: lidar\n    kin: 1\n", 10, "places.bow.kin: unknown key"),
+        ("thalweg_boat: 1\nname: ''\nsensors: []\n", 2, "name: found ''; expected a text."),
+        ("thalweg_boat: 1\nname: a\nsensors: []\n", 3, "sensors: found []; expected at least one entry."),
+        ("thalweg_boat: 1\nname: a\nsensors: 3\n", 3, "sensors: found 3; expected a list, each entry"),
+        ("thalweg_boat: 1\nname: a\n", 1, "sensors is missing; expected the key sensors."),
+        ("thalweg_boat: 1\nname: a\nsensors:\n  - {}\n", 4, "kind is missing; expected the key kind."),
+        ("thalweg_boat: 2\nname: a\nsensors: [{kind: lidar}]\n", 1, "thalweg_boat: found 2; expected 1."),
+        ("", 1, "nothing stands here; expected a boat that begins with thalweg_boat: 1."),
+        ("- 1\n", 1, "no keys with values; expected a boat that begins with thalweg_boat: 1."),
+        ("name: [1\n", 2, ""),
+    ],
+)  # fmt: skip
+def test_each_mistake_in_a_document_stands_at_its_line(text: str, line: int, words: str) -> None:
+    document = parse_yaml(text)
+    found, mistakes = validated(Boat, document, what="boat")
+    assert found is None
+    assert mistakes[0].line == line
+    assert words in str(mistakes[0])
+    with pytest.raises(ConfigError) as caught:
+        checked(Boat, document, what="boat", cure="Read on")
+    assert str(caught.value).startswith(f"{len(mistakes)} mistake")
+    assert str(caught.value).endswith(" Read on.")
+
+
+def test_all_mistakes_are_told_in_the_order_of_the_file() -> None:
+    text = "thalweg_boat: 1\nname: 3\nsensors: [{kind: sonar}]\nlong: 2\n"
+    with pytest.raises(ConfigError) as caught:
+        checked(Boat, parse_yaml(text), what="boat")
+    head, *rows = str(caught.value).splitlines()
+    assert head == "3 mistakes in the boat"
+    assert [row.split(":")[0] for row in rows] == ["  line 2", "  line 3", "  line 4"]
+    one = Mistake(path=("logs", "lidar", 1), found="no file", expected="a pcap", cure="Look?", line=7)
+    assert str(one) == "line 7: logs.lidar[1]: no file; expected a pcap. Look?"

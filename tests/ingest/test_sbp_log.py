@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thalweg.core import InputError, ThalwegError, gps_from_week, write_table
+from thalweg.core import InputError, ThalwegError, ecef_of, gps_from_week, rotation_ecef_enu, write_table
 from thalweg.core.timescales import LeapSecondWarning
 from thalweg.ingest import GNSS_POSITION
 from thalweg.ingest.framing import StreamTally
@@ -210,6 +210,24 @@ def test_covariances_join_their_epoch(tmp_path: Path) -> None:
     assert (row["cov_en_m2"], row["cov_nu_m2"], row["cov_eu_m2"]) == (1.0, -0.5, 0.25)
     assert log.positions["cov_en_m2"].isna().tolist() == [True, False, True]
     assert log.report.details["positions from"] == "MsgPosLLHCov + MsgPosLLH"
+
+
+def test_earth_centred_positions_and_their_covariance(tmp_path: Path) -> None:
+    """Half a metre east, 2 m north and 3 m up, in the axes of the earth; other messages are counted."""
+    lat, lon = 51.0, 13.5
+    R = rotation_ecef_enu(lat, lon)
+    C = np.array([[0.25, 0.1, 0.2], [0.1, 4.0, -0.3], [0.2, -0.3, 9.0]])
+    turned = R @ C @ R.T
+    six = [turned[i, j] for i in range(3) for j in range(i, 3)]
+    body = struct.pack("<I3d6fBB", TOW, *ecef_of(lat, lon, 150.25), *six, 9, 4)
+    more = [frame(sm.IMU_RAW, bytes(17))] * 2 + [frame(sm.MAG_RAW, bytes(11))] * 3
+    log = read(tmp_path, gps(TOW) + frame(sm.POS_ECEF_COV, body) + b"".join(more))
+    row = log.positions.iloc[0]
+    assert (row.lat_deg, row.lon_deg, row.h_ell_m) == pytest.approx((lat, lon, 150.25), abs=1e-6)
+    sigmas = (row.sigma_east_m, row.sigma_north_m, row.sigma_up_m)
+    assert sigmas == pytest.approx((0.5, 2.0, 3.0), rel=1e-5)
+    assert (row.cov_en_m2, row.cov_eu_m2, row.cov_nu_m2) == pytest.approx((0.1, 0.2, -0.3), rel=1e-4)
+    assert [log.report.counts[name] for name in ("imu_raw", "mag_raw")] == [2, 3]
 
 
 @pytest.mark.parametrize("acc", [0, 0xFFFF // 2 + 1])

@@ -9,16 +9,7 @@ from pyproj import CRS
 
 from tests.conftest import check_whole, time_limit
 from thalweg.core import InputError
-from thalweg.core.values import (
-    FOOT,
-    US_SURVEY_FOOT,
-    check_places,
-    is_nothing,
-    unit_of_code,
-    unit_of_letter,
-    unit_of_word,
-    units_of_crs,
-)
+from thalweg.core.values import FOOT, US_SURVEY_FOOT, is_nothing
 from thalweg.ingest import column_of, read_text_table
 
 UTM = CRS("EPSG:32633")
@@ -32,23 +23,6 @@ def write(folder: Path, text: str, encoding: str = "utf-8") -> Path:
 
 
 # ---------------------------------------------------------------- units and values that stand for none
-
-
-def test_units_by_word_letter_code_and_crs() -> None:
-    assert [unit_of_word(w).metres for w in ("m", "CM", "ft", "(feet)", "fathoms", "mm")] == [
-        1.0, 0.01, 0.3048, 0.3048, 1.8288, 0.001,
-    ]  # fmt: skip
-    assert {unit_of_word(w) for w in ("US ft", "ft_us", "usft", "survey feet", "ftUS")} == {US_SURVEY_FOOT}
-    assert unit_of_word("dbar") is None
-    assert [unit_of_letter(x).metres for x in "MfF"] == [1.0, 0.3048, 1.8288]
-    assert unit_of_code(9002) == FOOT
-    assert unit_of_code(9003) == US_SURVEY_FOOT
-    assert unit_of_code(4326) is None
-    # California zone 1 in US survey feet, heights of NAVD88 in the same; degrees with a height in metres
-    assert units_of_crs(CRS("EPSG:2225+6360")) == (US_SURVEY_FOOT, US_SURVEY_FOOT)
-    across, up = units_of_crs(CRS("EPSG:4979"))
-    assert across is None
-    assert up.is_metre
 
 
 def test_names_of_columns_tell_quantity_and_unit() -> None:
@@ -313,24 +287,6 @@ def test_days_and_months_that_may_be_exchanged_are_asked_about(tmp_path: Path) -
 # ---------------------------------------------------------------- places
 
 
-READINGS = {
-    "east and north swapped": PLACES[:, ::-1],
-    "feet": PLACES / 0.3048,
-    "kilometres": PLACES / 1000,
-    "centimetres": PLACES * 100,
-    "millimetres": PLACES * 1000,
-    "longitude and latitude": np.array([[13.746, 50.99], [13.75, 50.98]]),
-    "latitude and longitude": np.array([[50.99, 13.746], [50.98, 13.75]]),
-    "WGS 84 / UTM zone 33N with the zone before the easting": PLACES + np.array([33e6, 0.0]),
-}
-
-
-@pytest.mark.parametrize("words", READINGS)
-def test_the_reading_that_would_fit_is_named(words: str) -> None:
-    with pytest.raises(InputError, match=f"{words} would fit"):
-        check_places(READINGS[words], UTM, where="a.csv", cure="--crs")
-
-
 def test_a_map_in_feet_comes_into_metres(tmp_path: Path) -> None:
     """New York in feet of the US survey: by the CRS, by the names of the columns, by degrees."""
     feet, metres = CRS("EPSG:2263"), np.array([[300_000.0, 65_000.0], [300_100.0, 65_020.0]])
@@ -346,18 +302,6 @@ def test_a_map_in_feet_comes_into_metres(tmp_path: Path) -> None:
     table = read_text_table(write(tmp_path, "x,y\n" + rows))
     with pytest.raises(InputError, match="used from"):
         table.places(feet)
-
-
-def test_places_that_can_be_meant_are_said() -> None:
-    assert check_places(PLACES, UTM, where="a.csv") == "places about 50.9958 N, 13.7464 E"
-    # all of Germany is published in zone 32
-    assert "N, 13." in check_places(PLACES + np.array([420_000.0, 5_000.0]), CRS("EPSG:25832"), where="a.csv")
-    with pytest.raises(InputError, match=r"1 of 4 places lie up to 1,000 km from the others"):
-        check_places(np.vstack([PLACES, [1_412_000.0, 5_650_000.0]]), UTM, where="a.csv")
-    with pytest.raises(InputError, match=r"heights about 412,000 m; expected ground"):
-        check_places(PLACES, UTM, where="a.csv", height_m=np.full(3, 412_000.0))
-    with pytest.raises(InputError, match="used from 39"):
-        check_places(PLACES, CRS("EPSG:22175"), where="a.csv")
 
 
 def test_a_line_of_a_megabyte_is_no_name_for_long() -> None:

@@ -123,6 +123,66 @@ def test_without_a_week_there_is_no_gps_time(tmp_path: Path) -> None:
     assert report.counts["positions_without_week"] == 2
 
 
+def raw_epoch(k: int, week: int) -> bytes:
+    """A RXM-RAWX without satellites: its time of week is a float64, its week stands behind it."""
+    body = bytearray(UBXMessage("RXM", "RXM-RAWX", GET, week=week, leapS=18, numMeas=0).serialize())
+    body[6:14] = struct.pack("<d", FIRST_S + k)
+    a = b = 0
+    for byte in body[2:-2]:
+        a = (a + byte) & 0xFF
+        b = (b + a) & 0xFF
+    body[-2:] = bytes([a, b])
+    return bytes(body)
+
+
+def test_a_week_comes_from_the_nearest_message_that_tells_it(tmp_path: Path) -> None:
+    """Raw observations are counted, and named for PPK; headings and time marks are told, and not used."""
+    plain = [pvt(k, validDate=0, validTime=0) for k in range(4)]
+    heading = [
+        at_time(UBXMessage("NAV", "NAV-RELPOSNED", GET, version=1, relPosHeadingValid=v, accHeading=a), k, 10)
+        for k, (v, a) in enumerate([(1, 0.5), (1, 1.5), (0, 9.0)])
+    ]
+    mark = UBXMessage("TIM", "TIM-TM2", GET, ch=0).serialize()
+    path = log_of(tmp_path, *plain, raw_epoch(0, WEEK), raw_epoch(1, WEEK), *heading, mark)
+    log = read_ubx([path], TrackOptions())
+    expected = gps_from_week(WEEK, FIRST_S + np.arange(4))
+    np.testing.assert_allclose(log.positions["t_gps_s"], expected, atol=1e-6)
+    assert log.report.counts["raw_epochs"] == 2
+    assert log.report.counts["headings_of_two_antennas"] == 2
+    told = " ".join(log.report.notes)
+    assert "2 epochs of raw observations: name the log in gnss.rover" in told
+    assert "2 headings between two antennas (NAV-RELPOSNED, median sigma 1.00 deg)" in told
+    assert "1 time marks (TIM-TM2) are not read" in told
+
+
+def test_fine_places_alone_are_single_solutions(tmp_path: Path) -> None:
+    fine = [
+        at_time(
+            UBXMessage(
+                "NAV",
+                "NAV-HPPOSLLH",
+                GET,
+                lat=51.0,
+                lon=13.0,
+                height=1000,
+                hAcc=30.0,
+                vAcc=50.0,
+                invalidLlh=bad,
+            ),
+            k,
+            10,
+        )
+        for k, bad in enumerate([0, 0, 1])
+    ]
+    log = read_ubx([log_of(tmp_path, *fine, raw_epoch(0, WEEK))], TrackOptions())
+    found = log.positions
+    assert found["fix"].tolist() == ["single", "single"]
+    assert found["h_ell_m"].tolist() == pytest.approx([1.0, 1.0])
+    assert found["sigma_east_m"].tolist() == pytest.approx([0.03 / np.sqrt(2)] * 2)
+    assert found["sigma_up_m"].tolist() == pytest.approx([0.05] * 2)
+    assert log.report.counts["positions_without_fix"] == 1
+
+
 def test_a_log_without_raw_observations_is_no_rover(tmp_path: Path) -> None:
     path = log_of(tmp_path, *(pvt(k) for k in range(3)))
     base = tmp_path / "base.ubx"
@@ -150,7 +210,7 @@ def test_real_raw_observations_are_those_of_other_programs(data_dir: Path, tmp_p
 
 def test_damaged_logs_are_read_or_refused(tmp_path: Path, fuzz: Any) -> None:
     path = tmp_path / "fuzz.ubx"
-    for data in fuzz.inputs(b"".join(pvt(k) for k in range(30))):
+    for data in fuzz.inputs(b"".join(pvt(k) for k in range(10))):
         path.write_bytes(data)
         try:
             log = read_ubx([path], TrackOptions())
@@ -168,7 +228,7 @@ def test_damaged_logs_are_read_or_refused(tmp_path: Path, fuzz: Any) -> None:
 def test_a_receiver_is_no_ins(tmp_path: Path) -> None:
     """Headings of two antennas lack roll and pitch: refused with the reason; the log is one of positions."""
     path = tmp_path / "boat.ubx"
-    path.write_bytes(b"".join(pvt(k) for k in range(30)))
+    path.write_bytes(b"".join(pvt(k) for k in range(10)))
     with pytest.raises(InputError, match=r"knows no roll and pitch, even if two antennas .* logs\.positions"):
         read_poses([path], "ins")
     table, _ = read_positions("pos", [path], states=None, base=[], nav=[], ppk={}, base_position={})

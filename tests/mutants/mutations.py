@@ -7,9 +7,10 @@ between measured numbers the shifted one is the same function.
 
 Left alone, because no test of results can see it: docstrings and other text, type hints, decorators,
 assertions, what stands behind ``raise`` or goes to the log, arguments that change no number (``strict`` of
-`zip`, tolerances for rounding, which triangle is factorised), rounds of an iteration beyond those that it
-needs, -2 for -1 where a number stands for none, sizes of what is held in memory at once, and guards against
-a division by zero.
+`zip`, tolerances for rounding, which triangle is factorised), folders that are made or may be there (without
+it a job stops, and no number changes), rounds of an iteration beyond those that it needs, one more point on a
+grid that is searched, which random numbers are drawn, -2 for -1 where a number stands for none, sizes of what
+is held in memory at once, and guards against a division by zero.
 """
 
 import ast
@@ -79,6 +80,13 @@ SYMMETRIC: Final = {
     "allclose",
     "isclose",
     "corrcoef",
+    "fmin",
+    "fmax",
+    "broadcast_shapes",
+    "union1d",
+    "intersect1d",
+    "angles_between",
+    "same_heights",
     "print",
     "setattr",
     "column",
@@ -87,6 +95,8 @@ SYMMETRIC: Final = {
 """Functions whose first two arguments may be exchanged, or fail at once if they are."""
 SHAPES: Final = {"zeros", "ones", "empty", "eye", "range", "reshape", "field", "broadcast_to", "tile"}
 """Functions whose arguments are sizes."""
+GRIDS: Final = {"linspace", "geomspace"}
+"""Functions whose third argument is a number of points; where it is a size, all fails at once."""
 IDLE_FLAGS: Final = {
     "strict",
     "copy",
@@ -118,13 +128,33 @@ IDLE_FLAGS: Final = {
     "row_group_size",
     "overwrite_a",
     "overwrite_b",
+    "parents",
+    "exist_ok",
+    "missing_ok",
+    "ignore_errors",
+    "indent",
+    "allow_nan",
+    "ensure_ascii",
+    "allow_unicode",
+    "sort_keys",
+    "allow_pickle",
+    "errcheck",
+    "stacklevel",
+    "propagate",
+    "optimize",
+    "hermitian",
+    "use_gpu",
+    "print_summary",
+    "extract_colors",
 }
 """Arguments that change no number where the input is right: flags, and tolerances for rounding."""
-UNSEEN: Final = re.compile(r"(?i)(chunk|block|buffer|version|bytes|workers|threads|rounds|iterations|steps)$")
-"""Ends of the names of constants that say how work is cut, or how long it may take."""
+UNSEEN: Final = re.compile(
+    r"(?i)(chunk|block|buffer|version|bytes|workers|threads|rounds|iterations|steps|seed)$"
+)
+"""Ends of the names of constants that say how work is cut, how long it may take, or what is drawn."""
 TINY: Final = 1e-6
 """A number up to this, within a comparison or `max`, guards against a division by zero."""
-LOGGERS: Final = {"debug", "info", "warning", "error", "exception"}
+LOGGERS: Final = {"debug", "info", "warning", "error", "exception", "warn"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +214,7 @@ def _walk(tree: ast.Module) -> Iterator[tuple[ast.expr | ast.stmt, str]]:
             function = f"{function}.{node.name}" if function else node.name
             children: list[ast.AST] = list(node.body)
             if isinstance(node, ast.FunctionDef):
-                children = [*node.args.defaults, *(d for d in node.args.kw_defaults if d), *children]
+                children = [*_defaults(node.args), *children]
         elif isinstance(node, ast.AnnAssign):
             children = [node.value] if node.value and not _unseen(node, node.value) else []
         else:
@@ -192,6 +222,14 @@ def _walk(tree: ast.Module) -> Iterator[tuple[ast.expr | ast.stmt, str]]:
                 yield node, function
             children = [child for child in ast.iter_child_nodes(node) if not _unseen(node, child)]
         todo += [(child, function) for child in reversed(children)]
+
+
+def _defaults(of: ast.arguments) -> Iterator[ast.expr]:
+    """Values of arguments that are not given, but for those of which no test of results can see a change."""
+    plain = [*of.posonlyargs, *of.args]
+    pairs = [*zip(plain[len(plain) - len(of.defaults) :], of.defaults, strict=True)]
+    pairs += [(arg, value) for arg, value in zip(of.kwonlyargs, of.kw_defaults, strict=True) if value]
+    yield from (value for arg, value in pairs if not UNSEEN.search(arg.arg))
 
 
 def _left_alone(node: ast.AST) -> bool:
@@ -223,7 +261,19 @@ def _unseen(node: ast.AST, child: ast.AST) -> bool:
         return isinstance(node.target, ast.Name) and node.target.id == "_"  # rounds of an iteration
     if isinstance(node, ast.Assign | ast.AnnAssign) and child is node.value:
         names = [node.target] if isinstance(node, ast.AnnAssign) else node.targets
-        return any(isinstance(name, ast.Name) and UNSEEN.search(name.id) for name in names)
+        return any(
+            (isinstance(name, ast.Name) and UNSEEN.search(name.id))
+            or (isinstance(name, ast.Attribute) and name.attr in IDLE_FLAGS)
+            for name in names
+        )
+    if isinstance(node, ast.Call) and _name(node.func) == "default_rng":
+        return child is not node.func  # other numbers of the same distribution
+    if isinstance(node, ast.Call) and _name(node.func) in GRIDS:
+        return child in node.args[2:] and isinstance(child, ast.Constant)
+    if isinstance(node, ast.Call) and _name(node.func) == "where" and isinstance(child, ast.Constant):
+        match node.args:  # what is divided by where there is nothing to divide
+            case [ast.Compare(left=left, ops=[ast.Gt()]), value, ast.Constant(value=1.0)]:
+                return child is node.args[2] and ast.dump(left) == ast.dump(value)
     compared = isinstance(node, ast.Call) and _name(node.func) in {"max", "maximum"}
     if isinstance(child, ast.Constant) and (compared or isinstance(node, ast.Compare)):
         return type(child.value) is float and 0.0 < child.value <= TINY
@@ -253,7 +303,7 @@ def _kinds(node: ast.AST) -> Iterator[str]:
     """What can be changed about a node itself."""
     match node:
         case ast.BinOp(left=left, op=ast.MatMult(), right=right):
-            if ast.dump(left) != ast.dump(right):
+            if ast.dump(left) != ast.dump(right) and not _quadratic(left, right):
                 yield "swapped product"
         case ast.BinOp(left=left, op=op, right=right) if type(op) in OPERATORS:
             if not any(
@@ -286,6 +336,16 @@ def _kinds(node: ast.AST) -> Iterator[str]:
                 yield "arguments"
         case _:
             return
+
+
+def _quadratic(left: ast.expr, right: ast.expr) -> bool:
+    """Whether a product is ``x M x`` or ``x solve(M, x)``: the number of two vectors in either order."""
+    match left, right:
+        case ast.BinOp(left=first, op=ast.MatMult()), _:
+            return ast.dump(first) == ast.dump(right)
+        case _, ast.Call(args=[_, last, *_]):
+            return _name(right.func) in {"solve", "cho_solve"} and ast.dump(last) == ast.dump(left)
+    return False
 
 
 def _text(node: ast.AST) -> bool:

@@ -1,7 +1,8 @@
 """Run deliberate mistakes through the tests: ``make mutants``; ``python tests/mutants/run.py --help``.
 
 Every module whose numbers reach a user gets mistakes: all of the library but what draws, reads settings, runs
-jobs or registers readers, and the laboratory's comparisons with the truth. Its test files are those of its
+jobs or registers readers, or needs a library that is not installed, and the laboratory's comparisons with the
+truth. Its test files are those of its
 package's folder that import it, else any that import it, else those of the modules that import it;
 `targets.yaml` names the few more. `mutations` finds all mistakes; some are drawn, evenly over functions and
 kinds of mistake, **anew each time**: tests written for the survivors of one draw tell nothing by that draw.
@@ -30,6 +31,7 @@ import hashlib
 import importlib
 import importlib.abc
 import importlib.machinery
+import importlib.util
 import os
 import random
 import re
@@ -223,7 +225,7 @@ def targets() -> list[Target]:
     found = []
     for path in modules:
         name = path.relative_to(SOURCE).with_suffix("").as_posix()
-        if not COUNTED.match(name):
+        if not (COUNTED.match(name) and libraries_are_there(path)):
             continue
         users, answer = {path}, list[str]()
         while users and not answer:
@@ -233,6 +235,19 @@ def targets() -> list[Target]:
         tests = sorted(dict.fromkeys([*(own or answer), *more.get(name, [])]), key=lambda t: len(of_test[t]))
         found.append(Target(name, tuple(tests)))  # the narrowest first: it fails soonest
     return found
+
+
+def libraries_are_there(path: Path) -> bool:
+    """Whether a module can run here: tests of one whose library is not installed are skipped."""
+    names = {
+        name.split(".")[0]
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        for name in (
+            [each.name for each in node.names] if isinstance(node, ast.Import) else [node.module or ""]
+        )
+    }
+    return all(importlib.util.find_spec(name) for name in names - {""})
 
 
 @cache

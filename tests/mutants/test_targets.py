@@ -49,6 +49,14 @@ def test_every_module_with_numbers_has_tests_that_answer(run: Any, repository: P
         ("x = max(s, 1e-12)\n", 1),  # min
         ("minimize(f, x, options={'maxiter': 90, 'fatol': 1e-3})\n", 1),  # arguments swapped
         ("x = t * 1e-9\n", 2),
+        ("path.mkdir(parents=True, exist_ok=True)\n", 0),
+        ("options.use_gpu = False\n", 0),
+        ("q = x @ M @ x\n", 1),  # M @ x @ x, but not x @ (x @ M)
+        ("q = x @ np.linalg.solve(M, x)\n", 1),  # arguments swapped alone
+        ("def f(x, seed=3, *, rounds=4, limit=5.0):\n    return np.random.default_rng(seed + 1)\n", 1),
+        ("x = np.linspace(a, b, 600)\n", 1),  # arguments swapped, but not 601
+        ("x = np.where(s > 0, s, 1.0)\n", 3),  # <= 0, > 1, arguments swapped, but not 2.0
+        ("x = np.where(s > 0, t, 1.0)\n", 4),
         ("def f():\n    return InputError('less', n + 1)\n", 0),
     ],
 )

@@ -26,9 +26,13 @@ from thalweg.navigation.camera.trajectory import (
     NO_TIME,
     TWICE,
     CameraTrajectory,
+    CarriedErrors,
+    _with_positions,
     bridged,
     bridged_integral,
+    scaled,
 )
+from thalweg.navigation.fusion.errors import FusionErrors, Prior
 from thalweg.settings.sections import CameraCloud
 from thalweg_lab.studies.outage import CAMERA, FRAME, Recorded, VoyageSpec, make_survey, pose_errors
 
@@ -466,3 +470,41 @@ def test_the_mount_moves_the_boat_but_not_the_camera() -> None:
         camera = Rigid(R=R[0], shift_m=position[0]) @ mount
         assert np.allclose(camera.shift_m, poses.centre_wcs_m[3], atol=1e-9)
         assert np.allclose(camera.R, poses.R_wcs_ccs[3], atol=1e-9)
+
+
+def test_sigmas_of_poses_and_times_grow_with_the_mean_of_their_squares() -> None:
+    """What all images share of their times stays as it is."""
+    poses = timed(survey().images)
+    poses = poses.with_times(poses.t_gps_s, np.full(len(poses.images), 0.05))
+    errors = dict.fromkeys(
+        ("velocity_time_s", "attitude_time_s", "position_time_s", "position_white_share"), 1.0
+    )
+    draws = (CarriedErrors(**errors, camera=1.0, jitter=2.0), CarriedErrors(**errors, camera=3.0, jitter=4.0))
+    found = scaled(poses, BRIDGE.model_copy(update={"draws": draws}), 0.03)
+    np.testing.assert_allclose(found.cov_pose_wcs, 5.0 * poses.cov_pose_wcs)
+    np.testing.assert_allclose(found.cov_next, 5.0 * poses.cov_next)
+    np.testing.assert_allclose(found.sigma_t_s**2, 0.03**2 + 10.0 * (0.05**2 - 0.03**2))
+    np.testing.assert_allclose(scaled(poses, BRIDGE, 0.08).sigma_t_s, 0.05)  # all of it is shared
+
+
+def test_errors_of_positions_are_those_that_are_stated_beside_the_estimated_ones() -> None:
+    model = FusionErrors(
+        priors={"velocity": Prior(kind="size", centre=0.1, width=2.0)},
+        h=np.array([0.7]), cov=np.array([[0.04]]),
+    )  # fmt: skip
+    settings = CloudSettings(position_time_s=12.0, position_white_share=0.2, fixed=[])
+    settings = settings.model_copy(update={"spread": {"time": 3.0, "share": 1.5, "position_time_s": 2.0}})
+    found = _with_positions(model, settings)
+    assert list(found.priors) == ["velocity", "position_time_s", "position_white_share"]
+    assert found.priors["position_time_s"] == Prior(kind="time", centre=12.0, width=2.0)
+    assert found.priors["position_white_share"] == Prior(kind="share", centre=0.2, width=1.5)
+    np.testing.assert_allclose(np.diag(found.cov), [0.04, np.log(2.0) ** 2, np.log(1.5) ** 2])
+    assert found.h[0] == 0.7
+    values = found.values(found.h)
+    assert values["position_time_s"] == pytest.approx(12.0)
+    assert values["position_white_share"] == pytest.approx(0.2)
+    for share in (0.0, 1.0):  # no prior: it is meant
+        meant = settings.model_copy(update={"position_white_share": share})
+        assert list(_with_positions(model, meant).priors) == ["velocity", "position_time_s"]
+    fixed = settings.model_copy(update={"fixed": ["position_time_s"]})
+    assert list(_with_positions(model, fixed).priors) == ["velocity", "position_white_share"]

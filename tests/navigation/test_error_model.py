@@ -9,12 +9,23 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from thalweg.core import ArrayF, LocalFrame, Trajectory, cross_matrix, roll_pitch_heading, rotation_enu_body
+from thalweg.core import (
+    ArrayF,
+    ErrorChain,
+    LocalFrame,
+    Trajectory,
+    cross_matrix,
+    even_time,
+    roll_pitch_heading,
+    rotation_enu_body,
+    write_chains,
+)
 from thalweg.navigation.ins_gnss import (
     BEAM,
     NAMES,
     ErrorModel,
     Estimate,
+    PoseCorrelation,
     PriorErrors,
     beam_factors,
     typical_sigmas,
@@ -235,3 +246,49 @@ def test_a_corrected_heading_adds_the_variance_of_its_correction() -> None:
     to_antenna = np.concatenate([np.tile(np.eye(3), (2, 1, 1)), -cross_matrix(R @ LEVER)], axis=2)
     antenna = to_antenna @ found.cov_pose_wcs @ np.swapaxes(to_antenna, 1, 2)
     np.testing.assert_allclose(antenna, np.tile(np.diag(SIGMA_POSITION**2), (2, 1, 1)), atol=1e-12)
+
+
+def test_the_prior_of_a_survey_has_its_sigmas_and_what_is_stated() -> None:
+    trajectory = poses(np.linspace(0, 300, 40), SIGMA_POSITION, SIGMA_ATTITUDE)
+    stated = {
+        "white_share": 0.3,
+        "position_time_s": 11.0,
+        "attitude_time_s": 22.0,
+        "spread": 1.5,
+        "time_spread": 4.0,
+    }
+    found = PriorErrors.of_survey(trajectory, LEVER, {**stated, "other": 1})
+    assert {name: getattr(found, name) for name in stated} == stated
+    np.testing.assert_allclose(found.sigma_position_m, SIGMA_POSITION, rtol=1e-6)
+    np.testing.assert_allclose(found.sigma_attitude_rad, SIGMA_ATTITUDE, rtol=1e-6)
+    slow, white = found.sigmas()
+    np.testing.assert_allclose(slow, [*np.sqrt(0.7) * SIGMA_POSITION, *SIGMA_ATTITUDE], rtol=1e-6)
+    np.testing.assert_allclose(white, np.sqrt(0.3) * SIGMA_POSITION, rtol=1e-6)
+    mean, spread = found.mean_and_spread()
+    np.testing.assert_allclose(np.exp(mean), [1, 1, 1, 1, 11, 22])
+    np.testing.assert_allclose(np.exp(spread), [1.5, 1.5, 1.5, 1.5, 4, 4])
+
+
+def test_how_long_errors_last_comes_from_the_survey_unless_it_is_stated(tmp_path: Path) -> None:
+    path = tmp_path / "error_model.json"
+    model(position_time_s=7.0, attitude_time_s=31.0).write(path)
+    found = PoseCorrelation.of_survey(path, receiver_s=0.2)
+    assert (found.position_s, found.attitude_s, found.receiver_s, found.even) == (7.0, 31.0, 0.2, None)
+    assert found.white_share == json.loads(path.read_text())["white_share"] == pytest.approx(0.25)
+    np.testing.assert_array_equal(found.even_time_s(np.array([3.0, 4.0])), [3.0, 4.0])
+    stated = PoseCorrelation.of_survey(path, receiver_s=0.2, position_time_s=5.0, attitude_time_s=6.0)
+    assert (stated.position_s, stated.attitude_s) == (5.0, 6.0)
+    # chains leave no white part, and decay faster at first than later
+    t = np.arange(0.0, 60.5, 0.5)
+    keep = np.exp(-0.5 / np.where(t <= 30.0, 2.0, 8.0))
+    root = np.tile(np.diag([0.02] * 6), (len(t), 1, 1))
+    chain = ErrorChain(name="all", t_gps_s=t, root=root, link=keep[:, None, None] * np.eye(6))
+    write_chains(tmp_path / "chains.npz", [chain])
+    of_chains = PoseCorrelation.of_survey(tmp_path / "chains.npz", receiver_s=0.2)
+    at, even, time_s = even_time([chain])
+    assert of_chains.position_s == pytest.approx(time_s, rel=1e-5)
+    assert (np.isnan(of_chains.attitude_s), of_chains.white_share, of_chains.receiver_s) == (True, 0.0, 0.2)
+    np.testing.assert_allclose(of_chains.even_time_s(at), even, atol=1e-3)
+    np.testing.assert_allclose(of_chains.even_time_s(np.array([-9.0, 99.0])), [even[0], even[-1]], atol=1e-3)
+    stated = PoseCorrelation.of_survey(tmp_path / "chains.npz", receiver_s=0.2, position_time_s=5.0)
+    assert (stated.position_s, stated.even) == (5.0, None)

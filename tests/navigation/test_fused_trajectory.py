@@ -106,6 +106,21 @@ def test_a_wrong_mount_is_found_with_its_sign() -> None:
     assert limit[[0, 2]].max() < 0.5
 
 
+@pytest.mark.parametrize("estimated", [True, False])
+def test_chains_of_errors_are_the_covariance_of_the_poses(estimated: bool) -> None:
+    """Also between two of them: the difference of two neighbours is far better known than each."""
+    recorded = make_survey(3, VoyageSpec(duration_s=8.0))
+    found = fuse(recorded, SETTINGS.replace(estimate_errors=estimated))
+    chains = found.error_chains()
+    assert chains[0].name == "smoothed trajectory"
+    t = chains[0].t_gps_s[1:-1]
+    total = sum(chain.covariance_at(t) for chain in chains)
+    expected = found.trajectory.cov_at(t)
+    sigma = np.sqrt(np.diagonal(expected, axis1=1, axis2=2))
+    scale = sigma[:, :, None] * sigma[:, None, :]
+    np.testing.assert_allclose(total / scale, expected / scale, rtol=0, atol=0.03)
+
+
 # ---------------------------------------------------------------- better than each chain alone
 
 

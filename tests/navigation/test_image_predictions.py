@@ -9,8 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from thalweg.clocks import ClockModel
 from thalweg.core import CoverageError, LocalFrame, Rigid, Trajectory, exp_rotation
-from thalweg.navigation.camera import predict_image_poses
+from thalweg.navigation.camera import predict_image_poses, stated_clock
 from thalweg.navigation.camera.image_predictions import NO_STAMP, OFF_BOAT, OUTSIDE
+from thalweg.settings.sections import StatedClock
 
 FRAME = LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=100.0)
 SPEED_MPS, TURN_RADPS = 2.0, 0.3
@@ -96,3 +97,15 @@ def test_what_all_times_share_is_told_apart_from_jitter() -> None:
     found = predict_image_poses(stamps(1005.0, np.nan, 1010.0), shaky, turning(), MOUNT)
     assert found.facts["sigma_common_s"] == pytest.approx(0.1)
     np.testing.assert_allclose(found.sigma_t_s[[0, 2]], np.hypot(0.1, 0.05))
+
+
+def test_a_clock_that_a_campaign_file_states() -> None:
+    """Whole seconds are uncertain by their steps, too: 1 / sqrt(12)."""
+    stated = StatedClock(offset_s=7.0, sigma_offset_s=0.5, jitter_s=0.4)
+    table = stamps(1000.0, 1010.0, 1050.0, np.nan).assign(resolution_s=[0.5, 1.0, 1.0, 9.0])
+    found = stated_clock(table, stated, "the file")
+    assert (found.offset_s, found.reference_s, found.source) == (7.0, 1010.0, "the file")
+    np.testing.assert_allclose(found.cov, [[0.25, 0.0], [0.0, 0.0]])
+    assert found.jitter_s**2 == pytest.approx(0.16 + 1 / 12)
+    empty = stated_clock(table[3:], stated, "the file")
+    assert (empty.reference_s, empty.jitter_s) == (0.0, pytest.approx(0.4))

@@ -339,16 +339,21 @@ class Calibration:
 
 def correlation_of(cov: ArrayF) -> ArrayF:
     """Correlation matrix (n, n) of a covariance; a quantity without error is uncorrelated."""
+    return np.clip(_scaled(cov), -1.0, 1.0)
+
+
+def _scaled(cov: ArrayF) -> ArrayF:
+    """The same of any matrix: beyond -1 to 1 where it is no covariance."""
     sigma = np.sqrt(np.clip(np.diag(cov), 0.0, None))
     safe = np.where(sigma > 0, sigma, 1.0)
-    out = np.clip(cov / np.outer(safe, safe), -1.0, 1.0)
+    out = np.asarray(cov / np.outer(safe, safe))
     np.fill_diagonal(out, 1.0)
     return out
 
 
 def lowest_eigenvalue(cov: ArrayF) -> tuple[float, ArrayF]:
     """Lowest eigenvalue of the correlation matrix of a covariance, and its eigenvector (n,)."""
-    values, vectors = np.linalg.eigh(correlation_of(0.5 * (cov + cov.T)))
+    values, vectors = np.linalg.eigh(_scaled(0.5 * (cov + cov.T)))
     return float(values[0]), vectors[:, 0]
 
 

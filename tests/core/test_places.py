@@ -1,0 +1,215 @@
+"""Units of length and places on the earth: what files mean by their numbers, by hand."""
+
+import numpy as np
+import pytest
+from pyproj import CRS, Transformer
+
+from thalweg.core import GeometryError, InputError, LocalFrame
+from thalweg.core.values import (
+    FOOT,
+    METRE,
+    US_SURVEY_FOOT,
+    check_degrees,
+    check_places,
+    in_words,
+    near_world,
+    unit_of_code,
+    unit_of_letter,
+    unit_of_word,
+    units_of_crs,
+    utm_of,
+    world_of,
+)
+
+UTM = CRS("EPSG:32633")
+PLACES = np.array([[412000.0, 5650000.0], [412100.0, 5650100.0], [412030.0, 5650200.0]])
+FRAME = LocalFrame(lat_deg=51.0, lon_deg=13.75, h_ell_m=150.0)
+WORLD, GEODETIC, MAP = ("east_m", "north_m", "up_m"), ("lat_deg", "lon_deg", "h_ell_m"), ("x", "y", "z")
+
+
+# ---------------------------------------------------------------- units
+
+
+def test_units_by_word_letter_code_and_crs() -> None:
+    assert [unit_of_word(w).metres for w in ("m", "CM", "ft", "(feet)", "fathoms", "mm")] == [
+        1.0, 0.01, 0.3048, 0.3048, 1.8288, 0.001,
+    ]  # fmt: skip
+    assert {unit_of_word(w) for w in ("US ft", "ft_us", "usft", "survey feet", "ftUS")} == {US_SURVEY_FOOT}
+    assert unit_of_word("dbar") is None
+    assert [unit_of_letter(x).metres for x in "MfF"] == [1.0, 0.3048, 1.8288]
+    assert unit_of_code(9002) == FOOT
+    assert unit_of_code(9003) == US_SURVEY_FOOT
+    assert unit_of_code(4326) is None
+    # California zone 1 in US survey feet, heights of NAVD88 in the same; degrees with a height in metres
+    assert units_of_crs(CRS("EPSG:2225+6360")) == (US_SURVEY_FOOT, US_SURVEY_FOOT)
+    across, up = units_of_crs(CRS("EPSG:4979"))
+    assert across is None
+    assert up.is_metre
+
+
+@pytest.mark.parametrize(
+    ("word", "metres"),
+    [
+        ("m", 1), ("dm", 0.1), ("centimeter", 0.01), ("mm", 0.001), ("KM", 1000), ("ift", 0.3048),
+        ("us_ft", 1200 / 3937), ("fathom", 1.8288), ("inches", 0.0254), ("yds", 0.9144),
+    ],
+)  # fmt: skip
+def test_every_unit_by_hand(word: str, metres: float) -> None:
+    unit = unit_of_word(word)
+    assert unit.metres == pytest.approx(metres, rel=1e-14)
+    assert unit.is_metre == (word == "m")
+
+
+def test_units_have_names() -> None:
+    assert [u.plural for u in (METRE, FOOT, US_SURVEY_FOOT)] == ["metres", "feet", "US survey feet"]
+    assert unit_of_code(9001) == METRE
+    chain = unit_of_code(9033)  # that no word of ours has
+    assert (chain.name, chain.metres) == ("US survey chain", pytest.approx(66 * 1200 / 3937))
+    assert units_of_crs(CRS("EPSG:5783")) == (None, METRE)  # heights alone
+
+
+# ---------------------------------------------------------------- places
+
+
+READINGS = {
+    "east and north swapped": PLACES[:, ::-1],
+    "feet": PLACES / 0.3048,
+    "kilometres": PLACES / 1000,
+    "centimetres": PLACES * 100,
+    "millimetres": PLACES * 1000,
+    "longitude and latitude": np.array([[13.746, 50.99], [13.75, 50.98]]),
+    "latitude and longitude": np.array([[50.99, 13.746], [50.98, 13.75]]),
+    "WGS 84 / UTM zone 33N with the zone before the easting": PLACES + np.array([33e6, 0.0]),
+}
+
+
+@pytest.mark.parametrize("words", READINGS)
+def test_the_reading_that_would_fit_is_named(words: str) -> None:
+    with pytest.raises(InputError, match=f"{words} would fit"):
+        check_places(READINGS[words], UTM, where="a.csv", cure="--crs")
+
+
+def test_places_that_can_be_meant_are_said() -> None:
+    assert check_places(PLACES, UTM, where="a.csv") == "places about 50.9958 N, 13.7464 E"
+    # all of Germany is published in zone 32
+    assert "N, 13." in check_places(PLACES + np.array([420_000.0, 5_000.0]), CRS("EPSG:25832"), where="a.csv")
+    with pytest.raises(InputError, match=r"1 of 4 places lie up to 1,000 km from the others"):
+        check_places(np.vstack([PLACES, [1_412_000.0, 5_650_000.0]]), UTM, where="a.csv")
+    with pytest.raises(InputError, match=r"heights about 412,000 m; expected ground"):
+        check_places(PLACES, UTM, where="a.csv", height_m=np.full(3, 412_000.0))
+    with pytest.raises(InputError, match="used from 39"):
+        check_places(PLACES, CRS("EPSG:22175"), where="a.csv")
+
+
+def test_places_in_words_and_their_zone() -> None:
+    assert in_words(13.75, 51.05) == "51.0500 N, 13.7500 E"
+    assert in_words(-70.5, -33.25) == "33.2500 S, 70.5000 W"
+    assert in_words(0.0, 0.0) == "0.0000 N, 0.0000 E"
+    for lon, lat, code in ((13.75, 51.0, 32633), (373.75, 51.0, 32633), (-70.5, -33.0, 32719)):
+        assert utm_of(np.array([lon, lon, 100.0]), np.array([lat, lat, 0.0])).to_epsg() == code
+    with pytest.raises(InputError, match=r"places about 87\.0000 N, 10\.0000 E; expected a zone of UTM"):
+        utm_of(np.array([10.0]), np.array([87.0]))
+
+
+def test_limits_of_places() -> None:
+    """Both sides of each: a survey's width, its zone, degrees that may be metres, heights of ground."""
+    line = PLACES[0] + np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 199_000.0]])
+    check_places(line, UTM, where="a")
+    line[2, 1] += 2_000.0
+    with pytest.raises(InputError, match=r"1 of 3 places lie up to 201 km .* at east 412,000.0, north 5,851"):
+        check_places(line, UTM, where="a")
+    check_places(line, UTM, where="a", one_survey=False)
+    wide = CRS("EPSG:25832")  # of Europe, used 450 km from its meridian, where it is published so
+    check_places(np.array([[949_000.0, 4.43e6]]), wide, where="a")
+    with pytest.raises(InputError, match="east 951,000"):
+        check_places(np.array([[951_000.0, 4.43e6]]), wide, where="a")
+    check_places(np.array([[13.7, 51.0], [13.8, 51.0]]), UTM, where="a", degrees=True)
+    for lon in (8.8, 21.2):  # the zone has 12 to 18, and 3.1 beside it
+        with pytest.raises(InputError, match=r"places about 51\.0000 N"):
+            check_places(np.array([[lon, 51.0]]), UTM, where="a", degrees=True)
+    for lon in (9.0, 21.0):
+        check_places(np.array([[lon, 51.0]]), UTM, where="a", degrees=True)
+    with pytest.raises(InputError, match="no place"):
+        check_places(np.zeros((0, 2)), UTM, where="a")
+    heights = np.array([-11_900.0, 8_900.0, 9_100.0, np.nan])  # most of those known
+    check_places(PLACES, UTM, where="a", height_m=heights)
+    for wrong in (9_100.0, -12_100.0):
+        with pytest.raises(InputError, match="expected ground between -12,000 and 9,000 m"):
+            check_places(PLACES, UTM, where="a", height_m=np.array([wrong, wrong, 10.0]))
+    check_degrees(np.array([[13.7, 51.0], [14.3, 51.0]]), where="a", cure="b")  # 40 km: metres
+    check_degrees(np.array([[0.7, 0.9], [0.8, 0.9]]), where="a", cure="b")  # about the origin of a site
+    check_degrees(np.array([[185.0, 51.0], [185.1, 51.0]]), where="a", cure="b")
+    check_degrees(np.array([[95.0, 91.0], [95.1, 91.0]]), where="a", cure="b")
+    for xy in ([[13.7, 51.0], [13.8, 51.1]], [[51.0, 179.7], [51.0, 179.9]]):
+        with pytest.raises(InputError, match="which look like degrees; expected metres"):
+            check_degrees(np.array(xy), where="a", cure="b")
+
+
+def test_coordinates_in_three_forms_are_the_same_place() -> None:
+    geodetic = np.array([[51.001, 13.752, 160.0]])
+    world = FRAME.from_geodetic(*geodetic.T)
+    east, north = Transformer.from_crs(4326, 25833).transform(51.001, 13.752)
+    grid, utm = np.array([[east, north, 160.0]]), CRS("EPSG:25833")
+    assert world_of(world, WORLD, None, FRAME) is world
+    for values, form, crs in (
+        (geodetic, GEODETIC, None),
+        (geodetic[:, [1, 0, 2]], MAP, CRS("EPSG:4979")),
+        (grid, MAP, utm),
+    ):
+        np.testing.assert_allclose(world_of(values, form, crs, FRAME), world, atol=1e-6)
+        np.testing.assert_allclose(near_world(values, form, crs, FRAME, "a"), world, atol=1e-6)
+    for lat, lon in ((90.1, 13.0), (-90.1, 13.0), (51.0, 360.1), (51.0, -360.1)):
+        wrong = np.array([geodetic[0], [lat, lon, 0.0]])
+        with pytest.raises(GeometryError, match="expected degrees"):
+            world_of(wrong, GEODETIC, None, FRAME)
+
+
+def _earth() -> np.ndarray:
+    return np.column_stack(Transformer.from_crs(4979, 4978).transform([51.001], [13.752], [160.0]))
+
+
+@pytest.mark.parametrize(
+    ("values", "form", "crs", "words", "cure"),
+    [
+        ([[13.752, 51.001, 160]], GEODETIC, None, "latitude and longitude swapped", "Swap these columns"),
+        ([[5_650_000, 412_000, 160]], MAP, 25833, "east and north swapped", "Swap these columns"),
+        ([[51.001, 13.752, 160]], MAP, 25833, "latitude and longitude", "lat_deg, lon_deg"),
+        ([[13.752, 51.001, 160]], MAP, 25833, "longitude and latitude", "lon_deg, lat_deg"),
+        ([[412_000, 5_650_000, 160]], MAP, 25832, "UTM zone 33N", "Set images.control.crs: EPSG:25833"),
+        ([[412_000, 5_650_000, 160]], GEODETIC, None, "UTM zone 33N", "Name the columns x, y, z. Set"),
+        ([[33_412_000, 5_650_000, 160]], MAP, 25833, "with the zone before the easting", "Take the zone off"),
+        ([[412, 5_650, 0.16]], MAP, 25833, "kilometres", "behind the names of the columns"),
+        (_earth(), MAP, 25833, "Earth-centred coordinates", "Export coordinates of a map"),
+        ([[5_412_500, 5_651_700, 160]], MAP, 25833, "Gauss-Kruger zone 5", "the grid files of the land"),
+        ([[100, 200, 3]], MAP, 25833, "coordinates of the world frame", "east_m, north_m, up_m"),
+    ],
+)  # fmt: skip
+def test_points_far_from_the_campaign_are_refused_with_the_reading_that_fits(
+    values: list, form: tuple, crs: int | None, words: str, cure: str
+) -> None:
+    with pytest.raises(GeometryError) as caught:
+        near_world(np.array(values, float), form, crs and CRS.from_epsg(crs), FRAME, "marks.csv")
+    assert f"{words} would fit" in str(caught.value)
+    assert cure in caught.value.cure
+    assert str(caught.value).startswith("marks.csv: control points about ")
+
+
+def test_points_far_from_the_campaign_that_fit_no_reading() -> None:
+    """Within 10 km they are taken; beyond as they are, unless there is a limit; strays are told apart."""
+    near = np.array([[9_900.0, 0.0, 0.0]])
+    assert near_world(near, WORLD, None, FRAME, "a") is near
+    with pytest.raises(
+        GeometryError, match=r"about 10100, 0, 0: 10 km from campaign\.origin; feet would fit"
+    ):
+        near_world(near + np.array([200.0, 0.0, 0.0]), WORLD, None, FRAME, "a")
+    utm, far = CRS("EPSG:25833"), np.array([[412_300.0, 5_762_000.0, 150.0]])
+    away = near_world(far, MAP, utm, FRAME, "a")
+    assert np.linalg.norm(away) == pytest.approx(111_000.0, rel=0.01)
+    np.testing.assert_array_equal(near_world(far, MAP, utm, FRAME, "a", farthest_m=113e3), away)
+    with pytest.raises(GeometryError, match=r"marks about .*: 111 km from campaign\.origin; .*\. Look"):
+        near_world(far, MAP, utm, FRAME, "a", what="marks", farthest_m=109e3, cure="Look")
+    stray = np.array([[51.0, 13.75, 150.0], [51.0, 13.75, 150.0], [95.0, 13.75, 150.0]])
+    with pytest.raises(GeometryError, match="Leave these points out: the others lie where they should"):
+        near_world(stray, GEODETIC, None, FRAME, "a")
+    with pytest.raises(GeometryError, match="Correct the CRS that the file states: EPSG:25833"):
+        near_world(np.array([[412e3, 5.65e6, 160.0]]), MAP, CRS("EPSG:25832"), FRAME, "a", own=True)

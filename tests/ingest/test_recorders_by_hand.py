@@ -1,0 +1,352 @@
+"""Messages of autopilots and sounders as tables: each column against numbers worked out by hand."""
+
+import math
+import struct
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.core import gps_from_unix, gps_from_week
+from thalweg.ingest import NAVIGATION_INITIALISED, IntegrityReport
+from thalweg.ingest.recorders.ardupilot import (
+    _dataflash_fixes,
+    _depths,
+    _filter_sigmas,
+    _fixes,
+    _joined,
+    _nearest,
+    _of_dataflash,
+    _of_telemetry,
+    _on_earth,
+    _states,
+)
+from thalweg.ingest.recorders.sounders import _clock, _ensemble, _gga, _on_gnss_time, _slanted
+
+WEEK = 2300
+
+
+def report() -> IntegrityReport:
+    return IntegrityReport(stream="ins", format="log", files=["a.bin"])
+
+
+# ---------------------------------------------------------------- autopilots
+
+
+def test_the_nearest_fix_and_the_nearest_row_count() -> None:
+    place = pd.DataFrame({"t_s": [0.0, 1.0, 4.0], "fix": ["fixed", "single", "float"]})
+    found = _nearest(place, np.array([-9.0, 0.4, 0.6, 2.4, 2.6, 9.0]))
+    assert found.tolist() == ["fixed", "fixed", "3d", "3d", "float", "float"]
+    assert _nearest(place[:1], np.array([-9.0, 9.0])).tolist() == ["fixed", "fixed"]
+    assert _nearest(place[:0], np.array([1.0])).tolist() == ["none"]
+    assert _nearest(place[["t_s"]], np.array([1.0])).tolist() == ["none"]
+    other = pd.DataFrame({"t_s": [2.0, 0.9], "v": [7.0, 8.0], "fix": ["x", "y"]})
+    both = _joined(place, other, other[:0])
+    assert both["v"].tolist() == [8.0, 8.0, 7.0]
+    assert both["fix"].tolist() == ["fixed", "single", "float"]  # its own stay
+
+
+def test_places_without_a_fix_and_of_damage_are_none() -> None:
+    lat = [51.0, 0.0, 0.0, 5.0, 90.1, -90.0, 51.0, 51.0]
+    lon = [13.0, 0.0, 5.0, 0.0, 13.0, 180.0, 180.1, -180.0]
+    table = pd.DataFrame({"lat_deg": lat, "lon_deg": lon})
+    expected = [True, False, True, True, False, True, False, True]
+    assert _on_earth(table).tolist() == expected
+    rows = pd.DataFrame(index=range(8))
+    status = [2, 3, 4, 5, 6, 6, 6, 1]
+    found = _fixes(rows, {**table, "status": status, "horizontal_m": [0.5, 1, 1, 0, 1, -1, 1, 1]})
+    assert found["fix"].tolist() == ["2d", "dgnss", "float", "fixed"]
+    expected = [0.5 / math.sqrt(2), 1 / math.sqrt(2), np.nan, np.nan]
+    np.testing.assert_allclose(found["sigma_east_m"], expected)
+    np.testing.assert_allclose(found["sigma_north_m"], expected)
+    pings = pd.DataFrame({"t_s": [1.0, 2.0, 3.0], "depth_m": [2.0, np.nan, 3.0], "sentence": "DPTH"})
+    assert _depths(pings)[["depth_m", "line"]].to_numpy().tolist() == [[2.0, 1.0], [3.0, 2.0]]
+    assert len(_depths(pings[["t_s"]])) == 0
+
+
+def test_states_have_the_place_and_the_sigmas_of_their_time() -> None:
+    attitude = pd.DataFrame(
+        {"t_s": [0.5, 1.0, 3.0], "roll_rad": [0.1, 0.2, 0.3], "yaw_rad": [-0.5, 7.0, 0.0]}
+    )
+    place = pd.DataFrame(
+        {
+            "t_s": [0.0, 1.0, 2.0], "lat_deg": [51.0, 51.2, np.nan], "lon_deg": [13.0, 13.4, 13.8],
+            "alt_m": [100.0, 102.0, 104.0], "sigma_up_m": [0.1, 0.3, 0.5],
+            "sigma_tilt_rad": [0.02, 0.04, 0.06],
+            "sigma_heading_rad": [0.1, 0.2, 0.3], "fix": ["single", "fixed", "fixed"],
+        }
+    )  # fmt: skip
+    found = _states(attitude, place, 46.5, 1000.0)
+    expected = {
+        "t_gps_s": [1000.5, 1001.0, 1003.0], "t_device_s": [0.5, 1.0, 3.0], "lat_deg": [51.1, 51.2, np.nan],
+        "lon_deg": [13.2, 13.4, np.nan], "h_ell_m": [147.5, 148.5, np.nan], "roll_rad": [0.1, 0.2, 0.3],
+        "heading_rad": [2 * np.pi - 0.5, 7.0 - 2 * np.pi, 0.0], "sigma_up_m": [0.2, 0.3, np.nan],
+        "sigma_roll_rad": [0.03 / math.sqrt(2), 0.04 / math.sqrt(2), np.nan],
+        "sigma_pitch_rad": [0.03 / math.sqrt(2), 0.04 / math.sqrt(2), np.nan],
+        "sigma_heading_rad": [0.15, 0.2, np.nan], "v_east_mps": [np.nan] * 3,
+        "filter_status": [NAVIGATION_INITIALISED, NAVIGATION_INITIALISED, 0], "system_status": [0, 0, 0],
+    }  # fmt: skip
+    for name, values in expected.items():
+        np.testing.assert_allclose(found[name].astype(float), values, rtol=1e-6, err_msg=name)
+    assert found["fix"].tolist() == ["fixed", "fixed", "fixed"]  # of two equally near the later one
+
+
+def receiver(number: int, status: list[int], lead_s: float = 0.0) -> pd.DataFrame:
+    n = len(status)
+    t = np.arange(n) * 0.2
+    return pd.DataFrame(
+        {
+            "t_s": t, "I": number, "Status": status, "GWk": WEEK, "GMS": 1e3 * (t + 50.0 + lead_s),
+            "NSats": 10 + number, "Lat": 51.0 + number, "Lng": 13.0, "Alt": 100.0 + np.arange(n),
+        }
+    )  # fmt: skip
+
+
+def test_of_two_receivers_the_one_with_the_better_fixes_counts() -> None:
+    log = {
+        "GPS": pd.concat([receiver(0, [3, 3, 3]), receiver(1, [6, 6, 3])]),
+        "GPA": pd.DataFrame(
+            {"t_s": [0.0, 0.0], "I": [0, 1], "HAcc": [9.0, 0.02], "VAcc": [9.0, 0.03], "Und": [40, 46.5]}
+        ),
+        "PARM": pd.DataFrame({"Name": [b"SPEED", b"GPS_DELAY_MS", b"X"], "Value": [7.0, 80.0, 9.0]}),
+    }  # fmt: skip
+    told = report()
+    fixes, offset_s = _dataflash_fixes(log, told)
+    assert fixes["lat_deg"].tolist() == [52.0] * 3
+    assert fixes["fix"].tolist() == ["fixed", "fixed", "single"]
+    assert fixes["n_sats"].tolist() == [11] * 3
+    np.testing.assert_allclose(fixes["h_ell_m"], [146.5, 147.5, 148.5])
+    np.testing.assert_allclose(fixes["sigma_east_m"], 0.02 / math.sqrt(2))
+    np.testing.assert_allclose(fixes["sigma_up_m"], 0.03)
+    np.testing.assert_allclose(fixes["t_gps_s"], gps_from_week(WEEK, 50.0 + 0.2 * np.arange(3)), atol=1e-6)
+    assert offset_s == pytest.approx(gps_from_week(WEEK, 50.0) + 0.08, abs=1e-6)
+    assert told.notes[0] == "2 GNSS receivers: fixes of number 1, by status, are taken."
+    assert "0.08 s late (stated)" in told.notes[1]
+    # an older format has the second receiver as a message of its own; the lag is presumed
+    old = {"GPS": receiver(0, [3, 3, 3]).drop(columns="I"), "GPS2": receiver(1, [6, 6, 6])}
+    fixes, offset_s = _dataflash_fixes(old, told)
+    assert fixes["lat_deg"].tolist() == [52.0] * 3
+    assert fixes["h_ell_m"].isna().all()
+    assert offset_s == pytest.approx(gps_from_week(WEEK, 50.0) + 0.12, abs=1e-6)
+    assert "0.12 s late (presumed)" in told.notes[-1]
+    # the shortest delay counts, but not that of a receiver that corrects its leap seconds
+    jumps = receiver(0, [3] * 6)
+    jumps["GMS"] += [0.0, -30.0, 20.0, 0.0, -18_000.0, 0.0]
+    offset_s = _dataflash_fixes({"GPS": jumps}, told)[1]
+    assert offset_s == pytest.approx(gps_from_week(WEEK, 50.02) + 0.12, abs=1e-6)
+    jumps["GWk"] = 1024  # never knew the time
+    assert np.isnan(_dataflash_fixes({"GPS": jumps}, told)[1])
+    assert len(_dataflash_fixes({}, told)[0]) == 0
+
+
+def test_the_filter_tells_sigmas_by_its_covariance() -> None:
+    """Four times the trace of the quaternion's part is that of all angles."""
+    names = {f"V0{k}": v for k, v in enumerate([1e-4, 1e-4, 1e-4, 2e-4, 0, 0, 0, 0.04, 0.09, 0.25])}
+    log = {
+        "XKV1": pd.DataFrame(
+            [{"t_s": 1.0, "C": 0, **names}, {"t_s": 1.0, "C": 1, **dict.fromkeys(names, 1.0)}]
+        ),
+        "XKF4": pd.DataFrame({"t_s": [1.1, 1.1], "C": [0, 1], "errRP": [0.04, 9.0]}),
+    }
+    found = _filter_sigmas(log, 0)
+    values = found[["sigma_north_m", "sigma_east_m", "sigma_up_m", "sigma_tilt_rad"]].iloc[0].tolist()
+    assert values == pytest.approx([0.2, 0.3, 0.5, 0.04])
+    assert found["sigma_heading_rad"].tolist() == pytest.approx([math.sqrt(4 * 5e-4 - 0.04**2)])
+    assert _filter_sigmas(log, 1)["sigma_heading_rad"].tolist() == [0.0]
+    assert _filter_sigmas({"XKV1": log["XKV1"]}, 0).empty
+
+
+def dataflash(**more: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    t = [0.0, 1.0]
+    return {
+        "GPS": receiver(0, [3, 3]),
+        "GPA": pd.DataFrame({"t_s": [0.0], "I": [0], "HAcc": [1.0], "VAcc": [2.0]}),
+        "ATT": pd.DataFrame({"t_s": t, "Roll": [1.0, 2.0], "Pitch": [3.0, 4.0], "Yaw": [90.0, 180.0]}),
+        "POS": pd.DataFrame({"t_s": t, "Lat": [51.0, 0.0], "Lng": [13.0, 0.0], "Alt": [100.0, 0.0]}),
+        "XKF1": pd.DataFrame(
+            {"t_s": t + t, "C": [0, 0, 1, 1], "VN": [1, 1, 4, 4], "VE": [2, 2, 5, 5], "VD": [3, 3, 6, 6]}
+        ),
+        "XKF4": pd.DataFrame({"t_s": t, "PI": [1, 1], "C": [1, 1]}),
+        "MSG": pd.DataFrame({"t_s": t, "Message": [b"hello", b"ArduRover V4.2\0"]}),
+        **more,
+    }  # fmt: skip
+
+
+def test_a_dataflash_log_by_hand() -> None:
+    """Attitude in degrees, places that are some, speeds of the filter in use, sigmas of the receiver."""
+    told = report()
+    ranges = pd.DataFrame(
+        {"t_s": [0.0, 1.0, 2.0], "Dist": [1.0, 2.0, 3.0], "Orient": [25, 0, 25], "Stat": [4, 4, 1]}
+    )
+    attitude, place, fixes, depths, _ = _of_dataflash(dataflash(RFND=ranges), told)
+    np.testing.assert_allclose(attitude["roll_rad"], np.deg2rad([1.0, 2.0]))
+    np.testing.assert_allclose(attitude["pitch_rad"], np.deg2rad([3.0, 4.0]))
+    np.testing.assert_allclose(attitude["yaw_rad"], np.deg2rad([90.0, 180.0]))
+    assert place[["lat_deg", "lon_deg", "alt_m"]].to_numpy().tolist() == [[51.0, 13.0, 100.0]]
+    assert place[["v_north_mps", "v_east_mps", "v_down_mps"]].to_numpy().tolist() == [[4, 5, 6]]
+    assert place["sigma_up_m"].tolist() == [2.0]
+    assert "receiver's standard deviations" in told.notes[-1]
+    assert len(fixes) == 2
+    assert depths[["depth_m", "sentence"]].to_numpy().tolist() == [[1.0, "RFND"], [0.0, "RFND"]]
+    assert told.model == "ArduRover V4.2"
+    # without orientations all count, and the filter's depths go first
+    bare = ranges.drop(columns=["Orient", "Stat"])
+    assert _of_dataflash(dataflash(RFND=bare), told)[3]["depth_m"].tolist() == [1.0, 2.0, 3.0]
+    depth = pd.DataFrame({"t_s": [0.0], "Depth": [7.0]})
+    found = _of_dataflash(dataflash(RFND=bare, DPTH=depth), told)[3]
+    assert found[["depth_m", "sentence"]].to_numpy().tolist() == [[7.0, "DPTH"]]
+    assert len(_of_dataflash({}, report())[3]) == 0
+
+
+def test_telemetry_by_hand() -> None:
+    """Integers with their scales; 255 satellites, heights and accuracies of 0 are none."""
+    raw = pd.DataFrame(
+        {
+            "t_s": [1.0, 2.0], "t_host_s": [0.0, 0.0], "lat": [510_000_000] * 2, "lon": [130_000_000] * 2,
+            "alt": [100_000, 101_000], "alt_ellipsoid": [146_500, 0], "fix_type": [6, 3],
+            "satellites_visible": [12, 255], "h_acc": [20, 0], "v_acc": [30, 0],
+        }
+    )  # fmt: skip
+    place = pd.DataFrame(
+        {
+            "t_s": [1.0, 2.0], "lat": [510_000_000, 0], "lon": [130_000_000, 0], "alt": [100_500, 0],
+            "vx": [100, 0], "vy": [-200, 0], "vz": [50, 0],
+        }
+    )  # fmt: skip
+    spoken = pd.DataFrame(
+        {
+            "t_s": [1.0], "t_host_s": [0.0], "roll": [0.1], "pitch": [0.2], "yaw": [0.3], "rollspeed": [1.0],
+            "pitchspeed": [2.0], "yawspeed": [3.0],
+        }
+    )  # fmt: skip
+    clock = pd.DataFrame(
+        {"t_s": [1.0, 2.0, 3.0], "time_unix_usec": [1.7e15 + 1e6, 1.7e15 + 2e6, 1.7e15 + 3e6]}
+    )
+    down = pd.DataFrame({"t_s": [1.0, 2.0], "orientation": [25, 0], "current_distance": [150, 900]})
+    words = pd.DataFrame({"t_s": [1.0, 2.0], "text": ["hello", "ArduRover V4"]})
+    log = {
+        "GPS_RAW_INT": raw, "GLOBAL_POSITION_INT": place, "ATTITUDE": spoken, "SYSTEM_TIME": clock,
+        "DISTANCE_SENSOR": down, "STATUSTEXT": words,
+    }  # fmt: skip
+    told = report()
+    attitude, found, fixes, depths, offset_s = _of_telemetry(log, told)
+    assert offset_s == pytest.approx(float(gps_from_unix(1.7e9)))
+    names = ("roll_rad", "pitch_rad", "yaw_rad", "rate_x_radps", "rate_y_radps", "rate_z_radps")
+    assert attitude[list(names)].iloc[0].tolist() == [0.1, 0.2, 0.3, 1.0, 2.0, 3.0]
+    names = ("lat_deg", "lon_deg", "alt_m", "v_north_mps", "v_east_mps", "v_down_mps")
+    assert found[list(names)].iloc[0].tolist() == pytest.approx([51.0, 13.0, 100.5, 1.0, -2.0, 0.5])
+    assert len(found) == 1
+    assert fixes["fix"].tolist() == ["fixed", "single"]
+    assert fixes["n_sats"].tolist() == [12, -1]
+    np.testing.assert_allclose(fixes["h_ell_m"], [146.5, np.nan])
+    np.testing.assert_allclose(fixes["alt_m"], [100.0, 101.0])
+    np.testing.assert_allclose(fixes["sigma_east_m"], [0.02 / math.sqrt(2), np.nan])
+    np.testing.assert_allclose(fixes["sigma_up_m"], [0.03, np.nan])
+    np.testing.assert_allclose(fixes["t_gps_s"], offset_s + np.array([1.0, 2.0]))
+    assert depths["depth_m"].tolist() == [1.5]
+    assert told.model == "ArduRover V4"
+    water = pd.DataFrame({"t_s": [1.0, 2.0], "distance": [3.0, 4.0], "healthy": [1, 0]})
+    assert _of_telemetry({**log, "WATER_DEPTH": water}, told)[3]["depth_m"].tolist() == [3.0, 0.0]
+
+
+# ---------------------------------------------------------------- sounders
+
+
+def gga(
+    time: bytes = b"120030.50", lat: float = 51.0, lon: float = 13.0, quality: int = 4, **other: object
+) -> bytes:
+    """A GGA as WinRiver stores it; ``south``, ``west`` as letters, ``lag_s`` to the ensemble."""
+    head = bytes(6) + struct.pack("<d", other.get("lag_s", 0.0)) + bytes(6) + other.get("mark", b"\0")
+    place = time.ljust(10, b"\0")[:10] + struct.pack("<d", lat) + other.get("north", b"N")
+    return head + place + struct.pack("<d", lon) + other.get("east", b"E") + bytes([quality, 15]) + bytes(8)
+
+
+def test_fixes_beside_an_ensemble() -> None:
+    found = _gga(gga(lag_s=0.25))
+    assert found == {
+        "lat_deg": 51.0, "lon_deg": 13.0, "quality": 4.0, "n_sats": 15.0, "day_s": 43_230.5, "lag_s": 0.25
+    }  # fmt: skip
+    other = _gga(gga(north=b"S", east=b"W"))
+    assert (other["lat_deg"], other["lon_deg"]) == (-51.0, -13.0)
+    assert _gga(gga(lat=0.0))["lon_deg"] == 13.0
+    assert _gga(gga(lat=90.0, lon=180.0))["lat_deg"] == 90.0
+    for none in (
+        gga(quality=0), gga(lat=0.0, lon=0.0), gga(lat=90.5), gga(lon=180.5), gga(time=b"noon"),
+        gga(mark=b"$"), gga()[:57],
+    ):  # fmt: skip
+        assert math.isnan(_gga(none)["lat_deg"])
+
+
+def test_an_ensemble_by_hand() -> None:
+    """Of several fixes the nearest in time; bottoms beyond 655.36 m have a third byte."""
+    fixed = bytearray(42)
+    fixed[5], fixed[26:28] = 2, struct.pack("<h", -150)
+    variable = bytearray(24)
+    variable[4:11] = bytes([24, 5, 17, 12, 0, 30, 50])
+    variable[16:24] = struct.pack("<HHhh", 3, 9050, -120, 250)
+    bottom = bytearray(81)
+    bottom[16:24], bottom[77:81] = struct.pack("<4H", 1000, 1100, 1200, 1300), bytes([0, 1, 0, 2])
+    vertical = bytes(4) + struct.pack("<I", 12_345)
+    sounder = bytes(26) + struct.pack("<f", 9.5)
+    blocks = {
+        0x0000: [bytes(fixed)], 0x0080: [bytes(variable)], 0x0600: [bytes(bottom)], 0x4100: [vertical],
+        0x2022 + (6 << 16): [sounder],
+        0x2022 + (4 << 16): [gga(lag_s=-0.4, lat=52.0), gga(lag_s=0.1), gga(lag_s=0.0, quality=0)],
+    }  # fmt: skip
+    row = _ensemble(blocks)
+    expected = {
+        "beam_angle_deg": 30.0, "variation_deg": -1.5, "heading_deg": 90.5, "pitch_deg": -1.2,
+        "roll_deg": 2.5,
+        "transducer_m": 0.3, "vertical_m": 12.345, "sounder_m": 9.5, "beam0_m": 10.0, "beam1_m": 666.36,
+        "beam2_m": 12.0, "beam3_m": 1323.72, "lat_deg": 51.0, "lag_s": 0.1,
+        "rtc_unix_s": pd.Timestamp("2024-05-17T12:00:30.5Z").timestamp(),
+    }  # fmt: skip
+    for name, value in expected.items():
+        assert row[name] == pytest.approx(value), name
+    bare = _ensemble({0x0000: [bytes(fixed)]})
+    assert math.isnan(bare["lat_deg"])
+    assert math.isnan(bare["rtc_unix_s"])
+    assert math.isnan(_clock(bytes(4) + bytes([24, 13, 40, 1, 1, 1, 1])))
+
+
+@pytest.mark.parametrize(
+    ("ahead_s", "words"),
+    [
+        (12.25, "The instrument's clock is 12.25 s behind GNSS."),
+        (-30.0, "The instrument's clock is 30.00 s ahead of GNSS."),
+        (7200.0, "The instrument's clock is 7,200.00 s behind GNSS: it may show local time."),
+    ],
+)
+def test_the_instruments_clock_is_set_by_the_time_of_day(ahead_s: float, words: str) -> None:
+    """Also across midnight; the median counts."""
+    clock = pd.Timestamp("2024-05-17T23:59:50Z").timestamp() + np.arange(5.0)
+    day_s = np.mod(clock + ahead_s + [0, 0, 0, 0, 5.0], 86_400.0)
+    day_s[1] = np.nan
+    told = report()
+    found = _on_gnss_time(pd.DataFrame({"rtc_unix_s": clock, "day_s": day_s}), told)
+    np.testing.assert_allclose(found, clock + ahead_s)
+    assert told.notes == [words]
+
+
+def test_ends_of_slanted_beams_by_hand() -> None:
+    """45 degrees would be as far aside as deep; at heading 90 forward is east, and starboard south."""
+    table = pd.DataFrame(
+        {
+            "beam_angle_deg": [45.0], "heading_deg": [80.0], "variation_deg": [10.0], "pitch_deg": [0.0],
+            "roll_deg": [0.0], "lat_deg": [60.0], "lon_deg": [13.0],
+        }
+    )  # fmt: skip
+    found = _slanted(table, np.array([[10.0, 10.0, 10.0, 0.0]]), np.array([1.7e9]))
+    degree = math.pi / 180 * 6_371_000.0
+    np.testing.assert_allclose((found["latitude"] - 60.0) * degree, [-10.0, 10.0, 0.0], atol=1e-5)
+    np.testing.assert_allclose((found["longitude"] - 13.0) * degree / 2, [0.0, 0.0, 10.0], atol=1e-5)
+    np.testing.assert_allclose(found["depth_m"], 10.0)
+    assert set(found["time"]) == {"2023-11-14T22:13:20.000Z"}
+    # pitched up by 45 degrees about the beam forward: it looks along the surface
+    up = _slanted(table.assign(pitch_deg=45.0), np.array([[0.0, 0.0, 10.0, 0.0]]), np.array([1.7e9]))
+    assert up["depth_m"].iloc[0] == pytest.approx(0.0, abs=1e-9)
+    missing = _slanted(
+        table.assign(variation_deg=np.nan), np.array([[0.0, 0.0, 10.0, 0.0]]), np.array([1.7e9])
+    )
+    east = (missing["longitude"].iloc[0] - 13.0) * degree / 2
+    assert east == pytest.approx(10.0 * math.sin(math.radians(80.0)), abs=1e-5)
