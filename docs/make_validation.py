@@ -8,6 +8,7 @@ jobs wrote beside their results (``<output>.meta.json``): nothing is typed.
 """
 
 import argparse
+import atexit
 import json
 import shutil
 import subprocess
@@ -30,7 +31,6 @@ from thalweg.workflow import code_version  # noqa: E402
 
 NOT_SIZES = {"code", "campaign"}
 """Parameters of rules that say nothing of a study's size."""
-_scratch = tempfile.TemporaryDirectory(prefix="thalweg-code-")
 
 
 def studies(root: Path = ROOT) -> dict[str, dict[str, Any]]:
@@ -209,12 +209,12 @@ def now(rule: str, name: str, entry: Mapping[str, Any], root: Path) -> str | Non
 @cache
 def tree_at(commit: str, root: Path) -> Path | None:
     """Code of a commit in a temporary folder; None if the history here does not hold it."""
-    place = Path(_scratch.name) / commit
-    place.mkdir()
     archive = ["git", "-C", str(root), "archive", commit, "src", "workflow/scripts"]
     made = subprocess.run(archive, capture_output=True, check=False)
     if made.returncode:
         return None
+    place = Path(tempfile.mkdtemp(prefix="thalweg-code-"))
+    atexit.register(shutil.rmtree, place)
     subprocess.run(["tar", "-x", "-C", str(place)], input=made.stdout, check=True)
     return place
 

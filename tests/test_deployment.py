@@ -68,9 +68,11 @@ def test_the_image_is_built_in_a_chroot(repository: Path, tmp_path: Path) -> Non
 def test_continuous_integration_runs_the_own_command(repository: Path) -> None:
     jobs = yaml.safe_load((repository / ".github/workflows/ci.yml").read_text())["jobs"]
     runs = [step["run"] for job in jobs.values() for step in job["steps"] if "run" in step]
-    assert runs == [".ci/run", "make docs"]
+    assert runs == [".ci/run", "make demo", "make dist", "make docs"]
     assert (repository / ".ci/run").stat().st_mode & 0o111
-    assert re.search(r"(?m)^docs:", (repository / "Makefile").read_text())
+    targets = re.findall(r"(?m)^(\w+):", (repository / "Makefile").read_text())
+    assert {run.removeprefix("make ") for run in runs[1:]} <= set(targets)
+    assert jobs["test"]["strategy"]["matrix"]["python"] == ["3.11", "3.13"]
 
 
 def test_citation_is_of_this_version(repository: Path) -> None:

@@ -98,7 +98,9 @@ def test_the_commands_exist(repository: Path, capsys: pytest.CaptureFixture[str]
                 seen[words[1]] += place in ("README.md", "docs/commands.md")
     names = re.findall(r"(?m)^    ([a-z]+(?:-[a-z]+)*)(?: |$)", _parser().format_help())
     # the page of single commands names their neighbours, others the rest
-    beside = {"import-calibration", "export-camera", "schema", "catalogue", "cluster", "costs", "verify"}
+    beside = {"import-calibration", "export-camera", "schema", "catalogue", "cluster", "costs", "verify"} | {
+        "workflow-path"
+    }
     assert {name for name in names if not seen[name]} <= beside
 
 

@@ -109,7 +109,7 @@ def test_a_campaign_runs_in_a_new_folder(python: Path, tmp_path: Path) -> None:
     assert "the folder is laid already" in again.stderr
     unknown = run(python, "run", "tinny", "-n", folder=folder)
     assert unknown.returncode == 1
-    assert "tiny" in unknown.stderr
+    assert "tiny" in unknown.stdout + unknown.stderr
 
 
 def test_another_workflow_takes_it_as_a_module(python: Path, repository: Path, tmp_path: Path) -> None:

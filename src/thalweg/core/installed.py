@@ -30,14 +30,26 @@ EXTRAS: Final = {
 }
 """Extra of pyproject.toml that brings a module; what is not here comes with Thalweg itself."""
 
+PRODUCTS: Final = {
+    "images": "work with images",
+    "mesh": "casting rays on a mesh",
+    "gnss": "post-processed GNSS",
+    "e57": "an E57 cloud",
+    "report": "a report as PDF",
+    "ardupilot": "a log of an ArduPilot autopilot",
+    "ros": "a bag of ROS",
+    "ubx": "a UBX log",
+    "ouster": "a recording of an Ouster",
+}
+"""What an extra is for, in the words of a refusal."""
 
-def missing_package(error: ImportError, product: str = "this", where: str | Path = "") -> Exception:
+
+def missing_package(error: ImportError, where: str | Path = "") -> Exception:
     """The refusal of a product whose package is not installed.
 
     Parameters
     ----------
     error : what an import raised.
-    product : what was asked for, such as ``a bag of ROS``.
     where : the file that asked for it, if there is one.
 
     Returns
@@ -47,14 +59,14 @@ def missing_package(error: ImportError, product: str = "this", where: str | Path
 
     Examples
     --------
-    >>> print(missing_package(ModuleNotFoundError(name="cv2"), "a board"))
-    a board needs the package cv2, which is not installed; expected the extra 'images' of thalweg. ...
+    >>> print(missing_package(ModuleNotFoundError(name="pye57")))
+    an E57 cloud needs the package pye57, which is not installed; expected the extra 'e57' of thalweg. ...
     """
     name = (error.name or "").partition(".")[0]
     if name not in EXTRAS:
         return error
     return UnsupportedError(
-        f"{product} needs the package {name}, which "
+        f"{PRODUCTS[EXTRAS[name]]} needs the package {name}, which "
         + ("is not installed" if isinstance(error, ModuleNotFoundError) else f"cannot be loaded ({error})"),
         expected=f"the extra '{EXTRAS[name]}' of thalweg",
         where=where,

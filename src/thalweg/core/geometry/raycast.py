@@ -64,7 +64,7 @@ def _open3d() -> Any:
             ctypes.CDLL(str(libusb_package.get_library_path()), ctypes.RTLD_GLOBAL)
         import open3d
     except ModuleNotFoundError as error:
-        raise missing_package(error, "casting rays on a mesh") from error
+        raise missing_package(error) from error
     except (ImportError, OSError) as error:
         raise ThalwegError(
             f"Open3D cannot be loaded: {error}",

@@ -41,7 +41,7 @@ def colmap() -> Any:
     try:
         import pycolmap
     except ImportError as error:
-        raise missing_package(error, "structure from motion") from error
+        raise missing_package(error) from error
     pycolmap.logging.minloglevel = int(pycolmap.logging.Level.FATAL)
     pycolmap.set_random_seed(SEED)
     return pycolmap

@@ -97,7 +97,7 @@ def run_worker(
     InputError : the child crashed, failed or ran too long; the text holds what it printed.
     """
     if not engine_version():
-        raise missing_package(ModuleNotFoundError(name="pyrtklib5"), "post-processed GNSS")
+        raise missing_package(ModuleNotFoundError(name="pyrtklib5"))
     job, answer, log = folder / "job.json", folder / "answer.json", folder / "engine.log"
     job.write_text(json.dumps({"tasks": list(tasks)}))
     answer.unlink(missing_ok=True)

@@ -500,7 +500,7 @@ def _pymavlink(module: str) -> Any:
     try:
         return importlib.import_module(f"pymavlink.{module}")
     except ImportError as error:
-        raise missing_package(error, "a log of an ArduPilot autopilot") from error
+        raise missing_package(error) from error
 
 
 def _stamped(table: pd.DataFrame) -> pd.DataFrame:

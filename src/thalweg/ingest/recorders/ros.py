@@ -142,7 +142,7 @@ def _opened(path: Path) -> Iterator[Any]:
     try:
         from rosbags.highlevel import AnyReader
     except ImportError as error:
-        raise missing_package(error, "a bag of ROS", path) from error
+        raise missing_package(error, path) from error
     try:
         reader = AnyReader([path], default_typestore=_types())
         reader.open()

@@ -65,7 +65,7 @@ def ubx_frames(path: Path, report: IntegrityReport | None = None) -> Iterator[tu
     try:
         from pyubx2 import ERR_IGNORE, UBX_MSGIDS, UBXReader
     except ImportError as error:
-        raise missing_package(error, "a UBX log", path) from error
+        raise missing_package(error, path) from error
     covered: Counter[str] = Counter()
     with path.open("rb") as stream:
         for raw, _ in UBXReader(stream, quitonerror=ERR_IGNORE, parsing=False):
