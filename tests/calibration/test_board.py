@@ -199,7 +199,7 @@ def test_wrong_squares_and_files_are_told(tmp_path: Path) -> None:
     with pytest.raises(GeometryError, match="at least as large"):
         Checkerboard(columns=7, rows=5, square_m=0.1, width_m=0.5, height_m=1.0)
     (tmp_path / "a.png").write_text("no picture")
-    with pytest.raises(InputError, match="no picture that OpenCV can read"):
+    with pytest.raises(InputError, match="not a picture"):
         read_grey(tmp_path / "a.png")
     with pytest.raises(InputError, match="file not found"):
         read_grey(tmp_path / "b.png")

@@ -73,7 +73,7 @@ def test_files_that_are_no_block(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="file not found"):
         ImageBlock.read(tmp_path / "no.npz")
     (tmp_path / "text.npz").write_text("no block")
-    with pytest.raises(InputError, match="no block of images"):
+    with pytest.raises(InputError, match="not readable"):
         ImageBlock.read(tmp_path / "text.npz")
     np.savez(tmp_path / "other.npz", head=np.array('{"kind": "image_block", "version": 99}'))
     with pytest.raises(InputError, match=r"version 99.*Rebuild it"):

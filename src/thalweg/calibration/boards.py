@@ -22,7 +22,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from thalweg.calibration.camera_lidar import CAPTURES, ORIENTATION, by_transform
+from thalweg.calibration.camera_lidar import CAPTURES, ORIENTATION
+from thalweg.calibration.markers import read_grey
 from thalweg.calibration.target_search import SearchRange, Targets, search_targets
 from thalweg.core import (
     Adjusted,
@@ -39,7 +40,6 @@ from thalweg.core import (
     adjust,
     beam_axes,
     cross_matrix,
-    decode_picture,
     exp_rotation,
     optional,
     plane_rates,
@@ -88,7 +88,9 @@ _HALF_PX: Final = 0.5
 """OpenCV counts pixels from the centre of the first one."""
 LEAST_SIGMA_PX: Final = 0.1
 
-_ROUNDS = 5
+_ROUNDS: Final = 5
+_FIRST_SIGMAS: Final = (0.01, np.deg2rad(1.0))
+"""Of middles (m) and normals (rad) in each direction, to begin with."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -479,7 +481,7 @@ def _adjusted(
             met = meet_board(view, x.T.shift_m, beam)
             arm = met.range_m[:, None] * beam
             J = np.zeros((len(beam), u))
-            J[:, :6] = by_transform(np.broadcast_to(view.normal, beam.shape), arm)
+            J[:, :6] = plane_rates(np.broadcast_to(view.normal, beam.shape), arm)
             J[:, 6 + 3 * i] = -1.0
             # A tilt about the first side lowers the normal along the second, and so on.
             J[:, 7 + 3 * i], J[:, 8 + 3 * i] = -met.place_m[:, 1], met.place_m[:, 0]
@@ -764,23 +766,6 @@ def pose_table(result: BoardCalibration, lost: pd.DataFrame) -> pd.DataFrame:
 # looks the same upside down. Its plane and its middle do not tell, and no more is used.
 
 
-def read_grey(path: Path) -> AnyArray:
-    """A picture in shades of grey (h, w).
-
-    Raises
-    ------
-    InputError : the file is missing or no picture.
-    """
-    if not path.is_file():
-        raise InputError("file not found", expected="a picture", where=path)
-    picture = decode_picture(
-        np.frombuffer(path.read_bytes(), dtype=np.uint8), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
-    )
-    if picture is None:
-        raise InputError("no picture that OpenCV can read", expected="JPEG, PNG or TIFF", where=path)
-    return np.asarray(picture)
-
-
 def find_corners(picture: AnyArray, board: Checkerboard, *, where: str = "") -> ArrayF:
     """Corners (n, 2) of a checkerboard in pixels from the upper left corner of the picture.
 
@@ -843,9 +828,7 @@ def board_view(name: str, corners_px: ArrayF, board: Checkerboard, camera: Camer
             """Pixels of the corners less the measured ones."""
             at = T.apply(object_m)
             xy, by_point, by_parameters = camera.project_with_derivatives(at)
-            J = by_point @ np.concatenate(
-                [np.tile(np.eye(3), (len(at), 1, 1)), -cross_matrix(at - T.shift_m)], axis=2
-            )
+            J = by_point @ T.by_error(object_m)
             cov = by_parameters @ camera.cov @ np.swapaxes(by_parameters, 1, 2) + sigma_px**2 * np.eye(2)
             return Linear(residual=(xy - corners_px).ravel(), jacobian=J.reshape(-1, 6), cov=cov)
 
@@ -885,15 +868,12 @@ class PosesCalibration:
     rms_middle_m: float
 
 
-def calibrate_board_poses(
-    camera: BoardPoses, lidar: BoardPoses, *, sigma_middle_m: float = 0.01, sigma_normal_deg: float = 1.0
-) -> PosesCalibration:
+def calibrate_board_poses(camera: BoardPoses, lidar: BoardPoses) -> PosesCalibration:
     """Relative orientation from boards seen by camera and lidar.
 
     Parameters
     ----------
     camera, lidar : the same boards, in ccs and in scs.
-    sigma_middle_m, sigma_normal_deg : standard deviations to begin with, in each direction.
 
     Raises
     ------
@@ -906,7 +886,7 @@ def calibrate_board_poses(
             f"{n} boards of the camera and {len(lidar.middle_m)} of the lidar",
             expected="the same number, at least three",
         )
-    sigma = np.array([sigma_middle_m, np.deg2rad(sigma_normal_deg)])
+    sigma = np.array(_FIRST_SIGMAS)
     T = _start(camera, lidar)
     for _ in range(_ROUNDS):
         adjusted = adjust(

@@ -4,7 +4,7 @@ The field's points enter with their joint covariance, so that the poses carry it
 orientation is calibrated from the same pictures, or held at given values and their covariance.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -151,12 +151,7 @@ def starting_boat_camera(
 
 
 def orient_on_field(
-    marks: pd.DataFrame,
-    camera: Camera | Mapping[str, Camera],
-    points: FieldPoints,
-    *,
-    free: Sequence[str] | None = None,
-    weighted: bool = False,
+    marks: pd.DataFrame, camera: Camera | Mapping[str, Camera], points: FieldPoints, *, weighted: bool = False
 ) -> FieldNetwork:
     """Adjust all pictures of the boat's camera, or of several cameras, on the field.
 
@@ -165,7 +160,6 @@ def orient_on_field(
     marks : image, camera, marker, corner, x_px, y_px, sigma_px.
     camera : nominal interior orientation, or a known one with covariance; of several cameras by name.
     points : of the field, without the boat's own markers.
-    free : parameters to estimate; all if None.
     weighted : the camera's covariance is an observation of its parameters: an earlier calibration.
 
     Raises
@@ -178,7 +172,7 @@ def orient_on_field(
     rejected = [("image", image, reason) for image, reason in left.items()]
     cameras = (camera,) if isinstance(camera, Camera) else tuple(camera.values())
     number = {name: 0 if isinstance(camera, Camera) else k for k, name in enumerate(known)}
-    estimated = [tuple(PARAMETERS[each.model]) if free is None else tuple(free) for each in cameras]
+    estimated = [PARAMETERS[each.model] for each in cameras]
     if weighted:
         # what is stated without sigma is known and no observation
         for k, each in enumerate(cameras):

@@ -83,13 +83,8 @@ def camera_of(calibration: Calibration, block: str = "camera") -> Camera:
     return Camera(model=kind, size_px=(width, height), parameters=values, cov=cov, name=block)
 
 
-def read_camera(path: Path, model: Model | None = None) -> Camera:
+def read_camera(path: Path) -> Camera:
     """A camera from a calibration file of Thalweg, of OpenCV or ROS, Metashape or COLMAP's ``cameras.txt``.
-
-    Parameters
-    ----------
-    path : the file.
-    model : where a file of OpenCV does not say it.
 
     Raises
     ------
@@ -119,7 +114,7 @@ def read_camera(path: Path, model: Model | None = None) -> Camera:
         if len(blocks) != 1:
             raise InputError(f"the cameras {blocks}", expected="one interior orientation", where=path)
         return camera_of(calibration, blocks[0])
-    return read_opencv(path, model)
+    return read_opencv(path)
 
 
 def same_size(camera: Camera, size_px: tuple[int, int]) -> Camera:

@@ -570,18 +570,12 @@ def start_cone(points_m: ArrayF, half_angle_rad: float) -> Cone:
 
 
 def refine(
-    cone: Cone,
-    points_m: ArrayF,
-    sigma_m: ArrayF,
-    *,
-    free_half_angle: bool,
-    robust: bool = True,
-    steps: int = _STEPS,
+    cone: Cone, points_m: ArrayF, sigma_m: ArrayF, *, free_half_angle: bool, robust: bool = True
 ) -> Cone:
     """Least squares of distances over sigmas (n,), with Tukey's weights if ``robust``; damped steps."""
     start = (cone.apex_m[None], cone.axis[None], np.array([cone.half_angle_rad]))
     how = {"free_half_angle": free_half_angle, "robust": robust}
-    return _cone_of(_refined(start, points_m, sigma_m, steps=steps, **how)[0])
+    return _cone_of(_refined(start, points_m, sigma_m, steps=_STEPS, **how)[0])
 
 
 def _cone_of(cones: _Cones) -> Cone:

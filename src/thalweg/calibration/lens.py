@@ -22,10 +22,10 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from thalweg.calibration.boards import Checkerboard, find_corners, read_grey
+from thalweg.calibration.boards import Checkerboard, find_corners
 from thalweg.calibration.camera_files import interior_calibration, nominal_camera
 from thalweg.calibration.field import MARKS, Layout, Problem, State, marks_model, solve, start_state
-from thalweg.calibration.markers import Block
+from thalweg.calibration.markers import Block, read_grey
 from thalweg.core import (
     Adjusted,
     ArrayF,

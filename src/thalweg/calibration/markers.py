@@ -158,7 +158,6 @@ def detect_pictures(
     pictures: Mapping[str, Sequence[Path]],
     layout: MarkerLayout,
     *,
-    known: set[int] | None = None,
     base: Path | None = None,
     threads: int = 1,
     told: Callable[[str], None] | None = None,
@@ -169,7 +168,6 @@ def detect_pictures(
     ----------
     pictures : by name of the camera.
     layout : dictionary of the tags.
-    known : ids that exist; all if None.
     base : folder that ``file`` counts from.
     threads : pictures at a time.
     told : called with a line for each picture.
@@ -188,7 +186,7 @@ def detect_pictures(
     def work(item: tuple[str, Path]) -> tuple[tuple[int, ...], Detection]:
         """Size of a picture and its marks."""
         grey = read_grey(item[1])
-        found = detect(grey, layout, known)
+        found = detect(grey, layout)
         if told is not None:
             told(f"{item[1].name}: {len(found.marks)} marks of {found.marks['marker'].nunique()} markers")
         return grey.shape, found

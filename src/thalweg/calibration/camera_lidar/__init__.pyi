@@ -17,4 +17,4 @@ from .input import (
     statics_of as statics_of,
     write_statics as write_statics,
 )
-from .model import ORIENTATION as ORIENTATION, FieldErrors as FieldErrors, by_transform as by_transform
+from .model import ORIENTATION as ORIENTATION, FieldErrors as FieldErrors

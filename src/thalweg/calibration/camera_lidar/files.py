@@ -68,11 +68,7 @@ class ScanPattern:
 
 
 def planned_scan(
-    cones: Sequence[Cone],
-    lengths_m: Sequence[float],
-    T_pcs_scs: Rigid,
-    pattern: ScanPattern,
-    limits: SelectionLimits,
+    cones: Sequence[Cone], lengths_m: Sequence[float], T_pcs_scs: Rigid, pattern: ScanPattern
 ) -> ConeScan:
     """Points that would take part, without errors; variances are those of all revolutions together."""
     beams = pattern.beams()
@@ -85,7 +81,7 @@ def planned_scan(
         var_across_m2=pattern.sigma_across_m**2 * shape,
     )
     # Beams are chosen by their directions; what they measure must not matter.
-    chosen = select(cones, lengths_m, T_pcs_scs, at_one, _any_range(limits))
+    chosen = select(cones, lengths_m, T_pcs_scs, at_one, SelectionLimits(slack_m=1e3))
     rows = np.flatnonzero(np.isin(chosen.verdict, (Verdict.USED, Verdict.IN_FRONT, Verdict.BEHIND)))
     reach = np.empty(len(rows))
     for k in np.unique(chosen.cone[rows]):
@@ -107,7 +103,6 @@ def design_study(
     T_ccs_scs: Rigid,
     pattern: ScanPattern,
     *,
-    limits: SelectionLimits | None = None,
     free_half_angle: bool = True,
 ) -> pd.DataFrame:
     """Sigmas of the six parameters for choices of cones and positions.
@@ -119,7 +114,6 @@ def design_study(
     poses : T_pcs_ccs with covariance of the positions.
     T_ccs_scs : relative orientation.
     pattern : beams of the scanner.
-    limits : which beams take part.
     free_half_angle : six unknowns a cone; false: five.
 
     Returns
@@ -128,9 +122,7 @@ def design_study(
         the choice leaves the orientation undetermined, and ``choice``, the names of the cones.
     """
     lengths = [r.length_m for r in references]
-    scans = [
-        planned_scan(cones, lengths, pose @ T_ccs_scs, pattern, limits or SelectionLimits()) for pose in poses
-    ]
+    scans = [planned_scan(cones, lengths, pose @ T_ccs_scs, pattern) for pose in poses]
     seen = [k for k in range(len(cones)) if any((s.cone == k).any() for s in scans)]
     lines = []
     for n_cones in range(1, len(seen) + 1):
@@ -152,12 +144,6 @@ def design_study(
                         for (name, unit), s in zip(QUANTITIES, sigma.tolist(), strict=True)
                     ]
     return pd.DataFrame(lines)
-
-
-def _any_range(limits: SelectionLimits) -> SelectionLimits:
-    return SelectionLimits(
-        max_incidence_deg=limits.max_incidence_deg, margin_sigmas=limits.margin_sigmas, slack_m=1e3
-    )
 
 
 def _spread(choices: list[tuple[int, ...]]) -> list[tuple[int, ...]]:
@@ -317,7 +303,7 @@ def study_of(result: CameraLidar, references: Sequence[ConeReference], sigma_m: 
     poses = list(result.adjusted.x.poses)
     spread = sigma_m * float(np.sqrt(result.variance_factor))
     once = ScanPattern(sigma_along_m=spread, sigma_across_m=spread)
-    planned = [planned_scan(cones, lengths, T @ result.T_ccs_scs, once, SelectionLimits()) for T in poses]
+    planned = [planned_scan(cones, lengths, T @ result.T_ccs_scs, once) for T in poses]
     points = sum(len(scan.cone) for scan in planned)
     revolutions = max(1, round(int(result.residuals["points"].sum()) / max(points, 1)))
     pattern = replace(once, revolutions=revolutions)

@@ -170,7 +170,7 @@ class LidarRows:
 
     def by_transform(self, arm: ArrayF) -> ArrayF:
         """Derivatives (n, 6) of the residuals by shift and rotation of the points in pcs; ``arm`` (n, 3)."""
-        return by_transform(self.normal_pcs, arm) / self.slope[:, None]
+        return plane_rates(self.normal_pcs, arm) / self.slope[:, None]
 
 
 def reference_group(
@@ -280,9 +280,9 @@ def lidar_rows(layout: Layout, x: Unknowns, p: int, scan: ConeScan) -> LidarRows
         J[on, layout.cone(k)] = seen.by_parameters[:, : layout.per_cone]
     at_pcs = whole.shift_m + nominal[:, None] * beam
     in_ccs = (at_pcs - pose.shift_m) @ pose.R
-    J[:, layout.orientation] = by_transform(normal @ pose.R, in_ccs - T.shift_m)
+    J[:, layout.orientation] = plane_rates(normal @ pose.R, in_ccs - T.shift_m)
     if (at := layout.pose(p)) is not None:
-        J[:, at] = by_transform(normal, at_pcs - pose.shift_m)
+        J[:, at] = plane_rates(normal, at_pcs - pose.shift_m)
     J /= slope[:, None]
     if layout.free_range_offset:
         J[:, -1] = 1.0
@@ -293,17 +293,6 @@ def lidar_rows(layout: Layout, x: Unknowns, p: int, scan: ConeScan) -> LidarRows
         at_pcs=at_pcs,
         slope=slope,
     )
-
-
-def by_transform(normal: ArrayF, arm: ArrayF) -> ArrayF:
-    """Derivatives (n, 6) of distances by shift and rotation vector of a transform.
-
-    Parameters
-    ----------
-    normal : (n, 3) in the transform's target frame.
-    arm : (n, 3) the turned points ``R x`` there.
-    """
-    return plane_rates(normal, arm)
 
 
 def groups_of(

@@ -89,7 +89,6 @@ def measure(
     field: FieldDescription,
     frame: LocalFrame,
     *,
-    calibrate: Mapping[str, tuple[str, ...]] | None = None,
     start: Start | None = None,
 ) -> MeasuredField:
     """Adjust a field and place it in the world.
@@ -100,7 +99,6 @@ def measure(
     cameras : nominal interior orientations by name.
     field : its description.
     frame : of wcs.
-    calibrate : parameters to estimate of each camera; all if None.
     start : of `start_network` for these marks and cameras, if it is known already.
 
     Raises
@@ -115,9 +113,7 @@ def measure(
         middle = np.round(np.median(wcs, axis=0))
         approximate = {t.marker: place - middle for t, place in zip(field.targets, wcs, strict=True)}
     try:
-        network = measure_field(
-            marks, cameras, field, approximate=approximate, calibrate=calibrate, start=start
-        )
+        network = measure_field(marks, cameras, field, approximate=approximate, start=start)
     except GeometryError as error:
         raise with_overview(error, marks) from error
     require_steady(list(network.changes))

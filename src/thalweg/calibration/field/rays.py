@@ -1,22 +1,21 @@
 """Pose of a picture from known points and the directions to them, without approximate values.
 
-Three points and the angles between their rays leave up to four poses (Grunert 1841, in the form of Haralick
-et al. 1994). Many triples are solved at once, each pose is judged by its angles to all rays, and the best
-one is kept, as in RANSAC. Directions are unit vectors, not image coordinates, so that lenses beyond 90
-degrees off the axis work too.
+Three points and the angles between their rays leave up to four poses (Grunert 1841; here by OpenCV). Many
+triples are solved, each pose is judged by its angles to all rays, and the best one is kept, as in RANSAC.
+Directions are unit vectors, not image coordinates, so that lenses beyond 90 degrees off the axis work too.
 """
 
 from typing import Final
 
+import cv2
 import numpy as np
 
-from thalweg.core import AnyArray, ArrayF, ArrayI, GeometryError, Rigid, cross_matrix
-from thalweg.core.geometry import fit_points
+from thalweg.core import AnyArray, ArrayF, ArrayI, GeometryError, Rigid, beam_axes, cross_matrix, exp_rotation
 
 TRIPLES: Final = 300
 _SEED: Final = np.array([7, *b"resection"])
-_REAL: Final = 0.02
-"""Largest imaginary part of a root that counts as real: noise turns double roots into complex pairs."""
+_AHEAD: Final = 0.05
+"""Cosine of the largest angle between three rays and their middle."""
 
 
 def pose_from_rays(
@@ -83,40 +82,22 @@ def _triples(groups: ArrayI, triples: int) -> AnyArray:
 
 def _three_point_poses(P: ArrayF, r: ArrayF) -> tuple[ArrayF, ArrayF]:
     """Rotations (k, 3, 3) from ccs to pcs and centres (k, 3) of triples (m, 3, 3) of points and rays."""
-    a2 = ((P[:, 1] - P[:, 2]) ** 2).sum(axis=1)
-    b2 = ((P[:, 0] - P[:, 2]) ** 2).sum(axis=1)
-    c2 = ((P[:, 0] - P[:, 1]) ** 2).sum(axis=1)
-    size = np.maximum(np.maximum(a2, b2), c2)
-    wide = np.minimum(np.minimum(a2, b2), c2) > 1e-6 * size
-    P, r, a2, b2, c2 = P[wide], r[wide], a2[wide], b2[wide], c2[wide]
-    ca, cb, cg = (r[:, 1] * r[:, 2]).sum(1), (r[:, 0] * r[:, 2]).sum(1), (r[:, 0] * r[:, 1]).sum(1)
-    q, p, s = (a2 - c2) / b2, (a2 + c2) / b2, c2 / b2
-    A4 = (q - 1) ** 2 - 4 * s * ca**2
-    A3 = 4 * (q * (1 - q) * cb - (1 - p) * ca * cg + 2 * s * ca**2 * cb)
-    A2 = 2 * (
-        q**2 - 1 + 2 * q**2 * cb**2 + 2 * (1 - s) * ca**2 - 4 * p * ca * cb * cg + 2 * (1 - a2 / b2) * cg**2
-    )
-    A1 = 4 * (-q * (1 + q) * cb + 2 * a2 / b2 * cg**2 * cb - (1 - p) * ca * cg)
-    A0 = (1 + q) ** 2 - 4 * a2 / b2 * cg**2
-    quartic = np.abs(A4) > 1e-12
-    P, r, b2, q, ca, cb, cg = (x[quartic] for x in (P, r, b2, q, ca, cb, cg))
-    if len(P) == 0:
-        return np.empty((0, 3, 3)), np.empty((0, 3))
-    companion = np.zeros((len(P), 4, 4))
-    companion[:, 0] = -np.stack([A3, A2, A1, A0], axis=1)[quartic] / A4[quartic, None]
-    companion[:, 1, 0] = companion[:, 2, 1] = companion[:, 3, 2] = 1.0
-    roots = np.linalg.eigvals(companion)
-    v = roots.real
-    with np.errstate(divide="ignore", invalid="ignore"):
-        u = ((q[:, None] - 1) * v**2 - 2 * (q * cb)[:, None] * v + 1 + q[:, None]) / (
-            2 * (cg[:, None] - v * ca[:, None])
-        )
-        s1 = np.sqrt(b2[:, None] / (1 + v**2 - 2 * v * cb[:, None]))
-        good = (np.abs(roots.imag) < _REAL * (1 + np.abs(v))) & (v > 0) & (u > 0) & np.isfinite(s1)
-    k, root = np.nonzero(good)
-    distances = np.stack([s1[k, root], u[k, root] * s1[k, root], v[k, root] * s1[k, root]], axis=1)
-    R, shift_m, _ = fit_points(distances[:, :, None] * r[k], P[k])
-    return R, shift_m
+    # seen by a camera that looks at the middle of each three, for which they are a picture
+    turn = np.swapaxes(beam_axes(r.sum(axis=1))[:, :, [1, 2, 0]], 1, 2)
+    local = r @ np.swapaxes(turn, 1, 2)
+    of: list[int] = []
+    turns: list[ArrayF] = []
+    shifts: list[ArrayF] = []
+    for k in np.flatnonzero((local[:, :, 2] > _AHEAD).all(axis=1)).tolist():
+        flat = local[k, :, :2] / local[k, :, 2:]
+        n, rotations, moves = cv2.solveP3P(P[k], flat, np.eye(3), None, flags=cv2.SOLVEPNP_P3P)
+        of += [k] * n
+        turns += rotations[:n]
+        shifts += moves[:n]
+    good = np.isfinite(np.reshape(turns + shifts, (2, -1, 3))).all(axis=(0, 2))
+    R = np.swapaxes(exp_rotation(np.reshape(turns, (-1, 3))[good]), 1, 2)
+    C = -(R @ np.reshape(shifts, (-1, 3, 1))[good])[:, :, 0]
+    return R @ turn[np.array(of, np.int64)[good]], C
 
 
 def _angles(R: ArrayF, C: ArrayF, points: ArrayF, rays: ArrayF) -> ArrayF:

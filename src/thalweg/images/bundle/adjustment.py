@@ -271,13 +271,17 @@ def adjust_block(
     problem = problem.shifted(-origin)
     layout = Layout(problem)
     x = start_state(problem, layout)
-    x = _with_intersected_checks(problem, x)
+    # check points begin where their rays meet, not where they were surveyed
+    found = triangulated(problem.block, problem.marks, len(x.G))
+    known = problem.control.check & np.isfinite(found[:, 0])
+    x = replace(x, G=np.where(known[:, None], found, x.G))
     weights = Weights(problem, options, x)
     iterations = 0
     notes: list[str] = []
     rounds = _ROUNDS if options.loss != "none" or options.correlated else 1
+    last = False
     for turn in range(rounds):
-        last = turn == rounds - 1
+        last |= turn == rounds - 1
         weights.hold_unseen(problem, layout)
         tracks = weights.tracks(problem)
         if len(tracks.mark) == 0 and len(problem.marks.image) == 0:
@@ -288,14 +292,8 @@ def adjust_block(
         iterations += n
         if last:
             break
-        changed = reweight(problem, layout, x, weights, turn)
+        last = not reweight(problem, layout, x, weights, turn)
         say(f"round {turn + 1}: {len(tracks.mark)} marks, {weights.correlation.facts()}")
-        if not changed:
-            weights.hold_unseen(problem, layout)
-            tracks = weights.tracks(problem)
-            x, n = _converged(problem, layout, x, tracks, weights, options.max_iterations)
-            iterations += n
-            break
     return _finished(problem, layout, x, tracks, weights, origin, iterations, notes, scale_by_sigma0)
 
 
@@ -363,13 +361,6 @@ def _factor(A: ArrayF, layout: Layout, damping: float) -> tuple[ArrayF, ArrayF]:
     return factor, scale
 
 
-def _with_intersected_checks(problem: Problem, x: State) -> State:
-    """Check points begin where their rays meet, not where they were surveyed."""
-    found = triangulated(problem.block, problem.marks, len(x.G))
-    known = problem.control.check & np.isfinite(found[:, 0])
-    return replace(x, G=np.where(known[:, None], found, x.G))
-
-
 def _finished(
     problem: Problem,
     layout: Layout,
@@ -415,7 +406,12 @@ def _finished(
         parts = parts_agreement(problem, x, telling, weights.correlation)
         variance = parts.interior_variance(options.interior_variance, cov_scale)
         if variance > options.interior_variance:
-            notes = [*notes, _lens_note(parts, variance)]
+            note = (
+                f"The {parts.parts} parts of the block, taken one by one, disagree about the lens: what the "
+                f"images tell of it counts with {variance:.1f} times its variance. A lens that moves between "
+                "exposures (stabiliser, focus, zoom) does this, or distortion that the model does not have"
+            )
+            notes = [*notes, note]
     cov = with_shared_errors(problem, layout, x, cov, variance)
     cov *= cov_scale
     used = np.zeros(len(block.mark_image), np.bool_)
@@ -454,14 +450,6 @@ def _finished(
         lost_images=weights.lost_images,
         interior_variance=variance,
         notes=notes,
-    )
-
-
-def _lens_note(parts: Agreement, variance: float) -> str:
-    return (
-        f"The {parts.parts} parts of the block, taken one by one, disagree about the lens: what the images "
-        f"tell of it counts with {variance:.1f} times its variance. A lens that moves between exposures "
-        "(stabiliser, focus, zoom) does this, or distortion that the model does not have"
     )
 
 

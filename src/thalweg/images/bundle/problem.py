@@ -193,20 +193,13 @@ class RigFrames:
         )
 
 
-def rig_frames(
-    rig: Rig,
-    images: Sequence[str],
-    cameras: Sequence[Camera],
-    *,
-    places: Literal["weighted", "free", "fixed"] = "weighted",
-) -> RigFrames:
+def rig_frames(rig: Rig, images: Sequence[str], cameras: Sequence[Camera]) -> RigFrames:
     """Exposures of a calibrated rig, whose frame is that of its front lens.
 
     Parameters
     ----------
     images : names ``front/NAME`` and ``back/NAME``; the exposure is called ``NAME``.
     cameras : of the block; named by their lenses.
-    places : see `RigFrames`.
 
     Raises
     ------
@@ -241,7 +234,6 @@ def rig_frames(
         exposure=np.array([number[name] for name in names], np.int64),
         T_rig_lens=tuple(rig.T_front_lens[lens] for lens in order),
         cov=(cov + cov.T) / 2,
-        places=places,
     )
 
 

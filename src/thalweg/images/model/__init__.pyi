@@ -39,3 +39,9 @@ from .files import (
     without_doubles as without_doubles,
 )
 from .poses import ImagePoses as ImagePoses, unknown_poses as unknown_poses
+from .records import (
+    camera_of_record as camera_of_record,
+    camera_record as camera_record,
+    read_arrays as read_arrays,
+    write_arrays as write_arrays,
+)

@@ -5,7 +5,6 @@ image, as in `thalweg.core.camera`. The frame is either that of the structure-fr
 scale, any attitude) or, once the block has been transformed, the world frame wcs.
 """
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
@@ -21,15 +20,14 @@ from thalweg.core import (
     ArrayI,
     Camera,
     GeometryError,
-    InputError,
     cross_matrix,
     exp_rotation,
-    parse_json,
     root_mean_square,
     rotation_vector,
 )
 from thalweg.core.geometry import fit_points, nearest_rotation
 from thalweg.images.model.poses import ImagePoses
+from thalweg.images.model.records import camera_of_record, camera_record, read_arrays, write_arrays
 
 _FORMAT: Final = 1
 
@@ -135,31 +133,9 @@ class ImageBlock:
 
     def write(self, path: Path) -> None:
         """Write all arrays and cameras as one ``.npz``."""
-        cameras = [
-            {
-                "name": c.name,
-                "model": c.model,
-                "size_px": list(c.size_px),
-                "parameters": c.parameters.tolist(),
-                "cov": c.cov.tolist(),
-            }
-            for c in self.cameras
-        ]
-        head = {"kind": "image_block", "version": _FORMAT, "images": list(self.images), "cameras": cameras}
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("wb") as file:
-            np.savez_compressed(
-                file,
-                head=np.array(json.dumps(head)),
-                camera=self.camera,
-                R_block_ccs=self.R_block_ccs,
-                centre_block_m=self.centre_block_m,
-                points_block_m=self.points_block_m,
-                mark_image=self.mark_image,
-                mark_point=self.mark_point,
-                mark_px=self.mark_px,
-                sigma_px=self.sigma_px,
-            )
+        head = {"images": list(self.images), "cameras": [camera_record(c) for c in self.cameras]}
+        names = [name for name in self.__dataclass_fields__ if name not in ("cameras", "images")]
+        write_arrays(path, "image_block", _FORMAT, head, {name: getattr(self, name) for name in names})
 
     @classmethod
     def read(cls, path: Path) -> Self:
@@ -169,31 +145,8 @@ class ImageBlock:
         ------
         InputError : no such file, or of another kind or version.
         """
-        if not path.is_file():
-            raise InputError("file not found", expected="a block of images", where=path)
-        try:
-            with np.load(path, allow_pickle=False) as stored:
-                arrays = {name: stored[name] for name in stored.files}
-            head = parse_json(str(arrays.pop("head")), path)
-        except (ValueError, KeyError, OSError) as error:
-            raise InputError(f"no block of images ({error})", expected="an .npz", where=path) from error
-        if (head.get("kind"), head.get("version")) != ("image_block", _FORMAT):
-            raise InputError(
-                f"{head.get('kind')} version {head.get('version')}",
-                expected=f"image_block version {_FORMAT}",
-                where=path,
-                cure="Rebuild it with this version of Thalweg",
-            )
-        cameras = tuple(
-            Camera(
-                name=c["name"],
-                model=c["model"],
-                size_px=(c["size_px"][0], c["size_px"][1]),
-                parameters=np.array(c["parameters"], np.float64),
-                cov=np.array(c["cov"], np.float64),
-            )
-            for c in head["cameras"]
-        )
+        head, arrays = read_arrays(path, "image_block", _FORMAT)
+        cameras = tuple(camera_of_record(camera) for camera in head["cameras"])
         return cls(cameras=cameras, images=tuple(head["images"]), **arrays)
 
 

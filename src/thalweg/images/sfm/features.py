@@ -4,14 +4,13 @@ What is found in an image depends on that image and its mask alone: any split in
 number of threads gives the same features, bit by bit.
 """
 
-import json
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,7 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 from thalweg.calibration import Rig, lens_view, read_rig_masks
-from thalweg.core import ArrayB, ArrayI, InputError, parse_json, steps
+from thalweg.core import ArrayB, ArrayI, InputError, steps
 from thalweg.images.model import (
     ImageBlock,
     LensView,
@@ -28,8 +27,10 @@ from thalweg.images.model import (
     find_mask,
     inspect,
     named_once,
+    read_arrays,
     with_problem,
     without_doubles,
+    write_arrays,
 )
 from thalweg.images.sfm.colmap import colmap, uses_gpu
 from thalweg.ingest.photos import Images, natural_key
@@ -96,20 +97,11 @@ class Features:
     def write(self, path: Path) -> None:
         """Write as ``.npz``; the same features give the same bytes."""
         head = {
-            "kind": "image_features",
-            "version": _FORMAT,
             "settings": self.settings.model_dump(exclude={"parts"}),
             "pictures": [asdict(picture) for picture in self.pictures],
         }
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("wb") as file:
-            np.savez(
-                file,
-                head=np.array(json.dumps(head)),
-                start=self.start,
-                place=self.place,
-                descriptor=self.descriptor,
-            )
+        arrays = {"start": self.start, "place": self.place, "descriptor": self.descriptor}
+        write_arrays(path, "image_features", _FORMAT, head, arrays, compressed=False)
 
     @classmethod
     def read(cls, path: Path, *, descriptors: bool = True) -> Self:
@@ -315,33 +307,6 @@ def join_features(parts: Sequence[Features]) -> Features:
         [part.descriptor[r] for r, (_, part, _) in zip(rows, found, strict=True)],
         parts[0].settings,
     )
-
-
-def read_arrays(
-    path: Path, kind: str, version: int, without: Sequence[str] = ()
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Head and arrays of an ``.npz`` of the expected kind, those named in ``without`` left out.
-
-    Raises
-    ------
-    InputError : no such file, or of another kind or version.
-    """
-    if not path.is_file():
-        raise InputError("file not found", expected=f"{kind} in an .npz", where=path)
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in stored.files if name not in without}
-        head = parse_json(str(arrays.pop("head")), path)
-    except (ValueError, KeyError, OSError, EOFError) as error:
-        raise InputError(f"not readable ({error})", expected=f"{kind} in an .npz", where=path) from error
-    if (head.get("kind"), head.get("version")) != (kind, version):
-        raise InputError(
-            f"{head.get('kind')} version {head.get('version')}",
-            expected=f"{kind} version {version}",
-            where=path,
-            cure="Rebuild it with this version of Thalweg",
-        )
-    return head, arrays
 
 
 def _joined(

@@ -1,6 +1,5 @@
 """What pairs of images have in common: which are compared, with what start, and the common points."""
 
-import json
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -14,7 +13,18 @@ from scipy.spatial import cKDTree
 
 from thalweg.calibration import read_camera
 from thalweg.core import ArrayF, ArrayI, Camera, GeometryError, InputError, Trajectory, read_parquet
-from thalweg.images.model import ImageCamera, Picture, camera_note, cameras_of, named_once, with_problem
+from thalweg.images.model import (
+    ImageCamera,
+    Picture,
+    camera_note,
+    camera_of_record,
+    camera_record,
+    cameras_of,
+    named_once,
+    read_arrays,
+    with_problem,
+    write_arrays,
+)
 from thalweg.images.sfm.colmap import (
     SEED,
     StartCamera,
@@ -26,7 +36,7 @@ from thalweg.images.sfm.colmap import (
     to_colmap,
     uses_gpu,
 )
-from thalweg.images.sfm.features import Features, join_features, read_arrays
+from thalweg.images.sfm.features import Features, join_features
 from thalweg.ingest.photos import Images, named_images, natural_key
 from thalweg.settings.sections import MappingSettings
 
@@ -93,31 +103,13 @@ class Matches:
     def write(self, path: Path) -> None:
         """Write as ``.npz``; the same matches give the same bytes."""
         starts = [
-            {
-                "model": s.camera.model,
-                "size_px": list(s.camera.size_px),
-                "parameters": s.camera.parameters.tolist(),
-                "cov": s.camera.cov.tolist(),
-                "name": s.camera.name,
-                "lens": s.lens,
-                "known": s.known,
-                "source": s.source,
-            }
+            {**camera_record(s.camera), "lens": s.lens, "known": s.known, "source": s.source}
             for s in self.starts
         ]
-        head = {
-            "kind": "image_matches",
-            "version": _FORMAT,
-            "pictures": [asdict(picture) for picture in self.pictures],
-            "starts": starts,
-            "facts": self.facts,
-        }
-        path.parent.mkdir(parents=True, exist_ok=True)
-        names = [n for n in self.__dataclass_fields__ if n not in ("pictures", "starts", "facts")]
-        with path.open("wb") as file:
-            np.savez_compressed(
-                file, head=np.array(json.dumps(head)), **{name: getattr(self, name) for name in names}
-            )
+        pictures = [asdict(picture) for picture in self.pictures]
+        head = {"pictures": pictures, "starts": starts, "facts": self.facts}
+        names = [n for n in self.__dataclass_fields__ if n not in head]
+        write_arrays(path, "image_matches", _FORMAT, head, {name: getattr(self, name) for name in names})
 
     @classmethod
     def read(cls, path: Path) -> Self:
@@ -129,18 +121,7 @@ class Matches:
         """
         head, arrays = read_arrays(path, "image_matches", _FORMAT)
         starts = tuple(
-            StartCamera(
-                camera=Camera(
-                    model=s["model"],
-                    size_px=(s["size_px"][0], s["size_px"][1]),
-                    parameters=np.array(s["parameters"], np.float64),
-                    cov=np.array(s["cov"], np.float64),
-                    name=s["name"],
-                ),
-                lens=s["lens"],
-                known=s["known"],
-                source=s["source"],
-            )
+            StartCamera(camera=camera_of_record(s), lens=s["lens"], known=s["known"], source=s["source"])
             for s in head["starts"]
         )
         pictures = tuple(Picture(**{**p, "size_px": tuple(p["size_px"])}) for p in head["pictures"])
@@ -656,14 +637,8 @@ class ComparedPairs:
 
     def write(self, path: Path) -> None:
         """Write as ``.npz``; the same pairs give the same bytes."""
-        head = {"kind": "compared_pairs", "version": _FORMAT}
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("wb") as file:
-            np.savez_compressed(
-                file,
-                head=np.array(json.dumps(head)),
-                **{name: getattr(self, name) for name in self.__dataclass_fields__},
-            )
+        arrays = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        write_arrays(path, "compared_pairs", _FORMAT, {}, arrays)
 
     @classmethod
     def read(cls, path: Path) -> Self:
