@@ -24,7 +24,6 @@ from thalweg.budgets import long_table, read_budget
 from thalweg.calibration import PARAMETERS, Cone
 from thalweg.core import ArrayF, Camera, ConfigError, Rigid, rotation_opk
 from thalweg.ingest.velodyne import VLP16
-from thalweg.lightsheet.optics import refract_as_printed
 from thalweg_lab.reproduction.files import Entry
 from thalweg_lab.reproduction.ledger import (
     BUDGETS,
@@ -40,6 +39,7 @@ from thalweg_lab.reproduction.ledger import (
     sentence,
     verdict_words,
 )
+from thalweg_lab.reproduction.paper_models import refract_as_printed
 
 # ---------------------------------------------------------------- numbers that need no campaign
 
@@ -155,6 +155,13 @@ def printed_refraction_off(published: Published, *, angle_deg: float) -> Found:
     t = np.deg2rad(angle_deg)
     v = refract_as_printed(np.array([[np.sin(t), 0.0, -np.cos(t)]]), np.array([0.0, 0.0, 1.0]), 1.0, 1.52)
     return Found(value=abs(float(np.linalg.norm(v)) - 1.0))
+
+
+def river_width(published: Published) -> Found:
+    """Of the river of the study of echo sounder and light sheet, m."""
+    from thalweg_lab.studies.joint_study import TWIN
+
+    return Found(value=float(TWIN["scene"]["width_m"]))
 
 
 def classes_off(published: Published) -> Found:
@@ -299,6 +306,7 @@ ARITHMETIC: Final[dict[str, Callable[..., Found]]] = {
         cone_apex_as_printed,
         printed_refraction_off,
         classes_off,
+        river_width,
         cone_unknowns,
         cone_parameters,
         component,

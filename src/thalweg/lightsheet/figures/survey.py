@@ -1,9 +1,7 @@
 """The sensor under a boat: a strip of the bed, and a survey beside an echo sounder."""
 
-import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -13,22 +11,19 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from thalweg.core import ArrayF, read_parquet, read_table
+from thalweg.core import ArrayF, read_table
 from thalweg.figures import (
     BLUE,
-    GREEN,
-    GREY,
     HEIGHT_MAP,
     PURPLE,
     VERMILION,
     count,
-    legend_below,
     new_figure,
     plural,
     robust_limits,
     styled,
 )
-from thalweg.lightsheet.figures.views import WATER_COLOUR, need
+from thalweg.lightsheet.figures.views import need
 from thalweg.lightsheet.scanning import BED_POINTS
 
 POINTS: Final = ("file", "t_gps_s", "east_m", "north_m", "up_m", "cov_uu_m2", "sigma_line_m")
@@ -36,11 +31,6 @@ TRUTH_LINES: Final = ("file", "n", "mean_m", "std_m")
 """Columns of `thalweg_lab.truth.points.compare_bed`."""
 _MOST_POINTS: Final = 30_000
 _CM_PER_M: Final = 100.0
-
-PLACES: Final = ("along_m", "across_m", "depth_m", "instrument")
-TABLE: Final = ("from_m", "to_m", "area_m2", "share_echo", "share_laser", "share_joint")
-STYLES: Final = (("echo sounder", BLUE), ("light sheet", GREEN))
-_MOST: Final = 20_000
 
 
 # ---------------------------------------------------------------- strip of the bed
@@ -221,116 +211,3 @@ def draw_bed_strip(
 
 
 # ---------------------------------------------------------------- beside an echo sounder (T Fig. 3.5)
-
-
-@styled
-def joint_survey_figure(
-    places: pd.DataFrame,
-    table: pd.DataFrame,
-    facts: Mapping[str, Any],
-    *,
-    title: str = "Joint survey of a small river",
-    twin: bool = True,
-) -> Figure:
-    """Cross-section and plan of a simulated survey, and the share of the bed that is measured by depth.
-
-    Parameters
-    ----------
-    places : columns `PLACES`; ``instrument`` is section, track, echo sounder or light sheet.
-    table : columns `TABLE`, see `thalweg.lightsheet.scanning.joint_survey`.
-    facts : of the same survey: ``rmse_section_echo_m`` and ``_joint_m``.
-    title : first words of the title.
-    twin : true if the survey is simulated, as it is here always.
-
-    Raises
-    ------
-    InputError : an empty table, or one that lacks columns.
-    """
-    need(places, PLACES, "places of the survey"), need(table, TABLE, "shares by depth")
-    own = {name: places[places["instrument"] == name] for name, _ in STYLES}
-    alone, joint = (
-        f"{100 * facts[f'rmse_section_{name}_m']:.1f}\N{NO-BREAK SPACE}cm" for name in ("echo", "joint")
-    )
-    head = (
-        f"{title}: error of the interpolated section {alone} by the echo sounder, "
-        f"{joint} with the light sheet, "
-        f"n = {count(len(own['echo sounder']))} soundings"
-    )
-    figure = new_figure(150.0, head, twin=twin)
-    grid = figure.add_gridspec(3, 2, height_ratios=[1.0, 1.0, 1.0], width_ratios=[2.2, 1.0])
-    section = places[places["instrument"] == "section"]
-    whole, shallow = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, :])
-    for ax, words in ((whole, "a: cross-section"), (shallow, "b: its shallow part")):
-        _joint_section(ax, section, own)
-        ax.set(title=words, ylabel="depth / m", xlim=(section["across_m"].min(), section["across_m"].max()))
-    deepest = float(section["depth_m"].max())
-    whole.set_ylim(1.06 * deepest, -0.08 * deepest)
-    shallow.set_ylim(0.3, -0.02)
-    shallow.set_xlabel("across the river / m")
-    _joint_plan(figure.add_subplot(grid[2, 0]), places[places["instrument"] == "track"], own)
-    _shares(figure.add_subplot(grid[2, 1]), table)
-    legend_below(figure, shallow)
-    return figure
-
-
-def _joint_section(ax: Axes, section: pd.DataFrame, own: Mapping[str, pd.DataFrame]) -> None:
-    ax.fill_between(section["across_m"], 0.0, section["depth_m"], color=WATER_COLOUR, lw=0)
-    ax.plot(section["across_m"], section["depth_m"], color="0.35", lw=0.9, label="bed", gid="bed")
-    ax.axhline(0.0, color=BLUE, lw=0.6)
-    for name, colour in STYLES:
-        mine = own[name].iloc[:: max(1, len(own[name]) // _MOST)]
-        ax.plot(
-            mine["across_m"],
-            mine["depth_m"],
-            ls="none",
-            marker=".",
-            ms=3.0,
-            mew=0,
-            color=colour,
-            label=f"{name}, n = {count(len(own[name]))}",
-            gid=name,
-            rasterized=True,
-        )
-    ax.grid()
-
-
-def _joint_plan(ax: Axes, track: pd.DataFrame, own: Mapping[str, pd.DataFrame]) -> None:
-    ax.plot(track["along_m"], track["across_m"], color=GREY, lw=0.5, gid="track")
-    for name, colour in STYLES:
-        mine = own[name].iloc[:: max(1, len(own[name]) // _MOST)]
-        ax.plot(
-            mine["along_m"],
-            mine["across_m"],
-            ls="none",
-            marker=".",
-            ms=1.4,
-            mew=0,
-            color=colour,
-            gid=f"plan {name}",
-            rasterized=True,
-        )
-    ax.set(title="c: from above, with the boat's way", xlabel="along the river / m", ylabel="across / m")
-    ax.set_aspect("equal", adjustable="datalim")
-
-
-def _shares(ax: Axes, table: pd.DataFrame) -> None:
-    """Share of the bed's area that was measured, by class of depth."""
-    place = np.arange(len(table), dtype=np.float64)
-    kinds = (("share_echo", BLUE, -0.27), ("share_laser", GREEN, 0.0), ("share_joint", GREY, 0.27))
-    for column, colour, aside in kinds:
-        ax.barh(place + aside, 100 * table[column], height=0.25, color=colour, gid=column)
-    names = [
-        f"{low:g} to {high:g} m" if np.isfinite(high) else f"over {low:g} m"
-        for low, high in zip(table["from_m"], table["to_m"], strict=True)
-    ]
-    ax.set_yticks(place, names)
-    ax.invert_yaxis()
-    ax.set(title="d: measured area (grey: both)", xlabel="share of the bed / %")
-    ax.grid(axis="x")
-
-
-def draw_joint_survey(*, table: Path, facts: Path, places: Path) -> Figure:
-    """Simulated survey with echo sounder and light sheet -> figure of what each measures."""
-    return joint_survey_figure(
-        read_parquet(places), pd.read_csv(table), json.loads(facts.read_text()), twin=True
-    )
