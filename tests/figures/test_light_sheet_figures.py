@@ -14,7 +14,7 @@ from thalweg.lightsheet.budget import TOTAL_CORRELATED, budget_on_lines
 from thalweg.lightsheet.figures import departures_px, first_image, measured
 from thalweg.lightsheet.figures.budget import depth_budget
 from thalweg.lightsheet.figures.grid_calibration import grid_calibration
-from thalweg.lightsheet.figures.lines import line_measurement, line_on_markers, shown_flag
+from thalweg.lightsheet.figures.lines import line_measurement, sheet_image, shown_flag
 from thalweg.lightsheet.figures.panel_distances import first_with_points, panel_distances, signed
 from thalweg.lightsheet.figures.sensor import (
     TILTS_DEG,
@@ -168,8 +168,9 @@ def test_methods_are_compared_on_one_line(rng, look) -> None:
     figure = line_measurement(noisy, points, title="Basin", twin=True)
     best = points["speckle_patch"]
     assert "Basin: one laser line measured by 2 methods" in look.texts(figure)
-    (shown,) = look.artists(figure, "speckle_patch departures")
-    np.testing.assert_allclose(shown.get_ydata(), departures_px(best, best))
+    (shown,) = look.artists(figure, "speckle_patch points")
+    near = best[(best["y_px"] - best["y_px"].median()).abs() <= 15.0]
+    np.testing.assert_allclose(shown.get_xdata(), near["x_px"])
     std = np.std(departures_px(best, best))
     assert f"speckle-weighted patch: {std:.2f} px" in look.texts(figure)
     assert len(look.artists(figure, "profile")) == 3
@@ -183,7 +184,7 @@ def test_a_line_from_left_to_right_is_turned(look) -> None:
     lying = line_measurement(image.T.copy(), measured(image.T.copy(), ("speckle_patch",)))
     assert upright.axes[0].get_ylabel() == "row / px"
     assert lying.axes[0].get_ylabel() == "column / px"
-    one, other = (look.artists(f, "speckle_patch departures")[0].get_ydata() for f in (upright, lying))
+    one, other = (look.artists(f, "speckle_patch points")[0].get_xdata() for f in (upright, lying))
     # the same image in another order of memory
     np.testing.assert_allclose(one, other, atol=1e-9)
     look.drawn(lying)
@@ -195,9 +196,10 @@ def test_flags_are_shown_by_their_last_bit(look) -> None:
     rows = np.arange(96) + 0.5
     image = image_of_line(np.full(96, 48.0), (96, 96))
     table = line_table(np.full(96, 48.0), rows, flags=np.where((rows > 40) & (rows < 50), 1, 0))
-    figure = line_on_markers(image, table, title="Steps", twin=True)
+    table["piece"] = 0
+    figure = sheet_image(image, table, title="Steps", twin=True)
     words = look.texts(figure)
-    assert "Steps: 10 of n = 96 points of the line are flagged" in words
+    assert "Steps: line in 1 piece, median sigma 0.10 px, 10 flagged, n = 96 points" in words
     assert "saturated: 10" in [text.get_text() for text in figure.legends[0].get_texts()]
     low, high = figure.axes[1].get_ylim()
     # the detail holds the flagged ones
@@ -205,7 +207,7 @@ def test_flags_are_shown_by_their_last_bit(look) -> None:
     assert low > 49
     look.drawn(figure)
     with pytest.raises(InputError, match="columns missing: flags"):
-        line_on_markers(image, table.drop(columns="flags"))
+        sheet_image(image, table.drop(columns="flags"))
 
 
 # ---------------------------------------------------------------- calibration
@@ -341,7 +343,7 @@ def test_panels_stand_beside_published_values(sensor: Sensor, on_panels, look) -
     np.testing.assert_allclose(first.get_ydata(), 0.1, atol=2e-3)
     words = look.texts(figure)
     assert f"128.9 mm: +0.100 ± 0.010 mm, n = {panels['n'][0]}" in words
-    (reference,) = look.artists(figure, "reference 0")
+    (reference,) = look.artists(figure, "reference 128.9")
     found = intersect(sensor, np.asarray(reference.get_xydata()))
     np.testing.assert_allclose(found.depth_mm, 128.9, atol=1e-6)  # the solver's own tolerance
     look.drawn(figure)

@@ -6,6 +6,7 @@ import numba as nb
 import numpy as np
 import pytest
 
+from tests.lightsheet.beams import beams_at_points
 from tests.lightsheet.exact_intersection import intersect_exactly
 from thalweg.core import GeometryError
 from thalweg.lightsheet.optics import (
@@ -20,7 +21,6 @@ from thalweg.lightsheet.optics import (
 )
 from thalweg.lightsheet.optics.intersection import fan_limits
 from thalweg.lightsheet.optics.refraction import threads_for
-from thalweg.lightsheet.optics.volume import beams_at_points
 
 
 def pixels(sensor: Sensor, image_mm, pixel_mm: float) -> np.ndarray:

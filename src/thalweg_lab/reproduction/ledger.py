@@ -43,9 +43,8 @@ from thalweg.lightsheet.poses import pose_source_table
 from thalweg_lab.reproduction.files import BY_ARITHMETIC, CLASSES, NAMES, NOT_COMPARED, PUT_IN, Entry, Ours
 from thalweg_lab.reproduction.paper_models import (
     PAPER_3,
-    design,
+    calibration_rows,
     halved,
-    observation_equations,
     paper_3_sigmas,
     paper_3_table,
     plane_error_mm,
@@ -754,9 +753,8 @@ def _calibrated_p3() -> dict[str, float]:
     and ends of pieces measured by hand to one pixel.
     """
     sensor = paper_3()
-    plan = design(sensor, (75.0, 129.0), points=(100, 52), pairs=8)
     names = ("laser_z_mm", "laser_phi_rad", *PARAMETERS[:6])
-    J = observation_equations(sensor, plan, names)
+    J = calibration_rows(sensor, (75.0, 129.0), names, points=(100, 52), pairs=8)
     cov = np.zeros((len(PARAMETERS), len(PARAMETERS)))
     at = [PARAMETERS.index(name) for name in names]
     cov[np.ix_(at, at)] = np.linalg.inv(J.T @ J)
@@ -780,7 +778,7 @@ def rank_defect(published: Published, *, paper: int) -> Found:
         if paper == 3
         else PARAMETERS[15:21]
     )
-    J = observation_equations(sensor, design(sensor, levels), names)
+    J = calibration_rows(sensor, levels, names)
     values = np.linalg.svd(J / np.linalg.norm(J, axis=0), compute_uv=False)
     return Found(value=float((values <= SINGULAR).sum()))
 
@@ -883,12 +881,6 @@ def line_sigma(published: Published) -> Found:
 def plane_leaves(published: Published) -> Found:
     """Largest error in depth of a plane fitted to the sheet of P4's stored prototype, mm."""
     return Found(value=plane_error_mm(paper_4(), (40.0, 80.0, 125.0, 170.0, 220.0)))
-
-
-def depth_by_cause(cause: str) -> float:
-    """Largest sigma of the depth by a cause, over the lines of equal depth of P4's stored prototype, mm."""
-    table = _p4_budget_table()
-    return float(table["most_mm"].to_numpy()[table["cause"] == cause].max())
 
 
 @cache

@@ -3,7 +3,6 @@ instead of the sheet, and the observations of their calibrations.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -96,69 +95,35 @@ def plane_error_mm(sensor: Sensor, depths_mm: Sequence[float]) -> float:
     return worst
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Design:
-    """Observations of a calibration on two levels, without errors.
-
-    Parameters
-    ----------
-    levels_mm : depths.
-    line_px, line_level : (n, 2) line points and (n,) the level of each.
-    upper_px, lower_px : (m, 2) ends of pieces on one sub-beam.
-    sigma_line_px, sigma_pair_px : across and along the line.
-    """
-
-    levels_mm: tuple[float, float]
-    line_px: ArrayF
-    line_level: ArrayF
-    upper_px: ArrayF
-    lower_px: ArrayF
-    sigma_line_px: float
-    sigma_pair_px: float
-
-
-def design(
+def calibration_rows(
     sensor: Sensor,
     levels_mm: tuple[float, float],
+    names: Sequence[str],
     *,
     points: tuple[int, int] = (900, 250),
     pairs: int = 12,
-    sigma_line_px: float = 0.15,
-    sigma_pair_px: float = 1.0,
-) -> Design:
-    """The observations of a calibration like those of P3 3.1.1 and P4 4.3."""
+) -> ArrayF:
+    """Derivatives (n, k) of the weighted contradictions of a calibration like those of P3 3.1.1 and P4 4.3.
+
+    Lines of 0.15 px on two levels, and ends of pieces on one sub-beam measured by hand to one pixel.
+    """
     lines = depth_lines(sensor, levels_mm, n=2001)
     shared = np.intersect1d(lines[0].fan_angle_rad, lines[1].fan_angle_rad)
     inner = shared[(np.linspace(0.06, 0.94, pairs) * (len(shared) - 1)).astype(int)]
-    upper, lower = (line.xy_px[np.searchsorted(line.fan_angle_rad, inner)] for line in lines)
+    ends = [line.xy_px[np.searchsorted(line.fan_angle_rad, inner)] for line in lines]
     chosen = [
         line.xy_px[np.linspace(0, len(line.xy_px) - 1, n).astype(int)]
         for line, n in zip(lines, points, strict=True)
     ]
-    return Design(
-        levels_mm=levels_mm,
-        line_px=np.concatenate(chosen),
-        line_level=np.repeat([0, 1], points).astype(float),
-        upper_px=upper,
-        lower_px=lower,
-        sigma_line_px=sigma_line_px,
-        sigma_pair_px=sigma_pair_px,
-    )
-
-
-def observation_equations(sensor: Sensor, plan: Design, names: Sequence[str]) -> ArrayF:
-    """Derivatives (n, k) of the weighted contradictions of a plan by parameters of the sensor."""
-    n, m = len(plan.line_px), len(plan.upper_px)
-    d = sheet_derivatives(sensor, np.concatenate([plan.line_px, plan.upper_px, plan.lower_px]))
+    d = sheet_derivatives(sensor, np.concatenate(chosen + ends))
     # the line runs along y of the picture or along x: the depth changes across it
     cross = int(np.abs(d.depth_by_pixel).mean(axis=0).argmax())
-    weight = 1.0 / (np.abs(d.depth_by_pixel[:, cross]) * plan.sigma_line_px)
     at = [PARAMETERS.index(name) for name in names]
-    by_depth, by_fan = d.depth_by_parameters[:, at], d.fan_by_parameters[:, at]
-    up, low = slice(n, n + m), slice(n + m, n + 2 * m)
-    along = np.abs(d.fan_by_pixel[:, 1 - cross])
-    pair = 1.0 / (plan.sigma_pair_px * np.hypot(along[up], along[low]))
-    return np.concatenate([by_depth * weight[:, None], (by_fan[up] - by_fan[low]) * pair[:, None]])
+    by_depth = d.depth_by_parameters[:, at] / (0.15 * np.abs(d.depth_by_pixel[:, [cross]]))
+    n = sum(points)
+    by_fan = np.diff(d.fan_by_parameters[n:, at].reshape(2, pairs, -1), axis=0)[0]
+    along = np.hypot(*np.abs(d.fan_by_pixel[n:, 1 - cross]).reshape(2, pairs))
+    return np.concatenate([by_depth, by_fan / along[:, None]])
 
 
 def paper_3_sigmas(x: ArrayF, cov: ArrayF) -> dict[str, float]:

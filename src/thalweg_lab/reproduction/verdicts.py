@@ -32,7 +32,6 @@ from thalweg_lab.reproduction.ledger import (
     Found,
     Results,
     by_class,
-    depth_by_cause,
     judged,
     missing_words,
     ours_words,
@@ -290,11 +289,6 @@ def pixel_by_lens(published: Published, *, pixel: str, lens: str, path_mm: float
     return Found(value=1e-3 * float(published[pixel]) * path_mm / float(published[lens]))
 
 
-def depth_by(published: Published, *, cause: str) -> Found:
-    """Largest sigma of the depth by a cause, by the stored prototype of P4, mm."""
-    return Found(value=depth_by_cause(cause))
-
-
 ARITHMETIC: Final[dict[str, Callable[..., Found]]] = {
     function.__name__: function
     for function in (
@@ -328,7 +322,6 @@ ARITHMETIC: Final[dict[str, Callable[..., Found]]] = {
         budget_lever,
         budget_ratio,
         pixel_by_lens,
-        depth_by,
     )
 }
 """What the ledger may name in ``computed`` beside the functions of `thalweg_lab.reproduction.ledger`."""

@@ -255,7 +255,11 @@ def orient_camera(
     ------
     GeometryError : see `camera_over_window`; a camera at another height than the design says.
     """
-    found = camera_over_window(nominal, marks, points, window_markers, where=where)
+    try:
+        found = camera_over_window(nominal, marks, points, window_markers, where=where)
+    except GeometryError as error:
+        where = error.where or where
+        raise GeometryError(error.found, expected=error.expected, where=where, cure=error.cure) from error
     height, designed = float(found.origin_lcs_mm[2]), float(nominal.camera_origin_lcs_mm[2])
     if not designed / _TIMES < height < designed * _TIMES:
         raise GeometryError(

@@ -300,10 +300,6 @@ def light_sheet_page(
     ----------
     calibration : report of `thalweg.lightsheet.calibration.report.calibration_report`.
     budget : `thalweg.lightsheet.budget.budget.budget_on_lines` of the sensor.
-    published : `thalweg.lightsheet.budget.checks.verdicts`.
-    contradictions : `thalweg.lightsheet.budget.checks.inequality_table`.
-    correlations : `thalweg.lightsheet.budget.budget.depth_sigmas`.
-    models : `thalweg.lightsheet.optics.approximations.model_errors`.
     panels : `thalweg.lightsheet.poses.panels.compare_panels`; None if there were none.
     truth : for a twin, `thalweg_lab.truth.calibration.compare_sensor`.
     camera : report on the camera over the window; None if it was oriented elsewhere.

@@ -5,25 +5,14 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
-from cmcrameri import cm
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from thalweg.core import ArrayF, read_table
-from thalweg.figures import (
-    BLUE,
-    HEIGHT_MAP,
-    PURPLE,
-    VERMILION,
-    count,
-    new_figure,
-    plural,
-    robust_limits,
-    styled,
-)
-from thalweg.lightsheet.figures.views import need
+from thalweg.figures import HEIGHT_MAP, PURPLE, VERMILION, count, new_figure, plural, robust_limits, styled
+from thalweg.lightsheet.figures.views import line_numbers, need, spots
 from thalweg.lightsheet.scanning import BED_POINTS
 
 POINTS: Final = ("file", "t_gps_s", "east_m", "north_m", "up_m", "cov_uu_m2", "sigma_line_m")
@@ -59,11 +48,11 @@ def bed_strip(
     InputError : an empty table, or one that lacks columns.
     """
     need(points, POINTS, "points of the bed")
-    lines = list(dict.fromkeys(points["file"]))
     sigma_up = float(np.sqrt(points["cov_uu_m2"].mean()))
     head = (
-        f"{title}: n = {count(len(points))} points of {plural(len(lines), 'line')}, sigma of the height "
-        f"{_CM_PER_M * sigma_up:.1f} cm, within a line {1e3 * float(points['sigma_line_m'].median()):.2f} mm"
+        f"{title}: n = {count(len(points))} points of {plural(points['file'].nunique(), 'line')}, sigma of "
+        f"the height {_CM_PER_M * sigma_up:.1f} cm, within a line "
+        f"{1e3 * float(points['sigma_line_m'].median()):.2f} mm"
     )
     if truth is not None and len(truth):
         row = truth.iloc[0]
@@ -75,13 +64,9 @@ def bed_strip(
     grid = figure.add_gridspec(2, 2, width_ratios=[1.0, 1.25])
     _plan(figure, figure.add_subplot(grid[:, 0]), points)
     section = figure.add_subplot(grid[0, 1])
-    shades = _section(section, points, lines)
+    shades = _section(section, points)
     figure.colorbar(shades, ax=section, label="number of the line", aspect=20, pad=0.01)
-    last = figure.add_subplot(grid[1, 1])
-    if truth_lines is None:
-        _heights(last, points)
-    else:
-        _errors(last, points, need(truth_lines, TRUTH_LINES, "errors by line"))
+    _along_time(figure.add_subplot(grid[1, 1]), points, truth_lines)
     return figure
 
 
@@ -92,18 +77,10 @@ def _some(points: pd.DataFrame) -> pd.DataFrame:
 def _plan(figure: Figure, ax: Axes, points: pd.DataFrame) -> None:
     shown = _some(points)
     middle = points[["east_m", "north_m"]].mean().to_numpy()
-    low, high = robust_limits(_CM_PER_M * points["up_m"], 0.5, 99.5)
-    drawn = ax.scatter(
-        _CM_PER_M * (shown["east_m"] - middle[0]),
-        _CM_PER_M * (shown["north_m"] - middle[1]),
-        c=_CM_PER_M * shown["up_m"],
-        cmap=HEIGHT_MAP,
-        norm=Normalize(low, high),
-        s=1.0,
-        lw=0,
-        gid="points",
-        rasterized=True,
-    )
+    east, north = (_CM_PER_M * (shown[["east_m", "north_m"]] - middle)).to_numpy().T
+    norm = Normalize(*robust_limits(_CM_PER_M * points["up_m"], 0.5, 99.5))
+    look = {"cmap": HEIGHT_MAP, "norm": norm, "s": 1.0, "gid": "points"}
+    drawn = spots(ax, east, north, _CM_PER_M * shown["up_m"], **look)
     figure.colorbar(drawn, ax=ax, label="height / cm", location="bottom", aspect=30, pad=0.02, extend="both")
     ax.set_aspect("equal", adjustable="datalim")
     ax.set(xlabel=f"east of {middle[0]:.2f} m / cm", ylabel=f"north of {middle[1]:.2f} m / cm")
@@ -121,21 +98,12 @@ def along_lines(points: pd.DataFrame) -> ArrayF:
     return np.asarray((xy - xy.mean(axis=0)) @ direction)
 
 
-def _section(ax: Axes, points: pd.DataFrame, lines: list[str]) -> ScalarMappable:
-    shown = points.assign(along=along_lines(points), number=points["file"].map(lines.index) + 1)
-    shown = _some(shown)
-    shades = ScalarMappable(Normalize(1, max(len(lines), 2)), cm.batlow)
-    ax.scatter(
-        _CM_PER_M * shown["along"],
-        _CM_PER_M * shown["up_m"],
-        c=shades.to_rgba(shown["number"].to_numpy(np.float64)),
-        s=0.8,
-        lw=0,
-        gid="lines",
-        rasterized=True,
-    )
-    ax.set(xlabel="along the lines / cm", ylabel="height / cm")
-    ax.set_title("b: along the lines")
+def _section(ax: Axes, points: pd.DataFrame) -> ScalarMappable:
+    number, shades = line_numbers(points["file"])
+    shown = _some(points.assign(along=along_lines(points), number=number))
+    colours = shades.to_rgba(shown["number"].to_numpy())
+    spots(ax, _CM_PER_M * shown["along"], _CM_PER_M * shown["up_m"], colours, s=0.8, gid="lines")
+    ax.set(title="b: along the lines", xlabel="along the lines / cm", ylabel="height / cm")
     ax.grid()
     return shades
 
@@ -150,49 +118,24 @@ def _by_line(points: pd.DataFrame) -> pd.DataFrame:
     return table.reset_index()
 
 
-def _heights(ax: Axes, points: pd.DataFrame) -> None:
+def _along_time(ax: Axes, points: pd.DataFrame, truth_lines: pd.DataFrame | None) -> None:
+    """Mean of each line with its predicted sigma: of its height, or of its error where the truth is known."""
     table = _by_line(points)
-    ax.errorbar(
-        table["t_s"],
-        _CM_PER_M * table["up_m"],
-        yerr=_CM_PER_M * table["sigma_up_m"],
-        ls="none",
-        marker="o",
-        ms=3,
-        color=BLUE,
-        ecolor=PURPLE,
-        capsize=2,
-        gid="heights",
-    )
-    ax.set(xlabel="time since the first line / s", ylabel="mean height / cm")
-    ax.set_title("c: mean of each line with its predicted sigma")
-    ax.grid()
-
-
-def _errors(ax: Axes, points: pd.DataFrame, truth_lines: pd.DataFrame) -> None:
-    table = _by_line(points).merge(truth_lines, on="file", how="inner")
+    mean, std = _CM_PER_M * table["up_m"], 0.0 * table["up_m"]
+    ax.set(title="c: mean of each line with its predicted sigma", ylabel="mean height / cm")
+    if truth_lines is not None:
+        table = table.merge(need(truth_lines, TRUTH_LINES, "errors by line"), on="file", how="inner")
+        mean, std = _CM_PER_M * table["mean_m"], _CM_PER_M * table["std_m"].fillna(0.0)
+        ax.set(title="c: errors by line", ylabel="height minus true bed / cm")
+        ax.axhline(0.0, color="black", lw=0.7)
     sigma = _CM_PER_M * table["sigma_up_m"]
-    ax.fill_between(
-        table["t_s"], -sigma, sigma, color=PURPLE, alpha=0.3, lw=0, gid="predicted", label="predicted sigma"
-    )
-    mean, std = _CM_PER_M * table["mean_m"], _CM_PER_M * table["std_m"].fillna(0.0)
-    ax.errorbar(
-        table["t_s"],
-        mean,
-        yerr=std,
-        ls="none",
-        marker="o",
-        ms=3,
-        color=VERMILION,
-        capsize=2,
-        gid="errors",
-        label="mean and standard deviation of a line",
-    )
-    ax.axhline(0.0, color="black", lw=0.7)
-    largest = max(1.1 * float((mean.abs() + std).max()), 1.2 * float(sigma.max()))
-    ax.set_ylim(-largest, 1.6 * largest)
-    ax.set(xlabel="time since the first line / s", ylabel="height minus true bed / cm")
-    ax.set_title("c: errors by line")
+    centre = mean if truth_lines is None else 0.0
+    look = {"color": PURPLE, "alpha": 0.3, "lw": 0, "gid": "predicted", "label": "predicted sigma"}
+    ax.fill_between(table["t_s"], centre - sigma, centre + sigma, **look)
+    look = {"ls": "none", "marker": "o", "ms": 3, "color": VERMILION, "capsize": 2, "gid": "means"}
+    ax.errorbar(table["t_s"], mean, yerr=std, label="mean and standard deviation of a line", **look)
+    ax.set_xlabel("time since the first line / s")
+    ax.margins(y=0.25)
     ax.legend(loc="upper right")
     ax.grid()
 

@@ -191,8 +191,7 @@ def align(
                 f"{int(found.used.sum())} of {len(here)} points lie within {limit:.1f} mm of the mesh",
                 expected=f"at least {_LEAST_POINTS}",
                 where="alignment with the reference",
-                cure="Give a better start: pick points that can be seen in both, and check the units, the "
-                "medium, and that no picture is turned or mirrored",
+                cure="Give a better start: pick points that can be seen in both, and check the units",
             )
         dx, kept, sigma0 = _step(here, found, T.shift_m)
         # points that change between two faces at every turn would swing for ever
@@ -455,6 +454,10 @@ DOUBT: Final = 25.0
 
 Pairs = tuple[ArrayF, ArrayF]
 
+_TO_CHECK: Final = (
+    "Check that images and poses belong together and are in one order, the index of the water, and that no "
+    "picture is turned or mirrored"
+)
 TILT_SIGMA_RAD: Final = 0.003
 """How well the window stands parallel to the levels: a single line tells no tilt across itself."""
 
@@ -787,10 +790,15 @@ def compare_scan(
     GeometryError : scan and reference contradict each other.
     """
     cloud = merge(profiles(sensor, line_points)[0], poses)
-    if levels_mm is None:
-        found = compare_with_mesh(cloud, surface, pairs)
-    else:
-        found = compare_with_levels(cloud, surface, levels_mm, pairs)
+    try:
+        if levels_mm is None:
+            found = compare_with_mesh(cloud, surface, pairs)
+        else:
+            found = compare_with_levels(cloud, surface, levels_mm, pairs)
+    except GeometryError as error:
+        where = error.where or "scan against its reference"
+        cure = f"{error.cure}. {_TO_CHECK}"
+        raise GeometryError(error.found, expected=error.expected, where=where, cure=cure) from error
     warnings = found.facts.setdefault("warnings", [])
     found.facts["brightness"], bias = _by_brightness(found)
     if bias:
@@ -798,9 +806,7 @@ def compare_scan(
     if found.check.scale >= DOUBT:
         warnings.append(
             f"half of the lines lie off the reference by more than {np.sqrt(found.check.scale):.0f} times "
-            "what their poses explain: no line can be told from the others by its pose. Check that images "
-            "and poses are in one order and belong together, the index of the water, and that no picture is "
-            "turned or mirrored"
+            f"what their poses explain: no line can be told from the others by its pose. {_TO_CHECK}"
         )
     return found
 
