@@ -1,11 +1,10 @@
 """The page on a light-sheet sensor."""
 
 import pandas as pd
-import pytest
 from PIL import Image
 
 from thalweg.lightsheet.figures import light_sheet_page
-from thalweg.lightsheet.figures.page import flag_counts, inequality, parameter_rows
+from thalweg.lightsheet.figures.page import flag_counts, parameter_rows
 from thalweg.lightsheet.lines import LineFlag
 
 CALIBRATION = {
@@ -44,54 +43,6 @@ BUDGET = pd.DataFrame(
     ],
     columns=["depth_mm", "cause", "panel", "sigma_depth_mm"],
 )
-PUBLISHED = pd.DataFrame(
-    [
-        ("a", "image", 0.15, "px", "most", 0.027, 0.023, 200.0, 0.87, "met"),
-        ("c", "camera omega", 0.02, "deg", "most", 0.04, 0.139, 200.0, 3.5, "contradicted"),
-    ],
-    columns=[
-        "panel",
-        "cause",
-        "sigma",
-        "unit",
-        "bound",
-        "published_mm",
-        "computed_mm",
-        "at_depth_mm",
-        "ratio",
-        "verdict",
-    ],
-)
-INEQUALITIES = pd.DataFrame(
-    [
-        {
-            "name": "ground sampling distance",
-            "left": "as published",
-            "left_value": 0.03,
-            "right": "that of a camera on the glass",
-            "right_value": 0.0343,
-            "unit": "mm",
-            "holds": False,
-            "factor": 1.14,
-            "condition": "",
-        }
-    ]
-)
-CHANGES = pd.DataFrame(
-    [(50.0, 0.054, 0.055, 0.31, 0.33, 6.0)],
-    columns=[
-        "depth_mm",
-        "correlated_least_mm",
-        "correlated_most_mm",
-        "dropped_least_mm",
-        "dropped_most_mm",
-        "factor",
-    ],
-)
-MODELS = pd.DataFrame(
-    [("plane", 50.0, 0.3, 0.4, -1.2, 0.9, 41, 0)],
-    columns=["model", "depth_mm", "mean_mm", "std_mm", "low_mm", "high_mm", "n", "lost"],
-)
 PANELS = pd.DataFrame(
     [("a.png", 128.9, 0.0, 1024, -0.052, 0.11, 0.12, 0.12, 0.03, 0.21, 7)],
     columns=[
@@ -111,7 +62,7 @@ PANELS = pd.DataFrame(
 
 
 def page(**more):
-    return light_sheet_page(CALIBRATION, BUDGET, PUBLISHED, INEQUALITIES, CHANGES, MODELS, **more).html()
+    return light_sheet_page(CALIBRATION, BUDGET, **more).html()
 
 
 def test_the_page_says_what_was_found_and_what_was_left_out(tmp_path) -> None:
@@ -154,8 +105,6 @@ def test_the_page_says_what_was_found_and_what_was_left_out(tmp_path) -> None:
         "within 0.012 mm of one plane",
         "Warning: the window may be tilted.",
         "+0.924  laser kappa, camera kappa",
-        "1 of 2 published figures are met within a fifth: 1 met, 1 contradicted.",
-        "as published 0.03 mm &gt;= that of a camera on the glass 0.0343 mm? Contradicted, by a factor of",
         "0.020 to 0.020",
         "ends without a partner",
         "images without a line",
@@ -176,7 +125,6 @@ def test_a_page_without_panels_and_pictures() -> None:
     assert "No panel in known depths judges the sigmas of the depths." in text
     assert "digital twin" not in text
     assert "<img" not in text
-    assert "Beside the budget of P4" in text
 
 
 def test_parameters_have_as_many_places_as_their_sigmas_warrant() -> None:
@@ -186,22 +134,6 @@ def test_parameters_have_as_many_places_as_their_sigmas_warrant() -> None:
         ["fx", "1091.02", "px", "0.2", "", "held fixed, considered"],
         ["camera x", "0", "mm", "fixed", "", "held fixed"],
     ]
-
-
-@pytest.mark.parametrize(("left", "words"), [(0.05, "Holds"), (0.02, "Contradicted, by a factor of 2.0")])
-def test_inequalities_in_words(left, words) -> None:
-    row = {
-        "name": "x",
-        "left": "a",
-        "right": "b",
-        "left_value": left,
-        "right_value": 0.04,
-        "unit": "mm",
-        "condition": "|phi| below 55 degrees",
-    }
-    assert inequality(row) == f"x: a {left} mm >= b 0.04 mm? {words} (for |phi| below 55 degrees)"
-    # an empty field of a CSV file
-    assert inequality(row | {"condition": float("nan")}).endswith(words)
 
 
 def test_points_are_counted_under_each_of_their_flags() -> None:

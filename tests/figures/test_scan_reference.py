@@ -9,10 +9,6 @@ from thalweg.core import InputError
 from thalweg.core.geometry import TriangleMesh
 from thalweg.lightsheet.figures.scan_reference import read_orthophoto, scan_reference, share_of_noise
 
-LEVELS = [
-    {"height_mm": 0.0, "measured_mm": 0.012, "rms_own_plane_mm": 0.031, "n": 120},
-    {"height_mm": 20.0, "measured_mm": 19.989, "rms_own_plane_mm": 0.032, "n": 120},
-]
 EXTENT_MM = (-60.0, 60.0, -40.0, 40.0)
 
 
@@ -42,17 +38,16 @@ def points(rng) -> pd.DataFrame:
     )
 
 
-def test_the_object_with_its_levels(mesh, points, rng, look) -> None:
+def test_the_object_and_its_scan(mesh, points, rng, look) -> None:
     photo = np.full((80, 120, 3), 50, np.uint8)
     photo[20:60, 30:90] = (180, 150, 90)
-    figure = scan_reference(photo, EXTENT_MM, mesh, points, levels=LEVELS, title="Steps", twin=True)
+    figure = scan_reference(photo, EXTENT_MM, mesh, points, title="Steps", twin=True)
     words = look.texts(figure)
     n = int(points["used"].sum())
     assert f"Steps: reference of 4 faces, n = {n} points of 6 lines on it" in words
     assert "digital twin" in words
     assert "orthophoto, brightened" in words
-    assert "20 mm: 19.989 mm, rms 0.032 mm, n = 120" in words
-    photo_ax, reference, scan, _, _, levels = figure.axes
+    photo_ax, reference, scan = figure.axes[:3]
     (shown,) = [image for image in photo_ax.images if image.get_gid() == "photo"]
     assert tuple(shown.get_extent()) == EXTENT_MM
     assert (photo_ax.get_xlabel(), photo_ax.get_ylabel()) == ("x / mm", "y / mm")
@@ -61,18 +56,10 @@ def test_the_object_with_its_levels(mesh, points, rng, look) -> None:
     (drawn,) = [artist for artist in scan.collections if artist.get_gid() == "scan"]
     assert len(drawn.get_offsets()) == n
     assert len(np.unique(drawn.get_facecolors(), axis=0)) == 6
-    low, high = (next(line for line in levels.lines if line.get_gid() == f"level {k}") for k in (0, 1))
-    assert low.get_xdata().max() <= 0 < high.get_xdata().min()
-    assert len(low.get_xdata()) + len(high.get_xdata()) == n
-    np.testing.assert_allclose(
-        np.sort(np.concatenate([low.get_ydata(), high.get_ydata()])),
-        np.sort(points["distance_mm"][points["used"]]),
-    )
-    assert (levels.get_xlabel(), levels.get_ylabel()) == ("x / mm", "distance / mm")
     look.drawn(figure)
 
 
-def test_an_object_without_levels_and_a_picture_of_noise(mesh, points, rng, look) -> None:
+def test_a_picture_of_noise(mesh, points, rng, look) -> None:
     photo = rng.integers(1, 250, (80, 120), dtype=np.uint8)
     # a mean of 25 has a 25th of the variance
     assert share_of_noise(photo) == pytest.approx(0.96, abs=0.01)
@@ -82,7 +69,6 @@ def test_an_object_without_levels_and_a_picture_of_noise(mesh, points, rng, look
     words = look.texts(figure)
     assert "noise: no light but the laser's" in words
     assert "digital twin" not in words
-    assert "d: " not in words
     look.drawn(figure)
 
 

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from thalweg.core import Camera, InputError, rotation_opk
-from thalweg.lightsheet.figures.scan_setup import InSensor, frame_corners, scan_setup
+from thalweg.lightsheet.figures.scan_setup import scan_setup
 from thalweg.lightsheet.optics import Sensor, paper_4
 from thalweg.lightsheet.poses import SensorPoses
 
@@ -74,14 +74,14 @@ def test_the_set_up_shows_camera_panel_sensor_and_three_images(sensor, poses, pa
     largest = np.sqrt(0.02**2 + (0.1 * np.hypot(0.08, 0.26)) ** 2)
     assert f"{largest:.3f} mm and {np.rad2deg(1e-4):.4f}°" in words
     assert "digital twin" in words
-    whole, detail, _, seen, above = figure.axes[:5]
+    whole, seen, above = figure.axes
     # 1.46 m at the fifth image, and the panel 0.08 m behind the origin, 0.06 m higher than the camera
     assert "1.54 m apart" in whole.get_title(loc="left")
     (panel,) = [line for line in whole.lines if line.get_gid() == "panel"]
     assert len(panel.get_xdata()) == 30
     assert [line.get_gid() for line in whole.lines].count("standing camera") == 1
-    (lines,) = [artist for artist in detail.collections if artist.get_gid() == "lines"]
-    assert len(lines.get_offsets()) == len(points)
+    (scan,) = [line for line in whole.lines if line.get_gid() == "scan"]
+    assert len(scan.get_xdata()) == len(points)
     for ax, label in ((seen, "y / m"), (above, "z, along the view / m")):
         assert (ax.get_xlabel(), ax.get_ylabel()) == ("x / m", label)
         gids = [line.get_gid() for line in ax.lines]
@@ -98,21 +98,6 @@ def test_the_set_up_shows_camera_panel_sensor_and_three_images(sensor, poses, pa
     assert seen.yaxis_inverted()
     assert not above.yaxis_inverted()
     look.drawn(figure)
-
-
-def test_points_come_back_to_the_sensor(poses, points) -> None:
-    here = InSensor(R=poses.R_target_lcs[4], shift_m=poses.shift_m[4])
-    xyz, number = here.scan(points)
-    mine = points["file"].to_numpy() == "4.png"
-    np.testing.assert_allclose(xyz[mine][:, 1:], [[-110.0, -125.0]] * 50, atol=1e-9)
-    assert set(number[mine]) == {4.0}  # the fourth line, since one image is missing
-    assert number.max() == 6
-
-
-def test_the_frame_of_the_picture() -> None:
-    corners = frame_corners(CAMERA)
-    np.testing.assert_allclose(corners[0] / corners[0, 2], [-1 / 3, -0.25, 1.0], atol=1e-9)
-    np.testing.assert_allclose(corners[2] / corners[2, 2], [1 / 3, 0.25, 1.0], atol=1e-9)
 
 
 def test_a_scan_without_poses_has_no_set_up(sensor, poses, panel_m, points) -> None:

@@ -1,4 +1,4 @@
-"""Image ray and sheet: golden points, reference, marks, halving of the papers."""
+"""Image ray and sheet: golden points, reference, marks."""
 
 from dataclasses import replace
 
@@ -6,24 +6,21 @@ import numba as nb
 import numpy as np
 import pytest
 
+from tests.lightsheet.beams import beams_at_points
 from tests.lightsheet.exact_intersection import intersect_exactly
 from thalweg.core import GeometryError
 from thalweg.lightsheet.optics import (
     Sensor,
     Status,
-    depth_lines,
     intersect,
-    intersect_by_halving,
     intersection,
     paper_3,
     paper_4,
     project,
     sheet_in_water,
 )
-from thalweg.lightsheet.optics.approximations import intersect_as_printed
 from thalweg.lightsheet.optics.intersection import fan_limits
 from thalweg.lightsheet.optics.refraction import threads_for
-from thalweg.lightsheet.optics.volume import beams_at_points
 
 
 def pixels(sensor: Sensor, image_mm, pixel_mm: float) -> np.ndarray:
@@ -159,7 +156,6 @@ def test_all_pixels_get_the_root_of_a_plain_search() -> None:
     """A signed halving of 2000 samples a ray, written without the kernel, finds the same points and the same
     gaps."""
     from thalweg.lightsheet.optics import refract_to_water
-    from thalweg.lightsheet.optics.approximations import image_rays
 
     rng = np.random.default_rng(8)
     total = 0
@@ -175,7 +171,8 @@ def test_all_pixels_get_the_root_of_a_plain_search() -> None:
         fan = refract_to_water(
             sensor.sheet.origin_lcs_mm, sensor.sheet.beams(np.linspace(low, high, 2001)), sensor.window
         )
-        rays = image_rays(sensor, xy)
+        directions = sensor.camera.rays(xy) @ sensor.R_lcs_ccs.T
+        rays = refract_to_water(sensor.camera_origin_lcs_mm, directions, sensor.window)
         for k in range(len(xy)):
             dA, dB = fan.A - rays.A[k], fan.B - rays.B[k]
             F = dA[:, 0] * dB[:, 1] - dA[:, 1] * dB[:, 0]
@@ -300,38 +297,6 @@ def test_no_pixels_give_no_points() -> None:
     found = intersect(paper_4(), np.zeros((0, 2)))
     assert found.xyz_lcs_mm.shape == (0, 3)
     assert project(paper_4(), np.zeros((0, 3))).shape == (0, 2)
-
-
-# ---------------------------------------------------------------- the papers' way
-
-
-@pytest.mark.parametrize(("compare", "share", "worst_mm"), [("middles", 0.002, 0.08), ("ends", 0.01, 0.15)])
-def test_the_papers_halving_loses_pixels(compare, share: float, worst_mm: float) -> None:
-    """At any threshold: some 0.3 % of the pixels and 0.12 mm with the middles of both halves, 1.2 % and 0.2
-    mm with their ends; P4 does not say which. Those pixels keep a distance between the rays."""
-    sensor = paper_4()
-    xy = random_pixels(40_000)
-    true = intersect(sensor, xy)
-    xy, points = xy[true.ok], true.xyz_lcs_mm[true.ok]
-    for threshold in (1e-3, 1e-6):
-        found = intersect_by_halving(sensor, xy, compare=compare, threshold_mm=threshold)
-        error = np.linalg.norm(found.xyz_lcs_mm - points, axis=1)
-        bad = found.halvings == 50
-        assert bad.mean() > share
-        assert error[bad].max() > worst_mm
-        # the others end within the threshold, stretched by the obliqueness of ray and sheet
-        assert error[~bad].max() < 3 * threshold
-        assert (found.skew_mm[bad] > threshold).all()
-
-
-def test_the_printed_law_shifts_depths_by_a_centimetre() -> None:
-    """Means of 10, 14 and 15 mm at 50, 125, 200 mm with the geometry of P4; half a millimetre for the
-    sampling."""
-    sensor = paper_4()
-    for line, shift in zip(depth_lines(sensor, [50, 125, 200], 31), (10.5, 14.0, 15.2), strict=True):
-        error = intersect_as_printed(sensor, line.xy_px) - line.depth_mm
-        assert np.nanmean(error) == pytest.approx(shift, abs=0.5)
-        assert np.nanmax(error) < 28
 
 
 def test_few_rays_run_in_one_thread_and_give_the_same() -> None:

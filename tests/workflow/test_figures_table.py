@@ -289,10 +289,9 @@ def test_what_the_shipped_campaigns_show(repository: Path) -> None:
     assert names("field_tiny") == names("field_tiny", "calibration")
     assert names("field_tiny", "calibration")[-3:] == ["clock_offset", "clock_stability", "synthetic_view"]
     assert len(names("field_tiny")) == 11
-    assert set(names("basin_tiny")) - set(names("basin_tiny", "light_sheet")) == {
-        "joint_survey",
-        *names("basin_tiny", "scans"),
-    }
+    assert set(names("basin_tiny")) - set(names("basin_tiny", "light_sheet")) == set(
+        names("basin_tiny", "scans")
+    )
     assert names("basin_tiny", "scans")[-1] == "orthophoto"
     assert len(names("basin_tiny", "scans")) == 12
     assert names("tiny_change") == names("tiny_change", "deformation")

@@ -96,12 +96,10 @@ rule ledger:
 
 
 rule multi_line_scans:
-    """Fifteen lines on grid, plane and wreck, and two scans of a wreck, measured and labelled (T 4.2.1)."""
+    """Fifteen lines on grid, plane and wreck, measured and labelled (T 4.2.1)."""
     output:
         images="results/reproduction/multi_line_images.npz",
         image_points="results/reproduction/multi_line_points.csv",
-        scan_points="results/reproduction/line_label_points.parquet",
-        shifts="results/reproduction/line_label_shifts.csv",
     log:
         "logs/reproduction/multi_line_scans.log",
     benchmark:

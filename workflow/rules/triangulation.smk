@@ -95,7 +95,6 @@ rule calibrate_light_sheet:
         parameters="results/{campaign}/triangulation/parameters.csv",
         residuals="results/{campaign}/triangulation/residuals.csv",
         pairs="results/{campaign}/triangulation/pairs.csv",
-        published="results/{campaign}/triangulation/calibration_published.csv",
     log:
         "logs/{campaign}/triangulation/calibrate_light_sheet.log",
     benchmark:
@@ -143,15 +142,11 @@ rule measure_panels:
 
 
 rule light_sheet_budget:
-    """What each parameter costs in depth, beside the published budget (P4 6)."""
+    """What each parameter costs in depth, and the points of all pixels (P4 5, 6)."""
     input:
         sensor="results/{campaign}/triangulation/sensor.yaml",
     output:
         budget="results/{campaign}/triangulation/budget.csv",
-        published="results/{campaign}/triangulation/budget_published.csv",
-        contradictions="results/{campaign}/triangulation/budget_contradictions.csv",
-        correlations="results/{campaign}/triangulation/budget_correlations.csv",
-        models="results/{campaign}/triangulation/models.csv",
         look_up="results/{campaign}/triangulation/look_up_table.npz",
     log:
         "logs/{campaign}/triangulation/light_sheet_budget.log",

@@ -116,31 +116,6 @@ rule rectify_scan:
         "../scripts/rectify_scan.py"
 
 
-rule predict_joint_survey:
-    """What the light sheet adds to an echo sounder on a small river (T 3.2, Fig. 3.5)."""
-    input:
-        sensor="results/{campaign}/triangulation/sensor.yaml",
-    output:
-        table="results/{campaign}/triangulation/joint_survey.csv",
-        facts="results/{campaign}/triangulation/joint_survey.json",
-        places="results/{campaign}/triangulation/joint_survey.parquet",
-    log:
-        "logs/{campaign}/triangulation/predict_joint_survey.log",
-    benchmark:
-        "benchmarks/{campaign}/triangulation/predict_joint_survey.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
-    resources:
-        mem_mb=memory(2000),
-        runtime=minutes(20),
-    params:
-        code=code_version("predict_joint_survey"),
-        window_depth_m=section("light_sheet", "window_depth_m"),
-    script:
-        "../scripts/predict_joint_survey.py"
-
-
 rule locate_bed_strip:
     """Points of the bed under the boat in the world, with the covariance of each (T 3.2)."""
     input:

@@ -6,15 +6,7 @@ from typing import Any
 
 from thalweg.core import read_table
 from thalweg.core.calibration import Source
-from thalweg.lightsheet.calibration import (
-    PAPER_4,
-    CalibrationSettings,
-    calibrate_sheet,
-    read_grid,
-    report as tables,
-    sensor_sigmas,
-    verdicts,
-)
+from thalweg.lightsheet.calibration import CalibrationSettings, calibrate_sheet, read_grid, report as tables
 from thalweg.lightsheet.lines import LineFlag
 from thalweg.lightsheet.optics import WaterState, in_measured_water, read_sensor, write_sensor
 from thalweg.lightsheet.poses import SERIES_POINTS, require_levels, require_one_image
@@ -31,7 +23,6 @@ def main(
     parameters: Path,
     residuals: Path,
     pairs: Path,
-    published: Path,
     campaign: dict[str, Any],
     calibration: dict[str, Any],
     water: dict[str, Any],
@@ -57,8 +48,6 @@ def main(
     tables.parameter_table(found).to_csv(parameters, index=False)
     tables.residual_table(found).to_csv(residuals, index=False, float_format="%.5f")
     tables.pair_table(found).to_csv(pairs, index=False, float_format="%.5f")
-    sigmas = sensor_sigmas(found.sensor)
-    verdicts(sigmas, PAPER_4).to_csv(published, index=False, float_format="%.5f")
     told = tables.calibration_report(found) | {"water": medium}
     report.write_text(json.dumps(told, indent=2) + "\n")
 

@@ -106,10 +106,6 @@ def write_light_sheet_page(
     *,
     calibration: Path,
     budget: Path,
-    published: Path,
-    contradictions: Path,
-    correlations: Path,
-    models: Path,
     camera: list[Path],
     lens: list[Path],
     panels: list[Path],
@@ -147,7 +143,7 @@ def write_light_sheet_page(
 
     built = light_sheet_page(
         json.loads(calibration.read_text(encoding="utf-8")),
-        *(pd.read_csv(path) for path in (budget, published, contradictions, correlations, models)),
+        pd.read_csv(budget),
         panels=table(panels),
         truth=table(truth),
         camera=report(camera),

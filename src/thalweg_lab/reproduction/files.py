@@ -81,7 +81,7 @@ ALWAYS_PUT_IN: Final = {
     "pixel_by_lens": "arithmetic",
     "cone_unknowns": "definition",
     "cone_parameters": "definition",
-    "depth_by": "fitted",
+    "published_budget": "fitted",
     "budget_lever": "fitted",
     "budget_ratio": "fitted",
     "lidar_constant": "constant",
@@ -102,9 +102,9 @@ ALWAYS_PUT_IN: Final = {
 }
 """Functions of `ledger` and `verdicts` whose numbers are put in, whatever the entry says."""
 
-FITTED: Final = (("triangulation/budget_published.csv", "computed_mm"), ("chain_study_goals.csv", "found_m"))
-"""Files and columns that rest on geometry or inputs which were fitted to published figures: the prototype of
-P4, and the magnetic fields, drift and multipath of the study of chains."""
+FITTED: Final = (("chain_study_goals.csv", "found_m"),)
+"""Files and columns that rest on inputs which were fitted to published figures: the magnetic fields, drift
+and multipath of the study of chains."""
 
 TWIN_SECTION: Final = "twin.light_sheet"
 """Section of the campaign that settings of a file with a ``campaign`` stand in."""

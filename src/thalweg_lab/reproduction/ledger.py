@@ -22,8 +22,8 @@ import yaml
 from thalweg.budgets import read_budget, rmse_mm
 from thalweg.core import ROOT, ArrayF, InputError, read_parquet
 from thalweg.core.geometry import read_mesh
-from thalweg.lightsheet.budget import budget, budget as budget_correlations, checks as budget_checks
-from thalweg.lightsheet.calibration import PAPER_3, SINGULAR, paper_3_sigmas, paper_3_table
+from thalweg.lightsheet.budget import SIGMA_LINE_PX, TOTAL, TOTAL_CORRELATED, budget_on_lines, budget_table
+from thalweg.lightsheet.calibration import SINGULAR
 from thalweg.lightsheet.multi_line import Kind, NominalDiode, line_model
 from thalweg.lightsheet.optics import (
     PARAMETERS,
@@ -32,17 +32,24 @@ from thalweg.lightsheet.optics import (
     Window,
     depth_lines,
     intersect,
-    intersect_by_halving,
     measurement_volume,
     paper_3,
     paper_4,
     refract,
-    refract_as_printed,
     refract_to_water,
     refractive_index,
 )
 from thalweg.lightsheet.poses import pose_source_table
 from thalweg_lab.reproduction.files import BY_ARITHMETIC, CLASSES, NAMES, NOT_COMPARED, PUT_IN, Entry, Ours
+from thalweg_lab.reproduction.paper_models import (
+    PAPER_3,
+    calibration_rows,
+    halved,
+    paper_3_sigmas,
+    paper_3_table,
+    plane_error_mm,
+    refract_as_printed,
+)
 
 NOT_MATCHED: Final = "not matched"
 REPRODUCED: Final = "reproduced"
@@ -682,8 +689,8 @@ def _halved() -> tuple[ArrayF, ArrayF]:
     side = np.arange(0.5, sensor.camera.size_px[0], HALVING_STEP_PX)
     xy = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
     exact = intersect(sensor, xy)
-    halved = intersect_by_halving(sensor, xy[exact.ok], threshold_mm=SKEW_MM)
-    return np.linalg.norm(halved.xyz_lcs_mm - exact.xyz_lcs_mm[exact.ok], axis=1), halved.skew_mm
+    xyz, skew = halved(sensor, xy[exact.ok], SKEW_MM)
+    return np.linalg.norm(xyz - exact.xyz_lcs_mm[exact.ok], axis=1), skew
 
 
 def halving_where_it_ends(published: Published) -> Found:
@@ -746,11 +753,8 @@ def _calibrated_p3() -> dict[str, float]:
     and ends of pieces measured by hand to one pixel.
     """
     sensor = paper_3()
-    plan = budget_correlations.design(
-        sensor, (75.0, 129.0), points=(100, 52), pairs=8, sigma_line_px=0.15, sigma_pair_px=1.0
-    )
     names = ("laser_z_mm", "laser_phi_rad", *PARAMETERS[:6])
-    _, J = budget_correlations.observation_equations(sensor, plan, names)
+    J = calibration_rows(sensor, (75.0, 129.0), names, points=(100, 52), pairs=8)
     cov = np.zeros((len(PARAMETERS), len(PARAMETERS)))
     at = [PARAMETERS.index(name) for name in names]
     cov[np.ix_(at, at)] = np.linalg.inv(J.T @ J)
@@ -774,9 +778,7 @@ def rank_defect(published: Published, *, paper: int) -> Found:
         if paper == 3
         else PARAMETERS[15:21]
     )
-    _, J = budget_correlations.observation_equations(
-        sensor, budget_correlations.design(sensor, levels), names
-    )
+    J = calibration_rows(sensor, levels, names)
     values = np.linalg.svd(J / np.linalg.norm(J, axis=0), compute_uv=False)
     return Found(value=float((values <= SINGULAR).sum()))
 
@@ -825,21 +827,21 @@ def pixel_on_plane(published: Published, *, depth_mm: float, longest: bool) -> F
 @cache
 def _budget_to(depth_mm: float) -> pd.DataFrame:
     depths = np.linspace(50.0, depth_mm, 5)
-    return budget.budget_table(budget.budget_on_lines(paper_4(), depths_mm=depths.tolist()))
+    return budget_table(budget_on_lines(paper_4(), depths_mm=depths.tolist()))
 
 
 def total_to(published: Published, *, depth_mm: float, bound: str) -> Found:
     """Least or largest sigma of the depth from 50 mm to a depth, correlations left out, mm."""
     table = _budget_to(depth_mm)
-    total = table[table["cause"] == budget.TOTAL]
+    total = table[table["cause"] == TOTAL]
     return Found(value=float(total["least_mm"].min() if bound == "least" else total["most_mm"].max()))
 
 
 def shrinking_causes(published: Published) -> Found:
     """Causes whose largest sigma of the depth does not grow from 50 over 125 to 200 mm."""
-    trends = budget_checks.depth_trends(_p4_budget_table())
-    trends = trends[~trends["cause"].isin((budget.TOTAL, budget.TOTAL_CORRELATED))]
-    return Found(value=float((~trends["grows"]).sum()), n=float(len(trends)))
+    most = _p4_budget_table().pivot(index="cause", columns="depth_mm", values="most_mm")
+    steps = np.diff(most.drop(index=[TOTAL, TOTAL_CORRELATED]).to_numpy(), axis=1)
+    return Found(value=float((steps <= 0.0).any(axis=1).sum()), n=float(len(steps)))
 
 
 def least_in_centre(published: Published, *, causes: list[str]) -> Found:
@@ -847,20 +849,43 @@ def least_in_centre(published: Published, *, causes: list[str]) -> Found:
     than where it is largest.
     """
     sensor = paper_4()
-    trends = budget_checks.centre_trends(budget.budget_on_lines(sensor), sensor)
-    trends = trends[trends["cause"].isin(causes)]
-    return Found(value=float(trends["falls"].sum()), n=float(len(trends)))
+    lines = budget_on_lines(sensor)
+    falls = []
+    for _, line in lines[lines["cause"].isin(causes)].groupby(["cause", "depth_mm"]):
+        # along the longer side of the line in the picture
+        axis = int(np.ptp(line["y_px"]) >= np.ptp(line["x_px"]))
+        half = 0.5 * sensor.camera.size_px[axis]
+        off = (line[["x_px", "y_px"][axis]] - half).abs().to_numpy()
+        sigma = line["sigma_depth_mm"].to_numpy()
+        falls.append(off[np.nanargmin(sigma)] < off[np.nanargmax(sigma)])
+    return Found(value=float(sum(falls)), n=float(len(falls)))
 
 
-def depth_by_cause(cause: str) -> float:
-    """Largest sigma of the depth by a cause, over the lines of equal depth of P4's stored prototype, mm."""
+def published_budget(published: Published, *, cause: str, bound: str = "most") -> Found:
+    """Least or largest sigma of the depth by one cause or several, in P4's stored prototype, mm."""
     table = _p4_budget_table()
-    return float(table["most_mm"].to_numpy()[table["cause"] == cause].max())
+    figures = table.loc[table["cause"].isin(cause.split(" or ")), f"{bound}_mm"]
+    return Found(value=float(figures.max() if bound == "most" else figures.min()))
+
+
+def budget_causes(published: Published) -> Found:
+    """How many causes the budget of P4's stored prototype has."""
+    return Found(value=float(_p4_budget_table()["cause"].nunique()))
+
+
+def line_sigma(published: Published) -> Found:
+    """Sigma of the line that the budget takes, px."""
+    return Found(value=SIGMA_LINE_PX[0])
+
+
+def plane_leaves(published: Published) -> Found:
+    """Largest error in depth of a plane fitted to the sheet of P4's stored prototype, mm."""
+    return Found(value=plane_error_mm(paper_4(), (40.0, 80.0, 125.0, 170.0, 220.0)))
 
 
 @cache
 def _p4_budget_table() -> pd.DataFrame:
-    return budget.budget_table(budget.budget_on_lines(paper_4()))
+    return budget_table(budget_on_lines(paper_4()))
 
 
 def index_change(published: Published, *, low_c: float, high_c: float, wavelength_nm: float) -> Found:
@@ -945,6 +970,10 @@ FUNCTIONS: Final[dict[str, Callable[..., Found]]] = {
         total_to,
         shrinking_causes,
         least_in_centre,
+        published_budget,
+        budget_causes,
+        line_sigma,
+        plane_leaves,
         index_change,
         pose_spoils,
         unknowns,

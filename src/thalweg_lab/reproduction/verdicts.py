@@ -24,7 +24,6 @@ from thalweg.budgets import long_table, read_budget
 from thalweg.calibration import PARAMETERS, Cone
 from thalweg.core import ArrayF, Camera, ConfigError, Rigid, rotation_opk
 from thalweg.ingest.velodyne import VLP16
-from thalweg.lightsheet.optics import refract_as_printed
 from thalweg_lab.reproduction.files import Entry
 from thalweg_lab.reproduction.ledger import (
     BUDGETS,
@@ -33,13 +32,13 @@ from thalweg_lab.reproduction.ledger import (
     Found,
     Results,
     by_class,
-    depth_by_cause,
     judged,
     missing_words,
     ours_words,
     sentence,
     verdict_words,
 )
+from thalweg_lab.reproduction.paper_models import refract_as_printed
 
 # ---------------------------------------------------------------- numbers that need no campaign
 
@@ -155,6 +154,13 @@ def printed_refraction_off(published: Published, *, angle_deg: float) -> Found:
     t = np.deg2rad(angle_deg)
     v = refract_as_printed(np.array([[np.sin(t), 0.0, -np.cos(t)]]), np.array([0.0, 0.0, 1.0]), 1.0, 1.52)
     return Found(value=abs(float(np.linalg.norm(v)) - 1.0))
+
+
+def river_width(published: Published) -> Found:
+    """Of the river of the study of echo sounder and light sheet, m."""
+    from thalweg_lab.studies.joint_study import TWIN
+
+    return Found(value=float(TWIN["scene"]["width_m"]))
 
 
 def classes_off(published: Published) -> Found:
@@ -283,11 +289,6 @@ def pixel_by_lens(published: Published, *, pixel: str, lens: str, path_mm: float
     return Found(value=1e-3 * float(published[pixel]) * path_mm / float(published[lens]))
 
 
-def depth_by(published: Published, *, cause: str) -> Found:
-    """Largest sigma of the depth by a cause, by the stored prototype of P4, mm."""
-    return Found(value=depth_by_cause(cause))
-
-
 ARITHMETIC: Final[dict[str, Callable[..., Found]]] = {
     function.__name__: function
     for function in (
@@ -299,6 +300,7 @@ ARITHMETIC: Final[dict[str, Callable[..., Found]]] = {
         cone_apex_as_printed,
         printed_refraction_off,
         classes_off,
+        river_width,
         cone_unknowns,
         cone_parameters,
         component,
@@ -320,7 +322,6 @@ ARITHMETIC: Final[dict[str, Callable[..., Found]]] = {
         budget_lever,
         budget_ratio,
         pixel_by_lens,
-        depth_by,
     )
 }
 """What the ledger may name in ``computed`` beside the functions of `thalweg_lab.reproduction.ledger`."""

@@ -23,8 +23,8 @@ from pyproj import CRS
 from thalweg.bathymetry import Bed
 from thalweg.core import LocalFrame, cross_matrix, frame_of
 from thalweg.figures import save
-from thalweg.lightsheet.optics import paper_4
-from thalweg.lightsheet.scanning import BED_POINTS, LASER_M, swath
+from thalweg.lightsheet.optics import depth_lines, paper_4
+from thalweg.lightsheet.scanning import BED_POINTS
 from thalweg_lab.figures import joint_river_figure
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.studies.bed_study import ECHO_SOUNDER, River, bed_of, river_of, sums_of, verdict_of
@@ -42,6 +42,8 @@ SECTIONS: Final = (
 """Sections 22, 17, 24 and 29 of CDD below -0.50, -0.10, 0.00 and -0.25 m, at thirteen places from shore to
 shore, as shares of their greatest depths."""
 
+LASER_M: Final = (0.05, 0.2)
+"""Depths of water in which the light sheet measures, by T 3.2."""
 ECHO_LEVER_M: Final = (0.2, 0.0, 0.22)
 """Face of the transducer, 2 cm under water."""
 DEAD_ZONE_M: Final = 0.18
@@ -105,7 +107,9 @@ def sheet_points(river: River) -> pd.DataFrame:
     t = np.arange(first + 0.5, last - 0.5, 1.0 / SHEET_HZ)
     window, R = voyage.sensor_wcs_m(t, SHEET_LEVER_M), voyage.R_wcs_ics(t)
     level = voyage.water_level_m(t)
-    depths, widths = swath(paper_4(), WINDOW_M, np.linspace(*LASER_M, 7).tolist())
+    depths = np.linspace(*LASER_M, 7)
+    lines = depth_lines(paper_4(), (1e3 * (depths - WINDOW_M)).tolist())
+    widths = [1e-3 * np.linalg.norm(np.ptp(line.xyz_lcs_mm[:, :2], axis=0)) for line in lines]
     below = level - true_bed_m(logs.scene, window[:, :2])
     width = np.interp(np.nan_to_num(below), depths, widths)
     aside = width[:, None] * np.linspace(-0.5, 0.5, LINE_POINTS)

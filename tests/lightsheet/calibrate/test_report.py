@@ -1,27 +1,18 @@
-"""Tables, JSON report and the sensor's file of a calibration."""
+"""Tables and JSON report of a calibration."""
 
 import json
-from dataclasses import replace
 
-import numpy as np
 import pytest
 
-from thalweg.core import read_marked
-from thalweg.core.calibration import Source
 from thalweg.lightsheet.calibration import CalibrationSettings, calibrate_sheet
 from thalweg.lightsheet.calibration.report import (
-    KIND,
-    VERSION,
     calibration_report,
     pair_table,
     parameter_table,
     residual_table,
     strong_correlations,
-    write_calibrated,
 )
-from thalweg.lightsheet.optics import paper_4, read_sensor
-
-SOURCE = Source(run="bench", method="grid calibration", twin=True)
+from thalweg.lightsheet.optics import paper_4
 
 
 @pytest.fixture(scope="module")
@@ -67,18 +58,3 @@ def test_the_report_is_plain_json_and_complete(found):
     for row in report["sigma_of_depth"]:
         # levels known beforehand shrink the gain of the correlations, from 4-10 times to 2.5 and more
         assert row["median_mm"] is None or row["median_uncorrelated_mm"] > 2 * row["median_mm"]
-
-
-def test_the_file_gives_the_sensor_back(found, tmp_path):
-    sensor_path, report_path = write_calibrated(tmp_path, found, source=SOURCE)
-    back = read_sensor(sensor_path)
-    np.testing.assert_allclose(back.vector(), found.sensor.vector(), rtol=1e-12, atol=1e-12)
-    sigma = np.sqrt(np.diag(found.sensor.cov))
-    # twelve digits of a sigma, fourteen of a correlation
-    np.testing.assert_allclose(
-        back.cov, found.sensor.cov, rtol=1e-6, atol=1e-8 * np.outer(sigma, sigma).max()
-    )
-    read_marked(report_path, "calibration", kind=KIND, version=VERSION, what="a report", cure="")
-    first = sensor_path.read_bytes(), report_path.read_bytes()
-    write_calibrated(tmp_path, replace(found), source=SOURCE)
-    assert first == (sensor_path.read_bytes(), report_path.read_bytes())

@@ -65,7 +65,7 @@ def test_a_line_of_which_only_smoothed_ends_are_left_is_refused(monkeypatch: pyt
         {"half_width_px": -1.0},
         {"albedo_ratio": 1.0},
         {"link_gap_rows": -1},
-        {"method": "steger", "direction": "normal"},
+        {"method": "steger"},
         {"largest_saturated_share": float("nan")},
     ],
 )

@@ -14,7 +14,6 @@ from thalweg.lightsheet.multi_line import (
     hypotheses,
     label_scan,
     label_single_image,
-    label_table,
     line_table,
 )
 from thalweg.lightsheet.multi_line.labels import (
@@ -24,6 +23,7 @@ from thalweg.lightsheet.multi_line.labels import (
     UNKNOWN,
     SurfaceMap,
     depth_evidence,
+    in_map,
     label_image,
     link_rows,
     row_marginals,
@@ -197,12 +197,11 @@ def test_scan_of_a_wreck(irregular) -> None:
     table = found.shift_test.set_index("shift")["median_mm"]
     assert table[0] < 0.05
     assert table.drop(0).min() > 4 * table[0]
-    points = label_table(scan.images, scan.poses, found)
-    assert (points["depth_mm"].notna() == (points["line"] >= 0)).all()
-    right = points["line"].to_numpy() == scan.truth
-    truth = np.concatenate([each.depth_mm for each in scan.seen])
-    # 0.05 mm of the poses and 0.03 mm of the calibration and the noise
-    assert np.std((points["depth_mm"] - truth)[right & (scan.truth >= 0)]) < 0.1
+    for h, seen, pose, labels in zip(scan.images, scan.seen, scan.poses, found.labels, strict=True):
+        at = np.flatnonzero((labels.label == seen.label) & (seen.label >= 0))
+        depth = in_map(h, pose)[0][at, labels.label[at], 2]
+        # 0.05 mm of the poses and 0.03 mm of the calibration and the noise
+        assert np.std(depth - seen.depth_mm[at]) < 0.1
 
 
 def test_shift_of_all_labels_is_flagged(regular) -> None:

@@ -1,10 +1,7 @@
-from . import budget as budget, checks as checks
 from .budget import (
+    SIGMA_LINE_PX as SIGMA_LINE_PX,
     TOTAL as TOTAL,
     TOTAL_CORRELATED as TOTAL_CORRELATED,
     budget_on_lines as budget_on_lines,
     budget_table as budget_table,
-    calibrated as calibrated,
-    depth_sigmas as depth_sigmas,
-    design as design,
 )

@@ -16,22 +16,15 @@ its own plane moves no point of the sheet, so five of its parameters are estimat
 nearest to the normal of the fan.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import pandas as pd
 
 from thalweg.core import ArrayF, GeometryError, propagated
-from thalweg.lightsheet.optics import (
-    PARAMETERS,
-    Sensor,
-    SheetPoints,
-    depth_lines,
-    point_derivatives,
-    sheet_derivatives,
-)
+from thalweg.lightsheet.optics import PARAMETERS, Sensor, SheetPoints, depth_lines, point_derivatives
 
 DEPTHS_MM: Final = (50.0, 125.0, 200.0)
 """Reference depths of P4 Fig. 13."""
@@ -41,23 +34,6 @@ SIGMA_LINE_PX: Final = (0.15, 0.0)
 
 TOTAL: Final = "total"
 TOTAL_CORRELATED: Final = "total with correlations"
-
-ESTIMATED: Final = ("laser_x_mm", "laser_y_mm", "laser_z_mm", "laser_omega_rad", "laser_kappa_rad")
-
-CONSIDERED: Final[Mapping[str, float]] = {
-    "camera_z_mm": 0.05,
-    "camera_omega_rad": float(np.deg2rad(0.02)),
-    "camera_phi_rad": float(np.deg2rad(0.02)),
-    "camera_kappa_rad": float(np.deg2rad(0.02)),
-    "fx": 0.004 / 0.0055,
-    "n_water": 0.001,
-    "n_glass": 0.005,
-    "glass_mm": 0.05,
-}
-"""Sigmas of what a calibration holds fixed: P4 6.2 to 6.5, and 0.005 and 0.05 mm for the glass. fx stands for
-both focal lengths."""
-
-SIGMA_LEVEL_MM: Final = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,32 +85,6 @@ class PointBudget:
     def of(self, name: str) -> ArrayF:
         """(n,) standard deviations of the depth by a cause or a total."""
         return self.sigma_depth_mm[:, self.names.index(name)]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Design:
-    """Observations of a calibration on two levels: ``line_px`` (n, 2) with ``line_level`` (n,); ``upper_px``,
-    ``lower_px`` (m, 2) pairs on one sub-beam; ``levels_mm`` (2,) depths; ``sigma_line_px``,
-    ``sigma_pair_px``.
-    """
-
-    levels_mm: tuple[float, float]
-    line_px: ArrayF
-    line_level: ArrayF
-    upper_px: ArrayF
-    lower_px: ArrayF
-    sigma_line_px: float
-    sigma_pair_px: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Calibrated:
-    """Covariances of a calibration: ``names`` of all errors, ``full`` (k, k), ``laser`` (5, 5)."""
-
-    names: tuple[str, ...]
-    full: ArrayF
-    laser: ArrayF
-    design: Design = field(repr=False)
 
 
 def point_budget(
@@ -232,126 +182,3 @@ def budget_table(lines: pd.DataFrame) -> pd.DataFrame:
     table = grouped.agg(least_mm="min", most_mm="max").reset_index()
     shares = table.groupby("cause")["most_mm"].transform("max") > 0.0
     return table.loc[shares, ["panel", "cause", "depth_mm", "least_mm", "most_mm"]].reset_index(drop=True)
-
-
-def design(
-    sensor: Sensor,
-    levels_mm: tuple[float, float] = (60.0, 150.0),
-    *,
-    points: tuple[int, int] = (900, 250),
-    pairs: int = 12,
-    sigma_line_px: float = 0.15,
-    sigma_pair_px: float = 1.0,
-) -> Design:
-    """The observations of a calibration like that of P4 4.3, without errors.
-
-    Raises
-    ------
-    GeometryError : a level is not in the picture, or no sub-beam is seen on both.
-    """
-    lines = depth_lines(sensor, levels_mm, n=2001)
-    shared = np.intersect1d(lines[0].fan_angle_rad, lines[1].fan_angle_rad)
-    if not len(shared):
-        raise GeometryError(
-            f"no sub-beam is seen on both levels at {levels_mm[0]:g} and {levels_mm[1]:g} mm",
-            expected="levels within the measurement volume",
-            where=f"sensor {sensor.name!r}",
-        )
-    inner = shared[(np.linspace(0.06, 0.94, pairs) * (len(shared) - 1)).astype(int)]
-    upper, lower = (line.xy_px[np.searchsorted(line.fan_angle_rad, inner)] for line in lines)
-    chosen = [
-        line.xy_px[np.linspace(0, len(line.xy_px) - 1, n).astype(int)]
-        for line, n in zip(lines, points, strict=True)
-    ]
-    return Design(
-        levels_mm=levels_mm,
-        line_px=np.concatenate(chosen),
-        line_level=np.repeat([0, 1], points).astype(float),
-        upper_px=upper,
-        lower_px=lower,
-        sigma_line_px=sigma_line_px,
-        sigma_pair_px=sigma_pair_px,
-    )
-
-
-def calibrated(sensor: Sensor, plan: Design, considered: Mapping[str, float] = CONSIDERED) -> Calibrated:
-    """Covariance of the laser and of all that its calibration held fixed.
-
-    With ``v = A dx + B dy``, dx the laser's errors and dy those held fixed with the covariance S, the
-    adjustment gives ``dx = -(A^T A)^-1 A^T (e + B dy)``: the covariance of dx is ``(A^T A)^-1 + G S G^T``
-    with ``G = -(A^T A)^-1 A^T B``, that between dx and dy ``G S``.
-    """
-    names = (*ESTIMATED, *considered, "level_1_mm", "level_2_mm")
-    _, J = observation_equations(sensor, plan, names)
-    k = len(ESTIMATED)
-    A, B = J[:, :k], J[:, k:]
-    inverse = np.linalg.inv(A.T @ A)
-    G = -inverse @ A.T @ B
-    S = np.diag(np.square([*considered.values(), SIGMA_LEVEL_MM, SIGMA_LEVEL_MM]))
-    laser = inverse + G @ S @ G.T
-    return Calibrated(names=names, full=np.block([[laser, G @ S], [S @ G.T, S]]), laser=laser, design=plan)
-
-
-def observation_equations(sensor: Sensor, plan: Design, names: Sequence[str]) -> tuple[ArrayF, ArrayF]:
-    """Weighted contradictions (n,) and their derivatives (n, k) by named errors.
-
-    Points of the line: depth minus that of the level. Pairs: both points on their levels, and the fan angle
-    of the upper one minus that of the lower one. Weights from the derivatives by the pixel across the line.
-    """
-    all_px = np.concatenate([plan.line_px, plan.upper_px, plan.lower_px])
-    n, m = len(plan.line_px), len(plan.upper_px)
-    level = np.concatenate([plan.line_level, np.zeros(m), np.ones(m)]).astype(int)
-    d = sheet_derivatives(sensor, all_px)
-    sigma_px = np.concatenate([np.full(n, plan.sigma_line_px), np.full(2 * m, plan.sigma_line_px)])
-    # the line runs along y of the picture or along x: the depth changes across it
-    cross = int(np.abs(d.depth_by_pixel).mean(axis=0).argmax())
-    weight = 1.0 / (np.abs(d.depth_by_pixel[:, cross]) * sigma_px)
-    by_depth, by_fan = _by_names(d.depth_by_parameters, names), _by_names(d.fan_by_parameters, names)
-    for k in (0, 1):
-        if f"level_{k + 1}_mm" in names:
-            by_depth[level == k, list(names).index(f"level_{k + 1}_mm")] = -1.0
-    off = (d.points.depth_mm - np.take(plan.levels_mm, level)) * weight
-    up, low = slice(n, n + m), slice(n + m, n + 2 * m)
-    along = np.abs(d.fan_by_pixel[:, 1 - cross])
-    pair = 1.0 / (plan.sigma_pair_px * np.hypot(along[up], along[low]))
-    fan = d.points.fan_angle_rad
-    rows = np.concatenate([by_depth * weight[:, None], (by_fan[up] - by_fan[low]) * pair[:, None]])
-    return np.concatenate([off, (fan[up] - fan[low]) * pair]), rows
-
-
-def depth_sigmas(
-    sensor: Sensor, calibration: Calibrated, depths_mm: Sequence[float] = (50.0, 125.0, 200.0), n: int = 41
-) -> pd.DataFrame:
-    """What correlations change in the sigma of the depth, along lines of equal depth.
-
-    Returns
-    -------
-    ``depth_mm``; ``correlated_least_mm, correlated_most_mm`` with the full covariance; ``dropped_least_mm,
-    dropped_most_mm`` with the same sigmas and no correlations; ``factor`` of the two largest.
-    """
-    rows = []
-    for line in depth_lines(sensor, depths_mm, n):
-        J = _by_names(sheet_derivatives(sensor, line.xy_px).depth_by_parameters, calibration.names)
-        full = np.sqrt(np.einsum("ni,ij,nj->n", J, calibration.full, J))
-        bare = np.sqrt(np.einsum("ni,i,ni->n", J, np.diag(calibration.full), J))
-        rows.append((line.depth_mm, full.min(), full.max(), bare.min(), bare.max(), bare.max() / full.max()))
-    columns = [
-        "depth_mm",
-        "correlated_least_mm",
-        "correlated_most_mm",
-        "dropped_least_mm",
-        "dropped_most_mm",
-        "factor",
-    ]
-    return pd.DataFrame(rows, columns=columns)
-
-
-def _by_names(by_parameters: ArrayF, names: Sequence[str]) -> ArrayF:
-    """(n, k) derivatives by named errors; zero for names that are no parameters, such as levels."""
-    out = np.zeros((len(by_parameters), len(names)))
-    for i, name in enumerate(names):
-        if name == "fx":
-            out[:, i] = by_parameters[:, PARAMETERS.index("fx")] + by_parameters[:, PARAMETERS.index("fy")]
-        elif name in PARAMETERS:
-            out[:, i] = by_parameters[:, PARAMETERS.index(name)]
-    return out

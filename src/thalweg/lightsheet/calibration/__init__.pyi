@@ -1,5 +1,5 @@
 from . import report as report
-from .calibrate_sheet import calibrate_sheet as calibrate_sheet, other_readings as other_readings
+from .calibrate_sheet import calibrate_sheet as calibrate_sheet
 from .camera_over_window import orient_camera as orient_camera, read_camera_marks as read_camera_marks
 from .grid import GridObject as GridObject, parse_grid as parse_grid, read_grid as read_grid
 from .lens import (
@@ -10,13 +10,5 @@ from .lens import (
     with_lens as with_lens,
 )
 from .rank import SINGULAR as SINGULAR
-from .report import (
-    PAPER_3 as PAPER_3,
-    PAPER_4 as PAPER_4,
-    paper_3_sigmas as paper_3_sigmas,
-    paper_3_table as paper_3_table,
-    sensor_sigmas as sensor_sigmas,
-    verdicts as verdicts,
-)
 from .settings import CalibrationSettings as CalibrationSettings
 from .sheet_calibration import fit_sheet as fit_sheet

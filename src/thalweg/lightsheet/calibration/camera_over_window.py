@@ -16,7 +16,6 @@ from thalweg.core import (
     GeometryError,
     InputError,
     Rigid,
-    ThalwegError,
     cross_matrix,
     global_test,
     opk_of,
@@ -250,7 +249,7 @@ def orient_camera(
     *,
     where: str = "",
 ) -> CameraOverWindow:
-    """`camera_over_window`; where it fails or cannot be, which other assumption would explain the marks.
+    """`camera_over_window`, at a height that can be.
 
     Raises
     ------
@@ -259,10 +258,8 @@ def orient_camera(
     try:
         found = camera_over_window(nominal, marks, points, window_markers, where=where)
     except GeometryError as error:
-        cure = _explanation(nominal, marks, points, window_markers) or error.cure
-        raise GeometryError(
-            error.found, expected=error.expected, where=error.where or where, cure=cure
-        ) from error
+        where = error.where or where
+        raise GeometryError(error.found, expected=error.expected, where=where, cure=error.cure) from error
     height, designed = float(found.origin_lcs_mm[2]), float(nominal.camera_origin_lcs_mm[2])
     if not designed / _TIMES < height < designed * _TIMES:
         raise GeometryError(
@@ -362,24 +359,6 @@ def _require_near(R_lcs_ccs: ArrayF, value: ArrayF, nominal: Sensor, where: str)
             where=where,
             cure="Check the angles of the design, and whether the camera was mounted upside down",
         )
-
-
-def _explanation(
-    nominal: Sensor, marks: pd.DataFrame, points: FieldPoints, window_markers: Sequence[int]
-) -> str:
-    """How the picture must be turned for its marks to fit; "" if no turn helps."""
-    width, height = nominal.camera.size_px
-    for words, x, y in (
-        ("mirrored left to right", width - marks["x_px"], marks["y_px"]),
-        ("mirrored top to bottom", marks["x_px"], height - marks["y_px"]),
-        ("turned by 180 degrees", width - marks["x_px"], height - marks["y_px"]),
-    ):
-        try:
-            camera_over_window(nominal, marks.assign(x_px=x, y_px=y), points, window_markers)
-        except (ThalwegError, np.linalg.LinAlgError):
-            continue
-        return f"The marks fit if the picture is {words}: use the files as the camera stored them"
-    return ""
 
 
 def _has_file(path: Path) -> bool:

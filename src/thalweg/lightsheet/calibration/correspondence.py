@@ -687,7 +687,8 @@ def _require_gaps(
             f"bars and gaps of the grid as {bar / gap:.2f} to 1 ({told})",
             expected="the interrupted line on the grid, and its fragments on the level below",
             where=where,
-            cure="Check the depths of the levels, and whether the camera was mounted upside down",
+            cure="Check the depths of the levels, and whether the camera was mounted upside down or the "
+            "picture mirrored",
         )
     if not first and matched.overlap > _MOST_OVERLAP:
         raise GeometryError(
@@ -695,8 +696,8 @@ def _require_gaps(
             f"({told})",
             expected="pieces on the lower level only where the upper one has gaps",
             where=where,
-            cure="Check the stated depths and the nominal design; take out reflections, and points of other "
-            "pictures",
+            cure="Check the stated depths, the nominal design, and whether the housing was dry; take out "
+            "reflections, and points of other pictures",
         )
 
 

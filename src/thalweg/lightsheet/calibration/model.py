@@ -393,8 +393,8 @@ def _safe(residual: ArrayF, jacobian: ArrayF, variance: ArrayF, good: ArrayB) ->
         raise GeometryError(
             "no line point meets the light sheet",
             expected="approximate values with which most of them do",
-            cure="Check the nominal design of the sensor: frame, signs of the angles, orientation of the "
-            "picture",
+            cure="Check the nominal design of the sensor: frame, signs of the angles, index of the water; "
+            "and that the picture is neither turned nor mirrored",
         )
     return Linear(
         residual=np.where(fine, residual, _LOST),

@@ -252,8 +252,8 @@ def fit_sheet(
             f"{dropped:.0%} of them were rejected",
             expected=f"at most {settings.largest_misfit_px:g} px: another model, not noise, leaves so much",
             where=f"sensor {sensor.name!r}, calibration object {grid.name!r}",
-            cure="Check refractive indices, depths of the levels, thickness of the window, and the camera's "
-            "orientation",
+            cure="Check refractive indices (was the housing dry?), depths of the levels, thickness of the "
+            "window, and that the picture is neither turned nor mirrored",
         )
     shared, factors = 1.0, {LINE: Factor(), PAIRS: Factor()}
     if settings.rescale:
@@ -497,7 +497,9 @@ def _warnings(
         )
     elif factor[LINE] > _MUCH:
         told.append(
-            f"the line points scatter {sigma0[LINE]:.2f} times as much as their sigmas say; enlarged likewise"
+            f"the line points scatter {sigma0[LINE]:.2f} times as much as their sigmas say, and "
+            "were enlarged likewise: check the index of the water, the depths of the levels, and that the "
+            "picture is not turned"
         )
     if factor[PAIRS] > _MUCH:
         told.append(

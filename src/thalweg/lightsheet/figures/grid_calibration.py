@@ -9,22 +9,20 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from thalweg.core import AnyArray, ArrayF, CoverageError, root_mean_square
+from thalweg.core import AnyArray, CoverageError, root_mean_square
 from thalweg.figures import GREY, ORANGE, count, new_figure, plural, styled
 from thalweg.figures.calibration import Oblique
 from thalweg.lightsheet.figures.views import (
     DEPTH_STYLES,
     GLASS_COLOUR,
     LIGHT_COLOUR,
-    axes_cross,
+    Space,
     beam_paths,
-    fill_oblique,
+    dots,
     first_image,
     green_of,
     need,
-    plate,
     show_green,
-    words_oblique,
 )
 from thalweg.lightsheet.optics import Sensor, intersect, read_sensor
 
@@ -75,175 +73,95 @@ def grid_calibration(
     figure = new_figure(146.0, head, twin=twin)
     grid = figure.add_gridspec(2, 2, height_ratios=[1.75, 1.0])
     levels = list(dict.fromkeys(residuals["level"].astype(str)))
-    _image(figure.add_subplot(grid[0, 0]), image, residuals, pairs, levels)
-    _space(figure.add_subplot(grid[0, 1]), sensor, kept, levels)
-    _residuals(figure.add_subplot(grid[1, 0]), residuals, levels)
-    _pairs(figure.add_subplot(grid[1, 1]), pairs)
+    _image(figure.add_subplot(grid[0, 0]), image, residuals, kept, levels)
+    _space(Space(figure.add_subplot(grid[0, 1]), _view_of(kept)), sensor, kept, levels)
+    _residuals(figure.add_subplot(grid[1, :]), residuals, levels)
     return figure
+
+
+def _view_of(pairs: pd.DataFrame) -> Oblique:
+    """Across the line the paths of laser and camera lie side by side."""
+    along_y = np.ptp(pairs["upper_y_px"]) >= np.ptp(pairs["upper_x_px"])
+    return Oblique(azimuth_deg=24.0 if along_y else 66.0, elevation_deg=14.0)
 
 
 def _image(
     ax: Axes, image: AnyArray, residuals: pd.DataFrame, pairs: pd.DataFrame, levels: Sequence[str]
 ) -> None:
     show_green(ax, green_of(image))
-    ends = pairs[pairs["used"].astype(bool)]
-    across = np.stack([ends[["upper_x_px", "lower_x_px"]], ends[["upper_y_px", "lower_y_px"]]], axis=-1)
-    for line in across:
-        ax.plot(line[:, 0], line[:, 1], color=ORANGE, lw=0.5, alpha=0.8, zorder=2)
-    ax.plot([], [], color=ORANGE, lw=0.8, label=f"ends on one sub-beam: {len(ends)}")
+    # a line from end to end, then a gap
+    ends = np.full((2, 3, len(pairs)), np.nan)
+    ends[0, :2], ends[1, :2] = (pairs[[f"upper_{a}_px", f"lower_{a}_px"]].to_numpy().T for a in "xy")
+    ends = ends.transpose(0, 2, 1).reshape(2, -1)
+    ax.plot(*ends, color=ORANGE, lw=0.5, alpha=0.8, zorder=2, label=f"ends on one sub-beam: {len(pairs)}")
+    used = residuals["used"].astype(bool)
     for k, level in enumerate(levels):
         colour, _, marker = DEPTH_STYLES[k]
-        mine = residuals[residuals["level"].astype(str) == level]
-        shown = mine[mine["used"].astype(bool)]
-        step = max(1, -(-len(shown) // _MOST_POINTS))
-        ax.plot(
-            shown["x_px"][::step],
-            shown["y_px"][::step],
-            ls="none",
-            marker=marker,
-            ms=2.2,
-            color=colour,
-            label=f"{level}: {count(len(shown))} points",
-            gid=f"level {k}",
-            zorder=3,
-        )
-    out = residuals[~residuals["used"].astype(bool)]
+        mine = residuals[used & (residuals["level"].astype(str) == level)]
+        shown = mine.iloc[:: max(1, -(-len(mine) // _MOST_POINTS))]
+        look = {"ms": 2.2, "label": f"{level}: {count(len(mine))} points", "gid": f"level {k}", "zorder": 3}
+        dots(ax, shown["x_px"], shown["y_px"], colour, marker, **look)
+    out = residuals[~used]
     if len(out):
-        ax.plot(
-            out["x_px"],
-            out["y_px"],
-            ls="none",
-            marker="X",
-            ms=5,
-            mfc="white",
-            mec="black",
-            mew=0.6,
-            label=f"rejected: {len(out)}",
-            gid="rejected",
-            zorder=4,
-        )
+        look = {"ms": 5, "label": f"rejected: {len(out)}", "gid": "rejected", "zorder": 4}
+        dots(ax, out["x_px"], out["y_px"], "black", "x", **look)
     ax.set(xlabel="column / px", ylabel="row / px")
     ax.set_title("a: image and observations")
     ax.legend(loc="upper left", bbox_to_anchor=(0.0, -0.2), ncols=2, borderaxespad=0.0)
 
 
-def _space(ax: Axes, sensor: Sensor, pairs: pd.DataFrame, levels: Sequence[str]) -> None:
+def _space(space: Space, sensor: Sensor, pairs: pd.DataFrame, levels: Sequence[str]) -> None:
     """Sub-beams of the pairs and the image rays to their ends."""
-    upper = intersect(sensor, pairs[["upper_x_px", "upper_y_px"]].to_numpy(np.float64))
-    lower = intersect(sensor, pairs[["lower_x_px", "lower_y_px"]].to_numpy(np.float64))
-    good = upper.ok & lower.ok
-    fan = 0.5 * (upper.fan_angle_rad + lower.fan_angle_rad)[good]
-    beams = beam_paths(
-        sensor.sheet.origin_lcs_mm, sensor.sheet.beams(fan), sensor.window, lower.depth_mm[good]
-    )
-    along = np.abs(beams[-1, 3] - beams[0, 3])
-    # across the line the paths of laser and camera lie side by side
-    view = Oblique(azimuth_deg=66.0 if along[0] >= along[1] else 24.0, elevation_deg=14.0)
-    ends = [(upper.xyz_lcs_mm[good], 0), (lower.xyz_lcs_mm[good], 1)]
+    xy = [pairs[[f"{end}_x_px", f"{end}_y_px"]].to_numpy(np.float64) for end in ("upper", "lower")]
+    ends = [intersect(sensor, each) for each in xy]
+    good = ends[0].ok & ends[1].ok
+    fan = 0.5 * (ends[0].fan_angle_rad + ends[1].fan_angle_rad)[good]
+    window, eye, laser = sensor.window, sensor.camera_origin_lcs_mm, sensor.sheet.origin_lcs_mm
+    beams = beam_paths(laser, sensor.sheet.beams(fan), window, ends[1].depth_mm[good])
     rays = [
-        _image_rays(sensor, pairs, name, points)
-        for name, points in zip(("upper", "lower"), (ends[0][0], ends[1][0]), strict=True)
+        beam_paths(eye, sensor.camera.rays(each[good]) @ sensor.R_lcs_ccs.T, window, end.depth_mm[good])
+        for each, end in zip(xy, ends, strict=True)
     ]
     every = np.concatenate([beams, *rays]).reshape(-1, 3)
     low, high = every.min(axis=0) - 12.0, every.max(axis=0) + 12.0
-    for points, k in reversed(ends):
-        z = float(np.median(points[:, 2]))
-        inner, outer = points.min(axis=0) - 15.0, points.max(axis=0) + 15.0
-        fill_oblique(ax, view, plate(inner, outer, z), "0.85", alpha=0.8, zorder=1 + 2 * (1 - k))
-        depth = float(np.median(sensor.window.depth_mm(points)))
-        name = levels[-1] if k else levels[0]
-        words_oblique(ax, view, np.array([outer[0], inner[1], z]), f" {name}, {depth:.0f} mm")
     for path in beams:
-        ax.plot(*view.apply(path)[0].T, color=LIGHT_COLOUR, lw=0.9, zorder=6, gid="beam")
-    for (points, k), paths in zip(ends, rays, strict=True):
+        space.path(path, LIGHT_COLOUR, lw=0.9, zorder=6, gid="beam")
+    for k, (end, paths, level) in enumerate(zip(ends, rays, (levels[0], levels[-1]), strict=True)):
+        points = end.xyz_lcs_mm[good]
         colour, _, marker = DEPTH_STYLES[k]
+        inner, outer, z = points.min(axis=0) - 15.0, points.max(axis=0) + 15.0, float(np.median(points[:, 2]))
+        space.plate(inner, outer, z, "0.85", alpha=0.8, zorder=3 - 2 * k)
+        depth = float(np.median(end.depth_mm[good]))
+        space.words(np.array([outer[0], inner[1], z]), f" {level}, {depth:.0f} mm")
         for path in paths:
-            ax.plot(*view.apply(path)[0].T, color=colour, lw=0.5, alpha=0.7, zorder=7, gid="ray")
-        ax.plot(*view.apply(points)[0].T, ls="none", marker=marker, ms=3, color=colour, zorder=9)
-    for z in (-sensor.window.thickness_mm, 0.0):
-        fill_oblique(ax, view, plate(low, high, z), GLASS_COLOUR, alpha=0.35, zorder=8)
-    for words, place in (("laser", sensor.sheet.origin_lcs_mm), ("camera", sensor.camera_origin_lcs_mm)):
-        ax.plot(*view.apply(place)[0], marker="s", ms=5, color="black", zorder=10)
-        words_oblique(ax, view, place, f"  {words}")
-    corners = plate(low, high, 0.65 * low[2])
-    axes_cross(ax, view, corners[np.argmin(view.apply(corners)[0][:, 0])], 0.14 * float(np.ptp(every[:, 2])))
-    ax.set_aspect("equal")
-    ax.margins(0.03)
-    ax.axis("off")
-    ax.set_title("b: sub-beams (green) and image rays")
-
-
-def _image_rays(sensor: Sensor, pairs: pd.DataFrame, name: str, points: ArrayF) -> ArrayF:
-    xy = pairs[[f"{name}_x_px", f"{name}_y_px"]].to_numpy(np.float64)[: len(points)]
-    directions = sensor.camera.rays(xy) @ sensor.R_lcs_ccs.T
-    return beam_paths(sensor.camera_origin_lcs_mm, directions, sensor.window, sensor.window.depth_mm(points))
+            space.path(path, colour, lw=0.5, alpha=0.7, zorder=7, gid="ray")
+        space.dots(points, colour, marker, ms=3, zorder=9)
+    for z in (-window.thickness_mm, 0.0):
+        space.plate(low, high, z, GLASS_COLOUR, alpha=0.35, zorder=8)
+    space.device(laser, "laser")
+    space.device(eye, "camera")
+    space.cross(np.array([low[0], low[1], 0.65 * low[2]]), 0.14 * float(np.ptp(every[:, 2])))
+    space.finish("b: sub-beams (green) and image rays")
 
 
 def _residuals(ax: Axes, residuals: pd.DataFrame, levels: Sequence[str]) -> None:
     along = "y_px" if np.ptp(residuals["y_px"]) >= np.ptp(residuals["x_px"]) else "x_px"
+    used = residuals["used"].astype(bool)
     for k, level in enumerate(levels):
         colour, _, marker = DEPTH_STYLES[k]
-        mine = residuals[(residuals["level"].astype(str) == level) & residuals["used"].astype(bool)]
+        mine = residuals[used & (residuals["level"].astype(str) == level)]
         rms = root_mean_square(mine["residual_px"]) if len(mine) else float("nan")
-        ax.plot(
-            mine[along],
-            mine["residual_px"],
-            ls="none",
-            marker=marker,
-            ms=1.8,
-            color=colour,
-            mew=0.0,
-            label=f"{level}: {rms:.3f} px",
-            gid=f"residuals {k}",
-        )
-    out = residuals[~residuals["used"].astype(bool)]
-    seen = residuals[residuals["used"].astype(bool)]["residual_px"].abs()
-    limit = 1.3 * float(seen.quantile(0.998)) + 1e-6
-    ax.plot(
-        out[along],
-        out["residual_px"].clip(-limit, limit),
-        ls="none",
-        marker="x",
-        ms=4,
-        color=GREY,
-        gid="rejected residuals",
-    )
+        look = {"label": f"{level}: {rms:.3f} px", "gid": f"residuals {k}"}
+        dots(ax, mine[along], mine["residual_px"], colour, marker, **look)
+    out = residuals[~used]
+    limit = 1.3 * float(residuals.loc[used, "residual_px"].abs().quantile(0.998)) + 1e-6
+    shown = out["residual_px"].clip(-limit, limit)
+    dots(ax, out[along], shown, GREY, "x", ms=4, gid="rejected residuals")
     ax.axhline(0.0, color="0.3", lw=0.6)
-    ax.set(
-        xlabel=f"{'row' if along == 'y_px' else 'column'} / px",
-        ylabel="residual / px",
-        ylim=(-1.05 * limit, 1.35 * limit),
-    )
+    ax.set(xlabel=f"{'row' if along == 'y_px' else 'column'} / px", ylabel="residual / px")
+    ax.set_ylim(-1.05 * limit, 1.35 * limit)
     ax.set_title("c: residuals, root mean squares" + ("; crosses: rejected" if len(out) else ""))
     ax.legend(loc="upper left", ncols=len(levels), markerscale=2.0)
-    ax.grid()
-
-
-def _pairs(ax: Axes, pairs: pd.DataFrame) -> None:
-    """How far the fan angles of both ends are apart."""
-    used = pairs["used"].to_numpy(dtype=bool)
-    number = np.arange(1, len(pairs) + 1)
-    apart = pairs["apart_deg"].to_numpy(np.float64)
-    sigma = np.abs(apart / pairs["standardised"].to_numpy(np.float64))
-    sigma = np.where(np.isfinite(sigma), sigma, 0.0)
-    ax.errorbar(
-        number[used],
-        apart[used],
-        yerr=sigma[used],
-        ls="none",
-        marker="o",
-        ms=3.5,
-        color=ORANGE,
-        ecolor="0.5",
-        elinewidth=0.8,
-        capsize=1.5,
-        gid="pairs",
-    )
-    ax.plot(number[~used], apart[~used], ls="none", marker="x", color=GREY, gid="rejected pairs")
-    ax.axhline(0.0, color="0.3", lw=0.6)
-    rms = root_mean_square(apart[used])
-    ax.set(xlabel="pair / 1", ylabel="difference of fan angles / °")
-    ax.set_title(f"d: pairs with sigmas, root mean square {rms:.3f}°")
     ax.grid()
 
 

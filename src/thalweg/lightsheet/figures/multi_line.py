@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import cycle
 from pathlib import Path
 from typing import Final
 
@@ -13,33 +14,21 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Colormap, ListedColormap, Normalize
 from matplotlib.figure import Figure
 
-from thalweg.core import AnyArray, ArrayF, InputError, read_parquet
-from thalweg.figures import (
-    DEPTH_MAP,
-    GREY,
-    SKY,
-    VERMILION,
-    count,
-    leave_out,
-    new_figure,
-    plural,
-    robust_limits,
-    styled,
-)
+from thalweg.core import AnyArray, ArrayF, InputError
+from thalweg.figures import SKY, count, new_figure, plural, styled
 from thalweg.figures.calibration import Oblique
 from thalweg.lightsheet.figures.scan_reference import mesh_picture
 from thalweg.lightsheet.figures.views import (
     GLASS_COLOUR,
     LIGHT_COLOUR,
     WATER_COLOUR,
-    axes_cross,
-    fill_oblique,
+    Space,
+    dots,
     green_of,
     need,
     path_to,
-    plate,
     show_green,
-    words_oblique,
+    spots,
 )
 from thalweg.lightsheet.optics import Sensor, paper_4, refract_to_water
 
@@ -55,24 +44,8 @@ NAMES: Final = {"calibration": "grid above a plate", "plane": "plane", "wreck": 
 """Objects in the order of the columns."""
 IMAGES_VIEW: Final = Oblique(azimuth_deg=62.0, elevation_deg=24.0)
 _OBJECT_COLOUR: Final = "#d8c9a6"
-_AROUND_MM: Final = 25.0
 _BOX_MM: Final = 75.0
 """How far the object is drawn around the middle of the lines, in plan."""
-
-POINTS: Final = (
-    "irregular",
-    "image",
-    "row",
-    "x_px",
-    "line",
-    "true_line",
-    "reason",
-    "x_mm",
-    "y_mm",
-    "depth_mm",
-)
-SHIFTS: Final = ("irregular", "shift", "median_mm", "resolved")
-_MOST_POINTS: Final = 40_000
 
 
 # ---------------------------------------------------------------- lines in space, in a section, in the image
@@ -106,83 +79,65 @@ def multi_line_geometry(lines: pd.DataFrame, sensor: Sensor | None = None) -> Fi
     colours = ScalarMappable(Normalize(min(numbers), max(numbers)), LINE_MAP)
     left = figure.add_subplot(grid[:, 0])
     section, picture = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
-    _space(left, lines, sensor, colours)
+    _space(Space(left, VIEW), lines, sensor, colours)
     _section(section, lines, sensor, colours)
     _picture(picture, lines, sensor, colours)
     figure.colorbar(colours, ax=left, label="number of the line", location="bottom", aspect=40, pad=0.02)
     return figure
 
 
-def _space(ax: Axes, lines: pd.DataFrame, sensor: Sensor, colours: ScalarMappable) -> None:
-    origin, bottom = sensor.sheet.origin_lcs_mm, float(lines["z_mm"].min())
-    eye = sensor.camera_origin_lcs_mm
-    places = np.concatenate([lines[["x_mm", "y_mm"]].to_numpy(np.float64), origin[None, :2], eye[None, :2]])
+def _space(space: Space, lines: pd.DataFrame, sensor: Sensor, colours: ScalarMappable) -> None:
+    laser, eye = sensor.sheet.origin_lcs_mm, sensor.camera_origin_lcs_mm
+    places = np.concatenate([lines[["x_mm", "y_mm"]].to_numpy(np.float64), laser[None, :2], eye[None, :2]])
     low, high = places.min(axis=0) - 15.0, places.max(axis=0) + 15.0
-    for depth in sorted(lines["depth_mm"].unique(), reverse=True):
-        level = lines[lines["depth_mm"] == depth]
-        on_level = level[["x_mm", "y_mm"]].to_numpy(np.float64)
-        inner, outer = on_level.min(axis=0) - 8.0, on_level.max(axis=0) + 8.0
-        fill_oblique(ax, VIEW, plate(inner, outer, float(level["z_mm"].mean())), "0.92", alpha=0.8, zorder=1)
+    for depth, level in lines.groupby("depth_mm", sort=True):
+        xyz = level[["x_mm", "y_mm", "z_mm"]].to_numpy(np.float64)
+        inner, outer, z = xyz.min(axis=0) - 8.0, xyz.max(axis=0) + 8.0, float(xyz[:, 2].mean())
+        space.plate(inner, outer, z, "0.92", alpha=0.8, zorder=1 + 1e-3 * z)
         for number, line in level.groupby("line"):
             xyz = line.sort_values("fan_angle_deg")[["x_mm", "y_mm", "z_mm"]].to_numpy(np.float64)
-            ax.plot(*VIEW.apply(xyz)[0].T, color=colours.to_rgba(number), lw=1.3, zorder=4, gid="line")
-        words_oblique(ax, VIEW, np.array([outer[0], inner[1], level["z_mm"].mean()]), f" {depth:g} mm")
-    deepest = lines[lines["depth_mm"] == lines["depth_mm"].max()]
-    for number, line in deepest.groupby("line"):
-        for end in (line["fan_angle_deg"].idxmin(), line["fan_angle_deg"].idxmax()):
-            path = path_to(
-                origin, line.loc[end, ["x_mm", "y_mm", "z_mm"]].to_numpy(np.float64), sensor.window
-            )
-            ax.plot(*VIEW.apply(path)[0].T, color=colours.to_rgba(number), lw=0.5, alpha=0.7, zorder=3)
-    seen = lines[lines["in_picture"] & (lines["z_mm"] == bottom)]
+            space.path(xyz, colours.to_rgba(number), lw=1.3, zorder=4, gid="line")
+            for end in xyz[[0, -1]] if depth == lines["depth_mm"].max() else xyz[:0]:
+                path = path_to(laser, end, sensor.window)
+                space.path(path, colours.to_rgba(number), lw=0.5, alpha=0.7, zorder=3)
+        space.words(np.array([outer[0], inner[1], z]), f" {depth:g} mm")
     for z, colour in ((-sensor.window.thickness_mm, WATER_COLOUR), (0.0, GLASS_COLOUR)):
-        fill_oblique(ax, VIEW, plate(low, high, z), colour, alpha=0.4, zorder=5)
+        space.plate(low, high, z, colour, alpha=0.4, zorder=5)
+    seen = lines[lines["in_picture"] & (lines["depth_mm"] == lines["depth_mm"].max())]
     if len(seen):
-        middle = seen[["x_mm", "y_mm", "z_mm"]].mean().to_numpy()
-        path = path_to(eye, np.array([*middle[:2], bottom]), sensor.window)
-        ax.plot(*VIEW.apply(path)[0].T, color="black", lw=0.8, ls="--", zorder=6, gid="image ray")
-    for words, place in (("laser", origin), ("camera", eye)):
-        ax.plot(*VIEW.apply(place)[0], marker="s", ms=5, color="black", zorder=10)
-        words_oblique(ax, VIEW, place, f"  {words}")
-    corner = plate(low, high, 0.5 * bottom)
-    axes_cross(ax, VIEW, corner[np.argmin(VIEW.apply(corner)[0][:, 0])], 30.0)
-    ax.set_aspect("equal")
-    ax.margins(0.03)
-    ax.axis("off")
-    ax.set_title("a: in space; dashed: an image ray")
+        middle = seen[["x_mm", "y_mm", "z_mm"]].to_numpy(np.float64)[len(seen) // 2]
+        path = path_to(eye, middle, sensor.window)
+        space.path(path, "black", lw=0.8, ls="--", zorder=6, gid="image ray")
+    space.device(laser, "laser")
+    space.device(eye, "camera")
+    space.cross(np.array([low[0], low[1], 0.5 * float(lines["z_mm"].min())]), 30.0)
+    space.finish("a: in space; dashed: an image ray")
 
 
 def _section(ax: Axes, lines: pd.DataFrame, sensor: Sensor, colours: ScalarMappable) -> None:
     """Middles of the lines in the plane that contains laser and camera: across the lines, and height."""
-    across = across_direction(lines)
-    thick = sensor.window.thickness_mm
-    middles = lines.loc[
-        lines.groupby(["line", "depth_mm"])["fan_angle_deg"].apply(lambda a: a.abs().idxmin())
-    ]
-    deepest = middles[middles["depth_mm"] == middles["depth_mm"].max()]
-    for _, row in deepest.iterrows():
-        path = path_to(
-            sensor.sheet.origin_lcs_mm, row[["x_mm", "y_mm", "z_mm"]].to_numpy(np.float64), sensor.window
-        )
-        ax.plot(
-            path @ across, path[:, 2], color=colours.to_rgba(row["line"]), lw=0.9, gid="sub-beam", zorder=3
-        )
+    across, thick = across_direction(lines), sensor.window.thickness_mm
+    laser, eye = sensor.sheet.origin_lcs_mm, sensor.camera_origin_lcs_mm
+    middles = lines.loc[lines["fan_angle_deg"].abs().groupby([lines["line"], lines["depth_mm"]]).idxmin()]
     xyz = middles[["x_mm", "y_mm", "z_mm"]].to_numpy(np.float64)
-    ax.scatter(
-        xyz @ across, xyz[:, 2], c=colours.to_rgba(middles["line"].to_numpy()), s=7, zorder=4, gid="middles"
-    )
-    eye = sensor.camera_origin_lcs_mm
-    seen = deepest.loc[deepest["in_picture"], ["x_mm", "y_mm", "z_mm"]].to_numpy(np.float64)
+    deepest = (middles["depth_mm"] == middles["depth_mm"].max()).to_numpy()
+    for number, place in zip(middles["line"][deepest], xyz[deepest], strict=True):
+        path = path_to(laser, place, sensor.window)
+        look = {"color": colours.to_rgba(number), "lw": 0.9, "zorder": 3, "gid": "sub-beam"}
+        ax.plot(path @ across, path[:, 2], **look)
+    spots(ax, xyz @ across, xyz[:, 2], colours.to_rgba(middles["line"]), s=7, zorder=4, gid="middles")
+    seen = xyz[deepest & middles["in_picture"].to_numpy()]
     for place in seen[[0, -1]] if len(seen) else seen:
         path = path_to(eye, place, sensor.window)
         ax.plot(path @ across, path[:, 2], color="black", lw=0.8, ls="--", zorder=2, gid="image ray")
-    for words, place in (("laser", sensor.sheet.origin_lcs_mm), ("camera", eye)):
-        ax.plot(place @ across, place[2], marker="s", ms=4, color="black", zorder=5)
+    for words, place in (("laser", laser), ("camera", eye)):
         at = float(place @ across), float(place[2])
+        dots(ax, at[:1], at[1:], "black", "s", ms=4, zorder=5)
         ax.annotate(words, at, xytext=(5, 3), textcoords="offset points", fontsize=7)
+    low = float(xyz[:, 2].min()) - 15.0
     ax.axhspan(-thick, 0.0, color=GLASS_COLOUR, lw=0, zorder=0, gid="glass")
-    ax.axhspan(float(xyz[:, 2].min()) - 15.0, -thick, color=WATER_COLOUR, lw=0, zorder=0, gid="water")
-    ax.set_ylim(float(xyz[:, 2].min()) - 15.0, None)
+    ax.axhspan(low, -thick, color=WATER_COLOUR, lw=0, zorder=0, gid="water")
+    ax.set_ylim(low, None)
     ax.set_aspect("equal", adjustable="datalim")
     ax.set(xlabel="across the lines / mm", ylabel="z / mm")
     ax.set_title("b: middles of the lines, in a section")
@@ -198,22 +153,14 @@ def across_direction(lines: pd.DataFrame) -> ArrayF:
 
 def _picture(ax: Axes, lines: pd.DataFrame, sensor: Sensor, colours: ScalarMappable) -> None:
     width, height = sensor.camera.size_px
-    depths = sorted(lines["depth_mm"].unique())
-    for depth, lw in zip(depths, np.resize(_WIDTHS, len(depths)), strict=True):
-        level = lines[(lines["depth_mm"] == depth) & lines["in_picture"]]
+    inside = lines[lines["in_picture"]].sort_values("fan_angle_deg")
+    for (depth, level), lw in zip(inside.groupby("depth_mm"), cycle(_WIDTHS), strict=False):
         for number, line in level.groupby("line"):
-            mine = line.sort_values("fan_angle_deg")
-            ax.plot(mine["x_px"], mine["y_px"], color=colours.to_rgba(number), lw=lw, gid=f"image {depth:g}")
-        if len(level):
-            top = level.loc[level["y_px"].idxmin()]
-            ax.annotate(
-                f"{depth:g} mm",
-                (float(level["x_px"].mean()), float(top["y_px"])),
-                xytext=(0, 4),
-                textcoords="offset points",
-                ha="center",
-                fontsize=7,
-            )
+            look = {"color": colours.to_rgba(number), "lw": lw, "gid": f"image {depth:g}"}
+            ax.plot(line["x_px"], line["y_px"], **look)
+        at = (float(level["x_px"].mean()), float(level["y_px"].min()))
+        look = {"xytext": (0, 4), "textcoords": "offset points", "ha": "center", "fontsize": 7}
+        ax.annotate(f"{depth:g} mm", at, **look)
     ax.set_xlim(0, width)
     ax.set_ylim(height, 0)
     ax.set_aspect("equal")
@@ -313,65 +260,49 @@ def image_words(points: pd.DataFrame) -> str:
 def _image(ax: Axes, seen: SeenObject, points: pd.DataFrame, colours: ScalarMappable) -> None:
     show_green(ax, green_of(seen.image))
     has = points["line"] >= 0
-    if (~has).any():
-        ax.plot(
-            points["x_px"][~has],
-            points["y_px"][~has],
-            ls="none",
-            marker=".",
-            ms=1.1,
-            mew=0,
-            color=SKY,
-            gid="without label",
-            zorder=3,
-        )
-    shades = colours.to_rgba(points["line"][has].to_numpy())
-    ax.scatter(points["x_px"][has], points["y_px"][has], c=shades, s=1.2, lw=0, gid="labelled", zorder=4)
+    none, given = points[~has], points[has]
+    if len(none):
+        dots(ax, none["x_px"], none["y_px"], SKY, ms=1.1, gid="without label", zorder=3)
+    shades = colours.to_rgba(given["line"].to_numpy())
+    spots(ax, given["x_px"], given["y_px"], shades, s=1.2, gid="labelled", zorder=4)
     if points.empty:
         return
-    low = points[["x_px", "y_px"]].min().to_numpy() - 0.05 * seen.image.shape[0]
-    high = points[["x_px", "y_px"]].max().to_numpy() + 0.05 * seen.image.shape[0]
+    xy, size = points[["x_px", "y_px"]].to_numpy(np.float64), np.array(seen.image.shape[1::-1])
+    low, high = xy.min(axis=0) - 0.05 * size[1], xy.max(axis=0) + 0.05 * size[1]
     side = 0.5 * float((high - low).max())
-    middle = np.clip(0.5 * (low + high), side, np.array(seen.image.shape[1::-1]) - side)
-    ax.set_xlim(middle[0] - side, middle[0] + side)
-    ax.set_ylim(middle[1] + side, middle[1] - side)
+    x, y = np.clip(0.5 * (low + high), side, size - side)
+    ax.set_xlim(x - side, x + side)
+    ax.set_ylim(y + side, y - side)
 
 
 def _setup(ax: Axes, seen: SeenObject, points: pd.DataFrame, sensor: Sensor, colours: ScalarMappable) -> None:
-    laser, eye = sensor.sheet.origin_lcs_mm, sensor.camera_origin_lcs_mm
-    places = points.loc[points["line"] >= 0, ["x_mm", "y_mm", "z_mm"]].to_numpy(np.float64)
-    middle = places.mean(axis=0) if len(places) else _below(sensor, seen)
-    box = (
-        np.array([*(middle[:2] - _BOX_MM), float(seen.vertices_lcs_mm[:, 2].min()) - 1.0]),
-        np.array([*(middle[:2] + _BOX_MM), -sensor.window.thickness_mm]),
-    )
-    mesh_picture(seen.vertices_lcs_mm, seen.faces, IMAGES_VIEW, colours=_OBJECT_COLOUR, inside=box).show(ax)
-    flat = IMAGES_VIEW.apply(places)[0]
-    numbers = points["line"][points["line"] >= 0].to_numpy()
-    shades = colours.to_rgba(numbers)
-    ax.scatter(flat[:, 0], flat[:, 1], c=shades, s=0.8, lw=0, gid="places", zorder=4)
+    laser, eye, window = sensor.sheet.origin_lcs_mm, sensor.camera_origin_lcs_mm, sensor.window
+    space = Space(ax, IMAGES_VIEW)
+    given = points[points["line"] >= 0]
+    places = given[["x_mm", "y_mm", "z_mm"]].to_numpy(np.float64)
+    if len(places):
+        middle = places.mean(axis=0)
+    else:
+        # where the middle of the laser's light meets the height of the object's ground
+        water = refract_to_water(laser, sensor.sheet.beams(0.0), window)
+        middle = water.at_depth(window.depth_mm(seen.vertices_lcs_mm).max())[0]
+    low, high = (np.array([*(middle[:2] + side), 0.0]) for side in (-_BOX_MM, _BOX_MM))
+    low[2], high[2] = float(seen.vertices_lcs_mm[:, 2].min()) - 1.0, -window.thickness_mm
+    look = {"colours": _OBJECT_COLOUR, "inside": (low, high)}
+    mesh_picture(seen.vertices_lcs_mm, seen.faces, IMAGES_VIEW, **look).show(ax)
+    shades = colours.to_rgba(given["line"].to_numpy())
+    spots(ax, *space.flat(places), shades, s=0.8, gid="places", zorder=4)
     for words, place, colour in (("laser", laser, LIGHT_COLOUR), ("camera", eye, "black")):
-        path = path_to(place, middle, sensor.window)
-        ax.plot(*IMAGES_VIEW.apply(path)[0].T, color=colour, lw=1.0, ls="--", zorder=5)
-        ax.plot(*IMAGES_VIEW.apply(place)[0], marker="s", ms=4, color="black", zorder=10)
-        words_oblique(ax, IMAGES_VIEW, place, f"  {words}")
+        space.path(path_to(place, middle, window), colour, lw=1.0, ls="--", zorder=5)
+        space.device(place, words)
     both = np.stack([laser, eye, middle])
-    low, high = both.min(axis=0) - _AROUND_MM, both.max(axis=0) + _AROUND_MM
-    for z in (-sensor.window.thickness_mm, 0.0):
-        fill_oblique(ax, IMAGES_VIEW, plate(low, high, z), GLASS_COLOUR, alpha=0.4, zorder=6)
-    shown = np.concatenate([plate(*box, float(box[0][2])), plate(low, high, 0.0), [laser, eye]])
-    flat = IMAGES_VIEW.apply(shown)[0]
-    ax.set_xlim(flat[:, 0].min() - 25.0, flat[:, 0].max() + 45.0)
-    ax.set_ylim(flat[:, 1].min() - 25.0, flat[:, 1].max() + 15.0)
+    for z in (-window.thickness_mm, 0.0):
+        space.plate(both.min(axis=0) - 25.0, both.max(axis=0) + 25.0, z, GLASS_COLOUR, alpha=0.4, zorder=6)
+    flat = space.flat(np.stack([low, high, laser, eye]))
+    ax.set_xlim(flat[0].min() - 50.0, flat[0].max() + 60.0)
+    ax.set_ylim(flat[1].min() - 30.0, flat[1].max() + 20.0)
     ax.set_aspect("equal")
     ax.axis("off")
-
-
-def _below(sensor: Sensor, seen: SeenObject) -> ArrayF:
-    """Where the middle of the laser's light meets the height of the object's ground."""
-    depth = sensor.window.depth_mm(seen.vertices_lcs_mm).max()
-    water = refract_to_water(sensor.sheet.origin_lcs_mm, sensor.sheet.beams(0.0), sensor.window)
-    return np.asarray(water.at_depth(depth)[0])
 
 
 def draw_multi_line_images(*, images: Path, points: Path) -> Figure:
@@ -381,147 +312,3 @@ def draw_multi_line_images(*, images: Path, points: Path) -> Figure:
 
 # ---------------------------------------------------------------- what a scan tells about the numbers of the
 # lines
-
-
-@styled
-def line_labels(points: pd.DataFrame, shifts: pd.DataFrame) -> Figure:
-    """For each spacing: labelled points from above, the middle image, and the test with shifted labels.
-
-    Parameters
-    ----------
-    points, shifts : columns `POINTS` and `SHIFTS`, see `thalweg_lab.studies.sensors.laser_lines`.
-
-    Raises
-    ------
-    InputError : an empty table, or one that lacks columns.
-    """
-    need(points, POINTS, "labelled points"), need(shifts, SHIFTS, "shifted labels")
-    spacings = sorted(points["irregular"].unique())
-    images = int(points["image"].nunique())
-    head = (
-        f"Fifteen lines over a wreck, scans of {images} images: n = {count(len(points))} detections, "
-        f"{count(int((points['line'] >= 0).sum()))} with a label"
-    )
-    figure = new_figure(42.0 + 62.0 * len(spacings), head, twin=True)
-    # limits that follow equal scales are found after the layout, and their numbers may be wider
-    figure.set_layout_engine("constrained", rect=(0.015, 0.0, 0.985, 1.0))
-    axes = figure.subplots(len(spacings), 3, squeeze=False, width_ratios=[1.15, 1.0, 1.0])
-    depths = Normalize(*robust_limits(points["depth_mm"]))
-    numbers = ScalarMappable(Normalize(0, max(int(points["true_line"].max()), 1)), LINE_MAP)
-    for k, irregular in enumerate(spacings):
-        mine = points[points["irregular"] == irregular]
-        letters = "abcdef"[3 * k : 3 * k + 3]
-        _map(axes[k, 0], mine, depths)
-        axes[k, 0].set_title(f"{letters[0]}: {spacing_words(irregular)}\n{label_words(mine)}", fontsize=7.5)
-        middle = int(np.median(mine["image"].unique()))
-        _labelled_image(axes[k, 1], mine[mine["image"] == middle], numbers)
-        axes[k, 1].set_title(f"{letters[1]}: image {middle + 1}", fontsize=7.5)
-        _shifts(axes[k, 2], shifts[shifts["irregular"] == irregular])
-        axes[k, 2].set_title(f"{letters[2]}: lines about the surface", fontsize=7.5)
-    for ax, shades, words in (
-        (axes[:, 0], ScalarMappable(depths, DEPTH_MAP), "depth / mm"),
-        (axes[:, 1], numbers, "number of the line"),
-    ):
-        figure.colorbar(shades, ax=ax, label=words, location="bottom", aspect=30, pad=0.02)
-    return figure
-
-
-def spacing_words(irregular: float) -> str:
-    """The spacing in words.
-
-    Examples
-    --------
-    >>> spacing_words(0.0), spacing_words(0.3)
-    ('equal spacing', 'steps up to 30 % unequal')
-    """
-    return f"steps up to {100 * irregular:.0f} % unequal" if irregular else "equal spacing"
-
-
-def label_words(points: pd.DataFrame) -> str:
-    """How many of the detections of real lines have a label, and how many labels are right."""
-    has = points["line"] >= 0
-    if not has.any():
-        return "no label given"
-    right = float((points["line"] == points["true_line"])[has].mean())
-    share = float(has[points["true_line"] >= 0].mean())
-    return f"{100 * share:.0f} % labelled, {100 * right:.1f} % of them right"
-
-
-def _map(ax: Axes, points: pd.DataFrame, depths: Normalize) -> None:
-    """Places of labelled points from above, and those whose label is wrong."""
-    given = points[points["line"] >= 0]
-    if given.empty:
-        leave_out(ax, "no point has a label")
-        return
-    wrong = given[given["line"] != given["true_line"]]
-    shown = given.iloc[:: max(1, -(-len(given) // _MOST_POINTS))]
-    ax.scatter(
-        shown["x_mm"],
-        shown["y_mm"],
-        c=shown["depth_mm"],
-        cmap=DEPTH_MAP,
-        norm=depths,
-        s=0.5,
-        lw=0,
-        gid="labelled",
-        rasterized=True,
-    )
-    if len(wrong):
-        ax.plot(
-            wrong["x_mm"],
-            wrong["y_mm"],
-            ls="none",
-            marker="x",
-            ms=3,
-            mew=0.7,
-            color=VERMILION,
-            label=f"wrong label: {count(len(wrong))}",
-            gid="wrong",
-        )
-        ax.legend(loc="upper left", fontsize=6.5)
-    ax.set_aspect("equal", adjustable="datalim")
-    ax.set(xlabel="x / mm", ylabel="y / mm")
-    ax.grid()
-
-
-def _labelled_image(ax: Axes, points: pd.DataFrame, numbers: ScalarMappable) -> None:
-    """Detections of one image, coloured by label; grey ones have none, with the reason."""
-    has = points["line"] >= 0
-    none = points[~has]
-    ax.plot(none["x_px"], none["row"], ls="none", marker=".", ms=1.4, mew=0, color="0.6", gid="without label")
-    shades = numbers.to_rgba(points["line"][has].to_numpy(np.float64))
-    ax.scatter(points["x_px"][has], points["row"][has], c=shades, s=1.6, lw=0, gid="detections")
-    reasons = none["reason"].value_counts()
-    words = [
-        f"no label (grey): {count(len(none))}",
-        *(f"{name}: {count(int(n))}" for name, n in reasons.items()),
-    ]
-    ax.text(0.98, 0.02, "\n".join(words), transform=ax.transAxes, fontsize=6, ha="right", va="bottom")
-    low = float(points["row"].min())
-    high = max(float(points["row"].max()), low + 1.0)
-    # room for the reasons
-    ax.set_ylim(high + 0.45 * (high - low), low - 0.03 * (high - low))
-    ax.set(xlabel="column / px", ylabel="row / px")
-
-
-def _shifts(ax: Axes, shifts: pd.DataFrame) -> None:
-    """By how much lines disagree about the surface, with the labels and with all of them shifted."""
-    if shifts.empty:
-        leave_out(ax, "no test with shifted labels")
-        return
-    colours = [SKY if shift == 0 else GREY for shift in shifts["shift"]]
-    bars = ax.bar(shifts["shift"], shifts["median_mm"], color=colours, gid="shifts")
-    ax.bar_label(bars, [f"{value:.2f}" for value in shifts["median_mm"]], fontsize=6, padding=1)
-    ax.set_ylim(0.0, 1.35 * max(float(shifts["median_mm"].max()), 1e-3))
-    verdict = (
-        "told apart: labels are given" if bool(shifts["resolved"].iloc[0]) else "not told apart: no labels"
-    )
-    ax.text(0.5, 0.97, verdict, transform=ax.transAxes, fontsize=7, ha="center", va="top")
-    ax.set_xticks(shifts["shift"])
-    ax.set(xlabel="all labels shifted by", ylabel="median disagreement / mm")
-    ax.grid(axis="y")
-
-
-def draw_line_labels(*, points: Path, shifts: Path) -> Figure:
-    """Labelled points of scans by fifteen lines -> figure."""
-    return line_labels(read_parquet(points), pd.read_csv(shifts))

@@ -70,18 +70,6 @@ BUDGET_NOTE: Final = (
     "Standard deviations of the depth by cause, least and largest along lines of equal depth, of this "
     "sensor. The total adds squares as P4 6.6 does; the total with correlations takes the joint covariance."
 )
-PUBLISHED_NOTE: Final = (
-    "P4 does not print its geometry. The figures are those of the geometry that fits its published values "
-    "best; what differs may be due to that geometry, except where published figures contradict each other."
-)
-CORRELATION_NOTE: Final = (
-    "Sigmas of the depth with the joint covariance of a calibration on two levels, and with the same sigmas "
-    "and no correlations, for the best-fit geometry of P4. P4 6.6 leaves correlations out."
-)
-MODEL_NOTE: Final = (
-    "Depths by simpler models minus those of the strict intersection of image ray and refracted sub-beam. "
-    "Palomer et al. (2017) state errors of about 2 mm for an elliptical cone."
-)
 LENS_NOTE: Final = (
     "Sigmas are those of the adjustment: they follow from noise of image points and geometry of images, "
     "not from a lens that moves between the field and the housing."
@@ -293,10 +281,6 @@ def _units(page: Page, table: pd.DataFrame, caption: str, *, digits: int = 4) ->
 def light_sheet_page(
     calibration: Mapping[str, Any],
     budget: pd.DataFrame,
-    published: pd.DataFrame,
-    contradictions: pd.DataFrame,
-    correlations: pd.DataFrame,
-    models: pd.DataFrame,
     *,
     panels: pd.DataFrame | None = None,
     truth: pd.DataFrame | None = None,
@@ -316,10 +300,6 @@ def light_sheet_page(
     ----------
     calibration : report of `thalweg.lightsheet.calibration.report.calibration_report`.
     budget : `thalweg.lightsheet.budget.budget.budget_on_lines` of the sensor.
-    published : `thalweg.lightsheet.budget.checks.verdicts`.
-    contradictions : `thalweg.lightsheet.budget.checks.inequality_table`.
-    correlations : `thalweg.lightsheet.budget.budget.depth_sigmas`.
-    models : `thalweg.lightsheet.optics.approximations.model_errors`.
     panels : `thalweg.lightsheet.poses.panels.compare_panels`; None if there were none.
     truth : for a twin, `thalweg_lab.truth.calibration.compare_sensor`.
     camera : report on the camera over the window; None if it was oriented elsewhere.
@@ -355,13 +335,7 @@ def light_sheet_page(
         )
     for scan in scans:
         scan_section(page, scan)
-    _budget(page, budget, published, contradictions, correlations)
-    page.section("Simpler models").text(MODEL_NOTE)
-    _units(
-        page,
-        models.drop(columns="lost") if not models["lost"].any() else models,
-        "Errors in depth of each model (models.csv)",
-    )
+    _budget(page, budget)
     _rejected(page, calibration, counts or {}, points or {}, panels)
     return page
 
@@ -483,13 +457,7 @@ def parameter_rows(parameters: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _budget(
-    page: Page,
-    budget: pd.DataFrame,
-    published: pd.DataFrame,
-    contradictions: pd.DataFrame,
-    correlations: pd.DataFrame,
-) -> None:
+def _budget(page: Page, budget: pd.DataFrame) -> None:
     page.section("Budget of the depth").text(BUDGET_NOTE)
     table = budget_table(budget)
     wide = table.pivot(index="cause", columns="depth_mm", values=["least_mm", "most_mm"])
@@ -501,48 +469,6 @@ def _budget(
         rows[f"{depth:g} mm deep"] = [f"{a:.3f} to {b:.3f}" for a, b in zip(low, high, strict=True)]
     last = rows["cause"].isin((TOTAL, TOTAL_CORRELATED))
     page.table(pd.concat([rows[~last], rows[last]]), "Sigma of the depth in millimetres (budget.csv)")
-    page.section("Beside the budget of P4").text(PUBLISHED_NOTE)
-    met = int((published["verdict"] == "met").sum())
-    words = ", ".join(f"{n} {word}" for word, n in published["verdict"].value_counts().items())
-    page.text(f"{met} of {len(published)} published figures are met within a fifth: {words}.")
-    _units(page, published, "Published maxima and minima beside those of the geometry (budget_published.csv)")
-    page.text("Inequalities that published figures would have to obey, whatever the geometry:")
-    page.lines([inequality(row) for row in contradictions.to_dict("records")])
-    page.section("Effect of correlations").text(CORRELATION_NOTE)
-    _units(
-        page,
-        correlations,
-        "Sigma of the depth by the calibration; factor: largest without correlations "
-        "over largest with them (budget_correlations.csv)",
-    )
-
-
-def inequality(row: Mapping[Any, Any]) -> str:
-    """An inequality in one line: both sides in words and values, and whether it holds.
-
-    Examples
-    --------
-    >>> row = {
-    ...     "name": "size",
-    ...     "left": "as published",
-    ...     "right": "the least",
-    ...     "left_value": 0.03,
-    ...     "right_value": 0.06,
-    ...     "unit": "mm",
-    ...     "condition": "",
-    ... }
-    >>> inequality(row)
-    'size: as published 0.03 mm >= the least 0.06 mm? Contradicted, by a factor of 2.0'
-    """
-    left, right = float(row["left_value"]), float(row["right_value"])
-    held = "Holds" if left >= right else f"Contradicted, by a factor of {right / left:.1f}"
-    raw = row.get("condition")
-    condition = f" (for {raw})" if isinstance(raw, str) and raw else ""
-    unit = row["unit"]
-    return (
-        f"{row['name']}: {row['left']} {left:.3g} {unit} >= {row['right']} {right:.3g} {unit}? "
-        f"{held}{condition}"
-    )
 
 
 def _rejected(

@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from thalweg.core import AnyArray, CoverageError, read_parquet
-from thalweg.figures import BLUE, GREY, HALO, VERMILION, count, legend_below, new_figure, plural, styled
-from thalweg.lightsheet.figures.views import DEPTH_STYLES, find_image, green_of, need, show_green
+from thalweg.figures import HALO, count, new_figure, plural, styled
+from thalweg.lightsheet.figures.views import DEPTH_STYLES, dots, find_image, green_of, need, show_green
 from thalweg.lightsheet.optics import Sensor, depth_lines, read_sensor
 
 POINTS: Final = ("file", "x_mm", "y_mm", "depth_mm", "sigma_depth_mm", "expected_depth_mm", "x_px", "y_px")
@@ -55,9 +55,9 @@ def panel_distances(
         f"n = {count(len(points))} points in {plural(len(panels), 'depth')}"
     )
     rows = max(len(shown), 2)  # the detail needs the height of two
-    figure = new_figure(70.0 + _MM_PER_PANEL * rows, head, twin=twin)
-    grid = figure.add_gridspec(rows + 3, 2, width_ratios=[1.0, 1.7])
-    _detail(figure.add_subplot(grid[:rows, 0]), sensor, image, points, shown)
+    figure = new_figure(34.0 + _MM_PER_PANEL * rows, head, twin=twin)
+    grid = figure.add_gridspec(rows, 2, width_ratios=[1.0, 1.7])
+    _detail(figure.add_subplot(grid[:, 0]), sensor, image, points, shown)
     along = "x_mm" if np.ptp(points["x_mm"]) >= np.ptp(points["y_mm"]) else "y_mm"
     limit = 1.1 * float(off.abs().quantile(0.999)) + 1e-6
     first: Axes | None = None
@@ -65,15 +65,9 @@ def panel_distances(
         ax = figure.add_subplot(grid[k, 1], sharex=first, sharey=first)
         first = first or ax
         _distances(ax, points[points["file"] == row["file"]], row, along, k, limit)
-        if k < len(shown) - 1:
-            ax.tick_params(labelbottom=False)
-        else:
-            ax.set_xlabel(f"{along[0]} / mm")
-        if k == 0:
-            ax.set_title("b: measured minus reference depth / mm")
-    below = figure.add_subplot(grid[rows:, :])
-    _beside_published(below, shown)
-    legend_below(figure, below)
+        ax.tick_params(labelbottom=k == len(shown) - 1)
+    ax.set_xlabel(f"{along[0]} / mm")
+    first.set_title("b: measured minus reference depth / mm, beside P3 3.1.2")
     return figure
 
 
@@ -111,103 +105,39 @@ def _detail(ax: Axes, sensor: Sensor, image: AnyArray, points: pd.DataFrame, sho
     green = green_of(image)[top : top + DETAIL_PX, left : left + DETAIL_PX]
     show_green(ax, green, left=left, top=top)
     lines = depth_lines(sensor, [float(d) for d in shown["depth_mm"]])
-    for k, line in enumerate(lines):
-        if not len(line.xy_px):
-            continue
-        colour, style, _ = DEPTH_STYLES[k]
-        ax.plot(
-            *line.xy_px.T,
-            color=colour,
-            ls=style,
-            lw=1.6,
-            label=f"{line.depth_mm:.1f} mm",
-            gid=f"reference {k}",
-            zorder=3,
-        )
-    ax.plot(
-        mine["x_px"],
-        mine["y_px"],
-        ls="none",
-        marker="o",
-        ms=2.6,
-        mfc="white",
-        mec="black",
-        mew=0.4,
-        label="measured",
-        gid="measured",
-        zorder=4,
-    )
+    for (colour, style, _), line in zip(DEPTH_STYLES, lines, strict=False):
+        x, y = line.xy_px.T
+        near = (np.abs(x - left) <= DETAIL_PX) & (np.abs(y - top) <= DETAIL_PX)
+        # a line that the detail does not show has no place in its legend
+        look = {"lw": 1.6, "gid": f"reference {line.depth_mm:g}", "zorder": 3}
+        look |= {"label": f"{line.depth_mm:.1f} mm"} if near.any() else {}
+        ax.plot(x, y, color=colour, ls=style, **look)
+    look = {"ms": 2.6, "mfc": "white", "mew": 0.4, "label": "measured", "gid": "measured", "zorder": 4}
+    dots(ax, mine["x_px"], mine["y_px"], "black", "o", **look)
     ax.set_xlim(left, left + green.shape[1])
     ax.set_ylim(top + green.shape[0], top)
     ax.set(xlabel="column / px", ylabel="row / px")
     ax.set_title(f"a: detail at {float(panel['depth_mm']):.1f} mm\nwith lines of reference depths")
-    seen = [line for line in ax.get_lines() if _inside(ax, np.asarray(line.get_xydata()))]
-    ax.legend(handles=seen, loc="upper left")
-
-
-def _inside(ax: Axes, xy: AnyArray) -> bool:
-    (x0, x1), (y1, y0) = ax.get_xlim(), ax.get_ylim()
-    x, y = np.asarray(xy, dtype=np.float64).T
-    return bool(((x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)).any())
+    ax.legend(loc="upper left")
 
 
 def _distances(ax: Axes, mine: pd.DataFrame, row: pd.Series, along: str, k: int, limit: float) -> None:
+    """Distances of the points of a panel, their mean, and in words those published."""
     colour, _, marker = DEPTH_STYLES[k]
-    off = (mine["depth_mm"] - mine["expected_depth_mm"]).to_numpy()
-    ax.plot(mine[along], off, ls="none", marker=marker, ms=1.8, color=colour, mew=0.0, gid=f"distances {k}")
+    off = mine["depth_mm"] - mine["expected_depth_mm"]
+    dots(ax, mine[along], off, colour, marker, gid=f"distances {k}")
     ax.axhline(0.0, color="0.3", lw=0.6)
     if np.isfinite(row["mean_mm"]):
         ax.axhline(float(row["mean_mm"]), color="black", lw=0.9, ls="--", gid="mean")
     ax.set_ylim(-limit, 1.9 * limit)
-    words = f"{signed(row['mean_mm'])} ± {float(row['std_mm']):.3f} mm, n = {count(int(row['n']))}"
-    ax.text(
-        0.01,
-        0.96,
-        f"{float(row['depth_mm']):.1f} mm: {words if row['n'] else 'no points'}",
-        transform=ax.transAxes,
-        va="top",
-        fontsize=7,
-        path_effects=HALO,
-    )
+    words = "no points"
+    if row["n"]:
+        words = f"{signed(row['mean_mm'])} ± {row['std_mm']:.3f} mm, n = {count(int(row['n']))}"
+    if np.isfinite(row["published_std_mm"]):
+        words += f" (P3: {row['published_mean_mm']:.2f} ± {row['published_std_mm']:.2f} mm)"
+    look = {"transform": ax.transAxes, "va": "top", "fontsize": 7, "path_effects": HALO}
+    ax.text(0.01, 0.96, f"{row['depth_mm']:.1f} mm: {words}", **look)
     ax.grid()
-
-
-def _beside_published(ax: Axes, shown: pd.DataFrame) -> None:
-    """Mean and standard deviation of each panel, and published ones; the predicted sigma if known."""
-    place = np.arange(len(shown), dtype=np.float64)
-    sides = (("", "this measurement", VERMILION, "o", -0.1), ("published_", "P3 3.1.2", BLUE, "s", 0.1))
-    for prefix, words, colour, marker, aside in sides:
-        mean, std = (shown[f"{prefix}{name}_mm"].to_numpy(np.float64) for name in ("mean", "std"))
-        ax.errorbar(
-            place + aside,
-            mean,
-            yerr=std,
-            ls="none",
-            marker=marker,
-            ms=4,
-            color=colour,
-            elinewidth=1.2,
-            capsize=3,
-            label=f"{words}: mean, standard deviation",
-            gid=f"{prefix or 'own '}means",
-        )
-    if "predicted_mm" in shown:
-        sigma = shown["predicted_mm"].to_numpy(np.float64)
-        ax.bar(
-            place - 0.1,
-            2 * sigma,
-            bottom=-sigma,
-            width=0.16,
-            color=GREY,
-            alpha=0.3,
-            label="predicted sigma",
-            gid="predicted",
-        )
-    ax.axhline(0.0, color="0.3", lw=0.6)
-    ax.set_xticks(place, [f"{depth:.1f} mm" for depth in shown["depth_mm"]])
-    ax.set(xlabel="reference depth", ylabel="measured minus reference / mm", xlim=(-0.5, len(shown) - 0.5))
-    ax.set_title("c: beside published values")
-    ax.grid(axis="y")
 
 
 def draw_panel_distances(

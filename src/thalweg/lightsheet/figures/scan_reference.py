@@ -1,14 +1,11 @@
 """The scanned object: orthophoto, reference, the scan on it (P4 Fig. 14, 15 and 20)."""
 
-import json
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import pandas as pd
-from cmcrameri import cm
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Colormap, Normalize, to_rgba
@@ -19,7 +16,7 @@ from thalweg.core import AnyArray, ArrayF, ArrayU8, GeometryError, InputError, r
 from thalweg.core.geometry import RayCaster, TriangleMesh, read_mesh
 from thalweg.figures import HEIGHT_MAP, count, new_figure, plural, read_picture, styled
 from thalweg.figures.calibration import Oblique
-from thalweg.lightsheet.figures.views import DEPTH_STYLES, axes_cross, need
+from thalweg.lightsheet.figures.views import Space, line_numbers, need, spots
 
 LIGHT: Final = np.array([-0.35, 0.45, 0.82])
 """Where the light comes from: to the right, up in the picture, toward the viewer."""
@@ -152,11 +149,10 @@ def scan_reference(
     mesh: TriangleMesh,
     points: pd.DataFrame,
     *,
-    levels: Sequence[Mapping[str, Any]] = (),
     title: str = "Scanned object",
     twin: bool = False,
 ) -> Figure:
-    """Orthophoto; reference; scan in the same view; for an object with levels also their planes.
+    """Orthophoto; reference; scan in the same view.
 
     Parameters
     ----------
@@ -164,7 +160,6 @@ def scan_reference(
     extent_mm : its left, right, lower and upper edge in the frame of the reference.
     mesh : the reference.
     points : columns `POINTS`, in the frame of the reference.
-    levels : ``height_mm, measured_mm, rms_own_plane_mm, n`` of each level; empty for other objects.
     title : first words of the title.
     twin : true if the digital twin made the recordings.
 
@@ -177,30 +172,29 @@ def scan_reference(
         f"{title}: reference of {count(len(mesh.faces))} faces, n = {count(len(used))} points of "
         f"{plural(int(used['file'].nunique()), 'line')} on it"
     )
-    figure = new_figure(164.0 if levels else 118.0, head, twin=twin)
-    grid = figure.add_gridspec(2 + bool(levels), 2, height_ratios=[1.0, 1.1, 0.9][: 2 + bool(levels)])
+    figure = new_figure(118.0, head, twin=twin)
+    grid = figure.add_gridspec(2, 2, height_ratios=[1.0, 1.1])
     _photo(figure.add_subplot(grid[0, :]), photo, extent_mm)
     reference, scan = figure.add_subplot(grid[1, 0]), figure.add_subplot(grid[1, 1])
     vertices = _MM_PER_M * mesh.vertices_m
-    box = vertices.min(axis=0), vertices.max(axis=0)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
     for ax, colours in ((reference, HEIGHT_MAP), (scan, "0.92")):
         picture = mesh_picture(vertices, mesh.faces, VIEW, colours=colours, pixels=500)
         picture.show(ax)
-        axes_cross(ax, VIEW, np.array([box[0][0], box[0][1] - 12.0, box[0][2]]), 25.0)
-        left, right, low, high = picture.extent
+        Space(ax, VIEW).cross(np.array([low[0], low[1] - 12.0, low[2]]), 25.0)
+        left, right, bottom, top = picture.extent
         ax.set_xlim(left - 22.0, right + 4.0)
-        ax.set_ylim(low - 14.0, high + 4.0)
+        ax.set_ylim(bottom - 14.0, top + 4.0)
         ax.axis("off")
-    heights = ScalarMappable(Normalize(float(box[0][2]), float(box[1][2])), HEIGHT_MAP)
-    figure.colorbar(heights, ax=reference, label="z / mm", location="bottom", aspect=30, pad=0.02, shrink=0.8)
+    heights = ScalarMappable(Normalize(float(low[2]), float(high[2])), HEIGHT_MAP)
+    shown = used.iloc[:: max(1, -(-len(used) // _MOST_POINTS))]
+    number, shades = line_numbers(shown["file"])
+    xyz = _MM_PER_M * shown[["x_m", "y_m", "z_m"]].to_numpy(np.float64) + _ABOVE_MM * VIEW.axes[2]
+    spots(scan, *VIEW.apply(xyz)[0].T, shades.to_rgba(number), s=0.7, gid="scan", zorder=3)
+    for ax, colour, words in ((reference, heights, "z / mm"), (scan, shades, "number of the line")):
+        figure.colorbar(colour, ax=ax, label=words, location="bottom", aspect=30, pad=0.02, shrink=0.8)
     reference.set_title("b: reference; axes 25 mm long")
-    shades = _scan(scan, used)
-    figure.colorbar(
-        shades, ax=scan, label="number of the line", location="bottom", aspect=30, pad=0.02, shrink=0.8
-    )
     scan.set_title("c: points of the scan on the reference")
-    if levels:
-        _levels(figure.add_subplot(grid[2, :]), used, levels)
     return figure
 
 
@@ -227,56 +221,6 @@ def share_of_noise(photo: AnyArray) -> float:
     return 1.0 - float(uniform_filter(grey, _BLOCK)[inside].var()) / raw if raw > 0 else 1.0
 
 
-def _scan(ax: Axes, used: pd.DataFrame) -> ScalarMappable:
-    """Points that are used, coloured by the number of their line."""
-    step = max(1, -(-len(used) // _MOST_POINTS))
-    number = 1.0 + pd.factorize(used["file"])[0][::step]
-    xyz = _MM_PER_M * used[["x_m", "y_m", "z_m"]].to_numpy(np.float64)[::step] + _ABOVE_MM * VIEW.axes[2]
-    shades = ScalarMappable(Normalize(1, max(float(number.max()), 2.0)), cm.batlow)
-    flat = VIEW.apply(xyz)[0]
-    ax.scatter(
-        flat[:, 0], flat[:, 1], c=shades.to_rgba(number), s=0.7, lw=0, gid="scan", zorder=3, rasterized=True
-    )
-    return shades
-
-
-def _levels(ax: Axes, used: pd.DataFrame, levels: Sequence[Mapping[str, Any]]) -> None:
-    """Distances of points from the planes of the levels, along the object."""
-    x, z = (_MM_PER_M * used[name].to_numpy(np.float64) for name in ("x_m", "z_m"))
-    off = used["distance_mm"].to_numpy(np.float64)
-    stated = np.array([float(level["height_mm"]) for level in levels])
-    nearest = np.argmin(np.abs(z[:, None] - stated), axis=1)
-    for k, level in enumerate(levels):
-        colour, _, marker = DEPTH_STYLES[k]
-        mine = nearest == k
-        words = (
-            f"{stated[k]:g} mm: {level['measured_mm']:.3f} mm, rms {level['rms_own_plane_mm']:.3f} mm, "
-            f"n = {count(int(level['n']))}"
-        )
-        ax.plot(
-            x[mine],
-            off[mine],
-            ls="none",
-            marker=marker,
-            ms=1.2,
-            mew=0,
-            color=colour,
-            gid=f"level {k}",
-            rasterized=True,
-            zorder=2,
-        )
-        ax.plot([], [], ls="none", marker=marker, ms=4, mew=0, color=colour, label=words)
-    limit = 1.4 * float(np.quantile(np.abs(off), 0.998)) + 1e-6
-    ax.set_ylim(-limit, 2.2 * limit)
-    ax.axhline(0.0, color="black", lw=0.7)
-    ax.set(xlabel="x / mm", ylabel="distance / mm")
-    beyond = int((np.abs(off) > limit).sum())
-    ax.set_title(f"d: distance from the planes of the levels, {count(beyond)} points beyond the axis")
-    words = "height stated: measured, rms from its own plane"
-    ax.legend(loc="upper left", title=words, ncols=2, fontsize=6.5, title_fontsize=6.5)
-    ax.grid()
-
-
 def read_orthophoto(picture: Path, world: Path) -> tuple[ArrayU8, tuple[float, float, float, float]]:
     """Picture, and its left, right, lower and upper edge in millimetres.
 
@@ -301,15 +245,7 @@ def read_orthophoto(picture: Path, world: Path) -> tuple[ArrayU8, tuple[float, f
 
 
 def draw_scan_reference(
-    *,
-    picture: Path,
-    world: Path,
-    reference: list[Path],
-    distances: Path,
-    facts: Path,
-    scan: str,
-    title: str,
-    twin: bool,
+    *, picture: Path, world: Path, reference: list[Path], distances: Path, scan: str, title: str, twin: bool
 ) -> Figure:
     """Orthophoto, reference and distances of a scan -> figure of the object."""
     photo, extent_mm = read_orthophoto(picture, world)
@@ -318,7 +254,6 @@ def draw_scan_reference(
         extent_mm,
         read_mesh(reference[0])[0],
         read_parquet(distances),
-        levels=json.loads(facts.read_text(encoding="utf-8")).get("levels", ()),
         title=f"{title}, {scan.replace('_', ' ')}",
         twin=twin,
     )

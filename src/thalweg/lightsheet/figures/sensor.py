@@ -1,13 +1,12 @@
 """The light-sheet sensor: its parts, the bent sheet, what it can measure."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import PathCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -27,22 +26,19 @@ from thalweg.figures import (
 )
 from thalweg.figures.calibration import Oblique
 from thalweg.lightsheet.figures.views import (
-    DEPTH_STYLES,
     GLASS_COLOUR,
     LIGHT_COLOUR,
     WATER_COLOUR,
+    Space,
     along_and_off,
-    axes_cross,
     beam_paths,
-    fill_oblique,
+    depth_styles,
+    dots,
     path_to,
-    plate,
-    words_oblique,
 )
 from thalweg.lightsheet.optics import (
     DepthLine,
     LightSheet,
-    PictureGrid,
     Sensor,
     Status,
     Window,
@@ -73,13 +69,6 @@ _DRAWN: Final = 15
 
 DEPTHS_MM: Final = (0.0, 50.0, 125.0, 250.0)
 """Reference depths of P4 Fig. 11 and 12."""
-STATUS_STYLES: Final = {
-    Status.NO_SHEET: ("sheet not seen", "0.80", "////"),
-    Status.ABOVE_WINDOW: ("sheet above the window", "0.92", "...."),
-    Status.GRAZING: ("grazing", "0.7", "xxxx"),
-    Status.TOTAL_REFLECTION: ("totally reflected", "0.6", "\\\\\\\\"),
-    Status.OUTSIDE_LENS: ("outside the lens", "0.5", "++++"),
-}
 
 
 # ---------------------------------------------------------------- laser, camera and window (P3 Fig. 3, P4
@@ -90,7 +79,7 @@ STATUS_STYLES: Final = {
 def sensor_setup(
     sensor: Sensor, *, depth_mm: float = DEPTH_MM, title: str = "Light-sheet sensor", twin: bool = False
 ) -> Figure:
-    """Section through laser and camera; one image ray and its sub-beam in space; the point in the image.
+    """Section through laser and camera; one image ray and its sub-beam in space.
 
     Parameters
     ----------
@@ -117,11 +106,10 @@ def sensor_setup(
         f"{title}: base {base:.0f} mm, {columns} x {rows} pixels of {size[0]:.2f} mm x {size[1]:.2f} mm in "
         f"{depth_mm:g} mm depth (P4 Table 1: 174 mm, 2048 x 2048, 0.02 mm x 0.03 mm)"
     )
-    figure = new_figure(152.0, head, twin=twin)
-    grid = figure.add_gridspec(2, 2, width_ratios=[1.0, 1.25], height_ratios=[1.25, 1.0])
-    _section(figure.add_subplot(grid[0, 0]), sensor, depth_mm, point)
-    _space(figure.add_subplot(grid[:, 1]), sensor, point)
-    _image(figure.add_subplot(grid[1, 0]), sensor, line.xy_px, pixel, depth_mm)
+    figure = new_figure(110.0, head, twin=twin)
+    section, space = figure.subplots(1, 2, width_ratios=[1.0, 1.25])
+    _section(section, sensor, depth_mm, point)
+    _space(Space(space, VIEW), sensor, point)
     return figure
 
 
@@ -166,91 +154,54 @@ def _section(ax: Axes, sensor: Sensor, depth_mm: float, point: ArrayF) -> None:
         ax.plot(*one.T, color=BLUE, lw=0.9, ls=dashes, zorder=2, gid="view")
     place = in_section(sensor, np.stack([laser, eye, point]))
     ax.plot(*place[:2].T, color="black", lw=0.8, ls=":", zorder=2, gid="base")
-    ax.plot(*place[0], marker="s", ms=5, color="black", zorder=5)
-    ax.plot(*place[1], marker="s", ms=5, color="black", zorder=5)
-    ax.plot(*place[2], marker="o", ms=4, color=RAY_COLOUR, zorder=6)
-    words = (
-        (0, f"laser, {tilt_deg(axis[0]):.0f}°\nfrom the vertical", "right", (-6, 0)),
-        (1, f"camera, {tilt_deg(rays[4]):.0f}°", "right", (6, 7)),
-    )
-    for k, text, side, shift in words:
-        ax.annotate(
-            text,
-            (float(place[k, 0]), float(place[k, 1])),
-            xytext=shift,
-            fontsize=7,
-            ha=side,
-            va="center",
-            textcoords="offset points",
-        )
-    for text, z, shift_y in (("air", 0.0, 7), ("water", -thick, -7)):
-        ax.annotate(
-            text,
-            (0.0, z),
-            xycoords=("axes fraction", "data"),
-            xytext=(4, shift_y),
-            va="center",
-            textcoords="offset points",
-            fontsize=7,
-        )
-    flat = np.concatenate([place, flat.reshape(-1, 2)])
-    ax.set_xlim(
-        min(float(flat[:, 0].min()), float(place[0, 0]) - 125.0) - 10.0, float(flat[:, 0].max()) + 15.0
-    )
+    dots(ax, *place[:2].T, "black", "s", ms=5, zorder=5)
+    dots(ax, *place[2:].T, RAY_COLOUR, "o", ms=4, zorder=6)
+    left = min(float(flat[..., 0].min()), float(place[0, 0]) - 125.0) - 10.0
+    for at, words, shift in (
+        (place[0], f"laser, {tilt_deg(axis[0]):.0f}°\nfrom the vertical", (-6, 0)),
+        (place[1], f"camera, {tilt_deg(rays[4]):.0f}°", (6, 7)),
+        ((left + 25.0, 0.0), "air", (0, 7)),
+        ((left + 25.0, -thick), "water", (0, -7)),
+    ):
+        look = {"fontsize": 7, "ha": "right", "va": "center", "textcoords": "offset points"}
+        ax.annotate(words, (float(at[0]), float(at[1])), xytext=shift, **look)
+    ax.set_xlim(left, float(flat[..., 0].max()) + 15.0)
     ax.set_ylim(deepest, float(place[:, 1].max()) + 30.0)
     ax.set_aspect("equal", adjustable="box")
     ax.set(xlabel="from laser to camera / mm", ylabel="z / mm")
     ax.set_title(f"a: section; {thick:.1f} mm of glass")
 
 
-def _space(ax: Axes, sensor: Sensor, point: ArrayF) -> None:
+def _space(space: Space, sensor: Sensor, point: ArrayF) -> None:
     laser, eye, window = sensor.sheet.origin_lcs_mm, sensor.camera_origin_lcs_mm, sensor.window
     depth = float(window.depth_mm(point[None])[0])
     half = min(sensor.sheet.half_angle_rad, float(np.deg2rad(35.0)))
     fan = beam_paths(laser, sensor.sheet.beams(np.linspace(-half, half, _BEAMS)), window, depth)
-    for part, zorder in ((slice(2, 4), 2.0), (slice(1, 3), 4.0), (slice(0, 2), 6.0)):
-        edge = np.concatenate([fan[:, part][:, 0], fan[::-1, part][:, 1]])
-        ax.fill(*VIEW.apply(edge)[0].T, facecolor=LIGHT_COLOUR, edgecolor="none", alpha=0.3, zorder=zorder)
-    ax.plot(*VIEW.apply(fan[:, 3])[0].T, color=LIGHT_COLOUR, lw=1.4, zorder=3, gid="line")
-    both = np.concatenate([fan.reshape(-1, 3), eye[None]])
-    low, high = both.min(axis=0) - 12.0, both.max(axis=0) + 12.0
-    for z, zorder in ((-window.thickness_mm, 3.5), (0.0, 5.0)):
-        fill_oblique(ax, VIEW, plate(low, high, z), GLASS_COLOUR, alpha=0.4, zorder=zorder)
+    every = np.concatenate([fan.reshape(-1, 3), eye[None]])
+    low, high = every.min(axis=0) - 12.0, every.max(axis=0) + 12.0
+    _sheet(space, fan, low, high, window)
     for place, colour, words in ((laser, BEAM_COLOUR, "sub-beam"), (eye, RAY_COLOUR, "image ray")):
-        path = path_to(place, point, window)
-        ax.plot(*VIEW.apply(path)[0].T, color=colour, lw=1.6, zorder=8, gid=words, label=words)
-    for words, place in (("laser", laser), ("camera", eye)):
-        ax.plot(*VIEW.apply(place)[0], marker="s", ms=5, color="black", zorder=10)
-        words_oblique(ax, VIEW, place, f"   {words}")
-    ax.plot(*VIEW.apply(point)[0], marker="x", ms=7, mew=1.6, color="black", zorder=10, gid="point")
-    words_oblique(ax, VIEW, point, f"   ({point[0]:.1f}, {point[1]:.1f}, {point[2]:.1f}) mm", dy=-9.0)
-    axes_cross(ax, VIEW, np.array([low[0], high[1], 0.6 * point[2]]), 30.0)
-    ax.set_aspect("equal")
-    ax.margins(0.03)
-    ax.axis("off")
-    ax.legend(loc="lower left")
-    ax.set_title("b: image ray and sub-beam meet in the water")
+        space.path(path_to(place, point, window), colour, lw=1.6, zorder=8, gid=words, label=words)
+    space.device(laser, "laser")
+    space.device(eye, "camera")
+    space.dots(point, "black", "x", ms=7, zorder=10, gid="point")
+    space.words(point, f"   ({point[0]:.1f}, {point[1]:.1f}, {point[2]:.1f}) mm", dy=-9.0)
+    space.cross(np.array([low[0], high[1], 0.6 * point[2]]), 30.0)
+    space.ax.legend(loc="lower left")
+    space.finish("b: image ray and sub-beam meet in the water")
 
 
-def _image(ax: Axes, sensor: Sensor, line_px: ArrayF, pixel: ArrayF, depth_mm: float) -> None:
-    width, height = sensor.camera.size_px
-    ax.plot(*line_px.T, color=LIGHT_COLOUR, lw=1.4, label=f"line {depth_mm:g} mm deep", gid="line")
-    ax.plot(
-        *pixel,
-        marker="x",
-        ms=7,
-        mew=1.6,
-        ls="none",
-        color=RAY_COLOUR,
-        gid="pixel",
-        label=f"({pixel[0]:.0f}, {pixel[1]:.0f}) px",
-    )
-    ax.set_xlim(0, width)
-    ax.set_ylim(height, 0)
-    ax.set_aspect("equal")
-    ax.set(xlabel="column / px", ylabel="row / px")
-    ax.legend(loc="upper right")
-    ax.set_title("c: the point in the image")
+def _sheet(space: Space, paths: ArrayF, low: ArrayF, high: ArrayF, window: Window) -> None:
+    """A sheet by the paths (n, 4, 3) of its sub-beams through the faces of the window, from below."""
+    space.path(paths[:, 3], LIGHT_COLOUR, lw=1.6, zorder=2, gid="line")
+    faces = {0: (WATER_COLOUR, -window.thickness_mm), 1: (GLASS_COLOUR, 0.0)}
+    for k, medium in enumerate((2, 1, 0)):
+        part = paths[:, medium : medium + 2]
+        edge = np.concatenate([part[:, 0], part[::-1, 1]])
+        space.area(edge, LIGHT_COLOUR, edgecolor="none", alpha=0.3, zorder=3 + 2 * k)
+        if k in faces:
+            colour, z = faces[k]
+            space.plate(low, high, z, colour, alpha=0.5, zorder=4 + 2 * k)
 
 
 def draw_sensor_setup(*, sensor: Path, title: str, twin: bool) -> Figure:
@@ -289,48 +240,32 @@ def sheet_deformation() -> Figure:
     axes = figure.subplots(2, 2, height_ratios=[1.5, 1.0])
     for k, (first, second) in enumerate(TILTS_DEG):
         paths = sheet_paths(tilted_sheet(first, second))
-        _bent_space(axes[0, k], paths)
+        _bent(Space(axes[0, k], BENT_VIEW), paths)
         words = f"{'ab'[k]}: turned by {first:g}° about y"
         axes[0, k].set_title(words + (f", then by {second:g}° about x" if second else ""))
         _line(axes[1, k], paths[:, 3], "cd"[k])
     return figure
 
 
-def _bent_space(ax: Axes, paths: ArrayF) -> None:
+def _bent(space: Space, paths: ArrayF) -> None:
     flat = paths.reshape(-1, 3)
     low, high = flat.min(axis=0) - 12.0, flat.max(axis=0) + 12.0
     bottom = -WINDOW.thickness_mm - DEPTH_MM
-    fill_oblique(ax, BENT_VIEW, plate(low, high, bottom), "0.9", alpha=1.0, zorder=1)
-    line = BENT_VIEW.apply(paths[:, 3])[0]
-    ax.plot(*line.T, color=VERMILION, lw=1.8, zorder=2, gid="line")
-    _fan(ax, paths[:, 2:4], 3)
-    fill_oblique(ax, BENT_VIEW, plate(low, high, -WINDOW.thickness_mm), WATER_COLOUR, alpha=0.6, zorder=4)
-    _fan(ax, paths[:, 1:3], 5)
-    fill_oblique(ax, BENT_VIEW, plate(low, high, 0.0), GLASS_COLOUR, alpha=0.5, zorder=6)
-    _fan(ax, paths[:, 0:2], 7)
-    ax.plot(*BENT_VIEW.apply(paths[0, 0])[0], marker="s", ms=5, color="black", zorder=9)
-    words_oblique(ax, BENT_VIEW, paths[0, 0] + [8.0, 0.0, 6.0], "laser")
-    for words, z in (("air", 0.0), ("glass", -0.5 * WINDOW.thickness_mm), ("water", 0.45 * bottom)):
-        words_oblique(ax, BENT_VIEW, np.array([high[0], low[1], z + (8.0 if z == 0.0 else 0.0)]), f" {words}")
-    words_oblique(ax, BENT_VIEW, np.array([high[0], low[1], bottom]), " plane")
-    axes_cross(ax, BENT_VIEW, np.array([low[0], low[1], 0.55 * HEIGHT_MM]), 24.0)
-    ax.set_aspect("equal")
-    ax.margins(0.04)
-    ax.axis("off")
-
-
-def _fan(ax: Axes, parts: ArrayF, zorder: float) -> None:
-    """Part (n, 2, 3) of the sheet between two media."""
-    edge = np.concatenate([parts[:, 0], parts[::-1, 1]])
-    ax.fill(*BENT_VIEW.apply(edge)[0].T, facecolor=LIGHT_COLOUR, edgecolor="none", alpha=0.35, zorder=zorder)
-    for ends in parts[::_DRAWN]:
-        ax.plot(*BENT_VIEW.apply(ends)[0].T, color="#1b7837", lw=0.5, zorder=zorder + 0.5)
+    space.plate(low, high, bottom, "0.9", zorder=1)
+    _sheet(space, paths, low, high, WINDOW)
+    for path in paths[::_DRAWN]:
+        space.path(path, "#1b7837", lw=0.5, zorder=8)
+    space.device(paths[0, 0], "laser")
+    glass = -0.5 * WINDOW.thickness_mm
+    for words, z in (("air", 8.0), ("glass", glass), ("water", 0.45 * bottom), ("plane", bottom)):
+        space.words(np.array([high[0], low[1], z]), f" {words}")
+    space.cross(np.array([low[0], low[1], 0.55 * HEIGHT_MM]), 24.0)
+    space.finish("")
 
 
 def _line(ax: Axes, points_mm: ArrayF, letter: str) -> None:
     """The line on the plane: how far its points lie from a straight one."""
-    x, y = points_mm[:, 0], points_mm[:, 1]
-    along, off = along_and_off(x, y)
+    along, off = along_and_off(points_mm[:, 0], points_mm[:, 1])
     ax.axhline(0.0, color=BLUE, lw=0.9, ls="--", label="straight line", gid="straight")
     ax.plot(along, off, color=VERMILION, lw=1.8, label="line on the plane", gid="line")
     bends = int(np.sum(np.diff(np.sign(_curvature(along, off))) != 0))
@@ -384,6 +319,7 @@ def measurement_volume_view(
     volume, grid = measurement_volume(sensor, step_px), picture_grid(sensor, step_px)
     lines = [line for line in depth_lines(sensor, depths_mm) if len(line.xy_px) > 1]
     missed = sorted(set(depths_mm) - {line.depth_mm for line in lines})
+    looks = depth_styles([line.depth_mm for line in lines])
     size = volume.size_mm
     head = (
         f"{title}: {volume.depth_mm[1]:.0f} mm deep, {size[0]:.0f} mm x {size[1]:.0f} mm, "
@@ -397,25 +333,27 @@ def measurement_volume_view(
         ("c: depth", "depth / mm", grid.depth_mm, DEPTH_MAP),
     )
     for k, (ax, (words, label, values, colours)) in enumerate(zip(axes[0], maps, strict=True)):
-        _status(ax, grid)
         norm = Normalize(float(np.nanmin(values)), float(np.nanmax(values)))
-        mesh = _edges(grid.x_px), _edges(grid.y_px)
-        ax.pcolormesh(
-            *mesh,
-            np.ma.masked_invalid(values),
-            cmap=colours,
-            norm=norm,
-            rasterized=True,
-            gid=f"map {'xyz'[k]}",
-        )
-        _isolines(ax, lines, sensor)
-        ax.set_title(words)
-        ax.set(xlabel="column / px", ylabel="row / px" if k == 0 else "")
+        look = {"cmap": colours, "norm": norm, "rasterized": True, "gid": f"map {'xyz'[k]}"}
+        x, y = _edges(grid.x_px), _edges(grid.y_px)
+        ax.pcolormesh(x, y, np.ma.masked_invalid(values), **look)
+        ax.set_xlim(x[0], x[-1])
+        ax.set_ylim(y[-1], y[0])
+        ax.set_aspect("equal")
+        for line in lines:
+            colour, style, _ = looks[line.depth_mm]
+            look = {"label": f"{line.depth_mm:g} mm deep", "gid": f"depth {line.depth_mm:g}"}
+            ax.plot(*line.xy_px.T, color=colour, ls=style, lw=1.4, path_effects=HALO, **look)
+        ax.set(title=words, xlabel="column / px", ylabel="row / px" if k == 0 else "")
         ax.tick_params(labelleft=k == 0)
-        figure.colorbar(
-            ScalarMappable(norm, colours), ax=ax, label=label, location="bottom", pad=0.02, aspect=30
-        )
-    _views(axes[1], volume.border_lcs_mm, lines, sensor)
+        shades = ScalarMappable(norm, colours)
+        figure.colorbar(shades, ax=ax, label=label, location="bottom", pad=0.02, aspect=30)
+    _views(axes[1], volume.border_lcs_mm, lines, looks, sensor)
+    # why a pixel has no point
+    for status, share in volume.shares.items():
+        if share and status != Status.OK.name:
+            words = f"white, {status.lower().replace('_', ' ')}: {100 * share:.0f} %"
+            axes[0, 0].fill([], [], facecolor="white", edgecolor="0.55", lw=0.5, label=words)
     legend_below(figure, axes[0, 0])
     if missed:
         words = ", ".join(f"{depth:g}" for depth in missed)
@@ -429,50 +367,13 @@ def _edges(centres: ArrayF) -> ArrayF:
     return np.concatenate([[centres[0] - 0.5], inner, [centres[-1] + 0.5]])
 
 
-def _status(ax: Axes, grid: PictureGrid) -> None:
-    """Where a pixel has no point, and why."""
-    x, y = _edges(grid.x_px), _edges(grid.y_px)
-    ax.set_xlim(x[0], x[-1])
-    ax.set_ylim(y[-1], y[0])
-    ax.set_aspect("equal")
-    for status, (words, colour, hatch) in STATUS_STYLES.items():
-        mine = grid.status == int(status)
-        if not mine.any():
-            continue
-        if min(mine.shape) > 1 and not mine.all():
-            drawn = ax.contourf(grid.x_px, grid.y_px, mine.astype(float), levels=[0.5, 1.5])
-            paths = drawn.get_paths()
-            drawn.remove()
-            # plain paths: the artist of a contour cannot be hatched without a frame
-            look = PathCollection(paths, facecolor=colour, edgecolor="0.55", linewidth=0.0, hatch=hatch)
-            look.set_gid(status.name)
-            ax.add_collection(look, autolim=False)
-        ax.fill(
-            [],
-            [],
-            label=f"{words}: {100 * mine.mean():.0f} %",
-            facecolor=colour,
-            edgecolor="0.55",
-            lw=0.0,
-            hatch=hatch,
-        )
-
-
-def _isolines(ax: Axes, lines: Sequence[DepthLine], sensor: Sensor) -> None:
-    for k, line in enumerate(lines):
-        colour, style, _ = DEPTH_STYLES[k]
-        ax.plot(
-            *line.xy_px.T,
-            color=colour,
-            ls=style,
-            lw=1.4,
-            path_effects=HALO,
-            label=f"{line.depth_mm:g} mm deep",
-            gid=f"depth {line.depth_mm:g}",
-        )
-
-
-def _views(axes: Sequence[Axes], border: ArrayF, lines: Sequence[DepthLine], sensor: Sensor) -> None:
+def _views(
+    axes: Sequence[Axes],
+    border: ArrayF,
+    lines: Sequence[DepthLine],
+    looks: Mapping[float, tuple[str, str, str]],
+    sensor: Sensor,
+) -> None:
     """Plan, view along y and view along x; depth counts downwards."""
     views = (("d: from above", 0, 1), ("e: along y", 0, 2), ("f: along x", 1, 2))
     names = ("x / mm", "y / mm", "depth / mm")
@@ -482,8 +383,8 @@ def _views(axes: Sequence[Axes], border: ArrayF, lines: Sequence[DepthLine], sen
     ring[1:][np.linalg.norm(np.diff(ring, axis=0), axis=1) > 15.0] = np.nan
     for ax, (words, i, j) in zip(axes, views, strict=True):
         ax.plot(ring[:, i], ring[:, j], color=GREY, lw=0.9, gid="border")
-        for k, line in enumerate(lines):
-            colour, style, _ = DEPTH_STYLES[k]
+        for line in lines:
+            colour, style, _ = looks[line.depth_mm]
             points = line.xyz_lcs_mm.copy()
             points[:, 2] = sensor.window.depth_mm(points)
             ax.plot(points[:, i], points[:, j], color=colour, ls=style, lw=1.8)

@@ -1,14 +1,17 @@
 """What figures of the light-sheet sensor share: paths of light, oblique views, pictures, looks of depths."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 from cmcrameri import cm
 from matplotlib.axes import Axes
-from matplotlib.colors import Colormap, ListedColormap, PowerNorm
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PathCollection
+from matplotlib.colors import Colormap, ListedColormap, Normalize, PowerNorm
 from numpy.typing import ArrayLike
 
 from thalweg.core import AnyArray, ArrayF, ArrayF32, InputError, read_parquet
@@ -117,54 +120,79 @@ def path_to(origin_lcs_mm: ArrayF, point_lcs_mm: ArrayF, window: Window) -> Arra
     return np.asarray(beam_paths(origin_lcs_mm, direction, window, window.depth_mm(point_lcs_mm[None]))[0])
 
 
-def plate(low: ArrayF, high: ArrayF, z_mm: float) -> ArrayF:
-    """Corners (4, 3) of a level rectangle."""
-    return np.array(
-        [[low[0], low[1], z_mm], [high[0], low[1], z_mm], [high[0], high[1], z_mm], [low[0], high[1], z_mm]]
-    )
+def dots(ax: Axes, x: ArrayLike, y: ArrayLike, colour: str, marker: str = ".", **look: Any) -> None:
+    """Marks without a line between them."""
+    edge = 0.0 if marker in ".os^vDP" else 1.2
+    look = {"ms": 2.0, "mew": edge} | look
+    ax.plot(np.asarray(x), np.asarray(y), ls="none", marker=marker, color=colour, **look)
 
 
-def fill_oblique(
-    ax: Axes, view: Oblique, corners_mm: ArrayF, colour: str, *, alpha: float, zorder: float, gid: str = ""
-) -> None:
-    """A polygon in an oblique view."""
-    flat = view.apply(corners_mm)[0]
-    ax.fill(*flat.T, facecolor=colour, edgecolor="0.4", lw=0.5, alpha=alpha, zorder=zorder, gid=gid)
+def spots(ax: Axes, x: ArrayLike, y: ArrayLike, colours: Any, **look: Any) -> PathCollection:
+    """Many small points of a colour each, as pixels."""
+    return ax.scatter(np.asarray(x), np.asarray(y), c=colours, lw=0, rasterized=True, **look)
 
 
-def words_oblique(
-    ax: Axes, view: Oblique, place_mm: ArrayF, words: str, *, ha: str = "left", dy: float = 0.0
-) -> None:
-    """Words at a place of an oblique view."""
-    x, y = view.apply(place_mm)[0]
-    ax.text(float(x), float(y) + dy, words, fontsize=7, ha=ha, va="center", path_effects=HALO, zorder=20)
+def line_numbers(files: "pd.Series[str]") -> tuple[ArrayF, ScalarMappable]:
+    """Numbers (n,) of the lines of a scan from 1 by the names of their images, and their colours."""
+    number = 1.0 + pd.factorize(files)[0]
+    return number, ScalarMappable(Normalize(1, max(float(number.max()), 2.0)), cm.batlow)
 
 
-def axes_cross(ax: Axes, view: Oblique, at_mm: ArrayF, length_mm: float) -> None:
-    """The axes x, y, z of lcs, drawn at a place of an oblique view."""
-    for name, step in zip("xyz", np.eye(3), strict=True):
-        ends = view.apply(np.stack([at_mm, at_mm + length_mm * step]))[0]
-        # the line makes room for the arrow, which has none of its own
-        ax.plot(*ends.T, color="0.2", lw=0.6, zorder=15)
-        ax.annotate(
-            "",
-            tuple(ends[1]),
-            xytext=tuple(ends[0]),
-            zorder=15,
-            annotation_clip=False,
-            arrowprops={"arrowstyle": "-|>", "color": "0.2", "lw": 0.9, "shrinkA": 0, "shrinkB": 0},
-        )
-        tip = ends[0] + 1.25 * (ends[1] - ends[0])
-        ax.text(
-            float(tip[0]),
-            float(tip[1]),
-            name,
-            fontsize=7,
-            ha="center",
-            va="center",
-            path_effects=HALO,
-            zorder=16,
-        )
+@dataclass(frozen=True, slots=True)
+class Space:
+    """A panel that shows places of lcs, millimetres, in an oblique view."""
+
+    ax: Axes
+    view: Oblique
+
+    def flat(self, points_mm: ArrayF) -> ArrayF:
+        """Coordinates (2, n) in the panel."""
+        return self.view.apply(np.atleast_2d(points_mm))[0].T
+
+    def path(self, points_mm: ArrayF, colour: Any, **look: Any) -> None:
+        """A line through points (n, 3)."""
+        self.ax.plot(*self.flat(points_mm), color=colour, **look)
+
+    def dots(self, points_mm: ArrayF, colour: str, marker: str = ".", **look: Any) -> None:
+        """Marks at points (n, 3)."""
+        dots(self.ax, *self.flat(points_mm), colour, marker, **look)
+
+    def area(self, corners_mm: ArrayF, colour: str, **look: Any) -> None:
+        """A polygon."""
+        self.ax.fill(*self.flat(corners_mm), facecolor=colour, **({"edgecolor": "0.4", "lw": 0.5} | look))
+
+    def plate(self, low: ArrayF, high: ArrayF, z_mm: float, colour: str, **look: Any) -> None:
+        """A level rectangle."""
+        x, y = np.array([low[0], high[0], high[0], low[0]]), np.array([low[1], low[1], high[1], high[1]])
+        self.area(np.stack([x, y, np.full(4, z_mm)], axis=1), colour, **look)
+
+    def words(self, place_mm: ArrayF, words: str, dy: float = 0.0) -> None:
+        """Words at a place."""
+        ((x,), (y,)) = self.flat(place_mm)
+        self.ax.text(x, y + dy, words, fontsize=7, va="center", path_effects=HALO, zorder=20)
+
+    def device(self, place_mm: ArrayF, words: str) -> None:
+        """Laser or camera, with its name."""
+        self.dots(place_mm, "black", "s", ms=5, zorder=10)
+        self.words(place_mm, f"   {words}")
+
+    def cross(self, at_mm: ArrayF, length_mm: float) -> None:
+        """The axes x, y, z of lcs."""
+        arrow = {"arrowstyle": "-|>", "color": "0.2", "lw": 0.9, "shrinkA": 0, "shrinkB": 0}
+        for name, step in zip("xyz", length_mm * np.eye(3), strict=True):
+            start, end = self.flat(np.stack([at_mm, at_mm + step])).T
+            # the line makes room for the arrow, which has none of its own
+            self.ax.plot(*np.stack([start, end]).T, color="0.2", lw=0.6, zorder=15)
+            self.ax.annotate("", end, xytext=start, zorder=15, annotation_clip=False, arrowprops=arrow)
+            x, y = start + 1.25 * (end - start)
+            self.ax.text(x, y, name, fontsize=7, ha="center", va="center", path_effects=HALO, zorder=16)
+
+    def finish(self, title: str) -> None:
+        """Equal scales, no frame, a title."""
+        self.ax.set_aspect("equal")
+        self.ax.margins(0.05)
+        self.ax.axis("off")
+        self.ax.set_title(title)
 
 
 def depth_styles(depths_mm: Sequence[float]) -> Mapping[float, tuple[str, str, str]]:

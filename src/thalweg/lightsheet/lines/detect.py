@@ -1,4 +1,4 @@
-"""Lines of an image, measured: the four methods, sigmas, flags, and counts of what was dropped.
+"""Lines of an image, measured: the three methods, sigmas, flags, and counts of what was dropped.
 
 Start values come from `search`; row-wise, patch-wise and direction-normal fits and ridges from `fits`; edges
 of the albedo from `albedo`.
@@ -14,7 +14,6 @@ import numpy as np
 from thalweg.core import NMAD, AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, InputError, njit
 from thalweg.lightsheet.lines import fits
 from thalweg.lightsheet.lines.albedo import albedo_edges, remove_width_shift
-from thalweg.lightsheet.lines.fits import ridge_points
 from thalweg.lightsheet.lines.image import (
     LAG,
     GreenImage,
@@ -488,26 +487,13 @@ def _measure(green: GreenImage, settings: LineSettings) -> LinePoints:
     normal = np.zeros(starts.row.size)
     if settings.direction == "normal":
         normal = -np.arctan(starts.slope)
-    if settings.method == "steger":
-        scale = settings.steger_scale_px or starts.half_width_px
-        fitted = ridge_points(green, starts.row, starts.x_px, scale, noise)
-        rows = np.full(starts.row.size, 2 * int(np.ceil(2.0 * scale)) + 1)
-    elif settings.method == "speckle_patch":
+    if settings.method == "speckle_patch":
         if settings.correct_albedo:
             halo, halo_px = _halo(green, starts, noise)
         fitted, rows, bias = _speckle_patches(green, starts, noise, normal, halo, settings)
     elif settings.method == "lsm":
         rows = np.full(starts.row.size, settings.patch_rows)
-        fitted = _fit(
-            green,
-            starts,
-            rows,
-            noise,
-            normal,
-            half_across=settings.patch_columns / 2 - 0.5,
-            free_slope=settings.shear,
-            keep_slope=settings.shear,
-        )
+        fitted = _fit(green, starts, rows, noise, normal, half_across=settings.patch_columns / 2 - 0.5)
         if green.daylight:
             fitted[:, fits.SIGMA] = _seen_sigma(fitted[:, fits.SEEN], fitted[:, fits.SIGMA])
             fitted[:, fits.SIGMA] *= _sigma_factor(
@@ -663,7 +649,6 @@ def _fit(
     half_across: float,
     speckle: bool = False,
     free_slope: bool = False,
-    keep_slope: bool | None = None,
     peak_per_row: bool = True,
     halo: ArrayF = NO_HALO,
 ) -> ArrayF:
@@ -674,7 +659,7 @@ def _fit(
     windows of the interpolated image as it is.
     """
     n = starts.row.size
-    slope = starts.slope if (speckle if keep_slope is None else keep_slope) else np.zeros(n)
+    slope = starts.slope if speckle else np.zeros(n)
     slope = np.where(normal_rad != 0.0, 0.0, slope)
     across = np.minimum(half_across, np.maximum(starts.room_px, 2.0))
     half_width = np.full(n, starts.half_width_px)
@@ -749,7 +734,7 @@ def _points(
         )
     shape, piece, rows = fitted[keep], starts.piece[keep], rows[keep]
     x, y, sigma = x[keep], y[keep], sigma[keep]
-    core = 2.0 * shape[:, fits.WIDTH] * (1 if settings.method == "steger" else rows)
+    core = 2.0 * shape[:, fits.WIDTH] * rows
     saturated = shape[:, fits.SATURATED_PIXELS] > _SATURATED_SHARE * core
     near_edge, edges = albedo_edges(piece, shape[:, fits.PEAK], rows, settings.albedo_ratio)
     facts = {

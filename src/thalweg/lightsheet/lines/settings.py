@@ -7,7 +7,7 @@ from typing import Literal, get_args
 from thalweg.core import ConfigError
 from thalweg.settings.sections import SheetLines
 
-Method = Literal["auto", "speckle_patch", "lsm", "row_gauss", "steger"]
+Method = Literal["auto", "speckle_patch", "lsm", "row_gauss"]
 Layout = Literal["auto", "mono", "rgb", "rggb", "bggr", "grbg", "gbrg"]
 LaserColour = Literal["auto", "green", "red", "blue", "mono"]
 Across = Literal["auto", "rows", "columns"]
@@ -39,7 +39,7 @@ class LineSettings:
     method : ``auto`` takes ``lsm`` where daylight was taken away from a colour image, whose noise is no
         speckle, else ``speckle_patch``; ``speckle_patch`` Gaussian patch with speckle weights and adaptive
         height; ``lsm`` least-squares matching with a fixed patch (P4 4.1); ``row_gauss`` each row for
-        itself; ``steger`` ridge of the smoothed image (Steger 1998).
+        itself.
     layout : how colours are stored; ``auto`` tells a mosaic from a monochrome image by the line itself.
     laser_colour : colour of the laser in colour images, see `thalweg.lightsheet.lines.image.laser_light`.
     across : ``rows`` for a line from top to bottom, measured along rows; ``columns`` for one from left to
@@ -49,11 +49,9 @@ class LineSettings:
     lines : number of laser lines; with one, each row keeps its strongest line only.
     half_width_px : distance at which a line falls to 1/e^2, to start from; None: estimated from the image.
     patch_rows, patch_columns : size of the patch of ``lsm``, odd; the other methods follow the line's width.
-    shear : whether ``lsm`` also estimates the line's slope inside the patch.
     largest_rows : largest height of the patch of ``speckle_patch``, odd.
     adaptive : whether ``speckle_patch`` lowers its patch where the line is uneven; else ``largest_rows``
         everywhere.
-    steger_scale_px : standard deviation of the smoothing of ``steger``; None: the half width.
     least_contrast_dn : least height of a line above its surroundings in the smoothed image; None: 2 % of the
         range of values.
     least_snr : ratio of peak to noise of a pixel under which a point is flagged as weak.
@@ -81,10 +79,8 @@ class LineSettings:
     half_width_px: float | None = None
     patch_rows: int = 15
     patch_columns: int = 15
-    shear: bool = False
     largest_rows: int = 21
     adaptive: bool = True
-    steger_scale_px: float | None = None
     least_contrast_dn: float | None = None
     least_snr: float = 8.0
     least_rows: int = 8
@@ -127,7 +123,6 @@ class LineSettings:
         positive = (
             "lines",
             "half_width_px",
-            "steger_scale_px",
             "least_contrast_dn",
             "least_snr",
             "least_rows",
@@ -146,10 +141,4 @@ class LineSettings:
             raise ConfigError(
                 f"link_gap_rows {self.link_gap_rows}, albedo_ratio {self.albedo_ratio}",
                 expected="a gap of 0 or more rows and a ratio above 1",
-            )
-        if self.method == "steger" and self.direction == "normal":
-            raise ConfigError(
-                "direction 'normal' with method 'steger'",
-                expected="direction 'row'; the ridge is found along its normal anyway",
-                where="direction",
             )

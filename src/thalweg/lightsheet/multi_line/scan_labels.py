@@ -267,40 +267,6 @@ def line_table(
     return pd.concat(parts, ignore_index=True)
 
 
-def label_table(images: Sequence[Hypotheses], poses: Sequence[Pose], found: ScanLabels) -> pd.DataFrame:
-    """All detections of a scan with label, reason and, where they have a label, place: T Fig. 4.4 d to f.
-
-    Returns
-    -------
-    ``image, row, x_px, segment, line`` (-1 for none), ``best_line, margin, flag, x_mm, y_mm, depth_mm``, the
-    places in the frame of the map and NaN without a label.
-    """
-    parts = []
-    rows = zip(images, poses, found.labels, found.flags, strict=True)
-    for k, (h, pose, labels, flags) in enumerate(rows):
-        xyd = np.full((len(labels.label), 3), np.nan)
-        i = np.flatnonzero(labels.label >= 0)
-        xyd[i] = in_map(h, pose)[0][i, labels.label[i]]
-        parts.append(
-            pd.DataFrame(
-                {
-                    "image": k,
-                    "row": h.detections.row,
-                    "x_px": h.detections.x_px,
-                    "segment": h.segment,
-                    "line": labels.label,
-                    "best_line": labels.best,
-                    "margin": labels.margin,
-                    "flag": flags,
-                    "x_mm": xyd[:, 0],
-                    "y_mm": xyd[:, 1],
-                    "depth_mm": xyd[:, 2],
-                }
-            )
-        )
-    return pd.concat(parts, ignore_index=True)
-
-
 def _without(labels: list[ArrayI], flags: list[ArrayU8], kept: Sequence[ArrayB], why: Flag) -> list[ArrayI]:
     out = []
     for label, flag, keep in zip(labels, flags, kept, strict=True):

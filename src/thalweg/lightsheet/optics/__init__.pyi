@@ -1,13 +1,8 @@
 from . import refractive_index as refractive_index
-from .approximations import (
-    intersect_by_halving as intersect_by_halving,
-    model_errors as model_errors,
-    refract_as_printed as refract_as_printed,
-)
 from .derivatives import point_derivatives as point_derivatives, sheet_derivatives as sheet_derivatives
 from .interfaces import refract as refract, trace as trace
 from .intersection import SheetPoints as SheetPoints, intersect as intersect, project as project
-from .lookup import look_up_table as look_up_table
+from .lookup import write_look_up_table as write_look_up_table
 from .refraction import (
     Status as Status,
     directions_to_points as directions_to_points,

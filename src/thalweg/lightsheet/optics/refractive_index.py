@@ -21,14 +21,6 @@ from thalweg.settings.sections import SheetWater
 VISIBLE_NM: Final = (420.0, 700.0)
 """Wavelengths for which all formulas below are stated by their authors."""
 
-_SELLMEIER: Final[dict[str, tuple[tuple[float, float], ...]]] = {
-    # Schott, optical glass data sheets (2017): B_i and C_i in square micrometres
-    "N-BK7": ((1.03961212, 0.00600069867), (0.231792344, 0.0200179144), (1.01046945, 103.560653)),
-    # Malitson 1965, J. Opt. Soc. Am. 55(10), 1205-1209, at 20 degrees
-    "fused silica": ((0.6961663, 0.0684043**2), (0.4079426, 0.1162414**2), (0.8974794, 9.896161**2)),
-}
-GLASSES: Final = (*_SELLMEIER, "soda lime", "PMMA")
-"""Names that `glass` knows."""
 
 N_WATER: Final = PARAMETERS.index("n_water")
 
@@ -170,39 +162,6 @@ def air(wavelength_nm: float, temperature_c: float = 15.0, pressure_hpa: float =
     wave2 = (1000.0 / wavelength_nm) ** 2
     standard = 1e-8 * (5792105.0 / (238.0185 - wave2) + 167917.0 / (57.362 - wave2))
     return float(1.0 + standard * (pressure_hpa / 1013.25) * (288.15 / (temperature_c + 273.15)))
-
-
-def glass(name: str, wavelength_nm: float) -> float:
-    """Refractive index of a window: ``N-BK7``, ``fused silica``, ``soda lime`` (float glass) or ``PMMA``.
-
-    Soda lime: Rubin 1985, Sol. Energy Mater. 12, 275-288 (clear). PMMA: Beadie et al. 2015, Appl. Opt.
-    54(31), F139.
-
-    Raises
-    ------
-    InputError : another name, or a wavelength outside the visible.
-
-    Examples
-    --------
-    >>> round(glass("N-BK7", 587.5618), 5)
-    1.5168
-    """
-    _check("wavelength", wavelength_nm, *VISIBLE_NM, "nm", "532 for a green laser")
-    wave2 = (wavelength_nm / 1000.0) ** 2
-    if name in _SELLMEIER:
-        return float(np.sqrt(1.0 + sum(b * wave2 / (wave2 - c) for b, c in _SELLMEIER[name])))
-    if name == "soda lime":
-        return float(1.5130 - 0.003169 * wave2 + 0.003962 / wave2)
-    if name == "PMMA":
-        inverse = 1.0 / wave2
-        square = 2.1778 + 6.1209e-3 * wave2 - 1.5004e-3 * wave2**2
-        square += inverse * (2.3678e-2 + inverse * (-4.2137e-3 + inverse * (7.3417e-4 - 4.5042e-5 * inverse)))
-        return float(np.sqrt(square))
-    raise InputError(
-        f"glass {name!r}",
-        expected=f"one of {', '.join(GLASSES)}",
-        cure="Or give its refractive index as a number",
-    )
 
 
 def in_measured_water(sensor: Sensor, state: WaterState) -> tuple[Sensor, dict[str, Any]]:

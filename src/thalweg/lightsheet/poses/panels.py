@@ -7,19 +7,13 @@ import numpy as np
 import pandas as pd
 
 from thalweg.clocks import read_number_columns, read_text_columns
-from thalweg.core import ArrayF, ArrayI, GeometryError, InputError, ThalwegError, root_mean_square
-from thalweg.lightsheet.calibration import other_readings
+from thalweg.core import InputError, root_mean_square
 from thalweg.lightsheet.optics import Sensor
 from thalweg.lightsheet.poses.series import points_on_sheet
 
 PUBLISHED: Final = {128.9: (0.03, 0.21), 122.7: (0.03, 0.21), 83.1: (0.46, 0.34), 72.7: (0.07, 0.15)}
 """Mean and standard deviation in mm that P3 3.1.2 gives for its depths; one pair for the first two."""
 _SAME_MM: Final = 0.5
-_FAR_MM: Final = 3.0
-"""Mean error of a depth that no calibrated sensor has (P3: 0.5 mm): then another order is looked for."""
-_BETTER: Final = 0.2
-_LEAST_SHARE: Final = 0.5
-"""Of the line points that must lie on the light sheet for another reading to count."""
 
 
 def read_panels(path: Path) -> pd.DataFrame:
@@ -68,44 +62,9 @@ def measure_panels(
     Raises
     ------
     InputError : see `compare_panels`.
-    GeometryError : no panel lies within 3 mm of its depth, and another reading of the pictures (medium,
-        turned, mirrored) brings all of them there; the cure names it.
+    GeometryError : no line point lies on the light sheet.
     """
-    try:
-        points, rows = compare_panels(points_on_sheet(sensor, line_points)[0], panels, images)
-    except GeometryError as error:
-        cure = _explanation(sensor, line_points, panels, images, np.inf)
-        raise GeometryError(
-            error.found, expected=error.expected, where=error.where, cure=cure or error.cure
-        ) from error
-    off = rows["mean_mm"].abs()
-    if off.min() > _FAR_MM:
-        cure = _explanation(sensor, line_points, panels, images, _BETTER * float(off.max()))
-        if cure:
-            raise GeometryError(
-                f"the panels lie {off.min():.1f} to {off.max():.1f} mm off their stated depths",
-                expected=f"less than {_FAR_MM:g} mm",
-                where=f"sensor {sensor.name!r}",
-                cure=cure,
-            )
-    return points, rows
-
-
-def _explanation(
-    sensor: Sensor, line_points: pd.DataFrame, panels: pd.DataFrame, images: pd.DataFrame, limit_mm: float
-) -> str:
-    """The reading with the smallest worst mean below a limit; "" if there is none."""
-    best, told = min(limit_mm, _FAR_MM), ""
-    for reading in other_readings(sensor, line_points):
-        try:
-            points, _ = points_on_sheet(reading.sensor, reading.points)
-            _, rows = compare_panels(points, panels, images)
-        except ThalwegError:
-            continue
-        worst = float(rows["mean_mm"].abs().max())
-        if (rows["n"] >= _LEAST_SHARE * rows["n"].add(rows["n_off_sheet"])).all() and worst < best:
-            best, told = worst, f"{reading.cure} (then {worst:.2f} mm at most)"
-    return told
+    return compare_panels(points_on_sheet(sensor, line_points)[0], panels, images)
 
 
 def compare_panels(
@@ -134,7 +93,6 @@ def compare_panels(
     _require_same_names(set(images["file"]), set(panels["file"]))
     depth = panels.set_index("file")["depth_mm"]
     found = points.assign(expected_depth_mm=depth.loc[points["file"]].to_numpy())
-    _require_order(found, panels)
     of_image = images.set_index("file")
     rows = [_row(row, found, of_image) for row in panels.itertuples()]
     return found, pd.DataFrame(rows)
@@ -176,32 +134,3 @@ def _require_same_names(images: set[str], panels: set[str]) -> None:
                 cure="Make the column file of the panels' table agree with the names of the images, such as "
                 f"{min(images)}",
             )
-
-
-def _require_order(found: pd.DataFrame, panels: pd.DataFrame) -> None:
-    """Refuse depths that belong to other images of the series."""
-    means = found.groupby("file")["depth_mm"].mean()
-    stated = panels[panels["file"].isin(means.index)]
-    expected, measured = stated["depth_mm"].to_numpy(), means.loc[stated["file"]].to_numpy()
-    off = float(np.abs(measured - expected).max(initial=0.0))
-    if off < _FAR_MM:
-        return
-    order = _best_order(measured, expected)
-    if np.abs(measured[order] - expected).max() > _BETTER * off:
-        return
-    names = stated["file"].to_numpy()
-    moved = np.flatnonzero(names[order] != names)
-    told = ", ".join(f"{expected[k]:g} mm to {names[order[k]]}" for k in moved[:3])
-    raise InputError(
-        f"the depths fit the images in another order: in {names[moved[0]]} the panel is "
-        f"{measured[moved[0]]:.1f} mm deep, not {expected[moved[0]]:g} mm",
-        expected="the depth of the panel in each image",
-        cure=f"Put the column file in order: {told}{', ...' if len(moved) > 3 else ''}",
-    )
-
-
-def _best_order(measured: ArrayF, expected: ArrayF) -> ArrayI:
-    """Places (n,) of the measured depths that fit the expected ones best."""
-    order = np.empty(len(expected), dtype=np.int64)
-    order[np.argsort(expected, kind="stable")] = np.argsort(measured, kind="stable")
-    return order

@@ -6,13 +6,6 @@ from .compare import (
     to_reference as to_reference,
 )
 from .distances import bimodality as bimodality, filtered as filtered, mesh_distances as mesh_distances
-from .joint_survey import (
-    LASER_M as LASER_M,
-    SurveyPlan as SurveyPlan,
-    joint_survey as joint_survey,
-    small_river as small_river,
-    swath as swath,
-)
 from .levels import fit_levels as fit_levels
 from .ortho import orthophoto as orthophoto, write_orthophoto as write_orthophoto
 from .profile import (

@@ -33,7 +33,6 @@ stated. The limit scales with the median of T over all lines where that is large
 all lines have, such as those of the sensor, do not make a pose bad.
 """
 
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -54,7 +53,6 @@ from thalweg.core import (
     Linear,
     Observations,
     Rigid,
-    ThalwegError,
     UnobservableError,
     adjust,
     column,
@@ -65,7 +63,6 @@ from thalweg.core import (
     table_kind,
 )
 from thalweg.core.geometry import fit_points
-from thalweg.lightsheet.calibration import other_readings
 from thalweg.lightsheet.lines import LineFlag
 from thalweg.lightsheet.optics import Sensor
 from thalweg.lightsheet.poses import M_PER_MM, SensorPoses
@@ -454,16 +451,13 @@ SCAN_DISTANCES: Final = table_kind(
 
 DOUBT: Final = 25.0
 """Median of the lines' statistics over its expectation: half of the lines are off by five sigmas."""
-_BETTER: Final = 0.1
-"""A disagreement of lines that many times smaller is an explanation."""
-_SHARE: Final = 0.3
-"""Of the points that must have a counterpart for a reading to count."""
-_LEAST_LINES: Final = 3
-_POINTS_OF_LINE: Final = 150
-_SHIFTS: Final = (-2, -1, 1, 2)
 
 Pairs = tuple[ArrayF, ArrayF]
 
+_TO_CHECK: Final = (
+    "Check that images and poses belong together and are in one order, the index of the water, and that no "
+    "picture is turned or mirrored"
+)
 TILT_SIGMA_RAD: Final = 0.003
 """How well the window stands parallel to the levels: a single line tells no tilt across itself."""
 
@@ -517,9 +511,6 @@ class Compared:
     def used(self) -> ArrayB:
         """(n,) points with a counterpart on lines with good poses."""
         return self.distances.used & ~self.check.bad
-
-
-Compare = Callable[[ScanCloud], Compared]
 
 
 def scan_against_mesh(
@@ -796,70 +787,28 @@ def compare_scan(
     Raises
     ------
     InputError : no image gives a point, or none has a pose.
-    GeometryError : scan and reference contradict each other; the cure names the reading of pictures, medium
-        or order that would explain it, if one of those known does.
+    GeometryError : scan and reference contradict each other.
     """
-
-    def compare(cloud: ScanCloud) -> Compared:
-        """One cloud against the reference."""
-        if levels_mm is None:
-            return compare_with_mesh(cloud, surface, pairs)
-        return compare_with_levels(cloud, surface, levels_mm, pairs)
-
+    cloud = merge(profiles(sensor, line_points)[0], poses)
     try:
-        found = compare(merge(profiles(sensor, line_points)[0], poses))
+        if levels_mm is None:
+            found = compare_with_mesh(cloud, surface, pairs)
+        else:
+            found = compare_with_levels(cloud, surface, levels_mm, pairs)
     except GeometryError as error:
-        cure = explanation(sensor, line_points, poses, compare, limit=DOUBT)
-        raise GeometryError(
-            error.found,
-            expected=error.expected,
-            where=error.where or "scan against its reference",
-            cure=cure or error.cure,
-        ) from error
+        where = error.where or "scan against its reference"
+        cure = f"{error.cure}. {_TO_CHECK}"
+        raise GeometryError(error.found, expected=error.expected, where=where, cure=cure) from error
     warnings = found.facts.setdefault("warnings", [])
     found.facts["brightness"], bias = _by_brightness(found)
     if bias:
         warnings.append(bias)
-    if found.check.scale < DOUBT:
-        return found
-    words = (
-        f"half of the lines lie off the reference by more than {np.sqrt(found.check.scale):.0f} times what "
-        "their poses explain"
-    )
-    cure = explanation(sensor, line_points, poses, compare, limit=_BETTER * found.check.scale)
-    if cure:
-        raise GeometryError(
-            words, expected="lines that agree with each other", where="scan against its reference", cure=cure
+    if found.check.scale >= DOUBT:
+        warnings.append(
+            f"half of the lines lie off the reference by more than {np.sqrt(found.check.scale):.0f} times "
+            f"what their poses explain: no line can be told from the others by its pose. {_TO_CHECK}"
         )
-    warnings.append(f"{words}: no line can be told from the others by its pose")
     return found
-
-
-def explanation(
-    sensor: Sensor, line_points: pd.DataFrame, poses: SensorPoses, compare: Compare, *, limit: float
-) -> str:
-    """The reading under which the lines of a scan agree best; "" if none makes them agree.
-
-    Parameters
-    ----------
-    sensor, line_points, poses : see `compare_scan`.
-    compare : of a cloud in the frame of the poses.
-    limit : disagreement of lines (`thalweg.lightsheet.scanning.compare.LineCheck.scale`) that a reading
-        must stay below.
-    """
-    few = line_points.iloc[:: max(1, len(line_points) // (_POINTS_OF_LINE * max(len(poses), 1)))]
-    best, told = limit, ""
-    for cure, other, points, moved in _readings(sensor, few, poses):
-        try:
-            found = compare(merge(profiles(other, points)[0], moved))
-        except (ThalwegError, np.linalg.LinAlgError):
-            continue
-        used, scale = found.distances.used, found.check.scale
-        judged = int(found.check.table["statistic"].notna().sum())
-        if used.mean() > _SHARE and judged >= _LEAST_LINES and scale < best:
-            rms = root_mean_square(found.distances.distance_mm[used])
-            best, told = scale, f"{cure} (then {rms:.2f} mm root mean square)"
-    return told
 
 
 def middle_image(distances: pd.DataFrame) -> str:
@@ -973,28 +922,3 @@ def _by_brightness(found: Compared) -> tuple[dict[str, float | bool | str], str]
         f"{what} points lie {modes.shift_mm:+.2f} mm from the others, which scatter by {nmad:.2f} mm: the "
         "line is measured aside there (P4 7.2); expose shorter, or cover white markers"
     )
-
-
-def _readings(
-    sensor: Sensor, points: pd.DataFrame, poses: SensorPoses
-) -> Iterator[tuple[str, Sensor, pd.DataFrame, SensorPoses]]:
-    """What else the scan could be: cure, sensor, points, poses."""
-    for reading in other_readings(sensor, points):
-        yield reading.cure, reading.sensor, reading.points, poses
-    names = poses.images
-    yield (
-        "The poses fit the images in reverse order: the recordings of both run against each other, sort the "
-        "files by time",
-        sensor,
-        points,
-        replace(poses, images=names[::-1]),
-    )
-    for shift in _SHIFTS:
-        if len(names) > 4 * abs(shift):
-            yield (
-                f"Each pose fits the image {abs(shift)} {'before' if shift > 0 else 'after'} its own: one "
-                "recording began later, or lost a picture; give marks the names of the images they belong to",
-                sensor,
-                points,
-                replace(poses, images=(*names[-shift:], *names[:-shift])),
-            )

@@ -317,26 +317,6 @@ def filtered(distance_mm: ArrayF, rule: Rule = "3 sigma", *, factor: float = 3.0
     )
 
 
-def statistics_table(distance_mm: dict[str, ArrayF], lines: dict[str, int] | None = None) -> pd.DataFrame:
-    """Tables 2 and 3 of P4 for some objects and all rules, the published row beside it where there is one.
-
-    Parameters
-    ----------
-    distance_mm : (n,) signed distances of each object.
-    lines : number of scan lines of each object; None: one.
-    """
-    rows = []
-    for name, d in distance_mm.items():
-        n_lines = 1 if lines is None else lines[name]
-        published = TABLE_2 if n_lines == 1 else TABLE_3
-        rows += [{"object": name, "lines": n_lines, **filtered(d, rule).row()} for rule in RULES]
-        known = published[published["object"] == name]
-        if len(known):
-            values = {str(key): value for key, value in known.iloc[0].to_dict().items()}
-            rows.append({**values, "rule": "published", "share_kept": values["n_kept"] / values["n"]})
-    return pd.DataFrame(rows)
-
-
 def bimodality(
     distance_mm: ArrayF, peak_dn: ArrayF, *, bright: ArrayB | None = None, independent_share: float = 1.0
 ) -> Bimodality:

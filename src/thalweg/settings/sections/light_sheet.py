@@ -81,11 +81,11 @@ Corners = Annotated[int, Field(ge=3, le=100)]
 class SheetLines(Section):
     """Measurement of the laser line; see `thalweg.lightsheet.lines`."""
 
-    method: Literal["auto", "speckle_patch", "lsm", "row_gauss", "steger"] = Field(
+    method: Literal["auto", "speckle_patch", "lsm", "row_gauss"] = Field(
         default="auto",
         description="`auto`: `lsm` in daylight, else `speckle_patch`; `speckle_patch` Gaussian patch with "
         "speckle weights and adaptive height, `lsm` least-squares matching (P4 4.1), `row_gauss` each row "
-        "alone, `steger` ridge",
+        "alone",
     )
     layout: Literal["auto", "mono", "rgb", "rggb", "bggr", "grbg", "gbrg"] = Field(
         default="auto", description="How colours are stored in the images"
@@ -224,7 +224,4 @@ class LightSheet(Section):
         default={"stepped": (0.006, 20.195, 40.135)},
         description="Scans of objects that have parallel planes only, and the heights of these, growing, mm: "
         "they are compared with planes, because a mesh of such an object leaves shifts along it free",
-    )
-    window_depth_m: NonNegative = Field(
-        default=0.02, description="Depth of the window's outer face below the water level on the boat, metres"
     )

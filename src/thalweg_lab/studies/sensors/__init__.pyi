@@ -1,5 +1,1 @@
-from .laser_lines import (
-    labelled_scans as labelled_scans,
-    multi_line_images as multi_line_images,
-    write_images as write_images,
-)
+from .laser_lines import multi_line_images as multi_line_images, write_images as write_images

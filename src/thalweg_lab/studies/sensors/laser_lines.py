@@ -39,7 +39,6 @@ from thalweg.lightsheet.multi_line import (
     hypotheses,
     label_scan,
     label_single_image,
-    label_table,
     line_model,
     line_order,
     line_table,
@@ -83,11 +82,6 @@ _Y_MM: Final = (-270.0, 70.0)
 _AHEAD_MM: Final = -100.0
 """Where the object lies along the way of the sensor: the sensor passes over it with y from +95 to -75 mm."""
 
-SPACINGS: Final = (0.0, 0.3)
-"""Designed irregularities of the spacing: none, and each step up to 30 percent off."""
-STEP_MM: Final = 5.0
-LASER_SEED: Final = 1
-_SIGMA_GROUND_MM: Final = 2.0
 
 PAIRED: Final = (4, 5, 6, 7, 8, 9)
 """Lines that both levels of the calibration show."""
@@ -605,50 +599,6 @@ def _label_results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result
 
 
 LABEL_STUDY: Final = Study(rows=_label_rows, results=_label_results)
-
-
-# ---------------------------------------------------------------- labels of scanned objects
-#
-# The study `line_labels` counts over many scenes; this is one of them, for a picture of what a scan can tell
-# where a single image cannot.
-
-
-def labelled_scans(
-    seed: int, *, spacings: Sequence[float] = SPACINGS, step_mm: float = STEP_MM, end_mm: float = -75.0
-) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Simulate and label one scan of a wreck for each spacing.
-
-    Parameters
-    ----------
-    seed : of the scene and of all noise; the laser is that of the study.
-    spacings : designed irregularities.
-    step_mm : from image to image.
-    end_mm : where the way of the sensor ends; it begins at 95 mm.
-
-    Returns
-    -------
-    points : `label_table` with ``irregular``, ``true_line`` (-1: nothing was there) and ``reason``, the flag
-        in words.
-    shifts : for each spacing how much lines disagree with all labels shifted, see `ScanLabels`, and whether
-        the scan was ``resolved``.
-    """
-    pair, points, shifts = calibrated_sensor(LASER_SEED), [], []
-    for irregular in spacings:
-        setting = Setting(irregular=irregular, step_mm=step_mm, end_mm=end_mm)
-        grating, lines = calibrated_lines(pair, irregular, LASER_SEED)
-        scan = simulate_scan(pair, grating, lines, setting, seed)
-        found = label_scan(
-            scan.images,
-            scan.poses,
-            MAP,
-            ground_depth_mm=scan.ground_depth_mm,
-            sigma_ground_mm=_SIGMA_GROUND_MM,
-        )
-        table = label_table(scan.images, scan.poses, found)
-        words = table["flag"].map({int(flag): flag.name.lower().replace("_", " ") for flag in Flag})
-        points.append(table.assign(irregular=irregular, true_line=scan.truth, reason=words))
-        shifts.append(found.shift_test.assign(irregular=irregular, resolved=found.resolved))
-    return pd.concat(points, ignore_index=True), pd.concat(shifts, ignore_index=True)
 
 
 # ---------------------------------------------------------------- fifteen lines against one
