@@ -1,15 +1,44 @@
-"""The commands ``thalweg ppk``, ``georeference``, ``view``: track, cloud, a look at one; no campaign."""
+"""The commands ``thalweg ppk``, ``georeference``, ``align-strips``, ``view``, without a campaign."""
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from thalweg.commands.parser import Commands
 from thalweg.commands.remedies import OF_A_FILE, of_a_campaign
 
+OF_A_LOG: Final = {
+    "campaign.origin": "--origin",
+    "georeferencing.min_range_m": "--min-range",
+    "georeferencing.max_range_m": "--max-range",
+    "ins.body_axes": "--body-axes",
+    "ins.sigma_position_m": "--sigma-position",
+    "ins.time_scale": "--time-scale",
+    "ins.upside_down": "--upside-down",
+    "lidar.clock.first_packet_utc": "--first-packet",
+    "lidar.clock.offset_s": "--time-offset",
+    "lidar.model": "--model",
+    "logs.gps_week": "--gps-week",
+    "logs.lidar": "LIDAR",
+    "logs.smrmsg": "--smrmsg",
+    "orientation.max_attitude_gap_s": "--max-gap",
+    **of_a_campaign(
+        [
+            "filters.below_water_m",
+            "filters.max_sigma_m",
+            "filters.water_line_ics_m",
+            "lidar.data_port",
+            "lidar.returns",
+            "logs.positions",
+            "logs.time_lapse.times",
+        ]
+    ),
+}
+"""Settings of a campaign -> the options of commands that read a lidar log and a trajectory."""
+
 
 def add_survey_commands(commands: Commands) -> None:
-    """Add ``ppk``, ``georeference`` and ``view``."""
+    """Add ``ppk``, ``georeference``, ``align-strips`` and ``view``."""
     ppk = commands.add_parser(
         "ppk", help="raw GNSS of rover and base -> track with tested standard deviations, page, KML"
     )
@@ -91,6 +120,67 @@ def add_survey_commands(commands: Commands) -> None:
     cloud = commands.add_parser(
         "georeference", help="lidar capture and trajectory -> cloud with a standard deviation for each point"
     )
+    _add_log_options(cloud)
+    cloud.add_argument("--crs", metavar="EPSG:...", help="also write the cloud in this map grid")
+    cloud.add_argument("--out", type=Path, required=True, metavar="LAZ", help="cloud to write")
+    cloud.set_defaults(command=_georeference, settings={"campaign.crs": "--crs"} | OF_A_LOG)
+
+    strips = commands.add_parser(
+        "align-strips",
+        help="lidar capture and trajectory -> trajectory that overlapping passes have corrected, its cloud",
+    )
+    _add_log_options(strips)
+    strips.add_argument(
+        "--knot",
+        type=float,
+        default=0.5,
+        metavar="S",
+        help="interval of the corrections (default: %(default)s)",
+    )
+    strips.add_argument(
+        "--sigma-clock",
+        type=float,
+        default=0.0,
+        metavar="S",
+        help="how far the lidar's clock may be off; 0: it is not asked (default: %(default)s)",
+    )
+    strips.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the results")
+    strips.set_defaults(
+        command=_align_strips,
+        writes="index.html",
+        settings={"strips.knot_s": "--knot", "strips.sigma_clock_s": "--sigma-clock"} | OF_A_LOG,
+    )
+
+    view = commands.add_parser(
+        "view",
+        help="any cloud -> a page that opens from disk: turn it, colour it, measure points and distances",
+    )
+    view.add_argument(
+        "cloud",
+        type=Path,
+        nargs="+",
+        metavar="CLOUD",
+        help="LAS, LAZ, PLY, E57, x y z text; several, such as those by INS, camera and all sensors, are "
+        "told apart by colour",
+    )
+    view.add_argument("--title", help="heading of the page (default: name of the file)")
+    view.add_argument(
+        "--points", type=int, metavar="N", help="shown at most, thinned evenly (default: 1500000)"
+    )
+    view.add_argument(
+        "--quantity",
+        action="append",
+        metavar="NAME",
+        help="extra dimension of a LAS or LAZ file to colour by, up to three (default: the first ones)",
+    )
+    view.add_argument(
+        "-o", "--out", type=Path, required=True, metavar="FOLDER", help="for the page and what belongs to it"
+    )
+    view.set_defaults(command=_view, writes="index.html", settings=OF_A_FILE)
+
+
+def _add_log_options(cloud: argparse.ArgumentParser) -> None:
+    """Arguments that say what a lidar log is and where it was."""
     cloud.add_argument("lidar", type=Path, nargs="+", metavar="LIDAR", help="capture; parts in order of time")
     cloud.add_argument(
         "--trajectory",
@@ -185,66 +275,6 @@ def add_survey_commands(commands: Commands) -> None:
     cloud.add_argument(
         "--max-range", type=float, default=100.0, metavar="M", help="longest range (default: %(default)s)"
     )
-    cloud.add_argument("--crs", metavar="EPSG:...", help="also write the cloud in this map grid")
-    cloud.add_argument("--out", type=Path, required=True, metavar="LAZ", help="cloud to write")
-    cloud.set_defaults(
-        command=_georeference,
-        settings={
-            "campaign.crs": "--crs",
-            "campaign.origin": "--origin",
-            "georeferencing.min_range_m": "--min-range",
-            "georeferencing.max_range_m": "--max-range",
-            "ins.body_axes": "--body-axes",
-            "ins.sigma_position_m": "--sigma-position",
-            "ins.time_scale": "--time-scale",
-            "ins.upside_down": "--upside-down",
-            "lidar.clock.first_packet_utc": "--first-packet",
-            "lidar.clock.offset_s": "--time-offset",
-            "lidar.model": "--model",
-            "logs.gps_week": "--gps-week",
-            "logs.lidar": "LIDAR",
-            "logs.smrmsg": "--smrmsg",
-            "orientation.max_attitude_gap_s": "--max-gap",
-            **of_a_campaign(
-                [
-                    "filters.below_water_m",
-                    "filters.max_sigma_m",
-                    "filters.water_line_ics_m",
-                    "lidar.data_port",
-                    "lidar.returns",
-                    "logs.positions",
-                    "logs.time_lapse.times",
-                ]
-            ),
-        },
-    )
-
-    view = commands.add_parser(
-        "view",
-        help="any cloud -> a page that opens from disk: turn it, colour it, measure points and distances",
-    )
-    view.add_argument(
-        "cloud",
-        type=Path,
-        nargs="+",
-        metavar="CLOUD",
-        help="LAS, LAZ, PLY, E57, x y z text; several, such as those by INS, camera and all sensors, are "
-        "told apart by colour",
-    )
-    view.add_argument("--title", help="heading of the page (default: name of the file)")
-    view.add_argument(
-        "--points", type=int, metavar="N", help="shown at most, thinned evenly (default: 1500000)"
-    )
-    view.add_argument(
-        "--quantity",
-        action="append",
-        metavar="NAME",
-        help="extra dimension of a LAS or LAZ file to colour by, up to three (default: the first ones)",
-    )
-    view.add_argument(
-        "-o", "--out", type=Path, required=True, metavar="FOLDER", help="for the page and what belongs to it"
-    )
-    view.set_defaults(command=_view, writes="index.html", settings=OF_A_FILE)
 
 
 def _ppk(options: argparse.Namespace) -> int:
@@ -281,16 +311,16 @@ def _ppk(options: argparse.Namespace) -> int:
     return 0
 
 
-def _georeference(options: argparse.Namespace) -> int:
-    import json
+def _log_of(options: argparse.Namespace) -> tuple[Any, Any, Any, Any, list[str]]:
+    """Reader and clock of a log, its trajectory, how it becomes a cloud, and what was noticed."""
     from datetime import datetime
 
     from thalweg.calibration import resolve_mounts
-    from thalweg.core import InputError, Rigid, gps_from_unix, in_options
+    from thalweg.core import InputError, Rigid, gps_from_unix
     from thalweg.core.calibration import read_calibration
     from thalweg.ingest import LidarOptions
     from thalweg.ingest.registry import lidar_reader
-    from thalweg.lidar import LogSettings, clock_by_hand, export_map, georeference_log
+    from thalweg.lidar import LogSettings, clock_by_hand
     from thalweg.settings.sections import Filters, Georeferencing, LidarAccuracy, Mounts
 
     trajectory, notes = _read_trajectory(options)
@@ -337,13 +367,20 @@ def _georeference(options: argparse.Namespace) -> int:
         mirror_ghosts=False,
         isolated_neighbours=0,
     )
-    table = georeference_log(
-        reader,
-        clock,
-        trajectory,
-        LogSettings(mount=Rigid.from_mount(mounts["lidar"]), beam=LidarAccuracy(), filters=no_boat, **how),
-        options.out,
+    settings = LogSettings(
+        mount=Rigid.from_mount(mounts["lidar"]), beam=LidarAccuracy(), filters=no_boat, **how
     )
+    return reader, clock, trajectory, settings, notes
+
+
+def _georeference(options: argparse.Namespace) -> int:
+    import json
+
+    from thalweg.core import in_options
+    from thalweg.lidar import export_map, georeference_log
+
+    reader, clock, trajectory, settings, notes = _log_of(options)
+    table = georeference_log(reader, clock, trajectory, settings, options.out)
     written = [options.out]
     if options.crs:
         written.append(options.out.with_name(f"{options.out.stem}_map.laz"))
@@ -356,6 +393,57 @@ def _georeference(options: argparse.Namespace) -> int:
             print(f"{row['n']:>12,} {row['words']}")
     print("\n".join(f"note: {in_options(note, options.settings)}" for note in notes))
     print(f"Wrote {', '.join(str(path) for path in [*written, facts])}")
+    return 0
+
+
+def _align_strips(options: argparse.Namespace) -> int:
+    from dataclasses import replace
+
+    import numpy as np
+
+    from thalweg.core import in_options
+    from thalweg.figures.survey import strips_page
+    from thalweg.lidar import adjust_strips, error_model_of_log, georeference_log, thin_log
+    from thalweg.navigation.ins_gnss import PoseCorrelation
+    from thalweg.settings.sections import Orientation, Strips
+
+    reader, clock, trajectory, settings, notes = _log_of(options)
+    strips = Strips(knot_s=options.knot, sigma_clock_s=options.sigma_clock)
+    model = error_model_of_log(
+        reader,
+        clock,
+        trajectory,
+        settings,
+        positions_t_gps_s=None,
+        lever_ics_antenna_m=np.zeros(3),
+        settings=Orientation().error_model.model_dump(),
+    )
+    trajectory = model.apply(trajectory, np.zeros(3))
+    options.out.mkdir(parents=True, exist_ok=True)
+    model.write(options.out / "error_model.json")
+    correlation = PoseCorrelation.of_survey(
+        options.out / "error_model.json", receiver_s=float(np.median(np.diff(trajectory.t_gps_s)))
+    )
+    found = adjust_strips(
+        thin_log(reader, clock, trajectory, settings),
+        trajectory,
+        settings.mount,
+        correlation.chains(trajectory, np.zeros(3)),
+        strips,
+    )
+    found.write(options.out)
+    exact = replace(settings, mount=found.mount.with_cov(np.zeros((6, 6))))
+    georeference_log(reader, clock, found.of_lidar, exact, options.out / "points.laz")
+    page = options.out / "index.html"
+    notes = [in_options(note, options.settings) for note in [*notes, *model.notes]]
+    strips_page(found, title=f"Strips of {options.lidar[0].name}", notes=notes).write(page)
+    print(
+        f"{found.facts['planes']:,} plane spots seen again: {1e3 * found.facts['distance_before_m']:.1f} mm "
+        f"apart before, {1e3 * found.facts['distance_after_m']:.1f} mm after"
+    )
+    print("\n".join(f"not told by the bank: {name}" for name in found.facts["not_told"]))
+    print("\n".join(f"note: {note}" for note in notes))
+    print(f"Wrote {', '.join(sorted(path.name for path in options.out.iterdir()))} to {options.out}")
     return 0
 
 
