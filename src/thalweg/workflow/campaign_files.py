@@ -28,7 +28,12 @@ _CHAINS: Final = {"": "ins", "by_camera/": "camera", "by_fused/": "fused"}
 """Folder below those of clouds and of comparisons -> what the trajectory rests on."""
 _OF_FOLDER: Final = {**_CHAINS, "by_strips/": "strips"}
 """The same with the cloud whose trajectory the bank has corrected."""
-_WORDS_OF_CHAIN: Final = {"ins": "by INS", "camera": "by camera", "fused": "by all sensors"}
+_WORDS_OF_CHAIN: Final = {
+    "ins": "by INS",
+    "camera": "by camera",
+    "fused": "by all sensors",
+    "strips": "by overlapping strips",
+}
 AUTO_WINDOW_S: Final = 1800.0
 """Windows of a log on a cluster: an hour of a VLP-16 is a few minutes' work, and each job takes seconds to
 start."""
@@ -950,7 +955,9 @@ class CampaignFiles:
         """Clouds by other trajectories than the best one."""
         made = zip(_CHAINS.values(), self.of_chains("lidar", "points.laz"), strict=True)
         several = self.has_time_lapse() and self.has_lidar()
-        return {chain: file for chain, file in made if several and chain != self.best_chain()}
+        found = {chain: file for chain, file in made if several and chain != self.best_chain()}
+        strips = self._where(self.adjusts_strips(), "lidar/by_strips/points.laz")
+        return found | dict(zip(["strips"], strips, strict=False))
 
     def strip_points(self) -> list[str]:
         """Points of the bed by the light sheet, where the boat carries one."""
