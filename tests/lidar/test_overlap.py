@@ -19,7 +19,6 @@ from thalweg.lidar.overlap import (
     Planes,
     Scatter,
     _at_knots,
-    _joined,
     _left_between_knots,
     _left_by_time,
     _Likelihood,
@@ -27,11 +26,13 @@ from thalweg.lidar.overlap import (
     _principal_axes,
     _scatter_of_epochs,
     _window,
-    _without_planes,
     estimate_beam,
     estimate_pose_errors,
+    joined_by_epoch,
+    plane_basis,
     planes_seen_again,
     windows_of,
+    without_planes,
 )
 from thalweg.navigation.ins_gnss import NAMES, ErrorModel, PriorErrors
 from thalweg.settings.sections import LidarAccuracy
@@ -356,7 +357,7 @@ def test_the_scatter_about_planes_by_hand() -> None:
     Of 18 and 9 degrees of freedom both inclinations take 2 / 20 and 2 / 12: 16.2, and 7.5, which are too few.
     """
     owner = np.repeat([0, 1], [20, 12])
-    joined, of_plane = _joined(
+    joined, of_plane = joined_by_epoch(
         owner, np.r_[np.repeat([0.1, 0.6], 10), np.repeat([0.1, 0.6, 1.1], 4)], 0.5, 2.0
     )
     assert of_plane.tolist() == [0, 0, 1, 1, 1]
@@ -444,7 +445,7 @@ def test_errors_are_linear_between_knots() -> None:
 
 
 def test_points_of_a_plane_and_an_epoch_are_one_observation() -> None:
-    joined, owner = _joined(np.array([0, 0, 0, 1]), np.array([0.0, 0.4, 0.6, 0.1]), 0.5, 1.2)
+    joined, owner = joined_by_epoch(np.array([0, 0, 0, 1]), np.array([0.0, 0.4, 0.6, 0.1]), 0.5, 1.2)
     assert joined.tolist() == [0, 0, 1, 2]
     assert owner.tolist() == [0, 0, 1]
 
@@ -454,7 +455,7 @@ def test_planes_are_taken_out_as_unknowns() -> None:
     rng = np.random.default_rng(8)
     owner, weight = np.repeat([4, 9], 6), rng.uniform(0.5, 2.0, 12)
     uv, A, d = rng.normal(size=(12, 2)), rng.normal(size=(12, 3)), rng.normal(size=12)
-    N, h = _without_planes(csr_matrix(A), d, owner, uv, weight)
+    N, h = without_planes(csr_matrix(A), d, plane_basis(owner, uv, weight))
     own = np.column_stack([np.ones(12), uv]) * weight[:, None]
     B = np.zeros((12, 6))
     B[:6, :3], B[6:, 3:] = own[:6], own[6:]

@@ -201,6 +201,23 @@ def test_the_longest_list_of_outputs_is_the_demo(shipped) -> None:
         assert f"results/demo/{name}" in outputs
 
 
+def test_strips_are_a_chain_where_they_are_asked_for(shipped) -> None:
+    demo, tiny = shipped["demo"], shipped["tiny"]
+    assert tiny.aligned_strips() == []
+    made = ["orientation/strips.html", "lidar/by_strips/points.laz", "accuracy/by_strips/statistics.csv"]
+    assert demo.aligned_strips() == [f"results/demo/{name}" for name in made]
+    assert set(demo.aligned_strips()) <= set(demo.final_outputs())
+    assert (
+        demo.trajectory_of_lidar("by_strips/") == "results/demo/orientation/trajectory_strips_lidar.parquet"
+    )
+    assert demo.trajectory_of_lidar("by_fused/") == demo.trajectory("fused")
+    assert demo.mounts_of_chain("by_strips/") == "results/demo/orientation/mounts_strips.json"
+    assert "by overlapping strips" in demo.page_names()
+    assert "by overlapping strips" not in tiny.page_names()
+    assert len(demo.page_names()) == len(demo.page_clouds())
+    assert demo.windows("by_strips/", "points", ".las") == []
+
+
 def test_what_is_handed_over_is_made(shipped) -> None:
     """Files of the report and of the project for QGIS are outputs; some campaigns have no report."""
     for name in ("demo", "tiny_change"):

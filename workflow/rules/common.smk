@@ -120,7 +120,7 @@ URGENT = 10
 
 wildcard_constraints:
     campaign="|".join(CAMPAIGNS),
-    by="(by_(camera|fused)/)?",
+    by="(by_(camera|fused|strips)/)?",
     part="[0-9]+",
     scan="|".join(sorted({s for f in FILES.values() for s in f.scan_names()})) or "none",
 

@@ -34,12 +34,55 @@ rule estimate_pose_errors:
         "../scripts/estimate_pose_errors.py"
 
 
-rule georeference_lidar:
-    """Every lidar point into the world with its own pose: by the INS, or ``by_camera/``, ``by_fused/``."""
+rule adjust_strips:
+    """Surfaces that the lidar saw again -> the best trajectory and the lidar's mount, corrected by them."""
     input:
         lidar=raw("lidar"),
         clock="results/{campaign}/ingest/lidar.clock.json",
-        trajectory=of_wildcard("by", CampaignFiles.trajectory),
+        trajectory=of(CampaignFiles.best_trajectory),
+        errors=of(CampaignFiles.best_errors),
+        mounts=of(CampaignFiles.best_mounts),
+        positions="results/{campaign}/ingest/positions.parquet",
+        error_model="results/{campaign}/orientation/error_model.json",
+    output:
+        of_boat="results/{campaign}/orientation/trajectory_strips.parquet",
+        of_lidar="results/{campaign}/orientation/trajectory_strips_lidar.parquet",
+        chains="results/{campaign}/orientation/errors_strips.npz",
+        mounts_strips="results/{campaign}/orientation/mounts_strips.json",
+        knots="results/{campaign}/orientation/strips_knots.csv",
+        border="results/{campaign}/orientation/strips_border.csv",
+        observations="results/{campaign}/orientation/strips_observations.csv",
+        facts="results/{campaign}/orientation/strips.json",
+        page="results/{campaign}/orientation/strips.html",
+    log:
+        "logs/{campaign}/lidar/adjust_strips.log",
+    benchmark:
+        "benchmarks/{campaign}/lidar/adjust_strips.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(20, 30),
+    params:
+        code=code_version("adjust_strips"),
+        lidar_options=of(CampaignFiles.lidar_options),
+        lidar_accuracy=section("lidar_accuracy"),
+        georeferencing=of(CampaignFiles.georeferencing),
+        filters=section("filters"),
+        orientation=section("orientation"),
+        strips=section("strips"),
+        title=section("campaign", "title"),
+    script:
+        "../scripts/adjust_strips.py"
+
+
+rule georeference_lidar:
+    """Every lidar point into the world with its own pose: by the INS, or ``by_camera/``, ``by_fused/``, ``by_strips/``."""
+    input:
+        lidar=raw("lidar"),
+        clock="results/{campaign}/ingest/lidar.clock.json",
+        trajectory=of_wildcard("by", CampaignFiles.trajectory_of_lidar),
         mounts=of_wildcard("by", CampaignFiles.mounts_of_chain),
         error_model="results/{campaign}/orientation/error_model.json",
         window_points=of_wildcard("by", CampaignFiles.windows, "points", ".las"),
@@ -118,7 +161,7 @@ rule georeference_window:
     input:
         lidar=raw("lidar"),
         clock="results/{campaign}/ingest/lidar.clock.json",
-        trajectory=of_wildcard("chain", CampaignFiles.trajectory),
+        trajectory=of_wildcard("chain", CampaignFiles.trajectory_of_lidar),
         mounts=of_wildcard("chain", CampaignFiles.mounts_of_chain),
         error_model="results/{campaign}/orientation/error_model.json",
         densities=of_wildcard("chain", CampaignFiles.windows, "density", ".npz"),
@@ -132,7 +175,7 @@ rule georeference_window:
     benchmark:
         "benchmarks/{campaign}/lidar/georeference_window_{chain}_{part}.jsonl"
     wildcard_constraints:
-        chain="ins|camera|fused",
+        chain="ins|camera|fused|strips",
     conda:
         "../../envs/thalweg.yaml"
     threads: 2
@@ -155,7 +198,7 @@ use rule georeference_window as count_neighbours with:
     input:
         lidar=raw("lidar"),
         clock="results/{campaign}/ingest/lidar.clock.json",
-        trajectory=of_wildcard("chain", CampaignFiles.trajectory),
+        trajectory=of_wildcard("chain", CampaignFiles.trajectory_of_lidar),
         mounts=of_wildcard("chain", CampaignFiles.mounts_of_chain),
         error_model="results/{campaign}/orientation/error_model.json",
         densities=[],

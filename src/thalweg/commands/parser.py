@@ -102,6 +102,10 @@ EXAMPLES: Final = {
         "lidar.pcap --trajectory sbet.out --gps-week 2157 --lever -0.42 0 -0.18 "
         "--sigma-position 0.05 --sigma-attitude 0.1 --crs EPSG:25833 --out cloud.laz"
     ),
+    "align-strips": (
+        "lidar.pcap --trajectory sbet.out --gps-week 2157 --lever -0.42 0 -0.18 "
+        "--sigma-position 0.05 --sigma-attitude 0.1 --out strips"
+    ),
     "view": "boat.laz -o page",
     "cluster": "status",
     "catalogue": "results",

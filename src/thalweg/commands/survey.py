@@ -1,16 +1,109 @@
-"""The commands ``thalweg ppk``, ``georeference``, ``view``: track, cloud, a look at one; no campaign."""
+"""The commands ``thalweg ppk``, ``georeference``, ``align-strips``, ``view``, without a campaign."""
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from thalweg.commands.options import FOLDER, GEODETIC, XYZ
 from thalweg.commands.parser import REQUIRED, Commands, OneOf, Repeated, say_notes
 from thalweg.commands.remedies import OF_A_FILE, of_a_campaign
 
+OF_A_LOG: Final = {
+    "campaign.origin": "--origin",
+    "georeferencing.min_range_m": "--min-range",
+    "georeferencing.max_range_m": "--max-range",
+    "ins.body_axes": "--body-axes",
+    "ins.sigma_position_m": "--sigma-position",
+    "ins.time_scale": "--time-scale",
+    "ins.upside_down": "--upside-down",
+    "lidar.clock.first_packet_utc": "--first-packet",
+    "lidar.clock.offset_s": "--time-offset",
+    "lidar.model": "--model",
+    "logs.gps_week": "--gps-week",
+    "logs.lidar": "LIDAR",
+    "logs.smrmsg": "--smrmsg",
+    "orientation.max_attitude_gap_s": "--max-gap",
+    **of_a_campaign(
+        [
+            "filters.below_water_m",
+            "filters.max_sigma_m",
+            "filters.water_line_ics_m",
+            "lidar.data_port",
+            "lidar.returns",
+            "logs.positions",
+            "logs.time_lapse.times",
+        ]
+    ),
+}
+"""Settings of a campaign -> the options of commands that read a lidar log and a trajectory."""
+
+LOG: Final = (
+    ("lidar", [Path], "LIDAR", "capture; parts in order of time"),
+    (
+        "--trajectory",
+        [Path],
+        "FILE",
+        "poses: SBET, ANPP, Inertial Explorer, TUM, EuRoC, KITTI, trajectory.parquet of Thalweg",
+        REQUIRED,
+    ),
+    ("--gps-week", int, "WEEK", "GPS week of the first record of an SBET"),
+    ("--smrmsg", [Path], "FILE", "accuracies of an SBET", []),
+    (
+        "--origin",
+        [float],
+        GEODETIC,
+        "origin of the local frame, or of the frame of a table of poses (default: middle of the track)",
+    ),
+    (
+        "--body-axes",
+        ("forward-right-down", "forward-left-up", "right-down-forward"),
+        None,
+        "body axes x-y-z in a table of poses",
+    ),
+    ("--time-scale", ("utc", "gps"), None, "time scale of a table of poses"),
+    ("--upside-down", bool, None, "the sensor of the attitudes is mounted upside down"),
+    ("--sigma-position", float, "M", "standard deviation of each axis, if the trajectory states none"),
+    ("--sigma-attitude", float, "DEG", "standard deviation of each angle, if the trajectory states none"),
+    OneOf(
+        [
+            ("--mount", Path, "FILE", "calibration file with the mounting of the lidar"),
+            ("--lever", [float], XYZ, "lever arm of the lidar: forward, right, down in the body frame"),
+        ],
+        required=True,
+    ),
+    (
+        "--angles",
+        [float],
+        ("OMEGA_DEG", "PHI_DEG", "KAPPA_DEG"),
+        "boresight of the lidar in the body frame (default: 0 -90 0, spin axis backwards)",
+        (0.0, -90.0, 0.0),
+    ),
+    (
+        "--sigma-lever",
+        float,
+        "M",
+        "standard deviation of the lever arm, each axis (default: %(default)s)",
+        0.01,
+    ),
+    (
+        "--sigma-angles",
+        float,
+        "DEG",
+        "standard deviation of the boresight, each angle (default: %(default)s)",
+        0.2,
+    ),
+    ("--first-packet", str, "UTC", "time of the first packet of a lidar without GPS, ISO 8601"),
+    ("--time-offset", float, "S", "added to the times of the lidar", 0.0),
+    ("--model", str, None, "lidar model, if its packets state a wrong one", "auto"),
+    ("--max-gap", float, "S", "longest gap of the trajectory that is interpolated", 0.5),
+    ("--min-range", float, "M", "shortest range (default: %(default)s)", 1.0),
+    ("--max-range", float, "M", "longest range (default: %(default)s)", 100.0),
+)
+"""What a lidar log is, and where it was."""
+
 
 def add_survey_commands(commands: Commands) -> None:
-    """Add ``ppk``, ``georeference`` and ``view``."""
+    """Add ``ppk``, ``georeference``, ``align-strips`` and ``view``."""
     commands.add(
         "ppk",
         "raw GNSS of rover and base -> track with tested standard deviations, page, KML",
@@ -80,96 +173,27 @@ def add_survey_commands(commands: Commands) -> None:
         "georeference",
         "lidar capture and trajectory -> cloud with a standard deviation for each point",
         _georeference,
-        ("lidar", [Path], "LIDAR", "capture; parts in order of time"),
-        (
-            "--trajectory",
-            [Path],
-            "FILE",
-            "poses: SBET, ANPP, Inertial Explorer, TUM, EuRoC, KITTI, trajectory.parquet of Thalweg",
-            REQUIRED,
-        ),
-        ("--gps-week", int, "WEEK", "GPS week of the first record of an SBET"),
-        ("--smrmsg", [Path], "FILE", "accuracies of an SBET", []),
-        (
-            "--origin",
-            [float],
-            GEODETIC,
-            "origin of the local frame, or of the frame of a table of poses (default: middle of the track)",
-        ),
-        (
-            "--body-axes",
-            ("forward-right-down", "forward-left-up", "right-down-forward"),
-            None,
-            "body axes x-y-z in a table of poses",
-        ),
-        ("--time-scale", ("utc", "gps"), None, "time scale of a table of poses"),
-        ("--upside-down", bool, None, "the sensor of the attitudes is mounted upside down"),
-        ("--sigma-position", float, "M", "standard deviation of each axis, if the trajectory states none"),
-        ("--sigma-attitude", float, "DEG", "standard deviation of each angle, if the trajectory states none"),
-        OneOf(
-            [
-                ("--mount", Path, "FILE", "calibration file with the mounting of the lidar"),
-                ("--lever", [float], XYZ, "lever arm of the lidar: forward, right, down in the body frame"),
-            ],
-            required=True,
-        ),
-        (
-            "--angles",
-            [float],
-            ("OMEGA_DEG", "PHI_DEG", "KAPPA_DEG"),
-            "boresight of the lidar in the body frame (default: 0 -90 0, spin axis backwards)",
-            (0.0, -90.0, 0.0),
-        ),
-        (
-            "--sigma-lever",
-            float,
-            "M",
-            "standard deviation of the lever arm, each axis (default: %(default)s)",
-            0.01,
-        ),
-        (
-            "--sigma-angles",
-            float,
-            "DEG",
-            "standard deviation of the boresight, each angle (default: %(default)s)",
-            0.2,
-        ),
-        ("--first-packet", str, "UTC", "time of the first packet of a lidar without GPS, ISO 8601"),
-        ("--time-offset", float, "S", "added to the times of the lidar", 0.0),
-        ("--model", str, None, "lidar model, if its packets state a wrong one", "auto"),
-        ("--max-gap", float, "S", "longest gap of the trajectory that is interpolated", 0.5),
-        ("--min-range", float, "M", "shortest range (default: %(default)s)", 1.0),
-        ("--max-range", float, "M", "longest range (default: %(default)s)", 100.0),
+        *LOG,
         ("--crs", str, "EPSG:...", "also write the cloud in this map grid"),
         ("--out", Path, "LAZ", "cloud to write", REQUIRED),
-        settings={
-            "campaign.crs": "--crs",
-            "campaign.origin": "--origin",
-            "georeferencing.min_range_m": "--min-range",
-            "georeferencing.max_range_m": "--max-range",
-            "ins.body_axes": "--body-axes",
-            "ins.sigma_position_m": "--sigma-position",
-            "ins.time_scale": "--time-scale",
-            "ins.upside_down": "--upside-down",
-            "lidar.clock.first_packet_utc": "--first-packet",
-            "lidar.clock.offset_s": "--time-offset",
-            "lidar.model": "--model",
-            "logs.gps_week": "--gps-week",
-            "logs.lidar": "LIDAR",
-            "logs.smrmsg": "--smrmsg",
-            "orientation.max_attitude_gap_s": "--max-gap",
-            **of_a_campaign(
-                [
-                    "filters.below_water_m",
-                    "filters.max_sigma_m",
-                    "filters.water_line_ics_m",
-                    "lidar.data_port",
-                    "lidar.returns",
-                    "logs.positions",
-                    "logs.time_lapse.times",
-                ]
-            ),
-        },
+        settings={"campaign.crs": "--crs"} | OF_A_LOG,
+    )
+    commands.add(
+        "align-strips",
+        "lidar capture and trajectory -> trajectory that overlapping passes have corrected, its cloud",
+        _align_strips,
+        *LOG,
+        ("--knot", float, "S", "interval of the corrections (default: %(default)s)", 0.5),
+        (
+            "--sigma-clock",
+            float,
+            "S",
+            "how far the lidar's clock may be off; 0: it is not asked (default: %(default)s)",
+            0.0,
+        ),
+        FOLDER,
+        writes="index.html",
+        settings={"strips.knot_s": "--knot", "strips.sigma_clock_s": "--sigma-clock"} | OF_A_LOG,
     )
     commands.add(
         "view",
@@ -229,8 +253,8 @@ def _ppk(options: argparse.Namespace) -> int:
     return 0
 
 
-def _georeference(options: argparse.Namespace) -> int:
-    import json
+def _log_of(options: argparse.Namespace) -> tuple[Any, Any, Any, Any, list[str]]:
+    """Reader and clock of a log, its trajectory, how it becomes a cloud, and what was noticed."""
     from datetime import datetime
 
     from thalweg.calibration import resolve_mounts
@@ -238,7 +262,7 @@ def _georeference(options: argparse.Namespace) -> int:
     from thalweg.core.calibration import read_calibration
     from thalweg.ingest import LidarOptions
     from thalweg.ingest.registry import lidar_reader
-    from thalweg.lidar import LogSettings, clock_by_hand, export_map, georeference_log
+    from thalweg.lidar import LogSettings, clock_by_hand
     from thalweg.settings.sections import Filters, Georeferencing, LidarAccuracy, Mounts
 
     trajectory, notes = _read_trajectory(options)
@@ -285,13 +309,19 @@ def _georeference(options: argparse.Namespace) -> int:
         mirror_ghosts=False,
         isolated_neighbours=0,
     )
-    table = georeference_log(
-        reader,
-        clock,
-        trajectory,
-        LogSettings(mount=Rigid.from_mount(mounts["lidar"]), beam=LidarAccuracy(), filters=no_boat, **how),
-        options.out,
+    settings = LogSettings(
+        mount=Rigid.from_mount(mounts["lidar"]), beam=LidarAccuracy(), filters=no_boat, **how
     )
+    return reader, clock, trajectory, settings, notes
+
+
+def _georeference(options: argparse.Namespace) -> int:
+    import json
+
+    from thalweg.lidar import export_map, georeference_log
+
+    reader, clock, trajectory, settings, notes = _log_of(options)
+    table = georeference_log(reader, clock, trajectory, settings, options.out)
     written = [options.out]
     if options.crs:
         written.append(options.out.with_name(f"{options.out.stem}_map.laz"))
@@ -304,6 +334,57 @@ def _georeference(options: argparse.Namespace) -> int:
             print(f"{row['n']:>12,} {row['words']}")
     say_notes(options, notes)
     print(f"Wrote {', '.join(str(path) for path in [*written, facts])}")
+    return 0
+
+
+def _align_strips(options: argparse.Namespace) -> int:
+    from dataclasses import replace
+
+    import numpy as np
+
+    from thalweg.core import in_options
+    from thalweg.figures.survey import strips_page
+    from thalweg.lidar import adjust_strips, error_model_of_log, georeference_log, thin_log
+    from thalweg.navigation.ins_gnss import PoseCorrelation
+    from thalweg.settings.sections import Orientation, Strips
+
+    reader, clock, trajectory, settings, notes = _log_of(options)
+    strips = Strips(knot_s=options.knot, sigma_clock_s=options.sigma_clock)
+    model = error_model_of_log(
+        reader,
+        clock,
+        trajectory,
+        settings,
+        positions_t_gps_s=None,
+        lever_ics_antenna_m=np.zeros(3),
+        settings=Orientation().error_model.model_dump(),
+    )
+    trajectory = model.apply(trajectory, np.zeros(3))
+    options.out.mkdir(parents=True, exist_ok=True)
+    model.write(options.out / "error_model.json")
+    correlation = PoseCorrelation.of_survey(
+        options.out / "error_model.json", receiver_s=float(np.median(np.diff(trajectory.t_gps_s)))
+    )
+    found = adjust_strips(
+        thin_log(reader, clock, trajectory, settings),
+        trajectory,
+        settings.mount,
+        correlation.chains(trajectory, np.zeros(3)),
+        strips,
+    )
+    found.write(options.out)
+    exact = replace(settings, mount=found.mount.with_cov(np.zeros((6, 6))))
+    georeference_log(reader, clock, found.of_lidar, exact, options.out / "points.laz")
+    page = options.out / "index.html"
+    notes = [in_options(note, options.settings) for note in [*notes, *model.notes]]
+    strips_page(found, title=f"Strips of {options.lidar[0].name}", notes=notes).write(page)
+    print(
+        f"{found.facts['planes']:,} plane spots seen again: {1e3 * found.facts['distance_before_m']:.1f} mm "
+        f"apart before, {1e3 * found.facts['distance_after_m']:.1f} mm after"
+    )
+    print("\n".join(f"not told by the bank: {name}" for name in found.facts["not_told"]))
+    print("\n".join(f"note: {note}" for note in notes))
+    print(f"Wrote {', '.join(sorted(path.name for path in options.out.iterdir()))} to {options.out}")
     return 0
 
 

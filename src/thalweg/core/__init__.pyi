@@ -118,6 +118,7 @@ from .las import (
 )
 from .pose_errors import (
     ErrorChain as ErrorChain,
+    covariance_of_means as covariance_of_means,
     even_time as even_time,
     read_chains as read_chains,
     symmetric_roots as symmetric_roots,

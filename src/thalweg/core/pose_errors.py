@@ -12,10 +12,12 @@ and so are those of photographs of a series, of their times and of their clock.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Final, Self
 
 import numpy as np
+import scipy.sparse as sp
 from scipy.optimize import brentq
 
 from thalweg.core.errors import GeometryError, InputError
@@ -163,6 +165,53 @@ def _root_and_inverse(cov: ArrayF) -> tuple[ArrayF, ArrayF]:
     size = np.where(shown, np.sqrt(np.maximum(value, 0.0)), 0.0)
     inverse = np.swapaxes(vector / np.where(shown, size, np.inf)[:, None, :], 1, 2) / scale[:, None, :]
     return scale[:, :, None] * vector * size[:, None, :], inverse
+
+
+def covariance_of_means(chains: Sequence[ErrorChain], edges_s: ArrayF) -> ArrayF:
+    """Covariance (6 b, 6 b) of the mean errors in spans of time, all chains together.
+
+    A span in which a chain has no node has the mean of its neighbours, by time.
+
+    Parameters
+    ----------
+    chains : of all errors of the poses.
+    edges_s : (b + 1,) ascending; nodes outside count to the first and to the last span.
+    """
+    n_spans = len(edges_s) - 1
+    centre = (edges_s[1:] + edges_s[:-1]) / 2
+    total = np.zeros((6 * n_spans, 6 * n_spans))
+    for chain in chains:
+        d = chain.root.shape[2]
+        span = np.clip(np.searchsorted(edges_s, chain.t_gps_s, side="right") - 1, 0, n_spans - 1)
+        found, first = np.unique(span, return_index=True)
+        own = np.zeros((6 * len(found), 6 * len(found)))
+        # of the components of the last node with the means (6) of all spans so far
+        so_far = np.zeros((d, 0))
+        for b, (start, stop) in enumerate(pairwise([*first.tolist(), len(span)])):
+            n = stop - start
+            since, mean = np.zeros((d, 6)), np.zeros((6, d))  # of this span's nodes with the node k
+            through, square = chain.link[start], np.zeros((6, 6))
+            for k in range(start, stop):
+                root = chain.root[k]
+                if k > start:
+                    through = chain.link[k] @ through
+                    since = chain.link[k] @ since
+                since = since + root.T
+                mean += root @ through
+                both = root @ since
+                square += both + both.T - root @ root.T
+            row = slice(6 * b, 6 * b + 6)
+            own[row, row] = square / n**2
+            if b:
+                own[row, : 6 * b] = mean @ so_far / n
+                own[: 6 * b, row] = own[row, : 6 * b].T
+            so_far = np.concatenate([through @ so_far, since / n], axis=1)
+        if len(found) < n_spans:
+            weights = np.stack([np.interp(centre, centre[found], e) for e in np.eye(len(found))], axis=1)
+            spread = sp.kron(sp.csr_matrix(weights), sp.identity(6), format="csr")
+            own = np.asarray(spread @ (spread @ own).T)
+        total += own
+    return total
 
 
 def even_time(chains: Sequence[ErrorChain]) -> tuple[ArrayF, ArrayF, float]:

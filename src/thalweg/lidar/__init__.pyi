@@ -40,3 +40,9 @@ from .filters import (
 )
 from .georeference import georeference_points as georeference_points
 from .overlap import error_model_of_log as error_model_of_log
+from .strips import (
+    Adjusted as Adjusted,
+    adjust_strips as adjust_strips,
+    mounts_by_strips as mounts_by_strips,
+    thin_log as thin_log,
+)

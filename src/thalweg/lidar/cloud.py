@@ -423,11 +423,7 @@ def sample_log(
             inside = (block.t_gps_s >= start_s) & (block.t_gps_s < start_s + length_s)
             if not inside.any():
                 continue
-            here = block.where(inside)
-            found = _classified(here, trajectory, settings, None)
-            keep = found.reasons == Reason.KEPT
-            columns = (found.points.points_wcs_m, here.t_gps_s, here.range_m, here.intensity)
-            part.append(np.column_stack(columns)[keep])
+            part.append(kept_points(block.where(inside), trajectory, settings))
     samples = []
     for part in parts:
         rows = np.concatenate(part)
@@ -438,6 +434,13 @@ def sample_log(
             LogSample(xyz_wcs_m=rows[:, :3], t_gps_s=rows[:, 3], range_m=rows[:, 4], reflectivity=rows[:, 5])
         )
     return samples
+
+
+def kept_points(block: PointBlock, trajectory: Trajectory, settings: LogSettings) -> ArrayF:
+    """Rows (n, 6) of the points above the water: east, north, up, time, range, reflectivity."""
+    found = _classified(block, trajectory, settings, None)
+    columns = (found.points.points_wcs_m, block.t_gps_s, block.range_m, block.intensity)
+    return np.asarray(np.column_stack(columns)[found.reasons == Reason.KEPT])
 
 
 def _warn_of_water(counts: ArrayI) -> None:

@@ -288,8 +288,19 @@ class Planes:
         return len(self.centre_m)
 
 
-def planes_seen_again(x: ArrayF, t: ArrayF) -> Planes:
-    """Cells whose points (n, 3) are plane and were seen for some time; the same for the same points."""
+def planes_seen_again(
+    x: ArrayF, t: ArrayF, most: int = MOST_PLANES, of_place: Callable[[ArrayF, ArrayF], ArrayI] | None = None
+) -> Planes:
+    """Cells whose points (n, 3) are plane and were seen for some time; the same for the same points.
+
+    Parameters
+    ----------
+    x : (n, 3) points.
+    t : (n,) their times.
+    most : planes; of more a random choice.
+    of_place : number (p,) of the place and direction that centres (p, 3) and normals (p, 3) belong to: the
+        choice then takes as many of each, until it has no more, so that one long wall does not rule.
+    """
     rng = np.random.default_rng(len(x))
     key = np.floor(x / CELL_M).astype(np.int64)
     key -= key.min(axis=0)
@@ -307,10 +318,19 @@ def planes_seen_again(x: ArrayF, t: ArrayF) -> Planes:
     good = (n >= LEAST_POINTS) & (last - first > LEAST_SPAN_S) & (thickness < THICKEST_M)
     good &= values[:, 1] > (0.2 * CELL_M) ** 2
     along = np.einsum("ni,ni->n", x[order] - centre[owner], axes[owner, :, 0])
-    good &= _scatter(along, owner, t[order] - t.min(), len(count))[0] < ROUGHEST_M**2
+    good &= scatter_about(along, owner, t[order] - t.min(), len(count))[0] < ROUGHEST_M**2
     chosen = np.flatnonzero(good)
-    if len(chosen) > MOST_PLANES:
-        chosen = np.sort(rng.choice(chosen, MOST_PLANES, replace=False))
+    if len(chosen) > most:
+        if of_place is None:
+            chosen = np.sort(rng.choice(chosen, most, replace=False))
+        else:
+            chosen = rng.permutation(chosen)
+            place = of_place(centre[chosen], axes[chosen, :, 0])
+            by_place = np.argsort(place, kind="stable")
+            first = np.flatnonzero(np.diff(place[by_place], prepend=-1))
+            turn = np.empty(len(chosen), dtype=np.int64)
+            turn[by_place] = np.arange(len(chosen)) - np.repeat(first, np.diff(first, append=len(chosen)))
+            chosen = np.sort(chosen[np.argsort(turn, kind="stable")[:most]])
     number = np.full(len(count), -1)
     number[chosen] = np.arange(len(chosen))
     keep = (number[owner] >= 0) & (np.abs(along) < OUTLIER * thickness[owner])
@@ -383,8 +403,8 @@ def _window(
 
     epoch = max(epoch_s, SHORTEST_EPOCH_S)
     since = t - start_s
-    scatter, freedom = _scatter(local[:, 0], planes.owner, since, planes.n)
-    joined, owner = _joined(planes.owner, since, epoch, length_s)
+    scatter, freedom = scatter_about(local[:, 0], planes.owner, since, planes.n)
+    joined, owner = joined_by_epoch(planes.owner, since, epoch, length_s)
     n = np.bincount(joined).astype(np.float64)
     mean = sums(np.column_stack([along, local[:, 1:], since, pose, border]), joined, len(n)) / n[:, None]
     enough = (freedom >= 8) & (np.bincount(owner, minlength=planes.n) >= 5)
@@ -402,7 +422,8 @@ def _window(
             sp.csr_matrix(border),
         ]
     ).tocsr()
-    N, h = _without_planes(sp.diags(weight) @ design, weight * mean[:, 0], owner, mean[:, 1:3], weight)
+    basis = plane_basis(owner, mean[:, 1:3], weight)
+    N, h = without_planes(sp.diags(weight) @ design, weight * mean[:, 0], basis)
     noise = _noise(x, scanner, normal, sample, planes, beam)
     return _Window(
         N=N,
@@ -503,7 +524,7 @@ def estimate_beam(scatters: Sequence[Scatter]) -> dict[str, Estimate]:
     }
 
 
-def _scatter(d: ArrayF, owner: ArrayI, since_s: ArrayF, n_planes: int) -> tuple[ArrayF, ArrayI]:
+def scatter_about(d: ArrayF, owner: ArrayI, since_s: ArrayF, n_planes: int) -> tuple[ArrayF, ArrayI]:
     """Variance (p,) of the distances from each plane within half a second, and its degrees of freedom."""
     _, group = np.unique(owner * 1_000_000 + (since_s / SCATTER_S).astype(np.int64), return_inverse=True)
     members = np.bincount(group)
@@ -514,7 +535,7 @@ def _scatter(d: ArrayF, owner: ArrayI, since_s: ArrayF, n_planes: int) -> tuple[
     return np.bincount(owner, left**2, n_planes) / np.maximum(freedom, 1) + 1e-8, freedom
 
 
-def _joined(owner: ArrayI, since_s: ArrayF, epoch_s: float, length_s: float) -> tuple[ArrayI, ArrayI]:
+def joined_by_epoch(owner: ArrayI, since_s: ArrayF, epoch_s: float, length_s: float) -> tuple[ArrayI, ArrayI]:
     """Observation (m,) of each point, one for a plane and epoch, and the plane of each observation."""
     n_epochs = int(np.ceil(length_s / epoch_s)) + 1
     epoch = np.clip((since_s / epoch_s).astype(np.int64), 0, n_epochs - 1)
@@ -533,21 +554,26 @@ def _at_knots(at_s: ArrayF, step_s: float, n_knots: int, rows: ArrayF) -> sp.csr
     return sp.csr_matrix((values.ravel(), (row, column.ravel())), shape=(len(at_s), k * n_knots))
 
 
-def _without_planes(
-    A: sp.csr_matrix, d: ArrayF, owner: ArrayI, uv: ArrayF, weight: ArrayF
-) -> tuple[ArrayF, ArrayF]:
-    """Normal equations without offset and inclinations of each plane (weighted rows ``A``, values ``d``)."""
+def plane_basis(owner: ArrayI, uv: ArrayF, weight: ArrayF) -> sp.csr_matrix:
+    """Orthonormal columns (m, 3 p): what offset and inclinations of each plane make of weighted rows.
+
+    ``uv`` (m, 2) places in the planes, ``weight`` (m,) one over the sigma of each row.
+    """
     number = np.unique(owner, return_inverse=True)[1]
     n = int(number.max()) + 1
-    B = np.column_stack([np.ones(len(d)), uv]) * weight[:, None]
+    B = np.column_stack([np.ones(len(uv)), uv]) * weight[:, None]
     square = sums((B[:, :, None] * B[:, None, :]).reshape(-1, 9), number, n).reshape(-1, 3, 3)
     square += 1e-9 * np.trace(square, axis1=1, axis2=2)[:, None, None] * np.eye(3)
     root = np.linalg.cholesky(np.linalg.inv(square))
     B = np.einsum("ni,nij->nj", B, root[number])
     column = 3 * number[:, None] + np.arange(3)
-    basis = sp.csr_matrix(
-        (B.ravel(), (np.repeat(np.arange(len(d)), 3), column.ravel())), shape=(len(d), 3 * n)
+    return sp.csr_matrix(
+        (B.ravel(), (np.repeat(np.arange(len(uv)), 3), column.ravel())), shape=(len(uv), 3 * n)
     )
+
+
+def without_planes(A: sp.csr_matrix, d: ArrayF, basis: sp.csr_matrix) -> tuple[ArrayF, ArrayF]:
+    """Normal equations of weighted rows ``A``, values ``d``, without planes: see `plane_basis`."""
     C, e = basis.T @ A, basis.T @ d
     return (A.T @ A - C.T @ C).toarray(), A.T @ d - C.T @ e
 

@@ -36,6 +36,7 @@ from thalweg.settings.sections import (
     Rig,
     Scatter,
     Section,
+    Strips,
     is_rinex_name,
 )
 
@@ -164,6 +165,9 @@ class Campaign(Section):
     )
     georeferencing: Georeferencing = Field(
         default=Georeferencing(), description="Lidar points into the world"
+    )
+    strips: Strips = Field(
+        default=Strips(), description="The trajectory corrected by surfaces that the lidar saw again"
     )
     scatter: Scatter = Field(default=Scatter(), description="Long logs as several jobs")
     colour: Colour = Field(default=Colour(), description="Colours of the cloud from photographs")

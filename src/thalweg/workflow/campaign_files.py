@@ -26,7 +26,14 @@ _POSITION_LOGS: Final = {"pos": "pos", "nmea": "pos", "gpx": "pos", "sbp": "sbp"
 """Sources of positions with files of their own."""
 _CHAINS: Final = {"": "ins", "by_camera/": "camera", "by_fused/": "fused"}
 """Folder below those of clouds and of comparisons -> what the trajectory rests on."""
-_WORDS_OF_CHAIN: Final = {"ins": "by INS", "camera": "by camera", "fused": "by all sensors"}
+_OF_FOLDER: Final = {**_CHAINS, "by_strips/": "strips"}
+"""The same with the cloud whose trajectory the bank has corrected."""
+_WORDS_OF_CHAIN: Final = {
+    "ins": "by INS",
+    "camera": "by camera",
+    "fused": "by all sensors",
+    "strips": "by overlapping strips",
+}
 AUTO_WINDOW_S: Final = 1800.0
 """Windows of a log on a cluster: an hour of a VLP-16 is a few minutes' work, and each job takes seconds to
 start."""
@@ -220,7 +227,7 @@ class CampaignFiles:
 
     def windows(self, chain: str, name: str, ending: str) -> list[str]:
         """That file of each window of the lidar's log; none where it stays whole."""
-        chain = _CHAINS.get(chain, chain)
+        chain = _OF_FOLDER.get(chain, chain)
         numbers = range(self._n_windows if self._n_windows > 1 else 0)
         return [self._result(f"lidar/windows/{chain}_{name}_{part}{ending}") for part in numbers]
 
@@ -619,10 +626,31 @@ class CampaignFiles:
         chain = _CHAINS.get(chain, chain)
         return self._result(f"orientation/trajectory{'' if chain == 'ins' else f'_{chain}'}.parquet")
 
+    def trajectory_of_lidar(self, chain: str) -> str:
+        """The same for the lidar's points: of strips with the covariance of poses and mount together."""
+        if _OF_FOLDER.get(chain, chain) == "strips":
+            return self._result("orientation/trajectory_strips_lidar.parquet")
+        return self.trajectory(chain)
+
     def mounts_of_chain(self, chain: str) -> str:
-        """Places of the sensors; by the camera the lidar sits where their relative orientation says."""
-        camera = _CHAINS.get(chain, chain) == "camera"
-        return self._result("orientation/mounts_camera.json" if camera else "calibration/mounts.json")
+        """Places of the sensors; the camera and the bank tell those of the lidar themselves."""
+        chain = _OF_FOLDER.get(chain, chain)
+        own = chain in ("camera", "strips")
+        return self._result(f"orientation/mounts_{chain}.json" if own else "calibration/mounts.json")
+
+    def best_mounts(self) -> str:
+        """The mounts that belong to the best trajectory."""
+        return self.mounts_of_chain(self.best_chain())
+
+    def adjusts_strips(self) -> bool:
+        """True if the bank is to correct the trajectory."""
+        return self.has_lidar() and self._is_survey() and self.campaign.strips.adjust
+
+    def aligned_strips(self) -> list[str]:
+        """What that makes: the page, the cloud, and its comparison with a reference."""
+        page = self._where(self.adjusts_strips(), "orientation/strips.html", "lidar/by_strips/points.laz")
+        compared = self.adjusts_strips() and self.has_reference()
+        return page + self._where(compared, "accuracy/by_strips/statistics.csv")
 
     def trajectories(self) -> list[str]:
         """Trajectories by INS, camera and all sensors, in this order."""
@@ -927,7 +955,9 @@ class CampaignFiles:
         """Clouds by other trajectories than the best one."""
         made = zip(_CHAINS.values(), self.of_chains("lidar", "points.laz"), strict=True)
         several = self.has_time_lapse() and self.has_lidar()
-        return {chain: file for chain, file in made if several and chain != self.best_chain()}
+        found = {chain: file for chain, file in made if several and chain != self.best_chain()}
+        strips = self._where(self.adjusts_strips(), "lidar/by_strips/points.laz")
+        return found | dict(zip(["strips"], strips, strict=False))
 
     def strip_points(self) -> list[str]:
         """Points of the bed by the light sheet, where the boat carries one."""
@@ -1169,6 +1199,7 @@ class CampaignFiles:
         if self.has_time_lapse() and lidar:
             outputs += self.of_chains("lidar", "points.laz")[1:]
             outputs.append(self._result("accuracy/trajectories.html"))
+        outputs += self.aligned_strips()
         outputs += self._where(self.is_coloured(), "lidar/coloured.laz")
         outputs += self._where(self.has_colour_images(), "lidar/colour_check.csv")
         outputs += self._where(self.has_panoramas(), "panorama/panoramas.parquet", "panorama/index.html")

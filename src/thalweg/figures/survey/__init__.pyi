@@ -7,3 +7,4 @@ from .maps import (
     sigma_norm as sigma_norm,
     track_gaps as track_gaps,
 )
+from .strips import strips_page as strips_page

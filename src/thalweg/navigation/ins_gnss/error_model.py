@@ -19,7 +19,17 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from thalweg.core import ArrayF, Trajectory, attitude_axes, cross_matrix, even_time, read_chains, read_json
+from thalweg.core import (
+    ArrayF,
+    ErrorChain,
+    Trajectory,
+    attitude_axes,
+    cross_matrix,
+    even_time,
+    read_chains,
+    read_json,
+    symmetric_roots,
+)
 
 NAMES: Final = ("position", "roll_pitch", "heading", "white", "position_time_s", "attitude_time_s")
 """Parameters: factors on the stated sigmas of the positions' slow part, of roll and pitch, of the heading and
@@ -34,6 +44,9 @@ BEAM_SPREAD: Final = 1.5
 
 INFORMED: Final = 0.8
 """The survey tells a parameter if its posterior sigma is below this share of the prior's."""
+
+CHAIN_S: Final = 0.2
+"""Interval of the nodes of chains of errors: short beside any correlation time."""
 
 SIGNIFICANT: Final = 0.999
 """A heading is corrected only for a deviation that chance makes less often than one minus this."""
@@ -322,6 +335,41 @@ class PoseCorrelation:
             white_share=float(facts["white_share"]),
             receiver_s=receiver_s,
         )
+
+    def chains(self, trajectory: Trajectory, lever_ics_antenna_m: ArrayF) -> list[ErrorChain]:
+        """Errors of the poses of INS and GNSS as independent parts: attitude, slow and white positions.
+
+        Parameters
+        ----------
+        trajectory : with the covariances of the error model, see `ErrorModel.apply`.
+        lever_ics_antenna_m : (3,) the point whose positions were measured, in ics.
+        """
+        R_all = Rotation.from_quat(trajectory.quaternion_wcs_ics).as_matrix()
+        turn = cross_matrix(R_all @ lever_ics_antenna_m)
+        cov = trajectory.cov_pose_wcs
+        measured = cov[:, :3, :3] - turn @ cov[:, 3:, 3:] @ np.swapaxes(turn, 1, 2)
+        measured = symmetric_roots(measured, np.broadcast_to(np.eye(3), measured.shape))
+        turned = symmetric_roots(cov[:, 3:, 3:], R_all)
+        root = np.zeros((3, len(cov), 6, 3))
+        root[0, :, :3], root[0, :, 3:] = turn @ turned, turned
+        root[1, :, :3] = np.sqrt(1 - self.white_share) * measured
+        root[2, :, :3] = np.sqrt(self.white_share) * measured
+        t = trajectory.t_gps_s
+        out = []
+        for name, part, step_s, time_s in zip(
+            ("attitude", "position", "position, white"),
+            root,
+            (CHAIN_S, CHAIN_S, max(self.receiver_s, CHAIN_S)),
+            (self.attitude_s, self.position_s, 0.0),
+            strict=True,
+        ):
+            kept = np.unique(np.floor((t - t[0]) / step_s + 1e-6), return_index=True)[1]
+            gap = np.diff(t[kept], prepend=-np.inf)
+            like = np.exp(-gap / time_s) if time_s > 0 else np.zeros(len(kept))
+            out.append(
+                ErrorChain(name=name, t_gps_s=t[kept], root=part[kept], link=like[:, None, None] * np.eye(3))
+            )
+        return out
 
     def even_time_s(self, t_gps_s: ArrayF) -> ArrayF:
         """Times (n,) in which errors decay evenly; before the first and after the last node: theirs."""

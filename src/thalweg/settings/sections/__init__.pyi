@@ -66,6 +66,7 @@ from .lidar import (
     LidarAccuracy as LidarAccuracy,
     LidarClockStated as LidarClockStated,
     Scatter as Scatter,
+    Strips as Strips,
 )
 from .light_sheet import (
     SCAN_PARTS as SCAN_PARTS,

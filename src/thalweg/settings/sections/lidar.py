@@ -323,3 +323,30 @@ class Figures(Section):
     max_points: int = Field(
         default=2_000_000, ge=1_000, le=100_000_000, description="Points drawn at most in a scatter plot"
     )
+
+
+class Strips(Section):
+    """How surfaces that the lidar saw again correct the trajectory."""
+
+    adjust: bool = Field(
+        default=False, description="Correct the best trajectory by the bank, and make a cloud by it"
+    )
+    knot_s: Annotated[float, Field(ge=0.25, le=2)] = Field(
+        default=0.5, description="Interval of the poses' corrections, seconds"
+    )
+    max_knots: Annotated[int, Field(ge=10, le=4000)] = Field(
+        default=1000, description="Of more knots the interval grows; memory and time grow with their square"
+    )
+    max_planes: Annotated[int, Field(ge=100, le=100_000)] = Field(
+        default=6000, description="Plane spots that are taken, evenly from all stretches and directions"
+    )
+    sigma_range_m: NonNegative = Field(
+        default=0.0,
+        le=0.5,
+        description="How far all ranges may be off alike, metres, such as 0.02; 0: no such unknown",
+    )
+    sigma_clock_s: NonNegative = Field(
+        default=0.0,
+        le=1,
+        description="How far the lidar's clock may be off, seconds, such as 0.005; 0: no such unknown",
+    )

@@ -1,0 +1,570 @@
+r"""Strips adjusted: surfaces that the lidar saw on several passes correct the trajectory, with covariances.
+
+A measured point is ``x = x_true + e`` with what the pose, the mount and the scanner err,
+
+    e = dx(t) + dtheta(t) x (x - X) + R (theta_m x R_m x_s + l_m) + r_0 ray + (v + omega x (x - X)) tau
+
+with the errors ``dx, dtheta`` of the ics origin and of the attitude in the world, those of the mount
+``theta_m, l_m``, one offset ``r_0`` of all ranges and one ``tau`` of the scanner's clock. Where a cell of the
+bank is plane, with the normal ``n``, all of its points of one span of time make one observation of
+
+    n . (mean x) = a_0 + a_1 u + a_2 v + n . e + noise
+
+whose plane ``a`` is nobody's business and eliminated cell by cell. What is left are normal equations ``N y =
+h`` of the mean errors of the poses in even spans of time (the knots) and of the border of mount, range and
+clock. Their prior covariance ``K`` is that of the trajectory that the adjustment starts from
+(`thalweg.core.ErrorChain`): of INS and GNSS, of the camera, of all sensors. With ``K = L L'`` the most
+probable errors and their covariance are
+
+    y = L (1 + L' N L)^-1 L' h,      Q = L (1 + L' N L)^-1 L'
+
+which needs no inverse of ``K`` and leaves what nothing tells at its prior. ``1 - Q_ii / K_ii`` is the share
+of an unknown that the bank told. The matrices are dense: places seen again after any time join any two
+knots. Memory grows with the square of the knots and not with the points, of which each cell keeps a few for
+each span.
+
+Robust weights are Huber's (1964) as long as the planes are those of the uncorrected cloud, then Tukey's
+biweight; sigmas of the observations are those of the scatter about each plane in one moment, times a factor
+for smooth, middling and rough planes each, from the residuals. Planes are found anew with the corrected
+poses in each round (Glira, Pfeifer and Mandlburger 2016, who adjust airborne strips by such correspondences).
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+import scipy.sparse as sp
+from scipy.linalg import block_diag, cho_solve, cholesky, solve_triangular
+from scipy.linalg.blas import dtrmm
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from thalweg.core import (
+    SHIFT,
+    TURN,
+    ArrayF,
+    ArrayI,
+    CoverageError,
+    ErrorChain,
+    Rigid,
+    Trajectory,
+    covariance_of_means,
+    cross_matrix,
+    robust_sigma,
+    root_mean_square,
+    steps,
+    with_rest,
+    write_chains,
+)
+from thalweg.core.adjustment import HUBER_LIMIT
+from thalweg.core.calibration import Calibration, Source, pose_block
+from thalweg.ingest import LidarClock, LidarReader
+from thalweg.lidar.cloud import LogSample, LogSettings, kept_points
+from thalweg.lidar.overlap import (
+    CELL_M,
+    LEAST_PLANES,
+    ROUGHNESS,
+    Planes,
+    joined_by_epoch,
+    plane_basis,
+    planes_seen_again,
+    scatter_about,
+    sums,
+    without_planes,
+)
+from thalweg.settings.sections import Strips
+
+ROUNDS: Final = 3
+"""Times that planes are found; the third moves poses by less than a tenth of their sigmas."""
+SOLUTIONS: Final = 3
+"""Solutions with new weights a round."""
+TUKEY_LIMIT: Final = 4.685
+"""Standardised residual beyond which an observation counts nothing: 95 % efficient on normal errors."""
+LONGEST_KNOT_S: Final = 2.0
+LEAST_SIGMA: Final = 1e-9
+"""Of an unknown that is not asked for."""
+A_CELL: Final = 4
+SAME_S: Final = 0.5
+"""Points of a cell and so many seconds that are kept: the scatter of more is roughness that they share."""
+PLACE_M: Final = 5.0
+"""Length of bank that is one place where planes are chosen evenly."""
+REACH_M: Final = 1.5
+ALIKE_RAD: Final = float(np.deg2rad(3.0))
+"""Planes so near and so alike in direction are one surface."""
+LEAST_FREEDOM: Final = 8
+LEAST_SPANS: Final = 3
+"""A plane tells something with so many degrees of freedom of its scatter, seen in so many spans of time."""
+GROUPS: Final = ("smooth", "middling", "rough")
+LEAST_TOLD: Final = 0.2
+"""An unknown of which the bank told a smaller share of the variance stays as it was."""
+BORDER: Final = (
+    *(f"mount rotation {a} [rad]" for a in "xyz"),
+    *(f"mount shift {a} [m]" for a in "xyz"),
+    "range offset [m]",
+    "clock offset [s]",
+)
+POSE: Final = ("east", "north", "up", "rotation east", "rotation north", "rotation up")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Adjusted:
+    """What strips say of a trajectory.
+
+    Attributes
+    ----------
+    trajectory : corrected poses with their covariances.
+    mount : corrected pose of the scanner on the boat, with its covariance.
+    of_lidar : the same poses with the covariances that its points have of poses and mount together: their
+        errors are told from each other worse than both together are known. With it the mount is exact.
+    chains : how these errors hang together over time.
+    knots : one row a span: ``t_gps_s``, and for each of `POSE` the correction, its sigma before and after,
+        and the ``told`` share; ``observations``.
+    border : one row for each unknown of mount, range and clock: value, sigma before and after, ``told``.
+    observations : ``t_gps_s``, ``range_m``, ``before_m``, ``after_m`` (distances from the plane of all
+        passes), ``z`` (residual by its sigma), ``weight``, and ``group`` of each.
+    facts : JSON-able.
+    """
+
+    trajectory: Trajectory
+    mount: Rigid
+    of_lidar: Trajectory
+    chains: list[ErrorChain]
+    knots: pd.DataFrame
+    border: pd.DataFrame
+    observations: pd.DataFrame
+    facts: dict[str, Any]
+
+    def write(self, folder: Path) -> None:
+        """Write poses for the boat and for the lidar's points, their errors, the mount, tables and facts."""
+        self.trajectory.write(folder / "trajectory_strips.parquet")
+        self.of_lidar.write(folder / "trajectory_strips_lidar.parquet")
+        write_chains(folder / "errors_strips.npz", self.chains)
+        for name in ("knots", "border", "observations"):
+            getattr(self, name).to_csv(folder / f"strips_{name}.csv", index=False, float_format="%.9g")
+        mount = {"R_ics_scs": self.mount.R.tolist(), "lever_ics_m": self.mount.shift_m.tolist()}
+        facts = self.facts | {"mount": mount}
+        (folder / "strips.json").write_text(json.dumps(facts, indent=2) + "\n", encoding="utf-8")
+
+
+def mounts_by_strips(mounts: Mapping[str, Any], found: Adjusted) -> dict[str, Any]:
+    """Mounts of a boat with the lidar where strips put it, exact beside the poses `Adjusted.of_lidar`."""
+    block, cov = pose_block("lidar", found.mount.with_cov(np.zeros((6, 6))))
+    source = Source(run="", method="overlapping strips of the survey")
+    placed = Calibration(title="lidar by strips", blocks=(block,), cov=cov, source=source).to_mounts()[
+        "lidar"
+    ]
+    return {**mounts, "lidar": {**placed, "source": source.method}}
+
+
+def adjust_strips(
+    points: LogSample, trajectory: Trajectory, mount: Rigid, chains: Sequence[ErrorChain], settings: Strips
+) -> Adjusted:
+    """Correct a trajectory by the surfaces that the lidar saw again.
+
+    Parameters
+    ----------
+    points : of the whole survey, made with ``trajectory`` and ``mount``: see `thin_log`.
+    trajectory : poses to correct.
+    mount : of the scanner, with its covariance.
+    chains : how the errors of the poses hang together: of `PoseCorrelation.chains` for INS and GNSS,
+        or those of a trajectory by camera or by all sensors.
+    settings : section ``strips``.
+
+    Raises
+    ------
+    CoverageError : fewer plane spots than `thalweg.lidar.overlap.LEAST_PLANES` were seen again.
+    """
+    edges = knots_over(trajectory, settings)
+    task = _Task(points, trajectory, mount, edges, settings)
+    sigma = np.concatenate([np.sqrt(np.diag(mount.cov)[np.r_[TURN, SHIFT]]), task.sigma_scanner])
+    K = covariance_of_means(chains, edges)
+    before = _chain("before", task.centre, *_neighbours(K))
+    K = block_diag(K, np.diag(np.maximum(sigma, LEAST_SIGMA) ** 2))
+    prior = np.diag(K).copy()
+    K[np.diag_indices_from(K)] += 1e-9 * prior
+    L = cholesky(K, lower=True, overwrite_a=True, check_finite=False)
+    y = np.zeros(len(L))
+    for round_ in range(ROUNDS):
+        seen = task.observe(y)
+        for _ in range(SOLUTIONS):
+            N, h = seen.equations()
+            y, G = _solved(L, N, h)
+            seen.weigh(y, tukey=round_ > 0)
+    # of the last weights
+    N, h = seen.equations()
+    y, G = _solved(L, N, h)
+    return _result(task, seen, y, L, G, prior, before)
+
+
+def knots_over(trajectory: Trajectory, settings: Strips) -> ArrayF:
+    """Edges (b + 1,) of the spans: as short as asked, unless that makes too many of them.
+
+    Raises
+    ------
+    CoverageError : the log is so long that spans would be too long for the poses' errors.
+    """
+    first, last = trajectory.span()
+    step = max(settings.knot_s, (last - first) / settings.max_knots)
+    if step > LONGEST_KNOT_S:
+        raise CoverageError(
+            f"a survey of {last - first:.0f} s: {settings.max_knots} knots would be {step:.1f} s apart",
+            expected=f"knots at most {LONGEST_KNOT_S:g} s apart",
+            cure="Set strips.max_knots higher (memory grows with its square), or cut the log into parts",
+        )
+    return np.linspace(first, last, max(int(np.ceil((last - first) / step)), 2) + 1)
+
+
+def thin_log(
+    reader: LidarReader, clock: LidarClock, trajectory: Trajectory, settings: LogSettings
+) -> LogSample:
+    """A few points of each cell and span of time of a whole log, above the water.
+
+    Parameters
+    ----------
+    reader, clock, trajectory, settings : as for `thalweg.lidar.cloud.georeference_log`.
+    """
+    parts = [np.empty((0, 6))]
+    rng = np.random.default_rng(1)
+    for block in steps(reader.points(clock, max_points=settings.chunk_points), "strips, block"):
+        rows = kept_points(block, trajectory, settings)
+        if not len(rows):
+            continue
+        key = np.floor(np.column_stack([rows[:, :3] / CELL_M, rows[:, 3] / SAME_S])).astype(np.int64)
+        key -= key.min(axis=0)
+        cell = np.ravel_multi_index(tuple(key.T), tuple(key.max(axis=0) + 1))
+        order = rng.permutation(len(cell))
+        order = order[np.argsort(cell[order], kind="stable")]
+        first = np.flatnonzero(np.diff(cell[order], prepend=-1))
+        turn = np.arange(len(cell)) - np.repeat(first, np.diff(first, append=len(cell)))
+        parts.append(rows[np.sort(order[turn < A_CELL])])
+    rows = np.concatenate(parts)
+    return LogSample(xyz_wcs_m=rows[:, :3], t_gps_s=rows[:, 3], range_m=rows[:, 4], reflectivity=rows[:, 5])
+
+
+def _solved(L: ArrayF, N: ArrayF, h: ArrayF) -> tuple[ArrayF, ArrayF]:
+    """Most probable errors (u,), and the Cholesky factor G of ``1 + L' N L``."""
+    M = dtrmm(1.0, L, dtrmm(1.0, L, N, side=1, lower=1), side=0, lower=1, trans_a=1)
+    M[np.diag_indices_from(M)] += 1.0
+    G = cholesky(M, lower=True, overwrite_a=True, check_finite=False)
+    return np.asarray(L @ cho_solve((G, True), L.T @ h, check_finite=False)), G
+
+
+class _Task:
+    """The points of a survey, and how they move with the unknowns."""
+
+    def __init__(
+        self, points: LogSample, trajectory: Trajectory, mount: Rigid, edges: ArrayF, settings: Strips
+    ) -> None:
+        inside = (points.t_gps_s >= edges[0]) & (points.t_gps_s < edges[-1])
+        self.x, self.t, self.range_m = (a[inside] for a in (points.xyz_wcs_m, points.t_gps_s, points.range_m))
+        self.trajectory, self.mount, self.edges, self.settings = trajectory, mount, edges, settings
+        self.n_spans = len(edges) - 1
+        self.centre = (edges[1:] + edges[:-1]) / 2
+        self.boat, self.R, _ = trajectory.at(self.t)
+        velocity, turning = trajectory.rates()
+        before = np.searchsorted(trajectory.t_gps_s, self.t, side="right") - 1
+        step = np.clip(before, 0, len(velocity) - 1)
+        self.velocity = velocity[step] + np.cross(turning[step], self.x - self.boat)
+        span = np.clip(np.searchsorted(edges, self.t, side="right") - 1, 0, self.n_spans - 1)
+        amid, R_amid, _ = trajectory.at(self.centre)
+        self.arm, self.R_span = self.x - amid[span], R_amid[span]
+        self.sigma_scanner = np.array([settings.sigma_range_m, settings.sigma_clock_s])
+
+    def errors_at(self, y: ArrayF, t: ArrayF) -> ArrayF:
+        """Errors (n, 6) of the poses at times."""
+        means = y[: 6 * self.n_spans].reshape(-1, 6)
+        return np.stack([np.interp(t, self.centre, column) for column in means.T], axis=1)
+
+    def border_rows(self, vector: ArrayF, arm: ArrayF, R: ArrayF, k: ArrayI) -> ArrayF:
+        """Derivatives (n, 8) of points ``k`` along vectors (n, 3) by mount, range and clock.
+
+        ``arm`` (n, 3) from the ics origin to the points and ``R`` (n, 3, 3) are those of the moment, or of
+        the middle of its span.
+        """
+        own = np.einsum("nji,nj->ni", R, vector)
+        arm = np.einsum("nji,nj->ni", R, arm) - self.mount.shift_m
+        ray = np.sum(own * arm, axis=1) / np.maximum(np.linalg.norm(arm, axis=1), 1e-9)
+        late = np.sum(vector * self.velocity[k], axis=1)
+        return np.column_stack([np.cross(arm, own), own, ray, late])
+
+    def places(self, y: ArrayF) -> ArrayF:
+        """The points (n, 3) without the errors ``y``."""
+        e, every = self.errors_at(y, self.t), np.arange(len(self.t))
+        border = y[6 * self.n_spans :]
+        moved = np.stack(
+            [
+                self.border_rows(np.broadcast_to(a, self.x.shape), self.x - self.boat, self.R, every) @ border
+                for a in np.eye(3)
+            ],
+            axis=1,
+        )
+        arm = self.x - moved - self.boat
+        return np.asarray(self.boat - e[:, :3] + Rotation.from_rotvec(-e[:, 3:]).apply(arm))
+
+    def observe(self, y: ArrayF) -> "_Seen":
+        """Planes of the points as far as they are corrected, and what they observe.
+
+        Raises
+        ------
+        CoverageError : too few planes.
+        """
+        x = self.places(y)
+        planes = planes_seen_again(x, self.t, self.settings.max_planes, _place)
+        k, owner = planes.order, planes.owner
+        axes = planes.axes[owner]
+        normal = _with_neighbours(planes)[owner]
+        local = np.einsum("ni,nij->nj", x[k] - planes.centre_m[owner], axes)
+        off = np.einsum("ni,ni->n", x[k] - planes.centre_m[owner], normal)
+        since, span = self.t[k] - self.edges[0], float(self.edges[1] - self.edges[0])
+        scatter, freedom = scatter_about(local[:, 0], owner, since, planes.n)
+        joined, owner = joined_by_epoch(owner, since, span, float(self.edges[-1] - self.edges[0]))
+        n = np.bincount(joined).astype(np.float64)
+        # By the pose amid the span. How the boat moves within it would seem to tell a tilt or the mount from
+        # the slope of the distances in time, but the errors have slopes of their own there.
+        pose = np.concatenate([normal, np.cross(self.arm[k], normal)], axis=1)
+        border = self.border_rows(normal, self.arm[k], self.R_span[k], k)
+        by_errors = np.sum(pose * self.errors_at(y, self.t[k]), axis=1) + border @ y[6 * self.n_spans :]
+        columns = np.column_stack([off + by_errors, local[:, 1:], since, self.range_m[k], pose, border])
+        mean = sums(columns, joined, len(n)) / n[:, None]
+        enough = (freedom >= LEAST_FREEDOM) & (np.bincount(owner, minlength=planes.n) >= LEAST_SPANS)
+        keep = enough[owner]
+        n_planes = len(np.unique(owner[keep]))
+        if n_planes < LEAST_PLANES:
+            raise CoverageError(
+                f"{n_planes} plane spots of the bank were seen again",
+                expected=f"at least {LEAST_PLANES}, each with {LEAST_SPANS} spans of "
+                f"{span:.2g} s and a thickness of some centimetres",
+                cure="Pass the bank again, nearer or from another side; check the trajectory and the clock "
+                "of the lidar, whose errors spread what is plane",
+            )
+        mean, n, owner = mean[keep], n[keep], owner[keep]
+        variance = scatter[owner] * (1 / n + ROUGHNESS)
+        tercile = np.searchsorted(np.quantile(scatter[enough], [1 / 3, 2 / 3]), scatter[owner])
+        return _Seen(
+            d=mean[:, 0], uv=mean[:, 1:3], owner=owner, range_m=mean[:, 4],
+            t_gps_s=mean[:, 3] + self.edges[0], group=tercile, sigma=np.sqrt(variance),
+            A=self._design(mean[:, 3], span, mean[:, 5:11], mean[:, 11:]), n_planes=n_planes,
+        )  # fmt: skip
+
+    def _design(self, since: ArrayF, span_s: float, pose: ArrayF, border: ArrayF) -> sp.csr_matrix:
+        of = np.clip((since / span_s).astype(np.int64), 0, self.n_spans - 1)
+        column = 6 * of[:, None] + np.arange(6)
+        row = np.repeat(np.arange(len(of)), 6)
+        own = sp.csr_matrix((pose.ravel(), (row, column.ravel())), shape=(len(of), 6 * self.n_spans))
+        return sp.hstack([own, sp.csr_matrix(border)]).tocsr()
+
+
+def _with_neighbours(planes: Planes) -> ArrayF:
+    """Normals (p, 3), each the mean of those of planes near by that go on in it.
+
+    A normal's own error lets a shift along the plane seem to be seen: of one cell of a wall by a hundredth of
+    what is seen across, which thousands of cells add up to a figure for what no wall tells.
+    """
+    n, c = planes.axes[:, :, 0], planes.centre_m
+    i, j = cKDTree(c).query_pairs(REACH_M, output_type="ndarray").T
+    i, j = np.concatenate([i, j]), np.concatenate([j, i])
+    same = np.einsum("ni,ni->n", n[i], n[j])
+    goes_on = np.abs(same) > np.cos(ALIKE_RAD)
+    goes_on &= np.abs(np.einsum("ni,ni->n", c[j] - c[i], n[i])) < REACH_M * ALIKE_RAD
+    i, j, same = i[goes_on], j[goes_on], same[goes_on]
+    mean = n + sums(n[j] * np.sign(same)[:, None], i, len(n))
+    return np.asarray(mean / np.linalg.norm(mean, axis=1, keepdims=True))
+
+
+def _place(centre: ArrayF, normal: ArrayF) -> ArrayI:
+    """Number of the stretch of bank and of the direction that planes look in: 26 of these."""
+    at = np.floor(centre[:, :2] / PLACE_M).astype(np.int64)
+    upward = normal * np.where(normal[:, 2:] < 0, -1.0, 1.0)
+    key = np.column_stack([at, np.rint(1.2 * upward).astype(np.int64)])
+    return np.asarray(np.unique(key, axis=0, return_inverse=True)[1].ravel())
+
+
+@dataclass(slots=True, kw_only=True)
+class _Seen:
+    """Observations of a round; ``A`` their derivatives by all unknowns, ``sigma`` as the scatter says."""
+
+    d: ArrayF
+    uv: ArrayF
+    owner: ArrayI
+    range_m: ArrayF
+    t_gps_s: ArrayF
+    group: ArrayI
+    sigma: ArrayF
+    A: sp.csr_matrix
+    n_planes: int
+    robust: ArrayF | None = None
+    factors: ArrayF | None = None
+    z: ArrayF | None = None
+
+    def root_weight(self) -> ArrayF:
+        """One over the sigmas (m,), with the factors of the groups and robust weights."""
+        robust = 1.0 if self.robust is None else np.sqrt(np.maximum(self.robust, 1e-6))
+        factors = np.ones(len(GROUPS)) if self.factors is None else self.factors
+        return np.asarray(robust / (self.sigma * factors[self.group]))
+
+    def equations(self) -> tuple[ArrayF, ArrayF]:
+        """Normal equations without the planes."""
+        root = self.root_weight()
+        basis = plane_basis(self.owner, self.uv, root)
+        return without_planes(sp.diags(root) @ self.A, root * self.d, basis)
+
+    def from_planes_m(self, y: ArrayF) -> tuple[ArrayF, ArrayF]:
+        """Distances (m,) from each plane with errors ``y``, and the shares (m,) that the planes left."""
+        root = self.root_weight()
+        basis = plane_basis(self.owner, self.uv, root)
+        left = root * (self.d - self.A @ y)
+        left -= basis @ (basis.T @ left)
+        return left / root, np.clip(1.0 - np.asarray(basis.power(2).sum(axis=1)).ravel(), 0.05, 1.0)
+
+    def weigh(self, y: ArrayF, *, tukey: bool) -> None:
+        """New factors of the groups and robust weights from the residuals."""
+        left, free = self.from_planes_m(y)
+        z = left / self.sigma / np.sqrt(free)
+        self.factors = np.array(
+            [
+                robust_sigma(z[self.group == g], 0.0) if (self.group == g).any() else 1.0
+                for g in range(len(GROUPS))
+            ]
+        )
+        self.factors = np.maximum(self.factors, 0.3)
+        self.z = z / self.factors[self.group]
+        size = np.abs(self.z)
+        if tukey:
+            self.robust = np.clip(1.0 - (size / TUKEY_LIMIT) ** 2, 0.0, None) ** 2
+        else:
+            self.robust = np.minimum(1.0, HUBER_LIMIT / np.maximum(size, 1e-9))
+
+
+def _neighbours(K: ArrayF) -> tuple[ArrayF, ArrayF]:
+    """Covariances (b, 6, 6) of spans, and with the next span, of a covariance (6 b, 6 b)."""
+    n = len(K) // 6
+    blocks = K.reshape(n, 6, n, 6)
+    own, k = np.arange(n), np.arange(n - 1)
+    following = np.zeros((n, 6, 6))
+    following[:-1] = blocks[k, :, k + 1]
+    return blocks[own, :, own].copy(), following
+
+
+def _chain(name: str, t_gps_s: ArrayF, own: ArrayF, following: ArrayF) -> ErrorChain:
+    pose = np.tile(np.eye(6), (len(t_gps_s), 1, 1))
+    return ErrorChain.of_covariances(name, t_gps_s, own, following, pose, step_s=0.0)
+
+
+def _positive_part(cov: ArrayF) -> ArrayF:
+    """Covariances (n, 6, 6) without negative eigenvalues, metres beside radians in one scale."""
+    scale = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2), 0.0).mean(axis=0))
+    scale = np.where(scale > 0, scale, 1.0)
+    values, vectors = np.linalg.eigh(cov / scale[:, None] / scale)
+    vectors *= scale[:, None]
+    return np.asarray(vectors * np.maximum(values, 0.0)[:, None, :] @ np.swapaxes(vectors, 1, 2))
+
+
+def _result(
+    task: _Task, seen: _Seen, y: ArrayF, L: ArrayF, G: ArrayF, prior: ArrayF, before: ErrorChain
+) -> Adjusted:
+    """Corrected trajectory and mount, and what the adjustment says of itself."""
+    n_spans, u = task.n_spans, 6 * task.n_spans
+    F = solve_triangular(G, L.T, lower=True, check_finite=False)  # F' F is the covariance
+    by_span = np.ascontiguousarray(F[:, :u].reshape(len(F), n_spans, 6).transpose(1, 0, 2))
+    own = np.swapaxes(by_span, 1, 2) @ by_span
+    cov_border = F[:, u:].T @ F[:, u:]
+    posterior = np.concatenate([np.diagonal(own, axis1=1, axis2=2).ravel(), np.diag(cov_border)])
+    told = np.clip(1.0 - posterior / prior, 0.0, 1.0)
+
+    poses = task.trajectory
+    t = np.clip(poses.t_gps_s, task.edges[0], task.edges[-1])
+    e = task.errors_at(y, t)
+    attitude = Rotation.from_rotvec(-e[:, 3:]) * Rotation.from_quat(poses.quaternion_wcs_ics)
+    # what is faster than the knots stays as it was
+    rest = _positive_part(poses.cov_pose_wcs - before.covariance_at(t))
+    R = poses.at(task.centre)[1]
+    by_mount = np.zeros((n_spans, 6, 6))
+    by_mount[:, :3, :3] = cross_matrix(R @ task.mount.shift_m) @ R
+    by_mount[:, :3, 3:] = by_mount[:, 3:, :3] = R
+    made = []
+    for of_span in (by_span, by_span + F[:, u : u + 6] @ np.swapaxes(by_mount, 1, 2)):
+        following = np.zeros_like(own)
+        following[:-1] = np.swapaxes(of_span[:-1], 1, 2) @ of_span[1:]
+        square = np.swapaxes(of_span, 1, 2) @ of_span
+        chain = _chain("adjusted strips", task.centre, square, following)
+        trajectory = replace(
+            poses,
+            position_wcs_m=poses.position_wcs_m - e[:, :3],
+            quaternion_wcs_ics=attitude.as_quat(),
+            cov_pose_wcs=chain.covariance_at(t) + rest,
+        )
+        made.append((trajectory, chain))
+    (trajectory, _), (of_lidar, chain) = made
+    border, order = y[u:], np.r_[3:6, 0:3]
+    mount = Rigid(
+        R=Rotation.from_rotvec(-border[:3]).as_matrix() @ task.mount.R,
+        shift_m=task.mount.shift_m - border[3:6],
+        cov=cov_border[np.ix_(order, order)],
+    )
+    return Adjusted(
+        trajectory=trajectory,
+        mount=mount,
+        of_lidar=of_lidar,
+        chains=with_rest(of_lidar, [chain], chain.t_gps_s, step_s=float(np.diff(task.edges)[0])),
+        **_report(task, seen, y, np.sqrt(posterior), np.sqrt(prior), told),
+    )
+
+
+def _report(
+    task: _Task, seen: _Seen, y: ArrayF, after: ArrayF, before: ArrayF, told: ArrayF
+) -> dict[str, Any]:
+    """Tables and facts of `Adjusted`, of all unknowns with their sigmas."""
+    u = 6 * task.n_spans
+    first, left = seen.from_planes_m(np.zeros_like(y))[0], seen.from_planes_m(y)[0]
+    observations = pd.DataFrame(
+        {
+            "t_gps_s": seen.t_gps_s,
+            "range_m": seen.range_m,
+            "before_m": first,
+            "after_m": left,
+            "z": seen.z,
+            "weight": seen.robust,
+            "group": np.array(GROUPS)[seen.group],
+        }
+    )
+    knots = pd.DataFrame({"t_gps_s": task.centre})
+    for i, name in enumerate(POSE):
+        key, unit = name.replace(" ", "_"), "rad" if i >= 3 else "m"
+        for what, values in (
+            (f"{key}_{unit}", -y), (f"sigma_{key}_before_{unit}", before),
+            (f"sigma_{key}_{unit}", after), (f"told_{key}", told),
+        ):  # fmt: skip
+            knots[what] = values[i:u:6]
+    at = np.searchsorted(task.edges, seen.t_gps_s, side="right") - 1
+    knots["observations"] = np.bincount(np.clip(at, 0, task.n_spans - 1), minlength=task.n_spans)
+    border = pd.DataFrame(
+        {
+            "unknown": BORDER,
+            "correction": -y[u:],
+            "sigma_before": before[u:],
+            "sigma": after[u:],
+            "told": told[u:],
+        }
+    )
+    border = border[before[u:] > 10 * LEAST_SIGMA].reset_index(drop=True)
+    mean = {name: float(told[i:u:6].mean()) for i, name in enumerate(POSE)}
+    used = seen.robust > 0.1 if seen.robust is not None else np.ones(len(first), dtype=np.bool_)
+    facts = {
+        "planes": seen.n_planes,
+        "observations": len(first),
+        "not_on_planes": int((~used).sum()),
+        "knots": task.n_spans,
+        "knot_s": float(np.diff(task.edges)[0]),
+        "redundancy": float(len(first) - 3 * seen.n_planes - told.sum()),
+        "distance_before_m": root_mean_square(first[used]),
+        "distance_after_m": root_mean_square(left[used]),
+        "sigma_factors": dict(zip(GROUPS, np.asarray(seen.factors).tolist(), strict=True)),
+        "told": mean,
+        "not_told": [name for name, share in mean.items() if share < LEAST_TOLD]
+        + border["unknown"][border["told"] < LEAST_TOLD].tolist(),
+    }
+    return {"knots": knots, "border": border, "observations": observations, "facts": facts}
