@@ -1,15 +1,23 @@
 """Registration, volumes, patches and retreat of four to eight core points, with full covariances by hand."""
 
+import json
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 import scipy.sparse as sp
+from pyproj import CRS
 
+from thalweg.core import Dsm
 from thalweg.deformation import coregistration, volumes
+from thalweg.deformation.changes import N_DRAWS, draw_errors
 from thalweg.deformation.coregistration import coregister, design_of
 from thalweg.deformation.field import ErrorField, ErrorGroup
+from thalweg.deformation.foreign import SurfaceDifference, read_difference, write_difference
+from thalweg.deformation.foreign.clouds import sigma_of_mean
+from thalweg.deformation.series import heights_table
 from thalweg.deformation.volumes import _patches, _rows, estimate_retreat, estimate_volumes
 from thalweg.settings.sections import Deformation
 
@@ -153,3 +161,90 @@ def test_retreat_of_a_line_by_hand(
     assert found["high_m"].to_numpy() == pytest.approx(moved + 1.959964 * sigma)
     assert found["epr_m_a"].to_numpy() == pytest.approx(moved / 0.5)
     assert found["sigma_epr_m_a"].to_numpy() == pytest.approx(sigma / 0.5)
+
+
+# ---------------------------------------------------------------- what is written
+
+
+def test_a_registration_goes_to_disk_with_its_facts(tmp_path: Path) -> None:
+    rng = np.random.default_rng(8)
+    k = 40
+    cores = np.column_stack([rng.uniform(-9.0, 9.0, (k, 2)), np.zeros(k)])
+    normals = np.tile([0.0, 0.0, 1.0], (k, 1))
+    group = ErrorGroup.from_sigmas("position", np.array([0.0]), np.full(3, 1e-6), 2.0)
+    field = ErrorField((group,), (sp.csr_matrix(normals),))
+    bare = np.arange(k) != 3
+    distance = np.where(np.arange(k) == 5, np.nan, 0.02) + 0.002 * rng.standard_normal(k)
+    ring = [(-9.0, -9.0), (9.0, -9.0), (9.0, 9.0), (-9.0, 9.0)]
+    words = {}
+    for name, stable in (("all", None), ("drawn", [ring, [(x + 100.0, y) for x, y in ring]])):
+        settings = Deformation(registration="shift", stable=stable)
+        found = coregister(cores, normals, distance, np.full(k, 0.002), bare, field, settings)
+        coregistration.write_registration(tmp_path / "r.json", tmp_path / "r.npz", found)
+        facts = json.loads((tmp_path / "r.json").read_text())
+        words[name] = facts["areas"], facts["n_areas"]
+        assert facts["candidates"] == k - 2
+        assert facts["stable_cores"] == int(found.stable.sum())
+        with np.load(tmp_path / "r.npz") as stored:
+            for array in ("parameters", "cov", "design", "weights", "stable"):
+                np.testing.assert_array_equal(stored[array], getattr(found, array))
+    assert words == {"all": ("what most of the bank agrees on", 1), "drawn": ("drawn", 2)}
+
+
+def test_drawn_errors_and_heights_of_a_series_are_tables() -> None:
+    compared = SimpleNamespace(
+        distance_m=np.array([0.1, np.nan, 0.2]),
+        draws=lambda n, seed: [seed + i + np.array([0.1, 0.2, 0.3]) for i in range(n)],
+    )
+    table = draw_errors(compared, 7)
+    assert table["core"].tolist() == [0, 1, 2]
+    assert table.shape[1] == 1 + N_DRAWS
+    for i in (0, N_DRAWS - 1):
+        expected = [7.1 + i, np.nan, 7.3 + i]
+        assert table[f"draw_{i:02d}_m"].tolist() == pytest.approx(expected, nan_ok=True, rel=1e-6)
+
+    height = np.array([[0.0, np.nan], [0.1, 0.4], [np.nan, 0.5]])
+    heights = heights_table(np.array([2020.5, 2021.0, 2023.0]), height, height / 10 + 0.01)
+    assert heights["place"].tolist() == [0, 0, 1, 1]
+    assert heights["epoch"].tolist() == [1, 2, 2, 3]
+    assert heights["t_a"].tolist() == pytest.approx([0.0, 0.5, 0.5, 2.5])
+    assert heights["distance_m"].tolist() == pytest.approx([0.0, 0.1, 0.4, 0.5])
+    assert heights["sigma_m"].tolist() == pytest.approx([0.01, 0.02, 0.05, 0.06])
+
+
+def test_the_sigma_of_a_mean_of_three_unequal_ones() -> None:
+    """Places 0.5 and 12 m apart with a radius of 0.5 m: two cylinders overlap, all share the field."""
+    table = pd.DataFrame(
+        {
+            "east_m": [0.0, 0.3, 0.3],
+            "north_m": [0.0, 0.4, 0.4],
+            "up_m": [0.0, 0.0, 12.0],
+            "sigma_m": 0.1,
+            "sigma_field_m": [0.01, 0.02, 0.06],
+            "sigma_white_m": [0.03, 0.01, 0.08],
+            "sigma_registration_m": [0.02, 0.02, 0.05],
+        }
+    )
+    lag = np.array([[0.0, 0.5, np.sqrt(144.25)], [0.5, 0.0, 12.0], [np.sqrt(144.25), 12.0, 0.0]])
+    half = np.minimum(lag / 1.0, 1.0)  # of a diameter
+    lens = 2 / np.pi * (np.arccos(half) - half * np.sqrt(1 - half**2))
+    for correlation_m, alike in ((4.0, np.exp(-lag / 4.0)), (0.0, np.eye(3))):
+        variance = 0.0
+        for name, rho in (("field", alike), ("white", lens), ("registration", np.ones((3, 3)))):
+            s = table[f"sigma_{name}_m"].to_numpy()
+            variance += s @ rho @ s / 9
+        unmeasured = pd.concat([table, table.assign(sigma_m=np.nan, sigma_field_m=9.0)])
+        assert sigma_of_mean(unmeasured, 0.5, correlation_m) == pytest.approx(np.sqrt(variance))
+
+
+def test_a_difference_is_read_as_it_was_written(tmp_path: Path) -> None:
+    values = np.array([[0.1, np.nan, -0.3], [0.4, 0.5, 0.6]])
+    raster = Dsm(values, np.array([500.0, 900.0]), np.array([2.0, 3.0]), CRS.from_epsg(25833), tmp_path)
+    write_difference(tmp_path / "d.tif", SurfaceDifference(raster, values**2, pd.DataFrame(), []))
+    back = read_difference(tmp_path / "d.tif")
+    np.testing.assert_allclose(back.raster.height_m, values, rtol=1e-6)
+    np.testing.assert_allclose(back.sigma_m, values**2, rtol=1e-6)
+    assert back.raster.corner_m.tolist() == [500.0, 900.0]
+    assert back.raster.cell_m.tolist() == [2.0, 3.0]
+    assert back.raster.frame.to_epsg() == 25833
+    assert len(back.volumes) == 0
