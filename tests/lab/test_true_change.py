@@ -208,6 +208,20 @@ def test_places_of_true_change_lie_evenly_on_the_ground_and_know_their_polygon()
         true_points(before, after, {}, Area(lowest_m=50.0), radius_m=0.5, reach_m=2.0, seed=1)
 
 
+def test_places_lie_within_their_triangles() -> None:
+    """Two triangles of 200 square metres: 1,600 places, evenly over both."""
+    before, after = scene(cells=1), scene(0.2, cells=1)
+    table = true_points(before, after, {}, Area(lowest_m=-1.0), radius_m=0.0, reach_m=2.0, seed=3)
+    place = table[["east_m", "north_m"]].to_numpy()
+    assert len(place) == 1600
+    assert np.abs(place).max() <= 10.0
+    counts = np.histogram2d(*place.T, bins=[np.linspace(-10.0, 10.0, 5)] * 2)[0]
+    # 100 in each of 16 cells: six sigmas
+    assert counts == pytest.approx(np.full((4, 4), 100.0), abs=60.0)
+    assert table["distance_m"].to_numpy() == pytest.approx(0.2, abs=1e-6)
+    assert (table["polygon"] == "").all()
+
+
 def test_polygons_have_volumes_classes_and_outlines_that_are_read_again() -> None:
     before, after, outlines = lowered()
     table = true_polygons(before, after, outlines).set_index("name")

@@ -22,6 +22,34 @@ def test_shares_and_gaps_of_a_simple_section() -> None:
     assert 0.40 <= found.facts["gap_left_echo_m"] < 0.46
     assert 0.10 <= found.facts["gap_left_joint_m"] < 0.16
     assert found.facts["echo_spacing_m"] == pytest.approx(0.05)
+    facts = found.facts
+    assert facts["width_m"] == 4.0
+    assert 0.40 <= facts["gap_right_echo_m"] < 0.46
+    assert 0.10 <= facts["gap_right_joint_m"] < 0.16
+    assert facts["laser_line_spacing_m"] == pytest.approx(0.05)
+    assert facts["points_per_sounding"] == pytest.approx(facts["laser_points"] / facts["soundings"])
+    assert facts["soundings"] == (found.instrument == ECHO).sum()
+    assert facts["laser_points"] == (found.instrument == LASER).sum()
+    # legs of 1 m along and some 3.9 m across; 95 % of each is deeper than the boat's limit
+    way = np.linalg.norm(np.diff(found.track_m, axis=0), axis=1).sum()
+    assert way == pytest.approx(20 * np.hypot(1.0, 2 * (2.0 - 0.12)), rel=0.01)
+    assert found.track_m[:, 1].min() == pytest.approx(0.12, abs=0.01)
+    assert found.track_m[:, 1].max() == pytest.approx(3.88, abs=0.01)
+    # classes of depth: both banks of each, on the whole length
+    table = found.table.set_index("from_m")
+    areas = {0.0: 0.2, 0.05: 0.6, 0.2: 1.2, 0.5: 2.0}
+    for low, wide in areas.items():
+        row = table.loc[low]
+        assert row["area_m2"] == pytest.approx(20.0 * wide, abs=20.0 * 0.1)
+        inside = (found.places_m[:, 2] >= low) & (found.places_m[:, 2] < row["to_m"])
+        for name, kind in (("soundings", ECHO), ("laser_points", LASER)):
+            assert row[name] == (inside & (found.instrument == kind)).sum()
+            assert row[f"{name}_per_m2"] == pytest.approx(row[name] / row["area_m2"])
+    assert table.loc[0.05, "share_joint"] == pytest.approx(table.loc[0.05, "share_laser"], abs=0.02)
+    assert table.loc[0.5, "share_laser"] == 0.0
+    assert 0.0 < table.loc[0.2, "share_echo"] < table.loc[0.5, "share_echo"] < 0.5
+    # the sheet is 13 cm wide at 5 cm of water, 20 cm at 20 cm
+    assert table.loc[0.05, "share_laser"] == pytest.approx(20 * 0.17 / 20.0, rel=0.3)
     # a V is straight from the edge to the first sounding: nothing to gain for the section there
     assert found.facts["rmse_shallow_echo_m"] < 0.002
 
