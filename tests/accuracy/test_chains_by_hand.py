@@ -33,7 +33,7 @@ def by_range(constant_m: float, per_metre: float, n: list[int], independent: flo
 
 
 def test_who_is_better_where_and_for_certain() -> None:
-    """INS: 4 cm and 1 mm a metre, camera 2 cm and 2 mm: equal at 20 m; 29 points are too few for a verdict."""
+    """INS: 4 cm and 1 mm a metre, camera 2 cm and 2 mm: equal at 20 m; 29 points are too few."""
     n = [30, 29, 60, 60, 60, 60, 60, 60]
     at_m = np.array([10.0, 20.0])
     table = chains_by_range(
@@ -59,7 +59,7 @@ def test_who_is_better_where_and_for_certain() -> None:
     facts = range_facts(table)
     assert facts["classes"] == 7
     assert facts["best_predicted"]["camera"][0] == [5, 5]
-    assert facts["best_of_two"]["ins"][-1] == [25, 40]
+    assert facts["best_of_two"]["ins"][-4:] == [[25, 25], [30, 30], [35, 35], [40, 40]]
     assert facts["decided"] == {
         name: int((certain & (rows["best_observed"] == name)).sum()) for name in ("ins", "camera")
     }

@@ -196,7 +196,7 @@ def test_days_that_agree_change_nothing() -> None:
 
 
 def test_the_mean_of_days_is_within_its_sigma_as_often_as_one_sigma_says() -> None:
-    """Steps of two and of three days drawn anew 100 times each: one line a day, all cross; the truth is zero."""
+    """Steps of two and of three days, 100 times each: one line a day, all cross; the truth is zero."""
     rng = np.random.default_rng(905)
     at = np.linspace(-20.0, 20.0, 11)
     inside = 0
