@@ -1,6 +1,7 @@
 """Registration, volumes, patches and retreat of four to eight core points, with full covariances by hand."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,12 +11,18 @@ import pytest
 import scipy.sparse as sp
 from pyproj import CRS
 
-from thalweg.core import Dsm
+from thalweg.core import Dsm, GeometryError, robust_sigma
+from thalweg.core.values import read_vectors
 from thalweg.deformation import coregistration, volumes
 from thalweg.deformation.changes import N_DRAWS, draw_errors
 from thalweg.deformation.coregistration import coregister, design_of
 from thalweg.deformation.field import ErrorField, ErrorGroup
-from thalweg.deformation.foreign import SurfaceDifference, read_difference, write_difference
+from thalweg.deformation.foreign import (
+    SurfaceDifference,
+    difference_on_lines,
+    read_difference,
+    write_difference,
+)
 from thalweg.deformation.foreign.clouds import sigma_of_mean
 from thalweg.deformation.series import heights_table
 from thalweg.deformation.volumes import _patches, _rows, estimate_retreat, estimate_volumes
@@ -248,3 +255,23 @@ def test_a_difference_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert back.raster.cell_m.tolist() == [2.0, 3.0]
     assert back.raster.frame.to_epsg() == 25833
     assert len(back.volumes) == 0
+
+
+def test_differences_on_lines_of_stable_ground(tmp_path: Path) -> None:
+    """A road of 6 m along three cells of 2 m: the median of 1, 2 and 6 cm, and their scatter about it."""
+    line = {"type": "LineString", "coordinates": [[500_000.5, 5_699_999.0], [500_006.6, 5_699_999.0]]}
+    feature = {"type": "Feature", "properties": {}, "geometry": line}
+    crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::25833"}}
+    path = tmp_path / "road.geojson"
+    path.write_text(json.dumps({"type": "FeatureCollection", "crs": crs, "features": [feature]}))
+    corner, cell, frame = np.array([500_000.0, 5_700_000.0]), np.full(2, 2.0), CRS.from_epsg(25833)
+    before = Dsm(np.full((1, 3), 10.0), corner, cell, frame, tmp_path / "a.tif")
+    after = Dsm(np.array([[10.01, 10.02, 10.06]]), corner, cell, frame, tmp_path / "b.tif")
+    found = difference_on_lines(before, after, read_vectors(path), step_m=2.0)
+    assert found.n == 3
+    assert found.median_m == pytest.approx(0.02)
+    assert found.nmad_m == pytest.approx(robust_sigma(np.array([0.01, 0.02, 0.06]), 0.02))
+    hole = replace(after, height_m=np.array([[10.01, np.nan, 10.06]]))
+    assert difference_on_lines(before, hole, read_vectors(path), step_m=2.0).n == 2
+    with pytest.raises(GeometryError, match="no point of the lines"):
+        difference_on_lines(before, replace(after, height_m=np.full((1, 3), np.nan)), read_vectors(path))

@@ -6,7 +6,7 @@ import pytest
 from thalweg.core import GeometryError
 from thalweg.lightsheet.optics import paper_4
 from thalweg.lightsheet.scanning import LASER_M, SurveyPlan, joint_survey, small_river, swath
-from thalweg.lightsheet.scanning.joint_survey import ECHO, ECHO_LEAST_M, LASER, JointSurvey, Section
+from thalweg.lightsheet.scanning.joint_survey import ECHO, ECHO_LEAST_M, LASER, JointSurvey, Section, _covered
 
 V = Section(across_m=np.array([0.0, 2.0, 4.0]), depth_m=np.array([0.0, 1.0, 0.0]))
 """A V-shaped river 4 m wide and 1 m deep: shares and gaps can be said by hand."""
@@ -96,3 +96,21 @@ def test_rivers_that_are_none_are_refused() -> None:
     for across, depth in (([0.0, 2.0, 1.0], [0.0, 1.0, 0.0]), ([0.0, 1.0, 2.0], [0.0, 1.0, 0.5])):
         with pytest.raises(GeometryError, match="depths of zero at both edges"):
             Section(across_m=np.array(across), depth_m=np.array(depth))
+
+
+def test_a_sounding_covers_the_disc_of_its_beam() -> None:
+    """Over 1 m of water a beam of 90 degrees is 2 m wide: 25 points on the disc of radius 1 m."""
+    plan = SurveyPlan(length_m=6.0, echo_beam_deg=90.0)
+    echo, laser = (
+        np.array([[3.01, 2.01, 1.0]]),
+        np.array([[0.01, 0.01, 0.1], [5.99, 3.99, 0.1], [7.0, 1.0, 0.1]]),
+    )
+    depth, by_echo, by_laser = _covered(V, plan, echo, laser)
+    assert depth.shape == (80, 120)
+    assert depth[0, 0] == pytest.approx(0.0125)  # 2.5 cm from the edge of 1 in 2
+    np.testing.assert_allclose(depth[39], depth[40])
+    row, column = np.nonzero(by_echo)
+    away = np.hypot((column + 0.5) * 0.05 - 3.01, (row + 0.5) * 0.05 - 2.01)
+    assert np.sort(away)[[0, 1, 12, 13, 24]] == pytest.approx([0.0, 0.5, 0.5, 1.0, 1.0], abs=0.04)
+    assert len(away) == 25
+    assert np.argwhere(by_laser).tolist() == [[0, 0], [79, 119]]
