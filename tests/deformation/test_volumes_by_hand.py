@@ -14,7 +14,7 @@ from pyproj import CRS
 from thalweg.core import Dsm, GeometryError, robust_sigma
 from thalweg.core.values import read_vectors
 from thalweg.deformation import coregistration, volumes
-from thalweg.deformation.changes import N_DRAWS, draw_errors
+from thalweg.deformation.changes import N_DRAWS, difference_of, draw_errors
 from thalweg.deformation.coregistration import coregister, design_of
 from thalweg.deformation.field import ErrorField, ErrorGroup
 from thalweg.deformation.foreign import (
@@ -275,3 +275,24 @@ def test_differences_on_lines_of_stable_ground(tmp_path: Path) -> None:
     assert difference_on_lines(before, hole, read_vectors(path), step_m=2.0).n == 2
     with pytest.raises(GeometryError, match="no point of the lines"):
         difference_on_lines(before, replace(after, height_m=np.full((1, 3), np.nan)), read_vectors(path))
+
+
+def test_errors_of_a_difference_are_those_of_the_second_less_those_of_the_first() -> None:
+    """Poses of both epochs for themselves; the mount is one error of both where the boat is the same."""
+    rng = np.random.default_rng(4)
+    sigmas = {"position": 0.02, "mount of the lidar": 0.01}
+    fields, rows = [], []
+    for _ in range(2):
+        groups = tuple(
+            ErrorGroup.from_sigmas(name, np.array([0.0]), np.full(3, s), 2.0) for name, s in sigmas.items()
+        )
+        rows.append(rng.standard_normal((2, 4, 3)))
+        fields.append(ErrorField(groups, tuple(sp.csr_matrix(each) for each in rows[-1])))
+    for common in (False, True):
+        found = difference_of(*fields, common_mounts=common)
+        whole = np.hstack([each.toarray() for each in found.rows])
+        assert whole.sum() == pytest.approx(rows[1].sum() - rows[0].sum())
+        (a, b), (c, d) = rows
+        mounts = (d - b) @ (d - b).T if common else b @ b.T + d @ d.T
+        C = 0.02**2 * (a @ a.T + c @ c.T) + 0.01**2 * mounts
+        assert found.variances() == pytest.approx(np.diag(C))
