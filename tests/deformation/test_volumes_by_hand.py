@@ -15,6 +15,7 @@ from thalweg.core import Dsm, GeometryError, robust_sigma
 from thalweg.core.values import read_vectors
 from thalweg.deformation import coregistration, volumes
 from thalweg.deformation.changes import N_DRAWS, difference_of, draw_errors
+from thalweg.deformation.core_points import bank_line_m, lines_of_bank
 from thalweg.deformation.coregistration import coregister, design_of
 from thalweg.deformation.field import ErrorField, ErrorGroup
 from thalweg.deformation.foreign import (
@@ -296,3 +297,41 @@ def test_errors_of_a_difference_are_those_of_the_second_less_those_of_the_first(
         mounts = (d - b) @ (d - b).T if common else b @ b.T + d @ d.T
         C = 0.02**2 * (a @ a.T + c @ c.T) + 0.01**2 * mounts
         assert found.variances() == pytest.approx(np.diag(C))
+
+
+# ---------------------------------------------------------------- lines of a bank
+
+
+def test_lines_of_a_bank_are_weighted_sums_of_the_distances_of_its_face() -> None:
+    """A face of 45 degrees and one turned by 60 degrees about the plumb line; flat ground has no line."""
+    slant = np.sqrt(0.5)
+    normals = (
+        [[slant, 0.0]] * 4 + [[slant / 2, slant * np.sqrt(0.75)]] * 2 + [[np.sin(np.deg2rad(19.0)), 0.0]] * 2
+    )
+    cores = pd.DataFrame(np.array(normals), columns=["normal_east", "normal_north"]).assign(
+        s_m=[0.5, 1.0, 1.5, 1.9, 0.2, 3.0, 1.0, 1.2], up_m=[0.75, 1.24, 1.26, 3.0, 1.0, 3.1, 1.0, 1.0]
+    )
+    use = np.array([True] * 8)
+    settings = Deformation(station_m=2.0)
+    assert bank_line_m(settings, 0.4) == pytest.approx(0.9)
+    assert bank_line_m(settings.replace(line_height_m=7.0), 0.4) == 7.0
+    rows, products = lines_of_bank(cores, use, settings, 1.0)
+    # of the first stretch 0, 1 and 4 lie within 25 cm of 1 m; of the upper edge of the face fewer than three
+    assert rows["line"].tolist() == ["bank line"]
+    assert rows.iloc[0, 1:].tolist() == [1.0, 0.0, 2.0, 3]
+    here = np.array([0, 1, 4])
+    n = np.array(normals)[here]
+    across = n.mean(axis=0) / np.linalg.norm(n.mean(axis=0))
+    share = n @ across
+    expected = np.zeros(8)
+    expected[here] = share / np.sum(share**2)
+    np.testing.assert_allclose(products, expected[None])
+    # a movement of 0.3 m across shows as distances n'c m, and comes back
+    assert products[0] @ (0.3 * np.array(normals) @ across) == pytest.approx(0.3)
+    assert lines_of_bank(cores, use & (np.arange(8) != 4), settings, 1.0)[0].empty
+    # the upper edge: what 5 % of the face lies above, less the width of the band
+    high = cores.assign(up_m=[1.0, 2.9, 3.0, 3.0, 3.0, 3.1, 9.0, 9.0])
+    top, _ = lines_of_bank(high, use, settings, 9.0)
+    assert top["line"].tolist() == ["bank top"]
+    assert top["height_m"][0] == pytest.approx(np.quantile([1.0, 2.9, 3.0, 3.0, 3.0], 0.95) - 0.25)
+    assert top["cores"][0] == 4
