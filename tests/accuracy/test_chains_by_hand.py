@@ -1,11 +1,23 @@
 """Tables of chains on a few classes and poses whose numbers can be said: limits, forms, unequal sigmas."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from thalweg.accuracy import ALL, AS_MEASURED, WITHOUT_OUTLIERS, chains_by_range, outage_table, range_facts
-from thalweg.accuracy.solutions import TIE, _trajectory, longest_gap_s, valid_spans
+from thalweg.accuracy.solutions import (
+    SHOTS,
+    TIE,
+    TRAJECTORY,
+    Chain as AChain,
+    _trajectory,
+    chains_table,
+    longest_gap_s,
+    valid_spans,
+    value,
+)
 from thalweg.core import LocalFrame, Trajectory
 
 RANGE_M = np.arange(5, 45, 5)
@@ -124,6 +136,24 @@ def test_sigmas_of_unequal_poses() -> None:
     assert row["ins_most_m"] == pytest.approx(13 * 0.05)
     assert row["fused_share"] == 1.0
     assert row["length_s"] == 4.0
+
+
+def test_the_survey_lasts_from_the_first_pose_to_the_last_of_all_chains() -> None:
+    """One chain from 1000 to 1006 s, the other from 1003 to 1012 s: shares are of twelve seconds."""
+    first = poses(np.full(7, 0.01), np.ones(7, bool))
+    other = poses(np.full(10, 0.01), np.ones(10, bool))
+    other = replace(other, t_gps_s=other.t_gps_s + 3.0)
+    counts = pd.DataFrame({"reason": ["kept", "no_pose", "too_far"], "n": [6, 3, 1]})
+    table = chains_table(
+        [AChain(name=n, counts=counts, trajectory=t) for n, t in (("ins", first), ("camera", other))]
+    )
+    assert value(table, TRAJECTORY, "share_of_time", "ins") == pytest.approx(6 / 12)
+    assert value(table, TRAJECTORY, "share_of_time", "camera") == pytest.approx(9 / 12)
+    assert value(table, TRAJECTORY, "longest_gap", "ins") == 6.0
+    assert value(table, TRAJECTORY, "longest_gap", "camera") == 3.0
+    assert value(table, TRAJECTORY, "time_without_ins", "camera") == 6.0
+    assert value(table, SHOTS, "with_pose", "ins") == 7
+    assert value(table, SHOTS, "share_in_cloud", "camera") == pytest.approx(0.6)
 
 
 class Chain:

@@ -24,7 +24,7 @@ from thalweg.deformation.foreign import (
     read_difference,
     write_difference,
 )
-from thalweg.deformation.foreign.clouds import sigma_of_mean
+from thalweg.deformation.foreign.clouds import point_spacing_m, sigma_of_mean
 from thalweg.deformation.series import heights_table
 from thalweg.deformation.volumes import _patches, _rows, estimate_retreat, estimate_volumes
 from thalweg.settings.sections import Deformation
@@ -335,3 +335,12 @@ def test_lines_of_a_bank_are_weighted_sums_of_the_distances_of_its_face() -> Non
     assert top["line"].tolist() == ["bank top"]
     assert top["height_m"][0] == pytest.approx(np.quantile([1.0, 2.9, 3.0, 3.0, 3.0], 0.95) - 0.25)
     assert top["cores"][0] == 4
+
+
+def test_the_spacing_of_a_cloud_is_asked_all_over_it(tmp_path: Path) -> None:
+    """5,000 points in a row, 1 m apart at first and 2 m from the tenth on; a point that is there twice."""
+    x = np.concatenate([np.arange(10.0), 10.0 + 2.0 * np.arange(4990), [3.0]])
+    np.savetxt(tmp_path / "row.xyz", np.column_stack([x, np.zeros((len(x), 2))]))
+    assert point_spacing_m(tmp_path / "row.xyz") == pytest.approx(2.0)
+    (tmp_path / "one.xyz").write_text("1000 2.5 3\n1000 2.5 3\n")
+    assert point_spacing_m(tmp_path / "one.xyz") is None
