@@ -8,11 +8,12 @@ least 40 % better on a meander than the same range in all directions.
 from functools import cache
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from thalweg.bathymetry import Across, BedModel, CovarianceModel, Drift, FlowLine, Observations, choose_model
 from thalweg.bathymetry.kriging import krige
-from thalweg.bathymetry.validation import methods
+from thalweg.bathymetry.validation import _blocks, _lines, _some, by_class, measures, methods
 from thalweg.core import ArrayF
 from thalweg.settings.sections import Bathymetry
 
@@ -131,3 +132,73 @@ def test_a_model_needs_no_banks() -> None:
         reason="",
     )
     assert (bare.roughness(data.places_m) == 1.0).all()
+
+
+# ---------------------------------------------------------------- what is left out, and its measures
+
+
+def test_measures_of_what_was_foretold_by_hand() -> None:
+    table = pd.DataFrame(
+        {
+            "up_m": [1.0, 1.0, 1.0, 1.0, 5.0],
+            "predicted_m": [1.1, 0.8, 1.0, 1.3, np.nan],
+            "sigma_m": [0.1, 0.1, 0.1, np.nan, 0.1],
+        }
+    )
+    found = measures(table)
+    assert found == pytest.approx(
+        {
+            "rmse_m": np.sqrt(0.14 / 4),
+            "bias_m": 0.05,
+            "normalised_square": 5 / 3,
+            "outside_95": 1 / 3,
+            "n": 4,
+            "not_foretold": 1,
+        }
+    )
+    none = measures(table.assign(predicted_m=np.nan))
+    assert (none["n"], none["not_foretold"]) == (0, 5)
+    assert np.isnan([none[k] for k in ("rmse_m", "bias_m", "normalised_square", "outside_95")]).all()
+    assert np.isnan(measures(table.assign(sigma_m=np.nan))["normalised_square"])
+
+
+def test_classes_of_what_was_foretold_have_their_limits_and_ten_places() -> None:
+    distance = np.repeat([0.0, 1.0, 3.9, 16.0], [10, 9, 10, 11])
+    table = pd.DataFrame({"distance_m": distance, "up_m": 0.0, "predicted_m": distance, "sigma_m": 1.0})
+    found = by_class(table)
+    assert {name: each["n"] for name, each in found.items()} == {
+        "0 m to 1 m from data": 10,
+        "2 m to 4 m from data": 10,
+        "16 m to more from data": 11,
+    }
+    assert found["2 m to 4 m from data"]["bias_m"] == pytest.approx(3.9)
+    assert "slope 0.1 to 0.2" in by_class(table.assign(slope=0.1))
+    assert set(by_class(table.assign(depth_m=-1.0))) - set(found) == {"0 m to 0.5 m deep"}
+
+
+def test_lines_and_stretches_that_are_left_out() -> None:
+    """85 lines of ten places: each third is foretold; of 16 even stretches each second within the ends."""
+    s = np.linspace(0.0, 160.0, 850)
+    n = len(s)
+    data = Observations(
+        s_m=s,
+        n_m=np.zeros(n),
+        height_m=np.zeros(n),
+        sigma_white_m=np.full(n, 0.1),
+        sigma_slow_m=np.zeros(n),
+        t_s=np.full(n, np.nan),
+        line=np.repeat(np.arange(85), 10),
+    )
+    sounding = np.arange(n) != 3
+    lines = list(_lines(data, sounding))
+    assert [number for number, _, _ in lines] == list(range(0, 85, 3))
+    assert [len(at) for _, _, at in lines] == [9] + [10] * 28
+    assert lines[1][2].tolist() == list(range(30, 40))
+    assert np.flatnonzero(lines[1][1]).tolist() == list(range(30, 40))
+    blocks = list(_blocks(data, sounding))
+    assert [number for number, _, _ in blocks] == list(range(7))
+    for number, out, at in blocks:
+        low = 10.0 * (2 * number + 1)
+        assert (out == ((s >= low) & (s < low + 10.0))).all()
+        assert np.flatnonzero(out).tolist() == at.tolist()
+    assert _some(np.ones(450, bool)).tolist() == list(range(0, 450, 3))

@@ -15,9 +15,10 @@ import rasterio
 from scipy.spatial import cKDTree
 
 from tests.conftest import check_whole
-from thalweg.bathymetry import FlowLine, read_soundings
+from thalweg.bathymetry import Banks, FlowLine, read_soundings
+from thalweg.bathymetry.plan import course
 from thalweg.cli import main
-from thalweg.core import ThalwegError, read_raster
+from thalweg.core import CoverageError, ThalwegError, read_raster
 
 CRS = "EPSG:32633"
 UTM = pyproj.CRS(CRS)
@@ -373,6 +374,29 @@ def test_a_plan_that_cannot_be(river: Path, tmp_path: Path, capsys: pytest.Captu
     assert "no 24 m of water between the banks" in capsys.readouterr().err
     assert main([*words, "--sigma", "0.0001", "--out", str(tmp_path / "o")]) == 2
     assert "0.0001 was wanted" in capsys.readouterr().err
+
+
+def test_waypoints_of_each_pattern_by_hand() -> None:
+    """A river 10 m wide to the left of its line, 6 m to the right; 2 m off the banks over 60 m of it."""
+    s = np.array([0.0, 100.0])
+    line = FlowLine.through(np.column_stack([np.linspace(0.0, 100.0, 11), np.zeros(11)]))
+    table = pd.DataFrame(
+        {"side": ["left", "left", "right", "right"], "s_m": [*s, *s], "n_m": [10.0, 10, -6, -6]}
+    )
+    banks = Banks(table=table, line=line)
+    zigzag = course(banks, "zigzag", 20.0, 2.0, (10.0, 70.0))
+    assert zigzag == pytest.approx(np.array([[10.0, 8], [30, -4], [50, 8], [70, -4]]))
+    sections = course(banks, "sections", 30.0, 2.0, (10.0, 70.0))
+    assert sections == pytest.approx(np.array([[10.0, 8], [10, -4], [40, -4], [40, 8], [70, 8], [70, -4]]))
+    along = course(banks, "along", 6.0, 2.0, (10.0, 70.0)).reshape(3, 20, 2)
+    assert along[:, :, 1] == pytest.approx(np.repeat([[-4.0], [2.0], [8.0]], 20, axis=1))
+    even = np.linspace(10.0, 70.0, 20)
+    assert along[:, :, 0] == pytest.approx(np.array([even, even[::-1], even]))
+    # there and back at least, and from one section to the next however wide the legs
+    assert len(course(banks, "along", 50.0, 2.0, (10.0, 70.0))) == 2 * 20
+    assert course(banks, "zigzag", 500.0, 2.0, (10.0, 70.0))[:, 0].tolist() == [10.0, 70.0]
+    with pytest.raises(CoverageError, match="no 16 m of water"):
+        course(banks, "zigzag", 20.0, 8.0, (10.0, 70.0))
 
 
 def hand_over(facts: dict[str, Any], record_property: Any) -> None:

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -21,7 +22,7 @@ from thalweg.budgets import (
     what_the_cells_tell,
 )
 from thalweg.budgets.budget import ball_coverage, covariance, influences
-from thalweg.budgets.budget_page import WIDTH
+from thalweg.budgets.budget_page import WIDTH, Statement, digits, group_shares, label, own_totals
 from thalweg.budgets.published import verdicts
 from thalweg.core import ConfigError, GeometryError, rotation_enu_body
 from thalweg.settings.sections import LidarAccuracy
@@ -242,8 +243,6 @@ def test_a_budget_based_on_another(example: Path) -> None:
 
 @pytest.fixture
 def facts():
-    import pandas as pd
-
     one = {
         "left_out": "none",
         "instead": "",
@@ -287,8 +286,113 @@ def test_the_page_has_every_cell_with_its_verdict(budgets, facts) -> None:
     assert "order of 50 cm / 1197.5 ✗" in text
     for statement in said:
         assert statement.found in text
+    assert "Of 9 starting points 7 of the best 8 end in the same cells, in at least 6 different" in text
+    assert "each is an isolated point" in text
+    assert "| none |  | 64 | 4 | 0 | 0 | 0.16 m |" in text
+    assert "| lever arm |  | 64 | 4 | 1 | 0 | 0.16 m |" in text
+    for name in ("p2_table1", "t_table3_1"):
+        budget = budgets[name][0]
+        cov = covariance(budget, D)
+        total = np.sqrt(np.trace(cov, axis1=1, axis2=2))
+        for k, one in ((1, "68.3 %"), (2, "95.4 %"), (3, "99.7 %")):
+            shares = " | ".join(f"{100 * p:.1f} %" for p in ball_coverage(cov, k * total))
+            assert f"| {budget.title} | {k} | {one} | {shares} |" in text
+        for k, axis in enumerate(("east", "north", "up")):
+            row = " | ".join(f"{1e3 * np.sqrt(c[k, k]):.1f}" for c in cov)
+            assert f"| {budget.title} | {axis} | {row} |" in text
+        third = " | ".join(f"{1e3 * t / np.sqrt(3):.1f}" for t in total)
+        assert f"| {budget.title} | total / √3 | {third} |" in text
+    assert "| budget | normal | 5 m | 10 m | 25 m | 50 m |\n| --- | --- | ---: | ---: | ---: | ---: |" in text
+    later = budgets["sajo_2021"][0]
+    assumed = sum(item.provenance == "assumed" for item in later.inputs)
+    fitted = sum(item.provenance == "fitted" for item in later.inputs)
+    assert f"{assumed + fitted} of {len(later.inputs)} sigmas are not published for this system." in text
+    assert "- geometry and speeds: assumed" in text
     for column in re.findall(r"(?m)^\|.*$", text):
         assert column.endswith("|"), column
+
+
+def test_the_page_tells_what_a_table_does_not_need_and_does_not_settle(budgets, facts) -> None:
+    assumptions, solutions = facts
+    lever = assumptions["left_out"] == "lever arm"
+    spare = assumptions.assign(missed=0, missed_cells="")
+    settled = spare.assign(needed=~lever, instead=np.where(lever, "0.2 m", ""))
+    alone = {name: budgets[name] for name in ("p2_table1", "t_table3_1")}
+
+    def text(assumptions: pd.DataFrame, weakest: float) -> str:
+        return page(
+            alone,
+            camera="p2_table1",
+            ins="t_table3_1",
+            worth="",
+            statements=[],
+            assumptions=assumptions,
+            solutions=solutions.assign(weakest=weakest),
+        )
+
+    line = text(spare, 1e-7)
+    assert line.count("Not needed after all: lever arm.") == 2
+    assert line.count("a whole line of geometries has these cells") == 2
+    isolated = text(settled, 2e-6)
+    assert isolated.count("Not settled by the table: lever arm (0.2 m does as well).") == 2
+    assert "Every assumption that is thought to be needed is" in isolated
+    assert "Without 'lever arm'" not in isolated
+    assert "isolated point" in isolated
+    # the first row is the table with all assumptions; three cells are too many for a sentence
+    few = np.where(assumptions["table"] == "p2_table1", "a; b", "a; b; c")
+    told = re.findall(r"Without .*", text(assumptions.assign(missed_cells=np.where(lever, few, "d")), 1.0))
+    assert [line.partition(" Not")[0] for line in told] == ["Without 'lever arm' it is only: a; b."]
+
+
+def test_small_pieces_of_tables_by_hand(budgets) -> None:
+    said = Statement(text="t", source="s", holds={5.0: True, 10.0: False, 12.5: True}, found="")
+    assert said.verdict == "holds at 5, 12.5 m only"
+    assert replace(said, holds={5.0: False}).verdict == "does not hold"
+    assert [digits("5.7", 5.678), digits("12", 12.34), digits("", 0.04), digits("", 0.06), digits("", 0)] == [
+        "5.68",
+        "12.3",
+        "<0.1",
+        "0.1",
+        "0.0",
+    ]
+    camera, ins = budgets["p2_table1"][0], budgets["t_table3_1"][0]
+    names = {item.key: label(camera, item) for item in camera.inputs}
+    assert names["time"] == "Δt"
+    assert names["ccs.omega"] == "wcs ω ccs"
+    assert names["scs.x"] == "ccs X scs"
+    assert names["point.z"] == "scs Z"
+    # no distance from 0.1 to 200 m: the heading of a budget whose heading is exact never leads
+    exact = replace(
+        ins, inputs=tuple(replace(i, sigma=0.0) if i.key == "ics.kappa" else i for i in ins.inputs)
+    )
+    assert "it leads from nan m on" in statements(camera, exact)[2].found
+    # groups add up to all; the totals cross where both are equal
+    shares = group_shares(camera, D)
+    np.testing.assert_allclose(shares.sum(axis=1), 1.0)
+    rows = influences(camera, D)
+    timing = rows[rows["input"] == "time"]["influence_mm"].to_numpy()
+    np.testing.assert_allclose(shares["timing"], (timing / totals_mm(camera, D)) ** 2)
+    (at,) = re.findall(r"equal at ([0-9.]+) m", statements(camera, ins)[3].found)
+    assert abs(totals_mm(camera, [float(at)])[0] / totals_mm(ins, [float(at)])[0] - 1) < 0.01
+    (half,) = re.findall(r"half of it at ([0-9.]+) m", statements(camera, ins)[0].found)
+    turning = group_shares(camera, np.array([float(half)]))[["attitude", "boresight", "timing"]]
+    assert turning.sum(axis=1).iloc[0] == pytest.approx(0.5, abs=0.01)
+
+
+def test_printed_totals_agree_with_the_roots_of_their_cells() -> None:
+    cells = pd.DataFrame(
+        {
+            "input": ["a", "b", "total", "a", "b", "total", "rmse"],
+            "distance_m": [5.0, 5.0, 5.0, 10.0, 10.0, 10.0, np.nan],
+            "value_mm": [3.0, 4.0, 5.4, 6.0, 8.0, 10.6, 7.0],
+            "half_unit_mm": 0.5,
+        }
+    )
+    table = own_totals(cells)
+    assert table["distance_m"].tolist() == [5.0, 10.0]
+    assert table["printed_mm"].tolist() == [5.4, 10.6]
+    assert table["from_cells_mm"].tolist() == [5.0, 10.0]
+    assert table["agrees"].tolist() == [True, False]
 
 
 def test_the_terminal_text_is_narrow_and_complete(budgets) -> None:

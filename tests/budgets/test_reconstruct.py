@@ -9,6 +9,7 @@ import pytest
 from thalweg.budgets import Budget, left_out, published_setup, reconstruct
 from thalweg.budgets.budget import influences
 from thalweg.budgets.published import count, verdicts
+from thalweg.budgets.reconstruct import Solution, solution_facts
 from thalweg.core import GeometryError
 
 LEVERS_M = {"p2_table1": 0.16, "t_table3_1": 0.0}
@@ -95,3 +96,22 @@ def test_two_frames_are_needed(budgets) -> None:
     setup = published_setup(budget, published, 0.0)
     with pytest.raises(GeometryError, match="nothing to estimate"):
         replace(setup, free_attitude=False, free_boresight=False)
+
+
+def test_facts_of_a_solution_are_its_numbers(budgets) -> None:
+    budget = budgets["p2_table1"][0]
+    solution = Solution(budget=budget, cost=0.5, n_starts=512, n_equal=40, n_geometries=8, weakest=0.01)
+    facts = solution_facts(solution)
+    assert [facts[k] for k in ("cost", "n_starts", "n_equal", "n_geometries", "weakest")] == [
+        0.5,
+        512,
+        40,
+        8,
+        0.01,
+    ]
+    assert facts["n_kept"] < 512
+    assert solution_facts(replace(solution, n_starts=3))["n_kept"] == 3
+    for frame in budget.frames:
+        for angle, value in frame.angles_deg.items():
+            assert facts[f"{frame.name}_{angle}_deg"] == value
+        assert tuple(facts[f"{frame.name}_{axis}_m"] for axis in "xyz") == frame.lever_m

@@ -11,10 +11,11 @@ from scipy.spatial.distance import cdist
 
 from tests.fusion.conftest import DEPTH_M, FRAME, GRID, HALF_WIDTH_M, LEVEL_UP_M, bed_up_m
 from thalweg.bathymetry import REASONS, FlowLine
-from thalweg.core import CoverageError, Trajectory
+from thalweg.core import CoverageError, Trajectory, utc_text_from_gps
 from thalweg.core.values import describe_layers, read_vectors
 from thalweg.fusion import Dtm, River, map_of_campaign
 from thalweg.fusion.exports import contour_lines, write_bag, write_csv, write_hecras, write_swmm
+from thalweg.fusion.maps import _CONTOURS, _contours, _track
 from thalweg.fusion.measures import (
     correlated_sigma,
     cut_sections,
@@ -310,3 +311,45 @@ def test_a_bag_is_read_by_gdal(model, tmp_path):
         read = file.read(masked=True).astype(float).filled(np.nan)
     np.testing.assert_allclose(read[0], model.height_m, rtol=0, atol=1e-4)
     assert np.nanmax(np.abs(read[1] - 0.05)) < 1e-6
+
+
+def test_contours_of_a_bed_have_an_even_interval_by_its_relief() -> None:
+    """A plane that rises from west to east; of its height at most so many intervals, 1, 2 or 5 times ten."""
+    x = np.arange(21.0)
+    centres = np.stack(np.meshgrid(x, x[::-1]), axis=-1)
+    for relief, interval in (
+        (_CONTOURS * 0.5, 0.5),
+        (_CONTOURS * 0.501, 1.0),
+        (_CONTOURS * 0.11, 0.2),
+        (0.05, 0.01),
+    ):
+        height = np.tile(relief * x / 20.0, (21, 1)) + 0.0013
+        found = _contours(height, centres, None, GRID)
+        levels = np.unique(found["height_m"])
+        assert np.diff(levels) == pytest.approx(np.full(len(levels) - 1, interval), abs=1e-6)
+        assert levels[0] == pytest.approx(interval)
+        for line, level in zip(found.geometry, found["height_m"], strict=True):
+            assert np.array(line.coords)[:, 0] == pytest.approx((level - 0.0013) * 20.0 / relief, abs=1e-6)
+    assert np.unique(_contours(height, centres, 0.03, GRID)["height_m"]) == pytest.approx([0.03])
+
+
+def test_a_track_is_a_line_for_each_run_of_poses() -> None:
+    n = 9
+    valid = np.array([True, True, True, False, True, False, True, True, True])
+    path = Trajectory(
+        frame=FRAME,
+        t_gps_s=1.3e9 + np.arange(n),
+        position_wcs_m=np.column_stack([10.0 * np.arange(n) ** 1.5, np.zeros(n), np.zeros(n)]),
+        quaternion_wcs_ics=np.tile([0.0, 0.0, 0.0, 1.0], (n, 1)),
+        cov_pose_wcs=np.zeros((n, 6, 6)),
+        valid=valid,
+    )
+    found = _track(path, GRID)
+    # the single pose between two gaps is no line
+    assert len(found) == 2
+    for row, ends in zip(found.itertuples(), ((0, 2), (6, 8)), strict=True):
+        corners = np.array(row.geometry.coords)
+        assert corners[[0, -1]] == pytest.approx(
+            FRAME.to_map(path.position_wcs_m[list(ends)], GRID), abs=1e-6
+        )
+        assert (row.from_utc, row.to_utc) == tuple(utc_text_from_gps(float(path.t_gps_s[k])) for k in ends)

@@ -7,8 +7,9 @@ import pandas as pd
 import pytest
 from pyproj import CRS
 
-from thalweg.core import ArrayF, ArrayI, ConfigError, Dsm, GeometryError, InputError, LocalFrame
+from thalweg.core import ArrayF, ArrayI, ConfigError, Dsm, GeometryError, InputError, LocalFrame, read_table
 from thalweg.deformation.foreign import SurfaceDifference
+from thalweg.settings.sections import Deformation
 from thalweg.surface import Area
 from thalweg_lab.changes import Patch
 from thalweg_lab.river import BOX_FACES, Material, MeshParts, Scene, boxes
@@ -24,6 +25,7 @@ from thalweg_lab.truth import (
     true_polygons,
     true_volumes,
 )
+from thalweg_lab.truth.change import POINTS, simulate_change
 
 SQUARE = np.array([[-8.0, -8.0], [8.0, -8.0], [8.0, 8.0], [-8.0, 8.0]])
 SLOPE = np.deg2rad(33.0)
@@ -208,6 +210,20 @@ def test_places_of_true_change_lie_evenly_on_the_ground_and_know_their_polygon()
         true_points(before, after, {}, Area(lowest_m=50.0), radius_m=0.5, reach_m=2.0, seed=1)
 
 
+def test_places_lie_within_their_triangles() -> None:
+    """Two triangles of 200 square metres: 1,600 places, evenly over both."""
+    before, after = scene(cells=1), scene(0.2, cells=1)
+    table = true_points(before, after, {}, Area(lowest_m=-1.0), radius_m=0.0, reach_m=2.0, seed=3)
+    place = table[["east_m", "north_m"]].to_numpy()
+    assert len(place) == 1600
+    assert np.abs(place).max() <= 10.0
+    counts = np.histogram2d(*place.T, bins=[np.linspace(-10.0, 10.0, 5)] * 2)[0]
+    # 100 in each of 16 cells: six sigmas
+    assert counts == pytest.approx(np.full((4, 4), 100.0), abs=60.0)
+    assert table["distance_m"].to_numpy() == pytest.approx(0.2, abs=1e-6)
+    assert (table["polygon"] == "").all()
+
+
 def test_polygons_have_volumes_classes_and_outlines_that_are_read_again() -> None:
     before, after, outlines = lowered()
     table = true_polygons(before, after, outlines).set_index("name")
@@ -277,3 +293,26 @@ def test_differences_of_heights_are_held_against_the_truth() -> None:
     # 2 cm at a sigma of 1 cm; at the border a cell may hold a little of the hollow
     assert unchanged == pytest.approx(4.0, rel=0.05)
     assert rows["height_normalised_square_changed"][1] >= inner.sum()
+
+
+def test_true_changes_are_written_from_scenes(tmp_path: Path) -> None:
+    """Ground that rises by 20 cm from the first epoch to the second; no outline has changed."""
+    before, after = scene(cells=4), scene(0.2, cells=4)
+    before.write(tmp_path / "1.npz")
+    after.write(tmp_path / "2.npz")
+    simulate_change(
+        scenes=[tmp_path / "1.npz", tmp_path / "2.npz"],
+        points=tmp_path / "points.parquet",
+        polygons=tmp_path / "polygons.csv",
+        settings=[{"seed": 5}, {"seed": 5}],
+        seeds=[5, 6],
+        campaign={"origin": {"lat_deg": 51.05, "lon_deg": 13.25, "h_ell_m": 300.0}, "crs": "EPSG:25833"},
+        deformation=Deformation(cylinder_radius_m=0.5, reach_m=2.0),
+    )
+    table, _ = read_table(tmp_path / "points.parquet", POINTS)
+    assert len(table) == 1600
+    assert table["distance_m"].to_numpy() == pytest.approx(0.2, abs=1e-6)
+    assert set(table["kind"]) == {"deposition"}
+    again = true_points(before, after, {}, Area(), radius_m=0.5, reach_m=2.0, seed=5)
+    assert table["east_m"].to_numpy() == pytest.approx(again["east_m"].to_numpy())
+    assert pd.read_csv(tmp_path / "polygons.csv").empty

@@ -1,12 +1,16 @@
 """Sigma of the lidar's clock: what the attitudes add, and that copies of a point tell nothing new."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from thalweg.core import LocalFrame, Rigid, Trajectory
 from thalweg.lidar import clock
 from thalweg.lidar.clock import PAIR_S, STEP_S, LidarOffset, Turns, _covariance, fine_offset, rough_offset
+from thalweg.settings.sections import Filters
 
 TRUE_S = 0.02
 
@@ -83,3 +87,123 @@ def test_pairs_of_sweeps_that_overlap_are_no_new_observations(monkeypatch: pytes
     found, facts = rough_offset(turns, None, np.eye(3), near_s=best, search_s=5.0)
     assert found == pytest.approx(best, abs=0.35)
     assert facts["better_than_the_next_by_sigmas"] == pytest.approx(np.sqrt(0.21 * n * STEP_S / PAIR_S))
+
+
+def turning(rates: tuple[float, float, float], valid: list[bool]) -> Trajectory:
+    """Nodes each 0.1 s of a boat that turns by so many radians a second about its own axes."""
+    t = 0.1 * np.arange(len(valid))
+    steps = Rotation.from_rotvec(np.tile(0.1 * np.array(rates), (len(t) - 1, 1)))
+    R = [Rotation.identity()]
+    for step in steps:
+        R.append(R[-1] * step)
+    return Trajectory(
+        frame=LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=200.0),
+        t_gps_s=t,
+        position_wcs_m=np.zeros((len(t), 3)),
+        quaternion_wcs_ics=np.array([r.as_quat() for r in R]),
+        cov_pose_wcs=np.tile(np.eye(6), (len(t), 1, 1)),
+        valid=np.array(valid),
+    )
+
+
+def test_turns_of_the_body_are_summed_and_gaps_counted() -> None:
+    valid = [True] * 4 + [False] + [True] * 6
+    theta = clock._Theta.of(turning((0.3, -0.2, 0.1), valid))
+    assert theta.t_s == pytest.approx(np.delete(0.1 * np.arange(11), 4))
+    assert theta.theta_rad == pytest.approx(theta.t_s[:, None] * [0.3, -0.2, 0.1])
+    assert theta.gaps.tolist() == [0, 0, 0, 0, 1, 1, 1, 1, 1, 1]
+    # each component has times of its own
+    first, second = np.array([[0.05, 0.1, 0.15]]), np.array([[0.25, 0.2, 0.95]])
+    assert theta.between(first, second) == pytest.approx(np.array([[0.06, -0.02, 0.08]]))
+    starts, ends = np.array([0.0, 0.05, 0.05, 0.55, 0.55]), np.array([0.2, 0.2, 0.6, 0.9, 1.0])
+    assert theta.covers(starts, ends).tolist() == [False, True, False, True, False]
+
+
+def test_what_a_trajectory_leaves_unexplained_by_hand() -> None:
+    """A constant part of each component counts for nothing; rows with no poses are left out, to a fifth."""
+    theta = clock._Theta.of(turning((0.3, -0.2, 0.1), [True] * 11))
+    start = np.array([0.05, 0.1, 0.15, 0.2, 0.7])
+    first, second = np.tile(start[:, None], 3), np.tile(start[:, None] + 0.2, 3)
+    wobble = np.array([[1.0, 2.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 3.0], [0.0, 1.0, 0.0], [9.0, 9.0, 9.0]])
+    phi = np.array([0.06, -0.04, 0.02]) + 0.01 * wobble
+    info = np.tile(np.diag([1.0, 2.0, 4.0]), (5, 1, 1))
+    turns = Turns(phi_rad=phi, info=info, first_s=first - 5.0, second_s=second - 5.0)
+    weight = np.diagonal(info, axis1=1, axis2=2)
+    off = 0.01 * (wobble[:4] - wobble[:4].mean(axis=0))
+    expected = np.sum(off**2 * [1.0, 2.0, 4.0]) / (4 * 7)
+    # 0.15 s later the last pair ends after the last node
+    assert clock._misfit(turns, theta, weight, 5.15) == pytest.approx(expected)
+    assert np.isnan(clock._misfit(turns, theta, weight, 5.75))
+
+
+def test_surroundings_that_are_plane_are_surfaces() -> None:
+    rng = np.random.default_rng(2)
+    flat = np.column_stack([rng.uniform(0, 4, (400, 2)), 0.01 * rng.standard_normal(400)])
+    _, normal, plane = clock._normals(flat)
+    assert plane.mean() > 0.95
+    assert np.abs(normal[plane][:, 2]).min() > 0.99
+    assert not clock._normals(rng.uniform(0, 4, (400, 3)))[2].mean() > 0.2  # a bush
+    line = np.column_stack([np.linspace(0, 4, 400), 1e-4 * rng.standard_normal((400, 2))])
+    assert not clock._normals(line)[2].any()
+    assert not clock._normals(20.0 * flat)[2].any()  # neighbours metres away
+    assert not clock._normals(flat[: clock._FEWEST_POINTS - 1])[2].any()
+
+
+def test_rows_are_what_a_wrong_time_and_mount_do_to_distances_from_planes() -> None:
+    """A boat that drives and turns before plane spots; late by 2 ms, its mount turned and moved."""
+    trajectory, spots = spots_seen_again()
+    mount = Rigid(
+        R=Rotation.from_euler("z", 30.0, degrees=True).as_matrix(), shift_m=np.array([0.4, -0.2, 0.1])
+    )
+    points = scanned(spots, trajectory, mount)
+    filters = Filters(below_water_m=None)
+
+    def distances(late_s: float, mount: Rigid) -> tuple[np.ndarray, np.ndarray]:
+        d, J, _, n = clock._rows(points, trajectory, mount, filters, np.full(len(points), late_s))
+        assert n == len(spots)
+        assert len(d) == len(points)
+        return d, J
+
+    base, J = distances(0.0, mount)
+    assert np.abs(base).max() < 1e-6
+    late, _ = distances(0.002, mount)
+    np.testing.assert_allclose(late, 0.002 * J[:, 0], atol=0.05 * np.abs(late).max())
+    for k, axis in enumerate(np.eye(3)):
+        turned = replace(mount, R=Rotation.from_rotvec(1e-3 * axis).as_matrix() @ mount.R)
+        moved = replace(mount, shift_m=mount.shift_m + 1e-3 * axis)
+        for column, other in ((1 + k, turned), (4 + k, moved)):
+            d, _ = distances(0.0, other)
+            np.testing.assert_allclose(d, 1e-3 * J[:, column], atol=0.05 * np.abs(1e-3 * J[:, column]).max())
+
+
+def spots_seen_again() -> tuple[Trajectory, list[tuple[np.ndarray, np.ndarray]]]:
+    """Ten seconds of a boat that drives east and swings; centres and normals of spots within cells."""
+    t = np.arange(0.0, 10.05, 0.05)
+    q = Rotation.from_euler("zx", np.stack([0.5 * np.sin(t), 0.1 * np.sin(2 * t)], axis=1)).as_quat()
+    trajectory = Trajectory(
+        frame=LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=200.0),
+        t_gps_s=t,
+        position_wcs_m=np.stack([0.8 * t, 0.3 * np.sin(t), 0 * t], axis=1),
+        quaternion_wcs_ics=q,
+        cov_pose_wcs=np.tile(np.eye(6), (len(t), 1, 1)),
+        valid=np.ones(len(t), bool),
+    )
+    rng = np.random.default_rng(4)
+    normals = rng.normal(size=(12, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return trajectory, [(np.array([k + 0.25, 8.25, 1.25 + k % 3]), n) for k, n in enumerate(normals)]
+
+
+def scanned(spots: list[tuple[np.ndarray, np.ndarray]], trajectory: Trajectory, mount: Rigid) -> np.ndarray:
+    """Points (n, 4) in the scanner's frame and their times, 40 of each spot."""
+    rng = np.random.default_rng(6)
+    centre, normal = (np.repeat([spot[k] for spot in spots], 40, axis=0) for k in (0, 1))
+    # on a square of 0.34 m, which every turn keeps within the cell
+    axis = np.cross(normal, rng.normal(size=normal.shape))
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    u, v = 0.17 * rng.choice([-1.0, 1.0], (2, len(centre), 1))
+    x = centre + u * axis + v * np.cross(normal, axis)
+    t = rng.uniform(0.5, 9.5, len(x))
+    position, R, _ = trajectory.at(t)
+    body = np.einsum("nji,nj->ni", R, x - position)
+    return np.column_stack([(body - mount.shift_m) @ mount.R, t])

@@ -43,6 +43,7 @@ from thalweg.lidar import (
     write_density,
 )
 from thalweg.lidar.cloud import EXTRA_DIMENSIONS
+from thalweg.lidar.filters import Reason
 from thalweg.lidar.georeference import WorldPoints
 from thalweg.settings.sections import Filters, LidarAccuracy
 
@@ -376,3 +377,91 @@ def test_the_height_above_the_boat_has_less_error_than_the_height() -> None:
         points, np.array([0.5]), replace(still(0.0, 1.0), cov_pose_wcs=cov)
     )
     assert found[0] == pytest.approx(0.04, rel=1e-6)  # float32
+
+
+class Slices:
+    """A log of 2,000 points of two banks in 20 s, and of 40 that are alone, in blocks of 100."""
+
+    files = ()
+
+    def __init__(self) -> None:
+        rng = np.random.default_rng(12)
+        n = 2040
+        xyz = np.column_stack([rng.uniform(-2.0, 2.0, n), rng.choice([-2.0, 2.0], n), rng.uniform(0, 1.0, n)])
+        xyz[::51] = rng.uniform([-9.0, -9.0, 11.0], [9.0, 9.0, 29.0], (40, 3))
+        self.xyz, self.t = xyz.astype(np.float32), 4.0e8 + np.linspace(0.0, 19.99, n)
+
+    def points(
+        self, clock: object, max_points: int = 0, window: LogWindow | None = None
+    ) -> Iterator[PointBlock]:
+        number = np.zeros(len(self.t), int) if window is None else window.number_of(self.t - 4.0e8)
+        rows = np.flatnonzero(number == (0 if window is None else window.index))
+        for part in np.array_split(rows, max(len(rows) // 100, 1)):
+            one, n = np.ones(len(part), np.uint8), len(part)
+            yield PointBlock(
+                t_gps_s=self.t[part],
+                t_device_s=self.t[part],
+                xyz_scs_m=self.xyz[part],
+                range_m=np.linalg.norm(self.xyz[part], axis=1),
+                azimuth_rad=np.zeros(n, np.float32),
+                ring=one,
+                laser=one,
+                intensity=one,
+                return_number=one,
+                n_returns=one,
+                packet=np.zeros(n, int),
+            )
+
+
+def test_windows_know_the_neighbours_of_all(tmp_path: Path) -> None:
+    """The same points, counts and removed ones as of the whole log, which no window has by itself."""
+    log, boat = Slices(), still(4.0e8 - 1.0, 4.0e8 + 21.0)
+    how = settings(max_range_m=50.0, filters={"isolated_radius_m": 0.3, "isolated_neighbours": 8})
+    whole = georeference_log(log, None, boat, how, tmp_path / "w.laz", out_removed=tmp_path / "w.parquet")
+    reasons = whole.set_index("reason")["n"]
+    assert 40 <= reasons["isolated"] < 400
+    assert reasons.sum() == 2040
+    windows = [LogWindow(index=i, count=4, seconds=5.0) for i in range(4)]
+    names = [[tmp_path / f"{i}{end}" for end in (".npz", ".las", ".rest.npz")] for i in range(4)]
+    for window, (density, _, _) in zip(windows, names, strict=True):
+        write_density(log, None, boat, how, window, density)
+    with np.load(names[0][0]) as first:
+        # the scanner's points of this window, and as far about them as any filter looks
+        xy = log.xyz[:510, :2].astype(float)
+        reach = (first["box_en_m"][1] - xy.max(axis=0), xy.min(axis=0) - first["box_en_m"][0])
+        assert np.ptp(reach) < 1e-6
+        assert np.min(reach) > 0.3
+    for window, (_, points, rest) in zip(windows, names, strict=True):
+        georeference_window(log, None, boat, how, window, [d for d, _, _ in names], points, rest)
+    joined = join_windows(
+        [p for _, p, _ in names],
+        [r for _, _, r in names],
+        boat,
+        how,
+        tmp_path / "j.laz",
+        out_removed=tmp_path / "j.parquet",
+        log_files=[],
+    )
+    pd.testing.assert_frame_equal(joined, whole)
+    assert (tmp_path / "j.laz").read_bytes() == (tmp_path / "w.laz").read_bytes()
+    assert (tmp_path / "j.parquet").read_bytes() == (tmp_path / "w.parquet").read_bytes()
+    # its own points alone are too few
+    georeference_window(log, None, boat, how, windows[0], [names[0][0]], *names[0][1:])
+    with np.load(names[0][2]) as rest:
+        assert rest["n"][int(Reason.KEPT)] < 510 * reasons["kept"] / 2040
+    with pytest.raises(InputError, match="not those that its job wrote"):
+        join_windows(
+            [names[1][1]],
+            [names[0][2]],
+            boat,
+            how,
+            tmp_path / "k.laz",
+            out_removed=tmp_path / "k",
+            log_files=[],
+        )
+    # without that filter nothing is counted beforehand
+    loose = settings(max_range_m=50.0, filters={"isolated_neighbours": 0})
+    write_density(log, None, boat, loose, windows[0], names[0][0])
+    with np.load(names[0][0]) as none:
+        assert len(none["keys"]) == 0
+        assert none["box_en_m"].tolist() == [[np.inf] * 2, [-np.inf] * 2]

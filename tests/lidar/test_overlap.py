@@ -24,6 +24,7 @@ from thalweg.lidar.overlap import (
     _Likelihood,
     _positive,
     _principal_axes,
+    _rows,
     _scatter_of_epochs,
     _window,
     estimate_beam,
@@ -462,3 +463,102 @@ def test_planes_are_taken_out_as_unknowns() -> None:
     rest = np.eye(12) - B @ np.linalg.solve(B.T @ B, B.T)
     np.testing.assert_allclose(N, A.T @ rest @ A, rtol=1e-6)
     np.testing.assert_allclose(h, A.T @ rest @ d, rtol=1e-6, atol=1e-7)
+
+
+def test_rows_of_a_point_are_its_moves_by_each_error() -> None:
+    """Finite turns and shifts of the boat about its antenna, of the scanner on its mount, of a magnet."""
+    heading = np.deg2rad(50.0)
+    R = rotation_enu_body(np.array([0.1]), np.array([-0.2]), np.array([heading]))
+    trajectory = Trajectory(
+        frame=LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=200.0),
+        t_gps_s=np.array([0.0, 2.0]),
+        position_wcs_m=np.array([[1.0, 2.0, 3.0], [3.0, 2.0, 5.0]]),
+        quaternion_wcs_ics=Rotation.from_matrix(np.tile(R, (2, 1, 1))).as_quat(),
+        cov_pose_wcs=np.tile(np.eye(6), (2, 1, 1)),
+        valid=np.ones(2, dtype=bool),
+    )
+    boat, x, normal = np.array([1.5, 2.0, 3.5]), np.array([7.0, -4.0, 6.0]), np.array([2.0, -1.0, 2.0]) / 3
+    pose, border, scanner = _rows(normal[None], x[None], np.array([0.5]), trajectory, MOUNT, LEVER)
+    np.testing.assert_allclose(scanner[0], boat + R[0] @ MOUNT.shift_m)
+    antenna, body = boat + R[0] @ LEVER, R[0].T @ (x - boat)
+    axes, e = attitude_axes(R)[0], 1e-6
+
+    def move(turn_wcs: ArrayF) -> float:
+        turned = Rotation.from_rotvec(turn_wcs).as_matrix() @ R[0]
+        return float(normal @ (antenna - turned @ LEVER + turned @ body - x)) / e
+
+    np.testing.assert_allclose(pose[0, :3], normal)
+    np.testing.assert_allclose(pose[0, 3:], [move(e * axis) for axis in axes], atol=1e-5)
+    on_mount = [
+        normal
+        @ (R[0] @ (Rotation.from_rotvec(e * axis).apply(body - MOUNT.shift_m) + MOUNT.shift_m - body))
+        / e
+        for axis in np.eye(3)
+    ]
+    np.testing.assert_allclose(border[0, :3], on_mount, atol=1e-5)
+    np.testing.assert_allclose(border[0, 3:6], normal @ R[0])
+    forward = R[0, :2, 0] / np.linalg.norm(R[0, :2, 0])
+    np.testing.assert_allclose(border[0, 6:], move(e * axes[2]) * forward, atol=1e-5)
+
+
+def test_noise_along_a_normal_is_that_of_range_and_of_direction() -> None:
+    """Rays of 10 m, one along the normal, one at 60 degrees to it; the second point is seen first."""
+    beam = LidarAccuracy(sigma_component_m=0.02, divergence_mrad=3.0, sigma_weak_m=0.05, sigma_time_s=0.0)
+    sample = LogSample(
+        xyz_wcs_m=np.zeros((2, 3)),
+        t_gps_s=np.zeros(2),
+        range_m=np.array([10.0, 20.0]),
+        reflectivity=np.array([5.0, 60.0]),
+    )
+    planes = Planes(
+        order=np.array([1, 0]), owner=np.zeros(2, int), centre_m=np.zeros((1, 3)), axes=np.eye(3)[None]
+    )
+    scanner = np.array([1.0, 2.0, 3.0])
+    rays = 10.0 * np.array([[0.0, 0.0, 1.0], [np.sin(np.pi / 3), 0.0, 0.5]])
+    normal = np.tile([0.0, 0.0, 1.0], (2, 1))
+    component, footprint = overlap._noise(scanner + rays, scanner, normal, sample, planes, beam)
+    of_range = beam.variances(np.array([20.0, 10.0]), np.array([60.0, 5.0]))[0]
+    np.testing.assert_allclose(component, [of_range[0], 0.25 * of_range[1] + 0.75 * 0.02**2])
+    np.testing.assert_allclose(footprint, [0.0, 0.75 * (beam.footprint_share * 3e-3 * 10.0) ** 2], atol=1e-15)
+
+
+def test_the_inverse_covariance_of_a_process_is_that_of_its_values() -> None:
+    n, step, size = 6, 0.4, 0.3
+    cov = np.exp(-step * np.abs(np.subtract.outer(np.arange(n), np.arange(n))))
+    main, side, log = overlap._gauss_markov(n, step)
+    inverse = np.diag(main) + np.diag(side, 1) + np.diag(side, -1)
+    np.testing.assert_allclose(inverse @ cov, np.eye(n), atol=1e-12)
+    assert log == pytest.approx(np.linalg.slogdet(inverse)[1])
+    # by the logarithm of the correlation time, of which the step is the inverse
+    more, less = (overlap._gauss_markov(n, step * np.exp(-e)) for e in (1e-5, -1e-5))
+    found = overlap._gauss_markov_by_time(n, step, size)
+    for k, factor in enumerate((size**-2, size**-2, 1.0)):
+        np.testing.assert_allclose(found[k], factor * (more[k] - less[k]) / 2e-5, rtol=1e-6)
+    # trace and square of a tridiagonal matrix against the whole one; of S the lower triangle is read
+    rng = np.random.default_rng(3)
+    S, x, row = rng.normal(size=(9, 9)), rng.normal(size=9), np.array([0, 2, 3, 5, 7, 8])
+    low = np.tril(S) + np.tril(S, -1).T
+    expected = np.trace(low[np.ix_(row, row)] @ inverse) + x[row] @ inverse @ x[row]
+    assert overlap._product(S, x, row, main, side) == pytest.approx(expected)
+
+
+def test_an_error_model_that_is_not_estimated_is_the_prior() -> None:
+    settings = {
+        "estimate": False,
+        "white_share": 0.25,
+        "position_time_s": 10.0,
+        "attitude_time_s": 20.0,
+        "spread": 2.0,
+        "time_spread": 3.0,
+    }
+    trajectory = survey(1)[1]
+    found = error_model_of_log(
+        lidar_reader([]),
+        LidarClock(),
+        trajectory,
+        cast(LogSettings, None),
+        positions_t_gps_s=None,
+        lever_ics_antenna_m=LEVER,
+        settings=settings,
+    )
+    assert found == ErrorModel.presumed(PriorErrors.of_survey(trajectory, LEVER, settings))

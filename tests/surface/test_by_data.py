@@ -92,6 +92,9 @@ def test_a_lift_is_found_at_any_scale(what: str, tmp_path: Path) -> None:
     assert (changes["state"] == "deposition").mean() > 0.98
     assert changes["distance_m"].mean() == pytest.approx(expected.mean(), rel=0.02)
     assert "cylinders of radius" in notes[1]
+    # each cylinder holds some 28 points, but a thousand core points are the least of 4,000
+    assert len(changes) == 1000
+    assert "1 of 4 points is a core point" in notes[1]
 
 
 def test_what_is_stated_stays() -> None:

@@ -168,9 +168,7 @@ class PlacedCloud:
     spread_m: float
 
 
-def register_places(
-    points_m: ArrayF, surface: Surface, max_distance_m: float, *, seed: int = 0
-) -> PlacedCloud:
+def register_places(points_m: ArrayF, surface: Surface, max_distance_m: float) -> PlacedCloud:
     """Fit a cloud without times to a mesh by a rigid motion, with a covariance from single places.
 
     As `register`; the covariance is a jackknife over square cells in plan in place of blocks of time, some
@@ -181,7 +179,6 @@ def register_places(
     points_m : (n, 3) points that are compared; of more than `MOST_POINTS` a random sample takes part.
     surface : the reference, in the frame of the points.
     max_distance_m : points farther from it take no part.
-    seed : of the sample.
 
     Raises
     ------
@@ -190,7 +187,7 @@ def register_places(
     if len(points_m) < LEAST_POINTS:
         raise GeometryError(f"{len(points_m)} points to register", expected=f"at least {LEAST_POINTS}")
     if len(points_m) > MOST_POINTS:
-        rng = np.random.default_rng([seed, *b"registration"])
+        rng = np.random.default_rng([0, *b"registration"])
         points_m = points_m[np.sort(rng.choice(len(points_m), MOST_POINTS, replace=False))]
     fit = _fit(points_m, surface, max_distance_m)
     plan = points_m[fit.use, :2]

@@ -136,15 +136,15 @@ def chi_square_band(n_independent: float, level: float = 0.95) -> tuple[float, f
     return low / n_independent, high / n_independent
 
 
-def ratio_band(n_independent: float, level: float = 0.95) -> tuple[float, float]:
-    """Where consistent sigmas leave the ratio of predicted to observed RMSE with a probability of ``level``.
+def ratio_band(n_independent: float) -> tuple[float, float]:
+    """Where consistent sigmas leave the ratio of predicted to observed RMSE with a probability of 95 %.
 
     Examples
     --------
     >>> [round(limit, 2) for limit in ratio_band(50)]
     [0.84, 1.24]
     """
-    low, high = chi_square_band(n_independent, level)
+    low, high = chi_square_band(n_independent)
     return high**-0.5, low**-0.5
 
 

@@ -474,9 +474,7 @@ def _refuse_impossible(height: ArrayF, sigma: ArrayF, data: Observations) -> Non
     )
 
 
-def error_lengths(
-    model: BedModel, data: Observations, flow: ArrayF, *, seed: int = 0
-) -> dict[str, float | None]:
+def error_lengths(model: BedModel, data: Observations, flow: ArrayF) -> dict[str, float | None]:
     """Over which distance errors of the bed fall to 1/e, for sums over areas and along cross-sections.
 
     The covariance of the errors of kriging is that of the field given the data: between two lines of
@@ -488,13 +486,12 @@ def error_lengths(
     ----------
     model, data : of the bed.
     flow : (m, 2) flow coordinates of its cells.
-    seed : of the choice of cells.
 
     Returns
     -------
     lengths : ``area`` and ``section``, metres; None where too few data lie about the cells.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     lines = max(len(np.unique(data.line[data.line >= 0])), 1)
     width = float(np.ptp(flow[:, 1]))
     reach = max(2 * float(np.ptp(flow[:, 0])) / lines, width)

@@ -106,12 +106,12 @@ def measures(predicted: pd.DataFrame) -> dict[str, Any]:
     error = (predicted["predicted_m"] - predicted["up_m"]).to_numpy()
     known = np.isfinite(error)
     z = error[known] / predicted["sigma_m"].to_numpy()[known]
-    told = np.isfinite(z).any()
+    z = z[np.isfinite(z)]  # of places without a sigma nothing is said
     return {
         "rmse_m": float(np.sqrt(np.mean(error[known] ** 2))) if known.any() else np.nan,
         "bias_m": float(np.mean(error[known])) if known.any() else np.nan,
-        "normalised_square": float(np.nanmean(z**2)) if told else np.nan,
-        "outside_95": float(np.nanmean(np.abs(z) > _OUTSIDE)) if told else np.nan,
+        "normalised_square": float(np.mean(z**2)) if len(z) else np.nan,
+        "outside_95": float(np.mean(np.abs(z) > _OUTSIDE)) if len(z) else np.nan,
         "n": int(known.sum()),
         "not_foretold": int((~known).sum()),
     }

@@ -656,14 +656,7 @@ class DirectionalVariogram:
 
 
 def directional_variogram(
-    data: Observations,
-    model: BedModel,
-    *,
-    along: bool,
-    reach_m: float,
-    tolerance_m: float,
-    bins: int = 15,
-    seed: int = 0,
+    data: Observations, model: BedModel, *, along: bool, reach_m: float, tolerance_m: float, bins: int = 15
 ) -> DirectionalVariogram:
     """Semivariances of pairs along or across the river (Cressie and Hawkins 1980), and those of a model.
 
@@ -678,9 +671,8 @@ def directional_variogram(
     reach_m : longest lag.
     tolerance_m : how far apart a pair may lie in the other direction.
     bins : classes of lag.
-    seed : of the sample, where there are more soundings than are compared, and of the surveys of the model.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)  # of the sample and of the surveys of the model
     keep = np.arange(len(data))
     if len(keep) > _COMPARED:
         keep = np.sort(rng.choice(keep, _COMPARED, replace=False))

@@ -8,6 +8,7 @@ squares.
 """
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -233,9 +234,11 @@ def distances_along(
     return Distances(cores_m, normals, scale_m, np.column_stack([before.n, after.n]), distance, roughness)
 
 
-def cloud_to_cloud(
-    before_m: ArrayF, after_m: ArrayF, *, towards: ArrayF, neighbours: int = 8
-) -> pd.DataFrame:
+_OF_PLANE: Final = 8
+"""Nearest points that a plane is laid through."""
+
+
+def cloud_to_cloud(before_m: ArrayF, after_m: ArrayF, *, towards: ArrayF) -> pd.DataFrame:
     """Table `CLOUD_TO_CLOUD`: distances of the second epoch's points from the first (C2C; T 4.1).
 
     The distance to the nearest point has no sign, and without any change it is not zero but some half of the
@@ -246,22 +249,20 @@ def cloud_to_cloud(
     ----------
     before_m, after_m : (n, 3) and (m, 3) in one frame.
     towards : (3,) side on which the distance from a plane is positive.
-    neighbours : points of a plane.
 
     Raises
     ------
     GeometryError : the first cloud has fewer points than a plane needs.
     """
-    if len(before_m) < neighbours or neighbours < 4:
+    if len(before_m) < _OF_PLANE:
         raise GeometryError(
-            f"{len(before_m)} points for planes of {neighbours}",
-            expected="at least 4 points a plane, and as many in the first epoch",
+            f"{len(before_m)} points in the first epoch", expected=f"at least {_OF_PLANE}, as a plane needs"
         )
     tree = cKDTree(before_m)
     parts = []
     for first in range(0, len(after_m), _POINTS_A_CHUNK):
         chunk = after_m[first : first + _POINTS_A_CHUNK]
-        found, index = (np.asarray(each) for each in tree.query(chunk, k=neighbours))
+        found, index = (np.asarray(each) for each in tree.query(chunk, k=_OF_PLANE))
         near = before_m[index]
         middle = near.mean(axis=1)
         centred = near - middle[:, None]

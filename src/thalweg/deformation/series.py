@@ -19,6 +19,7 @@ Bonferroni's.
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -175,6 +176,10 @@ def _least_squares(root: ArrayF, design: ArrayF, y: ArrayF) -> tuple[ArrayF, Arr
     return parameters, Q, weights, (residual**2).sum(axis=1)
 
 
+_RETURN: Final = 0.6
+"""Share of the places that must go and come back; noise alone takes a third of them there and back."""
+
+
 @dataclass(frozen=True, slots=True)
 class Jump:
     """What an epoch does against its neighbours.
@@ -196,9 +201,7 @@ class Jump:
     flagged: bool
 
 
-def find_jumps(
-    height_m: ArrayF, sigma_step_m: ArrayF, *, limit: float = 1.0, least_share: float = 0.6
-) -> list[Jump]:
+def find_jumps(height_m: ArrayF, sigma_step_m: ArrayF, *, limit: float = 1.0) -> list[Jump]:
     """Epochs that jump and return over most of the area: an error of the epoch rather than of the ground.
 
     Parameters
@@ -206,7 +209,6 @@ def find_jumps(
     height_m : (n, k) heights; NaN where not seen.
     sigma_step_m : (n - 1,) standard deviation of the offset between consecutive epochs.
     limit : in standard deviations, which both medians must exceed.
-    least_share : of the places, that must go and come back. Noise alone takes a third of them there and back.
 
     Raises
     ------
@@ -231,7 +233,7 @@ def find_jumps(
         returns = (np.sign(first) == np.sign(come)) & (np.sign(second) == np.sign(go)) & both
         share = float(returns.sum() / max(both.sum(), 1))
         large = abs(come) > limit * sigma_step_m[i] and abs(go) > limit * sigma_step_m[i + 1]
-        flagged = bool(come * go < 0 and large and share > least_share)
+        flagged = bool(come * go < 0 and large and share > _RETURN)
         found.append(Jump(i + 1, int(both.sum()), float(come), float(go), share, flagged))
     return found
 

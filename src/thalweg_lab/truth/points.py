@@ -51,6 +51,9 @@ _RING_SHARE: Final = 1.0 / np.sqrt(2.0)
 SAME_SHOT_S: Final = 1.1e-6
 """Times this near belong to one shot: shots are 2.304 us apart, stamps are resolved to 1 us."""
 
+_MOST_POINTS: Final = 300_000
+"""So many points of a cloud are compared, evenly spread over it."""
+
 ABOVE_M: Final = 1.0
 """Heights of the bed are looked up from so far above a point."""
 
@@ -299,7 +302,6 @@ def compare_cloud(
     bare_materials: ArrayB,
     vertical_corrections: bool,
     correlation_s: float,
-    max_points: int = 300_000,
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Errors of a cloud on disk: an even sample of its points, see `point_errors` and `error_tables`.
 
@@ -314,14 +316,13 @@ def compare_cloud(
     bare_materials : for each number of a material: is it bare ground?
     vertical_corrections : were the lasers' vertical offsets applied?
     correlation_s : longest correlation time among the errors of the poses.
-    max_points : size of the sample.
 
     Raises
     ------
     InputError : the cloud does not carry the full covariance of its points.
     CoverageError : no point lies on bare ground.
     """
-    cloud = sample_of_known_points(points, returns, max_points)
+    cloud = sample_of_known_points(points, returns, _MOST_POINTS)
     row = cloud["true_row"]
     # materials beyond the scene's own (the boat) are no ground
     bare = np.zeros(256, dtype=np.bool_)
@@ -402,11 +403,9 @@ def error_tables(errors: PointErrors, *, correlation_s: float) -> tuple[pd.DataF
 # ---------------------------------------------------------------- true returns beside the points of a cloud
 
 
-def known_points(
-    points: Path, returns: TrueReturns, chunk_points: int = 1_000_000
-) -> Iterator[dict[str, AnyArray]]:
+def known_points(points: Path, returns: TrueReturns) -> Iterator[dict[str, AnyArray]]:
     """The points of a cloud whose shots are known, chunk by chunk, with their row as ``true_row``."""
-    for chunk in iter_laz(points, chunk_points):
+    for chunk in iter_laz(points):
         row = returns.index(chunk["t_gps_s"], chunk["return_number"])
         yield {name: values[row >= 0] for name, values in (chunk | {"true_row": row}).items()}
 

@@ -184,7 +184,7 @@ def _beyond_shore_m(banks: pd.DataFrame, line: FlowLine, level: WaterLevel, scen
     off = np.arange(-_SHORE_SOUGHT_M, _SHORE_SOUGHT_M, _SHORE_STEP_M)
     places = line.to_map(np.repeat(s, len(off)), (n[:, None] + off).ravel())
     above = true_bed_m(scene, places, GROUND).reshape(len(s), -1) - level.at(s)[0][:, None]
-    met = np.diff(np.sign(above), axis=1) != 0
+    met = np.abs(np.diff(np.sign(above), axis=1)) > 0  # not where the ground ends, which is NaN
     nearest = np.where(met, off[:-1] + _SHORE_STEP_M / 2, np.inf)
     best = nearest[np.arange(len(s)), np.abs(nearest).argmin(axis=1)]
     return np.where(np.isfinite(best), -best * np.sign(n), np.nan)

@@ -2,9 +2,11 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from thalweg.lightsheet.calibration import CalibrationSettings, calibrate_sheet
+from thalweg.lightsheet.calibration.model import LINE, PAIRS
 from thalweg.lightsheet.calibration.report import (
     calibration_report,
     pair_table,
@@ -36,7 +38,25 @@ def test_the_tables_hold_every_parameter_point_and_pair(found):
     assert parameters.loc["n_water", "sigma"] == pytest.approx(0.001)
     five = [name for name in parameters.index if name.startswith("laser")]
     assert (parameters.loc[five, "sigma"] > parameters.loc[five, "sigma_image"]).all()
+    for i, name in enumerate(found.names):
+        factor = 180.0 / np.pi if name.endswith("_rad") else 1.0
+        row = parameters.loc[name.replace("_rad", "_deg")]
+        assert row["value"] == pytest.approx(factor * found.values[i])
+        assert row["sigma"] == pytest.approx(factor * np.sqrt(found.cov[i, i]))
+        image = factor * found.adjusted.sigmas[i] if i < len(found.estimated) else np.nan
+        assert row["sigma_image"] == pytest.approx(image, nan_ok=True)
     residuals = residual_table(found)
+    line = found.problem.line
+    np.testing.assert_array_equal(residuals[["x_px", "y_px"]], line.xy_px)
+    assert residuals["level"].tolist() == [found.problem.grid.levels[k].name for k in line.level]
+    np.testing.assert_allclose(residuals["residual_px"], found.problem.residuals_px(found.adjusted.x))
+    np.testing.assert_array_equal(residuals["standardised"], found.adjusted.standardised[LINE])
+    pairs, of = pair_table(found), found.problem.pairs
+    np.testing.assert_array_equal(pairs[["upper_x_px", "upper_y_px"]], of.upper_px)
+    np.testing.assert_array_equal(pairs[["lower_x_px", "lower_y_px"]], of.lower_px)
+    np.testing.assert_allclose(pairs["apart_deg"], np.degrees(found.adjusted.residuals[PAIRS]))
+    np.testing.assert_array_equal(pairs["standardised"], found.adjusted.standardised[PAIRS])
+    np.testing.assert_array_equal(pairs["used"], found.adjusted.used[PAIRS])
     assert len(residuals) == len(found.problem.line.level)
     assert residuals.loc[residuals["row"] == 10, "used"].tolist() == [False]
     assert residuals.loc[residuals["used"], "residual_px"].std() == pytest.approx(0.15, rel=0.15)
@@ -55,6 +75,27 @@ def test_the_report_is_plain_json_and_complete(found):
     assert set(report["levels"]) == {"grid", "plate"}
     assert report["levels"]["grid"]["gaps"] == 9
     assert report["dropped"] == found.correspondence.counts
+    residuals = residual_table(found)
+    for name, level in report["levels"].items():
+        of = residuals[(residuals["level"] == name) & residuals["used"]]["residual_px"]
+        assert level["points"] == len(of)
+        assert level["rms_px"] == pytest.approx(np.sqrt(np.mean(of**2)))
+        assert level["bias_px"] == pytest.approx(of.mean())
+    depths = [level.depth_mm for level in found.problem.grid.levels]
+    assert [level["depth_mm"] for level in report["levels"].values()] == depths
+    low, high = found.problem.grid.depths_mm[[0, -1]]
+    asked = [row["depth_mm"] for row in report["sigma_of_depth"]]
+    assert asked == pytest.approx([max(low - 25, 5), low, (low + high) / 2, high, high + 50])
+    assert report["line_points"]["rms_px"] == found.misfit_px
+    for kind, name in ((LINE, "line_points"), (PAIRS, "pairs")):
+        factor = found.sigma_factor[kind]
+        assert report[name]["sigma_factor"] == factor.value
+        assert report[name]["sigma_factor_within"] == pytest.approx(np.exp(factor.width))
+        assert report[name]["sigma0"] == found.sigma0[kind]
+        assert report[name]["rejected"] == int((~found.adjusted.used[kind]).sum())
+    strongest = [abs(row[2]) for row in report["correlations"]]
+    assert strongest == sorted(strongest, reverse=True)
+    assert min(strongest) >= 0.9
     for row in report["sigma_of_depth"]:
         # levels known beforehand shrink the gain of the correlations, from 4-10 times to 2.5 and more
         assert row["median_mm"] is None or row["median_uncorrelated_mm"] > 2 * row["median_mm"]

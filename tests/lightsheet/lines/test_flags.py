@@ -1,5 +1,6 @@
 """Saturated markers, edges of the albedo, jumps, several lines; counts of what was dropped."""
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -7,8 +8,16 @@ import pytest
 
 from tests.lightsheet.laser_images import GreyValues, grey_values, mean_line_intensity, one_sided_halo
 from thalweg.core import ArrayF, read_table, write_table
-from thalweg.lightsheet.lines import LINE_POINTS, LineFlag, LinePoints, LineSettings, detect_lines
-from thalweg.lightsheet.lines.albedo import albedo_edges, remove_width_shift
+from thalweg.lightsheet.lines import (
+    LINE_POINTS,
+    LineFlag,
+    LinePoints,
+    LineSettings,
+    detect_lines,
+    pooled_shift,
+    without_shift,
+)
+from thalweg.lightsheet.lines.albedo import WidthShift, albedo_edges, remove_width_shift
 from thalweg.lightsheet.lines.detect import heights, patch_heights
 from thalweg_lab.random_numbers import generator
 
@@ -221,3 +230,54 @@ def test_rows_without_a_place_do_no_harm() -> None:
     )
     assert np.isfinite(bias).all()
     assert np.median(chosen) >= 7
+
+
+# ---------------------------------------------------------------- shift of a series, by hand
+
+
+def test_the_shift_of_a_series_is_a_weighted_mean_with_its_scatter() -> None:
+    def image(k: float, sigma: float, edges: int) -> dict[str, float]:
+        return {"width_shift": k, "sigma_width_shift": sigma, "width_shift_edges": edges}
+
+    # weights 100 and 25: mean (10 - 2.5) / 125; chi-square 100 * 0.04^2 + 25 * 0.16^2 = 0.8 below its freedom
+    calm = pooled_shift([image(0.10, 0.1, 5), image(-0.10, 0.2, 7), image(9.0, float("nan"), 3), {}])
+    assert calm.coefficient == pytest.approx(0.06)
+    assert calm.sigma == pytest.approx(1 / np.sqrt(125))
+    assert calm.edges == 12
+    assert not calm.applied
+    # ten times as far apart: chi-square 80 with one degree of freedom
+    apart = pooled_shift([image(1.0, 0.1, 5), image(-1.0, 0.2, 7)])
+    assert apart.coefficient == pytest.approx(0.6)
+    assert apart.sigma == pytest.approx(np.sqrt(80 / 125))
+    assert not apart.applied
+    # four sigmas are needed
+    assert pooled_shift([image(-0.41, 0.1, 5)]).applied
+    assert not pooled_shift([image(-0.39, 0.1, 5)]).applied
+    none = pooled_shift([])
+    assert (none.coefficient, none.edges, none.applied) == (0.0, 0, False)
+
+
+def test_the_shift_of_a_series_goes_along_the_direction_of_measurement(picture: "Maker") -> None:
+    raw = detect_lines(picture(rows=64).image, LineSettings(apply_shift=False))
+    wide = np.full(len(raw), 6.0)
+    flags = np.where(np.arange(len(raw)) % 2, int(LineFlag.SATURATED), 0).astype(raw.flags.dtype)
+    points = replace(
+        raw,
+        width_px=wide,
+        flags=flags,
+        angle_rad=np.full(len(raw), np.deg2rad(30.0)),
+        facts=raw.facts | {"width_unsaturated_px": 4.0, "width_shift_applied": 0.0},
+    )
+    shift = WidthShift(0.5, 0.1, 9, True)
+    out = without_shift(points, shift)
+    odd = points.has(LineFlag.SATURATED)
+    # 2 px wider than usual, 0.5 px per pixel, along the row: -1 px in x, -tan(30 degrees) in y
+    np.testing.assert_allclose((out.x_px - points.x_px)[odd], -1.0)
+    np.testing.assert_allclose((out.y_px - points.y_px)[odd], -np.tan(np.deg2rad(30.0)))
+    np.testing.assert_allclose(out.sigma_px[odd], np.hypot(points.sigma_px[odd], 0.2))
+    for name in ("x_px", "y_px", "sigma_px"):
+        np.testing.assert_array_equal(getattr(out, name)[~odd], getattr(points, name)[~odd])
+    facts = (out.facts["width_shift"], out.facts["sigma_width_shift"], out.facts["width_shift_applied"])
+    assert facts == (0.5, 0.1, 1.0)
+    assert without_shift(out, shift) is out
+    assert without_shift(points, replace(shift, applied=False)) is points

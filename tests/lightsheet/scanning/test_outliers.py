@@ -29,6 +29,10 @@ def test_the_published_effect_of_thirteen_gross_errors(rng: np.random.Generator)
     assert once.limit_mm == pytest.approx(2.24, abs=0.06)
     assert (once.n, once.n_kept) == (1461, 1448)
     assert once.std_kept_mm == pytest.approx(0.22, rel=0.06)
+    row = once.row()
+    assert row["share_kept"] == pytest.approx(1448 / 1461)
+    assert "kept" not in row
+    assert all(row[name] == getattr(once, name) for name in row if name != "share_kept")
 
 
 def test_the_rule_decides_about_the_result(rng: np.random.Generator) -> None:
