@@ -20,6 +20,7 @@ from .ledger import (
     readable as readable,
     sentence as sentence,
 )
+from .paper_models import SMALL_RIVER_WIDTH_M as SMALL_RIVER_WIDTH_M
 from .verdicts import (
     ITEMS as ITEMS,
     headlines as headlines,

@@ -1,5 +1,5 @@
 """What the papers did otherwise: the misprinted law of refraction, their search for a sub-beam, a plane
-instead of the sheet, and the observations of their calibrations.
+instead of the sheet, the observations of their calibrations, and the river that they draw.
 """
 
 from collections.abc import Sequence
@@ -26,6 +26,10 @@ _DOWN: Final = np.diag([1.0, -1.0, -1.0])
 _FAN_Y: Final = rotation_opk(0.0, 0.0, np.pi / 2)
 """P3's fan lies along the laser's y axis."""
 _STEP: Final = 1e-5
+
+
+SMALL_RIVER_WIDTH_M: Final = 10.0
+"""Of the river of T 3.2, on which `thalweg_lab.studies.joint_study` surveys."""
 
 
 def refract_as_printed(directions: ArrayLike, normal: ArrayLike, n_1: float, n_2: float) -> ArrayF:

@@ -38,7 +38,7 @@ from thalweg_lab.reproduction.ledger import (
     sentence,
     verdict_words,
 )
-from thalweg_lab.reproduction.paper_models import refract_as_printed
+from thalweg_lab.reproduction.paper_models import SMALL_RIVER_WIDTH_M, refract_as_printed
 
 # ---------------------------------------------------------------- numbers that need no campaign
 
@@ -158,9 +158,7 @@ def printed_refraction_off(published: Published, *, angle_deg: float) -> Found:
 
 def river_width(published: Published) -> Found:
     """Of the river of the study of echo sounder and light sheet, m."""
-    from thalweg_lab.studies.joint_study import TWIN
-
-    return Found(value=float(TWIN["scene"]["width_m"]))
+    return Found(value=SMALL_RIVER_WIDTH_M)
 
 
 def classes_off(published: Published) -> Found:

@@ -27,6 +27,7 @@ from thalweg.lightsheet.optics import depth_lines, paper_4
 from thalweg.lightsheet.scanning import BED_POINTS
 from thalweg_lab.figures import joint_river_figure
 from thalweg_lab.random_numbers import generator
+from thalweg_lab.reproduction import SMALL_RIVER_WIDTH_M
 from thalweg_lab.studies.bed_study import ECHO_SOUNDER, River, bed_of, river_of, sums_of, verdict_of
 from thalweg_lab.studies.study import Result, Seed, Study, Tables
 from thalweg_lab.studies.survey import BARE, MOUNTS, record, survey_settings
@@ -52,8 +53,8 @@ DEAD_ZONE_M: Final = 0.18
 TWIN: Final[dict[str, Any]] = {
     "size": "tiny",
     "duration_s": 110.0,
-    "scene": BARE | {"length_m": 42.0, "width_m": 10.0, "depth_m": 2.5, "sections": SECTIONS, "grid_m": 0.15,
-                     "roughness_m": 0.02, "embankment_height_m": 2.0},
+    "scene": BARE | {"length_m": 42.0, "width_m": SMALL_RIVER_WIDTH_M, "depth_m": 2.5, "sections": SECTIONS,
+                     "grid_m": 0.15, "roughness_m": 0.02, "embankment_height_m": 2.0},
     "boat": {"speed_mps": 0.7, "bank_distance_m": 0.4, "turn_rate_degps": 30.0, "zigzag_deg": 75.0},
     "ins": {"attitude_time_s": 5.0},
     "gnss": {"correlation_time_s": 8.0},

@@ -22,6 +22,5 @@ from .scan_labels import (
     ScanLabels as ScanLabels,
     label_scan as label_scan,
     label_single_image as label_single_image,
-    label_table as label_table,
     line_table as line_table,
 )
