@@ -19,7 +19,7 @@ rule compare_with_reference:
         "benchmarks/{campaign}/accuracy/{by}compare_with_reference.jsonl"
     conda:
         "../../envs/thalweg.yaml"
-    threads: 2
+    threads: 1
     resources:
         mem_mb=memory(2500, 20),
         runtime=minutes(15, 30),

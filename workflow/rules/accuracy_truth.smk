@@ -25,7 +25,6 @@ TRUTH = {
             "vertical_corrections": section("lidar", "vertical_corrections"),
             "position_source": of(CampaignFiles.position_source),
         },
-        "threads": 2,
         "memory_mb": 4000,
     },
     "compare_calibration_with_truth": {
@@ -125,7 +124,7 @@ for name, entry in TRUTH.items():
             f"benchmarks/{{campaign}}/accuracy/{name}.jsonl"
         conda:
             "../../envs/thalweg.yaml"
-        threads: entry.get("threads", 1)
+        threads: 1
         resources:
             mem_mb=memory(entry.get("memory_mb", 2000)),
             runtime=minutes(10),

@@ -55,7 +55,7 @@ rule trace_river:
         "benchmarks/{campaign}/bathymetry/trace_river.jsonl"
     conda:
         "../../envs/thalweg.yaml"
-    threads: 2
+    threads: 1
     resources:
         mem_mb=memory(2500, 10),
         runtime=minutes(10, 30),
@@ -122,7 +122,7 @@ rule validate_bed:
         "benchmarks/{campaign}/bathymetry/validate_bed.jsonl"
     conda:
         "../../envs/thalweg.yaml"
-    threads: 2
+    threads: 1
     resources:
         mem_mb=memory(2000, 20),
         runtime=minutes(30, 60),

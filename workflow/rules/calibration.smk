@@ -150,7 +150,7 @@ rule calibrate_camera_lidar:
     priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
-    threads: 2
+    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),
@@ -192,7 +192,7 @@ rule calibrate_ins_lidar:
     priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
-    threads: 2
+    threads: 1
     resources:
         mem_mb=memory(3000),
         runtime=minutes(20),

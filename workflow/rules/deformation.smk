@@ -178,7 +178,7 @@ rule difference_of_surfaces:
         "benchmarks/{campaign}/deformation/difference_of_surfaces_{pair}.jsonl"
     conda:
         "../../envs/thalweg.yaml"
-    threads: 2
+    threads: 1
     resources:
         mem_mb=memory(3200, 10),
         runtime=minutes(20, 60),
@@ -272,7 +272,7 @@ rule compare_change_with_truth:
         "benchmarks/{campaign}/deformation/compare_change_with_truth_{pair}.jsonl"
     conda:
         "../../envs/thalweg.yaml"
-    threads: 2
+    threads: 1
     resources:
         mem_mb=memory(3000),
         runtime=minutes(20),

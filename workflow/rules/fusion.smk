@@ -23,7 +23,7 @@ rule build_dtm:
         "benchmarks/{campaign}/fusion/build_dtm.jsonl"
     conda:
         "../../envs/thalweg.yaml"
-    threads: 2
+    threads: 1
     resources:
         mem_mb=memory(3000, 15),
         runtime=minutes(20, 60),

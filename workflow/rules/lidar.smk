@@ -19,7 +19,7 @@ rule estimate_pose_errors:
     priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
-    threads: 2
+    threads: 1
     resources:
         mem_mb=memory(2500),
         runtime=minutes(10, 20),
@@ -260,7 +260,7 @@ rule check_colours:
         "benchmarks/{campaign}/lidar/check_colours.jsonl"
     conda:
         "../../envs/thalweg.yaml"
-    threads: 2
+    threads: 1
     resources:
         mem_mb=memory(3000),
         runtime=minutes(20, 120),

@@ -224,7 +224,7 @@ rule map_images:
     priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
-    threads: 2
+    threads: of(CampaignFiles.mapper_threads)
     resources:
         mem_mb=memory(2700, 100),
         runtime=minutes(120),
@@ -331,7 +331,7 @@ rule adjust_images:
     priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
-    threads: 2
+    threads: 1
     resources:
         mem_mb=memory(2900, 100),
         runtime=minutes(60),

@@ -89,7 +89,7 @@ rule simulate_time_lapse:
     priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
-    threads: 2
+    threads: 1
     resources:
         mem_mb=memory(3000),
         runtime=minutes(600),
@@ -143,7 +143,7 @@ rule simulate_dual_fisheye:
         "benchmarks/{campaign}/simulation/simulate_dual_fisheye.jsonl"
     conda:
         "../../envs/thalweg.yaml"
-    threads: 2
+    threads: 1
     resources:
         mem_mb=memory(3000),
         runtime=minutes(60),
@@ -175,7 +175,7 @@ rule simulate_lidar:
     priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
-    threads: 2
+    threads: 1
     resources:
         mem_mb=memory(3000),
         runtime=minutes(60),
@@ -342,7 +342,7 @@ rule simulate_tls:
         "benchmarks/{campaign}/simulation/simulate_tls.jsonl"
     conda:
         "../../envs/thalweg.yaml"
-    threads: 2
+    threads: 1
     resources:
         mem_mb=memory(3000),
         runtime=minutes(10),
@@ -396,7 +396,7 @@ rule simulate_view:
         "benchmarks/{campaign}/simulation/simulate_view.jsonl"
     conda:
         "../../envs/thalweg.yaml"
-    threads: 2
+    threads: 1
     resources:
         mem_mb=memory(3000),
         runtime=minutes(10),

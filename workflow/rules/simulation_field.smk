@@ -41,7 +41,7 @@ rule simulate_positions:
     priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
-    threads: 2
+    threads: 1
     resources:
         mem_mb=memory(3000),
         runtime=minutes(20),

@@ -16,7 +16,7 @@ rule mesh_reference:
         "benchmarks/{campaign}/surface/mesh_reference.jsonl"
     conda:
         "../../envs/thalweg.yaml"
-    threads: 2
+    threads: 1
     resources:
         mem_mb=memory(3000, 60),
         runtime=minutes(10, 60),

@@ -566,7 +566,7 @@ def sample_cloud(points: Path, max_points: int) -> dict[str, AnyArray]:
     step = -(-laz_header(points).n_points // max_points)
     parts: list[dict[str, AnyArray]] = []
     first = 0
-    for chunk in iter_laz(points, 1_000_000):
+    for chunk in iter_laz(points):
         n = len(chunk["t_gps_s"])
         # copies: a view would keep the whole piece
         parts.append({name: values[first::step].copy() for name, values in chunk.items()})

@@ -145,6 +145,10 @@ class CampaignFiles:
             found = found[key]
         return found
 
+    def mapper_threads(self) -> int:
+        """Of structure from motion: one, unless its block need not be repeatable."""
+        return 1 if self.section("images", "mapping", "repeatable") else 2
+
     def identity(self, *keys: str) -> dict[str, Any]:
         """Only those keys of the section `campaign`, so that a new title reruns pictures alone."""
         return {key: self.plain["campaign"][key] for key in keys}
