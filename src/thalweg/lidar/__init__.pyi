@@ -41,6 +41,8 @@ from .filters import (
 from .georeference import georeference_points as georeference_points
 from .overlap import error_model_of_log as error_model_of_log
 from .strips import (
+    LEAST_TOLD as LEAST_TOLD,
+    POSE as POSE,
     Adjusted as Adjusted,
     adjust_strips as adjust_strips,
     mounts_by_strips as mounts_by_strips,

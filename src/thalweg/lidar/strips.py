@@ -60,7 +60,6 @@ from thalweg.core import (
     with_rest,
     write_chains,
 )
-from thalweg.core.adjustment import HUBER_LIMIT
 from thalweg.core.calibration import Calibration, Source, pose_block
 from thalweg.ingest import LidarClock, LidarReader
 from thalweg.lidar.cloud import LogSample, LogSettings, kept_points
@@ -82,6 +81,8 @@ ROUNDS: Final = 3
 """Times that planes are found; the third moves poses by less than a tenth of their sigmas."""
 SOLUTIONS: Final = 3
 """Solutions with new weights a round."""
+HUBER_LIMIT: Final = 1.5
+"""Standardised residual at which Huber's weights begin to fall, as in `thalweg.core.adjustment`."""
 TUKEY_LIMIT: Final = 4.685
 """Standardised residual beyond which an observation counts nothing: 95 % efficient on normal errors."""
 LONGEST_KNOT_S: Final = 2.0

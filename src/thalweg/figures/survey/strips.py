@@ -5,10 +5,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from thalweg.core import ArrayF
-from thalweg.figures.page import Finding, Page
-from thalweg.figures.style import BLUE, GREEN, VERMILION, drawn, new_figure, styled
-from thalweg.lidar import Adjusted
-from thalweg.lidar.strips import LEAST_TOLD, POSE
+from thalweg.figures import BLUE, GREEN, VERMILION, Finding, Page, drawn, new_figure, styled
+from thalweg.lidar import LEAST_TOLD, POSE, Adjusted
 
 _BINS = 30
 
