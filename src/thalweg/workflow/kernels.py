@@ -43,9 +43,7 @@ def record() -> None:
             with path.open("rb") as stream:
                 pickle.load(stream)  # version of numba
                 signatures = [key[0] for key in pickle.loads(stream.read())[1]]
-            # a literal is an argument of another kernel: it is compiled with that
-            texts = [text for each in signatures if "Literal[" not in (text := repr(each))]
-            rows |= {(module, function, text) for text in texts}
+            rows |= {(module, function, repr(each)) for each in signatures}
     table = pd.DataFrame(sorted(rows), columns=["module", "function", "types"])
     table.to_csv(TABLE, index=False, lineterminator="\n")
 
