@@ -448,7 +448,6 @@ UNREACHED = {
     "workflow/campaign_files.py": "called by the rules",
     "workflow/figures.py": "called by the rules",
     "workflow/forked.py": "called by the rules",
-    "workflow/kernels.py": "a command of its own, run by make env",
     "workflow/preload.py": "loaded by what forks jobs",
 }
 """Modules of the product outside `settings` that no entry script imports, and why."""
