@@ -44,6 +44,4 @@ echo "Installing the locked packages (about 500 MB to fetch, one to five minutes
 "${install[@]}" --quiet --require-hashes -r "$lock"
 "${install[@]}" --quiet --no-deps --no-build-isolation -e .
 "$venv/bin/python" -m thalweg --version
-echo "Compiling kernels, once for this machine and version (some minutes of a processor) ..."
-"$venv/bin/python" -m thalweg.workflow.kernels || echo "They are compiled when they are needed instead." >&2
 touch "$venv/.complete"
