@@ -10,7 +10,7 @@ edge of a tag moves.
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -68,7 +68,7 @@ class MarkerLayout:
                 raise InputError(f"a module of {module} m", expected="between 0 and 1 m")
 
     @property
-    def tags(self) -> "cv2.aruco.Dictionary":
+    def tags(self) -> Any:
         """The dictionary as OpenCV knows it."""
         return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
 

@@ -39,6 +39,7 @@ PRODUCTS: Final = {
     "ardupilot": "a log of an ArduPilot autopilot",
     "ros": "a bag of ROS",
     "ubx": "a UBX log",
+    "gopro": "the track of a GoPro video",
     "ouster": "a recording of an Ouster",
 }
 """What an extra is for, in the words of a refusal."""

@@ -161,7 +161,7 @@ def write_frames(
 def _frames(video: Path) -> Iterator[tuple[int, float, AnyArray]]:
     """Number, seconds since the first frame, and picture (h, w, 3) of each frame."""
     with video.open("rb") as stream:
-        capture = cv2.VideoCapture(stream, cv2.CAP_FFMPEG, [])  # type: ignore[call-overload]  # any reader
+        capture = cv2.VideoCapture(stream, cv2.CAP_FFMPEG, [])  # any reader
         if not capture.isOpened():
             raise InputError("no video that OpenCV can decode", expected="MP4 or MOV", where=video)
         first, number = math.nan, 0

@@ -86,7 +86,7 @@ def _payloads(path: Path, report: IntegrityReport) -> Iterator[ArrayF]:
     try:
         import telemetry_parser
     except ImportError as error:
-        raise missing_package(error, "the track of a GoPro video", path) from error
+        raise missing_package(error, path) from error
     report.bytes_read += path.stat().st_size
     try:
         telemetry = telemetry_parser.Parser(str(path)).telemetry()

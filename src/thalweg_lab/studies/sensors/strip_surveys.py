@@ -127,7 +127,8 @@ def draw(seed: int, spec: Spec) -> Drawn:
     cov[:, 3:, :3] = np.swapaxes(cov[:, :3, 3:], 1, 2)
     cov[:, :3, :3] = np.diag(stated**2) * grown[:, None, None] ** 2 + cov[:, :3, 3:] @ np.swapaxes(K, 1, 2)
     frame = LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=200.0)
-    common = {"frame": frame, "t_gps_s": t, "valid": np.ones(len(t), dtype=np.bool_), "cov_pose_wcs": cov}
+    valid = np.ones(len(t), dtype=np.bool_)
+    common: dict[str, Any] = {"frame": frame, "t_gps_s": t, "valid": valid, "cov_pose_wcs": cov}
     truth = Trajectory(position_wcs_m=boat, quaternion_wcs_ics=Rotation.from_matrix(R).as_quat(), **common)
     poses = Trajectory(
         position_wcs_m=wrong, quaternion_wcs_ics=Rotation.from_matrix(R_wrong).as_quat(), **common
@@ -317,7 +318,7 @@ def score(seed: int, spec: Spec) -> dict[str, float]:
     row |= {f"told_{name.replace(' ', '_')}": share for name, share in found.facts["told"].items()}
     along = [np.median(each.sigma_position_m[:, 0]) for each in (found.trajectory, poses)]
     row["sigma_along_ratio"] = float(along[0] / along[1])
-    border = found.border.set_index("unknown")
+    border = found.border.set_index("unknown").astype(np.float64)
     row["mount_z_deg"] = float(np.rad2deg(border.loc["mount rotation z [rad]", "correction"]))
     row["clock_ms"] = 1e3 * float(border["correction"].get("clock offset [s]", np.nan))
     row["not_on_planes"] = float(found.facts["not_on_planes"] / found.facts["observations"])
