@@ -37,7 +37,7 @@ OF_A_LOG: Final = {
 }
 """Settings of a campaign -> the options of commands that read a lidar log and a trajectory."""
 
-LOG: Final = (
+LOG: Final[tuple[Any, ...]] = (
     ("lidar", [Path], "LIDAR", "capture; parts in order of time"),
     (
         "--trajectory",

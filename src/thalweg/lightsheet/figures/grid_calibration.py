@@ -16,6 +16,7 @@ from thalweg.lightsheet.figures.views import (
     DEPTH_STYLES,
     GLASS_COLOUR,
     LIGHT_COLOUR,
+    Look,
     Space,
     beam_paths,
     dots,
@@ -92,14 +93,21 @@ def _image(
     # a line from end to end, then a gap
     ends = np.full((2, 3, len(pairs)), np.nan)
     ends[0, :2], ends[1, :2] = (pairs[[f"upper_{a}_px", f"lower_{a}_px"]].to_numpy().T for a in "xy")
-    ends = ends.transpose(0, 2, 1).reshape(2, -1)
-    ax.plot(*ends, color=ORANGE, lw=0.5, alpha=0.8, zorder=2, label=f"ends on one sub-beam: {len(pairs)}")
+    x_px, y_px = ends.transpose(0, 2, 1).reshape(2, -1)
+    ax.plot(
+        x_px, y_px, color=ORANGE, lw=0.5, alpha=0.8, zorder=2, label=f"ends on one sub-beam: {len(pairs)}"
+    )
     used = residuals["used"].astype(bool)
     for k, level in enumerate(levels):
         colour, _, marker = DEPTH_STYLES[k]
         mine = residuals[used & (residuals["level"].astype(str) == level)]
         shown = mine.iloc[:: max(1, -(-len(mine) // _MOST_POINTS))]
-        look = {"ms": 2.2, "label": f"{level}: {count(len(mine))} points", "gid": f"level {k}", "zorder": 3}
+        look: Look = {
+            "ms": 2.2,
+            "label": f"{level}: {count(len(mine))} points",
+            "gid": f"level {k}",
+            "zorder": 3,
+        }
         dots(ax, shown["x_px"], shown["y_px"], colour, marker, **look)
     out = residuals[~used]
     if len(out):
@@ -151,7 +159,7 @@ def _residuals(ax: Axes, residuals: pd.DataFrame, levels: Sequence[str]) -> None
         colour, _, marker = DEPTH_STYLES[k]
         mine = residuals[used & (residuals["level"].astype(str) == level)]
         rms = root_mean_square(mine["residual_px"]) if len(mine) else float("nan")
-        look = {"label": f"{level}: {rms:.3f} px", "gid": f"residuals {k}"}
+        look: Look = {"label": f"{level}: {rms:.3f} px", "gid": f"residuals {k}"}
         dots(ax, mine[along], mine["residual_px"], colour, marker, **look)
     out = residuals[~used]
     limit = 1.3 * float(residuals.loc[used, "residual_px"].abs().quantile(0.998)) + 1e-6

@@ -18,6 +18,7 @@ from thalweg.figures import BLUE, ORANGE, RED, SKY, VERMILION, count, new_figure
 from thalweg.figures.accuracy import DISTANCE_MAP
 from thalweg.lightsheet.figures.views import (
     LIGHT_MAP,
+    Look,
     dots,
     find_image,
     first_image,
@@ -157,7 +158,7 @@ def _detail(ax: Axes, green: AnyArray, tables: Mapping[Method, pd.DataFrame], mi
     show_green(ax, green[top : top + DETAIL_ROWS, left:right], left=left, top=top)
     for name, table in near.items():
         words, colour, marker, size, face = METHODS[name]
-        look = {"ms": size, "mfc": face, "mew": 0.9, "label": words, "gid": f"{name} points"}
+        look: Look = {"ms": size, "mfc": face, "mew": 0.9, "label": words, "gid": f"{name} points"}
         dots(ax, table["x_px"], table["y_px"], colour, marker, **look)
     ax.set_aspect("auto")
 
@@ -190,7 +191,7 @@ def _distribution(ax: Axes, off: Mapping[Method, ArrayF]) -> None:
     bins = np.linspace(-largest, largest, 61).tolist()
     for name, e in off.items():
         words, colour, *_ = METHODS[name]
-        look = {"histtype": "step", "lw": 1.3, "density": True, "gid": f"{name} histogram"}
+        look: Look = {"histtype": "step", "lw": 1.3, "density": True, "gid": f"{name} histogram"}
         ax.hist(e, bins=bins, color=colour, label=f"{words}: {np.nanstd(e):.2f} px", **look)
     ax.set(xlabel="distance from a smooth line / px", ylabel="density / (1/px)", yscale="log")
     low, high = ax.get_ylim()
@@ -336,7 +337,7 @@ def sheet_image(
         for flag, words, colour, marker in FLAGS:
             mine = table[table["shown"] == flag]
             if len(mine):
-                look = {
+                look: Look = {
                     "ms": size,
                     "label": f"{words}: {count(len(mine))}",
                     "gid": f"flag {flag}",

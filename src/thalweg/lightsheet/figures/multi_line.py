@@ -22,10 +22,12 @@ from thalweg.lightsheet.figures.views import (
     GLASS_COLOUR,
     LIGHT_COLOUR,
     WATER_COLOUR,
+    Look,
     Space,
     dots,
     green_of,
     need,
+    pair,
     path_to,
     show_green,
     spots,
@@ -96,10 +98,10 @@ def _space(space: Space, lines: pd.DataFrame, sensor: Sensor, colours: ScalarMap
         space.plate(inner, outer, z, "0.92", alpha=0.8, zorder=1 + 1e-3 * z)
         for number, line in level.groupby("line"):
             xyz = line.sort_values("fan_angle_deg")[["x_mm", "y_mm", "z_mm"]].to_numpy(np.float64)
-            space.path(xyz, colours.to_rgba(number), lw=1.3, zorder=4, gid="line")
+            space.path(xyz, colours.to_rgba(np.array(number)), lw=1.3, zorder=4, gid="line")
             for end in xyz[[0, -1]] if depth == lines["depth_mm"].max() else xyz[:0]:
                 path = path_to(laser, end, sensor.window)
-                space.path(path, colours.to_rgba(number), lw=0.5, alpha=0.7, zorder=3)
+                space.path(path, colours.to_rgba(np.array(number)), lw=0.5, alpha=0.7, zorder=3)
         space.words(np.array([outer[0], inner[1], z]), f" {depth:g} mm")
     for z, colour in ((-sensor.window.thickness_mm, WATER_COLOUR), (0.0, GLASS_COLOUR)):
         space.plate(low, high, z, colour, alpha=0.4, zorder=5)
@@ -123,9 +125,11 @@ def _section(ax: Axes, lines: pd.DataFrame, sensor: Sensor, colours: ScalarMappa
     deepest = (middles["depth_mm"] == middles["depth_mm"].max()).to_numpy()
     for number, place in zip(middles["line"][deepest], xyz[deepest], strict=True):
         path = path_to(laser, place, sensor.window)
-        look = {"color": colours.to_rgba(number), "lw": 0.9, "zorder": 3, "gid": "sub-beam"}
+        look: Look = {"color": colours.to_rgba(np.array(number)), "lw": 0.9, "zorder": 3, "gid": "sub-beam"}
         ax.plot(path @ across, path[:, 2], **look)
-    spots(ax, xyz @ across, xyz[:, 2], colours.to_rgba(middles["line"]), s=7, zorder=4, gid="middles")
+    spots(
+        ax, xyz @ across, xyz[:, 2], colours.to_rgba(middles["line"].to_numpy()), s=7, zorder=4, gid="middles"
+    )
     seen = xyz[deepest & middles["in_picture"].to_numpy()]
     for place in seen[[0, -1]] if len(seen) else seen:
         path = path_to(eye, place, sensor.window)
@@ -156,7 +160,7 @@ def _picture(ax: Axes, lines: pd.DataFrame, sensor: Sensor, colours: ScalarMappa
     inside = lines[lines["in_picture"]].sort_values("fan_angle_deg")
     for (depth, level), lw in zip(inside.groupby("depth_mm"), cycle(_WIDTHS), strict=False):
         for number, line in level.groupby("line"):
-            look = {"color": colours.to_rgba(number), "lw": lw, "gid": f"image {depth:g}"}
+            look: Look = {"color": colours.to_rgba(np.array(number)), "lw": lw, "gid": f"image {depth:g}"}
             ax.plot(line["x_px"], line["y_px"], **look)
         at = (float(level["x_px"].mean()), float(level["y_px"].min()))
         look = {"xytext": (0, 4), "textcoords": "offset points", "ha": "center", "fontsize": 7}
@@ -288,10 +292,10 @@ def _setup(ax: Axes, seen: SeenObject, points: pd.DataFrame, sensor: Sensor, col
         middle = water.at_depth(window.depth_mm(seen.vertices_lcs_mm).max())[0]
     low, high = (np.array([*(middle[:2] + side), 0.0]) for side in (-_BOX_MM, _BOX_MM))
     low[2], high[2] = float(seen.vertices_lcs_mm[:, 2].min()) - 1.0, -window.thickness_mm
-    look = {"colours": _OBJECT_COLOUR, "inside": (low, high)}
+    look: Look = {"colours": _OBJECT_COLOUR, "inside": (low, high)}
     mesh_picture(seen.vertices_lcs_mm, seen.faces, IMAGES_VIEW, **look).show(ax)
     shades = colours.to_rgba(given["line"].to_numpy())
-    spots(ax, *space.flat(places), shades, s=0.8, gid="places", zorder=4)
+    spots(ax, *pair(space.flat(places)), shades, s=0.8, gid="places", zorder=4)
     for words, place, colour in (("laser", laser, LIGHT_COLOUR), ("camera", eye, "black")):
         space.path(path_to(place, middle, window), colour, lw=1.0, ls="--", zorder=5)
         space.device(place, words)

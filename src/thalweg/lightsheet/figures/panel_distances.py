@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from thalweg.core import AnyArray, CoverageError, read_parquet
 from thalweg.figures import HALO, count, new_figure, plural, styled
-from thalweg.lightsheet.figures.views import DEPTH_STYLES, dots, find_image, green_of, need, show_green
+from thalweg.lightsheet.figures.views import DEPTH_STYLES, Look, dots, find_image, green_of, need, show_green
 from thalweg.lightsheet.optics import Sensor, depth_lines, read_sensor
 
 POINTS: Final = ("file", "x_mm", "y_mm", "depth_mm", "sigma_depth_mm", "expected_depth_mm", "x_px", "y_px")
@@ -60,14 +60,15 @@ def panel_distances(
     _detail(figure.add_subplot(grid[:, 0]), sensor, image, points, shown)
     along = "x_mm" if np.ptp(points["x_mm"]) >= np.ptp(points["y_mm"]) else "y_mm"
     limit = 1.1 * float(off.abs().quantile(0.999)) + 1e-6
-    first: Axes | None = None
+    axes: list[Axes] = []
     for k, (_, row) in enumerate(shown.iterrows()):
+        first = axes[0] if axes else None
         ax = figure.add_subplot(grid[k, 1], sharex=first, sharey=first)
-        first = first or ax
+        axes.append(ax)
         _distances(ax, points[points["file"] == row["file"]], row, along, k, limit)
         ax.tick_params(labelbottom=k == len(shown) - 1)
     ax.set_xlabel(f"{along[0]} / mm")
-    first.set_title("b: measured minus reference depth / mm, beside P3 3.1.2")
+    axes[0].set_title("b: measured minus reference depth / mm, beside P3 3.1.2")
     return figure
 
 
@@ -109,7 +110,7 @@ def _detail(ax: Axes, sensor: Sensor, image: AnyArray, points: pd.DataFrame, sho
         x, y = line.xy_px.T
         near = (np.abs(x - left) <= DETAIL_PX) & (np.abs(y - top) <= DETAIL_PX)
         # a line that the detail does not show has no place in its legend
-        look = {"lw": 1.6, "gid": f"reference {line.depth_mm:g}", "zorder": 3}
+        look: Look = {"lw": 1.6, "gid": f"reference {line.depth_mm:g}", "zorder": 3}
         look |= {"label": f"{line.depth_mm:.1f} mm"} if near.any() else {}
         ax.plot(x, y, color=colour, ls=style, **look)
     look = {"ms": 2.6, "mfc": "white", "mew": 0.4, "label": "measured", "gid": "measured", "zorder": 4}
@@ -135,7 +136,7 @@ def _distances(ax: Axes, mine: pd.DataFrame, row: pd.Series, along: str, k: int,
         words = f"{signed(row['mean_mm'])} ± {row['std_mm']:.3f} mm, n = {count(int(row['n']))}"
     if np.isfinite(row["published_std_mm"]):
         words += f" (P3: {row['published_mean_mm']:.2f} ± {row['published_std_mm']:.2f} mm)"
-    look = {"transform": ax.transAxes, "va": "top", "fontsize": 7, "path_effects": HALO}
+    look: Look = {"transform": ax.transAxes, "va": "top", "fontsize": 7, "path_effects": HALO}
     ax.text(0.01, 0.96, f"{row['depth_mm']:.1f} mm: {words}", **look)
     ax.grid()
 

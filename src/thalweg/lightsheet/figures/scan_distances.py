@@ -15,7 +15,7 @@ from scipy.stats import norm
 from thalweg.core import NMAD, ArrayF, read_table, robust_sigma
 from thalweg.figures import BLUE, PURPLE, VERMILION, count, new_figure, plural, styled
 from thalweg.figures.accuracy import DISTANCE_MAP
-from thalweg.lightsheet.figures.views import dots, need, spots
+from thalweg.lightsheet.figures.views import Look, dots, need, spots
 from thalweg.lightsheet.scanning import SCAN_DISTANCES
 
 POINTS: Final = ("file", "x_m", "y_m", "z_m", "distance_mm", "used", "reason")
@@ -90,7 +90,7 @@ def _view(ax: Axes, points: pd.DataFrame, used: pd.DataFrame, other: str, limit:
         mine = points[points["reason"] == reason]
         if len(mine):
             dots(ax, 1e3 * mine["x_m"], 1e3 * mine[other], colour, ms=0.8, label=words, gid=reason, zorder=1)
-    look = {"s": 1.6, "cmap": DISTANCE_MAP, "vmin": -limit, "vmax": limit, "gid": "points", "zorder": 2}
+    look: Look = {"s": 1.6, "cmap": DISTANCE_MAP, "vmin": -limit, "vmax": limit, "gid": "points", "zorder": 2}
     shades = spots(ax, 1e3 * used["x_m"], 1e3 * used[other], used["distance_mm"], **look)
     ax.set_aspect("equal", adjustable="datalim")
     ax.grid()

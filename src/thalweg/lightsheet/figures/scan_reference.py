@@ -16,7 +16,7 @@ from thalweg.core import AnyArray, ArrayF, ArrayU8, GeometryError, InputError, r
 from thalweg.core.geometry import RayCaster, TriangleMesh, read_mesh
 from thalweg.figures import HEIGHT_MAP, count, new_figure, plural, read_picture, styled
 from thalweg.figures.calibration import Oblique
-from thalweg.lightsheet.figures.views import Space, line_numbers, need, spots
+from thalweg.lightsheet.figures.views import Space, line_numbers, need, pair, spots
 
 LIGHT: Final = np.array([-0.35, 0.45, 0.82])
 """Where the light comes from: to the right, up in the picture, toward the viewer."""
@@ -190,7 +190,7 @@ def scan_reference(
     shown = used.iloc[:: max(1, -(-len(used) // _MOST_POINTS))]
     number, shades = line_numbers(shown["file"])
     xyz = _MM_PER_M * shown[["x_m", "y_m", "z_m"]].to_numpy(np.float64) + _ABOVE_MM * VIEW.axes[2]
-    spots(scan, *VIEW.apply(xyz)[0].T, shades.to_rgba(number), s=0.7, gid="scan", zorder=3)
+    spots(scan, *pair(VIEW.apply(xyz)[0].T), shades.to_rgba(number), s=0.7, gid="scan", zorder=3)
     for ax, colour, words in ((reference, heights, "z / mm"), (scan, shades, "number of the line")):
         figure.colorbar(colour, ax=ax, label=words, location="bottom", aspect=30, pad=0.02, shrink=0.8)
     reference.set_title("b: reference; axes 25 mm long")

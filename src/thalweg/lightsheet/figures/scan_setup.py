@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from thalweg.core import ArrayF, Camera, InputError, read_parquet
 from thalweg.figures import BLUE, GREEN, PURPLE, VERMILION, new_figure, plural, styled
 from thalweg.figures.calibration import Oblique
-from thalweg.lightsheet.figures.views import GLASS_COLOUR, LIGHT_COLOUR, Space, dots, need
+from thalweg.lightsheet.figures.views import GLASS_COLOUR, LIGHT_COLOUR, Space, dots, need, pair
 from thalweg.lightsheet.optics import Sensor, read_sensor
 from thalweg.lightsheet.poses import SensorPoses, read_panel, read_poses, read_standing_camera, sigmas_at
 
@@ -86,10 +86,19 @@ def _three(
         marks, both = (
             (part @ poses.R_target_lcs[k].T + poses.shift_m[k])[:, axes] for part in (panel_m, devices)
         )
-        dots(ax, *marks.T, colour, marker, ms=2.4, zorder=3, gid=f"marks {k}", label=f"marks, image {k + 1}")
+        dots(
+            ax,
+            *pair(marks.T),
+            colour,
+            marker,
+            ms=2.4,
+            zorder=3,
+            gid=f"marks {k}",
+            label=f"marks, image {k + 1}",
+        )
         ax.plot(*both.T, color=colour, lw=0.6, zorder=2)
-        dots(ax, *both[:1].T, colour, "x", ms=6, zorder=4, gid=f"camera {k}")
-        dots(ax, *both[1:].T, colour, "s", ms=5, mfc="none", mew=1.0, zorder=4, gid=f"laser {k}")
+        dots(ax, *pair(both[:1].T), colour, "x", ms=6, zorder=4, gid=f"camera {k}")
+        dots(ax, *pair(both[1:].T), colour, "s", ms=5, mfc="none", mew=1.0, zorder=4, gid=f"laser {k}")
     dots(ax, [], [], "black", "x", ms=6, label="camera")
     dots(ax, [], [], "black", "s", ms=5, mfc="none", mew=1.0, label="laser")
     ax.set_aspect("equal", adjustable="datalim")

@@ -29,11 +29,13 @@ from thalweg.lightsheet.figures.views import (
     GLASS_COLOUR,
     LIGHT_COLOUR,
     WATER_COLOUR,
+    Look,
     Space,
     along_and_off,
     beam_paths,
     depth_styles,
     dots,
+    pair,
     path_to,
 )
 from thalweg.lightsheet.optics import (
@@ -154,8 +156,8 @@ def _section(ax: Axes, sensor: Sensor, depth_mm: float, point: ArrayF) -> None:
         ax.plot(*one.T, color=BLUE, lw=0.9, ls=dashes, zorder=2, gid="view")
     place = in_section(sensor, np.stack([laser, eye, point]))
     ax.plot(*place[:2].T, color="black", lw=0.8, ls=":", zorder=2, gid="base")
-    dots(ax, *place[:2].T, "black", "s", ms=5, zorder=5)
-    dots(ax, *place[2:].T, RAY_COLOUR, "o", ms=4, zorder=6)
+    dots(ax, *pair(place[:2].T), "black", "s", ms=5, zorder=5)
+    dots(ax, *pair(place[2:].T), RAY_COLOUR, "o", ms=4, zorder=6)
     left = min(float(flat[..., 0].min()), float(place[0, 0]) - 125.0) - 10.0
     for at, words, shift in (
         (place[0], f"laser, {tilt_deg(axis[0]):.0f}°\nfrom the vertical", (-6, 0)),
@@ -163,7 +165,7 @@ def _section(ax: Axes, sensor: Sensor, depth_mm: float, point: ArrayF) -> None:
         ((left + 25.0, 0.0), "air", (0, 7)),
         ((left + 25.0, -thick), "water", (0, -7)),
     ):
-        look = {"fontsize": 7, "ha": "right", "va": "center", "textcoords": "offset points"}
+        look: Look = {"fontsize": 7, "ha": "right", "va": "center", "textcoords": "offset points"}
         ax.annotate(words, (float(at[0]), float(at[1])), xytext=shift, **look)
     ax.set_xlim(left, float(flat[..., 0].max()) + 15.0)
     ax.set_ylim(deepest, float(place[:, 1].max()) + 30.0)
@@ -334,7 +336,7 @@ def measurement_volume_view(
     )
     for k, (ax, (words, label, values, colours)) in enumerate(zip(axes[0], maps, strict=True)):
         norm = Normalize(float(np.nanmin(values)), float(np.nanmax(values)))
-        look = {"cmap": colours, "norm": norm, "rasterized": True, "gid": f"map {'xyz'[k]}"}
+        look: Look = {"cmap": colours, "norm": norm, "rasterized": True, "gid": f"map {'xyz'[k]}"}
         x, y = _edges(grid.x_px), _edges(grid.y_px)
         ax.pcolormesh(x, y, np.ma.masked_invalid(values), **look)
         ax.set_xlim(x[0], x[-1])

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from thalweg.core import ArrayF, read_table
 from thalweg.figures import HEIGHT_MAP, PURPLE, VERMILION, count, new_figure, plural, robust_limits, styled
-from thalweg.lightsheet.figures.views import line_numbers, need, spots
+from thalweg.lightsheet.figures.views import Look, line_numbers, need, spots
 from thalweg.lightsheet.scanning import BED_POINTS
 
 POINTS: Final = ("file", "t_gps_s", "east_m", "north_m", "up_m", "cov_uu_m2", "sigma_line_m")
@@ -79,7 +79,7 @@ def _plan(figure: Figure, ax: Axes, points: pd.DataFrame) -> None:
     middle = points[["east_m", "north_m"]].mean().to_numpy()
     east, north = (_CM_PER_M * (shown[["east_m", "north_m"]] - middle)).to_numpy().T
     norm = Normalize(*robust_limits(_CM_PER_M * points["up_m"], 0.5, 99.5))
-    look = {"cmap": HEIGHT_MAP, "norm": norm, "s": 1.0, "gid": "points"}
+    look: Look = {"cmap": HEIGHT_MAP, "norm": norm, "s": 1.0, "gid": "points"}
     drawn = spots(ax, east, north, _CM_PER_M * shown["up_m"], **look)
     figure.colorbar(drawn, ax=ax, label="height / cm", location="bottom", aspect=30, pad=0.02, extend="both")
     ax.set_aspect("equal", adjustable="datalim")
@@ -130,7 +130,7 @@ def _along_time(ax: Axes, points: pd.DataFrame, truth_lines: pd.DataFrame | None
         ax.axhline(0.0, color="black", lw=0.7)
     sigma = _CM_PER_M * table["sigma_up_m"]
     centre = mean if truth_lines is None else 0.0
-    look = {"color": PURPLE, "alpha": 0.3, "lw": 0, "gid": "predicted", "label": "predicted sigma"}
+    look: Look = {"color": PURPLE, "alpha": 0.3, "lw": 0, "gid": "predicted", "label": "predicted sigma"}
     ax.fill_between(table["t_s"], centre - sigma, centre + sigma, **look)
     look = {"ls": "none", "marker": "o", "ms": 3, "color": VERMILION, "capsize": 2, "gid": "means"}
     ax.errorbar(table["t_s"], mean, yerr=std, label="mean and standard deviation of a line", **look)

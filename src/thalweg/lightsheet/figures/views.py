@@ -45,6 +45,10 @@ WATER_COLOUR: Final = "#e3f0f8"
 GLASS_COLOUR: Final = "#b9cfdb"
 
 
+Look = dict[str, Any]
+"""Keywords of Matplotlib."""
+
+
 def need(table: pd.DataFrame, columns: Sequence[str], what: str) -> pd.DataFrame:
     """The table, if it has rows and the columns.
 
@@ -120,6 +124,11 @@ def path_to(origin_lcs_mm: ArrayF, point_lcs_mm: ArrayF, window: Window) -> Arra
     return np.asarray(beam_paths(origin_lcs_mm, direction, window, window.depth_mm(point_lcs_mm[None]))[0])
 
 
+def pair(both: ArrayF) -> tuple[ArrayF, ArrayF]:
+    """The two rows of (2, n), for what takes x and y."""
+    return both[0], both[1]
+
+
 def dots(ax: Axes, x: ArrayLike, y: ArrayLike, colour: str, marker: str = ".", **look: Any) -> None:
     """Marks without a line between them."""
     edge = 0.0 if marker in ".os^vDP" else 1.2
@@ -134,7 +143,7 @@ def spots(ax: Axes, x: ArrayLike, y: ArrayLike, colours: Any, **look: Any) -> Pa
 
 def line_numbers(files: "pd.Series[str]") -> tuple[ArrayF, ScalarMappable]:
     """Numbers (n,) of the lines of a scan from 1 by the names of their images, and their colours."""
-    number = 1.0 + pd.factorize(files)[0]
+    number = 1.0 + pd.factorize(files)[0].astype(np.float64)
     return number, ScalarMappable(Normalize(1, max(float(number.max()), 2.0)), cm.batlow)
 
 
@@ -155,11 +164,12 @@ class Space:
 
     def dots(self, points_mm: ArrayF, colour: str, marker: str = ".", **look: Any) -> None:
         """Marks at points (n, 3)."""
-        dots(self.ax, *self.flat(points_mm), colour, marker, **look)
+        dots(self.ax, *pair(self.flat(points_mm)), colour, marker, **look)
 
     def area(self, corners_mm: ArrayF, colour: str, **look: Any) -> None:
         """A polygon."""
-        self.ax.fill(*self.flat(corners_mm), facecolor=colour, **({"edgecolor": "0.4", "lw": 0.5} | look))
+        look = {"edgecolor": "0.4", "lw": 0.5, **look}
+        self.ax.fill(*self.flat(corners_mm), facecolor=colour, **look)
 
     def plate(self, low: ArrayF, high: ArrayF, z_mm: float, colour: str, **look: Any) -> None:
         """A level rectangle."""

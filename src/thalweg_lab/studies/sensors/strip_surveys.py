@@ -318,9 +318,9 @@ def score(seed: int, spec: Spec) -> dict[str, float]:
     row |= {f"told_{name.replace(' ', '_')}": share for name, share in found.facts["told"].items()}
     along = [np.median(each.sigma_position_m[:, 0]) for each in (found.trajectory, poses)]
     row["sigma_along_ratio"] = float(along[0] / along[1])
-    border = found.border.set_index("unknown").astype(np.float64)
-    row["mount_z_deg"] = float(np.rad2deg(border.loc["mount rotation z [rad]", "correction"]))
-    row["clock_ms"] = 1e3 * float(border["correction"].get("clock offset [s]", np.nan))
+    correction = dict(zip(found.border["unknown"], found.border["correction"], strict=True))
+    row["mount_z_deg"] = float(np.rad2deg(correction["mount rotation z [rad]"]))
+    row["clock_ms"] = 1e3 * float(correction.get("clock offset [s]", np.nan))
     row["not_on_planes"] = float(found.facts["not_on_planes"] / found.facts["observations"])
     return row
 
