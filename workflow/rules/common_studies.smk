@@ -8,7 +8,7 @@ BATCHES = {name: batches(entry) for name, entry in STUDIES.items()}
 
 wildcard_constraints:
     study="|".join(STUDIES),
-    batch="[a-z]+_[0-9]+(_to_[0-9]+)?",
+    batch="[a-z_]+_[0-9]+(_to_[0-9]+)?",
 
 
 def of_study(key):
