@@ -13,7 +13,7 @@ from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-PAGE = ROOT / "docs/architecture.md"
+PAGE = ROOT / "docs/pages/architecture.md"
 SLACK = 1.1
 _SILENT = {"COMMENT", "NL", "NEWLINE", "INDENT", "DEDENT", "ENCODING", "ENDMARKER"}
 _ROW = re.compile(r"^\| `([\w/.]+)` \| ([\d,]+) \|$", re.M)

@@ -29,7 +29,7 @@ OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*[a-z]")
 FILES = re.compile(r"\.(json|html|md|parquet|laz|png|csv|bin|txt|py)$")
 OTHERS = {
     *("--force", "--set-resources", "--cores", "--config", "--rerun-incomplete", "--executor", "--profile"),
-    *("--unlock", "--until", "--directory", "--models"),
+    *("--unlock", "--until", "--directory", "--models", "--jobs", "--dry-run", "--logger", "--snakefile"),
 }
 """Options of Snakemake, and of Kalibr."""
 OF_A_CAMPAIGN = re.compile(r"\S+ of a campaign")

@@ -180,6 +180,8 @@ EXAMPLES: Final = {
 """Test by file and function that gives an example of a figure function."""
 
 NO_EXAMPLE: Final = {
+    "figures.survey.strips:corrections": "a whole adjustment: tests/lidar/test_strips.py",
+    "figures.survey.strips:distances": "a whole adjustment: tests/lidar/test_strips.py",
     "figures.bathymetry.pictures:bed_picture": "a bed and its rasters: tests/workflow/test_tiny.py",
     "figures.bathymetry.pictures:draw_bed_map": "a whole survey: tests/workflow/test_files_of_others.py",
     "figures.bathymetry.pictures:draw_bed_patterns": "a study: tests/lab/studies/test_bed_study.py",
@@ -251,6 +253,7 @@ def _profile(folder: Path) -> dict[str, Any]:
 
 
 PAGES: Final = {
+    "lidar/test_strips.py": {"figures.survey.strips:strips_page": "test_along_a_wall_nothing_is_told"},
     "figures/test_accuracy_page.py": {
         "figures.accuracy.page:accuracy_page": "test_the_truth_has_a_section_of_its_own"
     },

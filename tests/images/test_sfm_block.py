@@ -381,7 +381,7 @@ def test_the_four_scripts(wall: Photographs, matches: Matches, repository: Path,
     parts = [tmp_path / f"part_{k}.npz" for k in range(2)]
     for k, part in enumerate(parts):
         script("extract_features")(  # type: ignore[operator]
-            images=wall.files, masks=[], features=part, part=k, options=options, threads=1
+            images=wall.files, masks=[], features=part, part=k, options=options, threads=1, device="cpu"
         )
     camera = tmp_path / "cameras.txt"
     values = " ".join(str(v) for v in PERSPECTIVE.parameters[:8])
@@ -397,7 +397,7 @@ def test_the_four_scripts(wall: Photographs, matches: Matches, repository: Path,
         "trajectory": [],
         "options": mapping,
     }
-    script("match_features")(pairs=tmp_path / "pairs.npz", part=0, threads=1, **shared)  # type: ignore[operator]
+    script("match_features")(pairs=tmp_path / "pairs.npz", part=0, threads=1, device="cpu", **shared)  # type: ignore[operator]
     script("join_matches")(  # type: ignore[operator]
         pairs=[tmp_path / "pairs.npz"], matches=tmp_path / "matches.npz", **shared
     )
@@ -410,6 +410,7 @@ def test_the_four_scripts(wall: Photographs, matches: Matches, repository: Path,
         facts=tmp_path / "facts.json",
         options=mapping,
         threads=1,
+        device="cpu",
     )
     block = ImageBlock.read(tmp_path / "block.npz")
     assert equal(block, map_images(matches, settings=FIXED).pieces[0])

@@ -181,7 +181,9 @@ def test_the_jobs_of_the_parts_and_their_join(
         options = MappingSettings(parts=parts)
         pairs = [tmp_path / f"pairs_{k}.npz" for k in range(parts)]
         for k, path in enumerate(pairs):
-            script(repository, "match_features")(pairs=path, part=k, options=options, threads=1, **shared)
+            script(repository, "match_features")(
+                pairs=path, part=k, options=options, threads=1, device="cpu", **shared
+            )
         out = tmp_path / f"matches_{parts}.npz"
         script(repository, "join_matches")(pairs=pairs, matches=out, options=options, **shared)
         written.append(out.read_bytes())

@@ -228,7 +228,7 @@ def test_damaged_logs_are_read_or_refused(tmp_path: Path, fuzz: Any) -> None:
 def test_a_receiver_is_no_ins(tmp_path: Path) -> None:
     """Headings of two antennas lack roll and pitch: refused with the reason; the log is one of positions."""
     path = tmp_path / "boat.ubx"
-    path.write_bytes(b"".join(pvt(k) for k in range(10)))
+    path.write_bytes(b"".join(pvt(k) for k in range(30)))
     with pytest.raises(InputError, match=r"knows no roll and pitch, even if two antennas .* logs\.positions"):
         read_poses([path], "ins")
     table, _ = read_positions("pos", [path], states=None, base=[], nav=[], ppk={}, base_position={})

@@ -432,6 +432,7 @@ HOLDERS = {
     "calibration/field/points.py": "writes the file of the points of the light-sheet series",
     "core/calibration/model.py": "true values with their names",
     "core/errors.py": "messages, and how far a long step is",
+    "core/installed.py": "packages of extras",
     "core/kernels.py": "how loops are compiled",
     "core/tables.py": "files",
     "core/las.py": "the plausible extent of a scan",

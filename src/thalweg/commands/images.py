@@ -106,6 +106,7 @@ def add_image_commands(commands: Commands) -> None:
         writes="index.html",
         settings={
             **OF_CONTROL,
+            **of_a_campaign(["images.device"]),
             "images.adjustment.interior": "--interior",
             "images.mapping.interior": "--interior",
             "logs.time_lapse.images": "the photographs",

@@ -57,7 +57,7 @@ def _init(options: argparse.Namespace) -> int:
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(source, target)
     print(f"Laid {folder}. Try it: cd {folder} && thalweg run tiny")
-    print("Your own logs: thalweg new-campaign NAME --from-logs FOLDER, then thalweg run NAME")
+    print("Your own logs: thalweg new-campaign, then thalweg run with the name of that campaign")
     return 0
 
 

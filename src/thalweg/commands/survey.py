@@ -193,7 +193,12 @@ def add_survey_commands(commands: Commands) -> None:
         ),
         FOLDER,
         writes="index.html",
-        settings={"strips.knot_s": "--knot", "strips.sigma_clock_s": "--sigma-clock"} | OF_A_LOG,
+        settings={
+            "strips.knot_s": "--knot",
+            "strips.sigma_clock_s": "--sigma-clock",
+            **of_a_campaign(["strips.max_knots"]),
+            **OF_A_LOG,
+        },
     )
     commands.add(
         "view",

@@ -10,6 +10,7 @@ from .cloud import (
     EXTRA_DIMENSIONS as EXTRA_DIMENSIONS,
     REMOVED_POINTS as REMOVED_POINTS,
     SIGMAS as SIGMAS,
+    LogSample as LogSample,
     LogSettings as LogSettings,
     cloud_covariance as cloud_covariance,
     export_map as export_map,
@@ -39,7 +40,12 @@ from .filters import (
     Reason as Reason,
 )
 from .georeference import georeference_points as georeference_points
-from .overlap import error_model_of_log as error_model_of_log
+from .overlap import (
+    CELL_M as CELL_M,
+    error_model_of_log as error_model_of_log,
+    estimate_pose_errors as estimate_pose_errors,
+    windows_of as windows_of,
+)
 from .strips import (
     LEAST_TOLD as LEAST_TOLD,
     POSE as POSE,

@@ -7,10 +7,21 @@ Directions are unit vectors, not image coordinates, so that lenses beyond 90 deg
 
 from typing import Final
 
-import cv2
 import numpy as np
 
-from thalweg.core import AnyArray, ArrayF, ArrayI, GeometryError, Rigid, beam_axes, cross_matrix, exp_rotation
+from thalweg.core import (
+    AnyArray,
+    ArrayF,
+    ArrayI,
+    GeometryError,
+    Rigid,
+    beam_axes,
+    cross_matrix,
+    exp_rotation,
+    optional,
+)
+
+cv2 = optional("cv2")
 
 TRIPLES: Final = 300
 _SEED: Final = np.array([7, *b"resection"])

@@ -62,7 +62,7 @@ def distances(observations: pd.DataFrame, *, title: str) -> Figure:
     """Distances of strips before and after by range and time, and the residuals' histogram."""
     figure = new_figure(70, title, twin=False)
     axes = figure.subplots(1, 3)
-    for ax, column, label in zip(axes, ("range_m", "t_gps_s"), ("range [m]", "time [s]"), strict=False):
+    for ax, column, label in zip(axes, ("range_m", "t_gps_s"), ("range / m", "time / s"), strict=False):
         x = observations[column].to_numpy() - (observations[column].min() if column == "t_gps_s" else 0.0)
         edges = np.linspace(x.min(), x.max() + 1e-9, _BINS + 1)
         for name, colour in (("before", VERMILION), ("after", BLUE)):
@@ -73,13 +73,13 @@ def distances(observations: pd.DataFrame, *, title: str) -> Figure:
                 label=name,
             )
         ax.set_xlabel(label)
-        ax.set_ylabel("distance [mm]")
+        ax.set_ylabel("distance / mm")
         ax.set_ylim(bottom=0)
     axes[0].legend()
     z = np.linspace(-5, 5, 101)
     axes[2].hist(observations["z"].clip(-5, 5), bins=z[::2], density=True, color=GREEN)
     axes[2].plot(z, np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi), color="black")
-    axes[2].set_xlabel("residual / sigma")
+    axes[2].set_xlabel("residual by its standard deviation")
     axes[2].set_ylabel("density")
     return figure
 
@@ -109,7 +109,7 @@ def corrections(knots: pd.DataFrame, *, title: str) -> Figure:
         ax.plot(t, value, color=BLUE)
         for side in (-2, 2):
             ax.plot(t, side * before, color=VERMILION, linestyle="--")
-        ax.set_ylabel(f"{name} [{'deg' if i >= 3 else 'mm'}]")
+        ax.set_ylabel(f"{name} / {'deg' if i >= 3 else 'mm'}")
         if i % 3 == 2:
-            ax.set_xlabel("time [s]")
+            ax.set_xlabel("time / s")
     return figure

@@ -68,7 +68,14 @@ def ubx_frames(path: Path, report: IntegrityReport | None = None) -> Iterator[tu
         raise missing_package(error, path) from error
     covered: Counter[str] = Counter()
     with path.open("rb") as stream:
-        for raw, _ in UBXReader(stream, quitonerror=ERR_IGNORE, parsing=False):
+        reader = UBXReader(stream, quitonerror=ERR_IGNORE, parsing=False)
+        while True:
+            try:
+                raw, _ = next(reader)
+            except StopIteration:
+                break
+            except UnicodeDecodeError:  # of a dollar sign amid damage, which the library takes for NMEA
+                continue
             if raw is None:
                 continue
             ubx = raw[:2] == b"\xb5\x62"

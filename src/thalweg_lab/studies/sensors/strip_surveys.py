@@ -15,12 +15,10 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from thalweg.core import ArrayF, ErrorChain, LocalFrame, Rigid, Trajectory, attitude_axes, rotation_enu_body
-from thalweg.lidar.cloud import LogSample
-from thalweg.lidar.overlap import CELL_M, estimate_pose_errors, windows_of
-from thalweg.lidar.strips import Adjusted, adjust_strips
+from thalweg.lidar import CELL_M, Adjusted, LogSample, adjust_strips, estimate_pose_errors, windows_of
 from thalweg.navigation.ins_gnss import PoseCorrelation, PriorErrors
 from thalweg.settings.sections import LidarAccuracy, Strips
-from thalweg_lab.studies.study import Result, Seed, Study, Tables
+from thalweg_lab.studies import Result, Seed, Study, Tables
 
 LEVER: Final = np.array([0.1, 0.0, -0.45])
 MOUNT: Final = Rigid(
