@@ -37,8 +37,9 @@ def strips_page(found: Adjusted, *, title: str, notes: list[str]) -> Page:
     page.section("Strips")
     page.figure(
         drawn(distances, found.observations, title=title),
-        "Distances of the observations from the planes of all passes, root mean square by range (a) and over "
-        "time (b), before and after; c: residuals over their standard deviations, with the normal density.",
+        "Distances of the observations from the planes of all passes, root mean square by range (left) and "
+        "over time (middle), before and after. Right: residuals by their standard deviations, and the normal "
+        "density.",
     )
     page.section("Poses")
     page.figure(
@@ -46,12 +47,11 @@ def strips_page(found: Adjusted, *, title: str, notes: list[str]) -> Page:
         "Corrections of the poses with twice their standard deviation (band) and that of before (dashed).",
     )
     told = pd.DataFrame({"error": list(facts["told"]), "share": list(facts["told"].values())})
-    page.table(
-        told,
-        "Share of the variance that the bank took away, mean of all knots. Below "
-        f"{LEAST_TOLD:g} the error stays as it was: a straight wall tells nothing of a shift along it.",
-        digits=3,
+    page.text(
+        f"Share of the variance that the bank took away, mean of all knots. Below {LEAST_TOLD:g} the error "
+        "stays as it was: a straight wall tells nothing of a shift along it."
     )
+    page.table(told, "Share by error.", digits=3)
     page.table(found.border, "Mount, range and clock: radians, metres, seconds.", digits=3)
     page.section("Notes").lines(notes or ["none"])
     return page
