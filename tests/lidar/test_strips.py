@@ -56,7 +56,7 @@ def test_along_a_wall_nothing_is_told(tmp_path: Path) -> None:
     back = Trajectory.read(tmp_path / "trajectory_strips.parquet")
     np.testing.assert_allclose(back.cov_pose_wcs, found.trajectory.cov_pose_wcs, rtol=1e-6, atol=1e-12)
     page = tmp_path / "strips.html"
-    strips_page(found, title="A wall", notes=["a note"]).write(page)
+    strips_page(found, title="A wall", twin=True, notes=["a note"]).write(page)
     assert "a note" in page.read_text()
 
 

@@ -73,6 +73,7 @@ rule adjust_strips:
         orientation=section("orientation"),
         strips=section("strips"),
         title=section("campaign", "title"),
+        twin=of(CampaignFiles.is_twin),
     script:
         "../scripts/adjust_strips.py"
 

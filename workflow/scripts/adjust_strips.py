@@ -36,6 +36,7 @@ def main(
     orientation: dict[str, Any],
     strips: Strips,
     title: str,
+    twin: bool,
 ) -> None:
     poses, timed = Trajectory.read(trajectory), LidarClock.from_dict(json.loads(clock.read_text()))
     sensors = read_mounts(mounts)
@@ -52,7 +53,7 @@ def main(
     found = adjust_strips(points, poses, how.mount, chains, strips)
     found.write(facts.parent)
     write_mounts(mounts_strips, mounts_by_strips(sensors, found))
-    strips_page(found, title=f"Strips: {title}", notes=[]).write(page)
+    strips_page(found, title=f"Strips: {title}", twin=twin, notes=[]).write(page)
 
 
 if "snakemake" in globals():

@@ -14,13 +14,15 @@ def checked(read: Callable[[str], T], expected: str, fits: Callable[[T], bool]) 
     """The kind of an option whose value is `read` from the text, and refused where it does not fit."""
 
     def kind(text: str) -> T:
+        """The value, or the refusal that names what was expected."""
+        refusal = argparse.ArgumentTypeError(f"{text!r}; expected {expected}")
         try:
             value = read(text)
-            if fits(value):
-                return value
         except ValueError:
-            pass
-        raise argparse.ArgumentTypeError(f"{text!r}; expected {expected}")
+            raise refusal from None
+        if not fits(value):
+            raise refusal
+        return value
 
     return kind
 

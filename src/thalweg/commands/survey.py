@@ -382,7 +382,7 @@ def _align_strips(options: argparse.Namespace) -> int:
     georeference_log(reader, clock, found.of_lidar, exact, options.out / "points.laz")
     page = options.out / "index.html"
     notes = [in_options(note, options.settings) for note in [*notes, *model.notes]]
-    strips_page(found, title=f"Strips of {options.lidar[0].name}", notes=notes).write(page)
+    strips_page(found, title=f"Strips of {options.lidar[0].name}", twin=False, notes=notes).write(page)
     print(
         f"{found.facts['planes']:,} plane spots seen again: {1e3 * found.facts['distance_before_m']:.1f} mm "
         f"apart before, {1e3 * found.facts['distance_after_m']:.1f} mm after"

@@ -96,6 +96,7 @@ class _Cloud:
 
     @property
     def dtype(self) -> Any:
+        """Of a record of the file."""
         return self.header.point_format.dtype()
 
     @property
@@ -110,6 +111,7 @@ class _Cloud:
             yield row, np.fromfile(self.records, self.dtype, points_at_once, offset=at)
 
     def codes(self, records: AnyArray) -> AnyArray:
+        """Places (n,) of records (n,) on the curve that fills the root's cube."""
         return codes_of(_places_m(records, self.header), self.low_m, self.size_m)
 
 

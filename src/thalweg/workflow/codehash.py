@@ -186,19 +186,23 @@ class _Runs(ast.NodeTransformer):
     _in_class = False
 
     def visit_Expr(self, node: ast.Expr) -> ast.AST | None:
+        """Without constants that stand alone: docstrings."""
         return None if isinstance(node.value, ast.Constant) else self.generic_visit(node)
 
     def visit_If(self, node: ast.If) -> ast.AST | None:
+        """Without imports for types alone."""
         types_only = isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
         return None if types_only else self.generic_visit(node)
 
     def visit_ClassDef(self, node: ast.ClassDef) -> ast.AST:
+        """With the annotations of its fields: documents are converted by them."""
         around, self._in_class = self._in_class, True
         self.generic_visit(node)
         self._in_class = around
         return node
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
+        """With the annotations of parameters of public functions only: jobs convert by them."""
         node.returns = None
         if self._in_class or node.name.startswith("_"):
             for each in ast.walk(node.args):
@@ -210,6 +214,7 @@ class _Runs(ast.NodeTransformer):
         return node
 
     def visit_AnnAssign(self, node: ast.AnnAssign) -> ast.AST | None:
+        """Without the annotation, outside classes."""
         if self._in_class:
             return node
         return None if node.value is None else ast.Assign([node.target], node.value)

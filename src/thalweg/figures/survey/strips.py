@@ -11,13 +11,14 @@ from thalweg.lidar import LEAST_TOLD, POSE, Adjusted
 _BINS = 30
 
 
-def strips_page(found: Adjusted, *, title: str, notes: list[str]) -> Page:
+def strips_page(found: Adjusted, *, title: str, twin: bool, notes: list[str]) -> Page:
     """The page.
 
     Parameters
     ----------
     found : of `thalweg.lidar.adjust_strips`.
     title : heading.
+    twin : true for logs of the digital twin.
     notes : of the readers.
     """
     facts = found.facts
@@ -36,14 +37,14 @@ def strips_page(found: Adjusted, *, title: str, notes: list[str]) -> Page:
     )
     page.section("Strips")
     page.figure(
-        drawn(distances, found.observations, title=title),
+        drawn(distances, found.observations, title=title, twin=twin),
         "Distances of the observations from the planes of all passes, root mean square by range (left) and "
         "over time (middle), before and after. Right: residuals by their standard deviations, and the normal "
         "density.",
     )
     page.section("Poses")
     page.figure(
-        drawn(corrections, found.knots, title=title),
+        drawn(corrections, found.knots, title=title, twin=twin),
         "Corrections of the poses with twice their standard deviation (band) and that of before (dashed).",
     )
     told = pd.DataFrame({"error": list(facts["told"]), "share": list(facts["told"].values())})
@@ -58,9 +59,9 @@ def strips_page(found: Adjusted, *, title: str, notes: list[str]) -> Page:
 
 
 @styled
-def distances(observations: pd.DataFrame, *, title: str) -> Figure:
+def distances(observations: pd.DataFrame, *, title: str, twin: bool) -> Figure:
     """Distances of strips before and after by range and time, and the residuals' histogram."""
-    figure = new_figure(70, title, twin=False)
+    figure = new_figure(70, f"{title}, n = {len(observations)} distances", twin=twin)
     axes = figure.subplots(1, 3)
     for ax, column, label in zip(axes, ("range_m", "t_gps_s"), ("range / m", "time / s"), strict=False):
         x = observations[column].to_numpy() - (observations[column].min() if column == "t_gps_s" else 0.0)
@@ -79,7 +80,7 @@ def distances(observations: pd.DataFrame, *, title: str) -> Figure:
     z = np.linspace(-5, 5, 101)
     axes[2].hist(observations["z"].clip(-5, 5), bins=z[::2], density=True, color=GREEN)
     axes[2].plot(z, np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi), color="black")
-    axes[2].set_xlabel("residual by its standard deviation")
+    axes[2].set_xlabel("standardised residual")
     axes[2].set_ylabel("density")
     return figure
 
@@ -92,9 +93,9 @@ def _rms(x: ArrayF, values: pd.Series, edges: ArrayF) -> ArrayF:
 
 
 @styled
-def corrections(knots: pd.DataFrame, *, title: str) -> Figure:
+def corrections(knots: pd.DataFrame, *, title: str, twin: bool) -> Figure:
     """Corrections over time, each with its sigma before and after."""
-    figure = new_figure(110, title, twin=False)
+    figure = new_figure(110, f"{title}, n = {len(knots)} knots", twin=twin)
     axes = figure.subplots(3, 2, sharex=True)
     t = knots["t_gps_s"] - knots["t_gps_s"].iloc[0]
     for i, name in enumerate(POSE):
