@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 from typing import Final
 
+from thalweg.commands.options import positive
 from thalweg.commands.parser import Commands, add_options
 from thalweg.core import InputError
 
@@ -103,6 +104,13 @@ def add_result_commands(commands: Commands) -> None:
             None,
             {"nargs": "?", "const": Path("config") / "resources.yaml"},
         ),
+        (
+            "--predict",
+            positive,
+            "TIMES",
+            "what a survey would take whose logs are so many times those of a measured one",
+        ),
+        ("--of", None, "CAMPAIGN", "that one (default: the campaign with the largest inputs)"),
     )
     commands.add(
         "verify",
@@ -155,7 +163,7 @@ def _costs(options: argparse.Namespace) -> int:
     import yaml
 
     from thalweg.figures import costs_page
-    from thalweg.workflow import fitted, per_rule, read_costs
+    from thalweg.workflow import fitted, per_rule, predicted, read_costs
 
     _refuse_no_folder(options.results)
     jobs = read_costs(options.results)
@@ -178,6 +186,19 @@ def _costs(options: argparse.Namespace) -> int:
         ]
         options.write.write_text("".join(lines), encoding="utf-8")
         print(f"requests of {len(rules)} rules: {options.write}")
+    if options.predict:
+        of = options.of or str(jobs.groupby("campaign")["input_mb"].sum().idxmax())
+        table = predicted(jobs, of, options.predict)
+        table.to_csv(out / "predicted.csv", index=False, float_format="%.6g")
+        longest = table.loc[table["longest_s"].idxmax()]
+        presumed = table.loc[~table["measured_growth"], "cpu_s"].sum() / table["cpu_s"].sum()
+        print(
+            f"{options.predict:g} times the logs of {of}: {table['cpu_s'].sum() / 3600:.2f} h of one"
+            f" processor ({presumed:.0%} of it by rules whose growth was not measured, taken as"
+            f" proportional), longest job {longest['rule']} {longest['longest_s'] / 3600:.2f} h,"
+            f" largest {table['memory_mb'].max() / 1000:.1f} GB of memory,"
+            f" {table['output_mb'].sum() / 1000:.1f} GB of results: {out / 'predicted.csv'}"
+        )
     return int((rules["remark"].str.startswith("more")).any())
 
 
