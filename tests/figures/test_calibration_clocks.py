@@ -9,7 +9,6 @@ from thalweg.core import CoverageError, InputError, Rigid
 from thalweg.figures import read_picture
 from thalweg.figures.calibration import read_figure_table
 from thalweg.figures.calibration.clock import chosen_photo, clock_offset, clock_stability, display_intervals
-from thalweg.figures.calibration.cones import cone_residuals
 from thalweg.figures.calibration.field import axes_of, cones_of, field_setup
 from thalweg.figures.calibration.tables import (
     CONES,
@@ -145,8 +144,6 @@ def test_wrong_tables_are_refused_by_name(cones, poses, points, tmp_path):
         field_setup(cones.drop(columns="used"), poses)
     with pytest.raises(CoverageError, match="no pose to draw"):
         field_setup(cones, poses.iloc[:0])
-    with pytest.raises(CoverageError, match="no point used to draw"):
-        cone_residuals(points.assign(used=False), cones)
     with pytest.raises(InputError, match="file not found"):
         read_figure_table(tmp_path / "none.csv", CONES)
     (tmp_path / "bad.parquet").write_bytes(b"PAR1")

@@ -3,14 +3,13 @@
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.collections import PathCollection
 from scipy.spatial.transform import Rotation
 
 from thalweg.core import CoverageError, InputError, Rigid
 from thalweg.core.calibration import Calibration, Source, lever_block, pose_block
 from thalweg.figures import count, save
 from thalweg.figures.calibration import Oblique
-from thalweg.figures.calibration.cones import cone_before_after, cone_frame, cone_residuals
+from thalweg.figures.calibration.cones import cone_before_after, cone_frame
 from thalweg.figures.calibration.field import (
     cones_of,
     field_positions,
@@ -28,7 +27,9 @@ NBSP = "\N{NO-BREAK SPACE}"
 def test_the_same_tables_give_the_same_bytes(cones, poses, points, tmp_path):
     files = []
     for name in "ab":
-        for k, figure in enumerate((field_setup(cones, poses, twin=True), cone_residuals(points, cones))):
+        for k, figure in enumerate(
+            (field_setup(cones, poses, twin=True), cone_before_after(points, points, cones))
+        ):
             files.append(tmp_path / f"{name}{k}.png")
             save(figure, files[-1], dpi=50)
     assert files[0].read_bytes() == files[2].read_bytes()
@@ -223,38 +224,6 @@ def test_a_synthetic_view_colours_cones_by_height(rng, tmp_path, look):
 
 
 # ---------------------------------------------------------------- residuals and correlations
-
-
-def test_unrolled_cones_carry_their_residuals(cones, points, look):
-    figure = cone_residuals(points, cones, twin=True)
-    used = points[points["used"]]
-    words = look.texts(figure)
-    assert f"n = {count(len(used))} points on 3 cones, 36 not used".replace(NBSP, " ") in words
-    clouds = [a for a in look.artists(figure, "residuals") if isinstance(a, PathCollection)]
-    assert len(clouds) == 3
-    for cloud, name in zip(clouds, ["C1", "C2", "C10"], strict=True):
-        part = used[used["cone"] == name]
-        assert np.asarray(cloud.get_array()) == pytest.approx(1e3 * part["residual_m"].to_numpy())
-        cone = cones_of(cones)[name]
-        _, along = cone.unrolled(part[["x_m", "y_m", "z_m"]].to_numpy())
-        assert np.asarray(cloud.get_offsets())[:, 1] == pytest.approx(along)
-    mm = 1e3 * used["residual_m"].to_numpy()
-    assert f"normal, mean, std: {mm.mean():+.1f}, {mm.std():.1f} mm" in words
-    look.drawn(figure)
-
-
-def test_a_patch_is_not_cut_at_the_back_of_a_cone(rng, cones, look):
-    cone = cones_of(cones)["C1"]
-    turn = np.deg2rad(rng.uniform(150, 210, 200))
-    local = np.stack([0.2 * np.sin(turn), 0.2 * np.cos(turn), np.full(200, 0.43)], axis=1)
-    xyz = cone.apex_m + local @ cone.frame
-    points = pd.DataFrame(xyz, columns=["x_m", "y_m", "z_m"]).assign(
-        cone="C1", position="p", residual_m=rng.normal(0, 0.01, 200), used=True
-    )
-    (cloud,) = [
-        a for a in look.artists(cone_residuals(points, cones), "residuals") if isinstance(a, PathCollection)
-    ]
-    assert np.ptp(cloud.get_offsets()[:, 0]) < 61.0
 
 
 def test_before_and_after(rng, cones, look, on_cones):
