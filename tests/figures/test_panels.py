@@ -171,7 +171,7 @@ NO_EXAMPLE: Final = {
     "figures.bathymetry.pictures:draw_bed_patterns": "a study: tests/lab/studies/test_bed_study.py",
     "figures.bathymetry.pictures:draw_bed_sections": "a whole survey: tests/workflow/test_tiny.py",
     "figures.bathymetry.terrain:draw_terrain_model": "a whole survey: tests/workflow/test_tiny.py",
-    "figures.calibration.cones:cone_frame": "a sketch without inputs",
+    "figures.calibration.cones:draw_cone_frame": "a sketch without inputs",
     "figures.style:empty_figure": "the sentence itself",
     "lightsheet.figures.sensor:sheet_deformation": "a sketch without inputs",
     "thalweg_lab.figures.joint_river:joint_river_figure": "a study: tests/lab/studies/test_joint_study.py",

@@ -1,7 +1,7 @@
-"""Cones of a calibration field: their frame, residuals on them, before and after the lidar's calibration."""
+"""Cones of a calibration field: their frame, and their points before and after the lidar's calibration."""
 
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -24,34 +24,18 @@ from thalweg.figures import (
     scale_bar,
     styled,
 )
-from thalweg.figures.calibration.field import AROUND, FieldCone, Oblique, cones_of, draw_outlines
-from thalweg.figures.calibration.tables import (
-    CONE_POINTS,
-    CONES,
-    checked,
-    filled,
-    points_of,
-    read_cones,
-    read_figure_table,
-)
+from thalweg.figures.calibration.field import AROUND, FieldCone, Oblique, cones_of, draw_outlines, facing
+from thalweg.figures.calibration.tables import points_of, read_cones, read_figure_table
 
 HALF_ANGLE_DEG: Final = 25.0
-VIEW: Final = Oblique(azimuth_deg=72.0, elevation_deg=18.0)
-CONE: Final = FieldCone(
-    name="",
-    apex_m=np.array([0.0, 0.0, 0.55]),
-    axis=np.array([0.78, -1.0, 0.2]),
-    half_angle_rad=float(np.deg2rad(HALF_ANGLE_DEG)),
-    length_m=1.6,
-    used=True,
-)
+LENGTH_M: Final = 1.6
 _OFF_M: Final = 0.16
 """How far the drawn point lies off the surface, to show what a residual is."""
-
 
 POINTS_SHOWN_OF_CONE: Final = 6000
 REACH: Final = 1.9
 """Half width of the view along the axis, in radii of the cone."""
+_DOTS: Final[dict[str, Any]] = {"cmap": TIME_MAP, "s": 2.0, "lw": 0, "rasterized": True}
 FROM_APEX: Final = 0.25
 """Points nearer to the apex than this share of the length say little about the radius."""
 
@@ -60,12 +44,35 @@ FROM_APEX: Final = 0.25
 
 
 @styled
-def cone_frame() -> Figure:
-    """Left: a cone in its frame and in that of the field. Right: the plane of its axis and a point."""
-    figure = new_figure(74.0, "A cone and its coordinate system (no data)", twin=False)
-    left, right = figure.subplots(1, 2, width_ratios=[1.25, 1.0])
-    _space(left)
-    _section(right)
+def draw_cone_frame() -> Figure:
+    """Sketch of a cone's coordinate system, in the plane of its axis and a point."""
+    figure = new_figure(84.0, "A cone and its coordinate system (no data)", twin=False)
+    ax, alpha, length = figure.subplots(), np.deg2rad(HALF_ANGLE_DEG), LENGTH_M
+    edge = length * np.tan(alpha)
+    ax.fill([0, length, length], [0, edge, -edge], facecolor="0.93", edgecolor="none", zorder=1)
+    ax.plot([length, 0, length], [edge, 0, -edge], color="0.35", lw=1.2, zorder=2)
+    _arrow(ax, np.array([0.0, 0.0]), np.array([1.95, 0.0]), "$z_{cocs}$", colour=BLUE, away=0.14)
+    _arrow(ax, np.array([0.0, 0.0]), np.array([0.0, 0.95]), "$\\rho=\\sqrt{x^2+y^2}$", colour=BLUE, away=0.09)
+    arc = np.linspace(0, alpha, AROUND)
+    ax.plot(0.62 * np.cos(arc), 0.62 * np.sin(arc), color=GREEN, lw=1.3)
+    _words(ax, 0.44 * np.array([np.cos(alpha / 2), np.sin(alpha / 2)]), "$\\alpha$", colour=GREEN)
+    foot = 1.15 * np.array([np.cos(alpha), np.sin(alpha)])
+    point = foot + _OFF_M * np.array([-np.sin(alpha), np.cos(alpha)]) * 1.4
+    ax.plot(*np.stack([foot, point]).T, color=VERMILION, lw=1.6, zorder=4)
+    ax.plot(*point, marker="o", ms=5, color=VERMILION, zorder=5)
+    _words(ax, point + np.array([0.02, 0.10]), "$p_j$", colour=VERMILION)
+    _words(ax, 0.5 * (foot + point) + np.array([0.15, 0.03]), "$s_j$", colour=VERMILION)
+    way = np.array([-np.sin(alpha), np.cos(alpha)])
+    low, high = -0.10 * way, foot - 0.10 * way
+    look = {"arrowstyle": "<->", "color": ORANGE, "lw": 1.1, "shrinkA": 0, "shrinkB": 0}
+    ax.annotate("", tuple(high), xytext=tuple(low), zorder=4, arrowprops=look)
+    _words(ax, 0.80 * high - 0.20 * way, "$l_j$", colour=ORANGE)
+    ax.plot(0, 0, marker="o", ms=4, color="black", zorder=6)
+    _words(ax, np.array([-0.09, -0.09]), "$a$")
+    ax.set_title("in the plane of axis and point: $s_j=\\rho\\cos\\alpha-z\\sin\\alpha$, zero on the surface")
+    ax.set_aspect("equal", adjustable="box")
+    ax.set(xlim=(-0.25, 2.35), ylim=(-0.95, 1.3))
+    ax.axis("off")
     return figure
 
 
@@ -89,87 +96,6 @@ def _words(ax: Axes, place: ArrayF, words: str, *, colour: str = "black", size: 
         path_effects=HALO,
         zorder=7,
     )
-
-
-def _flat(points: ArrayF) -> ArrayF:
-    return VIEW.apply(np.asarray(points))[0]
-
-
-def _space(ax: Axes) -> None:
-    x, y, z = CONE.frame
-    base = _flat(CONE.surface()[-1])
-    apex = _flat(CONE.apex_m)
-    edges = [base[int(np.argmin(base[:, 1]))], base[int(np.argmax(base[:, 1]))]]
-    ax.fill(
-        *np.concatenate([base, [edges[0], apex, edges[1]]]).T, facecolor="0.93", edgecolor="none", zorder=1
-    )
-    ax.plot(base[:, 0], base[:, 1], color="0.6", lw=0.8, ls="--", zorder=2)
-    for edge in edges:
-        ax.plot(*np.stack([apex, edge]).T, color="0.35", lw=1.0, zorder=2)
-    for share in (0.35, 0.7):
-        ring = _flat(CONE.apex_m + share * (CONE.surface()[-1] - CONE.apex_m))
-        ax.plot(ring[:, 0], ring[:, 1], color="0.78", lw=0.6, zorder=1)
-    for axis, name, reach in ((x, "x", 0.6), (y, "y", 0.55), (z, "z", 2.3)):
-        _arrow(ax, apex, _flat(CONE.apex_m + reach * axis), f"${name}_{{cocs}}$", colour=BLUE, away=0.12)
-    _words(ax, apex + np.array([0.02, -0.16]), "$a$", colour="black")
-    ax.plot(*apex, marker="o", ms=4, color="black", zorder=6)
-    origin = np.array([0.0, 1.2, -0.25])
-    for k, name in enumerate("xyz"):
-        _arrow(ax, _flat(origin), _flat(origin + 0.45 * np.eye(3)[k]), f"${name}_{{pcs}}$", colour="black")
-    look = {"arrowstyle": "-|>", "color": "0.5", "ls": "--", "lw": 0.9, "shrinkB": 4}
-    ax.annotate("", tuple(apex), xytext=tuple(_flat(origin)), zorder=1, arrowprops=look)
-    _words(ax, 0.5 * (apex + _flat(origin)) + np.array([0.36, -0.1]), "$(x_a,\\,y_a,\\,z_a)$", colour="0.3")
-    turn = np.deg2rad(-35.0)
-    radius = 1.05 * np.tan(CONE.half_angle_rad)
-    on = CONE.apex_m + np.array([radius * np.sin(turn), radius * np.cos(turn), 1.05]) @ CONE.frame
-    ax.plot(*_flat(on), marker="o", ms=4.5, color=VERMILION, zorder=6)
-    _words(ax, _flat(on) + np.array([0.0, 0.14]), "$p_j$", colour=VERMILION)
-    ax.set_title("a: in space; the axis has two angles\n($\\lambda$, $\\theta$) in pcs")
-    _clean(ax, (-1.75, 2.3), (-0.8, 1.75))
-
-
-def _section(ax: Axes) -> None:
-    alpha, length = CONE.half_angle_rad, CONE.length_m
-    edge = length * np.tan(alpha)
-    ax.fill([0, length, length], [0, edge, -edge], facecolor="0.93", edgecolor="none", zorder=1)
-    ax.plot([length, 0, length], [edge, 0, -edge], color="0.35", lw=1.2, zorder=2)
-    _arrow(ax, np.array([0.0, 0.0]), np.array([1.95, 0.0]), "$z_{cocs}$", colour=BLUE, away=0.14)
-    _arrow(ax, np.array([0.0, 0.0]), np.array([0.0, 0.95]), "$\\rho=\\sqrt{x^2+y^2}$", colour=BLUE, away=0.09)
-    arc = np.linspace(0, alpha, AROUND)
-    ax.plot(0.62 * np.cos(arc), 0.62 * np.sin(arc), color=GREEN, lw=1.3)
-    _words(ax, 0.44 * np.array([np.cos(alpha / 2), np.sin(alpha / 2)]), "$\\alpha$", colour=GREEN)
-    foot = 1.15 * np.array([np.cos(alpha), np.sin(alpha)])
-    point = foot + _OFF_M * np.array([-np.sin(alpha), np.cos(alpha)]) * 1.4
-    ax.plot(*np.stack([foot, point]).T, color=VERMILION, lw=1.6, zorder=4)
-    ax.plot(*point, marker="o", ms=5, color=VERMILION, zorder=5)
-    _words(ax, point + np.array([0.02, 0.10]), "$p_j$", colour=VERMILION)
-    _words(ax, 0.5 * (foot + point) + np.array([0.15, 0.03]), "$s_j$", colour=VERMILION)
-    way = np.array([-np.sin(alpha), np.cos(alpha)])
-    low, high = -0.10 * way, foot - 0.10 * way
-    look = {"arrowstyle": "<->", "color": ORANGE, "lw": 1.1, "shrinkA": 0, "shrinkB": 0}
-    ax.annotate("", tuple(high), xytext=tuple(low), zorder=4, arrowprops=look)
-    _words(ax, 0.80 * high - 0.20 * way, "$l_j$", colour=ORANGE)
-    ax.plot(0, 0, marker="o", ms=4, color="black", zorder=6)
-    _words(ax, np.array([-0.09, -0.09]), "$a$")
-    ax.set_title(
-        "b: in the plane of axis and point\n$s_j=\\rho\\cos\\alpha-z\\sin\\alpha$, zero on the surface"
-    )
-    _clean(ax, (-0.25, 2.35), (-0.95, 1.3))
-
-
-def _clean(ax: Axes, x: tuple[float, float], y: tuple[float, float]) -> None:
-    ax.set_aspect("equal", adjustable="box")
-    ax.set_xlim(*x)
-    ax.set_ylim(*y)
-    ax.axis("off")
-
-
-def draw_cone_frame() -> Figure:
-    """Sketch of a cone's coordinate system."""
-    return cone_frame()
-
-
-# ---------------------------------------------------------------- residuals of the points of a cone
 
 
 # ---------------------------------------------------------------- from the moving boat (T Fig. 3.1)
@@ -198,15 +124,11 @@ def cone_before_after(
 
     Raises
     ------
-    InputError : a column is missing.
     CoverageError : the cone has no points.
     """
-    columns = (*CONE_POINTS, "t_gps_s")
-    tables = [checked(table, columns) for table in (before, after)]
-    tables = [table[table["used"].astype(bool)] for table in tables]
-    used = filled(tables[1], "point used")
-    bodies = cones_of(checked(cones, CONES))
-    name = cone or str(used["cone"].astype(str).value_counts().index[0])
+    tables = [table[table["used"].astype(bool)] for table in (before, after)]
+    bodies = cones_of(cones)
+    name = cone or str(tables[1]["cone"].astype(str).value_counts().index[0])
     parts = [table[table["cone"].astype(str) == name] for table in tables]
     if name not in bodies or not all(len(part) for part in parts):
         raise CoverageError(
@@ -218,7 +140,7 @@ def cone_before_after(
     few = "" if step == 1 else f", 1 of {step} shown"
     figure = new_figure(138.0, f"{title}: {name}, n = {plural(len(parts[1]), 'point')}{few}", twin=twin)
     axes = figure.subplots(2, 2, height_ratios=[1.0, 1.15])
-    view = _view(bodies[name], points_of(parts[1]))
+    view = facing(bodies[name], points_of(parts[1]) - bodies[name].apex_m, elevation_deg=12.0)
     limits = _limits(bodies[name], view, [points_of(part) for part in parts])
     for k, (part, words) in enumerate(
         zip(parts, ("a: approximate mount", "b: calibrated mount"), strict=True)
@@ -243,13 +165,6 @@ def cone_before_after(
     return figure
 
 
-def _view(cone: FieldCone, points: ArrayF) -> Oblique:
-    """From the side on which the points are, a little from above."""
-    xyz = points - cone.apex_m
-    side = (xyz - np.outer(xyz @ cone.axis, cone.axis)).mean(axis=0)
-    return Oblique(azimuth_deg=float(np.rad2deg(np.arctan2(-side[0], -side[1]))), elevation_deg=12.0)
-
-
 def _limits(cone: FieldCone, view: Oblique, clouds: list[ArrayF]) -> ArrayF:
     """(2, 2) lower and upper corner that hold the cone and nearly all points of both clouds."""
     xy = np.concatenate([view.apply(cloud)[0] for cloud in clouds])
@@ -265,18 +180,7 @@ def _side(
 ) -> None:
     xy, _ = view.apply(points)
     draw_outlines(ax, [cone], view, colour="black", lw=0.9)
-    ax.scatter(
-        xy[:, 0],
-        xy[:, 1],
-        c=elapsed,
-        cmap=TIME_MAP,
-        norm=Normalize(0, span),
-        s=2.0,
-        lw=0,
-        rasterized=True,
-        zorder=1,
-        gid="side",
-    )
+    ax.scatter(*xy.T, c=elapsed, norm=Normalize(0, span), **_DOTS, zorder=1, gid="side")
     ax.set_aspect("equal")
     ax.set_xlim(*limits[:, 0])
     ax.set_ylim(*limits[:, 1])
@@ -291,18 +195,7 @@ def _along_axis(ax: Axes, cone: FieldCone, points: ArrayF, elapsed: ArrayF, span
     xy = local[far, :2] / radius[:, None]
     turn = np.linspace(0, 2 * np.pi, 181)
     ax.fill(np.cos(turn), np.sin(turn), facecolor="none", edgecolor="black", lw=0.9, zorder=3)
-    ax.scatter(
-        xy[:, 0],
-        xy[:, 1],
-        c=elapsed[far],
-        cmap=TIME_MAP,
-        norm=Normalize(0, span),
-        s=2.0,
-        lw=0,
-        rasterized=True,
-        zorder=2,
-        gid="along",
-    )
+    ax.scatter(*xy.T, c=elapsed[far], norm=Normalize(0, span), **_DOTS, zorder=2, gid="along")
     ax.set_aspect("equal")
     ax.set(
         xlim=(-REACH, REACH),
@@ -319,8 +212,8 @@ def _along_axis(ax: Axes, cone: FieldCone, points: ArrayF, elapsed: ArrayF, span
 def draw_cone_before_after(*, before: Path, after: Path, cones: Path, field: Path, twin: bool) -> Figure:
     """Lidar points of the cones before and after the calibration -> figure of one cone."""
     return cone_before_after(
-        read_figure_table(before, (*CONE_POINTS, "t_gps_s")),
-        read_figure_table(after, (*CONE_POINTS, "t_gps_s")),
+        read_figure_table(before),
+        read_figure_table(after),
         read_cones(cones, field),
         title="Lidar points of a cone from the moving boat",
         twin=twin,
