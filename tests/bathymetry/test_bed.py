@@ -26,7 +26,6 @@ from thalweg.bathymetry import (
     against_reference,
     bed_observations,
     choose_model,
-    directional_variogram,
     error_lengths,
     flow_of_survey,
     krige_bed,
@@ -556,27 +555,6 @@ def test_model_written_and_read_is_the_same() -> None:
     again = BedModel.of_report(json.loads(json.dumps(model.report())))
     for name in ("drift", "covariance", "margin", "compared"):
         assert getattr(again, name) == getattr(model, name)
-
-
-def test_robust_variogram_is_that_of_the_field() -> None:
-    """The measured one, and what the true model says of the same pairs."""
-    true = CovarianceModel(kind="exponential", sill_m2=0.09, range_s_m=60.0, range_n_m=8.0)
-    model = BedModel(drift=Drift(kind="none"), covariance=true, compared={}, reason="")
-    values, same_pairs = [], []
-    for seed in range(6):
-        data, _ = field(12, np.random.default_rng(10 + seed))
-        found = directional_variogram(data, model, along=False, reach_m=10.0, tolerance_m=1.5, bins=5)
-        assert found.pairs.sum() > 500
-        values.append(found.semivariance_m2)
-        same_pairs.append(found.expected_m2)
-    expected = 0.02**2 + 0.09 * (1 - np.exp(-3 * found.lag_m / 8.0))
-    assert np.mean(values, axis=0) == pytest.approx(expected, rel=0.35)
-    assert np.mean(same_pairs, axis=0) == pytest.approx(expected, rel=0.1)
-    # along the river pairs lie up to three quarters of a range apart across it
-    data, _ = field(12, np.random.default_rng(3))
-    found = directional_variogram(data, model, along=True, reach_m=50.0, tolerance_m=6.0, bins=4)
-    at_zero_lag_across = 0.02**2 + 0.09 * (1 - np.exp(-3 * found.lag_m / 60.0))
-    assert found.expected_m2[1] > 1.1 * at_zero_lag_across[1]
 
 
 def test_a_light_sheet_that_contradicts_the_soundings_is_left_out(survey) -> None:

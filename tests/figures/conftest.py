@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from thalweg.core import LocalFrame, Trajectory, rotation_enu_body, rotation_opk
 from thalweg.core.geometry import TriangleMesh
 from thalweg.figures.calibration.field import cones_of
-from thalweg.figures.calibration.tables import CONES
 from thalweg.ingest import DEPTH, GNSS_POSITION, INS_STATE
 from thalweg.surface import BankFrame
 
@@ -182,18 +181,21 @@ def made(rng):
 # ---------------------------------------------------------------- a calibration field
 
 PLACES = (
-    ("C1", -4.2, 1.6, 1.1, 40.0, True), ("C2", -5.5, -0.4, 0.5, -50.0, True),
-    ("C10", 4.6, 1.8, 0.7, -145.0, True), ("C4", 0.5, 5.4, 0.9, -90.0, False),
+    ("C1", -4.2, 1.6, 1.1, 40.0), ("C2", -5.5, -0.4, 0.5, -50.0),
+    ("C10", 4.6, 1.8, 0.7, -145.0), ("C4", 0.5, 5.4, 0.9, -90.0),
 )  # fmt: skip
+CONES = [
+    "name", "apex_x_m", "apex_y_m", "apex_z_m", "axis_x", "axis_y", "axis_z", "half_angle_deg", "length_m",
+]  # fmt: skip
 
 
 @pytest.fixture
 def cones():
     rows = []
-    for name, x, y, z, bearing, used in PLACES:
+    for name, x, y, z, bearing in PLACES:
         turn = np.deg2rad(bearing)
-        rows.append((name, x, y, z, np.cos(turn), np.sin(turn), 0.0, 25.0, 0.7, used))
-    return pd.DataFrame(rows, columns=list(CONES))
+        rows.append((name, x, y, z, np.cos(turn), np.sin(turn), 0.0, 25.0, 0.7))
+    return pd.DataFrame(rows, columns=CONES)
 
 
 @pytest.fixture
@@ -211,10 +213,10 @@ def poses():
 
 
 def on_cones(rng, cones, *, n=300, noise_m=0.01, mean_m=0.0):
-    """Points on the used cones at two positions, displaced along the normal."""
+    """Points on all cones but C4 at two positions, displaced along the normal."""
     parts = []
     for name, cone in cones_of(cones).items():
-        if not cone.used:
+        if name == "C4":
             continue
         for position in ("position_1", "position_2"):
             z, turn = rng.uniform(0.1, 0.7, n), rng.uniform(0.3, 2.5, n)

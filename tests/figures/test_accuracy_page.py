@@ -255,7 +255,7 @@ def test_without_registration_it_says_why(found):
 
 
 def test_the_truth_has_a_section_of_its_own(found, made, tmp_path):
-    picture = tmp_path / "error_versus_range.png"
+    picture = tmp_path / "distance_histogram.png"
     save(distance_histogram(made.table), picture, dpi=50)
     truth = pd.DataFrame(
         {

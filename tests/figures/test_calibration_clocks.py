@@ -4,15 +4,13 @@ import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from thalweg.core import CoverageError, InputError, Rigid
 from thalweg.figures import read_picture
-from thalweg.figures.calibration import read_figure_table
 from thalweg.figures.calibration.clock import chosen_photo, clock_offset, clock_stability, display_intervals
-from thalweg.figures.calibration.cones import cone_residuals
-from thalweg.figures.calibration.field import axes_of, cones_of, field_setup
+from thalweg.figures.calibration.field import cones_of
 from thalweg.figures.calibration.tables import (
-    CONES,
     first_picture,
     natural,
     placed,
@@ -78,7 +76,7 @@ def test_intervals_jump_over_what_could_not_be_read(look):
     assert f"interval {intervals.mean():.4f} s, std {intervals.std(ddof=1):.4f} s, n = 44 intervals" in words
     assert "3 of 50 photos unreadable" in words
     assert "read: 10:00:00.00" in words
-    assert chosen_photo(table) == ("0.jpg", "10:00:00.00")
+    assert chosen_photo(table.assign(overlaid=0.0)) == ("0.jpg", "10:00:00.00")
     overlaid = table.assign(overlaid=np.where(np.arange(50) < 4, 0.3, 0.0))
     assert chosen_photo(overlaid)[0] == "4.jpg"
     # a display of 10 ms has intervals of whole steps: each bar holds one of them
@@ -90,11 +88,9 @@ def test_intervals_jump_over_what_could_not_be_read(look):
     assert edges[:-1] / 0.01 % 1 == pytest.approx(0.5)
     look.drawn(figure)
     with pytest.raises(CoverageError, match="0 intervals between readable photos"):
-        display_intervals(table.assign(readable=False))
+        display_intervals(table.assign(read_s=np.nan))
     with pytest.raises(CoverageError, match="no photo could be read"):
         chosen_photo(table.assign(readable=False))
-    with pytest.raises(InputError, match="photo of shape"):
-        clock_stability(table, np.zeros((20, 40)))
 
 
 # ---------------------------------------------------------------- tables
@@ -131,29 +127,9 @@ def test_cones_of_the_adjustment_get_axes_and_lengths(tmp_path):
     assert found["C1"].axis == pytest.approx([np.cos(np.pi / 6), 0.5, 0.0])
     assert found["C2"].axis == pytest.approx([0, 0, -1], abs=1e-12)
     assert found["C2"].length_m == 0.8
-    assert found["C1"].used
     table.assign(cone=["C1", "C9"]).to_csv(path, index=False)
     with pytest.raises(InputError, match="no cones C9; expected C1, C2"):
         read_cones(path, field)
-    table.drop(columns="apex_x_m").to_csv(path, index=False)
-    with pytest.raises(InputError, match="columns missing: apex_x_m"):
-        read_cones(path, field)
-
-
-def test_wrong_tables_are_refused_by_name(cones, poses, points, tmp_path):
-    with pytest.raises(InputError, match="columns missing: used"):
-        field_setup(cones.drop(columns="used"), poses)
-    with pytest.raises(CoverageError, match="no pose to draw"):
-        field_setup(cones, poses.iloc[:0])
-    with pytest.raises(CoverageError, match="no point used to draw"):
-        cone_residuals(points.assign(used=False), cones)
-    with pytest.raises(InputError, match="file not found"):
-        read_figure_table(tmp_path / "none.csv", CONES)
-    (tmp_path / "bad.parquet").write_bytes(b"PAR1")
-    with pytest.raises(InputError, match="no table"):
-        read_figure_table(tmp_path / "bad.parquet", CONES)
-    points.to_parquet(tmp_path / "points.parquet")
-    assert len(read_figure_table(tmp_path / "points.parquet", ("cone",))) == len(points)
 
 
 def test_pictures_come_as_they_lie(tmp_path):
@@ -182,12 +158,8 @@ def test_marks_of_an_adjustment_get_their_places(tmp_path):
     places = pd.DataFrame({**keys, "x_px": [10.0, 20.0], "y_px": [5.0, 6.0]})
     places.iloc[::-1].to_parquet(measured)
     marks = read_image_marks(residuals, measured)
-    assert list(marks["mark"]) == ["3/0", "3/1"]
     assert list(marks["x_px"]) == [10.0, 20.0]
     assert list(marks["residual_y_px"]) == [0.0, 0.3]
-    places.iloc[:1].to_parquet(measured)
-    with pytest.raises(InputError, match="1 residuals of marks without coordinates"):
-        read_image_marks(residuals, measured)
 
 
 def test_readings_of_the_display_keep_their_order(tmp_path):
@@ -196,7 +168,6 @@ def test_readings_of_the_display_keep_their_order(tmp_path):
     table = read_display(path)
     assert list(table["readable"]) == [True, False]
     assert table["read_s"][0] == 10.5
-    assert list(table["t_camera_s"]) == [0, 1]
 
 
 def test_a_field_moves_as_a_whole_into_the_world(cones, poses):
@@ -205,7 +176,8 @@ def test_a_field_moves_as_a_whole_into_the_world(cones, poses):
     before, after = cones_of(cones)["C2"], cones_of(moved)["C2"]
     assert after.surface(4, 1)[0, 0] == pytest.approx(T.apply(before.apex_m[None])[0])
     assert after.axis == pytest.approx(T.R @ before.axis)
-    assert axes_of(stands) == pytest.approx(T.R @ axes_of(poses))
+    turns = [Rotation.from_quat(each[["qx", "qy", "qz", "qw"]]).as_matrix() for each in (stands, poses)]
+    assert turns[0] == pytest.approx(T.R @ turns[1])
     assert stands[["x_m", "y_m", "z_m"]].to_numpy() == pytest.approx(
         T.apply(poses[["x_m", "y_m", "z_m"]].to_numpy())
     )

@@ -14,16 +14,7 @@ import pytest
 from pyproj import CRS
 
 from thalweg.core import Dsm, GeometryError, Grid, InputError, frame_of, write_raster, write_table
-from thalweg.deformation import (
-    CHANGES,
-    CORE_POINTS,
-    DRAWS,
-    HEIGHTS,
-    SERIES,
-    VISIBILITY,
-    fit_series,
-    heights_table,
-)
+from thalweg.deformation import CHANGES, CORE_POINTS, HEIGHTS, SERIES, VISIBILITY, fit_series, heights_table
 from thalweg.deformation.foreign import SurfaceDifference, read_difference, write_difference
 from thalweg.figures import save
 from thalweg.figures.deformation import change_page, read_pair_facts
@@ -46,14 +37,12 @@ from thalweg.figures.deformation.page import (
     write_change_page,
 )
 from thalweg.figures.deformation.statistics import (
-    draw_error_variogram,
     draw_level_of_detection,
     draw_retreat_along,
     draw_stable_ground,
     draw_time_series,
     draw_volume_along,
     read_stable,
-    variogram,
 )
 from thalweg.figures.deformation.together import draw_epochs_together, epochs_together
 from thalweg.figures.deformation.views import (
@@ -119,8 +108,6 @@ def bank(tmp_path_factory):
     write_table(folder / "core_points.parquet", frame_of(CORE_POINTS, cores), CORE_POINTS)
     write_table(folder / "changes_1-2.parquet", frame_of(CHANGES, changes), CHANGES)
     write_table(folder / "visibility_1-2.parquet", frame_of(VISIBILITY, seen), VISIBILITY)
-    errors = {f"draw_{i:02d}_m": np.where(known, rng.normal(0.0, 0.02, k), np.nan) for i in range(50)}
-    write_table(folder / "draws_1-2.parquet", frame_of(DRAWS, {"core": np.arange(k)} | errors), DRAWS)
     (folder / "changes_1-2.json").write_text(json.dumps({"control": "fdr", "level": 0.05}))
     motion = dict.fromkeys(("east_m", "north_m", "up_m", "turn_east", "turn_north", "turn_up"), 0.0)
     facts = {
@@ -181,7 +168,7 @@ def bank(tmp_path_factory):
         return [folder / name.format("1-2")]
 
     return SimpleNamespace(
-        changes=of_pair("changes_{}.parquet"), draws=of_pair("draws_{}.parquet"),
+        changes=of_pair("changes_{}.parquet"),
         visibility=of_pair("visibility_{}.parquet"),
         control=of_pair("changes_{}.json"), registrations=of_pair("registration_{}.json"),
         weights=of_pair("registration_{}.npz"), volumes=of_pair("volumes_{}.csv"),
@@ -314,34 +301,6 @@ def test_stable_ground_is_held_against_the_standard_normal(bank, look):
     assert "all that the registration rests on: n = 222" in words
     (band,) = look.artists(figure, "band")
     assert band.get_paths()[0].vertices[:, 1].max() == pytest.approx(1.96 * 2.0, abs=0.01)
-    look.drawn(figure)
-
-
-def test_variogram_by_hand():
-    places = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])
-    lag, pairs, gamma = variogram(places, np.array([[0.0], [1.0], [3.0]]), np.array([0.5, 1.5, 2.5, 9.0]))
-    assert pairs.tolist() == [2, 1]  # no pair lies farther apart
-    assert lag.tolist() == [1.0, 2.0]
-    assert gamma[:, 0].tolist() == pytest.approx([0.5 * (1 + 4) / 2, 0.5 * 9])
-
-
-def test_variogram_of_independent_values_is_their_variance(rng):
-    places = rng.uniform(0, 20, (800, 3)) * [1.0, 0.1, 0.1]
-    values = rng.normal(0, [2.0, 3.0], (800, 2))
-    gamma = variogram(places, values, np.geomspace(0.5, 10, 6))[2]
-    assert gamma.mean(axis=0) == pytest.approx([4.0, 9.0], rel=0.1)
-
-
-def test_error_variogram_is_drawn(bank, look):
-    files = {"changes": bank.changes, "registrations": bank.registrations, "weights": bank.weights}
-    figure = draw_error_variogram(
-        **files, draws=bank.draws, core_points=bank.core_points, spacing_m=0.5, **BY_BOAT
-    )
-    assert "found, n = 202 core points" in look.texts(figure)
-    gamma = look.artists(figure, "variogram")[0].get_ydata()
-    assert gamma == pytest.approx(1.0, abs=0.35)  # independent, of the stated size
-    predicted = look.artists(figure, "predicted")[0].get_ydata()
-    assert predicted == pytest.approx(1.0, abs=0.2)
     look.drawn(figure)
 
 

@@ -67,12 +67,6 @@ def test_title_states_n_and_times(trajectory):
     assert "2017-05-12 18:44:55 to 18:45:35 UTC" in title
 
 
-def test_speed_is_what_the_boat_does(trajectory):
-    (track,) = by_gid(survey_map(trajectory, colour_by="speed"), "track")
-    step = np.linalg.norm(np.diff(trajectory.position_wcs_m[:150, :2], axis=0), axis=1)
-    np.testing.assert_allclose(track.get_array()[:149], step / 0.1, rtol=1e-6)  # 60 ns of t_gps_s
-
-
 def test_scale_bar_has_the_length_it_says(trajectory):
     figure = survey_map(trajectory)
     ax = figure.axes[0]
@@ -81,27 +75,16 @@ def test_scale_bar_has_the_length_it_says(trajectory):
     assert f"{width:g} m" == text.get_text()
 
 
-def test_soundings_and_cloud(trajectory, bank):
-    soundings = np.column_stack([trajectory.position_wcs_m[::4, :2], np.linspace(1, 2, 100)])
-    figure = survey_map(trajectory, cloud_en=bank.points, soundings=soundings)
-    assert "soundings, n = 100" in legend_labels(figure)
-    assert any(ax.get_ylabel() == "depth / m" for ax in figure.axes)
-    (picture,) = by_gid(figure, "cloud")
-    filled = np.isfinite(np.ma.filled(picture.get_array().astype(float), np.nan))
-    assert 0.02 < filled.mean() < 0.6
-
-
-@pytest.mark.parametrize("columns", [2, 3])
-def test_cloud_stands_where_its_points_are(trajectory, columns):
-    spot = np.tile([60.0, 40.0, 2.0], (50, 1))[:, :columns]
-    spot = np.concatenate([spot, np.tile([0.0, 0.0, 0.0], (50, 1))[:, :columns]])
-    (picture,) = by_gid(survey_map(trajectory, cloud_en=spot), "cloud")
+def test_cloud_stands_where_its_points_are(trajectory):
+    spot = np.repeat([[60.0, 40.0, 2.0], [0.0, 0.0, 0.0]], 50, axis=0)
+    (picture,) = by_gid(survey_map(trajectory, cloud_wcs_m=spot), "cloud")
     left, right, bottom, top = picture.get_extent()
     data = np.ma.filled(picture.get_array().astype(float), np.nan)
     row, column = (index[-1] for index in np.nonzero(np.isfinite(data)))
     cell = (right - left) / data.shape[1]
     assert left + (column + 0.5) * cell == pytest.approx(60.0, abs=cell)
     assert bottom + (row + 0.5) * (top - bottom) / data.shape[0] == pytest.approx(40.0, abs=cell)
+    assert np.nanmax(data) == 2.0
 
 
 def test_map_of_one_pose_and_of_none(tmp_path, trajectory):
@@ -178,20 +161,6 @@ def reach(rng, trajectory, *, side, along, across, up, n):
     return np.stack([a * s - q * c, a * c + q * s, z], axis=1)
 
 
-def test_a_bridge_does_not_win_by_its_walls(rng, trajectory):
-    """A bank of 100 m, a deck over the track and its abutment with thirty times the points of the bank."""
-    face = {"side": 1, "across": (9.0, 12.0), "up": (1.0, 4.0)}
-    bank = reach(rng, trajectory, along=(0, 100), n=30_000, **face)
-    abutment = reach(rng, trajectory, along=(40, 50), n=90_000, **face)
-    deck = reach(rng, trajectory, side=1, along=(42, 48), across=(-12.0, 12.0), up=(6.0, 7.0), n=5_000)
-    middle = [np.sin(np.deg2rad(70.0)), np.cos(np.deg2rad(70.0))]
-    without = choose_segment(np.concatenate([bank, abutment]), trajectory).centre_en_m @ middle
-    assert 40.0 < without < 50.0
-    found = choose_segment(np.concatenate([bank, abutment, deck]), trajectory).centre_en_m @ middle
-    # Half of the stretch and 10 m from the ends of the deck, less half a place of 1.4 m.
-    assert abs(found - 45.0) > 3.0 + 10.0 + 7.0 - 1.4
-
-
 def test_a_bank_covered_evenly_wins_over_a_wall_with_more_points(rng, trajectory):
     """A wall that fills half of any stretch has most points, but is no bank along its whole length."""
     bank = reach(rng, trajectory, side=1, along=(0, 100), across=(9.0, 12.0), up=(1.0, 4.0), n=30_000)
@@ -199,25 +168,6 @@ def test_a_bank_covered_evenly_wins_over_a_wall_with_more_points(rng, trajectory
     view = choose_segment(np.concatenate([bank, wall]), trajectory).azimuth_rad
     across = np.array([-np.cos(np.deg2rad(70.0)), np.sin(np.deg2rad(70.0))])
     assert np.array([np.sin(view), np.cos(view)]) @ across > 0.9
-
-
-def test_near_points_do_not_win_for_being_near(rng, trajectory):
-    """Half as many points again at half the distance are fewer for the boat, and more for a scan."""
-    far = reach(rng, trajectory, side=1, along=(0, 100), across=(20.0, 22.0), up=(1.0, 4.0), n=30_000)
-    near = reach(rng, trajectory, side=-1, along=(0, 100), across=(9.0, 11.0), up=(1.0, 4.0), n=45_000)
-    across = np.array([-np.cos(np.deg2rad(70.0)), np.sin(np.deg2rad(70.0))])
-    for seen, wanted in ((True, 1.0), (False, -1.0)):
-        view = choose_segment(np.concatenate([far, near]), trajectory, seen_from_track=seen).azimuth_rad
-        assert np.array([np.sin(view), np.cos(view)]) @ across * wanted > 0.9
-
-
-def test_trees_behind_are_wanted_with_a_background(rng, trajectory):
-    bank = reach(rng, trajectory, side=1, along=(0, 100), across=(9.0, 12.0), up=(1.0, 4.0), n=60_000)
-    trees = reach(rng, trajectory, side=1, along=(70, 95), across=(25.0, 40.0), up=(8.0, 20.0), n=3_000)
-    segment = choose_segment(np.concatenate([bank, trees]), trajectory, length_m=20.0, background_m=40.0)
-    along = segment.centre_en_m @ [np.sin(np.deg2rad(70.0)), np.cos(np.deg2rad(70.0))]
-    # Nine tenths of the best do: some 80 % of the stretch of 20 m, but for a metre, have trees behind them.
-    assert 70.0 + 5.0 <= along <= 95.0 - 5.0
 
 
 @pytest.mark.parametrize(
@@ -252,14 +202,6 @@ def test_the_side_with_the_taller_things_stands_behind(trajectory, bank):
         low = np.tile(np.column_stack([along + 12.0 * flat, np.full(4000, 0.5)]), (3, 1))
         azimuth = bankward_azimuth(np.concatenate([trees, low]), trajectory)
         assert np.array([np.sin(azimuth), np.cos(azimuth)]) @ tall > 0.9
-
-
-def test_sides_of_equal_height_are_seen_towards_the_better_measured_one(trajectory, bank):
-    s, c = np.sin(np.deg2rad(70.0)), np.cos(np.deg2rad(70.0))
-    opposite = bank.points[::20].copy()
-    opposite[:, :2] -= 2 * (opposite[:, :2] @ [-c, s])[:, None] * np.array([-c, s])
-    azimuth = bankward_azimuth(np.concatenate([bank.points, opposite]), trajectory)
-    assert np.array([np.sin(azimuth), np.cos(azimuth)]) @ [-c, s] > 0.9
 
 
 def test_gamma_puts_the_median_at_the_middle_of_the_colours():
@@ -311,11 +253,11 @@ def test_a_room_and_a_wide_river_have_a_view_too(trajectory, away_m):
     view = np.array([np.sin(segment.azimuth_rad), np.cos(segment.azimuth_rad)])
     assert view @ left > 0.9
     nearest = np.linalg.norm(track[:, :2] - segment.centre_en_m, axis=1).min()
-    assert nearest == pytest.approx(away_m, abs=3.0)  # the track is bent
+    assert nearest == pytest.approx(away_m, abs=4.0)  # the track swings by 6 m
 
 
 def test_no_bank_in_reach_is_refused(trajectory):
-    with pytest.raises(GeometryError, match=r"no point lies within 300 m of the track.*mount"):
+    with pytest.raises(GeometryError, match=r"no point lies within 400 m of the track.*mount"):
         choose_segment(np.tile([5000.0, 0.0, 500.0], (5, 1)), trajectory)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from thalweg.core import CoverageError, GeometryError, InputError
+from thalweg.core import GeometryError, InputError
 from thalweg.figures import save
 from thalweg.figures.accuracy.reference_view import (
     EYE_M,
@@ -102,7 +102,7 @@ def test_the_viewpoint_is_on_the_track_opposite_the_densest_bank(trajectory, ban
 
 
 def test_a_cloud_of_another_place_is_refused(trajectory, bank):
-    with pytest.raises(CoverageError, match=r"nowhere within 400 m.*CRS"):
+    with pytest.raises(GeometryError, match=r"no point lies within 400 m.*CRS"):
         viewpoint_on_track(bank.points + np.array([5000.0, 0.0, 0.0]), trajectory)
     # 200 m beside the track still is a reference.
     far, _ = viewpoint_on_track(bank.points + np.array([0.0, 200.0, 0.0]), trajectory)

@@ -9,20 +9,13 @@ import pytest
 
 from tests.accuracy.chain_samples import T0, three_chains, trajectory
 from thalweg.accuracy import Chain, chains_by_range as by_range_of, chains_table, outage_table, range_facts
-from thalweg.core import GeometryError, InputError
+from thalweg.core import InputError
 from thalweg.figures import number, save
 from thalweg.figures.accuracy import centimetres
 from thalweg.figures.solutions import Costs, computing_seconds, trajectory_comparison_page
-from thalweg.figures.solutions.comparison import (
-    STYLE,
-    chain_histograms,
-    chains_by_range,
-    outage_study,
-    pose_sigmas,
-)
+from thalweg.figures.solutions.comparison import STYLE, chain_histograms, chains_by_range
 from thalweg.figures.solutions.page import (
     TWIN_NOTE,
-    for_and_against,
     lead,
     percent,
     range_words,
@@ -46,20 +39,6 @@ def chains(rng):
 def ranges(chains):
     at = np.linspace(1.0, 60.0, 60)
     return range_table(chains, {"ins": 50 + 2.6 * at, "camera": 20 + 4.6 * at}, at)
-
-
-@pytest.fixture
-def outages():
-    rows = [
-        {"length_s": length, "chain": name, "outages": 8, "rms_m": rms, "max_m": 2 * rms, "sigma_m": rms,
-         "normalised": 1.1}
-        for length in (1.0, 10.0, 60.0)
-        for name, rms in (
-            ("ins_model", 0.04 + 0.002 * length**2), ("ins_velocity", 0.04 + 0.02 * length), ("camera", 0.02),
-            ("fused", 0.019),
-        )
-    ]  # fmt: skip
-    return pd.DataFrame(rows)
 
 
 @pytest.fixture
@@ -142,44 +121,6 @@ def test_histograms_are_normalised(chains, look):
     look.drawn(figure)
 
 
-def test_gaps_are_seen(chains, look):
-    figure = pose_sigmas({c.name: c.trajectory for c in chains}, title="Test", twin=True)
-    for k in range(3):
-        (line,) = look.artists(figure, f"sigma-{k}-ins")
-        assert np.isnan(line.get_ydata()).sum() == 100
-    (bars,) = look.artists(figure, "times-ins")
-    assert len(bars.get_paths()) == 2
-    (bars,) = look.artists(figure, "times-camera")
-    assert len(bars.get_paths()) == 21
-    words = look.texts(figure)
-    assert "INS: 2.0 s without, longest 2.0 s" in words
-    assert "fused: no gap" in words
-    look.drawn(figure)
-
-
-def test_a_long_trajectory_keeps_its_gaps_and_its_peaks(look):
-    n = 30_000
-    valid = np.ones(n, bool)
-    valid[12_345] = False
-    path = trajectory(n=n, valid=valid)
-    path.cov_pose_wcs[20_001, 0, 0] = 9.0
-    figure = pose_sigmas({"ins": path})
-    (line,) = look.artists(figure, "sigma-0-ins")
-    assert len(line.get_ydata()) <= 6000
-    assert np.isnan(line.get_ydata()).sum() == 1
-    assert np.nanmax(line.get_ydata()) == pytest.approx(3000.0, rel=1e-3)
-
-
-def test_the_study_of_outages(outages, look):
-    figure = outage_study(outages)
-    (line,) = look.artists(figure, "rms-ins_velocity")
-    np.testing.assert_allclose(line.get_ydata(), [60.0, 240.0, 1240.0])
-    assert "n = 24 outages" in look.texts(figure)
-    look.drawn(figure)
-    with pytest.raises(InputError, match="columns missing"):
-        outage_study(outages.drop(columns="max_m"))
-
-
 def test_nothing_to_draw_is_an_error(ranges):
     with pytest.raises(InputError, match="columns missing"):
         chains_by_range(ranges.drop(columns="ins_rmse_predicted_m"))
@@ -187,10 +128,6 @@ def test_nothing_to_draw_is_an_error(ranges):
         chains_by_range(ranges.iloc[:0])
     with pytest.raises(InputError, match="no chain"):
         chain_histograms({})
-    with pytest.raises(InputError, match="no trajectory"):
-        pose_sigmas({})
-    with pytest.raises(GeometryError, match="no valid pose"):
-        pose_sigmas({"ins": trajectory(valid=np.zeros(1001, bool))})
 
 
 # ---------------------------------------------------------------- words
@@ -229,36 +166,6 @@ def test_the_words_on_ranges_hold_theory_against_result(chains, ranges):
     better = replace(chains[1], by_range=chains[2].by_range)
     words = range_words(range_facts(range_table([chains[0], better])))
     assert "By prediction the camera is the better of both at every range" in words
-
-
-def test_for_and_against_by_numbers(chains, gaps, control):
-    table = chains_table(chains)
-    costs = Costs(control=control, images=21, seconds={"ins": 0.1, "camera": 300.0}, outages=gaps)
-    rows = for_and_against(table, costs).set_index("trajectory")
-    rows = rows.map(lambda text: text.replace("\N{NO-BREAK SPACE}", " "))
-    assert "2.0 s in which the INS" in rows.loc["fused", "for"]
-    assert "11.0 times the points of the camera" in rows.loc["fused", "for"]
-    assert "smallest RMSE" in rows.loc["fused", "for"]
-    assert "no control point on the bank; no image" in rows.loc["INS", "for"]
-    assert "lacks poses in 1 of 1 gap without GNSS, longest 2.0 s" in rows.loc["INS", "against"]
-    assert "poses all through 1 gap without GNSS, longest 2.0 s, position sigma" in rows.loc["fused", "for"]
-    for words in (
-        "no pose for 90 % of the points",
-        "up to 0.9 s without a pose",
-        "2 control points to be surveyed",
-        "21 images to be taken",
-        "5 min of computing",
-    ):
-        assert words in rows.loc["camera", "against"], words
-    assert "computing" not in rows.loc["INS", "against"]
-    # consistent sigmas are no reproach, others are
-    assert "as predicted" not in " ".join(rows["against"])
-    low = (table["of"] == "without outliers") & (table["quantity"] == "ratio")
-    table.loc[low, "camera"] = 0.4
-    assert (
-        "2.5 times as large as predicted"
-        in for_and_against(table, costs).set_index("trajectory").loc["camera", "against"]
-    )
 
 
 def test_the_decisive_numbers(chains, gaps, control):
@@ -312,14 +219,14 @@ def test_computing_time_is_that_of_the_records(tmp_path):
 
 
 def test_the_page_holds_all_chains(chains, ranges, control, gaps, tmp_path):
-    picture = tmp_path / "pose_sigmas.png"
-    save(pose_sigmas({c.name: c.trajectory for c in chains}), picture, dpi=40)
+    picture = tmp_path / "chains_by_range.png"
+    save(chains_by_range(ranges), picture, dpi=40)
     truth = chains_truth_table({c.name: c.trajectory for c in chains}, trajectory(), correlation_s=1.0)
     made = {
         "truth": truth,
         "costs": Costs(control=control, images=21, outages=gaps),
         "pictures": [picture],
-        "captions": {"pose_sigmas": "Sigmas & gaps"},
+        "captions": {"chains_by_range": "Sigmas & gaps"},
         "title": "Test",
         "twin": True,
     }
@@ -328,7 +235,6 @@ def test_the_page_holds_all_chains(chains, ranges, control, gaps, tmp_path):
     for words in (
         TWIN_NOTE[:40],
         "Side by side",
-        "For and against",
         "published, INS",
         "published, camera",
         "By range",

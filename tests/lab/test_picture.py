@@ -1,9 +1,6 @@
 """Light of the twin's pictures: sun, sky, shadows, water; and the views from the boat."""
 
 import datetime as dt
-import json
-from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +10,6 @@ from thalweg_lab.river import (
     Material,
     Scene,
     Waves,
-    build_scene,
     fresnel,
     half_sphere,
     hash01,
@@ -23,10 +19,7 @@ from thalweg_lab.river import (
 )
 from thalweg_lab.river_images import Sun, sky
 from thalweg_lab.river_images.daylight import clear_sky
-from thalweg_lab.settings import TwinConfig
-from thalweg_lab.time_lapse import simulate_view
 from thalweg_lab.time_lapse.renderer import Renderer, World
-from thalweg_lab.voyage import Voyage, start_unix
 from thalweg_lab.yard import looking
 from thalweg_lab.yard_images import LensRays
 
@@ -203,80 +196,3 @@ def test_the_exposure_follows_the_upper_quartile() -> None:
     glints = light.copy()
     glints[0, :10] = 50.0
     assert metered(glints) == pytest.approx(metered(light), rel=0.01)
-
-
-# ---------------------------------------------------------------- views of the reach
-
-
-@pytest.fixture(scope="module")
-def reach() -> Scene:
-    return build_scene(TwinConfig.of_size("tiny", scene={"leaves_per_tree": 500, "grid_m": 0.2}), 8)
-
-
-def test_the_near_picture_is_taken_where_the_bank_is_sunlit(reach: Scene, tmp_path: Path) -> None:
-    config = TwinConfig.of_size("tiny", duration_s=20.0)
-    voyage, frame = Voyage(config, 8), LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
-    t = np.linspace(0.0, 20.0, 200)
-    n = voyage.river.to_flow(*voyage.position_at(t)[:, :2].T)[1]
-    place = voyage.position_at(t[[np.argmin(n)]])[0]
-    sun = Sun.at(start_unix(config)[0], frame.lat_deg, frame.lon_deg).direction_wcs
-    # A plate 15 m off in the way of the sun to what the nearest place shows.
-    s = voyage.river.to_flow(place[:1], place[1:2])[0]
-    shore = voyage.river.to_wcs(s, -voyage.river.shores(s)[0])[0]
-    middle = np.append(shore, reach.water_level_m) + 15.0 * sun
-
-    along = np.append(voyage.river.to_wcs(s + 1, 0 * s)[0] - voyage.river.to_wcs(s, 0 * s)[0], 0.0)
-    across = np.cross(sun, along)
-
-    def shown(name: str, half_m: float, half_across_m: float) -> np.ndarray:
-        """Place of the camera under a plate of that size."""
-        a, b = half_m * along, half_across_m * across
-        corners = [middle - a - b, middle + a - b, middle + a + b, middle - a + b]
-        faces = len(reach.vertices_wcs_m) + np.array([[0, 1, 2], [0, 2, 3]])
-        shaded = replace(
-            reach,
-            vertices_wcs_m=np.vstack([reach.vertices_wcs_m, corners]),
-            triangles=np.vstack([reach.triangles, faces]).astype(reach.triangles.dtype),
-            material=np.append(reach.material, [Material.WALL] * 2).astype(np.uint8),
-            variation=np.append(reach.variation, [0.0] * 2).astype(reach.variation.dtype),
-        )
-        shaded.write(tmp_path / f"{name}.npz")
-        simulate_view(
-            config,
-            8,
-            frame,
-            tmp_path / f"{name}.npz",
-            tmp_path / "a.npz",
-            tmp_path / f"{name} b.npz",
-            shrink=16,
-        )
-        with np.load(tmp_path / f"{name} b.npz") as data:
-            return np.array(json.loads(str(data["facts"]))["position_wcs_m"])
-
-    free, shaded, dark = shown("free", 0.01, 0.01), shown("shaded", 3.0, 3.0), shown("dark", 60.0, 8.0)
-    assert np.linalg.norm(shaded - free) > 0.5
-    off = [voyage.river.to_flow(x[:1], x[1:2])[1][0] - n.min() for x in (free, shaded, dark)]
-    # At most 3 m farther from the bank than the nearest one, which is taken in the sun and if all is shady.
-    assert off[0] == pytest.approx(0.0, abs=0.05)
-    assert 0.05 < off[1] < 3.05
-    assert off[2] == pytest.approx(0.0, abs=0.05)
-
-
-def test_views_are_worth_looking_at_and_say_where_they_are_from(reach: Scene, tmp_path: Path) -> None:
-    config = TwinConfig.of_size("tiny", duration_s=8.0)
-    reach.write(tmp_path / "scene.npz")
-    outs = tmp_path / "bank.npz", tmp_path / "detail.npz"
-    simulate_view(config, 8, FRAME, tmp_path / "scene.npz", *outs, shrink=8)
-    for out, (width, height) in zip(outs, ((200, 112), (150, 100)), strict=True):
-        with np.load(out) as data:
-            facts, image = json.loads(str(data["facts"])), data["image"]
-        assert image.shape == (height, width, 3)
-        # Not blank, not black, not burnt: tones spread over the scale.
-        grey = image.astype(float).mean(axis=2)
-        assert np.std(grey) > 25
-        assert np.mean(grey < 3) < 0.05
-        assert np.mean(grey > 252) < 0.10
-        assert 0.5 < facts["height_above_water_m"] < 2.0
-        assert facts["pixel_mm"] == pytest.approx(1000 * facts["distance_m"] / facts["focal_px"], rel=0.01)
-    # 3 mm a pixel at the water line, eight times coarser
-    assert facts["pixel_mm"] == pytest.approx(24.0, rel=0.1)

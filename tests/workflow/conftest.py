@@ -192,7 +192,6 @@ SIMULATED = tuple(
         "logs/time_lapse",
         "logs/rig",
         "logs/rig_field",
-        "pictures/view_bank.npz",
         "truth/trajectory.parquet",
     )
 )

@@ -182,7 +182,7 @@ def behind(found: list[Job], wanted: Callable[[Job], bool]) -> list[Job]:
         ("lidar", "georeference_lidar", "mesh_reference"),
         ("images", "fuse_trajectory", "georeference_lidar"),
         ("accuracy", "compare_chains", "summarise"),
-        ("figures", "plot_cloud_by_range", "summarise"),
+        ("figures", "plot_cloud_overview", "summarise"),
     ],
 )
 def test_a_target_builds_what_its_name_says(of_targets, target: str, last: str, absent: str) -> None:

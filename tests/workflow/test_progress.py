@@ -39,8 +39,8 @@ def test_a_line_says_time_count_campaign_and_work(progress: ModuleType, capsys, 
     now = [100.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
     handler = progress.LogHandler(None, None)
-    job = {"event": "job_info", "jobid": 4, "rule_name": "simulate_view", "output": ["results/a/view.png"]}
-    handler.emit(record(logging.INFO, "", event="run_info", stats={"total": 12, "simulate_view": 1}))
+    job = {"event": "job_info", "jobid": 4, "rule_name": "simulate_uav", "output": ["results/a/view.png"]}
+    handler.emit(record(logging.INFO, "", event="run_info", stats={"total": 12, "simulate_uav": 1}))
     handler.emit(record(logging.INFO, "", **job, wildcards={"campaign": "tiny"}))
     now[0] += 65.0
     handler.emit(record(logging.INFO, "", event="progress", done=3, total=12))

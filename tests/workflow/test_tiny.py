@@ -51,12 +51,10 @@ OF_CHAINS = {"compare_chains", "plot_chain_histograms", "plot_chains_by_range", 
 """The same for the trajectories by INS, camera and all sensors."""
 
 OF_BED = {
-    "plot_soundings",
     "plot_sounding_lines",
     "plot_sounding_errors",
     "plot_bed_map",
     "plot_bed_sections",
-    "plot_bed_variogram",
     "plot_bed_left_out",
     "plot_terrain_model",
     "plot_long_profile",
@@ -67,18 +65,16 @@ OF_IMAGES = {
     "plot_mask_view",
     "plot_image_positions",
     "plot_frames_by_image",
-    "plot_pose_sigmas",
-    "plot_coloured_bank",
     "plot_coloured_detail",
     "plot_coloured_reach",
     "plot_colour_check",
 }
 """Pictures of the images and of what they give."""
 
-OF_PANORAMAS = {"plot_panorama", "plot_panorama_seam"}
+OF_PANORAMAS = {"plot_panorama"}
 """Pictures of the panoramas."""
 
-OF_RIG = {"plot_rig_sketch", "plot_rig_residuals", "plot_rig_field", "plot_seam_views"}
+OF_RIG = {"plot_rig_residuals", "plot_rig_field"}
 """Pictures of the calibration of the rig, which rests on no survey."""
 
 
@@ -134,7 +130,7 @@ def test_everything_promised_is_there(tiny_house) -> None:
     ):
         assert (base / name).stat().st_size > 0, name
         assert (base / f"{name}.meta.json").is_file(), name
-    for picture in ("survey_map", "streams_in_time", "cloud_overview", "cloud_detail", "error_versus_range"):
+    for picture in ("survey_map", "streams_in_time", "cloud_overview", "cloud_detail", "distance_histogram"):
         assert (base / f"figures/{picture}.png").stat().st_size > 20_000, picture
 
 
@@ -306,21 +302,18 @@ def test_a_second_call_has_nothing_to_do(tiny_house) -> None:
 
 
 def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
-    of_streams, of_views = {"plot_streams_in_time"}, {"plot_scene_view"}
+    of_streams = {"plot_streams_in_time"}
     of_clouds = {
         "plot_survey_map",
         "plot_trajectory",
         "plot_from_above",
         "plot_cloud_overview",
         "plot_cloud_detail",
-        "plot_cloud_by_sigma",
-        "plot_cloud_by_range",
         "plot_footprints",
         "plot_removed_points",
-        "plot_error_versus_range",
         "plot_reference_view",
     }
-    pictures = of_streams | of_views | of_clouds | OF_DISTANCES | OF_IMAGES | OF_BED
+    pictures = of_streams | of_clouds | OF_DISTANCES | OF_IMAGES | OF_BED
     pictures |= {"plot_chain_histograms", "plot_chains_by_range"} | OF_PANORAMAS | OF_RIG
     undo = edited(tiny_house, "figures/style.py", "\n_edited = 1\n")
     assert planned(tiny_house) == pictures | {
@@ -398,7 +391,7 @@ def test_the_log_tells_what_the_job_did(tiny_house) -> None:
 def test_the_report_is_one_page(tiny_house) -> None:
     tiny_house.snakemake("--config", "campaign=tiny", "--report", "report.html")
     page = (tiny_house.root / "report.html").read_text()
-    pictures = ("survey_map", "streams_in_time", "cloud_overview", "removed_points", "scene_view")
+    pictures = ("survey_map", "streams_in_time", "cloud_overview", "removed_points")
     assert all(picture in page for picture in pictures)
     assert not re.findall(r"<(?:script|img|link)[^>]+(?:src|href)=[\"']https?://", page)
     assert len(page) > 500_000
@@ -493,7 +486,6 @@ def test_logs_of_a_survey_go_the_same_way(surveys, source: str) -> None:
     rest = dry_run(surveys, f"boat_{source}")
     rules = made | counted(rest)
     assert not any(rule.endswith("_with_truth") for rule in rules)
-    assert "plot_error_versus_range" not in rules
     assert {"georeference_lidar", "locate_soundings", "plot_cloud_detail"} <= rules
     assert ("accuracy_page" in rules) == (source == "sbp")  # the one with a reference
     # an SBET states no fix: its sigmas are what its positions count by, for the images too
@@ -752,7 +744,7 @@ def test_a_change_of_one_instrument_leaves_the_others_alone(tiny_house) -> None:
         assert planned(tiny_house) == comparing | OF_DISTANCES | OF_CHAINS
         campaign.write_text(text + "\nlidar_accuracy: {footprint_share: 0.25}\n")
         again = planned(tiny_house)
-        assert {"georeference_lidar", "export_map", "compare_with_truth", "plot_cloud_by_sigma"} <= again
+        assert {"georeference_lidar", "export_map", "compare_with_truth", "plot_cloud_overview"} <= again
         assert not any(rule.startswith(("simulate_", "read_", "scan_")) for rule in again)
         assert "build_trajectory" not in again
     finally:

@@ -381,33 +381,3 @@ rule simulate_uav:
         crs=section("campaign", "crs"),
     script:
         "../scripts/call.py"
-
-
-rule simulate_view:
-    """Two pictures of the bank as a camera on the boat would see it."""
-    input:
-        scene="results/{campaign}/simulation/truth/scene.npz",
-    output:
-        out_bank="results/{campaign}/simulation/pictures/view_bank.npz",
-        out_detail="results/{campaign}/simulation/pictures/view_detail.npz",
-    log:
-        "logs/{campaign}/simulation/simulate_view.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_view.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
-    resources:
-        mem_mb=memory(3000),
-        runtime=minutes(10),
-    params:
-        **calls("thalweg_lab.time_lapse.view:simulate_view"),
-        config=of(CampaignFiles.twin_parts, "scene", "boat", "lidar"),
-        seed=section("campaign", "seed"),
-        frame=section("campaign", "origin"),
-        # a quick look; simulate_view alone takes more pixels than all photographs of tiny
-        shrink=lambda wildcards: (
-            2 if FILES[wildcards.campaign].campaign.twin.size == "tiny" else 1
-        ),
-    script:
-        "../scripts/call.py"

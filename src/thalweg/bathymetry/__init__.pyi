@@ -68,6 +68,5 @@ from .variogram import (
     BedModel as BedModel,
     Drift as Drift,
     choose_model as choose_model,
-    directional_variogram as directional_variogram,
 )
 from .water import WaterLevel as WaterLevel, level_water as level_water

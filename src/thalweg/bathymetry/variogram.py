@@ -38,7 +38,6 @@ from thalweg.bathymetry.kriging import (
     fit_drift,
     krige,
     krige_dense,
-    observed_covariance,
 )
 from thalweg.core import ArrayF, ArrayI, GeometryError
 from thalweg.settings.sections import Bathymetry
@@ -71,9 +70,6 @@ _DATA: Final = 1500
 _STEPS: Final = 90
 _ALL: Final = 512
 """So few data make each cell all together: no step where neighbours change."""
-_COMPARED: Final = 1500
-_SURVEYS: Final = 100
-"""So many soundings make the picture of the variogram, and so many surveys of the model its band."""
 _NEIGHBOURS: Final = 24
 """Data that a left-out sounding is foretold from while models are compared."""
 _BOUNDS: Final = {
@@ -631,84 +627,4 @@ def _parameters(model: BedModel, half_m: float, rest: Observations) -> ArrayF:
             max(of.micro_m2 / variance, 1e-6),
             model.margin,
         ]
-    )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DirectionalVariogram:
-    """Robust semivariances by classes of lag.
-
-    Parameters
-    ----------
-    lag_m, semivariance_m2 : (bins,) means; NaN in empty classes.
-    expected_m2 : (bins,) what the model says of the same pairs, averaged in the same way.
-    low_m2, high_m2 : (bins,) within these lie 95 % of the semivariances of surveys with these soundings,
-        if the model is right: pairs of a few lines go together, however many they are.
-    pairs : (bins,).
-    """
-
-    lag_m: ArrayF
-    semivariance_m2: ArrayF
-    expected_m2: ArrayF
-    low_m2: ArrayF
-    high_m2: ArrayF
-    pairs: ArrayI
-
-
-def directional_variogram(
-    data: Observations, model: BedModel, *, along: bool, reach_m: float, tolerance_m: float, bins: int = 15
-) -> DirectionalVariogram:
-    """Semivariances of pairs along or across the river (Cressie and Hawkins 1980), and those of a model.
-
-    Pairs of a class differ in the other direction too, in how rough their place is and in their errors, so
-    that no single curve belongs to them: the model's semivariance of each pair is averaged as the pair's own.
-
-    Parameters
-    ----------
-    data : heights; the drift of the model is removed here.
-    model : of the bed.
-    along : pairs along the river; else across it.
-    reach_m : longest lag.
-    tolerance_m : how far apart a pair may lie in the other direction.
-    bins : classes of lag.
-    """
-    rng = np.random.default_rng(0)  # of the sample and of the surveys of the model
-    keep = np.arange(len(data))
-    if len(keep) > _COMPARED:
-        keep = np.sort(rng.choice(keep, _COMPARED, replace=False))
-    of = data.where(keep)
-    i, j = np.triu_indices(len(of), 1)
-    d = np.abs(of.places_m[i] - of.places_m[j])
-    lag, other = (d[:, 0], d[:, 1]) if along else (d[:, 1], d[:, 0])
-    use = (other < tolerance_m) & (lag < reach_m)
-    i, j, lag = i[use], j[use], lag[use]
-    number = np.minimum((lag / reach_m * bins).astype(np.int64), bins - 1)
-    n = np.bincount(number, minlength=bins)
-
-    def mean(value: ArrayF) -> ArrayF:
-        """By class."""
-        total = np.bincount(number, value, minlength=bins)
-        return np.asarray(np.divide(total, n, out=np.full(bins, np.nan), where=n > 0))
-
-    def semivariance(z: ArrayF) -> ArrayF:
-        """The fourth root of a squared difference is nearly normal: its mean is robust."""
-        return mean(np.sqrt(np.abs(z[i] - z[j]))) ** 4 / (0.457 + 0.494 / np.maximum(n, 1)) / 2
-
-    g, functions = model.roughness(of.places_m), model.drift.functions(of.places_m)
-    cov = observed_covariance(of, model.covariance, g)
-    expected = (cov[i, i] + cov[j, j]) / 2 - cov[i, j]
-    cov[np.diag_indices_from(cov)] += 1e-9 * model.covariance.sill_m2  # places that repeat without noise
-    draws = np.linalg.cholesky(cov) @ rng.standard_normal((len(of), _SURVEYS))
-    # a drift is taken off each survey as it was off this one
-    X = np.column_stack([np.ones(len(of)), functions])
-    inner = np.linalg.solve(cov, X)
-    draws -= functions @ (np.linalg.pinv(X.T @ inner, hermitian=True) @ (inner.T @ draws))[1:]
-    low, high = np.quantile([semivariance(z) for z in draws.T], [0.025, 0.975], axis=0)
-    return DirectionalVariogram(
-        lag_m=mean(lag),
-        semivariance_m2=semivariance(of.height_m - model.drift.at(of.places_m)),
-        expected_m2=mean(np.maximum(expected, 0.0) ** 0.25) ** 4,
-        low_m2=low,
-        high_m2=high,
-        pairs=n,
     )

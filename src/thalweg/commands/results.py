@@ -237,7 +237,6 @@ WORTH_OPENING = (
     "index.html",
     "accuracy/index.html",
     "figures/cloud_overview.png",
-    "figures/scene_view.png",
     "bathymetry/index.html",
     "calibration/index.html",
     "triangulation/index.html",

@@ -209,7 +209,7 @@ def _of_survey(files: Mapping[str, Path], track: Trajectory, chain: str) -> Iter
     if soundings := files.get("bathymetry/soundings.json"):
         pings = read_json(soundings)
         used = f"of {count(pings['pings'])} pings"
-        bed_page = "bathymetry/index.html" if validation else "figures/soundings.png"
+        bed_page = "bathymetry/index.html" if validation else "figures/sounding_lines.png"
         yield Finding("soundings used", count(pings["by_reason"][""]), used, bed_page)
     reports = [IntegrityReport.read(path) for name, path in files.items() if name.endswith(".integrity.json")]
     clean = sum(report.clean for report in reports)

@@ -5,4 +5,3 @@ from .record import (
     sun_of as sun_of,
 )
 from .renderer import Renderer as Renderer, World as World
-from .view import simulate_view as simulate_view

@@ -27,7 +27,6 @@ QUANTILES: Final = 401
 SIGMAS: Final = 3.9
 """End of the quantile plot: 1 of 20,000 values of a normal distribution lies beyond."""
 
-RANGE_COLUMNS = ("range_m", "n", "rmse_observed_m", "rmse_predicted_m")
 
 CLASS_COLUMNS: Final = BY_RANGE_COLUMNS[1:-1]
 MOST_RATIO: Final = 4.0
@@ -236,76 +235,6 @@ def draw_distance_histogram(*, comparison: Path, title: str, twin: bool) -> Figu
 # ---------------------------------------------------------------- observed and predicted error by range
 
 
-@styled
-def error_versus_range(
-    table: pd.DataFrame,
-    *,
-    n_least: int = 30,
-    outlier_rule: str = "",
-    quantity: str = "3D error of a point",
-    title: str = "Error versus range",
-    twin: bool = False,
-) -> Figure:
-    """RMSE observed and predicted by range class, with their ratio and the number of points per class.
-
-    Parameters
-    ----------
-    table : columns ``range_m`` (centre of the class), ``n``, ``rmse_observed_m``, ``rmse_predicted_m``, and
-        optionally ``ratio_low95`` and ``ratio_high95``, the band of their ratio, the same in each row.
-    n_least : classes with fewer points are drawn hollow: their RMSE is uncertain.
-    outlier_rule : sentence on what was left out.
-    quantity : what the RMSE is of.
-    title : first words of the title.
-    twin : true if the digital twin made the data.
-
-    Raises
-    ------
-    InputError : a column is missing, or the table has no row.
-    """
-    missing = [name for name in RANGE_COLUMNS if name not in table.columns]
-    if missing or table.empty:
-        raise InputError(
-            f"columns missing: {missing}" if missing else "a table without a row",
-            expected=f"columns {', '.join(RANGE_COLUMNS)} and at least one range class",
-        )
-    r, n = table["range_m"].to_numpy(float), table["n"].to_numpy(np.int64)
-    observed = table["rmse_observed_m"].to_numpy(float) * 1e3
-    predicted = table["rmse_predicted_m"].to_numpy(float) * 1e3
-    figure = new_figure(118.0, f"{title}, n = {count(int(n.sum()))} points", twin=twin)
-    upper, middle, lower = figure.subplots(3, 1, sharex=True, height_ratios=[2.6, 1.0, 1.0])
-    many = n >= n_least
-    upper.plot(r, predicted, color=VERMILION, lw=1.6, label="predicted", zorder=2)
-    draw_observed(upper, r, observed, many, n_least=n_least, also=predicted)
-    upper.set_ylabel("RMSE / mm")
-    upper.set_title("\n".join(filter(None, [quantity, outlier_rule])))
-    upper.legend(loc="upper left", ncols=2)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = observed / predicted
-    if "ratio_low95" in table.columns:
-        low, high = (float(table[f"ratio_{end}95"].iloc[0]) for end in ("low", "high"))
-        middle.axhspan(low, high, color=VERMILION, alpha=0.12, lw=0, gid="band")
-        text = "shaded: where consistent sigmas leave the ratio of all points together, 95 %"
-        middle.set_title(text, fontsize="small")
-    middle.axhline(1.0, color=VERMILION, lw=1.0)
-    middle.plot(r[many], ratio[many], color=BLUE, marker="o", lw=0.8, gid="ratio")
-    usable = ratio[many & np.isfinite(ratio)]
-    reach = float(np.clip(np.max(np.abs(usable - 1.0)), 0.1, 1.5)) * 1.15 if usable.size else 0.5
-    if "ratio_high95" in table.columns:
-        reach = max(reach, 1.1 * float(table["ratio_high95"].iloc[0] - 1.0))
-    middle.set_ylim(max(0.0, 1 - reach), 1 + reach)
-    middle.set_ylabel("observed /\npredicted / 1")
-    width = 0.8 * float(np.min(np.diff(r))) if r.size > 1 else 0.8
-    lower.bar(r, n, width=width, color="0.65", gid="counts")
-    lower.set_yscale("log")
-    lower.set_ylim(0.7, 2.0 * float(n.max()))
-    lower.set_ylabel("points\nper class / 1")
-    lower.set_xlabel("range / m")
-    for ax in (upper, middle, lower):
-        ax.grid(axis="y")
-    figure.align_ylabels([upper, middle, lower])
-    return figure
-
-
 def draw_observed(
     ax: Axes, range_m: ArrayF, observed: ArrayF, many: ArrayB, *, n_least: int, also: ArrayF
 ) -> None:
@@ -348,17 +277,6 @@ def draw_observed(
             mfc="white",
             label=f"beyond the axis, n = {int(above.sum())}",
         )
-
-
-def draw_error_versus_range(*, by_range: Path, title: str, twin: bool) -> Figure:
-    """Range classes of the comparison with the truth -> observed against predicted error."""
-    return error_versus_range(
-        pd.read_csv(by_range),
-        quantity="error along the surface normal",
-        outlier_rule="bare ground: whole footprints on it below 78° incidence, errors below 6 sigma",
-        title=f"Error of the cloud by range: {title}",
-        twin=twin,
-    )
 
 
 # ---------------------------------------------------------------- observed and predicted distances by range

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Wedge
 from matplotlib.ticker import FuncFormatter
 
-from thalweg.core import AnyArray, ArrayF, CoverageError, GeometryError, InputError, Trajectory, iter_laz
+from thalweg.core import AnyArray, ArrayF, GeometryError, InputError, Trajectory, iter_laz
 from thalweg.figures import (
     BLUE,
     GREEN,
@@ -42,9 +42,6 @@ EYE_M: Final = 1.7
 
 NEAREST_M: Final = 3.0
 """Points nearer to the viewpoint are left out: in equal angles they would hide half of the picture."""
-
-FARTHEST_BANK_M: Final = 400.0
-"""A reference cloud that lies farther from the track is taken for one of another place."""
 
 LEAST_WIDTH_RAD: Final = np.deg2rad(40.0)
 """The view is at least as wide as this, if the cloud is."""
@@ -204,23 +201,9 @@ def viewpoint_on_track(
 
     Raises
     ------
-    CoverageError : the cloud lies nowhere near the track.
+    GeometryError : the cloud lies nowhere near the track.
     """
-    reach_m = 25.0
-    while True:
-        try:
-            bank = choose_segment(
-                sample_wcs_m, trajectory, length_m=30.0, max_distance_m=reach_m, seen_from_track=False
-            )
-            break
-        except GeometryError:
-            if reach_m >= FARTHEST_BANK_M:
-                raise CoverageError(
-                    f"the reference cloud lies nowhere within {FARTHEST_BANK_M:g} m of the track",
-                    expected="a reference of the surveyed reach",
-                    cure="Check the CRS of the reference files and campaign.crs",
-                ) from None
-            reach_m *= 2.0
+    bank = choose_segment(sample_wcs_m, trajectory, length_m=30.0)
     track = trajectory.position_wcs_m[trajectory.valid]
     along, away = bank.along_and_away(track)
     abreast = np.abs(along - 0.5 * bank.length_m)

@@ -15,17 +15,7 @@ from pyproj import CRS
 from scipy.ndimage import map_coordinates
 from scipy.stats import norm
 
-from thalweg.bathymetry import (
-    OBSERVATIONS,
-    REASONS,
-    SOUNDINGS,
-    Banks,
-    BedModel,
-    FlowLine,
-    WaterLevel,
-    directional_variogram,
-    observations_of,
-)
+from thalweg.bathymetry import OBSERVATIONS, SOUNDINGS, Banks, FlowLine, WaterLevel
 from thalweg.core import ArrayF, Grid, LocalFrame, read_parquet, read_raster, read_table
 from thalweg.figures import (
     BLUE,
@@ -63,59 +53,11 @@ _PARTS: Final = (
     ("sigma_slow_m", "time-correlated (trajectory)", ORANGE, "--"),
     ("sigma_common_m", "systematic", GREEN, "-."),
 )
-_KINDS: Final = {"exponential": "exponential", "matern32": "Matérn 3/2", "spherical": "spherical"}
 _SECTIONS: Final = 6
 _LINES: Final = 24
-_STRIPS: Final = 12
-"""Pairs of a variogram lie in the same one of so many strips of the river."""
-_FEWEST_PAIRS: Final = 20
 _MARGIN_M: Final = 8.0
 _POINTS: Final = 60_000
 """So many points of a cloud are drawn."""
-
-
-@styled
-def draw_soundings(*, soundings: Path, title: str, twin: bool) -> Figure:
-    """Soundings along the survey, those that do not count marked by their reason."""
-    table = read_table(soundings, SOUNDINGS)[0]
-    timed = table[np.isfinite(table["t_gps_s"]) & (table["range_m"] > 0)]
-    t = timed["t_gps_s"].to_numpy() - float(timed["t_gps_s"].min())
-    used = timed["used"].to_numpy()
-    figure = new_figure(
-        95.0,
-        f"Soundings: {title}, n = {count(int(table['used'].sum()))} of {count(len(table))} used",
-        twin=twin,
-    )
-    top, below = figure.subplots(2, 1, sharex=True, height_ratios=[2.2, 1.0])
-    top.plot(t[used], timed["range_m"][used], ls="none", marker=".", ms=2.0, color=BLUE, label="used")
-    for reason, (colour, marker) in REASON_STYLE.items():
-        of = (timed["reason"] == reason).to_numpy()
-        if of.any():
-            label = f"{reason}: {REASONS[reason]}, n = {count(int(of.sum()))}"
-            top.plot(t[of], timed["range_m"][of], ls="none", marker=marker, ms=4.5, color=colour, label=label)
-    undrawn = table["reason"].isin(["no time", "no bottom"]).sum()
-    top.set_ylabel("range below\ntransducer / m")
-    low, high = robust_limits(timed["range_m"], 0.0, 99.5)
-    top.set_ylim(high + 0.25 * (high - low), max(low - 0.1 * (high - low), 0.0))
-    edges = np.flatnonzero(np.diff(timed["line"].to_numpy()) != 0)
-    for k in edges[(timed["line"].to_numpy()[edges + 1] >= 0)]:
-        top.axvline(t[k], color="0.85", lw=0.6, zorder=0)
-    for name, label, colour, style in _PARTS:
-        below.plot(t[used], 100 * timed[name][used], color=colour, ls=style, lw=1.0, label=label)
-    below.set_ylim(0.0)
-    below.set(xlabel="time since the first sounding / s", ylabel="sigma of the\nheight / cm")
-    if undrawn:
-        top.annotate(
-            f"{count(int(undrawn))} without bottom or time are not drawn",
-            (0.99, 0.04),
-            xycoords="axes fraction",
-            ha="right",
-        )
-    handles = [*top.get_legend_handles_labels()[0], *below.get_legend_handles_labels()[0]]
-    figure.legend(
-        handles, [str(h.get_label()) for h in handles], loc="outside lower left", ncols=2, alignment="left"
-    )
-    return figure
 
 
 @styled
@@ -340,57 +282,6 @@ def depth_of(
     depth[known] = water.at(line.to_flow(world[:, :2])[0])[0] - world[:, 2]
     sigma = np.hypot(bands["sigma_m"], bands["sigma_common_m"])
     return depth.reshape(grid.rows, grid.columns), sigma
-
-
-@styled
-def draw_variogram(*, observations: Path, variogram: Path, title: str, twin: bool) -> Figure:
-    """Robust variogram of soundings along and across the river, and what the model says of the same pairs."""
-    data = observations_of(read_table(observations, OBSERVATIONS)[0])
-    # shorelines are level all along: their pairs say nothing of the bed
-    data = data.where(data.line >= 0)
-    model = BedModel.of_report(json.loads(variogram.read_text()))
-    figure = new_figure(75.0, f"Variogram of the bed: {title}, n = {count(len(data))} soundings", twin=twin)
-    axes = figure.subplots(1, 2)
-    of = model.covariance
-    extent = {True: float(np.ptp(data.s_m)), False: float(np.ptp(data.n_m))}
-    for ax, along in zip(axes, (True, False), strict=True):
-        reach = extent[along] / 2 if along else extent[along]
-        tolerance = extent[not along] / _STRIPS
-        found = directional_variogram(data, model, along=along, reach_m=reach, tolerance_m=tolerance)
-        use = found.pairs >= _FEWEST_PAIRS
-        ax.plot(
-            found.lag_m[use],
-            found.semivariance_m2[use],
-            ls="none",
-            marker="o" if along else "s",
-            color=BLUE if along else VERMILION,
-            label=f"pairs (robust), n = {count(int(found.pairs[use].sum()))}",
-        )
-        ax.plot(
-            found.lag_m[use],
-            found.expected_m2[use],
-            color="black",
-            label=f"same pairs, {_KINDS[of.kind]}, range {of.range_s_m if along else of.range_n_m:.1f} m",
-        )
-        ax.fill_between(
-            found.lag_m[use],
-            found.low_m2[use],
-            found.high_m2[use],
-            color="0.88",
-            lw=0,
-            zorder=0,
-            label="95 % of surveys of that model",
-        )
-        both = np.concatenate([found.semivariance_m2[use], found.expected_m2[use], [0.0]])
-        ax.set_ylim(0.0, 1.7 * max(float(both.max()), 1e-6))
-        ax.set_xlabel(
-            f"distance {'along' if along else 'across'} the river / m\n"
-            f"pairs within {tolerance:.1f} m {'across' if along else 'along'} it"
-        )
-        ax.set_xlim(0.0)
-        ax.legend(loc="upper left")
-    axes[0].set_ylabel("semivariance / m²")
-    return figure
 
 
 @styled

@@ -1,3 +1,2 @@
 from .field import Oblique as Oblique
 from .page import TWIN_NOTE as TWIN_NOTE, calibration_page as calibration_page, with_units as with_units
-from .tables import checked as checked, filled as filled, read_figure_table as read_figure_table

@@ -9,33 +9,24 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from scipy.stats import norm
 
-from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayU8, CoverageError, InputError
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayU8, CoverageError
 from thalweg.figures import (
     BLUE,
     GREEN,
     ORANGE,
     VERMILION,
     count,
+    legend_below,
     marks_in_free_corners,
     new_figure,
     plural,
     read_picture,
     styled,
 )
-from thalweg.figures.calibration.tables import (
-    DISPLAY,
-    IMAGE_FIXES,
-    TRACK,
-    checked,
-    filled,
-    first_picture,
-    points_of,
-    read_display,
-    read_figure_table,
-)
+from thalweg.figures.calibration.field import fit_axes
+from thalweg.figures.calibration.tables import first_picture, points_of, read_display, read_figure_table
 
 PINK: Final = "#D6488F"
 PARTS: Final = (("along", BLUE, "o"), ("across", ORANGE, "^"), ("up", GREEN, "s"))
@@ -68,13 +59,8 @@ def clock_offset(
     title : first words of the title.
     twin : true if the digital twin made the data.
 
-    Raises
-    ------
-    InputError : a column is missing.
-    CoverageError : no image.
     """
-    images = filled(checked(images, IMAGE_FIXES), "image with a pose").sort_values("t_gps_s")
-    track = checked(track, TRACK).sort_values("t_gps_s")
+    images, track = images.sort_values("t_gps_s"), track.sort_values("t_gps_s")
     used = images["used"].to_numpy(bool)
     offset = f"GPS minus camera {facts['offset_s']:+.4f} s ± {1e3 * facts['sigma_offset_s']:.1f} ms"
     rejected = int((~used).sum())
@@ -83,21 +69,15 @@ def clock_offset(
         f"{title}: {offset}, n = {plural(int(used.sum()), 'image')}, {count(rejected)} rejected",
         twin=twin,
     )
-    plan, below, right = _axes(figure)
+    grid = figure.add_gridspec(2, 2, height_ratios=[1.7, 1.0], width_ratios=[3.2, 1.0])
+    plan, below = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, 0])
     _plan(plan, images, track, used)
     t0 = float(track["t_gps_s"].iloc[0]) if len(track) else float(images["t_gps_s"].iloc[0])
-    _residuals(below, right, images[used], t0)
-    handles, labels = plan.get_legend_handles_labels()
-    looks = [Line2D([], [], color=c, marker=m, mfc="none", ms=3.5, lw=1.1) for _, c, m in PARTS]
-    labels += [name for name, _, _ in PARTS]
-    figure.legend([*handles, *looks], labels, loc="outside lower left", ncols=6)
+    _residuals(below, figure.add_subplot(grid[1, 1], sharey=below), images[used], t0)
+    for name, colour, marker in PARTS:
+        plan.plot([], [], color=colour, marker=marker, mfc="none", ms=3.5, lw=1.1, label=name)
+    legend_below(figure, plan)
     return figure
-
-
-def _axes(figure: Figure) -> tuple[Axes, Axes, Axes]:
-    grid = figure.add_gridspec(2, 2, height_ratios=[1.7, 1.0], width_ratios=[3.2, 1.0])
-    below = figure.add_subplot(grid[1, 0])
-    return figure.add_subplot(grid[0, :]), below, figure.add_subplot(grid[1, 1], sharey=below)
 
 
 def _plan(ax: Axes, images: pd.DataFrame, track: pd.DataFrame, used: ArrayB) -> None:
@@ -108,50 +88,17 @@ def _plan(ax: Axes, images: pd.DataFrame, track: pd.DataFrame, used: ArrayB) -> 
     step = max(-(-len(gnss) // CROSSES), 1)
     ax.plot(line[:, 0], line[:, 1], color="0.75", lw=0.8, zorder=1)
     every = "" if step == 1 else f", 1 of {step} drawn"
-    ax.plot(
-        gnss[::step, 0],
-        gnss[::step, 1],
-        ls="none",
-        marker="x",
-        ms=3.2,
-        mew=0.8,
-        color="black",
-        zorder=2,
-        label=f"GNSS, n = {count(len(gnss))}{every}",
-        gid="track",
-    )
-    ax.plot(
-        fixes[used, 0],
-        fixes[used, 1],
-        ls="none",
-        marker="o",
-        ms=5.0,
-        mew=1.2,
-        mfc="none",
-        color=PINK,
-        zorder=3,
-        label=f"antenna from images, n = {count(int(used.sum()))}",
-        gid="images",
-    )
-    if not used.all():
-        ax.plot(
-            fixes[~used, 0],
-            fixes[~used, 1],
-            ls="none",
-            marker="o",
-            ms=5.0,
-            mew=0.8,
-            mfc="none",
-            color="0.5",
-            label=f"rejected, n = {count(int((~used).sum()))}",
-            gid="rejected",
-        )
+    words = f"GNSS, n = {count(len(gnss))}{every}"
+    ax.plot(*gnss[::step].T, "x", ms=3.2, mew=0.8, color="black", zorder=2, label=words, gid="track")
+    for which, colour, words, gid in (
+        (used, PINK, "antenna from images", "images"),
+        (~used, "0.5", "rejected", "rejected"),
+    ):
+        if which.any():
+            label = f"{words}, n = {count(int(which.sum()))}"
+            ax.plot(*fixes[which].T, "o", ms=5.0, mfc="none", color=colour, zorder=3, label=label, gid=gid)
     both = np.concatenate([gnss, fixes])
-    low, high = np.nanmin(both, axis=0), np.nanmax(both, axis=0)
-    pad = 0.07 * max(float((high - low).max()), 0.1)
-    ax.set_aspect("equal", adjustable="box")
-    ax.set_xlim(low[0] - pad, high[0] + pad)
-    ax.set_ylim(low[1] - pad, high[1] + pad)
+    fit_axes(ax, both, margin=0.07)
     ax.set(xlabel="east / m", ylabel="north / m")
     ax.set_title("a: tracks of the antenna, images at their corrected times")
     ax.grid()
@@ -161,20 +108,13 @@ def _plan(ax: Axes, images: pd.DataFrame, track: pd.DataFrame, used: ArrayB) -> 
 def _residuals(ax: Axes, right: Axes, images: pd.DataFrame, t0: float) -> None:
     t = images["t_gps_s"].to_numpy() - t0
     texts = []
-    edges = np.linspace(*_limits(images), 31)
+    all_mm = np.abs(1e3 * points_of(images, [f"residual_{name}_m" for name, _, _ in PARTS]))
+    reach = 1.15 * max(float(np.nanpercentile(all_mm, 99.5)), 1.0)
+    edges = np.linspace(-reach, reach, 31)
     for name, colour, marker in PARTS:
         mm = 1e3 * images[f"residual_{name}_m"].to_numpy(np.float64)
-        ax.plot(
-            t, mm, ls="none", marker=marker, ms=2.4, mew=0.6, mfc="none", color=colour, label=name, gid=name
-        )
-        right.hist(
-            mm[np.isfinite(mm)],
-            edges.tolist(),
-            orientation="horizontal",
-            histtype="step",
-            color=colour,
-            lw=1.1,
-        )
+        ax.plot(t, mm, marker, ms=2.4, mew=0.6, mfc="none", color=colour, gid=name)
+        right.hist(mm, edges.tolist(), orientation="horizontal", histtype="step", color=colour)
         texts.append(f"{name} {np.nanmean(mm):+.1f} ± {np.nanstd(mm):.1f}")
     ax.axhline(0.0, color="black", lw=0.6, zorder=1)
     ax.set_ylim(edges[0], edges[-1])
@@ -186,17 +126,11 @@ def _residuals(ax: Axes, right: Axes, images: pd.DataFrame, t0: float) -> None:
     right.grid()
 
 
-def _limits(images: pd.DataFrame) -> tuple[float, float]:
-    mm = 1e3 * np.concatenate([images[f"residual_{name}_m"].to_numpy() for name, _, _ in PARTS])
-    reach = 1.15 * max(float(np.nanpercentile(np.abs(mm), 99.5)), 1.0)
-    return -reach, reach
-
-
 def draw_clock_offset(*, fixes: Path, track: Path, facts: Path, twin: bool) -> Figure:
     """Antenna from images and from GNSS -> figure of both tracks and what remains between them."""
     return clock_offset(
-        read_figure_table(fixes, IMAGE_FIXES),
-        read_figure_table(track, TRACK),
+        read_figure_table(fixes),
+        read_figure_table(track),
         json.loads(facts.read_text(encoding="utf-8")),
         twin=twin,
     )
@@ -229,19 +163,14 @@ def clock_stability(
 
     Raises
     ------
-    InputError : a column is missing, or the photo is none.
     CoverageError : fewer than two neighbouring photos are readable.
     """
-    table = filled(checked(readings, DISPLAY), "photo")
-    if photo.dtype != np.uint8 or photo.ndim not in (2, 3):
-        raise InputError(
-            f"photo of shape {photo.shape} and type {photo.dtype}", expected="(h, w[, 3]) of uint8"
-        )
-    elapsed_min, intervals = display_intervals(table)
-    unread = int((~table["readable"].to_numpy(bool)).sum())
+    elapsed_min, intervals = display_intervals(readings)
+    unread = int((~readings["readable"].to_numpy(bool)).sum())
     head = (
         f"{title}: interval {intervals.mean():.4f} s, std {intervals.std(ddof=1):.4f} s, "
-        f"n = {plural(intervals.size, 'interval')}; {count(unread)} of {count(len(table))} photos unreadable"
+        f"n = {plural(intervals.size, 'interval')}; {count(unread)} of {count(len(readings))} "
+        "photos unreadable"
     )
     figure = new_figure(124.0, head, twin=twin)
     axes: dict[str, Any] = figure.subplot_mosaic([["a", "c"], ["b", "b"]], height_ratios=[1.15, 1.0])
@@ -259,16 +188,16 @@ def display_intervals(table: pd.DataFrame) -> tuple[ArrayF, ArrayF]:
     CoverageError : fewer than two intervals.
     """
     read = table["read_s"].to_numpy(np.float64)
-    good: ArrayB = table["readable"].to_numpy(bool) & np.isfinite(read)
-    both = good[1:] & good[:-1]
-    intervals = np.diff(read)[both]
+    intervals = np.diff(read)
+    both = np.isfinite(intervals)
+    intervals = intervals[both]
     if intervals.size < 2:
         raise CoverageError(
             f"{intervals.size} intervals between readable photos",
             expected="two or more",
             cure="Photograph the display without reflections",
         )
-    return (read[1:][both] - read[good][0]) / 60.0, intervals
+    return (read[1:][both] - np.nanmin(read)) / 60.0, intervals
 
 
 def chosen_photo(table: pd.DataFrame) -> tuple[str, str]:
@@ -276,8 +205,8 @@ def chosen_photo(table: pd.DataFrame) -> tuple[str, str]:
 
     Parameters
     ----------
-    table : columns ``file`` and ``readable``; perhaps ``text``, and ``overlaid``, how far two numbers lie
-        over each other.
+    table : columns ``file``, ``text``, ``readable``, and ``overlaid``: how far two numbers lie over each
+        other.
 
     Raises
     ------
@@ -286,24 +215,20 @@ def chosen_photo(table: pd.DataFrame) -> tuple[str, str]:
     readable = table[table["readable"].astype(bool)]
     if not len(readable):
         raise CoverageError("no photo could be read", expected="at least one")
-    clear = readable[readable["overlaid"] == readable["overlaid"].min()] if "overlaid" in table else readable
-    first = clear.iloc[0]
-    return str(first["file"]), str(first["text"]) if "text" in table else ""
+    first = readable[readable["overlaid"] == readable["overlaid"].min()].iloc[0]
+    return str(first["file"]), str(first["text"])
 
 
 def _photo(ax: Axes, photo: ArrayU8, text: str) -> None:
     h, w = photo.shape[:2]
     ax.imshow(photo, cmap="gray", extent=(0, w, h, 0), interpolation="antialiased")
-    ax.set_xticks([])
-    ax.set_yticks([])
+    ax.set(xticks=[], yticks=[])
     ax.set_title("a: photo of the display" + (f"\nread: {text}" if text else ""))
 
 
 def _in_time(ax: Axes, minutes: ArrayF, intervals: ArrayF, nominal_s: float) -> None:
     mean, std = float(intervals.mean()), float(intervals.std(ddof=1))
-    ax.plot(
-        minutes, intervals, ls="none", marker=".", ms=1.8, mew=0, color=BLUE, rasterized=True, gid="intervals"
-    )
+    ax.plot(minutes, intervals, ".", ms=1.8, mew=0, color=BLUE, rasterized=True, gid="intervals")
     ax.axhline(mean, color=VERMILION, lw=1.2, label=f"mean {mean:.4f} s")
     for sign in (-1, 1):
         ax.axhline(mean + sign * std, color=VERMILION, lw=0.9, ls="--", label="± std" if sign > 0 else None)

@@ -28,7 +28,7 @@ from thalweg.figures import (
     plural,
     styled,
 )
-from thalweg.figures.calibration.tables import STUDY, checked, filled, read_figure_table
+from thalweg.figures.calibration.tables import read_figure_table
 
 MAP: Final[Colormap] = cm.vik
 NUMBERS_UP_TO: Final = 16
@@ -135,15 +135,10 @@ def calibration_design(
     title : first words of the title.
     twin : true if the digital twin made the data.
 
-    Raises
-    ------
-    InputError : a column is missing.
-    CoverageError : the table is empty.
     """
-    table = filled(checked(study, STUDY), "row of the study")
-    known = np.isfinite(table["sigma"].to_numpy(np.float64))
-    table, lost = table[known], int((~known).sum())
-    quantities = {unit: _ordered(filled(part, "sigma")["quantity"]) for unit, part in table.groupby("unit")}
+    known = np.isfinite(study["sigma"].to_numpy(np.float64))
+    table, lost = study[known], int((~known).sum())
+    quantities = {unit: _ordered(part["quantity"]) for unit, part in table.groupby("unit")}
     head = f"{title}, n = {plural(len(table), 'sigma')}"
     head += f"; {count(lost)} that the geometry does not determine are left out" if lost else ""
     rows = [unit for unit in ("deg", "m") if unit in quantities]
@@ -216,4 +211,4 @@ def _panel(ax: Axes, part: pd.DataFrame, positions: Sequence[int], unit: str) ->
 
 def draw_calibration_design(*, study: Path, twin: bool) -> Figure:
     """Study of numbers of cones and positions -> figure of the sigmas."""
-    return calibration_design(read_figure_table(study, STUDY), twin=twin)
+    return calibration_design(read_figure_table(study), twin=twin)

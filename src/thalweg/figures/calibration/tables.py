@@ -6,19 +6,18 @@ Tables of the field are in pcs; `placed` brings them into wcs, where x is east, 
 ============ =========================================================================================
 field points ``mark`` ("17/0"), ``x_m y_m z_m``, ``sigma_x_m sigma_y_m sigma_z_m``
 cones        ``name``, ``apex_x_m apex_y_m apex_z_m``, ``axis_x axis_y axis_z`` (unit vector from the apex
-             into the body), ``half_angle_deg``, ``length_m`` (along the axis), ``used`` (bool)
+             into the body), ``half_angle_deg``, ``length_m`` (along the axis)
 poses        ``position``, ``sensor`` (camera or lidar), ``x_m y_m z_m``, ``qx qy qz qw``: rotation from the
              frame of the sensor, scalar last
 cone points  ``cone``, ``position``, ``x_m y_m z_m``, ``residual_m`` (signed distance from the cone, positive
              outside), ``used`` (bool)
-image marks  ``mark``, ``x_px y_px`` (from the upper left corner), ``residual_x_px residual_y_px``
+image marks  ``x_px y_px`` (from the upper left corner), ``residual_x_px residual_y_px``
              (observed minus computed), ``used`` (bool)
 image fixes  ``t_gps_s``, ``east_m north_m up_m`` (antenna from the camera's pose), ``residual_along_m
              residual_across_m residual_up_m`` (track minus image, along the motion and across it to the
              left; NaN where the boat stands or the track has a gap), ``used`` (bool)
 track        ``t_gps_s``, ``east_m north_m up_m`` of the antenna as GNSS has it
-display      ``t_camera_s`` (as the camera stamped it, or the number of the photo), ``read_s`` (what the
-             display shows; NaN if unreadable), ``readable`` (bool)
+display      ``read_s`` (what the display shows; NaN if unreadable), ``readable`` (bool)
 design study ``cones``, ``positions`` (numbers), ``quantity`` (rotation_x_deg ... z_m), ``unit`` (deg or m),
              ``sigma`` in that unit
 lidar frame  ``x_m y_m z_m`` and ``ring`` (0 is the lowest)
@@ -37,45 +36,15 @@ from thalweg.calibration.field import read_facts, read_field
 from thalweg.core import ArrayF, CoverageError, InputError, Rigid, read_parquet
 
 XYZ: Final = ("x_m", "y_m", "z_m")
-ENU: Final = ("east_m", "north_m", "up_m")
-FIELD_POINTS: Final = ("mark", *XYZ, "sigma_x_m", "sigma_y_m", "sigma_z_m")
-CONES: Final = (
-    "name",
-    "apex_x_m",
-    "apex_y_m",
-    "apex_z_m",
-    "axis_x",
-    "axis_y",
-    "axis_z",
-    "half_angle_deg",
-    "length_m",
-    "used",
-)
-POSES: Final = ("position", "sensor", *XYZ, "qx", "qy", "qz", "qw")
-CONE_POINTS: Final = ("cone", "position", *XYZ, "residual_m", "used")
-IMAGE_MARKS: Final = ("mark", "x_px", "y_px", "residual_x_px", "residual_y_px", "used")
-IMAGE_FIXES: Final = ("t_gps_s", *ENU, "residual_along_m", "residual_across_m", "residual_up_m", "used")
-TRACK: Final = ("t_gps_s", *ENU)
-DISPLAY: Final = ("t_camera_s", "read_s", "readable")
-STUDY: Final = ("cones", "positions", "quantity", "unit", "sigma")
+_APEX: Final = ("apex_x_m", "apex_y_m", "apex_z_m")
+_AXIS: Final = ("axis_x", "axis_y", "axis_z")
+_TURN: Final = ("qx", "qy", "qz", "qw")
 PICTURES: Final = frozenset((".jpg", ".jpeg", ".png", ".tif", ".tiff"))
-LIDAR_FRAME: Final = (*XYZ, "ring")
 
 
-def read_figure_table(path: Path, columns: Sequence[str]) -> pd.DataFrame:
-    """A CSV or Parquet table that holds at least the given columns.
-
-    Raises
-    ------
-    InputError : the file is missing, is neither, or lacks a column.
-    """
-    if not path.is_file():
-        raise InputError("file not found", expected=f"a table with {', '.join(columns)}", where=path)
-    try:
-        table = read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path)
-    except (ValueError, OSError) as error:
-        raise InputError(f"no table ({error})", expected="CSV or Parquet", where=path) from error
-    return checked(table, columns, where=str(path))
+def read_figure_table(path: Path) -> pd.DataFrame:
+    """A CSV or Parquet table."""
+    return read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path)
 
 
 def read_cones(path: Path, field: Path) -> pd.DataFrame:
@@ -83,28 +52,21 @@ def read_cones(path: Path, field: Path) -> pd.DataFrame:
 
     Parameters
     ----------
-    path : table with ``cone`` or ``name``, the apex, ``lambda_deg`` and ``theta_deg`` or the axis, and
-        ``half_angle_deg``; without ``used`` all of them were.
+    path : table with ``cone``, the apex, ``lambda_deg`` and ``theta_deg``, and ``half_angle_deg``.
     field : description of the field; it has the lengths of the cones.
 
     Raises
     ------
-    InputError : a file is missing, or lacks a column or a cone.
+    InputError : a cone is missing in the field.
     """
-    table = read_figure_table(path, ()).rename(columns={"cone": "name"})
-    if "axis_x" not in table and {"lambda_deg", "theta_deg"} <= set(table.columns):
-        turn, tilt = np.deg2rad(table["lambda_deg"]), np.deg2rad(table["theta_deg"])
-        axis = (np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt))
-        table = table.assign(**dict(zip(("axis_x", "axis_y", "axis_z"), axis, strict=True)))
-    if "length_m" not in table and "name" in table:
-        lengths = {cone.name: cone.length_m for cone in read_field(field).cones}
-        missing = sorted(set(table["name"].astype(str)) - set(lengths))
-        if missing:
-            raise InputError(f"no cones {', '.join(missing)}", expected=", ".join(lengths), where=field)
-        table = table.assign(length_m=table["name"].astype(str).map(lengths))
-    if "used" not in table:
-        table = table.assign(used=True)
-    return checked(table, CONES, where=str(path))
+    table = pd.read_csv(path).rename(columns={"cone": "name"})
+    turn, tilt = np.deg2rad(table["lambda_deg"]), np.deg2rad(table["theta_deg"])
+    axis = (np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt))
+    lengths = {cone.name: cone.length_m for cone in read_field(field).cones}
+    missing = sorted(set(table["name"]) - set(lengths))
+    if missing:
+        raise InputError(f"no cones {', '.join(missing)}", expected=", ".join(lengths), where=field)
+    return table.assign(length_m=table["name"].map(lengths), **dict(zip(_AXIS, axis, strict=True)))
 
 
 def read_image_marks(residuals: Path, measured: Path) -> pd.DataFrame:
@@ -115,37 +77,18 @@ def read_image_marks(residuals: Path, measured: Path) -> pd.DataFrame:
     residuals : ``image, marker, corner, vx_px, vy_px, used`` of a bundle or a resection, observed minus
         computed.
     measured : where the marks were found: ``image, marker, corner, x_px, y_px``.
-
-    Raises
-    ------
-    InputError : a file is missing, lacks a column, or a residual is of a mark that was not measured.
     """
     keys = ["image", "marker", "corner"]
-    found = read_figure_table(residuals, (*keys, "vx_px", "vy_px", "used"))
-    places = read_figure_table(measured, (*keys, "x_px", "y_px"))
-    table = found.merge(places[[*keys, "x_px", "y_px"]], on=keys, how="left", validate="one_to_one")
-    lost = int(table["x_px"].isna().sum())
-    if lost:
-        raise InputError(
-            f"{lost} residuals of marks without coordinates",
-            expected=f"the marks of {measured}",
-            where=residuals,
-        )
-    table = table.rename(columns={"vx_px": "residual_x_px", "vy_px": "residual_y_px"})
-    mark = table["marker"].astype(str) + "/" + table["corner"].astype(str)
-    return checked(table.assign(mark=mark), IMAGE_MARKS, where=str(residuals))
+    places = read_figure_table(measured)[[*keys, "x_px", "y_px"]]
+    table = read_figure_table(residuals).merge(places, on=keys, validate="one_to_one")
+    return table.rename(columns={"vx_px": "residual_x_px", "vy_px": "residual_y_px"})
 
 
 def read_display(path: Path) -> pd.DataFrame:
-    """Readings of a display in the columns of this module, and ``file``, ``text``; photos in their order.
-
-    Raises
-    ------
-    InputError : the file is missing or lacks a column.
-    """
-    table = read_figure_table(path, ("file", "text", "t_display_s", "reason"))
+    """Readings of a display in the columns of this module, and ``file``, ``text``; photos in their order."""
+    table = pd.read_csv(path)
     read_s = table["t_display_s"].astype(np.float64)
-    return table.assign(t_camera_s=np.arange(len(table)), read_s=read_s, readable=np.isfinite(read_s))
+    return table.assign(read_s=read_s, readable=np.isfinite(read_s))
 
 
 def read_place(path: Path) -> Rigid | None:
@@ -164,14 +107,12 @@ def placed(table: pd.DataFrame, T_wcs_pcs: Rigid | None) -> pd.DataFrame:
     if T_wcs_pcs is None:
         return table
     out = table.copy()
-    for columns in (XYZ, CONES[1:4]):
+    for columns, shift_m in ((XYZ, T_wcs_pcs.shift_m), (_APEX, T_wcs_pcs.shift_m), (_AXIS, 0.0)):
         if set(columns) <= set(table):
-            out[list(columns)] = T_wcs_pcs.apply(points_of(table, columns))
-    if set(CONES[4:7]) <= set(table):
-        out[list(CONES[4:7])] = points_of(table, CONES[4:7]) @ T_wcs_pcs.R.T
-    if set(POSES[-4:]) <= set(table):
-        turned = Rotation.from_matrix(T_wcs_pcs.R) * Rotation.from_quat(points_of(table, POSES[-4:]))
-        out[list(POSES[-4:])] = turned.as_quat()
+            out[list(columns)] = points_of(table, columns) @ T_wcs_pcs.R.T + shift_m
+    if set(_TURN) <= set(table):
+        turned = Rotation.from_matrix(T_wcs_pcs.R) * Rotation.from_quat(points_of(table, _TURN))
+        out[list(_TURN)] = turned.as_quat()
     return out
 
 
@@ -194,31 +135,6 @@ def first_picture(paths: Sequence[Path], *, choice: Sequence[str] = ()) -> Path:
             expected=f"one of {', '.join(list(choice)[:3])} ..." if choice else "JPEG or PNG files",
         )
     return files[natural(list(files))[0]]
-
-
-def checked(table: pd.DataFrame, columns: Sequence[str], *, where: str = "table") -> pd.DataFrame:
-    """The table, if it has the columns.
-
-    Raises
-    ------
-    InputError : a column is missing.
-    """
-    missing = [name for name in columns if name not in table.columns]
-    if missing:
-        raise InputError(f"columns missing: {', '.join(missing)}", expected=", ".join(columns), where=where)
-    return table
-
-
-def filled(table: pd.DataFrame, what: str) -> pd.DataFrame:
-    """The table, if it has rows.
-
-    Raises
-    ------
-    CoverageError : it has none.
-    """
-    if not len(table):
-        raise CoverageError(f"no {what} to draw", expected="at least one", cure="See the job before this one")
-    return table
 
 
 def points_of(table: pd.DataFrame, columns: Sequence[str] = XYZ) -> ArrayF:

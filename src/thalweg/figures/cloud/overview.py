@@ -1,28 +1,20 @@
 """The cloud of a reach: overview, detail, predicted sigma, range, and the twin's bank as a camera sees it."""
 
-import json
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
-from zipfile import BadZipFile
 
 import numpy as np
-from cmcrameri import cm
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Colormap, ListedColormap, LogNorm, Normalize, PowerNorm
+from matplotlib.colors import Colormap, Normalize, PowerNorm
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from thalweg.core import AnyArray, ArrayF, ArrayU8, GeometryError, InputError, Trajectory, iter_laz
+from thalweg.core import AnyArray, ArrayF, ArrayU8, GeometryError, Trajectory, iter_laz
 from thalweg.figures import (
-    BLUE,
     HALO,
     HEIGHT_MAP,
     INTENSITY_MAP,
-    RANGE_MAP,
-    SIGMA_MAP,
-    VERMILION,
     WIDTH_MM,
     count,
     new_figure,
@@ -40,7 +32,7 @@ from thalweg.figures.cloud.views import (
     pack_rgb,
 )
 from thalweg.figures.survey import track_gaps
-from thalweg.lidar import SIGMAS, sample_cloud
+from thalweg.lidar import sample_cloud
 
 NOISE_M: Final = 0.03
 """Accuracy of a lidar point (P2 eq. 7); shading at a finer scale would show noise."""
@@ -52,17 +44,6 @@ _LEAST_MM: Final = 34.0
 """Least height of a panel: its label has some words."""
 STRAYS: Final = 30
 """Most points above the upper edge of a detail that are taken for strays."""
-
-DENSITY_MAP: Final[Colormap] = ListedColormap(cm.grayC_r(np.linspace(0.06, 0.85, 256)), "thalweg_density")
-THESIS_RANGE_M: Final = (5.0, 10.0, 25.0, 50.0)
-THESIS_SIGMA_CM: Final = (5.4, 6.2, 10.1, 18.3)
-"""3D standard deviation of an INS-based lidar point by range (T Table 3.1)."""
-RANGE_CLASSES: Final = 160
-SIGMA_CLASSES: Final = 110
-"""Cells of the density of sigma over range."""
-LEAST_IN_CLASS: Final = 20
-"""The median of a range class with fewer points is not drawn."""
-_PANEL_MM: Final = 62.0
 
 
 # ---------------------------------------------------------------- overview and detail (P1 Fig. 4 and 5)
@@ -419,329 +400,5 @@ def coloured_reach(
 # ---------------------------------------------------------------- by predicted sigma and by range
 
 
-def sigma_3d_m(sigma_east_m: ArrayLike, sigma_north_m: ArrayLike, sigma_up_m: ArrayLike) -> ArrayF:
-    """3D standard deviation, the root of the trace of the covariance: ``sqrt(sE^2 + sN^2 + sU^2)``.
-
-    Examples
-    --------
-    >>> float(sigma_3d_m(0.02, 0.03, 0.06))
-    0.07
-    """
-    parts = [np.asarray(s, dtype=np.float64) for s in (sigma_east_m, sigma_north_m, sigma_up_m)]
-    return np.asarray(np.sqrt(sum(s**2 for s in parts)))
-
-
-@styled
-def cloud_by_sigma(
-    splat: Splat[ObliqueView],
-    range_m: ArrayF,
-    sigma_m: ArrayF,
-    trajectory: Trajectory | None = None,
-    *,
-    thesis: bool = True,
-    title: str = "Predicted accuracy of the cloud",
-    twin: bool = False,
-) -> Figure:
-    """The reach coloured by predicted 3D sigma, and the sigma against the measured range.
-
-    Parameters
-    ----------
-    splat : the reach, its values the 3D sigmas in metres, see `sigma_3d_m`.
-    range_m, sigma_m : (n,) range and 3D sigma of all points or an even sample of them.
-    trajectory : track of the boat, drawn as a line.
-    thesis : draw T Table 3.1 for comparison.
-    title : first words of the title.
-    twin : true if the digital twin made the data.
-
-    Raises
-    ------
-    InputError : arrays of different length, or no point with a positive, finite sigma and range.
-    """
-    range_m, sigma_m = _same_length(range_m, sigma_m)
-    usable = np.isfinite(range_m) & np.isfinite(sigma_m) & (range_m > 0) & (sigma_m > 0)
-    if not usable.any():
-        raise InputError(
-            f"none of {len(range_m)} points has a sigma",
-            expected="columns sigma_east, sigma_north, sigma_up above 0",
-            cure="Georeference the cloud again: sigmas come from the covariances of the trajectory",
-        )
-    r, sigma_cm = range_m[usable], 100.0 * sigma_m[usable]
-    limits_cm = robust_limits(sigma_cm, 0.5, 99.0)
-    figure, upper, lower = _two_panels(splat, f"{title}, n = {count(splat.n_drawn)} points", twin=twin)
-    limits = limits_cm[0] / 100.0, limits_cm[1] / 100.0
-    draw_reach(
-        figure,
-        upper,
-        splat,
-        SIGMA_MAP,
-        limits,
-        label="predicted 3D sigma / cm",
-        trajectory=trajectory,
-        shading=0.6,
-        factor=100.0,
-    )
-    top_cm, far_m = _density(figure, lower, r, sigma_cm, thesis=thesis)
-    lost = int(len(range_m) - usable.sum())
-    beyond = int(np.sum((sigma_cm > top_cm) | (r > far_m)))
-    text = f"n = {count(len(r))} points" + (" sampled" if len(r) + lost < splat.n_added else "")
-    text += f", median {np.median(sigma_cm):.1f} cm, 95 % below {np.percentile(sigma_cm, 95):.1f} cm"
-    text += f"; {count(beyond)} beyond the axes" if beyond else ""
-    text += f"; {count(lost)} without a sigma" if lost else ""
-    lower.set_title(text)
-    return figure
-
-
-@styled
-def cloud_by_range(
-    splat: Splat[ObliqueView],
-    range_m: ArrayF,
-    trajectory: Trajectory | None = None,
-    *,
-    title: str = "Measured range of the cloud's points",
-    twin: bool = False,
-) -> Figure:
-    """The reach coloured by measured range, and how many points lie at which range.
-
-    Parameters
-    ----------
-    splat : the reach, its values the ranges in metres.
-    range_m : (n,) range of all points or an even sample of them.
-    trajectory : track of the boat, drawn as a line.
-    title : first words of the title.
-    twin : true if the digital twin made the data.
-
-    Raises
-    ------
-    InputError : no point with a finite range.
-    """
-    r = np.asarray(range_m, dtype=np.float64)
-    finite = r[np.isfinite(r) & (r >= 0)]
-    if not finite.size:
-        raise InputError(f"none of {len(r)} points has a range", expected="the column 'range' in metres")
-    figure, upper, lower = _two_panels(
-        splat, f"{title}, n = {count(splat.n_drawn)} points", twin=twin, panel_mm=0.75 * _PANEL_MM
-    )
-    limits = robust_limits(finite, 0.5, 99.0)
-    draw_reach(
-        figure,
-        upper,
-        splat,
-        RANGE_MAP,
-        limits,
-        label="measured range / m",
-        trajectory=trajectory,
-        shading=0.6,
-    )
-    far = max(float(np.ceil(np.percentile(finite, 99.9))), 1.0)
-    width = 1.0 if far > 20 else 0.25
-    edges = np.arange(0.0, far + width, width)
-    n, _ = np.histogram(finite, edges)
-    lower.stairs(100.0 * n / finite.size, edges, fill=True, color=BLUE, alpha=0.6, gid="histogram")
-    lower.set_xlim(0.0, edges[-1])
-    lower.set_xlabel("measured range / m")
-    lower.set_ylabel(f"points per {width:g} m / %")
-    beyond = int(np.sum(finite > edges[-1]))
-    text = f"n = {count(finite.size)} points" + (" sampled" if finite.size < splat.n_added else "")
-    quartiles = np.percentile(finite, [25, 50, 75])
-    text += f", median {quartiles[1]:.1f} m, half of them between {quartiles[0]:.1f} and {quartiles[2]:.1f} m"
-    text += f"; {count(beyond)} beyond the axis" if beyond else ""
-    lower.set_title(text)
-    lower.grid(axis="y")
-    return figure
-
-
-def _same_length(range_m: ArrayF, sigma_m: ArrayF) -> tuple[ArrayF, ArrayF]:
-    r, s = np.asarray(range_m, dtype=np.float64), np.asarray(sigma_m, dtype=np.float64)
-    if r.shape != s.shape or r.ndim != 1:
-        raise InputError(f"ranges {r.shape} and sigmas {s.shape}", expected="two arrays (n,) of one length")
-    return r, s
-
-
-def _two_panels(
-    splat: Splat[ObliqueView], head: str, *, twin: bool, panel_mm: float = _PANEL_MM
-) -> tuple[Figure, Axes, Axes]:
-    reach = max(reach_mm(splat.view), 35.0)
-    figure = new_figure(reach + panel_mm + 18.0, head, twin=twin)
-    upper, lower = figure.subplots(2, 1, height_ratios=[reach + 4.0, panel_mm])
-    return figure, upper, lower
-
-
-def _density(
-    figure: Figure, ax: Axes, range_m: ArrayF, sigma_cm: ArrayF, *, thesis: bool
-) -> tuple[float, float]:
-    """Density of the points over range and sigma with the median of each class; returns the axes' ends."""
-    far = 1.05 * max(float(np.percentile(range_m, 99.9)), 1.0)
-    top = 1.15 * float(np.percentile(sigma_cm, 99.8))
-    if thesis:
-        top = max(top, 1.25 * max(s for r, s in zip(THESIS_RANGE_M, THESIS_SIGMA_CM, strict=True) if r <= 25))
-    edges = np.linspace(0.0, far, RANGE_CLASSES + 1), np.linspace(0.0, top, SIGMA_CLASSES + 1)
-    n, _, _ = np.histogram2d(range_m, sigma_cm, edges)
-    shown = np.ma.masked_less(n.T, 1)
-    mesh = ax.pcolormesh(
-        *edges,
-        shown,
-        cmap=DENSITY_MAP,
-        norm=LogNorm(1, max(10.0, float(n.max()))),
-        rasterized=True,
-        gid="density",
-    )
-    figure.colorbar(mesh, ax=ax, label="points per cell / 1", pad=0.01, aspect=18)
-    coarse = edges[0][::4]
-    index = np.digitize(range_m, coarse) - 1
-    order = np.argsort(index, kind="stable")
-    parts = np.split(sigma_cm[order], np.searchsorted(index[order], np.arange(1, len(coarse))))
-    median = [float(np.median(part)) if len(part) >= LEAST_IN_CLASS else np.nan for part in parts]
-    middles = coarse + 0.5 * (coarse[1] - coarse[0])
-    ax.plot(
-        middles, median, color=BLUE, lw=1.6, label="median of a range class", gid="median", path_effects=HALO
-    )
-    if thesis:
-        ax.plot(
-            THESIS_RANGE_M,
-            THESIS_SIGMA_CM,
-            color=VERMILION,
-            lw=1.2,
-            ls="--",
-            marker="D",
-            ms=4,
-            mfc="white",
-            label="T Table 3.1",
-            gid="thesis",
-            path_effects=HALO,
-        )
-    ax.set_xlim(0.0, far)
-    ax.set_ylim(0.0, top)
-    ax.set_xlabel("measured range / m")
-    ax.set_ylabel("predicted 3D sigma / cm")
-    ax.legend(loc="upper left")
-    return top, far
-
-
-def draw_cloud_by_range(*, points: Path, trajectory: Path, title: str, twin: bool) -> Figure:
-    """Cloud and trajectory -> view of the reach by measured range, and the ranges that occur."""
-    sample, track = sample_cloud(points, 1_000_000), Trajectory.read(trajectory)
-    xyz_m = sample["xyz_m"]
-    splat = Splat(ObliqueView.fit(xyz_m, azimuth_rad=bankward_azimuth(xyz_m, track)))
-    for chunk in iter_laz(points, 1_000_000):
-        splat.add(chunk["xyz_m"], chunk["range"])
-    return cloud_by_range(
-        splat, sample["range"], track, title=f"Measured range of the points: {title}", twin=twin
-    )
-
-
-def draw_cloud_by_sigma(*, points: Path, trajectory: Path, title: str, twin: bool) -> Figure:
-    """Cloud and trajectory -> view of the reach by predicted sigma, and sigma against range."""
-    sample, track = sample_cloud(points, 1_000_000), Trajectory.read(trajectory)
-    xyz_m = sample["xyz_m"]
-    splat = Splat(ObliqueView.fit(xyz_m, azimuth_rad=bankward_azimuth(xyz_m, track)))
-    for chunk in iter_laz(points, 1_000_000):
-        splat.add(chunk["xyz_m"], sigma_3d_m(*(chunk[name] for name in SIGMAS)))
-    return cloud_by_sigma(
-        splat,
-        sample["range"],
-        sigma_3d_m(*(sample[name] for name in SIGMAS)),
-        track,
-        title=f"Predicted accuracy of the cloud: {title}",
-        twin=twin,
-    )
-
-
 # ---------------------------------------------------------------- the bank as a camera on the boat would see
 # it
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class View:
-    """A picture and what is known of it.
-
-    Parameters
-    ----------
-    image : (h, w, 3) uint8, sRGB.
-    distance_m : distance of what is in the middle.
-    pixel_mm : size of a pixel there.
-    height_above_water_m : of the camera.
-    utc : time, ISO text.
-    """
-
-    image: ArrayU8
-    distance_m: float
-    pixel_mm: float
-    height_above_water_m: float
-    utc: str
-
-
-def read_view(path: Path) -> View:
-    """Read a picture that the twin has written.
-
-    Raises
-    ------
-    InputError : the file is missing or no such picture.
-    """
-    cure = "Make it again with the rule simulate_view"
-    if not path.is_file():
-        raise InputError("file not found", expected="a picture of the digital twin", where=path, cure=cure)
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
-            facts, image = json.loads(str(data["facts"])), data["image"]
-        view = View(
-            image=image,
-            distance_m=float(facts["distance_m"]),
-            pixel_mm=float(facts["pixel_mm"]),
-            height_above_water_m=float(facts["height_above_water_m"]),
-            utc=str(facts["utc"]),
-        )
-    except (KeyError, TypeError, ValueError, OSError, EOFError, BadZipFile) as error:
-        raise InputError(
-            f"not a picture ({error})", expected="a picture of the digital twin", where=path, cure=cure
-        ) from error
-    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
-        raise InputError(
-            f"image of shape {image.shape} and type {image.dtype}",
-            expected="(h, w, 3) of uint8",
-            where=path,
-            cure=cure,
-        )
-    return view
-
-
-@styled
-def scene_view(bank: View, detail: View, *, title: str = "View from the boat", twin: bool = False) -> Figure:
-    """The right bank from mid-river above, its water line below.
-
-    Parameters
-    ----------
-    bank : wide picture from mid-river.
-    detail : picture of the water line.
-    title : first words of the title.
-    twin : true if the digital twin made the pictures.
-    """
-    shares = [view.image.shape[0] / view.image.shape[1] for view in (bank, detail)]
-    day, time = bank.utc[:10], bank.utc[11:19]
-    pixels = sum(view.image.shape[0] * view.image.shape[1] for view in (bank, detail))
-    head = f"{title}, {day} {time} UTC, n = {count(pixels)} pixels"
-    figure = new_figure(WIDTH_MM * sum(shares) + 26.0, head, twin=twin)
-    axes = figure.subplots(2, 1, gridspec_kw={"height_ratios": shares})
-    _show_view(axes[0], bank, "a  Right bank from mid-river")
-    _show_view(axes[1], detail, "b  Water line from the nearest position of the boat")
-    return figure
-
-
-def _show_view(ax: Axes, view: View, name: str) -> None:
-    h, w = view.image.shape[:2]
-    ax.imshow(view.image, aspect="equal", interpolation="antialiased", interpolation_stage="rgba")
-    ax.set_xlim(0, w)
-    ax.set_ylim(h, 0)
-    ax.set_xticks([])
-    ax.set_yticks([])
-    ax.set_title(
-        f"{name}: {view.distance_m:.1f} m away, {view.pixel_mm:.1f} mm a pixel, "
-        f"camera {view.height_above_water_m:.1f} m above the water",
-        loc="left",
-        fontsize=8,
-    )
-    scale_bar(ax, span_m=w * view.pixel_mm / 1000.0)
-
-
-def draw_scene_view(*, bank: Path, detail: Path, title: str, twin: bool) -> Figure:
-    """Two pictures of the twin's reach -> figure of the bank as a camera on the boat would see it."""
-    return scene_view(read_view(bank), read_view(detail), title=f"View from the boat: {title}", twin=twin)

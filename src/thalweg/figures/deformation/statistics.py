@@ -12,17 +12,15 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from scipy.spatial.distance import pdist
 from scipy.stats import norm
 
-from thalweg.core import ArrayB, ArrayF, ArrayI, GeometryError, read_table
-from thalweg.deformation import CORE_POINTS, DRAWS, HEIGHTS, SERIES
+from thalweg.core import ArrayB, GeometryError, read_table
+from thalweg.deformation import CORE_POINTS, HEIGHTS, SERIES
 from thalweg.figures import (
     BLUE,
     GREEN,
     GREY,
     ORANGE,
-    PURPLE,
     SIGMA_MAP,
     SKY,
     VERMILION,
@@ -43,9 +41,6 @@ PARTS: Final = (
 """Parts of the standard deviation of a distance: column, words, colour, line."""
 PUBLISHED_M: Final = (0.15, 0.19)
 """RMSE of the points of both epochs in T 4.1."""
-LAGS: Final = 16
-MOST_PLACES: Final = 1000
-"""Core points of a variogram, which takes all of their pairs, of each draw."""
 NOT_GROUND: Final = ("vegetation", "object")
 
 
@@ -248,91 +243,6 @@ def draw_stable_ground(
 
 
 # ---------------------------------------------------------------- variogram
-
-
-def variogram(places_m: ArrayF, values: ArrayF, edges_m: ArrayF) -> tuple[ArrayF, ArrayI, ArrayF]:
-    """Half the mean squared difference of values by the distance of their places.
-
-    Parameters
-    ----------
-    places_m : (n, 3); values : (n, d), each column a survey of its own.
-    edges_m : (b + 1,) of the classes of distance.
-
-    Returns
-    -------
-    Mean distance (c,), number of pairs (c,) and variogram (c, d) of the classes that hold pairs.
-    """
-    lag = pdist(places_m)
-    kind = np.digitize(lag, edges_m) - 1
-    inside = (kind >= 0) & (kind < len(edges_m) - 1)
-    kind, classes = kind[inside], len(edges_m) - 1
-    pairs = np.bincount(kind, minlength=classes)
-    held = pairs > 0
-
-    def mean(each: ArrayF) -> ArrayF:
-        """Mean (c,) over the pairs of each class."""
-        return np.asarray(np.bincount(kind, each[inside], minlength=classes)[held] / pairs[held])
-
-    half = [mean(0.5 * pdist(column[:, None], "sqeuclidean")) for column in values.T]
-    return mean(lag), pairs[held].astype(np.int64), np.stack(half, axis=1)
-
-
-@styled
-def error_variogram(
-    pairs: Sequence[BankPair], stable: Sequence[Stable], drawn: Sequence[ArrayF], *, title: str, twin: bool
-) -> Figure:
-    """How distances of stable ground are alike by how far they lie apart, found and predicted.
-
-    ``drawn`` holds errors (k, d) of the distances of each pair, drawn from what is known of them.
-    """
-    figure = new_figure(84.0, title, twin=twin)
-    ax = figure.subplots()
-    for pair, use, errors, colour, marker in zip(
-        pairs, stable, drawn, (BLUE, VERMILION, PURPLE), "os^", strict=False
-    ):
-        rows = np.flatnonzero(use.unmoved)
-        rows = rows[:: -(-len(rows) // MOST_PLACES)]
-        edges = np.geomspace(pair.spacing_m, 0.5 * float(np.ptp(pair.s_m[rows])), LAGS + 1)
-        places = pair.table[["east_m", "north_m", "up_m"]].to_numpy()[rows]
-        values = np.column_stack([pair.table["distance_m"].to_numpy(), errors])[rows]
-        lag, _, gamma = variogram(places, values / pair.table["sigma_m"].to_numpy()[rows, None], edges)
-        label = f"{pair.words}: found, n = {count(len(rows))} core points"
-        ax.plot(lag, gamma[:, 0], color=colour, marker=marker, label=label, gid="variogram")
-        low, middle, high = np.quantile(gamma[:, 1:], [0.025, 0.5, 0.975], axis=1)
-        ax.plot(lag, middle, color=colour, lw=1.0, ls="--", label="predicted, median", gid="predicted")
-        band = f"predicted, 95 % of {errors.shape[1]} draws of the errors"
-        ax.fill_between(lag, low, high, color=colour, alpha=0.2, lw=0, label=band)
-    ax.axhline(1.0, color="black", lw=0.8, ls=":", label="independent errors of the predicted size")
-    ax.set_xscale("log")
-    ax.set_yscale("log")
-    ax.xaxis.set_major_formatter("{x:g}")
-    ax.yaxis.set_major_formatter("{x:g}")
-    low, high = ax.get_ylim()
-    ax.set_ylim(low, 3.0 * high)
-    ax.grid(visible=True)
-    ax.set_xlabel("distance between core points / m")
-    ax.set_ylabel("half mean squared difference of\ndistance over standard deviation")
-    ax.legend(loc="upper left", ncols=2)
-    return figure
-
-
-def draw_error_variogram(
-    *,
-    changes: list[Path],
-    draws: list[Path],
-    registrations: list[Path],
-    weights: list[Path],
-    core_points: Path,
-    spacing_m: float,
-    by_boat: bool,
-    title: str,
-    twin: bool,
-) -> Figure:
-    """Distances of stable ground and drawn errors -> their variograms."""
-    pairs = read_pairs(changes, core_points, spacing_m, by_boat=by_boat)
-    stable = read_stable(pairs, registrations, weights)
-    drawn = [read_table(path, DRAWS)[0].drop(columns="core").to_numpy() for path in draws]
-    return error_variogram(pairs, stable, drawn, title=f"Variogram of stable ground: {title}", twin=twin)
 
 
 # ---------------------------------------------------------------- volumes along the bank

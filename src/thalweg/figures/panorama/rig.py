@@ -7,96 +7,14 @@ from typing import Final
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from matplotlib.patches import Ellipse
-from scipy.interpolate import LinearNDInterpolator
 
 from thalweg.calibration import Rig as CalibratedRig, read_rig, read_views
-from thalweg.calibration.field import read_points, resect
-from thalweg.core import ArrayF, ArrayU8, Camera, Rigid
-from thalweg.core.calibration import read_calibration
+from thalweg.core import ArrayF, ArrayU8, Camera
 from thalweg.figures import BLUE, GREY, VERMILION, count, new_figure, styled
 from thalweg.ingest.photos import find_images
-from thalweg.panorama import compose, default_width_px, pixels_of
 from thalweg.settings.sections import Rig
 
-_HALF_DEG: Final = 15.0
 COLOURS: Final = {"front": BLUE, "back": VERMILION}
-_CONFIDENCE: Final = 2.4477
-"""Half axes of an ellipse that holds 95 % of a plane normal error, in sigmas."""
-
-
-def draw_rig_sketch(*, calibration: Path, title: str, twin: bool) -> Figure:
-    """Calibration of a rig -> its lenses from above and from the side, with ellipses."""
-    found = read_calibration(calibration)
-    return rig_sketch(found.pose("back_front"), title=f"Rig of two lenses: {title}", twin=twin)
-
-
-@styled
-def rig_sketch(T_back_front: Rigid, *, title: str, twin: bool) -> Figure:
-    """Both projection centres and views in the frame of the front lens.
-
-    Parameters
-    ----------
-    T_back_front : relative orientation with covariance.
-    title : first words of the title.
-    twin : true if the digital twin made the data.
-    """
-    back = T_back_front.inverse()
-    base_mm = 1e3 * float(np.linalg.norm(back.shift_m))
-    along = back.shift_m / np.linalg.norm(back.shift_m)
-    sigma_base = 1e3 * float(np.sqrt(along @ back.cov[:3, :3] @ along))
-    apart = float(np.rad2deg(np.arccos(np.clip(T_back_front.R[2, 2], -1, 1))))
-    sigma_turn = np.rad2deg(T_back_front.sigma_rotation_rad)
-    # ellipses so large that they are seen
-    sigma_mm = 1e3 * np.sqrt(np.diag(back.cov)[:3])
-    times = 10 ** max(0, int(np.floor(np.log10(0.25 * base_mm / (_CONFIDENCE * sigma_mm.max())))))
-    words = (
-        f"{title}, base {base_mm:.2f} mm (sigma {sigma_base:.2f}), views {apart:.3f} degrees apart "
-        f"(sigma {sigma_turn[:2].max():.3f})"
-    )
-    figure = new_figure(85.0, words, twin=twin)
-    axes = figure.subplots(1, 2, sharey=True)
-    for ax, across, name in zip(axes, (0, 1), ("from above", "from the right"), strict=True):
-        for lens, place in {"front": Rigid(R=np.eye(3), shift_m=np.zeros(3)), "back": back}.items():
-            at, view = 1e3 * place.shift_m[[across, 2]], place.R[[across, 2], 2]
-            ax.plot(*at, "o", color=COLOURS[lens], markersize=5, label=f"{lens} lens")
-            ax.annotate(
-                "",
-                xytext=at,
-                xy=at + 0.6 * base_mm * view,
-                arrowprops={"arrowstyle": "-|>", "color": COLOURS[lens], "shrinkA": 0, "shrinkB": 0},
-            )
-        ax.add_patch(
-            _ellipse(1e6 * back.cov[np.ix_([across, 2], [across, 2])], 1e3 * back.shift_m, across, times)
-        )
-        ax.axvline(0.0, color=GREY, linewidth=0.6, linestyle=":")
-        ax.set_xlim(-1.1 * base_mm, 1.1 * base_mm)
-        ax.set_ylim(-1.8 * base_mm, 0.8 * base_mm)
-        ax.set_aspect("equal", adjustable="box")
-        ax.set_title(name)
-        ax.set_xlabel(f"{'xy'[across]} of the front lens / mm")
-    axes[0].set_ylabel("z of the front lens, its view / mm")
-    axes[1].legend(
-        loc="center left",
-        bbox_to_anchor=(1.0, 0.5),
-        fontsize=8,
-        title=f"ellipse: 95 %, {times} times enlarged",
-    )
-    return figure
-
-
-def _ellipse(cov_mm2: ArrayF, at_mm: ArrayF, across: int, times: int) -> Ellipse:
-    values, vectors = np.linalg.eigh(cov_mm2)
-    width, height = 2 * _CONFIDENCE * times * np.sqrt(np.maximum(values, 0.0))
-    return Ellipse(
-        (at_mm[across], at_mm[2]),
-        width,
-        height,
-        angle=float(np.rad2deg(np.arctan2(vectors[1, 0], vectors[0, 0]))),
-        facecolor="none",
-        edgecolor=COLOURS["back"],
-        linewidth=1.2,
-    )
 
 
 def draw_rig_field(
@@ -205,67 +123,4 @@ def rig_residuals(table: pd.DataFrame, *, title: str, twin: bool) -> Figure:
     for ax in axes[1]:
         ax.set_xlabel("angle from the axis / degrees")
     figure.supylabel("observed less computed / px", fontsize=9)
-    return figure
-
-
-def draw_seam_views(
-    *,
-    images: list[Path],
-    residuals: Path,
-    calibration: Path,
-    points: list[Path],
-    rig: Rig,
-    title: str,
-    twin: bool,
-) -> Figure:
-    """Files of the field of a rig and its points -> the seam of near things, without and with ranges."""
-    views, table = _best_file(images, residuals, rig)
-    found, field = read_rig(calibration, rig), read_points(points[0])
-    front = table[(table["lens"] == "front") & table["used"]].reset_index(drop=True)
-    xy = _pixels(front, found.cameras["front"])
-    marks = front[["marker", "corner", "sigma_px"]].assign(x_px=xy[:, 0], y_px=xy[:, 1])
-    pose = resect(found.cameras["front"], marks, field, with_interior=False, explain=False).T_pcs_ccs
-    local = (field.points_pcs - pose.shift_m) @ pose.R - found.centre_front_m
-    width = default_width_px(found.cameras["front"])
-    inverse = {"all far": np.zeros((width // 2, width)), "ranges of the marks": _inverse_of(local, width)}
-    composed = {words: compose(views, found, np.eye(3), each) for words, each in inverse.items()}
-    return seam_views(
-        {words: (each.picture, each.seam_rms_px) for words, each in composed.items()},
-        title=f"Seam of a panorama: {title}",
-        twin=twin,
-    )
-
-
-def _inverse_of(points_m: ArrayF, width: int) -> ArrayF:
-    """Inverse ranges (W / 2, W): linear between points (n, 3), infinitely far beyond them."""
-    uv, inverse = pixels_of(points_m, width), 1 / np.linalg.norm(points_m, axis=1)
-    around = np.concatenate([uv + np.array([k * width, 0]) for k in (-1, 0, 1)])
-    v, u = np.mgrid[0 : width // 2, 0:width] + 0.5
-    return np.nan_to_num(LinearNDInterpolator(around, np.tile(inverse, 3))(u, v))
-
-
-@styled
-def seam_views(found: Mapping[str, tuple[ArrayU8, float]], *, title: str, twin: bool) -> Figure:
-    """Both sides of the seam, a row for each way of making the panorama.
-
-    Parameters
-    ----------
-    found : panorama (h, 2 h, 3) and the rms of its shifts at the seam in pixels, by words.
-    title : first words of the title.
-    twin : true if the digital twin made the data.
-    """
-    width = next(iter(found.values()))[0].shape[1]
-    figure = new_figure(125.0, f"{title}, {width} px", twin=twin)
-    axes = figure.subplots(len(found), 2, sharex="col", sharey=True)
-    px = width / 360.0
-    for row, (words, (picture, rms_px)) in zip(axes, found.items(), strict=True):
-        for ax, side in zip(row, (-90.0, 90.0), strict=True):
-            columns = slice(round((side + 180 - _HALF_DEG) * px), round((side + 180 + _HALF_DEG) * px))
-            rows = slice(round((90 - _HALF_DEG) * px), round((90 + _HALF_DEG) * px))
-            box = (side - _HALF_DEG, side + _HALF_DEG, -_HALF_DEG, _HALF_DEG)
-            ax.imshow(picture[rows, columns], extent=box, interpolation="nearest")
-            ax.set_title(f"{words}: rms at the stitching line {rms_px:.2f} px", fontsize=9)
-        row[0].set_ylabel("up / degrees")
-    for ax in axes[-1]:
-        ax.set_xlabel("from the view of the front lens / degrees")
     return figure

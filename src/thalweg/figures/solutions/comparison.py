@@ -1,17 +1,14 @@
 """INS, camera and fused trajectory: distances, predicted sigmas, outages of GNSS."""
 
-import datetime as dt
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-import matplotlib.dates as mdates
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from scipy.stats import norm
 
 from thalweg.accuracy import (
@@ -22,37 +19,12 @@ from thalweg.accuracy import (
     PUBLISHED_CROSSING_M,
     WITHOUT_OUTLIERS,
     crossing_of,
-    length_s,
-    longest_gap_s,
     normalised_distances,
     range_facts,
-    valid_spans,
 )
-from thalweg.core import (
-    ArrayF,
-    GeometryError,
-    InputError,
-    Trajectory,
-    read_table,
-    root_mean_square,
-    unix_from_gps,
-    utc_text_from_gps,
-)
-from thalweg.figures import (
-    BLUE,
-    GREEN,
-    GREY,
-    HALO,
-    SKY,
-    VERMILION,
-    count,
-    legend_below,
-    new_figure,
-    plural,
-    styled,
-)
+from thalweg.core import ArrayF, InputError, read_table, root_mean_square
+from thalweg.figures import BLUE, GREEN, GREY, HALO, VERMILION, count, legend_below, new_figure, styled
 from thalweg.figures.accuracy import centimetres, compared, round_limit_m
-from thalweg.figures.survey import LOG_RATIO, plain_numbers
 
 STYLE: Final = {"ins": (BLUE, "o"), "camera": (VERMILION, "s"), "fused": (GREEN, "^")}
 """Colour and marker of each chain."""
@@ -65,18 +37,6 @@ SIGMAS: Final = 5.0
 """Ends of the histogram of distances over their sigmas."""
 TOP_SHARE: Final = 0.995
 """Share of the points whose range classes decide about the axes."""
-
-MOST_NODES: Final = 6000
-"""A longer line shows nothing more at this width; of each piece its largest sigma is drawn."""
-
-COLUMNS: Final = ("length_s", "chain", "outages", "rms_m", "max_m", "sigma_m", "normalised")
-OUTAGE_STYLE: Final = {
-    "ins_model": (SKY, "v", "INS without its velocity"),
-    "ins_velocity": (BLUE, "o", "INS with its velocity"),
-    "camera": (VERMILION, "s", "camera with INS, no GNSS at all"),
-    "fused": (GREEN, "^", "fused"),
-}
-"""Colour, marker and words of each chain of the study, worst first."""
 
 
 # ---------------------------------------------------------------- distances to a reference (T Fig. 3.3)
@@ -423,213 +383,4 @@ def draw_chain_study_histograms(*, distances: list[Path]) -> Figure:
 # ---------------------------------------------------------------- predicted sigmas over time
 
 
-@styled
-def pose_sigmas(
-    trajectories: Mapping[str, Trajectory],
-    *,
-    title: str = "Predicted sigmas of the poses",
-    twin: bool = False,
-) -> Figure:
-    """Sigmas of place, roll and pitch, and heading over time, and a bar of the times with a pose per chain.
-
-    Parameters
-    ----------
-    trajectories : chain -> poses with their covariances.
-    title : first words of the title.
-    twin : true if the digital twin made the data.
-
-    Raises
-    ------
-    InputError : no chain.
-    GeometryError : a chain without a valid pose.
-    """
-    names = [name for name in CHAINS if name in trajectories]
-    if not names:
-        raise InputError("no trajectory", expected=f"at least one of {', '.join(CHAINS)}")
-    for name in names:
-        if not trajectories[name].valid.any():
-            raise GeometryError(f"the trajectory by {name} has no valid pose", expected="at least one")
-    n = sum(int(trajectories[name].valid.sum()) for name in names)
-    figure = new_figure(
-        138.0, f"{title}, n = {count(n)} poses of {plural(len(names), 'solution')}", twin=twin
-    )
-    panels = figure.subplots(4, 1, sharex=True, height_ratios=[1.5, 1.2, 1.2, 0.35 + 0.22 * len(names)])
-    shown: list[list[ArrayF]] = [[], [], []]
-    for name in names:
-        values = _sigmas(trajectories[name])
-        colour = STYLE[name][0]
-        for k, ax in enumerate(panels[:3]):
-            t, line = _broken(trajectories[name], values[k])
-            ax.plot(_dates(t), line, color=colour, lw=1.1, label=IN_WORDS[name], gid=f"sigma-{k}-{name}")
-            shown[k].append(line)
-    labels = ("3D position / mm", "roll and pitch / °", "heading / °")
-    titles = (
-        "a: position sigma, √(σE² + σN² + σU²)",
-        "b: sigma of roll and pitch, √((σr² + σp²) / 2)",
-        "c: sigma of the heading",
-    )
-    for ax, values_of, label, words in zip(panels[:3], shown, labels, titles, strict=True):
-        _scale(ax, np.concatenate(values_of))
-        ax.set_ylabel(label)
-        ax.set_title(words)
-        ax.grid(axis="both")
-    whole = _time_axis(list(panels), [trajectories[name] for name in names])
-    _draw_times(panels[3], {name: valid_spans(trajectories[name]) for name in names}, whole)
-    figure.align_ylabels(list(panels))
-    legend_below(figure, panels[0])
-    return figure
-
-
-def _sigmas(trajectory: Trajectory) -> tuple[ArrayF, ArrayF, ArrayF]:
-    """Place in millimetres, roll and pitch, and heading in degrees, each (n,)."""
-    place = 1e3 * np.linalg.norm(trajectory.sigma_position_m, axis=1)
-    angles = np.rad2deg(trajectory.sigma_roll_pitch_heading_rad())
-    return place, np.sqrt(np.mean(angles[:, :2] ** 2, axis=1)), angles[:, 2]
-
-
-def _broken(trajectory: Trajectory, values: ArrayF) -> tuple[ArrayF, ArrayF]:
-    """Times and values, thinned, NaN where there is no pose, so that a line breaks at each gap."""
-    t, v = trajectory.t_gps_s, np.where(trajectory.valid, values, np.nan)
-    step = -(-len(t) // MOST_NODES)
-    if step == 1:
-        return t, v
-    pieces = np.arange(0, len(t), step)
-    largest = np.fmax.reduceat(v, pieces)
-    invalid = np.add.reduceat((~trajectory.valid).astype(np.int64), pieces) > 0
-    return t[pieces], np.where(invalid, np.nan, largest)
-
-
-def _scale(ax: Axes, values: ArrayF) -> None:
-    positive = values[np.isfinite(values) & (values > 0)]
-    if positive.size and positive.max() > LOG_RATIO * positive.min():
-        ax.set_yscale("log")
-        ax.set_ylim(0.7 * float(positive.min()), 1.5 * float(positive.max()))
-        plain_numbers(ax.yaxis, LogNorm())
-    else:
-        ax.set_ylim(0.0, 1.15 * (float(positive.max()) if positive.size else 1.0))
-
-
-def _draw_times(ax: Axes, spans: Mapping[str, ArrayF], whole: tuple[float, float]) -> None:
-    """A bar a chain where it has poses; what it lacks stands beside it."""
-    for row, (name, own) in enumerate(spans.items()):
-        bars = [(float(_dates(a)), float(_dates(b)) - float(_dates(a))) for a, b in own]
-        ax.broken_barh(
-            bars, (row - 0.32, 0.64), facecolor=STYLE[name][0], edgecolor="none", gid=f"times-{name}"
-        )
-        without = whole[1] - whole[0] - length_s(own)
-        words = "no gap"
-        if without > 0.05:
-            words = f"{without:.1f} s without, longest {longest_gap_s(own, whole):.1f} s"
-        ax.annotate(
-            f"{IN_WORDS[name]}: {words}",
-            (0.006, row),
-            xycoords=("axes fraction", "data"),
-            ha="left",
-            va="center",
-            fontsize=7,
-            gid="times-words",
-            zorder=5,
-            bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none"},
-        )
-    ax.set_ylim(len(spans) - 0.5, -0.5)
-    ax.set_yticks([])
-    ax.set_ylabel("poses")
-    ax.set_title("d: times with a pose")
-
-
-def _time_axis(panels: list[Axes], trajectories: list[Trajectory]) -> tuple[float, float]:
-    start = min(float(trajectory.t_gps_s[0]) for trajectory in trajectories)
-    end = max(float(trajectory.t_gps_s[-1]) for trajectory in trajectories)
-    locator = mdates.AutoDateLocator(tz=dt.UTC, minticks=4, maxticks=8)  # type: ignore[no-untyped-call]
-    form = mdates.ConciseDateFormatter(locator, tz=dt.UTC, show_offset=False)  # type: ignore[no-untyped-call]
-    panels[-1].set_xlim(float(_dates(start)), float(_dates(end)))
-    panels[-1].xaxis.set_major_locator(locator)
-    panels[-1].xaxis.set_major_formatter(form)
-    panels[-1].set_xlabel(f"UTC on {utc_text_from_gps(start)[:10]} / h:min:s")
-    return start, end
-
-
-def _dates(t_gps_s: ArrayF | float) -> ArrayF:
-    """Matplotlib's date numbers (days since 1970) of adjusted GPS times."""
-    return np.asarray(unix_from_gps(t_gps_s)) / 86_400.0
-
-
-def draw_pose_sigmas(*, trajectories: list[Path], title: str, twin: bool) -> Figure:
-    """Trajectories of all chains -> their predicted sigmas over time."""
-    return pose_sigmas(
-        {name: Trajectory.read(path) for name, path in zip(CHAINS, trajectories, strict=True)},
-        title=f"Predicted sigmas of the poses: {title}",
-        twin=twin,
-    )
-
-
 # ---------------------------------------------------------------- outages of GNSS
-
-
-@styled
-def outage_study(
-    table: pd.DataFrame, *, title: str = "Position error without GNSS", twin: bool = True
-) -> Figure:
-    """Rms of the error during outages by their length, and the normalised error below.
-
-    Parameters
-    ----------
-    table : columns ``length_s``, ``chain``, ``outages`` (number), ``rms_m``, ``max_m``, ``sigma_m``
-        (predicted), ``normalised`` (mean normalised square).
-    title : first words of the title.
-    twin : true if the digital twin made the data.
-
-    Raises
-    ------
-    InputError : a column is missing, or there is no row.
-    """
-    missing = [name for name in COLUMNS if name not in table.columns]
-    if missing or table.empty:
-        raise InputError(
-            f"columns missing: {missing}" if missing else "a table without a row",
-            expected=f"columns {', '.join(COLUMNS)}",
-        )
-    n = int(table.groupby("chain")["outages"].sum().max())
-    figure = new_figure(118.0, f"{title}, n = {n} outages", twin=twin)
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2.3, 1.0])
-    lengths = np.unique(table["length_s"].to_numpy(np.float64))
-    for chain, (colour, marker, words) in OUTAGE_STYLE.items():
-        rows = table[table["chain"] == chain].sort_values("length_s")
-        if rows.empty:
-            continue
-        x = rows["length_s"].to_numpy(np.float64)
-        rms, worst, sigma = (1e3 * rows[name].to_numpy(np.float64) for name in ("rms_m", "max_m", "sigma_m"))
-        upper.plot(x, rms, color=colour, marker=marker, lw=1.2, label=words, gid=f"rms-{chain}", zorder=3)
-        upper.plot(x, sigma, color=colour, lw=1.2, ls="--", gid=f"sigma-{chain}")
-        upper.plot(x, worst, color=colour, ls="none", marker="_", ms=7, mew=1.2, gid=f"max-{chain}")
-        normalised = rows["normalised"].to_numpy(np.float64)
-        lower.plot(x, normalised, color=colour, marker=marker, lw=1.0, gid=f"normalised-{chain}")
-    for ax in (upper, lower):
-        ax.set_xscale("log")
-        ax.set_yscale("log")
-        ax.grid(axis="both")
-    plain_numbers(upper.yaxis, LogNorm())
-    lower.axhline(1.0, color="black", lw=0.8, ls=":")
-    values = table["normalised"].to_numpy(np.float64)
-    low, high = min(0.5, 0.8 * float(np.nanmin(values))), max(2.0, 1.2 * float(np.nanmax(values)))
-    lower.set_ylim(low, high)
-    lower.yaxis.set_major_locator(FixedLocator([0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 10.0, 40.0, 100.0]))
-    lower.yaxis.set_minor_locator(NullLocator())
-    lower.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    lower.xaxis.set_major_locator(FixedLocator(list(lengths)))
-    lower.xaxis.set_minor_locator(NullLocator())
-    lower.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    lower.xaxis.set_minor_formatter(NullFormatter())
-    upper.set_title("a: rms of the 3D error during an outage (solid), predicted (dashed), largest (bars)")
-    upper.set_ylabel("error / mm")
-    lower.set_title("b: NEES (normalised estimation error squared); 1: consistent")
-    lower.set_ylabel("normalised\nsquare / 1")
-    lower.set_xlabel("length of the outage / s")
-    figure.align_ylabels([upper, lower])
-    legend_below(figure, upper)
-    return figure
-
-
-def draw_outage_study(*, table: Path) -> Figure:
-    """Study of outages of GNSS -> error of the place by the length of an outage."""
-    return outage_study(pd.read_csv(table), twin=True)

@@ -22,12 +22,11 @@ from thalweg.accuracy import (
     WITHOUT,
     WITHOUT_OUTLIERS,
     chains_of,
-    consistency_in_words,
     crossing_of,
     outage_table,
     value,
 )
-from thalweg.core import Trajectory, root_mean_square, utc_text_from_gps
+from thalweg.core import Trajectory, utc_text_from_gps
 from thalweg.figures import Finding, Page, count, number, plural
 from thalweg.figures.accuracy import centimetres
 from thalweg.figures.solutions.comparison import IN_WORDS
@@ -123,8 +122,6 @@ def trajectory_comparison_page(
     page.text(PUBLISHED_WORDS)
     page.section("Side by side").text(lead(table))
     page.table(side_by_side(table, costs), "The decisive numbers")
-    page.section("For and against")
-    page.table(for_and_against(table, costs), "Arguments for and against each trajectory")
     page.pictures(pictures, captions)
     if costs.outages is not None:
         page.section("Without GNSS, without images").text(outage_words(costs.outages))
@@ -410,95 +407,6 @@ def runs_words(runs: Sequence[Sequence[int]], most: int = 4) -> str:
     shown = ", ".join(f"{a} to {b}" if b > a else f"{a}" for a, b in list(runs)[:most])
     more = f" and {len(runs) - most} more runs" if len(runs) > most else ""
     return f"{_length(runs)} class{'es' * (_length(runs) != 1)} ({shown} m{more})"
-
-
-def for_and_against(table: pd.DataFrame, costs: Costs) -> pd.DataFrame:
-    """What speaks for and against each chain, with numbers: columns trajectory, for, against."""
-    return pd.DataFrame(
-        [
-            {
-                "trajectory": IN_WORDS[name],
-                "for": "; ".join(_for(table, costs, name)) or "–",
-                "against": "; ".join(_against(table, costs, name)) or "–",
-            }
-            for name in chains_of(table)
-        ]
-    )
-
-
-def _for(table: pd.DataFrame, costs: Costs, name: str) -> list[str]:
-    out = []
-    names = chains_of(table)
-    share = value(table, SHOTS, "share_with_pose", name)
-    if share >= max(value(table, SHOTS, "share_with_pose", other) for other in names) - 1e-9:
-        fewer = [
-            f"{value(table, SHOTS, 'in_cloud', name) / n:.1f} times the points of {BY_NAME[other]}"
-            for other in names
-            if other != name
-            and 0
-            < (n := value(table, SHOTS, "in_cloud", other))
-            < 0.9 * value(table, SHOTS, "in_cloud", name)
-        ]
-        out.append(", ".join([f"a pose for {percent(share)} of the points", *fewer]))
-    rmse = {other: value(table, WITHOUT_OUTLIERS, "rmse", other) for other in names}
-    if np.isfinite(rmse[name]) and rmse[name] <= np.nanmin(list(rmse.values())):
-        out.append(f"smallest RMSE, {centimetres(rmse[name])}")
-    more_s = value(table, TRAJECTORY, "time_without_ins", name)
-    if more_s > 0.05 and name != "ins":
-        out.append(f"poses for {more_s:.1f} s in which the INS with its antenna has none")
-    if name == "ins" and costs.points("control"):
-        out.append("no control point on the bank")
-    if name == "ins" and costs.images:
-        out.append("no image")
-    out += _outages(costs, name, good=True)
-    return out
-
-
-def _against(table: pd.DataFrame, costs: Costs, name: str) -> list[str]:
-    out = []
-    names = chains_of(table)
-    share = value(table, SHOTS, "share_with_pose", name)
-    if share < max(value(table, SHOTS, "share_with_pose", other) for other in names) - 1e-9:
-        out.append(f"no pose for {percent(1 - share)} of the points")
-    rmse = {other: value(table, WITHOUT_OUTLIERS, "rmse", other) for other in names}
-    if (
-        np.isfinite(rmse[name])
-        and rmse[name] >= np.nanmax(list(rmse.values()))
-        and len(set(rmse.values())) > 1
-    ):
-        out.append(f"largest RMSE, {centimetres(rmse[name])}")
-    gap_s = value(table, TRAJECTORY, "longest_gap", name)
-    if gap_s > 0.05:
-        out.append(f"up to {gap_s:.1f} s without a pose")
-    low, ratio, high = (
-        value(table, WITHOUT_OUTLIERS, q, name) for q in ("ratio_low95", "ratio", "ratio_high95")
-    )
-    if np.isfinite(ratio) and not low <= ratio <= high:
-        out.append(consistency_in_words(ratio, low, high))
-    if name != "ins" and costs.points("control"):
-        out.append(f"{plural(costs.points('control'), 'control point')} to be surveyed")
-    if name != "ins" and costs.images:
-        out.append(f"{plural(costs.images, 'image')} to be taken and oriented")
-    own = costs.seconds.get(name, 0.0)
-    if own and own == max(costs.seconds.values()):
-        out.append(f"{time_words(own)} of computing for its poses")
-    out += _outages(costs, name, good=False)
-    return out
-
-
-def _outages(costs: Costs, name: str, *, good: bool) -> list[str]:
-    """What a chain is worth where there is no GNSS: poses all through, or not."""
-    rows = _without_gnss(costs)
-    if rows is None or f"{name}_share" not in rows.columns:
-        return []
-    through = rows[f"{name}_share"] > EVERYWHERE
-    where = f"{plural(len(rows), 'gap')} without GNSS, longest {rows['length_s'].max():.1f} s"
-    if good and through.all():
-        sigma = root_mean_square(rows[f"{name}_sigma_m"])
-        return [f"poses all through {where}, position sigma {centimetres(sigma)}"]
-    if not good and not through.all():
-        return [f"lacks poses in {count(int((~through).sum()))} of {where}"]
-    return []
 
 
 def _without_gnss(costs: Costs) -> pd.DataFrame | None:

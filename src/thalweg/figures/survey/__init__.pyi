@@ -1,6 +1,5 @@
 from .gnss import gnss_page as gnss_page
 from .maps import (
-    LOG_RATIO as LOG_RATIO,
     draw_ends as draw_ends,
     map_extent as map_extent,
     plain_numbers as plain_numbers,

@@ -480,7 +480,6 @@ def _uncertainty(page: _Report, path: Trajectory) -> None:
     ]
     poses += [(name, f"{_n(v, 3)}°") for name, v in zip(("roll", "pitch", "heading"), attitude, strict=True)]
     page.table(("pose of the boat", "sigma"), poses, "Standard deviations of the trajectory, medians.")
-    page.figures("pose_sigmas")
     soundings = page.csv("bathymetry/soundings.csv")
     if soundings is not None:
         rows = [
@@ -526,7 +525,7 @@ def _uncertainty(page: _Report, path: Trajectory) -> None:
             f"{_cm(distances['rmse'])}, predicted {_cm(distances['predicted_rmse'])}. The predicted "
             f"standard deviations {_VERDICTS[verdict]}."
         )
-        page.figures("distance_map", "error_versus_range")
+        page.figures("distance_map")
     truth = page.records("accuracy/truth_riverbed.csv")[:_OF_TRUTH]
     rows = [(r["measure"], number_text(r["value"]), count(r["n"])) for r in truth]
     page.table(("measure", "value", "n"), rows, "Digital twin: errors against the true bed.")
@@ -588,7 +587,7 @@ def _coverage(page: _Report) -> None:
 
 def _results(page: _Report) -> None:
     river = page.json("fusion/river.json")
-    names = ("bed_map", "bed_sections", "long_profile", "terrain_model", "cloud_detail", "cloud_by_sigma")
+    names = ("bed_map", "bed_sections", "long_profile", "terrain_model", "cloud_detail")
     if river is None and not set(names) & set(page.pictures):
         return
     page.section("Results")
