@@ -127,7 +127,7 @@ def test_both_sides_of_the_seam_are_cut_out_where_they_are() -> None:
         shown = np.flatnonzero(image.get_array()[0, :, channel] > 0)
         middle = left + (shown.mean() + 0.5) / image.get_array().shape[1] * (right - left)
         assert middle == pytest.approx(side)
-    assert "all far: rms at the stitching line 1.23 px" in words(figure)
+    assert "all far: 1.23 px" in words(figure)
 
 
 def test_the_check_of_clock_and_mount_shows_its_optimum() -> None:

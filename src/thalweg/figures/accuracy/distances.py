@@ -200,7 +200,7 @@ def _bars(ax: Axes, d: ArrayF, kept: ArrayF, limit: float) -> None:
     beyond = f"{count(low)} behind, {count(high)} in front" if low + high else "none"
     ax.set_title(f"a: distances and fitted normal distributions\nbeyond the axis: {beyond}")
     ax.set_xlabel("behind  \N{LEFTWARDS ARROW}   signed distance / cm   \N{RIGHTWARDS ARROW}  in front")
-    ax.set_ylabel(f"points per {100 * width:.2g} cm / 1")
+    ax.set_ylabel(f"points per {100 * width:.2g} cm")
     ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: count(int(value))))
     ax.grid(axis="y")
     if len(ax.lines) > 1:  # equal distances have no fit
@@ -221,7 +221,7 @@ def _quantiles(ax: Axes, d: ArrayF, limit: float) -> None:
     ax.set_xlim(-SIGMAS - 0.1, SIGMAS + 0.1)
     within = 100.0 * float(np.mean(np.abs(d - median) <= 1.959964 * nmad)) if nmad > 0 else 100.0
     ax.set_title(f"b: quantiles; {within:.1f} % within\n±1.96 NMAD (normal: 95 %)")
-    ax.set_xlabel("quantile of the standard normal / 1")
+    ax.set_xlabel("quantile of the standard normal")
     ax.set_ylabel("signed distance / cm")
     ax.grid(color=GREY, alpha=0.2)
 
@@ -284,7 +284,7 @@ def error_versus_range(
     if "ratio_low95" in table.columns:
         low, high = (float(table[f"ratio_{end}95"].iloc[0]) for end in ("low", "high"))
         middle.axhspan(low, high, color=VERMILION, alpha=0.12, lw=0, gid="band")
-        text = "shaded: where consistent sigmas leave the ratio of all points together, 95 %"
+        text = "shaded: 95 % acceptance band for the ratio of all points"
         middle.set_title(text, fontsize="small")
     middle.axhline(1.0, color=VERMILION, lw=1.0)
     middle.plot(r[many], ratio[many], color=BLUE, marker="o", lw=0.8, gid="ratio")
@@ -293,12 +293,12 @@ def error_versus_range(
     if "ratio_high95" in table.columns:
         reach = max(reach, 1.1 * float(table["ratio_high95"].iloc[0] - 1.0))
     middle.set_ylim(max(0.0, 1 - reach), 1 + reach)
-    middle.set_ylabel("observed /\npredicted / 1")
+    middle.set_ylabel("observed /\npredicted")
     width = 0.8 * float(np.min(np.diff(r))) if r.size > 1 else 0.8
     lower.bar(r, n, width=width, color="0.65", gid="counts")
     lower.set_yscale("log")
     lower.set_ylim(0.7, 2.0 * float(n.max()))
-    lower.set_ylabel("points\nper class / 1")
+    lower.set_ylabel("points\nper class")
     lower.set_xlabel("range / m")
     for ax in (upper, middle, lower):
         ax.grid(axis="y")
@@ -465,7 +465,7 @@ def _draw_counts(ax: Axes, r: ArrayF, n: ArrayF) -> None:
     right.set_ylim(0.0, 2.2 * float(n.max()))
     right.yaxis.set_major_locator(MaxNLocator(5, integer=True))
     right.yaxis.set_major_formatter(FuncFormatter(lambda value, _: count(int(value))))
-    right.set_ylabel("points per class of 1 m / 1", color=RED)
+    right.set_ylabel("points per class of 1 m", color=RED)
     right.tick_params(axis="y", colors=RED, labelcolor=RED)
     right.spines["right"].set_visible(True)
     right.spines["right"].set_color(RED)
@@ -499,12 +499,10 @@ def _draw_ratio(ax: Axes, kept: pd.DataFrame, many: ArrayB) -> None:
     ax.yaxis.set_major_locator(FixedLocator([0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0]))
     ax.yaxis.set_minor_locator(NullLocator())
     ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.set_ylabel("predicted /\nobserved / 1")
+    ax.set_ylabel("predicted /\nobserved")
     n_outside = int(outside.sum())
     words = f"ringed: {n_outside} of {len(r)} classes outside" if n_outside else f"all {len(r)} inside"
-    ax.set_title(
-        f"shaded: band of consistent sigmas for the ratio of a class, 95 %; {words}", fontsize="small"
-    )
+    ax.set_title(f"shaded: 95 % acceptance band for the ratio of a class; {words}", fontsize="small")
 
 
 def draw_distance_by_range(*, by_range: Path, outlier_nmads: float, title: str, twin: bool) -> Figure:

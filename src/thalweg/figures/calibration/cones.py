@@ -300,7 +300,7 @@ def _histogram(ax: Axes, residual_mm: ArrayF, limit: float) -> None:
             ax.plot(x, y, color=colour, ls=dashes, lw=1.4, label=label)
     beyond = int(np.sum(np.abs(residual_mm) > reach))
     ax.set_title(f"all cones; {count(beyond) if beyond else 'none'} beyond the axis")
-    ax.set(xlabel="residual / mm", ylabel=f"points per {width:.2g} mm / 1", xlim=(-reach, reach))
+    ax.set(xlabel="residual / mm", ylabel=f"points per {width:.2g} mm", xlim=(-reach, reach))
     ax.set_ylim(0, 1.45 * max(float(n.max()), 1.0))
     ax.legend(loc="upper left")
 
@@ -482,8 +482,8 @@ def _along_axis(ax: Axes, cone: FieldCone, points: ArrayF, elapsed: ArrayF, span
     ax.set(
         xlim=(-REACH, REACH),
         ylim=(-REACH, REACH),
-        xlabel="x / (z tan \N{GREEK SMALL LETTER ALPHA}) in cocs / 1",
-        ylabel="y / (z tan \N{GREEK SMALL LETTER ALPHA}) in cocs / 1",
+        xlabel="x / (z tan \N{GREEK SMALL LETTER ALPHA}) in cocs",
+        ylabel="y / (z tan \N{GREEK SMALL LETTER ALPHA}) in cocs",
     )
     beyond = int(np.sum(np.abs(xy).max(axis=1) > REACH)) if len(xy) else 0
     outside = f";\n{count(beyond)} of {count(len(xy))} beyond the view" if beyond else ""

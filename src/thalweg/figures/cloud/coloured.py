@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from thalweg.core import ArrayF, CoverageError, Trajectory
 from thalweg.figures import BLUE, GREY, WIDTH_MM, count, leave_out, new_figure, robust_limits, styled
@@ -92,7 +93,9 @@ def coloured_bank(
     shown = below.scatter(
         along[mine], xyz_m[mine, 2], c=n_views[mine], s=0.6, linewidths=0, cmap="cividis", rasterized=True
     )
-    figure.colorbar(shown, ax=[above, below], label="photographs", shrink=0.5)
+    figure.colorbar(
+        shown, ax=[above, below], label="number of photographs", shrink=0.5, ticks=MaxNLocator(integer=True)
+    )
     below.set_xlabel("along the boat's way / m (local frame), seen from the boat")
     text.axis("off")
     lines = [f"{count(n)}  {words}" for n, words in zip(counts["n"].tolist(), counts["words"], strict=True)]
@@ -120,8 +123,8 @@ def colour_check(check: pd.DataFrame, curves: pd.DataFrame, *, title: str, twin:
     n = int(check["photographs"].max())
     figure = new_figure(100.0, f"{title}, n = {n} photographs", twin=twin)
     words = {
-        "clock_s": "photographs later by / s",
-        **{f"turn_{a}_deg": f"camera turned about its {a} axis by / degrees" for a in "xyz"},
+        "clock_s": "camera time shift / s",
+        **{f"turn_{a}_deg": f"camera rotation about its {a} axis / °" for a in "xyz"},
     }
     panels = figure.subplots(2, 2, sharey=True).ravel()
     for ax in panels[len(check) :]:

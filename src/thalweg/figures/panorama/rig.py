@@ -203,8 +203,8 @@ def rig_residuals(table: pd.DataFrame, *, title: str, twin: bool) -> Figure:
             ax.set_title(f"{lens} lens, {name}, rms {np.sqrt(np.mean(v**2)):.3f} px", fontsize=9)
             ax.set_ylim(-limit, limit)
     for ax in axes[1]:
-        ax.set_xlabel("angle from the axis / degrees")
-    figure.supylabel("observed less computed / px", fontsize=9)
+        ax.set_xlabel("angle from the axis / °")
+    figure.supylabel("observed minus computed / px", fontsize=9)
     return figure
 
 
@@ -255,7 +255,7 @@ def seam_views(found: Mapping[str, tuple[ArrayU8, float]], *, title: str, twin: 
     twin : true if the digital twin made the data.
     """
     width = next(iter(found.values()))[0].shape[1]
-    figure = new_figure(125.0, f"{title}, {width} px", twin=twin)
+    figure = new_figure(125.0, f"{title}, {width} px; RMS shift at the stitching line", twin=twin)
     axes = figure.subplots(len(found), 2, sharex="col", sharey=True)
     px = width / 360.0
     for row, (words, (picture, rms_px)) in zip(axes, found.items(), strict=True):
@@ -264,8 +264,8 @@ def seam_views(found: Mapping[str, tuple[ArrayU8, float]], *, title: str, twin: 
             rows = slice(round((90 - _HALF_DEG) * px), round((90 + _HALF_DEG) * px))
             box = (side - _HALF_DEG, side + _HALF_DEG, -_HALF_DEG, _HALF_DEG)
             ax.imshow(picture[rows, columns], extent=box, interpolation="nearest")
-            ax.set_title(f"{words}: rms at the stitching line {rms_px:.2f} px", fontsize=9)
-        row[0].set_ylabel("up / degrees")
+            ax.set_title(f"{words}: {rms_px:.2f} px", fontsize=9)
+        row[0].set_ylabel("elevation / °")
     for ax in axes[-1]:
-        ax.set_xlabel("from the view of the front lens / degrees")
+        ax.set_xlabel("angle from the axis of the front lens / °")
     return figure

@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from thalweg.core import InputError, unix_from_gps, utc_text_from_gps
-from thalweg.figures import BLUE, GREEN, RED, count, new_figure, plural, styled
+from thalweg.figures import BLUE, GREEN, RED, count, new_figure, number, plural, styled
 from thalweg.ingest import IntegrityReport, StreamTiming
 
 CLOCK_WORDS: Final = (
@@ -161,7 +161,7 @@ def timing_words(timing: StreamTiming, duration_s: float = 0.0) -> list[str]:
 def _drift_words(drift_ppm: float, sigma_ppm: float | None, least_ppm: float = 0.0) -> str:
     sigma = max(sigma_ppm or 0.0, least_ppm)
     if abs(drift_ppm) <= SIGMAS * sigma:
-        return f"drift below {SIGMAS * sigma:.1g} ppm"
+        return f"drift below {number(SIGMAS * sigma, 1)} ppm"
     return f"drift {drift_ppm:+.3g} ± {sigma:.2g} ppm"
 
 
