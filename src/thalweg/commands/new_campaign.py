@@ -141,8 +141,8 @@ def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], list[str], dict[str
         try:
             kind = recognise(path)
         except ThalwegError as error:
-            unknown = error.found.startswith("the content is of no known kind")
-            left_out.setdefault("of no known kind" if unknown else error.found, []).append(path)
+            unknown = error.found.startswith("unrecognised file")
+            left_out.setdefault("unrecognised" if unknown else error.found, []).append(path)
             continue
         stream = stream_of(kind, path)
         if kind in LOOSE_KINDS:
@@ -215,7 +215,7 @@ def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], list[str], dict[str
         remarks.append(f"{stream} from {' with '.join(meant)}; CHANGE: or name {also}")
         print(f"{remarks[-1].replace('CHANGE: ', '')}", file=sys.stderr)
     if left_out:
-        print("What a single file is, says `thalweg describe FILE`", file=sys.stderr)
+        print("Run `thalweg describe FILE` to inspect one file", file=sys.stderr)
     if not streams:
         raise InputError(
             "no raw log was recognised",

@@ -78,8 +78,8 @@ def add_result_commands(commands: Commands) -> None:
     """Add ``catalogue``, ``costs`` and ``verify``."""
     commands.add(
         "catalogue",
-        "all campaigns of a folder of results: page, table, STAC items, calibration over the season; "
-        "or those of a place and a time",
+        "catalogue of a results folder: page, table, STAC items, calibration over the season; or the "
+        "campaigns of a place and a time",
         _catalogue,
         _RESULTS,
         (
@@ -93,7 +93,7 @@ def add_result_commands(commands: Commands) -> None:
     )
     commands.add(
         "costs",
-        "what the jobs of a folder of results took and had asked for; requests for the next run",
+        "time and memory that the jobs of a results folder used and requested; requests for the next run",
         _costs,
         _RESULTS,
         (
@@ -114,7 +114,8 @@ def add_result_commands(commands: Commands) -> None:
     )
     commands.add(
         "verify",
-        "are the files of a folder of results what was written? What is not, and how to make it again",
+        "check the files of a results folder against their recorded hashes; list what differs, and how to "
+        "make it again",
         _verify,
         _RESULTS,
     )

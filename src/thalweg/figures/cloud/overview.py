@@ -254,7 +254,7 @@ def cloud_detail(
         aspect=25,
         pad=0.01,
         extend="both",
-        label=f"intensity / 1   ({percentiles[0]:g} to {percentiles[1]:g} %)",
+        label=f"intensity   ({percentiles[0]:g} to {percentiles[1]:g} %)",
     )
     return figure
 
@@ -388,7 +388,7 @@ def coloured_reach(
     figure = new_figure(2 * each_mm + 18.0, head, twin=twin)
     above, below = figure.subplots(2, 1)
     draw_reach(figure, above, colour, None, (0.0, 1.0), label="", trajectory=trajectory, shading=0.6)
-    label = "intensity / 1   (2 to 98 %)"
+    label = "intensity   (2 to 98 %)"
     draw_reach(
         figure, below, intensity, INTENSITY_MAP, limits, label=label, trajectory=trajectory, shading=0.6
     )
