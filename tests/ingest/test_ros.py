@@ -357,6 +357,14 @@ def test_brightness_up_to_one_and_headers_without_stamps(tmp_path: Path) -> None
     assert any("1 messages have no stamp" in note for note in scan.report.notes)
 
 
+def test_stamps_of_a_device_are_no_dates(tmp_path: Path) -> None:
+    bag = Bag(tmp_path / "survey.bag")
+    bag.cloud("/points", 291.1, sweep("t", "u4", 1e9 * TURN), recorded_s=UNIX_S)
+    bag.writer.close()
+    with pytest.raises(InputError, match=r"stamps of /points that count from elsewhere: 291\.1 s"):
+        lidar_reader([tmp_path / "survey.bag"]).scan()
+
+
 def test_an_imu_that_contradicts_itself_is_refused(tmp_path: Path) -> None:
     """Orientation never measured; axes forward, right, down; gravity as a filter takes it off."""
     level, heeled = (

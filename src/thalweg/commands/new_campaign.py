@@ -220,8 +220,8 @@ def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], list[str], dict[str
         raise InputError(
             "no raw log was recognised",
             where=folder,
-            expected="Velodyne, ANPP, SBP, RINEX, NMEA, .pos, SBET, point clouds or photographs",
-            cure="Look at single files with `thalweg describe FILE`",
+            expected="logs of a lidar, INS, autopilot, receiver or echo sounder, clouds or photographs",
+            cure="Make a bed of soundings by `thalweg bed FILE`; what a file is, says `thalweg describe FILE`",
         )
     return streams, remarks, topics
 

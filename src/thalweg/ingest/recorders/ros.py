@@ -233,6 +233,14 @@ def _messages(
                     stamp_s = recorded_s
                     if report is not None:
                         report.count("messages_without_stamp")
+                elif report is not None and stamp_s < _DATED_S[0]:
+                    raise InputError(
+                        f"stamps of {topic} that count from elsewhere: {stamp_s:,.1f} s in the header",
+                        expected="Unix time in the headers",
+                        where=path,
+                        cure="Let the driver stamp with the computer's clock (Ouster: timestamp_mode "
+                        "TIME_FROM_ROS_TIME or PTP; no use_sim_time), or name another topic",
+                    )
             yield stamp_s, recorded_s, message
 
 

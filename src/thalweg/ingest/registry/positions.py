@@ -350,9 +350,9 @@ def _describe(kind: str, files: list[Path], options: dict[str, Any]) -> Recordin
 
 
 def _streams_of_sounder(reader: PositionReader, path: Path) -> dict[str, Sequence[tuple[str, ...]]]:
-    """Its own places make a track where they have times."""
+    """Its own places make a track; without times it is of no use to a campaign."""
     log = reader([path], TrackOptions())
-    return dict.fromkeys(("depth", "pos") if log.report.synchronised else ("depth",), ())
+    return dict.fromkeys(("depth", "pos") if log.report.synchronised else (), ())
 
 
 def _streams_of_ubx(path: Path) -> dict[str, Sequence[tuple[str, ...]]]:
@@ -404,6 +404,7 @@ POSITIONS: Final = (
             words=words,
             streams=("depth", "pos"),
             holds=partial(_streams_of_sounder, reader),
+            use="soundings with places and without times, for `thalweg bed`",
             matches=matches,
             positions=reader,
             describe=_describe,
