@@ -51,9 +51,6 @@ _POS_LINE = re.compile(
     rb"([ ,;\t]+[-\d.:]+){6,}"
 )
 
-SOURCES_OF_THEIR_OWN: Final = frozenset({"nmea", "gpx"})
-"""Kinds of finished positions that are a ``position_source`` themselves; the others are ``pos``."""
-
 MOST_STEP_S: Final = 2.0
 """Positions this far apart in time, or three usual steps, have soundings between them."""
 
@@ -209,8 +206,7 @@ def read_positions(
     """
     known = next((row for row in POSITIONS if row.kind == source and row.positions), None)
     if source == "pos" and logs:  # a receiver's own log or a bag may stand there too
-        others = [row for row in POSITIONS if "pos" in row.streams and row.kind not in SOURCES_OF_THEIR_OWN]
-        known = find_format(others, logs[0]) or known
+        known = find_format([row for row in POSITIONS if "pos" in row.streams], logs[0]) or known
     if known is not None and known.positions is not None:
         log = known.positions(logs, TrackOptions(date=date, topics=topics))
         assert log.positions is not None
@@ -355,6 +351,12 @@ def _streams_of_sounder(reader: PositionReader, path: Path) -> dict[str, Sequenc
     return dict.fromkeys(("depth", "pos") if log.report.synchronised else (), ())
 
 
+def _streams_of_nmea(path: Path) -> dict[str, Sequence[tuple[str, ...]]]:
+    """With depths it is the log of an echo sounder, whose positions its own source takes from there."""
+    log = read_nmea([path])
+    return {"depth": ()} if log.report.counts.get("depths") else {"pos": ()}
+
+
 def _streams_of_ubx(path: Path) -> dict[str, Sequence[tuple[str, ...]]]:
     """A log of raw observations alone is for PPK; depths are those of NMEA between."""
     log = read_ubx([path], TrackOptions())
@@ -445,6 +447,7 @@ POSITIONS: Final = (
         kind="nmea",
         words="NMEA 0183 log",
         streams=("depth", "pos"),
+        holds=_streams_of_nmea,
         matches=_is_nmea,
         positions=_nmea,
         describe=_describe,
