@@ -537,6 +537,9 @@ class BagLidar:
             if layout is None:
                 continue
             block = _block(_points_of(message, stamp_s, layout, None), self.options, packet, clock)
+            if block.n <= max_points:
+                yield block
+                continue
             for start in range(0, block.n, max_points):
                 rows = np.arange(block.n)
                 yield block.where((rows >= start) & (rows < start + max_points))
@@ -674,25 +677,27 @@ def _within(range_m: AnyArray, options: LidarOptions) -> ArrayB:
 def _block(
     points: dict[str, Any], options: LidarOptions, packet: int, clock: LidarClock | None = None
 ) -> PointBlock:
-    far = points["range"]
-    keep = _within(far, options)
+    keep: Any = _within(points["range"], options)
+    if keep.all():
+        keep = slice(None)
     x, y, z = points["xyz"][keep].T
     t_s = points["t_s"][keep]
-    n = int(keep.sum())
-    ones = np.ones(n, np.uint8)
-    where = np.full(n, packet, np.int64)
+    azimuth = np.arctan2(-y, x)
+    ones = np.ones(len(x), np.uint8)
+    ring = points["ring"][keep].astype(np.uint8)
+    clock = clock or _clock(float(t_s[0]) if len(t_s) else 1e9)
     return PointBlock(
-        t_gps_s=(clock or _clock(float(t_s[0]) if n else 1e9)).gps_time(where, t_s),
+        t_gps_s=clock.gps_time(np.array([packet]), t_s),
         t_device_s=t_s,
-        xyz_scs_m=np.stack([-y, x, z], axis=1).astype(np.float32),
-        range_m=far[keep].astype(np.float32),
-        azimuth_rad=np.mod(np.arctan2(-y, x), 2 * np.pi).astype(np.float32),
-        ring=points["ring"][keep].astype(np.uint8),
-        laser=points["ring"][keep].astype(np.uint8),
+        xyz_scs_m=np.stack([-y, x, z], axis=1).astype(np.float32, copy=False),
+        range_m=points["range"][keep].astype(np.float32, copy=False),
+        azimuth_rad=np.where(azimuth < 0, azimuth + 2 * np.pi, azimuth).astype(np.float32, copy=False),
+        ring=ring,
+        laser=ring,
         intensity=np.clip(np.nan_to_num(points["bright"][keep]), 0, 255).astype(np.uint8),
         return_number=ones,
         n_returns=ones,
-        packet=where,
+        packet=np.full(len(x), packet, np.int64),
     )
 
 
