@@ -1,6 +1,7 @@
 """Bags of ROS: written here by rosbags, and real ones beside its counts."""
 
 import io
+import re
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +66,9 @@ class Bag:
         write = self.store.serialize_ros1 if self.ros == 1 else self.store.serialize_cdr
         self.writer.write(self.topics[topic], round(t_s * 1e9), write(message, name))
 
-    def cloud(self, topic: str, t_s: float, rows: Any, *, recorded_s: float | None = None) -> None:
+    def cloud(
+        self, topic: str, t_s: float, rows: Any, *, recorded_s: float | None = None, frame: str = "os_lidar"
+    ) -> None:
         """A cloud whose fields are the columns of a structured array; 5 bytes of padding behind each."""
         padded = np.dtype(
             {
@@ -90,7 +93,7 @@ class Bag:
         ]
         message = self.of(
             "sensor_msgs/msg/PointCloud2",
-            header=self.header(t_s, "os_lidar"),
+            header=self.header(t_s, frame),
             height=1,
             width=len(rows),
             fields=fields,
@@ -119,7 +122,13 @@ class Bag:
         self.say(topic, "sensor_msgs/msg/NavSatFix", message, t_s)
 
     def imu(
-        self, t_s: float, xyzw: tuple[float, ...], *, known: bool = True, topic: str = "/imu/data"
+        self,
+        t_s: float,
+        xyzw: tuple[float, ...],
+        *,
+        known: bool = True,
+        topic: str = "/imu/data",
+        felt: tuple[float, ...] | None = None,
     ) -> None:
         def vector(x: float, y: float, z: float) -> Any:
             return self.of("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
@@ -136,7 +145,7 @@ class Bag:
             orientation_covariance=orientation_covariance,
             angular_velocity=vector(0.1, 0.2, 0.3),
             angular_velocity_covariance=np.zeros(9),
-            linear_acceleration=vector(0.0, 0.0, 9.8),
+            linear_acceleration=vector(*(felt or Rotation.from_quat(xyzw).inv().apply([0.0, 0.0, 9.8]))),
             linear_acceleration_covariance=np.zeros(9),
         )
         self.say(topic, "sensor_msgs/msg/Imu", message, t_s)
@@ -235,6 +244,148 @@ def test_points_without_times_are_told(tmp_path: Path) -> None:
     notes = " ".join(lidar_reader([tmp_path / "survey.bag"]).scan().report.notes)
     assert "up to a turn of the lidar off" in notes
     assert "20.0 days ahead of the headers: recorded from a replay" in notes
+
+
+def sweep(time: str, kind: str, values: Any, n: int = 20_000) -> Any:
+    """A turn of some points in 0.1 s, 10 m ahead."""
+    rows = np.zeros(n, np.dtype([("x", "f4"), ("y", "f4"), ("z", "f4"), (time, kind), ("ring", "u2")]))
+    rows["x"], rows[time] = 10.0, values
+    return rows
+
+
+TURN = np.linspace(0.0, 0.1, 20_000)
+
+
+@pytest.mark.parametrize(
+    ("rows", "told"),
+    [
+        (sweep("time", "f4", TURN), "field time, seconds since the header"),
+        (sweep("t", "u4", 1e9 * TURN), "field t, nanoseconds since the header"),
+        (sweep("t", "u4", 1e6 * TURN), "field t, microseconds since the header"),
+        (sweep("time", "f4", 1e6 * TURN), "field time, microseconds since the header"),
+        (sweep("time", "f4", 1e3 * TURN), "field time, milliseconds since the header"),
+        (sweep("time", "f4", TURN - 0.1), "field time, seconds since the header"),
+        (sweep("timestamp", "f8", UNIX_S + TURN), "field timestamp, seconds since 1970"),
+        (sweep("timestamp", "f8", 1e6 * (UNIX_S + TURN)), "field timestamp, microseconds since 1970"),
+        (sweep("timestamp", "f8", 1e9 * (UNIX_S + TURN)), "field timestamp, nanoseconds since 1970"),
+    ],
+)
+def test_units_of_times_of_points(tmp_path: Path, rows: Any, told: str) -> None:
+    bag = Bag(tmp_path / "survey.bag")
+    bag.cloud("/points", UNIX_S, rows)
+    bag.writer.close()
+    reader = lidar_reader([tmp_path / "survey.bag"])
+    scan = reader.scan()
+    assert [note for note in scan.report.notes if "Times of points" in note] == [f"Times of points: {told}."]
+    t = np.concatenate([block.t_gps_s for block in reader.points(scan.clock)])
+    begin = -0.1 if rows["time" if "time" in rows.dtype.names else rows.dtype.names[3]][0] < 0 else 0.0
+    assert t - float(gps_from_unix(UNIX_S)) == pytest.approx(TURN + begin, abs=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("rows", "why"),
+    [
+        (sweep("t", "u4", 0), r"field t, 0\) count neither"),  # many points at once
+        (sweep("timestamp", "f8", 291.0 + TURN), r"field timestamp, 291 to 291\.1\) count neither"),
+        (sweep("timestamp", "f4", UNIX_S + TURN), r"field timestamp\) are rounded by their float32"),
+        (sweep("stamp", "f4", TURN), "no times of their own"),
+    ],
+)
+def test_times_that_are_none_are_told(tmp_path: Path, rows: Any, why: str) -> None:
+    bag = Bag(tmp_path / "survey.bag")
+    bag.cloud("/points", UNIX_S, rows)
+    bag.writer.close()
+    reader = lidar_reader([tmp_path / "survey.bag"])
+    scan = reader.scan()
+    assert re.search(why + r".*all of a cloud get the time of its header", " ".join(scan.report.notes))
+    assert set(next(reader.points(scan.clock)).t_gps_s) == {float(gps_from_unix(UNIX_S))}
+
+
+@pytest.mark.parametrize(("big_endian", "cut"), [(False, 0), (True, 0), (True, 1)])
+def test_organized_clouds_with_padded_rows(tmp_path: Path, big_endian: bool, cut: int) -> None:
+    """Two rows of three points, 7 bytes behind each; of a row that is cut off no point is taken."""
+    bag = Bag(tmp_path / "survey.bag")
+    order = ">" if big_endian else "<"
+    one = np.zeros(6, [("x", f"{order}f4"), ("y", f"{order}f4"), ("z", f"{order}f4"), ("_", "u1")])
+    one["x"] = [1, 2, np.nan, 4, 5, 6]
+    rows = b"".join(part.tobytes() + bytes(7) for part in (one[:3], one[3:]))
+    fields = [
+        bag.of("sensor_msgs/msg/PointField", name=n, offset=4 * k, datatype=7, count=1)
+        for k, n in enumerate("xyz")
+    ]
+    message = bag.of(
+        "sensor_msgs/msg/PointCloud2",
+        header=bag.header(UNIX_S, "os_lidar"),
+        height=2,
+        width=3,
+        fields=fields,
+        is_bigendian=big_endian,
+        point_step=13,
+        row_step=46,
+        data=np.frombuffer(rows[: len(rows) - cut], np.uint8),
+        is_dense=False,
+    )
+    bag.say("/points", "sensor_msgs/msg/PointCloud2", message, UNIX_S)
+    bag.writer.close()
+    reader = lidar_reader([tmp_path / "survey.bag"])
+    scan = reader.scan()
+    ahead = np.concatenate([block.xyz_scs_m[:, 1] for block in reader.points(scan.clock)]).tolist()
+    assert ahead == ([1, 2] if cut else [1, 2, 4, 5, 6])
+    assert scan.report.losses == ({"points_cut_off": 3} if cut else {})
+    assert scan.report.counts["shots_without_return"] == 1
+
+
+def test_clouds_of_a_fixed_frame_are_refused(tmp_path: Path) -> None:
+    bag = Bag(tmp_path / "survey.bag")
+    bag.cloud("/cloud_registered", UNIX_S, sweep("t", "u4", 0), frame="map")
+    bag.writer.close()
+    with pytest.raises(InputError, match="frame map, which does not move with the lidar"):
+        lidar_reader([tmp_path / "survey.bag"]).scan()
+
+
+def test_brightness_up_to_one_and_headers_without_stamps(tmp_path: Path) -> None:
+    bag = Bag(tmp_path / "survey.bag")
+    rows = points("t", "u4", [0, 0, 0])
+    rows["intensity"] = [0.2, 1.0, 0.0]
+    bag.cloud("/points", 0, rows, recorded_s=UNIX_S)
+    bag.writer.close()
+    reader = lidar_reader([tmp_path / "survey.bag"])
+    scan = reader.scan()
+    block = next(reader.points(scan.clock))
+    assert block.intensity.tolist() == [51, 255]
+    assert block.t_gps_s[0] == float(gps_from_unix(UNIX_S))
+    assert any("1 messages have no stamp" in note for note in scan.report.notes)
+
+
+def test_stamps_of_a_device_are_no_dates(tmp_path: Path) -> None:
+    bag = Bag(tmp_path / "survey.bag")
+    bag.cloud("/points", 291.1, sweep("t", "u4", 1e9 * TURN), recorded_s=UNIX_S)
+    bag.writer.close()
+    with pytest.raises(InputError, match=r"stamps of /points that count from elsewhere: 291\.1 s"):
+        lidar_reader([tmp_path / "survey.bag"]).scan()
+
+
+def test_an_imu_that_contradicts_itself_is_refused(tmp_path: Path) -> None:
+    """Orientation never measured; axes forward, right, down; gravity as a filter takes it off."""
+    level, heeled = (
+        (0.0, 0.0, 0.0, 1.0),
+        tuple(Rotation.from_euler("XZ", [5.0, 70.0], degrees=True).as_quat()),
+    )
+    for name, q, felt, why in (
+        ("a", level, (0.1, 0.0, 9.8), "in every message: none was measured"),
+        ("b", heeled, (0.0, 0.8, -9.8), "these point 1[678][0-9] degrees away from up"),
+        ("c", heeled, (0.0, 0.1, 0.0), ""),
+    ):
+        bag = Bag(tmp_path / f"{name}.bag")
+        for k in range(5):
+            bag.imu(UNIX_S + k, q, felt=felt)
+            bag.fix(UNIX_S + k, k)
+        bag.writer.close()
+        if why:
+            with pytest.raises(InputError, match=why):
+                read_poses([tmp_path / f"{name}.bag"], "ins")
+        else:
+            assert len(read_poses([tmp_path / f"{name}.bag"], "ins").states) == 5
 
 
 def test_of_two_lidars_one_is_asked_for(tmp_path: Path) -> None:

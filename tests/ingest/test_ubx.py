@@ -103,6 +103,23 @@ def test_finer_places_and_covariances_of_the_same_epoch_count(tmp_path: Path) ->
     assert (second.cov_en_m2, second.cov_eu_m2, second.cov_nu_m2) == pytest.approx((1e-4, -3e-4, -2e-4))
 
 
+def test_two_receivers_in_a_log_are_refused(tmp_path: Path) -> None:
+    both = [part for k in range(3) for part in (pvt(k), pvt(k, lat=51.0 + 1e-6 * k + 1e-5))]
+    with pytest.raises(InputError, match="NAV-PVT states two places for 3 times"):
+        read_ubx([log_of(tmp_path, *both)], TrackOptions())
+    assert len(read_ubx([log_of(tmp_path, pvt(0), pvt(0), pvt(1))], TrackOptions()).positions) == 2
+
+
+def test_the_same_second_of_two_weeks_counts_twice(tmp_path: Path) -> None:
+    first, second = tmp_path / "a.ubx", tmp_path / "b.ubx"
+    first.write_bytes(pvt(0) + pvt(1))
+    later = UTC + dt.timedelta(weeks=1)
+    date = {"year": later.year, "month": later.month, "day": later.day}
+    second.write_bytes(pvt(0, **date) + pvt(1, **date))
+    t = read_ubx([first, second], TrackOptions()).positions["t_gps_s"]
+    assert t.tolist() == [float(gps_from_week(WEEK + w, FIRST_S + k)) for w in (0, 1) for k in (0, 1)]
+
+
 def test_damage_and_other_protocols_are_counted(tmp_path: Path) -> None:
     nmea = b"$GPGGA,034622.00,5100.0000,N,01300.0000,E,4,21,0.6,100.0,M,46.5,M,1.0,0001*"
     nmea += f"{np.bitwise_xor.reduce(np.frombuffer(nmea[1:-1], np.uint8)):02X}\r\n".encode()
