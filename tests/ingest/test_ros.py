@@ -102,10 +102,12 @@ class Bag:
         )
         self.say(topic, "sensor_msgs/msg/PointCloud2", message, recorded_s or t_s)
 
-    def fix(self, t_s: float, k: int, *, status: int = 2, topic: str = "/fix") -> None:
+    def fix(self, t_s: float, k: int, *, status: int = 2, topic: str = "/fix", known: int = 3) -> None:
+        """A fix; ``known`` of its covariance: 0 nothing, 1 and 2 the variances, 3 all of it."""
         service = self.of("sensor_msgs/msg/NavSatStatus", status=status, service=1)
         cov = np.diag([0.0004, 0.0009, 0.0016])
-        cov[0, 1] = cov[1, 0] = 0.0001
+        cov[0, 1], cov[0, 2], cov[1, 2] = 0.0001, -0.0002, 0.0003
+        cov += np.triu(cov, 1).T
         message = self.of(
             "sensor_msgs/msg/NavSatFix",
             header=self.header(t_s),
@@ -114,7 +116,7 @@ class Bag:
             longitude=13.0,
             altitude=146.5,
             position_covariance=cov.ravel(),
-            position_covariance_type=3,
+            position_covariance_type=known,
         )
         self.say(topic, "sensor_msgs/msg/NavSatFix", message, t_s)
 
@@ -257,7 +259,7 @@ def test_a_boat_in_a_bag(tmp_path: Path, ros: int) -> None:
     bag = Bag(path, ros)
     q = tuple(Rotation.from_euler("ZYX", [60.0, 0.0, 10.0], degrees=True).as_quat())
     for k in range(20):
-        bag.fix(UNIX_S + 0.2 * k, k, status=-1 if k == 7 else 2)
+        bag.fix(UNIX_S + 0.2 * k, k, status=-1 if k == 7 else 2, known=max(3 - k, 0))
         bag.imu(UNIX_S + 0.2 * k + 0.1, q)
         bag.depth("/range/ahead", UNIX_S + 0.2 * k, 30.0)
         bag.depth("/echo_sounder", UNIX_S + 0.2 * k, 99.0 if k == 3 else 4.0)
@@ -273,12 +275,20 @@ def test_a_boat_in_a_bag(tmp_path: Path, ros: int) -> None:
     assert row.lat_deg == pytest.approx(51.0 + 1.05e-5, abs=1e-12)
     assert row.t_gps_s == pytest.approx(float(gps_from_unix(UNIX_S + 2.1)), abs=1e-6)
     assert (row.rate_x_radps, row.rate_y_radps, row.rate_z_radps) == pytest.approx((0.1, -0.2, -0.3))
-    assert (row.sigma_roll_rad, row.sigma_heading_rad) == pytest.approx((0.001, 0.003))
+    angles = (row.sigma_roll_rad, row.sigma_pitch_rad, row.sigma_heading_rad)
+    assert angles == pytest.approx((0.001, 0.002, 0.003))
+    assert np.isnan(log.states["lat_deg"].iloc[-1]), "after the last fix"
     fix = read_bag_positions([path], TrackOptions()).positions
     assert fix is not None
     assert len(fix) == 19
-    assert (fix["sigma_east_m"].iloc[0], fix["sigma_up_m"].iloc[0]) == pytest.approx((0.02, 0.04))
-    assert fix["cov_en_m2"].iloc[0] == pytest.approx(1e-4)
+    sigmas = fix[["sigma_east_m", "sigma_north_m", "sigma_up_m"]].to_numpy()
+    np.testing.assert_allclose(sigmas[:3], [[0.02, 0.03, 0.04]] * 3)
+    covariances = fix[["cov_en_m2", "cov_eu_m2", "cov_nu_m2"]].to_numpy()
+    np.testing.assert_allclose(covariances[0], [1e-4, -2e-4, 3e-4])
+    assert np.isnan(sigmas[3:]).all()
+    assert np.isnan(covariances[1:]).all()
+    np.testing.assert_allclose(fix[["lat_deg", "lon_deg", "h_ell_m"]].iloc[9], [51.00001, 13.0, 146.5])
+    np.testing.assert_allclose(fix["t_gps_s"].iloc[9], gps_from_unix(UNIX_S + 2.0))
     depths = read_depths([path]).depths
     assert depths is not None
     assert depths["depth_m"].value_counts().to_dict() == {4.0: 19, 0.0: 1}
