@@ -4,6 +4,7 @@ import io
 from pathlib import Path
 from typing import Any
 
+import dpkt
 import numpy as np
 import pytest
 import yaml
@@ -18,7 +19,13 @@ from thalweg.cli import main
 from thalweg.core import InputError, LocalFrame, ThalwegError, gps_from_unix, rotation_opk
 from thalweg.ingest import LidarOptions, TrackOptions
 from thalweg.ingest.photos import read_image_stamps
-from thalweg.ingest.recorders import mounts_of_bag, read_bag_positions, streams_of_bag, write_bag_images
+from thalweg.ingest.recorders import (
+    mounts_of_bag,
+    packets_of_bag,
+    read_bag_positions,
+    streams_of_bag,
+    write_bag_images,
+)
 from thalweg.ingest.registry import (
     describe,
     lidar_reader,
@@ -295,12 +302,12 @@ def test_a_boat_in_a_bag(tmp_path: Path, ros: int) -> None:
 
 
 def test_poses_of_odometry_lie_at_the_origin_of_the_campaign(tmp_path: Path) -> None:
-    """100 m east, 50 m north; bow 20 degrees east of north, that is yaw 70."""
+    """100 m east, 50 m north; bow 20 degrees east of north, that is yaw 70; roll 10."""
     path, origin = tmp_path / "boat.bag", LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=100.0)
     bag = Bag(path)
-    q = tuple(Rotation.from_euler("ZYX", [70.0, 0.0, 0.0], degrees=True).as_quat())
+    attitude = Rotation.from_euler("ZYX", [70.0, 0.0, 10.0], degrees=True)
+    q, turn = tuple(attitude.as_quat()), attitude.as_matrix()
     bow, aside = np.deg2rad([1.0, 2.0]) ** 2
-    turn = Rotation.from_euler("Z", 70.0, degrees=True).as_matrix()
     cov = np.zeros((6, 6))
     cov[:3, :3] = np.diag([0.01, 0.04, 0.09])
     cov[3:, 3:] = turn @ np.diag([bow, aside, np.deg2rad(3.0) ** 2]) @ turn.T
@@ -313,10 +320,12 @@ def test_poses_of_odometry_lie_at_the_origin_of_the_campaign(tmp_path: Path) -> 
     place = origin.from_geodetic(row.lat_deg, row.lon_deg, row.h_ell_m)
     assert np.ravel(place) == pytest.approx([100.0, 50.0, 2.0], abs=1e-6)
     # the meridians of origin and boat differ by arc seconds
-    assert np.rad2deg([row.roll_rad, row.pitch_rad, row.heading_rad]) == pytest.approx([0, 0, 20], abs=2e-3)
+    assert np.rad2deg([row.roll_rad, row.pitch_rad, row.heading_rad]) == pytest.approx([10, 0, 20], abs=2e-3)
     assert (row.sigma_east_m, row.sigma_north_m, row.sigma_up_m) == pytest.approx((0.1, 0.2, 0.3))
     angles = np.rad2deg([row.sigma_roll_rad, row.sigma_pitch_rad, row.sigma_heading_rad])
-    assert angles == pytest.approx([1.0, 2.0, 3.0])
+    # about the axes of the boat, but the heading about the vertical
+    assert angles == pytest.approx([1.0, 2.0, np.sqrt(cov[5, 5]) * 180 / np.pi])
+    assert angles[2] < 2.99
     assert log.states[["sigma_east_m", "sigma_roll_rad"]].iloc[0].isna().all()
     assert any("frame map of the poses is taken for the local frame" in note for note in log.report.notes)
 
@@ -370,9 +379,12 @@ def test_mounting_of_tf_static(tmp_path: Path) -> None:
     bag.imu(UNIX_S, (0.0, 0.0, 0.0, 1.0))
     bag.fix(UNIX_S, 0)
     bag.cloud("/points", UNIX_S, points("time", "f4", [0, 0, 0]))
-    turn = Rotation.from_euler("Z", 30.0, degrees=True)
-    bag.mounting("hull", "body", (0.0, 0.0, 1.0), (0.0, 0.0, 0.0, 1.0))
-    bag.mounting("hull", "os_lidar", (1.0, -0.2, 1.5), tuple(turn.as_quat()))
+    # the body is turned in the hull by 90 degrees, and the lidar hangs on a mast
+    half, quarter = (Rotation.from_euler("Z", angle, degrees=True) for angle in (60.0, 90.0))
+    bag.mounting("hull", "body", (0.0, 0.0, 1.0), tuple(quarter.as_quat()))
+    bag.mounting("hull", "mast", (0.0, 2.0, 0.0), tuple(half.as_quat()))
+    arm = np.add(quarter.apply([1.0, -0.2, 0.5]), [0.0, -2.0, 1.0])
+    bag.mounting("mast", "os_lidar", tuple(half.inv().apply(arm)), tuple(half.as_quat()))
     bag.writer.close()
     found = mounts_of_bag(path)
     assert set(found) == {"lidar", "antenna"}
@@ -382,6 +394,48 @@ def test_mounting_of_tf_static(tmp_path: Path) -> None:
     ahead_of_the_lidar = R @ [0.0, 1.0, 0.0]  # forward, right, down of the body
     assert ahead_of_the_lidar == pytest.approx([np.cos(np.pi / 6), -0.5, 0.0], abs=1e-4)
     assert pytest.approx([0, 0, -1], abs=1e-4) == R @ [0.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize("maker", ["velodyne", "ouster"])
+def test_packets_of_a_bag_become_a_capture(tmp_path: Path, maker: str) -> None:
+    """Each packet with its time and its port, an Ouster's with the metadata beside it; read by dpkt."""
+    bag = Bag(tmp_path / "survey.bag")
+    times = UNIX_S + np.array([0.25, 0.250001, 1.75])
+    data = [np.random.default_rng(k).integers(0, 256, 1206).astype(np.uint8) for k in range(3)]
+    if maker == "velodyne":
+        packet = "builtin_interfaces/Time stamp\nuint8[1206] data\n"
+        scan = "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets\n"
+        bag.store.register(get_types_from_msg(packet, "velodyne_msgs/msg/VelodynePacket"))
+        bag.store.register(get_types_from_msg(scan, "velodyne_msgs/msg/VelodyneScan"))
+        packets = [
+            bag.of("velodyne_msgs/msg/VelodynePacket", stamp=bag.header(t).stamp, data=values)
+            for t, values in zip(times, data, strict=True)
+        ]
+        whole = bag.of("velodyne_msgs/msg/VelodyneScan", header=bag.header(UNIX_S), packets=packets)
+        bag.say("/packets", "velodyne_msgs/msg/VelodyneScan", whole, UNIX_S)
+        port = 2368
+    else:
+        bag.store.register(get_types_from_msg("uint8[] buf\n", "ouster_ros/msg/PacketMsg"))
+        for t, values in zip(times, data, strict=True):
+            message = bag.of("ouster_ros/msg/PacketMsg", buf=values)
+            bag.say("/os/lidar_packets", "ouster_ros/msg/PacketMsg", message, t)
+            bag.say("/os/imu_packets", "ouster_ros/msg/PacketMsg", message, t)
+        names = '"beam_altitude_angles": 1, "lidar_origin_to_beam_origin_mm": 2'
+        text = bag.of("std_msgs/msg/String", data=f'{{{names}, "udp_port_lidar": 7777}}')
+        bag.say("/os/metadata", "std_msgs/msg/String", text, UNIX_S)
+        port = 7777
+    bag.writer.close()
+    kind, files = packets_of_bag(tmp_path / "survey.bag", [])
+    assert kind == maker
+    if maker == "ouster":
+        assert files.pop(0).read_text() == text.data
+    (capture,) = files
+    with capture.open("rb") as stream:
+        rows = [(t, dpkt.ethernet.Ethernet(frame).data) for t, frame in dpkt.pcap.Reader(stream)]
+    assert [t for t, _ in rows] == pytest.approx(times, abs=1e-7)
+    for (_, ip), values in zip(rows, data, strict=True):
+        assert (ip.data.sport, ip.data.dport, ip.data.ulen, ip.len) == (port, port, 1214, 1234)
+        assert ip.data.data == values.tobytes()
 
 
 def test_a_new_campaign_names_the_topics(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
