@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import dpkt
 import numpy as np
 import pytest
 import yaml
@@ -19,7 +20,13 @@ from thalweg.cli import main
 from thalweg.core import InputError, LocalFrame, ThalwegError, gps_from_unix, rotation_opk
 from thalweg.ingest import LidarOptions, TrackOptions
 from thalweg.ingest.photos import read_image_stamps
-from thalweg.ingest.recorders import mounts_of_bag, read_bag_positions, streams_of_bag, write_bag_images
+from thalweg.ingest.recorders import (
+    mounts_of_bag,
+    packets_of_bag,
+    read_bag_positions,
+    streams_of_bag,
+    write_bag_images,
+)
 from thalweg.ingest.registry import (
     describe,
     lidar_reader,
@@ -105,10 +112,12 @@ class Bag:
         )
         self.say(topic, "sensor_msgs/msg/PointCloud2", message, recorded_s or t_s)
 
-    def fix(self, t_s: float, k: int, *, status: int = 2, topic: str = "/fix") -> None:
+    def fix(self, t_s: float, k: int, *, status: int = 2, topic: str = "/fix", known: int = 3) -> None:
+        """A fix; ``known`` of its covariance: 0 nothing, 1 and 2 the variances, 3 all of it."""
         service = self.of("sensor_msgs/msg/NavSatStatus", status=status, service=1)
         cov = np.diag([0.0004, 0.0009, 0.0016])
-        cov[0, 1] = cov[1, 0] = 0.0001
+        cov[0, 1], cov[0, 2], cov[1, 2] = 0.0001, -0.0002, 0.0003
+        cov += np.triu(cov, 1).T
         message = self.of(
             "sensor_msgs/msg/NavSatFix",
             header=self.header(t_s),
@@ -117,7 +126,7 @@ class Bag:
             longitude=13.0,
             altitude=146.5,
             position_covariance=cov.ravel(),
-            position_covariance_type=3,
+            position_covariance_type=known,
         )
         self.say(topic, "sensor_msgs/msg/NavSatFix", message, t_s)
 
@@ -408,7 +417,7 @@ def test_a_boat_in_a_bag(tmp_path: Path, ros: int) -> None:
     bag = Bag(path, ros)
     q = tuple(Rotation.from_euler("ZYX", [60.0, 0.0, 10.0], degrees=True).as_quat())
     for k in range(20):
-        bag.fix(UNIX_S + 0.2 * k, k, status=-1 if k == 7 else 2)
+        bag.fix(UNIX_S + 0.2 * k, k, status=-1 if k == 7 else 2, known=max(3 - k, 0))
         bag.imu(UNIX_S + 0.2 * k + 0.1, q)
         bag.depth("/range/ahead", UNIX_S + 0.2 * k, 30.0)
         bag.depth("/echo_sounder", UNIX_S + 0.2 * k, 99.0 if k == 3 else 4.0)
@@ -424,24 +433,32 @@ def test_a_boat_in_a_bag(tmp_path: Path, ros: int) -> None:
     assert row.lat_deg == pytest.approx(51.0 + 1.05e-5, abs=1e-12)
     assert row.t_gps_s == pytest.approx(float(gps_from_unix(UNIX_S + 2.1)), abs=1e-6)
     assert (row.rate_x_radps, row.rate_y_radps, row.rate_z_radps) == pytest.approx((0.1, -0.2, -0.3))
-    assert (row.sigma_roll_rad, row.sigma_heading_rad) == pytest.approx((0.001, 0.003))
+    angles = (row.sigma_roll_rad, row.sigma_pitch_rad, row.sigma_heading_rad)
+    assert angles == pytest.approx((0.001, 0.002, 0.003))
+    assert np.isnan(log.states["lat_deg"].iloc[-1]), "after the last fix"
     fix = read_bag_positions([path], TrackOptions()).positions
     assert fix is not None
     assert len(fix) == 19
-    assert (fix["sigma_east_m"].iloc[0], fix["sigma_up_m"].iloc[0]) == pytest.approx((0.02, 0.04))
-    assert fix["cov_en_m2"].iloc[0] == pytest.approx(1e-4)
+    sigmas = fix[["sigma_east_m", "sigma_north_m", "sigma_up_m"]].to_numpy()
+    np.testing.assert_allclose(sigmas[:3], [[0.02, 0.03, 0.04]] * 3)
+    covariances = fix[["cov_en_m2", "cov_eu_m2", "cov_nu_m2"]].to_numpy()
+    np.testing.assert_allclose(covariances[0], [1e-4, -2e-4, 3e-4])
+    assert np.isnan(sigmas[3:]).all()
+    assert np.isnan(covariances[1:]).all()
+    np.testing.assert_allclose(fix[["lat_deg", "lon_deg", "h_ell_m"]].iloc[9], [51.00001, 13.0, 146.5])
+    np.testing.assert_allclose(fix["t_gps_s"].iloc[9], gps_from_unix(UNIX_S + 2.0))
     depths = read_depths([path]).depths
     assert depths is not None
     assert depths["depth_m"].value_counts().to_dict() == {4.0: 19, 0.0: 1}
 
 
 def test_poses_of_odometry_lie_at_the_origin_of_the_campaign(tmp_path: Path) -> None:
-    """100 m east, 50 m north; bow 20 degrees east of north, that is yaw 70."""
+    """100 m east, 50 m north; bow 20 degrees east of north, that is yaw 70; roll 10."""
     path, origin = tmp_path / "boat.bag", LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=100.0)
     bag = Bag(path)
-    q = tuple(Rotation.from_euler("ZYX", [70.0, 0.0, 0.0], degrees=True).as_quat())
+    attitude = Rotation.from_euler("ZYX", [70.0, 0.0, 10.0], degrees=True)
+    q, turn = tuple(attitude.as_quat()), attitude.as_matrix()
     bow, aside = np.deg2rad([1.0, 2.0]) ** 2
-    turn = Rotation.from_euler("Z", 70.0, degrees=True).as_matrix()
     cov = np.zeros((6, 6))
     cov[:3, :3] = np.diag([0.01, 0.04, 0.09])
     cov[3:, 3:] = turn @ np.diag([bow, aside, np.deg2rad(3.0) ** 2]) @ turn.T
@@ -454,10 +471,12 @@ def test_poses_of_odometry_lie_at_the_origin_of_the_campaign(tmp_path: Path) -> 
     place = origin.from_geodetic(row.lat_deg, row.lon_deg, row.h_ell_m)
     assert np.ravel(place) == pytest.approx([100.0, 50.0, 2.0], abs=1e-6)
     # the meridians of origin and boat differ by arc seconds
-    assert np.rad2deg([row.roll_rad, row.pitch_rad, row.heading_rad]) == pytest.approx([0, 0, 20], abs=2e-3)
+    assert np.rad2deg([row.roll_rad, row.pitch_rad, row.heading_rad]) == pytest.approx([10, 0, 20], abs=2e-3)
     assert (row.sigma_east_m, row.sigma_north_m, row.sigma_up_m) == pytest.approx((0.1, 0.2, 0.3))
     angles = np.rad2deg([row.sigma_roll_rad, row.sigma_pitch_rad, row.sigma_heading_rad])
-    assert angles == pytest.approx([1.0, 2.0, 3.0])
+    # about the axes of the boat, but the heading about the vertical
+    assert angles == pytest.approx([1.0, 2.0, np.sqrt(cov[5, 5]) * 180 / np.pi])
+    assert angles[2] < 2.99
     assert log.states[["sigma_east_m", "sigma_roll_rad"]].iloc[0].isna().all()
     assert any("frame map of the poses is taken for the local frame" in note for note in log.report.notes)
 
@@ -511,9 +530,12 @@ def test_mounting_of_tf_static(tmp_path: Path) -> None:
     bag.imu(UNIX_S, (0.0, 0.0, 0.0, 1.0))
     bag.fix(UNIX_S, 0)
     bag.cloud("/points", UNIX_S, points("time", "f4", [0, 0, 0]))
-    turn = Rotation.from_euler("Z", 30.0, degrees=True)
-    bag.mounting("hull", "body", (0.0, 0.0, 1.0), (0.0, 0.0, 0.0, 1.0))
-    bag.mounting("hull", "os_lidar", (1.0, -0.2, 1.5), tuple(turn.as_quat()))
+    # the body is turned in the hull by 90 degrees, and the lidar hangs on a mast
+    half, quarter = (Rotation.from_euler("Z", angle, degrees=True) for angle in (60.0, 90.0))
+    bag.mounting("hull", "body", (0.0, 0.0, 1.0), tuple(quarter.as_quat()))
+    bag.mounting("hull", "mast", (0.0, 2.0, 0.0), tuple(half.as_quat()))
+    arm = np.add(quarter.apply([1.0, -0.2, 0.5]), [0.0, -2.0, 1.0])
+    bag.mounting("mast", "os_lidar", tuple(half.inv().apply(arm)), tuple(half.as_quat()))
     bag.writer.close()
     found = mounts_of_bag(path)
     assert set(found) == {"lidar", "antenna"}
@@ -523,6 +545,48 @@ def test_mounting_of_tf_static(tmp_path: Path) -> None:
     ahead_of_the_lidar = R @ [0.0, 1.0, 0.0]  # forward, right, down of the body
     assert ahead_of_the_lidar == pytest.approx([np.cos(np.pi / 6), -0.5, 0.0], abs=1e-4)
     assert pytest.approx([0, 0, -1], abs=1e-4) == R @ [0.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize("maker", ["velodyne", "ouster"])
+def test_packets_of_a_bag_become_a_capture(tmp_path: Path, maker: str) -> None:
+    """Each packet with its time and its port, an Ouster's with the metadata beside it; read by dpkt."""
+    bag = Bag(tmp_path / "survey.bag")
+    times = UNIX_S + np.array([0.25, 0.250001, 1.75])
+    data = [np.random.default_rng(k).integers(0, 256, 1206).astype(np.uint8) for k in range(3)]
+    if maker == "velodyne":
+        packet = "builtin_interfaces/Time stamp\nuint8[1206] data\n"
+        scan = "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets\n"
+        bag.store.register(get_types_from_msg(packet, "velodyne_msgs/msg/VelodynePacket"))
+        bag.store.register(get_types_from_msg(scan, "velodyne_msgs/msg/VelodyneScan"))
+        packets = [
+            bag.of("velodyne_msgs/msg/VelodynePacket", stamp=bag.header(t).stamp, data=values)
+            for t, values in zip(times, data, strict=True)
+        ]
+        whole = bag.of("velodyne_msgs/msg/VelodyneScan", header=bag.header(UNIX_S), packets=packets)
+        bag.say("/packets", "velodyne_msgs/msg/VelodyneScan", whole, UNIX_S)
+        port = 2368
+    else:
+        bag.store.register(get_types_from_msg("uint8[] buf\n", "ouster_ros/msg/PacketMsg"))
+        for t, values in zip(times, data, strict=True):
+            message = bag.of("ouster_ros/msg/PacketMsg", buf=values)
+            bag.say("/os/lidar_packets", "ouster_ros/msg/PacketMsg", message, t)
+            bag.say("/os/imu_packets", "ouster_ros/msg/PacketMsg", message, t)
+        names = '"beam_altitude_angles": 1, "lidar_origin_to_beam_origin_mm": 2'
+        text = bag.of("std_msgs/msg/String", data=f'{{{names}, "udp_port_lidar": 7777}}')
+        bag.say("/os/metadata", "std_msgs/msg/String", text, UNIX_S)
+        port = 7777
+    bag.writer.close()
+    kind, files = packets_of_bag(tmp_path / "survey.bag", [])
+    assert kind == maker
+    if maker == "ouster":
+        assert files.pop(0).read_text() == text.data
+    (capture,) = files
+    with capture.open("rb") as stream:
+        rows = [(t, dpkt.ethernet.Ethernet(frame).data) for t, frame in dpkt.pcap.Reader(stream)]
+    assert [t for t, _ in rows] == pytest.approx(times, abs=1e-7)
+    for (_, ip), values in zip(rows, data, strict=True):
+        assert (ip.data.sport, ip.data.dport, ip.data.ulen, ip.len) == (port, port, 1214, 1234)
+        assert ip.data.data == values.tobytes()
 
 
 def test_a_new_campaign_names_the_topics(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
