@@ -224,7 +224,7 @@ def draw_seam_views(
     front = table[(table["lens"] == "front") & table["used"]].reset_index(drop=True)
     xy = _pixels(front, found.cameras["front"])
     marks = front[["marker", "corner", "sigma_px"]].assign(x_px=xy[:, 0], y_px=xy[:, 1])
-    pose = resect(found.cameras["front"], marks, field, with_interior=False, explain=False).T_pcs_ccs
+    pose = resect(found.cameras["front"], marks, field, with_interior=False).T_pcs_ccs
     local = (field.points_pcs - pose.shift_m) @ pose.R - found.centre_front_m
     width = default_width_px(found.cameras["front"])
     inverse = {"all far": np.zeros((width // 2, width)), "ranges of the marks": _inverse_of(local, width)}
