@@ -55,19 +55,6 @@ def test_the_covariance_is_that_of_drawn_errors(rng: np.random.Generator) -> Non
     assert cov[3:, 3:] / scale[3:, 3:] == pytest.approx(seen.cov_scs_m2 / scale[3:, 3:], abs=0.147)
 
 
-def test_what_mark_and_pose_share_counts(rng: np.random.Generator) -> None:
-    mark = phase_centre(lying(np.eye(3)), np.eye(12) * 1e-7, offset_m=0.0, sigma_offset_m=1e-6)
-    cross = np.zeros((3, 6))
-    # mark and camera are shifted together: nothing of that is seen from the camera
-    cross[:, :3] = np.eye(3) * mark.cov_m2[0, 0]
-    together = Rigid(
-        R=T_PCS_CCS.R, shift_m=T_PCS_CCS.shift_m, cov=np.diag(np.r_[np.diag(mark.cov_m2), 0, 0, 0])
-    )
-    seen = antenna_lever(mark, together, T_CCS_SCS, cov_mark_pose=cross)
-    # what is left is the micrometre of the offset
-    assert np.abs(seen.cov_ccs_m2).max() < 1e-11
-
-
 def test_seen_from_the_scanner_it_is_where_the_frames_say() -> None:
     mark = phase_centre(lying(np.eye(3)), np.eye(12) * 1e-8, offset_m=0.02, sigma_offset_m=0.001)
     seen = antenna_lever(mark, T_PCS_CCS, T_CCS_SCS)

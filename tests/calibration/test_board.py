@@ -107,18 +107,6 @@ def test_edges_tell_what_planes_do_not() -> None:
     assert np.linalg.det(with_edges.cov) < 0.7 * np.linalg.det(without.cov)
 
 
-def test_an_offset_of_all_ranges_is_found() -> None:
-    wrong = [
-        replace(p, points_scs_m=p.points_scs_m * (1 + 0.03 / np.linalg.norm(p.points_scs_m, axis=1))[:, None])
-        for p in poses(5)
-    ]
-    found = calibrate_board(wrong, NEAR, BEAM, replace(NO_SEARCH, free_range_offset=True))
-    sigma = found.adjusted.sigma("range_offset")
-    assert abs(found.range_offset_m + 0.03) < 4 * sigma
-    assert sigma < 0.01
-    assert square(found.T_ccs_scs) < 30
-
-
 # ---------------------------------------------------------------- what is refused
 
 

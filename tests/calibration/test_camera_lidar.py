@@ -245,14 +245,6 @@ def test_joint_errors_of_other_points_are_refused() -> None:
         )
 
 
-def test_an_offset_of_all_ranges_is_found() -> None:
-    y = Yard(seed=7, constant_range_m=0.02)
-    result = known(y, 3, free_range_offset=True, contradiction_sigmas=9.0)
-    assert square(result, y.truth) < LIKELY
-    assert abs(result.adjusted.x.range_offset_m + 0.02) < 4 * result.adjusted.sigma("range_offset")
-    assert result.adjusted.sigma("range_offset") < 0.005
-
-
 # ---------------------------------------------------------------- nominal mounts and the search
 
 

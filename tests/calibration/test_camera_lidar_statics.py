@@ -92,7 +92,8 @@ def test_pictures_that_calibrated_the_camera_are_not_used_again() -> None:
     network = orient_on_field(table, CAMERA, given)
     (camera,) = network.cameras.values()
     factor = network.report["mark_sigma_px"] / 0.1
-    alone = [resect(camera, table[table["image"] == i], given, sigma_factor=factor) for i in STATIC]
+    scaled = table.assign(sigma_px=table["sigma_px"] * factor)
+    alone = [resect(camera, scaled[scaled["image"] == i], given) for i in STATIC]
     twice = field_errors(FIELD, given, alone, camera)
     once = statics_of(network, given, STATIC).errors(FIELD, STATIC)
     assert dict(once.points) == dict(twice.points)

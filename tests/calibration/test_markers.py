@@ -8,7 +8,7 @@ import pytest
 
 from tests.bands import band
 from thalweg.calibration import SADDLES_MODULES, MarkerLayout, sheet_picture
-from thalweg.calibration.markers import MIRRORED, NO_SADDLES, TWICE, UNKNOWN, Detection, detect
+from thalweg.calibration.markers import MIRRORED, NO_SADDLES, TWICE, Detection, detect
 from thalweg.core import InputError
 
 LAYOUT = MarkerLayout()
@@ -169,11 +169,6 @@ def test_a_tag_without_saddles_is_no_marker() -> None:
     found = detect(image, LAYOUT)
     assert len(found.marks) == 0
     assert rejected_for(found, NO_SADDLES) == [4]
-
-
-def test_unknown_ids_are_told() -> None:
-    image, _ = drawn([(4, homography((100, 100), 8.0))], (200, 200))
-    assert rejected_for(detect(image, LAYOUT, known={5}), UNKNOWN) == [4]
 
 
 def test_pictures_without_markers_and_no_pictures() -> None:

@@ -24,7 +24,6 @@ from thalweg.calibration.field.network import (
     approximate_place,
     camera_changes,
     distances_words,
-    exchanged,
     other_scale,
     require_steady,
     similarity,
@@ -296,25 +295,6 @@ def test_of_as_many_targets_the_nearer_ones_agree() -> None:
     there = np.concatenate([loose, PLACE.apply(TARGETS[3:])])
     kept, _, _ = agreeing(TARGETS, there, np.full(6, 0.1))
     assert kept.tolist() == [False, False, False, True, True, True]
-
-
-def test_exchanged_targets_are_found() -> None:
-    there = PLACE.apply(TARGETS)
-    order = [0, 4, 2, 3, 1, 5]
-    assert exchanged(TARGETS, there[order], np.full(6, 0.05)) == (1, 4)
-    gross = there.copy()
-    gross[3] += [0.0, 0.0, 50.0]
-    assert exchanged(TARGETS, gross, np.full(6, 0.05)) is None
-
-
-def test_of_two_exchanges_the_better_one_is_taken() -> None:
-    """Targets 0 and 5 are 8 cm apart: 1 with either of them fits within 10 cm, with its own exactly."""
-    near = TARGETS.copy()
-    near[5] = near[0] + [0.08, 0.0, 0.0]
-    for own in (0, 5):
-        order = np.arange(6)
-        order[[1, own]] = own, 1
-        assert exchanged(near, PLACE.apply(near)[order], np.full(6, 0.1)) == tuple(sorted((1, own)))
 
 
 @pytest.mark.parametrize(("factor", "found"), [(3.28, 3.28), (1.02, 1.02), (1.005, None), (0.98, 0.98)])

@@ -219,34 +219,21 @@ def test_a_camera_whose_sigmas_are_partly_or_all_zero_is_taken_as_known() -> Non
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    "change",
     [
-        (lambda m: m.assign(x_px=SLR.size_px[0] - m["x_px"]), "mirrored left to right"),
-        (lambda m: m.assign(y_px=SLR.size_px[1] - m["y_px"]), "mirrored top to bottom"),
-        (
-            lambda m: m.assign(x_px=m["x_px"].to_numpy()[::-1], y_px=m["y_px"].to_numpy()[::-1]),
-            "in reverse order",
-        ),
+        lambda m: m.assign(x_px=SLR.size_px[0] - m["x_px"]),
+        lambda m: m.assign(y_px=SLR.size_px[1] - m["y_px"]),
+        lambda m: m.assign(x_px=m["x_px"].to_numpy()[::-1], y_px=m["y_px"].to_numpy()[::-1]),
     ],
+    ids=["left to right", "top to bottom", "in reverse order"],
 )
-def test_marks_of_another_reading_are_refused_with_the_one_that_fits(change, words: str) -> None:
+def test_marks_of_another_reading_are_refused_with_what_to_check(change) -> None:
     rng = np.random.default_rng(3)
     marks = seen(SLR, view(rng), 3)
     assert resect(SLR, marks, exact()).sigma0 < 2.0
-    with pytest.raises(GeometryError, match=f"The marks fit .*{words}") as caught:
+    with pytest.raises(GeometryError) as caught:
         resect(SLR, change(marks), exact(), where="a.jpg")
     assert caught.value.found
     assert caught.value.expected
-    with pytest.raises(GeometryError) as plain:
-        resect(SLR, change(marks), exact(), explain=False)
-    assert "The marks fit" not in plain.value.cure
-
-
-def test_marks_that_no_reading_explains_keep_their_own_cure() -> None:
-    rng = np.random.default_rng(4)
-    marks = seen(SLR, view(rng), 4)
-    mixed = rng.permutation(len(marks))
-    wrong = marks.assign(x_px=marks["x_px"].to_numpy()[mixed], y_px=marks["y_px"].to_numpy()[mixed])
-    with pytest.raises(GeometryError) as caught:
-        resect(SLR, wrong, exact())
-    assert "The marks fit" not in caught.value.cure
+    assert "the order of the marks" in caught.value.cure
+    assert "mirrored" in caught.value.cure

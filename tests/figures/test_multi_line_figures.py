@@ -8,7 +8,10 @@ import pytest
 from thalweg.core import GeometryError, InputError
 from thalweg.figures.calibration import Oblique
 from thalweg.figures.calibration.field import PLAN
-from thalweg.lightsheet.figures.multi_line import (
+from thalweg.lightsheet.figures.scan_reference import mesh_picture
+from thalweg.lightsheet.figures.views import path_to
+from thalweg.lightsheet.optics import LightSheet, paper_4, project, refract_to_water
+from thalweg_lab.figures.multi_line import (
     NAMES,
     SeenObject,
     across_direction,
@@ -16,9 +19,6 @@ from thalweg.lightsheet.figures.multi_line import (
     multi_line_images_view,
     read_objects,
 )
-from thalweg.lightsheet.figures.scan_reference import mesh_picture
-from thalweg.lightsheet.figures.views import path_to
-from thalweg.lightsheet.optics import LightSheet, paper_4, project, refract_to_water
 
 DEPTHS_MM = (60.0, 120.0)
 N = 4

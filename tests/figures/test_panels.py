@@ -120,8 +120,8 @@ EXAMPLES: Final = {
         "figures.images.photographs:mask_view": "test_examples_shares_and_masked_parts_are_shown"
     },
     "figures/test_multi_line_figures.py": {
-        "lightsheet.figures.multi_line:multi_line_geometry": "test_the_geometry_is_drawn_line_by_line",
-        "lightsheet.figures.multi_line:multi_line_images_view": (
+        "thalweg_lab.figures.multi_line:multi_line_geometry": "test_the_geometry_is_drawn_line_by_line",
+        "thalweg_lab.figures.multi_line:multi_line_images_view": (
             "test_images_show_labelled_points_and_those_without"
         ),
     },

@@ -440,7 +440,6 @@ HOLDERS = {
     "core/trajectory.py": "writes the truth",
     "core/types.py": "types, and how large the drawn errors are, for the truth's facts",
     "images/model/poses.py": "true poses of images",
-    "lightsheet/multi_line/level_points.py": "observations of lines, as they are measured",
 }
 """Modules that the generators use to hold and write what they made; none of their formulas shapes a log."""
 

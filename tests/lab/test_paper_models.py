@@ -1,12 +1,19 @@
 """What the papers did otherwise: the misprinted law, the search for a sub-beam by halving, a plane."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from thalweg.core import GeometryError
 from thalweg.lightsheet.optics import intersect, paper_4
-from thalweg_lab.reproduction.paper_models import halved, plane_error_mm, refract_as_printed
+from thalweg_lab.reproduction.paper_models import (
+    halved,
+    plane_error_mm,
+    pose_source_table,
+    refract_as_printed,
+)
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -44,3 +51,22 @@ def test_the_papers_halving_loses_pixels() -> None:
 def test_the_sheet_is_no_plane() -> None:
     """P4 2: the study found errors from -5.5 to 3.4 mm in depth."""
     assert plane_error_mm(paper_4(), (40.0, 80.0, 125.0, 170.0, 220.0)) == pytest.approx(5.5, abs=0.8)
+
+
+def test_boat_poses_spoil_what_a_panel_keeps() -> None:
+    """P4 4.2.1: 0.1 degrees and 2 cm would deteriorate the sub-mm accuracy of each line (C076)."""
+    table = pose_source_table(paper_4()).set_index(["source", "depth_mm"])
+    six, boat_ = table.loc["6-DOF by marker panel"], table.loc["INS and RTK"]
+    assert (six["ratio_height"] < 1.1).all()
+    assert (boat_["ratio_height"] > 50).all()
+    exact = replace(paper_4(), cov=np.zeros((0, 0)))
+    # the closed form of a level arm at depth D below a window 5.2 mm thick: position and turns alone
+    bare = pose_source_table(exact, sigma_px=1e-6, depths_mm=(125.0,)).set_index("source")
+    position, turn = 20.0, np.deg2rad(0.1)
+    across = bare.loc["INS and RTK", "sigma_across_mm"]
+    assert across > np.sqrt(2) * position
+    assert bare.loc["INS and RTK", "sigma_height_mm"] == pytest.approx(
+        np.hypot(position, 121 * turn), rel=0.001
+    )
+    with pytest.raises(GeometryError, match="not in the picture"):
+        pose_source_table(exact, depths_mm=(900.0,))

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from thalweg.core import ArrayB, ArrayF
-from thalweg.lightsheet.optics import Sensor, directions_to_points
-from thalweg.lightsheet.optics.volume import sheet_normals
+from thalweg.lightsheet.optics import LightSheet, Sensor, Window, directions_to_points, refract_to_water
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,6 +22,20 @@ class BeamsAtPoints:
     v: ArrayF
     distance_mm: ArrayF
     inside: ArrayB
+
+
+def sheet_normals(
+    sheet: LightSheet, window: Window, fan_angles_rad: ArrayF, depths_mm: ArrayF
+) -> tuple[ArrayF, ArrayF]:
+    """Points (n, 3) of the sheet and its unit normals (n, 3) there, lcs, to the side of larger v."""
+    step = 1e-6  # rad: the difference quotient of a smooth curve is good to some 1e-9 of its length
+    beams = [sheet.beams(fan_angles_rad + k * step) for k in (0.0, 1.0, -1.0)]
+    rays = [refract_to_water(sheet.origin_lcs_mm, b, window) for b in beams]
+    at, ahead, back = (r.at_depth(depths_mm) for r in rays)
+    normal = np.cross(ahead - back, rays[0].directions())
+    with np.errstate(invalid="ignore"):
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return at, normal
 
 
 def beams_at_points(sensor: Sensor, xyz_lcs_mm: ArrayLike) -> BeamsAtPoints:

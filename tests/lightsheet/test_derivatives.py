@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.lightsheet.beams import beams_at_points
+from tests.lightsheet.beams import beams_at_points, sheet_normals
 from thalweg.lightsheet.optics import (
     PARAMETERS,
     fan_angles,
@@ -15,7 +15,6 @@ from thalweg.lightsheet.optics import (
     sheet_derivatives,
     sheet_in_water,
 )
-from thalweg.lightsheet.optics.volume import sheet_normals
 
 
 @pytest.fixture(scope="module")

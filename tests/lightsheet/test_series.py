@@ -235,9 +235,7 @@ def test_a_series_removes_the_shift_that_its_images_have_in_common(tmp_path: Pat
     for k, path in enumerate(paths):
         cv2.imwrite(str(path), render_sheet_image(sensor, plan.scene(k), light, generator(3, f"s{k}")))
     points, _ = detect_series(paths, LineSettings(method="lsm"), sensor.camera.size_px)
-    alone = [
-        detect_lines(read_sheet_image(path), LineSettings(method="lsm", apply_shift=False)) for path in paths
-    ]
+    alone = [detect_lines(read_sheet_image(path), LineSettings(method="lsm")) for path in paths]
     shift = pooled_shift([one.facts for one in alone])
     assert points.attrs["width_shift"] == {
         "coefficient": shift.coefficient,
@@ -252,5 +250,5 @@ def test_a_series_removes_the_shift_that_its_images_have_in_common(tmp_path: Pat
     assert read_table(tmp_path / "points.parquet", SERIES_POINTS)[1]["width_shift"]["edges"] == shift.edges
     # one image has nobody to ask: it removes its own, if that stands out
     single, _ = detect_series(paths[:1], LineSettings(method="lsm"), sensor.camera.size_px)
-    own = detect_lines(read_sheet_image(paths[0]), LineSettings(method="lsm"))
+    own = without_shift(alone[0], pooled_shift([alone[0].facts]))
     np.testing.assert_array_equal(single["x_px"].to_numpy(), own.x_px)

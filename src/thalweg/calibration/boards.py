@@ -44,6 +44,7 @@ from thalweg.core import (
     optional,
     plane_rates,
     root_mean_square,
+    rows_of,
 )
 from thalweg.core.calibration import Calibration, Source, pose_block
 from thalweg.core.geometry import nearest_rotation
@@ -111,12 +112,7 @@ class Edges:
 
     def taken(self, rows: AnyArray) -> "Edges":
         """Some of them: what else is near the board, its stand above all, has edges that lie elsewhere."""
-        return Edges(
-            beam_scs=self.beam_scs[rows],
-            side=self.side[rows],
-            sign=self.sign[rows],
-            variance_m2=self.variance_m2[rows],
-        )
+        return rows_of(self, rows)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -233,7 +229,6 @@ class BoardSettings:
     least_angle_deg : spread of the normals in the direction in which they spread least.
     sigma_board_m : range error that all points of one board share.
     flatness_m : standard deviation of a board's offset from its pattern's plane.
-    free_range_offset : one offset of all ranges is an unknown.
     """
 
     within: SearchRange | None = field(
@@ -246,7 +241,6 @@ class BoardSettings:
     least_angle_deg: float = 5.0
     sigma_board_m: float = 0.005
     flatness_m: float = Board().flatness_m
-    free_range_offset: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -256,7 +250,6 @@ class BoardCalibration:
     Parameters
     ----------
     T_ccs_scs : with covariance.
-    range_offset_m : added to all ranges; 0 if it was not asked for.
     adjusted : the adjustment.
     lidar_factor, board_factor : of the variances of points and of boards, estimated.
     table : one line a pose: points, rejected, mean and RMS distance, used or why not.
@@ -264,7 +257,6 @@ class BoardCalibration:
     """
 
     T_ccs_scs: Rigid
-    range_offset_m: float
     adjusted: Adjusted["_State"]
     lidar_factor: float
     board_factor: float
@@ -276,7 +268,6 @@ class BoardCalibration:
 class _State:
     T: Rigid
     views: tuple[BoardView, ...]
-    offset_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -342,7 +333,7 @@ def calibrate_board(
         step = adjusted.x.T.error_from(state.T)
         stays = slack == 0 and bool(np.all(np.abs(step) < _STAYS * adjusted.sigmas[:6]))
         # The camera's planes stay the selection's: a plane that followed its points would choose its own.
-        state = replace(state, T=adjusted.x.T, offset_m=adjusted.x.offset_m)
+        state = replace(state, T=adjusted.x.T)
         if slack == 0:
             lidar *= adjusted.group_sigma0["lidar"] ** 2
             boards *= max(adjusted.group_sigma0["boards"] ** 2, 1.0 / boards)
@@ -350,7 +341,6 @@ def calibrate_board(
             break
     return BoardCalibration(
         T_ccs_scs=adjusted.x.T.with_cov(adjusted.cov[:6, :6]),
-        range_offset_m=adjusted.x.offset_m,
         adjusted=adjusted,
         lidar_factor=lidar,
         board_factor=boards,
@@ -421,7 +411,7 @@ def _select(
     along, across = beam_errors.variances(reach[rows], brightness[rows])
     slope = met.slope[rows]
     variance = factor * (along + across * (1 - slope**2) / slope**2)
-    off = (reach[rows] + state.offset_m - met.range_m[rows]) * np.abs(slope)
+    off = (reach[rows] - met.range_m[rows]) * np.abs(slope)
     # What all points of the board share is no reason to reject them.
     shared = float(np.median(off[np.abs(off) < 0.1])) if np.any(np.abs(off) < 0.1) else 0.0
     if slack_m == 0 and abs(shared) < 0.05:
@@ -450,21 +440,15 @@ def _adjusted(
     settings: BoardSettings,
     board_factor: float,
 ) -> Adjusted[_State]:
-    b, extra = len(measured), int(settings.free_range_offset)
-    u = 6 + 3 * b + extra
-    names = [
-        *ORIENTATION,
-        *(f"{v.name}.{w}" for v in measured for w in ("offset", "tilt_1", "tilt_2")),
-        *(["range_offset"] if extra else []),
-    ]
+    b = len(measured)
+    u = 6 + 3 * b
+    names = [*ORIENTATION, *(f"{v.name}.{w}" for v in measured for w in ("offset", "tilt_1", "tilt_2"))]
     covs = np.stack([board_factor * _plane_cov(v, settings) for v in measured])
 
     def update(x: _State, dx: ArrayF) -> _State:
         """Small changes put on the state."""
         views = [_shifted(v, dx[6 + 3 * i : 9 + 3 * i]) for i, v in enumerate(x.views)]
-        return _State(
-            T=x.T.moved(dx[:6]), views=tuple(views), offset_m=x.offset_m + (float(dx[-1]) if extra else 0.0)
-        )
+        return _State(T=x.T.moved(dx[:6]), views=tuple(views))
 
     def boards(x: _State) -> Linear:
         """Planes of the boards as the camera measured them."""
@@ -486,9 +470,7 @@ def _adjusted(
             # A tilt about the first side lowers the normal along the second, and so on.
             J[:, 7 + 3 * i], J[:, 8 + 3 * i] = -met.place_m[:, 1], met.place_m[:, 0]
             J /= met.slope[:, None]
-            if extra:
-                J[:, -1] = 1.0
-            parts.append(scan.reach_m + x.offset_m - met.range_m)
+            parts.append(scan.reach_m - met.range_m)
             rows.append(J)
         variance = np.concatenate([s.variance_m2 for s in scans])
         return Linear(residual=np.concatenate(parts), jacobian=np.concatenate(rows), cov=variance)
@@ -552,7 +534,7 @@ def _table(
     lines: list[dict[str, Any]] = []
     for i, (pose, scan) in enumerate(zip(poses, scans, strict=True)):
         met = meet_board(pose.view, state.T.shift_m, scan.beam_scs @ state.T.R.T)
-        d = (scan.reach_m + state.offset_m - met.range_m) * -met.slope
+        d = (scan.reach_m - met.range_m) * -met.slope
         n = len(d)
         reason = "" if i in used else f"{n} points on the board, at least {settings.least_points} are needed"
         lines.append(

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from thalweg.calibration.cones import Cone, ConeBeams, beam_spread
 from thalweg.calibration.target_search import Found, SearchRange, Targets, balance, passing, search_targets
-from thalweg.core import AnyArray, ArrayF, InputError, Rigid
+from thalweg.core import AnyArray, ArrayF, InputError, Rigid, rows_of
 from thalweg.settings.sections import CameraLidarFit, LidarAccuracy
 
 AGAIN: Final = "photograph the field and record the positions again, or leave the cone out"
@@ -82,13 +82,7 @@ class Position:
 
     def taken(self, rows: AnyArray) -> "Position":
         """Some of the points."""
-        return Position(
-            name=self.name,
-            T_pcs_ccs=self.T_pcs_ccs,
-            points_scs_m=self.points_scs_m[rows],
-            var_along_m2=self.var_along_m2[rows],
-            var_across_m2=self.var_across_m2[rows],
-        )
+        return rows_of(self, rows)
 
 
 # ---------------------------------------------------------------- relative orientation from all cones at

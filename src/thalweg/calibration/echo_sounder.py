@@ -16,7 +16,7 @@ returns the nearest point of its footprint, which is not modelled: use gentle re
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -36,7 +36,6 @@ from thalweg.core import (
     GeometryError,
     InputError,
     Trajectory,
-    UnobservableError,
     root_mean_square,
 )
 from thalweg.core.calibration import Block, Calibration, Source, lever_block
@@ -174,7 +173,6 @@ def estimate_echo_sounder(
     ruler_ics_m: ArrayLike,
     cov_ruler_m2: ArrayF,
     lever_ics_antenna_m: ArrayLike,
-    wanted: Sequence[str] = (),
 ) -> EchoSounder:
     """Place of the echo sounder from soundings over a surveyed bed and a ruler.
 
@@ -185,12 +183,10 @@ def estimate_echo_sounder(
     settings : accuracies and limits.
     ruler_ics_m, cov_ruler_m2 : (3,), (3, 3) the place by hand.
     lever_ics_antenna_m : (3,) by which the trajectory was made.
-    wanted : parameters of `PARAMETERS` that the run must determine by itself.
 
     Raises
     ------
     CoverageError : no soundings over the bed with poses.
-    UnobservableError : a wanted parameter is not observed; says what is missing.
     """
     depth, t = np.asarray(depth_m, dtype=np.float64), np.asarray(t_gps_s, dtype=np.float64)
     good = np.isfinite(depth) & (depth > 0)
@@ -243,13 +239,6 @@ def estimate_echo_sounder(
     n = int(here.sum())
     sigma_run = _run_alone(normals, band, prior)
     missing = _missing(sigma_run, settings, rows.slope[here], points.heading_rad()[here])
-    lacking = [name for name in wanted if name in missing]
-    if lacking:
-        raise UnobservableError(
-            [f"echo_sounder.{name}" for name in lacking],
-            defects=len(lacking),
-            cure="; ".join(dict.fromkeys(missing[name] for name in lacking)),
-        )
     formal = normals.border[:3, :3]
     regular = np.linalg.cond(formal) < 1e12
     cov_formal: ArrayF = np.asarray(np.linalg.inv(formal)) if regular else np.full((3, 3), np.inf)

@@ -106,9 +106,7 @@ def resect_series(
         camera = start
         for image, table in tables.items():
             try:
-                found[image] = resect(
-                    camera, table, field, where=image, explain=False, largest_sigma_m=largest_sigma_m
-                )
+                found[image] = resect(camera, table, field, where=image, largest_sigma_m=largest_sigma_m)
             except GeometryError as error:
                 refused[image] = error.found
         spare = sum(one.redundancy for one in found.values())
@@ -124,9 +122,7 @@ def resect_series(
     for image, table in tables.items():
         if image not in refused:
             try:
-                change = resect(
-                    perfect, table, exact, where=image, explain=False, largest_sigma_m=largest_sigma_m
-                )
+                change = resect(perfect, table, exact, where=image, largest_sigma_m=largest_sigma_m)
             except GeometryError as error:
                 refused[image] = error.found
         if image in refused:
@@ -218,11 +214,7 @@ def _exactness(camera: Camera, found: Mapping[str, Resected], known: "_Known") -
         p = camera.parameters * np.where(np.arange(len(camera.parameters)) < 2, 1.01, 1.0)
         try:
             other = resect(
-                camera.with_parameters(p),
-                known.tables[image],
-                known.field,
-                explain=False,
-                largest_sigma_m=np.inf,
+                camera.with_parameters(p), known.tables[image], known.field, largest_sigma_m=np.inf
             )
         except GeometryError:
             break

@@ -68,7 +68,6 @@ _MAX_CANDIDATES: Final = 4000
 NO_SADDLES: Final = "no saddles around the tag"
 TWICE: Final = "seen twice in one picture"
 MIRRORED: Final = "reads only in the mirror"
-UNKNOWN: Final = "not in the field description"
 
 _BENT: Final = 0.06
 """Misfit of a sheet to a flat square over its size. Sheets on cones have 0.01, printed ones on walls 0.004;
@@ -420,14 +419,13 @@ class Detection:
     rejected: pd.DataFrame
 
 
-def detect(image: ArrayU8, layout: MarkerLayout, known: set[int] | None = None) -> Detection:
+def detect(image: ArrayU8, layout: MarkerLayout) -> Detection:
     """Find the markers of a picture and measure their saddles.
 
     Parameters
     ----------
     image : (h, w) grey values.
     layout : dictionary of the tags.
-    known : ids that exist; others are rejected and told. All ids if None.
 
     Returns
     -------
@@ -446,7 +444,7 @@ def detect(image: ArrayU8, layout: MarkerLayout, known: set[int] | None = None) 
     quads, ids, others = _tags(image, layout)
     more, more_ids, mirrored = _second_look(image, quads, others, layout)
     quads = np.concatenate([quads, more])
-    marks, rejected = _measured(image, quads, [*ids, *more_ids], known)
+    marks, rejected = _measured(image, quads, [*ids, *more_ids])
     frame = pd.DataFrame(marks, columns=list(MARK_COLUMNS)).astype({"marker": "int64", "corner": "int64"})
     frame = frame.sort_values(["marker", "corner"], ignore_index=True)
     rows = pd.DataFrame([*rejected, *mirrored], columns=["marker", "x_px", "y_px", "reason"])
@@ -483,7 +481,7 @@ def _tags(image: ArrayU8, layout: MarkerLayout) -> tuple[ArrayF, list[int], Arra
 
 
 def _measured(
-    image: ArrayU8, quads: ArrayF, ids: list[int], known: set[int] | None
+    image: ArrayU8, quads: ArrayF, ids: list[int]
 ) -> tuple[list[tuple[int, int, float, float, float, float]], list[tuple[int, float, float, str]]]:
     saddles, steps = _predicted(quads)
     fit = fit_saddles(
@@ -499,8 +497,6 @@ def _measured(
         reason = ""
         if good[k].sum() < _LEAST_SADDLES:
             reason = NO_SADDLES
-        elif known is not None and ids[k] not in known:
-            reason = UNKNOWN
         elif ids[k] in chosen:
             other = chosen[ids[k]]
             # the detector may return the inner and outer outline of one tag

@@ -184,4 +184,5 @@ from .types import (
     ArrayU8 as ArrayU8,
     robust_sigma as robust_sigma,
     root_mean_square as root_mean_square,
+    rows_of as rows_of,
 )

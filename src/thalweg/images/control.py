@@ -33,6 +33,7 @@ from thalweg.core import (
     ellipsoid_of,
     optional,
     parse_xml,
+    rows_of,
 )
 from thalweg.core.values import FORMS, HUGE, is_nothing, is_vector_file, near_world, world_of
 from thalweg.images.model import (
@@ -159,15 +160,7 @@ class MarkTable:
 
     def without(self, images: Collection[str]) -> "MarkTable":
         """The marks that are not in some images; names as the campaign has them."""
-        keep = np.flatnonzero([name not in images for name in self.image])
-        return replace(
-            self,
-            image=tuple(self.image[k] for k in keep),
-            point=tuple(self.point[k] for k in keep),
-            xy_px=self.xy_px[keep],
-            sigma_px=self.sigma_px[keep],
-            used=self.used[keep],
-        )
+        return rows_of(self, np.flatnonzero([name not in images for name in self.image]))
 
 
 def read_control_points(

@@ -13,6 +13,7 @@ import pandas as pd
 from thalweg.calibration import interior_calibration, read_camera
 from thalweg.core import ArrayF, Camera, InputError, LocalFrame, exp_rotation
 from thalweg.core.calibration import Source, write_calibration
+from thalweg.images.bundle import CONTROL_COLUMNS
 from thalweg.images.control import frame_about, matched_marks, read_all_control_points, read_all_marks
 from thalweg.images.imports import import_orientations
 from thalweg.images.model import ControlMarks, ControlPoints, ImagePoses, nearest_to_rays, unknown_poses
@@ -29,16 +30,6 @@ _SUSPECT: Final = 16.27
 """Chi-square of three degrees of freedom that one of 1000 exceeds."""
 _SHARED: Final = 3.0
 """Independent values of check points: no file says how alike its poses err, so all may share one shift."""
-COLUMNS: Final = (
-    "point",
-    "role",
-    "images",
-    "rms_px",
-    *(f"{s}{w}_{a}_mm" for w in ("off", "without") for s in ("", "sigma_") for a in _AXES),
-    "normalised",
-    "suspect",
-    "reason",
-)
 
 
 def intersect_point(
@@ -145,7 +136,7 @@ def judge_points(
         for axis, value, variance in zip(_AXES, off, np.diag(cov), strict=True):
             row |= {f"{w}_{axis}_mm": 1e3 * value for w in ("off", "without")}
             row |= {f"sigma_{w}_{axis}_mm": 1e3 * math.sqrt(variance) for w in ("off", "without")}
-    table = pd.DataFrame(rows, columns=list(COLUMNS))
+    table = pd.DataFrame(rows, columns=CONTROL_COLUMNS)
     if not tests:
         return table, {}
     rmse, predicted = (np.sqrt(np.mean(values, axis=0)) for values in (squares, variances))
@@ -208,7 +199,7 @@ def place_files(
             sigma_px=control.sigma_px,
             where=marks[0],
         )
-    table, check = pd.DataFrame(columns=list(COLUMNS)), dict[str, Any]()
+    table, check = pd.DataFrame(columns=CONTROL_COLUMNS), dict[str, Any]()
     if lens is not None:
         table, check = judge_points(lens, found.poses, points, observed)
     folder.mkdir(parents=True, exist_ok=True)

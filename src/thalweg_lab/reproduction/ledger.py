@@ -24,7 +24,6 @@ from thalweg.core import ROOT, ArrayF, InputError, read_parquet
 from thalweg.core.geometry import read_mesh
 from thalweg.lightsheet.budget import SIGMA_LINE_PX, TOTAL, TOTAL_CORRELATED, budget_on_lines, budget_table
 from thalweg.lightsheet.calibration import SINGULAR
-from thalweg.lightsheet.multi_line import Kind, NominalDiode, line_model
 from thalweg.lightsheet.optics import (
     PARAMETERS,
     LightSheet,
@@ -39,7 +38,7 @@ from thalweg.lightsheet.optics import (
     refract_to_water,
     refractive_index,
 )
-from thalweg.lightsheet.poses import pose_source_table
+from thalweg_lab.multi_line import Kind, NominalDiode, line_model
 from thalweg_lab.reproduction.files import BY_ARITHMETIC, CLASSES, NAMES, NOT_COMPARED, PUT_IN, Entry, Ours
 from thalweg_lab.reproduction.paper_models import (
     PAPER_3,
@@ -48,6 +47,7 @@ from thalweg_lab.reproduction.paper_models import (
     paper_3_sigmas,
     paper_3_table,
     plane_error_mm,
+    pose_source_table,
     refract_as_printed,
 )
 

@@ -2,22 +2,27 @@
 instead of the sheet, the observations of their calibrations, and the river that they draw.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 
-from thalweg.core import ArrayF, opk_of, rotation_opk
+from thalweg.core import ArrayF, GeometryError, opk_of, rotation_opk
 from thalweg.lightsheet.optics import (
     CAMERA,
     LASER,
     PARAMETERS,
     Sensor,
     depth_lines,
+    point_derivatives,
+    project,
     refract_to_water,
     sheet_derivatives,
+    sheet_in_water,
 )
+from thalweg.lightsheet.poses import by_pose, factor
 
 PAPER_3: Final = ("laser z", "laser phi", "dx", "dy", "dz", "d omega", "d phi", "d kappa")
 """Quantities of P3 Table 1, mm and degrees: laser, and camera relative to it."""
@@ -26,6 +31,15 @@ _DOWN: Final = np.diag([1.0, -1.0, -1.0])
 _FAN_Y: Final = rotation_opk(0.0, 0.0, np.pi / 2)
 """P3's fan lies along the laser's y axis."""
 _STEP: Final = 1e-5
+
+
+SOURCES: Final[Mapping[str, tuple[float, float]]] = {
+    "6-DOF by marker panel": (0.05, 0.01),
+    "rail with encoder": (0.02, 0.002),
+    "INS and RTK": (20.0, 0.1),
+}
+"""Standard deviations of position, mm, and of each turn, degrees: P4 7.3, a linear encoder on a lab rail, P4
+4.2.1."""
 
 
 SMALL_RIVER_WIDTH_M: Final = 10.0
@@ -150,3 +164,61 @@ def paper_3_table(x: ArrayF) -> ArrayF:
     angles = np.rad2deg([*opk_of(R_laser), *opk_of(R_camera @ R_laser.T)])
     off = camera[:3] - laser[:3]
     return np.array([laser[2], angles[1], *off, *angles[3:]])
+
+
+def pose_source_table(
+    sensor: Sensor,
+    *,
+    depths_mm: Sequence[float] = (50.0, 125.0, 200.0),
+    sigma_px: float = 0.15,
+    sources: Mapping[str, tuple[float, float]] = SOURCES,
+) -> pd.DataFrame:
+    """What each source of poses makes of a single profile's accuracy (P4 4.2.1, 7.3).
+
+    For points in the middle of the line: the standard deviation of height (Z of lcs), across it, and in all
+    directions, of the profile alone and with the pose, and the ratio of the latter two.
+
+    Parameters
+    ----------
+    sensor : its covariance counts too; zeros: the image measurement alone.
+    depths_mm : below the window.
+    sigma_px : of the line, along the row.
+    sources : position sigma in mm and sigma of each turn in degrees.
+
+    Raises
+    ------
+    GeometryError : a depth at which the middle of the line is not in the picture.
+    """
+    xyz = sheet_in_water(sensor, np.asarray(depths_mm, dtype=np.float64), np.zeros(1))[:, 0]
+    xy = project(sensor, xyz)
+    found, by_sensor, by_pixel = point_derivatives(sensor, xy)
+    seen = found.ok & np.asarray(sensor.camera.inside(np.nan_to_num(xy, nan=-1.0)), dtype=np.bool_)
+    if not seen.all():
+        lost = np.asarray(depths_mm)[~seen].tolist()
+        raise GeometryError(f"depths {lost} mm are not in the picture", expected="depths of the volume")
+    own, shared = by_pixel[:, :, 0] * sigma_px, by_sensor @ factor(sensor.cov)
+    alone = own[:, :, None] * own[:, None, :] + shared @ np.swapaxes(shared, 1, 2)
+    J = by_pose(found.xyz_lcs_mm)
+    rows = []
+    for name, (sigma_mm, sigma_deg) in sources.items():
+        C = np.diag([sigma_mm**2] * 3 + [np.deg2rad(sigma_deg) ** 2] * 3)
+        total = alone + J @ C @ np.swapaxes(J, 1, 2)
+        for k, depth in enumerate(depths_mm):
+            height = [float(np.sqrt(c[k, 2, 2])) for c in (alone, total)]
+            space = [float(np.sqrt(np.trace(c[k]))) for c in (alone, total)]
+            rows.append(
+                {
+                    "source": name,
+                    "sigma_position_mm": sigma_mm,
+                    "sigma_turn_deg": sigma_deg,
+                    "depth_mm": depth,
+                    "sigma_height_profile_mm": height[0],
+                    "sigma_height_mm": height[1],
+                    "sigma_across_mm": float(np.sqrt(total[k, 0, 0] + total[k, 1, 1])),
+                    "sigma_3d_profile_mm": space[0],
+                    "sigma_3d_mm": space[1],
+                    "ratio_height": height[1] / height[0],
+                    "ratio_3d": space[1] / space[0],
+                }
+            )
+    return pd.DataFrame(rows)

@@ -22,7 +22,7 @@ own vertical plane::
     sin(w_2) = n_1 sin(w_1) / n_2,      r = h tan(w_air) + t tan(w_glass) + D tan(w_water)
 
 Points are seen by the solution of `thalweg_lab.tank.forward`. The processing of lines
-(`thalweg.lightsheet.multi_line`) has a closed form by the slowness along the faces for both, and no
+(`thalweg_lab.multi_line`) has a closed form by the slowness along the faces for both, and no
 function of refraction is common to the two sides.
 """
 
@@ -32,8 +32,8 @@ from itertools import combinations
 import numpy as np
 
 from thalweg.core import ArrayB, ArrayF, ArrayI, rotation_opk
-from thalweg.lightsheet.multi_line import LevelPoints
 from thalweg.lightsheet.optics import Sensor, Window
+from thalweg_lab.multi_line import LevelPoints
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.tank.forward import see
 

@@ -174,14 +174,6 @@ def test_the_sensor_gets_pose_and_covariance(truth):
     assert np.rad2deg(np.sqrt(np.diag(found.cov)[3:])).max() < 0.05
 
 
-def test_markers_on_the_inner_face_lie_a_glass_higher(truth):
-    marks, points, nominal, _ = picture(truth, 3)
-    outer = camera_over_window(nominal, marks, points, WINDOW, face="outer", sheet_mm=0.2)
-    inner = camera_over_window(nominal, marks, points, WINDOW, face="inner", sheet_mm=0.2)
-    apart = inner.origin_lcs_mm[2] - outer.origin_lcs_mm[2]
-    assert apart == pytest.approx(truth.window.thickness_mm + 0.4, abs=1e-9)
-
-
 def test_bad_marks_on_the_window_are_told(truth):
     marks, points, nominal, _ = picture(truth, 3)
     with pytest.raises(GeometryError, match=r"4 marks on the window.*at least 6"):

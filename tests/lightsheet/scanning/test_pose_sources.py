@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from thalweg.core import CoverageError, GeometryError, LocalFrame, Rigid, Trajectory, rotation_opk
-from thalweg.lightsheet.optics import Sensor, paper_4
-from thalweg.lightsheet.poses import factor, pose_source_table, trajectory_poses
+from thalweg.core import CoverageError, LocalFrame, Rigid, Trajectory, rotation_opk
+from thalweg.lightsheet.poses import factor, trajectory_poses
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 
@@ -65,21 +64,3 @@ def test_images_beside_the_trajectory_are_named(rng: np.random.Generator) -> Non
         trajectory_poses(boat(rng), mount(rng), ["a"], np.array([3e8 + 100.0]))
     with pytest.raises(CoverageError, match="none of 2 images has a time"):
         trajectory_poses(boat(rng), mount(rng), ["a", "b"], np.full(2, np.nan))
-
-
-def test_boat_poses_spoil_what_a_panel_keeps(exact: Sensor) -> None:
-    """P4 4.2.1: 0.1 degrees and 2 cm would deteriorate the sub-mm accuracy of each line (C076)."""
-    table = pose_source_table(paper_4()).set_index(["source", "depth_mm"])
-    six, boat_ = table.loc["6-DOF by marker panel"], table.loc["INS and RTK"]
-    assert (six["ratio_height"] < 1.1).all()
-    assert (boat_["ratio_height"] > 50).all()
-    # the closed form of a level arm at depth D below a window 5.2 mm thick: position and turns alone
-    bare = pose_source_table(exact, sigma_px=1e-6, depths_mm=(125.0,)).set_index("source")
-    position, turn = 20.0, np.deg2rad(0.1)
-    across = bare.loc["INS and RTK", "sigma_across_mm"]
-    assert across > np.sqrt(2) * position
-    assert bare.loc["INS and RTK", "sigma_height_mm"] == pytest.approx(
-        np.hypot(position, 121 * turn), rel=0.001
-    )
-    with pytest.raises(GeometryError, match="not in the picture"):
-        pose_source_table(exact, depths_mm=(900.0,))

@@ -1,8 +1,7 @@
 """Relative orientation of camera and lidar from cones: one adjustment of everything that sees them (P2 3.1).
 
 1. Each cone of the field from its reference points (`cone_fit`).
-2. The orientation of the lidar, roughly, from all cones at once (`cone_search`); scans that belong to other
-   pictures are named (`camera_lidar_pairs`).
+2. The orientation of the lidar, roughly, from all cones at once (`cone_search`).
 3. Points of each cone by their nominal beams (`cone_selection`), then one adjustment (`camera_lidar_model`);
    both again until the orientation stays.
 4. Each cone against all others (`cone_check`): what stands elsewhere than the reference says is left out and
@@ -70,10 +69,6 @@ _MIDDLE_M: Final = 0.35
 _FREE: Final = 1e-9
 """Smallest eigenvalue of a normal matrix over its largest, if scaled to a unit diagonal."""
 _PARALLEL: Final = 0.999
-_FITS: Final = 0.4
-"""Balance of the beams of a scan with the picture that it belongs to."""
-_SCANS: Final = 2
-"""Scans that are searched with each picture; any one right pair gives the orientation."""
 
 FOUND: Final = "found"
 _ON_SIGMAS: Final = 4.0
@@ -129,7 +124,6 @@ class CameraLidarSettings:
     contradiction_sigmas : displacement of a cone against the others, in sigmas, that puts it out.
     contradiction_m : displacement that is accepted all the same: form of the cones, and what the model of the
         lidar leaves.
-    free_range_offset : one offset of all ranges is an unknown.
     free_noise : the lidar's variances are scaled to the residuals.
     """
 
@@ -141,7 +135,6 @@ class CameraLidarSettings:
     least_score: float = 0.25
     contradiction_sigmas: float = 4.0
     contradiction_m: float = 0.001
-    free_range_offset: bool = False
     free_noise: bool = True
 
     @classmethod
@@ -253,21 +246,22 @@ def calibrate_camera_lidar(
     if settings.within is not None:
         found = search(cones, lengths, positions, nominal, settings.within)
         start = found.T_ccs_scs
-        odd = refuse_swapped(cones, lengths, positions, nominal, settings.within, found, settings.least_score)
         if found.score < settings.least_score:
+            scores = {p.name: fit_of(start, cones, lengths, p.T_pcs_ccs, p) for p in positions}
+            odd = [f"{name}: {score:.2f}" for name, score in scores.items() if score < settings.least_score]
             raise GeometryError(
                 f"no orientation near the nominal one brings scans and cones together: in the best one the "
                 f"balance of {found.beams} beams is {found.score:.2f} ({', '.join(odd)})",
                 expected=f"at least {settings.least_score:g}, where 1 is every beam on its cone",
-                cure="Check that scans and reference show the same field, the exterior orientations, and the "
-                "nominal mounts: they may be off by some decimetres and 6 degrees",
+                cure="Check that scans and reference show the same field, that each scan has the name of its "
+                "own picture, the exterior orientations, and the nominal mounts: they may be off by some "
+                "decimetres and 6 degrees",
             )
     layout = Layout(
         cones=tuple(r.name for r in usable),
         positions=tuple(p.name for p in positions),
         free_half_angle=settings.free_half_angle,
         free_pose=tuple(errors is not None or bool(np.any(p.T_pcs_ccs.cov)) for p in positions),
-        free_range_offset=settings.free_range_offset,
     )
     x = Unknowns(cones=tuple(cones), T_ccs_scs=start, poses=tuple(p.T_pcs_ccs for p in positions))
     work = _Work(
@@ -623,88 +617,6 @@ def _words(turn: ArrayF, layout: Layout, x: Unknowns, used: Sequence[str]) -> st
     return "a turn of the lidar about " + (
         "the vertical" if abs(u[2]) > _PARALLEL else f"the direction ({u[0]:.2f}, {u[1]:.2f}, {u[2]:.2f})"
     )
-
-
-# ---------------------------------------------------------------- do scan and picture of each static position
-# belong together? Which assignment fits better?
-#
-# Recordings are renamed by hand. If the scan of one position stands with the picture of another one, no cone
-# is where it should be, and nothing in the message of a single cone tells why. So each scan that does not fit
-# is tried with the picture of every position.
-
-
-def refuse_swapped(
-    cones: Sequence[Cone],
-    lengths_m: Sequence[float],
-    positions: Sequence[Position],
-    nominal: Rigid,
-    within: SearchRange,
-    found: Found,
-    least_score: float,
-) -> list[str]:
-    """Positions whose scan does not fit, with its balance; refuse those that fit the picture of another one.
-
-    Parameters
-    ----------
-    cones, lengths_m, positions, nominal, within : of `thalweg.calibration.cone_search.search`.
-    found : its result.
-    least_score : balance below which a scan does not fit.
-
-    Raises
-    ------
-    GeometryError : scans fit the pictures of other positions; names both.
-    """
-    own = [fit_of(found.T_ccs_scs, cones, lengths_m, p.T_pcs_ccs, p) for p in positions]
-    odd = [i for i, score in enumerate(own) if score < least_score]
-    told = [f"{positions[i].name}: {own[i]:.2f}" for i in odd]
-    if not odd or len(positions) < 2:
-        return told
-    scores = _best_scores(cones, lengths_m, positions, nominal, within, found.T_ccs_scs, odd)
-    best = scores.argmax(axis=1)
-    swapped = [i for i in range(len(positions)) if best[i] != i and scores[i, best[i]] > _FITS > scores[i, i]]
-    if not swapped:
-        return told
-    names = [p.name for p in positions]
-    raise GeometryError(
-        "; ".join(
-            f"the scan of {names[i]} fits the picture of {names[best[i]]} (balance of its beams "
-            f"{scores[i, best[i]]:.2f}) and not its own ({scores[i, i]:.2f})"
-            for i in swapped
-        ),
-        expected="scan and picture of one position together",
-        cure="Rename the recordings of "
-        + ", ".join(dict.fromkeys(n for i in swapped for n in (names[i], names[best[i]])))
-        + " so that scan and picture of one position have the same name",
-    )
-
-
-def _best_scores(
-    cones: Sequence[Cone],
-    lengths_m: Sequence[float],
-    positions: Sequence[Position],
-    nominal: Rigid,
-    within: SearchRange,
-    first: Rigid,
-    odd: Sequence[int],
-) -> ArrayF:
-    """(n, n) balance of each scan (row) with each picture, at the orientation at which most scans fit one."""
-
-    def table_at(T: Rigid) -> ArrayF:
-        """The balances at one orientation."""
-        return np.array([[fit_of(T, cones, lengths_m, q.T_pcs_ccs, p) for q in positions] for p in positions])
-
-    best = table_at(first)
-    for i in odd[:_SCANS]:
-        for picture in positions:
-            if float(best.max(axis=1).min()) > _FITS:
-                return best
-            try:
-                pair = positions[i].at(picture.T_pcs_ccs)
-                found = search(cones, lengths_m, [pair], nominal, within)
-            except GeometryError:
-                continue
-            best = max(best, table_at(found.T_ccs_scs), key=lambda table: float(table.max(axis=1).sum()))
-    return best
 
 
 # ---------------------------------------------------------------- tables: what was used, what was not, what

@@ -19,7 +19,7 @@ from thalweg.calibration.camera_lidar.adjustment import (
     sensor_table,
 )
 from thalweg.calibration.camera_lidar.model import Layout, Unknowns, groups_of
-from thalweg.core import RANK_TOLERANCE, ArrayF, Rigid
+from thalweg.core import RANK_TOLERANCE, ArrayF, Rigid, normal_equations
 from thalweg.core.calibration import Calibration, Source, pose_block, write_calibration
 
 # ---------------------------------------------------------------- what more cones and positions bring: sigmas
@@ -182,16 +182,8 @@ def _sigmas(
     )
     x = Unknowns(cones=tuple(cones), T_ccs_scs=T_ccs_scs, poses=tuple(poses))
     used = [(r, np.ones(len(r.points_m), dtype=np.bool_)) for r in references]
-    N = np.zeros((layout.n, layout.n))
-    for group in groups_of(layout, used, poses, scans):
-        part = group.model(x)
-        J = np.asarray(part.jacobian)
-        if part.cov.ndim == 1:
-            N += J.T @ (J / part.cov[:, None])
-        else:
-            k = part.cov.shape[1]
-            blocks = J.reshape(-1, k, layout.n)
-            N += np.einsum("bki,bkj->ij", blocks, np.linalg.solve(part.cov, blocks))
+    groups = groups_of(layout, used, poses, scans)
+    N = normal_equations(groups, x, layout.n, [None] * len(groups), None).N
     scale = np.sqrt(np.maximum(np.diag(N), 1e-300))
     values, vectors = np.linalg.eigh(N / np.outer(scale, scale))
     at = layout.orientation

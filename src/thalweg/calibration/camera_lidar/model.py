@@ -41,7 +41,6 @@ class Unknowns:
     cones: tuple[Cone, ...]
     T_ccs_scs: Rigid
     poses: tuple[Rigid, ...]
-    range_offset_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,14 +52,12 @@ class Layout:
     cones, positions : names, in order.
     free_half_angle : six unknowns a cone; five otherwise.
     free_pose : whether each position's exterior orientation is unknown.
-    free_range_offset : whether there is an offset of all ranges.
     """
 
     cones: tuple[str, ...]
     positions: tuple[str, ...]
     free_half_angle: bool
     free_pose: tuple[bool, ...]
-    free_range_offset: bool = False
 
     @property
     def per_cone(self) -> int:
@@ -87,7 +84,7 @@ class Layout:
     @property
     def n(self) -> int:
         """Number of unknowns."""
-        return self.orientation.stop + 6 * sum(self.free_pose) + self.free_range_offset
+        return self.orientation.stop + 6 * sum(self.free_pose)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -97,7 +94,7 @@ class Layout:
         poses = [
             f"{p}.{w}" for p, free in zip(self.positions, self.free_pose, strict=True) if free for w in axes
         ]
-        return (*cones, *ORIENTATION, *poses, *(["range_offset"] if self.free_range_offset else []))
+        return (*cones, *ORIENTATION, *poses)
 
     def update(self, x: Unknowns, dx: ArrayF) -> Unknowns:
         """Small changes put on the state."""
@@ -111,7 +108,6 @@ class Layout:
             cones=tuple(cone.moved(d) for cone, d in zip(x.cones, change, strict=True)),
             T_ccs_scs=x.T_ccs_scs.moved(dx[self.orientation]),
             poses=tuple(poses),
-            range_offset_m=x.range_offset_m + (float(dx[-1]) if self.free_range_offset else 0.0),
         )
 
 
@@ -284,14 +280,8 @@ def lidar_rows(layout: Layout, x: Unknowns, p: int, scan: ConeScan) -> LidarRows
     if (at := layout.pose(p)) is not None:
         J[:, at] = plane_rates(normal, at_pcs - pose.shift_m)
     J /= slope[:, None]
-    if layout.free_range_offset:
-        J[:, -1] = 1.0
     return LidarRows(
-        residual=reach + x.range_offset_m - nominal - scan.excess_m,
-        jacobian=J,
-        normal_pcs=normal,
-        at_pcs=at_pcs,
-        slope=slope,
+        residual=reach - nominal - scan.excess_m, jacobian=J, normal_pcs=normal, at_pcs=at_pcs, slope=slope
     )
 
 

@@ -14,7 +14,7 @@ import pandas as pd
 from scipy.stats import chi2
 
 from thalweg.calibration.field.description import Target
-from thalweg.calibration.field.network import agreeing, distances_words, exchanged, other_scale, similarity
+from thalweg.calibration.field.network import agreeing, distances_words, other_scale, similarity
 from thalweg.calibration.field.points import FieldPoints
 from thalweg.core import (
     Adjusted,
@@ -157,7 +157,7 @@ def _without_gross(pcs: ArrayF, wcs: ArrayF, targets: Sequence[Target], frame: L
 
     Raises
     ------
-    GeometryError : latitude and longitude or two targets are exchanged, the scale bars contradict, or more
+    GeometryError : latitude and longitude are exchanged, the scale bars contradict, or more
         than one target is far off.
     """
     names = [t.name for t in targets]
@@ -178,15 +178,6 @@ def _without_gross(pcs: ArrayF, wcs: ArrayF, targets: Sequence[Target], frame: L
         raise _scale_error(factor, told)
     if len(targets) > 3 and near.sum() == len(targets) - 1:
         return near
-    pair = exchanged(pcs, wcs, tolerance) if len(targets) > 3 else None
-    if pair is not None:
-        a, b = (targets[k] for k in pair)
-        raise GeometryError(
-            f"{told}: {a.name} and {b.name} are exchanged, with markers {a.marker} and {b.marker} the other "
-            "way round all agree",
-            expected="each target with the marker whose middle was measured",
-            cure=f"Exchange the markers of {a.name} and {b.name} in the field description",
-        )
     raise _several(names, off, near, _origin_words(wcs))
 
 

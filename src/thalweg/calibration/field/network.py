@@ -752,7 +752,7 @@ def _unit(v: ArrayF) -> ArrayF:
 # ---------------------------------------------------------------- targets that contradict the field grossly
 #
 # Any three targets give a place of the field in closed form; the place that most targets agree with is
-# kept, as in RANSAC, but over all triples. What agrees with nothing is then explained: exchanged ids,
+# kept, as in RANSAC, but over all triples. What agrees with nothing is then explained:
 # coordinates with latitude and longitude exchanged, scale bars in another unit.
 
 
@@ -818,19 +818,6 @@ def agreeing(
     everyone: AnyArray = np.ones(len(pcs), np.bool_)
     factor, T = similarity(*(x[kept if best else everyone] for x in (pcs, wcs)), scaled=scaled)
     return kept, wcs - T.apply(factor * pcs), factor
-
-
-def exchanged(pcs: ArrayF, wcs: ArrayF, tolerance_m: ArrayF) -> tuple[int, int] | None:
-    """The two targets whose exchange makes all agree, None if there are none."""
-    best: tuple[float, tuple[int, int]] | None = None
-    for i, j in combinations(range(len(pcs)), 2):
-        order = np.arange(len(pcs))
-        order[[i, j]] = j, i
-        kept, off, _ = agreeing(pcs, wcs[order], tolerance_m)
-        left = float(np.linalg.norm(off, axis=1).sum())
-        if kept.all() and (best is None or left < best[0]):
-            best = left, (i, j)
-    return best[1] if best else None
 
 
 def other_scale(pcs: ArrayF, wcs: ArrayF, tolerance_m: ArrayF) -> float | None:

@@ -6,7 +6,7 @@ observed with their covariance: held fixed, its errors would make good marks nea
 covariance of the pose then also carries what marks share through the joint covariance of the points.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Self
 
@@ -17,7 +17,7 @@ from thalweg.calibration import Block, collinear
 from thalweg.calibration.field.bundle import MARKS, Layout, Problem, State, marks_model, solve, start_state
 from thalweg.calibration.field.points import FieldPoints
 from thalweg.calibration.field.rays import TRIPLES, other_poses, pose_from_rays
-from thalweg.core import Adjusted, ArrayB, ArrayF, ArrayI, Camera, GeometryError, Rigid, ThalwegError
+from thalweg.core import Adjusted, ArrayB, ArrayF, ArrayI, Camera, GeometryError, Rigid
 
 LEAST_MARKS: Final = 4
 LEAST_MARKERS: Final = 2
@@ -26,8 +26,6 @@ _CAP_RAD: Final = 0.01
 _WIDE_CAP_RAD: Final = 0.05
 """The same where the lens is only roughly known."""
 _LEAST_SHARE: Final = 0.5
-_MOST: Final = 0.9
-"""Of the marks that must fit for another reading of them to count."""
 _LARGEST_SIGMA_M: Final = 0.25
 """A pose worse than this comes from marks that are too few or too close together."""
 _CLEAR_MARKERS: Final = 5
@@ -36,9 +34,10 @@ _TIMES_WORSE: Final = 3.0
 """A second solution is told from the first by residuals that many times larger, or than the sigmas allow."""
 LARGEST_SIGMA0: Final = 20.0
 """Sigma of unit weight beyond which the marks, not their sigmas, are wrong: a panel read backwards."""
-FITS: Final = 4.0
-"""Sigma of unit weight below which a reading explains the marks."""
-_BETTER: Final = 0.2
+_CHECK: Final = (
+    "Check the numbers and the order of the marks, that the picture is stored neither turned nor mirrored, "
+    "the interior orientation, and that no marker has been moved since"
+)
 
 
 # ---------------------------------------------------------------- resection
@@ -81,9 +80,7 @@ def resect(
     points: FieldPoints,
     *,
     with_interior: bool = True,
-    sigma_factor: float = 1.0,
     where: str = "",
-    explain: bool = True,
     largest_sigma_m: float = _LARGEST_SIGMA_M,
 ) -> Resected:
     """Pose of a picture.
@@ -94,45 +91,23 @@ def resect(
     marks : marker, corner, x_px, y_px, sigma_px of one picture.
     points : reference points; marks of other markers are left out.
     with_interior : count the covariance of the interior orientation in; else it is held fixed.
-    sigma_factor : what the stated sigmas of marks must be multiplied with, as the bundle adjustment found.
     where : name of the picture, for messages.
-    explain : look for another reading of marks that fit no pose (in reverse order, mirrored).
     largest_sigma_m : a place that is known worse is refused.
 
     Raises
     ------
     GeometryError : fewer than four known marks on two markers; marks that do not fit together; a pose that is
-        hardly determined or has a second solution. The cure names the reading that fits, if one does.
+        hardly determined or has a second solution.
     """
-
-    def pose(read: pd.DataFrame) -> Resected:
-        """The resection by marks that were read in some way."""
-        return _pose(camera, read, points, with_interior, sigma_factor, where, largest_sigma_m)
-
-    sigma0 = np.inf
-    try:
-        found = pose(marks)
-        if not found.sigma0 > LARGEST_SIGMA0:
-            return found
-        sigma0 = found.sigma0
-        error = GeometryError(
-            f"the marks are {sigma0:.0f} times their sigmas off any pose",
+    found = _pose(camera, marks, points, with_interior, where, largest_sigma_m)
+    if found.sigma0 > LARGEST_SIGMA0:
+        raise GeometryError(
+            f"the marks are {found.sigma0:.0f} times their sigmas off any pose",
             expected=f"at most {LARGEST_SIGMA0:g} times",
             where=where,
-            cure="Check the numbers of the marks, the interior orientation and that no mark was moved",
+            cure=_CHECK,
         )
-    except GeometryError as refused:
-        error = refused
-
-    def misfit(read: pd.DataFrame) -> float:
-        """Its sigma0; infinite if it fits only by leaving marks out."""
-        one = pose(read)
-        return one.sigma0 if one.used.mean() > _MOST else np.inf
-
-    reading = reading_that_fits(marks, camera.size_px, misfit, sigma0) if explain else ""
-    if not reading:
-        raise error
-    raise GeometryError(error.found, expected=error.expected, where=error.where, cure=reading) from error
+    return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,7 +128,6 @@ def _seen(
     camera: Camera,
     marks: pd.DataFrame,
     points: FieldPoints,
-    sigma_factor: float,
     where: str,
     cap_rad: float,
     triples: int = TRIPLES,
@@ -171,7 +145,7 @@ def _seen(
     _require(marker, where, "known marks on", len(marks))
     at = np.array([index[k] for k, ok in zip(keys, known, strict=True) if ok], np.int64)
     xy = marks[["x_px", "y_px"]].to_numpy(np.float64)[known]
-    sigma = marks["sigma_px"].to_numpy(np.float64)[known] * sigma_factor
+    sigma = marks["sigma_px"].to_numpy(np.float64)[known]
     rays = camera.rays(xy)
     seen = np.isfinite(rays).all(axis=1)
     _require(marker[seen], where, "marks inside the lens model, on", len(marks))
@@ -184,7 +158,7 @@ def _seen(
             f"only {int(good.sum())} of {len(good)} marks agree with any pose",
             expected="most of them",
             where=where,
-            cure="Check that the picture shows this field and that no marker has been moved since",
+            cure=f"Check that the picture shows this field. {_CHECK}",
         )
     return _Seen(
         where=where,
@@ -204,7 +178,7 @@ def start_misfit_px(camera: Camera, marks: pd.DataFrame, points: FieldPoints) ->
     ------
     GeometryError : there is no start.
     """
-    off = _seen(camera, marks, points, 1.0, "", _WIDE_CAP_RAD, TRIPLES // 3).off_rad
+    off = _seen(camera, marks, points, "", _WIDE_CAP_RAD, TRIPLES // 3).off_rad
     return float(camera.parameters[0] * np.minimum(off, _WIDE_CAP_RAD).mean())
 
 
@@ -213,12 +187,11 @@ def _pose(
     marks: pd.DataFrame,
     points: FieldPoints,
     with_interior: bool,
-    sigma_factor: float,
     where: str,
     largest_sigma_m: float,
 ) -> Resected:
     """Pose of a picture, however well it fits, see `resect`."""
-    seen = _seen(camera, marks, points, sigma_factor, where, _CAP_RAD)
+    seen = _seen(camera, marks, points, where, _CAP_RAD)
     return _Fit.of(
         camera if with_interior else replace(camera, cov=np.zeros_like(camera.cov)), [seen], points, {}
     ).resected(0, largest_sigma_m)
@@ -256,7 +229,7 @@ def resect_together(
     refused: dict[str, str] = {}
     for image, table in marks.items():
         try:
-            seen.append(_seen(camera, table, points, 1.0, image, _WIDE_CAP_RAD))
+            seen.append(_seen(camera, table, points, image, _WIDE_CAP_RAD))
         except GeometryError as error:
             refused[image] = error.found
     got, sought = 2 * sum(len(one.at) for one in seen), 6 * len(seen) + len(free)
@@ -469,40 +442,3 @@ def _moved(marker: ArrayI, used: ArrayB) -> tuple[int, ...]:
         if len(mine) >= 3 and mine.sum() <= 1:
             found.append(int(m))
     return tuple(found)
-
-
-# ---------------------------------------------------------------- other readings of the marks of a picture
-# that fits no pose: in reverse order, or of a mirrored picture
-
-
-def reading_that_fits(
-    marks: pd.DataFrame, size_px: tuple[int, int], sigma0_of: Callable[[pd.DataFrame], float], sigma0: float
-) -> str:
-    """Which other reading fits a pose, as a sentence without its full stop; "" if none does.
-
-    Parameters
-    ----------
-    marks : marker, corner, x_px, y_px, sigma_px of one picture.
-    size_px : width and height of the picture.
-    sigma0_of : sigma of unit weight of marks, infinite if many do not fit; may refuse.
-    sigma0 : of the marks as they are, infinite if they fit no pose at all.
-    """
-    width, height = size_px
-    xy = marks[["x_px", "y_px"]].to_numpy(np.float64)
-    readings = {
-        "in reverse order": xy[::-1],
-        "if the picture is mirrored left to right": xy * [-1.0, 1.0] + [width, 0.0],
-        "if the picture is mirrored top to bottom": xy * [1.0, -1.0] + [0.0, height],
-    }
-    found: dict[str, float] = {}
-    for words, moved in readings.items():
-        try:
-            found[words] = sigma0_of(marks.assign(x_px=moved[:, 0], y_px=moved[:, 1]))
-        except (ThalwegError, np.linalg.LinAlgError):
-            continue
-    limit = min(FITS, _BETTER * sigma0)
-    # a symmetric panel read backwards looks as in a mirror: then both are named
-    fitting = [words for words, value in found.items() if value < limit]
-    if not fitting:
-        return ""
-    return f"The marks fit {', and '.join(fitting)}: check their numbers, and use the files as stored"

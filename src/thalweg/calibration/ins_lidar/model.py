@@ -30,7 +30,7 @@ from thalweg.calibration.ins_lidar.pose_errors import (
     turns,
 )
 from thalweg.calibration.ins_lidar.run_points import FieldCones, RunPoints
-from thalweg.core import ArrayB, ArrayF, ArrayI, Rigid, plane_rates
+from thalweg.core import ArrayB, ArrayF, ArrayI, Rigid, plane_rates, rows_of
 
 MOUNT: Final = slice(0, 6)
 FIELD: Final = slice(6, 12)
@@ -133,14 +133,7 @@ class Linearised:
 
     def taken(self, rows: ArrayB) -> Self:
         """Some of the points."""
-        return type(self)(
-            distance_m=self.distance_m[rows],
-            variance_m2=self.variance_m2[rows],
-            border=self.border[rows],
-            pose=self.pose[rows],
-            slant_m=self.slant_m[rows],
-            cosine=self.cosine[rows],
-        )
+        return rows_of(self, rows)
 
 
 def root_of(cov: ArrayF) -> ArrayF:

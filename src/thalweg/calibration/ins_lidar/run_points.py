@@ -20,6 +20,7 @@ from thalweg.core import (
     Trajectory,
     njit,
     plane_rates,
+    rows_of,
 )
 from thalweg.settings.sections import InsLidarFit
 
@@ -173,14 +174,7 @@ class RunPoints:
 
     def taken(self, rows: ArrayI | ArrayB) -> Self:
         """Some of the points."""
-        return type(self)(
-            xyz_scs_m=self.xyz_scs_m[rows],
-            t_gps_s=self.t_gps_s[rows],
-            position_wcs_m=self.position_wcs_m[rows],
-            R_wcs_ics=self.R_wcs_ics[rows],
-            velocity_wcs_mps=self.velocity_wcs_mps[rows],
-            rate_wcs_radps=self.rate_wcs_radps[rows],
-        )
+        return rows_of(self, rows)
 
     def in_wcs(self, T_ics_scs: Rigid) -> ArrayF:
         """Points (n, 3) in the world for a mount (P1 eq. 7-8)."""

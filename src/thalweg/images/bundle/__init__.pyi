@@ -5,6 +5,7 @@ from .adjustment import (
 )
 from .checks import Interiors as Interiors
 from .job import (
+    CONTROL_COLUMNS as CONTROL_COLUMNS,
     Boat as Boat,
     Pieces as Pieces,
     adjust_campaign as adjust_campaign,

@@ -90,6 +90,8 @@ _LEAST_CONTROL_REDUNDANCY: Final = 20
 _LEAST_SHARE: Final = 0.05
 """Share of a coordinate's variance that must be left to its residual for a test."""
 FEW_MARKS: Final = f"fewer than {LEAST_IMAGE_MARKS} marks fit the rest of the block"
+_RISK: Final = 1e-4
+"""Share of good points that the test accuses."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -888,16 +890,12 @@ def _against_others(off: ArrayF, cov: ArrayF, C: ArrayF) -> tuple[float, ArrayF,
     return float((np.square(r) * factor)[told].sum()), turn @ (r * factor), (turn * factor) @ turn.T
 
 
-def control_result(adjusted: AdjustedBlock, *, risk: float = 1e-4) -> ControlResult:
+def control_result(adjusted: AdjustedBlock) -> ControlResult:
     """Differences of control and check points, each tested against all others.
 
     A check point's difference has the covariance ``C + Q`` of survey and block, a control point's ``C - Q``,
     because it has pulled the block to itself. Without its own coordinates a control point would be at
     ``C (C - Q)^-1 (adjusted - surveyed)``, with the covariance ``C (C - Q)^-1 C`` of that difference.
-
-    Parameters
-    ----------
-    risk : share of good points that the test accuses.
     """
     control, marks, layout = adjusted.problem.control, adjusted.problem.marks, adjusted.layout
     k = len(control.names)
@@ -924,7 +922,7 @@ def control_result(adjusted: AdjustedBlock, *, risk: float = 1e-4) -> ControlRes
     with np.errstate(invalid="ignore", divide="ignore"):
         rms = np.sqrt(square / count)
     with np.errstate(invalid="ignore"):
-        suspect = test > chi2.isf(risk, 3)
+        suspect = test > chi2.isf(_RISK, 3)
     notes = [
         f"{'Check' if control.check[i] else 'Control'} point {control.names[i]} lies "
         f"{np.linalg.norm(without[i]):.3f} m from where all others put it, {np.sqrt(test[i] / 3):.1f} times "

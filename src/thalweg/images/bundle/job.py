@@ -68,7 +68,7 @@ cv2 = optional("cv2")
 _NAMED: Final = 5
 
 _AXES: Final = ("east", "north", "up")
-_CONTROL_COLUMNS: Final = [
+CONTROL_COLUMNS: Final = [
     "point",
     "role",
     "images",
@@ -567,7 +567,7 @@ def control_table(
         {"point": name, "role": "left out", "images": 0, "suspect": False, "reason": reason}
         for name, reason in left_out.items()
     ]
-    return pd.DataFrame(rows, columns=_CONTROL_COLUMNS)
+    return pd.DataFrame(rows, columns=CONTROL_COLUMNS)
 
 
 def check_statistics(

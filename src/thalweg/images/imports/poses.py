@@ -51,7 +51,6 @@ from thalweg.images.model import (
     check_share,
     comparable,
     matched,
-    mean_rotation,
     predicted_sigmas,
     unknown_poses,
 )
@@ -786,7 +785,7 @@ def _check_attitudes(source: Finished, R: ArrayF, turn: ArrayF, predicted: Predi
     if not far:
         return
     raise InputError(
-        f"{found}{_constant_turn(R, median, predicted)}",
+        found,
         expected=expected,
         where=source.where,
         cure="Check what the rotations of the file mean, the mount of the camera and the camera's clock, by "
@@ -828,27 +827,6 @@ def _other_angles(source: Finished, predicted: Predicted) -> tuple[Sequence[str]
         if best is None or left < best[1] - 1e-6:
             best = changed, left
     return best
-
-
-def _constant_turn(R: ArrayF, median_rad: float, predicted: Predicted) -> str:
-    """Whether one turn of the image axes or of the world's would make all attitudes fit."""
-    at_image = np.swapaxes(R, 1, 2) @ predicted.R_wcs_ccs
-    at_world = predicted.R_wcs_ccs @ np.swapaxes(R, 1, 2)
-    inverse = predicted.R_wcs_ccs @ R
-    for turns, words in (
-        (at_image, "the axes of the images"),
-        (at_world, "the axes of the world"),
-        (inverse, "the rotations inverted, and the axes of the world"),
-    ):
-        mean = mean_rotation(turns)
-        left = float(np.median(angles_between(turns, np.broadcast_to(mean, turns.shape))))
-        if left < _BETTER * median_rad:
-            angle = float(np.arccos(np.clip((np.trace(mean) - 1) / 2, -1, 1)))
-            return (
-                f"; with {words} turned by {np.rad2deg(angle):.1f} degrees they would fit to "
-                f"{np.rad2deg(left):.1f}"
-            )
-    return ""
 
 
 def _distance(off: ArrayF) -> str:

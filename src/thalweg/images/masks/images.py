@@ -228,10 +228,14 @@ def looks_like_sky(image: ArrayU8, sky: ArrayB, land: ArrayB) -> bool:
     if not sky.any() or not land.any():
         return not sky.any()
     light = np.log(image.astype(np.float32) + _DARK).mean(axis=2)
-    across, down = (cv2.Sobel(light, cv2.CV_32F, *d, ksize=3) / 8 for d in ((1, 0), (0, 1)))
     # light changes less from pixel to pixel in a larger picture
-    texture = float(np.median(np.hypot(across, down)[sky])) * max(sky.shape) / _TEXTURE_PX
+    texture = float(np.median(np.hypot(*_gradient(light))[sky])) * max(sky.shape) / _TEXTURE_PX
     return texture < _SKY_TEXTURE and float(np.median(light[sky])) > float(np.median(light[land]))
+
+
+def _gradient(light: ArrayF32) -> ArrayF32:
+    """Change (2, h, w) from pixel to pixel, across and down."""
+    return np.stack([cv2.Sobel(light, cv2.CV_32F, *d, ksize=3) / 8 for d in ((1, 0), (0, 1))])
 
 
 def sky_pixels(model: SkyModel, features: ArrayF32, may_be: ArrayB) -> ArrayB:
@@ -373,9 +377,8 @@ def steady_share(images: Sequence[ArrayU8], without: ArrayB | None = None) -> fl
         return 0.0
     strong = []
     for image in images:
-        light = np.log(image.astype(np.float32) + 8.0).mean(axis=2)
-        gradient = np.stack([cv2.Sobel(light, cv2.CV_32F, *d, ksize=3) / 8 for d in ((1, 0), (0, 1))])
-        strong.append(np.hypot(*gradient) > _FAINT)
+        light = np.log(image.astype(np.float32) + _DARK).mean(axis=2)
+        strong.append(np.hypot(*_gradient(light)) > _FAINT)
     edges = np.mean(strong, axis=0) > 0.5
     if without is not None:
         edges &= ~_wider(without, _RIM_PX)
@@ -390,7 +393,7 @@ def _steadiness(images: Sequence[ArrayU8]) -> tuple[ArrayF32, ArrayF32]:
     for image in images:
         light = np.log(image.astype(np.float32) + 8.0)
         bright = light.mean(axis=2)
-        gradient = np.stack([cv2.Sobel(bright, cv2.CV_32F, *d, ksize=3) / 8 for d in ((1, 0), (0, 1))])
+        gradient = _gradient(bright)
         # The light on the hull changes with the heading, the direction of an edge does not.
         directions += gradient / (np.hypot(*gradient) + _FAINT)
         colours.append(

@@ -24,6 +24,7 @@ from thalweg.core import (
     exp_rotation,
     root_mean_square,
     rotation_vector,
+    rows_of,
 )
 from thalweg.core.geometry import fit_points, nearest_rotation
 from thalweg.images.model.poses import ImagePoses
@@ -220,13 +221,7 @@ class ControlPoints:
 
     def chosen(self, rows: AnyArray) -> "ControlPoints":
         """Some of the points, by index or mask."""
-        at = np.arange(len(self.names))[rows]
-        return ControlPoints(
-            names=tuple(self.names[i] for i in at),
-            points_wcs_m=self.points_wcs_m[at],
-            cov_wcs_m2=self.cov_wcs_m2[at],
-            check=self.check[at],
-        )
+        return rows_of(self, rows)
 
     def as_check(self, names: Sequence[str]) -> "ControlPoints":
         """The same points, some of them made check points."""
@@ -266,12 +261,7 @@ class ControlMarks:
 
     def chosen(self, rows: AnyArray) -> "ControlMarks":
         """Some of the marks, by index or mask."""
-        return ControlMarks(
-            image=self.image[rows],
-            point=self.point[rows],
-            xy_px=self.xy_px[rows],
-            sigma_px=self.sigma_px[rows],
-        )
+        return rows_of(self, rows)
 
     def counts(self, n_points: int) -> ArrayI:
         """Number of marks of each point."""

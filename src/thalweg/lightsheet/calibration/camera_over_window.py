@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -108,9 +108,6 @@ def camera_over_window(
     points: FieldPoints,
     window_markers: Sequence[int],
     *,
-    face: Literal["inner", "outer"] = "outer",
-    sheet_mm: float = 0.0,
-    sigma_factor: float = 1.0,
     where: str = "",
 ) -> CameraOverWindow:
     """Pose of the camera relative to the window.
@@ -121,9 +118,9 @@ def camera_over_window(
         gives the place along the window and the heading.
     marks : marks (marker, corner, x_px, y_px, sigma_px) of the sensor's picture, all seen through air.
     points : coordinates of the marks, among them those of the window, in metres, with their joint
-    covariance. window_markers : markers on the window. face : of the window that they stick to. sheet_mm :
-    thickness of their sheets. sigma_factor : see `thalweg.calibration.field.resection.resect`. where : name
-    of the picture.
+        covariance.
+    window_markers : markers on the outer face of the window.
+    where : name of the picture.
 
     Raises
     ------
@@ -134,8 +131,8 @@ def camera_over_window(
         [i for i, (marker, _) in enumerate(points.points) if marker in set(window_markers)], np.int64
     )
     flatness = _require_plane(points, at, where)
-    resected = resect(nominal.camera, marks, points, sigma_factor=sigma_factor, where=where)
-    height_mm = sheet_mm if face == "inner" else -nominal.window.thickness_mm - sheet_mm
+    resected = resect(nominal.camera, marks, points, where=where)
+    height_mm = -nominal.window.thickness_mm
     pose = resected.T_pcs_ccs
     on_window = points.points_pcs[at]
     bare = Rigid(R=pose.R, shift_m=pose.shift_m)
@@ -169,8 +166,8 @@ def camera_over_window(
         + by_points @ points.cov @ by_points.T
         + by_lens @ Q @ by_lens.T
     )
-    # the marks give the height over the face that they stick to
-    by_glass = np.array([0.0, 0.0, 0.0 if face == "inner" else -1.0, 0.0, 0.0, 0.0])
+    # the marks give the height over the outer face
+    by_glass = np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])
     cov = cov + nominal.cov[GLASS, GLASS] * np.outer(by_glass, by_glass)
     # place along the window is a definition; rounding of the differences leaves 1e-20 there
     cov[:2], cov[:, :2] = 0.0, 0.0
@@ -255,11 +252,7 @@ def orient_camera(
     ------
     GeometryError : see `camera_over_window`; a camera at another height than the design says.
     """
-    try:
-        found = camera_over_window(nominal, marks, points, window_markers, where=where)
-    except GeometryError as error:
-        where = error.where or where
-        raise GeometryError(error.found, expected=error.expected, where=where, cure=error.cure) from error
+    found = camera_over_window(nominal, marks, points, window_markers, where=where)
     height, designed = float(found.origin_lcs_mm[2]), float(nominal.camera_origin_lcs_mm[2])
     if not designed / _TIMES < height < designed * _TIMES:
         raise GeometryError(

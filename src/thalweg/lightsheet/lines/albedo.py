@@ -1,8 +1,6 @@
 """Edges of the brightness of a surface: points near them are flagged; a shift with the line's width is
 removed.
 
-removed.
-
 On white markers the line is over-exposed. A halo on one side (towards the laser, P4 7.2) then widens it on
 that side and pulls its centre along; the distances from the object become bi-modal. Where the brightness
 jumps while the surface goes on, the jump of the line's place per jump of its width is the coefficient of
@@ -33,6 +31,8 @@ from thalweg.lightsheet.lines.settings import LineFlag
 
 _SIDE: Final = 6
 """Rows on each side of an edge whose mean brightness is compared."""
+_RATIO: Final = 1.6
+"""Change between the means of the rows on both sides that counts."""
 _GAP: Final = 2
 """Rows beside an edge that see both sides at least: of pixels, smoothing and the marker's own rim."""
 _APART: Final = 3
@@ -61,13 +61,12 @@ class WidthShift:
     usual_width_px: float = float("nan")
 
 
-def albedo_edges(piece: ArrayI, peak_dn: ArrayF, rows: ArrayI, ratio: float) -> tuple[ArrayB, ArrayI]:
+def albedo_edges(piece: ArrayI, peak_dn: ArrayF, rows: ArrayI) -> tuple[ArrayB, ArrayI]:
     """Points near a change of brightness along the line, and the edges themselves.
 
     Parameters
     ----------
     piece, peak_dn, rows : (n,) sorted by piece and row; ``rows`` is the height of each patch.
-    ratio : change between the means of the rows on both sides that counts.
 
     Returns
     -------
@@ -89,7 +88,7 @@ def albedo_edges(piece: ArrayI, peak_dn: ArrayF, rows: ArrayI, ratio: float) -> 
     # speckle changes the peak of a row too; its mean over the rows of a side is compared with that scatter
     steps = np.abs(log_peak[_APART:] - log_peak[:-_APART])
     scatter = NMAD * float(np.median(steps)) / np.sqrt(2.0)
-    level = max(np.log(ratio), 4.5 * scatter * np.sqrt(2.0 / _SIDE))
+    level = max(np.log(_RATIO), 4.5 * scatter * np.sqrt(2.0 / _SIDE))
     index = np.flatnonzero(change > level)
     edges = [int(k) for k in index if change[k] >= change[max(0, k - _SIDE) : k + _SIDE + 1].max() - 1e-12]
     for k in edges:
@@ -100,7 +99,7 @@ def albedo_edges(piece: ArrayI, peak_dn: ArrayF, rows: ArrayI, ratio: float) -> 
     return near, np.asarray(edges, np.int64)
 
 
-def remove_width_shift(
+def width_shift(
     x_px: ArrayF,
     width_px: ArrayF,
     sigma_px: ArrayF,
@@ -108,8 +107,8 @@ def remove_width_shift(
     piece: ArrayI,
     edges: ArrayI,
     rows: ArrayI,
-) -> tuple[ArrayF, ArrayF, WidthShift]:
-    """Places and sigmas (n,) after removal of the shift with the width, and what was found.
+) -> WidthShift:
+    """How far a line's place goes with its width.
 
     Each edge compares straight lines through the rows on both sides, extrapolated to the edge, so that the
     slope of the surface does not count. Rows whose patches, ``rows`` (n,) high, see both sides take no part:
@@ -121,15 +120,10 @@ def remove_width_shift(
     clear = np.abs(usable[:, 1]) > _LEAST_WIDTH_JUMP * np.median(width_px)
     usable, at = usable[clear], edges[known][clear].astype(np.float64)
     usual = float(np.median(width_px[~saturated])) if not saturated.all() else float("nan")
-    none = WidthShift(0.0, float("nan"), len(usable), False, usual)
     if len(usable) < _LEAST_EDGES or not saturated.any() or saturated.all():
-        return x_px, sigma_px, none
+        return WidthShift(0.0, float("nan"), len(usable), False, usual)
     k, sigma_k = _slope(usable[:, 0], usable[:, 1], usable[:, 2], at)
-    if not abs(k) > SIGNIFICANT * sigma_k:
-        return x_px, sigma_px, WidthShift(k, sigma_k, len(usable), False, usual)
-    wider = np.where(saturated, width_px - usual, 0.0)
-    corrected_sigma = np.hypot(sigma_px, sigma_k * np.abs(wider))
-    return x_px - k * wider, corrected_sigma, WidthShift(k, sigma_k, len(usable), True, usual)
+    return WidthShift(k, sigma_k, len(usable), abs(k) > SIGNIFICANT * sigma_k, usual)
 
 
 def pooled_shift(facts: Sequence[Mapping[str, float]]) -> WidthShift:
@@ -161,7 +155,7 @@ def without_shift(points: LinePoints, shift: WidthShift) -> LinePoints:
 
     Parameters
     ----------
-    points : measured without removal of a shift (``LineSettings.apply_shift`` false).
+    points : as `detect_lines` gives them.
     shift : see `pooled_shift`.
     """
     usual = points.facts.get("width_unsaturated_px", float("nan"))

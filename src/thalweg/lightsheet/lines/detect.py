@@ -1,6 +1,6 @@
 """Lines of an image, measured: the three methods, sigmas, flags, and counts of what was dropped.
 
-Start values come from `search`; row-wise, patch-wise and direction-normal fits and ridges from `fits`; edges
+Start values come from `search`; row-wise and patch-wise fits from `fits`; edges
 of the albedo from `albedo`.
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from thalweg.core import NMAD, AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, InputError, njit
 from thalweg.lightsheet.lines import fits
-from thalweg.lightsheet.lines.albedo import albedo_edges, remove_width_shift
+from thalweg.lightsheet.lines.albedo import albedo_edges, width_shift
 from thalweg.lightsheet.lines.image import (
     LAG,
     GreenImage,
@@ -190,17 +190,7 @@ def _local_line(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _row_ranges(
-    row: int,
-    x: float,
-    cosine: float,
-    sine: float,
-    tilt: float,
-    h_n: float,
-    h_t: float,
-    top: int,
-    bottom: int,
-    width: int,
-    ranges: ArrayI,
+    row: int, x: float, tilt: float, h_n: float, h_t: float, top: int, bottom: int, width: int, ranges: ArrayI
 ) -> None:
     """Columns (first, end) of the rows of a patch from ``top`` to ``bottom``.
 
@@ -209,15 +199,12 @@ def _row_ranges(
     for r in range(top, bottom):
         dy = float(r - row)
         first, end = width, 0
-        # both conditions are linear in the column
         centre = x - 0.5
-        reach = (h_n + 0.5 + h_t * (abs(sine) + abs(tilt)) + 1.0) / max(abs(cosine), 0.3)
+        reach = h_n + 1.5 + h_t * abs(tilt)
         low = max(0, int(np.floor(centre - reach - abs(dy))))
         high = min(width, int(np.ceil(centre + reach + abs(dy))) + 1)
         for c in range(low, high):
-            dx = c + 0.5 - x
-            along = -dx * sine + dy * cosine
-            if abs(along) <= h_t + 0.5 and abs(dx * cosine + dy * sine - tilt * along) <= h_n + 0.5:
+            if abs(dy) <= h_t + 0.5 and abs(c + 0.5 - x - tilt * dy) <= h_n + 0.5:
                 first = min(first, c)
                 end = max(end, c + 1)
         ranges[r - top, 0] = first
@@ -232,8 +219,6 @@ def _start(
     ranges: ArrayI,
     row: int,
     x: float,
-    cosine: float,
-    sine: float,
     half_width: float,
     slope: float,
     out: ArrayF,
@@ -245,9 +230,7 @@ def _start(
     for i in range(bottom - top):
         dy = float(top + i - row)
         for c in range(ranges[i, 0], ranges[i, 1]):
-            dx = c + 0.5 - x
-            across = dx * cosine + dy * sine
-            d = (across - slope * (-dx * sine + dy * cosine)) / half_width
+            d = (c + 0.5 - x - slope * dy) / half_width
             e = np.exp(-2.0 * d * d)
             value = dn[top + i, c]
             e1 += e
@@ -274,7 +257,6 @@ def patch_windows(
     first_row: ArrayI,
     last_row: ArrayI,
     slope: ArrayF,
-    normal_rad: ArrayF,
     half_across: ArrayF,
     half_along: ArrayF,
     half_width: ArrayF,
@@ -292,20 +274,16 @@ def patch_windows(
     n = row.size
     rows = np.empty((n, 2), np.int64)
     for i in range(n):
-        cosine, sine = abs(np.cos(normal_rad[i])), abs(np.sin(normal_rad[i]))
-        reach = int(half_along[i] * cosine + half_across[i] * sine) + (0 if sine == 0.0 else 1)
+        reach = int(half_along[i])
         # rows beyond the piece of line show something else
         rows[i, 0] = max(0, row[i] - reach, first_row[i])
         rows[i, 1] = min(height, row[i] + reach + 1, last_row[i] + 1)
     ranges = np.zeros((n, np.max(rows[:, 1] - rows[:, 0]), 2), np.int64)
     guess = np.empty((n, 5))
     for i in range(n):
-        cosine, sine = np.cos(normal_rad[i]), np.sin(normal_rad[i])
         _row_ranges(
             row[i],
             x_px[i],
-            cosine,
-            sine,
             slope[i] if follow else 0.0,
             half_across[i],
             half_along[i],
@@ -314,19 +292,7 @@ def patch_windows(
             width,
             ranges[i],
         )
-        _start(
-            dn,
-            rows[i, 0],
-            rows[i, 1],
-            ranges[i],
-            row[i],
-            x_px[i],
-            cosine,
-            sine,
-            half_width[i],
-            slope[i],
-            guess[i],
-        )
+        _start(dn, rows[i, 0], rows[i, 1], ranges[i], row[i], x_px[i], half_width[i], slope[i], guess[i])
     return rows, ranges, guess
 
 
@@ -462,7 +428,7 @@ def detect_lines(image: AnyArray, settings: LineSettings | None = None) -> LineP
         region, share = board_region(np.asarray(image), settings)
         green, board = replace(green, region=region), {"board_share": share}
     if settings.method == "auto":
-        settings = replace(settings, method="lsm" if green.daylight else "speckle_patch")
+        settings = settings.replace(method="lsm" if green.daylight else "speckle_patch")
     if settings.method != "speckle_patch":
         green = green.taken_as_measured()
     by_rows = settings.across == "rows" or (settings.across == "auto" and runs_down(green))
@@ -484,16 +450,13 @@ def _measure(green: GreenImage, settings: LineSettings) -> LinePoints:
     noise = _noise(green, starts, settings)
     bias = np.zeros(starts.row.size)
     halo, halo_px = NO_HALO, 0.0
-    normal = np.zeros(starts.row.size)
-    if settings.direction == "normal":
-        normal = -np.arctan(starts.slope)
     if settings.method == "speckle_patch":
         if settings.correct_albedo:
             halo, halo_px = _halo(green, starts, noise)
-        fitted, rows, bias = _speckle_patches(green, starts, noise, normal, halo, settings)
+        fitted, rows, bias = _speckle_patches(green, starts, noise, halo, settings)
     elif settings.method == "lsm":
         rows = np.full(starts.row.size, settings.patch_rows)
-        fitted = _fit(green, starts, rows, noise, normal, half_across=settings.patch_columns / 2 - 0.5)
+        fitted = _fit(green, starts, rows, noise, half_across=settings.patch_columns / 2 - 0.5)
         if green.daylight:
             fitted[:, fits.SIGMA] = _seen_sigma(fitted[:, fits.SEEN], fitted[:, fits.SIGMA])
             fitted[:, fits.SIGMA] *= _sigma_factor(
@@ -501,8 +464,8 @@ def _measure(green: GreenImage, settings: LineSettings) -> LinePoints:
             )
     else:
         rows = np.ones(starts.row.size, np.int64)
-        fitted = _fit(green, starts, rows, noise, normal, half_across=_ACROSS * starts.half_width_px)
-    return _points(green, starts, fitted, rows, bias, normal, noise, halo_px, settings)
+        fitted = _fit(green, starts, rows, noise, half_across=_ACROSS * starts.half_width_px)
+    return _points(green, starts, fitted, rows, bias, noise, halo_px, settings)
 
 
 def _seen_sigma(seen: ArrayF, by_model: ArrayF) -> ArrayF:
@@ -576,21 +539,19 @@ def _some(starts: Starts, number: int) -> Starts:
 def _halo(green: GreenImage, starts: Starts, noise: PixelNoise) -> tuple[ArrayF, float]:
     """Halo of the image, and its length."""
     some = _some(starts, _PILOTS // 2)
-    rows, straight = np.full(some.row.size, _PILOT_ROWS), np.zeros(some.row.size)
+    rows = np.full(some.row.size, _PILOT_ROWS)
     across = _ACROSS * starts.half_width_px
 
     def fit(table: ArrayF) -> ArrayF:
         """The patches of all rows with a table of the halo."""
-        return _fit(
-            green, some, rows, noise, straight, half_across=across, speckle=True, free_slope=True, halo=table
-        )
+        return _fit(green, some, rows, noise, half_across=across, speckle=True, free_slope=True, halo=table)
 
     return find_halo(fit, starts.half_width_px, across)
 
 
 def _noise(green: GreenImage, starts: Starts, settings: LineSettings) -> PixelNoise:
     """Noise of the pixels, with the speckle as the residuals of some patches show it."""
-    first = first_noise(green, settings.full_well_electrons)
+    first = first_noise(green)
     some = _some(starts, _PILOTS)
     rows = np.full(some.row.size, _PILOT_ROWS)
     fitted = _fit(
@@ -598,7 +559,6 @@ def _noise(green: GreenImage, starts: Starts, settings: LineSettings) -> PixelNo
         some,
         rows,
         first,
-        np.zeros(some.row.size),
         half_across=_ACROSS * starts.half_width_px,
         speckle=True,
         free_slope=True,
@@ -611,12 +571,7 @@ def _noise(green: GreenImage, starts: Starts, settings: LineSettings) -> PixelNo
 
 
 def _speckle_patches(
-    green: GreenImage,
-    starts: Starts,
-    noise: PixelNoise,
-    normal_rad: ArrayF,
-    halo: ArrayF,
-    settings: LineSettings,
+    green: GreenImage, starts: Starts, noise: PixelNoise, halo: ArrayF, settings: LineSettings
 ) -> tuple[ArrayF, ArrayI, ArrayF]:
     """Patches with speckle weights; their height follows the unevenness of the line."""
     across = _ACROSS * starts.half_width_px
@@ -624,18 +579,16 @@ def _speckle_patches(
     bias = np.zeros(starts.row.size)
     if settings.adaptive and settings.largest_rows > 1:
         single = np.ones(starts.row.size, np.int64)
-        rough = _fit(green, starts, single, noise, normal_rad, half_across=across, speckle=True, halo=halo)
+        rough = _fit(green, starts, single, noise, half_across=across, speckle=True, halo=halo)
         rows, bias = patch_heights(
             starts.row,
-            starts.x_px + rough[:, fits.MEAN] / np.cos(normal_rad),
+            starts.x_px + rough[:, fits.MEAN],
             rough[:, fits.SIGMA],
             starts.piece,
             noise.correlation[:, LAG],
             settings.largest_rows,
         )
-    fitted = _fit(
-        green, starts, rows, noise, normal_rad, half_across=across, speckle=True, free_slope=True, halo=halo
-    )
+    fitted = _fit(green, starts, rows, noise, half_across=across, speckle=True, free_slope=True, halo=halo)
     return fitted, rows, bias
 
 
@@ -644,7 +597,6 @@ def _fit(
     starts: Starts,
     rows: ArrayI,
     noise: PixelNoise,
-    normal_rad: ArrayF,
     *,
     half_across: float,
     speckle: bool = False,
@@ -654,13 +606,11 @@ def _fit(
 ) -> ArrayF:
     """Patches around the starts; see `patch.fit_patches`.
 
-    With speckle weights the window follows the line's slope, each row has its own peak (unless a window
-    stands oblique to the rows), and interpolated pixels are left out; the classical methods take rectangular
-    windows of the interpolated image as it is.
+    With speckle weights the window follows the line's slope, each row has its own peak, and interpolated
+    pixels are left out; the classical methods take rectangular windows of the interpolated image as it is.
     """
     n = starts.row.size
     slope = starts.slope if speckle else np.zeros(n)
-    slope = np.where(normal_rad != 0.0, 0.0, slope)
     across = np.minimum(half_across, np.maximum(starts.room_px, 2.0))
     half_width = np.full(n, starts.half_width_px)
     windows = patch_windows(
@@ -670,7 +620,6 @@ def _fit(
         starts.first_row,
         starts.last_row,
         slope,
-        normal_rad,
         across,
         rows // 2 + 0.0,
         half_width,
@@ -684,12 +633,11 @@ def _fit(
             starts.x_px,
             *windows,
             slope,
-            normal_rad,
             across,
             half_width,
             (rows >= _SLOPE_ROWS) & free_slope,
             speckle,
-            speckle and peak_per_row and not normal_rad.any(),
+            speckle and peak_per_row,
             speckle and green.kind == "mosaic",
             noise.vector(),
             noise.correlation,
@@ -706,18 +654,16 @@ def _points(
     fitted: ArrayF,
     rows: ArrayI,
     bias: ArrayF,
-    normal_rad: ArrayF,
     noise: PixelNoise,
     halo_px: float,
     settings: LineSettings,
 ) -> LinePoints:
     """Table of the points that are fit to be used, with flags, corrections and counts."""
     height, width = green.dn.shape
-    x = starts.x_px + np.cos(normal_rad) * fitted[:, fits.MEAN]
-    y = starts.row + 0.5 + np.sin(normal_rad) * fitted[:, fits.MEAN]
+    x, y = starts.x_px + fitted[:, fits.MEAN], starts.row + 0.5
     sigma = np.hypot(fitted[:, fits.SIGMA], bias)
     found = np.isfinite(x)
-    inside = (x > 0.0) & (x < width) & (y > 0.0) & (y < height)
+    inside = (x > 0.0) & (x < width)
     steady = sigma <= settings.largest_sigma_px
     counts = {
         **starts.counts,
@@ -736,7 +682,7 @@ def _points(
     x, y, sigma = x[keep], y[keep], sigma[keep]
     core = 2.0 * shape[:, fits.WIDTH] * rows
     saturated = shape[:, fits.SATURATED_PIXELS] > _SATURATED_SHARE * core
-    near_edge, edges = albedo_edges(piece, shape[:, fits.PEAK], rows, settings.albedo_ratio)
+    near_edge, edges = albedo_edges(piece, shape[:, fits.PEAK], rows)
     facts = {
         "half_width_px": starts.half_width_px,
         "contrast": noise.contrast,
@@ -747,18 +693,11 @@ def _points(
         "judged_by_colour": float(green.other is not None),
     }
     if settings.correct_albedo:
-        corrected, wider_sigma, shift = remove_width_shift(
-            x, shape[:, fits.WIDTH], sigma, saturated, piece, edges, rows
-        )
-        if settings.apply_shift:
-            # measured along the normal, a point moves along it
-            y = y + np.tan(normal_rad[keep]) * (corrected - x)
-            x, sigma = corrected, wider_sigma
+        shift = width_shift(x, shape[:, fits.WIDTH], sigma, saturated, piece, edges, rows)
         facts |= {
             "width_shift": shift.coefficient,
             "sigma_width_shift": shift.sigma,
             "width_shift_edges": float(shift.edges),
-            "width_shift_applied": float(shift.applied and settings.apply_shift),
             "width_unsaturated_px": shift.usual_width_px,
         }
     flags = (
@@ -779,7 +718,7 @@ def _points(
         x_px=x,
         y_px=y,
         sigma_px=sigma,
-        angle_rad=normal_rad[keep],
+        angle_rad=np.zeros(x.size),
         peak_dn=shape[:, fits.PEAK],
         width_px=shape[:, fits.WIDTH],
         background_dn=shape[:, fits.BACKGROUND],

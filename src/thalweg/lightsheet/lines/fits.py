@@ -56,7 +56,6 @@ def fit_patches(
     ranges: ArrayI,
     guess: ArrayF,
     start_slope: ArrayF,
-    normal_rad: ArrayF,
     half_across: ArrayF,
     half_width: ArrayF,
     free_slope: AnyArray,
@@ -77,7 +76,6 @@ def fit_patches(
     row, x_px : (n,) row index and place in the row.
     rows, ranges, guess : from `windows.patch_windows`.
     start_slope : (n,) slope to start from, or to keep where ``free_slope`` is false; across per along.
-    normal_rad : (n,) direction across the line, 0 along the row.
     half_across : (n,) half width of the patch.
     half_width : (n,) typical half width of the line: start and weak observation (30 %) of ``w``.
     free_slope : (n,) whether the slope is unknown.
@@ -98,11 +96,10 @@ def fit_patches(
     ap = np.empty((longest, 5))
     normal, g, step, unit = np.empty((5, 5)), np.empty(5), np.zeros(5), np.zeros(5)
     unit[0] = 1.0
-    par, frame, scatter = np.zeros(5), np.empty(4), np.empty(3)
+    par, frame, scatter = np.zeros(5), np.empty(2), np.empty(3)
     with_halo = table.shape[0] > 2
     for i in range(n):
         frame[0], frame[1] = row[i], x_px[i]
-        frame[2], frame[3] = np.cos(normal_rad[i]), np.sin(normal_rad[i])
         h_n, slope = half_across[i], start_slope[i]
         top, count = rows[i, 0], rows[i, 1] - rows[i, 0]
         a, b, lowest, highest, pixels = guess[i]
@@ -310,16 +307,14 @@ def _accumulate(
     """Normal equations of a patch: ``normal`` (5, 5) and ``g`` of m, ln w, b, s, h; ``aa, ga, ap`` of the
     peaks.
 
-    ``frame``: row, x, cosine, sine. ``par``: m, w, b, s, h. Along a row the exponential follows by two
+    ``frame``: row, x. ``par``: m, w, b, s, h. Along a row the exponential follows by two
     products, because its argument is quadratic.
     """
     m, w, b, s, h = par[0], par[1], par[2], par[3], par[4]
     with_halo = table.shape[0] > 2
-    cosine, sine = frame[2], frame[3]
     read2, photon, contrast2 = noise[0], noise[1], noise[2]
     f = 2.0 / (w * w)
-    delta = cosine + s * sine
-    growth = np.exp(-2.0 * f * delta * delta)
+    growth = np.exp(-2.0 * f)
     normal[:] = 0.0
     g[:] = 0.0
     aa[: 1 if one_peak else count] = 0.0
@@ -332,16 +327,14 @@ def _accumulate(
         height = peak[z]
         a00 = ag = a0 = a1 = a2 = a3 = a4 = 0.0
         first = ranges[i, 0]
-        dx = first + 0.5 - frame[1]
-        dy = top + i - frame[0]
-        along = -dx * sine + dy * cosine
-        d = dx * cosine + dy * sine - m - s * along
+        along = top + i - frame[0]
+        d = first + 0.5 - frame[1] - m - s * along
         e = np.exp(-f * d * d)
-        q = np.exp(-f * delta * (2.0 * d + delta))
+        q = np.exp(-f * (2.0 * d + 1.0))
         for c in range(first, ranges[i, 1]):
             if e < 1e-30:
                 e = np.exp(-f * d * d)
-                q = np.exp(-f * delta * (2.0 * d + delta))
+                q = np.exp(-f * (2.0 * d + 1.0))
             flag = bits[top + i, c]
             if not measured_only or flag & 1:
                 shape = e
@@ -398,8 +391,7 @@ def _accumulate(
                     a4 += we * j4
             e *= q
             q *= growth
-            d += delta
-            along -= sine
+            d += 1.0
         aa[z] += a00
         ga[z] += ag
         ap[z, 0] += a0
@@ -457,15 +449,13 @@ def _report(
     contrast = np.sqrt(noise[2])
     for i in range(count):
         z = 0 if one_peak else i
-        dy = top + i - frame[0]
+        along = top + i - frame[0]
         sums[i] = 0.0
         for c in range(ranges[i, 0], min(ranges[i, 1], right)):
             flag = bits[top + i, c]
             if measured_only and flag & 1 == 0:
                 continue
-            dx = c + 0.5 - frame[1]
-            along = -dx * frame[3] + dy * frame[2]
-            d = dx * frame[2] + dy * frame[3] - m - s * along
+            d = c + 0.5 - frame[1] - m - s * along
             e = np.exp(-f * d * d)
             value, rise = _halo(table, d)
             shape = e + h * value

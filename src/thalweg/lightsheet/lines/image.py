@@ -61,6 +61,8 @@ lens."""
 _QUARTILE: Final = 0.3186
 """Lower quartile of the absolute value of a standard normal number."""
 _LEAST_CONTRAST: Final = 0.02
+_FULL_WELL_ELECTRONS: Final = 13_500.0
+"""Electrons at the largest grey value, for the shot noise."""
 _FIRST_CONTRAST: Final = 0.5
 _UNKNOWNS: Final = 4
 _TAKEN: Final = 0.5
@@ -397,7 +399,7 @@ def usual_correlation() -> ArrayF:
     return out
 
 
-def first_noise(image: GreenImage, full_well_electrons: float) -> PixelNoise:
+def first_noise(image: GreenImage) -> PixelNoise:
     """Noise before any line was measured: the scatter of neighbours over the whole image."""
     mixed = image.kind == "mosaic" and not (image.bits & MEASURED).all()
     step = 2 if mixed else 1
@@ -409,7 +411,7 @@ def first_noise(image: GreenImage, full_well_electrons: float) -> PixelNoise:
     rounding = image.largest_dn / 255.0 / np.sqrt(12.0)
     return PixelNoise(
         read_dn=float(max(scatter, rounding if image.largest_dn == 255.0 else 1.0 / np.sqrt(12.0))),
-        photon_dn=image.largest_dn / full_well_electrons,
+        photon_dn=image.largest_dn / _FULL_WELL_ELECTRONS,
         contrast=_FIRST_CONTRAST,
         correlation=usual_correlation(),
     )

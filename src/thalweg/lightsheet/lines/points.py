@@ -1,13 +1,13 @@
 """Measured points of laser lines, and their table."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from thalweg.core import AnyArray, ArrayF, ArrayI, column, frame_of, table_kind
+from thalweg.core import AnyArray, ArrayF, ArrayI, column, frame_of, rows_of, table_kind
 
 LINE_POINTS: Final = table_kind(
     "line_points",
@@ -76,7 +76,7 @@ class LinePoints:
 
     def where(self, keep: AnyArray) -> "LinePoints":
         """The points for which ``keep`` (n,) is true; counts and facts stay."""
-        return replace(self, **{name: getattr(self, name)[keep] for name in LINE_POINTS.names})
+        return rows_of(self, keep)
 
     def has(self, flag: int) -> AnyArray:
         """Points (n,) that carry one of the flags."""

@@ -3,13 +3,13 @@
 Everything here works on rows; a line from left to right is measured in the transposed image.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
 
 import numpy as np
 
-from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, InputError, njit, optional
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, InputError, njit, optional, rows_of
 from thalweg.lightsheet.lines.image import SATURATED, GreenImage
 from thalweg.lightsheet.lines.settings import LineSettings
 
@@ -100,6 +100,8 @@ _GHOST_ROWS: Final = 6
 _GHOST_SHARE: Final = 0.25
 """At the end of a line its smoothed image goes on for some rows, with an ever smaller share of its light."""
 _SLOPE_MEMORY: Final = 0.15
+_LINK_PX: Final = 2.0
+"""How far a line may lie from its prediction in the next row."""
 _SMALL: Final = 4
 """Reduction of the image for the direction."""
 
@@ -126,8 +128,7 @@ class Starts:
 
     def where(self, keep: AnyArray) -> "Starts":
         """Some of the starts; their pieces keep their ends."""
-        names = ("row", "x_px", "slope", "piece", "room_px", "first_row", "last_row")
-        return replace(self, **{name: getattr(self, name)[keep] for name in names})
+        return rows_of(self, keep)
 
 
 def runs_down(image: GreenImage) -> bool:
@@ -161,7 +162,7 @@ def find_starts(image: GreenImage, settings: LineSettings) -> Starts:
             width = _typical_width(half, blur)
     else:
         width = settings.half_width_px
-    piece = _link(row, x, image.dn.shape[0], settings.link_px, settings.link_gap_rows)
+    piece = _link(row, x, settings.link_gap_rows)
     counts = {"candidates": int(row.size)}
     keep = np.bincount(piece)[piece] >= settings.least_rows
     counts["short_pieces"] = int(np.count_nonzero(~keep))
@@ -336,7 +337,7 @@ def _peaks(
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _link_kernel(row: ArrayI, x: ArrayF, height: int, tolerance: float, gap: int, memory: float) -> ArrayI:
+def _link(row: ArrayI, x: ArrayF, gap: int) -> ArrayI:
     """Number of the piece of each candidate; candidates are sorted by row."""
     n = row.size
     piece = np.full(n, -1, np.int64)
@@ -359,7 +360,7 @@ def _link_kernel(row: ArrayI, x: ArrayF, height: int, tolerance: float, gap: int
         n_open = kept
         taken = np.zeros(n_open, np.bool_)
         while True:  # the closest pair first
-            best = tolerance * 10.0
+            best = _LINK_PX * 10.0
             best_k = -1
             best_c = -1
             for k in range(n_open):
@@ -368,7 +369,7 @@ def _link_kernel(row: ArrayI, x: ArrayF, height: int, tolerance: float, gap: int
                 p = open_pieces[k]
                 rows = r - row[end[p]]
                 ahead = x[end[p]] + slope[p] * rows
-                allowed = tolerance * (1.0 + 0.25 * (rows - 1))
+                allowed = _LINK_PX * (1.0 + 0.25 * (rows - 1))
                 for c in range(i, j):
                     away = abs(x[c] - ahead)
                     if piece[c] < 0 and away <= allowed and away < best:
@@ -379,7 +380,7 @@ def _link_kernel(row: ArrayI, x: ArrayF, height: int, tolerance: float, gap: int
                 break
             p = open_pieces[best_k]
             rows = r - row[end[p]]
-            slope[p] += memory * ((x[best_c] - x[end[p]]) / rows - slope[p])
+            slope[p] += _SLOPE_MEMORY * ((x[best_c] - x[end[p]]) / rows - slope[p])
             piece[best_c] = p
             end[p] = best_c
             taken[best_k] = True
@@ -392,11 +393,6 @@ def _link_kernel(row: ArrayI, x: ArrayF, height: int, tolerance: float, gap: int
                 n_pieces += 1
         i = j
     return piece
-
-
-def _link(row: ArrayI, x: ArrayF, height: int, tolerance_px: float, gap_rows: int) -> ArrayI:
-    """Number of the piece of each candidate."""
-    return np.asarray(_link_kernel(row, x, height, tolerance_px, gap_rows, _SLOPE_MEMORY))
 
 
 def _room(row: ArrayI, x: ArrayF, keep: AnyArray) -> ArrayF:

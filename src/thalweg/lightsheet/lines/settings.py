@@ -1,17 +1,13 @@
 """What a user decides about the measurement of laser lines, and the flags that points carry."""
 
-from dataclasses import dataclass
 from enum import IntFlag
-from typing import Literal, get_args
+from typing import Literal
 
-from thalweg.core import ConfigError
-from thalweg.settings.sections import SheetLines
+from pydantic import Field
+
+from thalweg.settings.sections import Odd, Positive, SheetLines
 
 Method = Literal["auto", "speckle_patch", "lsm", "row_gauss"]
-Layout = Literal["auto", "mono", "rgb", "rggb", "bggr", "grbg", "gbrg"]
-LaserColour = Literal["auto", "green", "red", "blue", "mono"]
-Across = Literal["auto", "rows", "columns"]
-Direction = Literal["row", "normal"]
 
 
 class LineFlag(IntFlag):
@@ -30,115 +26,39 @@ class LineFlag(IntFlag):
     surface. It lies on another surface, or is a reflection or no laser at all."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LineSettings:
-    """How lines are found and measured.
+class LineSettings(SheetLines):
+    """How lines are found and measured: the section of a campaign, and what no campaign has asked for yet.
 
     Attributes
     ----------
-    method : ``auto`` takes ``lsm`` where daylight was taken away from a colour image, whose noise is no
-        speckle, else ``speckle_patch``; ``speckle_patch`` Gaussian patch with speckle weights and adaptive
-        height; ``lsm`` least-squares matching with a fixed patch (P4 4.1); ``row_gauss`` each row for
-        itself.
-    layout : how colours are stored; ``auto`` tells a mosaic from a monochrome image by the line itself.
-    laser_colour : colour of the laser in colour images, see `thalweg.lightsheet.lines.image.laser_light`.
-    across : ``rows`` for a line from top to bottom, measured along rows; ``columns`` for one from left to
-        right; ``auto`` decides by the gradients.
-    direction : ``row`` along the row (or column), ``normal`` perpendicular to the local line.
-    board : inner corners along both sides of a checkerboard in the image; what lies beside it is no line.
     lines : number of laser lines; with one, each row keeps its strongest line only.
     half_width_px : distance at which a line falls to 1/e^2, to start from; None: estimated from the image.
     patch_rows, patch_columns : size of the patch of ``lsm``, odd; the other methods follow the line's width.
     largest_rows : largest height of the patch of ``speckle_patch``, odd.
     adaptive : whether ``speckle_patch`` lowers its patch where the line is uneven; else ``largest_rows``
         everywhere.
-    least_contrast_dn : least height of a line above its surroundings in the smoothed image; None: 2 % of the
-        range of values.
     least_snr : ratio of peak to noise of a pixel under which a point is flagged as weak.
     least_rows : rows that a piece of line needs to be kept.
-    link_px : how far a line may lie from its prediction in the next row.
     link_gap_rows : rows that a piece of line may miss.
-    largest_sigma_px : points with a larger sigma are dropped and counted.
     saturation_dn : grey value from which on a pixel is saturated; None: 98 % of the largest value.
     largest_saturated_share : share of saturated pixels from which on an image is refused.
-    full_well_electrons : electrons at the largest grey value, for the shot noise.
-    largest_colour_slope : red and blue light per green light across a piece, above which it is a pattern in
-        daylight and no laser; judged in mosaics and colour images.
-    albedo_ratio : change of brightness along the line that counts as an edge of the albedo.
-    correct_albedo : whether a shift of the line with its width, as seen at edges of the albedo, is measured.
-    apply_shift : whether it is removed at once; a series of images removes what they have in common.
+    correct_albedo : whether a halo of the line is looked for, and a shift of the line with its width, as seen
+        at edges of the albedo, is measured (`without_shift` removes what a series has in common).
+
+    Raises
+    ------
+    pydantic.ValidationError : an unknown word, an even or non-positive patch, or a number out of its range.
     """
 
-    method: Method = SheetLines().method
-    layout: Layout = "auto"
-    laser_colour: LaserColour = SheetLines().laser_colour
-    across: Across = "auto"
-    direction: Direction = "row"
-    board: tuple[int, int] | None = SheetLines().board
-    lines: int = 1
-    half_width_px: float | None = None
-    patch_rows: int = 15
-    patch_columns: int = 15
-    largest_rows: int = 21
+    lines: int = Field(default=1, ge=1)
+    half_width_px: Positive | None = None
+    patch_rows: Odd = 15
+    patch_columns: Odd = 15
+    largest_rows: Odd = 21
     adaptive: bool = True
-    least_contrast_dn: float | None = None
-    least_snr: float = 8.0
-    least_rows: int = 8
-    link_px: float = 2.0
-    link_gap_rows: int = 3
-    largest_sigma_px: float = SheetLines().largest_sigma_px
-    saturation_dn: float | None = None
-    largest_saturated_share: float = 0.2
-    full_well_electrons: float = 13_500.0
-    largest_colour_slope: float = SheetLines().largest_colour_slope
-    albedo_ratio: float = 1.6
+    least_snr: Positive = 8.0
+    least_rows: int = Field(default=8, ge=1)
+    link_gap_rows: int = Field(default=3, ge=0)
+    saturation_dn: Positive | None = None
+    largest_saturated_share: Positive = 0.2
     correct_albedo: bool = True
-    apply_shift: bool = True
-
-    def __post_init__(self) -> None:
-        """Refuse values that have no meaning.
-
-        Raises
-        ------
-        ConfigError : an unknown word, an even or non-positive patch, or a number out of its range.
-        """
-        words = {
-            "method": Method,
-            "layout": Layout,
-            "laser_colour": LaserColour,
-            "across": Across,
-            "direction": Direction,
-        }
-        for name, kind in words.items():
-            if getattr(self, name) not in get_args(kind):
-                raise ConfigError(
-                    f"'{getattr(self, name)}' is no {name}", expected=f"one of {get_args(kind)}", where=name
-                )
-        for name in ("patch_rows", "patch_columns", "largest_rows"):
-            value = getattr(self, name)
-            if value < 1 or value % 2 == 0:
-                raise ConfigError(
-                    f"a patch of {value}", expected="an odd number, so that it has a centre", where=name
-                )
-        positive = (
-            "lines",
-            "half_width_px",
-            "least_contrast_dn",
-            "least_snr",
-            "least_rows",
-            "link_px",
-            "largest_sigma_px",
-            "saturation_dn",
-            "largest_saturated_share",
-            "full_well_electrons",
-            "largest_colour_slope",
-        )
-        for name in positive:
-            value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise ConfigError(f"{value}", expected="a positive number", where=name)
-        if self.link_gap_rows < 0 or not self.albedo_ratio > 1.0:
-            raise ConfigError(
-                f"link_gap_rows {self.link_gap_rows}, albedo_ratio {self.albedo_ratio}",
-                expected="a gap of 0 or more rows and a ratio above 1",
-            )

@@ -312,24 +312,6 @@ def intersect_rays(
 
 
 @njit(parallel=True, cache=True, nogil=True, error_model="numpy")
-def image_rays(
-    xy: ArrayF,
-    lens: ArrayF,
-    C: ArrayF,
-    camera: ArrayF,
-    media: ArrayF,
-    grazing: float,
-    out: ArrayF,
-    status: ArrayU8,
-) -> None:
-    """A and B, ``out`` (n, 4), of the rays of pixels ``xy`` (n, 2) in the water, and their status (n,)."""
-    for i in prange(len(xy)):
-        ax, ay, bx, by, state = _image_ray(xy[i, 0], xy[i, 1], lens, C, camera, media, grazing)
-        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = ax, ay, bx, by
-        status[i] = state
-
-
-@njit(parallel=True, cache=True, nogil=True, error_model="numpy")
 def project_rays(directions: ArrayF, lens: ArrayF, C: ArrayF, xy: ArrayF) -> None:
     """Pixels ``xy`` (n, 2) of directions (n, 3) in the frame of the window; NaN behind the camera."""
     for i in prange(len(directions)):

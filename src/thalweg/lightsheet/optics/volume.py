@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from thalweg.core import ArrayF, ArrayU8, GeometryError
 from thalweg.lightsheet.optics.intersection import fan_table, intersect, project
 from thalweg.lightsheet.optics.refraction import Status, refract_to_water
-from thalweg.lightsheet.optics.sensor import LightSheet, Sensor, Window
+from thalweg.lightsheet.optics.sensor import Sensor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,20 +80,6 @@ def sheet_in_water(sensor: Sensor, depths_mm: ArrayLike, fan_angles_rad: ArrayLi
 def fan_angles(sensor: Sensor, n: int) -> ArrayF:
     """Fan angles (n,) spread over the part of the fan that reaches the water."""
     return fan_table(sensor.sheet, sensor.window, n).angle_rad
-
-
-def sheet_normals(
-    sheet: LightSheet, window: Window, fan_angles_rad: ArrayF, depths_mm: ArrayF
-) -> tuple[ArrayF, ArrayF]:
-    """Points (n, 3) of the sheet and its unit normals (n, 3) there, lcs, to the side of larger v."""
-    step = 1e-6  # rad: the difference quotient of a smooth curve is good to some 1e-9 of its length
-    beams = [sheet.beams(fan_angles_rad + k * step) for k in (0.0, 1.0, -1.0)]
-    rays = [refract_to_water(sheet.origin_lcs_mm, b, window) for b in beams]
-    at, ahead, back = (r.at_depth(depths_mm) for r in rays)
-    normal = np.cross(ahead - back, rays[0].directions())
-    with np.errstate(invalid="ignore"):
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    return at, normal
 
 
 def depth_lines(sensor: Sensor, depths_mm: Sequence[float], n: int = 401) -> list[DepthLine]:

@@ -17,7 +17,6 @@ from .series import (
 )
 from .sources import (
     panel_poses as panel_poses,
-    pose_source_table as pose_source_table,
     read_panel as read_panel,
     read_standing_camera as read_standing_camera,
     sigmas_at as sigmas_at,

@@ -22,6 +22,7 @@ from thalweg.core import (
     Rigid,
     cross_matrix,
     exp_rotation,
+    rows_of,
 )
 
 M_PER_MM = 1e-3
@@ -115,17 +116,7 @@ class SensorPoses:
 
     def where(self, keep: AnyArray) -> "SensorPoses":
         """The poses for which ``keep`` (n,) is true."""
-        at = np.flatnonzero(keep)
-        return replace(
-            self,
-            images=tuple(self.images[k] for k in at),
-            R_target_lcs=self.R_target_lcs[at],
-            shift_m=self.shift_m[at],
-            cov=self.cov[at],
-            shared=self.shared[at],
-            reasons=tuple(self.reasons[k] for k in at),
-            t_gps_s=self.t_gps_s[at],
-        )
+        return rows_of(self, np.asarray(keep, dtype=np.bool_))
 
     def of(self, images: Sequence[str]) -> "SensorPoses":
         """The poses of some images, in the order of those.
@@ -144,16 +135,7 @@ class SensorPoses:
                 cure="Check that images and poses are of one scan, and that no file was renamed",
             )
         at = np.array([index[name] for name in images], dtype=np.int64)
-        return replace(
-            self,
-            images=tuple(images),
-            R_target_lcs=self.R_target_lcs[at],
-            shift_m=self.shift_m[at],
-            cov=self.cov[at],
-            shared=self.shared[at],
-            reasons=tuple(self.reasons[k] for k in at),
-            t_gps_s=self.t_gps_s[at],
-        )
+        return rows_of(self, at)
 
     def disturbed(self, errors: ArrayF) -> "SensorPoses":
         """The same poses with errors (n, 6) put on: shift in metres, rotation vector in radians."""

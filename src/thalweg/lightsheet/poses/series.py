@@ -4,7 +4,6 @@ import logging
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -121,9 +120,8 @@ def detect_series(
             where=images[0].parent,
             cure="Rename them, or name one folder only",
         )
-    each = replace(settings, apply_shift=False)
     with ThreadPoolExecutor(threads) as pool:
-        found = list(pool.map(lambda path: _detect(path, each, size_px), images))
+        found = list(pool.map(lambda path: _detect(path, settings, size_px), images))
     shift = pooled_shift([points.facts for points, _ in found if points])
     found = [(without_shift(points, shift) if points else None, failed) for points, failed in found]
     counts = pd.DataFrame(

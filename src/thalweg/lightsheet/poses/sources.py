@@ -1,8 +1,6 @@
 """Where poses of the sensor come from: a panel before a standing camera, or the boat's trajectory (P4 4.2.1).
 
-All sources give `SensorPoses`, so that nothing behind them knows the difference. What the pose of a boat is
-worth for a scan of sub-millimetre profiles is a table of its own, `pose_source_table`: P4 says that 0.1
-degrees and 2 cm would spoil it.
+All sources give `SensorPoses`, so that nothing behind them knows the difference.
 
 **The panel** (Luhmann 2009). The panel is fixed to the sensor; its marks are known in lcs. For each picture
 of the standing camera a space resection gives the pose of that camera in lcs
@@ -15,7 +13,7 @@ The errors of a picture's own marks differ from pose to pose. Those of the panel
 interior orientation are the same in all pictures: they turn and shift the scan as a whole.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -37,16 +35,7 @@ from thalweg.core import (
     global_test,
     read_json,
 )
-from thalweg.lightsheet.optics import Sensor, point_derivatives, project, sheet_in_water
 from thalweg.lightsheet.poses.poses import M_PER_MM, SensorPoses, by_pose, compressed, factor
-
-SOURCES: Final[Mapping[str, tuple[float, float]]] = {
-    "6-DOF by marker panel": (0.05, 0.01),
-    "rail with encoder": (0.02, 0.002),
-    "INS and RTK": (20.0, 0.1),
-}
-"""Standard deviations of position, mm, and of each turn, degrees: P4 7.3, a linear encoder on a lab rail, P4
-4.2.1."""
 
 MARK_COLUMNS: Final = ("marker", "x_px", "y_px", "sigma_px")
 PANEL_COLUMNS: Final = ("marker", "x_mm", "y_mm", "z_mm", "sigma_mm")
@@ -56,8 +45,6 @@ PUBLISHED_SIGMA_DEG: Final = 0.01
 
 _MISFIT: Final = 4.0
 """Residuals in units of their sigmas, more than those of other pictures: wrong marks."""
-_EXPLAINED: Final = 3
-"""Pictures without a pose for which another reading of their marks is looked for."""
 
 
 def trajectory_poses(
@@ -144,64 +131,6 @@ def trajectory_poses(
     )
 
 
-def pose_source_table(
-    sensor: Sensor,
-    *,
-    depths_mm: Sequence[float] = (50.0, 125.0, 200.0),
-    sigma_px: float = 0.15,
-    sources: Mapping[str, tuple[float, float]] = SOURCES,
-) -> pd.DataFrame:
-    """What each source of poses makes of a single profile's accuracy (P4 4.2.1, 7.3).
-
-    For points in the middle of the line: the standard deviation of height (Z of lcs), across it, and in all
-    directions, of the profile alone and with the pose, and the ratio of the latter two.
-
-    Parameters
-    ----------
-    sensor : its covariance counts too; zeros: the image measurement alone.
-    depths_mm : below the window.
-    sigma_px : of the line, along the row.
-    sources : position sigma in mm and sigma of each turn in degrees.
-
-    Raises
-    ------
-    GeometryError : a depth at which the middle of the line is not in the picture.
-    """
-    xyz = sheet_in_water(sensor, np.asarray(depths_mm, dtype=np.float64), np.zeros(1))[:, 0]
-    xy = project(sensor, xyz)
-    found, by_sensor, by_pixel = point_derivatives(sensor, xy)
-    seen = found.ok & np.asarray(sensor.camera.inside(np.nan_to_num(xy, nan=-1.0)), dtype=np.bool_)
-    if not seen.all():
-        lost = np.asarray(depths_mm)[~seen].tolist()
-        raise GeometryError(f"depths {lost} mm are not in the picture", expected="depths of the volume")
-    own, shared = by_pixel[:, :, 0] * sigma_px, by_sensor @ factor(sensor.cov)
-    alone = own[:, :, None] * own[:, None, :] + shared @ np.swapaxes(shared, 1, 2)
-    J = by_pose(found.xyz_lcs_mm)
-    rows = []
-    for name, (sigma_mm, sigma_deg) in sources.items():
-        C = np.diag([sigma_mm**2] * 3 + [np.deg2rad(sigma_deg) ** 2] * 3)
-        total = alone + J @ C @ np.swapaxes(J, 1, 2)
-        for k, depth in enumerate(depths_mm):
-            height = [float(np.sqrt(c[k, 2, 2])) for c in (alone, total)]
-            space = [float(np.sqrt(np.trace(c[k]))) for c in (alone, total)]
-            rows.append(
-                {
-                    "source": name,
-                    "sigma_position_mm": sigma_mm,
-                    "sigma_turn_deg": sigma_deg,
-                    "depth_mm": depth,
-                    "sigma_height_profile_mm": height[0],
-                    "sigma_height_mm": height[1],
-                    "sigma_across_mm": float(np.sqrt(total[k, 0, 0] + total[k, 1, 1])),
-                    "sigma_3d_profile_mm": space[0],
-                    "sigma_3d_mm": space[1],
-                    "ratio_height": height[1] / height[0],
-                    "ratio_3d": space[1] / space[0],
-                }
-            )
-    return pd.DataFrame(rows)
-
-
 def read_panel(path: Path) -> FieldPoints:
     """Marks of the panel in lcs from a CSV table: marker, x_mm, y_mm, z_mm, sigma_mm.
 
@@ -278,7 +207,6 @@ def panel_poses(
     images: Sequence[str],
     *,
     t_gps_s: ArrayF | None = None,
-    sigma_factor: float = 1.0,
 ) -> SensorPoses:
     """Poses of the sensor in the frame of the standing camera.
 
@@ -290,7 +218,6 @@ def panel_poses(
         together with the picture.
     images : of the sensor, in order; those without a usable picture get no pose, with the reason.
     t_gps_s : (n,) times of the images, where they are known.
-    sigma_factor : what the stated sigmas of marks must be multiplied with.
 
     Raises
     ------
@@ -313,17 +240,14 @@ def panel_poses(
     shared = np.full((n, 6, common.shape[1] + interior.shape[1]), np.nan)
     reasons = ["no picture of the standing camera"] * n
     sigma0, redundancy = np.full(n, np.nan), np.zeros(n)
-    refused, cure = 0, ""
+    cure = ""
     for k, (name, own) in enumerate((name, marks[marks["file"] == name]) for name in images):
         if not len(own):
             continue
         try:
-            found = resect(
-                camera, own, panel, sigma_factor=sigma_factor, where=name, explain=refused < _EXPLAINED
-            )
+            found = resect(camera, own, panel, where=name)
         except GeometryError as error:
-            refused, cure = refused + 1, cure or error.cure
-            reasons[k] = f"{error.found}. {error.cure}" if refused <= _EXPLAINED else error.found
+            cure, reasons[k] = cure or error.cure, error.found
             continue
         turned = found.T_pcs_ccs.inverse()
         J = found.T_pcs_ccs.by_inverse()

@@ -3,12 +3,6 @@
 A mesh of an object that has parallel planes only leaves shifts along them free, so nearest places have
 nothing to converge to. Such an object is compared with its planes: two tilts and a height are adjusted.
 
-Where both contradict each other, the mistake is looked for that would explain it. A scan in the wrong medium,
-of pictures that were turned, or with the poses of other images lies anywhere. The comparison is then repeated
-with part of the points under each reading that is known of, and the reading that fits is named. On an object
-of parallel planes exchanged poses give no failure, only lines that disagree by many times what their poses
-explain: the same search starts from there.
-
 One profile of the scan is judged by itself (`single_profile`).
 
 **Alignment** of a scan with a reference mesh, and whole scan lines that lie off (P4 7.3). The motion begins
@@ -79,7 +73,7 @@ from thalweg.lightsheet.scanning.distances import (
     mesh_distances,
     normality,
 )
-from thalweg.lightsheet.scanning.levels import Levels, fit_levels
+from thalweg.lightsheet.scanning.levels import NEAR_MM, Levels, fit_levels
 from thalweg.lightsheet.scanning.profile import (
     ScanCloud,
     independent_share,
@@ -93,6 +87,9 @@ from thalweg.surface import Surface
 # ---------------------------------------------------------------- alignment with a mesh
 
 MOST_POINTS: Final = 20_000
+_PICKED_MM: Final = 8.0
+"""How far points may lie from the mesh after the picked pairs alone."""
+_OFF_OBJECT_MM: Final = 4.0
 _LEAST_POINTS: Final = 50
 _STEP_NMAD: Final = 0.02
 """Largest motion of a point in the last turn, as a share of the scatter of distances."""
@@ -154,15 +151,7 @@ def from_pairs(scan_m: ArrayF, mesh_m: ArrayF) -> Rigid:
     return Rigid(R=R, shift_m=shift_m)
 
 
-def align(
-    cloud: ScanCloud,
-    surface: Surface,
-    start: Rigid,
-    *,
-    start_mm: float = 8.0,
-    max_distance_mm: float = MAX_DISTANCE_MM,
-    reference_sigma_mm: float = 0.0,
-) -> Alignment:
+def align(cloud: ScanCloud, surface: Surface, start: Rigid, *, start_mm: float = _PICKED_MM) -> Alignment:
     """Align a scan with a mesh.
 
     Parameters
@@ -171,8 +160,7 @@ def align(
     surface : the reference in its own frame, metres.
     start : approximate ``T_mesh_target``, such as that of `from_pairs`.
     start_mm : how far points may lie from the mesh at the start; the limit narrows down to
-        ``max_distance_mm``.
-    max_distance_mm, reference_sigma_mm : see `mesh_distances`.
+        `MAX_DISTANCE_MM`.
 
     Raises
     ------
@@ -181,11 +169,11 @@ def align(
     """
     step = max(1, len(cloud) // MOST_POINTS)
     few = cloud.where(np.arange(len(cloud)) % step == 0)
-    T, limit, moved_mm, turns = start, max(start_mm, max_distance_mm), np.inf, 0
+    T, limit, moved_mm, turns = start, max(start_mm, MAX_DISTANCE_MM), np.inf, 0
     kept, sigma0 = np.zeros(len(few), dtype=np.bool_), 1.0
     while turns < _TURNS:
         here = few.moved(T)
-        found = mesh_distances(here, surface, max_distance_mm=limit, reference_sigma_mm=reference_sigma_mm)
+        found = mesh_distances(here, surface, max_distance_mm=limit)
         if found.used.sum() < _LEAST_POINTS:
             raise GeometryError(
                 f"{int(found.used.sum())} of {len(here)} points lie within {limit:.1f} mm of the mesh",
@@ -201,7 +189,7 @@ def align(
         far = np.linalg.norm(dx[:3] + np.cross(dx[3:], arms[found.used]), axis=1)
         moved_mm, turns = float(far.max()) / M_PER_MM, turns + 1
         d = found.distance_mm[found.used]
-        narrow = max(max_distance_mm, 6.0 * NMAD * float(np.median(np.abs(d))))
+        narrow = max(MAX_DISTANCE_MM, 6.0 * NMAD * float(np.median(np.abs(d))))
         steady = narrow >= limit - 1e-9
         limit = min(limit, narrow)
         if steady and moved_mm < _STEP_NMAD * NMAD * float(np.median(np.abs(d))):
@@ -214,7 +202,7 @@ def align(
             cure="Give a better start; an object of parallel planes is compared with planes instead",
         )
     here = few.moved(T)
-    last = mesh_distances(here, surface, max_distance_mm=limit, reference_sigma_mm=reference_sigma_mm)
+    last = mesh_distances(here, surface, max_distance_mm=limit)
     kept &= last.used
     cov_fit, by_shared = _covariances(here.where(kept), last, kept, T.shift_m, step)
     done = Alignment(
@@ -228,28 +216,14 @@ def align(
         n=int(kept.sum()),
         last_step_mm=moved_mm,
     )
-    return of_all(
-        done, cloud, surface, max_distance_mm=max_distance_mm, reference_sigma_mm=reference_sigma_mm
-    )
+    return of_all(done, cloud, surface)
 
 
-def of_all(
-    found: Alignment,
-    cloud: ScanCloud,
-    surface: Surface,
-    *,
-    max_distance_mm: float = MAX_DISTANCE_MM,
-    reference_sigma_mm: float = 0.0,
-) -> Alignment:
-    """The same motion applied to all points of a scan; shared sigmas are what the alignment leaves of them.
-
-    Parameters are those of `align`.
-    """
+def of_all(found: Alignment, cloud: ScanCloud, surface: Surface) -> Alignment:
+    """The same motion applied to all points; shared sigmas are what the alignment leaves of them."""
     T = found.T_mesh_target
     whole = cloud.moved(T)
-    distances = mesh_distances(
-        whole, surface, max_distance_mm=max_distance_mm, reference_sigma_mm=reference_sigma_mm
-    )
+    distances = mesh_distances(whole, surface)
     left = whole.shared_rates(distances.normal) - _rates(whole, distances.normal, T.shift_m) @ found.by_shared
     sigma_mm = np.linalg.norm(left, axis=1) / M_PER_MM
     return replace(found, cloud=whole, distances=distances.with_shared(sigma_mm))
@@ -341,14 +315,13 @@ class LineCheck:
         return [str(name) for name in self.table["image"][self.table["bad"]]]
 
 
-def check_lines(cloud: ScanCloud, found: MeshDistances, *, level: float = LEVEL) -> LineCheck:
+def check_lines(cloud: ScanCloud, found: MeshDistances) -> LineCheck:
     """Find lines whose distances do not agree with the covariance of their pose.
 
     Parameters
     ----------
     cloud, found : points in the frame of the reference, and their distances. Lines with fewer than
         `LEAST_POINTS` points on the reference are not judged.
-    level : probability of a false alarm in the whole scan.
     """
     rates = cloud.pose_rates(found.normal) / M_PER_MM
     rows = []
@@ -376,7 +349,7 @@ def check_lines(cloud: ScanCloud, found: MeshDistances, *, level: float = LEVEL)
     scale = 1.0
     if judged.sum() >= 3:
         scale = max(1.0, float(np.median(values[judged])) / float(chi2.median(_DEGREES)))
-    limit = scale * float(chi2.isf(level / max(int(judged.sum()), 1), _DEGREES))
+    limit = scale * float(chi2.isf(LEVEL / max(int(judged.sum()), 1), _DEGREES))
     table["limit"] = limit
     table["bad"] = judged & (np.nan_to_num(values) > limit)
     bad_numbers: ArrayI = table["number"].to_numpy(np.int64)[table["bad"].to_numpy()]
@@ -513,28 +486,19 @@ class Compared:
         return self.distances.used & ~self.check.bad
 
 
-def scan_against_mesh(
-    cloud: ScanCloud,
-    surface: Surface,
-    start: Rigid,
-    *,
-    start_mm: float = 8.0,
-    max_distance_mm: float = MAX_DISTANCE_MM,
-    reference_sigma_mm: float = 0.0,
-) -> ScanResult:
+def scan_against_mesh(cloud: ScanCloud, surface: Surface, start: Rigid) -> ScanResult:
     """Align a scan, find lines with bad poses, align again without them.
 
     Parameters
     ----------
-    cloud, surface, start, start_mm, max_distance_mm, reference_sigma_mm : see `align`.
+    cloud, surface, start : see `align`.
 
     Raises
     ------
     GeometryError : more than 40 % of the lines lie off, or see `align`.
     UnobservableError : see `align`.
     """
-    options = {"max_distance_mm": max_distance_mm, "reference_sigma_mm": reference_sigma_mm}
-    found = align(cloud, surface, start, start_mm=start_mm, **options)
+    found = align(cloud, surface, start)
     check = check_lines(found.cloud, found.distances)
     for _ in range(_ROUNDS):
         if not check.bad.any():
@@ -548,10 +512,8 @@ def scan_against_mesh(
                 cure="Check that images and poses belong together (files in one order, nothing renamed), and "
                 "that the panel was not moved on the sensor",
             )
-        good = align(
-            cloud.where(~check.bad), surface, found.T_mesh_target, start_mm=max_distance_mm, **options
-        )
-        found = of_all(good, cloud, surface, **options)
+        good = align(cloud.where(~check.bad), surface, found.T_mesh_target, start_mm=MAX_DISTANCE_MM)
+        found = of_all(good, cloud, surface)
         again = check_lines(found.cloud, found.distances)
         if again.images == check.images:
             check = again
@@ -571,9 +533,7 @@ def read_pairs(path: Path) -> tuple[ArrayF, ArrayF]:
     return np.stack(columns[:3], axis=1), np.stack(columns[3:], axis=1)
 
 
-def compare_with_mesh(
-    cloud: ScanCloud, surface: Surface, pairs: tuple[ArrayF, ArrayF], *, picked_mm: float = 8.0
-) -> Compared:
+def compare_with_mesh(cloud: ScanCloud, surface: Surface, pairs: tuple[ArrayF, ArrayF]) -> Compared:
     """Align a scan with a mesh and measure distances, see `scan_against_mesh`.
 
     Parameters
@@ -581,9 +541,8 @@ def compare_with_mesh(
     cloud : in the frame of its poses.
     surface : of the reference.
     pairs : picked places, see `read_pairs`.
-    picked_mm : how far points may lie off after the pairs alone.
     """
-    found = scan_against_mesh(cloud, surface, from_pairs(*pairs), start_mm=picked_mm)
+    found = scan_against_mesh(cloud, surface, from_pairs(*pairs))
     T = found.alignment.T_mesh_target
     facts = {
         "reference": "mesh",
@@ -595,24 +554,17 @@ def compare_with_mesh(
 
 
 def compare_with_levels(
-    cloud: ScanCloud,
-    surface: Surface,
-    heights_mm: tuple[float, ...],
-    pairs: tuple[ArrayF, ArrayF],
-    *,
-    picked_mm: float = 4.0,
-    near_mm: float = 3.0,
+    cloud: ScanCloud, surface: Surface, heights_mm: tuple[float, ...], pairs: tuple[ArrayF, ArrayF]
 ) -> Compared:
     """Distances of a scan from parallel planes that are fitted to it.
 
     Parameters
     ----------
     cloud : in the frame of its poses.
-    surface : mesh of the object: points that lie farther than ``picked_mm`` from it after the pairs alone are
-        not on the object. The ground around it may be nearer to a level than the next level is.
+    surface : mesh of the object: points that lie farther than 4 mm from it after the pairs alone are not on
+        the object. The ground around it may be nearer to a level than the next level is.
     heights_mm : of the planes, growing.
     pairs : picked places; they tell which way is up, the planes tell the rest.
-    near_mm : half width of the layers whose points lie on a plane.
 
     Raises
     ------
@@ -622,17 +574,13 @@ def compare_with_levels(
     here = cloud.moved(T, "reference")
     up = np.array([0.0, 0.0, 1.0])
     own, _, _ = here.variances_along(np.tile(up, (len(here), 1)))
-    on = mesh_distances(here, surface, max_distance_mm=picked_mm).used
+    on = mesh_distances(here, surface, max_distance_mm=_OFF_OBJECT_MM).used
     found = fit_levels(
-        here.xyz_m[on] / M_PER_MM,
-        up,
-        heights_mm=heights_mm,
-        sigma_mm=np.sqrt(own[on]) / M_PER_MM,
-        near_mm=near_mm,
+        here.xyz_m[on] / M_PER_MM, up, heights_mm=heights_mm, sigma_mm=np.sqrt(own[on]) / M_PER_MM
     )
     _require_heights(found, heights_mm)
-    distance, far = np.full(len(here), near_mm), np.ones(len(here), dtype=np.bool_)
-    distance[on], far[on] = np.nan_to_num(found.distance_mm, nan=near_mm), ~found.used
+    distance, far = np.full(len(here), NEAR_MM), np.ones(len(here), dtype=np.bool_)
+    distance[on], far[on] = np.nan_to_num(found.distance_mm, nan=NEAR_MM), ~found.used
     normal = np.tile(found.normal, (len(here), 1))
     single, pose, _ = here.variances_along(normal)
     distances = MeshDistances(

@@ -174,11 +174,7 @@ class Bimodality:
 
 
 def mesh_distances(
-    cloud: ScanCloud,
-    surface: Surface,
-    *,
-    max_distance_mm: float = MAX_DISTANCE_MM,
-    reference_sigma_mm: float = 0.0,
+    cloud: ScanCloud, surface: Surface, *, max_distance_mm: float = MAX_DISTANCE_MM
 ) -> MeshDistances:
     """Signed distances of all points of a scan from a mesh in the same frame.
 
@@ -186,7 +182,6 @@ def mesh_distances(
     ----------
     cloud, surface : in one frame, metres.
     max_distance_mm : points farther away are not part of the reference.
-    reference_sigma_mm : of the reference as a whole, beside what its vertices state.
     """
     found = surface.distances(cloud.xyz_m)
     own, pose, shared = cloud.variances_along(found.normal)
@@ -198,7 +193,7 @@ def mesh_distances(
         sigma_own_mm=np.sqrt(own) / M_PER_MM,
         sigma_pose_mm=np.sqrt(pose) / M_PER_MM,
         sigma_shared_mm=np.sqrt(shared) / M_PER_MM,
-        sigma_reference_mm=np.hypot(found.sigma_m / M_PER_MM, reference_sigma_mm),
+        sigma_reference_mm=found.sigma_m / M_PER_MM,
         at_border=found.at_border | ~known,
         far=np.abs(distance) > max_distance_mm,
     )

@@ -2,7 +2,7 @@
 
 The object stands anywhere; three numbers say where its planes are: two tilts and a height. They are
 adjusted to the points through `thalweg.core.adjustment`, the spacing of the planes being that of the
-reference. Points are given to the nearest plane; those farther than ``near_mm`` lie on the ground, on a
+reference. Points are given to the nearest plane; those farther than ``NEAR_MM`` lie on the ground, on a
 side, or nowhere.
 """
 
@@ -18,6 +18,8 @@ STEP_HEIGHTS_MM: Final = (0.006, 20.195, 40.135)
 
 _NAMES: Final = ("height", "tilt along the first axis", "tilt along the second axis")
 _LARGEST_TILT_RAD: Final = 0.1
+NEAR_MM: Final = 3.0
+"""Half width of the layers whose points lie on a plane."""
 _SEARCH_MM: Final = 0.25
 _SIGMA_MM: Final = 0.2
 """Where no sigma is given: all points alike."""
@@ -55,7 +57,6 @@ def fit_levels(
     *,
     heights_mm: tuple[float, ...] = STEP_HEIGHTS_MM,
     sigma_mm: ArrayF | None = None,
-    near_mm: float = 3.0,
     tilt_sigma_rad: float = 0.0,
 ) -> Levels:
     """Fit parallel planes of known heights.
@@ -66,7 +67,6 @@ def fit_levels(
     up : (3,) normal of the planes, within some degrees.
     heights_mm : of the levels, growing.
     sigma_mm : (n,) standard deviation of each point along ``up``; None: all alike.
-    near_mm : half width of the layer about a plane whose points belong to it.
     tilt_sigma_rad : standard deviation of ``up`` as an observation of both tilts; 0: none.
 
     Raises
@@ -85,8 +85,8 @@ def fit_levels(
     local = (X - centre) @ axes.T
     x = np.array([_first_height(local[:, 2], h), 0.0, 0.0])
     # the layer begins wide, for the tilts, and narrows: neighbouring levels must stay apart
-    widest = min(0.4 * float(np.diff(h).min()) if len(h) > 1 else 3 * near_mm, 8.0)
-    widths = np.maximum(np.geomspace(max(widest, near_mm), near_mm, _ROUNDS), near_mm)
+    widest = min(0.4 * float(np.diff(h).min()) if len(h) > 1 else 3 * NEAR_MM, 8.0)
+    widths = np.maximum(np.geomspace(max(widest, NEAR_MM), NEAR_MM, _ROUNDS), NEAR_MM)
     adjusted: Adjusted[ArrayF] | None = None
     for width in widths:
         away = _heights(local, x)[:, None] - h
@@ -112,7 +112,7 @@ def fit_levels(
     away = _heights(local, x)[:, None] - h
     level = np.argmin(np.abs(away), axis=1).astype(np.int64)
     distance = away[np.arange(len(X)), level]
-    on = np.abs(distance) <= near_mm
+    on = np.abs(distance) <= NEAR_MM
     level[~on], distance = -1, np.where(on, distance, np.nan)
     normal = np.array([-x[1], -x[2], 1.0]) / np.sqrt(1.0 + x[1] ** 2 + x[2] ** 2)
     rms, n, height = _single_planes(local, level, _heights(local, x), len(h))

@@ -81,12 +81,12 @@ class Orthophoto:
     images: ArrayI
     counts: dict[str, int]
 
-    def picture(self, *, low_percent: float = 1.0, high_percent: float = 99.0) -> ArrayU8:
+    def picture(self) -> ArrayU8:
         """(rows, columns, 3) for people: larger y up, all colours stretched alike, black where unseen."""
         seen = np.isfinite(self.dn)
         if not seen.any():
             raise GeometryError("no cell was seen", expected="images of the bed", where="orthophoto")
-        low, high = np.percentile(self.dn[seen], [low_percent, high_percent])
+        low, high = np.percentile(self.dn[seen], [1.0, 99.0])
         scaled = np.clip((self.dn - low) / max(high - low, 1e-6), 0.0, 1.0) * 254.0 + 1.0
         return np.where(seen, scaled, 0.0)[::-1].astype(np.uint8)
 
@@ -163,7 +163,6 @@ def orthophoto(
     image: Callable[[str], AnyArray],
     *,
     cell_m: float,
-    largest_gap_m: float | None = None,
     line_margin_px: float = LINE_MARGIN_PX,
     layout: str = "rggb",
 ) -> Orthophoto:
@@ -175,7 +174,6 @@ def orthophoto(
     cloud : of the scan, in a frame with z upwards.
     image : gives the pixels of an image by its name.
     cell_m : width of a cell.
-    largest_gap_m : see `height_grid`; None: six cells, at least 10 mm.
     line_margin_px : pixels nearer to a measured point of the laser line are left out.
     layout : see `colours`.
 
@@ -183,7 +181,7 @@ def orthophoto(
     ------
     GeometryError : no height grid, or no image sees any of it.
     """
-    grid = height_grid(cloud.xyz_m, cell_m, largest_gap_m=largest_gap_m or max(6 * cell_m, 0.01))
+    grid = height_grid(cloud.xyz_m, cell_m, largest_gap_m=max(6 * cell_m, 0.01))
     points = grid.points_m
     known = np.flatnonzero(np.isfinite(points[:, 2]))
     caster = RayCaster(*grid.mesh())

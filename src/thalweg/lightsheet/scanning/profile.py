@@ -37,26 +37,12 @@ from thalweg.core import (
     column,
     frame_of,
     plane_rates,
+    rows_of,
     table_kind,
 )
 from thalweg.lightsheet.lines import LINE_POINTS, LinePoints
 from thalweg.lightsheet.optics import Sensor, Status, point_derivatives
 from thalweg.lightsheet.poses import M_PER_MM, SensorPoses, by_pose, factor
-
-_POINTS: Final = (
-    "xyz_m",
-    "own_m",
-    "shared_m",
-    "number",
-    "line",
-    "piece",
-    "flags",
-    "rows",
-    "peak_dn",
-    "width_px",
-    "xy_px",
-)
-
 
 NO_LINE: Final = "no line was measured in this image"
 
@@ -125,19 +111,7 @@ class Profile:
 
     def where(self, keep: AnyArray) -> "Profile":
         """The points for which ``keep`` (n,) is true."""
-        names = (
-            "xyz_lcs_mm",
-            "own_mm",
-            "shared_mm",
-            "xy_px",
-            "line",
-            "piece",
-            "flags",
-            "rows",
-            "peak_dn",
-            "width_px",
-        )
-        return replace(self, **{name: getattr(self, name)[keep] for name in names})
+        return rows_of(self, keep)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -224,7 +198,7 @@ class ScanCloud:
 
     def where(self, keep: AnyArray) -> "ScanCloud":
         """The points for which ``keep`` (n,) is true; poses, counts and left-out images stay."""
-        return replace(self, **{name: getattr(self, name)[keep] for name in _POINTS})
+        return rows_of(self, keep)
 
     def moved(self, T_new_target: Rigid, target: str = "") -> "ScanCloud":
         """The cloud in another frame; errors of the motion itself are not added."""

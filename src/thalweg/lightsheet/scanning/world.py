@@ -3,8 +3,7 @@
     x_wcs = R_wcs_ics(t) (R_ics_lcs x_lcs + lever) + x_wcs_ics(t)
 
 The camera is released by pulses of the GNSS receiver, so an image has the time of its pulse
-(`thalweg.clocks.ties`); the camera's own clock only tells which pulse. The mount comes from a field
-that
+(`thalweg.clocks.ties`); the camera's own clock only tells which pulse. The mount comes from a field that
 boat and sensor see together: the grid object of P3 lies in the field of P2, whose marks give the pose of the
 boat, and the sensor's calibration that of the grid object::
 
@@ -86,7 +85,7 @@ def mount_of(calibration: Calibration) -> Rigid:
 
 
 def image_times(
-    stamps: pd.DataFrame, t_pulse_s: ArrayF, images: Sequence[str], *, exposure_delay_s: float = 0.0
+    stamps: pd.DataFrame, t_pulse_s: ArrayF, images: Sequence[str]
 ) -> tuple[pd.DataFrame, dict[str, Any]]:
     """Times of images by the pulses of the trigger, in the order of ``images``.
 
@@ -95,7 +94,6 @@ def image_times(
     stamps : table kind ``image_stamps`` of the sensor's camera.
     t_pulse_s : (m,) adjusted GPS times of the pulses, growing.
     images : names of the images, in the order in which they were taken.
-    exposure_delay_s : from the pulse to the middle of the exposure.
 
     Returns
     -------
@@ -106,7 +104,7 @@ def image_times(
     ------
     ClockError : images and pulses do not match, an image has no stamp, or the images are out of order.
     """
-    _, times, facts = triggered_images(stamps, t_pulse_s, delay_s=exposure_delay_s)
+    _, times, facts = triggered_images(stamps, t_pulse_s, delay_s=0.0)
     index = {str(name): k for k, name in enumerate(times["file"])}
     missing = [name for name in images if name not in index]
     if missing:

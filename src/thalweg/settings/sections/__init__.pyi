@@ -5,6 +5,7 @@ from .base import (
     Count as Count,
     Finite as Finite,
     NonNegative as NonNegative,
+    Odd as Odd,
     Positive as Positive,
     Section as Section,
     Share as Share,

@@ -8,6 +8,7 @@ from thalweg.settings.sections.base import (
     Angle,
     Finite,
     NonNegative,
+    Odd,
     Positive,
     Section,
     Sigma3,
@@ -127,9 +128,8 @@ class SheetPieces(Section):
     least_rows: int = Field(
         default=5, ge=1, description="Rows that a piece needs to be kept; a bar of the grid shows few"
     )
-    largest_rows: int = Field(
+    largest_rows: Odd = Field(
         default=7,
-        ge=1,
         description="Largest height of the patch of `speckle_patch`, odd; below the height of a piece",
     )
 

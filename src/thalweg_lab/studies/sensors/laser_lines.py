@@ -23,7 +23,8 @@ from thalweg.calibration.field import read_points
 from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, ArrayU8, njit, rotation_z
 from thalweg.lightsheet.calibration import orient_camera, read_camera_marks
 from thalweg.lightsheet.lines import LinePoints, LineSettings, detect_lines
-from thalweg.lightsheet.multi_line import (
+from thalweg.lightsheet.optics import Sensor, paper_4, read_sensor
+from thalweg_lab.multi_line import (
     KINDS,
     Detections,
     Flag,
@@ -44,7 +45,6 @@ from thalweg.lightsheet.multi_line import (
     line_table,
     nested_tests,
 )
-from thalweg.lightsheet.optics import Sensor, paper_4, read_sensor
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.settings import SheetImage, TwinConfig, TwinLightSheet
 from thalweg_lab.studies import Result, Seed, Study, Tables

@@ -150,7 +150,7 @@ def marker_bias(
 
 def _measured(sensor: Sensor, plan: Plan, images: Sequence[AnyArray], how: LineSettings) -> dict[str, Any]:
     """Distances of the measured lines from the planes of the object."""
-    measured = [detect_lines(image, replace(how, apply_shift=False)) for image in images]
+    measured = [detect_lines(image, how) for image in images]
     shift = pooled_shift([points.facts for points in measured])
     lines = [without_shift(points, shift) for points in measured]
     n = len(lines)

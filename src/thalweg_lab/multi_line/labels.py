@@ -19,8 +19,8 @@ from typing import Final
 import numpy as np
 
 from thalweg.core import ArrayB, ArrayF, ArrayI, ArrayU8, GeometryError, njit
-from thalweg.lightsheet.multi_line.models import Lines
 from thalweg.lightsheet.optics import Sensor, intersect, project, refract_to_water
+from thalweg_lab.multi_line.models import Lines
 
 _CAP = 6.0
 

@@ -26,7 +26,8 @@ import numpy as np
 import pandas as pd
 
 from thalweg.core import ArrayB, ArrayF, ArrayI, ArrayU8, GeometryError
-from thalweg.lightsheet.multi_line.labels import (
+from thalweg.lightsheet.optics import Sensor, project, refract_to_water
+from thalweg_lab.multi_line.labels import (
     CONTRADICTED,
     SUPPORTED,
     Hypotheses,
@@ -41,8 +42,7 @@ from thalweg.lightsheet.multi_line.labels import (
     label_image,
     map_evidence,
 )
-from thalweg.lightsheet.multi_line.models import Lines
-from thalweg.lightsheet.optics import Sensor, project, refract_to_water
+from thalweg_lab.multi_line.models import Lines
 
 _NEXT: Final = (-1, 0, 1)
 _SHIFTS: Final = (-4, -3, -2, -1, 0, 1, 2, 3, 4)

@@ -17,8 +17,7 @@ from matplotlib.figure import Figure
 from thalweg.core import AnyArray, ArrayF, InputError
 from thalweg.figures import SKY, count, new_figure, plural, styled
 from thalweg.figures.calibration import Oblique
-from thalweg.lightsheet.figures.scan_reference import mesh_picture
-from thalweg.lightsheet.figures.views import (
+from thalweg.lightsheet.figures import (
     GLASS_COLOUR,
     LIGHT_COLOUR,
     WATER_COLOUR,
@@ -26,6 +25,7 @@ from thalweg.lightsheet.figures.views import (
     Space,
     dots,
     green_of,
+    mesh_picture,
     need,
     pair,
     path_to,
@@ -35,7 +35,7 @@ from thalweg.lightsheet.figures.views import (
 from thalweg.lightsheet.optics import Sensor, paper_4, refract_to_water
 
 LINES: Final = ("line", "fan_angle_deg", "depth_mm", "x_mm", "y_mm", "z_mm", "x_px", "y_px", "in_picture")
-"""Columns of `thalweg.lightsheet.multi_line.scan_labels.line_table`."""
+"""Columns of `thalweg_lab.multi_line.scan_labels.line_table`."""
 LINE_MAP: Final[Colormap] = ListedColormap(cm.batlow(np.linspace(0.0, 0.9, 256)), "thalweg_lines")
 """Number of a line: dark for the first, light for the last; without the end that vanishes on paper."""
 VIEW: Final = Oblique(azimuth_deg=62.0, elevation_deg=20.0)

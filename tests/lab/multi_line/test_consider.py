@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from thalweg.lightsheet.multi_line import calibrate_lines, compare_models, line_model
-from thalweg.lightsheet.multi_line.adjustment import level_depths
-from thalweg.lightsheet.multi_line.comparison import consider_sensor, depth_errors
 from thalweg.lightsheet.optics import PARAMETERS, paper_4
+from thalweg_lab.multi_line import calibrate_lines, compare_models, line_model
+from thalweg_lab.multi_line.adjustment import level_depths
+from thalweg_lab.multi_line.comparison import consider_sensor, depth_errors
 from thalweg_lab.studies.sensors.laser_lines import (
     LEVELS_MM,
     PAIRED,

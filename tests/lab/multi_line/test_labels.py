@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from thalweg.core import GeometryError
-from thalweg.lightsheet.multi_line import (
+from thalweg.lightsheet.optics import intersect
+from thalweg_lab.multi_line import (
     Detections,
     Flag,
     LabelSettings,
@@ -16,7 +17,7 @@ from thalweg.lightsheet.multi_line import (
     label_single_image,
     line_table,
 )
-from thalweg.lightsheet.multi_line.labels import (
+from thalweg_lab.multi_line.labels import (
     CONTRADICTED,
     IMPOSSIBLE,
     SUPPORTED,
@@ -28,8 +29,7 @@ from thalweg.lightsheet.multi_line.labels import (
     link_rows,
     row_marginals,
 )
-from thalweg.lightsheet.multi_line.scan_labels import spacing_irregularity
-from thalweg.lightsheet.optics import intersect
+from thalweg_lab.multi_line.scan_labels import spacing_irregularity
 from thalweg_lab.studies.sensors.laser_lines import (
     MAP,
     Setting,

@@ -24,15 +24,15 @@ import pandas as pd
 from scipy.stats import f as f_distribution
 
 from thalweg.core import ArrayF, root_mean_square
-from thalweg.lightsheet.multi_line.adjustment import (
+from thalweg.lightsheet.optics import LASER, PARAMETERS, Sensor
+from thalweg_lab.multi_line.adjustment import (
     LineCalibration,
     calibrate_lines,
     level_depths,
     line_and_pair_groups,
 )
-from thalweg.lightsheet.multi_line.level_points import LevelPoints, on_levels
-from thalweg.lightsheet.multi_line.models import Kind, LineResiduals, NominalDiode, line_model, line_residuals
-from thalweg.lightsheet.optics import LASER, PARAMETERS, Sensor
+from thalweg_lab.multi_line.level_points import LevelPoints, on_levels
+from thalweg_lab.multi_line.models import Kind, LineResiduals, NominalDiode, line_model, line_residuals
 
 # ---------------------------------------------------------------- what an uncertain camera does to calibrated
 # lines and to the depths that they measure

@@ -24,9 +24,9 @@ from thalweg.core import (
     prior,
     root_mean_square,
 )
-from thalweg.lightsheet.multi_line.level_points import LevelPoints, on_levels
-from thalweg.lightsheet.multi_line.models import LineModel, Lines, line_residuals
 from thalweg.lightsheet.optics import Sensor, intersect
+from thalweg_lab.multi_line.level_points import LevelPoints, on_levels
+from thalweg_lab.multi_line.models import LineModel, Lines, line_residuals
 
 _ROUNDS: Final = 15
 _STEADY: Final = 0.02
@@ -88,9 +88,9 @@ def calibrate_lines(
 
     Parameters
     ----------
-    sensor : camera and window as calibrated; see `thalweg.lightsheet.multi_line.comparison`.
+    sensor : camera and window as calibrated; see `thalweg_lab.multi_line.comparison`.
     points : on levels.
-    model : from `thalweg.lightsheet.multi_line.models.line_model`.
+    model : from `thalweg_lab.multi_line.models.line_model`.
     estimate_deviations : whether the variances of line deviations are estimated, or their start is kept.
 
     Raises

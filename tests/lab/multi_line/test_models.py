@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from thalweg.core import GeometryError, UnobservableError
-from thalweg.lightsheet.multi_line import (
+from thalweg.lightsheet.optics import paper_4
+from thalweg_lab.multi_line import (
     KINDS,
     LevelPoints,
     NominalDiode,
@@ -16,10 +17,9 @@ from thalweg.lightsheet.multi_line import (
     line_model,
     nested_tests,
 )
-from thalweg.lightsheet.multi_line.adjustment import level_depths
-from thalweg.lightsheet.multi_line.level_points import on_levels
-from thalweg.lightsheet.multi_line.models import line_residuals
-from thalweg.lightsheet.optics import paper_4
+from thalweg_lab.multi_line.adjustment import level_depths
+from thalweg_lab.multi_line.level_points import on_levels
+from thalweg_lab.multi_line.models import line_residuals
 from thalweg_lab.tank import GratingErrors, calibration_points, make_grating
 
 SENSOR = paper_4()
