@@ -236,7 +236,6 @@ def name_cones(ax: Axes, cones: Sequence[FieldCone], view: Oblique, *, dy_points
             fontsize=7,
             path_effects=HALO,
             zorder=8,
-            gid="cone-name",
         )
 
 
@@ -374,7 +373,7 @@ def draw_sensors(
         ax.annotate("", end[k], xytext=start[k], zorder=4, gid="z-axis", arrowprops=look)
         words = position.replace("_", " ") if k == 0 else None
         ax.plot(
-            *start[k], marker, ms=6, color=colour or own, mfc="white" if position else None, mew=1.2, zorder=5,
+            *start[k], marker, ms=6, color=colour or own, mfc="white" if position else None, zorder=5,
             gid=f"{sensor}-{position}" if position else sensor,
             label=words if position else f"{sensor} (arrow: z axis)",
         )  # fmt: skip
