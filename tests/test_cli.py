@@ -77,7 +77,7 @@ def _put_logs(folder: Path) -> None:
 def _recognise(path: Path) -> str:
     word = path.read_bytes()[:5].decode().strip()
     if word == "what":
-        raise InputError("the content is of no known kind", where=path)
+        raise InputError("unrecognised file", where=path)
     return {"pcap": "capture"}.get(word, word)
 
 
@@ -302,7 +302,7 @@ def test_check_config_looks_into_the_logs(here, capsys):
         r"holds a network capture \(pcap, pcapng\); expected: .*Advanced Navigation ANPP log", said
     )
     assert "logs.positions: " in said
-    assert "of no known kind" in said
+    assert "unrecognised file" in said
 
 
 def test_check_config_takes_sigmas_of_an_sbet(here, capsys):

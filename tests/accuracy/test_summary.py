@@ -144,8 +144,8 @@ def test_figures_of_a_comparison_are_those_as_measured(files: dict[str, Path]) -
         "reference, without outliers: NMAD": (0.067, "m", source),
         "reference, without outliers: RMSE predicted": (0.074, "m", source),
         "reference, without outliers: predicted / observed": (0.66, "1", source),
-        "  consistent sigmas leave it above (95 %)": (0.65, "1", source),
-        "  consistent sigmas leave it below (95 %)": (2.1, "1", source),
+        "  95 % acceptance band, lower limit": (0.65, "1", source),
+        "  95 % acceptance band, upper limit": (2.1, "1", source),
         "reference, all points: points compared": (2000.0, "1", source),
         "reference, all points: mean distance": (0.12, "m", source),
         "reference, all points: RMSE": (0.31, "m", source),
@@ -245,7 +245,7 @@ def test_fixes_and_soundings_that_were_refused_are_told(files: dict[str, Path], 
     assert table["value"]["GNSS epochs with fixed ambiguities"] == 90.0
     assert table["value"]["GNSS fixes that were not trusted"] == 5
     assert table["value"]["distance of the GNSS base, largest"] == 5.372
-    assert table["value"]["soundings in the world"] == 147
+    assert table["value"]["georeferenced soundings"] == 147
     assert table["value"]["  left out: spike"] == 2
     assert "  left out: turn" not in table.index
     positions.write_text(json.dumps({"details": {}}))

@@ -112,7 +112,8 @@ def function_of(name: str) -> Callable[..., Any]:
 
 
 def cases(name: str, example: Mapping[str, Any]) -> Iterator[tuple[str, Callable[[], dict[str, Any]]]]:
-    """What is tried: all inputs in a state, each table alone in it, and each input absent that may be."""
+    """What is tried: all inputs as they are or in a state, each table alone, each absent that may be."""
+    yield "all there", lambda: dict(example)
     for state in STATES:
         yield f"all {state}", lambda s=state: {key: in_state(each, s) for key, each in example.items()}
     tables = [key for key, each in example.items() if isinstance(each, pd.DataFrame)]

@@ -219,7 +219,7 @@ def test_change_map_counts_bare_ground_and_states_the_ends(bank, look):
     assert f"n = {n} core points" in words
     assert "from −35 to +20 cm, 1 beyond the scale" in words
     assert "n = 45" in words
-    assert "positive where it came" in words
+    assert "negative: erosion, positive: deposition" in words
     assert len(look.artists(figure, "distances")) == 2
     look.drawn(figure)
 
@@ -453,7 +453,10 @@ def test_without_a_patch_there_is_no_profile(bank, look, tmp_path):
 def test_the_verdict_states_volumes_registration_and_what_was_not_seen(facts):
     words = verdict(facts)
     assert "−4.00 ± 0.25 m³ by erosion on 12.5 m²" in words
-    assert "net, with insignificant changes, −1.40 ± 0.90 m³, which is no different from zero" in words
+    assert (
+        "net, with insignificant changes, −1.40 ± 0.90 m³, which is not significantly different from zero"
+        in words
+    )
     assert "patch of erosion has 12.5 m², −3.8 m³" in words
     assert "up +5.0 ± 1.0 cm: more than the errors of both surveys explain" in words
     assert "does not show a shift along 90° (azimuth)" in words
@@ -462,7 +465,7 @@ def test_the_verdict_states_volumes_registration_and_what_was_not_seen(facts):
 
 def test_a_net_volume_beyond_its_band_is_called_different_from_zero(facts):
     table = facts.volumes.assign(low_m3=-3.0, high_m3=-0.5)
-    assert "which is different from zero" in verdict(replace(facts, volumes=table))
+    assert "which is significantly different from zero" in verdict(replace(facts, volumes=table))
     with pytest.raises(InputError, match="0 rows 'net'"):
         verdict(replace(facts, volumes=table[table["what"] != "net"]))
 
@@ -481,15 +484,15 @@ def test_words_where_nothing_was_found(bank, facts):
 def test_the_lead_gives_both_volumes_what_was_taken_off_and_why_they_differ(facts):
     lead, findings = head([facts])
     assert lead.startswith(
-        "Epochs 1 to 2: the net volume is no different from zero. Net along normals −1.40 ± 0.90 m³ on "
+        "Epochs 1 to 2: the net volume is not significant at 95 %. Net along normals −1.40 ± 0.90 m³ on "
         "120 m² of surface, by heights −1.70 ± 0.80 m³ on 118 m² of the map. They cover different areas"
     )
     assert "Warning" not in lead
     rows = {each.quantity: (each.value, each.verdict) for each in findings}
-    assert rows["net volume by heights"] == ("−1.70 ± 0.80 m³", "not zero, at 95 %")
-    assert rows["taken off in height as a motion of the second epoch"] == (
+    assert rows["net volume by heights"] == ("−1.70 ± 0.80 m³", "significant at 95 %")
+    assert rows["height offset removed from the second epoch"] == (
         "+5.0 ± 1.0 cm",
-        "what most of the bank agrees on",
+        "from the majority of the bank",
     )
 
 
@@ -523,10 +526,10 @@ def test_without_a_sigma_and_drawn_ground_there_is_no_verdict(bank, facts):
     )  # fmt: skip
     lead, findings = head([silent])
     assert "no verdict: no sigma_m is stated or estimated of both epochs" in lead
-    assert "a common offset may remain. Most of the surface agrees on −20.4 cm" in lead
-    assert not [each for each in findings if "not zero" in each.verdict or "no different" in each.verdict]
-    assert findings[4].value == "nothing"
-    assert "most of the surface agrees on −20.4 cm" in findings[4].verdict
+    assert "a common offset may remain. The majority of the surface suggests −20.4 cm" in lead
+    assert not [each for each in findings if "significant" in each.verdict]
+    assert findings[4].value == "none"
+    assert "the majority of the surface suggests −20.4 cm" in findings[4].verdict
     words = verdict(silent)
     assert "on which there is no verdict" in words
     assert "different from zero" not in words
@@ -544,7 +547,7 @@ def test_areas_of_drawn_ground_stand_on_the_page(bank, facts):
     told = {"areas": "drawn", "n_areas": 2, "by_area": areas, "sigma": "stated"}
     told |= {"sigma_from": "the stated sigmas"}
     drawn = replace(facts, registration={**facts.registration, **told})
-    assert taken_off(drawn.registration) == ("+5.0 ± 1.0 cm", "drawn ground, 2 areas")
+    assert taken_off(drawn.registration) == ("+5.0 ± 1.0 cm", "from drawn ground, 2 areas")
     html = change_page([json.loads(bank.errors[0].read_text())], [drawn]).html()
     assert "stable areas that lie apart" in html
     assert "standard deviation is by the stated sigmas" in html
@@ -588,7 +591,7 @@ def test_the_page_holds_all_tables_and_pictures(bank, facts, look, tmp_path):
         "mounting angles of the scanner",
         "share of unchanged ground that was called unchanged",
         "new one",
-        "<td>patch -0.10</td>",
+        "<td>patch −0.10</td>",
         "error over sigma",
         "at most 5 % did not change",
         "<td>water</td>",

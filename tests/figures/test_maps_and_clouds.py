@@ -243,7 +243,7 @@ def test_detail_axes_limits_and_colours(bank):
     figure = cloud_detail(bank.points, bank.intensity, segment=segment, percentiles=(5.0, 95.0), width_px=300)
     ax, bar = figure.axes
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("along the bank / m", "height in the local frame / m")
-    assert bar.get_ylabel() == "intensity / 1   (5 to 95 %)"
+    assert bar.get_ylabel() == "intensity   (5 to 95 %)"
     (picture,) = by_gid(figure, "cloud")
     left, right, bottom, top = picture.get_extent()
     assert (left, right) == (0.0, 14.0)

@@ -10,6 +10,7 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from PIL import Image
 from pyproj import CRS
@@ -602,7 +603,7 @@ def test_it_begins_with_the_colour_that_most_points_have(
 def test_a_click_gives_the_map_grid_and_further_ones_an_area(browser: Browser, tmp_path: Path) -> None:
     xyz = hills()[::4]
     folder = tmp_path / "results/a/viewer"
-    view = View(xyz_m=xyz, frame=FRAME, n_total=len(xyz))
+    view = View(xyz_m=xyz, frame=FRAME, n_total=len(xyz), sigma_m=np.full((len(xyz), 3), 0.03))
     write_viewer(view, folder, title="x", grid=grid_of(view, "EPSG:25833"))
     with browser.empty_page() as page:
         page.open(folder / "index.html", "#at=0,0,0&look=0,90,150&colour=height")
@@ -613,7 +614,8 @@ def test_a_click_gives_the_map_grid_and_further_ones_an_area(browser: Browser, t
         page.click(450, 300)
         words = page.run("$('found').textContent")
         assert re.search(
-            r"ETRS89 / UTM zone 33N \(EPSG:25833\):\n  easting 377\d{3}\.\d{3} m\n  northing", words
+            r"ETRS89 / UTM zone 33N \(EPSG:25833\):\n  easting 377\d{3}\.\d{3} m ± 0\.03\d m\n  northing",
+            words,
         )
         for x, y in ((500, 300), (500, 350)):
             for kind in ("mousePressed", "mouseReleased"):
@@ -632,6 +634,16 @@ def test_a_click_gives_the_map_grid_and_further_ones_an_area(browser: Browser, t
         assert "length of the line 30.000 m\nlevel area 100.00 m² ± 1.41 m²" in page.run(
             "$('found').textContent"
         )
+        # above the plane of three of its corners: means of cells of the same points
+        corners = [[-30, -20, 1.0], [30, -20, 4.0], [30, 40, 4.0], [-30, 40, 1.0]]
+        found = page.run(f"volumes({corners}, 3600)")
+        inside = xyz[(np.abs(xyz[:, 0]) < 30) & (np.abs(xyz[:, 1] - 10) < 30)]
+        above = inside[:, 2] - (2.5 + inside[:, 0] / 20)
+        cells = pd.Series(above).groupby(list(np.floor((inside[:, :2] + [30, 20]) / np.sqrt(3.6)).T)).mean()
+        assert found["share"] > 0.99
+        for sign, name in ((1, "above"), (-1, "below")):
+            assert found[name] == pytest.approx(3.6 * (sign * cells).clip(lower=0).sum(), rel=0.02)
+        assert page.run("volumes([[0, 0, 0], [5, 5, 0], [9, 9, 0]], 1)") is None
         page.click(450, 300)
         assert page.run("picked.length") == 1
         assert (

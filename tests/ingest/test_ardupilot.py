@@ -205,14 +205,16 @@ def test_soundings_of_a_log_make_a_bed(boat: Path) -> None:
     assert any("without a position at their time" in note for note in soundings.notes)
 
 
-def telemetry(*, unix_s: float = 1.7e9, component: int = 1) -> bytes:
-    vehicle = mavlink.MAVLink(None, srcSystem=1, srcComponent=component)
+def telemetry(
+    *, unix_s: float = 1.7e9, component: int = 1, system: int = 1, n: int = 100, ranges_cm: Any = ()
+) -> bytes:
+    vehicle = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
     out = []
 
     def say(message: mavlink.MAVLink_message, t_s: float) -> None:
         out.append(struct.pack(">Q", round(1e6 * (1.65e9 + t_s))) + message.pack(vehicle))
 
-    for k in range(100):
+    for k in range(n):
         boot_ms, t_s = 20_000 + 200 * k, 0.2 * k
         place = (round(1e7 * (51 + 2e-6 * k)), round(1e7 * (13 + 1e-6 * k)))
         say(mavlink.MAVLink_system_time_message(round(1e6 * (unix_s + t_s)) if unix_s else 0, boot_ms), t_s)
@@ -223,10 +225,11 @@ def telemetry(*, unix_s: float = 1.7e9, component: int = 1) -> bytes:
         )
         raw = (1000 * boot_ms, 6, *place, 101_000, 80, 90, 100, 0, 15)
         say(mavlink.MAVLink_gps_raw_int_message(*raw, alt_ellipsoid=147_500, h_acc=28, v_acc=40), t_s)
-        say(
-            mavlink.MAVLink_water_depth_message(boot_ms, 0, k != 3, *place, 101.0, 0.0, 0.0, 0.0, 2.5, 12.0),
-            t_s,
-        )
+        for number, cm in enumerate(ranges_cm[k] if ranges_cm else ()):
+            say(mavlink.MAVLink_distance_sensor_message(boot_ms, 30, 5000, cm, 1, number, 25, 0), t_s)
+        if not ranges_cm:
+            depth = (boot_ms, 0, k != 3, *place, 101.0, 0.0, 0.0, 0.0, 2.5, 12.0)
+            say(mavlink.MAVLink_water_depth_message(*depth), t_s)
     return b"".join(out)
 
 
@@ -258,6 +261,30 @@ def test_what_a_ground_station_says_is_not_the_vehicles(tmp_path: Path) -> None:
     path.write_bytes(telemetry(component=190))
     with pytest.raises(InputError, match="neither attitudes, positions nor depths"):
         describe(path)
+
+
+@pytest.mark.parametrize("other", [{"system": 2}, {"unix_s": 1.8e9}])
+def test_of_two_vehicles_or_two_starts_one_is_taken(tmp_path: Path, other: Any) -> None:
+    path = tmp_path / "flight.tlog"
+    path.write_bytes(telemetry(n=60, **other) + telemetry())
+    log = read_ardupilot([path], TrackOptions())
+    assert len(log.states) == 100
+    assert log.report.counts["messages_of_other_vehicles_or_starts"] == 300
+    assert log.states["t_gps_s"].iloc[50] == pytest.approx(float(gps_from_unix(1.7e9 + 10.0)), abs=1e-3)
+    assert any("start with most messages is taken" in note for note in log.report.notes)
+
+
+def test_of_two_sounders_one_is_taken_and_what_lies_outside_its_reach_is_no_bottom(tmp_path: Path) -> None:
+    path = tmp_path / "flight.tlog"
+    path.write_bytes(telemetry(n=20, ranges_cm=[(410, 5001 if k % 2 else 0) for k in range(20)]))
+    log = read_ardupilot([path], TrackOptions())
+    assert set(log.depths["depth_m"]) == {4.1}
+    assert log.report.counts["pings_of_other_sounders"] == 20
+    path.write_bytes(telemetry(n=20, ranges_cm=[(5001 if k % 4 else 410,) for k in range(20)]))
+    assert read_ardupilot([path], TrackOptions()).depths["depth_m"].value_counts().to_dict() == {
+        0: 15,
+        4.1: 5,
+    }
 
 
 @pytest.mark.real

@@ -59,7 +59,7 @@ def test_photographs_are_known_and_described(tmp_path: Path, ending: str) -> Non
 def test_other_tables_are_not_taken_for_control_points(tmp_path: Path, text: str) -> None:
     path = tmp_path / "t.csv"
     path.write_text(text)
-    with pytest.raises(InputError, match="no known kind"):
+    with pytest.raises(InputError, match="unrecognised file"):
         recognise(path)
 
 

@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 from pynmeagps import NMEAReader
 
+from thalweg.cli import main
 from thalweg.core import InputError, ThalwegError, gps_from_unix, gps_from_week, write_table
 from thalweg.ingest import DEPTH, GNSS_POSITION
 from thalweg.ingest.nmea import read_nmea
@@ -455,3 +456,21 @@ def test_a_jump_of_the_date_is_told(tmp_path: Path) -> None:
     assert any("week counter" in note for note in report.notes)
     path.write_text(rmc("235958", "110521") + rmc("235959", "110521") + rmc("000000", "120521"))
     assert "date_jumps" not in read_nmea([path]).report.losses
+
+
+def test_a_track_alone_and_a_damaged_file_beside_it_make_a_campaign(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "logs").mkdir()
+    body = "GPGGA,1003{:02d}.00,5100.{:04d},N,01300.0000,E,4,21,0.6,100.0,M,46.5,M,1.0,0001"
+    lines = [body.format(k, k) for k in range(9)] + ["GPZDA,100310.00,12,06,2024,00,00"]
+    text = "".join(f"${each}*{reduce(xor, each.encode()):02X}\r\n" for each in lines)
+    (tmp_path / "logs/track.txt").write_text(text, newline="")
+    (tmp_path / "logs/day.bag").write_bytes(b"#ROSBAG V2.0\nE\x00\x00\x00 damaged")
+    folder = tmp_path / "campaigns"
+    assert main(["new-campaign", "boat", "--from-logs", str(tmp_path / "logs"), "--folder", str(folder)]) == 0
+    assert "left out, the bag cannot be opened" in capsys.readouterr().err
+    assert "\n  positions: [../logs/track.txt]" in (folder / "boat.yaml").read_text()
+    path = folder / "boat.yaml"
+    path.write_text(path.read_text().replace("lever_ics_m: CHANGE", "lever_ics_m: [0.0, 0.0, 0.3]"))
+    assert main(["check-config", str(path)]) == 0

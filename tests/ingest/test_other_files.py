@@ -109,7 +109,7 @@ def test_what_a_new_campaign_leaves_out_is_summed_up(tmp_path: Path, monkeypatch
     monkeypatch.chdir(tmp_path)
     assert main(["new-campaign", "x", "--from-logs", str(logs), "--folder", str(tmp_path)]) == 0
     told = capsys.readouterr().err.splitlines()
-    assert "left out, of no known kind: note_0.txt, note_1.txt, note_2.txt and 2 more" in told
+    assert "left out, unrecognised: note_0.txt, note_1.txt, note_2.txt and 2 more" in told
     assert any(line.startswith("left out, PCD cloud") and line.endswith("and 2 more") for line in told)
 
 

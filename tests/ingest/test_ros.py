@@ -1,9 +1,11 @@
 """Bags of ROS: written here by rosbags, and real ones beside its counts."""
 
 import io
+import re
 from pathlib import Path
 from typing import Any
 
+import dpkt
 import numpy as np
 import pytest
 import yaml
@@ -18,7 +20,13 @@ from thalweg.cli import main
 from thalweg.core import InputError, LocalFrame, ThalwegError, gps_from_unix, rotation_opk
 from thalweg.ingest import LidarOptions, TrackOptions
 from thalweg.ingest.photos import read_image_stamps
-from thalweg.ingest.recorders import mounts_of_bag, read_bag_positions, streams_of_bag, write_bag_images
+from thalweg.ingest.recorders import (
+    mounts_of_bag,
+    packets_of_bag,
+    read_bag_positions,
+    streams_of_bag,
+    write_bag_images,
+)
 from thalweg.ingest.registry import (
     describe,
     lidar_reader,
@@ -65,7 +73,9 @@ class Bag:
         write = self.store.serialize_ros1 if self.ros == 1 else self.store.serialize_cdr
         self.writer.write(self.topics[topic], round(t_s * 1e9), write(message, name))
 
-    def cloud(self, topic: str, t_s: float, rows: Any, *, recorded_s: float | None = None) -> None:
+    def cloud(
+        self, topic: str, t_s: float, rows: Any, *, recorded_s: float | None = None, frame: str = "os_lidar"
+    ) -> None:
         """A cloud whose fields are the columns of a structured array; 5 bytes of padding behind each."""
         padded = np.dtype(
             {
@@ -90,7 +100,7 @@ class Bag:
         ]
         message = self.of(
             "sensor_msgs/msg/PointCloud2",
-            header=self.header(t_s, "os_lidar"),
+            header=self.header(t_s, frame),
             height=1,
             width=len(rows),
             fields=fields,
@@ -102,10 +112,12 @@ class Bag:
         )
         self.say(topic, "sensor_msgs/msg/PointCloud2", message, recorded_s or t_s)
 
-    def fix(self, t_s: float, k: int, *, status: int = 2, topic: str = "/fix") -> None:
+    def fix(self, t_s: float, k: int, *, status: int = 2, topic: str = "/fix", known: int = 3) -> None:
+        """A fix; ``known`` of its covariance: 0 nothing, 1 and 2 the variances, 3 all of it."""
         service = self.of("sensor_msgs/msg/NavSatStatus", status=status, service=1)
         cov = np.diag([0.0004, 0.0009, 0.0016])
-        cov[0, 1] = cov[1, 0] = 0.0001
+        cov[0, 1], cov[0, 2], cov[1, 2] = 0.0001, -0.0002, 0.0003
+        cov += np.triu(cov, 1).T
         message = self.of(
             "sensor_msgs/msg/NavSatFix",
             header=self.header(t_s),
@@ -114,12 +126,18 @@ class Bag:
             longitude=13.0,
             altitude=146.5,
             position_covariance=cov.ravel(),
-            position_covariance_type=3,
+            position_covariance_type=known,
         )
         self.say(topic, "sensor_msgs/msg/NavSatFix", message, t_s)
 
     def imu(
-        self, t_s: float, xyzw: tuple[float, ...], *, known: bool = True, topic: str = "/imu/data"
+        self,
+        t_s: float,
+        xyzw: tuple[float, ...],
+        *,
+        known: bool = True,
+        topic: str = "/imu/data",
+        felt: tuple[float, ...] | None = None,
     ) -> None:
         def vector(x: float, y: float, z: float) -> Any:
             return self.of("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
@@ -136,7 +154,7 @@ class Bag:
             orientation_covariance=orientation_covariance,
             angular_velocity=vector(0.1, 0.2, 0.3),
             angular_velocity_covariance=np.zeros(9),
-            linear_acceleration=vector(0.0, 0.0, 9.8),
+            linear_acceleration=vector(*(felt or Rotation.from_quat(xyzw).inv().apply([0.0, 0.0, 9.8]))),
             linear_acceleration_covariance=np.zeros(9),
         )
         self.say(topic, "sensor_msgs/msg/Imu", message, t_s)
@@ -237,6 +255,148 @@ def test_points_without_times_are_told(tmp_path: Path) -> None:
     assert "20.0 days ahead of the headers: recorded from a replay" in notes
 
 
+def sweep(time: str, kind: str, values: Any, n: int = 20_000) -> Any:
+    """A turn of some points in 0.1 s, 10 m ahead."""
+    rows = np.zeros(n, np.dtype([("x", "f4"), ("y", "f4"), ("z", "f4"), (time, kind), ("ring", "u2")]))
+    rows["x"], rows[time] = 10.0, values
+    return rows
+
+
+TURN = np.linspace(0.0, 0.1, 20_000)
+
+
+@pytest.mark.parametrize(
+    ("rows", "told"),
+    [
+        (sweep("time", "f4", TURN), "field time, seconds since the header"),
+        (sweep("t", "u4", 1e9 * TURN), "field t, nanoseconds since the header"),
+        (sweep("t", "u4", 1e6 * TURN), "field t, microseconds since the header"),
+        (sweep("time", "f4", 1e6 * TURN), "field time, microseconds since the header"),
+        (sweep("time", "f4", 1e3 * TURN), "field time, milliseconds since the header"),
+        (sweep("time", "f4", TURN - 0.1), "field time, seconds since the header"),
+        (sweep("timestamp", "f8", UNIX_S + TURN), "field timestamp, seconds since 1970"),
+        (sweep("timestamp", "f8", 1e6 * (UNIX_S + TURN)), "field timestamp, microseconds since 1970"),
+        (sweep("timestamp", "f8", 1e9 * (UNIX_S + TURN)), "field timestamp, nanoseconds since 1970"),
+    ],
+)
+def test_units_of_times_of_points(tmp_path: Path, rows: Any, told: str) -> None:
+    bag = Bag(tmp_path / "survey.bag")
+    bag.cloud("/points", UNIX_S, rows)
+    bag.writer.close()
+    reader = lidar_reader([tmp_path / "survey.bag"])
+    scan = reader.scan()
+    assert [note for note in scan.report.notes if "Times of points" in note] == [f"Times of points: {told}."]
+    t = np.concatenate([block.t_gps_s for block in reader.points(scan.clock)])
+    begin = -0.1 if rows["time" if "time" in rows.dtype.names else rows.dtype.names[3]][0] < 0 else 0.0
+    assert t - float(gps_from_unix(UNIX_S)) == pytest.approx(TURN + begin, abs=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("rows", "why"),
+    [
+        (sweep("t", "u4", 0), r"field t, 0\) count neither"),  # many points at once
+        (sweep("timestamp", "f8", 291.0 + TURN), r"field timestamp, 291 to 291\.1\) count neither"),
+        (sweep("timestamp", "f4", UNIX_S + TURN), r"field timestamp\) are rounded by their float32"),
+        (sweep("stamp", "f4", TURN), "no times of their own"),
+    ],
+)
+def test_times_that_are_none_are_told(tmp_path: Path, rows: Any, why: str) -> None:
+    bag = Bag(tmp_path / "survey.bag")
+    bag.cloud("/points", UNIX_S, rows)
+    bag.writer.close()
+    reader = lidar_reader([tmp_path / "survey.bag"])
+    scan = reader.scan()
+    assert re.search(why + r".*all of a cloud get the time of its header", " ".join(scan.report.notes))
+    assert set(next(reader.points(scan.clock)).t_gps_s) == {float(gps_from_unix(UNIX_S))}
+
+
+@pytest.mark.parametrize(("big_endian", "cut"), [(False, 0), (True, 0), (True, 1)])
+def test_organized_clouds_with_padded_rows(tmp_path: Path, big_endian: bool, cut: int) -> None:
+    """Two rows of three points, 7 bytes behind each; of a row that is cut off no point is taken."""
+    bag = Bag(tmp_path / "survey.bag")
+    order = ">" if big_endian else "<"
+    one = np.zeros(6, [("x", f"{order}f4"), ("y", f"{order}f4"), ("z", f"{order}f4"), ("_", "u1")])
+    one["x"] = [1, 2, np.nan, 4, 5, 6]
+    rows = b"".join(part.tobytes() + bytes(7) for part in (one[:3], one[3:]))
+    fields = [
+        bag.of("sensor_msgs/msg/PointField", name=n, offset=4 * k, datatype=7, count=1)
+        for k, n in enumerate("xyz")
+    ]
+    message = bag.of(
+        "sensor_msgs/msg/PointCloud2",
+        header=bag.header(UNIX_S, "os_lidar"),
+        height=2,
+        width=3,
+        fields=fields,
+        is_bigendian=big_endian,
+        point_step=13,
+        row_step=46,
+        data=np.frombuffer(rows[: len(rows) - cut], np.uint8),
+        is_dense=False,
+    )
+    bag.say("/points", "sensor_msgs/msg/PointCloud2", message, UNIX_S)
+    bag.writer.close()
+    reader = lidar_reader([tmp_path / "survey.bag"])
+    scan = reader.scan()
+    ahead = np.concatenate([block.xyz_scs_m[:, 1] for block in reader.points(scan.clock)]).tolist()
+    assert ahead == ([1, 2] if cut else [1, 2, 4, 5, 6])
+    assert scan.report.losses == ({"points_cut_off": 3} if cut else {})
+    assert scan.report.counts["shots_without_return"] == 1
+
+
+def test_clouds_of_a_fixed_frame_are_refused(tmp_path: Path) -> None:
+    bag = Bag(tmp_path / "survey.bag")
+    bag.cloud("/cloud_registered", UNIX_S, sweep("t", "u4", 0), frame="map")
+    bag.writer.close()
+    with pytest.raises(InputError, match="frame map, which does not move with the lidar"):
+        lidar_reader([tmp_path / "survey.bag"]).scan()
+
+
+def test_brightness_up_to_one_and_headers_without_stamps(tmp_path: Path) -> None:
+    bag = Bag(tmp_path / "survey.bag")
+    rows = points("t", "u4", [0, 0, 0])
+    rows["intensity"] = [0.2, 1.0, 0.0]
+    bag.cloud("/points", 0, rows, recorded_s=UNIX_S)
+    bag.writer.close()
+    reader = lidar_reader([tmp_path / "survey.bag"])
+    scan = reader.scan()
+    block = next(reader.points(scan.clock))
+    assert block.intensity.tolist() == [51, 255]
+    assert block.t_gps_s[0] == float(gps_from_unix(UNIX_S))
+    assert any("1 messages have no stamp" in note for note in scan.report.notes)
+
+
+def test_stamps_of_a_device_are_no_dates(tmp_path: Path) -> None:
+    bag = Bag(tmp_path / "survey.bag")
+    bag.cloud("/points", 291.1, sweep("t", "u4", 1e9 * TURN), recorded_s=UNIX_S)
+    bag.writer.close()
+    with pytest.raises(InputError, match=r"stamps of /points that count from elsewhere: 291\.1 s"):
+        lidar_reader([tmp_path / "survey.bag"]).scan()
+
+
+def test_an_imu_that_contradicts_itself_is_refused(tmp_path: Path) -> None:
+    """Orientation never measured; axes forward, right, down; gravity as a filter takes it off."""
+    level, heeled = (
+        (0.0, 0.0, 0.0, 1.0),
+        tuple(Rotation.from_euler("XZ", [5.0, 70.0], degrees=True).as_quat()),
+    )
+    for name, q, felt, why in (
+        ("a", level, (0.1, 0.0, 9.8), "in every message: none was measured"),
+        ("b", heeled, (0.0, 0.8, -9.8), "these point 1[678][0-9] degrees away from up"),
+        ("c", heeled, (0.0, 0.1, 0.0), ""),
+    ):
+        bag = Bag(tmp_path / f"{name}.bag")
+        for k in range(5):
+            bag.imu(UNIX_S + k, q, felt=felt)
+            bag.fix(UNIX_S + k, k)
+        bag.writer.close()
+        if why:
+            with pytest.raises(InputError, match=why):
+                read_poses([tmp_path / f"{name}.bag"], "ins")
+        else:
+            assert len(read_poses([tmp_path / f"{name}.bag"], "ins").states) == 5
+
+
 def test_of_two_lidars_one_is_asked_for(tmp_path: Path) -> None:
     bag = Bag(tmp_path / "survey.bag")
     bag.cloud("/front", UNIX_S, points("time", "f4", [0, 0, 0]))
@@ -257,7 +417,7 @@ def test_a_boat_in_a_bag(tmp_path: Path, ros: int) -> None:
     bag = Bag(path, ros)
     q = tuple(Rotation.from_euler("ZYX", [60.0, 0.0, 10.0], degrees=True).as_quat())
     for k in range(20):
-        bag.fix(UNIX_S + 0.2 * k, k, status=-1 if k == 7 else 2)
+        bag.fix(UNIX_S + 0.2 * k, k, status=-1 if k == 7 else 2, known=max(3 - k, 0))
         bag.imu(UNIX_S + 0.2 * k + 0.1, q)
         bag.depth("/range/ahead", UNIX_S + 0.2 * k, 30.0)
         bag.depth("/echo_sounder", UNIX_S + 0.2 * k, 99.0 if k == 3 else 4.0)
@@ -273,24 +433,32 @@ def test_a_boat_in_a_bag(tmp_path: Path, ros: int) -> None:
     assert row.lat_deg == pytest.approx(51.0 + 1.05e-5, abs=1e-12)
     assert row.t_gps_s == pytest.approx(float(gps_from_unix(UNIX_S + 2.1)), abs=1e-6)
     assert (row.rate_x_radps, row.rate_y_radps, row.rate_z_radps) == pytest.approx((0.1, -0.2, -0.3))
-    assert (row.sigma_roll_rad, row.sigma_heading_rad) == pytest.approx((0.001, 0.003))
+    angles = (row.sigma_roll_rad, row.sigma_pitch_rad, row.sigma_heading_rad)
+    assert angles == pytest.approx((0.001, 0.002, 0.003))
+    assert np.isnan(log.states["lat_deg"].iloc[-1]), "after the last fix"
     fix = read_bag_positions([path], TrackOptions()).positions
     assert fix is not None
     assert len(fix) == 19
-    assert (fix["sigma_east_m"].iloc[0], fix["sigma_up_m"].iloc[0]) == pytest.approx((0.02, 0.04))
-    assert fix["cov_en_m2"].iloc[0] == pytest.approx(1e-4)
+    sigmas = fix[["sigma_east_m", "sigma_north_m", "sigma_up_m"]].to_numpy()
+    np.testing.assert_allclose(sigmas[:3], [[0.02, 0.03, 0.04]] * 3)
+    covariances = fix[["cov_en_m2", "cov_eu_m2", "cov_nu_m2"]].to_numpy()
+    np.testing.assert_allclose(covariances[0], [1e-4, -2e-4, 3e-4])
+    assert np.isnan(sigmas[3:]).all()
+    assert np.isnan(covariances[1:]).all()
+    np.testing.assert_allclose(fix[["lat_deg", "lon_deg", "h_ell_m"]].iloc[9], [51.00001, 13.0, 146.5])
+    np.testing.assert_allclose(fix["t_gps_s"].iloc[9], gps_from_unix(UNIX_S + 2.0))
     depths = read_depths([path]).depths
     assert depths is not None
     assert depths["depth_m"].value_counts().to_dict() == {4.0: 19, 0.0: 1}
 
 
 def test_poses_of_odometry_lie_at_the_origin_of_the_campaign(tmp_path: Path) -> None:
-    """100 m east, 50 m north; bow 20 degrees east of north, that is yaw 70."""
+    """100 m east, 50 m north; bow 20 degrees east of north, that is yaw 70; roll 10."""
     path, origin = tmp_path / "boat.bag", LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=100.0)
     bag = Bag(path)
-    q = tuple(Rotation.from_euler("ZYX", [70.0, 0.0, 0.0], degrees=True).as_quat())
+    attitude = Rotation.from_euler("ZYX", [70.0, 0.0, 10.0], degrees=True)
+    q, turn = tuple(attitude.as_quat()), attitude.as_matrix()
     bow, aside = np.deg2rad([1.0, 2.0]) ** 2
-    turn = Rotation.from_euler("Z", 70.0, degrees=True).as_matrix()
     cov = np.zeros((6, 6))
     cov[:3, :3] = np.diag([0.01, 0.04, 0.09])
     cov[3:, 3:] = turn @ np.diag([bow, aside, np.deg2rad(3.0) ** 2]) @ turn.T
@@ -303,10 +471,12 @@ def test_poses_of_odometry_lie_at_the_origin_of_the_campaign(tmp_path: Path) -> 
     place = origin.from_geodetic(row.lat_deg, row.lon_deg, row.h_ell_m)
     assert np.ravel(place) == pytest.approx([100.0, 50.0, 2.0], abs=1e-6)
     # the meridians of origin and boat differ by arc seconds
-    assert np.rad2deg([row.roll_rad, row.pitch_rad, row.heading_rad]) == pytest.approx([0, 0, 20], abs=2e-3)
+    assert np.rad2deg([row.roll_rad, row.pitch_rad, row.heading_rad]) == pytest.approx([10, 0, 20], abs=2e-3)
     assert (row.sigma_east_m, row.sigma_north_m, row.sigma_up_m) == pytest.approx((0.1, 0.2, 0.3))
     angles = np.rad2deg([row.sigma_roll_rad, row.sigma_pitch_rad, row.sigma_heading_rad])
-    assert angles == pytest.approx([1.0, 2.0, 3.0])
+    # about the axes of the boat, but the heading about the vertical
+    assert angles == pytest.approx([1.0, 2.0, np.sqrt(cov[5, 5]) * 180 / np.pi])
+    assert angles[2] < 2.99
     assert log.states[["sigma_east_m", "sigma_roll_rad"]].iloc[0].isna().all()
     assert any("frame map of the poses is taken for the local frame" in note for note in log.report.notes)
 
@@ -360,9 +530,12 @@ def test_mounting_of_tf_static(tmp_path: Path) -> None:
     bag.imu(UNIX_S, (0.0, 0.0, 0.0, 1.0))
     bag.fix(UNIX_S, 0)
     bag.cloud("/points", UNIX_S, points("time", "f4", [0, 0, 0]))
-    turn = Rotation.from_euler("Z", 30.0, degrees=True)
-    bag.mounting("hull", "body", (0.0, 0.0, 1.0), (0.0, 0.0, 0.0, 1.0))
-    bag.mounting("hull", "os_lidar", (1.0, -0.2, 1.5), tuple(turn.as_quat()))
+    # the body is turned in the hull by 90 degrees, and the lidar hangs on a mast
+    half, quarter = (Rotation.from_euler("Z", angle, degrees=True) for angle in (60.0, 90.0))
+    bag.mounting("hull", "body", (0.0, 0.0, 1.0), tuple(quarter.as_quat()))
+    bag.mounting("hull", "mast", (0.0, 2.0, 0.0), tuple(half.as_quat()))
+    arm = np.add(quarter.apply([1.0, -0.2, 0.5]), [0.0, -2.0, 1.0])
+    bag.mounting("mast", "os_lidar", tuple(half.inv().apply(arm)), tuple(half.as_quat()))
     bag.writer.close()
     found = mounts_of_bag(path)
     assert set(found) == {"lidar", "antenna"}
@@ -372,6 +545,48 @@ def test_mounting_of_tf_static(tmp_path: Path) -> None:
     ahead_of_the_lidar = R @ [0.0, 1.0, 0.0]  # forward, right, down of the body
     assert ahead_of_the_lidar == pytest.approx([np.cos(np.pi / 6), -0.5, 0.0], abs=1e-4)
     assert pytest.approx([0, 0, -1], abs=1e-4) == R @ [0.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize("maker", ["velodyne", "ouster"])
+def test_packets_of_a_bag_become_a_capture(tmp_path: Path, maker: str) -> None:
+    """Each packet with its time and its port, an Ouster's with the metadata beside it; read by dpkt."""
+    bag = Bag(tmp_path / "survey.bag")
+    times = UNIX_S + np.array([0.25, 0.250001, 1.75])
+    data = [np.random.default_rng(k).integers(0, 256, 1206).astype(np.uint8) for k in range(3)]
+    if maker == "velodyne":
+        packet = "builtin_interfaces/Time stamp\nuint8[1206] data\n"
+        scan = "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets\n"
+        bag.store.register(get_types_from_msg(packet, "velodyne_msgs/msg/VelodynePacket"))
+        bag.store.register(get_types_from_msg(scan, "velodyne_msgs/msg/VelodyneScan"))
+        packets = [
+            bag.of("velodyne_msgs/msg/VelodynePacket", stamp=bag.header(t).stamp, data=values)
+            for t, values in zip(times, data, strict=True)
+        ]
+        whole = bag.of("velodyne_msgs/msg/VelodyneScan", header=bag.header(UNIX_S), packets=packets)
+        bag.say("/packets", "velodyne_msgs/msg/VelodyneScan", whole, UNIX_S)
+        port = 2368
+    else:
+        bag.store.register(get_types_from_msg("uint8[] buf\n", "ouster_ros/msg/PacketMsg"))
+        for t, values in zip(times, data, strict=True):
+            message = bag.of("ouster_ros/msg/PacketMsg", buf=values)
+            bag.say("/os/lidar_packets", "ouster_ros/msg/PacketMsg", message, t)
+            bag.say("/os/imu_packets", "ouster_ros/msg/PacketMsg", message, t)
+        names = '"beam_altitude_angles": 1, "lidar_origin_to_beam_origin_mm": 2'
+        text = bag.of("std_msgs/msg/String", data=f'{{{names}, "udp_port_lidar": 7777}}')
+        bag.say("/os/metadata", "std_msgs/msg/String", text, UNIX_S)
+        port = 7777
+    bag.writer.close()
+    kind, files = packets_of_bag(tmp_path / "survey.bag", [])
+    assert kind == maker
+    if maker == "ouster":
+        assert files.pop(0).read_text() == text.data
+    (capture,) = files
+    with capture.open("rb") as stream:
+        rows = [(t, dpkt.ethernet.Ethernet(frame).data) for t, frame in dpkt.pcap.Reader(stream)]
+    assert [t for t, _ in rows] == pytest.approx(times, abs=1e-7)
+    for (_, ip), values in zip(rows, data, strict=True):
+        assert (ip.data.sport, ip.data.dport, ip.data.ulen, ip.len) == (port, port, 1214, 1234)
+        assert ip.data.data == values.tobytes()
 
 
 def test_a_new_campaign_names_the_topics(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -113,7 +113,7 @@ def test_a_run_of_zeros_is_no_message(tmp_path: Path) -> None:
     assert (tally.cells[SKIPPED], tally.cells[BAD_CRC], tally.cells[CUT]) == (49, 0, 0)
     path = tmp_path / "zeros.bin"
     path.write_bytes((b"\x55" + bytes(7)) * 500)
-    with pytest.raises(InputError, match="of no known kind"):
+    with pytest.raises(InputError, match="unrecognised file"):
         recognise(path)
     assert walk_sbp(path.read_bytes()).bytes_lost == 4000
     assert not looks_like_sbp(path.read_bytes())

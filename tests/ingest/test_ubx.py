@@ -92,15 +92,41 @@ def test_finer_places_and_covariances_of_the_same_epoch_count(tmp_path: Path) ->
         "NAV", "NAV-COV", GET, posCovValid=1, posCovNN=4e-4, posCovEE=9e-4, posCovDD=16e-4, posCovNE=1e-4,
         posCovND=2e-4, posCovED=3e-4,
     )  # fmt: skip
-    path = log_of(tmp_path, pvt(0), at_time(fine, 0, 10), pvt(1), at_time(cov, 1, 6))
+    # of epoch 2 both are invalid
+    wrong = UBXMessage("NAV", "NAV-HPPOSLLH", GET, lat=50.0, lon=12.0, height=0, hAcc=1.0, invalidLlh=1)
+    none = UBXMessage("NAV", "NAV-COV", GET, posCovValid=0, posCovNN=1.0, posCovEE=1.0, posCovNE=1.0)
+    path = log_of(
+        tmp_path, pvt(0), at_time(fine, 0, 10), pvt(1), at_time(cov, 1, 6), pvt(2), at_time(wrong, 2, 10),
+        at_time(none, 2, 6),
+    )  # fmt: skip
     log = read_ubx([path], TrackOptions())
     assert log.positions is not None
-    first, second = log.positions.iloc[0], log.positions.iloc[1]
+    first, second, third = (log.positions.iloc[k] for k in range(3))
+    assert (third.lat_deg, third.lon_deg, third.h_ell_m) == pytest.approx((51.000002, 13.0, 146.5))
+    assert third.sigma_north_m == pytest.approx(0.02 / np.sqrt(2))
+    assert np.isnan(third.cov_en_m2)
     assert first.h_ell_m == pytest.approx(146.5004, abs=1e-5)
     assert (first.sigma_east_m, first.sigma_up_m) == pytest.approx((0.0140 / np.sqrt(2), 0.0225))
     assert (second.sigma_north_m, second.sigma_east_m, second.sigma_up_m) == pytest.approx((0.02, 0.03, 0.04))
     # down is minus up
     assert (second.cov_en_m2, second.cov_eu_m2, second.cov_nu_m2) == pytest.approx((1e-4, -3e-4, -2e-4))
+
+
+def test_two_receivers_in_a_log_are_refused(tmp_path: Path) -> None:
+    both = [part for k in range(3) for part in (pvt(k), pvt(k, lat=51.0 + 1e-6 * k + 1e-5))]
+    with pytest.raises(InputError, match="NAV-PVT states two places for 3 times"):
+        read_ubx([log_of(tmp_path, *both)], TrackOptions())
+    assert len(read_ubx([log_of(tmp_path, pvt(0), pvt(0), pvt(1))], TrackOptions()).positions) == 2
+
+
+def test_the_same_second_of_two_weeks_counts_twice(tmp_path: Path) -> None:
+    first, second = tmp_path / "a.ubx", tmp_path / "b.ubx"
+    first.write_bytes(pvt(0) + pvt(1))
+    later = UTC + dt.timedelta(weeks=1)
+    date = {"year": later.year, "month": later.month, "day": later.day}
+    second.write_bytes(pvt(0, **date) + pvt(1, **date))
+    t = read_ubx([first, second], TrackOptions()).positions["t_gps_s"]
+    assert t.tolist() == [float(gps_from_week(WEEK + w, FIRST_S + k)) for w in (0, 1) for k in (0, 1)]
 
 
 def test_damage_and_other_protocols_are_counted(tmp_path: Path) -> None:
@@ -123,8 +149,10 @@ def test_without_a_week_there_is_no_gps_time(tmp_path: Path) -> None:
     assert report.counts["positions_without_week"] == 2
 
 
-def raw_epoch(k: int, week: int) -> bytes:
-    """A RXM-RAWX without satellites: its time of week is a float64, its week stands behind it."""
+def raw_epoch(k: int, week: int, *, old: bool = False) -> bytes:
+    """A RXM-RAWX without satellites: its time of week is a float64; that of RXM-RAW in milliseconds."""
+    if old:
+        return at_time(UBXMessage("RXM", "RXM-RAW", GET, week=week, numSV=0), k, 6)
     body = bytearray(UBXMessage("RXM", "RXM-RAWX", GET, week=week, leapS=18, numMeas=0).serialize())
     body[6:14] = struct.pack("<d", FIRST_S + k)
     a = b = 0
@@ -135,7 +163,8 @@ def raw_epoch(k: int, week: int) -> bytes:
     return bytes(body)
 
 
-def test_a_week_comes_from_the_nearest_message_that_tells_it(tmp_path: Path) -> None:
+@pytest.mark.parametrize("old", [False, True])
+def test_a_week_comes_from_the_nearest_message_that_tells_it(tmp_path: Path, old: bool) -> None:
     """Raw observations are counted, and named for PPK; headings and time marks are told, and not used."""
     plain = [pvt(k, validDate=0, validTime=0) for k in range(4)]
     heading = [
@@ -143,9 +172,10 @@ def test_a_week_comes_from_the_nearest_message_that_tells_it(tmp_path: Path) -> 
         for k, (v, a) in enumerate([(1, 0.5), (1, 1.5), (0, 9.0)])
     ]
     mark = UBXMessage("TIM", "TIM-TM2", GET, ch=0).serialize()
-    path = log_of(tmp_path, *plain, raw_epoch(0, WEEK), raw_epoch(1, WEEK), *heading, mark)
+    raw = [raw_epoch(1, WEEK, old=old), raw_epoch(2, WEEK + 1, old=old)]
+    path = log_of(tmp_path, *plain, *raw, *heading, mark)
     log = read_ubx([path], TrackOptions())
-    expected = gps_from_week(WEEK, FIRST_S + np.arange(4))
+    expected = gps_from_week(WEEK + np.array([0, 0, 1, 1]), FIRST_S + np.arange(4))
     np.testing.assert_allclose(log.positions["t_gps_s"], expected, atol=1e-6)
     assert log.report.counts["raw_epochs"] == 2
     assert log.report.counts["headings_of_two_antennas"] == 2

@@ -1,17 +1,23 @@
 """Strips adjusted: a survey that is drawn from planes, so that the truth is known by construction."""
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from thalweg.core import CoverageError, ErrorChain, Trajectory, covariance_of_means
+from thalweg.core import CoverageError, ErrorChain, LocalFrame, Rigid, Trajectory, covariance_of_means
 from thalweg.figures.survey import strips_page
-from thalweg.lidar.cloud import LogSample
-from thalweg.lidar.strips import LEAST_TOLD, adjust_strips, knots_over
-from thalweg.settings.sections import Strips
-from thalweg_lab.studies.sensors.strip_surveys import MOUNT, Spec, draw, score, solve
+from thalweg.ingest import PointBlock
+from thalweg.lidar import CELL_M, LogSample, LogSettings, thin_log
+from thalweg.lidar.strips import GROUPS, LEAST_TOLD, adjust_strips, knots_over, mounts_by_strips
+from thalweg.settings.sections import Filters, Strips
+from thalweg_lab.studies.sensors.strip_surveys import BEAM, MOUNT, Spec, draw, score, solve
 
+T0_S = 4.0e8
 SMALL = {"length_m": 20.0, "estimate": False}
 
 
@@ -46,12 +52,17 @@ def test_a_bank_in_all_directions_halves_the_errors_and_says_so() -> None:
 
 def test_along_a_wall_nothing_is_told(tmp_path: Path) -> None:
     drawn = draw(903, Spec(bank="wall", **SMALL))
-    found, poses, _ = solve(drawn, Spec(bank="wall", **SMALL))
+    poses = drawn.trajectory
+    vague = replace(MOUNT, cov=np.diag([0.03] * 3 + [np.deg2rad(0.06)] * 3) ** 2)
+    found = adjust_strips(drawn.sample, poses, vague, drawn.chains, Strips(max_planes=1500))
     assert found.facts["told"]["north"] > 0.5, "the wall looks south"
     assert found.facts["told"]["east"] < LEAST_TOLD
     assert "east" in found.facts["not_told"]
     east = np.median(found.trajectory.sigma_position_m[:, 0] / poses.sigma_position_m[:, 0])
     assert east > 0.85
+    # heights of points err by the mount's too, of which a wall tells little
+    more = found.of_lidar.cov_pose_wcs[:, 2, 2] - found.trajectory.cov_pose_wcs[:, 2, 2]
+    assert 0.02 < np.sqrt(np.median(more)) < 0.03
     found.write(tmp_path)
     back = Trajectory.read(tmp_path / "trajectory_strips.parquet")
     np.testing.assert_allclose(back.cov_pose_wcs, found.trajectory.cov_pose_wcs, rtol=1e-6, atol=1e-12)
@@ -60,12 +71,115 @@ def test_along_a_wall_nothing_is_told(tmp_path: Path) -> None:
     assert "a note" in page.read_text()
 
 
-def test_a_mount_that_is_off_shows_in_the_mount() -> None:
-    spec = Spec(mount_deg=0.5, sigma_mount_deg=0.5, length_m=20.0, estimate=False)
-    found, _, _ = solve(draw(904, spec), spec)
-    row = found.border.set_index("unknown").loc["mount rotation z [rad]"]
-    assert np.rad2deg(row["correction"]) == pytest.approx(-0.5, abs=3 * np.rad2deg(row["sigma"]))
-    assert row["told"] > 0.5
+@pytest.fixture(scope="module")
+def wrong_scanner() -> tuple[Any, ...]:
+    """A mount that is turned, ranges that are long and a clock that is late, each an unknown."""
+    spec = Spec(
+        mount_deg=0.5, sigma_mount_deg=0.5, length_m=20.0, estimate=False, clock_s=0.02,
+        settings={"knot_s": 1.0, "sigma_range_m": 0.2, "sigma_clock_s": 0.03, "max_planes": 300},
+    )  # fmt: skip
+    drawn = draw(904, spec)
+    ray = drawn.sample.xyz_wcs_m - drawn.trajectory.at(drawn.sample.t_gps_s)[0]
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    x, t = drawn.sample.xyz_wcs_m + 0.1 * ray, drawn.sample.t_gps_s + T0_S
+    drawn = replace(
+        drawn,
+        sample=replace(drawn.sample, xyz_wcs_m=x, t_gps_s=t),
+        trajectory=replace(drawn.trajectory, t_gps_s=drawn.trajectory.t_gps_s + T0_S),
+        chains=[replace(chain, t_gps_s=chain.t_gps_s + T0_S) for chain in drawn.chains],
+    )
+    found, poses, chains = solve(drawn, spec)
+    mount = replace(MOUNT, cov=np.diag([2e-3] * 3 + [np.deg2rad(0.5)] * 3) ** 2)
+    return poses, found, mount, chains
+
+
+def test_mount_ranges_and_clock_that_are_off_show_there(wrong_scanner: Any) -> None:
+    """Their signs are those of the drawing; the bounds three sigmas."""
+    found, mount = wrong_scanner[1:3]
+    border = found.border.set_index("unknown")
+    for name, correction in (
+        ("mount rotation z [rad]", -np.deg2rad(0.5)),
+        ("range offset [m]", -0.1),
+        ("clock offset [s]", -0.02),
+    ):
+        row = border.loc[name]
+        assert row["correction"] == pytest.approx(correction, abs=3 * row["sigma"]), name
+        assert row["told"] > 0.5, name
+        assert row["told"] == pytest.approx(1 - (row["sigma"] / row["sigma_before"]) ** 2)
+    before = [*np.repeat([np.deg2rad(0.5), 2e-3], 3), 0.2, 0.03]
+    np.testing.assert_allclose(found.border["sigma_before"], before, rtol=1e-6)
+    turned, moved = np.array(found.border["correction"])[:6].reshape(2, 3)
+    np.testing.assert_allclose(found.mount.R, Rotation.from_rotvec(turned).as_matrix() @ mount.R, atol=1e-12)
+    np.testing.assert_allclose(found.mount.shift_m, mount.shift_m + moved, atol=1e-12)
+    np.testing.assert_allclose(
+        np.sqrt(np.diag(found.mount.cov)), found.border["sigma"].to_numpy()[[3, 4, 5, 0, 1, 2]], rtol=1e-9
+    )
+
+
+def test_tables_poses_and_facts_of_strips_are_of_one_mind(wrong_scanner: Any) -> None:
+    """Each column against the poses, the chains and the observations it comes from."""
+    poses, found, _, chains = wrong_scanner
+    knots, seen, facts = found.knots, found.observations, found.facts
+    edges = T0_S + np.arange(41.0)
+    np.testing.assert_allclose(knots["t_gps_s"], edges[:-1] + 0.5)
+    names = [("east", "m"), ("north", "m"), ("up", "m")]
+    names += [(f"rotation_{axis}", "rad") for axis in ("east", "north", "up")]
+    correction = np.stack([knots[f"{name}_{unit}"] for name, unit in names], axis=1)
+    t = poses.t_gps_s
+    of_time = np.stack([np.interp(t, knots["t_gps_s"], column) for column in correction.T], axis=1)
+    np.testing.assert_allclose(found.trajectory.position_wcs_m, poses.position_wcs_m + of_time[:, :3])
+    turned = Rotation.from_rotvec(of_time[:, 3:]) * Rotation.from_quat(poses.quaternion_wcs_ics)
+    off = (turned.inv() * Rotation.from_quat(found.trajectory.quaternion_wcs_ics)).magnitude()
+    assert off.max() < 1e-9
+    prior = np.sqrt(np.diag(covariance_of_means(chains, edges))).reshape(-1, 6)
+    for i, (name, unit) in enumerate(names):
+        sigma, before = knots[f"sigma_{name}_{unit}"], knots[f"sigma_{name}_before_{unit}"]
+        np.testing.assert_allclose(before, prior[:, i], rtol=1e-6)
+        np.testing.assert_allclose(knots[f"told_{name}"], 1 - (sigma / before) ** 2, atol=1e-9)
+        assert facts["told"][name.replace("_", " ")] == pytest.approx(knots[f"told_{name}"].mean())
+    # amid a span the pose errs as its mean does and by what is faster than the knots
+    at = np.searchsorted(t, knots["t_gps_s"])
+    np.testing.assert_allclose(t[at], knots["t_gps_s"])
+    faster = np.diagonal(poses.cov_pose_wcs[at], axis1=1, axis2=2) - prior**2
+    own = np.stack([knots[f"sigma_{name}_{unit}"] for name, unit in names], axis=1) ** 2
+    after = np.diagonal(found.trajectory.cov_pose_wcs[at], axis1=1, axis2=2)
+    assert (after >= own * (1 - 1e-9)).all()
+    np.testing.assert_allclose(after[:, :3], own[:, :3] + faster[:, :3], rtol=0.05)
+    count = np.histogram(seen["t_gps_s"], edges)[0]
+    np.testing.assert_array_equal(knots["observations"], count)
+    used = seen["weight"] > 0.1
+    assert facts["observations"] == len(seen) == count.sum()
+    assert facts["not_on_planes"] == (~used).sum() > 0
+    assert (facts["knots"], facts["knot_s"]) == (40, pytest.approx(1.0))
+    assert facts["planes"] <= 300
+    told = sum(knots[f"told_{name}"].sum() for name, _ in names) + found.border["told"].sum()
+    assert facts["redundancy"] == pytest.approx(len(seen) - 3 * facts["planes"] - told)
+    for when in ("before", "after"):
+        rms = np.sqrt(np.mean(seen[f"{when}_m"][used] ** 2))
+        assert facts[f"distance_{when}_m"] == pytest.approx(rms)
+    assert facts["distance_after_m"] < 0.5 * facts["distance_before_m"]
+    share = np.abs(seen["z"])[used]
+    assert np.mean(share**2) == pytest.approx(1.0, abs=0.35)
+    np.testing.assert_allclose(seen["weight"], np.clip(1 - (seen["z"] / 4.685) ** 2, 0, None) ** 2, atol=1e-9)
+    factor = seen["group"].map(facts["sigma_factors"])
+    sigma = (seen["after_m"] / seen["z"] / factor).groupby(seen["group"]).median()
+    assert sigma["smooth"] < sigma["middling"] < sigma["rough"]
+    assert set(facts["sigma_factors"]) == set(GROUPS)
+    untold = [name for name, share in facts["told"].items() if share < LEAST_TOLD]
+    assert (
+        facts["not_told"] == untold + found.border.loc[found.border["told"] < LEAST_TOLD, "unknown"].tolist()
+    )
+
+
+def test_the_lidar_s_mount_by_strips_is_exact_beside_its_own_poses(wrong_scanner: Any) -> None:
+    found = wrong_scanner[1]
+    mounts = mounts_by_strips({"camera": "as it was", "lidar": "old"}, found)
+    assert mounts["camera"] == "as it was"
+    assert mounts["lidar"]["source"] == "overlapping strips of the survey"
+    np.testing.assert_allclose(mounts["lidar"]["lever_ics_m"], found.mount.shift_m)
+    np.testing.assert_array_equal(
+        [mounts["lidar"]["sigma_lever_m"], mounts["lidar"]["sigma_kappa_deg"] * np.ones(3)], 0
+    )
 
 
 def test_points_of_no_plane_are_refused() -> None:
@@ -87,3 +201,36 @@ def test_a_log_too_long_for_its_knots_is_refused() -> None:
     assert len(knots_over(drawn.trajectory, Strips())) == 81
     with pytest.raises(CoverageError, match=r"strips\.max_knots"):
         knots_over(drawn.trajectory, Strips(max_knots=10))
+
+
+def test_thinning_keeps_some_points_of_each_cell_and_half_second_above_the_water() -> None:
+    """Twelve points of one cell at one time, two half a second later, one of the next cell, one too near."""
+    t = 4.0e8 + np.repeat([0.1, 0.6, 0.1, 0.1], [12, 2, 1, 1])
+    at = np.repeat(
+        [[1.1, 3.1, 1.1], [1.1, 3.1, 1.1], [1.1 + CELL_M, 3.1, 1.1], [0.1, 0.2, 0.1]], [12, 2, 1, 1], axis=0
+    )
+    at += 0.01 * np.random.default_rng(5).random(at.shape)
+    one = np.ones(len(t), np.uint8)
+    whole = PointBlock(
+        t_gps_s=t, t_device_s=t, xyz_scs_m=at.astype(np.float32),
+        range_m=np.linalg.norm(at, axis=1).astype(np.float32), azimuth_rad=np.zeros(len(t), np.float32),
+        ring=one, laser=one, intensity=np.arange(16, dtype=np.uint8), return_number=one, n_returns=one,
+        packet=np.zeros(len(t), int),
+    )  # fmt: skip
+    frame = LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=200.0)
+    boat = Trajectory(
+        frame=frame, t_gps_s=4.0e8 + np.array([-1.0, 2.0]), position_wcs_m=np.tile([10.0, 20.0, 3.0], (2, 1)),
+        quaternion_wcs_ics=np.tile([0.0, 0.0, 0.0, 1.0], (2, 1)), cov_pose_wcs=np.zeros((2, 6, 6)),
+        valid=np.ones(2, dtype=np.bool_),
+    )  # fmt: skip
+    log = SimpleNamespace(points=lambda *_, **__: iter([whole]))
+    mount = Rigid(R=np.eye(3), shift_m=np.zeros(3), cov=np.zeros((6, 6)))
+    filters = Filters(below_water_m=None, mirror_ghosts=False, isolated_neighbours=0)
+    how = LogSettings(mount=mount, beam=BEAM, filters=filters, min_range_m=0.8, max_range_m=9.0)
+    thin = thin_log(log, None, boat, how)
+    np.testing.assert_array_equal(np.histogram(thin.t_gps_s - 4.0e8, [0, 0.5, 1.0])[0], [5, 2])
+    kept = thin.reflectivity.astype(int)
+    assert (len(set(kept)), 14 in kept, 15 in kept) == (7, True, False)
+    np.testing.assert_allclose(thin.xyz_wcs_m, at[kept] + [10.0, 20.0, 3.0], atol=1e-6)
+    np.testing.assert_allclose(thin.range_m, np.linalg.norm(at[kept], axis=1), rtol=1e-6)
+    np.testing.assert_array_equal(thin.t_gps_s, t[kept])

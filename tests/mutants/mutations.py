@@ -100,6 +100,7 @@ GRIDS: Final = {"linspace", "geomspace"}
 IDLE_FLAGS: Final = {
     "strict",
     "copy",
+    "ignore_index",
     "check_finite",
     "kw_only",
     "frozen",
@@ -147,7 +148,10 @@ IDLE_FLAGS: Final = {
     "print_summary",
     "extract_colors",
 }
-"""Arguments that change no number where the input is right: flags, and tolerances for rounding."""
+"""Arguments that change no number where the input is right: flags, and tolerances for rounding.
+
+``ignore_index`` numbers the rows of tables that are put together anew: no value, and not in files.
+"""
 UNSEEN: Final = re.compile(
     r"(?i)(chunk|block|buffer|version|bytes|workers|threads|rounds|iterations|steps|seed)$"
 )
@@ -237,6 +241,8 @@ def _left_alone(node: ast.AST) -> bool:
         return True
     if isinstance(node, ast.keyword) and node.arg in IDLE_FLAGS:
         return True
+    if isinstance(node, ast.keyword) and isinstance(node.value, ast.Constant):
+        return bool(UNSEEN.search(node.arg or ""))  # as the value of such a name elsewhere
     if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
         return True
     if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
@@ -284,6 +290,8 @@ def _unseen(node: ast.AST, child: ast.AST) -> bool:
             if value is child and isinstance(key, ast.Constant)
         ]
         return any(key in IDLE_FLAGS for key in keys)
+    if isinstance(node, ast.Call) and _name(node.func) == "connected_components":  # weakly: the same parts
+        return isinstance(child, ast.keyword) and child.arg == "directed"
     if isinstance(node, ast.Call) and _name(node.func) == "cho_factor":
         return isinstance(child, ast.Constant)
     if isinstance(node, ast.Subscript) and child is node.slice:

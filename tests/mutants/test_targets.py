@@ -26,13 +26,19 @@ def run(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def test_every_module_with_numbers_has_tests_that_answer(run: Any, repository: Path) -> None:
     """The rule finds them; the list of exceptions names what exists."""
-    modules = {target.module: target.tests for target in run.targets()}
+    targets = run.targets()
+    modules = {target.module: target.tests for target in targets}
     assert {"thalweg/core/rigid", "thalweg/deformation/volumes", "thalweg_lab/truth/points"} <= set(modules)
     assert not [name for name in modules if "figures" in name or "settings" in name]
     assert [name for name, tests in modules.items() if not tests] == []
     own = {f"bathymetry/test_{name}.py" for name in ("crossings_values", "crossings", "lake")}
     assert own <= set(modules["thalweg/bathymetry/crossings"])
     assert all(test.startswith("bathymetry/") for test in modules["thalweg/bathymetry/crossings"])
+    wider = {target.module: target.wider for target in targets}["thalweg/bathymetry/crossings"]
+    assert not set(wider) & set(modules["thalweg/bathymetry/crossings"])
+    here = [test.startswith("bathymetry/") for test in wider]
+    assert here == sorted(here, reverse=True)
+    assert {*here} == {True, False}
     listed = yaml.safe_load((HERE / "targets.yaml").read_text())
     assert set(listed) - set(modules) == set()
     assert [t for tests in listed.values() for t in tests if not (repository / "tests" / t).is_file()] == []
@@ -51,6 +57,10 @@ def test_every_module_with_numbers_has_tests_that_answer(run: Any, repository: P
         ("x = t * 1e-9\n", 2),
         ("path.mkdir(parents=True, exist_ok=True)\n", 0),
         ("options.use_gpu = False\n", 0),
+        ("x = pd.concat(parts, ignore_index=True)\n", 0),
+        ("x = connected_components(m, directed=False)\n", 0),
+        ("x = minimum(m, directed=False)\n", 2),  # maximum, True
+        ("x = reach(a, steps=40, width=3)\n", 1),  # width alone
         ("q = x @ M @ x\n", 1),  # M @ x @ x, but not x @ (x @ M)
         ("q = x @ np.linalg.solve(M, x)\n", 1),  # arguments swapped alone
         ("def f(x, seed=3, *, rounds=4, limit=5.0):\n    return np.random.default_rng(seed + 1)\n", 1),

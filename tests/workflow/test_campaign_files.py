@@ -122,7 +122,7 @@ def test_photographs_give_the_chains_without_a_lidar_too(lidar: bool) -> None:
     boat = survey(
         logs=logs | ({"lidar": ["a.pcap"]} if lidar else {}), orientation={"position_source": "sbet"}
     )
-    (row,) = (row for row in boat.products() if row.name == "trajectories by camera and by all sensors")
+    (row,) = (row for row in boat.products() if row.name == "camera trajectory; fused trajectory")
     assert row.made
     file = "accuracy/trajectories.html" if lidar else "orientation/trajectory_fused.parquet"
     assert names([row.file]) == [file]

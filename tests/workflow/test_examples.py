@@ -147,7 +147,7 @@ def test_raw_gnss_gives_a_trajectory(examples) -> None:
     assert sum(part["properties"]["epochs"] for part in track["features"]) >= 400
     assert "<LineString>" in (folder / "orientation/track.kml").read_text()
     assert 'href="orientation/track.kml"' in (folder / "index.html").read_text()
-    assert "soundings in the world" in (folder / "index.html").read_text()
+    assert "georeferenced soundings" in (folder / "index.html").read_text()
 
 
 @pytest.mark.parametrize(("name", "decoded"), [("lidar", 73_486), ("lidar_without_pps", 700_400)])

@@ -68,7 +68,7 @@ def test_check_config_says_what_the_logs_give(yacht, capsys) -> None:
     assert main(["check-config", str(yacht.root / "config" / "campaigns" / "mulde_2026.yaml")]) == 0
     text = capsys.readouterr().out
     gives, adds = (line for line in text.splitlines() if line.startswith(("  gives", "  more logs")))
-    assert "soundings in the world" in gives
+    assert "georeferenced soundings" in gives
     assert "point cloud" not in gives
     assert "point cloud of the banks (logs.lidar" in adds
 

@@ -572,7 +572,7 @@ def test_an_sbet_and_photographs_give_the_chains_of_camera_and_all_sensors(tiny_
         "report of survey, PDF",
         "project for QGIS",
         "track, soundings, river for a GIS",
-        "trajectories by camera and by all sensors",
+        "camera trajectory; fused trajectory",
     }
     tiny_house.snakemake("--config", f"campaign={path}")
     results = root / "results/sbet_photographs"

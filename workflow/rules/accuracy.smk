@@ -35,7 +35,7 @@ rule compare_with_reference:
 
 
 rule summarise:
-    """The most important figures of a campaign in one table."""
+    """Key numbers of a campaign in one table."""
     input:
         streams="results/{campaign}/timing/streams.csv",
         trajectory="results/{campaign}/orientation/trajectory.json",

@@ -37,7 +37,7 @@ rule locate_soundings:
 
 
 rule trace_river:
-    """Water level, bank lines and centre line: each needs the others."""
+    """Water level, bank lines and centre line, solved jointly."""
     input:
         trajectory=of(CampaignFiles.best_trajectory),
         errors=of(CampaignFiles.best_errors),

@@ -98,7 +98,7 @@ rule place_rig_images:
 
 
 rule make_panoramas:
-    """Equirectangular panoramas of the rig, sewn at the ranges of the cloud."""
+    """Equirectangular panoramas of the rig, stitched at the ranges of the cloud."""
     input:
         images=raw("rig_images"),
         poses=of(CampaignFiles.rig_poses),

@@ -1,4 +1,4 @@
-"""Depths and trajectory -> soundings in the world with their errors and reasons."""
+"""Depths and trajectory -> georeferenced soundings with their errors and reasons."""
 
 import json
 from pathlib import Path

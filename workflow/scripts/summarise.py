@@ -1,4 +1,4 @@
-"""Result tables of a campaign -> the most important figures in one table."""
+"""Result tables of a campaign -> key numbers in one table."""
 
 from pathlib import Path
 

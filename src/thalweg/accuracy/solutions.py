@@ -45,12 +45,12 @@ _OF_DISTANCES: Final = (
     ("predicted_rmse", "m", "predicted by the sigmas: component along the normal, and the reference"),
     ("predicted_rmse_3d", "m", "predicted for all three components (P2 eq. 9)"),
     ("ratio", "1", "predicted over observed RMSE"),
-    ("ratio_low95", "1", "consistent sigmas leave the ratio above"),
-    ("ratio_high95", "1", "and below"),
+    ("ratio_low95", "1", "95 % acceptance band of the ratio, lower limit"),
+    ("ratio_high95", "1", "upper limit"),
     ("independent_values", "1", "independent values that the RMSE rests on"),
     ("normalised_squared_error", "1", "mean of squared distance over its variance"),
-    ("consistent_low95", "1", "consistent sigmas leave it above"),
-    ("consistent_high95", "1", "and below"),
+    ("consistent_low95", "1", "its 95 % acceptance band, lower limit"),
+    ("consistent_high95", "1", "upper limit"),
 )
 """Quantities of the statistics of a comparison with a reference: name, unit, words."""
 Row = tuple[str, str, float, str, str]

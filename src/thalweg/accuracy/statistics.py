@@ -206,8 +206,8 @@ def consistency_in_words(ratio: float, low: float, high: float) -> str:
     >>> consistency_in_words(1.02, 0.90, 1.12)
     'sigmas are consistent: predicted over observed is 1.02, inside 0.90 to 1.12'
     >>> consistency_in_words(1.01, 0.78, 1.38)  # doctest: +NORMALIZE_WHITESPACE
-    'sigmas and distances agree: predicted over observed is 1.01, inside 0.78 to 1.38; sigmas up to 22 % too
-    small or 38 % too large would not have been noticed'
+    'sigmas and distances agree: predicted over observed is 1.01, inside 0.78 to 1.38; the test detects
+    sigmas only if more than 22 % too small or 38 % too large'
     >>> consistency_in_words(0.62, 0.85, 1.19)
     'distances are 1.6 times as large as predicted: predicted over observed is 0.62, outside 0.85 to 1.19'
     """
@@ -219,8 +219,8 @@ def consistency_in_words(ratio: float, low: float, high: float) -> str:
     if narrow and abs(ratio - 1) <= CONSISTENT_WITHIN:
         return f"sigmas are consistent: {number}, inside {band}"
     return (
-        f"sigmas and distances agree: {number}, inside {band}; sigmas up to {100 * (1 - low):.0f} % too "
-        f"small or {100 * (high - 1):.0f} % too large would not have been noticed"
+        f"sigmas and distances agree: {number}, inside {band}; the test detects sigmas only if more "
+        f"than {100 * (1 - low):.0f} % too small or {100 * (high - 1):.0f} % too large"
     )
 
 

@@ -1,4 +1,4 @@
-"""The most important figures of a campaign in one table: quantity, value, unit, where it comes from."""
+"""Key numbers of a campaign in one table: quantity, value, unit, where it comes from."""
 
 from pathlib import Path
 from typing import Any
@@ -15,8 +15,8 @@ REFERENCE_FIGURES = {
     "nmad": "reference, without outliers: NMAD",
     "predicted_rmse": "reference, without outliers: RMSE predicted",
     "ratio": "reference, without outliers: predicted / observed",
-    "ratio_low95": "  consistent sigmas leave it above (95 %)",
-    "ratio_high95": "  consistent sigmas leave it below (95 %)",
+    "ratio_low95": "  95 % acceptance band, lower limit",
+    "ratio_high95": "  95 % acceptance band, upper limit",
 }
 """Quantities of the comparison with a reference that a surveyor looks at first."""
 
@@ -79,7 +79,7 @@ def summary_table(
         rows += _image_rows(images)
     if soundings is not None:
         reasons = read_json(soundings)["by_reason"]
-        rows.append(("soundings in the world", float(reasons.pop("")), "1", soundings.name))
+        rows.append(("georeferenced soundings", float(reasons.pop("")), "1", soundings.name))
         rows += [(f"  left out: {why}", float(n), "1", soundings.name) for why, n in reasons.items() if n]
     if bed is not None:
         rows += _bed_rows(bed)

@@ -15,12 +15,7 @@ def add_bathymetry_commands(commands: Commands) -> None:
         "bed of a river or a lake with standard deviations from a table of soundings, kriged in flow or "
         "map coordinates",
         _bed,
-        (
-            "table",
-            Path,
-            "TABLE",
-            "soundings: any text with columns, in degrees or in metres, or points of a GIS",
-        ),
+        ("table", Path, "TABLE", "soundings: any text table in degrees or metres, or points of a GIS"),
         (
             "--crs",
             str,
@@ -43,14 +38,9 @@ def add_bathymetry_commands(commands: Commands) -> None:
             "--missing",
             Repeated(float),
             "VALUE",
-            "value that stands for none, beside the usual ones such as -9999 and, of a depth, 0",
+            "no-data value, beside the usual ones: -9999 and the like and, for a depth, 0",
         ),
-        (
-            "--valid",
-            Repeated(float),
-            "VALUE",
-            "value that is meant although it usually stands for none, such as 0",
-        ),
+        ("--valid", Repeated(float), "VALUE", "usual no-data value that is valid here, such as 0"),
         ("--level", float, "M", "height of the water level; 0 with --depth"),
         (
             "--levels",
@@ -74,7 +64,7 @@ def add_bathymetry_commands(commands: Commands) -> None:
             "DXF; FILE?layer=NAME of several); with heights or --level also data",
         ),
         CENTRE_LINE,
-        ("--islands", Path, "FILE", "polygons of islands, which are no bed"),
+        ("--islands", Path, "FILE", "polygons of islands, excluded from the bed"),
         ("--cell", positive, "M", "cell size of the grid (default: by the soundings)"),
         folder("bed"),
         (

@@ -55,7 +55,7 @@ def add_calibration_commands(commands: Commands) -> None:
             "marks",
             [Path],
             "CSV",
-            "image, point, x_px, y_px; or a table for each picture, called like it: label, x, y",
+            "image, point, x_px, y_px; or a table for each picture, named like it: label, x, y",
         ),
         (
             "--points",

@@ -285,7 +285,7 @@ def _places(campaign: "Campaign") -> str:
 
 def _check_contents(campaign: "Campaign") -> None:
     """Are the logs what the campaign file takes them for? All misplaced files are named at once."""
-    from thalweg.ingest.registry import KINDS, KINDS_OF_STREAM, SOURCES_OF_THEIR_OWN, recognise
+    from thalweg.ingest.registry import KINDS, KINDS_OF_STREAM, recognise
     from thalweg.settings.sections import STREAM_KEYS
 
     wrong = []
@@ -301,8 +301,7 @@ def _check_contents(campaign: "Campaign") -> None:
             fitting = KINDS_OF_STREAM["cloud" if campaign.kind == "cloud" else stream]
             source = campaign.orientation.position_source
             if stream == "pos":
-                own = SOURCES_OF_THEIR_OWN & {source}
-                fitting = tuple(own or (each for each in fitting if each not in SOURCES_OF_THEIR_OWN))
+                fitting = (source,) if source in ("nmea", "gpx") else fitting
             if fitting and kind not in fitting:
                 expected = " or ".join(KINDS[name] for name in fitting)
                 wrong.append(f"  logs.{'.'.join(keys)}: {path} holds a {KINDS[kind]}; expected: {expected}.")

@@ -161,7 +161,7 @@ def add_deformation_commands(commands: Commands) -> None:
             "--cell",
             above_zero,
             "M",
-            "cell in which points of a reference cloud become one (default: by their spacing and scatter)",
+            "cell to which a reference cloud is thinned (default: by their spacing and scatter)",
         ),
         (
             "--longest-edge",

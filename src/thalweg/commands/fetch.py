@@ -11,7 +11,7 @@ def add_fetch_command(commands: Commands) -> None:
     """Add ``fetch``."""
     commands.add(
         "fetch",
-        "public recordings of other people, from their origins; without names: what there is",
+        "download public recordings from their origins; without names, list them",
         _fetch,
         ("names", str, "NAME", "recording, as the list names it", None, {"nargs": "*"}),
         ("--all", bool, None, "every recording of the list"),

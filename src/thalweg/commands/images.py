@@ -41,9 +41,9 @@ def add_image_commands(commands: Commands) -> None:
             "correlation with its reflection from which on the foreground is water; -1: always",
         ),
         ("--out", Path, "FOLDER", "folder of the masks", REQUIRED),
-        description="A part is masked only where the photographs show that it is one: water by reflections, "
-        "sky by its smoothness and light, the own boat by keeping its place in eight photographs or more; "
-        "of a camera that stayed what moved. What cannot be told is left usable and said.",
+        description="Masks water that shows reflections, smooth and bright sky, and the own boat, which "
+        "keeps its place in eight photographs or more; of a fixed camera also what moved. Parts that "
+        "cannot be told apart stay unmasked, and the command says so.",
         writes="masks.csv",
         settings=of_a_campaign(["logs.time_lapse.images", "logs.time_lapse.interiors"]),
     )

@@ -140,11 +140,11 @@ def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], list[str], dict[str
     for path in sorted((p for p in folder.rglob("*") if p.is_file()), key=natural_order):
         try:
             kind = recognise(path)
+            stream = stream_of(kind, path)
         except ThalwegError as error:
-            unknown = error.found.startswith("the content is of no known kind")
-            left_out.setdefault("of no known kind" if unknown else error.found, []).append(path)
+            unknown = error.found.startswith("unrecognised file")
+            left_out.setdefault("unrecognised" if unknown else error.found, []).append(path)
             continue
-        stream = stream_of(kind, path)
         if kind in LOOSE_KINDS:
             loose.append((LOOSE_KINDS[kind], kind, path))
         elif stream is None:
@@ -215,13 +215,13 @@ def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], list[str], dict[str
         remarks.append(f"{stream} from {' with '.join(meant)}; CHANGE: or name {also}")
         print(f"{remarks[-1].replace('CHANGE: ', '')}", file=sys.stderr)
     if left_out:
-        print("What a single file is, says `thalweg describe FILE`", file=sys.stderr)
+        print("Run `thalweg describe FILE` to inspect one file", file=sys.stderr)
     if not streams:
         raise InputError(
             "no raw log was recognised",
             where=folder,
-            expected="Velodyne, ANPP, SBP, RINEX, NMEA, .pos, SBET, point clouds or photographs",
-            cure="Look at single files with `thalweg describe FILE`",
+            expected="logs of a lidar, INS, autopilot, receiver or echo sounder, clouds or photographs",
+            cure="A bed of soundings makes `thalweg bed FILE`; look at files with `thalweg describe FILE`",
         )
     return streams, remarks, topics
 

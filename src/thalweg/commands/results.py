@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 from typing import Final
 
+from thalweg.commands.options import positive
 from thalweg.commands.parser import Commands, add_options
 from thalweg.core import InputError
 
@@ -77,8 +78,8 @@ def add_result_commands(commands: Commands) -> None:
     """Add ``catalogue``, ``costs`` and ``verify``."""
     commands.add(
         "catalogue",
-        "all campaigns of a folder of results: page, table, STAC items, calibration over the season; "
-        "or those of a place and a time",
+        "catalogue of a results folder: page, table, STAC items, calibration over the season; or the "
+        "campaigns of a place and a time",
         _catalogue,
         _RESULTS,
         (
@@ -92,7 +93,7 @@ def add_result_commands(commands: Commands) -> None:
     )
     commands.add(
         "costs",
-        "what the jobs of a folder of results took and had asked for; requests for the next run",
+        "time and memory that the jobs of a results folder used and requested; requests for the next run",
         _costs,
         _RESULTS,
         (
@@ -103,10 +104,18 @@ def add_result_commands(commands: Commands) -> None:
             None,
             {"nargs": "?", "const": Path("config") / "resources.yaml"},
         ),
+        (
+            "--predict",
+            positive,
+            "TIMES",
+            "what a survey would take whose logs are so many times those of a measured one",
+        ),
+        ("--of", None, "CAMPAIGN", "that one (default: the campaign with the largest inputs)"),
     )
     commands.add(
         "verify",
-        "are the files of a folder of results what was written? What is not, and how to make it again",
+        "check the files of a results folder against their recorded hashes; list what differs, and how to "
+        "make it again",
         _verify,
         _RESULTS,
     )
@@ -154,7 +163,7 @@ def _catalogue(options: argparse.Namespace) -> int:
 def _costs(options: argparse.Namespace) -> int:
     import yaml
 
-    from thalweg.workflow import fitted, per_rule, read_costs
+    from thalweg.workflow import fitted, per_rule, predicted, read_costs
 
     _refuse_no_folder(options.results)
     jobs = read_costs(options.results)
@@ -176,6 +185,19 @@ def _costs(options: argparse.Namespace) -> int:
         ]
         options.write.write_text("".join(lines), encoding="utf-8")
         print(f"requests of {len(rules)} rules: {options.write}")
+    if options.predict:
+        of = options.of or str(jobs.groupby("campaign")["input_mb"].sum().idxmax())
+        table = predicted(jobs, of, options.predict)
+        table.to_csv(out / "predicted.csv", index=False, float_format="%.6g")
+        longest = table.loc[table["longest_s"].idxmax()]
+        presumed = table.loc[~table["measured_growth"], "cpu_s"].sum() / table["cpu_s"].sum()
+        print(
+            f"{options.predict:g} times the logs of {of}: {table['cpu_s'].sum() / 3600:.2f} h of one"
+            f" processor ({presumed:.0%} of it by rules whose growth was not measured, taken as"
+            f" proportional), longest job {longest['rule']} {longest['longest_s'] / 3600:.2f} h,"
+            f" largest {table['memory_mb'].max() / 1000:.1f} GB of memory,"
+            f" {table['output_mb'].sum() / 1000:.1f} GB of results: {out / 'predicted.csv'}"
+        )
     return int((rules["remark"].str.startswith("more")).any())
 
 

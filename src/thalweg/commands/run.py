@@ -23,9 +23,11 @@ LAID: Final = (
 def add_run_commands(commands: Commands) -> None:
     """Add ``init``, ``run`` and ``workflow-path``."""
     init = commands.add_parser(
-        "init", help="lay a folder to work in: settings, example campaigns, profiles of Snakemake"
+        "init", help="create a working folder: settings, example campaigns, Snakemake profiles"
     )
-    init.add_argument("folder", type=Path, metavar="FOLDER", help="new, or without a folder config")
+    init.add_argument(
+        "folder", type=Path, metavar="FOLDER", help="a new folder, or one that holds no config folder"
+    )
     init.set_defaults(command=_init)
     run = commands.add_parser(
         "run", help="process a campaign in the current folder: Snakemake with the workflow that is installed"

@@ -180,7 +180,7 @@ def add_survey_commands(commands: Commands) -> None:
     )
     commands.add(
         "align-strips",
-        "lidar capture and trajectory -> trajectory that overlapping passes have corrected, its cloud",
+        "lidar capture and trajectory -> trajectory corrected by overlapping passes, and its cloud",
         _align_strips,
         *LOG,
         ("--knot", float, "S", "interval of the corrections (default: %(default)s)", 0.5),
@@ -188,7 +188,7 @@ def add_survey_commands(commands: Commands) -> None:
             "--sigma-clock",
             float,
             "S",
-            "how far the lidar's clock may be off; 0: it is not asked (default: %(default)s)",
+            "prior standard deviation of the lidar's clock; 0: not estimated (default: %(default)s)",
             0.0,
         ),
         FOLDER,
@@ -202,7 +202,7 @@ def add_survey_commands(commands: Commands) -> None:
     )
     commands.add(
         "view",
-        "any cloud -> a page that opens from disk: turn it, colour it, measure points and distances",
+        "any cloud -> a page that opens from disk: turn, colour, measure points, distances, areas, volumes",
         _view,
         (
             "cloud",

@@ -285,14 +285,14 @@ def _pass_on_labels(ax: Axes, others: list[Axes]) -> None:
 
 
 def dashed(words: str) -> str:
-    """Words with a dash for each number that is none.
+    """Words with a dash for each number that is none, and the sign of minus before a negative one.
 
     Examples
     --------
-    >>> dashed("mean +nan cm of banana")
-    'mean – cm of banana'
+    >>> dashed("mean +nan cm of banana, -3 cm on 2021-05-12")
+    'mean – cm of banana, −3 cm on 2021-05-12'
     """
-    return _NO_NUMBER.sub("–", words)
+    return re.sub(r"(?<![\w.)-])-(?=\d)", "\N{MINUS SIGN}", _NO_NUMBER.sub("–", words))
 
 
 def _quantity(ax: Axes) -> str:
@@ -359,7 +359,7 @@ def new_figure(height_mm: float, title: str, *, twin: bool) -> Figure:
     twin : true if the data were made by the digital twin.
     """
     # "n = 5 points" stays together.
-    together = re.sub(r"n = [\d\u00a0]+(?: \w+)?", lambda found: found[0].replace(" ", _GLUE), title)
+    together = re.sub(r"n = [\d\u00a0]+(?: \w+)?|\d s\b", lambda found: found[0].replace(" ", _GLUE), title)
     lines = textwrap.wrap(together.replace(" = ", f"{_GLUE}={_GLUE}"), TITLE_LETTERS)
     height_mm += _MM_PER_TITLE_LINE * (len(lines) - 1)
     figure = Figure(figsize=(WIDTH_MM / MM_PER_INCH, height_mm / MM_PER_INCH), layout="constrained")
@@ -455,25 +455,33 @@ def number(value: float, digits: int = 3, decimals: int | None = None) -> str:
     --------
     >>> number(0.012345), number(-84.5361, 4), number(1234567.8).split(), number(-5.68e-14), number(np.nan)
     ('0.0123', '−84.54', ['1', '234', '568'], '0', '–')
+    >>> number(10.4, 1), number(999.7).split()
+    ('10', ['1', '000'])
     """
     if not np.isfinite(value):
         return "–"
     if abs(value) < NOTHING:
         return "0"
-    form = ",.0f" if abs(value) >= 1000 else f".{digits}g" if decimals is None else f".{decimals}f"
+    form = (
+        ",.0f"
+        if abs(value) >= min(1000, 10**digits - 0.5)
+        else f".{digits}g"
+        if decimals is None
+        else f".{decimals}f"
+    )
     text = f"{value:{form}}"
     return text.replace(",", "\N{NO-BREAK SPACE}").replace("-", "\N{MINUS SIGN}")
 
 
 def count(n: float) -> str:
-    """A number of things with thousands apart: ``12 345``; nan: a dash.
+    """A whole number with thousands apart: ``12 345``; nan: a dash.
 
     Examples
     --------
     >>> count(1234567).split()
     ['1', '234', '567']
     """
-    return "–" if np.isnan(n) else f"{int(n):,}".replace(",", "\N{NO-BREAK SPACE}")
+    return "–" if np.isnan(n) else f"{n:,.0f}".replace(",", "\N{NO-BREAK SPACE}")
 
 
 def robust_limits(values: ArrayLike, low: float = 1.0, high: float = 99.0) -> tuple[float, float]:

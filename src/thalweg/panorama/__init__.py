@@ -1,4 +1,4 @@
-"""Panoramas of a camera with two fisheye lenses: equirectangular, sewn at the ranges of the lidar cloud."""
+"""Panoramas of a camera with two fisheye lenses: equirectangular, stitched at the ranges of the cloud."""
 
 import lazy_loader
 

@@ -17,6 +17,7 @@ from .costs import (
     fitted as fitted,
     memory_now_mb as memory_now_mb,
     per_rule as per_rule,
+    predicted as predicted,
     read_costs as read_costs,
 )
 from .failures import tell_failures_last as tell_failures_last

@@ -52,7 +52,7 @@ _DELIVERED: Final = {
     "orientation/trajectory.parquet": "trajectory by INS and GNSS with covariances, local frame",
     "orientation/trajectory_fused.parquet": "trajectory by all sensors with covariances, local frame",
     "orientation/track.geojson": "track by GNSS",
-    "summary.csv": "the most important figures",
+    "summary.csv": "key numbers",
 }
 """Files to hand over with the report, and what they are."""
 _SERIES: Final = {"calibration": "grid_images", "panels": "panel_images", "strip": "strip_images"}
@@ -1275,7 +1275,7 @@ class CampaignFiles:
             ("project for QGIS", self._result("survey.qgz"), True, ""),
             ("track, soundings, river for a GIS", self._result("survey.gpkg"), True, ""),
             (
-                "soundings in the world",
+                "georeferenced soundings",
                 self._result("bathymetry/soundings.csv"),
                 self.has_soundings(),
                 "logs.depth",
@@ -1311,7 +1311,7 @@ class CampaignFiles:
                 "logs.reference and logs.lidar",
             ),
             (
-                "trajectories by camera and by all sensors",
+                "camera trajectory; fused trajectory",
                 # compared by what they make of the cloud, where there is one
                 self._result("accuracy/trajectories.html") if self.has_lidar() else self.trajectory("fused"),
                 self.has_time_lapse(),

@@ -38,6 +38,9 @@ SPAN: Final = 4.0
 WASTE: Final = 0.25
 """A request of which less is used, beyond the floor, is told."""
 
+OF_TWIN: Final = "^simulate_|_with_truth$"
+"""Rules that a survey of the real world has no job of."""
+
 COLUMNS: Final = (
     *("campaign", "rule", "wall_s", "cpu_s", "threads"),
     *("memory_mb", "input_mb", "output_mb", "asked_mb", "asked_min"),
@@ -266,11 +269,16 @@ def fitted(jobs: pd.DataFrame) -> dict[str, dict[str, Any]]:
     return found
 
 
+def _spans(x: ArrayF) -> bool:
+    """Whether inputs of jobs are different enough to tell how costs grow with them."""
+    return len(x) >= 3 and x.max() >= SPAN * max(x.min(), 1.0)
+
+
 def _line(x: ArrayF, y: ArrayF, digits: int) -> list[float]:
     from scipy.stats import t as student
 
     n, slope = len(x), 0.0
-    if n >= 3 and x.max() >= SPAN * max(x.min(), 1.0):
+    if _spans(x):
         slope = max(float(np.polyfit(x, y, 1)[0]), 0.0)
     rest = y - slope * x
     free = n - (2 if slope else 1)
@@ -281,3 +289,62 @@ def _line(x: ArrayF, y: ArrayF, digits: int) -> list[float]:
         base = float(rest.mean()) + float(student.ppf(CONFIDENCE, free)) * spread * math.sqrt(1 + 1 / n)
     step = 10.0**-digits
     return [round(math.ceil(max(base, float(rest.max()), 0.0) / step - 1e-6) * step, digits), round(slope, 6)]
+
+
+# ---------------------------------------------------------------- surveys that were not run yet
+
+
+def predicted(jobs: pd.DataFrame, campaign: str, times: float) -> pd.DataFrame:
+    """What a survey takes whose logs are so many times those of a measured one.
+
+    Each job keeps its place in the workflow, and its inputs grow with the logs. Processor time and memory
+    follow a line over the inputs where jobs of the rule differ enough in them (`SPAN`), over all campaigns.
+    Elsewhere they are taken as proportional, memory beyond `FLOOR_MB` alone: too much for pages and tables,
+    too little for what grows faster, and the column ``measured_growth`` is false.
+
+    Parameters
+    ----------
+    jobs : `read_costs`.
+    campaign : the measured survey; jobs that simulate, or compare with a twin's truth, are left out.
+    times : how many times its logs.
+
+    Returns
+    -------
+    A row for each rule, the most expensive first: ``rule, jobs, cpu_s, longest_s, memory_mb, output_mb,
+    measured_growth``; ``longest_s`` is the largest job's processor time over its threads.
+
+    Raises
+    ------
+    InputError : no job of that campaign was measured.
+    """
+    of_survey = jobs[~jobs["rule"].str.contains(OF_TWIN)]
+    own = of_survey[of_survey["campaign"] == campaign]
+    if own.empty:
+        raise InputError(
+            f"no measured job of campaign {campaign!r}",
+            expected=f"one of {', '.join(sorted(of_survey['campaign'].unique()))}",
+        )
+    rows = []
+    for rule, group in own.groupby("rule"):
+        every = of_survey[of_survey["rule"] == rule]
+        x, grown = every["input_mb"].to_numpy(float), times * group["input_mb"].to_numpy(float)
+        found = {}
+        for name, floor in (("cpu_s", 0.0), ("memory_mb", float(FLOOR_MB))):
+            y = group[name].to_numpy(float)
+            if _spans(x):
+                slope = max(float(np.polyfit(x, every[name], 1)[0]), 0.0)
+                found[name] = y + slope * (grown - grown / times)
+            else:
+                found[name] = np.minimum(y, floor) + times * np.maximum(y - floor, 0.0)
+        rows.append(
+            {
+                "rule": rule,
+                "jobs": len(group),
+                "cpu_s": found["cpu_s"].sum(),
+                "longest_s": (found["cpu_s"] / group["threads"]).max(),
+                "memory_mb": found["memory_mb"].max(),
+                "output_mb": times * group["output_mb"].sum(),
+                "measured_growth": _spans(x),
+            }
+        )
+    return pd.DataFrame(rows).sort_values("cpu_s", ascending=False, ignore_index=True)

@@ -199,8 +199,8 @@ def _judged(
         low, high = chi_square_band(independent * size)
         rows += [
             (f"normalised_{what}", float(square.mean()), "1", f"mean of e^T C^-1 e / {size} of the {what}"),
-            (f"consistent_low95_{what}", low, "1", "consistent sigmas leave it above"),
-            (f"consistent_high95_{what}", high, "1", "and below"),
+            (f"consistent_low95_{what}", low, "1", "its 95 % acceptance band, lower limit"),
+            (f"consistent_high95_{what}", high, "1", "upper limit"),
         ]
     return [*rows, ("independent", independent, "1", "independent poses that the bands rest on")]
 

@@ -194,7 +194,7 @@ def _bars(ax: Axes, d: ArrayF, kept: ArrayF, limit: float) -> None:
     beyond = f"{count(low)} behind, {count(high)} in front" if low + high else "none"
     ax.set_title(f"a: distances and fitted normal distributions\nbeyond the axis: {beyond}")
     ax.set_xlabel("behind  \N{LEFTWARDS ARROW}   signed distance / cm   \N{RIGHTWARDS ARROW}  in front")
-    ax.set_ylabel(f"points per {100 * width:.2g} cm / 1")
+    ax.set_ylabel(f"points per {100 * width:.2g} cm")
     ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: count(int(value))))
     ax.grid(axis="y")
     if len(ax.lines) > 1:  # equal distances have no fit
@@ -215,7 +215,7 @@ def _quantiles(ax: Axes, d: ArrayF, limit: float) -> None:
     ax.set_xlim(-SIGMAS - 0.1, SIGMAS + 0.1)
     within = 100.0 * float(np.mean(np.abs(d - median) <= 1.959964 * nmad)) if nmad > 0 else 100.0
     ax.set_title(f"b: quantiles; {within:.1f} % within\n±1.96 NMAD (normal: 95 %)")
-    ax.set_xlabel("quantile of the standard normal / 1")
+    ax.set_xlabel("quantile of the standard normal")
     ax.set_ylabel("signed distance / cm")
     ax.grid(color=GREY, alpha=0.2)
 
@@ -368,7 +368,7 @@ def _draw_counts(ax: Axes, r: ArrayF, n: ArrayF) -> None:
     right.set_ylim(0.0, 2.2 * float(n.max()))
     right.yaxis.set_major_locator(MaxNLocator(5, integer=True))
     right.yaxis.set_major_formatter(FuncFormatter(lambda value, _: count(int(value))))
-    right.set_ylabel("points per class of 1 m / 1", color=RED)
+    right.set_ylabel("points per class of 1 m", color=RED)
     right.tick_params(axis="y", colors=RED, labelcolor=RED)
     right.spines["right"].set_visible(True)
     right.spines["right"].set_color(RED)
@@ -392,12 +392,10 @@ def _draw_ratio(ax: Axes, kept: pd.DataFrame, many: ArrayB) -> None:
     ax.yaxis.set_major_locator(FixedLocator([0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0]))
     ax.yaxis.set_minor_locator(NullLocator())
     ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.set_ylabel("predicted /\nobserved / 1")
+    ax.set_ylabel("predicted /\nobserved")
     n_outside = int(outside.sum())
     words = f"ringed: {n_outside} of {len(r)} classes outside" if n_outside else f"all {len(r)} inside"
-    ax.set_title(
-        f"shaded: band of consistent sigmas for the ratio of a class, 95 %; {words}", fontsize="small"
-    )
+    ax.set_title(f"shaded: 95 % acceptance band for the ratio of a class; {words}", fontsize="small")
 
 
 def draw_distance_by_range(*, by_range: Path, outlier_nmads: float, title: str, twin: bool) -> Figure:

@@ -237,7 +237,7 @@ def covered(facts: Mapping[str, Any]) -> str:
         )
     if "without_points" in known:
         words.append(
-            f"Of the reference's surface in the area, {known['reference_area_m2']:,.0f} m², "
+            f"Of the reference's surface in the area, {count(known['reference_area_m2'])} m², "
             f"{100 * known['without_points']:.0f} % hold no compared point and are not tested."
         )
     if facts.get("survey_gps_s"):

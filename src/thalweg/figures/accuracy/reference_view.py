@@ -228,7 +228,7 @@ def reference_view(
     shown: int | None = None,
     names: Mapping[int, str] | None = None,
     counts: Mapping[int, int] | None = None,
-    what: str = "intensity as the files state it / 1",
+    what: str = "intensity as the files state it",
     title: str = "Terrestrial laser scan",
     twin: bool = False,
 ) -> Figure:

@@ -10,7 +10,7 @@ import pandas as pd
 
 from thalweg.accuracy import verdict_of
 from thalweg.bathymetry import REASONS
-from thalweg.figures import JUDGED, Finding, Page, count, plural
+from thalweg.figures import JUDGED, Finding, Page, count, number, plural
 
 
 def bed_page(
@@ -72,7 +72,12 @@ def bed_page(
         page.text("The digital twin made these data: a simulated river, simulated instruments.")
     page.pictures(pictures, captions, "bed_map")
     page.section("Cross-validation")
-    page.table(methods, "Cross-validation: lines left out, predicted by several methods.", digits=3)
+    page.table(
+        methods.assign(outside_95=100 * methods["outside_95"]).rename(columns=_METHODS),
+        "Cross-validation: left-out lines predicted by each method.",
+        {"RMSE": "m", "mean": "m", "outside 95 %": "%"},
+        digits=3,
+    )
     page.section("Soundings")
     rows = [
         (REASONS[name], n, 100 * n / max(facts["pings"], 1)) for name, n in facts["by_reason"].items() if n
@@ -106,9 +111,9 @@ def bed_page(
     )
     water, missing = river["water"], river["not_written"]
     page.section("Water and files for hydraulic programs").text(
-        f"The water fills {water['volume_m3']:,.0f} ± {water['sigma_volume_m3']:,.0f} m³ over "
-        f"{water['wet_area_m2']:,.0f} m²; of the {water['inside_m2']:,.0f} m² inside the water line "
-        f"{water['without_height_m2']:,.1f} m² have no height. {river['sections']} sections. "
+        f"The water fills {count(water['volume_m3'])} ± {count(water['sigma_volume_m3'])} m³ over "
+        f"{count(water['wet_area_m2'])} m²; of the {count(water['inside_m2'])} m² inside the water line "
+        f"{number(water['without_height_m2'], decimals=1)} m² have no height. {river['sections']} sections. "
         + (
             f"Triangles: {count(river['mesh']['faces'])}, least angle {river['mesh']['least_angle_deg']:.0f} "
             f"degrees, {river['mesh']['folded']} folded. "
@@ -252,6 +257,13 @@ def write_bed_page(
     ).write(page)
 
 
+_METHODS = {
+    "rmse_m": "RMSE",
+    "bias_m": "mean",
+    "normalised_square": "squared error over variance",
+    "outside_95": "outside 95 %",
+    "not_foretold": "not predicted",
+}
 _SHARES = {"share_tvu": "vertical", "share_thu": "horizontal", "share": "both"}
 
 

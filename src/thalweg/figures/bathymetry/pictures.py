@@ -16,7 +16,7 @@ from scipy.ndimage import map_coordinates
 from scipy.stats import norm
 
 from thalweg.bathymetry import OBSERVATIONS, SOUNDINGS, Banks, FlowLine, WaterLevel
-from thalweg.core import ArrayF, Grid, LocalFrame, read_parquet, read_raster, read_table
+from thalweg.core import ArrayF, Grid, LocalFrame, read_parquet, read_raster, read_table, utc_text_from_gps
 from thalweg.figures import (
     BLUE,
     DEPTH_MAP,
@@ -85,9 +85,8 @@ def draw_sounding_lines(*, soundings: Path, title: str, twin: bool) -> Figure:
                 size, label = (2.5, "used") if marker == "." else (4.5, reason)
                 ax.plot(way[at], of["range_m"][at], marker, ms=size, color=colour, label=label)
         ax.invert_yaxis()
-        t = of["t_gps_s"].to_numpy()
-        words = f"line {k}: {t[0]:.1f} to {t[-1]:.1f} s"
-        ax.set_title(words, fontsize="small", loc="left")
+        first, last = (utc_text_from_gps(t, 0)[11:19] for t in of["t_gps_s"].iloc[[0, -1]])
+        ax.set_title(f"line {k}: {first} to {last} UTC", fontsize="small", loc="left")
     for ax in axes[len(lines) :]:
         ax.set_axis_off()
     figure.supxlabel("along the track / m", fontsize="medium")

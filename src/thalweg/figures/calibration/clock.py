@@ -121,7 +121,7 @@ def _residuals(ax: Axes, right: Axes, images: pd.DataFrame, t0: float) -> None:
     ax.set(xlabel="time since the first fix / s", ylabel="track minus image / mm")
     ax.set_title(f"b: residuals; mean ± std / mm: {', '.join(texts)}")
     ax.grid()
-    right.set_xlabel("images / 1")
+    right.set_xlabel("images")
     right.tick_params(labelleft=False)
     right.grid()
 
@@ -261,7 +261,7 @@ def _histogram(ax: Axes, intervals: ArrayF, nominal_s: float, step_s: float) -> 
             label=f"normal: {mean:.4f} s, {std:.4f} s",
         )
     ax.axvline(nominal_s, color="black", lw=0.7, ls=":")
-    ax.set(xlabel="interval / s", ylabel=f"intervals per {1e3 * width:.2g} ms / 1")
+    ax.set(xlabel="interval / s", ylabel=f"intervals per {1e3 * width:.2g} ms")
     ax.set_ylim(0, 1.3 * max(float(n.max()), 1.0))
     ax.set_title("c: histogram and normal distribution")
     ax.legend(loc="upper left")

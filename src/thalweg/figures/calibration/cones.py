@@ -200,8 +200,8 @@ def _along_axis(ax: Axes, cone: FieldCone, points: ArrayF, elapsed: ArrayF, span
     ax.set(
         xlim=(-REACH, REACH),
         ylim=(-REACH, REACH),
-        xlabel="x / (z tan \N{GREEK SMALL LETTER ALPHA}) in cocs / 1",
-        ylabel="y / (z tan \N{GREEK SMALL LETTER ALPHA}) in cocs / 1",
+        xlabel="x / (z tan \N{GREEK SMALL LETTER ALPHA}) in cocs",
+        ylabel="y / (z tan \N{GREEK SMALL LETTER ALPHA}) in cocs",
     )
     beyond = int(np.sum(np.abs(xy).max(axis=1) > REACH)) if len(xy) else 0
     outside = f";\n{count(beyond)} of {count(len(xy))} beyond the view" if beyond else ""

@@ -373,8 +373,8 @@ def draw_sensors(
         ax.annotate("", end[k], xytext=start[k], zorder=4, gid="z-axis", arrowprops=look)
         words = position.replace("_", " ") if k == 0 else None
         ax.plot(
-            *start[k], marker, ms=6, color=colour or own, mfc="white" if position else None, zorder=5,
-            gid=f"{sensor}-{position}" if position else sensor,
+            *start[k], marker, ms=6, color=colour or own, mfc="white" if position else None, mew=1.2,
+            zorder=5, gid=f"{sensor}-{position}" if position else sensor,
             label=words if position else f"{sensor} (arrow: z axis)",
         )  # fmt: skip
     return np.concatenate([start, end])

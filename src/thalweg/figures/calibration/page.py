@@ -361,11 +361,7 @@ def _result(page: Page, calibration: Calibration, shown: dict[str, tuple[str, An
     """A section on a calibration; a block that stood in one before is only named."""
     source = calibration.source
     facts = [f"Run {source.run}", source.method]
-    facts += (
-        [f"{source.observations:,} observations".replace(",", "\N{NO-BREAK SPACE}")]
-        if source.observations
-        else []
-    )
+    facts += [f"{count(source.observations)} observations"] if source.observations else []
     facts += [f"sigma0 {source.sigma0:.3f}"] if np.isfinite(source.sigma0) else []
     facts += [source.created] if source.created else []
     page.section(calibration.title).text("; ".join(facts) + ".")

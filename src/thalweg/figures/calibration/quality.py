@@ -76,9 +76,7 @@ def correlation_matrix(
     figure = new_figure(min(38.0 + 7.5 * n, 178.0), head, twin=twin)
     ax = figure.subplots()
     draw_matrix(ax, matrix, labels)
-    figure.colorbar(
-        ScalarMappable(Normalize(-1, 1), MAP), ax=ax, label="correlation / 1", shrink=0.8, pad=0.02
-    )
+    figure.colorbar(ScalarMappable(Normalize(-1, 1), MAP), ax=ax, label="correlation", shrink=0.8, pad=0.02)
     return figure
 
 
@@ -155,7 +153,7 @@ def calibration_design(
             ax.set_axis_off()
         axes[i, 0].set_ylabel("sigma of rotation / °" if unit == "deg" else "sigma of lever arm / mm")
     for ax in axes[-1]:
-        ax.set_xlabel("cones / 1")
+        ax.set_xlabel("cones")
         ax.set_xticks(sorted(int(c) for c in table["cones"].unique()))
     legend_below(figure, axes[0, 0])
     return figure

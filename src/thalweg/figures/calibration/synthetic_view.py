@@ -81,7 +81,7 @@ def _frame(figure: Figure, ax: Axes, points: pd.DataFrame, on_cone: np.ndarray, 
     bar = figure.colorbar(
         ScalarMappable(norm, RING_MAP),
         ax=ax,
-        label="scan line / 1",
+        label="scan line",
         shrink=0.85,
         pad=0.01,
         ticks=np.arange(len(rings))[:: max(1, len(rings) // 8)],

@@ -29,8 +29,8 @@ def colour_check(check: pd.DataFrame, curves: pd.DataFrame, *, title: str, twin:
     n = int(check["photographs"].max())
     figure = new_figure(100.0, f"{title}, n = {n} photographs", twin=twin)
     words = {
-        "clock_s": "photographs later by / s",
-        **{f"turn_{a}_deg": f"camera turned about its {a} axis by / degrees" for a in "xyz"},
+        "clock_s": "camera time shift / s",
+        **{f"turn_{a}_deg": f"camera rotation about its {a} axis / °" for a in "xyz"},
     }
     panels = figure.subplots(2, 2, sharey=True).ravel()
     for ax in panels[len(check) :]:

@@ -160,7 +160,7 @@ def frames_by_image(
     figure.colorbar(
         ScalarMappable(Normalize(*limits), IMAGE_MAP),
         ax=[upper, lower],
-        label="image number / 1",
+        label="image number",
         aspect=35,
         pad=0.01,
     )

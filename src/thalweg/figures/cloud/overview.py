@@ -202,7 +202,7 @@ def cloud_detail(
         aspect=25,
         pad=0.01,
         extend="both",
-        label=f"intensity / 1   ({percentiles[0]:g} to {percentiles[1]:g} %)",
+        label=f"intensity   ({percentiles[0]:g} to {percentiles[1]:g} %)",
     )
     return figure
 

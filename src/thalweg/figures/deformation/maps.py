@@ -299,7 +299,7 @@ def change_map(pairs: Sequence[BankPair], *, title: str, twin: bool) -> Figure:
         shrink=0.8,
         pad=0.02,
         extend="both",
-        label="distance / cm: negative where ground was lost (erosion), positive where it came (deposition)",
+        label="distance / cm; negative: erosion, positive: deposition",
     )
     return figure
 

@@ -203,7 +203,7 @@ def told(row: Mapping[str, float], *, known: bool) -> str:
     """What a volume and its interval say; nothing where no sigma is stated or estimated."""
     if not known:
         return "no verdict: no sigma_m is stated or estimated"
-    return "not zero, at 95 %" if row["low_m3"] > 0 or row["high_m3"] < 0 else "no different from zero"
+    return "significant at 95 %" if row["low_m3"] > 0 or row["high_m3"] < 0 else "not significant at 95 %"
 
 
 def contradiction(pair: PairFacts) -> str:
@@ -233,25 +233,28 @@ def both_volumes(pair: PairFacts) -> str:
     area = pair.area_m2[things]
     theirs = float((pair.changes.loc[things, "distance_m"] * area).sum())
     return (
-        f"Net along normals {cubic_metres(normal)} on {normal['area_m2']:,.0f} m² of surface, by heights "
-        f"{cubic_metres(vertical)} on {vertical['area_m2']:,.0f} m² of the map. They cover "
-        f"different areas: along normals the core points measured in both epochs, without {area.sum():,.0f} "
-        f"m² of plants, objects and rough relief ({signed(theirs, 1)} m³); by heights every cell with a "
-        "height in both epochs."
+        f"Net along normals {cubic_metres(normal)} on {count(normal['area_m2'])} m² of surface, by heights "
+        f"{cubic_metres(vertical)} on {count(vertical['area_m2'])} m² of the map. They cover "
+        "different areas: along normals the core points measured in both epochs, without "
+        f"{count(area.sum())} m² of plants, objects and rough relief ({signed(theirs, 1)} m³); by heights "
+        "every cell with a height in both epochs."
     )
 
 
 def taken_off(registration: Mapping[str, Any]) -> tuple[str, str]:
-    """The height that was taken off the second epoch, and on what ground."""
+    """The height offset that was removed from the second epoch, and on what ground."""
     if "would_be" in registration:
         would = 100 * registration["would_be"]["up_m"]
-        return "nothing", f"no stable ground is drawn; most of the surface agrees on {signed(would, 1)} cm"
+        return (
+            "none",
+            f"no stable ground is drawn; the majority of the surface suggests {signed(would, 1)} cm",
+        )
     if "parameters" not in registration:
-        return "nothing", "deformation.registration is none"
+        return "none", "deformation.registration is none"
     value, sigma = (100 * registration[each]["up_m"] for each in ("parameters", "sigmas"))
     drawn = registration["areas"] == "drawn"
-    areas = f"drawn ground, {registration['n_areas']} areas" if drawn else registration["areas"]
-    return f"{signed(value, 1)} ± {sigma:.1f} cm", areas
+    areas = f"drawn ground, {registration['n_areas']} areas" if drawn else "the majority of the bank"
+    return f"{signed(value, 1)} ± {sigma:.1f} cm", f"from {areas}"
 
 
 def head(pairs: Sequence[PairFacts]) -> tuple[str, list[Finding]]:
@@ -266,14 +269,14 @@ def head(pairs: Sequence[PairFacts]) -> tuple[str, list[Finding]]:
         Finding("volume of erosion", cubic_metres(parts["erosion"]), verdicts["erosion"]),
         Finding("volume of deposition", cubic_metres(parts["deposition"]), verdicts["deposition"]),
         Finding(
-            "net volume along normals, with what did not change significantly",
+            "net volume along normals, insignificant changes included",
             cubic_metres(parts["net"]),
             verdicts["net"],
         ),
         Finding(
             "net volume by heights", cubic_metres(pair.heights), told(pair.heights, known=pair.sigma_known)
         ),
-        Finding("taken off in height as a motion of the second epoch", *taken_off(pair.registration)),
+        Finding("height offset removed from the second epoch", *taken_off(pair.registration)),
         Finding("median level of detection (95 %)", centimetres(float(pair.changes["lod95_m"].median()))),
         Finding("no data in one epoch (excluded from volumes)", f"{pair.unseen_m2:.1f} of {total:.0f} m²"),
     ]
@@ -283,8 +286,8 @@ def head(pairs: Sequence[PairFacts]) -> tuple[str, list[Finding]]:
     if "would_be" in pair.registration:
         value = signed(100 * pair.registration["would_be"]["up_m"], 1)
         lead += (
-            " No stable ground is drawn, so the epochs were not registered: a common offset may remain. Most "
-            f"of the surface agrees on {value} cm."
+            " No stable ground is drawn, so the epochs were not registered: a common offset may remain. The "
+            f"majority of the surface suggests {value} cm."
         )
     warnings = [words for each in pairs if (words := contradiction(each))]
     return " ".join([f"{pair.words}: {lead}", both_volumes(pair), *warnings]), findings
@@ -300,9 +303,9 @@ def verdict(pair: PairFacts) -> str:
     erosion, deposition, net = (pair.volume(what) for what in ("erosion", "deposition", "net"))
     n = int(pair.changes["distance_m"].notna().sum())
     total = float(pair.area_m2.sum())
-    beyond = told(net, known=True).startswith("not")
+    beyond = told(net, known=True).startswith("significant")
     zero = (
-        f"which is {'different from' if beyond else 'no different from'} zero at 95 % (± is one standard "
+        f"which is {'' if beyond else 'not '}significantly different from zero at 95 % (± is one standard "
         "deviation)."
         if pair.sigma_known
         else "on which there is no verdict, as no standard deviation is stated or estimated."
@@ -346,8 +349,8 @@ def _motion(registration: Mapping[str, Any]) -> str:
         would = registration["would_be"]
         words = ", ".join(f"{a} {signed(100 * would[f'{a}_m'], 1)} cm" for a in _ENU)
         return (
-            "The epochs were not registered, as no stable ground is drawn. Most of the surface agrees on a "
-            f"motion of the second epoch of {words}, which may be change or an offset."
+            "The epochs were not registered, as no stable ground is drawn. The majority of the surface "
+            f"suggests a motion of the second epoch of {words}, which may be change or an offset."
         )
     if "parameters" not in registration:
         return "The epochs were not registered on each other."
@@ -403,7 +406,7 @@ def limits(pairs: Sequence[PairFacts]) -> str:
         else "Stable ground was drawn by hand; whether it was stable, only an area that moved against the "
         "others would show."
         if drawn
-        else "No stable areas were drawn: the motion that most of the ground agrees on is taken as an error "
+        else "No stable areas were drawn: the motion of the majority of the ground counts as an error "
         "of registration. Ground that moved as a whole looks stable. Draw deformation.stable where stable "
         "ground is known."
     )
@@ -420,7 +423,7 @@ def limits(pairs: Sequence[PairFacts]) -> str:
         "Volumes of erosion and deposition sum significant changes only. Changes below the level of "
         "detection are missing in them, and errors above it are included; the column 'bias' estimates the "
         "effect of both, without correction. The net volume has no threshold. Areas without data, plants and "
-        "objects are in no volume. An erosion proved only by beams that passed through (free space) has an "
+        "objects are excluded. An erosion proved only by beams that passed through (free space) has an "
         "area and no volume.\n\n"
         "The errors of the poses are a model: processes with estimated sizes and correlation times. Errors "
         "that follow the surface (angle of incidence, wet ground, grass) are known only as far as points "
@@ -550,7 +553,7 @@ def _volumes(page: Page, pairs: Sequence[PairFacts]) -> None:
         "do not average out over a surface as noise does."
     )
     table, units = _of_pairs([(pair, pair.volumes) for pair in pairs], VOLUMES, "what")
-    caption = "Volumes; bias: effect of the threshold of significance; no data: area in no volume"
+    caption = "Volumes; bias: effect of the threshold of significance; no data: excluded area"
     page.table(table, caption, units, digits=3)
     table, units = _of_pairs([(pair, pair.patches.head(MOST_PATCHES)) for pair in pairs], PATCHES, "what")
     n = sum(len(pair.patches) for pair in pairs)
@@ -563,8 +566,8 @@ def _differences(page: Page, pairs: Sequence[PairFacts]) -> None:
     page.section("Difference of heights").text(
         "Heights of both epochs in cells of the map and their difference (dod_<pair>.tif: difference and "
         "standard deviation). Of clouds it is the mean height about the middle of each cell, registered as "
-        "the distances are; of two surface models the difference of the rasters, without the height that was "
-        "taken off. On steep ground the distances along normals say more."
+        "the distances are; of two surface models the difference of the rasters, without the height "
+        "offset that was removed. On steep ground distances along normals are more accurate."
     )
     table, units = _of_pairs([(pair, pair.difference) for pair in pairs], DIFFERENCES, "part")
     page.table(table, "Volumes of the difference of heights", units, digits=3)

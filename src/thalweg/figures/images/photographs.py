@@ -398,7 +398,7 @@ def _shares(ax: Axes, rows: pd.DataFrame, examples: list[int], letter: str) -> N
         ax.axvline(k + 1, color=GREY, lw=0.7, ls=":")
     ax.set_xlim(0.5, len(rows) + 0.5)
     ax.set_ylim(0, None)
-    ax.set(xlabel="image / 1", ylabel="share of the image / %")
+    ax.set(xlabel="image", ylabel="share of the image / %")
     ax.set_title(f"{letter}: parts of all images; dotted: those above")
     ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     ax.grid()

@@ -113,6 +113,6 @@ def rig_residuals(table: pd.DataFrame, *, title: str, twin: bool) -> Figure:
             ax.set_title(f"{lens} lens, {name}, rms {np.sqrt(np.mean(v**2)):.3f} px", fontsize=9)
             ax.set_ylim(-limit, limit)
     for ax in axes[1]:
-        ax.set_xlabel("angle from the axis / degrees")
-    figure.supylabel("observed less computed / px", fontsize=9)
+        ax.set_xlabel("angle from the axis / °")
+    figure.supylabel("observed minus computed / px", fontsize=9)
     return figure

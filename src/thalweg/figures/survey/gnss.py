@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from thalweg.core import CoverageError, LocalFrame, ThalwegError, Trajectory
-from thalweg.figures import Finding, Page, empty_figure, plural
+from thalweg.figures import Finding, Page, count, empty_figure, plural
 from thalweg.figures.survey.maps import survey_map, trajectory_sheet
 from thalweg.ingest.ppk import REFUSALS, PpkSolution
 from thalweg.navigation.ins_gnss import build_trajectory, states_along_course
@@ -24,14 +24,16 @@ def gnss_page(solution: PpkSolution, *, title: str) -> Page:
     """
     facts, table = solution.report.details, solution.positions
     sigma = table[["sigma_east_m", "sigma_north_m", "sigma_up_m"]].median().to_numpy(np.float64)
-    fixed = f"{100 * facts['fix_ratio']:.1f} % of {facts['n_rover_epochs']:,} epochs have fixed ambiguities"
+    fixed = (
+        f"{100 * facts['fix_ratio']:.1f} % of {count(facts['n_rover_epochs'])} epochs have fixed ambiguities"
+    )
     page = Page(
         title,
         f"{fixed}.",
         [
             Finding("epochs with fixed ambiguities", f"{100 * facts['fix_ratio']:.1f} %"),
-            Finding("float", f"{facts['n_float']:,} of {facts['n_rover_epochs']:,}"),
-            Finding("without a position", f"{facts['n_none']:,}"),
+            Finding("float", f"{count(facts['n_float'])} of {count(facts['n_rover_epochs'])}"),
+            Finding("without a position", count(facts["n_none"])),
             Finding("distance of the base, median", f"{facts['baseline_m'] / 1000:.2f} km"),
             Finding(
                 "standard deviations, median",

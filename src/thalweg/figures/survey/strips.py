@@ -5,7 +5,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy.stats import binned_statistic
 
-from thalweg.figures import BLUE, GREEN, VERMILION, Finding, Page, drawn, new_figure, styled
+from thalweg.figures import BLUE, GREEN, VERMILION, Finding, Page, count, drawn, new_figure, styled
 from thalweg.lidar import LEAST_TOLD, POSE, Adjusted
 
 _BINS = 30
@@ -25,35 +25,38 @@ def strips_page(found: Adjusted, *, title: str, twin: bool, notes: list[str]) ->
     before, after = 1e3 * facts["distance_before_m"], 1e3 * facts["distance_after_m"]
     page = Page(
         title,
-        f"Surfaces that were seen again lie {before:.1f} mm apart before and {after:.1f} mm after the "
+        f"Surfaces in overlapping strips lie {before:.1f} mm apart before and {after:.1f} mm after the "
         "adjustment (root mean square).",
         [
-            Finding("plane spots", f"{facts['planes']:,}"),
-            Finding("observations, redundancy", f"{facts['observations']:,}, {facts['redundancy']:,.0f}"),
-            Finding("not on their plane", f"{facts['not_on_planes']:,}"),
-            Finding("knots", f"{facts['knots']:,}, one every {facts['knot_s']:.2f} s"),
-            Finding("stays as it was", ", ".join(facts["not_told"]) or "nothing"),
+            Finding("planar patches", count(facts["planes"])),
+            Finding(
+                "observations, redundancy", f"{count(facts['observations'])}, {count(facts['redundancy'])}"
+            ),
+            Finding("rejected, off their plane", count(facts["not_on_planes"])),
+            Finding("knots", f"{count(facts['knots'])}, one every {facts['knot_s']:.2f} s"),
+            Finding("not determined, left unchanged", ", ".join(facts["not_told"]) or "none"),
         ],
     )
     page.section("Strips")
     page.figure(
         drawn(distances, found.observations, title=title, twin=twin),
         "Distances of the observations from the planes of all passes, root mean square by range (left) and "
-        "over time (middle), before and after. Right: residuals by their standard deviations, and the normal "
-        "density.",
+        "over time (middle), before and after. Right: residuals over their standard deviations, and the "
+        "normal density.",
     )
     page.section("Poses")
     page.figure(
         drawn(corrections, found.knots, title=title, twin=twin),
-        "Corrections of the poses with twice their standard deviation (band) and that of before (dashed).",
+        "Corrections of the poses; band: ± 2 sigma, dashed: ± 2 sigma before the adjustment.",
     )
     told = pd.DataFrame({"error": list(facts["told"]), "share": list(facts["told"].values())})
     page.text(
-        f"Share of the variance that the bank took away, mean of all knots. Below {LEAST_TOLD:g} the error "
-        "stays as it was: a straight wall tells nothing of a shift along it."
+        f"An error whose share is below {LEAST_TOLD:g} is not corrected: a straight wall does not determine "
+        "a shift along it."
     )
-    page.table(told, "Share by error.", digits=3)
-    page.table(found.border, "Mount, range and clock: radians, metres, seconds.", digits=3)
+    page.table(told, "Share of the prior variance that the overlaps remove, mean of all knots.", digits=3)
+    border = found.border.rename(columns={"sigma_before": "sigma before", "told": "share"})
+    page.table(border, "Mount, range and clock: radians, metres, seconds.", digits=3)
     page.section("Notes").lines(notes or ["none"])
     return page
 
@@ -61,7 +64,7 @@ def strips_page(found: Adjusted, *, title: str, twin: bool, notes: list[str]) ->
 @styled
 def distances(observations: pd.DataFrame, *, title: str, twin: bool) -> Figure:
     """Distances of strips before and after by range and time, and the residuals' histogram."""
-    figure = new_figure(70, f"{title}, n = {len(observations)} distances", twin=twin)
+    figure = new_figure(70, f"{title}, n = {count(len(observations))} distances", twin=twin)
     axes = figure.subplots(1, 3)
     for ax, column, label in zip(axes, ("range_m", "t_gps_s"), ("range / m", "time / s"), strict=False):
         x = observations[column].to_numpy() - (observations[column].min() if column == "t_gps_s" else 0.0)
@@ -84,7 +87,7 @@ def distances(observations: pd.DataFrame, *, title: str, twin: bool) -> Figure:
 @styled
 def corrections(knots: pd.DataFrame, *, title: str, twin: bool) -> Figure:
     """Corrections over time, each with its sigma before and after."""
-    figure = new_figure(110, f"{title}, n = {len(knots)} knots", twin=twin)
+    figure = new_figure(110, f"{title}, n = {count(len(knots))} knots", twin=twin)
     axes = figure.subplots(3, 2, sharex=True)
     t = knots["t_gps_s"] - knots["t_gps_s"].iloc[0]
     for i, name in enumerate(POSE):

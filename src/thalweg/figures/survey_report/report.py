@@ -25,7 +25,7 @@ from thalweg import __version__
 from thalweg.accuracy import number_text, verdict_of, verdict_of_ratio
 from thalweg.bathymetry import REASONS, S44
 from thalweg.core import Trajectory, final_path, optional, read_json, unix_from_gps, utc_text_from_gps
-from thalweg.figures import TWIN_MARK, count, note_of, plural
+from thalweg.figures import TWIN_MARK, count, note_of, number, plural
 
 typst = optional("typst")
 
@@ -206,7 +206,7 @@ def _survey(
     facts = [
         ("Survey", when),
         ("Place", centre),
-        ("Track", f"{length_m:,.0f} m in {(times[-1] - times[0]) / 60:.1f} min"),
+        ("Track", f"{count(length_m)} m in {(times[-1] - times[0]) / 60:.1f} min"),
         ("Instruments", ", ".join(dict.fromkeys(f"{row[1]} ({row[0]})" for row in found))),
         ("Map grid", f"{crs.name} ({settings['campaign']['crs']})"),
         ("Heights", _heights(page)),
@@ -289,7 +289,7 @@ def _summary(page: _Report, path: Trajectory, order: tuple[str, str] | None) -> 
         used = f"{count(facts['by_reason'][''])} of {count(facts['pings'])}"
         rows.append(("Processing", "soundings that count", used))
     if (bed := page.json("bathymetry/variogram.json")) is not None:
-        rows.append(("Coverage", "area of the bed", f"{bed['facts']['area_m2']:,.0f} m²"))
+        rows.append(("Coverage", "area of the bed", f"{count(bed['facts']['area_m2'])} m²"))
         rows.append(
             ("Uncertainty", "sigma of a cell of the bed, median", _cm(bed["facts"]["median sigma_m"]))
         )
@@ -307,8 +307,8 @@ def _area(page: _Report, path: Trajectory, crs: CRS, when: str, length_m: float)
     on_map = path.frame.to_map(path.position_wcs_m[path.valid], crs)
     low, high = on_map.min(axis=0), on_map.max(axis=0)
     page.text(
-        f"The boat recorded {when}, over {length_m:,.0f} m. Its track lies between {low[0]:,.1f} and "
-        f"{high[0]:,.1f} m east, {low[1]:,.1f} and {high[1]:,.1f} m north ({crs.name})."
+        f"The boat recorded {when}, over {count(length_m)} m. Its track lies between {count(low[0])} and "
+        f"{count(high[0])} m east, {count(low[1])} and {count(high[1])} m north ({crs.name})."
     )
     page.figures("survey_map")
 
@@ -561,14 +561,12 @@ def _coverage(page: _Report) -> None:
     if bed is not None and river is not None:
         water = river["water"]
         page.text(
-            f"The bed covers {bed['facts']['area_m2']:,.0f} m². Of {water['inside_m2']:,.0f} m² inside the "
-            f"water line {water['without_height_m2']:,.1f} m² have no height. Between lines the bed is "
-            "predicted, not observed."
+            f"The bed covers {count(bed['facts']['area_m2'])} m². Of {count(water['inside_m2'])} m² inside "
+            f"the water line {number(water['without_height_m2'], decimals=1)} m² have no height. Between "
+            "lines the bed is predicted, not observed."
         )
     if model is not None:
-        rows = [
-            (name, count(n), f"{n * model['cell_m'] ** 2:,.0f}") for name, n in model["by_source"].items()
-        ]
+        rows = [(name, count(n), count(n * model["cell_m"] ** 2)) for name, n in model["by_source"].items()]
         page.table(
             ("source of the terrain model", "cells", "area [m²]"), rows, "What the terrain model rests on."
         )
@@ -594,8 +592,8 @@ def _results(page: _Report) -> None:
     if river is not None:
         water = river["water"]
         page.text(
-            f"The water fills {water['volume_m3']:,.0f} ± {water['sigma_volume_m3']:,.0f} m³ over "
-            f"{water['wet_area_m2']:,.0f} m². {river['sections']} cross sections."
+            f"The water fills {count(water['volume_m3'])} ± {count(water['sigma_volume_m3'])} m³ over "
+            f"{count(water['wet_area_m2'])} m². {river['sections']} cross sections."
         )
     page.figures(*names)
 
@@ -662,7 +660,7 @@ def _products(page: _Report, folder: Path, products: Mapping[Path, str]) -> None
         size = path.stat().st_size
         files.append({
             "name": Path(relpath(path, folder)).as_posix(), "words": words,
-            "sha256": checksum, "size": f"{size / 1e6:,.1f} MB" if size >= 1e6 else f"{size / 1e3:,.1f} kB",
+            "sha256": checksum, "size": f"{size / 1e6:.1f} MB" if size >= 1e6 else f"{size / 1e3:.1f} kB",
         })  # fmt: skip
     page.add("files", files=files)
 

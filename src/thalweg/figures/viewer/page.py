@@ -54,6 +54,7 @@ from thalweg.figures import (
     SIGMA_MAP,
     TIME_MAP,
     TWIN_MARK,
+    count,
     front_page_of,
     robust_limits,
 )
@@ -383,9 +384,9 @@ def write_viewer(
         "ramps": {name: base64.b64encode(_ramp(ramp)).decode() for name, ramp in _ramps(facts).items()},
         "sigma": [SIGMA_LEAST_M, SIGMA_DECADES * np.log(10) / SIGMA_STEPS],
     }
-    every = "all" if n_shown == view.n_total else f"{n_shown:,} of"
+    every = "all" if n_shown == view.n_total else f"{count(n_shown)} of"
     lead = f"{len(panoramas)} panoramas, point cloud," if panoramas else "Point cloud,"
-    lead = f"{lead} {every} {view.n_total:,} points. {_place(view.frame)}"
+    lead = f"{lead} {every} {count(view.n_total)} points. {_place(view.frame)}"
     parts = {
         "title": escape(title),
         "lead": escape(lead),

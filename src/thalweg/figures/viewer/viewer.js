@@ -509,7 +509,7 @@ function frame() {
   }
   settled = !absent.length && !loading && !still && (!inside || "sky" in inside);
   const where = inside ? `${inside.name}, ${inside.utc} UTC, place ± ${Math.hypot(...inside.sigma).toFixed(3)} m · ` : "";
-  if (!broken) $("state").textContent = `${where}${points.toLocaleString("en")} points drawn${loading ? ", reading …" : ""}`;
+  if (!broken) $("state").textContent = `${where}${points.toLocaleString("en").replaceAll(",", "\u00a0")} points drawn${loading ? ", reading …" : ""}`;
   if (still) redraw();
 }
 
@@ -562,6 +562,39 @@ function onGrid(place) {
   const powers = [1, x, y, z, x * x, x * y, x * z, y * y, y * z, z * z];
   return terms.map((row, i) => about[i] + row.reduce((sum, factor, k) => sum + factor * powers[k], 0));
 }
+function volumes(corners, area) {  // between the points within a polygon and the plane that fits its corners best
+  const middle = [0, 1, 2].map((i) => corners.reduce((sum, each) => sum + each[i], 0) / corners.length);
+  let [xx, xy, yy, xz, yz] = [0, 0, 0, 0, 0];
+  for (const each of corners) {
+    const [x, y, z] = minus(each, middle);
+    xx += x * x; xy += x * y; yy += y * y; xz += x * z; yz += y * z;
+  }
+  const whole = xx * yy - xy * xy;
+  if (!(whole > 1e-9 * (xx + yy) ** 2)) return null;
+  const [east, north] = [(xz * yy - yz * xy) / whole, (yz * xx - xz * xy) / whole];
+  const within = (x, y) => corners.reduce((odd, [x1, y1], k) => {
+    const [x2, y2] = corners[(k + 1) % corners.length];
+    return y1 > y !== y2 > y && x < x1 + (y - y1) / (y2 - y1) * (x2 - x1) ? !odd : odd;
+  }, false);
+  // cells, a thousand of them, of the mean height above the plane: no sum of points, which lie denser near the boat
+  const side = Math.sqrt(area / 1000), cells = new Map(), ends = [0, 1].map((i) => corners.map((each) => each[i]));
+  const [[west, south], [right, top]] = [Math.min, Math.max].map((most) => ends.map((values) => most(...values)));
+  for (let x = west + side / 2; x < right; x += side)
+    for (let y = south + side / 2; y < top; y += side)
+      if (within(x, y)) cells.set(`${Math.floor((x - west) / side)} ${Math.floor((y - south) / side)}`, [0, 0]);
+  const [low, high] = heights(), of = DATA.extras.indexOf("cloud"), width = DATA.extras.length;
+  for (const node of drawn)
+    for (let k = 0; k < node.n; k++) {
+      const [x, y, z] = placeOf(node, k), cell = cells.get(`${Math.floor((x - west) / side)} ${Math.floor((y - south) / side)}`);
+      const shown = !DATA.clouds.length || clouds >> Math.round((node.extra[width * k + of] - 1) / 254 * LAST_CLOUD) & 1;
+      if (!cell || z < low || z > high || !shown) continue;
+      cell[0] += z - middle[2] - east * (x - middle[0]) - north * (y - middle[1]);
+      cell[1]++;
+    }
+  const means = [...cells.values()].filter(([, n]) => n).map(([sum, n]) => sum / n);
+  const sum = (sign) => side * side * means.reduce((all, mean) => all + Math.max(sign * mean, 0), 0);
+  return { above: sum(1), below: sum(-1), share: means.length / Math.max(cells.size, 1) };
+}
 const withSigma = (value, sigma) => `${value.toFixed(3)} m${isFinite(sigma) ? ` ± ${sigma.toFixed(3)} m` : ""}`;
 
 function report() {
@@ -570,8 +603,9 @@ function report() {
     const [point] = picked;
     names.forEach((name, k) => lines.push(`${name} ${withSigma(point.place[k], point.sigma[k])}`));
     if (DATA.grid) {
-      const [east, north, height] = onGrid(point.place).map((x) => x.toFixed(3));
-      lines.push(`${DATA.grid.name}:`, `  easting ${east} m`, `  northing ${north} m`, `  ellipsoidal height ${height} m`);
+      // grid north differs from that of the frame by a degree or two: the standard deviations hold for both
+      const [east, north, height] = onGrid(point.place).map((x, k) => withSigma(x, point.sigma[k]));
+      lines.push(`${DATA.grid.name}:`, `  easting ${east}`, `  northing ${north}`, `  ellipsoidal height ${height}`);
     }
     if (point.range !== null) lines.push(`range ${point.range.toFixed(1)} m`);
     if (point.intensity !== null) lines.push(`intensity ${Math.round(point.intensity)}`);
@@ -600,6 +634,9 @@ function report() {
     });
     const within = isFinite(variance) ? ` ± ${Math.sqrt(variance).toFixed(2)} m²` : "";
     lines.push(`${n} points`, `length of the line ${length.toFixed(3)} m`, `level area ${Math.abs(area).toFixed(2)} m²${within}`);
+    const found = volumes(picked.map(({ place }) => place), Math.abs(area));
+    if (found) lines.push("heights above the plane through the points:", `  volume above it ${found.above.toFixed(2)} m³`,
+      `  volume below it ${found.below.toFixed(2)} m³`, `  from ${Math.round(100 * found.share)} % of the area, the rest holds no points`);
   }
   if (picked.length && isFinite(picked[0].sigma[0]))
     lines.push(`± one standard deviation${picked.length > 1 ? ", errors of all points as independent" : ""}`);
@@ -762,7 +799,7 @@ function setColour(name) {
     const pen = $("ramp").getContext("2d"), image = pen.createImageData(256, 1), bytes = atob(DATA.ramps[name]);
     for (let k = 0; k < 256; k++) image.data.set([...[0, 1, 2].map((i) => bytes.charCodeAt(3 * k + i)), 255], 4 * k);
     pen.putImageData(image, 0, 0);
-    const text = (x) => `${Math.abs(x) >= 100 ? x.toFixed(0) : Number(x.toPrecision(3))} ${DATA.units[name]}`;
+    const text = (x) => `${Math.abs(x) >= 100 ? x.toFixed(0) : Number(x.toPrecision(3))} ${DATA.units[name]}`.replace("-", "−");
     const [low, high] = DATA.limits[name];
     $("low").textContent = text(low);
     $("high").textContent = text(high) + (name === "sigma" ? " (log)" : name === "time" ? " after the first" : "");

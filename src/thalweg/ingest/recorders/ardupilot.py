@@ -13,6 +13,7 @@ Source: ArduPilot, "Onboard Message Log Messages"; MAVLink common and ardupilotm
 """
 
 import contextlib
+import math
 import os
 import re
 import struct
@@ -46,6 +47,10 @@ DOWN: Final = 25
 _FIX: Final = {2: "2d", 3: "single", 4: "dgnss", 5: "float", 6: "fixed", 7: "fixed", 8: "ppp"}
 _AUTOPILOT: Final = 1
 """Component of MAVLink that is the autopilot; ground stations and companions repeat its messages."""
+_RESTART_MS: Final = 5_000
+"""A clock that falls back by more has begun anew; by less, messages came in another order."""
+_NO_SIGNAL: Final = 1
+"""Signal quality of DISTANCE_SENSOR that stands for none."""
 _UNITS: Final = {"TimeUS": 1e-6, "time_boot_ms": 1e-3, "time_usec": 1e-6}
 """Fields with the time since the start of the autopilot, to seconds."""
 _DATAFLASH: Final = (
@@ -306,7 +311,7 @@ def _of_dataflash(
             pings["depth_m"] = pings["depth_m"].where(pings["Stat"] == 4, 0.0)
     words = _texts(log.get("MSG", _NONE).get("Message", ()))
     report.model = next((w.strip("\0") for w in words if w.startswith("Ardu") or "Rover" in w), "")
-    return attitude, place, fixes, _depths(pings), offset_s
+    return attitude, place, fixes, _depths(pings, report), offset_s
 
 
 def _dataflash_fixes(log: Messages, report: IntegrityReport) -> tuple[pd.DataFrame, float]:
@@ -402,23 +407,41 @@ def _telemetry(path: Path, report: IntegrityReport) -> Messages:
 
 
 def _recv(log: Any, wanted: Sequence[str], report: IntegrityReport) -> Messages:
-    rows: dict[tuple[str, ...], list[list[Any]]] = {}
+    rows: dict[tuple[int, int], dict[tuple[str, ...], list[list[Any]]]] = {}
     numbers: Counter[str] = Counter()
+    starts: dict[int, tuple[int, float]] = {}
     while (message := log.recv_msg()) is not None:
         name = message.get_type()
         if name == "BAD_DATA":
             report.lose("bad_messages", 1)
             continue
         numbers[name] += 1
-        from_autopilot = not hasattr(message, "get_srcComponent") or message.get_srcComponent() == _AUTOPILOT
-        if name in wanted and from_autopilot:
+        system = 0
+        if hasattr(message, "get_srcComponent"):
+            system = message.get_srcSystem()
+            if message.get_srcComponent() != _AUTOPILOT:
+                continue
+        if name in wanted:
             fields = message.get_fieldnames()
             values = [getattr(message, field) for field in fields]
-            rows.setdefault((name, *fields), []).append([*values, message._timestamp])
+            start, last_ms = starts.get(system, (0, -math.inf))
+            if (boot_ms := getattr(message, "time_boot_ms", last_ms)) < last_ms - _RESTART_MS:
+                start += 1
+            starts[system] = start, boot_ms
+            own = rows.setdefault((system, start), {})
+            own.setdefault((name, *fields), []).append([*values, message._timestamp])
     report.details["messages"] = dict(sorted(numbers.items()))
+    sizes = {key: sum(map(len, own.values())) for key, own in rows.items()}
+    chosen = max(sizes, key=lambda key: sizes[key], default=(0, 0))
+    if other := sum(sizes.values()) - sizes.get(chosen, 0):
+        report.count("messages_of_other_vehicles_or_starts", other)
+        report.note(
+            f"{len(starts)} vehicles with {len(sizes)} starts of their autopilots: of vehicle {chosen[0]} "
+            "the start with most messages is taken. Split the log for the others."
+        )
     return {
         name: _stamped(pd.DataFrame(part, columns=[*fields, "t_host_s"]))
-        for (name, *fields), part in rows.items()
+        for (name, *fields), part in rows.get(chosen, {}).items()
     }
 
 
@@ -481,10 +504,14 @@ def _of_telemetry(
         pings["depth_m"] = pings["depth_m"].where(pings["healthy"] != 0, 0.0)
     elif "DISTANCE_SENSOR" in log:
         pings = log["DISTANCE_SENSOR"].query("orientation == @DOWN").assign(sentence="DISTANCE_SENSOR")
-        pings["depth_m"] = pings["current_distance"] * 1e-2
+        farthest = pings["max_distance"].where(pings["max_distance"] > 0, math.inf)
+        seen = (pings["current_distance"] >= pings["min_distance"]) & (pings["current_distance"] <= farthest)
+        if "signal_quality" in pings:
+            seen &= pings["signal_quality"] != _NO_SIGNAL
+        pings["depth_m"] = (pings["current_distance"] * 1e-2).where(seen, 0.0)
     words = log.get("STATUSTEXT", _NONE).get("text", ())
     report.model = next((str(w) for w in words if str(w).startswith("Ardu")), "")
-    return attitude, _joined(place, sigmas), fixes, _depths(pings), offset_s
+    return attitude, _joined(place, sigmas), fixes, _depths(pings, report), offset_s
 
 
 # ---------------------------------------------------------------- what both have in common
@@ -545,9 +572,16 @@ def _fixes(rows: pd.DataFrame, columns: Mapping[str, Any]) -> pd.DataFrame:
     return table.reset_index(drop=True)
 
 
-def _depths(pings: pd.DataFrame) -> pd.DataFrame:
-    """Soundings with ``t_s``; a message of no number is no sounding."""
+def _depths(pings: pd.DataFrame, report: IntegrityReport) -> pd.DataFrame:
+    """Soundings of one sounder with ``t_s``; a message of no number is no sounding, one below 0 no bottom."""
     if "depth_m" not in pings:
         return pd.DataFrame({"t_s": [], "depth_m": [], "sentence": [], "line": []})
+    instance = next((name for name in ("Inst", "Instance", "id") if name in pings), None)
+    if instance and pings[instance].nunique() > 1:
+        seen = pings[pings["depth_m"] > 0].groupby(instance).size()
+        chosen = int(seen.idxmax()) if len(seen) else int(pings[instance].iloc[0])
+        report.count("pings_of_other_sounders", int((pings[instance] != chosen).sum()))
+        report.note(f"{pings[instance].nunique()} sounders: number {chosen} sees the bottom most often.")
+        pings = pings[pings[instance] == chosen]
     kept = pings[["t_s", "depth_m", "sentence"]].dropna().reset_index(drop=True)
-    return kept.assign(line=np.arange(1, len(kept) + 1))
+    return kept.assign(depth_m=kept["depth_m"].clip(lower=0.0), line=np.arange(1, len(kept) + 1))

@@ -95,7 +95,7 @@ def _payloads(path: Path, report: IntegrityReport) -> Iterator[ArrayF]:
             f"a video whose telemetry cannot be read: {error}",
             expected="GPMF as GoPro cameras write it",
             where=path,
-            cure="Copy the file from the card again, uncut",
+            cure="Copy the file from the card again, uncut and with its ending .MP4",
         ) from None
     own_times = [block["GPS9"] for block in telemetry if _GPS9 in block.get("GPS9", {})]
     for block in own_times:

@@ -107,11 +107,34 @@ _TO_FORWARD_LEFT_UP: Final = {
     "echo_sounder": np.eye(3),
 }
 """Axes of a sensor here (scs: right, forward, up) into those of ROS; of a mere point none count."""
+_UNIT: Final = 0.01
+"""Squares of a quaternion differ less than this from 1, or it is none."""
 _BODY: Final = np.diag([1.0, -1.0, -1.0])
 """Body of ROS (forward, left, up) into ics (forward, right, down), and back."""
 _ADDRESSES: Final = b"\xc0\xa8\x01\xc9" + b"\xff" * 4
 _ABSOLUTE_NS: Final = 1e15
+_LIVOX_ROW: Final = np.dtype(
+    [("offset_time", "u4"), ("x", "f4"), ("y", "f4"), ("z", "f4"), ("reflectivity", "u1"), ("line", "u1")]
+)
+_FIXED_FRAMES: Final = frozenset({"map", "odom", "world", "earth", "utm", "camera_init"})
+"""Frames of REP 105 and of programs of odometry that stand still."""
+_TIME_FIELDS: Final = (
+    "timestamp", "time_stamp", "offset_time", "time_offset", "time_offset_ns", "time", "t"
+)  # fmt: skip
+_TIME_UNITS_S: Final = {1.0: "seconds", 1e-3: "milliseconds", 1e-6: "microseconds", 1e-9: "nanoseconds"}
+_DATED_S: Final = (1e9, 4e9)
+"""Unix times of lidars, 2001 to 2096."""
+_DEVICE_S: Final = 1e3
+"""A header later than this is told from an offset."""
+_TURN_S: Final = 2.5
+"""No lidar takes longer for a cloud."""
+_POINTS_A_SECOND: Final = 5e7
+"""No lidar measures more."""
+_FINE_S: Final = 1e-3
 _REPLAYED_S: Final = 5.0
+_GRAVITY_MPS2: Final = 9.81
+_TILTED_DEG: Final = 20.0
+"""Accelerations of a boat point up within this in the median; other axes are 90 or 180 degrees off."""
 
 
 def is_bag(head: bytes, size: int) -> bool:
@@ -181,7 +204,7 @@ def _messages(
 ) -> Iterator[tuple[float, float, Any]]:
     """Header stamp and time of recording, Unix seconds, and the message, of one topic.
 
-    A message without header has the time of its recording twice.
+    A message without header or stamp has the time of its recording twice.
     """
     with _opened(path) as bag:
         stored = bag.messages([each for each in bag.connections if each.topic == topic])
@@ -206,6 +229,18 @@ def _messages(
             recorded_s = stamp_s = t_ns * 1e-9
             if (header := getattr(message, "header", None)) is not None:
                 stamp_s = header.stamp.sec + header.stamp.nanosec * 1e-9
+                if stamp_s == 0.0:
+                    stamp_s = recorded_s
+                    if report is not None:
+                        report.count("messages_without_stamp")
+                elif report is not None and stamp_s < _DATED_S[0]:
+                    raise InputError(
+                        f"stamps of {topic} that count from elsewhere: {stamp_s:,.1f} s in the header",
+                        expected="Unix time in the headers",
+                        where=path,
+                        cure="Let the driver stamp with the computer's clock (Ouster: timestamp_mode "
+                        "TIME_FROM_ROS_TIME or PTP; no use_sim_time), or name another topic",
+                    )
             yield stamp_s, recorded_s, message
 
 
@@ -324,6 +359,8 @@ def mounts_of_bag(path: Path) -> dict[str, str]:
         for _, _, message in _messages(path, name):
             for each in message.transforms:
                 q, shift = each.transform.rotation, each.transform.translation
+                if abs(q.x**2 + q.y**2 + q.z**2 + q.w**2 - 1.0) > _UNIT:
+                    continue
                 step = np.eye(4)
                 step[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
                 step[:3, 3] = shift.x, shift.y, shift.z
@@ -371,6 +408,26 @@ def _frame_of(path: Path, topic: str) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class _Layout:
+    """How the points of a topic are written, told from its first cloud that holds some.
+
+    ``unit_s`` of the field ``time`` are a second; they count from 1970 (or as the header does) or from the
+    header. Without times ``time`` is empty and ``why`` says what was found.
+    """
+
+    fields: Any
+    dtype: np.dtype[Any]
+    time: str
+    unit_s: float
+    from_header: bool
+    why: str
+    ring: str
+    bright: str
+    full: float
+    """Brightness that 255 stands for."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BagLidar:
     """Clouds of a lidar in bags: a `thalweg.ingest.readers.LidarReader`.
 
@@ -380,10 +437,26 @@ class BagLidar:
     files: Sequence[Path]
     options: LidarOptions
 
-    def _clouds(self, report: IntegrityReport | None = None) -> Iterator[tuple[float, float, Any]]:
+    def _clouds(
+        self, report: IntegrityReport | None = None
+    ) -> Iterator[tuple[float, float, _Layout | None, Any]]:
+        """Stamp, time of recording, layout and message; a cloud before any point is seen has no layout."""
         for path in self.files:
             (topic,) = _chosen(path, "lidar", self.options.topics)
-            yield from _messages(path, topic, report)
+            layout: _Layout | None = None
+            for stamp_s, recorded_s, message in _messages(path, topic, report):
+                if (frame := message.header.frame_id.strip("/")) in _FIXED_FRAMES:
+                    raise InputError(
+                        f"clouds in the frame {frame}, which does not move with the lidar",
+                        expected="clouds in the frame of the lidar, as its driver writes them",
+                        where=f"{path}#{topic}",
+                        cure="Name the topic of the driver; finished clouds are read as LAS or PLY",
+                    )
+                if hasattr(message, "timebase") and message.timebase > _ABSOLUTE_NS:
+                    stamp_s = message.timebase * 1e-9
+                if layout is None or layout.fields != getattr(message, "fields", None):
+                    layout = _layout(message, stamp_s)
+                yield stamp_s, recorded_s, layout, message
 
     def scan(self) -> LidarScan:
         """Read the recording once.
@@ -403,15 +476,21 @@ class BagLidar:
         )
         stamps: list[float] = []
         lags: list[float] = []
-        n_points, empty, timed = 0, 0, True
-        for stamp_s, recorded_s, message in self._clouds(report):
-            points = _points_of(message, stamp_s)
+        apart: list[float] = []
+        n_points, empty = 0, 0
+        layouts: dict[str, _Layout] = {}
+        for stamp_s, recorded_s, layout, message in self._clouds(report):
             stamps.append(stamp_s)
             lags.append(recorded_s - stamp_s)
+            report.model = str(message.header.frame_id)
+            if layout is None:
+                empty += getattr(message, "point_num", None) or message.width * message.height
+                continue
+            points = _points_of(message, stamp_s, layout, report)
             n_points += int(np.count_nonzero(_within(points["range"], self.options)))
             empty += int((points["range"] == 0).sum())
-            timed &= points["timed"]
-            report.model = str(message.header.frame_id)
+            apart.extend(points["t_s"][-1:] - stamp_s)
+            layouts[layout.why or layout.time] = layout
         if not stamps:
             raise InputError("no cloud in the bag", expected="messages of a lidar", where=report.files[0])
         t_unix_s = np.array(stamps)
@@ -421,11 +500,18 @@ class BagLidar:
         if empty:
             report.count("shots_without_return", empty)
         _say_stamps(report, np.array(lags))
-        if not timed:
+        for layout in layouts.values():
             report.note(
-                "The points have no times of their own: all of a cloud get that of its header, up to a turn "
+                f"{layout.why}: all of a cloud get the time of its header, up to a turn "
                 "of the lidar off. Record the time of each point (field t, time or timestamp)."
+                if layout.why
+                else f"Times of points: field {layout.time}, {_TIME_UNITS_S[layout.unit_s]} since "
+                f"{'the header' if layout.from_header else '1970'}."
             )
+            if abs(late_s := float(np.median(apart))) > _TURN_S:
+                report.note(f"The points are {late_s:,.1f} s from their headers: their own times are taken.")
+            if layout.full == 1.0:
+                report.note("Brightness is between 0 and 1: multiplied by 255.")
         clock = _clock(t_unix_s[0])
         return LidarScan(
             report=report, clock=clock, model=report.model, return_mode="strongest", n_points=n_points
@@ -444,11 +530,16 @@ class BagLidar:
     ) -> Iterator[PointBlock]:
         """Points, a message at a time or less; ``clock`` is always that of the headers."""
         first_s = None
-        for packet, (stamp_s, _, message) in enumerate(self._clouds()):
+        for packet, (stamp_s, _, layout, message) in enumerate(self._clouds()):
             first_s = stamp_s if first_s is None else first_s
             if window is not None and window.number_of(np.array([stamp_s - first_s]))[0] != window.index:
                 continue
-            block = _block(_points_of(message, stamp_s), self.options, packet, clock)
+            if layout is None:
+                continue
+            block = _block(_points_of(message, stamp_s, layout, None), self.options, packet, clock)
+            if block.n <= max_points:
+                yield block
+                continue
             for start in range(0, block.n, max_points):
                 rows = np.arange(block.n)
                 yield block.where((rows >= start) & (rows < start + max_points))
@@ -458,70 +549,123 @@ def _clock(unix_s: float) -> LidarClock:
     return LidarClock(gps_minus_device_s=(float(gps_from_unix(unix_s)) - unix_s,))
 
 
-def _points_of(message: Any, stamp_s: float) -> dict[str, Any]:
-    """Columns of a cloud: x, y, z (axes of ROS), Unix time, ring, brightness, range; whether it has times."""
+def _rows_of(message: Any, dtype: np.dtype[Any], report: IntegrityReport | None) -> AnyArray:
+    """Points of a cloud as a structured array, without what pads its rows."""
     if hasattr(message, "points"):  # Livox
-        names = ("offset_time", "x", "y", "z", "reflectivity", "line")
-        table = {name: np.array([getattr(p, name) for p in message.points], np.float64) for name in names}
-        table["t"] = table.pop("offset_time")
-        stamp_s = message.timebase * 1e-9 if message.timebase > _ABSOLUTE_NS else stamp_s
-        timed_as: tuple[str, float] | None = ("t", 1e-9)
-    else:
-        order = ">" if message.is_bigendian else "<"
-        fields = [f for f in message.fields if f.datatype in _TYPES]
-        dtype = np.dtype(
-            {
-                "names": [f.name for f in fields],
-                "formats": [f"{order}{_TYPES[f.datatype]}" for f in fields],
-                "offsets": [f.offset for f in fields],
-                "itemsize": message.point_step,
-            }
-        )
-        data = np.asarray(message.data).tobytes()
-        rows = np.frombuffer(data, dtype, min(message.width * message.height, len(data) // dtype.itemsize))
-        table = {name: rows[name] for name in dtype.names or ()}
-        timed_as = _time_field(dtype)
-    if not {"x", "y", "z"} <= set(table):
+        names = dtype.names or ()
+        return np.array([tuple(getattr(p, name) for name in names) for p in message.points], dtype)
+    data, line = np.asarray(message.data), message.width * dtype.itemsize
+    if message.height > 1 and message.row_step > line:
+        whole = len(data) // message.row_step
+        data = data[: whole * message.row_step].reshape(whole, message.row_step)[:, :line]
+    rows = np.frombuffer(data.tobytes()[: data.size // dtype.itemsize * dtype.itemsize], dtype)
+    promised = message.width * message.height
+    if report is not None and len(rows) < promised:
+        report.lose("points_cut_off", promised - len(rows))
+    return rows[:promised]
+
+
+def _dtype_of(message: Any) -> np.dtype[Any]:
+    if hasattr(message, "points"):
+        return _LIVOX_ROW
+    fields = {f.name: f for f in message.fields if f.datatype in _TYPES}
+    if not {"x", "y", "z"} <= set(fields):
         raise InputError(
-            f"clouds with fields {', '.join(table)}",
+            f"clouds with fields {', '.join(fields)}",
             expected="x, y and z",
             cure="Record the cloud with coordinates, or convert its packets with the driver",
         )
-    xyz = np.stack([table[axis] for axis in "xyz"], axis=1)
+    order = ">" if message.is_bigendian else "<"
+    return np.dtype(
+        {
+            "names": list(fields),
+            "formats": [f"{order}{_TYPES[f.datatype]}" for f in fields.values()],
+            "offsets": [f.offset for f in fields.values()],
+            "itemsize": message.point_step,
+        }
+    )
+
+
+def _layout(message: Any, stamp_s: float) -> _Layout | None:
+    """Layout of the clouds of a topic; None if this one has no points to tell it from."""
+    dtype = _dtype_of(message)
+    rows = _rows_of(message, dtype, None)
+    seen = rows[np.isfinite(rows["x"]) & (rows["x"] != 0)]
+    if not len(seen):
+        return None
+    names = dtype.names or ()
+    time, unit_s, from_header, why = _times(seen, stamp_s)
+    bright = next((name for name in ("reflectivity", "intensity", "i") if name in names), "")
+    parts = bright and dtype[bright].kind == "f" and 0 < np.nanmax(seen[bright]) <= 1
+    return _Layout(
+        fields=getattr(message, "fields", None),
+        dtype=dtype,
+        time=time,
+        unit_s=unit_s,
+        from_header=from_header,
+        why=why,
+        ring=next((name for name in ("ring", "channel", "line", "laser_id") if name in names), ""),
+        bright=bright,
+        full=1.0 if parts else 255.0,
+    )
+
+
+def _times(rows: AnyArray, stamp_s: float) -> tuple[str, float, bool, str]:
+    """Field with the times of points, its unit in seconds, whether it counts from the header; why it is none.
+
+    Drivers differ in the unit, which no file states. A number of 64 bits that is a date since 1970 in one of
+    the units is one; so is one near the stamp of the header. Others are offsets: in the usual unit (seconds
+    of a real number, nanoseconds of an integer), or in that in which the cloud lasts neither longer than any
+    turn of a lidar nor shorter than any lidar takes for so many points.
+    """
+    names = rows.dtype.names or ()
+    if {"time_sec", "time_nsec"} <= set(names):
+        return "time_sec", 1.0, False, ""
+    name = next((each for each in _TIME_FIELDS if each in names), "")
+    if not name:
+        return "", 1.0, True, "The points have no times of their own"
+    values = rows[name].astype(np.float64)
+    low, high = float(values.min()), float(values.max())
+    for unit_s in _TIME_UNITS_S:
+        dated = rows.dtype[name].itemsize == 8 and _DATED_S[0] < high * unit_s < _DATED_S[1]
+        if dated or (stamp_s > _DEVICE_S and abs(high * unit_s - stamp_s) < _TURN_S):
+            if rows.dtype[name].kind != "f" or np.spacing(rows[name].max()) * unit_s < _FINE_S:
+                return name, unit_s, False, ""
+            return "", 1.0, True, f"The times of the points (field {name}) are rounded by their float32"
+    usual_s = 1e-9 if rows.dtype[name].kind in "ui" else 1.0
+    for unit_s in (usual_s, *_TIME_UNITS_S):
+        lasts = max(abs(low), abs(high)) * unit_s < _TURN_S
+        if lasts and len(rows) <= 100 + (high - low) * unit_s * _POINTS_A_SECOND:
+            return name, unit_s, True, ""
+    span = f"{low:g}" if low == high else f"{low:g} to {high:g}"
+    why = f"The times of the points (field {name}, {span}) count neither from 1970 nor from the header"
+    return "", 1.0, True, why
+
+
+def _points_of(
+    message: Any, stamp_s: float, layout: _Layout, report: IntegrityReport | None
+) -> dict[str, Any]:
+    """Columns of a cloud: coordinates (n, 3) in axes of ROS, Unix time, ring, brightness, range."""
+    rows = _rows_of(message, layout.dtype, report)
+    xyz = np.stack([rows[axis] for axis in "xyz"], axis=1)
     squares = np.einsum("ij,ij->i", xyz, xyz)
     if not np.isfinite(squares).all():
         xyz[~np.isfinite(squares)] = 0.0
         squares = np.einsum("ij,ij->i", xyz, xyz)
     t_s = np.full(len(xyz), stamp_s)
-    if timed_as and timed_as[0] == "time_sec":
-        t_s = table["time_sec"] + table["time_nsec"] * 1e-9
-    elif timed_as:
-        own = table[timed_as[0]].astype(np.float64) * timed_as[1]
-        if own.size and own.max() > _ABSOLUTE_NS:  # Livox's PointCloud2 has nanoseconds in a double
-            own = own * 1e-9
-        t_s = own if own.size and own.max() > 1e9 else stamp_s + own
+    if layout.time:
+        own = rows[layout.time].astype(np.float64) * layout.unit_s
+        if layout.time == "time_sec":
+            own += rows["time_nsec"] * 1e-9
+        t_s = t_s + own if layout.from_header else own
     none = np.zeros(len(xyz))
-    ring = next((table[name] for name in ("ring", "channel", "line", "laser_id") if name in table), none)
-    bright = next((table[name] for name in ("reflectivity", "intensity", "i") if name in table), none)
     return {
         "xyz": xyz,
         "t_s": t_s,
-        "ring": ring,
-        "bright": bright,
+        "ring": rows[layout.ring] if layout.ring else none,
+        "bright": rows[layout.bright] * (255.0 / layout.full) if layout.bright else none,
         "range": np.sqrt(squares),
-        "timed": timed_as is not None,
     }
-
-
-def _time_field(dtype: np.dtype[Any]) -> tuple[str, float] | None:
-    """Name of the field with the time of each point, and its unit in seconds."""
-    names = dtype.names or ()
-    if {"time_sec", "time_nsec"} <= set(names):
-        return "time_sec", 1.0
-    for name in ("timestamp", "time_stamp", "offset_time", "time", "t"):
-        if name in names:
-            return name, 1e-9 if dtype[name].kind in "ui" else 1.0
-    return None
 
 
 def _within(range_m: AnyArray, options: LidarOptions) -> ArrayB:
@@ -533,25 +677,27 @@ def _within(range_m: AnyArray, options: LidarOptions) -> ArrayB:
 def _block(
     points: dict[str, Any], options: LidarOptions, packet: int, clock: LidarClock | None = None
 ) -> PointBlock:
-    far = points["range"]
-    keep = _within(far, options)
+    keep: Any = _within(points["range"], options)
+    if keep.all():
+        keep = slice(None)
     x, y, z = points["xyz"][keep].T
     t_s = points["t_s"][keep]
-    n = int(keep.sum())
-    ones = np.ones(n, np.uint8)
-    where = np.full(n, packet, np.int64)
+    azimuth = np.arctan2(-y, x)
+    ones = np.ones(len(x), np.uint8)
+    ring = points["ring"][keep].astype(np.uint8)
+    clock = clock or _clock(float(t_s[0]) if len(t_s) else 1e9)
     return PointBlock(
-        t_gps_s=(clock or _clock(float(t_s[0]) if n else 1e9)).gps_time(where, t_s),
+        t_gps_s=clock.gps_time(np.array([packet]), t_s),
         t_device_s=t_s,
-        xyz_scs_m=np.stack([-y, x, z], axis=1).astype(np.float32),
-        range_m=far[keep].astype(np.float32),
-        azimuth_rad=np.mod(np.arctan2(-y, x), 2 * np.pi).astype(np.float32),
-        ring=points["ring"][keep].astype(np.uint8),
-        laser=points["ring"][keep].astype(np.uint8),
+        xyz_scs_m=np.stack([-y, x, z], axis=1).astype(np.float32, copy=False),
+        range_m=points["range"][keep].astype(np.float32, copy=False),
+        azimuth_rad=np.where(azimuth < 0, azimuth + 2 * np.pi, azimuth).astype(np.float32, copy=False),
+        ring=ring,
+        laser=ring,
         intensity=np.clip(np.nan_to_num(points["bright"][keep]), 0, 255).astype(np.uint8),
         return_number=ones,
         n_returns=ones,
-        packet=where,
+        packet=np.full(len(x), packet, np.int64),
     )
 
 
@@ -560,6 +706,8 @@ def _say_stamps(report: IntegrityReport, lag_s: ArrayF) -> None:
     report.note(
         "Stamps are those of the messages' headers, taken as UTC: the clock of the computer or sensor."
     )
+    if unstamped := report.counts.get("messages_without_stamp"):
+        report.note(f"{unstamped:,} messages have no stamp: they get the time of their recording.")
     if abs(typical) > _REPLAYED_S:
         days = abs(typical) / 86_400.0
         report.note(
@@ -697,11 +845,12 @@ def _fixes(path: Path, topic: str, report: IntegrityReport) -> pd.DataFrame:
         covs.append(fix.position_covariance.tobytes())  # much faster than one array for each
     t_unix_s, t_recorded_s, status, lat, lon, height, kind = np.array(rows, np.float64).reshape(-1, 7).T
     cov = np.frombuffer(b"".join(covs)).reshape(-1, 9).T
-    placed = (status >= 0) & np.isfinite(lat) & np.isfinite(lon)
+    placed = (status >= 0) & (np.abs(lat) <= 90.0) & (np.abs(lon) <= 180.0) & ((lat != 0.0) | (lon != 0.0))
     if lost := int((~placed).sum()):
         report.count("positions_without_fix", lost)
     known, full = kind > 0, kind == 3
-    sigmas = [np.where(known, np.sqrt(np.maximum(cov[k], 0.0)), np.nan) for k in (0, 4, 8)]
+    # zeros stand for unknown, whatever the kind says
+    sigmas = [np.sqrt(np.where(known & (cov[k] > 0), cov[k], np.nan)) for k in (0, 4, 8)]
     _say_stamps(report, (t_recorded_s - t_unix_s)[placed])
     report.note("Heights of NavSatFix are above the ellipsoid, if its driver keeps to the definition.")
     table = pd.DataFrame(
@@ -723,7 +872,7 @@ def _fixes(path: Path, topic: str, report: IntegrityReport) -> pd.DataFrame:
 
 def _depths(path: Path, topic: str, report: IntegrityReport) -> pd.DataFrame:
     rows = [
-        (stamp_s, each.range if each.min_range <= each.range <= each.max_range else 0.0)
+        (stamp_s, each.range if each.min_range <= each.range <= (each.max_range or math.inf) else 0.0)
         for stamp_s, _, each in _messages(path, topic, report)
     ]
     stamp_s, depth = np.array(rows, np.float64).reshape(-1, 2).T
@@ -775,7 +924,7 @@ def _poses(parts: Sequence[tuple[Path, str]], options: TrackOptions) -> PoseLog:
             covered = message.pose if hasattr(message.pose, "pose") else None
             pose = message.pose if covered is None else covered.pose
             p, q = pose.position, pose.orientation
-            if not abs(q.x**2 + q.y**2 + q.z**2 + q.w**2 - 1.0) < 0.01:
+            if not abs(q.x**2 + q.y**2 + q.z**2 + q.w**2 - 1.0) < _UNIT:
                 report.count("messages_without_orientation")
                 continue
             stamps.append(stamp_s)
@@ -811,10 +960,11 @@ def _poses(parts: Sequence[tuple[Path, str]], options: TrackOptions) -> PoseLog:
 
 
 def _attitudes(path: Path, topic: str, report: IntegrityReport) -> pd.DataFrame:
-    stamps, quaternions, variances, rates = [], [], [], []
+    stamps, quaternions, variances, rates, felt_mps2 = [], [], [], [], []
     for stamp_s, _, message in _messages(path, topic, report):
+        a = message.linear_acceleration
         q = message.orientation
-        unit = abs(q.x**2 + q.y**2 + q.z**2 + q.w**2 - 1.0) < 0.01
+        unit = abs(q.x**2 + q.y**2 + q.z**2 + q.w**2 - 1.0) < _UNIT
         if message.orientation_covariance[0] == -1 or not unit:
             report.count("messages_without_orientation")
             continue
@@ -822,6 +972,7 @@ def _attitudes(path: Path, topic: str, report: IntegrityReport) -> pd.DataFrame:
         quaternions.append([q.x, q.y, q.z, q.w])
         variances.append(np.asarray(message.orientation_covariance)[[0, 4, 8]])
         rates.append([message.angular_velocity.x, -message.angular_velocity.y, -message.angular_velocity.z])
+        felt_mps2.append([a.x, a.y, a.z])
     if not stamps:
         raise InputError(
             f"the Imu {topic} gives no orientation",
@@ -829,7 +980,26 @@ def _attitudes(path: Path, topic: str, report: IntegrityReport) -> pd.DataFrame:
             where=path,
             cure="Record the filter's topic, or take the poses of another program (SBET, TUM)",
         )
-    R = Rotation.from_quat(np.array(quaternions)).as_matrix() @ np.diag([1.0, -1.0, -1.0])
+    turn = Rotation.from_quat(np.array(quaternions)).as_matrix()
+    felt = turn @ np.array(felt_mps2)[:, :, None]
+    up = felt[:, 2, 0] / np.maximum(np.linalg.norm(felt[:, :, 0], axis=1), 1e-9)
+    still = np.abs(np.linalg.norm(felt[:, :, 0], axis=1) - _GRAVITY_MPS2) < _GRAVITY_MPS2 / 4
+    doubt = ""
+    if len(turn) > 1 and np.all(turn == np.eye(3)):
+        doubt = "is level, bow to the east, in every message: none was measured"
+    elif (
+        still.any()
+        and (tilt_deg := np.rad2deg(np.arccos(np.clip(np.median(up[still]), -1, 1)))) > _TILTED_DEG
+    ):
+        doubt = f"contradicts its accelerations: these point {tilt_deg:.0f} degrees away from up"
+    if doubt:
+        raise InputError(
+            f"the orientation of the Imu {topic} {doubt}",
+            expected="the body forward, left, up (REP 103) against east, north, up (REP 145)",
+            where=path,
+            cure="Record a filter or driver that keeps to this, or take the poses of another program",
+        )
+    R = turn @ _BODY
     roll, pitch, heading = roll_pitch_heading(R)
     sigma = np.sqrt(np.where(np.array(variances) > 0, np.array(variances), np.nan))
     rate = np.array(rates)

@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core import WEEK_S, AnyArray, frame_of, gps_from_unix, gps_from_week, missing_package
+from thalweg.core import WEEK_S, AnyArray, InputError, frame_of, gps_from_unix, gps_from_week, missing_package
 from thalweg.ingest import GNSS_POSITION, IntegrityReport, PositionLog, TrackOptions
 from thalweg.ingest.nmea import read_nmea
 
@@ -108,6 +108,7 @@ def read_ubx(files: Sequence[Path], options: TrackOptions) -> PositionLog:
 
     Raises
     ------
+    InputError : messages of two receivers.
     UnsupportedError : see `ubx_frames`.
     """
     from pyubx2 import UBXReader
@@ -116,8 +117,9 @@ def read_ubx(files: Sequence[Path], options: TrackOptions) -> PositionLog:
         stream="gnss", format="u-blox UBX log", files=[str(path) for path in files], time_scale="gps"
     )
     numbers: Counter[str] = Counter()
-    rows: dict[str, list[dict[str, Any]]] = {name: [] for name in (*_POSITIONS, *RAW_OBSERVATIONS)}
-    for path in files:
+    parts = []
+    for path in files:  # each with weeks of its own: the same second of two weeks is told apart
+        rows: dict[str, list[dict[str, Any]]] = {name: [] for name in (*_POSITIONS, *RAW_OBSERVATIONS)}
         for name, raw in ubx_frames(path, report):
             numbers[name] += 1
             if name in rows:
@@ -128,9 +130,12 @@ def read_ubx(files: Sequence[Path], options: TrackOptions) -> PositionLog:
                 if name == "RXM-RAWX":
                     tow_s = float(np.frombuffer(raw, "<f8", 1, 6)[0])
                 rows[name].append({**fields, "tow_s": tow_s})
+        tables = {name: pd.DataFrame(part) for name, part in rows.items() if part}
+        parts.append(_positions(tables, report, path))
+        if "NAV-RELPOSNED" in tables:
+            _say_heading(tables["NAV-RELPOSNED"], report)
     report.details["messages"] = dict(sorted(numbers.items()))
-    tables = {name: pd.DataFrame(part) for name, part in rows.items() if part}
-    positions = _positions(tables, report)
+    positions = pd.concat(parts, ignore_index=True)
     depths = None
     if report.counts.get("bytes_of_NMEA"):
         beside = read_nmea(files, date=options.date)
@@ -147,8 +152,6 @@ def read_ubx(files: Sequence[Path], options: TrackOptions) -> PositionLog:
         report.note(
             f"{raw_epochs:,} epochs of raw observations: name the log in gnss.rover (or base) for PPK."
         )
-    if "NAV-RELPOSNED" in tables:
-        _say_heading(tables["NAV-RELPOSNED"], report)
     if numbers["TIM-TM2"]:
         report.note(f"{numbers['TIM-TM2']:,} time marks (TIM-TM2) are not read.")
     return PositionLog(positions=positions, depths=depths, report=report)
@@ -159,10 +162,17 @@ def _week_of_raw(name: str, raw: bytes) -> int:
     return int.from_bytes(raw[at : at + 2], "little")
 
 
-def _positions(tables: dict[str, pd.DataFrame], report: IntegrityReport) -> pd.DataFrame:
+def _positions(tables: dict[str, pd.DataFrame], report: IntegrityReport, path: Path) -> pd.DataFrame:
     main = next((name for name in ("NAV-PVT", "NAV-HPPOSLLH", "NAV-POSLLH") if name in tables), None)
     if main is None:
         return GNSS_POSITION.empty_table().to_pandas()
+    if apart := int((tables[main].groupby("tow_s")[["lat", "lon"]].nunique() > 1).any(axis=1).sum()):
+        raise InputError(
+            f"{main} states two places for {apart:,} times",
+            expected="messages of one receiver",
+            where=path,
+            cure="Log each receiver to a file of its own",
+        )
     table = tables[main].drop_duplicates("tow_s", keep="last").set_index("tow_s", drop=False)
     fine = tables.get("NAV-HPPOSLLH")
     if fine is not None and main == "NAV-PVT":

@@ -21,7 +21,6 @@ from .formats import (
 from .lidar import lidar_reader as lidar_reader, mounts_of_bag as mounts_of_bag
 from .poses import read_poses as read_poses
 from .positions import (
-    SOURCES_OF_THEIR_OWN as SOURCES_OF_THEIR_OWN,
     choose_tracks as choose_tracks,
     read_depths as read_depths,
     read_positions as read_positions,

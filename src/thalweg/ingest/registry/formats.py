@@ -86,7 +86,7 @@ def recognise(path: Path) -> str:
             raise InputError(words, where=path, expected="the raw log itself", cure=cure)
     begins = head[:12].hex(" ") if _BINARY.search(head[:40]) else repr(head[:40].decode("utf-8", "replace"))
     raise InputError(
-        f"the content is of no known kind (begins with {begins})",
+        f"unrecognised file (begins with {begins})",
         where=path,
         expected="a raw log, a photograph, a cloud, or a table of one of the known forms",
         cure="Check that the file is a raw log and not compressed; the README lists the kinds",

@@ -51,9 +51,6 @@ _POS_LINE = re.compile(
     rb"([ ,;\t]+[-\d.:]+){6,}"
 )
 
-SOURCES_OF_THEIR_OWN: Final = frozenset({"nmea", "gpx"})
-"""Kinds of finished positions that are a ``position_source`` themselves; the others are ``pos``."""
-
 MOST_STEP_S: Final = 2.0
 """Positions this far apart in time, or three usual steps, have soundings between them."""
 
@@ -209,8 +206,7 @@ def read_positions(
     """
     known = next((row for row in POSITIONS if row.kind == source and row.positions), None)
     if source == "pos" and logs:  # a receiver's own log or a bag may stand there too
-        others = [row for row in POSITIONS if "pos" in row.streams and row.kind not in SOURCES_OF_THEIR_OWN]
-        known = find_format(others, logs[0]) or known
+        known = find_format([row for row in POSITIONS if "pos" in row.streams], logs[0]) or known
     if known is not None and known.positions is not None:
         log = known.positions(logs, TrackOptions(date=date, topics=topics))
         assert log.positions is not None
@@ -350,9 +346,15 @@ def _describe(kind: str, files: list[Path], options: dict[str, Any]) -> Recordin
 
 
 def _streams_of_sounder(reader: PositionReader, path: Path) -> dict[str, Sequence[tuple[str, ...]]]:
-    """Its own places make a track where they have times."""
+    """Its own places make a track; without times it is of no use to a campaign."""
     log = reader([path], TrackOptions())
-    return dict.fromkeys(("depth", "pos") if log.report.synchronised else ("depth",), ())
+    return dict.fromkeys(("depth", "pos") if log.report.synchronised else (), ())
+
+
+def _streams_of_nmea(path: Path) -> dict[str, Sequence[tuple[str, ...]]]:
+    """With depths it is the log of an echo sounder, whose positions its own source takes from there."""
+    log = read_nmea([path])
+    return {"depth": ()} if log.report.counts.get("depths") else {"pos": ()}
 
 
 def _streams_of_ubx(path: Path) -> dict[str, Sequence[tuple[str, ...]]]:
@@ -404,6 +406,7 @@ POSITIONS: Final = (
             words=words,
             streams=("depth", "pos"),
             holds=partial(_streams_of_sounder, reader),
+            use="soundings with places and without times, for `thalweg bed`",
             matches=matches,
             positions=reader,
             describe=_describe,
@@ -444,6 +447,7 @@ POSITIONS: Final = (
         kind="nmea",
         words="NMEA 0183 log",
         streams=("depth", "pos"),
+        holds=_streams_of_nmea,
         matches=_is_nmea,
         positions=_nmea,
         describe=_describe,

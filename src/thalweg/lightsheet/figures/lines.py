@@ -110,7 +110,7 @@ def line_measurement(
     _detail(detail, green, tables, middle)
     detail.set(title="a: detail and measured points", xlabel=f"{column} / px", ylabel=f"{row} / px")
     _profiles(profiles, green, tables, middle, row)
-    profiles.set(xlabel=f"{column} / px", ylabel="grey value / 1")
+    profiles.set(xlabel=f"{column} / px", ylabel="grey value")
     _distribution(shares, {name: departures_px(table, last) for name, table in tables.items()})
     figure.legend(*detail.get_legend_handles_labels(), loc="outside lower left", ncols=3)
     return figure
@@ -261,9 +261,9 @@ def line_patch(
         ax.yaxis.set_major_locator(MaxNLocator(5, integer=True))
         ax.tick_params(labelleft=ax is axes[0])
     shades = ScalarMappable(bright, LIGHT_MAP.reversed())
-    figure.colorbar(shades, ax=axes[:2], label="grey value / 1", location="bottom", aspect=30, pad=0.02)
+    figure.colorbar(shades, ax=axes[:2], label="grey value", location="bottom", aspect=30, pad=0.02)
     shades = ScalarMappable(Normalize(-largest, largest), DISTANCE_MAP)
-    figure.colorbar(shades, ax=axes[2], label="difference / 1", location="bottom", aspect=15, pad=0.02)
+    figure.colorbar(shades, ax=axes[2], label="difference", location="bottom", aspect=15, pad=0.02)
     return figure
 
 

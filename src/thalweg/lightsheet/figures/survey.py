@@ -135,8 +135,7 @@ def _along_time(ax: Axes, points: pd.DataFrame, truth_lines: pd.DataFrame | None
     look = {"ls": "none", "marker": "o", "ms": 3, "color": VERMILION, "capsize": 2, "gid": "means"}
     ax.errorbar(table["t_s"], mean, yerr=std, label="mean and standard deviation of a line", **look)
     ax.set_xlabel("time since the first line / s")
-    ax.margins(y=0.25)
-    ax.legend(loc="upper right")
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.28))
     ax.grid()
 
 
