@@ -320,8 +320,7 @@ def test_difference_of_heights_is_drawn_with_its_sigma(look, tmp_path, tall):
     words = look.texts(figure)
     assert "epochs 1 to 2, n = 216 cells, from −29 to +250 cm" in words
     assert "standard deviation, median 4.0 cm" in words
-    assert "east of 377300 m / m" in words
-    assert "north of 5656600 m / m" in words
+    assert "ETRS89 / UTM zone 33N" in words
     drawn = look.artists(figure, "difference")[0]
     assert drawn.get_extent()[0] == pytest.approx(10.0)
     assert drawn.get_clim() == (-30.0, 30.0)  # 99 % of the differences
@@ -725,5 +724,5 @@ def test_pictures_and_page_of_files_speak_of_no_boat_river_or_bank(bank, look, t
     found["page"] = known["page"].read_text()
     spoken = {name: re.findall(r"\b(?:river|boat|bank)s?\b.{0,40}", words) for name, words in found.items()}
     assert not {name: words for name, words in spoken.items() if words}
-    assert len(found) == 13 + 11 + 1
+    assert len(found) == 12 + 10 + 1
     assert "Rates of contour and upper edge" in found["page"]

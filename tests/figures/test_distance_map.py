@@ -43,16 +43,9 @@ def test_every_cell_has_the_colour_of_its_median(made):
             )
 
 
-def test_front_is_positive_and_marked_by_plus(made):
-    """The words, the ends of the scale and the signs all say the same side."""
+def test_the_ends_of_the_scale_name_and_count_their_sides(made):
     made.table["distance_m"] = np.where(made.bank[:, 0] > 0, 0.3, -0.08)
     figure = distance_map(made.table, made.mesh, made.frame, limit_m=0.1)
-    plus = np.concatenate([line.get_xdata() for line in by_gid(figure, "sign+")])
-    minus = np.concatenate([line.get_xdata() for line in by_gid(figure, "sign_")])
-    assert plus.size > 20
-    assert minus.size > 20
-    assert plus.min() > -1.0  # of a block of some metres that begins left of 0 the median is one or the other
-    assert minus.max() < 1.0
     (left,), (right,) = by_gid(figure, "end-left"), by_gid(figure, "end-right")
     assert left.get_text().startswith("behind")
     assert left.get_text().endswith("n = 0")
@@ -127,8 +120,6 @@ def test_few_points_make_a_map(made, tmp_path):
 def test_nothing_compared_is_refused(made):
     with pytest.raises(CoverageError, match=r"none of 20000 points was compared.*accuracy\.area"):
         compared(made.table.assign(used=False))
-    with pytest.raises(InputError, match="outlier"):
-        compared(made.table.drop(columns="outlier"))
 
 
 def test_the_bank_frame_comes_from_the_facts(made):

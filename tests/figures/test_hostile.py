@@ -13,7 +13,7 @@ from pyproj import CRS
 
 from tests.figures.browser import Browser
 from thalweg.core import Frame
-from thalweg.figures import Finding, Page, costs_page, write_front_page
+from thalweg.figures import Finding, Page, write_front_page
 from thalweg.figures.catalogue import CATALOGUE, CONTROL, Entry, catalogue_page
 from thalweg.figures.images import orientation_page
 from thalweg.figures.viewer import View, write_viewer
@@ -57,13 +57,6 @@ def photographs(text: str, folder: Path) -> Page:
     return orientation_page(facts, images, control, {}, captions={}, title=text)
 
 
-def costs(text: str, folder: Path) -> Page:
-    """Names of rules and campaigns."""
-    names = ("jobs", "wall_s", "cpu_s", "longest_s", "memory_mb", "asked_mb", "input_mb", "output_mb")
-    rules = pd.DataFrame([{"rule": text[:9], "remark": text} | dict.fromkeys(names, 1.0)])
-    return costs_page(pd.DataFrame({"campaign": [text], "cpu_s": [1.0]}), rules)
-
-
 def catalogue(text: str, folder: Path) -> Page:
     """Titles and remarks of campaigns, and what they calibrated."""
     of = {"double": 1.0, "bool": True, "int64": 1}
@@ -75,7 +68,7 @@ def catalogue(text: str, folder: Path) -> Page:
 
 
 PAGES: dict[str, Callable[[str, Path], Page]] = {
-    each.__name__: each for each in (every_method, photographs, costs, catalogue)
+    each.__name__: each for each in (every_method, photographs, catalogue)
 }
 
 
@@ -176,7 +169,7 @@ def test_no_script_of_a_hostile_text_runs(browser: Browser, hostile: dict[str, P
             if name in ("viewer", "walk"):
                 page.wait("typeof settled !== 'undefined'")
             assert page.run("document.querySelector('h1').textContent").startswith(
-                HOSTILE[:20] if name not in ("recordings", "costs", "catalogue") else ""
+                HOSTILE[:20] if name not in ("recordings", "catalogue") else ""
             )
             assert page.run("typeof window.ran") == "undefined", name
             assert page.run("document.querySelectorAll('svg, [onload], [onerror]').length") == 0, name

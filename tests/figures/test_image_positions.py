@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core import GeometryError, InputError, LocalFrame
-from thalweg.figures.images.photographs import COLUMNS, image_positions
+from thalweg.core import GeometryError, LocalFrame
+from thalweg.figures.images.photographs import image_positions
 from thalweg.images.model import ControlPoints, ImagePoses
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
@@ -118,10 +118,6 @@ def test_many_points_are_drawn_without_names(look):
     look.drawn(figure)
 
 
-def test_what_does_not_belong_together_is_refused():
+def test_no_pose_is_refused():
     with pytest.raises(GeometryError, match="none of 20 images has a pose"):
         image_positions(replace(poses(), oriented=np.zeros(20, bool)), surveyed(), report())
-    with pytest.raises(InputError, match="columns missing"):
-        image_positions(poses(), surveyed(), report().drop(columns=COLUMNS[-1]))
-    with pytest.raises(InputError, match=r"names points \['E'\]|names points \['D'\]"):
-        image_positions(poses(), surveyed("ABC"), report())

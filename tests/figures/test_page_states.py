@@ -87,13 +87,6 @@ def _cloud(_: Path) -> dict[str, Any]:
     return {"facts": facts | {"notes": ["told"]}, "pictures": {}, "captions": {}, "title": "a cloud"}
 
 
-def _costs(_: Path) -> dict[str, Any]:
-    names = ("wall_s", "cpu_s", "longest_s", "memory_mb", "asked_mb", "input_mb", "output_mb")
-    rules = {"rule": ["a", "b"], "remark": ["", "too much"], "jobs": [1, 2]}
-    jobs = pd.DataFrame({"campaign": ["a", "a"], "cpu_s": [1.0, 2.0]})
-    return {"jobs": jobs, "rules": pd.DataFrame(rules | {name: [3.0, 5.0] for name in names})}
-
-
 def _surveyed() -> pd.DataFrame:
     numbers = [f"{s}without_{a}_mm" for s in ("", "sigma_") for a in ENU]
     rows = {name: [1.0, 2.0] for name in (*numbers, "rms_px", "normalised")}
@@ -171,7 +164,6 @@ OWN: Final[Mapping[str, Callable[[Path], dict[str, Any]]]] = {
     "figures.accuracy.cloud:cloud_page": _cloud,
     "figures.bathymetry.page:bed_page": _bed,
     "figures.catalogue:catalogue_page": _catalogue,
-    "figures.catalogue:costs_page": _costs,
     "figures.front:write_front_page": _front,
     "figures.images.fixed_camera:fixed_camera_page": _fixed,
     "figures.images.photographs:finished_page": _finished,

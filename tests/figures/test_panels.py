@@ -113,7 +113,6 @@ EXAMPLES: Final = {
     "figures/test_maps_and_clouds.py": {
         "figures.cloud.overview:cloud_detail": "test_detail_axes_limits_and_colours",
         "figures.cloud.overview:cloud_overview": "test_overview_of_an_array_and_of_chunks_is_the_same",
-        "figures.cloud.overview:coloured_reach": "test_reach_in_colour_above_and_by_intensity_below",
         "figures.survey.maps:survey_map": "test_track_has_one_segment_a_pair_of_valid_nodes",
     },
     "figures/test_mask_view.py": {
@@ -181,11 +180,6 @@ NO_EXAMPLE: Final = {
 
 def _comparison(_: Path) -> dict[str, Any]:
     return {"table": make_comparison(np.random.default_rng(1), n=400).table}
-
-
-def _costs(_: Path) -> dict[str, Any]:
-    numbers = {name: [3.0, 5.0] for name in ("cpu_s", "memory_mb", "asked_mb")}
-    return {"rules": pd.DataFrame({"rule": ["a", "b"], "jobs": [1, 2], **numbers})}
 
 
 def _poses(_: Path) -> dict[str, Any]:
@@ -262,7 +256,6 @@ OWN: Final[Mapping[str, Callable[[Path], dict[str, Any]]]] = {
     "figures.accuracy.cloud:distances_in_plan": _comparison,
     "figures.bathymetry.pictures:draw_left_out": _left_out,
     "figures.bathymetry.terrain:draw_long_profile": _profile,
-    "figures.catalogue:costs_figure": _costs,
     "figures.images.fixed_camera:pose_history": _poses,
     "figures.images.photographs:mask_sheet": _masks,
     "lightsheet.figures.scan_distances:scan_distances": _scan,

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core import GeometryError, InputError
+from thalweg.core import GeometryError
 from thalweg.figures import save
 from thalweg.figures.cloud.removed import Across, along_reach, removed_points
 from thalweg.lidar import REMOVED, REMOVED_POINTS, WORDS, Reason
@@ -179,14 +179,8 @@ def test_far_strays_do_not_shrink_the_picture(rng, trajectory, bank):
     assert "beyond the axes" in note.get_text()
 
 
-def test_wrong_tables_are_refused(rng, trajectory, bank):
+def test_a_trajectory_without_a_valid_node_is_refused(rng, trajectory, bank):
     removed, counts = sample(rng, trajectory)
-    with pytest.raises(InputError, match=r"columns missing: \['n'\]"):
-        removed_points(removed, counts.drop(columns="n"), bank.points, trajectory)
-    with pytest.raises(InputError, match="unknown reasons: bored"):
-        removed_points(removed, counts.replace("isolated", "bored"), bank.points, trajectory)
-    with pytest.raises(InputError, match="no sample of the reasons isolated"):
-        removed_points(removed[removed["reason"] != "isolated"], counts, bank.points, trajectory)
     trajectory.valid[:] = False
     with pytest.raises(GeometryError, match="without a valid node"):
         removed_points(removed, counts, bank.points, trajectory)

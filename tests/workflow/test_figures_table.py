@@ -281,7 +281,7 @@ def test_what_the_shipped_campaigns_show(repository: Path) -> None:
     bed += ["bed_left_out", "terrain_model", "long_profile"]
     assert names("tiny", "bathymetry") == bed
     assert names("tiny")[0] == "from_above"  # it leads the front page
-    assert len(names("tiny")) == 31
+    assert len(names("tiny")) == 30
     # the rig of the demo was calibrated with its boat
     own = ["rig_residuals", "rig_field"]
     assert set(names("tiny")) - set(names("demo")) == set(own) < set(of_rig)

@@ -66,7 +66,6 @@ OF_IMAGES = {
     "plot_image_positions",
     "plot_frames_by_image",
     "plot_coloured_detail",
-    "plot_coloured_reach",
     "plot_colour_check",
 }
 """Pictures of the images and of what they give."""

@@ -163,7 +163,6 @@ def _catalogue(options: argparse.Namespace) -> int:
 def _costs(options: argparse.Namespace) -> int:
     import yaml
 
-    from thalweg.figures import costs_page
     from thalweg.workflow import fitted, per_rule, predicted, read_costs
 
     _refuse_no_folder(options.results)
@@ -173,12 +172,11 @@ def _costs(options: argparse.Namespace) -> int:
     out.mkdir(exist_ok=True)
     rules.to_csv(out / "costs.csv", index=False, float_format="%.6g")
     jobs.to_csv(out / "jobs.csv", index=False, float_format="%.6g")
-    costs_page(jobs, rules).write(out / "index.html")
     for row in rules[rules["remark"] != ""].to_dict("records"):
         print(f"{row['rule']}: {row['memory_mb']:.0f} of {row['asked_mb']:.0f} MB: {row['remark']}")
     print(
         f"{len(jobs)} jobs of {len(rules)} rules, {jobs['cpu_s'].sum() / 60:.1f} min of the processor,"
-        f" largest {jobs['memory_mb'].max():.0f} MB: {out / 'index.html'}"
+        f" largest {jobs['memory_mb'].max():.0f} MB: {out / 'costs.csv'}"
     )
     if options.write:
         lines = ["# Written by `thalweg costs --write`: what jobs took, with head room, over MB of inputs.\n"]

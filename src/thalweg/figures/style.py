@@ -4,7 +4,7 @@ import dataclasses
 import re
 import textwrap
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache, wraps
 from inspect import signature
 from io import BytesIO
@@ -17,7 +17,7 @@ import pandas as pd
 from cmcrameri import cm
 from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
-from matplotlib.colors import Colormap, ListedColormap
+from matplotlib.colors import Colormap, ListedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import StepPatch
 from matplotlib.patheffects import withStroke
@@ -521,9 +521,10 @@ def plural(n: int, thing: str) -> str:
     return f"{count(n) if n else 'no'} {thing}{'s' if n > 1 else ''}"
 
 
-def legend_below(figure: Figure, ax: Axes, *, title: str | None = None) -> None:
-    """Put the legend of an axes below the figure, in as many columns as the width holds."""
-    handles, labels = ax.get_legend_handles_labels()
+def legend_below(figure: Figure, *axes: Axes, title: str | None = None) -> None:
+    """Put one legend of some axes below the figure, in as many columns as the width holds."""
+    found = {k: h for ax in axes for h, k in zip(*ax.get_legend_handles_labels(), strict=True)}
+    handles, labels = list(found.values()), list(found)
     if not handles:
         return
     widths = [_MM_PER_HANDLE + _MM_PER_LETTER * len(label) for label in labels]
@@ -616,35 +617,56 @@ def north_arrow(ax: Axes, *, xy: tuple[float, float] = (0.965, 0.95)) -> None:
     )
 
 
-def marks_in_free_corners(ax: Axes, points_en_m: ArrayF) -> None:
-    """Scale bar and north arrow of a plan in the two corners where they hide fewest points.
+def plan_marks(ax: Axes) -> None:
+    """Scale bar and north arrow of a plan whose limits are set."""
+    scale_bar(ax, span_m=float(np.ptp(ax.get_xlim())))
+    north_arrow(ax)
+
+
+def raster_maps(
+    title: str,
+    extent_m: tuple[float, float, float, float],
+    panels: Sequence[tuple[ArrayF, str, Mapping[str, Any]]],
+    *,
+    crs: str,
+    twin: bool,
+    margin_m: float = 0.0,
+) -> tuple[Figure, list[Axes]]:
+    """Maps of rasters of one extent, below each other, or side by side where they are tall.
 
     Parameters
     ----------
-    ax : axes with equal scales whose limits are set.
-    points_en_m : (n, 2) what is drawn.
+    title : of the figure.
+    extent_m : west, east, south, north.
+    panels : values (rows, columns), words of the colour bar, and keywords of ``imshow``.
+    crs : name of the map.
+    twin : true if the digital twin made the data.
+    margin_m : free border about the rasters.
     """
-    low, high = np.transpose([ax.get_xlim(), ax.get_ylim()])
-    share = (np.asarray(points_en_m) - low) / (high - low)
-    span_m = float(high[0] - low[0])
-    bar_share = round_length(0.22 * span_m) / span_m
-
-    def hidden(box: tuple[float, float, float, float]) -> int:
-        """Points within left, bottom, width, height."""
-        start, size = np.array(box[:2]), np.array(box[2:])
-        return int(np.sum(np.all((share >= start) & (share <= start + size), axis=1)))
-
-    # The usual corners come first: they win where all are free.
-    bars = {
-        (x, y): hidden((x - 0.02, y - 0.045, bar_share + 0.05, 0.17))
-        for y in (0.045, 0.87)
-        for x in (0.02, 0.97 - bar_share)
-    }
-    bar = min(bars, key=lambda xy: bars[xy])
-    arrows = {(x, y): hidden((x - 0.05, y - 0.25, 0.1, 0.3)) for y in (0.95, 0.25) for x in (0.955, 0.045)}
-    same = {xy for xy in arrows if (xy[0] > 0.5, xy[1] > 0.5) == (bar[0] > 0.5, bar[1] > 0.5)}
-    scale_bar(ax, span_m=span_m, xy=bar)
-    north_arrow(ax, xy=min((xy for xy in arrows if xy not in same), key=lambda xy: arrows[xy]))
+    west, east, south, north = np.asarray(extent_m) + margin_m * np.array([-1.0, 1.0, -1.0, 1.0])
+    ratio, n = float((north - south) / (east - west)), len(panels)
+    columns = 1 if ratio < 1 / 1.3 else 3 if n == 3 else 2
+    rows = -(-n // columns)
+    height_mm = rows * (145.0 * ratio / columns + 21.0) + 10.0
+    figure = new_figure(float(np.clip(height_mm, 80.0, 115.0 * rows)), title, twin=twin)
+    axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for ax, (values, words, look) in zip(axes.ravel(), panels, strict=False):
+        drawn = ax.imshow(values, extent=extent_m, interpolation="nearest", zorder=1, **look)
+        bar = figure.colorbar(drawn, ax=ax, shrink=0.85, pad=0.01, label=words)
+        if isinstance(drawn.norm, LogNorm):
+            bar.ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+            bar.ax.yaxis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "25" else "")
+        ax.set(aspect="equal", xlim=(west, east), ylim=(south, north))
+        ax.ticklabel_format(useOffset=False, style="plain")
+        ax.locator_params(nbins=5 if columns == 1 else 3)
+        scale_bar(ax, span_m=float(east - west))
+    for ax in axes.ravel()[n:]:
+        ax.remove()
+    for ax in axes[-1]:
+        ax.set_xlabel(f"east / m{', ' if columns == 1 else chr(10)}{crs}")
+    for ax in axes[:, 0]:
+        ax.set_ylabel("north / m")
+    return figure, list(axes.ravel()[:n])
 
 
 def plan_height_mm(span_x_m: float, span_y_m: float) -> float:

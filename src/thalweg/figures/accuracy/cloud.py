@@ -7,12 +7,11 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from thalweg.core import ArrayF, read_parquet
+from thalweg.core import read_parquet
 from thalweg.figures import Finding, Page, count, new_figure, styled
 from thalweg.figures.accuracy.distance_map import DISTANCE_MAP
 from thalweg.figures.accuracy.distances import (
@@ -65,8 +64,11 @@ def distances_in_plan(
     figure = new_figure(upper + lower + 30.0, head, twin=twin)
     above, side = np.ravel(figure.subplots(2, 1, height_ratios=[upper, lower]))
     norm = Normalize(-100 * limit, 100 * limit)
-    _cells(above, xyz[:, 0], xyz[:, 1], 100 * d, norm)
-    _cells(side, plan @ along, xyz[:, 2], 100 * d, norm)
+    look: dict[str, Any] = {"C": 100 * d, "reduce_C_function": np.median, "cmap": DISTANCE_MAP, "norm": norm}
+    look["gridsize"] = int(np.clip(np.sqrt(len(d)) / 1.5, _FEWEST, _CELLS))
+    for ax, x, y in ((above, *xyz[:, :2].T), (side, plan @ along, xyz[:, 2])):
+        ax.hexbin(x, y, **look, lw=0.1, rasterized=True)
+        ax.ticklabel_format(style="plain", useOffset=False)
     above.set(xlabel="east, x / m", ylabel="north, y / m")
     above.set_aspect("equal" if 0.1 < span[1] / span[0] < 10 else "auto")
     above.set_title("a: from above")
@@ -81,19 +83,6 @@ def distances_in_plan(
         label="median distance / cm",
     )
     return figure
-
-
-def _cells(ax: Axes, x: ArrayF, y: ArrayF, value: ArrayF, norm: Normalize) -> None:
-    n = int(np.clip(np.sqrt(len(x)) / 1.5, _FEWEST, _CELLS))
-    edges = [np.linspace(v.min(), max(v.max(), v.min() + 1e-3), n + 1) for v in (x, y)]
-    column, row = (
-        np.clip(np.searchsorted(e, v, side="right") - 1, 0, n - 1) for e, v in zip(edges, (x, y), strict=True)
-    )
-    medians = pd.Series(value).groupby(row * n + column).median()
-    picture = np.full(n * n, np.nan)
-    picture[medians.index.to_numpy()] = medians.to_numpy()
-    ax.pcolormesh(*edges, picture.reshape(n, n), cmap=DISTANCE_MAP, norm=norm, rasterized=True)
-    ax.ticklabel_format(style="plain", useOffset=False)
 
 
 def draw_distances_in_plan(*, distances: Path, title: str, twin: bool) -> Figure:

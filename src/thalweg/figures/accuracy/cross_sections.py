@@ -259,14 +259,7 @@ def _draw_row(
         if water_m is not None:
             ax.axhline(water_m, color=BLUE, lw=0.8, ls=(0, (6, 2)), zorder=1, gid="water")
         ax.scatter(
-            reference[:, 0],
-            reference[:, 1],
-            s=0.5 * size,
-            color="0.55",
-            lw=0,
-            zorder=2,
-            rasterized=True,
-            gid="reference-points",
+            reference[:, 0], reference[:, 1], s=0.5 * size, color="0.55", lw=0, zorder=2, rasterized=True
         )
         # A fixed shuffle: no place of the boat lies on top of the others.
         order = np.argsort((np.arange(len(points)) * 2_654_435_761) % 2**32)

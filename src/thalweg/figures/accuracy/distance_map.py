@@ -21,7 +21,7 @@ from matplotlib.ticker import MaxNLocator
 from thalweg.accuracy import CLOUD_TO_MESH
 from thalweg.core import ArrayF, ArrayI, read_table
 from thalweg.core.geometry import RayCaster, TriangleMesh, read_mesh
-from thalweg.figures import HALO, WIDTH_MM, count, new_figure, round_length, scale_bar, styled
+from thalweg.figures import WIDTH_MM, count, new_figure, round_length, scale_bar, styled
 from thalweg.figures.accuracy.distances import bank_frame_of, compared, round_limit_m, statistics_text
 from thalweg.surface import BankFrame
 
@@ -46,15 +46,6 @@ POINTS_IN_CELL: Final = 3.0
 
 STRAYS: Final = 0.01
 """Share of the points of a strip that may lie above its upper edge, and below its lower one."""
-
-BLOCK_MM: Final = 4.5
-"""Size on paper of the blocks that get a sign: colours alone cannot be told apart in grey print."""
-
-POINTS_IN_BLOCK: Final = 20
-"""Blocks with fewer points get no sign."""
-
-SIGN_FROM: Final = 0.2
-"""A block whose median is above this share of the scale's end gets a sign."""
 
 LEFT_OUT: Final = (0.25, 0.25, 0.25)
 """Colour of cells whose points were all left out."""
@@ -155,7 +146,6 @@ def distance_map(
         aside_m=place_aside,
         limit_m=limit_m or round_limit_m(distance_m),
         cell_m=_cell_m(place, m_per_mm),
-        block_m=BLOCK_MM * m_per_mm,
     )
     heights = [piece.size_m[1] / m_per_mm for piece in pieces]
     head = f"{title}, n = {count(len(used))} points, {statistics_text(distance_m)}"
@@ -165,13 +155,12 @@ def distance_map(
     for ax, piece in zip(panels, pieces, strict=True):
         _draw_reference(ax, caster, piece)
         _draw_cells(ax, piece, points)
-        _draw_signs(ax, piece, points)
         ax.set_aspect("equal")
         ax.set_xlim(*piece.along_m)
         ax.set_ylim(*piece.up_slope_m)
         ax.set_ylabel("up slope / m")
         ax.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
-    panels[0].set_title(_subtitle(used, len(aside), bank, points.limit_m, _share_beyond(pieces, place)))
+    panels[0].set_title(_subtitle(used, len(aside), bank, _share_beyond(pieces, place)))
     panels[-1].set_xlabel("along the bank, to the right as seen from the river / m")
     scale_bar(panels[-1], span_m=pieces[-1].size_m[0], xy=(0.02, 0.08))
     _colour_bar(figure, panels, points, distance_m)
@@ -188,7 +177,6 @@ class _Points:
     aside_m: ArrayF
     limit_m: float
     cell_m: float
-    block_m: float
 
 
 def _on_bank(table: pd.DataFrame, bank: BankFrame) -> ArrayF:
@@ -209,17 +197,13 @@ def view_text(bank: BankFrame) -> str:
     return f"looking toward {azimuth:.0f}°"
 
 
-def _subtitle(used: pd.DataFrame, n_border: int, bank: BankFrame, limit: float, share_beyond: float) -> str:
+def _subtitle(used: pd.DataFrame, n_border: int, bank: BankFrame, share_beyond: float) -> str:
     kept = used.loc[~used["outlier"].to_numpy(bool), "distance_m"].to_numpy(np.float64)
     first = f"without {count(len(used) - len(kept))} outliers: {statistics_text(kept)}" if kept.size else ""
     beyond = f"beyond the map: {100 * share_beyond:.2g} % of n" if share_beyond else ""
-    second = (
-        f"seen from the river, {view_text(bank)}; + and \N{MINUS SIGN}: blocks whose median is beyond "
-        f"±{100 * SIGN_FROM * limit:g} cm"
-    )
-    third = "light grey: reference without points"
-    third += f"; dark grey: left out at its border, n = {count(n_border)}" if n_border else ""
-    return "\n".join(["; ".join(filter(None, [first, beyond])), second, third])
+    second = f"seen from the river, {view_text(bank)}; light grey: reference without points"
+    second += f"; dark grey: left out at its border, n = {count(n_border)}" if n_border else ""
+    return "\n".join(["; ".join(filter(None, [first, beyond])), second])
 
 
 def _share_beyond(pieces: list[Strip], place: ArrayF) -> float:
@@ -296,28 +280,6 @@ def _draw_cells(ax: Axes, piece: Strip, points: _Points) -> None:
         zorder=2,
         gid="distances",
     )
-
-
-def _draw_signs(ax: Axes, piece: Strip, points: _Points) -> None:
-    """Plus and minus on blocks that lie clearly in front of the reference or behind it."""
-    index, shape, _ = _cells(piece, points.place_m, points.block_m)
-    medians, n = _medians(index, points.distance_m, shape[0] * shape[1])
-    # At the middle of the block's points, which at an edge is not that of the block.
-    x, y = (_medians(index, points.place_m[:, k], medians.size)[0] for k in (0, 1))
-    for sign, marker in ((1.0, "+"), (-1.0, "_")):
-        shown = (n >= POINTS_IN_BLOCK) & (sign * np.nan_to_num(medians) > SIGN_FROM * points.limit_m)
-        ax.plot(
-            x[shown],
-            y[shown],
-            ls="none",
-            marker=marker,
-            ms=3.4,
-            mew=0.7,
-            color="black",
-            zorder=3,
-            gid=f"sign{marker}",
-            path_effects=HALO,
-        )
 
 
 def _colour_bar(figure: Figure, panels: list[Axes], points: _Points, distance_m: ArrayF) -> None:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 from scipy.stats import norm
 
-from thalweg.accuracy import ALL, AS_MEASURED, BY_RANGE_COLUMNS, CLOUD_TO_MESH, WITHOUT_OUTLIERS
+from thalweg.accuracy import ALL, AS_MEASURED, CLOUD_TO_MESH, WITHOUT_OUTLIERS
 from thalweg.core import ArrayB, ArrayF, CoverageError, InputError, read_table, robust_sigma, root_mean_square
 from thalweg.figures import BLUE, GREY, RED, VERMILION, count, legend_below, new_figure, styled
 from thalweg.surface import BankFrame
@@ -28,7 +28,6 @@ SIGMAS: Final = 3.9
 """End of the quantile plot: 1 of 20,000 values of a normal distribution lies beyond."""
 
 
-CLASS_COLUMNS: Final = BY_RANGE_COLUMNS[1:-1]
 MOST_RATIO: Final = 4.0
 """Ratios are drawn up to this and down to its inverse."""
 
@@ -61,12 +60,8 @@ def compared(table: pd.DataFrame) -> pd.DataFrame:
 
     Raises
     ------
-    InputError : a column is missing.
     CoverageError : no row counts.
     """
-    missing = [name for name in COLUMNS if name not in table.columns]
-    if missing:
-        raise InputError(f"columns missing: {missing}", expected="a table of kind 'cloud_to_mesh'")
     used = table[table["used"].to_numpy(bool)]
     if used.empty:
         raise CoverageError(
@@ -215,7 +210,7 @@ def _quantiles(ax: Axes, d: ArrayF, limit: float) -> None:
     ax.axhline(0.0, color="black", lw=0.7, zorder=1)
     ax.plot(z, 100 * (float(np.mean(d)) + np.std(d) * z), color=VERMILION, lw=1.5, label="normal fit")
     ax.plot(z, 100 * (median + nmad * z), color=BLUE, lw=1.5, ls="--", label="robust fit")
-    ax.plot(z, 100 * found, color="black", ls="none", marker=".", ms=2.5, label="distances", gid="quantiles")
+    ax.plot(z, 100 * found, ".", color="black", ms=2.5, label="distances", gid="quantiles")
     ax.set_ylim(-100 * limit, 100 * limit)
     ax.set_xlim(-SIGMAS - 0.1, SIGMAS + 0.1)
     within = 100.0 * float(np.mean(np.abs(d - median) <= 1.959964 * nmad)) if nmad > 0 else 100.0
@@ -252,14 +247,13 @@ def draw_observed(
     also : values that have to be on the axis too.
     """
     ax.plot(range_m, observed, color=BLUE, lw=0.8, zorder=3)
-    ax.plot(range_m[many], observed[many], color=BLUE, ls="none", marker="o", label="observed", zorder=4)
+    ax.plot(range_m[many], observed[many], "o", color=BLUE, label="observed", zorder=4)
     if not many.all():
         ax.plot(
             range_m[~many],
             observed[~many],
+            "o",
             color=BLUE,
-            ls="none",
-            marker="o",
             mfc="white",
             zorder=4,
             label=f"observed, fewer than {n_least} points",
@@ -271,9 +265,8 @@ def draw_observed(
         ax.plot(
             range_m[above],
             np.full(int(above.sum()), 0.97 * ax.get_ylim()[1]),
+            "^",
             color=BLUE,
-            ls="none",
-            marker="^",
             mfc="white",
             label=f"beyond the axis, n = {int(above.sum())}",
         )
@@ -333,17 +326,9 @@ def distance_by_range(
 
 def _rows(table: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Rows without outliers, and those of all points; the latter stand for both where there is no rule."""
-    missing = [name for name in CLASS_COLUMNS if name not in table.columns]
-    if missing:
-        raise InputError(f"columns missing: {missing}", expected=f"columns {', '.join(CLASS_COLUMNS)}")
-    if "registration" in table.columns:
-        table = table[table["registration"] == AS_MEASURED]
+    table = table[table["registration"] == AS_MEASURED]
     everything, kept = (table[table["points"] == which] for which in (ALL, WITHOUT_OUTLIERS))
     kept = kept if len(kept) else everything
-    if kept.empty:
-        raise InputError(
-            f"no row of points '{ALL}' or '{WITHOUT_OUTLIERS}'", expected="at least one range class"
-        )
     return kept.sort_values("range_m"), everything.sort_values("range_m")
 
 
@@ -398,18 +383,8 @@ def _draw_ratio(ax: Axes, kept: pd.DataFrame, many: ArrayB) -> None:
     ax.fill_between(r, low, high, step="mid", color=VERMILION, alpha=0.15, lw=0, gid="band")
     ax.axhline(1.0, color=VERMILION, lw=1.0, ls="--")
     ax.plot(r[shown], ratio[shown], color=BLUE, lw=0.8, marker="o", gid="ratio")
-    ax.plot(r[shown & ~many], ratio[shown & ~many], color=BLUE, ls="none", marker="o", mfc="white")
-    ax.plot(
-        r[outside],
-        ratio[outside],
-        ls="none",
-        marker="o",
-        ms=6.5,
-        mfc="none",
-        mec="black",
-        mew=0.9,
-        gid="outside",
-    )
+    ax.plot(r[shown & ~many], ratio[shown & ~many], "o", color=BLUE, mfc="white")
+    ax.plot(r[outside], ratio[outside], "o", ms=6.5, mfc="none", mec="black", mew=0.9, gid="outside")
     values = np.concatenate([ratio[shown], low[many], high[many], [0.5, 2.0]])
     values = np.clip(values[np.isfinite(values) & (values > 0)], 1.0 / MOST_RATIO, MOST_RATIO)
     ax.set_yscale("log", base=2)

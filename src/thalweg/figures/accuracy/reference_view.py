@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Wedge
 from matplotlib.ticker import FuncFormatter
 
-from thalweg.core import AnyArray, ArrayF, GeometryError, InputError, Trajectory, iter_laz
+from thalweg.core import AnyArray, ArrayF, GeometryError, Trajectory, iter_laz
 from thalweg.figures import (
     BLUE,
     GREEN,
@@ -28,8 +28,8 @@ from thalweg.figures import (
     WIDTH_MM,
     count,
     legend_below,
-    marks_in_free_corners,
     new_figure,
+    plan_marks,
     robust_limits,
     styled,
 )
@@ -249,14 +249,8 @@ def reference_view(
 
     Raises
     ------
-    InputError : sample and sources differ in length, or the sample is empty.
     GeometryError : no point in the panorama.
     """
-    if len(sample_wcs_m) != len(source) or not len(source):
-        raise InputError(
-            f"{len(sample_wcs_m)} points with {len(source)} source numbers",
-            expected="as many as points, and at least one",
-        )
     if not splat.n_drawn:
         raise GeometryError(
             f"none of {splat.n_added} points lies in the panorama", expected="a view that meets the scan"
@@ -321,34 +315,14 @@ def _draw_plan(
     # A fixed shuffle: no scan lies on top of the others.
     order = np.argsort((np.arange(len(points)) * 2_654_435_761) % 2**32)
     colours = {k: STATION_COLOURS[i % len(STATION_COLOURS)] for i, k in enumerate(labels)}
-    ax.scatter(
-        points[order, 0],
-        points[order, 1],
-        c=[colours[int(k)] for k in which[order]],
-        s=0.5,
-        lw=0,
-        alpha=0.6,
-        rasterized=True,
-        gid="scans",
-    )
+    look = {"c": [colours[int(k)] for k in which[order]], "s": 0.5, "lw": 0, "alpha": 0.6}
+    ax.scatter(*points[order].T, **look, rasterized=True, gid="scans")
     for k, label in labels.items():
-        ax.plot([], [], ls="none", marker="s", color=colours[k], label=label)
+        ax.plot([], [], "s", color=colours[k], label=label)
     if trajectory is not None:
         ax.plot(*track.T, color="black", lw=0.9, label="track of the boat", gid="track", path_effects=HALO)
     label = "viewpoint of the upper picture" + (", on the track" if trajectory is not None else "")
-    ax.plot(
-        eye[0],
-        eye[1],
-        ls="none",
-        marker="^",
-        ms=7,
-        mfc=RED,
-        mec="white",
-        mew=0.8,
-        zorder=6,
-        label=label,
-        gid="viewpoint",
-    )
+    ax.plot(eye[0], eye[1], "^", ms=7, mfc=RED, mec="white", mew=0.8, zorder=6, label=label, gid="viewpoint")
     left, right, _, _ = view.extent_deg
     # Wedges turn anticlockwise from east, azimuths clockwise from north.
     sector = Wedge((float(eye[0]), float(eye[1])), 1.3 * view.distance_m, 90.0 - right, 90.0 - left)
@@ -359,7 +333,7 @@ def _draw_plan(
     ax.set_ylim(low[1], high[1])
     ax.set_xlabel("east / m")
     ax.set_ylabel("north / m")
-    marks_in_free_corners(ax, np.concatenate([points, track[np.isfinite(track[:, 0])], eye[None, :2]]))
+    plan_marks(ax)
 
 
 def draw_reference_view(

@@ -31,8 +31,8 @@ from thalweg.figures import (
     count,
     legend_below,
     new_figure,
+    raster_maps,
     robust_limits,
-    scale_bar,
     styled,
 )
 from thalweg.fusion import SOURCE_WORDS, Source, joined_parts
@@ -83,9 +83,7 @@ def draw_sounding_lines(*, soundings: Path, title: str, twin: bool) -> Figure:
             at = (of["reason"] == reason).to_numpy()
             if at.any():
                 size, label = (2.5, "used") if marker == "." else (4.5, reason)
-                ax.plot(
-                    way[at], of["range_m"][at], ls="none", marker=marker, ms=size, color=colour, label=label
-                )
+                ax.plot(way[at], of["range_m"][at], marker, ms=size, color=colour, label=label)
         ax.invert_yaxis()
         first, last = (utc_text_from_gps(t, 0)[11:19] for t in of["t_gps_s"].iloc[[0, -1]])
         ax.set_title(f"line {k}: {first} to {last} UTC", fontsize="small", loc="left")
@@ -93,7 +91,7 @@ def draw_sounding_lines(*, soundings: Path, title: str, twin: bool) -> Figure:
         ax.set_axis_off()
     figure.supxlabel("along the track / m", fontsize="medium")
     figure.supylabel("range below the transducer / m", fontsize="medium")
-    _one_legend(figure, axes)
+    legend_below(figure, *axes.ravel())
     return figure
 
 
@@ -163,15 +161,15 @@ def draw_bed_map(
             xyz = clouds[source].xyz_m
             some = frame.to_map(xyz[:: max(1, len(xyz) // _POINTS)], onto)
             words = SOURCE_WORDS[source]
-            axes[0].plot(*some[:, :2].T, ls="none", marker=".", ms=1.0, color=colour, zorder=0.5, label=words)
+            axes[0].plot(*some[:, :2].T, ".", ms=1.0, color=colour, zorder=0.5, label=words)
     for ax in axes:
-        ax.plot(*track.T, ls="none", marker=".", ms=1.2, color="black", label="soundings")
+        ax.plot(*track.T, ".", ms=1.2, color="black", label="soundings")
         for side, of in shores.groupby("side"):
             places = frame.to_map(of[["east_m", "north_m", "up_m"]].to_numpy(), onto)[:, :2]
             seen = of["seen"].to_numpy()
             colour = VERMILION if side == "left" else BLUE
             ax.plot(*places.T, color=colour, lw=1.2, label=f"{side} bank")
-            ax.plot(*places[~seen].T, ls="none", marker="o", mfc="white", ms=3, color=colour)
+            ax.plot(*places[~seen].T, "o", mfc="white", ms=3, color=colour)
     legend_below(figure, axes[0])
     return figure
 
@@ -217,7 +215,7 @@ def bed_picture(
         for source, marker, size, colour, name in looks[line is None :]:
             of = observations.loc[observations["source"] == source, ["east_m", "north_m"]].to_numpy()
             if len(of):
-                ax.plot(*of.T, ls="none", marker=marker, ms=size, color=colour, label=name)
+                ax.plot(*of.T, marker, ms=size, color=colour, label=name)
     legend_below(figure, axes[0])
     return figure
 
@@ -225,47 +223,12 @@ def bed_picture(
 def _value_and_sigma(
     grid: Grid, value: ArrayF, look: dict[str, Any], label: str, sigma: ArrayF, title: str, *, twin: bool
 ) -> tuple[Figure, list[Axes]]:
-    """Two maps of a raster, one above the other or side by side: a value, and sigma in centimetres."""
-    extent = (
-        grid.west_m,
-        grid.west_m + grid.columns * grid.cell_m,
-        grid.north_m - grid.rows * grid.cell_m,
-        grid.north_m,
-    )
-    box = np.array([[extent[0], extent[2]], [extent[1], extent[3]]])
-    box += np.array([[-_MARGIN_M], [_MARGIN_M]])
-    wide = (box[1, 0] - box[0, 0]) > 1.3 * (box[1, 1] - box[0, 1])
-    ratio = float((box[1, 1] - box[0, 1]) / (box[1, 0] - box[0, 0]))
-    height_mm = 2 * 145.0 * ratio + 42.0 if wide else 55.0 * ratio + 42.0
-    figure = new_figure(float(np.clip(height_mm, 80.0, 225.0)), title, twin=twin)
-    axes = figure.subplots(2, 1, sharex=True) if wide else figure.subplots(1, 2, sharey=True)
+    """Two maps of a raster: a value, and sigma in centimetres."""
+    east_m, south_m = grid.west_m + grid.columns * grid.cell_m, grid.north_m - grid.rows * grid.cell_m
     of_sigma = {"cmap": SIGMA_MAP, "norm": LogNorm(*robust_limits(100 * sigma, 0.5, 99.5))}
-    for ax, values, how, words in zip(
-        axes, (value, 100 * sigma), (look, of_sigma), (label, "sigma / cm"), strict=True
-    ):
-        drawn = ax.imshow(values, extent=extent, interpolation="nearest", zorder=1, **how)
-        bar = figure.colorbar(drawn, ax=ax, shrink=0.85, pad=0.01)
-        bar.set_label(words)
-        if "norm" in how:
-            bar.ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-            bar.ax.yaxis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "25" else "")
-        ax.set_aspect("equal")
-        ax.set_xlim(box[:, 0])
-        ax.set_ylim(box[:, 1])
-        ax.ticklabel_format(useOffset=False, style="plain")
-        ax.xaxis.set_major_locator(_few())
-        ax.yaxis.set_major_locator(_few())
-        scale_bar(ax, span_m=float(box[1, 0] - box[0, 0]))
-    axes[-1 if wide else 0].set_xlabel(f"east / m{', ' if wide else chr(10)}{grid.crs.name}")
-    for ax in axes if wide else axes[:1]:
-        ax.set_ylabel("north / m")
-    return figure, list(axes)
-
-
-def _few() -> Any:
-    from matplotlib.ticker import MaxNLocator
-
-    return MaxNLocator(5)
+    panels = [(value, label, look), (100 * sigma, "sigma / cm", of_sigma)]
+    extent_m = (grid.west_m, east_m, south_m, grid.north_m)
+    return raster_maps(title, extent_m, panels, crs=grid.crs.name, twin=twin, margin_m=_MARGIN_M)
 
 
 def depth_of(
@@ -292,15 +255,7 @@ def draw_left_out(*, predicted: Path, title: str, twin: bool) -> Figure:
     left, right = figure.subplots(1, 2)
     for of, colour, marker, name in ((blocks, ORANGE, "s", "stretches"), (lines, BLUE, ".", "lines")):
         if len(of):
-            left.plot(
-                of["up_m"],
-                of["predicted_m"],
-                ls="none",
-                marker=marker,
-                ms=2.5,
-                color=colour,
-                label=f"{name} left out",
-            )
+            left.plot(of["up_m"], of["predicted_m"], marker, ms=2.5, color=colour, label=f"{name} left out")
     ends = robust_limits(np.concatenate([lines["up_m"], lines["predicted_m"]]), 0.0, 100.0)
     left.plot(ends, ends, color="black", lw=0.8)
     left.set_aspect("equal")
@@ -363,7 +318,7 @@ def draw_bed_sections(
             of = here[here["source"] == source]
             if len(of):
                 deep = water.at(of["s_m"].to_numpy())[0] - of["up_m"].to_numpy()
-                ax.plot(of["n_m"], deep, ls="none", marker=marker, ms=4, color=colour, label=source)
+                ax.plot(of["n_m"], deep, marker, ms=4, color=colour, label=source)
         ax.annotate(
             f"s = {s:.0f} m",
             (0.5, 0.78),
@@ -377,7 +332,7 @@ def draw_bed_sections(
         ax.set_xlabel("across the river, left positive / m")
     for ax in axes[:, 0]:
         ax.set_ylabel("depth / m")
-    _one_legend(figure, axes)
+    legend_below(figure, *axes.ravel())
     return figure
 
 
@@ -416,13 +371,3 @@ def draw_bed_patterns(*, table: Path) -> Figure:
 
 def _onto_map(places_m: ArrayF, frame: LocalFrame, crs: CRS) -> ArrayF:
     return np.asarray(frame.to_map(np.column_stack([places_m, np.zeros(len(places_m))]), crs)[:, :2])
-
-
-def _one_legend(figure: Figure, axes: Any) -> None:
-    """One legend below all panels for everything that any of them shows."""
-    found: dict[str, Any] = {}
-    ax: Axes
-    for ax in axes.flat:
-        for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
-            found.setdefault(label, handle)
-    figure.legend(list(found.values()), list(found), loc="outside lower left", ncols=5)

@@ -6,8 +6,6 @@ import numpy as np
 import pandas as pd
 from matplotlib.colors import BoundaryNorm, ListedColormap, LogNorm
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
-from matplotlib.ticker import MaxNLocator
 
 from thalweg.core import CoverageError
 from thalweg.figures import (
@@ -21,9 +19,10 @@ from thalweg.figures import (
     SKY,
     VERMILION,
     count,
+    legend_below,
     new_figure,
+    raster_maps,
     robust_limits,
-    scale_bar,
     styled,
 )
 from thalweg.fusion import SOURCE_WORDS, WIDE, Dtm, Source
@@ -61,59 +60,33 @@ def draw_terrain_model(*, dtm: Path, title: str, twin: bool) -> Figure:
         north - model.cell_m * (rows[-1] - rows[0] + 1),
         north,
     )
-    wide = extent[1] - extent[0] > 1.3 * (extent[3] - extent[2])
-    ratio = (extent[3] - extent[2]) / (extent[1] - extent[0])
-    figure = new_figure(
-        float(np.clip(3 * 140.0 * ratio + 50.0 if wide else 52.0 * ratio + 55.0, 90.0, 230.0)),
-        f"Bed and banks: {title}, n = {count(int(known.sum()))} cells of {model.cell_m:g} m",
-        twin=twin,
-    )
-    axes = figure.subplots(3, 1, sharex=True) if wide else figure.subplots(1, 3, sharey=True)
-    heights = model.vertical or "ellipsoidal"
-    low, high = robust_limits(model.height_m[part], 0.5, 99.5)
-    shown = axes[0].imshow(
-        model.height_m[part], extent=extent, cmap=HEIGHT_MAP, vmin=low, vmax=high, interpolation="nearest"
-    )
-    figure.colorbar(shown, ax=axes[0], shrink=0.9, pad=0.01).set_label(f"height, {heights} / m")
     there = [s for s in _COLOURS if (model.source[part] == int(s)).any()]
     number = np.full(model.source.shape, np.nan)
     for k, s in enumerate(there):
         number[known & (model.source == int(s))] = k
-    sources = axes[1].imshow(
-        number[part],
-        extent=extent,
-        cmap=ListedColormap([_COLOURS[s] for s in there]),
-        norm=BoundaryNorm(np.arange(len(there) + 1) - 0.5, max(len(there), 1)),
-        interpolation="nearest",
+    sources = {
+        "cmap": ListedColormap([_COLOURS[s] for s in there]),
+        "norm": BoundaryNorm(np.arange(len(there) + 1) - 0.5, max(len(there), 1)),
+    }
+    height_m, sigma_cm = model.height_m[part], 100 * model.sigma_m[part]
+    low, high = robust_limits(height_m, 0.5, 99.5)
+    of_sigma = {"cmap": SIGMA_MAP, "norm": LogNorm(*robust_limits(sigma_cm, 0.5, 99.5))}
+    words = f"height, {model.vertical or 'ellipsoidal'} / m"
+    figure, axes = raster_maps(
+        f"Bed and banks: {title}, n = {count(int(known.sum()))} cells of {model.cell_m:g} m",
+        extent,
+        [
+            (height_m, words, {"cmap": HEIGHT_MAP, "vmin": low, "vmax": high}),
+            (number[part], "", sources),
+            (sigma_cm, "sigma / cm", of_sigma),
+        ],
+        crs=model.crs.name,
+        twin=twin,
     )
-    # a bar that is not seen keeps the panels aligned
-    figure.colorbar(sources, ax=axes[1], shrink=0.9, pad=0.01).ax.set_visible(False)
-    sigma = 100 * model.sigma_m
-    shown = axes[2].imshow(
-        sigma[part],
-        extent=extent,
-        cmap=SIGMA_MAP,
-        norm=LogNorm(*robust_limits(sigma[part], 0.5, 99.5)),
-        interpolation="nearest",
-    )
-    bar = figure.colorbar(shown, ax=axes[2], shrink=0.9, pad=0.01)
-    bar.set_label("sigma / cm")
-    bar.ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    bar.ax.yaxis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "25" else "")
-    for ax in axes:
-        ax.set_aspect("equal")
-        ax.ticklabel_format(useOffset=False, style="plain")
-        ax.xaxis.set_major_locator(MaxNLocator(5 if wide else 3))
-        ax.yaxis.set_major_locator(MaxNLocator(5))
-    scale_bar(axes[0], span_m=float(extent[1] - extent[0]))
-    for ax in axes if wide else axes[:1]:
-        ax.set_ylabel("north / m")
-    axes[-1 if wide else 1].set_xlabel(f"east / m, {model.crs.name}")
-    figure.legend(
-        handles=[Patch(color=_COLOURS[s], label=SOURCE_WORDS[s]) for s in there],
-        loc="outside lower left",
-        ncols=3,
-    )
+    axes[1].images[0].colorbar.ax.set_visible(False)  # it keeps the panels aligned
+    for s in there:
+        axes[1].plot([], [], "s", color=_COLOURS[s], label=SOURCE_WORDS[s])
+    legend_below(figure, axes[1])
     return figure
 
 

@@ -19,8 +19,8 @@ from thalweg.figures import (
     VERMILION,
     count,
     legend_below,
-    marks_in_free_corners,
     new_figure,
+    plan_marks,
     plural,
     read_picture,
     styled,
@@ -102,7 +102,7 @@ def _plan(ax: Axes, images: pd.DataFrame, track: pd.DataFrame, used: ArrayB) -> 
     ax.set(xlabel="east / m", ylabel="north / m")
     ax.set_title("a: tracks of the antenna, images at their corrected times")
     ax.grid()
-    marks_in_free_corners(ax, both)
+    plan_marks(ax)
 
 
 def _residuals(ax: Axes, right: Axes, images: pd.DataFrame, t0: float) -> None:
@@ -228,7 +228,7 @@ def _photo(ax: Axes, photo: ArrayU8, text: str) -> None:
 
 def _in_time(ax: Axes, minutes: ArrayF, intervals: ArrayF, nominal_s: float) -> None:
     mean, std = float(intervals.mean()), float(intervals.std(ddof=1))
-    ax.plot(minutes, intervals, ".", ms=1.8, mew=0, color=BLUE, rasterized=True, gid="intervals")
+    ax.plot(minutes, intervals, ".", ms=1.8, mew=0, color=BLUE, rasterized=True)
     ax.axhline(mean, color=VERMILION, lw=1.2, label=f"mean {mean:.4f} s")
     for sign in (-1, 1):
         ax.axhline(mean + sign * std, color=VERMILION, lw=0.9, ls="--", label="± std" if sign > 0 else None)

@@ -236,7 +236,6 @@ def name_cones(ax: Axes, cones: Sequence[FieldCone], view: Oblique, *, dy_points
             fontsize=7,
             path_effects=HALO,
             zorder=8,
-            gid="cone-name",
         )
 
 

@@ -235,12 +235,12 @@ def write_calibration_page(
     calibration_page(
         [read_calibration(path) for path in calibrations],
         [
-            (f"{path.stem.replace('_', ' ').capitalize()} ({path.name})", read_figure_table(path, ()))
+            (f"{path.stem.replace('_', ' ').capitalize()} ({path.name})", read_figure_table(path))
             for path in tables
         ],
         pictures=pictures,
         captions=captions,
-        truth=read_figure_table(truth[0], ()) if truth else None,
+        truth=read_figure_table(truth[0]) if truth else None,
         facts={path.stem: json.loads(path.read_text(encoding="utf-8")) for path in facts},
         title=f"Calibration: {title}",
         twin=twin,

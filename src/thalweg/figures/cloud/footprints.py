@@ -12,9 +12,10 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
 
 from thalweg.calibration import read_mounts
-from thalweg.core import ArrayB, ArrayF, GeometryError, InputError, Trajectory, iter_laz
+from thalweg.core import ArrayB, ArrayF, GeometryError, Trajectory, iter_laz
 from thalweg.figures import (
     HALO,
     ORANGE,
@@ -23,9 +24,10 @@ from thalweg.figures import (
     VERMILION,
     count,
     legend_below,
-    marks_in_free_corners,
     new_figure,
+    north_arrow,
     robust_limits,
+    scale_bar,
     styled,
 )
 from thalweg.figures.survey import map_extent
@@ -40,14 +42,11 @@ DISTANCE_M: Final = 30.0
 PATCH_M: Final = 3.0
 """Sides of the detail view."""
 
-N_CANDIDATES: Final = 40
-"""Revolutions among which the best filled patch is looked for."""
-
 DISTANCE_CLASS_M: Final = 2.0
 """Patches whose distances differ by less count as equally near; of those the one with more points wins."""
 
-LENS_M: Final = 0.9
-"""Sides of the magnifying square on the detail view, in metres of that view."""
+TOLERANCE_M: Final = 3.0
+"""Points whose distance differs by no more from the wanted one say which revolution is shown."""
 
 TLS_DIVERGENCE_MRAD: Final = 0.3
 """Of the terrestrial scanner: the footprint of the lidar is ten times the size of its spot (P2 section 7)."""
@@ -77,80 +76,18 @@ class Patch:
         return np.asarray((points_wcs_m - self.centre_wcs_m) @ np.stack([self.right, self.up], axis=1))
 
 
-def candidate_moments(
-    t_gps_s: ArrayF,
-    range_m: ArrayF,
-    *,
-    distance_m: float = DISTANCE_M,
-    tolerance_m: float = 3.0,
-    most: int = 1,
-) -> list[float]:
-    """Begins of the revolutions with most points near a distance, the best first.
+def best_moment(t_gps_s: ArrayF, range_m: ArrayF, *, distance_m: float = DISTANCE_M) -> float:
+    """Begin of the revolution with most points near a distance, or near the one that comes nearest to it.
 
     Parameters
     ----------
     t_gps_s, range_m : (n,) adjusted GPS time and measured range of the points or of an even sample.
     distance_m : wanted distance.
-    tolerance_m : half width of the distances that count; doubled until a point lies within.
-    most : number of moments.
-
-    Raises
-    ------
-    InputError : no point with time and range.
     """
-    known = np.isfinite(t_gps_s) & np.isfinite(range_m)
-    if not known.any():
-        raise InputError(
-            f"none of {len(t_gps_s)} points has a time and a range", expected="a georeferenced lidar cloud"
-        )
-    t, off_m = t_gps_s[known], np.abs(range_m[known] - distance_m)
-    while not np.any(off_m <= tolerance_m):
-        tolerance_m *= 2.0
-    start = float(t.min())
-    turn = np.floor((t[off_m <= tolerance_m] - start) / REVOLUTION_S).astype(np.int64)
-    turns, n = np.unique(turn, return_counts=True)
-    return [start + REVOLUTION_S * float(turns[i]) for i in np.argsort(-n, kind="stable")[:most]]
-
-
-def best_moment(
-    points_wcs_m: ArrayF,
-    t_gps_s: ArrayF,
-    range_m: ArrayF,
-    trajectory: Trajectory,
-    lever_ics_m: ArrayLike,
-    *,
-    distance_m: float = DISTANCE_M,
-) -> float:
-    """Begin of the revolution with the best filled patch at a distance.
-
-    Parameters
-    ----------
-    points_wcs_m, t_gps_s, range_m : (n, 3), (n,), (n,) the cloud or an even sample of it.
-    trajectory : poses of the boat.
-    lever_ics_m : (3,) the scanner in the body frame.
-    distance_m : wanted distance of the patch.
-
-    Raises
-    ------
-    InputError : no point with time and range.
-    GeometryError : no point of the best revolutions has a pose.
-    """
-    candidates = candidate_moments(t_gps_s, range_m, distance_m=distance_m, most=N_CANDIDATES)
-    best: tuple[int, float] | None = None
-    for start in candidates:
-        turn = np.flatnonzero((t_gps_s >= start) & (t_gps_s < start + REVOLUTION_S))
-        scanner, has_pose = scanner_positions(t_gps_s[turn], trajectory, lever_ics_m)
-        if has_pose.any():
-            patch = choose_patch(points_wcs_m[turn][has_pose], scanner[has_pose], distance_m=distance_m)
-            n = int(patch.inside.sum())
-            if best is None or n > best[0]:
-                best = n, start
-    if best is None:
-        raise GeometryError(
-            f"no point of {len(candidates)} revolutions has a pose",
-            expected="cloud and trajectory of one run",
-        )
-    return best[1]
+    off_m = np.abs(range_m - distance_m)
+    near = t_gps_s[off_m <= np.nanmin(off_m) + TOLERANCE_M]
+    turns, n = np.unique(np.floor((near - near.min()) / REVOLUTION_S), return_counts=True)
+    return float(near.min() + REVOLUTION_S * turns[np.argmax(n)])
 
 
 def scanner_positions(
@@ -177,8 +114,6 @@ def choose_patch(
     ------
     GeometryError : no point with a position of the scanner, or only points in the scanner itself.
     """
-    from scipy.spatial import cKDTree
-
     beam = points_wcs_m - scanner_wcs_m
     range_m = np.linalg.norm(beam, axis=1)
     usable = np.flatnonzero(np.isfinite(range_m) & (range_m > 1e-3))
@@ -260,18 +195,9 @@ def footprints(
 
     Raises
     ------
-    GeometryError : no point, arrays that do not match, or no beam.
-    InputError : a divergence that is not positive.
+    GeometryError : no point, or no beam.
     """
-    points, scanner = np.asarray(points_wcs_m, np.float64), np.asarray(scanner_wcs_m, np.float64)
-    if points.ndim != 2 or points.shape[1] != 3 or scanner.shape != points.shape:
-        raise GeometryError(f"{points.shape=}, {scanner.shape=}", expected="(n, 3) twice")
-    if divergence_mrad <= 0:
-        raise InputError(
-            f"a divergence of {divergence_mrad:g} mrad",
-            expected="above 0",
-            cure="Set lidar_accuracy.divergence_mrad",
-        )
+    points, scanner = points_wcs_m, scanner_wcs_m
     patch = choose_patch(points, scanner, distance_m=distance_m)
     posed = np.isfinite(points).all(axis=1) & np.isfinite(scanner).all(axis=1)
     points, scanner = points[posed], scanner[posed]
@@ -296,58 +222,21 @@ def _draw_frame(figure: Figure, ax: Axes, points: ArrayF, scanner: ArrayF, patch
     ax.set_aspect("equal")
     order = np.argsort(-range_m)
     norm = Normalize(*robust_limits(range_m, 1.0, 99.0))
-    dots = ax.scatter(
-        points[order, 0],
-        points[order, 1],
-        c=range_m[order],
-        s=1.6,
-        lw=0,
-        cmap=RANGE_MAP,
-        norm=norm,
-        rasterized=True,
-        gid="frame",
-    )
+    look = {"c": range_m[order], "cmap": RANGE_MAP, "norm": norm, "lw": 0, "rasterized": True}
+    dots = ax.scatter(*points[order, :2].T, s=1.6, **look, gid="frame")
     place = scanner.mean(axis=0)
-    ax.plot(
-        place[0],
-        place[1],
-        ls="none",
-        marker="^",
-        ms=6,
-        mfc="white",
-        mec="black",
-        mew=1.0,
-        zorder=6,
-        label="lidar",
-        gid="scanner",
-    )
-    ax.plot(
-        *np.stack([place[:2], patch.centre_wcs_m[:2]]).T,
-        color=VERMILION,
-        lw=0.8,
-        ls="--",
-        zorder=5,
-        label=f"line of sight of b, {patch.range_m:.1f} m",
-        path_effects=HALO,
-    )
-    ax.add_patch(
-        Polygon(
-            _outline(patch),
-            fill=False,
-            ec=ORANGE,
-            lw=1.8,
-            zorder=6,
-            gid="patch",
-            label="area of b",
-            path_effects=HALO,
-        )
-    )
+    ax.plot(*place[:2], "^", ms=6, mfc="white", mec="black", zorder=6, label="lidar", gid="scanner")
+    words = f"line of sight of b, {patch.range_m:.1f} m"
+    sight = np.stack([place[:2], patch.centre_wcs_m[:2]])
+    ax.plot(*sight.T, color=VERMILION, lw=0.8, ls="--", zorder=5, label=words, path_effects=HALO)
+    look = {"ec": ORANGE, "lw": 1.8, "zorder": 6, "label": "area of b", "path_effects": HALO}
+    ax.add_patch(Polygon(_outline(patch), fill=False, **look, gid="patch"))
     outside = int(np.sum(np.any(np.abs(points[:, :2] - middle) > half, axis=1)))
     ax.set_title(f"a: scan pattern in plan view, n = {count(len(points))}\n{count(outside)} beyond the map")
     ax.set_xlabel("east / m")
     ax.set_ylabel("north / m")
-    sight = np.linspace(place[:2], patch.centre_wcs_m[:2], 50)
-    marks_in_free_corners(ax, np.concatenate([points[:, :2], sight]))
+    scale_bar(ax, span_m=2 * half)
+    north_arrow(ax)
     figure.colorbar(
         dots, ax=ax, label="measured range / m", location="bottom", pad=0.02, aspect=30, extend="both"
     )
@@ -382,25 +271,9 @@ def _draw_patch(
     ax.set_aspect("equal")
     ax.set_xlabel("to the right, across the beams / m")
     ax.set_ylabel("up, across the beams / m")
-    corner = _free_corner(place, half, LENS_M)
-    lens = ax.inset_axes((*((corner + half) / (2 * half)), LENS_M / (2 * half), LENS_M / (2 * half)))
-    for axes, gid in ((ax, "footprints"), (lens, "magnified")):
-        axes.add_collection(
-            EllipseCollection(
-                widths,
-                heights,
-                angles,
-                units="xy",
-                offsets=place,
-                offset_transform=axes.transData,
-                zorder=3,
-                facecolors=faces,
-                edgecolors="0.15",
-                linewidths=0.5,
-                gid=gid,
-            ),
-            autolim=False,
-        )
+    look = {"facecolors": faces, "edgecolors": "0.15", "linewidths": 0.5, "zorder": 3, "gid": "footprints"}
+    place_of = {"units": "xy", "offsets": place, "offset_transform": ax.transData}
+    ax.add_collection(EllipseCollection(widths, heights, angles, **place_of, **look), autolim=False)
     one = int(np.argmin(np.linalg.norm(place, axis=1)))
     size_m, spot_m = float(heights[one]), float(heights[one]) * TLS_DIVERGENCE_MRAD / divergence_mrad
     ax.set_title(
@@ -408,7 +281,8 @@ def _draw_patch(
         f"{divergence_mrad:g} mrad · {range_m[order][one]:.1f} m = {100 * size_m:.1f} cm"
         f"; TLS spot {100 * spot_m:.1f} cm"
     )
-    _draw_lens(ax, lens, place[one], size_m, spot_m)
+    for diameter_m, look in ((size_m, {"fill": False, "ec": RED, "lw": 1.4}), (spot_m, {"fc": RED})):
+        ax.add_patch(Circle(place[one], 0.5 * diameter_m, **look, zorder=6, gid="named-footprint"))
     figure.colorbar(
         ScalarMappable(norm, RANGE_MAP),
         ax=ax,
@@ -420,49 +294,13 @@ def _draw_patch(
     )
 
 
-def _free_corner(place: ArrayF, half: float, size: float) -> ArrayF:
-    """Lower left corner of a square of a given size within +-half that hides fewest points."""
-    steps = np.linspace(-half + 0.03, half - size - 0.03, 25)
-    corners = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
-    n = [int(np.sum(np.all((place > c - 0.06) & (place < c + size + 0.06), axis=1))) for c in corners]
-    # Of equally free corners the one farthest out leaves most of the picture in one piece.
-    return np.asarray(corners[np.lexsort((-np.abs(corners + 0.5 * size).max(axis=1), n))[0]])
-
-
-def _draw_lens(ax: Axes, lens: Axes, centre: ArrayF, size_m: float, spot_m: float) -> None:
-    """One footprint magnified with its size, and the spot of a terrestrial scanner in its middle."""
-    u, v = float(centre[0]), float(centre[1])
-    lens.set(xlim=(u - size_m, u + size_m), ylim=(v - size_m, v + size_m), xticks=[], yticks=[])
-    lens.spines[:].set_visible(True)
-    lens.add_patch(Circle((u, v), 0.5 * size_m, fill=False, ec=RED, lw=1.4, zorder=6, gid="named-footprint"))
-    lens.add_patch(Circle((u, v), 0.5 * spot_m, fc=RED, ec="white", lw=0.3, zorder=7, gid="tls-spot"))
-    below = v - 0.6 * size_m
-    lens.annotate(
-        "",
-        (u - 0.5 * size_m, below),
-        xytext=(u + 0.5 * size_m, below),
-        zorder=8,
-        arrowprops={
-            "arrowstyle": "<|-|>",
-            "lw": 0.8,
-            "color": "black",
-            "shrinkA": 0,
-            "shrinkB": 0,
-            "mutation_scale": 6,
-        },
-    )
-    for text, y in ((f"{100 * size_m:.1f} cm", below - 0.06 * size_m), ("TLS", v - 0.5 * spot_m)):
-        lens.text(u, y, text, ha="center", va="top", fontsize=7, zorder=8, gid="size-text", path_effects=HALO)
-    ax.indicate_inset_zoom(lens, edgecolor=RED, alpha=1.0, lw=0.8)
-
-
 def draw_footprints(
     *, points: Path, trajectory: Path, mounts: Path, divergence_mrad: float, title: str, twin: bool
 ) -> Figure:
     """Cloud and trajectory -> one revolution of the lidar and its footprints on the bank."""
     sample, track = sample_cloud(points, 2_000_000), Trajectory.read(trajectory)
     lever_m = read_mounts(mounts)["lidar"]["lever_ics_m"]
-    start = best_moment(sample["xyz_m"], sample["t_gps_s"], sample["range"], track, lever_m)
+    start = best_moment(sample["t_gps_s"], sample["range"])
     xyz_m, t_gps_s = [], []
     for chunk in iter_laz(points, 1_000_000):
         turn = (chunk["t_gps_s"] >= start) & (chunk["t_gps_s"] < start + REVOLUTION_S)

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Colormap, Normalize, PowerNorm
+from matplotlib.colors import Colormap, Normalize
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
@@ -36,8 +36,6 @@ from thalweg.lidar import sample_cloud
 
 NOISE_M: Final = 0.03
 """Accuracy of a lidar point (P2 eq. 7); shading at a finer scale would show noise."""
-TICK_APART: Final = 0.055
-"""Least distance of two ticks of a bent colour scale, as a share of its length."""
 STRIP: Final = 0.09
 """Free strip below the picture of a reach, for scale bar and axes, as a share of the width."""
 _LEAST_MM: Final = 34.0
@@ -71,27 +69,15 @@ def cloud_overview(
     splat = cloud if isinstance(cloud, Splat) else _splat_of(cloud)
     view = splat.view
     heights = splat.buffers()[1]
-    limits = height_limits_m or robust_limits(heights, 0.5, 99.5)
+    # trees would leave the lowest fifth of the colours to a bank, which the survey is about
+    limits = height_limits_m or robust_limits(heights, 0.5, 90.0)
     of_all = f" of {count(splat.n_added)}" if splat.n_drawn < splat.n_added else ""
     head = f"{title}, n = {count(splat.n_drawn)}{of_all} points"
     figure = new_figure(max(reach_mm(view) + 12.0, 60.0), head, twin=twin)
     ax = figure.add_subplot()
     label = "height in the local frame / m"
-    gamma = balanced_gamma(heights, limits)
-    draw_reach(figure, ax, splat, HEIGHT_MAP, limits, label=label, trajectory=trajectory, gamma=gamma)
+    draw_reach(figure, ax, splat, HEIGHT_MAP, limits, label=label, trajectory=trajectory)
     return figure
-
-
-def balanced_gamma(values: ArrayF, limits: tuple[float, float]) -> float:
-    """Exponent of a colour scale that puts the median of the values at its middle; 0.4 to 1.
-
-    Trees of 30 m leave the lowest fifth of a linear scale to a bank of 6 m, which the survey is about.
-    """
-    finite = values[np.isfinite(values)]
-    if not finite.size:
-        return 1.0
-    share = float((np.median(finite) - limits[0]) / (limits[1] - limits[0]))
-    return float(np.clip(np.log(0.5) / np.log(np.clip(share, 1e-6, 0.999)), 0.4, 1.0))
 
 
 def reach_mm(view: ObliqueView) -> float:
@@ -109,10 +95,8 @@ def draw_reach(
     label: str,
     trajectory: Trajectory | None = None,
     shading: float = 1.0,
-    factor: float = 1.0,
-    gamma: float = 1.0,
 ) -> None:
-    """The picture of a reach with its colour bar, track, scale bar and directions.
+    """The picture of a reach with its colour bar, track, scale bar and north.
 
     Parameters
     ----------
@@ -122,57 +106,21 @@ def draw_reach(
     label : of the colour bar.
     trajectory : track of the boat, drawn as a line.
     shading : strength of the eye-dome shading.
-    factor : units of the colour bar in one unit of the splat's values.
-    gamma : exponent of the colour scale, below 1 for more colours at its lower end.
     """
     view = splat.view
     strip_px = STRIP * view.width_px
-    _show(ax, splat, colours, limits, shading=shading, gamma=gamma)
+    _show(ax, splat, colours, limits, shading=shading)
     ax.set_axis_off()
     if trajectory is not None:
         _draw_track(ax, view, trajectory)
     ax.set_xlim(0, view.width_px)
     ax.set_ylim(view.height_px + strip_px, 0)
     scale_bar(ax, span_m=view.width_px * view.pixel_m)
-    _axes_triad(ax, view, strip_px)
-    if colours is None:
-        return
-    ends = factor * limits[0], factor * limits[1]
-    figure.colorbar(
-        ScalarMappable(PowerNorm(gamma, *ends), colours),
-        ax=ax,
-        label=label,
-        aspect=25,
-        shrink=0.9,
-        pad=0.01,
-        extend="both",
-        ticks=None if gamma == 1.0 else bent_ticks(ends, gamma),
-        format=None if gamma == 1.0 else "{x:g}",
-    )
-
-
-def bent_ticks(limits: tuple[float, float], gamma: float) -> list[float]:
-    """Round values that fill a bent colour scale: the roundest first, then what fits between them.
-
-    Examples
-    --------
-    >>> bent_ticks((0.0, 30.0), 0.5)
-    [0.0, 0.2, 1.0, 2.0, 3.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0]
-    """
-    low, high = limits
-    unit, top = 10.0 ** np.floor(np.log10(high - low)), high
-    ticks: list[float] = []
-    places: list[float] = []
-    for step in unit * np.array([1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01]):
-        for k in range(int(np.ceil(low / step - 1e-9)), int(np.floor(top / step + 1e-9)) + 1):
-            place = max((k * step - low) / (high - low), 0.0) ** gamma
-            if all(abs(place - other) >= TICK_APART for other in places):
-                ticks.append(round(float(k * step), 9) + 0.0)
-                places.append(place)
-        if step == 0.5 * unit and len(ticks) > 1:
-            # Finer ones only at the lower end, which the bend stretches.
-            top = sorted(ticks)[1]
-    return sorted(ticks)
+    _draw_north(ax, view, strip_px)
+    if colours is not None:
+        bar = ScalarMappable(Normalize(*limits), colours)
+        look = {"aspect": 25, "shrink": 0.9, "pad": 0.01, "extend": "both"}
+        figure.colorbar(bar, ax=ax, label=label, **look)
 
 
 @styled
@@ -273,11 +221,9 @@ def _show(
     *,
     shading: float,
     noise_m: float = 0.0,
-    gamma: float = 1.0,
     extent: tuple[float, float, float, float] | None = None,
 ) -> None:
-    # The splat's own scale is linear: the table bends.
-    table = None if colours is None else colours(np.linspace(0, 1, 4096) ** gamma)[:, :3]
+    table = None if colours is None else colours(np.linspace(0, 1, 256))[:, :3]
     picture = splat.image(table, limits, radius_px=splat.radius_px(), shading=shading, noise_m=noise_m)
     box = extent or (0.0, float(splat.view.width_px), float(splat.view.height_px), 0.0)
     ax.imshow(picture, extent=box, interpolation="antialiased", gid="cloud")
@@ -292,26 +238,13 @@ def _draw_track(ax: Axes, view: ObliqueView, trajectory: Trajectory) -> None:
     ax.legend(loc="lower center", frameon=False)
 
 
-def _axes_triad(ax: Axes, view: ObliqueView, strip_px: float) -> None:
-    """Small arrows of the directions of east, north and up in the strip below the picture."""
-    size = 0.5 * strip_px
-    origin = np.array([view.width_px - 2.0 * size, view.height_px + 1.3 * size])
-    tips = size * view.axes[:2].T * np.array([1.0, -1.0])
-    texts = tips * (1.0 + 0.4 * size / np.maximum(np.linalg.norm(tips, axis=1, keepdims=True), 1e-6 * size))
-    for k in range(3):
-        # Axes that fall on one line have their names on either side of it.
-        crowd = np.linalg.norm(texts - texts[k], axis=1) < 0.6 * size
-        if crowd.sum() > 1:
-            texts[crowd, 0] += 0.3 * size * np.linspace(-1.0, 1.0, int(crowd.sum()))
-    for tip, text, name in zip(origin + tips, origin + texts, "ENU", strict=True):
-        ax.annotate(
-            "",
-            xy=(tip[0], tip[1]),
-            xytext=(origin[0], origin[1]),
-            annotation_clip=False,
-            arrowprops={"arrowstyle": "-|>", "lw": 0.9, "color": "black", "shrinkA": 0, "shrinkB": 0},
-        )
-        ax.text(text[0], text[1], name, fontsize=7, ha="center", va="center", gid=f"axis-{name}")
+def _draw_north(ax: Axes, view: ObliqueView, strip_px: float) -> None:
+    """An arrow to the north in the strip below the picture."""
+    middle = np.array([view.width_px - strip_px, view.height_px + 0.5 * strip_px])
+    tip = 0.4 * strip_px * view.axes[:2, 1] * np.array([1.0, -1.0])
+    look = {"arrowstyle": "-|>", "lw": 1.1, "color": "black", "shrinkA": 6, "shrinkB": 0}
+    place = {"ha": "center", "va": "center", "fontsize": 8, "fontweight": "bold", "annotation_clip": False}
+    ax.annotate("N", tuple(middle + tip), xytext=tuple(middle - tip), arrowprops=look, **place)
 
 
 def draw_cloud_detail(*, points: Path, trajectory: Path, title: str, twin: bool) -> Figure:
@@ -343,58 +276,6 @@ def draw_cloud_overview(*, points: Path, trajectory: Path, title: str, twin: boo
     for chunk in iter_laz(points, 1_000_000):
         splat.add(chunk["xyz_m"], chunk["xyz_m"][:, 2])
     return cloud_overview(splat, track, title=f"Point cloud of the reach: {title}", twin=twin)
-
-
-def draw_coloured_reach(*, points: Path, trajectory: Path, title: str, twin: bool) -> Figure:
-    """Coloured cloud and trajectory -> oblique view of the reach in colour and by intensity."""
-    sample, track = sample_cloud(points, 500_000), Trajectory.read(trajectory)
-    view = ObliqueView.fit(sample["xyz_m"], azimuth_rad=bankward_azimuth(sample["xyz_m"], track))
-    colour, intensity = Splat(view), Splat(view)
-    for chunk in iter_laz(points, 1_000_000):
-        colour.add(chunk["xyz_m"], pack_rgb((chunk["rgb"] >> 8).astype(np.uint8)))
-        intensity.add(chunk["xyz_m"], chunk["intensity"])
-    return coloured_reach(
-        colour,
-        intensity,
-        robust_limits(sample["intensity"], 2.0, 98.0),
-        track,
-        title=f"Cloud of the reach in colour and by intensity: {title}",
-        twin=twin,
-    )
-
-
-@styled
-def coloured_reach(
-    colour: Splat[ObliqueView],
-    intensity: Splat[ObliqueView],
-    limits: tuple[float, float],
-    trajectory: Trajectory,
-    *,
-    title: str,
-    twin: bool,
-) -> Figure:
-    """The cloud of the reach seen obliquely from above, twice: in the colours of photographs, by intensity.
-
-    Parameters
-    ----------
-    colour, intensity : the same view with packed colours and with intensities.
-    limits : intensities at the ends of the colour scale.
-    trajectory : track of the boat.
-    title : first words of the title.
-    twin : true if the digital twin made the data.
-    """
-    each_mm = max(reach_mm(colour.view), 50.0)
-    head = f"{title}, n = {count(colour.n_drawn)} points"
-    figure = new_figure(2 * each_mm + 18.0, head, twin=twin)
-    above, below = figure.subplots(2, 1)
-    draw_reach(figure, above, colour, None, (0.0, 1.0), label="", trajectory=trajectory, shading=0.6)
-    label = "intensity   (2 to 98 %)"
-    draw_reach(
-        figure, below, intensity, INTENSITY_MAP, limits, label=label, trajectory=trajectory, shading=0.6
-    )
-    above.set_title("a  colours of the photographs; mid-grey: none shows the point", loc="left", fontsize=8)
-    below.set_title("b  intensity of the lidar return", loc="left", fontsize=8)
-    return figure
 
 
 # ---------------------------------------------------------------- by predicted sigma and by range

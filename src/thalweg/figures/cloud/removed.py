@@ -10,10 +10,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from matplotlib.transforms import offset_copy
 from scipy.spatial import cKDTree
 
-from thalweg.core import ArrayF, GeometryError, InputError, Trajectory, read_table
+from thalweg.core import ArrayF, GeometryError, Trajectory, read_table
 from thalweg.figures import BLUE, HALO, VERMILION, count, legend_below, new_figure, styled
 from thalweg.lidar import REMOVED, REMOVED_POINTS, WORDS, Reason, sample_cloud
 
@@ -83,23 +82,16 @@ def removed_points(
 
     Raises
     ------
-    InputError : the counts lack a column or name a reason that is none, or the sample does not fit them.
     GeometryError : the trajectory has no valid node.
     """
-    n = _numbers(counts)
+    listed = counts.set_index("reason")["n"]
+    n = {reason: int(listed.get(reason.name.lower(), 0)) for reason in Reason}
     if not trajectory.valid.any():
         raise GeometryError("a trajectory without a valid node", expected="at least one pose to draw")
     scene = Scene(
         removed=removed, n=n, kept_wcs_m=kept_wcs_m, trajectory=trajectory, filters=dict(filters or {})
     )
     shown = [reason for reason in REMOVED if n[reason]]
-    missing = sorted({reason.name.lower() for reason in shown} - set(removed["reason"]))
-    if missing:
-        raise InputError(
-            f"no sample of the reasons {', '.join(missing)}",
-            expected="a table of removed points that belongs to the counts",
-            cure="Georeference the log again",
-        )
     total, left_out = sum(n.values()), sum(n[reason] for reason in shown)
     share = f" ({_percent(left_out, total)})" if left_out else ""
     rows = max(1, -(-len(shown) // COLUMNS))
@@ -118,26 +110,8 @@ def removed_points(
         ax.set_axis_off()
     # the filters that found nothing are named, so that their absence is no riddle
     idle = [_name(reason) for reason in REMOVED if not n[reason]]
-    _shared_legend(figure, axes[: len(shown)], "Left out nothing: " + ", ".join(idle) if idle else None)
+    legend_below(figure, *axes[: len(shown)], title="Left out nothing: " + ", ".join(idle) if idle else None)
     return figure
-
-
-def _numbers(counts: pd.DataFrame) -> dict[Reason, int]:
-    missing = [name for name in ("reason", "n") if name not in counts.columns]
-    if missing:
-        raise InputError(f"columns missing: {missing}", expected="columns reason, n of counts.csv")
-    names = {reason.name.lower(): reason for reason in Reason}
-    unknown = sorted(set(counts["reason"]) - set(names))
-    if unknown:
-        raise InputError(
-            f"unknown reasons: {', '.join(map(str, unknown))}",
-            expected=f"some of {', '.join(names)}",
-            cure="Georeference the log again with this version of Thalweg",
-        )
-    found = dict.fromkeys(Reason, 0)
-    for name, n in zip(counts["reason"], counts["n"], strict=True):
-        found[names[name]] += int(n)
-    return found
 
 
 def _percent(part: int, whole: int) -> str:
@@ -162,39 +136,8 @@ def _entitle(ax: Axes, reason: Reason, n: int, total: int, *, drawn: int, beyond
     ax.set_title(f"{_name(reason)}: n = {count(n)}, {_percent(n, total)}\n{WORDS[reason]}")
     notes = [f"{count(drawn)} drawn"] if drawn + beyond < n else []
     notes += [f"{count(beyond)} beyond the axes"] if beyond else []
-    ax.text(
-        0.99,
-        0.98,
-        ", ".join(notes),
-        ha="right",
-        va="top",
-        fontsize=7,
-        transform=ax.transAxes,
-        zorder=9,
-        path_effects=HALO,
-        gid="note",
-    )
-
-
-def _shared_legend(figure: Figure, axes: Any, title: str | None) -> None:
-    """One legend for all panels, each entry once."""
-    last = axes[-1]
-    known = set(last.get_legend_handles_labels()[1])
-    for ax in axes[:-1]:
-        for line, label in zip(*ax.get_legend_handles_labels(), strict=True):
-            if label not in known:
-                known.add(label)
-                last.plot(
-                    [],
-                    [],
-                    color=line.get_color(),
-                    ls=line.get_linestyle(),
-                    lw=line.get_linewidth(),
-                    marker=line.get_marker(),
-                    ms=line.get_markersize(),
-                    label=label,
-                )
-    legend_below(figure, last, title=title)
+    look = {"ha": "right", "va": "top", "fontsize": 7, "zorder": 9, "path_effects": HALO, "gid": "note"}
+    ax.text(0.99, 0.98, ", ".join(notes), transform=ax.transAxes, **look)
 
 
 # ---------------------------------------------------------------- kinds of panels
@@ -207,24 +150,15 @@ def _scatter(ax: Axes, xy: ArrayF, limits: ArrayF) -> Drawn:
     """Draw removed points; few of them get large marks. ``limits`` are low and high corner."""
     inside = np.all((xy >= limits[0]) & (xy <= limits[1]), axis=1)
     size = float(np.clip(40.0 / np.sqrt(max(len(xy), 1)), 0.6, 3.0))
-    ax.plot(
-        *xy[inside].T,
-        ls="none",
-        marker="o",
-        ms=size,
-        mew=0,
-        color=VERMILION,
-        rasterized=True,
-        zorder=3,
-        gid="removed",
-    )
-    ax.plot([], [], ls="none", marker="o", ms=3.0, mew=0, color=VERMILION, label="left out")
+    look = {"mew": 0, "color": VERMILION, "rasterized": True, "zorder": 3}
+    ax.plot(*xy[inside].T, "o", ms=size, **look, gid="removed")
+    ax.plot([], [], "o", ms=3.0, mew=0, color=VERMILION, label="left out")
     return int(inside.sum()), int(np.sum(~inside))
 
 
 def _grey(ax: Axes, xy: ArrayF) -> None:
-    ax.plot(*xy.T, ls="none", marker=",", color=KEPT_COLOUR, rasterized=True, zorder=1, gid="kept")
-    ax.plot([], [], ls="none", marker="s", ms=3.0, color=KEPT_COLOUR, label="cloud, even sample")
+    ax.plot(*xy.T, ",", color=KEPT_COLOUR, rasterized=True, zorder=1, gid="kept")
+    ax.plot([], [], "s", ms=3.0, color=KEPT_COLOUR, label="cloud, even sample")
 
 
 def _limits(*parts: ArrayF, margin: float = 0.06) -> ArrayF:
@@ -272,31 +206,9 @@ def _plan(ax: Axes, scene: Scene, reason: Reason) -> Drawn:
     ax.plot(*track.T, color="black", lw=0.7, zorder=2, label="track of the boat")
     drawn = _scatter(ax, xy, limits)
     _to_scale(ax, limits)
-    _north(ax, R[:, 1])
     ax.set_xlabel("along the reach, from the first pose / m")
     ax.set_ylabel("across / m")
     return drawn
-
-
-def _north(ax: Axes, direction: ArrayF) -> None:
-    """An arrow to the north in a plan that is turned."""
-    dx, dy = 10.0 * direction
-    head = offset_copy(ax.transAxes, fig=ax.get_figure(root=True), x=dx, y=dy, units="points")
-    ax.annotate(
-        "N",
-        xy=(0.10, 0.86),
-        xytext=(-2.2 * dx, -2.2 * dy),
-        xycoords=head,
-        textcoords="offset points",
-        ha="center",
-        va="center",
-        fontsize=7,
-        fontweight="bold",
-        zorder=9,
-        gid="north",
-        path_effects=HALO,
-        arrowprops={"arrowstyle": "-|>", "lw": 1.0, "color": "black", "shrinkA": 3, "shrinkB": 0},
-    )
 
 
 def _section(ax: Axes, scene: Scene, reason: Reason) -> Drawn:
@@ -334,7 +246,7 @@ def _from_behind(ax: Axes, scene: Scene, reason: Reason) -> Drawn:
         ax.add_patch(Rectangle((corner[0], corner[1]), size[0], size[1], fill=False, ls="--", gid="hull"))
         ax.plot([], [], color="black", ls="--", lw=0.6, label="box of the own boat")
     drawn = _scatter(ax, xy, limits)
-    ax.plot(0.0, 0.0, ls="none", marker="+", color="black", ms=6, zorder=4, label="INS")
+    ax.plot(0.0, 0.0, "+", color="black", ms=6, zorder=4, label="INS")
     if "water_line_ics_m" in scene.filters:
         ax.axhline(
             -scene.filters["water_line_ics_m"], color=BLUE, lw=0.8, zorder=2, label="water level at the boat"
@@ -355,19 +267,11 @@ def _over_time(ax: Axes, scene: Scene, reason: Reason) -> Drawn:
     # the sample stands for all
     rate = n * scene.n[reason] / max(len(t), 1) / np.diff(edges)
     ax.stairs(rate, edges, fill=True, color=VERMILION, gid="removed")
-    ax.plot([], [], ls="none", marker="o", ms=3.0, mew=0, color=VERMILION, label="left out")
+    ax.plot([], [], "o", ms=3.0, mew=0, color=VERMILION, label="left out")
     node_t, valid = scene.trajectory.t_gps_s - first, scene.trajectory.valid
-    ax.plot(
-        node_t,
-        np.where(valid, -0.06, np.nan),
-        color="black",
-        lw=2.5,
-        solid_capstyle="butt",
-        clip_on=False,
-        transform=ax.get_xaxis_transform(),
-        label="times with a pose",
-        gid="poses",
-    )
+    look = {"color": "black", "lw": 2.5, "solid_capstyle": "butt", "clip_on": False}
+    poses, place = np.where(valid, -0.06, np.nan), ax.get_xaxis_transform()
+    ax.plot(node_t, poses, transform=place, **look, label="times with a pose", gid="poses")
     ax.tick_params(axis="x", pad=7)
     ax.set_xlim(edges[0], edges[-1])
     ax.set_ylim(0.0)

@@ -106,7 +106,6 @@ def level_of_detection(pairs: Sequence[BankPair], *, title: str, twin: bool) -> 
             cmap=SIGMA_MAP,
             norm=scale,
             rasterized=True,
-            gid="lod",
         )
         view_from_side(face, pair)
         face.set_title(f"{pair.words}, {pair.scene.view}")

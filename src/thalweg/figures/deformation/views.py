@@ -9,8 +9,6 @@ from typing import Final
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from scipy.spatial import cKDTree
 
@@ -19,18 +17,16 @@ from thalweg.figures import (
     BLUE,
     HEIGHT_MAP,
     VERMILION,
-    WIDTH_MM,
     count,
     legend_below,
-    marks_in_free_corners,
     new_figure,
+    north_arrow,
+    raster_maps,
     robust_limits,
     styled,
 )
 from thalweg.figures.deformation.maps import BankPair, read_pairs, scene, signed
 
-_LEAST_MM: Final = 30.0
-"""Least height of a plan: its title has three lines."""
 PIXELS: Final = 700
 """Of the longer side of a cloud from above."""
 SHOWN: Final = 6000
@@ -80,52 +76,27 @@ def epochs_from_above(clouds: Sequence[CloudOfEpoch], *, title: str, twin: bool)
     low, high = everything.min(axis=0), everything.max(axis=0)
     margin = 0.03 * float(np.max(high - low))
     low, high = low - margin, high + margin
-    wide, tall = high - low
-    side_by_side = tall > 0.8 * wide
-    rows, columns = (1, len(clouds)) if side_by_side else (len(clouds), 1)
-    panel_mm = max(tall / wide * (WIDTH_MM - 30.0) / columns, _LEAST_MM) + (16.0 if side_by_side else 0.0)
+    sample = [each.xyz_m[:: -(-len(each.xyz_m) // 200_000), 2] for each in clouds]
+    least, most = robust_limits(np.concatenate(sample))
+    look = {"cmap": HEIGHT_MAP, "vmin": least, "vmax": most, "origin": "lower", "gid": "heights"}
     n = count(sum(len(each.xyz_m) for each in clouds))
-    figure = new_figure(rows * (panel_mm + 12.0) + 24.0, f"{title}, n = {n} points", twin=twin)
-    panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    limits = robust_limits(
-        np.concatenate([each.xyz_m[:: -(-len(each.xyz_m) // 200_000), 2] for each in clouds])
+    figure, panels = raster_maps(
+        f"{title}, n = {n} points",
+        (low[0], high[0], low[1], high[1]),
+        [(_highest(each.xyz_m, low, high), "height / m", look) for each in clouds],
+        crs="local frame",
+        twin=twin,
     )
-    for ax, each in zip(panels, clouds, strict=True):
-        picture = _highest(each.xyz_m, low, high)
-        box = (low[0], high[0], low[1], high[1])
-        ax.imshow(
-            picture,
-            extent=box,
-            origin="lower",
-            cmap=HEIGHT_MAP,
-            vmin=limits[0],
-            vmax=limits[1],
-            gid="heights",
-        )
+    for ax, each in zip(panels, clouds, strict=False):
         if len(each.boat_m):
             ax.plot(*each.boat_m[:, :2].T, color=VERMILION, lw=1.2, gid="track")
-            ax.plot(*each.boat_m[0, :2], color=VERMILION, marker="o", ms=4, ls="none", gid="start")
+            ax.plot(*each.boat_m[0, :2], "o", color=VERMILION, ms=4, gid="start")
         track = "line: the boat from the circle" if len(each.boat_m) else "files, no trajectory"
-        after = "\n" if side_by_side else " "  # narrow panels
-        ax.set_xlim(low[0], high[0])
-        ax.set_ylim(low[1], high[1])
-        ax.set_aspect("equal")
         ax.set_title(
-            f"epoch {each.number}, {each.name}:{after}{utc_text_from_gps(each.start_gps_s, 0)},\n"
-            f"n = {count(len(each.xyz_m))};{after}{track}"
+            f"epoch {each.number}, {each.name}: {utc_text_from_gps(each.start_gps_s, 0)},\n"
+            f"n = {count(len(each.xyz_m))}; {track}"
         )
-        ax.set_ylabel("north / m")
-        marks_in_free_corners(ax, np.concatenate([each.xyz_m[::50, :2], each.boat_m[:, :2]]))
-    for ax in panels if side_by_side else panels[-1:]:
-        ax.set_xlabel("east / m")
-    figure.colorbar(
-        ScalarMappable(Normalize(*limits), HEIGHT_MAP),
-        ax=list(panels),
-        location="bottom" if side_by_side else "right",
-        extend="both",
-        shrink=0.6,
-        label="height / m",
-    )
+        north_arrow(ax)
     return figure
 
 
@@ -235,18 +206,9 @@ def _profile(ax: Axes, pair: BankPair, place: Place, first_m: ArrayF, second_m: 
         step = -(-max(len(x), 1) // SHOWN)
         ax.plot(x[::step], z[::step], ".", ms=1.0, color=colour, alpha=0.35, rasterized=True, zorder=1)
         mean = _cell_means(x, z, 0.5 * pair.spacing_m)
-        ax.plot(
-            *mean.T,
-            marker=marker,
-            ms=4.0,
-            ls="none",
-            color=colour,
-            mec="white",
-            mew=0.4,
-            zorder=3,
-            label=f"{words}: points and means of cells of {50 * pair.spacing_m:.0f} cm",
-            gid=words,
-        )
+        look = {"color": colour, "mec": "white", "mew": 0.4, "zorder": 3, "gid": words}
+        label = f"{words}: points and means of cells of {50 * pair.spacing_m:.0f} cm"
+        ax.plot(*mean.T, marker, ms=4.0, **look, label=label)
     near = np.abs(pair.s_m - s) < pair.spacing_m
     near &= np.isin(pair.state, ("erosion", "deposition")) & np.isfinite(distance)
     normals = pair.table[[f"normal_{axis}" for axis in ("east", "north", "up")]].to_numpy()

@@ -8,8 +8,6 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.collections import PathCollection
-from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
@@ -41,40 +39,28 @@ from thalweg.figures import (
     Page,
     count,
     legend_below,
-    marks_in_free_corners,
     new_figure,
     plan_height_mm,
+    plan_marks,
     plural,
     read_picture,
     styled,
 )
 from thalweg.figures.accuracy import round_above
-from thalweg.figures.calibration import checked, filled
 from thalweg.figures.survey import map_extent, plain_numbers, sigma_norm
 from thalweg.images import read_all_control_points
 from thalweg.images.model import ControlPoints, ImagePoses
 from thalweg.ingest.photos import Images, named_images
 
-COLUMNS: Final = (
-    "point",
-    "role",
-    "images",
-    "suspect",
-    *(f"{s}without_{a}_mm" for s in ("", "sigma_") for a in ("east", "north", "up")),
-)
 ROLES: Final = {"control": (PURPLE, "^"), "check": (GREEN, "s")}
 """Colour and marker of points that took part and of points that only checked."""
 ARROW_SHARE: Final = 0.07
 """Length of the longest residual vector over the width of the map."""
 MOST_NAMES: Final = 40
-LETTER_SHARE: Final = 0.0115
-"""Width of a letter over the width of the map."""
 MAP_MM: Final = 110.0
 _BARS_MM: Final = 52.0
 _AXES: Final = (("east", BLUE, "o"), ("north", VERMILION, "s"), ("up", GREEN, "^"))
 
-MASK_COLUMNS: Final = ("image", "usable_share", "water_share", "sky_share", "hull_share", "source", "note")
-"""Columns of the table of masks, see `thalweg.images.masks.images`."""
 EXAMPLES: Final = 3
 MOST_ON_SHEET: Final = 24
 _SHEET_COLUMNS: Final = 4
@@ -114,7 +100,7 @@ def image_positions(
     ----------
     poses : of the images; those without a pose are marked on the trajectory at their time.
     control : surveyed points.
-    report : columns `COLUMNS`, see `thalweg.images.bundle.job.control_table`.
+    report : see `thalweg.images.bundle.job.control_table`.
     trajectory : of the boat by INS, drawn behind the images.
     title : first words of the title.
     twin : true if the digital twin made the data.
@@ -122,7 +108,6 @@ def image_positions(
     Raises
     ------
     GeometryError : no image has a pose.
-    InputError : a column is missing, or the report names a point that is not among the surveyed ones.
     """
     if not poses.oriented.any():
         raise GeometryError(f"none of {len(poses.images)} images has a pose", expected="at least one")
@@ -151,36 +136,25 @@ def image_positions(
     _draw_points(plan, points)
     if len(measured):
         _draw_vectors(plan, measured, scale)
-    vectors = scale * _components(measured, "without_")[:, :2]
-    starts = measured[["east_m", "north_m"]].to_numpy()
-    _draw_names(plan, points, np.concatenate([starts + vectors / 2, starts + vectors]))
+    named = points if len(points) <= MOST_NAMES else points.iloc[:0]
+    for name, east, north in named[["point", "east_m", "north_m"]].to_numpy():
+        look = {"textcoords": "offset points", "fontsize": 7, "zorder": 9, "path_effects": HALO}
+        plan.annotate(name, (east, north), xytext=(4, 4), **look)
     plan.ticklabel_format(style="plain", useOffset=False)
     plan.set_xlabel("east / m")
     plan.set_ylabel("north / m")
     plan.set_title(_words(points))
-    marks_in_free_corners(plan, np.concatenate(shown))
+    plan_marks(plan)
     legend_below(figure, plan)
     return figure
 
 
 def _with_places(control: ControlPoints, report: pd.DataFrame) -> pd.DataFrame:
     """The report with the surveyed places of its points; points that took no part have no residual."""
-    missing = [name for name in COLUMNS if name not in report.columns]
-    if missing:
-        raise InputError(
-            f"columns missing: {missing}", expected="the table control_points.csv of the adjustment"
-        )
-    place = dict(zip(control.names, control.points_wcs_m, strict=True))
-    known = report["point"].astype(str).isin(list(place))
-    strange = report.loc[~known & report["role"].isin(list(ROLES)), "point"].tolist()
-    if strange:
-        raise InputError(
-            f"the report names points {strange[:5]} that were not surveyed",
-            expected="report and control points of the same campaign",
-        )
-    found = report[known].reset_index(drop=True)
-    xyz = np.array([place[str(name)] for name in found["point"]]).reshape(-1, 3)
-    return found.assign(point=found["point"].astype(str), east_m=xyz[:, 0], north_m=xyz[:, 1])
+    place = pd.DataFrame(control.points_wcs_m[:, :2], columns=["east_m", "north_m"]).assign(
+        point=np.array(control.names, object)
+    )
+    return report.assign(point=report["point"].astype(str)).merge(place, on="point")
 
 
 def _draw_images(figure: Figure, ax: Axes, poses: ImagePoses, trajectory: Trajectory | None) -> None:
@@ -193,25 +167,11 @@ def _draw_images(figure: Figure, ax: Axes, poses: ImagePoses, trajectory: Trajec
         ax.plot(*en.T, color="0.65", lw=0.8, zorder=2, label="trajectory by INS", gid="trajectory")
         _draw_lost(ax, poses, trajectory)
     # views to see where the camera looked; z of ccs is the view
-    view = poses.R_wcs_ccs[use][:, :2, 2]
-    reach = 0.02 * float(np.ptp(ax.get_xlim()))
-    ends = centres[:, :2] + reach * view
-    for start, end in zip(centres[:, :2], ends, strict=True):
-        ax.plot(*np.stack([start, end], axis=1), color="0.35", lw=0.5, zorder=3)
+    ends = centres[:, :2] + 0.02 * float(np.ptp(ax.get_xlim())) * poses.R_wcs_ccs[use][:, :2, 2]
+    ax.plot(*np.stack([centres[:, :2], ends]).transpose(2, 0, 1), color="0.35", lw=0.5, zorder=3)
     norm = sigma_norm(sigma_mm)
-    dots = ax.scatter(
-        centres[:, 0],
-        centres[:, 1],
-        c=sigma_mm,
-        cmap=SIGMA_MAP,
-        norm=norm,
-        s=16,
-        edgecolors="black",
-        lw=0.4,
-        zorder=4,
-        gid="images",
-        label="image, with its view",
-    )
+    look = {"c": sigma_mm, "cmap": SIGMA_MAP, "norm": norm, "edgecolors": "black", "lw": 0.4}
+    dots = ax.scatter(*centres[:, :2].T, s=16, **look, zorder=4, gid="images", label="image, with its view")
     bar = figure.colorbar(
         dots, ax=ax, shrink=0.9, aspect=25, pad=0.01, extend="max", label="3D position sigma of an image / mm"
     )
@@ -220,91 +180,21 @@ def _draw_images(figure: Figure, ax: Axes, poses: ImagePoses, trajectory: Trajec
 
 def _draw_lost(ax: Axes, poses: ImagePoses, trajectory: Trajectory) -> None:
     lost = ~poses.oriented & np.isfinite(poses.t_gps_s)
-    if not lost.any():
-        return
-    place, _, known = trajectory.at(poses.t_gps_s[lost])
-    ax.plot(
-        *place[known, :2].T,
-        ls="none",
-        marker="x",
-        ms=4.5,
-        mew=1.1,
-        color=RED,
-        zorder=5,
-        gid="lost",
-        label=f"image without a pose, n = {count(int(known.sum()))}",
-    )
+    if lost.any():
+        place, _, known = trajectory.at(poses.t_gps_s[lost])
+        words = f"image without a pose, n = {count(int(known.sum()))}"
+        ax.plot(*place[known, :2].T, "x", ms=4.5, color=RED, zorder=5, gid="lost", label=words)
 
 
 def _draw_points(ax: Axes, points: pd.DataFrame) -> None:
-    for role, (colour, marker) in ROLES.items():
-        here = points[points["role"] == role]
-        if len(here):
-            ax.plot(
-                here["east_m"],
-                here["north_m"],
-                ls="none",
-                marker=marker,
-                ms=6,
-                mfc=colour,
-                mec="black",
-                mew=0.7,
-                zorder=7,
-                label=f"{role} point",
-                gid=role,
-            )
-    unused = points[~points["role"].isin(list(ROLES)) | (points["images"] == 0)]
-    if len(unused):
-        ax.plot(
-            unused["east_m"],
-            unused["north_m"],
-            ls="none",
-            marker="x",
-            ms=6,
-            mew=1.2,
-            color="0.4",
-            zorder=8,
-            label="point seen in no image, or left out",
-            gid="left-out",
-        )
-
-
-def _draw_names(ax: Axes, points: pd.DataFrame, tips: ArrayF) -> None:
-    """Names beside the points, each in the corner that is freest of points, tips of vectors and other names.
-
-    Parameters
-    ----------
-    tips : (n, 2) places that no name should hide.
-    """
-    if len(points) > MOST_NAMES:
-        return
-    places = points[["east_m", "north_m"]].to_numpy()
-    dots, names = np.concatenate([places, tips]), np.empty((0, 2))
-    letter_m = LETTER_SHARE * float(np.ptp(ax.get_xlim()))
-    for name, place in zip(points["point"], places, strict=True):
-        half = letter_m * np.array([0.5 * len(name) + 0.3, 1.0])
-        corners = [np.array([x, y]) for y in (-1.0, 1.0) for x in (1.0, -1.0)]
-        middles = [place + corner * (half + 0.8 * letter_m) for corner in corners]
-        # two names need twice the room, and one upon another is worse than one upon a dot
-        hidden = [
-            int(np.sum(np.all(np.abs(dots - middle) < 1.3 * half, axis=1)))
-            + 2 * int(np.sum(np.all(np.abs(names - middle) < 2.2 * half, axis=1)))
-            for middle in middles
-        ]
-        best = int(np.argmin(hidden))
-        names = np.concatenate([names, middles[best][None]])
-        x, y = corners[best]
-        ax.annotate(
-            name,
-            (place[0], place[1]),
-            xytext=(4 * x, 4 * y),
-            textcoords="offset points",
-            fontsize=7,
-            zorder=9,
-            ha="left" if x > 0 else "right",
-            va="bottom" if y > 0 else "top",
-            path_effects=HALO,
-        )
+    unused = ~points["role"].isin(list(ROLES)) | (points["images"] == 0)
+    kinds = [(points["role"] == role, look, f"{role} point", role) for role, look in ROLES.items()]
+    words = "point seen in no image, or left out"
+    for use, (colour, marker), label, gid in (*kinds, (unused, ("0.4", "x"), words, "left-out")):
+        if use.any():
+            places = points.loc[use, ["east_m", "north_m"]].to_numpy().T
+            look = {"mfc": colour, "mec": colour if marker == "x" else "black"}
+            ax.plot(*places, marker, ms=6, **look, zorder=7, label=label, gid=gid)
 
 
 def _scale(points: pd.DataFrame, width_m: float) -> float:
@@ -325,73 +215,26 @@ def _draw_vectors(ax: Axes, points: pd.DataFrame, scale: float) -> None:
     off, sigma = _components(points, "without_"), _components(points, "sigma_without_")
     start = points[["east_m", "north_m"]].to_numpy()
     key_mm = round_above(0.5 * float(max(np.hypot(off[:, 0], off[:, 1]).max(), 1e-3)))
-    arrows = ax.quiver(
-        *start.T,
-        *(scale * off[:, :2]).T,
-        angles="xy",
-        scale_units="xy",
-        scale=1.0,
-        width=0.0028,
-        color="black",
-        zorder=8,
-        gid="residuals",
-    )
+    look: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.0028, "zorder": 8}
+    arrows = ax.quiver(*start.T, *(scale * off[:, :2]).T, **look, gid="residuals")
     for place, spread in zip(start + scale * off[:, :2], sigma[:, :2], strict=True):
         if np.isfinite(spread).all():
-            ax.add_patch(
-                Ellipse(
-                    place,
-                    *(2 * scale * spread),
-                    facecolor="none",
-                    edgecolor="0.3",
-                    lw=0.7,
-                    zorder=7,
-                    gid="sigma-ellipse",
-                )
-            )
+            look = {"facecolor": "none", "edgecolor": "0.3", "lw": 0.7, "zorder": 7}
+            ax.add_patch(Ellipse(place, *(2 * scale * spread), **look, gid="sigma-ellipse"))
     suspect = points["suspect"].to_numpy(bool)
     if suspect.any():
-        ax.plot(
-            *start[suspect].T,
-            ls="none",
-            marker="o",
-            ms=12,
-            mfc="none",
-            mec=RED,
-            mew=1.2,
-            zorder=8,
-            label="suspect",
-            gid="suspect",
-        )
-    ax.quiverkey(
-        arrows,
-        0.985,
-        1.035,
-        scale * key_mm,
-        f"{key_mm:g} mm",
-        labelpos="W",
-        coordinates="axes",
-        fontproperties={"size": 7},
-    )
+        look = {"mfc": "none", "mec": RED, "zorder": 8, "label": "suspect", "gid": "suspect"}
+        ax.plot(*start[suspect].T, "o", ms=12, **look)
+    look = {"labelpos": "W", "coordinates": "axes", "fontproperties": {"size": 7}}
+    ax.quiverkey(arrows, 0.985, 1.035, scale * key_mm, f"{key_mm:g} mm", **look)
 
 
 def _draw_components(ax: Axes, points: pd.DataFrame) -> None:
     off, sigma = _components(points, "without_"), _components(points, "sigma_without_")
     x = np.arange(len(points), dtype=np.float64)
     for k, (axis, colour, marker) in enumerate(_AXES):
-        ax.errorbar(
-            x + 0.22 * (k - 1),
-            off[:, k],
-            yerr=sigma[:, k],
-            ls="none",
-            marker=marker,
-            ms=3.6,
-            color=colour,
-            elinewidth=1.0,
-            capsize=1.5,
-            label=axis,
-            gid=f"component-{axis}",
-        )
+        look = {"elinewidth": 1.0, "capsize": 1.5, "label": axis, "gid": f"component-{axis}"}
+        ax.errorbar(x + 0.22 * (k - 1), off[:, k], sigma[:, k], fmt=marker, ms=3.6, color=colour, **look)
     ax.axhline(0.0, color="black", lw=0.7, zorder=1)
     ax.set_xlim(-0.6, len(points) - 0.4)
     reach = float(np.nanmax(np.abs(off) + np.nan_to_num(sigma)))
@@ -465,27 +308,16 @@ def mask_view(
 
     Parameters
     ----------
-    table : `MASK_COLUMNS`, one row per image in order of time.
+    table : of `thalweg.images.masks.make_masks`, one row per image in order of time.
     pictures : by the names of some images, picture (h, w[, 3]) uint8 and its usable pixels (h, w).
     title : first words of the title.
     twin : true if the digital twin made the data.
-
-    Raises
-    ------
-    InputError : a column is missing, a picture is not in the table, or differs from its mask in size.
-    CoverageError : no image has a mask, or no picture is given.
     """
-    rows = filled(checked(table, MASK_COLUMNS), "mask")
-    share = rows["usable_share"].to_numpy(np.float64)
-    if not np.isfinite(share).any() or not pictures:
-        raise CoverageError("no mask to draw", expected="at least one image with its mask")
-    numbers = {str(name): k for k, name in enumerate(rows["image"])}
+    share = table["usable_share"].to_numpy(np.float64)
+    numbers = {str(name): k for k, name in enumerate(table["image"])}
     for name, (picture, usable) in pictures.items():
-        if name not in numbers or picture.dtype != np.uint8 or picture.shape[:2] != usable.shape:
-            raise InputError(
-                f"picture {name} of shape {picture.shape} with a mask of {usable.shape}",
-                expected="an image of the table, uint8, and a mask of its size",
-            )
+        if name not in numbers or picture.shape[:2] != usable.shape:
+            raise InputError(f"picture {name} of shape {picture.shape} with a mask of {usable.shape}")
     n = int(np.isfinite(share).sum())
     high = max(p.shape[0] / p.shape[1] for p, _ in pictures.values())
     head = f"{title}: median usable share {100 * np.nanmedian(share):.0f} %, n = {plural(n, 'image')}"
@@ -497,7 +329,7 @@ def mask_view(
         _picture(ax, *pictures[name])
         words = f"{letter}: image {numbers[name] + 1}, {100 * share[numbers[name]]:.0f} % usable"
         ax.set_title(words)
-    _shares(lower.subplots(), rows, sorted(numbers[name] for name in pictures), "abcdefgh"[len(pictures)])
+    _shares(lower.subplots(), table, sorted(numbers[name] for name in pictures), "abcdefgh"[len(pictures)])
     return figure
 
 
@@ -508,12 +340,11 @@ def example_names(table: pd.DataFrame, n: int = EXAMPLES) -> list[str]:
     ------
     CoverageError : no image has a mask.
     """
-    known = table[np.isfinite(table["usable_share"].to_numpy(np.float64))]
-    if not len(known):
+    order = table["usable_share"].dropna().sort_values(kind="stable").index
+    if order.empty:
         raise CoverageError("no image has a mask", expected="at least one")
-    order = known["usable_share"].sort_values(kind="stable").index
     chosen = {order[round(q * (len(order) - 1))] for q in np.linspace(0.1, 0.9, n)}
-    return [str(known["image"][k]) for k in known.index if k in chosen]
+    return [str(table.loc[k, "image"]) for k in sorted(chosen)]
 
 
 def read_examples(names: Sequence[str], images: Images, masks: Path) -> dict[str, tuple[ArrayU8, ArrayB]]:
@@ -529,11 +360,9 @@ def read_examples(names: Sequence[str], images: Images, masks: Path) -> dict[str
     ------
     InputError : a picture or a mask is missing, or their sizes differ.
     """
-    files = named_images(images) if images else {}
+    files = named_images(images)
     out = {}
     for name in names:
-        if name not in files:
-            raise InputError(f"no image {name}", expected="the images that were masked")
         picture, mask = read_picture(files[name]), read_picture(masks / f"{name}.png")
         if picture.shape[:2] != mask.shape[:2]:
             raise InputError(
@@ -554,25 +383,7 @@ def _picture(ax: Axes, picture: ArrayU8, usable: ArrayB) -> None:
     grey = _DARKER * rgb.mean(axis=2, keepdims=True)
     shown = np.where(usable[..., None], rgb, grey).astype(np.uint8)
     ax.imshow(shown, extent=(0, w, h, 0), interpolation="antialiased")
-    places = np.arange(w) + 0.5, np.arange(h) + 0.5
-    if not usable.all():
-        drawn = ax.contourf(*places, (~usable).astype(float), levels=[0.5, 1.5])
-        look = {"facecolor": "none", "edgecolor": (1, 1, 1, 0.35), "linewidth": 0.0, "hatch": "////"}
-        _replaced(ax, drawn, "masked", **look)
-    if usable.any() and not usable.all():
-        drawn = ax.contour(*places, usable.astype(float), levels=[0.5])
-        _replaced(ax, drawn, "border", facecolor="none", edgecolor=VERMILION, linewidth=0.6)
-    ax.set_xlim(0, w)
-    ax.set_ylim(h, 0)
-    ax.set_xticks([])
-    ax.set_yticks([])
-
-
-def _replaced(ax: Axes, drawn: QuadContourSet, gid: str, **look: Any) -> None:
-    """Contours as plain paths: their own artist cannot be hatched without a frame."""
-    paths = drawn.get_paths()
-    drawn.remove()
-    ax.add_collection(PathCollection(paths, gid=gid, **look), autolim=False)
+    ax.set(xticks=[], yticks=[])
 
 
 def _shares(ax: Axes, rows: pd.DataFrame, examples: list[int], letter: str) -> None:

@@ -106,18 +106,10 @@ def rig_residuals(table: pd.DataFrame, *, title: str, twin: bool) -> Figure:
             ax = axes[row, column]
             ax.axhline(0.0, color=GREY, linewidth=0.6)
             ax.plot(angle, v, ".", markersize=1.5, color=COLOURS[lens], rasterized=True)
-            edges = np.arange(0.0, 111.0, 10.0)
-            number = np.digitize(angle, edges) - 1
-            middle, mean, error = [], [], []
-            for k in range(len(edges) - 1):
-                inside = v[number == k]
-                if len(inside) >= 10:
-                    middle.append(edges[k] + 5)
-                    mean.append(inside.mean())
-                    error.append(2 * inside.std(ddof=1) / np.sqrt(len(inside)))
-            ax.errorbar(
-                middle, mean, yerr=error, color="black", fmt="o-", markersize=3, capsize=2, linewidth=0.8
-            )
+            classes = pd.Series(v).groupby(10.0 * np.floor(angle / 10.0)).agg(["mean", "sem", "size"])
+            classes = classes[classes["size"] >= 10]
+            look = {"color": "black", "fmt": "o-", "markersize": 3, "capsize": 2, "linewidth": 0.8}
+            ax.errorbar(classes.index + 5.0, classes["mean"], 2 * classes["sem"], **look)
             ax.set_title(f"{lens} lens, {name}, rms {np.sqrt(np.mean(v**2)):.3f} px", fontsize=9)
             ax.set_ylim(-limit, limit)
     for ax in axes[1]:

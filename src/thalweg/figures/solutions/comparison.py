@@ -1,4 +1,4 @@
-"""INS, camera and fused trajectory: distances, predicted sigmas, outages of GNSS."""
+"""Distances to the reference of the clouds by INS, camera and fused trajectory (T Fig. 3.3)."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -39,9 +39,6 @@ TOP_SHARE: Final = 0.995
 """Share of the points whose range classes decide about the axes."""
 
 
-# ---------------------------------------------------------------- distances to a reference (T Fig. 3.3)
-
-
 @styled
 def chains_by_range(
     table: pd.DataFrame,
@@ -59,9 +56,6 @@ def chains_by_range(
     title : first words of the title.
     twin : true if the digital twin made the data.
 
-    Raises
-    ------
-    InputError : a column is missing, or no row is left.
     """
     rows, names = _rows(table)
     n = max(int(rows[f"{name}_n"].sum()) for name in names)
@@ -73,7 +67,9 @@ def chains_by_range(
     upper.set_title("\n".join(filter(None, [words, outlier_rule])))
     _draw_theory(middle, rows, r, names)
     for name in names:
-        _step(lower, r, rows[f"{name}_n"].to_numpy(np.float64), name)
+        n = rows[f"{name}_n"].to_numpy(np.float64)
+        look = {"where": "mid", "color": STYLE[name][0], "lw": WIDTHS[name], "gid": f"counts-{name}"}
+        lower.step(r, np.where(n > 0, n, np.nan), **look)
     lower.set_yscale("log")
     lower.set_ylim(0.7, None)
     lower.set_ylabel("points")
@@ -148,22 +144,8 @@ def chain_histograms(
 
 def _rows(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
     names = [name for name in CHAINS if f"{name}_n" in table.columns]
-    needed = ["points", "range_m"]
-    needed += [
-        f"{name}_{what}"
-        for name in names
-        for what in ("rmse_observed_m", "rmse_predicted_m", "rmse_predicted_3d_m")
-    ]
-    missing = [name for name in needed if name not in table.columns]
-    if missing or not names:
-        raise InputError(
-            f"columns missing: {missing}" if missing else "no chain",
-            expected="the table chains_by_range.csv of compare_chains",
-        )
     kept = table[table["points"] == WITHOUT_OUTLIERS]
     kept = kept if len(kept) else table[table["points"] == ALL]
-    if kept.empty:
-        raise InputError(f"no row of points '{WITHOUT_OUTLIERS}' or '{ALL}'", expected="a range class")
     return kept.sort_values("range_m"), names
 
 
@@ -185,29 +167,12 @@ def _draw_achieved(ax: Axes, rows: pd.DataFrame, r: ArrayF, names: Sequence[str]
         many = rows[f"{name}_n"].to_numpy() >= LEAST
         total = count(int(rows[f"{name}_n"].sum()))
         ax.plot(r, observed, color=colour, lw=1.0, zorder=3)
-        ax.plot(
-            r[many],
-            observed[many],
-            color=colour,
-            ls="none",
-            marker=marker,
-            ms=3.2,
-            zorder=4,
-            label=f"{IN_WORDS[name]}, achieved, n = {total}",
-            gid=f"observed-{name}",
-        )
-        ax.plot(
-            r[~many], observed[~many], color=colour, ls="none", marker=marker, ms=3.2, mfc="white", zorder=4
-        )
-        ax.plot(
-            r,
-            predicted,
-            color=colour,
-            lw=1.5,
-            ls="--",
-            label=f"{IN_WORDS[name]}, predicted",
-            gid=f"predicted-{name}",
-        )
+        words = f"{IN_WORDS[name]}, achieved, n = {total}"
+        look = {"color": colour, "ms": 3.2, "zorder": 4}
+        ax.plot(r[many], observed[many], marker, **look, label=words, gid=f"observed-{name}")
+        ax.plot(r[~many], observed[~many], marker, **look, mfc="white")
+        look = {"color": colour, "lw": 1.5, "label": f"{IN_WORDS[name]}, predicted"}
+        ax.plot(r, predicted, "--", **look, gid=f"predicted-{name}")
         tops += [observed[many & inside], predicted[many & inside]]
     values = np.concatenate(tops)
     values = values[np.isfinite(values)]
@@ -231,79 +196,30 @@ def _draw_theory(ax: Axes, rows: pd.DataFrame, r: ArrayF, names: Sequence[str]) 
         ax.plot(r, own, color=colour, lw=WIDTHS[name], ls="--", gid=f"predicted-3d-{name}")
         if name in known and np.isfinite(known[name][at]):
             ax.plot(r, known[name], color=colour, lw=1.1, ls=":", gid=f"published-{name}")
-            # the upper one is named above its line, the lower one below
-            above = known[name][at] >= max(curve[at] for curve in known.values())
             ends.append(float(known[name][at]))
-            ax.annotate(
-                f"{IN_WORDS[name]}, {PUBLISHED_FROM[name]}",
-                (r[at], known[name][at]),
-                va="center",
-                xytext=(0, 12 if above else -12),
-                textcoords="offset points",
-                ha="right" if above else "left",
-                fontsize=7,
-                color=colour,
-                path_effects=HALO,
-                zorder=6,
-            )
+            words = f"{IN_WORDS[name]}, {PUBLISHED_FROM[name]}"
+            look = {"textcoords": "offset points", "fontsize": 7, "color": colour, "path_effects": HALO}
+            ax.annotate(words, (r[at], known[name][at]), xytext=(0, 6), **look, ha="right", zorder=6)
     low, high = PUBLISHED_CROSSING_M
-    ax.axvspan(low, high, color="0.88", lw=0, zorder=0, gid="published-crossing")
-    ax.annotate(
-        f"published curves cross\nbetween {low:g} and {high:g} m",
-        (high, 0.97),
-        xycoords=("data", "axes fraction"),
-        annotation_clip=True,
-        xytext=(4, 0),
-        textcoords="offset points",
-        ha="left",
-        va="top",
-        fontsize=7,
-        zorder=6,
-        bbox={"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"},
-    )
-    _own_crossing(ax, rows, names)
+    ax.axvspan(low, high, color="0.88", lw=0, zorder=0)
+    words = f"published curves cross\nbetween {low:g} and {high:g} m"
+    if {"ins", "camera"} <= set(names):
+        facts = range_facts(rows, str(rows["points"].iloc[0]))
+        own_m = crossing_of(facts, "ins", "camera", "rmse_predicted_3d").get("crossing_m")
+        if own_m is None or own_m > _farthest(rows, r, names):
+            words += "\nhere INS and camera do not cross"
+        else:
+            words += f"\nhere (dashed): at {own_m:.1f} m"
+            ax.axvline(own_m, color="black", lw=0.8, ls="--", gid="own-crossing")
+    look = {"textcoords": "offset points", "fontsize": 7, "zorder": 6, "path_effects": HALO}
+    place = {"xycoords": ("data", "axes fraction"), "xytext": (4, 0)}
+    ax.annotate(words, (high, 0.97), **place, **look, ha="left", va="top", annotation_clip=True)
     shown = [1e3 * rows[f"{name}_rmse_predicted_3d_m"].to_numpy(np.float64) for name in names]
     inside = r <= _farthest(rows, r, names)
     highest = max([*(float(np.nanmax(s[inside])) for s in shown), *ends])
     ax.set_ylim(0.0, 1.25 * highest)
     ax.set_ylabel("3D sigma / mm")
     ax.set_title("b: predicted for all three components (P2 eq. 9); dashed: here, dotted: published budgets")
-
-
-def _own_crossing(ax: Axes, rows: pd.DataFrame, names: Sequence[str]) -> None:
-    """Where the predictions of INS and camera cross in this survey."""
-    if not {"ins", "camera"} <= set(names):
-        return
-    facts = range_facts(rows, str(rows["points"].iloc[0]))
-    at = crossing_of(facts, "ins", "camera", "rmse_predicted_3d").get("crossing_m")
-    words = "here INS and camera do not cross"
-    if at is not None and at <= _farthest(rows, rows["range_m"].to_numpy(np.float64), names):
-        ax.axvline(at, color="black", lw=0.8, ls="--", gid="own-crossing")
-        words = f"here (dashed): at {at:.1f} m"
-    ax.annotate(
-        words,
-        (PUBLISHED_CROSSING_M[1], 0.97),
-        xycoords=("data", "axes fraction"),
-        annotation_clip=True,
-        xytext=(4, -19),
-        textcoords="offset points",
-        ha="left",
-        va="top",
-        fontsize=7,
-        zorder=6,
-        bbox={"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"},
-    )
-
-
-def _step(ax: Axes, r: ArrayF, n: ArrayF, name: str) -> None:
-    ax.step(
-        r,
-        np.where(n > 0, n, np.nan),
-        where="mid",
-        color=STYLE[name][0],
-        lw=WIDTHS[name],
-        gid=f"counts-{name}",
-    )
 
 
 def _draw_histogram(ax: Axes, d: ArrayF, kept: ArrayF, name: str, limit: float) -> None:
@@ -357,30 +273,3 @@ def draw_chains_by_range(*, by_range: Path, outlier_nmads: float, title: str, tw
         title=f"Distances to the reference by range and trajectory: {title}",
         twin=twin,
     )
-
-
-def draw_chain_study_by_range(*, by_range: Path, distances: list[Path], outlier_nmads: float) -> Figure:
-    """Range classes of the surveys of a study -> distances to the bank by range."""
-    facts = read_table(distances[-1], CLOUD_TO_MESH)[1]
-    surveys = f"{facts['surveys']} disturbed surveys"
-    return chains_by_range(
-        pd.read_csv(by_range),
-        outlier_rule=f"without points whose distance over its sigma is farther than {outlier_nmads:g} NMAD "
-        "from the median",
-        title=f"Distances to the bank by range, {surveys}",
-        twin=True,
-    )
-
-
-def draw_chain_study_histograms(*, distances: list[Path]) -> Figure:
-    """Distances to the bank in the surveys of a study, in the order of `CHAINS` -> histograms."""
-    read = {name: read_table(path, CLOUD_TO_MESH) for name, path in zip(CHAINS, distances, strict=True)}
-    tables = {name: table for name, (table, _) in read.items()}
-    surveys = f"{read[CHAINS[-1]][1]['surveys']} disturbed surveys"
-    return chain_histograms(tables, title=f"Distances to the bank, {surveys}", twin=True)
-
-
-# ---------------------------------------------------------------- predicted sigmas over time
-
-
-# ---------------------------------------------------------------- outages of GNSS

@@ -120,7 +120,7 @@ def trajectory_comparison_page(
     if twin:
         page.text(TWIN_NOTE)
     page.text(PUBLISHED_WORDS)
-    page.section("Side by side").text(lead(table))
+    page.section("Side by side")
     page.table(side_by_side(table, costs), "The decisive numbers")
     page.pictures(pictures, captions)
     if costs.outages is not None:
@@ -289,34 +289,6 @@ def head(table: pd.DataFrame) -> tuple[str, list[Finding]]:
     name = BY_NAME[ranked[0]]
     first = f"{name[0].upper()}{name[1:]} has the smallest RMSE ({centimetres(best)})"
     return f"{first}; {certainty(table, *ranked[:2])}.", findings
-
-
-def lead(table: pd.DataFrame) -> str:
-    """The first sentences: how many points each chain places, how good they are, what was published."""
-    names = chains_of(table)
-    share = ", ".join(
-        f"{percent(value(table, SHOTS, 'share_with_pose', name))} by {BY_NAME[name]}" for name in names
-    )
-    decoded = max(value(table, SHOTS, "decoded", name) for name in names)
-    words = [f"Points with a pose, of {count(decoded)} that the lidar recorded: {share}."]
-    rmse = {name: value(table, WITHOUT_OUTLIERS, "rmse", name) for name in names}
-    if not all(np.isfinite(list(rmse.values()))):
-        words.append("There is no reference surface, so their clouds cannot be compared with one.")
-        return " ".join(words)
-    numbers = ", ".join(
-        f"{centimetres(rmse[name])} by {BY_NAME[name]} (mean "
-        f"{centimetres(value(table, WITHOUT_OUTLIERS, 'bias', name), sign=True)})"
-        for name in names
-    )
-    words.append(
-        f"Without outliers the distances of their clouds to the reference have an RMSE of {numbers}."
-    )
-    first, second = sorted(names, key=lambda name: rmse[name])[:2]
-    words.append(
-        f"The smallest is that of {BY_NAME[first]}, {100 * (1 - rmse[first] / rmse[second]):.0f} % below "
-        f"that of {BY_NAME[second]}: {certainty(table, first, second)}."
-    )
-    return " ".join(words)
 
 
 def certainty(table: pd.DataFrame, first: str, second: str) -> str:

@@ -9,18 +9,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from thalweg.budgets import (
-    CORRELATIONS,
-    GROUPS,
-    TOTAL,
-    Budget,
-    group_shares,
-    read_budget,
-    read_published,
-    totals_mm,
-)
+from thalweg.budgets import GROUPS, TOTAL, Budget, group_shares, read_budget, read_published, totals_mm
 from thalweg.core import ArrayF, InputError
-from thalweg.figures import BLUE, GREEN, HALO, ORANGE, PURPLE, SKY, VERMILION, new_figure, styled
+from thalweg.figures import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION, legend_below, new_figure, styled
 
 FARTHEST_M: Final = 60.0
 STYLE: Final = {
@@ -69,28 +60,16 @@ def error_budget(budgets: Sequence[Budget], published: Sequence[pd.DataFrame | N
         axes[0, k].plot(d, total, color="black", lw=1.2, label="total", gid="total")
         if cells is not None:
             points = cells[(cells["input"] == TOTAL) & cells["distance_m"].notna()]
-            axes[0, k].plot(
-                points["distance_m"],
-                points["value_mm"],
-                ls="none",
-                marker="o",
-                mfc="white",
-                mec="black",
-                mew=1.1,
-                ms=5,
-                label="total as published",
-                gid="published",
-                zorder=5,
-            )
+            look = {"mfc": "white", "mec": "black", "ms": 5, "zorder": 5, "gid": "published"}
+            axes[0, k].plot(points["distance_m"], points["value_mm"], "o", label="total as published", **look)
         axes[0, k].set_title(f"{budget.title}\n{budget.source}; geometry {budget.status}", fontsize="small")
         axes[1, k].set_xlabel("distance / m")
-        _names(axes[1, k], d, [100 * share for share in stacked])
     axes[0, 0].set_ylabel("3D standard deviation / mm,\ndivided as the variances")
     axes[1, 0].set_ylabel("share of variance / %")
     axes[0, 0].set(xlim=(1, FARTHEST_M), ylim=(0, None))
     axes[1, 0].set_ylim(0, 100)
     figure.align_ylabels(list(axes[:, 0]))
-    _legend(figure, axes[0, 0])
+    legend_below(figure, axes[0, 0])
     return figure
 
 
@@ -98,47 +77,10 @@ def _stack(ax: Axes, d: ArrayF, parts: list[ArrayF]) -> None:
     below = np.zeros_like(d)
     for group, part in zip(STYLE, parts, strict=True):
         colour, hatch = STYLE[group]
-        ax.fill_between(
-            d,
-            below,
-            below + part,
-            facecolor=colour,
-            edgecolor=(1, 1, 1, 0.55),
-            hatch=hatch,
-            lw=0.0,
-            label=group,
-            gid=group,
-        )
+        look = {"facecolor": colour, "edgecolor": (1, 1, 1, 0.55), "hatch": hatch, "lw": 0.0}
+        ax.fill_between(d, below, below + part, **look, label=group, gid=group)
         below = below + part
         ax.plot(d, below, color="white", lw=0.5)
-
-
-def _names(ax: Axes, d: ArrayF, parts: list[ArrayF]) -> None:
-    """Each group's name in its own band, where that is widest."""
-    below = np.zeros_like(d)
-    inner = (d > 8) & (d < FARTHEST_M - 8)
-    for group, part in zip(STYLE, parts, strict=True):
-        at = int(np.flatnonzero(inner)[np.argmax(part[inner])])
-        if part[at] > 9:
-            ax.text(
-                d[at],
-                below[at] + part[at] / 2,
-                group,
-                ha="center",
-                va="center",
-                fontsize=7,
-                path_effects=HALO,
-                gid="name",
-            )
-        below = below + part
-
-
-def _legend(figure: Figure, ax: Axes) -> None:
-    handles, labels = ax.get_legend_handles_labels()
-    order = [i for i, text in enumerate(labels) if text != CORRELATIONS]
-    figure.legend(
-        [handles[i] for i in order], [labels[i] for i in order], loc="outside lower left", ncols=len(order)
-    )
 
 
 def draw_error_budget(*, budgets: list[Path], published: list[Path]) -> Figure:

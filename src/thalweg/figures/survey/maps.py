@@ -192,7 +192,7 @@ def draw_ends(ax: Axes, trajectory: Trajectory) -> None:
     """Mark where the track begins and where it ends."""
     en = trajectory.position_wcs_m[trajectory.valid, :2]
     for point, name, face in ((en[0], "start", "white"), (en[-1], "end", "black")):
-        ax.plot(*point, ls="none", marker="D", ms=5.5, mfc=face, mec="black", mew=1.0, zorder=8, label=name)
+        ax.plot(*point, "D", ms=5.5, mfc=face, mec="black", mew=1.0, zorder=8, label=name)
 
 
 def _draw_cloud(ax: Axes, cloud: ArrayF, low: ArrayF, high: ArrayF) -> None:
@@ -206,7 +206,7 @@ def _draw_cloud(ax: Axes, cloud: ArrayF, low: ArrayF, high: ArrayF) -> None:
         height.T, origin="lower", cmap="gray", vmin=a - 1.6 * (b - a), vmax=b + 0.25 * (b - a),
         extent=(low[0], high[0], low[1], high[1]), zorder=1, gid="cloud",
     )  # fmt: skip
-    ax.plot([], [], ls="none", marker="s", color="0.75", label=f"cloud, n = {count(len(cloud))} points drawn")
+    ax.plot([], [], "s", color="0.75", label=f"cloud, n = {count(len(cloud))} points drawn")
 
 
 def sigma_norm(sigma: ArrayF) -> Normalize:

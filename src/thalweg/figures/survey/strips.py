@@ -3,8 +3,8 @@
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from scipy.stats import binned_statistic
 
-from thalweg.core import ArrayF
 from thalweg.figures import BLUE, GREEN, VERMILION, Finding, Page, count, drawn, new_figure, styled
 from thalweg.lidar import LEAST_TOLD, POSE, Adjusted
 
@@ -70,12 +70,8 @@ def distances(observations: pd.DataFrame, *, title: str, twin: bool) -> Figure:
         x = observations[column].to_numpy() - (observations[column].min() if column == "t_gps_s" else 0.0)
         edges = np.linspace(x.min(), x.max() + 1e-9, _BINS + 1)
         for name, colour in (("before", VERMILION), ("after", BLUE)):
-            ax.plot(
-                (edges[1:] + edges[:-1]) / 2,
-                1e3 * _rms(x, observations[f"{name}_m"], edges),
-                color=colour,
-                label=name,
-            )
+            square = binned_statistic(x, observations[f"{name}_m"] ** 2, bins=edges).statistic
+            ax.plot((edges[1:] + edges[:-1]) / 2, 1e3 * np.sqrt(square), color=colour, label=name)
         ax.set_xlabel(label)
         ax.set_ylabel("distance / mm")
         ax.set_ylim(bottom=0)
@@ -86,13 +82,6 @@ def distances(observations: pd.DataFrame, *, title: str, twin: bool) -> Figure:
     axes[2].set_xlabel("standardised residual")
     axes[2].set_ylabel("density")
     return figure
-
-
-def _rms(x: ArrayF, values: pd.Series, edges: ArrayF) -> ArrayF:
-    """Root mean square (k,) of values between edges; NaN where there are none."""
-    bin_ = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
-    n, total = (np.bincount(bin_, w, len(edges) - 1) for w in (None, values.to_numpy() ** 2))
-    return np.asarray(np.sqrt(np.divide(total, n, out=np.full(len(n), np.nan), where=n > 0)))
 
 
 @styled
