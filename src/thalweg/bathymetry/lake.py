@@ -21,7 +21,7 @@ from scipy.cluster.vq import kmeans2
 from scipy.spatial import cKDTree
 
 from thalweg.core import ArrayB, ArrayF, ArrayI, GeometryError, InputError
-from thalweg.ingest import read_text_table
+from thalweg.ingest import NAMES, read_text_table
 
 _PAIRED: Final = 1000
 _NEAR: Final = 0.15
@@ -37,7 +37,8 @@ _SCRAP: Final = 0.1
 _FEWEST_LINES: Final = 4
 _ASKED: Final = 60
 _CLOCK: Final = r"\d{1,2}:\d{2}(:\d{2})?"
-_DATE: Final = r"\d{4}-\d{2}-\d{2}"
+_DATE: Final = r"\d{4}-\d{2}-\d{2}|\d{1,2}\.\d{1,2}\.\d{4}"
+_WORDS_OF_TIME: Final = frozenset(f"{NAMES['date']} {NAMES['time']}".split())
 _DAY_S: Final = 86_400.0
 
 
@@ -168,6 +169,7 @@ class Levels:
     clock : times of day without a date.
     daily : one level a day; else levels between two times are interpolated.
     path : of the file.
+    notes : what was assumed of it.
     """
 
     t_s: ArrayF
@@ -175,6 +177,7 @@ class Levels:
     clock: bool
     daily: bool
     path: Path
+    notes: tuple[str, ...] = ()
 
     @classmethod
     def read(cls, path: Path) -> Self:
@@ -185,14 +188,22 @@ class Levels:
         InputError : no such table, or times that are neither ``2024-05-01``, ``2024-05-01T12:30`` nor
             ``12:30``.
         """
-        table = read_text_table(path)
-        last = len(table.columns) - 1
+        table = read_text_table(path, bare=("time", "level"))
+        at = table.find("level")
+        last = len(table.columns) - 1 if at is None else at
         level = table.numbers(last, "level")
-        when = pd.Series(["T".join(row) for row in table.cells.iloc[:, :last].to_numpy()], dtype=str)
+        of_time = [k for k, c in enumerate(table.columns) if {c.words} & _WORDS_OF_TIME]
+        when = pd.Series(["T".join(row) for row in table.cells.iloc[:, of_time].to_numpy()], dtype=str)
         clock, daily = (bool(len(when)) and bool(when.str.fullmatch(p).all()) for p in (_CLOCK, _DATE))
-        text = "1970-01-01T" + when.str.zfill(5) if clock else when
-        moment = pd.to_datetime(text, format="ISO8601", utc=True, errors="coerce")
-        bad = np.flatnonzero(moment.isna() | np.isnan(level))
+        told = None if clock else table.times()
+        t = np.full(len(table), np.nan) if told is None else told[0]
+        if clock:
+            t = (
+                pd.to_timedelta(when.where(when.str.count(":") > 1, when + ":00"))
+                .dt.total_seconds()
+                .to_numpy()
+            )
+        bad = np.flatnonzero(np.isnan(t) | np.isnan(level))
         if len(bad) or not len(table):
             raise InputError(
                 f"no time and level: {', '.join(table.cells.iloc[bad[0]])}" if len(bad) else "no level",
@@ -200,9 +211,9 @@ class Levels:
                 expected="times and levels",
                 cure="Write date or time, and level: 2024-05-01,312.45 or 2024-05-01T12:30,312.45",
             )
-        t = np.asarray((moment - pd.Timestamp(0, tz="UTC")).dt.total_seconds(), dtype=np.float64)
         order = np.argsort(t, kind="stable")
-        return cls(t_s=t[order], level_m=level[order], clock=clock, daily=daily, path=path)
+        notes = (*table.notes, *(told[1] if told else ()))
+        return cls(t_s=t[order], level_m=level[order], clock=clock, daily=daily, path=path, notes=notes)
 
     def at(self, t_s: ArrayF) -> ArrayF:
         """Level (n,) at times (n,), seconds since 1970 UTC.

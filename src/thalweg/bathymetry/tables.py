@@ -239,7 +239,8 @@ class TableOfSoundings:
                 cure="Name the column of the times, or state one --level",
             )
         level = levels.at(self.t_s)
-        return replace(self, height_m=self.height_m + level, level_m=float(np.median(level)))
+        notes = (*self.notes, *(f"{levels.path.name}: {note}" for note in levels.notes))
+        return replace(self, height_m=self.height_m + level, level_m=float(np.median(level)), notes=notes)
 
 
 def read_soundings(
@@ -287,8 +288,10 @@ def read_soundings(
     sigma = np.full(len(table), sigma_m) if at_sigma is None else table.numbers(at_sigma, "sigma")
     known = np.isfinite(value) & np.isfinite(places).all(axis=1) & np.isfinite(sigma) & (sigma > 0)
     notes = [*table.notes, *found.notes, *table.unit_notes(k), *table.loss_notes()]
-    if table.columns[k].words == "z" and not depth:
+    if not depth:
         notes.append(f"column {column} taken as heights, positive upwards: depths need --depth {column}")
+    if depth and (draught := table.find("draught")) is not None:
+        notes.append(f"column {table.columns[draught].name} is not added: depths are taken from the water")
     if known.any():
         notes.append(
             check_places(

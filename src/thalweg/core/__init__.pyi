@@ -20,6 +20,7 @@ from .camera import (
     PARAMETERS as PARAMETERS,
     Camera as Camera,
     Model as Model,
+    check_lens as check_lens,
     from_metashape as from_metashape,
     read_colmap as read_colmap,
     read_metashape as read_metashape,

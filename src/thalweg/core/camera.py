@@ -89,6 +89,8 @@ _PERSPECTIVE: Final = {
 }
 _METASHAPE: Final = ("f", "cx", "cy", "b1", "k1", "k2", "k3", "k4", "p1", "p2")
 _OPENCV_ORDER: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+_OFF_CENTRE: Final = 0.35
+"""Of a picture, that a principal point lies from its middle at most."""
 _HALF: Final = 0.5
 _N, _Z = r"\s+[-+.\deE]+", r"\s+0\.?0*"
 LENS_LINE: Final = re.compile(rf"\s*\d+\s+\d+{_N}{_Z}{_N}{_Z}{_N}{_N}{_Z}{_Z}\s+1\.?0*({_N}){{4,8}}\s*\Z")
@@ -546,9 +548,30 @@ def _named(model: Model, size: tuple[int, int], values: Mapping[str, float], nam
         given["fx"] = given["fy"] = given.pop("f")
     try:
         p = np.array([given.get(k, 0.0) for k in PARAMETERS[model]])
-        return Camera(model=model, size_px=size, parameters=p, name=name)
+        camera = Camera(model=model, size_px=size, parameters=p, name=name)
     except GeometryError as error:
         raise InputError(error.found, expected=error.expected, where=where) from error
+    check_lens(camera, where)
+    return camera
+
+
+def check_lens(camera: Camera, where: str | Path) -> None:
+    """Refuse a focal length or a principal point that no lens has behind a picture of this size.
+
+    Raises
+    ------
+    InputError : parameters in millimetres or without a unit, or those of a picture of another size.
+    """
+    fx, fy, cx, cy = camera.parameters[:4].tolist()
+    w, h = camera.size_px
+    off = max(abs(cx / w - 0.5), abs(cy / h - 0.5))
+    if min(fx, fy) < 0.1 * max(w, h) or max(fx, fy) > 100.0 * max(w, h) or off > _OFF_CENTRE:
+        raise InputError(
+            f"focal lengths {fx:g}, {fy:g} and principal point {cx:g}, {cy:g} of {w} x {h} pixels",
+            expected="pixels of this very picture, the principal point from its corner and near its middle",
+            where=where,
+            cure="Look at the unit, at the size, and whether the picture was turned or made smaller",
+        )
 
 
 def _numbers(data: Mapping[str, Any], keys: Sequence[str], path: Path) -> ArrayF:

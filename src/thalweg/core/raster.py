@@ -29,8 +29,11 @@ from thalweg.core.values import (
     LOWEST_M,
     Unit,
     check_degrees,
+    check_places,
     crs_of_geokeys,
+    far_repeated,
     is_nothing,
+    unit_in_words,
     unit_of_word,
     units_of_crs,
     utm_of,
@@ -311,7 +314,16 @@ def _heights(file: Any, path: Path, nodata: float | None) -> Dsm:
     number = names.index(ours[0]) + 1 if ours else _height_band(file, names, path)
     keys = _geo_keys(path)
     crs = CRS.from_wkt(file.crs.to_wkt()) if file.crs else None
-    up = _unit_of_band(file.units[number - 1], names[number - 1], path)
+    tags = {key.lower(): value for key, value in (file.tags() | file.tags(number)).items()}
+    up = _unit_of_band(file.units[number - 1] or tags.get("units"), names[number - 1], path)
+    words = [names[number - 1], *(tags.get(key, "") for key in ("long_name", "tifftag_imagedescription"))]
+    if "down" in tags.get("positive", "") or any(re.search(r"(?i)(?:^|_|\b)depth", w) for w in words):
+        raise UnsupportedError(
+            f"depths ({'; '.join(filter(None, words)) or 'positive down'})",
+            expected="heights, positive upwards", where=path,
+            cure="Change their sign, and call the band height: gdal_calc --calc=-A, or a GIS",
+        )  # fmt: skip
+    up = up or next((unit for each in words if (unit := unit_in_words(each)) is not None), None)
     of_crs = None if crs is None else units_of_crs(crs)[1]
     if up is not None and of_crs is not None and abs(up.metres / of_crs.metres - 1.0) > 1e-9:
         raise InputError(
@@ -340,6 +352,9 @@ def _heights(file: Any, path: Path, nodata: float | None) -> Dsm:
             cure="Transform the raster to a map projection: gdalwarp -r bilinear -t_srs "
             f"EPSG:{utm_of(middle[0], middle[1]).to_epsg()} {path.name} in_metres.tif",
         )  # fmt: skip
+    else:
+        corners = corner + cell * np.array([[0.0, 0.0], [file.width, -file.height]])
+        check_places(corners, stated.crs, where=path, one_survey=False)
     scale, offset = float(file.scales[number - 1]), float(file.offsets[number - 1])
     metres = stated.factors[2]
     raw = file.read(number)
@@ -443,7 +458,7 @@ def _unit_of_band(unit: str | None, name: str, path: Path) -> Unit | None:
             )
         return found
     bracket = _IN_BRACKETS.search(name)
-    return unit_of_word(bracket[1]) if bracket else None
+    return unit_of_word(bracket[1] if bracket else name.rpartition("_")[2])
 
 
 def _geo_keys(path: Path) -> list[int]:
@@ -537,6 +552,9 @@ def mask_missing(
     mask(undeclared & (np.abs(values) >= HUGE), f"undeclared value beyond {HUGE:g}")
     for value in np.unique(values[undeclared & np.isfinite(values)]):
         mask(values == value, f"undeclared value {value:g}")
+    for value in far_repeated(values):
+        if value != 0.0 or not zeros or (values == 0.0).sum() < _LEAST_ZEROS:
+            mask(values == value, f"undeclared value {value:g}, far from all others")
     one = what.removesuffix("s")
     if not np.isfinite(values).any():
         raise InputError(f"no {one} has a height", expected="heights in metres", where=path)

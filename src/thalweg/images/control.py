@@ -6,6 +6,7 @@ those of OpenDroneMap from the centre of the first pixel (OpenSfM adds the half 
 pixel is added.
 """
 
+import logging
 import math
 import re
 from collections import Counter
@@ -115,6 +116,9 @@ NAMES: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """Headings, in small letters, by which a column is known."""
 _SIGMAS: Final = ("sigma_east_m", "sigma_north_m", "sigma_up_m")
+log = logging.getLogger("thalweg")
+_LEAST_PX: Final = 2.0
+"""No picture has all of its marks in its first pixels."""
 LINE: Final = "line"
 """Key of a row under which the number of its line stands."""
 Loader = Callable[[str], "ArrayU8 | None"]
@@ -327,10 +331,18 @@ def read_marks(path: Path) -> MarkTable:
         rows = table_rows(path, ("image", "point", "x_px", "y_px"))
         if rows and "image" not in rows[0]:  # a table for each picture, which it is called like
             rows = [row | {"image": path.stem} for row in rows]
+    xy_px = _meant(rows, ("x_px", "y_px"), path)
+    if len(xy_px) > 1 and np.abs(xy_px).max() < _LEAST_PX:
+        raise InputError(
+            f"image points up to {np.abs(xy_px).max():g}",
+            expected="pixels from the upper left corner",
+            where=path,
+            cure="Write pixels: these are shares of the picture, or lengths on the sensor",
+        )
     return MarkTable(
         image=tuple(required(r, "image", path) for r in rows),
         point=tuple(required(r, "point", path) for r in rows),
-        xy_px=_meant(rows, ("x_px", "y_px"), path) + first_px,
+        xy_px=xy_px + first_px,
         sigma_px=numbers(rows, ("sigma_px",), path, math.nan)[:, 0],
         used=np.array([(r.get("used") or "true").lower() in ("true", "1", "yes") for r in rows]),
         skipped=skipped,
@@ -563,6 +575,8 @@ def table_rows(path: Path, needed: Sequence[str] = ()) -> list[dict[str, str]]:
             where=path,
             cure="Write the names of the columns above the numbers",
         )
+    for note in table.notes:
+        log.warning("%s: %s", path.name, note)
     return named_rows(table)
 
 

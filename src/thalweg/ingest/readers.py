@@ -296,7 +296,8 @@ class PositionLog:
 
     ``soundings`` are depths of a log that tells the place of each: columns ``latitude``, ``longitude``,
     ``depth_m`` and, where it is known, ``time``. ``triggers_gps_s`` (n,) are when a camera was triggered, NaN
-    where the log has no GPS time.
+    where the log has no GPS time. Positions beyond the poles, or at 0, 0 as before a first fix, are left out
+    and counted.
     """
 
     report: IntegrityReport
@@ -304,6 +305,16 @@ class PositionLog:
     depths: pd.DataFrame | None = None
     soundings: pd.DataFrame | None = None
     triggers_gps_s: ArrayF | None = None
+
+    def __post_init__(self) -> None:
+        """Leave positions out that are none."""
+        if self.positions is None:
+            return
+        lat, lon = (self.positions[name].to_numpy(np.float64) for name in ("lat_deg", "lon_deg"))
+        none = (np.abs(lat) > 90.0) | (np.abs(lon) > 360.0) | ((lat == 0.0) & (lon == 0.0))
+        if n := int(np.count_nonzero(none)):
+            self.report.lose("positions_at_no_place", n)
+            self.positions = self.positions[~none].reset_index(drop=True)
 
 
 @dataclass(slots=True, kw_only=True)

@@ -14,35 +14,56 @@ nothing    words and numbers of `thalweg.core.values.NOTHING`
 ========== ==================================================================================================
 """
 
+import contextlib
 import csv
+import datetime as dt
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from io import StringIO
 from pathlib import Path
 from typing import Any, Final
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
 import pandas as pd
 from pyproj import CRS, Transformer
 
-from thalweg.core import DAY_S, ArrayB, ArrayF, ArrayI, InputError, gps_from_week, require_file, unix_from_gps
+from thalweg.core import (
+    DAY_S,
+    LEAP_TABLE_VALID_UNTIL,
+    WEEK_S,
+    ArrayB,
+    ArrayF,
+    ArrayI,
+    InputError,
+    gps_from_unix,
+    gps_from_week,
+    require_file,
+    unix_from_gps,
+)
 from thalweg.core.values import (
     METRE,
     NOTHING,
+    SPOKEN,
     WORDS,
     Unit,
     check_places,
+    far_repeated,
     in_metres,
     in_words,
     is_nothing,
     is_vector_file,
+    matters,
     read_vectors,
+    says_downwards,
+    unit_in_words,
     unit_of_word,
     utm_of,
 )
 from thalweg.ingest.stamps import (
     TIME_SCALES,
+    doubtful_date,
     gps_from_scale,
     possible_unix,
     tell_time_scale,
@@ -68,6 +89,7 @@ NAMES: Final[Mapping[str, str]] = {
     "week": "week gps_week gpsweek wn",
     "tow": "tow sow gps_sow gps_tow seconds_of_week",
     "date": "date day datum date_utc fecha",
+    "draught": "draught draft tiefgang tirant",
     "level": "level water_level wl stage gauge wasserstand pegel",
 }
 """Quantities and the names, small letters without units, by which columns of them are known."""
@@ -80,7 +102,11 @@ _FILLER_WORDS: Final = (
 )
 _FILLERS: Final = frozenset(_FILLER_WORDS.split())
 """Words in names that change nothing of what is meant."""
-_OTHER_UNITS: Final = "bar dbar mbar kpa hpa pa psi ms us s sec min v mv counts raw_counts px pixel pixels"
+_ANGLES: Final = {"rad": 180.0 / np.pi, "radian": 180.0 / np.pi, "radians": 180.0 / np.pi, "gon": 0.9}
+"""Units of latitude and longitude other than degrees -> degrees."""
+_OTHER_UNITS: Final = (
+    "bar dbar mbar kpa hpa pa psi ms us s sec min v mv counts raw_counts px pixel pixels " + " ".join(_ANGLES)
+)
 _NO_LENGTHS: Final = frozenset(_OTHER_UNITS.split())
 """Units that are known and are no lengths."""
 _OF_IMAGES: Final = frozenset(["px", "pixel", "pixels", "s", "ms", "us"])
@@ -95,6 +121,9 @@ _ALIKE: Final = 0.8
 """Share of the lines that a separator must cut into the same number of cells."""
 _MOST_GARBLED: Final = 0.05
 """Share of cells without a number beyond which a column is refused rather than thinned."""
+_TOTALS: Final = frozenset(["total", "sum", "summe", "mean", "average", "mittel", "min", "max", "std"])
+_LAST_ROWS: Final = 10
+"""Rows at the end of a table of which one may hold the mean or the sum of the others."""
 _SECOND_M: Final = 10.0
 """Two statements of one place (degrees, and metres of the grid) that differ by more contradict each other."""
 
@@ -132,6 +161,25 @@ _WORDED: Final = re.compile(
     r"(?i)\d ?[ap]\.?m\.?$|[-/ ](?:jan|feb|mar|apr|may|jun|jul|aug|sep|oct|nov|dec)[a-z]*[-/ ]"
 )
 """Clocks of twelve hours, and months by name."""
+_LAST_YEAR: Final = int(LEAP_TABLE_VALID_UNTIL[2:4])
+"""Of two digits, that a date of a survey may have."""
+_OF_ZONES: Final = ("timezone", "time_zone", "tz", "utc_offset", "utcoffset")
+_HOURS: Final = (
+    "0 UTC GMT Z|1 CET MEZ|2 CEST MESZ EET|3 EEST|9 JST|10 AEST|11 AEDT|12 NZST|13 NZDT|-4 EDT|-5 EST CDT|"
+    "-6 MDT|-7 MST PDT|-8 PST"
+)
+_ZONES: Final = {name: float(first) for first, *names in map(str.split, _HOURS.split("|")) for name in names}
+"""Names of zones of time that mean one of them -> hours before UTC."""
+_OFFSET: Final = re.compile(r"(?<![\w:])(?:UTC|GMT)?\s?([+-])(\d{1,2}):?(\d\d)?(?!\w)")
+_DAY_COUNTS: Final = {
+    "days since 1899-12-30 (Excel)": 25_569.0,
+    "modified Julian days": 40_587.0,
+    "days since the year 0 (MATLAB)": 719_529.0,
+    "Julian days": 2_440_587.5,
+}
+"""Counts of days -> their number on 1970-01-01."""
+_FEWEST_STEP: Final = 0.005
+"""No sounder and no receiver writes rows of a table so fast, in seconds: smaller steps are days."""
 _ANGLE: Final = re.compile(
     r"\s*([NSEW])?\s*([-+−]?\d+(?:[.,]\d+)?)\s*(?:[°d:\s]\s*(\d+(?:[.,]\d+)?)\s*(?:['′m:\s]\s*(\d+(?:[.,]\d+)?)\s*(?:''|\"|″|s)?)?)?"
     r"\s*['′°]?\s*([NSEW])?\s*",
@@ -152,6 +200,10 @@ class Column:
     foreign: str = ""
 
 
+_GLUED: Final = re.compile(
+    r"(depth|tiefe|height|elev|elevation|altitude|easting|northing|level|stage)(ft|feet|usft|[cdm]m|m|fathoms?)"
+)
+"""A quantity and its unit without anything between them."""
 _LONGEST_NAME: Final = 200
 """Letters of a column's name; the first line of what is no table may be one of a megabyte."""
 
@@ -165,8 +217,8 @@ def column_of(name: str) -> Column:
     ('depth', 'foot')
     >>> column_of("Depth_in_Feet").words, column_of("depth (US ft)").unit.name
     ('depth', 'US survey foot')
-    >>> column_of("POINT_Z").words
-    'z'
+    >>> column_of("POINT_Z").words, column_of("DEPTHFT").unit.name, column_of("depth_ft_avg").unit.name
+    ('z', 'foot', 'foot')
     """
     bare = name.strip()[:_LONGEST_NAME].strip("\"'").strip()
     unit, foreign, rest = None, "", re.sub(r"(?i)\b(?:[xyz]|date)/(?=\w\w)", "", bare)
@@ -178,12 +230,17 @@ def column_of(name: str) -> Column:
     split = re.sub(r"([a-zäöüß])([A-ZÄÖÜ])", r"\1 \2", rest)
     tokens = re.findall(r"[^\W\d_]+", re.sub(r"([A-Z]+)([A-Z][a-z])", r"\1 \2", split).lower())
     if unit is None and not foreign:
+        if glued := _GLUED.fullmatch("_".join(tokens)):
+            tokens = list(glued.groups())
         for k in (3, 2, 1):
             if len(tokens) > k and (unit := unit_of_word("_".join(tokens[-k:]))) is not None:
                 tokens = tokens[:-k]
                 break
         else:
-            if len(tokens) > 1 and tokens[-1] in _NO_LENGTHS:
+            inside = [k for k, token in enumerate(tokens) if token in SPOKEN and len(tokens) > 1]
+            if len(inside) == 1:
+                unit = unit_of_word(tokens.pop(inside[0]))
+            elif len(tokens) > 1 and tokens[-1] in _NO_LENGTHS:
                 foreign = tokens.pop()
     kept = [t for t in tokens if t not in _FILLERS] or tokens
     return Column(bare, "_".join(kept), unit, foreign)
@@ -239,6 +296,8 @@ class Table:
     cells : (n, k) texts without blanks around them.
     line : (n,) number of each row's line in the file, from 1.
     decimal, thousands : marks inside numbers; no ``thousands`` if empty.
+    code : EPSG code of the map that the file states.
+    remarks : what the file says in words beside its rows.
     losses : rows that were not taken: reason -> their number and the first line; grows as columns are read.
     notes : what was assumed.
     """
@@ -250,6 +309,8 @@ class Table:
     line: ArrayI
     decimal: str = "."
     thousands: str = ""
+    code: int | None = None
+    remarks: tuple[str, ...] = ()
     losses: dict[str, tuple[int, int]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
@@ -297,7 +358,8 @@ class Table:
         return [
             k
             for k, c in enumerate(self.columns)
-            if (c.words in known or c.name.lower() in known) and not (angle and (c.unit or c.foreign))
+            if (c.words in known or c.name.lower() in known)
+            and not (angle and (c.unit or (c.foreign and c.foreign not in _ANGLES)))
         ]
 
     def column(self, name: str) -> int:
@@ -362,6 +424,14 @@ class Table:
                 expected="a unit of length",
                 cure="Convert it to metres, or name another column",
             )
+        down = next((line for line in self.remarks if says_downwards(line)), None)
+        if quantity == "height" and down is not None and self.find("depth") is None:
+            raise InputError(
+                f"heights in column {column.name}, and the remark '{down[:60]}'",
+                where=self.path,
+                expected="heights, positive upwards",
+                cure=f"Name the column depth, or state --depth {column.name}",
+            )
         values, metres = self._values(k)
         if np.isnan(values).any():
             words = np.asarray(cells.str.lower().isin(WORDS), dtype=np.bool_)
@@ -380,7 +450,9 @@ class Table:
                     )
                 self._lose(f"with {first} for a number", column.name, odd)
         kind = quantity if quantity in NOTHING else _KIND.get(quantity, "other")
-        none = (is_nothing(values, kind, nothing, keep) | _nines(values, kind, keep)) & np.isfinite(values)
+        none = is_nothing(values, kind, nothing, keep) & np.isfinite(values)
+        if kind in ("depth", "height"):
+            none |= _stand_ins(np.where(none, np.nan, values), keep)
         if none.any():
             shown = ", ".join(f"{v:g}" for v in np.unique(values[none])[:3])
             self._lose(f"with {shown}, which stands for no value,", column.name, none)
@@ -460,6 +532,16 @@ class Table:
         InputError : no columns of coordinates, or none of a stated system.
         """
         metric, angular = self.having(("east", "north")), self.having(("lat", "lon"))
+        own_map = None if self.code is None or angular else CRS.from_epsg(self.code)
+        if own_map is not None and crs is not None and crs.to_2d().to_epsg() not in (None, self.code):
+            raise InputError(
+                f"places in {own_map.name} (EPSG:{self.code}) by the file, in {crs.name} as stated",
+                where=self.path,
+                expected="one coordinate system",
+                cure=f"State EPSG:{self.code}, or correct the file",
+            )
+        if crs is None:
+            crs = own_map
         stated, unit_m = crs, 1.0
         if crs is not None:
             found = in_metres(crs)
@@ -556,6 +638,7 @@ class Table:
         for row in np.flatnonzero(np.isnan(values)).tolist():
             values[row] = _angle(cells.iloc[row], letters)
         values[is_nothing(values, "position")] = np.nan
+        values *= _ANGLES.get(self.columns[k].foreign, 1.0)
         none = ~np.isfinite(values)
         if none.mean() > _MOST_GARBLED and not cells[none].str.lower().isin(WORDS).all():
             bad = int(np.flatnonzero(none)[0])
@@ -608,6 +691,9 @@ class Table:
                     others = ", ".join(self.columns[k].name for k in named if k != time)
                     found[1].append(f"times of column {self.columns[time or 0].name}, not of {others}")
                 break
+        if found is not None:
+            possible = np.where(possible_unix(found[0]), found[0], np.nan)
+            found[1].extend(x for x in (doubtful_date(gps_from_unix(possible)),) if x)
         return found
 
     def _moments(self, date: int | None, time: int | None) -> tuple[ArrayF, list[str]] | None:
@@ -619,9 +705,13 @@ class Table:
         parts = [pd.Series(self.text(k)) for k in (date, time) if k is not None]
         week, tow = self.find("week"), self.find("tow")
         if not parts and week is not None and tow is not None:
-            t_gps_s = gps_from_week(self.numbers(week, "time"), self.numbers(tow, "time"))
-            note = f"times taken as GPS weeks and seconds of the week ({self.columns[tow].name})"
-            return unix_from_gps(t_gps_s), [note]
+            second = self.numbers(tow, "time")
+            unit, parts_a_second = (
+                ("milliseconds", 1000.0) if (second > 2 * WEEK_S).any() else ("seconds", 1.0)
+            )
+            t_gps_s = gps_from_week(self.numbers(week, "time"), second / parts_a_second)
+            notes = [f"times taken as GPS weeks and {unit} of the week ({self.columns[tow].name})"]
+            return unix_from_gps(t_gps_s), notes
         if not parts:
             return None
         name = self.columns[time if time is not None else date or 0].name
@@ -629,6 +719,12 @@ class Table:
         none = f"column {name} is not read: '{text.iloc[0] if len(text) else ''}' is no time with a date"
         number = pd.to_numeric(text, errors="coerce").to_numpy(np.float64)
         if np.isfinite(number).mean() > 0.5:
+            step = np.diff(np.unique(number[np.isfinite(number)]))
+            since = number if step.size and np.median(step) < _FEWEST_STEP else np.full(len(number), np.nan)
+            for words, first in _DAY_COUNTS.items():
+                years = (since - first) / 365.25 + 1970
+                if np.nanmin(years, initial=1e9) >= 2000 and np.nanmax(years, initial=0) < 2001 + _LAST_YEAR:
+                    return (since - first) * DAY_S, [f"times taken as {words}, in UTC"]
             told = [each for each in tell_time_scale(number) if each not in ("week_s", "day_s")]
             if not told:
                 return np.full(len(text), np.nan), [none]
@@ -640,23 +736,61 @@ class Table:
         found = text.str.extract(_DAY)
         if found[0].notna().mean() > 0.5:
             text = self._iso(text, found)
+        behind = text.str.extract(r"\d ?([A-Z]{1,5}|[A-Z][a-z]+/\w+)$")[0].dropna().unique()
+        own = str(behind[0]) if len(behind) == 1 and (behind[0] in _ZONES or "/" in behind[0]) else ""
+        if own not in ("", "Z"):
+            text = text.str.removesuffix(own).str.strip()
+        zone = _zone(own)
         if text.str.contains(_WORDED).all():
             text = pd.to_datetime(text, format="mixed", errors="coerce").astype(str)
         moment = pd.to_datetime(text.str.replace(" ", "T", n=1), format="ISO8601", utc=True, errors="coerce")
         if not moment.notna().any():
             return np.full(len(text), np.nan), [none]
         notes = []
-        if not text.str.contains(r"(?:Z|[+-]\d\d:?\d\d)$", regex=True).any():
-            notes.append("times state no zone: taken as UTC")
-        unix = moment.to_numpy("datetime64[ns]").astype(np.int64) / 1e9
+        if not text.str.contains(r"(?:Z|:\d\d[.\d]*[+-]\d\d(?::?\d\d)?)$", regex=True).any():
+            said = [name, *(line for line in self.remarks if re.search(r"(?i)time|zone|uhr", line))]
+            said += [self.text(k)[0] for k, c in enumerate(self.columns) if c.words in _OF_ZONES]
+            zone = zone or next((each for each in map(_zone, said) if each is not None), None)
+            if zone is not None:
+                moment = moment.dt.tz_localize(None).dt.tz_localize(zone, ambiguous="NaT", nonexistent="NaT")
+                moment = moment.dt.tz_convert("UTC")
+                notes.append(f"times are in the zone {zone}, as the table says")
+            elif not (own or re.search(r"\b(?:UTC|GMT)\b", name)):
+                notes.append("times state no zone: taken as UTC")
+                if other := next((words for words in said if re.search(r"(?i)gps|local", words)), ""):
+                    notes.append(f"'{other[:60]}' may mean another clock: GPS time is 18 s ahead of UTC")
+        unix = moment.dt.tz_localize(None).to_numpy("datetime64[ns]").astype(np.int64) / 1e9
+        unix[moment.isna()] = np.nan
+        back = np.diff(unix)
+        if (
+            len(parts) == 2
+            and parts[0].nunique() == 1
+            and (back < 0).any()
+            and (back[back < 0] < -0.9 * DAY_S).all()
+        ):
+            unix[1:] += DAY_S * np.cumsum(back < 0)
+            notes.append(
+                f"times pass midnight and the date in column {self.columns[date or 0].name} stays: next day"
+            )
         if (unix[moment.notna()] % DAY_S == 0.0).all():
             notes = [f"column {name} holds days without a time: midnight of UTC is taken"]
         return np.where(moment.notna() & possible_unix(unix), unix, np.nan), notes
 
     def _iso(self, text: "pd.Series[str]", found: pd.DataFrame) -> "pd.Series[str]":
         """Times with year, month and day in the order of ISO 8601."""
-        a, b = (pd.to_numeric(found[k], errors="coerce") for k in (0, 2))
+        a, b, year = (pd.to_numeric(found[k], errors="coerce") for k in (0, 2, 3))
         point = (found[1] == ".").any()
+        if not point and b.max() <= 12 and year.max() <= 31 and a.nunique() == 1 and a.max() <= _LAST_YEAR:
+            if year.nunique() == 1 and a.max() != year.max():
+                raise InputError(
+                    f"dates such as {text.iloc[0]}, in which the first or the last number may be the year",
+                    where=self.path,
+                    expected="years of four digits",
+                    cure="Write the dates as 2024-06-12, or leave the column out",
+                )
+            return pd.Series(
+                [f"20{y:02.0f}-{m:02.0f}-{d:02.0f}" for y, m, d in zip(a, b, year, strict=True)]
+            ).str.cat(found[4].fillna("").str.strip(" ,T"), sep=" ")
         if not point and a.max() <= 12 and b.max() <= 12 and not (a == b).all():
             raise InputError(
                 f"dates such as {text.iloc[0]}",
@@ -665,7 +799,6 @@ class Table:
                 cure="Write the dates as 2024-06-12, or leave the column out",
             )
         day, month = (a, b) if point or a.max() > 12 else (b, a)
-        year = pd.to_numeric(found[3], errors="coerce")
         year = year.where(year > 99, year + 2000)
         iso = [f"{y:04.0f}-{m:02.0f}-{d:02.0f}" for y, m, d in zip(year, month, day, strict=True)]
         return pd.Series(iso).str.cat(found[4].fillna("").str.strip(" ,T"), sep=" ").str.strip()
@@ -714,14 +847,13 @@ class Places:
     notes: list[str]
 
 
-def _nines(values: ArrayF, kind: str, keep: Sequence[float]) -> ArrayB:
-    """Depths and heights such as 99.9 that exceed all others by far: instruments write them for none."""
+def _stand_ins(values: ArrayF, keep: Sequence[float]) -> ArrayB:
+    """Depths and heights that repeat far from all others, or such as 99.9 that exceed all others by far."""
     known = np.unique(values[np.isfinite(values)])
-    if kind not in ("depth", "height") or len(known) < 2:
-        return np.zeros(len(values), np.bool_)
-    top, others = known[-1], np.abs(known[[0, -2]]).max()
-    lone = top > 3 * others and top not in keep and re.fullmatch(r"99+(\.9+)?|9\.9+", f"{top:.15g}")
-    return np.asarray((values == top) & bool(lone))
+    found = set(far_repeated(values))
+    if len(known) > 1 and known[-1] > 3 * np.abs(known[[0, -2]]).max():
+        found |= {float(known[-1])} if re.fullmatch(r"99+(\.9+)?|9\.9+", f"{known[-1]:.15g}") else set()
+    return np.isin(values, list(found - set(keep)))
 
 
 def _without_unit(name: str) -> str:
@@ -729,6 +861,18 @@ def _without_unit(name: str) -> str:
     bare = re.sub(r"[(\[{<][^)\]}>]*[)\]}>]\s*$", "", name).strip().lower()
     head, _, tail = bare.rpartition("_")
     return head if head and unit_of_word(tail) is not None else bare
+
+
+def _zone(text: str) -> dt.tzinfo | None:
+    """The zone of time that words name, as ``UTC+2``, ``(CEST)``, ``Europe/Berlin``; None: none, or UTC."""
+    if found := re.search(r"\b[A-Z][a-z]+/[A-Z]\w+", text):
+        with contextlib.suppress(ZoneInfoNotFoundError):
+            return ZoneInfo(found[0])
+    if found := _OFFSET.search(text):
+        minutes = 60 * int(found[2]) + int(found[3] or 0)
+        return dt.timezone(dt.timedelta(minutes=-minutes if found[1] == "-" else minutes))
+    hours = next((_ZONES[word] for word in re.findall(r"[A-Z]+", text) if word in _ZONES), 0.0)
+    return dt.timezone(dt.timedelta(hours=hours)) if hours else None
 
 
 def _angle(text: str, letters: str) -> float:
@@ -790,11 +934,12 @@ def read_text_table(path: Path, *, order: Sequence[str] | None = None, bare: Seq
         line=number.astype(np.int64),
         notes=notes,
     )
-    if all(column.unit is None for column in table.columns):
-        _refuse_unit_above(lines[:first], table)
+    if bare and not table.named and width == len(bare):
+        notes.append(f"The file names no columns: taken as {', '.join(bare)}")
     if body[0].dtype.kind == "f":
-        return table
+        return _heed(_remarks(text, lines[:first], table), table)
     table = _whole_rows(table, head, width)
+    table = _heed(_remarks(text, lines[:first], table), table)
     decimal, thousands = _marks(table, separator)
     return replace(table, decimal=decimal, thousands=thousands)
 
@@ -841,25 +986,49 @@ def read_places(
     return Table.of(frame, path), Places(at[:, :2], on, list(drawn.notes))
 
 
-def _refuse_unit_above(lines: Sequence[str], table: Table) -> None:
-    """A line above the rows, or a column, that states a unit of others, such as ``Units: feet``."""
-    stated = list(enumerate(lines, 1))
+def _remarks(text: str, above: Sequence[str], table: Table) -> list[tuple[int, str]]:
+    """What a file says in words, with the lines: above its rows, behind marks of a comment, at its end."""
+    found = dict(enumerate(above, 1))
     for k, column in enumerate(table.columns):
-        if re.fullmatch(r"(?:depth_)?(?:units?|einheit)", column.words):
-            stated += [
-                (int(line), f"unit: {cell}") for line, cell in zip(table.line, table.text(k), strict=True)
-            ]
-    for number, line in stated:
-        found = re.search(r"(?i)\bunits?\W+(.*)|\b(?:depths?|heights?|elevations?) in (.*)", line)
-        words = re.findall(r"[a-z]+", (found[1] or found[2] or "").lower())[:3] if found else []
-        units = [unit_of_word(" ".join(words[: k + 1])) for k in range(len(words))]
-        if any(unit is not None and not unit.is_metre for unit in units):
+        if re.fullmatch(r"(?:depth_)?(?:units?|uom|einheit)", column.words):
+            found |= {int(n): f"unit: {cell}" for n, cell in zip(table.line, table.text(k), strict=True)}
+    lines = text.splitlines()
+    for k in {*range(min(_SAMPLE, len(lines))), *range(max(len(lines) - _LAST_ROWS, 0), len(lines))}:
+        if lines[k].lstrip().startswith(_HEADS) or (k >= _SAMPLE and re.match(r"\s*[^\W\d]", lines[k])):
+            found.setdefault(k + 1, lines[k])
+    names = "|".join(re.escape(c.name) for c in sorted(table.columns, key=lambda c: -len(c.name)))
+    words = {n: re.sub(names, " ", line) if table.named else line for n, line in found.items()}
+    return [
+        (n, found[n].strip())
+        for n in sorted(found)
+        if re.search(r"[^\W\d_]{3}", words[n]) and not _are_units(re.split(r"[,;|\s]+", found[n]))
+    ]
+
+
+def _heed(remarks: Sequence[tuple[int, str]], table: Table) -> Table:
+    """The table with what remarks say of it; units, and depths that are not named so, are refused.
+
+    What may matter and is not read, such as a draught, a datum or a zone of time, is quoted.
+    """
+    bare = all(column.unit is None for column in table.columns)
+    codes = set()
+    for number, line in remarks:
+        if bare and unit_in_words(line) is not None:
             raise InputError(
-                f"'{line.strip()[:60]}' beside columns that name no unit: {table.listed()}",
+                f"'{line[:60]}' beside columns that name no unit: {table.listed()}",
                 expected="a unit behind the name of each column that it is meant for, such as depth_ft",
                 where=f"{table.path}:{number}",
                 cure="Rename these columns, or state all with --columns",
             )
+        codes |= {int(code) for code in re.findall(r"(?i)\bEPSG\W{0,2}(\d{4,5})\b", line)}
+        if matters(line):
+            table.notes.append(f"line {number} says '{line[:80]}'")
+    for column, cells in zip(table.columns, table.cells.to_numpy().T, strict=False):
+        if column.words in ("epsg", "srid"):
+            codes |= {int(cell) for cell in {*cells} if re.fullmatch(r"\d{4,5}", str(cell))}
+    maps = [code for code in codes if CRS.from_epsg(code).is_projected]
+    lines = tuple(line for _, line in remarks)
+    return replace(table, code=maps[0] if len(maps) == 1 else None, remarks=lines)
 
 
 def _numbers_alone(text: str, separator: str, first: int) -> pd.DataFrame | None:
@@ -1008,13 +1177,14 @@ def _header(
             units = row
         elif row and len(row) >= max(1, usual - 1) and not any(values[k]):
             return row, units, first
-        elif row:
+        elif row and not 0 <= named < k:  # a remark between the names and the numbers
             break
     comments = [x.lstrip() for x in lines[:first] if x.lstrip().startswith(_HEADS)]
     for line in reversed(comments):
-        names = [c.strip() for c in _split(line.lstrip("#%/! \t"), separator)]
+        line = re.sub(r"(?i)^[#%/!\s]+(?:(?:columns?|fields?|format|header|order)\s*[:=])?\s*", "", line)
+        names = [c.strip() for c in _split(line, separator)]
         if len(names) < 2 or len(names) != usual:
-            names = line.lstrip("#%/! \t").replace(",", " ").split()
+            names = line.replace(",", " ").split()
         if len(names) == usual and _known(names) >= 2:
             return names, units, first
     return None, units, first
@@ -1081,6 +1251,11 @@ def _whole_rows(table: Table, head: list[str] | None, width: int) -> Table:
     """The table without repeated headers and without rows of more cells than there are columns."""
     cells = table.cells
     keep = np.ones(len(cells), dtype=np.bool_)
+    total = cells[0].str.lower().isin(_TOTALS).to_numpy(np.bool_).copy()
+    total[:-_LAST_ROWS] = False
+    if total.any() and not total.all():
+        table.losses["of a total or a mean"] = _count(total, table.line)
+        keep &= ~total
     if head is not None and len(cells):
         again = (cells.iloc[:, : len(head)] == head).all(axis=1).to_numpy()
         if again.any():

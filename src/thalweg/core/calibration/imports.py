@@ -30,6 +30,7 @@ from thalweg.core import (
     Model,
     Rigid,
     UnsupportedError,
+    check_lens,
     read_colmap,
     read_mapping,
     read_metashape,
@@ -158,6 +159,7 @@ def _camera(path: Path, lines: Mapping[tuple[str, ...], int], name: str, data: A
         camera = Camera(model=model, size_px=(int(size[0]), int(size[1])), parameters=parameters, name=name)
     except GeometryError as error:
         raise ConfigError(error.found, where=where("intrinsics"), expected=error.expected) from error
+    check_lens(camera, where("intrinsics"))
     to_imu = pose("T_cam_imu")
     return KalibrCamera(
         name=name,

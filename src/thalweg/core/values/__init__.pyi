@@ -1,4 +1,10 @@
-from .nothing import HUGE as HUGE, NOTHING as NOTHING, WORDS as WORDS, is_nothing as is_nothing
+from .nothing import (
+    HUGE as HUGE,
+    NOTHING as NOTHING,
+    WORDS as WORDS,
+    far_repeated as far_repeated,
+    is_nothing as is_nothing,
+)
 from .places import (
     FAR_M as FAR_M,
     FORMS as FORMS,
@@ -19,16 +25,21 @@ from .stated import (
     crs_of_geokeys as crs_of_geokeys,
     heights_in_words as heights_in_words,
     in_metres as in_metres,
+    matters as matters,
     onto_map as onto_map,
+    refuse_depths as refuse_depths,
     same_heights as same_heights,
+    says_downwards as says_downwards,
     vertical_of as vertical_of,
 )
 from .units import (
     FATHOM as FATHOM,
     FOOT as FOOT,
     METRE as METRE,
+    SPOKEN as SPOKEN,
     US_SURVEY_FOOT as US_SURVEY_FOOT,
     Unit as Unit,
+    unit_in_words as unit_in_words,
     unit_of_code as unit_of_code,
     unit_of_letter as unit_of_letter,
     unit_of_word as unit_of_word,

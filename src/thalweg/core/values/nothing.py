@@ -18,7 +18,7 @@ _TEXTS: Final = (
 )
 WORDS: Final = frozenset(_TEXTS.split("|"))
 """Texts of a cell without a value, small letters."""
-_ANY: Final = (-9999.0, -99999.0, -999999.0, -32768.0, -32767.0, -9999.99, -9999.9)
+_ANY: Final = (-9999.0, -99999.0, -999999.0, -32768.0, -32767.0, -9999.99, -9999.9, -777.0)
 HUGE: Final = 1e9
 """No length, angle or depth of a survey: 1.70141e38 (Surfer), 3.4028e38 (float32) and their like."""
 NOTHING: Final[Mapping[str, tuple[float, ...]]] = {
@@ -46,6 +46,11 @@ NOTHING: Final[Mapping[str, tuple[float, ...]]] = {
 """Values of a quantity, in the unit of the file, that instruments and programs write where they have none."""
 
 
+_REPEATED, _FEWEST_OTHERS, _DISTINCT, _APART = 3, 20, 5, 10.0
+"""Of a number that stands for none: how often it is met at least, how many others, and different ones, there
+are, and its distance from them in spans of theirs."""
+
+
 def is_nothing(
     values: ArrayLike, quantity: str, extra: Sequence[float] = (), keep: Sequence[float] = ()
 ) -> ArrayB:
@@ -64,3 +69,40 @@ def is_nothing(
     for value in {*NOTHING[quantity], *extra} - set(keep):
         out |= np.isclose(x, value, rtol=1e-7, atol=0.0)  # single precision rounds what it stores
     return np.asarray(out)
+
+
+def far_repeated(values: ArrayLike) -> tuple[float, ...]:
+    """The lowest, the highest number or both, where each repeats exactly and far away from all others.
+
+    So programs write that there is no value: -99, 0 among heights of 97 m, 65.535, whatever number they take.
+
+    Parameters
+    ----------
+    values : depths or heights of any shape; NaN are left out.
+
+    Examples
+    --------
+    >>> depth_m = [2.0 + 0.01 * k for k in range(30)]
+    >>> far_repeated([*depth_m, 65.535, 65.535, 65.535])
+    (65.535,)
+    >>> far_repeated([*depth_m, 65.535])
+    ()
+    """
+    x = np.asarray(values, dtype=np.float64).ravel()
+    x = x[np.isfinite(x)]
+    if x.size <= _FEWEST_OTHERS:
+        return ()
+    low, high = float(x.min()), float(x.max())
+    for ends in ((low,), (high,), (low, high)):
+        others = x[~np.isin(x, ends)]
+        if others.size < _FEWEST_OTHERS or len(np.unique(others[:1000])) < _DISTINCT:
+            continue
+        least, most = float(others.min()), float(others.max())
+        if all(
+            np.count_nonzero(x == end) >= _REPEATED
+            and max(least - end, end - most) > _APART * (most - least)
+            and (abs(end) > 2 * max(-least, most) or end <= 0 < least or most < 0 <= end)
+            for end in ends
+        ):
+            return ends
+    return ()

@@ -1,6 +1,7 @@
 """What a file states of its coordinates: GeoKeys, units of all three axes, degrees; all brought to metres."""
 
 import io
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,6 +36,50 @@ class Stated:
     crs: CRS | None
     factors: tuple[float, float, float]
     notes: tuple[str, ...]
+
+
+_MATTERS: Final = re.compile(
+    r"(?i)draught|draft|datum|geoid|dhhn|navd|ngvd|\begm|tide|gps time|time (?:zone|system)|local time|"
+    r"daylight|offset|shift|speed of sound|sound (?:speed|velocity)|positive|origin|cent(?:re|er)\b|correct|"
+    r"\bto (?:world|body|camera)|\b(?:ned|enu|mm|feet|ft|utm|utc|gmt|msl)\b|\+proj|coordinate system|"
+    r"reference frame|epsg"
+)
+_DOWNWARDS: Final = re.compile(
+    r"(?i)positive[ -]*down|down(?:wards?)?[ -]*(?:is )?positive|\bz\b\W+(?:is )?(?:the )?(?:water )?depth"
+)
+
+
+def matters(remark: str) -> bool:
+    """Whether a remark of a file may change what its numbers mean: one that is not read is quoted then."""
+    return _MATTERS.search(remark) is not None
+
+
+def says_downwards(remark: str) -> bool:
+    """Whether a remark says that heights are depths.
+
+    Examples
+    --------
+    >>> says_downwards("# z positive down"), says_downwards("z: depth below water"), says_downwards("z is up")
+    (True, True, False)
+    """
+    return _DOWNWARDS.search(remark) is not None
+
+
+def refuse_depths(crs: CRS | None, where: str | Path) -> None:
+    """Refuse a coordinate system whose third axis counts downwards.
+
+    Raises
+    ------
+    InputError : it does.
+    """
+    for part in () if crs is None else crs.sub_crs_list or [crs]:
+        if any(axis.direction.lower() == "down" for axis in part.axis_info):
+            raise InputError(
+                f"depths, positive downwards, by the coordinate system {part.name}",
+                where=where,
+                expected="heights, positive upwards",
+                cure="Change the sign of the third coordinate, and name a system of heights",
+            )
 
 
 def in_metres(crs: CRS | None, across: Unit | None = None, up: Unit | None = None) -> Stated:
@@ -139,6 +184,7 @@ def crs_of_geokeys(
     ------
     InputError : a unit that no table knows.
     """
+    refuse_depths(crs, where)
     rows = np.asarray(directory[: len(directory) // 4 * 4], np.int64).reshape(-1, 4)[1:]
     across = _unit_of_key(rows, _LINEAR_UNIT, "the map", where)
     up = _unit_of_key(rows, _VERTICAL_UNIT, "heights", where) or up

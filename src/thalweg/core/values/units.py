@@ -45,7 +45,7 @@ _WORDS: Final[Mapping[Unit, str]] = {
     Unit("centimetre", 0.01): "cm centimetre centimetres centimeter centimeters",
     Unit("millimetre", 0.001): "mm millimetre millimetres millimeter millimeters",
     Unit("kilometre", 1000.0): "km kilometre kilometres kilometer kilometers",
-    FOOT: "ft foot feet ft_int ft_intl feet_int ift int_ft international_foot international_feet intl_ft",
+    FOOT: "ft foot feet ' ′ ft_int ft_intl feet_int ift int_ft international_foot international_feet intl_ft",
     US_SURVEY_FOOT: "ft_us ftus us_ft usft us_foot us_feet foot_us feet_us survey_foot survey_feet "
     "us_survey_foot us_survey_feet usfoot usfeet sft ussft ft_survey feet_survey",
     FATHOM: "ftm fathom fathoms fth fm",
@@ -53,6 +53,16 @@ _WORDS: Final[Mapping[Unit, str]] = {
     Unit("yard", 0.9144): "yd yds yard yards",
 }
 _OF_WORD: Final = {word: unit for unit, words in _WORDS.items() for word in words.split()}
+SPOKEN: Final = frozenset(_OF_WORD) - {*_WORDS[METRE].split(), "in", "fm", "'", "′"}
+"""Words of units other than metres that mean nothing else in a sentence or a name."""
+_SPOKEN_FIRST: Final = "|".join(sorted((w.replace("_", r"[ _.]*") for w in SPOKEN), key=len, reverse=True))
+_STATED: Final = re.compile(rf"(?i)(?:\bunits?\b[^.;]{{0,20}}?|\bin |[\[(]\s*)\b({_SPOKEN_FIRST})\b")
+_OF_VALUES: Final = re.compile(
+    r"(?i)\b(?:units?|values?|numbers|coordinates|positions?|depths?|heights?|elevations?|[xyz]|d[est]m)\b"
+)
+_OF_OTHERS: Final = re.compile(
+    r"(?i)antenna|instrument|sensor|accuracy|precision|sigma|error|cell|resolution|spacing|dra(?:ugh|f)t|offset"
+)
 _LETTERS: Final = {"M": METRE, "f": FOOT, "F": FATHOM}
 
 
@@ -66,8 +76,22 @@ def unit_of_word(text: str) -> Unit | None:
     >>> unit_of_word("degrees") is None
     True
     """
-    bare = re.sub(r"[^a-z0-9]+", "_", text.strip().lower()).strip("_")
+    bare = re.sub(r"[^a-z0-9'′]+", "_", text.strip().lower()).strip("_")
     return _OF_WORD.get(bare)
+
+
+def unit_in_words(text: str) -> Unit | None:
+    """The unit other than metres in which a sentence says that coordinates, depths or heights are.
+
+    Examples
+    --------
+    >>> unit_in_words("Depth units: Feet").name, unit_in_words("# z in US survey feet").name
+    ('foot', 'US survey foot')
+    >>> unit_in_words("antenna height [mm]: 1200") is None
+    True
+    """
+    found = None if _OF_OTHERS.search(text) or not _OF_VALUES.search(text) else _STATED.search(text)
+    return None if found is None else unit_of_word(found[1])
 
 
 def unit_of_letter(letter: str) -> Unit | None:

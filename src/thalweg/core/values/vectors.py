@@ -18,6 +18,7 @@ from pyproj.exceptions import CRSError, ProjError
 
 from thalweg.core import ArrayB, ArrayF, InputError, require_file
 from thalweg.core.values.places import check_places, utm_of
+from thalweg.core.values.stated import refuse_depths
 from thalweg.core.values.units import units_of_crs
 
 if TYPE_CHECKING:
@@ -277,7 +278,7 @@ def read_vectors(
         )
     crs = _stated(path, kind, table.crs)
     if crs is not None:
-        table, notes = _heights_in_metres(table, crs, notes)
+        table, notes = _heights_in_metres(table, crs, notes, path)
         crs = _plane(crs)
     return Vectors(
         path=path, kind=kind, table=table.set_crs(crs, allow_override=True), crs=crs, notes=tuple(notes)
@@ -446,12 +447,13 @@ def _plane(crs: CRS) -> CRS:
     return crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
 
 
-def _heights_in_metres(table: Any, crs: CRS, notes: list[str]) -> tuple[Any, list[str]]:
+def _heights_in_metres(table: Any, crs: CRS, notes: list[str], path: Path) -> tuple[Any, list[str]]:
     """Heights in metres where the file states another unit; a note if it states none beside a map in feet."""
     import shapely
 
     if not shapely.has_z(table.geometry).any():
         return table, notes
+    refuse_depths(crs, path)
     across, up = units_of_crs(crs)
     if up is not None and not up.is_metre:
         shapes = shapely.force_3d(table.geometry.to_numpy())

@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+from pyproj import CRS
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
@@ -33,7 +34,7 @@ from thalweg.core.values import check_degrees, check_heights
 from thalweg.deformation import CHANGES, Comparison, cloud_to_cloud, judge_changes, measure_distances
 from thalweg.deformation.foreign.surfaces import one_frame
 from thalweg.ingest import read_text_table
-from thalweg.ingest.clouds import NO_USE, read_cloud
+from thalweg.ingest.clouds import NO_USE, check_cloud, read_cloud
 from thalweg.settings.sections import DSM_ENDINGS, TEXT_ENDINGS, Accuracy, ReferenceSettings
 from thalweg.surface import (
     Surface,
@@ -109,11 +110,15 @@ def read_points(path: Path) -> Points:
                 where=path,
                 cure="Transform the cloud to a map projection, or state its coordinate system in the file",
             )
+            check_heights(cloud.points[:, 2], where=path)
+        elif isinstance(cloud.frame, CRS):
+            check_cloud(cloud.points, cloud.frame, path)
         told = (f"{path.name}: {text}" for text in cloud.sentences() if text not in NO_USE)
         return Points(cloud.points, cloud.frame, path, tuple(told))
     table = read_text_table(path, bare=("x", "y", "z"))
     if not table.named and len(table.columns) > 3:  # colours and intensities stand behind the coordinates
         table = read_text_table(path, order=("x", "y", "z"))
+        table.notes.append("The file names no columns: taken as x, y, z and others")
     places, up = table.places(None, any_system=True), table.find("height")
     if up is None:
         raise InputError(

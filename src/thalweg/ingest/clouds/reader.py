@@ -29,6 +29,7 @@ from scipy.spatial.transform import Rotation
 
 from thalweg.core import (
     AnyArray,
+    ArrayB,
     ArrayF,
     ArrayF32,
     ArrayI,
@@ -48,7 +49,15 @@ from thalweg.core import (
     whole_chunks,
 )
 from thalweg.core.geometry import ORDERS, PlyElement, read_ply_header
-from thalweg.core.values import in_metres, onto_map
+from thalweg.core.values import (
+    check_places,
+    far_repeated,
+    in_metres,
+    is_nothing,
+    matters,
+    onto_map,
+    unit_in_words,
+)
 from thalweg.ingest import (
     TIME_SCALES,
     IntegrityReport,
@@ -460,6 +469,16 @@ def read_ply(path: Path, report: IntegrityReport) -> Cloud:
     header = read_ply_header(path, cure="Export or copy the file again")
     form, elements = header.form, header.elements
     report.format = f"PLY {form}"
+    for text in header.comments:
+        if unit_in_words(text) is not None:
+            raise InputError(
+                f"the comment '{text.strip()[:60]}'",
+                expected="coordinates in metres",
+                where=path,
+                cure="Export metres, or LAS with its unit",
+            )
+        if matters(text):
+            report.note(f"A comment says '{text.strip()[:80]}': coordinates are taken as they stand.")
     if header.comments:
         report.details["comments"] = "; ".join(text.strip() for text in header.comments)[:500]
     index = next((i for i, e in enumerate(elements) if e.name == "vertex"), None)
@@ -521,6 +540,10 @@ def read_pcd(path: Path, report: IntegrityReport) -> Cloud:
             cure="Convert it with pcl_convert_pcd_ascii_binary <in> <out> 0",
         )
     report.format = f"PCD {form}"
+    if head.get("VIEWPOINT", "").split()[:7] not in ([], ["0", "0", "0", "1", "0", "0", "0"]):
+        report.note(
+            f"It states a VIEWPOINT ({head['VIEWPOINT'].strip()}): coordinates are taken as they stand."
+        )
     return _of_vertices(path, end, form, [], points, report)
 
 
@@ -611,6 +634,33 @@ _FAR_FROM_ZERO_M: Final = 1000.0
 """In a cloud on a map a point at 0, 0, 0 is none."""
 
 
+_SAMPLE: Final = 1000
+"""Points by which the place of a cloud is judged."""
+
+
+def check_cloud(points: ArrayF, frame: CRS, where: Path) -> None:
+    """Check that points (n, 3) lie where their coordinate system is used, at heights of ground.
+
+    Raises
+    ------
+    InputError : see `thalweg.core.values.check_places`.
+    """
+    sample = points[:: max(len(points) // _SAMPLE, 1)]
+    check_places(sample[:, :2], frame, where=where, height_m=sample[:, 2], one_survey=False)
+
+
+def _without_height(z: ArrayF, good: ArrayB) -> ArrayB:
+    """Which heights (n,) of the good points stand for none."""
+    none = np.zeros(len(z), dtype=np.bool_)
+    while len(left := z[good & ~none]):
+        ends = np.array([left.min(), left.max()])
+        found = [*ends[is_nothing(ends, "height")], *far_repeated(left)]
+        if not found:
+            break
+        none |= good & np.isin(z, found)
+    return none
+
+
 def read_cloud(path: Path) -> Cloud:
     """Read a cloud; the format is recognised by content.
 
@@ -645,6 +695,9 @@ def read_cloud(path: Path) -> Cloud:
     if zero.any() and np.linalg.norm(np.median(cloud.points[good], axis=0)) > _FAR_FROM_ZERO_M:
         report.lose("points_at_zero", int(np.count_nonzero(zero)))
         good &= ~zero
+    if lost := int(np.count_nonzero(none := _without_height(cloud.points[:, 2], good))):
+        report.lose("points_with_a_height_that_stands_for_none", lost)
+        good &= ~none
     if not good.any():
         raise InputError(
             f"none of {len(good):,} points is finite",
@@ -665,6 +718,11 @@ def read_cloud(path: Path) -> Cloud:
     if isinstance(cloud.frame, CRS) and (cloud.frame.is_geographic or cloud.frame.is_geocentric):
         cloud.points, cloud.frame, note = onto_map(cloud.points, cloud.frame)
         report.note(note)
+    elif isinstance(cloud.frame, CRS):
+        try:
+            check_cloud(cloud.points, cloud.frame, path)
+        except InputError as error:  # which may be looked at for all that
+            report.note(f"Its coordinates contradict its coordinate system: {error.found}.")
     cloud.points = np.ascontiguousarray(cloud.points)
     report.count("points", len(cloud.points))
     t = cloud.t_gps_s

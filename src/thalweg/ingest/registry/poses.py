@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 
 from thalweg.core import WEEK_S, ArrayF, InputError, gps_from_week
 from thalweg.ingest import PoseLog, PoseReader, TrackOptions, doubtful_date
@@ -32,6 +33,11 @@ _SMRMSG_RECORD = 80
 _ROUGH: Final = (100.0, 100.0, 1200.0)
 """Standard deviations that an SMRMSG stays below: metres, metres a second, arc minutes."""
 _MOST_UPSIDE_DOWN = 0.5
+_DEGREE_M: Final = 111_195.0
+_UNDER_WAY_MPS, _FASTEST_MPS, _FEWEST_STEPS = 0.8, 50.0, 20
+"""Speeds at which a boat points where it goes, and seconds of them that tell something."""
+_ALIKE, _STRAIGHT, _FAR_OFF_DEG = 0.9, 0.99, 40.0
+"""Length of a mean direction from which on all are alike; more than a boat drifts."""
 _BY_VALUES = 0.05
 """Sureness of content that is told by plausible numbers alone."""
 
@@ -75,7 +81,42 @@ def read_poses(files: Sequence[Path], source: str | None, options: TrackOptions 
         log.report.note(doubt)
     if not options.upside_down:
         _refuse_upside_down(log, files[0])
+    if doubt := doubtful_heading(log.states):
+        log.report.note(doubt)
     return log
+
+
+def doubtful_heading(states: pd.DataFrame) -> str:
+    """How headings contradict the way over ground of a boat under way; empty if they suit it, or do not tell.
+
+    Parameters
+    ----------
+    states : of table kind ``ins_state``.
+    """
+    of = states[["t_gps_s", "lat_deg", "lon_deg", "heading_rad"]].dropna()
+    of = of.groupby(np.floor(of["t_gps_s"].to_numpy()), sort=True).first()
+    north = np.diff(of["lat_deg"]) * _DEGREE_M
+    east = np.diff(of["lon_deg"]) * _DEGREE_M * np.cos(np.deg2rad(of["lat_deg"].to_numpy()[:-1]))
+    away = np.hypot(north, east) / np.diff(of["t_gps_s"])
+    under_way = (away > _UNDER_WAY_MPS) & (away < _FASTEST_MPS)
+    if np.count_nonzero(under_way) < _FEWEST_STEPS:
+        return ""
+    course = np.arctan2(east, north)[under_way]
+    heading = of["heading_rad"].to_numpy()[:-1][under_way]
+    apart, mirrored = (np.exp(1j * (heading - sign * course)).mean() for sign in (1.0, -1.0))
+    if abs(apart) > _ALIKE and abs(off := float(np.rad2deg(np.angle(apart)))) > _FAR_OFF_DEG:
+        return (
+            f"The heading differs from the course over ground by {off:+.0f} deg throughout: a sensor mounted "
+            "so, a current, or mistaken axes, order of the quaternion or zero of the heading?"
+        )
+    turns = [abs(np.exp(1j * angle).mean()) for angle in (heading, course)]
+    if turns[0] > _STRAIGHT and turns[1] < _ALIKE:
+        return "The heading hardly turns while the course does: degrees taken for radians, or no heading?"
+    if abs(mirrored) > _ALIKE and abs(apart) < _ALIKE - 0.2:
+        return (
+            "The heading turns against the course over ground: does it count counterclockwise, as from east?"
+        )
+    return ""
 
 
 def _refuse_upside_down(log: PoseLog, where: Path) -> None:

@@ -27,6 +27,7 @@ import numpy as np
 import pandas as pd
 
 from thalweg.core import (
+    DAY_S,
     GPS_EPOCH_UNIX_S,
     WEEK_S,
     AnyArray,
@@ -121,6 +122,16 @@ def read_sbet(
         told = time_scale_words(records[:, 0], tell_time_scale(records[:, 0]))
         report.note(f"Its times hold the date and are taken as {TIME_SCALES[scale]}: {told}.")
     t = _times(records[:, 0], int(gps_week or 0), report, utc=utc)
+    if scale and gps_week and not -WEEK_S < float(t[0] - gps_from_week(gps_week, 0.0)) < 2 * WEEK_S:
+        date = utc_text_from_gps(float(t[0]))[:10]
+        raise InputError(
+            f"times from {date}, taken as {TIME_SCALES[scale]}, and GPS week {gps_week}",
+            expected="one date",
+            where=files[0],
+            cure="Look at the unit of the times, or leave the week out",
+        )
+    if not scale and records[:, 0].max() <= DAY_S:
+        report.note("All times lie within the first day of the GPS week, a Sunday: or do they count the day?")
     sigmas = _sigmas(smrmsg, t, int(gps_week or 0), report, utc=utc)
     states = frame_of(INS_STATE, {**_states(records, t, report), **sigmas, **FINISHED}, unknown=np.nan)
     report.count("records", len(states))
@@ -197,7 +208,9 @@ def _plausible(records: ArrayF, report: IntegrityReport) -> AnyArray:
             "impossible_positions": (np.abs(records[:, 1]) <= np.pi / 2)
             & (np.abs(records[:, 2]) <= 2 * np.pi)
             & (np.abs(records[:, 3]) < 1e5),
-            "impossible_attitudes": (np.abs(records[:, 7:11]) <= 4 * np.pi).all(axis=1),
+            "impossible_attitudes": (np.abs(records[:, 7:11]) <= np.pi * np.array([1.01, 0.51, 4, 4])).all(
+                axis=1
+            ),
             "not_finite_or_huge": (np.abs(records[:, 1:]) < 1e9).all(axis=1),
         }
     keep = np.ones(len(records), dtype=np.bool_)

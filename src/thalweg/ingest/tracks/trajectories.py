@@ -42,7 +42,7 @@ from thalweg.core import (
     parse_xml,
     roll_pitch_heading,
 )
-from thalweg.core.values import is_nothing, unit_of_word
+from thalweg.core.values import is_nothing, matters, unit_of_word
 from thalweg.ingest import (
     DEPTH,
     GNSS_POSITION,
@@ -252,6 +252,8 @@ def _numbers(kind: str, path: Path, report: IntegrityReport) -> ArrayF:
             cure="Check the file",
         )
     table = np.array(rows)
+    for head in filter(matters, heads):
+        report.note(f"{path.name} says '{head[:80]}', which is not read.")
     if kind == "kitti":
         return table
     at = pose_columns(kind, heads, table.shape[1])

@@ -1,0 +1,362 @@
+"""What a file states in words, units, signs and places decides; what contradicts it is refused."""
+
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pandas as pd
+import pytest
+import rasterio
+from pyproj import CRS
+
+from thalweg.bathymetry import Levels, read_soundings
+from thalweg.core import GPS_EPOCH_UNIX_S, InputError, ThalwegError, read_dsm, read_opencv
+from thalweg.core.values import far_repeated
+from thalweg.deformation.foreign.clouds import read_points
+from thalweg.images import read_marks
+from thalweg.ingest import GNSS_POSITION, IntegrityReport, PositionLog, read_places, read_text_table
+from thalweg.ingest.clouds import read_cloud
+from thalweg.ingest.registry.poses import doubtful_heading
+from thalweg.ingest.tracks import read_sbet, read_text_poses
+
+N = 60
+EAST, NORTH = 412_000 + 5.0 * (np.arange(N) % 12), 5_650_000 + 9.0 * (np.arange(N) // 12)
+DEPTH = np.round(1.9 + 0.9 * np.sin(np.arange(N) / 5.0), 3)
+UTM = CRS(25833)
+TEN = 1_718_186_400.0
+"""2024-06-12T10:00:00Z."""
+
+
+def rows(path: Path, head: str, *columns: object, above: str = "", below: str = "") -> Path:
+    """A table with commas."""
+    table = pd.DataFrame(dict(enumerate(columns)))
+    path.write_text(f"{above}{head}\n{table.to_csv(index=False, header=False)}{below}")
+    return path
+
+
+def soundings(path: Path, crs: CRS | None = UTM) -> np.ndarray:
+    """Heights of the bed in the order of the file."""
+    found = read_soundings(path, crs, column=None, depth=None, level_m=None, line_column=None, sigma_m=0.02)
+    return found.height_m
+
+
+@pytest.mark.parametrize(
+    ("name", "unit_m"),
+    [
+        ("DEPTHFT", 0.3048),
+        ("depth_ft_avg", 0.3048),
+        ("ft_depth", 0.3048),
+        ("depth (')", 0.3048),
+        ("depthm", 1.0),
+    ],
+)
+def test_units_anywhere_in_a_name(tmp_path: Path, name: str, unit_m: float) -> None:
+    path = rows(tmp_path / "t.csv", f"x,y,{name}", EAST, NORTH, DEPTH / unit_m)
+    assert soundings(path) == pytest.approx(-DEPTH, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("above", "below", "head", "words"),
+    [
+        ("# depths are given in ft\n", "", "x,y,depth", "depths are given in ft"),
+        ("# Depth [ft], position [m]\n", "", "x,y,depth", "name no unit"),
+        ("", "# units: feet\n", "x,y,depth", "units: feet"),
+        ("# z positive down\n", "", "x,y,z", "heights in column z"),
+        ("# EPSG:25832\n", "", "x,y,depth", "EPSG:25832.*as stated"),
+    ],
+)
+def test_remarks_that_contradict(tmp_path: Path, above: str, below: str, head: str, words: str) -> None:
+    path = rows(tmp_path / "t.csv", head, EAST, NORTH, DEPTH, above=above, below=below)
+    with pytest.raises(InputError, match=words) as told:
+        soundings(path)
+    assert told.value.cure
+
+
+def test_remarks_that_are_used_or_quoted(tmp_path: Path) -> None:
+    """A map that the file states needs no statement; a draught that nobody adds is quoted."""
+    above = "# EPSG:25833\n# draft 0.4 m not applied\n# cell size 1 m\n"
+    path = rows(tmp_path / "t.csv", "x,y,depth", EAST, NORTH, DEPTH, above=above)
+    table, places = read_places(path, None)
+    assert places.crs == UTM
+    assert [note for note in table.notes if "says" in note] == [
+        "line 1 says '# EPSG:25833'", "line 2 says '# draft 0.4 m not applied'"
+    ]  # fmt: skip
+
+
+def test_names_above_a_remark_and_a_row_of_means(tmp_path: Path) -> None:
+    """A line between names and numbers hides no names; the mean at the end is no sounding."""
+    path = rows(
+        tmp_path / "t.csv",
+        "id,x,y,depth\nline 2",
+        range(N),
+        EAST,
+        NORTH,
+        DEPTH,
+        below="Mean,412027,5650018,1.9\n",
+    )
+    assert soundings(path) == pytest.approx(-DEPTH)
+
+
+@pytest.mark.parametrize("value", [-99.99, 65.535, 255.0, -777.0, -1e5, 327.67])
+def test_numbers_that_repeat_far_from_all_others(tmp_path: Path, value: float) -> None:
+    depth = np.where(np.arange(N) % 12 == 5, value, DEPTH)
+    path = rows(tmp_path / "t.csv", "x,y,depth", EAST, NORTH, depth)
+    assert soundings(path) == pytest.approx(-DEPTH[depth != value])
+
+
+def test_a_deep_place_and_coarse_numbers_are_no_stand_ins() -> None:
+    assert far_repeated([*DEPTH, 9.0, 9.0]) == ()
+    assert far_repeated([1.0] * 40 + [2.0] * 5 + [30.0] * 5) == ()
+    assert far_repeated([*DEPTH, 4.0, 4.0, 4.0]) == ()
+
+
+@pytest.mark.parametrize(
+    ("head", "cells", "unix_s"),
+    [
+        ("time (CEST)", "2024-06-12 12:00:{:02d}", TEN),
+        ("time (UTC+2)", "2024-06-12 12:00:{:02d}", TEN),
+        ("time", "2024-06-12 12:00:{:02d} CEST", TEN),
+        ("time", "2024-06-12 10:00:{:02d} UTC", TEN),
+        ("time", "2024-06-12 12:00:{:02d}+02", TEN),
+        ("time,timezone", "2024-06-12 12:00:{:02d},Europe/Berlin", TEN),
+        ("week,tow", "2318,2952180{:02d}", TEN + 0.0),
+    ],
+)
+def test_zones_that_a_table_states(tmp_path: Path, head: str, cells: str, unix_s: float) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text(f"{head},x\n" + "".join(f"{cells.format(k)},1\n" for k in range(9)))
+    told = read_text_table(path).times()
+    assert told is not None
+    assert told[0][0] == pytest.approx(unix_s, abs=1e-6)
+    assert "state no zone" not in " ".join(told[1])
+
+
+@pytest.mark.parametrize("first", [25_569.0, 719_529.0, 2_440_587.5, 40_587.0])
+def test_days_that_count(tmp_path: Path, first: float) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("time,x\n" + "".join(f"{(TEN + 2 * k) / 86400 + first:.8f},1\n" for k in range(9)))
+    told = read_text_table(path).times()
+    assert told is not None
+    assert told[0] == pytest.approx(TEN + 2 * np.arange(9), abs=0.1)
+
+
+def test_midnight_beside_one_date(tmp_path: Path) -> None:
+    clocks = [
+        f"2024-06-12,{clock},1" for clock in ("23:59:50", "23:59:54", "23:59:58", "00:00:02", "00:00:06")
+    ]
+    path = tmp_path / "t.csv"
+    path.write_text("date,time,x\n" + "\n".join(clocks))
+    told = read_text_table(path).times()
+    assert told is not None
+    assert np.diff(told[0]) == pytest.approx(4.0)
+    assert "pass midnight" in " ".join(told[1])
+
+
+def test_two_digits_that_may_be_the_year(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("time,x\n" + "".join(f"24-06-12 10:00:{k:02d},1\n" for k in range(9)))
+    with pytest.raises(InputError, match="may be the year"):
+        read_text_table(path).times()
+    path.write_text("time,x\n" + "".join(f"24-06-{k:02d} 10:00:00,1\n" for k in range(11, 20)))
+    told = read_text_table(path).times()
+    assert told is not None
+    assert told[0][1] == pytest.approx(TEN)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "level,time\n100.0,2024-06-12T09:00\n102.0,2024-06-12T11:00\n",
+        "time,level,station\n2024-06-12T09:00,100.0,501060\n2024-06-12T11:00,102.0,501060\n",
+        "Datum;Uhrzeit;Pegel\n12.06.2024;09:00;100,0\n12.06.2024;11:00;102,0\n",
+        "time (MESZ),level\n2024-06-12T11:00,100.0\n2024-06-12T13:00,102.0\n",
+        "2024-06-12T09:00,100.0\n2024-06-12T11:00,102.0\n",
+    ],
+)
+def test_levels_by_their_names(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "levels.csv"
+    path.write_text(text)
+    assert Levels.read(path).at(np.array([TEN])) == pytest.approx(101.0)
+
+
+# ---------------------------------------------------------------- clouds and rasters
+
+
+def las(path: Path, xyz: np.ndarray, crs: object = None) -> Path:
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales, header.offsets = np.full(3, 0.001), np.floor(xyz.min(axis=0))
+    if crs is not None:
+        header.add_crs(CRS.from_user_input(crs))
+    file = laspy.LasData(header)
+    file.x, file.y, file.z = xyz.T
+    file.write(path)
+    return path
+
+
+POINTS = np.column_stack([EAST, NORTH, 100.0 - DEPTH])
+
+
+@pytest.mark.parametrize(
+    ("xyz", "crs", "words"),
+    [
+        (POINTS[:, [1, 0, 2]], 25833, "swapped would fit"),
+        (POINTS / 0.3048, 25833, "feet would fit"),
+        (POINTS * (1, 1, -1), "EPSG:25833+5831", "depths, positive downwards"),
+    ],
+)
+def test_clouds_that_contradict_their_system(
+    tmp_path: Path, xyz: np.ndarray, crs: object, words: str
+) -> None:
+    with pytest.raises(ThalwegError, match=words):
+        read_points(las(tmp_path / "a.las", xyz, crs))
+
+
+@pytest.mark.parametrize("value", [-9999.0, 0.0, -99.0])
+def test_heights_of_a_cloud_that_stand_for_none(tmp_path: Path, value: float) -> None:
+    xyz = POINTS.copy()
+    xyz[::12, 2] = value
+    cloud = read_cloud(las(tmp_path / "a.las", xyz))
+    assert len(cloud.points) == N - 5
+    assert cloud.report.losses == {"points_with_a_height_that_stands_for_none": 5}
+
+
+@pytest.mark.parametrize(("comment", "refused"), [("units: feet", True), ("offset 412000 5650000 0", False)])
+def test_comments_of_ply(tmp_path: Path, comment: str, refused: bool) -> None:
+    names = "".join(f"property double {axis}\n" for axis in "xyz")
+    text = f"ply\nformat ascii 1.0\ncomment {comment}\nelement vertex 1\n{names}end_header\n1 2 3\n"
+    (tmp_path / "a.ply").write_text(text)
+    if refused:
+        with pytest.raises(InputError, match="feet"):
+            read_cloud(tmp_path / "a.ply")
+    else:
+        assert f"A comment says '{comment}'" in " ".join(read_cloud(tmp_path / "a.ply").report.notes)
+
+
+def tiff(
+    path: Path, heights: np.ndarray, name: str = "", tags: dict[str, str] | None = None, east: float = 412e3
+) -> Path:
+    profile = {"driver": "GTiff", "height": 20, "width": 30, "count": 1, "dtype": "float32"}
+    with rasterio.open(
+        path, "w", crs="EPSG:25833", transform=rasterio.Affine(1.0, 0.0, east, 0.0, -1.0, 5.65e6), **profile
+    ) as file:
+        file.write(heights.astype(np.float32), 1)
+        file.descriptions = (name or None,)
+        file.update_tags(**(tags or {}))
+    return path
+
+
+HEIGHTS = 100.0 + np.sin(np.arange(600.0) / 9.0).reshape(20, 30)
+
+
+@pytest.mark.parametrize(
+    ("name", "tags"),
+    [
+        ("elevation_ft", {}),
+        ("Height in feet", {}),
+        ("", {"units": "feet"}),
+        ("", {"TIFFTAG_IMAGEDESCRIPTION": "DEM, elevations in feet"}),
+    ],
+)
+def test_feet_of_a_raster(tmp_path: Path, name: str, tags: dict[str, str]) -> None:
+    assert read_dsm(tiff(tmp_path / "a.tif", HEIGHTS / 0.3048, name, tags)).height_m == pytest.approx(
+        HEIGHTS, abs=1e-4
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "tags", "east", "words"),
+    [
+        ("depth", {}, 412e3, "depths"),
+        ("", {"positive": "down"}, 412e3, "depths"),
+        ("", {}, 5.65e6, "expected coordinates in"),
+    ],
+)
+def test_rasters_that_are_refused(
+    tmp_path: Path, name: str, tags: dict[str, str], east: float, words: str
+) -> None:
+    with pytest.raises(ThalwegError, match=words):
+        read_dsm(tiff(tmp_path / "a.tif", HEIGHTS, name, tags, east))
+
+
+@pytest.mark.parametrize("value", [-99.0, 255.0, 0.0])
+def test_undeclared_values_of_a_raster(tmp_path: Path, value: float) -> None:
+    heights = HEIGHTS.copy()
+    heights[0, :5] = value
+    dsm = read_dsm(tiff(tmp_path / "a.tif", heights))
+    assert np.isnan(dsm.height_m).sum() == 5
+    assert "5 of 600 cells without a height" in dsm.notes[0]
+
+
+# ---------------------------------------------------------------- tracks, lenses, marks
+
+
+def test_positions_at_no_place() -> None:
+    frame = GNSS_POSITION.empty_table().to_pandas()
+    frame = frame.reindex(range(3)).assign(lat_deg=[0.0, 51.0, 95.0], lon_deg=[0.0, 13.0, 13.0])
+    log = PositionLog(report=IntegrityReport(stream="gnss", format="", files=[]), positions=frame)
+    assert log.positions is not None
+    assert log.positions["lat_deg"].tolist() == [51.0]
+    assert log.report.losses == {"positions_at_no_place": 2}
+
+
+@pytest.mark.parametrize(
+    ("of_course", "words"),
+    [
+        (lambda c: c + 0.3, ""),
+        (lambda c: np.pi / 2 - c, "turns against"),
+        (lambda c: c + np.pi / 2, r"\+9\d deg"),
+        (np.deg2rad, "hardly turns"),
+    ],
+)
+def test_headings_against_the_course(of_course: object, words: str) -> None:
+    course = np.deg2rad(40.0 + 2.0 * np.arange(120))
+    step_deg = 2.0 / 111_195.0
+    states = pd.DataFrame(
+        {
+            "t_gps_s": 4e8 + np.arange(120.0),
+            "lat_deg": 51 + step_deg * np.cumsum(np.cos(course)),
+            "lon_deg": 13 + step_deg * np.cumsum(np.sin(course)) / np.cos(np.deg2rad(51)),
+            "heading_rad": of_course(np.append(course[1:], course[-1])),  # type: ignore[operator]
+        }
+    )
+    found = doubtful_heading(states)
+    assert (not found) if not words else pd.Series([found]).str.contains(words).all()
+
+
+def test_sbet_whose_times_contradict_the_week(tmp_path: Path) -> None:
+    record = np.zeros((40, 17))
+    record[:, 0] = ((TEN + 18 - GPS_EPOCH_UNIX_S) % 604_800 + np.arange(40)) * 1000.0
+    record[:, 1:3] = np.deg2rad([51.0, 13.0])
+    (tmp_path / "a.out").write_bytes(record.tobytes())
+    with pytest.raises(InputError, match="and GPS week 2318"):
+        read_sbet([tmp_path / "a.out"], 2318)
+
+
+def test_remarks_of_poses_are_quoted(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text(f"# world to body\n{TEN} 0 0 0 0 0 0 1\n")
+    assert "world to body" in " ".join(read_text_poses("tum", [tmp_path / "a.txt"]).report.notes)
+
+
+@pytest.mark.parametrize(
+    "matrix", ["5.0,0,3.2,0,5.0,1.8,0,0,1", ".8,0,.5,0,1.4,.5,0,0,1", "2000,0,1280,0,2000,720,0,0,1"]
+)
+def test_lenses_of_other_units_or_sizes(tmp_path: Path, matrix: str) -> None:
+    head = "image_width: 1280\nimage_height: 720\ndistortion_model: plumb_bob\n"
+    (tmp_path / "a.yaml").write_text(
+        f"{head}camera_matrix: [{matrix}]\ndistortion_coefficients: [0,0,0,0,0]\n"
+    )
+    with pytest.raises(InputError, match="principal point"):
+        read_opencv(tmp_path / "a.yaml")
+
+
+def test_marks_that_are_no_pixels(tmp_path: Path) -> None:
+    path = rows(
+        tmp_path / "m.csv",
+        "image,point,x (mm),y (mm)",
+        ["a.jpg"] * 3,
+        "PQR",
+        [1.0, 2.0, 3.0],
+        [1.0, 2.0, 3.0],
+    )
+    with pytest.raises(InputError, match="expected pixels"):
+        read_marks(path)
