@@ -70,6 +70,11 @@ def test_a_track_and_depths_in_tables(tmp_path: Path) -> None:
     assert (len(table), report.losses) == (2, {"rows_without_values": 1})
     assert table[["lat_deg", "lon_deg", "h_ell_m"]].iloc[1].tolist() == [48.25, -68.25, 21.0]
     assert table["t_gps_s"].diff().iloc[1] == 2.0
+    # heights of nothing stated are none
+    track.write_text(TRACK.replace("EllipsoidalHeight", "Height"), encoding="utf-8")
+    table, report = read_positions("pos", [track], **POSITIONS)  # type: ignore[arg-type]
+    assert table["h_ell_m"].isna().tolist() == [True, True]
+    assert "No column of ellipsoidal heights: positions have none." in report.notes
     depths = read_depths([sonar]).depths
     assert depths is not None
     assert depths["depth_m"].tolist() == pytest.approx([3.048])
