@@ -166,10 +166,10 @@ def sontek_export(path: Path, *, unit: str = "m", vertical: float = 3.0, **chang
     """Four rows at 1 s, the second without a fix, the third without a bottom; the clock shows local time."""
     scale = {"m": 1.0, "ft": 1 / 0.3048}.get(unit, 1.0)
     depth = np.array([vertical, vertical, 0.0, vertical + 1.0 if vertical else 0.0])
-    utc = np.array([235_958.9, 235_959.9, 0.9, 1.9])
+    utc = np.array([235_957.9, 235_958.9, 235_959.9, 0.9])
     held: dict[str, Any] = {
         "Setup": {"sensorDepth": 0.25 * scale, "Units": {"sensorDepth": unit}},
-        "System": {"Time": 790_387_200.0 + 3_606.0 + np.arange(4.0)},  # 2025-01-17 01:00:06 local: UTC + 1 h
+        "System": {"Time": 790_387_200.0 + 3_605.0 + np.arange(4.0)},  # 2025-01-17 01:00:05 local: UTC + 1 h
         "GPS": {
             "Utc": utc,
             "Latitude": np.array([51.0, 0.0, 51.00002, 51.00003]),
@@ -203,7 +203,7 @@ def test_sontek_depths_are_below_the_water_with_the_day_of_gnss(tmp_path: Path, 
     assert log.soundings is not None
     assert log.soundings["depth_m"].tolist() == pytest.approx([3.0, 4.0])
     assert log.soundings["latitude"].tolist() == pytest.approx([51.0, 51.00003])
-    assert log.soundings["time"].tolist()[0] == "2025-01-16T23:59:58.900Z"
+    assert log.soundings["time"].tolist()[0] == "2025-01-16T23:59:57.900Z"
     # a mount is measured to the transducer: its draught is taken off the stream of a campaign
     assert log.depths["depth_m"].tolist() == pytest.approx([2.75, 2.75, 0.0, 3.75])
     assert log.positions["fix"].tolist() == ["dgnss", "fixed", "float"]
@@ -226,7 +226,7 @@ def test_sontek_without_a_vertical_beam_takes_the_slanted_ones(tmp_path: Path) -
 def test_clocks_of_two_transects_may_be_off_otherwise(tmp_path: Path) -> None:
     """The second export's clock is 40 s further off: each has its own offset to GNSS."""
     first = sontek_export(tmp_path / "1.mat")
-    later = 790_387_200.0 + 3_646.0 + np.arange(4.0)
+    later = 790_387_200.0 + 3_645.0 + np.arange(4.0)
     log = read_sontek([first, sontek_export(tmp_path / "2.mat", System__Time=later)], TrackOptions())
     assert log.depths is not None
     t_s = log.depths["t_gps_s"].to_numpy()
