@@ -205,8 +205,10 @@ def test_soundings_of_a_log_make_a_bed(boat: Path) -> None:
     assert any("without a position at their time" in note for note in soundings.notes)
 
 
-def telemetry(*, unix_s: float = 1.7e9, component: int = 1) -> bytes:
+def telemetry(*, unix_s: float = 1.7e9, component: int = 1, signed: bool = False) -> bytes:
     vehicle = mavlink.MAVLink(None, srcSystem=1, srcComponent=component)
+    if signed:  # 13 bytes more behind each
+        vehicle.signing.secret_key, vehicle.signing.sign_outgoing = bytes(32), True
     out = []
 
     def say(message: mavlink.MAVLink_message, t_s: float) -> None:
@@ -247,6 +249,14 @@ def test_telemetry_gives_the_same_tables(tmp_path: Path) -> None:
     assert (state.sigma_north_m, state.sigma_up_m) == pytest.approx((0.028 / np.sqrt(2), 0.040))
     assert log.depths["depth_m"].value_counts().to_dict() == {2.5: 99, 0.0: 1}
     assert log.triggers_gps_s == pytest.approx([float(gps_from_unix(1.7e9 + 4.0))] * 2, abs=1e-3)
+
+
+def test_signed_telemetry_is_recognised(tmp_path: Path) -> None:
+    path = tmp_path / "flight.tlog"
+    path.write_bytes(telemetry(signed=True))
+    assert len(path.read_bytes()) == len(telemetry()) + 13 * (5 * 100 + 2)
+    assert recognise(path) == "mavlink"
+    assert len(read_ardupilot([path], TrackOptions()).states) == 100
 
 
 def test_telemetry_without_a_clock_has_no_gps_time(tmp_path: Path) -> None:
