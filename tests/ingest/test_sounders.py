@@ -83,9 +83,12 @@ def test_lowrance_damage_is_counted_and_passed(tmp_path: Path) -> None:
 
 
 def test_lowrance_without_bottom_is_refused(tmp_path: Path) -> None:
+    """No depth, one deeper than any sea, and none that is a number."""
     path = tmp_path / "log.sl2"
-    path.write_bytes(bytes(struct.pack("<HHHH", 2, 1, 1970, 0)) + frame(2, 8, 0, 0, 0.0, UNIX_S))
-    with pytest.raises(InputError, match="none with a depth and a place"):
+    depths_ft = [0.0, 4e4, math.nan]
+    frames = [frame(2, 8 + 160 * k, k, 0, depth_ft, UNIX_S) for k, depth_ft in enumerate(depths_ft)]
+    path.write_bytes(struct.pack("<HHHH", 2, 1, 1970, 0) + b"".join(frames))
+    with pytest.raises(InputError, match="3 pings, none with a depth and a place"):
         describe(path)
 
 
