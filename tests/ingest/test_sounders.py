@@ -36,12 +36,12 @@ def frame(version: int, at: int, k: int, channel: int, depth_ft: float, unix: in
     return bytes(out)
 
 
-def sonar_log(version: int, *, unix: int = UNIX_S, n: int = 20) -> bytes:
-    """Two channels a ping; the downscan misses the bottom in every second one."""
+def sonar_log(version: int, *, unix: int = UNIX_S, n: int = 20, blind: int = 2) -> bytes:
+    """Two channels a ping; one misses the bottom in every second one."""
     out = bytearray(struct.pack("<HHHH", version, 1, 1970, 0))
     for k in range(n):
         for channel in (0, 2):
-            depth_ft = 10.0 + k if channel == 0 or k % 2 else 0.0
+            depth_ft = 10.0 + k if channel != blind or k % 2 else 0.0
             out += frame(version, len(out), k, channel, depth_ft, unix)
     return bytes(out)
 
@@ -60,6 +60,19 @@ def test_lowrance_has_metres_places_and_times(tmp_path: Path, version: int) -> N
     assert table["longitude"].iloc[0] == pytest.approx(13.0, abs=1e-5)
     assert table["time"].iloc[3] == "2023-11-14T22:13:21.500Z"
     assert any("primary channel" in note for note in notes)
+
+
+def test_lowrance_takes_the_channel_that_saw_the_bottom_most(tmp_path: Path) -> None:
+    """The last ping lies beyond the map."""
+    path = tmp_path / "log.sl2"
+    data = bytearray(sonar_log(2, blind=0))
+    data[-160 + 108 : -160 + 112] = struct.pack("<i", round(math.radians(181.0) * RADIUS_M))
+    path.write_bytes(bytes(data))
+    log = read_lowrance([path], TrackOptions())
+    assert any("downscan channel" in note for note in log.report.notes)
+    assert log.soundings is not None
+    assert log.soundings["depth_m"].tolist() == pytest.approx(((10.0 + np.arange(19)) * 0.3048).tolist())
+    assert log.report.counts["pings_without_place"] == 1
 
 
 def test_lowrance_without_a_date_has_soundings_without_time(tmp_path: Path) -> None:
