@@ -106,7 +106,7 @@ def test_lowrance_without_bottom_is_refused(tmp_path: Path) -> None:
 
 
 def ensemble(
-    k: int, *, vertical_m: float | None, beams_m: float, heading_deg: float, quality: int = 4
+    k: int, *, vertical_m: float | None, beams_m: Any, heading_deg: float, quality: int = 4
 ) -> bytes:
     """An ensemble at 51 N, 13 W, level, beams of 20 degrees; its clock is 8 h 0 min 2 s behind UTC."""
     fixed = bytearray(59)
@@ -118,7 +118,7 @@ def ensemble(
     variable[18:20] = struct.pack("<H", round(heading_deg * 100))
     bottom = bytearray(89)
     bottom[:2] = b"\x00\x06"
-    bottom[16:24] = struct.pack("<4H", *[round(beams_m * 100)] * 4)
+    bottom[16:24] = struct.pack("<4H", *[round(100 * beam) for beam in np.broadcast_to(beams_m, 4)])
     time = f"2213{k % 60 + 2:02d}.50".encode()
     place = struct.pack("<d", 51.0) + b"N" + struct.pack("<d", 13.0 + 1e-5 * k) + b"W"
     gga = b"$GPGGA\0" + time + b"\0" + place + bytes([quality, 18]) + bytes(21)
@@ -169,6 +169,19 @@ def test_slanted_beams_hit_where_they_look(tmp_path: Path) -> None:
     assert north.tolist() == pytest.approx([-away, away, 0.0, 0.0], abs=1e-6)
     assert east.tolist() == pytest.approx([0.0, 0.0, away, -away], abs=1e-6)
     assert table["depth_m"].tolist() == pytest.approx([4.0] * 4)
+
+
+def test_a_lost_beam_leaves_the_others(tmp_path: Path) -> None:
+    """A ping's mean of three beams would lie aside; each of them is a sounding where it hits."""
+    path = tmp_path / "river.PD0"
+    whole: dict[str, Any] = {"vertical_m": None, "heading_deg": 0.0}
+    path.write_bytes(ensemble(0, beams_m=4.0, **whole) + ensemble(1, beams_m=(4.0, 0.0, 4.0, 4.0), **whole))
+    log = read_pd0([path], TrackOptions())
+    assert log.depths is not None
+    assert log.soundings is not None
+    assert log.depths["depth_m"].tolist() == [4.0, 0.0]
+    assert log.report.counts["pings_without_bottom"] == 1
+    assert log.soundings["depth_m"].tolist() == pytest.approx([4.0] * 7)
 
 
 def test_an_adcp_without_fixes_is_refused(tmp_path: Path) -> None:
@@ -240,11 +253,15 @@ def test_sontek_without_a_vertical_beam_takes_the_slanted_ones(tmp_path: Path) -
 
 
 def test_clocks_of_two_transects_may_be_off_otherwise(tmp_path: Path) -> None:
-    """The second export's clock is 40 s further off: each has its own offset to GNSS."""
+    """The second export's clock is 40 s further off, its draught is larger: each has its own."""
     first = sontek_export(tmp_path / "1.mat")
     later = 790_387_200.0 + 3_645.0 + np.arange(4.0)
-    log = read_sontek([first, sontek_export(tmp_path / "2.mat", System__Time=later)], TrackOptions())
+    second = sontek_export(tmp_path / "2.mat", System__Time=later, Setup__sensorDepth=0.5)
+    log = read_sontek([first, second], TrackOptions())
     assert log.depths is not None
+    assert log.soundings is not None
+    assert log.depths["depth_m"].tolist() == pytest.approx([2.75, 2.75, 0.0, 3.75, 2.5, 2.5, 0.0, 3.5])
+    assert log.soundings["depth_m"].tolist() == pytest.approx([3.0, 4.0] * 2)
     t_s = log.depths["t_gps_s"].to_numpy()
     assert t_s[4:] == pytest.approx(t_s[:4], abs=1e-6)
 
