@@ -128,8 +128,16 @@ def test_the_search_finds_a_scanner_that_no_noise_hides() -> None:
     error = found.T_ccs_scs.error_from(MOUNT)
     assert np.abs(error[:3]).max() < 5e-3
     assert np.abs(np.rad2deg(error[3:])).max() < 0.1
-    assert found.score > 0.95
+    assert 0.95 < found.score <= 1.0
     assert 0.9 * 800 < found.beams <= 800
+    # along a single board nothing is seen: there the nominal orientation stays
+    within = SearchRange(shift_m=0.1, angle_deg=3.0, tries=0)
+    alone = search_targets(
+        Targets.boards(poses[:1], np.full((1, 2), 0.5)), at[:1], scans[:1], nominal, within
+    )
+    moved = alone.T_ccs_scs.error_from(nominal)
+    assert 0.01 < np.abs(moved @ np.r_[poses[0].R[:, 2], np.zeros(3)]) < 0.2
+    assert np.abs(moved[:3] @ poses[0].R[:, :2]).max() < 0.01
     with pytest.raises(GeometryError, match="no beam of the lidar passes near a board"):
         search_targets(
             targets, at, [-s for s in scans], MOUNT, SearchRange(shift_m=0.01, angle_deg=0.1), what="board"
