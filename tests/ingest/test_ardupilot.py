@@ -206,9 +206,12 @@ def test_soundings_of_a_log_make_a_bed(boat: Path) -> None:
 
 
 def telemetry(
-    *, unix_s: float = 1.7e9, component: int = 1, system: int = 1, n: int = 100, ranges_cm: Any = ()
-) -> bytes:
+    *, unix_s: float = 1.7e9, component: int = 1, system: int = 1, n: int = 100, ranges_cm: Any = (),
+    signed: bool = False,
+) -> bytes:  # fmt: skip
     vehicle = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
+    if signed:  # 13 bytes more behind each
+        vehicle.signing.secret_key, vehicle.signing.sign_outgoing = bytes(32), True
     out = []
 
     def say(message: mavlink.MAVLink_message, t_s: float) -> None:
@@ -230,6 +233,9 @@ def telemetry(
         if not ranges_cm:
             depth = (boot_ms, 0, k != 3, *place, 101.0, 0.0, 0.0, 0.0, 2.5, 12.0)
             say(mavlink.MAVLink_water_depth_message(*depth), t_s)
+    for time_s in (24.0, unix_s + 4.0) if unix_s else ():  # feedback of an old and of a new autopilot
+        place = (510_000_000, 130_000_000, 101.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0)
+        say(mavlink.MAVLink_camera_feedback_message(round(1e6 * time_s), 1, 0, 7, *place), 4.0)
     return b"".join(out)
 
 
@@ -246,6 +252,15 @@ def test_telemetry_gives_the_same_tables(tmp_path: Path) -> None:
     assert state.h_ell_m == pytest.approx(147.5)
     assert (state.sigma_north_m, state.sigma_up_m) == pytest.approx((0.028 / np.sqrt(2), 0.040))
     assert log.depths["depth_m"].value_counts().to_dict() == {2.5: 99, 0.0: 1}
+    assert log.triggers_gps_s == pytest.approx([float(gps_from_unix(1.7e9 + 4.0))] * 2, abs=1e-3)
+
+
+def test_signed_telemetry_is_recognised(tmp_path: Path) -> None:
+    path = tmp_path / "flight.tlog"
+    path.write_bytes(telemetry(signed=True))
+    assert len(path.read_bytes()) == len(telemetry()) + 13 * (5 * 100 + 2)
+    assert recognise(path) == "mavlink"
+    assert len(read_ardupilot([path], TrackOptions()).states) == 100
 
 
 def test_telemetry_without_a_clock_has_no_gps_time(tmp_path: Path) -> None:

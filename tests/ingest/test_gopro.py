@@ -116,6 +116,14 @@ def test_positions_lie_on_the_line_through_the_stamps(tmp_path: Path) -> None:
     assert (len(positions), report.format) == (120, "GoPro video (GPMF)")
 
 
+def test_payloads_of_unequal_length_lie_on_one_line(tmp_path: Path) -> None:
+    """Each stamp is that of the first position of its payload; two dimensions are a fix, too."""
+    payloads = gps5(0), gps5(1, n=18), gps5(2, n=22, late_s=-0.1), gps5(3, fix=2)
+    found = read_gopro([video(tmp_path, *payloads)], TrackOptions()).positions
+    assert found is not None
+    assert found["t_gps_s"].to_numpy() == pytest.approx(gps_from_unix(UNIX_S + np.arange(80) / 20), abs=1e-3)
+
+
 def test_a_recent_camera_states_the_time_of_each_position(tmp_path: Path) -> None:
     """Where both are there the older stream, which would be spread, is not taken."""
     log = read_gopro([video(tmp_path, gps9(), gps5(1))], TrackOptions())

@@ -34,15 +34,18 @@ def deeper(rows: int) -> str:
 
 def test_a_deeper_export_gives_depths_and_a_track(tmp_path: Path) -> None:
     path = tmp_path / "depths.csv"
-    path.write_text(deeper(20) + "35.1,139.5,0,29.0,1722032348825\nbroken\n", encoding="utf-8")
+    path.write_text(
+        deeper(20) + "35.1,139.5,0,29.0,1722032348825\n35.1,139.5,12000,29.0,1722032350825\nbroken\n",
+        encoding="utf-8",
+    )
     assert (recognise(path), stream_of("deeper", path), also_streams("deeper", path)) == (
         "deeper",
         "depth",
         ["pos"],
     )
     log = read_deeper([path], TrackOptions())
-    assert (log.report.counts["pings"], log.report.losses["bad_lines"]) == (21, 1)
-    assert log.report.counts["pings_without_bottom"] == 1
+    assert (log.report.counts["pings"], log.report.losses["bad_lines"]) == (22, 1)
+    assert log.report.counts["pings_without_bottom"] == 2, "no sea is so deep"
     assert log.soundings is not None
     assert log.soundings["depth_m"].tolist() == [k % 7 + 0.5 for k in range(20)]
     table, _ = read_positions("pos", [path], **POSITIONS)  # type: ignore[arg-type]
@@ -70,6 +73,11 @@ def test_a_track_and_depths_in_tables(tmp_path: Path) -> None:
     assert (len(table), report.losses) == (2, {"rows_without_values": 1})
     assert table[["lat_deg", "lon_deg", "h_ell_m"]].iloc[1].tolist() == [48.25, -68.25, 21.0]
     assert table["t_gps_s"].diff().iloc[1] == 2.0
+    # heights of nothing stated are none
+    track.write_text(TRACK.replace("EllipsoidalHeight", "Height"), encoding="utf-8")
+    table, report = read_positions("pos", [track], **POSITIONS)  # type: ignore[arg-type]
+    assert table["h_ell_m"].isna().tolist() == [True, True]
+    assert "No column of ellipsoidal heights: positions have none." in report.notes
     depths = read_depths([sonar]).depths
     assert depths is not None
     assert depths["depth_m"].tolist() == pytest.approx([3.048])

@@ -36,12 +36,12 @@ def frame(version: int, at: int, k: int, channel: int, depth_ft: float, unix: in
     return bytes(out)
 
 
-def sonar_log(version: int, *, unix: int = UNIX_S, n: int = 20) -> bytes:
-    """Two channels a ping; the downscan misses the bottom in every second one."""
+def sonar_log(version: int, *, unix: int = UNIX_S, n: int = 20, blind: int = 2) -> bytes:
+    """Two channels a ping; one misses the bottom in every second one."""
     out = bytearray(struct.pack("<HHHH", version, 1, 1970, 0))
     for k in range(n):
         for channel in (0, 2):
-            depth_ft = 10.0 + k if channel == 0 or k % 2 else 0.0
+            depth_ft = 10.0 + k if channel != blind or k % 2 else 0.0
             out += frame(version, len(out), k, channel, depth_ft, unix)
     return bytes(out)
 
@@ -60,6 +60,19 @@ def test_lowrance_has_metres_places_and_times(tmp_path: Path, version: int) -> N
     assert table["longitude"].iloc[0] == pytest.approx(13.0, abs=1e-5)
     assert table["time"].iloc[3] == "2023-11-14T22:13:21.500Z"
     assert any("primary channel" in note for note in notes)
+
+
+def test_lowrance_takes_the_channel_that_saw_the_bottom_most(tmp_path: Path) -> None:
+    """The last ping lies beyond the map."""
+    path = tmp_path / "log.sl2"
+    data = bytearray(sonar_log(2, blind=0))
+    data[-160 + 108 : -160 + 112] = struct.pack("<i", round(math.radians(181.0) * RADIUS_M))
+    path.write_bytes(bytes(data))
+    log = read_lowrance([path], TrackOptions())
+    assert any("downscan channel" in note for note in log.report.notes)
+    assert log.soundings is not None
+    assert log.soundings["depth_m"].tolist() == pytest.approx(((10.0 + np.arange(19)) * 0.3048).tolist())
+    assert log.report.counts["pings_without_place"] == 1
 
 
 def test_lowrance_without_a_date_has_soundings_without_time(tmp_path: Path) -> None:
@@ -83,14 +96,17 @@ def test_lowrance_damage_is_counted_and_passed(tmp_path: Path) -> None:
 
 
 def test_lowrance_without_bottom_is_refused(tmp_path: Path) -> None:
+    """No depth, one deeper than any sea, and none that is a number."""
     path = tmp_path / "log.sl2"
-    path.write_bytes(bytes(struct.pack("<HHHH", 2, 1, 1970, 0)) + frame(2, 8, 0, 0, 0.0, UNIX_S))
-    with pytest.raises(InputError, match="none with a depth and a place"):
+    depths_ft = [0.0, 4e4, math.nan]
+    frames = [frame(2, 8 + 160 * k, k, 0, depth_ft, UNIX_S) for k, depth_ft in enumerate(depths_ft)]
+    path.write_bytes(struct.pack("<HHHH", 2, 1, 1970, 0) + b"".join(frames))
+    with pytest.raises(InputError, match="3 pings, none with a depth and a place"):
         describe(path)
 
 
 def ensemble(
-    k: int, *, vertical_m: float | None, beams_m: float, heading_deg: float, quality: int = 4
+    k: int, *, vertical_m: float | None, beams_m: Any, heading_deg: float, quality: int = 4
 ) -> bytes:
     """An ensemble at 51 N, 13 W, level, beams of 20 degrees; its clock is 8 h 0 min 2 s behind UTC."""
     fixed = bytearray(59)
@@ -102,7 +118,7 @@ def ensemble(
     variable[18:20] = struct.pack("<H", round(heading_deg * 100))
     bottom = bytearray(89)
     bottom[:2] = b"\x00\x06"
-    bottom[16:24] = struct.pack("<4H", *[round(beams_m * 100)] * 4)
+    bottom[16:24] = struct.pack("<4H", *[round(100 * beam) for beam in np.broadcast_to(beams_m, 4)])
     time = f"2213{k % 60 + 2:02d}.50".encode()
     place = struct.pack("<d", 51.0) + b"N" + struct.pack("<d", 13.0 + 1e-5 * k) + b"W"
     gga = b"$GPGGA\0" + time + b"\0" + place + bytes([quality, 18]) + bytes(21)
@@ -155,6 +171,19 @@ def test_slanted_beams_hit_where_they_look(tmp_path: Path) -> None:
     assert table["depth_m"].tolist() == pytest.approx([4.0] * 4)
 
 
+def test_a_lost_beam_leaves_the_others(tmp_path: Path) -> None:
+    """A ping's mean of three beams would lie aside; each of them is a sounding where it hits."""
+    path = tmp_path / "river.PD0"
+    whole: dict[str, Any] = {"vertical_m": None, "heading_deg": 0.0}
+    path.write_bytes(ensemble(0, beams_m=4.0, **whole) + ensemble(1, beams_m=(4.0, 0.0, 4.0, 4.0), **whole))
+    log = read_pd0([path], TrackOptions())
+    assert log.depths is not None
+    assert log.soundings is not None
+    assert log.depths["depth_m"].tolist() == [4.0, 0.0]
+    assert log.report.counts["pings_without_bottom"] == 1
+    assert log.soundings["depth_m"].tolist() == pytest.approx([4.0] * 7)
+
+
 def test_an_adcp_without_fixes_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "river.PD0"
     path.write_bytes(ensemble(0, vertical_m=4.0, beams_m=4.0, heading_deg=0.0, quality=0))
@@ -166,10 +195,10 @@ def sontek_export(path: Path, *, unit: str = "m", vertical: float = 3.0, **chang
     """Four rows at 1 s, the second without a fix, the third without a bottom; the clock shows local time."""
     scale = {"m": 1.0, "ft": 1 / 0.3048}.get(unit, 1.0)
     depth = np.array([vertical, vertical, 0.0, vertical + 1.0 if vertical else 0.0])
-    utc = np.array([235_958.9, 235_959.9, 0.9, 1.9])
+    utc = np.array([235_957.9, 235_958.9, 235_959.9, 0.9])
     held: dict[str, Any] = {
         "Setup": {"sensorDepth": 0.25 * scale, "Units": {"sensorDepth": unit}},
-        "System": {"Time": 790_387_200.0 + 3_606.0 + np.arange(4.0)},  # 2025-01-17 01:00:06 local: UTC + 1 h
+        "System": {"Time": 790_387_200.0 + 3_605.0 + np.arange(4.0)},  # 2025-01-17 01:00:05 local: UTC + 1 h
         "GPS": {
             "Utc": utc,
             "Latitude": np.array([51.0, 0.0, 51.00002, 51.00003]),
@@ -203,7 +232,7 @@ def test_sontek_depths_are_below_the_water_with_the_day_of_gnss(tmp_path: Path, 
     assert log.soundings is not None
     assert log.soundings["depth_m"].tolist() == pytest.approx([3.0, 4.0])
     assert log.soundings["latitude"].tolist() == pytest.approx([51.0, 51.00003])
-    assert log.soundings["time"].tolist()[0] == "2025-01-16T23:59:58.900Z"
+    assert log.soundings["time"].tolist()[0] == "2025-01-16T23:59:57.900Z"
     # a mount is measured to the transducer: its draught is taken off the stream of a campaign
     assert log.depths["depth_m"].tolist() == pytest.approx([2.75, 2.75, 0.0, 3.75])
     assert log.positions["fix"].tolist() == ["dgnss", "fixed", "float"]
@@ -224,11 +253,15 @@ def test_sontek_without_a_vertical_beam_takes_the_slanted_ones(tmp_path: Path) -
 
 
 def test_clocks_of_two_transects_may_be_off_otherwise(tmp_path: Path) -> None:
-    """The second export's clock is 40 s further off: each has its own offset to GNSS."""
+    """The second export's clock is 40 s further off, its draught is larger: each has its own."""
     first = sontek_export(tmp_path / "1.mat")
-    later = 790_387_200.0 + 3_646.0 + np.arange(4.0)
-    log = read_sontek([first, sontek_export(tmp_path / "2.mat", System__Time=later)], TrackOptions())
+    later = 790_387_200.0 + 3_645.0 + np.arange(4.0)
+    second = sontek_export(tmp_path / "2.mat", System__Time=later, Setup__sensorDepth=0.5)
+    log = read_sontek([first, second], TrackOptions())
     assert log.depths is not None
+    assert log.soundings is not None
+    assert log.depths["depth_m"].tolist() == pytest.approx([2.75, 2.75, 0.0, 3.75, 2.5, 2.5, 0.0, 3.5])
+    assert log.soundings["depth_m"].tolist() == pytest.approx([3.0, 4.0] * 2)
     t_s = log.depths["t_gps_s"].to_numpy()
     assert t_s[4:] == pytest.approx(t_s[:4], abs=1e-6)
 

@@ -94,6 +94,7 @@ def test_what_a_table_does_not_hold_is_asked_for(tmp_path: Path, kind: str) -> N
         ("tum", "1.0 0 0 0 0 0 0 2\n", "the rotation is none"),
         ("kitti", "1 0 0 0 0 1 0 0 0 0 -1 0\n", "the rotation is none"),
         ("tum", "1.0 0 0 0 0 0 0 1\n1.1 0 0 x 0 0 0 1\n", "line 2"),
+        ("tum", "1.0 0 0 0 0 0 0 1\n1.1 0 0 nan 0 0 0 1\n", "line 2"),
         ("euroc", "1,0,0,0,1,0,0\n", "line 1"),
         ("tum", "# nothing\n", "no poses"),
     ],

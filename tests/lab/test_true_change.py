@@ -254,13 +254,15 @@ def test_volumes_and_places_are_held_against_the_truth() -> None:
         }
     )
     cores = pd.DataFrame({"area_m2": np.full(len(plan), 0.25 / tilt)})
-    draws = pd.DataFrame({"core": np.arange(len(plan)), "draw_00_m": 0.01, "draw_01_m": -0.01})
+    draws = pd.DataFrame(
+        {"core": np.arange(len(plan)), "draw_00_m": 0.01, "draw_01_m": -0.01, "draw_02_m": 0.04}
+    )
     polygons = true_polygons(before, after, outlines)
     row = judge_polygons(changes, cores, draws, true, polygons).set_index("name").loc["hollow"]
     seen = 3.0 * 4.0  # a quarter of the square was not seen
     assert row["expected_m3"] == pytest.approx(-0.3 * seen)
     assert row["measured_m3"] - row["expected_m3"] == pytest.approx(0.01 * row["measured_m2"])
-    assert row["sigma_m3"] == pytest.approx(0.01 * row["measured_m2"])  # one error of all
+    assert row["sigma_m3"] == pytest.approx(np.sqrt(6e-4) * row["measured_m2"])  # one error of all
     assert row["true_m3"] == pytest.approx(-0.3 * 3.875**2, rel=0.01)
     area = Area(polygon_en_m=0.75 * SQUARE)
     truth = true_points(before, after, outlines, area, radius_m=0.0, reach_m=2.0, seed=1)

@@ -37,6 +37,7 @@ import random
 import re
 import resource
 import secrets
+import signal
 import subprocess
 import sys
 import tempfile
@@ -339,7 +340,7 @@ def run_all(runs: Sequence[Run], workers: int, until_s: float = float("inf")) ->
         run = busy.pop(pid)
         run.cpu_s = used.ru_utime + used.ru_stime
         if os.WIFSIGNALED(status):
-            run.verdict = "timeout" if run.cpu_s > run.limit_s else "crash"
+            run.verdict = "timeout" if os.WTERMSIG(status) == signal.SIGXCPU else "crash"
         else:
             code = os.WEXITSTATUS(status)
             run.verdict = "survived" if code in (0, 5) else "failed" if code in (1, 2) else "crash"
