@@ -45,8 +45,8 @@ def test_a_bank_in_all_directions_halves_the_errors_and_says_so() -> None:
 
 
 def test_along_a_wall_nothing_is_told(tmp_path: Path) -> None:
-    drawn = draw(903, Spec(bank="wall", **SMALL))
-    found, poses, _ = solve(drawn, Spec(bank="wall", **SMALL))
+    spec = Spec(bank="wall", **SMALL | {"length_m": 10.0})
+    found, poses, _ = solve(draw(903, spec), spec)
     assert found.facts["told"]["north"] > 0.5, "the wall looks south"
     assert found.facts["told"]["east"] < LEAST_TOLD
     assert "east" in found.facts["not_told"]
