@@ -1,5 +1,6 @@
 """Fixtures shared by all tests."""
 
+import atexit
 import faulthandler
 import gc
 import logging
@@ -242,12 +243,8 @@ def pytest_collection_finish() -> None:
     gc.freeze()
     gc.enable()
     gc.set_threshold(10_000, 10, 10)
-
-
-def pytest_unconfigure() -> None:
-    """Libraries that count their objects at the end would miss them."""
-    gc.unfreeze()
-    gc.collect()
+    # Libraries count their objects at the end of the process; a run ends earlier inside of a test.
+    atexit.register(gc.unfreeze)
 
 
 LONGEST_FIRST = (

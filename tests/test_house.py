@@ -855,9 +855,9 @@ def test_no_package_grows_beyond_what_the_page_of_the_architecture_states(reposi
 
 def test_size_weighs_code_and_neither_words_about_it_nor_its_layout(repository: Path) -> None:
     tokens_of = runpy.run_path(str(repository / "docs/make_size.py"))["tokens_of"]
-    plain = b"def f(a):\n    return a + 1\n"
-    layout = b"    return (\n        a + 1\n    )\n"
-    words = b'"""Words."""\n\n# more words\ndef f(\n    a,\n):\n    """Words."""\n'
+    plain = "def f(a):\n    return a + 1\n"
+    layout = "    return (\n        a + 1\n    )\n"
+    words = '"""Words."""\n\n# more words\ndef f(\n    a,\n):\n    """Words."""\n'
     assert tokens_of(plain) == 10
     assert tokens_of(words + layout) == 13  # a comma and two parentheses
-    assert tokens_of(b'x = "a string that is no docstring"\n') == 3
+    assert tokens_of('x = "a string that is no docstring"\n') == 3

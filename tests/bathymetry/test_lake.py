@@ -196,20 +196,18 @@ def test_days_that_agree_change_nothing() -> None:
 
 
 def test_the_mean_of_days_is_within_its_sigma_as_often_as_one_sigma_says() -> None:
-    """Steps of two and of three days, 100 times each: one line a day, all cross; the truth is zero."""
+    """Steps of two days, 100 times: a line each, which cross; the truth is zero. Of three days: above."""
     rng = np.random.default_rng(905)
     at = np.linspace(-20.0, 20.0, 11)
+    lines = [at[:, None] * way + 0.3 * k for k, way in enumerate(np.eye(2))]
+    day = np.repeat([0, 1], len(at))
     inside = 0
-    for days in (2, 3):
-        turn = np.pi * np.arange(days) / days
-        lines = [at[:, None] * [np.cos(a), np.sin(a)] + 0.3 * k for k, a in enumerate(turn)]
-        day = np.repeat(np.arange(days), len(at))
-        for _ in range(100):
-            height = rng.normal(0.0, 0.5, days)[day] + rng.normal(0.0, 0.01, len(day))
-            found = agreement(np.concatenate(lines), height, np.full(len(day), 0.01), day, day)
-            inside += abs(np.mean(height - found.shift_m[day])) < found.sigma_common_m[0]
-    # 136 of 200 expected; by the scatter alone 108
-    assert inside == pytest.approx(136, abs=17)
+    for _ in range(100):
+        height = rng.normal(0.0, 0.5, 2)[day] + rng.normal(0.0, 0.01, len(day))
+        found = agreement(np.concatenate(lines), height, np.full(len(day), 0.01), day, day)
+        inside += abs(np.mean(height - found.shift_m[day])) < found.sigma_common_m[0]
+    # 68 of 100 expected; by the scatter alone 50
+    assert inside == pytest.approx(68, abs=12)
 
 
 # ---------------------------------------------------------------- which coordinates

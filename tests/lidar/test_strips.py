@@ -51,7 +51,7 @@ def test_a_bank_in_all_directions_halves_the_errors_and_says_so() -> None:
 
 
 def test_along_a_wall_nothing_is_told(tmp_path: Path) -> None:
-    drawn = draw(903, Spec(bank="wall", **SMALL))
+    drawn = draw(903, Spec(bank="wall", **SMALL | {"length_m": 10.0}))
     poses = drawn.trajectory
     vague = replace(MOUNT, cov=np.diag([0.03] * 3 + [np.deg2rad(0.06)] * 3) ** 2)
     found = adjust_strips(drawn.sample, poses, vague, drawn.chains, Strips(max_planes=1500))

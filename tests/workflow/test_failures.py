@@ -30,12 +30,12 @@ def house(repository, tmp_path_factory, house_builder):
 
 @pytest.mark.workflow
 def test_cause_and_cure_are_the_last_lines_in_every_mode(house) -> None:
-    """Of a campaign whose reference is one point, a thousand times."""
+    """Of a campaign whose reference is one point, a thousand times; between these two lies the usual mode."""
     folder = house.root / "config/campaigns"
     (folder / "two.yaml").write_text(CAMPAIGN)
     np.savetxt(folder / "a.xyz", np.random.default_rng(1).uniform(0, 5, (1000, 3)))
     np.savetxt(folder / "b.xyz", np.ones((1000, 3)))
-    for mode in ((), ("--quiet", "all"), ("--cores", "1", "--keep-going", "--verbose")):
+    for mode in (("--quiet", "all"), ("--cores", "1", "--keep-going", "--verbose")):
         run = house.snakemake(
             "results/two/accuracy/cloud.json", "--config", "campaign=two", *mode, check=False
         )
