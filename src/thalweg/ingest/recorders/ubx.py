@@ -143,9 +143,7 @@ def read_ubx(files: Sequence[Path], options: TrackOptions) -> PositionLog:
         if positions.empty and len(beside.positions):
             positions = beside.positions
             report.note("Positions are those of its NMEA sentences: no NAV message with one is logged.")
-    report.synchronised = bool(positions["t_gps_s"].notna().any())
-    report.take_times(positions["t_gps_s"], "positions")
-    report.count("positions", len(positions))
+    report.take_gps_times(positions["t_gps_s"], "positions")
     raw_epochs = sum(numbers[name] for name in RAW_OBSERVATIONS)
     if raw_epochs:
         report.count("raw_epochs", raw_epochs)
