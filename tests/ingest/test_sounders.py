@@ -213,7 +213,7 @@ def test_sontek_depths_are_below_the_water_with_the_day_of_gnss(tmp_path: Path, 
     assert log.report.counts["pings_without_bottom"] == 1
     notes = " ".join(log.report.notes)
     assert "3,607.10 s ahead of GNSS: it may show local time" in notes
-    assert "-0.10 m from it (median of 3)" in notes
+    assert "-0.10 m from it (median of 3," in notes
     assert "the draught of 0.25 m" in notes
 
 

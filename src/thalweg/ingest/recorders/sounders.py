@@ -29,7 +29,15 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core import ArrayF, InputError, frame_of, gps_from_unix, utc_text_from_gps, utc_text_from_unix
+from thalweg.core import (
+    NMAD,
+    ArrayF,
+    InputError,
+    frame_of,
+    gps_from_unix,
+    utc_text_from_gps,
+    utc_text_from_unix,
+)
 from thalweg.ingest import DEPTH, GNSS_POSITION, IntegrityReport, PositionLog, TrackOptions
 
 FOOT_M: Final = 0.3048
@@ -257,11 +265,8 @@ def read_pd0(files: Sequence[Path], options: TrackOptions) -> PositionLog:
     known = table["lat_deg"].notna()
     place = {name: table[name] for name in ("lat_deg", "lon_deg")}
     sounder = table["sounder_m"].to_numpy(np.float64)
-    if (beside := (sounder > 0) & (vertical > 0)).any():
-        report.note(
-            f"An echo sounder beside it (DBT) is {np.median((sounder - vertical)[beside]):+.2f} m from it "
-            f"(median of {beside.sum():,}), and not used."
-        )
+    if apart := _apart(sounder, vertical):
+        report.note(f"An echo sounder beside it (DBT) is {apart}, and not used.")
     draught = table["transducer_m"].median()
     report.note(f"Depths are below the transducer; the log states its draught as {draught:.2f} m, not added.")
     if (vertical > 0).any():
@@ -293,13 +298,19 @@ def _adcp(
     report.count(rows, len(table))
     t_unix_s = np.concatenate([_on_gnss_time(part, report) for part in parts if len(part)])
     vertical, slanted = (np.nan_to_num(table[f"{name}_m"].to_numpy()) for name in ("vertical", "slanted"))
-    both = (vertical > 0) & (slanted > 0)
-    if both.any():
-        report.note(
-            "Depths of the vertical beam; the mean of the slanted ones is "
-            f"{np.median((slanted - vertical)[both]):+.2f} m from it (median of {both.sum():,})."
-        )
+    if apart := _apart(slanted, vertical):
+        report.note(f"Depths of the vertical beam; the mean of the slanted ones is {apart}.")
     return table, t_unix_s, vertical, slanted
+
+
+def _apart(other: ArrayF, own: ArrayF) -> str:
+    """How far depths are from others of the same pings, in words; empty where there are none."""
+    apart = (other - own)[(other > 0) & (own > 0)]
+    if not len(apart):
+        return ""
+    middle = np.median(apart)
+    scatter = NMAD * np.median(np.abs(apart - middle))
+    return f"{middle:+.2f} m from it (median of {len(apart):,}, scatter {scatter:.2f} m)"
 
 
 def _ensemble(blocks: dict[int, list[bytes]]) -> dict[str, float]:
