@@ -576,13 +576,16 @@ def _dtype_of(message: Any) -> np.dtype[Any]:
             cure="Record the cloud with coordinates, or convert its packets with the driver",
         )
     order = ">" if message.is_bigendian else "<"
+    places = {name: (np.dtype(f"{order}{_TYPES[f.datatype]}"), f.offset) for name, f in fields.items()}
+    if max(offset + kind.itemsize for kind, offset in places.values()) > message.point_step:
+        raise InputError(
+            f"clouds whose fields reach beyond the {message.point_step} bytes of a point",
+            expected="fields within a point",
+            cure="Record the topic again: its driver states the fields wrongly",
+        )
+    formats, offsets = zip(*places.values(), strict=True)
     return np.dtype(
-        {
-            "names": list(fields),
-            "formats": [f"{order}{_TYPES[f.datatype]}" for f in fields.values()],
-            "offsets": [f.offset for f in fields.values()],
-            "itemsize": message.point_step,
-        }
+        {"names": list(places), "formats": formats, "offsets": offsets, "itemsize": message.point_step}
     )
 
 
