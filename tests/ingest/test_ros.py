@@ -416,6 +416,8 @@ def test_an_imu_that_contradicts_itself_is_refused(tmp_path: Path) -> None:
         if why:
             with pytest.raises(InputError, match=why):
                 read_poses([tmp_path / f"{name}.bag"], "ins")
+            stated = TrackOptions(body_axes="forward-left-up")
+            assert len(read_poses([tmp_path / f"{name}.bag"], "ins", stated).states) == 5
         else:
             assert len(read_poses([tmp_path / f"{name}.bag"], "ins").states) == 5
 

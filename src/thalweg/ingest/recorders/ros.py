@@ -57,7 +57,7 @@ from thalweg.ingest import (
     TrackOptions,
     is_ouster_metadata,
 )
-from thalweg.ingest.tracks import TextPoses, states_of_poses
+from thalweg.ingest.tracks import BODY_AXES, TextPoses, states_of_poses
 
 _CLOUDS: Final = (
     "sensor_msgs/msg/PointCloud2",
@@ -895,7 +895,9 @@ def read_bag_poses(files: Sequence[Path], options: TrackOptions) -> PoseLog:
     report = _report("ins", "Imu and NavSatFix", files)
     parts = list(zip(files, chosen, strict=True))
     positions = pd.concat([_fixes(path, fix, report) for path, (_, fix) in parts], ignore_index=True)
-    states = pd.concat([_attitudes(path, imu, report) for path, (imu, _) in parts], ignore_index=True)
+    states = pd.concat(
+        [_attitudes(path, imu, report, options.body_axes) for path, (imu, _) in parts], ignore_index=True
+    )
     depths = _beside("depth", files, options, report)
     t, at = states["t_gps_s"].to_numpy(), positions.drop_duplicates("t_gps_s").sort_values("t_gps_s")
     for name in ("lat_deg", "lon_deg", "h_ell_m", "sigma_east_m", "sigma_north_m", "sigma_up_m"):
@@ -952,7 +954,8 @@ def _poses(parts: Sequence[tuple[Path, str]], options: TrackOptions) -> PoseLog:
     return log
 
 
-def _attitudes(path: Path, topic: str, report: IntegrityReport) -> pd.DataFrame:
+def _attitudes(path: Path, topic: str, report: IntegrityReport, axes: str | None) -> pd.DataFrame:
+    """Orientations of an Imu; axes that are stated are believed, those of REP 103 tried by gravity."""
     stamps, quaternions, variances, rates, felt_mps2 = [], [], [], [], []
     for stamp_s, _, message in _messages(path, topic, report):
         a = message.linear_acceleration
@@ -985,14 +988,14 @@ def _attitudes(path: Path, topic: str, report: IntegrityReport) -> pd.DataFrame:
         and (tilt_deg := np.rad2deg(np.arccos(np.clip(np.median(up[still]), -1, 1)))) > _TILTED_DEG
     ):
         doubt = f"contradicts its accelerations: these point {tilt_deg:.0f} degrees away from up"
-    if doubt:
+    if doubt and axes is None:
         raise InputError(
             f"the orientation of the Imu {topic} {doubt}",
             expected="the body forward, left, up (REP 103) against east, north, up (REP 145)",
             where=path,
-            cure="Record a filter or driver that keeps to this, or take the poses of another program",
+            cure="Record a filter or driver that keeps to this, or state ins.body_axes if you know them",
         )
-    R = turn @ _BODY
+    R = turn @ BODY_AXES[axes or "forward-left-up"]
     roll, pitch, heading = roll_pitch_heading(R)
     sigma = np.sqrt(np.where(np.array(variances) > 0, np.array(variances), np.nan))
     rate = np.array(rates)
