@@ -11,6 +11,7 @@ import pytest
 from thalweg.core import InputError, gps_from_unix
 from thalweg.ingest.nmea import read_nmea
 from thalweg.ingest.nmea.reader import NmeaLog
+from thalweg.ingest.registry import read_depths
 
 START = 36_000
 """10:00:00, second of the day."""
@@ -228,13 +229,16 @@ def test_what_is_not_read_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("body", "word"), [("SDDBK,6.9,f,2.10,M,1.1,F", "below the keel"), ("SDDPT,0.0,0.0", "depths of 0")]
+    ("body", "word"),
+    [("SDDBK,6.9,f,2.10,M,1.1,F", "below the keel"), ("SDDPT,0.0,0.0", "the instrument saw no bottom")],
 )
 def test_a_log_without_a_depth_above_zero_promises_none(tmp_path: Path, body: str, word: str) -> None:
-    log = read(tmp_path, rmc(START) + sentence(body))
+    path = tmp_path / "log.nmea"
+    path.write_text(rmc(START) + sentence(body))
     with pytest.raises(InputError, match=word):
-        log.with_depths()
-    assert len(read(tmp_path, rmc(START) + sentence(DEPTH)).with_depths().depths) == 1
+        read_depths([path])
+    path.write_text(rmc(START) + sentence(DEPTH))
+    assert len(read_depths([path]).depths) == 1
 
 
 @pytest.mark.parametrize(
@@ -296,13 +300,13 @@ def test_traits_of_reports(data_dir: Path, trait: str, words: str) -> None:
 @pytest.mark.parametrize(
     ("body", "words"),
     [
-        ("SDXDR,D,3.10,M,DEPTH", "2 depths of a transducer"),
-        ("PSKPDPT,3.10,0.30,0,42,25,2,0", "2 sentences PSKPDPT"),
-        ("SDDBT,3.10,f,3.10,M,3.10,F", "2 sentences with impossible fields"),
+        ("SDXDR,D,3.10,M,DEPTH", "Depths of a transducer"),
+        ("PSKPDPT,3.10,0.30,0,42,25,2,0", "Not read: PSKPDPT 2"),
+        ("SDDBT,3.10,f,3.10,M,3.10,F", "2 sentences have a good frame but impossible fields"),
     ],
 )
 def test_depths_that_are_not_read_are_the_cause(body: str, words: str, tmp_path: Path) -> None:
     path = tmp_path / "log.nmea"
     path.write_text("".join(rmc(START + k) + sentence(body) for k in range(2)))
     with pytest.raises(InputError, match=words):
-        read_nmea([path]).with_depths()
+        read_depths([path])

@@ -60,8 +60,8 @@ def test_places_without_a_fix_and_of_damage_are_none() -> None:
     np.testing.assert_allclose(found["sigma_east_m"], expected)
     np.testing.assert_allclose(found["sigma_north_m"], expected)
     pings = pd.DataFrame({"t_s": [1.0, 2.0, 3.0], "depth_m": [2.0, np.nan, 3.0], "sentence": "DPTH"})
-    assert _depths(pings)[["depth_m", "line"]].to_numpy().tolist() == [[2.0, 1.0], [3.0, 2.0]]
-    assert len(_depths(pings[["t_s"]])) == 0
+    assert _depths(pings, report())[["depth_m", "line"]].to_numpy().tolist() == [[2.0, 1.0], [3.0, 2.0]]
+    assert len(_depths(pings[["t_s"]], report())) == 0
 
 
 def test_states_have_the_place_and_the_sigmas_of_their_time() -> None:
@@ -223,6 +223,7 @@ def test_telemetry_by_hand() -> None:
         {"t_s": [1.0, 2.0, 3.0], "time_unix_usec": [1.7e15 + 1e6, 1.7e15 + 2e6, 1.7e15 + 3e6]}
     )
     down = pd.DataFrame({"t_s": [1.0, 2.0], "orientation": [25, 0], "current_distance": [150, 900]})
+    down = down.assign(min_distance=30, max_distance=5000)
     words = pd.DataFrame({"t_s": [1.0, 2.0], "text": ["hello", "ArduRover V4"]})
     log = {
         "GPS_RAW_INT": raw, "GLOBAL_POSITION_INT": place, "ATTITUDE": spoken, "SYSTEM_TIME": clock,

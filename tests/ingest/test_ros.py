@@ -344,6 +344,38 @@ def test_organized_clouds_with_padded_rows(tmp_path: Path, big_endian: bool, cut
     assert scan.report.counts["shots_without_return"] == 1
 
 
+@pytest.mark.parametrize("timebase", [1_000_000_000 * UNIX_S, 42_000_000])
+def test_messages_of_a_livox(tmp_path: Path, timebase: int) -> None:
+    """Offsets in nanoseconds from the time base, or, where that counts from the start, from the header."""
+    bag = Bag(tmp_path / "survey.bag")
+    point, cloud = (f"livox_ros_driver2/msg/Custom{name}" for name in ("Point", "Msg"))
+    kinds = "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line\n"
+    bag.store.register(get_types_from_msg(kinds, point))
+    head = "std_msgs/Header header\nuint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\n"
+    bag.store.register(get_types_from_msg(f"{head}livox_ros_driver2/CustomPoint[] points\n", cloud))
+    two = [
+        bag.of(point, offset_time=ns, x=10.0, y=0.0, z=k, reflectivity=7, tag=0, line=3)
+        for k, ns in enumerate((0, 50_000_000))
+    ]
+    message = bag.of(
+        cloud,
+        header=bag.header(UNIX_S + (timebase < 1e9)),
+        timebase=timebase,
+        point_num=2,
+        lidar_id=0,
+        rsvd=np.zeros(3, np.uint8),
+        points=two,
+    )
+    bag.say("/livox/lidar", cloud, message, UNIX_S)
+    bag.writer.close()
+    reader = lidar_reader([tmp_path / "survey.bag"])
+    block = next(reader.points(reader.scan().clock))
+    begin = float(gps_from_unix(UNIX_S)) + (timebase < 1e9)
+    assert block.t_gps_s - begin == pytest.approx([0.0, 0.05], abs=1e-6)
+    assert block.xyz_scs_m.tolist() == [[0, 10, 0], [0, 10, 1]]
+    assert (block.ring.tolist(), block.intensity.tolist()) == ([3, 3], [7, 7])
+
+
 def test_clouds_of_a_fixed_frame_are_refused(tmp_path: Path) -> None:
     bag = Bag(tmp_path / "survey.bag")
     bag.cloud("/cloud_registered", UNIX_S, sweep("t", "u4", 0), frame="map")
@@ -393,6 +425,8 @@ def test_an_imu_that_contradicts_itself_is_refused(tmp_path: Path) -> None:
         if why:
             with pytest.raises(InputError, match=why):
                 read_poses([tmp_path / f"{name}.bag"], "ins")
+            stated = TrackOptions(body_axes="forward-left-up")
+            assert len(read_poses([tmp_path / f"{name}.bag"], "ins", stated).states) == 5
         else:
             assert len(read_poses([tmp_path / f"{name}.bag"], "ins").states) == 5
 

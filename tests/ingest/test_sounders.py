@@ -11,6 +11,7 @@ import pytest
 from scipy.io import savemat
 
 from tests.conftest import check_whole
+from thalweg.cli import main
 from thalweg.core import InputError, ThalwegError, gps_from_unix
 from thalweg.ingest import TrackOptions
 from thalweg.ingest.recorders import read_lowrance, read_pd0, read_sontek
@@ -241,7 +242,7 @@ def test_sontek_depths_are_below_the_water_with_the_day_of_gnss(tmp_path: Path, 
     assert log.report.counts["pings_without_bottom"] == 1
     notes = " ".join(log.report.notes)
     assert "3,607.10 s ahead of GNSS: it may show local time" in notes
-    assert "-0.10 m from it (median of 3)" in notes
+    assert "-0.10 m from it (median of 3," in notes
     assert "the draught of 0.25 m" in notes
 
 
@@ -351,3 +352,13 @@ def test_damaged_logs_are_read_or_refused(tmp_path: Path, fuzz: Any) -> None:
         assert log.soundings["depth_m"].between(0.0, 11_034.0).all()
         assert log.soundings["longitude"].abs().le(180).all()
     fuzz.check(read=0.5, troubled=0.2)
+
+
+def test_tables_beside_a_log_are_no_second_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs/day.sl2").write_bytes(sonar_log(2))
+    (tmp_path / "logs/day.csv").write_text("time,depth\n2024-06-12T10:00:00Z,3.1\n2024-06-12T10:00:01Z,3.2\n")
+    folder = tmp_path / "campaigns"
+    assert main(["new-campaign", "boat", "--from-logs", str(tmp_path / "logs"), "--folder", str(folder)]) == 0
+    assert "table of depths with times, beside a log of the same: day.csv" in capsys.readouterr().err
+    assert "\n  depth: [../logs/day.sl2]" in (folder / "boat.yaml").read_text()

@@ -117,6 +117,7 @@ def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], list[str], dict[str
         ALSO_MARKS,
         KINDS,
         LOOSE_KINDS,
+        TABLE_KINDS,
         also_streams,
         choose_tracks,
         mounts_of_bag,
@@ -164,6 +165,11 @@ def _sort_logs(folder: Path) -> tuple[dict[str, list[Path]], list[str], dict[str
                 ]
             if kind in ALSO_MARKS:
                 streams.setdefault("image_marks", []).append(path)
+    logged = {stream for stream, kind, _ in known if kind not in TABLE_KINDS}
+    for stream, kind, path in [each for each in known if each[1] in TABLE_KINDS and each[0] in logged]:
+        known.remove((stream, kind, path))
+        streams[stream].remove(path)
+        left_out.setdefault(f"{KINDS[kind]}, beside a log of the same", []).append(path)
     for (stream, parent), n in pictures.items():
         if any((stream, above) in pictures for above in parent.parents):
             print(f"{stream:10s} {parent} ({n} photographs, below a folder that is named)")

@@ -100,6 +100,12 @@ class IntegrityReport:
             if n:
                 self.lose(what, n)
 
+    def take_gps_times(self, t_gps_s: ArrayLike, rows: str) -> None:
+        """Count the rows, and `take_times` of them: synchronised where one has GPS time."""
+        self.synchronised = bool(np.isfinite(np.asarray(t_gps_s, np.float64)).any())
+        self.count(rows, np.size(t_gps_s))
+        self.take_times(t_gps_s, rows)
+
     def keep_once(self, table: pd.DataFrame, file: AnyArray, what: str) -> ArrayB:
         """False (n,) for rows that an earlier file holds already; they are counted as ``what``, a plural."""
         again = repeated_rows(table, file)

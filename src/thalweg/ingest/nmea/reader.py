@@ -31,7 +31,7 @@ from functools import cache, reduce
 from itertools import combinations
 from operator import xor
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -227,8 +227,6 @@ _UNREAD: Final[Mapping[str, str]] = {
     "PGRMZ": "height",
 }
 """Sentences with a position, height, attitude or speed that nothing is taken from, and what they hold."""
-_OWN_DEPTH: Final = re.compile("P[A-Z0-9]+D(?:PT|BT|BS)")
-"""Sentences of one maker that by their name hold depths."""
 _PROPRIETARY: Final = re.compile("P[A-Z][A-Z0-9]{2,}$")
 _GPS_EPOCH_DAY: Final = dt.date(1980, 1, 6).toordinal() - _UNIX_DAY
 _DATUMS: Final = frozenset(["", "W84", "P90", "999"])
@@ -268,7 +266,7 @@ def _take(
         raise ValueError(f)
     if kind == "XDR":
         if any("DEPTH" in text.upper() for text in sentence.fields):
-            report.count("XDR_depths")
+            report.note("Depths of a transducer (XDR) are not read.")
         return pitch_and_roll_deg(sentence.fields)
     if kind == "DTM":
         if f["datum"] not in _DATUMS:
@@ -709,33 +707,6 @@ class NmeaLog:
     positions: pd.DataFrame
     depths: pd.DataFrame
     report: IntegrityReport
-
-    def with_depths(self) -> Self:
-        """The log itself.
-
-        Raises
-        ------
-        InputError : no depth above 0 stands in it.
-        """
-        if not self.report.counts["depths"]:
-            seen = {
-                "no_bottom": "depths of 0",
-                "empty_depths": "empty depths",
-                "DBK": "depths below the keel (DBK), which are not read",
-                "XDR_depths": "depths of a transducer (XDR), which are not read",
-                "malformed_sentences": "sentences with impossible fields, such as depths in metres and "
-                "feet that contradict each other",
-            }
-            counts = self.report.counts | self.report.losses
-            seen |= {k: f"sentences {k}, which are not read" for k in counts if _OWN_DEPTH.fullmatch(k)}
-            met = [f"{counts[k]:,} {words}" for k, words in seen.items() if k in counts]
-            raise InputError(
-                "no depth above 0 in the log" + (": " + ", ".join(met) if met else ""),
-                expected="sentences DPT, DBT or DBS of an echo sounder",
-                where=", ".join(self.report.files),
-                cure="Let the instrument send DPT, or leave out logs.depth",
-            )
-        return self
 
 
 def read_nmea(files: Sequence[Path], date: dt.date | None = None) -> NmeaLog:

@@ -283,19 +283,16 @@ def _of_dataflash(
     log: Messages, report: IntegrityReport
 ) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame, pd.DataFrame, float]:
     fixes, offset_s = _dataflash_fixes(log, report)
-    angles = _main(log.get("ATT", _NONE), "", 0).rename(
-        columns={"Roll": "roll", "Pitch": "pitch", "Yaw": "yaw"}
-    )
-    attitude = pd.DataFrame({"t_s": angles.get("t_s", _EMPTY)})
-    for name in ("roll", "pitch", "yaw"):
-        attitude[f"{name}_rad"] = np.deg2rad(angles.get(name, _EMPTY).astype(float))
+    angles = {f"{name}_rad": (name.capitalize(), math.pi / 180.0) for name in ("roll", "pitch", "yaw")}
+    attitude = _named(log.get("ATT", _NONE), angles)
     core = int(log["XKF4"]["PI"].mode().iloc[0]) if "XKF4" in log and "PI" in log["XKF4"] else 0
-    named = {"Lat": "lat_deg", "Lng": "lon_deg", "Alt": "alt_m"}
-    place = log.get("POS", log.get("AHR2", _NONE)).rename(columns=named)
-    if len(place):  # without a fix both are 0
-        place = place[_on_earth(place)]
-    speed = _main(log.get("XKF1", log.get("NKF1", _NONE)), "C", core)
-    speed = speed.rename(columns={"VN": "v_north_mps", "VE": "v_east_mps", "VD": "v_down_mps"})
+    fields = {"lat_deg": ("Lat", 1.0), "lon_deg": ("Lng", 1.0), "alt_m": ("Alt", 1.0)}
+    place = _named(log.get("POS", log.get("AHR2", _NONE)), fields)
+    place = place[_on_earth(place)]
+    speed = _named(
+        _main(log.get("XKF1", log.get("NKF1", _NONE)), "C", core),
+        {f"v_{axis}_mps": (f"V{axis[0].upper()}", 1.0) for axis in ("north", "east", "down")},
+    )
     sigmas = _filter_sigmas(log, core)
     if sigmas.empty and fixes["sigma_up_m"].notna().any():
         report.note(
@@ -334,13 +331,9 @@ def _dataflash_fixes(log: Messages, report: IntegrityReport) -> tuple[pd.DataFra
     offset_s = np.nan
     if len(timed):
         params = log.get("PARM", pd.DataFrame({"Name": [], "Value": []}))
-        delay = params.loc[
-            pd.Series(_texts(params["Name"]), index=params.index, dtype=object)
-            .str.contains("GPS1?_DELAY_MS")
-            .astype(bool),
-            "Value",
-        ]
-        lag_s = float(delay.iloc[0]) * 1e-3 if len(delay) and delay.iloc[0] > 0 else USUAL_LAG_S
+        stated = zip(_texts(params["Name"]), params["Value"], strict=True)
+        delay_ms = next((float(value) for name, value in stated if re.search("GPS1?_DELAY_MS", name)), 0.0)
+        lag_s = delay_ms * 1e-3 if delay_ms > 0 else USUAL_LAG_S
         lead_s = (t_gps_s - gps["t_s"]).dropna()
         # of the fix that was on its way the shortest; a receiver that corrects its leap seconds jumps
         offset_s = float(lead_s[(lead_s - lead_s.median()).abs() < _JUMP_S].max()) + lag_s
@@ -479,22 +472,23 @@ def _of_telemetry(
                 "sigma_up_m": accuracy[1],
             },
         )
-    spoken = log.get("ATTITUDE", _NONE)
-    attitude = pd.DataFrame({"t_s": spoken.get("t_s", _EMPTY)})
-    for ours, theirs in (
-        *((f"{name}_rad", name) for name in ("roll", "pitch", "yaw")),
-        *(
-            (f"rate_{axis}_radps", f"{name}speed")
-            for axis, name in (("x", "roll"), ("y", "pitch"), ("z", "yaw"))
-        ),
-    ):
-        attitude[ours] = spoken.get(theirs, _EMPTY)
-    whole = log.get("GLOBAL_POSITION_INT", _NONE)
-    scales = {"lat": 1e-7, "lon": 1e-7, "alt": 1e-3, "vx": 1e-2, "vy": 1e-2, "vz": 1e-2}
-    names = ("lat_deg", "lon_deg", "alt_m", "v_north_mps", "v_east_mps", "v_down_mps")
-    place = pd.DataFrame({"t_s": whole.get("t_s", _EMPTY)})
-    for ours, (theirs, scale) in zip(names, scales.items(), strict=True):
-        place[ours] = whole.get(theirs, _EMPTY) * scale
+    angles = dict(zip("xyz", ("roll", "pitch", "yaw"), strict=True))
+    attitude = _named(
+        log.get("ATTITUDE", _NONE),
+        {f"{name}_rad": (name, 1.0) for name in angles.values()}
+        | {f"rate_{axis}_radps": (f"{name}speed", 1.0) for axis, name in angles.items()},
+    )
+    place = _named(
+        log.get("GLOBAL_POSITION_INT", _NONE),
+        {
+            "lat_deg": ("lat", 1e-7),
+            "lon_deg": ("lon", 1e-7),
+            "alt_m": ("alt", 1e-3),
+            "v_north_mps": ("vx", 1e-2),
+            "v_east_mps": ("vy", 1e-2),
+            "v_down_mps": ("vz", 1e-2),
+        },
+    )
     place = place[_on_earth(place)]
     sigmas = fixes[["t_s", "sigma_east_m", "sigma_north_m", "sigma_up_m"]]
     pings = (
@@ -533,6 +527,12 @@ def _pymavlink(module: str) -> Any:
 def _stamped(table: pd.DataFrame) -> pd.DataFrame:
     unit = next((name for name in _UNITS if name in table), None)
     return table if unit is None else table.assign(t_s=table[unit] * _UNITS[unit])
+
+
+def _named(table: pd.DataFrame, fields: Mapping[str, tuple[str, float]]) -> pd.DataFrame:
+    """``t_s``, and by our names fields of a message times their units."""
+    columns = {ours: table.get(theirs, _EMPTY).astype(float) * by for ours, (theirs, by) in fields.items()}
+    return pd.DataFrame({"t_s": table.get("t_s", _EMPTY), **columns})
 
 
 def _main(table: pd.DataFrame, instance: str, number: int) -> pd.DataFrame:

@@ -61,7 +61,6 @@ def read_gopro(files: Sequence[Path], options: TrackOptions) -> PositionLog:
             where=files[0],
             cure="Take the track of another receiver; `thalweg frames` makes photographs of the video",
         )
-    report.count("positions", len(track))
     if lost := int((~held).sum()):
         report.count("positions_without_fix", lost)
     report.note(
@@ -72,8 +71,7 @@ def read_gopro(files: Sequence[Path], options: TrackOptions) -> PositionLog:
     )
     kept = track[held].sort_values("unix_s", kind="stable").reset_index(drop=True)
     t_gps_s = gps_from_unix(kept["unix_s"].to_numpy())
-    report.synchronised = True
-    report.take_times(t_gps_s, "positions")
+    report.take_gps_times(t_gps_s, "positions")
     place = {name: kept[name] for name in ("lat_deg", "lon_deg")}
     positions = frame_of(
         GNSS_POSITION, {**place, "t_gps_s": t_gps_s, "fix": "single", "n_sats": -1}, unknown=np.nan

@@ -98,9 +98,7 @@ def _read(
             cure="Look at its columns with `thalweg describe`",
         )
     t_gps_s = gps_from_unix(found["unix_s"].to_numpy(np.float64))
-    report.synchronised = True
-    report.take_times(t_gps_s, "rows")
-    report.count("rows", len(found))
+    report.take_gps_times(t_gps_s, "rows")
     kind = DEPTH if stream == "depth" else GNSS_POSITION
     return report, frame_of(kind, {**found.assign(t_gps_s=t_gps_s)}, unknown=np.nan)
 

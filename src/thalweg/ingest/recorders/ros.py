@@ -18,7 +18,7 @@ import math
 import re
 import struct
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -57,7 +57,7 @@ from thalweg.ingest import (
     TrackOptions,
     is_ouster_metadata,
 )
-from thalweg.ingest.tracks import TextPoses, states_of_poses
+from thalweg.ingest.tracks import BODY_AXES, TextPoses, states_of_poses
 
 _CLOUDS: Final = (
     "sensor_msgs/msg/PointCloud2",
@@ -576,13 +576,16 @@ def _dtype_of(message: Any) -> np.dtype[Any]:
             cure="Record the cloud with coordinates, or convert its packets with the driver",
         )
     order = ">" if message.is_bigendian else "<"
+    places = {name: (np.dtype(f"{order}{_TYPES[f.datatype]}"), f.offset) for name, f in fields.items()}
+    if max(offset + kind.itemsize for kind, offset in places.values()) > message.point_step:
+        raise InputError(
+            f"clouds whose fields reach beyond the {message.point_step} bytes of a point",
+            expected="fields within a point",
+            cure="Record the topic again: its driver states the fields wrongly",
+        )
+    formats, offsets = zip(*places.values(), strict=True)
     return np.dtype(
-        {
-            "names": list(fields),
-            "formats": [f"{order}{_TYPES[f.datatype]}" for f in fields.values()],
-            "offsets": [f.offset for f in fields.values()],
-            "itemsize": message.point_step,
-        }
+        {"names": list(places), "formats": formats, "offsets": offsets, "itemsize": message.point_step}
     )
 
 
@@ -784,15 +787,10 @@ def read_bag_positions(files: Sequence[Path], options: TrackOptions) -> Position
     ------
     InputError : no topic of positions, or several and none is named.
     """
-    report = IntegrityReport(
-        stream="gnss", format="ROS NavSatFix", files=[str(path) for path in files], time_scale="host"
-    )
-    chosen = [(path, topic) for path in files for topic in _chosen(path, "pos", options.topics)]
-    positions = pd.concat([_fixes(path, topic, report) for path, topic in chosen], ignore_index=True)
-    depths = _beside("depth", _depths, files, options, report)
-    report.synchronised = len(positions) > 0
-    report.take_times(positions["t_gps_s"], "positions")
-    report.count("positions", len(positions))
+    report = _report("gnss", "NavSatFix", files)
+    positions = _all("pos", files, options, report)
+    depths = _beside("depth", files, options, report)
+    report.take_gps_times(positions["t_gps_s"], "positions")
     return PositionLog(positions=positions, depths=depths, report=report)
 
 
@@ -803,36 +801,35 @@ def read_bag_depths(files: Sequence[Path], options: TrackOptions) -> PositionLog
     ------
     InputError : no topic of depths, or several and none is named.
     """
-    report = IntegrityReport(
-        stream="depth", format="ROS Range", files=[str(path) for path in files], time_scale="host"
+    report = _report("depth", "Range", files)
+    depths = _all("depth", files, options, report)
+    report.take_gps_times(depths["t_gps_s"], "depths")
+    return PositionLog(positions=_beside("pos", files, options, report), depths=depths, report=report)
+
+
+def _report(stream: str, words: str, files: Sequence[Path]) -> IntegrityReport:
+    return IntegrityReport(
+        stream=stream, format=f"ROS {words}", files=[str(path) for path in files], time_scale="host"
     )
-    chosen = [(path, topic) for path in files for topic in _chosen(path, "depth", options.topics)]
-    depths = pd.concat([_depths(path, topic, report) for path, topic in chosen], ignore_index=True)
-    report.synchronised = len(depths) > 0
-    report.take_times(depths["t_gps_s"], "depths")
-    report.count("depths", len(depths))
-    return PositionLog(positions=_beside("pos", _fixes, files, options, report), depths=depths, report=report)
+
+
+def _all(stream: str, files: Sequence[Path], options: TrackOptions, report: IntegrityReport) -> pd.DataFrame:
+    """Positions or depths of all files."""
+    read = {"pos": _fixes, "depth": _depths}[stream]
+    chosen = [(path, topic) for path in files for topic in _chosen(path, stream, options.topics)]
+    return pd.concat([read(path, topic, report) for path, topic in chosen], ignore_index=True)
 
 
 def _beside(
-    stream: str,
-    read: Callable[[Path, str, IntegrityReport], pd.DataFrame],
-    files: Sequence[Path],
-    options: TrackOptions,
-    report: IntegrityReport,
+    stream: str, files: Sequence[Path], options: TrackOptions, report: IntegrityReport
 ) -> pd.DataFrame | None:
-    """What a bag holds beside the stream that is read; of several topics none, which a note tells."""
-    parts = []
-    for path in files:
-        if stream not in _offers(_held(path)):
-            continue
-        try:
-            (topic,) = _chosen(path, stream, options.topics)
-        except InputError as error:
-            report.note(f"{error.found.split(';')[0]}: none is read beside. {error.cure}.")
-            return None
-        parts.append(read(path, topic, report))
-    found = pd.concat(parts, ignore_index=True) if parts else None
+    """What bags hold beside the stream that is read; of several topics none, which a note tells."""
+    holding = [path for path in files if stream in _offers(_held(path))]
+    try:
+        found = _all(stream, holding, options, report) if holding else None
+    except InputError as error:
+        report.note(f"{error.found.split(';')[0]}: none is read beside. {error.cure}.")
+        return None
     return None if found is None or found.empty else found
 
 
@@ -895,20 +892,18 @@ def read_bag_poses(files: Sequence[Path], options: TrackOptions) -> PoseLog:
     chosen = [_chosen(path, "ins", options.topics) for path in files]
     if all(len(topics) == 1 for topics in chosen):
         return _poses([(path, topic) for path, (topic,) in zip(files, chosen, strict=True)], options)
-    report = IntegrityReport(
-        stream="ins", format="ROS Imu and NavSatFix", files=[str(path) for path in files], time_scale="host"
-    )
+    report = _report("ins", "Imu and NavSatFix", files)
     parts = list(zip(files, chosen, strict=True))
     positions = pd.concat([_fixes(path, fix, report) for path, (_, fix) in parts], ignore_index=True)
-    states = pd.concat([_attitudes(path, imu, report) for path, (imu, _) in parts], ignore_index=True)
-    depths = _beside("depth", _depths, files, options, report)
+    states = pd.concat(
+        [_attitudes(path, imu, report, options.body_axes) for path, (imu, _) in parts], ignore_index=True
+    )
+    depths = _beside("depth", files, options, report)
     t, at = states["t_gps_s"].to_numpy(), positions.drop_duplicates("t_gps_s").sort_values("t_gps_s")
     for name in ("lat_deg", "lon_deg", "h_ell_m", "sigma_east_m", "sigma_north_m", "sigma_up_m"):
         states[name] = np.interp(t, at["t_gps_s"], at[name], left=np.nan, right=np.nan)
     states["filter_status"] = np.where(states["lat_deg"].notna(), NAVIGATION_INITIALISED, 0).astype(np.uint16)
-    report.synchronised = True
-    report.take_times(t, "states")
-    report.count("states", len(states))
+    report.take_gps_times(t, "states")
     report.count("positions", len(positions))
     report.note("Positions are those of the receiver's antenna, between its fixes.")
     return PoseLog(states=states, positions=positions, depths=depths, report=report)
@@ -959,7 +954,8 @@ def _poses(parts: Sequence[tuple[Path, str]], options: TrackOptions) -> PoseLog:
     return log
 
 
-def _attitudes(path: Path, topic: str, report: IntegrityReport) -> pd.DataFrame:
+def _attitudes(path: Path, topic: str, report: IntegrityReport, axes: str | None) -> pd.DataFrame:
+    """Orientations of an Imu; axes that are stated are believed, those of REP 103 tried by gravity."""
     stamps, quaternions, variances, rates, felt_mps2 = [], [], [], [], []
     for stamp_s, _, message in _messages(path, topic, report):
         a = message.linear_acceleration
@@ -992,14 +988,14 @@ def _attitudes(path: Path, topic: str, report: IntegrityReport) -> pd.DataFrame:
         and (tilt_deg := np.rad2deg(np.arccos(np.clip(np.median(up[still]), -1, 1)))) > _TILTED_DEG
     ):
         doubt = f"contradicts its accelerations: these point {tilt_deg:.0f} degrees away from up"
-    if doubt:
+    if doubt and axes is None:
         raise InputError(
             f"the orientation of the Imu {topic} {doubt}",
             expected="the body forward, left, up (REP 103) against east, north, up (REP 145)",
             where=path,
-            cure="Record a filter or driver that keeps to this, or take the poses of another program",
+            cure="Record a filter or driver that keeps to this, or state ins.body_axes if you know them",
         )
-    R = turn @ _BODY
+    R = turn @ BODY_AXES[axes or "forward-left-up"]
     roll, pitch, heading = roll_pitch_heading(R)
     sigma = np.sqrt(np.where(np.array(variances) > 0, np.array(variances), np.nan))
     rate = np.array(rates)

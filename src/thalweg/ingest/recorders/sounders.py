@@ -29,7 +29,15 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core import ArrayF, InputError, frame_of, gps_from_unix, utc_text_from_gps, utc_text_from_unix
+from thalweg.core import (
+    NMAD,
+    ArrayF,
+    InputError,
+    frame_of,
+    gps_from_unix,
+    utc_text_from_gps,
+    utc_text_from_unix,
+)
 from thalweg.ingest import DEPTH, GNSS_POSITION, IntegrityReport, PositionLog, TrackOptions
 
 FOOT_M: Final = 0.3048
@@ -244,54 +252,65 @@ def read_pd0(files: Sequence[Path], options: TrackOptions) -> PositionLog:
     InputError : no ensemble, or none with a position.
     """
     report = _report("TRDI ADCP log (PD0)", files)
-    rows = []
+    parts = []
     for path in files:
         data = path.read_bytes()
         report.bytes_read += len(data)
-        covered = 0
-        for length, blocks in _ensembles(data):
-            covered += length
-            rows.append(_ensemble(blocks))
-        if lost := len(data) - covered:
+        found = list(_ensembles(data))
+        if lost := len(data) - sum(length for length, _ in found):
             report.lose("bytes_outside_ensembles", lost)
-    table = pd.DataFrame(rows)
-    if table.empty or table["lat_deg"].isna().all():
-        raise InputError(
-            f"{len(table):,} ensembles without a position",
-            expected="GGA sentences of a GNSS receiver, recorded by WinRiver or VMDAS",
-            where=files[0],
-            cure="Record with the receiver connected, or give a table of soundings with places",
-        )
-    report.count("ensembles", len(table))
+        parts.append(pd.DataFrame([_ensemble(blocks) for _, blocks in found]))
+    table, t_unix_s, vertical, mean = _adcp(parts, "ensembles", files, report)
     report.model = f"{table['beam_angle_deg'].iloc[0]:.0f} degrees, four beams"
-    t_unix_s = _on_gnss_time(table, report)
     known = table["lat_deg"].notna()
-    vertical = table["vertical_m"].to_numpy(np.float64)
-    beams = np.stack([table[f"beam{k}_m"].to_numpy(np.float64) for k in range(4)], axis=1)
-    mean = np.where((beams > 0).all(axis=1), beams.mean(axis=1), 0.0)
     place = {name: table[name] for name in ("lat_deg", "lon_deg")}
-    both = (vertical > 0) & (mean > 0)
-    if both.any():
-        report.note(
-            f"Depths of the vertical beam; the mean of the slanted ones is "
-            f"{np.median(mean[both] - vertical[both]):+.2f} m from it (median of {both.sum():,})."
-        )
     sounder = table["sounder_m"].to_numpy(np.float64)
-    if (beside := (sounder > 0) & (vertical > 0)).any():
-        report.note(
-            f"An echo sounder beside it (DBT) is {np.median((sounder - vertical)[beside]):+.2f} m from it "
-            f"(median of {beside.sum():,}), and not used."
-        )
+    if apart := _apart(sounder, vertical):
+        report.note(f"An echo sounder beside it (DBT) is {apart}, and not used.")
     draught = table["transducer_m"].median()
     report.note(f"Depths are below the transducer; the log states its draught as {draught:.2f} m, not added.")
     if (vertical > 0).any():
-        log = _log(report, _gps(t_unix_s), place, known, np.nan_to_num(vertical), "PD0 vertical beam")
+        log = _log(report, _gps(t_unix_s), place, known, vertical, "PD0 vertical beam")
     else:
         log = _log(report, _gps(t_unix_s), place, known, mean, "PD0 slanted beams")
         report.note("No vertical beam: each slanted beam is a sounding where it hits, by the compass.")
         assert log.soundings is not None
+        beams = table[[f"beam{k}_m" for k in range(4)]].to_numpy(np.float64)
         log.soundings = _slanted(table[known], beams[known], t_unix_s[known])
     return _with_fixes(log, table)
+
+
+def _adcp(
+    parts: Sequence[pd.DataFrame], rows: str, files: Sequence[Path], report: IntegrityReport
+) -> tuple[pd.DataFrame, ArrayF, ArrayF, ArrayF]:
+    """Rows of all files, their time (Unix) and the depths of vertical and slanted beams, 0 for none.
+
+    Each file has its own offset of the instrument's clock.
+    """
+    table = pd.concat(parts, ignore_index=True)
+    if table.empty or table["lat_deg"].isna().all():
+        raise InputError(
+            f"{len(table):,} {rows} without a position",
+            expected="sentences of a GNSS receiver, recorded by WinRiver, VMDAS or RiverSurveyor Live",
+            where=files[0],
+            cure="Record with the receiver connected, or give a table of soundings with places",
+        )
+    report.count(rows, len(table))
+    t_unix_s = np.concatenate([_on_gnss_time(part, report) for part in parts if len(part)])
+    vertical, slanted = (np.nan_to_num(table[f"{name}_m"].to_numpy()) for name in ("vertical", "slanted"))
+    if apart := _apart(slanted, vertical):
+        report.note(f"Depths of the vertical beam; the mean of the slanted ones is {apart}.")
+    return table, t_unix_s, vertical, slanted
+
+
+def _apart(other: ArrayF, own: ArrayF) -> str:
+    """How far depths are from others of the same pings, in words; empty where there are none."""
+    apart = (other - own)[(other > 0) & (own > 0)]
+    if not len(apart):
+        return ""
+    middle = np.median(apart)
+    scatter = NMAD * np.median(np.abs(apart - middle))
+    return f"{middle:+.2f} m from it (median of {len(apart):,}, scatter {scatter:.2f} m)"
 
 
 def _ensemble(blocks: dict[int, list[bytes]]) -> dict[str, float]:
@@ -313,9 +332,12 @@ def _ensemble(blocks: dict[int, list[bytes]]) -> dict[str, float]:
         "rtc_unix_s": _clock(blocks.get(_VARIABLE, [b""])[-1]),
         "sounder_m": number(_DBT, 26, "<f4"),
     }
-    for k in range(4):
-        more = number(_BOTTOM, 77 + k, "u1")
-        row[f"beam{k}_m"] = number(_BOTTOM, 16 + 2 * k, "<u2") * 0.01 + 655.36 * np.nan_to_num(more)
+    beams = [
+        number(_BOTTOM, 16 + 2 * k, "<u2") * 0.01 + 655.36 * np.nan_to_num(number(_BOTTOM, 77 + k, "u1"))
+        for k in range(4)
+    ]
+    row |= {f"beam{k}_m": beam for k, beam in enumerate(beams)}
+    row["slanted_m"] = sum(beams) / 4 if min(beams) > 0 else 0.0
     fixes = [fix for each in blocks.get(_GGA, ()) if (fix := _gga(each))["quality"] > 0]
     return row | min(fixes, key=lambda fix: abs(fix["lag_s"]), default=_gga(b""))
 
@@ -423,27 +445,10 @@ def read_sontek(files: Sequence[Path], options: TrackOptions) -> PositionLog:
     """
     report = _report("SonTek RiverSurveyor export (MATLAB)", files)
     transects = [_transect(path, report) for path in files]
-    table = pd.concat(transects, ignore_index=True)
-    if table["lat_deg"].isna().all():
-        raise InputError(
-            f"{len(table):,} rows without a position",
-            expected="a GNSS receiver, recorded by RiverSurveyor Live",
-            where=files[0],
-            cure="Record with the receiver connected, or give a table of soundings with places",
-        )
-    report.count("rows", len(table))
-    t_unix_s = np.concatenate([_on_gnss_time(transect, report) for transect in transects])
-    vertical, slanted, draught_m = (
-        table[name].to_numpy() for name in ("vertical_m", "slanted_m", "draught_m")
-    )
+    table, t_unix_s, vertical, slanted = _adcp(transects, "rows", files, report)
+    draught_m = table["draught_m"].to_numpy()
     seen = (vertical > 0).any()
-    if seen:
-        both = (vertical > 0) & (slanted > 0)
-        beside = f"; the mean of the slanted ones is {np.median((slanted - vertical)[both]):+.2f} m from it"
-        report.note(
-            f"Depths of the vertical beam{f'{beside} (median of {both.sum():,})' if both.any() else ''}."
-        )
-    else:
+    if not seen:
         report.note("No vertical beam: the mean of the slanted ones, at the place of the instrument.")
     water_m = vertical if seen else slanted
     report.note(
@@ -539,7 +544,7 @@ def _log(
     report: IntegrityReport, t_gps_s: ArrayF, place: dict[str, Any], known: Any, depth_m: Any, sentence: str
 ) -> PositionLog:
     """Positions, depths, and soundings of pings that have a place and a bottom."""
-    depth = np.asarray(depth_m, np.float64)
+    depth = np.maximum(np.asarray(depth_m, np.float64), 0.0)  # below 0 stands for none as well
     places = pd.DataFrame(place)
     track = frame_of(
         GNSS_POSITION, {**places, "t_gps_s": t_gps_s, "fix": "single", "n_sats": -1}, unknown=np.nan

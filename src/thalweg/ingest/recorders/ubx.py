@@ -143,9 +143,7 @@ def read_ubx(files: Sequence[Path], options: TrackOptions) -> PositionLog:
         if positions.empty and len(beside.positions):
             positions = beside.positions
             report.note("Positions are those of its NMEA sentences: no NAV message with one is logged.")
-    report.synchronised = bool(positions["t_gps_s"].notna().any())
-    report.take_times(positions["t_gps_s"], "positions")
-    report.count("positions", len(positions))
+    report.take_gps_times(positions["t_gps_s"], "positions")
     raw_epochs = sum(numbers[name] for name in RAW_OBSERVATIONS)
     if raw_epochs:
         report.count("raw_epochs", raw_epochs)
@@ -222,16 +220,9 @@ def _t_gps_s(table: pd.DataFrame, tables: dict[str, pd.DataFrame], report: Integ
     tow_s = table["tow_s"].to_numpy(np.float64)
     week = np.full(len(tow_s), np.nan)
     if "validDate" in table:
-        names = {
-            "year": "year",
-            "month": "month",
-            "day": "day",
-            "hour": "hour",
-            "min": "minute",
-            "second": "second",
-        }
         known = ((table["validDate"] == 1) & (table["validTime"] == 1)).to_numpy()
-        date = table.loc[known, list(names)].rename(columns=names)
+        parts = ["year", "month", "day", "hour", "min", "second"]
+        date = table.loc[known, parts].rename(columns={"min": "minute"})
         unix = pd.to_datetime(date).to_numpy().astype("datetime64[s]").astype(np.float64)
         whole = gps_from_unix(unix) - gps_from_week(0, 0.0)
         week[known] = np.round((whole - tow_s[known]) / WEEK_S)

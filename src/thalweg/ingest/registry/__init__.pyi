@@ -10,6 +10,7 @@ from .formats import (
     KINDS_OF_STREAM as KINDS_OF_STREAM,
     LIDAR_KINDS as LIDAR_KINDS,
     LOOSE_KINDS as LOOSE_KINDS,
+    TABLE_KINDS as TABLE_KINDS,
     also_streams as also_streams,
     describe as describe,
     load_recording as load_recording,

@@ -51,6 +51,9 @@ LOOSE_KINDS: Final[Mapping[str, str]] = {
 }
 """Kinds that are of use beside certain others only, such as a lens beside photographs, and their streams."""
 
+TABLE_KINDS: Final = frozenset({"track_table", "depth_table"})
+"""Told by names of columns alone: what a program exports beside its log (SonTek) is no second log."""
+
 _BINARY: Final = re.compile(rb"[^\t\n\r\x20-\xff]")
 _WRAPPED: Final = (
     (b"\x1f\x8b", "the file is compressed (gzip)", "Unpack it with gunzip"),

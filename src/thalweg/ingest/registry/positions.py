@@ -98,9 +98,10 @@ def read_depths(files: list[Path], date: dt.date | None = None, topics: Sequence
     InputError : the files hold no depths.
     """
     log = _of_soundings(files[0])(files, TrackOptions(date=date, topics=topics))
-    if log.depths is None or log.depths.empty:
+    if log.depths is None or not (log.depths["depth_m"] > 0).any():
+        told = "".join(f"; {note.rstrip('.')}" for note in log.report.notes)
         raise InputError(
-            "no depths in this recording",
+            f"no depths in this recording{told}",
             expected="NMEA sentences DBT or DPT, depths in extensions of GPX, or messages of an echo sounder",
             where=files[0],
             cure="Give another log in logs.depth, or a table of soundings to `thalweg bed`",

@@ -2,6 +2,7 @@ from .bed_survey import read_bed_survey as read_bed_survey
 from .rtklib_pos import event_marks as event_marks, read_pos as read_pos
 from .sbet import read_sbet as read_sbet
 from .trajectories import (
+    BODY_AXES as BODY_AXES,
     TextPoses as TextPoses,
     is_inertial_explorer as is_inertial_explorer,
     pose_columns as pose_columns,
