@@ -111,6 +111,23 @@ def test_everything_else_of_the_cloud_stays(folder: Path) -> None:
     assert cloud["age_s"][k] == pytest.approx(START_S + cloud["image"][k] - cloud["t_gps_s"][k], abs=1e-3)
 
 
+def test_nothing_below_a_mask_tints_a_point(folder: Path) -> None:
+    """Each colour is interpolated from four pixels: none of them is masked."""
+    mask = np.full((HEIGHT, WIDTH), 255, np.uint8)
+    mask[: HEIGHT // 2] = 0
+    for name in NAMES:
+        Image.fromarray(mask).save(folder / f"{name}.mask", format="png")
+    before, counts = coloured(folder)
+    for name in NAMES:
+        with Image.open(folder / name) as picture:
+            painted = np.array(picture.convert("RGB"))
+        painted[: HEIGHT // 2] = (0, 255, 0)
+        Image.fromarray(painted).save(folder / name)
+    after, _ = coloured(folder)
+    assert counts["coloured"] > 1000
+    assert (after["rgb"] == before["rgb"]).all()
+
+
 def test_masks_time_and_distance_leave_points_out_with_their_reason(folder: Path) -> None:
     mask = np.full((HEIGHT, WIDTH), 255, np.uint8)
     mask[: HEIGHT // 2] = 0

@@ -367,9 +367,13 @@ def _offer(
                 continue
             state[i] |= _SHOWN
             if mask.size:
-                row = min(int(y * (mask.shape[0] / lens.size_px[1])), mask.shape[0] - 1)
-                column = min(int(x * (mask.shape[1] / lens.size_px[0])), mask.shape[1] - 1)
-                if not mask[row, column]:
+                # the colour is interpolated from four pixels: one of sky would tint a thin crown
+                usable = True
+                for corner in range(4):
+                    v = max(y - 0.5 + corner // 2, 0.0) * (mask.shape[0] / lens.size_px[1])
+                    u = max(x - 0.5 + corner % 2, 0.0) * (mask.shape[1] / lens.size_px[0])
+                    usable &= mask[min(int(v), mask.shape[0] - 1), min(int(u), mask.shape[1] - 1)]
+                if not usable:
                     continue
             state[i] |= _USABLE
             # a surface seen at a slant differs in range within a cell
