@@ -394,7 +394,7 @@ def choose_segment(
     above = (key[:, 2] + 0.5) * CELL_M - track[nearest, 2]
     face = (above >= -BELOW_BOAT_M) & (above <= BANK_M)
     face |= not face.any()  # a reference without a point at the height of the boat is all looked at
-    closest_m = float(distance[face].min(initial=np.inf))
+    closest_m = float(np.asarray(distance)[face].min(initial=np.inf))
     if closest_m > FARTHEST_M:
         raise GeometryError(
             f"no point lies within {FARTHEST_M:g} m of the track",
