@@ -579,7 +579,7 @@ def _depths(pings: pd.DataFrame, report: IntegrityReport) -> pd.DataFrame:
     instance = next((name for name in ("Inst", "Instance", "id") if name in pings), None)
     if instance and pings[instance].nunique() > 1:
         seen = (pings["depth_m"] > 0).groupby(pings[instance]).sum()
-        chosen = int(seen.index[np.argmax(seen)])
+        chosen = int(seen.index[int(np.argmax(seen))])
         report.count("pings_of_other_sounders", int((pings[instance] != chosen).sum()))
         report.note(f"{pings[instance].nunique()} sounders: number {chosen} sees the bottom most often.")
         pings = pings[pings[instance] == chosen]
