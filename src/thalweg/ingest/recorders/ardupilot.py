@@ -578,8 +578,8 @@ def _depths(pings: pd.DataFrame, report: IntegrityReport) -> pd.DataFrame:
         return pd.DataFrame({"t_s": [], "depth_m": [], "sentence": [], "line": []})
     instance = next((name for name in ("Inst", "Instance", "id") if name in pings), None)
     if instance and pings[instance].nunique() > 1:
-        seen = pings[pings["depth_m"] > 0].groupby(instance).size()
-        chosen = int(seen.idxmax()) if len(seen) else int(pings[instance].iloc[0])
+        seen = (pings["depth_m"] > 0).groupby(pings[instance]).sum()
+        chosen = int(seen.index[int(np.argmax(seen))])
         report.count("pings_of_other_sounders", int((pings[instance] != chosen).sum()))
         report.note(f"{pings[instance].nunique()} sounders: number {chosen} sees the bottom most often.")
         pings = pings[pings[instance] == chosen]
