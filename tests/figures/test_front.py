@@ -86,7 +86,7 @@ def of_soundings(folder: Path) -> None:
     report(folder, "depth")
     (folder / "bathymetry").mkdir(exist_ok=True)
     (folder / "bathymetry/soundings.json").write_text(json.dumps({"pings": 300, "by_reason": {"": 291}}))
-    for name in ("soundings", "trajectory"):
+    for name in ("sounding_lines", "trajectory"):
         picture(folder / f"figures/{name}.png", 100)
     picture(folder / "figures/from_above.png")
     numbers = {"quantity": ["points"], "value": [12.0], "unit": ["1"], "source": ["x"]}

@@ -390,7 +390,8 @@ def choose_segment(
     key, n = np.unique(np.floor(finite / CELL_M), axis=0, return_counts=True)
     track = trajectory.position_wcs_m[trajectory.valid]
     track = track[np.unique(np.rint(track[:, :2] / _TRACK_CELL_M), axis=0, return_index=True)[1]]
-    distance, nearest = cKDTree(track[:, :2]).query((key[:, :2] + 0.5) * CELL_M)
+    found = cKDTree(track[:, :2]).query((key[:, :2] + 0.5) * CELL_M)
+    distance, nearest = np.asarray(found[0]), np.asarray(found[1])
     above = (key[:, 2] + 0.5) * CELL_M - track[nearest, 2]
     face = (above >= -BELOW_BOAT_M) & (above <= BANK_M)
     face |= not face.any()  # a reference without a point at the height of the boat is all looked at

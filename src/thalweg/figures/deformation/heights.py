@@ -16,7 +16,7 @@ from thalweg.figures.deformation.maps import SCALE_SHARE, signed
 
 @styled
 def height_difference(pairs: Sequence[tuple[str, SurfaceDifference]], *, title: str, twin: bool) -> Figure:
-    """Difference and standard deviation of each pair, in coordinates of the map less a round number."""
+    """Difference and standard deviation of each pair, in coordinates of the map."""
     every = np.concatenate([found.raster.height_m.ravel() for _, found in pairs])
     known = np.abs(every[np.isfinite(every)])
     limit = 100 * round_above(max(float(np.percentile(known, SCALE_SHARE)), 1e-3))
@@ -55,7 +55,7 @@ def _words(name: str, value_cm: ArrayF) -> str:
 def _of_sigma(value_cm: ArrayF) -> str:
     use = value_cm[np.isfinite(value_cm)]
     return (
-        f"standard deviation, median {np.median(use):.1f} cm" if len(use) else "standard deviation not known"
+        f"standard deviation,\nmedian {np.median(use):.1f} cm" if len(use) else "standard deviation not known"
     )
 
 
