@@ -28,9 +28,9 @@ def examples(repository, tmp_path_factory, house_builder, data_dir):
     """A copy of the repository in which the examples ran."""
     house = house_builder(repository, tmp_path_factory.mktemp("examples"))
     runpy.run_path(str(house.root / EXAMPLES / "prepare.py"))["main"](data_dir)
-    for name in ("photographs", "photograph_positions"):  # a third of the pixels orient as well
+    for name, size_px in (("photographs", 600), ("photograph_positions", 450)):  # enough pixels to orient
         path = house.root / EXAMPLES / f"{name}.yaml"
-        path.write_text(path.read_text().replace("max_size_px: 1000", "max_size_px: 600"))
+        path.write_text(path.read_text().replace("max_size_px: 1000", f"max_size_px: {size_px}"))
     chosen = [f"{EXAMPLES}/{name}.yaml" for name in (*WHOLE, *CLOUDS)]
     targets = [f"results/{name}/index.html" for name in WHOLE]
     targets += [f"results/{name}/lidar/points.laz" for name in CLOUDS]

@@ -99,7 +99,8 @@ def others(tiny_house) -> Iterator[tuple[Path, Path]]:
         },
         "mounts": {key: campaign["mounts"][key] for key in ("lidar", "antenna", "echo_sounder")},
         "orientation": {"position_source": "pos"},
-        "bathymetry": {"table": {"column": "height", "line_column": "section", "sigma_m": SIGMA_M}},
+        "bathymetry": {"table": {"column": "height", "line_column": "section", "sigma_m": SIGMA_M}}
+        | {"drift": "fall", "model": "matern32"},  # as `tiny` chooses
     }
     path = root / "config/campaigns/others.yaml"
     path.write_text(yaml.safe_dump(settings))
