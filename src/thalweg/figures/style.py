@@ -285,14 +285,17 @@ def _pass_on_labels(ax: Axes, others: list[Axes]) -> None:
 
 
 def dashed(words: str) -> str:
-    """Words with a dash for each number that is none, and the sign of minus before a negative one.
+    """Words with a dash for each number that is none, the sign of minus, and blanks between thousands.
 
     Examples
     --------
     >>> dashed("mean +nan cm of banana, -3 cm on 2021-05-12")
     'mean – cm of banana, −3 cm on 2021-05-12'
+    >>> dashed("1,234,567 of 2,000.5 m, at 1, 234 and 0.1,200").split()
+    ['1', '234', '567', 'of', '2', '000.5', 'm,', 'at', '1,', '234', 'and', '0.1,200']
     """
-    return re.sub(r"(?<![\w.)-])-(?=\d)", "\N{MINUS SIGN}", _NO_NUMBER.sub("–", words))
+    words = re.sub(r"(?<![\w.)-])-(?=\d)", "\N{MINUS SIGN}", _NO_NUMBER.sub("–", words))
+    return _THOUSANDS.sub(lambda found: found[0].replace(",", "\N{NO-BREAK SPACE}"), words)
 
 
 def _quantity(ax: Axes) -> str:
@@ -344,6 +347,7 @@ def _any_finite(values: ArrayLike | None) -> bool:
     return bool(np.isfinite(np.ma.filled(np.ma.asarray(values, np.float64), np.nan)).any())
 
 
+_THOUSANDS: Final = re.compile(r"(?<![\w.,])\d{1,3}(?:,\d{3})+(?![\d,])")
 _NO_NUMBER: Final = re.compile(r"[+−-]?\b(?:nan|inf)\b")
 _LETTERS_ACROSS: Final = 100
 """Letters of a sentence in the place of a panel that is as wide as the page."""
