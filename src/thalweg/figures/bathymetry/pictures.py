@@ -40,9 +40,9 @@ from thalweg.figures import (
     VERMILION,
     count,
     legend_below,
+    marks_in_free_corners,
     new_figure,
     robust_limits,
-    scale_bar,
     styled,
 )
 from thalweg.fusion import SOURCE_WORDS, Source, joined_parts
@@ -297,6 +297,10 @@ def _value_and_sigma(
     height_mm = 2 * 145.0 * ratio + 42.0 if wide else 55.0 * ratio + 42.0
     figure = new_figure(float(np.clip(height_mm, 80.0, 225.0)), title, twin=twin)
     axes = figure.subplots(2, 1, sharex=True) if wide else figure.subplots(1, 2, sharey=True)
+    row, column = np.nonzero(np.isfinite(value))
+    cells_m = np.stack(
+        [extent[0] + grid.cell_m * (column + 0.5), extent[3] - grid.cell_m * (row + 0.5)], axis=1
+    )
     of_sigma = {"cmap": SIGMA_MAP, "norm": LogNorm(*robust_limits(100 * sigma, 0.5, 99.5))}
     for ax, values, how, words in zip(
         axes, (value, 100 * sigma), (look, of_sigma), (label, "sigma / cm"), strict=True
@@ -313,7 +317,7 @@ def _value_and_sigma(
         ax.ticklabel_format(useOffset=False, style="plain")
         ax.xaxis.set_major_locator(_few())
         ax.yaxis.set_major_locator(_few())
-        scale_bar(ax, span_m=float(box[1, 0] - box[0, 0]))
+        marks_in_free_corners(ax, cells_m)
     axes[-1 if wide else 0].set_xlabel(f"east / m{', ' if wide else chr(10)}{grid.crs.name}")
     for ax in axes if wide else axes[:1]:
         ax.set_ylabel("north / m")
