@@ -56,7 +56,7 @@ def test_the_strip_beside_the_true_bed(points, truth, look) -> None:
     np.testing.assert_allclose(offsets.mean(axis=0), 0.0, atol=1e-9)
     east_cm = 100 * (points["east_m"] - points["east_m"].mean())
     np.testing.assert_allclose(offsets[:, 0], east_cm)
-    assert plan.get_xlabel() == f"east of {points['east_m'].mean():.2f} m / cm"
+    assert plan.get_xlabel() == f"east of {points['east_m'].mean():.2f} m / cm".replace("-", "−")
     section = next(ax for ax in figure.axes if ax.get_title(loc="left") == "b: along the lines")
     (lines,) = [artist for artist in section.collections if artist.get_gid() == "lines"]
     assert len(np.unique(lines.get_facecolors(), axis=0)) == LINES

@@ -197,7 +197,7 @@ def test_before_and_after(rng, cones, look, on_cones):
     part = after[after["used"] & (after["cone"] == "C2")]
     kept = 1e3 * cones_of(cones)["C2"].distance(part[["x_m", "y_m", "z_m"]].to_numpy())
     assert f"C2, n = {len(kept)} points" in words
-    assert f"mean {kept.mean():+.1f} mm, RMS {np.sqrt((kept**2).mean()):.1f} mm" in words
+    assert f"mean {kept.mean():+.1f} mm, RMS {np.sqrt((kept**2).mean()):.1f} mm" in words.replace("−", "-")
     along = look.artists(figure, "along")
     radius = [np.linalg.norm(cloud.get_offsets(), axis=1) for cloud in along]
     # 12 mm on a radius of 8 to 33 cm, and 10 cm along an axis inclined to it

@@ -162,7 +162,7 @@ def plain_text(page):
 
 def test_the_page_says_how_the_clock_runs(boat):
     words = plain_text(calibration_page([boat], facts={"camera_clock": CLOCK}))
-    assert "clock of the camera offset -2.3480 s, sigma 2.0 ms consistent" in words
+    assert "clock of the camera offset −2.3480 s, sigma 2.0 ms consistent" in words
     assert "off by 22.9 ms (standard deviation, sigma 1.4 ms)" in words
     assert "148 images and on positions and attitude" in words
     # the drift of the published variant is held: no numbers

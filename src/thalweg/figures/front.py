@@ -193,7 +193,8 @@ def _of_survey(files: Mapping[str, Path], track: Trajectory, chain: str) -> Iter
             value = table.set_index("quantity")["value"]
             told = verdict_of_ratio(value["ratio"], value["ratio_low95"], value["ratio_high95"])
             evidence = compared if folder else "accuracy/index.html"
-            foretold = f"{centimetres(value['predicted_rmse'])} predicted: {told}"
+            judged = told.replace("too few data", "too few data to judge")
+            foretold = f"{centimetres(value['predicted_rmse'])} predicted: {judged}"
             yield Finding(f"cloud to reference, RMSE, {of}", centimetres(value["rmse"]), foretold, evidence)
     if validation := files.get("bathymetry/validation.json"):
         bed = read_json(validation)

@@ -285,14 +285,17 @@ def _pass_on_labels(ax: Axes, others: list[Axes]) -> None:
 
 
 def dashed(words: str) -> str:
-    """Words with a dash for each number that is none, and the sign of minus before a negative one.
+    """Words with a dash for each number that is none, the sign of minus, and blanks between thousands.
 
     Examples
     --------
     >>> dashed("mean +nan cm of banana, -3 cm on 2021-05-12")
     'mean – cm of banana, −3 cm on 2021-05-12'
+    >>> dashed("1,234,567 of 2,000.5 m, at 1, 234 and 0.1,200").split()
+    ['1', '234', '567', 'of', '2', '000.5', 'm,', 'at', '1,', '234', 'and', '0.1,200']
     """
-    return re.sub(r"(?<![\w.)-])-(?=\d)", "\N{MINUS SIGN}", _NO_NUMBER.sub("–", words))
+    words = re.sub(r"(?<![\w.)-])-(?=\d)", "\N{MINUS SIGN}", _NO_NUMBER.sub("–", words))
+    return _THOUSANDS.sub(lambda found: found[0].replace(",", "\N{NO-BREAK SPACE}"), words)
 
 
 def _quantity(ax: Axes) -> str:
@@ -344,6 +347,7 @@ def _any_finite(values: ArrayLike | None) -> bool:
     return bool(np.isfinite(np.ma.filled(np.ma.asarray(values, np.float64), np.nan)).any())
 
 
+_THOUSANDS: Final = re.compile(r"(?<![\w.,])\d{1,3}(?:,\d{3})+(?![\d,])")
 _NO_NUMBER: Final = re.compile(r"[+−-]?\b(?:nan|inf)\b")
 _LETTERS_ACROSS: Final = 100
 """Letters of a sentence in the place of a panel that is as wide as the page."""
@@ -617,10 +621,35 @@ def north_arrow(ax: Axes, *, xy: tuple[float, float] = (0.965, 0.95)) -> None:
     )
 
 
-def plan_marks(ax: Axes) -> None:
-    """Scale bar and north arrow of a plan whose limits are set."""
-    scale_bar(ax, span_m=float(np.ptp(ax.get_xlim())))
-    north_arrow(ax)
+def marks_in_free_corners(ax: Axes, points_en_m: ArrayF) -> None:
+    """Scale bar and north arrow of a plan in the two corners where they hide fewest points.
+
+    Parameters
+    ----------
+    ax : axes with equal scales whose limits are set.
+    points_en_m : (n, 2) what is drawn.
+    """
+    low, high = np.transpose([ax.get_xlim(), ax.get_ylim()])
+    share = (np.asarray(points_en_m) - low) / (high - low)
+    span_m = float(high[0] - low[0])
+    bar_share = round_length(0.22 * span_m) / span_m
+
+    def hidden(box: tuple[float, float, float, float]) -> int:
+        """Points within left, bottom, width, height."""
+        start, size = np.array(box[:2]), np.array(box[2:])
+        return int(np.sum(np.all((share >= start) & (share <= start + size), axis=1)))
+
+    # The usual corners come first: they win where all are free.
+    bars = {
+        (x, y): hidden((x - 0.02, y - 0.045, bar_share + 0.05, 0.17))
+        for y in (0.045, 0.87)
+        for x in (0.02, 0.97 - bar_share)
+    }
+    bar = min(bars, key=lambda xy: bars[xy])
+    arrows = {(x, y): hidden((x - 0.05, y - 0.25, 0.1, 0.3)) for y in (0.95, 0.25) for x in (0.955, 0.045)}
+    same = {xy for xy in arrows if (xy[0] > 0.5, xy[1] > 0.5) == (bar[0] > 0.5, bar[1] > 0.5)}
+    scale_bar(ax, span_m=span_m, xy=bar)
+    north_arrow(ax, xy=min((xy for xy in arrows if xy not in same), key=lambda xy: arrows[xy]))
 
 
 def raster_maps(
@@ -652,6 +681,8 @@ def raster_maps(
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for ax, (values, words, look) in zip(axes.ravel(), panels, strict=False):
         drawn = ax.imshow(values, extent=extent_m, interpolation="nearest", zorder=1, **look)
+        row, column = np.nonzero(np.isfinite(values))
+        share = np.stack([(column + 0.5) / values.shape[1], 1 - (row + 0.5) / values.shape[0]], axis=1)
         bar = figure.colorbar(drawn, ax=ax, shrink=0.85, pad=0.01, label=words)
         if isinstance(drawn.norm, LogNorm):
             bar.ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
@@ -659,7 +690,9 @@ def raster_maps(
         ax.set(aspect="equal", xlim=(west, east), ylim=(south, north))
         ax.ticklabel_format(useOffset=False, style="plain")
         ax.locator_params(nbins=5 if columns == 1 else 3)
-        scale_bar(ax, span_m=float(east - west))
+        marks_in_free_corners(
+            ax, np.array(extent_m[::2]) + share * np.subtract(extent_m[1::2], extent_m[::2])
+        )
     for ax in axes.ravel()[n:]:
         ax.remove()
     for ax in axes[-1]:

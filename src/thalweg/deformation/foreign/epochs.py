@@ -193,13 +193,13 @@ def notes_of_pair(
         moved = facts["would_be"]
         words = ", ".join(f"{axis} {moved[f'{axis}_m']:+.3f} m" for axis in ("east", "north", "up"))
         notes.append(
-            "No stable ground is drawn (deformation.stable), and nothing is taken off: what most of a "
-            f"surface agrees on may be change. It agrees on {words}; the epochs may differ by it as a whole. "
+            "No stable ground is drawn (deformation.stable), so that no offset was removed: the majority of "
+            f"a surface may have changed. It suggests {words}; the epochs may differ by it as a whole. "
             + (
                 "Sigmas and intervals hold what is stated of that (sigma_common_m)."
                 if facts["whole_stated"]
                 else f"Sigmas and intervals hold {facts['sigma_as_a_whole_m'][2]:.3f} m of one error of all "
-                "heights: what is agreed on, the scatter of all differences, and stated sigmas. Draw stable "
+                "heights: this offset, the scatter of all differences, and stated sigmas. Draw stable "
                 "ground, or state sigma_common_m of both epochs."
             )
         )

@@ -149,7 +149,7 @@ def distance_map(
     )
     heights = [piece.size_m[1] / m_per_mm for piece in pieces]
     head = f"{title}, n = {count(len(used))} points, {statistics_text(distance_m)}"
-    figure = new_figure(sum(heights) + STRIP_MM * len(pieces) + 44.0, head, twin=twin)
+    figure = new_figure(sum(heights) + STRIP_MM * len(pieces) + 50.0, head, twin=twin)
     panels = list(figure.subplots(len(pieces), 1, height_ratios=heights, squeeze=False)[:, 0])
     caster = RayCaster(bank.to_bank(mesh.vertices_m), mesh.faces)
     for ax, piece in zip(panels, pieces, strict=True):

@@ -28,8 +28,8 @@ from thalweg.figures import (
     WIDTH_MM,
     count,
     legend_below,
+    marks_in_free_corners,
     new_figure,
-    plan_marks,
     robust_limits,
     styled,
 )
@@ -333,7 +333,7 @@ def _draw_plan(
     ax.set_ylim(low[1], high[1])
     ax.set_xlabel("east / m")
     ax.set_ylabel("north / m")
-    plan_marks(ax)
+    marks_in_free_corners(ax, np.concatenate([points, track[np.isfinite(track[:, 0])], eye[None, :2]]))
 
 
 def draw_reference_view(

@@ -19,8 +19,8 @@ from thalweg.figures import (
     VERMILION,
     count,
     legend_below,
+    marks_in_free_corners,
     new_figure,
-    plan_marks,
     plural,
     read_picture,
     styled,
@@ -102,7 +102,7 @@ def _plan(ax: Axes, images: pd.DataFrame, track: pd.DataFrame, used: ArrayB) -> 
     ax.set(xlabel="east / m", ylabel="north / m")
     ax.set_title("a: tracks of the antenna, images at their corrected times")
     ax.grid()
-    plan_marks(ax)
+    marks_in_free_corners(ax, both)
 
 
 def _residuals(ax: Axes, right: Axes, images: pd.DataFrame, t0: float) -> None:

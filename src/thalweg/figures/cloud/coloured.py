@@ -39,7 +39,7 @@ def colour_check(check: pd.DataFrame, curves: pd.DataFrame, *, title: str, twin:
         curve = curves[curves["quantity"] == row["quantity"]]
         ax.axvline(0.0, color=GREY, linewidth=0.8)
         ax.plot(curve["shift"], 1e3 * curve["dependence"], ".-", color=BLUE, markersize=4)
-        told = str(row["verdict"])
+        told = str(row["verdict"]).replace("fits", "consistent with 0")
         if np.isfinite(row["optimum"]):
             ax.axvspan(
                 row["optimum"] - 2 * row["sigma"], row["optimum"] + 2 * row["sigma"], color=BLUE, alpha=0.2

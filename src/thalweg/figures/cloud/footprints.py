@@ -24,10 +24,9 @@ from thalweg.figures import (
     VERMILION,
     count,
     legend_below,
+    marks_in_free_corners,
     new_figure,
-    north_arrow,
     robust_limits,
-    scale_bar,
     styled,
 )
 from thalweg.figures.survey import map_extent
@@ -235,8 +234,7 @@ def _draw_frame(figure: Figure, ax: Axes, points: ArrayF, scanner: ArrayF, patch
     ax.set_title(f"a: scan pattern in plan view, n = {count(len(points))}\n{count(outside)} beyond the map")
     ax.set_xlabel("east / m")
     ax.set_ylabel("north / m")
-    scale_bar(ax, span_m=2 * half)
-    north_arrow(ax)
+    marks_in_free_corners(ax, np.concatenate([points[:, :2], sight]))
     figure.colorbar(
         dots, ax=ax, label="measured range / m", location="bottom", pad=0.02, aspect=30, extend="both"
     )

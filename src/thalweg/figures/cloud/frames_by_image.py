@@ -11,7 +11,7 @@ from matplotlib.colors import Colormap, ListedColormap, Normalize
 from matplotlib.figure import Figure
 
 from thalweg.core import ArrayF, ArrayI, GeometryError, InputError, iter_laz
-from thalweg.figures import HALO, TIME_MAP, WIDTH_MM, count, new_figure, plan_marks, plural, styled
+from thalweg.figures import HALO, TIME_MAP, WIDTH_MM, count, marks_in_free_corners, new_figure, plural, styled
 from thalweg.figures.cloud.views import ObliqueView, Splat
 from thalweg.images.model import ImagePoses
 from thalweg.lidar import sample_cloud
@@ -210,7 +210,7 @@ def _places(ax: Axes, images: FrameImages, limits: tuple[float, float], points: 
             zorder=6,
             path_effects=HALO,
         )
-    plan_marks(ax)
+    marks_in_free_corners(ax, en)
 
 
 def _words(views: FrameViews, images: FrameImages) -> str:

@@ -14,7 +14,15 @@ from pyproj import CRS
 
 from thalweg.bathymetry import FlowLine
 from thalweg.core import ArrayF, Trajectory, iter_laz, read_raster
-from thalweg.figures import HALO, VERMILION, WIDTH_MM, new_figure, plan_marks, robust_limits, styled
+from thalweg.figures import (
+    HALO,
+    VERMILION,
+    WIDTH_MM,
+    marks_in_free_corners,
+    new_figure,
+    robust_limits,
+    styled,
+)
 from thalweg.figures.bathymetry import depth_of
 from thalweg.figures.cloud.views import ObliqueView, Splat
 from thalweg.figures.survey import draw_ends
@@ -106,7 +114,7 @@ def from_above(
     draw_ends(ax, path)
     ax.legend(loc="upper left", ncols=3, fontsize=7, edgecolor="none", borderaxespad=0.2)
     ax.set(xlim=(view.left_m, right), ylim=(bottom, view.top_m))
-    plan_marks(ax)
+    marks_in_free_corners(ax, np.vstack([path.position_wcs_m[path.valid], wet_m])[:, :2])
     ax.set_axis_off()
     for colours, limits, name in bars:
         scale = ScalarMappable(Normalize(*limits), colours)

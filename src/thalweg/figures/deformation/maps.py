@@ -30,6 +30,7 @@ from thalweg.figures import (
     WIDTH_MM,
     count,
     new_figure,
+    number,
     styled,
 )
 from thalweg.figures.accuracy import DISTANCE_MAP, round_above
@@ -200,8 +201,9 @@ def read_pairs(
 
 
 def signed(value: float, digits: int) -> str:
-    """A number with its sign, and a true minus."""
-    return f"{round(value, digits) + 0.0:+.{digits}f}".replace("-", "\N{MINUS SIGN}")
+    """A number with its sign, a true minus, and thousands apart."""
+    text = f"{round(value, digits) + 0.0:+,.{digits}f}"
+    return text.replace("-", "\N{MINUS SIGN}").replace(",", "\N{NO-BREAK SPACE}")
 
 
 def marker_pt(pair: BankPair, width_mm: float = DRAWN_MM) -> float:
@@ -333,7 +335,7 @@ def _with_styles(
             zorder=1 if name in ("no significant change", "seen") else 2,
             rasterized=True,
             gid=name,
-            label=f"{name}: n = {count(n)}, {own:.3g} m² ({100 * own / area:.2g} %)",
+            label=f"{name}: n = {count(n)}, {number(own)} m² ({100 * own / area:.2g} %)",
         )
 
 

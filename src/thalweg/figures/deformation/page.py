@@ -11,7 +11,7 @@ import pandas as pd
 
 from thalweg.core import InputError, read_table, utc_text_from_gps
 from thalweg.deformation import CHANGES, CORE_POINTS, STATES, VISIBILITY
-from thalweg.figures import Finding, Page, count
+from thalweg.figures import Finding, Page, count, number
 from thalweg.figures.accuracy import centimetres
 from thalweg.figures.deformation.maps import NOT_SEEN, scene, signed
 
@@ -196,7 +196,7 @@ def read_pair_facts(
 def cubic_metres(row: Mapping[str, float]) -> str:
     """``−12.0 ± 0.6 m³``: a volume with its standard deviation."""
     digits = int(np.clip(1 - np.floor(np.log10(max(row["sigma_m3"], 1e-9))), 0, 3)) if row["sigma_m3"] else 1
-    return f"{signed(row['volume_m3'], digits)} ± {row['sigma_m3']:.{digits}f} m³"
+    return f"{signed(row['volume_m3'], digits)} ± {number(row['sigma_m3'], decimals=digits)} m³"
 
 
 def told(row: Mapping[str, float], *, known: bool) -> str:
@@ -278,7 +278,10 @@ def head(pairs: Sequence[PairFacts]) -> tuple[str, list[Finding]]:
         ),
         Finding("height offset removed from the second epoch", *taken_off(pair.registration)),
         Finding("median level of detection (95 %)", centimetres(float(pair.changes["lod95_m"].median()))),
-        Finding("no data in one epoch (excluded from volumes)", f"{pair.unseen_m2:.1f} of {total:.0f} m²"),
+        Finding(
+            "no data in one epoch (excluded from volumes)",
+            f"{number(pair.unseen_m2, decimals=1)} of {count(total)} m²",
+        ),
     ]
     lead = (
         f"the net volume is {verdicts['net']}." if pair.sigma_known else f"{verdicts['net']} of both epochs."
@@ -322,8 +325,8 @@ def verdict(pair: PairFacts) -> str:
         f"{centimetres(median)}.",
         largest_patches(pair.patches),
         _motion(pair.registration),
-        f"{pair.unseen_m2:.1f} m² ({100 * pair.unseen_m2 / total:.1f} % of {total:.0f} m²) have no data in "
-        "one epoch or both and are excluded from volumes.",
+        f"{number(pair.unseen_m2, decimals=1)} m² ({100 * pair.unseen_m2 / total:.1f} % of {count(total)} "
+        "m²) have no data in one epoch or both and are excluded from volumes.",
     ]
     return " ".join(filter(None, words))
 
@@ -468,9 +471,6 @@ def change_page(
     InputError : the volumes of a pair are incomplete, or a picture is missing.
     """
     page = Page(title, *head(pairs))
-    notes = [f"{pair.words}: {note}" for pair in pairs for note in pair.control.get("notes", ())]
-    if notes:
-        page.text("\n\n".join(notes))
     if twin:
         page.text(
             "The digital twin made these data: the surveys and the change between them are simulated. The "
@@ -490,6 +490,8 @@ def change_page(
     _epochs(page, epochs)
     if truth:
         _truth(page, truth, polygons or {})
+    if notes := [f"{pair.words}: {note}" for pair in pairs for note in pair.control.get("notes", ())]:
+        page.section("Notes on the data").text("\n\n".join(notes))
     page.section("Limits").text(limits(pairs))
     return page
 

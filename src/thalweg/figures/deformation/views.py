@@ -20,7 +20,6 @@ from thalweg.figures import (
     count,
     legend_below,
     new_figure,
-    north_arrow,
     raster_maps,
     robust_limits,
     styled,
@@ -96,7 +95,6 @@ def epochs_from_above(clouds: Sequence[CloudOfEpoch], *, title: str, twin: bool)
             f"epoch {each.number}, {each.name}: {utc_text_from_gps(each.start_gps_s, 0)},\n"
             f"n = {count(len(each.xyz_m))}; {track}"
         )
-        north_arrow(ax)
     return figure
 
 

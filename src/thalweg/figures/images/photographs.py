@@ -39,9 +39,9 @@ from thalweg.figures import (
     Page,
     count,
     legend_below,
+    marks_in_free_corners,
     new_figure,
     plan_height_mm,
-    plan_marks,
     plural,
     read_picture,
     styled,
@@ -144,7 +144,7 @@ def image_positions(
     plan.set_xlabel("east / m")
     plan.set_ylabel("north / m")
     plan.set_title(_words(points))
-    plan_marks(plan)
+    marks_in_free_corners(plan, np.concatenate(shown))
     legend_below(figure, plan)
     return figure
 
