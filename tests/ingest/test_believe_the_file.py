@@ -61,7 +61,9 @@ def test_units_anywhere_in_a_name(tmp_path: Path, name: str, unit_m: float) -> N
         ("# depths are given in ft\n", "", "x,y,depth", "depths are given in ft"),
         ("# Depth [ft], position [m]\n", "", "x,y,depth", "name no unit"),
         ("", "# units: feet\n", "x,y,depth", "units: feet"),
+        ("", "Note: depth values are in feet\n", "x,y,depth", "values are in feet"),
         ("# z positive down\n", "", "x,y,z", "heights in column z"),
+        ("", "", "x,y,z (positive down)", "heights in column z"),
         ("# EPSG:25832\n", "", "x,y,depth", "EPSG:25832.*as stated"),
     ],
 )
@@ -75,12 +77,14 @@ def test_remarks_that_contradict(tmp_path: Path, above: str, below: str, head: s
 def test_remarks_that_are_used_or_quoted(tmp_path: Path) -> None:
     """A map that the file states needs no statement; a draught that nobody adds is quoted."""
     above = "# EPSG:25833\n# draft 0.4 m not applied\n# cell size 1 m\n"
-    path = rows(tmp_path / "t.csv", "x,y,depth", EAST, NORTH, DEPTH, above=above)
+    path = rows(tmp_path / "t.csv", "x,y,depth,valid", EAST, NORTH, DEPTH, np.arange(N) % 2, above=above)
     table, places = read_places(path, None)
     assert places.crs == UTM
-    assert [note for note in table.notes if "says" in note] == [
-        "line 1 says '# EPSG:25833'", "line 2 says '# draft 0.4 m not applied'"
-    ]  # fmt: skip
+    assert table.notes == [
+        "line 1 says '# EPSG:25833'",
+        "line 2 says '# draft 0.4 m not applied'",
+        "column valid may mark rows that do not count: it is not read",
+    ]
 
 
 def test_names_above_a_remark_and_a_row_of_means(tmp_path: Path) -> None:

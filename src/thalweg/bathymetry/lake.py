@@ -38,6 +38,7 @@ _FEWEST_LINES: Final = 4
 _ASKED: Final = 60
 _CLOCK: Final = r"\d{1,2}:\d{2}(:\d{2})?"
 _DATE: Final = r"\d{4}-\d{2}-\d{2}|\d{1,2}\.\d{1,2}\.\d{4}"
+_PARTS: Final = ("date", "time", "level")
 _WORDS_OF_TIME: Final = frozenset(f"{NAMES['date']} {NAMES['time']}".split())
 _DAY_S: Final = 86_400.0
 
@@ -189,13 +190,15 @@ class Levels:
             ``12:30``.
         """
         table = read_text_table(path, bare=("time", "level"))
+        if not table.named and len(table.columns) == len(_PARTS):
+            table = read_text_table(path, order=_PARTS)
         at = table.find("level")
         last = len(table.columns) - 1 if at is None else at
         level = table.numbers(last, "level")
         of_time = [k for k, c in enumerate(table.columns) if {c.words} & _WORDS_OF_TIME]
         when = pd.Series(["T".join(row) for row in table.cells.iloc[:, of_time].to_numpy()], dtype=str)
         clock, daily = (bool(len(when)) and bool(when.str.fullmatch(p).all()) for p in (_CLOCK, _DATE))
-        told = None if clock else table.times()
+        told = None if clock or not len(table) else table.times()
         t = np.full(len(table), np.nan) if told is None else told[0]
         if clock:
             t = (

@@ -29,7 +29,7 @@ from thalweg.core.values import (
     LOWEST_M,
     Unit,
     check_degrees,
-    check_places,
+    check_stated,
     crs_of_geokeys,
     far_repeated,
     is_nothing,
@@ -354,7 +354,7 @@ def _heights(file: Any, path: Path, nodata: float | None) -> Dsm:
         )  # fmt: skip
     else:
         corners = corner + cell * np.array([[0.0, 0.0], [file.width, -file.height]])
-        check_places(corners, stated.crs, where=path, one_survey=False)
+        check_stated(corners, stated.crs, where=path)
     scale, offset = float(file.scales[number - 1]), float(file.offsets[number - 1])
     metres = stated.factors[2]
     raw = file.read(number)

@@ -28,6 +28,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 import numpy as np
 import pandas as pd
 from pyproj import CRS, Transformer
+from pyproj.exceptions import CRSError
 
 from thalweg.core import (
     DAY_S,
@@ -122,6 +123,9 @@ _ALIKE: Final = 0.8
 _MOST_GARBLED: Final = 0.05
 """Share of cells without a number beyond which a column is refused rather than thinned."""
 _TOTALS: Final = frozenset(["total", "sum", "summe", "mean", "average", "mittel", "min", "max", "std"])
+_OF_ROWS: Final = "flag qc quality valid withheld rejected accepted class classification"
+_FLAGS: Final = frozenset(_OF_ROWS.split())
+"""Names of columns that may say which rows count."""
 _LAST_ROWS: Final = 10
 """Rows at the end of a table of which one may hold the mean or the sum of the others."""
 _SECOND_M: Final = 10.0
@@ -170,7 +174,7 @@ _HOURS: Final = (
 )
 _ZONES: Final = {name: float(first) for first, *names in map(str.split, _HOURS.split("|")) for name in names}
 """Names of zones of time that mean one of them -> hours before UTC."""
-_OFFSET: Final = re.compile(r"(?<![\w:])(?:UTC|GMT)?\s?([+-])(\d{1,2}):?(\d\d)?(?!\w)")
+_OFFSET: Final = re.compile(r"(?:\b(?:UTC|GMT)\s?|^)([+-])(1[0-4]|0?\d):?([0-5]\d)?(?!\w)")
 _DAY_COUNTS: Final = {
     "days since 1899-12-30 (Excel)": 25_569.0,
     "modified Julian days": 40_587.0,
@@ -424,7 +428,7 @@ class Table:
                 expected="a unit of length",
                 cure="Convert it to metres, or name another column",
             )
-        down = next((line for line in self.remarks if says_downwards(line)), None)
+        down = next((line for line in (column.name, *self.remarks) if says_downwards(line)), None)
         if quantity == "height" and down is not None and self.find("depth") is None:
             raise InputError(
                 f"heights in column {column.name}, and the remark '{down[:60]}'",
@@ -723,7 +727,8 @@ class Table:
             since = number if step.size and np.median(step) < _FEWEST_STEP else np.full(len(number), np.nan)
             for words, first in _DAY_COUNTS.items():
                 years = (since - first) / 365.25 + 1970
-                if np.nanmin(years, initial=1e9) >= 2000 and np.nanmax(years, initial=0) < 2001 + _LAST_YEAR:
+                known = years[np.isfinite(years)]
+                if len(known) and known.min() >= 2000 and known.max() < 2001 + _LAST_YEAR:
                     return (since - first) * DAY_S, [f"times taken as {words}, in UTC"]
             told = [each for each in tell_time_scale(number) if each not in ("week_s", "day_s")]
             if not told:
@@ -866,7 +871,7 @@ def _without_unit(name: str) -> str:
 def _zone(text: str) -> dt.tzinfo | None:
     """The zone of time that words name, as ``UTC+2``, ``(CEST)``, ``Europe/Berlin``; None: none, or UTC."""
     if found := re.search(r"\b[A-Z][a-z]+/[A-Z]\w+", text):
-        with contextlib.suppress(ZoneInfoNotFoundError):
+        with contextlib.suppress(ZoneInfoNotFoundError, OSError, ValueError):
             return ZoneInfo(found[0])
     if found := _OFFSET.search(text):
         minutes = 60 * int(found[2]) + int(found[3] or 0)
@@ -992,10 +997,15 @@ def _remarks(text: str, above: Sequence[str], table: Table) -> list[tuple[int, s
     for k, column in enumerate(table.columns):
         if re.fullmatch(r"(?:depth_)?(?:units?|uom|einheit)", column.words):
             found |= {int(n): f"unit: {cell}" for n, cell in zip(table.line, table.text(k), strict=True)}
-    lines = text.splitlines()
-    for k in {*range(min(_SAMPLE, len(lines))), *range(max(len(lines) - _LAST_ROWS, 0), len(lines))}:
-        if lines[k].lstrip().startswith(_HEADS) or (k >= _SAMPLE and re.match(r"\s*[^\W\d]", lines[k])):
-            found.setdefault(k + 1, lines[k])
+    first, last = (
+        text[: 200 * _SAMPLE].splitlines()[:_SAMPLE],
+        text.rstrip()[-4000:].splitlines()[-_LAST_ROWS:],
+    )
+    found |= {n: line for n, line in enumerate(first, 1) if line.lstrip().startswith(_HEADS)}
+    for n, line in enumerate(last, text.rstrip().count("\n") + 2 - len(last)):
+        prose = re.match(r"\s*[^\W\d]", line) and not re.search(r"\d\.\d", line)
+        if prose or line.lstrip().startswith(_HEADS):
+            found.setdefault(n, line)
     names = "|".join(re.escape(c.name) for c in sorted(table.columns, key=lambda c: -len(c.name)))
     words = {n: re.sub(names, " ", line) if table.named else line for n, line in found.items()}
     return [
@@ -1023,10 +1033,15 @@ def _heed(remarks: Sequence[tuple[int, str]], table: Table) -> Table:
         codes |= {int(code) for code in re.findall(r"(?i)\bEPSG\W{0,2}(\d{4,5})\b", line)}
         if matters(line):
             table.notes.append(f"line {number} says '{line[:80]}'")
-    for column, cells in zip(table.columns, table.cells.to_numpy().T, strict=False):
+    for k, column in enumerate(table.columns):
+        if column.words in _FLAGS and len({*table.text(k)}) > 1:
+            table.notes.append(f"column {column.name} may mark rows that do not count: it is not read")
         if column.words in ("epsg", "srid"):
-            codes |= {int(cell) for cell in {*cells} if re.fullmatch(r"\d{4,5}", str(cell))}
-    maps = [code for code in codes if CRS.from_epsg(code).is_projected]
+            codes |= {int(cell) for cell in {*table.text(k)} if re.fullmatch(r"\d{4,5}", cell)}
+    maps = []
+    for code in codes:
+        with contextlib.suppress(CRSError):
+            maps += [code] * CRS.from_epsg(code).is_projected
     lines = tuple(line for _, line in remarks)
     return replace(table, code=maps[0] if len(maps) == 1 else None, remarks=lines)
 

@@ -14,6 +14,7 @@ from .places import (
     check_degrees as check_degrees,
     check_heights as check_heights,
     check_places as check_places,
+    check_stated as check_stated,
     in_words as in_words,
     near_world as near_world,
     readings as readings,

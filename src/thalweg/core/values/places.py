@@ -27,6 +27,8 @@ HIGHEST_M: Final = 9_000.0
 """Heights of ground, wet or dry; the deepest trench and the highest mountain lie within."""
 _NEAR_ZERO_M: Final = 1_000.0
 """No national grid has ground so near to its false origin: these are degrees, or a local system."""
+_SAMPLE: Final = 1000
+"""Points by which the place of a cloud is judged."""
 _WIDEST_M: Final = 450_000.0
 """Farthest from its meridian that a zone of UTM is used: all of Germany is published in zone 32."""
 _MARGIN_DEG: Final = {True: (3.1, 1.0), False: (1.5, 0.7)}
@@ -134,6 +136,23 @@ def check_places(
             cure="Leave these rows out, or correct them",
         )
     return f"places about {in_words(float(np.median(lon)), float(np.median(lat)))}"
+
+
+def check_stated(points: ArrayF, crs: CRS, *, where: str | Path) -> None:
+    """Refuse points that are no places of the map that their file states; a shift to near 0 is left to notes.
+
+    Parameters
+    ----------
+    points : (n, 2), or (n, 3) with heights, in metres.
+
+    Raises
+    ------
+    InputError : degrees, or see `check_places`.
+    """
+    xy = points[:: max(len(points) // _SAMPLE, 1), :2]
+    check_degrees(xy, where=where, cure="Correct the coordinate system, or transform the coordinates")
+    if np.abs(np.median(xy, axis=0)).max() > _NEAR_ZERO_M:
+        check_places(xy, crs, where=where, one_survey=False)
 
 
 def check_heights(height_m: ArrayF, *, where: str | Path) -> None:

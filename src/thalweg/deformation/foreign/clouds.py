@@ -30,11 +30,11 @@ from thalweg.core import (
     write_table,
 )
 from thalweg.core.geometry import TriangleMesh
-from thalweg.core.values import check_degrees, check_heights
+from thalweg.core.values import METRE, check_degrees, check_heights, check_stated, units_of_crs
 from thalweg.deformation import CHANGES, Comparison, cloud_to_cloud, judge_changes, measure_distances
 from thalweg.deformation.foreign.surfaces import one_frame
 from thalweg.ingest import read_text_table
-from thalweg.ingest.clouds import NO_USE, check_cloud, read_cloud
+from thalweg.ingest.clouds import NO_USE, read_cloud
 from thalweg.settings.sections import DSM_ENDINGS, TEXT_ENDINGS, Accuracy, ReferenceSettings
 from thalweg.surface import (
     Surface,
@@ -111,8 +111,8 @@ def read_points(path: Path) -> Points:
                 cure="Transform the cloud to a map projection, or state its coordinate system in the file",
             )
             check_heights(cloud.points[:, 2], where=path)
-        elif isinstance(cloud.frame, CRS):
-            check_cloud(cloud.points, cloud.frame, path)
+        elif isinstance(cloud.frame, CRS) and units_of_crs(cloud.frame)[0] == METRE:
+            check_stated(cloud.points, cloud.frame, where=path)
         told = (f"{path.name}: {text}" for text in cloud.sentences() if text not in NO_USE)
         return Points(cloud.points, cloud.frame, path, tuple(told))
     table = read_text_table(path, bare=("x", "y", "z"))

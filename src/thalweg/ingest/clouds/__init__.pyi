@@ -1,2 +1,2 @@
-from .reader import NO_USE as NO_USE, check_cloud as check_cloud, read_cloud as read_cloud
+from .reader import NO_USE as NO_USE, read_cloud as read_cloud
 from .reference import gather_reference as gather_reference, to_world as to_world

@@ -638,17 +638,6 @@ _SAMPLE: Final = 1000
 """Points by which the place of a cloud is judged."""
 
 
-def check_cloud(points: ArrayF, frame: CRS, where: Path) -> None:
-    """Check that points (n, 3) lie where their coordinate system is used, at heights of ground.
-
-    Raises
-    ------
-    InputError : see `thalweg.core.values.check_places`.
-    """
-    sample = points[:: max(len(points) // _SAMPLE, 1)]
-    check_places(sample[:, :2], frame, where=where, height_m=sample[:, 2], one_survey=False)
-
-
 def _without_height(z: ArrayF, good: ArrayB) -> ArrayB:
     """Which heights (n,) of the good points stand for none."""
     none = np.zeros(len(z), dtype=np.bool_)
@@ -720,7 +709,7 @@ def read_cloud(path: Path) -> Cloud:
         report.note(note)
     elif isinstance(cloud.frame, CRS):
         try:
-            check_cloud(cloud.points, cloud.frame, path)
+            check_places(cloud.points[:: max(len(cloud.points) // _SAMPLE, 1), :2], cloud.frame, where=path)
         except InputError as error:  # which may be looked at for all that
             report.note(f"Its coordinates contradict its coordinate system: {error.found}.")
     cloud.points = np.ascontiguousarray(cloud.points)
