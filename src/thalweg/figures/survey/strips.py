@@ -29,6 +29,7 @@ def strips_page(found: Adjusted, *, title: str, twin: bool, notes: list[str]) ->
         "adjustment (root mean square).",
         [
             Finding("plane spots", f"{facts['planes']:,}"),
+            Finding("unknowns that the bank told", f"{facts['told_unknowns']:,.0f}"),
             Finding("observations, redundancy", f"{facts['observations']:,}, {facts['redundancy']:,.0f}"),
             Finding("not on their plane", f"{facts['not_on_planes']:,}"),
             Finding("knots", f"{facts['knots']:,}, one every {facts['knot_s']:.2f} s"),
@@ -54,7 +55,7 @@ def strips_page(found: Adjusted, *, title: str, twin: bool, notes: list[str]) ->
     )
     page.table(told, "Share by error.", digits=3)
     page.table(found.border, "Mount, range and clock: radians, metres, seconds.", digits=3)
-    page.section("Notes").lines(notes or ["none"])
+    page.section("Notes").lines([*facts["notes"], *notes] or ["none"])
     return page
 
 
