@@ -212,10 +212,9 @@ def adjust_strips(
             y = _solved_near(L, *seen.equations(), G, y)
             seen.weigh(y, tukey=round_ > 0)
         if round_ == ROUNDS - 2:
-            expected = _expected(L, dtrtri(G, lower=1)[0], y)
-            if expected["corrections_over_stated"] > 1.0 + _chance(expected):
-                grown = expected["corrections_over_stated"]
-                L[: 6 * task.n_spans] *= np.sqrt(grown)
+            # less than 1 by chance would be a sigma that is too small: the stated one stays
+            grown = max(_expected(L, dtrtri(G, lower=1)[0], y)["corrections_over_stated"], 1.0)
+            L[: 6 * task.n_spans] *= np.sqrt(grown)
     # of the last weights
     N, h = seen.equations()
     y, G = _solved(L, N, h)
@@ -579,11 +578,6 @@ def _expected(L: ArrayF, inverse: ArrayF, y: ArrayF) -> dict[str, float]:
     return {"told_unknowns": told, "corrections_over_stated": float(size @ size) / told}
 
 
-def _chance(expected: Mapping[str, float]) -> float:
-    """By how much corrections over stated ones may differ from 1 by chance."""
-    return SURE * float(np.sqrt(2.0 / expected["told_unknowns"]))
-
-
 def _not_asked(y: ArrayF, equations: tuple[ArrayF, ArrayF], F: ArrayF) -> dict[str, tuple[float, float]]:
     """What range and clock would be corrected by if they were asked for, each with its sigma.
 
@@ -676,7 +670,7 @@ def _notes(
 ) -> list[str]:
     """Sentences about what is off: by more than was stated, or though nobody asked for it."""
     notes, ratio = [], expected["corrections_over_stated"]
-    if abs(ratio - 1.0) > _chance(expected):
+    if abs(ratio - 1.0) > SURE * np.sqrt(2.0 / expected["told_unknowns"]):
         sizes, times = ("small", "long") if ratio > 1.0 else ("large", "short")
         notes.append(
             f"poses are corrected by {np.sqrt(ratio):.1f} times what their standard deviations and "
@@ -694,7 +688,7 @@ def _notes(
     for row in border.to_dict("records"):
         # a correction's own standard deviation, where what is stated is right
         usual = np.sqrt(max(row["sigma_before"] ** 2 - row["sigma"] ** 2, LEAST_SIGMA**2))
-        if abs(row["correction"]) > ODD * usual:
+        if abs(row["correction"]) > max(ODD * usual, row["sigma_before"]):
             name, unit = row["unknown"][:-1].split(" [")
             scale, unit = (np.rad2deg(1.0), "degrees") if unit == "rad" else (1e3, f"m{unit}")
             notes.append(

@@ -333,7 +333,7 @@ class Strips(Section):
     )
     use: bool = Field(
         default=False,
-        description="Place bed, colours and all else by what that makes; true: it is made in any case",
+        description="Place bed, colours and all else by the corrected trajectory; includes `adjust`",
     )
     knot_s: Annotated[float, Field(ge=0.25, le=2)] = Field(
         default=0.5, description="Interval of the poses' corrections, seconds"
