@@ -15,14 +15,25 @@ from thalweg.ingest import PointBlock
 from thalweg.lidar import CELL_M, LogSample, LogSettings, thin_log
 from thalweg.lidar.strips import GROUPS, LEAST_TOLD, adjust_strips, knots_over, mounts_by_strips
 from thalweg.settings.sections import Filters, Strips
-from thalweg_lab.studies.sensors.strip_surveys import BEAM, MOUNT, Spec, draw, score, solve
+from thalweg_lab.studies.sensors.strip_surveys import (
+    BEAM,
+    MOUNT,
+    Spec,
+    cell_error_m,
+    draw,
+    nees,
+    pose_errors,
+    replaced,
+    score,
+    solve,
+)
 
 T0_S = 4.0e8
 SMALL = {"length_m": 20.0, "estimate": False}
 
 
 def test_the_covariance_of_means_is_that_of_the_sums() -> None:
-    """Against the covariance of all nodes, written out; spans without a node lie between their neighbours."""
+    """Against the covariance of all nodes, written out."""
     rng = np.random.default_rng(3)
     t = np.array([0.1, 0.4, 0.9, 1.2, 1.3, 3.6, 3.8])
     link = 0.6 * rng.standard_normal((7, 4, 4)) / 2
@@ -34,11 +45,12 @@ def test_the_covariance_of_means_is_that_of_the_sums() -> None:
             whole[i, :, k] = chain.root[i] @ through @ chain.root[k].T
             whole[k, :, i] = whole[i, :, k].T
             through = through @ link[k]
-    mean = np.zeros((4, 7))
-    mean[0, :3], mean[1, 3:5], mean[3, 5:] = 1 / 3, 1 / 2, 1 / 2
-    mean[2] = (mean[1] + mean[3]) / 2
+    # means over time of what is linear between nodes, by fine sums
+    fine = (np.arange(40_000) + 0.5) / 10_000
+    hats = np.stack([np.interp(fine, t, node) for node in np.eye(7)])
+    mean = hats.reshape(7, 4, -1).mean(axis=2).T
     expected = np.einsum("bi,iukv,ck->bucv", mean, whole, mean).reshape(24, 24)
-    np.testing.assert_allclose(covariance_of_means([chain], np.arange(5.0)), expected, atol=1e-12)
+    np.testing.assert_allclose(covariance_of_means([chain], np.arange(5.0)), expected, atol=1e-7)
 
 
 def test_a_bank_in_all_directions_halves_the_errors_and_says_so() -> None:
@@ -48,6 +60,7 @@ def test_a_bank_in_all_directions_halves_the_errors_and_says_so() -> None:
     assert after < 0.8 * before
     assert 0.4 < mean["nees_after"] < 1.8
     assert mean["nees_points"] < 1.8
+    assert not [name for row in rows for name in row if name.startswith("names_") and row[name]]
 
 
 def test_along_a_wall_nothing_is_told(tmp_path: Path) -> None:
@@ -180,6 +193,32 @@ def test_the_lidar_s_mount_by_strips_is_exact_beside_its_own_poses(wrong_scanner
     np.testing.assert_array_equal(
         [mounts["lidar"]["sigma_lever_m"], mounts["lidar"]["sigma_kappa_deg"] * np.ones(3)], 0
     )
+
+
+def test_a_clock_that_is_off_is_named_and_where_it_is_asked_for_the_points_lie_better() -> None:
+    spec = Spec(clock_s=0.005, chain="fused", **SMALL)
+    drawn = draw(906, spec)
+    found, _, _ = solve(drawn, spec)
+    assert -6e-3 < found.facts["not_asked"]["clock offset [s]"]["correction"] < -2e-3, "at least"
+    (note,) = [note for note in found.facts["notes"] if "clock" in note]
+    assert "strips.sigma_clock_s" in note
+    asked, _, _ = solve(drawn, replace(spec, settings={"sigma_clock_s": 0.01}))
+    off = asked.border.set_index("unknown").loc["clock offset [s]"]
+    assert off["correction"] == pytest.approx(-0.005, abs=max(5e-4, 4 * off["sigma"]))
+    np.testing.assert_allclose(asked.of_lidar.t_gps_s - asked.trajectory.t_gps_s, -off["correction"])
+    assert not [note for note in asked.facts["notes"] if "clock" in note]
+    better, worse = (cell_error_m(drawn, replaced(drawn, each)) for each in (asked, found))
+    assert better < worse
+
+
+def test_errors_of_twice_what_is_stated_are_named_and_sigmas_grow() -> None:
+    spec = Spec(size=2.0, chain="fused", **SMALL)
+    drawn = draw(907, spec)
+    found, _, _ = solve(drawn, spec)
+    assert np.sqrt(found.facts["corrections_over_stated"]) == pytest.approx(2.0, abs=0.3)
+    assert "stated too small" in found.facts["notes"][0]
+    error = pose_errors(found.trajectory, drawn.truth)[5:-5]
+    assert 0.3 < nees(error, found.trajectory.cov_pose_wcs[5:-5]) < 2.5, "four times as much without"
 
 
 def test_points_of_no_plane_are_refused() -> None:

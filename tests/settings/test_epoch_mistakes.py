@@ -68,10 +68,26 @@ def test_how_errors_last_comes_from_the_chain_of_each_epoch(folder: Path) -> Non
     assert files.epoch_errors("photos") == "results/photos/orientation/errors_fused.npz"
 
 
+def test_an_epoch_by_strips_has_the_errors_of_poses_and_mount_together(folder: Path) -> None:
+    write(folder, "banked", twin={"size": "tiny", "time_lapse": None}, mounts=MOUNTS, strips={"adjust": True})
+    write(folder, "change", epochs=[{"campaign": "spring"}, {"campaign": "banked", "chain": "strips"}])
+    campaigns = with_calibrations(load_campaigns("change", folder), folder)
+    files = CampaignFiles(name="change", campaigns=campaigns)
+    assert files.epoch_points("banked") == "results/banked/lidar/by_strips/points.laz"
+    at = "results/banked/orientation"
+    assert files.epoch_trajectory("banked") == f"{at}/trajectory_strips_lidar.parquet"
+    assert files.epoch_errors("banked") == f"{at}/errors_strips_lidar.npz"
+    assert files.epoch_mounts("banked") == f"{at}/mounts_strips.json"
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         ({"epochs": [{"campaign": "spring"}]}, "at least 2"),
+        (
+            {"epochs": [{"campaign": "spring"}, {"campaign": "autumn", "chain": "strips"}]},
+            "adjusts no strips",
+        ),
         ({"epochs": [{"campaign": "spring"}, {"campaign": "spring"}]}, "'spring' a second time"),
         ({"epochs": [{"campaign": "spring"}, {"campaign": "change"}]}, "'change' is this campaign itself"),
         ({"epochs": [{"campaign": "spring"}, {"campaign": "autunm"}]}, "Did you mean autumn?"),

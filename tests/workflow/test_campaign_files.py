@@ -218,6 +218,32 @@ def test_strips_are_a_chain_where_they_are_asked_for(shipped) -> None:
     assert demo.windows("by_strips/", "points", ".las") == []
 
 
+def test_strips_place_what_is_placed_where_they_are_to() -> None:
+    """Bed, colours and pages take the corrected trajectory; strips themselves begin from the sensors."""
+    logs = {"lidar": ["a.pcap"], "ins": ["a.anpp"]}
+    for more, sensors, others in (
+        ({}, "trajectory", ["by INS"]),
+        (
+            {"time_lapse": {"images": ["a.jpg"]}},
+            "trajectory_fused",
+            ["by INS", "by camera", "by all sensors"],
+        ),
+    ):
+        boat = survey(logs=logs | more, strips={"use": True})
+        assert names([boat.best_trajectory(), boat.best_errors(), *boat.best_points()]) == [
+            "orientation/trajectory_strips.parquet",
+            "orientation/errors_strips.npz",
+            "lidar/by_strips/points.laz",
+        ]
+        assert names([boat.trajectory_of_sensors()]) == [f"orientation/{sensors}.parquet"]
+        assert boat.page_names() == ["by overlapping strips", *others]
+        assert len(set(boat.page_clouds())) == len(boat.page_names())
+        assert set(boat.best_points()) <= set(boat.final_outputs())
+    beside = survey(logs=logs, strips={"adjust": True})
+    assert names([beside.best_trajectory()]) == ["orientation/trajectory.parquet"]
+    assert beside.page_names() == ["by INS", "by overlapping strips"]
+
+
 def test_what_is_handed_over_is_made(shipped) -> None:
     """Files of the report and of the project for QGIS are outputs; some campaigns have no report."""
     for name in ("demo", "tiny_change"):

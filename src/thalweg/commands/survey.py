@@ -196,7 +196,7 @@ def add_survey_commands(commands: Commands) -> None:
         settings={
             "strips.knot_s": "--knot",
             "strips.sigma_clock_s": "--sigma-clock",
-            **of_a_campaign(["strips.max_knots"]),
+            **of_a_campaign(["strips.max_knots", "strips.sigma_range_m"]),
             **OF_A_LOG,
         },
     )
@@ -382,13 +382,14 @@ def _align_strips(options: argparse.Namespace) -> int:
     georeference_log(reader, clock, found.of_lidar, exact, options.out / "points.laz")
     page = options.out / "index.html"
     notes = [in_options(note, options.settings) for note in [*notes, *model.notes]]
+    said = [in_options(note, options.settings) for note in found.facts["notes"]]
     strips_page(found, title=f"Strips of {options.lidar[0].name}", twin=False, notes=notes).write(page)
     print(
         f"{found.facts['planes']:,} plane spots seen again: {1e3 * found.facts['distance_before_m']:.1f} mm "
         f"apart before, {1e3 * found.facts['distance_after_m']:.1f} mm after"
     )
     print("\n".join(f"not told by the bank: {name}" for name in found.facts["not_told"]))
-    print("\n".join(f"note: {note}" for note in notes))
+    print("\n".join(f"note: {note}" for note in [*said, *notes]))
     print(f"Wrote {', '.join(sorted(path.name for path in options.out.iterdir()))} to {options.out}")
     return 0
 

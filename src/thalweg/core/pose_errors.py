@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Final, Self
 
 import numpy as np
-import scipy.sparse as sp
 from scipy.optimize import brentq
 
 from thalweg.core.errors import GeometryError, InputError
@@ -170,48 +169,62 @@ def _root_and_inverse(cov: ArrayF) -> tuple[ArrayF, ArrayF]:
 def covariance_of_means(chains: Sequence[ErrorChain], edges_s: ArrayF) -> ArrayF:
     """Covariance (6 b, 6 b) of the mean errors in spans of time, all chains together.
 
-    A span in which a chain has no node has the mean of its neighbours, by time.
+    Means are over time, of the errors as they are interpolated between nodes: errors that are new at each
+    node, one a span, have half the variance of the nodes, and neighbouring means are alike.
 
     Parameters
     ----------
     chains : of all errors of the poses.
-    edges_s : (b + 1,) ascending; nodes outside count to the first and to the last span.
+    edges_s : (b + 1,) ascending; before the first node and after the last one errors are theirs.
     """
     n_spans = len(edges_s) - 1
-    centre = (edges_s[1:] + edges_s[:-1]) / 2
     total = np.zeros((6 * n_spans, 6 * n_spans))
     for chain in chains:
+        # The mean over a piece of time between nodes and edges is the error in its middle: what `of_two`
+        # makes of the components (2 d) of the nodes left and right of it.
         d = chain.root.shape[2]
-        span = np.clip(np.searchsorted(edges_s, chain.t_gps_s, side="right") - 1, 0, n_spans - 1)
-        found, first = np.unique(span, return_index=True)
-        own = np.zeros((6 * len(found), 6 * len(found)))
-        # of the components of the last node with the means (6) of all spans so far
-        so_far = np.zeros((d, 0))
-        for b, (start, stop) in enumerate(pairwise([*first.tolist(), len(span)])):
-            n = stop - start
-            since, mean = np.zeros((d, 6)), np.zeros((6, d))  # of this span's nodes with the node k
-            through, square = chain.link[start], np.zeros((6, 6))
+        inside = (chain.t_gps_s > edges_s[0]) & (chain.t_gps_s < edges_s[-1])
+        cuts = np.unique(np.concatenate([edges_s, chain.t_gps_s[inside]]))
+        middle = (cuts[1:] + cuts[:-1]) / 2
+        span = np.searchsorted(edges_s, middle) - 1
+        left, right, share = chain.between(middle)
+        share = share[:, None, None]
+        of_two = np.concatenate([(1 - share) * chain.root[left], share * chain.root[right]], axis=2)
+        of_two *= (np.diff(cuts) / np.diff(edges_s)[span])[:, None, None]
+        alike = np.where((left < right)[:, None, None], chain.link[right], np.eye(d))
+        # covariances of the components of a piece with the means of all spans before it
+        so_far = np.zeros((2 * d, 0))
+        first = np.flatnonzero(np.diff(span, prepend=-1))
+        for start, stop in pairwise([*first.tolist(), len(span)]):
+            row = slice(so_far.shape[1], so_far.shape[1] + 6)
+            # with its own span so far; that span's mean so far by the components of its first piece
+            own, mean, through = np.zeros((2 * d, 6)), np.zeros((6, 2 * d)), np.eye(2 * d)
             for k in range(start, stop):
-                root = chain.root[k]
-                if k > start:
-                    through = chain.link[k] @ through
-                    since = chain.link[k] @ since
-                since = since + root.T
-                mean += root @ through
-                both = root @ since
-                square += both + both.T - root @ root.T
-            row = slice(6 * b, 6 * b + 6)
-            own[row, row] = square / n**2
-            if b:
-                own[row, : 6 * b] = mean @ so_far / n
-                own[: 6 * b, row] = own[row, : 6 * b].T
-            so_far = np.concatenate([through @ so_far, since / n], axis=1)
-        if len(found) < n_spans:
-            weights = np.stack([np.interp(centre, centre[found], e) for e in np.eye(len(found))], axis=1)
-            spread = sp.kron(sp.csr_matrix(weights), sp.identity(6), format="csr")
-            own = np.asarray(spread @ (spread @ own).T)
-        total += own
+                if k and (left[k] != left[k - 1] or right[k] != right[k - 1]):
+                    on = _onward(chain, right[k - 1], left[k], alike[k])
+                    own, through = on @ own, on @ through
+                crossed = of_two[k] @ own
+                one, other = of_two[k, :, :d].T, of_two[k, :, d:].T
+                piece = np.concatenate([one + alike[k].T @ other, alike[k] @ one + other])
+                own = own + piece
+                mean += of_two[k] @ through
+                total[row, row] += crossed + crossed.T + of_two[k] @ piece
+            total[row, : row.start] += mean @ so_far
+            total[: row.start, row] = total[row, : row.start].T
+            so_far = np.concatenate([through @ so_far, own], axis=1)
     return total
+
+
+def _onward(chain: ErrorChain, right: int, node: int, alike: ArrayF) -> ArrayF:
+    """What the components (2 d) of two nodes, the later of them ``right``, tell of those of ``node`` and the
+    next one, which are ``alike``.
+    """
+    d = len(alike)
+    on, step = np.zeros((2 * d, 2 * d)), np.eye(d)
+    for k in range(right + 1, node + 1):
+        step = chain.link[k] @ step
+    on[:d, d:], on[d:, d:] = step, alike @ step
+    return on
 
 
 def even_time(chains: Sequence[ErrorChain]) -> tuple[ArrayF, ArrayF, float]:

@@ -40,6 +40,8 @@ import pandas as pd
 import scipy.sparse as sp
 from scipy.linalg import block_diag, cho_solve, cholesky, solve_triangular
 from scipy.linalg.blas import dtrmm
+from scipy.linalg.lapack import dtrtri
+from scipy.sparse.linalg import LinearOperator, cg
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -100,6 +102,8 @@ LEAST_FREEDOM: Final = 8
 LEAST_SPANS: Final = 3
 """A plane tells something with so many degrees of freedom of its scatter, seen in so many spans of time."""
 GROUPS: Final = ("smooth", "middling", "rough")
+NEAR: Final = 1e-8
+"""Of solutions between the factors, relative; the last one has its own factor."""
 LEAST_TOLD: Final = 0.2
 """An unknown of which the bank told a smaller share of the variance stays as it was."""
 BORDER: Final = (
@@ -108,6 +112,13 @@ BORDER: Final = (
     "range offset [m]",
     "clock offset [s]",
 )
+SURE: Final = 5.0
+"""What nobody asked for, and poses that are corrected by more or less than stated, are named where it is so
+many times what chance makes of it."""
+ODD: Final = 3.5
+"""The same of corrections of the mount, of range and clock."""
+SETTINGS: Final = {"range offset [m]": "sigma_range_m", "clock offset [s]": "sigma_clock_s"}
+"""Settings of section ``strips`` that ask for an unknown."""
 POSE: Final = ("east", "north", "up", "rotation east", "rotation north", "rotation up")
 
 
@@ -120,8 +131,9 @@ class Adjusted:
     trajectory : corrected poses with their covariances.
     mount : corrected pose of the scanner on the boat, with its covariance.
     of_lidar : the same poses with the covariances that its points have of poses and mount together: their
-        errors are told from each other worse than both together are known. With it the mount is exact.
-    chains : how these errors hang together over time.
+        errors are told from each other worse than both together are known. With it the mount is exact. Its
+        times are those of the lidar's clock, where an offset of that was asked for.
+    chains, chains_of_lidar : how the errors of each of both hang together over time.
     knots : one row a span: ``t_gps_s``, and for each of `POSE` the correction, its sigma before and after,
         and the ``told`` share; ``observations``.
     border : one row for each unknown of mount, range and clock: value, sigma before and after, ``told``.
@@ -134,6 +146,7 @@ class Adjusted:
     mount: Rigid
     of_lidar: Trajectory
     chains: list[ErrorChain]
+    chains_of_lidar: list[ErrorChain]
     knots: pd.DataFrame
     border: pd.DataFrame
     observations: pd.DataFrame
@@ -144,6 +157,7 @@ class Adjusted:
         self.trajectory.write(folder / "trajectory_strips.parquet")
         self.of_lidar.write(folder / "trajectory_strips_lidar.parquet")
         write_chains(folder / "errors_strips.npz", self.chains)
+        write_chains(folder / "errors_strips_lidar.npz", self.chains_of_lidar)
         for name in ("knots", "border", "observations"):
             getattr(self, name).to_csv(folder / f"strips_{name}.csv", index=False, float_format="%.9g")
         mount = {"R_ics_scs": self.mount.R.tolist(), "lever_ics_m": self.mount.shift_m.tolist()}
@@ -188,17 +202,23 @@ def adjust_strips(
     prior = np.diag(K).copy()
     K[np.diag_indices_from(K)] += 1e-9 * prior
     L = cholesky(K, lower=True, overwrite_a=True, check_finite=False)
-    y = np.zeros(len(L))
+    y, grown = np.zeros(len(L)), 1.0
     for round_ in range(ROUNDS):
         seen = task.observe(y)
-        for _ in range(SOLUTIONS):
-            N, h = seen.equations()
-            y, G = _solved(L, N, h)
+        N, h = seen.equations()
+        y, G = _solved(L, N, h)
+        seen.weigh(y, tukey=round_ > 0)
+        for _ in range(SOLUTIONS - 1):
+            y = _solved_near(L, *seen.equations(), G, y)
             seen.weigh(y, tukey=round_ > 0)
+        if round_ == ROUNDS - 2:
+            # less than 1 by chance would be a sigma that is too small: the stated one stays
+            grown = max(_expected(L, dtrtri(G, lower=1)[0], y)["corrections_over_stated"], 1.0)
+            L[: 6 * task.n_spans] *= np.sqrt(grown)
     # of the last weights
     N, h = seen.equations()
     y, G = _solved(L, N, h)
-    return _result(task, seen, y, L, G, prior, before)
+    return _result(task, seen, y, (N, h), L, G, prior, before, grown)
 
 
 def knots_over(trajectory: Trajectory, settings: Strips) -> ArrayF:
@@ -252,6 +272,19 @@ def _solved(L: ArrayF, N: ArrayF, h: ArrayF) -> tuple[ArrayF, ArrayF]:
     M[np.diag_indices_from(M)] += 1.0
     G = cholesky(M, lower=True, overwrite_a=True, check_finite=False)
     return np.asarray(L @ cho_solve((G, True), L.T @ h, check_finite=False)), G
+
+
+def _solved_near(L: ArrayF, N: ArrayF, h: ArrayF, G: ArrayF, y: ArrayF) -> ArrayF:
+    """The same (u,) by conjugate gradients from the factor G and the errors y of somewhat other weights.
+
+    A few products with matrices in place of a factor: a round takes one factor and not three.
+    """
+    shape = L.shape
+    M = LinearOperator(shape, matvec=lambda x: x + L.T @ (N @ (L @ x)))
+    inverse = LinearOperator(shape, matvec=lambda x: cho_solve((G, True), x, check_finite=False))
+    start = solve_triangular(L, y, lower=True, check_finite=False)
+    found, _ = cg(M, L.T @ h, start, rtol=NEAR, M=inverse)
+    return np.asarray(L @ found)
 
 
 class _Task:
@@ -465,16 +498,28 @@ def _positive_part(cov: ArrayF) -> ArrayF:
 
 
 def _result(
-    task: _Task, seen: _Seen, y: ArrayF, L: ArrayF, G: ArrayF, prior: ArrayF, before: ErrorChain
+    task: _Task,
+    seen: _Seen,
+    y: ArrayF,
+    equations: tuple[ArrayF, ArrayF],
+    L: ArrayF,
+    G: ArrayF,
+    prior: ArrayF,
+    before: ErrorChain,
+    grown: float,
 ) -> Adjusted:
     """Corrected trajectory and mount, and what the adjustment says of itself."""
     n_spans, u = task.n_spans, 6 * task.n_spans
-    F = solve_triangular(G, L.T, lower=True, check_finite=False)  # F' F is the covariance
+    inverse = dtrtri(G, lower=1)[0]
+    F = np.asarray(inverse @ L.T)  # F' F is the covariance
+    expected = _expected(L, inverse, y)
+    expected["corrections_over_stated"] *= grown
     by_span = np.ascontiguousarray(F[:, :u].reshape(len(F), n_spans, 6).transpose(1, 0, 2))
     own = np.swapaxes(by_span, 1, 2) @ by_span
     cov_border = F[:, u:].T @ F[:, u:]
     posterior = np.concatenate([np.diagonal(own, axis1=1, axis2=2).ravel(), np.diag(cov_border)])
-    told = np.clip(1.0 - posterior / prior, 0.0, 1.0)
+    expects = prior * np.where(np.arange(len(prior)) < u, grown, 1.0)
+    told = np.clip(1.0 - posterior / expects, 0.0, 1.0)
 
     poses = task.trajectory
     t = np.clip(poses.t_gps_s, task.edges[0], task.edges[-1])
@@ -498,8 +543,12 @@ def _result(
             quaternion_wcs_ics=attitude.as_quat(),
             cov_pose_wcs=chain.covariance_at(t) + rest,
         )
-        made.append((trajectory, chain))
-    (trajectory, _), (of_lidar, chain) = made
+        step_s = float(np.diff(task.edges)[0])
+        made.append((trajectory, with_rest(trajectory, [chain], chain.t_gps_s, step_s=step_s)))
+    (trajectory, chains), (of_lidar, chains_of_lidar) = made
+    late_s = float(y[-1])
+    of_lidar = replace(of_lidar, t_gps_s=of_lidar.t_gps_s + late_s)
+    chains_of_lidar = [replace(each, t_gps_s=each.t_gps_s + late_s) for each in chains_of_lidar]
     border, order = y[u:], np.r_[3:6, 0:3]
     mount = Rigid(
         R=Rotation.from_rotvec(-border[:3]).as_matrix() @ task.mount.R,
@@ -510,13 +559,51 @@ def _result(
         trajectory=trajectory,
         mount=mount,
         of_lidar=of_lidar,
-        chains=with_rest(of_lidar, [chain], chain.t_gps_s, step_s=float(np.diff(task.edges)[0])),
-        **_report(task, seen, y, np.sqrt(posterior), np.sqrt(prior), told),
+        chains=chains,
+        chains_of_lidar=chains_of_lidar,
+        **_report(
+            task, seen, y, np.sqrt(posterior), np.sqrt(prior), told, _not_asked(y, equations, F), expected
+        ),
     )
 
 
+def _expected(L: ArrayF, inverse: ArrayF, y: ArrayF) -> dict[str, float]:
+    """How many unknowns the bank tells, and the square sum of corrections over what the prior expects of it.
+
+    ``inverse`` is that of the factor G. The square sum ``y' K^-1 y`` of a prior that is right is about the
+    number of the unknowns that are told, ``tr(1 - Q K^-1)``.
+    """
+    told = len(L) - float(np.sum(inverse**2))
+    size = solve_triangular(L, y, lower=True, check_finite=False)
+    return {"told_unknowns": told, "corrections_over_stated": float(size @ size) / told}
+
+
+def _not_asked(y: ArrayF, equations: tuple[ArrayF, ArrayF], F: ArrayF) -> dict[str, tuple[float, float]]:
+    """What range and clock would be corrected by if they were asked for, each with its sigma.
+
+    One step of Newton's from the solution without them: their part of the misfit's slope, over the curvature
+    that the other unknowns leave. ``F' F`` is the covariance of the solution. Of an error that poses and
+    robust weights have taken for theirs it finds half or more.
+    """
+    N, h = equations
+    found = {}
+    for name in SETTINGS:
+        i = len(N) - len(BORDER) + BORDER.index(name)
+        curvature = N[i, i] - np.sum((F @ N[i]) ** 2)
+        if curvature > 1e-9 * N[i, i]:
+            found[name] = (float((N[i] @ y - h[i]) / curvature), float(curvature**-0.5))
+    return found
+
+
 def _report(
-    task: _Task, seen: _Seen, y: ArrayF, after: ArrayF, before: ArrayF, told: ArrayF
+    task: _Task,
+    seen: _Seen,
+    y: ArrayF,
+    after: ArrayF,
+    before: ArrayF,
+    told: ArrayF,
+    not_asked: Mapping[str, tuple[float, float]],
+    expected: Mapping[str, float],
 ) -> dict[str, Any]:
     """Tables and facts of `Adjusted`, of all unknowns with their sigmas."""
     u = 6 * task.n_spans
@@ -552,6 +639,8 @@ def _report(
         }
     )
     border = border[before[u:] > 10 * LEAST_SIGMA].reset_index(drop=True)
+    asked = set(border["unknown"])
+    not_asked = {name: each for name, each in not_asked.items() if name not in asked}
     mean = {name: float(told[i:u:6].mean()) for i, name in enumerate(POSE)}
     used = seen.robust > 0.1 if seen.robust is not None else np.ones(len(first), dtype=np.bool_)
     facts = {
@@ -560,12 +649,51 @@ def _report(
         "not_on_planes": int((~used).sum()),
         "knots": task.n_spans,
         "knot_s": float(np.diff(task.edges)[0]),
-        "redundancy": float(len(first) - 3 * seen.n_planes - told.sum()),
+        "redundancy": float(len(first) - 3 * seen.n_planes - expected["told_unknowns"]),
+        **expected,
         "distance_before_m": root_mean_square(first[used]),
         "distance_after_m": root_mean_square(left[used]),
         "sigma_factors": dict(zip(GROUPS, np.asarray(seen.factors).tolist(), strict=True)),
         "told": mean,
         "not_told": [name for name, share in mean.items() if share < LEAST_TOLD]
         + border["unknown"][border["told"] < LEAST_TOLD].tolist(),
+        "not_asked": {
+            name: {"correction": value, "sigma": sigma} for name, (value, sigma) in not_asked.items()
+        },
+        "notes": _notes(border, not_asked, expected),
     }
     return {"knots": knots, "border": border, "observations": observations, "facts": facts}
+
+
+def _notes(
+    border: pd.DataFrame, not_asked: Mapping[str, tuple[float, float]], expected: Mapping[str, float]
+) -> list[str]:
+    """Sentences about what is off: by more than was stated, or though nobody asked for it."""
+    notes, ratio = [], expected["corrections_over_stated"]
+    if abs(ratio - 1.0) > SURE * np.sqrt(2.0 / expected["told_unknowns"]):
+        sizes, times = ("small", "long") if ratio > 1.0 else ("large", "short")
+        notes.append(
+            f"poses are corrected by {np.sqrt(ratio):.1f} times what their standard deviations and "
+            f"correlation times expect: the former are stated too {sizes} or the latter too {times}"
+            + ("; standard deviations after the adjustment are as much larger" if ratio > 1.0 else "")
+        )
+    for name, (value, sigma) in not_asked.items():
+        if abs(value) > SURE * sigma:
+            what, unit = name.split(" offset ")
+            size, of_size = (1e3 * each for each in (value, sigma))
+            notes.append(
+                f"distances of strips look as if the {what} were off by {-size:.1f} m{unit[1:-1]} or more "
+                f"(standard deviation {of_size:.1f}): ask for it with strips.{SETTINGS[name]}"
+            )
+    for row in border.to_dict("records"):
+        # a correction's own standard deviation, where what is stated is right
+        usual = np.sqrt(max(row["sigma_before"] ** 2 - row["sigma"] ** 2, LEAST_SIGMA**2))
+        if abs(row["correction"]) > max(ODD * usual, row["sigma_before"]):
+            name, unit = row["unknown"][:-1].split(" [")
+            scale, unit = (np.rad2deg(1.0), "degrees") if unit == "rad" else (1e3, f"m{unit}")
+            notes.append(
+                f"the {name} is corrected by {scale * row['correction']:.2f} {unit}, "
+                f"{abs(row['correction']) / usual:.1f} times what its standard deviation of "
+                f"{scale * row['sigma_before']:.2f} {unit} expects: check it, or state it larger"
+            )
+    return notes

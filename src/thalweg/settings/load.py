@@ -339,11 +339,18 @@ def named_epochs(campaign: Campaign, folder: Path) -> tuple[list[Campaign], list
         bed, depths = epoch.surface == "bed", survey.twin or survey.log_files("depth")
         rows = (
             (
-                epoch.chain != "ins" and not images,
+                epoch.chain in ("camera", "fused") and not images,
                 "chain",
                 f"chain {epoch.chain!r}, but {epoch.campaign!r} has no time-lapse images",
                 "chain: ins",
                 "Write chain: ins, or add the images to that campaign",
+            ),
+            (
+                epoch.chain == "strips" and not (survey.strips.adjust or survey.strips.use),
+                "chain",
+                f"chain 'strips', but {epoch.campaign!r} adjusts no strips",
+                "strips.adjust: true in that campaign",
+                "Write strips: {adjust: true} there, or another chain here",
             ),
             (
                 bed and not depths,

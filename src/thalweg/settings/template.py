@@ -156,7 +156,7 @@ def epochs_text(
         f"  origin: {{{place}}}",
         "  seed: 1",
         "",
-        "epochs:  # in the order of time; chain: ins, camera or fused",
+        "epochs:  # in the order of time; chain: ins, camera, fused or strips",
         *(line for epoch in epochs for line in _epoch(epoch, folder)),
         "",
         "deformation:",

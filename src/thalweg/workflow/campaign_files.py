@@ -82,6 +82,7 @@ ERRORS_OF_CHAIN: Final = {
     "ins": "error_model.json",
     "camera": "errors_camera.npz",
     "fused": "errors_fused.npz",
+    "strips": "errors_strips.npz",
 }
 """What a survey shows of the errors of its trajectory, by the chain of sensors."""
 
@@ -615,11 +616,23 @@ class CampaignFiles:
     # ------------------------------------------------------------ trajectories and what is made by each
 
     def best_chain(self) -> str:
-        """What the best trajectory rests on: all sensors where there are images of the bank, else the INS.
+        """What the best trajectory rests on: the bank where it is to, else what strips begin from."""
+        return "strips" if self.adjusts_strips() and self.campaign.strips.use else self.chain_of_sensors()
+
+    def chain_of_sensors(self) -> str:
+        """All sensors where there are images of the bank, else the INS: strips begin from it.
 
         The camera alone is no third case: where it has a trajectory, all sensors together have one.
         """
         return "fused" if self.has_time_lapse() else "ins"
+
+    def errors_of_sensors(self) -> str:
+        """What the survey shows of the errors of that trajectory."""
+        return self._result(f"orientation/{ERRORS_OF_CHAIN[self.chain_of_sensors()]}")
+
+    def trajectory_of_sensors(self) -> str:
+        """That trajectory."""
+        return self.trajectory(self.chain_of_sensors())
 
     def best_trajectory(self) -> str:
         """The trajectory for everything that is placed by one and is no comparison of several."""
@@ -642,13 +655,10 @@ class CampaignFiles:
         own = chain in ("camera", "strips")
         return self._result(f"orientation/mounts_{chain}.json" if own else "calibration/mounts.json")
 
-    def best_mounts(self) -> str:
-        """The mounts that belong to the best trajectory."""
-        return self.mounts_of_chain(self.best_chain())
-
     def adjusts_strips(self) -> bool:
         """True if the bank is to correct the trajectory."""
-        return self.has_lidar() and self._is_survey() and self.campaign.strips.adjust
+        strips = self.campaign.strips
+        return self.has_lidar() and self._is_survey() and (strips.adjust or strips.use)
 
     def aligned_strips(self) -> list[str]:
         """What that makes: the page, the cloud, and its comparison with a reference."""
@@ -916,7 +926,8 @@ class CampaignFiles:
 
     def best_points(self) -> list[str]:
         """The cloud by the best trajectory, where there is a lidar."""
-        folder = "by_fused/" if self.best_chain() == "fused" else ""
+        chain = self.best_chain()
+        folder = "" if chain == "ins" else f"by_{chain}/"
         return self._where(self.has_lidar(), f"lidar/{folder}points.laz")
 
     def coloured(self) -> list[str]:
@@ -957,11 +968,13 @@ class CampaignFiles:
 
     def _other_chains(self) -> dict[str, str]:
         """Clouds by other trajectories than the best one."""
-        made = zip(_CHAINS.values(), self.of_chains("lidar", "points.laz"), strict=True)
-        several = self.has_time_lapse() and self.has_lidar()
-        found = {chain: file for chain, file in made if several and chain != self.best_chain()}
-        strips = self._where(self.adjusts_strips(), "lidar/by_strips/points.laz")
-        return found | dict(zip(["strips"], strips, strict=False))
+        if not self.has_lidar():
+            return {}
+        sensors = _CHAINS.values() if self.has_time_lapse() else ["ins"]
+        made = [*sensors, *(["strips"] if self.adjusts_strips() else [])]
+        folders = {chain: folder for folder, chain in _OF_FOLDER.items()}
+        others = [chain for chain in made if chain != self.best_chain()]
+        return {chain: self._result(f"lidar/{folders[chain]}points.laz") for chain in others}
 
     def strip_points(self) -> list[str]:
         """Points of the bed by the light sheet, where the boat carries one."""
@@ -1081,7 +1094,7 @@ class CampaignFiles:
 
     def epoch_trajectory(self, epoch: str) -> str:
         """The trajectory that the cloud of an epoch rests on."""
-        return self.of(epoch).trajectory(self.chain_of(epoch))
+        return self.of(epoch).trajectory_of_lidar(self.chain_of(epoch))
 
     def epoch_mounts(self, epoch: str) -> str:
         """The places of the sensors on the boat of an epoch."""
@@ -1090,7 +1103,9 @@ class CampaignFiles:
 
     def epoch_errors(self, epoch: str) -> str:
         """What the survey of an epoch shows of the errors of its trajectory."""
-        return self.epoch_result(epoch, f"orientation/{ERRORS_OF_CHAIN[self.chain_of(epoch)]}")
+        chain = self.chain_of(epoch)
+        name = "errors_strips_lidar.npz" if chain == "strips" else ERRORS_OF_CHAIN[chain]
+        return self.epoch_result(epoch, f"orientation/{name}")
 
     def chain_of(self, epoch: str) -> str:
         """The chain whose trajectory georeferenced the cloud of an epoch."""

@@ -29,6 +29,7 @@ def strips_page(found: Adjusted, *, title: str, twin: bool, notes: list[str]) ->
         "adjustment (root mean square).",
         [
             Finding("planar patches", count(facts["planes"])),
+            Finding("unknowns that the overlaps determine", count(facts["told_unknowns"])),
             Finding(
                 "observations, redundancy", f"{count(facts['observations'])}, {count(facts['redundancy'])}"
             ),
@@ -57,7 +58,7 @@ def strips_page(found: Adjusted, *, title: str, twin: bool, notes: list[str]) ->
     page.table(told, "Share of the prior variance that the overlaps remove, mean of all knots.", digits=3)
     border = found.border.rename(columns={"sigma_before": "sigma before", "told": "share"})
     page.table(border, "Mount, range and clock: radians, metres, seconds.", digits=3)
-    page.section("Notes").lines(notes or ["none"])
+    page.section("Notes").lines([*facts["notes"], *notes] or ["none"])
     return page
 
 

@@ -40,8 +40,9 @@ class Epoch(Section):
     campaign: str | None = Field(
         default=None, description="Id of the campaign whose cloud is compared", examples=["mulde"]
     )
-    chain: Literal["ins", "camera", "fused"] = Field(
-        default="ins", description="Trajectory that georeferenced its cloud: of the INS, the camera, or all"
+    chain: Literal["ins", "camera", "fused", "strips"] = Field(
+        default="ins",
+        description="Trajectory that georeferenced its cloud: by INS, camera, all sensors, or strips",
     )
     surface: Literal["bank", "bed"] = Field(
         default="bank", description="Of a campaign: the cloud of its bank, or the riverbed of its soundings"

@@ -331,6 +331,10 @@ class Strips(Section):
     adjust: bool = Field(
         default=False, description="Correct the best trajectory by the bank, and make a cloud by it"
     )
+    use: bool = Field(
+        default=False,
+        description="Place bed, colours and all else by the corrected trajectory; includes `adjust`",
+    )
     knot_s: Annotated[float, Field(ge=0.25, le=2)] = Field(
         default=0.5, description="Interval of the poses' corrections, seconds"
     )
