@@ -61,7 +61,8 @@ def _bed(_: Path) -> dict[str, Any]:
         "facts": facts, "level": level, "validation": validation, "river": river, "fit": fit,
         "variogram": {"facts": bed, "reason": "chosen", "compared": {"none": 1.0}},
         "banks": pd.DataFrame({"side": ["left", "right"], "seen": [True, False], "sigma_across_m": 0.1}),
-        "methods": pd.DataFrame({"method": ["kriging", "mean"], "rmse_m": [0.1, 0.2]}), "pictures": [],
+        "methods": pd.DataFrame([{"method": each} | measured for each in ("kriging", "mean")]),
+        "pictures": [],
         "truth": pd.DataFrame({"measure": ["a", "b"], "value": [1.0, 2.0], "n": [1, 2]}), "captions": {},
         "title": "a river", "twin": True,
     }  # fmt: skip

@@ -346,7 +346,7 @@ def test_on_a_cluster_short_jobs_go_together(empty_house, campaign: str) -> None
     assert groups >= 2
     assert every > 40
     if campaign == "tiny":
-        assert groups + lone <= every / 3
+        assert groups + lone <= 0.35 * every
 
 
 CONDA = """#!/bin/sh
