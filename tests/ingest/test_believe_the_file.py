@@ -1,5 +1,6 @@
 """What a file states in words, units, signs and places decides; what contradicts it is refused."""
 
+import json
 from pathlib import Path
 
 import laspy
@@ -85,6 +86,20 @@ def test_remarks_that_are_used_or_quoted(tmp_path: Path) -> None:
         "line 2 says '# draft 0.4 m not applied'",
         "column valid may mark rows that do not count: it is not read",
     ]
+
+
+def test_a_column_of_units_beside_points_of_a_gis(tmp_path: Path) -> None:
+    features = [
+        {
+            "type": "Feature",
+            "properties": {"depth": 7.0, "unit": "ft"},
+            "geometry": {"type": "Point", "coordinates": [13.7 + k / 1e4, 51.0]},
+        }
+        for k in range(4)
+    ]
+    (tmp_path / "a.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    with pytest.raises(InputError, match="unit: ft"):
+        read_places(tmp_path / "a.geojson", UTM)
 
 
 def test_names_above_a_remark_and_a_row_of_means(tmp_path: Path) -> None:

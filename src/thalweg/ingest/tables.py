@@ -988,15 +988,13 @@ def read_places(
         )
     if "z" not in frame and at.shape[1] > 2:
         frame = frame.assign(z=at[:, 2])
-    return Table.of(frame, path), Places(at[:, :2], on, list(drawn.notes))
+    table = Table.of(frame, path)
+    return _heed(_remarks("", (), table), table), Places(at[:, :2], on, list(drawn.notes))
 
 
 def _remarks(text: str, above: Sequence[str], table: Table) -> list[tuple[int, str]]:
     """What a file says in words, with the lines: above its rows, behind marks of a comment, at its end."""
     found = dict(enumerate(above, 1))
-    for k, column in enumerate(table.columns):
-        if re.fullmatch(r"(?:depth_)?(?:units?|uom|einheit)", column.words):
-            found |= {int(n): f"unit: {cell}" for n, cell in zip(table.line, table.text(k), strict=True)}
     first, last = (
         text[: 200 * _SAMPLE].splitlines()[:_SAMPLE],
         text.rstrip()[-4000:].splitlines()[-_LAST_ROWS:],
@@ -1006,13 +1004,19 @@ def _remarks(text: str, above: Sequence[str], table: Table) -> list[tuple[int, s
         prose = re.match(r"\s*[^\W\d]", line) and not re.search(r"\d\.\d", line)
         if prose or line.lstrip().startswith(_HEADS):
             found.setdefault(n, line)
-    names = "|".join(re.escape(c.name) for c in sorted(table.columns, key=lambda c: -len(c.name)))
+    names = "|".join(
+        re.escape(n) for n in sorted((c.name for c in table.columns), key=len, reverse=True) if n
+    )
     words = {n: re.sub(names, " ", line) if table.named else line for n, line in found.items()}
-    return [
-        (n, found[n].strip())
+    said = {
+        n: found[n].strip()
         for n in sorted(found)
         if re.search(r"[^\W\d_]{3}", words[n]) and not _are_units(re.split(r"[,;|\s]+", found[n]))
-    ]
+    }
+    for k, column in enumerate(table.columns):
+        if re.fullmatch(r"(?:depth_)?(?:units?|uom|einheit)", column.words):
+            said |= {int(n): f"unit: {cell}" for n, cell in zip(table.line, table.text(k), strict=True)}
+    return list(said.items())
 
 
 def _heed(remarks: Sequence[tuple[int, str]], table: Table) -> Table:
