@@ -4,7 +4,7 @@ import json
 import math
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, SupportsInt
 
 import numpy as np
 import pandas as pd
@@ -61,9 +61,10 @@ class IntegrityReport:
         """True if nothing is missing or damaged."""
         return not any(self.losses.values()) and not self.gaps
 
-    def lose(self, what: str, n: int = 1) -> None:
-        """Count a loss."""
-        self.losses[what] = self.losses.get(what, 0) + int(n)
+    def lose(self, what: str, n: SupportsInt = 1) -> None:
+        """Count a loss; nothing lost leaves no entry."""
+        if int(n):
+            self.losses[what] = self.losses.get(what, 0) + int(n)
 
     def count(self, what: str, n: int = 1) -> None:
         """Count something read."""
@@ -97,8 +98,7 @@ class IntegrityReport:
             ("time_steps_back", int(np.sum(step < 0))),
             ("repeated_times", int(np.sum(step == 0))),
         ):
-            if n:
-                self.lose(what, n)
+            self.lose(what, n)
 
     def take_gps_times(self, t_gps_s: ArrayLike, rows: str) -> None:
         """Count the rows, and `take_times` of them: synchronised where one has GPS time."""

@@ -200,8 +200,7 @@ class OusterReader:
         report.count("points", n_points)
         tally.write(report, clock)
         for name, n in errors.items():
-            if n:
-                report.lose(name, n)
+            report.lose(name, n)
         mode = "dual" if info.num_returns > 1 else "strongest"
         report.details["return_mode"] = mode
         return LidarScan(report=report, clock=clock, model=report.model, return_mode=mode, n_points=n_points)
@@ -340,8 +339,7 @@ class _Tally:
             if name in self.returns:
                 report.count(words, self.returns[name])
         lost = sum(part.size for part in self.missing)
-        if lost:
-            report.lose("columns_lost", lost)
+        report.lose("columns_lost", lost)
         offset = float(clock.gps_minus_device_s[0])
         shift = offset if report.synchronised else 0.0
         report.t_first_s, report.t_last_s = self.first_s + shift, self.last_s + shift

@@ -375,8 +375,7 @@ def _log_of(records: AnppRecords) -> AnppLog:
         "states_with_impossible_position": blank_impossible(states),
         "gnss_positions_impossible": impossible_gnss,
     }.items():
-        if n:
-            report.lose(name, n)
+        report.lose(name, n)
     if repeated:
         report.note(f"The files overlap: {repeated:,} packets that occur in two of them are kept once.")
     for packet_id, n in records.wrong_size.items():

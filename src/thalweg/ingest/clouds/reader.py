@@ -237,8 +237,7 @@ def _times(values: ArrayF, header: LazHeader, report: IntegrityReport) -> ArrayF
     if scale == "week_s":
         report.note(WEEK_TIMES)
         return np.full(len(t), np.nan)
-    if n := int(np.count_nonzero(np.isnan(t))):
-        report.lose("times_that_are_zero", n)
+    report.lose("times_that_are_zero", np.count_nonzero(np.isnan(t)))
     return gps_from_scale(t, scale)
 
 
@@ -365,8 +364,7 @@ def _scan(file: Any, index: int, path: Path, report: IntegrityReport) -> dict[st
     if invalid in data:
         # 1: direction only, 2: nothing valid
         good = data[invalid] == 0
-        if lost := int(np.count_nonzero(~good)):
-            report.lose("points_marked_invalid", lost)
+        report.lose("points_marked_invalid", np.count_nonzero(~good))
     at_scanner = np.all([data[name] == 0.0 for name in system[: 1 if system is _SPHERICAL else 3]], axis=0)
     if lost := int(np.count_nonzero(at_scanner & good)):
         report.lose("points_at_the_scanner_itself", lost)
@@ -598,8 +596,7 @@ def _ascii(path: Path, start: int, skip: int, vertex: PlyElement, report: Integr
             row = []
         if len(row) == width:
             rows.append(row)
-    if damaged := len(lines) - len(rows):
-        report.lose("damaged_lines", damaged)
+    report.lose("damaged_lines", len(lines) - len(rows))
     _cut(len(lines), vertex.count, report)
     values = np.array(rows, dtype=np.float64).reshape(-1, width)
     table = np.zeros(len(values), dtype=[(n, t if t in ("u1", "u2") else "f8") for n, t in vertex.fields])
@@ -678,8 +675,7 @@ def read_cloud(path: Path) -> Cloud:
     report = IntegrityReport(stream="cloud", format="", files=[str(path)], bytes_read=path.stat().st_size)
     cloud = reader(path, report)
     good: AnyArray = np.all(np.isfinite(cloud.points), axis=1)
-    if lost := int(np.count_nonzero(~good)):
-        report.lose("points_not_finite", lost)
+    report.lose("points_not_finite", np.count_nonzero(~good))
     zero: AnyArray = good & ~np.any(cloud.points, axis=1)
     if zero.any() and np.linalg.norm(np.median(cloud.points[good], axis=0)) > _FAR_FROM_ZERO_M:
         report.lose("points_at_zero", int(np.count_nonzero(zero)))

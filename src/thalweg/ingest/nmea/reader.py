@@ -801,8 +801,7 @@ def _positions(table: pd.DataFrame, report: IntegrityReport) -> pd.DataFrame:
     cov_en = (gst["major_m"] ** 2 - gst["minor_m"] ** 2) * np.sin(angle) * np.cos(angle)
     # An ellipse that contradicts the standard deviations by more than the rounding to 1 mm is not used.
     inside = np.abs(cov_en) <= gst["sigma_north_m"] * gst["sigma_east_m"]
-    if lost := int((cov_en.notna() & ~inside).sum()):
-        report.lose("contradicting_error_ellipses", lost)
+    report.lose("contradicting_error_ellipses", (cov_en.notna() & ~inside).sum())
     bare = kept["kind"].isin(["GGA", "GNS"]) & kept["h_ell_m"].isna()
     if bare.any():
         kinds = "/".join(sorted(kept["kind"][bare].unique()))

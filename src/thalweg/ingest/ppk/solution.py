@@ -936,8 +936,7 @@ def _report(
         losses=dict(inputs.losses),
     )
     report.take_times(positions["t_gps_s"], "positions")
-    if n_none:
-        report.lose("rover epochs without solution", n_none)
+    report.lose("rover epochs without solution", n_none)
     baseline = np.linalg.norm(_places(positions) - base_ecef_m, axis=1)
     report.details = {
         "fix_ratio": n["fixed"] / n_rover,

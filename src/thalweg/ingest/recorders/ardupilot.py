@@ -258,8 +258,7 @@ def _columns(log: Any, report: IntegrityReport) -> Messages:
             scales = dict(zip(form.columns, form.msg_mults, strict=True))
             found[name] = table.assign(**{key: table[key] * by for key, by in scales.items() if by})
     report.details["messages"] = numbers
-    if lost := log.data_len - covered:
-        report.lose("bytes_outside_messages", lost)
+    report.lose("bytes_outside_messages", log.data_len - covered)
     stamped = {name: _stamped(table) for name, table in found.items()}
     return {name: table for name, table in stamped.items() if "t_s" in table}
 

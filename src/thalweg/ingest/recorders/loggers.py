@@ -84,8 +84,7 @@ def _read(
         unix_s = np.full(len(table), np.nan) if moments is None else moments[0]
         part = values(table, report).assign(unix_s=unix_s)
         whole = part.notna().drop(columns="h_ell_m", errors="ignore").all(axis=1)
-        if lost := int((~whole).sum()):
-            report.lose("rows_without_values", lost)
+        report.lose("rows_without_values", (~whole).sum())
         for sentence in (*table.notes, *(moments[1] if moments else ()), *table.loss_notes()):
             report.note(sentence)
         parts.append(part[whole])

@@ -130,8 +130,7 @@ def _frames(path: Path, report: IntegrityReport) -> pd.DataFrame:
             here += size
         else:
             here += 1
-    if lost := len(data) - covered:
-        report.lose("bytes_outside_frames", lost)
+    report.lose("bytes_outside_frames", len(data) - covered)
     heads = np.frombuffer(data, np.uint8)[np.array(starts, np.int64)[:, None] + np.arange(at["bytes"])]
 
     def field(name: str, kind: str) -> Any:
@@ -187,8 +186,7 @@ def read_deeper(files: Sequence[Path], options: TrackOptions) -> PositionLog:
         report.bytes_read += path.stat().st_size
         rows = [line for line in path.read_bytes().splitlines() if line.strip()]
         whole = [line for line in rows if _DEEPER.fullmatch(line)]
-        if lost := len(rows) - len(whole):
-            report.lose("bad_lines", lost)
+        report.lose("bad_lines", len(rows) - len(whole))
         parts.append(np.array([line.split(b",") for line in whole], np.float64).reshape(-1, 5))
     lat, lon, depth, _, ms = np.concatenate(parts).T
     if not len(lat):
@@ -257,8 +255,7 @@ def read_pd0(files: Sequence[Path], options: TrackOptions) -> PositionLog:
         data = path.read_bytes()
         report.bytes_read += len(data)
         found = list(_ensembles(data))
-        if lost := len(data) - sum(length for length, _ in found):
-            report.lose("bytes_outside_ensembles", lost)
+        report.lose("bytes_outside_ensembles", len(data) - sum(length for length, _ in found))
         parts.append(pd.DataFrame([_ensemble(blocks) for _, blocks in found]))
     table, t_unix_s, vertical, mean = _adcp(parts, "ensembles", files, report)
     report.model = f"{table['beam_angle_deg'].iloc[0]:.0f} degrees, four beams"

@@ -90,8 +90,7 @@ def ubx_frames(path: Path, report: IntegrityReport | None = None) -> Iterator[tu
         for other in ("NMEA", "RTCM"):
             if covered[other]:
                 report.count(f"bytes_of_{other}", covered[other])
-        if lost := size - covered.total():
-            report.lose("bytes_outside_messages", lost)
+        report.lose("bytes_outside_messages", size - covered.total())
 
 
 def read_ubx(files: Sequence[Path], options: TrackOptions) -> PositionLog:

@@ -453,8 +453,7 @@ def _log_of(records: SbpRecords) -> SbpLog:
     epochs = pd.DataFrame({"sender": obs.sender, "wn": obs.fields["wn"], "tow": obs.fields["tow"]})
     for who, n in epochs.drop_duplicates()["sender"].value_counts().sort_index().items():
         report.count("observation_epochs_base" if who == 0 else f"observation_epochs_{who}", int(n))
-    if impossible := dropped.pop("positions_impossible_dropped", 0):
-        report.lose("positions_impossible", impossible)
+    report.lose("positions_impossible", dropped.pop("positions_impossible_dropped", 0))
     for name, n in dropped.items():
         if n:
             report.count(name, n)

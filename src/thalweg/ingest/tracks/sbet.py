@@ -215,8 +215,7 @@ def _plausible(records: ArrayF, report: IntegrityReport) -> AnyArray:
         }
     keep = np.ones(len(records), dtype=np.bool_)
     for what, good in checks.items():
-        if n := int(np.count_nonzero(keep & ~good)):
-            report.lose(what, n)
+        report.lose(what, np.count_nonzero(keep & ~good))
         keep &= good
     return keep
 
@@ -323,8 +322,7 @@ def _sigmas(
     records = _joined(files, _SMRMSG_FIELDS, "smrmsg records", report)
     with np.errstate(invalid="ignore"):
         good = _possible_times(records[:, 0]) & ((records[:, 1:] >= 0) & (records[:, 1:] < 1e9)).all(axis=1)
-    if lost := int(np.count_nonzero(~good)):
-        report.lose("impossible_smrmsg_records", lost)
+    report.lose("impossible_smrmsg_records", np.count_nonzero(~good))
     records = records[good]
     where = ", ".join(map(str, files))
     if not len(records):

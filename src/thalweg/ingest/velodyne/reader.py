@@ -550,8 +550,7 @@ def _write_times(
     if len(free) > _NAMED:
         report.note(f"Unsynchronised in {len(free) - _NAMED} more stretches.")
     unsynchronised = sum(ends[i] - clock.first_packet[i] for i in free)
-    if unsynchronised:
-        report.lose("unsynchronised_packets", unsynchronised)
+    report.lose("unsynchronised_packets", unsynchronised)
     silence_s = builder.silence_s(found.last[1])
     if silence_s > _SILENCE_S:
         report.note(
@@ -613,8 +612,7 @@ def _write_counts(
     for name, n in tally.capture.counts.items():
         report.count(name, n)
     for name, n in tally.capture.losses.items():
-        if n:
-            report.lose(name, n)
+        report.lose(name, n)
     for event, name in _EVENT_LOSSES.items():
         if found.events[event]:
             report.lose(name, found.events[event])
@@ -653,8 +651,7 @@ def _write_gaps(report: IntegrityReport, found: Findings, builder: ClockBuilder,
         lost = hole.lost + round(hidden_s / hole.step_s)
         report.gaps.append(Gap(t_start_s=start_s, duration_s=duration_s, lost=lost))
     lost = sum(gap.lost for gap in report.gaps)
-    if lost:
-        report.lose("packets_lost_estimated", lost)
+    report.lose("packets_lost_estimated", lost)
 
 
 def _undo_set_back(report: IntegrityReport) -> None:
