@@ -2,12 +2,12 @@
 
 Every module whose numbers reach a user gets mistakes: all of the library but what draws, reads settings, runs
 jobs or registers readers, or needs a library that is not installed, and the laboratory's comparisons with the
-truth. Its own test files are those of its package's folder that import it, else any that import it, else
-those of the modules that import it; `targets.yaml` names the few more. What they leave alive meets the other
-test files that reach the module, the nearest first, for `WIDER_S` of CPU time. `mutations` finds all
-mistakes; some are drawn, evenly over functions and kinds of mistake, **anew each time**: tests written for
-the survivors of one draw tell nothing by that draw. ``--seed`` repeats one. Nothing is taken out by hand:
-what no test can see is told by the rules of `mutations`, and what these miss counts as a survivor.
+truth. Its test files are those of its
+package's folder that import it, else any that import it, else those of the modules that import it;
+`targets.yaml` names the few more. `mutations` finds all mistakes; some are drawn, evenly over functions and
+kinds of mistake, **anew each time**: tests written for the survivors of one draw tell nothing by that draw.
+``--seed`` repeats one. Nothing is taken out by hand: what no test can see is told by the rules of
+`mutations`, and what these miss counts as a survivor.
 
 One process loads the libraries (seconds) and no module of Thalweg; for each mistake it forks a child, which
 imports the changed module instead of that on disk and runs the tests until one fails. A mistake is found if a
@@ -73,10 +73,6 @@ COMPILED_SHARE: Final = 1 / 3
 """Functions of modules that numba compiles get so much of their share: uncompiled they take longer."""
 LIMIT_S: Final = 150.0
 """CPU time of a child; the right code takes a third of it where numba's functions run uncompiled."""
-WIDER_S: Final = 45.0
-"""CPU time that the other test files get for what the own ones leave alive; then it survives."""
-FAR: Final = 2
-"""Imports between a test file of another folder and the module, at most."""
 MEMORY_BYTES: Final = 8 * 2**30
 """Address space of a child: a mistake in a size must not take the machine down."""
 LIBRARIES: Final = (
@@ -105,11 +101,10 @@ LIBRARIES: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A module (below src, without suffix), its own test files (below tests), and others that reach it."""
+    """A module (below src, without suffix) and its test files (below tests)."""
 
     module: str
     tests: tuple[str, ...]
-    wider: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -134,10 +129,7 @@ class Target:
 
 @dataclass(slots=True)
 class Run:
-    """One child: its target, its mistake (None: the right code), its log, its number, and what came out.
-
-    ``wider`` says that it meets the test files of other parts.
-    """
+    """One child: its target, its mistake (None: the right code), its log, its number, and what came out."""
 
     target: Target
     site: mutations.Site | None
@@ -146,12 +138,6 @@ class Run:
     started_s: float = field(default_factory=time.monotonic)
     verdict: str = ""
     cpu_s: float = 0.0
-    wider: bool = False
-
-    @property
-    def limit_s(self) -> float:
-        """CPU time that it may take."""
-        return WIDER_S if self.wider else LIMIT_S
 
     @property
     def accused(self) -> dict[tuple[str, str], str]:
@@ -199,7 +185,7 @@ def run_child(run: Run) -> None:
     log = os.open(run.log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     os.dup2(log, 1)
     os.dup2(log, 2)
-    seconds = int(run.limit_s) + 1
+    seconds = int(LIMIT_S) + 1
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -215,7 +201,7 @@ def run_child(run: Run) -> None:
         numba.config.DISABLE_JIT = True
         options += ["-W", "ignore::RuntimeWarning"]  # error_model "numpy" divides by zero without a word
     with tempfile.TemporaryDirectory(prefix="mutant_") as folder:
-        files = [f"tests/{name}" for name in (run.target.wider if run.wider else run.target.tests)]
+        files = [f"tests/{name}" for name in run.target.tests]
         code = pytest.main([*options, f"--basetemp={folder}/t", *files])
     sys.stdout.flush()
     os._exit(int(code))
@@ -248,21 +234,7 @@ def targets() -> list[Target]:
             users = {user for each in users for user in above[each]} - users
         own = [test for test in answer if test.split("/")[0] == name.split("/")[1]]
         tests = sorted(dict.fromkeys([*(own or answer), *more.get(name, [])]), key=lambda t: len(of_test[t]))
-        users, steps = {path}, {path: 0}
-        while users:
-            users = {user for each in users for user in above[each]} - steps.keys()
-            steps |= dict.fromkeys(users, max(steps.values()) + 1)
-        far = {
-            test: min(steps[p] for p in seen & steps.keys())
-            for test, seen in of_test.items()
-            if seen & steps.keys() and test not in tests
-        }
-        beside = {test: test.split("/")[0] == name.split("/")[1] for test in far}
-        wider = sorted(
-            (test for test, n in far.items() if n <= FAR or beside[test]),
-            key=lambda t: (not beside[t], far[t], len(of_test[t])),
-        )
-        found.append(Target(name, tuple(tests), tuple(wider)))  # the narrowest first: it fails soonest
+        found.append(Target(name, tuple(tests)))  # the narrowest first: it fails soonest
     return found
 
 
@@ -377,8 +349,6 @@ def report(runs: Sequence[Run], seed: int, cpu_s: float, wall_s: float, left: in
         f"- **{len(runs) - len(lost)} of {len(runs)} mistakes found, {len(lost)} survive "
         f"({100 * len(lost) / len(runs):.1f} %)**, of all mistakes {100 * low:.0f} to {100 * high:.0f} % "
         f"(95 %); at most {100 * MOST_SURVIVORS:.0f} % may",
-        f"- {sum(run.wider for run in runs)} of those found passed the module's own test files and failed "
-        f"others that reach it; survivors passed as many of these as run in {WIDER_S:.0f} s of CPU time",
         "",
         "| module | test files | mistakes | found | survive |",
         "| --- | --- | --- | --- | --- |",
@@ -431,18 +401,6 @@ def main() -> int:
         ]
         random.Random(seed).shuffle(runs)  # those that time leaves out are anywhere
         run_all(runs, options.workers, began + 60 * options.minutes)
-        again = {
-            run.number: Run(
-                run.target, run.site, logs / f"{run.target.name}.{run.number}.wider.txt", wider=True
-            )
-            for run in runs
-            if run.verdict == "survived" and run.target.wider
-        }
-        run_all(list(again.values()), options.workers)
-        for run in runs:
-            other = again.get(run.number)
-            if other and other.verdict == "failed":
-                run.verdict, run.log, run.wider = "failed", other.log, True
         left = sum(not run.verdict for run in runs)
         runs = sorted((run for run in runs if run.verdict), key=lambda run: run.number)
         found = [run for run in runs if run.verdict != "survived"]
