@@ -189,7 +189,7 @@ def _costs(options: argparse.Namespace) -> int:
         of = options.of or str(jobs.groupby("campaign")["input_mb"].sum().idxmax())
         table = predicted(jobs, of, options.predict)
         table.to_csv(out / "predicted.csv", index=False, float_format="%.6g")
-        longest = table.loc[table["longest_s"].idxmax()]
+        longest = table.sort_values("longest_s").iloc[-1]
         presumed = table.loc[~table["measured_growth"], "cpu_s"].sum() / table["cpu_s"].sum()
         print(
             f"{options.predict:g} times the logs of {of}: {table['cpu_s'].sum() / 3600:.2f} h of one"

@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -315,7 +315,7 @@ def _draw_plan(
     # A fixed shuffle: no scan lies on top of the others.
     order = np.argsort((np.arange(len(points)) * 2_654_435_761) % 2**32)
     colours = {k: STATION_COLOURS[i % len(STATION_COLOURS)] for i, k in enumerate(labels)}
-    look = {"c": [colours[int(k)] for k in which[order]], "s": 0.5, "lw": 0, "alpha": 0.6}
+    look: dict[str, Any] = {"c": [colours[int(k)] for k in which[order]], "s": 0.5, "lw": 0, "alpha": 0.6}
     ax.scatter(*points[order].T, **look, rasterized=True, gid="scans")
     for k, label in labels.items():
         ax.plot([], [], "s", color=colours[k], label=label)

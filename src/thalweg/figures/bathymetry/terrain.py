@@ -83,7 +83,9 @@ def draw_terrain_model(*, dtm: Path, title: str, twin: bool) -> Figure:
         crs=model.crs.name,
         twin=twin,
     )
-    axes[1].images[0].colorbar.ax.set_visible(False)  # it keeps the panels aligned
+    bar = axes[1].images[0].colorbar
+    assert bar is not None
+    bar.ax.set_visible(False)  # it keeps the panels aligned
     for s in there:
         axes[1].plot([], [], "s", color=_COLOURS[s], label=SOURCE_WORDS[s])
     legend_below(figure, axes[1])

@@ -497,9 +497,9 @@ def _reference(figure: Figure, ax: Axes, points: pd.DataFrame, bodies: Sequence[
     sigma_mm = 1e3 * np.linalg.norm(points_of(points, [f"sigma_{name}" for name in XYZ]), axis=1)
     limits = robust_limits(sigma_mm, 0.0, 99.0)
     order = np.argsort(depth)
-    look = {"c": sigma_mm[order], "cmap": SIGMA_MAP, "norm": Normalize(*limits), "lw": 0}
+    look: dict[str, Any] = {"c": sigma_mm[order], "cmap": SIGMA_MAP, "norm": Normalize(*limits), "lw": 0}
     draw_outlines(ax, bodies, REFERENCE_VIEW)
-    ax.scatter(*xy[order].T, s=5, **look, zorder=4, gid="reference")
+    ax.scatter(xy[order, 0], xy[order, 1], s=5, **look, zorder=4, gid="reference")
     name_cones(ax, bodies, REFERENCE_VIEW)
     _frame(ax, np.concatenate([xy, REFERENCE_VIEW.apply(_surface(bodies))[0]]))
     ax.set_title(f"a: reference points,\nmedian 3D sigma {np.median(sigma_mm):.2f} mm")
@@ -520,7 +520,13 @@ def _image(ax: Axes, image: ArrayU8, marks: pd.DataFrame, name: str) -> None:
         words = f"{plural(int((~used).sum()), 'mark')} rejected"
         ax.plot(*xy[~used].T, "x", ms=4, color=ORANGE, gid="rejected", label=words)
         ax.legend(loc="lower right")
-    look = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "color": ORANGE, "width": 0.003}
+    look: dict[str, Any] = {
+        "angles": "xy",
+        "scale_units": "xy",
+        "scale": 1.0,
+        "color": ORANGE,
+        "width": 0.003,
+    }
     ax.quiver(*xy[used].T, *scale * vector[used].T, **look, gid="residuals", zorder=5)
     ax.set(xlim=(0, w), ylim=(h, 0), xticks=[], yticks=[])
     rms = root_mean_square(vector[used])
@@ -541,8 +547,9 @@ def _on_cones(
         view = facing(cone, xyz, elevation_deg=15.0)
         at = size * np.array([k % COLUMNS, -(k // COLUMNS)]) - view.apply(0.5 * cone.length_m * cone.axis)[0]
         # not sorted by depth: points outside the cone are nearer and would hide those inside
+        xy = view.apply(xyz)[0] + at
         ax.scatter(
-            *(view.apply(xyz)[0] + at).T, s=2.2, c=c[names == name], **look, lw=0, zorder=4, rasterized=True,
+            xy[:, 0], xy[:, 1], s=2.2, c=c[names == name], **look, lw=0, zorder=4, rasterized=True,
             gid=f"cone-{name}",
         )  # fmt: skip
         moved = replace(cone, apex_m=at @ view.axes[:2])

@@ -1,7 +1,7 @@
 """What a camera and a coarse lidar would see of the calibration field (P2 Fig. 4)."""
 
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -72,8 +72,8 @@ def _frame(figure: Figure, ax: Axes, points: pd.DataFrame, on_cone: np.ndarray, 
     norm = BoundaryNorm(np.arange(len(rings) + 1) - 0.5, RING_MAP.N)
     ax.plot(*xy[~on_cone].T, ".", ms=1.4, mew=0, color="0.65", rasterized=True, gid="others")
     order = np.flatnonzero(on_cone)[np.argsort(depth[on_cone])]
-    look = {"c": ring[order], "cmap": RING_MAP, "norm": norm, "lw": 0, "rasterized": True}
-    ax.scatter(*xy[order].T, s=4.0, **look, gid="frame", zorder=3)
+    look: dict[str, Any] = {"c": ring[order], "cmap": RING_MAP, "norm": norm, "lw": 0, "rasterized": True}
+    ax.scatter(xy[order, 0], xy[order, 1], s=4.0, **look, gid="frame", zorder=3)
     width = fit_axes(ax, xy[on_cone])
     ax.axis("off")
     scale_bar(ax, span_m=width, xy=(0.02, 0.03))

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -221,8 +221,8 @@ def _draw_frame(figure: Figure, ax: Axes, points: ArrayF, scanner: ArrayF, patch
     ax.set_aspect("equal")
     order = np.argsort(-range_m)
     norm = Normalize(*robust_limits(range_m, 1.0, 99.0))
-    look = {"c": range_m[order], "cmap": RANGE_MAP, "norm": norm, "lw": 0, "rasterized": True}
-    dots = ax.scatter(*points[order, :2].T, s=1.6, **look, gid="frame")
+    look: dict[str, Any] = {"c": range_m[order], "cmap": RANGE_MAP, "norm": norm, "lw": 0, "rasterized": True}
+    dots = ax.scatter(points[order, 0], points[order, 1], s=1.6, **look, gid="frame")
     place = scanner.mean(axis=0)
     ax.plot(*place[:2], "^", ms=6, mfc="white", mec="black", zorder=6, label="lidar", gid="scanner")
     words = f"line of sight of b, {patch.range_m:.1f} m"
@@ -269,8 +269,14 @@ def _draw_patch(
     ax.set_aspect("equal")
     ax.set_xlabel("to the right, across the beams / m")
     ax.set_ylabel("up, across the beams / m")
-    look = {"facecolors": faces, "edgecolors": "0.15", "linewidths": 0.5, "zorder": 3, "gid": "footprints"}
-    place_of = {"units": "xy", "offsets": place, "offset_transform": ax.transData}
+    look: dict[str, Any] = {
+        "facecolors": faces,
+        "edgecolors": "0.15",
+        "linewidths": 0.5,
+        "zorder": 3,
+        "gid": "footprints",
+    }
+    place_of: dict[str, Any] = {"units": "xy", "offsets": place, "offset_transform": ax.transData}
     ax.add_collection(EllipseCollection(widths, heights, angles, **place_of, **look), autolim=False)
     one = int(np.argmin(np.linalg.norm(place, axis=1)))
     size_m, spot_m = float(heights[one]), float(heights[one]) * TLS_DIVERGENCE_MRAD / divergence_mrad

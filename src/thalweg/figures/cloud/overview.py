@@ -1,7 +1,7 @@
 """The cloud of a reach: overview, detail, predicted sigma, range, and the twin's bank as a camera sees it."""
 
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -119,7 +119,7 @@ def draw_reach(
     _draw_north(ax, view, strip_px)
     if colours is not None:
         bar = ScalarMappable(Normalize(*limits), colours)
-        look = {"aspect": 25, "shrink": 0.9, "pad": 0.01, "extend": "both"}
+        look: dict[str, Any] = {"aspect": 25, "shrink": 0.9, "pad": 0.01, "extend": "both"}
         figure.colorbar(bar, ax=ax, label=label, **look)
 
 
@@ -243,7 +243,13 @@ def _draw_north(ax: Axes, view: ObliqueView, strip_px: float) -> None:
     middle = np.array([view.width_px - strip_px, view.height_px + 0.5 * strip_px])
     tip = 0.4 * strip_px * view.axes[:2, 1] * np.array([1.0, -1.0])
     look = {"arrowstyle": "-|>", "lw": 1.1, "color": "black", "shrinkA": 6, "shrinkB": 0}
-    place = {"ha": "center", "va": "center", "fontsize": 8, "fontweight": "bold", "annotation_clip": False}
+    place: dict[str, Any] = {
+        "ha": "center",
+        "va": "center",
+        "fontsize": 8,
+        "fontweight": "bold",
+        "annotation_clip": False,
+    }
     ax.annotate("N", tuple(middle + tip), xytext=tuple(middle - tip), arrowprops=look, **place)
 
 

@@ -136,7 +136,14 @@ def _entitle(ax: Axes, reason: Reason, n: int, total: int, *, drawn: int, beyond
     ax.set_title(f"{_name(reason)}: n = {count(n)}, {_percent(n, total)}\n{WORDS[reason]}")
     notes = [f"{count(drawn)} drawn"] if drawn + beyond < n else []
     notes += [f"{count(beyond)} beyond the axes"] if beyond else []
-    look = {"ha": "right", "va": "top", "fontsize": 7, "zorder": 9, "path_effects": HALO, "gid": "note"}
+    look: dict[str, Any] = {
+        "ha": "right",
+        "va": "top",
+        "fontsize": 7,
+        "zorder": 9,
+        "path_effects": HALO,
+        "gid": "note",
+    }
     ax.text(0.99, 0.98, ", ".join(notes), transform=ax.transAxes, **look)
 
 
@@ -150,7 +157,7 @@ def _scatter(ax: Axes, xy: ArrayF, limits: ArrayF) -> Drawn:
     """Draw removed points; few of them get large marks. ``limits`` are low and high corner."""
     inside = np.all((xy >= limits[0]) & (xy <= limits[1]), axis=1)
     size = float(np.clip(40.0 / np.sqrt(max(len(xy), 1)), 0.6, 3.0))
-    look = {"mew": 0, "color": VERMILION, "rasterized": True, "zorder": 3}
+    look: dict[str, Any] = {"mew": 0, "color": VERMILION, "rasterized": True, "zorder": 3}
     ax.plot(*xy[inside].T, "o", ms=size, **look, gid="removed")
     ax.plot([], [], "o", ms=3.0, mew=0, color=VERMILION, label="left out")
     return int(inside.sum()), int(np.sum(~inside))
@@ -269,7 +276,7 @@ def _over_time(ax: Axes, scene: Scene, reason: Reason) -> Drawn:
     ax.stairs(rate, edges, fill=True, color=VERMILION, gid="removed")
     ax.plot([], [], "o", ms=3.0, mew=0, color=VERMILION, label="left out")
     node_t, valid = scene.trajectory.t_gps_s - first, scene.trajectory.valid
-    look = {"color": "black", "lw": 2.5, "solid_capstyle": "butt", "clip_on": False}
+    look: dict[str, Any] = {"color": "black", "lw": 2.5, "solid_capstyle": "butt", "clip_on": False}
     poses, place = np.where(valid, -0.06, np.nan), ax.get_xaxis_transform()
     ax.plot(node_t, poses, transform=place, **look, label="times with a pose", gid="poses")
     ax.tick_params(axis="x", pad=7)

@@ -404,7 +404,8 @@ def choose_segment(
         )
     face &= distance <= max(max_distance_m, 1.5 * closest_m)
     cell, n = (key[face] + 0.5) * CELL_M, n[face]
-    best, found = (0, 0), None
+    best: tuple[int, int] = (0, 0)
+    chosen: BankSegment | None = None
     for place in np.unique(np.rint(track[:, :2] / (0.1 * length_m)), axis=0) * 0.1 * length_m:
         across = _across_river(track[:, :2], place, reach_m=2.0 * length_m)
         for away in (across, -across):
@@ -418,9 +419,9 @@ def choose_segment(
             rated = np.unique(np.stack(columns), axis=1).shape[1], int(n[inside].sum())
             if rated > best:
                 middle = float(np.average(off[inside], weights=n[inside]))
-                best, found = rated, replace(stretch, centre_en_m=place + middle * away)
-    assert found is not None  # the nearest cell lies beside some place of the track
-    return found
+                best, chosen = rated, replace(stretch, centre_en_m=place + middle * away)
+    assert chosen is not None  # the nearest cell lies beside some place of the track
+    return chosen
 
 
 def _across_river(track_en_m: ArrayF, place_en_m: ArrayF, *, reach_m: float) -> ArrayF:

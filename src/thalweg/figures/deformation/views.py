@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -204,7 +204,7 @@ def _profile(ax: Axes, pair: BankPair, place: Place, first_m: ArrayF, second_m: 
         step = -(-max(len(x), 1) // SHOWN)
         ax.plot(x[::step], z[::step], ".", ms=1.0, color=colour, alpha=0.35, rasterized=True, zorder=1)
         mean = _cell_means(x, z, 0.5 * pair.spacing_m)
-        look = {"color": colour, "mec": "white", "mew": 0.4, "zorder": 3, "gid": words}
+        look: dict[str, Any] = {"color": colour, "mec": "white", "mew": 0.4, "zorder": 3, "gid": words}
         label = f"{words}: points and means of cells of {50 * pair.spacing_m:.0f} cm"
         ax.plot(*mean.T, marker, ms=4.0, **look, label=label)
     near = np.abs(pair.s_m - s) < pair.spacing_m

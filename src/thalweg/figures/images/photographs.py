@@ -170,8 +170,10 @@ def _draw_images(figure: Figure, ax: Axes, poses: ImagePoses, trajectory: Trajec
     ends = centres[:, :2] + 0.02 * float(np.ptp(ax.get_xlim())) * poses.R_wcs_ccs[use][:, :2, 2]
     ax.plot(*np.stack([centres[:, :2], ends]).transpose(2, 0, 1), color="0.35", lw=0.5, zorder=3)
     norm = sigma_norm(sigma_mm)
-    look = {"c": sigma_mm, "cmap": SIGMA_MAP, "norm": norm, "edgecolors": "black", "lw": 0.4}
-    dots = ax.scatter(*centres[:, :2].T, s=16, **look, zorder=4, gid="images", label="image, with its view")
+    look: dict[str, Any] = {"c": sigma_mm, "cmap": SIGMA_MAP, "norm": norm, "edgecolors": "black", "lw": 0.4}
+    dots = ax.scatter(
+        centres[:, 0], centres[:, 1], s=16, **look, zorder=4, gid="images", label="image, with its view"
+    )
     bar = figure.colorbar(
         dots, ax=ax, shrink=0.9, aspect=25, pad=0.01, extend="max", label="3D position sigma of an image / mm"
     )
@@ -193,7 +195,7 @@ def _draw_points(ax: Axes, points: pd.DataFrame) -> None:
     for use, (colour, marker), label, gid in (*kinds, (unused, ("0.4", "x"), words, "left-out")):
         if use.any():
             places = points.loc[use, ["east_m", "north_m"]].to_numpy().T
-            look = {"mfc": colour, "mec": colour if marker == "x" else "black"}
+            look: dict[str, Any] = {"mfc": colour, "mec": colour if marker == "x" else "black"}
             ax.plot(*places, marker, ms=6, **look, zorder=7, label=label, gid=gid)
 
 
@@ -233,7 +235,7 @@ def _draw_components(ax: Axes, points: pd.DataFrame) -> None:
     off, sigma = _components(points, "without_"), _components(points, "sigma_without_")
     x = np.arange(len(points), dtype=np.float64)
     for k, (axis, colour, marker) in enumerate(_AXES):
-        look = {"elinewidth": 1.0, "capsize": 1.5, "label": axis, "gid": f"component-{axis}"}
+        look: dict[str, Any] = {"elinewidth": 1.0, "capsize": 1.5, "label": axis, "gid": f"component-{axis}"}
         ax.errorbar(x + 0.22 * (k - 1), off[:, k], sigma[:, k], fmt=marker, ms=3.6, color=colour, **look)
     ax.axhline(0.0, color="black", lw=0.7, zorder=1)
     ax.set_xlim(-0.6, len(points) - 0.4)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -67,9 +67,9 @@ def chains_by_range(
     upper.set_title("\n".join(filter(None, [words, outlier_rule])))
     _draw_theory(middle, rows, r, names)
     for name in names:
-        n = rows[f"{name}_n"].to_numpy(np.float64)
+        of_class = rows[f"{name}_n"].to_numpy(np.float64)
         look = {"where": "mid", "color": STYLE[name][0], "lw": WIDTHS[name], "gid": f"counts-{name}"}
-        lower.step(r, np.where(n > 0, n, np.nan), **look)
+        lower.step(r, np.where(of_class > 0, of_class, np.nan), **look)
     lower.set_yscale("log")
     lower.set_ylim(0.7, None)
     lower.set_ylabel("points")
@@ -168,7 +168,7 @@ def _draw_achieved(ax: Axes, rows: pd.DataFrame, r: ArrayF, names: Sequence[str]
         total = count(int(rows[f"{name}_n"].sum()))
         ax.plot(r, observed, color=colour, lw=1.0, zorder=3)
         words = f"{IN_WORDS[name]}, achieved, n = {total}"
-        look = {"color": colour, "ms": 3.2, "zorder": 4}
+        look: dict[str, Any] = {"color": colour, "ms": 3.2, "zorder": 4}
         ax.plot(r[many], observed[many], marker, **look, label=words, gid=f"observed-{name}")
         ax.plot(r[~many], observed[~many], marker, **look, mfc="white")
         look = {"color": colour, "lw": 1.5, "label": f"{IN_WORDS[name]}, predicted"}
@@ -198,7 +198,12 @@ def _draw_theory(ax: Axes, rows: pd.DataFrame, r: ArrayF, names: Sequence[str]) 
             ax.plot(r, known[name], color=colour, lw=1.1, ls=":", gid=f"published-{name}")
             ends.append(float(known[name][at]))
             words = f"{IN_WORDS[name]}, {PUBLISHED_FROM[name]}"
-            look = {"textcoords": "offset points", "fontsize": 7, "color": colour, "path_effects": HALO}
+            look: dict[str, Any] = {
+                "textcoords": "offset points",
+                "fontsize": 7,
+                "color": colour,
+                "path_effects": HALO,
+            }
             ax.annotate(words, (r[at], known[name][at]), xytext=(0, 6), **look, ha="right", zorder=6)
     low, high = PUBLISHED_CROSSING_M
     ax.axvspan(low, high, color="0.88", lw=0, zorder=0)
@@ -212,7 +217,7 @@ def _draw_theory(ax: Axes, rows: pd.DataFrame, r: ArrayF, names: Sequence[str]) 
             words += f"\nhere (dashed): at {own_m:.1f} m"
             ax.axvline(own_m, color="black", lw=0.8, ls="--", gid="own-crossing")
     look = {"textcoords": "offset points", "fontsize": 7, "zorder": 6, "path_effects": HALO}
-    place = {"xycoords": ("data", "axes fraction"), "xytext": (4, 0)}
+    place: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "xytext": (4, 0)}
     ax.annotate(words, (high, 0.97), **place, **look, ha="left", va="top", annotation_clip=True)
     shown = [1e3 * rows[f"{name}_rmse_predicted_3d_m"].to_numpy(np.float64) for name in names]
     inside = r <= _farthest(rows, r, names)

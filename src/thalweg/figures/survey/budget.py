@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -77,7 +77,7 @@ def _stack(ax: Axes, d: ArrayF, parts: list[ArrayF]) -> None:
     below = np.zeros_like(d)
     for group, part in zip(STYLE, parts, strict=True):
         colour, hatch = STYLE[group]
-        look = {"facecolor": colour, "edgecolor": (1, 1, 1, 0.55), "hatch": hatch, "lw": 0.0}
+        look: dict[str, Any] = {"facecolor": colour, "edgecolor": (1, 1, 1, 0.55), "hatch": hatch, "lw": 0.0}
         ax.fill_between(d, below, below + part, **look, label=group, gid=group)
         below = below + part
         ax.plot(d, below, color="white", lw=0.5)

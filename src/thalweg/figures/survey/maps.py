@@ -184,7 +184,13 @@ def _draw_fixes(ax: Axes, trajectory: Trajectory, positions: pd.DataFrame) -> No
         if fix in GOOD_FIXES:
             ax.plot([], [], color="0.3", lw=1.8, label=label)
         else:
-            look = {"ls": "none", "marker": marker, "ms": 4, "color": colour, "rasterized": True}
+            look: dict[str, Any] = {
+                "ls": "none",
+                "marker": marker,
+                "ms": 4,
+                "color": colour,
+                "rasterized": True,
+            }
             ax.plot(*enu[here, :2].T, **look, zorder=5, label=label)
 
 
@@ -199,7 +205,7 @@ def _draw_cloud(ax: Axes, cloud: ArrayF, low: ArrayF, high: ArrayF) -> None:
     """Mean height of the cloud per cell as a light grey picture."""
     shape = np.maximum(np.ceil(GRID_PX * (high - low) / np.max(high - low)).astype(int), 1)
     x, y, z = cloud.T
-    height = binned_statistic_2d(x, y, z, bins=shape, range=np.transpose([low, high])).statistic
+    height = binned_statistic_2d(x, y, z, bins=shape, range=np.transpose([low, high]).tolist()).statistic
     a, b = robust_limits(height, 2, 98)
     # The lower half of the grey scale stays free for the track.
     ax.imshow(
