@@ -508,7 +508,8 @@ def test_margins_that_are_rougher_than_the_channel_get_their_own_sigma() -> None
         root = np.linalg.cholesky(0.01 * np.exp(-3 * h) + 1e-9 * np.eye(len(h)))
         z = (1 + 1.5 * share) * (root @ rng.standard_normal(len(h)))
         data = data.lifted(z[: len(data)] + 0.02 * rng.standard_normal(len(data)))
-        for name, kw in (("one", {"margin_roughness": 1.0}), ("two", {})):
+        # one relief for all errs so much that one river shows it
+        for name, kw in (("two", {}), ("one", {"margin_roughness": 1.0}))[: 2 if seed == 0 else 1]:
             settings = Bathymetry(drift="none", model="exponential", **kw)
             model = choose_model(data, widths, settings, slow_time_s=0.0, seed=seed)
             height, sigma = model.predict(data, hidden, neighbours=48)

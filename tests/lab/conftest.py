@@ -20,6 +20,30 @@ LIDAR_M = np.array([-0.35, 0.02, -0.25])
 ANTENNA_M = np.array([0.10, -0.05, -0.45])
 ECHO_M = np.array([0.20, 0.03, 0.30])
 SEED = 5
+Recorder = Callable[..., tuple[Path, dict[str, Any], TwinConfig]]
+"""What `record` gives."""
+ELEVATION = np.deg2rad([-15.0, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15])
+OFFSET_MM = np.array(
+    [11.2, -0.7, 9.7, -2.2, 8.1, -3.7, 6.6, -5.1, 5.1, -6.6, 3.7, -8.1, 2.2, -9.7, 0.7, -11.2]
+)
+"""Of the lasers of a VLP-16, by the manual."""
+
+
+def rays_of(
+    voyage: Voyage,
+    t_gps_s: np.ndarray,
+    azimuth_rad: np.ndarray,
+    laser: np.ndarray,
+    mount: tuple[np.ndarray, np.ndarray],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Origin and direction (n, 3) of shots, straight from the pose at each one's own time."""
+    R_ics_scs, lever = mount
+    a, e = azimuth_rad, ELEVATION[laser]
+    unit = np.stack([np.cos(e) * np.sin(a), np.cos(e) * np.cos(a), np.sin(e)], axis=1)
+    height = np.stack([0 * a, 0 * a, OFFSET_MM[laser] / 1000], axis=1)
+    R = voyage.R_wcs_ics(t_gps_s)
+    origin = voyage.position_wcs_m(t_gps_s) + np.einsum("nij,nj->ni", R, height @ R_ics_scs.T + lever)
+    return origin, np.einsum("nij,nj->ni", R, unit @ R_ics_scs.T)
 
 
 @dataclass(frozen=True)
@@ -93,7 +117,7 @@ def mount() -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.fixture
-def record(twin: Twin, tmp_path: Path) -> Callable[..., tuple[Path, dict[str, Any], TwinConfig]]:
+def record(twin: Twin, tmp_path: Path) -> Recorder:
     """Record the lidar again with other settings, on the same scene."""
 
     def again(name: str, **changes: Any) -> tuple[Path, dict[str, Any], TwinConfig]:

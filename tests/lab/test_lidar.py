@@ -3,7 +3,6 @@
 import json
 import shutil
 import subprocess
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,22 +12,16 @@ import pandas as pd
 import pytest
 import velodyne_decoder
 
-from tests.lab.conftest import SEED
+from tests.lab.conftest import ELEVATION, OFFSET_MM, SEED, Recorder, rays_of
 from thalweg.core import gps_from_unix, read_table
 from thalweg_lab.instruments import LIDAR_SHOTS
 from thalweg_lab.instruments.lidar import beams
 from thalweg_lab.river import Material, Scene
-from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import Voyage
 
-Recorder = Callable[..., tuple[Path, dict[str, Any], TwinConfig]]
 SHARP: dict[str, Any] = {"divergence_mrad": 0.0, "mirror_ghosts": False, "own_hull": False}
 """Beams without footprint that meet the scene only."""
 START_UNIX_S = 1620809998  # 2021-05-12T08:59:58Z; the recordings start 0.25 s later
-ELEVATION = np.deg2rad([-15.0, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15])
-OFFSET_MM = np.array(
-    [11.2, -0.7, 9.7, -2.2, 8.1, -3.7, 6.6, -5.1, 5.1, -6.6, 3.7, -8.1, 2.2, -9.7, 0.7, -11.2]
-)
 
 
 def read_capture(path: Path) -> tuple[list[bytes], list[bytes]]:
@@ -87,16 +80,9 @@ def matched(path: Path) -> tuple[pd.DataFrame, np.ndarray, np.ndarray]:
 
 
 def rays(table: pd.DataFrame, voyage: Voyage, mount: tuple[np.ndarray, np.ndarray]) -> Any:
-    """Origin and direction of decoded shots, straight from the pose at each one's own time."""
-    R_ics_scs, lever = mount
+    """Origin and direction of decoded shots."""
     laser = table["laser"].to_numpy().astype(int)
-    a, e = table["azimuth"].to_numpy(), ELEVATION[laser]
-    unit = np.stack([np.cos(e) * np.sin(a), np.cos(e) * np.cos(a), np.sin(e)], axis=1)
-    height = np.stack([0 * a, 0 * a, OFFSET_MM[laser] / 1000], axis=1)
-    t = table["t_gps_s"].to_numpy()
-    R = voyage.R_wcs_ics(t)
-    origin = voyage.position_wcs_m(t) + np.einsum("nij,nj->ni", R, height @ R_ics_scs.T + lever)
-    return origin, np.einsum("nij,nj->ni", R, unit @ R_ics_scs.T)
+    return rays_of(voyage, table["t_gps_s"].to_numpy(), table["azimuth"].to_numpy(), laser, mount)
 
 
 def test_beams_agree_with_the_pose_at_each_shots_own_time(twin: Any, mount: Any) -> None:

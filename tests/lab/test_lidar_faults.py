@@ -1,6 +1,5 @@
 """Faults of the lidar in whole recordings: each alone, each where it should be."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,19 +9,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.lab.conftest import Twin, record_lidar, short
+from tests.lab.conftest import SEED, Recorder, Twin, rays_of, record_lidar, short
 from thalweg.core import read_table
 from thalweg_lab.instruments import LIDAR_SHOTS, EchoKind
 from thalweg_lab.river import Material, Scene
 from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import Voyage, start_gps_s
 
-Recorder = Callable[..., tuple[Path, dict[str, Any], TwinConfig]]
-SEED = 5
-ELEVATION = np.deg2rad([-15.0, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15])
-OFFSET_MM = np.array(
-    [11.2, -0.7, 9.7, -2.2, 8.1, -3.7, 6.6, -5.1, 5.1, -6.6, 3.7, -8.1, 2.2, -9.7, 0.7, -11.2]
-)
 QUIET = {"sigma_range_m": 0.0, "sigma_lateral_m": 0.0, "sigma_weak_m": 0.0}
 
 
@@ -43,15 +36,9 @@ class Recording:
 
     def rays(self, shot: np.ndarray, mount: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Origin and direction of shots, from the pose at each one's own time."""
-        R_ics_scs, lever = mount
         voyage = Voyage(self.config, SEED)
-        a, e, h = self.azimuth_rad[shot], ELEVATION[shot % 16], OFFSET_MM[shot % 16] / 1000
-        unit = np.stack([np.cos(e) * np.sin(a), np.cos(e) * np.cos(a), np.sin(e)], axis=1)
         t = voyage.start_gps_s + shot // 16 * 55.296e-6 + shot % 16 * 2.304e-6
-        R = voyage.R_wcs_ics(t)
-        height = np.stack([0 * h, 0 * h, h], axis=1)
-        origin = voyage.position_wcs_m(t) + np.einsum("nij,nj->ni", R, height @ R_ics_scs.T + lever)
-        return origin, np.einsum("nij,nj->ni", R, unit @ R_ics_scs.T)
+        return rays_of(voyage, t, self.azimuth_rad[shot], shot % 16, mount)
 
 
 def read(path: Path, facts: dict[str, Any], config: TwinConfig) -> Recording:

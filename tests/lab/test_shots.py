@@ -1,19 +1,13 @@
 """The truth of shots: whole packets, drawn at random where a recording is long."""
 
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
+from tests.lab.conftest import Recorder
 from thalweg.core import read_table
 from thalweg_lab.instruments import LIDAR_SHOTS
 from thalweg_lab.instruments.footprint import MANY_SHOTS, drawn_packets
-from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import start_gps_s
-
-Recorder = Callable[..., tuple[Path, dict[str, Any], TwinConfig]]
 
 
 @pytest.mark.parametrize("mode", ["strongest", "dual"])
