@@ -20,7 +20,15 @@ from thalweg.bathymetry import (
     with_bed_normals,
 )
 from thalweg.bathymetry.soundings import SOUNDINGS, _judge_neighbours, _lines, soundings_on_map
-from thalweg.core import ErrorChain, InputError, LocalFrame, Trajectory, even_time, write_table
+from thalweg.core import (
+    ErrorChain,
+    InputError,
+    LocalFrame,
+    Trajectory,
+    even_time,
+    utc_text_from_gps,
+    write_table,
+)
 from thalweg.figures.bathymetry.pictures import draw_sounding_lines
 from thalweg.navigation.ins_gnss import PoseCorrelation
 from thalweg.settings.sections import Bathymetry, EchoSounder
@@ -435,5 +443,5 @@ def test_each_line_is_drawn_with_what_it_lost(tmp_path: Path) -> None:
     drawn = [{str(a.get_label()): len(a.get_xdata()) for a in ax.get_lines()} for ax in figure.axes]
     assert drawn == [{"used": 60}, {"used": 59, "spike": 1}]
     assert figure.axes[0].get_ylim()[0] > figure.axes[0].get_ylim()[1]  # deeper is lower
-    t = table["t_gps_s"].to_numpy()
-    assert f"{t[60]:.1f} to {t[-1]:.1f} s" in figure.axes[1].get_title(loc="left")
+    first, last = (utc_text_from_gps(t, 0)[11:19] for t in table["t_gps_s"].iloc[[60, -1]])
+    assert f"{first} to {last} UTC" in figure.axes[1].get_title(loc="left")

@@ -334,10 +334,12 @@ def test_values_that_may_be_no_heights_are_masked_or_refused(tmp_path: Path) -> 
         if value:
             one = prepared("first", clouds=[str(path)])
             assert len(one.xyz_m) == 370
-            assert "30 rows with -10000, which stands for no value" in one.notes[0]
+            assert any("30 rows with -10000, which stands for no value" in note for note in one.notes)
     broken[:30, 2] = 0.0
     np.savetxt(path, broken, fmt="%.3f")
-    assert "30 of 400 points are exactly 0 m" in told(InputError, clouds=[str(path)]).found
+    one = prepared("first", clouds=[str(path)])  # far from all others
+    assert len(one.xyz_m) == 370
+    assert any("30 rows with 0, which stands for no value" in note for note in one.notes)
     assert len(prepared("first", clouds=[str(path)], nodata=0.0).xyz_m) == 370
     # in a cloud about zero a height of zero is one of many
     flat = in_map - [0.0, 0.0, np.median(in_map[:, 2])]

@@ -372,12 +372,8 @@ def test_the_weight_and_the_information_of_a_track_of_students_errors() -> None:
     assert Correlation().information(six) == Correlation().weights(np.array([16.0]), six) == 1.0
 
 
-@pytest.mark.parametrize(
-    ("risk", "limit"),
-    # upper 5 %, 1 % and 0.1 % of chi-square with 3 degrees of freedom (Abramowitz and Stegun, table 26.8)
-    [(0.05, 7.815), (0.01, 11.345), (0.001, 16.266)],
-)
-def test_a_check_point_is_suspect_beyond_three_degrees_of_freedom(risk: float, limit: float) -> None:
+def test_a_check_point_is_suspect_beyond_three_degrees_of_freedom() -> None:
+    limit = 21.108  # upper 0.01 % of chi-square with 3 degrees of freedom
     problem, _ = scene(np.random.default_rng(1), images=8, points=120, control=4, check=6)
     adjusted = adjust_plain(problem)
     cov = control_result(adjusted).cov_m2
@@ -387,6 +383,6 @@ def test_a_check_point_is_suspect_beyond_three_degrees_of_freedom(risk: float, l
     for p, share in zip(checks, (0.99, 1.01), strict=True):
         places[p] += np.linalg.cholesky(cov[p]) @ np.array([0.0, 0.0, np.sqrt(share * limit)])
     moved_points = replace(adjusted.x, G=places)
-    found = control_result(replace(adjusted, x=moved_points), risk=risk)
+    found = control_result(replace(adjusted, x=moved_points))
     np.testing.assert_allclose(found.test[checks], limit * np.array([0.99, 1.01]), rtol=1e-9)
     assert found.suspect[checks].tolist() == [False, True]

@@ -30,6 +30,8 @@ from thalweg.core import InputError, exp_rotation, opk_of
 from thalweg.images.imports import import_orientations
 from thalweg.images.model import align, mean_rotation, unknown_poses
 
+NO_NAMES = "eo.txt: The file names no columns: taken as image, x, y, z, omega, phi, kappa"
+
 
 @pytest.fixture
 def truth() -> Scene:
@@ -125,7 +127,7 @@ def test_the_other_north_is_told_where_the_prediction_knows_it(
         facts = import_orientations([path], given, settings(north=stated), crs="EPSG:25833").facts
         assert any(f"if they refer to {right} north" in note for note in facts["notes"]) == told
         facts = import_orientations([path], given, settings(north=right), crs="EPSG:25833").facts
-        assert facts["notes"] == []
+        assert facts["notes"] == [NO_NAMES]
 
 
 def test_small_errors_of_the_prediction_are_no_mistake(
@@ -134,7 +136,7 @@ def test_small_errors_of_the_prediction_are_no_mistake(
     given = predictions(truth, rng, sigma_m=2.0, sigma_deg=4.0)
     found = import_orientations([table(tmp_path / "eo.txt", truth)], given, settings(crs="world"))
     assert_poses(found.poses, truth)
-    assert found.facts["notes"] == []
+    assert found.facts["notes"] == [NO_NAMES]
     assert found.facts["files"][0]["images_compared"] == 12
 
 
@@ -206,7 +208,7 @@ def test_heights_above_the_geoid_are_named_and_their_cure_works(
     np.testing.assert_allclose(near.poses.centre_wcs_m[:, 2] - truth.C[:, 2], 0.25, atol=1e-3)
     # 10 m are told, and nothing more
     told = import_orientations([path], predictions(truth), settings(height_offset_m=34.2), crs="EPSG:25833")
-    assert "heights 10.0 m below" in told.facts["notes"][0]
+    assert "heights 10.0 m below" in told.facts["notes"][1]
 
 
 def test_geocentric_heights_are_raised_along_the_vertical(tmp_path: Path, truth: Scene) -> None:
@@ -229,7 +231,7 @@ def test_a_single_far_image_is_told(tmp_path: Path, truth: Scene) -> None:
     C = truth.C.copy()
     C[4, 0] += 60.0
     path = table(tmp_path / "eo.txt", truth, C)
-    note = import_orientations([path], predictions(truth), settings(crs="world")).facts["notes"][0]
+    note = import_orientations([path], predictions(truth), settings(crs="world")).facts["notes"][1]
     assert "1 of 12 images are more than 20 m away" in note
     assert truth.images[4] in note
 

@@ -69,7 +69,7 @@ def test_without_predictions_nothing_is_checked_and_that_is_said(tmp_path: Path,
     blind = type(given)(**{**values, "oriented": np.zeros(12, np.bool_)})
     found = import_orientations([table(tmp_path / "eo.txt", truth)], blind, settings(crs="world"))
     assert_poses(found.poses, truth)
-    assert "could not be checked" in found.facts["notes"][0]
+    assert "could not be checked" in found.facts["notes"][1]
 
 
 # ---------------------------------------------------------------- damaged files

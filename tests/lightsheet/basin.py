@@ -11,6 +11,7 @@ import pandas as pd
 
 from thalweg.calibration import read_camera
 from thalweg.core import Camera, LocalFrame
+from thalweg.lightsheet.lines import LineSettings
 from thalweg.lightsheet.optics import Sensor, read_sensor
 from thalweg.settings.sections import LightSheet
 from thalweg_lab.settings import TwinConfig
@@ -122,7 +123,7 @@ class Jobs:
             sensor=basin.folder / "sensor.yaml",
             line_points=self.out / f"{series}.parquet",
             counts=self.out / f"{series}.csv",
-            lines=lines,
+            lines=LineSettings(**lines),
             threads=1,
         )
         return pd.read_csv(self.out / f"{series}.csv")

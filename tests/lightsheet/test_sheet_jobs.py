@@ -334,7 +334,7 @@ def test_marks_of_a_flipped_picture(basin: Basin, jobs: Jobs, x: bool, y: bool) 
     table.to_csv(path, index=False)
     text = told(lambda: jobs.orient(basin, marks=path), GeometryError)
     assert "marks.csv" in text
-    assert "use the files as stored" in text or "mounted upside down" in text
+    assert "neither turned nor mirrored" in text or "mounted upside down" in text
 
 
 def test_a_calibration_takes_the_temperature_of_the_campaign(

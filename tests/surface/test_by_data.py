@@ -91,10 +91,10 @@ def test_a_lift_is_found_at_any_scale(what: str, tmp_path: Path) -> None:
     changes, _, notes = compare_clouds(*files, {}, core_every=None)
     assert (changes["state"] == "deposition").mean() > 0.98
     assert changes["distance_m"].mean() == pytest.approx(expected.mean(), rel=0.02)
-    assert "cylinders of radius" in notes[1]
+    assert any("cylinders of radius" in note for note in notes)
     # each cylinder holds some 28 points, but a thousand core points are the least of 4,000
     assert len(changes) == 1000
-    assert "1 of 4 points is a core point" in notes[1]
+    assert any("1 of 4 points is a core point" in note for note in notes)
 
 
 def test_what_is_stated_stays() -> None:

@@ -191,7 +191,7 @@ def test_the_cloud_agrees_with_the_reference_as_its_sigmas_say(tiny_house) -> No
     assert len(first) > 25
     page = (base / "index.html").read_text()
     assert "digital twin" in page
-    assert page.count("data:image/png") == 5
+    assert page.count("data:image/png") == 4
     assert 'href="../index.html"' in page
     front = (base.parent / "index.html").read_text()
     assert len(front) < 1_500_000  # it loads nothing but itself

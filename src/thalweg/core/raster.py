@@ -321,7 +321,7 @@ def _heights(file: Any, path: Path, nodata: float | None) -> Dsm:
         raise UnsupportedError(
             f"depths ({'; '.join(filter(None, words)) or 'positive down'})",
             expected="heights, positive upwards", where=path,
-            cure="Change their sign, and call the band height: gdal_calc --calc=-A, or a GIS",
+            cure="Change their sign, and call the band height, in a GIS or by gdal_calc",
         )  # fmt: skip
     up = up or next((unit for each in words if (unit := unit_in_words(each)) is not None), None)
     of_crs = None if crs is None else units_of_crs(crs)[1]

@@ -110,6 +110,7 @@ _OTHER_UNITS: Final = (
 )
 _NO_LENGTHS: Final = frozenset(_OTHER_UNITS.split())
 """Units that are known and are no lengths."""
+_OF_ATTITUDE: Final = ("omega", "phi", "kappa")
 _OF_IMAGES: Final = frozenset(["px", "pixel", "pixels", "s", "ms", "us"])
 """Those of them that belong to places and times of pictures."""
 _HEADS: Final = ("#", "%", "//", "!")
@@ -434,7 +435,7 @@ class Table:
                 f"heights in column {column.name}, and the remark '{down[:60]}'",
                 where=self.path,
                 expected="heights, positive upwards",
-                cure=f"Name the column depth, or state --depth {column.name}",
+                cure="Call the column depth, or change its sign",
             )
         values, metres = self._values(k)
         if np.isnan(values).any():
@@ -824,8 +825,9 @@ class Table:
             for ours, known in names.items()
             if (k := next((d[n] for n in known for d in (heads, words) if n in d), None)) is not None
         }
-        for k in where.values():
-            if self.columns[k].foreign and self.columns[k].foreign not in _OF_IMAGES:
+        for ours, k in where.items():
+            fits = _OF_IMAGES | (_ANGLES.keys() if ours in _OF_ATTITUDE else set())
+            if self.columns[k].foreign and self.columns[k].foreign not in fits:
                 self.numbers(k)  # refuses it
         columns = {ours: self._plain(k) for ours, k in where.items()}
         return (

@@ -117,7 +117,7 @@ def test_a_panel_read_backwards_in_all_pictures(exact: Sensor, tmp_path: Path) -
         marks.loc[one.index, ["x_px", "y_px"]] = one[["x_px", "y_px"]].to_numpy()[::-1]
     marks.to_csv(tmp_path / "marks.csv", index=False)
     with pytest.raises(
-        GeometryError, match=r"none of 4 pictures gives a pose.*fit in reverse order"
+        GeometryError, match=r"none of 4 pictures gives a pose.*the order of the marks"
     ) as caught:
         poses_of(tmp_path, NAMES)
     assert "times their sigmas off any pose" in caught.value.found

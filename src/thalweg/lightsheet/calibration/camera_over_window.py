@@ -252,7 +252,14 @@ def orient_camera(
     ------
     GeometryError : see `camera_over_window`; a camera at another height than the design says.
     """
-    found = camera_over_window(nominal, marks, points, window_markers, where=where)
+    try:
+        found = camera_over_window(nominal, marks, points, window_markers, where=where)
+    except GeometryError as error:
+        if error.where:
+            raise
+        # an adjustment without an end knows no file
+        cure = f"Take the files as stored, neither turned nor mirrored. {error.cure}"
+        raise GeometryError(error.found, expected=error.expected, where=where, cure=cure) from error
     height, designed = float(found.origin_lcs_mm[2]), float(nominal.camera_origin_lcs_mm[2])
     if not designed / _TIMES < height < designed * _TIMES:
         raise GeometryError(
