@@ -208,7 +208,7 @@ def test_a_survey_at_a_glance(tmp_path: Path) -> None:
         "Camera a format ✖ 1 gap, 20.0 s; 3 images",
         "Echo sounder a format ✔ complete",
         "Accuracy & more : The cloud is fine.",
-        "Point cloud, INS and GNSS LAZ, EPSG:25833, 3.2 MB CloudCompare, QGIS, CAD",
+        "Point cloud by the best trajectory LAZ, EPSG:25833, 3.2 MB CloudCompare, QGIS, CAD",
         "Report of survey PDF, 1 kB to print and hand in",
         "Point cloud, INS and GNSS LAZ, local frame, 3.2 MB CloudCompare",
         "Open: Point cloud",

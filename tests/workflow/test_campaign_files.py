@@ -239,6 +239,7 @@ def test_strips_place_what_is_placed_where_they_are_to() -> None:
         assert boat.page_names() == ["by overlapping strips", *others]
         assert len(set(boat.page_clouds())) == len(boat.page_names())
         assert set(boat.best_points()) <= set(boat.final_outputs())
+        assert boat.best_points() == [boat.best_cloud()]
     beside = survey(logs=logs, strips={"adjust": True})
     assert names([beside.best_trajectory()]) == ["orientation/trajectory.parquet"]
     assert beside.page_names() == ["by INS", "by overlapping strips"]

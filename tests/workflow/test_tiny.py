@@ -16,12 +16,13 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from pyproj import CRS
 from scipy.stats import chi2
 
 from tests.bands import band
 from tests.workflow.conftest import House, rule_names
 from thalweg.cli import main
-from thalweg.core import LocalFrame, Rigid, Trajectory, read_table
+from thalweg.core import LocalFrame, Rigid, Trajectory, iter_laz, laz_header, read_table
 from thalweg.ingest import GNSS_POSITION, LidarOptions
 from thalweg.ingest.ppk.trust import covariance_enu
 from thalweg.ingest.registry import lidar_reader, recognise
@@ -154,6 +155,10 @@ def test_the_map_cloud_lies_on_the_map(tiny_house) -> None:
         assert reader.header.parse_crs().to_epsg() == 25833
         assert 3e5 < reader.header.mins[0] < 6e5
         assert 5.5e6 < reader.header.mins[1] < 5.9e6
+        found = reader.read_points(100).xyz
+    best = tiny_house.root / BASE / "lidar/by_fused/points.laz"
+    frame, places = laz_header(best).frame, next(iter_laz(best))["xyz_m"][:100]
+    np.testing.assert_allclose(found, frame.to_map(places, CRS(25833)), atol=2e-3)
 
 
 def test_the_bank_is_recovered_at_the_level_of_the_injected_noise(tiny_house) -> None:

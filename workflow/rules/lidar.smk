@@ -114,9 +114,9 @@ rule georeference_lidar:
 
 
 rule export_map:
-    """The cloud in the national grid, for other programs."""
+    """The cloud by the best trajectory in the national grid, for other programs."""
     input:
-        points="results/{campaign}/lidar/points.laz",
+        points=of(CampaignFiles.best_cloud),
     output:
         out="results/{campaign}/lidar/points_map.laz",
     log:

@@ -9,7 +9,7 @@ MAP_FILES: Final[Sequence[Product]] = (
     ("report.pdf", "Report of survey", "to print and hand in"),
     ("survey.qgz", "QGIS project", "QGIS: everything on one map"),
     ("survey.gpkg", "Its layers: track, soundings, river, changes", "QGIS, ArcGIS"),
-    ("lidar/points_map.laz", "Point cloud, INS and GNSS", "CloudCompare, QGIS, CAD"),
+    ("lidar/points_map.laz", "Point cloud by the best trajectory", "CloudCompare, QGIS, CAD"),
     ("lidar/points_map.copc.laz", "The same cloud, streamable (COPC)", "QGIS, PDAL, Potree"),
     ("fusion/dtm.tif", "Terrain model of bed and banks", "QGIS, ArcGIS, hydraulic models"),
     ("bathymetry/bed.tif", "Riverbed with standard deviations", "QGIS, ArcGIS"),

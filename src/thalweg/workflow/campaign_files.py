@@ -924,11 +924,14 @@ class CampaignFiles:
         """What the survey shows of the errors of the best trajectory."""
         return self._result(f"orientation/{ERRORS_OF_CHAIN[self.best_chain()]}")
 
-    def best_points(self) -> list[str]:
-        """The cloud by the best trajectory, where there is a lidar."""
+    def best_cloud(self) -> str:
+        """The cloud by the best trajectory."""
         chain = self.best_chain()
-        folder = "" if chain == "ins" else f"by_{chain}/"
-        return self._where(self.has_lidar(), f"lidar/{folder}points.laz")
+        return self._result(f"lidar/{'' if chain == 'ins' else f'by_{chain}/'}points.laz")
+
+    def best_points(self) -> list[str]:
+        """The same, where there is a lidar."""
+        return [self.best_cloud()] if self.has_lidar() else []
 
     def coloured(self) -> list[str]:
         """The cloud in colour, where photographs give any."""
