@@ -149,7 +149,7 @@ def distance_map(
     )
     heights = [piece.size_m[1] / m_per_mm for piece in pieces]
     head = f"{title}, n = {count(len(used))} points, {statistics_text(distance_m)}"
-    figure = new_figure(sum(heights) + STRIP_MM * len(pieces) + 50.0, head, twin=twin)
+    figure = new_figure(sum(heights) + STRIP_MM * len(pieces) + 54.0, head, twin=twin)
     panels = list(figure.subplots(len(pieces), 1, height_ratios=heights, squeeze=False)[:, 0])
     caster = RayCaster(bank.to_bank(mesh.vertices_m), mesh.faces)
     for ax, piece in zip(panels, pieces, strict=True):
@@ -201,9 +201,11 @@ def _subtitle(used: pd.DataFrame, n_border: int, bank: BankFrame, share_beyond: 
     kept = used.loc[~used["outlier"].to_numpy(bool), "distance_m"].to_numpy(np.float64)
     first = f"without {count(len(used) - len(kept))} outliers: {statistics_text(kept)}" if kept.size else ""
     beyond = f"beyond the map: {100 * share_beyond:.2g} % of n" if share_beyond else ""
-    second = f"seen from the river, {view_text(bank)}; light grey: reference without points"
-    second += f"; dark grey: left out at its border, n = {count(n_border)}" if n_border else ""
-    return "\n".join(["; ".join(filter(None, [first, beyond])), second])
+    grey = "light grey: reference without points"
+    grey += f"; dark grey: left out at its border, n = {count(n_border)}" if n_border else ""
+    return "\n".join(
+        ["; ".join(filter(None, [first, beyond])), f"seen from the river, {view_text(bank)}", grey]
+    )
 
 
 def _share_beyond(pieces: list[Strip], place: ArrayF) -> float:
