@@ -32,7 +32,7 @@ def test_verdicts_of_ratios(ratio: float, verdict: str) -> None:
     assert verdict_of_ratio(ratio, 0.9, 1.25) == verdict
     words = consistency_in_words(ratio, 0.9, 1.25)
     if verdict == "consistent":
-        assert "up to 10 % too small or 25 % too large" in words
+        assert "more than 10 % too small or 25 % too large" in words
     else:
         assert f"{1 / ratio:.{2 if abs(1 / ratio - 1) < 0.1 else 1}f} times as large as predicted" in words
         assert "outside 0.90 to 1.25" in words

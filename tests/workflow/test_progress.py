@@ -48,7 +48,7 @@ def test_a_line_says_time_count_campaign_and_work(progress: ModuleType, capsys, 
     handler.emit(record(logging.INFO, "Select jobs to execute..."))
     handler.emit(record(logging.INFO, "Nothing to be done (all is there)."))
     handler.emit(record(logging.ERROR, "Error in rule x"))
-    words = "tiny: Two pictures of the bank as a camera on the boat would see it"
+    words = "tiny: Cloud of the surroundings by a drone"
     assert capsys.readouterr().err.splitlines() == [
         f"  0:00   0 of 12  {words}",
         f"  1:05   3 of 12  {words}: done in 65 s",

@@ -219,8 +219,8 @@ def consistency_in_words(ratio: float, low: float, high: float) -> str:
     if narrow and abs(ratio - 1) <= CONSISTENT_WITHIN:
         return f"sigmas are consistent: {number}, inside {band}"
     return (
-        f"sigmas and distances agree: {number}, inside {band}; the test cannot detect sigmas "
-        f"up to {100 * (1 - low):.0f} % too small or {100 * (high - 1):.0f} % too large"
+        f"sigmas and distances agree: {number}, inside {band}; the test detects sigmas only if more "
+        f"than {100 * (1 - low):.0f} % too small or {100 * (high - 1):.0f} % too large"
     )
 
 
