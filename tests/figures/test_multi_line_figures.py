@@ -5,12 +5,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core import GeometryError, InputError
+from thalweg.core import GeometryError, InputError, rotation_opk
 from thalweg.figures.calibration import Oblique
 from thalweg.figures.calibration.field import PLAN
 from thalweg.lightsheet.figures.scan_reference import mesh_picture
 from thalweg.lightsheet.figures.views import path_to
-from thalweg.lightsheet.optics import LightSheet, paper_4, project, refract_to_water
+from thalweg.lightsheet.optics import paper_4
 from thalweg_lab.figures.multi_line import (
     NAMES,
     SeenObject,
@@ -19,6 +19,7 @@ from thalweg_lab.figures.multi_line import (
     multi_line_images_view,
     read_objects,
 )
+from thalweg_lab.multi_line import Lines, line_table
 
 DEPTHS_MM = (60.0, 120.0)
 N = 4
@@ -27,31 +28,16 @@ N = 4
 @pytest.fixture
 def lines() -> pd.DataFrame:
     """Four lines on two levels, as `line_table` gives them."""
-    sensor, rows = paper_4(), []
-    for number in range(N):
-        angles = sensor.sheet.angles_rad + np.deg2rad(3.0 * (number - 1.5)) * np.eye(3)[0]
-        sheet = LightSheet(origin_lcs_mm=sensor.sheet.origin_lcs_mm, angles_rad=angles, half_angle_rad=0.2)
-        a = np.linspace(-0.2, 0.2, 9)
-        water = refract_to_water(sheet.origin_lcs_mm, sheet.beams(a), sensor.window)
-        for depth in DEPTHS_MM:
-            xyz = water.at_depth(depth)
-            xy = project(sensor, xyz)
-            rows.append(
-                pd.DataFrame(
-                    {
-                        "line": number,
-                        "fan_angle_deg": np.rad2deg(a),
-                        "depth_mm": depth,
-                        "x_mm": xyz[:, 0],
-                        "y_mm": xyz[:, 1],
-                        "z_mm": xyz[:, 2],
-                        "x_px": xy[:, 0],
-                        "y_px": xy[:, 1],
-                        "in_picture": sensor.camera.inside(xy),
-                    }
-                )
-            )
-    return pd.concat(rows, ignore_index=True)
+    sensor = paper_4()
+    angles = sensor.sheet.angles_rad + np.deg2rad(3.0) * (np.arange(N)[:, None] - 1.5) * np.eye(3)[0]
+    fan = Lines(
+        labels=np.arange(N),
+        origins_lcs_mm=np.tile(sensor.sheet.origin_lcs_mm, (N, 1)),
+        R_lcs_las=rotation_opk(*angles.T),
+        v=np.zeros(N),
+        half_angle_rad=0.2,
+    )
+    return line_table(sensor, fan, DEPTHS_MM, beams_per_line=9)
 
 
 def test_the_geometry_is_drawn_line_by_line(lines, look) -> None:
