@@ -23,14 +23,30 @@ from thalweg.accuracy import (
     range_facts,
 )
 from thalweg.core import ArrayF, InputError, read_table, root_mean_square
-from thalweg.figures import BLUE, GREEN, GREY, HALO, VERMILION, count, legend_below, new_figure, styled
+from thalweg.figures import (
+    BLUE,
+    GREEN,
+    GREY,
+    HALO,
+    PURPLE,
+    VERMILION,
+    count,
+    legend_below,
+    new_figure,
+    styled,
+)
 from thalweg.figures.accuracy import centimetres, compared, round_limit_m
 
-STYLE: Final = {"ins": (BLUE, "o"), "camera": (VERMILION, "s"), "fused": (GREEN, "^")}
+STYLE: Final = {
+    "ins": (BLUE, "o"),
+    "camera": (VERMILION, "s"),
+    "fused": (GREEN, "^"),
+    "strips": (PURPLE, "D"),
+}
 """Colour and marker of each chain."""
-WIDTHS: Final = {"ins": 2.6, "camera": 1.8, "fused": 1.0}
+WIDTHS: Final = {"ins": 2.6, "camera": 1.8, "fused": 1.0, "strips": 0.7}
 """Of lines that may lie upon each other: the later and thinner one leaves the others visible."""
-IN_WORDS: Final = {"ins": "INS", "camera": "camera", "fused": "fused"}
+IN_WORDS: Final = {"ins": "INS", "camera": "camera", "fused": "fused", "strips": "strips"}
 PUBLISHED_FROM: Final = {"ins": "T Table 3.1", "camera": "P2 Table 1"}
 BINS: Final = 81
 SIGMAS: Final = 5.0
@@ -261,7 +277,7 @@ def _draw_normalised(ax: Axes, z: ArrayF, name: str) -> None:
 
 def draw_chain_histograms(*, distances: list[Path], title: str, twin: bool) -> Figure:
     """Comparisons with the reference, in the order of `CHAINS` -> histograms of the distances."""
-    tables = zip(CHAINS, distances, strict=True)
+    tables = zip(CHAINS, distances, strict=False)
     return chain_histograms(
         {name: read_table(path, CLOUD_TO_MESH)[0] for name, path in tables},
         title=f"Distances to the reference by trajectory: {title}",

@@ -56,7 +56,12 @@ PUBLISHED_WORDS: Final = (
     "and error budgets by which the INS is better beyond 11 to 13 m. That was another boat, river and "
     "reference; nothing here is fitted to these numbers."
 )
-BY_NAME: Final = {"ins": "the INS", "camera": "the camera", "fused": "the fused trajectory"}
+BY_NAME: Final = {
+    "ins": "the INS",
+    "camera": "the camera",
+    "fused": "the fused trajectory",
+    "strips": "the strips",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -168,7 +173,7 @@ def write_trajectory_comparison_page(
     Parameters
     ----------
     control, truth : none, or one table.
-    trajectories : in the order of `CHAINS`.
+    trajectories : in the order of `CHAINS`; strips are last, where they were adjusted.
     steps : chain -> results of its own jobs, whose records tell their computing times.
     title : of the campaign.
     page : target.
@@ -184,7 +189,7 @@ def write_trajectory_comparison_page(
             seconds=computing_seconds(steps),
             outages=outage_table(
                 json.loads(fused_facts.read_text())["outages"],
-                {name: Trajectory.read(path) for name, path in zip(CHAINS, trajectories, strict=True)},
+                {name: Trajectory.read(path) for name, path in zip(CHAINS, trajectories, strict=False)},
             ),
         ),
         pictures=pictures,
