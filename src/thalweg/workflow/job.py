@@ -18,16 +18,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 from thalweg.core import UNFINISHED, InputError, ThalwegError
 from thalweg.workflow.costs import costs_of, memory_now_mb
-from thalweg.workflow.provenance import (
-    META,
-    bring_provenance,
-    cache_entry,
-    origin,
-    put_into_cache,
-    refuse_damage,
-    take_from_cache,
-    write_provenance,
-)
+from thalweg.workflow.provenance import META, bring_provenance, origin, refuse_damage, write_provenance
 from thalweg.workflow.staging import refuse_changes, staged, state_of, work_in_scratch
 from thalweg.workflow.truth import truth_closed
 
@@ -47,7 +38,7 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
     plain values the section of settings, the dataclass or the path that the annotation names. It sets up
     the log file and an excepthook that writes the traceback there, limits threads, and on success writes
     ``<output>.meta.json``. ``main`` writes into a folder beside the outputs; they get their names when all
-    are whole (`staging`). Of some rules results come from a cache (`provenance.cache_entry`); a job whose
+    are whole (`staging`). A job whose
     files lie in node-local scratch works there (`staging.work_in_scratch`).
 
     Raises
@@ -73,12 +64,6 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
         before = state_of(inputs)
         made_of = origin(rule=rule, inputs=inputs, params=params, code=code)
         refuse_damage(made_of["inputs"], rule)
-        entry = cache_entry(made_of, outputs, snakemake.threads)
-        if entry is not None and take_from_cache(entry, staging.places(), made_of):
-            refuse_changes(before, inputs, rule)
-            staging.commit(beside=[META])
-            bring_provenance(outputs, results)
-            return
         start, cpu_start_s, memory_start_mb = time.perf_counter(), _cpu_s(), memory_now_mb()
         main(**job_arguments(main, staging.job(snakemake)))
         wall_s, cpu_s = time.perf_counter() - start, _cpu_s() - cpu_start_s
@@ -89,8 +74,6 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
             staging.places(), made_of, threads=snakemake.threads, wall_s=wall_s, cpu_s=cpu_s, costs=costs
         )
         refuse_changes(before, inputs, rule)
-        if entry is not None:
-            put_into_cache(entry, staging.places())
         staging.commit(beside=[META])
         bring_provenance(outputs, results)
     log.info("rule %s done in %.1f s", rule, wall_s)
