@@ -69,6 +69,7 @@ TONES: Final = {
     "too pessimistic": "unsure",
     "too few data": "unsure",
     "to judge": "unsure",
+    "to judge its sigma": "unsure",
 }
 """Colours of verdicts by their last words; the verdict itself is beside the colour."""
 _LONG_VALUE: Final = 20

@@ -100,7 +100,7 @@ def trajectory_comparison_page(
     costs: Costs | None = None,
     pictures: Sequence[Path] = (),
     captions: Mapping[str, str] | None = None,
-    title: str = "INS, camera and fused trajectory",
+    title: str = "Trajectories compared",
     twin: bool = False,
 ) -> Page:
     """The page that compares the chains.
@@ -194,7 +194,7 @@ def write_trajectory_comparison_page(
         ),
         pictures=pictures,
         captions=captions,
-        title=f"INS, camera and fused trajectory: {title}",
+        title=f"Trajectories compared: {title}",
         twin=twin,
     ).write(page)
 
@@ -307,8 +307,8 @@ def certainty(table: pd.DataFrame, first: str, second: str) -> str:
     limit = CERTAIN * float(np.sqrt(1 / (2 * n_first) + 1 / (2 * n_second)))
     certain = "" if np.log(ratio) > limit else "not "
     return (
-        f"its difference from {BY_NAME[second]} is {certain}significant (effective n = {n_first:.0f} and "
-        f"{n_second:.0f}; up to {100 * (np.exp(limit) - 1):.0f} % by chance)"
+        f"its difference from {BY_NAME[second]} is {certain}significant (with {n_first:.0f} and "
+        f"{n_second:.0f} independent values a ratio of up to {np.exp(limit):.1f} may be chance)"
     )
 
 
