@@ -29,7 +29,7 @@ def test_images_hold_the_locked_environment(repository: Path, name: str) -> None
 
 
 def test_the_conda_environment_is_the_locked_one_with_what_the_package_asks_for(repository: Path) -> None:
-    """Names as `pyproject.toml` asks for them, with all extras; versions as far as stated those of the lock."""
+    """Names as `pyproject.toml` asks for them, with all extras; versions, where stated, of the lock."""
     project = tomllib.loads((repository / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
     (everything,) = map(Requirement, extras["all"])
@@ -37,7 +37,8 @@ def test_the_conda_environment_is_the_locked_one_with_what_the_package_asks_for(
     wanted = {
         canonicalize_name(each.name)
         for each in map(Requirement, asked)
-        if each.marker is None or each.marker.evaluate({"sys_platform": "linux", "platform_machine": "x86_64"})
+        if each.marker is None
+        or each.marker.evaluate({"sys_platform": "linux", "platform_machine": "x86_64"})
     }
     listed = yaml.safe_load((repository / "envs/thalweg.yaml").read_text())["dependencies"]
     texts = [text for entry in listed for text in (entry["pip"] if isinstance(entry, dict) else [entry])]

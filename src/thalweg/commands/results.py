@@ -193,7 +193,7 @@ def _costs(options: argparse.Namespace) -> int:
         presumed = table.loc[~table["measured_growth"], "cpu_s"].sum() / table["cpu_s"].sum()
         print(
             f"{options.predict:g} times the logs of {of}: {table['cpu_s'].sum() / 3600:.2f} h of one"
-            f" processor ({presumed:.0%} of it by rules whose growth was not measured, taken as"
+            f" processor ({presumed:.0%} of it by rules that were measured at one size, taken as"
             f" proportional), longest job {longest['rule']} {longest['longest_s'] / 3600:.2f} h,"
             f" largest {table['memory_mb'].max() / 1000:.1f} GB of memory,"
             f" {table['output_mb'].sum() / 1000:.1f} GB of results: {out / 'predicted.csv'}"
