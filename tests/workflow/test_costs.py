@@ -185,7 +185,8 @@ def test_a_larger_survey_follows_the_lines_that_were_measured() -> None:
     )
     assert table.loc["alike", ["jobs", "cpu_s", "longest_s"]].tolist() == [2, 30 * 10, 90]
     assert table.loc["alike", "memory_mb"] == FLOOR_MB + 30 * 300  # the smaller job stays below the floor
-    assert table.loc["alike", "output_mb"] == 30 * 6
+    assert table.loc["alike", ["output_mb", "least_cpu_s", "least_memory_mb"]].tolist() == [180, 10, 1000]
+    assert table.loc["grows", "least_cpu_s"] == table.loc["grows", "cpu_s"]
     assert table["measured_growth"].tolist() == [False, True, True]
     with pytest.raises(InputError, match="expected one of a, b"):
         predicted(jobs, "c", 2.0)
@@ -196,8 +197,9 @@ def test_what_a_larger_survey_takes_is_told(tmp_path: Path, capsys: pytest.Captu
     result(tmp_path / "river", "reads", 1, memory_mb=100, asked_mb=2000, input_mb=15, wall_s=360)
     assert main(["costs", str(tmp_path), "--predict", "10"]) == 0
     told = capsys.readouterr().out
-    assert "10 times the logs of river: 2.00 h of one processor (100% of it" in told
-    assert "longest job reads 2.00 h, largest 0.7 GB of memory, 0.0 GB of results" in told
+    assert "10 times the logs of river: 0.20 to 2.00 h of one processor" in told
+    assert "memory of a job up to 0.7 to 0.7 GB, longest job reads 2.00 h, 0.0 GB of results" in told
+    assert "1 of 1 rules were measured at one size" in told
     assert pd.read_csv(tmp_path / "costs/predicted.csv")["cpu_s"].tolist() == [7_200]
     assert main(["costs", str(tmp_path), "--predict", "2", "--of", "small"]) == 0
     assert "2 times the logs of small" in capsys.readouterr().out

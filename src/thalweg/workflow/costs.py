@@ -35,8 +35,8 @@ REACH: Final = 2.0
 """Lines are used up to inputs so many times as large as the largest measured ones."""
 SPAN: Final = 4.0
 """A slope is fitted where the largest input is so many times as large as the smallest."""
-GROWTH: Final = 2.0
-"""Two jobs show how a rule grows if the inputs of one are so many times as large as those of the other."""
+GROWTH: Final = 3.0
+"""Jobs show how a rule grows if the largest inputs are so many times as large as the smallest."""
 STEEPEST: Final = 2.0
 """No rule grows faster than the square of its inputs, all pairs of images; small jobs may seem to."""
 WASTE: Final = 0.25
@@ -304,8 +304,9 @@ def predicted(jobs: pd.DataFrame, campaign: str, times: float) -> pd.DataFrame:
     Each job keeps its place in the workflow, and its inputs grow with the logs. Where jobs of a rule differ
     enough in their inputs (`GROWTH`), over all campaigns, processor time, memory and outputs follow a line
     over the inputs, or a power of them where that line would begin below zero. Elsewhere they are taken as
-    proportional, memory beyond `FLOOR_MB` alone: too much for pages and pictures, too little for what grows
-    faster, and the column ``measured_growth`` is false.
+    proportional, memory beyond `FLOOR_MB` alone: too much for pages, pictures and what holds pieces of its
+    inputs, too little for what grows faster. There the column ``measured_growth`` is false, and columns
+    ``least_`` hold what was measured, as if nothing grew.
 
     Parameters
     ----------
@@ -316,7 +317,8 @@ def predicted(jobs: pd.DataFrame, campaign: str, times: float) -> pd.DataFrame:
     Returns
     -------
     A row for each rule, the most expensive first: ``rule, jobs, cpu_s, longest_s, memory_mb, output_mb,
-    measured_growth``; ``longest_s`` is the largest job's processor time over its threads.
+    least_cpu_s, least_memory_mb, measured_growth``; ``longest_s`` is the largest job's processor time over
+    its threads.
 
     Raises
     ------
@@ -336,6 +338,7 @@ def predicted(jobs: pd.DataFrame, campaign: str, times: float) -> pd.DataFrame:
             name: _grown(every, group, name, times, floor)
             for name, floor in (("cpu_s", 0.0), ("memory_mb", float(FLOOR_MB)), ("output_mb", 0.0))
         }
+        least = found if _shows_growth(every) else group
         rows.append(
             {
                 "rule": rule,
@@ -344,6 +347,8 @@ def predicted(jobs: pd.DataFrame, campaign: str, times: float) -> pd.DataFrame:
                 "longest_s": (found["cpu_s"] / group["threads"]).max(),
                 "memory_mb": found["memory_mb"].max(),
                 "output_mb": found["output_mb"].sum(),
+                "least_cpu_s": least["cpu_s"].sum(),
+                "least_memory_mb": least["memory_mb"].max(),
                 "measured_growth": _shows_growth(every),
             }
         )
