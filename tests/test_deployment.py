@@ -15,6 +15,7 @@ from packaging.specifiers import SpecifierSet
 from packaging.utils import canonicalize_name
 
 import thalweg
+from tests.test_house import CONDA_NAMES
 
 
 @pytest.mark.parametrize("name", ["Containerfile", "envs/thalweg.def"])
@@ -25,6 +26,35 @@ def test_images_hold_the_locked_environment(repository: Path, name: str) -> None
     project = tomllib.loads((repository / "pyproject.toml").read_text())["project"]
     assert "3.11" in SpecifierSet(project["requires-python"])  # of Debian 12
     assert "touch .venv/.complete" in text  # else `make` in the image would begin anew
+
+
+def test_the_conda_environment_is_the_locked_one_with_what_the_package_asks_for(repository: Path) -> None:
+    """Names as `pyproject.toml` asks for them, with all extras; versions, where stated, of the lock."""
+    project = tomllib.loads((repository / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    (everything,) = map(Requirement, extras["all"])
+    asked = [*project["dependencies"], *(each for name in everything.extras for each in extras[name])]
+    wanted = {
+        canonicalize_name(each.name)
+        for each in map(Requirement, asked)
+        if each.marker is None
+        or each.marker.evaluate({"sys_platform": "linux", "platform_machine": "x86_64"})
+    }
+    listed = yaml.safe_load((repository / "envs/thalweg.yaml").read_text())["dependencies"]
+    texts = [text for entry in listed for text in (entry["pip"] if isinstance(entry, dict) else [entry])]
+    on_pypi = {conda: name for name, conda in CONDA_NAMES.items()}
+    stated = {
+        canonicalize_name(on_pypi.get(name, name)): version
+        for name, version in (re.fullmatch(r"([\w-]+)=*([\d.]*)", text).groups() for text in texts)
+    }
+    assert wanted - set(stated) == {"snakemake"}  # forks or starts the jobs, from an environment of its own
+    assert set(stated) - wanted == {"python", "pip", "lazrs"}  # lazrs: behind laspy[lazrs]
+    lock = (repository / "envs/requirements.lock").read_text()
+    locked: dict[str, str] = {}  # a package with a version for each Python: that of the lowest comes first
+    for name, version in re.findall(r"(?m)^([\w.-]+)==([\w.+]+)", lock):
+        locked.setdefault(canonicalize_name(name), f"{version}.")
+    assert {n: v for n, v in stated.items() if not locked.get(n, f"{v}.").startswith(f"{v}.")} == {}
+    assert stated["python"] in SpecifierSet(project["requires-python"])
 
 
 def test_both_images_are_the_same(repository: Path) -> None:

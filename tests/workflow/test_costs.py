@@ -166,32 +166,40 @@ def test_rules_in_the_file_exist(repository: Path) -> None:
 def test_a_larger_survey_follows_the_lines_that_were_measured() -> None:
     """By hand: 30 times 8 MB; a rule whose inputs never differed is proportional beyond the libraries."""
     grows = [
-        ("grows", c, size, 2 + 0.5 * size, 700 + 3 * size) for c, size in zip("aab", (1, 8, 32), strict=True)
+        ("grows", c, size, 2 + 0.5 * size, 700 + 3 * size, 1 + 0.1 * size)
+        for c, size in zip("aab", (1, 8, 32), strict=True)
     ]
-    alike = [("alike", "a", 8, 4, 1000), ("alike", "a", 8, 6, 600), ("alike", "b", 8, 4, 900)]
-    twin = [("simulate_lidar", "a", 1, 99, 9999), ("compare_with_truth", "a", 1, 99, 9999)]
+    pairs = [("pairs", c, size, 0.1 * size**1.5, 800, 2) for c, size in zip("ab", (4, 16), strict=True)]
+    alike = [("alike", "a", 8, 4, 1000, 3), ("alike", "a", 8, 6, 600, 3), ("alike", "b", 8, 4, 900, 3)]
+    twin = [("simulate_lidar", "a", 1, 99, 9999, 9), ("compare_with_truth", "a", 1, 99, 9999, 9)]
     jobs = pd.DataFrame(
-        [*grows, *alike, *twin], columns=["rule", "campaign", "input_mb", "cpu_s", "memory_mb"]
+        [*grows, *pairs, *alike, *twin],
+        columns=["rule", "campaign", "input_mb", "cpu_s", "memory_mb", "output_mb"],
     )
-    table = predicted(jobs.assign(threads=2, output_mb=3.0), "a", 30.0).set_index("rule")
-    assert list(table.index) == ["alike", "grows"]  # the most expensive first, none of the twin
+    table = predicted(jobs.assign(threads=2), "a", 30.0).set_index("rule")
+    assert list(table.index) == ["alike", "grows", "pairs"]  # the most expensive first, none of the twin
     assert table.loc["grows", ["jobs", "cpu_s", "longest_s"]].tolist() == pytest.approx([2, 17 + 122, 61])
-    assert table.loc["grows", "memory_mb"] == pytest.approx(700 + 3 * 240)
+    assert table.loc["grows", ["memory_mb", "output_mb"]].tolist() == pytest.approx([700 + 3 * 240, 4 + 25])
+    assert table.loc["pairs", ["cpu_s", "memory_mb", "output_mb"]].tolist() == pytest.approx(
+        [0.1 * 120**1.5, 800, 2]
+    )
     assert table.loc["alike", ["jobs", "cpu_s", "longest_s"]].tolist() == [2, 30 * 10, 90]
     assert table.loc["alike", "memory_mb"] == FLOOR_MB + 30 * 300  # the smaller job stays below the floor
-    assert table["output_mb"].tolist() == [180, 180]
-    assert table["measured_growth"].tolist() == [False, True]
+    assert table.loc["alike", ["output_mb", "least_cpu_s", "least_memory_mb"]].tolist() == [180, 10, 1000]
+    assert table.loc["grows", "least_cpu_s"] == table.loc["grows", "cpu_s"]
+    assert table["measured_growth"].tolist() == [False, True, True]
     with pytest.raises(InputError, match="expected one of a, b"):
         predicted(jobs, "c", 2.0)
 
 
 def test_what_a_larger_survey_takes_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     result(tmp_path / "small", "reads", 0, memory_mb=100, asked_mb=2000)
-    result(tmp_path / "river", "reads", 1, memory_mb=100, asked_mb=2000, input_mb=20, wall_s=360)
+    result(tmp_path / "river", "reads", 1, memory_mb=100, asked_mb=2000, input_mb=15, wall_s=360)
     assert main(["costs", str(tmp_path), "--predict", "10"]) == 0
     told = capsys.readouterr().out
-    assert "10 times the logs of river: 2.00 h of one processor (100% of it" in told
-    assert "longest job reads 2.00 h, largest 0.7 GB of memory, 0.0 GB of results" in told
+    assert "10 times the logs of river: 0.20 to 2.00 h of one processor" in told
+    assert "memory of a job up to 0.7 to 0.7 GB, longest job reads 2.00 h, 0.0 GB of results" in told
+    assert "1 of 1 rules were measured at one size" in told
     assert pd.read_csv(tmp_path / "costs/predicted.csv")["cpu_s"].tolist() == [7_200]
     assert main(["costs", str(tmp_path), "--predict", "2", "--of", "small"]) == 0
     assert "2 times the logs of small" in capsys.readouterr().out

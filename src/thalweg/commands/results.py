@@ -190,14 +190,19 @@ def _costs(options: argparse.Namespace) -> int:
         table = predicted(jobs, of, options.predict)
         table.to_csv(out / "predicted.csv", index=False, float_format="%.6g")
         longest = table.sort_values("longest_s").iloc[-1]
-        presumed = table.loc[~table["measured_growth"], "cpu_s"].sum() / table["cpu_s"].sum()
+        unknown = int((~table["measured_growth"]).sum())
         print(
-            f"{options.predict:g} times the logs of {of}: {table['cpu_s'].sum() / 3600:.2f} h of one"
-            f" processor ({presumed:.0%} of it by rules whose growth was not measured, taken as"
-            f" proportional), longest job {longest['rule']} {longest['longest_s'] / 3600:.2f} h,"
-            f" largest {table['memory_mb'].max() / 1000:.1f} GB of memory,"
+            f"{options.predict:g} times the logs of {of}: {table['least_cpu_s'].sum() / 3600:.2f} to"
+            f" {table['cpu_s'].sum() / 3600:.2f} h of one processor, memory of a job up to"
+            f" {table['least_memory_mb'].max() / 1000:.1f} to {table['memory_mb'].max() / 1000:.1f} GB,"
+            f" longest job {longest['rule']} {longest['longest_s'] / 3600:.2f} h,"
             f" {table['output_mb'].sum() / 1000:.1f} GB of results: {out / 'predicted.csv'}"
         )
+        if unknown:
+            print(
+                f"{unknown} of {len(table)} rules were measured at one size: the first number is as if they"
+                " did not grow, the second as if in proportion; run a third of the logs as well"
+            )
     return int((rules["remark"].str.startswith("more")).any())
 
 

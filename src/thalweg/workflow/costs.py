@@ -35,6 +35,10 @@ REACH: Final = 2.0
 """Lines are used up to inputs so many times as large as the largest measured ones."""
 SPAN: Final = 4.0
 """A slope is fitted where the largest input is so many times as large as the smallest."""
+GROWTH: Final = 3.0
+"""Jobs show how a rule grows if the largest inputs are so many times as large as the smallest."""
+STEEPEST: Final = 2.0
+"""No rule grows faster than the square of its inputs, all pairs of images; small jobs may seem to."""
 WASTE: Final = 0.25
 """A request of which less is used, beyond the floor, is told."""
 
@@ -297,10 +301,12 @@ def _line(x: ArrayF, y: ArrayF, digits: int) -> list[float]:
 def predicted(jobs: pd.DataFrame, campaign: str, times: float) -> pd.DataFrame:
     """What a survey takes whose logs are so many times those of a measured one.
 
-    Each job keeps its place in the workflow, and its inputs grow with the logs. Processor time and memory
-    follow a line over the inputs where jobs of the rule differ enough in them (`SPAN`), over all campaigns.
-    Elsewhere they are taken as proportional, memory beyond `FLOOR_MB` alone: too much for pages and tables,
-    too little for what grows faster, and the column ``measured_growth`` is false.
+    Each job keeps its place in the workflow, and its inputs grow with the logs. Where jobs of a rule differ
+    enough in their inputs (`GROWTH`), over all campaigns, processor time, memory and outputs follow a line
+    over the inputs, or a power of them where that line would begin below zero. Elsewhere they are taken as
+    proportional, memory beyond `FLOOR_MB` alone: too much for pages, pictures and what holds pieces of its
+    inputs, too little for what grows faster. There the column ``measured_growth`` is false, and columns
+    ``least_`` hold what was measured, as if nothing grew.
 
     Parameters
     ----------
@@ -311,7 +317,8 @@ def predicted(jobs: pd.DataFrame, campaign: str, times: float) -> pd.DataFrame:
     Returns
     -------
     A row for each rule, the most expensive first: ``rule, jobs, cpu_s, longest_s, memory_mb, output_mb,
-    measured_growth``; ``longest_s`` is the largest job's processor time over its threads.
+    least_cpu_s, least_memory_mb, measured_growth``; ``longest_s`` is the largest job's processor time over
+    its threads.
 
     Raises
     ------
@@ -327,15 +334,11 @@ def predicted(jobs: pd.DataFrame, campaign: str, times: float) -> pd.DataFrame:
     rows = []
     for rule, group in own.groupby("rule"):
         every = of_survey[of_survey["rule"] == rule]
-        x, grown = every["input_mb"].to_numpy(float), times * group["input_mb"].to_numpy(float)
-        found = {}
-        for name, floor in (("cpu_s", 0.0), ("memory_mb", float(FLOOR_MB))):
-            y = group[name].to_numpy(float)
-            if _spans(x):
-                slope = max(float(np.polyfit(x, every[name], 1)[0]), 0.0)
-                found[name] = y + slope * (grown - grown / times)
-            else:
-                found[name] = np.minimum(y, floor) + times * np.maximum(y - floor, 0.0)
+        found = {
+            name: _grown(every, group, name, times, floor)
+            for name, floor in (("cpu_s", 0.0), ("memory_mb", float(FLOOR_MB)), ("output_mb", 0.0))
+        }
+        least = found if _shows_growth(every) else group
         rows.append(
             {
                 "rule": rule,
@@ -343,8 +346,28 @@ def predicted(jobs: pd.DataFrame, campaign: str, times: float) -> pd.DataFrame:
                 "cpu_s": found["cpu_s"].sum(),
                 "longest_s": (found["cpu_s"] / group["threads"]).max(),
                 "memory_mb": found["memory_mb"].max(),
-                "output_mb": times * group["output_mb"].sum(),
-                "measured_growth": _spans(x),
+                "output_mb": found["output_mb"].sum(),
+                "least_cpu_s": least["cpu_s"].sum(),
+                "least_memory_mb": least["memory_mb"].max(),
+                "measured_growth": _shows_growth(every),
             }
         )
     return pd.DataFrame(rows).sort_values("cpu_s", ascending=False, ignore_index=True)
+
+
+def _shows_growth(jobs: pd.DataFrame) -> bool:
+    x = jobs["input_mb"]
+    return bool(x.min() > 0 and x.max() >= GROWTH * x.min())
+
+
+def _grown(every: pd.DataFrame, own: pd.DataFrame, name: str, times: float, floor: float) -> ArrayF:
+    """A column of jobs ``own`` with inputs so many times as large, as ``every`` job of the rule shows."""
+    y = own[name].to_numpy(float)
+    if not _shows_growth(every):
+        return np.minimum(y, floor) + times * np.maximum(y - floor, 0.0)
+    sizes, values = every["input_mb"].to_numpy(float), every[name].to_numpy(float)
+    slope, base = np.polyfit(sizes, values, 1)
+    if base < 0 and values.min() > 0:
+        power = np.polyfit(np.log(sizes), np.log(values), 1)[0]
+        return y * times ** min(power, STEEPEST)
+    return y + max(slope, 0.0) * (times - 1) * own["input_mb"].to_numpy(float)
