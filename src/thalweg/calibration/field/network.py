@@ -69,9 +69,6 @@ _SCALES: Final = (0.6, 1.6)
 """The sheets' printed size gives the size of a field, less the error of a nominal focal length."""
 _ASKEW: Final = 0.15
 """Median distance over the size of the field up to which an approximate place is one."""
-_SIMILAR: Final = 1.01
-"""Factor between two scales below which they are no explanation of a gross contradiction."""
-
 _LEAST_IMAGES: Final = 3
 """Pictures on either side of the place where a camera may have changed."""
 _NOTED: Final = 0.3
@@ -752,8 +749,7 @@ def _unit(v: ArrayF) -> ArrayF:
 # ---------------------------------------------------------------- targets that contradict the field grossly
 #
 # Any three targets give a place of the field in closed form; the place that most targets agree with is
-# kept, as in RANSAC, but over all triples. What agrees with nothing is then explained:
-# coordinates with latitude and longitude exchanged, scale bars in another unit.
+# kept, as in RANSAC, but over all triples.
 
 
 def similarity(a: ArrayF, b: ArrayF, *, scaled: bool) -> tuple[float, Rigid]:
@@ -818,13 +814,6 @@ def agreeing(
     everyone: AnyArray = np.ones(len(pcs), np.bool_)
     factor, T = similarity(*(x[kept if best else everyone] for x in (pcs, wcs)), scaled=scaled)
     return kept, wcs - T.apply(factor * pcs), factor
-
-
-def other_scale(pcs: ArrayF, wcs: ArrayF, tolerance_m: ArrayF) -> float | None:
-    """The factor by which the field is too small if that explains what contradicts, None if not."""
-    kept, _, factor = agreeing(pcs, wcs, tolerance_m, scaled=True)
-    clear = max(factor, 1 / factor) > _SIMILAR if factor > 0 else False
-    return factor if clear and kept.all() else None
 
 
 def distances_words(names: Sequence[str], off_m: ArrayF) -> str:
