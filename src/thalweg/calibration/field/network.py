@@ -765,26 +765,18 @@ def similarity(a: ArrayF, b: ArrayF, *, scaled: bool) -> tuple[float, Rigid]:
 
 
 def approximate_place(a: ArrayF, b: ArrayF, *, scaled: bool) -> tuple[float, Rigid] | None:
-    """The similarity of three places that most others lie nearest to; None if no three belong together.
+    """The similarity that most places agree with; None if no three belong together.
 
     Parameters
     ----------
     a, b : (n, 3) the same places in two frames, of about the same size.
     scaled : estimate a factor, too.
     """
-    best: tuple[float, ArrayB] | None = None
     size = float(np.sqrt(np.square(a - a.mean(axis=0)).sum(axis=1).mean()))
-    for three in _triples(a):
-        factor, T = similarity(a[three], b[three], scaled=True)
-        if not _SCALES[0] < factor < _SCALES[1]:
-            continue
-        off = np.linalg.norm(T.apply(factor * a) - b, axis=1)
-        cost = float(np.median(off)) + float(off[three].max())
-        if best is None or cost < best[0]:
-            best = cost, np.asarray(off < _ASKEW * size)
-    if best is None or best[0] > 2 * _ASKEW * size or best[1].sum() < 3:
+    kept, _, factor = agreeing(a, b, np.full(len(a), _ASKEW * size), scaled=True)
+    if not kept.any() or not _SCALES[0] < factor < _SCALES[1]:
         return None
-    return similarity(a[best[1]], b[best[1]], scaled=scaled)
+    return similarity(a[kept], b[kept], scaled=scaled)
 
 
 def agreeing(
