@@ -38,7 +38,7 @@ def predictions(problem, truth, rng: np.random.Generator, known: int = IMAGES) -
 @pytest.fixture(scope="module")
 def block():
     """A block, and the same that begins so far tilted that it settles in another minimum."""
-    problem, truth = block_scene.scene(np.random.default_rng(0), images=IMAGES, points=180)
+    problem, truth = block_scene.scene(np.random.default_rng(0), images=IMAGES, points=300)
     wrong = replace(truth, R=exp_rotation(np.tile([1.0, 0, 0], (IMAGES, 1))) @ truth.R, C=truth.C + UP_M)
     start = predicted_block(problem.block, predictions(problem, wrong, np.random.default_rng(1)))
     return replace(problem, block=start), truth
@@ -66,7 +66,7 @@ def test_a_wrong_shape_is_left_for_the_predicted_one(block) -> None:
 def test_without_predictions_or_doubt_nothing_changes(block) -> None:
     problem, truth = block
     assert adjust_from_either_start(problem, block_scene.OPTIONS, None)[3] == []
-    good, truth = block_scene.scene(np.random.default_rng(0), images=IMAGES, points=180)
+    good, truth = block_scene.scene(np.random.default_rng(0), images=IMAGES, points=300)
     same, found, _, notes = adjust_from_either_start(
         good, block_scene.OPTIONS, predictions(good, truth, np.random.default_rng(2))
     )
@@ -76,7 +76,7 @@ def test_without_predictions_or_doubt_nothing_changes(block) -> None:
 
 
 def test_wrong_predictions_do_not_spoil_a_good_block() -> None:
-    good, truth = block_scene.scene(np.random.default_rng(0), images=IMAGES, points=180)
+    good, truth = block_scene.scene(np.random.default_rng(0), images=IMAGES, points=300)
     wrong = replace(truth, R=exp_rotation(np.tile([1.0, 0, 0], (IMAGES, 1))) @ truth.R, C=truth.C + UP_M)
     _, found, _, notes = adjust_from_either_start(
         good, block_scene.OPTIONS, predictions(good, wrong, np.random.default_rng(2))
