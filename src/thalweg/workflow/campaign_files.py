@@ -509,8 +509,7 @@ class CampaignFiles:
         return [self._result(f"calibration/{name}.csv") for name in names]
 
     def _calibration_outputs(self) -> list[str]:
-        board = self.logs("board_images") or self.logs("board_observations")
-        outputs = self._where(board, "calibration/board_camera_lidar.yaml")
+        outputs = self._where(self.logs("board_images"), "calibration/board_camera_lidar.yaml")
         outputs += self._where(self.has_rig_field(), "calibration/rig.yaml")
         if not self.logs("field"):
             return outputs
