@@ -159,7 +159,10 @@ def read_entry(folder: Path) -> Entry:
         remarks.append(f"made by several versions: {', '.join(versions)}")
     if missing:
         remarks.append(f"without provenance: {', '.join(missing)}")
-    west, south, east, north = _box(outline)
+    (west, south), (east, north) = (
+        np.full((2, 2), np.nan) if outline is None else np.stack([outline.min(axis=0), outline.max(axis=0)])
+    ).tolist()
+    checksums = "".join(f"{name} {each.get('file:checksum', '')}\n" for name, each in sorted(assets.items()))
     chains = [
         name
         for name, file in (
@@ -184,7 +187,7 @@ def read_entry(folder: Path) -> Entry:
         "versions": " ".join(versions),
         "files": files,
         "bytes": size,
-        "sha256": _joint(assets),
+        "sha256": hashlib.sha256(checksums.encode()).hexdigest(),
         "remarks": "; ".join(remarks),
     }
     pages = {href: words for href, words in PAGES.items() if (folder / href).is_file()}
@@ -219,14 +222,6 @@ def _track(path: Path) -> tuple[ArrayF, tuple[str, str]]:
     return np.column_stack([lon, lat]), (utc_text_from_gps(t.min(), 0), utc_text_from_gps(t.max(), 0))
 
 
-def _box(outline: ArrayF | None) -> tuple[float, float, float, float]:
-    if outline is None:
-        return (np.nan,) * 4
-    west, south = outline.min(axis=0)
-    east, north = outline.max(axis=0)
-    return float(west), float(south), float(east), float(north)
-
-
 def _provenance(
     folder: Path,
 ) -> tuple[dict[str, dict[str, Any]], list[str], int, int, dict[str, str], list[str]]:
@@ -259,11 +254,6 @@ def _provenance(
             **checksum,
         }
     return assets, sorted(versions), files, size, libraries, missing
-
-
-def _joint(assets: dict[str, dict[str, Any]]) -> str:
-    text = "".join(f"{name} {each.get('file:checksum', '')}\n" for name, each in sorted(assets.items()))
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _sigmas(summary: Path) -> dict[str, float]:

@@ -403,12 +403,16 @@ def _draw_ground(ax: Axes, bodies: Sequence[FieldCone], ground: ArrayF, view: Ob
         ax.plot(*view.apply(np.array([(x, y, up), (x, y, z)]))[0].T, color="0.6", lw=0.8, zorder=2)
 
 
-def draw_field_setup(*, cones: Path, field: Path, place: Path, poses: Path, title: str) -> Figure:
-    """Cones and poses of a calibration -> figure of the field."""
+def _in_world(cones: Path, field: Path, place: Path, poses: Path) -> tuple[pd.DataFrame, pd.DataFrame, str]:
+    """Cones and poses of a calibration in the world, or without a place of the field in its own frame."""
     T_wcs_pcs = read_place(place)
     bodies = placed(read_cones(cones, field), T_wcs_pcs)
-    stands = placed(read_figure_table(poses), T_wcs_pcs)
-    frame = "pcs" if T_wcs_pcs is None else "wcs"
+    return bodies, placed(read_figure_table(poses), T_wcs_pcs), "pcs" if T_wcs_pcs is None else "wcs"
+
+
+def draw_field_setup(*, cones: Path, field: Path, place: Path, poses: Path, title: str) -> Figure:
+    """Cones and poses of a calibration -> figure of the field."""
+    bodies, stands, frame = _in_world(cones, field, place, poses)
     described = [cone.name for cone in read_field(field).cones]
     unseen = [name for name in described if name not in set(bodies["name"])]
     return field_setup(bodies, stands, frame=frame, unseen=unseen, title=title)
@@ -416,10 +420,7 @@ def draw_field_setup(*, cones: Path, field: Path, place: Path, poses: Path, titl
 
 def draw_field_positions(*, cones: Path, field: Path, place: Path, poses: Path) -> Figure:
     """Cones and poses of a calibration -> figure of the positions in the field."""
-    T_wcs_pcs = read_place(place)
-    bodies = placed(read_cones(cones, field), T_wcs_pcs)
-    stands = placed(read_figure_table(poses), T_wcs_pcs)
-    frame = "pcs" if T_wcs_pcs is None else "wcs"
+    bodies, stands, frame = _in_world(cones, field, place, poses)
     return field_positions(bodies, stands, frame=frame)
 
 

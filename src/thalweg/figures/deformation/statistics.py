@@ -144,6 +144,20 @@ def draw_stable_ground(
 # ---------------------------------------------------------------- volumes along the bank
 
 
+_BARS: Final[dict[str, Any]] = {"lw": 0.9, "capsize": 1.5}
+
+
+def _places(stretches: pd.DataFrame, shift: float) -> tuple[pd.Series, pd.Series]:
+    """Middles of stretches, moved by a share of their widths, and these."""
+    width = stretches["s_to_m"] - stretches["s_from_m"]
+    return 0.5 * (stretches["s_from_m"] + stretches["s_to_m"]) + shift * width, width
+
+
+def _tables(paths: Sequence[Path]) -> list[tuple[str, pd.DataFrame]]:
+    """Tables of pairs, whose names end with that of the pair."""
+    return [(path.stem.rpartition("_")[2], pd.read_csv(path)) for path in paths]
+
+
 @styled
 def volume_along(tables: Sequence[tuple[str, pd.DataFrame]], *, by_boat: bool, title: str) -> Figure:
     """Eroded, deposited and net volume of each stretch, and the area that was not seen."""
@@ -158,44 +172,25 @@ def volume_along(tables: Sequence[tuple[str, pd.DataFrame]], *, by_boat: bool, t
             ("net", "black", "o", 0.22),
         ):
             rows = table[table["what"] == what]
-            width = (rows["s_to_m"] - rows["s_from_m"]).to_numpy()
-            x = 0.5 * (rows["s_from_m"] + rows["s_to_m"]).to_numpy() + shift * width
-            v = rows["volume_m3"].to_numpy()
-            use = rows["area_m2"].to_numpy() > 0
-            half = (rows["high_m3"] - rows["volume_m3"]).to_numpy()
-            bars = what != "net"
-            if bars:
-                volumes.bar(x[use], v[use], 0.2 * width[use], color=colour, alpha=0.6, lw=0, gid=what)
-            volumes.errorbar(
-                x[use],
-                v[use],
-                half[use],
-                fmt=marker,
-                ms=3,
-                color=colour,
-                lw=0.9,
-                capsize=1.5,
-                label=f"{what}: {signed(v.sum(), 1)} m³",
-            )
+            used = rows[rows["area_m2"] > 0]
+            x, width = _places(used, shift)
+            if what != "net":
+                volumes.bar(x, used["volume_m3"], 0.2 * width, color=colour, alpha=0.6, lw=0, gid=what)
+            half = used["high_m3"] - used["volume_m3"]
+            label = f"{what}: {signed(rows['volume_m3'].sum(), 1)} m³"
+            volumes.errorbar(x, used["volume_m3"], half, fmt=marker, ms=3, color=colour, **_BARS, label=label)
         volumes.axhline(0.0, color="black", lw=0.6)
         volumes.set_ylabel("volume / m³")
         low, high = volumes.get_ylim()
         volumes.set_ylim(low, high + 0.18 * (high - low))
-        length_m = float((table["s_to_m"] - table["s_from_m"]).iloc[0])
+        x, width = _places(rows, 0.0)
         volumes.set_title(
-            f"epochs {name.replace('-', ' to ')}, {len(rows)} stretches of {length_m:g} m, bars: 95 %"
+            f"epochs {name.replace('-', ' to ')}, {len(rows)} stretches of {width.iloc[0]:g} m, bars: 95 %"
         )
         volumes.legend(loc="upper center", ncols=3)
         volumes.tick_params(labelbottom=False)
-        unseen.bar(
-            0.5 * (rows["s_from_m"] + rows["s_to_m"]),
-            rows["not_seen_m2"],
-            0.9 * width,
-            color=GREY,
-            gid="not-seen",
-        )
-        unseen.set_ylabel("no data / m²")
-        unseen.set_xlabel(scene(by_boat).along)
+        unseen.bar(x, rows["not_seen_m2"], 0.9 * width, color=GREY, gid="not-seen")
+        unseen.set(ylabel="no data / m²", xlabel=scene(by_boat).along)
         unseen.sharex(volumes)
     figure.align_ylabels(panels)
     return figure
@@ -203,9 +198,8 @@ def volume_along(tables: Sequence[tuple[str, pd.DataFrame]], *, by_boat: bool, t
 
 def draw_volume_along(*, along: list[Path], by_boat: bool, title: str) -> Figure:
     """Volumes of stretches -> bars along the bank or surface."""
-    tables = [(path.stem.rpartition("_")[2], pd.read_csv(path)) for path in along]
     words = f"Volume of change along {scene(by_boat).thing}: {title}"
-    return volume_along(tables, by_boat=by_boat, title=words)
+    return volume_along(_tables(along), by_boat=by_boat, title=words)
 
 
 @styled
@@ -220,21 +214,11 @@ def retreat_along(tables: Sequence[tuple[str, pd.DataFrame]], *, by_boat: bool, 
             ("bank top", VERMILION, "^", 0.1),
         ):
             rows = table[table["line"] == line]
-            width = rows["s_to_m"] - rows["s_from_m"]
             label = f"{words.lines[line]}, n = {len(rows)} stretches"
             if line == "bank line" and len(rows):
                 label += f", at a height of {signed(rows['height_m'].iloc[0], 2)} m"
-            ax.errorbar(
-                0.5 * (rows["s_from_m"] + rows["s_to_m"]) + shift * width,
-                100 * rows["nsm_m"],
-                100 * (rows["high_m"] - rows["nsm_m"]),
-                fmt=marker,
-                ms=3.5,
-                color=colour,
-                lw=0.9,
-                capsize=1.5,
-                label=label,
-            )
+            x, half = _places(rows, shift)[0], 100 * (rows["high_m"] - rows["nsm_m"])
+            ax.errorbar(x, 100 * rows["nsm_m"], half, fmt=marker, ms=3.5, color=colour, **_BARS, label=label)
         ax.axhline(0.0, color="black", lw=0.6)
         ax.set_title(f"epochs {name.replace('-', ' to ')}, bars: 95 %")
         ax.set_ylabel(f"movement across {words.thing} / cm\n(negative: retreat)")
@@ -247,6 +231,5 @@ def retreat_along(tables: Sequence[tuple[str, pd.DataFrame]], *, by_boat: bool, 
 
 def draw_retreat_along(*, retreat: list[Path], by_boat: bool, title: str) -> Figure:
     """Movement of both lines in stretches -> along the bank or surface."""
-    tables = [(path.stem.rpartition("_")[2], pd.read_csv(path)) for path in retreat]
     words = f"Movement of {scene(by_boat).thing}: {title}"
-    return retreat_along(tables, by_boat=by_boat, title=words)
+    return retreat_along(_tables(retreat), by_boat=by_boat, title=words)
