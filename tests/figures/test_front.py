@@ -260,7 +260,7 @@ def test_what_is_listed_is_what_campaigns_make(repository: Path) -> None:
 
 
 def test_a_picture_keeps_its_reason(tmp_path: Path) -> None:
-    save(new_figure(40.0, "A map", twin=False), tmp_path / "map.png", dpi=50)
+    save(new_figure(40.0, "A map"), tmp_path / "map.png", dpi=50)
     save(empty_figure("Sections", "no point", twin=True), tmp_path / "none.png", dpi=50, note="no point")
     assert note_of(tmp_path / "map.png") is None
     assert "no point" in (note_of(tmp_path / "none.png") or "")

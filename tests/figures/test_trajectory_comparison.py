@@ -66,7 +66,7 @@ def control():
 
 
 def test_ranges_of_all_chains(ranges, look):
-    figure = chains_by_range(ranges, outlier_rule="without 5 NMAD", title="Test", twin=True)
+    figure = chains_by_range(ranges, outlier_nmads=5.0, title="Test", twin=True)
     words = look.texts(figure)
     for text in (
         "digital twin",
@@ -75,7 +75,7 @@ def test_ranges_of_all_chains(ranges, look):
         "published curves cross between 11 and",
         "INS, T Table 3.1",
         "camera, P2 Table 1",
-        "without 5 NMAD",
+        "farther than 5 NMAD",
     ):
         assert text in words, text
     kept = ranges[ranges["points"] == "without outliers"]
