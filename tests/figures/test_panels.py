@@ -37,7 +37,7 @@ EXAMPLES: Final = {
         "lightsheet.figures.survey:bed_strip": "test_the_strip_beside_the_true_bed"
     },
     "figures/test_budget.py": {
-        "figures.survey.budget:error_budget": "test_the_stack_ends_at_the_total_and_at_100_percent"
+        "thalweg_lab.figures.error_budget:error_budget": "test_the_stack_ends_at_the_total_and_at_100_percent"
     },
     "figures/test_calibration_clocks.py": {
         "figures.calibration.clock:clock_offset": "test_the_offset_figure_shows_both_tracks",
