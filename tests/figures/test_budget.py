@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.budgets import GROUPS, read_budget, read_published
+from thalweg.budgets import GROUPS, read_budget
 from thalweg.core import InputError
 from thalweg_lab.figures.error_budget import STYLE, error_budget
+from thalweg_lab.reproduction.published_budgets import read_published
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,10 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from thalweg.budgets import GROUPS, TOTAL, Budget, group_shares, read_budget, read_published, totals_mm
+from thalweg.budgets import GROUPS, TOTAL, Budget, read_budget, totals_mm
 from thalweg.core import ArrayF, InputError
 from thalweg.figures import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION, legend_below, new_figure, styled
+from thalweg_lab.reproduction import group_shares, read_published
 
 FARTHEST_M: Final = 60.0
 STYLE: Final = {
