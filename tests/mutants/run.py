@@ -158,7 +158,7 @@ class Run:
     def accused(self) -> tuple[str, ...]:
         """The test that failed, or all after a crash."""
         text = self.log.read_text(errors="replace")
-        failed = re.search(r"^(?:FAILED|ERROR) tests/(.+?)(?: - |$)", text, re.M)
+        failed = re.search(r"^FAILED tests/(.+)$", text, re.M)
         return (failed.group(1),) if failed else tuple(self.tests) or self.target.tests
 
     @property
@@ -248,23 +248,11 @@ def options_of_pytest(compiled: bool) -> list[str]:
     import numba
 
     numba.config.DISABLE_JIT = compiled
-    options = ["-x", "-q", "--tb=line", "--assert=plain", "--benchmark-disable", "--hypothesis-seed=0"]
+    options = ["-s", "-q", "--tb=line", "--assert=plain", "--benchmark-disable", "--hypothesis-seed=0"]
     options += ["-m", "not slow and not workflow and not real", "-p", "no:cacheprovider", "-p", "no:xdist"]
     if compiled:
         options += ["-W", "ignore::RuntimeWarning"]  # error_model "numpy" divides by zero without a word
     return options
-
-
-def import_child(run: Run) -> int:
-    """Import the changed module and run its tests: for what runs when a module is imported."""
-    import pytest
-
-    text = run.target.source
-    tree = ast.parse(text) if run.site is None else mutations.mutated(text, run.site)
-    sys.meta_path.insert(0, Changed(run.target, tree))
-    return pytest.main(
-        [*options_of_pytest(run.target.compiled), *(f"tests/{name}" for name in run.target.tests)]
-    )
 
 
 class Tracers(dict[str, Any]):
@@ -299,7 +287,32 @@ class Tracers(dict[str, Any]):
         return found
 
 
-class Judge:
+class Stop:
+    """Plugin of pytest: a child ends with the first test that fails."""
+
+    stops = True
+
+    def pytest_runtest_logreport(self, report: Any) -> None:
+        """Tell which one it was."""
+        if report.failed and self.stops:
+            print(f"{report.longreprtext[-500:]}\nFAILED {report.nodeid}", flush=True)
+            os._exit(1)
+
+
+def import_child(run: Run) -> int:
+    """Import the changed module and run its tests: for what runs when a module is imported."""
+    import pytest
+
+    text = run.target.source
+    tree = ast.parse(text) if run.site is None else mutations.mutated(text, run.site)
+    sys.meta_path.insert(0, Changed(run.target, tree))
+    return pytest.main(
+        [*options_of_pytest(run.target.compiled), *(f"tests/{name}" for name in run.target.tests)],
+        plugins=[Stop()],
+    )
+
+
+class Judge(Stop):
     """Plugin of pytest: all tests are collected once, then a child is forked for each mistake.
 
     A mistake meets the tests that execute its statement, the cheaper files first, then all others of these
@@ -311,15 +324,7 @@ class Judge:
     def __init__(self, runs: Sequence[Run], workers: int, until_s: float) -> None:
         self.runs, self.workers, self.until_s = runs, workers, until_s
         self.tracers = Tracers()
-        self.stops = True
         self.bad = set[str]()
-
-    def pytest_runtest_logreport(self, report: Any) -> None:
-        """A child ends with the first test that fails."""
-        if report.failed:
-            print(f"\nFAILED {report.nodeid} - {report.longreprtext[-200:]}", flush=True)
-            if self.stops:
-                os._exit(1)
 
     def pytest_runtestloop(self, session: Any) -> bool:
         """Map lines to tests, then judge."""
@@ -423,7 +428,7 @@ def in_session(runs: Sequence[Run], workers: int, until_s: float) -> tuple[list[
     judge = Judge(runs, workers, until_s)
     files = sorted({f"tests/{file}" for run in runs for file in run.target.tests})
     judge.tracers.noted(begin=True)
-    code = pytest.main([*options_of_pytest(runs[0].target.compiled), "-s", *files], plugins=[judge])
+    code = pytest.main([*options_of_pytest(runs[0].target.compiled), *files], plugins=[judge])
     assert code in (0, 5), "tests cannot be collected"
     return [(run.verdict, run.cpu_s) for run in runs], judge.bad
 
