@@ -190,57 +190,38 @@ class Run:
         ends = [part.lineno - 1 for part in getattr(inner, "body", [])]
         return range(inner.lineno, max(at, min([inner.end_lineno or 0, *ends])) + 1)
 
+    def code(self, *, changed: bool) -> CodeType:
+        """The module, with its mistake or without."""
+        text = self.target.source
+        tree = mutations.mutated(text, self.site) if changed and self.site else ast.parse(text)
+        code: CodeType = compile(tree, self.target.path, "exec")
+        return code
+
     @property
     def functions(self) -> list[tuple[CodeType, CodeType]] | None:
         """Right and changed code of the functions with the mistake; None if it stands outside of all."""
-        text = self.target.source
-        right, changed = (
-            ast.parse(text),
-            ast.parse(text) if self.site is None else mutations.mutated(text, self.site),
-        )
-        return _functions(*(compile(tree, self.target.path, "exec") for tree in (right, changed)))
+        return different_functions(self.code(changed=False), self.code(changed=True))
 
 
-def _functions(right: CodeType, changed: CodeType) -> list[tuple[CodeType, CodeType]] | None:
-    """Pairs of functions that differ, of two modules or classes; None if these differ themselves."""
-    inside = [[part for part in code.co_consts if isinstance(part, CodeType)] for code in (right, changed)]
-    bare = [
-        code.replace(co_consts=tuple(part for part in code.co_consts if not isinstance(part, CodeType)))
-        for code in (right, changed)
-    ]
+def different_functions(right: CodeType, changed: CodeType) -> list[tuple[CodeType, CodeType]] | None:
+    """Pairs of functions of two modules or classes; None if more than functions differs."""
+    bare, inside = [], []
+    for code in (right, changed):
+        inside.append([part for part in code.co_consts if isinstance(part, CodeType)])
+        bare.append(code.replace(co_consts=tuple(part for part in code.co_consts if part not in inside[-1])))
     if bare[0] != bare[1]:
         return None
     found = list[tuple[CodeType, CodeType]]()
-    for old, new in zip(*inside, strict=True):
-        if old == new:
-            continue
-        deeper = [(old, new)] if old.co_flags & inspect.CO_OPTIMIZED else _functions(old, new)
-        if deeper is None:
-            return None
-        found += deeper
+    for pair in zip(*inside, strict=True):
+        if pair[0] != pair[1]:
+            function = pair[0].co_flags & inspect.CO_OPTIMIZED
+            if (deeper := [pair] if function else different_functions(*pair)) is None:
+                return None
+            found += deeper
     return found
 
 
 # ---------------------------------------------------------------- children with one mistake each
-
-
-class Changed(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Gives the changed tree of one module."""
-
-    def __init__(self, target: Target, tree: ast.Module) -> None:
-        self.name, self.path = target.name, str(target.path)
-        self.code = compile(tree, self.path, "exec")
-
-    def find_spec(self, fullname: str, path: Any, target: Any = None) -> Any:
-        """A spec of the module that is changed; None for all others."""
-        if fullname != self.name:
-            return None
-        return importlib.machinery.ModuleSpec(fullname, self, origin=self.path)
-
-    def exec_module(self, module: Any) -> None:
-        """Run the changed tree in the module's namespace."""
-        module.__file__ = self.path
-        exec(self.code, module.__dict__)
 
 
 def options_of_pytest(compiled: bool) -> list[str]:
@@ -303,9 +284,9 @@ def import_child(run: Run) -> int:
     """Import the changed module and run its tests: for what runs when a module is imported."""
     import pytest
 
-    text = run.target.source
-    tree = ast.parse(text) if run.site is None else mutations.mutated(text, run.site)
-    sys.meta_path.insert(0, Changed(run.target, tree))
+    loader = importlib.machinery.SourceFileLoader
+    right, changed = loader.get_code, run.code(changed=True)
+    loader.get_code = lambda self, name: changed if name == run.target.name else right(self, name)  # type: ignore[method-assign]
     return pytest.main(
         [*options_of_pytest(run.target.compiled), *(f"tests/{name}" for name in run.target.tests)],
         plugins=[Stop()],
@@ -341,22 +322,19 @@ class Judge(Stop):
         tables = self.tables()
         waiting = []
         for run in self.runs:
-            path = str(run.target.path)
+            path, lines = str(run.target.path), {*run.lines}
             codes = [function.__code__ for function in self.loaded[path]]
-            if at_import.get(path, set()) & {*run.lines} or any(
-                old not in codes for old, _ in run.functions or ()
-            ):
+            if at_import.get(path, set()) & lines or any(old not in codes for old, _ in run.functions or ()):
                 continue  # for `import_child`
-            chosen = []
             for files in (run.target.tests, tables):
-                for file in files:
-                    table = tables[file]
-                    first = [
-                        test for test, (_, seen) in table.items() if seen.get(path, set()) & {*run.lines}
-                    ]
-                    chosen.append((sum(table[test][0] for test in first), first, table))
-                if chosen := sorted((each for each in chosen if each[1]), key=lambda each: each[0]):
+                chosen = []
+                for table in (tables[file] for file in files):
+                    first = [test for test, (_, seen) in table.items() if seen.get(path, set()) & lines]
+                    if first:
+                        chosen.append((sum(table[test][0] for test in first), first, table))
+                if chosen:
                     break
+            chosen.sort(key=lambda each: each[0])
             run.tests = [test for _, first, _ in chosen for test in first]
             run.tests += [test for _, first, table in chosen for test in table if test not in first]
             run.limit_s = 20 + 5 * sum(cpu_s for *_, table in chosen for cpu_s, _ in table.values())
@@ -370,14 +348,13 @@ class Judge(Stop):
 
     def tables(self) -> dict[str, dict[str, tuple[float, dict[str, set[int]]]]]:
         """Of each file of tests, by test: CPU time, and lines by file of the library."""
-        files = {file for run in self.runs for file in run.target.tests}
         tests = REPOSITORY / "tests"
         digest = hashlib.sha256(str(self.runs[0].target.compiled).encode())
-        for path in sorted({*SOURCE.rglob("*.*"), *tests.rglob("*.py")}):
-            if path.suffix != ".pyc" and not path.name.startswith("test_"):
+        for path in sorted({*SOURCE.rglob("*.py"), *SOURCE.rglob("*.yaml"), *tests.rglob("*.py")}):
+            if not path.name.startswith("test_") and path.parent != HERE:
                 digest.update(path.read_bytes())
         kept = {}
-        for file in files:
+        for file in {file for run in self.runs for file in run.target.tests}:
             own = digest.copy()
             own.update((tests / file).read_bytes())
             kept[file] = KEPT / f"{own.hexdigest()}.pickle"
@@ -568,16 +545,14 @@ def judged(runs: Sequence[Run], child: Callable[[Run], int], workers: int, until
     """Run mistakes, then the right code through what failed; returns tests that fail there, too."""
     run_all(runs, child, workers, until_s)
     found = [run for run in runs if run.verdict not in ("", "survived")]
-    right: dict[tuple[str, tuple[str, ...]], Run] = {}
+    right: dict[tuple[str, ...], Run] = {}
     for run in found:
-        key = run.target.module if run.target.compiled else "", run.accused
         target = Target(run.target.module, run.accused)
-        right.setdefault(key, Run(target, None, run.log.with_suffix(".right.txt"), tests=[*run.accused]))
+        right[run.accused] = Run(target, None, run.log.with_suffix(".right.txt"), tests=[*run.accused])
     run_all([*right.values()], child, workers)
     bad = {test for run in right.values() if run.verdict != "survived" for test in run.target.tests}
     for run in found:
-        same = right[run.target.module if run.target.compiled else "", run.accused]
-        if run.verdict == "timeout" and 2 * same.cpu_s > run.limit_s:
+        if run.verdict == "timeout" and 2 * right[run.accused].cpu_s > run.limit_s:
             bad |= {*run.accused}
         run.verdict = "unclear" if bad & {*run.accused} else run.verdict
     return bad
