@@ -325,7 +325,8 @@ class Judge(Stop):
             path, lines = str(run.target.path), {*run.lines}
             codes = [function.__code__ for function in self.loaded[path]]
             if at_import.get(path, set()) & lines or any(old not in codes for old, _ in run.functions or ()):
-                continue  # for `import_child`
+                run.verdict = "import"
+                continue
             for files in (run.target.tests, tables):
                 chosen = []
                 for table in (tables[file] for file in files):
@@ -365,6 +366,8 @@ class Judge(Stop):
             if not path.exists()
         ]
         run_all(missing, self.traced, self.workers)
+        if failed := [run.target.tests[0] for run in missing if run.verdict != "survived"]:
+            raise RuntimeError(f"lines of {failed} cannot be noted: see {KEPT}/*.txt")
         return {file: pickle.loads(path.read_bytes()) for file, path in kept.items()}
 
     def traced(self, run: Run) -> int:
@@ -398,7 +401,8 @@ def in_session(runs: Sequence[Run], workers: int, until_s: float) -> tuple[list[
 
     Returns
     -------
-    list of verdicts (empty: not judged) and CPU times, and the tests whose verdicts do not count.
+    list of verdicts (empty: not judged; ``import``: for `import_child`) and CPU times, and the tests whose
+    verdicts do not count.
     """
     import pytest
 
@@ -572,7 +576,9 @@ def judge(runs: Sequence[Run], workers: int, minutes: float) -> set[str]:
         bad |= failing
         for run, (verdict, cpu_s) in zip(batch, verdicts, strict=True):
             run.verdict, run.cpu_s = verdict, cpu_s
-    rest = [run for run in runs if not run.verdict]
+    rest = [run for run in runs if run.verdict == "import" or run.functions is None]
+    for run in rest:
+        run.verdict = ""
     return bad | judged(rest, import_child, workers, began + 60 * minutes)
 
 
