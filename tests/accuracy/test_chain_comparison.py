@@ -289,6 +289,14 @@ def test_an_offset_is_a_mean_error_with_its_sign():
     assert own.loc["rms_position", "fused"] == 0.0
 
 
+def test_what_strips_leave_lasts_as_long_as_the_survey():
+    truth = trajectory()
+    table = chains_truth_table({"fused": trajectory(), "strips": trajectory()}, truth, correlation_s=0.02)
+    independent = table.set_index(["times", "quantity"]).loc[(OWN_TIMES, "independent")]
+    assert independent["fused"] > 500
+    assert 1.0 <= independent["strips"] < 3.0
+
+
 def test_common_times_are_those_of_all_chains(frames):
     truth = trajectory()
     table = chains_truth_table(

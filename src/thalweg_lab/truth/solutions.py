@@ -61,7 +61,7 @@ def chains_truth_table(
     ----------
     trajectories : chain -> its poses.
     truth : the true poses.
-    correlation_s : correlation time of the errors of the poses, for the bands.
+    correlation_s : correlation time of the errors of the poses, for the bands; those of strips last longer.
     carried : chain -> ``T_ics_ics`` that moves the true body frame to the one its poses are of.
 
     Returns
@@ -88,7 +88,9 @@ def chains_truth_table(
             )
         moved = (carried or {}).get(name)
         for times, use in ((OWN_TIMES, at), (COMMON_TIMES, at & within(common, trajectory.t_gps_s))):
-            for quantity, value, unit, words in _judged(trajectory, truth, use, correlation_s, moved):
+            # what strips leave is what all passes have in common: it lasts as long as the survey
+            lasting_s = float(np.ptp(trajectory.t_gps_s)) if name == "strips" else correlation_s
+            for quantity, value, unit, words in _judged(trajectory, truth, use, lasting_s, moved):
                 row = rows.setdefault((times, quantity), {"unit": unit, "words": words})
                 row[name] = value
     keys = sorted(rows, key=lambda key: key[0] != OWN_TIMES)
