@@ -348,7 +348,7 @@ class Judge(Stop):
         return True
 
     def tables(self) -> dict[str, dict[str, tuple[float, dict[str, set[int]]]]]:
-        """Of each file of tests, by test: CPU time, and lines by file of the library."""
+        """Of each file of tests, by test: CPU time, and which of the lines with mistakes, by module."""
         tests = REPOSITORY / "tests"
         digest = hashlib.sha256(str(self.runs[0].target.compiled).encode())
         for path in sorted({*SOURCE.rglob("*.py"), *SOURCE.rglob("*.yaml"), *tests.rglob("*.py")}):
@@ -368,7 +368,16 @@ class Judge(Stop):
         run_all(missing, self.traced, self.workers)
         if failed := [run.target.tests[0] for run in missing if run.verdict != "survived"]:
             raise RuntimeError(f"lines of {failed} cannot be noted: see {KEPT}/*.txt")
-        return {file: pickle.loads(path.read_bytes()) for file, path in kept.items()}
+        wanted = defaultdict[str, set[int]](set)
+        for each in self.runs:
+            wanted[str(each.target.path)].update(each.lines)
+        return {
+            file: {
+                test: (cpu_s, {of: lines & wanted[of] for of, lines in seen.items() if of in wanted})
+                for test, (cpu_s, seen) in pickle.loads(path.read_bytes()).items()
+            }
+            for file, path in kept.items()
+        }
 
     def traced(self, run: Run) -> int:
         """Run a file of tests on the right code and keep which lines each of them executes."""
