@@ -62,7 +62,7 @@ def test_a_known_geometry_is_found_from_its_cells(budgets) -> None:
 @pytest.fixture(scope="module")
 def tables(budgets) -> dict[str, pd.DataFrame]:
     return {
-        name: left_out(published_setup(*budgets[name], lever), starts=16).set_index("left_out")
+        name: left_out(published_setup(*budgets[name], lever), starts=8).set_index("left_out")
         for name, lever in LEVERS_M.items()
     }
 
