@@ -49,6 +49,8 @@ def test_cells_of_places() -> None:
     assert row.tolist() == [0, 2, -1, -1]
     assert column.tolist() == [0, 3, -1, -1]
     np.testing.assert_array_equal(grid.at(grid.centres_m())[0], np.repeat([0, 1, 2], 4))
+    around = Grid.around(np.array([[11.0, 21.5], [16.5, 29.0]]), 2.0, UTM, margin_m=0.5)
+    assert around == Grid(west_m=10.0, north_m=30.0, cell_m=2.0, rows=5, columns=4, crs=UTM)
 
 
 def test_a_raster_of_thousands_of_millions_of_cells_is_refused(tmp_path: Path) -> None:

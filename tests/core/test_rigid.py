@@ -176,3 +176,8 @@ def test_the_covariance_of_a_product_is_that_of_two_independent_errors() -> None
         J[:, 6 + k] = ((one @ two.moved(e)).error_from(both)) / step
     expected = J[:, :6] @ one.cov @ J[:, :6].T + J[:, 6:] @ two.cov @ J[:, 6:].T
     np.testing.assert_allclose(both.cov, expected, atol=1e-5 * np.abs(expected).max())
+
+
+def test_many_rotations_are_each_of_them() -> None:
+    vectors = np.array([[0.0, 0.0, 0.0], [1e-5, -2e-5, 0.0], [0.3, -2.0, 1.1]])
+    np.testing.assert_allclose(exp_rotation(vectors), [exp_rotation(v) for v in vectors], atol=1e-14)

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 import pytest
 from pydantic import Field, model_validator
 
-from thalweg.core import ConfigError, documents, parse_yaml, read_mapping, read_yaml
+from thalweg.core import ConfigError, documents, number_in_words, parse_yaml, read_mapping, read_yaml
 from thalweg.core.documents import Mistake, Name, Part, Text, checked, one_of, refuse, validated, wrong
 from thalweg.settings.load import load_campaign
 from thalweg.settings.messages import CampaignError
@@ -273,3 +273,15 @@ def test_all_mistakes_are_told_in_the_order_of_the_file() -> None:
     assert [row.split(":")[0] for row in rows] == ["  line 2", "  line 3", "  line 4"]
     one = Mistake(path=("logs", "lidar", 1), found="no file", expected="a pcap", cure="Look?", line=7)
     assert str(one) == "line 7: logs.lidar[1]: no file; expected a pcap. Look?"
+
+
+@pytest.mark.parametrize(
+    ("node", "words"),
+    [
+        ({"type": "integer", "minimum": 0.0, "maximum": 2.5}, "a whole number from 0 to 2.5"),
+        ({"minimum": 1, "exclusiveMaximum": 4.0}, "a number of at least 1 below 4"),
+        ({"exclusiveMinimum": 0.25, "maximum": 3}, "a number above 0.25 up to 3"),
+    ],
+)
+def test_limits_of_a_number_in_words(node: dict[str, object], words: str) -> None:
+    assert number_in_words(node) == words

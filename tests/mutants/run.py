@@ -327,18 +327,17 @@ class Judge(Stop):
             if at_import.get(path, set()) & lines or any(old not in codes for old, _ in run.functions or ()):
                 run.verdict = "import"
                 continue
-            for files in (run.target.tests, tables):
-                chosen = []
-                for table in (tables[file] for file in files):
-                    first = [test for test, (_, seen) in table.items() if seen.get(path, set()) & lines]
-                    if first:
-                        chosen.append((sum(table[test][0] for test in first), first, table))
-                if chosen:
+            for asked in (run.target.tests, tables):
+                hits = {
+                    file: [test for test, (_, seen) in tables[file].items() if seen.get(path, set()) & lines]
+                    for file in asked
+                }
+                if any(hits.values()):
                     break
-            chosen.sort(key=lambda each: each[0])
-            run.tests = [test for _, first, _ in chosen for test in first]
-            run.tests += [test for _, first, table in chosen for test in table if test not in first]
-            run.limit_s = 20 + 5 * sum(cpu_s for *_, table in chosen for cpu_s, _ in table.values())
+            files = sorted(filter(hits.get, hits), key=lambda f: sum(tables[f][test][0] for test in hits[f]))
+            run.tests = [test for f in files for test in hits[f]]
+            run.tests += [test for f in files for test in tables[f] if test not in hits[f]]
+            run.limit_s = 20 + 5 * sum(cpu_s for f in files for cpu_s, _ in tables[f].values())
             if run.tests:
                 waiting.append(run)
             else:
@@ -348,7 +347,7 @@ class Judge(Stop):
         return True
 
     def tables(self) -> dict[str, dict[str, tuple[float, dict[str, set[int]]]]]:
-        """Of each file of tests, by test: CPU time, and lines by file of the library."""
+        """Of each file of tests, by test: CPU time, and which of the lines with mistakes, by module."""
         tests = REPOSITORY / "tests"
         digest = hashlib.sha256(str(self.runs[0].target.compiled).encode())
         for path in sorted({*SOURCE.rglob("*.py"), *SOURCE.rglob("*.yaml"), *tests.rglob("*.py")}):
@@ -368,7 +367,16 @@ class Judge(Stop):
         run_all(missing, self.traced, self.workers)
         if failed := [run.target.tests[0] for run in missing if run.verdict != "survived"]:
             raise RuntimeError(f"lines of {failed} cannot be noted: see {KEPT}/*.txt")
-        return {file: pickle.loads(path.read_bytes()) for file, path in kept.items()}
+        wanted = defaultdict[str, set[int]](set)
+        for each in self.runs:
+            wanted[str(each.target.path)].update(each.lines)
+        return {
+            file: {
+                test: (cpu_s, {of: lines & wanted[of] for of, lines in seen.items() if of in wanted})
+                for test, (cpu_s, seen) in pickle.loads(path.read_bytes()).items()
+            }
+            for file, path in kept.items()
+        }
 
     def traced(self, run: Run) -> int:
         """Run a file of tests on the right code and keep which lines each of them executes."""
@@ -549,10 +557,15 @@ def judged(runs: Sequence[Run], child: Callable[[Run], int], workers: int, until
     """Run mistakes, then the right code through what failed; returns tests that fail there, too."""
     run_all(runs, child, workers, until_s)
     found = [run for run in runs if run.verdict not in ("", "survived")]
-    right: dict[tuple[str, ...], Run] = {}
-    for run in found:
-        target = Target(run.target.module, run.accused)
-        right[run.accused] = Run(target, None, run.log.with_suffix(".right.txt"), tests=[*run.accused])
+    right = {
+        run.accused: Run(
+            Target(run.target.module, run.accused),
+            None,
+            run.log.with_suffix(".right.txt"),
+            tests=[*run.accused],
+        )
+        for run in found
+    }
     run_all([*right.values()], child, workers)
     bad = {test for run in right.values() if run.verdict != "survived" for test in run.target.tests}
     for run in found:
