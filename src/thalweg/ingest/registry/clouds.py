@@ -21,7 +21,7 @@ CLOUDS: Final = tuple(
     Format(
         kind=kind,
         words=words,
-        streams=("reference", "cloud"),
+        streams=("reference", "stable", "cloud"),
         magic=(magic,),
         cloud=_cloud,
         describe=_describe,

@@ -92,9 +92,13 @@ def draw(seed: int, spec: Spec) -> Drawn:
     t = np.arange(0.0, duration + STEP_S / 2, STEP_S)
     along = spec.length_m * (1 - np.abs(1 - (t / spec.length_m) % 2))
     offset = 3.0 * (t // spec.length_m % 2) + 2.0 * np.sin(t / 5)
-    boat = np.stack([along, offset, 0.05 * np.sin(t)], axis=1)
     heading = np.deg2rad(np.where(t // spec.length_m % 2, 270.0, 90.0)) + np.deg2rad(25) * np.sin(t / 4)
-    heading = np.convolve(np.pad(heading, 20, mode="edge"), np.ones(41) / 41, mode="valid")
+    # a boat turns in seconds
+    along, offset, heading = (
+        np.convolve(np.pad(each, 20, mode="edge"), np.hanning(43)[1:-1] / 21, mode="valid")
+        for each in (along, offset, heading)
+    )
+    boat = np.stack([along, offset, 0.05 * np.sin(t)], axis=1)
     R = rotation_enu_body(np.deg2rad(3) * np.sin(t * 1.3), np.deg2rad(2) * np.sin(t), heading)
 
     share = 1.0 if spec.chain == "ins" else FUSED_SHARE
@@ -318,15 +322,18 @@ def score(seed: int, spec: Spec) -> dict[str, float]:
     row["sigma_along_ratio"] = float(along[0] / along[1])
     correction = dict(zip(found.border["unknown"], found.border["correction"], strict=True))
     row["mount_z_deg"] = float(np.rad2deg(correction["mount rotation z [rad]"]))
-    asked = found.facts["not_asked"].get("clock offset [s]", {"correction": np.nan, "sigma": np.nan})
-    row["clock_ms"] = 1e3 * float(correction.get("clock offset [s]", asked["correction"]))
-    row["clock_z"] = abs(asked["correction"]) / asked["sigma"]
-    off = found.facts["not_asked"]["range offset [m]"]
-    row["range_z"] = abs(off["correction"]) / off["sigma"]
+    z = dict(zip(found.border["unknown"], found.border["z"], strict=True))
+    not_asked = found.facts["not_asked"]
+    for word, name in (("clock", "clock offset [s]"), ("range", "range offset [m]")):
+        row[f"{word}_z"] = not_asked[name]["z"] if name in not_asked else z[name]
+    clock = not_asked.get("clock offset [s]", {}).get("correction", np.nan)
+    row["clock_ms"] = 1e3 * float(correction.get("clock offset [s]", clock))
+    row["mount_z"] = max((z[name] for name in z if name.startswith("mount")), key=abs)
     row["stated_ratio"] = found.facts["corrections_over_stated"]
     row["told_unknowns"] = found.facts["told_unknowns"]
+    named = {"clock": "if the clock", "range": "if the range", "mount": "if the mount", "poses": "poses are"}
     said = " ".join(found.facts["notes"])
-    row |= {f"names_{word}": float(word in said) for word in ("clock", "range", "mount", "poses")}
+    row |= {f"names_{what}": float(words in said) for what, words in named.items()}
     row["not_on_planes"] = float(found.facts["not_on_planes"] / found.facts["observations"])
     return row
 
