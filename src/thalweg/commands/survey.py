@@ -184,29 +184,11 @@ def add_survey_commands(commands: Commands) -> None:
         _align_strips,
         *LOG,
         ("--knot", float, "S", "interval of the corrections (default: %(default)s)", 0.5),
-        (
-            "--sigma-clock",
-            float,
-            "S",
-            "prior standard deviation of the lidar's clock; 0: not estimated (default: %(default)s)",
-            0.0,
-        ),
+        ("--sigma-clock", float, "S", "prior standard deviation of the lidar's clock (default: exact)", 0.0),
         ("--stable", [Path], "CLOUD", "surfaces that are known: terrestrial scans, an earlier epoch", []),
         ("--crs", str, "EPSG:...", "map grid of --stable, if its files state none"),
-        (
-            "--sigma-stable",
-            float,
-            "M",
-            "standard deviation of --stable along its normals, one value a cell (default: %(default)s)",
-            0.01,
-        ),
-        (
-            "--sigma-stable-shift",
-            float,
-            "M",
-            "how far --stable may be shifted and turned as a whole (default: %(default)s, not at all)",
-            0.0,
-        ),
+        ("--sigma-stable", float, "M", "its standard deviation in each cell (default: %(default)s)", 0.01),
+        ("--sigma-stable-shift", float, "M", "prior standard deviation of its datum (default: exact)", 0.0),
         FOLDER,
         writes="index.html",
         settings={
@@ -381,14 +363,9 @@ def _align_strips(options: argparse.Namespace) -> int:
     )
     surfaces, assumed = read_stable(options.stable, trajectory.frame, options.crs)
     model = error_model_of_log(
-        reader,
-        clock,
-        trajectory,
-        settings,
-        positions_t_gps_s=None,
-        lever_ics_antenna_m=np.zeros(3),
+        reader, clock, trajectory, settings, positions_t_gps_s=None, lever_ics_antenna_m=np.zeros(3),
         settings=Orientation().error_model.model_dump(),
-    )
+    )  # fmt: skip
     trajectory = model.apply(trajectory, np.zeros(3))
     options.out.mkdir(parents=True, exist_ok=True)
     model.write(options.out / "error_model.json")

@@ -588,13 +588,9 @@ class _Seen:
         """New factors of the groups and robust weights from the residuals."""
         left, free = self.from_planes_m(y)
         z = left / self.sigma / np.sqrt(free)
-        self.factors = np.array(
-            [
-                robust_sigma(z[self.group == g], 0.0) if (self.group == g).any() else 1.0
-                for g in range(len(GROUPS))
-            ]
-        )
-        self.factors = np.maximum(self.factors, [0.3] * STABLE + [1.0])
+        of_group = [z[self.group == g] for g in range(len(GROUPS))]
+        factors = [robust_sigma(each, 0.0) if len(each) else 1.0 for each in of_group]
+        self.factors = np.maximum(factors, [0.3] * STABLE + [1.0])
         self.z = z / self.factors[self.group]
         size = np.abs(self.z)
         if tukey:
@@ -689,14 +685,11 @@ def _result(
     of_lidar = replace(of_lidar, t_gps_s=of_lidar.t_gps_s + late_s)
     chains_of_lidar = [replace(each, t_gps_s=each.t_gps_s + late_s) for each in chains_of_lidar]
     border, order = y[u:], np.r_[3:6, 0:3]
-    mount = Rigid(
-        R=Rotation.from_rotvec(-border[:3]).as_matrix() @ task.mount.R,
-        shift_m=task.mount.shift_m - border[3:6],
-        cov=cov_border[np.ix_(order, order)],
-    )
+    turned = Rotation.from_rotvec(-border[:3]).as_matrix() @ task.mount.R
+    moved_m = task.mount.shift_m - border[3:6]
     return Adjusted(
         trajectory=trajectory,
-        mount=mount,
+        mount=Rigid(R=turned, shift_m=moved_m, cov=cov_border[np.ix_(order, order)]),
         of_lidar=of_lidar,
         chains=chains,
         chains_of_lidar=chains_of_lidar,
@@ -799,17 +792,10 @@ def _report(
     """Tables and facts of `Adjusted`, of all unknowns with their sigmas."""
     u = 6 * task.n_spans
     first, left = seen.from_planes_m(np.zeros_like(y))[0], seen.from_planes_m(y)[0]
-    every = pd.DataFrame(
-        {
-            "t_gps_s": seen.t_gps_s,
-            "range_m": seen.range_m,
-            "before_m": first,
-            "after_m": left,
-            "z": seen.z,
-            "weight": seen.robust,
-            "group": np.array(GROUPS)[seen.group],
-        }
-    )
+    every = pd.DataFrame({
+        "t_gps_s": seen.t_gps_s, "range_m": seen.range_m, "before_m": first, "after_m": left, "z": seen.z,
+        "weight": seen.robust, "group": np.array(GROUPS)[seen.group],
+    })  # fmt: skip
     observations = every[seen.group != STABLE].reset_index(drop=True)
     knots = pd.DataFrame({"t_gps_s": task.centre})
     for i, name in enumerate(POSE):
@@ -821,16 +807,10 @@ def _report(
             knots[what] = values[i:u:6]
     at = np.searchsorted(task.edges, observations["t_gps_s"], side="right") - 1
     knots["observations"] = np.bincount(np.clip(at, 0, task.n_spans - 1), minlength=task.n_spans)
-    border = pd.DataFrame(
-        {
-            "unknown": BORDER,
-            "correction": -y[u:],
-            "sigma_before": before[u:],
-            "sigma": after[u:],
-            "told": told[u:],
-            "z": [-found[i].z if i in found else np.nan for i in range(len(BORDER))],
-        }
-    )
+    border = pd.DataFrame({
+        "unknown": BORDER, "correction": -y[u:], "sigma_before": before[u:], "sigma": after[u:],
+        "told": told[u:], "z": [-found[i].z if i in found else np.nan for i in range(len(BORDER))],
+    })  # fmt: skip
     border = border[before[u:] > 10 * LEAST_SIGMA].reset_index(drop=True)
     said = {BORDER[i]: claim for i, claim in found.items()}
     mean = {name: float(told[i:u:6].mean()) for i, name in enumerate(POSE)}
