@@ -12,7 +12,8 @@ bank is plane, with the normal ``n``, all of its points of one span of time make
 
 whose plane ``a`` is nobody's business and eliminated cell by cell. What is left are normal equations ``N y =
 h`` of the mean errors of the poses in even spans of time (the knots) and of the border of mount, range and
-clock. Their prior covariance ``K`` is that of the trajectory that the adjustment starts from
+clock, and of the datum of stable surfaces, whose points observe the same planes. Their prior covariance
+``K`` is that of the trajectory that the adjustment starts from
 (`thalweg.core.ErrorChain`): of INS and GNSS, of the camera, of all sensors. With ``K = L L'`` the most
 probable errors and their covariance are
 
@@ -754,14 +755,9 @@ def claims(C: ArrayF, g: ArrayF, variance: ArrayF) -> dict[int, Claim]:
         lacks = max(b**2 - total, 0.0)
         odds = expit(logit(WRONG) + (z**2 - 1) / 2 - np.log(abs(z))) if lacks else 0.0
         mean, spread = np.array([own / total, (own + lacks) / (total + lacks)]) * [[b], [others]]
-        found[i] = Claim(
-            value=float(b),
-            sigma=float(np.sqrt(others)),
-            z=float(z),
-            widened_by=float(odds * lacks),
-            shift=float(odds * (mean[1] - mean[0])),
-            variance=float(odds * (spread[1] - spread[0]) + odds * (1 - odds) * (mean[1] - mean[0]) ** 2),
-        )
+        shift = odds * (mean[1] - mean[0])
+        variance_more = odds * (spread[1] - spread[0]) + odds * (1 - odds) * (mean[1] - mean[0]) ** 2
+        found[i] = Claim(*map(float, (b, np.sqrt(others), z, odds * lacks, shift, variance_more)))
         S[i, i] += lacks
     return found
 
