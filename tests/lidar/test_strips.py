@@ -8,13 +8,23 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from pyproj import CRS
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
-from thalweg.core import CoverageError, ErrorChain, LocalFrame, Rigid, Trajectory, covariance_of_means
+from thalweg.core import (
+    CoverageError,
+    ErrorChain,
+    InputError,
+    LazWriter,
+    LocalFrame,
+    Rigid,
+    Trajectory,
+    covariance_of_means,
+)
 from thalweg.figures.survey import strips_page
 from thalweg.ingest import PointBlock
-from thalweg.lidar import CELL_M, LogSample, LogSettings, strips, thin_log
+from thalweg.lidar import CELL_M, LogSample, LogSettings, read_stable, strips, thin_log
 from thalweg.lidar.overlap import planes_seen_again
 from thalweg.lidar.strips import (
     BORDER,
@@ -496,3 +506,24 @@ def test_thinning_keeps_some_points_of_each_cell_and_half_second_above_the_water
     np.testing.assert_allclose(thin.xyz_wcs_m, at[kept] + [10.0, 20.0, 3.0], atol=1e-6)
     np.testing.assert_allclose(thin.range_m, np.linalg.norm(at[kept], axis=1), rtol=1e-6)
     np.testing.assert_array_equal(thin.t_gps_s, t[kept])
+
+
+def test_stable_surfaces_are_read_in_the_frame_of_the_trajectory_or_refused(tmp_path: Path) -> None:
+    frame = LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=200.0)
+    xyz = np.random.default_rng(3).uniform(-20.0, 20.0, (50, 3))
+    for name, stated, at in (
+        ("local", frame, xyz),
+        ("map", CRS.from_epsg(25833), frame.to_map(xyz, CRS.from_epsg(25833))),
+        ("bare", None, frame.to_map(xyz, CRS.from_epsg(25833))),
+    ):
+        with LazWriter(tmp_path / f"{name}.laz", stated) as cloud:
+            cloud.append(at)
+    files = [tmp_path / f"{name}.laz" for name in ("local", "map")]
+    points, _ = read_stable(files, frame, None)
+    np.testing.assert_allclose(points, np.concatenate([xyz, xyz]), atol=2e-3)
+    with pytest.raises(InputError, match="--crs"):
+        read_stable([tmp_path / "bare.laz"], frame, None)
+    points, notes = read_stable([tmp_path / "bare.laz"], frame, "EPSG:25833")
+    np.testing.assert_allclose(points, xyz, atol=2e-3)
+    assert any("EPSG:25833" in note for note in notes)
+    assert read_stable([], frame, None)[0].shape == (0, 3)
