@@ -41,6 +41,7 @@ rule adjust_strips:
         clock="results/{campaign}/ingest/lidar.clock.json",
         trajectory=of(CampaignFiles.trajectory_of_sensors),
         errors=of(CampaignFiles.errors_of_sensors),
+        stable=raw("stable"),
         mounts="results/{campaign}/calibration/mounts.json",
         positions="results/{campaign}/ingest/positions.parquet",
         error_model="results/{campaign}/orientation/error_model.json",
@@ -73,6 +74,7 @@ rule adjust_strips:
         filters=section("filters"),
         orientation=section("orientation"),
         strips=section("strips"),
+        crs=section("campaign", "crs"),
         title=section("campaign", "title"),
         twin=of(CampaignFiles.is_twin),
     script:

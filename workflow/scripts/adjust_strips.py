@@ -11,7 +11,7 @@ from thalweg.core import Trajectory, read_chains, read_table
 from thalweg.figures.survey import strips_page
 from thalweg.ingest import GNSS_POSITION, LidarClock, LidarOptions
 from thalweg.ingest.registry import lidar_reader
-from thalweg.lidar import LogSettings, adjust_strips, mounts_by_strips, thin_log
+from thalweg.lidar import LogSettings, adjust_strips, mounts_by_strips, read_stable, thin_log
 from thalweg.navigation.ins_gnss import PoseCorrelation
 from thalweg.settings.sections import Filters, LidarAccuracy, Strips
 from thalweg.workflow import run_job
@@ -23,6 +23,7 @@ def main(
     clock: Path,
     trajectory: Path,
     errors: Path,
+    stable: list[Path],
     mounts: Path,
     positions: Path,
     error_model: Path,
@@ -35,6 +36,7 @@ def main(
     filters: Filters,
     orientation: dict[str, Any],
     strips: Strips,
+    crs: str,
     title: str,
     twin: bool,
 ) -> None:
@@ -50,10 +52,11 @@ def main(
         chains = PoseCorrelation.of_survey(errors, receiver_s=receiver_s).chains(poses, lever)
     how = LogSettings.of_survey(mounts, error_model, timed, lidar_accuracy, filters, georeferencing)
     points = thin_log(lidar_reader(lidar, LidarOptions(**lidar_options)), timed, poses, how)
-    found = adjust_strips(points, poses, how.mount, chains, strips)
+    surfaces, notes = read_stable(stable, poses.frame, crs)
+    found = adjust_strips(points, poses, how.mount, chains, strips, surfaces)
     found.write(facts.parent)
     write_mounts(mounts_strips, mounts_by_strips(sensors, found))
-    strips_page(found, title=f"Strips: {title}", twin=twin, notes=[]).write(page)
+    strips_page(found, title=f"Strips: {title}", twin=twin, notes=notes).write(page)
 
 
 if "snakemake" in globals():

@@ -184,18 +184,19 @@ def add_survey_commands(commands: Commands) -> None:
         _align_strips,
         *LOG,
         ("--knot", float, "S", "interval of the corrections (default: %(default)s)", 0.5),
-        (
-            "--sigma-clock",
-            float,
-            "S",
-            "prior standard deviation of the lidar's clock; 0: not estimated (default: %(default)s)",
-            0.0,
-        ),
+        ("--sigma-clock", float, "S", "prior standard deviation of the lidar's clock (default: exact)", 0.0),
+        ("--stable", [Path], "CLOUD", "surfaces that are known: terrestrial scans, an earlier epoch", []),
+        ("--crs", str, "EPSG:...", "map grid of --stable, if its files state none"),
+        ("--sigma-stable", float, "M", "its standard deviation in each cell (default: %(default)s)", 0.01),
+        ("--sigma-stable-shift", float, "M", "prior standard deviation of its datum (default: exact)", 0.0),
         FOLDER,
         writes="index.html",
         settings={
             "strips.knot_s": "--knot",
             "strips.sigma_clock_s": "--sigma-clock",
+            "strips.sigma_stable_m": "--sigma-stable",
+            "strips.sigma_stable_shift_m": "--sigma-stable-shift",
+            "logs.stable": "--stable",
             **of_a_campaign(["strips.max_knots", "strips.sigma_range_m"]),
             **OF_A_LOG,
         },
@@ -349,21 +350,22 @@ def _align_strips(options: argparse.Namespace) -> int:
 
     from thalweg.core import in_options
     from thalweg.figures.survey import strips_page
-    from thalweg.lidar import adjust_strips, error_model_of_log, georeference_log, thin_log
+    from thalweg.lidar import adjust_strips, error_model_of_log, georeference_log, read_stable, thin_log
     from thalweg.navigation.ins_gnss import PoseCorrelation
     from thalweg.settings.sections import Orientation, Strips
 
     reader, clock, trajectory, settings, notes = _log_of(options)
-    strips = Strips(knot_s=options.knot, sigma_clock_s=options.sigma_clock)
-    model = error_model_of_log(
-        reader,
-        clock,
-        trajectory,
-        settings,
-        positions_t_gps_s=None,
-        lever_ics_antenna_m=np.zeros(3),
-        settings=Orientation().error_model.model_dump(),
+    strips = Strips(
+        knot_s=options.knot,
+        sigma_clock_s=options.sigma_clock,
+        sigma_stable_m=options.sigma_stable,
+        sigma_stable_shift_m=options.sigma_stable_shift,
     )
+    surfaces, assumed = read_stable(options.stable, trajectory.frame, options.crs)
+    model = error_model_of_log(
+        reader, clock, trajectory, settings, positions_t_gps_s=None, lever_ics_antenna_m=np.zeros(3),
+        settings=Orientation().error_model.model_dump(),
+    )  # fmt: skip
     trajectory = model.apply(trajectory, np.zeros(3))
     options.out.mkdir(parents=True, exist_ok=True)
     model.write(options.out / "error_model.json")
@@ -376,12 +378,13 @@ def _align_strips(options: argparse.Namespace) -> int:
         settings.mount,
         correlation.chains(trajectory, np.zeros(3)),
         strips,
+        surfaces,
     )
     found.write(options.out)
     exact = replace(settings, mount=found.mount.with_cov(np.zeros((6, 6))))
     georeference_log(reader, clock, found.of_lidar, exact, options.out / "points.laz")
     page = options.out / "index.html"
-    notes = [in_options(note, options.settings) for note in [*notes, *model.notes]]
+    notes = [in_options(note, options.settings) for note in [*notes, *model.notes, *assumed]]
     said = [in_options(note, options.settings) for note in found.facts["notes"]]
     strips_page(found, title=f"Strips of {options.lidar[0].name}", twin=False, notes=notes).write(page)
     print(

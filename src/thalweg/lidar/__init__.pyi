@@ -52,5 +52,6 @@ from .strips import (
     Adjusted as Adjusted,
     adjust_strips as adjust_strips,
     mounts_by_strips as mounts_by_strips,
+    read_stable as read_stable,
     thin_log as thin_log,
 )

@@ -12,7 +12,8 @@ bank is plane, with the normal ``n``, all of its points of one span of time make
 
 whose plane ``a`` is nobody's business and eliminated cell by cell. What is left are normal equations ``N y =
 h`` of the mean errors of the poses in even spans of time (the knots) and of the border of mount, range and
-clock. Their prior covariance ``K`` is that of the trajectory that the adjustment starts from
+clock, and of the datum of stable surfaces, whose points observe the same planes. Their prior covariance
+``K`` is that of the trajectory that the adjustment starts from
 (`thalweg.core.ErrorChain`): of INS and GNSS, of the camera, of all sensors. With ``K = L L'`` the most
 probable errors and their covariance are
 
@@ -44,6 +45,8 @@ from scipy.linalg.lapack import dtrtri
 from scipy.sparse.linalg import LinearOperator, cg
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
+from scipy.special import expit, logit
+from scipy.stats import norm
 
 from thalweg.core import (
     SHIFT,
@@ -52,10 +55,13 @@ from thalweg.core import (
     ArrayI,
     CoverageError,
     ErrorChain,
+    InputError,
+    LocalFrame,
     Rigid,
     Trajectory,
     covariance_of_means,
     cross_matrix,
+    plane_rates,
     robust_sigma,
     root_mean_square,
     steps,
@@ -64,11 +70,13 @@ from thalweg.core import (
 )
 from thalweg.core.calibration import Calibration, Source, pose_block
 from thalweg.ingest import LidarClock, LidarReader
+from thalweg.ingest.clouds import read_cloud, to_world
 from thalweg.lidar.cloud import LogSample, LogSettings, kept_points
 from thalweg.lidar.overlap import (
     CELL_M,
     LEAST_PLANES,
     ROUGHNESS,
+    THICKEST_M,
     Planes,
     joined_by_epoch,
     plane_basis,
@@ -101,7 +109,14 @@ ALIKE_RAD: Final = float(np.deg2rad(3.0))
 LEAST_FREEDOM: Final = 8
 LEAST_SPANS: Final = 3
 """A plane tells something with so many degrees of freedom of its scatter, seen in so many spans of time."""
-GROUPS: Final = ("smooth", "middling", "rough")
+ON_CORNER: Final = Rotation.from_euler("ZX", [-np.pi / 4, -np.arctan(np.sqrt(2.0))]).as_matrix()
+"""Turns the scene (wcs) so that cells stand on a corner. A side of a cell that runs along a wall or a floor
+cuts off the points that err most to one side, and the rest lie as if ranges were off by millimetres; so
+turned, sides meet all that is upright or level at 35 degrees and more."""
+GROUPS: Final = ("smooth", "middling", "rough", "stable")
+STABLE: Final = GROUPS.index("stable")
+LEAST_STABLE: Final = 5
+"""Points of a stable surface that a cell needs."""
 NEAR: Final = 1e-8
 """Of solutions between the factors, relative; the last one has its own factor."""
 LEAST_TOLD: Final = 0.2
@@ -111,13 +126,23 @@ BORDER: Final = (
     *(f"mount shift {a} [m]" for a in "xyz"),
     "range offset [m]",
     "clock offset [s]",
+    *(f"stable surfaces {a} [m]" for a in ("east", "north", "up")),
+    *(f"stable surfaces rotation {a} [rad]" for a in ("east", "north", "up")),
 )
+SCANNER: Final = 8
+"""Unknowns of the border that move the points of the boat; the others move the stable surfaces."""
 SURE: Final = 5.0
-"""What nobody asked for, and poses that are corrected by more or less than stated, are named where it is so
-many times what chance makes of it."""
-ODD: Final = 3.5
-"""The same of corrections of the mount, of range and clock."""
-SETTINGS: Final = {"range offset [m]": "sigma_range_m", "clock offset [s]": "sigma_clock_s"}
+"""Poses that are corrected by more or less than stated are named where it is so many times what chance makes
+of it."""
+ODD: Final = 0.05
+"""Share of surveys without a fault in which any unknown of the border is named."""
+WRONG: Final = 0.05
+"""Share of what is stated of a mount, of range or clock that is taken to be wrong before the survey."""
+SETTINGS: Final = {
+    "range offset [m]": "sigma_range_m",
+    "clock offset [s]": "sigma_clock_s",
+    **dict.fromkeys(BORDER[SCANNER:], "sigma_stable_shift_m"),
+}
 """Settings of section ``strips`` that ask for an unknown."""
 POSE: Final = ("east", "north", "up", "rotation east", "rotation north", "rotation up")
 
@@ -176,7 +201,12 @@ def mounts_by_strips(mounts: Mapping[str, Any], found: Adjusted) -> dict[str, An
 
 
 def adjust_strips(
-    points: LogSample, trajectory: Trajectory, mount: Rigid, chains: Sequence[ErrorChain], settings: Strips
+    points: LogSample,
+    trajectory: Trajectory,
+    mount: Rigid,
+    chains: Sequence[ErrorChain],
+    settings: Strips,
+    stable_m: ArrayF | None = None,
 ) -> Adjusted:
     """Correct a trajectory by the surfaces that the lidar saw again.
 
@@ -188,14 +218,18 @@ def adjust_strips(
     chains : how the errors of the poses hang together: of `PoseCorrelation.chains` for INS and GNSS,
         or those of a trajectory by camera or by all sensors.
     settings : section ``strips``.
+    stable_m : (k, 3) points in wcs of surfaces that are known, of a terrestrial scan or an earlier epoch.
 
     Raises
     ------
-    CoverageError : fewer plane spots than `thalweg.lidar.overlap.LEAST_PLANES` were seen again.
+    CoverageError : fewer plane spots than `thalweg.lidar.overlap.LEAST_PLANES` were seen again, or none of
+        the stable surfaces among them.
     """
     edges = knots_over(trajectory, settings)
-    task = _Task(points, trajectory, mount, edges, settings)
-    sigma = np.concatenate([np.sqrt(np.diag(mount.cov)[np.r_[TURN, SHIFT]]), task.sigma_scanner])
+    task = _Task(
+        points, trajectory, mount, edges, settings, np.empty((0, 3)) if stable_m is None else stable_m
+    )
+    sigma = np.concatenate([np.sqrt(np.diag(mount.cov)[np.r_[TURN, SHIFT]]), task.sigma_fixed])
     K = covariance_of_means(chains, edges)
     before = _chain("before", task.centre, *_neighbours(K))
     K = block_diag(K, np.diag(np.maximum(sigma, LEAST_SIGMA) ** 2))
@@ -237,6 +271,36 @@ def knots_over(trajectory: Trajectory, settings: Strips) -> ArrayF:
             cure="Set strips.max_knots higher (memory grows with its square), or cut the log into parts",
         )
     return np.linspace(first, last, max(int(np.ceil((last - first) / step)), 2) + 1)
+
+
+def read_stable(files: Sequence[Path], frame: LocalFrame, crs: str | None) -> tuple[ArrayF, list[str]]:
+    """Points (k, 3) of stable surfaces in wcs, and what was assumed or noticed.
+
+    Parameters
+    ----------
+    files : LAS, LAZ, PLY, E57.
+    frame : wcs.
+    crs : map grid of files that state none.
+
+    Raises
+    ------
+    InputError : a file is unreadable, or its grid is not known.
+    GeometryError : it lies elsewhere.
+    """
+    parts, notes = [np.empty((0, 3))], list[str]()
+    for path in files:
+        cloud = read_cloud(path)
+        if cloud.frame is None and crs is None:
+            raise InputError(
+                "the cloud of stable surfaces states no CRS",
+                expected="a map grid, or the local frame of the trajectory",
+                where=path,
+                cure="Name its map grid with --crs",
+            )
+        xyz, note = to_world(cloud.points, cloud.frame, frame, str(crs), path)
+        parts.append(xyz)
+        notes += [*filter(None, [note]), *(f"{path.name}: {sentence}" for sentence in cloud.sentences())]
+    return np.concatenate(parts), notes
 
 
 def thin_log(
@@ -291,7 +355,13 @@ class _Task:
     """The points of a survey, and how they move with the unknowns."""
 
     def __init__(
-        self, points: LogSample, trajectory: Trajectory, mount: Rigid, edges: ArrayF, settings: Strips
+        self,
+        points: LogSample,
+        trajectory: Trajectory,
+        mount: Rigid,
+        edges: ArrayF,
+        settings: Strips,
+        stable_m: ArrayF,
     ) -> None:
         inside = (points.t_gps_s >= edges[0]) & (points.t_gps_s < edges[-1])
         self.x, self.t, self.range_m = (a[inside] for a in (points.xyz_wcs_m, points.t_gps_s, points.range_m))
@@ -306,33 +376,45 @@ class _Task:
         span = np.clip(np.searchsorted(edges, self.t, side="right") - 1, 0, self.n_spans - 1)
         amid, R_amid, _ = trajectory.at(self.centre)
         self.arm, self.R_span = self.x - amid[span], R_amid[span]
-        self.sigma_scanner = np.array([settings.sigma_range_m, settings.sigma_clock_s])
+        at_edge, R_edge, _ = trajectory.at(edges)
+        turned = Rotation.from_matrix(R_edge[1:] @ np.swapaxes(R_edge[:-1], 1, 2)).as_rotvec()
+        moved = np.hstack([np.diff(at_edge, axis=0), turned]) / np.diff(edges)[:, None]
+        self.velocity_span = moved[span, :3] + np.cross(moved[span, 3:], self.arm)
+        self.stable = stable_m
+        self.stable_arm = stable_m - (stable_m.mean(axis=0) if len(stable_m) else 0.0)
+        # a rotation about their middle moves stable surfaces as far as their shift does, root mean square
+        shift_m = settings.sigma_stable_shift_m
+        reach_m = np.linalg.norm(self.stable_arm) / np.sqrt(max(len(stable_m), 1))
+        self.sigma_fixed = np.repeat(
+            [settings.sigma_range_m, settings.sigma_clock_s, shift_m, shift_m / max(reach_m, 1.0)],
+            [1, 1, 3, 3],
+        )
 
     def errors_at(self, y: ArrayF, t: ArrayF) -> ArrayF:
         """Errors (n, 6) of the poses at times."""
         means = y[: 6 * self.n_spans].reshape(-1, 6)
         return np.stack([np.interp(t, self.centre, column) for column in means.T], axis=1)
 
-    def border_rows(self, vector: ArrayF, arm: ArrayF, R: ArrayF, k: ArrayI) -> ArrayF:
-        """Derivatives (n, 8) of points ``k`` along vectors (n, 3) by mount, range and clock.
+    def border_rows(self, vector: ArrayF, arm: ArrayF, R: ArrayF, velocity: ArrayF) -> ArrayF:
+        """Derivatives (n, 8) of points along vectors (n, 3) by mount, range and clock.
 
-        ``arm`` (n, 3) from the ics origin to the points and ``R`` (n, 3, 3) are those of the moment, or of
-        the middle of its span.
+        ``arm`` (n, 3) from the ics origin to the points, ``R`` (n, 3, 3) and the points' ``velocity`` (n, 3)
+        are those of the moment, or of its span.
         """
         own = np.einsum("nji,nj->ni", R, vector)
         arm = np.einsum("nji,nj->ni", R, arm) - self.mount.shift_m
         ray = np.sum(own * arm, axis=1) / np.maximum(np.linalg.norm(arm, axis=1), 1e-9)
-        late = np.sum(vector * self.velocity[k], axis=1)
+        late = np.sum(vector * velocity, axis=1)
         return np.column_stack([np.cross(arm, own), own, ray, late])
 
     def places(self, y: ArrayF) -> ArrayF:
         """The points (n, 3) without the errors ``y``."""
-        e, every = self.errors_at(y, self.t), np.arange(len(self.t))
-        border = y[6 * self.n_spans :]
+        e = self.errors_at(y, self.t)
+        border = y[6 * self.n_spans :][:SCANNER]
         moved = np.stack(
             [
-                self.border_rows(np.broadcast_to(a, self.x.shape), self.x - self.boat, self.R, every) @ border
-                for a in np.eye(3)
+                self.border_rows(axis, self.x - self.boat, self.R, self.velocity) @ border
+                for axis in np.broadcast_to(np.eye(3)[:, None], (3, *self.x.shape))
             ],
             axis=1,
         )
@@ -347,12 +429,14 @@ class _Task:
         CoverageError : too few planes.
         """
         x = self.places(y)
-        planes = planes_seen_again(x, self.t, self.settings.max_planes, _place)
+        found = planes_seen_again(x @ ON_CORNER.T, self.t, self.settings.max_planes, _place)
+        planes = replace(found, centre_m=found.centre_m @ ON_CORNER, axes=ON_CORNER.T @ found.axes)
         k, owner = planes.order, planes.owner
-        axes = planes.axes[owner]
-        normal = _with_neighbours(planes)[owner]
-        local = np.einsum("ni,nij->nj", x[k] - planes.centre_m[owner], axes)
-        off = np.einsum("ni,ni->n", x[k] - planes.centre_m[owner], normal)
+        normals = _with_neighbours(planes)
+        axes, normal = planes.axes[owner], normals[owner]
+        from_centre = x[k] - planes.centre_m[owner]
+        local = np.einsum("ni,nij->nj", from_centre, axes)
+        off = np.einsum("ni,ni->n", from_centre, normal)
         since, span = self.t[k] - self.edges[0], float(self.edges[1] - self.edges[0])
         scatter, freedom = scatter_about(local[:, 0], owner, since, planes.n)
         joined, owner = joined_by_epoch(owner, since, span, float(self.edges[-1] - self.edges[0]))
@@ -360,8 +444,10 @@ class _Task:
         # By the pose amid the span. How the boat moves within it would seem to tell a tilt or the mount from
         # the slope of the distances in time, but the errors have slopes of their own there.
         pose = np.concatenate([normal, np.cross(self.arm[k], normal)], axis=1)
-        border = self.border_rows(normal, self.arm[k], self.R_span[k], k)
-        by_errors = np.sum(pose * self.errors_at(y, self.t[k]), axis=1) + border @ y[6 * self.n_spans :]
+        border = self.border_rows(normal, self.arm[k], self.R_span[k], self.velocity_span[k])
+        by_errors = (
+            np.sum(pose * self.errors_at(y, self.t[k]), axis=1) + border @ y[6 * self.n_spans :][:SCANNER]
+        )
         columns = np.column_stack([off + by_errors, local[:, 1:], since, self.range_m[k], pose, border])
         mean = sums(columns, joined, len(n)) / n[:, None]
         enough = (freedom >= LEAST_FREEDOM) & (np.bincount(owner, minlength=planes.n) >= LEAST_SPANS)
@@ -378,10 +464,47 @@ class _Task:
         mean, n, owner = mean[keep], n[keep], owner[keep]
         variance = scatter[owner] * (1 / n + ROUGHNESS)
         tercile = np.searchsorted(np.quantile(scatter[enough], [1 / 3, 2 / 3]), scatter[owner])
-        return _Seen(
+        own = _Seen(
             d=mean[:, 0], uv=mean[:, 1:3], owner=owner, range_m=mean[:, 4],
             t_gps_s=mean[:, 3] + self.edges[0], group=tercile, sigma=np.sqrt(variance),
             A=self._design(mean[:, 3], span, mean[:, 5:11], mean[:, 11:]), n_planes=n_planes,
+        )  # fmt: skip
+        if not len(self.stable):
+            return own
+        return own.beside(self._stable(y, np.unique(owner), planes, normals))
+
+    def _stable(self, y: ArrayF, which: ArrayI, planes: Planes, normals: ArrayF) -> "_Seen":
+        """What the stable surfaces observe of planes: one mean of their points in each cell."""
+        centre, normal, axes = planes.centre_m[which], normals[which], planes.axes[which]
+        errs = y[6 * self.n_spans + SCANNER :]
+        moved = errs[:3] + np.cross(errs[3:], self.stable_arm)
+        near = cKDTree(self.stable - moved).query_ball_point(centre, CELL_M / 2)
+        owner = np.repeat(np.arange(len(which)), [len(each) for each in near])
+        k = np.concatenate([np.empty(0, np.int64), *near]).astype(np.int64)
+        from_centre = self.stable[k] - moved[k] - centre[owner]
+        off = np.einsum("ni,ni->n", from_centre, normal[owner])
+        on = np.abs(off) < THICKEST_M
+        k, owner, off, from_centre = k[on], owner[on], off[on], from_centre[on]
+        pose = plane_rates(normal[owner], self.stable_arm[k])
+        local = np.einsum("ni,nij->nj", from_centre, axes[owner])[:, 1:]
+        n = np.bincount(owner, minlength=len(which)).astype(np.float64)
+        columns = np.column_stack([off + pose @ errs, off, off**2, local, pose])
+        mean = sums(columns, owner, len(which)) / np.maximum(n, 1)[:, None]
+        scatter = np.maximum(mean[:, 2] - mean[:, 1] ** 2, 0.0) / np.maximum(n, 1)
+        good = n >= LEAST_STABLE
+        if not good.any():
+            raise CoverageError(
+                f"none of {len(self.stable):,} points of stable surfaces lies on a plane seen again",
+                expected=f"cells of {CELL_M:g} m with {LEAST_STABLE} of them within {THICKEST_M:g} m",
+                cure="Check that both are in the same coordinates and heights, or state how far the surfaces "
+                "may be off with strips.sigma_stable_shift_m and bring them that near",
+            )
+        none = np.full(int(good.sum()), np.nan)
+        of_boat = sp.csr_matrix((len(none), 6 * self.n_spans + SCANNER))
+        return _Seen(
+            d=mean[good, 0], uv=mean[good, 3:5], owner=which[good], range_m=none, t_gps_s=none,
+            group=np.full(len(none), STABLE), sigma=np.sqrt(self.settings.sigma_stable_m**2 + scatter[good]),
+            A=sp.hstack([of_boat, sp.csr_matrix(mean[good, 5:])]).tocsr(), n_planes=0,
         )  # fmt: skip
 
     def _design(self, since: ArrayF, span_s: float, pose: ArrayF, border: ArrayF) -> sp.csr_matrix:
@@ -389,7 +512,8 @@ class _Task:
         column = 6 * of[:, None] + np.arange(6)
         row = np.repeat(np.arange(len(of)), 6)
         own = sp.csr_matrix((pose.ravel(), (row, column.ravel())), shape=(len(of), 6 * self.n_spans))
-        return sp.hstack([own, sp.csr_matrix(border)]).tocsr()
+        of_stable = sp.csr_matrix((len(of), len(BORDER) - SCANNER))
+        return sp.hstack([own, sp.csr_matrix(border), of_stable]).tocsr()
 
 
 def _with_neighbours(planes: Planes) -> ArrayF:
@@ -411,6 +535,7 @@ def _with_neighbours(planes: Planes) -> ArrayF:
 
 def _place(centre: ArrayF, normal: ArrayF) -> ArrayI:
     """Number of the stretch of bank and of the direction that planes look in: 26 of these."""
+    centre, normal = centre @ ON_CORNER, normal @ ON_CORNER
     at = np.floor(centre[:, :2] / PLACE_M).astype(np.int64)
     upward = normal * np.where(normal[:, 2:] < 0, -1.0, 1.0)
     key = np.column_stack([at, np.rint(1.2 * upward).astype(np.int64)])
@@ -433,6 +558,12 @@ class _Seen:
     robust: ArrayF | None = None
     factors: ArrayF | None = None
     z: ArrayF | None = None
+
+    def beside(self, other: "_Seen") -> "_Seen":
+        """The observations of both, of the planes of the first."""
+        names = ("d", "uv", "owner", "range_m", "t_gps_s", "group", "sigma")
+        joined = {name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in names}
+        return _Seen(**joined, A=sp.vstack([self.A, other.A]).tocsr(), n_planes=self.n_planes)
 
     def root_weight(self) -> ArrayF:
         """One over the sigmas (m,), with the factors of the groups and robust weights."""
@@ -458,13 +589,9 @@ class _Seen:
         """New factors of the groups and robust weights from the residuals."""
         left, free = self.from_planes_m(y)
         z = left / self.sigma / np.sqrt(free)
-        self.factors = np.array(
-            [
-                robust_sigma(z[self.group == g], 0.0) if (self.group == g).any() else 1.0
-                for g in range(len(GROUPS))
-            ]
-        )
-        self.factors = np.maximum(self.factors, 0.3)
+        of_group = [z[self.group == g] for g in range(len(GROUPS))]
+        factors = [robust_sigma(each, 0.0) if len(each) else 1.0 for each in of_group]
+        self.factors = np.maximum(factors, [0.3] * STABLE + [1.0])
         self.z = z / self.factors[self.group]
         size = np.abs(self.z)
         if tukey:
@@ -514,11 +641,20 @@ def _result(
     F = np.asarray(inverse @ L.T)  # F' F is the covariance
     expected = _expected(L, inverse, y)
     expected["corrections_over_stated"] *= grown
+    expects = prior * np.where(np.arange(len(prior)) < u, grown, 1.0)
+    found = claims(*_border_alone(equations, L, G), prior[u:])
+    for i, claim in found.items():
+        if prior[u + i] > (10 * LEAST_SIGMA) ** 2:
+            # all else hangs on the unknown as its covariance says
+            along = F.T @ F[:, u + i]
+            along /= along[u + i]
+            y = y + claim.shift * along
+            F = np.vstack([F, np.sqrt(claim.variance) * along])
+            expects[u + i] += claim.widened_by
     by_span = np.ascontiguousarray(F[:, :u].reshape(len(F), n_spans, 6).transpose(1, 0, 2))
     own = np.swapaxes(by_span, 1, 2) @ by_span
     cov_border = F[:, u:].T @ F[:, u:]
     posterior = np.concatenate([np.diagonal(own, axis1=1, axis2=2).ravel(), np.diag(cov_border)])
-    expects = prior * np.where(np.arange(len(prior)) < u, grown, 1.0)
     told = np.clip(1.0 - posterior / expects, 0.0, 1.0)
 
     poses = task.trajectory
@@ -546,24 +682,19 @@ def _result(
         step_s = float(np.diff(task.edges)[0])
         made.append((trajectory, with_rest(trajectory, [chain], chain.t_gps_s, step_s=step_s)))
     (trajectory, chains), (of_lidar, chains_of_lidar) = made
-    late_s = float(y[-1])
+    late_s = float(y[u + SCANNER - 1])
     of_lidar = replace(of_lidar, t_gps_s=of_lidar.t_gps_s + late_s)
     chains_of_lidar = [replace(each, t_gps_s=each.t_gps_s + late_s) for each in chains_of_lidar]
     border, order = y[u:], np.r_[3:6, 0:3]
-    mount = Rigid(
-        R=Rotation.from_rotvec(-border[:3]).as_matrix() @ task.mount.R,
-        shift_m=task.mount.shift_m - border[3:6],
-        cov=cov_border[np.ix_(order, order)],
-    )
+    turned = Rotation.from_rotvec(-border[:3]).as_matrix() @ task.mount.R
+    moved_m = task.mount.shift_m - border[3:6]
     return Adjusted(
         trajectory=trajectory,
-        mount=mount,
+        mount=Rigid(R=turned, shift_m=moved_m, cov=cov_border[np.ix_(order, order)]),
         of_lidar=of_lidar,
         chains=chains,
         chains_of_lidar=chains_of_lidar,
-        **_report(
-            task, seen, y, np.sqrt(posterior), np.sqrt(prior), told, _not_asked(y, equations, F), expected
-        ),
+        **_report(task, seen, y, np.sqrt(posterior), np.sqrt(prior), told, found, expected),
     )
 
 
@@ -578,21 +709,70 @@ def _expected(L: ArrayF, inverse: ArrayF, y: ArrayF) -> dict[str, float]:
     return {"told_unknowns": told, "corrections_over_stated": float(size @ size) / told}
 
 
-def _not_asked(y: ArrayF, equations: tuple[ArrayF, ArrayF], F: ArrayF) -> dict[str, tuple[float, float]]:
-    """What range and clock would be corrected by if they were asked for, each with its sigma.
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """What the distances alone say of one unknown of mount, range and clock, and what follows from it.
 
-    One step of Newton's from the solution without them: their part of the misfit's slope, over the curvature
-    that the other unknowns leave. ``F' F`` is the covariance of the solution. Of an error that poses and
-    robust weights have taken for theirs it finds half or more.
+    Attributes
+    ----------
+    value, sigma : without what is stated of it; of the error, not of the correction.
+    z : by the standard deviation that this has if the statement is right.
+    widened_by : variance that the prior is found to lack, in the mean of both possibilities.
+    shift, variance : added to its most probable value and to its variance.
+    """
+
+    value: float
+    sigma: float
+    z: float
+    widened_by: float
+    shift: float
+    variance: float
+
+
+def claims(C: ArrayF, g: ArrayF, variance: ArrayF) -> dict[int, Claim]:
+    """Test what is stated of each unknown of the border against the distances, the most doubtful one first.
+
+    With the poses integrated out, ``C b = g`` are the normal equations of the border. If its prior variances
+    ``S`` are right, ``r = (1 + C S)^-1 g`` has the covariance ``D = (1 + C S)^-1 C``: ``r_i / D_ii`` is one
+    step of Newton's from the solution without the prior of unknown i, ``b_i``, of variance ``1 / D_ii = S_i +
+    V_i``. The prior variance that makes it most probable is ``b_i^2 - V_i``. Either that is right or the
+    stated one, with odds of `WRONG` and their likelihoods; error and variance are those of the mixture. The
+    next unknown is tested with the wider prior.
+
+    Parameters
+    ----------
+    C, g : (k, k), (k,) normal equations.
+    variance : (k,) as stated.
+    """
+    S, left, found = np.diag(variance), set(np.flatnonzero(np.diag(C) > 0).tolist()), {}
+    while left:
+        T = np.linalg.inv(np.eye(len(g)) + C @ S)
+        r, D = T @ g, np.diag(T @ C)
+        i = max(left, key=lambda k: abs(r[k]) / np.sqrt(D[k]))
+        left.remove(i)
+        b, total, own = r[i] / D[i], 1.0 / D[i], S[i, i]
+        z, others = b / np.sqrt(total), total - own
+        lacks = max(b**2 - total, 0.0)
+        odds = expit(logit(WRONG) + (z**2 - 1) / 2 - np.log(abs(z))) if lacks else 0.0
+        mean, spread = np.array([own / total, (own + lacks) / (total + lacks)]) * [[b], [others]]
+        shift = odds * (mean[1] - mean[0])
+        variance_more = odds * (spread[1] - spread[0]) + odds * (1 - odds) * (mean[1] - mean[0]) ** 2
+        found[i] = Claim(*map(float, (b, np.sqrt(others), z, odds * lacks, shift, variance_more)))
+        S[i, i] += lacks
+    return found
+
+
+def _border_alone(equations: tuple[ArrayF, ArrayF], L: ArrayF, G: ArrayF) -> tuple[ArrayF, ArrayF]:
+    """Normal equations (k, k), (k,) of the border with the poses integrated out; 0 of what nothing tells.
+
+    The factor ``G`` begins with that of the poses alone, since the border stands last.
     """
     N, h = equations
-    found = {}
-    for name in SETTINGS:
-        i = len(N) - len(BORDER) + BORDER.index(name)
-        curvature = N[i, i] - np.sum((F @ N[i]) ** 2)
-        if curvature > 1e-9 * N[i, i]:
-            found[name] = (float((N[i] @ y - h[i]) / curvature), float(curvature**-0.5))
-    return found
+    u = len(N) - len(BORDER)
+    X = solve_triangular(G[:u, :u], L[:u, :u].T @ np.column_stack([N[:u, u:], h[:u]]), lower=True)
+    left = np.column_stack([N[u:, u:], h[u:]]) - X[:, :-1].T @ X
+    seen = np.diag(left) > 1e-9 * np.diag(N)[u:]
+    return left[:, :-1] * np.outer(seen, seen), left[:, -1] * seen
 
 
 def _report(
@@ -602,23 +782,17 @@ def _report(
     after: ArrayF,
     before: ArrayF,
     told: ArrayF,
-    not_asked: Mapping[str, tuple[float, float]],
+    found: Mapping[int, Claim],
     expected: Mapping[str, float],
 ) -> dict[str, Any]:
     """Tables and facts of `Adjusted`, of all unknowns with their sigmas."""
     u = 6 * task.n_spans
     first, left = seen.from_planes_m(np.zeros_like(y))[0], seen.from_planes_m(y)[0]
-    observations = pd.DataFrame(
-        {
-            "t_gps_s": seen.t_gps_s,
-            "range_m": seen.range_m,
-            "before_m": first,
-            "after_m": left,
-            "z": seen.z,
-            "weight": seen.robust,
-            "group": np.array(GROUPS)[seen.group],
-        }
-    )
+    every = pd.DataFrame({
+        "t_gps_s": seen.t_gps_s, "range_m": seen.range_m, "before_m": first, "after_m": left, "z": seen.z,
+        "weight": seen.robust, "group": np.array(GROUPS)[seen.group],
+    })  # fmt: skip
+    observations = every[seen.group != STABLE].reset_index(drop=True)
     knots = pd.DataFrame({"t_gps_s": task.centre})
     for i, name in enumerate(POSE):
         key, unit = name.replace(" ", "_"), "rad" if i >= 3 else "m"
@@ -627,47 +801,44 @@ def _report(
             (f"sigma_{key}_{unit}", after), (f"told_{key}", told),
         ):  # fmt: skip
             knots[what] = values[i:u:6]
-    at = np.searchsorted(task.edges, seen.t_gps_s, side="right") - 1
+    at = np.searchsorted(task.edges, observations["t_gps_s"], side="right") - 1
     knots["observations"] = np.bincount(np.clip(at, 0, task.n_spans - 1), minlength=task.n_spans)
-    border = pd.DataFrame(
-        {
-            "unknown": BORDER,
-            "correction": -y[u:],
-            "sigma_before": before[u:],
-            "sigma": after[u:],
-            "told": told[u:],
-        }
-    )
+    border = pd.DataFrame({
+        "unknown": BORDER, "correction": -y[u:], "sigma_before": before[u:], "sigma": after[u:],
+        "told": told[u:], "z": [-found[i].z if i in found else np.nan for i in range(len(BORDER))],
+    })  # fmt: skip
     border = border[before[u:] > 10 * LEAST_SIGMA].reset_index(drop=True)
-    asked = set(border["unknown"])
-    not_asked = {name: each for name, each in not_asked.items() if name not in asked}
+    said = {BORDER[i]: claim for i, claim in found.items()}
     mean = {name: float(told[i:u:6].mean()) for i, name in enumerate(POSE)}
-    used = seen.robust > 0.1 if seen.robust is not None else np.ones(len(first), dtype=np.bool_)
+    used = observations[observations["weight"] > 0.1]
+    stable = every[seen.group == STABLE]
     facts = {
         "planes": seen.n_planes,
-        "observations": len(first),
-        "not_on_planes": int((~used).sum()),
+        "observations": len(observations),
+        "not_on_planes": len(observations) - len(used),
         "knots": task.n_spans,
         "knot_s": float(np.diff(task.edges)[0]),
-        "redundancy": float(len(first) - 3 * seen.n_planes - expected["told_unknowns"]),
+        "redundancy": float(len(every) - 3 * seen.n_planes - expected["told_unknowns"]),
         **expected,
-        "distance_before_m": root_mean_square(first[used]),
-        "distance_after_m": root_mean_square(left[used]),
+        "distance_before_m": root_mean_square(used["before_m"].to_numpy()),
+        "distance_after_m": root_mean_square(used["after_m"].to_numpy()),
+        "stable_observations": len(stable),
+        "stable_not_on_planes": int((stable["weight"] <= 0.1).sum()),
         "sigma_factors": dict(zip(GROUPS, np.asarray(seen.factors).tolist(), strict=True)),
         "told": mean,
         "not_told": [name for name, share in mean.items() if share < LEAST_TOLD]
         + border["unknown"][border["told"] < LEAST_TOLD].tolist(),
         "not_asked": {
-            name: {"correction": value, "sigma": sigma} for name, (value, sigma) in not_asked.items()
+            name: {"correction": -claim.value, "sigma": claim.sigma, "z": -claim.z}
+            for name, claim in said.items()
+            if name not in set(border["unknown"])
         },
-        "notes": _notes(border, not_asked, expected),
+        "notes": _notes(border, said, expected),
     }
     return {"knots": knots, "border": border, "observations": observations, "facts": facts}
 
 
-def _notes(
-    border: pd.DataFrame, not_asked: Mapping[str, tuple[float, float]], expected: Mapping[str, float]
-) -> list[str]:
+def _notes(border: pd.DataFrame, said: Mapping[str, Claim], expected: Mapping[str, float]) -> list[str]:
     """Sentences about what is off: by more than was stated, or though nobody asked for it."""
     notes, ratio = [], expected["corrections_over_stated"]
     if abs(ratio - 1.0) > SURE * np.sqrt(2.0 / expected["told_unknowns"]):
@@ -677,23 +848,24 @@ def _notes(
             f"correlation times expect: the former are stated too {sizes} or the latter too {times}"
             + ("; standard deviations after the adjustment are as much larger" if ratio > 1.0 else "")
         )
-    for name, (value, sigma) in not_asked.items():
-        if abs(value) > SURE * sigma:
-            what, unit = name.split(" offset ")
-            size, of_size = (1e3 * each for each in (value, sigma))
+    stated = dict(zip(border["unknown"], border["sigma_before"], strict=True))
+    limit = norm.isf(ODD / 2 / max(len(said), 1))
+    for full, claim in said.items():
+        if abs(claim.z) < limit:
+            continue
+        name, unit = full[:-1].split(" [")
+        scale, unit = (np.rad2deg(1.0), "degrees") if unit == "rad" else (1e3, f"m{unit}")
+        digits = 2 if unit == "degrees" else 1
+        off = f"{scale * claim.value:.{digits}f} {unit} (standard deviation {scale * claim.sigma:.{digits}f})"
+        if full in stated:
             notes.append(
-                f"distances of strips look as if the {what} were off by {-size:.1f} m{unit[1:-1]} or more "
-                f"(standard deviation {of_size:.1f}): ask for it with strips.{SETTINGS[name]}"
+                f"distances of strips look as if the {name} were off by {off}, {abs(claim.z):.1f} times what "
+                f"its standard deviation of {scale * stated[full]:.{digits}f} {unit} and those of the poses "
+                "expect: check it, or state it larger; standard deviations after the adjustment count with it"
             )
-    for row in border.to_dict("records"):
-        # a correction's own standard deviation, where what is stated is right
-        usual = np.sqrt(max(row["sigma_before"] ** 2 - row["sigma"] ** 2, LEAST_SIGMA**2))
-        if abs(row["correction"]) > max(ODD * usual, row["sigma_before"]):
-            name, unit = row["unknown"][:-1].split(" [")
-            scale, unit = (np.rad2deg(1.0), "degrees") if unit == "rad" else (1e3, f"m{unit}")
+        else:
             notes.append(
-                f"the {name} is corrected by {scale * row['correction']:.2f} {unit}, "
-                f"{abs(row['correction']) / usual:.1f} times what its standard deviation of "
-                f"{scale * row['sigma_before']:.2f} {unit} expects: check it, or state it larger"
+                f"distances of strips look as if the {name.removesuffix(' offset')} were off by {off}: ask "
+                f"for it with strips.{SETTINGS[full]}"
             )
     return notes

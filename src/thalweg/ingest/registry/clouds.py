@@ -14,7 +14,7 @@ def _cloud(path: Path) -> Cloud:
 
 
 CLOUDS: Final = tuple(
-    Format(kind=kind, words=words, streams=("reference", "cloud"), magic=(magic,), cloud=_cloud)
+    Format(kind=kind, words=words, streams=("reference", "stable", "cloud"), magic=(magic,), cloud=_cloud)
     for kind, words, magic in (
         ("las", "LAS/LAZ cloud", b"LASF"),
         ("ply", "PLY cloud or mesh", b"ply"),

@@ -354,3 +354,12 @@ class Strips(Section):
         le=1,
         description="How far the lidar's clock may be off, seconds, such as 0.005; 0: no such unknown",
     )
+    sigma_stable_m: Annotated[float, Field(gt=0, le=1)] = Field(
+        default=0.01,
+        description="Standard deviation of `logs.stable` along the normals, one value a cell, metres",
+    )
+    sigma_stable_shift_m: NonNegative = Field(
+        default=0.0,
+        le=10,
+        description="How far `logs.stable` may be shifted and turned as a whole, metres; 0: not at all",
+    )

@@ -23,6 +23,7 @@ STREAM_KEYS = {
     "smrmsg": ("smrmsg",),
     "depth": ("depth",),
     "reference": ("reference",),
+    "stable": ("stable",),
     "cloud": ("cloud",),
     "bed": ("bed",),
     "decisions": ("decisions",),
@@ -341,6 +342,11 @@ class Logs(Section):
         description="UTC date `YYYY-MM-DD` of the first sounding, for NMEA logs without date",
     )
     reference: Files = Field(default=(), description="Reference clouds: LAS, LAZ, PLY, E57")
+    stable: Files = Field(
+        default=(),
+        description="Surfaces that are known, of a terrestrial scan or an earlier epoch: overlapping strips "
+        "are laid on them too (LAS, LAZ, PLY, E57)",
+    )
     cloud: Files = Field(
         default=(),
         description="A finished cloud that is compared with `reference`, without other logs: LAS, LAZ, PLY, "

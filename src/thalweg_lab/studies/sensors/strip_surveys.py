@@ -14,7 +14,16 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from thalweg.core import ArrayF, ErrorChain, LocalFrame, Rigid, Trajectory, attitude_axes, rotation_enu_body
+from thalweg.core import (
+    ArrayF,
+    ErrorChain,
+    LocalFrame,
+    Rigid,
+    Trajectory,
+    attitude_axes,
+    cross_matrix,
+    rotation_enu_body,
+)
 from thalweg.lidar import CELL_M, Adjusted, LogSample, adjust_strips, estimate_pose_errors, windows_of
 from thalweg.navigation.ins_gnss import PoseCorrelation, PriorErrors
 from thalweg.settings.sections import LidarAccuracy, Strips
@@ -92,9 +101,13 @@ def draw(seed: int, spec: Spec) -> Drawn:
     t = np.arange(0.0, duration + STEP_S / 2, STEP_S)
     along = spec.length_m * (1 - np.abs(1 - (t / spec.length_m) % 2))
     offset = 3.0 * (t // spec.length_m % 2) + 2.0 * np.sin(t / 5)
-    boat = np.stack([along, offset, 0.05 * np.sin(t)], axis=1)
     heading = np.deg2rad(np.where(t // spec.length_m % 2, 270.0, 90.0)) + np.deg2rad(25) * np.sin(t / 4)
-    heading = np.convolve(np.pad(heading, 20, mode="edge"), np.ones(41) / 41, mode="valid")
+    # a boat turns in seconds
+    along, offset, heading = (
+        np.convolve(np.pad(each, 20, mode="edge"), np.hanning(43)[1:-1] / 21, mode="valid")
+        for each in (along, offset, heading)
+    )
+    boat = np.stack([along, offset, 0.05 * np.sin(t)], axis=1)
     R = rotation_enu_body(np.deg2rad(3) * np.sin(t * 1.3), np.deg2rad(2) * np.sin(t), heading)
 
     share = 1.0 if spec.chain == "ins" else FUSED_SHARE
@@ -118,9 +131,7 @@ def draw(seed: int, spec: Spec) -> Drawn:
     axes = np.swapaxes(attitude_axes(R_wrong), 1, 2)
     cov[:, 3:, 3:] = axes * (INS_RAD * share) ** 2 @ np.swapaxes(axes, 1, 2)
     arm = R_wrong @ LEVER
-    K = np.zeros((len(t), 3, 3))
-    K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -arm[:, 2], arm[:, 1], -arm[:, 0]
-    K -= np.swapaxes(K, 1, 2)
+    K = cross_matrix(arm)
     cov[:, :3, 3:] = K @ cov[:, 3:, 3:]
     cov[:, 3:, :3] = np.swapaxes(cov[:, :3, 3:], 1, 2)
     cov[:, :3, :3] = np.diag(stated**2) * grown[:, None, None] ** 2 + cov[:, :3, 3:] @ np.swapaxes(K, 1, 2)
@@ -133,7 +144,8 @@ def draw(seed: int, spec: Spec) -> Drawn:
     )
 
     true, normal, at, still = _points(rng, spec, truth)
-    body = np.einsum("nji,nj->ni", R_of(truth, at), true - truth.at(at)[0]) - MOUNT.shift_m
+    place, R_true, _ = truth.at(at)
+    body = np.einsum("nji,nj->ni", R_true, true - place) - MOUNT.shift_m
     off = np.deg2rad(spec.mount_deg) * np.array([0.0, 0.0, 1.0])
     off = off + np.deg2rad(spec.sigma_mount_deg) * rng.standard_normal(3) * (spec.mount_deg == 0)
     lever = MOUNT.shift_m + rng.standard_normal(3) * MOUNT.sigma_shift_m
@@ -142,33 +154,17 @@ def draw(seed: int, spec: Spec) -> Drawn:
     position, turned, _ = poses.at(stamped)
     seen = np.einsum("nij,nj->ni", turned, seen) + position
     sample = LogSample(
-        xyz_wcs_m=seen,
-        t_gps_s=stamped,
-        range_m=np.linalg.norm(body, axis=1),
+        xyz_wcs_m=seen, t_gps_s=stamped, range_m=np.linalg.norm(body, axis=1),
         reflectivity=np.full(len(at), 30.0),
-    )
+    )  # fmt: skip
+    position_s, attitude_s = times * spec.told_time
     chains = PoseCorrelation(
-        position_s=times[0] * spec.told_time,
-        attitude_s=times[1] * spec.told_time,
-        white_share=white,
-        receiver_s=EPOCH_S,
+        position_s=position_s, attitude_s=attitude_s, white_share=white, receiver_s=EPOCH_S
     ).chains(poses, LEVER)
     return Drawn(
-        sample=sample,
-        true_m=true,
-        normal=normal,
-        still=still,
-        trajectory=poses,
-        truth=truth,
-        chains=chains,
-        off=off,
-        lever=lever,
-    )
-
-
-def R_of(trajectory: Trajectory, t: ArrayF) -> ArrayF:
-    """Attitudes (n, 3, 3) at times."""
-    return trajectory.at(t)[1]
+        sample=sample, true_m=true, normal=normal, still=still, trajectory=poses, truth=truth,
+        chains=chains, off=off, lever=lever,
+    )  # fmt: skip
 
 
 def _points(rng: np.random.Generator, spec: Spec, truth: Trajectory) -> tuple[ArrayF, ...]:
@@ -217,25 +213,14 @@ def solve(drawn: Drawn, spec: Spec) -> tuple[Adjusted, Trajectory, Sequence[Erro
     poses, chains = drawn.trajectory, drawn.chains
     if spec.chain == "ins" and spec.estimate:
         prior = PriorErrors(
-            sigma_position_m=INS_M,
-            sigma_attitude_rad=INS_RAD,
-            white_share=0.25,
-            position_time_s=10.0,
-            attitude_time_s=20.0,
-            spread=2.0,
-            time_spread=3.0,
-        )
+            sigma_position_m=INS_M, sigma_attitude_rad=INS_RAD, white_share=0.25,
+            position_time_s=10.0, attitude_time_s=20.0, spread=2.0, time_spread=3.0,
+        )  # fmt: skip
         windows = windows_of(float(poses.t_gps_s[0]), float(poses.t_gps_s[-1]))
-        s = drawn.sample
-        parts = []
+        s, parts = drawn.sample, []
         for start, length in windows:
             k = (s.t_gps_s >= start) & (s.t_gps_s < start + length)
-            parts.append(
-                LogSample(
-                    xyz_wcs_m=s.xyz_wcs_m[k], t_gps_s=s.t_gps_s[k], range_m=s.range_m[k],
-                    reflectivity=s.reflectivity[k],
-                )
-            )  # fmt: skip
+            parts.append(replace(s, **{name: getattr(s, name)[k] for name in LogSample.__dataclass_fields__}))
         model = estimate_pose_errors(
             parts, windows, poses, mount, lever_ics_antenna_m=LEVER, prior=prior, beam=BEAM, epoch_s=EPOCH_S
         )
@@ -318,15 +303,18 @@ def score(seed: int, spec: Spec) -> dict[str, float]:
     row["sigma_along_ratio"] = float(along[0] / along[1])
     correction = dict(zip(found.border["unknown"], found.border["correction"], strict=True))
     row["mount_z_deg"] = float(np.rad2deg(correction["mount rotation z [rad]"]))
-    asked = found.facts["not_asked"].get("clock offset [s]", {"correction": np.nan, "sigma": np.nan})
-    row["clock_ms"] = 1e3 * float(correction.get("clock offset [s]", asked["correction"]))
-    row["clock_z"] = abs(asked["correction"]) / asked["sigma"]
-    off = found.facts["not_asked"]["range offset [m]"]
-    row["range_z"] = abs(off["correction"]) / off["sigma"]
+    z = dict(zip(found.border["unknown"], found.border["z"], strict=True))
+    not_asked = found.facts["not_asked"]
+    for word, name in (("clock", "clock offset [s]"), ("range", "range offset [m]")):
+        row[f"{word}_z"] = not_asked[name]["z"] if name in not_asked else z[name]
+    clock = not_asked.get("clock offset [s]", {}).get("correction", np.nan)
+    row["clock_ms"] = 1e3 * float(correction.get("clock offset [s]", clock))
+    row["mount_z"] = max((z[name] for name in z if name.startswith("mount")), key=abs)
     row["stated_ratio"] = found.facts["corrections_over_stated"]
     row["told_unknowns"] = found.facts["told_unknowns"]
+    named = {"clock": "if the clock", "range": "if the range", "mount": "if the mount", "poses": "poses are"}
     said = " ".join(found.facts["notes"])
-    row |= {f"names_{word}": float(word in said) for word in ("clock", "range", "mount", "poses")}
+    row |= {f"names_{what}": float(words in said) for what, words in named.items()}
     row["not_on_planes"] = float(found.facts["not_on_planes"] / found.facts["observations"])
     return row
 
