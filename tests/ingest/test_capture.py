@@ -38,6 +38,12 @@ def read(path, content=None, streams=STREAMS, **kwargs):
     return out, tally
 
 
+def read_data(path, content, **kwargs):
+    """Payloads of the first stream, and the tally."""
+    ((payload, _, _), _), tally = read(path, content, **kwargs)
+    return payload, tally
+
+
 def block(kind, body, e="<"):
     """A pcapng block, padded."""
     body += b"\0" * (-len(body) % 4)
@@ -89,7 +95,7 @@ def test_classic_pcap_in_its_four_variants(tmp_path, big, nano):
     ],
 )
 def test_link_types(tmp_path, link, frame):
-    ((payload, _, _), _), tally = read(
+    payload, tally = read_data(
         tmp_path / "a", log.pcap([frame(log.udp(row, 2368)) for row in DATA], link=link)
     )
     assert np.array_equal(payload, DATA)
@@ -97,7 +103,7 @@ def test_link_types(tmp_path, link, frame):
 
 
 def test_ip_options(tmp_path):
-    ((payload, _, _), _), _ = read(tmp_path / "a", log.pcap(frames_of(options=b"\x01" * 8)))
+    payload, _ = read_data(tmp_path / "a", log.pcap(frames_of(options=b"\x01" * 8)))
     assert np.array_equal(payload, DATA)
 
 
@@ -132,7 +138,7 @@ def test_fragments_truncated_wrong_size_and_malformed_are_losses(tmp_path):
     f.insert(8, log.ethernet(log.udp(DATA[0][:-1], 2368)))
     f.insert(10, log.ethernet(b"\x41" + b"\0" * 40))
     f.insert(12, b"\1\2\3")
-    ((payload, _, _), _), tally = read(tmp_path / "a", log.pcap(f))
+    payload, tally = read_data(tmp_path / "a", log.pcap(f))
     assert np.array_equal(payload, DATA)
     assert tally.losses == {
         "ip_fragments": 2,
@@ -175,7 +181,7 @@ def test_pcapng_sections_interfaces_and_block_types(tmp_path):
 def test_simple_packet_block_is_cut_at_the_snap_length(tmp_path):
     f = frames_of()[0]
     content = section() + interface(snap=600) + block(3, struct.pack("<I", len(f)) + f[:600])
-    ((payload, _, _), _), tally = read(tmp_path / "a", content)
+    payload, tally = read_data(tmp_path / "a", content)
     assert payload.shape[0] == 0
     assert tally.losses == {"truncated_packets": 1}
     assert tally.cut_in_words() == "captured with a snap length of 600 of 1248 bytes: 1 packet is cut"
@@ -228,7 +234,7 @@ def test_bare_payloads_and_junk_between(tmp_path):
 def test_bare_payloads_with_missing_bytes_do_not_stay_shifted(tmp_path, missing):
     content = DATA.tobytes()
     content = content[: 5 * 1206] + content[5 * 1206 + missing :]
-    ((payload, _, _), _), tally = read(tmp_path / "a.bin", content)
+    payload, tally = read_data(tmp_path / "a.bin", content)
     assert np.array_equal(payload, np.delete(DATA, 5, axis=0))
     assert tally.losses == {"bytes_skipped": 1206 - missing, "damaged_records": 1}
 
@@ -236,7 +242,7 @@ def test_bare_payloads_with_missing_bytes_do_not_stay_shifted(tmp_path, missing)
 def test_bare_payload_with_some_bad_marks_is_kept(tmp_path):
     rows = DATA.copy()
     rows[5, [0, 100, 500]] = 0
-    ((payload, _, _), _), tally = read(tmp_path / "a.bin", rows.tobytes())
+    payload, tally = read_data(tmp_path / "a.bin", rows.tobytes())
     assert np.array_equal(payload, rows)
     assert not any(tally.losses.values())
 
@@ -270,7 +276,7 @@ def test_file_cut_in_a_packet_keeps_the_whole_ones(tmp_path, kind, cut):
     }[kind]
     cut = min(cut, 1205) if kind == "bare" else cut
     size = {"pcap": 1264, "pcapng": 1280, "bare": 1206}[kind]
-    ((payload, _, _), _), tally = read(tmp_path / "a", content[:-cut])
+    payload, tally = read_data(tmp_path / "a", content[:-cut])
     assert np.array_equal(payload, DATA[:-1])
     assert tally.losses == {"bytes_skipped": size - cut, "cut_records": 1}
     assert "ends inside a packet" in tally.notes[0]
@@ -282,7 +288,7 @@ def test_wrong_record_length_costs_one_packet(tmp_path, length, chunk):
     content = bytearray(log.pcap(frames_of()))
     at = 24 + 9 * 1264
     struct.pack_into("<I", content, at + 8, length)
-    ((payload, _, _), _), tally = read(tmp_path / "a", bytes(content), chunk_bytes=chunk)
+    payload, tally = read_data(tmp_path / "a", bytes(content), chunk_bytes=chunk)
     lost = [k for k in range(20) if not (payload == DATA[k]).all(axis=1).any()]
     assert lost in ([9], [])  # a record that is only too short or long may still hold its payload
     assert len(payload) == 20 - len(lost)
@@ -295,7 +301,7 @@ def test_damaged_pcapng_block_costs_one_packet(tmp_path, where):
     head = section() + interface()
     content = bytearray(head + b"".join(map(enhanced, frames_of())))
     struct.pack_into("<I", content, len(head) + 9 * 1280 + where, 0x77777777)
-    ((payload, _, _), _), tally = read(tmp_path / "a", bytes(content))
+    payload, tally = read_data(tmp_path / "a", bytes(content))
     assert np.array_equal(payload, np.delete(DATA, 9, axis=0))
     # A wrong type makes a foreign block, which pcapng wants skipped; the other two are damage.
     assert any(tally.losses.values()) == (where > 0)
@@ -356,7 +362,7 @@ def test_fuzz_capture(tmp_path, fuzz):
     for k, content in enumerate(fuzz.inputs(*samples, most=3, longest=3000)):
         try:
             chunk = 4096 if k % 8 < 4 else 1 << 16
-            ((payload, _, _), _), tally = read(tmp_path / "f", content, chunk_bytes=chunk)
+            payload, tally = read_data(tmp_path / "f", content, chunk_bytes=chunk)
         except ThalwegError:
             continue
         if len(payload):

@@ -100,6 +100,7 @@ REFUSED = {
         "lat,lon,depth\n" + "5103.000,01345.000,2\n" * 3,
         "degrees and minutes in one number (ddmm.mmmm)",
     ),
+    "integers": ("lat,lon,depth\n" + "510000000,137500000,2\n" * 3, "degrees times 1e7"),
     "no names": ("412000,5650000,1.5,7\n" * 3, "--columns x,y,z"),
     "a quotation mark": ('x,y,z\n1,2,"3\n4,5,6\n', "quotation mark"),
     "a grid": ("ncols 4\nnrows 2\n1 2 3 4\n", "gdal_translate"),

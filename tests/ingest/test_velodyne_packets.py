@@ -20,9 +20,12 @@ def stream(files, chunk_bytes=8 << 20):
     return kept, np.concatenate([b.event for b in blocks])
 
 
-def in_parts(folder, *parts):
-    """Files of these packets, a and b."""
-    return [log.save_data(folder / name, rows) for name, rows in zip("ab", parts, strict=False)]
+@pytest.fixture
+def in_parts(tmp_path):
+    """Write files of these packets, a and b."""
+    return lambda *parts: [
+        log.save_data(tmp_path / name, rows) for name, rows in zip("ab", parts, strict=False)
+    ]
 
 
 def check_points(files, stamps):
@@ -34,9 +37,9 @@ def check_points(files, stamps):
     assert np.array_equal(found, expected)
 
 
-def test_unbroken_stream_is_clean(tmp_path):
+def test_unbroken_stream_is_clean(in_parts):
     stamps = log.times(100)
-    report = scan_lidar([log.save_data(tmp_path / "a", log.data_packets(stamps))]).report
+    report = scan_lidar(in_parts(log.data_packets(stamps))).report
     assert report.clean
     assert report.counts["data_packets"] == 100
     assert report.rates_hz["packets"] == pytest.approx(1e6 / STEP, rel=1e-5)
@@ -46,10 +49,10 @@ def test_unbroken_stream_is_clean(tmp_path):
 
 @pytest.mark.parametrize("mode", [0x37, 0x39])
 @pytest.mark.parametrize("missing", [[40], [40, 41, 42], [40, 70, 71], [0], []])
-def test_lost_packets(tmp_path, missing, mode):
+def test_lost_packets(in_parts, missing, mode):
     stamps = log.times(100, mode=mode)
     rows = np.delete(log.data_packets(stamps, mode=mode), missing, axis=0)
-    report = scan_lidar([log.save_data(tmp_path / "a", rows)]).report
+    report = scan_lidar(in_parts(rows)).report
     inner = [m for m in missing if m]
     assert report.losses.get("packets_lost_estimated", 0) == len(inner)
     runs = [m for m in inner if m - 1 not in inner]
@@ -59,75 +62,75 @@ def test_lost_packets(tmp_path, missing, mode):
     )
 
 
-def test_a_jitter_of_less_than_half_a_step_is_no_gap(tmp_path):
+def test_a_jitter_of_less_than_half_a_step_is_no_gap(in_parts):
     stamps = log.times(50)
     stamps[25] += 0.4 * STEP
-    assert scan_lidar([log.save_data(tmp_path / "a", log.data_packets(stamps))]).report.clean
+    assert scan_lidar(in_parts(log.data_packets(stamps))).report.clean
     stamps[26:] += 0.95 * STEP
-    assert len(scan_lidar([log.save_data(tmp_path / "b", log.data_packets(stamps))]).report.gaps) == 1
+    assert len(scan_lidar(in_parts(log.data_packets(stamps))).report.gaps) == 1
 
 
 @pytest.mark.parametrize("t0_us", [1e6, 3_599_950_000.0])
-def test_out_of_order_packets_are_kept_and_no_rollover(tmp_path, t0_us):
+def test_out_of_order_packets_are_kept_and_no_rollover(in_parts, t0_us):
     stamps = log.times(100, t0_us)
     order = np.arange(100)
     order[[36, 37, 38, 39, 40]] = [38, 37, 39, 40, 36]
-    path = log.save_data(tmp_path / "a", log.data_packets(stamps)[order])
-    kept, _ = stream([path])
+    files = in_parts(log.data_packets(stamps)[order])
+    kept, _ = stream(files)
     assert np.array_equal(np.sort(kept), np.rint(stamps))
-    report = scan_lidar([path]).report
+    report = scan_lidar(files).report
     assert report.losses == {"out_of_order_packets": 2}
     assert not report.gaps
     assert report.t_last_s == pytest.approx(stamps[-1] * 1e-6, abs=1e-6)
-    check_points([path], stamps)
+    check_points(files, stamps)
 
 
 @pytest.mark.parametrize("t0_us", [1e6, 3_599_950_000.0])
-def test_duplicates_are_dropped(tmp_path, t0_us):
+def test_duplicates_are_dropped(in_parts, t0_us):
     stamps = log.times(100, t0_us)
     order = np.repeat(np.arange(100), np.where(np.isin(np.arange(100), [5, 38, 39, 99]), 2, 1))
     order = np.insert(order, 60, [20, 21])
-    path = log.save_data(tmp_path / "a", log.data_packets(stamps)[order])
-    kept, _ = stream([path])
+    files = in_parts(log.data_packets(stamps)[order])
+    kept, _ = stream(files)
     assert np.array_equal(kept, np.rint(stamps))
-    report = scan_lidar([path]).report
+    report = scan_lidar(files).report
     assert report.losses == {"duplicate_packets": 6}
-    check_points([path], stamps)
+    check_points(files, stamps)
 
 
-def test_every_packet_twice(tmp_path):
+def test_every_packet_twice(in_parts):
     stamps = log.times(100)
-    path = log.save_data(tmp_path / "a", np.repeat(log.data_packets(stamps), 2, axis=0))
-    assert scan_lidar([path]).report.losses == {"duplicate_packets": 100}
-    check_points([path], stamps)
+    files = in_parts(np.repeat(log.data_packets(stamps), 2, axis=0))
+    assert scan_lidar(files).report.losses == {"duplicate_packets": 100}
+    check_points(files, stamps)
 
 
 @pytest.mark.parametrize("wrong_us", [500_000_000, 3_599_000_000, 1_900_000_000, 4_000_000_000])
 @pytest.mark.parametrize("where", [0, 50, 31, 32])
-def test_one_wrong_stamp_costs_one_packet(tmp_path, wrong_us, where):
+def test_one_wrong_stamp_costs_one_packet(in_parts, wrong_us, where):
     stamps = log.times(100, 100_000_000)
     rows = log.data_packets(stamps)
     rows.view(log.PAYLOAD)["toh"][where] = wrong_us
-    path = log.save_data(tmp_path / "a", rows)
-    kept, _ = stream([path])
+    files = in_parts(rows)
+    kept, _ = stream(files)
     assert np.array_equal(kept, np.delete(np.rint(stamps), where))
     key = "unusable_packets" if wrong_us >= 3_600_000_000 else "packets_with_wrong_stamp"
-    assert scan_lidar([path]).report.losses[key] == 1
+    assert scan_lidar(files).report.losses[key] == 1
 
 
-def test_clock_set_back(tmp_path):
+def test_clock_set_back(in_parts):
     stamps = np.concatenate([log.times(60, 500_000_000), log.times(60, 499_700_000)])
-    path = log.save_data(tmp_path / "a", log.data_packets(stamps))
-    kept, _ = stream([path])
+    files = in_parts(log.data_packets(stamps))
+    kept, _ = stream(files)
     assert np.array_equal(kept, np.rint(stamps))
-    assert scan_lidar([path]).report.losses == {"clock_set_back": 1}
+    assert scan_lidar(files).report.losses == {"clock_set_back": 1}
 
 
 @pytest.mark.parametrize("overlap", [0, 1, 30])
-def test_split_logs_that_overlap(tmp_path, overlap):
+def test_split_logs_that_overlap(in_parts, overlap):
     stamps = log.times(120)
     rows = log.data_packets(stamps)
-    files = in_parts(tmp_path, rows[:60], rows[60 - overlap :])
+    files = in_parts(rows[:60], rows[60 - overlap :])
     kept, _ = stream(files)
     assert np.array_equal(kept, np.rint(stamps))
     report = scan_lidar(files).report
@@ -136,13 +139,10 @@ def test_split_logs_that_overlap(tmp_path, overlap):
     check_points(files, stamps)
 
 
-def test_overlap_whose_first_packet_only_the_second_file_has(tmp_path):
+def test_overlap_whose_first_packet_only_the_second_file_has(in_parts):
     stamps = log.times(200)
     rows = log.data_packets(stamps)
-    files = [
-        log.save_data(tmp_path / "a", np.delete(rows[:120], 60, axis=0)),
-        log.save_data(tmp_path / "b", rows[60:]),
-    ]
+    files = in_parts(np.delete(rows[:120], 60, axis=0), rows[60:])
     kept, _ = stream(files)
     assert np.array_equal(np.sort(kept), np.rint(stamps))
     report = scan_lidar(files).report
@@ -181,23 +181,20 @@ def test_parts_in_wrong_order_are_told_and_nothing_is_lost(tmp_path, order, earl
     assert report.t_last_s == pytest.approx(right.report.t_last_s, abs=2e-6)
 
 
-def test_the_newest_packet_ends_the_recording(tmp_path):
+def test_the_newest_packet_ends_the_recording(in_parts):
     """A short second file of late packets only: the recording ends with the newest packet."""
     stamps = log.times(100)
     rows = log.data_packets(stamps)
-    files = [
-        log.save_data(tmp_path / "a", np.delete(rows, [50, 51], axis=0)),
-        log.save_data(tmp_path / "b", rows[50:52]),
-    ]
+    files = in_parts(np.delete(rows, [50, 51], axis=0), rows[50:52])
     report = scan_lidar(files).report
     assert report.t_last_s == pytest.approx(stamps[-1] * 1e-6, abs=1e-6)
     assert report.losses == {"out_of_order_packets": 2}
 
 
-def test_missing_part_between_split_logs_is_a_gap(tmp_path):
+def test_missing_part_between_split_logs_is_a_gap(tmp_path, in_parts):
     stamps = log.times(2400)
     rows = log.data_packets(stamps)
-    files = in_parts(tmp_path, rows[:60], rows[2260:])
+    files = in_parts(rows[:60], rows[2260:])
     report = scan_lidar(files).report
     assert [g.lost for g in report.gaps] == [2200]
     assert report.gaps[0].duration_s == pytest.approx(2201 * STEP * 1e-6, abs=2e-6)
@@ -206,7 +203,7 @@ def test_missing_part_between_split_logs_is_a_gap(tmp_path):
 
 
 @pytest.mark.parametrize("chunk", [4096, 50_000])
-def test_pieces_do_not_change_the_judgement(tmp_path, chunk, rng):
+def test_pieces_do_not_change_the_judgement(in_parts, chunk, rng):
     stamps = np.delete(log.times(400, 3_599_800_000), [55, 90, 91, 200])
     order = np.arange(stamps.size)
     for a in rng.integers(0, 390, 12):
@@ -214,34 +211,34 @@ def test_pieces_do_not_change_the_judgement(tmp_path, chunk, rng):
     order = np.insert(order, rng.integers(5, 390, 9), rng.integers(0, 390, 9))
     rows = log.data_packets(stamps)[order]
     rows.view(log.PAYLOAD)["toh"][[70, 300]] = 1_234_567_890
-    path = log.save_data(tmp_path / "a", rows)
-    whole, pieces = stream([path]), stream([path], chunk)
+    files = in_parts(rows)
+    whole, pieces = stream(files), stream(files, chunk)
     assert np.array_equal(whole[0], pieces[0])
     assert np.array_equal(whole[1], pieces[1])
 
 
-def test_packets_of_other_kinds_are_dropped_and_counted(tmp_path):
+def test_packets_of_other_kinds_are_dropped_and_counted(in_parts):
     stamps = log.times(60)
     rows = log.data_packets(stamps)
     p = rows.view(log.PAYLOAD)[:, 0]
     p["mode"][10] = 0x00
     p["product"][20] = 0x28
     p["b"]["flag"][30] = 0
-    path = log.save_data(tmp_path / "a", rows)
-    report = scan_lidar([path]).report
+    files = in_parts(rows)
+    report = scan_lidar(files).report
     assert report.losses["unusable_packets"] == 3
     assert report.losses["packets_lost_estimated"] == 3
     assert any("1 of VLP-32C" in n for n in report.notes)
-    check_points([path], np.delete(stamps, [10, 20, 30]))
+    check_points(files, np.delete(stamps, [10, 20, 30]))
 
 
-def test_unknown_return_mode_is_refused(tmp_path):
+def test_unknown_return_mode_is_refused(in_parts):
     rows = log.data_packets(log.times(10))
     rows[:, 1204] = 0
     with pytest.raises(
         UnsupportedError, match=r"none of 10 data packets can be used \(return mode byte 0x00"
     ):
-        scan_lidar([log.save_data(tmp_path / "a", rows)])
+        scan_lidar(in_parts(rows))
 
 
 def test_wrong_port_is_named(tmp_path):
@@ -283,7 +280,7 @@ def test_file_without_packets(tmp_path):
 
 
 @pytest.mark.parametrize("count", [1, 3, 7])
-def test_windows_give_each_point_once_and_as_it_was(tmp_path, count):
+def test_windows_give_each_point_once_and_as_it_was(in_parts, count):
     """Over the hour, with late, double, lost and damaged packets, in two files of many pieces."""
     stamps = log.times(1400, 3_599_300_000.0)
     rows = log.data_packets(stamps, rate=17.0)
@@ -294,7 +291,7 @@ def test_windows_give_each_point_once_and_as_it_was(tmp_path, count):
     order = np.delete(np.insert(np.arange(1400), [500, 901, 901], [480, 890, 891]), slice(1200, 1230))
     order[[466, 467, 468, 469]] = [469, 467, 468, 466]
     rows = rows[order]
-    files = in_parts(tmp_path, rows[:650], rows[650:])
+    files = in_parts(rows[:650], rows[650:])
     options, clock = LidarOptions(), scan_lidar(files).clock
 
     def read(chunk_bytes, max_points=1_000_000, window=None):
@@ -316,8 +313,8 @@ def test_windows_give_each_point_once_and_as_it_was(tmp_path, count):
             assert i * seconds - 0.01 < t.min() < t.max() < (i + 1) * seconds + 0.002
 
 
-def test_the_length_of_a_log_is_known_from_its_begin(tmp_path):
+def test_the_length_of_a_log_is_known_from_its_begin(in_parts):
     rows = log.data_packets(log.times(900))
-    files = in_parts(tmp_path, rows[:450], rows[450:])
+    files = in_parts(rows[:450], rows[450:])
     reader = VelodyneReader(files=files, options=LidarOptions())
     assert reader.length_s() == pytest.approx(900 * log.PACKET_US[0x37] * 1e-6, rel=0.01)

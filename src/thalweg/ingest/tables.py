@@ -664,12 +664,15 @@ class Table:
             known = values[np.isfinite(values)]
         if len(known) and np.abs(known).max() > limit:
             minutes = (np.abs(known) % 100 < 60).all() and np.abs(known).max() < 100 * limit
+            scaled = (known % 1 == 0).all() and np.abs(known).max() > 1e7  # more metres than any northing
             raise InputError(
                 f"{known[np.argmax(np.abs(known))]:g} in column {self.columns[k].name}",
                 expected=f"degrees up to {limit:.0f}",
                 where=self.path,
                 cure="These look like degrees and minutes in one number (ddmm.mmmm): write decimal degrees"
                 if minutes
+                else "These look like degrees times 1e7, as autopilots log them: divide them by it"
+                if scaled
                 else "Look at the order of the columns: latitude and longitude may be exchanged",
             )
         return values

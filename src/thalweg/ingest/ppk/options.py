@@ -44,8 +44,9 @@ class PpkOptions:
     ----------
     base_ecef_m : earth-centred position of the base antenna in metres, in the frame the result shall have.
     base_llh : the same as geodetic latitude (deg), longitude (deg) and ellipsoidal height (m).
-    base_source : ``"from_sbp"`` takes MsgBasePosECEF of the SBP log, ``"rinex_header"`` the APPROX POSITION
-        of the base file with its antenna offset (often metres off: the result says so in a note).
+    base_source : ``"from_sbp"`` takes MsgBasePosECEF or MsgBasePosLLH of the SBP log, ``"rinex_header"`` the
+        APPROX POSITION of the base file with its antenna offset (often metres off: a note of the result
+        says so).
     base_antenna_delta_enu_m : from the given base position to the antenna reference point, east, north, up.
     elevation_mask_deg : satellites below are not used.
     frequencies : ``"l1"``, ``"l1+l2"``, ``"l1+l2+l5"`` or ``"l1+l2+l5+l6"``; Galileo's E5b counts as l2 here.

@@ -247,8 +247,7 @@ def _columns(log: Any, report: IntegrityReport) -> Messages:
         if at.size and name in _DATAFLASH and form.columns and whole:
             data = np.frombuffer(log.data_map, np.uint8)
             rows = data[at[:, None] + np.arange(3, form.len)].tobytes()
-            plain = re.sub(r"(\d+)s", r"\1s", form.msg_struct)
-            table = pd.DataFrame(list(struct.iter_unpack(plain, rows)), columns=form.columns)
+            table = pd.DataFrame(list(struct.iter_unpack(form.msg_struct, rows)), columns=form.columns)
             scales = dict(zip(form.columns, form.msg_mults, strict=True))
             found[name] = table.assign(**{key: table[key] * by for key, by in scales.items() if by})
     report.details["messages"] = numbers

@@ -9,9 +9,9 @@ from typing import Any, Final
 import numpy as np
 
 from thalweg.core import ClockError
-from thalweg.ingest import IntegrityReport, read_text
+from thalweg.ingest import PositionLog, read_text
 from thalweg.ingest.photos import CivilStamp, read_head, read_image_stamps
-from thalweg.ingest.registry.base import Format, Recording
+from thalweg.ingest.registry.base import Format
 from thalweg.ingest.registry.calibrations import CalibrationReport, is_text
 
 _TABLES: Final = (
@@ -48,8 +48,6 @@ _TABLES: Final = (
 
 _POSES: Final = "poses of photographs (image_poses.parquet of Thalweg)"
 _PHOTOGRAPH: Final = "photograph (JPEG, PNG, TIFF)"
-_WORDS: Final = {"photograph": _PHOTOGRAPH, **{kind: words for kind, words, _, _ in _TABLES}}
-_KEYS: Final = {kind: keys for kind, _, _, keys in _TABLES}
 
 _CRS_LINE: Final = re.compile(rb"\s*(EPSG:\d+|WGS84 UTM|\+proj=)", re.IGNORECASE)
 _IMAGE: Final = frozenset({"image", "photo", "camera", "image_name", "file", "filename", "camera_label"})
@@ -72,45 +70,49 @@ _TIMES: Final = frozenset({"time_utc", "unix_s", "t_gps_s"})
 """Headings of tables that people write about photographs, small letters."""
 
 
-def describe_images(kind: str, path: Path) -> IntegrityReport:
-    """Report on a photograph, or on a table that belongs to photographs.
-
-    Parameters
-    ----------
-    kind : one of those of `IMAGES`.
-    path : the file.
-
-    Raises
-    ------
-    InputError : the photograph is damaged, or the table is no text.
-    """
-    if kind == "photograph":
-        head = read_head(path)
-        report = CalibrationReport(stream="camera", format=_WORDS[kind], files=[str(path)])
-        report.model = f"{head.make} {head.model}".strip()
-        report.details["size"] = f"{head.width} x {head.height} pixels"
-        if np.isfinite(head.focal_mm):
-            report.details["lens"] = f"{head.focal_mm:g} mm by EXIF"
-        try:
-            stamps = read_image_stamps(path)
-        except ClockError as error:
-            report.note(error.found)
-        else:
-            known = stamps.table["source"][0]
-            report.details["time"] = _civil(head.stamp) if known == "exif" else f"from {known}"
-            report.details["gps time"] = f"{stamps.table['t_device_s'][0]:.3f} s less 1e9"
-        return report
-    text, notes = read_text(path)
-    lines = [line for line in text.splitlines() if line.strip()]
-    report = CalibrationReport(stream="images", format=_WORDS[kind], files=[str(path)], notes=notes)
-    if kind.startswith("metashape"):
-        counted = {name: len(re.findall(rf"<{name}\s", text)) for name in ("camera", "marker", "location")}
-        report.details["holds"] = ", ".join(f"{n} elements {name}" for name, n in counted.items() if n)
+def _photograph(kind: str, files: list[Path], options: dict[str, Any]) -> PositionLog:
+    head = read_head(files[0])
+    report = CalibrationReport.of("camera", _PHOTOGRAPH, files[:1])
+    report.model = f"{head.make} {head.model}".strip()
+    report.details["size"] = f"{head.width} x {head.height} pixels"
+    if np.isfinite(head.focal_mm):
+        report.details["lens"] = f"{head.focal_mm:g} mm by EXIF"
+    try:
+        stamps = read_image_stamps(files[0])
+    except ClockError as error:
+        report.note(error.found)
     else:
-        report.details["begins"] = lines[0].strip()[:100]
-        report.details["rows"] = str(len(lines) - 1)
-    report.details["belongs"] = f"in {_KEYS[kind]} of a campaign file"
-    return report
+        known = stamps.table["source"][0]
+        report.details["time"] = _civil(head.stamp) if known == "exif" else f"from {known}"
+        report.details["gps time"] = f"{stamps.table['t_device_s'][0]:.3f} s less 1e9"
+    return PositionLog(report=report)
+
+
+def _table(kind: str, words: str, stream: str, keys: str) -> Format:
+    """A table that belongs to photographs, in ``keys`` of a campaign file."""
+
+    def told(kind: str, files: list[Path], options: dict[str, Any]) -> PositionLog:
+        text, notes = read_text(files[0])
+        report = CalibrationReport.of("images", words, files[:1], notes=notes)
+        if kind.startswith("metashape"):
+            counted = {
+                name: len(re.findall(rf"<{name}\s", text)) for name in ("camera", "marker", "location")
+            }
+            report.details["holds"] = ", ".join(f"{n} elements {name}" for name, n in counted.items() if n)
+        else:
+            lines = [line for line in text.splitlines() if line.strip()]
+            report.details["begins"] = lines[0].strip()[:100]
+            report.details["rows"] = str(len(lines) - 1)
+        report.details["belongs"] = f"in {keys} of a campaign file"
+        return PositionLog(report=report)
+
+    return Format(
+        kind=kind,
+        words=words,
+        streams=(stream,),
+        matches=lambda head, _: _image_kind(head) == kind,
+        describe=told,
+    )
 
 
 def _civil(stamp: CivilStamp | None) -> str:
@@ -152,27 +154,13 @@ def _image_kind(head: bytes) -> str | None:
     return None
 
 
-def _describe(kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
-    return Recording(kind=kind, report=describe_images(kind, files[0]))
-
-
-def _describe_poses(kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
+def _describe_poses(kind: str, files: list[Path], options: dict[str, Any]) -> PositionLog:
     import pyarrow.parquet as pq
 
-    report = CalibrationReport(stream="images", format=_POSES, files=[str(files[0])])
+    report = CalibrationReport.of("images", _POSES, files[:1])
     report.details["rows"] = str(pq.read_metadata(files[0]).num_rows)
     report.details["belongs"] = "in logs.time_lapse.orientations of a campaign file"
-    return Recording(kind=kind, report=report)
-
-
-def _table(kind: str, words: str, stream: str) -> Format:
-    return Format(
-        kind=kind,
-        words=words,
-        streams=(stream,),
-        matches=lambda head, _: _image_kind(head) == kind,
-        describe=_describe,
-    )
+    return PositionLog(report=report)
 
 
 IMAGES: Final = (
@@ -181,9 +169,9 @@ IMAGES: Final = (
         words=_PHOTOGRAPH,
         streams=("time_lapse",),
         magic=(b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"II*\x00", b"MM\x00*"),
-        describe=_describe,
+        describe=_photograph,
     ),
-    *(_table(kind, words, stream) for kind, words, stream, _ in _TABLES),
+    *(_table(*row) for row in _TABLES),
     Format(
         kind="image_poses",
         words=_POSES,
