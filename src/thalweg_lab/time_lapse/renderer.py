@@ -170,9 +170,9 @@ class Renderer:
     ----------
     world : land and boards.
     lens : ray of each pixel.
-    waves : of the water.
+    waves : of the water; None: a mirror.
     boat : what is seen of the own boat; None: nothing.
-    glare : whether the sun's own light is in sky and water.
+    clouds, glare : whether there are clouds, and the sun's own light in sky and water.
     supersampling : rays along each side of a pixel in which something ends.
     """
 
@@ -181,13 +181,15 @@ class Renderer:
         world: World,
         lens: LensRays,
         *,
-        waves: Waves,
+        waves: Waves | None,
         boat: OwnBoat | None,
+        clouds: bool = True,
         glare: bool = True,
         supersampling: int = 2,
     ) -> None:
         self.world, self.lens, self.boat = world, lens, boat
         self._waves, self._glare = waves, glare
+        self._cover = COVER if clouds else 0.0
         self._parts = supersampling
         self._grain = np.array([_GRAIN.get(m, 0.0) for m in Material])
         sun = world.sun
@@ -270,7 +272,7 @@ class Renderer:
         return light
 
     def _sky(self, rays: ArrayF32, t_s: float) -> ArrayF32:
-        return sky_light(rays, self.world.sun, t_s=t_s, glare=self._glare)
+        return sky_light(rays, self.world.sun, cover=self._cover, t_s=t_s, glare=self._glare)
 
     def _water(self, eye: ArrayF, seen: "_Seen", size_rad: float, t_s: float, grain: int) -> ArrayF32:
         points, back, share = mirror_rays(
@@ -430,7 +432,7 @@ def mirror_rays(
     eye_wcs_m: ArrayF,
     rays_wcs: ArrayF32,
     way_m: ArrayF32,
-    waves: Waves,
+    waves: Waves | None,
     *,
     t_s: float,
     size_rad: float,
@@ -443,7 +445,7 @@ def mirror_rays(
     eye_wcs_m : (3,) where the rays come from.
     rays_wcs : (n, 3) unit vectors.
     way_m : (n,) to the level water.
-    waves : of the water.
+    waves : of the water; None: a mirror.
     t_s : time for the waves.
     size_rad : angle of a ray's cone; waves shorter than its spot become chance, one facet a ray.
     grain : number of the picture, so that this chance is another one in each.
@@ -456,7 +458,16 @@ def mirror_rays(
     """
     n = len(rays_wcs)
     points, back, share = np.empty((n, 3)), np.empty((n, 3), dtype=np.float32), np.empty(n, dtype=np.float32)
-    table = (waves.amplitude_m, waves.k_east_radpm, waves.k_north_radpm, waves.omega_radps, waves.phase_rad)
+    if waves is None:
+        table = (np.zeros(0),) * 5
+    else:
+        table = (
+            waves.amplitude_m,
+            waves.k_east_radpm,
+            waves.k_north_radpm,
+            waves.omega_radps,
+            waves.phase_rad,
+        )
     _mirror(eye_wcs_m, rays_wcs, way_m, *table, t_s, size_rad, grain, _INDEX, points, back, share)
     return points, back, share
 
@@ -829,19 +840,20 @@ def shade(  # type: ignore[no-untyped-def]
 # One pass over float32 rays; six octaves of cloud are enough at the size of a pixel.
 
 
-def sky_light(rays_wcs: ArrayF32, sun: Sun, *, t_s: float, glare: bool) -> ArrayF32:
+def sky_light(rays_wcs: ArrayF32, sun: Sun, *, cover: float, t_s: float, glare: bool) -> ArrayF32:
     """Linear RGB (n, 3) of the sky in directions (n, 3).
 
     Parameters
     ----------
     rays_wcs : (n, 3) unit vectors.
     sun : lights sky and clouds.
+    cover : share of clouds, about 0 to 1; 0: none.
     t_s : time; the clouds drift to the east by 8 m/s at a height of 1200 m.
     glare : whether the sun's disc and the glow close to it are there.
     """
     out = np.empty((len(rays_wcs), 3), dtype=np.float32)
     drift = t_s * 8.0 / 1200.0
-    _sky(rays_wcs, sun.direction_wcs, sun.colour, HAZE, ZENITH, COVER, drift, float(glare), out)
+    _sky(rays_wcs, sun.direction_wcs, sun.colour, HAZE, ZENITH, cover, drift, float(glare), out)
     return out
 
 
@@ -851,7 +863,7 @@ def mean_sky(sun: Sun) -> ArrayF:
     up, turn = i / 400, np.pi * (1 + 5**0.5) * i
     flat = np.sqrt(1 - up * up)
     d = np.stack([flat * np.cos(turn), flat * np.sin(turn), up], axis=1).astype(np.float32)
-    return np.asarray(sky_light(d, sun, t_s=0.0, glare=False).mean(axis=0), dtype=np.float64)
+    return np.asarray(sky_light(d, sun, cover=0.4, t_s=0.0, glare=False).mean(axis=0), dtype=np.float64)
 
 
 @njit(cache=True, error_model="numpy")
@@ -891,7 +903,7 @@ def _sky(d, sun, sun_colour, haze, zenith, cover, drift, disc, out):  # type: ig
         bright = 40.0 * disc if angle > 0.99998 else 0.0
         side = 0.88 + 0.12 * angle
         opaque, shine, thick, far = 0.0, 0.0, 0.0, 0.0
-        if up > 0.015:
+        if up > 0.015 and cover > 0.0:
             # A layer of clouds, bent down towards the horizon, in units of its height.
             scale = 1.0 / (up + 0.07)
             x, y = dx * scale + drift, 1.25 * dy * scale
