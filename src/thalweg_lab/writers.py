@@ -260,11 +260,6 @@ def anpp_raw_sensors(
     )
 
 
-def anpp_external_depth(depth_m: float, sigma_m: float) -> bytes:
-    """Packet 53."""
-    return anpp_packet(53, struct.pack("<2f", depth_m, sigma_m))
-
-
 # ---------------------------------------------------------------- Swift Binary Protocol, encoded by Swift's
 # own library (SBP specification v6)
 

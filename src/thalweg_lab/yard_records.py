@@ -125,8 +125,7 @@ def description(field: Field, seed: int, frame: LocalFrame) -> str:
     rng = generator(seed, "field certificates")
     bars, targets = [], []
     for bar in field.bars:
-        wrong = f.effects.wrong_bar_by_m if f.effects.wrong_bar == bar.name else 0.0
-        certified = bar.length_m + f.sigma_bar_m * rng.standard_normal() + wrong
+        certified = bar.length_m + f.sigma_bar_m * rng.standard_normal()
         ends = {"from": f"{bar.markers[0]}/0", "to": f"{bar.markers[1]}/0"}
         length = {"length_m": round(float(certified), 7), "sigma_m": f.sigma_bar_m}
         bars.append({"name": bar.name, **ends, **length})

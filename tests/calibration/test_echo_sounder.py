@@ -4,18 +4,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from tests.calibration.echo_runs import SIGMA_RULER_M, TRUE_LEVER_M, EchoSpec, bed_height_m, make_echo_run
 from thalweg.calibration import Bed, EchoSettings, estimate_echo_sounder
 from thalweg.calibration.echo_sounder import EchoSounder
 from thalweg.calibration.ins_lidar import PoseErrors
 from thalweg.core import CoverageError, GeometryError
-from thalweg_lab.studies.cone_runs import (
-    LEVER_ANTENNA_M,
-    SIGMA_RULER_M,
-    TRUE_LEVER_M,
-    EchoSpec,
-    bed_height_m,
-    make_echo_run,
-)
+from thalweg_lab.studies.cone_runs import LEVER_ANTENNA_M
 
 ERRORS = PoseErrors(
     sigma_position_m=np.array([0.02, 0.02, 0.03]), sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2])

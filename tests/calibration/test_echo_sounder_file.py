@@ -11,20 +11,14 @@ import pandas as pd
 import pytest
 from pyproj import CRS
 
+from tests.calibration.echo_runs import SIGMA_RULER_M, TRUE_LEVER_M, EchoRun, EchoSpec, make_echo_run
 from thalweg.bathymetry import Transducer, speed_of_sound_mps
 from thalweg.calibration import echo_sounder as files, resolve_mounts, write_mounts
 from thalweg.core import CoverageError, GeometryError, InputError, write_table
 from thalweg.core.calibration import read_calibration
 from thalweg.ingest import DEPTH
 from thalweg.settings.sections import Calibration, EchoSounder
-from thalweg_lab.studies.cone_runs import (
-    LEVER_ANTENNA_M,
-    SIGMA_RULER_M,
-    TRUE_LEVER_M,
-    EchoRun,
-    EchoSpec,
-    make_echo_run,
-)
+from thalweg_lab.studies.cone_runs import LEVER_ANTENNA_M
 
 PLAIN = Calibration().model_dump(mode="json")
 SETTINGS = PLAIN["echo_sounder"] | {"errors": PLAIN["run_errors"]}

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thalweg.core import LocalFrame, rotation_opk
+from thalweg.core import ArrayF, LocalFrame, rotation_opk
 from thalweg_lab.instruments import simulate_echo, simulate_gnss, simulate_ins, simulate_lidar, simulate_tls
-from thalweg_lab.river import Scene, simulate_scene
+from thalweg_lab.river import Material, Scene, simulate_scene
 from thalweg_lab.settings import TwinConfig
-from thalweg_lab.voyage import Voyage, simulate_voyage
+from thalweg_lab.voyage import Motion, Voyage, simulate_voyage
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 R_ICS_SCS = rotation_opk(0.01, -np.pi / 2 + 0.02, -0.015)
@@ -126,3 +126,9 @@ def record(twin: Twin, tmp_path: Path) -> Recorder:
         return path, record_lidar(twin.scene, path, config), config
 
     return again
+
+
+def true_depth_m(motion: Motion, scene: Scene, t_gps_s: ArrayF, lever_ics_echo_m: ArrayF) -> ArrayF:
+    """Distance (n,) from the transducer to the bed along the boat's own down axis."""
+    origin = motion.sensor_wcs_m(t_gps_s, lever_ics_echo_m)
+    return scene.only(Material.BED).caster().cast(origin, motion.R_wcs_ics(t_gps_s)[:, :, 2]).t_hit_m

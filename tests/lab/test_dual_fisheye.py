@@ -1,61 +1,13 @@
-"""The twin of a camera with two lenses: rows exposed one after the other, and two cameras as a rig."""
-
-from typing import Any
+"""The twin of a camera with two lenses: two cameras as a rig."""
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
 from thalweg.calibration import LENSES, calibrate_rig
-from thalweg.core import Rigid, exp_rotation
 from thalweg.settings.sections import Rig as RigSettings, RigLens
 from thalweg_lab.dual_fisheye import room_marks, room_points, true_rig
-from thalweg_lab.dual_fisheye.record import exposed_by_parts
 from thalweg_lab.settings import TwinDualFisheye
-
-RATE = np.array([0.0, 0.0, np.deg2rad(10.0)])
-SPEED = np.array([1.5, 0.0, 0.0])
-
-
-def boat(since_s: float) -> Rigid:
-    """Ten degrees a second, 1.5 m/s."""
-    return Rigid(R=exp_rotation(RATE * since_s), shift_m=SPEED * since_s)
-
-
-@pytest.mark.parametrize(("lens", "turn"), [("front", 0), ("back", 180), ("back", 90), ("back", 270)])
-def test_rows_of_the_file_are_exposed_one_after_the_other(lens: str, turn: int) -> None:
-    """Light that says when and from where it was seen: row k of the file at its own time."""
-    settings = TwinDualFisheye(circle_px=320, focal_px=95.0, back_turn_deg=turn, rolling_s=0.02)
-    device = true_rig(settings, 1)
-    rays, mount = device.rays()[lens], Rigid(R=np.eye(3), shift_m=np.array([0.2, 0.0, 0.0]))
-
-    def see_of(where: tuple[slice, slice]) -> Any:
-        part = rays.part(*where)
-
-        def see(T: Rigid, R: np.ndarray, *, t_s: float, grain: int) -> np.ndarray:
-            assert (R == boat(t_s).R).all()
-            out = np.zeros_like(part.rays_ccs)
-            out[..., 0], out[..., 1] = t_s, T.shift_m[0]
-            assert part.size_rad == rays.size_rad
-            return out
-
-        return see
-
-    parts = [(where, late, see_of(where)) for where, late in device.strips(lens)]
-    light = exposed_by_parts(parts, boat, mount, t_s=7.0, grain=1, side_px=320)
-    stored = np.rot90(light, (turn if lens == "back" else 0) // 90)
-    row = np.arange(320) + 0.5
-    expected = 7.0 + 0.02 * (row / 320 - 0.5)
-    # all columns alike; within a strip of 1.25 ms
-    assert np.ptp(stored[..., 0], axis=1).max() == 0
-    assert np.abs(stored[:, 0, 0] - expected).max() < 0.02 / 16 / 2 + 1e-5
-    assert np.diff(stored[:, 0, 0]).min() >= 0
-    np.testing.assert_allclose(stored[:, 0, 1], 0.2 * np.cos(RATE[2] * 7) + 1.5 * stored[:, 0, 0], atol=1e-3)
-
-
-def test_without_rolling_a_picture_is_one_exposure() -> None:
-    device = true_rig(TwinDualFisheye(), 1)
-    assert device.strips("back") == [((slice(0, 640), slice(0, 640)), 0.0)]
 
 
 def test_two_perspective_cameras_are_a_rig() -> None:

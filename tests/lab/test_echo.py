@@ -151,15 +151,15 @@ def test_own_filters_smooth_and_come_late(tmp_path: Path) -> None:
     late, truth, facts = record(
         tmp_path,
         scene,
-        {"rate_hz": 10.0, "median_pings": 5, "average_pings": 4, "spike_share": 0.05},
+        {"rate_hz": 10.0, "median_pings": 5, "spike_share": 0.05},
         boat,
         scene={"meander_deg": 0.0},
     )
-    assert facts["filter_delay_s"] == pytest.approx(0.35)
-    # 3.5 pings of 0.24 m on a slope of 0.1
+    assert facts["filter_delay_s"] == pytest.approx(0.2)
+    # 2 pings of 0.24 m on a slope of 0.1
     step = np.median(np.diff(dpt(plain)))
     shift = np.median((dpt(late) - dpt(plain))[10:])
-    assert shift == pytest.approx(-3.5 * step, abs=0.01)
+    assert shift == pytest.approx(-2 * step, abs=0.01)
     spikes = (truth["effect"] == "spike").to_numpy()
     assert spikes.any()
     assert np.abs(truth["blunder_m"]).max() < 0.2
@@ -201,12 +201,12 @@ def test_weeds_return_early_where_they_grow(tmp_path: Path) -> None:
     assert np.mean(river.weed_height_m(s, n) > 0) == pytest.approx(0.3, abs=0.12)
 
 
-def test_the_boat_rides_on_water_that_falls_and_rises() -> None:
-    slope = {"water_fall_m_per_km": 5.0, "water_rise_m_per_h": 2.0}
+def test_the_boat_rides_on_water_that_falls() -> None:
+    slope = {"water_fall_m_per_km": 5.0}
     plain, moved = Voyage(short(), SEED), Voyage(short(scene=slope), SEED)
     t = plain.start_gps_s + np.linspace(-1.0, 5.0, 61)
     s, _ = plain.river.to_flow(*plain.position_wcs_m(t)[:, :2].T)
-    expected = -0.005 * s + 2.0 / 3600 * (t - plain.start_gps_s - 2.0)
+    expected = -0.005 * s
     np.testing.assert_allclose((moved.position_wcs_m(t) - plain.position_wcs_m(t))[:, 2], expected, atol=1e-4)
     np.testing.assert_allclose(moved.water_level_m(t), expected, atol=1e-4)
     up = moved.position_wcs_m(t)[:, 2]
@@ -237,20 +237,6 @@ def test_sections_cross_the_river_at_their_distance() -> None:
     np.testing.assert_allclose(speed, 1.2, rtol=0.02)
 
 
-def test_lines_along_the_river_lie_side_by_side() -> None:
-    voyage = patterned("along", line_spacing_m=4.0, line_length_m=30.0)
-    t = voyage.start_gps_s + np.arange(0.0, 180.0, 0.1)
-    s, n = voyage.river.to_flow(*voyage.position_wcs_m(t)[:, :2].T)
-    down = n[np.flatnonzero(np.diff(np.sign(s)) > 0)]
-    up = n[np.flatnonzero(np.diff(np.sign(s)) < 0)]
-    assert len(down) >= 2
-    np.testing.assert_allclose(np.diff(down), 4.0, atol=0.2)
-    np.testing.assert_allclose(np.diff(up), 4.0, atol=0.2)
-    assert np.abs(n).max() < 17.0
-
-
 def test_patterns_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ConfigError, match="right angle takes the boat"):
         patterned("sections", turn_rate_degps=7.0, line_spacing_m=5.0)
-    with pytest.raises(ConfigError, match="fill the river"):
-        patterned("along", line_spacing_m=8.0, line_length_m=5.0)

@@ -14,13 +14,7 @@ from thalweg.core import R_ENU_NED, LocalFrame, rotation_enu_body
 from thalweg.ingest import PoseLog
 from thalweg.ingest.anpp import find_packets, read_anpp
 from thalweg_lab.instruments import attitude_errors_rad, boat_field_mg, simulate_ins
-from thalweg_lab.instruments.ins import (
-    EARTH_NED_MG,
-    levelled_error_rad,
-    low_pass,
-    magnetic_heading_error_rad,
-    standing_drift_rad,
-)
+from thalweg_lab.instruments.ins import EARTH_NED_MG, levelled_error_rad, low_pass, magnetic_heading_error_rad
 from thalweg_lab.random_numbers import gauss_markov, generator
 from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import Voyage, epochs
@@ -188,41 +182,6 @@ def test_hard_iron_is_a_constant_in_the_body(tmp_path: Path, plain: Any) -> None
 def test_a_magnetometer_without_weight_moves_no_heading(tmp_path: Path, plain: Any) -> None:
     log, _, _ = record(tmp_path, twin(motor_field_mg=MOTORS, magnetic_weight=0.0))
     assert_equal_but(plain[0].states, log.states)
-
-
-# ---------------------------------------------------------------- drift and bias
-
-
-def test_a_standing_boat_drifts_and_a_moving_one_recovers() -> None:
-    ins = twin(standing_drift_degpmin=6.0, standing_recovery_s=10.0).ins
-    speed = np.concatenate([np.full(500, 0.4), np.full(1000, 0.05), np.full(1000, 0.4)])
-    drift = np.rad2deg(standing_drift_rad(ins, speed))
-    assert (drift[:500] == 0).all()
-    # 20 s of standing at 0.1 degrees/s, then two time constants on the way.
-    assert drift[1499] == pytest.approx(2.0, rel=1e-9)
-    assert drift[-1] == pytest.approx(2.0 * np.exp(-2.0), rel=1e-9)
-
-
-def test_the_standing_drift_is_in_the_log(tmp_path: Path, plain: Any) -> None:
-    """With a threshold above its speed the boat counts as standing all the time."""
-    log, facts, _ = record(tmp_path, twin(standing_drift_degpmin=3.0, standing_speed_mps=5.0))
-    assert_equal_but(plain[0].states, log.states, "heading_rad")
-    assert_equal_but(plain[0].raw, log.raw)
-    found = np.rad2deg(wrapped(log.states["heading_rad"] - plain[0].states["heading_rad"]))
-    np.testing.assert_allclose(found, np.arange(1, len(found) + 1) * 0.02 * 0.05, atol=6e-5)
-    assert facts["unstated_heading_error_deg"]["max"] == pytest.approx(found[-1], abs=6e-5)
-
-
-def test_the_gyroscopes_bias_is_in_the_raw_rates_only(tmp_path: Path, plain: Any) -> None:
-    log, facts, _ = record(tmp_path, twin(gyro_bias_degps=0.2))
-    assert_equal_but(plain[0].states, log.states)
-    assert_equal_but(plain[0].raw, log.raw, "gyro_x_radps", "gyro_y_radps", "gyro_z_radps")
-    names = ["gyro_x_radps", "gyro_y_radps", "gyro_z_radps"]
-    bias = np.rad2deg((log.raw[names] - plain[0].raw[names]).to_numpy())
-    # float32 at 0.7 rad/s: steps of 6e-8 rad/s in both logs.
-    np.testing.assert_allclose(bias, np.tile(facts["gyro_bias_degps"], (len(bias), 1)), atol=7e-6)
-    # Three draws of N(0, 0.2): outside of these bounds once in 10,000 times, and the seed is fixed.
-    assert 0.01 < np.linalg.norm(facts["gyro_bias_degps"]) < 0.9
 
 
 # ---------------------------------------------------------------- the errors that the sigmas contain

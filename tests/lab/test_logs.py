@@ -20,7 +20,8 @@ from pyproj import CRS, Transformer
 from sbp.client import Framer
 from sbp.client.drivers.file_driver import FileDriver
 
-from thalweg.core import ConfigError, LocalFrame, gps_from_unix, gps_from_week, roll_pitch_heading
+from tests.lab.conftest import true_depth_m
+from thalweg.core import LocalFrame, gps_from_unix, gps_from_week, roll_pitch_heading
 from thalweg.workflow.codehash import imported_modules, reached_modules
 from thalweg_lab import writers
 from thalweg_lab.instruments import (
@@ -33,7 +34,6 @@ from thalweg_lab.instruments import (
     stated_sigmas_m,
     velocity_errors_mps,
 )
-from thalweg_lab.instruments.bed import true_depth_m
 from thalweg_lab.reach import River
 from thalweg_lab.river import Material, Scene
 from thalweg_lab.settings import TwinConfig
@@ -153,19 +153,6 @@ def test_an_ins_without_utc_counts_from_1970(twin: Any, tmp_path: Path) -> None:
     assert np.array_equal(known, unix > 1_000_000_000)
     # 2 s of lead and 1 s of delay at 50 Hz, the first state included.
     assert np.sum(~known) == pytest.approx(150, abs=1)
-
-
-def test_depth_packets_need_the_scene(twin: Any, tmp_path: Path) -> None:
-    config = TwinConfig.of_size(
-        "tiny", start_utc=twin.config.start_utc, duration_s=4.0, ins={"depth_rate_hz": 10.0}
-    )
-    with pytest.raises(ConfigError, match="depth_rate_hz"):
-        simulate_ins(config, SEED, FRAME, tmp_path / "depth.anpp")
-    facts = simulate_ins(
-        config, SEED, FRAME, tmp_path / "depth.anpp", scene=twin.path("scene.npz"), lever_ics_echo_m=ECHO_M
-    )
-    packets = sdk_packets(tmp_path / "depth.anpp")
-    assert sum(i == 53 for i, _ in packets) == facts["depths"] == 80
 
 
 def test_header_sums_and_checksums_of_anpp() -> None:

@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.lab.conftest import true_depth_m
 from thalweg.core import ArrayB, ArrayF, ArrayI, ConfigError, InputError
 from thalweg_lab.changes import DISPLACEMENTS_M, patches, stretch
-from thalweg_lab.instruments.bed import true_depth_m
 from thalweg_lab.reach import River
 from thalweg_lab.river import (
     BARE_GROUND,

@@ -189,9 +189,6 @@ rule simulate_lidar:
 
 rule simulate_ins:
     """ANPP log of the INS."""
-    input:
-        true_mounts="results/{campaign}/simulation/truth/mounts.json",
-        scene="results/{campaign}/simulation/truth/scene.npz",
     output:
         anpp="results/{campaign}/simulation/logs/ins.anpp",
         effects="results/{campaign}/simulation/truth/ins_effects.json",
@@ -209,7 +206,7 @@ rule simulate_ins:
     params:
         code=code_version("simulate_ins"),
         campaign=identity("origin", "seed"),
-        twin=of(CampaignFiles.twin_parts, "scene", "boat", "ins", "echo", "effects"),
+        twin=of(CampaignFiles.twin_parts, "scene", "boat", "ins", "effects"),
     script:
         "../scripts/simulate_ins.py"
 

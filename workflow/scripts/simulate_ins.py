@@ -1,4 +1,4 @@
-"""Campaign file and river reach -> ANPP log of the digital twin's INS."""
+"""Campaign file -> ANPP log of the digital twin's INS."""
 
 from pathlib import Path
 from typing import Any
@@ -7,26 +7,11 @@ from thalweg.core import LocalFrame
 from thalweg.workflow import run_job
 from thalweg_lab.instruments import simulate_ins
 from thalweg_lab.settings import TwinConfig
-from thalweg_lab.voyage import read_true_mounts
 
 
-def main(
-    *,
-    true_mounts: Path,
-    scene: Path,
-    anpp: Path,
-    effects: Path,
-    campaign: dict[str, Any],
-    twin: dict[str, Any],
-) -> None:
+def main(*, anpp: Path, effects: Path, campaign: dict[str, Any], twin: dict[str, Any]) -> None:
     simulate_ins(
-        TwinConfig(**twin),
-        campaign["seed"],
-        LocalFrame(**campaign["origin"]),
-        anpp,
-        scene=scene,
-        lever_ics_echo_m=read_true_mounts(true_mounts)["echo_sounder"]["lever_ics_m"],
-        out_effects=effects,
+        TwinConfig(**twin), campaign["seed"], LocalFrame(**campaign["origin"]), anpp, out_effects=effects
     )
 
 

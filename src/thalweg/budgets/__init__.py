@@ -1,4 +1,4 @@
-"""Error budgets: published tables and own ones, by the formula behind each point's covariance."""
+"""Error budgets by the formula behind each point's covariance."""
 
 import lazy_loader
 

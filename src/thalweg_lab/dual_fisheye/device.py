@@ -1,7 +1,6 @@
 """The device: true lenses, their places, and how both image circles lie in a file."""
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -12,9 +11,6 @@ from thalweg_lab.settings import TwinDualFisheye, TwinLens
 from thalweg_lab.yard_images import LensRays, exposed
 
 LENSES: Final = ("front", "back")
-_STRIPS: Final = 16
-"""Parts of a picture that a rolling shutter exposes at once: with 20 ms and 10 degrees a second the camera
-turns by 0.01 degrees, or 0.04 px, in each."""
 _SCATTER: Final = np.array([1e-3, 1e-3, 5e-4, 1e-4])
 """Scatter of the distortion of single lenses of one kind."""
 
@@ -51,24 +47,6 @@ class TrueRig:
             for name, camera in self.cameras.items()
         }
 
-    def strips(self, lens: str) -> list[tuple[tuple[slice, slice], float]]:
-        """Parts of an upright view that are exposed together: rows and columns, seconds after the middle.
-
-        The sensors read the rows of the file one after the other, from above.
-        """
-        s, n = self.settings, self.settings.circle_px
-        whole = slice(0, n)
-        if s.rolling_s == 0:
-            return [((whole, whole), 0.0)]
-        turn = s.back_turn_deg if lens == "back" else 0
-        edges = np.linspace(0, n, _STRIPS + 1).astype(int).tolist()
-        out = []
-        for a, b in pairwise(edges):
-            own = slice(n - b, n - a) if turn in (90, 180) else slice(a, b)
-            late = s.rolling_s * ((a + b) / (2 * n) - 0.5)
-            out.append(((own, whole) if turn in (0, 180) else (whole, own), late))
-        return out
-
     def facts(self) -> dict[str, Any]:
         """Plain values for the truth."""
         return {
@@ -91,11 +69,8 @@ class TrueRig:
             gain = exposure * (s.back_exposure if name == "back" else 1.0)
             views[name] = exposed(light[name] * rim[..., None], lens, rng, exposure=gain)
             # what no ray reaches stays dark but for the sensor's noise
-        if s.lens_missing:
-            views["back"] = np.zeros_like(views["back"])
         turned = np.rot90(views["back"], s.back_turn_deg // 90)
-        boxes = [turned, views["front"]] if s.lenses_swapped else [views["front"], turned]
-        return np.ascontiguousarray(np.concatenate(boxes, axis=1))
+        return np.ascontiguousarray(np.concatenate([views["front"], turned], axis=1))
 
     def _rim(self, name: str) -> ArrayF32:
         """Share of the light (h, h) that the lens lets through at each pixel."""

@@ -1,12 +1,11 @@
 """The recording: files of the survey and of the room, the survey of the room, and the truth apart."""
 
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from thalweg.core import ArrayF, ArrayF32, ArrayI, LocalFrame, Rigid, steps, write_marked
+from thalweg.core import ArrayF, ArrayI, LocalFrame, Rigid, steps, write_marked
 from thalweg.images.model import ImagePoses
 from thalweg.settings.sections import Rig as RigSettings
 from thalweg_lab.dual_fisheye.device import LENSES, TrueRig, true_rig
@@ -19,7 +18,6 @@ from thalweg_lab.voyage import Voyage, read_true_mounts, true_mounts
 from thalweg_lab.writers import PhotoFacts, start_us, write_jpeg
 from thalweg_lab.yard_images import LensRays, mount_of, run_name
 
-Part = tuple[tuple[slice, slice], float, Callable[..., ArrayF32]]
 KIND: Final = "thalweg twin dual fisheye"
 _SENSOR_MM: Final = 6.2
 _FULL_FRAME_MM: Final = 36.0
@@ -75,50 +73,25 @@ def simulate_dual_fisheye(
     place, R = voyage.position_wcs_m(at), voyage.R_wcs_ics(at)
     fronts = [Rigid(R=R[k], shift_m=place[k]) @ T_ics_front for k in range(len(at))]
 
-    def boat(since_s: float) -> Rigid:
-        """``T_wcs_ics`` at a time since the begin of the survey."""
-        t = np.array([voyage.start_gps_s + since_s])
-        return Rigid(R=voyage.R_wcs_ics(t)[0], shift_m=voyage.position_wcs_m(t)[0])
-
     world = World(Scene.read(scene), None, sun_of(config, frame))
     waves = Waves.draw(seed, rms_slope=config.lidar.wave_slope)
-    parts: dict[str, list[Part]] = {}
-    for name, rays in true.rays().items():
-        T_ics_lens = T_ics_front @ true.T_front_lens[name]
-        own = (
-            OwnBoat.seen(rays, on_boat, T_ics_lens, waterline_m=config.boat.height_m)
-            if settings.hull
-            else None
-        )
-        parts[name] = [
-            (
-                where,
-                late,
-                Renderer(
-                    world,
-                    rays.part(*where),
-                    waves=waves,
-                    boat=None if own is None else own.part(*where),
-                    glare=settings.glare,
-                    supersampling=settings.supersampling,
-                ).see,
-            )
-            for where, late in true.strips(name)
-        ]
+    lenses = {name: T_ics_front @ place for name, place in true.T_front_lens.items()}
+    see = {
+        name: Renderer(
+            world,
+            rays,
+            waves=waves,
+            boat=OwnBoat.seen(rays, on_boat, lenses[name], waterline_m=config.boat.height_m),
+            glare=settings.glare,
+            supersampling=settings.supersampling,
+        ).see
+        for name, rays in true.rays().items()
+    }
     zone_us = int(1e6 * offset_of(settings.zone))
     names = [run_name(stamp + zone_us) for stamp in stamp_us.tolist()]
     for k in steps(range(len(at)), "exposure"):
-        light = {
-            name: exposed_by_parts(
-                parts[name],
-                boat,
-                T_ics_front @ true.T_front_lens[name],
-                t_s=float(exposed_s[k]),
-                grain=k + 1,
-                side_px=settings.circle_px,
-            )
-            for name in LENSES
-        }
+        boat, since_s = Rigid(R=R[k], shift_m=place[k]), float(exposed_s[k])
+        light = {name: see[name](boat @ lenses[name], boat.R, t_s=since_s, grain=k + 1) for name in LENSES}
         picture = true.file_of(
             light, generator(seed, f"dual fisheye {k}"), metered_exposure(light["front"][160:-160, 160:-160])
         )
@@ -143,31 +116,6 @@ def simulate_dual_fisheye(
             ],
         },
     )
-
-
-def exposed_by_parts(
-    parts: Sequence[Part],
-    boat: Callable[[float], Rigid],
-    T_ics_lens: Rigid,
-    *,
-    t_s: float,
-    grain: int,
-    side_px: int,
-) -> ArrayF32:
-    """Light (side, side, 3) of a lens whose parts are exposed one after the other.
-
-    Parameters
-    ----------
-    parts : rows and columns, seconds after the middle of the exposure, and `Renderer.see` of the part.
-    boat : ``T_wcs_ics`` at a time since the begin of the survey.
-    T_ics_lens : mount of the lens.
-    t_s, grain : middle of the exposure, and number of the picture.
-    """
-    light = np.zeros((side_px, side_px, 3), dtype=np.float32)
-    for where, late, see in parts:
-        T = boat(t_s + late)
-        light[where] = see(T @ T_ics_lens, T.R, t_s=t_s + late, grain=grain)
-    return light
 
 
 def _times(config: TwinConfig, settings: TwinDualFisheye, seed: int) -> tuple[ArrayF, ArrayF, ArrayF, ArrayI]:

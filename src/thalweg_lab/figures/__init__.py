@@ -1,4 +1,4 @@
-"""Figures of the ledger."""
+"""Figures of the ledger, of error budgets and of studies."""
 
 import lazy_loader
 

@@ -81,14 +81,6 @@ TRUE_SOUNDINGS: Final = table_kind(
 """Truth of the echo sounder, one row a ping; only rules that compare with the truth read it."""
 
 
-def true_depth_m(motion: Motion, scene: Scene, t_gps_s: ArrayF, lever_ics_echo_m: ArrayLike) -> ArrayF:
-    """Distance (n,) from the transducer to the bed along the boat's own down axis; NaN where none."""
-    bed = scene.only(Material.BED).caster()
-    origin = motion.sensor_wcs_m(t_gps_s, np.asarray(lever_ics_echo_m, dtype=np.float64))
-    hits = bed.cast(origin, motion.R_wcs_ics(t_gps_s)[:, :, 2])
-    return np.where(np.isfinite(hits.t_hit_m), hits.t_hit_m, np.nan)
-
-
 def true_sound_speed_mps(temperature_c: float) -> float:
     """Speed of sound in fresh water (Marczak 1997, J. Acoust. Soc. Am. 102, 2776), 0 to 95 degrees."""
     coefficients = (1.402385e3, 5.038813, -5.799136e-2, 3.287156e-4, -1.398845e-6, 2.787860e-9)
@@ -230,16 +222,12 @@ def _under_water_m(motion: Motion, pings: Pings) -> ArrayF:
 
 
 def _own_filters(depth_m: ArrayF, echo: TwinEcho) -> ArrayF:
-    """Running median and running mean over the last pings that saw the bottom; others stay NaN.
-
-    Both look back only, so that a depth comes half of the windows late.
-    """
+    """Running median over the last pings that saw the bottom, half of its window late; others stay NaN."""
     good = np.flatnonzero(np.isfinite(depth_m))
     value = depth_m[good]
-    for pings, middle in ((echo.median_pings, np.median), (echo.average_pings, np.mean)):
-        if pings > 1 and len(value):
-            padded = np.concatenate([np.full(pings - 1, value[0]), value])
-            value = middle(np.lib.stride_tricks.sliding_window_view(padded, pings), axis=1)
+    if echo.median_pings > 1 and len(value):
+        padded = np.concatenate([np.full(echo.median_pings - 1, value[0]), value])
+        value = np.median(np.lib.stride_tricks.sliding_window_view(padded, echo.median_pings), axis=1)
     out = np.full(len(depth_m), np.nan)
     out[good] = value
     return out
@@ -326,7 +314,7 @@ def simulate_echo(
         "sound_speed_mps": true_sound_speed_mps(echo.water_temperature_c),
         "assumed_sound_speed_mps": echo.assumed_sound_speed_mps,
         "latency_s": echo.latency_s,
-        "filter_delay_s": (echo.median_pings + echo.average_pings - 2) / 2 / echo.rate_hz,
+        "filter_delay_s": (echo.median_pings - 1) / 2 / echo.rate_hz,
         "beam_deg": echo.beam_deg,
         "tilt_deg": list(echo.tilt_deg),
         **damage_file(out_nmea, "echo", config.effects, generator(seed, "echo effects")),

@@ -9,16 +9,13 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
-from thalweg.core import R_ENU_NED, ArrayF, ConfigError, LocalFrame, roll_pitch_heading, root_mean_square
+from thalweg.core import R_ENU_NED, ArrayF, LocalFrame, roll_pitch_heading, root_mean_square
 from thalweg_lab import writers
-from thalweg_lab.instruments.bed import true_depth_m
 from thalweg_lab.instruments.effects import damage_file
 from thalweg_lab.instruments.misstated import as_it_errs, factors
 from thalweg_lab.random_numbers import gauss_markov, generator
-from thalweg_lab.river import Scene
 from thalweg_lab.settings import TwinConfig, TwinIns
 from thalweg_lab.voyage import LEAD_S, Motion, epochs, motion_of, write_effects
 from thalweg_lab.writers import moment, unix_us
@@ -45,8 +42,6 @@ def simulate_ins(
     frame: LocalFrame,
     out_anpp: Path,
     *,
-    scene: Path | None = None,
-    lever_ics_echo_m: ArrayLike | None = None,
     motion: Motion | None = None,
     out_effects: Path | None = None,
 ) -> dict[str, Any]:
@@ -61,25 +56,21 @@ def simulate_ins(
     seed : seed of the campaign.
     frame : the world frame.
     out_anpp : target.
-    scene, lever_ics_echo_m : file of `simulate_scene` and true place of the transducer; needed only if
-        ``twin.ins.depth_rate_hz`` asks for depth packets.
     motion : of the boat; None: what the configuration asks for, see `motion_of`.
     out_effects : where to write what was done to the log (JSON), beside the truth.
 
     Returns
     -------
-    facts : numbers of states and depth packets, drifts, fields of the boat, the heading error that no sigma
+    facts : number of states, drift, fields of the boat, the heading error that no sigma
         states (RMS and extremes), and the defects of the log.
 
     Raises
     ------
-    ConfigError : depth packets are asked for, but scene or lever arm is not given; a leap second falls into
-        the recording.
+    ConfigError : a leap second falls into the recording.
     """
     ins = config.ins
     motion = motion_of(config, seed) if motion is None else motion
     t = epochs(config, ins.rate_hz)
-    depth = _depth_packets(config, seed, motion, t, scene, lever_ics_echo_m)
     boat_field = boat_field_mg(ins, _thrust(config, motion, t))
     unstated = unstated_heading_errors_rad(config, motion, t, boat_field)
     attitude = attitude_errors_rad(config, seed, t, motion.start_gps_s)
@@ -89,7 +80,6 @@ def simulate_ins(
         [gauss_markov(rng, len(t), 1.0 / ins.rate_hz, s, ins.position_time_s) for s in true_m], axis=1
     )
     velocity_error = velocity_errors_mps(config, seed, len(t))
-    bias = np.deg2rad(ins.gyro_bias_degps) * generator(seed, "ins gyro bias").standard_normal(3)
     noise = generator(seed, "ins raw")
     out_anpp.parent.mkdir(parents=True, exist_ok=True)
     with out_anpp.open("wb") as file:
@@ -104,18 +94,14 @@ def simulate_ins(
                 position_error[part],
                 velocity_error[part],
                 boat_field[part],
-                bias,
                 noise,
             )
-            for row, extra in zip(rows, depth[part], strict=True):
-                file.write(_packets(config, row) + extra)
+            for row in rows:
+                file.write(_packets(config, row))
     facts = {
         "states": len(t),
-        "depths": sum(1 for extra in depth if extra),
         "utc_known_after_s": config.effects.ins_clock_late_s,
         "heading_drift_degpmin": ins.heading_drift_degpmin,
-        "standing_drift_degpmin": ins.standing_drift_degpmin,
-        "gyro_bias_degps": np.rad2deg(bias).tolist(),
         "hard_iron_mg": list(ins.hard_iron_mg),
         "motor_field_mg": [list(field) for field in ins.motor_field_mg],
         "boat_field_max_mg": float(np.linalg.norm(boat_field, axis=1).max(initial=0.0)),
@@ -148,34 +134,6 @@ def _extent_deg(errors_rad: ArrayF) -> dict[str, float]:
     return {"rms": root_mean_square(degrees), "min": float(degrees.min()), "max": float(degrees.max())}
 
 
-def _depth_packets(
-    config: TwinConfig,
-    seed: int,
-    motion: Motion,
-    t: ArrayF,
-    scene: Path | None,
-    lever_ics_echo_m: ArrayLike | None,
-) -> list[bytes]:
-    """The depth packet that follows each state, empty where there is none."""
-    out = [b""] * len(t)
-    if config.ins.depth_rate_hz == 0:
-        return out
-    if scene is None or lever_ics_echo_m is None:
-        raise ConfigError(
-            f"twin.ins.depth_rate_hz is {config.ins.depth_rate_hz}, but no scene and lever arm are given",
-            expected="the scene and the place of the echo sounder",
-            cure="Set twin.ins.depth_rate_hz to 0: the depths are in the NMEA log",
-        )
-    every = max(1, round(config.ins.rate_hz / config.ins.depth_rate_hz))
-    sigma = config.echo.sigma_m
-    depth = true_depth_m(motion, Scene.read(scene), t[::every], lever_ics_echo_m)
-    depth = depth + generator(seed, "ins depth").normal(0.0, sigma, len(depth))
-    for i, value in enumerate(depth.tolist()):
-        if np.isfinite(value) and 0 < value <= config.echo.max_depth_m:
-            out[i * every] = writers.anpp_external_depth(value, sigma)
-    return out
-
-
 def _rows(
     motion: Motion,
     frame: LocalFrame,
@@ -184,7 +142,6 @@ def _rows(
     position_error: ArrayF,
     velocity_error: ArrayF,
     boat_field_mg: ArrayF,
-    gyro_bias_radps: ArrayF,
     rng: np.random.Generator,
 ) -> list[dict[str, Any]]:
     """What the INS reports at its epochs, as plain lists."""
@@ -213,7 +170,7 @@ def _rows(
         "angles": angles,
         "rates": rates + rng.normal(0, _GYRO_NOISE_RADPS / 5, (n, 3)),
         "accel_raw": force + rng.normal(0, _ACCEL_NOISE_MPS2, (n, 3)),
-        "gyro_raw": rates + gyro_bias_radps + rng.normal(0, _GYRO_NOISE_RADPS, (n, 3)),
+        "gyro_raw": rates + rng.normal(0, _GYRO_NOISE_RADPS, (n, 3)),
         "magnetic": magnetic + rng.normal(0, _MAGNETIC_NOISE_MG, (n, 3)),
     }
     plain = {name: value.tolist() for name, value in columns.items()}
@@ -270,34 +227,13 @@ def attitude_errors_rad(config: TwinConfig, seed: int, t_gps_s: ArrayF, start_gp
     return np.asarray(out)
 
 
-def standing_drift_rad(ins: TwinIns, speed_mps: ArrayF) -> ArrayF:
-    """Heading drift (n,) of a boat that stands still (T 3.1.1), lost again on the way.
-
-    ``e' = drift`` while the speed is below ``standing_speed_mps``, ``e' = -e / standing_recovery_s`` above:
-    without motion nothing but the gyroscopes carries the heading.
-    """
-    step_s = 1.0 / ins.rate_hz
-    grow = np.deg2rad(ins.standing_drift_degpmin) / 60.0 * step_s
-    keep = float(np.exp(-step_s / ins.standing_recovery_s))
-    out = np.zeros(len(speed_mps))
-    error = 0.0
-    for i, standing in enumerate((np.asarray(speed_mps) < ins.standing_speed_mps).tolist()):
-        error = error + grow if standing else error * keep
-        out[i] = error
-    return out
-
-
 def unstated_heading_errors_rad(
     config: TwinConfig, motion: Motion, t_gps_s: ArrayF, boat_field_ics_mg: ArrayF
 ) -> ArrayF:
-    """Heading errors (n,) that no sigma states: standing drift and the fields of the boat; 0 where off."""
-    out = np.zeros(len(t_gps_s))
-    if config.ins.standing_drift_degpmin:
-        velocity = motion.velocity_wcs_mps(t_gps_s)
-        out += standing_drift_rad(config.ins, np.hypot(velocity[:, 0], velocity[:, 1]))
-    if np.any(boat_field_ics_mg):
-        out += magnetic_heading_error_rad(config.ins, *motion.angles_rad(t_gps_s), boat_field_ics_mg)
-    return out
+    """Heading errors (n,) that no sigma states, from the fields of the boat; 0 where off."""
+    if not np.any(boat_field_ics_mg):
+        return np.zeros(len(t_gps_s))
+    return magnetic_heading_error_rad(config.ins, *motion.angles_rad(t_gps_s), boat_field_ics_mg)
 
 
 # ---------------------------------------------------------------- magnetometer

@@ -177,9 +177,6 @@ class Station:
             "dropouts_weak": int(np.sum(echoes.there & ~strong)),
         }
         keep = lucky & strong & (echoes.range_m <= c.max_range_m)
-        if not c.multi_target:
-            power = np.where(keep, echoes.strength, -1.0)
-            keep &= np.arange(power.shape[1]) == np.argmax(power, axis=1)[:, None]
         row, column = np.nonzero(keep)
         range_m = echoes.range_m[row, column][:, None]
         # An error for each echo and axis; those of one shot are three after the other.

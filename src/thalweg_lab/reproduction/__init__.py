@@ -1,4 +1,4 @@
-"""The ledger: published numbers beside those of the twin."""
+"""The ledger: published numbers beside those of the twin; published error budgets."""
 
 import lazy_loader
 

@@ -137,13 +137,6 @@ class TwinScene(Section):
     water_fall_m_per_km: float = Field(
         default=0.0, ge=0, le=20, description="Fall of water and ground along the reach, metres a kilometre"
     )
-    water_rise_m_per_h: float = Field(
-        default=0.0,
-        ge=-2,
-        le=2,
-        description="Rise of the water while the boat sails, metres an hour, about its level half way; "
-        "boat and depths follow, the water in the scene does not",
-    )
     weeds_cover: Share = Field(default=0.0, description="Share of the bed on which weeds grow")
     weeds_height_m: Positive = Field(
         default=0.5, le=5, description="Greatest height of weeds above the bed, metres; they end under water"
@@ -223,14 +216,10 @@ class TwinBoat(Section):
     zigzag_deg: float = Field(
         default=50.0, ge=0, le=80, description="Angle between the legs of the zigzag and the flow, degrees"
     )
-    pattern: Literal["zigzag", "sections", "along"] = Field(
-        default="zigzag",
-        description="Course: `zigzag` between the banks, `sections` across the river, `along` it up and down",
+    pattern: Literal["zigzag", "sections"] = Field(
+        default="zigzag", description="Course: `zigzag` between the banks, `sections` across the river"
     )
-    line_spacing_m: Positive = Field(
-        default=10.0, le=200, description="Distance of `sections` or of lines `along`, metres"
-    )
-    line_length_m: Positive = Field(default=100.0, le=5000, description="Length of the lines `along`, metres")
+    line_spacing_m: Positive = Field(default=10.0, le=200, description="Distance of `sections`, metres")
     bank_distance_m: Positive = Field(
         default=6.0, le=100, description="Distance from the shores at which the boat turns, metres"
     )
@@ -290,21 +279,6 @@ class TwinIns(Section):
     heading_drift_degpmin: Finite = Field(
         default=0.0, description="Drift of the heading on top of its error, degrees/min; not in the sigmas"
     )
-    standing_drift_degpmin: Finite = Field(
-        default=0.0,
-        description="Drift of the heading while the boat stands (T 3.1.1), degrees/min; not in the sigmas",
-    )
-    standing_speed_mps: NonNegative = Field(
-        default=0.1, le=5, description="Speed over ground below which the boat counts as standing, m/s"
-    )
-    standing_recovery_s: Positive = Field(
-        default=30.0, description="Time constant with which a moving boat loses the standing drift, seconds"
-    )
-    gyro_bias_degps: NonNegative = Field(
-        default=0.0,
-        le=5,
-        description="Sigma of a constant bias of each raw gyroscope, degrees/s; the filter's rates lack it",
-    )
     motor_field_mg: tuple[Vector3, Vector3] = Field(
         default=((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
         description="Magnetic fields of the left and the right motor's current at the INS, at full thrust: "
@@ -321,9 +295,6 @@ class TwinIns(Section):
     )
     magnetic_time_s: Positive = Field(
         default=20.0, description="Time constant with which the filter follows its magnetometer, seconds"
-    )
-    depth_rate_hz: NonNegative = Field(
-        default=0.0, le=50, description="Rate of external depth packets (ANPP 53), Hz; 0: none"
     )
 
 
@@ -446,12 +417,6 @@ class TwinEcho(Section):
     )
     median_pings: int = Field(
         default=1, ge=1, le=21, description="The instrument's running median over its last pings; 1: none"
-    )
-    average_pings: int = Field(
-        default=1,
-        ge=1,
-        le=12,
-        description="The instrument's running mean over its last pings, after the median; 1: none",
     )
     temperature_sentences: bool = Field(
         default=False, description="Temperature of the water once a second (MTW)"
@@ -611,9 +576,6 @@ class TwinTls(EchoFaults):
     )
     speckle_cells: Cells = Field(
         default=2, description="Parts of the footprint that shine independently of each other (speckle)"
-    )
-    multi_target: bool = Field(
-        default=True, description="All echoes of a beam are written; false: the strongest only"
     )
     wavelength_nm: Literal[905, 1550] = Field(
         default=1550, description="Wavelength, nanometres: leaves and wet ground are darker at 1550"
@@ -810,38 +772,6 @@ Images = Annotated[int, Field(ge=0, le=10_000)]
 """A number of images."""
 
 
-class TimeLapseEffects(Section):
-    """What is in the images, and named defects of them; each can be switched alone."""
-
-    waves: bool = Field(
-        default=True, description="Moving waves on the water; off: a mirror that stands still"
-    )
-    clouds: bool = Field(default=True, description="Clouds that drift; off: a clear sky")
-    glare: bool = Field(
-        default=True, description="The sun's own light in the sky and its glints on the water"
-    )
-    hull: bool = Field(
-        default=True, description="A float of the own boat at the lower edge of the images, with its bow"
-    )
-    noise: bool = Field(default=True, description="Sensor noise of the camera's strength")
-    blur: bool = Field(
-        default=True, description="Softness of the lens and smear by the boat's motion during the exposure"
-    )
-    unstamped: Images = Field(
-        default=0, description="Images without time in name and EXIF, as after a clock that lost its battery"
-    )
-    duplicated: Images = Field(
-        default=0, description="Images that lie in the folder a second time, as copies of a file manager"
-    )
-    blurred: Images = Field(default=0, description="Images that are out of focus by several pixels")
-    swapped_points: int = Field(
-        default=0,
-        ge=0,
-        le=100,
-        description="Pairs of control points whose names are swapped in the survey's table",
-    )
-
-
 class TwinTimeLapse(Section):
     """Time-lapse images along the voyage and the targets of the control points."""
 
@@ -883,12 +813,6 @@ class TwinTimeLapse(Section):
         default=10.0, description="Least width of a target in an image that counts as seeing it, pixels"
     )
     jpeg_quality: int = Field(default=93, ge=1, le=100, description="Quality of the JPEG files, 1 to 100")
-    defocus_px: NonNegative = Field(
-        default=5.0, le=50, description="Sigma of the blur of images that are out of focus, pixels"
-    )
-    effects: TimeLapseEffects = Field(
-        default=TimeLapseEffects(), description="What is in the images, and their defects"
-    )
 
 
 # ---------------------------------------------------------------- dual fisheye
@@ -943,13 +867,6 @@ class TwinDualFisheye(Section):
         default=1.6, ge=0, le=50, description="Sensor noise of a middle grey, steps of 8 bits; 0: none"
     )
     jpeg_quality: Quality = Field(default=93, description="Quality of the JPEG files, 1 to 100")
-    rolling_s: float = Field(
-        default=0.0,
-        ge=0,
-        le=0.2,
-        description="Time from the first row of the sensors to the last, the exposure being in their middle; "
-        "0.02 is usual, seconds",
-    )
     glare: bool = Field(default=False, description="The sun's disc and its glow in sky and water")
     rate_hz: float = Field(default=1.0, gt=0, le=10, description="Exposures per second")
     images: int = Field(
@@ -981,9 +898,6 @@ class TwinDualFisheye(Section):
     supersampling: int = Field(
         default=2, ge=1, le=4, description="Rays along each side of a pixel where something ends in it"
     )
-    hull: bool = Field(default=True, description="The own boat in view")
-    lenses_swapped: bool = Field(default=False, description="The back lens lies in the box of the front lens")
-    lens_missing: bool = Field(default=False, description="The back lens recorded nothing")
 
 
 # ---------------------------------------------------------------- section ``twin``

@@ -78,28 +78,11 @@ class TwinFieldEffects(Section):
     moved_by_m: float = Field(
         default=0.02, ge=0, le=1, description="Distance by which it was moved along its board or cone, metres"
     )
-    swapped_ids: tuple[tuple[Marker, Marker], ...] = Field(
-        default=(), description="Pairs of markers glued in each other's place against the description"
-    )
-    mirrored_ids: tuple[Marker, ...] = Field(default=(), description="Markers printed in a mirror")
-    outside_view: str | None = Field(
-        default=None, description="Lying cone that stands outside the lidar's view in the static positions"
-    )
-    wrong_bar: str | None = Field(default=None, description="Scale bar whose certificate is wrong, S1 to S3")
-    wrong_bar_by_m: float = Field(
-        default=0.003, ge=-0.1, le=0.1, description="Error of that certificate, metres"
-    )
 
     @model_validator(mode="after")
     def _check_names(self) -> Self:
-        for key, known in (
-            ("toppled_cone", CONES),
-            ("outside_view", CONES[:6]),
-            ("wrong_bar", ("S1", "S2", "S3")),
-        ):
-            name = getattr(self, key)
-            if name is not None and name not in known:
-                raise ValueError(f"{key} is '{name}', but must be one of {', '.join(known)}")
+        if self.toppled_cone not in (None, *CONES):
+            raise ValueError(f"toppled_cone is '{self.toppled_cone}', but must be one of {', '.join(CONES)}")
         return self
 
 
@@ -227,11 +210,8 @@ class Laser(Section):
         lt=1000,
         description="Wavelength in vacuum; with the waist it decides how the line widens, nm",
     )
-    profile: Literal["powell", "gauss"] = Field(
-        default="powell", description="Intensity along the line: even (Powell lens) or Gaussian"
-    )
-    profile_deg: Positive = Field(
-        default=35.0, description="Fan angle at which a Gaussian profile falls to 1/e^2, degrees"
+    profile: Literal["powell"] = Field(
+        default="powell", description="Intensity along the line: even, but for the ends (Powell lens)"
     )
 
 
@@ -240,14 +220,6 @@ class Water(Section):
 
     attenuation_per_m: NonNegative = Field(
         default=0.2, description="Beam attenuation; 0.2 is clear lake water, 5 and more is turbid, 1/m"
-    )
-    scatter_per_m: NonNegative = Field(
-        default=0.0,
-        description="Light that the sheet sends to the camera on its way through the water, as the share "
-        "that 1 m of water sends like a white surface, 1/m; 0: no veil",
-    )
-    veil_dn: NonNegative = Field(
-        default=0.0, description="Even veil by daylight that turbid water sends back, grey values"
     )
 
 
@@ -310,13 +282,6 @@ class SheetImage(Section):
         "direction (subsurface lobe of P4 Fig. 16); it falls with the albedo; 0: none",
     )
     halo_mm: Positive = Field(default=0.5, description="Length to which that lobe falls to 1/e, mm")
-    ambient_stride: int = Field(
-        default=0,
-        ge=0,
-        le=16,
-        description="Daylight is computed for blocks of so many pixels a side; 0: 1, 2, 4 for 512, 1024, "
-        "2048 pixels",
-    )
     offsets: int = Field(default=9, ge=3, le=41, description="Rays across the sheet for each sub-beam")
     beams_per_px: Positive = Field(
         default=2.5, description="Sub-beams of a fan of 90 degrees, by the larger side of the image in pixels"
@@ -383,8 +348,5 @@ class TwinLightSheet(Section):
         le=200,
         description="Pictures of a field of markers in air, for the interior orientation of the sensor's "
         "camera (P3 2.4); 0: none, the design holds it as given",
-    )
-    lost_pulses: int = Field(
-        default=0, ge=0, le=50, description="Pulses of the trigger that were not recorded, in each series"
     )
     image: SheetImage = Field(default_factory=SheetImage, description="Light, water, lens and chip")

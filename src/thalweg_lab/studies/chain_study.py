@@ -16,11 +16,9 @@ sigmas that P2 Table 1 publishes and a jitter of 23 ms, so that the camera's RMS
 assumed inputs, and the processing knows them.
 """
 
-import json
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,17 +27,12 @@ import pandas as pd
 
 from thalweg.accuracy import (
     ALL,
-    CLOUD_TO_MESH,
     WITHOUT_OUTLIERS,
     ComparisonSettings,
-    by_range_table,
-    chains_by_range,
     compare_with_mesh,
     point_sets,
     predicted_sigma_m,
-    range_facts,
 )
-from thalweg.budgets import read_budget, totals_mm
 from thalweg.core import (
     ArrayF,
     ErrorChain,
@@ -49,7 +42,6 @@ from thalweg.core import (
     exp_rotation,
     opk_axes,
     root_mean_square,
-    write_table,
 )
 from thalweg.core.geometry import TriangleMesh
 from thalweg.images.model import ImagePoses
@@ -128,12 +120,6 @@ _TRUTH: Final = (
     ("rms_heading", "rms_heading_deg"),
     ("sigma_heading", "sigma_heading_deg"),
     ("normalised_pose", "normalised_pose"),
-)
-LIMITS: Final = (
-    "Not in the poses of the images is what a block of a real survey may have beyond its stated sigmas; "
-    "plants are in all clouds, and rule the rows of all points. The twin turns at the banks, so that short "
-    "ranges are measured while it turns and the jitter of the camera's clock counts most there; the "
-    "published budgets take one angular speed for all ranges."
 )
 _ABOUT: Final = ["setting", "chain", "seed"]
 
@@ -424,29 +410,6 @@ def both_settings() -> list[ChainStudy]:
     return [ChainStudy.of(DISTURBED, DISTURBANCES), ChainStudy.of(UNDISTURBED, CLEAN)]
 
 
-def pooled(found: Sequence[Found]) -> dict[str, pd.DataFrame]:
-    """Distances of all surveys by chain, kind ``cloud_to_mesh``; each survey lies at times of its own."""
-    out = {}
-    for name in CHAINS:
-        parts = [
-            f.distances[name].assign(t_gps_s=f.distances[name]["t_gps_s"] + k * APART_S)
-            for k, f in enumerate(found)
-        ]
-        out[name] = pd.concat(parts, ignore_index=True)
-    return out
-
-
-def ranges_of(
-    found: Sequence[Found],
-    settings: ComparisonSettings,
-    published_mm: Mapping[str, ArrayF] | None = None,
-    at_m: ArrayF | None = None,
-) -> pd.DataFrame:
-    """RMSE of all surveys in range classes, see `chains_by_range`."""
-    by_range = {name: by_range_table(table, settings) for name, table in pooled(found).items()}
-    return chains_by_range(by_range, published_mm, at_m)
-
-
 def study_table(found: Mapping[str, Sequence[Found]]) -> pd.DataFrame:
     """One row a setting, chain and set of points.
 
@@ -498,60 +461,6 @@ def goals_table(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def as_markdown(table: pd.DataFrame, facts: Mapping[str, Any]) -> str:
-    """Page of the study; ``facts`` of `thalweg.accuracy.solutions.range_facts`."""
-    n = int(table["n"].max())
-    lines = [
-        "# INS, camera and fused trajectory on the digital twin",
-        "",
-        "Distances of the clouds to a mesh of terrestrial scans on the slope of the right bank, in "
-        f"centimetres; {int(table['surveys'].max())} surveys of each setting, up to n = {n:,} points a row. "
-        "These are results of the digital twin. Disturbed: fields of the motors and of the hull turn the "
-        "heading, it drifts, leaves and bridge take satellites away and the water reflects them. The size of "
-        "the fields was chosen so that the INS comes near its published RMSE; camera and fused trajectory "
-        "follow.",
-        "",
-        "| setting | trajectory | points | n | mean | RMSE | of single surveys | predicted | with pose | "
-        "place | heading |",
-        "|" + " --- |" * 3 + " ---: |" * 8,
-    ]
-    lines += [
-        f"| {r['setting']} | {r['chain']} | {r['points']} | {r['n']:,} "
-        f"| {100 * r['mean_m']:+.1f} ± {100 * r['sigma_mean_m']:.1f} | {100 * r['rmse_m']:.1f} "
-        f"| {100 * r['rmse_least_m']:.1f} to {100 * r['rmse_most_m']:.1f} "
-        f"| {100 * r['predicted_rmse_m']:.1f} | {100 * r['share_with_pose']:.0f} % "
-        f"| {100 * r['rms_place_m']:.1f} | {r['rms_heading_deg']:.2f} deg |"
-        for r in _records(table)
-    ]
-    lines += ["", "| asked for | without outliers, cm | all points, cm | |", "| --- | ---: | ---: | --- |"]
-    for r in _records(goals_table(table)):
-        verdict = "met" if r["met"] else f"missed by {100 * r['missed_by_m']:.1f} cm"
-        lines.append(f"| {r['goal']} | {100 * r['found_m']:.1f} | {100 * r['found_all_m']:.1f} | {verdict} |")
-    return "\n".join([*lines, "", crossing_words(facts), "", LIMITS]) + "\n"
-
-
-def crossing_words(facts: Mapping[str, Any]) -> str:
-    """Where the predicted curves of INS and camera cross."""
-    for found in facts["crossings"]:
-        if set(found["chains"]) == {"ins", "camera"} and found["curve"] == "rmse_predicted_3d":
-            at = found.get("crossing_m")
-            if at is not None:
-                return (
-                    f"The predicted 3D sigmas of INS and camera cross at {at:.1f} m: nearer the "
-                    f"{_name(found['nearer'])} is better, farther the {_name(found['farther'])} (published "
-                    "budgets: 11 to 13 m)."
-                )
-            return (
-                f"The predicted 3D sigmas of INS and camera do not cross: the {_name(found['nearer'])} is "
-                "better at every range (published budgets: 11 to 13 m)."
-            )
-    return "Too few points for predicted curves."
-
-
-def _name(chain: str) -> str:
-    return {"ins": "INS", "camera": "camera", "fused": "fused trajectory"}.get(chain, chain)
-
-
 def _distances(parts: Sequence[pd.DataFrame]) -> dict[str, float]:
     d = [part["distance_m"].to_numpy(np.float64) for part in parts if len(part)]
     whole = np.concatenate(d)
@@ -587,10 +496,6 @@ def _truth(surveys: Sequence[Found], chain: str) -> dict[str, float]:
 def _share(counts: pd.DataFrame) -> float:
     n = dict(zip(counts["reason"], counts["n"], strict=True))
     return 1.0 - sum(n.get(reason, 0) for reason in _NO_POSE) / sum(n.values())
-
-
-def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
-    return [{str(name): value for name, value in row.items()} for row in table.to_dict("records")]
 
 
 # ---------------------------------------------------------------- rows of one seed, and what comes of all
@@ -638,28 +543,8 @@ def _study_rows(seed: Seed) -> Tables:
 
 
 def _study_results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result]:
-    """Budgets are in the order of `CHAINS`."""
-    found = from_rows(tables)
-    numbers = study_table(found)
-    at_m = np.linspace(1.0, 200.0, 797)
-    published = {name: totals_mm(read_budget(path), at_m) for name, path in zip(CHAINS, files, strict=False)}
-    settings = comparison_settings(both_settings()[0].settings(1), 1)
-    ranges = ranges_of(found[DISTURBED], settings, published, at_m)
-    facts = range_facts(ranges)
-    surveys = len(found[DISTURBED])
-    about = {"setting": DISTURBED, "surveys": surveys}
-    distances = {
-        f"distances_{name}": partial(write_table, frame=rows, schema=CLOUD_TO_MESH, meta=about)
-        for name, rows in pooled(found[DISTURBED]).items()
-    }
-    return {
-        "table": numbers,
-        "goals": goals_table(numbers),
-        "by_range": partial(ranges.to_csv, index=False, float_format="%.9g"),
-        "facts": json.dumps(facts, indent=2) + "\n",
-        **distances,
-        "page": as_markdown(numbers, facts),
-    }
+    table = study_table(from_rows(tables))
+    return {"table": table, "goals": goals_table(table)}
 
 
 STUDY: Final = Study(rows=_study_rows, results=_study_results)

@@ -291,81 +291,12 @@ def by_factor(table: pd.DataFrame) -> pd.DataFrame:
     return out[["of", "factor", "normalised", "independent", "low", "high"]]
 
 
-def fitted_factor(table: pd.DataFrame) -> tuple[float, float, float]:
-    """The factor at which single poses have a mean normalised square of 1, and where it lies with 95 %.
-
-    Between the factors of the table on straight lines; at its ends it stays.
-    """
-    single = by_factor(table).set_index("of").loc[["single poses"]].sort_values("factor")
-    value = single["normalised"].to_numpy()[::-1]
-    factors = single["factor"].to_numpy()[::-1]
-    low, high = single[["high", "low"]].mean()
-    return tuple(float(np.interp(at, value, factors)) for at in (1.0, low, high))  # type: ignore[return-value]
-
-
 def summary(fit: pd.DataFrame, judged: pd.DataFrame) -> pd.DataFrame:
     """`by_factor` of both sets of blocks, with a column ``blocks``: ``fitted`` or ``judged``."""
     parts = [by_factor(table).assign(blocks=name) for name, table in (("fitted", fit), ("judged", judged))]
     return pd.concat(parts, ignore_index=True)[
         ["blocks", "of", "factor", "normalised", "independent", "low", "high"]
     ]
-
-
-def as_markdown(fit: pd.DataFrame, judged: pd.DataFrame) -> str:
-    """Page of the study: the blocks that chose the factor, those that judge it, and all factors."""
-    best, low, high = fitted_factor(fit)
-    lines = [
-        "# Image blocks on rendered pictures: errors and sigmas over seeds of the digital twin",
-        "",
-        "Each block goes the campaign's way from pictures to poses; errors are against the truth of the",
-        "digital twin. Normalised squares are 1 on average if the covariances are right, and lie in the band",
-        "with 95 %. Images of a block err alike: the table says how many independent errors stand behind the",
-        "mean of single poses.",
-        "",
-        "What the images tell of the lens counts with a larger variance than their residuals say, by",
-        "`images.adjustment.interior_variance`. The first blocks fit it: "
-        f"{best:.1f} ({low:.1f} to {high:.1f}).",
-        f"The others, which chose no number, judge the default of {DEFAULT_FACTOR:g}.",
-        "",
-        f"## Blocks that the factor is fitted on, with {DEFAULT_FACTOR:g}",
-        "",
-        *_blocks(fit[fit["factor"] == DEFAULT_FACTOR]),
-        "",
-        f"## Blocks that judge it, with {DEFAULT_FACTOR:g}",
-        "",
-        *_blocks(judged[judged["factor"] == DEFAULT_FACTOR]),
-        "",
-        "## All factors",
-        "",
-        "| blocks | of | factor | normalised | independent errors | band |",
-        "| --- | --- | --- | --- | --- | --- |",
-    ]
-    lines += [
-        f"| {row['blocks']} | {row['of']} | {row['factor']:g} | {row['normalised']:.2f} "
-        f"| {row['independent']:.0f} | {row['low']:.2f} to {row['high']:.2f} |"
-        for row in summary(fit, judged).to_dict("records")
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _blocks(table: pd.DataFrame) -> list[str]:
-    """A line for each block, of one factor."""
-    lines = [
-        "| seed | images | single poses | independent | jointly | position rms (sigma) mm | rotation rms "
-        "(sigma) 0.001 deg | check points | remark |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
-    ]
-    for row in table.to_dict("records"):
-        if row["failure"]:
-            lines.append(f"| {row['seed']} | | | | | | | | failed: {row['failure']} |")
-            continue
-        checks = f"{row['check']:.2f} ({row['check_points']})" if row["check_points"] else "none"
-        lines.append(
-            f"| {row['seed']} | {row['images']} | {row['single']:.2f} | {row['independent']:.0f} "
-            f"| {row['joint']:.2f} | {row['rms_mm']:.0f} ({row['sigma_mm']:.0f}) "
-            f"| {row['rms_mdeg']:.0f} ({row['sigma_mdeg']:.0f}) | {checks} | {row['notes']} |"
-        )
-    return lines
 
 
 def _study_rows(seed: Seed) -> Tables:
@@ -375,7 +306,7 @@ def _study_rows(seed: Seed) -> Tables:
 def _study_results(tables: Tables, files: Sequence[Path]) -> dict[str, Result]:
     fit, judged = tables["fitted"], tables["judged"]
     blocks = pd.concat([rows.assign(blocks=name) for name, rows in (("fitted", fit), ("judged", judged))])
-    return {"table": summary(fit, judged), "blocks": blocks, "page": as_markdown(fit, judged)}
+    return {"table": summary(fit, judged), "blocks": blocks}
 
 
 STUDY: Final = Study(rows=_study_rows, results=_study_results)

@@ -27,9 +27,6 @@ from thalweg.surface import Area, Surface
 from thalweg_lab.studies.study import Result, Seed, Study, Tables
 from thalweg_lab.studies.survey import BARE, process, record, reference_mesh, survey_settings
 
-PUBLISHED_M: Final = (-0.06, -0.05)
-"""Mean distance of P2: 6 cm in its section 6.2, 5 cm in its section 7; points lie behind the reference."""
-
 STATIONS: Final = 3
 MAX_POINTS: Final = 50_000
 
@@ -130,8 +127,6 @@ EFFECTS: Final = (
 )
 """Rows in the order of the table: the base, each cause alone, everything, and a reference with its plants."""
 
-SINGLE: Final = tuple(e.name for e in EFFECTS if e.name not in (_BASE, _SCENERY, _ALL, _LEFT_IN))
-"""Rows that are one cause alone."""
 
 PER_SURVEY: Final = ("n", "mean_m", "median_m", "rmse_m", "behind", "mean_registered_m", "rmse_registered_m")
 """What is kept of each survey: points, their signed distances, the share of points behind the reference,
@@ -235,99 +230,12 @@ def _row(effect: Effect, of: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
     }
 
 
-def as_markdown(table: pd.DataFrame) -> str:
-    """The table of `offset_study` as a page for people, in millimetres, with P2's figure and a conclusion."""
-    columns = (
-        "effect",
-        "against",
-        "explains, mm",
-        "mean, mm",
-        "median, mm",
-        "RMSE, mm",
-        "behind, %",
-        "registered: mean, mm",
-        "RMSE, mm",
-        "points",
-    )
-    lines = [
-        "# Why does the cloud lie off the reference? (digital twin)",
-        "",
-        conclusion(table),
-        "",
-        "Distances from the mesh of terrestrial scans; positive: in front of it, negative: behind. Means of "
-        f"{int(table['seeds'].max())} surveys with the standard error of their spread; a cause explains the "
-        "change of the mean against another row, survey by survey.",
-        "",
-        "| " + " | ".join(columns) + " |",
-        "|" + " --- |" * 2 + " ---: |" * (len(columns) - 2),
-    ]
-    lines += [
-        f"| {row['effect']} | {row['against']} | {_mm(row, 'explains')} | {_mm(row, 'mean')} "
-        f"| {1e3 * row['median_m']:+.1f} | {1e3 * row['rmse_m']:.1f} | {100 * row['behind']:.1f} "
-        f"| {_mm(row, 'mean_registered')} | {1e3 * row['rmse_registered_m']:.1f} | {row['n']:,} |"
-        for row in _records(table)
-    ]
-    low, high = (1e3 * value for value in PUBLISHED_M)
-    lines.append(f"| *P2, Mulde* | | | {low:+.0f} to {high:+.0f} | | 140 | | | | 218,000 |")
-    return "\n".join(lines) + "\n"
-
-
-def conclusion(table: pd.DataFrame) -> str:
-    """What the numbers say, in a few words: how large the offset is, which causes make it, which do not.
-
-    Causes are named if they move the mean by more than twice the standard error of that, largest first.
-    """
-    rows = {row["effect"]: row for row in _records(table)}
-    whole = rows.get(_SCENERY, _records(table)[-1])
-    side = "in front of" if whole["mean_m"] > 0 else "behind"
-    single = sorted((rows[name] for name in SINGLE if name in rows), key=lambda r: -abs(r["explains_m"]))
-    clear = [r for r in single if abs(r["explains_m"]) > 2 * r["sigma_explains_m"]]
-    named = ", ".join(f"{r['effect']} {_mm(r, 'explains')}" for r in clear) or "none"
-    rest = ", ".join(r["effect"] for r in single if r not in clear) or "none"
-    words = (
-        f"On average the points lie {1e3 * abs(whole['mean_m']):.0f} mm {side} the reference "
-        f"({whole['effect']}). Causes that move the mean, in mm: {named}. Not told from zero: {rest}."
-    )
-    if _LEFT_IN in rows:
-        left = rows[_LEFT_IN]
-        words += f" If plants stay in the reference, the mean is {_mm(left, 'mean')} mm"
-        other = left["mean_m"] * whole["mean_m"] < 0
-        words += ": what is taken for the reference's surface decides on the sign." if other else "."
-    if _POSE_ROW in rows:
-        words += _scatter(rows[_POSE_ROW])
-    return words + " P2 found its points 50 to 60 mm behind."
-
-
-def _scatter(row: Mapping[str, Any]) -> str:
-    """How far the mean of one survey is off by errors of its poses and mounts, before and after a fit."""
-    before = 1e3 * row["sigma_mean_m"] * np.sqrt(row["seeds"])
-    after = 1e3 * row["sigma_mean_registered_m"] * np.sqrt(row["fitted"])
-    return (
-        f" Errors of poses and mounts have no mean, but that of one survey scatters by {before:.0f} mm with "
-        f"them (standard deviation over the seeds; {after:.0f} mm after a rigid fit to the reference)."
-    )
-
-
-def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Rows of a table by the names of its columns."""
-    return [{str(name): value for name, value in row.items()} for row in table.to_dict("records")]
-
-
-def _mm(row: Mapping[str, Any], name: str) -> str:
-    """A mean with its standard error in millimetres."""
-    value, sigma = 1e3 * row[f"{name}_m"], 1e3 * row[f"sigma_{name}_m"]
-    if np.isnan(value):
-        return ""
-    return f"{value:+.1f}" if np.isnan(sigma) else f"{value:+.1f} ± {sigma:.1f}"
-
-
 def _study_rows(seed: Seed) -> Tables:
     return {"surveys": rows_of_seed(seed.number, seed.folder)}
 
 
 def _study_results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result]:
-    table = offset_table(tables["surveys"])
-    return {"table": table, "page": as_markdown(table)}
+    return {"table": offset_table(tables["surveys"])}
 
 
 STUDY: Final = Study(rows=_study_rows, results=_study_results, float_format=None)

@@ -236,25 +236,6 @@ def summarised(found: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def as_markdown(table: pd.DataFrame) -> str:
-    """Page of a study."""
-    lines = [
-        "# Position error while GNSS is gone",
-        "",
-        "Root mean square of the three-dimensional error over outages of the digital twin, millimetres.",
-        "`ins_model`: positions on both sides and no velocity; `ins_velocity`: with that of the INS;",
-        "`camera`: images and INS without any position; `fused`: all. In brackets the predicted sigma.",
-        "",
-        "| outage s | " + " | ".join(CHAINS) + " |",
-        "| --- " * (len(CHAINS) + 1) + "|",
-    ]
-    for length, part in table.groupby("length_s"):
-        row = {str(r["chain"]): r for r in part.to_dict("records")}
-        cells = [f"{1e3 * row[c]['rms_m']:.0f} ({1e3 * row[c]['sigma_m']:.0f})" for c in CHAINS]
-        lines.append(f"| {length:g} | " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
-
-
 def _judged(found: Fused, motion: Motion, at: ArrayF) -> dict[str, float]:
     error, cov = errors_at(found, motion, at)
     e, C = error[:, :3], cov[:, :3, :3]
@@ -359,7 +340,7 @@ def _study_rows(seed: Seed) -> Tables:
 
 def _study_results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result]:
     found = summarised(tables["outages"])
-    return {"table": found, "page": as_markdown(found)}
+    return {"table": found}
 
 
 STUDY: Final = Study(rows=_study_rows, results=_study_results)

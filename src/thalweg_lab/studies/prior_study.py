@@ -20,7 +20,7 @@ from thalweg.calibration.ins_lidar import (
     RunPoints,
     calibrate,
 )
-from thalweg.core import ArrayB, ArrayF, Rigid, ThalwegError, Trajectory
+from thalweg.core import ArrayB, ArrayF, LocalFrame, Rigid, ThalwegError, Trajectory
 from thalweg.ingest import LidarClock, LidarOptions
 from thalweg.ingest.anpp import read_anpp
 from thalweg.ingest.registry import lidar_reader
@@ -555,19 +555,9 @@ def _trajectory(logs: Logs, variant: Variant, seed: int, motion: Motion) -> tupl
         motion=motion,
         lever_ics_antenna_m=logs.true_mounts["antenna"]["lever_ics_m"],
     )
-    states, positions = read_anpp([anpp]).states.copy(), read_pos([pos]).positions.copy()
-    for name in ("roll", "pitch", "heading"):
-        states[f"sigma_{name}_rad"] /= variant.size
-    sigmas = [f"sigma_{name}_m" for name in ("east", "north", "up")]
-    positions[sigmas] /= variant.size * (np.sqrt(1 - variant.white_share) if variant.student else 1.0)
-    if variant.student:
-        noise = unit_errors(generator(seed, "heavy tails"), (len(positions), 3), STUDENT)
-        place = logs.frame.from_geodetic(positions["lat_deg"], positions["lon_deg"], positions["h_ell_m"])
-        moved = place + np.sqrt(variant.white_share) * positions[sigmas].to_numpy() * noise
-        lat, lon, height = logs.frame.to_geodetic(moved)
-        positions = positions.assign(lat_deg=lat, lon_deg=lon, h_ell_m=height)
-    if variant.heading:
-        states["heading_rad"] += slow_heading_rad(variant.heading, seed, states["t_gps_s"].to_numpy())
+    states, positions = _as_stated(
+        variant, seed, read_anpp([anpp]).states, read_pos([pos]).positions, logs.frame
+    )
     s = logs.settings
     keys = ("accept_fixes", "max_gap_s", "max_attitude_gap_s", "interpolation")
     trajectory, _ = build_trajectory(
@@ -580,6 +570,26 @@ def _trajectory(logs: Logs, variant: Variant, seed: int, motion: Motion) -> tupl
         **{key: s["orientation"][key] for key in keys},
     )
     return trajectory, positions["t_gps_s"].to_numpy()
+
+
+def _as_stated(
+    variant: Variant, seed: int, states: pd.DataFrame, positions: pd.DataFrame, frame: LocalFrame
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """States and positions with the usual stated sigmas, heavy-tailed noise and an error of the heading."""
+    states, positions = states.copy(), positions.copy()
+    for name in ("roll", "pitch", "heading"):
+        states[f"sigma_{name}_rad"] /= variant.size
+    sigmas = [f"sigma_{name}_m" for name in ("east", "north", "up")]
+    positions[sigmas] /= variant.size * (np.sqrt(1 - variant.white_share) if variant.student else 1.0)
+    if variant.student:
+        noise = unit_errors(generator(seed, "heavy tails"), (len(positions), 3), STUDENT)
+        place = frame.from_geodetic(positions["lat_deg"], positions["lon_deg"], positions["h_ell_m"])
+        moved = place + np.sqrt(variant.white_share) * positions[sigmas].to_numpy() * noise
+        lat, lon, height = frame.to_geodetic(moved)
+        positions = positions.assign(lat_deg=lat, lon_deg=lon, h_ell_m=height)
+    if variant.heading:
+        states["heading_rad"] += slow_heading_rad(variant.heading, seed, states["t_gps_s"].to_numpy())
+    return states, positions
 
 
 def _error_model(
@@ -650,23 +660,11 @@ def run_navigation(
 def survey_of(variant: Variant, seed: int, duration_s: float = DURATION_S) -> Recorded:
     """A survey whose logs state the sigmas that the processing is used to, whatever its errors are."""
     survey = make_survey(seed, variant.spec(duration_s))
-    stated = 1.0 / variant.size
-    states, positions, images = survey.states.copy(), survey.positions.copy(), survey.images
-    for name in ("roll", "pitch", "heading"):
-        states[f"sigma_{name}_rad"] *= stated
-    sigmas = [f"sigma_{name}_m" for name in ("east", "north", "up")]
-    positions[sigmas] *= stated / (np.sqrt(1 - variant.white_share) if variant.student else 1.0)
-    if variant.student:
-        noise = unit_errors(generator(seed, "heavy tails"), (len(positions), 3), STUDENT)
-        place = FRAME.from_geodetic(positions["lat_deg"], positions["lon_deg"], positions["h_ell_m"])
-        moved = place + np.sqrt(variant.white_share) * positions[sigmas].to_numpy() * noise
-        lat, lon, height = FRAME.to_geodetic(moved)
-        positions = positions.assign(lat_deg=lat, lon_deg=lon, h_ell_m=height)
+    stated, images = 1.0 / variant.size, survey.images
+    states, positions = _as_stated(variant, seed, survey.states, survey.positions, FRAME)
     images = replace(
         images, cov_pose_wcs=stated**2 * images.cov_pose_wcs, cov_next=stated**2 * images.cov_next
     ).with_times(images.t_gps_s, stated * images.sigma_t_s)
-    if variant.heading:
-        states["heading_rad"] += slow_heading_rad(variant.heading, seed, states["t_gps_s"].to_numpy())
     return replace(survey, states=states, positions=positions, images=images)
 
 

@@ -139,10 +139,8 @@ def fan_angles(sensor: Sensor, fan: Fan, settings: SheetImage) -> ArrayF:
     return np.asarray(fan.half_angle_rad * (2.0 * (np.arange(n) + 0.5) / n - 1.0))
 
 
-def power(laser: Laser, a_rad: ArrayF, half_angle_rad: float) -> ArrayF:
+def power(a_rad: ArrayF, half_angle_rad: float) -> ArrayF:
     """Light per fan angle (n,), 1 in the middle; a Powell line fades over the outer 4 % of the fan."""
-    if laser.profile == "gauss":
-        return np.asarray(np.exp(-2.0 * (a_rad / np.deg2rad(laser.profile_deg)) ** 2))
     return np.asarray(np.clip((1.0 - np.abs(a_rad) / half_angle_rad) / 0.04, 0.0, 1.0))
 
 
@@ -207,9 +205,7 @@ def glow(sensor: Sensor, posed: Posed, fan: Fan, settings: SheetImage, a_rad: Ar
     start = origins[:, None] + (radius[:, None] * u)[:, :, None] * across[:, None, :]
     beams = beams_in_water(start.reshape(-1, 3), np.repeat(d, k, axis=0), sensor.window)
     points = meet(sensor, posed, np.repeat(a, k), beams)
-    sent = np.repeat(power(settings.laser, a, fan.half_angle_rad) * step, k) * np.tile(
-        weight / weight.sum(), len(a)
-    )
+    sent = np.repeat(power(a, fan.half_angle_rad) * step, k) * np.tile(weight / weight.sum(), len(a))
     got = sent * points.albedo * points.cosine / points.seen.apparent_mm**2
     got *= np.exp(-settings.water.attenuation_per_m * 1e-3 * (points.laser_mm + points.seen.water_mm))
     visible = points.visible

@@ -13,7 +13,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -54,9 +54,6 @@ CALLIPER_MM: Final = 0.05
 PANEL_MM: Final = 0.02
 """The same of the panel (P3 3.1.2: 0.01 to 0.03 mm)."""
 
-ImageFormat = Literal["png", "tiff", "jpg"]
-
-JPEG_QUALITY: Final = 92
 PNG_LEVEL: Final = 1
 """Noise does not compress: higher levels cost time only."""
 
@@ -113,10 +110,7 @@ def record(
     frame: LocalFrame,
     *,
     start_gps_s: float,
-    ending: ImageFormat = "png",
     six_dof: bool = False,
-    lost_pulses: int = 0,
-    only: Sequence[int] | None = None,
 ) -> list[str]:
     """Render and write a series; gives the names of its images in order.
 
@@ -129,16 +123,12 @@ def record(
     folder, truth : see the module.
     frame : local frame for the meshes' files; the meshes are in the frame of their object.
     start_gps_s : adjusted standard GPS time of the first image, about.
-    ending : format of the images.
     six_dof : with a panel and a standing camera.
-    lost_pulses : pulses that were not recorded.
-    only : numbers of the images to render, for jobs that share the work; None: all.
     """
-    shots = trigger(seed, plan.path.t_s, start_gps_s, name=plan.name, lost=lost_pulses)
-    names = [image_name(int(us), ending) for us in shots.stamp_us]
+    shots = trigger(seed, plan.path.t_s, start_gps_s, name=plan.name)
+    names = [image_name(int(us)) for us in shots.stamp_us]
     room = Darkroom.of(sensor, settings, generator(seed, f"light sheet {plan.name} speckle tile"))
-    wanted = range(len(plan)) if only is None else only
-    for k in wanted:
+    for k in range(len(plan)):
         image = render_sheet_image(
             sensor,
             plan.scene(k),
@@ -192,7 +182,6 @@ def trigger(
     rate_hz: float = 10.0,
     clock_offset_s: float = 3.417,
     jitter_s: float = 0.002,
-    lost: int = 0,
 ) -> Trigger:
     """Pulses and stamps of a series.
 
@@ -202,14 +191,13 @@ def trigger(
 
     Parameters
     ----------
-    seed : of the campaign; the streams are ``light sheet <name> clock`` and ``... lost pulses``.
+    seed : of the campaign; the stream is ``light sheet <name> clock``.
     t_s : (n,) planned times after the start, growing.
     start_gps_s : adjusted standard GPS time of the start.
     name : of the series.
     rate_hz : of the divider.
     clock_offset_s : what the camera's clock is ahead of UTC.
     jitter_s : standard deviation of its stamps.
-    lost : number of pulses that were not recorded, never at an end.
     """
     n = len(t_s)
     rest = np.ceil(2.5 * np.median(np.diff(t_s)) * rate_hz) / rate_hz if n > 1 else 0.0
@@ -217,45 +205,27 @@ def trigger(
     at = np.ceil(start_gps_s) + np.rint(planned * rate_hz) / rate_hz
     noise = generator(seed, f"light sheet {name} clock").standard_normal(n)
     shown = unix_from_gps(at) + clock_offset_s + jitter_s * noise
-    kept = np.ones(n, dtype=np.bool_)
-    if lost and n > lost + 2:
-        rng = generator(seed, f"light sheet {name} lost pulses")
-        kept[1 + rng.choice(n - 2, lost, replace=False)] = False
     stamp = np.rint(shown * 1e3).astype(np.int64) * 1000
-    return Trigger(t_gps_s=at, pulse_gps_s=at[kept], stamp_us=stamp)
+    return Trigger(t_gps_s=at, pulse_gps_s=at, stamp_us=stamp)
 
 
-def image_name(stamp_us: int, ending: ImageFormat) -> str:
+def image_name(stamp_us: int) -> str:
     """Name of an image by the camera's clock.
 
     Examples
     --------
-    >>> image_name(1620808267_042000, "png")
+    >>> image_name(1620808267_042000)
     'sheet_20210512_083107_042.png'
     """
     whole, micros = divmod(stamp_us, 1_000_000)
     moment = dt.datetime.fromtimestamp(whole, dt.UTC)
-    return f"sheet_{moment:%Y%m%d_%H%M%S}_{micros // 1000:03d}.{ending}"
+    return f"sheet_{moment:%Y%m%d_%H%M%S}_{micros // 1000:03d}.png"
 
 
 def write_image(path: Path, image: ArrayU8) -> None:
-    """Write (h, w) raw or grey, or (h, w, 3) red, green, blue; the ending decides about the format.
-
-    Raises
-    ------
-    InputError : another ending than png, tif, tiff, jpg, jpeg.
-    """
-    options = {
-        ".png": [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL],
-        ".tif": [],
-        ".tiff": [],
-        ".jpg": [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY],
-        ".jpeg": [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY],
-    }.get(path.suffix.lower())
-    if options is None:
-        raise InputError(f"an image called {path.name}", expected="the ending png, tif, tiff, jpg or jpeg")
+    """Write (h, w) raw or grey, or (h, w, 3) red, green, blue, as PNG."""
     ordered = image if image.ndim == 2 else image[:, :, ::-1]
-    done, data = cv2.imencode(path.suffix.lower(), np.ascontiguousarray(ordered), options)
+    done, data = cv2.imencode(".png", np.ascontiguousarray(ordered), [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL])
     if not done:
         raise InputError("the image cannot be encoded", where=path, expected="uint8 pixels")
     path.parent.mkdir(parents=True, exist_ok=True)

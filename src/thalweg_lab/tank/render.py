@@ -23,8 +23,8 @@ from scipy import fft
 from thalweg.core import AnyArray, ArrayF, ArrayF32, ArrayU8, GeometryError, optional
 from thalweg.lightsheet.optics import Sensor
 from thalweg_lab.settings import Chip, SheetImage
-from thalweg_lab.tank.forward import beams_in_water, camera_rays, see
-from thalweg_lab.tank.glow import Fan, glow, light_to_dn, power, rays_of, splat
+from thalweg_lab.tank.forward import camera_rays
+from thalweg_lab.tank.glow import Fan, glow, light_to_dn, splat
 from thalweg_lab.tank.surfaces import Posed
 
 cv2 = optional("cv2")
@@ -190,23 +190,18 @@ _NODES: Final = 64
 _SKYLIGHT: Final = 0.35
 """Light on an upright face as a share of that on a level one."""
 
-_COARSE: Final = 2
 """The glow of the water is computed on blocks of so many pixels a side: its edge at the line stays sharp."""
 
-_SPACING_PX: Final = 2.5
-_VEIL_SIGMA: Final = 1.6
-_DEEPEST_MM: Final = 400.0
 
-
-def stride_of(sensor: Sensor, settings: SheetImage) -> int:
+def stride_of(sensor: Sensor) -> int:
     """Side of the blocks of pixels that share one ray of daylight."""
-    return settings.ambient_stride or max(1, int(np.ceil(max(sensor.camera.size_px) / 512)))
+    return max(1, int(np.ceil(max(sensor.camera.size_px) / 512)))
 
 
 def daylight(sensor: Sensor, posed: Posed, settings: SheetImage) -> ArrayF32:
     """The scene in daylight, (h, w, 3) red, green, blue; 1 is a white level surface."""
     width, height = sensor.camera.size_px
-    stride = stride_of(sensor, settings)
+    stride = stride_of(sensor)
     columns, rows = int(np.ceil(width / stride)), int(np.ceil(height / stride))
     start, direction = _rays(sensor, columns, rows, stride)
     surface = posed.surface
@@ -223,34 +218,6 @@ def daylight(sensor: Sensor, posed: Posed, settings: SheetImage) -> ArrayF32:
         return image
     large = cv2.resize(image, (columns * stride, rows * stride), interpolation=cv2.INTER_LINEAR)
     return np.asarray(large[:height, :width], dtype=np.float32)
-
-
-def veil(sensor: Sensor, posed: Posed, fan: Fan, settings: SheetImage) -> ArrayF32:
-    """Light (h, w) that the water in the sheet scatters to the camera, in the unit of `glow`.
-
-    Single scattering, the same in all directions, from the window down to the surface.
-    """
-    width, height = sensor.camera.size_px
-    n = int(np.ceil(max(width, height) / _SPACING_PX))
-    a = fan.half_angle_rad * (2.0 * (np.arange(n) + 0.5) / n - 1.0)
-    beams = beams_in_water(*rays_of(fan, a), sensor.window)
-    hits = posed.first_hits(beams.start_mm, beams.direction)
-    reach = np.where(hits.met, hits.way_mm, _DEEPEST_MM)
-    part = (np.arange(n) + 0.5) / n
-    way = reach[:, None] * part
-    points = beams.start_mm[:, None] + way[:, :, None] * beams.direction[:, None]
-    seen = see(sensor, points.reshape(-1, 3))
-    step = 2.0 * fan.half_angle_rad / n
-    scattered = settings.water.scatter_per_m * 1e-3 * (reach / n)[:, None]
-    light = (power(settings.laser, a, fan.half_angle_rad) * step)[:, None] * scattered * np.ones_like(way)
-    loss = np.exp(-settings.water.attenuation_per_m * 1e-3 * (way.ravel() + seen.water_mm))
-    small = np.zeros((height // _COARSE + 1, width // _COARSE + 1), dtype=np.float32)
-    light = light.ravel() * loss / seen.apparent_mm**2
-    splat(small, seen.xy_px / _COARSE, light, np.full(way.size, _VEIL_SIGMA))
-    size = (small.shape[1] * _COARSE, small.shape[0] * _COARSE)
-    large = cv2.resize(small, size, interpolation=cv2.INTER_LINEAR)
-    # a coarse pixel holds the light of all its fine ones
-    return np.asarray(large[:height, :width] / _COARSE**2, dtype=np.float32)
 
 
 def _rays(sensor: Sensor, columns: int, rows: int, stride: int) -> tuple[ArrayF, ArrayF]:
@@ -358,12 +325,8 @@ def render_sheet_image(
     laser = laser_light(sensor, surface, settings, used)
     if room.tile is not None:
         _speckled(laser, room.tile.moved(for_speckle))
-    if settings.water.scatter_per_m > 0:
-        for fan in used:
-            laser += veil(sensor, surface, fan, settings)
     laser *= np.float32(room.dn_per_light)
     light = _on_pixels(laser, _daylight_dn(sensor, surface, settings), settings.chip)
-    light += np.float32(settings.water.veil_dn)
     if settings.lens.glare > 0:
         _glare(light, settings)
     return _developed(_exposed(light, settings.chip, for_noise), settings.chip)

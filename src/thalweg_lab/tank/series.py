@@ -175,7 +175,6 @@ def record_series(
         frame,
         start_gps_s=start_gps_s(twin),
         six_dof=series in OBJECTS,
-        lost_pulses=basin.settings.lost_pulses,
     )
 
 
@@ -370,7 +369,7 @@ def record_strip(
         seed, planned, start_gps_s(twin) + begin, name="strip", rate_hz=settings.rate_hz, jitter_s=0.001
     )
     plan, R_strip, origin = _strip_plan(motion, place, basin, settings, seed, shots.t_gps_s)
-    names = [image_name(int(us), "png") for us in shots.stamp_us]
+    names = [image_name(int(us)) for us in shots.stamp_us]
     room = Darkroom.of(basin.true, basin.image, generator(seed, "light sheet strip speckle tile"))
     for k, name in enumerate(names):
         rng = generator(seed, f"light sheet strip image {k}")

@@ -328,10 +328,6 @@ class OwnBoat:
         share[~np.isfinite(lens.rays_ccs[..., 0].ravel())] = 1.0
         return cls(share.reshape(h, w), albedo.reshape(h, w, 3), normal.reshape(h, w, 3))
 
-    def part(self, rows: slice, columns: slice) -> Self:
-        """The boat in some rows and columns of the picture."""
-        return type(self)(*(a[rows, columns] for a in (self.share, self.albedo, self.normal_ics)))
-
     def over(self, light: ArrayF32, R_wcs_ics: ArrayF, sun: Sun, sky: ArrayF) -> ArrayF32:
         """An image (h, w, 3) with the boat before it, in the sun and under a sky of a mean light (3,)."""
         out = light.copy()

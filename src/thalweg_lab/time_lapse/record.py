@@ -1,7 +1,7 @@
 """The recording: images, control points' survey, and the truth apart."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -43,7 +43,7 @@ from thalweg_lab.yard_images import (
 from thalweg_lab.yard_records import clock_minus_utc_s, run_times
 
 # ---------------------------------------------------------------- which images the boat's camera takes:
-# times, names, true poses, smear, and which of them are defective
+# times, names, true poses, smear
 
 
 _USUAL_WAY_M: Final = 12.0
@@ -62,9 +62,6 @@ class Shot:
     stamp_us : reading of the camera's clock, microseconds since 1970, whole milliseconds.
     T_wcs_ccs : true pose.
     smear_px : way of the image over the sensor during the exposure, to the right and down.
-    stamped : whether name and EXIF carry the stamp.
-    sharp : false if it is out of focus.
-    copy_name : name of the second file with the same content; empty if there is none.
     """
 
     name: str
@@ -73,9 +70,6 @@ class Shot:
     stamp_us: int
     T_wcs_ccs: Rigid
     smear_px: tuple[float, float]
-    stamped: bool = True
-    sharp: bool = True
-    copy_name: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,7 +102,7 @@ def scaled_lens(lens: TwinLens, size_px: tuple[int, int]) -> TwinLens:
 
 
 def plan_images(config: TwinConfig, time_lapse: TwinTimeLapse, seed: int, mounts: Mapping[str, Any]) -> Plan:
-    """Times, poses and defects of the images of a voyage.
+    """Times and poses of the images of a voyage.
 
     Parameters
     ----------
@@ -119,7 +113,7 @@ def plan_images(config: TwinConfig, time_lapse: TwinTimeLapse, seed: int, mounts
 
     Raises
     ------
-    ConfigError : the mounts hold no camera, the share leaves no image, or fewer images than defects.
+    ConfigError : the mounts hold no camera, or the share leaves no image.
     """
     if "camera" not in mounts:
         raise ConfigError(
@@ -146,24 +140,18 @@ def plan_images(config: TwinConfig, time_lapse: TwinTimeLapse, seed: int, mounts
     T_ics_ccs = mount_of(mounts["camera"])
     poses = [Rigid(R=R[k], shift_m=place[k]) @ T_ics_ccs for k in range(n)]
     smears = _smears(voyage, at, poses, T_ics_ccs.shift_m, config.camera.exposure_s * lens.focal_px)
-    unstamped, copied, soft = _defective(time_lapse, seed, n)
-    shots = []
-    for k, stamp in enumerate(times.stamp_us[:n].tolist()):
-        name = f"P{1050000 + k + 1}.jpg" if unstamped[k] else run_name(stamp)
-        shots.append(
-            Shot(
-                name=name,
-                t_gps_s=float(at[k]),
-                since_s=float(since[k]),
-                stamp_us=stamp,
-                T_wcs_ccs=poses[k],
-                smear_px=smears[k],
-                stamped=not unstamped[k],
-                sharp=not soft[k],
-                copy_name=name.replace(".jpg", " (2).jpg") if copied[k] else "",
-            )
+    shots = tuple(
+        Shot(
+            name=run_name(stamp),
+            t_gps_s=float(at[k]),
+            since_s=float(since[k]),
+            stamp_us=stamp,
+            T_wcs_ccs=poses[k],
+            smear_px=smears[k],
         )
-    return Plan(shots=tuple(shots), lens=lens, camera=true_camera(lens, "boat"))
+        for k, stamp in enumerate(times.stamp_us[:n].tolist())
+    )
+    return Plan(shots=shots, lens=lens, camera=true_camera(lens, "boat"))
 
 
 def _smears(
@@ -178,27 +166,6 @@ def _smears(
     return [(scale_px_s * float(x), scale_px_s * float(y)) for x, y in zip(across, down, strict=True)]
 
 
-def _defective(time_lapse: TwinTimeLapse, seed: int, n: int) -> list[list[bool]]:
-    """Whether each image has no stamp, is there twice, is out of focus."""
-    effects = time_lapse.effects
-    flags = []
-    for name, count in (
-        ("unstamped", effects.unstamped),
-        ("duplicated", effects.duplicated),
-        ("blurred", effects.blurred),
-    ):
-        if count > n:
-            raise ConfigError(
-                f"{count} images {name} of {n}",
-                expected="at most all of them",
-                where=f"twin.time_lapse.effects.{name}",
-                cure="Lower the number",
-            )
-        chosen = generator(seed, f"time lapse {name}").permutation(n)[:count]
-        flags.append([k in set(chosen.tolist()) for k in range(n)])
-    return flags
-
-
 # ---------------------------------------------------------------- the survey of the control points as a user
 # would bring it, and the truth about points and camera
 
@@ -209,38 +176,21 @@ KIND: Final = "thalweg twin time lapse"
 _AXES: Final = ("east", "north", "up")
 
 
-def surveyed(targets: Targets, settings: TwinTimeLapse, seed: int) -> tuple[pd.DataFrame, list[list[str]]]:
-    """The table of control points, and the pairs whose names are swapped in it.
+def surveyed(targets: Targets, settings: TwinTimeLapse, seed: int) -> pd.DataFrame:
+    """The table of control points.
 
     Columns ``id``, ``east_m``, ``north_m``, ``up_m`` in wcs, ``sigma_east_m``, ``sigma_north_m``,
     ``sigma_up_m``, ``role`` (``control`` or ``check``).
-
-    Raises
-    ------
-    ConfigError : more pairs of names to swap than there are.
     """
     n = len(targets.names)
     sigma = np.asarray(settings.sigma_target_m)
     error = sigma * generator(seed, "control points survey").standard_normal((n, 3))
     place = np.round(targets.centre_wcs_m + error, 4)
-    names = list(targets.names)
-    pairs = settings.effects.swapped_points
-    if 2 * pairs > n:
-        raise ConfigError(
-            f"{pairs} pairs of {n} control points",
-            expected="at most half as many pairs as points",
-            where="twin.time_lapse.effects.swapped_points",
-            cure="Lower it, or raise n_targets",
-        )
-    order = generator(seed, "control points swapped").permutation(n)[: 2 * pairs].tolist()
-    swapped = [[names[a], names[b]] for a, b in zip(order[::2], order[1::2], strict=True)]
-    for a, b in zip(order[::2], order[1::2], strict=True):
-        names[a], names[b] = names[b], names[a]
-    columns: dict[str, Any] = {"id": names}
+    columns: dict[str, Any] = {"id": list(targets.names)}
     columns |= {f"{axis}_m": place[:, i] for i, axis in enumerate(_AXES)}
     columns |= {f"sigma_{axis}_m": np.full(n, sigma[i]) for i, axis in enumerate(_AXES)}
     columns["role"] = np.where(targets.check, "check", "control")
-    return pd.DataFrame(columns), swapped
+    return pd.DataFrame(columns)
 
 
 def write_survey(path: Path, table: pd.DataFrame) -> None:
@@ -250,18 +200,17 @@ def write_survey(path: Path, table: pd.DataFrame) -> None:
 
 
 def write_poses(path: Path, plan: Plan, frame: LocalFrame) -> None:
-    """True poses and times of all files, table kind ``image_poses`` with covariances of zero."""
-    files = [(name, shot) for shot in plan.shots for name in (shot.name, shot.copy_name) if name]
-    n = len(files)
+    """True poses and times of all images, table kind ``image_poses`` with covariances of zero."""
+    n = len(plan.shots)
     ImagePoses(
         frame=frame,
-        images=tuple(name for name, _ in files),
-        t_gps_s=np.array([shot.t_gps_s for _, shot in files]),
+        images=tuple(shot.name for shot in plan.shots),
+        t_gps_s=np.array([shot.t_gps_s for shot in plan.shots]),
         sigma_t_s=np.zeros(n),
         oriented=np.ones(n, dtype=np.bool_),
         reasons=("",) * n,
-        centre_wcs_m=np.array([shot.T_wcs_ccs.shift_m for _, shot in files]).reshape(n, 3),
-        R_wcs_ccs=np.array([shot.T_wcs_ccs.R for _, shot in files]).reshape(n, 3, 3),
+        centre_wcs_m=np.array([shot.T_wcs_ccs.shift_m for shot in plan.shots]).reshape(n, 3),
+        R_wcs_ccs=np.array([shot.T_wcs_ccs.R for shot in plan.shots]).reshape(n, 3, 3),
         cov_pose_wcs=np.zeros((n, 6, 6)),
         cov_next=np.zeros((n, 6, 6)),
         n_marks=np.zeros(n),
@@ -270,15 +219,14 @@ def write_poses(path: Path, plan: Plan, frame: LocalFrame) -> None:
     ).write(path)
 
 
-def write_truth(path: Path, plan: Plan, targets: Targets, swapped: list[list[str]], clock: ArrayF) -> None:
-    """True interior orientation, true control points, and what is wrong with which file, as JSON.
+def write_truth(path: Path, plan: Plan, targets: Targets, clock: ArrayF) -> None:
+    """True interior orientation, true control points and times of images, as JSON.
 
     Parameters
     ----------
     path : target.
     plan : of the images.
     targets : the boards.
-    swapped : pairs of names that are swapped in the survey's table.
     clock : (n,) what the camera's clock was ahead of UTC at each exposure, seconds.
     """
     camera = plan.camera
@@ -310,16 +258,12 @@ def write_truth(path: Path, plan: Plan, targets: Targets, swapped: list[list[str
                 strict=True,
             )
         ],
-        "swapped_points": swapped,
         "images": [
             {
                 "file": shot.name,
                 "t_gps_s": shot.t_gps_s,
                 "stamp_us": shot.stamp_us,
                 "clock_minus_utc_s": float(ahead),
-                "stamped": shot.stamped,
-                "sharp": shot.sharp,
-                "copy": shot.copy_name or None,
             }
             for shot, ahead in zip(plan.shots, clock, strict=True)
         ],
@@ -397,16 +341,11 @@ class TimeLapse:
         targets = place_targets(River(config.scene, seed), bare, plan.camera, plan.poses, settings, seed)
         world = World(scene, targets, sun)
         lens = LensRays(plan.camera, field_of_view_deg=plan.lens.field_of_view_deg)
-        effects, boat = settings.effects, None
-        if effects.hull:
-            boat = OwnBoat.seen(lens, mounts, mount_of(mounts["camera"]), waterline_m=config.boat.height_m)
         renderer = Renderer(
             world,
             lens,
-            waves=Waves.draw(seed, rms_slope=config.lidar.wave_slope) if effects.waves else None,
-            boat=boat,
-            clouds=effects.clouds,
-            glare=effects.glare,
+            waves=Waves.draw(seed, rms_slope=config.lidar.wave_slope),
+            boat=OwnBoat.seen(lens, mounts, mount_of(mounts["camera"]), waterline_m=config.boat.height_m),
             supersampling=settings.supersampling,
         )
         return cls(config, settings, seed, plan, targets, renderer, Voyage(config, seed))
@@ -426,39 +365,30 @@ class TimeLapse:
         """
         if not 0 <= k < len(self.plan.shots):
             raise GeometryError(f"image {k}", expected=f"0 to {len(self.plan.shots) - 1}")
-        shot, lens, effects = self.plan.shots[k], self.plan.lens, self.settings.effects
         light = self.light(k)
-        exposure = metered_exposure(light)
-        sharpness = lens.sharpness_px if effects.blur else 0.0
-        if not shot.sharp:
-            sharpness = float(np.hypot(sharpness, self.settings.defocus_px))
-        # No check of bounds: defocus may be more than a lens in the campaign file is allowed.
-        changes = {"sharpness_px": sharpness, "noise": lens.noise if effects.noise else 0.0}
         return exposed(
             light,
-            lens.model_copy(update=changes),
+            self.plan.lens,
             generator(self.seed, f"time lapse sensor {k}"),
-            smear_px=shot.smear_px if effects.blur else (0.0, 0.0),
-            exposure=exposure,
+            smear_px=self.plan.shots[k].smear_px,
+            exposure=metered_exposure(light),
         )
 
-    def write_image(self, k: int, folder: Path) -> list[str]:
-        """Render and write image k, and its copy if it has one; gives the names of the files."""
+    def write_image(self, k: int, folder: Path) -> str:
+        """Render and write image k; gives the name of the file."""
         shot = self.plan.shots[k]
-        image, facts = self.render_image(k), self._facts(shot)
-        names = [name for name in (shot.name, shot.copy_name) if name]
-        for name in names:
-            write_jpeg(folder / name, image, facts, quality=self.settings.jpeg_quality)
-        return names
+        facts = self._facts(shot)
+        write_jpeg(folder / shot.name, self.render_image(k), facts, quality=self.settings.jpeg_quality)
+        return shot.name
 
     def _facts(self, shot: Shot) -> PhotoFacts:
         lens = self.plan.lens
         wide = lens.focal_px / lens.size_px[0]
         return PhotoFacts(
             model="boat camera",
-            clock_us=shot.stamp_us if shot.stamped else None,
-            sub_seconds=3 if shot.stamped else 0,
-            zone="+00:00" if shot.stamped else None,
+            clock_us=shot.stamp_us,
+            sub_seconds=3,
+            zone="+00:00",
             focal_mm=round(wide * BOAT_SENSOR_MM, 1),
             focal_35mm=round(wide * FULL_FRAME_MM),
             exposure_s=self.config.camera.exposure_s,
@@ -477,7 +407,6 @@ def simulate_time_lapse(
     *,
     out_poses: Path,
     out_truth: Path,
-    only: Sequence[int] | None = None,
 ) -> int:
     """Take and write the images of a voyage, the survey of the control points, and the truth.
 
@@ -491,8 +420,7 @@ def simulate_time_lapse(
     out_images : folder for the images.
     out_control_points : CSV, see `survey.surveyed`.
     out_poses : true poses of the images, table kind ``image_poses``.
-    out_truth : true camera, control points and defects, JSON.
-    only : numbers of the images to render, for jobs that share the work; None: all.
+    out_truth : true camera, control points and times, JSON.
 
     Returns
     -------
@@ -504,16 +432,14 @@ def simulate_time_lapse(
     """
     recording = TimeLapse.of(config, settings, seed, frame, Scene.read(scene), mounts)
     plan = recording.plan
-    table, swapped = surveyed(recording.targets, settings, seed)
     out_images.mkdir(parents=True, exist_ok=True)
-    files = 0
-    for k in steps(range(len(plan.shots)) if only is None else only, "image"):
-        files += len(recording.write_image(k, out_images))
-    write_survey(out_control_points, table)
+    for k in steps(range(len(plan.shots)), "image"):
+        recording.write_image(k, out_images)
+    write_survey(out_control_points, surveyed(recording.targets, settings, seed))
     write_poses(out_poses, plan, frame)
     since = np.array([shot.since_s for shot in plan.shots])
-    write_truth(out_truth, plan, recording.targets, swapped, clock_minus_utc_s(config.camera, since))
-    return files
+    write_truth(out_truth, plan, recording.targets, clock_minus_utc_s(config.camera, since))
+    return len(plan.shots)
 
 
 def metered_exposure(light: ArrayF32) -> float:

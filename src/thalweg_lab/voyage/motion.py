@@ -304,33 +304,29 @@ class _Legs:
     begin_s : (k + 1,) where each piece begins, from 0, and the period.
     angle_rad : (k + 1,) angle at these times; it turns by a quintic smooth step where it changes.
     offset_s : phase at the time 0.
-    n_m : how far left of the middle the boat is at the time 0.
     """
 
     begin_s: ArrayF
     angle_rad: ArrayF
     offset_s: float
-    n_m: float
 
     def course(self, t_s: ArrayF) -> ArrayF:
         """Angle (n,) between course and flow at times since the start, radians."""
         phase = np.asarray(t_s) + self.offset_s
-        period, whole = self.begin_s[-1], np.floor(phase / self.begin_s[-1])
-        phase = phase - whole * period
+        phase = phase - np.floor(phase / self.begin_s[-1]) * self.begin_s[-1]
         k = np.clip(np.searchsorted(self.begin_s, phase, side="right") - 1, 0, len(self.begin_s) - 2)
         length = np.maximum(self.begin_s[k + 1] - self.begin_s[k], 1e-9)
         u = np.clip((phase - self.begin_s[k]) / length, 0.0, 1.0)
         step = u * u * u * (10.0 + u * (6.0 * u - 15.0))
-        wound = whole * (self.angle_rad[-1] - self.angle_rad[0])
         return np.asarray(
-            self.angle_rad[k] + (self.angle_rad[k + 1] - self.angle_rad[k]) * step + wound, dtype=np.float64
+            self.angle_rad[k] + (self.angle_rad[k + 1] - self.angle_rad[k]) * step, dtype=np.float64
         )
 
 
 def _course_of(boat: TwinBoat, amplitude_m: float, curvature_1pm: float) -> "_Zigzag | _Legs":
     """The course of a pattern that stays within ``amplitude_m`` of the middle.
 
-    Sections and lines need turns of a right angle; each of them takes the boat aside by ``aside``.
+    Sections need turns of a right angle; each of them takes the boat aside by ``aside``.
 
     Raises
     ------
@@ -344,9 +340,7 @@ def _course_of(boat: TwinBoat, amplitude_m: float, curvature_1pm: float) -> "_Zi
     u = (np.arange(400) + 0.5) / 400
     step = u**3 * (10 + u * (6 * u - 15))
     aside = v * turn * float(np.mean(np.sin(np.pi / 2 * step)))
-    across = boat.pattern == "sections"
-    room = amplitude_m - aside if across else 2 * amplitude_m - 2 * aside - boat.line_spacing_m
-    step_m = boat.line_spacing_m - 2 * aside if across else boat.line_length_m
+    room, step_m = amplitude_m - aside, boat.line_spacing_m - 2 * aside
     if room <= 0 or step_m < 0:
         raise ConfigError(
             f"a turn of a right angle takes the boat {aside:.1f} m aside, too far for the pattern "
@@ -354,17 +348,10 @@ def _course_of(boat: TwinBoat, amplitude_m: float, curvature_1pm: float) -> "_Zi
             expected="turns that fit between lines and banks",
             cure="Lower twin.boat.speed_mps or bank_distance_m, or raise turn_rate_degps or line_spacing_m",
         )
-    right = np.pi / 2
-    if across:
-        leg, way = 2 * room / v, step_m / v
-        pieces = [leg, turn, way, turn, leg, turn, way, turn]
-        angle = np.array([right, right, 0.0, 0.0, -right, -right, 0.0, 0.0, right])
-        return _Legs(np.append(0.0, np.cumsum(pieces)), angle, leg / 2, 0.0)
-    # Ovals, one line downstream on the right and one upstream on the left, each pair moved to the left.
-    leg, there = step_m / v, (room / 2 + boat.line_spacing_m) / v
-    pieces = [leg, turn, there, turn, leg, turn, room / 2 / v, turn]
-    angle = np.array([0.0, 0.0, right, right, 2 * right, 2 * right, 3 * right, 3 * right, 4 * right])
-    return _Legs(np.append(0.0, np.cumsum(pieces)), angle, leg / 2, -amplitude_m)
+    right, leg, way = np.pi / 2, 2 * room / v, step_m / v
+    pieces = [leg, turn, way, turn, leg, turn, way, turn]
+    angle = np.array([right, right, 0.0, 0.0, -right, -right, 0.0, 0.0, right])
+    return _Legs(np.append(0.0, np.cumsum(pieces)), angle, leg / 2)
 
 
 def _plan(boat: TwinBoat, amplitude_m: float, curvature_1pm: float) -> _Zigzag:
@@ -441,13 +428,12 @@ class Voyage(OnCourse):
     def _drift_of_level(self) -> CubicSpline | None:
         """How the water under the boat lies above the scene's level, over time; None: as the scene's."""
         scene = self.config.scene
-        if not (scene.water_fall_m_per_km or scene.water_rise_m_per_h):
+        if not scene.water_fall_m_per_km:
             return None
         t = self._xy.x[::10]
         place = self._xy(t)
         s, _ = self.river.to_flow(place[:, 0], place[:, 1])
-        rise = scene.water_rise_m_per_h / 3600.0 * (t - self.config.duration_s / 2)
-        return CubicSpline(t, rise - self.river.fallen_m(s))
+        return CubicSpline(t, -self.river.fallen_m(s))
 
     def position_at(self, t_s: ArrayF) -> ArrayF:
         """Position (n, 3) of the ics origin in wcs, for seconds since the start."""
@@ -480,8 +466,6 @@ class Voyage(OnCourse):
         across = way * boat.speed_mps * np.sin(course) @ weights * _NODE_S / 2
         n = np.concatenate([[0.0], np.cumsum(across)])
         n += boat.course_offset_m - np.interp(0.0, t, n)
-        if isinstance(zigzag, _Legs):
-            n += zigzag.n_m
         along = way * boat.speed_mps * np.cos(course) @ weights * _NODE_S / 2
         # Heun steps for s: the correction by the curvature is small and smooth.
         s = np.zeros_like(n)
@@ -490,7 +474,6 @@ class Voyage(OnCourse):
             # Courses that come back: their middle lies in the middle of the reach.
             way_there = np.concatenate([[0.0], np.cumsum(along)])
             s[0] = -(way_there.max() + way_there.min()) / 2
-            self._check_lines(n - boat.course_offset_m)
         k_amp = river.greatest_curvature
         k = 2 * np.pi / river.config.meander_length_m
         position = float(s[0])
@@ -519,17 +502,6 @@ class Voyage(OnCourse):
         velocity = boat.speed_mps * np.stack([np.cos(course_enu), np.sin(course_enu)], axis=1)
         self._xy = CubicHermiteSpline(t, river.to_wcs(s, n), velocity)
         self._course = CubicSpline(t, course_enu)
-
-    def _check_lines(self, n: ArrayF) -> None:
-        """Refuse a voyage that goes on after its lines have filled the river."""
-        boat = self.config.boat
-        free = 0.94 * self.config.scene.width_m / 2 - abs(boat.course_offset_m)
-        if np.abs(n).max() > free - 0.5 * min(boat.bank_distance_m, boat.line_spacing_m):
-            raise ConfigError(
-                f"after {self.config.duration_s:g} s the lines of the pattern {boat.pattern} fill the river",
-                expected="a voyage that ends on the last line",
-                cure="Lower twin.duration_s or line_spacing_m, or raise twin.boat.line_length_m",
-            )
 
     def _check_depth(self, s: ArrayF, n: ArrayF) -> None:
         """Refuse a drier epoch in which the boat runs aground."""

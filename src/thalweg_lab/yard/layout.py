@@ -32,8 +32,6 @@ _PLACES: Final = {
     "C7": (3.0, 5.4, 0.95, None),
     "C8": (182.0, 5.2, 1.00, None),
 }
-_SHIFT_M: Final = 3.4
-"""A cone outside the lidar's view is moved north by this."""
 _RINGS: Final = ((0.36, (-99, -33, 33, 99)), (0.66, (-66, 0, 66, 132)))
 """Slant distance of two rings of sheets and their azimuths from the side toward the boat, degrees."""
 _EYE_WCS_M: Final = np.array([0.0, 0.0, 0.8])
@@ -250,7 +248,6 @@ class Sheet:
     surface : cone or plane.
     place : middle of the sheet on the surface: slant distance and azimuth, or metres right and down.
     turn_rad : by which the print is turned clockwise.
-    mirrored : printed in a mirror.
     """
 
     marker: int
@@ -259,7 +256,6 @@ class Sheet:
     surface: FieldCone | Plane
     place: tuple[float, float] = (0.0, 0.0)
     turn_rad: float = 0.0
-    mirrored: bool = False
 
     @property
     def cone(self) -> str | None:
@@ -274,7 +270,7 @@ class Sheet:
     def _turn(self) -> ArrayF:
         """(2, 2) from the print to right and down on the surface."""
         cos, sin = np.cos(self.turn_rad), np.sin(self.turn_rad)
-        return np.array([[-cos if self.mirrored else cos, -sin], [-sin if self.mirrored else sin, cos]])
+        return np.array([[cos, -sin], [sin, cos]])
 
     def to_wcs(self, modules: ArrayLike) -> ArrayF:
         """Points (n, 3) of module coordinates (n, 2)."""
@@ -381,7 +377,7 @@ def build_field(config: TwinConfig, seed: int, *, when: When = "reference") -> F
     made = Field(
         config=field,
         cones=tuple(cones),
-        sheets=tuple(_printed(field, sheets)),
+        sheets=tuple(sheets),
         boards=(*bar_boards, *flat_boards),
         bars=tuple(all_bars),
         targets=targets,
@@ -431,8 +427,6 @@ def _cone(field: TwinField, name: str, number: int, rng: np.random.Generator) ->
     shift, tilt, half = 0.04 * rng.standard_normal(3), rng.normal(0, 1.5, 2), rng.standard_normal()
     away = np.array([np.sin(np.deg2rad(bearing)), np.cos(np.deg2rad(bearing)), 0.0])
     middle = distance * away + np.array([0.0, 0.0, height]) + shift
-    if field.effects.outside_view == name:
-        middle[1] += _SHIFT_M
     axis, zero = np.array([0.0, 0.0, -1.0]), -away
     if off_line is not None:
         axis = Rotation.from_euler("z", off_line, degrees=True).apply(away)
@@ -470,17 +464,6 @@ def _sheets_on(field: TwinField, cone: FieldCone, rng: np.random.Generator) -> l
         )
         for slant, azimuths in _RINGS
         for azimuth in azimuths
-    ]
-
-
-def _printed(field: TwinField, sheets: list[Sheet]) -> list[Sheet]:
-    """The sheets with the ids that are really printed on them."""
-    other: dict[int, int] = {}
-    for a, b in field.effects.swapped_ids:
-        other |= {a: b, b: a}
-    return [
-        replace(s, marker=other.get(s.marker, s.marker), mirrored=s.marker in field.effects.mirrored_ids)
-        for s in sheets
     ]
 
 

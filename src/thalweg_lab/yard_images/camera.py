@@ -1,6 +1,5 @@
 """A camera's image: the ray of each pixel, and from light to grey values."""
 
-from copy import copy
 from functools import cached_property
 from typing import Final
 
@@ -52,13 +51,6 @@ class LensRays:
                 some[some[:, 2] < least] = np.nan
                 rays[row : row + 256] = some.reshape(-1, w, 3)
         self.rays_ccs = rays
-
-    def part(self, rows: slice, columns: slice) -> "LensRays":
-        """Some rows and columns of the picture; pixels keep their mean angle."""
-        out = copy(self)
-        out.rays_ccs = np.ascontiguousarray(self.rays_ccs[rows, columns])
-        out.size_rad = self.size_rad
-        return out
 
     @cached_property
     def size_rad(self) -> float:

@@ -401,10 +401,9 @@ class PaintTable(NamedTuple):
 
 
 def _print_axes(sheet: Sheet) -> ArrayF:
-    """(2, 2) from right and down on the surface to the print, turned and mirrored as it is glued."""
+    """(2, 2) from right and down on the surface to the print, turned as it is glued."""
     cos, sin = np.cos(sheet.turn_rad), np.sin(sheet.turn_rad)
-    flip = -1.0 if sheet.mirrored else 1.0
-    return np.array([[flip * cos, flip * sin], [-sin, cos]])
+    return np.array([[cos, sin], [-sin, cos]])
 
 
 @njit(cache=True, error_model="numpy", inline="always")

@@ -99,10 +99,6 @@ def test_prints_are_not_mirrored_and_face_outward(field: Field) -> None:
             cone = field.cone(sheet.cone)
             middle = sheet.to_wcs([[5, 5]])
             assert cone.distance_m(middle + 0.01 * sheet.normal_wcs())[0] == pytest.approx(0.01, abs=1e-6)
-    mirrored = build_field(small(effects={"mirrored_ids": (70, 3)}), SEED)
-    for marker in (70, 3):
-        a, b = field.sheet(marker), mirrored.sheet(marker)
-        np.testing.assert_allclose(a.to_wcs([[2, 7]]), b.to_wcs([[8, 7]]), atol=1e-13)
 
 
 def test_sheets_do_not_overlap_and_stay_on_their_cones(field: Field) -> None:

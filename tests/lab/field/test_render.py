@@ -1,7 +1,5 @@
 """Photographs of the yard against an independent projection, brute force, and a fit of crossings."""
 
-from dataclasses import replace
-
 import numba
 import numpy as np
 import pytest
@@ -199,24 +197,6 @@ def test_crossings_lie_where_they_are_projected(
     assert np.abs(error[kept].mean(axis=0)).max() < 0.02
     assert np.abs(np.median(error, axis=0)).max() < 0.02
     assert error[kept].std() < 0.06
-
-
-def test_a_mirrored_sheet_shows_the_mirror_image(
-    field: Field, photographer: Photographer, rays: LensRays
-) -> None:
-    sheet = field.sheet(66)
-    pose = looking(EYE, sheet.centre_wcs_m())
-    light = []
-    for mirrored in (False, True):
-        yard = replace(photographer.yard, sheets=(replace(sheet, mirrored=mirrored),))
-        light.append(photographer.with_yard(yard).see(rays, pose).light.mean(axis=2))
-    middles = np.stack(np.meshgrid(np.arange(10) + 0.5, np.arange(10) + 0.5), axis=-1).reshape(-1, 2)
-    i, j = pixels_of(sheet, middles, rays.camera, pose).astype(int).T
-    modules = [picture[j, i].reshape(10, 10) for picture in light]
-    plain, mirror = (m < (m.min() + m.max()) / 2 for m in modules)
-    true = sheet_picture(66, MarkerLayout(), 2)[1:-1:2, 1:-1:2] == 0
-    np.testing.assert_array_equal(plain, true)
-    np.testing.assert_array_equal(mirror, true[:, ::-1])
 
 
 # ---------------------------------------------------------------- light

@@ -80,12 +80,15 @@ def test_noise_does_not_change_with_speckle(small: Small) -> None:
 
 
 def test_noise_is_that_of_the_electrons(small: Small) -> None:
-    bright = changed(small.clean, water={"veil_dn": 100.0}, chip={"colour": "mono", "noise": True})
-    image = picture(small, bright)[:, 400:]
-    sigma = np.sqrt(100.0 / 255 * 13_500 + 13**2) / 13_500 * 255
-    # 57 000 pixels: 0.3 %; rounding adds 1/12
-    assert image.std() == pytest.approx(np.hypot(sigma, 12**-0.5), rel=0.02)
-    assert image.mean() == pytest.approx(103.0, abs=0.05)
+    quiet = changed(small.clean, chip={"colour": "mono", "ambient_dn": 200.0})
+    mean, noisy = (
+        picture(small, quiet)[:, 400:],
+        picture(small, changed(quiet, chip={"noise": True}))[:, 400:],
+    )
+    sigma = np.sqrt((mean - 3.0) / 255 * 13_500 + 13**2) / 13_500 * 255
+    # 57 000 pixels: 0.3 %; rounding adds 1/12, that of the nearly even other picture is a constant
+    assert (noisy - mean).std() == pytest.approx(np.sqrt(np.mean(sigma**2) + 1 / 12), rel=0.02)
+    assert noisy.mean() == pytest.approx(mean.mean(), abs=0.5)
 
 
 def test_the_exposure_is_that_of_a_grey_panel(small: Small) -> None:
@@ -124,7 +127,7 @@ def test_a_halo_pulls_a_saturated_line_along_the_laser(small: Small) -> None:
     assert light[0] == pytest.approx(light[1], rel=0.02)
 
 
-def test_turbid_water_takes_light_and_glows_beside_the_line(small: Small) -> None:
+def test_turbid_water_takes_light(small: Small) -> None:
     posed = scene(small)
     clear, turbid = (
         laser_light(small.sensor, posed, changed(small.clean, water={"attenuation_per_m": c}))
@@ -132,14 +135,6 @@ def test_turbid_water_takes_light_and_glows_beside_the_line(small: Small) -> Non
     )
     # some 140 mm to the surface and 140 mm back
     assert turbid.sum() / clear.sum() == pytest.approx(np.exp(-5.0 * 0.28), rel=0.06)
-    glowing = changed(small.clean, water={"scatter_per_m": 20.0}, chip={"colour": "mono"})
-    difference = picture(small, glowing, posed) - picture(
-        small, changed(glowing, water={"scatter_per_m": 0.0}), posed
-    )
-    line = int(np.median(row_centres(laser_light(small.sensor, posed, small.clean))[ROWS]))
-    # the sheet comes from the right, above the surface; below the surface there is none
-    assert difference[ROWS, line + 20 : line + 120].mean() > 3.0
-    assert difference[ROWS, : line - 25].mean() < 0.01
 
 
 @pytest.mark.parametrize("colour", ["bayer", "rgb", "mono"])

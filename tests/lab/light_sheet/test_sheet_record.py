@@ -11,13 +11,13 @@ import pytest
 from tests.lab.light_sheet.conftest import SEED, Small
 from thalweg.clocks import read_number_columns
 from thalweg.clocks.ties import match_pulses
-from thalweg.core import InputError, LocalFrame, read_table
+from thalweg.core import LocalFrame, read_table
 from thalweg.ingest.photos import read_image_stamps
 from thalweg.lightsheet.calibration import read_grid
 from thalweg.lightsheet.optics import read_sensor
 from thalweg_lab.tank import calibration_plan, panel_plan, scan_plan, stepped_object
 from thalweg_lab.tank.plan import describe
-from thalweg_lab.tank.record import LINE_TRUTH, POSE_TRUTH, record, trigger, write_image
+from thalweg_lab.tank.record import LINE_TRUTH, POSE_TRUTH, record, trigger
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 START = 3.0e8
@@ -37,7 +37,6 @@ def scan(small: Small, tmp_path_factory: pytest.TempPathFactory) -> Path:
         FRAME,
         start_gps_s=START,
         six_dof=True,
-        lost_pulses=1,
     )
     return folder
 
@@ -46,7 +45,7 @@ def test_stamps_and_pulses_find_each_other(scan: Path) -> None:
     stamps = read_image_stamps(scan / "images").table
     (pulses,) = read_number_columns(scan / "trigger_pulses.csv", ("t_gps_s",))
     match = match_pulses(stamps.t_device_s.to_numpy(), pulses)
-    assert (match.images_without_pulse, match.pulses_without_image) == (1, 0)
+    assert (match.images_without_pulse, match.pulses_without_image) == (0, 0)
     truth, _ = read_table(scan / "truth" / "poses.parquet", POSE_TRUTH)
     assert stamps.file.tolist() == truth.file.tolist()
     has = match.pulse >= 0
@@ -76,23 +75,6 @@ def test_what_the_camera_gives_holds_no_truth(scan: Path) -> None:
     assert json.loads((scan / "truth" / "plan.json").read_text())["images"] == 9
 
 
-def test_a_part_of_the_images_is_the_same_as_all(small: Small, scan: Path, tmp_path: Path) -> None:
-    plan = scan_plan(small.sensor, SEED, stepped_object(), lines=9, step_mm=4.0)
-    names = record(
-        plan,
-        small.sensor,
-        small.settings,
-        SEED,
-        tmp_path,
-        tmp_path / "truth",
-        FRAME,
-        start_gps_s=START,
-        only=[4],
-    )
-    assert [path.name for path in (tmp_path / "images").iterdir()] == [names[4]]
-    assert (tmp_path / "images" / names[4]).read_bytes() == (scan / "images" / names[4]).read_bytes()
-
-
 def test_each_image_has_speckle_and_noise_of_its_own(small: Small, tmp_path: Path) -> None:
     plan = panel_plan(small.sensor, depths_mm=(125.0, 125.0))
     names = record(
@@ -107,17 +89,7 @@ def test_each_image_has_speckle_and_noise_of_its_own(small: Small, tmp_path: Pat
 
 def test_the_grid_is_described_as_the_calibration_reads_it(small: Small, tmp_path: Path) -> None:
     plan = calibration_plan(small.sensor, SEED, positions=2)
-    record(
-        plan,
-        small.sensor,
-        small.clean,
-        SEED,
-        tmp_path,
-        tmp_path / "truth",
-        FRAME,
-        start_gps_s=START,
-        only=[0],
-    )
+    record(plan, small.sensor, small.clean, SEED, tmp_path, tmp_path / "truth", FRAME, start_gps_s=START)
     for k, depths in enumerate(plan.facts["depths_mm"]):
         grid = read_grid(tmp_path / f"grid_{k + 1}.yaml")
         # a calliper of 0.05 mm
@@ -131,17 +103,6 @@ def test_a_plan_is_described_without_being_rendered(small: Small) -> None:
     plan = calibration_plan(small.sensor, SEED, positions=4, depths_mm=(60.0, 105.0, 150.0))
     told = describe(plan, small.sensor)
     assert (told["images"], told["sheets"], len(told["depths_mm"][3])) == (4, 1, 3)
-
-
-@pytest.mark.parametrize("ending", ["png", "tiff", "jpg"])
-def test_formats(tmp_path: Path, ending: str) -> None:
-    colour = np.zeros((20, 30, 3), dtype=np.uint8)
-    colour[..., 0], colour[..., 1] = 40, 200  # little red, much green
-    write_image(tmp_path / f"a.{ending}", colour)
-    again = cv2.imread(str(tmp_path / f"a.{ending}"), cv2.IMREAD_UNCHANGED)[..., ::-1]
-    assert np.abs(again.astype(int) - colour).max() <= (3 if ending == "jpg" else 0)  # JPEG of one colour
-    with pytest.raises(InputError, match="ending"):
-        write_image(tmp_path / "a.bmp", colour)
 
 
 def test_pulses_are_on_the_grid_of_the_divider_and_pause_once() -> None:

@@ -8,11 +8,9 @@ from thalweg_lab.random_numbers import generator
 from thalweg_lab.settings import TwinConfig
 from thalweg_lab.studies.sensors import camera_lidar
 from thalweg_lab.studies.sensors.camera_lidar import (
-    CASES,
     Pictures,
     StudySettings,
     _photographed,
-    as_markdown,
     camera_lidar_study,
     seen_marks,
     simulated_trial,
@@ -80,19 +78,3 @@ def test_a_field_that_gives_no_pose_is_a_failure() -> None:
     settings = StudySettings(revolutions=1, pictures=Pictures(sigma_px=0.05, run_images=0, wrong_marks=0.9))
     (line,) = camera_lidar_study([1], settings).to_dict("records")
     assert line["failure"]
-
-
-def test_the_page_has_a_line_for_each_case(few: pd.DataFrame) -> None:
-    text = as_markdown(few.assign(case="three revolutions"))
-    assert "| three revolutions | 1 |" in text
-    assert "| P2 Table 1 |" in text
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("case", ["five seconds", "static pictures alone", "people, 5 % wrong marks"])
-def test_fifty_seeds(case: str) -> None:
-    got = summary(camera_lidar_study(range(1001, 1051), CASES[case]))
-    assert got["failures"] == 0
-    assert got["band_low"] < got["normalised"] < got["band_high"]
-    assert got["median_error_lever_mm"] <= 0.5
-    assert got["median_error_rotation_deg"] <= 0.02

@@ -6,7 +6,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.accuracy import range_facts
 from thalweg.core import LocalFrame, Rigid, read_parquet, rotation_vector
 from thalweg_lab.settings import TwinConfig
 from thalweg_lab.studies import Batch, chain_study as study, chain_study as tables, run_seeds
@@ -67,21 +66,6 @@ def test_what_a_survey_found_goes_through_files(found: dict[str, list[study.Foun
         pd.testing.assert_frame_equal(again[1].distances[name], one.distances[name])
         pd.testing.assert_frame_equal(again[1].counts[name], one.counts[name])
     pd.testing.assert_frame_equal(again[1].truth, one.truth)
-
-
-def test_surveys_are_pooled_at_times_of_their_own(found: dict[str, list[study.Found]]) -> None:
-    one = found[tables.DISTURBED][0]
-    both = tables.pooled([one, one])
-    n = len(one.distances["ins"])
-    assert len(both["ins"]) == 2 * n
-    later = both["ins"]["t_gps_s"].to_numpy()[n:] - one.distances["ins"]["t_gps_s"].to_numpy()
-    assert np.all(later == study.APART_S)
-    settings = study.comparison_settings(study.ChainStudy.of("", {}, SMALL).settings(1), 1)
-    ranges = tables.ranges_of([one], settings)
-    assert {f"{name}_rmse_observed_m" for name in CHAINS} <= set(ranges.columns)
-    page = tables.as_markdown(tables.study_table(found), range_facts(ranges))
-    assert "digital twin" in page
-    assert page.count("| disturbed |") == 2 * len(CHAINS)
 
 
 def test_a_goal_that_is_missed_says_by_how_much() -> None:

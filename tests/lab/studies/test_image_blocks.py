@@ -6,16 +6,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.bands import band
 from thalweg.core import GeometryError, read_parquet
 from thalweg_lab.studies import image_blocks
 from thalweg_lab.studies.image_blocks import (
     DEFAULT_FACTOR,
     FACTORS,
-    as_markdown,
     block_study,
     by_factor,
-    fitted_factor,
     normalised,
     pooled,
     summary,
@@ -96,14 +93,9 @@ def test_a_block_that_fails_is_a_line_of_its_own(tmp_path: Path, monkeypatch: py
     table = again[again["factor"] == DEFAULT_FACTOR]
     both = pd.concat([blocks(1.2), table], ignore_index=True)
     assert pooled(both).loc["all poses jointly", "normalised"] == pytest.approx(1.2)
-    page = as_markdown(both, blocks(1.3))
-    assert "| 3 | | | | | | | | failed: no block; expected one. |" in page
-    assert "| 0 | 10 | 1.00 | 20 | 1.20 | 30 (28) | 100 (120) | 0.50 (2) |  |" in page
-    assert "| fitted | all poses jointly | 2 | 1.20 | 60 |" in page
-    assert "| judged | all poses jointly | 2 | 1.30 | 60 |" in page
 
 
-def test_the_factor_is_where_single_poses_have_a_square_of_one() -> None:
+def test_each_factor_has_its_band() -> None:
     # one block with 20 independent errors: 1.4 by the model, 1.1 and 0.9 with 2 and 4 times its variance
     table = pd.concat(
         [
@@ -111,38 +103,9 @@ def test_the_factor_is_where_single_poses_have_a_square_of_one() -> None:
             for factor, value in ((1.0, 1.4), (2.0, 1.1), (4.0, 0.9))
         ]
     )
-    best, low, high = fitted_factor(table)
-    assert best == pytest.approx(3.0)
-    # chi-square of 20: 9.59 and 34.17 in any table; 1.71 and 0.48 are beyond the ends
-    assert (low, high) == (1.0, 4.0)
+    # chi-square of 20: 34.17
     assert by_factor(table).query("of == 'single poses'")["high"].tolist() == pytest.approx(
         [34.17 / 20] * 3, rel=1e-3
     )
     both = summary(table, blocks(1.0))
     assert both["blocks"].tolist() == ["fitted"] * 9 + ["judged"] * 3
-
-
-@pytest.fixture(scope="module")
-def rendered(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
-    """Six blocks, three minutes each on a busy machine."""
-    table = block_study(SEEDS, tmp_path_factory.mktemp("blocks"))
-    return table[table["factor"] == DEFAULT_FACTOR]
-
-
-@pytest.mark.slow
-def test_poses_of_rendered_blocks_err_as_their_covariances_say(rendered: pd.DataFrame) -> None:
-    assert (rendered["images"] >= 25).all()
-    found = pooled(rendered)
-    for of in ("single poses", "check points"):
-        row = found.loc[of]
-        assert row["low"] < row["normalised"] < row["high"]
-    # position sigmas follow the errors: a block has some ten independent ones
-    low, high = band(10 * len(rendered))
-    assert low < np.mean(rendered["rms_mm"] ** 2) / np.mean(rendered["sigma_mm"] ** 2) < high
-
-
-@pytest.mark.slow
-@pytest.mark.xfail(reason="joint covariances are some 6 % of a sigma too small: docs/images.md", strict=True)
-def test_poses_of_rendered_blocks_err_together_as_their_covariance_says(rendered: pd.DataFrame) -> None:
-    joint = pooled(rendered).loc["all poses jointly"]
-    assert joint["low"] < joint["normalised"] < joint["high"]

@@ -11,10 +11,7 @@ import pytest
 from thalweg_lab.studies.offset_study import (
     EFFECTS,
     PER_SURVEY,
-    SINGLE,
     Effect,
-    as_markdown,
-    conclusion,
     distances,
     offset_table,
     rows_of_seed,
@@ -62,7 +59,6 @@ def found(surveys: tuple[pd.DataFrame, list[Effect]]) -> pd.DataFrame:
 def test_every_row_is_a_campaign_and_has_its_counterpart() -> None:
     names = [effect.name for effect in EFFECTS]
     assert len(set(names)) == len(names)
-    assert set(SINGLE) < set(names)
     for effect in EFFECTS:
         assert survey_settings(effect.twin, reference=effect.reference)["twin"]["lidar"]["sigma_range_m"] > 0
         assert effect.against in ("", *names)
@@ -102,53 +98,3 @@ def test_the_same_seed_gives_the_same_numbers(
     (first, *_), (effect, *_) = surveys[0].to_dict("records"), surveys[1]
     assert distances(first["seed"], tmp_path / "again", effect) == {name: first[name] for name in PER_SURVEY}
     assert list(tmp_path.iterdir()) == []
-
-
-def test_the_page_reads_as_a_table(found: pd.DataFrame) -> None:
-    page = as_markdown(found)
-    table = [line for line in page.splitlines() if line.startswith("|")]
-    assert len(table) == len(found) + 3  # head, rule, P2
-    assert len({line.count("|") for line in table}) == 1
-    assert "-60 to -50" in table[-1]
-    assert "nan" not in page
-
-
-def rows(**means: tuple[float, float, float]) -> pd.DataFrame:
-    """A table with (mean, explained, its sigma) of some effects, in millimetres."""
-    return pd.DataFrame(
-        [
-            {
-                "effect": name.replace("_", " "),
-                "mean_m": mean / 1e3,
-                "explains_m": change / 1e3,
-                "sigma_explains_m": sigma / 1e3,
-                "sigma_mean_m": sigma / 1e3,
-                "seeds": 4,
-                "fitted": 4,
-                "sigma_mean_registered_m": sigma / 4e3,
-            }
-            for name, (mean, change, sigma) in means.items()
-        ]
-    )
-
-
-def test_the_conclusion_follows_the_numbers() -> None:
-    words = conclusion(
-        rows(
-            stones=(3.0, 1.0, 1.0),
-            bushes=(-20.0, -19.0, 2.0),
-            trees=(9.0, 8.0, 3.0),
-            all_but_poses_and_mounts=(-31.0, -31.0, 4.0),
-            plants_left_in_the_reference=(5.0, 36.0, 2.0),
-        )
-    )
-    assert "31 mm behind the reference" in words
-    assert words.index("bushes -19.0 ± 2.0") < words.index("trees +8.0 ± 3.0")
-    assert "Not told from zero: stones." in words
-    assert "+5.0 ± 2.0 mm: what is taken for the reference's surface decides on the sign" in words
-    scattered = conclusion(rows(errors_of_poses_and_mounts=(4.0, 4.0, 10.0)))
-    assert "Not told from zero: errors of poses and mounts." in scattered
-    # one survey of four: twice the standard error of the mean
-    assert "scatters by 20 mm with them" in scattered
-    assert "5 mm after a rigid fit" in scattered
-    assert "4 mm in front of" in conclusion(rows(stones=(4.0, 4.0, 1.0)))

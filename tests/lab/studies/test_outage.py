@@ -37,12 +37,6 @@ def test_outages_leave_positions_on_both_sides_and_do_not_overlap() -> None:
     assert spans == [(15.0, 35.0), (50.0, 70.0)]
 
 
-def test_the_page_has_a_line_for_each_length(table) -> None:
-    page = outage.as_markdown(table)
-    found = [line.split(" | ")[0] for line in page.splitlines() if line[:3] in ("| 2", "| 1")]
-    assert found == ["| 2", "| 18"]
-
-
 def test_under_trees_positions_are_disturbed_there_only() -> None:
     effects = {"gnss_floats": ((2.0, 1.0),), "gnss_outages": ((5.0, 2.0),)}
     spec = outage.VoyageSpec(

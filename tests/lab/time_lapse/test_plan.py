@@ -1,4 +1,4 @@
-"""Times, names, poses, lens and defects of the time-lapse images."""
+"""Times, names, poses, and lens of the time-lapse images."""
 
 import numpy as np
 import pytest
@@ -73,24 +73,8 @@ def test_smear_is_the_way_of_a_place_in_the_image_while_the_shutter_is_open() ->
     assert max(np.hypot(*s.smear_px) for s in plan.shots) > 0.05
 
 
-def test_defective_images_are_as_many_as_asked_for_and_the_others_do_not_change() -> None:
-    usual = plan_images(CONFIG, settings(), SEED, MOUNTS)
-    effects = {"unstamped": 2, "duplicated": 3, "blurred": 1}
-    plan = plan_images(CONFIG, settings(effects=effects), SEED, MOUNTS)
-    assert sum(not s.stamped for s in plan.shots) == 2
-    assert sum(bool(s.copy_name) for s in plan.shots) == 3
-    assert sum(not s.sharp for s in plan.shots) == 1
-    for a, b in zip(usual.shots, plan.shots, strict=True):
-        assert a.stamp_us == b.stamp_us
-        assert (a.name == b.name) == b.stamped
-    names = [name for s in plan.shots for name in (s.name, s.copy_name) if name]
-    assert len(set(names)) == len(names)
-
-
 def test_refusals_say_what_is_wrong() -> None:
     with pytest.raises(ConfigError, match=r"mounts\.camera"):
         plan_images(CONFIG, settings(), SEED, {"lidar": {}})
     with pytest.raises(ConfigError, match="share"):
         plan_images(CONFIG, settings(share=0.0), SEED, MOUNTS)
-    with pytest.raises(ConfigError, match=r"effects\.blurred"):
-        plan_images(CONFIG, settings(effects={"blurred": 1000}), SEED, MOUNTS)

@@ -7,14 +7,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.lab.time_lapse.conftest import CONFIG, FRAME, MOUNTS, SEED, Reach, settings
+from tests.lab.time_lapse.conftest import CONFIG, FRAME, SEED, Reach, settings
 from thalweg.core import ConfigError
 from thalweg.images.model import ImagePoses
 from thalweg_lab.reach import River
 from thalweg_lab.river import Material
-from thalweg_lab.time_lapse import simulate_time_lapse
 from thalweg_lab.time_lapse.foreground import place_targets
-from thalweg_lab.time_lapse.record import surveyed, write_survey
+from thalweg_lab.time_lapse.record import surveyed, write_poses, write_survey, write_truth
 
 
 def test_every_target_is_seen_free_and_large_enough(reach: Reach) -> None:
@@ -69,8 +68,7 @@ def test_the_survey_errs_by_its_sigmas(reach: Reach, tmp_path: Path) -> None:
     sigma = np.array([0.01, 0.02, 0.05])
     errors = []
     for seed in range(300):
-        table, swapped = surveyed(targets, settings(sigma_target_m=tuple(sigma)), seed)
-        assert swapped == []
+        table = surveyed(targets, settings(sigma_target_m=tuple(sigma)), seed)
         errors.append(table[["east_m", "north_m", "up_m"]].to_numpy() - targets.centre_wcs_m)
     error = np.concatenate(errors)
     # Five sigma of mean and standard deviation of 1500 normal numbers.
@@ -91,34 +89,14 @@ def test_the_survey_errs_by_its_sigmas(reach: Reach, tmp_path: Path) -> None:
     assert again["role"].tolist() == ["control", "check", "control", "control", "check"]
 
 
-def test_swapped_names_are_told_in_the_truth_only(reach: Reach, tmp_path: Path) -> None:
-    usual, _ = surveyed(reach.recording.targets, settings(), SEED)
-    changed = settings(effects={"swapped_points": 1})
-    points, truth = tmp_path / "points.csv", tmp_path / "truth.json"
-    simulate_time_lapse(
-        CONFIG,
-        changed,
-        SEED,
-        FRAME,
-        reach.path,
-        MOUNTS,
-        tmp_path / "images",
-        points,
-        out_poses=tmp_path / "poses.parquet",
-        out_truth=truth,
-        only=[],
-    )
-    table, facts = pd.read_csv(points), json.loads(truth.read_text())
-    moved = np.flatnonzero(table["id"] != usual["id"])
-    assert len(moved) == 2
-    assert sorted(table["id"][moved]) == sorted(facts["swapped_points"][0])
-    # Written to a tenth of a millimetre.
-    np.testing.assert_allclose(table["east_m"], usual["east_m"], atol=6e-5)
-    poses = ImagePoses.read(tmp_path / "poses.parquet")
-    assert len(poses.images) == len(reach.recording.plan.shots)
-    true = reach.recording.plan.shots[3].T_wcs_ccs
+def test_the_truth_holds_poses_and_camera(reach: Reach, tmp_path: Path) -> None:
+    recording = reach.recording
+    truth = tmp_path / "truth.json"
+    write_poses(tmp_path / "poses.parquet", recording.plan, FRAME)
+    write_truth(truth, recording.plan, recording.targets, np.zeros(len(recording.plan.shots)))
+    poses, facts = ImagePoses.read(tmp_path / "poses.parquet"), json.loads(truth.read_text())
+    assert len(poses.images) == len(facts["images"]) == len(recording.plan.shots)
+    true = recording.plan.shots[3].T_wcs_ccs
     np.testing.assert_allclose(poses.R_wcs_ccs[3], true.R, atol=1e-12)
     np.testing.assert_allclose(poses.centre_wcs_m[3], true.shift_m, atol=1e-12)
     assert facts["camera"]["parameters"]["fx"] == pytest.approx(1858.0 * 480 / 2296)
-    with pytest.raises(ConfigError, match="swapped_points"):
-        surveyed(reach.recording.targets, settings(effects={"swapped_points": 3}), SEED)

@@ -218,7 +218,7 @@ def test_over_exposed_points_that_lie_aside_are_a_warning(files: ScanFiles, scan
 def tripod(tmp_path: Path, scan: Any) -> Callable[..., Path]:
     """Runs `locate_sheet_sensor` on the scan; images are named by the camera clock, one a second."""
     stamps = (1_620_808_267 + np.arange(7)) * 1_000_000
-    names = [image_name(int(t), "png") for t in stamps]
+    names = [image_name(int(t)) for t in stamps]
     folder = tmp_path / "images"
     for name in names:
         write_image(folder / name, np.zeros((16, 16), np.uint8))

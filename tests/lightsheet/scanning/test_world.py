@@ -64,7 +64,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[pd.DataFrame, An
     folder = tmp_path_factory.mktemp("images")
     shots = trigger(3, 0.4 * np.arange(8), START, name="test", lost=1)
     for us in shots.stamp_us:
-        write_image(folder / image_name(int(us), "png"), np.zeros((4, 4), dtype=np.uint8))
+        write_image(folder / image_name(int(us)), np.zeros((4, 4), dtype=np.uint8))
     return read_image_stamps(folder).table, shots
 
 

@@ -1,4 +1,4 @@
-"""Figures of a survey: map, streams, trajectory, error budget."""
+"""Figures of a survey: map, streams, trajectory."""
 
 import lazy_loader
 

@@ -220,9 +220,6 @@ CASES: Final[dict[str, StudySettings]] = {
 }
 """Calibrations of the study: three positions each, if not said otherwise."""
 
-PUBLISHED: Final = (1.0, 0.4, 0.2, 0.067, 0.035, 0.015)
-"""Sigmas of P2 Table 1: millimetres of X, Y, Z and degrees of omega, phi, kappa."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
@@ -247,34 +244,6 @@ def by_case(rows: pd.DataFrame) -> pd.DataFrame:
     return rows.sort_values(
         ["case", "seed"], key=lambda c: c.map(order) if c.name == "case" else c, ignore_index=True
     )
-
-
-def as_markdown(study: pd.DataFrame) -> str:
-    """Page of the study: medians of errors and sigmas of each case, and whether the sigmas are consistent."""
-    lines = [
-        "# Camera and lidar by cones: errors and sigmas over many seeds",
-        "",
-        "Medians. Errors are lengths of lever arm and rotation vector; the normalised square error has the",
-        "expectation 1 and lies in the band with 95 % if the covariances are right.",
-        "",
-        "| case | seeds | error mm | error deg | sigmas mm | sigmas deg | normalised | band |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- |",
-    ]
-    for name, part in study.groupby("case", sort=False):
-        s = summary(part)
-        sigmas = [s[f"median_sigma_{error}"] for error in ERRORS]
-        failed = f" ({s['failures']:.0f} failed)" if s["failures"] else ""
-        lines.append(
-            f"| {name} | {s['seeds']:.0f}{failed} | {s['median_error_lever_mm']:.2f} "
-            f"| {s['median_error_rotation_deg']:.3f} | {_joined(sigmas[:3], 2)} | {_joined(sigmas[3:], 3)} "
-            f"| {s['normalised']:.2f} | {s['band_low']:.2f} to {s['band_high']:.2f} |"
-        )
-    lines.append(f"| P2 Table 1 | | | | {_joined(PUBLISHED[:3], 1)} | {_joined(PUBLISHED[3:], 3)} | | |")
-    return "\n".join(lines) + "\n"
-
-
-def _joined(values: Sequence[float], digits: int) -> str:
-    return ", ".join(f"{v:.{digits}f}" for v in values)
 
 
 def camera_lidar_study(seeds: Sequence[int], settings: StudySettings) -> pd.DataFrame:
@@ -400,7 +369,7 @@ def _study_rows(seed: Seed) -> Tables:
 def _study_results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result]:
     found = by_case(tables["cases"])
     cases = partial(summary_table(found).to_csv, index=False, float_format="%.6g")
-    return {"table": found, "cases": cases, "page": as_markdown(found)}
+    return {"table": found, "cases": cases}
 
 
 STUDY: Final = Study(rows=_study_rows, results=_study_results, float_format=None)
